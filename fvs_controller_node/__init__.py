@@ -1,0 +1,1 @@
+"""Control laws, ball prediction and the supervisor that guards every joint command."""

@@ -1,0 +1,1 @@
+"""Programs that compose the nodes' packages: launcher, demo, training."""

@@ -1,0 +1,98 @@
+"""Joint names, their kinematic order, and the map from any ``JointState`` into it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+N_JOINTS = 6
+
+#: The UR joints in kinematic order, base to flange: the order of every vector in this project.
+UR_JOINT_NAMES = (
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+)
+
+#: The order in which a UR's ``joint_state_broadcaster`` publishes on ROS 2 Jazzy.
+UR_PUBLISHED_NAMES = tuple(sorted(UR_JOINT_NAMES))
+
+
+class JointStateError(ValueError):
+    """A joint state that cannot be used; the text says what was wrong and what was expected."""
+
+
+class ForeignJointState(JointStateError):
+    """A joint state that holds none of the wanted joints: another device's, to be passed over."""
+
+
+class JointMap:
+    """Picks the wanted joints, by name, out of messages in any order and with extra joints.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The six joint names in kinematic order.
+
+    Raises
+    ------
+    ValueError
+        If there are not six different names.
+    """
+
+    def __init__(self, names: Sequence[str] = UR_JOINT_NAMES) -> None:
+        self.names = tuple(names)
+        if len(self.names) != N_JOINTS or len(set(self.names)) != N_JOINTS:
+            raise ValueError(
+                f"joint_names must be {N_JOINTS} different names in kinematic order, "
+                f"got {list(self.names)}"
+            )
+        self._cached_for: tuple[str, ...] | None = None
+        self._indices: list[int] = []
+
+    def positions(self, names: Sequence[str], values: Sequence[float]) -> np.ndarray:
+        """Joint angles in kinematic order.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Joint names of the message.
+        values : sequence of float
+            Angles of the message, rad, one for each name.
+
+        Returns
+        -------
+        ndarray, shape (6,)
+            Angles, rad, kinematic order; finite.
+
+        Raises
+        ------
+        ForeignJointState
+            If the message holds none of the wanted joints.
+        JointStateError
+            If some joints are missing, sizes differ, or an angle is not finite.
+        """
+        key = tuple(names)
+        if key != self._cached_for:
+            missing = [name for name in self.names if name not in key]
+            if len(missing) == N_JOINTS:
+                raise ForeignJointState(
+                    f"joint_states names {list(key)}, none of the wanted {list(self.names)}"
+                )
+            if missing:
+                raise JointStateError(f"joint_states lacks {missing}; it names {list(key)}")
+            self._indices = [key.index(name) for name in self.names]
+            self._cached_for = key
+        if len(values) != len(key):
+            raise JointStateError(
+                f"joint_states has {len(values)} positions for {len(key)} names"
+            )
+        positions = np.array([values[i] for i in self._indices], dtype=float)
+        if not np.all(np.isfinite(positions)):
+            bad = [n for n, p in zip(self.names, positions, strict=True) if not np.isfinite(p)]
+            raise JointStateError(f"joint_states has a position that is not finite for {bad}")
+        return positions

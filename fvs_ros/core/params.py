@@ -1,0 +1,170 @@
+"""Parameters declared once: type, default, range, unit, description, and whether they are live.
+
+A node's parameters are one tuple of :class:`Parameter`. Everything else follows from it: the
+ROS declaration, the checks, the refusals and the checks of scenario files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+_TYPES = (bool, int, float, str)
+
+
+class ParameterError(ValueError):
+    """A parameter with a wrong name or value; the text says what was expected."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of a node.
+
+    Parameters
+    ----------
+    name : str
+        Name; ends in the unit where it has one (``_s``, ``_m``, ``_rad_s``).
+    default : bool, int, float, str, or a list of one of them
+        Default value; its type is the parameter's type.
+    description : str
+        One sentence for a user.
+    minimum, maximum : float, optional
+        Inclusive range of a number, or of each number of a list.
+    choices : tuple of str
+        The only values allowed for a string, if given.
+    size : int, optional
+        Required length of a list.
+    live : bool
+        Whether it may change while the node runs.
+    """
+
+    name: str
+    default: Any
+    description: str
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+    size: int | None = None
+    live: bool = False
+
+    @property
+    def is_list(self) -> bool:
+        """Whether the value is a list."""
+        return isinstance(self.default, list)
+
+    @property
+    def kind(self) -> type:
+        """Type of the value, or of a list's elements."""
+        return type(self.default[0]) if self.is_list else type(self.default)
+
+    def expected(self) -> str:
+        """Words for what a value must be."""
+        names = {bool: "true or false", int: "whole number", float: "number", str: "text"}
+        text = names[self.kind]
+        if self.is_list:
+            count = "" if self.size is None else f"{self.size} "
+            text = f"a list of {count}x {text}" if self.size is None else f"a list of {count}{text}s"
+        if self.choices:
+            text = "one of " + ", ".join(self.choices)
+        if self.minimum is not None and self.maximum is not None:
+            text += f" from {self.minimum:g} to {self.maximum:g}"
+        elif self.minimum is not None:
+            text += f", at least {self.minimum:g}"
+        elif self.maximum is not None:
+            text += f", at most {self.maximum:g}"
+        return text
+
+    def check(self, value: Any) -> Any:
+        """The value in the parameter's type.
+
+        A whole number is welcome where a number is wanted (``gain: 2`` in YAML).
+
+        Raises
+        ------
+        ParameterError
+            If the value has another type, size or range.
+        """
+        if self.is_list:
+            if isinstance(value, str) or not hasattr(value, "__len__"):
+                raise self._refusal(value)
+            if self.size is not None and len(value) != self.size:
+                raise self._refusal(value)
+            return [self._check_one(element, value) for element in value]
+        return self._check_one(value, value)
+
+    def _check_one(self, element: Any, whole: Any) -> Any:
+        kind = self.kind
+        if isinstance(element, np.generic):
+            element = element.item()
+        if kind is float and isinstance(element, int) and not isinstance(element, bool):
+            element = float(element)
+        if not isinstance(element, kind) or (kind is int and isinstance(element, bool)):
+            raise self._refusal(whole)
+        if kind in (int, float):
+            if not np.isfinite(element):
+                raise self._refusal(whole)
+            if self.minimum is not None and element < self.minimum:
+                raise self._refusal(whole)
+            if self.maximum is not None and element > self.maximum:
+                raise self._refusal(whole)
+        if self.choices and element not in self.choices:
+            raise self._refusal(whole)
+        return element
+
+    def _refusal(self, value: Any) -> ParameterError:
+        return ParameterError(f"parameter {self.name} must be {self.expected()}, got {value!r}")
+
+
+class ParameterSet:
+    """The declared parameters of one node, by name.
+
+    Parameters
+    ----------
+    parameters : iterable of Parameter
+        The declarations.
+
+    Raises
+    ------
+    ValueError
+        If a name is declared twice or a default does not pass its own check.
+    """
+
+    def __init__(self, parameters: Iterable[Parameter]) -> None:
+        self._by_name: dict[str, Parameter] = {}
+        for parameter in parameters:
+            if parameter.name in self._by_name:
+                raise ValueError(f"parameter {parameter.name} is declared twice")
+            if parameter.kind not in _TYPES:
+                raise ValueError(f"parameter {parameter.name} has no ROS type")
+            parameter.check(parameter.default)
+            self._by_name[parameter.name] = parameter
+
+    def __iter__(self):
+        return iter(self._by_name.values())
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._by_name
+
+    def __getitem__(self, name: str) -> Parameter:
+        try:
+            return self._by_name[name]
+        except KeyError:
+            raise ParameterError(
+                f"unknown parameter {name}; known are {', '.join(sorted(self._by_name))}"
+            ) from None
+
+    def values(self, overrides: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """All values: the defaults, with checked overrides in their place.
+
+        Raises
+        ------
+        ParameterError
+            If an override is unknown or has a wrong value.
+        """
+        values = {parameter.name: parameter.default for parameter in self}
+        for name, value in (overrides or {}).items():
+            values[name] = self[name].check(value)
+        return values

@@ -1,0 +1,1 @@
+"""PyBullet UR5 with a depth camera: the simulated side of the topics."""
