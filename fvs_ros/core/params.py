@@ -65,8 +65,7 @@ class Parameter:
         names = {bool: "true or false", int: "whole number", float: "number", str: "text"}
         text = names[self.kind]
         if self.is_list:
-            count = "" if self.size is None else f"{self.size} "
-            text = f"a list of {count}x {text}" if self.size is None else f"a list of {count}{text}s"
+            text = f"a list of {text}s" if self.size is None else f"a list of {self.size} {text}s"
         if self.choices:
             text = "one of " + ", ".join(self.choices)
         if self.minimum is not None and self.maximum is not None:

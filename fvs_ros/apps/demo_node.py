@@ -1,0 +1,152 @@
+"""``fvs_demo_node``: gives the controller targets, watches the true ball, prints and draws it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PointStamped
+from sensor_msgs.msg import CameraInfo, Image, JointState
+
+from fvs_estimator_node.model_file import load_model
+from fvs_ros.apps import demo
+from fvs_ros.core import ros
+from fvs_ros.core.camera import Intrinsics
+from fvs_ros.core.joints import JointMap
+from fvs_ros.core.paths import find_file
+
+_POLL_S = 0.1
+_IMAGE_WAIT_S = 5.0
+_CONTROLLER_STATUS = "fvs_controller_node/status"
+_TRUE_BALL = "fvs_sim_node/true_ball_position"
+
+
+class DemoNode(ros.FvsNode):
+    """Runs the demo's targets one after another."""
+
+    def __init__(self) -> None:
+        super().__init__("fvs_demo_node", demo.PARAMETERS)
+        model = load_model(find_file(self.values["model_path"]))
+        self._candidates_m = model.ball_samples_m
+        self._rng = np.random.default_rng(self.values["seed"])
+        self._joint_map = JointMap()
+        self._records: list[demo.TargetRecord] = []
+        self._state = self._reason = ""
+        self._frame = self.values["feature_frame"]
+        self._image: Image | None = None
+        self._intrinsics: Intrinsics | None = None
+        self._began_s = self.steady_s()
+        self._image_asked_s: float | None = None
+        self._target = self.create_publisher(PointStamped, ros.TARGET_POSITION, ros.QOS_LATCHED)
+        self.watch(DiagnosticStatus, _CONTROLLER_STATUS, self._on_status, ros.QOS_RELIABLE)
+        self.watch(PointStamped, _TRUE_BALL, self._on_true_ball, ros.QOS_NEWEST)
+        self.watch(JointState, ros.JOINT_STATES, self._on_joint_states, ros.QOS_NEWEST)
+        self.create_timer(_POLL_S, self._poll, clock=self.steady_clock)
+
+    # --- inputs ---
+
+    def _on_status(self, message: DiagnosticStatus) -> None:
+        state = ros.from_status(message).get("state", "")
+        if (state, message.message) != (self._state, self._reason):
+            self._state, self._reason = state, message.message
+            if self._records and state not in ("SERVOING", "READY"):
+                print(f"controller {state}: {message.message}", flush=True)
+
+    def _on_joint_states(self, message: JointState) -> None:
+        if self._records and self._image_asked_s is None:
+            velocity = self._joint_map.positions(message.name, message.velocity)
+            self._records[-1].add_joint_velocity(ros.from_stamp(message.header.stamp), velocity)
+
+    def _on_true_ball(self, message: PointStamped) -> None:
+        if self._image_asked_s is not None:
+            return
+        stamp_s = ros.from_stamp(message.header.stamp)
+        position_m = ros.from_point(message, self._frame, _TRUE_BALL)
+        if not self._records:
+            # The controller waits for a target alone: the loop is up, the first one may come.
+            if self._state == "WAITING" and "target" in self._reason:
+                self._next_target(stamp_s, position_m)
+            return
+        record = self._records[-1]
+        record.add_position(stamp_s, position_m)
+        if record.time_s[-1] >= self.values["target_s"]:
+            self._report(len(self._records), record)
+            if len(self._records) < self.values["targets"]:
+                self._next_target(stamp_s, position_m)
+            else:
+                self._ask_image()
+
+    # --- the task ---
+
+    def _next_target(self, stamp_s: float, position_m: np.ndarray) -> None:
+        target_m = demo.choose_target(
+            self._candidates_m, position_m, self.values["distance_m"], self._rng
+        )
+        self._target.publish(ros.to_point(stamp_s, self._frame, target_m))
+        self._records.append(demo.TargetRecord(target_m, stamp_s))
+        self._records[-1].add_position(stamp_s, position_m)
+
+    def _report(self, number: int, record: demo.TargetRecord) -> None:
+        one = demo.score(record, self.values["settle_error_m"])
+        text = "not settled"
+        if one.settling_5mm_s is not None:
+            text = f"settled after {one.settling_5mm_s:.2f} s"
+        print(
+            f"target {number} of {self.values['targets']}, "
+            f"{one.start_distance_m * 1e3:.0f} mm away: {text}, "
+            f"final true error {one.final_rms_m * 1e3:.2f} mm",
+            flush=True,
+        )
+
+    def _poll(self) -> None:
+        now_s = self.steady_s()
+        if not self._records and now_s - self._began_s > self.values["start_timeout_s"]:
+            reason = self._reason or "no status from the controller; is it running?"
+            print(f"the loop did not get ready: {self._state} {reason}", flush=True)
+            self.exit_code = ros.EXIT_FAILURE
+        if self._image_asked_s is not None:
+            complete = self._image is not None and self._intrinsics is not None
+            if complete or now_s - self._image_asked_s > _IMAGE_WAIT_S:
+                self._conclude()
+
+    # --- the picture and the table ---
+
+    def _ask_image(self) -> None:
+        """Subscribe now, not before: the simulator renders full frames for subscribers only."""
+        self._image_asked_s = self.steady_s()
+        self.create_subscription(Image, ros.COLOR_IMAGE, self._on_image, ros.QOS_RELIABLE)
+        self.create_subscription(CameraInfo, ros.CAMERA_INFO, self._on_info, ros.QOS_RELIABLE)
+
+    def _on_image(self, message: Image) -> None:
+        self._image = message
+
+    def _on_info(self, message: CameraInfo) -> None:
+        self._intrinsics = Intrinsics(
+            message.width, message.height, message.k[0], message.k[4], message.k[2], message.k[5]
+        )
+
+    def _conclude(self) -> None:
+        settle_error_m = self.values["settle_error_m"]
+        scores = [demo.score(record, settle_error_m) for record in self._records]
+        folder = Path(self.values["output_dir"])
+        image_rgb = None
+        if self._image is not None:
+            image_rgb = np.frombuffer(self._image.data, np.uint8).reshape(
+                self._image.height, self._image.width, 3
+            )
+        demo.write_results(folder, self._records, scores)
+        demo.draw(folder / "demo.png", self._records, settle_error_m, image_rgb, self._intrinsics)
+        print(f"\n{demo.table(scores, settle_error_m)}\n\nfigure: {folder / 'demo.png'}", flush=True)
+        settled = all(one.settling_5mm_s is not None for one in scores)
+        self.exit_code = ros.EXIT_OK if settled else ros.EXIT_FAILURE
+
+
+def main() -> int:
+    """Run ``fvs_demo_node``."""
+    return ros.run(DemoNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,206 @@
+"""``fvs_launch``: start a scenario's nodes, watch over them, and bring all down cleanly."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from fvs_ros.apps.scenario import NODE_TABLE, Scenario, ScenarioError, load_scenario
+
+_STOP_S = 5.0
+_POLL_S = 0.05
+_PR_SET_PDEATHSIG = 1
+EXIT_OK, EXIT_FAILURE, EXIT_BAD_INPUT = 0, 1, 2
+
+
+def _die_with_parent() -> None:
+    """Have the kernel end this child should the launcher itself be killed (Linux)."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+@dataclass
+class _Process:
+    """One running node."""
+
+    name: str
+    popen: subprocess.Popen
+    reader: threading.Thread | None
+    stopped: bool = False
+
+    def stop(self) -> None:
+        """Ask it to end."""
+        if self.popen.poll() is None:
+            self.stopped = True
+            self.popen.terminate()
+
+    def ended_well(self) -> bool:
+        """Whether it ended by itself with 0, or as asked (before its handlers stood, by signal)."""
+        code = self.popen.returncode
+        return code == 0 or (self.stopped and code == -signal.SIGTERM)
+
+
+class Launcher:
+    """Runs the processes of one scenario.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What to start.
+    namespace : str
+        ROS namespace of all nodes, or empty.
+    """
+
+    def __init__(self, scenario: Scenario, namespace: str = "") -> None:
+        self._scenario = scenario
+        self._namespace = namespace.strip("/")
+        self._processes: list[_Process] = []
+        self._signals: list[int] = []
+        self._print_lock = threading.Lock()
+
+    def run(self) -> int:
+        """Start all, wait for the first end or a signal, stop all.
+
+        Returns
+        -------
+        int
+            0 when ended by a signal or a task that succeeded; else the exit code of the node
+            that ended it.
+        """
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda received, _frame: self._signals.append(received))
+        with tempfile.TemporaryDirectory(prefix="fvs_launch_") as folder:
+            params = Path(folder) / "params.yaml"
+            params.write_text(self._scenario.to_params_yaml(), encoding="utf-8")
+            try:
+                for name in self._scenario.nodes:
+                    if self._signals:
+                        break
+                    self._start(name, params)
+                self._say(f"started {', '.join(p.name for p in self._processes)}")
+                first = self._wait()
+                return self._end(first)
+            finally:
+                self._stop_all()
+
+    def _start(self, name: str, params: Path) -> None:
+        entry = NODE_TABLE[name]
+        command = [sys.executable, "-m", entry.module, "--ros-args", "--params-file", str(params)]
+        if self._namespace:
+            command += ["-r", f"__ns:=/{self._namespace}"]
+        popen = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            # A task speaks to the user itself (tables, a progress bar); others are prefixed.
+            stdout=None if entry.task else subprocess.PIPE,
+            stderr=None if entry.task else subprocess.STDOUT,
+            env={**os.environ, "PYTHONUNBUFFERED": "1"},
+            # Ctrl-C reaches the launcher alone, which stops the nodes in the right order.
+            start_new_session=True,
+            preexec_fn=_die_with_parent,
+        )
+        reader = None
+        if popen.stdout is not None:
+            reader = threading.Thread(target=self._forward, args=(name, popen.stdout), daemon=True)
+            reader.start()
+        self._processes.append(_Process(name, popen, reader))
+
+    def _forward(self, name: str, stream) -> None:
+        for line in stream:
+            text = line.decode("utf-8", "replace").rstrip()
+            with self._print_lock:
+                print(f"[{name}] {text}", flush=True)
+
+    def _wait(self) -> _Process | None:
+        while not self._signals:
+            for process in self._processes:
+                if process.popen.poll() is not None:
+                    return process
+            time.sleep(_POLL_S)
+        return None
+
+    def _end(self, first: _Process | None) -> int:
+        if first is None:
+            self._say(f"{signal.Signals(self._signals[0]).name}: stopping")
+        elif first.name != self._scenario.task or first.popen.returncode != 0:
+            self._say(
+                f"{first.name} ended with {_code_text(first.popen.returncode)}: stopping the rest"
+            )
+        self._stop_all()
+        bad = [p for p in self._processes if not p.ended_well()]
+        for process in bad:
+            if process is not first:
+                self._say(f"{process.name} ended with {_code_text(process.popen.returncode)}")
+        if first is None:
+            return EXIT_FAILURE if bad else EXIT_OK
+        if first.name == self._scenario.task and first.popen.returncode == 0:
+            return EXIT_FAILURE if bad else EXIT_OK
+        return first.popen.returncode if first.popen.returncode > 0 else EXIT_FAILURE
+
+    def _stop_all(self) -> None:
+        """Stop the nodes that command the arm first: their last zeros need a listener."""
+        for first_to_go in (True, False):
+            group = [p for p in self._processes if NODE_TABLE[p.name].commands_arm is first_to_go]
+            for process in group:
+                process.stop()
+            deadline_s = time.monotonic() + _STOP_S
+            for process in group:
+                try:
+                    process.popen.wait(max(0.0, deadline_s - time.monotonic()))
+                except subprocess.TimeoutExpired:
+                    self._say(f"{process.name} did not stop within {_STOP_S:g} s: killed")
+                    process.popen.kill()
+                    process.popen.wait()
+                if process.reader is not None:
+                    process.reader.join(_STOP_S)
+
+    def _say(self, text: str) -> None:
+        with self._print_lock:
+            print(f"[fvs_launch] {text}", flush=True)
+
+
+def _code_text(code: int) -> str:
+    return f"exit code {code}" if code >= 0 else f"signal {signal.Signals(-code).name}"
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="fvs_launch", description=__doc__)
+    parser.add_argument("scenario", help="a scenario YAML file, or the name of one in config/")
+    parser.add_argument(
+        "-p",
+        "--param",
+        action="append",
+        default=[],
+        metavar="[NODE:]NAME:=VALUE",
+        help="override a parameter (repeatable), of one node or of every node that has it",
+    )
+    parser.add_argument("--namespace", default="", help="ROS namespace of all nodes")
+    return parser
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run ``fvs_launch``; the exit code says how it went."""
+    arguments = _parser().parse_args(argv)
+    try:
+        scenario = load_scenario(arguments.scenario).with_overrides(arguments.param)
+    except ScenarioError as error:
+        print(f"fvs_launch: {error}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    if "fvs_sim_node" in scenario.nodes:
+        # A simulated arm must not hear, or be heard by, the robots of a laboratory network.
+        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    return Launcher(scenario, arguments.namespace).run()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

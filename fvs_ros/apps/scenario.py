@@ -1,0 +1,205 @@
+"""Scenario files and the table of nodes they may start.
+
+A scenario is a standard ROS parameter file: each top-level key is a node to start, below it
+``ros__parameters``. It therefore serves ``fvs_launch``, ``ros2 launch`` and
+``ros2 run ... --params-file`` alike. A wildcard key ``/**`` holds parameters of all nodes.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from fvs_ros.core.params import ParameterError, ParameterSet
+from fvs_ros.core.paths import find_file
+
+ALL_NODES = "/**"
+_EVERYWHERE = ("use_sim_time",)
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be started; the text says why."""
+
+
+@dataclass(frozen=True)
+class NodeEntry:
+    """One node that a scenario may start.
+
+    Parameters
+    ----------
+    executable : str
+        Name of the node and of its executable.
+    module : str
+        Python module that runs it.
+    declarations : str
+        Module that holds its ``PARAMETERS``.
+    commands_arm : bool
+        Whether it sends joint commands: such a node is stopped first, while others still listen.
+    task : bool
+        Whether its end ends the scenario, its exit code being the scenario's.
+    """
+
+    executable: str
+    module: str
+    declarations: str
+    commands_arm: bool = False
+    task: bool = False
+
+    def parameters(self) -> ParameterSet:
+        """Declared parameters."""
+        return ParameterSet(importlib.import_module(self.declarations).PARAMETERS)
+
+
+NODE_TABLE: dict[str, NodeEntry] = {
+    entry.executable: entry
+    for entry in (
+        NodeEntry("fvs_sim_node", "fvs_sim_node.node", "fvs_sim_node.config"),
+        NodeEntry("fvs_estimator_node", "fvs_estimator_node.node", "fvs_estimator_node.config"),
+        NodeEntry(
+            "fvs_controller_node",
+            "fvs_controller_node.node",
+            "fvs_controller_node.config",
+            commands_arm=True,
+        ),
+        NodeEntry(
+            "fvs_collector_node",
+            "fvs_estimator_node.collector_node",
+            "fvs_estimator_node.collector_config",
+            commands_arm=True,
+            task=True,
+        ),
+        NodeEntry("fvs_demo_node", "fvs_ros.apps.demo_node", "fvs_ros.apps.demo", task=True),
+    )
+}
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """Nodes to start and their parameters, checked against the declarations.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    parameters : mapping of str to mapping
+        Node name -> parameter name -> value, wildcard parameters merged in.
+    """
+
+    path: Path
+    parameters: Mapping[str, Mapping[str, Any]]
+
+    @property
+    def nodes(self) -> list[str]:
+        """Names of the nodes, in the file's order."""
+        return list(self.parameters)
+
+    @property
+    def task(self) -> str | None:
+        """The node whose end ends the scenario, if there is one."""
+        return next((name for name in self.nodes if NODE_TABLE[name].task), None)
+
+    @property
+    def params_file(self) -> Path:
+        """The ROS parameter file of the scenario as it stands on disk."""
+        return self.path
+
+    def with_overrides(self, overrides: list[str]) -> Scenario:
+        """The scenario with ``name:=value`` or ``node:name:=value`` put in.
+
+        Without a node, the value goes to every node of the scenario that has the parameter.
+
+        Raises
+        ------
+        ScenarioError
+            If an override is malformed, unknown, or has a wrong value.
+        """
+        parameters = {node: dict(values) for node, values in self.parameters.items()}
+        for override in overrides:
+            key, separator, text = override.partition(":=")
+            node, _, name = key.rpartition(":")
+            if not separator or not name:
+                raise ScenarioError(f"'{override}' is not of the form name:=value")
+            targets = [node] if node else [n for n in parameters if _declares(n, name)]
+            if not targets or any(n not in parameters for n in targets):
+                raise ScenarioError(
+                    f"no node of {self.path.name} ({', '.join(parameters)}) "
+                    f"has a parameter {key.replace(':', '.')}"
+                )
+            for target in targets:
+                parameters[target][name] = yaml.safe_load(text)
+        return Scenario(self.path, _checked(self.path, parameters))
+
+    def to_params_yaml(self) -> str:
+        """ROS parameter file that holds in any namespace."""
+        return yaml.safe_dump(
+            {
+                f"/**/{node}": {"ros__parameters": dict(values)}
+                for node, values in self.parameters.items()
+            },
+            sort_keys=False,
+        )
+
+
+def load_scenario(name: str) -> Scenario:
+    """Read and check a scenario.
+
+    Parameters
+    ----------
+    name : str
+        Path of a YAML file, or the name of one in the project's ``config`` folder
+        (``demo`` or ``demo.yaml``).
+
+    Raises
+    ------
+    ScenarioError
+        If the file is missing, is no scenario, or holds an unknown node or parameter.
+    """
+    try:
+        path = find_file(name if Path(name).suffix else f"{name}.yaml")
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ScenarioError(f"cannot read scenario {name}: {error}") from error
+    if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
+        raise ScenarioError(f"scenario {path} must map node names to ros__parameters")
+    sections: dict[str, dict[str, Any]] = {}
+    for key, section in content.items():
+        values = section.get("ros__parameters") if isinstance(section, dict) else None
+        if not isinstance(values, dict) or len(section) != 1:
+            raise ScenarioError(f"'{key}' in {path} must hold ros__parameters and nothing else")
+        sections[key] = values
+    common = sections.pop(ALL_NODES, {})
+    unknown = [node for node in sections if node not in NODE_TABLE]
+    if unknown or not sections:
+        raise ScenarioError(
+            f"scenario {path} names {unknown or 'no node'}; known nodes are {', '.join(NODE_TABLE)}"
+        )
+    parameters = {}
+    for node, values in sections.items():
+        shared = {k: v for k, v in common.items() if k in _EVERYWHERE or _declares(node, k)}
+        parameters[node] = {**shared, **values}
+    return Scenario(path, _checked(path, parameters))
+
+
+def _declares(node: str, name: str) -> bool:
+    return node in NODE_TABLE and name in NODE_TABLE[node].parameters()
+
+
+def _checked(
+    path: Path, parameters: Mapping[str, Mapping[str, Any]]
+) -> dict[str, dict[str, Any]]:
+    checked: dict[str, dict[str, Any]] = {}
+    for node, values in parameters.items():
+        declared = NODE_TABLE[node].parameters()
+        try:
+            checked[node] = {
+                name: value if name in _EVERYWHERE else declared[name].check(value)
+                for name, value in values.items()
+            }
+        except ParameterError as error:
+            raise ScenarioError(f"{node} in {path.name}: {error}") from error
+    return checked

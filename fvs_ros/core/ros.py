@@ -1,0 +1,461 @@
+"""The one shared module that knows ROS: topic names, QoS, messages <-> numpy, node life cycle."""
+
+from __future__ import annotations
+
+import math
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+import rclpy
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PointStamped, Vector3Stamped
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import CameraInfo, Image, JointState
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+
+from fvs_ros.core.camera import Intrinsics
+from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.core.monitor import ArrivalMonitor
+from fvs_ros.core.params import Parameter, ParameterError, ParameterSet
+
+# Topic names, all relative, so that namespaces and remaps work.
+JOINT_STATES = "joint_states"
+BALL_POSITION = "ball_position"
+JACOBIAN = "jacobian"
+TARGET_POSITION = "target_position"
+SLIDING_VARIABLE = "sliding_variable"
+COMMANDS = "forward_velocity_controller/commands"
+STATUS = "~/status"
+DIAGNOSTICS = "/diagnostics"
+COLOR_IMAGE = "camera/color/image_raw"
+DEPTH_IMAGE = "camera/aligned_depth_to_color/image_raw"
+CAMERA_INFO = "camera/color/camera_info"
+ROBOT_PROGRAM_RUNNING = "io_and_status_controller/robot_program_running"
+SPEED_SCALING = "speed_scaling_state_broadcaster/speed_scaling"
+
+#: Frame of every ball and target position unless a scenario says otherwise.
+DEFAULT_FEATURE_FRAME = "camera_color_optical_frame"
+
+
+def _qos(reliability: ReliabilityPolicy, durability: DurabilityPolicy) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST, depth=1, reliability=reliability, durability=durability
+    )
+
+
+#: Any publisher is compatible with it, and the newest sample wins.
+QOS_NEWEST = _qos(ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)
+QOS_RELIABLE = _qos(ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
+QOS_LATCHED = _qos(ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+#: Exit codes of the nodes and programs.
+EXIT_OK, EXIT_FAILURE, EXIT_BAD_INPUT = 0, 1, 2
+
+_SPIN_PERIOD_S = 0.05
+_DIAGNOSTICS_PERIOD_S = 1.0
+_BUILT_IN_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+
+
+class MessageError(ValueError):
+    """A message that cannot be used; the text says what was wrong and what was expected."""
+
+
+# --- messages <-> numpy. Scalars go through float(): rclpy does not check float fields. ---
+
+
+def to_stamp(stamp_s: float) -> Time:
+    """ROS time of seconds since the clock's epoch."""
+    nanoseconds = round(stamp_s * 1e9)
+    return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
+
+
+def from_stamp(stamp: Time) -> float:
+    """Seconds since the clock's epoch."""
+    return stamp.sec + stamp.nanosec * 1e-9
+
+
+def to_point(stamp_s: float, frame: str, position_m: np.ndarray) -> PointStamped:
+    """``PointStamped`` of a position, m, shape (3,)."""
+    message = PointStamped()
+    message.header.stamp = to_stamp(stamp_s)
+    message.header.frame_id = frame
+    x, y, z = position_m
+    message.point.x, message.point.y, message.point.z = float(x), float(y), float(z)
+    return message
+
+
+def from_point(message: PointStamped, frame: str, topic: str) -> np.ndarray:
+    """Position of a ``PointStamped``.
+
+    Parameters
+    ----------
+    message : PointStamped
+        The message.
+    frame : str
+        The only frame accepted.
+    topic : str
+        Name for the error's text.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        Position, m.
+
+    Raises
+    ------
+    MessageError
+        If it is in another frame or not finite.
+    """
+    if message.header.frame_id != frame:
+        raise MessageError(
+            f"{topic} is in frame '{message.header.frame_id}', expected '{frame}'"
+        )
+    position = np.array([message.point.x, message.point.y, message.point.z], dtype=float)
+    if not np.all(np.isfinite(position)):
+        raise MessageError(f"{topic} is not finite: {position.tolist()}")
+    return position
+
+
+def to_vector(stamp_s: float, frame: str, vector: np.ndarray) -> Vector3Stamped:
+    """``Vector3Stamped`` of a vector, shape (3,)."""
+    message = Vector3Stamped()
+    message.header.stamp = to_stamp(stamp_s)
+    message.header.frame_id = frame
+    x, y, z = vector
+    message.vector.x, message.vector.y, message.vector.z = float(x), float(y), float(z)
+    return message
+
+
+def to_jacobian(jacobian: np.ndarray) -> Float64MultiArray:
+    """``Float64MultiArray`` of a Jacobian, m/rad, shape (3, 6), row-major."""
+    message = Float64MultiArray()
+    message.layout.dim = [
+        MultiArrayDimension(label="feature", size=3, stride=3 * N_JOINTS),
+        MultiArrayDimension(label="joint", size=N_JOINTS, stride=N_JOINTS),
+    ]
+    message.data = np.asarray(jacobian, dtype=float).reshape(-1).tolist()
+    return message
+
+
+def from_jacobian(message: Float64MultiArray) -> np.ndarray:
+    """Jacobian of a ``Float64MultiArray``.
+
+    Returns
+    -------
+    ndarray, shape (3, 6)
+        m/rad, joints in kinematic order.
+
+    Raises
+    ------
+    MessageError
+        If it is not 3x6 or not finite.
+    """
+    sizes = [dim.size for dim in message.layout.dim]
+    if len(message.data) != 3 * N_JOINTS or sizes not in ([], [3, N_JOINTS]):
+        raise MessageError(
+            f"jacobian has {len(message.data)} values and dimensions {sizes}, "
+            f"expected {3 * N_JOINTS} values and dimensions [3, {N_JOINTS}]"
+        )
+    jacobian = np.array(message.data, dtype=float).reshape(3, N_JOINTS)
+    if not np.all(np.isfinite(jacobian)):
+        raise MessageError("jacobian holds a value that is not finite")
+    return jacobian
+
+
+def to_command(velocity_rad_s: np.ndarray) -> Float64MultiArray:
+    """``Float64MultiArray`` of joint velocities, rad/s, shape (6,), kinematic order."""
+    return Float64MultiArray(data=np.asarray(velocity_rad_s, dtype=float).tolist())
+
+
+def to_joint_state(
+    stamp_s: float,
+    names: Iterable[str],
+    positions_rad: np.ndarray,
+    velocities_rad_s: np.ndarray,
+) -> JointState:
+    """``JointState`` of joints in the order of ``names``."""
+    message = JointState()
+    message.header.stamp = to_stamp(stamp_s)
+    message.name = list(names)
+    message.position = np.asarray(positions_rad, dtype=float).tolist()
+    message.velocity = np.asarray(velocities_rad_s, dtype=float).tolist()
+    return message
+
+
+def to_image(stamp_s: float, frame: str, pixels: np.ndarray, encoding: str) -> Image:
+    """``Image`` of a contiguous array, shape (height, width[, channels])."""
+    message = Image()
+    message.header.stamp = to_stamp(stamp_s)
+    message.header.frame_id = frame
+    message.height, message.width = int(pixels.shape[0]), int(pixels.shape[1])
+    message.encoding = encoding
+    message.is_bigendian = sys.byteorder == "big"
+    message.step = int(pixels.strides[0])
+    # Through bytes: assigning an array goes element by element, ten thousand times slower.
+    message.data = np.ascontiguousarray(pixels).tobytes()
+    return message
+
+
+def to_camera_info(stamp_s: float, frame: str, intrinsics: Intrinsics) -> CameraInfo:
+    """``CameraInfo`` of a pinhole camera without distortion."""
+    fx, fy, cx, cy = (
+        float(value) for value in (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy)
+    )
+    message = CameraInfo()
+    message.header.stamp = to_stamp(stamp_s)
+    message.header.frame_id = frame
+    message.width, message.height = int(intrinsics.width), int(intrinsics.height)
+    message.distortion_model = "plumb_bob"
+    message.d = [0.0] * 5
+    message.k = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+    message.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    message.p = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+    return message
+
+
+def to_status(
+    level: bytes, name: str, message: str, values: Mapping[str, Any]
+) -> DiagnosticStatus:
+    """``DiagnosticStatus`` with numbers printed to five digits."""
+    return DiagnosticStatus(
+        level=level,
+        name=name,
+        message=message,
+        values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
+    )
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, (float, np.floating)):
+        return f"{float(value):.5g}" if math.isfinite(value) else "unknown"
+    if isinstance(value, np.ndarray):
+        return " ".join(f"{float(v):.5g}" for v in value.reshape(-1))
+    if value is None:
+        return "unknown"
+    return str(value)
+
+
+def from_status(message: DiagnosticStatus) -> dict[str, str]:
+    """The key numbers of a status by name."""
+    return {pair.key: pair.value for pair in message.values}
+
+
+# --- parameters ---
+
+
+def _descriptor(parameter: Parameter) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(
+        description=parameter.description,
+        additional_constraints=parameter.expected(),
+        read_only=not parameter.live,
+    )
+    bounds = (parameter.minimum, parameter.maximum)
+    if bounds != (None, None):
+        low, high = (-math.inf if bounds[0] is None else bounds[0]), bounds[1]
+        if parameter.kind is float:
+            high = math.inf if high is None else high
+            descriptor.floating_point_range = [
+                FloatingPointRange(from_value=float(low), to_value=float(high))
+            ]
+        elif parameter.kind is int:
+            descriptor.integer_range = [
+                IntegerRange(
+                    from_value=int(max(low, -(2**62))),
+                    to_value=int(2**62 if high is None else high),
+                )
+            ]
+    return descriptor
+
+
+class FvsNode(Node):
+    """A node with declared parameters, watched inputs and diagnostics.
+
+    Parameters
+    ----------
+    name : str
+        Node name.
+    parameters : iterable of Parameter
+        Its parameters; overrides that are unknown or wrong are refused.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter given at start is unknown or has a wrong value.
+    """
+
+    def __init__(self, name: str, parameters: Iterable[Parameter]) -> None:
+        super().__init__(name, automatically_declare_parameters_from_overrides=True)
+        self.parameter_set = ParameterSet(parameters)
+        self.values = self._declare()
+        self.add_on_set_parameters_callback(self._on_set)
+        #: Ages on it never jump; stamps (``get_clock``) serve pairing and latency only.
+        self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self._monitors: dict[str, ArrivalMonitor] = {}
+        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
+        self.create_timer(
+            _DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady_clock
+        )
+        self._health: tuple[bytes, str] = (OK, "starting")
+
+    def _declare(self) -> dict[str, Any]:
+        given = {
+            name: parameter.value
+            for name, parameter in self.get_parameters_by_prefix("").items()
+            if not name.startswith(_BUILT_IN_PARAMETERS)
+        }
+        values = self.parameter_set.values(given)
+        for name in given:
+            self.undeclare_parameter(name)
+        for parameter in self.parameter_set:
+            self.declare_parameter(
+                parameter.name,
+                values[parameter.name],
+                _descriptor(parameter),
+                ignore_override=True,
+            )
+        return values
+
+    def _on_set(self, changes: list[rclpy.Parameter]) -> SetParametersResult:
+        accepted: dict[str, Any] = {}
+        try:
+            for change in changes:
+                if change.name.startswith(_BUILT_IN_PARAMETERS):
+                    continue
+                parameter = self.parameter_set[change.name]
+                if not parameter.live:
+                    raise ParameterError(
+                        f"parameter {change.name} can be set at start only; restart the node with it"
+                    )
+                accepted[change.name] = parameter.check(change.value)
+            candidate = {**self.values, **accepted}
+            self.on_parameters(candidate, set(accepted))
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        self.values = candidate
+        return SetParametersResult(successful=True)
+
+    def on_parameters(self, values: dict[str, Any], changed: set[str]) -> None:
+        """Take changed live parameters into use; a ``ValueError`` refuses them all."""
+
+    # --- time ---
+
+    def steady_s(self) -> float:
+        """Seconds on the steady clock: for ages and time-outs."""
+        return time.monotonic()
+
+    def ros_s(self) -> float:
+        """Seconds on the node's ROS clock: for stamps."""
+        return self.get_clock().now().nanoseconds * 1e-9
+
+    # --- inputs and diagnostics ---
+
+    def watch(
+        self, message_type: type, topic: str, callback: Callable[[Any], None], qos: QoSProfile
+    ) -> Any:
+        """Subscribe, and report the input's age, rate and jitter on ``/diagnostics``."""
+        monitor = self._monitors.setdefault(topic, ArrivalMonitor())
+
+        def on_message(message: Any) -> None:
+            monitor.arrived(self.steady_s())
+            callback(message)
+
+        return self.create_subscription(message_type, topic, on_message, qos)
+
+    def monitor(self, topic: str) -> ArrivalMonitor:
+        """Arrival statistics of a watched input."""
+        return self._monitors[topic]
+
+    def set_health(self, level: bytes, message: str) -> None:
+        """State in words for ``/diagnostics``."""
+        self._health = (level, message)
+
+    def diagnostic_values(self) -> dict[str, Any]:
+        """More key numbers for ``/diagnostics``."""
+        return {}
+
+    def _publish_diagnostics(self) -> None:
+        now_s = self.steady_s()
+        values: dict[str, Any] = {}
+        for topic, monitor in self._monitors.items():
+            for key, value in monitor.report(now_s).items():
+                values[f"{topic} {key}"] = value
+        values.update(self.diagnostic_values())
+        level, text = self._health
+        message = DiagnosticArray(
+            status=[to_status(level, self.get_fully_qualified_name(), text, values)]
+        )
+        message.header.stamp = to_stamp(self.ros_s())
+        self._diagnostics.publish(message)
+
+    # --- life cycle ---
+
+    #: Set to end the process with this exit code.
+    exit_code: int | None = None
+
+    def finish(self) -> None:
+        """Last words on the wire before the process ends, whatever ended it."""
+
+
+def run(make_node: Callable[[], FvsNode], argv: list[str] | None = None) -> int:
+    """Run one node in this process until a signal, its own wish, or an error.
+
+    SIGINT and SIGTERM end the spin loop, not the ROS context, so that ``finish`` can still send.
+
+    Parameters
+    ----------
+    make_node : callable
+        Builds the node after ``rclpy.init``.
+    argv : list of str, optional
+        Arguments with ``--ros-args``; default those of the process.
+
+    Returns
+    -------
+    int
+        0 after a signal or a finished task, 1 after an error, 2 after a wrong parameter or file.
+    """
+    signals: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda received, _frame: signals.append(received))
+    rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+    node = None
+    try:
+        try:
+            node = make_node()
+        except ValueError as error:
+            _say(f"cannot start: {error}")
+            return EXIT_BAD_INPUT
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        try:
+            while not signals and node.exit_code is None:
+                executor.spin_once(timeout_sec=_SPIN_PERIOD_S)
+        except ExternalShutdownException:
+            return EXIT_OK
+        finally:
+            node.finish()
+        return EXIT_OK if node.exit_code is None else node.exit_code
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
