@@ -34,6 +34,7 @@ class DemoNode(ros.FvsNode):
         self._joint_map = JointMap()
         self._records: list[demo.TargetRecord] = []
         self._state = self._reason = ""
+        self._wants_target = False
         self._frame = self.values["feature_frame"]
         self._image: Image | None = None
         self._intrinsics: Intrinsics | None = None
@@ -48,11 +49,12 @@ class DemoNode(ros.FvsNode):
     # --- inputs ---
 
     def _on_status(self, message: DiagnosticStatus) -> None:
-        state = ros.from_status(message).get("state", "")
-        if (state, message.message) != (self._state, self._reason):
-            self._state, self._reason = state, message.message
-            if self._records and state not in ("SERVOING", "READY"):
-                print(f"controller {state}: {message.message}", flush=True)
+        values = ros.from_status(message)
+        state = values.get("state", "")
+        if self._records and state != self._state and state not in ("SERVOING", "READY"):
+            print(f"controller {state}: {message.message}", flush=True)
+        self._state, self._reason = state, message.message
+        self._wants_target = values.get("reason") == "NO_TARGET"
 
     def _on_joint_states(self, message: JointState) -> None:
         if self._records and self._image_asked_s is None:
@@ -66,7 +68,7 @@ class DemoNode(ros.FvsNode):
         position_m = ros.from_point(message, self._frame, _TRUE_BALL)
         if not self._records:
             # The controller waits for a target alone: the loop is up, the first one may come.
-            if self._state == "WAITING" and "target" in self._reason:
+            if self._wants_target:
                 self._next_target(stamp_s, position_m)
             return
         record = self._records[-1]

@@ -39,6 +39,8 @@ class Parameter:
         Required length of a list.
     live : bool
         Whether it may change while the node runs.
+    broadcast : bool
+        Whether a single number may stand for a list of ``size`` equal ones.
     """
 
     name: str
@@ -49,6 +51,7 @@ class Parameter:
     choices: tuple[str, ...] = ()
     size: int | None = None
     live: bool = False
+    broadcast: bool = False
 
     @property
     def is_list(self) -> bool:
@@ -66,6 +69,8 @@ class Parameter:
         text = names[self.kind]
         if self.is_list:
             text = f"a list of {text}s" if self.size is None else f"a list of {self.size} {text}s"
+            if self.broadcast:
+                text += ", or one for all"
         if self.choices:
             text = "one of " + ", ".join(self.choices)
         if self.minimum is not None and self.maximum is not None:
@@ -87,6 +92,8 @@ class Parameter:
             If the value has another type, size or range.
         """
         if self.is_list:
+            if self.broadcast and self.size and isinstance(value, (int, float)):
+                value = [value] * self.size
             if isinstance(value, str) or not hasattr(value, "__len__"):
                 raise self._refusal(value)
             if self.size is not None and len(value) != self.size:

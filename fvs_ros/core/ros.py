@@ -40,6 +40,7 @@ JACOBIAN = "jacobian"
 TARGET_POSITION = "target_position"
 SLIDING_VARIABLE = "sliding_variable"
 COMMANDS = "forward_velocity_controller/commands"
+ESTIMATOR_STATUS = "fvs_estimator_node/status"
 STATUS = "~/status"
 DIAGNOSTICS = "/diagnostics"
 COLOR_IMAGE = "camera/color/image_raw"
@@ -308,6 +309,7 @@ class FvsNode(Node):
         #: Ages on it never jump; stamps (``get_clock``) serve pairing and latency only.
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._monitors: dict[str, ArrivalMonitor] = {}
+        self._status = self.create_publisher(DiagnosticStatus, STATUS, QOS_RELIABLE)
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self.create_timer(
             _DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady_clock
@@ -382,9 +384,13 @@ class FvsNode(Node):
         """Arrival statistics of a watched input."""
         return self._monitors[topic]
 
-    def set_health(self, level: bytes, message: str) -> None:
-        """State in words for ``/diagnostics``."""
-        self._health = (level, message)
+    def publish_status(
+        self, level: bytes, state: str, reason: str, values: Mapping[str, Any]
+    ) -> None:
+        """Publish ``~/status``: state, reason in words, key numbers."""
+        self._health = (level, f"{state}: {reason}")
+        name = self.get_fully_qualified_name()
+        self._status.publish(to_status(level, name, reason, {"state": state, **values}))
 
     def diagnostic_values(self) -> dict[str, Any]:
         """More key numbers for ``/diagnostics``."""

@@ -1,0 +1,81 @@
+"""The interface of a control law: what it is told at a tick, and what it answers."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from fvs_ros.core.params import Parameter
+
+N_AXES = 3
+
+
+@dataclass(frozen=True)
+class ControlInput:
+    """What a law knows at one tick.
+
+    Parameters
+    ----------
+    error_m : ndarray, shape (3,)
+        Ball position, predicted to now, minus its target; camera frame, m.
+    jacobian : ndarray, shape (3, 6)
+        Estimated Jacobian at the present joints, m/rad.
+    applied_rad_s : ndarray, shape (6,)
+        Joint velocities actually sent at the last tick, after every limit, rad/s.
+    joints_rad : ndarray, shape (6,)
+        Joint positions, rad.
+    dt_s : float
+        Time since the last tick, s; positive.
+    """
+
+    error_m: np.ndarray
+    jacobian: np.ndarray
+    applied_rad_s: np.ndarray
+    joints_rad: np.ndarray
+    dt_s: float
+
+
+@dataclass(frozen=True)
+class ControlOutput:
+    """What a law answers.
+
+    Parameters
+    ----------
+    velocity_rad_s : ndarray, shape (6,)
+        Wanted joint velocities before any limit, rad/s.
+    sliding_variable : ndarray, shape (3,)
+        The law's s, for the estimator's update law; zeros for a law without one.
+    exponent : ndarray, shape (3,)
+        The exponent gamma of each axis; ones for a law without one.
+    """
+
+    velocity_rad_s: np.ndarray
+    sliding_variable: np.ndarray
+    exponent: np.ndarray
+
+
+class ControlLaw(ABC):
+    """Turns an error and a Jacobian into joint velocities.
+
+    A law declares its own parameters and builds itself from their values, so that a new law
+    is one file here and one line in :mod:`fvs_controller_node.registry`.
+    """
+
+    #: Parameters that this law adds to the node's.
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = ()
+
+    @classmethod
+    @abstractmethod
+    def from_values(cls, values: Mapping[str, Any]) -> ControlLaw:
+        """Build the law with the gains in ``values`` (by parameter name)."""
+
+    @abstractmethod
+    def command(self, control_input: ControlInput) -> ControlOutput:
+        """Return the joint velocities for this tick, before any limit."""
+
+    def reset(self) -> None:  # noqa: B027  (a law without memory has nothing to forget)
+        """Forget the past: called at every tick that does not servo."""

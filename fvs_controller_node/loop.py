@@ -1,0 +1,101 @@
+"""The whole controller without ROS: predictor, law and supervisor, joined once.
+
+The node hands messages in and sends what ``tick`` answers; tests and benchmarks use the same
+object.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
+from fvs_controller_node.predictor import BallPredictor
+from fvs_controller_node.reasons import State
+from fvs_controller_node.supervisor import Command, Supervisor
+
+
+class ServoLoop:
+    """Data goes through once: joints, ball and Jacobian in; one command out.
+
+    Parameters
+    ----------
+    law : ControlLaw
+        The control law.
+    predictor : BallPredictor
+        Predicts the ball to now.
+    supervisor : Supervisor
+        The one exit.
+    """
+
+    def __init__(self, law: ControlLaw, predictor: BallPredictor, supervisor: Supervisor) -> None:
+        self.law = law
+        self.predictor = predictor
+        self.supervisor = supervisor
+        self._joints: np.ndarray | None = None
+        self._jacobian: np.ndarray | None = None
+
+    def add_joints(self, now_s: float, stamp_s: float, joints_rad: np.ndarray) -> None:
+        """Tell a joint state: arrival on the steady clock and stamp, s; positions (6,), rad."""
+        if self.supervisor.joint_states(now_s, joints_rad):
+            self._joints = np.array(joints_rad, dtype=float)
+            self.predictor.add_joints(stamp_s, self._joints)
+
+    def add_ball(
+        self, now_s: float, stamp_s: float, position_m: np.ndarray, frame: str | None = None
+    ) -> None:
+        """Tell a ball position: arrival on the steady clock and exposure stamp, s; (3,), m."""
+        if self.supervisor.ball(now_s, position_m, frame) and self._jacobian is not None:
+            self.predictor.add_ball(stamp_s, np.asarray(position_m, float), self._jacobian)
+
+    def add_jacobian(self, now_s: float, jacobian: np.ndarray) -> None:
+        """Tell the estimated Jacobian (3, 6), m/rad, and its arrival."""
+        if self.supervisor.jacobian(now_s, jacobian):
+            self._jacobian = np.array(jacobian, dtype=float)
+
+    def set_current_as_target(self) -> tuple[bool, str]:
+        """Make the ball's present position the target."""
+        position = self.position_m
+        if position is None:
+            return False, "target refused: the ball's position is not known yet"
+        return self.supervisor.target(position, self.supervisor.config.feature_frame)
+
+    @property
+    def position_m(self) -> np.ndarray | None:
+        """The ball's position, predicted to the newest joint state, m, or None."""
+        return None if self._jacobian is None else self.predictor.predict(self._jacobian)
+
+    def tick(self, now_s: float, dt_s: float) -> Command:
+        """Decide on the command for this tick.
+
+        Parameters
+        ----------
+        now_s : float
+            Steady clock, s.
+        dt_s : float
+            Time since the last tick, s.
+        """
+        command = self.supervisor.tick(
+            now_s,
+            dt_s,
+            self._joints,
+            self.position_m,
+            self._propose,
+            problem=self.predictor.problem,
+        )
+        self.predictor.add_command(dt_s, command.velocity_rad_s)
+        if command.state is not State.SERVOING:
+            self.law.reset()
+        return command
+
+    def status_values(self, now_s: float) -> dict[str, float | str]:
+        """Return the supervisor's key numbers, and the measured latency of the images."""
+        latency_s = self.predictor.latency_s
+        return {
+            **self.supervisor.status_values(now_s),
+            "image_latency_s": float("nan") if latency_s is None else latency_s,
+        }
+
+    def _propose(self, error_m: np.ndarray, applied: np.ndarray, dt_s: float) -> ControlOutput:
+        assert self._jacobian is not None
+        assert self._joints is not None
+        return self.law.command(ControlInput(error_m, self._jacobian, applied, self._joints, dt_s))

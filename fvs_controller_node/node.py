@@ -1,0 +1,220 @@
+"""``fvs_controller_node``: joints, ball, Jacobian and target in, joint velocities out."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PointStamped, Vector3Stamped
+from rclpy.duration import Duration
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Float64, Float64MultiArray
+from std_srvs.srv import Trigger
+
+from fvs_controller_node.config import PARAMETERS, build_loop, reconfigure
+from fvs_controller_node.reasons import State
+from fvs_controller_node.supervisor import BALL, JACOBIAN, JOINT_STATES, SPEED_SCALING, Command
+from fvs_ros.core import ros
+from fvs_ros.core.joints import N_JOINTS, ForeignJointState, JointMap, JointStateError
+
+_STATUS_PERIOD_S = 0.1
+#: Without a joint state for so many tick periods the watchdog ticks in its place.
+_WATCHDOG_PERIODS = 2.5
+_LAST_ZEROS = 5
+_LAST_ZEROS_PERIOD_S = 0.01
+_LEVELS = {
+    State.SERVOING: ros.OK,
+    State.READY: ros.OK,
+    State.WAITING: ros.WARN,
+    State.HOLDING: ros.WARN,
+    State.FAULT: ros.ERROR,
+}
+
+
+class ControllerNode(ros.FvsNode):
+    """Ticks at every joint state; a watchdog ticks when none come, so that zeros keep flowing."""
+
+    def __init__(self) -> None:
+        super().__init__("fvs_controller_node", PARAMETERS)
+        v = self.values
+        self._frame = v["feature_frame"]
+        self._joint_map = JointMap(v["joint_names"])
+        self._loop = build_loop(v)
+        self._simulated_time = self.get_parameter("use_sim_time").value
+        self._period_s = 1.0 / v["tick_rate_hz"]
+        self._ticked_s = self.steady_s()
+        self._joints_s = -np.inf
+        self._stamp_s: float | None = None
+        self._late = 0
+        self._heard_target: tuple | None = None
+        self._refusal = ""
+        self._command: Command | None = None
+
+        self._commands = self.create_publisher(Float64MultiArray, ros.COMMANDS, ros.QOS_RELIABLE)
+        self._sliding = self.create_publisher(
+            Vector3Stamped, ros.SLIDING_VARIABLE, ros.QOS_RELIABLE
+        )
+        self.watch(JointState, ros.JOINT_STATES, self._on_joint_states, ros.QOS_NEWEST)
+        self.watch(PointStamped, ros.BALL_POSITION, self._on_ball, ros.QOS_NEWEST)
+        self.watch(Float64MultiArray, ros.JACOBIAN, self._on_jacobian, ros.QOS_NEWEST)
+        self.watch(
+            DiagnosticStatus, ros.ESTIMATOR_STATUS, self._on_estimator_status, ros.QOS_NEWEST
+        )
+        self.watch(Float64, ros.SPEED_SCALING, self._on_speed_scaling, ros.QOS_NEWEST)
+        # Latched or not: both kinds of publisher are heard, the latched one twice.
+        for qos in (ros.QOS_LATCHED, ros.QOS_NEWEST):
+            self.watch(PointStamped, ros.TARGET_POSITION, self._on_target, qos)
+            self.watch(Bool, ros.ROBOT_PROGRAM_RUNNING, self._on_program_running, qos)
+        self.create_service(
+            Trigger,
+            "~/start",
+            self._answer(lambda: self._loop.supervisor.start(self.steady_s())),
+        )
+        self.create_service(Trigger, "~/stop", self._answer(self._loop.supervisor.stop))
+        self.create_service(
+            Trigger, "~/set_current_as_target", self._answer(self._loop.set_current_as_target)
+        )
+        self.create_timer(self._period_s, self._watchdog, clock=self.steady_clock)
+        self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
+
+    # --- inputs ---
+
+    def _on_joint_states(self, message: JointState) -> None:
+        now_s = self.steady_s()
+        supervisor = self._loop.supervisor
+        try:
+            joints = self._joint_map.positions(message.name, message.position)
+        except ForeignJointState as error:
+            # Another device's joints are no fault of ours, unless ours do not come at all.
+            if now_s - self._joints_s > self.values["joint_states_max_age_s"]:
+                supervisor.bad_input(now_s, JOINT_STATES, str(error))
+            return
+        except JointStateError as error:
+            supervisor.bad_input(now_s, JOINT_STATES, str(error))
+            self._tick(now_s, now_s - self._ticked_s)
+            return
+        self._joints_s = now_s
+        stamp_s = ros.from_stamp(message.header.stamp)
+        self._loop.add_joints(now_s, stamp_s, joints)
+        dt_s = now_s - self._ticked_s
+        if self._simulated_time and self._stamp_s is not None:
+            dt_s = max(0.0, stamp_s - self._stamp_s)
+        self._stamp_s = stamp_s
+        self._tick(now_s, dt_s)
+
+    def _on_ball(self, message: PointStamped) -> None:
+        now_s = self.steady_s()
+        try:
+            position_m = ros.from_point(message, self._frame, ros.BALL_POSITION)
+        except ros.MessageError as error:
+            self._loop.supervisor.bad_input(now_s, BALL, str(error))
+            return
+        self._loop.add_ball(now_s, ros.from_stamp(message.header.stamp), position_m)
+
+    def _on_jacobian(self, message: Float64MultiArray) -> None:
+        now_s = self.steady_s()
+        try:
+            self._loop.add_jacobian(now_s, ros.from_jacobian(message))
+        except ros.MessageError as error:
+            self._loop.supervisor.bad_input(now_s, JACOBIAN, str(error))
+
+    def _on_estimator_status(self, message: DiagnosticStatus) -> None:
+        text = ros.from_status(message).get("one_step_prediction_error_ratio", "")
+        try:
+            self._loop.supervisor.estimator_quality(self.steady_s(), float(text))
+        except ValueError:
+            return  # not known yet
+
+    def _on_target(self, message: PointStamped) -> None:
+        point, stamp = message.point, message.header.stamp
+        heard = (point.x, point.y, point.z, stamp.sec, stamp.nanosec, message.header.frame_id)
+        if heard == self._heard_target:
+            return
+        self._heard_target = heard
+        accepted, text = self._loop.supervisor.target(
+            np.array([point.x, point.y, point.z]), message.header.frame_id
+        )
+        self._refusal = "" if accepted else text
+        log = self.get_logger().info if accepted else self.get_logger().warning
+        log(text)
+
+    def _on_program_running(self, message: Bool) -> None:
+        self._loop.supervisor.program_running(message.data)
+
+    def _on_speed_scaling(self, message: Float64) -> None:
+        now_s = self.steady_s()
+        if np.isfinite(message.data):
+            self._loop.supervisor.speed_scaling(now_s, message.data)
+        else:
+            self._loop.supervisor.bad_input(now_s, SPEED_SCALING, f"got {message.data}")
+
+    def _answer(self, action):
+        def on_request(_request: Trigger.Request, response: Trigger.Response):
+            response.success, response.message = action()
+            self.get_logger().info(response.message)
+            return response
+
+        return on_request
+
+    def on_parameters(self, values: dict[str, Any], changed: set[str]) -> None:
+        """Take changed gains and limits into use."""
+        reconfigure(self._loop, values)
+
+    # --- the tick: the only place that sends commands ---
+
+    def _watchdog(self) -> None:
+        now_s = self.steady_s()
+        if now_s - self._ticked_s > _WATCHDOG_PERIODS * self._period_s:
+            self._late += 1
+            self._tick(now_s, now_s - self._ticked_s)
+
+    def _tick(self, now_s: float, dt_s: float) -> None:
+        command = self._loop.tick(now_s, dt_s)
+        self._commands.publish(ros.to_command(command.velocity_rad_s))
+        self._ticked_s = now_s
+        if command.output is not None and self._stamp_s is not None:
+            self._sliding.publish(
+                ros.to_vector(self._stamp_s, self._frame, command.output.sliding_variable)
+            )
+        previous, self._command = self._command, command
+        if previous is None or previous.reason is not command.reason:
+            log = (
+                self.get_logger().info
+                if _LEVELS[command.state] == ros.OK
+                else self.get_logger().warning
+            )
+            log(f"{command.state.value}: {command.text}")
+            self._publish_status()
+
+    # --- outputs ---
+
+    def _publish_status(self) -> None:
+        command = self._command
+        if command is None:
+            return
+        text = f"{command.text} ({self._refusal})" if self._refusal else command.text
+        values = self._loop.status_values(self.steady_s())
+        values.pop("state", None)
+        self.publish_status(
+            _LEVELS[command.state], command.state.value, text, {**values, "late_ticks": self._late}
+        )
+
+    def finish(self) -> None:
+        """Leave several zeros on the wire: a velocity controller holds its last command."""
+        self._loop.supervisor.shutdown()
+        for _ in range(_LAST_ZEROS):
+            self._commands.publish(ros.to_command(np.zeros(N_JOINTS)))
+            time.sleep(_LAST_ZEROS_PERIOD_S)
+        self._commands.wait_for_all_acked(Duration(seconds=0.5))
+
+
+def main() -> int:
+    """Run ``fvs_controller_node``."""
+    return ros.run(ControllerNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

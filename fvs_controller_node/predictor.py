@@ -1,0 +1,233 @@
+"""Where the ball is now: the last image carried forward by the joints' motion since."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from fvs_ros.core.history import JointHistory
+
+#: Ball positions that may wait for the joint state after their exposure.
+_MAX_WAITING = 32
+
+#: A ball stamp this far behind the last one means that the camera's clock jumped, s.
+_CLOCK_JUMP_S = 0.1
+
+
+class BallPredictor:
+    """Predicts the ball to now, and fuses images with joint motion.
+
+    ``x_now = x_image + J (r_now - r_image)``, with the joints at the exposure interpolated from
+    their history (a position waits here for a later joint state if need be). Between images the
+    estimate follows the joints, ``xh += J dr``; an image pulls it by ``fusion_gain``:
+    ``xh += K (x - xh)``. Clock jumps, gaps in the joint states and long absences of the ball
+    start it anew.
+
+    Parameters
+    ----------
+    fusion_gain : float
+        K in (0, 1]: share of an image's innovation that is believed; 1 trusts images alone.
+    outlier_m : float
+        A position further than this, plus the distance the ball was predicted to move, from
+        the estimate is passed over, m.
+    outlier_repeats : int
+        So many of them in a row are believed, and start the estimate anew.
+    max_latency_s : float
+        No prediction over more than this, s; also the largest gap between images.
+    drive_lag_s : float
+        Time that the joints lag behind the command, s: the prediction goes on to where the
+        commands still on their way will have brought the ball. 0 predicts to now.
+    enabled : bool
+        Off: the position is that of the last image.
+    history : JointHistory, optional
+        The joint history to use; its own if not given.
+    """
+
+    def __init__(
+        self,
+        *,
+        fusion_gain: float = 0.3,
+        outlier_m: float = 0.03,
+        outlier_repeats: int = 3,
+        max_latency_s: float = 0.5,
+        drive_lag_s: float = 0.0,
+        enabled: bool = True,
+        history: JointHistory | None = None,
+    ) -> None:
+        self.configure(
+            fusion_gain=fusion_gain,
+            outlier_m=outlier_m,
+            outlier_repeats=outlier_repeats,
+            max_latency_s=max_latency_s,
+            drive_lag_s=drive_lag_s,
+            enabled=enabled,
+        )
+        self._history = JointHistory() if history is None else history
+        self._waiting: deque[tuple[float, np.ndarray, np.ndarray]] = deque(maxlen=_MAX_WAITING)
+        self._commands: deque[tuple[float, np.ndarray]] = deque()
+        self.reset()
+
+    def configure(
+        self,
+        *,
+        fusion_gain: float,
+        outlier_m: float,
+        outlier_repeats: int,
+        max_latency_s: float,
+        drive_lag_s: float,
+        enabled: bool,
+    ) -> None:
+        """Change the settings and keep the estimate."""
+        if not 0.0 < fusion_gain <= 1.0:
+            raise ValueError(f"fusion_gain must be above 0 and at most 1, got {fusion_gain}")
+        if not outlier_m > 0.0:
+            raise ValueError(f"outlier_m must be positive, got {outlier_m}")
+        if outlier_repeats < 1:
+            raise ValueError(f"outlier_repeats must be at least 1, got {outlier_repeats}")
+        if not max_latency_s > 0.0:
+            raise ValueError(f"max_latency_s must be positive, got {max_latency_s}")
+        self._fusion_gain = fusion_gain
+        self._outlier_m = outlier_m
+        self._outlier_repeats = outlier_repeats
+        if not 0.0 <= drive_lag_s < 1.0:
+            raise ValueError(f"drive_lag_s must be at least 0 and below 1, got {drive_lag_s}")
+        self._drive_lag_s = drive_lag_s
+        self._max_latency_s = max_latency_s
+        self._enabled = enabled
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._history.clear()
+        self._forget_ball()
+
+    def _forget_ball(self) -> None:
+        self._waiting.clear()
+        self._stamp_s: float | None = None  # exposure that the estimate belongs to
+        self._seen_stamp_s: float | None = None  # newest exposure received
+        self._raw = np.zeros(3)
+        self._estimate = np.zeros(3)
+        self._joints = np.zeros(6)  # at that exposure
+        self._outliers = 0
+        self._latency_s: float | None = None
+
+    @property
+    def latency_s(self) -> float | None:
+        """Age of the newest usable image against the newest joint state, s."""
+        return self._latency_s
+
+    @property
+    def problem(self) -> str:
+        """Why there is no prediction, in words; empty if there is one, or nothing to use."""
+        newest = self._history.newest_stamp_s
+        if newest is None or self._seen_stamp_s is None:
+            return ""
+        age_s = newest - self._seen_stamp_s
+        if abs(age_s) > self._max_latency_s:
+            side = "older" if age_s > 0.0 else "newer"
+            return (
+                f"the newest ball_position is stamped {abs(age_s):.2f} s {side} than the newest "
+                "joint_states; check that both machines' clocks agree (NTP), and use_sim_time"
+            )
+        if self._stamp_s is None:
+            return "no ball_position has joint states around its exposure time yet"
+        return ""
+
+    def add_joints(self, stamp_s: float, joints_rad: np.ndarray) -> None:
+        """Tell the joint positions (6,), rad, at a time, s."""
+        if not self._history.add(stamp_s, joints_rad):
+            self._forget_ball()
+        while self._waiting and self._waiting[0][0] <= stamp_s:
+            self._use(*self._waiting.popleft())
+
+    def add_ball(self, stamp_s: float, position_m: np.ndarray, jacobian: np.ndarray) -> None:
+        """Tell a ball position.
+
+        Parameters
+        ----------
+        stamp_s : float
+            Exposure time, s, on the clock of the joint states.
+        position_m : ndarray, shape (3,)
+            Position, m.
+        jacobian : ndarray, shape (3, 6)
+            Estimated Jacobian, m/rad.
+        """
+        if self._seen_stamp_s is not None and stamp_s <= self._seen_stamp_s:
+            if stamp_s >= self._seen_stamp_s - _CLOCK_JUMP_S:
+                return
+            self._forget_ball()
+        self._seen_stamp_s = stamp_s
+        newest = self._history.newest_stamp_s
+        if newest is not None and stamp_s <= newest:
+            self._use(stamp_s, position_m, jacobian)
+        else:
+            self._waiting.append((stamp_s, np.array(position_m, dtype=float), jacobian))
+
+    def _use(self, stamp_s: float, position_m: np.ndarray, jacobian: np.ndarray) -> None:
+        joints = self._history.at(stamp_s)
+        if joints is None:
+            return
+        newest = self._history.newest_stamp_s
+        assert newest is not None
+        self._latency_s = newest - stamp_s
+        self._raw = np.array(position_m, dtype=float)
+        if self._stamp_s is None or stamp_s - self._stamp_s > self._max_latency_s:
+            self._start(stamp_s, joints)
+            return
+        motion = jacobian @ (joints - self._joints)
+        estimate = self._estimate + motion
+        innovation = self._raw - estimate
+        if _norm(innovation) > self._outlier_m + _norm(motion):
+            self._outliers += 1
+            if self._outliers >= self._outlier_repeats:
+                self._start(stamp_s, joints)
+                return
+        else:
+            self._outliers = 0
+            estimate += self._fusion_gain * innovation
+        self._stamp_s, self._joints, self._estimate = stamp_s, joints, estimate
+
+    def _start(self, stamp_s: float, joints: np.ndarray) -> None:
+        self._stamp_s, self._joints, self._estimate = stamp_s, joints, self._raw.copy()
+        self._outliers = 0
+
+    def predict(self, jacobian: np.ndarray) -> np.ndarray | None:
+        """Predict the ball's position at the newest joint state.
+
+        Parameters
+        ----------
+        jacobian : ndarray, shape (3, 6)
+            Estimated Jacobian at the present joints, m/rad.
+
+        Returns
+        -------
+        ndarray, shape (3,), or None
+            Position, m; None where there is nothing to predict from (see ``problem``).
+        """
+        newest, joints = self._history.newest_stamp_s, self._history.newest
+        if newest is None or joints is None or self._stamp_s is None:
+            return None
+        if newest - self._stamp_s > self._max_latency_s:
+            return None
+        if not self._enabled:
+            return self._raw.copy()
+        return self._estimate + jacobian @ (joints - self._joints + self._on_the_way())
+
+    def add_command(self, dt_s: float, velocity_rad_s: np.ndarray) -> None:
+        """Tell a command that is sent, rad/s, and for how long it holds, s."""
+        if self._drive_lag_s > 0.0:
+            self._commands.appendleft((dt_s, velocity_rad_s))
+            while len(self._commands) > 1 and sum(c[0] for c in self._commands) - self._commands[-1][0] >= self._drive_lag_s:
+                self._commands.pop()
+
+    def _on_the_way(self) -> np.ndarray:
+        """Joint motion commanded within the drive's lag and not yet seen, rad."""
+        left_s, motion = self._drive_lag_s, np.zeros(6)
+        for dt_s, velocity in self._commands:
+            motion += min(dt_s, left_s) * velocity
+            left_s -= min(dt_s, left_s)
+        return motion
+
+
+def _norm(vector: np.ndarray) -> float:
+    return float(vector @ vector) ** 0.5

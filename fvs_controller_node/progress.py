@@ -1,0 +1,89 @@
+"""Is the ball getting to its target? Settled, and growing errors, robust to noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+#: Time constant of the low pass on the error norm, s.
+_SMOOTHING_S = 0.1
+
+
+@dataclass(frozen=True)
+class ProgressLimits:
+    """When the error counts as settled, and when as growing.
+
+    Parameters
+    ----------
+    settled_error_m : float
+        Settled when the error stays below this ...
+    settled_time_s : float
+        ... for so long.
+    growth_time_s : float
+        Growing when the error stays for so long above the best since the start by both ...
+    growth_factor : float
+        ... this factor and ...
+    growth_m : float
+        ... this distance, m.
+    """
+
+    settled_error_m: float = 0.005
+    settled_time_s: float = 0.3
+    growth_time_s: float = 1.0
+    growth_factor: float = 1.5
+    growth_m: float = 0.03
+
+
+class Progress:
+    """Follows the norm of the error since the start, or since a new target."""
+
+    def __init__(self, limits: ProgressLimits) -> None:
+        self.limits = limits
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew: a start, or another target."""
+        self._smooth_m: float | None = None
+        self._best_m = float("inf")
+        self._up_s = 0.0
+        self._near_s = 0.0
+
+    def pause(self) -> None:
+        """Stop the growth's time: the arm is held."""
+        self._up_s = 0.0
+
+    @property
+    def best_m(self) -> float:
+        """Least smoothed error since the start, m."""
+        return self._best_m
+
+    @property
+    def smooth_m(self) -> float:
+        """The smoothed error, m."""
+        return float("inf") if self._smooth_m is None else self._smooth_m
+
+    @property
+    def settled(self) -> bool:
+        """Whether the error has been small for long enough."""
+        return self._near_s >= self.limits.settled_time_s
+
+    @property
+    def growing(self) -> bool:
+        """Whether the error has been well above its best for too long."""
+        return self._up_s >= self.limits.growth_time_s
+
+    def add(self, error_m: float, dt_s: float, servoing: bool) -> None:
+        """Tell the norm of the error at a tick, m; the growth counts while servoing only."""
+        if self._smooth_m is None:
+            self._smooth_m = error_m
+        self._smooth_m += (error_m - self._smooth_m) * dt_s / (dt_s + _SMOOTHING_S)
+        near = error_m < self.limits.settled_error_m
+        self._near_s = self._near_s + dt_s if near else 0.0
+        if not servoing:
+            self._up_s = 0.0
+            return
+        self._best_m = min(self._best_m, self._smooth_m)
+        up = (
+            self._smooth_m > self.limits.growth_factor * self._best_m
+            and self._smooth_m > self._best_m + self.limits.growth_m
+        )
+        self._up_s = self._up_s + dt_s if up else 0.0

@@ -1,0 +1,139 @@
+"""From a wanted ball velocity to joint velocities, and how well that is posed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.core.params import Parameter
+
+#: The posture term never asks for more than this of any joint, rad/s.
+POSTURE_SPEED_RAD_S = 0.2
+
+_NO_POSTURE = (0.0,) * N_JOINTS
+
+
+class Conditioning(NamedTuple):
+    """How far a Jacobian is from singular.
+
+    Attributes
+    ----------
+    smallest : float
+        Smallest singular value, m/rad: the slowest the ball moves, in its worst direction,
+        for a unit of joint motion.
+    condition : float
+        Largest over smallest singular value; infinite when singular.
+    """
+
+    smallest: float
+    condition: float
+
+
+def conditioning(jacobian: np.ndarray) -> Conditioning:
+    """Measure smallest singular value and condition number of a (3, 6) Jacobian.
+
+    Examples
+    --------
+    >>> conditioning(np.eye(3, 6))
+    Conditioning(smallest=1.0, condition=1.0)
+    """
+    values = np.linalg.svd(jacobian, compute_uv=False)
+    largest, smallest = float(values[0]), float(values[-1])
+    return Conditioning(smallest, largest / smallest if smallest > 0.0 else float("inf"))
+
+
+@dataclass(frozen=True)
+class DampedInverse:
+    """The damped pseudo inverse, with an optional pull towards a posture in its null space.
+
+    ``rdot = J' (J J' + mu I)^-1 v + (I - J^+ J) gain (posture - r)``
+
+    Six joints move a point, so three degrees of freedom are left to drift. The posture term
+    brings the arm back without moving the ball (to first order), at most
+    ``POSTURE_SPEED_RAD_S`` a joint.
+
+    Parameters
+    ----------
+    damping : float
+        mu, m^2/rad^2. It slows the direction of singular value w by w^2 / (w^2 + mu).
+    posture_gain : float
+        Gain of the pull, 1/s; 0 switches it off.
+    posture_rad : tuple of 6 float
+        The posture, rad.
+    """
+
+    damping: float = 1e-4
+    posture_gain: float = 0.0
+    posture_rad: tuple[float, ...] = _NO_POSTURE
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.damping < np.inf:
+            raise ValueError(f"damping must be positive, got {self.damping}")
+        if not 0.0 <= self.posture_gain < np.inf:
+            raise ValueError(f"posture_gain must not be negative, got {self.posture_gain}")
+        if len(self.posture_rad) != N_JOINTS:
+            raise ValueError(f"the posture needs {N_JOINTS} joints, got {self.posture_rad}")
+
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
+        Parameter(
+            "damping",
+            1e-4,
+            "Damping mu of the pseudo inverse J' (J J' + mu I)^-1, m^2/rad^2.",
+            1e-12,
+            1.0,
+            live=True,
+        ),
+        Parameter(
+            "posture_gain_1_s",
+            0.0,
+            "Pull towards posture_rad that does not move the ball, 1/s; 0 is off.",
+            0.0,
+            5.0,
+            live=True,
+        ),
+        Parameter(
+            "posture_rad",
+            [0.0, -1.35, 1.6, -1.75, -1.57, 0.0],
+            "Posture of the pull, kinematic order, rad; the middle of the training box.",
+            -2.0 * np.pi,
+            2.0 * np.pi,
+            size=N_JOINTS,
+            live=True,
+        ),
+    )
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any]) -> DampedInverse:
+        """Build the inverse with the gains in ``values``, by parameter name."""
+        return cls(values["damping"], values["posture_gain_1_s"], tuple(values["posture_rad"]))
+
+    def joint_velocity(
+        self, jacobian: np.ndarray, velocity_m_s: np.ndarray, joints_rad: np.ndarray
+    ) -> np.ndarray:
+        """Joint velocities that move the ball as wanted.
+
+        Parameters
+        ----------
+        jacobian : ndarray, shape (3, 6)
+            Estimated Jacobian, m/rad.
+        velocity_m_s : ndarray, shape (3,)
+            Wanted ball velocity, m/s.
+        joints_rad : ndarray, shape (6,)
+            Present joints, rad; used by the posture term only.
+
+        Returns
+        -------
+        ndarray, shape (6,)
+            Joint velocities, rad/s.
+        """
+        gram = jacobian @ jacobian.T
+        gram.flat[::4] += self.damping
+        if self.posture_gain == 0.0:
+            return jacobian.T @ np.linalg.solve(gram, velocity_m_s)
+        pull = self.posture_gain * (np.asarray(self.posture_rad) - joints_rad)
+        pull *= min(1.0, POSTURE_SPEED_RAD_S / max(float(np.abs(pull).max()), 1e-12))
+        return pull + jacobian.T @ np.linalg.solve(gram, velocity_m_s - jacobian @ pull)

@@ -1,0 +1,635 @@
+"""The one exit for commands: decides at every tick whether the arm may move, and how fast.
+
+Pure and deterministic: the caller passes a steady clock. Inputs are reported as events;
+``tick`` applies the rules in order, asks the law only if none objects, limits what it says,
+and always answers six finite numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import isfinite
+
+import numpy as np
+
+from fvs_controller_node.base import N_AXES, ControlOutput
+from fvs_controller_node.inputs import InputMonitor, InputSpec
+from fvs_controller_node.limits import (
+    JointRange,
+    limit_acceleration,
+    limit_speed,
+    ramp_to_zero,
+)
+from fvs_controller_node.progress import Progress, ProgressLimits
+from fvs_controller_node.pseudo_inverse import Conditioning, conditioning
+from fvs_controller_node.reasons import Finding, Reason, State, Stop
+from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
+
+JOINT_STATES = "joint_states"
+BALL = "ball_position"
+JACOBIAN = "jacobian"
+SPEED_SCALING = "speed_scaling"
+
+#: A tick counts for at most this long, s: a late one must not make a big step.
+MAX_TICK_S = 0.05
+
+#: Speed that is left just before the arm is held, as a share.
+_SLOWEST_SHARE = 0.25
+
+#: No joint position (rad), ball position (m) or Jacobian (m/rad) is larger than this.
+_LARGEST = 100.0
+
+#: Commands below this are rest, rad/s.
+_TINY_RAD_S = 1e-9
+
+#: A held Jacobian is released when its smallest singular value is this far into the slow band.
+_RELEASE_SHARE = 0.3
+
+_PAUSES = (Reason.PROGRAM_STOPPED, Reason.SPEED_SCALING_ZERO)
+
+#: Asks the law: (error (3,) m, last command (6,) rad/s, dt s) -> its output.
+Propose = Callable[[np.ndarray, np.ndarray, float], ControlOutput]
+
+_UR5_LIMIT = (6.283185307179586,) * 2 + (3.141592653589793,) + (6.283185307179586,) * 3
+
+
+@dataclass(frozen=True)
+class SupervisorConfig:
+    """Limits and thresholds of the supervisor.
+
+    Parameters
+    ----------
+    autostart : bool
+        Start once by itself, the first time everything is ready; for simulation only.
+    max_joint_velocity_rad_s, max_joint_acceleration_rad_s2 : float
+        Limits of each joint's command.
+    joint_range : JointRange
+        Ends of the joints' ranges.
+    joint_names : tuple of 6 str
+        For the words only.
+    feature_frame : str
+        Frame that ball and target must be in.
+    workspace_min_m, workspace_max_m : tuple of 3 float
+        Box that a target must be in, feature frame, m.
+    joint_states_max_age_s, ball_max_age_s, jacobian_max_age_s : float
+        Older inputs are stale, s.
+    fresh_samples : int
+        Good messages in a row after which an input counts again.
+    singular_slow_m_rad, singular_hold_m_rad : float
+        Smallest singular value of the Jacobian below which the arm slows down, and is held.
+    prediction_slow, prediction_hold : float
+        One-step prediction error ratio (1: no better than predicting rest) above which the arm
+        slows down, and is held.
+    prediction_hold_time_s : float
+        So long above ``prediction_hold`` while servoing: an estimator that learns needs motion
+        to mend itself, s.
+    prediction_max_age_s : float
+        A ratio older than this is forgotten, s.
+    progress : ProgressLimits
+        When the error is settled, and when it grows.
+    """
+
+    autostart: bool = False
+    max_joint_velocity_rad_s: float = 1.0
+    max_joint_acceleration_rad_s2: float = 6.0
+    joint_range: JointRange = field(
+        default_factory=lambda: JointRange(tuple(-q for q in _UR5_LIMIT), _UR5_LIMIT)
+    )
+    joint_names: tuple[str, ...] = UR_JOINT_NAMES
+    feature_frame: str = "camera_color_optical_frame"
+    workspace_min_m: tuple[float, ...] = (-1.0, -1.0, 0.2)
+    workspace_max_m: tuple[float, ...] = (1.0, 1.0, 3.0)
+    joint_states_max_age_s: float = 0.1
+    ball_max_age_s: float = 0.2
+    jacobian_max_age_s: float = 0.2
+    fresh_samples: int = 5
+    singular_slow_m_rad: float = 0.08
+    singular_hold_m_rad: float = 0.03
+    prediction_slow: float = 0.8
+    prediction_hold: float = 1.2
+    prediction_hold_time_s: float = 2.0
+    prediction_max_age_s: float = 2.5
+    progress: ProgressLimits = field(default_factory=ProgressLimits)
+
+    def __post_init__(self) -> None:
+        for name in ("max_joint_velocity_rad_s", "max_joint_acceleration_rad_s2"):
+            value = getattr(self, name)
+            if not (isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} must be positive, got {value}")
+        for low, high in zip(self.workspace_min_m, self.workspace_max_m, strict=True):
+            if not low < high:
+                raise ValueError(
+                    f"workspace_min_m {list(self.workspace_min_m)} must be below "
+                    f"workspace_max_m {list(self.workspace_max_m)}"
+                )
+        if not 0.0 < self.singular_hold_m_rad < self.singular_slow_m_rad:
+            raise ValueError("singular_hold_m_rad must be positive and below singular_slow_m_rad")
+        if not 0.0 < self.prediction_slow < self.prediction_hold:
+            raise ValueError("prediction_slow must be positive and below prediction_hold")
+        if self.fresh_samples < 1:
+            raise ValueError(f"fresh_samples must be at least 1, got {self.fresh_samples}")
+
+    def input_specs(self) -> dict[str, InputSpec]:
+        """List what is expected of each input, by topic name."""
+        specs = (
+            InputSpec(
+                JOINT_STATES,
+                "is the robot driver (or simulator) running?",
+                self.joint_states_max_age_s,
+            ),
+            InputSpec(
+                BALL,
+                "is the ball in view, and the detector running?",
+                self.ball_max_age_s,
+            ),
+            InputSpec(JACOBIAN, "is the estimator running?", self.jacobian_max_age_s),
+            InputSpec(SPEED_SCALING, "", None),
+        )
+        return {spec.name: spec for spec in specs}
+
+
+@dataclass(frozen=True)
+class Command:
+    """What leaves the controller at one tick.
+
+    Parameters
+    ----------
+    velocity_rad_s : ndarray, shape (6,)
+        Joint velocities in kinematic order, rad/s; always finite.
+    state : State
+        The supervisor's state.
+    reason : Reason
+        Why, as a row of the table.
+    text : str
+        Why, in words with numbers.
+    active_limit : str
+        Limits that shaped the command, comma separated; empty if none did.
+    output : ControlOutput or None
+        The law's answer; None when it was not asked.
+    """
+
+    velocity_rad_s: np.ndarray
+    state: State
+    reason: Reason
+    text: str
+    active_limit: str
+    output: ControlOutput | None
+
+
+class Supervisor:
+    """The state machine between the control law and the robot.
+
+    Parameters
+    ----------
+    config : SupervisorConfig
+        Limits and thresholds.
+    """
+
+    def __init__(self, config: SupervisorConfig | None = None) -> None:
+        self._config = config or SupervisorConfig()
+        self._inputs = {
+            name: InputMonitor(spec, self._config.fresh_samples)
+            for name, spec in self._config.input_specs().items()
+        }
+        self._progress = Progress(self._config.progress)
+        self._target: np.ndarray | None = None
+        self._conditioning: Conditioning | None = None
+        self._singular_held = False
+        self._program_running = True
+        self._speed_scaling = 100.0
+        self._quality: tuple[float, float] | None = None  # ratio, arrival
+        self._mispredicted_s = 0.0  # how long the ratio has been too high
+        self._started = False
+        self._autostart_left = self._config.autostart
+        self._ended: Finding | None = None  # what ended the session and needs a start
+        self._shut_down = False
+        self._velocity = np.zeros(N_JOINTS)
+        self._error: np.ndarray | None = None
+        self._last = Command(self._velocity, State.WAITING, Reason.MISSING, "no tick yet", "", None)
+
+    # ---- what it is told ------------------------------------------------------------------
+
+    def configure(self, config: SupervisorConfig) -> None:
+        """Change limits and thresholds while running; ``autostart`` counts at creation only."""
+        self._config = config
+        self._progress.limits = config.progress
+        for name, spec in config.input_specs().items():
+            self._inputs[name].configure(spec, config.fresh_samples)
+
+    def joint_states(self, now_s: float, joints_rad: np.ndarray) -> bool:
+        """Tell joint positions in kinematic order; False if they cannot be used."""
+        return self._check(now_s, JOINT_STATES, joints_rad, (N_JOINTS,))
+
+    def ball(self, now_s: float, position_m: np.ndarray, frame: str | None = None) -> bool:
+        """Tell a ball position (and its frame, to be checked); False if it cannot be used."""
+        if frame is not None and frame != self._config.feature_frame:
+            self.bad_input(now_s, BALL, self._wrong_frame(frame))
+            return False
+        return self._check(now_s, BALL, position_m, (N_AXES,))
+
+    def jacobian(self, now_s: float, jacobian: np.ndarray) -> bool:
+        """Tell the estimated Jacobian, m/rad; False if it cannot be used."""
+        if not self._check(now_s, JACOBIAN, jacobian, (N_AXES, N_JOINTS)):
+            return False
+        self._conditioning = conditioning(jacobian)
+        self._jac = np.array(jacobian)
+        return True
+
+    def bad_input(self, now_s: float, name: str, why: str) -> None:
+        """Tell that a message on topic ``name`` could not be used, and why."""
+        if name not in self._inputs:
+            raise ValueError(f"unknown input {name!r}; known are {', '.join(self._inputs)}")
+        self._inputs[name].bad(now_s, why)
+
+    def target(self, position_m: np.ndarray, frame: str) -> tuple[bool, str]:
+        """Set the target; a refused one leaves the old in place.
+
+        Returns
+        -------
+        bool
+            Whether it was accepted.
+        str
+            What was done, or why not.
+        """
+        if frame != self._config.feature_frame:
+            return False, "target refused: " + self._wrong_frame(frame)
+        target = np.array(position_m, dtype=float)
+        if target.shape != (N_AXES,) or not np.all(np.isfinite(target)):
+            return False, f"target refused: expected {N_AXES} finite numbers, got {position_m}"
+        low, high = self._config.workspace_min_m, self._config.workspace_max_m
+        outside = [
+            f"{axis} = {value:.3f} m is not in [{lo:g}, {hi:g}]"
+            for axis, value, lo, hi in zip("xyz", target.tolist(), low, high, strict=True)
+            if not lo <= value <= hi
+        ]
+        if outside:
+            return False, (
+                f"target refused: {', '.join(outside)} (workspace_min_m and workspace_max_m, "
+                f"in {frame})"
+            )
+        self._target = target
+        self._progress.restart()
+        return True, "target set to ({:.3f}, {:.3f}, {:.3f}) m".format(*target.tolist())
+
+    def program_running(self, running: bool) -> None:
+        """Tell whether the robot's program runs."""
+        self._program_running = bool(running)
+        if not running:
+            self._end_session(Reason.PROGRAM_STOPPED.because())
+
+    def speed_scaling(self, now_s: float, percent: float) -> None:
+        """Tell the robot's speed scaling, 0 to 100 %."""
+        if not isfinite(percent):
+            self.bad_input(now_s, SPEED_SCALING, f"expected 0 to 100, got {percent}")
+            return
+        self._inputs[SPEED_SCALING].good(now_s)
+        self._speed_scaling = float(percent)
+        if self._speed_scaling <= 0.0:
+            self._end_session(Reason.SPEED_SCALING_ZERO.because())
+
+    def estimator_quality(self, now_s: float, error_ratio: float) -> None:
+        """Tell the estimator's one-step prediction error ratio; not finite means unknown."""
+        self._quality = (float(error_ratio), now_s) if isfinite(error_ratio) else None
+
+    def start(self, now_s: float) -> tuple[bool, str]:
+        """Begin to servo.
+
+        Returns
+        -------
+        bool
+            Whether the arm servoes, or will when an input that is late comes back.
+        str
+            What was done, or why not.
+        """
+        if self._started:
+            return True, f"already started: {self._last.text}"
+        finding = self._objection(now_s)
+        if finding is not None:
+            return False, f"not started: {finding.text}"
+        self._begin()
+        return True, "started"
+
+    def stop(self) -> tuple[bool, str]:
+        """End servoing; the arm ramps to rest. It does not start again by itself."""
+        was_started = self._started
+        self._started = False
+        self._autostart_left = False
+        self._ended = None
+        return True, "stopping" if was_started else "was not started; it will not start by itself"
+
+    def shutdown(self) -> Command:
+        """End for good: zeros now and for ever."""
+        self._shut_down = True
+        self._started = False
+        self._ended = Reason.SHUT_DOWN.because()
+        self._velocity = np.zeros(N_JOINTS)
+        return self._answer(self._ended, "", None)
+
+    # ---- what it says ---------------------------------------------------------------------
+
+    @property
+    def config(self) -> SupervisorConfig:
+        """Limits and thresholds in force."""
+        return self._config
+
+    @property
+    def velocity_rad_s(self) -> np.ndarray:
+        """The last command, after every limit, rad/s, shape (6,)."""
+        return self._velocity.copy()
+
+    @property
+    def target_m(self) -> np.ndarray | None:
+        """The target, m, or None."""
+        return None if self._target is None else self._target.copy()
+
+    @property
+    def settled(self) -> bool:
+        """Whether the ball has been on target for a while."""
+        return self._error is not None and self._progress.settled
+
+    @property
+    def last(self) -> Command:
+        """The last command with its state and reason."""
+        return self._last
+
+    def tick(
+        self,
+        now_s: float,
+        dt_s: float,
+        joints_rad: np.ndarray | None,
+        position_m: np.ndarray | None,
+        propose: Propose,
+        *,
+        problem: str = "",
+    ) -> Command:
+        """Decide on the command for this tick.
+
+        Parameters
+        ----------
+        now_s : float
+            Steady clock, s.
+        dt_s : float
+            Time since the last tick, s.
+        joints_rad : ndarray, shape (6,), or None
+            Newest joint positions.
+        position_m : ndarray, shape (3,), or None
+            Ball position predicted to now, m.
+        propose : callable
+            Asks the law; called only if the arm may move.
+        problem : str
+            Why there is no position, if there is none.
+        """
+        dt_s = min(dt_s, MAX_TICK_S) if isfinite(dt_s) and dt_s > 0.0 else 0.0
+        self._measure_error(position_m, dt_s)
+        finding = self._objection(now_s)
+        if finding is None and self._autostart_left and self._ended is None:
+            self._begin()
+        output: ControlOutput | None = None
+        if finding is None and self._started:
+            finding = self._bad_prediction(now_s, dt_s)
+            if finding is None:
+                finding, output = self._ask(joints_rad, position_m, problem, propose, dt_s)
+        if finding is not None and finding.reason.needs_start:
+            self._end_session(finding)
+        if output is not None:
+            return self._move(output, joints_rad, dt_s)
+        self._progress.pause()
+        return self._rest(finding, dt_s)
+
+    def status_values(self, now_s: float) -> dict[str, float | str]:
+        """Key numbers for a status message, always the same keys in the same order."""
+        nan = float("nan")
+        singular = self._conditioning
+        error = self._error
+        target = [nan] * N_AXES if self._target is None else self._target.tolist()
+        values: dict[str, float | str] = {
+            "state": self._last.state.value,
+            "reason": self._last.reason.name,
+            "started": str(self._started).lower(),
+            "settled": str(self.settled).lower(),
+            "error_m": nan if error is None else float(error @ error) ** 0.5,
+            "active_limit": self._last.active_limit,
+            "fastest_joint_rad_s": float(np.abs(self._velocity).max()),
+            "smallest_singular_value_m_rad": nan if singular is None else singular.smallest,
+            "condition_number": nan if singular is None else singular.condition,
+            "prediction_error_ratio": self._ratio(now_s),
+        }
+        for name in (JOINT_STATES, BALL, JACOBIAN):
+            values[f"{name}_age_s"] = self._inputs[name].age_s(now_s)
+        values["robot_program_running"] = str(self._program_running).lower()
+        values["speed_scaling_percent"] = self._speed_scaling
+        for axis, value in zip("xyz", target, strict=True):
+            values[f"target_{axis}_m"] = value
+        return values
+
+    # ---- rules: may it move? --------------------------------------------------------------
+
+    def _objection(self, now_s: float) -> Finding | None:
+        """Find the first rule that forbids motion now, started or not."""
+        if self._shut_down:
+            return Reason.SHUT_DOWN.because()
+        findings = [monitor.find(now_s) for monitor in self._inputs.values()]
+        troubles = [finding for finding in findings if finding is not None]
+        bad = [finding for finding in troubles if finding.reason is Reason.BAD_INPUT]
+        no_target = [] if self._target is not None else [Reason.NO_TARGET.because()]
+        first = next(iter(bad + self._paused() + troubles + no_target), None)
+        return first or self._near_singular()
+
+    def _paused(self) -> list[Finding]:
+        paused = [] if self._program_running else [Reason.PROGRAM_STOPPED.because()]
+        return (
+            paused if self._speed_scaling > 0.0 else [*paused, Reason.SPEED_SCALING_ZERO.because()]
+        )
+
+    def _near_singular(self) -> Finding | None:
+        assert self._conditioning is not None
+        config, value = self._config, self._conditioning.smallest
+        limit = config.singular_hold_m_rad
+        if self._singular_held:
+            limit += _RELEASE_SHARE * (config.singular_slow_m_rad - limit)
+        self._singular_held = value < limit
+        if not self._singular_held:
+            return None
+        return Reason.NEAR_SINGULAR.because(value=value, limit=limit)
+
+    def _bad_prediction(self, now_s: float, dt_s: float) -> Finding | None:
+        ratio, config = self._ratio(now_s), self._config
+        self._mispredicted_s = (
+            self._mispredicted_s + dt_s if ratio > config.prediction_hold else 0.0
+        )
+        if self._mispredicted_s < config.prediction_hold_time_s:
+            return None
+        return Reason.PREDICTION_ERROR.because(
+            value=ratio, limit=config.prediction_hold, time_s=config.prediction_hold_time_s
+        )
+
+    def _ask(
+        self,
+        joints: np.ndarray | None,
+        position: np.ndarray | None,
+        problem: str,
+        propose: Propose,
+        dt_s: float,
+    ) -> tuple[Finding | None, ControlOutput | None]:
+        """Ask the law, if there is something to ask about."""
+        if joints is None or position is None or self._error is None:
+            return Reason.NO_POSITION.because(why=problem or "no image is usable yet"), None
+        if self._progress.growing:
+            return self._growth(), None
+        if dt_s <= 0.0:
+            zeros = np.zeros(N_AXES)
+            return None, ControlOutput(self._velocity, zeros, zeros)
+        try:
+            output = propose(self._error.copy(), self._velocity.copy(), dt_s)
+            velocity = np.array(output.velocity_rad_s, dtype=float)
+        except Exception as error:  # whatever a law does wrong, the arm must stop
+            return Reason.LAW_FAULT.because(why=f"{type(error).__name__}: {error}"), None
+        if velocity.shape != (N_JOINTS,) or not np.all(np.isfinite(velocity)):
+            return Reason.LAW_FAULT.because(why=f"expected 6 finite numbers, got {velocity}"), None
+        return None, output
+
+    def _growth(self) -> Finding:
+        return Reason.ERROR_GROWING.because(
+            best_mm=1e3 * self._progress.best_m,
+            error_mm=1e3 * self._progress.smooth_m,
+            time_s=self._config.progress.growth_time_s,
+        )
+
+    # ---- how it moves, how it rests ---------------------------------------------------------
+
+    def _move(self, output: ControlOutput, joints: np.ndarray | None, dt_s: float) -> Command:
+        assert joints is not None
+        config = self._config
+        share, active = self._speed_share()
+        max_speed = config.max_joint_velocity_rad_s * share
+        wanted = np.asarray(output.velocity_rad_s, dtype=float)
+        import os
+        beta = float(os.environ.get("BETA", "0"))
+        if beta > 0:
+            J = self._jac
+            d = np.abs(J.T @ np.linalg.solve(J @ J.T + 1e-4 * np.eye(3), self._error)).max()
+            max_speed = min(max_speed, (2 * beta * config.max_joint_acceleration_rad_s2 * d) ** 0.5)
+        velocity = limit_speed(wanted, max_speed)
+        if velocity is not wanted:
+            active.append("velocity")
+        velocity, slowed = config.joint_range.slow_down(
+            velocity,
+            joints,
+            config.max_joint_velocity_rad_s,
+            config.max_joint_acceleration_rad_s2,
+        )
+        active += [f"range of {config.joint_names[i]}" for i in slowed]
+        free = velocity
+        velocity = limit_acceleration(
+            velocity, self._velocity, config.max_joint_acceleration_rad_s2 * dt_s
+        )
+        if velocity is not free:
+            active.append("acceleration")
+        self._velocity = velocity
+        reason = Reason.SETTLED if self._progress.settled else Reason.SERVOING
+        error_mm = 1e3 * self._progress.smooth_m
+        return self._answer(reason.because(error_mm=error_mm), ", ".join(active), output)
+
+    def _speed_share(self) -> tuple[float, list[str]]:
+        """Share of the velocity limit that the Jacobian's condition and quality leave."""
+        config = self._config
+        share, active = 1.0, []
+        assert self._conditioning is not None
+        value = self._conditioning.smallest
+        if value < config.singular_slow_m_rad:
+            share = _ramp(value, config.singular_hold_m_rad, config.singular_slow_m_rad)
+            active.append(f"near singular ({value:.3f} m/rad)")
+        if self._quality is not None and self._quality[0] > config.prediction_slow:
+            ratio = self._quality[0]
+            share *= _ramp(ratio, config.prediction_hold, config.prediction_slow)
+            active.append(f"prediction error ({ratio:.2f})")
+        return max(share, _SLOWEST_SHARE), active
+
+    def _rest(self, finding: Finding | None, dt_s: float) -> Command:
+        """Bring the arm to rest, and say why."""
+        if not self._started and self._ended is not None:
+            finding = self._ended
+            if finding.reason in _PAUSES and self._program_running and self._speed_scaling > 0.0:
+                finding = Reason.PAUSE_OVER.because()
+        if finding is None:
+            finding = Reason.READY.because()
+        if finding.reason.stop is Stop.AT_ONCE:
+            self._velocity = np.zeros(N_JOINTS)
+            return self._answer(finding, "", None)
+        step = self._config.max_joint_acceleration_rad_s2 * dt_s
+        moving = float(np.abs(self._velocity).max()) > _TINY_RAD_S
+        self._velocity = ramp_to_zero(self._velocity, step if moving else np.inf)
+        return self._answer(finding, "acceleration" if moving else "", None)
+
+    def _answer(self, finding: Finding, active_limit: str, output: ControlOutput | None) -> Command:
+        reason = finding.reason
+        if self._started or self._ended is not None or reason is Reason.READY:
+            state = reason.state
+        else:
+            state = State.WAITING
+        self._last = Command(
+            self._velocity.copy(), state, reason, finding.text, active_limit, output
+        )
+        return self._last
+
+    # ---- bookkeeping ------------------------------------------------------------------------
+
+    def _begin(self) -> None:
+        self._started = True
+        self._autostart_left = False
+        self._ended = None
+        self._mispredicted_s = 0.0
+        self._progress.restart()
+
+    def _end_session(self, finding: Finding) -> None:
+        """Stop until a new start, if it was started."""
+        if self._started:
+            self._started = False
+            self._autostart_left = False
+            self._ended = finding
+
+    def _measure_error(self, position: np.ndarray | None, dt_s: float) -> None:
+        if position is None or self._target is None or not np.all(np.isfinite(position)):
+            self._error = None
+            return
+        self._error = position - self._target
+        norm = float(self._error @ self._error) ** 0.5
+        self._progress.add(norm, dt_s, servoing=self._last.state is State.SERVOING)
+
+    def _ratio(self, now_s: float) -> float:
+        """Return the newest prediction error ratio; NaN when unknown or too old."""
+        if self._quality is None:
+            return float("nan")
+        ratio, arrival_s = self._quality
+        if now_s - arrival_s > self._config.prediction_max_age_s:
+            self._quality = None
+            return float("nan")
+        return ratio
+
+    def _check(self, now_s: float, name: str, values: np.ndarray, shape: tuple[int, ...]) -> bool:
+        values = np.asarray(values, dtype=float)
+        wanted = " x ".join(str(n) for n in shape)
+        if values.shape != shape:
+            self.bad_input(now_s, name, f"expected {wanted} numbers, got shape {values.shape}")
+            return False
+        if not float(np.abs(values).max()) <= _LARGEST:  # false for NaN, too
+            self.bad_input(
+                now_s,
+                name,
+                f"expected {wanted} finite numbers up to {_LARGEST:g} in metres and radians, "
+                f"got {values.tolist()}",
+            )
+            return False
+        self._inputs[name].good(now_s)
+        return True
+
+    def _wrong_frame(self, frame: str) -> str:
+        if not frame:
+            return f"it names no frame; set header.frame_id to {self._config.feature_frame}"
+        return f"it is in frame {frame}, expected {self._config.feature_frame}"
+
+
+def _ramp(value: float, at_zero: float, at_one: float) -> float:
+    """0 to 1 as ``value`` goes from ``at_zero`` to ``at_one``."""
+    return min(1.0, max(0.0, (value - at_zero) / (at_one - at_zero)))

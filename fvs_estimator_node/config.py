@@ -1,0 +1,41 @@
+"""Parameters of ``fvs_estimator_node``, declared once."""
+
+from __future__ import annotations
+
+from fvs_estimator_node.registry import ESTIMATORS, estimator_parameters
+from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
+from fvs_ros.core.params import Parameter
+
+PARAMETERS = (
+    Parameter("method", "rbf", "how the Jacobian is estimated", choices=tuple(ESTIMATORS)),
+    Parameter(
+        "model_path",
+        "models/ur5_front.npz",
+        "file that fvs_train has written: a path, or a name within the project's config folder",
+    ),
+    Parameter(
+        "joint_names", list(UR_JOINT_NAMES), "the joints in kinematic order", size=N_JOINTS
+    ),
+    Parameter("feature_frame", "camera_color_optical_frame", "frame of the ball positions"),
+    Parameter(
+        "jacobian_rate_hz", 62.5, "most Jacobians published a second", minimum=1.0, maximum=1000.0
+    ),
+    Parameter(
+        "min_step_rad",
+        0.01,
+        "joint motion (largest joint) between two images that makes a step to learn from, rad",
+        minimum=1e-4,
+        maximum=1.0,
+    ),
+    Parameter(
+        "max_step_s", 0.5, "longest step to learn from, s", minimum=0.01, maximum=10.0
+    ),
+    Parameter(
+        "max_gap_s",
+        0.25,
+        "ball positions further apart than this are never paired, s",
+        minimum=0.01,
+        maximum=10.0,
+    ),
+    *estimator_parameters(),
+)

@@ -1,0 +1,176 @@
+"""``fvs_estimator_node``: joint states and ball positions in, Jacobian out."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+from geometry_msgs.msg import PointStamped, Vector3Stamped
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool, Trigger
+
+from fvs_estimator_node.base import MotionStep, PredictionMonitor
+from fvs_estimator_node.config import PARAMETERS
+from fvs_estimator_node.model_file import load_model
+from fvs_estimator_node.pairing import StepPairing
+from fvs_estimator_node.registry import create_estimator, estimator_factory
+from fvs_ros.core import ros
+from fvs_ros.core.joints import JointMap, JointStateError
+from fvs_ros.core.paths import find_file
+
+_STATUS_PERIOD_S = 0.1
+_FRESH_S = 0.2
+
+
+class EstimatorNode(ros.FvsNode):
+    """Publishes the Jacobian at the newest joints, and learns from every step."""
+
+    def __init__(self) -> None:
+        super().__init__("fvs_estimator_node", PARAMETERS)
+        v = self.values
+        self._frame = v["feature_frame"]
+        self._joint_map = JointMap(v["joint_names"])
+        self._estimator = create_estimator(v["method"], self._load_model(), v)
+        self._pairing = StepPairing(v["min_step_rad"], v["max_step_s"], v["max_gap_s"])
+        self._prediction = PredictionMonitor()
+        self._frozen = False
+        self._steps = 0
+        self._problem = ""
+        self._problem_s = -np.inf
+        self._published_stamp_s: float | None = None
+
+        self._jacobian = self.create_publisher(Float64MultiArray, ros.JACOBIAN, ros.QOS_RELIABLE)
+        self.watch(JointState, ros.JOINT_STATES, self._on_joint_states, ros.QOS_NEWEST)
+        self.watch(PointStamped, ros.BALL_POSITION, self._on_ball, ros.QOS_NEWEST)
+        self.watch(Vector3Stamped, ros.SLIDING_VARIABLE, self._on_sliding, ros.QOS_NEWEST)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(SetBool, "~/freeze", self._on_freeze)
+        self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
+
+    def _load_model(self):
+        if not estimator_factory(self.values["method"]).needs_model:
+            return None
+        try:
+            path = find_file(self.values["model_path"])
+        except FileNotFoundError as error:
+            raise ValueError(f"model_path: {error}; train one with fvs_train") from error
+        model = load_model(path)
+        for what, found, wanted in (
+            ("joint_names", list(model.joint_names), self.values["joint_names"]),
+            ("feature_frame", model.feature_frame, self._frame),
+        ):
+            if found != wanted:
+                raise ValueError(f"model {path} has {what} {found}, this node has {wanted}")
+        return model.network
+
+    # --- inputs ---
+
+    def _on_joint_states(self, message: JointState) -> None:
+        try:
+            joints = self._joint_map.positions(message.name, message.position)
+        except JointStateError as error:
+            self._complain(str(error))
+            return
+        stamp_s = ros.from_stamp(message.header.stamp)
+        self._learn(self._pairing.add_joints(stamp_s, joints))
+        self._publish_jacobian(stamp_s, joints)
+
+    def _on_ball(self, message: PointStamped) -> None:
+        try:
+            ball_m = ros.from_point(message, self._frame, ros.BALL_POSITION)
+        except ros.MessageError as error:
+            self._complain(str(error))
+            return
+        self._learn(self._pairing.add_ball(ros.from_stamp(message.header.stamp), ball_m))
+
+    def _on_sliding(self, message: Vector3Stamped) -> None:
+        vector = np.array([message.vector.x, message.vector.y, message.vector.z])
+        self._pairing.add_sliding_variable(ros.from_stamp(message.header.stamp), vector)
+
+    def _learn(self, steps: list[MotionStep]) -> None:
+        for step in steps:
+            # A-priori: judged with the estimate that has not seen this step.
+            self._prediction.observe(step, self._estimator.jacobian(step.joints_rad))
+            if not self._frozen:
+                self._estimator.update(step)
+                self._steps += 1
+
+    # --- output ---
+
+    def _publish_jacobian(self, stamp_s: float, joints: np.ndarray) -> None:
+        last = self._published_stamp_s
+        # Four fifths of the period: joint states come with jitter, and late is worse than often.
+        if last is not None and 0.0 <= stamp_s - last < 0.8 / self.values["jacobian_rate_hz"]:
+            return
+        jacobian = self._estimator.jacobian(joints)
+        if not np.all(np.isfinite(jacobian)):
+            self._complain("the estimate is not finite and was not published; call ~/reset")
+            return
+        self._published_stamp_s = stamp_s
+        self._jacobian.publish(ros.to_jacobian(jacobian))
+
+    # --- services ---
+
+    def _on_reset(self, _request: Trigger.Request, response: Trigger.Response):
+        self._estimator.reset()
+        self._pairing.reset()
+        self._prediction.reset()
+        self._steps = 0
+        response.success, response.message = True, "what was learned online is forgotten"
+        return response
+
+    def _on_freeze(self, request: SetBool.Request, response: SetBool.Response):
+        self._frozen = request.data
+        response.success = True
+        response.message = "learning is frozen" if self._frozen else "learning goes on"
+        return response
+
+    # --- status ---
+
+    def _complain(self, problem: str) -> None:
+        self._problem, self._problem_s = problem, self.steady_s()
+        self.get_logger().warning(problem, throttle_duration_sec=5.0)
+
+    def _state(self) -> tuple[bytes, str, str]:
+        """Level, state and reason in words."""
+        now_s = self.steady_s()
+        if now_s - self._problem_s < 1.0:
+            return ros.ERROR, "FAULT", self._problem
+        for topic in (ros.JOINT_STATES, ros.BALL_POSITION):
+            age_s = self.monitor(topic).age_s(now_s)
+            if age_s > _FRESH_S:
+                heard = "none heard yet" if np.isinf(age_s) else f"the last is {age_s:.1f} s old"
+                return ros.WARN, "WAITING", f"waiting for {topic}: {heard}"
+        if self._frozen:
+            return ros.OK, "FROZEN", "learning is frozen by ~/freeze"
+        return ros.OK, "LEARNING", "estimating, and learning from every motion"
+
+    def _publish_status(self) -> None:
+        now_s = self.steady_s()
+        level, state, reason = self._state()
+        matcher = self._pairing.matcher
+        self.publish_status(
+            level,
+            state,
+            reason,
+            {
+                "method": self.values["method"],
+                "one_step_prediction_error_m": self._prediction.rms_m,
+                "one_step_prediction_error_ratio": self._prediction.ratio,
+                "steps_learned": self._steps,
+                "joint_states_age_s": self.monitor(ros.JOINT_STATES).age_s(now_s),
+                "ball_position_age_s": self.monitor(ros.BALL_POSITION).age_s(now_s),
+                "ball_positions_not_paired": matcher.dropped,
+                "last_not_paired_because": matcher.last_reason,
+            },
+        )
+
+
+def main() -> int:
+    """Run ``fvs_estimator_node``."""
+    return ros.run(EstimatorNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

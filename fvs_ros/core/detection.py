@@ -1,0 +1,471 @@
+"""Where a ball of known colour and radius is, from one colour image and its depth.
+
+The steps, each a function below:
+
+1. a red mask, and its contours: every blob is a candidate;
+2. the outline gives the direction: seen from the camera, a sphere's outline lies on a cone about
+   the direction of its centre, and the known radius fixes the cone's opening. The fit is robust,
+   so that an arc of the outline suffices where the ball is partly hidden;
+3. the depth gives the distance: with the direction known, each pixel's depth gives the distance
+   of the centre along its own ray (surface is not centre, and the correction runs along the ray);
+4. a candidate must have the size, outline and bulge of the ball; the best one wins.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from fvs_ros.core.camera import Intrinsics
+
+#: Nothing is reported where less of the ball is visible.
+MIN_VISIBLE_FRACTION = 0.25
+
+_MIN_PIXELS = 20
+_MIN_DEPTH_PIXELS = 8
+_MAX_BLOBS = 16
+_MIN_ON_OUTLINE = 0.4
+_MAX_EXCESS = 0.2
+_MAX_RESIDUAL_RADII = 0.15
+_MIN_QUALITY = 0.05
+
+
+@dataclass(frozen=True)
+class BallColour:
+    """What counts as the ball's colour, in OpenCV's HSV units.
+
+    Parameters
+    ----------
+    hue : int
+        Middle of the hues, 0 to 179 (half degrees; red is 0).
+    hue_width : int
+        Largest distance from it, half degrees, around the colour circle.
+    min_saturation, min_value : int
+        Least saturation and brightness, 0 to 255; low enough for the shaded side.
+    """
+
+    hue: int = 0
+    hue_width: int = 10
+    min_saturation: int = 110
+    min_value: int = 35
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.hue < 180 or not 0 < self.hue_width < 90:
+            raise ValueError(
+                f"hue must be 0 to 179 and hue_width 1 to 89 half degrees, got {self.hue} "
+                f"and {self.hue_width}"
+            )
+        if not 0 <= self.min_saturation <= 255 or not 0 <= self.min_value <= 255:
+            raise ValueError("min_saturation and min_value must be 0 to 255")
+
+
+@dataclass(frozen=True)
+class BallDetection:
+    """A ball that was seen.
+
+    Parameters
+    ----------
+    position_m : ndarray, shape (3,)
+        Centre, camera optical frame, m.
+    quality : float
+        0 to 1: visible fraction, times how well the outline and the surface fit a sphere.
+    visible_fraction : float
+        Visible part of the ball's outline area; what the image border cuts off is not visible.
+    residual_m : float
+        Systematic departure of the measured surface from the sphere, rms, m.
+    pixel : tuple of float
+        Where the centre projects to, (u, v), pixels.
+    radius_px : float
+        Radius of a circle of the outline's area, pixels.
+    """
+
+    position_m: np.ndarray
+    quality: float
+    visible_fraction: float
+    residual_m: float
+    pixel: tuple[float, float]
+    radius_px: float
+
+
+def detect_ball(
+    rgb: np.ndarray,
+    depth_m: np.ndarray,
+    intrinsics: Intrinsics,
+    radius_m: float,
+    config: BallColour | None = None,
+) -> BallDetection | None:
+    """Find the ball.
+
+    Parameters
+    ----------
+    rgb : ndarray of uint8, shape (H, W, 3)
+        Colour image, red first.
+    depth_m : ndarray of float, shape (H, W)
+        Depth along the optical axis, aligned to the colour image, m; 0 or NaN where unknown.
+    intrinsics : Intrinsics
+        Of this image (of the sub-image, where only a part is given).
+    radius_m : float
+        Radius of the ball, m.
+    config : BallColour, optional
+        What counts as its colour; default red.
+
+    Returns
+    -------
+    BallDetection or None
+        None if no ball is seen, or less than a quarter of it.
+
+    Raises
+    ------
+    ValueError
+        If the sizes of images and intrinsics differ.
+    """
+    size = (intrinsics.height, intrinsics.width)
+    if rgb.shape != (*size, 3) or depth_m.shape != size:
+        raise ValueError(
+            f"intrinsics are for {size[1]}x{size[0]} pixels, but the colour image has shape "
+            f"{rgb.shape} and the depth image {depth_m.shape}"
+        )
+    mask = colour_mask(rgb, config or BallColour())
+    best: BallDetection | None = None
+    for blob in _blobs(mask):
+        whole = _evaluate(blob, mask, depth_m, intrinsics, radius_m)
+        found = [whole] if whole else _split_by_depth(blob, mask, depth_m, intrinsics, radius_m)
+        for detection in found:
+            if best is None or detection.quality > best.quality:
+                best = detection
+    return best
+
+
+def colour_mask(rgb: np.ndarray, colour: BallColour) -> np.ndarray:
+    """Mask of the pixels with the ball's colour, uint8 0 or 255, shape (H, W)."""
+    hsv = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2HSV)
+    least = (colour.min_saturation, colour.min_value)
+    low, high = colour.hue - colour.hue_width, colour.hue + colour.hue_width
+    mask = cv2.inRange(hsv, (max(low, 0), *least), (min(high, 179), 255, 255))
+    if low < 0:
+        mask |= cv2.inRange(hsv, (180 + low, *least), (179, 255, 255))
+    if high > 179:
+        mask |= cv2.inRange(hsv, (0, *least), (high - 180, 255, 255))
+    return mask
+
+
+# ------------------------------------------------------------------------------- candidates
+@dataclass(frozen=True)
+class _Blob:
+    """A connected part of the mask: bounding box (first pixel, size), filled mask, pixels."""
+
+    u0: int
+    v0: int
+    filled: np.ndarray
+    pixels: int
+
+
+def _blobs(mask: np.ndarray, u0: int = 0, v0: int = 0) -> list[_Blob]:
+    """Connected parts of a mask whose first pixel is (u0, v0), largest first, holes filled."""
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    blobs = []
+    for contour in contours:
+        # The area within the pixel centres of the border; half the border is missing.
+        if cv2.contourArea(contour) + 0.5 * len(contour) < _MIN_PIXELS:
+            continue
+        u, v, width, height = cv2.boundingRect(contour)
+        filled = np.zeros((height, width), np.uint8)
+        cv2.drawContours(filled, [contour], 0, 255, cv2.FILLED, offset=(-u, -v))
+        blobs.append(_Blob(u0 + u, v0 + v, filled, cv2.countNonZero(filled)))
+    blobs.sort(key=lambda blob: -blob.pixels)
+    return blobs[:_MAX_BLOBS]
+
+
+def _split_by_depth(
+    blob: _Blob, mask: np.ndarray, depth_m: np.ndarray, camera: Intrinsics, radius_m: float
+) -> list[BallDetection]:
+    """Look for the ball within a blob that merges it with other things of its colour."""
+    height, width = blob.filled.shape
+    depth = depth_m[blob.v0 : blob.v0 + height, blob.u0 : blob.u0 + width]
+    left = (blob.filled > 0) & (depth > 0.0)
+    found: list[BallDetection] = []
+    kernel = np.ones((3, 3), np.uint8)
+    for _ in range(4):
+        values = np.sort(depth[left])
+        if len(values) < _MIN_PIXELS:
+            break
+        ends = np.searchsorted(values, values + 1.5 * radius_m, side="right")
+        start = int(np.argmax(ends - np.arange(len(values))))
+        near = values[start] - 0.25 * radius_m
+        layer = left & (depth >= near) & (depth <= near + 1.75 * radius_m)
+        left &= ~layer
+        if np.count_nonzero(layer) > 0.98 * blob.pixels:
+            break
+        closed = cv2.morphologyEx(
+            np.where(layer, np.uint8(255), np.uint8(0)), cv2.MORPH_CLOSE, kernel
+        )
+        layer_mask = np.zeros_like(mask)
+        layer_mask[blob.v0 : blob.v0 + height, blob.u0 : blob.u0 + width] = closed
+        for part in _blobs(closed, blob.u0, blob.v0):
+            detection = _evaluate(part, layer_mask, depth_m, camera, radius_m)
+            if detection:
+                found.append(detection)
+    return found
+
+
+# --------------------------------------------------------------------------------- one ball
+@dataclass(frozen=True)
+class _Outline:
+    """Outline of a blob: unit rays through it, and the depth just outside, m."""
+
+    rays: np.ndarray
+    outside_m: np.ndarray
+
+
+def _evaluate(
+    blob: _Blob, mask: np.ndarray, depth_m: np.ndarray, camera: Intrinsics, radius_m: float
+) -> BallDetection | None:
+    """Fit the ball to a blob; None if it is not the ball."""
+    height, width = blob.filled.shape
+    own_depth = depth_m[blob.v0 : blob.v0 + height, blob.u0 : blob.u0 + width]
+    own_depth = own_depth[(blob.filled > 0) & (own_depth > 0.0)]
+    if len(own_depth) < _MIN_DEPTH_PIXELS:
+        return None
+    # First guess of the distance: half of a disc lies within 0.7 r of its middle.
+    middle = _unit(camera.rays(blob.u0 + 0.5 * (width - 1), blob.v0 + 0.5 * (height - 1)))
+    distance = float(np.median(own_depth)) / middle[2] + 0.7 * radius_m
+    if distance < 1.5 * radius_m:
+        return None
+    expected_px = _outline_area_px(middle, distance, radius_m, camera)
+    if not 0.7 * MIN_VISIBLE_FRACTION < blob.pixels / expected_px < 1.6:
+        return None
+
+    # A part of the image that holds the blob and the whole ball, if the image does.
+    pad = 3 + max(0, int(2.4 * np.sqrt(expected_px / np.pi)) - min(width, height))
+    u0, v0 = max(0, blob.u0 - pad), max(0, blob.v0 - pad)
+    u1 = min(camera.width, blob.u0 + width + pad)
+    v1 = min(camera.height, blob.v0 + height + pad)
+    inside = np.zeros((v1 - v0, u1 - u0), bool)
+    inside[blob.v0 - v0 :, blob.u0 - u0 :][:height, :width] = blob.filled > 0
+    depth = np.nan_to_num(np.asarray(depth_m[v0:v1, u0:u1], dtype=float), posinf=0.0)
+    view = camera.window(u0, v0, u1 - u0, v1 - v0)
+    rays = _unit(view.rays(*np.meshgrid(np.arange(view.width), np.arange(view.height))))
+
+    outline = _outline(inside, depth, view)
+    surface = inside & (depth > 0.0)
+    surface_rays = rays[surface]
+    surface_range = depth[surface] / surface_rays[:, 2]
+    direction = _unit(rays[inside].mean(axis=0))
+    pixel_rad = direction[2] / np.sqrt(camera.fx * camera.fy)
+    for turn in range(3):
+        before_m = distance
+        direction, on_outline = _fit_direction(
+            outline, direction, distance, radius_m, pixel_rad, search=turn == 0
+        )
+        surface_points = _central_surface(surface_rays, surface_range, direction, radius_m)
+        if surface_points is None:
+            return None
+        distance = surface_points.distance_m
+        if turn > 0 and abs(distance - before_m) < 2e-4:
+            break
+    residual_m = surface_points.residual_m()
+    if on_outline < _MIN_ON_OUTLINE or residual_m > _MAX_RESIDUAL_RADII * radius_m:
+        return None
+
+    expected_px = _outline_area_px(direction, distance, radius_m, camera)
+    cone_cos = np.sqrt(1.0 - (radius_m / distance) ** 2)
+    cone_sin = radius_m / distance
+    cos = rays @ direction
+    excess = np.count_nonzero(inside & (cos < cone_cos - 1.5 * pixel_rad * cone_sin)) / expected_px
+    if excess > _MAX_EXCESS:
+        return None
+    coloured = inside | (mask[v0:v1, u0:u1] > 0)
+    surface_z = (distance - radius_m) * direction[2]
+    foreign = (depth > 0.0) & ((depth < surface_z - radius_m) | (depth > surface_z + 3 * radius_m))
+    visible = coloured & (cos >= cone_cos - 0.5 * pixel_rad * cone_sin) & ~foreign
+    fraction = min(1.0, np.count_nonzero(visible) / expected_px)
+    if fraction < MIN_VISIBLE_FRACTION:
+        return None
+    quality = fraction * on_outline * (1.0 - excess)
+    quality *= float(np.exp(-((residual_m / (0.1 * radius_m)) ** 2)))
+    if quality < _MIN_QUALITY:
+        return None
+    position = distance * direction
+    pixel = camera.project(position)
+    return BallDetection(
+        position_m=position,
+        quality=float(quality),
+        visible_fraction=float(fraction),
+        residual_m=residual_m,
+        pixel=(float(pixel[0]), float(pixel[1])),
+        radius_px=float(np.sqrt(expected_px / np.pi)),
+    )
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.sqrt(np.sum(np.square(vectors), axis=-1, keepdims=True))
+
+
+def _lengths(points: np.ndarray) -> np.ndarray:
+    """Lengths of plane vectors, shape (..., 2)."""
+    return np.sqrt(np.square(points[..., 0]) + np.square(points[..., 1]))
+
+
+def _outline_area_px(
+    direction: np.ndarray, distance_m: float, radius_m: float, camera: Intrinsics
+) -> float:
+    """Area of the image of a whole sphere, pixels: an ellipse, the cut of a cone by a plane."""
+    sin2 = min((radius_m / distance_m) ** 2, 0.9)
+    cos2_axis = max(direction[2] ** 2, sin2 + 0.05)
+    ellipse = np.pi * sin2 * np.sqrt(1.0 - sin2) / (cos2_axis - sin2) ** 1.5
+    return float(camera.fx * camera.fy * ellipse)
+
+
+def _outline(inside: np.ndarray, depth: np.ndarray, view: Intrinsics) -> _Outline:
+    """Outline halfway between neighbouring pixels within and without; none at the border."""
+    v_h, u_h = np.nonzero(inside[:, 1:] != inside[:, :-1])
+    v_v, u_v = np.nonzero(inside[1:, :] != inside[:-1, :])
+    outside = np.concatenate(
+        [
+            np.where(inside[v_h, u_h], depth[v_h, u_h + 1], depth[v_h, u_h]),
+            np.where(inside[v_v, u_v], depth[v_v + 1, u_v], depth[v_v, u_v]),
+        ]
+    )
+    u = np.concatenate([u_h + 0.5, u_v])
+    v = np.concatenate([v_h, v_v + 0.5])
+    return _Outline(_unit(view.rays(u, v)), outside)
+
+
+def _fit_direction(
+    outline: _Outline,
+    direction: np.ndarray,
+    distance_m: float,
+    radius_m: float,
+    pixel_rad: float,
+    search: bool,
+) -> tuple[np.ndarray, float]:
+    """Axis of the cone of known opening through the outline.
+
+    Returns
+    -------
+    direction : ndarray, shape (3,)
+        Unit vector towards the centre.
+    on_outline : float
+        Part of the outline that lies on the cone, without what a nearer thing cuts off.
+    """
+    nearer_m = distance_m * direction[2] - 0.5 * radius_m
+    cut_off = (outline.outside_m > 0.0) & (outline.outside_m < nearer_m)
+    rays = outline.rays[~cut_off]
+    if len(rays) < 6:
+        return direction, 0.0
+    # In the plane at unit distance across `direction` the outline is a circle, all but exactly.
+    x, y, z = direction
+    axes = np.array([[z, 0.0, -x], [-x * y, x * x + z * z, -y * z]])
+    axes /= np.sqrt(x * x + z * z)
+    points = (rays @ axes.T) / (rays @ direction)[:, None]
+    radius = radius_m / np.sqrt(distance_m**2 - radius_m**2)
+    tolerance = max(1.2 * pixel_rad, 0.05 * radius)
+
+    centre = _refine_circle(points, radius, np.zeros(2), 2.5 * tolerance)
+    off = np.abs(_lengths(points - centre) - radius)
+    if search and np.mean(off < tolerance) < 0.85:
+        start = _search_circle(points, radius, tolerance)
+        if start is not None:
+            centre = _refine_circle(points, radius, start, 1.5 * tolerance)
+            off = np.abs(_lengths(points - centre) - radius)
+    return _unit(direction + centre @ axes), float(np.mean(off < tolerance))
+
+
+def _refine_circle(
+    points: np.ndarray, radius: float, start: np.ndarray, cut: float
+) -> np.ndarray:
+    """Centre of a circle of known radius through points, (N, 2); those off by ``cut`` are out."""
+    centre = start
+    for _ in range(8):
+        offset = points - centre
+        length = np.maximum(_lengths(offset), 1e-12)
+        error = length - radius
+        weight = np.square(np.maximum(0.0, 1.0 - np.square(error / cut)))
+        normal = offset / length[:, None]
+        information = (normal * weight[:, None]).T @ normal
+        # A little damping: an arc alone says little along its own direction.
+        information += 1e-3 * len(points) * np.eye(2)
+        step = np.linalg.solve(information, normal.T @ (weight * error))
+        centre = centre + step
+        if np.abs(step).max() < 5e-3 * cut:
+            break
+    return centre
+
+
+def _search_circle(points: np.ndarray, radius: float, tolerance: float) -> np.ndarray | None:
+    """Centre with the most points on the circle and few outside, over pairs of points."""
+    chosen = points[np.linspace(0, len(points) - 1, min(len(points), 32)).astype(int)]
+    first, second = np.triu_indices(len(chosen), 1)
+    chord = chosen[second] - chosen[first]
+    half = 0.5 * _lengths(chord)
+    usable = (half > 0.25 * radius) & (half < radius)
+    if not usable.any():
+        return None
+    chord, half = chord[usable], half[usable]
+    middle = 0.5 * (chosen[first] + chosen[second])[usable]
+    height = np.sqrt(radius**2 - half**2)
+    across = np.stack([-chord[:, 1], chord[:, 0]], axis=1) * (height / (2.0 * half))[:, None]
+    centres = np.concatenate([middle + across, middle - across])
+    off = _lengths(points[None] - centres[:, None]) - radius
+    score = np.sum(np.abs(off) < tolerance, axis=1) - 2.0 * np.sum(off > 2.0 * tolerance, axis=1)
+    return centres[int(np.argmax(score))]
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """Points on the middle of the ball's surface.
+
+    Parameters
+    ----------
+    across : ndarray, shape (N, 2)
+        x and y of the unit rays.
+    sideways2_m2 : ndarray, shape (N,)
+        Squared distance from the axis, m^2.
+    values_m : ndarray, shape (N,)
+        The centre's distance by each point, m.
+    distance_m : float
+        Their mean.
+    """
+
+    across: np.ndarray
+    sideways2_m2: np.ndarray
+    values_m: np.ndarray
+    distance_m: float
+
+    def residual_m(self) -> float:
+        """Rms of what a tilt or a wrong bulge explains, less what noise alone would, m."""
+        count = len(self.values_m)
+        shape = np.column_stack([self.across, self.sideways2_m2])
+        shape -= shape.mean(axis=0)
+        shape /= np.abs(shape).max(axis=0) + 1e-12
+        off = self.values_m - self.distance_m
+        normal = shape.T @ shape + 1e-9 * count * np.eye(3)
+        model = shape @ np.linalg.solve(normal, shape.T @ off)
+        noise2 = float(np.mean(np.square(off - model)))
+        # Neighbouring pixels share part of their noise, hence twice the three parameters' share.
+        systematic2 = float(np.mean(np.square(model))) - 6.0 * noise2 / count
+        return float(np.sqrt(max(0.0, systematic2)))
+
+
+def _central_surface(
+    rays: np.ndarray, range_m: np.ndarray, direction: np.ndarray, radius_m: float
+) -> _Surface | None:
+    """The ball's surface near its middle, and the distance of its centre.
+
+    A pixel at range R along a ray at an angle b to the centre sees the sphere if the centre is at
+    R cos b + sqrt(r^2 - R^2 sin^2 b). The median throws out what is not the ball.
+    """
+    cos = rays @ direction
+    sideways2 = np.square(range_m) * np.maximum(0.0, 1.0 - np.square(cos))
+    central = np.flatnonzero(sideways2 < (0.85 * radius_m) ** 2)
+    if len(central) < _MIN_DEPTH_PIXELS:
+        return None
+    values = range_m[central] * cos[central] + np.sqrt(radius_m**2 - sideways2[central])
+    off = np.abs(values - np.median(values))
+    near = off < 3.0 * max(1.4826 * float(np.median(off)), 0.001)
+    central, values = central[near], values[near]
+    if len(central) < _MIN_DEPTH_PIXELS:
+        return None
+    return _Surface(rays[central, :2], sideways2[central], values, float(values.mean()))

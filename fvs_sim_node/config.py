@@ -1,0 +1,90 @@
+"""Parameters of ``fvs_sim_node``, declared once."""
+
+from __future__ import annotations
+
+from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.core.params import Parameter
+
+#: Home of the arm: the middle of the box that the shipped networks were trained in, rad.
+HOME_JOINTS_RAD = [0.0, -1.35, 1.6, -1.75, -1.57, 0.0]
+
+ALPHABETICAL, KINEMATIC, SHUFFLED = "alphabetical", "kinematic", "shuffled"
+
+PARAMETERS = (
+    Parameter("seed", 0, "seed of all noise: same seed, same run", minimum=0),
+    Parameter("gui", False, "open PyBullet's window (needs a display)"),
+    Parameter(
+        "simulated_time",
+        False,
+        "publish /clock and run as fast as it goes, but not ahead of whoever commands the arm; "
+        "the other nodes then need use_sim_time",
+    ),
+    Parameter("urdf_path", "", "another robot's URDF with the six UR joints; empty: own UR5"),
+    Parameter("ball_link", "", "link of that URDF that carries the ball; empty: tool0, or the last link"),
+    Parameter("joint_prefix", "", "put before each joint name, as a UR driver's tf_prefix"),
+    Parameter(
+        "initial_joints_rad", HOME_JOINTS_RAD, "joints at start and after ~/reset", size=N_JOINTS,
+        minimum=-6.3, maximum=6.3,
+    ),
+    Parameter("ball_radius_m", 0.04, "radius of the ball", minimum=0.01, maximum=0.2),
+    Parameter(
+        "ball_offset_m", 0.09, "ball centre beyond the flange", minimum=0.0, maximum=0.5
+    ),
+    Parameter("physics_rate_hz", 500, "physics steps a second", minimum=100, maximum=2000),
+    Parameter(
+        "joint_state_rate_hz", 125, "joint states a second (500 on an e-series)", minimum=10,
+        maximum=1000,
+    ),
+    Parameter("feature_frame", "camera_color_optical_frame", "frame of ball and images"),
+    Parameter("camera", "front", "where the camera stands", choices=("front", "overhead")),
+    Parameter("image_rate_hz", 30.0, "images a second", minimum=1.0, maximum=120.0),
+    Parameter("image_width", 640, "image width, pixels", minimum=64, maximum=1920),
+    Parameter("image_height", 480, "image height, pixels", minimum=48, maximum=1080),
+    Parameter("focal_length_px", 615.0, "focal length, pixels", minimum=50.0, maximum=3000.0),
+    Parameter(
+        "depth_encoding", "16UC1", "depth images in millimetres or in metres",
+        choices=("16UC1", "32FC1"),
+    ),
+    Parameter("dead_time_s", 0.008, "delay from command to motion", minimum=0.0, maximum=0.5),
+    Parameter(
+        "acceleration_limit_rad_s2", 15.0, "acceleration limit of the drives", minimum=0.1,
+        maximum=100.0,
+    ),
+    Parameter("drive_lag_s", 0.012, "time constant of the drives", minimum=0.0, maximum=0.5),
+    # Disturbances, live.
+    Parameter(
+        "latency_s", 0.04, "time from exposure to the ball position's publication", minimum=0.0,
+        maximum=1.0, live=True,
+    ),
+    Parameter(
+        "depth_noise", 1.0, "scale of the depth camera's noise; 0: none, 1: like a D435",
+        minimum=0.0, maximum=10.0, live=True,
+    ),
+    Parameter(
+        "dropout", 0.0, "share of images that are lost", minimum=0.0, maximum=1.0, live=True
+    ),
+    Parameter(
+        "joint_lag_s", 0.0, "further lag of the joints behind the command", minimum=0.0,
+        maximum=0.5, live=True,
+    ),
+    Parameter(
+        "camera_rotation_deg", [0.0, 0.0, 0.0],
+        "the camera bumped: turned about its own x, y, z axes from where it stood, degrees",
+        size=3, minimum=-180.0, maximum=180.0, live=True,
+    ),
+    Parameter(
+        "joint_state_order", ALPHABETICAL, "order of the joints in joint_states",
+        choices=(ALPHABETICAL, KINEMATIC, SHUFFLED), live=True,
+    ),
+    Parameter(
+        "play_driver_topics", True, "publish robot_program_running and speed_scaling as a UR does"
+    ),
+    Parameter(
+        "program_running", True, "false: the robot's program is paused, the arm stands",
+        live=True,
+    ),
+    Parameter(
+        "speed_scaling_percent", 100.0, "the driver's speed slider", minimum=0.0, maximum=100.0,
+        live=True,
+    ),
+)

@@ -1,0 +1,250 @@
+"""``fvs_sim_node``: the simulated UR5 and its depth camera behind the topics of the real ones."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PointStamped
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Image, JointState
+from std_msgs.msg import Bool, Float64, Float64MultiArray
+from std_srvs.srv import Trigger
+
+from fvs_ros.core import ros
+from fvs_ros.core.joints import UR_JOINT_NAMES
+from fvs_sim_node.config import ALPHABETICAL, KINEMATIC, PARAMETERS
+from fvs_sim_node.simulation import BallObservation, SimConfig, Simulation, SimStep
+
+_STATUS_PERIOD_S = 0.1
+_SUBSCRIBERS_PERIOD_S = 0.1
+_SPEED_SCALING_PERIOD_S = 0.1
+#: In simulated time the first stamp is this, since zero means "no time" to ROS.
+_FIRST_SIMULATED_S = 1.0
+#: Further behind the clock than this, simulated motion is skipped rather than made up for.
+_MAX_BEHIND_S = 0.2
+
+
+class SimNode(ros.FvsNode):
+    """Publishes joint states and ball positions, obeys joint velocity commands."""
+
+    def __init__(self) -> None:
+        super().__init__("fvs_sim_node", PARAMETERS)
+        v = self.values
+        self._frame = v["feature_frame"]
+        self._sim = Simulation(_sim_config(v))
+        self._camera_home = self._sim.camera
+        self._shuffle = np.random.default_rng(v["seed"])
+        self._names = [v["joint_prefix"] + name for name in UR_JOINT_NAMES]
+        self._refusal = ""
+        self._steps = 0
+        self._late = 0
+        self._last_step: SimStep | None = None
+
+        self._joint_states = self.create_publisher(JointState, ros.JOINT_STATES, ros.QOS_RELIABLE)
+        self._ball = self.create_publisher(PointStamped, ros.BALL_POSITION, ros.QOS_RELIABLE)
+        self._true_ball = self.create_publisher(
+            PointStamped, "~/true_ball_position", ros.QOS_RELIABLE
+        )
+        self._color = self.create_publisher(Image, ros.COLOR_IMAGE, ros.QOS_RELIABLE)
+        self._depth = self.create_publisher(Image, ros.DEPTH_IMAGE, ros.QOS_RELIABLE)
+        self._info = self.create_publisher(CameraInfo, ros.CAMERA_INFO, ros.QOS_RELIABLE)
+        self._play_driver(v)
+        self.watch(Float64MultiArray, ros.COMMANDS, self._on_command, ros.QOS_RELIABLE)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.on_parameters(v, {p.name for p in self.parameter_set if p.live})
+
+        self._period_s = 1.0 / v["joint_state_rate_hz"]
+        self._asked_s: float | None = None
+        if v["simulated_time"]:
+            self._base_s = _FIRST_SIMULATED_S
+            self._clock_topic = self.create_publisher(Clock, "/clock", ros.QOS_RELIABLE)
+            self._commanders = 0
+            self.create_timer(0.0, self._step_as_fast_as_it_goes, clock=self.steady_clock)
+        else:
+            self._base_s = self.ros_s()
+            self._ahead_s = self._base_s - self.steady_s()
+            self.create_timer(self._period_s, self._step_in_real_time, clock=self.steady_clock)
+        self.create_timer(_SUBSCRIBERS_PERIOD_S, self._look_around, clock=self.steady_clock)
+        self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
+
+    def _play_driver(self, v: Mapping[str, Any]) -> None:
+        self._program_running = self._speed_scaling = None
+        if v["play_driver_topics"]:
+            self._program_running = self.create_publisher(
+                Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED
+            )
+            self._speed_scaling = self.create_publisher(
+                Float64, ros.SPEED_SCALING, ros.QOS_RELIABLE
+            )
+            self.create_timer(
+                _SPEED_SCALING_PERIOD_S, self._publish_speed_scaling, clock=self.steady_clock
+            )
+
+    # --- time ---
+
+    def _step_in_real_time(self) -> None:
+        behind_s = self.steady_s() + self._ahead_s - self._base_s - self._sim.time_s
+        if behind_s > _MAX_BEHIND_S:
+            self._late += 1
+            self._base_s += behind_s
+            behind_s = 0.0
+        while behind_s >= 0.0:
+            self._step()
+            behind_s -= self._period_s
+
+    def _step_as_fast_as_it_goes(self) -> None:
+        # Whoever commands the arm gets to answer each joint state; one that is silent does not
+        # hold the simulation below real time.
+        if self._commanders and self._asked_s is not None:
+            if self.steady_s() - self._asked_s < self._period_s:
+                return
+            self._late += 1
+        self._step()
+
+    def _step(self) -> None:
+        step = self._sim.advance()
+        self._last_step = step
+        self._steps += 1
+        stamp_s = self._base_s + step.time_s
+        if self.values["simulated_time"]:
+            self._clock_topic.publish(Clock(clock=ros.to_stamp(stamp_s)))
+        for observation in step.observations:
+            self._publish_observation(observation)
+        if self._true_ball.get_subscription_count():
+            true_m = self._sim.true_ball_position()
+            self._true_ball.publish(ros.to_point(stamp_s, self._frame, true_m))
+        self._publish_joints(stamp_s, step)
+        self._asked_s = self.steady_s()
+
+    # --- outputs ---
+
+    def _publish_joints(self, stamp_s: float, step: SimStep) -> None:
+        order = np.arange(len(self._names))
+        if self.values["joint_state_order"] == ALPHABETICAL:
+            order = np.argsort(self._names)
+        elif self.values["joint_state_order"] != KINEMATIC:
+            order = self._shuffle.permutation(len(self._names))
+        self._joint_states.publish(
+            ros.to_joint_state(
+                stamp_s,
+                [self._names[i] for i in order],
+                step.joints_rad[order],
+                step.joint_velocities_rad_s[order],
+            )
+        )
+
+    def _publish_observation(self, observation: BallObservation) -> None:
+        stamp_s = self._base_s + observation.stamp_s
+        if observation.detection is not None:
+            position_m = observation.detection.position_m
+            self._ball.publish(ros.to_point(stamp_s, self._frame, position_m))
+        if observation.frame is None:
+            return
+        depth_m = observation.frame.depth_m
+        if self.values["depth_encoding"] == "16UC1":
+            depth = np.round(np.nan_to_num(depth_m) * 1e3).clip(0, 65535).astype(np.uint16)
+        else:
+            depth = depth_m.astype(np.float32)
+        encoding = self.values["depth_encoding"]
+        self._color.publish(ros.to_image(stamp_s, self._frame, observation.frame.rgb, "rgb8"))
+        self._depth.publish(ros.to_image(stamp_s, self._frame, depth, encoding))
+        self._info.publish(ros.to_camera_info(stamp_s, self._frame, self._sim.intrinsics))
+
+    def _look_around(self) -> None:
+        """Render full frames, and wait for commands, only while somebody is there."""
+        self._sim.full_frames = any(
+            publisher.get_subscription_count() for publisher in (self._color, self._depth)
+        )
+        self._commanders = self.count_publishers(ros.COMMANDS)
+
+    def _publish_speed_scaling(self) -> None:
+        self._speed_scaling.publish(Float64(data=float(self.values["speed_scaling_percent"])))
+
+    # --- inputs ---
+
+    def _on_command(self, message: Float64MultiArray) -> None:
+        self._refusal = self._sim.command(np.array(message.data, dtype=float)) or ""
+        if self._refusal:
+            self.get_logger().error(self._refusal, throttle_duration_sec=5.0)
+        self._asked_s = None
+        if self.values["simulated_time"]:
+            self._step()
+
+    def _on_reset(self, _request: Trigger.Request, response: Trigger.Response):
+        # The simulation begins at zero again; the stamps go on.
+        elapsed_s = self._sim.time_s
+        self._base_s += elapsed_s
+        self._sim.reset()
+        response.success, response.message = True, "the arm is back at initial_joints_rad"
+        return response
+
+    def on_parameters(self, values: dict[str, Any], changed: set[str]) -> None:
+        """Take disturbances into use at once."""
+        sim = self._sim
+        sim.latency_s = values["latency_s"]
+        sim.depth_noise = values["depth_noise"]
+        sim.dropout = values["dropout"]
+        sim.joint_lag_s = values["joint_lag_s"]
+        if "camera_rotation_deg" in changed:
+            sim.camera = self._camera_home
+            sim.rotate_camera(np.radians(values["camera_rotation_deg"]))
+        running = values["program_running"]
+        sim.speed_scaling = values["speed_scaling_percent"] / 100.0 if running else 0.0
+        if "program_running" in changed:
+            if running:
+                sim.activate()
+            else:
+                # A paused program stops the velocity controller: its last command is gone.
+                sim.command(np.zeros(len(self._names)))
+            if self._program_running is not None:
+                self._program_running.publish(Bool(data=bool(running)))
+
+    # --- status ---
+
+    def _publish_status(self) -> None:
+        level, state, reason = ros.OK, "RUNNING", "simulating"
+        if self._refusal:
+            level, state, reason = ros.ERROR, "REFUSED", self._refusal
+        elif not self.values["program_running"]:
+            level, state, reason = ros.WARN, "PAUSED", "program_running is false: the arm stands"
+        self.publish_status(
+            level,
+            state,
+            reason,
+            {
+                "simulated_s": self._sim.time_s,
+                "late_steps": self._late,
+                "full_frames": self._sim.full_frames,
+            },
+        )
+
+    def finish(self) -> None:
+        """Close PyBullet."""
+        self._sim.close()
+
+
+def _sim_config(v: Mapping[str, Any]) -> SimConfig:
+    same = (
+        "seed", "gui", "urdf_path", "ball_link", "ball_radius_m", "ball_offset_m",
+        "physics_rate_hz", "joint_state_rate_hz", "image_rate_hz", "latency_s",
+        "depth_noise", "dropout", "joint_lag_s", "dead_time_s", "acceleration_limit_rad_s2",
+        "camera", "image_width", "image_height",
+    )
+    return SimConfig(
+        **{name: v[name] for name in same},
+        initial_joints_rad=tuple(v["initial_joints_rad"]),
+        focal_px=v["focal_length_px"],
+        lag_s=v["drive_lag_s"],
+    )
+
+
+def main() -> int:
+    """Run ``fvs_sim_node``."""
+    return ros.run(SimNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,208 @@
+"""The depth camera: PyBullet's software renderer, made to agree with the pinhole model.
+
+A sub-image is drawn with an off-axis frustum and equals the crop of the full image, so that a
+small window around the ball costs a small part of a full frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pybullet
+
+from fvs_ros.core.camera import Intrinsics, look_at
+
+#: Depth range that is drawn, m. What lies beyond has no depth, as with a real camera.
+NEAR_M, FAR_M = 0.25, 4.0
+
+#: The renderer draws half a pixel to the right and up of the pinhole model; this takes it back.
+_SHIFT_PX = (-0.5, 0.5)
+
+# Depth buffer from which on nothing was drawn.
+_NOTHING = 0.999999
+_LIGHT = (-0.6, -0.5, 1.0)
+# OpenGL cameras look along -z with y up.
+_OPTICAL_TO_GL = np.diag([1.0, -1.0, -1.0])
+_WALL_TOP_RGB, _WALL_BOTTOM_RGB = (214, 224, 234), (244, 246, 247)
+
+
+@dataclass(frozen=True)
+class CameraPose:
+    """Where the camera is: ``p_world = rotation @ p_camera + position_m``.
+
+    Parameters
+    ----------
+    position_m : ndarray, shape (3,)
+        Camera centre, world frame, m.
+    rotation : ndarray, shape (3, 3)
+        Axes of the optical frame (x right, y down, z forward) as columns, world frame.
+    """
+
+    position_m: np.ndarray
+    rotation: np.ndarray
+
+    def to_camera(self, point_world_m: np.ndarray) -> np.ndarray:
+        """Points, shape (..., 3), m, from the world frame into the camera's."""
+        return (np.asarray(point_world_m) - self.position_m) @ self.rotation
+
+    def rotated(self, rotation: np.ndarray) -> CameraPose:
+        """The camera turned about its own centre by a rotation given in its own frame."""
+        return CameraPose(self.position_m, self.rotation @ rotation)
+
+
+def pose_from_look_at(
+    eye_m: tuple[float, ...], target_m: tuple[float, ...], up: tuple[float, ...] = (0.0, 0.0, 1.0)
+) -> CameraPose:
+    """A camera at ``eye_m`` that looks at ``target_m``, with ``up`` upwards in the image."""
+    return CameraPose(
+        np.array(eye_m, dtype=float), look_at(np.array(eye_m), np.array(target_m), np.array(up))
+    )
+
+
+#: Named camera poses. ``front`` stands in front of the arm and to its side, from where the wrist
+#: hardly ever hides the ball. ``overhead`` hangs above the arm and looks down, as in the paper; the
+#: wrist hides the ball more often.
+CAMERA_PRESETS = {
+    "front": pose_from_look_at((-1.3, 1.0, 0.85), (-0.47, -0.1, 0.33)),
+    "overhead": pose_from_look_at((-1.2, 0.4, 1.8), (-0.47, -0.1, 0.33)),
+}
+
+
+def camera_preset(name: str) -> CameraPose:
+    """The named camera pose.
+
+    Raises
+    ------
+    ValueError
+        If the name is unknown.
+    """
+    try:
+        return CAMERA_PRESETS[name]
+    except KeyError:
+        raise ValueError(
+            f"unknown camera {name!r}; known are {', '.join(sorted(CAMERA_PRESETS))}"
+        ) from None
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of the image: first pixel (u0, v0) and size, pixels."""
+
+    u0: int
+    v0: int
+    width: int
+    height: int
+
+
+class Renderer:
+    """Draws one world as seen by one pinhole camera.
+
+    Parameters
+    ----------
+    client : int
+        PyBullet client of the world.
+    intrinsics : Intrinsics
+        The full image.
+    """
+
+    def __init__(self, client: int, intrinsics: Intrinsics) -> None:
+        self._client = client
+        self.intrinsics = intrinsics
+        rows = np.linspace(0.0, 1.0, intrinsics.height)[:, None]
+        colours = (1.0 - rows) * np.array(_WALL_TOP_RGB) + rows * np.array(_WALL_BOTTOM_RGB)
+        self._wall = np.round(colours).astype(np.uint8)[:, None, :]
+
+    @property
+    def full(self) -> Region:
+        """The whole image."""
+        return Region(0, 0, self.intrinsics.width, self.intrinsics.height)
+
+    def render(
+        self, pose: CameraPose, region: Region | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Draw the image, or a part of it.
+
+        Parameters
+        ----------
+        pose : CameraPose
+            Where the camera is.
+        region : Region, optional
+            The part to draw; default the whole image.
+
+        Returns
+        -------
+        rgb : ndarray of uint8, shape (H, W, 3)
+            Colours.
+        depth_m : ndarray of float32, shape (H, W)
+            Depth along the optical axis, m; 0 where there is none.
+        """
+        part = region or self.full
+        window = self.intrinsics.window(part.u0, part.v0, part.width, part.height)
+        colours, raw = self._draw(pose, window)
+        nothing = raw >= _NOTHING
+        scale = np.float32(1.0 / NEAR_M - 1.0 / FAR_M)
+        depth = np.float32(1.0) / (np.float32(1.0 / NEAR_M) - scale * raw)
+        depth[nothing] = 0.0
+        rgb = colours[..., :3].copy()
+        wall = self._wall[part.v0 : part.v0 + part.height]
+        np.copyto(rgb, wall, where=nothing[..., None])
+        return rgb, depth
+
+    def render_coarse(self, pose: CameraPose, factor: int) -> np.ndarray:
+        """The whole image's colours, every ``factor``-th pixel; uint8, shape (H, W, 3)."""
+        full = self.intrinsics
+        coarse = Intrinsics(
+            -(-full.width // factor),
+            -(-full.height // factor),
+            full.fx / factor,
+            full.fy / factor,
+            full.cx / factor,
+            full.cy / factor,
+        )
+        return self._draw(pose, coarse)[0][..., :3]
+
+    def _draw(self, pose: CameraPose, camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
+        """Colours (H, W, 4) and the depth buffer (H, W), 1 where nothing is."""
+        _, _, rgba, buffer, _ = pybullet.getCameraImage(
+            camera.width,
+            camera.height,
+            viewMatrix=_view_matrix(pose),
+            projectionMatrix=_projection_matrix(camera),
+            lightDirection=_LIGHT,
+            lightColor=(1.0, 1.0, 1.0),
+            lightDistance=3.0,
+            shadow=0,
+            lightAmbientCoeff=0.62,
+            lightDiffuseCoeff=0.42,
+            lightSpecularCoeff=0.08,
+            renderer=pybullet.ER_TINY_RENDERER,
+            flags=pybullet.ER_NO_SEGMENTATION_MASK,
+            physicsClientId=self._client,
+        )
+        shape = (camera.height, camera.width)
+        return (
+            np.reshape(np.asarray(rgba, dtype=np.uint8), (*shape, 4)),
+            np.reshape(np.asarray(buffer, dtype=np.float32), shape),
+        )
+
+
+def _view_matrix(pose: CameraPose) -> list[float]:
+    rotation = _OPTICAL_TO_GL @ pose.rotation.T
+    view = np.eye(4)
+    view[:3, :3] = rotation
+    view[:3, 3] = -rotation @ pose.position_m
+    return view.T.ravel().tolist()
+
+
+def _projection_matrix(camera: Intrinsics) -> list[float]:
+    du, dv = _SHIFT_PX
+    projection = np.zeros((4, 4))
+    projection[0, 0] = 2.0 * camera.fx / camera.width
+    projection[0, 2] = 1.0 - 2.0 * (camera.cx + 0.5 + du) / camera.width
+    projection[1, 1] = 2.0 * camera.fy / camera.height
+    projection[1, 2] = 2.0 * (camera.cy + 0.5 + dv) / camera.height - 1.0
+    projection[2, 2] = -(FAR_M + NEAR_M) / (FAR_M - NEAR_M)
+    projection[2, 3] = -2.0 * FAR_M * NEAR_M / (FAR_M - NEAR_M)
+    projection[3, 2] = -1.0
+    return projection.T.ravel().tolist()

@@ -1,0 +1,152 @@
+"""The simulator node as others see it: over DDS, in the contract of a real UR5."""
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PointStamped
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Image, JointState
+from std_msgs.msg import Bool, Float64MultiArray
+from std_srvs.srv import Trigger
+
+from fvs_ros.core import ros
+from fvs_ros.core.joints import UR_JOINT_NAMES, UR_PUBLISHED_NAMES, JointMap
+
+MODULE = "fvs_sim_node.node"
+
+
+def positions(message):
+    return JointMap().positions(message.name, message.position)
+
+
+def set_parameter(harness, name, value):
+    kinds = {
+        bool: (ParameterType.PARAMETER_BOOL, "bool_value"),
+        float: (ParameterType.PARAMETER_DOUBLE, "double_value"),
+        str: (ParameterType.PARAMETER_STRING, "string_value"),
+        list: (ParameterType.PARAMETER_DOUBLE_ARRAY, "double_array_value"),
+    }
+    kind, field = kinds[type(value)]
+    parameter = Parameter(name=name, value=ParameterValue(type=kind, **{field: value}))
+    request = SetParameters.Request(parameters=[parameter])
+    return harness.call(SetParameters, "fvs_sim_node/set_parameters", request).results[0]
+
+
+def test_it_publishes_what_a_ur_and_a_detector_publish(ros_test):
+    ros_test.start_node(MODULE)
+    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    balls = ros_test.collect(PointStamped, ros.BALL_POSITION)
+    truths = ros_test.collect(PointStamped, "fvs_sim_node/true_ball_position")
+    running = ros_test.collect(Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED)
+    ros_test.spin_until(lambda: len(states) > 60 and len(balls) > 10 and truths and running)
+    assert tuple(states[-1].name) == UR_PUBLISHED_NAMES
+    assert running[0].data
+    assert balls[-1].header.frame_id == "camera_color_optical_frame"
+    stamps = [ros.from_stamp(m.header.stamp) for m in balls]
+    assert np.median(np.diff(stamps)) == pytest.approx(1 / 30, abs=0.003)
+    # A ball position is published latency_s after the exposure that it is stamped with.
+    age = ros.from_stamp(states[-1].header.stamp) - stamps[-1]
+    assert 0.03 < age < 0.2
+    ball, truth = (np.array([m.point.x, m.point.y, m.point.z]) for m in (balls[-1], truths[-1]))
+    assert 0.0 < np.linalg.norm(ball - truth) < 0.01
+
+
+def test_it_obeys_a_command_in_kinematic_order_and_holds_it(ros_test):
+    ros_test.start_node(MODULE, simulated_time=True)
+    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    commands = ros_test.publisher(Float64MultiArray, ros.COMMANDS)
+    ros_test.spin_until(lambda: len(states) > 0)
+    start = positions(states[-1])
+    commands.publish(Float64MultiArray(data=[0.0, 0.0, 0.2, 0.0, 0.0, 0.0]))
+    ros_test.spin_until(lambda: abs(positions(states[-1]) - start).max() > 0.1)
+    moved = positions(states[-1]) - start
+    assert UR_JOINT_NAMES[int(np.argmax(np.abs(moved)))] == "elbow_joint"
+    assert np.abs(np.delete(moved, 2)).max() < 1e-3
+    # Not finite: dropped, the old velocity goes on.
+    commands.publish(Float64MultiArray(data=[float("nan")] * 6))
+    here = positions(states[-1])
+    ros_test.spin_until(lambda: positions(states[-1])[2] - here[2] > 0.1)
+    # Another size: the controller is deactivated, the arm stands until a reset.
+    commands.publish(Float64MultiArray(data=[0.1] * 5))
+    ros_test.spin_until(lambda: abs(states[-1].velocity[0]) < 1e-3, what="the arm to stand")
+    response = ros_test.call(Trigger, "fvs_sim_node/reset")
+    assert response.success
+    ros_test.spin_until(lambda: np.abs(positions(states[-1]) - start).max() < 1e-3)
+
+
+def test_images_are_rendered_for_subscribers_and_agree_with_camera_info(ros_test):
+    ros_test.start_node(MODULE)
+    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    ros_test.spin_until(lambda: len(states) > 0)
+    colours = ros_test.collect(Image, ros.COLOR_IMAGE, ros.QOS_RELIABLE)
+    depths = ros_test.collect(Image, ros.DEPTH_IMAGE, ros.QOS_RELIABLE)
+    infos = ros_test.collect(CameraInfo, ros.CAMERA_INFO, ros.QOS_RELIABLE)
+    balls = ros_test.collect(PointStamped, ros.BALL_POSITION)
+    ros_test.spin_until(lambda: len(colours) > 2 and len(depths) > 2 and infos and len(balls) > 2)
+    colour, depth, info = colours[-1], depths[-1], infos[-1]
+    assert (colour.encoding, depth.encoding) == ("rgb8", "16UC1")
+    assert (colour.width, colour.height) == (info.width, info.height) == (640, 480)
+    ball = balls[-1].point
+    u = int(round(info.k[0] * ball.x / ball.z + info.k[2]))
+    v = int(round(info.k[4] * ball.y / ball.z + info.k[5]))
+    red, green, blue = np.frombuffer(colour.data, np.uint8).reshape(480, 640, 3)[v, u].astype(int)
+    assert red > 100
+    assert red > 2 * max(green, blue)
+    surface_m = np.frombuffer(depth.data, np.uint16).reshape(480, 640)[v, u] * 1e-3
+    assert surface_m == pytest.approx(ball.z - 0.04, abs=0.02)
+
+
+def test_the_same_seed_sees_the_same_to_the_bit(ros_test):
+    def balls_after_reset(seed):
+        process = ros_test.start_node(MODULE, simulated_time=True, seed=seed)
+        balls = ros_test.collect(PointStamped, ros.BALL_POSITION, ros.QOS_RELIABLE)
+        clocks = ros_test.collect(Clock, "/clock")
+        ros_test.spin_until(lambda: balls and clocks)
+        assert ros_test.call(Trigger, "fvs_sim_node/reset").success
+        reset_s = ros.from_stamp(clocks[-1].clock)
+        ros_test.spin_until(lambda: ros.from_stamp(balls[-1].header.stamp) > reset_s + 2.0)
+        assert ros_test.stop(process) == 0
+        return {(m.point.x, m.point.y, m.point.z) for m in balls}
+
+    one, again, other = balls_after_reset(3), balls_after_reset(3), balls_after_reset(4)
+    assert len(one & again) > 20
+    assert not one & other
+
+
+def test_disturbances_are_live_and_refusals_are_in_words(ros_test):
+    ros_test.start_node(MODULE)
+    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    balls = ros_test.collect(PointStamped, ros.BALL_POSITION)
+    ros_test.spin_until(lambda: len(balls) > 0)
+    before = balls[-1].point
+    assert set_parameter(ros_test, "joint_state_order", "kinematic").successful
+    ros_test.spin_until(lambda: tuple(states[-1].name) == UR_JOINT_NAMES)
+    assert set_parameter(ros_test, "camera_rotation_deg", [0.0, 0.0, 20.0]).successful
+    ros_test.spin_until(lambda: abs(balls[-1].point.x - before.x) > 0.03, what="a bumped camera")
+    assert set_parameter(ros_test, "dropout", 1.0).successful
+    ros_test.spin_for(0.2)
+    count = len(balls)
+    ros_test.spin_for(0.3)
+    assert len(balls) == count
+    refusal = set_parameter(ros_test, "dropout", 1.5)
+    assert not refusal.successful
+    assert "dropout out of range Min: 0.0, Max: 1.0" in refusal.reason
+    refusal = set_parameter(ros_test, "feature_frame", "elsewhere")
+    assert not refusal.successful
+    assert "read-only" in refusal.reason
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ({"camera": "below"}, "camera must be one of front, overhead"),
+        ({"sead": 3}, "unknown parameter sead"),
+        ({"urdf_path": "/nowhere.urdf"}, "/nowhere.urdf"),
+    ],
+)
+def test_a_wrong_parameter_is_one_clear_sentence(ros_test, parameters, words):
+    process = ros_test.start_node(MODULE, **parameters)
+    assert ros_test.wait(process) == 2
+    assert words in ros_test.output(process)
+    assert "Traceback" not in ros_test.output(process)

@@ -1,0 +1,51 @@
+import numpy as np
+import pytest
+
+from fvs_ros.core.joints import (
+    UR_JOINT_NAMES,
+    UR_PUBLISHED_NAMES,
+    ForeignJointState,
+    JointMap,
+    JointStateError,
+)
+
+
+def test_a_ur_publishes_the_elbow_first():
+    assert UR_PUBLISHED_NAMES[0] == "elbow_joint"
+
+
+def test_joints_come_out_in_kinematic_order_from_any_order_with_extra_joints():
+    rng = np.random.default_rng(1)
+    wanted = dict(zip(UR_JOINT_NAMES, range(6), strict=True)) | {"gripper": 99}
+    joint_map = JointMap()
+    for _ in range(20):
+        names = list(rng.permutation(list(wanted)))
+        positions = joint_map.positions(names, [float(wanted[n]) for n in names])
+        np.testing.assert_array_equal(positions, np.arange(6.0))
+
+
+def test_a_value_that_is_not_finite_in_a_foreign_joint_does_no_harm():
+    names = [*UR_JOINT_NAMES, "gripper"]
+    positions = JointMap().positions(names, [0.0] * 6 + [float("nan")])
+    assert np.all(np.isfinite(positions))
+
+
+@pytest.mark.parametrize(
+    ("names", "values", "error", "text"),
+    [
+        (["finger"], [0.0], ForeignJointState, "none of the wanted"),
+        (UR_JOINT_NAMES[:5], [0.0] * 5, JointStateError, "lacks .*wrist_3_joint"),
+        (UR_JOINT_NAMES, [0.0] * 5, JointStateError, "5 positions for 6 names"),
+        (UR_JOINT_NAMES, [0.0] * 5 + [np.nan], JointStateError, "not finite for .*wrist_3"),
+        (UR_JOINT_NAMES, [np.inf] + [0.0] * 5, JointStateError, "not finite for .*shoulder_pan"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_in_words(names, values, error, text):
+    with pytest.raises(error, match=text):
+        JointMap().positions(names, values)
+
+
+@pytest.mark.parametrize("names", [UR_JOINT_NAMES[:5], ["a"] * 6, []])
+def test_six_different_names_are_needed(names):
+    with pytest.raises(ValueError, match="6 different names"):
+        JointMap(names)

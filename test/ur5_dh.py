@@ -1,0 +1,74 @@
+"""A UR5 with a ball on its end, in numpy, for tests: written without a look at the simulator."""
+
+from __future__ import annotations
+
+import numpy as np
+
+DH_D = np.array([0.089159, 0.0, 0.0, 0.10915, 0.09465, 0.0823])
+DH_A = np.array([0.0, -0.425, -0.39225, 0.0, 0.0, 0.0])
+DH_ALPHA = np.array([np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0])
+BALL_BEYOND_FLANGE_M = 0.09
+
+#: Pose about which box M lies, and its half widths, rad.
+HOME_RAD = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
+BOX_M_RAD = np.array([0.6, 0.5, 0.5, 0.5, 0.5, 0.5])
+
+# A camera above the table that looks down and a little forward (optical axes, rows in the base).
+_TILT = 0.3
+CAMERA_FROM_BASE = np.array(
+    [
+        [0.0, -1.0, 0.0],
+        [-np.cos(_TILT), 0.0, np.sin(_TILT)],
+        [-np.sin(_TILT), 0.0, -np.cos(_TILT)],
+    ]
+)
+CAMERA_ORIGIN_M = np.array([0.6, 0.0, 1.6])
+
+
+def ball_and_jacobian(
+    joints_rad: np.ndarray, camera_from_base: np.ndarray = CAMERA_FROM_BASE
+) -> tuple[np.ndarray, np.ndarray]:
+    """Ball in the camera frame, m, (..., 3), and its Jacobian, m/rad, (..., 3, 6)."""
+    q = np.asarray(joints_rad, dtype=float)
+    shape = q.shape[:-1]
+    rotation = np.broadcast_to(np.eye(3), (*shape, 3, 3))
+    origin = np.zeros((*shape, 3))
+    axes, origins = [], []
+    for i in range(6):
+        axes.append(rotation[..., :, 2])
+        origins.append(origin)
+        c, s = np.cos(q[..., i]), np.sin(q[..., i])
+        ca, sa = np.cos(DH_ALPHA[i]), np.sin(DH_ALPHA[i])
+        zero = np.zeros_like(c)
+        step = np.stack(
+            [
+                np.stack([c, -s * ca, s * sa], axis=-1),
+                np.stack([s, c * ca, -c * sa], axis=-1),
+                np.stack([zero, zero + sa, zero + ca], axis=-1),
+            ],
+            axis=-2,
+        )
+        offset = np.stack([DH_A[i] * c, DH_A[i] * s, zero + DH_D[i]], axis=-1)
+        origin = origin + np.einsum("...ij,...j->...i", rotation, offset)
+        rotation = rotation @ step
+    ball = origin + BALL_BEYOND_FLANGE_M * rotation[..., :, 2]
+    columns = [np.cross(z, ball - o) for z, o in zip(axes, origins, strict=True)]
+    jacobian = np.stack(columns, axis=-1)
+    return (
+        np.einsum("ij,...j->...i", camera_from_base, ball - CAMERA_ORIGIN_M),
+        np.einsum("ij,...jk->...ik", camera_from_base, jacobian),
+    )
+
+
+def uniform_in_box(
+    rng: np.random.Generator, count: int, half_widths_rad: np.ndarray = BOX_M_RAD
+) -> np.ndarray:
+    """Joints evenly in a box about the home pose, rad, (count, 6)."""
+    return HOME_RAD + rng.uniform(-1.0, 1.0, (count, 6)) * half_widths_rad
+
+
+def jacobian_error(jacobian_of, seed: int = 12345, count: int = 2000) -> float:
+    """Relative Frobenius error of a Jacobian function on joints of box M never trained on."""
+    joints = uniform_in_box(np.random.default_rng(seed), count)
+    true = ball_and_jacobian(joints)[1]
+    return float(np.linalg.norm(jacobian_of(joints) - true) / np.linalg.norm(true))
