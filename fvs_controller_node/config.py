@@ -249,14 +249,6 @@ _PREDICTION = (
         live=True,
     ),
     Parameter(
-        "drive_lag_s",
-        0.0,
-        "Time that the joints lag behind the command; predicted over, s. 0 is off.",
-        0.0,
-        0.5,
-        live=True,
-    ),
-    Parameter(
         "max_latency_s",
         0.5,
         "No prediction over more than this, s.",
@@ -360,6 +352,5 @@ def _predictor_settings(values: Mapping[str, Any]) -> dict[str, Any]:
         "outlier_m": values["outlier_m"],
         "outlier_repeats": values["outlier_repeats"],
         "max_latency_s": values["max_latency_s"],
-        "drive_lag_s": values["drive_lag_s"],
         "enabled": values["predictor"],
     }

@@ -28,7 +28,7 @@ ADAPTIVE, FIXED = "adaptive", "fixed"
 _NEWTON_ITERATIONS = 12
 _MAX_ITERATIONS = 80
 _TOLERANCE = 1e-14
-_TINY_M = 1e-18
+_TINY_M = 1e-12
 
 #: The literal law divides by the error where the exponent is below 1; it never gets smaller.
 _LITERAL_ERROR_FLOOR_M = 1e-9

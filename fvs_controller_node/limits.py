@@ -8,9 +8,8 @@ import numpy as np
 
 from fvs_ros.core.joints import N_JOINTS
 
-#: Share of the acceleration limit that the approach to a joint limit is planned with; the rest
-#: is for the robot's lag.
-_BRAKING_SHARE = 0.5
+#: Share of the acceleration limit that braking is planned with; the rest is for the robot's lag.
+_BRAKING_SHARE = 0.6
 
 
 def limit_speed(velocity: np.ndarray, max_speed: float) -> np.ndarray:
@@ -20,6 +19,11 @@ def limit_speed(velocity: np.ndarray, max_speed: float) -> np.ndarray:
         return velocity
     # The product of the two can pass the limit by the last bit.
     return np.clip(velocity * (max_speed / fastest), -max_speed, max_speed)
+
+
+def braking_speed(travel_rad: float, max_acceleration: float) -> float:
+    """Find the speed from which a joint can brake within ``travel_rad``, rad/s."""
+    return (2.0 * _BRAKING_SHARE * max_acceleration * travel_rad) ** 0.5
 
 
 def limit_acceleration(velocity: np.ndarray, last: np.ndarray, max_step: float) -> np.ndarray:
@@ -68,7 +72,7 @@ class JointRange:
     """Slows joints down near the ends of their range.
 
     A joint may move towards an end at most at ``max_speed * distance / margin``, nor faster
-    than it can brake with half its acceleration limit; away from it, as it likes. Each joint
+    than it can brake (``braking_speed``); away from it, as it likes. Each joint
     is slowed alone, so that the others go on and the arm slides along the limit.
 
     Parameters
@@ -112,10 +116,9 @@ class JointRange:
         slowed: list[int] = []
         values = velocity.tolist()
         slope = max_speed / self.margin_rad
-        braking = 2.0 * _BRAKING_SHARE * max_acceleration
         for i, (v, q) in enumerate(zip(values, joints.tolist(), strict=True)):
             room = max(0.0, self.upper_rad[i] - q if v > 0.0 else q - self.lower_rad[i])
-            cap = min(slope * room, (braking * room) ** 0.5)
+            cap = min(slope * room, braking_speed(room, max_acceleration))
             if abs(v) > cap:
                 values[i] = cap if v > 0.0 else -cap
                 slowed.append(i)

@@ -82,7 +82,6 @@ class ServoLoop:
             self._propose,
             problem=self.predictor.problem,
         )
-        self.predictor.add_command(dt_s, command.velocity_rad_s)
         if command.state is not State.SERVOING:
             self.law.reset()
         return command

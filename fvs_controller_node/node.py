@@ -138,8 +138,7 @@ class ControllerNode(ros.FvsNode):
             np.array([point.x, point.y, point.z]), message.header.frame_id
         )
         self._refusal = "" if accepted else text
-        log = self.get_logger().info if accepted else self.get_logger().warning
-        log(text)
+        self.tell(ros.OK if accepted else ros.WARN, text)
 
     def _on_program_running(self, message: Bool) -> None:
         self._loop.supervisor.program_running(message.data)
@@ -181,12 +180,7 @@ class ControllerNode(ros.FvsNode):
             )
         previous, self._command = self._command, command
         if previous is None or previous.reason is not command.reason:
-            log = (
-                self.get_logger().info
-                if _LEVELS[command.state] == ros.OK
-                else self.get_logger().warning
-            )
-            log(f"{command.state.value}: {command.text}")
+            self.tell(_LEVELS[command.state], f"{command.state.value}: {command.text}")
             self._publish_status()
 
     # --- outputs ---

@@ -35,9 +35,6 @@ class BallPredictor:
         So many of them in a row are believed, and start the estimate anew.
     max_latency_s : float
         No prediction over more than this, s; also the largest gap between images.
-    drive_lag_s : float
-        Time that the joints lag behind the command, s: the prediction goes on to where the
-        commands still on their way will have brought the ball. 0 predicts to now.
     enabled : bool
         Off: the position is that of the last image.
     history : JointHistory, optional
@@ -51,7 +48,6 @@ class BallPredictor:
         outlier_m: float = 0.03,
         outlier_repeats: int = 3,
         max_latency_s: float = 0.5,
-        drive_lag_s: float = 0.0,
         enabled: bool = True,
         history: JointHistory | None = None,
     ) -> None:
@@ -60,12 +56,10 @@ class BallPredictor:
             outlier_m=outlier_m,
             outlier_repeats=outlier_repeats,
             max_latency_s=max_latency_s,
-            drive_lag_s=drive_lag_s,
             enabled=enabled,
         )
         self._history = JointHistory() if history is None else history
         self._waiting: deque[tuple[float, np.ndarray, np.ndarray]] = deque(maxlen=_MAX_WAITING)
-        self._commands: deque[tuple[float, np.ndarray]] = deque()
         self.reset()
 
     def configure(
@@ -75,7 +69,6 @@ class BallPredictor:
         outlier_m: float,
         outlier_repeats: int,
         max_latency_s: float,
-        drive_lag_s: float,
         enabled: bool,
     ) -> None:
         """Change the settings and keep the estimate."""
@@ -90,9 +83,6 @@ class BallPredictor:
         self._fusion_gain = fusion_gain
         self._outlier_m = outlier_m
         self._outlier_repeats = outlier_repeats
-        if not 0.0 <= drive_lag_s < 1.0:
-            raise ValueError(f"drive_lag_s must be at least 0 and below 1, got {drive_lag_s}")
-        self._drive_lag_s = drive_lag_s
         self._max_latency_s = max_latency_s
         self._enabled = enabled
 
@@ -211,22 +201,7 @@ class BallPredictor:
             return None
         if not self._enabled:
             return self._raw.copy()
-        return self._estimate + jacobian @ (joints - self._joints + self._on_the_way())
-
-    def add_command(self, dt_s: float, velocity_rad_s: np.ndarray) -> None:
-        """Tell a command that is sent, rad/s, and for how long it holds, s."""
-        if self._drive_lag_s > 0.0:
-            self._commands.appendleft((dt_s, velocity_rad_s))
-            while len(self._commands) > 1 and sum(c[0] for c in self._commands) - self._commands[-1][0] >= self._drive_lag_s:
-                self._commands.pop()
-
-    def _on_the_way(self) -> np.ndarray:
-        """Joint motion commanded within the drive's lag and not yet seen, rad."""
-        left_s, motion = self._drive_lag_s, np.zeros(6)
-        for dt_s, velocity in self._commands:
-            motion += min(dt_s, left_s) * velocity
-            left_s -= min(dt_s, left_s)
-        return motion
+        return self._estimate + jacobian @ (joints - self._joints)
 
 
 def _norm(vector: np.ndarray) -> float:

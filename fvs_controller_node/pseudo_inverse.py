@@ -112,7 +112,10 @@ class DampedInverse:
         return cls(values["damping"], values["posture_gain_1_s"], tuple(values["posture_rad"]))
 
     def joint_velocity(
-        self, jacobian: np.ndarray, velocity_m_s: np.ndarray, joints_rad: np.ndarray
+        self,
+        jacobian: np.ndarray,
+        velocity_m_s: np.ndarray,
+        joints_rad: np.ndarray | None = None,
     ) -> np.ndarray:
         """Joint velocities that move the ball as wanted.
 
@@ -122,8 +125,8 @@ class DampedInverse:
             Estimated Jacobian, m/rad.
         velocity_m_s : ndarray, shape (3,)
             Wanted ball velocity, m/s.
-        joints_rad : ndarray, shape (6,)
-            Present joints, rad; used by the posture term only.
+        joints_rad : ndarray, shape (6,), optional
+            Present joints, rad; without them there is no posture term.
 
         Returns
         -------
@@ -132,7 +135,7 @@ class DampedInverse:
         """
         gram = jacobian @ jacobian.T
         gram.flat[::4] += self.damping
-        if self.posture_gain == 0.0:
+        if self.posture_gain == 0.0 or joints_rad is None:
             return jacobian.T @ np.linalg.solve(gram, velocity_m_s)
         pull = self.posture_gain * (np.asarray(self.posture_rad) - joints_rad)
         pull *= min(1.0, POSTURE_SPEED_RAD_S / max(float(np.abs(pull).max()), 1e-12))

@@ -17,12 +17,13 @@ from fvs_controller_node.base import N_AXES, ControlOutput
 from fvs_controller_node.inputs import InputMonitor, InputSpec
 from fvs_controller_node.limits import (
     JointRange,
+    braking_speed,
     limit_acceleration,
     limit_speed,
     ramp_to_zero,
 )
 from fvs_controller_node.progress import Progress, ProgressLimits
-from fvs_controller_node.pseudo_inverse import Conditioning, conditioning
+from fvs_controller_node.pseudo_inverse import Conditioning, DampedInverse, conditioning
 from fvs_controller_node.reasons import Finding, Reason, State, Stop
 from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
 
@@ -45,6 +46,9 @@ _TINY_RAD_S = 1e-9
 
 #: A held Jacobian is released when its smallest singular value is this far into the slow band.
 _RELEASE_SHARE = 0.3
+
+#: Turns the error into the joint motion that it takes.
+_INVERSE = DampedInverse()
 
 _PAUSES = (Reason.PROGRAM_STOPPED, Reason.SPEED_SCALING_ZERO)
 
@@ -194,6 +198,7 @@ class Supervisor:
         }
         self._progress = Progress(self._config.progress)
         self._target: np.ndarray | None = None
+        self._jacobian: np.ndarray | None = None
         self._conditioning: Conditioning | None = None
         self._singular_held = False
         self._program_running = True
@@ -232,8 +237,8 @@ class Supervisor:
         """Tell the estimated Jacobian, m/rad; False if it cannot be used."""
         if not self._check(now_s, JACOBIAN, jacobian, (N_AXES, N_JOINTS)):
             return False
-        self._conditioning = conditioning(jacobian)
-        self._jac = np.array(jacobian)
+        self._jacobian = np.array(jacobian, dtype=float)
+        self._conditioning = conditioning(self._jacobian)
         return True
 
     def bad_input(self, now_s: float, name: str, why: str) -> None:
@@ -502,17 +507,12 @@ class Supervisor:
         assert joints is not None
         config = self._config
         share, active = self._speed_share()
-        max_speed = config.max_joint_velocity_rad_s * share
+        fast = config.max_joint_velocity_rad_s * share
+        braking = braking_speed(self._travel_rad(), config.max_joint_acceleration_rad_s2)
         wanted = np.asarray(output.velocity_rad_s, dtype=float)
-        import os
-        beta = float(os.environ.get("BETA", "0"))
-        if beta > 0:
-            J = self._jac
-            d = np.abs(J.T @ np.linalg.solve(J @ J.T + 1e-4 * np.eye(3), self._error)).max()
-            max_speed = min(max_speed, (2 * beta * config.max_joint_acceleration_rad_s2 * d) ** 0.5)
-        velocity = limit_speed(wanted, max_speed)
+        velocity = limit_speed(wanted, min(fast, braking))
         if velocity is not wanted:
-            active.append("velocity")
+            active.append("velocity" if fast <= braking else "braking")
         velocity, slowed = config.joint_range.slow_down(
             velocity,
             joints,
@@ -530,6 +530,12 @@ class Supervisor:
         reason = Reason.SETTLED if self._progress.settled else Reason.SERVOING
         error_mm = 1e3 * self._progress.smooth_m
         return self._answer(reason.because(error_mm=error_mm), ", ".join(active), output)
+
+    def _travel_rad(self) -> float:
+        """Return about how far the joint that moves most has to go to the target, rad."""
+        assert self._jacobian is not None
+        assert self._error is not None
+        return float(np.abs(_INVERSE.joint_velocity(self._jacobian, self._error)).max())
 
     def _speed_share(self) -> tuple[float, list[str]]:
         """Share of the velocity limit that the Jacobian's condition and quality leave."""

@@ -11,10 +11,7 @@ Plain floats on purpose: for three axes numpy costs more than the arithmetic.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atanh, copysign, inf, log, tanh
-
-#: Beyond this, tanh is 1 to the last bit.
-_SATURATED = 20.0
+from math import copysign, inf, log, tanh
 
 
 @dataclass(frozen=True)
@@ -50,8 +47,8 @@ class SlidingSurface:
     """
 
     alpha1: float = 1.0
-    alpha2: float = 2.0
-    alpha3: float = 1.3
+    alpha2: float = 3.0
+    alpha3: float = 2.0
     lambda1: float = 0.6375
     lambda2: float = 0.2625
     switch_error_m: float = 0.005
@@ -83,7 +80,7 @@ class SlidingSurface:
 
     @classmethod
     def fixed(
-        cls, gamma: float, alpha1: float = 1.0, alpha2: float = 2.0, alpha3: float = 1.3
+        cls, gamma: float, alpha1: float = 1.0, alpha2: float = 3.0, alpha3: float = 2.0
     ) -> SlidingSurface:
         """Build a surface with one exponent everywhere, eq. (14)."""
         return cls(alpha1, alpha2, alpha3, lambda1=gamma, lambda2=0.0)
@@ -103,10 +100,7 @@ class SlidingSurface:
     def exponent_slope(self, y: float) -> float:
         """dg/dy = -2 l2 l3 y sech^2(l3 (y^2 - Delta)), 1/m."""
         assert self.lambda3 is not None
-        argument = self.lambda3 * (y * y - self.switch_error_m * self.switch_error_m)
-        if abs(argument) > _SATURATED:
-            return 0.0
-        t = tanh(argument)
+        t = tanh(self.lambda3 * (y * y - self.switch_error_m * self.switch_error_m))
         return -2.0 * self.lambda2 * self.lambda3 * y * (1.0 - t * t)
 
     def psi(self, y: float) -> float:
@@ -117,13 +111,16 @@ class SlidingSurface:
 
     def psi_and_slope(self, y: float) -> tuple[float, float]:
         """psi(y) and dpsi/dy, eq. (32) with its missing terms; infinite slope at 0 if g < 1."""
-        g = self.exponent(y)
         if y == 0.0:
-            return 0.0, (1.0 if g >= 1.0 else inf)
+            return 0.0, (1.0 if self.exponent(0.0) >= 1.0 else inf)
         a = abs(y)
+        # exponent() and exponent_slope() in one, for the root finding of the implicit law.
+        assert self.lambda3 is not None
+        t = tanh(self.lambda3 * (a * a - self.switch_error_m * self.switch_error_m))
+        g = self.lambda1 - self.lambda2 * t
+        g_slope = -2.0 * self.lambda2 * self.lambda3 * a * (1.0 - t * t)
         power = a**g
-        slope = power * (g / a + copysign(self.exponent_slope(y), -1.0) * log(a))
-        return copysign(power, y), slope
+        return (power if y > 0.0 else -power), power * (g / a + g_slope * log(a))
 
     def value(self, y: float, velocity: float) -> float:
         """Return the sliding variable s of an axis with error ``y`` (m) and its velocity (m/s)."""
@@ -134,9 +131,3 @@ class SlidingSurface:
         _, slope = self.psi_and_slope(y)
         attractor = 0.0 if velocity == 0.0 else self.alpha3 * slope * velocity
         return self.alpha1 * acceleration + self.alpha2 * velocity + attractor
-
-    def error_at_exponent(self, g: float) -> float:
-        """Find the error at which the exponent is ``g``, m; 0 where it is larger everywhere."""
-        assert self.lambda3 is not None
-        ratio = (self.lambda1 - g) / self.lambda2
-        return max(0.0, atanh(ratio) / self.lambda3 + self.delta_m2) ** 0.5

@@ -62,7 +62,7 @@ class EstimatorNode(ros.FvsNode):
         ):
             if found != wanted:
                 raise ValueError(f"model {path} has {what} {found}, this node has {wanted}")
-        return model.network
+        return model.model
 
     # --- inputs ---
 

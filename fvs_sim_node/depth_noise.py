@@ -41,7 +41,7 @@ class DepthNoiseConfig:
     edge_jump_m: float = 0.05
 
     def sigma_m(self, depth_m: np.ndarray, fx: float) -> np.ndarray:
-        """Standard deviation of the depth, m, at depths ``depth_m`` and focal length ``fx`` px."""
+        """Give the standard deviation of the depth, m, at depths in m and focal length in px."""
         factor = np.float32(self.subpixel_px / (fx * self.baseline_m))
         return factor * np.square(depth_m)
 
@@ -56,7 +56,7 @@ def add_depth_noise(
     scale: float = 1.0,
     config: DepthNoiseConfig | None = None,
 ) -> np.ndarray:
-    """A depth image as a real camera would report it.
+    """Turn a depth image into what a real camera would report.
 
     Parameters
     ----------

@@ -25,6 +25,8 @@ _SPEED_SCALING_PERIOD_S = 0.1
 _FIRST_SIMULATED_S = 1.0
 #: Further behind the clock than this, simulated motion is skipped rather than made up for.
 _MAX_BEHIND_S = 0.2
+#: In simulated time, services and parameters are looked at this often.
+_BURST_S = 0.005
 
 
 class SimNode(ros.FvsNode):
@@ -91,18 +93,21 @@ class SimNode(ros.FvsNode):
             self._late += 1
             self._base_s += behind_s
             behind_s = 0.0
-        while behind_s >= 0.0:
+        while behind_s >= self._period_s:  # no stamp lies in the future
             self._step()
             behind_s -= self._period_s
 
     def _step_as_fast_as_it_goes(self) -> None:
-        # Whoever commands the arm gets to answer each joint state; one that is silent does not
-        # hold the simulation below real time.
-        if self._commanders and self._asked_s is not None:
-            if self.steady_s() - self._asked_s < self._period_s:
-                return
-            self._late += 1
-        self._step()
+        now_s = self.steady_s()
+        if self._commanders:
+            # Whoever commands the arm gets to answer each joint state; one that is silent does
+            # not hold the simulation below real time.
+            if self._asked_s is None or now_s - self._asked_s >= self._period_s:
+                self._late += self._asked_s is not None
+                self._step()
+            return
+        while self.steady_s() - now_s < _BURST_S:
+            self._step()
 
     def _step(self) -> None:
         step = self._sim.advance()

@@ -47,14 +47,14 @@ class CameraPose:
         return (np.asarray(point_world_m) - self.position_m) @ self.rotation
 
     def rotated(self, rotation: np.ndarray) -> CameraPose:
-        """The camera turned about its own centre by a rotation given in its own frame."""
+        """Turn the camera about its own centre, by a rotation given in its own frame."""
         return CameraPose(self.position_m, self.rotation @ rotation)
 
 
 def pose_from_look_at(
     eye_m: tuple[float, ...], target_m: tuple[float, ...], up: tuple[float, ...] = (0.0, 0.0, 1.0)
 ) -> CameraPose:
-    """A camera at ``eye_m`` that looks at ``target_m``, with ``up`` upwards in the image."""
+    """Put a camera at ``eye_m`` that looks at ``target_m``, with ``up`` upwards in the image."""
     return CameraPose(
         np.array(eye_m, dtype=float), look_at(np.array(eye_m), np.array(target_m), np.array(up))
     )
@@ -70,7 +70,7 @@ CAMERA_PRESETS = {
 
 
 def camera_preset(name: str) -> CameraPose:
-    """The named camera pose.
+    """Look up a named camera pose.
 
     Raises
     ------
@@ -150,7 +150,7 @@ class Renderer:
         return rgb, depth
 
     def render_coarse(self, pose: CameraPose, factor: int) -> np.ndarray:
-        """The whole image's colours, every ``factor``-th pixel; uint8, shape (H, W, 3)."""
+        """Draw the colours of every ``factor``-th pixel of the image; uint8, shape (H, W, 3)."""
         full = self.intrinsics
         coarse = Intrinsics(
             -(-full.width // factor),

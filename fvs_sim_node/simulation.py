@@ -203,7 +203,7 @@ class Simulation:
     latency_s, dropout, depth_noise : float
         Live values of those in the configuration.
     full_frames : bool
-        Whether to draw whole images and hand them out; slower.
+        Whether to draw whole images and hand them out; slower, and with other random numbers.
     camera : CameraPose
         Where the camera is now.
     """
@@ -260,7 +260,9 @@ class Simulation:
         return self._step / self.config.physics_rate_hz
 
     def reset(self, joints_rad: Sequence[float] | np.ndarray | None = None) -> None:
-        """Start again at time 0 with the seed's noise, at rest; the camera stays as it is.
+        """Start again at time 0 with the seed's noise, at rest.
+
+        Disturbances that were set (camera, latency, losses, lag, scaling) stay.
 
         Parameters
         ----------
@@ -390,7 +392,7 @@ class Simulation:
                 yield coloured
 
     def _search(self) -> Region | None:
-        """The part of the image that holds all of the ball's colour, from a coarse image."""
+        """Find the part of the image that holds all of the ball's colour, in a coarse image."""
         rgb = self._renderer.render_coarse(self.camera, _COARSE)
         u, v, width, height = cv2.boundingRect(colour_mask(rgb, self.config.colour))
         if width == 0:
@@ -406,9 +408,7 @@ class Simulation:
         noisy = add_depth_noise(depth, self.intrinsics.fx, self._noise_rng, self.depth_noise)
         return rgb, noisy
 
-    def _detect(
-        self, image: tuple[np.ndarray, np.ndarray], region: Region
-    ) -> BallDetection | None:
+    def _detect(self, image: tuple[np.ndarray, np.ndarray], region: Region) -> BallDetection | None:
         window = self.intrinsics.window(region.u0, region.v0, region.width, region.height)
         detection = detect_ball(*image, window, self.config.ball_radius_m, self.config.colour)
         if detection is None:
@@ -512,7 +512,7 @@ class WindowTracker:
         self._last = (stamp_s, detection.position_m)
 
     def region(self, stamp_s: float) -> Region | None:
-        """The part to look at, or None for the whole image."""
+        """Choose the part to look at; None if the ball is lost."""
         if self._last is None:
             return None
         expected = self._last[1] + (stamp_s - self._last[0]) * self._velocity_m_s

@@ -141,7 +141,7 @@ EFFORT_LIMITS_NM = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
 
 
 def urdf_text() -> str:
-    """The model as URDF, self-contained (no mesh files); last link ``tool0``."""
+    """Write the model as URDF, self-contained (no mesh files); the last link is ``tool0``."""
     parts = ['<?xml version="1.0"?>', '<robot name="ur5">']
     for name, rgba in _MATERIALS.items():
         parts.append(f'<material name="{name}"><color rgba="{_numbers(rgba)}"/></material>')

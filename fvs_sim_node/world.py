@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pybullet
 
@@ -19,7 +20,6 @@ from fvs_sim_node.icosphere import icosphere
 from fvs_sim_node.ur5_urdf import EFFORT_LIMITS_NM, urdf_text
 
 _HALF_TURN = (0.0, 0.0, 1.0, 0.0)
-_BASE_ROTATION = np.diag([-1.0, -1.0, 1.0])
 _BALL_RGBA = (0.86, 0.07, 0.06, 1.0)
 _ROD_RGBA = (0.27, 0.30, 0.34, 1.0)
 _ROD_RADIUS_M = 0.007
@@ -47,8 +47,11 @@ class SceneObject:
     rgba: tuple[float, float, float, float] = _BALL_RGBA
 
 
-#: A table top of light wood; the arm stands on it.
-TABLE = (SceneObject("box", (-0.30, 0.0, -0.02), (1.30, 1.10, 0.036), (0.87, 0.80, 0.68, 1.0)),)
+#: A table of light wood, low enough for the ball to pass over, and a foot for the arm.
+TABLE = (
+    SceneObject("box", (-0.30, 0.0, -0.22), (1.40, 1.20, 0.04), (0.87, 0.80, 0.68, 1.0)),
+    SceneObject("box", (0.0, 0.0, -0.10), (0.20, 0.20, 0.20), (0.45, 0.50, 0.56, 1.0)),
+)
 
 
 class World:
@@ -82,6 +85,7 @@ class World:
 
     def __init__(
         self,
+        *,
         urdf_path: str = "",
         ball_link: str = "",
         ball_radius_m: float = 0.04,
@@ -162,11 +166,8 @@ class World:
         if fixed:
             raise ValueError(f"urdf_path: {what} has fixed joints {fixed}; they must move")
         if ball_link and ball_link not in links:
-            raise ValueError(
-                f"ball_link: {what} has no link {ball_link!r}; it has {list(links)}"
-            )
+            raise ValueError(f"ball_link: {what} has no link {ball_link!r}; it has {list(links)}")
         self._joints = [joints[name] for name in UR_JOINT_NAMES]
-        self._moving = moving
         self.ball_link = ball_link or ("tool0" if "tool0" in links else list(links)[-1])
         self._link = links[self.ball_link]
 
@@ -191,6 +192,7 @@ class World:
                 self._robot, joint, 0, 0, physicsClientId=self.client
             )
         self.reset(np.zeros(N_JOINTS))
+        self._measure_axes()
 
     def add_object(self, thing: SceneObject) -> int:
         """Put a thing into view; returns its body number."""
@@ -268,22 +270,21 @@ class World:
 
     def joint_states(self) -> tuple[np.ndarray, np.ndarray]:
         """Joint angles, rad, and velocities, rad/s, each of shape (6,)."""
-        states = pybullet.getJointStates(
-            self._robot, self._joints, physicsClientId=self.client
-        )
+        states = pybullet.getJointStates(self._robot, self._joints, physicsClientId=self.client)
         return np.array([s[0] for s in states]), np.array([s[1] for s in states])
 
     # -------------------------------------------------------------------- ball
-    def _link_pose(self) -> tuple[np.ndarray, tuple[float, ...]]:
+    def _frame(self, link: int) -> tuple[np.ndarray, np.ndarray]:
+        """Origin, m, and rotation of a link's frame in the world."""
         state = pybullet.getLinkState(
-            self._robot, self._link, computeForwardKinematics=True, physicsClientId=self.client
+            self._robot, link, computeForwardKinematics=True, physicsClientId=self.client
         )
-        return np.array(state[4]), state[5]
+        rotation = np.reshape(pybullet.getMatrixFromQuaternion(state[5]), (3, 3))
+        return np.array(state[4]), rotation
 
     def ball_position(self) -> np.ndarray:
         """Centre of the ball, world frame, m, shape (3,)."""
-        position, quaternion = self._link_pose()
-        rotation = np.reshape(pybullet.getMatrixFromQuaternion(quaternion), (3, 3))
+        position, rotation = self._frame(self._link)
         return position + self._ball_offset_m * rotation[:, 2]
 
     def ball_jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
@@ -299,29 +300,44 @@ class World:
         ndarray, shape (3, 6)
             m/rad, world frame.
         """
-        angles = dict(zip(self._joints, np.asarray(joints_rad, dtype=float), strict=True))
-        state = pybullet.getLinkState(self._robot, self._link, physicsClientId=self.client)
-        # PyBullet takes the point from the link's centre of mass, and answers in the base's axes.
-        inertial = np.reshape(pybullet.getMatrixFromQuaternion(state[3]), (3, 3))
-        point = inertial.T @ (np.array([0.0, 0.0, self._ball_offset_m]) - np.array(state[2]))
-        linear, _ = pybullet.calculateJacobian(
-            self._robot,
-            self._link,
-            point.tolist(),
-            [float(angles.get(joint, 0.0)) for joint in self._moving],
-            [0.0] * len(self._moving),
-            [0.0] * len(self._moving),
-            physicsClientId=self.client,
-        )
-        columns = [self._moving.index(joint) for joint in self._joints]
-        return _BASE_ROTATION @ np.array(linear)[:, columns]
+        point = np.append(self._ball_at_zero_m, 1.0)
+        motion = np.eye(4)
+        axes, origins = [], []
+        for angle, axis, origin in zip(
+            np.asarray(joints_rad, dtype=float), self._axes, self._origins_m, strict=True
+        ):
+            axes.append(motion[:3, :3] @ axis)
+            origins.append(motion[:3, :3] @ origin + motion[:3, 3])
+            turn = np.eye(4)
+            turn[:3, :3] = cv2.Rodrigues(angle * axis)[0]
+            turn[:3, 3] = origin - turn[:3, :3] @ origin
+            motion = motion @ turn
+        ball = (motion @ point)[:3]
+        return np.cross(axes, ball - np.array(origins)).T
+
+    def _measure_axes(self) -> None:
+        """Joint axes, a point on each, and the ball, all at zero angles."""
+        axes, origins = [], []
+        for joint in self._joints:
+            info = pybullet.getJointInfo(self._robot, joint, physicsClientId=self.client)
+            state = pybullet.getLinkState(
+                self._robot, joint, computeForwardKinematics=True, physicsClientId=self.client
+            )
+            # PyBullet gives the axis in the frame of the link's inertia.
+            inertial = np.reshape(pybullet.getMatrixFromQuaternion(state[1]), (3, 3))
+            axes.append(inertial @ np.array(info[13]))
+            origins.append(np.array(state[4]))
+        self._axes, self._origins_m = axes, origins
+        self._ball_at_zero_m = self.ball_position()
 
     def place_ball(self) -> None:
         """Move the visible ball and its rod to where the link is now; call before rendering."""
-        position, quaternion = self._link_pose()
-        pybullet.resetBasePositionAndOrientation(
-            self._rod, position, quaternion, physicsClientId=self.client
+        state = pybullet.getLinkState(
+            self._robot, self._link, computeForwardKinematics=True, physicsClientId=self.client
         )
         pybullet.resetBasePositionAndOrientation(
-            self._ball, self.ball_position(), quaternion, physicsClientId=self.client
+            self._rod, state[4], state[5], physicsClientId=self.client
+        )
+        pybullet.resetBasePositionAndOrientation(
+            self._ball, self.ball_position(), state[5], physicsClientId=self.client
         )

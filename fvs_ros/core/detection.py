@@ -26,10 +26,10 @@ MIN_VISIBLE_FRACTION = 0.25
 _MIN_PIXELS = 20
 _MIN_DEPTH_PIXELS = 8
 _MAX_BLOBS = 16
-_MIN_ON_OUTLINE = 0.4
-_MAX_EXCESS = 0.2
-_MAX_RESIDUAL_RADII = 0.15
-_MIN_QUALITY = 0.05
+_MIN_ON_OUTLINE = 0.6
+_MAX_EXCESS = 0.15
+_MAX_GAPS = 0.1
+_MAX_RESIDUAL_RADII = 0.1
 
 
 @dataclass(frozen=True)
@@ -143,11 +143,11 @@ def colour_mask(rgb: np.ndarray, colour: BallColour) -> np.ndarray:
     hsv = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2HSV)
     least = (colour.min_saturation, colour.min_value)
     low, high = colour.hue - colour.hue_width, colour.hue + colour.hue_width
-    mask = cv2.inRange(hsv, (max(low, 0), *least), (min(high, 179), 255, 255))
+    mask = np.asarray(cv2.inRange(hsv, (max(low, 0), *least), (min(high, 179), 255, 255)))
     if low < 0:
-        mask |= cv2.inRange(hsv, (180 + low, *least), (179, 255, 255))
+        mask = mask | cv2.inRange(hsv, (180 + low, *least), (179, 255, 255))
     if high > 179:
-        mask |= cv2.inRange(hsv, (0, *least), (high - 180, 255, 255))
+        mask = mask | cv2.inRange(hsv, (0, *least), (high - 180, 255, 255))
     return mask
 
 
@@ -163,7 +163,7 @@ class _Blob:
 
 
 def _blobs(mask: np.ndarray, u0: int = 0, v0: int = 0) -> list[_Blob]:
-    """Connected parts of a mask whose first pixel is (u0, v0), largest first, holes filled."""
+    """Find the connected parts of a mask from (u0, v0) on, largest first, holes filled."""
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     blobs = []
     for contour in contours:
@@ -212,17 +212,81 @@ def _split_by_depth(
 
 # --------------------------------------------------------------------------------- one ball
 @dataclass(frozen=True)
+class _Patch:
+    """The part of the image around a blob that holds the whole ball, as far as the image does.
+
+    Parameters
+    ----------
+    inside, coloured : ndarray of bool, shape (h, w)
+        Pixels of the blob, and of the blob or the ball's colour.
+    depth : ndarray, shape (h, w)
+        Depth, m; 0 where unknown.
+    rays : ndarray, shape (h, w, 3)
+        Unit rays through the pixels.
+    view : Intrinsics
+        Of this part.
+    distance_m : float
+        First guess of the distance of the ball's centre, m.
+    """
+
+    inside: np.ndarray
+    coloured: np.ndarray
+    depth: np.ndarray
+    rays: np.ndarray
+    view: Intrinsics
+    distance_m: float
+
+
+@dataclass(frozen=True)
 class _Outline:
-    """Outline of a blob: unit rays through it, and the depth just outside, m."""
+    """Outline of a blob: unit rays through it, and the nearest depth just outside, m or inf."""
 
     rays: np.ndarray
     outside_m: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """A sphere fitted to a blob.
+
+    Parameters
+    ----------
+    direction : ndarray, shape (3,)
+        Unit vector to the centre.
+    distance_m : float
+        Distance of the centre, m.
+    on_outline : float
+        Part of the outline that lies on the sphere's.
+    residual_m : float
+        Systematic departure of the surface from the sphere, rms, m.
+    pixel_rad : float
+        Angle of a pixel there, rad.
+    """
+
+    direction: np.ndarray
+    distance_m: float
+    on_outline: float
+    residual_m: float
+    pixel_rad: float
 
 
 def _evaluate(
     blob: _Blob, mask: np.ndarray, depth_m: np.ndarray, camera: Intrinsics, radius_m: float
 ) -> BallDetection | None:
     """Fit the ball to a blob; None if it is not the ball."""
+    patch = _cut_out(blob, mask, depth_m, camera, radius_m)
+    fit = _fit_sphere(patch, radius_m) if patch else None
+    if patch is None or fit is None:
+        return None
+    if fit.on_outline < _MIN_ON_OUTLINE or fit.residual_m > _MAX_RESIDUAL_RADII * radius_m:
+        return None
+    return _judge(patch, fit, camera, radius_m)
+
+
+def _cut_out(
+    blob: _Blob, mask: np.ndarray, depth_m: np.ndarray, camera: Intrinsics, radius_m: float
+) -> _Patch | None:
+    """Surroundings of a blob; None if it cannot be the ball by its size at its depth."""
     height, width = blob.filled.shape
     own_depth = depth_m[blob.v0 : blob.v0 + height, blob.u0 : blob.u0 + width]
     own_depth = own_depth[(blob.filled > 0) & (own_depth > 0.0)]
@@ -237,63 +301,74 @@ def _evaluate(
     if not 0.7 * MIN_VISIBLE_FRACTION < blob.pixels / expected_px < 1.6:
         return None
 
-    # A part of the image that holds the blob and the whole ball, if the image does.
     pad = 3 + max(0, int(2.4 * np.sqrt(expected_px / np.pi)) - min(width, height))
     u0, v0 = max(0, blob.u0 - pad), max(0, blob.v0 - pad)
     u1 = min(camera.width, blob.u0 + width + pad)
     v1 = min(camera.height, blob.v0 + height + pad)
     inside = np.zeros((v1 - v0, u1 - u0), bool)
     inside[blob.v0 - v0 :, blob.u0 - u0 :][:height, :width] = blob.filled > 0
-    depth = np.nan_to_num(np.asarray(depth_m[v0:v1, u0:u1], dtype=float), posinf=0.0)
     view = camera.window(u0, v0, u1 - u0, v1 - v0)
-    rays = _unit(view.rays(*np.meshgrid(np.arange(view.width), np.arange(view.height))))
+    return _Patch(
+        inside=inside,
+        coloured=inside | (mask[v0:v1, u0:u1] > 0),
+        depth=np.nan_to_num(np.asarray(depth_m[v0:v1, u0:u1], dtype=float), posinf=0.0),
+        rays=_unit(view.rays(*np.meshgrid(np.arange(view.width), np.arange(view.height)))),
+        view=view,
+        distance_m=distance,
+    )
 
-    outline = _outline(inside, depth, view)
-    surface = inside & (depth > 0.0)
-    surface_rays = rays[surface]
-    surface_range = depth[surface] / surface_rays[:, 2]
-    direction = _unit(rays[inside].mean(axis=0))
-    pixel_rad = direction[2] / np.sqrt(camera.fx * camera.fy)
+
+def _fit_sphere(patch: _Patch, radius_m: float) -> _Fit | None:
+    """Direction and distance of the centre, in turns; None if too little is to be seen."""
+    outline = _outline(patch)
+    seen = patch.inside & (patch.depth > 0.0)
+    rays = patch.rays[seen]
+    range_m = patch.depth[seen] / rays[:, 2]
+    direction = _unit(patch.rays[patch.inside].mean(axis=0))
+    distance = patch.distance_m
+    pixel_rad = float(direction[2] / np.sqrt(patch.view.fx * patch.view.fy))
     for turn in range(3):
-        before_m = distance
+        before = distance
         direction, on_outline = _fit_direction(
-            outline, direction, distance, radius_m, pixel_rad, search=turn == 0
+            outline, direction, distance, radius_m, pixel_rad=pixel_rad, search=turn == 0
         )
-        surface_points = _central_surface(surface_rays, surface_range, direction, radius_m)
-        if surface_points is None:
+        surface = _central_surface(rays, range_m, direction, radius_m)
+        if surface is None:
             return None
-        distance = surface_points.distance_m
-        if turn > 0 and abs(distance - before_m) < 2e-4:
+        distance = surface.distance_m
+        if turn > 0 and abs(distance - before) < 2e-4:
             break
-    residual_m = surface_points.residual_m()
-    if on_outline < _MIN_ON_OUTLINE or residual_m > _MAX_RESIDUAL_RADII * radius_m:
-        return None
+    return _Fit(direction, distance, on_outline, surface.residual_m(), pixel_rad)
 
-    expected_px = _outline_area_px(direction, distance, radius_m, camera)
-    cone_cos = np.sqrt(1.0 - (radius_m / distance) ** 2)
-    cone_sin = radius_m / distance
-    cos = rays @ direction
-    excess = np.count_nonzero(inside & (cos < cone_cos - 1.5 * pixel_rad * cone_sin)) / expected_px
-    if excess > _MAX_EXCESS:
+
+def _judge(patch: _Patch, fit: _Fit, camera: Intrinsics, radius_m: float) -> BallDetection | None:
+    """Compare the whole picture with the fitted sphere's."""
+    expected_px = _outline_area_px(fit.direction, fit.distance_m, radius_m, camera)
+    # Angles from the axis are compared by their cosines: d cos = -sin d angle.
+    cone_cos = np.sqrt(1.0 - (radius_m / fit.distance_m) ** 2)
+    pixel_cos = fit.pixel_rad * radius_m / fit.distance_m
+    cos = patch.rays @ fit.direction
+    middle_z = fit.distance_m * fit.direction[2]
+    behind = patch.depth > middle_z + 2.0 * radius_m
+    before = (patch.depth > 0.0) & (patch.depth < middle_z - 2.0 * radius_m)
+    # Colour beyond the outline, and a view past the ball within it, speak against it.
+    excess = _share(patch.inside & (cos < cone_cos - 1.5 * pixel_cos), expected_px)
+    gaps = _share(~patch.coloured & behind & (cos > cone_cos + 1.5 * pixel_cos), expected_px)
+    if excess > _MAX_EXCESS or gaps > _MAX_GAPS:
         return None
-    coloured = inside | (mask[v0:v1, u0:u1] > 0)
-    surface_z = (distance - radius_m) * direction[2]
-    foreign = (depth > 0.0) & ((depth < surface_z - radius_m) | (depth > surface_z + 3 * radius_m))
-    visible = coloured & (cos >= cone_cos - 0.5 * pixel_rad * cone_sin) & ~foreign
-    fraction = min(1.0, np.count_nonzero(visible) / expected_px)
+    visible = patch.coloured & (cos >= cone_cos - 0.5 * pixel_cos) & ~before & ~behind
+    fraction = min(1.0, _share(visible, expected_px))
     if fraction < MIN_VISIBLE_FRACTION:
         return None
-    quality = fraction * on_outline * (1.0 - excess)
-    quality *= float(np.exp(-((residual_m / (0.1 * radius_m)) ** 2)))
-    if quality < _MIN_QUALITY:
-        return None
-    position = distance * direction
+    quality = fraction * fit.on_outline * (1.0 - excess) * (1.0 - gaps)
+    quality *= float(np.exp(-np.square(fit.residual_m / (0.08 * radius_m))))
+    position = fit.distance_m * fit.direction
     pixel = camera.project(position)
     return BallDetection(
         position_m=position,
         quality=float(quality),
-        visible_fraction=float(fraction),
-        residual_m=residual_m,
+        visible_fraction=fraction,
+        residual_m=fit.residual_m,
         pixel=(float(pixel[0]), float(pixel[1])),
         radius_px=float(np.sqrt(expected_px / np.pi)),
     )
@@ -301,6 +376,10 @@ def _evaluate(
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.sqrt(np.sum(np.square(vectors), axis=-1, keepdims=True))
+
+
+def _share(mask: np.ndarray, of_px: float) -> float:
+    return float(np.count_nonzero(mask) / of_px)
 
 
 def _lengths(points: np.ndarray) -> np.ndarray:
@@ -318,19 +397,23 @@ def _outline_area_px(
     return float(camera.fx * camera.fy * ellipse)
 
 
-def _outline(inside: np.ndarray, depth: np.ndarray, view: Intrinsics) -> _Outline:
+def _outline(patch: _Patch) -> _Outline:
     """Outline halfway between neighbouring pixels within and without; none at the border."""
+    inside, depth = patch.inside, patch.depth
+    # Depth is often lost at an edge: take the nearest thing within two pixels.
+    others = np.where(inside | (depth <= 0.0), np.inf, depth).astype(np.float32)
+    nearest = cv2.erode(others, np.ones((5, 5), np.uint8))
     v_h, u_h = np.nonzero(inside[:, 1:] != inside[:, :-1])
     v_v, u_v = np.nonzero(inside[1:, :] != inside[:-1, :])
     outside = np.concatenate(
         [
-            np.where(inside[v_h, u_h], depth[v_h, u_h + 1], depth[v_h, u_h]),
-            np.where(inside[v_v, u_v], depth[v_v + 1, u_v], depth[v_v, u_v]),
+            np.where(inside[v_h, u_h], nearest[v_h, u_h + 1], nearest[v_h, u_h]),
+            np.where(inside[v_v, u_v], nearest[v_v + 1, u_v], nearest[v_v, u_v]),
         ]
     )
     u = np.concatenate([u_h + 0.5, u_v])
     v = np.concatenate([v_h, v_v + 0.5])
-    return _Outline(_unit(view.rays(u, v)), outside)
+    return _Outline(_unit(patch.view.rays(u, v)), outside)
 
 
 def _fit_direction(
@@ -338,6 +421,7 @@ def _fit_direction(
     direction: np.ndarray,
     distance_m: float,
     radius_m: float,
+    *,
     pixel_rad: float,
     search: bool,
 ) -> tuple[np.ndarray, float]:
@@ -351,8 +435,7 @@ def _fit_direction(
         Part of the outline that lies on the cone, without what a nearer thing cuts off.
     """
     nearer_m = distance_m * direction[2] - 0.5 * radius_m
-    cut_off = (outline.outside_m > 0.0) & (outline.outside_m < nearer_m)
-    rays = outline.rays[~cut_off]
+    rays = outline.rays[outline.outside_m >= nearer_m]
     if len(rays) < 6:
         return direction, 0.0
     # In the plane at unit distance across `direction` the outline is a circle, all but exactly.
@@ -373,9 +456,7 @@ def _fit_direction(
     return _unit(direction + centre @ axes), float(np.mean(off < tolerance))
 
 
-def _refine_circle(
-    points: np.ndarray, radius: float, start: np.ndarray, cut: float
-) -> np.ndarray:
+def _refine_circle(points: np.ndarray, radius: float, start: np.ndarray, cut: float) -> np.ndarray:
     """Centre of a circle of known radius through points, (N, 2); those off by ``cut`` are out."""
     centre = start
     for _ in range(8):
@@ -452,7 +533,7 @@ class _Surface:
 def _central_surface(
     rays: np.ndarray, range_m: np.ndarray, direction: np.ndarray, radius_m: float
 ) -> _Surface | None:
-    """The ball's surface near its middle, and the distance of its centre.
+    """Take the ball's surface near its middle, and the distance of its centre from it.
 
     A pixel at range R along a ray at an angle b to the centre sees the sphere if the centre is at
     R cos b + sqrt(r^2 - R^2 sin^2 b). The median throws out what is not the ball.

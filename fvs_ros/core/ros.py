@@ -392,6 +392,16 @@ class FvsNode(Node):
         name = self.get_fully_qualified_name()
         self._status.publish(to_status(level, name, reason, {"state": state, **values}))
 
+    def tell(self, level: bytes, text: str) -> None:
+        """Log with the severity of a diagnostic level."""
+        # One line each: rclpy holds a call site to its first severity.
+        if level == OK:
+            self.get_logger().info(text)
+        elif level == WARN:
+            self.get_logger().warning(text)
+        else:
+            self.get_logger().error(text)
+
     def diagnostic_values(self) -> dict[str, Any]:
         """More key numbers for ``/diagnostics``."""
         return {}

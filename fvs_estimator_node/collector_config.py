@@ -1,0 +1,46 @@
+"""Parameters of ``fvs_collector_node``, declared once."""
+
+from __future__ import annotations
+
+from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
+from fvs_ros.core.params import Parameter
+
+PARAMETERS = (
+    Parameter("output_path", "out/collect/dataset.npz", "data set file to write"),
+    Parameter("duration_s", 120.0, "how long to move and record", minimum=2.0, maximum=7200.0),
+    Parameter("seed", 0, "seed of the motion", minimum=0),
+    Parameter(
+        "joint_range_rad",
+        [0.6, 0.5, 0.5, 0.5, 0.5, 0.5],
+        "half width of the box of motion about the joints at the start",
+        size=N_JOINTS,
+        minimum=0.0,
+        maximum=3.2,
+        broadcast=True,
+    ),
+    Parameter(
+        "max_joint_velocity_rad_s", 0.65, "limit of each joint", minimum=0.01, maximum=3.15
+    ),
+    Parameter(
+        "max_joint_acceleration_rad_s2", 2.0, "limit of each joint", minimum=0.1, maximum=40.0
+    ),
+    Parameter(
+        "joint_names", list(UR_JOINT_NAMES), "the joints in kinematic order", size=N_JOINTS
+    ),
+    Parameter("feature_frame", "camera_color_optical_frame", "frame of the ball positions"),
+    Parameter("joint_states_max_age_s", 0.1, "older ones stop the arm", minimum=0.02, maximum=2.0),
+    Parameter(
+        "ball_max_age_s",
+        0.5,
+        "without the ball for so long, the arm goes back toward the start until it is seen again",
+        minimum=0.05,
+        maximum=10.0,
+    ),
+    Parameter(
+        "give_up_s",
+        10.0,
+        "without joint states or without the ball for so long, it ends with an error",
+        minimum=1.0,
+        maximum=600.0,
+    ),
+)

@@ -1,0 +1,137 @@
+"""The trained networks in a ``.npz`` file, with what they were trained on and how well they do."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from fvs_estimator_node.dataset import CAMERA_FRAME
+from fvs_estimator_node.npz_file import NpzFile, check_same, write_npz
+from fvs_estimator_node.rbf import RbfModel
+from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
+
+MODEL_FORMAT = "fvs_rbf_model"
+MODEL_VERSION = 1
+MAX_MODEL_BYTES = 64 * 2**20
+
+
+class ModelFileError(ValueError):
+    """A model file that cannot be used; the text says what was wrong and what was expected."""
+
+
+@dataclass(frozen=True)
+class TrainedModel:
+    """The networks and what one must know to use them.
+
+    Parameters
+    ----------
+    model : RbfModel
+        Centres, widths, weights.
+    joint_box_rad : ndarray, shape (2, 6)
+        Least and greatest joint positions trained on, rad; outside, the networks extrapolate.
+    ball_box_m : ndarray, shape (2, 3)
+        Least and greatest ball positions trained on, m.
+    joint_names : tuple of str
+        The joint order.
+    feature_frame : str
+        Frame of the ball positions.
+    errors : dict
+        Error figures of the training, name to number or list of numbers.
+    provenance : dict
+        Where it comes from; anything that JSON can hold.
+
+    Raises
+    ------
+    ModelFileError
+        If a box does not fit.
+    """
+
+    model: RbfModel
+    joint_box_rad: np.ndarray
+    ball_box_m: np.ndarray
+    joint_names: tuple[str, ...] = UR_JOINT_NAMES
+    feature_frame: str = CAMERA_FRAME
+    errors: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, shape in (("joint_box_rad", (2, N_JOINTS)), ("ball_box_m", (2, 3))):
+            value = np.asarray(getattr(self, name), dtype=float)
+            if value.shape != shape or not np.all(np.isfinite(value)):
+                raise ModelFileError(f"{name} must be finite and of shape {shape}")
+            if np.any(value[0] > value[1]):
+                raise ModelFileError(f"{name} has a least value above the greatest")
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "joint_names", tuple(self.joint_names))
+
+
+def save_model(path: str | os.PathLike[str], trained: TrainedModel) -> None:
+    """Write a model in one piece."""
+    write_npz(
+        path,
+        {
+            "format": np.array(MODEL_FORMAT),
+            "version": np.array(MODEL_VERSION),
+            "joint_names": np.array(trained.joint_names),
+            "feature_frame": np.array(trained.feature_frame),
+            "centres": trained.model.centres,
+            "widths": trained.model.widths,
+            "weights": trained.model.weights,
+            "joint_box_rad": trained.joint_box_rad,
+            "ball_box_m": trained.ball_box_m,
+            "errors": np.array(json.dumps(dict(trained.errors), sort_keys=True)),
+            "provenance": np.array(json.dumps(dict(trained.provenance), sort_keys=True)),
+        },
+    )
+
+
+def load_model(
+    path: str | os.PathLike[str],
+    joint_names: Sequence[str] | None = UR_JOINT_NAMES,
+    feature_frame: str | None = None,
+) -> TrainedModel:
+    """Read and check a model.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    joint_names : sequence of str, optional
+        The joint order it must have; None takes any.
+    feature_frame : str, optional
+        The frame it must have; None takes any.
+
+    Raises
+    ------
+    ModelFileError
+        If anything is not as expected; the text names the file, the fault and what was expected.
+    """
+    content = NpzFile(path, MODEL_FORMAT, MODEL_VERSION, MAX_MODEL_BYTES, ModelFileError)
+    names = content.joint_names()
+    frame = content.text("feature_frame")
+    check_same(ModelFileError, f"{path}", names, frame, joint_names, feature_frame)
+    centres = content.numbers("centres", (N_JOINTS, None, N_JOINTS), "f")
+    m = centres.shape[1]
+    widths = content.numbers("widths", (N_JOINTS, m), "f")
+    weights = content.numbers("weights", (N_JOINTS, 3, m), "f")
+    try:
+        return TrainedModel(
+            RbfModel(centres, widths, weights),
+            content.numbers("joint_box_rad", (2, N_JOINTS), "f"),
+            content.numbers("ball_box_m", (2, 3), "f"),
+            names,
+            frame,
+            content.json("errors"),
+            content.json("provenance"),
+        )
+    except ModelFileError as error:
+        if str(error).startswith(str(content.path)):
+            raise
+        raise content.refusal(f"is not a model: {error}") from None
+    except ValueError as error:
+        raise content.refusal(f"is not a model: {error}") from None

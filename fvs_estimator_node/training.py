@@ -1,0 +1,651 @@
+"""Offline training of the six networks from a data set of ball positions and joints.
+
+The paper trains on steps between neighbouring images, ``dx = J(r) dr``: little motion, much noise.
+But the ball's position is a function of the joints, whatever path they took, so for *any* two
+images a and b of the data set
+
+    x_b - x_a = integral of J along the straight line from r_a to r_b
+              = sum_i W_i int_0^1 theta_i(r_a + t (r_b - r_a)) dt (r_b,i - r_a,i),
+
+which is linear in the weights too, needs no small motion, and has the signal of the whole box
+over the noise of one position. The integral is done by Gauss-Legendre quadrature. Pairs drawn at
+random over all images also tell the networks what a single path cannot: that their columns belong
+to one function.
+
+``ridge`` draws the centres from the data and solves for the weights. ``varpro`` (variable
+projection) moves centres and widths as well, by Adam with one learning rate a network, and solves
+for the weights inside: at their optimum the gradient is the one with the weights held fixed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from fvs_estimator_node.dataset import DataSet
+from fvs_estimator_node.model_file import TrainedModel
+from fvs_estimator_node.rbf import N_FEATURES, RbfModel, rbf_features
+from fvs_ros.core.joints import N_JOINTS
+
+METHODS = ("varpro", "ridge")
+MIN_SAMPLES = 60
+_ADAM_MEAN, _ADAM_SQUARE = 0.9, 0.99
+
+
+class TrainingError(ValueError):
+    """Data or options that nothing can be trained with; the text says why."""
+
+
+@dataclass(frozen=True)
+class TrainingOptions:
+    """How to train.
+
+    Parameters
+    ----------
+    method : str
+        ``varpro`` or ``ridge``.
+    neurons : int
+        Neurons of each network, m.
+    seed : int
+        Seed of everything random: equal data, options and seed give equal networks.
+    width_factor : float
+        Initial width of all neurons, in standard deviations of the training joints (mean over
+        the joints); 7 is 3.5 times the half width of an evenly filled box, over two.
+    ridges : tuple of float
+        Ridge weights to choose from on the validation samples, relative to the mean diagonal.
+    iterations : int
+        Most Adam iterations of ``varpro``.
+    batch : int
+        Pairs of images in one iteration.
+    learning_rates : tuple of float
+        Adam's first step for centres (rad) and log widths, one a network; it falls to zero.
+    check_every : int
+        Iterations between looks at the validation error.
+    patience : int
+        Looks without progress after which ``varpro`` stops.
+    held_out, validation : float
+        Shares of the data that are kept back for the reported errors, and for choosing.
+    block_s : float
+        Continuous motion is kept back in blocks of this length, s, not by single images.
+    outlier_factor : float
+        Images that fit worse than this many times the median are left out.
+    """
+
+    method: str = "varpro"
+    neurons: int = 50
+    seed: int = 0
+    width_factor: float = 7.0
+    ridges: tuple[float, ...] = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7)
+    iterations: int = 300
+    batch: int = 2048
+    learning_rates: tuple[float, ...] = (0.1,) * N_JOINTS
+    check_every: int = 20
+    patience: int = 4
+    held_out: float = 0.15
+    validation: float = 0.15
+    block_s: float = 2.0
+    outlier_factor: float = 6.0
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise TrainingError(
+                f"unknown training method {self.method!r}; known are {', '.join(METHODS)}"
+            )
+        if not 1 <= self.neurons <= 1000:
+            raise TrainingError(f"neurons must lie between 1 and 1000, got {self.neurons}")
+        if len(self.learning_rates) != N_JOINTS:
+            raise TrainingError(f"learning_rates must be {N_JOINTS} numbers, one a network")
+        if not self.ridges or min(self.ridges) <= 0.0:
+            raise TrainingError("ridges must be positive")
+        if min(self.held_out, self.validation) <= 0.0 or self.held_out + self.validation > 0.8:
+            raise TrainingError("held_out and validation must be positive, at most 0.8 together")
+
+
+@dataclass(frozen=True)
+class TrainingProgress:
+    """Where the training is.
+
+    Parameters
+    ----------
+    iteration, iterations : int
+        Done, and at most to do.
+    validation_error : float
+        Best relative prediction error on the validation samples so far.
+    """
+
+    iteration: int
+    iterations: int
+    validation_error: float
+
+
+@dataclass(frozen=True)
+class NetworkError:
+    """How wrong one network is, seen on held-out images.
+
+    The prediction errors of held-out pairs are explained by an error of each column that is an
+    affine function of the joints. Finer errors do not show here, only in the overall error.
+
+    Parameters
+    ----------
+    column_m_rad : float
+        Root mean square length of the column over the held-out joints, m/rad.
+    error_m_rad : float
+        Root mean square length of its error, m/rad.
+    uncertainty_m_rad : float
+        What noise alone would make of the error, m/rad.
+    """
+
+    column_m_rad: float
+    error_m_rad: float
+    uncertainty_m_rad: float
+
+    @property
+    def relative(self) -> float | None:
+        """Error over column; None where the column is too small to tell from noise."""
+        if self.column_m_rad <= 10.0 * self.uncertainty_m_rad:
+            return None
+        return self.error_m_rad / self.column_m_rad
+
+
+@dataclass(frozen=True)
+class TrainingResult:
+    """The trained networks and everything worth knowing about the training.
+
+    The errors are those of networks that have not seen the held-out images; the weights of
+    ``trained`` are then fitted once more, to all images.
+
+    Parameters
+    ----------
+    trained : TrainedModel
+        Ready to be saved.
+    options : TrainingOptions
+        How it was trained.
+    networks : tuple of NetworkError
+        One a joint.
+    pair_error_m : float
+        Root mean square prediction error between two held-out images, m; with the noise of both.
+    pair_error_relative : float
+        The same over the root mean square motion of the ball between the two.
+    step_error_relative : float or None
+        The same for held-out images that follow each other (at least 0.01 rad apart); mostly
+        noise when the steps are small. None if there are none.
+    validation_error : float
+        Relative pair error on the validation images.
+    ridge : float
+        The chosen ridge weight, relative.
+    iterations : int
+        Adam iterations done.
+    samples, held_out_samples, outliers : int
+        Images used in all, kept back, and left out.
+    notes : tuple of str
+        What a user should know, in words.
+    """
+
+    trained: TrainedModel
+    options: TrainingOptions
+    networks: tuple[NetworkError, ...]
+    pair_error_m: float
+    pair_error_relative: float
+    step_error_relative: float | None
+    validation_error: float
+    ridge: float
+    iterations: int
+    samples: int
+    held_out_samples: int
+    outliers: int
+    notes: tuple[str, ...]
+
+
+Progress = Callable[[TrainingProgress], bool]
+
+
+def line_regressors(
+    centres: np.ndarray, widths: np.ndarray, start: np.ndarray, end: np.ndarray, nodes: int
+) -> np.ndarray:
+    """What multiplies the weights in the ball's motion between two joint positions.
+
+    Parameters
+    ----------
+    centres : ndarray, shape (6, m, 6)
+        Centres, rad.
+    widths : ndarray, shape (6, m)
+        Widths, rad.
+    start, end : ndarray, shape (n, 6)
+        Joint positions of the first and the second image, rad.
+    nodes : int
+        Quadrature nodes on the line; 1 is the midpoint rule.
+
+    Returns
+    -------
+    ndarray, shape (n, 6 m)
+        Integrals of theta_i along the line times the motion of joint i, network by network.
+    """
+    motion = end - start
+    places, shares = _quadrature(nodes)
+    total = np.zeros((len(start), *widths.shape))
+    for place, share in zip(places, shares, strict=True):
+        total += share * rbf_features(centres, widths, start + place * motion)
+    total *= motion[:, :, None]
+    return total.reshape(len(start), -1)
+
+
+def _quadrature(nodes: int) -> tuple[np.ndarray, np.ndarray]:
+    places, shares = np.polynomial.legendre.leggauss(nodes)
+    return 0.5 * (places + 1.0), 0.5 * shares
+
+
+def train(
+    data: DataSet, options: TrainingOptions | None = None, progress: Progress | None = None
+) -> TrainingResult:
+    """Train the six networks.
+
+    Parameters
+    ----------
+    data : DataSet
+        Ball positions and joints.
+    options : TrainingOptions, optional
+        How.
+    progress : callable, optional
+        Called now and then with a :class:`TrainingProgress`; True ends the iterations early.
+
+    Raises
+    ------
+    TrainingError
+        If the data cannot teach anything.
+    """
+    options = options if options is not None else TrainingOptions()
+    if len(data) < MIN_SAMPLES:
+        raise TrainingError(
+            f"the data set has {len(data)} images, expected at least {MIN_SAMPLES}"
+        )
+    return _Training(data, options).run(progress)
+
+
+class _Training:
+    """One training run: the data, split, and the steps of the recipe."""
+
+    def __init__(self, data: DataSet, options: TrainingOptions) -> None:
+        self._data = data
+        self._options = options
+        self._rng = np.random.default_rng(options.seed)
+        self._joints = data.joints_rad
+        self._ball = data.ball_m
+        spread = self._joints.std(axis=0)
+        if spread.max() < 1e-3:
+            raise TrainingError("the joints hardly move in the data set, so there is no Jacobian")
+        if np.linalg.norm(self._ball.std(axis=0)) < 1e-4:
+            raise TrainingError("the ball does not move in the data set, so there is no Jacobian")
+        self._scale_rad = float(np.sqrt(np.mean(spread**2)))
+        widest = float(np.ptp(self._joints, axis=0).max())
+        self._nodes = int(np.clip(math.ceil(widest / 0.5), 2, 8))
+        self._spread = spread
+
+    def run(self, progress: Progress | None) -> TrainingResult:
+        options = self._options
+        fitting, validation, held_out = self._split()
+        centres, widths = self._initial_neurons(fitting)
+        good = self._good_images(centres, widths, fitting)
+        outliers = int(np.count_nonzero(~good))
+        fitting, validation, held_out = (
+            part[good[part]] for part in (fitting, validation, held_out)
+        )
+        iterations = 0
+        if options.method == "varpro":
+            centres, widths, iterations = self._variable_projection(
+                centres, widths, fitting, validation, progress
+            )
+        weights, ridge, validation_error = self._choose_ridge(centres, widths, fitting, validation)
+        judged = _as_model(centres, widths, weights)
+        pair_error, motion, networks = self._judge_pairs(judged, held_out)
+        everything = np.flatnonzero(good)
+        weights = self._solve(centres, widths, everything, (ridge,))[0]
+        result = {
+            "pair_error_m": pair_error,
+            "pair_error_relative": pair_error / motion,
+            "step_error_relative": self._judge_steps(judged, held_out),
+            "validation_error": validation_error,
+            "ridge": ridge,
+            "iterations": iterations,
+            "samples": len(everything),
+            "held_out_samples": len(held_out),
+            "outliers": outliers,
+        }
+        errors = {
+            **result,
+            "column_m_rad": [n.column_m_rad for n in networks],
+            "column_error_m_rad": [n.error_m_rad for n in networks],
+            "column_error_relative": [n.relative for n in networks],
+        }
+        trained = TrainedModel(
+            model=_as_model(centres, widths, weights),
+            joint_box_rad=_box(self._joints[everything]),
+            ball_box_m=_box(self._ball[everything]),
+            joint_names=self._data.joint_names,
+            feature_frame=self._data.feature_frame,
+            errors=errors,
+            provenance={
+                "method": options.method,
+                "options": asdict(options),
+                "data": dict(self._data.provenance),
+            },
+        )
+        return TrainingResult(
+            trained=trained,
+            options=options,
+            networks=networks,
+            notes=self._notes(outliers),
+            **result,
+        )
+
+    def _split(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Indices to fit, to choose and to judge with, in blocks of segments and time."""
+        data, options = self._data, self._options
+        first = np.searchsorted(data.segment, data.segment, side="left")
+        # no more than a tenth of the whole in a block, however short the data set is
+        runs = np.unique(data.segment)
+        length_s = float(np.sum(data.stamps_s[np.searchsorted(data.segment, runs, "right") - 1]
+                                - data.stamps_s[np.searchsorted(data.segment, runs, "left")]))
+        block_s = min(options.block_s, max(length_s / 20.0, 1e-3))
+        piece = np.floor((data.stamps_s - data.stamps_s[first]) / block_s)
+        change = (np.diff(data.segment) != 0) | (np.diff(piece) != 0)
+        block = np.concatenate([[0], np.cumsum(change)])
+        order = self._rng.permutation(block[-1] + 1)
+        rank = np.empty_like(order)
+        rank[order] = np.arange(len(order))
+        place = (rank[block] + 0.5) / len(order)
+        held_out = place < options.held_out
+        validation = ~held_out & (place < options.held_out + options.validation)
+        parts = tuple(
+            np.flatnonzero(part) for part in (~held_out & ~validation, validation, held_out)
+        )
+        if min(len(part) for part in parts) < 6:
+            raise TrainingError(
+                f"the data set of {len(data)} images in {len(order)} pieces is too small to keep "
+                "some back; record for longer"
+            )
+        return parts[0], parts[1], parts[2]
+
+    def _initial_neurons(self, fitting: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        m = self._options.neurons
+        chosen = [
+            self._joints[self._rng.choice(fitting, m, replace=len(fitting) < m)]
+            for _ in range(N_JOINTS)
+        ]
+        widths = np.full((N_JOINTS, m), self._options.width_factor * self._scale_rad)
+        return np.stack(chosen), widths
+
+    def _pairs(self, images: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Random pairs in which every image appears about equally often."""
+        rounds = max(1, math.ceil(count / len(images)))
+        first = np.tile(images, rounds)
+        second = np.concatenate([self._rng.permutation(images) for _ in range(rounds)])
+        different = np.flatnonzero(first != second)
+        if len(different) > count:
+            different = self._rng.permutation(different)[:count]
+        return first[different], second[different]
+
+    def _equations(
+        self, centres: np.ndarray, widths: np.ndarray, pairs: tuple[np.ndarray, np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        first, second = pairs
+        regressors = line_regressors(
+            centres, widths, self._joints[first], self._joints[second], self._nodes
+        )
+        return regressors, self._ball[second] - self._ball[first]
+
+    def _solve(
+        self,
+        centres: np.ndarray,
+        widths: np.ndarray,
+        images: np.ndarray,
+        ridges: tuple[float, ...],
+        count: int | None = None,
+    ) -> list[np.ndarray]:
+        if count is None:
+            count = int(np.clip(3 * len(images), 4000, 20_000))
+        regressors, motion = self._equations(centres, widths, self._pairs(images, count))
+        return _ridge_path(regressors, motion, ridges)
+
+    def _good_images(
+        self, centres: np.ndarray, widths: np.ndarray, fitting: np.ndarray
+    ) -> np.ndarray:
+        """Which images fit to the others: the median over a few partners is not far off."""
+        weights = self._solve(centres, widths, fitting, (1e-9,), 5000)[0]
+        everyone = np.arange(len(self._joints))
+        # the ball as the networks see it, up to a constant: the line from the mean joints
+        middle = np.broadcast_to(self._joints[fitting].mean(axis=0), self._joints.shape)
+        seen = line_regressors(centres, widths, middle, self._joints, self._nodes) @ weights
+        offset = self._ball - seen
+        distance = np.linalg.norm(offset - np.median(offset[fitting], axis=0), axis=1)
+        limit = self._options.outlier_factor * float(np.median(distance[fitting]))
+        return (distance <= max(limit, 1e-9)) & (everyone >= 0)
+
+    def _choose_ridge(
+        self,
+        centres: np.ndarray,
+        widths: np.ndarray,
+        fitting: np.ndarray,
+        validation: np.ndarray,
+    ) -> tuple[np.ndarray, float, float]:
+        """Weights with the largest ridge that is as good as the best, within half a percent."""
+        ridges = tuple(sorted(self._options.ridges))
+        candidates = self._solve(centres, widths, fitting, ridges)
+        regressors, motion = self._equations(centres, widths, self._pairs(validation, 3000))
+        scores = [_relative_error(regressors, motion, weights) for weights in candidates]
+        limit = 1.005 * min(scores)
+        best = max(i for i, score in enumerate(scores) if score <= limit)
+        return candidates[best], ridges[best], scores[best]
+
+    def _variable_projection(
+        self,
+        centres: np.ndarray,
+        widths: np.ndarray,
+        fitting: np.ndarray,
+        validation: np.ndarray,
+        progress: Progress | None,
+    ) -> tuple[np.ndarray, np.ndarray, int]:
+        """Adam on centres and log widths, the weights being solved for in every iteration."""
+        options = self._options
+        ridge = sorted(options.ridges)[len(options.ridges) // 3]
+        judged_on = self._pairs(validation, 3000)
+        solved_on = self._pairs(fitting, 6000)
+
+        def score() -> float:
+            widths = np.exp(log_widths)
+            weights = _ridge_path(*self._equations(centres, widths, solved_on), (ridge,))[0]
+            return _relative_error(*self._equations(centres, widths, judged_on), weights)
+
+        centres, log_widths = centres.copy(), np.log(widths)
+        rates = np.asarray(options.learning_rates)
+        adam = (_Adam(centres, rates[:, None, None]), _Adam(log_widths, rates[:, None]))
+        best_score, best = score(), (centres.copy(), log_widths.copy())
+        waited, done = 0, 0
+        for iteration in range(1, options.iterations + 1):
+            done = iteration
+            gradients = self._gradients(
+                centres, np.exp(log_widths), self._pairs(fitting, options.batch), ridge
+            )
+            fall = 0.5 * (1.0 + math.cos(math.pi * (iteration - 1) / options.iterations))
+            for variable, gradient in zip(adam, gradients, strict=True):
+                variable.step(gradient, fall)
+            if iteration % options.check_every == 0 or iteration == options.iterations:
+                present = score()
+                waited = 0 if present < 0.999 * best_score else waited + 1
+                if present < best_score:
+                    best_score, best = present, (centres.copy(), log_widths.copy())
+            if progress is not None and progress(
+                TrainingProgress(iteration, options.iterations, best_score)
+            ):
+                break
+            if waited >= options.patience:
+                break
+        return best[0], np.exp(best[1]), done
+
+    def _gradients(
+        self,
+        centres: np.ndarray,
+        widths: np.ndarray,
+        pairs: tuple[np.ndarray, np.ndarray],
+        ridge: float,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Gradients of the relative squared error with respect to centres and log widths."""
+        start, end = self._joints[pairs[0]], self._joints[pairs[1]]
+        joint_motion = end - start
+        ball_motion = self._ball[pairs[1]] - self._ball[pairs[0]]
+        places, shares = _quadrature(self._nodes)
+        n, (_, m) = len(start), widths.shape
+        points = (start + places[:, None, None] * joint_motion).reshape(-1, N_JOINTS)
+        theta = rbf_features(centres, widths, points).reshape(self._nodes, n, N_JOINTS * m)
+        motion_of = np.repeat(joint_motion, m, axis=1)
+        regressors = np.tensordot(shares, theta, axes=1) * motion_of
+        weights = _ridge_solve(regressors, ball_motion, ridge)
+        residual = regressors @ weights - ball_motion
+        scale = 2.0 / float(np.vdot(ball_motion, ball_motion))
+        # d error / d (exponent of a neuron at a point); from there on only sums of products
+        slope = (residual @ weights.T) * motion_of * scale
+        theta *= shares[:, None, None]
+        theta *= slope
+        pull = theta.reshape(-1, N_JOINTS * m)
+        flat = centres.reshape(-1, N_JOINTS)
+        squared = np.square(widths.reshape(-1))
+        pull_sum = pull.sum(axis=0)
+        pull_points = pull.T @ points
+        to_centres = 2.0 / squared[:, None] * (pull_points - pull_sum[:, None] * flat)
+        distances = (
+            pull.T @ np.sum(points * points, axis=1)
+            - 2.0 * np.sum(pull_points * flat, axis=1)
+            + pull_sum * np.sum(flat * flat, axis=1)
+        )
+        to_log_widths = 2.0 / squared * distances
+        return to_centres.reshape(centres.shape), to_log_widths.reshape(widths.shape)
+
+    def _judge_pairs(
+        self, model: RbfModel, held_out: np.ndarray
+    ) -> tuple[float, float, tuple[NetworkError, ...]]:
+        """Held-out pair error, ball motion (root mean squares, m), and the networks' errors."""
+        pairs = self._pairs(held_out, 3000)
+        regressors, motion = self._equations(model.centres, model.widths, pairs)
+        error = regressors @ _as_matrix(model) - motion
+        start, end = self._joints[pairs[0]], self._joints[pairs[1]]
+        centre = self._joints[held_out].mean(axis=0)
+        scale = np.maximum(self._joints[held_out].std(axis=0), 1e-6)
+
+        def affine(joints: np.ndarray) -> np.ndarray:
+            return np.concatenate([np.ones((len(joints), 1)), (joints - centre) / scale], axis=1)
+
+        # an affine column integrates along a line to its value half way: exactly linear again
+        explained = (end - start)[:, :, None] * affine(0.5 * (start + end))[:, None, :]
+        matrix = explained.reshape(len(start), -1)
+        gram = matrix.T @ matrix
+        gram[np.diag_indices_from(gram)] += 1e-9 * np.trace(gram) / len(gram)
+        inverse = np.linalg.inv(gram)
+        correction = inverse @ (matrix.T @ error)
+        left = error - matrix @ correction
+        # each image makes several pairs, so the equations count for no more than the images
+        variance = np.sum(left**2) / N_FEATURES / len(left) * (len(left) / len(held_out))
+        columns = model.jacobian(self._joints[held_out])
+        basis = affine(self._joints[held_out])
+        size = basis.shape[1]
+        networks = []
+        for i in range(N_JOINTS):
+            own = slice(i * size, (i + 1) * size)
+            wrong = basis @ correction[own]
+            doubt = N_FEATURES * variance * np.einsum("na,ab,nb->n", basis, inverse[own, own], basis)
+            networks.append(
+                NetworkError(
+                    float(np.sqrt(np.mean(np.sum(columns[:, :, i] ** 2, axis=1)))),
+                    float(np.sqrt(np.mean(np.sum(wrong**2, axis=1)))),
+                    float(np.sqrt(np.mean(doubt))),
+                )
+            )
+        rms = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+        return rms, float(np.sqrt(np.mean(np.sum(motion**2, axis=1)))), tuple(networks)
+
+    def _judge_steps(self, model: RbfModel, held_out: np.ndarray) -> float | None:
+        following = held_out[:-1][
+            (np.diff(held_out) == 1)
+            & (self._data.segment[held_out[:-1]] == self._data.segment[held_out[1:]])
+        ]
+        motion = self._joints[following + 1] - self._joints[following]
+        following = following[np.abs(motion).max(axis=1, initial=0.0) >= 0.01]
+        if len(following) == 0:
+            return None
+        regressors, motion = self._equations(model.centres, model.widths, (following, following + 1))
+        return _relative_error(regressors, motion, _as_matrix(model))
+
+    def _notes(self, outliers: int) -> tuple[str, ...]:
+        notes = []
+        names = self._data.joint_names
+        still = [name for name, s in zip(names, self._spread, strict=True) if s < 1e-3]
+        if still:
+            notes.append(
+                f"{', '.join(still)} did not move in the data set: their columns are not learned"
+            )
+        if outliers:
+            notes.append(f"{outliers} of {len(self._data)} images do not fit and were left out")
+        return tuple(notes)
+
+
+class _Adam:
+    """Adam on one array, in place."""
+
+    def __init__(self, variable: np.ndarray, rate: np.ndarray) -> None:
+        self._variable = variable
+        self._rate = rate
+        self._mean = np.zeros_like(variable)
+        self._square = np.zeros_like(variable)
+        self._steps = 0
+
+    def step(self, gradient: np.ndarray, share: float) -> None:
+        self._steps += 1
+        self._mean += (1.0 - _ADAM_MEAN) * (gradient - self._mean)
+        self._square += (1.0 - _ADAM_SQUARE) * (gradient**2 - self._square)
+        mean = self._mean / (1.0 - _ADAM_MEAN**self._steps)
+        square = self._square / (1.0 - _ADAM_SQUARE**self._steps)
+        self._variable -= share * self._rate * mean / (np.sqrt(square) + 1e-12)
+
+
+def _ridge_solve(regressors: np.ndarray, motion: np.ndarray, ridge: float) -> np.ndarray:
+    gram = regressors.T @ regressors
+    gram[np.diag_indices_from(gram)] += ridge * np.trace(gram) / len(gram)
+    return np.linalg.solve(gram, regressors.T @ motion)
+
+
+def _ridge_path(
+    regressors: np.ndarray, motion: np.ndarray, ridges: tuple[float, ...]
+) -> list[np.ndarray]:
+    """Weights, shape (6 m, 3), for each relative ridge, from one decomposition."""
+    if len(ridges) == 1:
+        return [_ridge_solve(regressors, motion, ridges[0])]
+    gram = regressors.T @ regressors
+    values, vectors = np.linalg.eigh(gram)
+    mean = float(np.mean(values))
+    projected = vectors.T @ (regressors.T @ motion)
+    values = np.maximum(values, 0.0)[:, None]
+    return [vectors @ (projected / (values + ridge * mean)) for ridge in ridges]
+
+
+def _relative_error(regressors: np.ndarray, motion: np.ndarray, weights: np.ndarray) -> float:
+    return float(np.linalg.norm(regressors @ weights - motion) / np.linalg.norm(motion))
+
+
+def _as_model(centres: np.ndarray, widths: np.ndarray, weights: np.ndarray) -> RbfModel:
+    m = widths.shape[1]
+    return RbfModel(centres, widths, weights.reshape(N_JOINTS, m, N_FEATURES).transpose(0, 2, 1))
+
+
+def _as_matrix(model: RbfModel) -> np.ndarray:
+    return model.weights.transpose(0, 2, 1).reshape(-1, N_FEATURES)
+
+
+def _box(values: np.ndarray) -> np.ndarray:
+    return np.stack([values.min(axis=0), values.max(axis=0)])
+
+
+def describe_options(options: TrainingOptions) -> dict[str, Any]:
+    """The options as plain values, for provenance."""
+    return asdict(options)

@@ -1,0 +1,58 @@
+"""Package of the nodes, for pip and for colcon; package.xml holds the same version."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = "fvs_ros"
+
+EXTRAS = {
+    "ros": ["ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "ros-jazzy-common-interfaces"],
+    "sim": ["pybullet", "opencv-python-headless", "matplotlib"],
+    "train": ["torch"],
+    "test": [
+        "pytest",
+        "pytest-timeout",
+        "hypothesis",
+        "scipy",
+        "ruff",
+        "mypy",
+        "types-PyYAML",
+        "types-tqdm",
+    ],
+}
+EXTRAS["all"] = [requirement for extra in EXTRAS.values() for requirement in extra]
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Uncalibrated visual servoing of a robot arm: learned Jacobian, "
+    "finite-time control, simulator",
+    license="Apache-2.0",
+    maintainer="fvs_ros maintainers",
+    maintainer_email="maintainers@example.org",
+    python_requires=">=3.10",
+    packages=find_packages(include=["fvs_ros", "fvs_ros.*", "fvs_*_node"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        (f"share/{PACKAGE}/config", sorted(glob("config/*.yaml"))),
+        (f"share/{PACKAGE}/config/models", sorted(glob("config/models/*.npz"))),
+        (f"share/{PACKAGE}/launch", sorted(glob("launch/*.py"))),
+    ],
+    # What the cores need without ROS; in a ROS workspace rosdep brings these by apt.
+    install_requires=["numpy", "PyYAML", "tqdm"],
+    extras_require=EXTRAS,
+    zip_safe=True,
+    entry_points={
+        "console_scripts": [
+            "fvs_sim_node=fvs_sim_node.node:main",
+            "fvs_estimator_node=fvs_estimator_node.node:main",
+            "fvs_controller_node=fvs_controller_node.node:main",
+            "fvs_collector_node=fvs_estimator_node.collector_node:main",
+            "fvs_demo_node=fvs_ros.apps.demo_node:main",
+            "fvs_train=fvs_ros.apps.train:main",
+            "fvs_launch=fvs_ros.apps.launcher:main",
+        ],
+    },
+)

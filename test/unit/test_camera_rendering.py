@@ -1,0 +1,137 @@
+"""The rendered camera agrees with the pinhole model, and windows with the full image."""
+
+import numpy as np
+import pytest
+
+from fvs_ros.core.camera import Intrinsics
+from fvs_sim_node.rendering import (
+    CAMERA_PRESETS,
+    CameraPose,
+    Region,
+    Renderer,
+    camera_preset,
+    pose_from_look_at,
+)
+from fvs_sim_node.world import SceneObject, World
+
+VGA = Intrinsics(640, 480, 615.0, 615.0, 319.5, 239.5)
+CENTRE = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
+HALF_BOX = np.array([0.6, 0.5, 0.5, 0.5, 0.5, 0.5])
+RADIUS_M = 0.04
+
+
+@pytest.fixture(scope="module")
+def world():
+    world = World()
+    yield world
+    world.close()
+
+
+@pytest.fixture(scope="module")
+def lone_ball():
+    """A renderer of a sphere at (5, 0, 1), far from the arm."""
+    sphere = SceneObject("sphere", (5.0, 0.0, 1.0), (RADIUS_M,))
+    world = World(objects=(sphere,))
+    yield lambda camera: Renderer(world.client, camera)
+    world.close()
+
+
+def ideal_sphere(camera, centre_m):
+    """Mask, and depth along z, of a sphere by ray casting."""
+    rays = camera.rays(*np.meshgrid(np.arange(camera.width), np.arange(camera.height)))
+    length = np.linalg.norm(rays, axis=-1)
+    along = rays @ centre_m / length
+    under_root = RADIUS_M**2 - (centre_m @ centre_m - along**2)
+    mask = under_root > 0.0
+    return mask, np.where(mask, (along - np.sqrt(np.maximum(under_root, 0.0))) / length, 0.0)
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [VGA, Intrinsics(320, 240, 300.0, 310.0, 150.25, 128.0)],
+    ids=["vga", "odd_principal_point"],
+)
+def test_projection_agrees_to_a_tenth_of_a_pixel(lone_ball, camera):
+    rng = np.random.default_rng(1)
+    renderer = lone_ball(camera)
+    offsets, areas, depths = [], [], []
+    for _ in range(30):
+        u = rng.uniform(0.15, 0.85) * camera.width
+        v = rng.uniform(0.15, 0.85) * camera.height
+        centre = rng.uniform(0.5, 1.6) * camera.rays(u, v)
+        rotation = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+        rotation *= np.linalg.det(rotation)
+        pose = CameraPose(np.array([5.0, 0.0, 1.0]) - rotation @ centre, rotation)
+        ideal, ideal_depth = ideal_sphere(camera, centre)
+        rgb, depth = renderer.render(pose)
+        red = rgb[..., 0] > 2.0 * rgb[..., 1]
+        drawn = red & (depth > 0.0)
+        offsets.append(np.mean(np.nonzero(drawn), axis=1) - np.mean(np.nonzero(ideal), axis=1))
+        areas.append(np.count_nonzero(drawn) / np.count_nonzero(ideal))
+        depths.append(np.median((depth - ideal_depth)[drawn & ideal]))
+    assert np.abs(np.mean(offsets, axis=0)).max() < 0.02
+    assert np.abs(offsets).max() < 0.1
+    assert np.mean(areas) == pytest.approx(1.0, abs=0.005)
+    assert np.abs(depths).max() < 1e-4
+
+
+def test_window_equals_crop(world):
+    renderer = Renderer(world.client, VGA)
+    pose = camera_preset("front")
+    rng = np.random.default_rng(2)
+    for _ in range(8):
+        world.reset(CENTRE + HALF_BOX * rng.uniform(-1.0, 1.0, 6))
+        world.place_ball()
+        whole_rgb, whole_depth = renderer.render(pose)
+        for size in (96, 112, 131):
+            u0, v0 = int(rng.integers(0, 640 - size)), int(rng.integers(0, 480 - size))
+            rgb, depth = renderer.render(pose, Region(u0, v0, size, size))
+            part = np.s_[v0 : v0 + size, u0 : u0 + size]
+            np.testing.assert_array_equal(depth > 0.0, whole_depth[part] > 0.0)
+            # Depth and shade are interpolated in single precision.
+            np.testing.assert_allclose(depth, whole_depth[part], atol=5e-5)
+            assert np.abs(rgb.astype(int) - whole_rgb[part]).max() <= 1
+
+
+def test_nothing_in_view_has_no_depth(world):
+    away = pose_from_look_at((-1.5, 0.0, 0.5), (-3.0, 0.0, 0.5))
+    _, depth = Renderer(world.client, VGA).render(away)
+    assert not depth.any()
+
+
+def test_coarse_image_is_the_subsampled_view(world):
+    world.reset(CENTRE)
+    world.place_ball()
+    renderer = Renderer(world.client, VGA)
+    pose = camera_preset("front")
+    coarse = renderer.render_coarse(pose, 4)
+    assert coarse.shape == (120, 160, 3)
+    whole, _ = renderer.render(pose)
+    red = np.argwhere(coarse[..., 0] > 2.0 * coarse[..., 1])
+    red_whole = np.argwhere(whole[..., 0] > 2.0 * whole[..., 1])
+    np.testing.assert_allclose(4 * red.mean(axis=0), red_whole.mean(axis=0), atol=1.0)
+
+
+@pytest.mark.parametrize("name", sorted(CAMERA_PRESETS))
+def test_presets_hold_the_ball_in_the_picture(world, name):
+    pose = camera_preset(name)
+    np.testing.assert_allclose(pose.rotation @ pose.rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(pose.rotation) == pytest.approx(1.0)
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        world.reset(CENTRE + HALF_BOX * rng.uniform(-1.0, 1.0, 6))
+        position = pose.to_camera(world.ball_position())
+        pixel = VGA.project(position)
+        margin = VGA.fx * RADIUS_M / position[2]
+        assert np.all(pixel > margin)
+        assert np.all(pixel < [640 - margin, 480 - margin])
+
+
+def test_unknown_preset_names_the_known_ones():
+    with pytest.raises(ValueError, match="front, overhead"):
+        camera_preset("side")
+
+
+def test_unknown_object_is_refused(world):
+    with pytest.raises(ValueError, match="box, sphere"):
+        world.add_object(SceneObject("cone", (0.0, 0.0, 0.0), (1.0,)))

@@ -1,0 +1,82 @@
+from pathlib import Path
+
+import pytest
+import yaml
+
+from fvs_ros.apps.scenario import NODE_TABLE, ScenarioError, load_scenario
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+
+
+@pytest.mark.parametrize("path", sorted(CONFIG.glob("*.yaml")), ids=lambda p: p.stem)
+def test_every_scenario_passes_its_declarations(path):
+    scenario = load_scenario(str(path))
+    assert scenario.nodes
+    assert load_scenario(path.stem).parameters == scenario.parameters
+
+
+def test_every_node_of_the_table_declares_its_parameters():
+    for entry in NODE_TABLE.values():
+        assert list(entry.parameters()), entry.executable
+        for parameter in entry.parameters():
+            assert parameter.description, f"{entry.executable} {parameter.name}"
+
+
+def test_overrides_go_to_the_nodes_that_have_the_parameter():
+    scenario = load_scenario("demo").with_overrides(
+        ["method:=frozen", "law:=proportional", "fvs_sim_node:seed:=7", "model_path:=other.npz"]
+    )
+    values = scenario.parameters
+    assert values["fvs_estimator_node"]["method"] == "frozen"
+    assert values["fvs_controller_node"]["law"] == "proportional"
+    assert values["fvs_sim_node"]["seed"] == 7
+    assert values["fvs_demo_node"]["seed"] == 0
+    assert values["fvs_demo_node"]["model_path"] == "other.npz"
+    assert values["fvs_estimator_node"]["model_path"] == "other.npz"
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("law=mpc", "not of the form name:=value"),
+        ("lwa:=mpc", "no node .* has a parameter lwa"),
+        ("law:=nonsense", "fvs_controller_node .*law must be one of"),
+        ("fvs_sim_node:law:=ftsm", "unknown parameter law"),
+        ("other_node:law:=ftsm", "no node"),
+        ("latency_s:=-1.0", "latency_s must be number from 0 to 1"),
+    ],
+)
+def test_a_wrong_override_is_refused_in_words(override, words):
+    with pytest.raises(ScenarioError, match=words):
+        load_scenario("demo").with_overrides([override])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("- a\n- b\n", "must map node names"),
+        ("fvs_sim_node: 3\n", "must hold ros__parameters"),
+        ("fvs_sim_node: {ros__parameters: {}, more: 1}\n", "and nothing else"),
+        ("some_node: {ros__parameters: {}}\n", "known nodes are"),
+        ("{}\n", "names no node"),
+        ("fvs_sim_node: {ros__parameters: {sead: 3}}\n", "unknown parameter sead"),
+        ("a: [\n", "cannot read scenario"),
+    ],
+)
+def test_a_file_that_is_no_scenario_is_refused_in_words(tmp_path, text, words):
+    path = tmp_path / "bad.yaml"
+    path.write_text(text)
+    with pytest.raises(ScenarioError, match=words):
+        load_scenario(str(path))
+
+
+def test_a_missing_scenario_says_where_it_was_looked_for():
+    with pytest.raises(ScenarioError, match=r"no file nowhere\.yaml; looked in .*config"):
+        load_scenario("nowhere")
+
+
+def test_wildcard_parameters_reach_every_node_and_the_file_holds_in_any_namespace():
+    scenario = load_scenario("collect")
+    assert all(values["use_sim_time"] for values in scenario.parameters.values())
+    content = yaml.safe_load(scenario.to_params_yaml())
+    assert set(content) == {"/**/fvs_sim_node", "/**/fvs_collector_node"}
