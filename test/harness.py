@@ -11,13 +11,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import rclpy
+from geometry_msgs.msg import PointStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 
 from fvs_ros.core import ros
+from fvs_ros.core.joints import UR_JOINT_NAMES
 
 _STARTED = 0
 
@@ -159,3 +164,91 @@ class Harness:
         self.executor.shutdown()
         self.node.destroy_node()
         rclpy.try_shutdown(context=self.context)
+
+
+class PlayedRobot:
+    """Plays robot, detector and estimator towards a controller: a linear plant x' = J r'.
+
+    Attributes
+    ----------
+    silent : set of str
+        Topics that are not published for now.
+    spoil : dict
+        Topic -> function that changes a message before it is sent.
+    """
+
+    FRAME = "camera_color_optical_frame"
+
+    def __init__(self, harness: Harness) -> None:
+        self.harness = harness
+        self.jacobian = np.array(
+            [
+                [0.5, 0.1, 0.1, 0.05, 0.1, 0.0],
+                [0.1, 0.5, -0.3, 0.1, 0.05, 0.0],
+                [0.1, -0.2, 0.4, 0.2, -0.1, 0.0],
+            ]
+        )
+        self.joints = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
+        self.ball = np.array([0.0, 0.1, 1.4])
+        self.velocity = np.zeros(6)
+        self.silent: set[str] = set()
+        self.spoil: dict[str, Callable[[Any], Any]] = {}
+        self.commands: list[tuple[float, Float64MultiArray]] = []
+        node = harness.node
+        qos = ros.QOS_RELIABLE
+        self._publishers = {
+            ros.JOINT_STATES: node.create_publisher(JointState, ros.JOINT_STATES, qos),
+            ros.BALL_POSITION: node.create_publisher(PointStamped, ros.BALL_POSITION, qos),
+            ros.JACOBIAN: node.create_publisher(Float64MultiArray, ros.JACOBIAN, qos),
+        }
+        node.create_subscription(Float64MultiArray, ros.COMMANDS, self._on_command, qos)
+        self._last_s = time.monotonic()
+        node.create_timer(0.008, self._step)
+        node.create_timer(1 / 30, self._look)
+
+    def _now_s(self) -> float:
+        return self.harness.node.get_clock().now().nanoseconds * 1e-9
+
+    def _send(self, topic: str, message: Any) -> None:
+        if topic not in self.silent:
+            self._publishers[topic].publish(self.spoil.get(topic, lambda m: m)(message))
+
+    def _on_command(self, message: Float64MultiArray) -> None:
+        self.commands.append((time.monotonic(), message))
+        self.velocity = np.array(message.data)
+
+    def _step(self) -> None:
+        now_s = time.monotonic()
+        moved = self.velocity * (now_s - self._last_s)
+        self._last_s = now_s
+        self.joints = self.joints + moved
+        self.ball = self.ball + self.jacobian @ moved
+        order = np.argsort(UR_JOINT_NAMES)
+        names = [UR_JOINT_NAMES[i] for i in order]
+        stamp_s = self._now_s()
+        self._send(
+            ros.JOINT_STATES,
+            ros.to_joint_state(stamp_s, names, self.joints[order], self.velocity[order]),
+        )
+        self._send(ros.JACOBIAN, ros.to_jacobian(self.jacobian))
+
+    def _look(self) -> None:
+        self._send(ros.BALL_POSITION, ros.to_point(self._now_s(), self.FRAME, self.ball))
+
+    def give_target(self, publisher: Any, offset_m: tuple[float, float, float]) -> np.ndarray:
+        """Publish a target at an offset from the ball; returns it."""
+        target = self.ball + np.array(offset_m)
+        publisher.publish(ros.to_point(self._now_s(), self.FRAME, target))
+        return target
+
+    def speed(self) -> float:
+        """Largest joint speed of the last command, rad/s."""
+        return float(np.abs(self.commands[-1][1].data).max())
+
+    def moving(self) -> bool:
+        """Whether the last command moves the arm well."""
+        return bool(self.commands) and self.speed() > 0.2
+
+    def standing(self) -> bool:
+        """Whether the last command is zero."""
+        return bool(self.commands) and self.speed() == 0.0

@@ -143,11 +143,11 @@ def colour_mask(rgb: np.ndarray, colour: BallColour) -> np.ndarray:
     hsv = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2HSV)
     least = (colour.min_saturation, colour.min_value)
     low, high = colour.hue - colour.hue_width, colour.hue + colour.hue_width
-    mask = np.asarray(cv2.inRange(hsv, (max(low, 0), *least), (min(high, 179), 255, 255)))
+    mask = cv2.inRange(hsv, (max(low, 0), *least), (min(high, 179), 255, 255))
     if low < 0:
-        mask = mask | cv2.inRange(hsv, (180 + low, *least), (179, 255, 255))
+        mask = cv2.bitwise_or(mask, cv2.inRange(hsv, (180 + low, *least), (179, 255, 255)))
     if high > 179:
-        mask = mask | cv2.inRange(hsv, (0, *least), (high - 180, 255, 255))
+        mask = cv2.bitwise_or(mask, cv2.inRange(hsv, (0, *least), (high - 180, 255, 255)))
     return mask
 
 
@@ -327,6 +327,7 @@ def _fit_sphere(patch: _Patch, radius_m: float) -> _Fit | None:
     direction = _unit(patch.rays[patch.inside].mean(axis=0))
     distance = patch.distance_m
     pixel_rad = float(direction[2] / np.sqrt(patch.view.fx * patch.view.fy))
+    residual = np.nan
     for turn in range(3):
         before = distance
         direction, on_outline = _fit_direction(
@@ -336,9 +337,10 @@ def _fit_sphere(patch: _Patch, radius_m: float) -> _Fit | None:
         if surface is None:
             return None
         distance = surface.distance_m
-        if turn > 0 and abs(distance - before) < 2e-4:
+        if turn == 2 or (turn > 0 and abs(distance - before) < 2e-4):
+            residual = surface.residual_m()
             break
-    return _Fit(direction, distance, on_outline, surface.residual_m(), pixel_rad)
+    return _Fit(direction, distance, on_outline, residual, pixel_rad)
 
 
 def _judge(patch: _Patch, fit: _Fit, camera: Intrinsics, radius_m: float) -> BallDetection | None:

@@ -1,0 +1,122 @@
+# From a fresh clone to a result: a virtual environment in .venv, then the command. `make` lists them.
+#
+#   PYTHON=python3.12    the Python of .venv (3.10 to 3.13); default python3
+#   ARGS="..."           more arguments for the command behind a target, e.g. ARGS="-k launcher"
+#   PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu    a torch without CUDA, 2 GB less
+
+PYTHON ?= python3
+ARGS ?=
+
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+DATASET := out/collect/dataset.npz
+MODEL := config/models/ur5_front.npz
+
+# Without HOME and without this, rclpy does not start.
+export ROS_LOG_DIR ?= $(CURDIR)/out/log
+
+# The wheels in .venv are a whole ROS 2: a ROS that the shell has sourced must not mix with them.
+unexport PYTHONPATH AMENT_PREFIX_PATH RMW_IMPLEMENTATION
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help demo test bench model lint format clean check-python log-dir
+
+help: ## list the targets
+	@echo "usage: make TARGET [PYTHON=python3.11] [ARGS=...]"
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
+
+demo: $(VENV)/.installed-demo log-dir ## simulated UR5 follows four targets; result in out/demo
+	@echo "== demo: about a minute; Ctrl-C stops it"
+	@$(BIN)/fvs_launch config/demo.yaml $(ARGS)
+
+test: $(VENV)/.installed-all log-dir ## all tests
+	@echo "== tests: a few minutes"
+	@ROS_PYTHON_CHECK_FIELDS=1 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST \
+		$(BIN)/python -m pytest $(ARGS)
+
+bench: $(VENV)/.installed-demo log-dir ## measurements of bench/, as tables
+	@echo "== benchmarks: some minutes; keep the machine idle"
+	@$(BIN)/python -m bench $(ARGS)
+
+model: $(VENV)/.installed-model log-dir ## record a data set and train the demo's model anew
+	@echo "== record joint motion in simulation: some minutes"
+	@$(BIN)/fvs_launch config/collect.yaml
+	@echo "== train on it: some minutes"
+	@mkdir -p $(dir $(MODEL))
+	@$(BIN)/fvs_train $(DATASET) -o $(MODEL) $(ARGS)
+
+lint: $(VENV)/.installed-lint ## ruff and mypy, changing nothing
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+
+format: $(VENV)/.installed-lint ## let ruff format and repair what it can
+	@$(BIN)/ruff format .
+	@$(BIN)/ruff check --fix .
+
+clean: ## remove .venv, build products and caches; out/ stays
+	rm -rf $(VENV) build install log *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	@find . -name .git -prune -o -name __pycache__ -type d -exec rm -rf {} +
+
+log-dir:
+	@mkdir -p "$$ROS_LOG_DIR"
+
+# What is installed: one stamp a set of extras. A larger set stamps the smaller ones it holds.
+
+$(VENV)/.installed-demo: EXTRAS := ros,sim
+$(VENV)/.installed-model: EXTRAS := ros,sim,train
+$(VENV)/.installed-lint: EXTRAS := test
+$(VENV)/.installed-all: EXTRAS := all
+$(VENV)/.installed-all: ALSO := demo model lint
+$(VENV)/.installed-model: ALSO := demo
+HINT_demo := half a minute and 250 MB
+HINT_model := minutes and up to 3 GB for torch
+HINT_lint := half a minute and 100 MB
+HINT_all := minutes and up to 3 GB for torch
+
+$(VENV)/.installed-%: setup.py constraints.txt $(VENV)/.made | check-python
+	@echo "== install fvs_ros[$(EXTRAS)] into $(VENV): $(HINT_$*), once"
+	@case $(EXTRAS) in test) ;; *) $(install-pybullet) ;; esac
+	@$(PIP) -e '.[$(EXTRAS)]'
+	@touch $@ $(addprefix $(VENV)/.installed-,$(ALSO))
+
+# Where there is no wheel (from Python 3.12 on, or off x86-64) pybullet is compiled. Left to itself,
+# pip would do that without numpy in sight, and camera images would take many times as long.
+define install-pybullet
+$(PIP) setuptools numpy && \
+if ! $(BIN)/python -c 'import pybullet' >/dev/null 2>&1; then \
+	if ! $(PIP) --only-binary pybullet pybullet >/dev/null 2>&1; then \
+		echo "== compile pybullet (no wheel for this Python): 5 to 10 minutes, needs g++ and python3-dev"; \
+		$(PIP) --no-build-isolation pybullet; \
+	fi; \
+fi
+endef
+
+$(VENV)/.made:
+	@$(call check-version,$(PYTHON))
+	@echo "== make $(VENV) with $(PYTHON): some seconds"
+	@rm -rf $(VENV)
+	@"$(PYTHON)" -m venv $(VENV) || { rm -rf $(VENV); \
+		echo "$(PYTHON) could not make a virtual environment;" \
+			"on Debian and Ubuntu: sudo apt install python3-venv" >&2; exit 1; }
+	@touch $@
+
+define check-version
+version=$$("$(1)" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null) || { \
+	echo "There is no Python called '$(1)'. Name one: make ... PYTHON=python3.11" >&2; exit 1; }; \
+case $$version in 3.10|3.11|3.12|3.13) ;; *) \
+	echo "'$(1)' is Python $$version, but fvs_ros needs 3.10 to 3.13 (3.11 installs quickest)." \
+		"Name another one: make ... PYTHON=python3.11" >&2; exit 1;; esac
+endef
+
+# An existing .venv keeps its Python; say so when another one is asked for.
+check-python: $(VENV)/.made
+ifneq ($(filter command environment,$(origin PYTHON)),)
+	@$(call check-version,$(PYTHON)); \
+	held=$$($(BIN)/python -c 'import sys; print("%d.%d" % sys.version_info[:2])'); \
+	[ "$$version" = "$$held" ] || { \
+		echo "$(VENV) was made with Python $$held, '$(PYTHON)' is Python $$version:" \
+			"run 'make clean' first." >&2; exit 1; }
+endif

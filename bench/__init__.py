@@ -1,0 +1,1 @@
+"""Measurements: each ``bench_*.py`` has a ``main()`` that prints tables."""

@@ -1,0 +1,37 @@
+"""Run the measurements of this folder in turn: ``python -m bench [NAME ...]``."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import time
+from pathlib import Path
+
+
+def names() -> list[str]:
+    """Names of the measurements: ``bench_loop.py`` is ``loop``."""
+    return sorted(path.stem[len("bench_") :] for path in Path(__file__).parent.glob("bench_*.py"))
+
+
+def main(wanted: list[str]) -> int:
+    """Run the named measurements, or all; the exit code tells whether all of them finished."""
+    known = names()
+    unknown = [name for name in wanted if name not in known]
+    if unknown:
+        print(f"no measurement {', '.join(unknown)}; known are {', '.join(known)}", file=sys.stderr)
+        return 2
+    failed = []
+    for name in wanted or known:
+        print(f"== {name}", flush=True)
+        start_s = time.perf_counter()
+        try:
+            importlib.import_module(f"bench.bench_{name}").main()
+        except Exception as error:  # one measurement that fails must not hide the others
+            print(f"{name} failed: {type(error).__name__}: {error}", file=sys.stderr)
+            failed.append(name)
+        print(f"   {time.perf_counter() - start_s:.1f} s\n", flush=True)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

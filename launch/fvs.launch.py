@@ -1,0 +1,50 @@
+"""Start a scenario's nodes: ``ros2 launch fvs_ros fvs.launch.py scenario:=demo``.
+
+The same scenario files and the same table of nodes as ``fvs_launch``. When any node ends, all end.
+Stop it by Ctrl-C (SIGINT); SIGTERM to ``ros2 launch`` would leave the nodes running.
+"""
+
+import os
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable, Shutdown
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+from fvs_ros.apps.launcher import NODE_TABLE, load_scenario
+
+
+def _nodes(context):
+    scenario = load_scenario(LaunchConfiguration("scenario").perform(context))
+    namespace = LaunchConfiguration("namespace").perform(context)
+    actions = []
+    if "fvs_sim_node" in scenario.nodes and "ROS_AUTOMATIC_DISCOVERY_RANGE" not in os.environ:
+        # A simulated arm must not hear, or be heard by, the robots of a laboratory network.
+        actions.append(SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"))
+    for name in scenario.nodes:
+        actions.append(
+            Node(
+                package="fvs_ros",
+                executable=NODE_TABLE[name].executable,
+                namespace=namespace,
+                parameters=[str(scenario.params_file)],
+                output="screen",
+                emulate_tty=True,
+                on_exit=Shutdown(reason=f"{name} ended"),
+            )
+        )
+    return actions
+
+
+def generate_launch_description() -> LaunchDescription:
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                "scenario",
+                default_value="demo",
+                description="a scenario file, or the name of one in config/",
+            ),
+            DeclareLaunchArgument("namespace", default_value="", description="of all nodes"),
+            OpaqueFunction(function=_nodes),
+        ]
+    )

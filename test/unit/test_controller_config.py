@@ -1,0 +1,91 @@
+"""The controller's parameters, and what is built from them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fvs_controller_node.base import ControlInput
+from fvs_controller_node.config import (
+    PARAMETERS,
+    build_law,
+    build_loop,
+    build_supervisor_config,
+    default_values,
+    reconfigure,
+)
+from fvs_controller_node.ftsm import FtsmLaw, ReachingLaw
+from fvs_controller_node.proportional import ProportionalLaw
+from fvs_controller_node.pseudo_inverse import DampedInverse
+from fvs_controller_node.registry import LAWS, make_law
+from fvs_controller_node.supervisor import SupervisorConfig
+from fvs_controller_node.surface import SlidingSurface
+from fvs_ros.core.params import ParameterError, ParameterSet
+
+JACOBIAN = np.random.default_rng(0).normal(size=(3, 6))
+
+
+def test_names_are_declared_once_and_every_default_passes():
+    ParameterSet(PARAMETERS)
+    assert all(parameter.description.endswith((".", "...")) for parameter in PARAMETERS)
+
+
+def test_defaults_build_the_defaults():
+    values = default_values()
+    assert build_supervisor_config(values) == SupervisorConfig()
+    law = build_law(values)
+    assert isinstance(law, FtsmLaw)
+    assert law.surface == SlidingSurface()
+    assert law.reaching == ReachingLaw()
+    assert law.inverse.damping == DampedInverse().damping
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_every_law_is_built_by_name_and_answers(name: str):
+    law = make_law(name, default_values(law=name))
+    law.reset()
+    out = law.command(ControlInput(np.full(3, 0.1), JACOBIAN, np.zeros(6), np.zeros(6), 0.008))
+    assert out.velocity_rad_s.shape == (6,)
+    assert out.sliding_variable.shape == out.exponent.shape == (3,)
+    assert (JACOBIAN @ out.velocity_rad_s) @ np.full(3, 0.1) < 0.0  # towards the target
+
+
+def test_an_unknown_law_is_refused_with_those_known():
+    with pytest.raises(ValueError, match="known are ftsm, proportional"):
+        make_law("mystery", default_values())
+    with pytest.raises(ParameterError, match="one of ftsm, proportional"):
+        default_values(law="mystery")
+
+
+def test_the_proportional_law_closes_the_error_at_its_rate():
+    law = ProportionalLaw(4.0, DampedInverse(1e-10))
+    error = np.array([0.1, -0.2, 0.05])
+    out = law.command(ControlInput(error, JACOBIAN, np.zeros(6), np.zeros(6), 0.008))
+    np.testing.assert_allclose(JACOBIAN @ out.velocity_rad_s, -4.0 * error, rtol=1e-6)
+    with pytest.raises(ValueError, match="proportional_gain"):
+        ProportionalLaw(0.0)
+
+
+def test_modes_of_the_sliding_mode_law():
+    fixed = build_law(default_values(exponent="fixed", fixed_exponent=0.4))
+    assert isinstance(fixed, FtsmLaw)
+    assert fixed.surface.exponent(0.0) == fixed.surface.exponent(0.5) == 0.4
+    literal = build_law(default_values(discretisation="literal", lambda3_1_m2=500.0))
+    assert isinstance(literal, FtsmLaw)
+    assert literal.discretisation == "literal"
+    assert literal.surface.lambda3 == 500.0
+
+
+def test_values_that_do_not_fit_together_change_nothing():
+    loop = build_loop(default_values())
+    law, config = loop.law, loop.supervisor.config
+    with pytest.raises(ValueError, match="exponent"):
+        reconfigure(loop, default_values(lambda1=0.9, lambda2=0.4))
+    with pytest.raises(ValueError, match="workspace"):
+        reconfigure(loop, default_values(workspace_min_m=[5.0, 0.0, 0.0]))
+    assert loop.law is law
+    assert loop.supervisor.config is config
+    reconfigure(loop, default_values(alpha2=1.0, max_joint_velocity_rad_s=0.2))
+    assert isinstance(loop.law, FtsmLaw)
+    assert loop.law.surface.alpha2 == 1.0
+    assert loop.supervisor.config.max_joint_velocity_rad_s == 0.2

@@ -1,0 +1,196 @@
+"""The sliding-mode law: its two scalar equations, and the loop closed over an exact plant."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import brentq
+
+from fvs_controller_node.base import ControlInput
+from fvs_controller_node.ftsm import FtsmLaw, ReachingLaw, next_error, next_sliding_value
+from fvs_controller_node.pseudo_inverse import DampedInverse
+from fvs_controller_node.surface import SlidingSurface
+
+RNG = np.random.default_rng(3)
+JACOBIAN = 0.4 * RNG.normal(size=(3, 6))
+DT_S = 0.008
+
+SIGNED = st.one_of(
+    st.just(0.0),
+    st.builds(
+        lambda sign, exponent: sign * 10.0**exponent,
+        st.sampled_from([-1.0, 1.0]),
+        st.floats(-12.0, 1.0),
+    ),
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    s=SIGNED,
+    k1=st.floats(0.01, 100.0),
+    k2=st.sampled_from([0.0, 1e-3, 0.05, 1.0, 50.0]),
+    k4=st.floats(1e-3, 10.0),
+    sigma=st.floats(0.55, 0.95),
+    dt=st.sampled_from([0.002, 0.008, 0.04]),
+)
+def test_the_next_sliding_value_solves_its_equation(s, k1, k2, k4, sigma, dt):
+    law = ReachingLaw(k1, k2, k4, sigma)
+    p = abs(next_sliding_value(s, law, dt))
+    right = k4 / dt * abs(s)
+
+    def residual(p: float) -> float:
+        return (k4 / dt + k1) * p + k2 * p ** (2 * sigma - 1) - right
+
+    wanted = brentq(residual, 0.0, abs(s), xtol=1e-300, rtol=1e-14) if s else 0.0
+    assert p == pytest.approx(wanted, rel=1e-10)
+    assert next_sliding_value(-s, law, dt) == -next_sliding_value(s, law, dt)
+    assert p <= abs(s)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    y=SIGNED.filter(lambda y: abs(y) < 1.0),
+    s_next=SIGNED,
+    alpha2=st.floats(0.1, 20.0),
+    alpha3=st.sampled_from([0.0, 0.1, 1.3, 20.0]),
+    gammas=st.sampled_from([(0.1, 0.5), (0.375, 0.9), (0.6, 1.0), (0.05, 0.05)]),
+    switch=st.sampled_from([1e-3, 5e-3, 0.05]),
+    dt=st.sampled_from([0.002, 0.008, 0.04]),
+)
+def test_the_next_error_solves_its_equation(y, s_next, alpha2, alpha3, gammas, switch, dt):
+    far, near = gammas
+    surface = SlidingSurface(1.0, alpha2, alpha3, 0.5 * (near + far), 0.5 * (near - far), switch)
+    right = s_next + y / dt
+    z = next_error(right, y, surface, dt)
+
+    def residual(z: float) -> float:
+        return (1.0 / dt + alpha2) * z + alpha3 * surface.psi(z) - right
+
+    wanted = brentq(residual, *sorted((0.0, right * dt)), xtol=1e-16) if right else 0.0
+    assert z == pytest.approx(wanted, rel=1e-9, abs=1e-11)
+
+
+def closed_loop(law: FtsmLaw, seconds: float, dt_s: float = DT_S, start=(0.3, -0.2, 0.1)):
+    """Errors (m) and ball velocities (m/s) on the exact plant x' = J rdot, without limits."""
+    error = np.array(start)
+    applied = np.zeros(6)
+    errors, velocities = [error], []
+    for _ in range(round(seconds / dt_s)):
+        applied = law.command(
+            ControlInput(error, JACOBIAN, applied, np.zeros(6), dt_s)
+        ).velocity_rad_s
+        error = error + JACOBIAN @ applied * dt_s
+        errors.append(error)
+        velocities.append(JACOBIAN @ applied)
+    return np.array(errors), np.array(velocities)
+
+
+@pytest.mark.parametrize("dt_s", [0.002, 0.008, 0.04])
+def test_the_implicit_law_settles_in_finite_time_without_chatter(dt_s: float):
+    law = FtsmLaw(inverse=DampedInverse(damping=1e-10))
+    errors, velocities = closed_loop(law, 4.0, dt_s)
+    settled = np.flatnonzero(np.abs(errors).max(axis=1) > 1e-9)[-1] * dt_s
+    assert settled < 3.6  # an exponential of the same first second would need 8 s
+    assert np.all(np.abs(errors[-10:]) < 1e-11)
+    assert np.all(np.diff(np.abs(errors), axis=0) <= 1e-12)  # never away from the goal
+    turns = np.sum(np.diff(np.sign(velocities[np.abs(velocities).max(axis=1) > 1e-9]), axis=0) != 0)
+    assert turns == 0
+
+
+@pytest.mark.parametrize("gain", [1.0, 30.0, 1000.0])
+def test_the_implicit_law_is_stable_at_any_gain(gain: float):
+    surface = SlidingSurface(1.0, 2.0 * gain, 1.3 * gain)
+    law = FtsmLaw(surface, ReachingLaw(3.0 * gain, gain), DampedInverse(damping=1e-10))
+    errors, _ = closed_loop(law, 4.0, 0.04)
+    assert np.all(np.diff(np.abs(errors), axis=0) <= 1e-12)
+    assert np.all(np.abs(errors[-1]) < 1e-9)
+
+
+def literal(k1: float, k4: float, alpha3: float, **exponent) -> FtsmLaw:
+    return FtsmLaw(
+        SlidingSurface(1.0, 2.0, alpha3, **exponent),
+        ReachingLaw(k1, 0.0, k4),
+        DampedInverse(damping=1e-10),
+        discretisation="literal",
+    )
+
+
+def test_the_literal_law_is_stable_up_to_its_bounds_on_a_linear_surface():
+    k4_bound = 2.0 * 2.0 * DT_S / (2.0 + 2.0 * DT_S)
+    calm, _ = closed_loop(literal(0.1, 0.9 * k4_bound, 0.0), 3.0)
+    assert np.abs(calm[-1]).max() < np.abs(calm[0]).max()
+    wild, _ = closed_loop(literal(0.1, 1.1 * k4_bound, 0.0), 3.0)
+    assert np.abs(wild).max() > 10.0
+    k1_bound = 2.0 * 2.0 / (1.0 + DT_S)
+    wild, _ = closed_loop(literal(1.05 * k1_bound, 0.0, 0.0), 3.0)
+    assert np.abs(wild).max() > 10.0
+
+
+def test_the_literal_law_chatters_where_the_implicit_one_does_not():
+    parameters = {"lambda1": 0.3, "lambda2": 0.2, "switch_error_m": 0.02}  # the paper's
+    reaching = ReachingLaw(1.63, 0.067, 0.01, 0.82)
+    unrest = {}
+    for discretisation in ("implicit", "literal"):
+        law = FtsmLaw(
+            SlidingSurface(1.0, 2.0, 1.3, **parameters),
+            reaching,
+            DampedInverse(damping=1e-10),
+            discretisation,
+        )
+        error, applied, speeds = np.array([0.3, -0.2, 0.1]), np.zeros(6), []
+        for _ in range(500):
+            out = law.command(ControlInput(error, JACOBIAN, applied, np.zeros(6), DT_S))
+            applied = np.clip(out.velocity_rad_s, -1.0, 1.0)
+            error = error + JACOBIAN @ applied * DT_S
+            speeds.append(applied)
+        unrest[discretisation] = np.abs(np.diff(speeds[-100:], axis=0)).mean()
+    assert unrest["implicit"] < 1e-6
+    assert unrest["literal"] > 0.5  # full speed to and fro
+
+
+def test_clipped_commands_do_not_wind_up():
+    law = FtsmLaw()
+    applied = np.zeros(6)
+    for _ in range(200):  # held: nothing is ever applied
+        first = law.command(ControlInput(np.full(3, 0.1), JACOBIAN, applied, np.zeros(6), DT_S))
+    again = FtsmLaw().command(ControlInput(np.full(3, 0.1), JACOBIAN, applied, np.zeros(6), DT_S))
+    np.testing.assert_array_equal(first.velocity_rad_s, again.velocity_rad_s)
+
+
+def test_at_the_goal_and_at_rest_the_command_is_zero():
+    for discretisation in ("implicit", "literal"):
+        out = FtsmLaw(discretisation=discretisation).command(
+            ControlInput(np.zeros(3), JACOBIAN, np.zeros(6), np.zeros(6), DT_S)
+        )
+        np.testing.assert_array_equal(out.velocity_rad_s, np.zeros(6))
+        np.testing.assert_array_equal(out.sliding_variable, np.zeros(3))
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    error=st.lists(st.floats(-50.0, 50.0), min_size=3, max_size=3),
+    applied=st.lists(st.floats(-4.0, 4.0), min_size=6, max_size=6),
+    discretisation=st.sampled_from(["implicit", "literal"]),
+    dt=st.floats(1e-5, 0.1),
+)
+def test_every_finite_state_gives_a_finite_command(error, applied, discretisation, dt):
+    law = FtsmLaw(discretisation=discretisation)
+    out = law.command(ControlInput(np.array(error), JACOBIAN, np.array(applied), np.zeros(6), dt))
+    assert np.all(np.isfinite(out.velocity_rad_s))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "word"),
+    [({"k1": 0.0}, "k1"), ({"k2": -1.0}, "k2"), ({"k4": -1.0}, "k4"), ({"sigma": 0.5}, "sigma")],
+)
+def test_a_wrong_gain_is_refused_by_name(wrong: dict, word: str):
+    with pytest.raises(ValueError, match=word):
+        ReachingLaw(**wrong)
+
+
+def test_an_unknown_discretisation_is_refused_with_those_known():
+    with pytest.raises(ValueError, match="implicit, literal"):
+        FtsmLaw(discretisation="explicit")

@@ -1,0 +1,98 @@
+"""Limits on a command: speed, acceleration, joint range, and coming to rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fvs_controller_node.limits import (
+    JointRange,
+    limit_acceleration,
+    limit_speed,
+    ramp_to_zero,
+)
+
+SIX = st.lists(st.floats(-10.0, 10.0), min_size=6, max_size=6).map(np.array)
+RANGE = JointRange((-2.0,) * 6, (2.0,) * 6, margin_rad=0.2)
+
+
+def parallel(a: np.ndarray, b: np.ndarray) -> bool:
+    return abs(a @ b) >= (1 - 1e-9) * np.linalg.norm(a) * np.linalg.norm(b)
+
+
+@given(velocity=SIX, limit=st.floats(0.01, 4.0))
+def test_speed_is_limited_by_scaling_the_whole_vector(velocity, limit):
+    got = limit_speed(velocity, limit)
+    assert np.abs(got).max() <= limit
+    assert parallel(got, velocity)
+    if np.abs(velocity).max() <= limit:
+        np.testing.assert_array_equal(got, velocity)
+
+
+@given(velocity=SIX, last=SIX, step=st.floats(0.0, 2.0))
+def test_no_joint_ever_steps_further_than_allowed(velocity, last, step):
+    got = limit_acceleration(velocity, last, step)
+    assert np.all(np.abs(got - last) <= step + 1e-12)
+    # Never away from what was wanted.
+    assert np.all(np.abs(got - velocity) <= np.abs(last - velocity) + step + 1e-12)
+
+
+@given(velocity=SIX, step=st.floats(1e-3, 1.0))
+def test_from_rest_the_direction_is_kept(velocity, step):
+    got = limit_acceleration(velocity, np.zeros(6), step)
+    assert parallel(got, velocity)
+
+
+def test_a_joint_that_brakes_does_so_at_its_limit_whatever_the_others_want():
+    last = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    got = limit_acceleration(np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0]), last, 0.05)
+    np.testing.assert_allclose(got, [0.95, 0.05, 0.0, 0.0, 0.0, 0.0])
+
+
+@given(last=SIX, step=st.floats(0.01, 2.0))
+def test_the_ramp_keeps_its_direction_and_ends_at_exactly_zero(last, step):
+    velocity = last
+    for _ in range(int(np.abs(last).max() / step) + 2):
+        after = ramp_to_zero(velocity, step)
+        assert np.all(np.abs(after - velocity) <= step + 1e-12)
+        assert parallel(after, last)
+        velocity = after
+    np.testing.assert_array_equal(velocity, np.zeros(6))
+
+
+@given(velocity=SIX, joints=st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6).map(np.array))
+def test_only_motion_towards_a_near_limit_is_slowed(velocity, joints):
+    got, slowed = RANGE.slow_down(velocity, joints, 1.0, 6.0)
+    for i in range(6):
+        room = (2.0 - joints[i]) if velocity[i] > 0.0 else (joints[i] + 2.0)
+        assert abs(got[i]) <= abs(velocity[i])
+        assert got[i] * velocity[i] >= 0.0
+        if i not in slowed:
+            assert got[i] == velocity[i]
+        if room <= 0.0:
+            assert got[i] == 0.0
+        if room > 4.0:  # beyond the other end: it may come back at any speed up to 1
+            assert abs(got[i]) >= min(abs(velocity[i]), 1.0)
+
+
+@pytest.mark.parametrize("speed", [0.3, 1.0, 3.0])
+def test_a_joint_driven_at_its_limit_stops_there_within_the_acceleration_limit(speed: float):
+    """With 35 ms between command and motion, as a UR has."""
+    acceleration, dt = 6.0, 0.008
+    position, last = np.zeros(6), np.zeros(6)
+    on_the_way = [np.zeros(6)] * 4
+    for _ in range(2000):
+        wanted, _ = RANGE.slow_down(np.full(6, speed), position, speed, acceleration)
+        command = limit_acceleration(wanted, last, acceleration * dt)
+        on_the_way.append(command)
+        position = position + on_the_way.pop(0) * dt
+        last = command
+        assert position.max() < 2.0
+    assert position.max() > 1.98
+
+
+def test_a_range_upside_down_is_refused():
+    with pytest.raises(ValueError, match="below"):
+        JointRange((1.0,) * 6, (-1.0,) * 6)

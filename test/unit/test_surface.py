@@ -1,0 +1,85 @@
+"""The sliding surface: (29) and its limits, (31), and (32) against finite differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fvs_controller_node.surface import SlidingSurface
+
+ERRORS_M = [1e-4, 1e-3, 4e-3, 4.9e-3, 5.1e-3, 6e-3, 0.02, 0.1, 0.5, 0.99]
+
+
+def test_the_exponent_goes_from_calm_near_the_goal_to_fast_far_from_it():
+    surface = SlidingSurface(lambda1=0.6375, lambda2=0.2625, switch_error_m=0.005)
+    assert surface.exponent(0.3) == pytest.approx(0.375, abs=1e-12)
+    assert surface.exponent(0.005) == pytest.approx(0.6375, abs=1e-12)
+    assert surface.exponent(0.0) == pytest.approx(0.90, abs=0.002)
+
+
+def test_lambda3_is_three_over_delta_unless_given():
+    paper = {"lambda1": 0.3, "lambda2": 0.2, "switch_error_m": 0.02}
+    assert SlidingSurface(**paper).lambda3 == pytest.approx(7500.0)
+    assert SlidingSurface(**paper).exponent(0.0) == pytest.approx(0.5, abs=0.002)
+    # The paper's "lambda3 >> 1" is not enough where Delta is small.
+    assert SlidingSurface(**paper, lambda3=100.0).exponent(0.0) == pytest.approx(0.308, abs=0.001)
+
+
+def test_a_fixed_exponent_is_the_same_everywhere():
+    surface = SlidingSurface.fixed(0.6)
+    assert {surface.exponent(y) for y in (0.0, 1e-3, 0.3)} == {0.6}
+    assert surface.psi(-0.25) == pytest.approx(-(0.25**0.6))
+
+
+@pytest.mark.parametrize("y", [*ERRORS_M, *(-y for y in ERRORS_M)])
+@pytest.mark.parametrize("surface", [SlidingSurface(), SlidingSurface.fixed(0.5)])
+def test_slopes_match_finite_differences(surface: SlidingSurface, y: float):
+    h = 1e-7 * abs(y)
+    g_slope = (surface.exponent(y + h) - surface.exponent(y - h)) / (2 * h)
+    assert surface.exponent_slope(y) == pytest.approx(g_slope, rel=1e-5, abs=1e-5)
+    slope = (surface.psi(y + h) - surface.psi(y - h)) / (2 * h)
+    psi, given = surface.psi_and_slope(y)
+    assert psi == surface.psi(y)
+    assert given == pytest.approx(slope, rel=1e-5)
+
+
+def test_the_derivative_of_s_along_a_motion():
+    surface = SlidingSurface()
+
+    def at(t: float) -> tuple[float, float, float]:
+        """Error, velocity and acceleration of y = 0.1 cos 3t."""
+        return 0.1 * np.cos(3 * t), -0.3 * np.sin(3 * t), -0.9 * np.cos(3 * t)
+
+    for t in np.linspace(0.01, 2.0, 101):
+        h = 1e-7
+        after, before = at(t + h), at(t - h)
+        rate = (surface.value(*after[:2]) - surface.value(*before[:2])) / (2 * h)
+        assert surface.derivative(*at(t)) == pytest.approx(rate, rel=1e-4, abs=1e-4)
+
+
+@pytest.mark.parametrize("switch_error_m", [1e-3, 5e-3, 0.05, 0.3])
+def test_psi_rises_everywhere_and_is_odd(switch_error_m: float):
+    surface = SlidingSurface(switch_error_m=switch_error_m)
+    ys = np.concatenate([np.geomspace(1e-9, 2.0, 20000)])
+    psi = np.array([surface.psi(y) for y in ys])
+    assert np.all(np.diff(psi) > 0.0)
+    assert surface.psi(-0.01) == -surface.psi(0.01)
+    assert surface.psi(0.0) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("wrong", "word"),
+    [
+        ({"alpha1": 0.0}, "alpha1"),
+        ({"alpha2": -1.0}, "alpha2"),
+        ({"alpha3": float("nan")}, "alpha3"),
+        ({"lambda1": 0.2, "lambda2": 0.3}, "exponent"),
+        ({"lambda1": 0.9, "lambda2": 0.3}, "exponent"),
+        ({"lambda2": -0.1}, "lambda2"),
+        ({"switch_error_m": 0.0}, "switch_error_m"),
+        ({"lambda3": -1.0}, "lambda3"),
+    ],
+)
+def test_a_wrong_parameter_is_refused_by_name(wrong: dict, word: str):
+    with pytest.raises(ValueError, match=word):
+        SlidingSurface(**wrong)
