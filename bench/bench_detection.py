@@ -50,7 +50,7 @@ def main() -> None:
     print(f"{poses} poses in box M; error in mm, rms / median / largest; full frames, one thread")
     print(
         f"{'camera':<10}{'image':<9}{'noise':<7}{'published':<11}"
-        f"{'full view':<28}{'partly hidden':<28}{'ms':<5}"
+        f"{'full view':<32}{'partly hidden':<32}{'ms':<5}"
     )
     for camera in sorted(CAMERA_PRESETS, key=lambda name: name != "front"):
         for width, height in ((640, 480), (320, 240)):
@@ -62,7 +62,7 @@ def main() -> None:
                 cells = [_summary(seen[part, 1]) for part in (full, ~full)]
                 print(
                     f"{camera:<10}{f'{width}x{height}':<9}{noise:<7.1f}"
-                    f"{f'{len(seen) / poses:.1%}':<11}{cells[0]:<28}{cells[1]:<28}"
+                    f"{f'{len(seen) / poses:.1%}':<11}{cells[0]:<32}{cells[1]:<32}"
                     f"{np.median(seen[:, 2]):<5.2f}",
                     flush=True,
                 )

@@ -11,6 +11,10 @@ from fvs_ros.core.joints import N_JOINTS
 #: Share of the acceleration limit that braking is planned with; the rest is for the robot's lag.
 _BRAKING_SHARE = 0.6
 
+#: A joint nears its limit at no more than this times the distance, 1/s: with the robot's lag of
+#: 35 ms a faster approach would pass it.
+_APPROACH_RATE_1_S = 5.0
+
 
 def limit_speed(velocity: np.ndarray, max_speed: float) -> np.ndarray:
     """Scale the command as a whole so that no joint is faster than ``max_speed``."""
@@ -115,7 +119,7 @@ class JointRange:
         """
         slowed: list[int] = []
         values = velocity.tolist()
-        slope = max_speed / self.margin_rad
+        slope = min(max_speed / self.margin_rad, _APPROACH_RATE_1_S)
         for i, (v, q) in enumerate(zip(values, joints.tolist(), strict=True)):
             room = max(0.0, self.upper_rad[i] - q if v > 0.0 else q - self.lower_rad[i])
             cap = min(slope * room, braking_speed(room, max_acceleration))

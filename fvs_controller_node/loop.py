@@ -38,14 +38,15 @@ class ServoLoop:
         """Tell a joint state: arrival on the steady clock and stamp, s; positions (6,), rad."""
         if self.supervisor.joint_states(now_s, joints_rad):
             self._joints = np.array(joints_rad, dtype=float)
-            self.predictor.add_joints(stamp_s, self._joints)
+            if self._jacobian is not None:
+                self.predictor.add_joints(stamp_s, self._joints, self._jacobian)
 
     def add_ball(
         self, now_s: float, stamp_s: float, position_m: np.ndarray, frame: str | None = None
     ) -> None:
         """Tell a ball position: arrival on the steady clock and exposure stamp, s; (3,), m."""
-        if self.supervisor.ball(now_s, position_m, frame) and self._jacobian is not None:
-            self.predictor.add_ball(stamp_s, np.asarray(position_m, float), self._jacobian)
+        if self.supervisor.ball(now_s, position_m, frame):
+            self.predictor.add_ball(stamp_s, position_m)
 
     def add_jacobian(self, now_s: float, jacobian: np.ndarray) -> None:
         """Tell the estimated Jacobian (3, 6), m/rad, and its arrival."""
@@ -62,7 +63,7 @@ class ServoLoop:
     @property
     def position_m(self) -> np.ndarray | None:
         """The ball's position, predicted to the newest joint state, m, or None."""
-        return None if self._jacobian is None else self.predictor.predict(self._jacobian)
+        return self.predictor.predict()
 
     def tick(self, now_s: float, dt_s: float) -> Command:
         """Decide on the command for this tick.

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import sys
-import time
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, Vector3Stamped
-from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import Trigger
@@ -18,13 +16,11 @@ from fvs_controller_node.config import PARAMETERS, build_loop, reconfigure
 from fvs_controller_node.reasons import State
 from fvs_controller_node.supervisor import BALL, JACOBIAN, JOINT_STATES, SPEED_SCALING, Command
 from fvs_ros.core import ros
-from fvs_ros.core.joints import N_JOINTS, ForeignJointState, JointMap, JointStateError
+from fvs_ros.core.joints import ForeignJointsError, JointMap, JointStateError
 
 _STATUS_PERIOD_S = 0.1
 #: Without a joint state for so many tick periods the watchdog ticks in its place.
 _WATCHDOG_PERIODS = 2.5
-_LAST_ZEROS = 5
-_LAST_ZEROS_PERIOD_S = 0.01
 _LEVELS = {
     State.SERVOING: ros.OK,
     State.READY: ros.OK,
@@ -87,7 +83,7 @@ class ControllerNode(ros.FvsNode):
         supervisor = self._loop.supervisor
         try:
             joints = self._joint_map.positions(message.name, message.position)
-        except ForeignJointState as error:
+        except ForeignJointsError as error:
             # Another device's joints are no fault of ours, unless ours do not come at all.
             if now_s - self._joints_s > self.values["joint_states_max_age_s"]:
                 supervisor.bad_input(now_s, JOINT_STATES, str(error))
@@ -197,12 +193,9 @@ class ControllerNode(ros.FvsNode):
         )
 
     def finish(self) -> None:
-        """Leave several zeros on the wire: a velocity controller holds its last command."""
+        """Leave zeros on the wire."""
         self._loop.supervisor.shutdown()
-        for _ in range(_LAST_ZEROS):
-            self._commands.publish(ros.to_command(np.zeros(N_JOINTS)))
-            time.sleep(_LAST_ZEROS_PERIOD_S)
-        self._commands.wait_for_all_acked(Duration(seconds=0.5))
+        ros.send_last_zeros(self._commands)
 
 
 def main() -> int:

@@ -1,4 +1,9 @@
-"""Where the ball is now: the last image carried forward by the joints' motion since."""
+"""Where the ball is now: the last image carried forward by the joints' motion since.
+
+``x_now = x_image + J (r_now - r_image)``, with the product summed over the joint states in
+between, ``sum J_k dr_k``: over a latency of a tenth of a second the arm bends the straight line
+by more than the camera's noise.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +23,10 @@ _CLOCK_JUMP_S = 0.1
 class BallPredictor:
     """Predicts the ball to now, and fuses images with joint motion.
 
-    ``x_now = x_image + J (r_now - r_image)``, with the joints at the exposure interpolated from
-    their history (a position waits here for a later joint state if need be). Between images the
-    estimate follows the joints, ``xh += J dr``; an image pulls it by ``fusion_gain``:
-    ``xh += K (x - xh)``. Clock jumps, gaps in the joint states and long absences of the ball
-    start it anew.
+    The ball's motion ``sum J dr`` is kept over time and interpolated at an image's exposure (an
+    image waits for a later joint state if need be). Between images the estimate follows it; an
+    image pulls it by ``fusion_gain``: ``xh += K (x - xh)``. Clock jumps, gaps in the joint
+    states and long absences of the ball start it anew.
 
     Parameters
     ----------
@@ -37,8 +41,6 @@ class BallPredictor:
         No prediction over more than this, s; also the largest gap between images.
     enabled : bool
         Off: the position is that of the last image.
-    history : JointHistory, optional
-        The joint history to use; its own if not given.
     """
 
     def __init__(
@@ -49,7 +51,6 @@ class BallPredictor:
         outlier_repeats: int = 3,
         max_latency_s: float = 0.5,
         enabled: bool = True,
-        history: JointHistory | None = None,
     ) -> None:
         self.configure(
             fusion_gain=fusion_gain,
@@ -58,8 +59,8 @@ class BallPredictor:
             max_latency_s=max_latency_s,
             enabled=enabled,
         )
-        self._history = JointHistory() if history is None else history
-        self._waiting: deque[tuple[float, np.ndarray, np.ndarray]] = deque(maxlen=_MAX_WAITING)
+        self._moved = JointHistory()  # of the ball by the joints, m, rather than of the joints
+        self._waiting: deque[tuple[float, np.ndarray]] = deque(maxlen=_MAX_WAITING)
         self.reset()
 
     def configure(
@@ -88,7 +89,8 @@ class BallPredictor:
 
     def reset(self) -> None:
         """Forget everything."""
-        self._history.clear()
+        self._moved.clear()
+        self._joints: np.ndarray | None = None
         self._forget_ball()
 
     def _forget_ball(self) -> None:
@@ -97,7 +99,7 @@ class BallPredictor:
         self._seen_stamp_s: float | None = None  # newest exposure received
         self._raw = np.zeros(3)
         self._estimate = np.zeros(3)
-        self._joints = np.zeros(6)  # at that exposure
+        self._moved_then = np.zeros(3)  # motion up to that exposure
         self._outliers = 0
         self._latency_s: float | None = None
 
@@ -109,7 +111,7 @@ class BallPredictor:
     @property
     def problem(self) -> str:
         """Why there is no prediction, in words; empty if there is one, or nothing to use."""
-        newest = self._history.newest_stamp_s
+        newest = self._moved.newest_stamp_s
         if newest is None or self._seen_stamp_s is None:
             return ""
         age_s = newest - self._seen_stamp_s
@@ -123,14 +125,32 @@ class BallPredictor:
             return "no ball_position has joint states around its exposure time yet"
         return ""
 
-    def add_joints(self, stamp_s: float, joints_rad: np.ndarray) -> None:
-        """Tell the joint positions (6,), rad, at a time, s."""
-        if not self._history.add(stamp_s, joints_rad):
-            self._forget_ball()
+    def add_joints(self, stamp_s: float, joints_rad: np.ndarray, jacobian: np.ndarray) -> None:
+        """Tell a joint state.
+
+        Parameters
+        ----------
+        stamp_s : float
+            Its stamp, s.
+        joints_rad : ndarray, shape (6,)
+            Positions, rad.
+        jacobian : ndarray, shape (3, 6)
+            Newest estimate of the Jacobian, m/rad.
+        """
+        newest, moved = self._moved.newest_stamp_s, self._moved.newest
+        if newest is None or moved is None or self._joints is None:
+            self._moved.add(stamp_s, np.zeros(3))
+        else:
+            step = jacobian @ (joints_rad - self._joints)
+            if not self._moved.add(stamp_s, moved + step):
+                self._forget_ball()
+            if self._moved.newest_stamp_s == newest:
+                return  # a repeated or late message
+        self._joints = np.array(joints_rad, dtype=float)
         while self._waiting and self._waiting[0][0] <= stamp_s:
             self._use(*self._waiting.popleft())
 
-    def add_ball(self, stamp_s: float, position_m: np.ndarray, jacobian: np.ndarray) -> None:
+    def add_ball(self, stamp_s: float, position_m: np.ndarray) -> None:
         """Tell a ball position.
 
         Parameters
@@ -139,69 +159,61 @@ class BallPredictor:
             Exposure time, s, on the clock of the joint states.
         position_m : ndarray, shape (3,)
             Position, m.
-        jacobian : ndarray, shape (3, 6)
-            Estimated Jacobian, m/rad.
         """
         if self._seen_stamp_s is not None and stamp_s <= self._seen_stamp_s:
             if stamp_s >= self._seen_stamp_s - _CLOCK_JUMP_S:
                 return
             self._forget_ball()
         self._seen_stamp_s = stamp_s
-        newest = self._history.newest_stamp_s
+        newest = self._moved.newest_stamp_s
         if newest is not None and stamp_s <= newest:
-            self._use(stamp_s, position_m, jacobian)
+            self._use(stamp_s, np.array(position_m, dtype=float))
         else:
-            self._waiting.append((stamp_s, np.array(position_m, dtype=float), jacobian))
+            self._waiting.append((stamp_s, np.array(position_m, dtype=float)))
 
-    def _use(self, stamp_s: float, position_m: np.ndarray, jacobian: np.ndarray) -> None:
-        joints = self._history.at(stamp_s)
-        if joints is None:
+    def _use(self, stamp_s: float, position: np.ndarray) -> None:
+        moved = self._moved.at(stamp_s)
+        if moved is None:
             return
-        newest = self._history.newest_stamp_s
+        newest = self._moved.newest_stamp_s
         assert newest is not None
         self._latency_s = newest - stamp_s
-        self._raw = np.array(position_m, dtype=float)
-        if self._stamp_s is None or stamp_s - self._stamp_s > self._max_latency_s:
-            self._start(stamp_s, joints)
+        self._raw = position
+        motion = moved - self._moved_then
+        before_s, self._stamp_s, self._moved_then = self._stamp_s, stamp_s, moved
+        if before_s is None or stamp_s - before_s > self._max_latency_s:
+            self._believe(position)
             return
-        motion = jacobian @ (joints - self._joints)
-        estimate = self._estimate + motion
-        innovation = self._raw - estimate
-        if _norm(innovation) > self._outlier_m + _norm(motion):
-            self._outliers += 1
-            if self._outliers >= self._outlier_repeats:
-                self._start(stamp_s, joints)
-                return
-        else:
+        self._estimate = self._estimate + motion
+        innovation = position - self._estimate
+        if _norm(innovation) <= self._outlier_m + _norm(motion):
             self._outliers = 0
-            estimate += self._fusion_gain * innovation
-        self._stamp_s, self._joints, self._estimate = stamp_s, joints, estimate
+            self._estimate += self._fusion_gain * innovation
+            return
+        self._outliers += 1
+        if self._outliers >= self._outlier_repeats:
+            self._believe(position)
 
-    def _start(self, stamp_s: float, joints: np.ndarray) -> None:
-        self._stamp_s, self._joints, self._estimate = stamp_s, joints, self._raw.copy()
+    def _believe(self, position: np.ndarray) -> None:
+        self._estimate = position.copy()
         self._outliers = 0
 
-    def predict(self, jacobian: np.ndarray) -> np.ndarray | None:
+    def predict(self) -> np.ndarray | None:
         """Predict the ball's position at the newest joint state.
-
-        Parameters
-        ----------
-        jacobian : ndarray, shape (3, 6)
-            Estimated Jacobian at the present joints, m/rad.
 
         Returns
         -------
         ndarray, shape (3,), or None
             Position, m; None where there is nothing to predict from (see ``problem``).
         """
-        newest, joints = self._history.newest_stamp_s, self._history.newest
-        if newest is None or joints is None or self._stamp_s is None:
+        newest, moved = self._moved.newest_stamp_s, self._moved.newest
+        if newest is None or moved is None or self._stamp_s is None:
             return None
         if newest - self._stamp_s > self._max_latency_s:
             return None
         if not self._enabled:
             return self._raw.copy()
-        return self._estimate + jacobian @ (joints - self._joints)
+        return self._estimate + moved - self._moved_then
 
 
 def _norm(vector: np.ndarray) -> float:

@@ -15,7 +15,7 @@ class ProgressLimits:
     Parameters
     ----------
     settled_error_m : float
-        Settled when the error stays below this ...
+        Settled when the smoothed error stays below this ...
     settled_time_s : float
         ... for so long.
     growth_time_s : float
@@ -76,7 +76,7 @@ class Progress:
         if self._smooth_m is None:
             self._smooth_m = error_m
         self._smooth_m += (error_m - self._smooth_m) * dt_s / (dt_s + _SMOOTHING_S)
-        near = error_m < self.limits.settled_error_m
+        near = self._smooth_m < self.limits.settled_error_m
         self._near_s = self._near_s + dt_s if near else 0.0
         if not servoing:
             self._up_s = 0.0

@@ -18,15 +18,11 @@ PARAMETERS = (
         maximum=3.2,
         broadcast=True,
     ),
-    Parameter(
-        "max_joint_velocity_rad_s", 0.65, "limit of each joint", minimum=0.01, maximum=3.15
-    ),
+    Parameter("max_joint_velocity_rad_s", 0.65, "limit of each joint", minimum=0.01, maximum=3.15),
     Parameter(
         "max_joint_acceleration_rad_s2", 2.0, "limit of each joint", minimum=0.1, maximum=40.0
     ),
-    Parameter(
-        "joint_names", list(UR_JOINT_NAMES), "the joints in kinematic order", size=N_JOINTS
-    ),
+    Parameter("joint_names", list(UR_JOINT_NAMES), "the joints in kinematic order", size=N_JOINTS),
     Parameter("feature_frame", "camera_color_optical_frame", "frame of the ball positions"),
     Parameter("joint_states_max_age_s", 0.1, "older ones stop the arm", minimum=0.02, maximum=2.0),
     Parameter(

@@ -13,9 +13,7 @@ PARAMETERS = (
         "models/ur5_front.npz",
         "file that fvs_train has written: a path, or a name within the project's config folder",
     ),
-    Parameter(
-        "joint_names", list(UR_JOINT_NAMES), "the joints in kinematic order", size=N_JOINTS
-    ),
+    Parameter("joint_names", list(UR_JOINT_NAMES), "the joints in kinematic order", size=N_JOINTS),
     Parameter("feature_frame", "camera_color_optical_frame", "frame of the ball positions"),
     Parameter(
         "jacobian_rate_hz", 62.5, "most Jacobians published a second", minimum=1.0, maximum=1000.0
@@ -27,9 +25,7 @@ PARAMETERS = (
         minimum=1e-4,
         maximum=1.0,
     ),
-    Parameter(
-        "max_step_s", 0.5, "longest step to learn from, s", minimum=0.01, maximum=10.0
-    ),
+    Parameter("max_step_s", 0.5, "longest step to learn from, s", minimum=0.01, maximum=10.0),
     Parameter(
         "max_gap_s",
         0.25,

@@ -22,17 +22,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 
 from fvs_estimator_node.dataset import DataSet
 from fvs_estimator_node.model_file import TrainedModel
 from fvs_estimator_node.rbf import N_FEATURES, RbfModel, rbf_features
+from fvs_estimator_node.reference import reference_jacobian
 from fvs_ros.core.joints import N_JOINTS
 
 METHODS = ("varpro", "ridge")
 MIN_SAMPLES = 60
+REFERENCE_IMAGES = 1500
+NODE_SPACING_RAD = 0.8
+_NEIGHBOURS = 3
 _ADAM_MEAN, _ADAM_SQUARE = 0.9, 0.99
 
 
@@ -124,31 +127,26 @@ class TrainingProgress:
 
 @dataclass(frozen=True)
 class NetworkError:
-    """How wrong one network is, seen on held-out images.
+    """How wrong one network is at held-out joints, as far as data can tell.
 
-    The prediction errors of held-out pairs are explained by an error of each column that is an
-    affine function of the joints. Finer errors do not show here, only in the overall error.
+    The yardstick is the slope of a smooth fit to the positions (see
+    :mod:`fvs_estimator_node.reference`), which in good data is itself a percent off: smaller
+    errors than that do not show.
 
     Parameters
     ----------
     column_m_rad : float
-        Root mean square length of the column over the held-out joints, m/rad.
+        Root mean square length of the column, m/rad.
     error_m_rad : float
-        Root mean square length of its error, m/rad.
-    uncertainty_m_rad : float
-        What noise alone would make of the error, m/rad.
+        Root mean square length of the difference, m/rad.
+    relative : float or None
+        Error over column; None where the joint does not move the ball (its column is less than a
+        hundredth of the Jacobian).
     """
 
     column_m_rad: float
     error_m_rad: float
-    uncertainty_m_rad: float
-
-    @property
-    def relative(self) -> float | None:
-        """Error over column; None where the column is too small to tell from noise."""
-        if self.column_m_rad <= 10.0 * self.uncertainty_m_rad:
-            return None
-        return self.error_m_rad / self.column_m_rad
+    relative: float | None
 
 
 @dataclass(frozen=True)
@@ -281,7 +279,7 @@ class _Training:
             raise TrainingError("the ball does not move in the data set, so there is no Jacobian")
         self._scale_rad = float(np.sqrt(np.mean(spread**2)))
         widest = float(np.ptp(self._joints, axis=0).max())
-        self._nodes = int(np.clip(math.ceil(widest / 0.5), 2, 8))
+        self._nodes = int(np.clip(math.ceil(widest / NODE_SPACING_RAD), 2, 8))
         self._spread = spread
 
     def run(self, progress: Progress | None) -> TrainingResult:
@@ -300,8 +298,9 @@ class _Training:
             )
         weights, ridge, validation_error = self._choose_ridge(centres, widths, fitting, validation)
         judged = _as_model(centres, widths, weights)
-        pair_error, motion, networks = self._judge_pairs(judged, held_out)
+        pair_error, motion = self._judge_pairs(judged, held_out)
         everything = np.flatnonzero(good)
+        networks = self._judge_networks(judged, everything, held_out, pair_error)
         weights = self._solve(centres, widths, everything, (ridge,))[0]
         result = {
             "pair_error_m": pair_error,
@@ -413,16 +412,30 @@ class _Training:
     def _good_images(
         self, centres: np.ndarray, widths: np.ndarray, fitting: np.ndarray
     ) -> np.ndarray:
-        """Which images fit to the others: the median over a few partners is not far off."""
+        """Which images fit to their neighbours in time.
+
+        The networks' own error changes slowly along a motion, an outlier comes and goes; so it is
+        the residual's distance from its neighbours' median that counts.
+        """
         weights = self._solve(centres, widths, fitting, (1e-9,), 5000)[0]
-        everyone = np.arange(len(self._joints))
         # the ball as the networks see it, up to a constant: the line from the mean joints
         middle = np.broadcast_to(self._joints[fitting].mean(axis=0), self._joints.shape)
-        seen = line_regressors(centres, widths, middle, self._joints, self._nodes) @ weights
-        offset = self._ball - seen
-        distance = np.linalg.norm(offset - np.median(offset[fitting], axis=0), axis=1)
-        limit = self._options.outlier_factor * float(np.median(distance[fitting]))
-        return (distance <= max(limit, 1e-9)) & (everyone >= 0)
+        residual = self._ball - (
+            line_regressors(centres, widths, middle, self._joints, self._nodes) @ weights
+        )
+        n, segment = len(residual), self._data.segment
+        shifts = [k for k in range(-_NEIGHBOURS, _NEIGHBOURS + 1) if k != 0]
+        neighbours = np.full((len(shifts), n, N_FEATURES), np.nan)
+        for row, shift in zip(neighbours, shifts, strict=True):
+            here, there = (slice(0, n - shift), slice(shift, n)) if shift > 0 else (
+                slice(-shift, n), slice(0, n + shift))
+            same = (segment[here] == segment[there])[:, None]
+            row[here] = np.where(same, residual[there], np.nan)
+        alone = np.isnan(neighbours[:, :, 0]).all(axis=0)
+        neighbours[0, alone] = np.median(residual, axis=0)
+        distance = np.linalg.norm(residual - np.nanmedian(neighbours, axis=0), axis=1)
+        limit = self._options.outlier_factor * float(np.median(distance))
+        return distance <= max(limit, 1e-9)
 
     def _choose_ridge(
         self,
@@ -523,47 +536,39 @@ class _Training:
         to_log_widths = 2.0 / squared * distances
         return to_centres.reshape(centres.shape), to_log_widths.reshape(widths.shape)
 
-    def _judge_pairs(
-        self, model: RbfModel, held_out: np.ndarray
-    ) -> tuple[float, float, tuple[NetworkError, ...]]:
-        """Held-out pair error, ball motion (root mean squares, m), and the networks' errors."""
-        pairs = self._pairs(held_out, 3000)
-        regressors, motion = self._equations(model.centres, model.widths, pairs)
+    def _judge_pairs(self, model: RbfModel, held_out: np.ndarray) -> tuple[float, float]:
+        """Root mean squares of the held-out pair error and of the ball's motion, m."""
+        regressors, motion = self._equations(
+            model.centres, model.widths, self._pairs(held_out, 3000)
+        )
         error = regressors @ _as_matrix(model) - motion
-        start, end = self._joints[pairs[0]], self._joints[pairs[1]]
-        centre = self._joints[held_out].mean(axis=0)
-        scale = np.maximum(self._joints[held_out].std(axis=0), 1e-6)
+        return (
+            float(np.sqrt(np.mean(np.sum(error**2, axis=1)))),
+            float(np.sqrt(np.mean(np.sum(motion**2, axis=1)))),
+        )
 
-        def affine(joints: np.ndarray) -> np.ndarray:
-            return np.concatenate([np.ones((len(joints), 1)), (joints - centre) / scale], axis=1)
-
-        # an affine column integrates along a line to its value half way: exactly linear again
-        explained = (end - start)[:, :, None] * affine(0.5 * (start + end))[:, None, :]
-        matrix = explained.reshape(len(start), -1)
-        gram = matrix.T @ matrix
-        gram[np.diag_indices_from(gram)] += 1e-9 * np.trace(gram) / len(gram)
-        inverse = np.linalg.inv(gram)
-        correction = inverse @ (matrix.T @ error)
-        left = error - matrix @ correction
-        # each image makes several pairs, so the equations count for no more than the images
-        variance = np.sum(left**2) / N_FEATURES / len(left) * (len(left) / len(held_out))
-        columns = model.jacobian(self._joints[held_out])
-        basis = affine(self._joints[held_out])
-        size = basis.shape[1]
-        networks = []
-        for i in range(N_JOINTS):
-            own = slice(i * size, (i + 1) * size)
-            wrong = basis @ correction[own]
-            doubt = N_FEATURES * variance * np.einsum("na,ab,nb->n", basis, inverse[own, own], basis)
-            networks.append(
-                NetworkError(
-                    float(np.sqrt(np.mean(np.sum(columns[:, :, i] ** 2, axis=1)))),
-                    float(np.sqrt(np.mean(np.sum(wrong**2, axis=1)))),
-                    float(np.sqrt(np.mean(doubt))),
-                )
-            )
-        rms = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
-        return rms, float(np.sqrt(np.mean(np.sum(motion**2, axis=1)))), tuple(networks)
+    def _judge_networks(
+        self, model: RbfModel, everything: np.ndarray, held_out: np.ndarray, pair_error_m: float
+    ) -> tuple[NetworkError, ...]:
+        """Differences to the reference at held-out joints."""
+        known = self._rng.permutation(everything)[:REFERENCE_IMAGES]
+        at = self._joints[self._rng.permutation(held_out)[:REFERENCE_IMAGES]]
+        reference = reference_jacobian(
+            self._joints[known],
+            self._ball[known],
+            at,
+            # a pair's error has the noise of two images in three coordinates
+            noise_m=max(pair_error_m / math.sqrt(2.0 * N_FEATURES), 1e-5),
+            scale_rad=2.0 * self._options.width_factor * self._scale_rad,
+        )
+        columns = np.sqrt(np.mean(np.sum(reference**2, axis=1), axis=0))
+        difference = model.jacobian(at) - reference
+        errors = np.sqrt(np.mean(np.sum(difference**2, axis=1), axis=0))
+        whole = float(np.linalg.norm(columns))
+        return tuple(
+            NetworkError(float(c), float(e), float(e / c) if c > 0.01 * whole else None)
+            for c, e in zip(columns, errors, strict=True)
+        )
 
     def _judge_steps(self, model: RbfModel, held_out: np.ndarray) -> float | None:
         following = held_out[:-1][
@@ -644,8 +649,3 @@ def _as_matrix(model: RbfModel) -> np.ndarray:
 
 def _box(values: np.ndarray) -> np.ndarray:
     return np.stack([values.min(axis=0), values.max(axis=0)])
-
-
-def describe_options(options: TrainingOptions) -> dict[str, Any]:
-    """The options as plain values, for provenance."""
-    return asdict(options)

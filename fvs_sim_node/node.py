@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PointStamped
+from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
@@ -16,7 +17,7 @@ from std_srvs.srv import Trigger
 from fvs_ros.core import ros
 from fvs_ros.core.joints import UR_JOINT_NAMES
 from fvs_sim_node.config import ALPHABETICAL, KINEMATIC, PARAMETERS
-from fvs_sim_node.simulation import BallObservation, SimConfig, Simulation, SimStep
+from fvs_sim_node.simulation import BallObservation, SimConfig, SimStep, Simulation
 
 _STATUS_PERIOD_S = 0.1
 _SUBSCRIBERS_PERIOD_S = 0.1
@@ -73,17 +74,18 @@ class SimNode(ros.FvsNode):
         self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
 
     def _play_driver(self, v: Mapping[str, Any]) -> None:
-        self._program_running = self._speed_scaling = None
-        if v["play_driver_topics"]:
-            self._program_running = self.create_publisher(
-                Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED
-            )
-            self._speed_scaling = self.create_publisher(
-                Float64, ros.SPEED_SCALING, ros.QOS_RELIABLE
-            )
-            self.create_timer(
-                _SPEED_SCALING_PERIOD_S, self._publish_speed_scaling, clock=self.steady_clock
-            )
+        self._program_running: Publisher | None = None
+        if not v["play_driver_topics"]:
+            return
+        self._program_running = self.create_publisher(
+            Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED
+        )
+        scaling = self.create_publisher(Float64, ros.SPEED_SCALING, ros.QOS_RELIABLE)
+
+        def publish_scaling() -> None:
+            scaling.publish(Float64(data=float(self.values["speed_scaling_percent"])))
+
+        self.create_timer(_SPEED_SCALING_PERIOD_S, publish_scaling, clock=self.steady_clock)
 
     # --- time ---
 
@@ -165,9 +167,6 @@ class SimNode(ros.FvsNode):
         )
         self._commanders = self.count_publishers(ros.COMMANDS)
 
-    def _publish_speed_scaling(self) -> None:
-        self._speed_scaling.publish(Float64(data=float(self.values["speed_scaling_percent"])))
-
     # --- inputs ---
 
     def _on_command(self, message: Float64MultiArray) -> None:
@@ -233,10 +232,24 @@ class SimNode(ros.FvsNode):
 
 def _sim_config(v: Mapping[str, Any]) -> SimConfig:
     same = (
-        "seed", "gui", "urdf_path", "ball_link", "ball_radius_m", "ball_offset_m",
-        "physics_rate_hz", "joint_state_rate_hz", "image_rate_hz", "latency_s",
-        "depth_noise", "dropout", "joint_lag_s", "dead_time_s", "acceleration_limit_rad_s2",
-        "camera", "image_width", "image_height",
+        "seed",
+        "gui",
+        "urdf_path",
+        "ball_link",
+        "ball_radius_m",
+        "ball_offset_m",
+        "physics_rate_hz",
+        "joint_state_rate_hz",
+        "image_rate_hz",
+        "latency_s",
+        "depth_noise",
+        "dropout",
+        "joint_lag_s",
+        "dead_time_s",
+        "acceleration_limit_rad_s2",
+        "camera",
+        "image_width",
+        "image_height",
     )
     return SimConfig(
         **{name: v[name] for name in same},

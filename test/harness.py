@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import subprocess
@@ -24,14 +25,12 @@ from std_msgs.msg import Float64MultiArray
 from fvs_ros.core import ros
 from fvs_ros.core.joints import UR_JOINT_NAMES
 
-_STARTED = 0
+_STARTED = itertools.count(1)
 
 
 def _next_domain() -> int:
     """A domain of its own for each test; ids above 101 collide with ephemeral ports."""
-    global _STARTED
-    _STARTED += 1
-    return 1 + (os.getpid() * 17 + _STARTED) % 100
+    return 1 + (os.getpid() * 17 + next(_STARTED)) % 100
 
 
 class Harness:

@@ -140,7 +140,8 @@ class DemoNode(ros.FvsNode):
             )
         demo.write_results(folder, self._records, scores)
         demo.draw(folder / "demo.png", self._records, settle_error_m, image_rgb, self._intrinsics)
-        print(f"\n{demo.table(scores, settle_error_m)}\n\nfigure: {folder / 'demo.png'}", flush=True)
+        print(f"\n{demo.table(scores, settle_error_m)}\n", flush=True)
+        print(f"figure: {folder / 'demo.png'}", flush=True)
         settled = all(one.settling_5mm_s is not None for one in scores)
         self.exit_code = ros.EXIT_OK if settled else ros.EXIT_FAILURE
 

@@ -14,6 +14,7 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 from fvs_ros.apps.scenario import NODE_TABLE, Scenario, ScenarioError, load_scenario
 
@@ -35,7 +36,7 @@ class _Process:
 
     name: str
     popen: subprocess.Popen
-    reader: threading.Thread | None
+    reader: threading.Thread
     stopped: bool = False
 
     def stop(self) -> None:
@@ -87,6 +88,8 @@ class Launcher:
                     if self._signals:
                         break
                     self._start(name, params)
+                for process in self._processes:
+                    process.reader.start()
                 self._say(f"started {', '.join(p.name for p in self._processes)}")
                 first = self._wait()
                 return self._end(first)
@@ -107,16 +110,14 @@ class Launcher:
             env={**os.environ, "PYTHONUNBUFFERED": "1"},
             # Ctrl-C reaches the launcher alone, which stops the nodes in the right order.
             start_new_session=True,
-            preexec_fn=_die_with_parent,
+            # No thread runs yet that could hold a lock across the fork.
+            preexec_fn=_die_with_parent,  # noqa: PLW1509
         )
-        reader = None
-        if popen.stdout is not None:
-            reader = threading.Thread(target=self._forward, args=(name, popen.stdout), daemon=True)
-            reader.start()
+        reader = threading.Thread(target=self._forward, args=(name, popen.stdout), daemon=True)
         self._processes.append(_Process(name, popen, reader))
 
-    def _forward(self, name: str, stream) -> None:
-        for line in stream:
+    def _forward(self, name: str, stream: IO[bytes] | None) -> None:
+        for line in stream or ():
             text = line.decode("utf-8", "replace").rstrip()
             with self._print_lock:
                 print(f"[{name}] {text}", flush=True)
@@ -161,7 +162,7 @@ class Launcher:
                     self._say(f"{process.name} did not stop within {_STOP_S:g} s: killed")
                     process.popen.kill()
                     process.popen.wait()
-                if process.reader is not None:
+                if process.reader.ident is not None:
                     process.reader.join(_STOP_S)
 
     def _say(self, text: str) -> None:

@@ -189,9 +189,7 @@ def _declares(node: str, name: str) -> bool:
     return node in NODE_TABLE and name in NODE_TABLE[node].parameters()
 
 
-def _checked(
-    path: Path, parameters: Mapping[str, Mapping[str, Any]]
-) -> dict[str, dict[str, Any]]:
+def _checked(path: Path, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     checked: dict[str, dict[str, Any]] = {}
     for node, values in parameters.items():
         declared = NODE_TABLE[node].parameters()

@@ -27,6 +27,7 @@ _MIN_PIXELS = 20
 _MIN_DEPTH_PIXELS = 8
 _MAX_BLOBS = 16
 _MIN_ON_OUTLINE = 0.6
+_MIN_ARC = 0.2
 _MAX_EXCESS = 0.15
 _MAX_GAPS = 0.1
 _MAX_RESIDUAL_RADII = 0.1
@@ -186,7 +187,8 @@ def _split_by_depth(
     depth = depth_m[blob.v0 : blob.v0 + height, blob.u0 : blob.u0 + width]
     left = (blob.filled > 0) & (depth > 0.0)
     found: list[BallDetection] = []
-    kernel = np.ones((3, 3), np.uint8)
+    # Depth is often lost at an edge: close what that breaks out of the outline.
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
     for _ in range(4):
         values = np.sort(depth[left])
         if len(values) < _MIN_PIXELS:
@@ -257,6 +259,8 @@ class _Fit:
         Distance of the centre, m.
     on_outline : float
         Part of the outline that lies on the sphere's.
+    arc : float
+        Part of the sphere's outline that is seen.
     residual_m : float
         Systematic departure of the surface from the sphere, rms, m.
     pixel_rad : float
@@ -266,6 +270,7 @@ class _Fit:
     direction: np.ndarray
     distance_m: float
     on_outline: float
+    arc: float
     residual_m: float
     pixel_rad: float
 
@@ -278,7 +283,9 @@ def _evaluate(
     fit = _fit_sphere(patch, radius_m) if patch else None
     if patch is None or fit is None:
         return None
-    if fit.on_outline < _MIN_ON_OUTLINE or fit.residual_m > _MAX_RESIDUAL_RADII * radius_m:
+    if fit.on_outline < _MIN_ON_OUTLINE or fit.arc < _MIN_ARC:
+        return None
+    if fit.residual_m > _MAX_RESIDUAL_RADII * radius_m:
         return None
     return _judge(patch, fit, camera, radius_m)
 
@@ -330,7 +337,7 @@ def _fit_sphere(patch: _Patch, radius_m: float) -> _Fit | None:
     residual = np.nan
     for turn in range(3):
         before = distance
-        direction, on_outline = _fit_direction(
+        direction, on_outline, arc = _fit_direction(
             outline, direction, distance, radius_m, pixel_rad=pixel_rad, search=turn == 0
         )
         surface = _central_surface(rays, range_m, direction, radius_m)
@@ -340,7 +347,7 @@ def _fit_sphere(patch: _Patch, radius_m: float) -> _Fit | None:
         if turn == 2 or (turn > 0 and abs(distance - before) < 2e-4):
             residual = surface.residual_m()
             break
-    return _Fit(direction, distance, on_outline, residual, pixel_rad)
+    return _Fit(direction, distance, on_outline, arc, residual, pixel_rad)
 
 
 def _judge(patch: _Patch, fit: _Fit, camera: Intrinsics, radius_m: float) -> BallDetection | None:
@@ -426,7 +433,7 @@ def _fit_direction(
     *,
     pixel_rad: float,
     search: bool,
-) -> tuple[np.ndarray, float]:
+) -> tuple[np.ndarray, float, float]:
     """Axis of the cone of known opening through the outline.
 
     Returns
@@ -435,11 +442,13 @@ def _fit_direction(
         Unit vector towards the centre.
     on_outline : float
         Part of the outline that lies on the cone, without what a nearer thing cuts off.
+    arc : float
+        Part of the cone that has outline on it.
     """
     nearer_m = distance_m * direction[2] - 0.5 * radius_m
     rays = outline.rays[outline.outside_m >= nearer_m]
     if len(rays) < 6:
-        return direction, 0.0
+        return direction, 0.0, 0.0
     # In the plane at unit distance across `direction` the outline is a circle, all but exactly.
     x, y, z = direction
     axes = np.array([[z, 0.0, -x], [-x * y, x * x + z * z, -y * z]])
@@ -455,7 +464,9 @@ def _fit_direction(
         if start is not None:
             centre = _refine_circle(points, radius, start, 1.5 * tolerance)
             off = np.abs(_lengths(points - centre) - radius)
-    return _unit(direction + centre @ axes), float(np.mean(off < tolerance))
+    on = int(np.count_nonzero(off < tolerance))
+    # A circle of radius n pixels crosses from pixel to pixel 8 n times.
+    return _unit(direction + centre @ axes), on / len(off), on * pixel_rad / (8.0 * radius)
 
 
 def _refine_circle(points: np.ndarray, radius: float, start: np.ndarray, cut: float) -> np.ndarray:

@@ -26,7 +26,7 @@ class JointStateError(ValueError):
     """A joint state that cannot be used; the text says what was wrong and what was expected."""
 
 
-class ForeignJointState(JointStateError):
+class ForeignJointsError(JointStateError):
     """A joint state that holds none of the wanted joints: another device's, to be passed over."""
 
 
@@ -71,7 +71,7 @@ class JointMap:
 
         Raises
         ------
-        ForeignJointState
+        ForeignJointsError
             If the message holds none of the wanted joints.
         JointStateError
             If some joints are missing, sizes differ, or an angle is not finite.
@@ -80,7 +80,7 @@ class JointMap:
         if key != self._cached_for:
             missing = [name for name in self.names if name not in key]
             if len(missing) == N_JOINTS:
-                raise ForeignJointState(
+                raise ForeignJointsError(
                     f"joint_states names {list(key)}, none of the wanted {list(self.names)}"
                 )
             if missing:
@@ -88,9 +88,7 @@ class JointMap:
             self._indices = [key.index(name) for name in self.names]
             self._cached_for = key
         if len(values) != len(key):
-            raise JointStateError(
-                f"joint_states has {len(values)} positions for {len(key)} names"
-            )
+            raise JointStateError(f"joint_states has {len(values)} positions for {len(key)} names")
         positions = np.array([values[i] for i in self._indices], dtype=float)
         if not np.all(np.isfinite(positions)):
             bad = [n for n, p in zip(self.names, positions, strict=True) if not np.isfinite(p)]

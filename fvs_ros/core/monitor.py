@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from itertools import pairwise
 
 
 class ArrivalMonitor:
@@ -31,7 +32,7 @@ class ArrivalMonitor:
     def report(self, now_s: float) -> dict[str, float | int]:
         """Age (s), rate (Hz), jitter (ms, standard deviation of the intervals) and count."""
         arrivals = list(self._arrivals_s)
-        intervals = [b - a for a, b in zip(arrivals, arrivals[1:], strict=False)]
+        intervals = [b - a for a, b in pairwise(arrivals)]
         rate_hz = jitter_ms = math.nan
         if intervals:
             mean_s = sum(intervals) / len(intervals)

@@ -59,7 +59,7 @@ class Parameter:
         return isinstance(self.default, list)
 
     @property
-    def kind(self) -> type:
+    def kind(self) -> Any:
         """Type of the value, or of a list's elements."""
         return type(self.default[0]) if self.is_list else type(self.default)
 

@@ -21,8 +21,10 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import CameraInfo, Image, JointState
@@ -70,6 +72,7 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 EXIT_OK, EXIT_FAILURE, EXIT_BAD_INPUT = 0, 1, 2
 
 _SPIN_PERIOD_S = 0.05
+_LAST_ZEROS, _LAST_ZEROS_PERIOD_S, _LAST_ZEROS_ACK_S = 5, 0.01, 0.5
 _DIAGNOSTICS_PERIOD_S = 1.0
 _BUILT_IN_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
@@ -125,9 +128,7 @@ def from_point(message: PointStamped, frame: str, topic: str) -> np.ndarray:
         If it is in another frame or not finite.
     """
     if message.header.frame_id != frame:
-        raise MessageError(
-            f"{topic} is in frame '{message.header.frame_id}', expected '{frame}'"
-        )
+        raise MessageError(f"{topic} is in frame '{message.header.frame_id}', expected '{frame}'")
     position = np.array([message.point.x, message.point.y, message.point.z], dtype=float)
     if not np.all(np.isfinite(position)):
         raise MessageError(f"{topic} is not finite: {position.tolist()}")
@@ -185,6 +186,14 @@ def to_command(velocity_rad_s: np.ndarray) -> Float64MultiArray:
     return Float64MultiArray(data=np.asarray(velocity_rad_s, dtype=float).tolist())
 
 
+def send_last_zeros(commands: Publisher) -> None:
+    """Leave several zero commands on the wire: a velocity controller holds its last command."""
+    for _ in range(_LAST_ZEROS):
+        commands.publish(to_command(np.zeros(N_JOINTS)))
+        time.sleep(_LAST_ZEROS_PERIOD_S)
+    commands.wait_for_all_acked(Duration(seconds=_LAST_ZEROS_ACK_S))
+
+
 def to_joint_state(
     stamp_s: float,
     names: Iterable[str],
@@ -231,9 +240,7 @@ def to_camera_info(stamp_s: float, frame: str, intrinsics: Intrinsics) -> Camera
     return message
 
 
-def to_status(
-    level: bytes, name: str, message: str, values: Mapping[str, Any]
-) -> DiagnosticStatus:
+def to_status(level: bytes, name: str, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:
     """``DiagnosticStatus`` with numbers printed to five digits."""
     return DiagnosticStatus(
         level=level,
@@ -311,15 +318,13 @@ class FvsNode(Node):
         self._monitors: dict[str, ArrivalMonitor] = {}
         self._status = self.create_publisher(DiagnosticStatus, STATUS, QOS_RELIABLE)
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
-        self.create_timer(
-            _DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady_clock
-        )
+        self.create_timer(_DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady_clock)
         self._health: tuple[bytes, str] = (OK, "starting")
 
     def _declare(self) -> dict[str, Any]:
         given = {
-            name: parameter.value
-            for name, parameter in self.get_parameters_by_prefix("").items()
+            name: self.get_parameter(name).value
+            for name in self.get_parameters_by_prefix("")
             if not name.startswith(_BUILT_IN_PARAMETERS)
         }
         values = self.parameter_set.values(given)
@@ -343,7 +348,7 @@ class FvsNode(Node):
                 parameter = self.parameter_set[change.name]
                 if not parameter.live:
                     raise ParameterError(
-                        f"parameter {change.name} can be set at start only; restart the node with it"
+                        f"parameter {change.name} can be set at start only; restart the node"
                     )
                 accepted[change.name] = parameter.check(change.value)
             candidate = {**self.values, **accepted}

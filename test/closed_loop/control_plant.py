@@ -33,7 +33,7 @@ class Drive:
         self.joints = joints_rad.copy()
         self._pending = deque([np.zeros(6)] * 8)  # hold and dead time, in steps
         self._ramped = np.zeros(6)
-        self._velocity = np.zeros(6)
+        self.velocity = np.zeros(6)
         self._blend = 1.0 - np.exp(-self.step_s / 0.012)
 
     def run(self, command: np.ndarray, steps: int) -> None:
@@ -42,8 +42,8 @@ class Drive:
             change = self._pending.popleft() - self._ramped
             most = 15.0 * self.step_s
             self._ramped = self._ramped + np.clip(change, -most, most)
-            self._velocity = self._velocity + self._blend * (self._ramped - self._velocity)
-            self.joints = self.joints + self._velocity * self.step_s
+            self.velocity = self.velocity + self._blend * (self._ramped - self.velocity)
+            self.joints = self.joints + self.velocity * self.step_s
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,7 @@ class Run:
     time_s: np.ndarray
     error_m: np.ndarray
     command: np.ndarray
+    states: list[str]
 
     def settled_s(self, within_m: float) -> float:
         """When the true error was last above a bound, s from the start; inf if at the end."""
@@ -85,51 +86,54 @@ def servo(
     duration_s: float = 3.0,
     jacobian_error: float = 0.025,
     noise_m: float = NOISE_M,
-    law: Any = None,
+    turned: np.ndarray | None = None,
+    hidden_s: tuple[float, float] = (0.0, 0.0),
 ) -> Run:
-    """Servo from rest at one joint vector to the ball position of another."""
+    """Servo from rest at one joint vector to the ball position of another.
+
+    ``turned`` is a rotation that the estimator does not know of; ``hidden_s`` is when no image
+    shows the ball, from the start on.
+    """
     rng = np.random.default_rng(seed)
     wrong = rng.normal(size=(3, 6))
     wrong *= jacobian_error / np.linalg.norm(wrong)
     loop = build_loop(default_values(**(values or {})))
-    if law is not None:
-        loop.law = law
     supervisor = loop.supervisor
     target = ball_and_jacobian(goal_rad)[0]
     assert supervisor.target(target, FRAME)[0]
     drive = Drive(start_rad)
     images: deque[tuple[float, np.ndarray]] = deque()
     next_image_s = rng.uniform(0.0, IMAGE_S)
-    times, errors, commands = [], [], []
+    times, errors, commands, states = [], [], [], []
     started_s = None
     k = 0
     while started_s is None or k * TICK_S - started_s < duration_s:
         t = k * TICK_S
         ball, jacobian = ball_and_jacobian(drive.joints)
         while next_image_s <= t:
-            joints_then = drive.joints  # within 8 ms; corrected to the exposure below
-            back_s = t - next_image_s
-            seen = ball - jacobian @ (drive._velocity * back_s)
-            assert joints_then is drive.joints
-            images.append((next_image_s, seen + rng.normal(size=3) * noise_m))
+            back = drive.velocity * (t - next_image_s)  # joint motion since the exposure
+            seen = ball - jacobian @ back + rng.normal(size=3) * noise_m
+            if not hidden_s[0] <= t - (started_s or t) < hidden_s[1]:
+                images.append((next_image_s, seen))
             next_image_s += IMAGE_S
         while images and images[0][0] + LATENCY_S <= t:
             stamp, seen = images.popleft()
             loop.add_ball(t, stamp, seen, FRAME)
-        loop.add_jacobian(t, jacobian + np.linalg.norm(jacobian) * wrong)
+        estimate = jacobian + np.linalg.norm(jacobian) * wrong
+        loop.add_jacobian(t, estimate if turned is None else turned @ estimate)
         loop.add_joints(t, t, drive.joints)
         command = loop.tick(t, TICK_S)
         if started_s is None and command.reason.name == "READY":
             assert supervisor.start(t)[0]
             started_s = t
         elif started_s is not None:
-            assert command.state.name == "SERVOING", command.text
+            states.append(command.reason.name)
             times.append(t - started_s)
             errors.append(float(np.linalg.norm(ball - target)))
             commands.append(command.velocity_rad_s)
         drive.run(command.velocity_rad_s, round(TICK_S / Drive.step_s))
         k += 1
-    return Run(np.array(times), np.array(errors), np.array(commands))
+    return Run(np.array(times), np.array(errors), np.array(commands), states)
 
 
 def pairs(count: int, seed: int, low_m: float = 0.2, high_m: float = 0.5) -> list[np.ndarray]:

@@ -61,9 +61,7 @@ class Bench:
 
     def assert_stops(self, since_s):
         self.wait(self.robot.standing, what="zeros")
-        first_zero_s = next(
-            t for t, m in self.robot.commands if t > since_s and not np.any(m.data)
-        )
+        first_zero_s = next(t for t, m in self.robot.commands if t > since_s and not np.any(m.data))
         assert first_zero_s - since_s < STOP_S
 
     def assert_keeps_sending_zeros(self, seconds=0.3):
@@ -180,7 +178,10 @@ def test_an_input_that_cannot_be_used_is_zeros_and_a_reason(bench, topic, spoil,
 
 @pytest.mark.parametrize(
     ("offset", "frame", "words"),
-    [((5.0, 0.0, 0.0), PlayedRobot.FRAME, "workspace"), ((0.1, 0.0, 0.0), "base_link", "base_link")],
+    [
+        ((5.0, 0.0, 0.0), PlayedRobot.FRAME, "workspace"),
+        ((0.1, 0.0, 0.0), "base_link", "base_link"),
+    ],
 )
 def test_a_target_out_of_the_workspace_or_in_another_frame_is_refused(bench, offset, frame, words):
     point = ros.to_point(1.0, frame, bench.robot.ball + np.array(offset))
@@ -191,9 +192,7 @@ def test_a_target_out_of_the_workspace_or_in_another_frame_is_refused(bench, off
 
 
 def test_a_paused_program_needs_a_new_start(bench):
-    running = bench.harness.node.create_publisher(
-        Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED
-    )
+    running = bench.harness.node.create_publisher(Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED)
     bench.servo()
     running.publish(Bool(data=False))
     bench.assert_stops(time.monotonic())

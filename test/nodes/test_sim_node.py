@@ -88,8 +88,8 @@ def test_images_are_rendered_for_subscribers_and_agree_with_camera_info(ros_test
     assert (colour.encoding, depth.encoding) == ("rgb8", "16UC1")
     assert (colour.width, colour.height) == (info.width, info.height) == (640, 480)
     ball = balls[-1].point
-    u = int(round(info.k[0] * ball.x / ball.z + info.k[2]))
-    v = int(round(info.k[4] * ball.y / ball.z + info.k[5]))
+    u = round(info.k[0] * ball.x / ball.z + info.k[2])
+    v = round(info.k[4] * ball.y / ball.z + info.k[5])
     red, green, blue = np.frombuffer(colour.data, np.uint8).reshape(480, 640, 3)[v, u].astype(int)
     assert red > 100
     assert red > 2 * max(green, blue)

@@ -91,7 +91,7 @@ def test_ball_cut_off_by_the_border():
 
 def test_nothing_below_a_quarter():
     rng = np.random.default_rng(5)
-    for _ in range(60):
+    for _ in range(30):
         centre = rng.uniform(0.8, 1.8) * VGA.rays(rng.uniform(100, 540), rng.uniform(100, 380))
         rgb, depth = draw([(centre, RADIUS_M)])
         v, u = np.nonzero(rgb[..., 0] > 2.0 * rgb[..., 1])

@@ -4,7 +4,7 @@ import pytest
 from fvs_ros.core.joints import (
     UR_JOINT_NAMES,
     UR_PUBLISHED_NAMES,
-    ForeignJointState,
+    ForeignJointsError,
     JointMap,
     JointStateError,
 )
@@ -33,7 +33,7 @@ def test_a_value_that_is_not_finite_in_a_foreign_joint_does_no_harm():
 @pytest.mark.parametrize(
     ("names", "values", "error", "text"),
     [
-        (["finger"], [0.0], ForeignJointState, "none of the wanted"),
+        (["finger"], [0.0], ForeignJointsError, "none of the wanted"),
         (UR_JOINT_NAMES[:5], [0.0] * 5, JointStateError, "lacks .*wrist_3_joint"),
         (UR_JOINT_NAMES, [0.0] * 5, JointStateError, "5 positions for 6 names"),
         (UR_JOINT_NAMES, [0.0] * 5 + [np.nan], JointStateError, "not finite for .*wrist_3"),

@@ -24,11 +24,11 @@ def ball(t: float) -> np.ndarray:
 
 def feed(predictor: BallPredictor, start_s: float, end_s: float, offset_s: float = 0.0) -> None:
     for k in range(round(start_s / JOINT_S), round(end_s / JOINT_S)):
-        predictor.add_joints(k * JOINT_S + offset_s, joints(k * JOINT_S))
+        predictor.add_joints(k * JOINT_S + offset_s, joints(k * JOINT_S), JACOBIAN)
 
 
 def newest(predictor: BallPredictor) -> np.ndarray:
-    predicted = predictor.predict(JACOBIAN)
+    predicted = predictor.predict()
     assert predicted is not None
     return predicted
 
@@ -36,8 +36,8 @@ def newest(predictor: BallPredictor) -> np.ndarray:
 def test_it_carries_an_old_image_to_the_newest_joints():
     predictor = BallPredictor(fusion_gain=1.0)
     feed(predictor, 0.0, 1.0)
-    predictor.add_ball(0.9, ball(0.9), JACOBIAN)
-    np.testing.assert_allclose(newest(predictor), ball(0.992), atol=1e-5)
+    predictor.add_ball(0.9, ball(0.9))
+    np.testing.assert_allclose(newest(predictor), ball(0.992), atol=5e-5)
     assert predictor.latency_s == pytest.approx(0.092)
     assert predictor.problem == ""
 
@@ -45,11 +45,11 @@ def test_it_carries_an_old_image_to_the_newest_joints():
 def test_a_position_waits_for_the_joint_state_after_its_exposure():
     predictor = BallPredictor(fusion_gain=1.0)
     feed(predictor, 0.0, 1.0)
-    predictor.add_ball(1.05, ball(1.05), JACOBIAN)
-    assert predictor.predict(JACOBIAN) is None
+    predictor.add_ball(1.05, ball(1.05))
+    assert predictor.predict() is None
     assert "no ball_position" in predictor.problem
     feed(predictor, 1.0, 1.1)
-    np.testing.assert_allclose(newest(predictor), ball(1.096), atol=1e-5)
+    np.testing.assert_allclose(newest(predictor), ball(1.096), atol=5e-5)
 
 
 def test_fusion_averages_noise_and_does_not_lag_behind_motion():
@@ -60,7 +60,7 @@ def test_fusion_averages_noise_and_does_not_lag_behind_motion():
         for k in range(1000):
             feed(predictor, k * 0.032, (k + 1) * 0.032)
             t = k * 0.032
-            predictor.add_ball(t, ball(t) + 0.001 * rng.normal(size=3), JACOBIAN)
+            predictor.add_ball(t, ball(t) + 0.001 * rng.normal(size=3))
             now = round((k + 1) * 0.032 / JOINT_S - 1) * JOINT_S
             found.append(float(np.linalg.norm(newest(predictor) - ball(now))))
     raw, fused = (np.sqrt(np.mean(np.square(errors[gain][100:]))) for gain in (1.0, 0.2))
@@ -70,83 +70,83 @@ def test_fusion_averages_noise_and_does_not_lag_behind_motion():
 
 def test_an_outlier_is_passed_over_and_a_lasting_one_is_believed():
     predictor = BallPredictor(fusion_gain=0.3, outlier_m=0.03, outlier_repeats=3)
-    predictor.add_joints(0.0, np.zeros(6))
-    predictor.add_joints(0.05, np.zeros(6))
+    predictor.add_joints(0.0, np.zeros(6), JACOBIAN)
+    predictor.add_joints(0.05, np.zeros(6), JACOBIAN)
     for k in range(2):
-        predictor.add_ball(0.01 * k, ORIGIN, JACOBIAN)
+        predictor.add_ball(0.01 * k, ORIGIN)
     moved = ORIGIN + [0.1, 0.0, 0.0]
     for k in (2, 3):
-        predictor.add_ball(0.01 * k, moved, JACOBIAN)
+        predictor.add_ball(0.01 * k, moved)
         np.testing.assert_allclose(newest(predictor), ORIGIN)
-    predictor.add_ball(0.04, moved, JACOBIAN)
+    predictor.add_ball(0.04, moved)
     np.testing.assert_allclose(newest(predictor), moved)
 
 
 def test_a_good_position_forgives_the_outliers_before():
     predictor = BallPredictor(outlier_repeats=2)
-    predictor.add_joints(0.0, np.zeros(6))
-    predictor.add_joints(0.09, np.zeros(6))
+    predictor.add_joints(0.0, np.zeros(6), JACOBIAN)
+    predictor.add_joints(0.09, np.zeros(6), JACOBIAN)
     for k in range(8):
         wrong = [0.1, 0.0, 0.0] if k % 2 else [0.0, 0.0, 0.0]
-        predictor.add_ball(0.01 * k, ORIGIN + wrong, JACOBIAN)
+        predictor.add_ball(0.01 * k, ORIGIN + wrong)
         np.testing.assert_allclose(newest(predictor), ORIGIN)
 
 
 def test_off_it_gives_the_last_image():
     predictor = BallPredictor(enabled=False)
     feed(predictor, 0.0, 1.0)
-    predictor.add_ball(0.5, ball(0.5), JACOBIAN)
-    predictor.add_ball(0.9, ball(0.9), JACOBIAN)
+    predictor.add_ball(0.5, ball(0.5))
+    predictor.add_ball(0.9, ball(0.9))
     np.testing.assert_array_equal(newest(predictor), ball(0.9))
 
 
 def test_it_predicts_over_no_more_than_the_longest_latency():
     predictor = BallPredictor(max_latency_s=0.3)
     feed(predictor, 0.0, 1.0)
-    predictor.add_ball(0.95, ball(0.95), JACOBIAN)
+    predictor.add_ball(0.95, ball(0.95))
     feed(predictor, 1.0, 1.2)
-    assert predictor.predict(JACOBIAN) is not None
+    assert predictor.predict() is not None
     feed(predictor, 1.2, 1.4)
-    assert predictor.predict(JACOBIAN) is None
+    assert predictor.predict() is None
 
 
 def test_after_a_long_absence_it_starts_from_the_image_alone():
     predictor = BallPredictor(fusion_gain=0.1, max_latency_s=0.3)
     feed(predictor, 0.0, 0.2)
-    predictor.add_ball(0.1, ORIGIN + 0.02, JACOBIAN)  # wrong by little, so no outlier
+    predictor.add_ball(0.1, ORIGIN + 0.02)  # wrong by little, so no outlier
     feed(predictor, 0.2, 1.0)
-    predictor.add_ball(0.9, ball(0.9), JACOBIAN)
-    np.testing.assert_allclose(newest(predictor), ball(0.992), atol=1e-5)
+    predictor.add_ball(0.9, ball(0.9))
+    np.testing.assert_allclose(newest(predictor), ball(0.992), atol=5e-5)
 
 
 @pytest.mark.parametrize("jump_s", [-100.0, 1000.0])
 def test_a_clock_jump_starts_it_anew(jump_s: float):
     predictor = BallPredictor(fusion_gain=0.1)
     feed(predictor, 0.0, 1.0)
-    predictor.add_ball(0.9, ball(0.9), JACOBIAN)
+    predictor.add_ball(0.9, ball(0.9))
     feed(predictor, 1.0, 1.1, offset_s=jump_s)
-    assert predictor.predict(JACOBIAN) is None
-    predictor.add_ball(1.05 + jump_s, ball(1.05), JACOBIAN)
-    np.testing.assert_allclose(newest(predictor), ball(1.096), atol=1e-5)
+    assert predictor.predict() is None
+    predictor.add_ball(1.05 + jump_s, ball(1.05))
+    np.testing.assert_allclose(newest(predictor), ball(1.096), atol=5e-5)
 
 
 def test_a_gap_in_the_joint_states_drops_the_image_inside_it():
     predictor = BallPredictor(fusion_gain=1.0)
     feed(predictor, 0.0, 0.5)
-    predictor.add_ball(0.4, ball(0.4), JACOBIAN)
+    predictor.add_ball(0.4, ball(0.4))
     feed(predictor, 0.7, 0.8)
     before = newest(predictor)
-    predictor.add_ball(0.6, ball(0.6) + 0.01, JACOBIAN)
+    predictor.add_ball(0.6, ball(0.6) + 0.01)
     np.testing.assert_array_equal(newest(predictor), before)
 
 
 def test_repeated_and_reordered_images_are_passed_over():
     predictor = BallPredictor(fusion_gain=0.5)
     feed(predictor, 0.0, 1.0)
-    predictor.add_ball(0.90, ball(0.90), JACOBIAN)
+    predictor.add_ball(0.90, ball(0.90))
     before = newest(predictor)
-    predictor.add_ball(0.90, ball(0.90) + 0.01, JACOBIAN)
-    predictor.add_ball(0.85, ball(0.85) + 0.01, JACOBIAN)
+    predictor.add_ball(0.90, ball(0.90) + 0.01)
+    predictor.add_ball(0.85, ball(0.85) + 0.01)
     np.testing.assert_array_equal(newest(predictor), before)
 
 
@@ -154,8 +154,8 @@ def test_repeated_and_reordered_images_are_passed_over():
 def test_clocks_that_disagree_are_named(offset_s: float, word: str):
     predictor = BallPredictor()
     feed(predictor, 10.0, 11.0)
-    predictor.add_ball(10.9 + offset_s, ball(10.9), JACOBIAN)
-    assert predictor.predict(JACOBIAN) is None
+    predictor.add_ball(10.9 + offset_s, ball(10.9))
+    assert predictor.predict() is None
     assert word in predictor.problem
     assert "clock" in predictor.problem
 
@@ -172,3 +172,22 @@ def test_clocks_that_disagree_are_named(offset_s: float, word: str):
 def test_a_wrong_setting_is_refused_by_name(wrong: dict, word: str):
     with pytest.raises(ValueError, match=word):
         BallPredictor(**wrong)
+
+
+def test_over_a_long_latency_it_follows_the_bend_of_the_path():
+    """On a circle of 0.5 m; a straight line from the newest Jacobian is 7 mm off."""
+    predictor = BallPredictor(fusion_gain=1.0)
+
+    def on_circle(angle: float) -> np.ndarray:
+        return 0.5 * np.array([np.cos(angle), np.sin(angle), 0.0])
+
+    def tangent(angle: float) -> np.ndarray:
+        jacobian = np.zeros((3, 6))
+        jacobian[:, 0] = 0.5 * np.array([-np.sin(angle), np.cos(angle), 0.0])
+        return jacobian
+
+    for k in range(50):  # 1 rad/s; the Jacobian is one joint state late
+        angle = k * JOINT_S
+        predictor.add_joints(angle, np.array([angle, 0, 0, 0, 0, 0]), tangent(angle - JOINT_S))
+    predictor.add_ball(angle - 0.17, on_circle(angle - 0.17))
+    np.testing.assert_allclose(newest(predictor), on_circle(angle), atol=1.1e-3)

@@ -1,0 +1,140 @@
+"""How long the loop over DDS takes, beside a bare loop of three processes, and how long to start.
+
+Run ``python bench/bench_loop.py`` from the repository root.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "test")]
+os.environ["PYTHONPATH"] = str(ROOT)
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
+from geometry_msgs.msg import PointStamped  # noqa: E402
+from harness import Harness  # noqa: E402
+from std_msgs.msg import Float64MultiArray  # noqa: E402
+
+from fvs_ros.core import ros  # noqa: E402
+from fvs_ros.core.joints import UR_JOINT_NAMES, UR_PUBLISHED_NAMES  # noqa: E402
+
+ROUNDS, PERIOD_S, IMAGE_EVERY, STARTS = 800, 0.008, 4, 3
+
+
+def quantiles(samples_s: list[float]) -> str:
+    p50, p99 = np.percentile(np.array(samples_s) * 1e3, [50, 99])
+    return f"{p50:7.2f} ms p50 {p99:8.2f} ms p99   ({len(samples_s)} samples)"
+
+
+def rounds(harness: Harness, send, received: list[float]) -> list[tuple[int, float]]:
+    """Send every period; the time to the first answer of each round that got one."""
+    spent = []
+    next_s = time.monotonic()
+    for k in range(ROUNDS):
+        received.clear()
+        begin = time.monotonic()
+        send(k)
+        next_s = max(next_s + PERIOD_S, begin)
+        while time.monotonic() < next_s:
+            harness.executor.spin_once(timeout_sec=max(0.0, next_s - time.monotonic()))
+        if received:
+            spent.append((k, received[0] - begin))
+    return spent
+
+
+def bare_loop(folder: Path) -> str:
+    harness = Harness(folder)
+    try:
+        harness.start("bench.relay_node", "bench_a", "bench_b")
+        harness.start("bench.relay_node", "bench_b", "bench_c")
+        received: list[float] = []
+        harness.node.create_subscription(
+            Float64MultiArray, "bench_c", lambda _m: received.append(time.monotonic()), 1
+        )
+        publisher = harness.publisher(Float64MultiArray, "bench_a")
+        message = Float64MultiArray(data=[0.1] * 18)
+        harness.spin_until(lambda: publisher.publish(message) or bool(received), what="the relays")
+        return quantiles(
+            [t for _, t in rounds(harness, lambda k: publisher.publish(message), received)]
+        )
+    finally:
+        harness.close()
+
+
+def control_loop(folder: Path) -> tuple[str, str]:
+    """Joint state to command; image stamp to command, with the estimator learning beside."""
+    harness = Harness(folder)
+    try:
+        harness.start_node("fvs_estimator_node.node")
+        harness.start_node("fvs_controller_node.node", autostart=True)
+        received: list[float] = []
+        harness.node.create_subscription(
+            Float64MultiArray, ros.COMMANDS, lambda _m: received.append(time.monotonic()), 1
+        )
+        from sensor_msgs.msg import JointState
+
+        joints = harness.publisher(JointState, ros.JOINT_STATES)
+        balls = harness.publisher(PointStamped, ros.BALL_POSITION)
+        targets = harness.publisher(PointStamped, ros.TARGET_POSITION, ros.QOS_LATCHED)
+        statuses = harness.collect(DiagnosticStatus, "fvs_controller_node/status")
+        home = dict(zip(UR_JOINT_NAMES, [0.0, -1.35, 1.6, -1.75, -1.57, 0.0], strict=True))
+        frame = "camera_color_optical_frame"
+
+        def send(k: int) -> None:
+            now_s = harness.node.get_clock().now().nanoseconds * 1e-9
+            if k % IMAGE_EVERY == 0:
+                balls.publish(ros.to_point(now_s, frame, np.array([0.0, 0.2, 1.43])))
+            positions = np.array([home[n] + 0.02 * np.sin(k / 9) for n in UR_PUBLISHED_NAMES])
+            joints.publish(ros.to_joint_state(now_s, UR_PUBLISHED_NAMES, positions, np.zeros(6)))
+
+        targets.publish(ros.to_point(1.0, frame, np.array([0.05, 0.2, 1.45])))
+        rounds(harness, send, received)
+        state = ros.from_status(statuses[-1]).get("state")
+        if state != "SERVOING":
+            raise RuntimeError(f"the controller is {state}: {statuses[-1].message}")
+        spent = rounds(harness, send, received)
+        images = [t for k, t in spent if k % IMAGE_EVERY == 0]
+        return quantiles([t for _, t in spent]), quantiles(images)
+    finally:
+        harness.close()
+
+
+def start_up(folder: Path) -> float:
+    """From the launcher's start to the first command that moves the arm, s."""
+    harness = Harness(folder)
+    try:
+        commands = harness.collect(Float64MultiArray, ros.COMMANDS)
+        targets = harness.node.create_publisher(PointStamped, ros.TARGET_POSITION, ros.QOS_LATCHED)
+        point = np.array([0.05, 0.2, 1.45])
+        targets.publish(ros.to_point(1.0, "camera_color_optical_frame", point))
+        begin = time.monotonic()
+        harness.start("fvs_ros.apps.launcher", "servo")
+        harness.spin_until(lambda: bool(commands) and bool(np.any(commands[-1].data)), 60.0)
+        return time.monotonic() - begin
+    finally:
+        harness.close()
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        print(f"bare loop of three processes     {bare_loop(folder)}", flush=True)
+        joints, images = control_loop(folder)
+        print(f"joint state to command           {joints}")
+        print(f"image stamp to command           {images}", flush=True)
+        starts = [start_up(folder) for _ in range(STARTS)]
+        print(
+            f"launcher to a moving arm         {np.median(starts):7.2f} s median, {max(starts):.2f} s most"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,196 @@
+"""One collection run: when the arm may move, where it goes, and what is recorded. No ROS.
+
+The collector moves the arm without a controller behind it, so it has a guard of its own, with the
+same limits: nothing moves before joints and ball are seen, a late input stops the arm, a ball out
+of view sends it back toward where it started.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+import numpy as np
+from fvs_ros.core.limits import limit_acceleration, limit_speed, ramp_to_zero
+
+from fvs_estimator_node.pairing import BallSample, ExposureMatcher
+from fvs_ros.core.joints import N_JOINTS
+
+#: Toward home, this share of the remaining way a second.
+_HOMING_GAIN_1_S = 1.5
+#: The ball counts as seen again after so many positions.
+_FRESH_BALLS = 5
+#: A tick counts for at most this long, s: a late one must not make a big step.
+_MAX_TICK_S = 0.05
+
+
+class Motion(Protocol):
+    """Where the joints shall be going."""
+
+    def command(self, time_s: float, joints_rad: np.ndarray) -> np.ndarray:
+        """Joint velocities, rad/s, shape (6,), at a time since the start of the motion."""
+
+
+class State(Enum):
+    """What the run is doing."""
+
+    WAITING = "WAITING"
+    MOVING = "MOVING"
+    RETURNING = "RETURNING"
+    HOLDING = "HOLDING"
+    STOPPING = "STOPPING"
+    DONE = "DONE"
+    FAILED = "FAILED"
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Limits of a collection run.
+
+    Parameters
+    ----------
+    duration_s : float
+        Time to move and record, s; pauses do not count.
+    max_joint_velocity_rad_s, max_joint_acceleration_rad_s2 : float
+        Limits of each joint's command.
+    joint_states_max_age_s, ball_max_age_s : float
+        Older ones stop the arm, or send it home, s.
+    give_up_s : float
+        A trouble that lasts this long ends the run, s.
+    """
+
+    duration_s: float
+    max_joint_velocity_rad_s: float
+    max_joint_acceleration_rad_s2: float
+    joint_states_max_age_s: float = 0.1
+    ball_max_age_s: float = 0.5
+    give_up_s: float = 10.0
+
+
+class CollectionRun:
+    """Moves the joints and records the ball.
+
+    Parameters
+    ----------
+    config : RunConfig
+        Limits.
+    make_motion : callable
+        Makes the motion, given the joints at the start, rad, shape (6,).
+
+    Attributes
+    ----------
+    state : State
+        What it is doing.
+    reason : str
+        Why, in words.
+    samples : list of BallSample
+        What was recorded.
+    """
+
+    def __init__(self, config: RunConfig, make_motion: Callable[[np.ndarray], Motion]) -> None:
+        self._config = config
+        self._make_motion = make_motion
+        self._motion: Motion | None = None
+        self._matcher = ExposureMatcher()
+        self._home = np.zeros(N_JOINTS)
+        self._joints: np.ndarray | None = None
+        self._joints_s = self._ball_s = -np.inf
+        self._balls_seen = 0
+        self._velocity = np.zeros(N_JOINTS)
+        self._moved_s = 0.0
+        self._trouble_s: float | None = None
+        self.state = State.WAITING
+        self.reason = "waiting for joint_states"
+        self.samples: list[BallSample] = []
+
+    @property
+    def progress(self) -> float:
+        """Share of the duration that is done."""
+        return min(1.0, self._moved_s / self._config.duration_s)
+
+    @property
+    def ended(self) -> bool:
+        """Whether the run is over and the arm at rest."""
+        return self.state in (State.DONE, State.FAILED) and not np.any(self._velocity)
+
+    def joint_states(self, now_s: float, stamp_s: float, joints_rad: np.ndarray) -> None:
+        """Tell joint positions: arrival on the steady clock and stamp, s; (6,), rad."""
+        self._joints_s = now_s
+        self._joints = joints_rad
+        self._record(self._matcher.add_joints(stamp_s, joints_rad))
+
+    def ball(self, now_s: float, stamp_s: float, position_m: np.ndarray) -> None:
+        """Tell a ball position: arrival on the steady clock and exposure stamp, s; (3,), m."""
+        if now_s - self._ball_s > self._config.ball_max_age_s:
+            self._balls_seen = 0
+        self._balls_seen += 1
+        self._ball_s = now_s
+        self._record(self._matcher.add_ball(stamp_s, position_m))
+
+    def fail(self, reason: str) -> None:
+        """End the run: the arm ramps to rest, what was recorded stays."""
+        if self.state not in (State.DONE, State.FAILED):
+            self.state, self.reason = State.FAILED, reason
+
+    def _record(self, samples: list[BallSample]) -> None:
+        if self.state in (State.MOVING, State.RETURNING):
+            self.samples.extend(samples)
+
+    def tick(self, now_s: float, dt_s: float) -> np.ndarray:
+        """Joint velocities for this tick, rad/s, shape (6,); always finite and within limits."""
+        dt_s = float(np.clip(dt_s, 0.0, _MAX_TICK_S))
+        if self.state not in (State.STOPPING, State.DONE, State.FAILED):
+            self._decide(now_s, dt_s)
+        config = self._config
+        step = config.max_joint_acceleration_rad_s2 * dt_s
+        wanted = self._wanted()
+        if wanted is None or not np.all(np.isfinite(wanted)):
+            self._velocity = ramp_to_zero(self._velocity, step)
+        else:
+            wanted = limit_speed(wanted, config.max_joint_velocity_rad_s)
+            self._velocity = limit_acceleration(wanted, self._velocity, step)
+        if self.state is State.STOPPING and not np.any(self._velocity):
+            self.state, self.reason = State.DONE, "finished"
+        return self._velocity.copy()
+
+    def _decide(self, now_s: float, dt_s: float) -> None:
+        trouble = self._trouble(now_s)
+        if trouble is None:
+            self._trouble_s = None
+            if self._motion is None:
+                assert self._joints is not None
+                self._home = self._joints.copy()
+                self._motion = self._make_motion(self._home)
+            self.state, self.reason = State.MOVING, "moving and recording"
+            self._moved_s += dt_s
+            if self._moved_s >= self._config.duration_s:
+                self.state, self.reason = State.STOPPING, "done, coming to rest"
+            return
+        state, reason = trouble
+        self.state, self.reason = (State.WAITING if self._motion is None else state), reason
+        if self._trouble_s is None:
+            self._trouble_s = now_s
+        elif now_s - self._trouble_s > self._config.give_up_s:
+            self.fail(f"gave up after {self._config.give_up_s:g} s: {reason}")
+
+    def _trouble(self, now_s: float) -> tuple[State, str] | None:
+        age_s = now_s - self._joints_s
+        if age_s > self._config.joint_states_max_age_s:
+            heard = "none heard yet" if np.isinf(age_s) else f"the last is {age_s:.2f} s old"
+            return State.HOLDING, f"no joint_states ({heard}); is the robot driver running?"
+        age_s = now_s - self._ball_s
+        if age_s > self._config.ball_max_age_s or self._balls_seen < _FRESH_BALLS:
+            heard = "never seen" if np.isinf(age_s) else f"last seen {age_s:.1f} s ago"
+            return State.RETURNING, f"the ball is not in view ({heard})"
+        return None
+
+    def _wanted(self) -> np.ndarray | None:
+        if self._joints is None or self._motion is None:
+            return None
+        if self.state is State.MOVING:
+            return self._motion.command(self._moved_s, self._joints)
+        if self.state is State.RETURNING:
+            return _HOMING_GAIN_1_S * (self._home - self._joints)
+        return None

@@ -1,0 +1,190 @@
+"""``fvs_collector_node``: moves the joints randomly and safely, records a training data set."""
+
+from __future__ import annotations
+
+import sys
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+from geometry_msgs.msg import PointStamped
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Float64MultiArray
+from tqdm import tqdm
+
+from fvs_estimator_node.collecting import CollectionRun, RunConfig, State
+from fvs_estimator_node.collector_config import PARAMETERS
+from fvs_estimator_node.dataset import DataSet, save_data_set
+from fvs_estimator_node.motion import RandomMotion
+from fvs_ros.core import ros
+from fvs_ros.core.joints import ForeignJointsError, JointMap, JointStateError
+
+_STATUS_PERIOD_S = 0.1
+_WATCHDOG_S = 0.02
+_MIN_SAMPLES = 30
+
+
+class CollectorNode(ros.FvsNode):
+    """Ticks at every joint state, like the controller; ends by itself."""
+
+    def __init__(self) -> None:
+        super().__init__("fvs_collector_node", PARAMETERS)
+        v = self.values
+        self._path = Path(v["output_path"])
+        self._frame = v["feature_frame"]
+        self._joint_map = JointMap(v["joint_names"])
+        self._simulated_time = self.get_parameter("use_sim_time").value
+        config = RunConfig(
+            **{
+                name: v[name]
+                for name in (
+                    "duration_s",
+                    "max_joint_velocity_rad_s",
+                    "max_joint_acceleration_rad_s2",
+                    "joint_states_max_age_s",
+                    "ball_max_age_s",
+                    "give_up_s",
+                )
+            }
+        )
+        self._run = CollectionRun(config, self._make_motion)
+        self._ticked_s = self.steady_s()
+        self._stamp_s: float | None = None
+        self._said = State.WAITING
+        self._bar = tqdm(
+            total=v["duration_s"],
+            desc="collecting",
+            bar_format="{desc} {percentage:3.0f}%|{bar:30}| {n:.0f}/{total:.0f} s{postfix}",
+            mininterval=0.2 if sys.stderr.isatty() else 10.0,
+        )
+        self._commands = self.create_publisher(Float64MultiArray, ros.COMMANDS, ros.QOS_RELIABLE)
+        self.watch(JointState, ros.JOINT_STATES, self._on_joint_states, ros.QOS_NEWEST)
+        self.watch(PointStamped, ros.BALL_POSITION, self._on_ball, ros.QOS_NEWEST)
+        self.watch(Bool, ros.ROBOT_PROGRAM_RUNNING, self._on_program_running, ros.QOS_LATCHED)
+        self.create_timer(_WATCHDOG_S, self._watchdog, clock=self.steady_clock)
+        self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
+
+    def _make_motion(self, home_rad: np.ndarray) -> RandomMotion:
+        v = self.values
+        return RandomMotion(
+            home_rad,
+            np.array(v["joint_range_rad"]),
+            max_velocity_rad_s=v["max_joint_velocity_rad_s"],
+            max_acceleration_rad_s2=v["max_joint_acceleration_rad_s2"],
+            duration_s=v["duration_s"],
+            rng=np.random.default_rng(v["seed"]),
+        )
+
+    # --- inputs ---
+
+    def _on_joint_states(self, message: JointState) -> None:
+        now_s = self.steady_s()
+        try:
+            joints = self._joint_map.positions(message.name, message.position)
+        except ForeignJointsError:
+            return  # another device's; if ours do not come, the run says so
+        except JointStateError as error:
+            self._run.fail(str(error))
+            return
+        stamp_s = ros.from_stamp(message.header.stamp)
+        self._run.joint_states(now_s, stamp_s, joints)
+        dt_s = now_s - self._ticked_s
+        if self._simulated_time and self._stamp_s is not None:
+            dt_s = stamp_s - self._stamp_s
+        self._stamp_s = stamp_s
+        self._tick(now_s, dt_s)
+
+    def _on_ball(self, message: PointStamped) -> None:
+        try:
+            position_m = ros.from_point(message, self._frame, ros.BALL_POSITION)
+        except ros.MessageError as error:
+            self._run.fail(str(error))
+            return
+        self._run.ball(self.steady_s(), ros.from_stamp(message.header.stamp), position_m)
+
+    def _on_program_running(self, message: Bool) -> None:
+        if not message.data:
+            self._run.fail("the robot program is not running; start it, then collect again")
+
+    # --- the tick: the only place that sends commands ---
+
+    def _watchdog(self) -> None:
+        now_s = self.steady_s()
+        if now_s - self._ticked_s > _WATCHDOG_S:
+            self._tick(now_s, now_s - self._ticked_s)
+
+    def _tick(self, now_s: float, dt_s: float) -> None:
+        velocity = self._run.tick(now_s, dt_s)
+        self._ticked_s = now_s
+        self._commands.publish(ros.to_command(velocity))
+        if self._run.ended and self.exit_code is None:
+            self._conclude()
+
+    def _conclude(self) -> None:
+        self._show_progress()
+        self._bar.close()
+        run = self._run
+        failed = run.state is State.FAILED
+        if failed:
+            print(f"collecting failed: {run.reason}", file=sys.stderr)
+        if len(run.samples) < _MIN_SAMPLES:
+            print(f"{len(run.samples)} positions are too few to be written", file=sys.stderr)
+            failed = True
+        else:
+            self._write()
+        self.exit_code = ros.EXIT_FAILURE if failed else ros.EXIT_OK
+
+    def _write(self) -> None:
+        samples = self._run.samples
+        data = DataSet(
+            stamps_s=np.array([s.stamp_s for s in samples]),
+            joints_rad=np.array([s.joints_rad for s in samples]),
+            ball_m=np.array([s.ball_m for s in samples]),
+            segment=np.array([s.run for s in samples]),
+            joint_names=tuple(self.values["joint_names"]),
+            feature_frame=self._frame,
+            provenance={
+                "collected": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+                "simulated_time": bool(self._simulated_time),
+                "parameters": self.values,
+            },
+        )
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        save_data_set(self._path, data)
+        print(f"{len(samples)} ball positions written to {self._path}", flush=True)
+
+    # --- status ---
+
+    def _show_progress(self) -> None:
+        self._bar.n = self._run.progress * self.values["duration_s"]
+        self._bar.set_postfix_str(f"{len(self._run.samples)} positions", refresh=False)
+        self._bar.update(0)
+
+    def _publish_status(self) -> None:
+        run = self._run
+        level = {State.FAILED: ros.ERROR, State.MOVING: ros.OK, State.DONE: ros.OK}
+        values = {"progress": run.progress, "positions": len(run.samples)}
+        self.publish_status(level.get(run.state, ros.WARN), run.state.value, run.reason, values)
+        if run.state is not self._said:
+            self._said = run.state
+            if run.state in (State.HOLDING, State.RETURNING, State.WAITING):
+                tqdm.write(f"{run.state.value}: {run.reason}", file=sys.stderr)
+        self._show_progress()
+
+    def finish(self) -> None:
+        """Leave zeros on the wire; when interrupted, keep what was recorded."""
+        ros.send_last_zeros(self._commands)
+        if self.exit_code is None:
+            self._bar.close()
+            print("collecting was interrupted", file=sys.stderr)
+            if len(self._run.samples) >= _MIN_SAMPLES:
+                self._write()
+
+
+def main() -> int:
+    """Run ``fvs_collector_node``."""
+    return ros.run(CollectorNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,22 @@
+"""What every test needs before anything of ROS is imported."""
+
+import atexit
+import os
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+_LOG_DIR = tempfile.mkdtemp(prefix="fvs_test_log_")
+atexit.register(shutil.rmtree, _LOG_DIR, ignore_errors=True)
+
+# Without the check, a wrong type in a message's scalar field arrives as garbage, unnoticed.
+os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ["ROS_LOG_DIR"] = _LOG_DIR
+
+# The source tree comes first, installed or not: here and in the processes that tests start.
+_ROOT = str(Path(__file__).resolve().parents[1])
+if _ROOT not in sys.path:
+    sys.path.insert(0, _ROOT)
+os.environ["PYTHONPATH"] = os.pathsep.join([_ROOT, *filter(None, [os.environ.get("PYTHONPATH")])])

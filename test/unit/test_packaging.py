@@ -1,0 +1,145 @@
+"""package.xml, setup.py, constraints.txt, CHANGELOG.rst and the tree say the same."""
+
+import ast
+import re
+import runpy
+import xml.etree.ElementTree as ET
+from itertools import chain
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+_NAME = re.compile(r"^[A-Za-z0-9._-]+")
+
+
+@pytest.fixture(scope="module")
+def setup_arguments():
+    """What setup.py hands to setuptools."""
+    with pytest.MonkeyPatch.context() as patch:
+        handed = {}
+        patch.chdir(ROOT)
+        patch.setattr("setuptools.setup", handed.update)
+        runpy.run_path("setup.py")
+    return handed
+
+
+@pytest.fixture(scope="module")
+def manifest():
+    return ET.parse(ROOT / "package.xml").getroot()
+
+
+def requirement_name(line):
+    return _NAME.match(line).group().lower().replace("_", "-")
+
+
+def defined_names(source):
+    """Names that a module defines or imports at its top level."""
+    names = set()
+    for node in ast.parse(source).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.add(node.name)
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            names.update(alias.asname or alias.name for alias in node.names)
+        elif isinstance(node, ast.Assign):
+            names.update(target.id for target in node.targets if isinstance(target, ast.Name))
+    return names
+
+
+def test_manifest_is_an_ament_python_package(manifest):
+    assert manifest.attrib["format"] == "3"
+    assert manifest.findtext("name") == "fvs_ros"
+    assert manifest.findtext("export/build_type") == "ament_python"
+    for tag in ("description", "maintainer", "license"):
+        assert manifest.findtext(tag).strip()
+    assert (ROOT / manifest.find("license").attrib["file"]).is_file()
+    depends = [element.text for element in manifest if element.tag.endswith("depend")]
+    assert len(depends) == len(set(depends))
+
+
+def test_manifest_names_every_ros_package_that_is_imported(manifest):
+    declared = {element.text for element in manifest if element.tag.endswith("depend")}
+    pattern = re.compile(
+        r"^\s*(?:from|import) (rclpy|launch|launch_ros|std_srvs|\w+_msgs|\w+_interfaces)\b", re.M
+    )
+    files = [*ROOT.glob("fvs_*/**/*.py"), *ROOT.glob("launch/*.py")]
+    used = {name for path in files for name in pattern.findall(path.read_text(encoding="utf-8"))}
+    assert used <= declared
+
+
+def test_version_is_the_same_everywhere(manifest, setup_arguments):
+    newest = re.search(
+        r"^(\d+\.\d+\.\d+) \(.+\)\n-+$", (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8"), re.M
+    )
+    assert manifest.findtext("version") == setup_arguments["version"] == newest.group(1)
+
+
+def test_maintainer_and_license_are_the_same_everywhere(manifest, setup_arguments):
+    assert manifest.findtext("license") == setup_arguments["license"]
+    assert manifest.findtext("maintainer") == setup_arguments["maintainer"]
+    assert manifest.find("maintainer").attrib["email"] == setup_arguments["maintainer_email"]
+
+
+def test_entry_points_exist(setup_arguments):
+    scripts = setup_arguments["entry_points"]["console_scripts"]
+    assert len(scripts) == len(set(scripts))
+    for script in scripts:
+        module, _, function = script.partition("=")[2].partition(":")
+        path = ROOT / (module.replace(".", "/") + ".py")
+        assert path.is_file(), f"{script}: no {path.relative_to(ROOT)}"
+        assert function in defined_names(path.read_text(encoding="utf-8")), script
+
+
+def test_every_python_folder_is_installed(setup_arguments):
+    folders = {path.parent for path in ROOT.glob("fvs_*/**/*.py")}
+    packages = {".".join(folder.relative_to(ROOT).parts) for folder in folders}
+    assert packages == set(setup_arguments["packages"])
+
+
+@pytest.mark.parametrize("pattern", ["config/**/*.yaml", "config/**/*.npz", "launch/**/*.py"])
+def test_shared_files_are_installed_where_they_lie(setup_arguments, pattern):
+    installed = {
+        f"{target}/{Path(file).name}"
+        for target, files in setup_arguments["data_files"]
+        for file in files
+    }
+    wanted = {f"share/fvs_ros/{path.relative_to(ROOT).as_posix()}" for path in ROOT.glob(pattern)}
+    assert wanted <= installed
+
+
+def test_ament_index_knows_the_package(setup_arguments):
+    files = dict(setup_arguments["data_files"])
+    assert files["share/ament_index/resource_index/packages"] == ["resource/fvs_ros"]
+    assert files["share/fvs_ros"] == ["package.xml"]
+    assert (ROOT / "resource/fvs_ros").is_file()
+
+
+def test_constraints_bound_every_requirement_on_both_sides(setup_arguments):
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    bounds = {requirement_name(line): line for line in lines if line and line[0] != "#"}
+    extras = setup_arguments["extras_require"]
+    requirements = [*setup_arguments["install_requires"], *chain.from_iterable(extras.values())]
+    wanted = {requirement_name(requirement) for requirement in requirements}
+    assert wanted - bounds.keys() == set()
+    for name in wanted:
+        assert ">=" in bounds[name], bounds[name]
+        assert "<" in bounds[name], bounds[name]
+
+
+def test_demo_installs_without_torch(setup_arguments):
+    extras = setup_arguments["extras_require"]
+    for requirement in setup_arguments["install_requires"] + extras["ros"] + extras["sim"]:
+        assert requirement_name(requirement) != "torch"
+
+
+def test_extra_all_is_the_sum_of_the_others(setup_arguments):
+    extras = dict(setup_arguments["extras_require"])
+    everything = extras.pop("all")
+    assert set(everything) == {item for extra in extras.values() for item in extra}
+
+
+def test_ruff_is_the_same_in_pre_commit():
+    hooks = (ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8")
+    version = re.search(r"ruff-pre-commit\n\s+rev: v(\d+\.\d+)\.", hooks).group(1)
+    constraints = (ROOT / "constraints.txt").read_text(encoding="utf-8")
+    assert re.search(rf"^ruff>={re.escape(version)}\.", constraints, re.M)
