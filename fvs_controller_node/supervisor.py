@@ -210,15 +210,21 @@ class Supervisor:
         self._ended: Finding | None = None  # what ended the session and needs a start
         self._shut_down = False
         self._velocity = np.zeros(N_JOINTS)
-        self._error: np.ndarray | None = None
+        self._position: np.ndarray | None = None  # of the ball at the last tick
+        self._problem = ""  # why there is none
         self._last = Command(self._velocity, State.WAITING, Reason.MISSING, "no tick yet", "", None)
 
     # ---- what it is told ------------------------------------------------------------------
 
     def configure(self, config: SupervisorConfig) -> None:
-        """Change limits and thresholds while running; ``autostart`` counts at creation only."""
+        """Change limits and thresholds while running.
+
+        ``autostart`` counts at creation only. A target that a new box leaves outside is dropped.
+        """
         self._config = config
         self._progress.limits = config.progress
+        if self._target is not None and self._outside(self._target):
+            self._target = None
         for name, spec in config.input_specs().items():
             self._inputs[name].configure(spec, config.fresh_samples)
 
@@ -262,12 +268,7 @@ class Supervisor:
         target = np.array(position_m, dtype=float)
         if target.shape != (N_AXES,) or not np.all(np.isfinite(target)):
             return False, f"target refused: expected {N_AXES} finite numbers, got {position_m}"
-        low, high = self._config.workspace_min_m, self._config.workspace_max_m
-        outside = [
-            f"{axis} = {value:.3f} m is not in [{lo:g}, {hi:g}]"
-            for axis, value, lo, hi in zip("xyz", target.tolist(), low, high, strict=True)
-            if not lo <= value <= hi
-        ]
+        outside = self._outside(target)
         if outside:
             return False, (
                 f"target refused: {', '.join(outside)} (workspace_min_m and workspace_max_m, "
@@ -351,7 +352,7 @@ class Supervisor:
     @property
     def settled(self) -> bool:
         """Whether the ball has been on target for a while."""
-        return self._error is not None and self._progress.settled
+        return self._error() is not None and self._progress.settled
 
     @property
     def last(self) -> Command:
@@ -386,7 +387,7 @@ class Supervisor:
             Why there is no position, if there is none.
         """
         dt_s = min(dt_s, MAX_TICK_S) if isfinite(dt_s) and dt_s > 0.0 else 0.0
-        self._measure_error(position_m, dt_s)
+        self._see(position_m, problem, dt_s)
         finding = self._objection(now_s)
         if finding is None and self._autostart_left and self._ended is None:
             self._begin()
@@ -394,10 +395,10 @@ class Supervisor:
         if finding is None and self._started:
             finding = self._bad_prediction(now_s, dt_s)
             if finding is None:
-                finding, output = self._ask(joints_rad, position_m, problem, propose, dt_s)
+                finding, output = self._ask(propose, dt_s)
         if finding is not None and finding.reason.needs_start:
             self._end_session(finding)
-        if output is not None:
+        if output is not None and joints_rad is not None:
             return self._move(output, joints_rad, dt_s)
         self._progress.pause()
         return self._rest(finding, dt_s)
@@ -406,7 +407,7 @@ class Supervisor:
         """Key numbers for a status message, always the same keys in the same order."""
         nan = float("nan")
         singular = self._conditioning
-        error = self._error
+        error = self._error()
         target = [nan] * N_AXES if self._target is None else self._target.tolist()
         values: dict[str, float | str] = {
             "state": self._last.state.value,
@@ -439,13 +440,18 @@ class Supervisor:
         bad = [finding for finding in troubles if finding.reason is Reason.BAD_INPUT]
         no_target = [] if self._target is not None else [Reason.NO_TARGET.because()]
         first = next(iter(bad + self._paused() + troubles + no_target), None)
-        return first or self._near_singular()
+        return first or self._no_position() or self._near_singular()
 
     def _paused(self) -> list[Finding]:
         paused = [] if self._program_running else [Reason.PROGRAM_STOPPED.because()]
         return (
             paused if self._speed_scaling > 0.0 else [*paused, Reason.SPEED_SCALING_ZERO.because()]
         )
+
+    def _no_position(self) -> Finding | None:
+        if self._position is not None:
+            return None
+        return Reason.NO_POSITION.because(why=self._problem or "no image is usable yet")
 
     def _near_singular(self) -> Finding | None:
         assert self._conditioning is not None
@@ -469,29 +475,24 @@ class Supervisor:
             value=ratio, limit=config.prediction_hold, time_s=config.prediction_hold_time_s
         )
 
-    def _ask(
-        self,
-        joints: np.ndarray | None,
-        position: np.ndarray | None,
-        problem: str,
-        propose: Propose,
-        dt_s: float,
-    ) -> tuple[Finding | None, ControlOutput | None]:
-        """Ask the law, if there is something to ask about."""
-        if joints is None or position is None or self._error is None:
-            return Reason.NO_POSITION.because(why=problem or "no image is usable yet"), None
+    def _ask(self, propose: Propose, dt_s: float) -> tuple[Finding | None, ControlOutput | None]:
+        """Ask the law, unless the error grows."""
         if self._progress.growing:
             return self._growth(), None
+        error = self._error()
+        assert error is not None
         if dt_s <= 0.0:
-            zeros = np.zeros(N_AXES)
-            return None, ControlOutput(self._velocity, zeros, zeros)
+            return None, ControlOutput(self._velocity, np.zeros(N_AXES), np.ones(N_AXES))
         try:
-            output = propose(self._error.copy(), self._velocity.copy(), dt_s)
-            velocity = np.array(output.velocity_rad_s, dtype=float)
+            output = propose(error, self._velocity.copy(), dt_s)
+            velocity = np.asarray(output.velocity_rad_s, dtype=float)
+            sliding = np.asarray(output.sliding_variable, dtype=float)
         except Exception as error:  # whatever a law does wrong, the arm must stop
             return Reason.LAW_FAULT.because(why=f"{type(error).__name__}: {error}"), None
         if velocity.shape != (N_JOINTS,) or not np.all(np.isfinite(velocity)):
             return Reason.LAW_FAULT.because(why=f"expected 6 finite numbers, got {velocity}"), None
+        if sliding.shape != (N_AXES,) or not np.all(np.isfinite(sliding)):
+            return Reason.LAW_FAULT.because(why=f"its sliding variable is {sliding}"), None
         return None, output
 
     def _growth(self) -> Finding:
@@ -503,8 +504,7 @@ class Supervisor:
 
     # ---- how it moves, how it rests ---------------------------------------------------------
 
-    def _move(self, output: ControlOutput, joints: np.ndarray | None, dt_s: float) -> Command:
-        assert joints is not None
+    def _move(self, output: ControlOutput, joints: np.ndarray, dt_s: float) -> Command:
         config = self._config
         share, active = self._speed_share()
         fast = config.max_joint_velocity_rad_s * share
@@ -533,9 +533,10 @@ class Supervisor:
 
     def _travel_rad(self) -> float:
         """Return about how far the joint that moves most has to go to the target, rad."""
+        error = self._error()
         assert self._jacobian is not None
-        assert self._error is not None
-        return float(np.abs(_INVERSE.joint_velocity(self._jacobian, self._error)).max())
+        assert error is not None
+        return float(np.abs(_INVERSE.joint_velocity(self._jacobian, error)).max())
 
     def _speed_share(self) -> tuple[float, list[str]]:
         """Share of the velocity limit that the Jacobian's condition and quality leave."""
@@ -595,13 +596,20 @@ class Supervisor:
             self._autostart_left = False
             self._ended = finding
 
-    def _measure_error(self, position: np.ndarray | None, dt_s: float) -> None:
-        if position is None or self._target is None or not np.all(np.isfinite(position)):
-            self._error = None
-            return
-        self._error = position - self._target
-        norm = float(self._error @ self._error) ** 0.5
-        self._progress.add(norm, dt_s, servoing=self._last.state is State.SERVOING)
+    def _see(self, position: np.ndarray | None, problem: str, dt_s: float) -> None:
+        usable = position is not None and bool(np.all(np.isfinite(position)))
+        self._position = position if usable else None
+        self._problem = problem
+        error = self._error()
+        if error is not None:
+            norm = float(error @ error) ** 0.5
+            self._progress.add(norm, dt_s, servoing=self._last.state is State.SERVOING)
+
+    def _error(self) -> np.ndarray | None:
+        """Return ball minus target, m, or None where one of them is unknown."""
+        if self._position is None or self._target is None:
+            return None
+        return self._position - self._target
 
     def _ratio(self, now_s: float) -> float:
         """Return the newest prediction error ratio; NaN when unknown or too old."""
@@ -629,6 +637,15 @@ class Supervisor:
             return False
         self._inputs[name].good(now_s)
         return True
+
+    def _outside(self, target: np.ndarray) -> list[str]:
+        """Say which coordinates of a target are outside the workspace box."""
+        low, high = self._config.workspace_min_m, self._config.workspace_max_m
+        return [
+            f"{axis} = {value:.3f} m is not in [{lo:g}, {hi:g}]"
+            for axis, value, lo, hi in zip("xyz", target.tolist(), low, high, strict=True)
+            if not lo <= value <= hi
+        ]
 
     def _wrong_frame(self, frame: str) -> str:
         if not frame:

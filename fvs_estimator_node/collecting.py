@@ -10,27 +10,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol
 
 import numpy as np
-from fvs_ros.core.limits import limit_acceleration, limit_speed, ramp_to_zero
 
+from fvs_estimator_node.motion import RandomMotion
 from fvs_estimator_node.pairing import BallSample, ExposureMatcher
 from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.core.limits import limit_acceleration, limit_speed, ramp_to_zero
 
-#: Toward home, this share of the remaining way a second.
-_HOMING_GAIN_1_S = 1.5
 #: The ball counts as seen again after so many positions.
 _FRESH_BALLS = 5
 #: A tick counts for at most this long, s: a late one must not make a big step.
 _MAX_TICK_S = 0.05
-
-
-class Motion(Protocol):
-    """Where the joints shall be going."""
-
-    def command(self, time_s: float, joints_rad: np.ndarray) -> np.ndarray:
-        """Joint velocities, rad/s, shape (6,), at a time since the start of the motion."""
 
 
 class State(Enum):
@@ -40,7 +31,6 @@ class State(Enum):
     MOVING = "MOVING"
     RETURNING = "RETURNING"
     HOLDING = "HOLDING"
-    STOPPING = "STOPPING"
     DONE = "DONE"
     FAILED = "FAILED"
 
@@ -51,8 +41,6 @@ class RunConfig:
 
     Parameters
     ----------
-    duration_s : float
-        Time to move and record, s; pauses do not count.
     max_joint_velocity_rad_s, max_joint_acceleration_rad_s2 : float
         Limits of each joint's command.
     joint_states_max_age_s, ball_max_age_s : float
@@ -61,7 +49,6 @@ class RunConfig:
         A trouble that lasts this long ends the run, s.
     """
 
-    duration_s: float
     max_joint_velocity_rad_s: float
     max_joint_acceleration_rad_s2: float
     joint_states_max_age_s: float = 0.1
@@ -89,12 +76,13 @@ class CollectionRun:
         What was recorded.
     """
 
-    def __init__(self, config: RunConfig, make_motion: Callable[[np.ndarray], Motion]) -> None:
+    def __init__(
+        self, config: RunConfig, make_motion: Callable[[np.ndarray], RandomMotion]
+    ) -> None:
         self._config = config
         self._make_motion = make_motion
-        self._motion: Motion | None = None
+        self._motion: RandomMotion | None = None
         self._matcher = ExposureMatcher()
-        self._home = np.zeros(N_JOINTS)
         self._joints: np.ndarray | None = None
         self._joints_s = self._ball_s = -np.inf
         self._balls_seen = 0
@@ -107,8 +95,8 @@ class CollectionRun:
 
     @property
     def progress(self) -> float:
-        """Share of the duration that is done."""
-        return min(1.0, self._moved_s / self._config.duration_s)
+        """Share of the motion that is done."""
+        return 0.0 if self._motion is None else min(1.0, self._moved_s / self._motion.duration_s)
 
     @property
     def ended(self) -> bool:
@@ -141,7 +129,7 @@ class CollectionRun:
     def tick(self, now_s: float, dt_s: float) -> np.ndarray:
         """Joint velocities for this tick, rad/s, shape (6,); always finite and within limits."""
         dt_s = float(np.clip(dt_s, 0.0, _MAX_TICK_S))
-        if self.state not in (State.STOPPING, State.DONE, State.FAILED):
+        if self.state not in (State.DONE, State.FAILED):
             self._decide(now_s, dt_s)
         config = self._config
         step = config.max_joint_acceleration_rad_s2 * dt_s
@@ -151,46 +139,54 @@ class CollectionRun:
         else:
             wanted = limit_speed(wanted, config.max_joint_velocity_rad_s)
             self._velocity = limit_acceleration(wanted, self._velocity, step)
-        if self.state is State.STOPPING and not np.any(self._velocity):
-            self.state, self.reason = State.DONE, "finished"
         return self._velocity.copy()
 
     def _decide(self, now_s: float, dt_s: float) -> None:
-        trouble = self._trouble(now_s)
-        if trouble is None:
-            self._trouble_s = None
-            if self._motion is None:
-                assert self._joints is not None
-                self._home = self._joints.copy()
-                self._motion = self._make_motion(self._home)
-            self.state, self.reason = State.MOVING, "moving and recording"
-            self._moved_s += dt_s
-            if self._moved_s >= self._config.duration_s:
-                self.state, self.reason = State.STOPPING, "done, coming to rest"
+        late = self._late_joints(now_s)
+        lost = self._lost_ball(now_s)
+        if late or (lost and self._motion is None):
+            self._wait(now_s, State.HOLDING, late or lost)
             return
-        state, reason = trouble
+        assert self._joints is not None
+        if self._motion is None:
+            self._motion = self._make_motion(self._joints)
+        self._moved_s += dt_s
+        motion, over_s = self._motion, self._moved_s - self._motion.duration_s
+        if over_s >= 0.0:
+            if motion.done(self._moved_s, self._joints) or over_s > self._config.give_up_s:
+                self.state, self.reason = State.DONE, "finished"
+        elif lost:
+            motion.return_home()
+            self._wait(now_s, State.RETURNING, lost)
+        else:
+            self._trouble_s = None
+            motion.resume(self._moved_s, self._joints)
+            self.state, self.reason = State.MOVING, "moving and recording"
+
+    def _wait(self, now_s: float, state: State, reason: str) -> None:
         self.state, self.reason = (State.WAITING if self._motion is None else state), reason
         if self._trouble_s is None:
             self._trouble_s = now_s
         elif now_s - self._trouble_s > self._config.give_up_s:
             self.fail(f"gave up after {self._config.give_up_s:g} s: {reason}")
 
-    def _trouble(self, now_s: float) -> tuple[State, str] | None:
+    def _late_joints(self, now_s: float) -> str:
         age_s = now_s - self._joints_s
-        if age_s > self._config.joint_states_max_age_s:
-            heard = "none heard yet" if np.isinf(age_s) else f"the last is {age_s:.2f} s old"
-            return State.HOLDING, f"no joint_states ({heard}); is the robot driver running?"
+        if age_s <= self._config.joint_states_max_age_s:
+            return ""
+        heard = "none heard yet" if np.isinf(age_s) else f"the last is {age_s:.2f} s old"
+        return f"no joint_states ({heard}); is the robot driver running?"
+
+    def _lost_ball(self, now_s: float) -> str:
         age_s = now_s - self._ball_s
-        if age_s > self._config.ball_max_age_s or self._balls_seen < _FRESH_BALLS:
-            heard = "never seen" if np.isinf(age_s) else f"last seen {age_s:.1f} s ago"
-            return State.RETURNING, f"the ball is not in view ({heard})"
-        return None
+        if age_s <= self._config.ball_max_age_s and self._balls_seen >= _FRESH_BALLS:
+            return ""
+        heard = "never seen" if np.isinf(age_s) else f"last seen {age_s:.1f} s ago"
+        return f"the ball is not in view ({heard})"
 
     def _wanted(self) -> np.ndarray | None:
         if self._joints is None or self._motion is None:
             return None
-        if self.state is State.MOVING:
+        if self.state in (State.MOVING, State.RETURNING):
             return self._motion.command(self._moved_s, self._joints)
-        if self.state is State.RETURNING:
-            return _HOMING_GAIN_1_S * (self._home - self._joints)
         return None

@@ -20,7 +20,7 @@ PARAMETERS = (
     ),
     Parameter("max_joint_velocity_rad_s", 0.65, "limit of each joint", minimum=0.01, maximum=3.15),
     Parameter(
-        "max_joint_acceleration_rad_s2", 2.0, "limit of each joint", minimum=0.1, maximum=40.0
+        "max_joint_acceleration_rad_s2", 3.0, "limit of each joint", minimum=0.1, maximum=40.0
     ),
     Parameter("joint_names", list(UR_JOINT_NAMES), "the joints in kinematic order", size=N_JOINTS),
     Parameter("feature_frame", "camera_color_optical_frame", "frame of the ball positions"),

@@ -15,9 +15,14 @@ from tqdm import tqdm
 from fvs_estimator_node.collecting import CollectionRun, RunConfig, State
 from fvs_estimator_node.collector_config import PARAMETERS
 from fvs_estimator_node.dataset import DataSet, save_data_set
-from fvs_estimator_node.motion import RandomMotion
+from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_ros.core import ros
-from fvs_ros.core.joints import ForeignJointsError, JointMap, JointStateError
+from fvs_ros.core.joints import (
+    UR_POSITION_LIMITS_RAD,
+    ForeignJointsError,
+    JointMap,
+    JointStateError,
+)
 
 _STATUS_PERIOD_S = 0.1
 _WATCHDOG_S = 0.02
@@ -38,7 +43,6 @@ class CollectorNode(ros.FvsNode):
             **{
                 name: v[name]
                 for name in (
-                    "duration_s",
                     "max_joint_velocity_rad_s",
                     "max_joint_acceleration_rad_s2",
                     "joint_states_max_age_s",
@@ -64,16 +68,17 @@ class CollectorNode(ros.FvsNode):
         self.create_timer(_WATCHDOG_S, self._watchdog, clock=self.steady_clock)
         self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
 
-    def _make_motion(self, home_rad: np.ndarray) -> RandomMotion:
+    def _make_motion(self, start_rad: np.ndarray) -> RandomMotion:
         v = self.values
-        return RandomMotion(
-            home_rad,
-            np.array(v["joint_range_rad"]),
-            max_velocity_rad_s=v["max_joint_velocity_rad_s"],
-            max_acceleration_rad_s2=v["max_joint_acceleration_rad_s2"],
+        config = MotionConfig(
             duration_s=v["duration_s"],
-            rng=np.random.default_rng(v["seed"]),
+            joint_range_rad=tuple(v["joint_range_rad"]),
+            max_joint_velocity_rad_s=v["max_joint_velocity_rad_s"],
+            max_joint_acceleration_rad_s2=v["max_joint_acceleration_rad_s2"],
+            lower_limits_rad=tuple(-limit for limit in UR_POSITION_LIMITS_RAD),
+            upper_limits_rad=UR_POSITION_LIMITS_RAD,
         )
+        return RandomMotion(start_rad, config, np.random.default_rng(v["seed"]))
 
     # --- inputs ---
 

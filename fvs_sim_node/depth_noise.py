@@ -80,18 +80,25 @@ def add_depth_noise(
     if scale <= 0.0:
         return depth
     cfg = config or DepthNoiseConfig()
-    valid = depth > 0.0
+    lost = depth <= 0.0
     edge = cv2.dilate(depth, _KERNEL) - cv2.erode(depth, _KERNEL) > cfg.edge_jump_m
 
-    own = rng.standard_normal(depth.shape, dtype=np.float32)
+    noise = rng.standard_normal(depth.shape, dtype=np.float32)
+    noise *= np.float32(np.sqrt(1.0 - cfg.correlated))
     # The mean of 3 x 3 unit normals has a standard deviation of 1/3.
-    shared = 3.0 * cv2.blur(rng.standard_normal(depth.shape, dtype=np.float32), (3, 3))
-    noise = np.float32(np.sqrt(1.0 - cfg.correlated)) * own
-    noise += np.float32(np.sqrt(cfg.correlated)) * shared
-    noisy = depth + np.float32(scale) * cfg.sigma_m(depth, fx) * noise
-    noisy = np.float32(cfg.step_m) * np.round(noisy / np.float32(cfg.step_m))
+    shared = cv2.blur(rng.standard_normal(depth.shape, dtype=np.float32), (3, 3))
+    shared *= np.float32(3.0 * np.sqrt(cfg.correlated))
+    noise += shared
+    noise *= cfg.sigma_m(depth, fx)
+    noise *= np.float32(scale)
+    depth += noise
+    depth *= np.float32(1.0 / cfg.step_m)
+    np.rint(depth, out=depth)
+    depth *= np.float32(cfg.step_m)
 
     luck = rng.random(depth.shape, dtype=np.float32)
-    loss = np.where(edge, max(cfg.edge_loss, cfg.dropout), cfg.dropout) * scale
-    valid &= luck >= loss
-    return np.where(valid & (noisy > 0.0), noisy, np.float32(0.0))
+    lost |= luck < np.float32(scale * cfg.dropout)
+    lost |= edge & (luck < np.float32(scale * max(cfg.edge_loss, cfg.dropout)))
+    lost |= depth < 0.0
+    depth[lost] = 0.0
+    return depth

@@ -4,7 +4,10 @@ The same scenario files and the same table of nodes as ``fvs_launch``. When any 
 Stop it by Ctrl-C (SIGINT); SIGTERM to ``ros2 launch`` would leave the nodes running.
 """
 
+import atexit
 import os
+import tempfile
+from pathlib import Path
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable, Shutdown
@@ -14,9 +17,19 @@ from launch_ros.actions import Node
 from fvs_ros.apps.launcher import NODE_TABLE, load_scenario
 
 
+def _params_file(scenario) -> str:
+    """The scenario's checked parameters as a file that holds in any namespace."""
+    handle, name = tempfile.mkstemp(prefix="fvs_launch_", suffix=".yaml")
+    os.close(handle)
+    path = Path(name)
+    path.write_text(scenario.to_params_yaml(), encoding="utf-8")
+    atexit.register(path.unlink, missing_ok=True)
+    return name
+
+
 def _nodes(context):
     scenario = load_scenario(LaunchConfiguration("scenario").perform(context))
-    namespace = LaunchConfiguration("namespace").perform(context)
+    params_file = _params_file(scenario)
     actions = []
     if "fvs_sim_node" in scenario.nodes and "ROS_AUTOMATIC_DISCOVERY_RANGE" not in os.environ:
         # A simulated arm must not hear, or be heard by, the robots of a laboratory network.
@@ -26,8 +39,8 @@ def _nodes(context):
             Node(
                 package="fvs_ros",
                 executable=NODE_TABLE[name].executable,
-                namespace=namespace,
-                parameters=[str(scenario.params_file)],
+                namespace=LaunchConfiguration("namespace"),
+                parameters=[params_file],
                 output="screen",
                 emulate_tty=True,
                 on_exit=Shutdown(reason=f"{name} ended"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import pi
 
 import numpy as np
 
@@ -20,6 +21,10 @@ UR_JOINT_NAMES = (
 
 #: The order in which a UR's ``joint_state_broadcaster`` publishes on ROS 2 Jazzy.
 UR_PUBLISHED_NAMES = tuple(sorted(UR_JOINT_NAMES))
+
+
+#: A UR turns each joint by so much to either side, rad, the elbow less; kinematic order.
+UR_POSITION_LIMITS_RAD = (2 * pi, 2 * pi, pi, 2 * pi, 2 * pi, 2 * pi)
 
 
 class JointStateError(ValueError):

@@ -13,9 +13,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from ur5_dh import BOX_M_RAD, HOME_RAD, ball_and_jacobian  # noqa: E402
+from ur5_dh import BOX_M_RAD, HOME_RAD, ball_and_jacobian
 
-from fvs_controller_node.config import build_loop, default_values  # noqa: E402
+from fvs_controller_node.config import build_loop, default_values
 
 TICK_S = 0.008
 IMAGE_S = 1.0 / 30.0
@@ -81,6 +81,7 @@ class Run:
 def servo(
     start_rad: np.ndarray,
     goal_rad: np.ndarray,
+    *,
     seed: int,
     values: Mapping[str, Any] | None = None,
     duration_s: float = 3.0,

@@ -36,7 +36,7 @@ SIGNED = st.one_of(
     sigma=st.floats(0.55, 0.95),
     dt=st.sampled_from([0.002, 0.008, 0.04]),
 )
-def test_the_next_sliding_value_solves_its_equation(s, k1, k2, k4, sigma, dt):
+def test_the_next_sliding_value_solves_its_equation(*, s, k1, k2, k4, sigma, dt):
     law = ReachingLaw(k1, k2, k4, sigma)
     p = abs(next_sliding_value(s, law, dt))
     right = k4 / dt * abs(s)
@@ -60,7 +60,7 @@ def test_the_next_sliding_value_solves_its_equation(s, k1, k2, k4, sigma, dt):
     switch=st.sampled_from([1e-3, 5e-3, 0.05]),
     dt=st.sampled_from([0.002, 0.008, 0.04]),
 )
-def test_the_next_error_solves_its_equation(y, s_next, alpha2, alpha3, gammas, switch, dt):
+def test_the_next_error_solves_its_equation(*, y, s_next, alpha2, alpha3, gammas, switch, dt):
     far, near = gammas
     surface = SlidingSurface(1.0, alpha2, alpha3, 0.5 * (near + far), 0.5 * (near - far), switch)
     right = s_next + y / dt

@@ -74,7 +74,7 @@ def test_an_outlier_is_passed_over_and_a_lasting_one_is_believed():
     predictor.add_joints(0.05, np.zeros(6), JACOBIAN)
     for k in range(2):
         predictor.add_ball(0.01 * k, ORIGIN)
-    moved = ORIGIN + [0.1, 0.0, 0.0]
+    moved = ORIGIN + np.array([0.1, 0.0, 0.0])
     for k in (2, 3):
         predictor.add_ball(0.01 * k, moved)
         np.testing.assert_allclose(newest(predictor), ORIGIN)

@@ -32,7 +32,7 @@ class Cell:
         self.supervisor = Supervisor(config)
         self.now_s = 100.0
         self.joints = np.zeros(6)
-        self.ball = TARGET + [0.2, 0.0, 0.0]
+        self.ball = TARGET + np.array([0.2, 0.0, 0.0])
         self.jacobian = JACOBIAN
         self.wanted: np.ndarray = WANTED
         self.talking = {"joint_states", "ball_position", "jacobian"}
@@ -290,7 +290,7 @@ def test_the_velocity_limit_scales_the_whole_vector():
 def test_it_brakes_in_time_for_the_target():
     cell = servoing()
     cell.wanted = 10.0 * WANTED
-    cell.ball = TARGET + [0.005, 0.0, 0.0]  # 0.01 rad to go
+    cell.ball = TARGET + np.array([0.005, 0.0, 0.0])  # 0.01 rad to go
     command = cell.run(0.5)
     assert command.active_limit == "braking"
     assert np.abs(command.velocity_rad_s).max() == pytest.approx(
@@ -343,6 +343,12 @@ def test_a_law_that_answers_nonsense_is_a_fault_and_needs_a_start(wanted):
     assert cell.run(1.0).state is State.FAULT
     assert cell.supervisor.start(cell.now_s)[0]
     assert cell.run(0.1).state is State.SERVOING
+
+
+def test_a_sliding_variable_that_is_not_finite_is_a_fault():
+    cell = servoing()
+    cell.law = lambda *_: ControlOutput(WANTED, np.full(3, NAN), np.ones(3))  # type: ignore
+    assert cell.tick().reason is Reason.LAW_FAULT
 
 
 def test_a_law_that_raises_is_a_fault():
@@ -532,7 +538,7 @@ def run_with_error(cell: Cell, error_m: Callable[[float], float], seconds: float
     begin_s = cell.now_s
     for _ in range(round(seconds / DT_S)):
         noise = 0.002 * RNG.normal(size=3)
-        cell.ball = TARGET + [error_m(cell.now_s - begin_s), 0.0, 0.0] + noise
+        cell.ball = TARGET + np.array([error_m(cell.now_s - begin_s), 0.0, 0.0]) + noise
         command = cell.tick()
         if command.state is not State.SERVOING:
             break
@@ -563,7 +569,7 @@ def test_noise_detours_and_new_targets_are_no_growth():
     # A detour of 0.8 s, then back.
     detour = run_with_error(cell, lambda t: 0.1 if t < 0.8 else 0.0, 3.0)
     assert detour.state is State.SERVOING
-    cell.supervisor.target(TARGET + [0.4, 0.0, 0.0], FRAME)
+    cell.supervisor.target(TARGET + np.array([0.4, 0.0, 0.0]), FRAME)
     assert not cell.supervisor.settled
     far = run_with_error(cell, lambda t: 0.0, 3.0)
     assert far.state is State.SERVOING
@@ -571,12 +577,12 @@ def test_noise_detours_and_new_targets_are_no_growth():
 
 def test_settled_means_near_for_a_while():
     cell = ready()
-    cell.ball = TARGET + [0.004, 0.0, 0.0]
+    cell.ball = TARGET + np.array([0.004, 0.0, 0.0])
     cell.supervisor.start(cell.now_s)
     assert cell.run(0.1).reason is Reason.SERVOING
     assert cell.run(0.5).reason is Reason.SETTLED
     assert cell.supervisor.settled
-    cell.ball = TARGET + [0.02, 0.0, 0.0]
+    cell.ball = TARGET + np.array([0.02, 0.0, 0.0])
     assert cell.run(0.1).reason is Reason.SERVOING
 
 
@@ -604,6 +610,31 @@ def test_the_status_has_the_same_keys_always():
     assert values["smallest_singular_value_m_rad"] == pytest.approx(0.5)
     assert values["condition_number"] == pytest.approx(1.0)
     assert values["target_z_m"] == 1.0
+
+
+def test_a_start_without_a_position_is_refused():
+    cell = ready()
+    cell.supervisor.tick(cell.now_s, DT_S, cell.joints, None, cell.law, problem="clocks disagree")
+    assert cell.supervisor.last.state is State.WAITING
+    accepted, why = cell.supervisor.start(cell.now_s)
+    assert not accepted
+    assert "clocks disagree" in why
+
+
+def test_a_box_that_shrinks_past_the_target_drops_it():
+    cell = servoing()
+    cell.supervisor.configure(SupervisorConfig(workspace_max_m=(1.0, 1.0, 0.9)))
+    command = cell.run(0.3)
+    assert (command.state, command.reason) == (State.HOLDING, Reason.NO_TARGET)
+    assert at_rest(command)
+
+
+def test_a_target_and_a_start_in_one_tick_are_fine():
+    cell = Cell()
+    cell.run(0.1)
+    assert cell.supervisor.target(TARGET, FRAME)[0]
+    assert cell.supervisor.start(cell.now_s)[0]
+    assert cell.tick().state is State.SERVOING
 
 
 def test_limits_may_change_while_it_runs():

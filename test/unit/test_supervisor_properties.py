@@ -78,36 +78,38 @@ class World:
         ball = np.array([0.2, 0.1, 1.0]) + GOOD_JACOBIAN @ self.joints
         self.loop.add_ball(self.now_s, self.stamp_s - 0.03, ball, FRAME)
 
+    def run(self, ticks: int, hear: bool) -> None:
+        for _ in range(ticks):
+            if hear:
+                self.hear()
+            self.tick()
+
+    def jump(self, seconds: float) -> None:
+        """The stamps' clock jumps either way, the steady one only on."""
+        self.now_s += max(0.0, seconds)
+        self.stamp_s += seconds
+
+    def start(self) -> None:
+        self.may_move = self.loop.supervisor.start(self.now_s)[0] or self.may_move
+
     def happen(self, what: str, value) -> None:
-        supervisor, now_s = self.loop.supervisor, self.now_s
-        if what in ("good", "silent"):
-            for _ in range(value):
-                if what == "good":
-                    self.hear()
-                self.tick()
-        elif what == "jump":
-            self.now_s += max(0.0, value)
-            self.stamp_s += value
-        elif what == "dt":
-            self.dt_s = value
-        elif what == "target":
-            supervisor.target(np.array(value), FRAME)
-        elif what == "joints":
-            self.loop.add_joints(now_s, self.stamp_s, np.array(value))
-        elif what == "ball":
-            self.loop.add_ball(now_s, self.stamp_s, np.array(value), FRAME)
-        elif what == "jacobian":
-            self.loop.add_jacobian(now_s, np.array(value).reshape(3, 6))
-        elif what == "program":
-            supervisor.program_running(value)
-        elif what == "scaling":
-            supervisor.speed_scaling(now_s, value)
-        elif what == "quality":
-            supervisor.estimator_quality(now_s, value)
-        elif what == "start":
-            self.may_move = supervisor.start(now_s)[0] or self.may_move
-        elif what == "stop":
-            supervisor.stop()
+        loop, supervisor, now_s = self.loop, self.loop.supervisor, self.now_s
+        happenings = {
+            "good": lambda: self.run(value, hear=True),
+            "silent": lambda: self.run(value, hear=False),
+            "jump": lambda: self.jump(value),
+            "dt": lambda: setattr(self, "dt_s", value),
+            "target": lambda: supervisor.target(np.array(value), FRAME),
+            "joints": lambda: loop.add_joints(now_s, self.stamp_s, np.array(value)),
+            "ball": lambda: loop.add_ball(now_s, self.stamp_s, np.array(value), FRAME),
+            "jacobian": lambda: loop.add_jacobian(now_s, np.array(value).reshape(3, 6)),
+            "program": lambda: supervisor.program_running(value),
+            "scaling": lambda: supervisor.speed_scaling(now_s, value),
+            "quality": lambda: supervisor.estimator_quality(now_s, value),
+            "start": self.start,
+            "stop": supervisor.stop,
+        }
+        happenings[what]()
         self.tick()
 
 
