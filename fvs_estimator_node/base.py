@@ -106,7 +106,7 @@ class PredictionMonitor:
     """
 
     def __init__(
-        self, base_rad: float = 0.05, min_ball_motion_m: float = 0.01, memory: float = 10.0
+        self, base_rad: float = 0.1, min_ball_motion_m: float = 0.01, memory: float = 10.0
     ) -> None:
         if base_rad <= 0.0 or min_ball_motion_m <= 0.0 or memory < 1.0:
             raise ValueError(

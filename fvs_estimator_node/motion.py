@@ -16,7 +16,7 @@ from fvs_ros.core.joints import N_JOINTS
 
 
 #: Least speed of a joint relative to the fastest allowed, and how many sets of speeds are tried.
-_LEAST_SHARE = 0.4
+_LEAST_SHARE = 0.5
 _DRAWS = 64
 
 

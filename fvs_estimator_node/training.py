@@ -83,7 +83,7 @@ class TrainingOptions:
     seed: int = 0
     width_factor: float = 7.0
     ridges: tuple[float, ...] = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7)
-    iterations: int = 300
+    iterations: int = 160
     batch: int = 2048
     learning_rates: tuple[float, ...] = (0.1,) * N_JOINTS
     check_every: int = 20

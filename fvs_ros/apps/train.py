@@ -1,0 +1,181 @@
+"""``fvs_train``: a data set in, a model file out."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import platform
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from fvs_estimator_node.dataset import load_data_set
+from fvs_estimator_node.model_file import save_model
+from fvs_estimator_node.training import (
+    METHODS,
+    TrainingOptions,
+    TrainingProgress,
+    TrainingResult,
+    train,
+)
+
+BAD_INPUT = 2
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the program; returns its exit code."""
+    arguments = _parser().parse_args(argv)
+    try:
+        _check_output(arguments.output)
+        options = TrainingOptions(
+            method=arguments.method, neurons=arguments.neurons, seed=arguments.seed
+        )
+        data = load_data_set(arguments.data)
+        started_s = time.monotonic()
+        with _Bar(arguments.max_seconds, quiet=arguments.quiet) as bar:
+            result = train(data, options, bar.report)
+        seconds = time.monotonic() - started_s
+        provenance = {
+            **result.trained.provenance,
+            "data_file": arguments.data.name,
+            "data_sha256": _sha256(arguments.data),
+            "stopped_by_time": bar.out_of_time,
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+        }
+        save_model(arguments.output, replace(result.trained, provenance=provenance))
+    except (ValueError, OSError) as error:
+        print(f"fvs_train: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("fvs_train: interrupted, no model was written", file=sys.stderr)
+        return 130
+    if not arguments.quiet:
+        print(report(result, seconds))
+    print(f"model written to {arguments.output}")
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    defaults = TrainingOptions()
+    parser = argparse.ArgumentParser(
+        prog="fvs_train",
+        description="Train the six Jacobian networks from a data set of the collector.",
+    )
+    parser.add_argument("data", type=Path, metavar="DATA", help="data set, .npz")
+    parser.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="MODEL", help="model to write, .npz"
+    )
+    parser.add_argument(
+        "--method",
+        choices=METHODS,
+        default=defaults.method,
+        help="varpro also moves the neurons, ridge solves for the weights only, in about a second "
+        "(default %(default)s)",
+    )
+    parser.add_argument(
+        "--neurons", type=int, default=defaults.neurons, help="per network (default %(default)s)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=defaults.seed, help="equal seeds give equal models (default 0)"
+    )
+    parser.add_argument(
+        "--max-seconds",
+        type=float,
+        default=None,
+        help="stop refining after this time and keep the best so far (default: no limit)",
+    )
+    parser.add_argument("--quiet", action="store_true", help="no progress bar and no table")
+    return parser
+
+
+def _check_output(path: Path) -> None:
+    """Find out before the training, not after it, that the model cannot be written."""
+    if path.is_dir():
+        raise ValueError(f"{path} is a folder, expected the name of a model file to write")
+    if not path.absolute().parent.is_dir():
+        raise ValueError(f"the folder {path.absolute().parent} for the model does not exist")
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    with path.open("rb") as stream:
+        while chunk := stream.read(1 << 20):
+            digest.update(chunk)
+    return digest.hexdigest()
+
+
+def report(result: TrainingResult, seconds: float) -> str:
+    """What a user should see: errors, boxes, time."""
+    lines = ["", "network                column    error"]
+    for name, network in zip(result.trained.joint_names, result.networks, strict=True):
+        error = (
+            "does not move the ball"
+            if network.relative is None
+            else f"{100.0 * network.relative:6.2f} %"
+        )
+        lines.append(f"{name:20s} {network.column_m_rad:6.3f} m  {error}")
+    low, high = result.trained.joint_box_rad
+    lines += [
+        "(errors at held-out joints against a smooth fit that is itself about a percent off)",
+        "",
+        f"prediction between held-out images: {1e3 * result.pair_error_m:.2f} mm rms, "
+        f"{100.0 * result.pair_error_relative:.2f} % of the ball's motion, noise included",
+    ]
+    if result.step_error_relative is not None:
+        lines.append(
+            f"prediction from one held-out image to the next: "
+            f"{100.0 * result.step_error_relative:.1f} %, mostly noise"
+        )
+    lines += [
+        f"joints from [{', '.join(f'{v:.2f}' for v in low)}]",
+        f"         to [{', '.join(f'{v:.2f}' for v in high)}] rad",
+        f"{result.samples} images, {result.held_out_samples} held out, {result.outliers} left out; "
+        f"{result.iterations} iterations, {seconds:.1f} s",
+    ]
+    return "\n".join([*lines, *(f"note: {note}" for note in result.notes)])
+
+
+class _Bar:
+    """A progress bar on a terminal, silence elsewhere; ends the training when time is over."""
+
+    def __init__(self, max_seconds: float | None, quiet: bool) -> None:
+        self._max_seconds = max_seconds
+        self._quiet = quiet or not sys.stderr.isatty()
+        self._started_s = time.monotonic()
+        self._bar = None
+        self.out_of_time = False
+
+    def __enter__(self) -> _Bar:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+    def report(self, progress: TrainingProgress) -> bool:
+        """Show the progress; True when the time is over."""
+        if not self._quiet:
+            self._show(progress)
+        if self._max_seconds is not None:
+            self.out_of_time = time.monotonic() - self._started_s > self._max_seconds
+        return self.out_of_time
+
+    def _show(self, progress: TrainingProgress) -> None:
+        if self._bar is None:
+            try:
+                from tqdm import tqdm
+            except ImportError:
+                self._quiet = True
+                return
+            self._bar = tqdm(total=progress.iterations, desc="training", unit="it", leave=False)
+        self._bar.update(progress.iteration - self._bar.n)
+        self._bar.set_postfix_str(f"error {100.0 * progress.validation_error:.2f} %")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

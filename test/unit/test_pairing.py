@@ -1,0 +1,215 @@
+import numpy as np
+import pytest
+
+from fvs_estimator_node.base import MotionStep, PredictionMonitor
+from fvs_estimator_node.pairing import ExposureMatcher, StepPairing
+
+VELOCITY = np.array([0.3, -0.2, 0.1, 0.4, 0.0, 0.05])
+JACOBIAN = np.arange(18.0).reshape(3, 6) / 10.0
+
+
+def joints_at(t):
+    return VELOCITY * t
+
+
+def ball_at(t):
+    return JACOBIAN @ joints_at(t)
+
+
+def feed(pairing, start, stop, camera_hz=30.0, joint_hz=125.0, late_s=0.0):
+    """Joint states and ball positions in the order in which they would arrive."""
+    events = [(t, 0, t) for t in np.arange(start, stop, 1.0 / joint_hz)]
+    events += [(t + late_s, 1, t) for t in np.arange(start, stop, 1.0 / camera_hz)]
+    steps = []
+    for _, kind, t in sorted(events):
+        if kind == 0:
+            steps += pairing.add_joints(t, joints_at(t))
+        else:
+            steps += pairing.add_ball(t, ball_at(t))
+    return steps
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.05, 0.2])
+def test_ball_and_joint_motion_belong_to_the_same_exposures(late_s):
+    steps = feed(StepPairing(), 0.0, 2.0, late_s=late_s)
+    assert len(steps) > 40
+    for step in steps:
+        np.testing.assert_allclose(step.d_ball_m, JACOBIAN @ step.d_joints_rad, atol=1e-12)
+        np.testing.assert_allclose(step.joint_velocity, VELOCITY, atol=1e-9)
+        np.testing.assert_allclose(step.ball_velocity, JACOBIAN @ VELOCITY, atol=1e-9)
+        middle = joints_at(step.stamp_s - step.dt_s / 2)
+        np.testing.assert_allclose(step.joints_rad, middle, atol=1e-12)
+
+
+def test_consecutive_steps_touch():
+    steps = feed(StepPairing(), 0.0, 1.0)
+    for before, after in zip(steps[:-1], steps[1:], strict=True):
+        assert after.start_stamp_s == pytest.approx(before.stamp_s)
+
+
+def test_a_ball_ahead_of_the_joints_waits_for_them():
+    pairing = StepPairing()
+    pairing.add_joints(0.0, joints_at(0.0))
+    assert pairing.add_ball(0.001, ball_at(0.001)) == []
+    assert pairing.add_ball(0.051, ball_at(0.051)) == []
+    assert pairing.add_joints(0.008, joints_at(0.008)) == []
+    steps = pairing.add_joints(0.06, joints_at(0.06))
+    assert len(steps) == 1
+    np.testing.assert_allclose(steps[0].d_joints_rad, VELOCITY * 0.05, atol=1e-12)
+
+
+def test_waiting_is_bounded():
+    matcher = ExposureMatcher(max_waiting=3)
+    matcher.add_joints(0.0, joints_at(0.0))
+    for k in range(1, 10):
+        matcher.add_ball(0.03 * k, ball_at(0.03 * k))
+    assert matcher.dropped == 6
+    assert "no joint state" in matcher.last_reason
+
+
+def test_a_step_needs_joint_motion_and_waits_for_it():
+    pairing = StepPairing(min_joint_motion_rad=0.05)
+    steps = feed(pairing, 0.0, 2.0)
+    assert all(0.05 <= np.abs(s.d_joints_rad).max() < 0.05 + 0.4 / 30 + 1e-9 for s in steps)
+
+
+def test_a_still_arm_makes_no_steps_and_the_anchor_moves_on():
+    pairing = StepPairing()
+    for t in np.arange(0.0, 3.0, 0.01):
+        assert pairing.add_joints(t, np.zeros(6)) == []
+        assert pairing.add_ball(t, np.array([0.0, 0.0, 1.0 + 1e-3 * np.sin(99 * t)])) == []
+    steps = []
+    for t in np.arange(3.0, 3.3, 0.01):
+        steps += pairing.add_joints(t, joints_at(t - 3.0))
+        steps += pairing.add_ball(t, ball_at(t - 3.0))
+    assert steps
+    assert all(s.dt_s <= 0.5 for s in steps)
+
+
+def test_no_step_across_a_lost_ball():
+    pairing = StepPairing()
+    steps = []
+    for k in range(200):
+        t = 0.01 * k
+        steps += pairing.add_joints(t, joints_at(t))
+        if k % 3 == 0 and not 60 <= k < 100:
+            steps += pairing.add_ball(t, ball_at(t))
+    assert steps
+    assert not [s for s in steps if s.start_stamp_s < 0.61 and s.stamp_s > 0.99]
+
+
+def test_no_step_across_a_gap_in_the_joint_states():
+    pairing = StepPairing()
+    steps = []
+    for k in range(200):
+        t = 0.01 * k
+        if not 60 <= k < 90:
+            steps += pairing.add_joints(t, joints_at(t))
+        if k % 3 == 0:
+            steps += pairing.add_ball(t, ball_at(t))
+    assert not [s for s in steps if s.start_stamp_s < 0.6 and s.stamp_s > 0.9]
+    assert not [s for s in steps if 0.6 < s.stamp_s < 0.89]
+    assert pairing.matcher.dropped > 0
+
+
+@pytest.mark.parametrize("shift_s", [-0.033, 0.0])
+def test_repeated_and_older_stamps_restart_the_pairing(shift_s):
+    pairing = StepPairing()
+    feed(pairing, 0.0, 1.0)
+    pairing.add_joints(1.0, joints_at(1.0))
+    pairing.add_ball(1.0, ball_at(1.0))
+    pairing.add_joints(1.2, joints_at(1.2))
+    assert pairing.add_ball(1.0 + shift_s, ball_at(1.0) + 1.0) == []
+    pairing.add_joints(1.21, joints_at(1.21))
+    assert pairing.add_ball(1.2, ball_at(1.2)) == []
+
+
+def test_frozen_stamps_never_make_a_step():
+    pairing = StepPairing()
+    steps = []
+    for t in np.arange(0.0, 2.0, 0.02):
+        steps += pairing.add_joints(t, joints_at(t))
+        steps += pairing.add_ball(0.5, ball_at(t))
+    assert steps == []
+
+
+@pytest.mark.parametrize("jump_s", [-100.0, 100.0])
+def test_no_step_across_a_clock_jump_and_recovery_after_it(jump_s):
+    pairing = StepPairing()
+    feed(pairing, 200.0, 201.0)
+    steps = []
+    for t in np.arange(0.0, 1.0, 0.01):
+        stamp = 201.0 + jump_s + t
+        steps += pairing.add_joints(stamp, joints_at(t))
+        steps += pairing.add_ball(stamp, ball_at(t))
+    assert len(steps) > 20
+    assert all(s.dt_s <= 0.5 and s.start_stamp_s >= 201.0 + jump_s for s in steps)
+
+
+def test_one_ball_stamp_from_the_future_does_not_stop_the_pairing():
+    pairing = StepPairing()
+    feed(pairing, 0.0, 0.5)
+    pairing.add_ball(1e6, ball_at(0.5))
+    assert len(feed(pairing, 0.52, 1.5)) > 20
+
+
+def test_not_finite_input_makes_no_step():
+    pairing = StepPairing()
+    feed(pairing, 0.0, 0.5)
+    assert pairing.add_ball(0.51, np.array([np.nan, 0.0, 1.0])) == []
+    assert pairing.add_joints(0.52, np.full(6, np.inf)) == []
+    assert pairing.add_ball(np.nan, ball_at(0.5)) == []
+    steps = feed(pairing, 0.53, 1.0)
+    assert steps
+    assert all(np.all(np.isfinite(s.d_joints_rad)) for s in steps)
+
+
+def test_a_fresh_sliding_variable_goes_into_steps_and_a_stale_one_does_not():
+    pairing = StepPairing()
+    pairing.add_sliding_variable(0.0, np.array([1.0, 2.0, 3.0]))
+    steps = feed(pairing, 0.0, 1.0)
+    np.testing.assert_array_equal(steps[0].sliding_variable, [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(steps[-1].sliding_variable, np.zeros(3))
+
+
+def steps_with(jacobian, noise_m, count, seed=0):
+    rng = np.random.default_rng(seed)
+    d_joints = 0.03 * rng.uniform(-1.0, 1.0, (1, 6)) * np.ones((count, 1))
+    positions = np.cumsum(np.vstack([np.zeros(3), d_joints @ jacobian.T]), axis=0)
+    positions += noise_m * rng.standard_normal(positions.shape)
+    return [
+        MotionStep(0.04 * (k + 1), 0.04, np.zeros(6), d_joints[k], positions[k + 1] - positions[k])
+        for k in range(count)
+    ]
+
+
+def test_the_monitor_reads_zero_for_the_truth_and_sees_a_wrong_jacobian_through_noise():
+    true = JACOBIAN / 3.0
+    for factor, low, high in ((1.0, 0.0, 0.1), (1.5, 0.28, 0.4), (-1.0, 1.8, 2.1)):
+        monitor = PredictionMonitor()
+        assert monitor.ratio is None
+        assert monitor.rms_m is None
+        for step in steps_with(true, 1e-3, 300):
+            monitor.observe(step, factor * true)
+        assert low <= monitor.ratio <= high
+
+
+def test_the_monitor_needs_motion_and_never_sums_across_a_gap():
+    monitor = PredictionMonitor(base_rad=0.05)
+    for k in range(100):
+        monitor.observe(
+            MotionStep(10.0 * k, 0.04, np.zeros(6), np.full(6, 0.02), np.zeros(3)), JACOBIAN
+        )
+    assert monitor.count == 0
+
+
+def test_the_monitor_has_no_ratio_when_the_ball_need_not_move():
+    monitor = PredictionMonitor()
+    rng = np.random.default_rng(0)
+    for k in range(100):
+        turn = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.06])
+        step = MotionStep(0.04 * (k + 1), 0.04, np.zeros(6), turn, 1e-3 * rng.standard_normal(3))
+        monitor.observe(step, np.zeros((3, 6)))
+    assert monitor.count == 100
+    assert monitor.rms_m < 3e-3
+    assert monitor.ratio is None
