@@ -257,9 +257,7 @@ def train(
     """
     options = options if options is not None else TrainingOptions()
     if len(data) < MIN_SAMPLES:
-        raise TrainingError(
-            f"the data set has {len(data)} images, expected at least {MIN_SAMPLES}"
-        )
+        raise TrainingError(f"the data set has {len(data)} images, expected at least {MIN_SAMPLES}")
     return _Training(data, options).run(progress)
 
 
@@ -346,8 +344,12 @@ class _Training:
         first = np.searchsorted(data.segment, data.segment, side="left")
         # no more than a tenth of the whole in a block, however short the data set is
         runs = np.unique(data.segment)
-        length_s = float(np.sum(data.stamps_s[np.searchsorted(data.segment, runs, "right") - 1]
-                                - data.stamps_s[np.searchsorted(data.segment, runs, "left")]))
+        length_s = float(
+            np.sum(
+                data.stamps_s[np.searchsorted(data.segment, runs, "right") - 1]
+                - data.stamps_s[np.searchsorted(data.segment, runs, "left")]
+            )
+        )
         block_s = min(options.block_s, max(length_s / 20.0, 1e-3))
         piece = np.floor((data.stamps_s - data.stamps_s[first]) / block_s)
         change = (np.diff(data.segment) != 0) | (np.diff(piece) != 0)
@@ -427,8 +429,11 @@ class _Training:
         shifts = [k for k in range(-_NEIGHBOURS, _NEIGHBOURS + 1) if k != 0]
         neighbours = np.full((len(shifts), n, N_FEATURES), np.nan)
         for row, shift in zip(neighbours, shifts, strict=True):
-            here, there = (slice(0, n - shift), slice(shift, n)) if shift > 0 else (
-                slice(-shift, n), slice(0, n + shift))
+            here, there = (
+                (slice(0, n - shift), slice(shift, n))
+                if shift > 0
+                else (slice(-shift, n), slice(0, n + shift))
+            )
             same = (segment[here] == segment[there])[:, None]
             row[here] = np.where(same, residual[there], np.nan)
         alone = np.isnan(neighbours[:, :, 0]).all(axis=0)
@@ -579,7 +584,9 @@ class _Training:
         following = following[np.abs(motion).max(axis=1, initial=0.0) >= 0.01]
         if len(following) == 0:
             return None
-        regressors, motion = self._equations(model.centres, model.widths, (following, following + 1))
+        regressors, motion = self._equations(
+            model.centres, model.widths, (following, following + 1)
+        )
         return _relative_error(regressors, motion, _as_matrix(model))
 
     def _notes(self, outliers: int) -> tuple[str, ...]:

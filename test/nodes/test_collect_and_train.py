@@ -1,0 +1,68 @@
+"""From nothing to a model: simulator, collector and trainer as a user runs them."""
+
+import signal
+
+import numpy as np
+import pytest
+from std_msgs.msg import Float64MultiArray
+
+from fvs_estimator_node.dataset import load_data_set
+from fvs_estimator_node.model_file import load_model
+from fvs_ros.core import ros
+from fvs_sim_node.simulation import SimConfig, Simulation
+
+LAUNCHER = "fvs_ros.apps.launcher"
+
+
+def test_collect_then_train_gives_the_jacobian_of_the_simulated_arm(ros_test):
+    data_path, model_path = ros_test.folder / "data.npz", ros_test.folder / "model.npz"
+    process = ros_test.start(
+        LAUNCHER, "collect", "-p", "duration_s:=60.0", "-p", f"output_path:={data_path}"
+    )
+    assert ros_test.wait(process, 110.0) == 0, ros_test.output(process)
+    data = load_data_set(data_path)
+    assert len(data) > 1200
+    home = np.array(SimConfig().initial_joints_rad)
+    assert np.all(np.abs(data.joints_rad - home) < np.array([0.6, 0.5, 0.5, 0.5, 0.5, 0.5]) + 0.03)
+    speeds = np.diff(data.joints_rad, axis=0) / np.diff(data.stamps_s)[:, None]
+    assert np.abs(speeds[np.diff(data.segment) == 0]).max() < 0.7
+
+    train = ros_test.start(
+        "fvs_ros.apps.train", str(data_path), "-o", str(model_path), "--method", "ridge"
+    )
+    assert ros_test.wait(train, 60.0) == 0, ros_test.output(train)
+    trained = load_model(model_path)
+    rng = np.random.default_rng(0)
+    with Simulation(SimConfig()) as simulation:
+        errors = []
+        for joints in home + rng.uniform(-0.4, 0.4, (50, 6)):
+            true = simulation.true_jacobian(joints)
+            error = trained.model.jacobian(joints) - true
+            errors.append(np.linalg.norm(error) / np.linalg.norm(true))
+    assert np.median(errors) < 0.05
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_collector_that_is_stopped_leaves_zeros_on_the_wire(ros_test, number):
+    ros_test.start_node("fvs_sim_node.node")
+    commands = ros_test.collect(Float64MultiArray, ros.COMMANDS)
+    collector = ros_test.start_node(
+        "fvs_estimator_node.collector_node", output_path=str(ros_test.folder / "part.npz")
+    )
+    ros_test.spin_until(lambda: commands and max(np.abs(commands[-1].data)) > 0.3)
+    assert ros_test.stop(collector, number) == 0
+    ros_test.spin_for(0.2)
+    assert not np.any([m.data for m in commands[-3:]])
+
+
+def test_a_collector_without_a_ball_does_not_move_and_says_why(ros_test):
+    ros_test.start_node("fvs_sim_node.node", dropout=1.0)
+    commands = ros_test.collect(Float64MultiArray, ros.COMMANDS)
+    collector = ros_test.start_node(
+        "fvs_estimator_node.collector_node", give_up_s=2.0, output_path="none.npz"
+    )
+    assert ros_test.wait(collector) == 1
+    assert "the ball is not in view (never seen)" in ros_test.output(collector)
+    assert commands
+    assert not any(np.any(m.data) for m in commands)
+    assert not (ros_test.folder / "none.npz").exists()
