@@ -1,4 +1,4 @@
-# From a fresh clone to a result: a virtual environment in .venv, then the command. `make` lists them.
+# From a fresh clone to a result: a virtual environment in .venv, then the command.
 #
 #   PYTHON=python3.12    the Python of .venv (3.10 to 3.13); default python3
 #   ARGS="..."           more arguments for the command behind a target, e.g. ARGS="-k launcher"
@@ -88,7 +88,8 @@ define install-pybullet
 $(PIP) setuptools numpy && \
 if ! $(BIN)/python -c 'import pybullet' >/dev/null 2>&1; then \
 	if ! $(PIP) --only-binary pybullet pybullet >/dev/null 2>&1; then \
-		echo "== compile pybullet (no wheel for this Python): 5 to 10 minutes, needs g++ and python3-dev"; \
+		echo "== compile pybullet (no wheel for this Python): 5 to 10 minutes;" \
+			"needs g++ and python3-dev"; \
 		$(PIP) --no-build-isolation pybullet; \
 	fi; \
 fi

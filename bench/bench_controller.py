@@ -51,6 +51,7 @@ class Motion:
         self.loop.supervisor.target(np.array([0.1, 0.1, 1.0]), FRAME)
         while not self.loop.supervisor.start(self.time_s)[0]:
             self.step()
+            self.tick()
 
     @property
     def time_s(self) -> float:

@@ -176,7 +176,9 @@ class ControllerNode(ros.FvsNode):
             )
         previous, self._command = self._command, command
         if previous is None or previous.reason is not command.reason:
-            self.tell(_LEVELS[command.state], f"{command.state.value}: {command.text}")
+            # Before a start, waiting for something is how things should be.
+            level = ros.OK if command.state is State.WAITING else _LEVELS[command.state]
+            self.tell(level, f"{command.state.value}: {command.text}")
             self._publish_status()
 
     # --- outputs ---

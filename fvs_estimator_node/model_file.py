@@ -36,6 +36,8 @@ class TrainedModel:
         Least and greatest joint positions trained on, rad; outside, the networks extrapolate.
     ball_box_m : ndarray, shape (2, 3)
         Least and greatest ball positions trained on, m.
+    ball_samples_m : ndarray, shape (k, 3)
+        Some of the ball positions trained on, m: places that the arm can reach.
     joint_names : tuple of str
         The joint order.
     feature_frame : str
@@ -54,6 +56,7 @@ class TrainedModel:
     model: RbfModel
     joint_box_rad: np.ndarray
     ball_box_m: np.ndarray
+    ball_samples_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     joint_names: tuple[str, ...] = UR_JOINT_NAMES
     feature_frame: str = CAMERA_FRAME
     errors: Mapping[str, Any] = field(default_factory=dict)
@@ -67,6 +70,10 @@ class TrainedModel:
             if np.any(value[0] > value[1]):
                 raise ModelFileError(f"{name} has a least value above the greatest")
             object.__setattr__(self, name, value)
+        samples = np.asarray(self.ball_samples_m, dtype=float)
+        if samples.ndim != 2 or samples.shape[1] != 3 or not np.all(np.isfinite(samples)):
+            raise ModelFileError("ball_samples_m must be finite and of shape (k, 3)")
+        object.__setattr__(self, "ball_samples_m", samples)
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
 
 
@@ -84,6 +91,7 @@ def save_model(path: str | os.PathLike[str], trained: TrainedModel) -> None:
             "weights": trained.model.weights,
             "joint_box_rad": trained.joint_box_rad,
             "ball_box_m": trained.ball_box_m,
+            "ball_samples_m": trained.ball_samples_m,
             "errors": np.array(json.dumps(dict(trained.errors), sort_keys=True)),
             "provenance": np.array(json.dumps(dict(trained.provenance), sort_keys=True)),
         },
@@ -124,6 +132,7 @@ def load_model(
             RbfModel(centres, widths, weights),
             content.numbers("joint_box_rad", (2, N_JOINTS), "f"),
             content.numbers("ball_box_m", (2, 3), "f"),
+            content.numbers("ball_samples_m", (None, 3), "f"),
             names,
             frame,
             content.json("errors"),

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fvs_ros.core.joints import N_JOINTS
-
+from fvs_ros.core.limits import limit_speed
 
 #: Least speed of a joint relative to the fastest allowed, and how many sets of speeds are tried.
 _LEAST_SHARE = 0.5
@@ -193,7 +193,7 @@ class RandomMotion:
             return np.zeros(N_JOINTS)
         reference, velocity = self._reference(time_s)
         wanted = velocity + config.position_gain * (reference - joints)
-        wanted = _scaled(wanted, config.max_joint_velocity_rad_s)
+        wanted = limit_speed(wanted, config.max_joint_velocity_rad_s)
         # a joint beyond the box goes inward or not at all
         wanted = np.where((joints > self._high) & (wanted > 0.0), 0.0, wanted)
         wanted = np.where((joints < self._low) & (wanted < 0.0), 0.0, wanted)
@@ -274,9 +274,3 @@ def _soft_step(fraction: float) -> tuple[float, float]:
     """A smooth step from 0 to 1 and its slope."""
     t = min(max(fraction, 0.0), 1.0)
     return t * t * (3.0 - 2.0 * t), 6.0 * t * (1.0 - t)
-
-
-def _scaled(velocity: np.ndarray, limit: float) -> np.ndarray:
-    """The vector scaled so that its largest entry is within the limit."""
-    largest = float(np.abs(velocity).max())
-    return velocity * (limit / largest) if largest > limit else velocity

@@ -1,4 +1,4 @@
-"""Reading and writing ``.npz`` files that strangers may have sent: no pickles, nothing oversized."""
+"""Reads and writes ``.npz`` files that strangers may have sent: no pickles, nothing oversized."""
 
 from __future__ import annotations
 

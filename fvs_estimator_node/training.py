@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,8 @@ from fvs_ros.core.joints import N_JOINTS
 
 METHODS = ("varpro", "ridge")
 MIN_SAMPLES = 60
-REFERENCE_IMAGES = 1500
+REFERENCE_IMAGES = 1200
+BALL_SAMPLES = 500
 NODE_SPACING_RAD = 0.8
 _NEIGHBOURS = 3
 _ADAM_MEAN, _ADAM_SQUARE = 0.9, 0.99
@@ -300,7 +302,7 @@ class _Training:
         everything = np.flatnonzero(good)
         networks = self._judge_networks(judged, everything, held_out, pair_error)
         weights = self._solve(centres, widths, everything, (ridge,))[0]
-        result = {
+        result: dict[str, Any] = {
             "pair_error_m": pair_error,
             "pair_error_relative": pair_error / motion,
             "step_error_relative": self._judge_steps(judged, held_out),
@@ -321,6 +323,7 @@ class _Training:
             model=_as_model(centres, widths, weights),
             joint_box_rad=_box(self._joints[everything]),
             ball_box_m=_box(self._ball[everything]),
+            ball_samples_m=self._ball[self._rng.permutation(everything)[:BALL_SAMPLES]],
             joint_names=self._data.joint_names,
             feature_frame=self._data.feature_frame,
             errors=errors,
@@ -407,7 +410,7 @@ class _Training:
         count: int | None = None,
     ) -> list[np.ndarray]:
         if count is None:
-            count = int(np.clip(3 * len(images), 4000, 20_000))
+            count = int(np.clip(2 * len(images), 4000, 10_000))
         regressors, motion = self._equations(centres, widths, self._pairs(images, count))
         return _ridge_path(regressors, motion, ridges)
 

@@ -17,7 +17,8 @@ from std_srvs.srv import Trigger
 from fvs_ros.core import ros
 from fvs_ros.core.joints import UR_JOINT_NAMES
 from fvs_sim_node.config import ALPHABETICAL, KINEMATIC, PARAMETERS
-from fvs_sim_node.simulation import BallObservation, SimConfig, SimStep, Simulation
+from fvs_sim_node.frame_worker import FrameWorker
+from fvs_sim_node.simulation import BallObservation, Frame, SimConfig, Simulation, SimStep
 
 _STATUS_PERIOD_S = 0.1
 _SUBSCRIBERS_PERIOD_S = 0.1
@@ -44,7 +45,8 @@ class SimNode(ros.FvsNode):
         self._refusal = ""
         self._steps = 0
         self._late = 0
-        self._last_step: SimStep | None = None
+        self._watched = False
+        self._worker: FrameWorker | None = None
 
         self._joint_states = self.create_publisher(JointState, ros.JOINT_STATES, ros.QOS_RELIABLE)
         self._ball = self.create_publisher(PointStamped, ros.BALL_POSITION, ros.QOS_RELIABLE)
@@ -112,8 +114,10 @@ class SimNode(ros.FvsNode):
             self._step()
 
     def _step(self) -> None:
+        frame = None if self._worker is None else self._worker.finished()
+        if frame is not None:
+            self._publish_frame(frame)
         step = self._sim.advance()
-        self._last_step = step
         self._steps += 1
         stamp_s = self._base_s + step.time_s
         if self.values["simulated_time"]:
@@ -148,23 +152,37 @@ class SimNode(ros.FvsNode):
         if observation.detection is not None:
             position_m = observation.detection.position_m
             self._ball.publish(ros.to_point(stamp_s, self._frame, position_m))
-        if observation.frame is None:
-            return
-        depth_m = observation.frame.depth_m
+        if observation.frame is not None:
+            self._publish_frame(observation.frame)
+        elif self._worker is not None and self._watched:
+            self._worker.expose(
+                observation.stamp_s,
+                observation.joints_rad,
+                observation.camera,
+                self._sim.depth_noise,
+            )
+
+    def _publish_frame(self, frame: Frame) -> None:
+        stamp_s = self._base_s + frame.stamp_s
+        depth_m = frame.depth_m
         if self.values["depth_encoding"] == "16UC1":
             depth = np.round(np.nan_to_num(depth_m) * 1e3).clip(0, 65535).astype(np.uint16)
         else:
             depth = depth_m.astype(np.float32)
         encoding = self.values["depth_encoding"]
-        self._color.publish(ros.to_image(stamp_s, self._frame, observation.frame.rgb, "rgb8"))
+        self._color.publish(ros.to_image(stamp_s, self._frame, frame.rgb, "rgb8"))
         self._depth.publish(ros.to_image(stamp_s, self._frame, depth, encoding))
         self._info.publish(ros.to_camera_info(stamp_s, self._frame, self._sim.intrinsics))
 
     def _look_around(self) -> None:
         """Render full frames, and wait for commands, only while somebody is there."""
-        self._sim.full_frames = any(
+        self._watched = any(
             publisher.get_subscription_count() for publisher in (self._color, self._depth)
         )
+        if self.values["simulated_time"]:
+            self._sim.full_frames = self._watched
+        elif self._watched and self._worker is None:
+            self._worker = FrameWorker(self._sim.config)
         self._commanders = self.count_publishers(ros.COMMANDS)
 
     # --- inputs ---
@@ -221,12 +239,14 @@ class SimNode(ros.FvsNode):
             {
                 "simulated_s": self._sim.time_s,
                 "late_steps": self._late,
-                "full_frames": self._sim.full_frames,
+                "full_frames": self._watched,
             },
         )
 
     def finish(self) -> None:
         """Close PyBullet."""
+        if self._worker is not None:
+            self._worker.close()
         self._sim.close()
 
 

@@ -129,6 +129,19 @@ class SimConfig:
         )
 
 
+def build_world(config: SimConfig, gui: bool = False) -> World:
+    """The scene of a configuration."""
+    return World(
+        urdf_path=config.urdf_path,
+        ball_link=config.ball_link,
+        ball_radius_m=config.ball_radius_m,
+        ball_offset_m=config.ball_offset_m,
+        physics_rate_hz=config.physics_rate_hz,
+        gui=gui,
+        objects=config.objects,
+    )
+
+
 @dataclass(frozen=True)
 class Frame:
     """A full image with its noisy depth.
@@ -160,6 +173,10 @@ class BallObservation:
         The ball as detected in the image; None if it was not seen.
     true_position_m : ndarray, shape (3,)
         Where it was, camera frame, m. For evaluation only.
+    joints_rad : ndarray, shape (6,)
+        Joint angles at the exposure, rad.
+    camera : CameraPose
+        Where the camera was.
     frame : Frame or None
         The image, if full frames are wanted.
     """
@@ -167,6 +184,8 @@ class BallObservation:
     stamp_s: float
     detection: BallDetection | None
     true_position_m: np.ndarray
+    joints_rad: np.ndarray
+    camera: CameraPose
     frame: Frame | None
 
 
@@ -213,15 +232,7 @@ class Simulation:
         self.config = config or SimConfig()
         cfg = self.config
         self.intrinsics = cfg.intrinsics
-        self.world = World(
-            urdf_path=cfg.urdf_path,
-            ball_link=cfg.ball_link,
-            ball_radius_m=cfg.ball_radius_m,
-            ball_offset_m=cfg.ball_offset_m,
-            physics_rate_hz=cfg.physics_rate_hz,
-            gui=cfg.gui,
-            objects=cfg.objects,
-        )
+        self.world = build_world(cfg, gui=cfg.gui)
         self._renderer = Renderer(self.world.client, self.intrinsics)
         self._actuator = Actuator(
             ActuatorConfig(
@@ -377,7 +388,9 @@ class Simulation:
                 break
         self._tracker.update(stamp, detection)
         frame = None if whole is None else Frame(stamp, *whole)
-        return BallObservation(stamp, detection, self.true_ball_position(), frame)
+        return BallObservation(
+            stamp, detection, self.true_ball_position(), self._joints.copy(), self.camera, frame
+        )
 
     def _regions(self, stamp_s: float, has_whole: bool) -> Iterator[Region]:
         """Parts of the image to look at, one after the other until the ball is found."""

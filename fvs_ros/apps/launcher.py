@@ -21,6 +21,8 @@ from fvs_ros.apps.scenario import NODE_TABLE, Scenario, ScenarioError, load_scen
 _STOP_S = 5.0
 _POLL_S = 0.05
 _PR_SET_PDEATHSIG = 1
+#: The launcher's prefix names the node already.
+_LOG_FORMAT = "[{severity}] {message}"
 EXIT_OK, EXIT_FAILURE, EXIT_BAD_INPUT = 0, 1, 2
 
 
@@ -107,7 +109,11 @@ class Launcher:
             # A task speaks to the user itself (tables, a progress bar); others are prefixed.
             stdout=None if entry.task else subprocess.PIPE,
             stderr=None if entry.task else subprocess.STDOUT,
-            env={**os.environ, "PYTHONUNBUFFERED": "1"},
+            env={
+                "RCUTILS_CONSOLE_OUTPUT_FORMAT": _LOG_FORMAT,
+                **os.environ,
+                "PYTHONUNBUFFERED": "1",
+            },
             # Ctrl-C reaches the launcher alone, which stops the nodes in the right order.
             start_new_session=True,
             # No thread runs yet that could hold a lock across the fork.

@@ -180,12 +180,14 @@ def load_scenario(name: str) -> Scenario:
         )
     parameters = {}
     for node, values in sections.items():
-        shared = {k: v for k, v in common.items() if k in _EVERYWHERE or _declares(node, k)}
+        shared = {name: value for name, value in common.items() if _declares(node, name)}
         parameters[node] = {**shared, **values}
     return Scenario(path, _checked(path, parameters))
 
 
 def _declares(node: str, name: str) -> bool:
+    if name in _EVERYWHERE:
+        return True
     return node in NODE_TABLE and name in NODE_TABLE[node].parameters()
 
 

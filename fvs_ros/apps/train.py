@@ -10,6 +10,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -147,7 +148,7 @@ class _Bar:
         self._max_seconds = max_seconds
         self._quiet = quiet or not sys.stderr.isatty()
         self._started_s = time.monotonic()
-        self._bar = None
+        self._bar: Any = None
         self.out_of_time = False
 
     def __enter__(self) -> _Bar:

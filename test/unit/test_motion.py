@@ -1,53 +1,66 @@
 import numpy as np
 import pytest
 
-from fvs_estimator_node.motion import RandomMotion
+from fvs_estimator_node.motion import MotionConfig, RandomMotion
 
 HOME = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
-HALF = np.array([0.6, 0.5, 0.5, 0.5, 0.5, 0.5])
-VELOCITY, ACCELERATION = 0.65, 2.0
+HALF = (0.6, 0.5, 0.5, 0.5, 0.5, 0.5)
+DT_S = 0.01
 
 
-def motion(seed=0, half=HALF, **limits):
-    return RandomMotion(
-        HOME,
-        half,
-        max_velocity_rad_s=VELOCITY,
-        max_acceleration_rad_s2=ACCELERATION,
-        rng=np.random.default_rng(seed),
-        **limits,
-    )
+def motion(seed=0, start=HOME, **changes):
+    config = MotionConfig(**{"duration_s": 120.0, "joint_range_rad": HALF, **changes})
+    return RandomMotion(start, config, np.random.default_rng(seed))
 
 
-def path(one, duration_s=120.0, dt_s=0.01):
-    times = np.arange(0.0, duration_s, dt_s)
-    pairs = [one.reference(t) for t in times]
-    return times, np.array([p for p, _ in pairs]), np.array([v for _, v in pairs])
+def follow(one, duration_s=None, lag_s=0.0, start=HOME, events=()):
+    """Joints and commands of an arm that follows, with a first-order lag if wanted."""
+    joints, speed = np.array(start), np.zeros(6)
+    share = 1.0 if lag_s == 0.0 else DT_S / (lag_s + DT_S)
+    all_joints, commands = [], []
+    for k in range(round((duration_s or one.duration_s) / DT_S)):
+        for at, event in events:
+            if k == round(at / DT_S):
+                event(k * DT_S, joints)
+        command = one.command(k * DT_S, joints)
+        speed = speed + share * (command - speed)
+        joints = joints + DT_S * speed
+        all_joints.append(joints)
+        commands.append(command)
+    return np.array(all_joints), np.array(commands)
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_it_stays_in_the_box_and_within_the_limits(seed):
-    _, positions, velocities = path(motion(seed))
-    assert np.all(np.abs(positions - HOME) <= HALF + 1e-12)
-    assert np.abs(velocities).max() <= VELOCITY
-    assert np.abs(np.diff(velocities, axis=0)).max() / 0.01 <= ACCELERATION
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("lag_s", [0.0, 0.05])
+def test_speed_acceleration_and_box_are_kept(seed, lag_s):
+    one = motion(seed)
+    joints, commands = follow(one, lag_s=lag_s)
+    assert np.abs(commands).max() <= 0.65 + 1e-12
+    assert np.abs(np.diff(commands, axis=0, prepend=0.0)).max() / DT_S <= 3.0 + 1e-9
+    assert np.all(np.abs(joints - HOME) <= np.array(HALF) + 0.03)
+    assert np.abs(joints - HOME).max(axis=0).min() > 0.45
 
 
-def test_the_velocity_is_the_slope_of_the_position():
-    _, positions, velocities = path(motion(), 10.0, 1e-3)
-    slope = (positions[2:] - positions[:-2]) / 2e-3
-    np.testing.assert_allclose(slope, velocities[1:-1], atol=2e-5)
+@pytest.mark.parametrize("lag_s", [0.0, 0.05])
+def test_it_begins_and_ends_at_the_start_pose_at_rest(lag_s):
+    one = motion(1)
+    joints, commands = follow(one, 122.0, lag_s)
+    assert np.abs(commands[0]).max() < 0.05
+    assert np.abs(commands[-1]).max() < 0.01
+    assert one.done(122.0, joints[-1])
+    assert not one.done(60.0, HOME)
 
 
-def test_it_starts_at_home_at_rest():
-    position, velocity = motion().reference(0.0)
-    np.testing.assert_allclose(position, HOME)
-    np.testing.assert_allclose(velocity, 0.0)
+def test_the_velocity_of_the_path_is_its_slope():
+    one = motion()
+    for t in np.linspace(0.0, 60.0, 200):
+        slope = (one.path(t + 1e-5)[0] - one.path(t - 1e-5)[0]) / 2e-5
+        np.testing.assert_allclose(slope, one.path(t)[1], atol=1e-5)
 
 
-def test_it_visits_every_corner_of_every_pair_of_joints_evenly():
-    _, positions, _ = path(motion())
-    unit = (positions - HOME) / HALF
+@pytest.mark.parametrize("seed", range(4))
+def test_it_visits_every_part_of_every_pair_of_joints_evenly(seed):
+    unit = (follow(motion(seed))[0] - HOME) / HALF
     for i in range(6):
         for j in range(i):
             counts, _, _ = np.histogram2d(unit[:, i], unit[:, j], 3, [[-1, 1], [-1, 1]])
@@ -55,24 +68,68 @@ def test_it_visits_every_corner_of_every_pair_of_joints_evenly():
 
 
 def test_the_seed_decides():
-    same, other = motion(3).reference(7.0)[0], motion(4).reference(7.0)[0]
-    np.testing.assert_array_equal(motion(3).reference(7.0)[0], same)
-    assert np.abs(same - other).max() > 0.05
+    one = follow(motion(3), 20.0)[0]
+    np.testing.assert_array_equal(one, follow(motion(3), 20.0)[0])
+    assert np.abs(one - follow(motion(4), 20.0)[0]).max() > 0.1
 
 
-def test_the_feedback_leads_a_lagging_arm_along():
-    one, joints = motion(), HOME.copy()
-    for k in range(3000):
-        joints = joints + 0.01 * 0.9 * one.command(k * 0.01, joints)
-    assert np.abs(joints - one.reference(30.0)[0]).max() < 0.1
+def test_joint_limits_cut_the_box():
+    upper = tuple(HOME + 0.2)
+    one = motion(upper_limits_rad=upper, limit_margin_rad=0.05)
+    joints, _ = follow(one, lag_s=0.03)
+    assert np.all(joints <= HOME + 0.2)
+    np.testing.assert_allclose(one.box_rad[1], HOME + 0.15)
+    with pytest.raises(ValueError, match="closer than"):
+        motion(upper_limits_rad=tuple(HOME - 1.0))
 
 
-def test_a_joint_without_range_stands_still_and_limits_cut_the_box():
-    half = np.array([0.6, 0.0, 0.5, 0.5, 0.5, 0.0])
-    _, positions, velocities = path(motion(half=half), 20.0)
-    assert np.all(velocities[:, [1, 5]] == 0.0)
-    upper = HOME + 0.2
-    _, positions, _ = path(motion(upper_rad=upper), 60.0)
-    assert np.all(positions <= upper + 1e-12)
-    with pytest.raises(ValueError, match="outside their limits"):
-        motion(upper_rad=HOME - 1.0)
+def test_a_joint_without_range_stands_still():
+    _, commands = follow(motion(joint_range_rad=(0.6, 0.0, 0.5, 0.5, 0.5, 0.0)), 30.0)
+    assert np.all(commands[:, [1, 5]] == 0.0)
+
+
+def test_it_returns_when_told_and_goes_on_when_told():
+    one = motion(2)
+    joints, commands = follow(
+        one,
+        120.0,
+        events=(
+            (20.0, lambda _t, _q: one.return_home()),
+            (28.0, one.resume),
+        ),
+    )
+    home = np.abs(joints[round(27.9 / DT_S)] - HOME).max()
+    assert home < 0.01
+    assert np.abs(commands[round(27.9 / DT_S)]).max() < 0.05
+    assert np.abs(np.diff(commands, axis=0)).max() / DT_S <= 3.0 + 1e-9
+    later = joints[round(28.0 / DT_S) : round(110.0 / DT_S)]
+    assert np.ptp(later, axis=0).min() > 0.8
+
+
+def test_a_measurement_that_is_not_finite_stops_the_arm():
+    one = motion()
+    follow(one, 10.0)
+    np.testing.assert_array_equal(one.command(10.01, np.full(6, np.nan)), np.zeros(6))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"duration_s": 1.0}, "duration_s must be at least"),
+        ({"duration_s": -1.0}, "duration_s must be positive"),
+        ({"joint_range_rad": (0.5,) * 5}, "joint_range_rad must be 6"),
+        ({"joint_range_rad": (0.0,) * 6}, "one joint at least must move"),
+        ({"max_joint_velocity_rad_s": 0.0}, "max_joint_velocity_rad_s must be positive"),
+    ],
+)
+def test_what_cannot_be_is_refused(changes, words):
+    with pytest.raises(ValueError, match=words):
+        motion(**changes)
+
+
+def test_a_slow_and_weak_arm_is_respected():
+    one = motion(max_joint_velocity_rad_s=0.2, max_joint_acceleration_rad_s2=0.05)
+    joints, commands = follow(one, 150.0)
+    assert np.abs(commands).max() <= 0.2
+    assert np.abs(np.diff(commands, axis=0)).max() / DT_S <= 0.05 + 1e-9
+    assert np.all(np.abs(joints - HOME) <= np.array(HALF) + 0.05)

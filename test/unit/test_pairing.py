@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -43,7 +45,7 @@ def test_ball_and_joint_motion_belong_to_the_same_exposures(late_s):
 
 def test_consecutive_steps_touch():
     steps = feed(StepPairing(), 0.0, 1.0)
-    for before, after in zip(steps[:-1], steps[1:], strict=True):
+    for before, after in pairwise(steps):
         assert after.start_stamp_s == pytest.approx(before.stamp_s)
 
 
@@ -204,7 +206,7 @@ def test_the_monitor_needs_motion_and_never_sums_across_a_gap():
 
 
 def test_the_monitor_has_no_ratio_when_the_ball_need_not_move():
-    monitor = PredictionMonitor()
+    monitor = PredictionMonitor(base_rad=0.05)
     rng = np.random.default_rng(0)
     for k in range(100):
         turn = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.06])

@@ -1,0 +1,214 @@
+import math
+
+import numpy as np
+import pytest
+
+from fvs_estimator_node.base import MotionStep
+from fvs_estimator_node.rbf import RBF_PARAMETERS, RbfConfig, RbfEstimator, RbfModel, rbf_config
+from fvs_estimator_node.registry import ESTIMATORS, create_estimator, estimator_parameters
+
+NEURONS = 7
+
+
+def random_model(seed=0, neurons=NEURONS):
+    rng = np.random.default_rng(seed)
+    return RbfModel(
+        rng.uniform(-1.0, 1.0, (6, neurons, 6)),
+        rng.uniform(1.0, 2.5, (6, neurons)),
+        rng.normal(size=(6, 3, neurons)),
+    )
+
+
+def random_step(rng, model=None, weights=None, sliding=False, dt_s=0.04):
+    joints, d_joints = rng.uniform(-1.0, 1.0, 6), 0.03 * rng.uniform(-1.0, 1.0, 6)
+    d_ball = 0.02 * rng.normal(size=3)
+    if model is not None:
+        true = RbfModel(model.centres, model.widths, weights)
+        d_ball = true.jacobian(joints) @ d_joints
+    s = 0.1 * rng.normal(size=3) if sliding else np.zeros(3)
+    return MotionStep(1.0, dt_s, joints, d_joints, d_ball, s)
+
+
+def features_by_hand(model, r):
+    theta = np.zeros((6, model.neurons))
+    for i in range(6):
+        for t in range(model.neurons):
+            distance = math.sqrt(sum((r[j] - model.centres[i, t, j]) ** 2 for j in range(6)))
+            theta[i, t] = math.exp(-((distance / model.widths[i, t]) ** 2))
+    return theta
+
+
+def test_features_and_columns_are_equations_8_and_9():
+    model, r = random_model(), np.random.default_rng(1).uniform(-1.0, 1.0, 6)
+    theta = features_by_hand(model, r)
+    np.testing.assert_allclose(model.features(r), theta, rtol=1e-12)
+    columns = np.stack([model.weights[i] @ theta[i] for i in range(6)], axis=1)
+    np.testing.assert_allclose(model.jacobian(r), columns, rtol=1e-12)
+    np.testing.assert_allclose(RbfEstimator(model).jacobian(r), columns, rtol=1e-12)
+
+
+def test_many_joint_vectors_at_once():
+    model, r = random_model(), np.random.default_rng(1).uniform(-1.0, 1.0, (2, 5, 6))
+    assert model.features(r).shape == (2, 5, 6, NEURONS)
+    jacobians = model.jacobian(r)
+    np.testing.assert_allclose(jacobians[1, 3], model.jacobian(r[1, 3]), rtol=1e-12)
+
+
+@pytest.mark.parametrize("target", ["offline", "zero"])
+def test_the_update_is_equation_17_by_hand(target):
+    model, rng = random_model(), np.random.default_rng(2)
+    config = RbfConfig(gamma=0.7, n1=0.4, alpha2=0.2, k3=0.05, leak_target=target, mu=1.9)
+    estimator = RbfEstimator(model, config)
+    for _ in range(3):
+        step = random_step(rng, sliding=True)
+        before = estimator.weights
+        theta = features_by_hand(model, step.joints_rad)
+        v = step.d_joints_rad / step.dt_s
+        e = step.d_ball_m / step.dt_s - sum(before[i] @ theta[i] * v[i] for i in range(6))
+        expected = np.empty_like(before)
+        for i in range(6):
+            for j in range(3):
+                drive = config.n1 * e[j] + config.alpha2 * step.sliding_variable[j]
+                rest = model.weights[i, j] if target == "offline" else 0.0
+                kept = math.exp(-config.k3 * step.dt_s)
+                expected[i, j] = rest + kept * (before[i, j] - rest)
+                expected[i, j] += config.gamma * step.dt_s * v[i] * theta[i] * drive
+        estimator.update(step)
+        np.testing.assert_allclose(estimator.weights, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_the_weight_error_never_grows_when_the_true_weights_exist():
+    model, rng = random_model(), np.random.default_rng(3)
+    true = model.weights + 0.3 * rng.normal(size=model.weights.shape)
+    for n1 in (0.3, 3.0, 300.0):
+        estimator = RbfEstimator(model, RbfConfig(n1=n1, alpha2=0.0))
+        errors = [np.linalg.norm(estimator.weights - true)]
+        for _ in range(500):
+            estimator.update(random_step(rng, model, true))
+            errors.append(np.linalg.norm(estimator.weights - true))
+        assert np.all(np.diff(errors) <= 1e-12)
+        assert errors[-1] < 0.95 * errors[0]
+
+
+def test_the_lyapunov_function_gains_what_the_sliding_term_must_cancel():
+    # d/dt tr(dW dW') / 2 = -(n1 |e|^2 + alpha2 s'e): with plus, as in the corrected law
+    model, rng = random_model(), np.random.default_rng(4)
+    true = model.weights + 0.3 * rng.normal(size=model.weights.shape)
+    config, dt_s = RbfConfig(n1=0.5, alpha2=0.3), 1e-6
+    step = random_step(rng, model, true, sliding=True)
+    v = step.joint_velocity
+    step = MotionStep(1.0, dt_s, step.joints_rad, v * dt_s, step.ball_velocity * dt_s,
+                      step.sliding_variable)  # fmt: skip
+    estimator = RbfEstimator(model, RbfConfig(n1=0.5, alpha2=0.3, min_motion_rad=0.0))
+    e = step.ball_velocity - estimator.jacobian(step.joints_rad) @ v
+    before = np.sum((true - estimator.weights) ** 2) / 2.0
+    estimator.update(step)
+    slope = (np.sum((true - estimator.weights) ** 2) / 2.0 - before) / dt_s
+    wanted = -(config.n1 * e @ e + config.alpha2 * step.sliding_variable @ e)
+    assert slope == pytest.approx(wanted, rel=1e-3)
+
+
+def test_a_capped_step_corrects_the_share_mu_of_the_error():
+    model, rng = random_model(), np.random.default_rng(5)
+    estimator = RbfEstimator(model, RbfConfig(n1=1e6, alpha2=0.0, mu=0.5))
+    step = random_step(rng)
+    before = step.d_ball_m - estimator.jacobian(step.joints_rad) @ step.d_joints_rad
+    estimator.update(step)
+    after = step.d_ball_m - estimator.jacobian(step.joints_rad) @ step.d_joints_rad
+    np.testing.assert_allclose(after, 0.5 * before, rtol=1e-9)
+
+
+def test_a_leak_returns_to_the_offline_weights_or_to_zero():
+    model, rng = random_model(), np.random.default_rng(6)
+    quiet = {"n1": 0.0, "alpha2": 0.0, "k3": 0.5}
+    offline = RbfEstimator(model, RbfConfig(leak_target="offline", **quiet))
+    zero = RbfEstimator(model, RbfConfig(leak_target="zero", **quiet))
+    step = random_step(rng, dt_s=2.0)
+    offline.update(step)
+    zero.update(step)
+    np.testing.assert_allclose(offline.weights, model.weights)
+    np.testing.assert_allclose(zero.weights, model.weights * math.exp(-1.0))
+
+
+def test_no_learning_without_motion():
+    model = random_model()
+    estimator = RbfEstimator(model)
+    estimator.update(MotionStep(1.0, 0.04, np.zeros(6), np.full(6, 9e-4), np.ones(3)))
+    np.testing.assert_array_equal(estimator.weights, model.weights)
+    assert estimator.updates == 0
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e308])
+def test_weights_stay_finite_whatever_comes(bad):
+    model, rng = random_model(), np.random.default_rng(7)
+    estimator = RbfEstimator(model, RbfConfig(gamma=100.0, n1=100.0, mu=1.9))
+    good = random_step(rng)
+    for name in ("dt_s", "joints_rad", "d_joints_rad", "d_ball_m", "sliding_variable"):
+        value = {**good.__dict__}
+        value[name] = bad if name == "dt_s" else np.full(np.shape(value[name]), bad)
+        estimator.update(MotionStep(**value))
+        assert np.all(np.isfinite(estimator.weights)), name
+    for dt_s in (0.0, -0.04):
+        value = {**good.__dict__, "dt_s": dt_s}
+        estimator.update(MotionStep(**value))
+        assert np.all(np.isfinite(estimator.weights))
+    assert estimator.refused > 0
+
+
+def test_reset_forgets_and_frozen_never_learns():
+    model, rng = random_model(), np.random.default_rng(8)
+    estimator, frozen = create_estimator("rbf", model), create_estimator("frozen", model)
+    r = rng.uniform(-1.0, 1.0, 6)
+    for _ in range(20):
+        step = random_step(rng)
+        estimator.update(step)
+        frozen.update(step)
+    assert np.abs(estimator.jacobian(r) - model.jacobian(r)).max() > 1e-4
+    np.testing.assert_allclose(frozen.jacobian(r), model.jacobian(r), rtol=1e-12)
+    estimator.reset()
+    np.testing.assert_allclose(estimator.jacobian(r), model.jacobian(r), rtol=1e-12)
+
+
+def test_a_returned_jacobian_is_the_callers_to_keep():
+    estimator = RbfEstimator(random_model())
+    first = estimator.jacobian(np.zeros(6))
+    kept = first.copy()
+    estimator.jacobian(np.ones(6))
+    np.testing.assert_array_equal(first, kept)
+
+
+def test_a_model_of_wrong_shape_or_not_finite_is_refused():
+    good = random_model()
+    for name, value in (
+        ("centres", good.centres[:5]),
+        ("widths", good.widths[:, :3]),
+        ("weights", good.weights[:, :2]),
+        ("weights", np.full_like(good.weights, np.nan)),
+        ("widths", -good.widths),
+    ):
+        parts = {"centres": good.centres, "widths": good.widths, "weights": good.weights}
+        with pytest.raises(ValueError, match=r"shape|finite|positive"):
+            RbfModel(**{**parts, name: value})
+
+
+def test_the_registry_knows_what_it_does_not_know():
+    with pytest.raises(ValueError, match=r"unknown estimator method 'ukff'; known are .*rbf"):
+        create_estimator("ukff")
+    with pytest.raises(ValueError, match="needs a trained model"):
+        create_estimator("rbf")
+    assert {"rbf", "frozen"} <= set(ESTIMATORS)
+
+
+def test_every_declared_parameter_reaches_the_configuration():
+    assert {p.name for p in RBF_PARAMETERS} <= {p.name for p in estimator_parameters()}
+    assert rbf_config({p.name: p.default for p in RBF_PARAMETERS}) == RbfConfig()
+    assert rbf_config({"rbf.n1": 2.0, "other.n1": 3.0}).n1 == 2.0
+    assert {p.name for p in RBF_PARAMETERS} == {f"rbf.{n}" for n in RbfConfig().__dict__}
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("n1", -1.0), ("mu", 2.0), ("k3", np.nan), ("leak_target", "half")]
+)
+def test_bad_gains_are_refused(name, value):
+    with pytest.raises(ValueError, match=name):
+        RbfConfig(**{name: value})

@@ -1,0 +1,84 @@
+import hashlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fvs_estimator_node.dataset import DataSet, load_data_set, save_data_set
+from fvs_estimator_node.model_file import load_model
+from fvs_ros.apps.train import main
+from fvs_ros.core.joints import UR_PUBLISHED_NAMES
+
+
+@pytest.fixture
+def data_file(tmp_path):
+    rng = np.random.default_rng(0)
+    n = 600
+    joints = rng.uniform(-0.5, 0.5, (n, 6))
+    slope = rng.normal(size=(3, 6))
+    slope[:, 5] = 0.0
+    ball = joints @ slope.T + 0.1 * np.sin(joints[:, :3]) + 1e-3 * rng.standard_normal((n, 3))
+    path = tmp_path / "data.npz"
+    save_data_set(path, DataSet(np.arange(n) / 30.0, joints, ball, np.zeros(n, dtype=int)))
+    return path
+
+
+def test_it_trains_reports_and_writes(data_file, tmp_path, capsys):
+    model = tmp_path / "model.npz"
+    assert main([str(data_file), "-o", str(model), "--neurons", "12", "--max-seconds", "2"]) == 0
+    said = capsys.readouterr().out
+    for words in ("shoulder_pan_joint", "does not move the ball", "held-out", "model written"):
+        assert words in said
+    trained = load_model(model)
+    assert trained.model.neurons == 12
+    assert trained.provenance["data_file"] == "data.npz"
+    assert trained.provenance["data_sha256"] == hashlib.sha256(data_file.read_bytes()).hexdigest()
+    assert trained.provenance["method"] == "varpro"
+    assert 0.0 < trained.errors["pair_error_relative"] < 0.05
+
+
+def test_ridge_is_deterministic(data_file, tmp_path):
+    for name in ("a", "b"):
+        arguments = ["--method", "ridge", "--neurons", "12", "--quiet"]
+        assert main([str(data_file), "-o", str(tmp_path / name), *arguments]) == 0
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def refused(arguments, capsys):
+    assert main([str(a) for a in arguments]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    lines = captured.err.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("fvs_train: ")
+    return lines[0]
+
+
+def test_bad_input_is_one_sentence_and_code_2(data_file, tmp_path, capsys):
+    model = tmp_path / "model.npz"
+    assert "does not exist" in refused([tmp_path / "no.npz", "-o", model], capsys)
+    (tmp_path / "text.npz").write_text("hello")
+    assert "not a readable" in refused([tmp_path / "text.npz", "-o", model], capsys)
+    assert "neurons must" in refused([data_file, "-o", model, "--neurons", "0"], capsys)
+    assert "folder" in refused([data_file, "-o", tmp_path / "no" / "model.npz"], capsys)
+    assert "is a folder" in refused([data_file, "-o", tmp_path], capsys)
+    data = load_data_set(data_file)
+    save_data_set(data_file, replace(data, joint_names=UR_PUBLISHED_NAMES))
+    assert "joint order" in refused([data_file, "-o", model], capsys)
+    few = replace(
+        data,
+        stamps_s=data.stamps_s[:20],
+        joints_rad=data.joints_rad[:20],
+        ball_m=data.ball_m[:20],
+        segment=data.segment[:20],
+    )
+    save_data_set(data_file, few)
+    assert "expected at least" in refused([data_file, "-o", model], capsys)
+    assert not model.exists()
+
+
+def test_an_unknown_method_is_a_usage_error(data_file, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main([str(data_file), "-o", "model.npz", "--method", "magic"])
+    assert caught.value.code == 2
+    assert "varpro" in capsys.readouterr().err

@@ -1,0 +1,229 @@
+import sys
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fvs_estimator_node.dataset import DataSet
+from fvs_estimator_node.motion import MotionConfig, RandomMotion
+from fvs_estimator_node.rbf import rbf_features
+from fvs_estimator_node.reference import reference_jacobian
+from fvs_estimator_node.training import (
+    TrainingError,
+    TrainingOptions,
+    line_regressors,
+    train,
+)
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from ur5_dh import (
+    BOX_M_RAD,
+    HOME_RAD,
+    ball_and_jacobian,
+    jacobian_error,
+    uniform_in_box,
+)
+
+NOISE_M = 1e-3
+RIDGE = TrainingOptions(method="ridge")
+SHORT = TrainingOptions(iterations=40, batch=1024)
+
+
+def measured(rng, joints):
+    return ball_and_jacobian(joints)[0] + NOISE_M * rng.standard_normal((len(joints), 3))
+
+
+def probes(count, seed=0, size_rad=0.2):
+    """Pairs of images, size_rad apart at most, anywhere in box M."""
+    rng = np.random.default_rng(seed)
+    middle = uniform_in_box(rng, count)
+    half = 0.5 * rng.uniform(-size_rad, size_rad, (count, 6))
+    joints = np.stack([middle - half, middle + half], axis=1).reshape(-1, 6)
+    stamps = np.arange(2 * count) / 30.0
+    return DataSet(stamps, joints, measured(rng, joints), np.repeat(np.arange(count), 2))
+
+
+def smooth(duration_s, seed=0):
+    """What the collector would record at 30 Hz."""
+    rng = np.random.default_rng(seed)
+    motion = RandomMotion(HOME_RAD, MotionConfig(duration_s, tuple(BOX_M_RAD)), rng)
+    stamps = np.arange(0.0, duration_s, 1.0 / 30.0)
+    joints, now = [], HOME_RAD.copy()
+    for t in stamps:
+        joints.append(now)
+        now = now + motion.command(t, now) / 30.0
+    joints = np.array(joints)
+    return DataSet(stamps, joints, measured(rng, joints), np.zeros(len(stamps), dtype=int))
+
+
+@pytest.fixture(scope="module")
+def data():
+    return probes(5000)
+
+
+@pytest.fixture(scope="module")
+def ridge(data):
+    return train(data, RIDGE)
+
+
+def test_the_kinematics_of_these_tests_is_consistent():
+    joints = uniform_in_box(np.random.default_rng(0), 20)
+    jacobian = ball_and_jacobian(joints)[1]
+    for i in range(6):
+        step = np.zeros(6)
+        step[i] = 1e-5
+        ahead, behind = ball_and_jacobian(joints + step)[0], ball_and_jacobian(joints - step)[0]
+        np.testing.assert_allclose((ahead - behind) / 2e-5, jacobian[..., i], atol=1e-8)
+
+
+def test_a_line_with_one_node_is_the_midpoint_pair():
+    rng = np.random.default_rng(0)
+    centres, widths = rng.normal(size=(6, 5, 6)), rng.uniform(1.0, 2.0, (6, 5))
+    start, end = rng.normal(size=(7, 6)), rng.normal(size=(7, 6))
+    theta = rbf_features(centres, widths, 0.5 * (start + end))
+    expected = (theta * (end - start)[:, :, None]).reshape(7, -1)
+    np.testing.assert_allclose(line_regressors(centres, widths, start, end, 1), expected)
+
+
+def test_a_line_is_what_many_small_midpoint_steps_add_up_to():
+    rng = np.random.default_rng(1)
+    centres, widths = rng.normal(size=(6, 5, 6)), rng.uniform(1.5, 2.0, (6, 5))
+    start, end = rng.uniform(-0.5, 0.5, (2, 4, 6))
+    places = np.linspace(0.0, 1.0, 401)
+    points = [start + p * (end - start) for p in places]
+    small = sum(line_regressors(centres, widths, a, b, 1) for a, b in pairwise(points))
+    np.testing.assert_allclose(line_regressors(centres, widths, start, end, 3), small, atol=1e-4)
+
+
+def test_ridge_meets_the_requirement(ridge):
+    # 2.5 % is required of the trained networks; the ridge alone is about there
+    assert jacobian_error(ridge.trained.model.jacobian) < 0.029
+
+
+def test_varpro_is_several_times_better_even_when_short(data):
+    result = train(data, SHORT)
+    assert jacobian_error(result.trained.model.jacobian) < 0.015
+    assert result.iterations <= 40
+
+
+def test_two_minutes_of_the_collectors_motion_suffice():
+    result = train(smooth(120.0), SHORT)
+    assert jacobian_error(result.trained.model.jacobian) < 0.02
+
+
+def test_joint_6_moves_nothing_and_makes_no_trouble(ridge):
+    joints = uniform_in_box(np.random.default_rng(9), 500)
+    columns = ridge.trained.model.jacobian(joints)
+    assert np.sqrt(np.mean(columns[:, :, 5] ** 2)) < 5e-3
+    assert ridge.networks[5].relative is None
+    assert all(n.relative is not None for n in ridge.networks[:5])
+
+
+def test_the_reported_errors_are_true_ones(ridge):
+    joints = uniform_in_box(np.random.default_rng(9), 2000)
+    true = ball_and_jacobian(joints)[1]
+    off = ridge.trained.model.jacobian(joints) - true
+    for i, network in enumerate(ridge.networks):
+        column = np.sqrt(np.mean(np.sum(true[:, :, i] ** 2, axis=1)))
+        error = np.sqrt(np.mean(np.sum(off[:, :, i] ** 2, axis=1)))
+        assert network.column_m_rad == pytest.approx(column, rel=0.03, abs=5e-3)
+        assert 0.7 * error < network.error_m_rad < 1.3 * error + 3e-3
+    # pairs of far images: the noise of two positions and little else
+    assert np.sqrt(6.0) * NOISE_M < ridge.pair_error_m < 8.0 * NOISE_M
+    assert ridge.pair_error_relative < 0.02
+
+
+def test_the_held_out_images_have_no_say():
+    # their ball positions are nonsense; the reported error says so, the choice does not notice
+    data, options = probes(600), replace(RIDGE, outlier_factor=1e9)
+    plain = train(data, options)
+    rng = np.random.default_rng(0)
+    order = rng.permutation(len(data) // 2)  # the split's own draw: first thing after the seed
+    place = np.empty(len(order))
+    place[order] = (np.arange(len(order)) + 0.5) / len(order)
+    held_out = np.repeat(place < options.held_out, 2)
+    assert held_out.sum() == plain.held_out_samples
+    ball = data.ball_m.copy()
+    ball[held_out] += 0.3 * rng.standard_normal((held_out.sum(), 3))
+    spoilt = train(replace(data, ball_m=ball), options)
+    assert spoilt.validation_error == plain.validation_error
+    assert spoilt.pair_error_m > 20.0 * plain.pair_error_m
+
+
+def test_equal_seeds_give_equal_networks():
+    data = probes(400)
+    options = replace(SHORT, iterations=4, neurons=10)
+    one, two = train(data, options).trained, train(data, options).trained
+    other = train(data, replace(options, seed=1)).trained
+    for name in ("centres", "widths", "weights"):
+        np.testing.assert_array_equal(getattr(one.model, name), getattr(two.model, name))
+    assert np.abs(one.model.weights - other.model.weights).max() > 0.0
+
+
+def test_outliers_are_left_out():
+    data = smooth(40.0)
+    ball, rng = data.ball_m.copy(), np.random.default_rng(5)
+    bad = rng.random(len(data)) < 0.02
+    ball[bad] += 0.1 * rng.standard_normal((bad.sum(), 3))
+    spoilt = train(replace(data, ball_m=ball), RIDGE)
+    kept = train(replace(data, ball_m=ball), replace(RIDGE, outlier_factor=1e9))
+    assert 0.7 * bad.sum() <= spoilt.outliers <= bad.sum() + 5
+    assert any("left out" in note for note in spoilt.notes)
+    assert spoilt.pair_error_m < 0.7 * kept.pair_error_m
+
+
+def test_progress_is_told_and_can_end_the_training():
+    told = []
+    data = probes(400)
+
+    def progress(now):
+        told.append(now)
+        return now.iteration == 3
+
+    result = train(data, replace(SHORT, neurons=10), progress)
+    assert [now.iteration for now in told] == [1, 2, 3]
+    assert result.iterations == 3
+    assert told[-1].validation_error > 0.0
+
+
+def test_the_boxes_and_samples_are_those_of_the_data(data, ridge):
+    trained = ridge.trained
+    assert np.all(trained.joint_box_rad[0] >= data.joints_rad.min(axis=0))
+    assert np.all(trained.joint_box_rad[1] <= data.joints_rad.max(axis=0))
+    assert np.all(trained.ball_samples_m >= trained.ball_box_m[0])
+    assert np.all(trained.ball_samples_m <= trained.ball_box_m[1])
+    assert trained.provenance["options"]["neurons"] == 50
+
+
+def test_data_that_cannot_teach_is_refused():
+    data = probes(400)
+    n = len(data)
+    with pytest.raises(TrainingError, match="expected at least"):
+        train(probes(20), RIDGE)
+    with pytest.raises(TrainingError, match="joints hardly move"):
+        train(replace(data, joints_rad=np.zeros((n, 6))), RIDGE)
+    with pytest.raises(TrainingError, match="ball does not move"):
+        train(replace(data, ball_m=np.ones((n, 3))), RIDGE)
+    with pytest.raises(TrainingError, match="unknown training method"):
+        TrainingOptions(method="magic")
+
+
+def test_a_joint_that_stood_still_is_named():
+    data = probes(400)
+    joints = data.joints_rad.copy()
+    joints[:, 4] = HOME_RAD[4]
+    still = replace(data, joints_rad=joints, ball_m=ball_and_jacobian(joints)[0])
+    result = train(still, RIDGE)
+    assert any("wrist_2_joint did not move" in note for note in result.notes)
+    assert np.all(np.isfinite(result.trained.model.jacobian(HOME_RAD)))
+
+
+def test_the_reference_is_the_slope_of_the_positions():
+    rng = np.random.default_rng(0)
+    joints, at = uniform_in_box(rng, 800), uniform_in_box(rng, 50)
+    found = reference_jacobian(joints, ball_and_jacobian(joints)[0], at, 1e-5, 4.0)
+    true = ball_and_jacobian(at)[1]
+    assert np.linalg.norm(found - true) < 0.01 * np.linalg.norm(true)
