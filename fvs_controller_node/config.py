@@ -7,7 +7,6 @@ from math import pi
 from typing import Any
 
 from fvs_controller_node.base import N_AXES, ControlLaw
-from fvs_controller_node.limits import JointRange
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.predictor import BallPredictor
 from fvs_controller_node.progress import ProgressLimits
@@ -15,6 +14,7 @@ from fvs_controller_node.pseudo_inverse import DampedInverse
 from fvs_controller_node.registry import LAWS, make_law
 from fvs_controller_node.supervisor import Supervisor, SupervisorConfig
 from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
+from fvs_ros.core.limits import JointRange
 from fvs_ros.core.params import Parameter, ParameterSet
 
 _DEFAULT = SupervisorConfig()

@@ -15,17 +15,17 @@ import numpy as np
 
 from fvs_controller_node.base import N_AXES, ControlOutput
 from fvs_controller_node.inputs import InputMonitor, InputSpec
-from fvs_controller_node.limits import (
+from fvs_controller_node.progress import Progress, ProgressLimits
+from fvs_controller_node.pseudo_inverse import Conditioning, DampedInverse, conditioning
+from fvs_controller_node.reasons import Finding, Reason, State, Stop
+from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES, UR_POSITION_LIMITS_RAD
+from fvs_ros.core.limits import (
     JointRange,
     braking_speed,
     limit_acceleration,
     limit_speed,
     ramp_to_zero,
 )
-from fvs_controller_node.progress import Progress, ProgressLimits
-from fvs_controller_node.pseudo_inverse import Conditioning, DampedInverse, conditioning
-from fvs_controller_node.reasons import Finding, Reason, State, Stop
-from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
 
 JOINT_STATES = "joint_states"
 BALL = "ball_position"
@@ -54,8 +54,6 @@ _PAUSES = (Reason.PROGRAM_STOPPED, Reason.SPEED_SCALING_ZERO)
 
 #: Asks the law: (error (3,) m, last command (6,) rad/s, dt s) -> its output.
 Propose = Callable[[np.ndarray, np.ndarray, float], ControlOutput]
-
-_UR5_LIMIT = (6.283185307179586,) * 2 + (3.141592653589793,) + (6.283185307179586,) * 3
 
 
 @dataclass(frozen=True)
@@ -98,7 +96,9 @@ class SupervisorConfig:
     max_joint_velocity_rad_s: float = 1.0
     max_joint_acceleration_rad_s2: float = 6.0
     joint_range: JointRange = field(
-        default_factory=lambda: JointRange(tuple(-q for q in _UR5_LIMIT), _UR5_LIMIT)
+        default_factory=lambda: JointRange(
+            tuple(-limit for limit in UR_POSITION_LIMITS_RAD), UR_POSITION_LIMITS_RAD
+        )
     )
     joint_names: tuple[str, ...] = UR_JOINT_NAMES
     feature_frame: str = "camera_color_optical_frame"
@@ -528,7 +528,8 @@ class Supervisor:
             active.append("acceleration")
         self._velocity = velocity
         reason = Reason.SETTLED if self._progress.settled else Reason.SERVOING
-        error_mm = 1e3 * self._progress.smooth_m
+        assert self._error is not None
+        error_mm = 1e3 * float(np.linalg.norm(self._error))
         return self._answer(reason.because(error_mm=error_mm), ", ".join(active), output)
 
     def _travel_rad(self) -> float:

@@ -18,7 +18,7 @@ from fvs_ros.core import ros
 from fvs_ros.core.joints import UR_JOINT_NAMES
 from fvs_sim_node.config import ALPHABETICAL, KINEMATIC, PARAMETERS
 from fvs_sim_node.frame_worker import FrameWorker
-from fvs_sim_node.simulation import BallObservation, Frame, SimConfig, Simulation, SimStep
+from fvs_sim_node.simulation import BallObservation, Frame, SimConfig, SimStep, Simulation
 
 _STATUS_PERIOD_S = 0.1
 _SUBSCRIBERS_PERIOD_S = 0.1

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,6 +27,10 @@ def children(process):
         check=False,
     )
     return [int(pid) for pid in out.stdout.split()]
+
+
+def command_line(pid):
+    return Path(f"/proc/{pid}/cmdline").read_text()
 
 
 def alive(pid):
@@ -87,9 +92,7 @@ def test_a_node_that_dies_brings_all_down_and_is_named(ros_test):
     truths = ros_test.collect(PointStamped, "fvs_sim_node/true_ball_position")
     ros_test.spin_until(lambda: bool(truths), 30.0, "the simulator")
     nodes = children(process)
-    estimator = next(
-        pid for pid in nodes if b"fvs_estimator_node" in open(f"/proc/{pid}/cmdline", "rb").read()
-    )
+    estimator = next(pid for pid in nodes if "fvs_estimator_node" in command_line(pid))
     os.kill(estimator, signal.SIGKILL)
     assert ros_test.wait(process) == 1
     assert "fvs_estimator_node ended with signal SIGKILL" in ros_test.output(process)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from fvs_controller_node.base import ControlOutput
-from fvs_controller_node.limits import JointRange
 from fvs_controller_node.progress import ProgressLimits
 from fvs_controller_node.reasons import Reason, State
 from fvs_controller_node.supervisor import Command, Supervisor, SupervisorConfig
+from fvs_ros.core.limits import JointRange
 
 DT_S = 0.008
 FRAME = "camera_color_optical_frame"
