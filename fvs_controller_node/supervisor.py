@@ -528,8 +528,9 @@ class Supervisor:
             active.append("acceleration")
         self._velocity = velocity
         reason = Reason.SETTLED if self._progress.settled else Reason.SERVOING
-        assert self._error is not None
-        error_mm = 1e3 * float(np.linalg.norm(self._error))
+        error = self._error()
+        assert error is not None
+        error_mm = 1e3 * float(error @ error) ** 0.5
         return self._answer(reason.because(error_mm=error_mm), ", ".join(active), output)
 
     def _travel_rad(self) -> float:
