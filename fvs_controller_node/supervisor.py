@@ -18,6 +18,7 @@ from fvs_controller_node.inputs import InputMonitor, InputSpec
 from fvs_controller_node.progress import Progress, ProgressLimits
 from fvs_controller_node.pseudo_inverse import Conditioning, DampedInverse, conditioning
 from fvs_controller_node.reasons import Finding, Reason, State, Stop
+from fvs_ros.core.camera import CAMERA_FRAME
 from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES, UR_POSITION_LIMITS_RAD
 from fvs_ros.core.limits import (
     JointRange,
@@ -101,7 +102,7 @@ class SupervisorConfig:
         )
     )
     joint_names: tuple[str, ...] = UR_JOINT_NAMES
-    feature_frame: str = "camera_color_optical_frame"
+    feature_frame: str = CAMERA_FRAME
     workspace_min_m: tuple[float, ...] = (-1.0, -1.0, 0.2)
     workspace_max_m: tuple[float, ...] = (1.0, 1.0, 3.0)
     joint_states_max_age_s: float = 0.1

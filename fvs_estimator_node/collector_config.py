@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fvs_ros.core.camera import CAMERA_FRAME
 from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
 from fvs_ros.core.params import Parameter
 
@@ -23,7 +24,7 @@ PARAMETERS = (
         "max_joint_acceleration_rad_s2", 3.0, "limit of each joint", minimum=0.1, maximum=40.0
     ),
     Parameter("joint_names", list(UR_JOINT_NAMES), "the joints in kinematic order", size=N_JOINTS),
-    Parameter("feature_frame", "camera_color_optical_frame", "frame of the ball positions"),
+    Parameter("feature_frame", CAMERA_FRAME, "frame of the ball positions"),
     Parameter("joint_states_max_age_s", 0.1, "older ones stop the arm", minimum=0.02, maximum=2.0),
     Parameter(
         "ball_max_age_s",

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.dataset import CAMERA_FRAME
 from fvs_estimator_node.npz_file import NpzFile, check_same, write_npz
 from fvs_estimator_node.rbf import RbfModel
+from fvs_ros.core.camera import CAMERA_FRAME
 from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
 
 MODEL_FORMAT = "fvs_rbf_model"

@@ -148,7 +148,9 @@ class RbfConfig:
     n1 : float
         Gain on the velocity prediction error e.
     alpha2 : float
-        Gain on the sliding variable s; ``gamma * alpha2`` above 0.1 is not stable in practice.
+        Gain on the sliding variable s. The stability proof wants it; far from the target, where s
+        is large, it moves the Jacobian by about ``gamma alpha2 s |theta|^2 r_dot`` a second,
+        whether that is right or not. 0.005 is not noticed, 0.03 costs a quarter of the speed.
     k3 : float
         Leak toward the rest weights, 1/s.
     leak_target : str
@@ -162,7 +164,7 @@ class RbfConfig:
 
     gamma: float = 1.0
     n1: float = 0.3
-    alpha2: float = 0.03
+    alpha2: float = 0.005
     k3: float = 0.0
     leak_target: str = "offline"
     mu: float = 0.5
@@ -189,7 +191,7 @@ RBF_PARAMETERS = (
     Parameter(
         "rbf.alpha2",
         RbfConfig.alpha2,
-        "Gain alpha2 on the sliding variable; gamma times alpha2 should stay below 0.1.",
+        "Gain alpha2 on the sliding variable; gamma times alpha2 should stay below 0.03.",
         0.0,
         10.0,
     ),

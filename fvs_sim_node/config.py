@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fvs_ros.core.camera import CAMERA_FRAME
 from fvs_ros.core.joints import N_JOINTS
 from fvs_ros.core.params import Parameter
 
@@ -40,7 +41,7 @@ PARAMETERS = (
         minimum=10,
         maximum=1000,
     ),
-    Parameter("feature_frame", "camera_color_optical_frame", "frame of ball and images"),
+    Parameter("feature_frame", CAMERA_FRAME, "frame of ball and images"),
     Parameter("camera", "front", "where the camera stands", choices=("front", "overhead")),
     Parameter("image_rate_hz", 30.0, "images a second", minimum=1.0, maximum=120.0),
     Parameter("image_width", 640, "image width, pixels", minimum=64, maximum=1920),

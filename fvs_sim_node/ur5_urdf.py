@@ -12,12 +12,12 @@ about z.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import pi
 
-from fvs_ros.core.joints import UR_JOINT_NAMES
+from fvs_ros.core.joints import UR_JOINT_NAMES, UR_POSITION_LIMITS_RAD
 from fvs_sim_node.kinematics import DH_A_M, DH_D_M
 
-_PI = 3.141592653589793
-_HALF_PI = _PI / 2.0
+_HALF_PI = pi / 2.0
 
 #: Sideways distance of the upper arm's and of the forearm's tube from their frames, m.
 _SHOULDER_SIDE_M = 0.13585
@@ -124,7 +124,7 @@ _LINKS = (
 
 #: Joint origins (xyz, m; rpy, rad), in the order of the links they lead to.
 _ORIGINS = (
-    ((0.0, 0.0, DH_D_M[0]), (0.0, 0.0, _PI)),
+    ((0.0, 0.0, DH_D_M[0]), (0.0, 0.0, pi)),
     ((0.0, 0.0, 0.0), (_HALF_PI, 0.0, 0.0)),
     ((DH_A_M[1], 0.0, 0.0), (0.0, 0.0, 0.0)),
     ((DH_A_M[2], 0.0, DH_D_M[3]), (0.0, 0.0, 0.0)),
@@ -132,10 +132,8 @@ _ORIGINS = (
     ((0.0, DH_D_M[5], 0.0), (-_HALF_PI, 0.0, 0.0)),
 )
 
-#: Position limits, rad (elbow half a turn each way, the others a full one).
-POSITION_LIMITS_RAD = (2 * _PI, 2 * _PI, _PI, 2 * _PI, 2 * _PI, 2 * _PI)
 #: Velocity limit of every joint, rad/s.
-VELOCITY_LIMIT_RAD_S = _PI
+VELOCITY_LIMIT_RAD_S = pi
 #: Effort limits, N m.
 EFFORT_LIMITS_NM = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
 
@@ -152,7 +150,7 @@ def urdf_text() -> str:
             f'<joint name="{name}" type="revolute">'
             f'<parent link="{_LINKS[i].name}"/><child link="{_LINKS[i + 1].name}"/>'
             f'<origin xyz="{_numbers(xyz)}" rpy="{_numbers(rpy)}"/><axis xyz="0 0 1"/>'
-            f'<limit lower="{-POSITION_LIMITS_RAD[i]!r}" upper="{POSITION_LIMITS_RAD[i]!r}" '
+            f'<limit lower="{-UR_POSITION_LIMITS_RAD[i]!r}" upper="{UR_POSITION_LIMITS_RAD[i]!r}" '
             f'effort="{EFFORT_LIMITS_NM[i]!r}" velocity="{VELOCITY_LIMIT_RAD_S!r}"/>'
             '<dynamics damping="0" friction="0"/></joint>'
         )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fvs_ros.core.camera import Intrinsics
+from fvs_ros.core.camera import CAMERA_FRAME, Intrinsics
 from fvs_ros.core.joints import UR_JOINT_NAMES
 from fvs_ros.core.params import Parameter
 
@@ -22,7 +22,7 @@ PARAMETERS = (
     Parameter("target_s", 4.0, "time given to each target", minimum=1.0, maximum=60.0),
     Parameter("start_timeout_s", 30.0, "longest wait for the loop to be ready", minimum=1.0),
     Parameter("settle_error_m", 0.005, "true error below which a target counts as settled"),
-    Parameter("feature_frame", "camera_color_optical_frame", "frame of ball and target"),
+    Parameter("feature_frame", CAMERA_FRAME, "frame of ball and target"),
     Parameter("output_dir", "out/demo", "folder for the log, the results and the figure"),
 )
 

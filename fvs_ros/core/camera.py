@@ -11,6 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+#: Frame of ball and target unless told otherwise: that of a RealSense's colour camera.
+CAMERA_FRAME = "camera_color_optical_frame"
+
 
 @dataclass(frozen=True)
 class Intrinsics:

@@ -51,9 +51,6 @@ CAMERA_INFO = "camera/color/camera_info"
 ROBOT_PROGRAM_RUNNING = "io_and_status_controller/robot_program_running"
 SPEED_SCALING = "speed_scaling_state_broadcaster/speed_scaling"
 
-#: Frame of every ball and target position unless a scenario says otherwise.
-DEFAULT_FEATURE_FRAME = "camera_color_optical_frame"
-
 
 def _qos(reliability: ReliabilityPolicy, durability: DurabilityPolicy) -> QoSProfile:
     return QoSProfile(
