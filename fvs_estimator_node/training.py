@@ -85,13 +85,13 @@ class TrainingOptions:
     seed: int = 0
     width_factor: float = 7.0
     ridges: tuple[float, ...] = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7)
-    iterations: int = 160
+    iterations: int = 400
     batch: int = 2048
     learning_rates: tuple[float, ...] = (0.1,) * N_JOINTS
     check_every: int = 20
-    patience: int = 4
-    held_out: float = 0.15
-    validation: float = 0.15
+    patience: int = 5
+    held_out: float = 0.1
+    validation: float = 0.1
     block_s: float = 2.0
     outlier_factor: float = 6.0
 

@@ -112,14 +112,14 @@ def _sha256(path: Path) -> str:
 
 def report(result: TrainingResult, seconds: float) -> str:
     """What a user should see: errors, boxes, time."""
-    lines = ["", "network                column    error"]
+    lines = ["", "network              column m/rad  error"]
     for name, network in zip(result.trained.joint_names, result.networks, strict=True):
         error = (
             "does not move the ball"
             if network.relative is None
             else f"{100.0 * network.relative:6.2f} %"
         )
-        lines.append(f"{name:20s} {network.column_m_rad:6.3f} m  {error}")
+        lines.append(f"{name:20s} {network.column_m_rad:11.3f}  {error}")
     low, high = result.trained.joint_box_rad
     lines += [
         "(errors at held-out joints against a smooth fit that is itself about a percent off)",

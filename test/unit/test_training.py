@@ -164,7 +164,7 @@ def test_equal_seeds_give_equal_networks():
 
 
 def test_outliers_are_left_out():
-    data = smooth(40.0)
+    data = smooth(90.0)
     ball, rng = data.ball_m.copy(), np.random.default_rng(5)
     bad = rng.random(len(data)) < 0.02
     ball[bad] += 0.1 * rng.standard_normal((bad.sum(), 3))

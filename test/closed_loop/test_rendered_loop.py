@@ -1,0 +1,143 @@
+"""The whole loop in lock step, without ROS: rendered camera, learning estimator, controller."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fvs_controller_node.config import build_loop, default_values
+from fvs_controller_node.reasons import State
+from fvs_estimator_node.base import PredictionMonitor
+from fvs_estimator_node.model_file import load_model
+from fvs_estimator_node.pairing import StepPairing
+from fvs_estimator_node.registry import create_estimator
+from fvs_ros.apps.demo import choose_target, settling_time_s
+from fvs_ros.core.camera import CAMERA_FRAME
+from fvs_sim_node.simulation import SimConfig, Simulation
+
+MODEL = load_model(Path(__file__).resolve().parents[2] / "config" / "models" / "ur5_front.npz")
+TICK_S = 0.008
+LIMIT_RAD_S = 1.0
+
+
+class LockStep:
+    """Simulation, estimator and controller, one joint state after the other."""
+
+    def __init__(self, seed=0, method="rbf", **disturbances):
+        self.simulation = Simulation(SimConfig(seed=seed, **disturbances))
+        self.estimator = create_estimator(method, MODEL.model)
+        self.pairing = StepPairing()
+        self.monitor = PredictionMonitor()
+        values = default_values(autostart=True, max_joint_velocity_rad_s=LIMIT_RAD_S)
+        self.loop = build_loop(values)
+        self.commands = []
+
+    def learn(self, steps):
+        for step in steps:
+            self.monitor.observe(step, self.estimator.jacobian(step.joints_rad))
+            self.estimator.update(step)
+
+    def tick(self):
+        """One joint state; returns the true ball position."""
+        out = self.simulation.advance()
+        now_s = out.time_s
+        for seen in out.observations:
+            if seen.detection is not None:
+                position_m = seen.detection.position_m
+                self.learn(self.pairing.add_ball(seen.stamp_s, position_m))
+                self.loop.add_ball(now_s, seen.stamp_s, position_m)
+        self.learn(self.pairing.add_joints(now_s, out.joints_rad))
+        self.loop.add_jacobian(now_s, self.estimator.jacobian(out.joints_rad))
+        self.loop.add_joints(now_s, now_s, out.joints_rad)
+        command = self.loop.tick(now_s, TICK_S)
+        if command.output is not None:
+            self.pairing.add_sliding_variable(now_s, command.output.sliding_variable)
+        assert self.simulation.command(command.velocity_rad_s) is None
+        self.commands.append(command.velocity_rad_s)
+        return self.simulation.true_ball_position()
+
+    def run(self, seconds):
+        return np.array([self.tick() for _ in range(round(seconds / TICK_S))])
+
+    def servo_to(self, target_m, seconds=3.0):
+        """Times, s, and true errors, m, after a new target."""
+        accepted, text = self.loop.supervisor.target(target_m, CAMERA_FRAME)
+        assert accepted, text
+        errors = np.linalg.norm(self.run(seconds) - target_m, axis=1)
+        return TICK_S * np.arange(1, len(errors) + 1), errors
+
+
+@pytest.fixture
+def lock_step():
+    made = []
+
+    def make(**arguments):
+        made.append(LockStep(**arguments))
+        made[-1].run(0.3)
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.simulation.close()
+
+
+def next_target(one, rng, distance_m=0.3):
+    return choose_target(MODEL.ball_samples_m, one.simulation.true_ball_position(), distance_m, rng)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_from_a_third_of_a_metre_the_ball_is_on_target_in_time(lock_step, seed):
+    one, rng = lock_step(seed=seed), np.random.default_rng(seed)
+    for _ in range(2):
+        times, errors = one.servo_to(next_target(one, rng))
+        settled_s = settling_time_s(times, errors, 0.005)
+        assert settled_s is not None
+        assert settled_s < 1.5
+        assert np.sqrt(np.mean(errors[times > 2.0] ** 2)) < 0.0015
+    speeds = np.abs(one.commands)
+    assert speeds.max() <= LIMIT_RAD_S
+    assert np.abs(np.diff(one.commands, axis=0)).max() <= 6.0 * TICK_S + 1e-12
+
+
+def test_the_same_seed_is_the_same_run_to_the_bit(lock_step):
+    def errors():
+        one, rng = lock_step(seed=5), np.random.default_rng(5)
+        return one.servo_to(next_target(one, rng), 1.0)[1]
+
+    np.testing.assert_array_equal(errors(), errors())
+
+
+@pytest.mark.parametrize("latency_s", [0.0, 0.05, 0.12])
+def test_latency_is_predicted_away(lock_step, latency_s):
+    one, rng = lock_step(latency_s=latency_s), np.random.default_rng(1)
+    times, errors = one.servo_to(next_target(one, rng))
+    settled_s = settling_time_s(times, errors, 0.005)
+    assert settled_s is not None
+    assert settled_s < 1.5
+
+
+def test_learning_pays_when_the_camera_is_bumped(lock_step):
+    """With the camera turned by 40 degrees, the online update predicts the motion better."""
+    ratios = {}
+    for method in ("frozen", "rbf"):
+        one, rng = lock_step(method=method), np.random.default_rng(2)
+        one.simulation.rotate_camera(np.radians([0.0, 0.0, 40.0]))
+        one.run(0.5)
+        for _ in range(2):
+            one.servo_to(next_target(one, rng, 0.2), 2.5)
+        ratios[method] = one.monitor.ratio
+    assert ratios["rbf"] < 0.7 * ratios["frozen"]
+
+
+def test_a_lost_ball_holds_the_arm_and_is_found_again(lock_step):
+    one, rng = lock_step(), np.random.default_rng(4)
+    target_m = next_target(one, rng)
+    one.servo_to(target_m, 0.3)
+    one.simulation.dropout = 1.0
+    one.run(0.6)
+    assert one.loop.supervisor.last.state is State.HOLDING
+    assert not np.any(one.commands[-1])
+    one.simulation.dropout = 0.0
+    errors = np.linalg.norm(one.run(2.0) - target_m, axis=1)
+    assert one.loop.supervisor.last.state is State.SERVOING
+    assert errors[-1] < 0.005
