@@ -46,7 +46,7 @@ class Learner:
         harness.start_node(MODULE, **parameters)
         self.jacobians = harness.collect(Float64MultiArray, ros.JACOBIAN)
         self.statuses = harness.collect(DiagnosticStatus, STATUS)
-        harness.spin_until(lambda: bool(self.jacobians), what="a Jacobian")
+        harness.spin_until(lambda: self.jacobians and self.statuses, what="Jacobian and status")
 
     def values(self):
         return ros.from_status(self.statuses[-1])
