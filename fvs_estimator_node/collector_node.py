@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from fvs_ros.core import stop
+
+stop.listen()
+
 import sys
 from datetime import datetime, timezone
 from pathlib import Path

@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,10 @@ METHODS = ("varpro", "ridge")
 MIN_SAMPLES = 60
 REFERENCE_IMAGES = 1200
 BALL_SAMPLES = 500
+NOTABLE_OFFSET_S = 0.003
+_MAX_OFFSET_S = 0.2
+_ALIGNMENTS = 4
+_SHORTEST_RUN = 30
 NODE_SPACING_RAD = 0.8
 _NEIGHBOURS = 3
 _ADAM_MEAN, _ADAM_SQUARE = 0.9, 0.99
@@ -63,15 +68,14 @@ class TrainingOptions:
     ridges : tuple of float
         Ridge weights to choose from on the validation samples, relative to the mean diagonal.
     iterations : int
-        Most Adam iterations of ``varpro``.
+        Adam iterations of ``varpro``.
     batch : int
         Pairs of images in one iteration.
     learning_rates : tuple of float
         Adam's first step for centres (rad) and log widths, one a network; it falls to zero.
     check_every : int
-        Iterations between looks at the validation error.
-    patience : int
-        Looks without progress after which ``varpro`` stops.
+        Iterations between looks at the validation error; the best of them is kept. (Stopping at
+        once when it rises would be wrong: the first, large steps often make it worse for a while.)
     held_out, validation : float
         Shares of the data that are kept back for the reported errors, and for choosing.
     block_s : float
@@ -85,11 +89,10 @@ class TrainingOptions:
     seed: int = 0
     width_factor: float = 7.0
     ridges: tuple[float, ...] = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7)
-    iterations: int = 400
+    iterations: int = 300
     batch: int = 2048
     learning_rates: tuple[float, ...] = (0.1,) * N_JOINTS
     check_every: int = 20
-    patience: int = 5
     held_out: float = 0.1
     validation: float = 0.1
     block_s: float = 2.0
@@ -181,6 +184,9 @@ class TrainingResult:
         Adam iterations done.
     samples, held_out_samples, outliers : int
         Images used in all, kept back, and left out.
+    time_offset_s : float
+        How much later than the joints they show the images are stamped, s; found from
+        continuous motion and corrected for. Zero if there is none.
     notes : tuple of str
         What a user should know, in words.
     """
@@ -197,6 +203,7 @@ class TrainingResult:
     samples: int
     held_out_samples: int
     outliers: int
+    time_offset_s: float
     notes: tuple[str, ...]
 
 
@@ -286,6 +293,7 @@ class _Training:
         options = self._options
         fitting, validation, held_out = self._split()
         centres, widths = self._initial_neurons(fitting)
+        offset_s = self._align(centres, widths, fitting)
         good = self._good_images(centres, widths, fitting)
         outliers = int(np.count_nonzero(~good))
         fitting, validation, held_out = (
@@ -312,6 +320,7 @@ class _Training:
             "samples": len(everything),
             "held_out_samples": len(held_out),
             "outliers": outliers,
+            "time_offset_s": offset_s,
         }
         errors = {
             **result,
@@ -337,7 +346,7 @@ class _Training:
             trained=trained,
             options=options,
             networks=networks,
-            notes=self._notes(outliers),
+            notes=self._notes(outliers, offset_s),
             **result,
         )
 
@@ -414,6 +423,56 @@ class _Training:
         regressors, motion = self._equations(centres, widths, self._pairs(images, count))
         return _ridge_path(regressors, motion, ridges)
 
+    def _align(self, centres: np.ndarray, widths: np.ndarray, fitting: np.ndarray) -> float:
+        """Find and undo a constant offset between the stamps of images and joints, s.
+
+        A position that lags by tau is off by -tau times the ball's velocity, in which the
+        equations are linear again. The networks can feign a part of the lag, so tau is fitted
+        together with the weights: to the part of the velocity that the networks cannot explain.
+        """
+        segment, stamps = self._data.segment, self._data.stamps_s
+        runs = [run for run in _runs(segment) if run.stop - run.start >= _SHORTEST_RUN]
+        moving = np.zeros(len(segment), dtype=bool)
+        joint_velocity = np.zeros_like(self._joints)
+        for run in runs:
+            moving[run] = True
+            joint_velocity[run] = np.gradient(self._joints[run], stamps[run], axis=0)
+        if not np.all(moving[fitting]):
+            return 0.0
+        recorded, offset_s = self._joints, 0.0
+        model = _as_model(centres, widths, self._solve(centres, widths, fitting, (1e-9,), 4000)[0])
+        for _ in range(_ALIGNMENTS):
+            ball_velocity = np.einsum("nki,ni->nk", model.jacobian(self._joints), joint_velocity)
+            pairs = self._pairs(fitting, 4000)
+            regressors, motion = self._equations(centres, widths, pairs)
+            change = ball_velocity[pairs[1]] - ball_velocity[pairs[0]]
+            both = np.concatenate([motion, change], axis=1)
+            weights = _ridge_solve(regressors, both, 1e-9)
+            left = both - regressors @ weights
+            size = np.linalg.norm(left[:, :N_FEATURES], axis=1)
+            left = left[size <= 3.0 * np.median(size)]
+            left_motion, left_change = left[:, :N_FEATURES], left[:, N_FEATURES:]
+            power = float(np.vdot(left_change, left_change))
+            offset_s -= float(np.vdot(left_change, left_motion)) / max(power, 1e-12)
+            offset_s = float(np.clip(offset_s, -_MAX_OFFSET_S, _MAX_OFFSET_S))
+            model = _as_model(centres, widths, weights[:, :N_FEATURES])
+            self._joints = recorded.copy()
+            for run in runs:
+                for i in range(N_JOINTS):
+                    self._joints[run, i] = np.interp(
+                        stamps[run] - offset_s, stamps[run], recorded[run, i]
+                    )
+        return offset_s
+
+    def _residual(
+        self, centres: np.ndarray, widths: np.ndarray, weights: np.ndarray, fitting: np.ndarray
+    ) -> np.ndarray:
+        """Ball positions minus those of the networks, up to a constant, m, shape (n, 3)."""
+        middle = np.broadcast_to(self._joints[fitting].mean(axis=0), self._joints.shape)
+        return self._ball - (
+            line_regressors(centres, widths, middle, self._joints, self._nodes) @ weights
+        )
+
     def _good_images(
         self, centres: np.ndarray, widths: np.ndarray, fitting: np.ndarray
     ) -> np.ndarray:
@@ -423,11 +482,7 @@ class _Training:
         the residual's distance from its neighbours' median that counts.
         """
         weights = self._solve(centres, widths, fitting, (1e-9,), 5000)[0]
-        # the ball as the networks see it, up to a constant: the line from the mean joints
-        middle = np.broadcast_to(self._joints[fitting].mean(axis=0), self._joints.shape)
-        residual = self._ball - (
-            line_regressors(centres, widths, middle, self._joints, self._nodes) @ weights
-        )
+        residual = self._residual(centres, widths, weights, fitting)
         n, segment = len(residual), self._data.segment
         shifts = [k for k in range(-_NEIGHBOURS, _NEIGHBOURS + 1) if k != 0]
         neighbours = np.full((len(shifts), n, N_FEATURES), np.nan)
@@ -484,7 +539,7 @@ class _Training:
         rates = np.asarray(options.learning_rates)
         adam = (_Adam(centres, rates[:, None, None]), _Adam(log_widths, rates[:, None]))
         best_score, best = score(), (centres.copy(), log_widths.copy())
-        waited, done = 0, 0
+        done = 0
         for iteration in range(1, options.iterations + 1):
             done = iteration
             gradients = self._gradients(
@@ -495,14 +550,11 @@ class _Training:
                 variable.step(gradient, fall)
             if iteration % options.check_every == 0 or iteration == options.iterations:
                 present = score()
-                waited = 0 if present < 0.999 * best_score else waited + 1
                 if present < best_score:
                     best_score, best = present, (centres.copy(), log_widths.copy())
             if progress is not None and progress(
                 TrainingProgress(iteration, options.iterations, best_score)
             ):
-                break
-            if waited >= options.patience:
                 break
         return best[0], np.exp(best[1]), done
 
@@ -592,13 +644,19 @@ class _Training:
         )
         return _relative_error(regressors, motion, _as_matrix(model))
 
-    def _notes(self, outliers: int) -> tuple[str, ...]:
+    def _notes(self, outliers: int, offset_s: float) -> tuple[str, ...]:
         notes = []
         names = self._data.joint_names
         still = [name for name, s in zip(names, self._spread, strict=True) if s < 1e-3]
         if still:
             notes.append(
                 f"{', '.join(still)} did not move in the data set: their columns are not learned"
+            )
+        if abs(offset_s) > NOTABLE_OFFSET_S:
+            notes.append(
+                f"the images show the joints of {1e3 * abs(offset_s):.0f} ms "
+                f"{'before' if offset_s > 0.0 else 'after'} their stamps; corrected here, but "
+                "better mended where they are stamped"
             )
         if outliers:
             notes.append(f"{outliers} of {len(self._data)} images do not fit and were left out")
@@ -655,6 +713,12 @@ def _as_model(centres: np.ndarray, widths: np.ndarray, weights: np.ndarray) -> R
 
 def _as_matrix(model: RbfModel) -> np.ndarray:
     return model.weights.transpose(0, 2, 1).reshape(-1, N_FEATURES)
+
+
+def _runs(segment: np.ndarray) -> list[slice]:
+    """The continuous runs, one after the other."""
+    ends = [0, *(np.flatnonzero(np.diff(segment)) + 1).tolist(), len(segment)]
+    return [slice(a, b) for a, b in pairwise(ends)]
 
 
 def _box(values: np.ndarray) -> np.ndarray:

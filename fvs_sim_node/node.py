@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from fvs_ros.core import stop
+
+stop.listen()
+
 import sys
 from collections.abc import Mapping
 from typing import Any

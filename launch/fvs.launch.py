@@ -14,7 +14,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironment
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from fvs_ros.apps.launcher import NODE_TABLE, load_scenario
+from fvs_ros.apps.scenario import NODE_TABLE, load_scenario
 
 
 def _params_file(scenario) -> str:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from fvs_ros.core import stop
+
+stop.listen()
+
 import argparse
 import contextlib
 import ctypes
@@ -68,7 +72,6 @@ class Launcher:
         self._scenario = scenario
         self._namespace = namespace.strip("/")
         self._processes: list[_Process] = []
-        self._signals: list[int] = []
         self._print_lock = threading.Lock()
 
     def run(self) -> int:
@@ -80,14 +83,12 @@ class Launcher:
             0 when ended by a signal or a task that succeeded; else the exit code of the node
             that ended it.
         """
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda received, _frame: self._signals.append(received))
         with tempfile.TemporaryDirectory(prefix="fvs_launch_") as folder:
             params = Path(folder) / "params.yaml"
             params.write_text(self._scenario.to_params_yaml(), encoding="utf-8")
             try:
                 for name in self._scenario.nodes:
-                    if self._signals:
+                    if stop.RECEIVED:
                         break
                     self._start(name, params)
                 for process in self._processes:
@@ -129,7 +130,7 @@ class Launcher:
                 print(f"[{name}] {text}", flush=True)
 
     def _wait(self) -> _Process | None:
-        while not self._signals:
+        while not stop.RECEIVED:
             for process in self._processes:
                 if process.popen.poll() is not None:
                     return process
@@ -138,7 +139,7 @@ class Launcher:
 
     def _end(self, first: _Process | None) -> int:
         if first is None:
-            self._say(f"{signal.Signals(self._signals[0]).name}: stopping")
+            self._say(f"{signal.Signals(stop.RECEIVED[0]).name}: stopping")
         elif first.name != self._scenario.task or first.popen.returncode != 0:
             self._say(
                 f"{first.name} ended with {_code_text(first.popen.returncode)}: stopping the rest"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -30,6 +29,7 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
+from fvs_ros.core import stop
 from fvs_ros.core.camera import Intrinsics
 from fvs_ros.core.joints import N_JOINTS
 from fvs_ros.core.monitor import ArrivalMonitor
@@ -448,9 +448,7 @@ def run(make_node: Callable[[], FvsNode], argv: list[str] | None = None) -> int:
     int
         0 after a signal or a finished task, 1 after an error, 2 after a wrong parameter or file.
     """
-    signals: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda received, _frame: signals.append(received))
+    stop.listen()
     rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
     node = None
     try:
@@ -462,7 +460,7 @@ def run(make_node: Callable[[], FvsNode], argv: list[str] | None = None) -> int:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         try:
-            while not signals and node.exit_code is None:
+            while not stop.RECEIVED and node.exit_code is None:
                 executor.spin_once(timeout_sec=_SPIN_PERIOD_S)
         except ExternalShutdownException:
             return EXIT_OK

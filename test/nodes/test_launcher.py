@@ -79,12 +79,14 @@ def test_a_signal_in_motion_ends_all_with_zeros_last(ros_test, number):
     assert not any(alive(pid) for pid in nodes)
 
 
-def test_a_signal_before_anything_runs_ends_all(ros_test):
+@pytest.mark.parametrize("delay_s", [0.15, 0.3, 0.5, 0.8, 1.2])
+def test_a_signal_at_any_moment_of_the_start_ends_all(ros_test, delay_s):
     process = ros_test.start(MODULE, "servo")
-    ros_test.spin_until(lambda: len(children(process)) == 3, what="the nodes' processes")
+    ros_test.spin_for(delay_s)
     nodes = children(process)
-    assert ros_test.stop(process) == 0, ros_test.output(process)
+    assert ros_test.stop(process, signal.SIGINT) == 0, ros_test.output(process)
     assert not any(alive(pid) for pid in nodes)
+    assert "Traceback" not in ros_test.output(process)
 
 
 def test_a_node_that_dies_brings_all_down_and_is_named(ros_test):

@@ -227,3 +227,21 @@ def test_the_reference_is_the_slope_of_the_positions():
     found = reference_jacobian(joints, ball_and_jacobian(joints)[0], at, 1e-5, 4.0)
     true = ball_and_jacobian(at)[1]
     assert np.linalg.norm(found - true) < 0.01 * np.linalg.norm(true)
+
+
+@pytest.mark.parametrize("late_s", [0.04, -0.02])
+def test_a_time_offset_of_the_images_is_found_and_corrected(late_s):
+    data, rng = smooth(90.0), np.random.default_rng(0)
+    t = data.stamps_s
+    seen = np.stack([np.interp(t - late_s, t, joint) for joint in data.joints_rad.T], axis=1)
+    punctual, late = train(data, RIDGE), train(replace(data, ball_m=measured(rng, seen)), RIDGE)
+    assert punctual.time_offset_s == pytest.approx(0.0, abs=1e-3)
+    assert late.time_offset_s == pytest.approx(late_s, abs=1e-3)
+    assert any("ms" in note for note in late.notes)
+    assert not any("ms" in note for note in punctual.notes)
+    wrong = jacobian_error(late.trained.model.jacobian)
+    assert wrong < 1.3 * jacobian_error(punctual.trained.model.jacobian)
+
+
+def test_probes_tell_no_time_offset(ridge):
+    assert ridge.time_offset_s == 0.0
