@@ -43,7 +43,6 @@ _ALIGNMENTS = 4
 _SHORTEST_RUN = 30
 NODE_SPACING_RAD = 0.8
 _NEIGHBOURS = 3
-_ADAM_MEAN, _ADAM_SQUARE = 0.9, 0.99
 
 
 class TrainingError(ValueError):
@@ -525,76 +524,49 @@ class _Training:
         progress: Progress | None,
     ) -> tuple[np.ndarray, np.ndarray, int]:
         """Adam on centres and log widths, the weights being solved for in every iteration."""
+        try:
+            from fvs_estimator_node.varpro import Batch, refine
+        except ImportError as error:
+            raise TrainingError(
+                "the method varpro needs torch: pip install torch, or use the method ridge"
+            ) from error
         options = self._options
         ridge = sorted(options.ridges)[len(options.ridges) // 3]
         judged_on = self._pairs(validation, 3000)
         solved_on = self._pairs(fitting, 6000)
 
-        def score() -> float:
-            widths = np.exp(log_widths)
+        def score(centres: np.ndarray, widths: np.ndarray) -> float:
             weights = _ridge_path(*self._equations(centres, widths, solved_on), (ridge,))[0]
             return _relative_error(*self._equations(centres, widths, judged_on), weights)
 
-        centres, log_widths = centres.copy(), np.log(widths)
-        rates = np.asarray(options.learning_rates)
-        adam = (_Adam(centres, rates[:, None, None]), _Adam(log_widths, rates[:, None]))
-        best_score, best = score(), (centres.copy(), log_widths.copy())
-        done = 0
-        for iteration in range(1, options.iterations + 1):
-            done = iteration
-            gradients = self._gradients(
-                centres, np.exp(log_widths), self._pairs(fitting, options.batch), ridge
-            )
-            fall = 0.5 * (1.0 + math.cos(math.pi * (iteration - 1) / options.iterations))
-            for variable, gradient in zip(adam, gradients, strict=True):
-                variable.step(gradient, fall)
-            if iteration % options.check_every == 0 or iteration == options.iterations:
-                present = score()
-                if present < best_score:
-                    best_score, best = present, (centres.copy(), log_widths.copy())
-            if progress is not None and progress(
-                TrainingProgress(iteration, options.iterations, best_score)
-            ):
-                break
-        return best[0], np.exp(best[1]), done
+        best_score, best = score(centres, widths), (centres, widths)
 
-    def _gradients(
-        self,
-        centres: np.ndarray,
-        widths: np.ndarray,
-        pairs: tuple[np.ndarray, np.ndarray],
-        ridge: float,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Gradients of the relative squared error with respect to centres and log widths."""
-        start, end = self._joints[pairs[0]], self._joints[pairs[1]]
-        joint_motion = end - start
-        ball_motion = self._ball[pairs[1]] - self._ball[pairs[0]]
-        places, shares = _quadrature(self._nodes)
-        n, (_, m) = len(start), widths.shape
-        points = (start + places[:, None, None] * joint_motion).reshape(-1, N_JOINTS)
-        theta = rbf_features(centres, widths, points).reshape(self._nodes, n, N_JOINTS * m)
-        motion_of = np.repeat(joint_motion, m, axis=1)
-        regressors = np.tensordot(shares, theta, axes=1) * motion_of
-        weights = _ridge_solve(regressors, ball_motion, ridge)
-        residual = regressors @ weights - ball_motion
-        scale = 2.0 / float(np.vdot(ball_motion, ball_motion))
-        # d error / d (exponent of a neuron at a point); from there on only sums of products
-        slope = (residual @ weights.T) * motion_of * scale
-        theta *= shares[:, None, None]
-        theta *= slope
-        pull = theta.reshape(-1, N_JOINTS * m)
-        flat = centres.reshape(-1, N_JOINTS)
-        squared = np.square(widths.reshape(-1))
-        pull_sum = pull.sum(axis=0)
-        pull_points = pull.T @ points
-        to_centres = 2.0 / squared[:, None] * (pull_points - pull_sum[:, None] * flat)
-        distances = (
-            pull.T @ np.sum(points * points, axis=1)
-            - 2.0 * np.sum(pull_points * flat, axis=1)
-            + pull_sum * np.sum(flat * flat, axis=1)
+        def draw() -> Batch:
+            first, second = self._pairs(fitting, options.batch)
+            motion = self._ball[second] - self._ball[first]
+            return self._joints[first], self._joints[second], motion
+
+        def report(iteration: int, centres: np.ndarray, widths: np.ndarray) -> bool:
+            nonlocal best_score, best
+            if iteration % options.check_every == 0 or iteration == options.iterations:
+                present = score(centres, widths)
+                if present < best_score:
+                    best_score, best = present, (centres.copy(), widths.copy())
+            return progress is not None and progress(
+                TrainingProgress(iteration, options.iterations, best_score)
+            )
+
+        done = refine(
+            centres,
+            widths,
+            draw,
+            _quadrature(self._nodes),
+            ridge,
+            options.learning_rates,
+            options.iterations,
+            report,
         )
-        to_log_widths = 2.0 / squared * distances
-        return to_centres.reshape(centres.shape), to_log_widths.reshape(widths.shape)
+        return best[0], best[1], done
 
     def _judge_pairs(self, model: RbfModel, held_out: np.ndarray) -> tuple[float, float]:
         """Root mean squares of the held-out pair error and of the ball's motion, m."""
@@ -661,25 +633,6 @@ class _Training:
         if outliers:
             notes.append(f"{outliers} of {len(self._data)} images do not fit and were left out")
         return tuple(notes)
-
-
-class _Adam:
-    """Adam on one array, in place."""
-
-    def __init__(self, variable: np.ndarray, rate: np.ndarray) -> None:
-        self._variable = variable
-        self._rate = rate
-        self._mean = np.zeros_like(variable)
-        self._square = np.zeros_like(variable)
-        self._steps = 0
-
-    def step(self, gradient: np.ndarray, share: float) -> None:
-        self._steps += 1
-        self._mean += (1.0 - _ADAM_MEAN) * (gradient - self._mean)
-        self._square += (1.0 - _ADAM_SQUARE) * (gradient**2 - self._square)
-        mean = self._mean / (1.0 - _ADAM_MEAN**self._steps)
-        square = self._square / (1.0 - _ADAM_SQUARE**self._steps)
-        self._variable -= share * self._rate * mean / (np.sqrt(square) + 1e-12)
 
 
 def _ridge_solve(regressors: np.ndarray, motion: np.ndarray, ridge: float) -> np.ndarray:

@@ -13,7 +13,7 @@ SOURCES = sorted(
 )
 
 ROS_MODULE = "fvs_ros/core/ros.py"
-TRAINING = "fvs_estimator_node/training.py"
+TRAINING = "fvs_estimator_node/varpro.py"
 SIMULATOR = "fvs_sim_node"
 CORE_MAY_IMPORT = {"numpy", "yaml", "fvs_ros"}
 CV2_IN_CORE = "fvs_ros/core/detection.py"
@@ -126,7 +126,7 @@ def test_a_forbidden_import_is_found(path, source):
         ("fvs_controller_node/node.py", "from fvs_controller_node.ftsm import FtsmLaw"),
         ("fvs_controller_node/node.py", "from . import ftsm"),
         ("fvs_estimator_node/collector_node.py", "from sensor_msgs.msg import JointState"),
-        ("fvs_estimator_node/training.py", "def train():\n    import torch"),
+        ("fvs_estimator_node/varpro.py", "import torch"),
         ("fvs_sim_node/world.py", "import pybullet"),
         ("fvs_ros/core/detection.py", "import cv2\nimport numpy as np"),
         ("fvs_ros/core/ros.py", "import rclpy\nfrom std_msgs.msg import Float64MultiArray"),

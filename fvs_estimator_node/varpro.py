@@ -1,0 +1,122 @@
+"""Variable projection in torch: gradients for centres and widths, the weights solved for inside.
+
+The error of a batch is a function of centres and widths alone once the weights are the best ones
+for them (a ridge regression). At those weights its gradient is the gradient with the weights held
+fixed, so that the solution itself need not be differentiated. This is the only module that imports
+torch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+
+from fvs_ros.core.joints import N_JOINTS
+
+#: Start and end joints, rad, shape (n, 6) each, and the ball's motion between them, m, (n, 3).
+Batch = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+_BETAS = (0.9, 0.99)
+
+
+def refine(
+    centres: np.ndarray,
+    widths: np.ndarray,
+    draw: Callable[[], Batch],
+    quadrature: tuple[np.ndarray, np.ndarray],
+    ridge: float,
+    learning_rates: tuple[float, ...],
+    iterations: int,
+    report: Callable[[int, np.ndarray, np.ndarray], bool],
+) -> int:
+    """Move centres and widths by Adam so that the networks predict the ball's motion better.
+
+    Parameters
+    ----------
+    centres : ndarray, shape (6, m, 6)
+        Where to begin, rad.
+    widths : ndarray, shape (6, m)
+        Where to begin, rad.
+    draw : callable
+        Gives the next batch.
+    quadrature : tuple of ndarray
+        Places in [0, 1] on the line between two joint positions, and their shares.
+    ridge : float
+        Ridge weight, relative to the mean diagonal.
+    learning_rates : tuple of 6 float
+        Adam's first step for centres (rad) and log widths, one a network; it falls to zero.
+    iterations : int
+        How many.
+    report : callable
+        Told iteration, centres and widths after each; True ends early.
+
+    Returns
+    -------
+    int
+        Iterations done.
+    """
+    networks = [
+        (
+            torch.tensor(centres[i], dtype=torch.float64, requires_grad=True),
+            torch.tensor(np.log(widths[i]), dtype=torch.float64, requires_grad=True),
+        )
+        for i in range(N_JOINTS)
+    ]
+    adam = torch.optim.Adam(
+        [
+            {"params": list(variables), "lr": rate}
+            for variables, rate in zip(networks, learning_rates, strict=True)
+        ],
+        betas=_BETAS,
+    )
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, iterations)
+    places, shares = quadrature
+    for iteration in range(1, iterations + 1):
+        start, end, motion = (torch.from_numpy(np.ascontiguousarray(a)) for a in draw())
+        adam.zero_grad()
+        _relative_squared_error(networks, start, end, motion, places, shares, ridge).backward()
+        adam.step()
+        schedule.step()
+        with torch.no_grad():
+            present = torch.stack([c for c, _ in networks]).numpy()
+            present_widths = torch.stack([w for _, w in networks]).exp().numpy()
+        if report(iteration, present, present_widths):
+            return iteration
+    return iterations
+
+
+def _relative_squared_error(
+    networks: list[tuple[torch.Tensor, torch.Tensor]],
+    start: torch.Tensor,
+    end: torch.Tensor,
+    motion: torch.Tensor,
+    places: np.ndarray,
+    shares: np.ndarray,
+    ridge: float,
+) -> torch.Tensor:
+    """Squared error over squared motion, with the best weights for the present neurons."""
+    joint_motion = end - start
+    columns = []
+    for i, (centres, log_widths) in enumerate(networks):
+        integral = torch.zeros((), dtype=motion.dtype)
+        for place, share in zip(places.tolist(), shares.tolist(), strict=True):
+            points = start + place * joint_motion
+            squares = _squared_distances(points, centres, log_widths)
+            integral = integral + share * torch.exp(-squares)
+        columns.append(integral * joint_motion[:, i : i + 1])
+    regressors = torch.cat(columns, dim=1)
+    with torch.no_grad():
+        gram = regressors.T @ regressors
+        gram += ridge * gram.trace() / len(gram) * torch.eye(len(gram), dtype=gram.dtype)
+        weights = torch.linalg.solve(gram, regressors.T @ motion)
+    return ((regressors @ weights - motion) ** 2).sum() / (motion**2).sum()
+
+
+def _squared_distances(
+    points: torch.Tensor, centres: torch.Tensor, log_widths: torch.Tensor
+) -> torch.Tensor:
+    """(|r - u| / delta)^2 of eq. (8), shape (n, m)."""
+    squares = (points**2).sum(1, keepdim=True) - 2.0 * points @ centres.T + (centres**2).sum(1)
+    return squares * torch.exp(-2.0 * log_widths)
