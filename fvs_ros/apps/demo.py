@@ -217,7 +217,9 @@ def draw(
     for record, colour in zip(records, colours, strict=True):
         speed_axes.axvline(record.start_s - origin_s, color=colour, linewidth=1.5, alpha=0.7)
     speed_axes.set(xlabel="time (s)", ylabel="joint speed (rad/s)", title="Joint speeds")
-    speed_axes.legend(fontsize=7, ncols=3)
+    speed_axes.legend(
+        fontsize=8, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.22), frameon=False
+    )
     speed_axes.grid(alpha=0.3)
 
     view_axes.set_title("Camera view at the end, trail of the ball, targets (+)")
