@@ -36,7 +36,7 @@ test: $(VENV)/.installed-all log-dir ## all tests
 	@ROS_PYTHON_CHECK_FIELDS=1 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST \
 		$(BIN)/python -m pytest $(ARGS)
 
-bench: $(VENV)/.installed-demo log-dir ## measurements of bench/, as tables
+bench: $(VENV)/.installed-model log-dir ## measurements of bench/, as tables
 	@echo "== benchmarks: some minutes; keep the machine idle"
 	@$(BIN)/python -m bench $(ARGS)
 

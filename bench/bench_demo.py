@@ -1,6 +1,6 @@
 """The demo again and again, in real time over DDS, each run with its own seed.
 
-Run ``python -m bench demo`` from the repository root; FVS_BENCH_RUNS sets how many (20).
+Run ``python -m bench demo`` from the repository root; FVS_BENCH_RUNS sets how many (5).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-RUNS = int(os.environ.get("FVS_BENCH_RUNS", "20"))
+RUNS = int(os.environ.get("FVS_BENCH_RUNS", "5"))
 
 
 def run_demo(seed: int, folder: Path) -> list[dict]:
