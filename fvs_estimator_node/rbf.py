@@ -150,7 +150,7 @@ class RbfConfig:
     alpha2 : float
         Gain on the sliding variable s. The stability proof wants it; far from the target, where s
         is large, it moves the Jacobian by about ``gamma alpha2 s |theta|^2 r_dot`` a second,
-        whether that is right or not. 0.005 is not noticed, 0.03 costs a quarter of the speed.
+        whether that is right or not. 0.005 is not noticed, 0.03 costs a seventh of the speed.
     k3 : float
         Leak toward the rest weights, 1/s.
     leak_target : str
