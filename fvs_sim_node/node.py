@@ -42,7 +42,7 @@ class SimNode(ros.FvsNode):
         super().__init__("fvs_sim_node", PARAMETERS)
         v = self.values
         self._frame = v["feature_frame"]
-        self._sim = Simulation(_sim_config(v))
+        self._sim = Simulation(SimConfig.from_values(v))
         self._camera_home = self._sim.camera
         self._shuffle = np.random.default_rng(v["seed"])
         self._names = [v["joint_prefix"] + name for name in UR_JOINT_NAMES]
@@ -252,35 +252,6 @@ class SimNode(ros.FvsNode):
         if self._worker is not None:
             self._worker.close()
         self._sim.close()
-
-
-def _sim_config(v: Mapping[str, Any]) -> SimConfig:
-    same = (
-        "seed",
-        "gui",
-        "urdf_path",
-        "ball_link",
-        "ball_radius_m",
-        "ball_offset_m",
-        "physics_rate_hz",
-        "joint_state_rate_hz",
-        "image_rate_hz",
-        "latency_s",
-        "depth_noise",
-        "dropout",
-        "joint_lag_s",
-        "dead_time_s",
-        "acceleration_limit_rad_s2",
-        "camera",
-        "image_width",
-        "image_height",
-    )
-    return SimConfig(
-        **{name: v[name] for name in same},
-        initial_joints_rad=tuple(v["initial_joints_rad"]),
-        focal_px=v["focal_length_px"],
-        lag_s=v["drive_lag_s"],
-    )
 
 
 def main() -> int:

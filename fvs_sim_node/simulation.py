@@ -7,8 +7,9 @@ seed and commands give the same results to the bit.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -24,6 +25,28 @@ from fvs_sim_node.world import TABLE, SceneObject, World
 
 #: A lost ball is looked for in an image this many times smaller.
 _COARSE = 4
+
+#: Parameters of the node that are fields of the configuration.
+_SAME_NAME = (
+    "seed",
+    "gui",
+    "urdf_path",
+    "ball_link",
+    "ball_radius_m",
+    "ball_offset_m",
+    "physics_rate_hz",
+    "joint_state_rate_hz",
+    "image_rate_hz",
+    "latency_s",
+    "depth_noise",
+    "dropout",
+    "joint_lag_s",
+    "dead_time_s",
+    "acceleration_limit_rad_s2",
+    "camera",
+    "image_width",
+    "image_height",
+)
 
 
 @dataclass(frozen=True)
@@ -114,6 +137,16 @@ class SimConfig:
             )
         if self.ball_radius_m <= 0.0:
             raise ValueError(f"ball_radius_m must be positive, got {self.ball_radius_m}")
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any]) -> SimConfig:
+        """The configuration that a node's parameter values describe."""
+        return cls(
+            **{name: values[name] for name in _SAME_NAME},
+            initial_joints_rad=tuple(values["initial_joints_rad"]),
+            focal_px=values["focal_length_px"],
+            lag_s=values["drive_lag_s"],
+        )
 
     @property
     def intrinsics(self) -> Intrinsics:

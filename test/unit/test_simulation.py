@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from fvs_ros.core.camera import Intrinsics
+from fvs_ros.core.params import ParameterSet
 from fvs_sim_node import kinematics
+from fvs_sim_node.config import PARAMETERS
 from fvs_sim_node.rendering import CameraPose
 from fvs_sim_node.simulation import SimConfig, Simulation, WindowTracker
 from fvs_sim_node.ur5_urdf import urdf_text
@@ -344,3 +346,8 @@ def test_other_image_sizes(make):
     seen = observations(run(simulation, 60))
     errors = [np.linalg.norm(o.detection.position_m - o.true_position_m) for o in seen]
     assert max(errors) < 6e-3
+
+
+def test_the_nodes_defaults_are_those_of_the_simulation():
+    declared = SimConfig.from_values(ParameterSet(PARAMETERS).values())
+    assert declared == SimConfig(focal_px=615.0)
