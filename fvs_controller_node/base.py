@@ -77,5 +77,12 @@ class ControlLaw(ABC):
     def command(self, control_input: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""
 
+    def settling_bound_s(self, error_m: np.ndarray) -> float | None:
+        """Longest time from rest at an error, m, shape (3,), to zero, without speed limits, s.
+
+        None for a law that makes no such promise.
+        """
+        return None
+
     def reset(self) -> None:  # noqa: B027  (a law without memory has nothing to forget)
         """Forget the past: called at every tick that does not servo."""

@@ -11,7 +11,6 @@ and chatters where the exponent switches. It is here for the paper's figures.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from math import copysign, inf
 from typing import Any, ClassVar
 
@@ -19,6 +18,8 @@ import numpy as np
 
 from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.pseudo_inverse import DampedInverse
+from fvs_controller_node.reaching import ReachingLaw
+from fvs_controller_node.settling import settling_times
 from fvs_controller_node.surface import SlidingSurface
 from fvs_ros.core.params import Parameter
 
@@ -32,41 +33,6 @@ _TINY_M = 1e-12
 
 #: The literal law divides by the error where the exponent is below 1; it never gets smaller.
 _LITERAL_ERROR_FLOOR_M = 1e-9
-
-
-@dataclass(frozen=True)
-class ReachingLaw:
-    """k4 s' = -k1 s - k2 |s|^(2 sigma - 1) sgn s.
-
-    Parameters
-    ----------
-    k1 : float
-        Linear gain.
-    k2 : float
-        Gain of the terminal term, which ends the approach in finite time.
-    k4 : float
-        Time scale: the sliding variable decays with k4 / k1 seconds. 0 is the surface at once.
-    sigma : float
-        In (1/2, 1); the exponent is 2 sigma - 1.
-    """
-
-    k1: float = 3.0
-    k2: float = 0.05
-    k4: float = 0.05
-    sigma: float = 0.75
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.k1 < inf:
-            raise ValueError(f"k1 must be positive, got {self.k1}")
-        if not 0.0 <= self.k2 < inf:
-            raise ValueError(f"k2 must not be negative, got {self.k2}")
-        if not 0.0 <= self.k4 < inf:
-            raise ValueError(f"k4 must not be negative, got {self.k4}")
-        if not 0.5 < self.sigma < 1.0:
-            raise ValueError(
-                "sigma must be between 0.5 and 1 (the command would grow without bound "
-                f"at s = 0 otherwise), got {self.sigma}"
-            )
 
 
 def next_sliding_value(s: float, law: ReachingLaw, dt_s: float) -> float:
@@ -259,6 +225,13 @@ class FtsmLaw(ControlLaw):
     def reset(self) -> None:
         """Forget the last velocity (only the literal form remembers one)."""
         self._last_velocity = None
+
+    def settling_bound_s(self, error_m: np.ndarray) -> float | None:
+        """Eqs. (36)-(39) as corrected: reaching plus sliding time of the slowest axis."""
+        if float(np.abs(error_m).max()) >= 1.0:
+            return None
+        times = settling_times(error_m.tolist(), [0.0] * len(error_m), self.surface, self.reaching)
+        return max(one.total_s for one in times)
 
     def command(self, control_input: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""

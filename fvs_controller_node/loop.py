@@ -11,7 +11,24 @@ import numpy as np
 from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.predictor import BallPredictor
 from fvs_controller_node.reasons import State
-from fvs_controller_node.supervisor import Command, Supervisor
+from fvs_controller_node.supervisor import BALL, JOINT_STATES, Command, Supervisor
+
+#: A stamp that goes back by no more than this is a late message; by more, the clock jumped, s.
+_MAX_BACKSTEP_S = 0.1
+
+
+class _StampGate:
+    """Lets a message pass whose stamp is newer than the last: a frozen stream is not fresh."""
+
+    def __init__(self) -> None:
+        self._last_s: float | None = None
+
+    def advances(self, stamp_s: float) -> bool:
+        last = self._last_s
+        if last is not None and last - _MAX_BACKSTEP_S <= stamp_s <= last:
+            return False
+        self._last_s = stamp_s
+        return True
 
 
 class ServoLoop:
@@ -31,12 +48,15 @@ class ServoLoop:
         self.law = law
         self.predictor = predictor
         self.supervisor = supervisor
+        self._joint_stamps, self._ball_stamps = _StampGate(), _StampGate()
         self._joints: np.ndarray | None = None
         self._jacobian: np.ndarray | None = None
 
     def add_joints(self, now_s: float, stamp_s: float, joints_rad: np.ndarray) -> None:
         """Tell a joint state: arrival on the steady clock and stamp, s; positions (6,), rad."""
-        if self.supervisor.joint_states(now_s, joints_rad):
+        if not self._joint_stamps.advances(stamp_s):
+            self.supervisor.stuck(JOINT_STATES)
+        elif self.supervisor.joint_states(now_s, joints_rad):
             self._joints = np.array(joints_rad, dtype=float)
             if self._jacobian is not None:
                 self.predictor.add_joints(stamp_s, self._joints, self._jacobian)
@@ -45,7 +65,9 @@ class ServoLoop:
         self, now_s: float, stamp_s: float, position_m: np.ndarray, frame: str | None = None
     ) -> None:
         """Tell a ball position: arrival on the steady clock and exposure stamp, s; (3,), m."""
-        if self.supervisor.ball(now_s, position_m, frame):
+        if not self._ball_stamps.advances(stamp_s):
+            self.supervisor.stuck(BALL)
+        elif self.supervisor.ball(now_s, position_m, frame):
             self.predictor.add_ball(stamp_s, position_m)
 
     def add_jacobian(self, now_s: float, jacobian: np.ndarray) -> None:
@@ -88,11 +110,14 @@ class ServoLoop:
         return command
 
     def status_values(self, now_s: float) -> dict[str, float | str]:
-        """Return the supervisor's key numbers, and the measured latency of the images."""
+        """Return the supervisor's key numbers, the images' latency, the law's settling bound."""
         latency_s = self.predictor.latency_s
+        error_m = self.supervisor.error_m
+        bound_s = None if error_m is None else self.law.settling_bound_s(error_m)
         return {
             **self.supervisor.status_values(now_s),
             "image_latency_s": float("nan") if latency_s is None else latency_s,
+            "settling_bound_without_limits_s": float("nan") if bound_s is None else bound_s,
         }
 
     def _propose(self, error_m: np.ndarray, applied: np.ndarray, dt_s: float) -> ControlOutput:

@@ -25,6 +25,8 @@ from fvs_ros.core.joints import ForeignJointsError, JointMap, JointStateError
 _STATUS_PERIOD_S = 0.1
 #: Without a joint state for so many tick periods the watchdog ticks in its place.
 _WATCHDOG_PERIODS = 2.5
+#: A latched target is heard by both subscriptions, within this.
+_TARGET_ECHO_S = 0.5
 _LEVELS = {
     State.SERVOING: ros.OK,
     State.READY: ros.OK,
@@ -50,6 +52,7 @@ class ControllerNode(ros.FvsNode):
         self._stamp_s: float | None = None
         self._late = 0
         self._heard_target: tuple | None = None
+        self._heard_target_s = -np.inf
         self._refusal = ""
         self._command: Command | None = None
 
@@ -75,7 +78,7 @@ class ControllerNode(ros.FvsNode):
         )
         self.create_service(Trigger, "~/stop", self._answer(self._loop.supervisor.stop))
         self.create_service(
-            Trigger, "~/set_current_as_target", self._answer(self._loop.set_current_as_target)
+            Trigger, "~/set_current_as_target", self._answer(self._take_current_as_target)
         )
         self.create_timer(self._period_s, self._watchdog, clock=self.steady_clock)
         self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
@@ -131,14 +134,21 @@ class ControllerNode(ros.FvsNode):
     def _on_target(self, message: PointStamped) -> None:
         point, stamp = message.point, message.header.stamp
         heard = (point.x, point.y, point.z, stamp.sec, stamp.nanosec, message.header.frame_id)
-        if heard == self._heard_target:
+        now_s = self.steady_s()
+        if heard == self._heard_target and now_s - self._heard_target_s < _TARGET_ECHO_S:
             return
-        self._heard_target = heard
+        self._heard_target, self._heard_target_s = heard, now_s
         accepted, text = self._loop.supervisor.target(
             np.array([point.x, point.y, point.z]), message.header.frame_id
         )
         self._refusal = "" if accepted else text
         self.tell(ros.OK if accepted else ros.WARN, text)
+
+    def _take_current_as_target(self) -> tuple[bool, str]:
+        accepted, text = self._loop.set_current_as_target()
+        if accepted:
+            self._refusal = ""
+        return accepted, text
 
     def _on_program_running(self, message: Bool) -> None:
         self._loop.supervisor.program_running(message.data)
@@ -197,6 +207,10 @@ class ControllerNode(ros.FvsNode):
         self.publish_status(
             _LEVELS[command.state], command.state.value, text, {**values, "late_ticks": self._late}
         )
+
+    def diagnostic_values(self) -> dict[str, Any]:
+        """Ticks that the watchdog made."""
+        return {"late_ticks": self._late}
 
     def finish(self) -> None:
         """Leave zeros on the wire."""

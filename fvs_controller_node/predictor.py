@@ -209,7 +209,7 @@ class BallPredictor:
         newest, moved = self._moved.newest_stamp_s, self._moved.newest
         if newest is None or moved is None or self._stamp_s is None:
             return None
-        if newest - self._stamp_s > self._max_latency_s:
+        if newest - self._stamp_s > self._max_latency_s or self.problem:
             return None
         if not self._enabled:
             return self._raw.copy()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import isfinite
+from math import inf, isfinite
 
 import numpy as np
 
@@ -210,6 +210,7 @@ class Supervisor:
         self._autostart_left = self._config.autostart
         self._ended: Finding | None = None  # what ended the session and needs a start
         self._shut_down = False
+        self._ticked_s = -inf
         self._velocity = np.zeros(N_JOINTS)
         self._position: np.ndarray | None = None  # of the ball at the last tick
         self._problem = ""  # why there is none
@@ -247,6 +248,10 @@ class Supervisor:
         self._jacobian = np.array(jacobian, dtype=float)
         self._conditioning = conditioning(self._jacobian)
         return True
+
+    def stuck(self, name: str) -> None:
+        """Tell that messages on topic ``name`` come with stamps that do not advance."""
+        self._inputs[name].stuck()
 
     def bad_input(self, now_s: float, name: str, why: str) -> None:
         """Tell that a message on topic ``name`` could not be used, and why."""
@@ -353,7 +358,7 @@ class Supervisor:
     @property
     def settled(self) -> bool:
         """Whether the ball has been on target for a while."""
-        return self._error() is not None and self._progress.settled
+        return self.error_m is not None and self._progress.settled
 
     @property
     def last(self) -> Command:
@@ -388,6 +393,8 @@ class Supervisor:
             Why there is no position, if there is none.
         """
         dt_s = min(dt_s, MAX_TICK_S) if isfinite(dt_s) and dt_s > 0.0 else 0.0
+        steady_dt_s = min(max(now_s - self._ticked_s, 0.0), MAX_TICK_S)
+        self._ticked_s = now_s
         self._see(position_m, problem, dt_s)
         finding = self._objection(now_s)
         if finding is None and self._autostart_left and self._ended is None:
@@ -402,13 +409,14 @@ class Supervisor:
         if output is not None and joints_rad is not None:
             return self._move(output, joints_rad, dt_s)
         self._progress.pause()
-        return self._rest(finding, dt_s)
+        # Simulated time may stand still; coming to rest must not.
+        return self._rest(finding, dt_s or steady_dt_s)
 
     def status_values(self, now_s: float) -> dict[str, float | str]:
         """Key numbers for a status message, always the same keys in the same order."""
         nan = float("nan")
         singular = self._conditioning
-        error = self._error()
+        error = self.error_m
         target = [nan] * N_AXES if self._target is None else self._target.tolist()
         values: dict[str, float | str] = {
             "state": self._last.state.value,
@@ -480,7 +488,7 @@ class Supervisor:
         """Ask the law, unless the error grows."""
         if self._progress.growing:
             return self._growth(), None
-        error = self._error()
+        error = self.error_m
         assert error is not None
         if dt_s <= 0.0:
             return None, ControlOutput(self._velocity, np.zeros(N_AXES), np.ones(N_AXES))
@@ -529,14 +537,14 @@ class Supervisor:
             active.append("acceleration")
         self._velocity = velocity
         reason = Reason.SETTLED if self._progress.settled else Reason.SERVOING
-        error = self._error()
+        error = self.error_m
         assert error is not None
         error_mm = 1e3 * float(error @ error) ** 0.5
         return self._answer(reason.because(error_mm=error_mm), ", ".join(active), output)
 
     def _travel_rad(self) -> float:
         """Return about how far the joint that moves most has to go to the target, rad."""
-        error = self._error()
+        error = self.error_m
         assert self._jacobian is not None
         assert error is not None
         return float(np.abs(_INVERSE.joint_velocity(self._jacobian, error)).max())
@@ -603,13 +611,14 @@ class Supervisor:
         usable = position is not None and bool(np.all(np.isfinite(position)))
         self._position = position if usable else None
         self._problem = problem
-        error = self._error()
+        error = self.error_m
         if error is not None:
             norm = float(error @ error) ** 0.5
             self._progress.add(norm, dt_s, servoing=self._last.state is State.SERVOING)
 
-    def _error(self) -> np.ndarray | None:
-        """Return ball minus target, m, or None where one of them is unknown."""
+    @property
+    def error_m(self) -> np.ndarray | None:
+        """Ball minus target, m, shape (3,), or None where one of them is unknown."""
         if self._position is None or self._target is None:
             return None
         return self._position - self._target

@@ -149,7 +149,11 @@ class CollectionRun:
             return
         assert self._joints is not None
         if self._motion is None:
-            self._motion = self._make_motion(self._joints)
+            try:
+                self._motion = self._make_motion(self._joints)
+            except ValueError as error:
+                self.fail(str(error))
+                return
         self._moved_s += dt_s
         motion, over_s = self._motion, self._moved_s - self._motion.duration_s
         if over_s >= 0.0:

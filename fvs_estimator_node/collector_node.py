@@ -6,6 +6,7 @@ from fvs_ros.core import stop
 
 stop.listen()
 
+import os
 import sys
 from datetime import datetime, timezone
 from pathlib import Path
@@ -13,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from geometry_msgs.msg import PointStamped
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64MultiArray
+from std_msgs.msg import Bool, Float64, Float64MultiArray
 from tqdm import tqdm
 
 from fvs_estimator_node.collecting import CollectionRun, RunConfig, State
@@ -39,7 +40,7 @@ class CollectorNode(ros.FvsNode):
     def __init__(self) -> None:
         super().__init__("fvs_collector_node", PARAMETERS)
         v = self.values
-        self._path = Path(v["output_path"])
+        self._path = _writable(Path(v["output_path"]))
         self._frame = v["feature_frame"]
         self._joint_map = JointMap(v["joint_names"])
         self._simulated_time = self.get_parameter("use_sim_time").value
@@ -68,7 +69,9 @@ class CollectorNode(ros.FvsNode):
         self._commands = self.create_publisher(Float64MultiArray, ros.COMMANDS, ros.QOS_RELIABLE)
         self.watch(JointState, ros.JOINT_STATES, self._on_joint_states, ros.QOS_NEWEST)
         self.watch(PointStamped, ros.BALL_POSITION, self._on_ball, ros.QOS_NEWEST)
-        self.watch(Bool, ros.ROBOT_PROGRAM_RUNNING, self._on_program_running, ros.QOS_LATCHED)
+        for qos in (ros.QOS_LATCHED, ros.QOS_NEWEST):  # latched or not
+            self.watch(Bool, ros.ROBOT_PROGRAM_RUNNING, self._on_program_running, qos)
+        self.watch(Float64, ros.SPEED_SCALING, self._on_speed_scaling, ros.QOS_NEWEST)
         self.create_timer(_WATCHDOG_S, self._watchdog, clock=self.steady_clock)
         self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
 
@@ -115,6 +118,10 @@ class CollectorNode(ros.FvsNode):
         if not message.data:
             self._run.fail("the robot program is not running; start it, then collect again")
 
+    def _on_speed_scaling(self, message: Float64) -> None:
+        if not message.data > 0.0:
+            self._run.fail("the robot's speed scaling is 0 %; raise it, then collect again")
+
     # --- the tick: the only place that sends commands ---
 
     def _watchdog(self) -> None:
@@ -141,7 +148,7 @@ class CollectorNode(ros.FvsNode):
             failed = True
         else:
             self._write()
-        self.exit_code = ros.EXIT_FAILURE if failed else ros.EXIT_OK
+        self.exit_code = stop.EXIT_FAILURE if failed else stop.EXIT_OK
 
     def _write(self) -> None:
         samples = self._run.samples
@@ -158,7 +165,6 @@ class CollectorNode(ros.FvsNode):
                 "parameters": self.values,
             },
         )
-        self._path.parent.mkdir(parents=True, exist_ok=True)
         save_data_set(self._path, data)
         print(f"{len(samples)} ball positions written to {self._path}", flush=True)
 
@@ -188,6 +194,19 @@ class CollectorNode(ros.FvsNode):
             print("collecting was interrupted", file=sys.stderr)
             if len(self._run.samples) >= _MIN_SAMPLES:
                 self._write()
+
+
+def _writable(path: Path) -> Path:
+    """The path, its folder made: better now than after minutes of motion."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            raise IsADirectoryError(f"{path} is a folder")
+        if not os.access(path.parent, os.W_OK):
+            raise PermissionError(f"{path.parent} cannot be written to")
+    except OSError as error:
+        raise ValueError(f"output_path: {error}") from error
+    return path
 
 
 def main() -> int:

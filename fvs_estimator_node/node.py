@@ -11,7 +11,7 @@ import sys
 import numpy as np
 from geometry_msgs.msg import PointStamped, Vector3Stamped
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from fvs_estimator_node.base import MotionStep, PredictionMonitor
@@ -20,7 +20,7 @@ from fvs_estimator_node.model_file import load_model
 from fvs_estimator_node.pairing import StepPairing
 from fvs_estimator_node.registry import create_estimator, estimator_factory
 from fvs_ros.core import ros
-from fvs_ros.core.joints import JointMap, JointStateError
+from fvs_ros.core.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.core.paths import find_file
 
 _STATUS_PERIOD_S = 0.1
@@ -39,6 +39,8 @@ class EstimatorNode(ros.FvsNode):
         self._pairing = StepPairing(v["min_step_rad"], v["max_step_s"], v["max_gap_s"])
         self._prediction = PredictionMonitor()
         self._frozen = False
+        self._program_running, self._speed_scaling = True, 100.0
+        self._joints_s = -np.inf
         self._steps = 0
         self._problem = ""
         self._problem_s = -np.inf
@@ -48,6 +50,9 @@ class EstimatorNode(ros.FvsNode):
         self.watch(JointState, ros.JOINT_STATES, self._on_joint_states, ros.QOS_NEWEST)
         self.watch(PointStamped, ros.BALL_POSITION, self._on_ball, ros.QOS_NEWEST)
         self.watch(Vector3Stamped, ros.SLIDING_VARIABLE, self._on_sliding, ros.QOS_NEWEST)
+        self.watch(Float64, ros.SPEED_SCALING, self._on_speed_scaling, ros.QOS_NEWEST)
+        for qos in (ros.QOS_LATCHED, ros.QOS_NEWEST):  # latched or not
+            self.watch(Bool, ros.ROBOT_PROGRAM_RUNNING, self._on_program_running, qos)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/freeze", self._on_freeze)
         self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
@@ -59,23 +64,22 @@ class EstimatorNode(ros.FvsNode):
             path = find_file(self.values["model_path"])
         except FileNotFoundError as error:
             raise ValueError(f"model_path: {error}; train one with fvs_train") from error
-        model = load_model(path)
-        for what, found, wanted in (
-            ("joint_names", list(model.joint_names), self.values["joint_names"]),
-            ("feature_frame", model.feature_frame, self._frame),
-        ):
-            if found != wanted:
-                raise ValueError(f"model {path} has {what} {found}, this node has {wanted}")
-        return model.model
+        return load_model(path, self.values["joint_names"], self._frame).model
 
     # --- inputs ---
 
     def _on_joint_states(self, message: JointState) -> None:
         try:
             joints = self._joint_map.positions(message.name, message.position)
+        except ForeignJointsError as error:
+            # Another device's joints are no fault of ours, unless ours do not come at all.
+            if self.steady_s() - self._joints_s > _FRESH_S:
+                self._complain(str(error))
+            return
         except JointStateError as error:
             self._complain(str(error))
             return
+        self._joints_s = self.steady_s()
         stamp_s = ros.from_stamp(message.header.stamp)
         self._learn(self._pairing.add_joints(stamp_s, joints))
         self._publish_jacobian(stamp_s, joints)
@@ -92,11 +96,21 @@ class EstimatorNode(ros.FvsNode):
         vector = np.array([message.vector.x, message.vector.y, message.vector.z])
         self._pairing.add_sliding_variable(ros.from_stamp(message.header.stamp), vector)
 
+    def _on_speed_scaling(self, message: Float64) -> None:
+        self._speed_scaling = message.data
+
+    def _on_program_running(self, message: Bool) -> None:
+        self._program_running = message.data
+
+    def _paused(self) -> bool:
+        """Whether the robot is paused: what moves it now is not the command."""
+        return not self._program_running or not self._speed_scaling > 0.0
+
     def _learn(self, steps: list[MotionStep]) -> None:
         for step in steps:
             # A-priori: judged with the estimate that has not seen this step.
             self._prediction.observe(step, self._estimator.jacobian(step.joints_rad))
-            if not self._frozen:
+            if not self._frozen and not self._paused():
                 self._estimator.update(step)
                 self._steps += 1
 
@@ -141,13 +155,18 @@ class EstimatorNode(ros.FvsNode):
         now_s = self.steady_s()
         if now_s - self._problem_s < 1.0:
             return ros.ERROR, "FAULT", self._problem
-        for topic in (ros.JOINT_STATES, ros.BALL_POSITION):
-            age_s = self.monitor(topic).age_s(now_s)
+        ages_s = {
+            ros.JOINT_STATES: now_s - self._joints_s,
+            ros.BALL_POSITION: self.monitor(ros.BALL_POSITION).age_s(now_s),
+        }
+        for topic, age_s in ages_s.items():
             if age_s > _FRESH_S:
                 heard = "none heard yet" if np.isinf(age_s) else f"the last is {age_s:.1f} s old"
                 return ros.WARN, "WAITING", f"waiting for {topic}: {heard}"
         if self._frozen:
             return ros.OK, "FROZEN", "learning is frozen by ~/freeze"
+        if self._paused():
+            return ros.OK, "FROZEN", "the robot is paused: nothing is learned meanwhile"
         return ros.OK, "LEARNING", "estimating, and learning from every motion"
 
     def _publish_status(self) -> None:
@@ -163,7 +182,7 @@ class EstimatorNode(ros.FvsNode):
                 "one_step_prediction_error_m": self._prediction.rms_m,
                 "one_step_prediction_error_ratio": self._prediction.ratio,
                 "steps_learned": self._steps,
-                "joint_states_age_s": self.monitor(ros.JOINT_STATES).age_s(now_s),
+                "joint_states_age_s": now_s - self._joints_s,
                 "ball_position_age_s": self.monitor(ros.BALL_POSITION).age_s(now_s),
                 "ball_positions_not_paired": matcher.dropped,
                 "last_not_paired_because": matcher.last_reason,

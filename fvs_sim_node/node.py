@@ -242,10 +242,14 @@ class SimNode(ros.FvsNode):
             reason,
             {
                 "simulated_s": self._sim.time_s,
-                "late_steps": self._late,
+                "late_ticks": self._late,
                 "full_frames": self._watched,
             },
         )
+
+    def diagnostic_values(self) -> dict[str, Any]:
+        """Steps that came late or went unanswered."""
+        return {"late_ticks": self._late}
 
     def finish(self) -> None:
         """Close PyBullet."""

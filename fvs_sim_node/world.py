@@ -6,6 +6,7 @@ own client, so that many of them live side by side in one process.
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -94,6 +95,9 @@ class World:
         gui: bool = False,
         objects: Iterable[SceneObject] = TABLE,
     ) -> None:
+        if gui and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+            # PyBullet would end the whole process, without a word of its own.
+            raise ValueError("gui needs a display, and DISPLAY is not set; run with gui false")
         self.client = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
         if self.client < 0:
             raise RuntimeError("PyBullet could not open its window; run with gui set to false")

@@ -111,7 +111,7 @@ class DemoNode(ros.FvsNode):
         if not self._records and now_s - self._began_s > self.values["start_timeout_s"]:
             reason = self._reason or "no status from the controller; is it running?"
             print(f"the loop did not get ready: {self._state} {reason}", flush=True)
-            self.exit_code = ros.EXIT_FAILURE
+            self.exit_code = stop.EXIT_FAILURE
         if self._image_asked_s is not None:
             complete = self._image is not None and self._intrinsics is not None
             if complete or now_s - self._image_asked_s > _IMAGE_WAIT_S:
@@ -147,7 +147,7 @@ class DemoNode(ros.FvsNode):
         print(f"\n{demo.table(scores, settle_error_m)}\n", flush=True)
         print(f"figure: {folder / 'demo.png'}", flush=True)
         settled = all(one.settling_5mm_s is not None for one in scores)
-        self.exit_code = ros.EXIT_OK if settled else ros.EXIT_FAILURE
+        self.exit_code = stop.EXIT_OK if settled else stop.EXIT_FAILURE
 
 
 def main() -> int:

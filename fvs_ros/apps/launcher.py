@@ -10,6 +10,7 @@ import argparse
 import contextlib
 import ctypes
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -21,13 +22,14 @@ from pathlib import Path
 from typing import IO
 
 from fvs_ros.apps.scenario import NODE_TABLE, Scenario, ScenarioError, load_scenario
+from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 
+_NAMESPACE = re.compile(r"([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", re.ASCII)
 _STOP_S = 5.0
 _POLL_S = 0.05
 _PR_SET_PDEATHSIG = 1
 #: The launcher's prefix names the node already.
 _LOG_FORMAT = "[{severity}] {message}"
-EXIT_OK, EXIT_FAILURE, EXIT_BAD_INPUT = 0, 1, 2
 
 
 def _die_with_parent() -> None:
@@ -201,6 +203,11 @@ def main(argv: list[str] | None = None) -> int:
     arguments = _parser().parse_args(argv)
     try:
         scenario = load_scenario(arguments.scenario).with_overrides(arguments.param)
+        if not _NAMESPACE.fullmatch(arguments.namespace.strip("/")):
+            raise ScenarioError(
+                f"--namespace must be names of letters, digits and _ with / between, "
+                f"got '{arguments.namespace}'"
+            )
     except ScenarioError as error:
         print(f"fvs_launch: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT

@@ -15,11 +15,12 @@ from typing import Any
 
 import yaml
 
-from fvs_ros.core.params import ParameterError, ParameterSet
+from fvs_ros.core.params import Parameter, ParameterError, ParameterSet
 from fvs_ros.core.paths import find_file
 
 ALL_NODES = "/**"
-_EVERYWHERE = ("use_sim_time",)
+#: What rclpy declares for every node.
+_EVERYWHERE = ParameterSet([Parameter("use_sim_time", False, "follow /clock")])
 
 
 class ScenarioError(ValueError):
@@ -103,11 +104,6 @@ class Scenario:
         """The node whose end ends the scenario, if there is one."""
         return next((name for name in self.nodes if NODE_TABLE[name].task), None)
 
-    @property
-    def params_file(self) -> Path:
-        """The ROS parameter file of the scenario as it stands on disk."""
-        return self.path
-
     def with_overrides(self, overrides: list[str]) -> Scenario:
         """The scenario with ``name:=value`` or ``node:name:=value`` put in.
 
@@ -130,8 +126,12 @@ class Scenario:
                     f"no node of {self.path.name} ({', '.join(parameters)}) "
                     f"has a parameter {key.replace(':', '.')}"
                 )
+            try:
+                value = yaml.safe_load(text)
+            except yaml.YAMLError as error:
+                raise ScenarioError(f"'{override}' has a value that is no YAML") from error
             for target in targets:
-                parameters[target][name] = yaml.safe_load(text)
+                parameters[target][name] = value
         return Scenario(self.path, _checked(self.path, parameters))
 
     def to_params_yaml(self) -> str:
@@ -197,7 +197,7 @@ def _checked(path: Path, parameters: Mapping[str, Mapping[str, Any]]) -> dict[st
         declared = NODE_TABLE[node].parameters()
         try:
             checked[node] = {
-                name: value if name in _EVERYWHERE else declared[name].check(value)
+                name: (_EVERYWHERE if name in _EVERYWHERE else declared)[name].check(value)
                 for name, value in values.items()
             }
         except ParameterError as error:

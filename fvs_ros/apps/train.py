@@ -23,8 +23,7 @@ from fvs_estimator_node.training import (
     TrainingResult,
     train,
 )
-
-BAD_INPUT = 2
+from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_OK
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -51,14 +50,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         save_model(arguments.output, replace(result.trained, provenance=provenance))
     except (ValueError, OSError) as error:
         print(f"fvs_train: {error}", file=sys.stderr)
-        return BAD_INPUT
+        return EXIT_BAD_INPUT
     except KeyboardInterrupt:
         print("fvs_train: interrupted, no model was written", file=sys.stderr)
         return 130
     if not arguments.quiet:
         print(report(result, seconds))
     print(f"model written to {arguments.output}")
-    return 0
+    return EXIT_OK
 
 
 def _parser() -> argparse.ArgumentParser:

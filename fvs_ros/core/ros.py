@@ -34,6 +34,7 @@ from fvs_ros.core.camera import Intrinsics
 from fvs_ros.core.joints import N_JOINTS
 from fvs_ros.core.monitor import ArrivalMonitor
 from fvs_ros.core.params import Parameter, ParameterError, ParameterSet
+from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_OK
 
 # Topic names, all relative, so that namespaces and remaps work.
 JOINT_STATES = "joint_states"
@@ -64,9 +65,6 @@ QOS_RELIABLE = _qos(ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
 QOS_LATCHED = _qos(ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-
-#: Exit codes of the nodes and programs.
-EXIT_OK, EXIT_FAILURE, EXIT_BAD_INPUT = 0, 1, 2
 
 _SPIN_PERIOD_S = 0.05
 _LAST_ZEROS, _LAST_ZEROS_PERIOD_S, _LAST_ZEROS_ACK_S = 5, 0.01, 0.5
@@ -449,12 +447,16 @@ def run(make_node: Callable[[], FvsNode], argv: list[str] | None = None) -> int:
         0 after a signal or a finished task, 1 after an error, 2 after a wrong parameter or file.
     """
     stop.listen()
-    rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # rcl's own: arguments or a parameter file it cannot read
+        _say(f"cannot start: {error}")
+        return EXIT_BAD_INPUT
     node = None
     try:
         try:
             node = make_node()
-        except ValueError as error:
+        except (ValueError, OSError) as error:
             _say(f"cannot start: {error}")
             return EXIT_BAD_INPUT
         executor = SingleThreadedExecutor()

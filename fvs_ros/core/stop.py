@@ -9,6 +9,9 @@ from __future__ import annotations
 
 import signal
 
+#: Exit codes of every program: done or stopped by a signal, an error, a wrong parameter or file.
+EXIT_OK, EXIT_FAILURE, EXIT_BAD_INPUT = 0, 1, 2
+
 #: Signals that have come so far.
 RECEIVED: list[int] = []
 

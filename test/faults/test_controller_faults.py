@@ -124,6 +124,38 @@ def test_an_input_that_stops_holds_the_arm_until_it_is_back(bench, topic):
     bench.wait(lambda: bench.state() == "SERVOING", what="SERVOING again")
 
 
+@pytest.mark.parametrize("topic", [ros.JOINT_STATES, ros.BALL_POSITION])
+def test_a_frozen_stream_with_old_stamps_holds_the_arm(bench, topic):
+    bench.servo()
+    stamp = ros.to_stamp(bench.robot._now_s())
+
+    def freeze(message):
+        message.header.stamp = stamp
+        return message
+
+    bench.robot.spoil[topic] = freeze
+    since_s = time.monotonic()
+    bench.wait(bench.robot.standing, what="zeros")
+    assert time.monotonic() - since_s < 0.2 + STOP_S
+    bench.wait(lambda: "do not advance" in bench.text(), what="the reason")
+    assert topic in bench.text()
+    bench.robot.spoil.clear()
+    bench.wait(lambda: bench.state() == "SERVOING", what="SERVOING again")
+
+
+def test_a_target_is_heard_again_after_another_took_its_place(bench):
+    target = bench.robot.ball + np.array([0.1, 0.0, 0.0])
+    point = ros.to_point(0.0, PlayedRobot.FRAME, target)
+    values = lambda: ros.from_status(bench.statuses[-1])  # noqa: E731
+    bench.target.publish(point)
+    bench.wait(lambda: values()["target_x_m"] == f"{target[0]:.5g}", what="the target")
+    bench.harness.spin_for(0.6)
+    assert bench.harness.call(Trigger, "fvs_controller_node/set_current_as_target").success
+    bench.wait(lambda: values()["target_x_m"] != f"{target[0]:.5g}", what="the current position")
+    bench.target.publish(point)
+    bench.wait(lambda: values()["target_x_m"] == f"{target[0]:.5g}", what="the target again")
+
+
 def spoilt_joints(message):
     message.position[2] = float("nan")
     return message

@@ -55,6 +55,23 @@ def test_a_collector_that_is_stopped_leaves_zeros_on_the_wire(ros_test, number):
     assert not np.any([m.data for m in commands[-3:]])
 
 
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ({"output_path": "/proc/nowhere/x.npz"}, "output_path"),
+        ({"duration_s": 5.0, "max_joint_velocity_rad_s": 0.05}, "duration_s must be at least"),
+    ],
+)
+def test_a_collection_that_cannot_end_well_does_not_begin(ros_test, parameters, words):
+    ros_test.start_node("fvs_sim_node.node")
+    commands = ros_test.collect(Float64MultiArray, ros.COMMANDS)
+    collector = ros_test.start_node("fvs_estimator_node.collector_node", **parameters)
+    assert ros_test.wait(collector) != 0
+    assert words in ros_test.output(collector)
+    assert "Traceback" not in ros_test.output(collector)
+    assert not any(np.any(m.data) for m in commands)
+
+
 def test_a_collector_without_a_ball_does_not_move_and_says_why(ros_test):
     ros_test.start_node("fvs_sim_node.node", dropout=1.0)
     commands = ros_test.collect(Float64MultiArray, ros.COMMANDS)

@@ -108,6 +108,9 @@ def test_a_node_that_dies_brings_all_down_and_is_named(ros_test):
         (["servo", "-p", "law:=pid"], "law must be one of"),
         (["servo", "-p", "method:=psychic"], "method must be one of"),
         (["servo", "-p", "lawn:=ftsm"], "has a parameter lawn"),
+        (["servo", "-p", "law:=["], "no YAML"),
+        (["servo", "-p", "use_sim_time:=3"], "use_sim_time must be true or false"),
+        (["servo", "--namespace", "a b"], "--namespace must be"),
     ],
 )
 def test_a_wrong_scenario_starts_nothing(tmp_path, arguments, words):

@@ -143,9 +143,12 @@ def test_disturbances_are_live_and_refusals_are_in_words(ros_test):
         ({"camera": "below"}, "camera must be one of front, overhead"),
         ({"sead": 3}, "unknown parameter sead"),
         ({"urdf_path": "/nowhere.urdf"}, "/nowhere.urdf"),
+        ({"gui": True}, "gui needs a display"),
     ],
 )
-def test_a_wrong_parameter_is_one_clear_sentence(ros_test, parameters, words):
+def test_a_wrong_parameter_is_one_clear_sentence(ros_test, monkeypatch, parameters, words):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     process = ros_test.start_node(MODULE, **parameters)
     assert ros_test.wait(process) == 2
     assert words in ros_test.output(process)

@@ -674,3 +674,17 @@ def test_other_configs_are_fine():
         progress=ProgressLimits(settled_error_m=0.001),
     )
     assert Supervisor(config).config is config
+
+
+def test_a_stop_comes_to_rest_though_simulated_time_stands_still():
+    cell = ready()
+    cell.supervisor.start(cell.now_s)
+    cell.run(0.4)
+    assert np.abs(cell.supervisor.velocity_rad_s).max() > 0.1
+    cell.supervisor.stop()
+    for _ in range(100):
+        cell.now_s += 0.008
+        command = cell.supervisor.tick(
+            cell.now_s, 0.0, cell.joints, cell.ball, lambda *_: pytest.fail("asked the law")
+        )
+    assert not np.any(command.velocity_rad_s)
