@@ -23,6 +23,7 @@ from fvs_ros.core.paths import find_file
 
 _POLL_S = 0.1
 _IMAGE_WAIT_S = 5.0
+_SILENCE_S = 5.0
 _CONTROLLER_STATUS = "fvs_controller_node/status"
 _TRUE_BALL = "fvs_sim_node/true_ball_position"
 
@@ -111,6 +112,10 @@ class DemoNode(ros.FvsNode):
         if not self._records and now_s - self._began_s > self.values["start_timeout_s"]:
             reason = self._reason or "no status from the controller; is it running?"
             print(f"the loop did not get ready: {self._state} {reason}", flush=True)
+            self.exit_code = stop.EXIT_FAILURE
+        late_s = self.monitor(_TRUE_BALL).age_s(now_s)
+        if self._records and self._image_asked_s is None and late_s > _SILENCE_S:
+            print(f"the simulator has been silent for {late_s:.0f} s", flush=True)
             self.exit_code = stop.EXIT_FAILURE
         if self._image_asked_s is not None:
             complete = self._image is not None and self._intrinsics is not None

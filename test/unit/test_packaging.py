@@ -143,3 +143,12 @@ def test_ruff_is_the_same_in_pre_commit():
     version = re.search(r"ruff-pre-commit\n\s+rev: v(\d+\.\d+)\.", hooks).group(1)
     constraints = (ROOT / "constraints.txt").read_text(encoding="utf-8")
     assert re.search(rf"^ruff>={re.escape(version)}\.", constraints, re.M)
+
+
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "docs/architecture.md"])
+def test_pages_are_finished_and_their_links_lead_somewhere(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    assert "@@" not in text
+    for link in re.findall(r"\]\(([^)#]+)\)", text):
+        if "://" not in link:
+            assert ((ROOT / page).parent / link).exists(), f"{page} links to {link}"
