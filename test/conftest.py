@@ -1,11 +1,14 @@
 """What every test needs before anything of ROS is imported."""
 
 import atexit
+import importlib.util
 import os
 import shutil
 import sys
 import tempfile
 from pathlib import Path
+
+import pytest
 
 _LOG_DIR = tempfile.mkdtemp(prefix="fvs_test_log_")
 atexit.register(shutil.rmtree, _LOG_DIR, ignore_errors=True)
@@ -20,3 +23,16 @@ _ROOT = str(Path(__file__).resolve().parents[1])
 if _ROOT not in sys.path:
     sys.path.insert(0, _ROOT)
 os.environ["PYTHONPATH"] = os.pathsep.join([_ROOT, *filter(None, [os.environ.get("PYTHONPATH")])])
+
+
+def pytest_configure(config):
+    config.addinivalue_line(
+        "markers", "torch: trains with torch; skipped where it is not installed"
+    )
+
+
+def pytest_collection_modifyitems(items):
+    if importlib.util.find_spec("torch") is None:
+        for item in items:
+            if item.get_closest_marker("torch"):
+                item.add_marker(pytest.mark.skip(reason="torch is not installed"))

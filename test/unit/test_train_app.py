@@ -23,6 +23,7 @@ def data_file(tmp_path):
     return path
 
 
+@pytest.mark.torch
 def test_it_trains_reports_and_writes(data_file, tmp_path, capsys):
     model = tmp_path / "model.npz"
     assert main([str(data_file), "-o", str(model), "--neurons", "12", "--max-seconds", "2"]) == 0

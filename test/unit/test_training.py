@@ -103,12 +103,14 @@ def test_ridge_meets_the_requirement(ridge):
     assert jacobian_error(ridge.trained.model.jacobian) < 0.029
 
 
+@pytest.mark.torch
 def test_varpro_is_several_times_better_even_when_short(data):
     result = train(data, SHORT)
     assert jacobian_error(result.trained.model.jacobian) < 0.015
     assert result.iterations <= 40
 
 
+@pytest.mark.torch
 def test_two_minutes_of_the_collectors_motion_suffice():
     result = train(smooth(120.0), SHORT)
     assert jacobian_error(result.trained.model.jacobian) < 0.02
@@ -153,6 +155,7 @@ def test_the_held_out_images_have_no_say():
     assert spoilt.pair_error_m > 20.0 * plain.pair_error_m
 
 
+@pytest.mark.torch
 def test_equal_seeds_give_equal_networks():
     data = probes(400)
     options = replace(SHORT, iterations=4, neurons=10)
@@ -175,6 +178,7 @@ def test_outliers_are_left_out():
     assert spoilt.pair_error_m < 0.7 * kept.pair_error_m
 
 
+@pytest.mark.torch
 def test_progress_is_told_and_can_end_the_training():
     told = []
     data = probes(400)
@@ -245,3 +249,10 @@ def test_a_time_offset_of_the_images_is_found_and_corrected(late_s):
 
 def test_probes_tell_no_time_offset(ridge):
     assert ridge.time_offset_s == 0.0
+
+
+def test_without_torch_the_way_out_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    monkeypatch.delitem(sys.modules, "fvs_estimator_node.varpro", raising=False)
+    with pytest.raises(TrainingError, match="needs torch: pip install torch, or use the method ri"):
+        train(smooth(20.0), TrainingOptions(method="varpro"))
