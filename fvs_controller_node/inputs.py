@@ -47,7 +47,7 @@ class InputMonitor:
         self._streak = 0
         self._trouble = None if spec.max_age_s is None else Reason.MISSING
         self._why = ""
-        self._stuck = False
+        self._stuck_s = -float("inf")
 
     def configure(self, spec: InputSpec, fresh_samples: int) -> None:
         """Change what is expected and keep what was seen."""
@@ -58,15 +58,14 @@ class InputMonitor:
         """Tell that a usable message arrived."""
         self.find(now_s)  # a gap since the last one counts, even if no tick saw it
         self._last_s = now_s
-        self._stuck = False
         if self._trouble is not None:
             self._streak += 1
             if self._streak >= self._fresh_samples:
                 self._trouble = None
 
-    def stuck(self) -> None:
-        """Tell that messages arrive whose stamps do not advance; they do not count."""
-        self._stuck = True
+    def stuck(self, now_s: float) -> None:
+        """Tell that a message arrived whose stamp does not advance; it does not count."""
+        self._stuck_s = now_s
 
     def bad(self, now_s: float, why: str) -> None:
         """Tell that a message arrived that cannot be used."""
@@ -90,7 +89,7 @@ class InputMonitor:
         if self._trouble is None:
             return None
         name, hint, wanted = self.spec.name, self.spec.hint, self._fresh_samples
-        if self._stuck:
+        if limit_s is not None and now_s - self._stuck_s <= limit_s:
             hint = "messages come, but their stamps do not advance: its source has frozen"
         if self._trouble is Reason.BAD_INPUT:
             return Reason.BAD_INPUT.because(

@@ -12,23 +12,7 @@ from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.predictor import BallPredictor
 from fvs_controller_node.reasons import State
 from fvs_controller_node.supervisor import BALL, JOINT_STATES, Command, Supervisor
-
-#: A stamp that goes back by no more than this is a late message; by more, the clock jumped, s.
-_MAX_BACKSTEP_S = 0.1
-
-
-class _StampGate:
-    """Lets a message pass whose stamp is newer than the last: a frozen stream is not fresh."""
-
-    def __init__(self) -> None:
-        self._last_s: float | None = None
-
-    def advances(self, stamp_s: float) -> bool:
-        last = self._last_s
-        if last is not None and last - _MAX_BACKSTEP_S <= stamp_s <= last:
-            return False
-        self._last_s = stamp_s
-        return True
+from fvs_ros.core.history import StampGate
 
 
 class ServoLoop:
@@ -48,14 +32,14 @@ class ServoLoop:
         self.law = law
         self.predictor = predictor
         self.supervisor = supervisor
-        self._joint_stamps, self._ball_stamps = _StampGate(), _StampGate()
+        self._joint_stamps, self._ball_stamps = StampGate(), StampGate()
         self._joints: np.ndarray | None = None
         self._jacobian: np.ndarray | None = None
 
     def add_joints(self, now_s: float, stamp_s: float, joints_rad: np.ndarray) -> None:
         """Tell a joint state: arrival on the steady clock and stamp, s; positions (6,), rad."""
         if not self._joint_stamps.advances(stamp_s):
-            self.supervisor.stuck(JOINT_STATES)
+            self.supervisor.stuck(now_s, JOINT_STATES)
         elif self.supervisor.joint_states(now_s, joints_rad):
             self._joints = np.array(joints_rad, dtype=float)
             if self._jacobian is not None:
@@ -66,7 +50,7 @@ class ServoLoop:
     ) -> None:
         """Tell a ball position: arrival on the steady clock and exposure stamp, s; (3,), m."""
         if not self._ball_stamps.advances(stamp_s):
-            self.supervisor.stuck(BALL)
+            self.supervisor.stuck(now_s, BALL)
         elif self.supervisor.ball(now_s, position_m, frame):
             self.predictor.add_ball(stamp_s, position_m)
 
@@ -75,8 +59,11 @@ class ServoLoop:
         if self.supervisor.jacobian(now_s, jacobian):
             self._jacobian = np.array(jacobian, dtype=float)
 
-    def set_current_as_target(self) -> tuple[bool, str]:
-        """Make the ball's present position the target."""
+    def set_current_as_target(self, now_s: float) -> tuple[bool, str]:
+        """Make the ball's present position the target, if it is known now."""
+        late = self.supervisor.late_input(now_s)
+        if late is not None:
+            return False, f"target refused: {late}"
         position = self.position_m
         if position is None:
             return False, "target refused: the ball's position is not known yet"

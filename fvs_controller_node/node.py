@@ -135,7 +135,11 @@ class ControllerNode(ros.FvsNode):
         point, stamp = message.point, message.header.stamp
         heard = (point.x, point.y, point.z, stamp.sec, stamp.nanosec, message.header.frame_id)
         now_s = self.steady_s()
-        if heard == self._heard_target and now_s - self._heard_target_s < _TARGET_ECHO_S:
+        # Latched samples come twice, and once more whenever the publisher is found again. Without a
+        # stamp, as `ros2 topic pub` sends it, only the quick echo is told from a new wish.
+        stamped = bool(stamp.sec or stamp.nanosec)
+        echo = stamped or now_s - self._heard_target_s < _TARGET_ECHO_S
+        if heard == self._heard_target and echo:
             return
         self._heard_target, self._heard_target_s = heard, now_s
         accepted, text = self._loop.supervisor.target(
@@ -145,7 +149,7 @@ class ControllerNode(ros.FvsNode):
         self.tell(ros.OK if accepted else ros.WARN, text)
 
     def _take_current_as_target(self) -> tuple[bool, str]:
-        accepted, text = self._loop.set_current_as_target()
+        accepted, text = self._loop.set_current_as_target(self.steady_s())
         if accepted:
             self._refusal = ""
         return accepted, text

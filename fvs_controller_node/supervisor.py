@@ -249,9 +249,14 @@ class Supervisor:
         self._conditioning = conditioning(self._jacobian)
         return True
 
-    def stuck(self, name: str) -> None:
-        """Tell that messages on topic ``name`` come with stamps that do not advance."""
-        self._inputs[name].stuck()
+    def stuck(self, now_s: float, name: str) -> None:
+        """Tell that a message on topic ``name`` came with a stamp that does not advance."""
+        self._inputs[name].stuck(now_s)
+
+    def late_input(self, now_s: float) -> str | None:
+        """What is wrong with an input now, in words; None when all are fresh."""
+        findings = (monitor.find(now_s) for monitor in self._inputs.values())
+        return next((finding.text for finding in findings if finding is not None), None)
 
     def bad_input(self, now_s: float, name: str, why: str) -> None:
         """Tell that a message on topic ``name`` could not be used, and why."""
@@ -280,8 +285,10 @@ class Supervisor:
                 f"target refused: {', '.join(outside)} (workspace_min_m and workspace_max_m, "
                 f"in {frame})"
             )
+        # The same target said again is no new task: the watch on growing errors goes on.
+        if self._target is None or not np.array_equal(target, self._target):
+            self._progress.restart()
         self._target = target
-        self._progress.restart()
         return True, "target set to ({:.3f}, {:.3f}, {:.3f}) m".format(*target.tolist())
 
     def program_running(self, running: bool) -> None:

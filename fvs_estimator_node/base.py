@@ -58,6 +58,9 @@ class Estimator(ABC):
     An estimator is told steps and asked for Jacobians; it knows neither topics nor clocks.
     """
 
+    #: Whether :meth:`update` can change anything.
+    learns = True
+
     @abstractmethod
     def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
         """Estimate at given joints, m/rad.

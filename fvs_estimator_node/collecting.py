@@ -15,6 +15,7 @@ import numpy as np
 
 from fvs_estimator_node.motion import RandomMotion
 from fvs_estimator_node.pairing import BallSample, ExposureMatcher
+from fvs_ros.core.history import StampGate
 from fvs_ros.core.joints import N_JOINTS
 from fvs_ros.core.limits import limit_acceleration, limit_speed, ramp_to_zero
 
@@ -83,6 +84,8 @@ class CollectionRun:
         self._make_motion = make_motion
         self._motion: RandomMotion | None = None
         self._matcher = ExposureMatcher()
+        self._joint_stamps, self._ball_stamps = StampGate(), StampGate()
+        self._ticked_s = -np.inf
         self._joints: np.ndarray | None = None
         self._joints_s = self._ball_s = -np.inf
         self._balls_seen = 0
@@ -105,12 +108,15 @@ class CollectionRun:
 
     def joint_states(self, now_s: float, stamp_s: float, joints_rad: np.ndarray) -> None:
         """Tell joint positions: arrival on the steady clock and stamp, s; (6,), rad."""
-        self._joints_s = now_s
-        self._joints = joints_rad
+        if self._joint_stamps.advances(stamp_s):
+            self._joints_s = now_s
+            self._joints = joints_rad
         self._record(self._matcher.add_joints(stamp_s, joints_rad))
 
     def ball(self, now_s: float, stamp_s: float, position_m: np.ndarray) -> None:
         """Tell a ball position: arrival on the steady clock and exposure stamp, s; (3,), m."""
+        if not self._ball_stamps.advances(stamp_s):
+            return
         if now_s - self._ball_s > self._config.ball_max_age_s:
             self._balls_seen = 0
         self._balls_seen += 1
@@ -129,12 +135,16 @@ class CollectionRun:
     def tick(self, now_s: float, dt_s: float) -> np.ndarray:
         """Joint velocities for this tick, rad/s, shape (6,); always finite and within limits."""
         dt_s = float(np.clip(dt_s, 0.0, _MAX_TICK_S))
+        steady_dt_s = min(max(now_s - self._ticked_s, 0.0), _MAX_TICK_S)
+        self._ticked_s = now_s
         if self.state not in (State.DONE, State.FAILED):
             self._decide(now_s, dt_s)
         config = self._config
         step = config.max_joint_acceleration_rad_s2 * dt_s
         wanted = self._wanted()
         if wanted is None or not np.all(np.isfinite(wanted)):
+            # Simulated time may stand still; coming to rest must not.
+            step = step or config.max_joint_acceleration_rad_s2 * steady_dt_s
             self._velocity = ramp_to_zero(self._velocity, step)
         else:
             wanted = limit_speed(wanted, config.max_joint_velocity_rad_s)

@@ -120,7 +120,7 @@ class CollectorNode(ros.FvsNode):
 
     def _on_speed_scaling(self, message: Float64) -> None:
         if not message.data > 0.0:
-            self._run.fail("the robot's speed scaling is 0 %; raise it, then collect again")
+            self._run.fail(f"the robot's speed scaling is {message.data:g} %, not above 0")
 
     # --- the tick: the only place that sends commands ---
 

@@ -110,7 +110,7 @@ class EstimatorNode(ros.FvsNode):
         for step in steps:
             # A-priori: judged with the estimate that has not seen this step.
             self._prediction.observe(step, self._estimator.jacobian(step.joints_rad))
-            if not self._frozen and not self._paused():
+            if self._estimator.learns and not self._frozen and not self._paused():
                 self._estimator.update(step)
                 self._steps += 1
 
@@ -167,6 +167,8 @@ class EstimatorNode(ros.FvsNode):
             return ros.OK, "FROZEN", "learning is frozen by ~/freeze"
         if self._paused():
             return ros.OK, "FROZEN", "the robot is paused: nothing is learned meanwhile"
+        if not self._estimator.learns:
+            return ros.OK, "FROZEN", "estimating; this method does not learn online"
         return ros.OK, "LEARNING", "estimating, and learning from every motion"
 
     def _publish_status(self) -> None:

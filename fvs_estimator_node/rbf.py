@@ -237,6 +237,8 @@ class FrozenRbfEstimator(Estimator):
         The trained networks.
     """
 
+    learns = False
+
     def __init__(self, model: RbfModel) -> None:
         self._model = model
         self._offset, self._slope, self._curvature = _exponent_terms(model.centres, model.widths)
@@ -293,6 +295,8 @@ class RbfEstimator(FrozenRbfEstimator):
     config : RbfConfig
         Gains.
     """
+
+    learns = True
 
     def __init__(self, model: RbfModel, config: RbfConfig | None = None) -> None:
         super().__init__(model)

@@ -128,7 +128,7 @@ class Scenario:
                 )
             try:
                 value = yaml.safe_load(text)
-            except yaml.YAMLError as error:
+            except (yaml.YAMLError, ValueError) as error:
                 raise ScenarioError(f"'{override}' has a value that is no YAML") from error
             for target in targets:
                 parameters[target][name] = value
@@ -162,7 +162,7 @@ def load_scenario(name: str) -> Scenario:
     try:
         path = find_file(name if Path(name).suffix else f"{name}.yaml")
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except (OSError, ValueError, yaml.YAMLError) as error:
         raise ScenarioError(f"cannot read scenario {name}: {error}") from error
     if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
         raise ScenarioError(f"scenario {path} must map node names to ros__parameters")

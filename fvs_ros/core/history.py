@@ -8,6 +8,28 @@ from collections import deque
 import numpy as np
 
 
+class StampGate:
+    """Lets a message pass whose stamp is newer than the last: a frozen stream is not fresh.
+
+    Parameters
+    ----------
+    max_backstep_s : float
+        A stamp that goes back by no more is a late message; by more, the clock jumped, s.
+    """
+
+    def __init__(self, max_backstep_s: float = 0.1) -> None:
+        self._max_backstep_s = max_backstep_s
+        self._last_s: float | None = None
+
+    def advances(self, stamp_s: float) -> bool:
+        """Whether the stamp is new, s."""
+        last = self._last_s
+        if last is not None and last - self._max_backstep_s <= stamp_s <= last:
+            return False
+        self._last_s = stamp_s
+        return True
+
+
 class JointHistory:
     """The last few seconds of joint positions.
 

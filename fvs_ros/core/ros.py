@@ -21,6 +21,7 @@ from rcl_interfaces.msg import (
 )
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
+from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -456,7 +457,7 @@ def run(make_node: Callable[[], FvsNode], argv: list[str] | None = None) -> int:
     try:
         try:
             node = make_node()
-        except (ValueError, OSError) as error:
+        except (ValueError, OSError, ParameterException) as error:
             _say(f"cannot start: {error}")
             return EXIT_BAD_INPUT
         executor = SingleThreadedExecutor()

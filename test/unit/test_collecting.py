@@ -105,3 +105,27 @@ def test_failing_from_outside_brings_the_arm_to_rest():
     assert cell.run.ended
     assert not np.any(cell.commands[-1])
     assert cell.run.reason == "the robot program is not running"
+
+
+@pytest.mark.parametrize("dt_s", [DT_S, 0.0])
+def test_a_frozen_stream_of_joint_states_stops_the_arm(dt_s):
+    """The same joints and stamp again and again, in real time and in simulated time."""
+    cell = Cell()
+    cell.advance(5.0)
+    stamp_s, joints = cell.now_s, cell.joints.copy()
+    for _ in range(100):
+        cell.now_s += DT_S
+        cell.run.joint_states(cell.now_s, stamp_s, joints)
+        command = cell.run.tick(cell.now_s, dt_s)
+    assert not np.any(command)
+    assert cell.run.state is State.HOLDING
+
+
+def test_failing_comes_to_rest_though_simulated_time_stands_still():
+    cell = Cell()
+    cell.advance(5.0)
+    cell.run.fail("asked")
+    for _ in range(100):
+        cell.now_s += DT_S
+        cell.run.tick(cell.now_s, 0.0)
+    assert cell.run.ended

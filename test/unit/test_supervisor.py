@@ -688,3 +688,14 @@ def test_a_stop_comes_to_rest_though_simulated_time_stands_still():
             cell.now_s, 0.0, cell.joints, cell.ball, lambda *_: pytest.fail("asked the law")
         )
     assert not np.any(command.velocity_rad_s)
+
+
+def test_a_target_said_again_and_again_does_not_hide_a_growing_error():
+    cell = servoing()
+    for k in range(500):
+        cell.ball = cell.ball + np.array([0.002, 0.0, 0.0])
+        if k % 75 == 0:
+            assert cell.supervisor.target(TARGET, FRAME)[0]
+        command = cell.tick()
+    assert command.reason is Reason.ERROR_GROWING
+    assert not command.velocity_rad_s.any()
