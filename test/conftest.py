@@ -25,6 +25,16 @@ if _ROOT not in sys.path:
 os.environ["PYTHONPATH"] = os.pathsep.join([_ROOT, *filter(None, [os.environ.get("PYTHONPATH")])])
 
 
+@pytest.fixture
+def ros_test(tmp_path):
+    """A ROS context of its own and the node processes of one test."""
+    from harness import Harness  # brings rclpy, which unit tests do without
+
+    harness = Harness(tmp_path)
+    yield harness
+    harness.close()
+
+
 def pytest_configure(config):
     config.addinivalue_line(
         "markers", "torch: trains with torch; skipped where it is not installed"
