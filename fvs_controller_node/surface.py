@@ -85,11 +85,6 @@ class SlidingSurface:
         """Build a surface with one exponent everywhere, eq. (14)."""
         return cls(alpha1, alpha2, alpha3, lambda1=gamma, lambda2=0.0)
 
-    @property
-    def delta_m2(self) -> float:
-        """Delta of eq. (29), m^2."""
-        return self.switch_error_m**2
-
     def exponent(self, y: float) -> float:
         """Return the exponent g(y), eq. (29)."""
         assert self.lambda3 is not None

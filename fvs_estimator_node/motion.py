@@ -141,11 +141,6 @@ class RandomMotion:
         """Duration, s."""
         return self._config.duration_s
 
-    @property
-    def returning(self) -> bool:
-        """Whether the arm goes back to the start pose and stays there until told to resume."""
-        return self._returning
-
     def path(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
         """Where the exploring path is, without its soft start and end.
 

@@ -91,11 +91,6 @@ class ExposureMatcher:
         """Why the last ball position was dropped, in words; empty if none was."""
         return self._last_reason
 
-    @property
-    def newest_joints(self) -> np.ndarray | None:
-        """Newest joint positions, rad, shape (6,), or None."""
-        return self._history.newest
-
     def break_run(self) -> None:
         """Start a new run: what comes next does not continue what came before."""
         if self._paired_stamp_s is not None:
