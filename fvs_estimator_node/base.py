@@ -61,6 +61,11 @@ class Estimator(ABC):
     #: Whether :meth:`update` can change anything.
     learns = True
 
+    @property
+    def problem(self) -> str:
+        """Why there is no estimate yet, in words; empty if there is one."""
+        return ""
+
     @abstractmethod
     def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
         """Estimate at given joints, m/rad.
@@ -87,6 +92,10 @@ class Estimator(ABC):
     @abstractmethod
     def reset(self) -> None:
         """Forget what was learned online."""
+
+    def status_values(self) -> dict[str, float]:
+        """Live key numbers of the method by name, with the unit in the name; finite."""
+        return {}
 
 
 class PredictionMonitor:

@@ -17,6 +17,7 @@ from std_srvs.srv import SetBool, Trigger
 from fvs_estimator_node.base import MotionStep, PredictionMonitor
 from fvs_estimator_node.config import PARAMETERS
 from fvs_estimator_node.model_file import load_model
+from fvs_estimator_node.oracle import OracleEstimator
 from fvs_estimator_node.pairing import StepPairing
 from fvs_estimator_node.registry import create_estimator, estimator_factory
 from fvs_ros.core import ros
@@ -50,6 +51,8 @@ class EstimatorNode(ros.FvsNode):
         self.watch(JointState, ros.JOINT_STATES, self._on_joint_states, ros.QOS_NEWEST)
         self.watch(PointStamped, ros.BALL_POSITION, self._on_ball, ros.QOS_NEWEST)
         self.watch(Vector3Stamped, ros.SLIDING_VARIABLE, self._on_sliding, ros.QOS_NEWEST)
+        if isinstance(self._estimator, OracleEstimator):
+            self.watch(Float64MultiArray, ros.TRUE_JACOBIAN, self._on_truth, ros.QOS_NEWEST)
         self.watch(Float64, ros.SPEED_SCALING, self._on_speed_scaling, ros.QOS_NEWEST)
         for qos in (ros.QOS_LATCHED, ros.QOS_NEWEST):  # latched or not
             self.watch(Bool, ros.ROBOT_PROGRAM_RUNNING, self._on_program_running, qos)
@@ -58,7 +61,7 @@ class EstimatorNode(ros.FvsNode):
         self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
 
     def _load_model(self):
-        if not estimator_factory(self.values["method"]).needs_model:
+        if not estimator_factory(self.values["method"]).needs_model(self.values):
             return None
         try:
             path = find_file(self.values["model_path"])
@@ -96,6 +99,13 @@ class EstimatorNode(ros.FvsNode):
         vector = np.array([message.vector.x, message.vector.y, message.vector.z])
         self._pairing.add_sliding_variable(ros.from_stamp(message.header.stamp), vector)
 
+    def _on_truth(self, message: Float64MultiArray) -> None:
+        assert isinstance(self._estimator, OracleEstimator)
+        try:
+            self._estimator.tell(ros.from_jacobian(message))
+        except ros.MessageError as error:
+            self._complain(f"{ros.TRUE_JACOBIAN}: {error}")
+
     def _on_speed_scaling(self, message: Float64) -> None:
         self._speed_scaling = message.data
 
@@ -116,10 +126,21 @@ class EstimatorNode(ros.FvsNode):
 
     # --- output ---
 
+    def _no_estimate(self) -> str:
+        """Why there is no estimate, in words; empty if there is one."""
+        if not isinstance(self._estimator, OracleEstimator):
+            return self._estimator.problem
+        if self.monitor(ros.TRUE_JACOBIAN).age_s(self.steady_s()) > _FRESH_S:
+            self._estimator.reset()  # what was true is not true any more
+        problem = self._estimator.problem
+        return problem and f"waiting for {ros.TRUE_JACOBIAN}: {problem}"
+
     def _publish_jacobian(self, stamp_s: float, joints: np.ndarray) -> None:
         last = self._published_stamp_s
         # Four fifths of the period: joint states come with jitter, and late is worse than often.
         if last is not None and 0.0 <= stamp_s - last < 0.8 / self.values["jacobian_rate_hz"]:
+            return
+        if self._no_estimate():
             return
         jacobian = self._estimator.jacobian(joints)
         if not np.all(np.isfinite(jacobian)):
@@ -155,14 +176,9 @@ class EstimatorNode(ros.FvsNode):
         now_s = self.steady_s()
         if now_s - self._problem_s < 1.0:
             return ros.ERROR, "FAULT", self._problem
-        ages_s = {
-            ros.JOINT_STATES: now_s - self._joints_s,
-            ros.BALL_POSITION: self.monitor(ros.BALL_POSITION).age_s(now_s),
-        }
-        for topic, age_s in ages_s.items():
-            if age_s > _FRESH_S:
-                heard = "none heard yet" if np.isinf(age_s) else f"the last is {age_s:.1f} s old"
-                return ros.WARN, "WAITING", f"waiting for {topic}: {heard}"
+        waiting = self._no_estimate() or self._late_input(now_s)
+        if waiting:
+            return ros.WARN, "WAITING", waiting
         if self._frozen:
             return ros.OK, "FROZEN", "learning is frozen by ~/freeze"
         if self._paused():
@@ -170,6 +186,18 @@ class EstimatorNode(ros.FvsNode):
         if not self._estimator.learns:
             return ros.OK, "FROZEN", "estimating; this method does not learn online"
         return ros.OK, "LEARNING", "estimating, and learning from every motion"
+
+    def _late_input(self, now_s: float) -> str:
+        """Which input is late, in words; empty if none."""
+        ages_s = {
+            ros.JOINT_STATES: now_s - self._joints_s,
+            ros.BALL_POSITION: self.monitor(ros.BALL_POSITION).age_s(now_s),
+        }
+        for topic, age_s in ages_s.items():
+            if age_s > _FRESH_S:
+                heard = "none heard yet" if np.isinf(age_s) else f"the last is {age_s:.1f} s old"
+                return f"waiting for {topic}: {heard}"
+        return ""
 
     def _publish_status(self) -> None:
         now_s = self.steady_s()
@@ -188,6 +216,7 @@ class EstimatorNode(ros.FvsNode):
                 "ball_position_age_s": self.monitor(ros.BALL_POSITION).age_s(now_s),
                 "ball_positions_not_paired": matcher.dropped,
                 "last_not_paired_because": matcher.last_reason,
+                **self._estimator.status_values(),
             },
         )
 

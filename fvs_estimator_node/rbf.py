@@ -146,11 +146,15 @@ class RbfConfig:
     gamma : float
         Gamma, adaptation gain on both terms.
     n1 : float
-        Gain on the velocity prediction error e.
+        Gain on the velocity prediction error e; n3 of (45).
     alpha2 : float
-        Gain on the sliding variable s. The stability proof wants it; far from the target, where s
-        is large, it moves the Jacobian by about ``gamma alpha2 s |theta|^2 r_dot`` a second,
-        whether that is right or not. 0.005 is not noticed, 0.03 costs a seventh of the speed.
+        Gain on the sliding variable s; n2 of (45) where the control law is the proportional one,
+        which publishes the error x - x_d as its s: the two update laws are then the same. The
+        stability proof wants it; far from the target, where s is large, it moves the Jacobian by
+        about ``gamma alpha2 s |theta|^2 r_dot`` a second, whether that is right or not. 0.005 is
+        not noticed, 0.03 costs a seventh of the speed.
+        Negative, it is the term with the sign as printed in (17), against which the proof does
+        not hold: for comparisons only, a node does not accept it.
     k3 : float
         Leak toward the rest weights, 1/s.
     leak_target : str
@@ -171,9 +175,11 @@ class RbfConfig:
     min_motion_rad: float = 1e-3
 
     def __post_init__(self) -> None:
-        for name in ("gamma", "n1", "alpha2", "k3", "min_motion_rad"):
+        for name in ("gamma", "n1", "k3", "min_motion_rad"):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+        if not math.isfinite(self.alpha2):
+            raise ValueError(f"alpha2 must be finite, got {self.alpha2}")
         if not 0.0 < self.mu < 2.0:
             raise ValueError(f"mu must lie between 0 and 2, got {self.mu}")
         if self.leak_target not in LEAK_TARGETS:
@@ -352,3 +358,11 @@ class RbfEstimator(FrozenRbfEstimator):
         super().reset()
         self._updates = 0
         self._refused = 0
+
+    def status_values(self) -> dict[str, float]:
+        """Counts, and how far the weights are from the trained ones (Frobenius norm), m/rad."""
+        return {
+            "updates": float(self._updates),
+            "refused": float(self._refused),
+            "weight_change_m_rad": float(np.linalg.norm(self._weights - self._model.weights)),
+        }

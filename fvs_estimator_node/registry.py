@@ -7,6 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from fvs_estimator_node.base import Estimator
+from fvs_estimator_node.broyden import BROYDEN_PARAMETERS, BroydenConfig, BroydenEstimator
+from fvs_estimator_node.lkf import LKF_PARAMETERS, KalmanConfig, LkfEstimator
+from fvs_estimator_node.online import FROM_MODEL, OnlineConfig, read_config
+from fvs_estimator_node.oracle import OracleEstimator
 from fvs_estimator_node.rbf import (
     RBF_PARAMETERS,
     FrozenRbfEstimator,
@@ -14,6 +18,8 @@ from fvs_estimator_node.rbf import (
     RbfModel,
     rbf_config,
 )
+from fvs_estimator_node.rls import RLS_PARAMETERS, RlsConfig, RlsEstimator
+from fvs_estimator_node.ukf import UKF_PARAMETERS, UkfConfig, UkfEstimator
 from fvs_ros.core.params import Parameter
 
 
@@ -27,20 +33,42 @@ class EstimatorFactory:
         Takes the trained model (None for methods that need none) and the parameter values.
     parameters : tuple of Parameter
         What it can be told, to be declared by the node; names begin with the method's.
-    needs_model : bool
-        Whether it cannot do without a trained model.
+    needs_model : callable
+        Takes the parameter values; whether it cannot do without a trained model.
     """
 
     create: Callable[[Any, Mapping[str, Any]], Estimator]
     parameters: tuple[Parameter, ...] = ()
-    needs_model: bool = False
+    needs_model: Callable[[Mapping[str, Any]], bool] = lambda values: False
+
+
+def _networks(
+    create: Callable[[Any, Mapping[str, Any]], Estimator], parameters: tuple[Parameter, ...] = ()
+) -> EstimatorFactory:
+    return EstimatorFactory(create, parameters, lambda values: True)
+
+
+def _online(
+    method: str,
+    estimator: Callable[[Any, Any], Estimator],
+    config: type[OnlineConfig],
+    parameters: tuple[Parameter, ...],
+) -> EstimatorFactory:
+    return EstimatorFactory(
+        lambda model, values: estimator(model, read_config(config, method, values)),
+        parameters,
+        lambda values: read_config(config, method, values).initial == FROM_MODEL,
+    )
 
 
 ESTIMATORS: dict[str, EstimatorFactory] = {
-    "rbf": EstimatorFactory(
-        lambda model, values: RbfEstimator(model, rbf_config(values)), RBF_PARAMETERS, True
-    ),
-    "frozen": EstimatorFactory(lambda model, values: FrozenRbfEstimator(model), (), True),
+    "rbf": _networks(lambda model, values: RbfEstimator(model, rbf_config(values)), RBF_PARAMETERS),
+    "frozen": _networks(lambda model, values: FrozenRbfEstimator(model)),
+    "lkf": _online("lkf", LkfEstimator, KalmanConfig, LKF_PARAMETERS),
+    "ukf": _online("ukf", UkfEstimator, UkfConfig, UKF_PARAMETERS),
+    "rls": _online("rls", RlsEstimator, RlsConfig, RLS_PARAMETERS),
+    "broyden": _online("broyden", BroydenEstimator, BroydenConfig, BROYDEN_PARAMETERS),
+    "oracle": EstimatorFactory(lambda model, values: OracleEstimator()),
 }
 
 
@@ -80,12 +108,15 @@ def create_estimator(
         If the method is unknown, lacks its model, or a value is out of range.
     """
     factory = estimator_factory(method)
-    if factory.needs_model and model is None:
+    values = values or {}
+    if model is None and factory.needs_model(values):
+        start = f"{method}.initial"
+        without = f", or {start} to zero" if start in {p.name for p in factory.parameters} else ""
         raise ValueError(
             f"estimator method {method} needs a trained model: set model_path to a file that "
-            "fvs_train has written"
+            f"fvs_train has written{without}"
         )
-    return factory.create(model, values or {})
+    return factory.create(model, values)
 
 
 def estimator_parameters() -> tuple[Parameter, ...]:

@@ -79,6 +79,13 @@ PARAMETERS = (
         maximum=10.0,
         live=True,
     ),
+    Parameter(
+        "position_noise_m",
+        0.0,
+        "further white noise on each coordinate of a ball position (standard deviation), m",
+        minimum=0.0,
+        maximum=0.1,
+    ),
     Parameter("dropout", 0.0, "share of images that are lost", minimum=0.0, maximum=1.0, live=True),
     Parameter(
         "joint_lag_s",

@@ -57,6 +57,9 @@ class SimNode(ros.FvsNode):
         self._true_ball = self.create_publisher(
             PointStamped, "~/true_ball_position", ros.QOS_RELIABLE
         )
+        self._true_jacobian = self.create_publisher(
+            Float64MultiArray, "~/true_jacobian", ros.QOS_RELIABLE
+        )
         self._color = self.create_publisher(Image, ros.COLOR_IMAGE, ros.QOS_RELIABLE)
         self._depth = self.create_publisher(Image, ros.DEPTH_IMAGE, ros.QOS_RELIABLE)
         self._info = self.create_publisher(CameraInfo, ros.CAMERA_INFO, ros.QOS_RELIABLE)
@@ -131,6 +134,8 @@ class SimNode(ros.FvsNode):
         if self._true_ball.get_subscription_count():
             true_m = self._sim.true_ball_position()
             self._true_ball.publish(ros.to_point(stamp_s, self._frame, true_m))
+        if self._true_jacobian.get_subscription_count():
+            self._true_jacobian.publish(ros.to_jacobian(self._sim.true_jacobian(step.joints_rad)))
         self._publish_joints(stamp_s, step)
         self._asked_s = self.steady_s()
 

@@ -39,6 +39,7 @@ _SAME_NAME = (
     "image_rate_hz",
     "latency_s",
     "depth_noise",
+    "position_noise_m",
     "dropout",
     "joint_lag_s",
     "dead_time_s",
@@ -79,6 +80,12 @@ class SimConfig:
         Joint angles at the start, rad.
     depth_noise : float
         Factor on the depth camera's noise; 0 for an ideal camera.
+    rendered : bool
+        Whether ball positions come from rendered images. If not, they are the true ones (plus
+        ``position_noise_m``), eight times faster, and nothing hides the ball but the image's
+        border; full frames are then not to be had.
+    position_noise_m : float
+        Standard deviation of a further, white noise on each coordinate of a ball position, m.
     dropout : float
         Probability that an image is lost.
     dead_time_s, acceleration_limit_rad_s2, lag_s : float
@@ -108,6 +115,8 @@ class SimConfig:
     ball_offset_m: float = 0.09
     initial_joints_rad: tuple[float, ...] = (0.0, -1.35, 1.6, -1.75, -1.57, 0.0)
     depth_noise: float = 1.0
+    rendered: bool = True
+    position_noise_m: float = 0.0
     dropout: float = 0.0
     dead_time_s: float = 0.008
     acceleration_limit_rad_s2: float = 15.0
@@ -135,6 +144,8 @@ class SimConfig:
             raise ValueError(
                 f"initial_joints_rad must have {N_JOINTS} angles, got {self.initial_joints_rad}"
             )
+        if not (np.isfinite(self.position_noise_m) and self.position_noise_m >= 0.0):
+            raise ValueError(f"position_noise_m must not be negative, got {self.position_noise_m}")
         if self.ball_radius_m <= 0.0:
             raise ValueError(f"ball_radius_m must be positive, got {self.ball_radius_m}")
 
@@ -303,7 +314,9 @@ class Simulation:
         """Simulated time, s."""
         return self._step / self.config.physics_rate_hz
 
-    def reset(self, joints_rad: Sequence[float] | np.ndarray | None = None) -> None:
+    def reset(
+        self, joints_rad: Sequence[float] | np.ndarray | None = None, seed: int | None = None
+    ) -> None:
         """Start again at time 0 with the seed's noise, at rest.
 
         Disturbances that were set (camera, latency, losses, lag, scaling) stay.
@@ -312,13 +325,17 @@ class Simulation:
         ----------
         joints_rad : array_like, shape (6,), optional
             Joint angles, rad; default those of the configuration.
+        seed : int, optional
+            Seed of this run's noise and lost images; default that of the configuration.
         """
         joints = np.array(
             self.config.initial_joints_rad if joints_rad is None else joints_rad, dtype=float
         )
         if joints.shape != (N_JOINTS,) or not np.isfinite(joints).all():
             raise ValueError(f"reset needs {N_JOINTS} finite joint angles, got {joints_rad}")
-        noise_seed, loss_seed = np.random.SeedSequence(self.config.seed).spawn(2)
+        noise_seed, loss_seed = np.random.SeedSequence(
+            self.config.seed if seed is None else seed
+        ).spawn(2)
         self._noise_rng = np.random.default_rng(noise_seed)
         self._loss_rng = np.random.default_rng(loss_seed)
         self._step = 0
@@ -409,7 +426,18 @@ class Simulation:
         observation = self._look()
         self._pending.append((self.time_s + self.latency_s, observation))
 
+    def look(self) -> BallObservation:
+        """Expose an image now, for one's own use: nothing is released for it."""
+        return self._look()
+
+    @property
+    def joints_rad(self) -> np.ndarray:
+        """Joint angles now, rad, shape (6,); a copy."""
+        return self._joints.copy()
+
     def _look(self) -> BallObservation:
+        if not self.config.rendered:
+            return self._observe(self._know())
         self.world.place_ball()
         stamp = self.time_s
         whole = self._draw(self._renderer.full) if self.full_frames else None
@@ -421,9 +449,39 @@ class Simulation:
                 break
         self._tracker.update(stamp, detection)
         frame = None if whole is None else Frame(stamp, *whole)
+        if detection is not None:
+            detection = replace(detection, position_m=self._blurred(detection.position_m))
+        return self._observe(detection, frame)
+
+    def _observe(
+        self, detection: BallDetection | None, frame: Frame | None = None
+    ) -> BallObservation:
         return BallObservation(
-            stamp, detection, self.true_ball_position(), self._joints.copy(), self.camera, frame
+            self.time_s,
+            detection,
+            self.true_ball_position(),
+            self._joints.copy(),
+            self.camera,
+            frame,
         )
+
+    def _know(self) -> BallDetection | None:
+        """Stand in for an image: the true position, as if detected without a flaw."""
+        position = self.true_ball_position()
+        if position[2] < 2.0 * self.config.ball_radius_m:
+            return None
+        u, v = self.intrinsics.project(position)
+        if not (0.0 <= u < self.intrinsics.width and 0.0 <= v < self.intrinsics.height):
+            return None
+        radius_px = self.config.ball_radius_m * self.intrinsics.fx / position[2]
+        return BallDetection(
+            self._blurred(position), 1.0, 1.0, 0.0, (float(u), float(v)), float(radius_px)
+        )
+
+    def _blurred(self, position_m: np.ndarray) -> np.ndarray:
+        if self.config.position_noise_m == 0.0:
+            return position_m
+        return position_m + self._noise_rng.normal(scale=self.config.position_noise_m, size=3)
 
     def _regions(self, stamp_s: float, has_whole: bool) -> Iterator[Region]:
         """Parts of the image to look at, one after the other until the ball is found."""

@@ -1,0 +1,99 @@
+"""Each way of estimating, in its node over DDS."""
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from harness import PlayedRobot
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from fvs_ros.core import ros
+from fvs_ros.core.joints import JointMap
+from fvs_sim_node.simulation import SimConfig, Simulation
+
+MODULE = "fvs_estimator_node.node"
+
+
+class Watched:
+    """An estimator node, its Jacobians and statuses."""
+
+    def __init__(self, harness, **parameters):
+        self.process = harness.start_node(MODULE, **parameters)
+        self.jacobians = harness.collect(Float64MultiArray, ros.JACOBIAN)
+        self.statuses = harness.collect(DiagnosticStatus, ros.ESTIMATOR_STATUS)
+
+    def values(self):
+        return ros.from_status(self.statuses[-1]) if self.statuses else {}
+
+    def reason(self):
+        return self.statuses[-1].message if self.statuses else ""
+
+
+@pytest.mark.parametrize("method", ["lkf", "ukf", "rls", "broyden", "oracle"])
+def test_at_rest_the_jacobian_is_that_of_the_arm(ros_test, method):
+    ros_test.start_node("fvs_sim_node.node")
+    estimator = Watched(ros_test, method=method)
+    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    wanted = "FROZEN" if method == "oracle" else "LEARNING"
+    ros_test.spin_until(lambda: estimator.values().get("state") == wanted)
+    ros_test.spin_until(lambda: states and estimator.jacobians)
+    joints = JointMap().positions(states[-1].name, states[-1].position)
+    with Simulation(SimConfig()) as simulation:
+        true = simulation.true_jacobian(joints)
+    error = np.linalg.norm(ros.from_jacobian(estimator.jacobians[-1]) - true)
+    assert error < (1e-6 if method == "oracle" else 0.05) * np.linalg.norm(true)
+    assert estimator.values()["method"] == method
+    if method != "oracle":
+        assert float(estimator.values()["updates"]) == float(estimator.values()["refused"]) == 0.0
+
+
+def test_the_oracle_is_silent_without_a_simulator_that_tells_it(ros_test):
+    robot = PlayedRobot(ros_test)
+    robot.silent.add(ros.JACOBIAN)
+    oracle = Watched(ros_test, method="oracle", model_path="not_needed.npz")
+    ros_test.spin_until(lambda: "waiting for fvs_sim_node/true_jacobian" in oracle.reason())
+    assert "only a simulator knows the true Jacobian" in oracle.reason()
+    assert oracle.values()["state"] == "WAITING"
+    assert not oracle.jacobians
+
+    truth = ros_test.publisher(Float64MultiArray, ros.TRUE_JACOBIAN)
+    teller = ros_test.node.create_timer(
+        0.008, lambda: truth.publish(ros.to_jacobian(robot.jacobian))
+    )
+    ros_test.spin_until(lambda: oracle.jacobians and oracle.values()["state"] == "FROZEN")
+    np.testing.assert_array_equal(ros.from_jacobian(oracle.jacobians[-1]), robot.jacobian)
+
+    # What was true a moment ago is not handed on as if it were of now.
+    teller.cancel()
+    ros_test.spin_until(lambda: oracle.values()["state"] == "WAITING")
+    heard = len(oracle.jacobians)
+    ros_test.spin_for(0.4)
+    assert len(oracle.jacobians) == heard
+
+
+def test_from_zero_it_learns_without_a_model(ros_test):
+    robot = PlayedRobot(ros_test)
+    robot.silent.add(ros.JACOBIAN)
+    estimator = Watched(
+        ros_test,
+        method="lkf",
+        model_path="not_needed.npz",
+        **{"lkf.initial": "zero", "lkf.initial_deviation_m_rad": 0.5},
+    )
+    ros_test.spin_until(lambda: estimator.jacobians)
+    assert not np.any(ros.from_jacobian(estimator.jacobians[-1]))
+    for joint in range(5):
+        robot.velocity = 0.3 * np.eye(6)[joint]
+        ros_test.spin_for(0.4)
+    robot.velocity = np.zeros(6)
+    ros_test.spin_until(lambda: float(estimator.values()["updates"]) > 10.0)
+    error = ros.from_jacobian(estimator.jacobians[-1]) - robot.jacobian
+    assert np.linalg.norm(error) < 0.1 * np.linalg.norm(robot.jacobian)
+    assert 0.0 < float(estimator.values()["entry_deviation_m_rad"]) < 0.5
+
+
+def test_a_missing_model_is_one_clear_sentence(ros_test):
+    process = ros_test.start_node(MODULE, method="ukf", model_path="nowhere.npz")
+    assert ros_test.wait(process) == 2
+    assert "model_path" in ros_test.output(process)
+    assert "Traceback" not in ros_test.output(process)
