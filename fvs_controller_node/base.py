@@ -48,7 +48,8 @@ class ControlOutput:
     velocity_rad_s : ndarray, shape (6,)
         Wanted joint velocities before any limit, rad/s.
     sliding_variable : ndarray, shape (3,)
-        The law's s, for the estimator's update law; zeros for a law without one.
+        What the law gives the estimator's update law in the place of s: a sliding mode law its
+        sliding variable (17), the proportional law the error (45); zeros for a law without one.
     exponent : ndarray, shape (3,)
         The exponent gamma of each axis; ones for a law without one.
     """

@@ -70,6 +70,11 @@ class ServoLoop:
         return self.supervisor.target(position, self.supervisor.config.feature_frame)
 
     @property
+    def jacobian(self) -> np.ndarray | None:
+        """The Jacobian in use, m/rad, shape (3, 6), or None; a copy."""
+        return None if self._jacobian is None else self._jacobian.copy()
+
+    @property
     def position_m(self) -> np.ndarray | None:
         """The ball's position, predicted to the newest joint state, m, or None."""
         return self.predictor.predict()

@@ -1,4 +1,10 @@
-"""The simplest law: the ball moves straight to the target, ``rdot = -k J^+ (x - x_d)``."""
+"""The simplest law: the ball moves straight to the target, ``rdot = -k J^+ (x - x_d)``, eq. (46).
+
+The paper calls it, with RBF networks that learn by (45), the scheme "RBF+PID"; there is neither an
+integral nor a derivative in it. As corrected, (45) is ``rdot_i theta_i (n2 (x - x_d) + n3 e)``: the
+update law (17) with the error in the place of the sliding variable, n2 in that of alpha2 and n3 in
+that of n1. The law therefore gives the error as its sliding variable.
+"""
 
 from __future__ import annotations
 
@@ -54,6 +60,6 @@ class ProportionalLaw(ControlLaw):
                 -self.gain_1_s * control_input.error_m,
                 control_input.joints_rad,
             ),
-            sliding_variable=np.zeros(N_AXES),
+            sliding_variable=control_input.error_m.copy(),
             exponent=np.ones(N_AXES),
         )

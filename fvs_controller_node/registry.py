@@ -7,11 +7,15 @@ from typing import Any
 
 from fvs_controller_node.base import ControlLaw
 from fvs_controller_node.ftsm import FtsmLaw
+from fvs_controller_node.mfac import MfacLaw
+from fvs_controller_node.mpc import MpcLaw
 from fvs_controller_node.proportional import ProportionalLaw
 
 LAWS: dict[str, type[ControlLaw]] = {
     "ftsm": FtsmLaw,
     "proportional": ProportionalLaw,
+    "mfac": MfacLaw,
+    "mpc": MpcLaw,
 }
 
 

@@ -29,6 +29,9 @@ def _params_file(scenario) -> str:
 
 def _nodes(context):
     scenario = load_scenario(LaunchConfiguration("scenario").perform(context))
+    scheme = LaunchConfiguration("scheme").perform(context)
+    if scheme:
+        scenario = scenario.with_scheme(scheme)
     params_file = _params_file(scenario)
     actions = []
     if "fvs_sim_node" in scenario.nodes and "ROS_AUTOMATIC_DISCOVERY_RANGE" not in os.environ:
@@ -56,6 +59,11 @@ def generate_launch_description() -> LaunchDescription:
                 "scenario",
                 default_value="demo",
                 description="a scenario file, or the name of one in config/",
+            ),
+            DeclareLaunchArgument(
+                "scheme",
+                default_value="",
+                description="estimator method and control law by one name; empty: the scenario's",
             ),
             DeclareLaunchArgument("namespace", default_value="", description="of all nodes"),
             OpaqueFunction(function=_nodes),

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import IO
 
 from fvs_ros.apps.scenario import NODE_TABLE, Scenario, ScenarioError, load_scenario
+from fvs_ros.core.schemes import SCHEMES
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 
 _NAMESPACE = re.compile(r"([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", re.ASCII)
@@ -194,6 +195,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar="[NODE:]NAME:=VALUE",
         help="override a parameter (repeatable), of one node or of every node that has it",
     )
+    parser.add_argument(
+        "--scheme",
+        default="",
+        metavar="NAME",
+        help=f"estimator method and control law by one name: {', '.join(SCHEMES)}; -p wins over it",
+    )
     parser.add_argument("--namespace", default="", help="ROS namespace of all nodes")
     return parser
 
@@ -202,7 +209,10 @@ def main(argv: list[str] | None = None) -> int:
     """Run ``fvs_launch``; the exit code says how it went."""
     arguments = _parser().parse_args(argv)
     try:
-        scenario = load_scenario(arguments.scenario).with_overrides(arguments.param)
+        scenario = load_scenario(arguments.scenario)
+        if arguments.scheme:
+            scenario = scenario.with_scheme(arguments.scheme)
+        scenario = scenario.with_overrides(arguments.param)
         if not _NAMESPACE.fullmatch(arguments.namespace.strip("/")):
             raise ScenarioError(
                 f"--namespace must be names of letters, digits and _ with / between, "

@@ -17,6 +17,7 @@ import yaml
 
 from fvs_ros.core.params import Parameter, ParameterError, ParameterSet
 from fvs_ros.core.paths import find_file
+from fvs_ros.core.schemes import scheme
 
 ALL_NODES = "/**"
 #: What rclpy declares for every node.
@@ -133,6 +134,32 @@ class Scenario:
             for target in targets:
                 parameters[target][name] = value
         return Scenario(self.path, _checked(self.path, parameters))
+
+    def with_scheme(self, name: str) -> Scenario:
+        """The scenario with the estimator's method and the control law of a scheme put in.
+
+        Raises
+        ------
+        ScenarioError
+            If the scheme is unknown, or the scenario lacks one of the two nodes.
+        """
+        try:
+            chosen = scheme(name)
+        except ValueError as error:
+            raise ScenarioError(str(error)) from error
+        values = {"fvs_estimator_node": "method", "fvs_controller_node": "law"}
+        missing = [node for node in values if node not in self.parameters]
+        if missing:
+            raise ScenarioError(
+                f"scheme {name} needs {' and '.join(missing)}, which {self.path.name} "
+                f"({', '.join(self.parameters)}) does not start"
+            )
+        return self.with_overrides(
+            [
+                f"fvs_estimator_node:method:={chosen.method}",
+                f"fvs_controller_node:law:={chosen.law}",
+            ]
+        )
 
     def to_params_yaml(self) -> str:
         """ROS parameter file that holds in any namespace."""

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from control_plant import pairs, servo
 
+from fvs_controller_node.registry import LAWS
+
 CASES = pairs(5, seed=21, low_m=0.28, high_m=0.32)
 MANY = pairs(8, seed=5)
 
@@ -45,6 +47,16 @@ def test_other_settings_arrive_too(values: dict):
         run = servo(*case, seed=k, values=values)
         assert run.settled_s(0.005) < 2.0
         assert run.final_rms_m < 0.0015
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_every_law_drives_the_ball_to_the_target(law: str):
+    for k, case in enumerate(CASES[:3]):
+        run = servo(*case, seed=k, values={"law": law})
+        assert set(run.states) <= {"SERVOING", "SETTLED"}
+        assert run.settled_s(0.005) < 1.5
+        assert run.final_rms_m < 0.0015
+        assert run.unrest_rad_s < 0.03
 
 
 def test_a_jacobian_that_is_10_percent_wrong_still_arrives():

@@ -5,14 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fvs_controller_node.config import build_loop, default_values
 from fvs_controller_node.reasons import State
-from fvs_estimator_node.base import PredictionMonitor
 from fvs_estimator_node.model_file import load_model
-from fvs_estimator_node.pairing import StepPairing
-from fvs_estimator_node.registry import create_estimator
-from fvs_ros.apps.demo import choose_target, settling_time_s
-from fvs_ros.core.camera import CAMERA_FRAME
+from fvs_ros.apps.demo import choose_target
+from fvs_ros.apps.experiments.lockstep import LockStep, load_networks, make_estimator
+from fvs_ros.apps.score import settling_time_s
 from fvs_sim_node.simulation import SimConfig, Simulation
 
 MODEL = load_model(Path(__file__).resolve().parents[2] / "config" / "models" / "ur5_front.npz")
@@ -20,49 +17,31 @@ TICK_S = 0.008
 LIMIT_RAD_S = 1.0
 
 
-class LockStep:
-    """Simulation, estimator and controller, one joint state after the other."""
+class Recorded(LockStep):
+    """The loop in lock step, its commands kept."""
 
     def __init__(self, seed=0, method="rbf", **disturbances):
-        self.simulation = Simulation(SimConfig(seed=seed, **disturbances))
-        self.estimator = create_estimator(method, MODEL.model)
-        self.pairing = StepPairing()
-        self.monitor = PredictionMonitor()
-        values = default_values(autostart=True, max_joint_velocity_rad_s=LIMIT_RAD_S)
-        self.loop = build_loop(values)
+        simulation = Simulation(SimConfig(seed=seed, **disturbances))
+        estimator = make_estimator(method, simulation, load_networks())
+        super().__init__(simulation, estimator, {"max_joint_velocity_rad_s": LIMIT_RAD_S})
         self.commands = []
 
-    def learn(self, steps):
-        for step in steps:
-            self.monitor.observe(step, self.estimator.jacobian(step.joints_rad))
-            self.estimator.update(step)
-
     def tick(self):
-        """One joint state; returns the true ball position."""
-        out = self.simulation.advance()
-        now_s = out.time_s
-        for seen in out.observations:
-            if seen.detection is not None:
-                position_m = seen.detection.position_m
-                self.learn(self.pairing.add_ball(seen.stamp_s, position_m))
-                self.loop.add_ball(now_s, seen.stamp_s, position_m)
-        self.learn(self.pairing.add_joints(now_s, out.joints_rad))
-        self.loop.add_jacobian(now_s, self.estimator.jacobian(out.joints_rad))
-        self.loop.add_joints(now_s, now_s, out.joints_rad)
-        command = self.loop.tick(now_s, TICK_S)
-        if command.output is not None:
-            self.pairing.add_sliding_variable(now_s, command.output.sliding_variable)
-        assert self.simulation.command(command.velocity_rad_s) is None
+        command = super().tick()
         self.commands.append(command.velocity_rad_s)
-        return self.simulation.true_ball_position()
+        return command
 
     def run(self, seconds):
-        return np.array([self.tick() for _ in range(round(seconds / TICK_S))])
+        """True ball positions meanwhile."""
+        positions = []
+        for _ in range(round(seconds / TICK_S)):
+            self.tick()
+            positions.append(self.simulation.true_ball_position())
+        return np.array(positions)
 
     def servo_to(self, target_m, seconds=3.0):
         """Times, s, and true errors, m, after a new target."""
-        accepted, text = self.loop.supervisor.target(target_m, CAMERA_FRAME)
-        assert accepted, text
+        self.set_target(target_m)
         errors = np.linalg.norm(self.run(seconds) - target_m, axis=1)
         return TICK_S * np.arange(1, len(errors) + 1), errors
 
@@ -72,7 +51,7 @@ def lock_step():
     made = []
 
     def make(**arguments):
-        made.append(LockStep(**arguments))
+        made.append(Recorded(**arguments))
         made[-1].run(0.3)
         return made[-1]
 

@@ -51,9 +51,9 @@ def test_every_law_is_built_by_name_and_answers(name: str):
 
 
 def test_an_unknown_law_is_refused_with_those_known():
-    with pytest.raises(ValueError, match="known are ftsm, proportional"):
+    with pytest.raises(ValueError, match="known are ftsm, mfac, mpc, proportional"):
         make_law("mystery", default_values())
-    with pytest.raises(ParameterError, match="one of ftsm, proportional"):
+    with pytest.raises(ParameterError, match="one of ftsm, proportional, mfac, mpc"):
         default_values(law="mystery")
 
 
@@ -62,6 +62,7 @@ def test_the_proportional_law_closes_the_error_at_its_rate():
     error = np.array([0.1, -0.2, 0.05])
     out = law.command(ControlInput(error, JACOBIAN, np.zeros(6), np.zeros(6), 0.008))
     np.testing.assert_allclose(JACOBIAN @ out.velocity_rad_s, -4.0 * error, rtol=1e-6)
+    np.testing.assert_array_equal(out.sliding_variable, error)  # for the update law (45)
     with pytest.raises(ValueError, match="proportional_gain"):
         ProportionalLaw(0.0)
 
@@ -74,6 +75,23 @@ def test_modes_of_the_sliding_mode_law():
     assert isinstance(literal, FtsmLaw)
     assert literal.discretisation == "literal"
     assert literal.surface.lambda3 == 500.0
+
+
+def test_the_exponent_is_fixed_and_freed_live():
+    loop = build_loop(default_values())
+    state = ControlInput(np.full(3, 0.1), JACOBIAN, np.zeros(6), np.zeros(6), 0.008)
+    adaptive = loop.law.command(state)
+    reconfigure(loop, default_values(exponent="fixed", fixed_exponent=0.6))
+    fixed = loop.law.command(state)
+    np.testing.assert_array_equal(fixed.exponent, np.full(3, 0.6))
+    assert np.abs(fixed.velocity_rad_s - adaptive.velocity_rad_s).max() > 1e-3
+    reconfigure(loop, default_values())
+    np.testing.assert_array_equal(loop.law.command(state).exponent, adaptive.exponent)
+
+
+def test_every_gain_of_every_law_is_live():
+    for law in LAWS.values():
+        assert all(parameter.live for parameter in law.PARAMETERS)
 
 
 def test_values_that_do_not_fit_together_change_nothing():

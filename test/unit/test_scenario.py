@@ -3,7 +3,10 @@ from pathlib import Path
 import pytest
 import yaml
 
+from fvs_controller_node.registry import LAWS
+from fvs_estimator_node.registry import ESTIMATORS
 from fvs_ros.apps.scenario import NODE_TABLE, ScenarioError, load_scenario
+from fvs_ros.core.schemes import SCHEMES, scheme
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
@@ -80,3 +83,32 @@ def test_wildcard_parameters_reach_every_node_and_the_file_holds_in_any_namespac
     assert all(values["use_sim_time"] for values in scenario.parameters.values())
     content = yaml.safe_load(scenario.to_params_yaml())
     assert set(content) == {"/**/fvs_sim_node", "/**/fvs_collector_node"}
+
+
+@pytest.mark.parametrize("name", SCHEMES)
+def test_a_scheme_sets_method_and_law(name):
+    one = scheme(name)
+    assert one.name == name
+    assert one.description.endswith(".")
+    assert one.law in LAWS
+    assert one.method in ESTIMATORS
+    before, after = load_scenario("demo").parameters, load_scenario("demo").with_scheme(name)
+    assert after.parameters["fvs_estimator_node"]["method"] == one.method
+    assert after.parameters["fvs_controller_node"]["law"] == one.law
+    assert after.parameters["fvs_demo_node"] == before["fvs_demo_node"]
+
+
+def test_an_override_wins_over_a_scheme():
+    scenario = load_scenario("demo").with_scheme("rbf+pid").with_overrides(["law:=mfac"])
+    assert scenario.parameters["fvs_controller_node"]["law"] == "mfac"
+    assert scenario.parameters["fvs_estimator_node"]["method"] == "rbf"
+
+
+def test_a_scheme_that_does_not_fit_is_refused_in_words():
+    with pytest.raises(ScenarioError, match=r"unknown scheme 'pid'; known are proposed, rbf\+pid"):
+        load_scenario("demo").with_scheme("pid")
+    with pytest.raises(
+        ScenarioError,
+        match=r"needs fvs_estimator_node and fvs_controller_node, which collect\.yaml",
+    ):
+        load_scenario("collect").with_scheme("proposed")

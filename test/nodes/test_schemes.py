@@ -1,0 +1,51 @@
+"""Every scheme of the paper, and every method of estimation, in the whole loop over DDS."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from fvs_ros.core.schemes import SCHEMES
+
+MODULE = "fvs_ros.apps.launcher"
+SHORT = ["-p", "use_sim_time:=true", "-p", "simulated_time:=true", "-p", "targets:=1"]
+
+
+def settles(ros_test, *arguments):
+    """Run the demo with one target; fail with its output unless the ball settles."""
+    folder = ros_test.folder / "result"
+    process = ros_test.start(
+        MODULE, "demo", *SHORT, "-p", "target_s:=3.0", "-p", f"output_dir:={folder}", *arguments
+    )
+    assert ros_test.wait(process, 90.0) == 0, ros_test.output(process)
+    result = json.loads((folder / "results.json").read_text())
+    assert len(result) == 1
+    assert result[0]["settling_5mm_s"] < 2.5, result
+    assert result[0]["final_rms_m"] < 0.003, result
+    assert result[0]["peak_joint_speed_rad_s"] < 1.1, result
+
+
+@pytest.mark.parametrize("name", SCHEMES)
+def test_every_scheme_settles(ros_test, name):
+    settles(ros_test, "--scheme", name)
+
+
+@pytest.mark.parametrize("method", ["lkf", "rls", "broyden"])
+def test_every_other_estimator_serves_the_sliding_mode_law(ros_test, method):
+    settles(ros_test, "-p", f"method:={method}", "-p", "law:=ftsm")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["demo", "--scheme", "rbf+mpc"], "unknown scheme 'rbf+mpc'; known are proposed, rbf+pid"),
+        (["collect", "--scheme", "proposed"], "needs fvs_estimator_node and fvs_controller_node"),
+    ],
+)
+def test_a_scheme_that_does_not_fit_starts_nothing(arguments, words):
+    done = subprocess.run(
+        [sys.executable, "-m", MODULE, *arguments], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert words in done.stderr

@@ -1,0 +1,283 @@
+"""The compared laws (48) and (49): each is the minimiser of its cost, and always finite."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad
+from scipy.optimize import minimize
+
+from fvs_controller_node.base import ControlInput
+from fvs_controller_node.config import build_loop, default_values, reconfigure
+from fvs_controller_node.mfac import MfacLaw
+from fvs_controller_node.mpc import MpcLaw, mpc_coefficients
+from fvs_controller_node.registry import make_law
+from fvs_ros.core.params import ParameterError
+
+RNG = np.random.default_rng(11)
+JACOBIAN = 0.4 * RNG.normal(size=(3, 6))
+ERROR_M = np.array([0.2, -0.1, 0.15])
+
+
+def velocity(law, error_m=ERROR_M, jacobian=JACOBIAN, dt_s=0.008):
+    """Joint velocities, rad/s, with the arm at rest."""
+    state = ControlInput(np.asarray(error_m, float), jacobian, np.zeros(6), np.zeros(6), dt_s)
+    return law.command(state).velocity_rad_s
+
+
+# --- MFAC, eq. (48) ---
+
+
+@pytest.mark.parametrize("damping", [1e-3, 0.15, 2.0])
+def test_the_mfac_increment_minimises_its_cost(damping: float):
+    # |e - J dr|^2 + lambda |dr|^2 as one least squares problem; e = x_d - x
+    stacked = np.vstack([JACOBIAN, math.sqrt(damping) * np.eye(6)])
+    wanted = np.linalg.lstsq(stacked, np.concatenate([-ERROR_M, np.zeros(6)]), rcond=None)[0]
+    law = MfacLaw(damping, interval_s=1.0)
+    np.testing.assert_allclose(velocity(law), wanted, rtol=1e-10)
+    printed = np.linalg.solve(damping * np.eye(6) + JACOBIAN.T @ JACOBIAN, JACOBIAN.T @ -ERROR_M)
+    np.testing.assert_allclose(velocity(law), printed, rtol=1e-10)
+
+
+def test_the_mfac_velocity_is_the_increment_over_the_interval_whatever_the_tick():
+    once = velocity(MfacLaw(0.15, 1.0))
+    np.testing.assert_allclose(velocity(MfacLaw(0.15, 0.04)), once / 0.04, rtol=1e-13)
+    np.testing.assert_array_equal(
+        velocity(MfacLaw(0.15, 0.04), dt_s=0.002), velocity(MfacLaw(0.15, 0.04), dt_s=0.04)
+    )
+
+
+def test_without_damping_mfac_is_the_pseudo_inverse():
+    wanted = np.linalg.pinv(JACOBIAN) @ -ERROR_M / 0.04
+    np.testing.assert_allclose(velocity(MfacLaw(1e-12)), wanted, rtol=1e-9)
+
+
+def test_an_mfac_direction_decays_at_its_damped_rate():
+    u, w, _ = np.linalg.svd(JACOBIAN)
+    for k in range(3):
+        moved = JACOBIAN @ velocity(MfacLaw(0.15, 0.04), u[:, k])
+        np.testing.assert_allclose(moved, -(w[k] ** 2) / (w[k] ** 2 + 0.15) / 0.04 * u[:, k])
+
+
+# --- MPC, eq. (49) ---
+
+
+def printed_coefficients(horizon: float, alpha: float, rho: float) -> tuple[float, float, float]:
+    """a, b and c as the paper prints them."""
+
+    def moment(log_weight: float) -> float:
+        power = math.exp(horizon * log_weight)
+        return (horizon * power * log_weight - power + 1.0) / log_weight**2
+
+    log_alpha = math.log(alpha)
+    b, c = moment(log_alpha), moment(log_alpha - rho)
+    return (horizon**2 * alpha**horizon - 2.0 * b) / log_alpha, b, c
+
+
+@pytest.mark.parametrize("horizon", [1.0, 10.7, 300.0])
+@pytest.mark.parametrize("alpha", [0.05, 0.3, 0.64, 0.8])
+@pytest.mark.parametrize("rho", [0.1, 1.26, 30.0])
+def test_the_mpc_coefficients_are_the_printed_ones(horizon: float, alpha: float, rho: float):
+    np.testing.assert_allclose(
+        mpc_coefficients(horizon, alpha, rho), printed_coefficients(horizon, alpha, rho), rtol=1e-10
+    )
+
+
+def test_the_mpc_coefficients_have_limits_where_the_printed_ones_cancel():
+    a, b, _ = mpc_coefficients(10.7, 1.0, 1.26)
+    assert a == pytest.approx(10.7**3 / 3.0, rel=1e-13)
+    assert b == pytest.approx(10.7**2 / 2.0, rel=1e-13)
+    for short_of_one, printed_error in ((1e-6, 0.01), (1e-7, 10.0)):
+        near = mpc_coefficients(10.7, 1.0 - short_of_one, 1.26)
+        assert near.a == pytest.approx(a, rel=1e-4)
+        printed = printed_coefficients(10.7, 1.0 - short_of_one, 1.26)[0]
+        assert abs(printed / near.a - 1.0) > printed_error
+
+
+def mpc_cost(u, error, jacobian, weight, *, horizon=10.7, alpha=0.64, rho=1.26) -> float:
+    """int_0^H alpha^t |(1 - beta^t) e - t J u|^2 dt + u'Qu, by adaptive quadrature."""
+
+    def running(t: float) -> float:
+        left = (1.0 - math.exp(-rho * t)) * error - t * jacobian @ u
+        return alpha**t * float(left @ left)
+
+    return quad(running, 0.0, horizon, epsabs=1e-13, epsrel=1e-13)[0] + float(u @ weight @ u)
+
+
+def central_gradient(function, at: np.ndarray, h: float) -> np.ndarray:
+    """Exact for a quadratic but for rounding."""
+    return np.array(
+        [(function(at + h * one) - function(at - h * one)) / (2.0 * h) for one in np.eye(len(at))]
+    )
+
+
+@pytest.mark.parametrize("q", [0.01, 0.07, 1.0])
+def test_the_mpc_increment_minimises_its_cost(q: float):
+    law = MpcLaw(q=q, interval_s=1.0)
+    u = velocity(law)
+
+    def cost(v: np.ndarray) -> float:
+        return mpc_cost(v, -ERROR_M, JACOBIAN, q * np.eye(6))
+
+    scale = np.abs(central_gradient(cost, np.zeros(6), 0.1)).max()
+    assert np.abs(central_gradient(cost, u, 0.1)).max() < 1e-11 * scale
+    found = minimize(cost, np.zeros(6), method="BFGS", options={"gtol": 1e-9}).x
+    np.testing.assert_allclose(u, found, atol=1e-6)
+    a, b, c = law.coefficients
+    six_by_six = a * JACOBIAN.T @ JACOBIAN + q * np.eye(6)
+    np.testing.assert_allclose(
+        u, np.linalg.solve(six_by_six, (b - c) * JACOBIAN.T @ -ERROR_M), rtol=1e-10
+    )
+
+
+def test_the_printed_mpc_form_misses_the_minimum_unless_q_is_a_multiple_of_the_identity():
+    a, b, c = mpc_coefficients(10.7, 0.64, 1.26)
+    error = -ERROR_M
+    root = np.random.default_rng(12).normal(size=(6, 6))
+
+    def both(weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        right = np.linalg.solve(a * JACOBIAN.T @ JACOBIAN + weight, (b - c) * JACOBIAN.T @ error)
+        printed = np.linalg.pinv(a * JACOBIAN + np.linalg.pinv(JACOBIAN.T) @ weight)
+        return right, printed @ ((b - c) * error)
+
+    def slope(u: np.ndarray, weight: np.ndarray) -> float:
+        """Largest entry of the cost's gradient."""
+        return np.abs(
+            central_gradient(lambda v: mpc_cost(v, error, JACOBIAN, weight), u, 0.1)
+        ).max()
+
+    for weight in (np.diag([0.01, 0.03, 0.1, 0.3, 1.0, 3.0]), 0.1 * root @ root.T):
+        right, printed = both(weight)
+        at_rest = slope(np.zeros(6), weight)
+        assert slope(right, weight) < 1e-11 * at_rest
+        assert slope(printed, weight) > 1e-2 * at_rest
+        least = mpc_cost(right, error, JACOBIAN, weight)
+        assert mpc_cost(printed, error, JACOBIAN, weight) > 1.02 * least
+    right, printed = both(0.07 * np.eye(6))
+    np.testing.assert_allclose(printed, right, rtol=1e-10)
+
+
+def test_the_mpc_velocity_scales_with_the_interval_and_goes_to_the_target():
+    once = velocity(MpcLaw(interval_s=1.0))
+    np.testing.assert_allclose(velocity(MpcLaw(interval_s=0.04)), once / 0.04, rtol=1e-13)
+    assert JACOBIAN @ once @ ERROR_M < 0.0
+    assert velocity(MpcLaw(rho=1e-3), ERROR_M) @ once > 0.0  # b - c stays positive
+
+
+# --- both ---
+
+LAWS = [MfacLaw(), MpcLaw(), MfacLaw(1e-4), MpcLaw(q=1e-4)]
+SINGULAR = [
+    np.zeros((3, 6)),
+    np.outer([1.0, 2.0, -1.0], np.ones(6)),
+    np.vstack([JACOBIAN[:2], JACOBIAN[0] + JACOBIAN[1]]),
+    np.vstack([JACOBIAN[:2], np.zeros(6)]),
+]
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
+@pytest.mark.parametrize("jacobian", SINGULAR, ids=["zero", "rank 1", "rank 2", "zero row"])
+def test_a_singular_jacobian_gives_a_finite_command(law, jacobian: np.ndarray):
+    out = velocity(law, jacobian=jacobian)
+    assert np.all(np.isfinite(out))
+    if not jacobian.any():
+        np.testing.assert_array_equal(out, np.zeros(6))
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    error=st.lists(st.floats(-50.0, 50.0), min_size=3, max_size=3),
+    entries=st.lists(st.floats(-20.0, 20.0), min_size=18, max_size=18),
+    name=st.sampled_from(["mfac", "mpc"]),
+    weight=st.floats(1e-4, 100.0),
+    alpha=st.floats(0.01, 1.0),
+    rho=st.floats(1e-3, 100.0),
+    horizon=st.floats(0.1, 1000.0),
+    interval=st.floats(1e-3, 10.0),
+)
+def test_every_gain_in_range_gives_a_finite_command(
+    *, error, entries, name, weight, alpha, rho, horizon, interval
+):
+    law = make_law(
+        name,
+        default_values(
+            mfac_lambda=weight,
+            mfac_interval_s=interval,
+            mpc_horizon=horizon,
+            mpc_alpha=alpha,
+            mpc_rho=rho,
+            mpc_q=weight,
+            mpc_interval_s=interval,
+        ),
+    )
+    out = velocity(law, error, np.array(entries).reshape(3, 6))
+    assert np.all(np.isfinite(out))
+
+
+@pytest.mark.parametrize("name", ["mfac", "mpc"])
+def test_at_the_goal_the_command_is_zero_and_there_is_no_sliding_variable(name: str):
+    law = make_law(name, default_values())
+    state = ControlInput(np.zeros(3), JACOBIAN, np.ones(6), np.ones(6), 0.008)
+    out = law.command(state)
+    np.testing.assert_array_equal(out.velocity_rad_s, np.zeros(6))
+    np.testing.assert_array_equal(out.sliding_variable, np.zeros(3))
+    np.testing.assert_array_equal(out.exponent, np.ones(3))
+    assert law.settling_bound_s(ERROR_M) is None
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"mfac_lambda": 0.0}, "mfac_lambda must be number from 0.0001 to 100"),
+        ({"mfac_interval_s": -1.0}, "mfac_interval_s must be number from 0.001 to 10"),
+        ({"mpc_horizon": 0.0}, "mpc_horizon must be number from 0.1 to 1000"),
+        ({"mpc_alpha": 1.1}, "mpc_alpha must be number from 0.01 to 1"),
+        ({"mpc_rho": 0.0}, "mpc_rho must be number"),
+        ({"mpc_q": 0.0}, "mpc_q must be number"),
+        ({"mpc_interval_s": float("nan")}, "mpc_interval_s must be number"),
+    ],
+)
+def test_a_gain_out_of_range_is_refused_in_words(values: dict, words: str):
+    with pytest.raises(ParameterError, match=words):
+        default_values(**values)
+
+
+@pytest.mark.parametrize(
+    ("make", "wrong", "word"),
+    [
+        (MfacLaw, {"damping": 0.0}, "mfac_lambda must be positive"),
+        (MfacLaw, {"interval_s": float("inf")}, "mfac_interval_s must be positive"),
+        (MpcLaw, {"horizon": 0.0}, "mpc_horizon must be positive"),
+        (MpcLaw, {"alpha": 0.0}, "mpc_alpha must be above 0 and at most 1"),
+        (MpcLaw, {"alpha": 1.5}, "mpc_alpha must be above 0 and at most 1"),
+        (MpcLaw, {"rho": -1.0}, "mpc_rho must be positive"),
+        (MpcLaw, {"q": float("nan")}, "mpc_q must be positive"),
+        (MpcLaw, {"interval_s": 0.0}, "mpc_interval_s must be positive"),
+    ],
+)
+def test_a_law_refuses_a_wrong_gain_by_name(make, wrong: dict, word: str):
+    with pytest.raises(ValueError, match=word):
+        make(**wrong)
+
+
+@pytest.mark.parametrize(
+    ("law", "gain"),
+    [
+        ("mfac", {"mfac_lambda": 1.0}),
+        ("mfac", {"mfac_interval_s": 0.1}),
+        ("mpc", {"mpc_horizon": 3.0}),
+        ("mpc", {"mpc_alpha": 0.9}),
+        ("mpc", {"mpc_rho": 0.5}),
+        ("mpc", {"mpc_q": 1.0}),
+        ("mpc", {"mpc_interval_s": 0.1}),
+    ],
+)
+def test_every_gain_acts_live(law: str, gain: dict):
+    loop = build_loop(default_values(law=law))
+    before = velocity(loop.law)
+    reconfigure(loop, default_values(law=law, **gain))
+    assert np.abs(velocity(loop.law) - before).max() > 0.01 * np.abs(before).max()
