@@ -10,11 +10,13 @@ EXTRAS = {
     "ros": ["ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "ros-jazzy-common-interfaces"],
     "sim": ["pybullet", "opencv-python-headless", "matplotlib"],
     "train": ["torch"],
+    "lab": ["scipy", "joblib", "cmaes", "jinja2", "matplotlib"],
     "test": [
         "pytest",
         "pytest-timeout",
         "hypothesis",
         "scipy",
+        "filterpy",
         "ruff",
         "mypy",
         "types-PyYAML",
@@ -33,6 +35,7 @@ setup(
     maintainer_email="maintainers@example.org",
     python_requires=">=3.10",
     packages=find_packages(include=["fvs_ros", "fvs_ros.*", "fvs_*_node"]),
+    package_data={"fvs_ros.apps.experiments": ["*.jinja"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -53,6 +56,7 @@ setup(
             "fvs_demo_node=fvs_ros.apps.demo_node:main",
             "fvs_train=fvs_ros.apps.train:main",
             "fvs_launch=fvs_ros.apps.launcher:main",
+            "fvs_experiments=fvs_ros.apps.experiments.main:main",
         ],
     },
 )

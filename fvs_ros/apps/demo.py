@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fvs_ros.apps.score import settling_time_s
 from fvs_ros.core.camera import CAMERA_FRAME, Intrinsics
 from fvs_ros.core.joints import UR_JOINT_NAMES
 from fvs_ros.core.params import Parameter
@@ -15,6 +16,11 @@ from fvs_ros.core.params import Parameter
 PARAMETERS = (
     Parameter("model_path", "models/ur5_front.npz", "trained model: targets are positions it saw"),
     Parameter("targets", 4, "number of targets", minimum=1, maximum=100),
+    Parameter(
+        "target_positions",
+        "",
+        "own targets in place of chosen ones, m: 'x y z; x y z; ...'; empty chooses",
+    ),
     Parameter("seed", 0, "seed of the choice of targets", minimum=0),
     Parameter(
         "distance_m", 0.3, "wanted distance from one target to the next", minimum=0.05, maximum=1.0
@@ -30,6 +36,31 @@ PARAMETERS = (
 _DISTANCE_TOLERANCE_M = 0.02
 _FINAL_S = 1.0
 _FINE_ERROR_M = 0.002
+
+
+def own_targets(text: str) -> np.ndarray:
+    """Read targets written as ``x y z; x y z``.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        The targets, m, camera frame; none of them for an empty text.
+
+    Raises
+    ------
+    ValueError
+        If one does not have three finite numbers.
+    """
+    targets = []
+    for part in filter(None, (part.strip() for part in text.split(";"))):
+        try:
+            target = np.array([float(number) for number in part.split()])
+        except ValueError:
+            target = np.empty(0)
+        if target.shape != (3,) or not np.isfinite(target).all():
+            raise ValueError(f"target_positions: expected three numbers, got '{part}'")
+        targets.append(target)
+    return np.array(targets).reshape(-1, 3)
 
 
 def choose_target(
@@ -101,23 +132,6 @@ class TargetScore:
     settling_2mm_s: float | None
     final_rms_m: float
     peak_joint_speed_rad_s: float
-
-
-def settling_time_s(times_s: np.ndarray, errors_m: np.ndarray, bound_m: float) -> float | None:
-    """When the error went below a bound for good.
-
-    Returns
-    -------
-    float or None
-        Time of the first sample of the last stretch below the bound, s; None if the record
-        ends above it.
-    """
-    above = np.flatnonzero(errors_m >= bound_m)
-    if above.size == 0:
-        return float(times_s[0])
-    if above[-1] + 1 >= len(errors_m):
-        return None
-    return float(times_s[above[-1] + 1])
 
 
 def score(record: TargetRecord, settle_error_m: float) -> TargetScore:

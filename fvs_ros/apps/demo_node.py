@@ -35,6 +35,8 @@ class DemoNode(ros.FvsNode):
         super().__init__("fvs_demo_node", demo.PARAMETERS)
         model = load_model(find_file(self.values["model_path"]))
         self._candidates_m = model.ball_samples_m
+        self._own_m = demo.own_targets(self.values["target_positions"])
+        self._count = len(self._own_m) or self.values["targets"]
         self._rng = np.random.default_rng(self.values["seed"])
         self._joint_map = JointMap()
         self._records: list[demo.TargetRecord] = []
@@ -80,7 +82,7 @@ class DemoNode(ros.FvsNode):
         record.add_position(stamp_s, position_m)
         if record.time_s[-1] >= self.values["target_s"]:
             self._report(len(self._records), record)
-            if len(self._records) < self.values["targets"]:
+            if len(self._records) < self._count:
                 self._next_target(stamp_s, position_m)
             else:
                 self._ask_image()
@@ -88,9 +90,12 @@ class DemoNode(ros.FvsNode):
     # --- the task ---
 
     def _next_target(self, stamp_s: float, position_m: np.ndarray) -> None:
-        target_m = demo.choose_target(
-            self._candidates_m, position_m, self.values["distance_m"], self._rng
-        )
+        if len(self._own_m):
+            target_m = self._own_m[len(self._records)]
+        else:
+            target_m = demo.choose_target(
+                self._candidates_m, position_m, self.values["distance_m"], self._rng
+            )
         self._target.publish(ros.to_point(stamp_s, self._frame, target_m))
         self._records.append(demo.TargetRecord(target_m, stamp_s))
         self._records[-1].add_position(stamp_s, position_m)
@@ -101,7 +106,7 @@ class DemoNode(ros.FvsNode):
         if one.settling_5mm_s is not None:
             text = f"settled after {one.settling_5mm_s:.2f} s"
         print(
-            f"target {number} of {self.values['targets']}, "
+            f"target {number} of {self._count}, "
             f"{one.start_distance_m * 1e3:.0f} mm away: {text}, "
             f"final true error {one.final_rms_m * 1e3:.2f} mm",
             flush=True,

@@ -1,0 +1,1 @@
+"""The paper's laboratory: every estimator and law in lock step, measured side by side."""

@@ -1,0 +1,85 @@
+"""What an experiment is told, and how it uses all cores."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from fvs_ros.apps.experiments.trials import Conditions
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class Context:
+    """Settings of one call of ``fvs_experiments``.
+
+    Parameters
+    ----------
+    out : Path
+        Folder of the page; each experiment has one of its own name in it.
+    seeds : int, optional
+        Number of seeded cases; each experiment has its own default.
+    jobs : int
+        Number of processes.
+    quick : bool
+        Whether to do a small part of everything, to see that it works.
+    rendered : bool
+        Whether ball positions come from rendered images.
+    nodes : bool
+        Whether spot checks through the real nodes are made.
+    """
+
+    out: Path
+    seeds: int | None = None
+    jobs: int = 1
+    quick: bool = False
+    rendered: bool = True
+    nodes: bool = True
+
+    def folder(self, name: str) -> Path:
+        """The folder of an experiment, made if need be."""
+        path = self.out / name
+        path.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def count(self, default: int, quick: int) -> int:
+        """Number of seeded cases."""
+        if self.seeds is not None:
+            return self.seeds
+        return quick if self.quick else default
+
+    def conditions(self, **changes: Any) -> Conditions:
+        """The laboratory's standard conditions, with changes."""
+        return replace(Conditions(rendered=self.rendered), **changes)
+
+    def map(self, function: Callable[[T], R], items: Iterable[T], label: str) -> list[R]:
+        """Apply a function to all items, on all cores, with a progress bar.
+
+        Parameters
+        ----------
+        function : callable
+            Of one item; must be importable by other processes.
+        items : iterable
+            The items.
+        label : str
+            What the progress bar says.
+
+        Returns
+        -------
+        list
+            The results in the items' order, whatever the number of processes.
+        """
+        from joblib import Parallel, delayed
+        from tqdm import tqdm
+
+        items = list(items)
+        if not sys.stderr.isatty():
+            print(f"   {label}: {len(items)} runs ...", flush=True)
+        with Parallel(n_jobs=self.jobs, return_as="generator") as parallel:
+            results = parallel(delayed(function)(item) for item in items)
+            return list(tqdm(results, total=len(items), desc=label, leave=False, disable=None))

@@ -1,0 +1,95 @@
+"""``fvs_experiments``: the paper's experiments, measured side by side, as numbers and a page."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+import time
+from pathlib import Path
+
+from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_OK
+
+#: The experiments, and the modules that run them; in the order of the page.
+EXPERIMENTS = ("servo", "estimators", "exponents", "settling", "ablation")
+_NEEDS = ("cmaes", "joblib", "jinja2", "matplotlib", "scipy")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="fvs_experiments", description=__doc__)
+    parser.add_argument("name", choices=(*EXPERIMENTS, "all"), help="which experiment")
+    parser.add_argument("--seeds", type=_positive, help="number of seeded cases")
+    parser.add_argument(
+        "--jobs", type=_positive, default=os.cpu_count() or 1, help="processes (default: all cores)"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/experiments"), help="folder (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="a small part of everything, to see that it works"
+    )
+    parser.add_argument(
+        "--camera",
+        choices=("rendered", "exact"),
+        default="rendered",
+        help="ball positions from rendered images, or the true ones with the same noise (faster)",
+    )
+    parser.add_argument(
+        "--no-nodes",
+        dest="nodes",
+        action="store_false",
+        help="leave out the spot check through the real nodes",
+    )
+    return parser
+
+
+def _positive(text: str) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        value = 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number from 1, got {text!r}")
+    return value
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run ``fvs_experiments``; the exit code says how it went."""
+    arguments = _parser().parse_args(argv)
+    missing = [name for name in _NEEDS if importlib.util.find_spec(name) is None]
+    if missing:
+        print(
+            f"fvs_experiments: {', '.join(missing)} not installed; "
+            "pip install -c constraints.txt -e '.[ros,sim,lab]'",
+            file=sys.stderr,
+        )
+        return EXIT_BAD_INPUT
+    from fvs_ros.apps.experiments.context import Context
+    from fvs_ros.apps.experiments.report import write_page, write_report
+
+    context = Context(
+        out=arguments.out,
+        seeds=arguments.seeds,
+        jobs=arguments.jobs,
+        quick=arguments.quick,
+        rendered=arguments.camera == "rendered",
+        nodes=arguments.nodes,
+    )
+    names = EXPERIMENTS if arguments.name == "all" else (arguments.name,)
+    began_s = time.monotonic()
+    for number, name in enumerate(names, start=1):
+        print(f"== {name} ({number} of {len(names)})", flush=True)
+        module = importlib.import_module(f"fvs_ros.apps.experiments.{name}")
+        report = module.run(context)
+        write_report(report, context.folder(name))
+        for verdict in report.verdicts:
+            mark = {True: "holds", False: "does not hold", None: "undecided"}[verdict.holds]
+            print(f"   {mark}: {verdict.claim}\n      {verdict.finding}", flush=True)
+    page = write_page(context.out)
+    print(f"page: {page} ({(time.monotonic() - began_s) / 60.0:.1f} min)", flush=True)
+    return EXIT_OK
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,158 @@
+"""What an experiment found, as a file of numbers and as a part of the page."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, is_dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+RESULTS = "results.json"
+#: Order of the experiments on the page.
+ORDER = ("servo", "estimators", "exponents", "settling", "ablation")
+_DIGITS = 7
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A picture.
+
+    Parameters
+    ----------
+    file : str
+        PNG in the experiment's folder.
+    caption : str
+        What is to be seen, and what in the paper it answers to.
+    """
+
+    file: str
+    caption: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text under a header.
+
+    Parameters
+    ----------
+    caption : str
+        What it shows.
+    header : sequence of str
+        Names of the columns.
+    rows : sequence of sequence of str
+        The cells.
+    """
+
+    caption: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A claim, what was measured, and whether it holds.
+
+    Parameters
+    ----------
+    claim : str
+        The claim, in words.
+    finding : str
+        What was measured.
+    holds : bool or None
+        None where the measurement does not decide.
+    """
+
+    claim: str
+    finding: str
+    holds: bool | None
+
+
+@dataclass(frozen=True)
+class Report:
+    """Everything that an experiment found.
+
+    Parameters
+    ----------
+    name : str
+        The experiment.
+    title : str
+        Heading on the page.
+    question : str
+        What was to be found out, for a reader without the paper.
+    setup : sequence of str
+        What was done, a paragraph each.
+    figures, tables, verdicts : sequence
+        What came of it.
+    data : mapping
+        Every number behind them, with seeds and parameters.
+    """
+
+    name: str
+    title: str
+    question: str
+    setup: Sequence[str]
+    figures: Sequence[Figure] = ()
+    tables: Sequence[Table] = ()
+    verdicts: Sequence[Verdict] = ()
+    data: Mapping[str, Any] = field(default_factory=dict)
+
+
+def write_report(report: Report, folder: Path) -> Path:
+    """Write ``results.json`` into the experiment's folder, and return its path."""
+    path = folder / RESULTS
+    text = json.dumps(_plain(report), indent=None, separators=(",", ":"), allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")
+    return path
+
+
+def write_page(out: Path) -> Path:
+    """Write ``index.html`` from all results in a folder, pictures included.
+
+    Parameters
+    ----------
+    out : Path
+        Folder with a folder for each experiment that was run.
+
+    Returns
+    -------
+    Path
+        The page.
+    """
+    from jinja2 import Environment
+
+    reports = []
+    for name in ORDER:
+        path = out / name / RESULTS
+        if path.is_file():
+            report = json.loads(path.read_text(encoding="utf-8"))
+            for figure in report["figures"]:
+                png = (path.parent / figure["file"]).read_bytes()
+                figure["data"] = base64.b64encode(png).decode("ascii")
+            reports.append(report)
+    template = files("fvs_ros.apps.experiments").joinpath("page.html.jinja").read_text("utf-8")
+    page = out / "index.html"
+    html = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True).from_string(template)
+    page.write_text(html.render(reports=reports), encoding="utf-8")
+    return page
+
+
+def _plain(value: Any) -> Any:
+    """JSON's types: arrays as lists, numbers rounded, what is not finite as null."""
+    if is_dataclass(value) and not isinstance(value, type):
+        value = asdict(value)
+    elif isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    if isinstance(value, float):
+        return float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    raise TypeError(f"{type(value).__name__} cannot be written to {RESULTS}")

@@ -1,0 +1,271 @@
+"""The same automatic search for every scheme: CMA-ES over its gains, equal budget, tuning cases.
+
+Many searches run abreast: a generation of all of them is one batch of trials, so that all cores
+have work to the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from fvs_ros.apps.experiments.context import Context
+from fvs_ros.apps.experiments.trials import Case, Conditions, Outcome, Trial, run_trial
+
+#: Steepness of the penalty on a constraint's relative violation, s: whoever breaks it by a tenth
+#: pays two seconds, more than any gain is worth.
+_PENALTY_S = 20.0
+#: Share of the time to 2 mm in the cost, to decide between equals at 5 mm.
+_FINE_SHARE = 0.1
+#: First spread of the search, in a cube of edge 1.
+_SPREAD = 0.3
+
+ESTIMATOR, CONTROLLER = "estimator", "controller"
+
+
+@dataclass(frozen=True)
+class Knob:
+    """A number that the search may turn.
+
+    Parameters
+    ----------
+    name : str
+        Parameter of a node.
+    low, high : float
+        Its range.
+    node : str
+        ``controller`` or ``estimator``.
+    log : bool
+        Whether the range is divided evenly in the logarithm.
+    """
+
+    name: str
+    low: float
+    high: float
+    node: str = CONTROLLER
+    log: bool = True
+
+    def value(self, place: float) -> float:
+        """The value at a place from 0 to 1 of the range."""
+        place = min(1.0, max(0.0, place))
+        if self.log:
+            return float(self.low * (self.high / self.low) ** place)
+        return float(self.low + (self.high - self.low) * place)
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A bound that a tuned scheme must keep.
+
+    Parameters
+    ----------
+    quantity : str
+        Attribute of :class:`Outcome`.
+    bound : float
+        Its largest value.
+    worst : bool
+        Whether the worst case counts, rather than the median.
+    """
+
+    quantity: str
+    bound: float
+    worst: bool
+
+    def value(self, outcomes: Sequence[Outcome]) -> float:
+        """What is held against the bound."""
+        values = [getattr(one, self.quantity) for one in outcomes]
+        return float(max(values) if self.worst else np.median(values))
+
+
+@dataclass(frozen=True)
+class Search:
+    """What is searched.
+
+    Parameters
+    ----------
+    name : str
+        For progress and data.
+    method, law : str
+        Estimator and control law.
+    knobs : tuple of Knob
+        The gains that are free.
+    controller_values, estimator_values : mapping
+        What is fixed.
+    limit : Limit, optional
+        What the gains must keep.
+    duration_s : float
+        Longest run, s.
+    """
+
+    name: str
+    method: str
+    law: str
+    knobs: tuple[Knob, ...]
+    controller_values: Mapping[str, Any] = field(default_factory=dict)
+    estimator_values: Mapping[str, Any] = field(default_factory=dict)
+    limit: Limit | None = None
+    duration_s: float = 4.0
+
+    def trial(self, places: Sequence[float], case: Case, conditions: Conditions) -> Trial:
+        """The trial of a case with the knobs at places from 0 to 1."""
+        turned: dict[str, dict[str, float]] = {CONTROLLER: {}, ESTIMATOR: {}}
+        for knob, place in zip(self.knobs, places, strict=True):
+            turned[knob.node][knob.name] = knob.value(place)
+        controller = {**self.controller_values, **turned[CONTROLLER]}
+        return Trial(
+            case,
+            self.method,
+            self.law,
+            estimator_values={**self.estimator_values, **turned[ESTIMATOR]},
+            controller_values=controller,
+            conditions=conditions,
+            duration_s=self.duration_s,
+            stop_when_settled=True,
+        )
+
+    def cost(self, outcomes: Sequence[Outcome]) -> float:
+        """What the search makes small, s: mean settling time, and a penalty beyond the limit.
+
+        A run that did not settle costs its duration and as much again, by the error left.
+        """
+        total = 0.0
+        for one in outcomes:
+            left = min(1.0, one.final_rms_m / one.start_distance_m)
+            never_s = self.duration_s * (1.0 + left)
+            coarse = never_s if one.failure else one.settled_s
+            fine_s = one.settling_s["2 mm"]
+            fine = self.duration_s if fine_s is None else fine_s
+            total += (1.0 - _FINE_SHARE) * coarse + _FINE_SHARE * fine
+        cost = total / len(outcomes)
+        if self.limit is not None:
+            excess = self.limit.value(outcomes) / self.limit.bound - 1.0
+            cost += _PENALTY_S * max(0.0, excess)
+        return cost
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Gains that were tried, and what came of them on the tuning cases.
+
+    Parameters
+    ----------
+    gains : dict of str to float
+        Values of the knobs.
+    places : tuple of float
+        The same, as places in the ranges.
+    cost : float
+        The search's cost, s.
+    settled_s : float
+        Median settling time to 5 mm, s; infinite for never.
+    jitter_rad_s, peak_joint_speed_rad_s : float
+        Median jitter and worst peak speed.
+    """
+
+    gains: dict[str, float]
+    places: tuple[float, ...]
+    cost: float
+    settled_s: float
+    jitter_rad_s: float
+    peak_joint_speed_rad_s: float
+
+
+@dataclass(frozen=True)
+class Found:
+    """A search's result.
+
+    Parameters
+    ----------
+    search : Search
+        What was searched.
+    tried : list of Candidate
+        All candidates, in order.
+    """
+
+    search: Search
+    tried: list[Candidate]
+
+    @property
+    def best(self) -> Candidate:
+        """The candidate of least cost."""
+        return min(self.tried, key=lambda one: one.cost)
+
+    def trial(self, case: Case, conditions: Conditions, duration_s: float, **changes) -> Trial:
+        """A scoring trial with the best gains; changes are fields of the trial."""
+        trial = self.search.trial(self.best.places, case, conditions)
+        return replace(trial, duration_s=duration_s, stop_when_settled=False, **changes)
+
+
+def run_searches(
+    context: Context,
+    searches: Sequence[Search],
+    cases: Sequence[Case],
+    conditions: Conditions,
+    generations: int,
+    population: int,
+    seed: int,
+) -> list[Found]:
+    """Search all of them with the same budget.
+
+    Parameters
+    ----------
+    context : Context
+        For its cores.
+    searches : sequence of Search
+        What is searched.
+    cases : sequence of Case
+        The tuning cases.
+    conditions : Conditions
+        The world of the tuning runs.
+    generations, population : int
+        The budget: their product is the number of candidates of each search.
+    seed : int
+        Of the searches.
+    """
+    from cmaes import CMA
+
+    optimisers = [
+        CMA(
+            mean=np.full(len(search.knobs), 0.5),
+            sigma=_SPREAD,
+            bounds=np.tile([0.0, 1.0], (len(search.knobs), 1)),
+            population_size=population,
+            seed=seed + number,
+        )
+        for number, search in enumerate(searches)
+    ]
+    found = [Found(search, []) for search in searches]
+    for generation in range(generations):
+        asked = [[one.ask() for _ in range(population)] for one in optimisers]
+        trials = [
+            search.trial(places, case, conditions)
+            for search, candidates in zip(searches, asked, strict=True)
+            for places in candidates
+            for case in cases
+        ]
+        outcomes = iter(
+            context.map(run_trial, trials, f"search, round {generation + 1} of {generations}")
+        )
+        for optimiser, one, candidates in zip(optimisers, found, asked, strict=True):
+            told = []
+            for places in candidates:
+                results = [next(outcomes) for _ in cases]
+                one.tried.append(_candidate(one.search, places, results))
+                told.append((places, one.tried[-1].cost))
+            optimiser.tell(told)
+    return found
+
+
+def _candidate(search: Search, places: np.ndarray, outcomes: Sequence[Outcome]) -> Candidate:
+    return Candidate(
+        gains={
+            knob.name: knob.value(place) for knob, place in zip(search.knobs, places, strict=True)
+        },
+        places=tuple(float(place) for place in places),
+        cost=search.cost(outcomes),
+        settled_s=float(np.median([one.settled_s for one in outcomes])),
+        jitter_rad_s=float(np.median([one.jitter_rad_s for one in outcomes])),
+        peak_joint_speed_rad_s=max(one.peak_joint_speed_rad_s for one in outcomes),
+    )

@@ -1,0 +1,90 @@
+"""Medians with intervals, and ratios of medians, for paired runs where some never settle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+_RESAMPLES = 2000
+_LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate with its 95 % interval; infinite where runs did not settle.
+
+    Parameters
+    ----------
+    value, low, high : float
+        Estimate and ends of its interval.
+    """
+
+    value: float
+    low: float
+    high: float
+
+    def text(self, digits: int = 2) -> str:
+        """``0.62 (0.58 to 0.71)``."""
+        value, low, high = (
+            "never" if not np.isfinite(number) else f"{number:.{digits}f}"
+            for number in (self.value, self.low, self.high)
+        )
+        return f"{value} ({low} to {high})"
+
+
+def median(values: Sequence[float]) -> Interval:
+    """Median and its bootstrap interval (percentiles of resampled medians).
+
+    Parameters
+    ----------
+    values : sequence of float
+        One per run; infinite for a run that never settled.
+    """
+    data = np.asarray(values, dtype=float)
+    medians = _median(data[_resamples(data.size)])
+    return Interval(float(_median(data)), *_ends(medians))
+
+
+def ratio_of_medians(numerator: Sequence[float], denominator: Sequence[float]) -> Interval:
+    """Ratio of two medians over the same cases, and its paired bootstrap interval.
+
+    Parameters
+    ----------
+    numerator, denominator : sequence of float
+        One per case each, in the same order.
+
+    Raises
+    ------
+    ValueError
+        If they do not have the same length.
+    """
+    above, below = np.asarray(numerator, dtype=float), np.asarray(denominator, dtype=float)
+    if above.shape != below.shape:
+        raise ValueError(f"paired runs must be as many: got {above.size} and {below.size}")
+    chosen = _resamples(above.size)
+    ratios = _ratio(_median(above[chosen]), _median(below[chosen]))
+    return Interval(float(_ratio(_median(above), _median(below))), *_ends(ratios))
+
+
+def _resamples(count: int) -> np.ndarray:
+    return np.random.default_rng(0).integers(0, count, (_RESAMPLES, count))
+
+
+def _median(data: np.ndarray) -> np.ndarray:
+    """The median of the last axis; the upper one of two, so that it is a number or infinite."""
+    return np.sort(data, axis=-1)[..., data.shape[-1] // 2]
+
+
+def _ratio(above: np.ndarray, below: np.ndarray) -> np.ndarray:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.asarray(above / below)
+    return np.where(np.isnan(ratio), np.inf, ratio)
+
+
+def _ends(samples: np.ndarray) -> tuple[float, float]:
+    """Percentiles that are samples: interpolation with infinity is none."""
+    ordered = np.sort(samples)
+    tail = round((1.0 - _LEVEL) / 2.0 * (ordered.size - 1))
+    return float(ordered[tail]), float(ordered[-1 - tail])

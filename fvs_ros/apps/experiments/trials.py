@@ -1,0 +1,366 @@
+"""One servoing run and its judgement: the atom of every comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import cv2
+import numpy as np
+
+from fvs_controller_node.reasons import State
+from fvs_controller_node.supervisor import Command
+from fvs_ros.apps.experiments.lockstep import LockStep, load_networks, make_estimator
+from fvs_ros.apps.score import settling_time_s
+from fvs_sim_node.rendering import CameraPose, camera_preset
+from fvs_sim_node.simulation import SimConfig, Simulation
+
+#: Middle and half widths of the box that starts and goals are drawn from, rad.
+HOME_RAD = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
+BOX_RAD = np.array([0.6, 0.5, 0.5, 0.5, 0.5, 0.5])
+
+#: Errors whose settling times are taken, m.
+BOUNDS_M = {"5 mm": 0.005, "2 mm": 0.002, "1 mm": 0.001}
+
+#: Time at rest before the target is given, for the controller's inputs to be fresh, s.
+PRELUDE_S = 0.4
+#: Every so many ticks the Jacobian in use is compared with the true one.
+_JACOBIAN_EVERY = 5
+#: The end of a run, over which rest is judged, s.
+_REST_S = 1.0
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What world a run takes place in; the same for all who are compared.
+
+    Parameters
+    ----------
+    rendered : bool
+        Whether ball positions come from rendered images.
+    position_noise_m : float
+        White noise on each coordinate, m.
+    depth_noise : float
+        Factor on the depth camera's own noise (rendered only).
+    latency_s : float
+        From exposure to the ball position's release, s.
+    joint_lag_s : float
+        Further lag of the drives, s.
+    camera_turn_deg : tuple of 3 float
+        Rotation vector, camera frame, degrees, by which the camera has been carried round the
+        scene since the networks were trained; it still looks at the scene.
+    """
+
+    rendered: bool = True
+    position_noise_m: float = 0.001
+    depth_noise: float = 1.0
+    latency_s: float = 0.04
+    joint_lag_s: float = 0.0
+    camera_turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def sim_config(self) -> SimConfig:
+        """The simulation of these conditions."""
+        return SimConfig(
+            rendered=self.rendered,
+            position_noise_m=self.position_noise_m,
+            depth_noise=self.depth_noise,
+            latency_s=self.latency_s,
+            camera_pose=carried_camera(np.radians(self.camera_turn_deg)),
+        )
+
+
+@dataclass(frozen=True)
+class Case:
+    """A start, a goal and the noise between them.
+
+    Parameters
+    ----------
+    name : str
+        For tables.
+    start_rad, goal_rad : tuple of 6 float
+        Joints at the start, and joints whose ball position is the target, rad.
+    seed : int
+        Of the run's noise.
+    """
+
+    name: str
+    start_rad: tuple[float, ...]
+    goal_rad: tuple[float, ...]
+    seed: int
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A case, who is to master it, and under what conditions.
+
+    Parameters
+    ----------
+    case : Case
+        Start, goal and seed.
+    method, law : str
+        Estimator and control law, by their registries' names.
+    estimator_values, controller_values : mapping
+        The nodes' parameters, where they differ from the defaults.
+    conditions : Conditions
+        The world.
+    duration_s : float
+        Time from the target on, s.
+    stop_when_settled : bool
+        Whether to end a second after the error has gone below 5 mm for good; for searches.
+    record : bool
+        Whether to keep the time series.
+    """
+
+    case: Case
+    method: str
+    law: str
+    estimator_values: Mapping[str, Any] = field(default_factory=dict)
+    controller_values: Mapping[str, Any] = field(default_factory=dict)
+    conditions: Conditions = field(default_factory=Conditions)
+    duration_s: float = 4.0
+    stop_when_settled: bool = False
+    record: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a trial; errors are of the true ball position.
+
+    Parameters
+    ----------
+    start_distance_m : float
+        Error when the target was given, m.
+    settling_s : dict of str to (float or None)
+        Time after which the error stayed below a bound, by the bound's name; None for never.
+    final_rms_m : float
+        Error over the last second, rms, m.
+    jitter_rad_s : float
+        Change of the command from tick to tick over the last second, rms, worst joint, rad/s.
+    peak_joint_speed_rad_s : float
+        Largest commanded joint speed, rad/s.
+    path_ratio : float
+        Length of the ball's path over the distance.
+    limited_share : float
+        Share of the time to 5 mm (or the whole run) in which a limit shaped the command.
+    jacobian_error : float
+        Relative Frobenius error of the Jacobian that the controller used, mean until settled.
+    failure : str
+        Why it did not settle to 5 mm; empty if it did.
+    target_m : tuple of 3 float
+        The target, camera frame, m.
+    series : dict of str to ndarray
+        ``time_s`` (n,), ``ball_m`` (n, 3), ``error_m`` (n,), ``command_rad_s`` (n, 6),
+        ``exponent`` (n, 3); empty unless recorded.
+    """
+
+    start_distance_m: float
+    settling_s: dict[str, float | None]
+    final_rms_m: float
+    jitter_rad_s: float
+    peak_joint_speed_rad_s: float
+    path_ratio: float
+    limited_share: float
+    jacobian_error: float
+    failure: str
+    target_m: tuple[float, ...]
+    series: dict[str, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def settled_s(self) -> float:
+        """Settling time to 5 mm, s; infinite if never."""
+        return seconds(self.settling_s["5 mm"])
+
+    def summary(self) -> dict[str, Any]:
+        """All but the time series."""
+        names = self.__dataclass_fields__.keys() - {"series"}
+        return {name: getattr(self, name) for name in sorted(names)}
+
+
+def seconds(value: float | None) -> float:
+    """A settling time as a number: infinite for never."""
+    return float("inf") if value is None else value
+
+
+def carried_camera(turn_rad: np.ndarray) -> CameraPose:
+    """The front camera, carried round the scene by a rotation vector in its own frame, rad.
+
+    The Jacobian turns with it; the ball stays in view, which a mere turn by 30 degrees on the
+    spot would not allow.
+    """
+    camera = camera_preset("front")
+    local = cv2.Rodrigues(np.asarray(turn_rad, dtype=float).reshape(3, 1))[0]
+    turn = camera.rotation @ local @ camera.rotation.T
+    return CameraPose(_SCENE_M + turn @ (camera.position_m - _SCENE_M), camera.rotation @ local)
+
+
+#: What the camera looks at: about where the ball is at home, world frame, m.
+_SCENE_M = np.array([-0.47, -0.1, 0.33])
+
+
+@lru_cache(maxsize=4)
+def simulation_of(conditions: Conditions) -> Simulation:
+    """The process's simulation under these conditions; to be reset before use."""
+    simulation = Simulation(conditions.sim_config())
+    simulation.joint_lag_s = conditions.joint_lag_s
+    return simulation
+
+
+def make_cases(
+    label: str, count: int, seed: int, low_m: float = 0.2, high_m: float = 0.5
+) -> list[Case]:
+    """Draw starts and goals whose balls are visible and some way apart.
+
+    Parameters
+    ----------
+    label : str
+        Beginning of their names.
+    count : int
+        How many.
+    seed : int
+        Of the draw, and of the cases' own seeds.
+    low_m, high_m : float
+        Least and largest distance of start and target, m.
+    """
+    rng = np.random.default_rng(seed)
+    simulation = simulation_of(Conditions())
+    cases: list[Case] = []
+    while len(cases) < count:
+        pair = HOME_RAD + rng.uniform(-1.0, 1.0, (2, 6)) * BOX_RAD
+        balls = []
+        for joints in pair:
+            simulation.reset(joints)
+            seen = simulation.look()
+            if seen.detection is None or seen.detection.visible_fraction < 0.9:
+                break
+            balls.append(seen.true_position_m)
+        else:
+            if low_m <= float(np.linalg.norm(balls[1] - balls[0])) <= high_m:
+                start, goal = (tuple(float(angle) for angle in joints) for joints in pair)
+                number = len(cases) + 1
+                cases.append(Case(f"{label}{number}", start, goal, 1000 * seed + number))
+    return cases
+
+
+def run_trial(trial: Trial) -> Outcome:
+    """Run one trial.
+
+    Returns
+    -------
+    Outcome
+        The same to the bit for the same trial, in whatever process.
+    """
+    simulation = simulation_of(trial.conditions)
+    simulation.reset(trial.case.goal_rad)
+    target_m = simulation.true_ball_position()
+    simulation.reset(trial.case.start_rad, trial.case.seed)
+    estimator = make_estimator(trial.method, simulation, load_networks(), trial.estimator_values)
+    one = LockStep(simulation, estimator, {"law": trial.law, **trial.controller_values})
+    one.run(PRELUDE_S)
+    one.set_target(target_m)
+    log = _Log(simulation.time_s)
+    for tick in range(round(trial.duration_s / one.period_s)):
+        command = one.tick()
+        log.add(simulation.time_s, simulation.true_ball_position(), command)
+        if tick % _JACOBIAN_EVERY == 0:
+            log.add_jacobian_error(_jacobian_error(one))
+        if trial.stop_when_settled and log.rested(target_m):
+            break
+    return log.outcome(target_m, trial.record)
+
+
+def _jacobian_error(one: LockStep) -> float:
+    """Relative Frobenius error of the Jacobian that the controller uses now."""
+    true = one.simulation.true_jacobian(one.simulation.joints_rad)
+    used = one.loop.jacobian
+    if used is None:
+        return float("nan")
+    return float(np.linalg.norm(used - true) / np.linalg.norm(true))
+
+
+class _Log:
+    """Collects a run and judges it."""
+
+    def __init__(self, start_s: float) -> None:
+        self._start_s = start_s
+        self._time_s: list[float] = []
+        self._ball_m: list[np.ndarray] = []
+        self._command: list[np.ndarray] = []
+        self._exponent: list[np.ndarray] = []
+        self._limited: list[bool] = []
+        self._jacobian_error: list[float] = []
+        self._below_since_s: float | None = None
+        self._last: Command | None = None
+        self._held: str = ""
+
+    def add_jacobian_error(self, error: float) -> None:
+        self._jacobian_error.append(error)
+
+    def add(self, now_s: float, ball_m: np.ndarray, command: Command) -> None:
+        self._time_s.append(now_s - self._start_s)
+        self._ball_m.append(ball_m)
+        self._command.append(command.velocity_rad_s)
+        output = command.output
+        self._exponent.append(np.full(3, np.nan) if output is None else output.exponent)
+        self._limited.append(bool(command.active_limit))
+        self._last = command
+        if command.state is not State.SERVOING:
+            self._held = command.reason.name.lower().replace("_", " ")
+
+    def rested(self, target_m: np.ndarray) -> bool:
+        """Whether the error has been below 5 mm for the time over which rest is judged."""
+        now_s = self._time_s[-1]
+        if np.linalg.norm(self._ball_m[-1] - target_m) >= BOUNDS_M["5 mm"]:
+            self._below_since_s = None
+            return False
+        if self._below_since_s is None:
+            self._below_since_s = now_s
+        return now_s - self._below_since_s >= _REST_S
+
+    def outcome(self, target_m: np.ndarray, record: bool) -> Outcome:
+        times, balls = np.array(self._time_s), np.array(self._ball_m)
+        commands = np.array(self._command)
+        errors = np.linalg.norm(balls - target_m, axis=1)
+        settling = {
+            name: settling_time_s(times, errors, bound_m) for name, bound_m in BOUNDS_M.items()
+        }
+        last = times > times[-1] - _REST_S
+        settled = settling["5 mm"]
+        moving = times <= (times[-1] if settled is None else settled)
+        path_m = float(np.linalg.norm(np.diff(balls[moving], axis=0), axis=1).sum())
+        series = {}
+        if record:
+            series = {
+                "time_s": times,
+                "ball_m": balls,
+                "error_m": errors,
+                "command_rad_s": commands,
+                "exponent": np.array(self._exponent),
+            }
+        return Outcome(
+            start_distance_m=float(errors[0]),
+            settling_s=settling,
+            final_rms_m=float(np.sqrt(np.mean(errors[last] ** 2))),
+            jitter_rad_s=float(
+                np.sqrt(np.mean(np.diff(commands[last], axis=0) ** 2, axis=0)).max()
+            ),
+            peak_joint_speed_rad_s=float(np.abs(commands).max()),
+            path_ratio=path_m / float(errors[0]),
+            limited_share=float(np.mean(np.array(self._limited)[moving])),
+            jacobian_error=float(
+                np.mean(np.array(self._jacobian_error)[moving[::_JACOBIAN_EVERY]])
+            ),
+            failure="" if settled is not None else self._cause(errors),
+            target_m=tuple(float(value) for value in target_m),
+            series=series,
+        )
+
+    def _cause(self, errors: np.ndarray) -> str:
+        if self._last is not None and self._last.state is not State.SERVOING:
+            return f"held: {self._held}"
+        if errors[-125:].min() < BOUNDS_M["5 mm"]:
+            return "reached 5 mm, but did not stay"
+        if errors[-1] < 0.9 * errors[0]:
+            return "too slow"
+        return "did not get nearer"

@@ -1,0 +1,316 @@
+"""What the laboratory stands on: statistics, knobs, reports, scenarios of the spot check."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+from scipy.stats import bootstrap
+
+from fvs_ros.apps.demo import own_targets
+from fvs_ros.apps.experiments import main, servo
+from fvs_ros.apps.experiments.context import Context
+from fvs_ros.apps.experiments.report import (
+    RESULTS,
+    Figure,
+    Report,
+    Table,
+    Verdict,
+    write_page,
+    write_report,
+)
+from fvs_ros.apps.experiments.search import ESTIMATOR, Knob, Limit, Search, run_searches
+from fvs_ros.apps.experiments.spot_check import SpotCheck, scenario_of
+from fvs_ros.apps.experiments.statistics import median, ratio_of_medians
+from fvs_ros.apps.experiments.trials import (
+    Case,
+    Conditions,
+    Outcome,
+    Trial,
+    carried_camera,
+    make_cases,
+    run_trial,
+)
+from fvs_ros.apps.scenario import load_scenario
+from fvs_ros.apps.score import settling_time_s
+from fvs_ros.core.schemes import SCHEMES
+
+INF = float("inf")
+HOME = (0.0, -1.35, 1.6, -1.75, -1.57, 0.0)
+EXACT = Conditions(rendered=False)
+
+
+def outcome(settled_s=0.7, jitter=0.001, peak=0.5, failure=""):
+    return Outcome(
+        start_distance_m=0.3,
+        settling_s={"5 mm": None if failure else settled_s, "2 mm": None, "1 mm": None},
+        final_rms_m=0.0005,
+        jitter_rad_s=jitter,
+        peak_joint_speed_rad_s=peak,
+        path_ratio=1.0,
+        limited_share=0.0,
+        jacobian_error=0.01,
+        failure=failure,
+        target_m=(0.0, 0.0, 1.0),
+    )
+
+
+# --- statistics ---
+
+
+def test_the_interval_of_a_median_is_that_of_scipy():
+    data = np.random.default_rng(1).lognormal(size=41)
+    one = median(data)
+    other = bootstrap((data,), np.median, method="percentile", n_resamples=4000, rng=2)
+    assert one.value == np.median(data)
+    assert one.low == pytest.approx(other.confidence_interval.low, rel=0.1)
+    assert one.high == pytest.approx(other.confidence_interval.high, rel=0.1)
+
+
+def test_runs_that_never_settle_count_as_infinitely_slow():
+    assert median([0.5, INF, 0.7]).value == 0.7
+    assert median([0.5, INF, INF]).value == INF
+    assert "never" in median([0.5, INF, INF]).text()
+    assert ratio_of_medians([1.0, 1.0, 1.0], [2.0, INF, INF]).value == 0.0
+    assert ratio_of_medians([INF] * 3, [INF] * 3).value == INF
+
+
+def test_the_ratio_is_paired():
+    slow = np.random.default_rng(3).uniform(1.0, 10.0, 30)
+    ratio = ratio_of_medians(0.5 * slow, slow)
+    assert ratio.value == ratio.low == ratio.high == 0.5
+    with pytest.raises(ValueError, match="as many"):
+        ratio_of_medians([1.0], [1.0, 2.0])
+
+
+# --- settling ---
+
+
+def test_settled_means_for_good():
+    times, errors = np.arange(5.0), np.array([9.0, 1.0, 9.0, 1.0, 1.0])
+    assert settling_time_s(times, errors, 5.0) == 3.0
+    assert settling_time_s(times, errors[:3], 5.0) is None
+    assert settling_time_s(times, np.zeros(5), 5.0) == 0.0
+
+
+# --- search ---
+
+
+def test_knobs_cover_their_range():
+    log = Knob("gain", 0.1, 10.0)
+    assert [log.value(p) for p in (0.0, 0.5, 1.0, 1.5)] == pytest.approx([0.1, 1.0, 10.0, 10.0])
+    assert Knob("gain", 0.0, 4.0, log=False).value(0.25) == 1.0
+
+
+def test_the_cost_is_settling_time_and_breaking_a_limit_costs_more_than_it_gains():
+    limit = Limit("peak_joint_speed_rad_s", 0.8, worst=True)
+    search = Search("one", "rbf", "proportional", (), limit=limit, duration_s=4.0)
+    calm = search.cost([outcome(2.0, peak=0.7), outcome(2.0, peak=0.79)])
+    fast = search.cost([outcome(0.5, peak=0.7), outcome(0.5, peak=0.9)])
+    failed = search.cost([outcome(failure="too slow"), outcome(2.0)])
+    assert calm < failed
+    assert calm < fast
+
+
+def test_the_search_finds_the_gain_and_is_repeatable(tmp_path):
+    """From the middle of the range, 1.7 1/s, up to where the speed limit rules."""
+    knobs = (Knob("proportional_gain_1_s", 0.1, 30.0), Knob("rbf.n1", 0.03, 3.0, ESTIMATOR))
+    search = Search("one", "rbf", "proportional", knobs, duration_s=3.0)
+    cases = make_cases("T", 1, 5)
+    context = Context(tmp_path, jobs=1, rendered=False)
+    one, again = (
+        run_searches(context, [search], cases, EXACT, generations=3, population=5, seed=1)[0]
+        for _ in range(2)
+    )
+    assert one == again
+    assert len(one.tried) == 15
+    assert one.best.gains["proportional_gain_1_s"] > 4.0
+    assert one.best.settled_s < 1.0
+
+
+def test_every_scheme_has_the_same_budget_and_knobs_that_its_nodes_know():
+    from fvs_controller_node.config import default_values
+    from fvs_estimator_node.config import PARAMETERS
+    from fvs_ros.core.params import ParameterSet
+
+    estimator = ParameterSet(PARAMETERS)
+    for regime in servo.REGIMES:
+        for name in SCHEMES:
+            search = servo._search(name, regime)
+            trial = search.trial([0.0] * len(search.knobs), Case("", HOME, HOME, 0), EXACT)
+            default_values(**trial.controller_values)
+            estimator.values(trial.estimator_values)
+            assert trial.controller_values.items() >= regime.controller_values.items()
+
+
+# --- trials ---
+
+
+def test_a_trial_is_the_same_to_the_bit_whatever_ran_before():
+    first, second = make_cases("T", 2, 6)
+    trial = Trial(first, "rbf", "ftsm", conditions=EXACT, duration_s=1.0, record=True)
+    one = run_trial(trial)
+    run_trial(Trial(second, "ukf", "mpc", conditions=EXACT, duration_s=0.5))
+    again = run_trial(trial)
+    assert one.summary() == again.summary()
+    np.testing.assert_array_equal(one.series["ball_m"], again.series["ball_m"])
+    other = run_trial(
+        Trial(
+            Case("", first.start_rad, first.goal_rad, 1),
+            "rbf",
+            "ftsm",
+            conditions=EXACT,
+            duration_s=1.0,
+            record=True,
+        )
+    )
+    assert np.any(one.series["ball_m"] != other.series["ball_m"])
+
+
+def test_failures_have_a_cause():
+    (case,) = make_cases("T", 1, 7)
+    slow = Trial(
+        case,
+        "rbf",
+        "proportional",
+        controller_values={"proportional_gain_1_s": 0.1},
+        conditions=EXACT,
+        duration_s=1.5,
+    )
+    assert run_trial(slow).failure in ("too slow", "did not get nearer")
+    blind = Trial(
+        case,
+        "lkf",
+        "ftsm",
+        estimator_values={"lkf.initial": "zero"},
+        conditions=EXACT,
+        duration_s=1.5,
+    )
+    assert run_trial(blind).failure == "held: near singular"
+
+
+def test_the_same_cases_come_of_the_same_seed_and_are_far_enough_apart():
+    cases = make_cases("T", 3, 8)
+    assert cases == make_cases("T", 3, 8)
+    assert cases != make_cases("T", 3, 9)
+    for case in cases:
+        out = run_trial(Trial(case, "oracle", "ftsm", conditions=EXACT, duration_s=0.1))
+        assert 0.19 < out.start_distance_m < 0.51
+
+
+def test_the_carried_camera_turns_the_jacobian_and_still_sees_the_scene():
+    from fvs_sim_node.simulation import Simulation
+
+    turned = Conditions(rendered=False, camera_turn_deg=(0.0, 20.0, 10.0))
+    with Simulation(EXACT.sim_config()) as home, Simulation(turned.sim_config()) as away:
+        angle = np.radians(np.linalg.norm(turned.camera_turn_deg))
+        relative = home.camera.rotation.T @ away.camera.rotation
+        assert np.arccos((np.trace(relative) - 1.0) / 2.0) == pytest.approx(angle)
+        np.testing.assert_allclose(
+            relative @ away.true_jacobian(HOME), home.true_jacobian(HOME), atol=1e-12
+        )
+        assert away.look().detection is not None
+    np.testing.assert_allclose(carried_camera(np.zeros(3)).rotation, home.camera.rotation)
+
+
+# --- reports ---
+
+
+def test_a_report_keeps_numbers_and_the_page_keeps_pictures(tmp_path):
+    folder = tmp_path / "servo"
+    folder.mkdir()
+    (folder / "one.png").write_bytes(b"\x89PNG")
+    report = Report(
+        "servo",
+        "Servoing <fast>",
+        "Why?",
+        ["So."],
+        [Figure("one.png", "what is seen")],
+        [Table("numbers", ["a"], [["1"]])],
+        [Verdict("claim", "finding", None)],
+        {"array": np.array([1.0, INF, 1.0 / 3.0]), "case": Case("c", HOME, HOME, 3)},
+    )
+    write_report(report, folder)
+    data = json.loads((folder / RESULTS).read_text())["data"]
+    assert data["array"] == [1.0, None, 0.3333333]
+    assert data["case"]["seed"] == 3
+    page = write_page(tmp_path).read_text()
+    assert "data:image/png;base64,iVBORw==" in page
+    assert "Servoing &lt;fast&gt;" in page
+    assert "Undecided" in page
+
+
+def test_what_cannot_be_written_is_refused(tmp_path):
+    with pytest.raises(TypeError, match="object"):
+        write_report(Report("a", "", "", [], data={"x": object()}), tmp_path)
+
+
+def test_results_are_in_order_whatever_the_number_of_processes(tmp_path):
+    items = list(range(7))
+    for jobs in (1, 2):
+        assert Context(tmp_path, jobs=jobs).map(abs, items, "x") == items
+
+
+# --- verdicts ---
+
+
+def test_the_verdict_follows_the_numbers():
+    def rows(**medians):
+        return {name: [outcome(s * f) for f in (0.9, 1.0, 1.1)] for name, s in medians.items()}
+
+    regime = servo.REGIMES[0]
+    base = {"rbf+pid": 1.0, "ukf+mfac": 2.0, "ukf+mpc": 0.9}
+    wins = servo._verdict(regime, {"limit": rows(proposed=0.4, **base)})
+    assert wins.holds is True
+    assert "ukf+mpc" in wins.finding
+    loses = servo._verdict(regime, {"limit": rows(proposed=3.0, **base)})
+    assert loses.holds is False
+
+
+# --- spot check ---
+
+
+def test_the_spot_checks_scenario_is_one(tmp_path):
+    case = Case("EXP1", HOME, HOME, 4)
+    trial = Trial(case, "ukf", "mpc", {"ukf.process_noise": 1e-3}, {"mpc_q": 0.1})
+    path = tmp_path / "spot.yaml"
+    targets = [np.array([0.1, -0.2, 1.3])]
+    path.write_text(yaml.safe_dump(scenario_of(trial, case, targets, tmp_path)))
+    parameters = load_scenario(str(path)).parameters
+    assert parameters["fvs_estimator_node"]["method"] == "ukf"
+    assert parameters["fvs_sim_node"]["position_noise_m"] == trial.conditions.position_noise_m
+    np.testing.assert_allclose(
+        own_targets(parameters["fvs_demo_node"]["target_positions"]), targets
+    )
+    with pytest.raises(ValueError, match="rendered"):
+        scenario_of(Trial(case, "rbf", "ftsm", conditions=EXACT), case, targets, tmp_path)
+
+
+def test_spot_checks_agree_only_where_both_settle():
+    assert SpotCheck("a", [0.5, None], [0.6, None], "").largest_difference_s == pytest.approx(0.1)
+    assert SpotCheck("a", [0.5], [None], "").largest_difference_s == INF
+
+
+def test_own_targets_are_read_or_refused_in_words():
+    assert own_targets("").shape == (0, 3)
+    np.testing.assert_array_equal(own_targets("1 2 3; 4 5 6"), [[1, 2, 3], [4, 5, 6]])
+    for bad in ("1 2", "1 2 x", "1 2 nan"):
+        with pytest.raises(ValueError, match="target_positions"):
+            own_targets(bad)
+
+
+# --- command line ---
+
+
+@pytest.mark.parametrize("arguments", [["nonsense"], ["servo", "--seeds", "0"], []])
+def test_a_wrong_command_line_is_refused(arguments, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main.main(arguments)
+    assert ended.value.code == 2
+    assert "usage" in capsys.readouterr().err
+
+
+def test_what_is_not_installed_is_named(monkeypatch, capsys):
+    monkeypatch.setattr(main, "_NEEDS", ("no_such_module",))
+    assert main.main(["servo"]) == 2
+    assert "no_such_module" in capsys.readouterr().err
