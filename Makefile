@@ -2,6 +2,7 @@
 #
 #   PYTHON=python3.12    the Python of .venv (3.10 to 3.13); default python3
 #   ARGS="..."           more arguments for the command behind a target, e.g. ARGS="-k launcher"
+#   NAME=servo           which experiment (experiments only); default all
 #   PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu    a torch without CUDA, 2 GB less
 
 PYTHON ?= python3
@@ -21,11 +22,11 @@ unexport PYTHONPATH AMENT_PREFIX_PATH RMW_IMPLEMENTATION
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test bench model lint format clean check-python log-dir
+.PHONY: help demo test experiments bench model lint format clean check-python log-dir
 
 help: ## list the targets
 	@echo "usage: make TARGET [PYTHON=python3.11] [ARGS=...]"
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' Makefile
 
 demo: $(VENV)/.installed-demo log-dir ## simulated UR5 follows four targets; result in out/demo
 	@echo "== demo: about a minute; Ctrl-C stops it"
@@ -35,6 +36,11 @@ test: $(VENV)/.installed-all log-dir ## all tests
 	@echo "== tests: a few minutes"
 	@ROS_PYTHON_CHECK_FIELDS=1 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST \
 		$(BIN)/python -m pytest $(ARGS)
+
+experiments: $(VENV)/.installed-lab log-dir ## the paper's experiments, measured anew; page in out/experiments
+	@echo "== experiments: a quarter of an hour on two cores; ARGS=--quick takes a minute or two"
+	@ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST \
+		$(BIN)/fvs_experiments $(or $(NAME),all) $(ARGS)
 
 bench: $(VENV)/.installed-model log-dir ## measurements of bench/, as tables
 	@echo "== benchmarks: some minutes; keep the machine idle"
@@ -67,12 +73,15 @@ log-dir:
 
 $(VENV)/.installed-demo: EXTRAS := ros,sim
 $(VENV)/.installed-model: EXTRAS := ros,sim,train
+$(VENV)/.installed-lab: EXTRAS := ros,sim,lab
 $(VENV)/.installed-lint: EXTRAS := test
 $(VENV)/.installed-all: EXTRAS := all
-$(VENV)/.installed-all: ALSO := demo model lint
+$(VENV)/.installed-all: ALSO := demo model lab lint
+$(VENV)/.installed-lab: ALSO := demo
 $(VENV)/.installed-model: ALSO := demo
 HINT_demo := half a minute and 250 MB
 HINT_model := minutes and up to 3 GB for torch
+HINT_lab := a minute and 350 MB
 HINT_lint := half a minute and 100 MB
 HINT_all := minutes and up to 3 GB for torch
 

@@ -7,21 +7,17 @@ import pytest
 
 from fvs_estimator_node.base import Estimator, MotionStep
 from fvs_ros.apps.experiments.context import Context
-from fvs_ros.apps.experiments.estimators import (
-    CONTESTANTS,
+from fvs_ros.apps.experiments.estimators import report_of
+from fvs_ros.apps.experiments.estimators_contestants import CONTESTANTS, GRIDS
+from fvs_ros.apps.experiments.estimators_recordings import (
     Recording,
-    all_hold,
-    below,
     binned,
     criteria,
-    disagreements,
-    grid_of,
     judge,
     record,
-    report_of,
-    study,
-    tuned,
 )
+from fvs_ros.apps.experiments.estimators_study import NOISE, Job, judge_all, study
+from fvs_ros.apps.experiments.estimators_verdicts import all_hold, below_one, disagreements
 from fvs_ros.apps.experiments.lockstep import load_networks, make_estimator
 from fvs_ros.apps.experiments.report import write_report
 from fvs_ros.apps.experiments.statistics import Interval
@@ -35,15 +31,6 @@ def quick(tmp_path, jobs=1):
     return Context(out=tmp_path, seeds=1, jobs=jobs, quick=True, rendered=False)
 
 
-def numbers(found):
-    return {
-        name: [
-            (one.steps, one.visible_share, one.position_error_m, one.summaries) for one in results
-        ]
-        for name, results in found.judged.items()
-    }
-
-
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
     return study(quick(tmp_path_factory.mktemp("study")))
@@ -55,16 +42,22 @@ def clean():
 
 
 # ---------------------------------------------------------------------------------- the study
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_the_same_configuration_gives_the_same_numbers(found, tmp_path, jobs):
-    again = study(quick(tmp_path, jobs))
-    assert numbers(again) == numbers(found)
-    for world in found.worlds:
-        for one in found.contestants:
-            for criterion in ("t1_m", "t2_m"):
-                np.testing.assert_array_equal(
-                    again.curve(world, one.name, criterion), found.curve(world, one.name, criterion)
-                )
+def test_the_same_configuration_gives_the_same_numbers_in_any_process(tmp_path):
+    context = quick(tmp_path, jobs=2)
+    jobs = [
+        Job(NOISE.conditions(context, seed), seed, 1.0, tuple(CONTESTANTS.values()))
+        for seed in (1, 2)
+    ]
+    here = [judge_all(job) for job in jobs]
+    for one, other in zip(here, context.map(judge_all, jobs, "test"), strict=True):
+        assert other.summaries == one.summaries
+        np.testing.assert_equal(other.curves, one.curves)
+
+
+def test_a_recording_is_repeated_whatever_was_recorded_between(clean):
+    again = record(3, CLEAN, DURATION_S)
+    np.testing.assert_array_equal(again.time_s, clean.time_s)
+    np.testing.assert_array_equal(again.true_jacobian, clean.true_jacobian)
 
 
 def test_everyone_is_judged_on_the_same_steps_in_every_world(found):
@@ -195,28 +188,26 @@ def test_bins_are_means_and_empty_ones_are_no_number():
 
 # ---------------------------------------------------------------------------------- who and how
 def test_tuned_values_go_where_they_belong():
-    tuned_ones = {
-        one.name: one.values
-        for one in tuned(CONTESTANTS, {"lkf_explored": 0.5, "lkf_model": 0.25, "rbf_tuned": 2.0})
-    }
-    assert tuned_ones["lkf_explored"]["lkf.process_noise"] == 0.5
-    assert tuned_ones["ukf_explored"]["ukf.process_noise"] == 0.5
-    assert tuned_ones["lkf_zero"]["lkf.process_noise"] == 0.5
-    assert tuned_ones["ukf_model"]["ukf.process_noise"] == 0.25
-    assert tuned_ones["rbf_tuned"]["rbf.n1"] == 2.0
-    assert "rbf.n1" not in tuned_ones["rbf"]
+    chosen = {"lkf_explored": 0.5, "lkf_model": 0.25, "rbf_tuned": 2.0}
+    values = {name: one.tuned(chosen).values for name, one in CONTESTANTS.items()}
+    assert values["lkf_explored"]["lkf.process_noise"] == 0.5
+    assert values["ukf_explored"]["ukf.process_noise"] == 0.5
+    assert values["lkf_zero"]["lkf.process_noise"] == 0.5
+    assert values["ukf_model"]["ukf.process_noise"] == 0.25
+    assert values["rbf_tuned"]["rbf.n1"] == 2.0
+    assert "rbf.n1" not in values["rbf"]
+    assert values["lkf_fast"] == CONTESTANTS["lkf_fast"].values
 
 
 def test_all_methods_are_tuned_over_equally_many_values():
-    grids = [grid_of(one) for one in CONTESTANTS]
-    assert {len(set(grid.values)) for grid in grids if grid is not None} == {8}
+    assert {len(set(grid.values)) for grid in GRIDS.values()} == {8}
 
 
 @pytest.mark.parametrize(
     ("low", "high", "holds"), [(0.5, 0.9, True), (1.1, 1.5, False), (0.9, 1.1, None)]
 )
 def test_a_ratio_is_below_one_with_its_interval_or_undecided(low, high, holds):
-    assert below(Interval(0.5 * (low + high), low, high)) is holds
+    assert below_one(Interval(0.5 * (low + high), low, high)) is holds
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from fvs_ros.apps.experiments.report import (
     write_report,
 )
 from fvs_ros.apps.experiments.search import ESTIMATOR, Knob, Limit, Search, run_searches
+from fvs_ros.apps.experiments.servo_terms import REGIMES, search_of
 from fvs_ros.apps.experiments.spot_check import SpotCheck, scenario_of
 from fvs_ros.apps.experiments.statistics import median, ratio_of_medians
 from fvs_ros.apps.experiments.trials import (
@@ -134,9 +135,9 @@ def test_every_scheme_has_the_same_budget_and_knobs_that_its_nodes_know():
     from fvs_ros.core.params import ParameterSet
 
     estimator = ParameterSet(PARAMETERS)
-    for regime in servo.REGIMES:
+    for regime in REGIMES:
         for name in SCHEMES:
-            search = servo._search(name, regime)
+            search = search_of(name, regime)
             trial = search.trial([0.0] * len(search.knobs), Case("", HOME, HOME, 0), EXACT)
             default_values(**trial.controller_values)
             estimator.values(trial.estimator_values)
@@ -258,7 +259,7 @@ def test_the_verdict_follows_the_numbers():
     def rows(**medians):
         return {name: [outcome(s * f) for f in (0.9, 1.0, 1.1)] for name, s in medians.items()}
 
-    regime = servo.REGIMES[0]
+    regime = REGIMES[0]
     base = {"rbf+pid": 1.0, "ukf+mfac": 2.0, "ukf+mpc": 0.9}
     wins = servo._verdict(regime, {"limit": rows(proposed=0.4, **base)})
     assert wins.holds is True

@@ -111,7 +111,7 @@ def write_report(report: Report, folder: Path) -> Path:
 
 
 def write_page(out: Path) -> Path:
-    """Write ``index.html`` from all results in a folder, pictures included.
+    """Write ``index.html`` from all results in a folder, pictures included, and ``index.md``.
 
     Parameters
     ----------
@@ -121,24 +121,36 @@ def write_page(out: Path) -> Path:
     Returns
     -------
     Path
-        The page.
+        The page. The Markdown beside it has the same words and tables, and links to the pictures.
     """
-    from jinja2 import Environment
-
     reports = []
     for name in ORDER:
         path = out / name / RESULTS
         if path.is_file():
             report = json.loads(path.read_text(encoding="utf-8"))
+            del report["data"]
             for figure in report["figures"]:
                 png = (path.parent / figure["file"]).read_bytes()
                 figure["data"] = base64.b64encode(png).decode("ascii")
             reports.append(report)
-    template = files("fvs_ros.apps.experiments").joinpath("page.html.jinja").read_text("utf-8")
     page = out / "index.html"
-    html = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True).from_string(template)
-    page.write_text(html.render(reports=reports), encoding="utf-8")
+    page.write_text(_render("page.html.jinja", reports, autoescape=True), encoding="utf-8")
+    text = _render("page.md.jinja", reports, autoescape=False)
+    (out / "index.md").write_text(text, encoding="utf-8")
     return page
+
+
+def _render(template: str, reports: Sequence[Mapping[str, Any]], autoescape: bool) -> str:
+    from jinja2 import Environment
+
+    source = files("fvs_ros.apps.experiments").joinpath(template).read_text("utf-8")
+    environment = Environment(
+        autoescape=autoescape,  # Markdown has nothing to escape, HTML has
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    return environment.from_string(source).render(reports=reports)
 
 
 def _plain(value: Any) -> Any:

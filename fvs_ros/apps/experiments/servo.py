@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,17 @@ import numpy as np
 from fvs_ros.apps.experiments import servo_figures
 from fvs_ros.apps.experiments.context import Context
 from fvs_ros.apps.experiments.report import Figure, Report, Table, Verdict
-from fvs_ros.apps.experiments.search import ESTIMATOR, Found, Knob, Limit, Search, run_searches
+from fvs_ros.apps.experiments.search import Found, run_searches
+from fvs_ros.apps.experiments.servo_terms import (
+    BASELINES,
+    JITTER_RAD_S,
+    PROPOSED,
+    REGIMES,
+    Regime,
+    Row,
+    rows_of,
+    search_of,
+)
 from fvs_ros.apps.experiments.spot_check import SpotCheck, spot_check
 from fvs_ros.apps.experiments.statistics import Interval, median, ratio_of_medians
 from fvs_ros.apps.experiments.trials import (
@@ -29,147 +39,9 @@ from fvs_ros.apps.experiments.trials import (
 from fvs_ros.core.schemes import SCHEMES
 
 NAME = "servo"
-PROPOSED = "proposed"
-BASELINES = tuple(name for name in SCHEMES if name != PROPOSED)
-
 _TUNING_SEED, _SCORING_SEED, _SEARCH_SEED = 900, 901, 7
 #: Cases that the figures show, as in the paper.
 _SHOWN = 4
-
-#: The gains of each law that the search may turn; what is fixed are units (alpha1) and what a
-#: knob already scales.
-_LAW_KNOBS = {
-    "ftsm": (
-        Knob("alpha2", 0.1, 10.0),
-        Knob("alpha3", 0.1, 10.0),
-        Knob("lambda1", 0.35, 0.7, log=False),
-        Knob("lambda2", 0.0, 0.3, log=False),
-        Knob("switch_error_m", 0.002, 0.02),
-        Knob("k4", 0.005, 0.5),
-    ),
-    "proportional": (Knob("proportional_gain_1_s", 0.3, 30.0),),
-    "mfac": (Knob("mfac_lambda", 0.003, 3.0), Knob("mfac_interval_s", 0.01, 0.2)),
-    "mpc": (
-        Knob("mpc_horizon", 2.0, 30.0),
-        Knob("mpc_alpha", 0.3, 1.0, log=False),
-        Knob("mpc_rho", 0.1, 5.0),
-        Knob("mpc_q", 0.001, 3.0),
-    ),
-}
-#: One number of each estimator.
-_METHOD_KNOBS = {
-    "rbf": (Knob("rbf.n1", 0.03, 3.0, ESTIMATOR),),
-    "ukf": (Knob("ukf.process_noise", 1e-5, 1e-1, ESTIMATOR),),
-}
-
-
-@dataclass(frozen=True)
-class Regime:
-    """What is held equal.
-
-    Parameters
-    ----------
-    name, title : str
-        In data, and on the page.
-    says : str
-        What it means, in a sentence.
-    controller_values : mapping
-        Limits of the supervisor.
-    limit : Limit, optional
-        What tuning must keep.
-    duration_s : float
-        Length of a run, s.
-    knobs : tuple of Knob
-        Gains that every scheme may turn in addition.
-    """
-
-    name: str
-    title: str
-    says: str
-    controller_values: Mapping[str, Any]
-    limit: Limit | None
-    duration_s: float
-    knobs: tuple[Knob, ...] = ()
-
-
-_CLIPPED = {"max_joint_velocity_rad_s": 1.0, "max_joint_acceleration_rad_s2": 6.0}
-_FREE = {"max_joint_velocity_rad_s": 3.14, "max_joint_acceleration_rad_s2": 40.0}
-PEAK_RAD_S = 0.8
-JITTER_RAD_S = 0.001
-
-REGIMES = (
-    Regime(
-        "limit",
-        "Equal joint-speed limit",
-        "every joint may turn at 1 rad/s at most (acceleration 6 rad/s^2), as on a real arm; gains "
-        "are tuned for speed alone",
-        _CLIPPED,
-        None,
-        4.0,
-    ),
-    Regime(
-        "peak",
-        "Equal peak speed, no limit",
-        f"nothing clips the command, and gains are tuned so that no joint exceeds {PEAK_RAD_S} "
-        "rad/s in any tuning run: the picture of the paper's figures",
-        _FREE,
-        Limit("peak_joint_speed_rad_s", PEAK_RAD_S, worst=True),
-        8.0,
-    ),
-    Regime(
-        "jitter",
-        "Equal command jitter",
-        "the limits of the first regime, and gains tuned so that at rest the command changes from "
-        f"one 8 ms tick to the next by at most {1e3 * JITTER_RAD_S:g} mrad/s rms",
-        _CLIPPED,
-        Limit("jitter_rad_s", JITTER_RAD_S, worst=False),
-        5.0,
-    ),
-    Regime(
-        "filter",
-        "Equal command jitter, image filter tuned too",
-        "as before, but every scheme may also choose how much of an image's innovation its "
-        "predictor believes: the cheapest way to calm a command",
-        _CLIPPED,
-        Limit("jitter_rad_s", JITTER_RAD_S, worst=False),
-        5.0,
-        (Knob("fusion_gain", 0.02, 1.0),),
-    ),
-)
-#: Regimes in which the oracle and the frozen networks run, too.
-_WITH_ORACLE = ("limit", "peak")
-
-
-@dataclass(frozen=True)
-class Row:
-    """One line of a regime's table: a scheme, or the oracle beside it.
-
-    Parameters
-    ----------
-    name : str
-        For tables and figures.
-    gains_of : str
-        Scheme whose tuned gains it uses.
-    method : str
-        Estimator in place of the scheme's; empty for the scheme's own.
-    """
-
-    name: str
-    gains_of: str
-    method: str = ""
-
-
-_SCHEME_ROWS = tuple(Row(name, name) for name in SCHEMES)
-_ORACLE_ROWS = (
-    Row("oracle, sliding mode", PROPOSED, "oracle"),
-    Row("oracle, proportional", "rbf+pid", "oracle"),
-    Row("frozen networks, sliding mode", PROPOSED, "frozen"),
-)
-
-
-def rows_of(regime: Regime) -> tuple[Row, ...]:
-    """Who runs in a regime."""
-    return (*_SCHEME_ROWS, *(_ORACLE_ROWS if regime.name in _WITH_ORACLE else ()))
 
 
 def run(context: Context) -> Report:
@@ -230,28 +102,16 @@ def run(context: Context) -> Report:
     )
 
 
-def _search(name: str, regime: Regime) -> Search:
-    scheme = SCHEMES[name]
-    return Search(
-        f"{regime.name} {name}",
-        scheme.method,
-        scheme.law,
-        (*_LAW_KNOBS[scheme.law], *_METHOD_KNOBS[scheme.method], *regime.knobs),
-        controller_values=regime.controller_values,
-        limit=regime.limit,
-        duration_s=regime.duration_s,
-    )
-
-
 def _tune(context: Context, cases: Sequence[Case]) -> dict[tuple[str, str], Found]:
     """Tune every scheme in every regime; by (regime, scheme)."""
     keys = [(regime.name, name) for regime in REGIMES for name in SCHEMES]
-    searches = [_search(name, regime) for regime in REGIMES for name in SCHEMES]
+    searches = [search_of(name, regime) for regime in REGIMES for name in SCHEMES]
     found = run_searches(
         context,
         searches,
         cases,
-        Conditions(rendered=False),  # true positions with the same noise: fast enough to search
+        # True positions with the same noise, coarser physics: fast enough to search.
+        Conditions(rendered=False, physics_rate_hz=250.0),
         generations=1 if context.quick else 7,
         population=4 if context.quick else 8,
         seed=_SEARCH_SEED,

@@ -62,16 +62,16 @@ def summary(
     for panel, regime in zip(panels.flat, regimes, strict=True):
         rows = outcomes[regime.name]
         top_s = regime.duration_s
-        for place, (row, ones) in enumerate(reversed(rows.items())):
+        for place, (row, ones) in enumerate(reversed(list(rows.items()))):
             times = np.array([one.settled_s for one in ones])
             heights = place + rng.uniform(-0.18, 0.18, times.size)
             panel.plot(
                 np.minimum(times, top_s), heights, "o", color=_colour(row), alpha=0.45, markersize=4
             )
-            middle = min(median(times).value, top_s)
+            middle = min(median(times.tolist()).value, top_s)
             panel.plot([middle, middle], [place - 0.36, place + 0.36], color=_colour(row), lw=3)
         panel.set(title=regime.title, xlabel="settling time to 5 mm (s)", xlim=(0.0, top_s * 1.03))
-        panel.set_yticks(range(len(rows)), list(reversed(rows)))
+        panel.set_yticks(range(len(rows)), list(reversed(list(rows))))
     save(figure, folder / "summary.png")
     return "summary.png"
 
@@ -205,6 +205,7 @@ def paths(folder: Path, rows: Mapping[str, Sequence[Outcome]], cases: Sequence[C
         axes.set_zlabel("-y, up (m)", fontsize=8)
         axes.tick_params(labelsize=7)
         axes.locator_params(nbins=4)
+        axes.set_box_aspect(None, zoom=0.8)  # or the labels are cut off
         if number == 0:
             handles, labels = axes.get_legend_handles_labels()
             figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))

@@ -48,6 +48,8 @@ class Conditions:
         From exposure to the ball position's release, s.
     joint_lag_s : float
         Further lag of the drives, s.
+    physics_rate_hz : float
+        Steps of the physics a second; half as many make a search faster.
     camera_turn_deg : tuple of 3 float
         Rotation vector, camera frame, degrees, by which the camera has been carried round the
         scene since the networks were trained; it still looks at the scene.
@@ -58,6 +60,7 @@ class Conditions:
     depth_noise: float = 1.0
     latency_s: float = 0.04
     joint_lag_s: float = 0.0
+    physics_rate_hz: float = 500.0
     camera_turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def sim_config(self) -> SimConfig:
@@ -67,6 +70,7 @@ class Conditions:
             position_noise_m=self.position_noise_m,
             depth_noise=self.depth_noise,
             latency_s=self.latency_s,
+            physics_rate_hz=self.physics_rate_hz,
             camera_pose=carried_camera(np.radians(self.camera_turn_deg)),
         )
 
