@@ -55,6 +55,7 @@ def test_the_same_configuration_gives_the_same_numbers_in_any_process(tmp_path):
 
 
 def test_a_recording_is_repeated_whatever_was_recorded_between(clean):
+    record(4, CLEAN, 0.1)
     again = record(3, CLEAN, DURATION_S)
     np.testing.assert_array_equal(again.time_s, clean.time_s)
     np.testing.assert_array_equal(again.true_jacobian, clean.true_jacobian)
