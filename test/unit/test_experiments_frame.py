@@ -19,7 +19,7 @@ from fvs_ros.apps.experiments.report import (
     write_page,
     write_report,
 )
-from fvs_ros.apps.experiments.search import ESTIMATOR, Knob, Limit, Search, run_searches
+from fvs_ros.apps.experiments.search import Found, Knob, Limit, Search, run_searches
 from fvs_ros.apps.experiments.servo_terms import REGIMES, search_of
 from fvs_ros.apps.experiments.spot_check import SpotCheck, scenario_of
 from fvs_ros.apps.experiments.statistics import median, ratio_of_medians
@@ -104,18 +104,31 @@ def test_knobs_cover_their_range():
 
 
 def test_the_cost_is_settling_time_and_breaking_a_limit_costs_more_than_it_gains():
-    limit = Limit("peak_joint_speed_rad_s", 0.8, worst=True)
+    limit = Limit("peak_joint_speed_rad_s", 0.8)
     search = Search("one", "rbf", "proportional", (), limit=limit, duration_s=4.0)
-    calm = search.cost([outcome(2.0, peak=0.7), outcome(2.0, peak=0.79)])
-    fast = search.cost([outcome(0.5, peak=0.7), outcome(0.5, peak=0.9)])
-    failed = search.cost([outcome(failure="too slow"), outcome(2.0)])
-    assert calm < failed
-    assert calm < fast
+
+    def cost(*outcomes):
+        return search.cost(search.judge({}, outcomes))
+
+    calm = cost(*3 * [outcome(2.0, peak=0.79)])
+    assert calm == pytest.approx(0.9 * 2.0 + 0.1 * 4.0)  # none of them came to 2 mm
+    assert calm < cost(*3 * [outcome(0.5, peak=0.9)])
+    assert calm < cost(outcome(failure="too slow"), *2 * [outcome(2.0)])
+
+
+def test_what_was_tried_elsewhere_counts_if_it_keeps_the_limit():
+    limit = Limit("jitter_rad_s", 0.001)
+    search = Search("one", "rbf", "proportional", (), limit=limit)
+    own = search.judge({"a": 1.0}, [outcome(2.0)])
+    calm = search.judge({"a": 2.0}, [outcome(1.0, jitter=0.0009)])
+    wild = search.judge({"a": 3.0}, [outcome(0.5, jitter=0.002)])
+    assert Found(search, [own]).best is own
+    assert Found(search, [own], [calm, wild]).best is calm
 
 
 def test_the_search_finds_the_gain_and_is_repeatable(tmp_path):
     """From the middle of the range, 1.7 1/s, up to where the speed limit rules."""
-    knobs = (Knob("proportional_gain_1_s", 0.1, 30.0), Knob("rbf.n1", 0.03, 3.0, ESTIMATOR))
+    knobs = (Knob("proportional_gain_1_s", 0.1, 30.0), Knob("damping", 1e-6, 1e-3))
     search = Search("one", "rbf", "proportional", knobs, duration_s=3.0)
     cases = make_cases("T", 1, 5)
     context = Context(tmp_path, jobs=1, rendered=False)
@@ -138,7 +151,8 @@ def test_every_scheme_has_the_same_budget_and_knobs_that_its_nodes_know():
     for regime in REGIMES:
         for name in SCHEMES:
             search = search_of(name, regime)
-            trial = search.trial([0.0] * len(search.knobs), Case("", HOME, HOME, 0), EXACT)
+            lowest = search.gains([0.0] * len(search.knobs))
+            trial = search.trial(lowest, Case("", HOME, HOME, 0), EXACT)
             default_values(**trial.controller_values)
             estimator.values(trial.estimator_values)
             assert trial.controller_values.items() >= regime.controller_values.items()

@@ -58,26 +58,18 @@ class Knob:
 
 @dataclass(frozen=True)
 class Limit:
-    """A bound that a tuned scheme must keep.
+    """A bound that a tuned scheme must keep in the median tuning case.
 
     Parameters
     ----------
     quantity : str
-        Attribute of :class:`Outcome`.
+        Attribute of :class:`Candidate`.
     bound : float
         Its largest value.
-    worst : bool
-        Whether the worst case counts, rather than the median.
     """
 
     quantity: str
     bound: float
-    worst: bool
-
-    def value(self, outcomes: Sequence[Outcome]) -> float:
-        """What is held against the bound."""
-        values = [getattr(one, self.quantity) for one in outcomes]
-        return float(max(values) if self.worst else np.median(values))
 
 
 @dataclass(frozen=True)
@@ -109,25 +101,31 @@ class Search:
     limit: Limit | None = None
     duration_s: float = 4.0
 
-    def trial(self, places: Sequence[float], case: Case, conditions: Conditions) -> Trial:
-        """The trial of a case with the knobs at places from 0 to 1."""
+    def gains(self, places: Sequence[float]) -> dict[str, float]:
+        """Values of the knobs at places from 0 to 1 of their ranges."""
+        return {
+            knob.name: knob.value(place) for knob, place in zip(self.knobs, places, strict=True)
+        }
+
+    def trial(self, gains: Mapping[str, float], case: Case, conditions: Conditions) -> Trial:
+        """The trial of a case with such gains; knobs that they leave out keep their defaults."""
         turned: dict[str, dict[str, float]] = {CONTROLLER: {}, ESTIMATOR: {}}
-        for knob, place in zip(self.knobs, places, strict=True):
-            turned[knob.node][knob.name] = knob.value(place)
-        controller = {**self.controller_values, **turned[CONTROLLER]}
+        for knob in self.knobs:
+            if knob.name in gains:
+                turned[knob.node][knob.name] = gains[knob.name]
         return Trial(
             case,
             self.method,
             self.law,
             estimator_values={**self.estimator_values, **turned[ESTIMATOR]},
-            controller_values=controller,
+            controller_values={**self.controller_values, **turned[CONTROLLER]},
             conditions=conditions,
             duration_s=self.duration_s,
             stop_when_settled=True,
         )
 
-    def cost(self, outcomes: Sequence[Outcome]) -> float:
-        """What the search makes small, s: mean settling time, and a penalty beyond the limit.
+    def time_s(self, outcomes: Sequence[Outcome]) -> float:
+        """Mean settling time, s: to 5 mm, with a small share of that to 2 mm.
 
         A run that did not settle costs its duration and as much again, by the error left.
         """
@@ -139,11 +137,28 @@ class Search:
             fine_s = one.settling_s["2 mm"]
             fine = self.duration_s if fine_s is None else fine_s
             total += (1.0 - _FINE_SHARE) * coarse + _FINE_SHARE * fine
-        cost = total / len(outcomes)
-        if self.limit is not None:
-            excess = self.limit.value(outcomes) / self.limit.bound - 1.0
-            cost += _PENALTY_S * max(0.0, excess)
-        return cost
+        return total / len(outcomes)
+
+    def judge(self, gains: dict[str, float], outcomes: Sequence[Outcome]) -> Candidate:
+        """Sum up what came of gains on the tuning cases."""
+
+        def middle(quantity: str) -> float:
+            return float(np.median([getattr(one, quantity) for one in outcomes]))
+
+        return Candidate(
+            gains=gains,
+            time_s=self.time_s(outcomes),
+            settled_s=middle("settled_s"),
+            jitter_rad_s=middle("jitter_rad_s"),
+            peak_joint_speed_rad_s=middle("peak_joint_speed_rad_s"),
+        )
+
+    def cost(self, candidate: Candidate) -> float:
+        """What the search makes small, s: settling time, and a penalty beyond the limit."""
+        if self.limit is None:
+            return candidate.time_s
+        excess = getattr(candidate, self.limit.quantity) / self.limit.bound - 1.0
+        return candidate.time_s + _PENALTY_S * max(0.0, excess)
 
 
 @dataclass(frozen=True)
@@ -154,19 +169,14 @@ class Candidate:
     ----------
     gains : dict of str to float
         Values of the knobs.
-    places : tuple of float
-        The same, as places in the ranges.
-    cost : float
-        The search's cost, s.
-    settled_s : float
-        Median settling time to 5 mm, s; infinite for never.
-    jitter_rad_s, peak_joint_speed_rad_s : float
-        Median jitter and worst peak speed.
+    time_s : float
+        Mean settling time as :meth:`Search.time_s` counts it, s.
+    settled_s, jitter_rad_s, peak_joint_speed_rad_s : float
+        Medians over the cases; the settling time is to 5 mm, infinite for never.
     """
 
     gains: dict[str, float]
-    places: tuple[float, ...]
-    cost: float
+    time_s: float
     settled_s: float
     jitter_rad_s: float
     peak_joint_speed_rad_s: float
@@ -181,20 +191,23 @@ class Found:
     search : Search
         What was searched.
     tried : list of Candidate
-        All candidates, in order.
+        All its candidates, in order.
+    others : list of Candidate
+        Candidates of other searches of the same scheme that count here as well.
     """
 
     search: Search
     tried: list[Candidate]
+    others: list[Candidate] = field(default_factory=list)
 
     @property
     def best(self) -> Candidate:
         """The candidate of least cost."""
-        return min(self.tried, key=lambda one: one.cost)
+        return min([*self.tried, *self.others], key=self.search.cost)
 
     def trial(self, case: Case, conditions: Conditions, duration_s: float, **changes) -> Trial:
         """A scoring trial with the best gains; changes are fields of the trial."""
-        trial = self.search.trial(self.best.places, case, conditions)
+        trial = self.search.trial(self.best.gains, case, conditions)
         return replace(trial, duration_s=duration_s, stop_when_settled=False, **changes)
 
 
@@ -240,7 +253,7 @@ def run_searches(
     for generation in range(generations):
         asked = [[one.ask() for _ in range(population)] for one in optimisers]
         trials = [
-            search.trial(places, case, conditions)
+            search.trial(search.gains(places), case, conditions)
             for search, candidates in zip(searches, asked, strict=True)
             for places in candidates
             for case in cases
@@ -252,20 +265,8 @@ def run_searches(
             told = []
             for places in candidates:
                 results = [next(outcomes) for _ in cases]
-                one.tried.append(_candidate(one.search, places, results))
-                told.append((places, one.tried[-1].cost))
+                candidate = one.search.judge(one.search.gains(places), results)
+                one.tried.append(candidate)
+                told.append((places, one.search.cost(candidate)))
             optimiser.tell(told)
     return found
-
-
-def _candidate(search: Search, places: np.ndarray, outcomes: Sequence[Outcome]) -> Candidate:
-    return Candidate(
-        gains={
-            knob.name: knob.value(place) for knob, place in zip(search.knobs, places, strict=True)
-        },
-        places=tuple(float(place) for place in places),
-        cost=search.cost(outcomes),
-        settled_s=float(np.median([one.settled_s for one in outcomes])),
-        jitter_rad_s=float(np.median([one.jitter_rad_s for one in outcomes])),
-        peak_joint_speed_rad_s=max(one.peak_joint_speed_rad_s for one in outcomes),
-    )
