@@ -17,10 +17,9 @@ from fvs_ros.apps.experiments.estimators_recordings import (
     record,
 )
 from fvs_ros.apps.experiments.estimators_study import NOISE, Job, judge_all, study
-from fvs_ros.apps.experiments.estimators_verdicts import all_hold, below_one, disagreements
+from fvs_ros.apps.experiments.estimators_verdicts import disagreements
 from fvs_ros.apps.experiments.lockstep import load_networks, make_estimator
 from fvs_ros.apps.experiments.report import write_report
-from fvs_ros.apps.experiments.statistics import Interval
 from fvs_ros.apps.experiments.trials import BOX_RAD, HOME_RAD, Conditions, simulation_of
 
 CLEAN = Conditions(rendered=False, position_noise_m=0.0, depth_noise=0.0)
@@ -202,21 +201,6 @@ def test_tuned_values_go_where_they_belong():
 
 def test_all_methods_are_tuned_over_equally_many_values():
     assert {len(set(grid.values)) for grid in GRIDS.values()} == {8}
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "holds"), [(0.5, 0.9, True), (1.1, 1.5, False), (0.9, 1.1, None)]
-)
-def test_a_ratio_is_below_one_with_its_interval_or_undecided(low, high, holds):
-    assert below_one(Interval(0.5 * (low + high), low, high)) is holds
-
-
-@pytest.mark.parametrize(
-    ("parts", "holds"),
-    [([True, True], True), ([True, None], None), ([None, False], False), ([], True)],
-)
-def test_a_claim_holds_if_all_its_parts_do(parts, holds):
-    assert all_hold(parts) is holds
 
 
 def test_criteria_disagree_where_they_order_two_differently():

@@ -19,7 +19,6 @@ from fvs_controller_node.surface import SlidingSurface
 from fvs_ros.apps.experiments import ablation, exponents, settling
 from fvs_ros.apps.experiments.context import Context
 from fvs_ros.apps.experiments.report import write_page, write_report
-from fvs_ros.apps.experiments.statistics import Interval
 from fvs_ros.apps.experiments.trials import BOUNDS_M, Conditions, Trial, make_cases, run_trial
 
 EXACT = Conditions(rendered=False)
@@ -237,12 +236,6 @@ def test_changes_that_slow_down_are_found():
     for words in ("breaks down", "Predicting", "online update pays where", "cap on", "toward zero"):
         assert verdict(found, words).holds is True, words
     assert verdict(found, "toward the trained").holds is True
-
-
-def test_an_interval_on_both_sides_decides_nothing():
-    assert ablation.above(Interval(1.1, 1.06, 1.2), 1.05) is True
-    assert ablation.above(Interval(1.0, 0.9, 1.04), 1.05) is False
-    assert ablation.above(Interval(1.1, 0.9, 1.2), 1.05) is None
 
 
 # ---- whole experiments ----------------------------------------------------------------------

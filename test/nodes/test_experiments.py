@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from fvs_ros.apps.experiments.main import EXPERIMENTS
+from fvs_ros.apps.experiments.report import EXPERIMENTS
 
 
 @pytest.mark.timeout(240)

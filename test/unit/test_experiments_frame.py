@@ -22,7 +22,13 @@ from fvs_ros.apps.experiments.report import (
 from fvs_ros.apps.experiments.search import Found, Knob, Limit, Search, run_searches
 from fvs_ros.apps.experiments.servo_terms import REGIMES, search_of
 from fvs_ros.apps.experiments.spot_check import SpotCheck, scenario_of
-from fvs_ros.apps.experiments.statistics import median, ratio_of_medians
+from fvs_ros.apps.experiments.statistics import (
+    Interval,
+    all_hold,
+    any_holds,
+    median,
+    ratio_of_medians,
+)
 from fvs_ros.apps.experiments.trials import (
     Case,
     Conditions,
@@ -82,6 +88,27 @@ def test_the_ratio_is_paired():
     assert ratio.value == ratio.low == ratio.high == 0.5
     with pytest.raises(ValueError, match="as many"):
         ratio_of_medians([1.0], [1.0, 2.0])
+
+
+def test_an_interval_on_both_sides_of_a_bound_decides_nothing():
+    for low, high, above in ((1.06, 1.2, True), (0.9, 1.04, False), (0.9, 1.2, None)):
+        one = Interval(0.5 * (low + high), low, high)
+        assert one.above(1.05) is above
+        assert one.below(1.05) is (None if above is None else not above)
+        assert one.inverse().below(1.0 / 1.05) is above
+    assert Interval(0.0, 0.0, 1.0).inverse().high == INF
+
+
+def test_claims_of_several_parts():
+    for parts, all_of, any_of in (
+        ([True, True], True, True),
+        ([True, None], None, True),
+        ([None, False], False, None),
+        ([False, False], False, False),
+        ([], True, False),
+    ):
+        assert all_hold(parts) is all_of
+        assert any_holds(parts) is any_of
 
 
 # --- settling ---

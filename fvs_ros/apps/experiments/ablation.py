@@ -15,7 +15,13 @@ from fvs_estimator_node.pairing import StepPairing
 from fvs_ros.apps.experiments.context import Context
 from fvs_ros.apps.experiments.lockstep import LockStep, load_networks, make_estimator
 from fvs_ros.apps.experiments.report import Figure, Report, Table, Verdict
-from fvs_ros.apps.experiments.statistics import Interval, median, ratio_of_medians
+from fvs_ros.apps.experiments.statistics import (
+    Interval,
+    all_hold,
+    any_holds,
+    median,
+    ratio_of_medians,
+)
 from fvs_ros.apps.experiments.style import pyplot, save
 from fvs_ros.apps.experiments.trials import (
     BOUNDS_M,
@@ -364,7 +370,7 @@ def _implicit(rows: Mapping[str, Row]) -> Verdict:
         "printed form's own best gains.",
         f"As printed, over the implicit form: settling {near.text()} times to 5 mm, "
         f"{close.text()} to 2 mm; jitter {jitter.text()} times.",
-        _any([above(near, NOTABLE), above(close, NOTABLE), above(jitter, NOTABLE)]),
+        any_holds([near.above(NOTABLE), close.above(NOTABLE), jitter.above(NOTABLE)]),
     )
 
 
@@ -377,7 +383,7 @@ def _same_gains(rows: Mapping[str, Row]) -> Verdict:
         "The implicit form takes gains with which the printed one breaks down.",
         f"As printed with the implicit form's gains, time to 2 mm is {ratio.text()} times as long "
         f"and jitter {jitter.text(1)} times as high{_failed(rows[LITERAL_SAME])}.",
-        _any([above(ratio, NOTABLE), above(jitter, 2.0)]),
+        any_holds([ratio.above(NOTABLE), jitter.above(2.0)]),
     )
 
 
@@ -386,7 +392,7 @@ def _prediction(rows: Mapping[str, Row]) -> Verdict:
     for latency_ms in _LATENCIES_MS:
         ratio = settling_ratio(rows, _soft_name(latency_ms))
         blind = rows[_blind_name(latency_ms)]
-        parts.append(above(ratio, NOTABLE))
+        parts.append(ratio.above(NOTABLE))
         text.append(
             f"{ratio.text()} times at {latency_ms} ms, with α2 and α3 reduced to "
             f"{100 * _SOFTER[latency_ms]:.0f} % (with the same gains {len(blind.failures)} of "
@@ -396,18 +402,18 @@ def _prediction(rows: Mapping[str, Row]) -> Verdict:
         "Predicting the ball from its exposure to now pays, at every camera latency.",
         "Without it the gains must be softer; settling to 5 mm then takes, over that with it: "
         f"{'; '.join(text)}.",
-        _all(parts),
+        all_hold(parts),
     )
 
 
 def _fusion(rows: Mapping[str, Row]) -> Verdict:
     time, jitter = settling_ratio(rows, UNFUSED), jitter_ratio(rows, UNFUSED)
-    slower = above(_inverse(time), SAME)
+    slower = time.inverse().above(SAME)
     return Verdict(
         "Fusing images with joint motion calms the command and costs no speed (10 % at most).",
         f"Without fusion jitter is {jitter.text(1)} times as high and settling to 5 mm takes "
         f"{time.text()} times as long.",
-        _all([above(jitter, NOTABLE), None if slower is None else not slower]),
+        all_hold([jitter.above(NOTABLE), None if slower is None else not slower]),
     )
 
 
@@ -418,7 +424,7 @@ def _update(rows: Mapping[str, Row]) -> Verdict:
         "The online update pays where the networks were trained (camera not moved).",
         f"Without it settling takes {near.text()} times as long to 5 mm and {close.text()} to 2 "
         f"mm; the Jacobian is {errors[0]:.1f} % wrong with it, {errors[1]:.1f} % without.",
-        _any([above(near, NOTABLE), above(close, NOTABLE)]),
+        any_holds([near.above(NOTABLE), close.above(NOTABLE)]),
     )
 
 
@@ -428,7 +434,7 @@ def _turned(rows: Mapping[str, Row]) -> Verdict:
         with_update = settling_ratio(rows, _turned_name(turn_deg))
         name = _turned_frozen_name(turn_deg)
         without, close = (settling_ratio(rows, name, bound=bound) for bound in ("5 mm", "2 mm"))
-        parts.append(_any([above(without, NOTABLE), above(close, NOTABLE)]))
+        parts.append(any_holds([without.above(NOTABLE), close.above(NOTABLE)]))
         text.append(
             f"after {turn_deg}° it is {with_update.text()} with the update, and without it another "
             f"{without.text()} times as long ({close.text()} to 2 mm){_failed(rows[name])}"
@@ -436,13 +442,13 @@ def _turned(rows: Mapping[str, Row]) -> Verdict:
     return Verdict(
         "The online update pays after the camera was carried round the scene.",
         f"Settling time to 5 mm over that before the camera moved: {'; '.join(text)}.",
-        _all(parts),
+        all_hold(parts),
     )
 
 
 def _oracle(rows: Mapping[str, Row]) -> Verdict:
     loss = settling_ratio(rows, BASE, ORACLE)
-    below = above(loss, SAME)
+    below = loss.above(SAME)
     return Verdict(
         "The scheme is within 10 % of the same law with the true Jacobian.",
         f"Settling to 5 mm takes {loss.text()} times as long as with the true Jacobian; the "
@@ -461,7 +467,7 @@ def _cap(rows: Mapping[str, Row]) -> Verdict:
         f"Capped, settling takes {capped.text()} times as long as with the usual gain and the "
         f"Jacobian is {errors[0]:.1f} % wrong; with the cap off, {ratio.text()} times as long "
         f"again and {errors[1]:.1f} %{_failed(rows[UNCAPPED])}.",
-        _any([above(ratio, NOTABLE), above(wrong, 2.0)]),
+        any_holds([ratio.above(NOTABLE), wrong.above(2.0)]),
     )
 
 
@@ -472,7 +478,7 @@ def _sliding(rows: Mapping[str, Row]) -> Verdict:
         "The sliding term of the update law (with the sign that the proof needs) pays.",
         f"Settling to 5 mm without it takes {without.text()} times as long as with the usual 0.005;"
         f" with 0.03 {strong[0].text()} times, with 0.1 {strong[1].text()} times.",
-        above(without, NOTABLE),
+        without.above(NOTABLE),
     )
 
 
@@ -482,14 +488,14 @@ def _printed_sign(rows: Mapping[str, Row]) -> Verdict:
         right = BASE if gain == 0.005 else _sliding_name(gain)
         ratio = settling_ratio(rows, _sliding_name(-gain), right)
         none = settling_ratio(rows, _sliding_name(-gain), _sliding_name(0.0))
-        parts.append(above(ratio, NOTABLE))
+        parts.append(ratio.above(NOTABLE))
         text.append(f"at {gain:g} {ratio.text()} times (no term: {none.text()})")
     return Verdict(
         "The sliding term with the printed sign, against which the proof does not hold, is slower "
         "than with the corrected one.",
         f"Settling to 5 mm with the printed sign over that with the corrected one: "
         f"{'; '.join(text)}.",
-        _all(parts),
+        all_hold(parts),
     )
 
 
@@ -523,32 +529,6 @@ def _leak(rests: Mapping[str, Sequence[Rested]]) -> list[Verdict]:
             after(OFFLINE_AT_REST) <= max(0.05, 1.5 * after(NO_LEAK)),
         ),
     ]
-
-
-def above(ratio: Interval, bound: float) -> bool | None:
-    """Whether a ratio is above a bound: all of its interval, none of it, or undecided."""
-    if ratio.low > bound:
-        return True
-    return False if ratio.high <= bound else None
-
-
-def _inverse(ratio: Interval) -> Interval:
-    def one_over(value: float) -> float:
-        return float("inf") if value == 0.0 else 1.0 / value
-
-    return Interval(one_over(ratio.value), one_over(ratio.high), one_over(ratio.low))
-
-
-def _all(parts: Sequence[bool | None]) -> bool | None:
-    if any(part is False for part in parts):
-        return False
-    return None if any(part is None for part in parts) else True
-
-
-def _any(parts: Sequence[bool | None]) -> bool | None:
-    if any(part is True for part in parts):
-        return True
-    return None if any(part is None for part in parts) else False
 
 
 def _failed(row: Row) -> str:

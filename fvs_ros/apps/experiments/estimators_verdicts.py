@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from itertools import combinations
 
 from fvs_estimator_node.rbf import RbfConfig
@@ -10,7 +10,7 @@ from fvs_ros.apps.experiments.estimators_contestants import CONTESTANTS, FAST_N1
 from fvs_ros.apps.experiments.estimators_recordings import FIRST_S
 from fvs_ros.apps.experiments.estimators_study import CLEAN, NOISE, Study, World
 from fvs_ros.apps.experiments.report import Verdict
-from fvs_ros.apps.experiments.statistics import Interval
+from fvs_ros.apps.experiments.statistics import all_hold
 
 #: Whom the paper compares the proposed one with, in all their starts.
 _FILTERS = ("lkf_explored", "lkf_model", "lkf_zero", "ukf_explored", "ukf_model")
@@ -18,21 +18,6 @@ _RLS = ("rls_explored", "rls_model")
 _RIVALS = (*_FILTERS, *_RLS)
 #: Two filters that differ by less than this are one, m/rad.
 _SAME_M_RAD = 1e-9
-
-
-def all_hold(parts: Iterable[bool | None]) -> bool | None:
-    """Whether all hold: no if one does not, undecided if one is."""
-    parts = list(parts)
-    if any(part is False for part in parts):
-        return False
-    return None if any(part is None for part in parts) else True
-
-
-def below_one(ratio: Interval) -> bool | None:
-    """Whether a ratio is below one, interval and all; None if one is within."""
-    if ratio.high < 1.0:
-        return True
-    return False if ratio.low > 1.0 else None
 
 
 def verdicts(found: Study) -> list[Verdict]:
@@ -61,7 +46,7 @@ def _unmoved_verdict(found: Study) -> Verdict:
     parts, texts = [], []
     for criterion, title in (("t1_m", "T1"), ("t2_max_m", "largest T2")):
         rival = found.best(NOISE, criterion, _RIVALS)
-        parts.append(below_one(found.ratio(NOISE, "rbf", rival, criterion)))
+        parts.append(found.ratio(NOISE, "rbf", rival, criterion).below(1.0))
         texts.append(f"{title} {_against(found, NOISE, 'rbf', rival, criterion)}")
     return Verdict(
         "The proposed estimator predicts better than LKF, UKF and RLS while the camera stays where "
@@ -77,7 +62,7 @@ def _rotated_verdict(found: Study, criterion: str, title: str) -> Verdict:
     for world in found.turned:
         rival = found.best(world, criterion, _RIVALS)
         ratio = found.ratio(world, "rbf", rival, criterion)
-        smaller = below_one(ratio)
+        smaller = ratio.below(1.0)
         parts.append(smaller)
         word = {True: "smaller", False: "larger", None: "not decided"}[smaller]
         texts.append(f"{world.turn_deg:g}° {ratio.text()}, {word} ({CONTESTANTS[rival].label})")
@@ -97,7 +82,7 @@ def _rls_verdict(found: Study) -> Verdict:
         rls, other = (found.best(world, "t1_m", names) for names in (_RLS, _FILTERS))
         worst = max((other, "rbf"), key=lambda name: found.middle(world, name, "t1_m"))
         ratio = found.ratio(world, worst, rls, "t1_m")
-        parts.append(below_one(ratio))
+        parts.append(ratio.below(1.0))
         texts.append(f"{world.turn_deg:g}° {ratio.text()} ({CONTESTANTS[worst].label})")
     return Verdict(
         "RLS is the worst of the four: it cannot hold T1 down.",
@@ -125,7 +110,7 @@ def _ukf_verdict(found: Study) -> Verdict:
         False
         if same
         else all_hold(
-            below_one(found.ratio(NOISE, f"ukf_{start}", f"lkf_{start}", "t1_m"))
+            found.ratio(NOISE, f"ukf_{start}", f"lkf_{start}", "t1_m").below(1.0)
             for start in ("explored", "model")
         ),
     )
@@ -143,7 +128,7 @@ def _bound_verdict(found: Study) -> Verdict:
         f"frozen networks: T1 {_against(found, CLEAN, rival, 'frozen', 't1_late_m')}. The proposed "
         f"update takes the networks from {frozen} to {updated}, and to {fast} with "
         f"n1 = {FAST_N1:g}.",
-        below_one(found.ratio(CLEAN, rival, "frozen", "t1_late_m")),
+        found.ratio(CLEAN, rival, "frozen", "t1_late_m").below(1.0),
     )
 
 
@@ -152,7 +137,7 @@ def _update_verdict(found: Study) -> Verdict:
     for world in found.turned:
         t1 = found.ratio(world, "rbf", "frozen", "t1_m")
         error = found.ratio(world, "rbf", "frozen", "jacobian_error")
-        parts += [below_one(t1), below_one(error)]
+        parts += [t1.below(1.0), error.below(1.0)]
         texts.append(f"{world.turn_deg:g}° T1 {t1.text()}, Jacobian error {error.text()}")
     return Verdict(
         "When the camera has been rotated, the online update beats the networks as trained.",
@@ -167,7 +152,7 @@ def _cost_verdict(found: Study) -> Verdict:
         "The online update does no harm where nothing has changed since training.",
         f"With {NOISE.label}, T1 {_against(found, NOISE, 'rbf', 'frozen', 't1_m')}; with n1 = "
         f"{FAST_N1:g} the ratio is {fast.text(1)}. The gain that learns also lets the noise in.",
-        below_one(found.ratio(NOISE, "rbf", "frozen", "t1_m")),
+        found.ratio(NOISE, "rbf", "frozen", "t1_m").below(1.0),
     )
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from fvs_ros.apps.experiments.context import Context
 from fvs_ros.apps.experiments.report import Figure, Report, Table, Verdict
-from fvs_ros.apps.experiments.statistics import Interval, median, ratio_of_medians
+from fvs_ros.apps.experiments.statistics import Interval, all_hold, median, ratio_of_medians
 from fvs_ros.apps.experiments.style import pyplot, save
 from fvs_ros.apps.experiments.trials import (
     BOUNDS_M,
@@ -249,7 +249,7 @@ def _chatter(results: Mapping[Key, Results]) -> Verdict:
         f"{jitter(SILENT, IMPLICIT, '0.1'):.1f} against {jitter(SILENT, IMPLICIT, '0.5'):.1f}, and "
         f"with 1 mm noise {jitter(NOISY, IMPLICIT, '0.1'):.1f} against "
         f"{jitter(NOISY, IMPLICIT, '0.5'):.1f}.",
-        _above(ratio, 2.0),
+        ratio.above(2.0),
     )
 
 
@@ -264,14 +264,14 @@ def _adaptive(results: Mapping[Key, Results]) -> Verdict:
         )
         for world, form in ((SILENT, LITERAL), (NOISY, IMPLICIT))
     )
-    parts = (_below(time, 1.2), _below(printed, 2.0), _below(noisy, 2.0))
+    parts = (time.below(1.2), printed.below(2.0), noisy.below(2.0))
     return Verdict(
         "The adaptive exponent 0.1 → 0.5 is as fast as 0.1 (within a fifth) and as calm as 0.5 "
         "(within a factor of two).",
         f"Settling time {time.text()} times that of 0.1 (implicit, no noise); jitter "
         f"{printed.text()} times that of 0.5 as printed without noise, {noisy.text()} times "
         "implicit with 1 mm noise.",
-        _all(parts),
+        all_hold(parts),
     )
 
 
@@ -289,7 +289,7 @@ def _worth_having(results: Mapping[Key, Results]) -> Verdict:
         f"The paper's exponents jitter {jitter.text(1)} times as much. Settling time of 0.375 → "
         f"0.9 over that of 0.1 → 0.5: {time.text()} to 5 mm, {close.text()} to 2 mm, at "
         f"{peak.value:.2f} times the top speed.",
-        _all((_above(jitter, 2.0), _below(time, 1.2))),
+        all_hold((jitter.above(2.0), time.below(1.2))),
     )
 
 
@@ -300,23 +300,6 @@ def _settled_share(results: Results) -> float:
 def _rising(values: Sequence[float]) -> bool:
     """Whether no value is below the one before; never after never counts as rising."""
     return all(after >= before for before, after in pairwise(values))
-
-
-def _above(ratio: Interval, bound: float) -> bool | None:
-    if ratio.low > bound:
-        return True
-    return False if ratio.high <= bound else None
-
-
-def _below(ratio: Interval, bound: float) -> bool | None:
-    above = _above(ratio, bound)
-    return None if above is None else not above
-
-
-def _all(parts: Sequence[bool | None]) -> bool | None:
-    if any(part is False for part in parts):
-        return False
-    return None if any(part is None for part in parts) else True
 
 
 def _list(names: Sequence[float], values: Sequence[float]) -> str:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import importlib.util
 import os
 import sys
 import time
 from pathlib import Path
 
-from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_OK
+from fvs_ros.apps.experiments.report import EXPERIMENTS, write_page, write_report
+from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 
-#: The experiments, and the modules that run them; in the order of the page.
-EXPERIMENTS = ("servo", "estimators", "exponents", "settling", "ablation")
 _NEEDS = ("cmaes", "joblib", "jinja2", "matplotlib", "scipy")
 
 
@@ -65,8 +65,18 @@ def main(argv: list[str] | None = None) -> int:
             file=sys.stderr,
         )
         return EXIT_BAD_INPUT
+    try:
+        return _run(arguments)
+    except OSError as error:
+        print(f"fvs_experiments: {error}", file=sys.stderr)
+        return EXIT_FAILURE
+    except KeyboardInterrupt:
+        print("fvs_experiments: interrupted; experiments that were complete are kept")
+        return EXIT_FAILURE
+
+
+def _run(arguments: argparse.Namespace) -> int:
     from fvs_ros.apps.experiments.context import Context
-    from fvs_ros.apps.experiments.report import write_page, write_report
 
     context = Context(
         out=arguments.out,
@@ -79,14 +89,14 @@ def main(argv: list[str] | None = None) -> int:
     names = EXPERIMENTS if arguments.name == "all" else (arguments.name,)
     began_s = time.monotonic()
     for number, name in enumerate(names, start=1):
+        folder = context.folder(name)
         print(f"== {name} ({number} of {len(names)})", flush=True)
-        module = importlib.import_module(f"fvs_ros.apps.experiments.{name}")
-        report = module.run(context)
-        write_report(report, context.folder(name))
+        report = importlib.import_module(f"fvs_ros.apps.experiments.{name}").run(context)
+        write_report(report, folder)
         for verdict in report.verdicts:
             mark = {True: "holds", False: "does not hold", None: "undecided"}[verdict.holds]
             print(f"   {mark}: {verdict.claim}\n      {verdict.finding}", flush=True)
-    page = write_page(context.out)
+        page = write_page(context.out)
     print(f"page: {page} ({(time.monotonic() - began_s) / 60.0:.1f} min)", flush=True)
     return EXIT_OK
 

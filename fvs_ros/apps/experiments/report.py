@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 RESULTS = "results.json"
-#: Order of the experiments on the page.
-ORDER = ("servo", "estimators", "exponents", "settling", "ablation")
+#: The experiments, in the order of the page; each is a module of this package.
+EXPERIMENTS = ("servo", "estimators", "exponents", "settling", "ablation")
 _DIGITS = 7
 
 
@@ -124,7 +124,7 @@ def write_page(out: Path) -> Path:
         The page. The Markdown beside it has the same words and tables, and links to the pictures.
     """
     reports = []
-    for name in ORDER:
+    for name in EXPERIMENTS:
         path = out / name / RESULTS
         if path.is_file():
             report = json.loads(path.read_text(encoding="utf-8"))

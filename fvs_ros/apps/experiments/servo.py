@@ -189,8 +189,8 @@ def _setup(
         "networks (the filter starts from their Jacobian at the start pose). Gains come from one "
         "automatic search (CMA-ES) with the same number of candidates for each, from the middle "
         f"of stated ranges (in results.json), on {len(tuning)} tuning cases; the tables are of "
-        f"{len(scoring)} other cases with other seeds. The oracle is the true Jacobian with the tuned gains of the "
-        "scheme that it stands beside.",
+        f"{len(scoring)} other cases with other seeds. The oracle is the true Jacobian with the "
+        "tuned gains of the scheme that it stands beside.",
         "Four regimes, because they have different winners. "
         + " ".join(f"{regime.title}: {regime.says}." for regime in REGIMES),
         "Settled means that the error stays below the bound to the end of the run. Numbers are "
@@ -294,16 +294,13 @@ def _verdict(regime: Regime, outcomes: Outcomes) -> Verdict:
         f"{regime.title}: the proposed scheme settles faster than every other scheme of the paper.",
         f"Settling time over that of the best other one ({best}): {coarse.text()} to 5 mm, "
         f"{fine.text()} to 2 mm{_words(coarse)}",
-        True if coarse.high < 1.0 else (False if coarse.low > 1.0 else None),
+        coarse.below(1.0),
     )
 
 
 def _words(ratio: Interval) -> str:
-    if ratio.high < 1.0:
-        return "."
-    if ratio.low > 1.0:
-        return ": it is slower."
-    return ": a tie within the interval."
+    endings = {True: ".", False: ": it is slower.", None: ": a tie within the interval."}
+    return endings[ratio.below(1.0)]
 
 
 def _oracle_verdict(regime: Regime, outcomes: Outcomes) -> Verdict:
@@ -313,7 +310,7 @@ def _oracle_verdict(regime: Regime, outcomes: Outcomes) -> Verdict:
         f"{regime.title}: the learned Jacobian costs the proposed scheme less than a tenth of its "
         "speed.",
         f"Settling time to 5 mm over that with the true Jacobian: {ratio.text()}.",
-        True if ratio.high < 1.1 else (False if ratio.low > 1.1 else None),
+        ratio.below(1.1),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +32,42 @@ class Interval:
             for number in (self.value, self.low, self.high)
         )
         return f"{value} ({low} to {high})"
+
+    def above(self, bound: float) -> bool | None:
+        """Whether it is above a bound: all of the interval, none of it, or undecided."""
+        if self.low > bound:
+            return True
+        return False if self.high <= bound else None
+
+    def below(self, bound: float) -> bool | None:
+        """Whether it is below a bound: all of the interval, none of it, or undecided."""
+        if self.high < bound:
+            return True
+        return False if self.low >= bound else None
+
+    def inverse(self) -> Interval:
+        """One over it, for a ratio seen from its other end."""
+
+        def one_over(value: float) -> float:
+            return float("inf") if value == 0.0 else 1.0 / value
+
+        return Interval(one_over(self.value), one_over(self.high), one_over(self.low))
+
+
+def all_hold(parts: Iterable[bool | None]) -> bool | None:
+    """Whether all hold: no if one does not, else undecided (None) if one is."""
+    parts = list(parts)
+    if any(part is False for part in parts):
+        return False
+    return None if any(part is None for part in parts) else True
+
+
+def any_holds(parts: Iterable[bool | None]) -> bool | None:
+    """Whether one holds: else undecided (None) if one is, else no."""
+    parts = list(parts)
+    if any(part is True for part in parts):
+        return True
+    return None if any(part is None for part in parts) else False
 
 
 def median(values: Sequence[float]) -> Interval:
