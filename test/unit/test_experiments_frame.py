@@ -21,7 +21,7 @@ from fvs_ros.apps.experiments.report import (
 )
 from fvs_ros.apps.experiments.search import Found, Knob, Limit, Search, run_searches
 from fvs_ros.apps.experiments.servo_terms import REGIMES, search_of
-from fvs_ros.apps.experiments.spot_check import SpotCheck, scenario_of
+from fvs_ros.apps.experiments.spot_check import Chain, SpotCheck, scenario_of
 from fvs_ros.apps.experiments.statistics import (
     Interval,
     all_hold,
@@ -315,22 +315,24 @@ def test_the_verdict_follows_the_numbers():
 def test_the_spot_checks_scenario_is_one(tmp_path):
     case = Case("EXP1", HOME, HOME, 4)
     trial = Trial(case, "ukf", "mpc", {"ukf.process_noise": 1e-3}, {"mpc_q": 0.1})
+    chain = Chain(trial, HOME, ((0.1, -0.2, 1.3),), 4)
     path = tmp_path / "spot.yaml"
-    targets = [np.array([0.1, -0.2, 1.3])]
-    path.write_text(yaml.safe_dump(scenario_of(trial, case, targets, tmp_path)))
+    path.write_text(yaml.safe_dump(scenario_of(chain, tmp_path)))
     parameters = load_scenario(str(path)).parameters
     assert parameters["fvs_estimator_node"]["method"] == "ukf"
     assert parameters["fvs_sim_node"]["position_noise_m"] == trial.conditions.position_noise_m
-    np.testing.assert_allclose(
-        own_targets(parameters["fvs_demo_node"]["target_positions"]), targets
-    )
+    targets = own_targets(parameters["fvs_demo_node"]["target_positions"])
+    np.testing.assert_allclose(targets, chain.targets_m)
+    exact = Chain(Trial(case, "rbf", "ftsm", conditions=EXACT), HOME, chain.targets_m, 4)
     with pytest.raises(ValueError, match="rendered"):
-        scenario_of(Trial(case, "rbf", "ftsm", conditions=EXACT), case, targets, tmp_path)
+        scenario_of(exact, tmp_path)
 
 
-def test_spot_checks_agree_only_where_both_settle():
-    assert SpotCheck("a", [0.5, None], [0.6, None], "").largest_difference_s == pytest.approx(0.1)
-    assert SpotCheck("a", [0.5], [None], "").largest_difference_s == INF
+def test_the_nodes_agree_within_the_range_of_the_lock_step_runs():
+    lock_step = [[0.5, 1.0], [0.6, None]]
+    assert SpotCheck("a", lock_step, [0.55, 2.0], "").outside_s() == 0.0
+    assert SpotCheck("a", lock_step, [0.8, 0.9], "").outside_s() == pytest.approx(0.2)
+    assert SpotCheck("a", lock_step, [None, 1.0], "").outside_s() == INF
 
 
 def test_own_targets_are_read_or_refused_in_words():
