@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, is_dataclass
 from importlib.resources import files
@@ -129,6 +130,8 @@ def write_page(out: Path) -> Path:
         if path.is_file():
             report = json.loads(path.read_text(encoding="utf-8"))
             del report["data"]
+            # The name that Markdown viewers give to a heading.
+            report["slug"] = re.sub(r"[^\w\- ]", "", report["title"].lower()).replace(" ", "-")
             for figure in report["figures"]:
                 png = (path.parent / figure["file"]).read_bytes()
                 figure["data"] = base64.b64encode(png).decode("ascii")

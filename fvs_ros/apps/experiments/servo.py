@@ -395,8 +395,8 @@ def _figures(
     figures = [
         Figure(
             servo_figures.summary(folder, REGIMES, outcomes),
-            "Settling times to 5 mm: one dot a case, the bar is the median. A dot at the top "
-            "edge never settled.",
+            "Settling times to 5 mm: one dot a case, the bar is the median. Runs that never settled "
+            "stand at the end of the run.",
         )
     ]
     for regime in REGIMES[:2]:

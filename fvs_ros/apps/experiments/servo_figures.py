@@ -15,7 +15,7 @@ from fvs_ros.core.schemes import SCHEMES
 
 if TYPE_CHECKING:
     from fvs_ros.apps.experiments.search import Found
-    from fvs_ros.apps.experiments.servo import Regime
+    from fvs_ros.apps.experiments.servo_terms import Regime
 
 #: Every so many ticks a point is drawn.
 _EVERY = 3
@@ -70,7 +70,10 @@ def summary(
             )
             middle = min(median(times.tolist()).value, top_s)
             panel.plot([middle, middle], [place - 0.36, place + 0.36], color=_colour(row), lw=3)
-        panel.set(title=regime.title, xlabel="settling time to 5 mm (s)", xlim=(0.0, top_s * 1.03))
+        slowest_s = max(min(one.settled_s, top_s) for ones in rows.values() for one in ones)
+        panel.set(
+            title=regime.title, xlabel="settling time to 5 mm (s)", xlim=(0.0, 1.04 * slowest_s)
+        )
         panel.set_yticks(range(len(rows)), list(reversed(list(rows))))
     save(figure, folder / "summary.png")
     return "summary.png"
@@ -187,7 +190,7 @@ def _corner(points: np.ndarray, width: int, height: int) -> tuple[float, float]:
 def paths(folder: Path, rows: Mapping[str, Sequence[Outcome]], cases: Sequence[Case]) -> str:
     """Draw the ball's ways in space; the file's name."""
     plt = pyplot()
-    figure = plt.figure(figsize=(13, 3.9), layout="constrained")
+    figure = plt.figure(figsize=(13, 3.5), layout="constrained")
     for number, case in enumerate(cases):
         axes = figure.add_subplot(1, len(cases), number + 1, projection="3d")
         for row in _DRAWN:
