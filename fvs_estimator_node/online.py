@@ -229,6 +229,13 @@ class OnlineEstimator(Estimator):
         What is not finite, or raises ``LinAlgError``, is not kept.
         """
 
+    @property
+    def problem(self) -> str:
+        """Why there is no estimate yet: a zero Jacobian that has seen no motion is none."""
+        if self._model is None and self._updates == 0:
+            return "it starts from zero and has seen no motion; move the arm by other means"
+        return ""
+
     def status_values(self) -> dict[str, float]:
         """Counts, the change since the start, and the deviation of an entry (rms), m/rad."""
         change = 0.0

@@ -19,7 +19,7 @@ from fvs_ros.apps.experiments.estimators_recordings import (
 from fvs_ros.apps.experiments.estimators_study import NOISE, Job, judge_all, study
 from fvs_ros.apps.experiments.estimators_verdicts import disagreements
 from fvs_ros.apps.experiments.lockstep import load_networks, make_estimator
-from fvs_ros.apps.experiments.report import write_report
+from fvs_ros.apps.experiments.report import Origin, write_report
 from fvs_ros.apps.experiments.trials import BOX_RAD, HOME_RAD, Conditions, simulation_of
 
 CLEAN = Conditions(rendered=False, position_noise_m=0.0, depth_noise=0.0)
@@ -95,7 +95,8 @@ def test_the_report_has_pictures_tables_and_plain_numbers(found, tmp_path):
         assert (folder / figure.file).stat().st_size > 10_000
     assert len(report.tables) == 3  # a table a world, and nothing was tuned
     assert len(report.verdicts) >= 5
-    data = json.loads(write_report(report, folder).read_text(encoding="utf-8"))["data"]
+    path = write_report(report, folder, Origin("", "", "", True))
+    data = json.loads(path.read_text(encoding="utf-8"))["data"]
     assert data["seeds"] == [1]
     assert data["worlds"].keys() == {"clean", "noise", "turned_20"}
     results = data["worlds"]["noise"]["results"]

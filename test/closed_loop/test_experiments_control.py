@@ -16,9 +16,21 @@ pytest.importorskip("jinja2")
 from fvs_controller_node.reaching import ReachingLaw
 from fvs_controller_node.settling import settling_times
 from fvs_controller_node.surface import SlidingSurface
-from fvs_ros.apps.experiments import ablation, exponents, settling
+from fvs_ros.apps.experiments import (
+    ablation,
+    ablation_changes,
+    ablation_rests,
+    ablation_verdicts,
+    exponents,
+    exponents_variants,
+    exponents_verdicts,
+    settling,
+    settling_bounds,
+    settling_runs,
+    settling_verdicts,
+)
 from fvs_ros.apps.experiments.context import Context
-from fvs_ros.apps.experiments.report import write_page, write_report
+from fvs_ros.apps.experiments.report import Origin, write_page, write_report
 from fvs_ros.apps.experiments.trials import BOUNDS_M, Conditions, Trial, make_cases, run_trial
 
 EXACT = Conditions(rendered=False)
@@ -54,8 +66,8 @@ def test_the_same_runs_come_from_one_process_and_from_two():
 
 
 def test_a_rest_is_the_same_when_repeated():
-    rest = ablation.Rest(make_cases("t", 1, 1)[0], "r", {"rbf.k3": 0.01}, True, 0.3)
-    first, again = (ablation.run_rest(rest) for _ in range(2))
+    rest = ablation_rests.Rest(make_cases("t", 1, 1)[0], "r", {"rbf.k3": 0.01}, True, 0.3)
+    first, again = (ablation_rests.run_rest(rest) for _ in range(2))
     assert first == again
     assert 0.0 < first.error_before < 0.2
 
@@ -66,7 +78,7 @@ def test_a_rest_is_the_same_when_repeated():
 @pytest.mark.parametrize("y0", [0.3, 0.003, -0.3])
 def test_the_printed_sliding_time_is_negative_for_alpha2_below_alpha3(y0):
     surface = SlidingSurface(alpha2=0.3, alpha3=0.45, lambda1=0.344, lambda2=0.154)
-    assert settling.printed_sliding_time_s(y0, surface) < 0.0
+    assert settling_bounds.printed_sliding_time_s(y0, surface) < 0.0
 
 
 def test_the_printed_sliding_time_is_the_formula_of_the_paper():
@@ -75,12 +87,12 @@ def test_the_printed_sliding_time_is_the_formula_of_the_paper():
     far, near = (
         np.log(y**-0.5 / (y**-0.5 + 2.0)) / (-0.5 * 0.5) for y in (0.2, surface.switch_error_m)
     )
-    assert settling.printed_sliding_time_s(0.2, surface) == pytest.approx(far + near)
+    assert settling_bounds.printed_sliding_time_s(0.2, surface) == pytest.approx(far + near)
 
 
 def test_equal_alphas_make_the_printed_time_infinite():
     surface = SlidingSurface.fixed(0.5, alpha2=1.0, alpha3=1.0)
-    assert settling.printed_sliding_time_s(0.2, surface) == np.inf
+    assert settling_bounds.printed_sliding_time_s(0.2, surface) == np.inf
 
 
 # ---- the sharper bound and the theory's motion ------------------------------------------------
@@ -95,25 +107,28 @@ def test_motion_band_bound_and_bound_to_zero_are_in_order(error):
     to_zero = max(
         one.total_s for one in settling_times(error.tolist(), [0.0] * 3, SURFACE, REACHING)
     )
-    predicted = settling.predicted_times_s(error[None, :], SURFACE, REACHING)
-    for band in settling.BANDS:
-        to_band = settling.bound_to_band_s(error, BOUNDS_M[band], SURFACE, REACHING)
+    predicted = settling_bounds.predicted_times_s(error[None, :], SURFACE, REACHING)
+    for band in settling_bounds.BANDS:
+        to_band = settling_bounds.bound_to_band_s(error, BOUNDS_M[band], SURFACE, REACHING)
         assert predicted[band][0] <= to_band + 0.002
         assert to_band <= to_zero
 
 
 def test_inside_the_band_the_bound_is_zero():
-    assert settling.bound_to_band_s(np.array([0.001, 0.0, 0.0]), 0.005, SURFACE, REACHING) == 0.0
+    assert (
+        settling_bounds.bound_to_band_s(np.array([0.001, 0.0, 0.0]), 0.005, SURFACE, REACHING)
+        == 0.0
+    )
 
 
 # ---- verdicts on made-up numbers --------------------------------------------------------------
 
 
 def settling_run(measured_s=1.0, bound_s=2.0, **changes):
-    both = dict.fromkeys(settling.BANDS)
-    run = settling.Run(
-        gains=settling.FREE_GAINS[0],
-        world=settling.SILENT,
+    both = dict.fromkeys(settling_bounds.BANDS)
+    run = settling_runs.Run(
+        gains=settling_runs.FREE_GAINS[0],
+        world=settling_runs.SILENT,
         case="c1",
         excluded="",
         measured_s={band: measured_s for band in both},
@@ -128,43 +143,48 @@ def settling_run(measured_s=1.0, bound_s=2.0, **changes):
 
 
 def test_settling_verdicts_follow_the_shares():
-    good = settling.verdicts([settling_run() for _ in range(20)])
+    good = settling_verdicts.verdicts([settling_run() for _ in range(20)])
     assert verdict(good, "corrected bound").holds is True
     assert verdict(good, "sharper bound").holds is True
     assert verdict(good, "predicts the motion").holds is True
     assert verdict(good, "as printed").holds is False
 
-    late = settling.verdicts([settling_run() for _ in range(18)] + [settling_run(np.inf)] * 2)
+    late = settling_verdicts.verdicts(
+        [settling_run() for _ in range(18)] + [settling_run(np.inf)] * 2
+    )
     assert verdict(late, "corrected bound").holds is False
     assert "90.0 % of 20 runs" in verdict(late, "corrected bound").finding
 
 
 def test_runs_outside_the_assumptions_do_not_count():
     excluded = [settling_run(np.inf, excluded="a limit shaped the command")] * 20
-    assert "100.0 % of 5 runs" in settling.verdicts([settling_run()] * 5 + excluded)[0].finding
-    assert settling.verdicts(excluded)[0].holds is None
+    assert (
+        "100.0 % of 5 runs"
+        in settling_verdicts.verdicts([settling_run()] * 5 + excluded)[0].finding
+    )
+    assert settling_verdicts.verdicts(excluded)[0].holds is None
 
 
 def test_a_printed_time_that_is_kept_is_admitted():
     kept = settling_run(printed_s=5.0, printed_sliding_s=4.0)
-    assert verdict(settling.verdicts([kept] * 20), "as printed").holds is True
+    assert verdict(settling_verdicts.verdicts([kept] * 20), "as printed").holds is True
 
 
 def exponent_results(jitter_of, time_of):
     """Results of all variants, three equal cases each."""
     results = {}
-    for world in (exponents.SILENT, exponents.NOISY):
-        for variant in exponents.variants_of(world):
+    for world in (exponents_variants.SILENT, exponents_variants.NOISY):
+        for variant in exponents_variants.variants_of(world):
             key = (world, variant.form, variant.exponent)
             time = time_of(*key)
-            results[key] = exponents.Results(
-                settling_s={name: [time] * 3 for name in BOUNDS_M},
-                jitter_rad_s=[jitter_of(*key)] * 3,
-                final_rms_m=[0.0] * 3,
-                peak_rad_s=[1.0] * 3,
-                limited_share=[0.0] * 3,
-                pace=[time] * 3,
-                path_ratio=[1.0] * 3,
+            results[key] = exponents_variants.Results(
+                settling_s={name: [time] * 6 for name in BOUNDS_M},
+                jitter_rad_s=[jitter_of(*key)] * 6,
+                final_rms_m=[0.0] * 6,
+                peak_rad_s=[1.0] * 6,
+                limited_share=[0.0] * 6,
+                pace=[time] * 6,
+                path_ratio=[1.0] * 6,
             )
     return results
 
@@ -178,9 +198,9 @@ def test_exponent_verdicts_follow_the_numbers():
         return first_number(exponent)
 
     def calm(_, __, exponent):
-        return 0.001 if exponent in (exponents.ADAPTIVE, "0.5") else 0.1
+        return 0.001 if exponent in (exponents_variants.ADAPTIVE, "0.5") else 0.1
 
-    found = exponents.verdicts(exponent_results(calm, time))
+    found = exponents_verdicts.verdicts(exponent_results(calm, time))
     assert verdict(found, "the sooner the ball").holds is True
     assert verdict(found, "chatter").holds is True
     assert verdict(found, "adaptive exponent").holds is True
@@ -189,7 +209,7 @@ def test_exponent_verdicts_follow_the_numbers():
     def reverse(_, __, exponent):
         return 2.0 - first_number(exponent)
 
-    found = exponents.verdicts(exponent_results(lambda *_: 0.1, reverse))
+    found = exponents_verdicts.verdicts(exponent_results(lambda *_: 0.1, reverse))
     assert verdict(found, "the sooner the ball").holds is False
     assert verdict(found, "chatter").holds is False
 
@@ -197,30 +217,31 @@ def test_exponent_verdicts_follow_the_numbers():
 def ablation_rows(**settling_s):
     """Every row alike, but for the settling times of those that are named."""
     rows = {
-        change.name: ablation.Row(
+        change.name: ablation_changes.Row(
             change.against,
-            {name: [1.0] * 3 for name in BOUNDS_M},
-            [0.001] * 3,
-            [0.0] * 3,
-            [0.01] * 3,
+            {name: [1.0] * 6 for name in BOUNDS_M},
+            [0.001] * 6,
+            [0.0] * 6,
+            [0.01] * 6,
         )
-        for change in ablation.all_changes()
+        for change in ablation_changes.all_changes()
     }
     for name, time in settling_s.items():
-        rows[name] = replace(rows[name], settling_s={bound: [time] * 3 for bound in BOUNDS_M})
+        rows[name] = replace(rows[name], settling_s={bound: [time] * 6 for bound in BOUNDS_M})
     return rows
 
 
-def ablation_rests(after_zero=0.4, after_offline=0.01):
-    after = {ablation.ZERO_AT_REST: after_zero, ablation.OFFLINE_AT_REST: after_offline}
+def made_up_rests(after_zero=0.4, after_offline=0.01):
+    after = {ablation_rests.ZERO_AT_REST: after_zero, ablation_rests.OFFLINE_AT_REST: after_offline}
     return {
-        name: [ablation.Rested(name, 0.01, after.get(name, 0.01), {"5 mm": 1.0, "2 mm": 1.0})] * 3
-        for name in {rest.name for rest in ablation.all_rests(make_cases("t", 1, 1), 1.0)}
+        name: [ablation_rests.Rested(name, 0.01, after.get(name, 0.01), {"5 mm": 1.0, "2 mm": 1.0})]
+        * 6
+        for name in {rest.name for rest in ablation_rests.all_rests(make_cases("t", 1, 1), 1.0)}
     }
 
 
 def test_changes_that_change_nothing_are_worth_nothing():
-    found = ablation.verdicts(ablation_rows(), ablation_rests(0.01, 0.3))
+    found = ablation_verdicts.verdicts(ablation_rows(), made_up_rests(0.01, 0.3))
     for words in ("Solved implicitly", "breaks down", "Predicting", "Fusing", "cap on"):
         assert verdict(found, words).holds is False, words
     for words in ("online update pays where", "carried round", "printed sign", "toward zero"):
@@ -231,8 +252,12 @@ def test_changes_that_change_nothing_are_worth_nothing():
 
 def test_changes_that_slow_down_are_found():
     slow = {name: 2.0 for name in ablation_rows() if "no prediction" in name}
-    slow |= {ablation.LITERAL_SAME: np.inf, ablation.FROZEN: 2.0, ablation.UNCAPPED: 2.0}
-    found = ablation.verdicts(ablation_rows(**slow), ablation_rests())
+    slow |= {
+        ablation_changes.LITERAL_SAME: np.inf,
+        ablation_changes.FROZEN: 2.0,
+        ablation_changes.UNCAPPED: 2.0,
+    }
+    found = ablation_verdicts.verdicts(ablation_rows(**slow), made_up_rests())
     for words in ("breaks down", "Predicting", "online update pays where", "cap on", "toward zero"):
         assert verdict(found, words).holds is True, words
     assert verdict(found, "toward the trained").holds is True
@@ -255,7 +280,8 @@ def test_a_quick_run_makes_a_complete_report(experiment, figures):
     context = Context(out, seeds=1, jobs=2, quick=True, rendered=False)
     report = experiment.run(context)
     folder = context.folder(report.name)
-    written = json.loads(write_report(report, folder).read_text(encoding="utf-8"))
+    path = write_report(report, folder, Origin("", "", "", True))
+    written = json.loads(path.read_text(encoding="utf-8"))
     assert written["data"]["seed"] == experiment.SEED
     assert len(report.figures) == figures
     for figure in report.figures:

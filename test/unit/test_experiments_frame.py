@@ -1,6 +1,7 @@
 """What the laboratory stands on: statistics, knobs, reports, scenarios of the spot check."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from fvs_ros.apps.experiments.context import Context
 from fvs_ros.apps.experiments.report import (
     RESULTS,
     Figure,
+    Origin,
     Report,
     Table,
     Verdict,
@@ -99,6 +101,12 @@ def test_an_interval_on_both_sides_of_a_bound_decides_nothing():
     assert Interval(0.0, 0.0, 1.0).inverse().high == INF
 
 
+def test_few_runs_decide_nothing():
+    few, enough = (ratio_of_medians([1.0] * n, [2.0] * n) for n in (5, 6))
+    assert few.below(1.0) is None
+    assert enough.below(1.0) is True
+
+
 def test_claims_of_several_parts():
     for parts, all_of, any_of in (
         ([True, True], True, True),
@@ -127,7 +135,13 @@ def test_settled_means_for_good():
 def test_knobs_cover_their_range():
     log = Knob("gain", 0.1, 10.0)
     assert [log.value(p) for p in (0.0, 0.5, 1.0, 1.5)] == pytest.approx([0.1, 1.0, 10.0, 10.0])
-    assert Knob("gain", 0.0, 4.0, log=False).value(0.25) == 1.0
+    even = Knob("gain", 0.0, 4.0, log=False)
+    assert even.value(0.25) == 1.0
+    assert log.place(1.0) == pytest.approx(0.5)
+    assert even.place(1.0) == 0.25
+    search = Search("one", "rbf", "proportional", (even,))
+    assert search.at_an_edge({"gain": 3.9}) == ["gain"]
+    assert search.at_an_edge({"gain": 1.0}) == []
 
 
 def test_the_cost_is_settling_time_and_breaking_a_limit_costs_more_than_it_gains():
@@ -141,6 +155,30 @@ def test_the_cost_is_settling_time_and_breaking_a_limit_costs_more_than_it_gains
     assert calm == pytest.approx(0.9 * 2.0 + 0.1 * 4.0)  # none of them came to 2 mm
     assert calm < cost(*3 * [outcome(0.5, peak=0.9)])
     assert calm < cost(outcome(failure="too slow"), *2 * [outcome(2.0)])
+
+
+def test_jitter_that_tuning_knows_is_that_of_rest():
+    """The way from 5 mm to the goal is no jitter: a search that stops too early takes it for it."""
+    (case,) = make_cases("T", 1, 10)
+    search = search_of("rbf+pid", REGIMES[2])
+    trial = search.trial({"proportional_gain_1_s": 4.0}, case, EXACT)
+    tuned = run_trial(trial)
+    scored = run_trial(replace(trial, stop_after_s=None))
+    assert tuned.settled_s == scored.settled_s
+    assert tuned.jitter_rad_s == pytest.approx(scored.jitter_rad_s, rel=0.5)
+
+
+def test_mfac_may_be_the_proportional_law_that_it_can_be():
+    """(48) is the proportional law of gain 1 / T, damped by lambda."""
+    knobs = {
+        knob.name: knob
+        for name in ("rbf+pid", "ukf+mfac")
+        for knob in search_of(name, REGIMES[0]).knobs
+    }
+    gain, interval = knobs["proportional_gain_1_s"], knobs["mfac_interval_s"]
+    assert interval.low <= 1.0 / gain.high
+    assert interval.high >= 0.9 / gain.low
+    assert knobs["mfac_lambda"].high >= knobs["damping"].high
 
 
 def test_what_was_tried_elsewhere_counts_if_it_keeps_the_limit():
@@ -272,7 +310,7 @@ def test_a_report_keeps_numbers_and_the_page_keeps_pictures(tmp_path):
         [Verdict("claim", "finding", None)],
         {"array": np.array([1.0, INF, 1.0 / 3.0]), "case": Case("c", HOME, HOME, 3)},
     )
-    write_report(report, folder)
+    write_report(report, folder, Origin("fvs_experiments servo --quick", "0.1", "model", True))
     data = json.loads((folder / RESULTS).read_text())["data"]
     assert data["array"] == [1.0, None, 0.3333333]
     assert data["case"]["seed"] == 3
@@ -280,11 +318,14 @@ def test_a_report_keeps_numbers_and_the_page_keeps_pictures(tmp_path):
     assert "data:image/png;base64,iVBORw==" in page
     assert "Servoing &lt;fast&gt;" in page
     assert "Undecided" in page
+    assert "Quick run." in page
 
 
 def test_what_cannot_be_written_is_refused(tmp_path):
     with pytest.raises(TypeError, match="object"):
-        write_report(Report("a", "", "", [], data={"x": object()}), tmp_path)
+        write_report(
+            Report("a", "", "", [], data={"x": object()}), tmp_path, Origin("", "", "", False)
+        )
 
 
 def test_results_are_in_order_whatever_the_number_of_processes(tmp_path):
@@ -298,7 +339,10 @@ def test_results_are_in_order_whatever_the_number_of_processes(tmp_path):
 
 def test_the_verdict_follows_the_numbers():
     def rows(**medians):
-        return {name: [outcome(s * f) for f in (0.9, 1.0, 1.1)] for name, s in medians.items()}
+        return {
+            name: [outcome(s * f) for f in (0.9, 0.95, 1.0, 1.0, 1.05, 1.1)]
+            for name, s in medians.items()
+        }
 
     regime = REGIMES[0]
     base = {"rbf+pid": 1.0, "ukf+mfac": 2.0, "ukf+mpc": 0.9}
@@ -328,11 +372,11 @@ def test_the_spot_checks_scenario_is_one(tmp_path):
         scenario_of(exact, tmp_path)
 
 
-def test_the_nodes_agree_within_the_range_of_the_lock_step_runs():
-    lock_step = [[0.5, 1.0], [0.6, None]]
-    assert SpotCheck("a", lock_step, [0.55, 2.0], "").outside_s() == 0.0
-    assert SpotCheck("a", lock_step, [0.8, 0.9], "").outside_s() == pytest.approx(0.2)
-    assert SpotCheck("a", lock_step, [None, 1.0], "").outside_s() == INF
+def test_the_shift_of_the_nodes_is_seen_through_the_noise():
+    lock_step = [[0.5, 1.0, 0.8], [0.6, 1.1, 0.8], [0.7, 1.2, 5.0]]
+    assert SpotCheck("a", lock_step, [0.6, 1.1, 0.8], "").shift_s() == pytest.approx(0.0)
+    assert SpotCheck("a", lock_step, [0.8, 1.2, 0.9], "").shift_s() == pytest.approx(0.1)
+    assert SpotCheck("a", lock_step, [None, None, 0.8], "").shift_s() == INF
 
 
 def test_own_targets_are_read_or_refused_in_words():

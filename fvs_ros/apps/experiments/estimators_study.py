@@ -250,7 +250,7 @@ def millimetres(length_m: float) -> str:
 def study(context: Context) -> Study:
     """Record, tune and judge."""
     duration_s = 8.0 if context.quick else 20.0
-    seeds = tuple(range(1, context.count(default=5, quick=1) + 1))
+    seeds = tuple(range(1, context.count(default=6, quick=1) + 1))
     worlds = DRAWN if context.quick else _WORLDS
     tuning = {} if context.quick else _tune(context, duration_s)
     chosen = {name: one["chosen"] for name, one in tuning.items()}

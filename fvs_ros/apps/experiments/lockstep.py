@@ -86,7 +86,6 @@ class LockStep:
         self.monitor = PredictionMonitor()
         self.loop = build_loop(default_values(**{"autostart": True, **(controller_values or {})}))
         self.period_s = 1.0 / simulation.config.joint_state_rate_hz
-        self.unseen = 0
         self._next_quality_s = 0.0
 
     def tick(self) -> Command:
@@ -95,7 +94,6 @@ class LockStep:
         now_s = out.time_s
         for seen in out.observations:
             if seen.detection is None:
-                self.unseen += 1
                 continue
             position_m = seen.detection.position_m
             self._learn(self.pairing.add_ball(seen.stamp_s, position_m))

@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import importlib
 import importlib.util
 import os
 import sys
 import time
+from importlib import metadata
 from pathlib import Path
 
-from fvs_ros.apps.experiments.report import EXPERIMENTS, write_page, write_report
+from fvs_ros.apps.experiments.report import EXPERIMENTS, Origin, write_page, write_report
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 
 _NEEDS = ("cmaes", "joblib", "jinja2", "matplotlib", "scipy")
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="fvs_experiments", description=__doc__)
+    parser = argparse.ArgumentParser(prog="fvs_experiments", description=__doc__.replace("`", ""))
     parser.add_argument("name", choices=(*EXPERIMENTS, "all"), help="which experiment")
-    parser.add_argument("--seeds", type=_positive, help="number of seeded cases")
+    parser.add_argument(
+        "--seeds",
+        type=_positive,
+        help="number of seeded cases (default: 16 servo, 5 estimators, 6 exponents, "
+        "60 settling, 9 ablation)",
+    )
     parser.add_argument(
         "--jobs", type=_positive, default=os.cpu_count() or 1, help="processes (default: all cores)"
     )
@@ -66,12 +73,15 @@ def main(argv: list[str] | None = None) -> int:
         )
         return EXIT_BAD_INPUT
     try:
-        return _run(arguments)
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        (arguments.out / "index.html").touch()
     except OSError as error:
-        print(f"fvs_experiments: {error}", file=sys.stderr)
-        return EXIT_FAILURE
+        print(f"fvs_experiments: cannot write to --out {arguments.out}: {error}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    try:
+        return _run(arguments)
     except KeyboardInterrupt:
-        print("fvs_experiments: interrupted; experiments that were complete are kept")
+        print("fvs_experiments: interrupted; what was complete is kept")
         return EXIT_FAILURE
 
 
@@ -92,13 +102,29 @@ def _run(arguments: argparse.Namespace) -> int:
         folder = context.folder(name)
         print(f"== {name} ({number} of {len(names)})", flush=True)
         report = importlib.import_module(f"fvs_ros.apps.experiments.{name}").run(context)
-        write_report(report, folder)
+        write_report(report, folder, _origin(arguments))
         for verdict in report.verdicts:
-            mark = {True: "holds", False: "does not hold", None: "undecided"}[verdict.holds]
-            print(f"   {mark}: {verdict.claim}\n      {verdict.finding}", flush=True)
+            print(f"   {verdict.word}: {verdict.claim}\n      {verdict.finding}", flush=True)
         page = write_page(context.out)
     print(f"page: {page} ({(time.monotonic() - began_s) / 60.0:.1f} min)", flush=True)
     return EXIT_OK
+
+
+def _origin(arguments: argparse.Namespace) -> Origin:
+    from fvs_ros.apps.experiments.lockstep import MODEL
+    from fvs_ros.core.paths import find_file
+
+    command = ["fvs_experiments", arguments.name]
+    command += [f"--seeds {arguments.seeds}"] if arguments.seeds else []
+    command += ["--quick"] if arguments.quick else []
+    command += [f"--camera {arguments.camera}"]
+    command += [] if arguments.nodes else ["--no-nodes"]
+    try:
+        version = metadata.version("fvs_ros")
+    except metadata.PackageNotFoundError:
+        version = ""
+    digest = hashlib.sha256(find_file(MODEL).read_bytes()).hexdigest()
+    return Origin(" ".join(command), version, f"{Path(MODEL).name} {digest[:12]}", arguments.quick)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ RESULTS = "results.json"
 #: The experiments, in the order of the page; each is a module of this package.
 EXPERIMENTS = ("servo", "estimators", "exponents", "settling", "ablation")
 _DIGITS = 7
+_WORDS = {True: "holds", False: "does not hold", None: "undecided"}
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,11 @@ class Verdict:
     finding: str
     holds: bool | None
 
+    @property
+    def word(self) -> str:
+        """The verdict in a word or two."""
+        return _WORDS[self.holds]
+
 
 @dataclass(frozen=True)
 class Report:
@@ -103,10 +109,33 @@ class Report:
     data: Mapping[str, Any] = field(default_factory=dict)
 
 
-def write_report(report: Report, folder: Path) -> Path:
+@dataclass(frozen=True)
+class Origin:
+    """How results came about.
+
+    Parameters
+    ----------
+    command : str
+        The command line.
+    version : str
+        Of this package; empty where it is not installed.
+    model : str
+        The trained model's file name and the first digits of its SHA-256.
+    quick : bool
+        Whether only a small part was done.
+    """
+
+    command: str
+    version: str
+    model: str
+    quick: bool
+
+
+def write_report(report: Report, folder: Path, origin: Origin) -> Path:
     """Write ``results.json`` into the experiment's folder, and return its path."""
     path = folder / RESULTS
-    text = json.dumps(_plain(report), indent=None, separators=(",", ":"), allow_nan=False)
+    content = {"origin": _plain(origin), **_plain(report)}
+    text = json.dumps(content, indent=None, separators=(",", ":"), allow_nan=False)
     path.write_text(text + "\n", encoding="utf-8")
     return path
 
@@ -132,6 +161,8 @@ def write_page(out: Path) -> Path:
             del report["data"]
             # The name that Markdown viewers give to a heading.
             report["slug"] = re.sub(r"[^\w\- ]", "", report["title"].lower()).replace(" ", "-")
+            for verdict in report["verdicts"]:
+                verdict["word"] = _WORDS[verdict["holds"]]
             for figure in report["figures"]:
                 png = (path.parent / figure["file"]).read_bytes()
                 figure["data"] = base64.b64encode(png).decode("ascii")

@@ -55,6 +55,12 @@ class Knob:
             return float(self.low * (self.high / self.low) ** place)
         return float(self.low + (self.high - self.low) * place)
 
+    def place(self, value: float) -> float:
+        """The place from 0 to 1 of a value in the range."""
+        if self.log:
+            return float(np.log(value / self.low) / np.log(self.high / self.low))
+        return (value - self.low) / (self.high - self.low)
+
 
 @dataclass(frozen=True)
 class Limit:
@@ -90,6 +96,9 @@ class Search:
         What the gains must keep.
     duration_s : float
         Longest run, s.
+    rest_s : float
+        A run ends when the error has been below 5 mm for so long, s. Jitter is that of the last
+        second: where it counts, the way from 5 mm to rest must have ended before.
     """
 
     name: str
@@ -100,6 +109,15 @@ class Search:
     estimator_values: Mapping[str, Any] = field(default_factory=dict)
     limit: Limit | None = None
     duration_s: float = 4.0
+    rest_s: float = 1.0
+
+    def at_an_edge(self, gains: Mapping[str, float]) -> list[str]:
+        """Knobs that stand within a twentieth of an end of their range."""
+        return [
+            knob.name
+            for knob in self.knobs
+            if knob.name in gains and not 0.05 <= knob.place(gains[knob.name]) <= 0.95
+        ]
 
     def gains(self, places: Sequence[float]) -> dict[str, float]:
         """Values of the knobs at places from 0 to 1 of their ranges."""
@@ -121,7 +139,7 @@ class Search:
             controller_values={**self.controller_values, **turned[CONTROLLER]},
             conditions=conditions,
             duration_s=self.duration_s,
-            stop_when_settled=True,
+            stop_after_s=self.rest_s,
         )
 
     def time_s(self, outcomes: Sequence[Outcome]) -> float:
@@ -208,7 +226,7 @@ class Found:
     def trial(self, case: Case, conditions: Conditions, duration_s: float, **changes) -> Trial:
         """A scoring trial with the best gains; changes are fields of the trial."""
         trial = self.search.trial(self.best.gains, case, conditions)
-        return replace(trial, duration_s=duration_s, stop_when_settled=False, **changes)
+        return replace(trial, duration_s=duration_s, stop_after_s=None, **changes)
 
 
 def run_searches(

@@ -1,4 +1,4 @@
-"""Figures 8, 9 and 10: four schemes drive the ball to its target, tuned alike, in three regimes."""
+"""Figures 8, 9 and 10: four schemes drive the ball to its target, tuned alike."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from fvs_ros.apps.experiments.servo_terms import (
     search_of,
 )
 from fvs_ros.apps.experiments.spot_check import SpotCheck, spot_check
-from fvs_ros.apps.experiments.statistics import Interval, median, ratio_of_medians
+from fvs_ros.apps.experiments.statistics import Interval, all_hold, median, ratio_of_medians
 from fvs_ros.apps.experiments.trials import (
     Case,
     Conditions,
@@ -41,6 +41,7 @@ from fvs_ros.core.schemes import SCHEMES
 
 NAME = "servo"
 _TUNING_SEED, _SCORING_SEED, _SEARCH_SEED = 900, 901, 7
+_TITLES = {regime.name: regime.title for regime in REGIMES}
 #: Cases that the figures show, as in the paper.
 _SHOWN = 4
 
@@ -113,7 +114,7 @@ def _tune(context: Context, cases: Sequence[Case]) -> dict[tuple[str, str], Foun
         cases,
         # True positions with the same noise, coarser physics: fast enough to search.
         Conditions(rendered=False, physics_rate_hz=250.0),
-        generations=1 if context.quick else 8,
+        generations=1 if context.quick else 7,
         population=4 if context.quick else 10,
         seed=_SEARCH_SEED,
     )
@@ -191,8 +192,11 @@ def _setup(
         f"of stated ranges (in results.json), on {len(tuning)} tuning cases; the tables are of "
         f"{len(scoring)} other cases with other seeds. The oracle is the true Jacobian with the "
         "tuned gains of the scheme that it stands beside.",
-        "Four regimes, because they have different winners. "
-        + " ".join(f"{regime.title}: {regime.says}." for regime in REGIMES),
+        "Four regimes, because what is held equal decides the answer. "
+        + " ".join(f"{regime.title}: {regime.says}." for regime in REGIMES)
+        + " A bound holds for the median of the tuning cases, which have true positions with the "
+        "same noise and half the physics steps, so that a search can be afforded; what came of it "
+        "on the scoring cases is in the tables.",
         "Settled means that the error stays below the bound to the end of the run. Numbers are "
         "medians with their 95 % bootstrap intervals; a run that never settles counts as "
         "infinitely slow. Jitter is the rms change of the command from tick to tick over the "
@@ -222,6 +226,7 @@ def _table(regime: Regime, outcomes: Outcomes, count: int) -> Table:
                 f"{settled} of {count}",
                 f"{1e3 * np.median([one.final_rms_m for one in ones]):.2f}",
                 f"{1e3 * np.median([one.jitter_rad_s for one in ones]):.2f}",
+                f"{np.median([one.peak_joint_speed_rad_s for one in ones]):.2f}",
                 f"{max(one.peak_joint_speed_rad_s for one in ones):.2f}",
                 f"{100 * np.median([one.jacobian_error for one in ones]):.1f}",
             ]
@@ -235,7 +240,8 @@ def _table(regime: Regime, outcomes: Outcomes, count: int) -> Table:
             "settled",
             "final rms, mm",
             "jitter, mrad/s",
-            "largest joint speed, rad/s",
+            "peak joint speed (median), rad/s",
+            "largest, rad/s",
             "Jacobian error, %",
         ],
         cells,
@@ -245,13 +251,14 @@ def _table(regime: Regime, outcomes: Outcomes, count: int) -> Table:
 def _gains_table(found: Mapping[tuple[str, str], Found]) -> Table:
     return Table(
         "Tuned gains (all candidates are in results.json)",
-        ["regime", "scheme", "candidates", "gains"],
+        ["regime", "scheme", "candidates", "gains", "at an end of their range"],
         [
             [
-                regime,
+                _TITLES[regime],
                 name,
                 str(len(one.tried) + len(one.others)),
                 ", ".join(f"{key} {value:.3g}" for key, value in one.best.gains.items()),
+                ", ".join(one.search.at_an_edge(one.best.gains)) or "-",
             ]
             for (regime, name), one in found.items()
         ],
@@ -260,13 +267,15 @@ def _gains_table(found: Mapping[tuple[str, str], Found]) -> Table:
 
 def _failures_table(outcomes: Outcomes) -> Table:
     rows = [
-        [regime, row, str(number), cause]
+        [_TITLES[regime], row, str(number), cause]
         for regime, by_row in outcomes.items()
         for row, ones in by_row.items()
         for cause, number in Counter(one.failure for one in ones if one.failure).most_common()
     ]
     return Table(
-        "Runs that did not settle to 5 mm, by cause",
+        "Runs that did not settle to 5 mm, by cause. The controller's guard holds an arm whose "
+        "estimated Jacobian is near singular; held, a filter that learns from motion alone learns "
+        "no more.",
         ["regime", "scheme", "runs", "cause"],
         rows or [["all", "all", "0", "every run settled"]],
     )
@@ -293,9 +302,27 @@ def _verdict(regime: Regime, outcomes: Outcomes) -> Verdict:
     return Verdict(
         f"{regime.title}: the proposed scheme settles faster than every other scheme of the paper.",
         f"Settling time over that of the best other one ({best}): {coarse.text()} to 5 mm, "
-        f"{fine.text()} to 2 mm{_words(coarse)}",
-        coarse.below(1.0),
+        f"{fine.text()} to 2 mm{_words(coarse)}{_kept(regime, rows[PROPOSED], rows[best])}",
+        all_hold(
+            ratio_of_medians(_times(rows, PROPOSED), _times(rows, name)).below(1.0)
+            for name in BASELINES
+        ),
     )
+
+
+def _kept(regime: Regime, proposed: Sequence[Outcome], other: Sequence[Outcome]) -> str:
+    """What the quantity that is held equal came to on the scoring cases."""
+    if regime.limit is None:
+        return ""
+    words, factor = {
+        "peak_joint_speed_rad_s": ("Peak joint speeds, rad/s", 1.0),
+        "jitter_rad_s": ("Jitter, mrad/s", 1e3),
+    }[regime.limit.quantity]
+    medians = [
+        factor * float(np.median([getattr(one, regime.limit.quantity) for one in ones]))
+        for ones in (proposed, other)
+    ]
+    return f" {words} (medians): {medians[0]:.2f} against {medians[1]:.2f}."
 
 
 def _words(ratio: Interval) -> str:
@@ -316,8 +343,8 @@ def _oracle_verdict(regime: Regime, outcomes: Outcomes) -> Verdict:
 
 # ---- spot check -----------------------------------------------------------------------------
 
-#: The nodes agree if no settling time lies further outside the range in lock step than this: an
-#: image period and a few ticks, s.
+#: The nodes agree if their settling times are on the whole no later or earlier than in lock step
+#: by more than this: an image period and a few ticks, s.
 _AGREE_S = 0.05
 
 
@@ -326,14 +353,14 @@ def _check(
 ) -> list[SpotCheck]:
     if not context.nodes:
         return []
-    regime = REGIMES[0]
+    regime = REGIMES[-1]
     names = (PROPOSED,) if context.quick else (PROPOSED, "ukf+mpc")
     checks = []
     for number, name in enumerate(names):
         # The nodes have a rendered camera, whatever the laboratory uses.
         trial = found[regime.name, name].trial(scoring[0], Conditions(), regime.duration_s)
         domain = 1 + (os.getpid() + number) % 100
-        seeds = 2 if context.quick else 8
+        seeds = 4 if context.quick else 6
         checks.append(spot_check(context, name, trial, scoring[:_SHOWN], domain, seeds))
     return checks
 
@@ -345,14 +372,14 @@ def _spot_table(checks: Sequence[SpotCheck]) -> list[Table]:
     for one in checks:
         ranges = ", ".join(f"{_seconds_text(a)} to {_seconds_text(b)}" for a, b in one.ranges_s())
         nodes = ", ".join(_seconds_text(seconds(time)) for time in one.nodes_s)
-        outside = "" if one.problem else f"{one.outside_s():.2f}"
-        rows.append([one.name, ranges, one.problem or nodes, outside])
+        shift = "" if one.problem else f"{one.shift_s():+.2f}"
+        rows.append([one.name, ranges, one.problem or nodes, shift])
     return [
         Table(
             "Spot check: the same task in lock step, with several seeds of the noise, and through "
-            "the real nodes over DDS in real time (first regime; settling to 5 mm, target after "
-            "target)",
-            ["scheme", "lock step, range, s", "nodes, s", "outside the range by, s"],
+            "the real nodes over DDS in real time (gains of the last regime; settling to 5 mm, one "
+            "target after another)",
+            ["scheme", "lock step, range, s", "nodes, s", "shift (median), s"],
             rows,
         )
     ]
@@ -369,15 +396,16 @@ def _spot_verdict(checks: Sequence[SpotCheck]) -> list[Verdict]:
     problems = [f"{one.name}: {one.problem}" for one in checks if one.problem]
     if problems:
         return [Verdict(claim, "; ".join(problems), None)]
-    worst_s = max(one.outside_s() for one in checks)
-    times = sum(len(one.nodes_s) for one in checks)
+    shifts = [one.shift_s() for one in checks]
+    finding = ", ".join(
+        f"{one.name} {shift:+.2f} s" for one, shift in zip(checks, shifts, strict=True)
+    )
     return [
         Verdict(
             claim,
-            f"Of {times} settling times of {len(checks)} scheme(s) the one that lies furthest "
-            f"outside the range of the lock-step runs does so by {worst_s:.2f} s (they agree up "
-            f"to {_AGREE_S} s).",
-            worst_s <= _AGREE_S,
+            f"Settling time through the nodes minus the median of the lock-step runs, median of "
+            f"{len(checks[0].nodes_s)} targets: {finding} (they agree up to {_AGREE_S} s).",
+            max(map(abs, shifts)) <= _AGREE_S,
         )
     ]
 
@@ -395,8 +423,8 @@ def _figures(
     figures = [
         Figure(
             servo_figures.summary(folder, REGIMES, outcomes),
-            "Settling times to 5 mm: one dot a case, the bar is the median. Runs that never settled "
-            "stand at the end of the run.",
+            "Settling times to 5 mm: one dot a case, the bar is the median. What never settled "
+            "stands at the end of the run.",
         )
     ]
     for regime in REGIMES[:2]:

@@ -25,7 +25,7 @@ _VIEW_PX = (320, 240)
 _DRAWN = (*SCHEMES, "oracle, sliding mode")
 _AXES = "xyz"
 #: Panels of the trade between speed and calm, and the regimes whose candidates they show.
-_TRADES = {"usual image filter": ("limit", "jitter"), "image filter tuned too": ("filter",)}
+_TRADES = {"usual image filter": ("jitter",), "image filter tuned too": ("filter",)}
 
 
 def drawn(outcome: Outcome) -> dict[str, np.ndarray]:
@@ -209,6 +209,7 @@ def paths(folder: Path, rows: Mapping[str, Sequence[Outcome]], cases: Sequence[C
         axes.tick_params(labelsize=7)
         axes.locator_params(nbins=4)
         axes.set_box_aspect(None, zoom=0.8)  # or the labels are cut off
+        axes.set_aspect("equal", adjustable="datalim")  # or a straight way looks wild
         if number == 0:
             handles, labels = axes.get_legend_handles_labels()
             figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))

@@ -9,6 +9,8 @@ import numpy as np
 
 _RESAMPLES = 2000
 _LEVEL = 0.95
+#: With fewer runs not even the whole range of the data is a 95 % interval of their median.
+DECISIVE = 6
 
 
 @dataclass(frozen=True)
@@ -19,11 +21,14 @@ class Interval:
     ----------
     value, low, high : float
         Estimate and ends of its interval.
+    count : int
+        Number of runs behind it; fewer than ``DECISIVE`` decide nothing.
     """
 
     value: float
     low: float
     high: float
+    count: int = DECISIVE
 
     def text(self, digits: int = 2) -> str:
         """``0.62 (0.58 to 0.71)``."""
@@ -35,15 +40,15 @@ class Interval:
 
     def above(self, bound: float) -> bool | None:
         """Whether it is above a bound: all of the interval, none of it, or undecided."""
-        if self.low > bound:
+        if self.count >= DECISIVE and self.low > bound:
             return True
-        return False if self.high <= bound else None
+        return False if self.count >= DECISIVE and self.high <= bound else None
 
     def below(self, bound: float) -> bool | None:
         """Whether it is below a bound: all of the interval, none of it, or undecided."""
-        if self.high < bound:
+        if self.count >= DECISIVE and self.high < bound:
             return True
-        return False if self.low >= bound else None
+        return False if self.count >= DECISIVE and self.low >= bound else None
 
     def inverse(self) -> Interval:
         """One over it, for a ratio seen from its other end."""
@@ -51,7 +56,7 @@ class Interval:
         def one_over(value: float) -> float:
             return float("inf") if value == 0.0 else 1.0 / value
 
-        return Interval(one_over(self.value), one_over(self.high), one_over(self.low))
+        return Interval(one_over(self.value), one_over(self.high), one_over(self.low), self.count)
 
 
 def all_hold(parts: Iterable[bool | None]) -> bool | None:
@@ -80,7 +85,7 @@ def median(values: Sequence[float]) -> Interval:
     """
     data = np.asarray(values, dtype=float)
     medians = _median(data[_resamples(data.size)])
-    return Interval(float(_median(data)), *_ends(medians))
+    return Interval(float(_median(data)), *_ends(medians), data.size)
 
 
 def ratio_of_medians(numerator: Sequence[float], denominator: Sequence[float]) -> Interval:
@@ -101,7 +106,8 @@ def ratio_of_medians(numerator: Sequence[float], denominator: Sequence[float]) -
         raise ValueError(f"paired runs must be as many: got {above.size} and {below.size}")
     chosen = _resamples(above.size)
     ratios = _ratio(_median(above[chosen]), _median(below[chosen]))
-    return Interval(float(_ratio(_median(above), _median(below))), *_ends(ratios))
+    middle = float(_ratio(_median(above), _median(below)))
+    return Interval(middle, *_ends(ratios), above.size)
 
 
 def _resamples(count: int) -> np.ndarray:
@@ -109,8 +115,9 @@ def _resamples(count: int) -> np.ndarray:
 
 
 def _median(data: np.ndarray) -> np.ndarray:
-    """The median of the last axis; the upper one of two, so that it is a number or infinite."""
-    return np.sort(data, axis=-1)[..., data.shape[-1] // 2]
+    """The median of the last axis; infinite if one of two middle values is."""
+    ordered, count = np.sort(data, axis=-1), data.shape[-1]
+    return 0.5 * (ordered[..., (count - 1) // 2] + ordered[..., count // 2])
 
 
 def _ratio(above: np.ndarray, below: np.ndarray) -> np.ndarray:

@@ -111,8 +111,8 @@ class Trial:
         The world.
     duration_s : float
         Time from the target on, s.
-    stop_when_settled : bool
-        Whether to end a second after the error has gone below 5 mm for good; for searches.
+    stop_after_s : float, optional
+        End when the error has been below 5 mm for so long, s; for searches.
     record : bool
         Whether to keep the time series.
     """
@@ -124,7 +124,7 @@ class Trial:
     controller_values: Mapping[str, Any] = field(default_factory=dict)
     conditions: Conditions = field(default_factory=Conditions)
     duration_s: float = 4.0
-    stop_when_settled: bool = False
+    stop_after_s: float | None = None
     record: bool = False
 
 
@@ -141,7 +141,8 @@ class Outcome:
     final_rms_m : float
         Error over the last second, rms, m.
     jitter_rad_s : float
-        Change of the command from tick to tick over the last second, rms, worst joint, rad/s.
+        Change of the command from tick to tick over the last second, rms, worst joint, rad/s;
+        infinite for an arm that the supervisor held: standing still is not calm.
     peak_joint_speed_rad_s : float
         Largest commanded joint speed, rad/s.
     path_ratio : float
@@ -268,13 +269,13 @@ def run_trial(trial: Trial) -> Outcome:
         command = one.tick()
         log.add(simulation.time_s, simulation.true_ball_position(), command)
         if tick % _JACOBIAN_EVERY == 0:
-            log.add_jacobian_error(_jacobian_error(one))
-        if trial.stop_when_settled and log.rested(target_m):
+            log.add_jacobian_error(jacobian_error(one))
+        if trial.stop_after_s is not None and log.rested_s(target_m) >= trial.stop_after_s:
             break
     return log.outcome(target_m, trial.record)
 
 
-def _jacobian_error(one: LockStep) -> float:
+def jacobian_error(one: LockStep) -> float:
     """Relative Frobenius error of the Jacobian that the controller uses now."""
     true = one.simulation.true_jacobian(one.simulation.joints_rad)
     used = one.loop.jacobian
@@ -312,15 +313,15 @@ class _Log:
         if command.state is not State.SERVOING:
             self._held = command.reason.name.lower().replace("_", " ")
 
-    def rested(self, target_m: np.ndarray) -> bool:
-        """Whether the error has been below 5 mm for the time over which rest is judged."""
+    def rested_s(self, target_m: np.ndarray) -> float:
+        """How long the error has been below 5 mm, s."""
         now_s = self._time_s[-1]
         if np.linalg.norm(self._ball_m[-1] - target_m) >= BOUNDS_M["5 mm"]:
             self._below_since_s = None
-            return False
+            return 0.0
         if self._below_since_s is None:
             self._below_since_s = now_s
-        return now_s - self._below_since_s >= _REST_S
+        return now_s - self._below_since_s
 
     def outcome(self, target_m: np.ndarray, record: bool) -> Outcome:
         times, balls = np.array(self._time_s), np.array(self._ball_m)
@@ -346,9 +347,7 @@ class _Log:
             start_distance_m=float(errors[0]),
             settling_s=settling,
             final_rms_m=float(np.sqrt(np.mean(errors[last] ** 2))),
-            jitter_rad_s=float(
-                np.sqrt(np.mean(np.diff(commands[last], axis=0) ** 2, axis=0)).max()
-            ),
+            jitter_rad_s=self._jitter(commands[last]),
             peak_joint_speed_rad_s=float(np.abs(commands).max()),
             path_ratio=path_m / float(errors[0]),
             limited_share=float(np.mean(np.array(self._limited)[moving])),
@@ -359,6 +358,11 @@ class _Log:
             target_m=tuple(float(value) for value in target_m),
             series=series,
         )
+
+    def _jitter(self, commands: np.ndarray) -> float:
+        if self._last is None or self._last.state is not State.SERVOING:
+            return float("inf")
+        return float(np.sqrt(np.mean(np.diff(commands, axis=0) ** 2, axis=0)).max())
 
     def _cause(self, errors: np.ndarray) -> str:
         if self._last is not None and self._last.state is not State.SERVOING:
