@@ -132,7 +132,7 @@ class Plan:
                 controller_values=GAINS[self.gains],
                 conditions=self.conditions,
                 duration_s=DURATION_S,
-                stop_when_settled=True,
+                stop_after_s=1.0,
                 record=True,
             )
             for case in self.cases
