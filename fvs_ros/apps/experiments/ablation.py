@@ -45,7 +45,7 @@ _CAPTION = (
 def run(context: Context) -> Report:
     """Run the experiment."""
     folder = context.folder(NAME)
-    cases = make_cases("a", context.count(9, 1), SEED)
+    cases = make_cases("a", context.count(8, 1), SEED)
     changes = all_changes()
     hold_s = _QUICK_REST_S if context.quick else _REST_S
     rests = all_rests(cases[: 1 if context.quick else 3], hold_s)

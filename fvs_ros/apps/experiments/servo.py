@@ -113,8 +113,8 @@ def _tune(context: Context, cases: Sequence[Case]) -> dict[tuple[str, str], Foun
         searches,
         cases,
         # True positions with the same noise, coarser physics: fast enough to search.
-        Conditions(rendered=False, physics_rate_hz=250.0),
-        generations=1 if context.quick else 7,
+        Conditions(rendered=False, physics_rate_hz=125.0),
+        generations=1 if context.quick else 6,
         population=4 if context.quick else 10,
         seed=_SEARCH_SEED,
     )
@@ -195,8 +195,8 @@ def _setup(
         "Four regimes, because what is held equal decides the answer. "
         + " ".join(f"{regime.title}: {regime.says}." for regime in REGIMES)
         + " A bound holds for the median of the tuning cases, which have true positions with the "
-        "same noise and half the physics steps, so that a search can be afforded; what came of it "
-        "on the scoring cases is in the tables.",
+        "same noise and a quarter of the physics steps, so that a search can be afforded; what "
+        "came of it on the scoring cases is in the tables.",
         "Settled means that the error stays below the bound to the end of the run. Numbers are "
         "medians with their 95 % bootstrap intervals; a run that never settles counts as "
         "infinitely slow. Jitter is the rms change of the command from tick to tick over the "

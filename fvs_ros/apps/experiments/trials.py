@@ -49,7 +49,7 @@ class Conditions:
     joint_lag_s : float
         Further lag of the drives, s.
     physics_rate_hz : float
-        Steps of the physics a second; half as many make a search faster.
+        Steps of the physics a second; fewer make a search faster.
     camera_turn_deg : tuple of 3 float
         Rotation vector, camera frame, degrees, by which the camera has been carried round the
         scene since the networks were trained; it still looks at the scene.
