@@ -99,6 +99,8 @@ def test_an_interval_on_both_sides_of_a_bound_decides_nothing():
         assert one.below(1.05) is (None if above is None else not above)
         assert one.inverse().below(1.0 / 1.05) is above
     assert Interval(0.0, 0.0, 1.0).inverse().high == INF
+    touching = Interval(1.1, 1.0, 1.2)
+    assert touching.below(1.0) is touching.above(1.0) is None
 
 
 def test_few_runs_decide_nothing():

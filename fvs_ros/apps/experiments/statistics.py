@@ -39,16 +39,16 @@ class Interval:
         return f"{value} ({low} to {high})"
 
     def above(self, bound: float) -> bool | None:
-        """Whether it is above a bound: all of the interval, none of it, or undecided."""
+        """Whether it is above a bound: all of the interval, none of it, or undecided (None)."""
         if self.count >= DECISIVE and self.low > bound:
             return True
-        return False if self.count >= DECISIVE and self.high <= bound else None
+        return False if self.count >= DECISIVE and self.high < bound else None
 
     def below(self, bound: float) -> bool | None:
-        """Whether it is below a bound: all of the interval, none of it, or undecided."""
+        """Whether it is below a bound: all of the interval, none of it, or undecided (None)."""
         if self.count >= DECISIVE and self.high < bound:
             return True
-        return False if self.count >= DECISIVE and self.low >= bound else None
+        return False if self.count >= DECISIVE and self.low > bound else None
 
     def inverse(self) -> Interval:
         """One over it, for a ratio seen from its other end."""
