@@ -36,8 +36,8 @@ class OnlineConfig:
     ----------
     initial : str
         Where the Jacobian starts: ``model``, the trained networks' Jacobian at the first joints
-        that the estimator is asked at or told of; or ``zero``, which knows nothing. A zero
-        Jacobian is singular and a supervisor holds it: something else must move the arm first.
+        that the estimator is asked at or told of; or ``zero``, which knows nothing: there is no
+        estimate until something else has moved the arm (see ``OnlineEstimator.problem``).
     min_motion_rad : float
         Steps in which no joint moved this far change nothing, rad.
     """
@@ -74,7 +74,7 @@ def online_parameters(method: str) -> tuple[Parameter, ...]:
             f"{method}.initial",
             OnlineConfig.initial,
             "Where the Jacobian starts: the trained networks' at the first joints, or zero; "
-            "zero is held as singular until something else has moved the arm.",
+            "from zero there is no estimate until something else has moved the arm.",
             choices=INITIALS,
         ),
         Parameter(
