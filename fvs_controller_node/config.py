@@ -13,7 +13,7 @@ from fvs_controller_node.progress import ProgressLimits
 from fvs_controller_node.pseudo_inverse import DampedInverse
 from fvs_controller_node.registry import LAWS, make_law
 from fvs_controller_node.supervisor import Supervisor, SupervisorConfig
-from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
+from fvs_ros.core.joints import JOINT_PARAMETERS, N_JOINTS
 from fvs_ros.core.limits import JointRange
 from fvs_ros.core.params import Parameter, ParameterSet
 
@@ -27,12 +27,7 @@ _NODE = (
         False,
         "Start once by itself, the first time everything is ready. For simulation only.",
     ),
-    Parameter(
-        "joint_names",
-        list(UR_JOINT_NAMES),
-        "The six joints in kinematic order, base to flange.",
-        size=N_JOINTS,
-    ),
+    *JOINT_PARAMETERS,
     Parameter("feature_frame", _DEFAULT.feature_frame, "Frame of ball and target."),
     Parameter(
         "tick_rate_hz",

@@ -43,7 +43,7 @@ class ControllerNode(ros.FvsNode):
         super().__init__("fvs_controller_node", PARAMETERS)
         v = self.values
         self._frame = v["feature_frame"]
-        self._joint_map = JointMap(v["joint_names"])
+        self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._loop = build_loop(v)
         self._simulated_time = self.get_parameter("use_sim_time").value
         self._period_s = 1.0 / v["tick_rate_hz"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fvs_ros.core.camera import CAMERA_FRAME
-from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
+from fvs_ros.core.joints import JOINT_PARAMETERS, N_JOINTS
 from fvs_ros.core.params import Parameter
 
 PARAMETERS = (
@@ -23,7 +23,7 @@ PARAMETERS = (
     Parameter(
         "max_joint_acceleration_rad_s2", 3.0, "limit of each joint", minimum=0.1, maximum=40.0
     ),
-    Parameter("joint_names", list(UR_JOINT_NAMES), "the joints in kinematic order", size=N_JOINTS),
+    *JOINT_PARAMETERS,
     Parameter("feature_frame", CAMERA_FRAME, "frame of the ball positions"),
     Parameter("joint_states_max_age_s", 0.1, "older ones stop the arm", minimum=0.02, maximum=2.0),
     Parameter(

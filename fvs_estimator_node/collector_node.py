@@ -42,7 +42,7 @@ class CollectorNode(ros.FvsNode):
         v = self.values
         self._path = _writable(Path(v["output_path"]))
         self._frame = v["feature_frame"]
-        self._joint_map = JointMap(v["joint_names"])
+        self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._simulated_time = self.get_parameter("use_sim_time").value
         config = RunConfig(
             **{

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fvs_estimator_node.registry import ESTIMATORS, estimator_parameters
 from fvs_ros.core.camera import CAMERA_FRAME
-from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
+from fvs_ros.core.joints import JOINT_PARAMETERS
 from fvs_ros.core.params import Parameter
 
 PARAMETERS = (
@@ -14,7 +14,7 @@ PARAMETERS = (
         "models/ur5_front.npz",
         "file that fvs_train has written: a path, or a name within the project's config folder",
     ),
-    Parameter("joint_names", list(UR_JOINT_NAMES), "the joints in kinematic order", size=N_JOINTS),
+    *JOINT_PARAMETERS,
     Parameter("feature_frame", CAMERA_FRAME, "frame of the ball positions"),
     Parameter(
         "jacobian_rate_hz", 62.5, "most Jacobians published a second", minimum=1.0, maximum=1000.0

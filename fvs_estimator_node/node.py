@@ -35,7 +35,7 @@ class EstimatorNode(ros.FvsNode):
         super().__init__("fvs_estimator_node", PARAMETERS)
         v = self.values
         self._frame = v["feature_frame"]
-        self._joint_map = JointMap(v["joint_names"])
+        self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._estimator = create_estimator(v["method"], self._load_model(), v)
         self._pairing = StepPairing(v["min_step_rad"], v["max_step_s"], v["max_gap_s"])
         self._prediction = PredictionMonitor()

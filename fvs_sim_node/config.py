@@ -22,7 +22,7 @@ PARAMETERS = (
     ),
     Parameter("urdf_path", "", "another robot's URDF with the six UR joints; empty: own UR5"),
     Parameter("ball_link", "", "its link that carries the ball; empty: tool0, or the last link"),
-    Parameter("joint_prefix", "", "put before each joint name, as a UR driver's tf_prefix"),
+    Parameter("tf_prefix", "", "put before each joint name, as a UR driver does"),
     Parameter(
         "initial_joints_rad",
         HOME_JOINTS_RAD,
@@ -47,6 +47,11 @@ PARAMETERS = (
     Parameter("image_width", 640, "image width, pixels", minimum=64, maximum=1920),
     Parameter("image_height", 480, "image height, pixels", minimum=48, maximum=1080),
     Parameter("focal_length_px", 615.0, "focal length, pixels", minimum=50.0, maximum=3000.0),
+    Parameter(
+        "publish_ball_position",
+        True,
+        "false: images only, for a detector to find the ball in",
+    ),
     Parameter(
         "depth_encoding",
         "16UC1",

@@ -45,7 +45,7 @@ class SimNode(ros.FvsNode):
         self._sim = Simulation(SimConfig.from_values(v))
         self._camera_home = self._sim.camera
         self._shuffle = np.random.default_rng(v["seed"])
-        self._names = [v["joint_prefix"] + name for name in UR_JOINT_NAMES]
+        self._names = [v["tf_prefix"] + name for name in UR_JOINT_NAMES]
         self._refusal = ""
         self._steps = 0
         self._late = 0
@@ -158,7 +158,7 @@ class SimNode(ros.FvsNode):
 
     def _publish_observation(self, observation: BallObservation) -> None:
         stamp_s = self._base_s + observation.stamp_s
-        if observation.detection is not None:
+        if observation.detection is not None and self.values["publish_ball_position"]:
             position_m = observation.detection.position_m
             self._ball.publish(ros.to_point(stamp_s, self._frame, position_m))
         if observation.frame is not None:

@@ -12,6 +12,7 @@ import numpy as np
 import pybullet
 
 from fvs_ros.core.camera import Intrinsics, look_at
+from fvs_ros.core.tracking import Region
 
 #: Depth range that is drawn, m. What lies beyond has no depth, as with a real camera.
 NEAR_M, FAR_M = 0.25, 4.0
@@ -83,16 +84,6 @@ def camera_preset(name: str) -> CameraPose:
         raise ValueError(
             f"unknown camera {name!r}; known are {', '.join(sorted(CAMERA_PRESETS))}"
         ) from None
-
-
-@dataclass(frozen=True)
-class Region:
-    """A part of the image: first pixel (u0, v0) and size, pixels."""
-
-    u0: int
-    v0: int
-    width: int
-    height: int
 
 
 class Renderer:

@@ -7,6 +7,8 @@ from math import pi
 
 import numpy as np
 
+from fvs_ros.core.params import Parameter
+
 N_JOINTS = 6
 
 #: The UR joints in kinematic order, base to flange: the order of every vector in this project.
@@ -27,6 +29,18 @@ UR_PUBLISHED_NAMES = tuple(sorted(UR_JOINT_NAMES))
 UR_POSITION_LIMITS_RAD = (2 * pi, 2 * pi, pi, 2 * pi, 2 * pi, 2 * pi)
 
 
+#: The parameters by which a node knows its joints.
+JOINT_PARAMETERS = (
+    Parameter(
+        "joint_names",
+        list(UR_JOINT_NAMES),
+        "The six joints in kinematic order, base to flange, without tf_prefix.",
+        size=N_JOINTS,
+    ),
+    Parameter("tf_prefix", "", "What the robot's driver puts before each joint name."),
+)
+
+
 class JointStateError(ValueError):
     """A joint state that cannot be used; the text says what was wrong and what was expected."""
 
@@ -42,6 +56,8 @@ class JointMap:
     ----------
     names : sequence of str
         The six joint names in kinematic order.
+    tf_prefix : str
+        What the robot's driver puts before each of them (its ``tf_prefix``).
 
     Raises
     ------
@@ -49,8 +65,8 @@ class JointMap:
         If there are not six different names.
     """
 
-    def __init__(self, names: Sequence[str] = UR_JOINT_NAMES) -> None:
-        self.names = tuple(names)
+    def __init__(self, names: Sequence[str] = UR_JOINT_NAMES, tf_prefix: str = "") -> None:
+        self.names = tuple(tf_prefix + name for name in names)
         if len(self.names) != N_JOINTS or len(set(self.names)) != N_JOINTS:
             raise ValueError(
                 f"joint_names must be {N_JOINTS} different names in kinematic order, "

@@ -143,7 +143,7 @@ def test_a_missing_or_foreign_model_is_one_clear_sentence(ros_test, make, words)
 
 def test_scenario_files_serve_ros_params_file_as_well(ros_test):
     path = ros_test.folder / "scenario.yaml"
-    path.write_text(yaml.safe_dump({"fvs_sim_node": {"ros__parameters": {"joint_prefix": "ur_"}}}))
+    path.write_text(yaml.safe_dump({"fvs_sim_node": {"ros__parameters": {"tf_prefix": "ur_"}}}))
     from sensor_msgs.msg import JointState
 
     states = ros_test.collect(JointState, ros.JOINT_STATES)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from fvs_ros.core.camera import Intrinsics
+from fvs_ros.core.tracking import Region
 from fvs_sim_node.rendering import (
     CAMERA_PRESETS,
     CameraPose,
-    Region,
     Renderer,
     camera_preset,
     pose_from_look_at,

@@ -5,8 +5,9 @@ import pytest
 
 from fvs_ros.core.camera import Intrinsics
 from fvs_ros.core.detection import BallColour, colour_mask, detect_ball
+from fvs_ros.core.tracking import Region
 from fvs_sim_node.depth_noise import add_depth_noise
-from fvs_sim_node.rendering import Region, Renderer, camera_preset, pose_from_look_at
+from fvs_sim_node.rendering import Renderer, camera_preset, pose_from_look_at
 from fvs_sim_node.world import TABLE, SceneObject, World
 
 VGA = Intrinsics(640, 480, 615.0, 615.0, 319.5, 239.5)

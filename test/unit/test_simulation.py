@@ -7,10 +7,11 @@ import pytest
 
 from fvs_ros.core.camera import Intrinsics
 from fvs_ros.core.params import ParameterSet
+from fvs_ros.core.tracking import WindowTracker
 from fvs_sim_node import kinematics
 from fvs_sim_node.config import PARAMETERS
 from fvs_sim_node.rendering import CameraPose
-from fvs_sim_node.simulation import SimConfig, Simulation, WindowTracker
+from fvs_sim_node.simulation import SimConfig, Simulation
 from fvs_sim_node.ur5_urdf import urdf_text
 
 PERIOD_S = 0.008
