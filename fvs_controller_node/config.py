@@ -171,6 +171,14 @@ _SUPERVISION = (
         live=True,
     ),
     Parameter(
+        "follow_time_s",
+        _DEFAULT.follow_time_s,
+        "Held when the arm does not move as commanded for so long, s.",
+        0.1,
+        100.0,
+        live=True,
+    ),
+    Parameter(
         "settled_error_m",
         _PROGRESS.settled_error_m,
         "Settled when the error stays below this, m.",
@@ -206,6 +214,22 @@ _SUPERVISION = (
         "growth_m",
         _PROGRESS.growth_m,
         "... and this distance, m.",
+        0.0,
+        1.0,
+        live=True,
+    ),
+    Parameter(
+        "stall_time_s",
+        _PROGRESS.stall_time_s,
+        "Held when the error has not become smaller for so long ...",
+        0.1,
+        1000.0,
+        live=True,
+    ),
+    Parameter(
+        "stall_error_m",
+        _PROGRESS.stall_error_m,
+        "... while it is above this, m.",
         0.0,
         1.0,
         live=True,
@@ -301,6 +325,8 @@ def build_supervisor_config(values: Mapping[str, Any]) -> SupervisorConfig:
             growth_time_s=values["growth_time_s"],
             growth_factor=values["growth_factor"],
             growth_m=values["growth_m"],
+            stall_time_s=values["stall_time_s"],
+            stall_error_m=values["stall_error_m"],
         ),
         **{name: values[name] for name in _SAME_NAME},
     )
@@ -338,6 +364,7 @@ _SAME_NAME = (
     "prediction_slow",
     "prediction_hold",
     "prediction_hold_time_s",
+    "follow_time_s",
 )
 
 

@@ -1,4 +1,4 @@
-"""Is the ball getting to its target? Settled, and growing errors, robust to noise."""
+"""Is the ball getting to its target? Settled, growing and stalled errors, robust to noise."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _SMOOTHING_S = 0.1
 
 @dataclass(frozen=True)
 class ProgressLimits:
-    """When the error counts as settled, and when as growing.
+    """When the error counts as settled, when as growing, and when as stalled.
 
     Parameters
     ----------
@@ -24,6 +24,10 @@ class ProgressLimits:
         ... this factor and ...
     growth_m : float
         ... this distance, m.
+    stall_time_s : float
+        Stalled when the best error since the start has not improved for so long ...
+    stall_error_m : float
+        ... while the error is above this, m.
     """
 
     settled_error_m: float = 0.005
@@ -31,6 +35,12 @@ class ProgressLimits:
     growth_time_s: float = 1.0
     growth_factor: float = 1.5
     growth_m: float = 0.03
+    stall_time_s: float = 6.0
+    stall_error_m: float = 0.02
+
+
+#: The best error must fall by this share of itself to count as progress.
+_PROGRESS_SHARE = 0.03
 
 
 class Progress:
@@ -46,10 +56,13 @@ class Progress:
         self._best_m = float("inf")
         self._up_s = 0.0
         self._near_s = 0.0
+        self._mark_m = float("inf")  # the best error when progress was last made
+        self._since_mark_s = 0.0
 
     def pause(self) -> None:
-        """Stop the growth's time: the arm is held."""
+        """Stop the time of growth and stall: the arm is held."""
         self._up_s = 0.0
+        self._since_mark_s = 0.0
 
     @property
     def best_m(self) -> float:
@@ -71,6 +84,11 @@ class Progress:
         """Whether the error has been well above its best for too long."""
         return self._up_s >= self.limits.growth_time_s
 
+    @property
+    def stalled(self) -> bool:
+        """Whether the error has been large for too long without getting smaller."""
+        return self._since_mark_s >= self.limits.stall_time_s
+
     def add(self, error_m: float, dt_s: float, servoing: bool) -> None:
         """Tell the norm of the error at a tick, m; the growth counts while servoing only."""
         if self._smooth_m is None:
@@ -87,3 +105,9 @@ class Progress:
             and self._smooth_m > self._best_m + self.limits.growth_m
         )
         self._up_s = self._up_s + dt_s if up else 0.0
+        if self._best_m < (1.0 - _PROGRESS_SHARE) * self._mark_m:
+            self._mark_m, self._since_mark_s = self._best_m, 0.0
+        elif self._smooth_m > self.limits.stall_error_m:
+            self._since_mark_s += dt_s
+        else:
+            self._since_mark_s = 0.0

@@ -94,6 +94,22 @@ class Reason(Enum):
         "{time_s:.1f} s: the Jacobian may be wrong (camera moved?) or the target out of reach; "
         "then call ~/start",
     )
+    STALLED = (
+        State.HOLDING,
+        Stop.RAMP,
+        True,
+        "no progress for {time_s:.0f} s, {error_mm:.0f} mm from the target: it may be out of "
+        "reach, a joint at the end of its range, or the Jacobian wrong there; choose another "
+        "target, then call ~/start",
+    )
+    NOT_FOLLOWING = (
+        State.HOLDING,
+        Stop.RAMP,
+        True,
+        "the arm does not follow: {joint} was to move {commanded_rad:.2f} rad and moved "
+        "{moved_rad:.2f}; is the velocity controller active, the robot program running and no "
+        "protective stop on? then call ~/start",
+    )
     PROGRAM_STOPPED = (
         State.HOLDING,
         Stop.AT_ONCE,

@@ -14,6 +14,7 @@ from math import inf, isfinite
 import numpy as np
 
 from fvs_controller_node.base import N_AXES, ControlOutput
+from fvs_controller_node.following import Following
 from fvs_controller_node.inputs import InputMonitor, InputSpec
 from fvs_controller_node.progress import Progress, ProgressLimits
 from fvs_controller_node.pseudo_inverse import Conditioning, DampedInverse, conditioning
@@ -89,8 +90,10 @@ class SupervisorConfig:
         to mend itself, s.
     prediction_max_age_s : float
         A ratio older than this is forgotten, s.
+    follow_time_s : float
+        So long the arm may fail to move as commanded, s.
     progress : ProgressLimits
-        When the error is settled, and when it grows.
+        When the error is settled, when it grows, and when it stalls.
     """
 
     autostart: bool = False
@@ -115,6 +118,7 @@ class SupervisorConfig:
     prediction_hold: float = 1.2
     prediction_hold_time_s: float = 2.0
     prediction_max_age_s: float = 2.5
+    follow_time_s: float = 3.0
     progress: ProgressLimits = field(default_factory=ProgressLimits)
 
     def __post_init__(self) -> None:
@@ -198,6 +202,7 @@ class Supervisor:
             for name, spec in self._config.input_specs().items()
         }
         self._progress = Progress(self._config.progress)
+        self._following = Following()
         self._target: np.ndarray | None = None
         self._jacobian: np.ndarray | None = None
         self._conditioning: Conditioning | None = None
@@ -408,7 +413,7 @@ class Supervisor:
             self._begin()
         output: ControlOutput | None = None
         if finding is None and self._started:
-            finding = self._bad_prediction(now_s, dt_s)
+            finding = self._trouble_in_motion(now_s, dt_s, joints_rad)
             if finding is None:
                 finding, output = self._ask(propose, dt_s)
         if finding is not None and finding.reason.needs_start:
@@ -416,6 +421,7 @@ class Supervisor:
         if output is not None and joints_rad is not None:
             return self._move(output, joints_rad, dt_s)
         self._progress.pause()
+        self._following.restart()
         # Simulated time may stand still; coming to rest must not.
         return self._rest(finding, dt_s or steady_dt_s)
 
@@ -480,6 +486,17 @@ class Supervisor:
             return None
         return Reason.NEAR_SINGULAR.because(value=value, limit=limit)
 
+    def _trouble_in_motion(
+        self, now_s: float, dt_s: float, joints: np.ndarray | None
+    ) -> Finding | None:
+        """Find what only shows while the arm moves."""
+        findings = (
+            self._bad_prediction(now_s, dt_s),
+            self._no_progress(),
+            self._does_not_follow(joints, dt_s),
+        )
+        return next((finding for finding in findings if finding is not None), None)
+
     def _bad_prediction(self, now_s: float, dt_s: float) -> Finding | None:
         ratio, config = self._ratio(now_s), self._config
         self._mispredicted_s = (
@@ -491,10 +508,33 @@ class Supervisor:
             value=ratio, limit=config.prediction_hold, time_s=config.prediction_hold_time_s
         )
 
+    def _no_progress(self) -> Finding | None:
+        progress, error_mm = self._progress, 1e3 * self._progress.smooth_m
+        if progress.growing:
+            return Reason.ERROR_GROWING.because(
+                best_mm=1e3 * progress.best_m,
+                error_mm=error_mm,
+                time_s=progress.limits.growth_time_s,
+            )
+        if progress.stalled:
+            return Reason.STALLED.because(time_s=progress.limits.stall_time_s, error_mm=error_mm)
+        return None
+
+    def _does_not_follow(self, joints: np.ndarray | None, dt_s: float) -> Finding | None:
+        if joints is None:
+            return None
+        scaling = min(self._speed_scaling, 100.0) / 100.0
+        self._following.add(self._velocity, joints, scaling, dt_s)
+        refusal = self._following.refusal(self._config.follow_time_s)
+        if refusal is None:
+            return None
+        return Reason.NOT_FOLLOWING.because(
+            joint=self._config.joint_names[refusal.joint],
+            commanded_rad=refusal.commanded_rad,
+            moved_rad=refusal.moved_rad,
+        )
+
     def _ask(self, propose: Propose, dt_s: float) -> tuple[Finding | None, ControlOutput | None]:
-        """Ask the law, unless the error grows."""
-        if self._progress.growing:
-            return self._growth(), None
         error = self.error_m
         assert error is not None
         if dt_s <= 0.0:
@@ -510,13 +550,6 @@ class Supervisor:
         if sliding.shape != (N_AXES,) or not np.all(np.isfinite(sliding)):
             return Reason.LAW_FAULT.because(why=f"its sliding variable is {sliding}"), None
         return None, output
-
-    def _growth(self) -> Finding:
-        return Reason.ERROR_GROWING.because(
-            best_mm=1e3 * self._progress.best_m,
-            error_mm=1e3 * self._progress.smooth_m,
-            time_s=self._config.progress.growth_time_s,
-        )
 
     # ---- how it moves, how it rests ---------------------------------------------------------
 
@@ -606,6 +639,7 @@ class Supervisor:
         self._ended = None
         self._mispredicted_s = 0.0
         self._progress.restart()
+        self._following.restart()
 
     def _end_session(self, finding: Finding) -> None:
         """Stop until a new start, if it was started."""

@@ -36,6 +36,7 @@ class Cell:
         self.jacobian = JACOBIAN
         self.wanted: np.ndarray = WANTED
         self.talking = {"joint_states", "ball_position", "jacobian"}
+        self.follows = True
         self.asked = 0
         self.commands: list[Command] = []
 
@@ -55,6 +56,8 @@ class Cell:
         before = supervisor.velocity_rad_s
         command = supervisor.tick(now_s, DT_S, self.joints, self.ball, self.law)
         self.commands.append(command)
+        if self.follows:
+            self.joints = self.joints + DT_S * command.velocity_rad_s
         step = np.abs(command.velocity_rad_s - before).max()
         assert step <= MAX_STEP or not command.velocity_rad_s.any()
         assert command.velocity_rad_s.shape == (6,)
@@ -300,6 +303,7 @@ def test_it_brakes_in_time_for_the_target():
 
 def test_a_joint_near_its_limit_is_slowed_and_named():
     cell = servoing()
+    cell.follows = False
     cell.joints = np.array([2 * np.pi - 0.02, 0.0, 0.0, 0.0, 0.0, 0.0])
     command = cell.run(0.2)
     assert command.velocity_rad_s[0] == pytest.approx(0.1)  # 1 rad/s * 0.02 / 0.2
@@ -575,6 +579,51 @@ def test_noise_detours_and_new_targets_are_no_growth():
     assert far.state is State.SERVOING
 
 
+def test_an_error_that_does_not_fall_is_held_in_the_end_and_says_how_far_it_was():
+    cell = servoing()
+    assert run_with_error(cell, lambda t: 0.05 + 0.15 * np.exp(-t), 5.0).state is State.SERVOING
+    command = cell.until(lambda c: c.state is State.HOLDING, at_most_s=9.0)
+    assert command.reason is Reason.STALLED
+    assert "no progress for 6 s, 50 mm" in command.text
+    cell.until(at_rest)
+    assert cell.run(1.0).reason is Reason.STALLED
+    assert cell.supervisor.start(cell.now_s)[0]
+    assert cell.run(1.0).state is State.SERVOING
+
+
+def test_slow_progress_and_rest_near_the_target_are_no_stall():
+    cell = servoing()
+    assert run_with_error(cell, lambda t: 0.2 - 0.01 * t, 19.0).state is State.SERVOING
+    assert run_with_error(cell, lambda t: 0.015, 15.0).state is State.SERVOING
+
+
+def test_an_arm_that_does_not_move_as_told_is_held_and_the_joint_is_named():
+    cell = servoing()
+    cell.follows = False
+    since_s = cell.now_s
+    command = cell.until(lambda c: c.state is State.HOLDING)
+    assert command.reason is Reason.NOT_FOLLOWING
+    assert 3.0 < cell.now_s - since_s < 4.0
+    assert "shoulder_pan_joint" in command.text
+    assert "velocity controller active" in command.text
+    cell.until(at_rest)
+    cell.follows = True
+    assert cell.run(1.0).reason is Reason.NOT_FOLLOWING
+    assert cell.supervisor.start(cell.now_s)[0]
+    assert cell.run(5.0).state is State.SERVOING
+
+
+@pytest.mark.parametrize(("scaling", "share"), [(100.0, 0.25), (30.0, 0.3), (3.0, 0.03)])
+def test_an_arm_that_moves_slowly_or_by_a_reduced_speed_scaling_follows(scaling, share):
+    cell = servoing()
+    cell.follows = False
+    cell.supervisor.speed_scaling(cell.now_s, scaling)
+    for _ in range(round(8.0 / DT_S)):
+        cell.joints = cell.joints + share * DT_S * cell.supervisor.velocity_rad_s
+        cell.ball = TARGET + 0.999 * (cell.ball - TARGET)
+        assert cell.tick().state is State.SERVOING
+
+
 def test_settled_means_near_for_a_while():
     cell = ready()
     cell.ball = TARGET + np.array([0.004, 0.0, 0.0])
@@ -647,7 +696,8 @@ def test_every_reason_can_be_said():
     numbers = dict.fromkeys(
         ["age_s", "limit_s", "value", "limit", "best_mm", "error_mm", "time_s"], 1.0
     )
-    words = dict.fromkeys(["name", "hint", "why", "count", "wanted"], "this")
+    numbers |= dict.fromkeys(["commanded_rad", "moved_rad"], 1.0)
+    words = dict.fromkeys(["name", "hint", "why", "count", "wanted", "joint"], "this")
     for reason in Reason:
         assert len(reason.because(**numbers, **words).text) > 10
 

@@ -1,0 +1,88 @@
+"""Does the arm do what it is told? Commanded against measured motion of each joint."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fvs_ros.core.joints import N_JOINTS
+
+#: Motions are summed with this memory, s: much longer than a drive's lag.
+_MEMORY_S = 0.5
+
+#: Less commanded motion than this within the memory says nothing, rad.
+_LEAST_COMMANDED_RAD = 0.01
+
+#: A joint follows if it makes this share of the motion that command and speed scaling ask for.
+_LEAST_SHARE = 0.15
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A joint that does not follow.
+
+    Parameters
+    ----------
+    joint : int
+        Its place in kinematic order.
+    commanded_rad, moved_rad : float
+        Motion that was asked for, and made, within the memory, rad.
+    """
+
+    joint: int
+    commanded_rad: float
+    moved_rad: float
+
+
+class Following:
+    """Compares commands with joint states; both fade with a memory of half a second."""
+
+    def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew: a start, or the arm was held."""
+        self._commanded = np.zeros(N_JOINTS)
+        self._moved = np.zeros(N_JOINTS)
+        self._joints: np.ndarray | None = None
+        self._off_s = 0.0
+
+    def add(
+        self, command_rad_s: np.ndarray, joints_rad: np.ndarray, scaling: float, dt_s: float
+    ) -> None:
+        """Tell one tick.
+
+        Parameters
+        ----------
+        command_rad_s : ndarray, shape (6,)
+            Command in force since the last tick, rad/s.
+        joints_rad : ndarray, shape (6,)
+            Joint positions now, rad.
+        scaling : float
+            The robot's speed scaling, 0 to 1.
+        dt_s : float
+            Time since the last tick, s.
+        """
+        keep = _MEMORY_S / (_MEMORY_S + dt_s)
+        if self._joints is not None:
+            self._moved = keep * (self._moved + joints_rad - self._joints)
+        self._joints = joints_rad
+        self._commanded = keep * (self._commanded + scaling * dt_s * command_rad_s)
+        self._off_s = self._off_s + dt_s if self._worst() is not None else 0.0
+
+    def _worst(self) -> int | None:
+        """Find the joint that should have moved most, if it did not."""
+        asked = np.abs(self._commanded)
+        joint = int(asked.argmax())
+        if asked[joint] < _LEAST_COMMANDED_RAD:
+            return None
+        along = self._moved[joint] * np.sign(self._commanded[joint])
+        return joint if along < _LEAST_SHARE * asked[joint] else None
+
+    def refusal(self, time_s: float) -> Refusal | None:
+        """Name the joint that has not followed for ``time_s``; None if all do."""
+        joint = self._worst()
+        if joint is None or self._off_s < time_s:
+            return None
+        return Refusal(joint, float(self._commanded[joint]), float(self._moved[joint]))
