@@ -12,7 +12,8 @@ from fvs_controller_node.predictor import BallPredictor
 from fvs_controller_node.progress import ProgressLimits
 from fvs_controller_node.pseudo_inverse import DampedInverse
 from fvs_controller_node.registry import LAWS, make_law
-from fvs_controller_node.supervisor import Supervisor, SupervisorConfig
+from fvs_controller_node.supervisor import Supervisor
+from fvs_controller_node.supervisor_config import SupervisorConfig
 from fvs_ros.core.joints import JOINT_PARAMETERS, N_JOINTS
 from fvs_ros.core.limits import JointRange
 from fvs_ros.core.params import Parameter, ParameterSet

@@ -11,7 +11,8 @@ import numpy as np
 from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.predictor import BallPredictor
 from fvs_controller_node.reasons import State
-from fvs_controller_node.supervisor import BALL, JOINT_STATES, Command, Supervisor
+from fvs_controller_node.supervisor import Command, Supervisor
+from fvs_controller_node.supervisor_config import BALL, JOINT_STATES
 from fvs_ros.core.history import StampGate
 
 

@@ -18,7 +18,8 @@ from std_srvs.srv import Trigger
 
 from fvs_controller_node.config import PARAMETERS, build_loop, reconfigure
 from fvs_controller_node.reasons import State
-from fvs_controller_node.supervisor import BALL, JACOBIAN, JOINT_STATES, SPEED_SCALING, Command
+from fvs_controller_node.supervisor import Command
+from fvs_controller_node.supervisor_config import BALL, JACOBIAN, JOINT_STATES, SPEED_SCALING
 from fvs_ros.core import ros
 from fvs_ros.core.joints import ForeignJointsError, JointMap, JointStateError
 

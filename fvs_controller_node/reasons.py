@@ -76,7 +76,8 @@ class Reason(Enum):
         Stop.RAMP,
         False,
         "the Jacobian is near singular: smallest singular value {value:.4f} m/rad, below "
-        "{limit:.4f}; choose another target, jog the arm, or check the estimator's model",
+        "{limit:.4f}; choose a target away from there and call ~/start to leave slowly, jog the "
+        "arm, or check the estimator's model",
     )
     PREDICTION_ERROR = (
         State.HOLDING,

@@ -8,31 +8,32 @@ and always answers six finite numbers.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import inf, isfinite
 
 import numpy as np
 
 from fvs_controller_node.base import N_AXES, ControlOutput
 from fvs_controller_node.following import Following
-from fvs_controller_node.inputs import InputMonitor, InputSpec
-from fvs_controller_node.progress import Progress, ProgressLimits
+from fvs_controller_node.inputs import InputMonitor
+from fvs_controller_node.progress import Progress
 from fvs_controller_node.pseudo_inverse import Conditioning, DampedInverse, conditioning
 from fvs_controller_node.reasons import Finding, Reason, State, Stop
-from fvs_ros.core.camera import CAMERA_FRAME
-from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES, UR_POSITION_LIMITS_RAD
+from fvs_controller_node.singularity import SingularityWatch
+from fvs_controller_node.supervisor_config import (
+    BALL,
+    JACOBIAN,
+    JOINT_STATES,
+    SPEED_SCALING,
+    SupervisorConfig,
+)
+from fvs_ros.core.joints import N_JOINTS
 from fvs_ros.core.limits import (
-    JointRange,
     braking_speed,
     limit_acceleration,
     limit_speed,
     ramp_to_zero,
 )
-
-JOINT_STATES = "joint_states"
-BALL = "ball_position"
-JACOBIAN = "jacobian"
-SPEED_SCALING = "speed_scaling"
 
 #: A tick counts for at most this long, s: a late one must not make a big step.
 MAX_TICK_S = 0.05
@@ -46,9 +47,6 @@ _LARGEST = 100.0
 #: Commands below this are rest, rad/s.
 _TINY_RAD_S = 1e-9
 
-#: A held Jacobian is released when its smallest singular value is this far into the slow band.
-_RELEASE_SHARE = 0.3
-
 #: Turns the error into the joint motion that it takes.
 _INVERSE = DampedInverse()
 
@@ -56,106 +54,6 @@ _PAUSES = (Reason.PROGRAM_STOPPED, Reason.SPEED_SCALING_ZERO)
 
 #: Asks the law: (error (3,) m, last command (6,) rad/s, dt s) -> its output.
 Propose = Callable[[np.ndarray, np.ndarray, float], ControlOutput]
-
-
-@dataclass(frozen=True)
-class SupervisorConfig:
-    """Limits and thresholds of the supervisor.
-
-    Parameters
-    ----------
-    autostart : bool
-        Start once by itself, the first time everything is ready; for simulation only.
-    max_joint_velocity_rad_s, max_joint_acceleration_rad_s2 : float
-        Limits of each joint's command.
-    joint_range : JointRange
-        Ends of the joints' ranges.
-    joint_names : tuple of 6 str
-        For the words only.
-    feature_frame : str
-        Frame that ball and target must be in.
-    workspace_min_m, workspace_max_m : tuple of 3 float
-        Box that a target must be in, feature frame, m.
-    joint_states_max_age_s, ball_max_age_s, jacobian_max_age_s : float
-        Older inputs are stale, s.
-    fresh_samples : int
-        Good messages in a row after which an input counts again.
-    singular_slow_m_rad, singular_hold_m_rad : float
-        Smallest singular value of the Jacobian below which the arm slows down, and is held.
-    prediction_slow, prediction_hold : float
-        One-step prediction error ratio (1: no better than predicting rest) above which the arm
-        slows down, and is held.
-    prediction_hold_time_s : float
-        So long above ``prediction_hold`` while servoing: an estimator that learns needs motion
-        to mend itself, s.
-    prediction_max_age_s : float
-        A ratio older than this is forgotten, s.
-    follow_time_s : float
-        So long the arm may fail to move as commanded, s.
-    progress : ProgressLimits
-        When the error is settled, when it grows, and when it stalls.
-    """
-
-    autostart: bool = False
-    max_joint_velocity_rad_s: float = 1.0
-    max_joint_acceleration_rad_s2: float = 6.0
-    joint_range: JointRange = field(
-        default_factory=lambda: JointRange(
-            tuple(-limit for limit in UR_POSITION_LIMITS_RAD), UR_POSITION_LIMITS_RAD
-        )
-    )
-    joint_names: tuple[str, ...] = UR_JOINT_NAMES
-    feature_frame: str = CAMERA_FRAME
-    workspace_min_m: tuple[float, ...] = (-1.0, -1.0, 0.2)
-    workspace_max_m: tuple[float, ...] = (1.0, 1.0, 3.0)
-    joint_states_max_age_s: float = 0.1
-    ball_max_age_s: float = 0.2
-    jacobian_max_age_s: float = 0.2
-    fresh_samples: int = 5
-    singular_slow_m_rad: float = 0.08
-    singular_hold_m_rad: float = 0.03
-    prediction_slow: float = 0.8
-    prediction_hold: float = 1.2
-    prediction_hold_time_s: float = 2.0
-    prediction_max_age_s: float = 2.5
-    follow_time_s: float = 3.0
-    progress: ProgressLimits = field(default_factory=ProgressLimits)
-
-    def __post_init__(self) -> None:
-        for name in ("max_joint_velocity_rad_s", "max_joint_acceleration_rad_s2"):
-            value = getattr(self, name)
-            if not (isfinite(value) and value > 0.0):
-                raise ValueError(f"{name} must be positive, got {value}")
-        for low, high in zip(self.workspace_min_m, self.workspace_max_m, strict=True):
-            if not low < high:
-                raise ValueError(
-                    f"workspace_min_m {list(self.workspace_min_m)} must be below "
-                    f"workspace_max_m {list(self.workspace_max_m)}"
-                )
-        if not 0.0 < self.singular_hold_m_rad < self.singular_slow_m_rad:
-            raise ValueError("singular_hold_m_rad must be positive and below singular_slow_m_rad")
-        if not 0.0 < self.prediction_slow < self.prediction_hold:
-            raise ValueError("prediction_slow must be positive and below prediction_hold")
-        if self.fresh_samples < 1:
-            raise ValueError(f"fresh_samples must be at least 1, got {self.fresh_samples}")
-
-    def input_specs(self) -> dict[str, InputSpec]:
-        """List what is expected of each input, by topic name."""
-        specs = (
-            InputSpec(
-                JOINT_STATES,
-                "is the robot driver (or simulator) running?",
-                self.joint_states_max_age_s,
-            ),
-            InputSpec(
-                BALL,
-                "is the ball in view, and the detector running?",
-                self.ball_max_age_s,
-            ),
-            InputSpec(JACOBIAN, "is the estimator running?", self.jacobian_max_age_s),
-            InputSpec(SPEED_SCALING, "", None),
-        )
-        return {spec.name: spec for spec in specs}
 
 
 @dataclass(frozen=True)
@@ -206,7 +104,7 @@ class Supervisor:
         self._target: np.ndarray | None = None
         self._jacobian: np.ndarray | None = None
         self._conditioning: Conditioning | None = None
-        self._singular_held = False
+        self._singularity = SingularityWatch()
         self._program_running = True
         self._speed_scaling = 100.0
         self._quality: tuple[float, float] | None = None  # ratio, arrival
@@ -317,7 +215,7 @@ class Supervisor:
         self._quality = (float(error_ratio), now_s) if isfinite(error_ratio) else None
 
     def start(self, now_s: float) -> tuple[bool, str]:
-        """Begin to servo.
+        """Begin to servo; or, while held near a singularity, let the arm leave it slowly.
 
         Returns
         -------
@@ -327,12 +225,24 @@ class Supervisor:
             What was done, or why not.
         """
         if self._started:
-            return True, f"already started: {self._last.text}"
+            return self._leave(now_s) or (True, f"already started: {self._last.text}")
         finding = self._objection(now_s)
         if finding is not None:
             return False, f"not started: {finding.text}"
         self._begin()
         return True, "started"
+
+    def _leave(self, now_s: float) -> tuple[bool, str] | None:
+        """Let the arm leave a singular pose, if it is held there for nothing else."""
+        finding = self._objection(now_s)
+        if finding is None or finding.reason is not Reason.NEAR_SINGULAR:
+            return None
+        assert self._conditioning is not None
+        value, hold = self._conditioning.smallest, self._config.singular_hold_m_rad
+        if not self._singularity.leave(value, hold):
+            return False, f"not started: {finding.text}"
+        self._progress.restart()
+        return True, "leaving the singular pose slowly; held again should it come nearer to it"
 
     def stop(self) -> tuple[bool, str]:
         """End servoing; the arm ramps to rest. It does not start again by itself."""
@@ -477,12 +387,11 @@ class Supervisor:
 
     def _near_singular(self) -> Finding | None:
         assert self._conditioning is not None
-        config, value = self._config, self._conditioning.smallest
-        limit = config.singular_hold_m_rad
-        if self._singular_held:
-            limit += _RELEASE_SHARE * (config.singular_slow_m_rad - limit)
-        self._singular_held = value < limit
-        if not self._singular_held:
+        value = self._conditioning.smallest
+        limit = self._singularity.held_below(
+            value, self._config.singular_hold_m_rad, self._config.singular_slow_m_rad
+        )
+        if limit is None:
             return None
         return Reason.NEAR_SINGULAR.because(value=value, limit=limit)
 
@@ -638,6 +547,7 @@ class Supervisor:
         self._autostart_left = False
         self._ended = None
         self._mispredicted_s = 0.0
+        self._singularity.stay()
         self._progress.restart()
         self._following.restart()
 
@@ -646,6 +556,7 @@ class Supervisor:
         if self._started:
             self._started = False
             self._autostart_left = False
+            self._singularity.stay()
             self._ended = finding
 
     def _see(self, position: np.ndarray | None, problem: str, dt_s: float) -> None:

@@ -18,7 +18,7 @@ from fvs_controller_node.ftsm import FtsmLaw, ReachingLaw
 from fvs_controller_node.proportional import ProportionalLaw
 from fvs_controller_node.pseudo_inverse import DampedInverse
 from fvs_controller_node.registry import LAWS, make_law
-from fvs_controller_node.supervisor import SupervisorConfig
+from fvs_controller_node.supervisor_config import SupervisorConfig
 from fvs_controller_node.surface import SlidingSurface
 from fvs_ros.core.params import ParameterError, ParameterSet
 

@@ -12,7 +12,8 @@ import pytest
 from fvs_controller_node.base import ControlOutput
 from fvs_controller_node.progress import ProgressLimits
 from fvs_controller_node.reasons import Reason, State
-from fvs_controller_node.supervisor import Command, Supervisor, SupervisorConfig
+from fvs_controller_node.supervisor import Command, Supervisor
+from fvs_controller_node.supervisor_config import SupervisorConfig
 from fvs_ros.core.limits import JointRange
 
 DT_S = 0.008
@@ -438,6 +439,45 @@ def test_a_singular_jacobian_is_no_start():
     command = cell.run(0.1)
     assert (command.state, command.reason) == (State.WAITING, Reason.NEAR_SINGULAR)
     assert not cell.supervisor.start(cell.now_s)[0]
+
+
+def held_near_a_singularity(smallest: float = 0.02) -> Cell:
+    cell = servoing()
+    cell.jacobian = singular(smallest)
+    cell.until(lambda c: c.reason is Reason.NEAR_SINGULAR)
+    cell.until(at_rest)
+    return cell
+
+
+def test_a_new_start_leaves_a_singular_pose_slowly_and_then_goes_on():
+    cell = held_near_a_singularity()
+    accepted, text = cell.supervisor.start(cell.now_s)
+    assert accepted
+    assert "slowly" in text
+    command = cell.run(0.5)
+    assert command.state is State.SERVOING
+    assert np.abs(command.velocity_rad_s).max() == pytest.approx(0.25)
+    cell.jacobian = singular(0.3)
+    assert np.abs(cell.run(0.5).velocity_rad_s).max() == pytest.approx(0.5)
+    cell.jacobian = singular(0.02)
+    assert cell.run(0.1).reason is Reason.NEAR_SINGULAR
+
+
+def test_leaving_a_singular_pose_toward_it_is_held_again():
+    cell = held_near_a_singularity()
+    cell.supervisor.start(cell.now_s)
+    assert cell.run(0.2).state is State.SERVOING
+    cell.jacobian = singular(0.012)
+    assert cell.run(0.1).reason is Reason.NEAR_SINGULAR
+    cell.until(at_rest)
+
+
+def test_a_jacobian_that_says_nothing_is_not_left_by():
+    cell = held_near_a_singularity(0.002)
+    accepted, text = cell.supervisor.start(cell.now_s)
+    assert not accepted
+    assert "near singular" in text
+    assert not cell.run(1.0).velocity_rad_s.any()
 
 
 def test_a_jacobian_that_predicts_badly_slows_then_holds_with_the_number():
