@@ -14,7 +14,6 @@ from math import inf, isfinite
 import numpy as np
 
 from fvs_controller_node.base import N_AXES, ControlOutput
-from fvs_controller_node.following import Following
 from fvs_controller_node.inputs import InputMonitor
 from fvs_controller_node.progress import Progress
 from fvs_controller_node.pseudo_inverse import Conditioning, DampedInverse, conditioning
@@ -27,6 +26,7 @@ from fvs_controller_node.supervisor_config import (
     SPEED_SCALING,
     SupervisorConfig,
 )
+from fvs_ros.core.following import Following
 from fvs_ros.core.joints import N_JOINTS
 from fvs_ros.core.limits import (
     braking_speed,

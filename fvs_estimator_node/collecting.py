@@ -15,8 +15,9 @@ import numpy as np
 
 from fvs_estimator_node.motion import RandomMotion
 from fvs_estimator_node.pairing import BallSample, ExposureMatcher
+from fvs_ros.core.following import Following
 from fvs_ros.core.history import StampGate
-from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
 from fvs_ros.core.limits import limit_acceleration, limit_speed, ramp_to_zero
 
 #: The ball counts as seen again after so many positions.
@@ -48,6 +49,10 @@ class RunConfig:
         Older ones stop the arm, or send it home, s.
     give_up_s : float
         A trouble that lasts this long ends the run, s.
+    follow_time_s : float
+        So long the arm may fail to move as commanded, s.
+    joint_names : tuple of str
+        For the words only.
     """
 
     max_joint_velocity_rad_s: float
@@ -55,6 +60,8 @@ class RunConfig:
     joint_states_max_age_s: float = 0.1
     ball_max_age_s: float = 0.5
     give_up_s: float = 10.0
+    follow_time_s: float = 3.0
+    joint_names: tuple[str, ...] = UR_JOINT_NAMES
 
 
 class CollectionRun:
@@ -90,6 +97,8 @@ class CollectionRun:
         self._joints_s = self._ball_s = -np.inf
         self._balls_seen = 0
         self._velocity = np.zeros(N_JOINTS)
+        self._following = Following()
+        self._speed_scaling = 1.0
         self._moved_s = 0.0
         self._trouble_s: float | None = None
         self.state = State.WAITING
@@ -122,6 +131,10 @@ class CollectionRun:
         self._balls_seen += 1
         self._ball_s = now_s
         self._record(self._matcher.add_ball(stamp_s, position_m))
+
+    def speed_scaling(self, share: float) -> None:
+        """Tell the robot's speed scaling, 0 to 1."""
+        self._speed_scaling = share
 
     def fail(self, reason: str) -> None:
         """End the run: the arm ramps to rest, what was recorded stays."""
@@ -158,6 +171,9 @@ class CollectionRun:
             self._wait(now_s, State.HOLDING, late or lost)
             return
         assert self._joints is not None
+        self._watch_following(dt_s)
+        if self.state is State.FAILED:
+            return
         if self._motion is None:
             try:
                 self._motion = self._make_motion(self._joints)
@@ -167,6 +183,7 @@ class CollectionRun:
         self._moved_s += dt_s
         motion, over_s = self._motion, self._moved_s - self._motion.duration_s
         if over_s >= 0.0:
+            self._trouble_s = None
             if motion.done(self._moved_s, self._joints) or over_s > self._config.give_up_s:
                 self.state, self.reason = State.DONE, "finished"
         elif lost:
@@ -177,12 +194,27 @@ class CollectionRun:
             motion.resume(self._moved_s, self._joints)
             self.state, self.reason = State.MOVING, "moving and recording"
 
+    def _watch_following(self, dt_s: float) -> None:
+        assert self._joints is not None
+        self._following.add(self._velocity, self._joints, self._speed_scaling, dt_s)
+        refusal = self._following.refusal(self._config.follow_time_s)
+        if refusal is not None:
+            self.fail(
+                f"the arm does not follow: {self._config.joint_names[refusal.joint]} was to move "
+                f"{refusal.commanded_rad:.2f} rad and moved {refusal.moved_rad:.2f}; is the "
+                "velocity controller active, the robot program running and no protective stop on?"
+            )
+
     def _wait(self, now_s: float, state: State, reason: str) -> None:
         self.state, self.reason = (State.WAITING if self._motion is None else state), reason
         if self._trouble_s is None:
             self._trouble_s = now_s
         elif now_s - self._trouble_s > self._config.give_up_s:
-            self.fail(f"gave up after {self._config.give_up_s:g} s: {reason}")
+            if self._motion is not None and self._moved_s >= self._motion.duration_s:
+                self.state = State.DONE
+                self.reason = f"finished, though not back at the start: {reason}"
+            else:
+                self.fail(f"gave up after {self._config.give_up_s:g} s: {reason}")
 
     def _late_joints(self, now_s: float) -> str:
         age_s = now_s - self._joints_s

@@ -54,7 +54,8 @@ class CollectorNode(ros.FvsNode):
                     "ball_max_age_s",
                     "give_up_s",
                 )
-            }
+            },
+            joint_names=tuple(v["joint_names"]),
         )
         self._run = CollectionRun(config, self._make_motion)
         self._ticked_s = self.steady_s()
@@ -121,6 +122,8 @@ class CollectorNode(ros.FvsNode):
     def _on_speed_scaling(self, message: Float64) -> None:
         if not message.data > 0.0:
             self._run.fail(f"the robot's speed scaling is {message.data:g} %, not above 0")
+        else:
+            self._run.speed_scaling(min(message.data, 100.0) / 100.0)
 
     # --- the tick: the only place that sends commands ---
 

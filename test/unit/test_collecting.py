@@ -25,7 +25,7 @@ class Cell:
         )
         self.now_s, self.joints = 0.0, HOME.copy()
         self.commands = []
-        self.joints_come = self.ball_seen = True
+        self.joints_come = self.ball_seen = self.follows = True
         self.ticks = 0
 
     def advance(self, seconds):
@@ -39,7 +39,8 @@ class Cell:
                 self.run.ball(self.now_s, self.now_s - 0.04, position)
             command = self.run.tick(self.now_s, DT_S)
             self.commands.append(command)
-            self.joints = self.joints + DT_S * command
+            if self.follows:
+                self.joints = self.joints + DT_S * command
         return self.run.state
 
 
@@ -95,6 +96,28 @@ def test_a_trouble_that_lasts_ends_the_run_at_rest(what):
     assert cell.run.ended
     assert "gave up" in cell.run.reason
     assert not np.any(cell.commands[-1])
+
+
+def test_an_arm_that_does_not_move_as_told_ends_the_run_and_says_so():
+    cell = Cell()
+    cell.follows = False
+    cell.advance(6.0)
+    assert cell.run.state is State.FAILED
+    assert "does not follow" in cell.run.reason
+    assert "velocity controller active" in cell.run.reason
+    assert not np.any(cell.commands[-1])
+
+
+def test_joint_states_lost_at_the_very_end_do_not_lose_the_data():
+    cell = Cell()
+    cell.advance(DURATION_S - 2.0)
+    cell.follows = False  # so that it is away from home when the time is over
+    cell.advance(2.5)
+    cell.joints_come = False
+    cell.advance(5.0)
+    assert cell.run.state is State.DONE
+    assert "not back at the start" in cell.run.reason
+    assert len(cell.run.samples) > 0.8 * DURATION_S * 31
 
 
 def test_failing_from_outside_brings_the_arm_to_rest():
