@@ -158,7 +158,8 @@ _SUPERVISION = (
     Parameter(
         "prediction_hold",
         _DEFAULT.prediction_hold,
-        "One-step prediction error over the motion above which the arm is held ...",
+        "One-step prediction error over the motion above which the arm is held after "
+        "prediction_hold_time_s.",
         0.01,
         100.0,
         live=True,
@@ -166,7 +167,8 @@ _SUPERVISION = (
     Parameter(
         "prediction_hold_time_s",
         _DEFAULT.prediction_hold_time_s,
-        "... after so long, to let an estimator that learns mend itself, s.",
+        "How long the prediction error may stay above prediction_hold, so that an estimator that "
+        "learns can mend itself, s.",
         0.0,
         100.0,
         live=True,
@@ -206,7 +208,7 @@ _SUPERVISION = (
     Parameter(
         "growth_factor",
         _PROGRESS.growth_factor,
-        "Well above the best is this factor ...",
+        "The error has grown when it is above its best by this factor and by growth_m.",
         1.0,
         100.0,
         live=True,
@@ -214,7 +216,7 @@ _SUPERVISION = (
     Parameter(
         "growth_m",
         _PROGRESS.growth_m,
-        "... and this distance, m.",
+        "The error has grown when it is above its best by this and by growth_factor, m.",
         0.0,
         1.0,
         live=True,
@@ -222,7 +224,7 @@ _SUPERVISION = (
     Parameter(
         "stall_time_s",
         _PROGRESS.stall_time_s,
-        "Held when the error has not become smaller for so long ...",
+        "Held when an error above stall_error_m has not become smaller for so long, s.",
         0.1,
         1000.0,
         live=True,
@@ -230,7 +232,7 @@ _SUPERVISION = (
     Parameter(
         "stall_error_m",
         _PROGRESS.stall_error_m,
-        "... while it is above this, m.",
+        "Errors below this are never taken for a stall, m.",
         0.0,
         1.0,
         live=True,

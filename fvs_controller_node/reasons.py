@@ -108,8 +108,8 @@ class Reason(Enum):
         Stop.RAMP,
         True,
         "the arm does not follow: {joint} was to move {commanded_rad:.2f} rad and moved "
-        "{moved_rad:.2f}; is the velocity controller active, the robot program running and no "
-        "protective stop on? then call ~/start",
+        "{moved_rad:.2f} rad; check that the velocity controller is active, the robot program runs "
+        "and no protective stop is on, then call ~/start",
     )
     PROGRAM_STOPPED = (
         State.HOLDING,

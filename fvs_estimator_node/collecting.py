@@ -201,8 +201,9 @@ class CollectionRun:
         if refusal is not None:
             self.fail(
                 f"the arm does not follow: {self._config.joint_names[refusal.joint]} was to move "
-                f"{refusal.commanded_rad:.2f} rad and moved {refusal.moved_rad:.2f}; is the "
-                "velocity controller active, the robot program running and no protective stop on?"
+                f"{refusal.commanded_rad:.2f} rad and moved {refusal.moved_rad:.2f} rad; check "
+                "that the velocity controller is active, the robot program runs and no protective "
+                "stop is on"
             )
 
     def _wait(self, now_s: float, state: State, reason: str) -> None:

@@ -19,13 +19,25 @@ PARAMETERS = (
         maximum=3.2,
         broadcast=True,
     ),
-    Parameter("max_joint_velocity_rad_s", 0.65, "limit of each joint", minimum=0.01, maximum=3.15),
     Parameter(
-        "max_joint_acceleration_rad_s2", 3.0, "limit of each joint", minimum=0.1, maximum=40.0
+        "max_joint_velocity_rad_s", 0.65, "velocity limit of each joint", minimum=0.01, maximum=3.15
+    ),
+    Parameter(
+        "max_joint_acceleration_rad_s2",
+        3.0,
+        "acceleration limit of each joint's command",
+        minimum=0.1,
+        maximum=40.0,
     ),
     *JOINT_PARAMETERS,
     Parameter("feature_frame", CAMERA_FRAME, "frame of the ball positions"),
-    Parameter("joint_states_max_age_s", 0.1, "older ones stop the arm", minimum=0.02, maximum=2.0),
+    Parameter(
+        "joint_states_max_age_s",
+        0.1,
+        "older joint states stop the arm, s",
+        minimum=0.02,
+        maximum=2.0,
+    ),
     Parameter(
         "ball_max_age_s",
         0.5,

@@ -14,7 +14,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironment
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from fvs_ros.apps.scenario import NODE_TABLE, load_scenario
+from fvs_ros.apps.scenario import NODE_TABLE, checked_remap, load_scenario
 
 
 def _params_file(scenario) -> str:
@@ -32,6 +32,8 @@ def _nodes(context):
     scheme = LaunchConfiguration("scheme").perform(context)
     if scheme:
         scenario = scenario.with_scheme(scheme)
+    rules = LaunchConfiguration("remap").perform(context).split()
+    remappings = [tuple(checked_remap(rule).split(":=")) for rule in rules]
     params_file = _params_file(scenario)
     actions = []
     if "fvs_sim_node" in scenario.nodes and "ROS_AUTOMATIC_DISCOVERY_RANGE" not in os.environ:
@@ -44,6 +46,7 @@ def _nodes(context):
                 executable=NODE_TABLE[name].executable,
                 namespace=LaunchConfiguration("namespace"),
                 parameters=[params_file],
+                remappings=remappings,
                 output="screen",
                 emulate_tty=True,
                 on_exit=Shutdown(reason=f"{name} ended"),
@@ -66,6 +69,11 @@ def generate_launch_description() -> LaunchDescription:
                 description="estimator method and control law by one name; empty: the scenario's",
             ),
             DeclareLaunchArgument("namespace", default_value="", description="of all nodes"),
+            DeclareLaunchArgument(
+                "remap",
+                default_value="",
+                description="from:=to rules for all nodes, with spaces between",
+            ),
             OpaqueFunction(function=_nodes),
         ]
     )

@@ -27,7 +27,13 @@ PARAMETERS = (
     ),
     Parameter("target_s", 4.0, "time given to each target", minimum=1.0, maximum=60.0),
     Parameter("start_timeout_s", 30.0, "longest wait for the loop to be ready", minimum=1.0),
-    Parameter("settle_error_m", 0.005, "true error below which a target counts as settled"),
+    Parameter(
+        "settle_error_m",
+        0.005,
+        "true error below which a target counts as settled",
+        minimum=1e-4,
+        maximum=0.1,
+    ),
     Parameter("feature_frame", CAMERA_FRAME, "frame of ball and target"),
     Parameter("output_dir", "out/demo", "folder for the log, the results and the figure"),
 )
@@ -143,7 +149,7 @@ def score(record: TargetRecord, settle_error_m: float) -> TargetScore:
         settling_5mm_s=settling_time_s(times, errors, settle_error_m),
         settling_2mm_s=settling_time_s(times, errors, _FINE_ERROR_M),
         final_rms_m=float(np.sqrt(np.mean(final**2))),
-        peak_joint_speed_rad_s=float(np.max(np.abs(record.joint_velocity_rad_s))),
+        peak_joint_speed_rad_s=float(np.max(np.abs(record.joint_velocity_rad_s), initial=0.0)),
     )
 
 

@@ -24,8 +24,6 @@ from fvs_ros.core.paths import find_file
 _POLL_S = 0.1
 _IMAGE_WAIT_S = 5.0
 _SILENCE_S = 5.0
-_CONTROLLER_STATUS = "fvs_controller_node/status"
-_TRUE_BALL = "fvs_sim_node/true_ball_position"
 
 
 class DemoNode(ros.FvsNode):
@@ -48,8 +46,8 @@ class DemoNode(ros.FvsNode):
         self._began_s = self.steady_s()
         self._image_asked_s: float | None = None
         self._target = self.create_publisher(PointStamped, ros.TARGET_POSITION, ros.QOS_LATCHED)
-        self.watch(DiagnosticStatus, _CONTROLLER_STATUS, self._on_status, ros.QOS_RELIABLE)
-        self.watch(PointStamped, _TRUE_BALL, self._on_true_ball, ros.QOS_NEWEST)
+        self.watch(DiagnosticStatus, ros.CONTROLLER_STATUS, self._on_status, ros.QOS_RELIABLE)
+        self.watch(PointStamped, ros.TRUE_BALL_POSITION, self._on_true_ball, ros.QOS_NEWEST)
         self.watch(JointState, ros.JOINT_STATES, self._on_joint_states, ros.QOS_NEWEST)
         self.create_timer(_POLL_S, self._poll, clock=self.steady_clock)
 
@@ -72,7 +70,7 @@ class DemoNode(ros.FvsNode):
         if self._image_asked_s is not None:
             return
         stamp_s = ros.from_stamp(message.header.stamp)
-        position_m = ros.from_point(message, self._frame, _TRUE_BALL)
+        position_m = ros.from_point(message, self._frame, ros.TRUE_BALL_POSITION)
         if not self._records:
             # The controller waits for a target alone: the loop is up, the first one may come.
             if self._wants_target:
@@ -118,7 +116,7 @@ class DemoNode(ros.FvsNode):
             reason = self._reason or "no status from the controller; is it running?"
             print(f"the loop did not get ready: {self._state} {reason}", flush=True)
             self.exit_code = stop.EXIT_FAILURE
-        late_s = self.monitor(_TRUE_BALL).age_s(now_s)
+        late_s = self.monitor(ros.TRUE_BALL_POSITION).age_s(now_s)
         if self._records and self._image_asked_s is None and late_s > _SILENCE_S:
             print(f"the simulator has been silent for {late_s:.0f} s", flush=True)
             self.exit_code = stop.EXIT_FAILURE

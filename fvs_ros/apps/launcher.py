@@ -17,11 +17,18 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from fvs_ros.apps.scenario import NODE_TABLE, Scenario, ScenarioError, load_scenario
+from fvs_ros.apps.scenario import (
+    NODE_TABLE,
+    Scenario,
+    ScenarioError,
+    checked_remap,
+    load_scenario,
+)
 from fvs_ros.core.schemes import SCHEMES
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 
@@ -69,10 +76,13 @@ class Launcher:
         What to start.
     namespace : str
         ROS namespace of all nodes, or empty.
+    remaps : sequence of str
+        Rules ``from:=to`` for all nodes.
     """
 
-    def __init__(self, scenario: Scenario, namespace: str = "") -> None:
+    def __init__(self, scenario: Scenario, namespace: str = "", remaps: Sequence[str] = ()) -> None:
         self._scenario = scenario
+        self._remaps = tuple(remaps)
         self._namespace = namespace.strip("/")
         self._processes: list[_Process] = []
         self._print_lock = threading.Lock()
@@ -107,6 +117,11 @@ class Launcher:
         command = [sys.executable, "-m", entry.module, "--ros-args", "--params-file", str(params)]
         if self._namespace:
             command += ["-r", f"__ns:=/{self._namespace}"]
+        for rule in self._remaps:
+            command += ["-r", rule]
+        if os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true":
+            # An enclave is named like its node, as in config/sros2/policy.xml.
+            command += ["--enclave", "/".join(["", *filter(None, [self._namespace]), name])]
         popen = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
@@ -202,6 +217,14 @@ def _parser() -> argparse.ArgumentParser:
         help=f"estimator method and control law by one name: {', '.join(SCHEMES)}; -p wins over it",
     )
     parser.add_argument("--namespace", default="", help="ROS namespace of all nodes")
+    parser.add_argument(
+        "-r",
+        "--remap",
+        action="append",
+        default=[],
+        metavar="FROM:=TO",
+        help="give a topic or service another name, in all nodes (repeatable)",
+    )
     return parser
 
 
@@ -213,6 +236,7 @@ def main(argv: list[str] | None = None) -> int:
         if arguments.scheme:
             scenario = scenario.with_scheme(arguments.scheme)
         scenario = scenario.with_overrides(arguments.param)
+        remaps = [checked_remap(text) for text in arguments.remap]
         if not _NAMESPACE.fullmatch(arguments.namespace.strip("/")):
             raise ScenarioError(
                 f"--namespace must be names of letters, digits and _ with / between, "
@@ -224,7 +248,7 @@ def main(argv: list[str] | None = None) -> int:
     if "fvs_sim_node" in scenario.nodes:
         # A simulated arm must not hear, or be heard by, the robots of a laboratory network.
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    return Launcher(scenario, arguments.namespace).run()
+    return Launcher(scenario, arguments.namespace, remaps).run()
 
 
 if __name__ == "__main__":

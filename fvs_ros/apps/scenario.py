@@ -8,6 +8,7 @@ A scenario is a standard ROS parameter file: each top-level key is a node to sta
 from __future__ import annotations
 
 import importlib
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,8 @@ from fvs_ros.core.paths import find_file
 from fvs_ros.core.schemes import scheme
 
 ALL_NODES = "/**"
+_NAME = r"~?/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*"
+_REMAP = re.compile(rf"({_NAME}:)?{_NAME}:=/?{_NAME}", re.ASCII)
 #: What rclpy declares for every node.
 _EVERYWHERE = ParameterSet([Parameter("use_sim_time", False, "follow /clock")])
 
@@ -61,6 +64,7 @@ NODE_TABLE: dict[str, NodeEntry] = {
     entry.executable: entry
     for entry in (
         NodeEntry("fvs_sim_node", "fvs_sim_node.node", "fvs_sim_node.config"),
+        NodeEntry("fvs_detector_node", "fvs_detector_node.node", "fvs_detector_node.config"),
         NodeEntry("fvs_estimator_node", "fvs_estimator_node.node", "fvs_estimator_node.config"),
         NodeEntry(
             "fvs_controller_node",
@@ -210,6 +214,19 @@ def load_scenario(name: str) -> Scenario:
         shared = {name: value for name, value in common.items() if _declares(node, name)}
         parameters[node] = {**shared, **values}
     return Scenario(path, _checked(path, parameters))
+
+
+def checked_remap(text: str) -> str:
+    """A remap rule ``from:=to`` (or ``node:from:=to``), as ROS takes it.
+
+    Raises
+    ------
+    ScenarioError
+        If it is none.
+    """
+    if not _REMAP.fullmatch(text):
+        raise ScenarioError(f"'{text}' is not of the form from_topic:=to_topic")
+    return text
 
 
 def _declares(node: str, name: str) -> bool:

@@ -6,6 +6,7 @@ ROS declaration, the checks, the refusals and the checks of scenario files.
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -70,7 +71,7 @@ class Parameter:
         if self.is_list:
             text = f"a list of {text}s" if self.size is None else f"a list of {self.size} {text}s"
             if self.broadcast:
-                text += ", or one for all"
+                text += ", or one for all,"
         if self.choices:
             text = "one of " + ", ".join(self.choices)
         if self.minimum is not None and self.maximum is not None:
@@ -121,7 +122,8 @@ class Parameter:
         return element
 
     def _refusal(self, value: Any) -> ParameterError:
-        return ParameterError(f"parameter {self.name} must be {self.expected()}, got {value!r}")
+        given = list(value) if isinstance(value, array) else value
+        return ParameterError(f"parameter {self.name} must be {self.expected()}, got {given!r}")
 
 
 class ParameterSet:

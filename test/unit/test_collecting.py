@@ -104,7 +104,7 @@ def test_an_arm_that_does_not_move_as_told_ends_the_run_and_says_so():
     cell.advance(6.0)
     assert cell.run.state is State.FAILED
     assert "does not follow" in cell.run.reason
-    assert "velocity controller active" in cell.run.reason
+    assert "velocity controller is active" in cell.run.reason
     assert not np.any(cell.commands[-1])
 
 

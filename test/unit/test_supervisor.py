@@ -645,7 +645,7 @@ def test_an_arm_that_does_not_move_as_told_is_held_and_the_joint_is_named():
     assert command.reason is Reason.NOT_FOLLOWING
     assert 3.0 < cell.now_s - since_s < 4.0
     assert "shoulder_pan_joint" in command.text
-    assert "velocity controller active" in command.text
+    assert "velocity controller is active" in command.text
     cell.until(at_rest)
     cell.follows = True
     assert cell.run(1.0).reason is Reason.NOT_FOLLOWING

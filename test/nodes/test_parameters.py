@@ -1,0 +1,235 @@
+"""Every node's parameters through the standard services: listed, described, changed, refused."""
+
+import re
+
+import numpy as np
+import pytest
+from every_node import PATIENCE, start_alone, wait_until_up
+from harness import Harness
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.parameter import parameter_value_to_python
+
+from fvs_ros.apps.scenario import NODE_TABLE
+
+#: A parameter that no node has.
+UNKNOWN = "no_such_parameter"
+#: What rclpy gives every node.
+BUILT_IN = ("use_sim_time", "start_type_description_service")
+#: Values of live texts that not every text is good for.
+EXAMPLES = {"nan_joint": "elbow_joint"}
+
+TYPES = {
+    bool: RosParameter.Type.BOOL,
+    int: RosParameter.Type.INTEGER,
+    float: RosParameter.Type.DOUBLE,
+    str: RosParameter.Type.STRING,
+}
+ARRAYS = {
+    int: RosParameter.Type.INTEGER_ARRAY,
+    float: RosParameter.Type.DOUBLE_ARRAY,
+    str: RosParameter.Type.STRING_ARRAY,
+}
+
+nodes = pytest.mark.parametrize("name", NODE_TABLE)
+
+
+class Services:
+    """The parameter services of one running node."""
+
+    def __init__(self, harness, node):
+        self.harness = harness
+        self.node = node
+        self.declared = {p.name: p for p in NODE_TABLE[node.name].parameters()}
+
+    def _call(self, kind, name, **request):
+        return self.harness.call(kind, self.node.resolve(f"~/{name}"), kind.Request(**request))
+
+    def names(self):
+        return set(self._call(ListParameters, "list_parameters").result.names)
+
+    def describe(self, names):
+        answer = self._call(DescribeParameters, "describe_parameters", names=list(names))
+        return {descriptor.name: descriptor for descriptor in answer.descriptors}
+
+    def get(self, names):
+        names = list(names)
+        answer = self._call(GetParameters, "get_parameters", names=names)
+        values = [parameter_value_to_python(value) for value in answer.values]
+        return dict(zip(names, values, strict=True))
+
+    def set(self, values):
+        """Each value by itself, as ``ros2 param set`` sends it; results by name."""
+        messages = [RosParameter(name, value=v).to_parameter_msg() for name, v in values.items()]
+        answer = self._call(SetParameters, "set_parameters", parameters=messages)
+        return dict(zip(values, answer.results, strict=True))
+
+    def live(self):
+        return {name: p for name, p in self.declared.items() if p.live}
+
+
+@pytest.fixture(scope="module")
+def services(tmp_path_factory):
+    """Every node once, all at the same time; their services by name."""
+    harness = Harness(tmp_path_factory.mktemp("parameters"))
+    try:
+        started = [
+            start_alone(harness, name, f"lone_{index}") for index, name in enumerate(NODE_TABLE)
+        ]
+        wait_until_up(harness, started)
+        yield {node.name: Services(harness, node) for node in started}
+    finally:
+        harness.close()
+
+
+def other(parameter):
+    """Another allowed value of a parameter, near its default."""
+
+    def one(value):
+        if parameter.name in EXAMPLES:
+            return EXAMPLES[parameter.name]
+        if parameter.choices:
+            return next(choice for choice in parameter.choices if choice != value)
+        if parameter.kind is bool:
+            return not value
+        if parameter.kind is str:
+            return f"{value}x"
+        step = abs(value) / 100 or 0.01
+        step = max(1, round(step)) if parameter.kind is int else step
+        above = parameter.maximum is None or value + step <= parameter.maximum
+        return value + step if above else value - step
+
+    default = parameter.default
+    return [one(value) for value in default] if parameter.is_list else one(default)
+
+
+def outside(parameter):
+    """Values that are not allowed."""
+    found = []
+    if parameter.minimum is not None:
+        found.append(parameter.kind(parameter.minimum - 1))
+    if parameter.maximum is not None:
+        found.append(parameter.kind(parameter.maximum + 1))
+    if parameter.kind is float:
+        found.append(float("nan"))
+    if parameter.is_list:
+        found = [[value] * len(parameter.default) for value in found]
+        found.append(parameter.default[:-1])
+    if parameter.choices:
+        found.append("nonsense")
+    return found
+
+
+def same(one, two):
+    if isinstance(one, (list, tuple)) or hasattr(one, "tolist"):
+        return np.array_equal(np.asarray(one), np.asarray(two))
+    return one == two
+
+
+def assert_refused(result, *words):
+    assert not result.successful
+    assert re.fullmatch(r"[\w'].{15,}", result.reason, re.S), f"no sentence: {result.reason!r}"
+    for word in words:
+        assert word in result.reason, f"{word!r} is not in {result.reason!r}"
+
+
+@nodes
+def test_every_declared_parameter_is_listed_and_nothing_else(services, name):
+    service = services[name]
+    assert service.names() - set(BUILT_IN) == set(service.declared)
+
+
+@nodes
+def test_every_parameter_describes_itself(services, name):
+    service = services[name]
+    descriptors = service.describe(service.declared)
+    for parameter in service.declared.values():
+        descriptor = descriptors[parameter.name]
+        types = ARRAYS if parameter.is_list else TYPES
+        assert descriptor.type == types[parameter.kind].value, parameter.name
+        assert descriptor.description == parameter.description
+        assert descriptor.additional_constraints == parameter.expected()
+        assert descriptor.read_only is not parameter.live, parameter.name
+        if parameter.is_list:
+            continue
+        ranges = {int: descriptor.integer_range, float: descriptor.floating_point_range}
+        for allowed in ranges.get(parameter.kind, []):
+            if parameter.minimum is not None:
+                assert allowed.from_value == parameter.minimum, parameter.name
+            if parameter.maximum is not None:
+                assert allowed.to_value == parameter.maximum, parameter.name
+        limited = parameter.minimum is not None or parameter.maximum is not None
+        assert bool(ranges.get(parameter.kind)) is limited, parameter.name
+
+
+@nodes
+def test_every_parameter_has_its_default(services, name):
+    service = services[name]
+    values = service.get(service.declared)
+    expected = {p.name: p.default for p in service.declared.values()} | PATIENCE.get(name, {})
+    assert [n for n in expected if not same(values[n], expected[n])] == []
+
+
+@nodes
+def test_a_live_parameter_changes_and_reads_back(services, name):
+    service = services[name]
+    changed = {n: other(p) for n, p in service.live().items()}
+    before = service.get(changed)
+    refused = {n: r.reason for n, r in service.set(changed).items() if not r.successful}
+    assert refused == {}
+    values = service.get(changed)
+    assert [n for n in changed if not same(values[n], changed[n])] == []
+    assert all(result.successful for result in service.set(before).values())
+    values = service.get(before)
+    assert [n for n in before if not same(values[n], before[n])] == []
+
+
+@nodes
+def test_a_parameter_that_is_not_live_is_refused(services, name):
+    service = services[name]
+    fixed = {n: other(p) for n, p in service.declared.items() if not p.live}
+    before = service.get(fixed)
+    for parameter, result in service.set(fixed).items():
+        assert_refused(result, parameter, "at start only")
+    values = service.get(fixed)
+    assert [n for n in fixed if not same(values[n], before[n])] == []
+
+
+@nodes
+def test_a_value_that_is_not_allowed_is_refused_and_the_old_one_stays(services, name):
+    service = services[name]
+    live = service.live()
+    before = service.get(live)
+    cases = {n: outside(p) for n, p in live.items()}
+    for round_ in range(max(map(len, cases.values()), default=0)):
+        values = {n: wrong[round_] for n, wrong in cases.items() if len(wrong) > round_}
+        for parameter, result in service.set(values).items():
+            assert_refused(result, parameter, live[parameter].expected())
+    values = service.get(live)
+    assert [n for n in live if not same(values[n], before[n])] == []
+
+
+@nodes
+def test_a_value_of_another_type_is_refused_and_the_old_one_stays(services, name):
+    service = services[name]
+    live = service.live()
+    before = service.get(live)
+    wrong = {n: 1 if p.kind in (str, bool) else "one" for n, p in live.items()}
+    for parameter, result in service.set(wrong).items():
+        assert_refused(result, parameter, live[parameter].expected())
+    values = service.get(live)
+    assert [n for n in live if not same(values[n], before[n])] == []
+
+
+def test_a_whole_number_is_taken_where_a_number_is_wanted(services):
+    service = services["fvs_controller_node"]
+    assert service.set({"max_joint_velocity_rad_s": 1})["max_joint_velocity_rad_s"].successful
+    assert service.get(["max_joint_velocity_rad_s"])["max_joint_velocity_rad_s"] == 1.0
+
+
+@nodes
+def test_an_unknown_parameter_is_refused(services, name):
+    service = services[name]
+    result = service.set({UNKNOWN: 1.0})[UNKNOWN]
+    assert_refused(result, UNKNOWN, *service.declared)
+    assert UNKNOWN not in service.names()
