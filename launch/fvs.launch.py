@@ -14,7 +14,12 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironment
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from fvs_ros.apps.scenario import NODE_TABLE, checked_remap, load_scenario
+from fvs_ros.apps.scenario import (
+    NODE_TABLE,
+    checked_remap,
+    enclave_arguments,
+    load_scenario,
+)
 
 
 def _params_file(scenario) -> str:
@@ -32,6 +37,7 @@ def _nodes(context):
     scheme = LaunchConfiguration("scheme").perform(context)
     if scheme:
         scenario = scenario.with_scheme(scheme)
+    namespace = LaunchConfiguration("namespace").perform(context)
     rules = LaunchConfiguration("remap").perform(context).split()
     remappings = [tuple(checked_remap(rule).split(":=")) for rule in rules]
     params_file = _params_file(scenario)
@@ -44,7 +50,8 @@ def _nodes(context):
             Node(
                 package="fvs_ros",
                 executable=NODE_TABLE[name].executable,
-                namespace=LaunchConfiguration("namespace"),
+                namespace=namespace,
+                ros_arguments=enclave_arguments(name, namespace, os.environ),
                 parameters=[params_file],
                 remappings=remappings,
                 output="screen",

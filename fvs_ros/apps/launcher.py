@@ -27,6 +27,7 @@ from fvs_ros.apps.scenario import (
     Scenario,
     ScenarioError,
     checked_remap,
+    enclave_arguments,
     load_scenario,
 )
 from fvs_ros.core.schemes import SCHEMES
@@ -119,9 +120,7 @@ class Launcher:
             command += ["-r", f"__ns:=/{self._namespace}"]
         for rule in self._remaps:
             command += ["-r", rule]
-        if os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true":
-            # An enclave is named like its node, as in config/sros2/policy.xml.
-            command += ["--enclave", "/".join(["", *filter(None, [self._namespace]), name])]
+        command += enclave_arguments(name, self._namespace, os.environ)
         popen = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,

@@ -216,6 +216,16 @@ def load_scenario(name: str) -> Scenario:
     return Scenario(path, _checked(path, parameters))
 
 
+def enclave_arguments(node: str, namespace: str, environment: Mapping[str, str]) -> list[str]:
+    """ROS arguments that name a node's SROS2 enclave, where security is on; else none.
+
+    An enclave is named like its node, as in ``config/sros2/policy.xml``.
+    """
+    if environment.get("ROS_SECURITY_ENABLE", "").lower() != "true":
+        return []
+    return ["--enclave", "/".join(["", *filter(None, [namespace.strip("/")]), node])]
+
+
 def checked_remap(text: str) -> str:
     """A remap rule ``from:=to`` (or ``node:from:=to``), as ROS takes it.
 

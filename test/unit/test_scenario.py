@@ -5,7 +5,13 @@ import yaml
 
 from fvs_controller_node.registry import LAWS
 from fvs_estimator_node.registry import ESTIMATORS
-from fvs_ros.apps.scenario import NODE_TABLE, ScenarioError, load_scenario
+from fvs_ros.apps.scenario import (
+    NODE_TABLE,
+    ScenarioError,
+    checked_remap,
+    enclave_arguments,
+    load_scenario,
+)
 from fvs_ros.core.schemes import SCHEMES, scheme
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -112,3 +118,38 @@ def test_a_scheme_that_does_not_fit_is_refused_in_words():
         match=r"needs fvs_estimator_node and fvs_controller_node, which collect\.yaml",
     ):
         load_scenario("collect").with_scheme("proposed")
+
+
+@pytest.mark.parametrize(
+    "rule", ["a:=b", "camera/color/image_raw:=/my/image", "~/status:=/s", "fvs_sim_node:a:=b"]
+)
+def test_a_remap_rule_passes(rule):
+    assert checked_remap(rule) == rule
+
+
+@pytest.mark.parametrize(
+    "rule", ["a", "a:=", ":=b", "a:=b;c", "a:=$(id)", "-p:=x", "a:= b", "a:=b\n"]
+)
+def test_what_is_no_remap_rule_is_refused(rule):
+    with pytest.raises(ScenarioError, match="not of the form"):
+        checked_remap(rule)
+
+
+def test_nodes_get_their_enclave_only_where_security_is_on():
+    on = {"ROS_SECURITY_ENABLE": "true"}
+    assert enclave_arguments("a_node", "", on) == ["--enclave", "/a_node"]
+    assert enclave_arguments("a_node", "/left/arm", on) == ["--enclave", "/left/arm/a_node"]
+    assert enclave_arguments("a_node", "left", {}) == []
+    assert enclave_arguments("a_node", "left", {"ROS_SECURITY_ENABLE": "false"}) == []
+
+
+@pytest.mark.parametrize("name", ["ur5_real", "ur5_real_collect"])
+def test_a_scenario_for_a_real_robot_is_slow_and_starts_nothing_by_itself(name):
+    scenario = load_scenario(name)
+    assert "fvs_sim_node" not in scenario.nodes
+    assert "fvs_detector_node" in scenario.nodes
+    for node, values in scenario.parameters.items():
+        assert values.get("max_joint_velocity_rad_s", 0.0) <= 0.15, node
+        assert values.get("max_joint_acceleration_rad_s2", 0.0) <= 0.5, node
+        assert not values.get("autostart", False)
+        assert not values.get("use_sim_time", False)
