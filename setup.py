@@ -8,6 +8,7 @@ PACKAGE = "fvs_ros"
 
 EXTRAS = {
     "ros": ["ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "ros-jazzy-common-interfaces"],
+    "camera": ["opencv-python-headless"],
     "sim": ["pybullet", "opencv-python-headless", "matplotlib"],
     "train": ["torch"],
     "lab": ["scipy", "joblib", "cmaes", "jinja2", "matplotlib"],
@@ -41,6 +42,7 @@ setup(
         (f"share/{PACKAGE}", ["package.xml"]),
         (f"share/{PACKAGE}/config", sorted(glob("config/*.yaml"))),
         (f"share/{PACKAGE}/config/models", sorted(glob("config/models/*.npz"))),
+        (f"share/{PACKAGE}/config/sros2", ["config/sros2/policy.xml"]),
         (f"share/{PACKAGE}/launch", sorted(glob("launch/*.py"))),
     ],
     # What the cores need without ROS; in a ROS workspace rosdep brings these by apt.
@@ -50,6 +52,7 @@ setup(
     entry_points={
         "console_scripts": [
             "fvs_sim_node=fvs_sim_node.node:main",
+            "fvs_detector_node=fvs_detector_node.node:main",
             "fvs_estimator_node=fvs_estimator_node.node:main",
             "fvs_controller_node=fvs_controller_node.node:main",
             "fvs_collector_node=fvs_estimator_node.collector_node:main",

@@ -1,17 +1,27 @@
-"""Accuracy of the ball detection over random poses.
+"""Accuracy of the ball detection over random poses, and what each step of the detector takes.
 
 Run ``python bench/bench_detection.py [poses]`` from the repository root.
 """
 
 from __future__ import annotations
 
+import struct
 import sys
 import time
+from collections.abc import Callable
 
 import cv2
 import numpy as np
 
-from fvs_ros.core.detection import detect_ball
+from fvs_detector_node.config import PARAMETERS
+from fvs_detector_node.detector import Detector
+from fvs_detector_node.diagnosis import diagnose
+from fvs_detector_node.rectifier import Rectifier
+from fvs_ros.core import images
+from fvs_ros.core.camera import CameraModel
+from fvs_ros.core.detection import BallColour, detect_ball
+from fvs_ros.core.params import ParameterSet
+from fvs_ros.core.tracking import Region, WindowTracker
 from fvs_sim_node.depth_noise import add_depth_noise
 from fvs_sim_node.rendering import CAMERA_PRESETS, Renderer, camera_preset
 from fvs_sim_node.simulation import SimConfig
@@ -44,8 +54,69 @@ def measure(config: SimConfig, poses: int, noise: float, seed: int = 0) -> np.nd
     return rows
 
 
+def steps(repeats: int) -> None:
+    """Print what each step of ``fvs_detector_node`` takes on one VGA image of the simulator."""
+    config = SimConfig()
+    world = World(ball_radius_m=config.ball_radius_m, ball_offset_m=config.ball_offset_m)
+    world.reset(CENTRE)
+    world.place_ball()
+    rgb, depth = Renderer(world.client, config.intrinsics).render(camera_preset(config.camera))
+    world.close()
+    depth = add_depth_noise(depth, config.intrinsics.fx, np.random.default_rng(0))
+    camera, radius_m = config.intrinsics, config.ball_radius_m
+    width, height = camera.width, camera.height
+    found = detect_ball(rgb, depth, camera, radius_m)
+    assert found is not None
+    tracker = WindowTracker(camera, radius_m)
+    tracker.update(0.0, found)
+    window = tracker.region(0.0)
+    assert window is not None
+    part = np.s_[window.v0 : window.v0 + window.height, window.u0 : window.u0 + window.width]
+    view = camera.window(window.u0, window.v0, window.width, window.height)
+
+    lens = (-0.055, 0.066, 0.0003, 0.0007, -0.021)  # of a RealSense D455's colour camera
+    rectifier = Rectifier(CameraModel(camera, "plumb_bob", lens))
+    whole = Region(0, 0, width, height)
+    millimetres = np.round(1e3 * depth).astype(np.uint16)
+    raw_rgb, raw_mm, raw_m = rgb.tobytes(), millimetres.tobytes(), depth.tobytes()
+    jpeg = cv2.imencode(".jpg", rgb[..., ::-1])[1].tobytes()
+    png = struct.pack("<iff", 0, 0.0, 0.0) + cv2.imencode(".png", millimetres)[1].tobytes()
+    detector = Detector(ParameterSet(PARAMETERS).values({"max_ball_speed_m_s": 100.0}))
+    clock_s = iter(range(10**9))
+
+    def one_image() -> None:
+        colour = images.decode_colour(raw_rgb, width, height, 3 * width, "rgb8")
+        metres = images.decode_depth(raw_mm, width, height, 2 * width, "16UC1")
+        detector.look(next(clock_s) / 30, colour, metres, CameraModel(camera))
+
+    rows: dict[str, Callable[[], object]] = {
+        "decode rgb8": lambda: images.decode_colour(raw_rgb, width, height, 3 * width, "rgb8"),
+        "decode bgr8": lambda: images.decode_colour(raw_rgb, width, height, 3 * width, "bgr8"),
+        "decode 16UC1": lambda: images.decode_depth(raw_mm, width, height, 2 * width, "16UC1"),
+        "decode 32FC1": lambda: images.decode_depth(raw_m, width, height, 4 * width, "32FC1"),
+        "decode jpeg": lambda: images.decode_compressed_colour(jpeg, "jpeg"),
+        "decode compressedDepth": lambda: images.decode_compressed_depth(png, "16UC1"),
+        "rectify whole image": lambda: rectifier.cut(rgb, depth, whole),
+        "rectify window": lambda: rectifier.cut(rgb, depth, window),
+        "search whole image": lambda: detect_ball(rgb, depth, camera, radius_m),
+        "search window": lambda: detect_ball(rgb[part], depth[part], view, radius_m),
+        "explain a lost ball": lambda: diagnose(rgb, depth, camera, 0.07, BallColour()),
+        "one image, raw, tracked": one_image,
+    }
+    print(f"one step on VGA, {repeats} times, one thread; ms of CPU, median / 90 %")
+    for name, step in rows.items():
+        took_ms = []
+        for _ in range(repeats):
+            start = time.process_time()
+            step()
+            took_ms.append(1e3 * (time.process_time() - start))
+        median, most = np.percentile(took_ms, (50, 90))
+        print(f"{name:<26}{median:6.2f} / {most:.2f}", flush=True)
+
+
 def main() -> None:
     cv2.setNumThreads(1)
+    steps(200)
     poses = int(sys.argv[1]) if len(sys.argv) > 1 else 500
     print(f"{poses} poses in box M; error in mm, rms / median / largest; full frames, one thread")
     print(

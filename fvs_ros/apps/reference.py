@@ -110,8 +110,8 @@ ros2 run fvs_ros fvs_controller_node --ros-args --enclave /fvs_controller_node
 ROS_SECURITY_ENCLAVE_OVERRIDE=/{OPERATOR} ros2 topic echo --no-daemon /fvs_controller_node/status
 ```
 
-With `ROS_SECURITY_ENABLE=true`, `fvs_launch` and `ros2 launch` give each node the enclave of its full
-name; a node that is started by itself needs its `--enclave`. After a change of the rules, run
+With `ROS_SECURITY_ENABLE=true`, `fvs_launch` and `ros2 launch` give each node the enclave of its
+full name; a node that is started by itself needs its `--enclave`. After a change of the rules, run
 `generate_artifacts` again. For nodes in a namespace, make rules of their own, whose enclaves are
 called `/left/fvs_controller_node` and so on:
 

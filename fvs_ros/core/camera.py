@@ -1,4 +1,4 @@
-"""The pinhole camera: intrinsics, projection, and where a camera looks.
+"""The pinhole camera: intrinsics, distortion, projection, and where a camera looks.
 
 Pixel convention of OpenCV and of ``sensor_msgs/CameraInfo``: integer coordinates are pixel
 centres, so a pixel (u, v) covers [u - 1/2, u + 1/2] x [v - 1/2, v + 1/2]. The camera frame is
@@ -7,6 +7,7 @@ optical: x right, y down, z forward.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -84,6 +85,121 @@ class Intrinsics:
     def window(self, u0: int, v0: int, width: int, height: int) -> Intrinsics:
         """Intrinsics of the sub-image whose first pixel is (u0, v0)."""
         return replace(self, width=width, height=height, cx=self.cx - u0, cy=self.cy - v0)
+
+
+#: Distortion models of ``sensor_msgs``, and the numbers of coefficients that they may have.
+DISTORTION_MODELS = {
+    "plumb_bob": (0, 4, 5),
+    "rational_polynomial": (0, 8, 12, 14),
+    "equidistant": (4,),
+}
+
+_MAX_COEFFICIENT = 1000.0
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """A camera as it is: pinhole and distortion.
+
+    Parameters
+    ----------
+    intrinsics : Intrinsics
+        Of the image, and of the image without distortion as well.
+    model : str
+        One of ``DISTORTION_MODELS``.
+    coefficients : tuple of float
+        Of the distortion, in the model's order.
+    """
+
+    intrinsics: Intrinsics
+    model: str = "plumb_bob"
+    coefficients: tuple[float, ...] = ()
+
+    @property
+    def distorts(self) -> bool:
+        """Whether the image departs from a pinhole camera's."""
+        # An equidistant lens is none, even with all coefficients zero.
+        return self.model == "equidistant" or any(self.coefficients)
+
+
+def camera_model(
+    width: int,
+    height: int,
+    k: Sequence[float],
+    model: str,
+    coefficients: Sequence[float],
+    *,
+    binning: tuple[int, int] = (0, 0),
+    roi: tuple[int, int, int, int] = (0, 0, 0, 0),
+) -> CameraModel:
+    """Check a calibration as ``sensor_msgs/CameraInfo`` gives it.
+
+    Parameters
+    ----------
+    width, height : int
+        Size that was calibrated, pixels.
+    k : sequence of float, length 9
+        Camera matrix, row-major, pixels.
+    model : str
+        Distortion model; empty for none.
+    coefficients : sequence of float
+        Of the distortion.
+    binning : tuple of int
+        Pixels joined into one, along u and v; 0 and 1 mean none.
+    roi : tuple of int
+        The part that the images show: u0, v0, width, height; all 0 for the whole.
+
+    Returns
+    -------
+    CameraModel
+        Of the images.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be used; the text says why.
+    """
+    if k[0] == 0.0:
+        raise ValueError("camera_info has K[0] = 0: the camera is not calibrated")
+    fx, skew, cx, zero, fy, cy, *last = (float(value) for value in k)
+    if not np.all(np.isfinite(k)) or not np.all(np.isfinite(coefficients)):
+        raise ValueError("camera_info holds a value that is not finite")
+    if any(abs(value) > _MAX_COEFFICIENT for value in coefficients):
+        raise ValueError(f"camera_info has a distortion coefficient above {_MAX_COEFFICIENT:g}")
+    if skew != 0.0 or zero != 0.0 or last != [0.0, 0.0, 1.0]:
+        raise ValueError(f"camera_info has K = {list(k)}, expected [fx 0 cx 0 fy cy 0 0 1]")
+    if not 0.05 * width < fx < 100.0 * width or not 0.05 * height < fy < 100.0 * height:
+        raise ValueError(
+            f"camera_info has focal lengths {fx:g} and {fy:g} px, which do not fit an image of "
+            f"{width}x{height}"
+        )
+    if not -width < cx < 2.0 * width or not -height < cy < 2.0 * height:
+        raise ValueError(
+            f"camera_info has its principal point at ({cx:g}, {cy:g}), far out of the image of "
+            f"{width}x{height}"
+        )
+    if max(binning) > 1:
+        raise ValueError("camera_info has binning, which is not supported: switch it off")
+    if any(roi):
+        u0, v0, roi_width, roi_height = roi
+        roi_width, roi_height = roi_width or width - u0, roi_height or height - v0
+        if min(roi_width, roi_height) < 1 or u0 + roi_width > width or v0 + roi_height > height:
+            raise ValueError(f"camera_info has a region {roi} outside of {width}x{height}")
+        width, height, cx, cy = roi_width, roi_height, cx - u0, cy - v0
+    intrinsics = Intrinsics(width, height, fx, fy, cx, cy)
+    if not model and not any(coefficients):
+        return CameraModel(intrinsics)
+    if model not in DISTORTION_MODELS:
+        raise ValueError(
+            f"camera_info has distortion model {model[:40]!r}; known are "
+            f"{', '.join(DISTORTION_MODELS)}"
+        )
+    if len(coefficients) not in DISTORTION_MODELS[model]:
+        raise ValueError(
+            f"camera_info has {len(coefficients)} coefficients for {model}, expected "
+            f"{' or '.join(map(str, DISTORTION_MODELS[model]))}"
+        )
+    return CameraModel(intrinsics, model, tuple(float(value) for value in coefficients))
 
 
 def look_at(eye_m: np.ndarray, target_m: np.ndarray, up: np.ndarray | None = None) -> np.ndarray:

@@ -8,12 +8,14 @@ The steps, each a function below:
    so that an arc of the outline suffices where the ball is partly hidden;
 3. the depth gives the distance: with the direction known, each pixel's depth gives the distance
    of the centre along its own ray (surface is not centre, and the correction runs along the ray);
-4. a candidate must have the size, outline and bulge of the ball; the best one wins.
+4. a candidate must have the size, outline and bulge of the ball; the best one wins. What speaks
+   against each of the others is kept, for whoever has to tell a user why no ball is seen.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import enum
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -23,7 +25,11 @@ from fvs_ros.core.camera import Intrinsics
 #: Nothing is reported where less of the ball is visible.
 MIN_VISIBLE_FRACTION = 0.25
 
-_MIN_PIXELS = 20
+#: Depth beyond this, or not finite, is no depth, m.
+MAX_DEPTH_M = 100.0
+
+#: Fewer pixels of the ball's colour in one piece are no candidate.
+MIN_PIXELS = 20
 _MIN_DEPTH_PIXELS = 8
 _MAX_BLOBS = 16
 _MIN_ON_OUTLINE = 0.6
@@ -90,6 +96,53 @@ class BallDetection:
     radius_px: float
 
 
+class Cause(enum.IntEnum):
+    """Why a thing of the ball's colour is not taken for the ball; the later, the more like it."""
+
+    NO_DEPTH = 1
+    TOO_NEAR = 2
+    SIZE = 3
+    SURFACE = 4
+    OUTLINE = 5
+    BULGE = 6
+    BEYOND = 7
+    GAPS = 8
+    HIDDEN = 9
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """A thing of the ball's colour that is not taken for the ball.
+
+    Parameters
+    ----------
+    cause : Cause
+        What speaks against it.
+    box : tuple of int
+        Its bounding box: first pixel (u0, v0), width and height, pixels.
+    pixels : int
+        Its size, pixels.
+    depth_pixels : int
+        How many of them have a depth.
+    distance_m : float
+        Distance that its centre would have, m; NaN without depth.
+    area_ratio : float
+        Its area over that of a whole ball at this distance; NaN without depth.
+    value : float
+        The number that spoke against it: part of the outline that fits (``OUTLINE``), departure
+        from the sphere, m (``BULGE``), share of the ball's area (``BEYOND``, ``GAPS``,
+        ``HIDDEN``).
+    """
+
+    cause: Cause
+    box: tuple[int, int, int, int]
+    pixels: int
+    depth_pixels: int = 0
+    distance_m: float = float("nan")
+    area_ratio: float = float("nan")
+    value: float = float("nan")
+
+
 def detect_ball(
     rgb: np.ndarray,
     depth_m: np.ndarray,
@@ -122,6 +175,25 @@ def detect_ball(
     ValueError
         If the sizes of images and intrinsics differ.
     """
+    return examine(rgb, depth_m, intrinsics, radius_m, config)[0]
+
+
+def examine(
+    rgb: np.ndarray,
+    depth_m: np.ndarray,
+    intrinsics: Intrinsics,
+    radius_m: float,
+    config: BallColour | None = None,
+) -> tuple[BallDetection | None, list[Rejection]]:
+    """Find the ball as :func:`detect_ball` does, and tell what else has its colour.
+
+    Returns
+    -------
+    detection : BallDetection or None
+        The ball.
+    rejections : list of Rejection
+        What has the ball's colour and is not the ball, largest first.
+    """
     size = (intrinsics.height, intrinsics.width)
     if rgb.shape != (*size, 3) or depth_m.shape != size:
         raise ValueError(
@@ -130,13 +202,19 @@ def detect_ball(
         )
     mask = colour_mask(rgb, config or BallColour())
     best: BallDetection | None = None
+    rejections = []
     for blob in _blobs(mask):
         whole = _evaluate(blob, mask, depth_m, intrinsics, radius_m)
-        found = [whole] if whole else _split_by_depth(blob, mask, depth_m, intrinsics, radius_m)
+        if isinstance(whole, Rejection):
+            found = _split_by_depth(blob, mask, depth_m, intrinsics, radius_m)
+            if not found:
+                rejections.append(whole)
+        else:
+            found = [whole]
         for detection in found:
             if best is None or detection.quality > best.quality:
                 best = detection
-    return best
+    return best, rejections
 
 
 def colour_mask(rgb: np.ndarray, colour: BallColour) -> np.ndarray:
@@ -162,6 +240,12 @@ class _Blob:
     filled: np.ndarray
     pixels: int
 
+    def depths(self, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Depth within the bounding box, m, and where the blob has one; both of its shape."""
+        height, width = self.filled.shape
+        depth = depth_m[self.v0 : self.v0 + height, self.u0 : self.u0 + width]
+        return depth, (self.filled > 0) & (depth > 0.0) & (depth < MAX_DEPTH_M)
+
 
 def _blobs(mask: np.ndarray, u0: int = 0, v0: int = 0) -> list[_Blob]:
     """Find the connected parts of a mask from (u0, v0) on, largest first, holes filled."""
@@ -169,7 +253,7 @@ def _blobs(mask: np.ndarray, u0: int = 0, v0: int = 0) -> list[_Blob]:
     blobs = []
     for contour in contours:
         # The area within the pixel centres of the border; half the border is missing.
-        if cv2.contourArea(contour) + 0.5 * len(contour) < _MIN_PIXELS:
+        if cv2.contourArea(contour) + 0.5 * len(contour) < MIN_PIXELS:
             continue
         u, v, width, height = cv2.boundingRect(contour)
         filled = np.zeros((height, width), np.uint8)
@@ -184,14 +268,13 @@ def _split_by_depth(
 ) -> list[BallDetection]:
     """Look for the ball within a blob that merges it with other things of its colour."""
     height, width = blob.filled.shape
-    depth = depth_m[blob.v0 : blob.v0 + height, blob.u0 : blob.u0 + width]
-    left = (blob.filled > 0) & (depth > 0.0)
+    depth, left = blob.depths(depth_m)
     found: list[BallDetection] = []
     # Depth is often lost at an edge: close what that breaks out of the outline.
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
     for _ in range(4):
         values = np.sort(depth[left])
-        if len(values) < _MIN_PIXELS:
+        if len(values) < MIN_PIXELS:
             break
         ends = np.searchsorted(values, values + 1.5 * radius_m, side="right")
         start = int(np.argmax(ends - np.arange(len(values))))
@@ -207,7 +290,7 @@ def _split_by_depth(
         layer_mask[blob.v0 : blob.v0 + height, blob.u0 : blob.u0 + width] = closed
         for part in _blobs(closed, blob.u0, blob.v0):
             detection = _evaluate(part, layer_mask, depth_m, camera, radius_m)
-            if detection:
+            if isinstance(detection, BallDetection):
                 found.append(detection)
     return found
 
@@ -229,6 +312,8 @@ class _Patch:
         Of this part.
     distance_m : float
         First guess of the distance of the ball's centre, m.
+    blame : Rejection
+        What is known of it, should something speak against it.
     """
 
     inside: np.ndarray
@@ -237,6 +322,7 @@ class _Patch:
     rays: np.ndarray
     view: Intrinsics
     distance_m: float
+    blame: Rejection
 
 
 @dataclass(frozen=True)
@@ -277,36 +363,45 @@ class _Fit:
 
 def _evaluate(
     blob: _Blob, mask: np.ndarray, depth_m: np.ndarray, camera: Intrinsics, radius_m: float
-) -> BallDetection | None:
-    """Fit the ball to a blob; None if it is not the ball."""
+) -> BallDetection | Rejection:
+    """Fit the ball to a blob, or tell what speaks against it."""
     patch = _cut_out(blob, mask, depth_m, camera, radius_m)
-    fit = _fit_sphere(patch, radius_m) if patch else None
-    if patch is None or fit is None:
-        return None
+    if isinstance(patch, Rejection):
+        return patch
+    fit = _fit_sphere(patch, radius_m)
+    if fit is None:
+        return replace(patch.blame, cause=Cause.SURFACE)
     if fit.on_outline < _MIN_ON_OUTLINE or fit.arc < _MIN_ARC:
-        return None
+        return replace(patch.blame, cause=Cause.OUTLINE, value=fit.on_outline)
     if fit.residual_m > _MAX_RESIDUAL_RADII * radius_m:
-        return None
+        return replace(patch.blame, cause=Cause.BULGE, value=fit.residual_m)
     return _judge(patch, fit, camera, radius_m)
 
 
 def _cut_out(
     blob: _Blob, mask: np.ndarray, depth_m: np.ndarray, camera: Intrinsics, radius_m: float
-) -> _Patch | None:
-    """Surroundings of a blob; None if it cannot be the ball by its size at its depth."""
+) -> _Patch | Rejection:
+    """Surroundings of a blob, unless it cannot be the ball by its size at its depth."""
     height, width = blob.filled.shape
-    own_depth = depth_m[blob.v0 : blob.v0 + height, blob.u0 : blob.u0 + width]
-    own_depth = own_depth[(blob.filled > 0) & (own_depth > 0.0)]
+    box_depth, known = blob.depths(depth_m)
+    own_depth = box_depth[known]
+    blame = Rejection(
+        Cause.NO_DEPTH, (blob.u0, blob.v0, width, height), blob.pixels, len(own_depth)
+    )
     if len(own_depth) < _MIN_DEPTH_PIXELS:
-        return None
+        return blame
     # First guess of the distance: half of a disc lies within 0.7 r of its middle.
     middle = _unit(camera.rays(blob.u0 + 0.5 * (width - 1), blob.v0 + 0.5 * (height - 1)))
     distance = float(np.median(own_depth)) / middle[2] + 0.7 * radius_m
     if distance < 1.5 * radius_m:
-        return None
+        return replace(blame, cause=Cause.TOO_NEAR, distance_m=float(distance))
     expected_px = _outline_area_px(middle, distance, radius_m, camera)
-    if not 0.7 * MIN_VISIBLE_FRACTION < blob.pixels / expected_px < 1.6:
-        return None
+    area_ratio = blob.pixels / expected_px
+    blame = replace(
+        blame, cause=Cause.SIZE, distance_m=float(distance), area_ratio=float(area_ratio)
+    )
+    if not 0.7 * MIN_VISIBLE_FRACTION < area_ratio < 1.6:
+        return blame
 
     pad = 3 + max(0, int(2.4 * np.sqrt(expected_px / np.pi)) - min(width, height))
     u0, v0 = max(0, blob.u0 - pad), max(0, blob.v0 - pad)
@@ -315,13 +410,15 @@ def _cut_out(
     inside = np.zeros((v1 - v0, u1 - u0), bool)
     inside[blob.v0 - v0 :, blob.u0 - u0 :][:height, :width] = blob.filled > 0
     view = camera.window(u0, v0, u1 - u0, v1 - v0)
+    depth = np.asarray(depth_m[v0:v1, u0:u1], dtype=float)
     return _Patch(
         inside=inside,
         coloured=inside | (mask[v0:v1, u0:u1] > 0),
-        depth=np.nan_to_num(np.asarray(depth_m[v0:v1, u0:u1], dtype=float), posinf=0.0),
+        depth=np.where((depth > 0.0) & (depth < MAX_DEPTH_M), depth, 0.0),
         rays=_unit(view.rays(*np.meshgrid(np.arange(view.width), np.arange(view.height)))),
         view=view,
         distance_m=distance,
+        blame=blame,
     )
 
 
@@ -350,7 +447,9 @@ def _fit_sphere(patch: _Patch, radius_m: float) -> _Fit | None:
     return _Fit(direction, distance, on_outline, arc, residual, pixel_rad)
 
 
-def _judge(patch: _Patch, fit: _Fit, camera: Intrinsics, radius_m: float) -> BallDetection | None:
+def _judge(
+    patch: _Patch, fit: _Fit, camera: Intrinsics, radius_m: float
+) -> BallDetection | Rejection:
     """Compare the whole picture with the fitted sphere's."""
     expected_px = _outline_area_px(fit.direction, fit.distance_m, radius_m, camera)
     # Angles from the axis are compared by their cosines: d cos = -sin d angle.
@@ -363,12 +462,14 @@ def _judge(patch: _Patch, fit: _Fit, camera: Intrinsics, radius_m: float) -> Bal
     # Colour beyond the outline, and a view past the ball within it, speak against it.
     excess = _share(patch.inside & (cos < cone_cos - 1.5 * pixel_cos), expected_px)
     gaps = _share(~patch.coloured & behind & (cos > cone_cos + 1.5 * pixel_cos), expected_px)
-    if excess > _MAX_EXCESS or gaps > _MAX_GAPS:
-        return None
+    if excess > _MAX_EXCESS:
+        return replace(patch.blame, cause=Cause.BEYOND, value=excess)
+    if gaps > _MAX_GAPS:
+        return replace(patch.blame, cause=Cause.GAPS, value=gaps)
     visible = patch.coloured & (cos >= cone_cos - 0.5 * pixel_cos) & ~before & ~behind
     fraction = min(1.0, _share(visible, expected_px))
     if fraction < MIN_VISIBLE_FRACTION:
-        return None
+        return replace(patch.blame, cause=Cause.HIDDEN, value=fraction)
     quality = fraction * fit.on_outline * (1.0 - excess) * (1.0 - gaps)
     quality *= float(np.exp(-np.square(fit.residual_m / (0.08 * radius_m))))
     position = fit.distance_m * fit.direction

@@ -27,32 +27,34 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
-from sensor_msgs.msg import CameraInfo, Image, JointState
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
-from fvs_ros.core import stop
-from fvs_ros.core.camera import Intrinsics
+from fvs_ros.core import stop, topics
+from fvs_ros.core.camera import CameraModel, Intrinsics, camera_model
 from fvs_ros.core.joints import N_JOINTS
 from fvs_ros.core.monitor import ArrivalMonitor
 from fvs_ros.core.params import Parameter, ParameterError, ParameterSet
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_OK
 
-# Topic names, all relative, so that namespaces and remaps work.
-JOINT_STATES = "joint_states"
-BALL_POSITION = "ball_position"
-JACOBIAN = "jacobian"
-TARGET_POSITION = "target_position"
-SLIDING_VARIABLE = "sliding_variable"
-COMMANDS = "forward_velocity_controller/commands"
-ESTIMATOR_STATUS = "fvs_estimator_node/status"
-TRUE_JACOBIAN = "fvs_sim_node/true_jacobian"
-STATUS = "~/status"
-DIAGNOSTICS = "/diagnostics"
-COLOR_IMAGE = "camera/color/image_raw"
-DEPTH_IMAGE = "camera/aligned_depth_to_color/image_raw"
-CAMERA_INFO = "camera/color/camera_info"
-ROBOT_PROGRAM_RUNNING = "io_and_status_controller/robot_program_running"
-SPEED_SCALING = "speed_scaling_state_broadcaster/speed_scaling"
+# Topic names; what they hold stands in topics.py.
+JOINT_STATES = topics.JOINT_STATES.name
+BALL_POSITION = topics.BALL_POSITION.name
+JACOBIAN = topics.JACOBIAN.name
+TARGET_POSITION = topics.TARGET_POSITION.name
+SLIDING_VARIABLE = topics.SLIDING_VARIABLE.name
+COMMANDS = topics.COMMANDS.name
+ESTIMATOR_STATUS = topics.ESTIMATOR_STATUS.name
+CONTROLLER_STATUS = topics.CONTROLLER_STATUS.name
+TRUE_BALL_POSITION = topics.TRUE_BALL_POSITION.name
+TRUE_JACOBIAN = topics.TRUE_JACOBIAN.name
+STATUS = topics.STATUS.name
+DIAGNOSTICS = topics.DIAGNOSTICS.name
+COLOR_IMAGE = topics.COLOR_IMAGE.name
+DEPTH_IMAGE = topics.DEPTH_IMAGE.name
+CAMERA_INFO = topics.CAMERA_INFO.name
+ROBOT_PROGRAM_RUNNING = topics.ROBOT_PROGRAM_RUNNING.name
+SPEED_SCALING = topics.SPEED_SCALING.name
 
 
 def _qos(reliability: ReliabilityPolicy, durability: DurabilityPolicy) -> QoSProfile:
@@ -237,6 +239,82 @@ def to_camera_info(stamp_s: float, frame: str, intrinsics: Intrinsics) -> Camera
     return message
 
 
+def from_color(message: Image | CompressedImage) -> np.ndarray:
+    """Colours of an image, red first, uint8, shape (H, W, 3).
+
+    Raises
+    ------
+    MessageError
+        If it cannot be decoded.
+    """
+    from fvs_ros.core import images  # and so cv2, which most nodes do without
+
+    try:
+        if isinstance(message, CompressedImage):
+            return images.decode_compressed_colour(message.data, message.format)
+        return images.decode_colour(
+            message.data, message.width, message.height, message.step, message.encoding
+        )
+    except images.ImageError as error:
+        raise MessageError(str(error)) from error
+
+
+def from_depth(message: Image | CompressedImage, unit_m: float) -> np.ndarray:
+    """Depth of an image, m, 0 where there is none, float32, shape (H, W).
+
+    Parameters
+    ----------
+    message : Image or CompressedImage
+        16UC1 or 32FC1, raw or as ``compressedDepth``.
+    unit_m : float
+        Unit of whole-number depth, m.
+
+    Raises
+    ------
+    MessageError
+        If it cannot be decoded.
+    """
+    from fvs_ros.core import images  # and so cv2, which most nodes do without
+
+    try:
+        if isinstance(message, CompressedImage):
+            return images.decode_compressed_depth(message.data, message.format, unit_m)
+        return images.decode_depth(
+            message.data,
+            message.width,
+            message.height,
+            message.step,
+            message.encoding,
+            big_endian=bool(message.is_bigendian),
+            unit_m=unit_m,
+        )
+    except images.ImageError as error:
+        raise MessageError(str(error)) from error
+
+
+def from_camera_info(message: CameraInfo) -> CameraModel:
+    """Calibration of a camera.
+
+    Raises
+    ------
+    MessageError
+        If it cannot be used.
+    """
+    roi = message.roi
+    try:
+        return camera_model(
+            message.width,
+            message.height,
+            message.k.tolist(),
+            message.distortion_model,
+            message.d.tolist(),
+            binning=(message.binning_x, message.binning_y),
+            roi=(roi.x_offset, roi.y_offset, roi.width, roi.height),
+        )
+    except ValueError as error:
+        raise MessageError(str(error)) from error
+
+
 def to_status(level: bytes, name: str, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:
     """``DiagnosticStatus`` with numbers printed to five digits."""
     return DiagnosticStatus(
@@ -336,18 +414,39 @@ class FvsNode(Node):
             )
         return values
 
+    # rclpy refuses wrong names, types and ranges before any callback, in words of its own that
+    # name neither the parameter nor what was expected. So these look first.
+
+    def set_parameters(self, parameter_list: list[rclpy.Parameter]) -> list[SetParametersResult]:
+        """Set parameters one by one; refusals say what was expected, and 1 is taken for 1.0."""
+        return [self.set_parameters_atomically([given]) for given in parameter_list]
+
+    def set_parameters_atomically(
+        self, parameter_list: list[rclpy.Parameter]
+    ) -> SetParametersResult:
+        """Set all parameters or none; refusals say what was expected."""
+        try:
+            return super().set_parameters_atomically([self._settable(p) for p in parameter_list])
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+
+    def _settable(self, given: rclpy.Parameter) -> rclpy.Parameter:
+        if given.name.startswith(_BUILT_IN_PARAMETERS):
+            return given
+        parameter = self.parameter_set[given.name]
+        if not parameter.live:
+            raise ParameterError(
+                f"parameter {given.name} can be set at start only; restart the node"
+            )
+        return rclpy.Parameter(given.name, value=parameter.check(given.value))
+
     def _on_set(self, changes: list[rclpy.Parameter]) -> SetParametersResult:
         accepted: dict[str, Any] = {}
         try:
             for change in changes:
                 if change.name.startswith(_BUILT_IN_PARAMETERS):
                     continue
-                parameter = self.parameter_set[change.name]
-                if not parameter.live:
-                    raise ParameterError(
-                        f"parameter {change.name} can be set at start only; restart the node"
-                    )
-                accepted[change.name] = parameter.check(change.value)
+                accepted[change.name] = self.parameter_set[change.name].check(change.value)
             candidate = {**self.values, **accepted}
             self.on_parameters(candidate, set(accepted))
         except ValueError as error:

@@ -258,6 +258,10 @@ _PLAYED = ("play_driver_topics", True)
 _IMAGE_RELIABILITY = (
     "best effort if `image_reliability` says so, or is `auto` and a publisher is best effort"
 )
+_CAMERA_TOPICS = (
+    "this, and the images, below `camera/camera` if that is what a camera publishes, or below what "
+    "`camera_topics` says"
+)
 _AT_THE_END = "after the last target"
 
 #: What each node has on the wire, by name.
@@ -294,7 +298,7 @@ INTERFACES: dict[str, Interface] = {
                     (DEPTH_IMAGE_COMPRESSED, ("depth_transport", "compressedDepth")),
                 )
             ),
-            End(CAMERA_INFO, _NEWEST),
+            End(CAMERA_INFO, _NEWEST, note=_CAMERA_TOPICS),
         ),
     ),
     "fvs_estimator_node": Interface(

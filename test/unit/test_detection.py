@@ -2,42 +2,16 @@
 
 import numpy as np
 import pytest
+from drawn_balls import RADIUS_M, VGA, draw, hide
 
-from fvs_ros.core.camera import Intrinsics
-from fvs_ros.core.detection import BallColour, colour_mask, detect_ball
+from fvs_ros.core.detection import BallColour, Cause, colour_mask, detect_ball, examine
 from fvs_ros.core.tracking import Region
 from fvs_sim_node.depth_noise import add_depth_noise
 from fvs_sim_node.rendering import Renderer, camera_preset, pose_from_look_at
 from fvs_sim_node.world import TABLE, SceneObject, World
 
-VGA = Intrinsics(640, 480, 615.0, 615.0, 319.5, 239.5)
-RADIUS_M = 0.04
 CENTRE = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
 HALF_BOX = np.array([0.6, 0.5, 0.5, 0.5, 0.5, 0.5])
-
-
-# ------------------------------------------------------------------ drawn by ray casting
-def draw(spheres, camera=VGA, wall_m=2.0):
-    """Red spheres, (centre, radius), m, before a grey wall: colours, depth, expected mask."""
-    rays = camera.rays(*np.meshgrid(np.arange(camera.width), np.arange(camera.height)))
-    length = np.linalg.norm(rays, axis=-1)
-    rgb = np.full((camera.height, camera.width, 3), 150, np.uint8)
-    depth = np.full((camera.height, camera.width), wall_m, np.float32)
-    for centre, radius in spheres:
-        along = rays @ np.asarray(centre) / length
-        under_root = radius**2 - (np.dot(centre, centre) - along**2)
-        near = (along - np.sqrt(np.maximum(under_root, 0.0))) / length
-        visible = (under_root > 0.0) & (near < depth)
-        shade = np.clip(255 * (0.4 + 0.6 * np.sqrt(np.maximum(under_root, 0.0)) / radius), 0, 255)
-        rgb[visible] = np.stack([shade, 0.1 * shade, 0.1 * shade], axis=-1)[visible]
-        depth[visible] = near[visible]
-    return rgb, depth
-
-
-def hide(rgb, depth, part, depth_m=0.8):
-    """Hold a grey card before a part of the image."""
-    rgb[part] = (120, 125, 130)
-    depth[part] = depth_m
 
 
 def error_mm(detection, centre):
@@ -171,6 +145,26 @@ def test_red_flat_things_are_not_the_ball():
 
 def test_empty_picture():
     assert detect_ball(*draw([]), VGA, RADIUS_M) is None
+
+
+@pytest.mark.parametrize("bad", [np.inf, -np.inf, np.nan, 1e30, -1.0])
+def test_depth_that_no_camera_gives_is_no_depth(bad):
+    centre = np.array([0.1, -0.05, 1.0])
+    rgb, depth = draw([(centre, RADIUS_M)])
+    spoiled = np.random.default_rng(1).random(depth.shape) < 0.4
+    depth[spoiled] = bad
+    assert error_mm(detect_ball(rgb, depth, VGA, RADIUS_M), centre) < 0.6
+    depth[:] = bad
+    assert detect_ball(rgb, depth, VGA, RADIUS_M) is None
+
+
+def test_what_is_not_the_ball_is_told_with_the_reason():
+    ball, twice = (np.array([0.1, 0.0, 1.2]), RADIUS_M), (np.array([-0.2, 0.0, 1.2]), 2 * RADIUS_M)
+    detection, rejections = examine(*draw([ball, twice]), VGA, RADIUS_M)
+    assert error_mm(detection, ball[0]) < 0.6
+    assert [r.cause for r in rejections] == [Cause.SIZE]
+    assert rejections[0].area_ratio == pytest.approx(4.0, rel=0.1)
+    assert rejections[0].distance_m == pytest.approx(1.2, abs=0.1)
 
 
 def test_sizes_must_agree():

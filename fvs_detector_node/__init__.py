@@ -1,0 +1,1 @@
+"""Images of an RGB-D camera in, position of the ball out."""

@@ -1,0 +1,267 @@
+"""From two images to a position that is believed, with and without distortion."""
+
+import dataclasses
+import itertools
+
+import cv2
+import numpy as np
+import pytest
+from drawn_balls import RADIUS_M, VGA, draw, hide
+
+from fvs_detector_node.annotate import annotate
+from fvs_detector_node.config import PARAMETERS
+from fvs_detector_node.detector import Detector
+from fvs_detector_node.rectifier import Rectifier
+from fvs_ros.core.camera import CameraModel, camera_model
+from fvs_ros.core.params import ParameterSet
+from fvs_ros.core.tracking import Region
+
+PINHOLE = CameraModel(VGA)
+DT = 1 / 30
+CENTRE = np.array([0.1, -0.05, 1.2])
+K = [615.0, 0.0, 319.5, 0.0, 615.0, 239.5, 0.0, 0.0, 1.0]
+
+
+def detector(**values):
+    return Detector(ParameterSet(PARAMETERS).values(values))
+
+
+def ball(*centres):
+    return draw([(np.asarray(centre, dtype=float), RADIUS_M) for centre in centres])
+
+
+def error_mm(sighting, centre):
+    return 1e3 * np.linalg.norm(sighting.detection.position_m - centre)
+
+
+# ------------------------------------------------------------------------------- searching
+def test_a_ball_that_moves_is_found_in_a_window_at_the_same_place_as_in_the_whole():
+    follows = detector()
+    for i in range(6):
+        centre = CENTRE + [0.02 * i, 0.01 * i, 0.0]
+        images = ball(centre)
+        sighting = follows.look(DT * i, *images, PINHOLE)
+        assert sighting.problem == ""
+        assert sighting.whole == (i == 0)
+        fresh = detector().look(0.0, *images, PINHOLE)
+        np.testing.assert_allclose(
+            sighting.detection.position_m, fresh.detection.position_m, atol=1e-9
+        )
+        np.testing.assert_allclose(sighting.detection.pixel, VGA.project(centre), atol=0.3)
+
+
+def test_a_ball_that_left_the_window_is_found_in_the_same_image():
+    looks = detector(max_ball_speed_m_s=100.0)
+    looks.look(0.0, *ball(CENTRE), PINHOLE)
+    moved = CENTRE - [0.3, 0.0, 0.0]
+    sighting = looks.look(DT, *ball(moved), PINHOLE)
+    assert sighting.whole
+    assert error_mm(sighting, moved) < 0.6
+
+
+def test_a_ball_cut_by_the_windows_border_is_measured_whole():
+    looks = detector(max_ball_speed_m_s=100.0)
+    looks.look(0.0, *ball(CENTRE), PINHOLE)
+    for shift in (0.05, 0.06, 0.07, 0.08):
+        looks.reset()
+        looks.look(0.0, *ball(CENTRE), PINHOLE)
+        sighting = looks.look(DT, *ball(CENTRE + [shift, 0, 0]), PINHOLE)
+        assert sighting.detection.visible_fraction == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_lost_ball_is_explained_and_found_again():
+    looks = detector()
+    looks.look(0.0, *ball(CENTRE), PINHOLE)
+    lost = looks.look(DT, *ball(), PINHOLE)
+    assert lost.detection is None
+    assert "out of view" in lost.problem
+    assert looks.look(2 * DT, *ball(CENTRE), PINHOLE).problem == ""
+
+
+def test_a_ball_seen_badly_is_not_for_publication():
+    rgb, depth = ball(CENTRE)
+    columns = np.flatnonzero((rgb[..., 0] > 2.0 * rgb[..., 1]).any(axis=0))
+    hide(rgb, depth, np.s_[:, : columns[len(columns) // 2]])
+    assert detector(min_quality=0.3).look(0.0, rgb, depth, PINHOLE).problem == ""
+    sighting = detector(min_quality=0.8).look(0.0, rgb, depth, PINHOLE)
+    assert "below min_quality 0.8" in sighting.problem
+    assert "visible" in sighting.problem
+
+
+def test_a_jump_is_refused_then_believed():
+    looks = detector()
+    looks.look(0.0, *ball(CENTRE), PINHOLE)
+    far = CENTRE + [-0.4, 0.1, 0.3]
+    problems = [looks.look(DT * i, *ball(far), PINHOLE).problem for i in (1, 2, 3, 4)]
+    assert ["max_ball_speed_m_s" in p for p in problems] == [True, True, False, False]
+    assert problems[2:] == ["", ""]
+    assert looks.gate.refused == 2
+
+
+def test_live_parameters_take_effect_at_once():
+    looks = detector()
+    values = ParameterSet(PARAMETERS).values()
+    images = ball(CENTRE)
+    assert looks.look(0.0, *images, PINHOLE).problem == ""
+    looks.configure({**values, "min_value": 254})
+    assert "too dark" in looks.look(DT, *images, PINHOLE).problem
+    looks.configure(values)
+    assert looks.look(2 * DT, *images, PINHOLE).problem == ""
+    looks.configure({**values, "ball_radius_m": 0.06})
+    assert "ball_radius_m says 60 mm" in looks.look(3 * DT, *images, PINHOLE).problem
+
+
+# ------------------------------------------------------------------------------ distortion
+LENSES = [
+    ("plumb_bob", (-0.28, 0.08, 0.001, -0.0007, 0.0)),
+    ("plumb_bob", (0.15, -0.4, 0.0005, -0.0008, 0.3)),
+    ("rational_polynomial", (0.4, -0.2, 0.001, 0.0003, 0.02, 0.7, -0.3, 0.05)),
+    ("equidistant", (0.05, -0.02, 0.003, 0.0)),
+    ("equidistant", (0.0, 0.0, 0.0, 0.0)),
+]
+
+
+def project(model, coefficients, points):
+    """Where OpenCV's model of the lens sees points, shape (N, 2), pixels."""
+    matrix = np.array(K).reshape(3, 3)
+    points = np.asarray(points, dtype=float).reshape(-1, 1, 3)
+    function = cv2.fisheye.projectPoints if model == "equidistant" else cv2.projectPoints
+    pixels, _ = function(points, np.zeros(3), np.zeros(3), matrix, np.array(coefficients))
+    return pixels.reshape(-1, 2)
+
+
+def distorted_ball(model, coefficients, centre):
+    """The pictures a camera with a lens takes: pixels around the ball, cast along their rays."""
+    rgb = np.full((480, 640, 3), 150, np.uint8)
+    depth = np.full((480, 640), 2.0, np.float32)
+    u0, v0 = project(model, coefficients, [centre])[0].astype(int) - 40
+    part = np.s_[max(v0, 0) : v0 + 80, max(u0, 0) : u0 + 80]
+    v, u = np.mgrid[part]
+    wanted = np.column_stack([u.ravel(), v.ravel()]).astype(float)
+    # The ray of each pixel, by inverting the projection in small steps.
+    rays = VGA.rays(*wanted.T)
+    for _ in range(60):
+        rays[:, :2] += 0.7 * (wanted - project(model, coefficients, rays)) / 615.0
+    length = np.linalg.norm(rays, axis=1)
+    along = rays @ centre / length
+    under_root = RADIUS_M**2 - (centre @ centre - along**2)
+    hit = under_root > 0
+    near = np.where(hit, (along - np.sqrt(np.maximum(under_root, 0))) / length, 2.0)
+    depth[part] = near.reshape(u.shape)
+    rgb[part][hit.reshape(u.shape)] = (220, 22, 22)
+    return rgb, depth
+
+
+@pytest.mark.parametrize(("model", "coefficients"), LENSES)
+def test_the_lens_does_not_move_the_ball(model, coefficients):
+    camera = camera_model(640, 480, K, model, coefficients)
+    centre = np.array([0.33, -0.24, 1.2])
+    rgb, depth = distorted_ball(model, coefficients, centre)
+    looks = detector()
+    whole = looks.look(0.0, rgb, depth, camera)
+    assert error_mm(whole, centre) < 1.5
+    window = looks.look(DT, rgb, depth, camera)
+    assert not window.whole
+    assert error_mm(window, centre) < 1.5
+    # Without the correction it would be off.
+    raw = detector().look(0.0, rgb, depth, PINHOLE)
+    assert raw.detection is None or error_mm(raw, centre) > 4.0
+
+
+@pytest.mark.parametrize(("model", "coefficients"), LENSES)
+def test_a_point_of_the_scene_lands_where_the_pinhole_model_says(model, coefficients):
+    rectifier = Rectifier(camera_model(640, 480, K, model, coefficients))
+    apart = []
+    for x, y in itertools.product((-0.35, -0.2, 0.0, 0.15, 0.3), (-0.2, 0.05, 0.25)):
+        u, v = project(model, coefficients, [[x, y, 1.0]])[0]
+        depth = np.zeros((480, 640), np.float32)
+        cv2.circle(depth, (round(u), round(v)), 4, 1.0, -1)
+        rgb = np.repeat((255 * depth[..., None]).astype(np.uint8), 3, axis=2)
+        images = rectifier.cut(rgb, depth, Region(0, 0, 640, 480))
+        bright, near = (
+            np.argwhere(picture).mean(axis=0)[::-1]
+            for picture in (images[0][..., 0] > 127, images[1] > 0.5)
+        )
+        np.testing.assert_allclose(bright, VGA.project(np.array([x, y, 1.0])), atol=1.0)
+        apart.append(near - bright)
+    # Depth comes from the nearest pixel: off by less than half of one, and to no side.
+    np.testing.assert_allclose(apart, 0.0, atol=0.7)
+    np.testing.assert_allclose(np.mean(apart, axis=0), 0.0, atol=0.15)
+
+
+def test_a_window_is_the_crop_of_the_whole():
+    rectifier = Rectifier(camera_model(640, 480, K, *LENSES[0]))
+    images = ball(CENTRE)
+    whole = rectifier.cut(*images, Region(0, 0, 640, 480))
+    part = rectifier.cut(*images, Region(300, 150, 96, 80))
+    for a, b in zip(whole, part, strict=True):
+        np.testing.assert_array_equal(a[150:230, 300:396], b)
+
+
+@pytest.mark.parametrize("model", ["plumb_bob", "rational_polynomial", "equidistant"])
+def test_a_wrong_lens_breaks_nothing(model):
+    count = {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}[model]
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        coefficients = rng.uniform(-1000, 1000, count) * rng.choice([0, 1e-3, 1], count)
+        camera = camera_model(640, 480, K, model, coefficients)
+        sighting = detector().look(0.0, *ball(CENTRE), camera)
+        assert sighting.detection is not None or sighting.problem
+
+
+# ----------------------------------------------------------------------------- calibration
+def test_a_calibration_without_distortion_is_a_pinhole():
+    for model, coefficients in (("plumb_bob", [0.0] * 5), ("", []), ("rational_polynomial", [])):
+        camera = camera_model(640, 480, K, model, coefficients)
+        assert camera.intrinsics == VGA
+        assert not camera.distorts
+
+
+def test_a_region_of_interest_moves_the_principal_point():
+    camera = camera_model(640, 480, K, "plumb_bob", [0.0] * 5, roi=(100, 50, 320, 240))
+    assert camera.intrinsics == dataclasses.replace(VGA, width=320, height=240, cx=219.5, cy=189.5)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"k": [0.0] * 9}, "not calibrated"),
+        ({"k": [np.nan, *K[1:]]}, "not finite"),
+        ({"k": [-615.0, *K[1:]]}, "focal lengths"),
+        ({"k": [615.0, 3.0, *K[2:]]}, "expected"),
+        ({"k": [1e9, *K[1:]]}, "focal lengths"),
+        ({"k": [615.0, 0.0, 1e7, *K[3:]]}, "principal point"),
+        ({"model": "fov"}, "plumb_bob, rational_polynomial, equidistant"),
+        ({"coefficients": [0.1]}, "1 coefficients for plumb_bob, expected 0 or 4 or 5"),
+        ({"coefficients": [np.inf] * 5}, "not finite"),
+        ({"model": "", "coefficients": [0.1]}, "distortion model ''"),
+        ({"coefficients": [1e300] * 5}, "above 1000"),
+        ({"binning": (2, 2)}, "binning"),
+        ({"roi": (600, 0, 100, 100)}, "region"),
+        ({"width": 0, "height": 0}, "focal lengths"),
+    ],
+)
+def test_a_calibration_that_cannot_be_is_refused(changes, said):
+    good = {"width": 640, "height": 480, "k": K, "model": "plumb_bob", "coefficients": [0.0] * 5}
+    with pytest.raises(ValueError, match=said):
+        camera_model(**{**good, **changes})
+
+
+# ------------------------------------------------------------------------------- annotation
+def test_the_annotated_image_shows_the_ball_where_it_is():
+    rgb, depth = ball(CENTRE)
+    sighting = detector().look(0.0, rgb, depth, PINHOLE)
+    picture = annotate(rgb, sighting)
+    assert picture.shape == rgb.shape
+    changed = (picture != rgb).any(axis=-1)
+    u, v = np.round(sighting.detection.pixel).astype(int)
+    assert changed[v, u]
+    assert changed[v, u + round(sighting.detection.radius_px)]
+    assert changed[:40].any()  # the text
+    assert not changed[300:].any()
+
+
+def test_the_annotated_image_says_why_there_is_no_ball():
+    rgb, depth = ball()
+    picture = annotate(rgb, detector().look(0.0, rgb, depth, PINHOLE))
+    assert (picture != rgb)[:100].any()
