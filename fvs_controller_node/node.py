@@ -92,8 +92,8 @@ class ControllerNode(ros.FvsNode):
         try:
             joints = self._joint_map.positions(message.name, message.position)
         except ForeignJointsError as error:
-            # Another device's joints are no fault of ours, unless ours do not come at all.
-            if now_s - self._joints_s > self.values["joint_states_max_age_s"]:
+            # Another device's joints are no fault of ours, unless ours never came.
+            if np.isinf(self._joints_s):
                 supervisor.bad_input(now_s, JOINT_STATES, str(error))
             return
         except JointStateError as error:

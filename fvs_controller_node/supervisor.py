@@ -198,7 +198,7 @@ class Supervisor:
         """Tell whether the robot's program runs."""
         self._program_running = bool(running)
         if not running:
-            self._end_session(Reason.PROGRAM_STOPPED.because())
+            self._pause(Reason.PROGRAM_STOPPED)
 
     def speed_scaling(self, now_s: float, percent: float) -> None:
         """Tell the robot's speed scaling, 0 to 100 %."""
@@ -208,7 +208,7 @@ class Supervisor:
         self._inputs[SPEED_SCALING].good(now_s)
         self._speed_scaling = float(percent)
         if self._speed_scaling <= 0.0:
-            self._end_session(Reason.SPEED_SCALING_ZERO.because())
+            self._pause(Reason.SPEED_SCALING_ZERO)
 
     def estimator_quality(self, now_s: float, error_ratio: float) -> None:
         """Tell the estimator's one-step prediction error ratio; not finite means unknown."""
@@ -333,7 +333,7 @@ class Supervisor:
         self._progress.pause()
         self._following.restart()
         # Simulated time may stand still; coming to rest must not.
-        return self._rest(finding, dt_s or steady_dt_s)
+        return self._rest(finding, joints_rad, dt_s or steady_dt_s)
 
     def status_values(self, now_s: float) -> dict[str, float | str]:
         """Key numbers for a status message, always the same keys in the same order."""
@@ -513,9 +513,11 @@ class Supervisor:
             active.append(f"prediction error ({ratio:.2f})")
         return max(share, _SLOWEST_SHARE), active
 
-    def _rest(self, finding: Finding | None, dt_s: float) -> Command:
+    def _rest(self, finding: Finding | None, joints: np.ndarray | None, dt_s: float) -> Command:
         """Bring the arm to rest, and say why."""
-        if not self._started and self._ended is not None:
+        # What ended the session goes on being said, unless something worse is wrong now.
+        worse = finding is not None and finding.reason.stop is Stop.AT_ONCE
+        if not self._started and self._ended is not None and not worse:
             finding = self._ended
             if finding.reason in _PAUSES and self._program_running and self._speed_scaling > 0.0:
                 finding = Reason.PAUSE_OVER.because()
@@ -524,10 +526,25 @@ class Supervisor:
         if finding.reason.stop is Stop.AT_ONCE:
             self._velocity = np.zeros(N_JOINTS)
             return self._answer(finding, "", None)
-        step = self._config.max_joint_acceleration_rad_s2 * dt_s
         moving = float(np.abs(self._velocity).max()) > _TINY_RAD_S
-        self._velocity = ramp_to_zero(self._velocity, step if moving else np.inf)
+        self._velocity = self._slower(joints, dt_s) if moving else np.zeros(N_JOINTS)
         return self._answer(finding, "acceleration" if moving else "", None)
+
+    def _slower(self, joints: np.ndarray | None, dt_s: float) -> np.ndarray:
+        """Find the next command on the way to rest, rad/s, shape (6,)."""
+        config, last = self._config, self._velocity
+        step = config.max_joint_acceleration_rad_s2 * dt_s
+        velocity = ramp_to_zero(last, step)
+        if joints is None:
+            return velocity
+        # The ramp is as long as the fastest joint's; one that nears its limit brakes harder.
+        velocity, _ = config.joint_range.slow_down(
+            velocity,
+            joints,
+            config.max_joint_velocity_rad_s,
+            config.max_joint_acceleration_rad_s2,
+        )
+        return np.clip(velocity, last - step, last + step)
 
     def _answer(self, finding: Finding, active_limit: str, output: ControlOutput | None) -> Command:
         reason = finding.reason
@@ -550,6 +567,12 @@ class Supervisor:
         self._singularity.stay()
         self._progress.restart()
         self._following.restart()
+
+    def _pause(self, reason: Reason) -> None:
+        """End the session for a pause of the robot, also one that something else has ended."""
+        self._end_session(reason.because())
+        if self._ended is not None and not self._shut_down:
+            self._ended = reason.because()
 
     def _end_session(self, finding: Finding) -> None:
         """Stop until a new start, if it was started."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from math import isfinite
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from fvs_estimator_node.motion import RandomMotion
 from fvs_estimator_node.pairing import BallSample, ExposureMatcher
 from fvs_ros.core.following import Following
 from fvs_ros.core.history import StampGate
-from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
+from fvs_ros.core.joints import LARGEST_RAD, N_JOINTS, UR_JOINT_NAMES
 from fvs_ros.core.limits import limit_acceleration, limit_speed, ramp_to_zero
 
 #: The ball counts as seen again after so many positions.
@@ -51,6 +52,8 @@ class RunConfig:
         A trouble that lasts this long ends the run, s.
     follow_time_s : float
         So long the arm may fail to move as commanded, s.
+    max_latency_s : float
+        Longest delay of a ball position that is believed, s.
     joint_names : tuple of str
         For the words only.
     """
@@ -61,6 +64,7 @@ class RunConfig:
     ball_max_age_s: float = 0.5
     give_up_s: float = 10.0
     follow_time_s: float = 3.0
+    max_latency_s: float = 0.5
     joint_names: tuple[str, ...] = UR_JOINT_NAMES
 
 
@@ -90,7 +94,7 @@ class CollectionRun:
         self._config = config
         self._make_motion = make_motion
         self._motion: RandomMotion | None = None
-        self._matcher = ExposureMatcher()
+        self._matcher = ExposureMatcher(max_latency_s=config.max_latency_s)
         self._joint_stamps, self._ball_stamps = StampGate(), StampGate()
         self._ticked_s = -np.inf
         self._joints: np.ndarray | None = None
@@ -117,6 +121,9 @@ class CollectionRun:
 
     def joint_states(self, now_s: float, stamp_s: float, joints_rad: np.ndarray) -> None:
         """Tell joint positions: arrival on the steady clock and stamp, s; (6,), rad."""
+        if not float(np.abs(joints_rad).max()) <= LARGEST_RAD:  # false for NaN, too
+            self.fail(f"joint_states holds {joints_rad.tolist()}: no joint is turned that far")
+            return
         if self._joint_stamps.advances(stamp_s):
             self._joints_s = now_s
             self._joints = joints_rad
@@ -147,7 +154,7 @@ class CollectionRun:
 
     def tick(self, now_s: float, dt_s: float) -> np.ndarray:
         """Joint velocities for this tick, rad/s, shape (6,); always finite and within limits."""
-        dt_s = float(np.clip(dt_s, 0.0, _MAX_TICK_S))
+        dt_s = min(dt_s, _MAX_TICK_S) if isfinite(dt_s) and dt_s > 0.0 else 0.0
         steady_dt_s = min(max(now_s - self._ticked_s, 0.0), _MAX_TICK_S)
         self._ticked_s = now_s
         if self.state not in (State.DONE, State.FAILED):

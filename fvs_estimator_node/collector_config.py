@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fvs_estimator_node.config import MAX_LATENCY
 from fvs_ros.core.camera import CAMERA_FRAME
 from fvs_ros.core.joints import JOINT_PARAMETERS, N_JOINTS
 from fvs_ros.core.params import Parameter
@@ -30,6 +31,7 @@ PARAMETERS = (
         maximum=40.0,
     ),
     *JOINT_PARAMETERS,
+    MAX_LATENCY,
     Parameter("feature_frame", CAMERA_FRAME, "frame of the ball positions"),
     Parameter(
         "joint_states_max_age_s",

@@ -53,6 +53,7 @@ class CollectorNode(ros.FvsNode):
                     "joint_states_max_age_s",
                     "ball_max_age_s",
                     "give_up_s",
+                    "max_latency_s",
                 )
             },
             joint_names=tuple(v["joint_names"]),

@@ -7,6 +7,15 @@ from fvs_ros.core.camera import CAMERA_FRAME
 from fvs_ros.core.joints import JOINT_PARAMETERS
 from fvs_ros.core.params import Parameter
 
+#: Of the camera; the collector has it, too.
+MAX_LATENCY = Parameter(
+    "max_latency_s",
+    0.5,
+    "a ball position stamped further before the newest joint state is not paired with it, s",
+    minimum=0.01,
+    maximum=1.9,
+)
+
 PARAMETERS = (
     Parameter("method", "rbf", "how the Jacobian is estimated", choices=tuple(ESTIMATORS)),
     Parameter(
@@ -34,5 +43,6 @@ PARAMETERS = (
         minimum=0.01,
         maximum=10.0,
     ),
+    MAX_LATENCY,
     *estimator_parameters(),
 )

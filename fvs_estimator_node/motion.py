@@ -195,6 +195,9 @@ class RandomMotion:
         before_s, before = self._last if self._last is not None else (time_s, np.zeros(N_JOINTS))
         change = config.max_joint_acceleration_rad_s2 * max(time_s - before_s, 0.0)
         command = before + np.clip(wanted - before, -change, change)
+        if not np.all(np.isfinite(command)):  # of a position that is finite but beyond all reason
+            self._last = None
+            return np.zeros(N_JOINTS)
         self._last = (time_s, command)
         return command.copy()
 

@@ -18,7 +18,7 @@ from fvs_estimator_node.base import MotionStep, PredictionMonitor
 from fvs_estimator_node.config import PARAMETERS
 from fvs_estimator_node.model_file import load_model
 from fvs_estimator_node.oracle import OracleEstimator
-from fvs_estimator_node.pairing import StepPairing
+from fvs_estimator_node.pairing import ExposureMatcher, StepPairing
 from fvs_estimator_node.registry import create_estimator, estimator_factory
 from fvs_ros.core import ros
 from fvs_ros.core.joints import ForeignJointsError, JointMap, JointStateError
@@ -37,7 +37,11 @@ class EstimatorNode(ros.FvsNode):
         self._frame = v["feature_frame"]
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._estimator = create_estimator(v["method"], self._load_model(), v)
-        self._pairing = StepPairing(v["min_step_rad"], v["max_step_s"], v["max_gap_s"])
+        self._pairing = StepPairing(
+            v["min_step_rad"],
+            v["max_step_s"],
+            matcher=ExposureMatcher(v["max_gap_s"], max_latency_s=v["max_latency_s"]),
+        )
         self._prediction = PredictionMonitor()
         self._frozen = False
         self._program_running, self._speed_scaling = True, 100.0
@@ -75,8 +79,8 @@ class EstimatorNode(ros.FvsNode):
         try:
             joints = self._joint_map.positions(message.name, message.position)
         except ForeignJointsError as error:
-            # Another device's joints are no fault of ours, unless ours do not come at all.
-            if self.steady_s() - self._joints_s > _FRESH_S:
+            # Another device's joints are no fault of ours, unless ours never came.
+            if np.isinf(self._joints_s):
                 self._complain(str(error))
             return
         except JointStateError as error:

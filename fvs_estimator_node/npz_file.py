@@ -14,6 +14,9 @@ import numpy as np
 
 from fvs_ros.core.joints import UR_JOINT_NAMES
 
+#: More elements than this in one array, or text longer than this in a sentence, is nothing of ours.
+_MAX_ELEMENTS, _MAX_QUOTED = 2**27, 200
+
 
 class NpzFile:
     """The checked content of one file.
@@ -48,7 +51,7 @@ class NpzFile:
         self._arrays = self._read(max_bytes)
         found = self.text("format")
         if found != kind:
-            raise self.refusal(f"is of format {found!r}, expected {kind!r}")
+            raise self.refusal(f"is of format {clipped(repr(found))}, expected {kind!r}")
         number = self._get("version")
         if number.shape != () or number.dtype.kind not in "iu":
             raise self.refusal("has a version that is not a whole number")
@@ -59,7 +62,7 @@ class NpzFile:
 
     def refusal(self, what: str) -> ValueError:
         """An error to raise: the path and what is wrong with it."""
-        return self._error(f"{self.path} {what}")
+        return self._error(f"{self.path} {clipped(what, 4 * _MAX_QUOTED)}")
 
     def _read(self, max_bytes: int) -> dict[str, np.ndarray]:
         if self.path.is_dir():
@@ -106,7 +109,13 @@ class NpzFile:
             shape, _, dtype = header(stream)
         if dtype.hasobject or dtype.kind not in "biufU":
             raise self.refusal(f"holds {member.filename} of type {dtype}, expected numbers or text")
-        if int(np.prod(shape, dtype=object)) * dtype.itemsize > member.file_size:
+        count = int(np.prod(shape, dtype=object))
+        # Texts of no length take no room, however many.
+        if (
+            count > _MAX_ELEMENTS
+            or dtype.itemsize == 0
+            or count * dtype.itemsize > member.file_size
+        ):
             raise self.refusal(f"holds {member.filename} that claims to be larger than it is")
         with archive.open(member) as stream:
             return np.lib.format.read_array(stream, allow_pickle=False)
@@ -123,20 +132,26 @@ class NpzFile:
         value = self._get(name)
         if value.shape != () or value.dtype.kind != "U":
             raise self.refusal(f"has a field {name!r} that is not a text")
-        return str(value)
+        return self._strings(name, value)[0]
 
     def texts(self, name: str) -> tuple[str, ...]:
         """A list of texts."""
         value = self._get(name)
         if value.ndim != 1 or value.dtype.kind != "U":
             raise self.refusal(f"has a field {name!r} that is not a list of texts")
-        return tuple(str(element) for element in value)
+        return self._strings(name, value)
+
+    def _strings(self, name: str, value: np.ndarray) -> tuple[str, ...]:
+        try:
+            return tuple(str(element) for element in value.reshape(-1))
+        except (SystemError, ValueError):  # code points that there are not
+            raise self.refusal(f"has a field {name!r} with characters that do not exist") from None
 
     def json(self, name: str) -> dict[str, Any]:
         """A text field that holds a JSON object."""
         try:
             value = json.loads(self.text(name))
-        except (json.JSONDecodeError, RecursionError):
+        except (ValueError, RecursionError):  # no JSON, numbers without end, brackets without end
             value = None
         if not isinstance(value, dict):
             raise self.refusal(f"has a field {name!r} that is not a JSON object")
@@ -165,6 +180,8 @@ class NpzFile:
             raise self.refusal(f"has a field {name!r} of shape {value.shape}, expected {words}")
         if not np.all(np.isfinite(value)):
             raise self.refusal(f"has a field {name!r} with numbers that are not finite")
+        if value.dtype.kind == "u" and value.size and int(value.max()) > np.iinfo(np.int64).max:
+            raise self.refusal(f"has a field {name!r} with numbers beyond 64 bits with a sign")
         return value.astype(float) if value.dtype.kind == "f" else value
 
     def joint_names(self) -> tuple[str, ...]:
@@ -175,6 +192,11 @@ class NpzFile:
                 f"names the joints {list(names)}, expected {len(UR_JOINT_NAMES)} different names"
             )
         return names
+
+
+def clipped(text: str, length: int = _MAX_QUOTED) -> str:
+    """A text of a stranger's file, at most so long."""
+    return text if len(text) <= length else f"{text[:length]}…"
 
 
 def check_same(
@@ -188,11 +210,12 @@ def check_same(
     """Refuse other joints, another joint order, or another feature frame than expected."""
     if expected_joint_names is not None and tuple(joint_names) != tuple(expected_joint_names):
         raise error(
-            f"{what} has the joint order {list(joint_names)}, expected {list(expected_joint_names)}"
+            f"{what} has the joint order {clipped(str(list(joint_names)))}, expected "
+            f"{list(expected_joint_names)}"
         )
     if expected_feature_frame is not None and feature_frame != expected_feature_frame:
         raise error(
-            f"{what} has ball positions in the frame {feature_frame!r}, expected "
+            f"{what} has ball positions in the frame {clipped(repr(feature_frame))}, expected "
             f"{expected_feature_frame!r}"
         )
 

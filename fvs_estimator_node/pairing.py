@@ -54,6 +54,9 @@ class ExposureMatcher:
         jumped.
     max_waiting : int
         Number of ball positions that may wait for later joint states; the oldest gives way.
+    max_latency_s : float
+        A ball position stamped further than this before the newest joint state is not paired: no
+        camera is that slow, so the two clocks differ, s.
     """
 
     def __init__(
@@ -62,15 +65,22 @@ class ExposureMatcher:
         max_joint_gap_s: float = 0.1,
         max_backstep_s: float = 0.1,
         max_waiting: int = 10,
+        max_latency_s: float = 0.5,
     ) -> None:
-        if min(max_gap_s, max_joint_gap_s) <= 0.0 or max_backstep_s < 0.0 or max_waiting < 1:
+        if (
+            min(max_gap_s, max_joint_gap_s, max_latency_s) <= 0.0
+            or max_backstep_s < 0.0
+            or max_waiting < 1
+        ):
             raise ValueError(
-                "gaps must be positive, max_backstep_s not negative and max_waiting at least 1, "
-                f"got {max_gap_s}, {max_joint_gap_s}, {max_backstep_s}, {max_waiting}"
+                "gaps and max_latency_s must be positive, max_backstep_s not negative and "
+                f"max_waiting at least 1, got {max_gap_s}, {max_joint_gap_s}, {max_latency_s}, "
+                f"{max_backstep_s}, {max_waiting}"
             )
         self._max_gap_s = max_gap_s
         self._max_backstep_s = max_backstep_s
         self._max_waiting = max_waiting
+        self._max_latency_s = max_latency_s
         self._history = JointHistory(
             length_s=2.0, max_gap_s=max_joint_gap_s, max_backstep_s=max_backstep_s
         )
@@ -152,6 +162,12 @@ class ExposureMatcher:
         newest = self._history.newest_stamp_s
         while self._waiting and newest is not None and self._waiting[0][0] <= newest:
             stamp_s, ball_m = self._waiting.popleft()
+            if newest - stamp_s > self._max_latency_s:
+                self._drop(
+                    f"a ball position is stamped {newest - stamp_s:.2f} s before the newest joint "
+                    "state; check that both clocks agree (NTP)"
+                )
+                continue
             joints = self._history.at(stamp_s)
             if joints is None:
                 self._drop("the joint states have a gap at a ball position's exposure")

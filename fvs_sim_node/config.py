@@ -93,6 +93,12 @@ PARAMETERS = (
     ),
     Parameter("dropout", 0.0, "share of images that are lost", minimum=0.0, maximum=1.0, live=True),
     Parameter(
+        "camera_covered",
+        False,
+        "a hand on the lens: black images without depth, and so no ball",
+        live=True,
+    ),
+    Parameter(
         "joint_lag_s",
         0.0,
         "further lag of the joints behind the command",
@@ -117,12 +123,29 @@ PARAMETERS = (
         live=True,
     ),
     Parameter(
+        "extra_joints",
+        "",
+        "further joints mixed into joint_states (a gripper's), names separated by spaces",
+    ),
+    Parameter(
+        "nan_joint",
+        "",
+        "a joint, by its name in joint_states, whose position is NaN; empty for none",
+        live=True,
+    ),
+    Parameter(
         "play_driver_topics", True, "publish robot_program_running and speed_scaling as a UR does"
     ),
     Parameter(
         "program_running",
         True,
         "false: the robot's program is paused, the arm stands",
+        live=True,
+    ),
+    Parameter(
+        "announce_program_running",
+        True,
+        "false: nobody is told of a pause from now on; the arm just does not follow",
         live=True,
     ),
     Parameter(

@@ -29,6 +29,7 @@ class _Exposure:
     joints_rad: np.ndarray
     camera: CameraPose
     depth_noise: float
+    covered: bool
 
 
 class FrameWorker:
@@ -49,7 +50,12 @@ class FrameWorker:
         self._busy = False
 
     def expose(
-        self, stamp_s: float, joints_rad: np.ndarray, camera: CameraPose, depth_noise: float
+        self,
+        stamp_s: float,
+        joints_rad: np.ndarray,
+        camera: CameraPose,
+        depth_noise: float,
+        covered: bool = False,
     ) -> bool:
         """Ask for a frame.
 
@@ -63,6 +69,8 @@ class FrameWorker:
             Camera at the exposure.
         depth_noise : float
             Factor on the depth camera's noise.
+        covered : bool
+            Whether the lens was covered.
 
         Returns
         -------
@@ -71,7 +79,7 @@ class FrameWorker:
         """
         if self._busy:
             return False
-        self._pipe.send(_Exposure(stamp_s, joints_rad, camera, depth_noise))
+        self._pipe.send(_Exposure(stamp_s, joints_rad, camera, depth_noise, covered))
         self._busy = True
         return True
 
@@ -100,6 +108,9 @@ def _work(pipe: Connection, config: SimConfig) -> None:
     with contextlib.suppress(EOFError, BrokenPipeError):
         while True:
             wanted: _Exposure = pipe.recv()
+            if wanted.covered:
+                pipe.send(Frame.black(wanted.stamp_s, config.intrinsics))
+                continue
             world.reset(wanted.joints_rad)
             world.place_ball()
             rgb, depth_m = renderer.render(wanted.camera)

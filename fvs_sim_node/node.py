@@ -19,7 +19,7 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import Trigger
 
 from fvs_ros.core import ros
-from fvs_ros.core.joints import UR_JOINT_NAMES
+from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
 from fvs_sim_node.config import ALPHABETICAL, KINEMATIC, PARAMETERS
 from fvs_sim_node.frame_worker import FrameWorker
 from fvs_sim_node.simulation import BallObservation, Frame, SimConfig, SimStep, Simulation
@@ -46,6 +46,9 @@ class SimNode(ros.FvsNode):
         self._camera_home = self._sim.camera
         self._shuffle = np.random.default_rng(v["seed"])
         self._names = [v["tf_prefix"] + name for name in UR_JOINT_NAMES]
+        self._names += v["extra_joints"].split()
+        if len(set(self._names)) < len(self._names):
+            raise ValueError(f"extra_joints: a name comes twice in {self._names}")
         self._refusal = ""
         self._steps = 0
         self._late = 0
@@ -84,6 +87,8 @@ class SimNode(ros.FvsNode):
 
     def _play_driver(self, v: Mapping[str, Any]) -> None:
         self._program_running: Publisher | None = None
+        self._announced: bool | None = None
+        self._paused_active: bool | None = None  # was the controller, when the pause began?
         if not v["play_driver_topics"]:
             return
         self._program_running = self.create_publisher(
@@ -147,14 +152,19 @@ class SimNode(ros.FvsNode):
             order = np.argsort(self._names)
         elif self.values["joint_state_order"] != KINEMATIC:
             order = self._shuffle.permutation(len(self._names))
-        self._joint_states.publish(
-            ros.to_joint_state(
-                stamp_s,
-                [self._names[i] for i in order],
-                step.joints_rad[order],
-                step.joint_velocities_rad_s[order],
-            )
+        # Extra joints stand at zero. They have a position only, and the broadcaster puts NaN where
+        # a joint lacks an interface. A motor current stands in `effort`; this arm's weighs nothing.
+        extra = len(self._names) - N_JOINTS
+        positions = np.append(step.joints_rad, np.zeros(extra))
+        velocities = np.append(step.joint_velocities_rad_s, np.full(extra, np.nan))
+        currents = np.append(np.zeros(N_JOINTS), np.full(extra, np.nan))
+        if self.values["nan_joint"]:
+            positions[self._names.index(self.values["nan_joint"])] = np.nan
+        message = ros.to_joint_state(
+            stamp_s, [self._names[i] for i in order], positions[order], velocities[order]
         )
+        message.effort = currents[order].tolist()
+        self._joint_states.publish(message)
 
     def _publish_observation(self, observation: BallObservation) -> None:
         stamp_s = self._base_s + observation.stamp_s
@@ -169,6 +179,7 @@ class SimNode(ros.FvsNode):
                 observation.joints_rad,
                 observation.camera,
                 self._sim.depth_noise,
+                observation.covered,
             )
 
     def _publish_frame(self, frame: Frame) -> None:
@@ -197,7 +208,9 @@ class SimNode(ros.FvsNode):
     # --- inputs ---
 
     def _on_command(self, message: Float64MultiArray) -> None:
-        self._refusal = self._sim.command(np.array(message.data, dtype=float)) or ""
+        # While the program is paused the controller is inactive: commands go nowhere, in silence.
+        if self._paused_active is None:
+            self._refusal = self._sim.command(np.array(message.data, dtype=float)) or ""
         if self._refusal:
             self.get_logger().error(self._refusal, throttle_duration_sec=5.0)
         self._asked_s = None
@@ -209,12 +222,20 @@ class SimNode(ros.FvsNode):
         elapsed_s = self._sim.time_s
         self._base_s += elapsed_s
         self._sim.reset()
+        self._refusal = ""
+        if self._paused_active is not None:
+            self._paused_active = True
+            self._sim.deactivate()
         response.success, response.message = True, "the arm is back at initial_joints_rad"
         return response
 
     def on_parameters(self, values: dict[str, Any], changed: set[str]) -> None:
         """Take disturbances into use at once."""
+        nan_joint = values["nan_joint"]
+        if nan_joint and nan_joint not in self._names:
+            raise ValueError(f"nan_joint: there is no joint {nan_joint}, only {self._names}")
         sim = self._sim
+        sim.covered = values["camera_covered"]
         sim.latency_s = values["latency_s"]
         sim.depth_noise = values["depth_noise"]
         sim.dropout = values["dropout"]
@@ -222,16 +243,25 @@ class SimNode(ros.FvsNode):
         if "camera_rotation_deg" in changed:
             sim.camera = self._camera_home
             sim.rotate_camera(np.radians(values["camera_rotation_deg"]))
-        running = values["program_running"]
-        sim.speed_scaling = values["speed_scaling_percent"] / 100.0 if running else 0.0
-        if "program_running" in changed:
-            if running:
-                sim.activate()
-            else:
-                # A paused program stops the velocity controller: its last command is gone.
-                sim.command(np.zeros(len(self._names)))
-            if self._program_running is not None:
-                self._program_running.publish(Bool(data=bool(running)))
+        sim.speed_scaling = values["speed_scaling_percent"] / 100.0
+        self._play_program(values["program_running"], values["announce_program_running"])
+
+    def _play_program(self, running: bool, announce: bool) -> None:
+        """Do as a UR's driver when the robot's program stops, and when it is back.
+
+        The driver deactivates the velocity controller, so that its command is lost, and later
+        activates it by itself; but not one that a bad command had deactivated before.
+        """
+        if not running and self._paused_active is None:
+            self._paused_active = self._sim.active
+            self._sim.deactivate()
+        elif running and self._paused_active is not None:
+            if self._paused_active:
+                self._sim.activate()
+            self._paused_active = None
+        if self._program_running is not None and announce and running != self._announced:
+            self._announced = running
+            self._program_running.publish(Bool(data=bool(running)))
 
     # --- status ---
 

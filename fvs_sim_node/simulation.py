@@ -205,6 +205,12 @@ class Frame:
     rgb: np.ndarray
     depth_m: np.ndarray
 
+    @classmethod
+    def black(cls, stamp_s: float, intrinsics: Intrinsics) -> Frame:
+        """What a covered lens gives at an exposure, s: no light, no depth."""
+        shape = (intrinsics.height, intrinsics.width)
+        return cls(stamp_s, np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32))
+
 
 @dataclass(frozen=True)
 class BallObservation:
@@ -224,6 +230,8 @@ class BallObservation:
         Where the camera was.
     frame : Frame or None
         The image, if full frames are wanted.
+    covered : bool
+        Whether the lens was covered.
     """
 
     stamp_s: float
@@ -232,6 +240,7 @@ class BallObservation:
     joints_rad: np.ndarray
     camera: CameraPose
     frame: Frame | None
+    covered: bool = False
 
 
 @dataclass(frozen=True)
@@ -268,6 +277,8 @@ class Simulation:
         Live values of those in the configuration.
     full_frames : bool
         Whether to draw whole images and hand them out; slower, and with other random numbers.
+    covered : bool
+        Whether the lens is covered: images are black, and no ball is seen.
     camera : CameraPose
         Where the camera is now.
     """
@@ -297,6 +308,7 @@ class Simulation:
         self.depth_noise = cfg.depth_noise
         self.joint_lag_s = cfg.joint_lag_s
         self.full_frames = False
+        self.covered = False
         self.reset()
 
     def close(self) -> None:
@@ -320,7 +332,7 @@ class Simulation:
     ) -> None:
         """Start again at time 0 with the seed's noise, at rest.
 
-        Disturbances that were set (camera, latency, losses, lag, scaling) stay.
+        Disturbances that were set (camera, latency, losses, lag, scaling, cover) stay.
 
         Parameters
         ----------
@@ -367,12 +379,11 @@ class Simulation:
         """
         velocity = np.asarray(velocity_rad_s, dtype=float).ravel()
         if not self._active:
-            return "the velocity controller is inactive after a bad command; activate it again"
+            return "the velocity controller is inactive and takes no command; activate it first"
         if velocity.size == 0:
             return "an empty command was ignored; the last one goes on"
         if velocity.size != N_JOINTS:
-            self._active = False
-            self._actuator.command(np.zeros(N_JOINTS))
+            self.deactivate()
             return (
                 f"a command of {velocity.size} values deactivated the velocity controller; "
                 f"it takes {N_JOINTS}"
@@ -386,6 +397,11 @@ class Simulation:
     def active(self) -> bool:
         """Whether the velocity controller takes commands."""
         return self._active
+
+    def deactivate(self) -> None:
+        """Deactivate the velocity controller: its command is gone, and it takes none."""
+        self._active = False
+        self._actuator.command(np.zeros(N_JOINTS))
 
     def activate(self) -> None:
         """Activate the velocity controller again, at a zero command."""
@@ -437,6 +453,10 @@ class Simulation:
         return self._joints.copy()
 
     def _look(self) -> BallObservation:
+        if self.covered:
+            self._tracker.update(self.time_s, None)
+            black = Frame.black(self.time_s, self.intrinsics) if self.full_frames else None
+            return self._observe(None, black)
         if not self.config.rendered:
             return self._observe(self._know())
         self.world.place_ball()
@@ -464,6 +484,7 @@ class Simulation:
             self._joints.copy(),
             self.camera,
             frame,
+            self.covered,
         )
 
     def _know(self) -> BallDetection | None:

@@ -8,13 +8,15 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rclpy
 from geometry_msgs.msg import PointStamped
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
@@ -57,10 +59,12 @@ class Harness:
             "test_node",
             context=self.context,
             parameter_overrides=[Parameter("use_sim_time", value=simulated_time)],
+            start_parameter_services=False,  # each would be looked at in every spin
         )
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.processes: list[subprocess.Popen] = []
+        self._clients: dict[str, Any] = {}
 
     # --- processes ---
 
@@ -85,9 +89,13 @@ class Harness:
         self.processes.append(process)
         return process
 
-    def start_node(self, module: str, **parameters: Any) -> subprocess.Popen:
-        """Run a node with parameters."""
+    def start_node(
+        self, module: str, remaps: Mapping[str, str] | None = None, **parameters: Any
+    ) -> subprocess.Popen:
+        """Run a node with parameters and remaps of names."""
         arguments = ["--ros-args"]
+        for name, other in (remaps or {}).items():
+            arguments += ["-r", f"{name}:={other}"]
         for name, value in parameters.items():
             text = str(value).lower() if isinstance(value, bool) else str(value)
             arguments += ["-p", f"{name}:={text}"]
@@ -126,11 +134,19 @@ class Harness:
 
     def call(self, service_type: type, name: str, request: Any = None) -> Any:
         """Call a service and return its response."""
-        client = self.node.create_client(service_type, name)
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(service_type, name)
+        client = self._clients[name]
         self.spin_until(client.service_is_ready, what=f"service {name}")
         future = client.call_async(request or service_type.Request())
         self.spin_until(future.done, what=f"an answer of {name}")
         return future.result()
+
+    def set_parameters(self, node: str, **values: Any) -> list[SetParametersResult]:
+        """Set live parameters of a node; what it answered to each."""
+        parameters = [Parameter(name, value=value) for name, value in values.items()]
+        request = SetParameters.Request(parameters=[p.to_parameter_msg() for p in parameters])
+        return self.call(SetParameters, f"{node}/set_parameters", request).results
 
     def spin_for(self, seconds: float) -> None:
         """Receive for a while: for claims that something does not happen."""
@@ -139,14 +155,23 @@ class Harness:
             self.executor.spin_once(timeout_sec=0.02)
 
     def spin_until(
-        self, condition: Callable[[], bool], timeout_s: float = 15.0, what: str = "the condition"
+        self,
+        condition: Callable[[], bool],
+        timeout_s: float = 15.0,
+        what: str = "the condition",
+        story: Callable[[], str] = str,
     ) -> None:
-        """Receive until a condition holds; fail with every process's output if it never does."""
+        """Receive until a condition holds; fail with every process's output if it never does.
+
+        ``story`` says what else is worth knowing then.
+        """
         end_s = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() > end_s:
                 logs = "\n".join(f"--- {p.args}\n{self.output(p)}" for p in self.processes)
-                raise AssertionError(f"waited {timeout_s:g} s in vain for {what}\n{logs}")
+                raise AssertionError(
+                    f"waited {timeout_s:g} s in vain for {what}; {story()}\n{logs}"
+                )
             self.executor.spin_once(timeout_sec=0.02)
 
     def close(self) -> None:

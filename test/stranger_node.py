@@ -7,6 +7,7 @@ the last one holds for ever.
 usage: stranger_node.py SEED JOINT_RATE_HZ
 """
 
+import contextlib
 import sys
 import time
 
@@ -71,10 +72,8 @@ def main() -> None:
             truth.publish(point(epoch_s + stranger.time_s, stranger.ball_m))
 
     node.create_timer(stranger.period_s, step)
-    try:
+    with contextlib.suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
         rclpy.spin(node)
-    except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
-        pass
 
 
 if __name__ == "__main__":

@@ -23,8 +23,33 @@ from fvs_ros.core.schemes import scheme
 ALL_NODES = "/**"
 _NAME = r"~?/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*"
 _REMAP = re.compile(rf"({_NAME}:)?{_NAME}:=/?{_NAME}", re.ASCII)
+#: No scenario is larger; no refusal quotes more of it, characters.
+_MAX_BYTES, _QUOTED = 2**20, 300
 #: What rclpy declares for every node.
 _EVERYWHERE = ParameterSet([Parameter("use_sim_time", False, "follow /clock")])
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML without aliases: a few lines of them can unfold to more than any memory."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.events.AliasEvent):
+            raise yaml.YAMLError("aliases (*name) are not taken")
+        return super().compose_node(parent, index)
+
+
+def _read_yaml(text: str) -> Any:
+    """Read YAML of a stranger; a ``ValueError`` says in short what is wrong with it."""
+    try:
+        loader = _Loader(text)
+        try:
+            return loader.get_single_data()
+        finally:
+            loader.dispose()
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    except (yaml.YAMLError, ValueError, OverflowError) as error:
+        raise ValueError(str(error)[:_QUOTED]) from None
 
 
 class ScenarioError(ValueError):
@@ -132,9 +157,11 @@ class Scenario:
                     f"has a parameter {key.replace(':', '.')}"
                 )
             try:
-                value = yaml.safe_load(text)
-            except (yaml.YAMLError, ValueError) as error:
-                raise ScenarioError(f"'{override}' has a value that is no YAML") from error
+                value = _read_yaml(text)
+            except ValueError as error:
+                raise ScenarioError(
+                    f"'{override[:_QUOTED]}' has a value that is no YAML: {error}"
+                ) from error
             for target in targets:
                 parameters[target][name] = value
         return Scenario(self.path, _checked(self.path, parameters))
@@ -192,8 +219,10 @@ def load_scenario(name: str) -> Scenario:
     """
     try:
         path = find_file(name if Path(name).suffix else f"{name}.yaml")
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError) as error:
+        if path.stat().st_size > _MAX_BYTES:
+            raise ValueError(f"it is larger than {_MAX_BYTES >> 20} MB")
+        content = _read_yaml(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RuntimeError) as error:
         raise ScenarioError(f"cannot read scenario {name}: {error}") from error
     if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
         raise ScenarioError(f"scenario {path} must map node names to ros__parameters")

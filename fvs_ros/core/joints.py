@@ -28,6 +28,9 @@ UR_PUBLISHED_NAMES = tuple(sorted(UR_JOINT_NAMES))
 #: A UR turns each joint by so much to either side, rad, the elbow less; kinematic order.
 UR_POSITION_LIMITS_RAD = (2 * pi, 2 * pi, pi, 2 * pi, 2 * pi, 2 * pi)
 
+#: No joint is turned further than this, rad: a position beyond is a mistake of whoever sent it.
+LARGEST_RAD = 100.0
+
 
 #: The parameters by which a node knows its joints.
 JOINT_PARAMETERS = (
@@ -106,6 +109,9 @@ class JointMap:
                 )
             if missing:
                 raise JointStateError(f"joint_states lacks {missing}; it names {list(key)}")
+            twice = [name for name in self.names if key.count(name) > 1]
+            if twice:
+                raise JointStateError(f"joint_states names {twice} more than once")
             self._indices = [key.index(name) for name in self.names]
             self._cached_for = key
         if len(values) != len(key):

@@ -6,6 +6,8 @@ ROS declaration, the checks, the refusals and the checks of scenario files.
 
 from __future__ import annotations
 
+import reprlib
+import sys
 from array import array
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -14,6 +16,9 @@ from typing import Any
 import numpy as np
 
 _TYPES = (bool, int, float, str)
+
+#: What ROS can hold: 64 bits with a sign, and any finite number.
+_LARGEST = {int: 2**63 - 1, float: sys.float_info.max}
 
 
 class ParameterError(ValueError):
@@ -107,11 +112,13 @@ class Parameter:
         if isinstance(element, np.generic):
             element = element.item()
         if kind is float and isinstance(element, int) and not isinstance(element, bool):
+            if abs(element) > _LARGEST[int]:
+                raise self._refusal(whole)
             element = float(element)
         if not isinstance(element, kind) or (kind is int and isinstance(element, bool)):
             raise self._refusal(whole)
         if kind in (int, float):
-            if not np.isfinite(element):
+            if not -_LARGEST[kind] <= element <= _LARGEST[kind]:  # false for NaN, too
                 raise self._refusal(whole)
             if self.minimum is not None and element < self.minimum:
                 raise self._refusal(whole)
@@ -123,7 +130,8 @@ class Parameter:
 
     def _refusal(self, value: Any) -> ParameterError:
         given = list(value) if isinstance(value, array) else value
-        return ParameterError(f"parameter {self.name} must be {self.expected()}, got {given!r}")
+        words = reprlib.repr(given)  # of a stranger's value, so of limited length
+        return ParameterError(f"parameter {self.name} must be {self.expected()}, got {words}")
 
 
 class ParameterSet:

@@ -37,7 +37,10 @@ def find_file(name: str, folder: str = "config") -> Path:
     FileNotFoundError
         If it is nowhere; the text lists where it was looked for.
     """
-    given = Path(name).expanduser()
+    try:
+        given = Path(name).expanduser()
+    except RuntimeError:
+        raise FileNotFoundError(f"no file {name}: there is no such user") from None
     places = [given]
     if not given.is_absolute():
         places += [share / folder / given for share in _share_folders()]

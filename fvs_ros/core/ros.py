@@ -84,8 +84,8 @@ class MessageError(ValueError):
 
 
 def to_stamp(stamp_s: float) -> Time:
-    """ROS time of seconds since the clock's epoch."""
-    nanoseconds = round(stamp_s * 1e9)
+    """ROS time of seconds since the clock's epoch, within what a ``Time`` can hold."""
+    nanoseconds = min(max(round(stamp_s * 1e9), -(2**31) * 10**9), 2**31 * 10**9 - 1)
     return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
 
 
@@ -181,8 +181,18 @@ def from_jacobian(message: Float64MultiArray) -> np.ndarray:
 
 
 def to_command(velocity_rad_s: np.ndarray) -> Float64MultiArray:
-    """``Float64MultiArray`` of joint velocities, rad/s, shape (6,), kinematic order."""
-    return Float64MultiArray(data=np.asarray(velocity_rad_s, dtype=float).tolist())
+    """``Float64MultiArray`` of joint velocities, rad/s, shape (6,), kinematic order.
+
+    Raises
+    ------
+    MessageError
+        If they are not six finite numbers: a velocity controller would go on with its last
+        command, or be deactivated.
+    """
+    velocity = np.asarray(velocity_rad_s, dtype=float)
+    if velocity.shape != (N_JOINTS,) or not np.all(np.isfinite(velocity)):
+        raise MessageError(f"a command must be {N_JOINTS} finite numbers, got {velocity}")
+    return Float64MultiArray(data=velocity.tolist())
 
 
 def send_last_zeros(commands: Publisher) -> None:

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Bool, Float64MultiArray
@@ -21,16 +20,7 @@ def positions(message):
 
 
 def set_parameter(harness, name, value):
-    kinds = {
-        bool: (ParameterType.PARAMETER_BOOL, "bool_value"),
-        float: (ParameterType.PARAMETER_DOUBLE, "double_value"),
-        str: (ParameterType.PARAMETER_STRING, "string_value"),
-        list: (ParameterType.PARAMETER_DOUBLE_ARRAY, "double_array_value"),
-    }
-    kind, field = kinds[type(value)]
-    parameter = Parameter(name=name, value=ParameterValue(type=kind, **{field: value}))
-    request = SetParameters.Request(parameters=[parameter])
-    return harness.call(SetParameters, "fvs_sim_node/set_parameters", request).results[0]
+    return harness.set_parameters("fvs_sim_node", **{name: value})[0]
 
 
 def test_it_publishes_what_a_ur_and_a_detector_publish(ros_test):
@@ -131,15 +121,144 @@ def test_disturbances_are_live_and_refusals_are_in_words(ros_test):
     assert len(balls) == count
     refusal = set_parameter(ros_test, "dropout", 1.5)
     assert not refusal.successful
-    assert "dropout out of range Min: 0.0, Max: 1.0" in refusal.reason
+    assert "dropout must be number from 0 to 1, got 1.5" in refusal.reason
     refusal = set_parameter(ros_test, "feature_frame", "elsewhere")
     assert not refusal.successful
-    assert "read-only" in refusal.reason
+    assert any(words in refusal.reason for words in ("at start only", "read-only"))
+
+
+def fastest(message):
+    return max(abs(v) for v in message.velocity)
+
+
+def test_a_pause_is_announced_once_and_a_controller_that_comes_back_stands(ros_test):
+    ros_test.start_node(MODULE)
+    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    running = ros_test.collect(Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED)
+    commands = ros_test.publisher(Float64MultiArray, ros.COMMANDS)
+    ros_test.spin_until(lambda: states and running)
+    commands.publish(Float64MultiArray(data=[0.2, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    ros_test.spin_until(lambda: fastest(states[-1]) > 0.19, what="motion")
+    for _ in range(2):
+        assert set_parameter(ros_test, "program_running", False).successful
+    ros_test.spin_until(lambda: fastest(states[-1]) < 1e-3, what="the arm to stand")
+    # A command in the pause is lost, and whoever listens only now hears of the pause as well.
+    commands.publish(Float64MultiArray(data=[0.3, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    late = ros_test.collect(Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED)
+    ros_test.spin_until(lambda: bool(late), what="the latched pause")
+    assert [m.data for m in late] == [False]
+    for _ in range(2):
+        assert set_parameter(ros_test, "program_running", True).successful
+    ros_test.spin_until(lambda: len(running) == 3, what="the end of the pause")
+    count = len(states)
+    ros_test.spin_for(0.3)
+    assert len(states) > count
+    assert max(fastest(m) for m in states[count:]) < 1e-3
+    commands.publish(Float64MultiArray(data=[0.3, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    ros_test.spin_until(lambda: fastest(states[-1]) > 0.29, what="motion")
+    assert [m.data for m in running] == [True, False, True]
+
+
+def test_a_pause_without_a_word_stops_the_arm_all_the_same(ros_test):
+    ros_test.start_node(MODULE, announce_program_running=False)
+    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    running = ros_test.collect(Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED)
+    commands = ros_test.publisher(Float64MultiArray, ros.COMMANDS)
+    commands.publish(Float64MultiArray(data=[0.2, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    ros_test.spin_until(lambda: states and fastest(states[-1]) > 0.19, what="motion")
+    assert set_parameter(ros_test, "program_running", False).successful
+    ros_test.spin_until(lambda: fastest(states[-1]) < 1e-3, what="the arm to stand")
+    assert not running
+    assert set_parameter(ros_test, "announce_program_running", True).successful
+    ros_test.spin_until(lambda: bool(running), what="the pause to be told")
+    assert not running[0].data
+
+
+def test_a_controller_that_a_bad_command_deactivated_stays_so_after_a_pause(ros_test):
+    ros_test.start_node(MODULE)
+    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    statuses = ros_test.collect(DiagnosticStatus, "fvs_sim_node/status")
+    commands = ros_test.publisher(Float64MultiArray, ros.COMMANDS)
+    ros_test.spin_until(lambda: bool(states))
+    commands.publish(Float64MultiArray(data=[0.2] * 5))
+    ros_test.spin_until(
+        lambda: statuses and "deactivated" in statuses[-1].message, what="the refusal"
+    )
+    for running in (False, True):
+        assert set_parameter(ros_test, "program_running", running).successful
+    commands.publish(Float64MultiArray(data=[0.2, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    ros_test.spin_until(lambda: "inactive" in statuses[-1].message, what="the refusal")
+    assert fastest(states[-1]) < 1e-3
+
+
+def test_an_empty_command_changes_nothing(ros_test):
+    ros_test.start_node(MODULE)
+    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    statuses = ros_test.collect(DiagnosticStatus, "fvs_sim_node/status")
+    commands = ros_test.publisher(Float64MultiArray, ros.COMMANDS)
+    commands.publish(Float64MultiArray(data=[0.2, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    ros_test.spin_until(lambda: states and fastest(states[-1]) > 0.19, what="motion")
+    commands.publish(Float64MultiArray(data=[]))
+    ros_test.spin_until(lambda: statuses and "empty" in statuses[-1].message, what="a word")
+    assert fastest(states[-1]) > 0.19
+
+
+def test_a_gripper_in_the_joint_states_has_a_position_only(ros_test):
+    ros_test.start_node(MODULE, extra_joints="finger_joint a_thumb_joint", tf_prefix="ur_")
+    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    ros_test.spin_until(lambda: bool(states))
+    message = states[-1]
+    ours = ["ur_" + name for name in UR_JOINT_NAMES]
+    assert list(message.name) == sorted([*ours, "finger_joint", "a_thumb_joint"])
+    for name, position, velocity, effort in zip(
+        message.name, message.position, message.velocity, message.effort, strict=True
+    ):
+        assert np.isfinite(position)
+        assert np.isfinite([velocity, effort]).all() == (name in ours)
+    home = JointMap(tf_prefix="ur_").positions(message.name, message.position)
+    np.testing.assert_allclose(home, [0.0, -1.35, 1.6, -1.75, -1.57, 0.0], atol=1e-3)
+
+
+def test_a_joint_can_be_nan_for_a_while(ros_test):
+    ros_test.start_node(MODULE)
+    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    ros_test.spin_until(lambda: bool(states))
+    assert set_parameter(ros_test, "nan_joint", "elbow_joint").successful
+    ros_test.spin_until(lambda: not np.isfinite(states[-1].position).all(), what="NaN")
+    bad = [n for n, p in zip(states[-1].name, states[-1].position, strict=True) if np.isnan(p)]
+    assert bad == ["elbow_joint"]
+    assert set_parameter(ros_test, "nan_joint", "").successful
+    ros_test.spin_until(lambda: np.isfinite(states[-1].position).all(), what="no NaN")
+    refusal = set_parameter(ros_test, "nan_joint", "third_elbow")
+    assert not refusal.successful
+    assert "third_elbow" in refusal.reason
+
+
+@pytest.mark.parametrize("simulated_time", [False, True])
+def test_a_covered_camera_publishes_black_images_and_no_ball(ros_test, simulated_time):
+    small = {"image_width": 320, "image_height": 240, "focal_length_px": 300.0}
+    ros_test.start_node(MODULE, simulated_time=simulated_time, **small)
+    balls = ros_test.collect(PointStamped, ros.BALL_POSITION)
+    colours = ros_test.collect(Image, ros.COLOR_IMAGE, ros.QOS_RELIABLE)
+    depths = ros_test.collect(Image, ros.DEPTH_IMAGE, ros.QOS_RELIABLE)
+    ros_test.spin_until(lambda: balls and colours and depths, what="ball and images")
+    assert np.frombuffer(colours[-1].data, np.uint8).any()
+    assert set_parameter(ros_test, "camera_covered", True).successful
+    ros_test.spin_until(lambda: not np.frombuffer(depths[-1].data, np.uint8).any(), what="black")
+    ros_test.spin_until(lambda: not np.frombuffer(colours[-1].data, np.uint8).any(), what="black")
+    count, frames = len(balls), len(colours)
+    ros_test.spin_until(lambda: len(colours) > frames + 5, what="more images")
+    assert len(balls) == count
+    assert set_parameter(ros_test, "camera_covered", False).successful
+    ros_test.spin_until(lambda: len(balls) > count, what="the ball again")
+    ros_test.spin_until(lambda: np.frombuffer(colours[-1].data, np.uint8).any(), what="light")
 
 
 @pytest.mark.parametrize(
     ("parameters", "words"),
     [
+        ({"extra_joints": "elbow_joint"}, "extra_joints: a name comes twice"),
+        ({"nan_joint": "third_elbow"}, "there is no joint third_elbow"),
         ({"camera": "below"}, "camera must be one of front, overhead"),
         ({"sead": 3}, "unknown parameter sead"),
         ({"urdf_path": "/nowhere.urdf"}, "/nowhere.urdf"),

@@ -215,3 +215,17 @@ def test_the_monitor_has_no_ratio_when_the_ball_need_not_move():
     assert monitor.count == 100
     assert monitor.rms_m < 3e-3
     assert monitor.ratio is None
+
+
+@pytest.mark.parametrize("behind_s", [0.6, 1.0, 1.9, 3600.0])
+def test_images_of_a_clock_that_is_behind_make_no_step_and_it_says_so(behind_s):
+    pairing = StepPairing()
+    steps = []
+    for k in range(500):
+        t = 100.0 + 0.008 * k
+        steps += pairing.add_joints(t, joints_at(t))
+        if k % 4 == 0:
+            steps += pairing.add_ball(t - behind_s, ball_at(t))
+    assert steps == []
+    assert pairing.matcher.dropped > 100
+    assert "clocks agree" in pairing.matcher.last_reason

@@ -1,0 +1,147 @@
+"""The launcher hands names and values on as they are: no shell ever reads them."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+from pathlib import Path
+
+import pytest
+import yaml
+
+from fvs_ros.apps import launcher, scenario
+
+ROOT = Path(__file__).resolve().parents[2]
+PROGRAMS = [
+    path
+    for path in [*ROOT.glob("fvs_*/**/*.py"), *ROOT.glob("launch/*.py")]
+    if "__pycache__" not in path.parts
+]
+STARTERS = {"run", "Popen", "call", "check_call", "check_output"}
+HOSTILE = [
+    "; touch TRAP",
+    "$(touch TRAP)",
+    "`touch TRAP`",
+    "a && touch TRAP",
+    "a | touch TRAP",
+    "a\ntouch TRAP\n",
+    "'; touch TRAP; '",
+    '"; touch TRAP; "',
+    "--ros-args -p x:=1",
+    "-r __node:=other",
+    "$(env HOME)",
+    "${HOME}",
+    "%s%n",
+    "é☃",
+]
+
+#: Writes what it was started with, and ends.
+NODE = """
+import json, os, sys, pathlib
+params = sys.argv[sys.argv.index("--params-file") + 1]
+told = {"argv": sys.argv[1:], "params": pathlib.Path(params).read_text(encoding="utf-8")}
+pathlib.Path(os.environ["TOLD"]).write_text(json.dumps(told))
+"""
+
+
+def calls(path):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call):
+            function = node.func
+            owner = getattr(getattr(function, "value", None), "id", "")
+            name = getattr(function, "attr", getattr(function, "id", ""))
+            yield node, owner, name
+
+
+@pytest.mark.parametrize("path", PROGRAMS, ids=lambda p: str(p.relative_to(ROOT)))
+def test_no_program_starts_a_shell_or_runs_text(path):
+    for node, owner, name in calls(path):
+        where = f"{path}:{node.lineno}"
+        assert (owner, name) not in {("os", "system"), ("os", "popen")}, where
+        assert not (owner == "" and name in {"eval", "exec"}), where
+        assert name not in {"load_all", "unsafe_load", "full_load"}, where
+        assert not (owner == "yaml" and name == "load"), where
+        assert owner != "pickle", where
+        if owner == "subprocess" and name in STARTERS:
+            for keyword in node.keywords:
+                assert keyword.arg != "shell", where
+            assert not isinstance(node.args[0], (ast.Constant, ast.JoinedStr)), where
+
+
+@pytest.fixture
+def told(tmp_path, monkeypatch):
+    """A node of the table that tells how it was started, in a folder of its own."""
+    (tmp_path / "telling_node.py").write_text(NODE)
+    monkeypatch.setenv("TOLD", str(tmp_path / "told.json"))
+    monkeypatch.setenv(
+        "PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
+    )
+    entry = scenario.NodeEntry("fvs_demo_node", "telling_node", "fvs_ros.apps.demo", task=True)
+    monkeypatch.setitem(scenario.NODE_TABLE, "fvs_demo_node", entry)
+    monkeypatch.setattr(launcher.stop, "RECEIVED", [])
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "told.json"
+
+
+def launch(*arguments):
+    return launcher.main([*arguments])
+
+
+def trapped(folder):
+    return [path for path in folder.rglob("*") if "TRAP" in path.name]
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_a_hostile_value_reaches_the_node_as_it_is(told, text, tmp_path):
+    Path("some.yaml").write_text(
+        yaml.safe_dump({"fvs_demo_node": {"ros__parameters": {"model_path": text}}})
+    )
+    assert launch("some.yaml") == 0
+    heard = json.loads(told.read_text())
+    values = yaml.safe_load(heard["params"])["/**/fvs_demo_node"]["ros__parameters"]
+    assert values["model_path"] == text
+    assert heard["argv"][:2] == ["--ros-args", "--params-file"]
+    assert len(heard["argv"]) == 3
+    assert not trapped(tmp_path)
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_so_does_one_from_the_command_line(told, text, tmp_path):
+    Path("some.yaml").write_text("fvs_demo_node: {ros__parameters: {}}\n")
+    assert launch("some.yaml", "-p", f"model_path:={json.dumps(text)}") == 0
+    values = yaml.safe_load(json.loads(told.read_text())["params"])
+    assert values["/**/fvs_demo_node"]["ros__parameters"]["model_path"] == text
+    assert not trapped(tmp_path)
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_a_scenario_may_lie_under_a_hostile_name(told, text, tmp_path):
+    path = tmp_path / f"{text.replace('/', '_')}.yaml"
+    path.write_text("fvs_demo_node: {ros__parameters: {}}\n")
+    assert launch(str(path)) == 0
+    assert told.exists()
+    assert [found for found in trapped(tmp_path) if found != path] == []
+
+
+@pytest.mark.parametrize("text", [*HOSTILE, "a b", "a/../b", "1a", "a//b", "a\0b"])
+def test_a_hostile_namespace_is_refused(told, text, tmp_path, capsys):
+    Path("some.yaml").write_text("fvs_demo_node: {ros__parameters: {}}\n")
+    assert launch("some.yaml", f"--namespace={text}") == 2
+    assert "--namespace" in capsys.readouterr().err
+    assert not told.exists()
+    assert not trapped(tmp_path)
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_a_hostile_node_parameter_or_scheme_is_refused(told, text, tmp_path):
+    Path("some.yaml").write_text("fvs_demo_node: {ros__parameters: {}}\n")
+    Path("node.yaml").write_text(yaml.safe_dump({text: {"ros__parameters": {}}}))
+    Path("name.yaml").write_text(yaml.safe_dump({"fvs_demo_node": {"ros__parameters": {text: 1}}}))
+    assert launch("node.yaml") == 2
+    assert launch("name.yaml") == 2
+    assert launch("some.yaml", f"--scheme={text}") == 2
+    assert launch("some.yaml", f"--param={text}:=1") == 2
+    assert not told.exists()
+    assert not trapped(tmp_path)
