@@ -42,7 +42,7 @@ experiments: $(VENV)/.installed-lab log-dir ## the paper's experiments, measured
 	@ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST \
 		$(BIN)/fvs_experiments $(or $(NAME),all) $(ARGS)
 
-bench: $(VENV)/.installed-model log-dir ## measurements of bench/, as tables
+bench: $(VENV)/.installed-all log-dir ## measurements of bench/, as tables
 	@echo "== benchmarks: some minutes; keep the machine idle"
 	@$(BIN)/python -m bench $(ARGS)
 

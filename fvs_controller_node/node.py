@@ -24,6 +24,7 @@ from fvs_ros.core import ros
 from fvs_ros.core.joints import ForeignJointsError, JointMap, JointStateError
 
 _STATUS_PERIOD_S = 0.1
+_RIVALS_PERIOD_S = 0.5
 #: Without a joint state for so many tick periods the watchdog ticks in its place.
 _WATCHDOG_PERIODS = 2.5
 #: A latched target is heard by both subscriptions, within this.
@@ -55,6 +56,7 @@ class ControllerNode(ros.FvsNode):
         self._heard_target: tuple | None = None
         self._heard_target_s = -np.inf
         self._refusal = ""
+        self._rivals = ""
         self._command: Command | None = None
 
         self._commands = self.create_publisher(Float64MultiArray, ros.COMMANDS, ros.QOS_RELIABLE)
@@ -83,6 +85,7 @@ class ControllerNode(ros.FvsNode):
         )
         self.create_timer(self._period_s, self._watchdog, clock=self.steady_clock)
         self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
+        self.create_timer(_RIVALS_PERIOD_S, self._look_for_rivals, clock=self.steady_clock)
 
     # --- inputs ---
 
@@ -206,12 +209,21 @@ class ControllerNode(ros.FvsNode):
         command = self._command
         if command is None:
             return
-        text = f"{command.text} ({self._refusal})" if self._refusal else command.text
+        remarks = [self._refusal] if self._refusal else []
+        if self._rivals:
+            remarks.append(f"{self._rivals} commands the arm as well: stop it")
+        text = f"{command.text} ({'; '.join(remarks)})" if remarks else command.text
         values = self._loop.status_values(self.steady_s())
         values.pop("state", None)
         self.publish_status(
-            _LEVELS[command.state], command.state.value, text, {**values, "late_ticks": self._late}
+            max(_LEVELS[command.state], ros.WARN if self._rivals else ros.OK),
+            command.state.value,
+            text,
+            {**values, "late_ticks": self._late, "other_commanders": self._rivals},
         )
+
+    def _look_for_rivals(self) -> None:
+        self._rivals = ", ".join(self.other_publishers(ros.COMMANDS))
 
     def diagnostic_values(self) -> dict[str, Any]:
         """Ticks that the watchdog made."""

@@ -399,12 +399,8 @@ class Supervisor:
         self, now_s: float, dt_s: float, joints: np.ndarray | None
     ) -> Finding | None:
         """Find what only shows while the arm moves."""
-        findings = (
-            self._bad_prediction(now_s, dt_s),
-            self._no_progress(),
-            self._does_not_follow(joints, dt_s),
-        )
-        return next((finding for finding in findings if finding is not None), None)
+        not_following = self._does_not_follow(joints, dt_s)  # always heard: it counts the time
+        return self._bad_prediction(now_s, dt_s) or self._no_progress() or not_following
 
     def _bad_prediction(self, now_s: float, dt_s: float) -> Finding | None:
         ratio, config = self._ratio(now_s), self._config

@@ -7,7 +7,7 @@ of view sends it back toward where it started.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from math import isfinite
@@ -105,6 +105,7 @@ class CollectionRun:
         self._speed_scaling = 1.0
         self._moved_s = 0.0
         self._trouble_s: float | None = None
+        self._rivals = ""
         self.state = State.WAITING
         self.reason = "waiting for joint_states"
         self.samples: list[BallSample] = []
@@ -143,6 +144,14 @@ class CollectionRun:
         """Tell the robot's speed scaling, 0 to 1."""
         self._speed_scaling = share
 
+    def rivals(self, names: Sequence[str]) -> None:
+        """Tell who else publishes joint commands: two commanders make an arm jerk."""
+        self._rivals = ", ".join(names)
+        if self._rivals and self._motion is not None:
+            self.fail(
+                f"{self._rivals} began to command the arm as well; stop it, then collect again"
+            )
+
     def fail(self, reason: str) -> None:
         """End the run: the arm ramps to rest, what was recorded stays."""
         if self.state not in (State.DONE, State.FAILED):
@@ -174,8 +183,9 @@ class CollectionRun:
     def _decide(self, now_s: float, dt_s: float) -> None:
         late = self._late_joints(now_s)
         lost = self._lost_ball(now_s)
-        if late or (lost and self._motion is None):
-            self._wait(now_s, State.HOLDING, late or lost)
+        rivals = f"{self._rivals} commands the arm as well; stop it first" if self._rivals else ""
+        if late or ((lost or rivals) and self._motion is None):
+            self._wait(now_s, State.HOLDING, late or lost or rivals)
             return
         assert self._joints is not None
         self._watch_following(dt_s)

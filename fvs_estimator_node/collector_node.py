@@ -32,6 +32,7 @@ from fvs_ros.core.joints import (
 _STATUS_PERIOD_S = 0.1
 _WATCHDOG_S = 0.02
 _MIN_SAMPLES = 30
+_RIVALS_PERIOD_S = 0.25
 
 
 class CollectorNode(ros.FvsNode):
@@ -76,6 +77,7 @@ class CollectorNode(ros.FvsNode):
         self.watch(Float64, ros.SPEED_SCALING, self._on_speed_scaling, ros.QOS_NEWEST)
         self.create_timer(_WATCHDOG_S, self._watchdog, clock=self.steady_clock)
         self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
+        self.create_timer(_RIVALS_PERIOD_S, self._look_for_rivals, clock=self.steady_clock)
 
     def _make_motion(self, start_rad: np.ndarray) -> RandomMotion:
         v = self.values
@@ -125,6 +127,9 @@ class CollectorNode(ros.FvsNode):
             self._run.fail(f"the robot's speed scaling is {message.data:g} %, not above 0")
         else:
             self._run.speed_scaling(min(message.data, 100.0) / 100.0)
+
+    def _look_for_rivals(self) -> None:
+        self._run.rivals(self.other_publishers(ros.COMMANDS))
 
     # --- the tick: the only place that sends commands ---
 

@@ -1,8 +1,9 @@
 """A robot and a camera that the package has never seen: six random axes, a random view, in numpy.
 
 Nothing here is shared with the simulator: another kinematics (random screw axes), another drive,
-another camera, white noise on the ball positions. The closed loops without ROS drive it directly;
-``stranger_node.py`` puts it behind the topics.
+another camera, white noise on the ball positions. It answers to the same calls as the package's
+simulation, so that the laboratory's ``LockStep`` can drive it; ``stranger_node.py`` puts it behind
+the topics.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ class StrangerConfig:
     ----------
     seed : int
         Which robot, which camera, and which noise.
-    joint_rate_hz, image_rate_hz : float
+    joint_state_rate_hz, image_rate_hz : float
         Joint states and ball positions a second.
     noise_m : float
         Standard deviation of each coordinate of a ball position, m.
@@ -35,7 +36,7 @@ class StrangerConfig:
     """
 
     seed: int = 0
-    joint_rate_hz: float = 125.0
+    joint_state_rate_hz: float = 125.0
     image_rate_hz: float = 30.0
     noise_m: float = 0.001
     latency_s: float = 0.03
@@ -114,11 +115,27 @@ def _turn(axis: np.ndarray, angle: float) -> np.ndarray:
 
 
 @dataclass(frozen=True)
+class Detection:
+    """Where the ball was seen, m, shape (3,)."""
+
+    position_m: np.ndarray
+
+
+@dataclass(frozen=True)
 class Seen:
-    """A ball position as it is published: exposure, s, and position, m, shape (3,)."""
+    """A ball position as it is published: exposure, s, and what was seen."""
 
     stamp_s: float
-    position_m: np.ndarray
+    detection: Detection
+
+
+@dataclass(frozen=True)
+class Step:
+    """After a joint-state period: time, s, joints, rad, and the ball positions published in it."""
+
+    time_s: float
+    joints_rad: np.ndarray
+    observations: tuple[Seen, ...]
 
 
 class Stranger:
@@ -144,7 +161,7 @@ class Stranger:
         self._steps = 0
         self._images = 0
         self._pending: deque[Seen] = deque()
-        self.period_s = 1.0 / self.config.joint_rate_hz
+        self.period_s = 1.0 / self.config.joint_state_rate_hz
 
     @property
     def time_s(self) -> float:
@@ -168,8 +185,8 @@ class Stranger:
         assert np.isfinite(velocity).all(), f"not finite: {velocity}"
         self._command = velocity.copy()
 
-    def advance(self) -> list[Seen]:
-        """Let one joint-state period pass; returns the ball positions published in it."""
+    def advance(self) -> Step:
+        """Let one joint-state period pass."""
         for _ in range(round(self.period_s / self._STEP_S)):
             self._velocity = self._velocity + self._blend * (self._command - self._velocity)
             self._joints = self._joints + self._STEP_S * self._velocity
@@ -177,8 +194,8 @@ class Stranger:
             if self.time_s * self.config.image_rate_hz >= self._images:
                 self._images += 1
                 noise = self.config.noise_m * self._rng.standard_normal(3)
-                self._pending.append(Seen(self.time_s, self.ball_m + noise))
+                self._pending.append(Seen(self.time_s, Detection(self.ball_m + noise)))
         seen = []
         while self._pending and self._pending[0].stamp_s + self.config.latency_s <= self.time_s:
             seen.append(self._pending.popleft())
-        return seen
+        return Step(self.time_s, self.joints_rad, tuple(seen))

@@ -44,7 +44,9 @@ def point(seconds: float, position: np.ndarray) -> PointStamped:
 
 
 def main() -> None:
-    stranger = Stranger(StrangerConfig(seed=int(sys.argv[1]), joint_rate_hz=float(sys.argv[2])))
+    stranger = Stranger(
+        StrangerConfig(seed=int(sys.argv[1]), joint_state_rate_hz=float(sys.argv[2]))
+    )
     rclpy.init()
     node = rclpy.create_node("ur_robot_driver")
     joint_states = node.create_publisher(JointState, "joint_states", 10)
@@ -61,8 +63,8 @@ def main() -> None:
 
     def step() -> None:
         while stranger.time_s + stranger.period_s <= time.monotonic() - started_s:
-            for seen in stranger.advance():
-                ball.publish(point(epoch_s + seen.stamp_s, seen.position_m))
+            for seen in stranger.advance().observations:
+                ball.publish(point(epoch_s + seen.stamp_s, seen.detection.position_m))
             positions = dict(zip(NAMES, stranger.joints_rad, strict=True), gripper_joint=0.3)
             message = JointState()
             message.header.stamp = stamp(epoch_s + stranger.time_s)

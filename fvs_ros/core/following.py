@@ -11,6 +11,9 @@ from fvs_ros.core.joints import N_JOINTS
 #: Motions are summed with this memory, s: much longer than a drive's lag.
 _MEMORY_S = 0.5
 
+#: They are compared this often, s; a tick only adds up.
+_LOOK_S = 0.04
+
 #: Less commanded motion than this within the memory says nothing, rad.
 _LEAST_COMMANDED_RAD = 0.01
 
@@ -47,6 +50,8 @@ class Following:
         self._moved = np.zeros(N_JOINTS)
         self._joints: np.ndarray | None = None
         self._off_s = 0.0
+        self._pending = np.zeros(N_JOINTS)
+        self._pending_s = 0.0
 
     def add(
         self, command_rad_s: np.ndarray, joints_rad: np.ndarray, scaling: float, dt_s: float
@@ -64,12 +69,18 @@ class Following:
         dt_s : float
             Time since the last tick, s.
         """
-        keep = _MEMORY_S / (_MEMORY_S + dt_s)
-        if self._joints is not None:
-            self._moved = keep * (self._moved + joints_rad - self._joints)
-        self._joints = joints_rad
-        self._commanded = keep * (self._commanded + scaling * dt_s * command_rad_s)
-        self._off_s = self._off_s + dt_s if self._worst() is not None else 0.0
+        if self._joints is None:
+            self._joints = joints_rad
+            return
+        self._pending += (scaling * dt_s) * command_rad_s
+        self._pending_s += dt_s
+        if self._pending_s < _LOOK_S:
+            return
+        passed_s, keep = self._pending_s, _MEMORY_S / (_MEMORY_S + self._pending_s)
+        self._moved = keep * (self._moved + joints_rad - self._joints)
+        self._commanded = keep * (self._commanded + self._pending)
+        self._joints, self._pending, self._pending_s = joints_rad, np.zeros(N_JOINTS), 0.0
+        self._off_s = self._off_s + passed_s if self._worst() is not None else 0.0
 
     def _worst(self) -> int | None:
         """Find the joint that should have moved most, if it did not."""
@@ -82,7 +93,9 @@ class Following:
 
     def refusal(self, time_s: float) -> Refusal | None:
         """Name the joint that has not followed for ``time_s``; None if all do."""
+        if self._off_s < time_s or self._off_s <= 0.0:
+            return None
         joint = self._worst()
-        if joint is None or self._off_s < time_s:
+        if joint is None:
             return None
         return Refusal(joint, float(self._commanded[joint]), float(self._moved[joint]))

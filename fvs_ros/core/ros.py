@@ -495,6 +495,18 @@ class FvsNode(Node):
         """Arrival statistics of a watched input."""
         return self._monitors[topic]
 
+    def other_publishers(self, topic: str) -> list[str]:
+        """Full names of other nodes that publish on a topic, sorted.
+
+        A node that was killed stays in the graph for some twenty seconds.
+        """
+        own = self.get_fully_qualified_name()
+        found = {
+            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            for info in self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
+        }
+        return sorted(found - {own})
+
     def publish_status(
         self, level: bytes, state: str, reason: str, values: Mapping[str, Any]
     ) -> None:

@@ -120,6 +120,22 @@ def test_joint_states_lost_at_the_very_end_do_not_lose_the_data():
     assert len(cell.run.samples) > 0.8 * DURATION_S * 31
 
 
+def test_it_waits_while_another_node_commands_the_arm():
+    cell = Cell()
+    cell.run.rivals(["/fvs_controller_node"])
+    cell.advance(1.0)
+    assert cell.run.state is State.WAITING
+    assert "/fvs_controller_node commands the arm as well" in cell.run.reason
+    assert not np.any(cell.commands)
+    cell.run.rivals([])
+    cell.advance(0.5)
+    assert cell.run.state is State.MOVING
+    cell.run.rivals(["/fvs_controller_node"])
+    cell.advance(1.0)
+    assert cell.run.state is State.FAILED
+    assert not np.any(cell.commands[-1])
+
+
 def test_failing_from_outside_brings_the_arm_to_rest():
     cell = Cell()
     cell.advance(5.0)

@@ -145,7 +145,16 @@ def test_ruff_is_the_same_in_pre_commit():
     assert re.search(rf"^ruff>={re.escape(version)}\.", constraints, re.M)
 
 
-@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "docs/architecture.md"])
+@pytest.mark.parametrize(
+    "page",
+    [
+        "README.md",
+        "CONTRIBUTING.md",
+        "docs/architecture.md",
+        "docs/real_ur5.md",
+        "docs/reference.md",
+    ],
+)
 def test_pages_are_finished_and_their_links_lead_somewhere(page):
     text = (ROOT / page).read_text(encoding="utf-8")
     assert "@@" not in text
