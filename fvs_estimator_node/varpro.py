@@ -8,7 +8,8 @@ torch.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import torch
@@ -21,6 +22,18 @@ Batch = tuple[np.ndarray, np.ndarray, np.ndarray]
 _BETAS = (0.9, 0.99)
 
 
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let torch use one core: for matrices this small, threads mostly wait for each other."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+@_one_thread()
 def refine(
     centres: np.ndarray,
     widths: np.ndarray,

@@ -141,11 +141,11 @@ def report(result: TrainingResult, seconds: float) -> str:
 
 
 class _Bar:
-    """A progress bar on a terminal, silence elsewhere; ends the training when time is over."""
+    """A progress bar, seldom redrawn off a terminal; ends the training when time is over."""
 
     def __init__(self, max_seconds: float | None, quiet: bool) -> None:
         self._max_seconds = max_seconds
-        self._quiet = quiet or not sys.stderr.isatty()
+        self._quiet = quiet
         self._started_s = time.monotonic()
         self._bar: Any = None
         self.out_of_time = False
@@ -172,7 +172,13 @@ class _Bar:
             except ImportError:
                 self._quiet = True
                 return
-            self._bar = tqdm(total=progress.iterations, desc="training", unit="it", leave=False)
+            self._bar = tqdm(
+                total=progress.iterations,
+                desc="training",
+                unit="it",
+                leave=False,
+                mininterval=0.2 if sys.stderr.isatty() else 10.0,
+            )
         self._bar.update(progress.iteration - self._bar.n)
         self._bar.set_postfix_str(f"error {100.0 * progress.validation_error:.2f} %")
 
