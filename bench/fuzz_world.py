@@ -655,6 +655,27 @@ def _silence(world: World, rng: np.random.Generator, scene: Scene) -> None:
         world.calm(8)
 
 
+def _abandon(world: World, rng: np.random.Generator, scene: Scene) -> None:
+    """Let an input be silent for longer than a hold may last, then come back."""
+    world.reconfigure([("resume_within_s", 0.5)])
+    who = (JOINT_STATES, BALL, JACOBIAN)[scene.variant % 3]
+    world.calm(60 + scene.ticks, silent=(who,), steady_s=0.03, ros_s=0.03)
+    world.calm(10)
+    if rng.random() < 0.5:
+        world.start()
+        world.calm(scene.ticks)
+
+
+def _rival(world: World, rng: np.random.Generator, scene: Scene) -> None:
+    """Let another node command the arm, or one's own commands come back."""
+    for k in range(scene.ticks):
+        own = scene.variant % 2 and k % 2
+        data = list(world._last) if own else [float(v) for v in rng.normal(size=6)]
+        world.node._on_any_command(Float64MultiArray(data=data))
+        world.calm(1)
+    world.calm(3 * scene.ticks)
+
+
 def _freeze(world: World, _rng: np.random.Generator, scene: Scene) -> None:
     frozen = ((JOINT_STATES,), (BALL,), (JOINT_STATES, BALL))[scene.variant % 3]
     world.calm(scene.ticks, frozen=frozen)
@@ -1008,6 +1029,8 @@ SCENES: dict[str, tuple[int, Callable[[World, np.random.Generator, Scene], None]
     "target": (3, _target),
     "services": (2, _services),
     "silence": (2, _silence),
+    "abandoned": (1, _abandon),
+    "rival": (1, _rival),
     "frozen stamps": (1, _freeze),
     "clocks": (3, _clocks),
     "odd tick": (1, _odd_tick),

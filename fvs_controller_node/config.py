@@ -182,6 +182,14 @@ _SUPERVISION = (
         live=True,
     ),
     Parameter(
+        "resume_within_s",
+        _DEFAULT.resume_within_s,
+        "An arm that was held for longer needs a new start, s.",
+        0.5,
+        1e6,
+        live=True,
+    ),
+    Parameter(
         "settled_error_m",
         _PROGRESS.settled_error_m,
         "Settled when the error stays below this, m.",
@@ -368,6 +376,7 @@ _SAME_NAME = (
     "prediction_hold",
     "prediction_hold_time_s",
     "follow_time_s",
+    "resume_within_s",
 )
 
 

@@ -6,6 +6,8 @@ object.
 
 from __future__ import annotations
 
+from math import pi
+
 import numpy as np
 
 from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
@@ -14,6 +16,10 @@ from fvs_controller_node.reasons import State
 from fvs_controller_node.supervisor import Command, Supervisor
 from fvs_controller_node.supervisor_config import BALL, JOINT_STATES
 from fvs_ros.core.history import StampGate
+
+#: No joint is faster, nor a step between joint states larger than this besides, rad/s and rad;
+#: after a longer gap than this nothing is said, s.
+_FASTEST_RAD_S, _JUMP_RAD, _JUMP_S = 1.5 * pi, 0.1, 0.5
 
 
 class ServoLoop:
@@ -35,16 +41,37 @@ class ServoLoop:
         self.supervisor = supervisor
         self._joint_stamps, self._ball_stamps = StampGate(), StampGate()
         self._joints: np.ndarray | None = None
+        self._heard_joints: tuple[float, np.ndarray | None] = (0.0, None)
         self._jacobian: np.ndarray | None = None
 
     def add_joints(self, now_s: float, stamp_s: float, joints_rad: np.ndarray) -> None:
         """Tell a joint state: arrival on the steady clock and stamp, s; positions (6,), rad."""
         if not self._joint_stamps.advances(stamp_s):
             self.supervisor.stuck(now_s, JOINT_STATES)
+            return
+        jump = self._jump(stamp_s, joints_rad)
+        if jump:
+            self.supervisor.bad_input(now_s, JOINT_STATES, jump)
         elif self.supervisor.joint_states(now_s, joints_rad):
             self._joints = np.array(joints_rad, dtype=float)
             if self._jacobian is not None:
                 self.predictor.add_joints(stamp_s, self._joints, self._jacobian)
+
+    def _jump(self, stamp_s: float, joints_rad: np.ndarray) -> str:
+        """Say what is impossible about a joint state after the last one; empty if nothing is."""
+        before_s, before = self._heard_joints
+        self._heard_joints = (stamp_s, joints_rad)
+        passed_s = stamp_s - before_s
+        if before is None or before.shape != joints_rad.shape or not 0.0 < passed_s < _JUMP_S:
+            return ""
+        moved = np.abs(joints_rad - before)
+        joint = int(moved.argmax())
+        if not moved[joint] > _JUMP_RAD + _FASTEST_RAD_S * passed_s:
+            return ""
+        return (
+            f"{self.supervisor.config.joint_names[joint]} jumped by {moved[joint]:.2f} rad in "
+            f"{passed_s:.3f} s; do two nodes publish joint states?"
+        )
 
     def add_ball(
         self, now_s: float, stamp_s: float, position_m: np.ndarray, frame: str | None = None

@@ -7,6 +7,7 @@ from fvs_ros.core import stop
 stop.listen()
 
 import sys
+from collections import deque
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ from fvs_ros.core.joints import ForeignJointsError, JointMap, JointStateError
 
 _STATUS_PERIOD_S = 0.1
 _RIVALS_PERIOD_S = 0.5
+#: Own commands that are remembered, to tell a rival's from them.
+_SENT = 64
 #: Without a joint state for so many tick periods the watchdog ticks in its place.
 _WATCHDOG_PERIODS = 2.5
 #: A latched target is heard by both subscriptions, within this.
@@ -57,6 +60,8 @@ class ControllerNode(ros.FvsNode):
         self._heard_target_s = -np.inf
         self._refusal = ""
         self._rivals = ""
+        self._rivals_commands: Any = None  # subscribed while there is a rival
+        self._sent: deque[tuple[float, ...]] = deque(maxlen=_SENT)
         self._command: Command | None = None
 
         self._commands = self.create_publisher(Float64MultiArray, ros.COMMANDS, ros.QOS_RELIABLE)
@@ -190,7 +195,9 @@ class ControllerNode(ros.FvsNode):
 
     def _tick(self, now_s: float, dt_s: float) -> None:
         command = self._loop.tick(now_s, dt_s)
-        self._commands.publish(ros.to_command(command.velocity_rad_s))
+        message = ros.to_command(command.velocity_rad_s)
+        self._sent.append(tuple(message.data))
+        self._commands.publish(message)
         self._ticked_s = now_s
         if command.output is not None and self._stamp_s is not None:
             self._sliding.publish(
@@ -211,7 +218,7 @@ class ControllerNode(ros.FvsNode):
             return
         remarks = [self._refusal] if self._refusal else []
         if self._rivals:
-            remarks.append(f"{self._rivals} commands the arm as well: stop it")
+            remarks.append(f"{self._rivals} publishes commands as well: stop it")
         text = f"{command.text} ({'; '.join(remarks)})" if remarks else command.text
         values = self._loop.status_values(self.steady_s())
         values.pop("state", None)
@@ -223,7 +230,20 @@ class ControllerNode(ros.FvsNode):
         )
 
     def _look_for_rivals(self) -> None:
+        """Listen to the commands while others publish there: a killed node may just be listed."""
         self._rivals = ", ".join(self.other_publishers(ros.COMMANDS))
+        if self._rivals and self._rivals_commands is None:
+            self._rivals_commands = self.create_subscription(
+                Float64MultiArray, ros.COMMANDS, self._on_any_command, ros.QOS_RELIABLE
+            )
+        elif not self._rivals and self._rivals_commands is not None:
+            self.destroy_subscription(self._rivals_commands)
+            self._rivals_commands = None
+
+    def _on_any_command(self, message: Float64MultiArray) -> None:
+        # One's own come back, too. A rival that says what was just said here does no harm.
+        if tuple(message.data) not in self._sent:
+            self._loop.supervisor.rival(self.steady_s(), self._rivals or "another node")
 
     def diagnostic_values(self) -> dict[str, Any]:
         """Ticks that the watchdog made."""

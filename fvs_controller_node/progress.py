@@ -59,11 +59,6 @@ class Progress:
         self._mark_m = float("inf")  # the best error when progress was last made
         self._since_mark_s = 0.0
 
-    def pause(self) -> None:
-        """Stop the time of growth and stall: the arm is held."""
-        self._up_s = 0.0
-        self._since_mark_s = 0.0
-
     @property
     def best_m(self) -> float:
         """Least smoothed error since the start, m."""
@@ -90,15 +85,14 @@ class Progress:
         return self._since_mark_s >= self.limits.stall_time_s
 
     def add(self, error_m: float, dt_s: float, servoing: bool) -> None:
-        """Tell the norm of the error at a tick, m; the growth counts while servoing only."""
+        """Tell the norm of the error at a tick, m; growth and stall count while servoing only."""
         if self._smooth_m is None:
             self._smooth_m = error_m
         self._smooth_m += (error_m - self._smooth_m) * dt_s / (dt_s + _SMOOTHING_S)
         near = self._smooth_m < self.limits.settled_error_m
         self._near_s = self._near_s + dt_s if near else 0.0
         if not servoing:
-            self._up_s = 0.0
-            return
+            return  # the times stand still: a short gap in the inputs must not forgive what was
         self._best_m = min(self._best_m, self._smooth_m)
         up = (
             self._smooth_m > self.limits.growth_factor * self._best_m

@@ -111,6 +111,18 @@ class Reason(Enum):
         "{moved_rad:.2f} rad; check that the velocity controller is active, the robot program runs "
         "and no protective stop is on, then call ~/start",
     )
+    RIVAL = (
+        State.HOLDING,
+        Stop.RAMP,
+        True,
+        "{name} commands the arm as well; stop it, then call ~/start",
+    )
+    HELD_LONG = (
+        State.HOLDING,
+        Stop.RAMP,
+        True,
+        "held for more than {limit_s:.0f} s, since {why}; call ~/start to go on",
+    )
     PROGRAM_STOPPED = (
         State.HOLDING,
         Stop.AT_ONCE,

@@ -15,18 +15,24 @@ class SingularityWatch:
 
     def __init__(self) -> None:
         self._held = False
-        self._leaving_above: float | None = None
+        self._floor: float | None = None  # the value must stay above it while the arm leaves
+        self._leaving = False
+
+    @property
+    def leaving(self) -> bool:
+        """Whether the arm is on its way out, on request."""
+        return self._leaving
 
     def stay(self) -> None:
-        """Forget a request to leave."""
-        self._leaving_above = None
+        """End the permission to leave; the floor stays until the arm is out."""
+        self._leaving = False
 
     def leave(self, value: float, hold: float) -> bool:
         """Let a held arm leave, unless the value says nothing at all; returns whether it may."""
-        if value < _HOPELESS_SHARE * hold:
-            return False
-        self._leaving_above = _LEAVE_SHARE * value
-        return True
+        if self._floor is None:
+            self._floor = max(_LEAVE_SHARE * value, _HOPELESS_SHARE * hold)
+        self._leaving = value >= self._floor
+        return self._leaving
 
     def held_below(self, value: float, hold: float, slow: float) -> float | None:
         """Judge the value of now.
@@ -45,6 +51,8 @@ class SingularityWatch:
         """
         limit = hold + (_RELEASE_SHARE * (slow - hold) if self._held else 0.0)
         self._held = value < limit
-        if not self._held or value < (self._leaving_above or 0.0):
-            self._leaving_above = None
-        return limit if self._held and self._leaving_above is None else None
+        if not self._held:
+            self._leaving, self._floor = False, None
+        elif value < (self._floor or 0.0):
+            self._leaving = False
+        return limit if self._held and not self._leaving else None

@@ -44,6 +44,12 @@ _SLOWEST_SHARE = 0.25
 #: No joint position (rad), ball position (m) or Jacobian (m/rad) is larger than this.
 _LARGEST = 100.0
 
+#: Speed at which the arm leaves a singular pose on request, rad/s, and for how long at most, s.
+_LEAVE_RAD_S, _LEAVE_TIME_S = 0.1, 10.0
+
+#: Another node's command forbids motion for so long, s.
+_RIVAL_S = 1.0
+
 #: Commands below this are rest, rad/s.
 _TINY_RAD_S = 1e-9
 
@@ -105,6 +111,9 @@ class Supervisor:
         self._jacobian: np.ndarray | None = None
         self._conditioning: Conditioning | None = None
         self._singularity = SingularityWatch()
+        self._leaving_s = 0.0
+        self._rival = ("", -inf)
+        self._held_s = 0.0
         self._program_running = True
         self._speed_scaling = 100.0
         self._quality: tuple[float, float] | None = None  # ratio, arrival
@@ -228,7 +237,7 @@ class Supervisor:
             return self._leave(now_s) or (True, f"already started: {self._last.text}")
         finding = self._objection(now_s)
         if finding is not None:
-            return False, f"not started: {finding.text}"
+            return self._leave(now_s) or (False, f"not started: {finding.text}")
         self._begin()
         return True, "started"
 
@@ -241,8 +250,16 @@ class Supervisor:
         value, hold = self._conditioning.smallest, self._config.singular_hold_m_rad
         if not self._singularity.leave(value, hold):
             return False, f"not started: {finding.text}"
+        if not self._started:
+            self._begin()
+            self._singularity.leave(value, hold)
+        self._leaving_s = 0.0
         self._progress.restart()
         return True, "leaving the singular pose slowly; held again should it come nearer to it"
+
+    def rival(self, now_s: float, name: str) -> None:
+        """Tell that another node has just commanded the arm, too."""
+        self._rival = (name, now_s)
 
     def stop(self) -> tuple[bool, str]:
         """End servoing; the arm ramps to rest. It does not start again by itself."""
@@ -250,6 +267,7 @@ class Supervisor:
         self._started = False
         self._autostart_left = False
         self._ended = None
+        self._singularity.stay()
         return True, "stopping" if was_started else "was not started; it will not start by itself"
 
     def shutdown(self) -> Command:
@@ -326,12 +344,14 @@ class Supervisor:
             finding = self._trouble_in_motion(now_s, dt_s, joints_rad)
             if finding is None:
                 finding, output = self._ask(propose, dt_s)
+        finding = self._held_long(finding, steady_dt_s)
         if finding is not None and finding.reason.needs_start:
             self._end_session(finding)
         if output is not None and joints_rad is not None:
             return self._move(output, joints_rad, dt_s)
-        self._progress.pause()
-        self._following.restart()
+        self._following.pause()
+        if finding is not None:
+            self._singularity.stay()  # a permission holds for one way out, not for ever
         # Simulated time may stand still; coming to rest must not.
         return self._rest(finding, joints_rad, dt_s or steady_dt_s)
 
@@ -370,6 +390,9 @@ class Supervisor:
         findings = [monitor.find(now_s) for monitor in self._inputs.values()]
         troubles = [finding for finding in findings if finding is not None]
         bad = [finding for finding in troubles if finding.reason is Reason.BAD_INPUT]
+        name, rival_s = self._rival
+        if now_s - rival_s < _RIVAL_S:
+            bad.append(Reason.RIVAL.because(name=name))
         no_target = [] if self._target is not None else [Reason.NO_TARGET.because()]
         first = next(iter(bad + self._paused() + troubles + no_target), None)
         return first or self._no_position() or self._near_singular()
@@ -425,6 +448,17 @@ class Supervisor:
             return Reason.STALLED.because(time_s=progress.limits.stall_time_s, error_mm=error_mm)
         return None
 
+    def _held_long(self, finding: Finding | None, dt_s: float) -> Finding | None:
+        """Let a hold of a started arm end in a needed start, once nobody expects it to go on."""
+        if finding is None or not self._started:
+            self._held_s = 0.0
+            return finding
+        self._held_s += dt_s
+        limit_s = self._config.resume_within_s
+        if self._held_s <= limit_s or finding.reason.needs_start:
+            return finding
+        return Reason.HELD_LONG.because(limit_s=limit_s, why=finding.text)
+
     def _does_not_follow(self, joints: np.ndarray | None, dt_s: float) -> Finding | None:
         if joints is None:
             return None
@@ -462,6 +496,11 @@ class Supervisor:
         config = self._config
         share, active = self._speed_share()
         fast = config.max_joint_velocity_rad_s * share
+        if self._singularity.leaving:
+            fast = min(fast, _LEAVE_RAD_S)
+            self._leaving_s += dt_s
+            if self._leaving_s > _LEAVE_TIME_S:
+                self._singularity.stay()
         braking = braking_speed(self._travel_rad(), config.max_joint_acceleration_rad_s2)
         wanted = np.asarray(output.velocity_rad_s, dtype=float)
         velocity = limit_speed(wanted, min(fast, braking))

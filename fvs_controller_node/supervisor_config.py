@@ -51,6 +51,8 @@ class SupervisorConfig:
         A ratio older than this is forgotten, s.
     follow_time_s : float
         So long the arm may fail to move as commanded, s.
+    resume_within_s : float
+        A hold that lasts longer does not end by itself, s.
     progress : ProgressLimits
         When the error is settled, when it grows, and when it stalls.
     """
@@ -78,6 +80,7 @@ class SupervisorConfig:
     prediction_hold_time_s: float = 2.0
     prediction_max_age_s: float = 2.5
     follow_time_s: float = 3.0
+    resume_within_s: float = 30.0
     progress: ProgressLimits = field(default_factory=ProgressLimits)
 
     def __post_init__(self) -> None:

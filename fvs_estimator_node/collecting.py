@@ -2,7 +2,8 @@
 
 The collector moves the arm without a controller behind it, so it has a guard of its own, with the
 same limits: nothing moves before joints and ball are seen, a late input stops the arm, a ball out
-of view sends it back toward where it started.
+of view sends it back toward where it started, and a joint that leaves its box or moves against
+its command ends the run.
 """
 
 from __future__ import annotations
@@ -25,6 +26,12 @@ from fvs_ros.core.limits import limit_acceleration, limit_speed, ramp_to_zero
 _FRESH_BALLS = 5
 #: A tick counts for at most this long, s: a late one must not make a big step.
 _MAX_TICK_S = 0.05
+#: A joint that moves against its command so long ends the run, s: longer than any drive's lag.
+_AGAINST_S = 0.3
+#: A joint moves against its command if it makes this share of it the other way.
+_AGAINST_SHARE = 0.15
+#: A commander without a name so many times in a row, told four times a second, ends the run.
+_NAMELESS_LOOKS = 3
 
 
 class State(Enum):
@@ -52,6 +59,8 @@ class RunConfig:
         A trouble that lasts this long ends the run, s.
     follow_time_s : float
         So long the arm may fail to move as commanded, s.
+    box_margin_rad : float
+        A joint further than this outside the motion's box ends the run, rad.
     max_latency_s : float
         Longest delay of a ball position that is believed, s.
     joint_names : tuple of str
@@ -64,6 +73,7 @@ class RunConfig:
     ball_max_age_s: float = 0.5
     give_up_s: float = 10.0
     follow_time_s: float = 3.0
+    box_margin_rad: float = 0.1
     max_latency_s: float = 0.5
     joint_names: tuple[str, ...] = UR_JOINT_NAMES
 
@@ -106,6 +116,7 @@ class CollectionRun:
         self._moved_s = 0.0
         self._trouble_s: float | None = None
         self._rivals = ""
+        self._nameless_looks = 0
         self.state = State.WAITING
         self.reason = "waiting for joint_states"
         self.samples: list[BallSample] = []
@@ -145,9 +156,16 @@ class CollectionRun:
         self._speed_scaling = share
 
     def rivals(self, names: Sequence[str]) -> None:
-        """Tell who else publishes joint commands: two commanders make an arm jerk."""
+        """Tell who else publishes joint commands: two commanders make an arm jerk.
+
+        Nothing starts while there is one. A moving arm is stopped at once for a full name, which
+        has a slash; for a node not known by name yet, a moment later, so that the name is told.
+        """
         self._rivals = ", ".join(names)
-        if self._rivals and self._motion is not None:
+        named = any("/" in name for name in names)
+        self._nameless_looks = self._nameless_looks + 1 if names and not named else 0
+        sure = named or self._nameless_looks >= _NAMELESS_LOOKS
+        if sure and self._motion is not None:
             self.fail(
                 f"{self._rivals} began to command the arm as well; stop it, then collect again"
             )
@@ -184,10 +202,13 @@ class CollectionRun:
         late = self._late_joints(now_s)
         lost = self._lost_ball(now_s)
         rivals = f"{self._rivals} commands the arm as well; stop it first" if self._rivals else ""
+        if late:
+            self._following.restart()
         if late or ((lost or rivals) and self._motion is None):
             self._wait(now_s, State.HOLDING, late or lost or rivals)
             return
         assert self._joints is not None
+        self._watch_box()
         self._watch_following(dt_s)
         if self.state is State.FAILED:
             return
@@ -211,9 +232,34 @@ class CollectionRun:
             motion.resume(self._moved_s, self._joints)
             self.state, self.reason = State.MOVING, "moving and recording"
 
+    def _watch_box(self) -> None:
+        if self._motion is None:
+            return
+        assert self._joints is not None
+        low, high = self._motion.box_rad
+        outside = np.maximum(low - self._joints, self._joints - high)
+        joint = int(outside.argmax())
+        if outside[joint] > self._config.box_margin_rad:
+            self.fail(
+                f"{self._config.joint_names[joint]} left its box: it is at "
+                f"{self._joints[joint]:.2f} rad, the box is {low[joint]:.2f} to "
+                f"{high[joint]:.2f} rad; check that the arm does what it is told and nothing else "
+                "moves it"
+            )
+
     def _watch_following(self, dt_s: float) -> None:
         assert self._joints is not None
         self._following.add(self._velocity, self._joints, self._speed_scaling, dt_s)
+        against = self._following.refusal(_AGAINST_S)
+        if against is not None:
+            along_rad = against.moved_rad * np.sign(against.commanded_rad)
+            if along_rad < -_AGAINST_SHARE * abs(against.commanded_rad):
+                self.fail(
+                    f"{self._config.joint_names[against.joint]} moves against its command: it was "
+                    f"to move {against.commanded_rad:.2f} rad and moved {against.moved_rad:.2f} "
+                    "rad; check joint_names and the sign of the joint"
+                )
+                return
         refusal = self._following.refusal(self._config.follow_time_s)
         if refusal is not None:
             self.fail(

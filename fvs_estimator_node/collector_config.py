@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from math import pi
+
 from fvs_estimator_node.config import MAX_LATENCY
 from fvs_ros.core.camera import CAMERA_FRAME
-from fvs_ros.core.joints import JOINT_PARAMETERS, N_JOINTS
+from fvs_ros.core.joints import JOINT_PARAMETERS, N_JOINTS, UR_POSITION_LIMITS_RAD
 from fvs_ros.core.params import Parameter
 
 PARAMETERS = (
@@ -29,6 +31,22 @@ PARAMETERS = (
         "acceleration limit of each joint's command",
         minimum=0.1,
         maximum=40.0,
+    ),
+    Parameter(
+        "joint_min_rad",
+        [-limit for limit in UR_POSITION_LIMITS_RAD],
+        "lower ends of the joints' ranges, rad; the box of motion ends 0.1 rad before them",
+        minimum=-4.0 * pi,
+        maximum=4.0 * pi,
+        size=N_JOINTS,
+    ),
+    Parameter(
+        "joint_max_rad",
+        list(UR_POSITION_LIMITS_RAD),
+        "upper ends of the joints' ranges, rad; the box of motion ends 0.1 rad before them",
+        minimum=-4.0 * pi,
+        maximum=4.0 * pi,
+        size=N_JOINTS,
     ),
     *JOINT_PARAMETERS,
     MAX_LATENCY,

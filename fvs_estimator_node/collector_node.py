@@ -8,8 +8,10 @@ stop.listen()
 
 import os
 import sys
+from collections.abc import Mapping
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PointStamped
@@ -22,12 +24,7 @@ from fvs_estimator_node.collector_config import PARAMETERS
 from fvs_estimator_node.dataset import DataSet, save_data_set
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_ros.core import ros
-from fvs_ros.core.joints import (
-    UR_POSITION_LIMITS_RAD,
-    ForeignJointsError,
-    JointMap,
-    JointStateError,
-)
+from fvs_ros.core.joints import ForeignJointsError, JointMap, JointStateError
 
 _STATUS_PERIOD_S = 0.1
 _WATCHDOG_S = 0.02
@@ -41,6 +38,7 @@ class CollectorNode(ros.FvsNode):
     def __init__(self) -> None:
         super().__init__("fvs_collector_node", PARAMETERS)
         v = self.values
+        self._motion_config = _motion_config(v)
         self._path = _writable(Path(v["output_path"]))
         self._frame = v["feature_frame"]
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
@@ -80,16 +78,8 @@ class CollectorNode(ros.FvsNode):
         self.create_timer(_RIVALS_PERIOD_S, self._look_for_rivals, clock=self.steady_clock)
 
     def _make_motion(self, start_rad: np.ndarray) -> RandomMotion:
-        v = self.values
-        config = MotionConfig(
-            duration_s=v["duration_s"],
-            joint_range_rad=tuple(v["joint_range_rad"]),
-            max_joint_velocity_rad_s=v["max_joint_velocity_rad_s"],
-            max_joint_acceleration_rad_s2=v["max_joint_acceleration_rad_s2"],
-            lower_limits_rad=tuple(-limit for limit in UR_POSITION_LIMITS_RAD),
-            upper_limits_rad=UR_POSITION_LIMITS_RAD,
-        )
-        return RandomMotion(start_rad, config, np.random.default_rng(v["seed"]))
+        rng = np.random.default_rng(self.values["seed"])
+        return RandomMotion(start_rad, self._motion_config, rng)
 
     # --- inputs ---
 
@@ -203,6 +193,17 @@ class CollectorNode(ros.FvsNode):
             print("collecting was interrupted", file=sys.stderr)
             if len(self._run.samples) >= _MIN_SAMPLES:
                 self._write()
+
+
+def _motion_config(v: Mapping[str, Any]) -> MotionConfig:
+    return MotionConfig(
+        duration_s=v["duration_s"],
+        joint_range_rad=tuple(v["joint_range_rad"]),
+        max_joint_velocity_rad_s=v["max_joint_velocity_rad_s"],
+        max_joint_acceleration_rad_s2=v["max_joint_acceleration_rad_s2"],
+        lower_limits_rad=tuple(v["joint_min_rad"]),
+        upper_limits_rad=tuple(v["joint_max_rad"]),
+    )
 
 
 def _writable(path: Path) -> Path:

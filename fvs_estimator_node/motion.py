@@ -19,6 +19,9 @@ from fvs_ros.core.limits import limit_speed
 _LEAST_SHARE = 0.5
 _DRAWS = 64
 
+#: A motion lasts as long as so many soft starts at least.
+_LEAST_RAMPS = 2.5
+
 
 @dataclass(frozen=True)
 class MotionConfig:
@@ -35,11 +38,17 @@ class MotionConfig:
     max_joint_acceleration_rad_s2 : float
         Acceleration of a joint, rad/s^2; never exceeded by commands in a row.
     lower_limits_rad, upper_limits_rad : tuple of float
-        Limits of the joints, rad; the box ends ``limit_margin_rad`` before them.
+        Limits of the joints, rad; the box ends ``limit_margin_rad`` before them. A user knows
+        them as ``joint_min_rad`` and ``joint_max_rad``.
     limit_margin_rad : float
         Distance kept from the limits, rad.
     position_gain : float
         Velocity per distance from the path, 1/s.
+
+    Raises
+    ------
+    ValueError
+        If values do not fit together, or the duration is too short to go and return.
     """
 
     duration_s: float = 120.0
@@ -70,6 +79,29 @@ class MotionConfig:
         ):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        lower, upper = np.array(self.lower_limits_rad), np.array(self.upper_limits_rad)
+        room = upper - lower - 2.0 * self.limit_margin_rad
+        if not np.all(room > 0.0):
+            raise ValueError(
+                f"joint_min_rad must be more than {2.0 * self.limit_margin_rad:g} rad below "
+                f"joint_max_rad, got {lower.tolist()} and {upper.tolist()}"
+            )
+        widest = np.minimum(self.joint_range_rad, 0.5 * room).max()
+        least_s = _LEAST_RAMPS * self.ramp_s(float(widest))
+        if self.duration_s < least_s:
+            raise ValueError(
+                f"duration_s must be at least {least_s:.1f} to go and return within "
+                f"the speed limit, got {self.duration_s:g}"
+            )
+
+    @property
+    def path_speed_rad_s(self) -> float:
+        """Speed of the path, rad/s: a twentieth is left for following it."""
+        return 0.95 * self.max_joint_velocity_rad_s
+
+    def ramp_s(self, half_rad: float) -> float:
+        """Time to leave the start pose, or to come back, in a box of that half width, s."""
+        return 4.0 * half_rad / self.path_speed_rad_s
 
 
 class RandomMotion:
@@ -87,7 +119,7 @@ class RandomMotion:
     Raises
     ------
     ValueError
-        If the start pose is outside the joint limits, or the duration too short to go and return.
+        If the start pose is outside the joint limits.
     """
 
     def __init__(
@@ -110,15 +142,8 @@ class RandomMotion:
         self._high = np.minimum(start + reach, upper)
         self._half = 0.5 * (self._high - self._low)
         self._centre = 0.5 * (self._high + self._low)
-        # a twentieth of the speed is left for following the path
-        speed = 0.95 * config.max_joint_velocity_rad_s
-        self._ramp_s = 4.0 * float(self._half.max()) / speed
-        if config.duration_s < 2.5 * self._ramp_s:
-            raise ValueError(
-                f"duration_s must be at least {2.5 * self._ramp_s:.1f} to go and return within "
-                f"the speed limit, got {config.duration_s:g}"
-            )
-        speeds = speed * _untimed_shares(self._half, rng)
+        self._ramp_s = config.ramp_s(float(self._half.max()))
+        speeds = config.path_speed_rad_s * _untimed_shares(self._half, rng)
         self._phase = rng.uniform(0.0, 2.0 * math.pi, N_JOINTS)
         self._sharpness = np.zeros(N_JOINTS)
         self._rate = np.zeros(N_JOINTS)

@@ -30,6 +30,7 @@ from fvs_ros.apps.scenario import (
     enclave_arguments,
     load_scenario,
 )
+from fvs_ros.core import console
 from fvs_ros.core.schemes import SCHEMES
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 
@@ -87,6 +88,7 @@ class Launcher:
         self._namespace = namespace.strip("/")
         self._processes: list[_Process] = []
         self._print_lock = threading.Lock()
+        self._task_output: tuple[int | None, int | None] = (None, None)
 
     def run(self) -> int:
         """Start all, wait for the first end or a signal, stop all.
@@ -97,7 +99,10 @@ class Launcher:
             0 when ended by a signal or a task that succeeded; else the exit code of the node
             that ended it.
         """
-        with tempfile.TemporaryDirectory(prefix="fvs_launch_") as folder:
+        with (
+            tempfile.TemporaryDirectory(prefix="fvs_launch_") as folder,
+            console.never_blocking() as self._task_output,
+        ):
             params = Path(folder) / "params.yaml"
             params.write_text(self._scenario.to_params_yaml(), encoding="utf-8")
             try:
@@ -125,8 +130,8 @@ class Launcher:
             command,
             stdin=subprocess.DEVNULL,
             # A task speaks to the user itself (tables, a progress bar); others are prefixed.
-            stdout=None if entry.task else subprocess.PIPE,
-            stderr=None if entry.task else subprocess.STDOUT,
+            stdout=self._task_output[0] if entry.task else subprocess.PIPE,
+            stderr=self._task_output[1] if entry.task else subprocess.STDOUT,
             env={
                 "RCUTILS_CONSOLE_OUTPUT_FORMAT": _LOG_FORMAT,
                 **os.environ,
@@ -134,7 +139,7 @@ class Launcher:
             },
             # Ctrl-C reaches the launcher alone, which stops the nodes in the right order.
             start_new_session=True,
-            # No thread runs yet that could hold a lock across the fork.
+            # The console's threads alone run yet, and they hold no lock across the fork.
             preexec_fn=_die_with_parent,  # noqa: PLW1509
         )
         reader = threading.Thread(target=self._forward, args=(name, popen.stdout), daemon=True)
@@ -142,9 +147,7 @@ class Launcher:
 
     def _forward(self, name: str, stream: IO[bytes] | None) -> None:
         for line in stream or ():
-            text = line.decode("utf-8", "replace").rstrip()
-            with self._print_lock:
-                print(f"[{name}] {text}", flush=True)
+            self._print(f"[{name}] {line.decode('utf-8', 'replace').rstrip()}")
 
     def _wait(self) -> _Process | None:
         while not stop.RECEIVED:
@@ -190,8 +193,12 @@ class Launcher:
                     process.reader.join(_STOP_S)
 
     def _say(self, text: str) -> None:
-        with self._print_lock:
-            print(f"[fvs_launch] {text}", flush=True)
+        self._print(f"[fvs_launch] {text}")
+
+    def _print(self, line: str) -> None:
+        """Print a line; without a reader the nodes are watched and drained all the same."""
+        with self._print_lock, contextlib.suppress(OSError, ValueError):
+            print(line, flush=True)
 
 
 def _code_text(code: int) -> str:

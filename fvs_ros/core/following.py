@@ -11,11 +11,14 @@ from fvs_ros.core.joints import N_JOINTS
 #: Motions are summed with this memory, s: much longer than a drive's lag.
 _MEMORY_S = 0.5
 
+#: A joint that moves against its command is found out so many times sooner.
+_AGAINST_WEIGHT = 6.0
+
 #: They are compared this often, s; a tick only adds up.
 _LOOK_S = 0.04
 
 #: Less commanded motion than this within the memory says nothing, rad.
-_LEAST_COMMANDED_RAD = 0.01
+_LEAST_COMMANDED_RAD = 0.004
 
 #: A joint follows if it makes this share of the motion that command and speed scaling ask for.
 _LEAST_SHARE = 0.15
@@ -45,11 +48,15 @@ class Following:
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew: a start, or the arm was held."""
+        """Begin anew: a start."""
         self._commanded = np.zeros(N_JOINTS)
         self._moved = np.zeros(N_JOINTS)
+        self._off_s = np.zeros(N_JOINTS)  # how long each joint has not followed
+        self.pause()
+
+    def pause(self) -> None:
+        """Stand still while the arm is held: what was counted stays, what moves now is not told."""
         self._joints: np.ndarray | None = None
-        self._off_s = 0.0
         self._pending = np.zeros(N_JOINTS)
         self._pending_s = 0.0
 
@@ -80,22 +87,20 @@ class Following:
         self._moved = keep * (self._moved + joints_rad - self._joints)
         self._commanded = keep * (self._commanded + self._pending)
         self._joints, self._pending, self._pending_s = joints_rad, np.zeros(N_JOINTS), 0.0
-        self._off_s = self._off_s + passed_s if self._worst() is not None else 0.0
+        self._count(passed_s)
 
-    def _worst(self) -> int | None:
-        """Find the joint that should have moved most, if it did not."""
+    def _count(self, passed_s: float) -> None:
         asked = np.abs(self._commanded)
-        joint = int(asked.argmax())
-        if asked[joint] < _LEAST_COMMANDED_RAD:
-            return None
-        along = self._moved[joint] * np.sign(self._commanded[joint])
-        return joint if along < _LEAST_SHARE * asked[joint] else None
+        along = self._moved * np.sign(self._commanded)
+        judged = asked >= _LEAST_COMMANDED_RAD
+        follows = along >= _LEAST_SHARE * asked
+        against = along < -_LEAST_SHARE * asked
+        weight = np.where(against, _AGAINST_WEIGHT, 1.0)
+        self._off_s = np.where(judged & follows, 0.0, self._off_s + passed_s * weight * judged)
 
     def refusal(self, time_s: float) -> Refusal | None:
         """Name the joint that has not followed for ``time_s``; None if all do."""
-        if self._off_s < time_s or self._off_s <= 0.0:
-            return None
-        joint = self._worst()
-        if joint is None:
+        joint = int(self._off_s.argmax())
+        if self._off_s[joint] < time_s or self._off_s[joint] <= 0.0:
             return None
         return Refusal(joint, float(self._commanded[joint]), float(self._moved[joint]))

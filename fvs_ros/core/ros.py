@@ -30,7 +30,7 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
-from fvs_ros.core import stop, topics
+from fvs_ros.core import console, stop, topics
 from fvs_ros.core.camera import CameraModel, Intrinsics, camera_model
 from fvs_ros.core.joints import N_JOINTS
 from fvs_ros.core.monitor import ArrivalMonitor
@@ -498,14 +498,20 @@ class FvsNode(Node):
     def other_publishers(self, topic: str) -> list[str]:
         """Full names of other nodes that publish on a topic, sorted.
 
-        A node that was killed stays in the graph for some twenty seconds.
+        A second node of this one's name is called ``another`` and the name; of a node that is
+        not fully known yet, words stand in place of the name, without a slash. For a topic that
+        this node has one publisher of. A node that was killed stays in the graph for some twenty
+        seconds.
         """
         own = self.get_fully_qualified_name()
-        found = {
-            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+        found = [
+            "a node whose name is not known yet"
+            if "_NODE_NAME_UNKNOWN_" in info.node_name
+            else f"{info.node_namespace.rstrip('/')}/{info.node_name}"
             for info in self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
-        }
-        return sorted(found - {own})
+        ]
+        others = set(found) - {own}
+        return sorted(others | {f"another {own}"} if found.count(own) > 1 else others)
 
     def publish_status(
         self, level: bytes, state: str, reason: str, values: Mapping[str, Any]
@@ -555,7 +561,8 @@ class FvsNode(Node):
 def run(make_node: Callable[[], FvsNode], argv: list[str] | None = None) -> int:
     """Run one node in this process until a signal, its own wish, or an error.
 
-    SIGINT and SIGTERM end the spin loop, not the ROS context, so that ``finish`` can still send.
+    Signals end the spin loop, not the ROS context, so that ``finish`` can still send. A blocked
+    terminal does not hold the node: what it cannot take is dropped.
 
     Parameters
     ----------
@@ -570,6 +577,11 @@ def run(make_node: Callable[[], FvsNode], argv: list[str] | None = None) -> int:
         0 after a signal or a finished task, 1 after an error, 2 after a wrong parameter or file.
     """
     stop.listen()
+    with console.never_blocking():
+        return _run(make_node, argv)
+
+
+def _run(make_node: Callable[[], FvsNode], argv: list[str] | None) -> int:
     try:
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # rcl's own: arguments or a parameter file it cannot read

@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM, noted from a program's first moment on.
+"""Signals that would end a program, noted from its first moment on.
 
 A program calls :func:`listen` before its slow imports. From then on a signal ends nothing by
 itself: it is noted in :data:`RECEIVED`, and the program's loop looks there. So the last zero
@@ -15,8 +15,26 @@ EXIT_OK, EXIT_FAILURE, EXIT_BAD_INPUT = 0, 1, 2
 #: Signals that have come so far.
 RECEIVED: list[int] = []
 
+_NOTED = (
+    signal.SIGINT,
+    signal.SIGTERM,
+    signal.SIGHUP,  # the terminal was closed, or ssh was lost
+    signal.SIGQUIT,
+    signal.SIGUSR1,
+    signal.SIGUSR2,
+    signal.SIGALRM,
+)
+_IGNORED = (signal.SIGTSTP, signal.SIGTTOU, signal.SIGTTIN)
+
 
 def listen() -> None:
-    """Note SIGINT and SIGTERM instead of dying from them."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda received, _frame: RECEIVED.append(received))
+    """Note the signals that ask for an end instead of dying from them.
+
+    SIGHUP stays ignored where it is already, as under ``nohup``. Ctrl-Z and its like (SIGTSTP,
+    SIGTTOU, SIGTTIN) are ignored: a suspended program leaves the arm moving at its last command.
+    """
+    for number in _NOTED:
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, lambda received, _frame: RECEIVED.append(received))
+    for number in _IGNORED:
+        signal.signal(number, signal.SIG_IGN)

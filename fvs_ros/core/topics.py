@@ -326,6 +326,7 @@ INTERFACES: dict[str, Interface] = {
             End(JACOBIAN, _NEWEST),
             End(TARGET_POSITION, _EITHER),
             End(ESTIMATOR_STATUS, _NEWEST),
+            End(COMMANDS, _RELIABLE, later="another node publishing there"),
             *_ROBOT_STATE,
         ),
         serves=(

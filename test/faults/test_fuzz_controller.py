@@ -102,6 +102,8 @@ TO_SEE = (
     (Scene("robot", 5, 4),),  # SPEED_SCALING_ZERO
     (Scene("mad law", 6, 0),),  # LAW_FAULT
     (Scene("shutdown", 5, 0),),  # SHUT_DOWN
+    (Scene("abandoned", 60, 1),),  # HELD_LONG
+    (Scene("rival", 20, 0),),  # RIVAL
 )
 
 

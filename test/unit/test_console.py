@@ -1,0 +1,186 @@
+"""Standard output and error that never wait, in processes of their own."""
+
+import fcntl
+import os
+import pty
+import subprocess
+import sys
+
+import pytest
+
+OPEN = """
+import os, sys, time
+from fvs_ros.core import console
+"""
+#: Far more than any pipe holds.
+FLOOD = """
+    began_s = time.monotonic()
+    for _ in range(2000):
+        try:
+            os.write(1, b"x" * 1024)
+        except BlockingIOError:
+            pass
+        print("y" * 1024)
+        print("z" * 1024, file=sys.stderr)
+    took_s = time.monotonic() - began_s
+"""
+
+
+def full_pipe():
+    """A pipe that holds all it can."""
+    source, sink = os.pipe()
+    os.set_blocking(sink, False)
+    try:
+        while True:
+            os.write(sink, b"." * 4096)
+    except BlockingIOError:
+        os.set_blocking(sink, True)
+    return source, sink
+
+
+def run(body, **streams):
+    return subprocess.run(
+        [sys.executable, "-c", OPEN + body],
+        check=False,
+        timeout=20,
+        **(streams or {"capture_output": True, "text": True}),
+    )
+
+
+def test_what_is_said_arrives_in_order():
+    done = run("""
+with console.never_blocking():
+    for number in range(3000):
+        print(number)
+        os.write(1, b"and\\n")
+    print("no newline", end="")
+    print("as usual", file=sys.stderr)
+print(" after")
+""")
+    assert done.returncode == 0
+    lines = [line for number in range(3000) for line in (str(number), "and")]
+    assert done.stdout.splitlines() == [*lines, "no newline after"]
+    assert done.stderr == "as usual\n"
+
+
+def test_a_pipe_that_nobody_reads_holds_nobody(tmp_path):
+    source, sink = full_pipe()
+    told = tmp_path / "told"
+    done = run(
+        f"""
+with console.never_blocking():{FLOOD}
+    sys.stdout.write("w" * 1_000_000)
+    open({str(told)!r}, "w").write(str(took_s))
+print("the end is not held either")
+raise SystemExit(3)
+""",
+        stdout=sink,
+        stderr=sink,
+    )
+    os.close(source)
+    os.close(sink)
+    assert done.returncode == 3
+    assert float(told.read_text()) < 1.0
+
+
+def test_a_reader_that_comes_back_is_told_again():
+    source, sink = full_pipe()
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            OPEN + f"with console.never_blocking():{FLOOD}\n    input()\n    print('back')",
+        ],
+        stdin=subprocess.PIPE,
+        stdout=sink,
+        stderr=subprocess.PIPE,
+    )
+    os.close(sink)
+    process.stderr.close()
+    heard = b""
+    while not heard.endswith(b"y" * 9):  # what had waited
+        heard += os.read(source, 65536)
+    process.stdin.write(b"\n")
+    process.stdin.close()
+    while chunk := os.read(source, 65536):
+        heard += chunk
+    os.close(source)
+    assert process.wait(20) == 0
+    assert heard.endswith(b"back\n")
+
+
+def test_a_reader_that_leaves_is_no_error(tmp_path):
+    source, sink = os.pipe()
+    os.close(source)
+    told = tmp_path / "told"
+    done = run(
+        f"with console.never_blocking():{FLOOD}\n    open({str(told)!r}, 'w').write('well')",
+        stdout=sink,
+        stderr=sink,
+    )
+    os.close(sink)
+    assert done.returncode == 0
+    assert told.read_text() == "well"
+
+
+def test_closed_streams_are_no_error(tmp_path):
+    told = tmp_path / "told"
+    body = f"with console.never_blocking():{FLOOD}\n    open({str(told)!r}, 'w').write('well')"
+    command = 'exec "$0" -c "$1" >&- 2>&-'
+    done = subprocess.run(["sh", "-c", command, sys.executable, OPEN + body], check=False)
+    assert done.returncode == 0
+    assert told.read_text() == "well"
+
+
+def test_a_crash_is_still_told_and_the_descriptors_are_as_before():
+    done = run("""
+before = [os.fstat(fd).st_ino for fd in (1, 2)], sys.stdout, sys.stderr
+open_before = len(os.listdir("/proc/self/fd"))
+try:
+    with console.never_blocking():
+        assert os.fstat(1).st_ino != before[0][0]
+        raise KeyError("inner")
+except KeyError:
+    pass
+assert ([os.fstat(fd).st_ino for fd in (1, 2)], sys.stdout, sys.stderr) == before
+assert len(os.listdir("/proc/self/fd")) == open_before
+with console.never_blocking():
+    raise KeyError("the crash")
+""")
+    assert done.returncode == 1
+    assert done.stderr.endswith("KeyError: 'the crash'\n")
+    assert "inner" not in done.stderr
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_terminal_stays_one_and_is_left_as_it_was(terminal):
+    ours, theirs = pty.openpty() if terminal else os.pipe()
+    flags = fcntl.fcntl(theirs, fcntl.F_GETFL)
+    environment = {k: v for k, v in os.environ.items() if k != "RCUTILS_COLORIZED_OUTPUT"}
+    done = run(
+        """
+with console.never_blocking():
+    assert not os.isatty(2)
+    print(sys.stderr.isatty(), os.environ.get("RCUTILS_COLORIZED_OUTPUT"), file=sys.stderr)
+    assert not sys.stdout.isatty()
+assert "RCUTILS_COLORIZED_OUTPUT" not in os.environ
+""",
+        stdout=subprocess.DEVNULL,
+        stderr=theirs,
+        env=environment,
+    )
+    assert os.read(ours, 4096).split() == ([b"True", b"1"] if terminal else [b"False", b"None"])
+    assert fcntl.fcntl(theirs, fcntl.F_GETFL) == flags
+    os.close(ours)
+    os.close(theirs)
+    assert done.returncode == 0
+
+
+def test_it_costs_nothing_to_end():
+    done = run("""
+began_s = time.monotonic()
+with console.never_blocking():
+    print("short")
+print(time.monotonic() - began_s)
+""")
+    assert float(done.stdout.split()[1]) < 0.3

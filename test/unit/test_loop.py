@@ -1,0 +1,67 @@
+"""What the controller's loop thinks of joint states before anything else."""
+
+import numpy as np
+import pytest
+
+from fvs_controller_node.config import build_loop, default_values
+from fvs_controller_node.reasons import Reason
+
+HOME = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
+DT_S = 0.008
+FRAME = "camera_color_optical_frame"
+JACOBIAN = np.eye(3, 6) * 0.5
+
+
+class Cell:
+    """A loop that hears everything at 125 Hz."""
+
+    def __init__(self):
+        self.loop = build_loop(default_values())
+        self.now_s, self.joints = 10.0, HOME.copy()
+
+    def tick(self, joints=None):
+        self.now_s += DT_S
+        self.loop.add_jacobian(self.now_s, JACOBIAN)
+        self.loop.add_joints(self.now_s, self.now_s, self.joints if joints is None else joints)
+        self.loop.add_ball(self.now_s, self.now_s - 0.02, np.array([0.0, 0.0, 1.0]), FRAME)
+        return self.loop.tick(self.now_s, DT_S)
+
+
+@pytest.fixture
+def servoing():
+    cell = Cell()
+    for _ in range(20):
+        cell.tick()
+    assert cell.loop.supervisor.target(np.array([0.2, 0.1, 1.2]), FRAME)[0]
+    assert cell.loop.supervisor.start(cell.now_s)[0]
+    for _ in range(20):
+        command = cell.tick()
+    assert command.velocity_rad_s.any()
+    return cell
+
+
+def test_a_joint_that_jumps_is_zeros_at_once_and_named(servoing):
+    command = servoing.tick(HOME + np.array([0.0, 0.0, 0.5, 0.0, 0.0, 0.0]))
+    assert command.reason is Reason.BAD_INPUT
+    assert not command.velocity_rad_s.any()
+    assert "elbow_joint jumped by 0.50 rad in 0.008 s" in command.text
+
+
+def test_two_publishers_that_disagree_never_let_it_move(servoing):
+    for k in range(200):
+        command = servoing.tick(HOME + (0.0 if k % 2 else 0.8))
+        assert not command.velocity_rad_s.any()
+
+
+def test_after_one_jump_it_goes_on_from_where_the_arm_is(servoing):
+    servoing.joints = HOME + 0.4
+    assert servoing.tick().reason is Reason.BAD_INPUT
+    for _ in range(20):
+        command = servoing.tick()
+    assert command.velocity_rad_s.any()
+
+
+def test_the_fastest_joint_of_a_robot_is_no_jump(servoing):
+    for _ in range(100):
+        servoing.joints = servoing.joints + np.pi * DT_S
+        assert servoing.tick().reason is not Reason.BAD_INPUT
