@@ -231,7 +231,8 @@ class ControllerNode(ros.FvsNode):
 
     def _look_for_rivals(self) -> None:
         """Listen to the commands while others publish there: a killed node may just be listed."""
-        self._rivals = ", ".join(self.other_publishers(ros.COMMANDS))
+        # One that is not known by name yet may be this very node.
+        self._rivals = ", ".join(n for n in self.other_publishers(ros.COMMANDS) if "/" in n)
         if self._rivals and self._rivals_commands is None:
             self._rivals_commands = self.create_subscription(
                 Float64MultiArray, ros.COMMANDS, self._on_any_command, ros.QOS_RELIABLE

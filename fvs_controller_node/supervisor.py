@@ -672,7 +672,7 @@ class Supervisor:
     def _wrong_frame(self, frame: str) -> str:
         if not frame:
             return f"it names no frame; set header.frame_id to {self._config.feature_frame}"
-        return f"it is in frame {frame}, expected {self._config.feature_frame}"
+        return f"it is in frame {frame}, expected {self._config.feature_frame} (feature_frame)"
 
 
 def _ramp(value: float, at_zero: float, at_one: float) -> float:

@@ -15,9 +15,6 @@ AUTO, RELIABLE, BEST_EFFORT = "auto", "reliable", "best_effort"
 
 _COLOUR = BallColour()
 
-#: Where cameras publish: as this package's simulator, and as a RealSense's driver by default.
-CAMERA_PREFIXES = ("camera", "camera/camera")
-
 PARAMETERS = (
     Parameter(
         "camera_topics",
@@ -152,7 +149,7 @@ class CameraTopics:
             color = topics.COLOR_IMAGE_COMPRESSED
         if values["depth_transport"] == COMPRESSED_DEPTH:
             depth = topics.DEPTH_IMAGE_COMPRESSED
-        declared = CAMERA_PREFIXES[0]
+        declared = topics.CAMERA_PREFIXES[0]
         return cls(
             *(
                 prefix.rstrip("/") + topic.name.removeprefix(declared)

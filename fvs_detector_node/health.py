@@ -169,7 +169,7 @@ def _missing_input(now: Snapshot) -> str:
     if now.colour.missing:
         return (
             f"no colour images on {now.colour.topic}: {now.colour.silence()}; is the camera "
-            "running, and is the topic remapped to its name?"
+            "running, and are its topics called so (camera_topics)?"
         )
     if now.depth.missing:
         return (

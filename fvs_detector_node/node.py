@@ -23,7 +23,6 @@ from fvs_detector_node.annotate import annotate
 from fvs_detector_node.config import (
     AUTO,
     BEST_EFFORT,
-    CAMERA_PREFIXES,
     PARAMETERS,
     RAW,
     CameraTopics,
@@ -34,10 +33,13 @@ from fvs_detector_node.synchroniser import Pair, Synchroniser
 from fvs_ros.core import ros
 from fvs_ros.core.camera import CameraModel
 from fvs_ros.core.monitor import ArrivalMonitor
+from fvs_ros.core.topics import CAMERA_PREFIXES
 
 _STATUS_PERIOD_S = 0.1
 _PUBLISHERS_PERIOD_S = 1.0
 _KEPT_INFOS = 8
+#: At most so often a change of state is logged, s; the status always has it.
+_TOLD_PERIOD_S = 3.0
 #: What has been silent for so long has no rate, s.
 _RATE_S = 1.0
 
@@ -65,7 +67,8 @@ class DetectorNode(ros.FvsNode):
         self._pairs, self._published = ArrivalMonitor(), ArrivalMonitor()
         self._problem, self._problem_s = "", -np.inf
         self._latency_s = self._processing_ms = np.nan
-        self._told = ""
+        # A camera needs a moment to be found; a ball at the edge of being seen comes and goes.
+        self._told, self._told_s = "", self.steady_s()
 
         self._ball = self.create_publisher(PointStamped, ros.BALL_POSITION, ros.QOS_RELIABLE)
         self._annotated = self.create_publisher(Image, "~/annotated_image", ros.QOS_RELIABLE)
@@ -248,8 +251,8 @@ class DetectorNode(ros.FvsNode):
             )
         )
         level = {TRACKING: ros.OK, FAULT: ros.ERROR}.get(state, ros.WARN)
-        if state != self._told:
-            self._told = state
+        if state != self._told and now_s - self._told_s > _TOLD_PERIOD_S:
+            self._told, self._told_s = state, now_s
             self.tell(level, f"{state}: {reason}")
         found = self._sighting.detection if self._sighting is not None else None
         self.publish_status(

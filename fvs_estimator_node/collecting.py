@@ -26,10 +26,14 @@ from fvs_ros.core.limits import limit_acceleration, limit_speed, ramp_to_zero
 _FRESH_BALLS = 5
 #: A tick counts for at most this long, s: a late one must not make a big step.
 _MAX_TICK_S = 0.05
-#: A joint that moves against its command so long ends the run, s: longer than any drive's lag.
-_AGAINST_S = 0.3
+#: Commands and motion are compared with this memory, s, and have to disagree for so long, s.
+_AGAINST_MEMORY_S, _AGAINST_S = 0.3, 0.2
 #: A joint moves against its command if it makes this share of it the other way.
-_AGAINST_SHARE = 0.15
+_AGAINST_SHARE = 0.3
+#: Slower commands than this say nothing, rad/s.
+_LEAST_COMMAND_RAD_S = 0.02
+#: A joint may be so far outside its box, or as far as it can brake within, rad.
+_BOX_MARGIN_RAD = 0.1
 #: A commander without a name so many times in a row, told four times a second, ends the run.
 _NAMELESS_LOOKS = 3
 
@@ -59,8 +63,6 @@ class RunConfig:
         A trouble that lasts this long ends the run, s.
     follow_time_s : float
         So long the arm may fail to move as commanded, s.
-    box_margin_rad : float
-        A joint further than this outside the motion's box ends the run, rad.
     max_latency_s : float
         Longest delay of a ball position that is believed, s.
     joint_names : tuple of str
@@ -73,9 +75,41 @@ class RunConfig:
     ball_max_age_s: float = 0.5
     give_up_s: float = 10.0
     follow_time_s: float = 3.0
-    box_margin_rad: float = 0.1
     max_latency_s: float = 0.5
     joint_names: tuple[str, ...] = UR_JOINT_NAMES
+
+    @property
+    def box_margin_rad(self) -> float:
+        """A joint further than this outside the motion's box ends the run, rad."""
+        braking_rad = 0.5 * self.max_joint_velocity_rad_s**2 / self.max_joint_acceleration_rad_s2
+        return max(_BOX_MARGIN_RAD, braking_rad)
+
+
+class _Against:
+    """Finds a joint that moves against its command: their product stays negative."""
+
+    def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew: the arm was held."""
+        self._asked, self._made = np.zeros(N_JOINTS), np.zeros(N_JOINTS)
+        self._against_s = np.zeros(N_JOINTS)
+        self._joints: np.ndarray | None = None
+
+    def add(self, command_rad_s: np.ndarray, joints_rad: np.ndarray, dt_s: float) -> int | None:
+        """Tell one tick; the joint that has moved against its command, None if none has."""
+        moved = joints_rad - (joints_rad if self._joints is None else self._joints)
+        self._joints = joints_rad
+        keep = _AGAINST_MEMORY_S / (_AGAINST_MEMORY_S + dt_s)
+        self._asked = keep * (self._asked + command_rad_s**2 * dt_s)
+        self._made = keep * (self._made + command_rad_s * moved)
+        against = (self._asked > _LEAST_COMMAND_RAD_S**2 * _AGAINST_MEMORY_S) & (
+            self._made < -_AGAINST_SHARE * self._asked
+        )
+        self._against_s = np.where(against, self._against_s + dt_s, 0.0)
+        worst = int(self._against_s.argmax())
+        return worst if self._against_s[worst] > _AGAINST_S else None
 
 
 class CollectionRun:
@@ -111,7 +145,7 @@ class CollectionRun:
         self._joints_s = self._ball_s = -np.inf
         self._balls_seen = 0
         self._velocity = np.zeros(N_JOINTS)
-        self._following = Following()
+        self._following, self._against = Following(), _Against()
         self._speed_scaling = 1.0
         self._moved_s = 0.0
         self._trouble_s: float | None = None
@@ -204,6 +238,7 @@ class CollectionRun:
         rivals = f"{self._rivals} commands the arm as well; stop it first" if self._rivals else ""
         if late:
             self._following.restart()
+            self._against.restart()
         if late or ((lost or rivals) and self._motion is None):
             self._wait(now_s, State.HOLDING, late or lost or rivals)
             return
@@ -250,16 +285,13 @@ class CollectionRun:
     def _watch_following(self, dt_s: float) -> None:
         assert self._joints is not None
         self._following.add(self._velocity, self._joints, self._speed_scaling, dt_s)
-        against = self._following.refusal(_AGAINST_S)
+        against = self._against.add(self._velocity, self._joints, dt_s)
         if against is not None:
-            along_rad = against.moved_rad * np.sign(against.commanded_rad)
-            if along_rad < -_AGAINST_SHARE * abs(against.commanded_rad):
-                self.fail(
-                    f"{self._config.joint_names[against.joint]} moves against its command: it was "
-                    f"to move {against.commanded_rad:.2f} rad and moved {against.moved_rad:.2f} "
-                    "rad; check joint_names and the sign of the joint"
-                )
-                return
+            self.fail(
+                f"{self._config.joint_names[against]} moves against its command; check joint_names "
+                "and the sign of the joint"
+            )
+            return
         refusal = self._following.refusal(self._config.follow_time_s)
         if refusal is not None:
             self.fail(

@@ -38,6 +38,8 @@ def _nodes(context):
     if scheme:
         scenario = scenario.with_scheme(scheme)
     namespace = LaunchConfiguration("namespace").perform(context)
+    overrides = LaunchConfiguration("param").perform(context).split()
+    scenario = scenario.with_overrides(overrides)
     rules = LaunchConfiguration("remap").perform(context).split()
     remappings = [tuple(checked_remap(rule).split(":=")) for rule in rules]
     params_file = _params_file(scenario)
@@ -76,6 +78,11 @@ def generate_launch_description() -> LaunchDescription:
                 description="estimator method and control law by one name; empty: the scenario's",
             ),
             DeclareLaunchArgument("namespace", default_value="", description="of all nodes"),
+            DeclareLaunchArgument(
+                "param",
+                default_value="",
+                description="name:=value or node:name:=value overrides, with spaces between",
+            ),
             DeclareLaunchArgument(
                 "remap",
                 default_value="",

@@ -29,6 +29,7 @@ from fvs_ros.core import ros
 from fvs_ros.core.joints import UR_JOINT_NAMES
 
 _STARTED = itertools.count(1)
+_BEGAN_S = time.time()
 
 
 def _next_domain() -> int:
@@ -39,11 +40,15 @@ def _next_domain() -> int:
 def _clear_shared_memory() -> None:
     """Remove what killed processes left of the middleware's shared memory.
 
-    It makes every later discovery take seconds. Only what is ours and what no process maps goes.
+    It makes every later discovery take seconds. Only what is ours, younger than these tests, and
+    mapped by no process goes.
     """
-    left = [
-        path for path in Path("/dev/shm").glob("*fastrtps_*") if path.stat().st_uid == os.getuid()
-    ]
+    left = []
+    for path in Path("/dev/shm").glob("*fastrtps_*"):
+        with contextlib.suppress(OSError):
+            status = path.stat()
+            if status.st_uid == os.getuid() and status.st_mtime > _BEGAN_S:
+                left.append(path)
     if not left:
         return
     used = ""

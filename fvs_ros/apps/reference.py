@@ -51,14 +51,14 @@ _STATES = {
     State.WAITING: "Something that a start needs is missing; zeros are sent.",
     State.READY: "A start would be accepted; zeros are sent.",
     State.SERVOING: "The law moves the arm.",
-    State.HOLDING: "Started, but the arm is held still.",
+    State.HOLDING: "Held still: goes on by itself, or needs a new start, as the reason says.",
     State.FAULT: "Something was wrong that must never be; zeros at once.",
 }
 
 _STOPS = {Stop.NONE: "goes on", Stop.RAMP: "ramps to rest", Stop.AT_ONCE: "zeros at once"}
 
 _EXIT_CODES = {
-    EXIT_OK: "done, or stopped by SIGINT or SIGTERM",
+    EXIT_OK: "done, or stopped by a signal",
     EXIT_FAILURE: "an error, or a task that was not reached; the last lines say which",
     EXIT_BAD_INPUT: "a wrong parameter, argument or file; nothing was started",
 }

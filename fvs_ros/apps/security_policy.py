@@ -13,6 +13,7 @@ from fvs_ros.core.topics import INTERFACES
 OPERATOR = "fvs_operator"
 
 _VERSION = "0.2.0"
+_DETECTOR = "fvs_detector_node"
 
 # No "--" in it: XML does not allow it in a comment.
 _HEAD = """\
@@ -52,6 +53,8 @@ def policy(namespace: str = "") -> str:
         profile = _profile(enclaves, node, namespace)
         published = [end.topic.name for end in interface.publishes]
         heard = [end.topic.name for end in interface.subscribes]
+        if node == _DETECTOR:
+            heard = _wherever_cameras_publish(heard)
         served = [service.name for service in interface.serves]
         _allow(profile, "topic", "publish", [*published, *topics.EVERY_NODE_PUBLISHES])
         _allow(profile, "topic", "subscribe", [*heard, *topics.EVERY_NODE_SUBSCRIBES])
@@ -75,8 +78,20 @@ def _operator(enclaves: ET.Element, namespace: str) -> None:
         called += [name.replace("~", node, 1) for name in [*served, *topics.EVERY_NODE_SERVES]]
     profile = _profile(enclaves, OPERATOR, namespace)
     _allow(profile, "topic", "publish", [topics.TARGET_POSITION.name, *every])
+    heard = _wherever_cameras_publish(heard)
     _allow(profile, "topic", "subscribe", [*heard, *every, *topics.EVERY_NODE_SUBSCRIBES])
     _allow(profile, "service", "request", called)
+
+
+def _wherever_cameras_publish(names: Iterable[str]) -> list[str]:
+    """The names, a camera's below every prefix that the detector looks at by itself."""
+    declared, *others = topics.CAMERA_PREFIXES
+    found = []
+    for name in names:
+        found.append(name)
+        if name.startswith(f"{declared}/"):
+            found += [other + name.removeprefix(declared) for other in others]
+    return found
 
 
 def _profile(enclaves: ET.Element, node: str, namespace: str) -> ET.Element:

@@ -25,6 +25,10 @@ from fvs_estimator_node.training import (
 )
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_OK
 
+#: A network with a larger error is doubtful, if its joint moves the ball by this share of what the
+#: one does that moves it most.
+_DOUBTFUL, _MATTERS = 0.15, 0.2
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program; returns its exit code."""
@@ -137,7 +141,26 @@ def report(result: TrainingResult, seconds: float) -> str:
         f"{result.samples} images, {result.held_out_samples} held out, {result.outliers} left out; "
         f"{result.iterations} iterations, {seconds:.1f} s",
     ]
-    return "\n".join([*lines, *(f"note: {note}" for note in result.notes)])
+    notes = [*result.notes, *_doubts(result)]
+    return "\n".join([*lines, *(f"note: {note}" for note in notes)])
+
+
+def _doubts(result: TrainingResult) -> list[str]:
+    """What makes a model unfit for use, in words; empty if nothing does."""
+    largest = max(network.column_m_rad for network in result.networks)
+    bad = [
+        name
+        for name, network in zip(result.trained.joint_names, result.networks, strict=True)
+        if network.relative is not None
+        and network.relative > _DOUBTFUL
+        and network.column_m_rad > _MATTERS * largest
+    ]
+    if not bad:
+        return []
+    return [
+        f"{', '.join(bad)}: over {100 * _DOUBTFUL:.0f} % off; collect longer or in a wider box, "
+        "and see that one robot and one detector alone were publishing"
+    ]
 
 
 class _Bar:

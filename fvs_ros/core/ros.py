@@ -127,7 +127,10 @@ def from_point(message: PointStamped, frame: str, topic: str) -> np.ndarray:
         If it is in another frame or not finite.
     """
     if message.header.frame_id != frame:
-        raise MessageError(f"{topic} is in frame '{message.header.frame_id}', expected '{frame}'")
+        raise MessageError(
+            f"{topic} is in frame '{message.header.frame_id}', expected '{frame}' "
+            "(parameter feature_frame)"
+        )
     position = np.array([message.point.x, message.point.y, message.point.z], dtype=float)
     if not np.all(np.isfinite(position)):
         raise MessageError(f"{topic} is not finite: {position.tolist()}")

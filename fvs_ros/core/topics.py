@@ -171,6 +171,9 @@ SPEED_SCALING = Topic(
     "The robot's speed slider, 0 to 100 %; optional.",
     also_from=_DRIVER,
 )
+#: Below which names cameras publish: the declared one, and that of a RealSense's driver.
+CAMERA_PREFIXES = ("camera", "camera/camera")
+
 COLOR_IMAGE = Topic(
     "camera/color/image_raw",
     "sensor_msgs/msg/Image",

@@ -3,6 +3,7 @@ import pytest
 
 from fvs_estimator_node.collecting import CollectionRun, RunConfig, State
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
+from fvs_ros.core.joints import UR_JOINT_NAMES
 
 HOME = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
 DT_S = 0.008
@@ -12,7 +13,7 @@ VELOCITY, ACCELERATION, DURATION_S = 0.65, 3.0, 20.0
 class Cell:
     """A collection run with an ideal arm, on a clock of its own."""
 
-    def __init__(self, duration_s=DURATION_S):
+    def __init__(self, duration_s=DURATION_S, signs=(1.0,) * 6, lag_s=0.0):
         motion = MotionConfig(
             duration_s=duration_s,
             joint_range_rad=(0.3,) * 6,
@@ -24,6 +25,8 @@ class Cell:
             lambda start: RandomMotion(start, motion, np.random.default_rng(0)),
         )
         self.now_s, self.joints = 0.0, HOME.copy()
+        self.signs, self.share = np.array(signs), DT_S / (lag_s + DT_S)
+        self.speed = np.zeros(6)
         self.commands = []
         self.joints_come = self.ball_seen = self.follows = True
         self.ticks = 0
@@ -40,7 +43,8 @@ class Cell:
             command = self.run.tick(self.now_s, DT_S)
             self.commands.append(command)
             if self.follows:
-                self.joints = self.joints + DT_S * command
+                self.speed = self.speed + self.share * (command - self.speed)
+                self.joints = self.joints + DT_S * self.signs * self.speed
         return self.run.state
 
 
@@ -108,10 +112,63 @@ def test_an_arm_that_does_not_move_as_told_ends_the_run_and_says_so():
     assert not np.any(cell.commands[-1])
 
 
+@pytest.mark.parametrize("joint", range(6))
+def test_a_joint_that_runs_opposite_to_its_command_ends_the_run_before_it_gets_far(joint):
+    signs = np.ones(6)
+    signs[joint] = -1.0
+    cell = Cell(signs=signs, lag_s=0.035)
+    furthest, began_s = 0.0, None
+    while cell.now_s < 10.0 and not cell.run.ended:
+        cell.advance(DT_S)
+        away = abs(cell.joints[joint] - HOME[joint])
+        furthest = max(furthest, away)
+        if began_s is None and away > 0.003:
+            began_s = cell.now_s
+    assert cell.run.state is State.FAILED
+    assert "moves against its command" in cell.run.reason
+    assert UR_JOINT_NAMES[joint] in cell.run.reason
+    assert furthest < 0.1
+    assert cell.now_s - began_s < 0.7  # with the ramp to rest
+    assert not np.any(cell.commands[-1])
+
+
+@pytest.mark.parametrize("state", [State.MOVING, State.RETURNING, State.HOLDING])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_joint_outside_its_box_ends_the_run_at_once(state, side):
+    cell = Cell()
+    cell.advance(5.0)
+    cell.ball_seen = state is not State.RETURNING
+    cell.joints_come = state is not State.HOLDING
+    cell.advance(0.7)
+    assert cell.run.state is state
+    cell.joints_come = True
+    cell.joints[2] = HOME[2] + side * 0.39
+    cell.advance(DT_S)
+    assert cell.run.state is not State.FAILED
+    cell.joints[2] = HOME[2] + side * 0.41
+    cell.advance(DT_S)
+    assert cell.run.state is State.FAILED
+    assert "elbow_joint left its box" in cell.run.reason
+    assert f"is at {HOME[2] + side * 0.41:.2f} rad, the box is 1.30 to 1.90 rad" in cell.run.reason
+    cell.advance(1.0)
+    assert cell.run.ended
+    assert not np.any(cell.commands[-1])
+
+
+def test_an_arm_that_lags_finishes_though_the_ball_and_the_joint_states_come_and_go():
+    cell = Cell(lag_s=0.05)
+    rng = np.random.default_rng(1)
+    while not cell.run.ended and cell.now_s < 3.0 * DURATION_S:
+        cell.ball_seen, cell.joints_come = rng.random() > 0.3, rng.random() > 0.1
+        cell.advance(0.5)
+    assert cell.run.state is State.DONE, cell.run.reason
+
+
 def test_joint_states_lost_at_the_very_end_do_not_lose_the_data():
     cell = Cell()
     cell.advance(DURATION_S - 2.0)
     cell.follows = False  # so that it is away from home when the time is over
+    cell.run.speed_scaling(0.01)  # and slow because it was told to be
     cell.advance(2.5)
     cell.joints_come = False
     cell.advance(5.0)
@@ -134,6 +191,31 @@ def test_it_waits_while_another_node_commands_the_arm():
     cell.advance(1.0)
     assert cell.run.state is State.FAILED
     assert not np.any(cell.commands[-1])
+
+
+def test_a_commander_without_a_name_is_waited_for_and_later_stops_the_arm():
+    cell = Cell()
+    nameless = ["a node whose name is not known yet"]
+    cell.run.rivals(nameless)
+    cell.advance(1.0)
+    assert cell.run.state is State.WAITING
+    assert "not known yet commands the arm as well" in cell.run.reason
+    cell.run.rivals([])
+    cell.advance(0.5)
+    for names in (nameless, nameless, [], nameless, nameless):
+        cell.run.rivals(names)
+        cell.advance(0.25)
+        assert cell.run.state is State.MOVING
+    cell.run.rivals(nameless)
+    assert cell.run.state is State.FAILED
+    assert "not known yet began to command the arm" in cell.run.reason
+
+
+def test_a_second_node_of_the_own_name_stops_the_arm():
+    cell = Cell()
+    cell.advance(1.0)
+    cell.run.rivals(["another /fvs_collector_node"])
+    assert cell.run.state is State.FAILED
 
 
 def test_failing_from_outside_brings_the_arm_to_rest():

@@ -119,12 +119,24 @@ def test_a_measurement_that_is_not_finite_stops_the_arm():
         ({"duration_s": -1.0}, "duration_s must be positive"),
         ({"joint_range_rad": (0.5,) * 5}, "joint_range_rad must be 6"),
         ({"joint_range_rad": (0.0,) * 6}, "one joint at least must move"),
+        ({"duration_s": 5.0, "max_joint_velocity_rad_s": 0.05}, "duration_s must be at least"),
+        ({"lower_limits_rad": (1.0,) * 6, "upper_limits_rad": (1.0,) * 6}, "joint_min_rad must be"),
+        ({"lower_limits_rad": (2.0,) * 6, "upper_limits_rad": (1.0,) * 6}, "joint_min_rad must be"),
+        ({"upper_limits_rad": (9.0, 9.0, 9.0, -6.2, 9.0, 9.0)}, "joint_min_rad must be more than"),
         ({"max_joint_velocity_rad_s": 0.0}, "max_joint_velocity_rad_s must be positive"),
     ],
 )
 def test_what_cannot_be_is_refused(changes, words):
     with pytest.raises(ValueError, match=words):
-        motion(**changes)
+        MotionConfig(**changes)
+
+
+def test_the_least_duration_is_that_of_the_box_that_is_left_between_the_joint_limits():
+    limits = {"lower_limits_rad": (-0.3,) * 6, "upper_limits_rad": (0.3,) * 6}
+    with pytest.raises(ValueError, match=r"at least 16\.2"):
+        MotionConfig(duration_s=9.0, joint_range_rad=(1.0,) * 6)
+    one = motion(start=np.zeros(6), duration_s=9.0, joint_range_rad=(1.0,) * 6, **limits)
+    np.testing.assert_allclose(one.box_rad, [[-0.2] * 6, [0.2] * 6])
 
 
 def test_a_slow_and_weak_arm_is_respected():

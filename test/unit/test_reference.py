@@ -222,6 +222,16 @@ def allowed(profile, kind, verb):
     return {resolve(rule.text, node, namespace) for rule in rules}
 
 
+#: Where the detector finds a RealSense under its driver's own names.
+REALSENSE = (
+    "camera/camera/color/image_raw",
+    "camera/camera/color/image_raw/compressed",
+    "camera/camera/aligned_depth_to_color/image_raw",
+    "camera/camera/aligned_depth_to_color/image_raw/compressedDepth",
+    "camera/camera/color/camera_info",
+)
+
+
 @pytest.mark.parametrize("namespace", ["", "left", "/cell/left/"])
 def test_every_declared_name_is_allowed_under_its_verb(namespace):
     found = profiles(policy(namespace))
@@ -237,7 +247,11 @@ def test_every_declared_name_is_allowed_under_its_verb(namespace):
             [*(end.topic.name for end in interface.publishes), *topics.EVERY_NODE_PUBLISHES]
         )
         assert allowed(profile, "topic", "subscribe") == full(
-            [*(end.topic.name for end in interface.subscribes), *topics.EVERY_NODE_SUBSCRIBES]
+            [
+                *(end.topic.name for end in interface.subscribes),
+                *(REALSENSE if node == "fvs_detector_node" else ()),
+                *topics.EVERY_NODE_SUBSCRIBES,
+            ]
         )
         assert allowed(profile, "service", "reply") == full(
             [*(service.name for service in interface.serves), *topics.EVERY_NODE_SERVES]
