@@ -17,6 +17,9 @@ atexit.register(shutil.rmtree, _LOG_DIR, ignore_errors=True)
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_LOG_DIR"] = _LOG_DIR
+os.environ.setdefault(
+    "FASTRTPS_DEFAULT_PROFILES_FILE", str(Path(__file__).with_name("quick_discovery.xml"))
+)
 
 # The source tree comes first, installed or not: here and in the processes that tests start.
 _ROOT = str(Path(__file__).resolve().parents[1])

@@ -19,13 +19,13 @@ from fvs_ros.core import ros
 
 TESTS = str(Path(__file__).resolve().parents[1])
 FRAME = "camera_color_optical_frame"
-#: Long enough for a third of the motion that the collector makes by default.
-COLLECT_S, SETTLE_S, REST_S = 40.0, 4.0, 1.0
+#: A quarter of what the collector does by default; test/closed_loop has all of it.
+COLLECT_S, SETTLE_S, REST_S = 30.0, 3.0, 1.0
 
 
 @pytest.mark.timeout(200)
-@pytest.mark.parametrize(("seed", "rate_hz"), [(3, 125), (4, 250)])
-def test_a_strangers_robot_is_served_over_its_topics_alone(ros_test, monkeypatch, seed, rate_hz):
+def test_a_strangers_robot_is_served_over_its_topics_alone(ros_test, monkeypatch):
+    seed, rate_hz = 4, 250
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([TESTS, os.environ["PYTHONPATH"]]))
     ros_test.start("stranger_node", str(seed), str(rate_hz))
     data, model = ros_test.folder / "data.npz", ros_test.folder / "model.npz"
