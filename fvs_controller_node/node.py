@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 from fvs_controller_node.config import PARAMETERS, build_loop, reconfigure
 from fvs_controller_node.reasons import State
 from fvs_controller_node.supervisor import Command
-from fvs_controller_node.supervisor_config import BALL, JACOBIAN, JOINT_STATES, SPEED_SCALING
+from fvs_controller_node.supervisor_config import BALL, JACOBIAN, JOINT_STATES
 from fvs_ros.core import ros
 from fvs_ros.core.joints import ForeignJointsError, JointMap, JointStateError
 
@@ -167,11 +167,7 @@ class ControllerNode(ros.FvsNode):
         self._loop.supervisor.program_running(message.data)
 
     def _on_speed_scaling(self, message: Float64) -> None:
-        now_s = self.steady_s()
-        if np.isfinite(message.data):
-            self._loop.supervisor.speed_scaling(now_s, message.data)
-        else:
-            self._loop.supervisor.bad_input(now_s, SPEED_SCALING, f"got {message.data}")
+        self._loop.supervisor.speed_scaling(self.steady_s(), message.data)
 
     def _answer(self, action):
         def on_request(_request: Trigger.Request, response: Trigger.Response):
