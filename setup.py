@@ -10,7 +10,7 @@ EXTRAS = {
     "ros": ["ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "ros-jazzy-common-interfaces"],
     "camera": ["opencv-python-headless"],
     "sim": ["pybullet", "opencv-python-headless", "matplotlib"],
-    "train": ["torch"],
+    "train": ["torch", "scipy", "threadpoolctl"],
     "lab": ["scipy", "joblib", "cmaes", "jinja2", "matplotlib"],
     "test": [
         "pytest",

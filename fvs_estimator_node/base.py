@@ -27,6 +27,8 @@ class MotionStep:
         Ball motion in the camera frame, m.
     sliding_variable : ndarray, shape (3,)
         The controller's sliding variable s, as it was last heard; zeros without a controller.
+    ball_m : ndarray, shape (3,), optional
+        Ball position at the second exposure, camera frame, m.
     """
 
     stamp_s: float
@@ -35,11 +37,17 @@ class MotionStep:
     d_joints_rad: np.ndarray
     d_ball_m: np.ndarray
     sliding_variable: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    ball_m: np.ndarray | None = None
 
     @property
     def start_stamp_s(self) -> float:
         """Exposure time of the first image, s."""
         return self.stamp_s - self.dt_s
+
+    @property
+    def end_joints_rad(self) -> np.ndarray:
+        """Joint positions at the second exposure, rad, shape (6,)."""
+        return self.joints_rad + 0.5 * self.d_joints_rad
 
     @property
     def joint_velocity(self) -> np.ndarray:

@@ -13,11 +13,20 @@ import numpy as np
 from fvs_estimator_node.npz_file import NpzFile, check_same, write_npz
 from fvs_estimator_node.rbf import RbfModel
 from fvs_ros.core.camera import CAMERA_FRAME
+from fvs_ros.core.chain import SerialChain
 from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
 
 MODEL_FORMAT = "fvs_rbf_model"
 MODEL_VERSION = 1
 MAX_MODEL_BYTES = 64 * 2**20
+
+#: Fields of a chain and their shapes; a file has all of them or none.
+_CHAIN_SHAPES: dict[str, tuple[int, ...]] = {
+    "axes": (N_JOINTS, 3),
+    "points_m": (N_JOINTS, 3),
+    "ball_m": (3,),
+    "reference_rad": (N_JOINTS,),
+}
 
 
 class ModelFileError(ValueError):
@@ -46,6 +55,8 @@ class TrainedModel:
         Error figures of the training, name to number or list of numbers.
     provenance : dict
         Where it comes from; anything that JSON can hold.
+    chain : SerialChain, optional
+        The chain that the networks were taught by, for the method ``poe``.
 
     Raises
     ------
@@ -61,6 +72,7 @@ class TrainedModel:
     feature_frame: str = CAMERA_FRAME
     errors: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    chain: SerialChain | None = None
 
     def __post_init__(self) -> None:
         for name, shape in (("joint_box_rad", (2, N_JOINTS)), ("ball_box_m", (2, 3))):
@@ -79,6 +91,9 @@ class TrainedModel:
 
 def save_model(path: str | os.PathLike[str], trained: TrainedModel) -> None:
     """Write a model in one piece."""
+    chain = {} if trained.chain is None else {
+        f"chain_{name}": getattr(trained.chain, name) for name in _CHAIN_SHAPES
+    }
     write_npz(
         path,
         {
@@ -94,6 +109,7 @@ def save_model(path: str | os.PathLike[str], trained: TrainedModel) -> None:
             "ball_samples_m": trained.ball_samples_m,
             "errors": np.array(json.dumps(dict(trained.errors), sort_keys=True)),
             "provenance": np.array(json.dumps(dict(trained.provenance), sort_keys=True)),
+            **chain,
         },
     )
 
@@ -137,6 +153,7 @@ def load_model(
             frame,
             content.json("errors"),
             content.json("provenance"),
+            _chain(content),
         )
     except ModelFileError as error:
         if str(error).startswith(str(content.path)):
@@ -144,3 +161,11 @@ def load_model(
         raise content.refusal(f"is not a model: {error}") from None
     except ValueError as error:
         raise content.refusal(f"is not a model: {error}") from None
+
+
+def _chain(content: NpzFile) -> SerialChain | None:
+    if not any(content.has(f"chain_{name}") for name in _CHAIN_SHAPES):
+        return None
+    return SerialChain(
+        *(content.numbers(f"chain_{name}", shape, "f") for name, shape in _CHAIN_SHAPES.items())
+    )

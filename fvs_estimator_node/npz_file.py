@@ -120,6 +120,10 @@ class NpzFile:
         with archive.open(member) as stream:
             return np.lib.format.read_array(stream, allow_pickle=False)
 
+    def has(self, name: str) -> bool:
+        """Whether there is a field of this name."""
+        return name in self._arrays
+
     def _get(self, name: str) -> np.ndarray:
         try:
             return self._arrays[name]

@@ -280,6 +280,7 @@ class StepPairing:
                     d_joints_rad=d_joints,
                     d_ball_m=sample.ball_m - anchor.ball_m,
                     sliding_variable=self._sliding_at(sample.stamp_s),
+                    ball_m=sample.ball_m,
                 )
             )
         return steps

@@ -8,9 +8,15 @@ from typing import Any
 
 from fvs_estimator_node.base import Estimator
 from fvs_estimator_node.broyden import BROYDEN_PARAMETERS, BroydenConfig, BroydenEstimator
+from fvs_estimator_node.left_factor import (
+    LEFT_FACTOR_PARAMETERS,
+    LeftFactorEstimator,
+    left_factor_config,
+)
 from fvs_estimator_node.lkf import LKF_PARAMETERS, KalmanConfig, LkfEstimator
 from fvs_estimator_node.online import FROM_MODEL, OnlineConfig, read_config
 from fvs_estimator_node.oracle import OracleEstimator
+from fvs_estimator_node.poe import POE_PARAMETERS, PoeEstimator, poe_config
 from fvs_estimator_node.rbf import (
     RBF_PARAMETERS,
     FrozenRbfEstimator,
@@ -20,6 +26,7 @@ from fvs_estimator_node.rbf import (
 )
 from fvs_estimator_node.rls import RLS_PARAMETERS, RlsConfig, RlsEstimator
 from fvs_estimator_node.ukf import UKF_PARAMETERS, UkfConfig, UkfEstimator
+from fvs_ros.core.chain import SerialChain
 from fvs_ros.core.params import Parameter
 
 
@@ -30,16 +37,20 @@ class EstimatorFactory:
     Parameters
     ----------
     create : callable
-        Takes the trained model (None for methods that need none) and the parameter values.
+        Takes the trained networks (the fitted chain, if it needs that; None if it needs neither)
+        and the parameter values.
     parameters : tuple of Parameter
         What it can be told, to be declared by the node; names begin with the method's.
     needs_model : callable
         Takes the parameter values; whether it cannot do without a trained model.
+    needs_chain : bool
+        Whether what it takes is the fitted chain.
     """
 
     create: Callable[[Any, Mapping[str, Any]], Estimator]
     parameters: tuple[Parameter, ...] = ()
     needs_model: Callable[[Mapping[str, Any]], bool] = lambda values: False
+    needs_chain: bool = False
 
 
 def _networks(
@@ -64,6 +75,16 @@ def _online(
 ESTIMATORS: dict[str, EstimatorFactory] = {
     "rbf": _networks(lambda model, values: RbfEstimator(model, rbf_config(values)), RBF_PARAMETERS),
     "frozen": _networks(lambda model, values: FrozenRbfEstimator(model)),
+    "rbf_left": _networks(
+        lambda model, values: LeftFactorEstimator(model, left_factor_config(values)),
+        LEFT_FACTOR_PARAMETERS,
+    ),
+    "poe": EstimatorFactory(
+        lambda chain, values: PoeEstimator(chain, poe_config(values)),
+        POE_PARAMETERS,
+        lambda values: True,
+        needs_chain=True,
+    ),
     "lkf": _online("lkf", LkfEstimator, KalmanConfig, LKF_PARAMETERS),
     "ukf": _online("ukf", UkfEstimator, UkfConfig, UKF_PARAMETERS),
     "rls": _online("rls", RlsEstimator, RlsConfig, RLS_PARAMETERS),
@@ -89,7 +110,10 @@ def estimator_factory(method: str) -> EstimatorFactory:
 
 
 def create_estimator(
-    method: str, model: RbfModel | None = None, values: Mapping[str, Any] | None = None
+    method: str,
+    model: RbfModel | None = None,
+    values: Mapping[str, Any] | None = None,
+    chain: SerialChain | None = None,
 ) -> Estimator:
     """Make an estimator.
 
@@ -101,6 +125,8 @@ def create_estimator(
         The trained networks, for methods that need them.
     values : mapping, optional
         Parameter values by name; those of other methods are passed over.
+    chain : SerialChain, optional
+        The fitted chain, for methods that need it.
 
     Raises
     ------
@@ -109,6 +135,13 @@ def create_estimator(
     """
     factory = estimator_factory(method)
     values = values or {}
+    if factory.needs_chain:
+        if chain is None:
+            raise ValueError(
+                f"estimator method {method} needs a fitted chain: set model_path to a file that "
+                "fvs_train --method poe has written"
+            )
+        return factory.create(chain, values)
     if model is None and factory.needs_model(values):
         start = f"{method}.initial"
         without = f", or {start} to zero" if start in {p.name for p in factory.parameters} else ""

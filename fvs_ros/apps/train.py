@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.dataset import load_data_set
-from fvs_estimator_node.model_file import save_model
+from fvs_estimator_node.dataset import DataSet, load_data_set
+from fvs_estimator_node.model_file import TrainedModel, save_model
+from fvs_estimator_node.teaching import NEURONS, TaughtModel, train_structured
 from fvs_estimator_node.training import (
     METHODS,
     TrainingOptions,
@@ -25,6 +26,8 @@ from fvs_estimator_node.training import (
 )
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_OK
 
+#: The method that assumes a serial chain.
+STRUCTURED = "poe"
 #: A network with a larger error is doubtful, if its joint moves the ball by this share of what the
 #: one does that moves it most.
 _DOUBTFUL, _MATTERS = 0.15, 0.2
@@ -35,23 +38,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = _parser().parse_args(argv)
     try:
         _check_output(arguments.output)
-        options = TrainingOptions(
-            method=arguments.method, neurons=arguments.neurons, seed=arguments.seed
-        )
         data = load_data_set(arguments.data)
-        started_s = time.monotonic()
-        with _Bar(arguments.max_seconds, quiet=arguments.quiet) as bar:
-            result = train(data, options, bar.report)
-        seconds = time.monotonic() - started_s
+        trained, words, out_of_time = _train(data, arguments)
         provenance = {
-            **result.trained.provenance,
+            **trained.provenance,
             "data_file": arguments.data.name,
             "data_sha256": _sha256(arguments.data),
-            "stopped_by_time": bar.out_of_time,
+            "stopped_by_time": out_of_time,
             "numpy": np.__version__,
             "python": platform.python_version(),
         }
-        save_model(arguments.output, replace(result.trained, provenance=provenance))
+        save_model(arguments.output, replace(trained, provenance=provenance))
     except (ValueError, OSError) as error:
         print(f"fvs_train: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
@@ -59,9 +56,26 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("fvs_train: interrupted, no model was written", file=sys.stderr)
         return 130
     if not arguments.quiet:
-        print(report(result, seconds))
+        print(words)
     print(f"model written to {arguments.output}")
     return EXIT_OK
+
+
+def _train(data: DataSet, arguments: argparse.Namespace) -> tuple[TrainedModel, str, bool]:
+    """The model, what to say about it, and whether the time was over before the training."""
+    started_s = time.monotonic()
+    if arguments.method == STRUCTURED:
+        say = None if arguments.quiet else (lambda words: print(f"{words} ...", file=sys.stderr))
+        taught = train_structured(data, arguments.neurons or NEURONS, arguments.seed, say)
+        return taught.trained, report_structured(taught, time.monotonic() - started_s), False
+    options = TrainingOptions(
+        method=arguments.method,
+        neurons=TrainingOptions.neurons if arguments.neurons is None else arguments.neurons,
+        seed=arguments.seed,
+    )
+    with _Bar(arguments.max_seconds, quiet=arguments.quiet) as bar:
+        result = train(data, options, bar.report)
+    return result.trained, report(result, time.monotonic() - started_s), bar.out_of_time
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -76,13 +90,17 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--method",
-        choices=METHODS,
+        choices=(*METHODS, STRUCTURED),
         default=defaults.method,
-        help="varpro also moves the neurons, ridge solves for the weights only, in about a second "
-        "(default %(default)s)",
+        help="varpro also moves the neurons; ridge solves for the weights only, in about a second; "
+        "poe fits a chain of six revolute joints, which teaches the networks: a minute of motion "
+        "is enough (default %(default)s)",
     )
     parser.add_argument(
-        "--neurons", type=int, default=defaults.neurons, help="per network (default %(default)s)"
+        "--neurons",
+        type=int,
+        default=None,
+        help=f"per network (default {defaults.neurons}, with poe {NEURONS})",
     )
     parser.add_argument(
         "--seed", type=int, default=defaults.seed, help="equal seeds give equal models (default 0)"
@@ -143,6 +161,28 @@ def report(result: TrainingResult, seconds: float) -> str:
     ]
     notes = [*result.notes, *_doubts(result)]
     return "\n".join([*lines, *(f"note: {note}" for note in notes)])
+
+
+def report_structured(taught: TaughtModel, seconds: float) -> str:
+    """What a user should see of a structured training."""
+    fit, box = taught.fit, taught.trained.joint_box_rad
+    low, high = box
+    lines = [
+        "",
+        f"Jacobian of the chain, in the box of the data: {100 * taught.jacobian_deviation:.3f} % "
+        "(standard deviation, by the noise)",
+        f"six networks taught by it: {100 * taught.teaching_error:.2f} % off the chain (median)",
+        f"images stamped late: {1e3 * fit.time_offset_s:.1f} +- "
+        f"{1e3 * fit.time_offset_deviation_s:.1f} ms",
+        f"noise of a ball position: {1e3 * fit.ray_noise_m:.2f} mm along the line of sight, "
+        f"{1e3 * fit.lateral_noise_m:.2f} mm across",
+        f"distance from the chain: {1e3 * fit.residual_m:.2f} mm (median), of which noise "
+        f"explains {1e3 * fit.noise_m:.2f} mm",
+        f"joints from [{', '.join(f'{v:.2f}' for v in low)}]",
+        f"         to [{', '.join(f'{v:.2f}' for v in high)}] rad",
+        f"{fit.samples} images, {fit.outliers} do not fit; {seconds:.1f} s",
+    ]
+    return "\n".join([*lines, *(f"note: {note}" for note in taught.notes)])
 
 
 def _doubts(result: TrainingResult) -> list[str]:

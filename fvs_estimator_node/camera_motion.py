@@ -1,0 +1,169 @@
+"""How the camera stands now against where it stood when a model was learned.
+
+A model says where the ball should be, ``p``, in the frame of the camera that it was learned with;
+the image says where it is, ``x``. As long as the camera does not move, ``x = R p + t`` with one
+rotation R and one translation t. The rotation that fits best is known in closed form (Kabsch),
+however far the camera has been turned; what is known before enters as a matrix Fisher
+distribution about the rotation so far, so that a little motion turns it a little.
+
+A camera that is bumped shows at once: positions that no noise explains, several in a row. What
+was learned of the old pose is then dropped, and the new one is learned from there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+#: Standard deviation that the first guess of the noise is, m, and its bounds.
+_NOISE_M, _LEAST_NOISE_M, _MOST_NOISE_M = 0.001, 0.0002, 0.01
+#: Share of a new squared innovation in the noise.
+_NOISE_SHARE = 0.02
+
+
+@dataclass(frozen=True)
+class CameraMotionConfig:
+    """Settings of the pose of a camera that may have moved.
+
+    Parameters
+    ----------
+    rotation_deviation_rad : float
+        How far it may have been turned without anybody noticing, a standard deviation, rad.
+    bumped_deviation_rad : float
+        The same once it was noticed, rad.
+    memory : float
+        Steps after which an old one has lost 63 % of its say.
+    bump_m : float
+        A position further than this, and than six standard deviations of the noise besides, from
+        where it should be is not believed, m.
+    bump_repeats : int
+        So many of them in a row are a camera that was bumped.
+    """
+
+    rotation_deviation_rad: float = 0.02
+    bumped_deviation_rad: float = 0.7
+    memory: float = 1000.0
+    bump_m: float = 0.01
+    bump_repeats: int = 3
+
+    def __post_init__(self) -> None:
+        for name in ("rotation_deviation_rad", "bumped_deviation_rad", "bump_m"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} must be positive, got {value}")
+        if not self.memory >= 1.0:
+            raise ValueError(f"memory must be at least 1 step, got {self.memory}")
+        if self.bump_repeats < 1:
+            raise ValueError(f"bump_repeats must be at least 1, got {self.bump_repeats}")
+
+
+class CameraMotion:
+    """Rotation R and translation t of ``x = R p + t``, step by step.
+
+    Parameters
+    ----------
+    config : CameraMotionConfig, optional
+        Settings.
+    """
+
+    def __init__(self, config: CameraMotionConfig | None = None) -> None:
+        self._config = config if config is not None else CameraMotionConfig()
+        self._keep = math.exp(-1.0 / self._config.memory)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: the camera stands where it stood."""
+        self._rotation, self._translation = np.eye(3), np.zeros(3)
+        self._variance = _NOISE_M**2
+        self._bumps = 0
+        self._begin(self._config.rotation_deviation_rad)
+
+    def _begin(self, deviation_rad: float) -> None:
+        """Forget all pairs; the rotation so far is known to a standard deviation."""
+        self._weight = 0.0
+        self._mean_p, self._mean_x = np.zeros(3), np.zeros(3)
+        self._scatter = self._variance / (2.0 * deviation_rad**2) * self._rotation
+        self._strangers: deque[tuple[np.ndarray, np.ndarray]] = deque(
+            maxlen=self._config.bump_repeats
+        )
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """R, shape (3, 3); not to be changed."""
+        return self._rotation
+
+    @property
+    def translation_m(self) -> np.ndarray:
+        """t, m, shape (3,); not to be changed."""
+        return self._translation
+
+    @property
+    def angle_rad(self) -> float:
+        """Angle of the rotation, rad."""
+        return rotation_angle_rad(self._rotation)
+
+    @property
+    def noise_m(self) -> float:
+        """Standard deviation of one coordinate of a position, as far as seen, m."""
+        return math.sqrt(self._variance)
+
+    @property
+    def bumps(self) -> int:
+        """How often the camera was found to have been moved."""
+        return self._bumps
+
+    def add(self, model_m: np.ndarray, seen_m: np.ndarray) -> None:
+        """Tell one pair: where the model has the ball, and where the image has it, m, (3,) each.
+
+        Nothing is learned from what is not finite.
+        """
+        if not (np.isfinite(model_m).all() and np.isfinite(seen_m).all()):
+            return
+        expected = self._rotation @ model_m + self._translation
+        innovation = seen_m - expected
+        distance = math.sqrt(float(innovation @ innovation))
+        if distance > self._config.bump_m + 6.0 * self.noise_m:
+            self._strangers.append((model_m, seen_m))
+            if len(self._strangers) == self._config.bump_repeats:
+                self._bump()
+            return
+        self._strangers.clear()
+        share = max(_NOISE_SHARE, 1.0 / (self._weight + 10.0))
+        self._variance += share * (distance * distance / 3.0 - self._variance)
+        self._variance = min(max(self._variance, _LEAST_NOISE_M**2), _MOST_NOISE_M**2)
+        self._learn(model_m, seen_m)
+
+    def _bump(self) -> None:
+        pairs = list(self._strangers)
+        self._bumps += 1
+        self._begin(self._config.bumped_deviation_rad)
+        for model_m, seen_m in pairs:
+            self._learn(model_m, seen_m)
+
+    def _learn(self, model_m: np.ndarray, seen_m: np.ndarray) -> None:
+        weight = self._keep * self._weight
+        total = weight + 1.0
+        from_p, from_x = model_m - self._mean_p, seen_m - self._mean_x
+        # At the full memory old scatter fades; the prior in it fades with it.
+        self._scatter = self._keep * self._scatter + weight / total * np.outer(from_x, from_p)
+        self._mean_p = self._mean_p + from_p / total
+        self._mean_x = self._mean_x + from_x / total
+        self._weight = total
+        self._rotation = nearest_rotation(self._scatter)
+        self._translation = self._mean_x - self._rotation @ self._mean_p
+
+
+def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+    """The rotation R of the largest ``tr(R' M)``, shape (3, 3)."""
+    left, _, right = np.linalg.svd(matrix)
+    if np.linalg.det(left) * np.linalg.det(right) < 0.0:
+        left[:, 2] *= -1.0
+    return left @ right
+
+
+def rotation_angle_rad(rotation: np.ndarray) -> float:
+    """Angle of a rotation matrix, rad."""
+    return math.acos(min(1.0, max(-1.0, 0.5 * (float(np.trace(rotation)) - 1.0))))

@@ -1,0 +1,477 @@
+"""Fits a serial chain of revolute joints to a minute of ordinary motion.
+
+The camera sees the ball at ``x(r(t - tau)) + noise`` of an image stamped t: 27 numbers of a
+:class:`~fvs_ros.core.chain.SerialChain` (two for each axis' direction, two for its place, three for
+the ball) and the time ``tau`` that the images are stamped late. They are found by robust
+non-linear least squares with the exact derivatives.
+
+The start needs no search: in a cubic regression of the positions about the mean joints,
+``dx/dr_i = J_i`` and ``d2x/dr_i dr_j = w_i x J_j`` for j >= i, which is linear in the axes.
+Joints that hardly move the ball say little about their axes; those are tried in several ways.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+from typing import Any
+
+import numpy as np
+
+from fvs_estimator_node.dataset import DataSet
+from fvs_ros.core.chain import SerialChain, cross, cross_matrix
+from fvs_ros.core.joints import N_JOINTS
+
+#: Fewest images that a chain is fitted to.
+MIN_SAMPLES = 200
+#: No camera stamps its images later than this, s; ends of runs this long are left out.
+MAX_OFFSET_S = 0.2
+#: Images of the search for the right start, and starts that are tried at most.
+_SEARCH_SAMPLES, _STARTS = 400, 24
+#: A start is right if its residual is below so many times that of the images themselves.
+_GOOD_SHARE = 1.5
+#: Least curve lengths that a joint is known from, m/rad; one that moves the ball less is weak.
+_WEAK_M_RAD = 0.03
+_AXIS, _POINT, _BALL, _OFFSET = slice(0, 12), slice(12, 24), slice(24, 27), 27
+_N_PARAMETERS = 28
+#: Standard deviations of what the data do not tell, for the covariance: rad, m, m, s.
+_PRIOR = np.repeat([1.0, 1.0, 1.0, 0.1], [12, 12, 3, 1])
+
+
+class ChainFitError(ValueError):
+    """Data that no chain can be fitted to; the text says why."""
+
+
+@dataclass(frozen=True)
+class ChainFit:
+    """A fitted chain, and how far it can be trusted.
+
+    Parameters
+    ----------
+    chain : SerialChain
+        The chain.
+    time_offset_s : float
+        How late the images are stamped, s: one stamped t shows the joints at t - offset.
+    time_offset_deviation_s : float
+        Its standard deviation, s.
+    residual_m : float
+        Median distance of images from the chain, m.
+    noise_m : float
+        The part of it that is noise: what changes from one image to the next, m.
+    ray_noise_m, lateral_noise_m : float
+        Standard deviation of a position along the line of sight, and across it (each of two), m.
+    outliers : int
+        Images further than six standard deviations from the chain.
+    samples : int
+        Images used.
+    covariance : ndarray, shape (28, 28)
+        Of the parameters in the local chart at the solution.
+    """
+
+    chain: SerialChain
+    time_offset_s: float
+    time_offset_deviation_s: float
+    residual_m: float
+    noise_m: float
+    ray_noise_m: float
+    lateral_noise_m: float
+    outliers: int
+    samples: int
+    covariance: np.ndarray
+
+    @property
+    def structure(self) -> float:
+        """Residual over noise: 1 for a serial chain, more where something else moves the ball."""
+        return self.residual_m / self.noise_m
+
+    def jacobian_deviation(self, joints_rad: np.ndarray) -> np.ndarray:
+        """Relative standard deviation of the Jacobian at joints, by the covariance.
+
+        Parameters
+        ----------
+        joints_rad : ndarray, shape (n, 6)
+            Joints, rad.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Frobenius norm of the deviation over that of the Jacobian.
+        """
+        chart = _Chart(self.chain)
+        jacobian = self.chain.jacobian(joints_rad)
+        root = np.linalg.cholesky(self.covariance[:27, :27] + 1e-18 * np.eye(27))
+        step = 1e-3
+        variance = np.zeros(len(joints_rad))
+        for direction in root.T:
+            # one standard deviation may be far for what is hardly known
+            scale = step / max(float(np.abs(direction).max()), 1e-12)
+            change = chart.chain(scale * direction).jacobian(joints_rad) - jacobian
+            variance += np.sum(np.square(change / scale), axis=(-2, -1))
+        return np.sqrt(variance) / np.linalg.norm(jacobian, axis=(-2, -1))
+
+
+class _Chart:
+    """Local coordinates about a chain: 12 of directions, 12 of places, 3 of the ball."""
+
+    def __init__(self, chain: SerialChain) -> None:
+        axes = chain.axes
+        helper = np.eye(3)[np.abs(axes).argmin(axis=1)]
+        first = np.cross(axes, helper)
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        self.basis = np.stack([first, np.cross(axes, first)], axis=1)  # (6, 2, 3)
+        # Of all points of an axis the one next to the ball: the chart's numbers stay small.
+        out = chain.points_m - chain.ball_m
+        self.points = chain.points_m - axes * np.sum(out * axes, axis=1, keepdims=True)
+        self.axes, self.ball, self.reference = axes, chain.ball_m, chain.reference_rad
+
+    def directions(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Unit axes (6, 3) and their lengths before (6,)."""
+        axes = self.axes + np.einsum("ij,ijk->ik", values[_AXIS].reshape(6, 2), self.basis)
+        lengths = np.linalg.norm(axes, axis=1)
+        return axes / lengths[:, None], lengths
+
+    def chain(self, values: np.ndarray) -> SerialChain:
+        """The chain at local coordinates, shape (27,) or more."""
+        points = self.points + np.einsum("ij,ijk->ik", values[_POINT].reshape(6, 2), self.basis)
+        return SerialChain(
+            self.directions(values)[0], points, self.ball + values[_BALL], self.reference
+        )
+
+
+class _Path:
+    """Joints at any time of each continuous run, from those at the exposures."""
+
+    def __init__(self, data: DataSet, margin_s: float) -> None:
+        from scipy.interpolate import CubicSpline
+
+        kept = []
+        self._splines: list[tuple[np.ndarray, Any]] = []
+        count = 0
+        for run in np.unique(data.segment):
+            where = np.flatnonzero(data.segment == run)
+            stamps = data.stamps_s[where]
+            inside = where[(stamps >= stamps[0] + margin_s) & (stamps <= stamps[-1] - margin_s)]
+            if len(where) < 5 or not len(inside):
+                continue
+            kept.append(inside)
+            places = np.arange(count, count + len(inside))
+            self._splines.append((places, CubicSpline(stamps, data.joints_rad[where])))
+            count += len(inside)
+        self.indices = np.concatenate(kept) if kept else np.zeros(0, int)
+        self.stamps_s = data.stamps_s[self.indices]
+
+    def __call__(self, offset_s: float) -> tuple[np.ndarray, np.ndarray]:
+        """Joints and their velocities at the stamps minus an offset, (n, 6) each."""
+        joints = np.empty((len(self.stamps_s), N_JOINTS))
+        velocity = np.empty_like(joints)
+        for places, spline in self._splines:
+            time_s = self.stamps_s[places] - offset_s
+            joints[places], velocity[places] = spline(time_s), spline(time_s, 1)
+        return joints, velocity
+
+
+def fit_chain(
+    data: DataSet,
+    rng: np.random.Generator | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> ChainFit:
+    """Fit a chain to ball positions and joints.
+
+    Parameters
+    ----------
+    data : DataSet
+        A minute of motion of all joints, or more.
+    rng : numpy Generator, optional
+        Decides what is tried where the regression leaves an axis open; default seed 0.
+    progress : callable, optional
+        Told what is being done, in words.
+
+    Raises
+    ------
+    ChainFitError
+        If there is too little data, or nothing fits.
+    """
+    try:
+        from threadpoolctl import threadpool_limits
+    except ImportError as error:
+        raise ChainFitError(
+            "fitting a chain needs scipy and threadpoolctl: pip install scipy threadpoolctl"
+        ) from error
+    rng = rng if rng is not None else np.random.default_rng(0)
+    say = progress or (lambda words: None)
+    path = _Path(data, MAX_OFFSET_S)
+    if len(path.indices) < MIN_SAMPLES:
+        raise ChainFitError(
+            f"a chain needs at least {MIN_SAMPLES} images in continuous runs of more than "
+            f"{2 * MAX_OFFSET_S:g} s, the data set has {len(path.indices)}"
+        )
+    if np.linalg.norm(data.ball_m.std(axis=0)) < 1e-3:
+        raise ChainFitError("the ball does not move in the data set, so there is no chain to find")
+    fitting = _Fitting(path, data.ball_m[path.indices])
+    # Matrices of 28 columns: on a busy machine more threads took twenty times as long.
+    with threadpool_limits(1):
+        say("looking for the axes")
+        chain, offset_s = fitting.start(rng)
+        say("fitting")
+        return fitting.finish(chain, offset_s)
+
+
+class _Fitting:
+    """The data of one fit."""
+
+    def __init__(self, path: _Path, ball_m: np.ndarray) -> None:
+        self._path = path
+        self._ball = ball_m
+        self._joints, _ = path(0.0)
+        self._reference = self._joints.mean(axis=0)
+
+    # ---- start ----------------------------------------------------------------------------
+
+    def start(self, rng: np.random.Generator) -> tuple[SerialChain, float]:
+        """The best of some starts, each fitted to a part of the images."""
+        n = len(self._ball)
+        some = np.sort(rng.permutation(n)[:_SEARCH_SAMPLES])
+        position, slopes, bends, noise_m = self._regress()
+        best: tuple[float, SerialChain, float] | None = None
+        for attempt in range(_STARTS):
+            chain = _first_guess(position, slopes, bends, self._reference, rng, attempt)
+            values, cost = self._solve(_Chart(chain), 0.0, some, np.eye(3), 3.0 * noise_m, 60)
+            found = _Chart(chain).chain(values)
+            if best is None or cost < best[0]:
+                best = (cost, found, float(values[_OFFSET]))
+            residual = self._residuals(best[1], best[2])
+            if _median_length(residual) < _GOOD_SHARE * self._change_noise_m(residual):
+                break
+        assert best is not None
+        return best[1], best[2]
+
+    def _regress(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+        """Position, slopes (3, 6) and second derivatives (3, 6, 6) at the mean joints; noise."""
+        d = self._joints - self._reference
+        terms = [
+            term
+            for degree in range(4)
+            for term in combinations_with_replacement(range(N_JOINTS), degree)
+        ]
+        design = np.stack([np.prod(d[:, list(term)], axis=1) for term in terms], axis=1)
+        scale = np.sqrt(np.mean(design**2, axis=0)) + 1e-12
+        design = design / scale
+        weight = np.ones(len(d))
+        for _ in range(6):
+            rows = design * weight[:, None]
+            gram = rows.T @ rows + 1e-6 * len(d) * np.eye(len(terms))
+            solution = np.linalg.solve(gram, rows.T @ (self._ball * weight[:, None]))
+            distance = np.linalg.norm(self._ball - design @ solution, axis=1)
+            typical = max(float(np.median(distance)), 1e-6)
+            weight = np.minimum(1.0, 2.0 * typical / np.maximum(distance, 1e-12)) ** 0.5
+        solution = solution / scale[:, None]
+        slopes, bends = np.zeros((3, N_JOINTS)), np.zeros((3, N_JOINTS, N_JOINTS))
+        for term, value in zip(terms, solution, strict=True):
+            if len(term) == 1:
+                slopes[:, term[0]] = value
+            elif len(term) == 2:
+                i, j = term
+                bends[:, i, j] = bends[:, j, i] = value * (2.0 if i == j else 1.0)
+        return solution[0], slopes, bends, typical
+
+    # ---- least squares --------------------------------------------------------------------
+
+    def _residuals(self, chain: SerialChain, offset_s: float) -> np.ndarray:
+        return chain.position(self._path(offset_s)[0]) - self._ball
+
+    def _solve(
+        self,
+        chart: _Chart,
+        offset_s: float,
+        images: np.ndarray,
+        whitening: np.ndarray,
+        scale: float,
+        evaluations: int,
+    ) -> tuple[np.ndarray, float]:
+        """Local coordinates and offset of the robust optimum, and its cost for an image."""
+        from scipy.optimize import least_squares
+
+        def values_of(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            joints, velocity = self._path(float(values[_OFFSET]))
+            residual, slope = _residuals_and_slopes(
+                chart, values, joints[images], velocity[images], self._ball[images]
+            )
+            white = whitening if whitening.ndim == 2 else whitening[images]
+            return (white @ residual[..., None])[..., 0].ravel(), (white @ slope).reshape(
+                -1, _N_PARAMETERS
+            )
+
+        cache: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+
+        def cached(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            key = values.tobytes()
+            if key not in cache:
+                cache.clear()
+                cache[key] = values_of(values)
+            return cache[key]
+
+        begin = np.zeros(_N_PARAMETERS)
+        begin[_OFFSET] = offset_s
+        limit = np.full(_N_PARAMETERS, np.inf)
+        limit[_OFFSET] = MAX_OFFSET_S
+        solution = least_squares(
+            lambda values: cached(values)[0],
+            begin,
+            lambda values: cached(values)[1],
+            bounds=(-limit, limit),
+            loss="soft_l1",
+            f_scale=scale,
+            max_nfev=evaluations,
+            ftol=1e-6,
+            xtol=1e-7,
+            gtol=1e-10,
+            x_scale=np.repeat([0.3, 0.1, 0.1, 0.05], [12, 12, 3, 1]),
+        )
+        return solution.x, float(solution.cost) / len(images)
+
+    def finish(self, chain: SerialChain, offset_s: float) -> ChainFit:
+        """Fit all images, each weighed by its noise along and across the line of sight."""
+        everything = np.arange(len(self._ball))
+        residual = self._residuals(chain, offset_s)
+        for _ in range(2):
+            ray_m, lateral_m = _noise_by_direction(residual, self._ball)
+            whitening = _whitening(self._ball, ray_m, lateral_m)
+            chart = _Chart(chain)
+            values, _ = self._solve(chart, offset_s, everything, whitening, 2.0, 100)
+            chain, offset_s = chart.chain(values), float(values[_OFFSET])
+            residual = self._residuals(chain, offset_s)
+        ray_m, lateral_m = _noise_by_direction(residual, self._ball)
+        white = (_whitening(self._ball, ray_m, lateral_m) @ residual[..., None])[..., 0]
+        covariance = self._covariance(chain, offset_s, whitening, white)
+        return ChainFit(
+            chain=chain,
+            time_offset_s=offset_s,
+            time_offset_deviation_s=float(np.sqrt(covariance[_OFFSET, _OFFSET])),
+            residual_m=_median_length(residual),
+            noise_m=self._change_noise_m(residual),
+            ray_noise_m=ray_m,
+            lateral_noise_m=lateral_m,
+            outliers=int(np.count_nonzero(np.abs(white).max(axis=1) > 6.0)),
+            samples=len(residual),
+            covariance=covariance,
+        )
+
+    def _change_noise_m(self, residual: np.ndarray) -> float:
+        """Median length of the residuals, if all were as unlike as neighbours are, m."""
+        passed_s = np.diff(self._path.stamps_s)
+        near = np.flatnonzero((passed_s > 0.0) & (passed_s < 0.25))
+        if not len(near):
+            return _median_length(residual)
+        return _median_length(residual[near + 1] - residual[near]) / math.sqrt(2.0)
+
+    def _covariance(
+        self, chain: SerialChain, offset_s: float, whitening: np.ndarray, white: np.ndarray
+    ) -> np.ndarray:
+        joints, velocity = self._path(offset_s)
+        values = np.zeros(_N_PARAMETERS)
+        _, slope = _residuals_and_slopes(_Chart(chain), values, joints, velocity, self._ball)
+        inlier = np.abs(white).max(axis=1) < 6.0
+        rows = (whitening @ slope)[inlier].reshape(-1, _N_PARAMETERS)
+        return np.linalg.inv(rows.T @ rows + np.diag(1.0 / _PRIOR**2))
+
+
+def _residuals_and_slopes(
+    chart: _Chart,
+    values: np.ndarray,
+    joints_rad: np.ndarray,
+    velocity_rad_s: np.ndarray,
+    ball_m: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Chain minus images (n, 3), and the derivatives by the 28 parameters (n, 3, 28)."""
+    chain = chart.chain(values)
+    axes, lengths = chart.directions(values)
+    n = len(joints_rad)
+    angles = joints_rad - chain.reference_rad
+    sine, cosine = np.sin(angles), np.cos(angles)
+    k = cross_matrix(axes)
+    turns = (
+        np.eye(3)
+        + sine[..., None, None] * k
+        + (1.0 - cosine)[..., None, None] * (k @ k)
+    )
+    slope = np.empty((n, 3, _N_PARAMETERS))
+    point = np.broadcast_to(chain.ball_m, (n, 3))
+    moved = np.empty((N_JOINTS, n, 3))  # ball before axis i turns, from the axis' point
+    for i in range(N_JOINTS - 1, -1, -1):
+        moved[i] = point - chain.points_m[i]
+        point = chain.points_m[i] + (turns[:, i] @ moved[i][..., None])[..., 0]
+    before = np.broadcast_to(np.eye(3), (n, 3, 3))
+    velocity = np.zeros((n, 3))
+    for i in range(N_JOINTS):
+        axis, u = axes[i], moved[i]
+        basis = chart.basis[i]
+        local = np.empty((n, 3, 5))
+        for b in range(2):
+            tilt = basis[b] - axis * (axis @ basis[b])
+            local[:, :, b] = sine[:, i, None] * cross(tilt, u) + (1.0 - cosine[:, i, None]) * (
+                tilt * (u @ axis)[:, None] + axis * (u @ tilt)[:, None]
+            )
+            local[:, :, 2 + b] = basis[b] - turns[:, i] @ basis[b]
+        local[:, :, :2] /= lengths[i]
+        # the column of the Jacobian, of the ball after this axis has turned
+        local[:, :, 4] = cross(axis, (turns[:, i] @ u[..., None])[..., 0])
+        seen = before @ local
+        slope[:, :, 2 * i : 2 * i + 2] = seen[:, :, :2]
+        slope[:, :, 12 + 2 * i : 14 + 2 * i] = seen[:, :, 2:4]
+        velocity += seen[:, :, 4] * velocity_rad_s[:, i, None]
+        before = before @ turns[:, i]
+    slope[:, :, _BALL] = before
+    slope[:, :, _OFFSET] = -velocity
+    return point - ball_m, slope
+
+
+def _first_guess(
+    position_m: np.ndarray,
+    slopes: np.ndarray,
+    bends: np.ndarray,
+    reference_rad: np.ndarray,
+    rng: np.random.Generator,
+    attempt: int,
+) -> SerialChain:
+    """Axes from slopes J_i and bends ``w_i x J_j``; after the first attempt with some chance."""
+    axes, points = np.empty((N_JOINTS, 3)), np.empty((N_JOINTS, 3))
+    lever = np.linalg.norm(slopes, axis=0)
+    for i in range(N_JOINTS):
+        column = slopes[:, i]
+        # w x J_j = bend  <=>  -[J_j]x w = bend, for all joints from i on
+        rows = -cross_matrix(slopes[:, i:].T).reshape(-1, 3)
+        wanted = bends[:, i, i:].T.reshape(-1)
+        axis = np.linalg.lstsq(rows, wanted, rcond=1e-3)[0]
+        if lever[i] > _WEAK_M_RAD:
+            axis -= column * (axis @ column) / lever[i] ** 2
+        spread = 0.0 if attempt == 0 else (0.3 if lever[i] > _WEAK_M_RAD else 3.0)
+        length = float(np.linalg.norm(axis))
+        axis = axis / length if length > 1e-6 else rng.normal(size=3)
+        axis = axis + spread * rng.normal(size=3)
+        axes[i] = axis / np.linalg.norm(axis)
+        points[i] = position_m - np.cross(column, axes[i])
+    return SerialChain(axes, points, position_m, reference_rad)
+
+
+def _median_length(vectors: np.ndarray) -> float:
+    return float(np.median(np.linalg.norm(vectors, axis=1)))
+
+
+def _noise_by_direction(residual: np.ndarray, ball_m: np.ndarray) -> tuple[float, float]:
+    """Standard deviations along the line of sight and across it, by medians, m."""
+    sight = ball_m / np.linalg.norm(ball_m, axis=1, keepdims=True)
+    along = np.sum(residual * sight, axis=1)
+    across = np.linalg.norm(residual - along[:, None] * sight, axis=1)
+    # medians of a normal and of a Rayleigh distribution
+    ray_m = float(np.median(np.abs(along))) / 0.6745
+    lateral_m = float(np.median(across)) / 1.1774
+    return max(ray_m, 1e-6), max(lateral_m, 1e-6)
+
+
+def _whitening(ball_m: np.ndarray, ray_m: float, lateral_m: float) -> np.ndarray:
+    """Matrices (n, 3, 3) that turn a residual into standard deviations."""
+    sight = ball_m / np.linalg.norm(ball_m, axis=1, keepdims=True)
+    along = sight[:, :, None] * sight[:, None, :]
+    return along / ray_m + (np.eye(3) - along) / lateral_m

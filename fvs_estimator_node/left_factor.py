@@ -1,0 +1,196 @@
+"""The networks behind a camera that was moved: ``J = A J_rbf(r)`` with a 3x3 left factor A.
+
+Turning the camera turns every column of the Jacobian alike, so that three numbers (a rotation) or
+nine (any matrix) are all there is to learn, and a few steps teach them for the whole workspace,
+where the update law (17) learns along the path only. With ``u = J_rbf dr`` of each step,
+
+    C = sum dx u',  G = sum u u',  A = nearest rotation to C,  or  A = C G^-1.
+
+Old steps fade with the way that the ball has gone since, not with time: near the target, where
+steps are small and noisy, little is learned and little forgotten. Steps along one line need no
+small noise: in their sum the positions in between cancel.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from fvs_estimator_node.base import MotionStep
+from fvs_estimator_node.camera_motion import nearest_rotation, rotation_angle_rad
+from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfModel
+from fvs_ros.core.params import Parameter
+
+ROTATION, MATRIX = "rotation", "matrix"
+KINDS = (ROTATION, MATRIX)
+
+
+@dataclass(frozen=True)
+class LeftFactorConfig:
+    """Settings of the left factor.
+
+    Parameters
+    ----------
+    kind : str
+        ``rotation``: three numbers, what moving a camera does; ``matrix``: nine.
+    memory_m : float
+        Way of the ball after which a step has lost 63 % of its say, m.
+    trust_m : float
+        The start (no motion of the camera) counts like a step of this length each way, m.
+    bumped_trust_m : float
+        The same for the factor so far after a bump, m.
+    bump_m : float
+        A step that is off by more is the camera's own motion: not learned from, m.
+    min_motion_rad : float
+        No learning from steps in which no joint moved further than this, rad.
+    """
+
+    kind: str = ROTATION
+    memory_m: float = 0.3
+    trust_m: float = 0.05
+    bumped_trust_m: float = 0.005
+    bump_m: float = 0.04
+    min_motion_rad: float = 1e-3
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise ValueError(f"unknown left factor {self.kind!r}; known are {', '.join(KINDS)}")
+        for name in ("memory_m", "trust_m", "bumped_trust_m", "bump_m"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} must be positive, got {value}")
+        if not self.min_motion_rad >= 0.0:
+            raise ValueError(f"min_motion_rad must not be negative, got {self.min_motion_rad}")
+
+
+_DEFAULT = LeftFactorConfig()
+
+#: Parameters of the method ``rbf_left`` as a node declares them.
+LEFT_FACTOR_PARAMETERS = (
+    Parameter(
+        "rbf_left.kind",
+        _DEFAULT.kind,
+        "What the left factor may be: a rotation, as of a moved camera, or any matrix.",
+        choices=KINDS,
+    ),
+    Parameter(
+        "rbf_left.memory_m",
+        _DEFAULT.memory_m,
+        "Way of the ball after which a step has lost 63 % of its say, m.",
+        1e-3,
+        1e3,
+    ),
+    Parameter(
+        "rbf_left.trust_m",
+        _DEFAULT.trust_m,
+        "The networks as trained count like a step of this length each way, m.",
+        1e-4,
+        10.0,
+    ),
+    Parameter(
+        "rbf_left.bumped_trust_m",
+        _DEFAULT.bumped_trust_m,
+        "The same for what was learned before a bump of the camera, m.",
+        1e-4,
+        10.0,
+    ),
+    Parameter(
+        "rbf_left.bump_m",
+        _DEFAULT.bump_m,
+        "A step that is off by more was a motion of the camera, m.",
+        1e-3,
+        1.0,
+    ),
+    Parameter(
+        "rbf_left.min_motion_rad",
+        _DEFAULT.min_motion_rad,
+        "No learning from steps with less joint motion than this, rad.",
+        0.0,
+        1.0,
+    ),
+)
+
+
+def left_factor_config(values: Mapping[str, Any]) -> LeftFactorConfig:
+    """Configuration from parameter values (``rbf_left.kind`` and so on)."""
+    names = {field.name for field in fields(LeftFactorConfig)}
+    return LeftFactorConfig(
+        **{name: values[f"rbf_left.{name}"] for name in names if f"rbf_left.{name}" in values}
+    )
+
+
+class LeftFactorEstimator(FrozenRbfEstimator):
+    """Frozen networks times a learned 3x3 factor.
+
+    Parameters
+    ----------
+    model : RbfModel
+        The trained networks.
+    config : LeftFactorConfig, optional
+        Settings.
+    """
+
+    learns = True
+
+    def __init__(self, model: RbfModel, config: LeftFactorConfig | None = None) -> None:
+        super().__init__(model)
+        self._config = config if config is not None else LeftFactorConfig()
+        self.reset()
+
+    def reset(self) -> None:
+        """Take the camera to stand where it stood when the networks were trained."""
+        self._factor = np.eye(3)
+        self._updates = 0
+        self._bumps = 0
+        self._begin(self._config.trust_m)
+
+    def _begin(self, trust_m: float) -> None:
+        """Forget all steps; the factor so far counts like a step of a length each way."""
+        self._cross = trust_m**2 * self._factor
+        self._gram = trust_m**2 * np.eye(3)
+
+    @property
+    def factor(self) -> np.ndarray:
+        """A, shape (3, 3); a copy."""
+        return self._factor.copy()
+
+    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
+        """Estimate at given joints, m/rad, shape (3, 6)."""
+        return self._factor @ super().jacobian(joints_rad)
+
+    def update(self, step: MotionStep) -> None:
+        """Learn from one step; too little motion or anything not finite changes nothing."""
+        config = self._config
+        if np.abs(step.d_joints_rad).max() < config.min_motion_rad:
+            return
+        predicted = super().jacobian(step.joints_rad) @ step.d_joints_rad
+        if not (np.isfinite(predicted).all() and np.isfinite(step.d_ball_m).all()):
+            return
+        # However the camera may have been turned, the ball goes as far as predicted.
+        off_m = math.sqrt(float(step.d_ball_m @ step.d_ball_m)) - math.sqrt(
+            float(predicted @ predicted)
+        )
+        if off_m > config.bump_m:
+            self._bumps += 1
+            self._begin(config.bumped_trust_m)
+            return
+        keep = math.exp(-math.sqrt(float(predicted @ predicted)) / config.memory_m)
+        self._cross = keep * self._cross + np.outer(step.d_ball_m, predicted)
+        self._gram = keep * self._gram + np.outer(predicted, predicted)
+        if config.kind == ROTATION:
+            self._factor = nearest_rotation(self._cross)
+        else:
+            self._factor = np.linalg.solve(self._gram, self._cross.T).T
+        self._updates += 1
+
+    def status_values(self) -> dict[str, float]:
+        """Counts, and how far the factor turns the networks' Jacobian."""
+        return {
+            "updates": float(self._updates),
+            "camera_turned_deg": math.degrees(rotation_angle_rad(nearest_rotation(self._factor))),
+            "camera_bumps": float(self._bumps),
+        }
