@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from fvs_ros.core.chain import SerialChain
 from fvs_ros.core.params import Parameter
 
 N_AXES = 3
@@ -30,6 +31,11 @@ class ControlInput:
         Joint positions, rad.
     dt_s : float
         Time since the last tick, s; positive.
+    news : int
+        Changes whenever something else than the joints' motion has changed ``error_m``: an image,
+        a moving target.
+    chain : SerialChain, optional
+        Forward model of arm and ball as the camera sees them; up to a constant offset.
     """
 
     error_m: np.ndarray
@@ -37,6 +43,8 @@ class ControlInput:
     applied_rad_s: np.ndarray
     joints_rad: np.ndarray
     dt_s: float
+    news: int = 0
+    chain: SerialChain | None = None
 
 
 @dataclass(frozen=True)
@@ -52,11 +60,17 @@ class ControlOutput:
         sliding variable (17), the proportional law the error (45); zeros for a law without one.
     exponent : ndarray, shape (3,)
         The exponent gamma of each axis; ones for a law without one.
+    brakes : bool
+        Whether the law itself brakes in time for the target; else the supervisor sees to it.
+    feed_forward_rad_s : float
+        Speed of the fastest joint that only keeps up with a moving target, rad/s.
     """
 
     velocity_rad_s: np.ndarray
     sliding_variable: np.ndarray
     exponent: np.ndarray
+    brakes: bool = False
+    feed_forward_rad_s: float = 0.0
 
 
 class ControlLaw(ABC):
@@ -65,6 +79,9 @@ class ControlLaw(ABC):
     A law declares its own parameters and builds itself from their values, so that a new law
     is one file here and one line in :mod:`fvs_controller_node.registry`.
     """
+
+    #: Whether it wants error and joints as they will be when its command takes effect.
+    anticipates: ClassVar[bool] = False
 
     #: Parameters that this law adds to the node's.
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = ()

@@ -6,7 +6,10 @@ from collections.abc import Mapping
 from math import pi
 from typing import Any
 
+from fvs_controller_node.allocation import ALLOCATION_PARAMETERS, Inverse, make_inverse
+from fvs_controller_node.anticipation import Anticipation
 from fvs_controller_node.base import N_AXES, ControlLaw
+from fvs_controller_node.fusion import ADAPTIVE, FIXED, AdaptiveFusion, make_fusion
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.predictor import BallPredictor
 from fvs_controller_node.progress import ProgressLimits
@@ -14,6 +17,7 @@ from fvs_controller_node.pseudo_inverse import DampedInverse
 from fvs_controller_node.registry import LAWS, make_law
 from fvs_controller_node.supervisor import Supervisor
 from fvs_controller_node.supervisor_config import SupervisorConfig
+from fvs_controller_node.target_motion import TargetFollower
 from fvs_ros.core.joints import JOINT_PARAMETERS, N_JOINTS
 from fvs_ros.core.limits import JointRange
 from fvs_ros.core.params import Parameter, ParameterSet
@@ -255,9 +259,17 @@ _PREDICTION = (
         live=True,
     ),
     Parameter(
+        "fusion",
+        FIXED,
+        "How images and joint motion are fused: with a fixed share of each image, or by a Kalman "
+        "filter that learns the images' noise.",
+        choices=(FIXED, ADAPTIVE),
+        live=True,
+    ),
+    Parameter(
         "fusion_gain",
         0.3,
-        "Share of an image's innovation that is believed; 1 trusts images alone.",
+        "Share of an image's innovation that fixed fusion believes; 1 trusts images alone.",
         0.01,
         1.0,
         live=True,
@@ -265,7 +277,8 @@ _PREDICTION = (
     Parameter(
         "outlier_m",
         0.03,
-        "A ball position further than this (and its motion) from the prediction is passed over, m.",
+        "A ball position further than this (and its motion) from the prediction is passed over "
+        "by fixed fusion, m.",
         1e-3,
         10.0,
         live=True,
@@ -289,9 +302,43 @@ _PREDICTION = (
 )
 
 
+_TARGET = (
+    Parameter(
+        "anticipate_drive_lag",
+        False,
+        "Show the law error and joints as they will be when its command takes effect, and brake "
+        "for the target close to the acceleration limit. The law arrive always does.",
+        live=True,
+    ),
+    Parameter(
+        "target_feed_forward",
+        True,
+        "Go along with a target that is told often; off, every target stands where it was told.",
+        live=True,
+    ),
+    Parameter(
+        "target_window_s",
+        0.15,
+        "A target's velocity is taken from the updates of so long, s; longer for a noisy one.",
+        0.02,
+        2.0,
+        live=True,
+    ),
+)
+
+
 def _declared() -> tuple[Parameter, ...]:
     laws = tuple(parameter for law in LAWS.values() for parameter in law.PARAMETERS)
-    return _NODE + _LIMITS + _SUPERVISION + _PREDICTION + DampedInverse.PARAMETERS + laws
+    return (
+        _NODE
+        + _LIMITS
+        + _SUPERVISION
+        + _PREDICTION
+        + _TARGET
+        + DampedInverse.PARAMETERS
+        + ALLOCATION_PARAMETERS
+        + laws
+    )
 
 
 #: Every parameter of the node; a law's own are declared in its file.
@@ -317,6 +364,13 @@ def build_law(values: Mapping[str, Any]) -> ControlLaw:
 def build_predictor(values: Mapping[str, Any]) -> BallPredictor:
     """Build the ball predictor."""
     return BallPredictor(**_predictor_settings(values))
+
+
+def build_anticipation(values: Mapping[str, Any]) -> Anticipation | None:
+    """Build the anticipation, if it is wanted or the law cannot do without."""
+    if values["anticipate_drive_lag"] or LAWS[values["law"]].anticipates:
+        return Anticipation(values["max_joint_acceleration_rad_s2"])
+    return None
 
 
 def build_supervisor_config(values: Mapping[str, Any]) -> SupervisorConfig:
@@ -349,6 +403,8 @@ def build_loop(values: Mapping[str, Any]) -> ServoLoop:
         build_law(values),
         build_predictor(values),
         Supervisor(build_supervisor_config(values)),
+        TargetFollower(*_follower_settings(values)),
+        build_anticipation(values),
     )
 
 
@@ -357,8 +413,15 @@ def reconfigure(loop: ServoLoop, values: Mapping[str, Any]) -> None:
     law, config = build_law(values), build_supervisor_config(values)
     build_predictor(values)  # refuses what does not fit before anything is changed
     loop.law = law
+    loop.anticipation = build_anticipation(values)
     loop.supervisor.configure(config)
-    loop.predictor.configure(**_predictor_settings(values))
+    settings = _predictor_settings(values)
+    if isinstance(settings["fusion"], AdaptiveFusion) and isinstance(
+        loop.predictor.fusion, AdaptiveFusion
+    ):
+        settings["fusion"] = loop.predictor.fusion  # it keeps what it has learned
+    loop.predictor.configure(**settings)
+    loop.follower.configure(*_follower_settings(values))
 
 
 _SAME_NAME = (
@@ -382,9 +445,12 @@ _SAME_NAME = (
 
 def _predictor_settings(values: Mapping[str, Any]) -> dict[str, Any]:
     return {
-        "fusion_gain": values["fusion_gain"],
-        "outlier_m": values["outlier_m"],
+        "fusion": make_fusion(values["fusion"], values["fusion_gain"], values["outlier_m"]),
         "outlier_repeats": values["outlier_repeats"],
         "max_latency_s": values["max_latency_s"],
         "enabled": values["predictor"],
     }
+
+
+def _follower_settings(values: Mapping[str, Any]) -> tuple[float, bool, Inverse]:
+    return values["target_window_s"], values["target_feed_forward"], make_inverse(values)

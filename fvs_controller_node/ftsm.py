@@ -16,7 +16,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
+from fvs_controller_node.allocation import Inverse, make_inverse
+from fvs_controller_node.base import N_AXES, ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.pseudo_inverse import DampedInverse
 from fvs_controller_node.reaching import ReachingLaw
 from fvs_controller_node.settling import settling_times
@@ -24,6 +25,7 @@ from fvs_controller_node.surface import SlidingSurface
 from fvs_ros.core.params import Parameter
 
 IMPLICIT, LITERAL = "implicit", "literal"
+EACH_AXIS, STRAIGHT = "each_axis", "straight"
 ADAPTIVE, FIXED = "adaptive", "fixed"
 
 _NEWTON_ITERATIONS = 12
@@ -107,6 +109,11 @@ def next_error(right: float, guess: float, surface: SlidingSurface, dt_s: float)
     return copysign(z, right)
 
 
+def _toward(error_m: np.ndarray) -> np.ndarray:
+    """The error's direction as the one axis, shape (1, 3); nothing where there is no error."""
+    return error_m[None] / max(float(error_m @ error_m) ** 0.5, _TINY_M)
+
+
 def _power(base: float, exponent: float) -> float:
     try:
         return float(base**exponent)
@@ -131,10 +138,13 @@ class FtsmLaw(ControlLaw):
         The sliding surface.
     reaching : ReachingLaw
         How the sliding variable decays.
-    inverse : DampedInverse
+    inverse : Inverse, optional
         From ball velocity to joint velocities.
     discretisation : {"implicit", "literal"}
         See the module.
+    path : {"each_axis", "straight"}
+        Whether each coordinate of the error has a surface of its own, as in the paper, or the
+        distance has one: the ball then goes straight to the target.
     """
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
@@ -173,6 +183,14 @@ class FtsmLaw(ControlLaw):
             1e-5,
             0.3,
         ),
+        Parameter(
+            "ftsm_path",
+            EACH_AXIS,
+            "Each coordinate of the error with a surface of its own, as in the paper, or one "
+            "surface of the distance: straight to the target.",
+            choices=(EACH_AXIS, STRAIGHT),
+            live=True,
+        ),
         _gain("k1", _REACHING.k1, "Linear gain of the reaching law.", 1e-3, 1e4),
         _gain("k2", _REACHING.k2, "Terminal gain of the reaching law.", 0.0, 1e4),
         _gain("k4", _REACHING.k4, "s decays with k4 / k1 seconds.", 0.0, 100.0),
@@ -190,17 +208,21 @@ class FtsmLaw(ControlLaw):
         self,
         surface: SlidingSurface | None = None,
         reaching: ReachingLaw | None = None,
-        inverse: DampedInverse | None = None,
+        inverse: Inverse | None = None,
         discretisation: str = IMPLICIT,
+        path: str = EACH_AXIS,
     ) -> None:
         if discretisation not in (IMPLICIT, LITERAL):
             raise ValueError(
                 f"unknown discretisation {discretisation!r}; known are {IMPLICIT}, {LITERAL}"
             )
+        if path not in (EACH_AXIS, STRAIGHT):
+            raise ValueError(f"unknown path {path!r}; known are {EACH_AXIS}, {STRAIGHT}")
         self.surface = surface or SlidingSurface()
         self.reaching = reaching or ReachingLaw()
-        self.inverse = inverse or DampedInverse()
+        self.inverse: Inverse = inverse or DampedInverse()
         self.discretisation = discretisation
+        self.path = path
         self._last_velocity: list[float] | None = None
 
     @classmethod
@@ -220,7 +242,13 @@ class FtsmLaw(ControlLaw):
             lambda3=values["lambda3_1_m2"] or None,
         )
         reaching = ReachingLaw(values["k1"], values["k2"], values["k4"], values["sigma"])
-        return cls(surface, reaching, DampedInverse.from_values(values), values["discretisation"])
+        return cls(
+            surface,
+            reaching,
+            make_inverse(values),
+            values["discretisation"],
+            values["ftsm_path"],
+        )
 
     def reset(self) -> None:
         """Forget the last velocity (only the literal form remembers one)."""
@@ -235,16 +263,20 @@ class FtsmLaw(ControlLaw):
 
     def command(self, control_input: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""
-        errors = control_input.error_m.tolist()
-        velocities = (control_input.jacobian @ control_input.applied_rad_s).tolist()
+        axes = np.eye(N_AXES)
+        if self.path == STRAIGHT:
+            axes = _toward(control_input.error_m)
+        errors = (axes @ control_input.error_m).tolist()
+        velocities = (axes @ (control_input.jacobian @ control_input.applied_rad_s)).tolist()
         axis = self._implicit if self.discretisation == IMPLICIT else self._literal
         wanted, sliding = axis(errors, velocities, control_input.dt_s)
+        exponents = [self.surface.exponent(y) for y in errors]
         return ControlOutput(
             velocity_rad_s=self.inverse.joint_velocity(
-                control_input.jacobian, np.array(wanted), control_input.joints_rad
+                control_input.jacobian, np.array(wanted) @ axes, control_input.joints_rad
             ),
-            sliding_variable=np.array(sliding),
-            exponent=np.array([self.surface.exponent(y) for y in errors]),
+            sliding_variable=np.array(sliding) @ axes,
+            exponent=np.array(exponents if len(exponents) == N_AXES else exponents * N_AXES),
         )
 
     def _implicit(

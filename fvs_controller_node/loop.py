@@ -6,15 +6,20 @@ object.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import pi
 
 import numpy as np
 
+from fvs_controller_node.anticipation import Anticipation
 from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
+from fvs_controller_node.drive_lag import DriveLag
 from fvs_controller_node.predictor import BallPredictor
 from fvs_controller_node.reasons import State
 from fvs_controller_node.supervisor import Command, Supervisor
 from fvs_controller_node.supervisor_config import BALL, JOINT_STATES
+from fvs_controller_node.target_motion import TargetFollower
+from fvs_ros.core.chain import SerialChain
 from fvs_ros.core.history import StampGate
 
 #: No joint is faster, nor a step between joint states larger than this besides, rad/s and rad;
@@ -33,12 +38,29 @@ class ServoLoop:
         Predicts the ball to now.
     supervisor : Supervisor
         The one exit.
+    follower : TargetFollower, optional
+        Keeps up with a moving target.
+    anticipation : Anticipation, optional
+        Shows the law what will be when its command takes effect; without, it sees the present.
     """
 
-    def __init__(self, law: ControlLaw, predictor: BallPredictor, supervisor: Supervisor) -> None:
+    def __init__(
+        self,
+        law: ControlLaw,
+        predictor: BallPredictor,
+        supervisor: Supervisor,
+        follower: TargetFollower | None = None,
+        anticipation: Anticipation | None = None,
+    ) -> None:
         self.law = law
         self.predictor = predictor
         self.supervisor = supervisor
+        self.follower = follower or TargetFollower()
+        self.anticipation = anticipation
+        self._drive_lag = DriveLag()
+        self._chain: SerialChain | None = None
+        self._stamp_s = 0.0
+        self._moves = 0  # of the target
         self._joint_stamps, self._ball_stamps = StampGate(), StampGate()
         self._joints: np.ndarray | None = None
         self._heard_joints: tuple[float, np.ndarray | None] = (0.0, None)
@@ -54,6 +76,7 @@ class ServoLoop:
             self.supervisor.bad_input(now_s, JOINT_STATES, jump)
         elif self.supervisor.joint_states(now_s, joints_rad):
             self._joints = np.array(joints_rad, dtype=float)
+            self._stamp_s = stamp_s
             if self._jacobian is not None:
                 self.predictor.add_joints(stamp_s, self._joints, self._jacobian)
 
@@ -87,6 +110,31 @@ class ServoLoop:
         if self.supervisor.jacobian(now_s, jacobian):
             self._jacobian = np.array(jacobian, dtype=float)
 
+    def add_chain(self, chain: SerialChain) -> None:
+        """Tell the forward model as the camera sees it now."""
+        self._chain = chain
+
+    def add_target(
+        self, position_m: np.ndarray, frame: str, stamp_s: float = 0.0
+    ) -> tuple[bool, str]:
+        """Tell a target, camera frame, m, (3,); told often, it moves.
+
+        Parameters
+        ----------
+        position_m : ndarray, shape (3,)
+            m.
+        frame : str
+            Its frame, to be checked.
+        stamp_s : float
+            When it was there, on the clock of the joint states, s; 0 for now.
+        """
+        moving = self.follower.expects(position_m)
+        accepted, text = self.supervisor.target(position_m, frame, moving=moving)
+        if accepted:
+            self._moves += 1
+            self.follower.update(position_m, stamp_s, self._stamp_s)
+        return accepted, text
+
     def set_current_as_target(self, now_s: float) -> tuple[bool, str]:
         """Make the ball's present position the target, if it is known now."""
         late = self.supervisor.late_input(now_s)
@@ -95,7 +143,7 @@ class ServoLoop:
         position = self.position_m
         if position is None:
             return False, "target refused: the ball's position is not known yet"
-        return self.supervisor.target(position, self.supervisor.config.feature_frame)
+        return self.add_target(position, self.supervisor.config.feature_frame)
 
     @property
     def jacobian(self) -> np.ndarray | None:
@@ -117,6 +165,9 @@ class ServoLoop:
         dt_s : float
             Time since the last tick, s.
         """
+        aim = self.follower.at(self._stamp_s)
+        if aim is not None:
+            self.supervisor.track(aim.position_m)
         command = self.supervisor.tick(
             now_s,
             dt_s,
@@ -127,6 +178,7 @@ class ServoLoop:
         )
         if command.state is not State.SERVOING:
             self.law.reset()
+            self._drive_lag.restart()
         return command
 
     def status_values(self, now_s: float) -> dict[str, float | str]:
@@ -137,10 +189,44 @@ class ServoLoop:
         return {
             **self.supervisor.status_values(now_s),
             "image_latency_s": float("nan") if latency_s is None else latency_s,
+            "position_noise_m": _or_nan(self.predictor.fusion.noise_m),
+            "position_deviation_m": _or_nan(self.predictor.fusion.deviation_m),
+            "drive_lag_s": self._drive_lag.lag_s,
             "settling_bound_without_limits_s": float("nan") if bound_s is None else bound_s,
         }
 
     def _propose(self, error_m: np.ndarray, applied: np.ndarray, dt_s: float) -> ControlOutput:
         assert self._jacobian is not None
         assert self._joints is not None
-        return self.law.command(ControlInput(error_m, self._jacobian, applied, self._joints, dt_s))
+        self._drive_lag.add(applied, self._joints, dt_s, compare=self.supervisor.full_speed)
+        target_m_s = self.follower.velocity_m_s(self._stamp_s)
+        if target_m_s.any():
+            self._moves += 1
+        ahead = self.follower.feed_forward(self._stamp_s, self._jacobian, self._joints)
+        told = ControlInput(
+            error_m,
+            self._jacobian,
+            applied - ahead,
+            self._joints,
+            dt_s,
+            news=self.predictor.images + self._moves,
+            chain=self._chain,
+        )
+        if self.anticipation is None:
+            output = self.law.command(told)
+        else:
+            told = self.anticipation.shift(
+                told, self._drive_lag.pending_rad(), self._drive_lag.lag_s * target_m_s
+            )
+            output = self.anticipation.brake(self.law.command(told), told)
+        if not ahead.any():
+            return output
+        return replace(
+            output,
+            velocity_rad_s=output.velocity_rad_s + ahead,
+            feed_forward_rad_s=float(np.abs(ahead).max()),
+        )
+
+
+def _or_nan(value: float | None) -> float:
+    return float("nan") if value is None else value

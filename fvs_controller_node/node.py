@@ -71,6 +71,7 @@ class ControllerNode(ros.FvsNode):
         self.watch(JointState, ros.JOINT_STATES, self._on_joint_states, ros.QOS_NEWEST)
         self.watch(PointStamped, ros.BALL_POSITION, self._on_ball, ros.QOS_NEWEST)
         self.watch(Float64MultiArray, ros.JACOBIAN, self._on_jacobian, ros.QOS_NEWEST)
+        self.watch(Float64MultiArray, ros.KINEMATIC_CHAIN, self._on_chain, ros.QOS_NEWEST)
         self.watch(
             DiagnosticStatus, ros.ESTIMATOR_STATUS, self._on_estimator_status, ros.QOS_NEWEST
         )
@@ -133,6 +134,12 @@ class ControllerNode(ros.FvsNode):
         except ros.MessageError as error:
             self._loop.supervisor.bad_input(now_s, JACOBIAN, str(error))
 
+    def _on_chain(self, message: Float64MultiArray) -> None:
+        try:
+            self._loop.add_chain(ros.from_chain(message))
+        except ros.MessageError as error:
+            self._loop.supervisor.bad_input(self.steady_s(), JACOBIAN, str(error))
+
     def _on_estimator_status(self, message: DiagnosticStatus) -> None:
         text = ros.from_status(message).get("one_step_prediction_error_ratio", "")
         try:
@@ -151,11 +158,14 @@ class ControllerNode(ros.FvsNode):
         if heard == self._heard_target and echo:
             return
         self._heard_target, self._heard_target_s = heard, now_s
-        accepted, text = self._loop.supervisor.target(
-            np.array([point.x, point.y, point.z]), message.header.frame_id
+        position_m = np.array([point.x, point.y, point.z])
+        moving = self._loop.follower.expects(position_m)
+        accepted, text = self._loop.add_target(
+            position_m, message.header.frame_id, ros.from_stamp(stamp)
         )
         self._refusal = "" if accepted else text
-        self.tell(ros.OK if accepted else ros.WARN, text)
+        if not (accepted and moving):  # a target on its way would fill the log
+            self.tell(ros.OK if accepted else ros.WARN, text)
 
     def _take_current_as_target(self) -> tuple[bool, str]:
         accepted, text = self._loop.set_current_as_target(self.steady_s())

@@ -11,6 +11,7 @@ from collections import deque
 
 import numpy as np
 
+from fvs_controller_node.fusion import FixedFusion, Fusion
 from fvs_ros.core.history import JointHistory
 
 #: Ball positions that may wait for the joint state after their exposure.
@@ -25,16 +26,13 @@ class BallPredictor:
 
     The ball's motion ``sum J dr`` is kept over time and interpolated at an image's exposure (an
     image waits for a later joint state if need be). Between images the estimate follows it; an
-    image pulls it by ``fusion_gain``: ``xh += K (x - xh)``. Clock jumps, gaps in the joint
+    image pulls it: ``xh += K (x - xh)``. Clock jumps, gaps in the joint
     states and long absences of the ball start it anew.
 
     Parameters
     ----------
-    fusion_gain : float
-        K in (0, 1]: share of an image's innovation that is believed; 1 trusts images alone.
-    outlier_m : float
-        A position further than this, plus the distance the ball was predicted to move, from
-        the estimate is passed over, m.
+    fusion : FixedFusion or AdaptiveFusion, optional
+        How much of an image is believed, and which are outliers.
     outlier_repeats : int
         So many of them in a row are believed, and start the estimate anew.
     max_latency_s : float
@@ -46,19 +44,18 @@ class BallPredictor:
     def __init__(
         self,
         *,
-        fusion_gain: float = 0.3,
-        outlier_m: float = 0.03,
+        fusion: Fusion | None = None,
         outlier_repeats: int = 3,
         max_latency_s: float = 0.5,
         enabled: bool = True,
     ) -> None:
         self.configure(
-            fusion_gain=fusion_gain,
-            outlier_m=outlier_m,
+            fusion=fusion or FixedFusion(),
             outlier_repeats=outlier_repeats,
             max_latency_s=max_latency_s,
             enabled=enabled,
         )
+        self._images = 0
         self._moved = JointHistory()  # of the ball by the joints, m, rather than of the joints
         self._waiting: deque[tuple[float, np.ndarray]] = deque(maxlen=_MAX_WAITING)
         self.reset()
@@ -66,23 +63,17 @@ class BallPredictor:
     def configure(
         self,
         *,
-        fusion_gain: float,
-        outlier_m: float,
+        fusion: Fusion,
         outlier_repeats: int,
         max_latency_s: float,
         enabled: bool,
     ) -> None:
-        """Change the settings and keep the estimate."""
-        if not 0.0 < fusion_gain <= 1.0:
-            raise ValueError(f"fusion_gain must be above 0 and at most 1, got {fusion_gain}")
-        if not outlier_m > 0.0:
-            raise ValueError(f"outlier_m must be positive, got {outlier_m}")
+        """Change the settings and keep the estimate; a new fusion has all to learn."""
         if outlier_repeats < 1:
             raise ValueError(f"outlier_repeats must be at least 1, got {outlier_repeats}")
         if not max_latency_s > 0.0:
             raise ValueError(f"max_latency_s must be positive, got {max_latency_s}")
-        self._fusion_gain = fusion_gain
-        self._outlier_m = outlier_m
+        self._fusion = fusion
         self._outlier_repeats = outlier_repeats
         self._max_latency_s = max_latency_s
         self._enabled = enabled
@@ -100,8 +91,19 @@ class BallPredictor:
         self._raw = np.zeros(3)
         self._estimate = np.zeros(3)
         self._moved_then = np.zeros(3)  # motion up to that exposure
+        self._outlier: np.ndarray | None = None  # innovation of the last image, if it was one
         self._outliers = 0
         self._latency_s: float | None = None
+
+    @property
+    def fusion(self) -> Fusion:
+        """How images and joint motion are fused, with what it has learned."""
+        return self._fusion
+
+    @property
+    def images(self) -> int:
+        """Number of images heard of so far."""
+        return self._images
 
     @property
     def latency_s(self) -> float | None:
@@ -186,17 +188,22 @@ class BallPredictor:
             return
         self._estimate = self._estimate + motion
         innovation = position - self._estimate
-        if _norm(innovation) <= self._outlier_m + _norm(motion):
-            self._outliers = 0
-            self._estimate += self._fusion_gain * innovation
+        correction = self._fusion.correct(innovation, motion)
+        self._images += 1
+        if correction is not None:
+            self._outlier, self._outliers = None, 0
+            self._estimate += correction
             return
+        before, self._outlier = self._outlier, innovation
         self._outliers += 1
-        if self._outliers >= self._outlier_repeats:
+        agreed = before is not None and self._fusion.agree(before, innovation, motion)
+        if agreed or self._outliers >= self._outlier_repeats:
             self._believe(position)
 
     def _believe(self, position: np.ndarray) -> None:
         self._estimate = position.copy()
-        self._outliers = 0
+        self._outlier, self._outliers = None, 0
+        self._fusion.restart()
 
     def predict(self) -> np.ndarray | None:
         """Predict the ball's position at the newest joint state.
@@ -214,7 +221,3 @@ class BallPredictor:
         if not self._enabled:
             return self._raw.copy()
         return self._estimate + moved - self._moved_then
-
-
-def _norm(vector: np.ndarray) -> float:
-    return float(vector @ vector) ** 0.5

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from fvs_controller_node.allocation import Inverse, make_inverse
 from fvs_controller_node.base import N_AXES, ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.pseudo_inverse import DampedInverse
 from fvs_ros.core.params import Parameter
@@ -26,7 +27,7 @@ class ProportionalLaw(ControlLaw):
     ----------
     gain_1_s : float
         k, 1/s.
-    inverse : DampedInverse
+    inverse : Inverse, optional
         From ball velocity to joint velocities.
     """
 
@@ -41,16 +42,16 @@ class ProportionalLaw(ControlLaw):
         ),
     )
 
-    def __init__(self, gain_1_s: float = 8.0, inverse: DampedInverse | None = None) -> None:
+    def __init__(self, gain_1_s: float = 8.0, inverse: Inverse | None = None) -> None:
         if not 0.0 < gain_1_s < inf:
             raise ValueError(f"proportional_gain_1_s must be positive, got {gain_1_s}")
         self.gain_1_s = gain_1_s
-        self.inverse = inverse or DampedInverse()
+        self.inverse: Inverse = inverse or DampedInverse()
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> ProportionalLaw:
         """Build the law with the gains in ``values``."""
-        return cls(values["proportional_gain_1_s"], DampedInverse.from_values(values))
+        return cls(values["proportional_gain_1_s"], make_inverse(values))
 
     def command(self, control_input: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from fvs_controller_node.arrive import ArriveLaw
 from fvs_controller_node.base import ControlLaw
 from fvs_controller_node.ftsm import FtsmLaw
 from fvs_controller_node.mfac import MfacLaw
@@ -16,6 +17,7 @@ LAWS: dict[str, type[ControlLaw]] = {
     "proportional": ProportionalLaw,
     "mfac": MfacLaw,
     "mpc": MpcLaw,
+    "arrive": ArriveLaw,
 }
 
 

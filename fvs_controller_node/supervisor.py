@@ -107,7 +107,8 @@ class Supervisor:
         }
         self._progress = Progress(self._config.progress)
         self._following = Following()
-        self._target: np.ndarray | None = None
+        self._target: np.ndarray | None = None  # now
+        self._told_target: np.ndarray | None = None  # when it was told last
         self._jacobian: np.ndarray | None = None
         self._conditioning: Conditioning | None = None
         self._singularity = SingularityWatch()
@@ -138,7 +139,7 @@ class Supervisor:
         self._config = config
         self._progress.limits = config.progress
         if self._target is not None and self._outside(self._target):
-            self._target = None
+            self._target = self._told_target = None
         for name, spec in config.input_specs().items():
             self._inputs[name].configure(spec, config.fresh_samples)
 
@@ -176,8 +177,19 @@ class Supervisor:
             raise ValueError(f"unknown input {name!r}; known are {', '.join(self._inputs)}")
         self._inputs[name].bad(now_s, why)
 
-    def target(self, position_m: np.ndarray, frame: str) -> tuple[bool, str]:
+    def target(
+        self, position_m: np.ndarray, frame: str, *, moving: bool = False
+    ) -> tuple[bool, str]:
         """Set the target; a refused one leaves the old in place.
+
+        Parameters
+        ----------
+        position_m : ndarray, shape (3,)
+            m.
+        frame : str
+            Its frame, to be checked.
+        moving : bool
+            Whether it goes on with the last one's motion.
 
         Returns
         -------
@@ -197,11 +209,18 @@ class Supervisor:
                 f"target refused: {', '.join(outside)} (workspace_min_m and workspace_max_m, "
                 f"in {frame})"
             )
-        # The same target said again is no new task: the watch on growing errors goes on.
-        if self._target is None or not np.array_equal(target, self._target):
+        # The same target said again, or a little further on its way, is no new task: the watch
+        # on growing errors goes on.
+        told = self._told_target
+        if told is None or not (moving or np.array_equal(target, told)):
             self._progress.restart()
-        self._target = target
+        self._target = self._told_target = target
         return True, "target set to ({:.3f}, {:.3f}, {:.3f}) m".format(*target.tolist())
+
+    def track(self, position_m: np.ndarray) -> None:
+        """Tell where a target that was accepted is by now, m, (3,); not outside the workspace."""
+        if self._target is not None and not self._outside(position_m):
+            self._target = position_m
 
     def program_running(self, running: bool) -> None:
         """Tell whether the robot's program runs."""
@@ -294,6 +313,11 @@ class Supervisor:
     def target_m(self) -> np.ndarray | None:
         """The target, m, or None."""
         return None if self._target is None else self._target.copy()
+
+    @property
+    def full_speed(self) -> bool:
+        """Whether the robot does what it is told at its full speed."""
+        return self._program_running and self._speed_scaling >= 100.0
 
     @property
     def settled(self) -> bool:
@@ -501,7 +525,7 @@ class Supervisor:
             self._leaving_s += dt_s
             if self._leaving_s > _LEAVE_TIME_S:
                 self._singularity.stay()
-        braking = braking_speed(self._travel_rad(), config.max_joint_acceleration_rad_s2)
+        braking = inf if output.brakes else self._braking_speed(output)
         wanted = np.asarray(output.velocity_rad_s, dtype=float)
         velocity = limit_speed(wanted, min(fast, braking))
         if velocity is not wanted:
@@ -525,6 +549,11 @@ class Supervisor:
         assert error is not None
         error_mm = 1e3 * float(error @ error) ** 0.5
         return self._answer(reason.because(error_mm=error_mm), ", ".join(active), output)
+
+    def _braking_speed(self, output: ControlOutput) -> float:
+        """Speed from which the arm can brake for the target, wherever that goes, rad/s."""
+        limit = self._config.max_joint_acceleration_rad_s2
+        return braking_speed(self._travel_rad(), limit) + output.feed_forward_rad_s
 
     def _travel_rad(self) -> float:
         """Return about how far the joint that moves most has to go to the target, rad."""

@@ -6,21 +6,25 @@ rotation R and one translation t. The rotation that fits best is known in closed
 however far the camera has been turned; what is known before enters as a matrix Fisher
 distribution about the rotation so far, so that a little motion turns it a little.
 
-A camera that is bumped shows at once: positions that no noise explains, several in a row. What
-was learned of the old pose is then dropped, and the new one is learned from there.
+A camera that is bumped shows at once: positions that no noise explains, several in a row, as far
+from each other as they should be. What was learned of the old pose is then dropped, and the new
+one is learned from there.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
+#: How far a bumped camera may have been turned over how far that moved the ball in its view.
+_TURN_SHARE = 1.5
 #: Standard deviation that the first guess of the noise is, m, and its bounds.
 _NOISE_M, _LEAST_NOISE_M, _MOST_NOISE_M = 0.001, 0.0002, 0.01
-#: Share of a new squared innovation in the noise.
+#: No depth camera sees further, m.
+_FARTHEST_M = 20.0
+#: Share of a new squared change of the innovation in the noise.
 _NOISE_SHARE = 0.02
 
 
@@ -33,7 +37,7 @@ class CameraMotionConfig:
     rotation_deviation_rad : float
         How far it may have been turned without anybody noticing, a standard deviation, rad.
     bumped_deviation_rad : float
-        The same once it was noticed, rad.
+        The same at most once it was noticed, rad; less after a small bump.
     memory : float
         Steps after which an old one has lost 63 % of its say.
     bump_m : float
@@ -43,7 +47,7 @@ class CameraMotionConfig:
         So many of them in a row are a camera that was bumped.
     """
 
-    rotation_deviation_rad: float = 0.02
+    rotation_deviation_rad: float = 0.01
     bumped_deviation_rad: float = 0.7
     memory: float = 1000.0
     bump_m: float = 0.01
@@ -85,10 +89,11 @@ class CameraMotion:
         """Forget all pairs; the rotation so far is known to a standard deviation."""
         self._weight = 0.0
         self._mean_p, self._mean_x = np.zeros(3), np.zeros(3)
-        self._scatter = self._variance / (2.0 * deviation_rad**2) * self._rotation
-        self._strangers: deque[tuple[np.ndarray, np.ndarray]] = deque(
-            maxlen=self._config.bump_repeats
-        )
+        #: What the rotation so far counts like, m^2.
+        self._prior_m2 = self._variance / (2.0 * deviation_rad**2)
+        self._scatter = self._prior_m2 * self._rotation
+        self._strangers: list[tuple[np.ndarray, np.ndarray]] = []
+        self._innovation: np.ndarray | None = None
 
     @property
     def rotation(self) -> np.ndarray:
@@ -115,40 +120,70 @@ class CameraMotion:
         """How often the camera was found to have been moved."""
         return self._bumps
 
-    def add(self, model_m: np.ndarray, seen_m: np.ndarray) -> None:
+    def add(self, model_m: np.ndarray, seen_m: np.ndarray) -> bool:
         """Tell one pair: where the model has the ball, and where the image has it, m, (3,) each.
 
-        Nothing is learned from what is not finite.
-        """
-        if not (np.isfinite(model_m).all() and np.isfinite(seen_m).all()):
-            return
-        expected = self._rotation @ model_m + self._translation
-        innovation = seen_m - expected
-        distance = math.sqrt(float(innovation @ innovation))
-        if distance > self._config.bump_m + 6.0 * self.noise_m:
-            self._strangers.append((model_m, seen_m))
-            if len(self._strangers) == self._config.bump_repeats:
-                self._bump()
-            return
-        self._strangers.clear()
-        share = max(_NOISE_SHARE, 1.0 / (self._weight + 10.0))
-        self._variance += share * (distance * distance / 3.0 - self._variance)
-        self._variance = min(max(self._variance, _LEAST_NOISE_M**2), _MOST_NOISE_M**2)
-        self._learn(model_m, seen_m)
+        Nothing is learned from what is not finite, beyond all reason, or not believed yet.
 
-    def _bump(self) -> None:
-        pairs = list(self._strangers)
+        Returns
+        -------
+        bool
+            Whether the pose is another one now.
+        """
+        innovation = seen_m - (self._rotation @ model_m + self._translation)
+        distance_m = _length(innovation)
+        if not (math.isfinite(distance_m) and _length(seen_m) < _FARTHEST_M):
+            return False
+        if distance_m > self._disbelief_m():
+            return self._wonder(model_m, seen_m, distance_m)
+        self._strangers.clear()
+        if self._innovation is not None:
+            self._hear_noise(innovation - self._innovation)
+        self._innovation = innovation
+        self._learn(model_m, seen_m)
+        return True
+
+    def _hear_noise(self, change_m: np.ndarray) -> None:
+        """Learn the noise from what changes between two positions: what stays is no noise."""
+        share = max(_NOISE_SHARE, 1.0 / (self._weight + 10.0))
+        self._variance += share * (float(change_m.dot(change_m)) / 6.0 - self._variance)
+        self._variance = min(max(self._variance, _LEAST_NOISE_M**2), _MOST_NOISE_M**2)
+
+    def _disbelief_m(self) -> float:
+        return self._config.bump_m + 6.0 * self.noise_m
+
+    def _wonder(self, model_m: np.ndarray, seen_m: np.ndarray, distance_m: float) -> bool:
+        """Keep a pair that does not fit; so many in a row that fit each other are a bump."""
+        if self._strangers:
+            before_p, before_x = self._strangers[-1]
+            # However the camera was moved: in between the ball went as far as it was to go.
+            off_m = abs(_length(seen_m - before_x) - _length(model_m - before_p))
+            if off_m > self._disbelief_m():
+                self._strangers.clear()
+        self._strangers.append((model_m, seen_m))
+        if len(self._strangers) < self._config.bump_repeats:
+            return False
+        pairs = self._strangers
         self._bumps += 1
-        self._begin(self._config.bumped_deviation_rad)
-        for model_m, seen_m in pairs:
-            self._learn(model_m, seen_m)
+        # A turn moves the ball by its angle times the distance, less where it is about the ball.
+        turned_rad = _TURN_SHARE * distance_m / max(_length(seen_m), 1e-3)
+        least_rad, most_rad = self._config.rotation_deviation_rad, self._config.bumped_deviation_rad
+        self._begin(min(max(turned_rad, least_rad), most_rad))
+        for pair in pairs:
+            self._learn(*pair)
+        return True
 
     def _learn(self, model_m: np.ndarray, seen_m: np.ndarray) -> None:
         weight = self._keep * self._weight
         total = weight + 1.0
         from_p, from_x = model_m - self._mean_p, seen_m - self._mean_x
-        # At the full memory old scatter fades; the prior in it fades with it.
-        self._scatter = self._keep * self._scatter + weight / total * np.outer(from_x, from_p)
+        # What fades is made up for by the rotation so far: a ball that has long been going along
+        # one line, or hardly at all, does not make the camera forget how it is turned.
+        self._scatter = (
+            self._keep * self._scatter
+            + (1.0 - self._keep) * self._prior_m2 * self._rotation
+            + (weight / total) * from_x[:, None] * from_p
+        )
         self._mean_p = self._mean_p + from_p / total
         self._mean_x = self._mean_x + from_x / total
         self._weight = total
@@ -159,11 +194,18 @@ class CameraMotion:
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     """The rotation R of the largest ``tr(R' M)``, shape (3, 3)."""
     left, _, right = np.linalg.svd(matrix)
-    if np.linalg.det(left) * np.linalg.det(right) < 0.0:
+    rotation = left @ right
+    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
+    if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0.0:  # a reflection
         left[:, 2] *= -1.0
-    return left @ right
+        rotation = left @ right
+    return rotation
 
 
 def rotation_angle_rad(rotation: np.ndarray) -> float:
     """Angle of a rotation matrix, rad."""
     return math.acos(min(1.0, max(-1.0, 0.5 * (float(np.trace(rotation)) - 1.0))))
+
+
+def _length(vector: np.ndarray) -> float:
+    return math.sqrt(float(vector.dot(vector)))

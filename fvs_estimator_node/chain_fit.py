@@ -5,9 +5,10 @@ The camera sees the ball at ``x(r(t - tau)) + noise`` of an image stamped t: 27 
 the ball) and the time ``tau`` that the images are stamped late. They are found by robust
 non-linear least squares with the exact derivatives.
 
-The start needs no search: in a cubic regression of the positions about the mean joints,
-``dx/dr_i = J_i`` and ``d2x/dr_i dr_j = w_i x J_j`` for j >= i, which is linear in the axes.
-Joints that hardly move the ball say little about their axes; those are tried in several ways.
+The start comes from a cubic regression of the positions about the mean joints: there
+``dx/dr_i = J_i`` and ``d2x/dr_i dr_j = w_i x J_j`` for j >= i, which is linear in the axes; and of
+several times ``tau`` one fits best. Joints that hardly move the ball say little about their axes;
+those are tried in several ways until the images fit as well as they fit each other.
 """
 
 from __future__ import annotations
@@ -20,23 +21,28 @@ from typing import Any
 
 import numpy as np
 
+from fvs_estimator_node.chain_chart import N_COORDINATES, OFFSET, Chart, residuals_and_slopes
 from fvs_estimator_node.dataset import DataSet
-from fvs_ros.core.chain import SerialChain, cross, cross_matrix
+from fvs_ros.core.chain import SerialChain, cross_matrix
 from fvs_ros.core.joints import N_JOINTS
 
 #: Fewest images that a chain is fitted to.
 MIN_SAMPLES = 200
+#: No depth camera sees further, m.
+_FARTHEST_M = 50.0
 #: No camera stamps its images later than this, s; ends of runs this long are left out.
 MAX_OFFSET_S = 0.2
+#: A joint that moves less, a standard deviation, rad, stands still: nothing is known of it.
+STILL_RAD = 1e-3
 #: Images of the search for the right start, and starts that are tried at most.
-_SEARCH_SAMPLES, _STARTS = 400, 24
+_SEARCH_SAMPLES, _STARTS = 400, 12
+#: Offsets of the stamps that are tried before, s, and the passes of a robust regression.
+_SEARCH_OFFSETS_S, _REGRESSIONS = np.linspace(-0.18, 0.18, 13), 6
 #: A start is right if its residual is below so many times that of the images themselves.
 _GOOD_SHARE = 1.5
-#: Least curve lengths that a joint is known from, m/rad; one that moves the ball less is weak.
+#: A joint that moves the ball less says little about its axis, m/rad.
 _WEAK_M_RAD = 0.03
-_AXIS, _POINT, _BALL, _OFFSET = slice(0, 12), slice(12, 24), slice(24, 27), 27
-_N_PARAMETERS = 28
-#: Standard deviations of what the data do not tell, for the covariance: rad, m, m, s.
+#: How far off the coordinates may be where the data do not tell, standard deviations: rad, m, m, s.
 _PRIOR = np.repeat([1.0, 1.0, 1.0, 0.1], [12, 12, 3, 1])
 
 
@@ -67,7 +73,8 @@ class ChainFit:
     samples : int
         Images used.
     covariance : ndarray, shape (28, 28)
-        Of the parameters in the local chart at the solution.
+        Of the coordinates of :class:`~fvs_estimator_node.chain_chart.Chart` at the chain; rad, m
+        and s.
     """
 
     chain: SerialChain
@@ -82,9 +89,14 @@ class ChainFit:
     covariance: np.ndarray
 
     @property
-    def structure(self) -> float:
+    def misfit(self) -> float:
         """Residual over noise: 1 for a serial chain, more where something else moves the ball."""
         return self.residual_m / self.noise_m
+
+    @property
+    def unexplained_m(self) -> float:
+        """The part of the residual that neither the chain nor noise explains, m."""
+        return math.sqrt(max(self.residual_m**2 - self.noise_m**2, 0.0))
 
     def jacobian_deviation(self, joints_rad: np.ndarray) -> np.ndarray:
         """Relative standard deviation of the Jacobian at joints, by the covariance.
@@ -99,9 +111,9 @@ class ChainFit:
         ndarray, shape (n,)
             Frobenius norm of the deviation over that of the Jacobian.
         """
-        chart = _Chart(self.chain)
+        chart = Chart(self.chain)
         jacobian = self.chain.jacobian(joints_rad)
-        root = np.linalg.cholesky(self.covariance[:27, :27] + 1e-18 * np.eye(27))
+        root = np.linalg.cholesky(self.covariance[:OFFSET, :OFFSET])
         step = 1e-3
         variance = np.zeros(len(joints_rad))
         for direction in root.T:
@@ -112,32 +124,18 @@ class ChainFit:
         return np.sqrt(variance) / np.linalg.norm(jacobian, axis=(-2, -1))
 
 
-class _Chart:
-    """Local coordinates about a chain: 12 of directions, 12 of places, 3 of the ball."""
+@dataclass(frozen=True)
+class _Regression:
+    """Position (3,), slopes (3, 6), second derivatives (3, 6, 6) at the mean joints, m and rad.
 
-    def __init__(self, chain: SerialChain) -> None:
-        axes = chain.axes
-        helper = np.eye(3)[np.abs(axes).argmin(axis=1)]
-        first = np.cross(axes, helper)
-        first /= np.linalg.norm(first, axis=1, keepdims=True)
-        self.basis = np.stack([first, np.cross(axes, first)], axis=1)  # (6, 2, 3)
-        # Of all points of an axis the one next to the ball: the chart's numbers stay small.
-        out = chain.points_m - chain.ball_m
-        self.points = chain.points_m - axes * np.sum(out * axes, axis=1, keepdims=True)
-        self.axes, self.ball, self.reference = axes, chain.ball_m, chain.reference_rad
+    ``distance_m`` is that of a typical image from it, if images are stamped ``offset_s`` late.
+    """
 
-    def directions(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Unit axes (6, 3) and their lengths before (6,)."""
-        axes = self.axes + np.einsum("ij,ijk->ik", values[_AXIS].reshape(6, 2), self.basis)
-        lengths = np.linalg.norm(axes, axis=1)
-        return axes / lengths[:, None], lengths
-
-    def chain(self, values: np.ndarray) -> SerialChain:
-        """The chain at local coordinates, shape (27,) or more."""
-        points = self.points + np.einsum("ij,ijk->ik", values[_POINT].reshape(6, 2), self.basis)
-        return SerialChain(
-            self.directions(values)[0], points, self.ball + values[_BALL], self.reference
-        )
+    offset_s: float
+    position_m: np.ndarray
+    slopes: np.ndarray
+    bends: np.ndarray
+    distance_m: float
 
 
 class _Path:
@@ -162,7 +160,7 @@ class _Path:
         self.indices = np.concatenate(kept) if kept else np.zeros(0, int)
         self.stamps_s = data.stamps_s[self.indices]
 
-    def __call__(self, offset_s: float) -> tuple[np.ndarray, np.ndarray]:
+    def joints_and_velocities(self, offset_s: float) -> tuple[np.ndarray, np.ndarray]:
         """Joints and their velocities at the stamps minus an offset, (n, 6) each."""
         joints = np.empty((len(self.stamps_s), N_JOINTS))
         velocity = np.empty_like(joints)
@@ -207,6 +205,11 @@ def fit_chain(
             f"a chain needs at least {MIN_SAMPLES} images in continuous runs of more than "
             f"{2 * MAX_OFFSET_S:g} s, the data set has {len(path.indices)}"
         )
+    if np.abs(data.ball_m).max() > _FARTHEST_M:
+        raise ChainFitError(
+            f"the ball is up to {np.abs(data.ball_m).max():.0f} m away in the data set; positions "
+            "must be in metres"
+        )
     if np.linalg.norm(data.ball_m.std(axis=0)) < 1e-3:
         raise ChainFitError("the ball does not move in the data set, so there is no chain to find")
     fitting = _Fitting(path, data.ball_m[path.indices])
@@ -219,53 +222,56 @@ def fit_chain(
 
 
 class _Fitting:
-    """The data of one fit."""
+    """One fit: the joints at any time, and the ball in the images, m, (n, 3)."""
 
     def __init__(self, path: _Path, ball_m: np.ndarray) -> None:
         self._path = path
         self._ball = ball_m
-        self._joints, _ = path(0.0)
-        self._reference = self._joints.mean(axis=0)
+        self._reference = path.joints_and_velocities(0.0)[0].mean(axis=0)
 
     # ---- start ----------------------------------------------------------------------------
 
     def start(self, rng: np.random.Generator) -> tuple[SerialChain, float]:
         """The best of some starts, each fitted to a part of the images."""
-        n = len(self._ball)
-        some = np.sort(rng.permutation(n)[:_SEARCH_SAMPLES])
-        position, slopes, bends, noise_m = self._regress()
+        some = np.sort(rng.permutation(len(self._ball))[:_SEARCH_SAMPLES])
+        regression = min(
+            (self._regress(offset_s) for offset_s in _SEARCH_OFFSETS_S), key=lambda r: r.distance_m
+        )
         best: tuple[float, SerialChain, float] | None = None
         for attempt in range(_STARTS):
-            chain = _first_guess(position, slopes, bends, self._reference, rng, attempt)
-            values, cost = self._solve(_Chart(chain), 0.0, some, np.eye(3), 3.0 * noise_m, 60)
-            found = _Chart(chain).chain(values)
+            if best is None or attempt % 2 == 0:
+                chain = _first_guess(regression, self._reference, rng, attempt)
+            else:
+                chain = _turned_about(best[1], attempt // 2)
+            values, cost = self._solve(
+                Chart(chain), regression.offset_s, some, np.eye(3), regression.distance_m, 3.0, 60
+            )
             if best is None or cost < best[0]:
-                best = (cost, found, float(values[_OFFSET]))
+                best = (cost, Chart(chain).chain(values), float(values[OFFSET]))
             residual = self._residuals(best[1], best[2])
             if _median_length(residual) < _GOOD_SHARE * self._change_noise_m(residual):
                 break
         assert best is not None
         return best[1], best[2]
 
-    def _regress(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-        """Position, slopes (3, 6) and second derivatives (3, 6, 6) at the mean joints; noise."""
-        d = self._joints - self._reference
+    def _regress(self, offset_s: float) -> _Regression:
+        """Positions as a cubic function of the joints, robustly."""
+        d = self._path.joints_and_velocities(offset_s)[0] - self._reference
+        moving = np.flatnonzero(d.std(axis=0) > STILL_RAD)
         terms = [
-            term
-            for degree in range(4)
-            for term in combinations_with_replacement(range(N_JOINTS), degree)
+            term for degree in range(4) for term in combinations_with_replacement(moving, degree)
         ]
         design = np.stack([np.prod(d[:, list(term)], axis=1) for term in terms], axis=1)
-        scale = np.sqrt(np.mean(design**2, axis=0)) + 1e-12
-        design = design / scale
+        scale = np.sqrt(np.mean(design**2, axis=0))
+        design /= scale
         weight = np.ones(len(d))
-        for _ in range(6):
+        for _ in range(_REGRESSIONS):
             rows = design * weight[:, None]
             gram = rows.T @ rows + 1e-6 * len(d) * np.eye(len(terms))
             solution = np.linalg.solve(gram, rows.T @ (self._ball * weight[:, None]))
             distance = np.linalg.norm(self._ball - design @ solution, axis=1)
-            typical = max(float(np.median(distance)), 1e-6)
-            weight = np.minimum(1.0, 2.0 * typical / np.maximum(distance, 1e-12)) ** 0.5
+            typical_m = max(float(np.median(distance)), 1e-6)
+            weight = np.minimum(1.0, 2.0 * typical_m / np.maximum(distance, 1e-12)) ** 0.5
         solution = solution / scale[:, None]
         slopes, bends = np.zeros((3, N_JOINTS)), np.zeros((3, N_JOINTS, N_JOINTS))
         for term, value in zip(terms, solution, strict=True):
@@ -274,33 +280,47 @@ class _Fitting:
             elif len(term) == 2:
                 i, j = term
                 bends[:, i, j] = bends[:, j, i] = value * (2.0 if i == j else 1.0)
-        return solution[0], slopes, bends, typical
+        return _Regression(offset_s, solution[0], slopes, bends, typical_m)
 
     # ---- least squares --------------------------------------------------------------------
 
     def _residuals(self, chain: SerialChain, offset_s: float) -> np.ndarray:
-        return chain.position(self._path(offset_s)[0]) - self._ball
+        return chain.position(self._path.joints_and_velocities(offset_s)[0]) - self._ball
 
     def _solve(
         self,
-        chart: _Chart,
+        chart: Chart,
         offset_s: float,
         images: np.ndarray,
         whitening: np.ndarray,
+        unit: float,
         scale: float,
         evaluations: int,
     ) -> tuple[np.ndarray, float]:
-        """Local coordinates and offset of the robust optimum, and its cost for an image."""
+        """Local coordinates and offset of the robust optimum, and its cost for an image.
+
+        ``unit`` is what one standard deviation of an image is after the whitening: what the data
+        do not tell is held by the prior, not by chance. Residuals above ``scale`` of them count
+        less and less.
+        """
         from scipy.optimize import least_squares
 
+        pull = unit / _PRIOR
+
         def values_of(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            joints, velocity = self._path(float(values[_OFFSET]))
-            residual, slope = _residuals_and_slopes(
-                chart, values, joints[images], velocity[images], self._ball[images]
-            )
+            joints, velocity = self._path.joints_and_velocities(float(values[OFFSET]))
+            try:
+                residual, slope = residuals_and_slopes(
+                    chart, values, joints[images], velocity[images], self._ball[images]
+                )
+            except ValueError:  # no chain: a step too far, which is then made shorter
+                return np.full(3 * len(images) + N_COORDINATES, np.inf), np.empty(0)
             white = whitening if whitening.ndim == 2 else whitening[images]
-            return (white @ residual[..., None])[..., 0].ravel(), (white @ slope).reshape(
-                -1, _N_PARAMETERS
+            residual = (white @ residual[..., None]).ravel()
+            slope = (white @ slope).reshape(-1, N_COORDINATES)
+            return (
+                np.concatenate([residual, pull * (values - chart.expected)]),
+                np.concatenate([slope, np.diag(pull)]),
             )
 
         cache: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
@@ -312,17 +332,17 @@ class _Fitting:
                 cache[key] = values_of(values)
             return cache[key]
 
-        begin = np.zeros(_N_PARAMETERS)
-        begin[_OFFSET] = offset_s
-        limit = np.full(_N_PARAMETERS, np.inf)
-        limit[_OFFSET] = MAX_OFFSET_S
+        begin = np.zeros(N_COORDINATES)
+        begin[OFFSET] = offset_s
+        limit = np.full(N_COORDINATES, np.inf)
+        limit[OFFSET] = MAX_OFFSET_S
         solution = least_squares(
             lambda values: cached(values)[0],
             begin,
             lambda values: cached(values)[1],
             bounds=(-limit, limit),
             loss="soft_l1",
-            f_scale=scale,
+            f_scale=scale * unit,
             max_nfev=evaluations,
             ftol=1e-6,
             xtol=1e-7,
@@ -338,9 +358,9 @@ class _Fitting:
         for _ in range(2):
             ray_m, lateral_m = _noise_by_direction(residual, self._ball)
             whitening = _whitening(self._ball, ray_m, lateral_m)
-            chart = _Chart(chain)
-            values, _ = self._solve(chart, offset_s, everything, whitening, 2.0, 100)
-            chain, offset_s = chart.chain(values), float(values[_OFFSET])
+            chart = Chart(chain)
+            values, _ = self._solve(chart, offset_s, everything, whitening, 1.0, 2.0, 100)
+            chain, offset_s = chart.chain(values), float(values[OFFSET])
             residual = self._residuals(chain, offset_s)
         ray_m, lateral_m = _noise_by_direction(residual, self._ball)
         white = (_whitening(self._ball, ray_m, lateral_m) @ residual[..., None])[..., 0]
@@ -348,7 +368,7 @@ class _Fitting:
         return ChainFit(
             chain=chain,
             time_offset_s=offset_s,
-            time_offset_deviation_s=float(np.sqrt(covariance[_OFFSET, _OFFSET])),
+            time_offset_deviation_s=float(np.sqrt(covariance[OFFSET, OFFSET])),
             residual_m=_median_length(residual),
             noise_m=self._change_noise_m(residual),
             ray_noise_m=ray_m,
@@ -369,73 +389,22 @@ class _Fitting:
     def _covariance(
         self, chain: SerialChain, offset_s: float, whitening: np.ndarray, white: np.ndarray
     ) -> np.ndarray:
-        joints, velocity = self._path(offset_s)
-        values = np.zeros(_N_PARAMETERS)
-        _, slope = _residuals_and_slopes(_Chart(chain), values, joints, velocity, self._ball)
+        joints, velocity = self._path.joints_and_velocities(offset_s)
+        values = np.zeros(N_COORDINATES)
+        _, slope = residuals_and_slopes(Chart(chain), values, joints, velocity, self._ball)
         inlier = np.abs(white).max(axis=1) < 6.0
-        rows = (whitening @ slope)[inlier].reshape(-1, _N_PARAMETERS)
+        rows = (whitening @ slope)[inlier].reshape(-1, N_COORDINATES)
         return np.linalg.inv(rows.T @ rows + np.diag(1.0 / _PRIOR**2))
 
 
-def _residuals_and_slopes(
-    chart: _Chart,
-    values: np.ndarray,
-    joints_rad: np.ndarray,
-    velocity_rad_s: np.ndarray,
-    ball_m: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Chain minus images (n, 3), and the derivatives by the 28 parameters (n, 3, 28)."""
-    chain = chart.chain(values)
-    axes, lengths = chart.directions(values)
-    n = len(joints_rad)
-    angles = joints_rad - chain.reference_rad
-    sine, cosine = np.sin(angles), np.cos(angles)
-    k = cross_matrix(axes)
-    turns = (
-        np.eye(3)
-        + sine[..., None, None] * k
-        + (1.0 - cosine)[..., None, None] * (k @ k)
-    )
-    slope = np.empty((n, 3, _N_PARAMETERS))
-    point = np.broadcast_to(chain.ball_m, (n, 3))
-    moved = np.empty((N_JOINTS, n, 3))  # ball before axis i turns, from the axis' point
-    for i in range(N_JOINTS - 1, -1, -1):
-        moved[i] = point - chain.points_m[i]
-        point = chain.points_m[i] + (turns[:, i] @ moved[i][..., None])[..., 0]
-    before = np.broadcast_to(np.eye(3), (n, 3, 3))
-    velocity = np.zeros((n, 3))
-    for i in range(N_JOINTS):
-        axis, u = axes[i], moved[i]
-        basis = chart.basis[i]
-        local = np.empty((n, 3, 5))
-        for b in range(2):
-            tilt = basis[b] - axis * (axis @ basis[b])
-            local[:, :, b] = sine[:, i, None] * cross(tilt, u) + (1.0 - cosine[:, i, None]) * (
-                tilt * (u @ axis)[:, None] + axis * (u @ tilt)[:, None]
-            )
-            local[:, :, 2 + b] = basis[b] - turns[:, i] @ basis[b]
-        local[:, :, :2] /= lengths[i]
-        # the column of the Jacobian, of the ball after this axis has turned
-        local[:, :, 4] = cross(axis, (turns[:, i] @ u[..., None])[..., 0])
-        seen = before @ local
-        slope[:, :, 2 * i : 2 * i + 2] = seen[:, :, :2]
-        slope[:, :, 12 + 2 * i : 14 + 2 * i] = seen[:, :, 2:4]
-        velocity += seen[:, :, 4] * velocity_rad_s[:, i, None]
-        before = before @ turns[:, i]
-    slope[:, :, _BALL] = before
-    slope[:, :, _OFFSET] = -velocity
-    return point - ball_m, slope
-
-
 def _first_guess(
-    position_m: np.ndarray,
-    slopes: np.ndarray,
-    bends: np.ndarray,
+    regression: _Regression,
     reference_rad: np.ndarray,
     rng: np.random.Generator,
     attempt: int,
 ) -> SerialChain:
     """Axes from slopes J_i and bends ``w_i x J_j``; after the first attempt with some chance."""
+    position_m, slopes, bends = regression.position_m, regression.slopes, regression.bends
     axes, points = np.empty((N_JOINTS, 3)), np.empty((N_JOINTS, 3))
     lever = np.linalg.norm(slopes, axis=0)
     for i in range(N_JOINTS):
@@ -455,13 +424,30 @@ def _first_guess(
     return SerialChain(axes, points, position_m, reference_rad)
 
 
+def _turned_about(chain: SerialChain, rank: int) -> SerialChain:
+    """The chain with one axis on the ball's other side: the same slope, the opposite bend.
+
+    That is the error easily made, first with the joints that move the ball least.
+    """
+    lever_m = np.linalg.norm(chain.jacobian(chain.reference_rad), axis=0)
+    joint = np.argsort(lever_m)[rank % N_JOINTS]
+    axes, points = chain.axes.copy(), chain.points_m.copy()
+    axes[joint] *= -1.0
+    points[joint] = 2.0 * chain.ball_m - points[joint]
+    return SerialChain(axes, points, chain.ball_m, chain.reference_rad)
+
+
 def _median_length(vectors: np.ndarray) -> float:
     return float(np.median(np.linalg.norm(vectors, axis=1)))
 
 
+def _sight(ball_m: np.ndarray) -> np.ndarray:
+    return ball_m / np.maximum(np.linalg.norm(ball_m, axis=1, keepdims=True), 1e-9)
+
+
 def _noise_by_direction(residual: np.ndarray, ball_m: np.ndarray) -> tuple[float, float]:
     """Standard deviations along the line of sight and across it, by medians, m."""
-    sight = ball_m / np.linalg.norm(ball_m, axis=1, keepdims=True)
+    sight = _sight(ball_m)
     along = np.sum(residual * sight, axis=1)
     across = np.linalg.norm(residual - along[:, None] * sight, axis=1)
     # medians of a normal and of a Rayleigh distribution
@@ -472,6 +458,6 @@ def _noise_by_direction(residual: np.ndarray, ball_m: np.ndarray) -> tuple[float
 
 def _whitening(ball_m: np.ndarray, ray_m: float, lateral_m: float) -> np.ndarray:
     """Matrices (n, 3, 3) that turn a residual into standard deviations."""
-    sight = ball_m / np.linalg.norm(ball_m, axis=1, keepdims=True)
+    sight = _sight(ball_m)
     along = sight[:, :, None] * sight[:, None, :]
     return along / ray_m + (np.eye(3) - along) / lateral_m

@@ -28,6 +28,8 @@ from fvs_ros.core.params import Parameter
 ROTATION, MATRIX = "rotation", "matrix"
 KINDS = (ROTATION, MATRIX)
 
+_IDENTITY = np.eye(3)
+
 
 @dataclass(frozen=True)
 class LeftFactorConfig:
@@ -51,7 +53,7 @@ class LeftFactorConfig:
 
     kind: str = ROTATION
     memory_m: float = 0.3
-    trust_m: float = 0.05
+    trust_m: float = 0.01
     bumped_trust_m: float = 0.005
     bump_m: float = 0.04
     min_motion_rad: float = 1e-3
@@ -145,13 +147,14 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         """Take the camera to stand where it stood when the networks were trained."""
         self._factor = np.eye(3)
         self._updates = 0
+        self._refused = 0
         self._bumps = 0
         self._begin(self._config.trust_m)
 
     def _begin(self, trust_m: float) -> None:
         """Forget all steps; the factor so far counts like a step of a length each way."""
         self._cross = trust_m**2 * self._factor
-        self._gram = trust_m**2 * np.eye(3)
+        self._gram = trust_m**2 * _IDENTITY
 
     @property
     def factor(self) -> np.ndarray:
@@ -168,19 +171,23 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         if np.abs(step.d_joints_rad).max() < config.min_motion_rad:
             return
         predicted = super().jacobian(step.joints_rad) @ step.d_joints_rad
-        if not (np.isfinite(predicted).all() and np.isfinite(step.d_ball_m).all()):
+        predicted_m2 = float(predicted.dot(predicted))
+        seen_m2 = float(step.d_ball_m.dot(step.d_ball_m))
+        if not (step.dt_s > 0.0 and math.isfinite(predicted_m2 + seen_m2)):
+            self._refused += 1
             return
         # However the camera may have been turned, the ball goes as far as predicted.
-        off_m = math.sqrt(float(step.d_ball_m @ step.d_ball_m)) - math.sqrt(
-            float(predicted @ predicted)
-        )
-        if off_m > config.bump_m:
+        way_m = math.sqrt(predicted_m2)
+        if math.sqrt(seen_m2) - way_m > config.bump_m:
             self._bumps += 1
             self._begin(config.bumped_trust_m)
             return
-        keep = math.exp(-math.sqrt(float(predicted @ predicted)) / config.memory_m)
-        self._cross = keep * self._cross + np.outer(step.d_ball_m, predicted)
-        self._gram = keep * self._gram + np.outer(predicted, predicted)
+        keep = math.exp(-way_m / config.memory_m)
+        # The little that is put back of the factor so far keeps what the steps do not tell,
+        # however long they go along one line.
+        floor = (1.0 - keep) * config.bumped_trust_m**2
+        self._cross = keep * self._cross + floor * self._factor + step.d_ball_m[:, None] * predicted
+        self._gram = keep * self._gram + floor * _IDENTITY + predicted[:, None] * predicted
         if config.kind == ROTATION:
             self._factor = nearest_rotation(self._cross)
         else:
@@ -191,6 +198,7 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         """Counts, and how far the factor turns the networks' Jacobian."""
         return {
             "updates": float(self._updates),
+            "refused": float(self._refused),
             "camera_turned_deg": math.degrees(rotation_angle_rad(nearest_rotation(self._factor))),
             "camera_bumps": float(self._bumps),
         }

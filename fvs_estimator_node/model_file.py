@@ -13,20 +13,12 @@ import numpy as np
 from fvs_estimator_node.npz_file import NpzFile, check_same, write_npz
 from fvs_estimator_node.rbf import RbfModel
 from fvs_ros.core.camera import CAMERA_FRAME
-from fvs_ros.core.chain import SerialChain
+from fvs_ros.core.chain import CHAIN_SHAPES, SerialChain
 from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
 
 MODEL_FORMAT = "fvs_rbf_model"
 MODEL_VERSION = 1
 MAX_MODEL_BYTES = 64 * 2**20
-
-#: Fields of a chain and their shapes; a file has all of them or none.
-_CHAIN_SHAPES: dict[str, tuple[int, ...]] = {
-    "axes": (N_JOINTS, 3),
-    "points_m": (N_JOINTS, 3),
-    "ball_m": (3,),
-    "reference_rad": (N_JOINTS,),
-}
 
 
 class ModelFileError(ValueError):
@@ -91,8 +83,10 @@ class TrainedModel:
 
 def save_model(path: str | os.PathLike[str], trained: TrainedModel) -> None:
     """Write a model in one piece."""
-    chain = {} if trained.chain is None else {
-        f"chain_{name}": getattr(trained.chain, name) for name in _CHAIN_SHAPES
+    chain = {
+        f"chain_{name}": getattr(trained.chain, name)
+        for name in CHAIN_SHAPES
+        if trained.chain is not None
     }
     write_npz(
         path,
@@ -164,8 +158,9 @@ def load_model(
 
 
 def _chain(content: NpzFile) -> SerialChain | None:
-    if not any(content.has(f"chain_{name}") for name in _CHAIN_SHAPES):
+    """The chain of a file that has all fields of one; None if it has none of them."""
+    if not any(content.has(f"chain_{name}") for name in CHAIN_SHAPES):
         return None
     return SerialChain(
-        *(content.numbers(f"chain_{name}", shape, "f") for name, shape in _CHAIN_SHAPES.items())
+        *(content.numbers(f"chain_{name}", shape, "f") for name, shape in CHAIN_SHAPES.items())
     )

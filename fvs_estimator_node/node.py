@@ -1,4 +1,4 @@
-"""``fvs_estimator_node``: joint states and ball positions in, Jacobian out."""
+"""``fvs_estimator_node``: joint states and ball positions in, Jacobian and chain out."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from fvs_estimator_node.base import MotionStep, PredictionMonitor
+from fvs_estimator_node.base import Estimator, MotionStep, PredictionMonitor
 from fvs_estimator_node.config import PARAMETERS
 from fvs_estimator_node.model_file import load_model
 from fvs_estimator_node.oracle import OracleEstimator
 from fvs_estimator_node.pairing import ExposureMatcher, StepPairing
+from fvs_estimator_node.poe import PoeEstimator
 from fvs_estimator_node.registry import create_estimator, estimator_factory
 from fvs_ros.core import ros
 from fvs_ros.core.joints import ForeignJointsError, JointMap, JointStateError
@@ -26,6 +27,8 @@ from fvs_ros.core.paths import find_file
 
 _STATUS_PERIOD_S = 0.1
 _FRESH_S = 0.2
+#: Longest time between two chains: who has just started learns of it soon.
+_CHAIN_PERIOD_S = 0.4
 
 
 class EstimatorNode(ros.FvsNode):
@@ -36,7 +39,7 @@ class EstimatorNode(ros.FvsNode):
         v = self.values
         self._frame = v["feature_frame"]
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
-        self._estimator = create_estimator(v["method"], self._load_model(), v)
+        self._estimator = self._make_estimator()
         self._pairing = StepPairing(
             v["min_step_rad"],
             v["max_step_s"],
@@ -52,6 +55,9 @@ class EstimatorNode(ros.FvsNode):
         self._published_stamp_s: float | None = None
 
         self._jacobian = self.create_publisher(Float64MultiArray, ros.JACOBIAN, ros.QOS_RELIABLE)
+        self._chain = self.create_publisher(
+            Float64MultiArray, ros.KINEMATIC_CHAIN, ros.QOS_RELIABLE
+        )
         self.watch(JointState, ros.JOINT_STATES, self._on_joint_states, ros.QOS_NEWEST)
         self.watch(PointStamped, ros.BALL_POSITION, self._on_ball, ros.QOS_NEWEST)
         self.watch(Vector3Stamped, ros.SLIDING_VARIABLE, self._on_sliding, ros.QOS_NEWEST)
@@ -64,14 +70,19 @@ class EstimatorNode(ros.FvsNode):
         self.create_service(SetBool, "~/freeze", self._on_freeze)
         self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
 
-    def _load_model(self):
-        if not estimator_factory(self.values["method"]).needs_model(self.values):
-            return None
+        if isinstance(self._estimator, PoeEstimator):
+            self.create_timer(_CHAIN_PERIOD_S, self._publish_chain, clock=self.steady_clock)
+
+    def _make_estimator(self) -> Estimator:
+        v = self.values
+        if not estimator_factory(v["method"]).needs_model(v):
+            return create_estimator(v["method"], None, v)
         try:
-            path = find_file(self.values["model_path"])
+            path = find_file(v["model_path"])
         except FileNotFoundError as error:
             raise ValueError(f"model_path: {error}; train one with fvs_train") from error
-        return load_model(path, self.values["joint_names"], self._frame).model
+        trained = load_model(path, v["joint_names"], self._frame)
+        return create_estimator(v["method"], trained.model, v, trained.chain)
 
     # --- inputs ---
 
@@ -121,12 +132,15 @@ class EstimatorNode(ros.FvsNode):
         return not self._program_running or not self._speed_scaling > 0.0
 
     def _learn(self, steps: list[MotionStep]) -> None:
+        before = self._steps
         for step in steps:
             # A-priori: judged with the estimate that has not seen this step.
             self._prediction.observe(step, self._estimator.jacobian(step.joints_rad))
             if self._estimator.learns and not self._frozen and not self._paused():
                 self._estimator.update(step)
                 self._steps += 1
+        if self._steps > before:
+            self._publish_chain()
 
     # --- output ---
 
@@ -153,10 +167,20 @@ class EstimatorNode(ros.FvsNode):
         self._published_stamp_s = stamp_s
         self._jacobian.publish(ros.to_jacobian(jacobian))
 
+    def _publish_chain(self) -> None:
+        """Tell the chain as the camera sees it now, if there is one."""
+        if not isinstance(self._estimator, PoeEstimator):
+            return
+        try:
+            self._chain.publish(ros.to_chain(self._estimator.chain))
+        except ValueError as error:
+            self._complain(f"the chain was not published: {error}; call ~/reset")
+
     # --- services ---
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response):
         self._estimator.reset()
+        self._publish_chain()
         self._pairing.reset()
         self._prediction.reset()
         self._steps = 0

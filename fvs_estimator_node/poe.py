@@ -33,7 +33,7 @@ POE_PARAMETERS = (
     Parameter(
         "poe.bumped_deviation_rad",
         _DEFAULT.bumped_deviation_rad,
-        "The same once a bump was noticed, rad.",
+        "The same at most once a bump was noticed, rad.",
         1e-3,
         3.0,
     ),
@@ -87,6 +87,12 @@ class PoeEstimator(Estimator):
         self._fitted = chain
         self._camera = CameraMotion(config)
         self._updates = 0
+        self._refused = 0
+
+    @property
+    def updates(self) -> int:
+        """How often the camera's pose was learned anew."""
+        return self._updates
 
     @property
     def chain(self) -> SerialChain:
@@ -104,21 +110,28 @@ class PoeEstimator(Estimator):
 
     def update(self, step: MotionStep) -> None:
         """Learn the camera's pose from where the ball is at the step's end."""
-        if step.ball_m is None:
-            return
-        self._camera.add(self._fitted.position(step.end_joints_rad), step.ball_m)
-        self._updates += 1
+        joints = step.end_joints_rad
+        if (
+            step.ball_m is not None
+            and math.isfinite(float(joints.dot(joints)))
+            and self._camera.add(self._fitted.position(joints), step.ball_m)
+        ):
+            self._updates += 1
+        else:
+            self._refused += 1
 
     def reset(self) -> None:
         """Take the camera to stand where it stood when the chain was fitted."""
         self._camera.reset()
         self._updates = 0
+        self._refused = 0
 
     def status_values(self) -> dict[str, float]:
-        """Count, how far the camera has been turned and moved, bumps and noise."""
+        """Counts, how far the camera has been turned, bumps and noise."""
         camera = self._camera
         return {
             "updates": float(self._updates),
+            "refused": float(self._refused),
             "camera_turned_deg": math.degrees(camera.angle_rad),
             "camera_bumps": float(camera.bumps),
             "position_noise_m": camera.noise_m,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fvs_estimator_node.chain_fit import ChainFit, fit_chain
+from fvs_estimator_node.chain_fit import STILL_RAD, ChainFit, fit_chain
 from fvs_estimator_node.dataset import DataSet
 from fvs_estimator_node.model_file import TrainedModel
 from fvs_estimator_node.rbf import N_FEATURES, RbfModel, rbf_features
@@ -28,12 +28,15 @@ _LESSON, _EXAMINATION = 80, 1000
 _WIDTH_FACTOR, _BEYOND, _RIDGE = 4.0, 1.1, 1e-11
 #: Ball positions kept as places that the arm can reach.
 _BALL_SAMPLES = 500
-#: Above this the ball is moved by something else than a chain of six revolute joints.
-STRUCTURE_LIMIT = 1.3
+#: Above both, the second in m, something else than a chain of six revolute joints moves the ball; a
+#: camera's own systematic errors stay below.
+MISFIT_LIMIT, UNEXPLAINED_LIMIT_M = 1.3, 0.001
 #: A Jacobian known worse than this, in the median over the box, is worth a word.
 _DOUBTFUL = 0.01
 #: Offsets of the images' stamps below this are not worth a word, s.
 _NOTABLE_OFFSET_S = 0.003
+#: Images that do not fit are not worth a word up to this share.
+_NOTABLE_OUTLIERS = 0.01
 
 
 @dataclass(frozen=True)
@@ -82,9 +85,11 @@ def train_structured(
 
     Raises
     ------
-    ChainFitError
-        If no chain can be fitted.
+    ValueError
+        If ``neurons`` is less than 1, or no chain can be fitted (ChainFitError).
     """
+    if neurons < 1:
+        raise ValueError(f"neurons must be at least 1, got {neurons}")
     rng = np.random.default_rng(seed)
     fit = fit_chain(data, rng, progress)
     if progress is not None:
@@ -95,11 +100,11 @@ def train_structured(
     truth = fit.chain.jacobian(places)
     size = np.linalg.norm(truth, axis=(1, 2))
     error = np.linalg.norm(model.jacobian(places) - truth, axis=(1, 2)) / size
-    deviation = float(np.median(fit.jacobian_deviation(places[:_EXAMINATION // 10])))
+    deviation = float(np.median(fit.jacobian_deviation(places[: _EXAMINATION // 10])))
     figures = {
         "jacobian_deviation": deviation,
         "teaching_error": float(np.median(error)),
-        "structure": fit.structure,
+        "misfit": fit.misfit,
         "residual_m": fit.residual_m,
         "noise_m": fit.noise_m,
         "ray_noise_m": fit.ray_noise_m,
@@ -171,11 +176,12 @@ def _notes(fit: ChainFit, deviation: float, data: DataSet) -> tuple[str, ...]:
     still = [
         name
         for name, spread in zip(data.joint_names, data.joints_rad.std(axis=0), strict=True)
-        if spread < 1e-3
+        if spread < STILL_RAD
     ]
     if still:
-        notes.append(f"{', '.join(still)} did not move in the data set: nothing is known of them")
-    if fit.structure > STRUCTURE_LIMIT:
+        them = "it" if len(still) == 1 else "them"
+        notes.append(f"{', '.join(still)} did not move in the data set: nothing is known of {them}")
+    if fit.misfit > MISFIT_LIMIT and fit.unexplained_m > UNEXPLAINED_LIMIT_M:
         notes.append(
             f"the ball does not move as one on a rigid chain of six revolute joints: images are "
             f"{1e3 * fit.residual_m:.1f} mm off it, of which noise explains "
@@ -193,6 +199,6 @@ def _notes(fit: ChainFit, deviation: float, data: DataSet) -> tuple[str, ...]:
             f"the images show the joints of {1e3 * abs(fit.time_offset_s):.0f} ms {side} their "
             "stamps; corrected here, but better mended where they are stamped"
         )
-    if fit.outliers:
+    if fit.outliers > _NOTABLE_OUTLIERS * fit.samples:
         notes.append(f"{fit.outliers} of {fit.samples} images do not fit")
     return tuple(notes)

@@ -7,7 +7,7 @@ seed and commands give the same results to the bit.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -275,6 +275,9 @@ class Simulation:
     ----------
     latency_s, dropout, depth_noise : float
         Live values of those in the configuration.
+    position_noise : callable, optional
+        Draws the error of a ball position, m, shape (3,), from the run's random generator, in
+        place of the white noise of the configuration.
     full_frames : bool
         Whether to draw whole images and hand them out; slower, and with other random numbers.
     covered : bool
@@ -307,6 +310,7 @@ class Simulation:
         self.dropout = cfg.dropout
         self.depth_noise = cfg.depth_noise
         self.joint_lag_s = cfg.joint_lag_s
+        self.position_noise: Callable[[np.random.Generator], np.ndarray] | None = None
         self.full_frames = False
         self.covered = False
         self.reset()
@@ -332,7 +336,7 @@ class Simulation:
     ) -> None:
         """Start again at time 0 with the seed's noise, at rest.
 
-        Disturbances that were set (camera, latency, losses, lag, scaling, cover) stay.
+        Disturbances that were set (camera, latency, noise, losses, lag, scaling, cover) stay.
 
         Parameters
         ----------
@@ -501,6 +505,8 @@ class Simulation:
         )
 
     def _blurred(self, position_m: np.ndarray) -> np.ndarray:
+        if self.position_noise is not None:
+            return position_m + self.position_noise(self._noise_rng)
         if self.config.position_noise_m == 0.0:
             return position_m
         return position_m + self._noise_rng.normal(scale=self.config.position_noise_m, size=3)

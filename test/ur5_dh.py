@@ -25,10 +25,8 @@ CAMERA_FROM_BASE = np.array(
 CAMERA_ORIGIN_M = np.array([0.6, 0.0, 1.6])
 
 
-def ball_and_jacobian(
-    joints_rad: np.ndarray, camera_from_base: np.ndarray = CAMERA_FROM_BASE
-) -> tuple[np.ndarray, np.ndarray]:
-    """Ball in the camera frame, m, (..., 3), and its Jacobian, m/rad, (..., 3, 6)."""
+def axes_origins_ball(joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Axes (..., 6, 3), points on them, m, (..., 6, 3), and ball, m, (..., 3), in the base."""
     q = np.asarray(joints_rad, dtype=float)
     shape = q.shape[:-1]
     rotation = np.broadcast_to(np.eye(3), (*shape, 3, 3))
@@ -52,10 +50,19 @@ def ball_and_jacobian(
         origin = origin + np.einsum("...ij,...j->...i", rotation, offset)
         rotation = rotation @ step
     ball = origin + BALL_BEYOND_FLANGE_M * rotation[..., :, 2]
-    columns = [np.cross(z, ball - o) for z, o in zip(axes, origins, strict=True)]
-    jacobian = np.stack(columns, axis=-1)
+    return np.stack(axes, axis=-2), np.stack(origins, axis=-2), ball
+
+
+def ball_and_jacobian(
+    joints_rad: np.ndarray,
+    camera_from_base: np.ndarray = CAMERA_FROM_BASE,
+    camera_origin_m: np.ndarray = CAMERA_ORIGIN_M,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Ball in the camera frame, m, (..., 3), and its Jacobian, m/rad, (..., 3, 6)."""
+    axes, origins, ball = axes_origins_ball(joints_rad)
+    jacobian = np.swapaxes(np.cross(axes, ball[..., None, :] - origins), -1, -2)
     return (
-        np.einsum("ij,...j->...i", camera_from_base, ball - CAMERA_ORIGIN_M),
+        np.einsum("ij,...j->...i", camera_from_base, ball - camera_origin_m),
         np.einsum("ij,...jk->...ik", camera_from_base, jacobian),
     )
 

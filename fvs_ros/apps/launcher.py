@@ -31,7 +31,7 @@ from fvs_ros.apps.scenario import (
     load_scenario,
 )
 from fvs_ros.core import console
-from fvs_ros.core.schemes import SCHEMES
+from fvs_ros.core.schemes import BEYOND, SCHEMES
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 
 _NAMESPACE = re.compile(r"([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", re.ASCII)
@@ -220,7 +220,8 @@ def _parser() -> argparse.ArgumentParser:
         "--scheme",
         default="",
         metavar="NAME",
-        help=f"estimator method and control law by one name: {', '.join(SCHEMES)}; -p wins over it",
+        help="estimator method and control law by one name: "
+        f"{', '.join((*SCHEMES, *BEYOND))}; -p wins over it",
     )
     parser.add_argument("--namespace", default="", help="ROS namespace of all nodes")
     parser.add_argument(

@@ -7,6 +7,7 @@ A scenario is a standard ROS parameter file: each top-level key is a node to sta
 
 from __future__ import annotations
 
+import json
 import importlib
 import re
 from collections.abc import Mapping
@@ -167,7 +168,7 @@ class Scenario:
         return Scenario(self.path, _checked(self.path, parameters))
 
     def with_scheme(self, name: str) -> Scenario:
-        """The scenario with the estimator's method and the control law of a scheme put in.
+        """The scenario with the estimator's method, the control law and more of a scheme put in.
 
         Raises
         ------
@@ -178,7 +179,10 @@ class Scenario:
             chosen = scheme(name)
         except ValueError as error:
             raise ScenarioError(str(error)) from error
-        values = {"fvs_estimator_node": "method", "fvs_controller_node": "law"}
+        values: dict[str, dict[str, Any]] = {
+            "fvs_estimator_node": {"method": chosen.method, **chosen.estimator_values},
+            "fvs_controller_node": {"law": chosen.law, **chosen.controller_values},
+        }
         missing = [node for node in values if node not in self.parameters]
         if missing:
             raise ScenarioError(
@@ -187,8 +191,9 @@ class Scenario:
             )
         return self.with_overrides(
             [
-                f"fvs_estimator_node:method:={chosen.method}",
-                f"fvs_controller_node:law:={chosen.law}",
+                f"{node}:{parameter}:={json.dumps(value)}"
+                for node, wanted in values.items()
+                for parameter, value in wanted.items()
             ]
         )
 

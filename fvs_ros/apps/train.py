@@ -24,7 +24,7 @@ from fvs_estimator_node.training import (
     TrainingResult,
     train,
 )
-from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_OK
+from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 
 #: The method that assumes a serial chain.
 STRUCTURED = "poe"
@@ -54,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_BAD_INPUT
     except KeyboardInterrupt:
         print("fvs_train: interrupted, no model was written", file=sys.stderr)
-        return 130
+        return EXIT_FAILURE
     if not arguments.quiet:
         print(words)
     print(f"model written to {arguments.output}")
@@ -66,7 +66,8 @@ def _train(data: DataSet, arguments: argparse.Namespace) -> tuple[TrainedModel, 
     started_s = time.monotonic()
     if arguments.method == STRUCTURED:
         say = None if arguments.quiet else (lambda words: print(f"{words} ...", file=sys.stderr))
-        taught = train_structured(data, arguments.neurons or NEURONS, arguments.seed, say)
+        neurons = NEURONS if arguments.neurons is None else arguments.neurons
+        taught = train_structured(data, neurons, arguments.seed, say)
         return taught.trained, report_structured(taught, time.monotonic() - started_s), False
     options = TrainingOptions(
         method=arguments.method,
@@ -165,8 +166,8 @@ def report(result: TrainingResult, seconds: float) -> str:
 
 def report_structured(taught: TaughtModel, seconds: float) -> str:
     """What a user should see of a structured training."""
-    fit, box = taught.fit, taught.trained.joint_box_rad
-    low, high = box
+    fit = taught.fit
+    low, high = taught.trained.joint_box_rad
     lines = [
         "",
         f"Jacobian of the chain, in the box of the data: {100 * taught.jacobian_deviation:.3f} % "
@@ -180,7 +181,7 @@ def report_structured(taught: TaughtModel, seconds: float) -> str:
         f"explains {1e3 * fit.noise_m:.2f} mm",
         f"joints from [{', '.join(f'{v:.2f}' for v in low)}]",
         f"         to [{', '.join(f'{v:.2f}' for v in high)}] rad",
-        f"{fit.samples} images, {fit.outliers} do not fit; {seconds:.1f} s",
+        f"{fit.samples} images, {fit.outliers} left out; {seconds:.1f} s",
     ]
     return "\n".join([*lines, *(f"note: {note}" for note in taught.notes)])
 

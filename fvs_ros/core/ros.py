@@ -32,6 +32,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from fvs_ros.core import console, stop, topics
 from fvs_ros.core.camera import CameraModel, Intrinsics, camera_model
+from fvs_ros.core.chain import SerialChain
 from fvs_ros.core.joints import N_JOINTS
 from fvs_ros.core.monitor import ArrivalMonitor
 from fvs_ros.core.params import Parameter, ParameterError, ParameterSet
@@ -41,6 +42,7 @@ from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_OK
 JOINT_STATES = topics.JOINT_STATES.name
 BALL_POSITION = topics.BALL_POSITION.name
 JACOBIAN = topics.JACOBIAN.name
+KINEMATIC_CHAIN = topics.KINEMATIC_CHAIN.name
 TARGET_POSITION = topics.TARGET_POSITION.name
 SLIDING_VARIABLE = topics.SLIDING_VARIABLE.name
 COMMANDS = topics.COMMANDS.name
@@ -147,15 +149,35 @@ def to_vector(stamp_s: float, frame: str, vector: np.ndarray) -> Vector3Stamped:
     return message
 
 
-def to_jacobian(jacobian: np.ndarray) -> Float64MultiArray:
-    """``Float64MultiArray`` of a Jacobian, m/rad, shape (3, 6), row-major."""
+def _to_matrix(matrix: np.ndarray, row: str, column: str) -> Float64MultiArray:
+    """``Float64MultiArray`` of a matrix, row-major, with the names of its dimensions."""
+    rows, columns = matrix.shape
     message = Float64MultiArray()
     message.layout.dim = [
-        MultiArrayDimension(label="feature", size=3, stride=3 * N_JOINTS),
-        MultiArrayDimension(label="joint", size=N_JOINTS, stride=N_JOINTS),
+        MultiArrayDimension(label=row, size=rows, stride=rows * columns),
+        MultiArrayDimension(label=column, size=columns, stride=columns),
     ]
-    message.data = np.asarray(jacobian, dtype=float).reshape(-1).tolist()
+    message.data = np.asarray(matrix, dtype=float).reshape(-1).tolist()
     return message
+
+
+def _from_matrix(message: Float64MultiArray, name: str, rows: int, columns: int) -> np.ndarray:
+    """The matrix of a message, shape (rows, columns); a ``MessageError`` if it is none."""
+    sizes = [dim.size for dim in message.layout.dim]
+    if len(message.data) != rows * columns or sizes not in ([], [rows, columns]):
+        raise MessageError(
+            f"{name} has {len(message.data)} values and dimensions {sizes}, "
+            f"expected {rows * columns} values and dimensions [{rows}, {columns}]"
+        )
+    matrix = np.array(message.data, dtype=float).reshape(rows, columns)
+    if not np.all(np.isfinite(matrix)):
+        raise MessageError(f"{name} holds a value that is not finite")
+    return matrix
+
+
+def to_jacobian(jacobian: np.ndarray) -> Float64MultiArray:
+    """``Float64MultiArray`` of a Jacobian, m/rad, shape (3, 6), row-major."""
+    return _to_matrix(jacobian, "feature", "joint")
 
 
 def from_jacobian(message: Float64MultiArray) -> np.ndarray:
@@ -171,16 +193,34 @@ def from_jacobian(message: Float64MultiArray) -> np.ndarray:
     MessageError
         If it is not 3x6 or not finite.
     """
-    sizes = [dim.size for dim in message.layout.dim]
-    if len(message.data) != 3 * N_JOINTS or sizes not in ([], [3, N_JOINTS]):
-        raise MessageError(
-            f"jacobian has {len(message.data)} values and dimensions {sizes}, "
-            f"expected {3 * N_JOINTS} values and dimensions [3, {N_JOINTS}]"
-        )
-    jacobian = np.array(message.data, dtype=float).reshape(3, N_JOINTS)
-    if not np.all(np.isfinite(jacobian)):
-        raise MessageError("jacobian holds a value that is not finite")
-    return jacobian
+    return _from_matrix(message, "jacobian", 3, N_JOINTS)
+
+
+def to_chain(chain: SerialChain) -> Float64MultiArray:
+    """``Float64MultiArray`` of a chain, shape (15, 3), row-major.
+
+    Rows 0 to 5 are the axes, 6 to 11 the points on them, m, 12 the ball, m, and 13 and 14 the
+    reference joints, rad.
+    """
+    reference = chain.reference_rad.reshape(2, 3)
+    rows = np.concatenate([chain.axes, chain.points_m, chain.ball_m[None], reference])
+    return _to_matrix(rows, "row", "xyz")
+
+
+def from_chain(message: Float64MultiArray) -> SerialChain:
+    """Chain of a ``Float64MultiArray`` as :func:`to_chain` makes it.
+
+    Raises
+    ------
+    MessageError
+        If it is not 15x3, not finite, or no chain.
+    """
+    rows = _from_matrix(message, "kinematic_chain", 2 * N_JOINTS + 3, 3)
+    axes, points, ball, reference = np.split(rows, [N_JOINTS, 2 * N_JOINTS, 2 * N_JOINTS + 1])
+    try:
+        return SerialChain(axes, points, ball[0], reference.reshape(-1))
+    except ValueError as error:
+        raise MessageError(f"kinematic_chain is no chain: {error}") from error
 
 
 def to_command(velocity_rad_s: np.ndarray) -> Float64MultiArray:

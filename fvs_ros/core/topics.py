@@ -142,6 +142,13 @@ JACOBIAN = Topic(
     "Ball motion per joint motion at the newest joints, m/rad: 3 rows (feature) of 6 columns "
     "(joint), row by row, joints in kinematic order.",
 )
+KINEMATIC_CHAIN = Topic(
+    "kinematic_chain",
+    "std_msgs/msg/Float64MultiArray",
+    "The arm as the camera sees it now: 15 rows of x, y, z, row by row. Rows 0 to 5 are the "
+    "directions of the joints' axes, 6 to 11 a point on each, m, 12 the ball, m, all in the "
+    "camera's optical frame, where the joints stand as rows 13 and 14 say, rad.",
+)
 TARGET_POSITION = Topic(
     "target_position",
     "geometry_msgs/msg/PointStamped",
@@ -306,7 +313,11 @@ INTERFACES: dict[str, Interface] = {
     ),
     "fvs_estimator_node": Interface(
         "Estimates the hand-eye Jacobian and, if its method learns, corrects it with every motion.",
-        publishes=(End(JACOBIAN, _RELIABLE), *_ALWAYS),
+        publishes=(
+            End(JACOBIAN, _RELIABLE),
+            End(KINEMATIC_CHAIN, _RELIABLE, note="silent unless `method` is `poe`"),
+            *_ALWAYS,
+        ),
         subscribes=(
             End(JOINT_STATES, _NEWEST),
             End(BALL_POSITION, _NEWEST),
@@ -327,6 +338,7 @@ INTERFACES: dict[str, Interface] = {
             End(JOINT_STATES, _NEWEST),
             End(BALL_POSITION, _NEWEST),
             End(JACOBIAN, _NEWEST),
+            End(KINEMATIC_CHAIN, _NEWEST),
             End(TARGET_POSITION, _EITHER),
             End(ESTIMATOR_STATUS, _NEWEST),
             End(COMMANDS, _RELIABLE, later="another node publishing there"),

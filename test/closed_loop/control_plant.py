@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,17 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from ur5_dh import BOX_M_RAD, HOME_RAD, ball_and_jacobian
+from ur5_dh import (
+    BOX_M_RAD,
+    CAMERA_FROM_BASE,
+    CAMERA_ORIGIN_M,
+    HOME_RAD,
+    axes_origins_ball,
+    ball_and_jacobian,
+)
 
 from fvs_controller_node.config import build_loop, default_values
+from fvs_ros.core.chain import SerialChain
 
 TICK_S = 0.008
 IMAGE_S = 1.0 / 30.0
@@ -78,6 +86,13 @@ class Run:
         return float(np.sqrt(np.mean(self.command[-125:] ** 2, axis=0)).max())
 
 
+def chain_of_the_arm() -> SerialChain:
+    """The arm as a fitted chain would have it, to the bit."""
+    axes, points, ball = axes_origins_ball(HOME_RAD)
+    seen = (np.vstack([points, ball]) - CAMERA_ORIGIN_M) @ CAMERA_FROM_BASE.T
+    return SerialChain(axes @ CAMERA_FROM_BASE.T, seen[:-1], seen[-1], HOME_RAD)
+
+
 def servo(
     start_rad: np.ndarray,
     goal_rad: np.ndarray,
@@ -89,11 +104,14 @@ def servo(
     noise_m: float = NOISE_M,
     turned: np.ndarray | None = None,
     hidden_s: tuple[float, float] = (0.0, 0.0),
+    chain: SerialChain | None = None,
+    target_of: Callable[[float], np.ndarray] | None = None,
 ) -> Run:
     """Servo from rest at one joint vector to the ball position of another.
 
     ``turned`` is a rotation that the estimator does not know of; ``hidden_s`` is when no image
-    shows the ball, from the start on.
+    shows the ball, from the start on; ``target_of`` moves the target with the time since the start,
+    told at the images' rate.
     """
     rng = np.random.default_rng(seed)
     wrong = rng.normal(size=(3, 6))
@@ -101,7 +119,10 @@ def servo(
     loop = build_loop(default_values(**(values or {})))
     supervisor = loop.supervisor
     target = ball_and_jacobian(goal_rad)[0]
-    assert supervisor.target(target, FRAME)[0]
+    assert loop.add_target(target, FRAME)[0]
+    if chain is not None:
+        loop.add_chain(chain)
+    told_s = 0.0
     drive = Drive(start_rad)
     images: deque[tuple[float, np.ndarray]] = deque()
     next_image_s = rng.uniform(0.0, IMAGE_S)
@@ -123,6 +144,11 @@ def servo(
         estimate = jacobian + np.linalg.norm(jacobian) * wrong
         loop.add_jacobian(t, estimate if turned is None else turned @ estimate)
         loop.add_joints(t, t, drive.joints)
+        if target_of is not None and started_s is not None:
+            target = target_of(t - started_s)
+            if t >= told_s:
+                assert loop.add_target(target, FRAME, t)[0]
+                told_s = t + IMAGE_S
         command = loop.tick(t, TICK_S)
         if started_s is None and command.reason.name == "READY":
             assert supervisor.start(t)[0]

@@ -2,9 +2,11 @@ import contextlib
 import io
 import os
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from recordings import ur5_chain
 
 from fvs_estimator_node import dataset, model_file
 from fvs_estimator_node.dataset import DataSet, DataSetError, load_data_set, save_data_set
@@ -15,6 +17,7 @@ from fvs_estimator_node.model_file import (
     save_model,
 )
 from fvs_estimator_node.rbf import RbfModel
+from fvs_ros.core.chain import CHAIN_SHAPES
 from fvs_ros.core.joints import UR_JOINT_NAMES, UR_PUBLISHED_NAMES
 
 
@@ -99,6 +102,45 @@ def test_a_model_comes_back_as_it_was(tmp_path):
     for name in ("joint_box_rad", "ball_box_m", "ball_samples_m"):
         np.testing.assert_array_equal(getattr(back, name), getattr(trained, name))
     assert (back.errors, back.provenance) == (trained.errors, trained.provenance)
+
+
+def with_a_chain():
+    return replace(some_model(), chain=ur5_chain())
+
+
+def test_a_model_with_a_chain_comes_back_with_it(tmp_path):
+    assert load_saved(tmp_path, some_model()).chain is None
+    chain = load_saved(tmp_path, with_a_chain()).chain
+    for name in CHAIN_SHAPES:
+        np.testing.assert_allclose(
+            getattr(chain, name), getattr(ur5_chain(), name), rtol=0.0, atol=1e-15
+        )
+
+
+def load_saved(folder, trained):
+    save_model(folder / "m.npz", trained)
+    return load_model(folder / "m.npz")
+
+
+def test_a_chain_that_cannot_be_one_is_refused(tmp_path):
+    path = tmp_path / "m.npz"
+    zero_axis, far = ur5_chain().axes.copy(), ur5_chain().points_m.copy()
+    zero_axis[2] = 0.0
+    far[0, 0] = 1e6
+    for name in CHAIN_SHAPES:
+        save_model(path, with_a_chain())
+        rewrite(path, **{f"chain_{name}": None})
+        refused(KINDS["model"], path, f"lacks the field 'chain_{name}'")
+    for changes, words in (
+        ({"chain_axes": np.ones((5, 3))}, "'chain_axes' of shape"),
+        ({"chain_ball_m": np.array("far")}, "'chain_ball_m' of type"),
+        ({"chain_reference_rad": np.full(6, np.nan)}, "not finite"),
+        ({"chain_axes": zero_axis}, "an axis of a chain has no direction"),
+        ({"chain_points_m": far}, "points_m of a chain must be finite and below 100"),
+    ):
+        save_model(path, with_a_chain())
+        rewrite(path, **changes)
+        refused(KINDS["model"], path, words)
 
 
 def test_a_missing_file_a_folder_and_other_files(kind, tmp_path):

@@ -1,7 +1,9 @@
 """What the laboratory stands on: statistics, knobs, reports, scenarios of the spot check."""
 
+import importlib.util
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from fvs_ros.apps.demo import own_targets
 from fvs_ros.apps.experiments import main, servo
 from fvs_ros.apps.experiments.context import Context
 from fvs_ros.apps.experiments.report import (
+    EXPERIMENTS,
     RESULTS,
     Figure,
     Origin,
@@ -392,7 +395,34 @@ def test_own_targets_are_read_or_refused_in_words():
 # --- command line ---
 
 
-@pytest.mark.parametrize("arguments", [["nonsense"], ["servo", "--seeds", "0"], []])
+def test_all_is_without_what_takes_longer_than_all_others(tmp_path, monkeypatch):
+    ran = []
+
+    def experiment(name):
+        def run(context):
+            ran.append(name.rpartition(".")[2])
+            return Report(ran[-1], "", "", [])
+
+        return SimpleNamespace(run=run)
+
+    stub = SimpleNamespace(import_module=experiment, util=importlib.util)
+    monkeypatch.setattr(main, "importlib", stub)
+    assert main.main(["all", "--out", str(tmp_path)]) == 0
+    assert ran == [name for name in EXPERIMENTS if name != "robustness"]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["nonsense"],
+        ["servo", "--seeds", "0"],
+        [],
+        ["servo", "--trials", "3"],
+        ["all", "--trial", "3"],
+        ["robustness", "--scheme", "proposed"],
+        ["robustness", "--trial", "0"],
+    ],
+)
 def test_a_wrong_command_line_is_refused(arguments, capsys):
     with pytest.raises(SystemExit) as ended:
         main.main(arguments)

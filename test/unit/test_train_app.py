@@ -3,11 +3,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from recordings import Recording, relative_error
 
 from fvs_estimator_node.dataset import DataSet, load_data_set, save_data_set
 from fvs_estimator_node.model_file import load_model
 from fvs_ros.apps.train import main
 from fvs_ros.core.joints import UR_PUBLISHED_NAMES
+from fvs_ros.core.stop import EXIT_FAILURE
 
 
 @pytest.fixture
@@ -45,6 +47,46 @@ def test_ridge_is_deterministic(data_file, tmp_path):
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
+def test_a_chain_teaches_the_networks(tmp_path, capsys):
+    data, model = tmp_path / "data.npz", tmp_path / "model.npz"
+    recording = Recording(seconds=15.0, late_s=0.05, outliers=0.0)
+    save_data_set(data, recording.data())
+    arguments = [str(data), "-o", str(model), "--method", "poe", "--neurons", "30"]
+    assert main(arguments) == 0
+    captured = capsys.readouterr()
+    assert "looking for the axes" in captured.err
+    for words in (
+        "Jacobian of the chain, in the box of the data: 0.",
+        "six networks taught by it",
+        "images stamped late: ",
+        "note: the images show the joints of 50 ms before their stamps",
+        "model written",
+    ):
+        assert words in captured.out
+    trained = load_model(model)
+    assert trained.model.neurons == 30
+    assert trained.provenance["method"] == "poe"
+    places = recording.places()
+    true = recording.chain().jacobian(places)
+    assert np.median(relative_error(trained.chain.jacobian(places), true)) < 0.01
+    first = model.read_bytes()
+    assert main([*arguments, "--quiet"]) == 0
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err) == (f"model written to {model}\n", "")
+    assert model.read_bytes() == first
+
+
+def test_interrupted_it_writes_nothing_and_says_so(data_file, tmp_path, capsys, monkeypatch):
+    def interrupt(*_arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("fvs_ros.apps.train.train", interrupt)
+    model = tmp_path / "model.npz"
+    assert main([str(data_file), "-o", str(model), "--method", "ridge"]) == EXIT_FAILURE
+    assert capsys.readouterr().err == "fvs_train: interrupted, no model was written\n"
+    assert not model.exists()
+
+
 def refused(arguments, capsys):
     assert main([str(a) for a in arguments]) == 2
     captured = capsys.readouterr()
@@ -61,6 +103,8 @@ def test_bad_input_is_one_sentence_and_code_2(data_file, tmp_path, capsys):
     (tmp_path / "text.npz").write_text("hello")
     assert "not a readable" in refused([tmp_path / "text.npz", "-o", model], capsys)
     assert "neurons must" in refused([data_file, "-o", model, "--neurons", "0"], capsys)
+    structured = [data_file, "-o", model, "--method", "poe"]
+    assert "neurons must" in refused([*structured, "--neurons", "0"], capsys)
     assert "folder" in refused([data_file, "-o", tmp_path / "no" / "model.npz"], capsys)
     assert "is a folder" in refused([data_file, "-o", tmp_path], capsys)
     data = load_data_set(data_file)
@@ -75,6 +119,7 @@ def test_bad_input_is_one_sentence_and_code_2(data_file, tmp_path, capsys):
     )
     save_data_set(data_file, few)
     assert "expected at least" in refused([data_file, "-o", model], capsys)
+    assert "a chain needs at least 200 images" in refused(structured, capsys)
     assert not model.exists()
 
 

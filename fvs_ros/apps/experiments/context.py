@@ -1,13 +1,16 @@
-"""What an experiment is told, and how it uses all cores."""
+"""What an experiment is told, and how it uses all cores, of one machine or of many."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
+from fvs_ros.apps.experiments.cluster import alone, connected
 from fvs_ros.apps.experiments.trials import Conditions
 
 T = TypeVar("T")
@@ -25,13 +28,17 @@ class Context:
     seeds : int, optional
         Number of seeded cases; each experiment has its own default.
     jobs : int
-        Number of processes.
+        Number of processes on this machine.
     quick : bool
         Whether to do a small part of everything, to see that it works.
     rendered : bool
         Whether ball positions come from rendered images.
     nodes : bool
         Whether spot checks through the real nodes are made.
+    trials : int, optional
+        Number of random worlds of ``robustness``; it has its own default.
+    cluster : str
+        Address of a dask scheduler whose workers do the runs; empty for this machine.
     """
 
     out: Path
@@ -40,6 +47,8 @@ class Context:
     quick: bool = False
     rendered: bool = True
     nodes: bool = True
+    trials: int | None = None
+    cluster: str = ""
 
     def folder(self, name: str) -> Path:
         """The folder of an experiment, made if need be."""
@@ -72,14 +81,34 @@ class Context:
         Returns
         -------
         list
-            The results in the items' order, whatever the number of processes.
+            The results in the items' order, whatever the number of processes and their place.
+
+        Raises
+        ------
+        ClusterError
+            If there is to be a cluster, and it cannot be used.
         """
-        from joblib import Parallel, delayed
+        from joblib import delayed
         from tqdm import tqdm
 
         items = list(items)
         if not sys.stderr.isatty():
             print(f"   {label}: {len(items)} runs ...", flush=True)
-        with Parallel(n_jobs=self.jobs, return_as="generator") as parallel:
-            results = parallel(delayed(function)(item) for item in items)
-            return list(tqdm(results, total=len(items), desc=label, leave=False, disable=None))
+        with (
+            self._engine() as (parallel, engine),
+            tqdm(total=len(items), desc=label, leave=False, disable=None) as bar,
+        ):
+            # Results one by one, as they come, are not to be had from every engine; its count is.
+            parallel.print_progress = lambda: bar.update(parallel.n_completed_tasks - bar.n)
+            return parallel(delayed(engine(function))(item) for item in items)
+
+    @contextmanager
+    def _engine(self) -> Iterator[tuple[Any, Callable]]:
+        """Joblib on this machine or on the cluster, and what must be done to a function there."""
+        from joblib import Parallel, parallel_config
+
+        if not self.cluster:
+            yield Parallel(n_jobs=self.jobs), lambda function: function
+            return
+        with connected(self.cluster) as client, parallel_config(backend="dask", client=client):
+            yield Parallel(n_jobs=-1), lambda function: partial(alone, function)

@@ -15,12 +15,14 @@ import numpy as np
 from fvs_controller_node.config import build_loop, default_values
 from fvs_controller_node.supervisor import Command
 from fvs_estimator_node.base import Estimator, MotionStep, PredictionMonitor
-from fvs_estimator_node.model_file import load_model
+from fvs_estimator_node.model_file import TrainedModel, load_model
 from fvs_estimator_node.oracle import OracleEstimator
 from fvs_estimator_node.pairing import StepPairing
+from fvs_estimator_node.poe import PoeEstimator
 from fvs_estimator_node.rbf import RbfModel
 from fvs_estimator_node.registry import create_estimator
 from fvs_ros.core.camera import CAMERA_FRAME
+from fvs_ros.core.chain import SerialChain
 from fvs_ros.core.paths import find_file
 from fvs_sim_node.simulation import Simulation
 
@@ -32,9 +34,18 @@ _QUALITY_PERIOD_S = 0.1
 
 
 @lru_cache(maxsize=4)
+def _load(name: str) -> TrainedModel:
+    return load_model(find_file(name))
+
+
 def load_networks(name: str = MODEL) -> RbfModel:
     """Read the trained networks of a model file in the project's ``config`` folder, or a path."""
-    return load_model(find_file(name)).model
+    return _load(name).model
+
+
+def load_chain(name: str = MODEL) -> SerialChain | None:
+    """Read the fitted chain of such a file; None if it has none."""
+    return _load(name).chain
 
 
 def make_estimator(
@@ -42,6 +53,7 @@ def make_estimator(
     simulation: Simulation,
     networks: RbfModel,
     values: Mapping[str, Any] | None = None,
+    chain: SerialChain | None = None,
 ) -> Estimator:
     """Build an estimator as its node does; the oracle asks the simulation itself.
 
@@ -55,10 +67,12 @@ def make_estimator(
         The trained networks.
     values : mapping, optional
         The node's parameters, by name, where they differ from the defaults.
+    chain : SerialChain, optional
+        The fitted chain, for a method that needs it.
     """
     if method == "oracle":
         return OracleEstimator(simulation.true_jacobian)
-    return create_estimator(method, networks, values or {})
+    return create_estimator(method, networks, values or {}, chain)
 
 
 class LockStep:
@@ -100,6 +114,8 @@ class LockStep:
             self.loop.add_ball(now_s, seen.stamp_s, position_m, CAMERA_FRAME)
         self._learn(self.pairing.add_joints(now_s, out.joints_rad))
         self.loop.add_jacobian(now_s, self.estimator.jacobian(out.joints_rad))
+        if isinstance(self.estimator, PoeEstimator):
+            self.loop.add_chain(self.estimator.chain)
         if now_s >= self._next_quality_s and self.monitor.ratio is not None:
             self.loop.supervisor.estimator_quality(now_s, self.monitor.ratio)
             self._next_quality_s = now_s + _QUALITY_PERIOD_S
@@ -130,6 +146,8 @@ class LockStep:
         ValueError
             If the controller refuses it; the text says why.
         """
-        accepted, text = self.loop.supervisor.target(np.asarray(target_m), CAMERA_FRAME)
+        accepted, text = self.loop.add_target(
+            np.asarray(target_m), CAMERA_FRAME, self.simulation.time_s
+        )
         if not accepted:
             raise ValueError(text)

@@ -11,16 +11,30 @@ import sys
 import time
 from importlib import metadata
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from fvs_ros.apps.experiments.report import EXPERIMENTS, Origin, write_page, write_report
+from fvs_ros.apps.experiments.report import (
+    EXPERIMENTS,
+    LONG,
+    Origin,
+    write_page,
+    write_report,
+)
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
+
+if TYPE_CHECKING:
+    from fvs_ros.apps.experiments.context import Context
 
 _NEEDS = ("cmaes", "joblib", "jinja2", "matplotlib", "scipy")
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="fvs_experiments", description=__doc__.replace("`", ""))
-    parser.add_argument("name", choices=(*EXPERIMENTS, "all"), help="which experiment")
+    parser.add_argument(
+        "name",
+        choices=(*EXPERIMENTS, "all"),
+        help=f"which experiment; all is without {', '.join(LONG)}, which takes long",
+    )
     parser.add_argument(
         "--seeds",
         type=_positive,
@@ -48,6 +62,20 @@ def _parser() -> argparse.ArgumentParser:
         action="store_false",
         help="leave out the spot check through the real nodes",
     )
+    parser.add_argument(
+        "--cluster",
+        metavar="ADDRESS",
+        default="",
+        help="send the runs to the workers of a dask scheduler, such as tcp://10.0.0.1:8786",
+    )
+    alone = parser.add_argument_group(
+        "robustness", "Random worlds; the same number is the same world, whatever the others."
+    )
+    alone.add_argument("--trials", type=_positive, help="number of worlds (default: 500)")
+    alone.add_argument(
+        "--trial", type=_positive, metavar="NUMBER", help="look at this one alone: words, a picture"
+    )
+    alone.add_argument("--scheme", default="", help="with --trial: only this scheme")
     return parser
 
 
@@ -63,7 +91,12 @@ def _positive(text: str) -> int:
 
 def main(argv: list[str] | None = None) -> int:
     """Run ``fvs_experiments``; the exit code says how it went."""
-    arguments = _parser().parse_args(argv)
+    parser = _parser()
+    arguments = parser.parse_args(argv)
+    if arguments.name != "robustness" and (arguments.trials or arguments.trial):
+        parser.error("--trials and --trial are for robustness")
+    if arguments.scheme and not arguments.trial:
+        parser.error("--scheme needs --trial")
     missing = [name for name in _NEEDS if importlib.util.find_spec(name) is None]
     if missing:
         print(
@@ -86,6 +119,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from fvs_ros.apps.experiments.cluster import ClusterError
     from fvs_ros.apps.experiments.context import Context
 
     context = Context(
@@ -95,8 +129,33 @@ def _run(arguments: argparse.Namespace) -> int:
         quick=arguments.quick,
         rendered=arguments.camera == "rendered",
         nodes=arguments.nodes,
+        trials=arguments.trials,
+        cluster=arguments.cluster,
     )
-    names = EXPERIMENTS if arguments.name == "all" else (arguments.name,)
+    try:
+        if arguments.trial:
+            return _look(context, arguments.trial, arguments.scheme)
+        return _measure(context, arguments)
+    except ClusterError as error:
+        print(f"fvs_experiments: {error}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+
+
+def _look(context: Context, trial: int, scheme: str) -> int:
+    from fvs_ros.apps.experiments.robustness import contestants_called, rerun
+
+    try:
+        contestants = contestants_called(scheme)
+    except ValueError as error:
+        print(f"fvs_experiments: {error}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    rerun(context, trial, contestants)
+    return EXIT_OK
+
+
+def _measure(context: Context, arguments: argparse.Namespace) -> int:
+    most = [name for name in EXPERIMENTS if name not in LONG]
+    names = most if arguments.name == "all" else [arguments.name]
     began_s = time.monotonic()
     for number, name in enumerate(names, start=1):
         folder = context.folder(name)
@@ -116,6 +175,7 @@ def _origin(arguments: argparse.Namespace) -> Origin:
 
     command = ["fvs_experiments", arguments.name]
     command += [f"--seeds {arguments.seeds}"] if arguments.seeds else []
+    command += [f"--trials {arguments.trials}"] if arguments.trials else []
     command += ["--quick"] if arguments.quick else []
     command += [f"--camera {arguments.camera}"]
     command += [] if arguments.nodes else ["--no-nodes"]

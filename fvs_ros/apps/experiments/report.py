@@ -15,7 +15,9 @@ import numpy as np
 
 RESULTS = "results.json"
 #: The experiments, in the order of the page; each is a module of this package.
-EXPERIMENTS = ("servo", "estimators", "exponents", "settling", "ablation")
+EXPERIMENTS = ("servo", "estimators", "exponents", "settling", "ablation", "robustness")
+#: Those that are run by their own name only: they take longer than all others together.
+LONG = ("robustness",)
 _DIGITS = 7
 _WORDS = {True: "holds", False: "does not hold", None: "undecided"}
 

@@ -12,7 +12,12 @@ import numpy as np
 
 from fvs_controller_node.reasons import State
 from fvs_controller_node.supervisor import Command
-from fvs_ros.apps.experiments.lockstep import LockStep, load_networks, make_estimator
+from fvs_ros.apps.experiments.lockstep import (
+    LockStep,
+    load_chain,
+    load_networks,
+    make_estimator,
+)
 from fvs_ros.apps.score import settling_time_s
 from fvs_sim_node.rendering import CameraPose, camera_preset
 from fvs_sim_node.simulation import SimConfig, Simulation
@@ -29,7 +34,9 @@ PRELUDE_S = 0.4
 #: Every so many ticks the Jacobian in use is compared with the true one.
 _JACOBIAN_EVERY = 5
 #: The end of a run, over which rest is judged, s.
-_REST_S = 1.0
+REST_S = 1.0
+#: Cause of a failure: the ball came near, and left again.
+NOT_STAYED = "reached 5 mm, but did not stay"
 
 
 @dataclass(frozen=True)
@@ -129,6 +136,32 @@ class Trial:
 
 
 @dataclass(frozen=True)
+class Bump:
+    """A blow to the camera in mid-run.
+
+    The target is given anew at once, where it is for the camera now; nothing else is told.
+
+    Parameters
+    ----------
+    time_s : float
+        After the target was given, s.
+    rotation_deg : tuple of 3 float
+        Rotation vector about the camera's own centre, camera frame, degrees.
+    translation_m : tuple of 3 float
+        In the world frame, m.
+    """
+
+    time_s: float
+    rotation_deg: tuple[float, float, float]
+    translation_m: tuple[float, float, float]
+
+    def strike(self, simulation: Simulation) -> None:
+        """Move the camera."""
+        simulation.rotate_camera(np.radians(self.rotation_deg))
+        simulation.move_camera(self.translation_m)
+
+
+@dataclass(frozen=True)
 class Outcome:
     """What came of a trial; errors are of the true ball position.
 
@@ -154,7 +187,9 @@ class Outcome:
     failure : str
         Why it did not settle to 5 mm; empty if it did.
     target_m : tuple of 3 float
-        The target, camera frame, m.
+        The target, camera frame, m; after a bump, that of the camera where it is then.
+    said : str
+        What the controller said last in a run that failed.
     series : dict of str to ndarray
         ``time_s`` (n,), ``ball_m`` (n, 3), ``error_m`` (n,), ``command_rad_s`` (n, 6),
         ``exponent`` (n, 3); empty unless recorded.
@@ -170,6 +205,7 @@ class Outcome:
     jacobian_error: float
     failure: str
     target_m: tuple[float, ...]
+    said: str = ""
     series: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
@@ -256,23 +292,45 @@ def run_trial(trial: Trial) -> Outcome:
     Outcome
         The same to the bit for the same trial, in whatever process.
     """
-    simulation = simulation_of(trial.conditions)
+    return drive(trial, simulation_of(trial.conditions))
+
+
+def drive(trial: Trial, simulation: Simulation, bump: Bump | None = None) -> Outcome:
+    """Run one trial in a simulation that has been set up.
+
+    Parameters
+    ----------
+    trial : Trial
+        What to run; its conditions are those that the simulation is in.
+    simulation : Simulation
+        It is reset; disturbances that were set stay.
+    bump : Bump, optional
+        A blow to the camera.
+    """
     simulation.reset(trial.case.goal_rad)
+    goal_m = simulation.world.ball_position()
     target_m = simulation.true_ball_position()
     simulation.reset(trial.case.start_rad, trial.case.seed)
-    estimator = make_estimator(trial.method, simulation, load_networks(), trial.estimator_values)
+    estimator = make_estimator(
+        trial.method, simulation, load_networks(), trial.estimator_values, load_chain()
+    )
     one = LockStep(simulation, estimator, {"law": trial.law, **trial.controller_values})
     one.run(PRELUDE_S)
     one.set_target(target_m)
     log = _Log(simulation.time_s)
+    bump_tick = None if bump is None else round(bump.time_s / one.period_s)
     for tick in range(round(trial.duration_s / one.period_s)):
+        if bump is not None and tick == bump_tick:
+            bump.strike(simulation)
+            target_m = simulation.camera.to_camera(goal_m)
+            one.set_target(target_m)
         command = one.tick()
-        log.add(simulation.time_s, simulation.true_ball_position(), command)
+        log.add(simulation.time_s, simulation.true_ball_position(), target_m, command)
         if tick % _JACOBIAN_EVERY == 0:
             log.add_jacobian_error(jacobian_error(one))
-        if trial.stop_after_s is not None and log.rested_s(target_m) >= trial.stop_after_s:
+        if trial.stop_after_s is not None and log.rested_s() >= trial.stop_after_s:
             break
-    return log.outcome(target_m, trial.record)
+    return log.outcome(trial.record)
 
 
 def jacobian_error(one: LockStep) -> float:
@@ -291,6 +349,7 @@ class _Log:
         self._start_s = start_s
         self._time_s: list[float] = []
         self._ball_m: list[np.ndarray] = []
+        self._target_m: list[np.ndarray] = []
         self._command: list[np.ndarray] = []
         self._exponent: list[np.ndarray] = []
         self._limited: list[bool] = []
@@ -302,9 +361,10 @@ class _Log:
     def add_jacobian_error(self, error: float) -> None:
         self._jacobian_error.append(error)
 
-    def add(self, now_s: float, ball_m: np.ndarray, command: Command) -> None:
+    def add(self, now_s: float, ball_m: np.ndarray, target_m: np.ndarray, command: Command) -> None:
         self._time_s.append(now_s - self._start_s)
         self._ball_m.append(ball_m)
+        self._target_m.append(target_m)
         self._command.append(command.velocity_rad_s)
         output = command.output
         self._exponent.append(np.full(3, np.nan) if output is None else output.exponent)
@@ -313,27 +373,30 @@ class _Log:
         if command.state is not State.SERVOING:
             self._held = command.reason.name.lower().replace("_", " ")
 
-    def rested_s(self, target_m: np.ndarray) -> float:
+    def rested_s(self) -> float:
         """How long the error has been below 5 mm, s."""
         now_s = self._time_s[-1]
-        if np.linalg.norm(self._ball_m[-1] - target_m) >= BOUNDS_M["5 mm"]:
+        if np.linalg.norm(self._ball_m[-1] - self._target_m[-1]) >= BOUNDS_M["5 mm"]:
             self._below_since_s = None
             return 0.0
         if self._below_since_s is None:
             self._below_since_s = now_s
         return now_s - self._below_since_s
 
-    def outcome(self, target_m: np.ndarray, record: bool) -> Outcome:
+    def outcome(self, record: bool) -> Outcome:
         times, balls = np.array(self._time_s), np.array(self._ball_m)
-        commands = np.array(self._command)
-        errors = np.linalg.norm(balls - target_m, axis=1)
+        commands, targets = np.array(self._command), np.array(self._target_m)
+        errors = np.linalg.norm(balls - targets, axis=1)
         settling = {
             name: settling_time_s(times, errors, bound_m) for name, bound_m in BOUNDS_M.items()
         }
-        last = times > times[-1] - _REST_S
+        last = times > times[-1] - REST_S
         settled = settling["5 mm"]
         moving = times <= (times[-1] if settled is None else settled)
-        path_m = float(np.linalg.norm(np.diff(balls[moving], axis=0), axis=1).sum())
+        failure = "" if settled is not None else self._cause(errors)
+        steps_m = np.linalg.norm(np.diff(balls[moving], axis=0), axis=1)
+        # A bump moves the camera, not the ball.
+        steps_m[np.diff(targets[moving], axis=0).any(axis=1)] = 0.0
         series = {}
         if record:
             series = {
@@ -349,13 +412,14 @@ class _Log:
             final_rms_m=float(np.sqrt(np.mean(errors[last] ** 2))),
             jitter_rad_s=self._jitter(commands[last]),
             peak_joint_speed_rad_s=float(np.abs(commands).max()),
-            path_ratio=path_m / float(errors[0]),
+            path_ratio=float(steps_m.sum()) / float(errors[0]),
             limited_share=float(np.mean(np.array(self._limited)[moving])),
             jacobian_error=float(
                 np.mean(np.array(self._jacobian_error)[moving[::_JACOBIAN_EVERY]])
             ),
-            failure="" if settled is not None else self._cause(errors),
-            target_m=tuple(float(value) for value in target_m),
+            failure=failure,
+            target_m=tuple(float(value) for value in targets[-1]),
+            said=self._last.text if failure and self._last is not None else "",
             series=series,
         )
 
@@ -368,7 +432,7 @@ class _Log:
         if self._last is not None and self._last.state is not State.SERVOING:
             return f"held: {self._held}"
         if errors[-125:].min() < BOUNDS_M["5 mm"]:
-            return "reached 5 mm, but did not stay"
+            return NOT_STAYED
         if errors[-1] < 0.9 * errors[0]:
             return "too slow"
         return "did not get nearer"

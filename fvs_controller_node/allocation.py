@@ -1,0 +1,157 @@
+"""Least joint speed: the joint velocities whose fastest joint is as slow as can be.
+
+The limit is on each joint, but the pseudo inverse makes the sum of squares small: it lets one
+joint run into the limit while others could help. Least largest speed is a linear programme; with a
+small weight on the sum of squares it has one solution that moves smoothly with the Jacobian,
+
+    minimise t^2 + eps^2 |u|^2  subject to  J u = v,  -t low_i <= u_i <= t high_i,
+
+a least distance problem of four unknowns (t, and u in the null space of J), which Lawson and
+Hanson's non-negative least squares solves (Solving Least Squares Problems, ch. 23). ``low`` and
+``high`` are 1, and fall to a tenth as a joint nears that end of its range: the others then do the
+work, as far as they can.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fvs_controller_node.pseudo_inverse import DampedInverse
+from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.core.limits import JointRange
+from fvs_ros.core.params import Parameter
+
+#: Weight of the sum of squares (eps): the fastest joint is 2 % faster than need be, at most.
+_SMOOTHING = 0.2
+#: Least share of its speed that a joint keeps at the end of its range.
+_LEAST_SHARE = 0.1
+_TINY = 1e-12
+
+
+@dataclass(frozen=True)
+class LeastSpeedInverse:
+    """The least largest joint speed for a ball velocity.
+
+    Parameters
+    ----------
+    damping : float
+        mu, m^2/rad^2: as in :class:`~fvs_controller_node.pseudo_inverse.DampedInverse`, whose ball
+        velocity is kept.
+    joint_range : JointRange, optional
+        Ends of the joints' ranges, to be kept away from.
+    """
+
+    damping: float = 1e-4
+    joint_range: JointRange | None = None
+
+    def joint_velocity(
+        self,
+        jacobian: np.ndarray,
+        velocity_m_s: np.ndarray,
+        joints_rad: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Find joint velocities for a ball velocity: see :meth:`solve`."""
+        return self.solve(jacobian, velocity_m_s, joints_rad)
+
+    def solve(
+        self,
+        jacobian: np.ndarray,
+        velocity_m_s: np.ndarray,
+        joints_rad: np.ndarray | None = None,
+        near_rad_s: np.ndarray | None = None,
+        nearness: float = _SMOOTHING,
+    ) -> np.ndarray:
+        """Find the joint motion with the least largest part for a motion of the ball.
+
+        Parameters
+        ----------
+        jacobian : ndarray, shape (3, 6)
+            m/rad.
+        velocity_m_s : ndarray, shape (3,)
+            Wanted ball velocity, m/s.
+        joints_rad : ndarray, shape (6,), optional
+            Present joints, rad; without them the ends of their ranges do not count.
+        near_rad_s : ndarray, shape (6,), optional
+            What the sum of squares is counted from; zero if not given.
+        nearness : float
+            Weight eps of the sum of squares.
+
+        Returns
+        -------
+        ndarray, shape (6,)
+            Joint velocities, rad/s.
+        """
+        from scipy.optimize import nnls
+
+        gram = jacobian @ jacobian.T
+        gram.flat[::4] += self.damping
+        least = jacobian.T @ np.linalg.solve(gram, velocity_m_s)
+        scale = float(np.abs(least).max())
+        if not _TINY < scale < np.inf:
+            return least
+        free = np.linalg.svd(jacobian)[2][3:]
+        if near_rad_s is not None:
+            least = least + (free @ near_rad_s) @ free
+            scale = max(scale, float(np.abs(least).max()))
+        least = least / scale
+        distance = np.empty((5, 2 * N_JOINTS))
+        distance[0] = self._shares(joints_rad)
+        distance[1:4, :N_JOINTS] = -free / nearness
+        distance[1:4, N_JOINTS:] = free / nearness
+        distance[4, :N_JOINTS], distance[4, N_JOINTS:] = least, -least
+        try:
+            weights, _ = nnls(distance, _LAST)
+        except RuntimeError:  # it did not converge
+            return scale * least
+        left = distance @ weights - _LAST
+        if abs(left[4]) < _TINY:
+            return scale * least
+        return scale * (least - (left[1:4] / (nearness * left[4])) @ free)
+
+    def _shares(self, joints_rad: np.ndarray | None) -> np.ndarray | float:
+        """Upward, then downward shares of each joint's speed, shape (12,)."""
+        if self.joint_range is None or joints_rad is None:
+            return 1.0
+        ends = np.concatenate([self.joint_range.upper_rad, self.joint_range.lower_rad])
+        room = np.abs(ends - np.tile(joints_rad, 2)) / self.joint_range.margin_rad
+        inside = np.concatenate([joints_rad < ends[:N_JOINTS], joints_rad > ends[N_JOINTS:]])
+        return np.clip(np.where(inside, room, 0.0), _LEAST_SHARE, 1.0)
+
+
+_LAST = np.array([0.0, 0.0, 0.0, 0.0, 1.0])
+
+Inverse = DampedInverse | LeastSpeedInverse
+
+TWO_NORM, LEAST_SPEED = "two_norm", "least_speed"
+
+ALLOCATION_PARAMETERS = (
+    Parameter(
+        "allocation",
+        TWO_NORM,
+        "Which of the joint velocities that move the ball as wanted: those with the least sum of "
+        "squares, or those whose fastest joint is slowest.",
+        choices=(TWO_NORM, LEAST_SPEED),
+        live=True,
+    ),
+)
+
+
+def make_inverse(values: Mapping[str, Any]) -> Inverse:
+    """Build what ``allocation`` names, with the numbers in ``values`` (by parameter name)."""
+    if values["allocation"] == TWO_NORM:
+        return DampedInverse.from_values(values)
+    return least_speed_inverse(values)
+
+
+def least_speed_inverse(values: Mapping[str, Any]) -> LeastSpeedInverse:
+    """Build the least largest speed with the joints' ranges in ``values``."""
+    joint_range = JointRange(
+        tuple(values["joint_min_rad"]),
+        tuple(values["joint_max_rad"]),
+        values["joint_limit_margin_rad"],
+    )
+    return LeastSpeedInverse(values["damping"], joint_range)

@@ -1,0 +1,147 @@
+"""Arriving: along the way with the least largest joint travel, as fast as speed limits allow.
+
+Joints that are limited one by one are at their goal soonest where the longest travel is shortest.
+So the law first looks for the joint goal ``q``: of all joints that put the ball on the target, the
+one with the least largest travel from here. With a forward model of the chain that is a short
+sequence of least distance problems (:mod:`fvs_controller_node.allocation`), each about the goal
+before, and the image's offset from the model is kept; without one the Jacobian here has to do.
+Then all joints go there in proportion. With D the travel left, the speed of the one with the
+longest way is the largest v that lets it brake at the acceleration limit a from the next tick on,
+
+    v = min(limit, rate D, sqrt((a dt)^2 + 2 a D) - a dt),
+
+which is reached from any side without overshoot, and ends in finite time but for the last
+fraction of a milliradian, where the rate keeps noise from becoming motion. The way left is that
+from where the drives will be (:mod:`fvs_controller_node.anticipation`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from math import inf
+from typing import Any, ClassVar
+
+import numpy as np
+
+from fvs_controller_node.allocation import LeastSpeedInverse, least_speed_inverse
+from fvs_controller_node.anticipation import BRAKING_SHARE, braking_speed_within
+from fvs_controller_node.base import N_AXES, ControlInput, ControlLaw, ControlOutput
+from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.core.params import Parameter
+
+#: Steps of the search for the goal after a new target, the last of which are repeated after each
+#: image; longest step of a joint, rad. The steps hold on to what was found more and more: a
+#: linear programme after the other would go to and fro between two corners.
+_FIRST_STEPS, _STEPS, _LONGEST_RAD, _NEARNESS = 8, 2, 0.5, 0.2
+#: A target further than this from where the last goal leads is a new one, m.
+_NEW_M = 0.02
+#: Damping of the search, m^2/rad^2: larger would leave a part of the way out.
+_SEARCH_DAMPING = 1e-8
+
+
+class ArriveLaw(ControlLaw):
+    """Least largest joint travel at the limits.
+
+    Parameters
+    ----------
+    max_speed_rad_s, max_acceleration_rad_s2 : float
+        Limits of each joint.
+    rate_1_s : float
+        Speed over travel close to the goal, 1/s.
+    inverse : LeastSpeedInverse
+        Solves for the least largest joint motion.
+    """
+
+    anticipates = True
+
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
+        Parameter(
+            "arrive_rate_1_s",
+            25.0,
+            "Speed over travel of the law arrive close to the goal, 1/s: larger is quicker and "
+            "makes more of the noise.",
+            1.0,
+            100.0,
+            live=True,
+        ),
+    )
+
+    def __init__(
+        self,
+        max_speed_rad_s: float = 1.0,
+        max_acceleration_rad_s2: float = 6.0,
+        rate_1_s: float = 25.0,
+        inverse: LeastSpeedInverse | None = None,
+    ) -> None:
+        for name, value in (
+            ("max_joint_velocity_rad_s", max_speed_rad_s),
+            ("max_joint_acceleration_rad_s2", max_acceleration_rad_s2),
+            ("arrive_rate_1_s", rate_1_s),
+        ):
+            if not 0.0 < value < inf:
+                raise ValueError(f"{name} must be positive, got {value}")
+        self._speed = max_speed_rad_s
+        self._acceleration = BRAKING_SHARE * max_acceleration_rad_s2
+        self._rate_1_s = rate_1_s
+        self._inverse = inverse or LeastSpeedInverse()
+        self._search = replace(self._inverse, damping=_SEARCH_DAMPING)
+        self.reset()
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any]) -> ArriveLaw:
+        """Build the law with the limits and gains in ``values``."""
+        return cls(
+            values["max_joint_velocity_rad_s"],
+            values["max_joint_acceleration_rad_s2"],
+            values["arrive_rate_1_s"],
+            least_speed_inverse(values),
+        )
+
+    def reset(self) -> None:
+        """Forget the goal."""
+        self._goal: np.ndarray | None = None
+        self._news = -1
+
+    def command(self, control_input: ControlInput) -> ControlOutput:
+        """Return the joint velocities for this tick, before any limit."""
+        one = control_input
+        if self._goal is None or one.news != self._news or one.chain is None:
+            self._goal = self._find_goal(one)
+            self._news = one.news
+        left = self._goal - one.joints_rad
+        travel = float(np.abs(left).max())
+        velocity = np.zeros(N_JOINTS)
+        if travel > 0.0:
+            velocity = left * (self._speed_for(travel, one.dt_s) / travel)
+        return ControlOutput(velocity, np.zeros(N_AXES), np.ones(N_AXES), brakes=True)
+
+    def _speed_for(self, travel_rad: float, dt_s: float) -> float:
+        """Largest speed that can be braked in time, rad/s."""
+        braking = braking_speed_within(travel_rad, self._acceleration, dt_s)
+        return min(self._speed, self._rate_1_s * travel_rad, braking)
+
+    def _find_goal(self, one: ControlInput) -> np.ndarray:
+        """Joints with the ball on the target and the least largest travel, rad, shape (6,)."""
+        joints, chain = one.joints_rad, one.chain
+        if chain is None:
+            return joints + self._inverse.joint_velocity(one.jacobian, -one.error_m, joints)
+        wanted = chain.position(joints) - one.error_m
+        goal = joints if self._goal is None else self._goal
+        position, jacobian = chain.position_and_jacobian(goal)
+        missing = wanted - position
+        new = float(np.abs(missing).max()) > _NEW_M
+        for number in range(0 if new else _FIRST_STEPS - _STEPS, _FIRST_STEPS):
+            travel = goal - joints
+            step = self._search.solve(
+                jacobian,
+                missing + jacobian @ travel,
+                joints,
+                travel,
+                _NEARNESS * 2.0 ** max(0, number - 2),
+            )
+            step = step - travel
+            goal = goal + step * min(1.0, _LONGEST_RAD / max(float(np.abs(step).max()), 1e-12))
+            position, jacobian = chain.position_and_jacobian(goal)
+            missing = wanted - position
+        return goal

@@ -1,0 +1,171 @@
+"""How a target moves, from the updates of its position.
+
+A target that is told again and again is a moving one. A parabola through its last updates gives
+its velocity and where it is now; the loop then need not wait for an error to see that the target
+has gone on. A target told once, or seldom, or that jumps, stands where it was told.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from fvs_controller_node.allocation import Inverse
+from fvs_controller_node.pseudo_inverse import DampedInverse
+from fvs_ros.core.joints import N_JOINTS
+
+#: Updates that make a motion, and from which on its curvature is believed.
+_LEAST, _CURVED = 3, 5
+#: Updates further apart than this are two targets, s.
+_MAX_GAP_S = 0.25
+#: No target goes further than this between two updates: it is another one, m.
+_JUMP_M = 0.05
+#: A stamp further than this from the joint states' is of another clock, s.
+_OWN_CLOCK_S = 0.2
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where a target is and how it moves.
+
+    Parameters
+    ----------
+    position_m : ndarray, shape (3,)
+        m.
+    velocity_m_s : ndarray, shape (3,)
+        m/s.
+    """
+
+    position_m: np.ndarray
+    velocity_m_s: np.ndarray
+
+
+class TargetMotion:
+    """The target's motion over time.
+
+    Parameters
+    ----------
+    window_s : float
+        Updates of so long are looked at, s, but five at least: a longer window is calmer, a
+        shorter one quicker.
+    """
+
+    def __init__(self, window_s: float = 0.15) -> None:
+        if not window_s > 0.0:
+            raise ValueError(f"target_window_s must be positive, got {window_s}")
+        self.window_s = window_s
+        self._updates: deque[tuple[float, np.ndarray]] = deque(maxlen=64)
+        self._curve: np.ndarray | None = None
+
+    def restart(self, position_m: np.ndarray, now_s: float = 0.0) -> None:
+        """Take a target that stands."""
+        self._updates.clear()
+        self._updates.append((now_s, np.array(position_m, dtype=float)))
+        self._curve = None
+
+    def continues(self, position_m: np.ndarray) -> bool:
+        """Whether a position is near enough to the last for a target on its way, m, (3,)."""
+        if not self._updates:
+            return False
+        return float(np.linalg.norm(position_m - self._updates[-1][1])) < _JUMP_M
+
+    def update(self, position_m: np.ndarray, now_s: float) -> bool:
+        """Take the target's position at a time, s; whether that goes on with a motion."""
+        position = np.array(position_m, dtype=float)
+        if not self._updates:
+            self.restart(position, now_s)
+            return False
+        last_s = self._updates[-1][0]
+        if not 0.0 < now_s - last_s < _MAX_GAP_S or not self.continues(position):
+            self.restart(position, now_s)
+            return False
+        self._updates.append((now_s, position))
+        while now_s - self._updates[0][0] > self.window_s and len(self._updates) > _CURVED:
+            self._updates.popleft()
+        self._fit(now_s)
+        return True
+
+    def _fit(self, now_s: float) -> None:
+        count = len(self._updates)
+        if count < _LEAST:
+            self._curve = None
+            return
+        since_s = np.array([time_s - now_s for time_s, _ in self._updates])
+        positions = np.array([position for _, position in self._updates])
+        powers = np.vander(since_s, 3 if count >= _CURVED else 2, increasing=True)
+        self._curve = np.linalg.lstsq(powers, positions, rcond=None)[0]
+
+    def at(self, now_s: float) -> Target | None:
+        """The target now, s; None before the first one.
+
+        After the last update it goes on for as long as a gap may be, and then stands where it
+        was told last.
+        """
+        if not self._updates:
+            return None
+        last_s, last = self._updates[-1]
+        since_s = now_s - last_s
+        curve = self._curve
+        if curve is None or not 0.0 <= since_s < _MAX_GAP_S:
+            return Target(last.copy(), np.zeros(3))
+        velocity = curve[1].copy()
+        position = curve[0] + since_s * velocity
+        if len(curve) > 2:
+            position += since_s**2 * curve[2]
+            velocity += 2.0 * since_s * curve[2]
+        return Target(position, velocity)
+
+
+class TargetFollower:
+    """Keeps up with a moving target: where it is now, and the joint motion that goes along.
+
+    Parameters
+    ----------
+    window_s : float
+        See :class:`TargetMotion`.
+    enabled : bool
+        Off: every target stands where it was told last.
+    inverse : Inverse, optional
+        From ball velocity to joint velocities.
+    """
+
+    def __init__(
+        self, window_s: float = 0.15, enabled: bool = True, inverse: Inverse | None = None
+    ) -> None:
+        self._motion = TargetMotion(window_s)
+        self._enabled = enabled
+        self._inverse = inverse or DampedInverse()
+
+    def configure(self, window_s: float, enabled: bool, inverse: Inverse) -> None:
+        """Change the settings and keep the motion."""
+        TargetMotion(window_s)  # refuses what does not fit
+        self._motion.window_s, self._enabled, self._inverse = window_s, enabled, inverse
+
+    def expects(self, position_m: np.ndarray) -> bool:
+        """Whether a target there would go on with the motion rather than be another one."""
+        return self._motion.continues(np.asarray(position_m, dtype=float))
+
+    def update(self, position_m: np.ndarray, stamp_s: float, now_s: float) -> None:
+        """Take a target that was there at a stamp; one from another clock counts from now, s."""
+        own_clock = abs(stamp_s - now_s) < _OWN_CLOCK_S
+        self._motion.update(position_m, stamp_s if own_clock else now_s)
+
+    def at(self, now_s: float) -> Target | None:
+        """The target now, s; None before the first, and for one that is told to stand."""
+        return self._motion.at(now_s) if self._enabled else None
+
+    def velocity_m_s(self, now_s: float) -> np.ndarray:
+        """Velocity of the target, m/s, shape (3,); zero for one that stands."""
+        target = self.at(now_s)
+        return np.zeros(3) if target is None else target.velocity_m_s
+
+    def feed_forward(
+        self, now_s: float, jacobian: np.ndarray, joints_rad: np.ndarray
+    ) -> np.ndarray:
+        """Joint velocities that go along with the target, rad/s, shape (6,)."""
+        velocity_m_s = self.velocity_m_s(now_s)
+        if not velocity_m_s.any():
+            return np.zeros(N_JOINTS)
+        return self._inverse.joint_velocity(jacobian, velocity_m_s, joints_rad)

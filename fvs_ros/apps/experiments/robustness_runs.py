@@ -1,0 +1,149 @@
+"""A contestant in a random world, and what is made of many such runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from fvs_ros.apps.experiments.robustness_worlds import World
+from fvs_ros.apps.experiments.statistics import Interval
+from fvs_ros.apps.experiments.trials import (
+    NOT_STAYED,
+    REST_S,
+    Conditions,
+    Outcome,
+    Trial,
+    drive,
+)
+
+#: Length of a trial from the target on, s; of this the last second must be within 5 mm.
+DURATION_S = 6.0
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """Who is sent through the worlds.
+
+    Parameters
+    ----------
+    name : str
+        For tables and ``--scheme``.
+    method, law : str
+        Estimator and control law, by their registries' names.
+    estimator_values, controller_values : mapping
+        The nodes' parameters, where they differ from the defaults.
+    of_paper : bool
+        Whether it is one of the paper's.
+    """
+
+    name: str
+    method: str
+    law: str
+    estimator_values: Mapping[str, Any] = field(default_factory=dict)
+    controller_values: Mapping[str, Any] = field(default_factory=dict)
+    of_paper: bool = False
+
+    @property
+    def knows_truth(self) -> bool:
+        """Whether it is told the true Jacobian: a yardstick, no competitor."""
+        return self.method == "oracle"
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run.
+
+    Parameters
+    ----------
+    world : World
+        Where.
+    contestant : Contestant
+        Who.
+    rendered : bool
+        Whether ball positions come from rendered images.
+    record : bool
+        Whether to keep the time series.
+    """
+
+    world: World
+    contestant: Contestant
+    rendered: bool = True
+    record: bool = False
+
+
+def run_job(job: Job) -> Outcome:
+    """Run one job; the same to the bit in whatever process."""
+    one = job.contestant
+    trial = Trial(
+        job.world.case,
+        one.method,
+        one.law,
+        one.estimator_values,
+        one.controller_values,
+        Conditions(rendered=job.rendered),
+        DURATION_S,
+        record=job.record,
+    )
+    return judged(drive(trial, job.world.simulation(job.rendered), job.world.bump))
+
+
+def judged(outcome: Outcome) -> Outcome:
+    """Call it a failure, too, if the ball came to stay only within the last second."""
+    if outcome.failure or outcome.settled_s <= DURATION_S - REST_S:
+        return outcome
+    return replace(
+        outcome, failure=NOT_STAYED, settling_s={name: None for name in outcome.settling_s}
+    )
+
+
+# ---- many runs ------------------------------------------------------------------------------
+
+
+def success_rate(outcomes: Sequence[Outcome]) -> Interval:
+    """Share of the runs that settled, with its interval."""
+    return wilson(sum(not one.failure for one in outcomes), len(outcomes))
+
+
+def wilson(hits: int, count: int) -> Interval:
+    """A share and Wilson's 95 % interval, which holds near 0 and 1 as well.
+
+    Parameters
+    ----------
+    hits, count : int
+        So many of so many; at least one.
+    """
+    z = 1.959964
+    share = hits / count
+    middle = (share + z * z / (2 * count)) / (1 + z * z / count)
+    half = z * math.sqrt(share * (1 - share) / count + (z / (2 * count)) ** 2)
+    half /= 1 + z * z / count
+    # At 0 and 1 the end is the share itself, but for rounding.
+    low = 0.0 if hits == 0 else middle - half
+    high = 1.0 if hits == count else middle + half
+    return Interval(share, low, high, count)
+
+
+def wins(ones: Sequence[Outcome], others: Sequence[Outcome]) -> Interval | None:
+    """Of the worlds in which just one of two settles, the share that the first one does.
+
+    Returns
+    -------
+    Interval or None
+        None where there is no such world.
+    """
+    won = [
+        not one.failure
+        for one, other in zip(ones, others, strict=True)
+        if bool(one.failure) != bool(other.failure)
+    ]
+    return wilson(sum(won), len(won)) if won else None
+
+
+def settled_by(outcomes: Sequence[Outcome], share: float) -> float:
+    """Time by which this share of the runs had settled, s; infinite if fewer ever do."""
+    times = np.sort([one.settled_s for one in outcomes])
+    return float(times[math.ceil(share * times.size) - 1])

@@ -1,0 +1,176 @@
+"""The estimator with a fitted chain over DDS: what it publishes, and a camera that is turned."""
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PointStamped
+from recordings import Recording, relative_error, turn, ur5_chain
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
+
+from fvs_estimator_node.model_file import save_model
+from fvs_estimator_node.teaching import train_structured
+from fvs_ros.core import ros
+from fvs_ros.core.camera import CAMERA_FRAME
+from fvs_ros.core.joints import UR_JOINT_NAMES
+
+MODULE = "fvs_estimator_node.node"
+RECORDING = Recording(seconds=20.0, outliers=0.0, late_s=0.0)
+
+
+@pytest.fixture(scope="module")
+def model_path(tmp_path_factory):
+    path = tmp_path_factory.mktemp("model") / "model.npz"
+    save_model(path, train_structured(RECORDING.data(), neurons=20).trained)
+    return path
+
+
+class MovingArm:
+    """An arm that moves on its own before a noisy camera, and says so on the topics."""
+
+    def __init__(self, harness):
+        self.chain = RECORDING.chain()
+        self._rng = np.random.default_rng(0)
+        self._path = RECORDING.joints(np.arange(1500) / 125.0)
+        self._at = 0
+        self.moving = True
+        self._harness = harness
+        node = harness.node
+        self._states = node.create_publisher(JointState, ros.JOINT_STATES, ros.QOS_RELIABLE)
+        self._balls = node.create_publisher(PointStamped, ros.BALL_POSITION, ros.QOS_RELIABLE)
+        node.create_timer(0.008, self._tell_joints)
+        node.create_timer(1.0 / 30.0, self._tell_ball)
+
+    @property
+    def joints(self):
+        return self._path[self._at]
+
+    def _now_s(self):
+        return self._harness.node.get_clock().now().nanoseconds * 1e-9
+
+    def _tell_joints(self):
+        if self.moving:
+            self._at = (self._at + 1) % len(self._path)
+        message = ros.to_joint_state(self._now_s(), UR_JOINT_NAMES, self.joints, np.zeros(6))
+        self._states.publish(message)
+
+    def _tell_ball(self):
+        seen = self.chain.position(self.joints) + 0.001 * self._rng.normal(size=3)
+        self._balls.publish(ros.to_point(self._now_s(), CAMERA_FRAME, seen))
+
+
+def error_of(chain, arm):
+    places = RECORDING.places(50)
+    true = arm.chain.jacobian(places)
+    return float(np.median(relative_error(chain.jacobian(places), true)))
+
+
+def test_chain_and_jacobian_are_those_of_the_arm_and_follow_a_turned_camera(ros_test, model_path):
+    arm = MovingArm(ros_test)
+    ros_test.start_node(MODULE, method="poe", model_path=model_path)
+    chains = ros_test.collect(Float64MultiArray, ros.KINEMATIC_CHAIN)
+    jacobians = ros_test.collect(Float64MultiArray, ros.JACOBIAN)
+    statuses = ros_test.collect(DiagnosticStatus, ros.ESTIMATOR_STATUS)
+
+    def told(key):
+        return float(ros.from_status(statuses[-1])[key]) if statuses else 0.0
+
+    def at_rest():
+        arm.moving = False
+        heard = len(jacobians)
+        ros_test.spin_until(lambda: len(jacobians) > heard + 8)
+        arm.moving = True
+        return relative_error(ros.from_jacobian(jacobians[-1]), arm.chain.jacobian(arm.joints))
+
+    ros_test.spin_until(lambda: chains and jacobians and told("updates") > 20.0)
+    assert error_of(ros.from_chain(chains[-1]), arm) < 0.02
+    assert at_rest() < 0.02
+
+    arm.chain = arm.chain.moved(turn([0.1, 0.3, 1.0], np.radians(45.0)), np.array([0.1, 0.0, 0.2]))
+    assert error_of(ros.from_chain(chains[-1]), arm) > 0.5
+    ros_test.spin_until(lambda: error_of(ros.from_chain(chains[-1]), arm) < 0.02)
+    assert at_rest() < 0.03
+    joints = RECORDING.places(20)
+    now = ros.from_chain(chains[-1])
+    np.testing.assert_allclose(now.position(joints), arm.chain.position(joints), atol=0.03)
+    assert told("camera_turned_deg") == pytest.approx(45.0, abs=3.0)
+    assert told("camera_bumps") >= 1.0
+
+    arm.moving = False
+    assert ros_test.call(Trigger, "fvs_estimator_node/reset").success
+    ros_test.spin_until(lambda: error_of(ros.from_chain(chains[-1]), arm) > 0.5)
+
+
+def test_who_has_just_started_hears_of_the_chain_of_an_arm_at_rest(ros_test, model_path):
+    arm = MovingArm(ros_test)
+    arm.moving = False
+    ros_test.start_node(MODULE, method="poe", model_path=model_path)
+    jacobians = ros_test.collect(Float64MultiArray, ros.JACOBIAN)
+    ros_test.spin_until(lambda: jacobians)
+    late = ros_test.collect(Float64MultiArray, ros.KINEMATIC_CHAIN)
+    ros_test.spin_until(lambda: len(late) > 3)
+    assert error_of(ros.from_chain(late[-1]), arm) < 0.01
+    assert [(dim.label, dim.size) for dim in late[-1].layout.dim] == [("row", 15), ("xyz", 3)]
+
+
+def test_without_a_chain_there_is_none_on_the_wire(ros_test, model_path):
+    MovingArm(ros_test)
+    ros_test.start_node(MODULE, method="rbf_left", model_path=model_path)
+    chains = ros_test.collect(Float64MultiArray, ros.KINEMATIC_CHAIN)
+    statuses = ros_test.collect(DiagnosticStatus, ros.ESTIMATOR_STATUS)
+    ros_test.spin_until(lambda: statuses and float(ros.from_status(statuses[-1])["updates"]) > 10.0)
+    ros_test.spin_for(0.5)
+    assert ros.from_status(statuses[-1])["method"] == "rbf_left"
+    assert not chains
+
+
+def test_a_model_without_a_chain_is_one_clear_sentence(ros_test, model_path):
+    trained = train_structured(RECORDING.data(), neurons=5).trained
+    bare = ros_test.folder / "bare.npz"
+    save_model(bare, type(trained)(trained.model, trained.joint_box_rad, trained.ball_box_m))
+    process = ros_test.start_node(MODULE, method="poe", model_path=bare)
+    assert ros_test.wait(process) == 2
+    assert "method poe needs a fitted chain" in ros_test.output(process)
+    assert "fvs_train --method poe" in ros_test.output(process)
+    assert "Traceback" not in ros_test.output(process)
+
+
+# --- the message ---
+
+
+def test_a_chain_comes_back_as_it_was():
+    chain = ur5_chain()
+    back = ros.from_chain(ros.to_chain(chain))
+    for name in ("axes", "points_m", "ball_m", "reference_rad"):
+        np.testing.assert_allclose(getattr(back, name), getattr(chain, name), atol=1e-15)
+
+
+def spoilt(change):
+    message = ros.to_chain(ur5_chain())
+    data = list(message.data)
+    change(data)
+    message.data = data
+    return message
+
+
+def test_a_chain_that_cannot_be_one_is_refused_in_words():
+    def zero_axis(data):
+        data[6:9] = [0.0, 0.0, 0.0]
+
+    def not_finite(data):
+        data[20] = float("nan")
+
+    def far(data):
+        data[36] = 1e9
+
+    for message, words in (
+        (spoilt(list.pop), "kinematic_chain has 44 values and dimensions .* expected 45 values"),
+        (spoilt(not_finite), "kinematic_chain holds a value that is not finite"),
+        (spoilt(zero_axis), "kinematic_chain is no chain: an axis of a chain has no direction"),
+        (spoilt(far), "kinematic_chain is no chain: ball_m of a chain must be finite and below"),
+        (ros.to_jacobian(np.zeros((3, 6))), r"kinematic_chain has 18 values"),
+        (Float64MultiArray(), "kinematic_chain has 0 values"),
+    ):
+        with pytest.raises(ros.MessageError, match=words):
+            ros.from_chain(message)

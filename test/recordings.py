@@ -1,0 +1,109 @@
+"""Recordings of a UR5's random motion by a camera somewhere, in numpy, for tests."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import ur5_dh
+
+from fvs_estimator_node.dataset import DataSet
+from fvs_estimator_node.motion import MotionConfig, RandomMotion
+from fvs_ros.core.chain import SerialChain
+
+_RATE_HZ = 30.0
+
+
+def random_rotation(rng: np.random.Generator) -> np.ndarray:
+    """A rotation matrix, any as likely as any other, shape (3, 3)."""
+    q, r = np.linalg.qr(rng.normal(size=(3, 3)))
+    q = q * np.sign(np.diag(r))
+    return q if np.linalg.det(q) > 0.0 else -q
+
+
+def turn(axis: np.ndarray, angle_rad: float) -> np.ndarray:
+    """Rotation matrix about an axis, shape (3, 3)."""
+    x, y, z = np.asarray(axis) / np.linalg.norm(axis)
+    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle_rad) * k + (1.0 - np.cos(angle_rad)) * k @ k
+
+
+def ur5_chain(
+    reference_rad: np.ndarray = ur5_dh.HOME_RAD,
+    rotation: np.ndarray = ur5_dh.CAMERA_FROM_BASE,
+    origin_m: np.ndarray = ur5_dh.CAMERA_ORIGIN_M,
+) -> SerialChain:
+    """The UR5's chain of its DH table, seen from a camera (its rotation from the base, origin)."""
+    axes, points, ball = ur5_dh.axes_origins_ball(reference_rad)
+    return SerialChain(
+        axes @ rotation.T,
+        (points - origin_m) @ rotation.T,
+        rotation @ (ball - origin_m),
+        reference_rad,
+    )
+
+
+def seen_from_anywhere(rng: np.random.Generator) -> SerialChain:
+    """The UR5's chain from a camera that is turned anyhow, the ball 1.4 m before it."""
+    rotation = random_rotation(rng)
+    ball = ur5_dh.axes_origins_ball(ur5_dh.HOME_RAD)[2]
+    before = np.array([0.0, 0.0, 1.4]) + 0.2 * rng.normal(size=3)
+    return ur5_chain(rotation=rotation, origin_m=ball - rotation.T @ before)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a camera records.
+
+    Parameters
+    ----------
+    seed : int
+        Which camera, motion and noise.
+    seconds : float
+        Duration, s.
+    noise_m : float
+        Standard deviation of each coordinate, m.
+    outliers : float
+        Share of positions that are 30 mm off, a standard deviation of each coordinate.
+    late_s : float
+        How late the images are stamped, s.
+    reach_rad : tuple of float
+        Half width of the box of each joint, rad; 0 keeps it still.
+    """
+
+    seed: int = 0
+    seconds: float = 60.0
+    noise_m: float = 0.001
+    outliers: float = 0.02
+    late_s: float = 0.08
+    reach_rad: tuple[float, ...] = tuple(ur5_dh.BOX_M_RAD)
+
+    def chain(self) -> SerialChain:
+        """The chain as it truly is."""
+        return seen_from_anywhere(np.random.default_rng([self.seed, 1]))
+
+    def joints(self, time_s: np.ndarray) -> np.ndarray:
+        """Where the joints are at times, s: rad, shape (n, 6)."""
+        config = MotionConfig(duration_s=self.seconds + 10.0, joint_range_rad=self.reach_rad)
+        motion = RandomMotion(ur5_dh.HOME_RAD, config, np.random.default_rng([self.seed, 2]))
+        return np.array([motion.path(float(t))[0] for t in time_s])
+
+    def data(self) -> DataSet:
+        """The data set."""
+        rng = np.random.default_rng([self.seed, 3])
+        stamps = np.arange(round(self.seconds * _RATE_HZ)) / _RATE_HZ + 1.0
+        ball = self.chain().position(self.joints(stamps - self.late_s))
+        ball = ball + self.noise_m * rng.normal(size=ball.shape)
+        bad = rng.random(len(ball)) < self.outliers
+        ball[bad] += 0.03 * rng.normal(size=(int(bad.sum()), 3))
+        return DataSet(stamps, self.joints(stamps), ball, np.zeros(len(stamps), dtype=int))
+
+    def places(self, count: int = 200) -> np.ndarray:
+        """Joints anywhere in the box, rad, shape (count, 6)."""
+        draws = np.random.default_rng([self.seed, 4]).uniform(-1.0, 1.0, (count, 6))
+        return ur5_dh.HOME_RAD + draws * np.array(self.reach_rad)
+
+
+def relative_error(jacobian: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Frobenius norms of the errors over those of the true Jacobians, shape (n,)."""
+    return np.linalg.norm(jacobian - true, axis=(-2, -1)) / np.linalg.norm(true, axis=(-2, -1))

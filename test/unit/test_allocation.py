@@ -1,0 +1,103 @@
+"""The least largest joint speed, against a linear programme of another library."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from fvs_controller_node.allocation import LeastSpeedInverse, make_inverse
+from fvs_controller_node.config import default_values
+from fvs_controller_node.pseudo_inverse import DampedInverse
+from fvs_ros.core.limits import JointRange
+
+RNG = np.random.default_rng(7)
+CASES = [(RNG.normal(size=(3, 6)), RNG.normal(size=3)) for _ in range(40)]
+WIDE = JointRange((-3.0,) * 6, (3.0,) * 6, 0.5)
+
+
+def least_largest(jacobian, velocity):
+    """By linear programming: u and t with |u_i| <= t, J u = v, least t."""
+    eye = np.eye(6)
+    ones = -np.ones((6, 1))
+    found = linprog(
+        np.append(np.zeros(6), 1.0),
+        A_ub=np.vstack([np.hstack([eye, ones]), np.hstack([-eye, ones])]),
+        b_ub=np.zeros(12),
+        A_eq=np.hstack([jacobian, np.zeros((3, 1))]),
+        b_eq=velocity,
+        bounds=[(None, None)] * 7,
+    )
+    assert found.success
+    return found.x[6]
+
+
+@pytest.mark.parametrize(("jacobian", "velocity"), CASES)
+def test_the_ball_moves_as_wanted_and_the_fastest_joint_is_as_slow_as_can_be(jacobian, velocity):
+    found = LeastSpeedInverse(damping=1e-12).joint_velocity(jacobian, velocity)
+    np.testing.assert_allclose(jacobian @ found, velocity, atol=1e-8)
+    least = least_largest(jacobian, velocity)
+    assert least - 1e-9 <= np.abs(found).max() < 1.03 * least
+
+
+def test_it_keeps_the_damped_velocity_of_the_pseudo_inverse():
+    for jacobian, velocity in CASES:
+        weak = jacobian * np.array([[1.0], [1.0], [0.01]])
+        two_norm = DampedInverse(1e-3).joint_velocity(weak, velocity)
+        found = LeastSpeedInverse(1e-3).joint_velocity(weak, velocity)
+        np.testing.assert_allclose(weak @ found, weak @ two_norm, atol=1e-9)
+        assert np.abs(found).max() <= np.abs(two_norm).max() * (1.0 + 1e-9)
+
+
+def test_it_scales_with_the_velocity_and_moves_little_for_a_little_change():
+    inverse = LeastSpeedInverse()
+    for jacobian, velocity in CASES:
+        one = inverse.joint_velocity(jacobian, velocity)
+        np.testing.assert_allclose(
+            inverse.joint_velocity(jacobian, 1e-3 * velocity), 1e-3 * one, rtol=1e-6, atol=1e-9
+        )
+        near = inverse.joint_velocity(jacobian + 1e-6 * RNG.normal(size=(3, 6)), velocity)
+        assert np.abs(near - one).max() < 1e-3 * np.abs(one).max()
+
+
+@pytest.mark.parametrize(
+    ("jacobian", "velocity"),
+    [
+        (np.zeros((3, 6)), np.ones(3)),
+        (np.ones((3, 6)), np.array([1.0, -1.0, 0.0])),
+        (np.eye(3, 6), np.zeros(3)),
+        (np.eye(3, 6) * 1e-9, np.ones(3)),
+    ],
+)
+def test_it_is_finite_whatever_the_jacobian(jacobian, velocity):
+    assert np.all(np.isfinite(LeastSpeedInverse().joint_velocity(jacobian, velocity)))
+
+
+def test_a_joint_near_its_end_leaves_the_work_to_the_others_but_not_on_the_way_back():
+    jacobian = np.hstack([np.eye(3), np.eye(3)])  # joints 0 and 3 do the same
+    inverse = LeastSpeedInverse(1e-12, WIDE)
+    near = np.array([2.95, 0.0, 0.0, 0.0, 0.0, 0.0])
+    outward = inverse.joint_velocity(jacobian, np.array([1.0, 0.0, 0.0]), near)
+    assert outward[0] + outward[3] == pytest.approx(1.0)
+    assert outward[0] < 0.3 * outward[3]
+    inward = inverse.joint_velocity(jacobian, np.array([-1.0, 0.0, 0.0]), near)
+    assert inward[0] == pytest.approx(inward[3])
+
+
+def test_nearness_holds_on_to_what_there_is():
+    jacobian, velocity = CASES[0]
+    there = np.linalg.pinv(jacobian) @ velocity + (
+        np.eye(6) - np.linalg.pinv(jacobian) @ jacobian
+    ) @ RNG.normal(size=6)
+    inverse = LeastSpeedInverse(1e-12)
+    loose = inverse.solve(jacobian, velocity, near_rad_s=there, nearness=0.05)
+    tight = inverse.solve(jacobian, velocity, near_rad_s=there, nearness=50.0)
+    np.testing.assert_allclose(tight, there, atol=0.01)
+    assert np.linalg.norm(loose - there) > 10.0 * np.linalg.norm(tight - there)
+    for found in (loose, tight):
+        np.testing.assert_allclose(jacobian @ found, velocity, atol=1e-8)
+
+
+def test_it_is_chosen_by_a_parameter():
+    assert isinstance(make_inverse(default_values()), DampedInverse)
+    assert isinstance(make_inverse(default_values(allocation="least_speed")), LeastSpeedInverse)

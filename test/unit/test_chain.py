@@ -1,0 +1,104 @@
+"""A serial chain: its derivative, an independent kinematics, another camera, and its refusals."""
+
+import pickle
+
+import numpy as np
+import pytest
+import ur5_dh
+from recordings import random_rotation, ur5_chain
+
+from fvs_ros.core.chain import CHAIN_SHAPES, SerialChain
+
+
+def random_chain(seed=0):
+    rng = np.random.default_rng(seed)
+    return SerialChain(*(rng.normal(size=shape) for shape in CHAIN_SHAPES.values()))
+
+
+def fields(chain):
+    return {name: np.array(getattr(chain, name)) for name in CHAIN_SHAPES}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_jacobian_is_the_derivative_of_the_position(seed):
+    chain = random_chain(seed)
+    joints = np.random.default_rng(seed).uniform(-3.0, 3.0, (20, 6))
+    step = 1e-6
+    columns = [
+        (chain.position(joints + step * unit) - chain.position(joints - step * unit)) / (2 * step)
+        for unit in np.eye(6)
+    ]
+    np.testing.assert_allclose(chain.jacobian(joints), np.stack(columns, axis=-1), atol=1e-8)
+
+
+def test_it_is_the_arm_of_the_dh_table():
+    chain = ur5_chain(reference_rad=np.array([0.3, -1.0, 1.2, -2.0, 0.5, 1.0]))
+    joints = np.random.default_rng(0).uniform(-3.0, 3.0, (200, 6))
+    ball, jacobian = ur5_dh.ball_and_jacobian(joints)
+    position, columns = chain.position_and_jacobian(joints)
+    np.testing.assert_allclose(position, ball, atol=1e-9)
+    np.testing.assert_allclose(columns, jacobian, atol=1e-9)
+
+
+def test_one_joint_vector_and_many_agree_whatever_the_shape():
+    chain = random_chain()
+    joints = np.random.default_rng(1).normal(size=(4, 5, 6))
+    position, jacobian = chain.position_and_jacobian(joints)
+    assert (position.shape, jacobian.shape) == ((4, 5, 3), (4, 5, 3, 6))
+    one = joints[2, 3]
+    np.testing.assert_allclose(chain.position_and_jacobian(one)[0], position[2, 3], atol=1e-12)
+    np.testing.assert_allclose(chain.jacobian(list(one)), jacobian[2, 3], atol=1e-12)
+    np.testing.assert_allclose(chain.position(one), position[2, 3], atol=1e-12)
+    np.testing.assert_allclose(chain.position(joints), position, atol=1e-12)
+
+
+def test_a_moved_camera_sees_the_same_arm_elsewhere():
+    chain, rng = random_chain(), np.random.default_rng(2)
+    rotation, translation = random_rotation(rng), rng.normal(size=3)
+    joints = rng.normal(size=(10, 6))
+    position, jacobian = chain.position_and_jacobian(joints)
+    moved = chain.moved(rotation, translation)
+    np.testing.assert_allclose(
+        moved.position(joints), position @ rotation.T + translation, atol=1e-12
+    )
+    np.testing.assert_allclose(moved.jacobian(joints), rotation @ jacobian, atol=1e-12)
+
+
+def test_axes_of_any_length_and_any_points_on_them_make_the_same_chain():
+    chain = random_chain()
+    same = SerialChain(
+        3.0 * chain.axes, chain.points_m + 0.7 * chain.axes, chain.ball_m, chain.reference_rad
+    )
+    joints = np.random.default_rng(3).normal(size=(10, 6))
+    np.testing.assert_allclose(same.position(joints), chain.position(joints), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", CHAIN_SHAPES)
+def test_a_number_that_is_not_finite_or_beyond_reason_is_refused(name):
+    for bad in (np.nan, np.inf, 1e9):
+        values = fields(random_chain())
+        values[name].flat[-1] = bad
+        with pytest.raises(ValueError, match=f"{name} of a chain must be finite and below"):
+            SerialChain(**values)
+    values[name] = values[name][:-1]
+    with pytest.raises(ValueError, match=f"{name} of a chain has shape"):
+        SerialChain(**values)
+
+
+def test_an_axis_without_a_direction_is_refused():
+    values = fields(random_chain())
+    values["axes"][3] = 0.0
+    with pytest.raises(ValueError, match="no direction"):
+        SerialChain(**values)
+
+
+def test_it_is_not_changed_by_accident_and_travels_to_other_processes():
+    values = fields(random_chain())
+    chain = SerialChain(**values)
+    before = chain.position(np.zeros(6))
+    values["ball_m"][:] = 9.0
+    with pytest.raises(ValueError, match="read-only"):
+        chain.axes[0] = 0.0
+    np.testing.assert_array_equal(chain.position(np.zeros(6)), before)
+    there = pickle.loads(pickle.dumps(chain))
+    np.testing.assert_array_equal(there.position(np.zeros(6)), before)

@@ -1,0 +1,167 @@
+"""A chain is found in a minute of motion, says how well it is known, and whether it is one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import ur5_dh
+from recordings import Recording, relative_error
+from stranger import REACH_RAD, Kinematics
+
+from fvs_estimator_node import chain_chart
+from fvs_estimator_node.chain_chart import Chart, residuals_and_slopes
+from fvs_estimator_node.chain_fit import ChainFitError, fit_chain
+from fvs_estimator_node.dataset import DataSet
+from fvs_estimator_node.motion import MotionConfig, RandomMotion
+
+
+def error_of(fit, recording):
+    """Median relative error of the Jacobian in the recording's box."""
+    places = recording.places()
+    true = recording.chain().jacobian(places)
+    return float(np.median(relative_error(fit.chain.jacobian(places), true)))
+
+
+def test_the_derivatives_are_those_of_the_residuals():
+    rng = np.random.default_rng(0)
+    recording = Recording(seconds=2.0)
+    chain = recording.chain()
+    chart = Chart(chain)
+    time_s = np.linspace(0.0, 2.0, 7)
+    values = 0.2 * rng.normal(size=chain_chart.N_COORDINATES)
+
+    def residuals(values):
+        joints = recording.joints(time_s - values[chain_chart.OFFSET])
+        return residuals_and_slopes(chart, values, joints, np.zeros((7, 6)), np.zeros((7, 3)))[0]
+
+    late_s = values[chain_chart.OFFSET]
+    joints = recording.joints(time_s - late_s)
+    velocity = (recording.joints(time_s - late_s + 1e-5) - joints) / 1e-5
+    found, slopes = residuals_and_slopes(chart, values, joints, velocity, np.zeros((7, 3)))
+    np.testing.assert_allclose(found, chart.chain(values).position(joints), atol=1e-12)
+    step = 1e-6
+    for i, unit in enumerate(np.eye(chain_chart.N_COORDINATES)):
+        numeric = (residuals(values + step * unit) - residuals(values - step * unit)) / (2 * step)
+        np.testing.assert_allclose(slopes[:, :, i], numeric, atol=2e-5, err_msg=str(i))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_minute_of_motion_is_enough(seed):
+    recording = Recording(seed=seed)
+    fit = fit_chain(recording.data())
+    assert error_of(fit, recording) < 0.002
+    assert abs(fit.time_offset_s - recording.late_s) < 0.001
+    assert fit.time_offset_deviation_s < 0.0005
+    assert fit.misfit < 1.1
+    assert 0.0008 < fit.ray_noise_m < 0.0012
+    assert 0.0008 < fit.lateral_noise_m < 0.0012
+    assert fit.outliers == pytest.approx(0.02 * fit.samples, rel=0.5)
+
+
+@pytest.mark.parametrize(
+    "recording",
+    [
+        Recording(seed=1),
+        Recording(seed=2, seconds=20.0, late_s=0.0),
+        Recording(seed=3, noise_m=0.005, late_s=-0.03),
+        Recording(seed=4, reach_rad=(0.2,) * 6),
+    ],
+    ids=["a minute", "short", "noisy", "narrow"],
+)
+def test_it_knows_how_well_the_jacobian_is_known(recording):
+    fit = fit_chain(recording.data())
+    told = float(np.median(fit.jacobian_deviation(recording.places(50))))
+    assert told / 3.0 < error_of(fit, recording) < 3.0 * told
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_strangers_robot(seed):
+    arm = Kinematics(np.random.default_rng([seed, 77]))
+    rng = np.random.default_rng(seed)
+    motion = RandomMotion(arm.home_rad, MotionConfig(), rng)
+    stamps = np.arange(1200) / 30.0
+    joints = np.array([motion.path(t)[0] for t in stamps])
+    ball = np.array([arm.ball(q) for q in joints]) + 0.001 * rng.normal(size=(1200, 3))
+    fit = fit_chain(DataSet(stamps, joints, ball, np.zeros(1200, dtype=int)))
+    places = arm.home_rad + REACH_RAD * rng.uniform(-1.0, 1.0, (50, 6))
+    true = np.array([arm.jacobian(q) for q in places])
+    assert np.median(relative_error(fit.chain.jacobian(places), true)) < 0.002
+    assert fit.misfit < 1.1
+
+
+def test_an_axis_guessed_on_the_balls_wrong_side_is_turned_about():
+    # A quarter of a minute says little about bends; twelve random starts do not find it.
+    recording = Recording(seed=9, seconds=16.0, late_s=0.02)
+    assert error_of(fit_chain(recording.data()), recording) < 0.01
+
+
+def test_many_short_runs_are_as_good_as_one():
+    data = Recording().data()
+    runs = replace(data, segment=np.arange(len(data)) // 40)
+    assert error_of(fit_chain(runs), Recording()) < 0.002
+
+
+def test_equal_data_give_equal_chains():
+    data = Recording(seconds=15.0).data()
+    one, other = fit_chain(data), fit_chain(data)
+    np.testing.assert_array_equal(one.chain.axes, other.chain.axes)
+    assert one.time_offset_s == other.time_offset_s
+
+
+@pytest.mark.parametrize("still", [0, 3])
+def test_a_joint_that_stood_still_spoils_no_other(still):
+    reach = list(ur5_dh.BOX_M_RAD)
+    reach[still] = 0.0
+    recording = Recording(reach_rad=tuple(reach))
+    fit = fit_chain(recording.data())
+    places = recording.places()
+    others = np.delete(np.arange(6), still)
+    error = fit.chain.jacobian(places) - recording.chain().jacobian(places)
+    assert np.linalg.norm(error[:, :, others], axis=(1, 2)).max() < 0.01
+    assert np.median(fit.jacobian_deviation(places[:20])) > 0.3
+
+
+def prismatic(recording):
+    """The third joint pushes instead of turning."""
+    data = recording.data()
+    joints = data.joints_rad.copy()
+    joints[:, 2] = ur5_dh.HOME_RAD[2]
+    pushed = np.outer(0.4 * data.joints_rad[:, 2], [0.6, 0.7, 0.4])
+    return replace(data, ball_m=recording.chain().position(joints) + pushed)
+
+
+def swinging(recording):
+    """The ball hangs on a thread."""
+    data = recording.data()
+    time_s = data.stamps_s[:, None]
+    return replace(data, ball_m=data.ball_m + 0.01 * np.sin(7.0 * time_s + [0.0, 1.0, 2.0]))
+
+
+def misnamed(recording):
+    """Two joints under each other's name."""
+    data = recording.data()
+    return replace(data, joints_rad=data.joints_rad[:, [1, 0, 2, 3, 4, 5]])
+
+
+@pytest.mark.parametrize("spoilt", [prismatic, swinging, misnamed])
+def test_what_is_no_chain_of_six_revolute_joints_shows(spoilt, monkeypatch):
+    monkeypatch.setattr("fvs_estimator_node.chain_fit._STARTS", 3)  # none would do
+    fit = fit_chain(spoilt(Recording(seconds=13.0, late_s=0.0)))
+    assert fit.misfit > 2.0
+
+
+def test_too_little_is_refused_in_words():
+    with pytest.raises(ChainFitError, match="needs at least 200 images in continuous runs"):
+        fit_chain(Recording(seconds=6.0).data())
+    data = Recording(seconds=15.0).data()
+    with pytest.raises(ChainFitError, match="the data set has 0"):
+        fit_chain(replace(data, segment=np.arange(len(data)) // 10))
+
+
+def test_a_ball_that_stands_still_or_is_not_in_metres_is_refused_in_words():
+    data = Recording(seconds=15.0).data()
+    still = np.array([0.1, 0.0, 1.4]) + 1e-4 * np.random.default_rng(0).normal(size=(len(data), 3))
+    with pytest.raises(ChainFitError, match="the ball does not move"):
+        fit_chain(replace(data, ball_m=still))
+    with pytest.raises(ChainFitError, match="positions must be in metres"):
+        fit_chain(replace(data, ball_m=1000.0 * data.ball_m))

@@ -1,0 +1,100 @@
+"""How much of an image is believed: the fixed share, and the filter that learns the noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fvs_controller_node.fusion import AdaptiveFusion, FixedFusion, make_fusion
+
+
+def follow(fusion, images, motions):
+    """Estimates along images (n, 3) m with predicted motions (n, 3) m in between."""
+    estimate, found = images[0].copy(), []
+    fusion.restart()
+    for image, motion in zip(images[1:], motions[1:], strict=True):
+        estimate = estimate + motion
+        correction = fusion.correct(image - estimate, motion)
+        if correction is not None:
+            estimate = estimate + correction
+        found.append(estimate.copy())
+    return np.array(found)
+
+
+@pytest.mark.parametrize("sigma_m", [2e-4, 1e-3, 4e-3])
+def test_at_rest_it_learns_the_noise_and_averages_it_away(sigma_m):
+    rng = np.random.default_rng(1)
+    truth = np.array([0.1, -0.2, 1.3])
+    images = truth + sigma_m * rng.normal(size=(400, 3))
+    fusion = AdaptiveFusion()
+    estimates = follow(fusion, images, np.zeros((400, 3)))
+    assert fusion.noise_m == pytest.approx(sigma_m, rel=0.25)
+    error = np.sqrt(np.mean((estimates[60:] - truth) ** 2))
+    assert error < 0.2 * sigma_m
+    fixed = follow(FixedFusion(0.3), images, np.zeros((400, 3)))
+    assert error < 0.5 * np.sqrt(np.mean((fixed[60:] - truth) ** 2))
+
+
+def moving(wrong, sigma_m, rng, n=300):
+    """Positions on a wide circle, images of them, and motions predicted with a relative error."""
+    angle = np.linspace(0.0, 6.0, n)
+    truth = 0.5 * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    motions = np.diff(truth, axis=0, prepend=truth[:1]) @ (
+        np.eye(3) + wrong * rng.normal(size=(3, 3))
+    )
+    return truth, truth + sigma_m * rng.normal(size=(n, 3)), motions
+
+
+def test_in_motion_it_learns_how_wrong_the_prediction_is():
+    rng = np.random.default_rng(2)
+    fusions = {}
+    for wrong in (0.0, 0.3):
+        _, images, motions = moving(wrong, 5e-4, rng)
+        fusions[wrong] = AdaptiveFusion()
+        follow(fusions[wrong], images, motions)
+    assert fusions[0.0].wrong_share < 0.1
+    assert fusions[0.3].wrong_share > 2.0 * fusions[0.0].wrong_share
+
+
+@pytest.mark.parametrize("wrong", [0.0, 0.05, 0.3])
+def test_in_motion_it_is_no_worse_than_the_best_fixed_share(wrong):
+    rng = np.random.default_rng(3)
+    truth, images, motions = moving(wrong, 1e-3, rng)
+    rms = {
+        gain: np.sqrt(np.mean((follow(FixedFusion(gain), images, motions) - truth[1:]) ** 2))
+        for gain in (0.1, 0.3, 0.6, 1.0)
+    }
+    adaptive = np.sqrt(np.mean((follow(AdaptiveFusion(), images, motions) - truth[1:]) ** 2))
+    assert adaptive < 1.3 * min(rms.values())
+
+
+@pytest.mark.parametrize("make", [AdaptiveFusion, FixedFusion])
+def test_an_outlier_changes_nothing(make):
+    rng = np.random.default_rng(4)
+    images = 1e-3 * rng.normal(size=(200, 3))
+    fusion = make()
+    follow(fusion, images, np.zeros((200, 3)))
+    before = fusion.noise_m, fusion.deviation_m
+    assert fusion.correct(np.array([0.0, 0.05, 0.0]), np.zeros(3)) is None
+    assert fusion.correct(np.array([0.0, np.inf, 0.0]), np.zeros(3)) is None
+    assert fusion.correct(np.array([0.0, np.nan, 0.0]), np.zeros(3)) is None
+    assert (fusion.noise_m, fusion.deviation_m) == before
+
+
+def test_a_restart_keeps_what_was_learned_and_doubts_the_position():
+    fusion = AdaptiveFusion()
+    images = 3e-3 * np.random.default_rng(5).normal(size=(300, 3))
+    follow(fusion, images, np.zeros((300, 3)))
+    noise_m, deviation_m = fusion.noise_m, fusion.deviation_m
+    fusion.restart()
+    assert fusion.noise_m == noise_m
+    assert fusion.deviation_m > 3.0 * deviation_m
+
+
+def test_what_does_not_fit_is_refused_by_name():
+    with pytest.raises(ValueError, match="fusion_gain"):
+        FixedFusion(gain=0.0)
+    with pytest.raises(ValueError, match="outlier_m"):
+        FixedFusion(outlier_m=0.0)
+    with pytest.raises(ValueError, match=r"median.*fixed, adaptive"):
+        make_fusion("median", 0.3, 0.03)

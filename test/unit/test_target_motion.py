@@ -1,0 +1,99 @@
+"""A target that moves: where it is now, how fast, and when it is another one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fvs_controller_node.target_motion import TargetFollower, TargetMotion
+
+START = np.array([0.1, -0.1, 1.2])
+VELOCITY = np.array([0.2, 0.0, -0.1])
+
+
+def line(time_s):
+    return START + VELOCITY * time_s
+
+
+def circle(time_s, radius_m=0.1, speed_m_s=0.3):
+    angle = speed_m_s / radius_m * time_s
+    return START + radius_m * np.array([np.cos(angle), np.sin(angle), 0.0])
+
+
+def told(path, until_s, rate_hz=30.0, **settings):
+    motion = TargetMotion(**settings)
+    times_s = np.arange(0.0, until_s, 1.0 / rate_hz)
+    for time_s in times_s:
+        motion.update(path(time_s), float(time_s))
+    return motion, float(times_s[-1])
+
+
+def test_a_target_told_once_stands():
+    motion, last_s = told(line, 0.01)
+    target = motion.at(last_s + 0.05)
+    np.testing.assert_array_equal(target.position_m, START)
+    assert not target.velocity_m_s.any()
+
+
+def test_before_the_first_there_is_none():
+    assert TargetMotion().at(1.0) is None
+    assert TargetFollower().at(1.0) is None
+
+
+def test_a_line_is_known_to_the_bit_between_updates():
+    motion, last_s = told(line, 0.5)
+    target = motion.at(last_s + 0.02)
+    np.testing.assert_allclose(target.position_m, line(last_s + 0.02), atol=1e-9)
+    np.testing.assert_allclose(target.velocity_m_s, VELOCITY, atol=1e-7)
+
+
+def test_a_circle_is_followed_within_a_millimetre():
+    motion, last_s = told(circle, 1.0)
+    target = motion.at(last_s + 0.02)
+    np.testing.assert_allclose(target.position_m, circle(last_s + 0.02), atol=1e-3)
+    true = (circle(last_s + 0.0201) - circle(last_s + 0.0199)) / 2e-4
+    np.testing.assert_allclose(target.velocity_m_s, true, atol=0.03)
+
+
+def test_without_further_updates_it_stands_where_it_was_told_last():
+    motion, last_s = told(line, 0.5)
+    target = motion.at(last_s + 0.3)
+    np.testing.assert_array_equal(target.position_m, line(last_s))
+    assert not target.velocity_m_s.any()
+
+
+@pytest.mark.parametrize(
+    ("position", "after_s"),
+    [(START + [0.3, 0.0, 0.0], 1 / 30), (START, 0.5), (START, 0.0), (START, -1.0)],
+    ids=["a jump", "a pause", "the same time", "back in time"],
+)
+def test_what_no_motion_goes_on_to_is_a_new_target(position, after_s):
+    motion, last_s = told(lambda t: START, 0.5)
+    assert not motion.update(position, last_s + after_s)
+    target = motion.at(last_s + after_s + 0.01)
+    np.testing.assert_array_equal(target.position_m, position)
+    assert not target.velocity_m_s.any()
+
+
+def test_the_follower_goes_along_and_can_be_switched_off():
+    jacobian = 0.5 * np.eye(3, 6)
+    follower, off = TargetFollower(), TargetFollower(enabled=False)
+    for time_s in np.arange(0.0, 0.3, 1 / 30):
+        for one in (follower, off):
+            one.update(line(time_s), float(time_s), float(time_s) + 0.01)
+    ahead = follower.feed_forward(0.28, jacobian, np.zeros(6))
+    np.testing.assert_allclose(jacobian @ ahead, VELOCITY, atol=1e-3)
+    assert off.at(0.28) is None
+    assert not off.feed_forward(0.28, jacobian, np.zeros(6)).any()
+
+
+def test_a_stamp_of_another_clock_counts_from_now():
+    follower = TargetFollower()
+    for time_s in np.arange(0.0, 0.3, 1 / 30):
+        follower.update(line(time_s), 1.7e9, float(time_s))
+    np.testing.assert_allclose(follower.at(0.3).velocity_m_s, VELOCITY, atol=1e-6)
+
+
+def test_a_window_that_is_none_is_refused():
+    with pytest.raises(ValueError, match="target_window_s"):
+        TargetMotion(0.0)

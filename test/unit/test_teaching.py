@@ -1,0 +1,103 @@
+"""From data to a chain to six networks, and what a user is told of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import ur5_dh
+from recordings import Recording, relative_error, ur5_chain
+
+from fvs_estimator_node.chain_fit import ChainFitError
+from fvs_estimator_node.teaching import teach, train_structured
+
+BOX = ur5_dh.HOME_RAD + np.array([-1.0, 1.0])[:, None] * ur5_dh.BOX_M_RAD
+
+
+@pytest.fixture(scope="module")
+def taught():
+    """A model of a minute's motion of a camera in time, and its recording."""
+    recording = Recording(late_s=0.0, outliers=0.0)
+    return train_structured(recording.data()), recording
+
+
+def test_the_networks_say_what_the_chain_says():
+    chain = ur5_chain()
+    model = teach(chain, BOX, 100, np.random.default_rng(0))
+    places = ur5_dh.uniform_in_box(np.random.default_rng(1), 500)
+    error = relative_error(model.jacobian(places), chain.jacobian(places))
+    assert np.median(error) < 0.02
+    assert error.max() < 0.15
+
+
+def test_chain_and_networks_are_those_of_the_arm(taught):
+    result, recording = taught
+    places = recording.places()
+    true = recording.chain().jacobian(places)
+    chain = result.trained.chain
+    assert np.median(relative_error(chain.jacobian(places), true)) < 0.002
+    assert np.median(relative_error(result.trained.model.jacobian(places), true)) < 0.02
+    assert 0.0 < result.jacobian_deviation < 0.002
+    assert 0.0 < result.teaching_error < 0.02
+    assert result.trained.errors["jacobian_deviation"] == result.jacobian_deviation
+
+
+def test_a_good_model_needs_no_words(taught):
+    assert taught[0].notes == ()
+
+
+def test_the_boxes_are_those_of_the_data(taught):
+    result, recording = taught
+    data = recording.data()
+    np.testing.assert_array_equal(result.trained.joint_box_rad[0], data.joints_rad.min(axis=0))
+    np.testing.assert_array_equal(result.trained.ball_box_m[1], data.ball_m.max(axis=0))
+    assert len(result.trained.ball_samples_m) == 500
+    assert result.trained.provenance["method"] == "poe"
+
+
+def notes_of(recording, change=lambda data: data):
+    return train_structured(change(recording.data()), neurons=20).notes
+
+
+def test_a_late_camera_and_many_outliers_are_told():
+    late, outliers = notes_of(Recording(seconds=20.0, late_s=0.08))
+    assert "the images show the joints of 80 ms before their stamps" in late
+    assert "images do not fit" in outliers
+    early, *_ = notes_of(Recording(seconds=20.0, late_s=-0.05, outliers=0.0))
+    assert "50 ms after their stamps" in early
+
+
+def test_a_joint_that_stood_still_is_named():
+    reach = tuple(np.where(np.arange(6) == 2, 0.0, ur5_dh.BOX_M_RAD))
+    notes = notes_of(Recording(seconds=20.0, late_s=0.0, outliers=0.0, reach_rad=reach))
+    assert notes == ("elbow_joint did not move in the data set: nothing is known of it",)
+
+
+def test_what_is_no_chain_is_told(monkeypatch):
+    monkeypatch.setattr("fvs_estimator_node.chain_fit._STARTS", 3)  # none would do
+
+    def misnamed(data):
+        return replace(data, joints_rad=data.joints_rad[:, [1, 0, 2, 3, 4, 5]])
+
+    notes = notes_of(Recording(seconds=13.0, late_s=0.0, outliers=0.0), misnamed)
+    assert "does not move as one on a rigid chain of six revolute joints" in notes[0]
+    assert "check joint names" in notes[0]
+
+
+def test_a_jacobian_that_is_hardly_known_is_told():
+    recording = Recording(seconds=15.0, noise_m=0.01, late_s=0.0, outliers=0.0)
+    assert any("collect longer or in a wider box" in note for note in notes_of(recording))
+
+
+def test_what_cannot_be_trained_is_refused():
+    with pytest.raises(ValueError, match="neurons must be at least 1, got 0"):
+        train_structured(Recording(seconds=15.0).data(), neurons=0)
+    with pytest.raises(ChainFitError, match="at least 200 images"):
+        train_structured(Recording(seconds=2.0).data())
+
+
+def test_a_cameras_own_systematic_errors_are_no_alarm():
+    def uneven(data):
+        return replace(data, ball_m=data.ball_m + 0.0005 * np.sin(20.0 * data.ball_m[:, [1, 2, 0]]))
+
+    recording = Recording(seconds=30.0, noise_m=0.0003, late_s=0.0, outliers=0.0)
+    assert notes_of(recording, uneven) == ()
