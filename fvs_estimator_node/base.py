@@ -27,8 +27,6 @@ class MotionStep:
         Ball motion in the camera frame, m.
     sliding_variable : ndarray, shape (3,)
         The controller's sliding variable s, as it was last heard; zeros without a controller.
-    ball_m : ndarray, shape (3,), optional
-        Ball position at the second exposure, camera frame, m.
     """
 
     stamp_s: float
@@ -37,17 +35,11 @@ class MotionStep:
     d_joints_rad: np.ndarray
     d_ball_m: np.ndarray
     sliding_variable: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    ball_m: np.ndarray | None = None
 
     @property
     def start_stamp_s(self) -> float:
         """Exposure time of the first image, s."""
         return self.stamp_s - self.dt_s
-
-    @property
-    def end_joints_rad(self) -> np.ndarray:
-        """Joint positions at the second exposure, rad, shape (6,)."""
-        return self.joints_rad + 0.5 * self.d_joints_rad
 
     @property
     def joint_velocity(self) -> np.ndarray:
@@ -95,6 +87,17 @@ class Estimator(ABC):
 
         A step that cannot be learned from (too little motion, something not finite) changes
         nothing and raises nothing.
+        """
+
+    def observe(self, joints_rad: np.ndarray, ball_m: np.ndarray) -> None:  # noqa: B027
+        """Hear where the ball is, also at rest: called for every image, before the update.
+
+        Parameters
+        ----------
+        joints_rad : ndarray, shape (6,)
+            Joints at the exposure, rad.
+        ball_m : ndarray, shape (3,)
+            Ball position, camera frame, m.
         """
 
     @abstractmethod

@@ -22,6 +22,8 @@ import numpy as np
 _TURN_SHARE = 1.5
 #: Standard deviation that the first guess of the noise is, m, and its bounds.
 _NOISE_M, _LEAST_NOISE_M, _MOST_NOISE_M = 0.001, 0.0002, 0.01
+#: A ball that has gone no further since what was remembered last is at rest, m.
+_STILL_M = 0.002
 #: No depth camera sees further, m.
 _FARTHEST_M = 20.0
 #: Share of a new squared change of the innovation in the noise.
@@ -39,7 +41,7 @@ class CameraMotionConfig:
     bumped_deviation_rad : float
         The same at most once it was noticed, rad; less after a small bump.
     memory : float
-        Steps after which an old one has lost 63 % of its say.
+        Positions, some way apart, after which an old one has lost 63 % of its say.
     bump_m : float
         A position further than this, and than six standard deviations of the noise besides, from
         where it should be is not believed, m.
@@ -51,7 +53,7 @@ class CameraMotionConfig:
     bumped_deviation_rad: float = 0.7
     memory: float = 1000.0
     bump_m: float = 0.01
-    bump_repeats: int = 3
+    bump_repeats: int = 2
 
     def __post_init__(self) -> None:
         for name in ("rotation_deviation_rad", "bumped_deviation_rad", "bump_m"):
@@ -89,6 +91,7 @@ class CameraMotion:
         """Forget all pairs; the rotation so far is known to a standard deviation."""
         self._weight = 0.0
         self._mean_p, self._mean_x = np.zeros(3), np.zeros(3)
+        self._faded_at = np.zeros(3)
         #: What the rotation so far counts like, m^2.
         self._prior_m2 = self._variance / (2.0 * deviation_rad**2)
         self._scatter = self._prior_m2 * self._rotation
@@ -174,14 +177,19 @@ class CameraMotion:
         return True
 
     def _learn(self, model_m: np.ndarray, seen_m: np.ndarray) -> None:
-        weight = self._keep * self._weight
+        # At rest there is nothing new to remember, and so nothing to forget.
+        gone = model_m - self._faded_at
+        keep = self._keep if float(gone.dot(gone)) > _STILL_M**2 else 1.0
+        if keep < 1.0:
+            self._faded_at = model_m
+        weight = min(keep * self._weight, self._config.memory)
         total = weight + 1.0
         from_p, from_x = model_m - self._mean_p, seen_m - self._mean_x
         # What fades is made up for by the rotation so far: a ball that has long been going along
-        # one line, or hardly at all, does not make the camera forget how it is turned.
+        # one line does not make the camera forget how it is turned.
         self._scatter = (
-            self._keep * self._scatter
-            + (1.0 - self._keep) * self._prior_m2 * self._rotation
+            keep * self._scatter
+            + (1.0 - keep) * self._prior_m2 * self._rotation
             + (weight / total) * from_x[:, None] * from_p
         )
         self._mean_p = self._mean_p + from_p / total

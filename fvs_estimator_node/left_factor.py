@@ -53,7 +53,7 @@ class LeftFactorConfig:
 
     kind: str = ROTATION
     memory_m: float = 0.3
-    trust_m: float = 0.01
+    trust_m: float = 0.005
     bumped_trust_m: float = 0.005
     bump_m: float = 0.04
     min_motion_rad: float = 1e-3

@@ -132,15 +132,18 @@ class EstimatorNode(ros.FvsNode):
         return not self._program_running or not self._speed_scaling > 0.0
 
     def _learn(self, steps: list[MotionStep]) -> None:
-        before = self._steps
         for step in steps:
             # A-priori: judged with the estimate that has not seen this step.
             self._prediction.observe(step, self._estimator.jacobian(step.joints_rad))
-            if self._estimator.learns and not self._frozen and not self._paused():
-                self._estimator.update(step)
-                self._steps += 1
-        if self._steps > before:
-            self._publish_chain()
+        samples = self._pairing.take_samples()
+        if not samples or not self._estimator.learns or self._frozen or self._paused():
+            return
+        for sample in samples:
+            self._estimator.observe(sample.joints_rad, sample.ball_m)
+        for step in steps:
+            self._estimator.update(step)
+            self._steps += 1
+        self._publish_chain()
 
     # --- output ---
 

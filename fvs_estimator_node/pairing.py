@@ -17,6 +17,9 @@ import numpy as np
 from fvs_estimator_node.base import MotionStep
 from fvs_ros.core.history import JointHistory
 
+#: Samples that are kept for whoever wants them.
+_MAX_SAMPLES = 32
+
 
 @dataclass(frozen=True)
 class BallSample:
@@ -229,6 +232,7 @@ class StepPairing:
         self._max_step_s = max_step_s
         self._max_sliding_age_s = max_sliding_age_s
         self._matcher = matcher if matcher is not None else ExposureMatcher(max_gap_s)
+        self._samples: deque[BallSample] = deque(maxlen=_MAX_SAMPLES)
         self._anchor: BallSample | None = None
         self._sliding: tuple[float, np.ndarray] | None = None
 
@@ -251,6 +255,12 @@ class StepPairing:
         """Take a ball position; returns the steps it completes."""
         return self._steps(self._matcher.add_ball(stamp_s, ball_m))
 
+    def take_samples(self) -> list[BallSample]:
+        """The samples since the last call, also those at rest, which make no steps."""
+        samples = list(self._samples)
+        self._samples.clear()
+        return samples
+
     def add_sliding_variable(self, stamp_s: float, sliding_variable: np.ndarray) -> None:
         """Take the controller's sliding variable; the newest one goes into coming steps."""
         value = np.array(sliding_variable, dtype=float)
@@ -260,6 +270,7 @@ class StepPairing:
     def _steps(self, samples: list[BallSample]) -> list[MotionStep]:
         steps = []
         for sample in samples:
+            self._samples.append(sample)
             anchor = self._anchor
             if anchor is None or sample.run != anchor.run:
                 self._anchor = sample
@@ -280,7 +291,6 @@ class StepPairing:
                     d_joints_rad=d_joints,
                     d_ball_m=sample.ball_m - anchor.ball_m,
                     sliding_variable=self._sliding_at(sample.stamp_s),
-                    ball_m=sample.ball_m,
                 )
             )
         return steps

@@ -108,17 +108,17 @@ class PoeEstimator(Estimator):
         """Estimate at given joints, m/rad, shape (3, 6)."""
         return self._camera.rotation @ self._fitted.jacobian(joints_rad)
 
-    def update(self, step: MotionStep) -> None:
-        """Learn the camera's pose from where the ball is at the step's end."""
-        joints = step.end_joints_rad
-        if (
-            step.ball_m is not None
-            and math.isfinite(float(joints.dot(joints)))
-            and self._camera.add(self._fitted.position(joints), step.ball_m)
+    def observe(self, joints_rad: np.ndarray, ball_m: np.ndarray) -> None:
+        """Learn the camera's pose from where the ball is."""
+        if math.isfinite(float(joints_rad.dot(joints_rad))) and self._camera.add(
+            self._fitted.position(joints_rad), ball_m
         ):
             self._updates += 1
         else:
             self._refused += 1
+
+    def update(self, step: MotionStep) -> None:
+        """Learn nothing more: each position has been heard."""
 
     def reset(self) -> None:
         """Take the camera to stand where it stood when the chain was fitted."""

@@ -7,8 +7,8 @@ A scenario is a standard ROS parameter file: each top-level key is a node to sta
 
 from __future__ import annotations
 
-import json
 import importlib
+import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -130,8 +130,13 @@ class LockStep:
     def _learn(self, steps: list[MotionStep]) -> None:
         for step in steps:
             self.monitor.observe(step, self.estimator.jacobian(step.joints_rad))
-            if self.estimator.learns:
-                self.estimator.update(step)
+        samples = self.pairing.take_samples()
+        if not self.estimator.learns:
+            return
+        for sample in samples:
+            self.estimator.observe(sample.joints_rad, sample.ball_m)
+        for step in steps:
+            self.estimator.update(step)
 
     def run(self, seconds: float) -> None:
         """Let time pass."""

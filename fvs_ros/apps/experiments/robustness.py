@@ -39,9 +39,7 @@ CONTESTANTS: tuple[Contestant, ...] = (
     *(Contestant(one.name, one.method, one.law, of_paper=True) for one in SCHEMES.values()),
     Contestant("oracle, proportional", "oracle", "proportional"),
     *(
-        Contestant(
-            one.name, one.method, one.law, one.estimator_values, one.controller_values
-        )
+        Contestant(one.name, one.method, one.law, one.estimator_values, one.controller_values)
         for one in BEYOND.values()
     ),
 )
