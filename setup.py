@@ -10,13 +10,12 @@ EXTRAS = {
     "ros": ["ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "ros-jazzy-common-interfaces"],
     "camera": ["opencv-python-headless"],
     "sim": ["pybullet", "opencv-python-headless", "matplotlib"],
-    "train": ["torch", "scipy", "threadpoolctl"],
-    "lab": ["scipy", "joblib", "cmaes", "jinja2", "matplotlib"],
+    "train": ["torch", "threadpoolctl"],
+    "lab": ["joblib", "cmaes", "jinja2", "matplotlib"],
     "test": [
         "pytest",
         "pytest-timeout",
         "hypothesis",
-        "scipy",
         "filterpy",
         "ruff",
         "mypy",
@@ -46,7 +45,7 @@ setup(
         (f"share/{PACKAGE}/launch", sorted(glob("launch/*.py"))),
     ],
     # What the cores need without ROS; in a ROS workspace rosdep brings these by apt.
-    install_requires=["numpy", "PyYAML", "tqdm"],
+    install_requires=["numpy", "scipy", "PyYAML", "tqdm"],
     extras_require=EXTRAS,
     zip_safe=True,
     entry_points={

@@ -48,6 +48,17 @@ class LeastSpeedInverse:
     damping: float = 1e-4
     joint_range: JointRange | None = None
 
+    def __post_init__(self) -> None:
+        try:
+            # Here, for it takes most of a second: not while an arm waits for its command.
+            from scipy.optimize import nnls
+        except ImportError as error:
+            raise ValueError(
+                "least joint speeds (allocation least_speed, law arrive) need scipy: "
+                "pip install scipy"
+            ) from error
+        object.__setattr__(self, "_nnls", nnls)
+
     def joint_velocity(
         self,
         jacobian: np.ndarray,
@@ -85,8 +96,6 @@ class LeastSpeedInverse:
         ndarray, shape (6,)
             Joint velocities, rad/s.
         """
-        from scipy.optimize import nnls
-
         gram = jacobian @ jacobian.T
         gram.flat[::4] += self.damping
         least = jacobian.T @ np.linalg.solve(gram, velocity_m_s)
@@ -104,7 +113,7 @@ class LeastSpeedInverse:
         distance[1:4, N_JOINTS:] = free / nearness
         distance[4, :N_JOINTS], distance[4, N_JOINTS:] = least, -least
         try:
-            weights, _ = nnls(distance, _LAST)
+            weights, _ = self._nnls(distance, _LAST)  # type: ignore[attr-defined]
         except RuntimeError:  # it did not converge
             return scale * least
         left = distance @ weights - _LAST
@@ -135,7 +144,6 @@ ALLOCATION_PARAMETERS = (
         "Which of the joint velocities that move the ball as wanted: those with the least sum of "
         "squares, or those whose fastest joint is slowest.",
         choices=(TWO_NORM, LEAST_SPEED),
-        live=True,
     ),
 )
 

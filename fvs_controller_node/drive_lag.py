@@ -19,7 +19,7 @@ _SLOW_S, _MEMORY_S = 1.0, 20.0
 #: The first guess counts like motion at this speed for a while, rad^2/s.
 _TRUST = 0.05
 #: No drive is slower than this, s.
-_MOST_S, _MOST_TICKS = 0.3, 300
+_MOST_S, _MOST_TICKS = 0.15, 150
 
 
 class DriveLag:
@@ -42,6 +42,7 @@ class DriveLag:
 
     def restart(self) -> None:
         """Begin anew to compare (the arm was moved by something else); the lag stays known."""
+        self._stamp_s = 0.0
         self._joints: np.ndarray | None = None
         self._behind, self._slow_behind = np.zeros(N_JOINTS), np.zeros(N_JOINTS)
         self._slow_command = np.zeros(N_JOINTS)
@@ -58,16 +59,33 @@ class DriveLag:
         return total
 
     def add(
-        self, command_rad_s: np.ndarray, joints_rad: np.ndarray, dt_s: float, compare: bool = True
+        self,
+        stamp_s: float,
+        command_rad_s: np.ndarray,
+        joints_rad: np.ndarray,
+        compare: bool = True,
     ) -> None:
-        """Tell one tick: the command in force since the last one, joints now; (6,) each.
+        """Tell one joint state.
 
-        An arm that is slower than told, say by its speed slider, would feign a lag: ``compare``
-        is then to be false.
+        Parameters
+        ----------
+        stamp_s : float
+            Its stamp, s: the times of arrival jitter, and would feign a lag.
+        command_rad_s : ndarray, shape (6,)
+            The command in force since the one before, rad/s.
+        joints_rad : ndarray, shape (6,)
+            Joint positions, rad.
+        compare : bool
+            Whether the arm goes as fast as it is told; one with its speed slider down does not,
+            and would feign a lag as well.
         """
-        self._told.append((dt_s, command_rad_s))
+        before_s, self._stamp_s = self._stamp_s, stamp_s
         before, self._joints = self._joints, joints_rad
-        if before is None or not compare:
+        dt_s = stamp_s - before_s
+        if before is None or dt_s <= 0.0:
+            return
+        self._told.append((dt_s, command_rad_s))
+        if not compare:
             return
         self._behind = self._behind + command_rad_s * dt_s - (joints_rad - before)
         share = dt_s / (_SLOW_S + dt_s)
@@ -76,7 +94,9 @@ class DriveLag:
         behind, command = self._behind - self._slow_behind, command_rad_s - self._slow_command
         power = float(command @ command) * dt_s
         keep = exp(-dt_s / _MEMORY_S) if power > 1e-6 else 1.0
-        self._cross = keep * self._cross + float(behind @ command) * dt_s
+        # However long a stall was: no more than the slowest drive would be behind.
+        late = min(max(float(behind @ command) * dt_s, 0.0), _MOST_S * power)
+        self._cross = keep * self._cross + late
         self._power = keep * self._power + power
         if self._power < 1e-3 * _TRUST:
             self._cross, self._power = self.lag_s * _TRUST, _TRUST

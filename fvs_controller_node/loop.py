@@ -198,7 +198,9 @@ class ServoLoop:
     def _propose(self, error_m: np.ndarray, applied: np.ndarray, dt_s: float) -> ControlOutput:
         assert self._jacobian is not None
         assert self._joints is not None
-        self._drive_lag.add(applied, self._joints, dt_s, compare=self.supervisor.full_speed)
+        self._drive_lag.add(
+            self._stamp_s, applied, self._joints, compare=self.supervisor.full_speed
+        )
         target_m_s = self.follower.velocity_m_s(self._stamp_s)
         if target_m_s.any():
             self._moves += 1

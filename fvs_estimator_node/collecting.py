@@ -12,9 +12,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from math import isfinite
+from typing import Any
 
 import numpy as np
 
+from fvs_estimator_node.dataset import DataSet
+from fvs_estimator_node.knowledge import Knowledge
 from fvs_estimator_node.motion import RandomMotion
 from fvs_estimator_node.pairing import BallSample, ExposureMatcher
 from fvs_ros.core.following import Following
@@ -85,6 +88,17 @@ class RunConfig:
         return max(_BOX_MARGIN_RAD, braking_rad)
 
 
+def data_set_of(samples: Sequence[BallSample], **particulars: Any) -> DataSet:
+    """A data set of samples; ``particulars`` are its other fields."""
+    return DataSet(
+        stamps_s=np.array([s.stamp_s for s in samples]),
+        joints_rad=np.array([s.joints_rad for s in samples]),
+        ball_m=np.array([s.ball_m for s in samples]),
+        segment=np.array([s.run for s in samples]),
+        **particulars,
+    )
+
+
 class _Against:
     """Finds a joint that moves against its command: their product stays negative."""
 
@@ -121,6 +135,8 @@ class CollectionRun:
         Limits.
     make_motion : callable
         Makes the motion, given the joints at the start, rad, shape (6,).
+    knowledge : Knowledge, optional
+        Changes the motion on its way, and ends it early.
 
     Attributes
     ----------
@@ -133,9 +149,13 @@ class CollectionRun:
     """
 
     def __init__(
-        self, config: RunConfig, make_motion: Callable[[np.ndarray], RandomMotion]
+        self,
+        config: RunConfig,
+        make_motion: Callable[[np.ndarray], RandomMotion],
+        knowledge: Knowledge | None = None,
     ) -> None:
         self._config = config
+        self._knowledge = knowledge
         self._make_motion = make_motion
         self._motion: RandomMotion | None = None
         self._matcher = ExposureMatcher(max_latency_s=config.max_latency_s)
@@ -159,6 +179,11 @@ class CollectionRun:
     def progress(self) -> float:
         """Share of the motion that is done."""
         return 0.0 if self._motion is None else min(1.0, self._moved_s / self._motion.duration_s)
+
+    @property
+    def duration_s(self) -> float:
+        """How long the motion takes as far as is known, s; infinite before it begins."""
+        return np.inf if self._motion is None else self._motion.duration_s
 
     @property
     def ended(self) -> bool:
@@ -258,7 +283,7 @@ class CollectionRun:
         if over_s >= 0.0:
             self._trouble_s = None
             if motion.done(self._moved_s, self._joints) or over_s > self._config.give_up_s:
-                self.state, self.reason = State.DONE, "finished"
+                self.state, self.reason = State.DONE, f"finished{self._because()}"
         elif lost:
             motion.return_home()
             self._wait(now_s, State.RETURNING, lost)
@@ -266,6 +291,20 @@ class CollectionRun:
             self._trouble_s = None
             motion.resume(self._moved_s, self._joints)
             self.state, self.reason = State.MOVING, "moving and recording"
+            if self._knowledge is not None:
+                self._learn(self._knowledge, motion)
+
+    def _learn(self, knowledge: Knowledge, motion: RandomMotion) -> None:
+        knowledge.look(self._moved_s, self.samples, motion)
+        if knowledge.enough:
+            self.reason = f"coming home{self._because()}"
+        elif knowledge.trouble:
+            self.reason += f" for the whole duration: {knowledge.trouble}"
+
+    def _because(self) -> str:
+        """Why the motion ended early, in words; empty if it did not."""
+        known = self._knowledge
+        return f": {known.words()}" if known is not None and known.enough else ""
 
     def _watch_box(self) -> None:
         if self._motion is None:
@@ -308,7 +347,7 @@ class CollectionRun:
         elif now_s - self._trouble_s > self._config.give_up_s:
             if self._motion is not None and self._moved_s >= self._motion.duration_s:
                 self.state = State.DONE
-                self.reason = f"finished, though not back at the start: {reason}"
+                self.reason = f"finished{self._because()}, though not back at the start: {reason}"
             else:
                 self.fail(f"gave up after {self._config.give_up_s:g} s: {reason}")
 

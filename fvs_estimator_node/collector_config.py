@@ -11,7 +11,18 @@ from fvs_ros.core.params import Parameter
 
 PARAMETERS = (
     Parameter("output_path", "out/collect/dataset.npz", "data set file to write"),
-    Parameter("duration_s", 120.0, "how long to move and record", minimum=2.0, maximum=7200.0),
+    Parameter(
+        "duration_s", 120.0, "how long to move and record, at most", minimum=2.0, maximum=7200.0
+    ),
+    Parameter(
+        "stop_at_error",
+        0.0,
+        "relative standard deviation of the Jacobian in the box of motion at which collecting ends "
+        "early (0.002 is a good value for `fvs_train --method poe`); the motion then also goes "
+        "where it learns most; 0 is off: the same motion for all of duration_s",
+        minimum=0.0,
+        maximum=0.5,
+    ),
     Parameter("seed", 0, "seed of the motion", minimum=0),
     Parameter(
         "joint_range_rad",

@@ -19,9 +19,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from tqdm import tqdm
 
-from fvs_estimator_node.collecting import CollectionRun, RunConfig, State
+from fvs_estimator_node.chain_worker import ChainWorker
+from fvs_estimator_node.collecting import CollectionRun, RunConfig, State, data_set_of
 from fvs_estimator_node.collector_config import PARAMETERS
-from fvs_estimator_node.dataset import DataSet, save_data_set
+from fvs_estimator_node.dataset import save_data_set
+from fvs_estimator_node.knowledge import Knowledge
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_ros.core import ros
 from fvs_ros.core.joints import ForeignJointsError, JointMap, JointStateError
@@ -57,10 +59,15 @@ class CollectorNode(ros.FvsNode):
             },
             joint_names=tuple(v["joint_names"]),
         )
-        self._run = CollectionRun(config, self._make_motion)
+        self._worker = ChainWorker()
+        self._knowledge: Knowledge | None = None
+        if v["stop_at_error"] > 0.0:
+            self._knowledge = Knowledge(v["stop_at_error"], self._worker)
+        self._run = CollectionRun(config, self._make_motion, self._knowledge)
         self._ticked_s = self.steady_s()
         self._stamp_s: float | None = None
         self._said = State.WAITING
+        self._told_trouble = False
         self._bar = tqdm(
             total=v["duration_s"],
             desc="collecting",
@@ -151,17 +158,16 @@ class CollectorNode(ros.FvsNode):
 
     def _write(self) -> None:
         samples = self._run.samples
-        data = DataSet(
-            stamps_s=np.array([s.stamp_s for s in samples]),
-            joints_rad=np.array([s.joints_rad for s in samples]),
-            ball_m=np.array([s.ball_m for s in samples]),
-            segment=np.array([s.run for s in samples]),
+        data = data_set_of(
+            samples,
             joint_names=tuple(self.values["joint_names"]),
             feature_frame=self._frame,
             provenance={
                 "collected": datetime.now(timezone.utc).isoformat(timespec="seconds"),
                 "simulated_time": bool(self._simulated_time),
                 "parameters": self.values,
+                "ended": self._run.reason,
+                "known": self._known(),
             },
         )
         save_data_set(self._path, data)
@@ -169,25 +175,40 @@ class CollectorNode(ros.FvsNode):
 
     # --- status ---
 
+    def _known(self) -> dict[str, float]:
+        """What is known of the chain so far; empty if nothing is."""
+        findings = self._knowledge.findings if self._knowledge is not None else None
+        names = ("jacobian_deviation", "misfit", "image_offset_s")
+        return {} if findings is None else {name: getattr(findings, name) for name in names}
+
     def _show_progress(self) -> None:
-        self._bar.n = self._run.progress * self.values["duration_s"]
-        self._bar.set_postfix_str(f"{len(self._run.samples)} positions", refresh=False)
+        self._bar.total = min(self.values["duration_s"], self._run.duration_s)
+        self._bar.n = self._run.progress * self._bar.total
+        words = [f"{len(self._run.samples)} positions"]
+        if self._knowledge is not None and self._knowledge.findings is not None:
+            words.append(self._knowledge.words())
+        self._bar.set_postfix_str(", ".join(words), refresh=False)
         self._bar.update(0)
 
     def _publish_status(self) -> None:
         run = self._run
         level = {State.FAILED: ros.ERROR, State.MOVING: ros.OK, State.DONE: ros.OK}
-        values = {"progress": run.progress, "positions": len(run.samples)}
+        values = {"progress": run.progress, "positions": len(run.samples), **self._known()}
         self.publish_status(level.get(run.state, ros.WARN), run.state.value, run.reason, values)
         if run.state is not self._said:
             self._said = run.state
             if run.state in (State.HOLDING, State.RETURNING, State.WAITING):
                 tqdm.write(f"{run.state.value}: {run.reason}", file=sys.stderr)
+        if self._knowledge is not None and self._knowledge.trouble and not self._told_trouble:
+            self._told_trouble = True
+            words = f"collecting for the whole duration_s: {self._knowledge.trouble}"
+            tqdm.write(words, file=sys.stderr)
         self._show_progress()
 
     def finish(self) -> None:
         """Leave zeros on the wire; when interrupted, keep what was recorded."""
         ros.send_last_zeros(self._commands)
+        self._worker.close()
         if self.exit_code is None:
             self._bar.close()
             print("collecting was interrupted", file=sys.stderr)

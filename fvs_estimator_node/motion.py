@@ -2,13 +2,14 @@
 
 Each joint goes to and fro across its range at nearly constant speed, turning softly, and no two
 joints keep time. Such a path, a billiard in six dimensions, fills its box evenly. It is followed
-in closed loop: velocity of the path plus a small gain on the distance from it.
+in closed loop: velocity of the path plus a small gain on the distance from it. On the way it may
+change over to other speeds, and it may be told to come home early.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from fvs_ros.core.limits import limit_speed
 #: Least speed of a joint relative to the fastest allowed, and how many sets of speeds are tried.
 _LEAST_SHARE = 0.5
 _DRAWS = 64
+#: Share of the acceleration limit that a path uses, and the least sharpness of its turns: nearly a
+#: sine.
+_TURNING_SHARE, _LEAST_SHARPNESS = 0.8, 0.05
 
 #: A motion lasts as long as so many soft starts at least.
 _LEAST_RAMPS = 2.5
@@ -104,6 +108,24 @@ class MotionConfig:
         return 4.0 * half_rad / self.path_speed_rad_s
 
 
+@dataclass(frozen=True)
+class Course:
+    """Going to and fro for ever: joint = centre + half asin(k sin(phase + rate t)) / asin(k).
+
+    Parameters
+    ----------
+    phase_rad, rate_rad_s : ndarray, shape (6,)
+        Phases at time 0, rad, and rates, rad/s.
+    sharpness : ndarray, shape (6,)
+        k, 0 to 1: a sine near 0, straight lines with sharp turns near 1; 0 for a joint that keeps
+        still.
+    """
+
+    phase_rad: np.ndarray
+    rate_rad_s: np.ndarray
+    sharpness: np.ndarray
+
+
 class RandomMotion:
     """Joint velocities that explore a box about the start pose.
 
@@ -143,14 +165,8 @@ class RandomMotion:
         self._half = 0.5 * (self._high - self._low)
         self._centre = 0.5 * (self._high + self._low)
         self._ramp_s = config.ramp_s(float(self._half.max()))
-        speeds = config.path_speed_rad_s * _untimed_shares(self._half, rng)
-        self._phase = rng.uniform(0.0, 2.0 * math.pi, N_JOINTS)
-        self._sharpness = np.zeros(N_JOINTS)
-        self._rate = np.zeros(N_JOINTS)
-        for i in np.flatnonzero(self._half > 0.0):
-            self._sharpness[i], self._rate[i] = _turning(
-                self._half[i], speeds[i], 0.8 * config.max_joint_acceleration_rad_s2
-            )
+        self._course = self.draw(rng)
+        self._end_s = config.duration_s
         self._anchor = start
         self._anchor_time_s = 0.0
         self._returning = False
@@ -163,29 +179,78 @@ class RandomMotion:
 
     @property
     def duration_s(self) -> float:
-        """Duration, s."""
-        return self._config.duration_s
+        """Duration, s: less than was configured after :meth:`end_early`."""
+        return self._end_s
 
-    def path(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
+    @property
+    def course(self) -> Course:
+        """The course that the path follows now."""
+        return self._course
+
+    def draw(self, rng: np.random.Generator) -> Course:
+        """Draw a course of this box within these limits: speeds, then phases."""
+        config = self._config
+        acceleration = _TURNING_SHARE * config.max_joint_acceleration_rad_s2
+        # In a narrow box a joint never gets to the speed limit. Shares are of the speed it gets to,
+        # and all joints turn as softly: with sharper turns the slower ones would nearly catch up.
+        sine_speed = np.sqrt(acceleration * self._half / _turn_factor(_LEAST_SHARPNESS))
+        top = np.minimum(config.path_speed_rad_s, sine_speed) / config.path_speed_rad_s
+        speeds = config.path_speed_rad_s * (_untimed_shares(self._half, top, rng) * top)
+        phase = rng.uniform(0.0, 2.0 * math.pi, N_JOINTS)
+        sharpness, rate = np.zeros(N_JOINTS), np.zeros(N_JOINTS)
+        for i in np.flatnonzero(self._half > 0.0):
+            usable = acceleration if top[i] == 1.0 else 0.0
+            sharpness[i], rate[i] = _turning(self._half[i], speeds[i], usable)
+        return Course(phase, rate, sharpness)
+
+    def continued(self, course: Course, time_s: float) -> Course:
+        """Shift a course in phase so that it goes on where the path is at that time.
+
+        Position and direction of every joint agree; only the speeds differ.
+        """
+        k, before = course.sharpness, self._course
+        angle = before.phase_rad + before.rate_rad_s * time_s
+        moving = k > 0.0
+        full = np.arcsin(np.where(moving, before.sharpness, 1.0))
+        share = np.arcsin(before.sharpness * np.sin(angle)) / full
+        sine = np.sin(share * np.arcsin(k)) / np.where(moving, k, 1.0)
+        forth = np.arcsin(np.clip(sine, -1.0, 1.0))
+        phase = np.where(np.cos(angle) >= 0.0, forth, math.pi - forth)
+        return replace(course, phase_rad=phase - course.rate_rad_s * time_s)
+
+    def change_over(self, course: Course, time_s: float) -> None:
+        """Follow another course's speeds from now on, without a jump."""
+        self._course = self.continued(course, time_s)
+
+    def end_early(self, time_s: float) -> None:
+        """Come home from now on, as softly as at the end."""
+        self._end_s = min(self._end_s, time_s + self._ramp_s)
+
+    def path(
+        self, time_s: float | np.ndarray, course: Course | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Where the exploring path is, without its soft start and end.
 
         Parameters
         ----------
-        time_s : float
+        time_s : float or ndarray, shape (...)
             Time since the start, s.
+        course : Course, optional
+            Another course than the present one.
 
         Returns
         -------
-        tuple of ndarray, shape (6,) each
+        tuple of ndarray, shape (..., 6) each
             Position, rad, and velocity, rad/s.
         """
-        phase = self._phase + self._rate * time_s
-        k = self._sharpness
+        course = course if course is not None else self._course
+        rate, k = course.rate_rad_s, course.sharpness
+        phase = course.phase_rad + rate * np.asarray(time_s)[..., None]
         moving = k > 0.0
         full = np.arcsin(np.where(moving, k, 1.0))
         sine = k * np.sin(phase)
         position = self._centre + self._half * np.arcsin(sine) / full
-        velocity = self._half * self._rate * k * np.cos(phase) / (full * np.sqrt(1.0 - sine**2))
+        velocity = self._half * rate * k * np.cos(phase) / (full * np.sqrt(1.0 - sine**2))
         return (
             np.where(moving, position, self._start),
             np.where(moving, velocity, 0.0),
@@ -227,7 +292,7 @@ class RandomMotion:
         return command.copy()
 
     def _reference(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
-        end_s = self._config.duration_s
+        end_s = self._end_s
         if self._returning or time_s >= end_s:
             return self._start, np.zeros(N_JOINTS)
         position, velocity = self.path(time_s)
@@ -256,11 +321,11 @@ class RandomMotion:
     def done(self, time_s: float, joints_rad: np.ndarray, tolerance_rad: float = 0.02) -> bool:
         """Whether the time is over and the arm back at its start pose."""
         near = np.abs(np.asarray(joints_rad) - self._start).max() <= tolerance_rad
-        return bool(time_s >= self._config.duration_s and near)
+        return bool(time_s >= self._end_s and near)
 
 
-def _untimed_shares(half_rad: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Shares of the full speed, one a joint, for which no two joints come close to one rhythm.
+def _untimed_shares(half_rad: np.ndarray, top: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Shares of the joints' top speeds for which no two joints come close to one rhythm.
 
     Two joints of nearly one rhythm draw nearly one line instead of filling their rectangle.
     """
@@ -268,24 +333,29 @@ def _untimed_shares(half_rad: np.ndarray, rng: np.random.Generator) -> np.ndarra
     best_gap, best = -1.0, np.ones(N_JOINTS)
     for _ in range(_DRAWS):
         shares = rng.uniform(_LEAST_SHARE, 1.0, N_JOINTS)
-        rates = np.sort(shares[moving] / half_rad[moving])
+        rates = np.sort((shares * top)[moving] / half_rad[moving])
         gap = float(np.diff(rates).min(initial=np.inf))
         if gap > best_gap:
             best_gap, best = gap, shares
     return best
 
 
+def _turn_factor(k: float) -> float:
+    """Greatest acceleration of asin(k sin phase) times half width over the speed squared."""
+    return math.asin(k) / (k * math.sqrt(1.0 - k * k))
+
+
 def _turning(half_rad: float, speed: float, acceleration: float) -> tuple[float, float]:
-    """Sharpness k and rate (rad/s) of asin(k sin phase) within a speed and an acceleration."""
+    """Sharpness k and rate (rad/s) of asin(k sin phase) of a speed, within an acceleration.
+
+    The least sharpness where the acceleration does not allow for more.
+    """
 
     def needed(k: float) -> float:
-        return speed**2 / half_rad * math.asin(k) / (k * math.sqrt(1.0 - k * k))
+        return speed**2 / half_rad * _turn_factor(k)
 
-    low, high = 0.05, 0.98
-    if needed(low) > acceleration:
-        speed *= math.sqrt(acceleration / needed(low))
-        high = low
-    elif needed(high) <= acceleration:
+    low, high = _LEAST_SHARPNESS, 0.98
+    if needed(high) <= acceleration:
         low = high
     for _ in range(40):
         middle = 0.5 * (low + high)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -135,6 +135,49 @@ def train_structured(
     )
 
 
+def with_chain(trained: TrainedModel, data: DataSet, seed: int = 0) -> tuple[TrainedModel, str]:
+    """A model that was trained otherwise, with the chain of its data, for the methods that need it.
+
+    Parameters
+    ----------
+    trained : TrainedModel
+        The model.
+    data : DataSet
+        What it was trained on.
+    seed : int
+        Equal data and seed give equal chains.
+
+    Returns
+    -------
+    TrainedModel
+        With the chain, if there is one to be trusted.
+    str
+        What came of it, in words.
+    """
+    try:
+        fit = fit_chain(data, np.random.default_rng(seed))
+    except ValueError as error:
+        return trained, f"no chain: {error}"
+    places = _within(trained.joint_box_rad, np.random.default_rng(seed), _EXAMINATION // 10)
+    deviation = float(np.median(fit.jacobian_deviation(places)))
+    if _is_no_chain(fit) or deviation > _DOUBTFUL:
+        return trained, f"no chain: {_notes(fit, deviation, data)[0]}"
+    errors = {
+        **trained.errors,
+        "chain_jacobian_deviation": deviation,
+        "chain_misfit": fit.misfit,
+        "chain_time_offset_s": fit.time_offset_s,
+    }
+    return (
+        replace(trained, chain=fit.chain, errors=errors),
+        f"chain of six revolute joints: fits, Jacobian known to {100.0 * deviation:.3f} %",
+    )
+
+
+def _is_no_chain(fit: ChainFit) -> bool:
+    return fit.misfit > MISFIT_LIMIT and fit.unexplained_m > UNEXPLAINED_LIMIT_M
+
+
 def teach(
     chain: SerialChain, box_rad: np.ndarray, neurons: int, rng: np.random.Generator
 ) -> RbfModel:
@@ -181,7 +224,7 @@ def _notes(fit: ChainFit, deviation: float, data: DataSet) -> tuple[str, ...]:
     if still:
         them = "it" if len(still) == 1 else "them"
         notes.append(f"{', '.join(still)} did not move in the data set: nothing is known of {them}")
-    if fit.misfit > MISFIT_LIMIT and fit.unexplained_m > UNEXPLAINED_LIMIT_M:
+    if _is_no_chain(fit):
         notes.append(
             f"the ball does not move as one on a rigid chain of six revolute joints: images are "
             f"{1e3 * fit.residual_m:.1f} mm off it, of which noise explains "

@@ -16,7 +16,7 @@ import numpy as np
 
 from fvs_estimator_node.dataset import DataSet, load_data_set
 from fvs_estimator_node.model_file import TrainedModel, save_model
-from fvs_estimator_node.teaching import NEURONS, TaughtModel, train_structured
+from fvs_estimator_node.teaching import NEURONS, TaughtModel, train_structured, with_chain
 from fvs_estimator_node.training import (
     METHODS,
     TrainingOptions,
@@ -76,7 +76,9 @@ def _train(data: DataSet, arguments: argparse.Namespace) -> tuple[TrainedModel, 
     )
     with _Bar(arguments.max_seconds, quiet=arguments.quiet) as bar:
         result = train(data, options, bar.report)
-    return result.trained, report(result, time.monotonic() - started_s), bar.out_of_time
+    words = report(result, time.monotonic() - started_s)
+    trained, chain = with_chain(result.trained, data, arguments.seed)
+    return trained, f"{words}\n{chain}", bar.out_of_time
 
 
 def _parser() -> argparse.ArgumentParser:

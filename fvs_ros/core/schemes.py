@@ -73,8 +73,8 @@ BEYOND: dict[str, Scheme] = {
             "extended",
             "rbf_left",
             "ftsm",
-            "The paper's networks behind a learned rotation, its law straight to the target, images "
-            "fused by a Kalman filter, least joint speeds, the drives' lag anticipated.",
+            "The paper's networks behind a learned rotation, its law straight to the target, "
+            "images fused by a Kalman filter, least joint speeds, the drives' lag anticipated.",
             controller_values={
                 "fusion": "adaptive",
                 "allocation": "least_speed",

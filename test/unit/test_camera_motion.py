@@ -145,18 +145,11 @@ def test_a_wrong_setting_is_refused_with_its_name(name, value):
 # --- the estimator ---
 
 
-def steps(chain, joints, rng, noise_m=NOISE_M):
-    """Steps of a ball on a chain between joints, rad, shape (n, 6)."""
-    balls = chain.position(joints) + noise_m * rng.normal(size=(len(joints), 3))
-    for i in range(1, len(joints)):
-        yield MotionStep(
-            i / 30.0,
-            1.0 / 30.0,
-            0.5 * (joints[i] + joints[i - 1]),
-            joints[i] - joints[i - 1],
-            balls[i] - balls[i - 1],
-            ball_m=balls[i],
-        )
+def watch_chain(estimator, chain, joints, rng):
+    """Let it see a ball on a chain at joints, rad, shape (n, 6)."""
+    balls = chain.position(joints) + NOISE_M * rng.normal(size=(len(joints), 3))
+    for one, ball in zip(joints, balls, strict=True):
+        estimator.observe(one, ball)
 
 
 def test_the_chain_behind_a_turned_camera():
@@ -167,8 +160,7 @@ def test_the_chain_behind_a_turned_camera():
     recording = Recording()
     joints, places = recording.joints(np.arange(60) / 15.0), recording.places()
     np.testing.assert_array_equal(estimator.jacobian(joints[0]), fitted.jacobian(joints[0]))
-    for step in steps(seen, joints, rng):
-        estimator.update(step)
+    watch_chain(estimator, seen, joints, rng)
     learned = np.array([estimator.jacobian(q) for q in places])
     assert np.median(relative_error(learned, seen.jacobian(places))) < 0.01
     np.testing.assert_allclose(estimator.chain.position(places), seen.position(places), atol=0.01)
@@ -183,18 +175,29 @@ def test_the_chain_behind_a_turned_camera():
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_step_without_a_ball_or_not_finite_teaches_nothing(bad):
+def test_an_observation_that_is_not_finite_teaches_nothing(bad):
     estimator = PoeEstimator(ur5_chain())
     joints = Recording().joints(np.zeros(1))[0]
     ball = ur5_chain().position(joints) + 0.001
-    for step in (
-        MotionStep(1.0, 0.03, joints, np.full(6, 0.01), np.zeros(3)),
-        MotionStep(1.0, 0.03, np.full(6, bad), np.full(6, 0.01), np.zeros(3), ball_m=ball),
-        MotionStep(1.0, 0.03, joints, np.full(6, 0.01), np.zeros(3), ball_m=np.full(3, bad)),
-    ):
-        estimator.update(step)
+    estimator.observe(np.full(6, bad), ball)
+    estimator.observe(joints, np.full(3, bad))
+    estimator.update(MotionStep(1.0, 0.03, joints, np.full(6, 0.01), np.zeros(3)))
     assert estimator.updates == 0
     np.testing.assert_array_equal(estimator.jacobian(joints), ur5_chain().jacobian(joints))
+
+
+def test_at_rest_a_bump_is_noticed_and_nothing_forgotten():
+    rng = np.random.default_rng(0)
+    fitted = ur5_chain()
+    turned = fitted.moved(turn([0.3, 0.1, 1.0], np.radians(45.0)), np.array([0.1, -0.2, 0.1]))
+    estimator = PoeEstimator(fitted)
+    joints = Recording().joints(np.arange(60) / 15.0)
+    watch_chain(estimator, turned, joints, rng)
+    learned = estimator.jacobian(joints[0])
+    watch_chain(estimator, turned, np.repeat(joints[-1:], 3000, axis=0), rng)
+    np.testing.assert_allclose(estimator.jacobian(joints[0]), learned, atol=0.01)
+    watch_chain(estimator, fitted, np.repeat(joints[-1:], 3, axis=0), rng)
+    assert estimator.camera.bumps == 2
 
 
 def test_every_declared_parameter_reaches_the_configuration():

@@ -24,7 +24,7 @@ def run(lag, delay_ticks, time_constant_s, seconds=6.0, slider=1.0, compare=True
         waiting.append(command)
         speed = speed + share * (slider * waiting.pop(0) - speed)
         joints = joints + DT_S * speed
-        lag.add(command, joints, DT_S, compare=compare)
+        lag.add(tick * DT_S, command, joints, compare=compare)
         command = command + np.clip(goal - command, -0.05, 0.05)
     return lag
 
@@ -46,8 +46,8 @@ def test_before_any_motion_and_where_it_must_not_compare_it_keeps_the_first_gues
 
 def test_what_is_pending_is_what_was_told_within_the_lag():
     lag = DriveLag(0.02)
-    for speed in (1.0, 2.0, 3.0):
-        lag.add(np.full(6, speed), np.zeros(6), DT_S, compare=False)
+    for tick, speed in enumerate((0.0, 1.0, 2.0, 3.0)):
+        lag.add(tick * DT_S, np.full(6, speed), np.zeros(6), compare=False)
     np.testing.assert_allclose(
         lag.pending_rad(), 3.0 * DT_S + 2.0 * DT_S + 1.0 * (lag.lag_s - 2 * DT_S)
     )

@@ -12,7 +12,7 @@ from fvs_ros.apps.scenario import (
     enclave_arguments,
     load_scenario,
 )
-from fvs_ros.core.schemes import SCHEMES, scheme
+from fvs_ros.core.schemes import BEYOND, SCHEMES, scheme
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
@@ -91,7 +91,7 @@ def test_wildcard_parameters_reach_every_node_and_the_file_holds_in_any_namespac
     assert set(content) == {"/**/fvs_sim_node", "/**/fvs_collector_node"}
 
 
-@pytest.mark.parametrize("name", SCHEMES)
+@pytest.mark.parametrize("name", [*SCHEMES, *BEYOND])
 def test_a_scheme_sets_method_and_law(name):
     one = scheme(name)
     assert one.name == name
@@ -101,7 +101,14 @@ def test_a_scheme_sets_method_and_law(name):
     before, after = load_scenario("demo").parameters, load_scenario("demo").with_scheme(name)
     assert after.parameters["fvs_estimator_node"]["method"] == one.method
     assert after.parameters["fvs_controller_node"]["law"] == one.law
+    controller = after.parameters["fvs_controller_node"]
+    assert {name: controller[name] for name in one.controller_values} == one.controller_values
     assert after.parameters["fvs_demo_node"] == before["fvs_demo_node"]
+
+
+def test_the_best_scenario_is_the_demo_with_the_best_scheme():
+    wanted = load_scenario("demo").with_scheme("best").with_overrides(["output_dir:=out/best"])
+    assert load_scenario("best").parameters == wanted.parameters
 
 
 def test_an_override_wins_over_a_scheme():

@@ -1,0 +1,139 @@
+"""A process that fits chains beside the collector, and how the collector speaks to it.
+
+A fit takes a second and would hold the 125 Hz commands up. The process reads pickled questions
+from its standard input and writes pickled answers to its standard output. It ends with its input,
+so it never outlives the collector for long; and it is killed, not asked, when the collector ends.
+Whatever becomes of it, the collector goes on without it.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from typing import BinaryIO
+
+from fvs_estimator_node.knowledge import Answer, Findings, NothingYet, Question, Trouble
+
+_COMMAND = (sys.executable, "-m", "fvs_estimator_node.chain_worker")
+#: A fit that takes longer hangs: the process is ended by its alarm, s.
+_LONGEST_S = 60
+#: The commands come first where there are too few cores.
+_NICENESS = 10
+#: How long a killed process is waited for, s.
+_KILLED_S = 0.5
+
+
+class ChainWorker:
+    """Asks the process; no call waits for it. It is started by the first question.
+
+    A plain child with pipes and no ``concurrent.futures`` pool: a pool's child imports the main
+    module again and so ROS, outlives a killed parent, and is waited for at the parent's end.
+
+    Parameters
+    ----------
+    command : sequence of str
+        What to run.
+    """
+
+    def __init__(self, command: Sequence[str] = _COMMAND) -> None:
+        self._command = tuple(command)
+        self._process: subprocess.Popen[bytes] | None = None
+        self._answer: Answer | None = None
+
+    def ask(self, question: Question) -> None:
+        """Send a question."""
+        self._answer = None
+        words = pickle.dumps(question)
+        try:
+            threading.Thread(target=self._converse, args=(words,), daemon=True).start()
+        except RuntimeError as error:
+            self._answer = Trouble(f"{error}")
+
+    def answer(self) -> Answer | None:
+        """Answer the last question, or None for not yet."""
+        return self._answer
+
+    def close(self) -> None:
+        """Kill the process, whatever it is doing."""
+        process = self._process
+        if process is not None:
+            process.kill()
+            try:
+                process.wait(_KILLED_S)
+            except subprocess.TimeoutExpired:
+                pass  # nobody can do more
+
+    def _converse(self, words: bytes) -> None:
+        try:
+            answer = self._exchanged(words)
+        except Exception as error:
+            code = None if self._process is None else self._process.poll()
+            ended = f" (exit code {code})" if code is not None else ""
+            self._answer = Trouble(f"the process that fits chains failed{ended}: {error!r}")
+        else:
+            self._answer = answer
+
+    def _exchanged(self, words: bytes) -> Answer:
+        if self._process is None:
+            self._process = subprocess.Popen(
+                self._command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,  # Ctrl-C is the collector's affair
+                env={**os.environ, "OMP_NUM_THREADS": "1"},
+            )
+        questions, answers = self._process.stdin, self._process.stdout
+        assert questions is not None and answers is not None
+        questions.write(words)
+        questions.flush()
+        answer = pickle.load(answers)
+        if not isinstance(answer, (Findings, NothingYet, Trouble)):
+            raise TypeError(f"{answer!r} is no answer")
+        return answer
+
+
+def serve(questions: BinaryIO, answers: BinaryIO) -> None:
+    """Answer questions until there are no more."""
+    missing = [name for name in ("scipy", "threadpoolctl") if not importlib.util.find_spec(name)]
+    examine = None
+    while True:
+        try:
+            question = pickle.load(questions)
+        except EOFError:
+            return
+        answer: Answer
+        signal.alarm(_LONGEST_S)
+        try:
+            if missing:
+                answer = Trouble(f"fitting a chain needs {' and '.join(missing)}: pip install them")
+            else:
+                if examine is None:
+                    from fvs_estimator_node.excitation import ChainExaminer
+
+                    examine = ChainExaminer().findings
+                answer = examine(question)
+        except Exception as error:  # whatever it is, the collector shall hear of it
+            answer = Trouble(f"fitting a chain failed: {error!r}")
+        signal.alarm(0)
+        pickle.dump(answer, answers)
+        answers.flush()
+
+
+def main() -> None:
+    """Run the process."""
+    os.nice(_NICENESS)
+    # What is printed must not get between the answers.
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    serve(sys.stdin.buffer, answers)
+
+
+if __name__ == "__main__":
+    main()

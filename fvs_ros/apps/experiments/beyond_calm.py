@@ -1,0 +1,58 @@
+"""The paper's other schemes made as calm at rest as the extended one: how slow are they then?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fvs_ros.apps.experiments.beyond_terms import EXTENDED, LIMITS, trial_of
+from fvs_ros.apps.experiments.context import Context
+from fvs_ros.apps.experiments.search import Found, Limit, run_searches
+from fvs_ros.apps.experiments.servo_terms import BASELINES, Regime, search_of
+from fvs_ros.apps.experiments.trials import Case, Conditions, run_trial
+from fvs_ros.apps.experiments.servo_terms import REGIMES
+
+#: Longest run, and rest at the end of a tuning run, s: calm is slow.
+DURATION_S, _REST_S = 8.0, 2.0
+#: True positions with the same noise, coarser physics: fast enough to search.
+_TUNING = Conditions(rendered=False, physics_rate_hz=125.0)
+_SEARCH_SEED = 8
+
+
+def calm(context: Context, cases: Sequence[Case]) -> list[Found]:
+    """Find the fastest gains that are no more restless at rest than the extended scheme.
+
+    The gains of law and filter, and the share of an image that the predictor believes, are free.
+
+    Parameters
+    ----------
+    context : Context
+        For its cores.
+    cases : sequence of Case
+        The tuning cases.
+    """
+    yardsticks = context.map(
+        run_trial, [trial_of(EXTENDED, case, _TUNING) for case in cases], "yardstick"
+    )
+    jitter_rad_s = float(np.median([one.jitter_rad_s for one in yardsticks]))
+    filtered = REGIMES[-1]
+    regime = Regime(
+        "calm",
+        "Equal jitter",
+        "",
+        LIMITS,
+        Limit("jitter_rad_s", jitter_rad_s),
+        DURATION_S,
+        _REST_S,
+        filtered.knobs,
+    )
+    return run_searches(
+        context,
+        [search_of(name, regime) for name in BASELINES],
+        cases,
+        _TUNING,
+        generations=1 if context.quick else 8,
+        population=4 if context.quick else 8,
+        seed=_SEARCH_SEED,
+    )

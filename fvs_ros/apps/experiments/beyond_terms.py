@@ -1,0 +1,101 @@
+"""Who is compared beyond the paper, in what worlds, and what is kept of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from fvs_ros.apps.experiments.robustness_runs import Contestant
+from fvs_ros.apps.experiments.trials import Case, Conditions, Outcome, Trial
+from fvs_ros.core.schemes import BEYOND, SCHEMES, Scheme
+
+PROPOSED, EXTENDED, BEST = "proposed", "extended", "best"
+ORACLE, FROZEN = "oracle, proportional", "frozen"
+BEST_ORACLE, EXTENDED_ORACLE = "oracle, law of best", "oracle, law of extended"
+
+#: Speed and acceleration limit of every joint, rad/s and rad/s^2; the nodes' defaults.
+SPEED_RAD_S, ACCELERATION_RAD_S2 = 1.0, 6.0
+LIMITS = {
+    "max_joint_velocity_rad_s": SPEED_RAD_S,
+    "max_joint_acceleration_rad_s2": ACCELERATION_RAD_S2,
+}
+
+
+def _contestant(one: Scheme, name: str = "", method: str = "") -> Contestant:
+    values = {} if method else one.estimator_values
+    return Contestant(
+        name or one.name,
+        method or one.method,
+        one.law,
+        values,
+        one.controller_values,
+        of_paper=not name and one.name in SCHEMES,
+    )
+
+
+#: Everybody, with the defaults of the nodes but for what is named here.
+CONTESTANTS: dict[str, Contestant] = {
+    one.name: one
+    for one in (
+        *(_contestant(scheme) for scheme in (*SCHEMES.values(), *BEYOND.values())),
+        Contestant(ORACLE, "oracle", "proportional"),
+        _contestant(SCHEMES[PROPOSED], FROZEN, "frozen"),
+        _contestant(BEYOND[EXTENDED], EXTENDED_ORACLE, "oracle"),
+        _contestant(BEYOND[BEST], BEST_ORACLE, "oracle"),
+    )
+}
+#: Who races against the floor, who meets a camera that was moved, and who other worlds and moving
+#: targets.
+RACERS = (*SCHEMES, ORACLE, EXTENDED, BEST)
+SHAKEN = (BEST, EXTENDED, PROPOSED, FROZEN, BEST_ORACLE, EXTENDED_ORACLE)
+FOLLOWERS = (PROPOSED, EXTENDED, BEST)
+
+
+@dataclass(frozen=True)
+class World:
+    """Conditions in which one thing is not as usual.
+
+    Parameters
+    ----------
+    kind : str
+        What is varied.
+    label : str
+        How much of it there is.
+    changes : mapping
+        Of the conditions.
+    """
+
+    kind: str
+    label: str
+    changes: Mapping[str, Any]
+
+
+_LATENCIES_S, _USUAL_LATENCY_S = (0.0, 0.05, 0.1, 0.2), Conditions.latency_s
+_LAGS_S, _NOISES_M = (0.02, 0.05), (0.0002, 0.004)
+USUAL = World("as usual", f"{1e3 * _USUAL_LATENCY_S:g} ms, 0 ms, 1 mm", {})
+WORLDS = (
+    USUAL,
+    *(World("latency", f"{1e3 * one:g} ms", {"latency_s": one}) for one in _LATENCIES_S),
+    *(World("joint lag", f"{1e3 * one:g} ms", {"joint_lag_s": one}) for one in _LAGS_S),
+    *(World("noise", f"{1e3 * one:g} mm", {"position_noise_m": one}) for one in _NOISES_M),
+)
+
+
+def trial_of(name: str, case: Case, conditions: Conditions, duration_s: float = 4.0) -> Trial:
+    """A contestant's trial, with the limits that all have."""
+    one = CONTESTANTS[name]
+    return Trial(
+        case,
+        one.method,
+        one.law,
+        one.estimator_values,
+        {**one.controller_values, **LIMITS},
+        conditions,
+        duration_s,
+    )
+
+
+def times_s(outcomes: Sequence[Outcome]) -> list[float]:
+    """Settling times to 5 mm, s; infinite for never."""
+    return [one.settled_s for one in outcomes]
