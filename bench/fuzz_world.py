@@ -31,8 +31,10 @@ from fvs_controller_node.reasons import Reason, State, Stop
 from fvs_controller_node.registry import LAWS
 from fvs_controller_node.supervisor import BALL, JACOBIAN, JOINT_STATES, MAX_TICK_S, Command
 from fvs_ros.core.camera import CAMERA_FRAME
+from fvs_ros.core.chain import SerialChain
 from fvs_ros.core.joints import UR_JOINT_NAMES
 from fvs_ros.core.params import Parameter, ParameterSet
+from fvs_ros.core.ros import to_chain
 
 TICK_S = 0.008
 FRESH_TICKS = 26  # until every input counts again
@@ -94,6 +96,7 @@ class Episode:
     ambush: str = ""  # what happens whenever the arm is on its way to rest
     rehearsed: bool = True  # a target is set and the arm servoes before the scenes begin
     scenes: tuple[Scene, ...] = field(default_factory=tuple)
+    allocation: str = "two_norm"
 
 
 def number_in(parameter: Parameter) -> st.SearchStrategy:
@@ -180,6 +183,7 @@ def episodes() -> st.SearchStrategy:
     return st.builds(
         Episode,
         law=st.sampled_from(sorted(LAWS)),
+        allocation=st.sampled_from(["two_norm", "least_speed"]),
         seed=st.integers(0, 2**32 - 1),
         parameters=st.builds(lambda a, b: a + b, few, autostart),
         plant=mostly_obeys,
@@ -213,7 +217,7 @@ class World:
         self.ticks = self.moving_ticks = 0
         self.broken: Counter[str] = Counter()
         self._unkept = unkept
-        given = {"law": episode.law}
+        given = {"law": episode.law, "allocation": episode.allocation}
         for name, value in episode.parameters:
             if _fits({**given, name: value}):
                 given[name] = value
@@ -647,6 +651,17 @@ def _target(world: World, rng: np.random.Generator, scene: Scene) -> None:
     world.calm(scene.ticks)
 
 
+def _moving_target(world: World, rng: np.random.Generator, scene: Scene) -> None:
+    """Tell a target again and again on its way, with a jump or a pause now and then."""
+    at, step = world.ball(), rng.normal(0.0, 0.002 * (1 + scene.variant), 3)
+    for _ in range(scene.ticks):
+        if rng.random() < 0.05:
+            at = at + rng.normal(0.0, 0.1, 3)
+        at = at + step
+        world.send_target(at)
+        world.calm(int(rng.integers(1, 6)))
+
+
 def _silence(world: World, rng: np.random.Generator, scene: Scene) -> None:
     who = (JOINT_STATES, BALL, JACOBIAN)
     silent = who if scene.variant > 9 else (who[scene.variant % 3],)
@@ -790,6 +805,22 @@ def _garbage_jacobian(world: World, rng: np.random.Generator) -> None:
     world.node._on_jacobian(message)
 
 
+def _garbage_chain(world: World, rng: np.random.Generator) -> None:
+    """Send any chain, or what is none."""
+    chain = SerialChain(
+        rng.normal(size=(6, 3)),
+        rng.normal(size=(6, 3)),
+        rng.normal(size=3),
+        rng.uniform(-3.0, 3.0, 6),
+    )
+    message = to_chain(chain)
+    if rng.random() < 0.5:
+        message.data[int(rng.integers(len(message.data)))] = float(rng.choice(WILD))
+    if rng.random() < 0.2:
+        message.data = message.data[: int(rng.integers(len(message.data)))]
+    world.node._on_chain(message)
+
+
 def _garbage_words(world: World, rng: np.random.Generator) -> None:
     texts = [
         "unknown",
@@ -819,7 +850,14 @@ def _garbage_target(world: World, rng: np.random.Generator) -> None:
 
 MESSAGES = (
     *(_garbage_joints, _garbage_joints, _garbage_ball, _garbage_ball),
-    *(_garbage_jacobian, _garbage_jacobian, _garbage_words, _garbage_scaling, _garbage_target),
+    *(
+        _garbage_jacobian,
+        _garbage_jacobian,
+        _garbage_chain,
+        _garbage_words,
+        _garbage_scaling,
+        _garbage_target,
+    ),
 )
 
 
@@ -1027,6 +1065,7 @@ SCENES: dict[str, tuple[int, Callable[[World, np.random.Generator, Scene], None]
     "calm": (3, _calm),
     "work": (7, _work),
     "target": (3, _target),
+    "moving target": (2, _moving_target),
     "services": (2, _services),
     "silence": (2, _silence),
     "abandoned": (1, _abandon),

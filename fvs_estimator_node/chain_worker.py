@@ -8,6 +8,7 @@ Whatever becomes of it, the collector goes on without it.
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import os
 import pickle
@@ -64,17 +65,15 @@ class ChainWorker:
         process = self._process
         if process is not None:
             process.kill()
-            try:
+            with contextlib.suppress(subprocess.TimeoutExpired):  # nobody can do more
                 process.wait(_KILLED_S)
-            except subprocess.TimeoutExpired:
-                pass  # nobody can do more
 
     def _converse(self, words: bytes) -> None:
         try:
             answer = self._exchanged(words)
         except Exception as error:
-            code = None if self._process is None else self._process.poll()
-            ended = f" (exit code {code})" if code is not None else ""
+            self.close()
+            ended = f" (exit code {self._process.returncode})" if self._process else ""
             self._answer = Trouble(f"the process that fits chains failed{ended}: {error!r}")
         else:
             self._answer = answer
@@ -90,7 +89,8 @@ class ChainWorker:
                 env={**os.environ, "OMP_NUM_THREADS": "1"},
             )
         questions, answers = self._process.stdin, self._process.stdout
-        assert questions is not None and answers is not None
+        assert questions is not None
+        assert answers is not None
         questions.write(words)
         questions.flush()
         answer = pickle.load(answers)

@@ -166,7 +166,7 @@ class CollectorNode(ros.FvsNode):
                 "collected": datetime.now(timezone.utc).isoformat(timespec="seconds"),
                 "simulated_time": bool(self._simulated_time),
                 "parameters": self.values,
-                "ended": self._run.reason,
+                "ended": self._run.reason if self._run.ended else "interrupted",
                 "known": self._known(),
             },
         )

@@ -1,9 +1,12 @@
 """From nothing to a model: simulator, collector and trainer as a user runs them."""
 
+import os
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from recordings import relative_error
 from std_msgs.msg import Float64MultiArray
 
@@ -46,6 +49,62 @@ def test_collect_then_train_gives_the_jacobian_of_the_simulated_arm(ros_test):
         true = np.array([simulation.true_jacobian(joints) for joints in places])
     assert np.median(relative_error(trained.chain.jacobian(places), true)) < 0.01
     assert np.median(relative_error(trained.model.jacobian(places), true)) < 0.03
+
+
+def children(process):
+    """Processes that a process has started and that have not ended."""
+    tasks = Path(f"/proc/{process.pid}/task").glob("*/children")
+    return [int(pid) for task in tasks for pid in task.read_text().split()]
+
+
+def test_it_stops_by_itself_when_the_arm_is_known(ros_test):
+    data_path = ros_test.folder / "data.npz"
+    given = {
+        "output_path": data_path,
+        "joint_state_rate_hz": 50,
+        "physics_rate_hz": 250,
+    }
+    process = ros_test.start(
+        LAUNCHER,
+        "collect_minute",
+        *(word for name in given for word in ("-p", f"{name}:={given[name]}")),
+    )
+    assert ros_test.wait(process, 80.0) == 0, ros_test.output(process)
+    data = load_data_set(data_path)
+    assert 14.0 < data.stamps_s[-1] - data.stamps_s[0] < 60.0
+    assert data.provenance["ended"].startswith("finished: Jacobian known to 0.")
+    known = data.provenance["known"]
+    assert known["jacobian_deviation"] < 0.002
+    assert known["misfit"] < 1.3
+    home = np.array(SimConfig().initial_joints_rad)
+    assert np.abs(data.joints_rad[-1] - home).max() < 0.1
+
+
+def test_a_worker_that_is_killed_neither_stops_nor_jerks_the_arm(ros_test):
+    simulated = {"joint_state_rate_hz": 50, "physics_rate_hz": 250, "simulated_time": True}
+    ros_test.start_node("fvs_sim_node.node", **simulated)
+    commands = ros_test.collect(Float64MultiArray, ros.COMMANDS, ros.QOS_RELIABLE)
+    statuses = ros_test.collect(DiagnosticStatus, "fvs_collector_node/status")
+    collector = ros_test.start_node(
+        "fvs_estimator_node.collector_node",
+        output_path=str(ros_test.folder / "part.npz"),
+        stop_at_error=1e-6,
+        use_sim_time=True,
+    )
+    ros_test.spin_until(lambda: children(collector), 60.0)
+    before = len(commands)
+    for pid in children(collector):
+        os.kill(pid, signal.SIGKILL)
+    ros_test.spin_until(lambda: "for the whole duration" in statuses[-1].message)
+    ros_test.spin_for(1.0)
+    assert ros.from_status(statuses[-1])["state"] == "MOVING"
+    sent = np.array([m.data for m in commands[before - 5 :]])
+    assert len(sent) > 30
+    assert np.abs(sent).max(axis=1).min() > 0.1
+    assert np.abs(np.diff(sent, axis=0)).max() < 3.0 * 0.05 + 1e-9
+    assert children(collector) == []
+    assert ros_test.output(collector).count("collecting for the whole duration_s") == 1
+    assert ros_test.stop(collector) == 0
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

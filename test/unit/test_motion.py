@@ -58,9 +58,46 @@ def test_the_velocity_of_the_path_is_its_slope():
         np.testing.assert_allclose(slope, one.path(t)[1], atol=1e-5)
 
 
+def test_a_seed_gives_the_same_path_as_ever():
+    position, velocity = motion(0).path(100.0)
+    np.testing.assert_allclose(
+        position,
+        [-0.41623516028615, -1.36298543335099, 1.3848377570046]
+        + [-1.30560235337611, -1.67570634201637, 0.49071436828572],
+        atol=1e-13,
+    )
+    np.testing.assert_allclose(
+        velocity,
+        [-0.46261827098286, 0.49466865106557, 0.58924068537215]
+        + [0.27614367004166, 0.46190259869828, 0.20049605209143],
+        atol=1e-13,
+    )
+
+
+def test_a_path_at_many_times_is_that_at_each():
+    times = np.linspace(0.0, 30.0, 12).reshape(3, 4)
+    for many, one in zip(motion().path(times), motion().path(times[2, 1]), strict=True):
+        assert many.shape == (3, 4, 6)
+        np.testing.assert_array_equal(many[2, 1], one)
+
+
+@pytest.mark.parametrize("half_rad", [0.02, 0.05, 0.1, 0.15])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_joints_keep_out_of_step_in_narrow_boxes_too(half_rad, seed):
+    one = motion(seed, joint_range_rad=(half_rad,) * 6)
+    rates = np.sort(one.course.rate_rad_s)
+    assert np.diff(rates).min() > 0.02 * rates.mean()
+    assert rates[-1] > 1.2 * rates[0]
+    times = np.arange(0.0, 60.0, DT_S)
+    velocity = one.path(times)[1]
+    assert np.abs(velocity).max() <= 0.65
+    assert np.abs(np.diff(velocity, axis=0)).max() / DT_S <= 0.8 * 3.0 + 1e-9
+
+
+@pytest.mark.parametrize("half", [HALF, (0.05,) * 6])
 @pytest.mark.parametrize("seed", range(4))
-def test_it_visits_every_part_of_every_pair_of_joints_evenly(seed):
-    unit = (follow(motion(seed))[0] - HOME) / HALF
+def test_it_visits_every_part_of_every_pair_of_joints_evenly(seed, half):
+    unit = (follow(motion(seed, joint_range_rad=half))[0] - HOME) / half
     for i in range(6):
         for j in range(i):
             counts, _, _ = np.histogram2d(unit[:, i], unit[:, j], 3, [[-1, 1], [-1, 1]])
@@ -104,6 +141,56 @@ def test_it_returns_when_told_and_goes_on_when_told():
     assert np.abs(np.diff(commands, axis=0)).max() / DT_S <= 3.0 + 1e-9
     later = joints[round(28.0 / DT_S) : round(110.0 / DT_S)]
     assert np.ptp(later, axis=0).min() > 0.8
+
+
+def changing(one, seed, every_s=4.0, until_s=100.0):
+    """Events that change the course over again and again."""
+    rng = np.random.default_rng(seed)
+    return [
+        (at, lambda t, _q: one.change_over(one.draw(rng), t))
+        for at in np.arange(every_s, until_s, every_s)
+    ]
+
+
+@pytest.mark.parametrize("half", [HALF, (0.05,) * 6, (0.6, 0.0, 0.5, 0.2, 0.5, 0.0)])
+def test_another_course_goes_on_in_place_and_direction(half):
+    one = motion(5, joint_range_rad=half)
+    rng = np.random.default_rng(7)
+    for t in np.linspace(1.0, 90.0, 60):
+        position, velocity = one.path(t)
+        one.change_over(one.draw(rng), t)
+        np.testing.assert_allclose(one.path(t)[0], position, atol=1e-7)
+        turning = np.minimum(np.abs(velocity), np.abs(one.path(t)[1])) < 1e-3
+        assert np.all(turning | (np.sign(velocity) == np.sign(one.path(t)[1])))
+
+
+@pytest.mark.parametrize(("seed", "lag_s"), [(0, 0.0), (1, 0.05)])
+def test_changing_over_keeps_speed_acceleration_and_box(seed, lag_s):
+    one = motion(seed, duration_s=60.0)
+    joints, commands = follow(one, 62.0, lag_s, events=changing(one, seed, until_s=58.0))
+    assert np.abs(commands).max() <= 0.65 + 1e-12
+    assert np.abs(np.diff(commands, axis=0, prepend=0.0)).max() / DT_S <= 3.0 + 1e-9
+    assert np.all(np.abs(joints - HOME) <= np.array(HALF) + 0.03)
+    assert one.done(62.0, joints[-1])
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.05])
+def test_it_comes_home_early_when_told(lag_s):
+    one = motion(1)
+    events = [*changing(one, 0, until_s=17.0), (17.0, lambda t, _q: one.end_early(t))]
+    joints, commands = follow(one, 24.0, lag_s, events=events)
+    assert 17.0 < one.duration_s < 22.0
+    assert one.done(24.0, joints[-1])
+    assert not np.any(np.abs(commands[-1]) > 0.01)
+    assert np.abs(np.diff(commands, axis=0)).max() / DT_S <= 3.0 + 1e-9
+    one.end_early(119.0)
+    assert one.duration_s < 22.0
+
+
+def test_told_to_end_when_it_is_coming_home_it_does_not_take_longer():
+    one = motion(1)
+    one.end_early(119.0)
+    assert one.duration_s == 120.0
 
 
 def test_a_measurement_that_is_not_finite_stops_the_arm():

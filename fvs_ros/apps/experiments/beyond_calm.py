@@ -1,4 +1,4 @@
-"""The paper's other schemes made as calm at rest as the extended one: how slow are they then?"""
+"""How slow the paper's other schemes are once they are as calm at rest as the extended one."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ import numpy as np
 from fvs_ros.apps.experiments.beyond_terms import EXTENDED, LIMITS, trial_of
 from fvs_ros.apps.experiments.context import Context
 from fvs_ros.apps.experiments.search import Found, Limit, run_searches
-from fvs_ros.apps.experiments.servo_terms import BASELINES, Regime, search_of
+from fvs_ros.apps.experiments.servo_terms import BASELINES, REGIMES, Regime, search_of
 from fvs_ros.apps.experiments.trials import Case, Conditions, run_trial
-from fvs_ros.apps.experiments.servo_terms import REGIMES
 
 #: Longest run, and rest at the end of a tuning run, s: calm is slow.
 DURATION_S, _REST_S = 8.0, 2.0

@@ -97,9 +97,7 @@ def draw_journeys(
         case = make_cases(f"C{len(pairs) + 1}-", 1, int(rng.integers(2**31)))[0]
         axis = np.append(_TILT * rng.normal(size=2), rng.choice([-1.0, 1.0]))
         shift = rng.normal(size=3)
-        bump = Bump(
-            STRUCK_AFTER_S, _vector(axis, TURN_DEG), _vector(shift, SHIFT_M)
-        )
+        bump = Bump(STRUCK_AFTER_S, _vector(axis, TURN_DEG), _vector(shift, SHIFT_M))
         if _seen_after(bump, case):
             pairs.append((case, bump))
     return [

@@ -128,11 +128,11 @@ def draw_paths(count: int, seed: int) -> list[Path]:
         paths.append(
             Path(LINE, case.start_rad, tuple(start_m.tolist()), along, along, length_m, case.seed)
         )
-    for case in paths[:count]:
+    for line in paths[:count]:
         plane = np.linalg.qr(rng.normal(size=(3, 2)))[0]
         first, second = (tuple(vector.tolist()) for vector in plane.T)
         origin = tuple(ball_m(home).tolist())
-        paths.append(Path(CIRCLE, home, origin, first, second, np.inf, case.seed))
+        paths.append(Path(CIRCLE, home, origin, first, second, np.inf, line.seed))
     return paths
 
 

@@ -15,7 +15,15 @@ import numpy as np
 
 RESULTS = "results.json"
 #: The experiments, in the order of the page; each is a module of this package.
-EXPERIMENTS = ("servo", "estimators", "exponents", "settling", "ablation", "robustness")
+EXPERIMENTS = (
+    "servo",
+    "estimators",
+    "exponents",
+    "settling",
+    "ablation",
+    "beyond",
+    "robustness",
+)
 #: Those that are run by their own name only: they take longer than all others together.
 LONG = ("robustness",)
 _DIGITS = 7

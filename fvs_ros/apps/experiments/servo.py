@@ -49,8 +49,8 @@ _SHOWN = 4
 def run(context: Context) -> Report:
     """Tune, score, draw and judge."""
     conditions = context.conditions()
-    tuning = make_cases("TUNE", 2 if context.quick else 4, _TUNING_SEED)
-    scoring = make_cases("EXP", context.count(16, 4), _SCORING_SEED)
+    tuning = make_cases("TUNE", 1 if context.quick else 4, _TUNING_SEED)
+    scoring = make_cases("EXP", context.count(16, 2), _SCORING_SEED)
     found = _tune(context, tuning)
     outcomes = _score(context, found, scoring, conditions)
     folder = context.folder(NAME)
@@ -115,7 +115,7 @@ def _tune(context: Context, cases: Sequence[Case]) -> dict[tuple[str, str], Foun
         # True positions with the same noise, coarser physics: fast enough to search.
         Conditions(rendered=False, physics_rate_hz=125.0),
         generations=1 if context.quick else 6,
-        population=4 if context.quick else 10,
+        population=2 if context.quick else 10,
         seed=_SEARCH_SEED,
     )
     own = dict(zip(keys, found, strict=True))

@@ -15,7 +15,13 @@ import numpy as np
 import yaml
 
 from fvs_ros.apps.experiments.context import Context
-from fvs_ros.apps.experiments.lockstep import MODEL, LockStep, load_networks, make_estimator
+from fvs_ros.apps.experiments.lockstep import (
+    MODEL,
+    LockStep,
+    load_chain,
+    load_networks,
+    make_estimator,
+)
 from fvs_ros.apps.experiments.statistics import median
 from fvs_ros.apps.experiments.trials import (
     BOUNDS_M,
@@ -92,7 +98,13 @@ class Chain:
 
 
 def spot_check(
-    context: Context, name: str, trial: Trial, cases: Sequence[Case], domain: int, seeds: int
+    context: Context,
+    name: str,
+    trial: Trial,
+    cases: Sequence[Case],
+    domain: int,
+    seeds: int,
+    experiment: str = "servo",
 ) -> SpotCheck:
     """Servo from the first case's start to every case's target, in lock step and by the nodes.
 
@@ -110,6 +122,8 @@ def spot_check(
         ``ROS_DOMAIN_ID`` of the nodes.
     seeds : int
         Number of lock-step runs.
+    experiment : str
+        Whose folder it is.
     """
     simulation = simulation_of(trial.conditions)
     targets = []
@@ -123,7 +137,7 @@ def spot_check(
     ]
     lock_step = context.map(run_chain, chains, f"{name} in lock step")
     print(f"   {name} through the real nodes ...", flush=True)
-    folder = context.folder("servo")
+    folder = context.folder(experiment)
     nodes, problem = _through_nodes(chains[0], folder, name.replace("+", "_"), domain)
     return SpotCheck(name, lock_step, nodes, problem)
 
@@ -169,7 +183,9 @@ def run_chain(chain: Chain) -> list[float | None]:
     trial = chain.trial
     simulation = simulation_of(trial.conditions)
     simulation.reset(chain.start_rad, chain.seed)
-    estimator = make_estimator(trial.method, simulation, load_networks(), trial.estimator_values)
+    estimator = make_estimator(
+        trial.method, simulation, load_networks(), trial.estimator_values, load_chain()
+    )
     one = LockStep(simulation, estimator, {"law": trial.law, **trial.controller_values})
     one.run(PRELUDE_S)
     settling = []

@@ -1,0 +1,91 @@
+"""Everything that was measured beyond the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fvs_ros.apps.experiments.beyond_camera import IN_MOTION, UNDISTURBED, Arrival
+from fvs_ros.apps.experiments.beyond_minute import Learned
+from fvs_ros.apps.experiments.beyond_terms import times_s
+from fvs_ros.apps.experiments.beyond_tracking import Pursuit, Tracked
+from fvs_ros.apps.experiments.spot_check import SpotCheck
+from fvs_ros.apps.experiments.trials import Outcome
+
+#: A run after a blow to the camera keeps its pace if it takes no longer than this share.
+KEPT = 1.2
+
+
+@dataclass(frozen=True)
+class Results:
+    """What came of all parts.
+
+    Parameters
+    ----------
+    minutes : sequence of Learned
+        Of a minute of data each.
+    floors_s : sequence of float
+        Least time of each case, s.
+    races : dict of str to list of Outcome
+        The same cases, by contestant.
+    calmed : dict of str to list of Outcome
+        The same, by the paper's schemes with gains that make them as calm as the extended one.
+    arrivals : dict of (str, str) to list of Arrival
+        Journeys with a camera that is moved, by moment and contestant.
+    worlds : dict of (int, str) to list of Outcome
+        Other worlds, by their number and contestant.
+    pursuits : list of (Pursuit, Tracked)
+        Moving targets.
+    checks : sequence of SpotCheck
+        Through the real nodes.
+    """
+
+    minutes: Sequence[Learned]
+    floors_s: Sequence[float]
+    races: dict[str, list[Outcome]]
+    calmed: dict[str, list[Outcome]]
+    arrivals: dict[tuple[str, str], list[Arrival]]
+    worlds: dict[tuple[int, str], list[Outcome]]
+    pursuits: list[tuple[Pursuit, Tracked]]
+    checks: Sequence[SpotCheck] = ()
+
+    def over_floor(self, name: str) -> list[float]:
+        """Settling time over the least time, case by case."""
+        times = times_s(self.races[name])
+        return [time / floor for time, floor in zip(times, self.floors_s, strict=True)]
+
+    def slowdown(self, moment: str, name: str) -> list[float]:
+        """Settling time with a blow to the camera over that without, case by case.
+
+        From the last target on: at rest that is the second one, in mid-motion the second one given
+        anew, which is compared with what was left of the undisturbed run.
+        """
+
+        def left_s(one: Arrival) -> float:
+            return one.after_s if moment == IN_MOTION else one.settled_s
+
+        struck, calm = self.arrivals[moment, name], self.arrivals[UNDISTURBED, name]
+        return [
+            left_s(one) / left_s(other) if np.isfinite(left_s(one)) else float("inf")
+            for one, other in zip(struck, calm, strict=True)
+        ]
+
+    def kept_share(self, moment: str, name: str) -> tuple[int, int]:
+        """In how many cases of how many the pace was kept."""
+        ratios = self.slowdown(moment, name)
+        return sum(ratio <= KEPT for ratio in ratios), len(ratios)
+
+    def tracking_m(self, kind: str, speed_m_s: float, name: str, feed_forward: bool) -> list[float]:
+        """Errors on all paths of a kind, rms, m."""
+        return [
+            tracked.rms_m
+            for pursuit, tracked in self.pursuits
+            if (pursuit.path.kind, pursuit.speed_m_s, pursuit.name, pursuit.feed_forward)
+            == (kind, speed_m_s, name, feed_forward)
+        ]
+
+    def speeds_m_s(self) -> list[float]:
+        """Speeds of the moving targets, m/s."""
+        return sorted({pursuit.speed_m_s for pursuit, _ in self.pursuits})

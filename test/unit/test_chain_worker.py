@@ -1,0 +1,142 @@
+"""A process that fits chains, and everything that may become of it."""
+
+import importlib.util
+import io
+import pickle
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from recordings import Recording
+from test_excitation import motion_of, samples_of
+
+from fvs_estimator_node.chain_worker import ChainWorker, serve
+from fvs_estimator_node.knowledge import Findings, Question, Trouble
+
+#: A worker whose fits never end.
+HANGING = """
+import time
+import fvs_estimator_node.chain_worker as worker
+from fvs_estimator_node.excitation import ChainExaminer
+ChainExaminer.findings = lambda self, question: time.sleep(100.0)
+worker._LONGEST_S = 1
+worker.main()
+"""
+
+ANSWERING_3 = """
+import pickle, sys
+pickle.load(sys.stdin.buffer)
+pickle.dump(3, sys.stdout.buffer)
+"""
+
+
+def question(**changes):
+    samples = samples_of(Recording(seconds=14.0).data())
+    return Question(**{"samples": samples, "motion": motion_of(0), "time_s": 14.0, **changes})
+
+
+def answer_of(worker, seconds=30.0):
+    deadline = time.monotonic() + seconds
+    while worker.answer() is None and time.monotonic() < deadline:
+        time.sleep(0.01)
+    return worker.answer()
+
+
+@pytest.fixture
+def make_worker():
+    workers = []
+
+    def make(*command):
+        workers.append(ChainWorker(command) if command else ChainWorker())
+        return workers[-1]
+
+    yield make
+    for worker in workers:
+        worker.close()
+
+
+def test_it_answers_and_no_call_waits(make_worker):
+    worker = make_worker()
+    asked = question()
+    began = time.monotonic()
+    worker.ask(asked)
+    assert worker.answer() is None
+    assert time.monotonic() - began < 0.5
+    first = answer_of(worker)
+    assert isinstance(first, Findings), first
+    worker.ask(question(samples=()))
+    again = answer_of(worker)
+    assert again.misfit == pytest.approx(first.misfit)  # it remembers the samples
+    worker.close()
+    worker.ask(asked)
+    assert isinstance(answer_of(worker), Trouble)
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (("sh", "-c", "exit 3"), "exit code 3"),
+        (("sh", "-c", "head -c 100 > /dev/null; kill -9 $$"), "exit code -9"),
+        (("no such program",), "FileNotFoundError"),
+        (("sh", "-c", "echo nonsense; cat > /dev/null"), "UnpicklingError"),
+        ((sys.executable, "-c", ANSWERING_3), "3 is no answer"),
+        ((sys.executable, "-c", HANGING), "exit code -14"),
+    ],
+    ids=["ends", "is killed", "is missing", "babbles", "gives no answer", "hangs in a fit"],
+)
+def test_a_process_that_fails_is_a_trouble_told_in_words(make_worker, command, words):
+    worker = make_worker(*command)
+    worker.ask(question())
+    answer = answer_of(worker)
+    assert isinstance(answer, Trouble)
+    assert words in answer.reason
+
+
+def test_a_process_that_never_answers_holds_nothing_up(make_worker):
+    worker = make_worker("sleep", "100")
+    worker.ask(question())
+    time.sleep(0.3)
+    assert worker.answer() is None
+    began = time.monotonic()
+    worker.close()
+    assert time.monotonic() - began < 0.4
+    assert isinstance(answer_of(worker), Trouble)
+
+
+def test_closing_one_that_was_never_asked_does_nothing(make_worker):
+    make_worker().close()
+
+
+def served(*questions):
+    answers = io.BytesIO()
+    serve(io.BytesIO(b"".join(pickle.dumps(q) for q in questions)), answers)
+    answers.seek(0)
+    return [pickle.load(answers) for _ in questions]
+
+
+def test_an_error_of_the_fit_is_an_answer_and_the_end_of_the_input_ends_it():
+    (answer,) = served(question(motion=None))
+    assert isinstance(answer, Trouble)
+    assert "AttributeError" in answer.reason
+    assert signal.alarm(0) == 0
+
+
+def test_without_scipy_it_says_what_to_install(monkeypatch):
+    real = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name: None if name == "scipy" else real(name)
+    )
+    (answer,) = served(question())
+    assert isinstance(answer, Trouble)
+    assert "scipy: pip install" in answer.reason
+
+
+def test_there_is_no_ros_in_it():
+    code = (
+        "import sys, fvs_estimator_node.chain_worker, fvs_estimator_node.excitation; "
+        "print([name for name in sys.modules if name.startswith('rclpy')])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
