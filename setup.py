@@ -12,6 +12,7 @@ EXTRAS = {
     "sim": ["pybullet", "opencv-python-headless", "matplotlib"],
     "train": ["torch", "threadpoolctl"],
     "lab": ["joblib", "cmaes", "jinja2", "matplotlib"],
+    "cluster": ["distributed"],
     "test": [
         "pytest",
         "pytest-timeout",

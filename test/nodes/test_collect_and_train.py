@@ -89,18 +89,19 @@ def test_a_worker_that_is_killed_neither_stops_nor_jerks_the_arm(ros_test):
         "fvs_estimator_node.collector_node",
         output_path=str(ros_test.folder / "part.npz"),
         stop_at_error=1e-6,
+        joint_range_rad=0.3,  # all in view
         use_sim_time=True,
     )
     ros_test.spin_until(lambda: children(collector), 60.0)
-    before = len(commands)
+    before, told = len(commands), len(statuses)
     for pid in children(collector):
         os.kill(pid, signal.SIGKILL)
     ros_test.spin_until(lambda: "for the whole duration" in statuses[-1].message)
     ros_test.spin_for(1.0)
-    assert ros.from_status(statuses[-1])["state"] == "MOVING"
+    assert {ros.from_status(status)["state"] for status in statuses[told:]} == {"MOVING"}
     sent = np.array([m.data for m in commands[before - 5 :]])
     assert len(sent) > 30
-    assert np.abs(sent).max(axis=1).min() > 0.1
+    assert np.abs(sent).max(axis=1).min() > 0.05
     assert np.abs(np.diff(sent, axis=0)).max() < 3.0 * 0.05 + 1e-9
     assert children(collector) == []
     assert ros_test.output(collector).count("collecting for the whole duration_s") == 1

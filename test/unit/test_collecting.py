@@ -333,9 +333,7 @@ def test_the_motion_changes_over_to_what_was_found():
 
 
 @pytest.mark.parametrize(
-    "between",
-    [NothingYet(), "no chain", 0.02],
-    ids=["no fit", "no chain", "not known"],
+    "between", [NothingYet(), "no chain", 0.02], ids=["no fit", "no chain", "not known"]
 )
 def test_one_good_answer_or_one_that_does_not_fit_is_not_enough(between):
     cell, examiner = learning(0.005, between, 0.005, between)
