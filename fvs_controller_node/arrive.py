@@ -141,7 +141,14 @@ class ArriveLaw(ControlLaw):
                 _NEARNESS * 2.0 ** max(0, number - 2),
             )
             step = step - travel
-            goal = goal + step * min(1.0, _LONGEST_RAD / max(float(np.abs(step).max()), 1e-12))
+            goal = self._within_range(
+                goal + step * min(1.0, _LONGEST_RAD / max(float(np.abs(step).max()), 1e-12))
+            )
             position, jacobian = chain.position_and_jacobian(goal)
             missing = wanted - position
         return goal
+
+    def _within_range(self, joints: np.ndarray) -> np.ndarray:
+        """The joints, none beyond the ends of its range, rad."""
+        ends = self._inverse.joint_range
+        return joints if ends is None else np.clip(joints, ends.lower_rad, ends.upper_rad)

@@ -7,7 +7,7 @@ object.
 from __future__ import annotations
 
 from dataclasses import replace
-from math import pi
+from math import inf, pi
 
 import numpy as np
 
@@ -25,6 +25,8 @@ from fvs_ros.core.history import StampGate
 #: No joint is faster, nor a step between joint states larger than this besides, rad/s and rad;
 #: after a longer gap than this nothing is said, s.
 _FASTEST_RAD_S, _JUMP_RAD, _JUMP_S = 1.5 * pi, 0.1, 0.5
+#: A chain is told more often than this, s.
+_CHAIN_MAX_AGE_S = 1.5
 
 
 class ServoLoop:
@@ -59,6 +61,7 @@ class ServoLoop:
         self.anticipation = anticipation
         self._drive_lag = DriveLag()
         self._chain: SerialChain | None = None
+        self._chain_s = -inf
         self._stamp_s = 0.0
         self._moves = 0  # of the target
         self._joint_stamps, self._ball_stamps = StampGate(), StampGate()
@@ -110,9 +113,9 @@ class ServoLoop:
         if self.supervisor.jacobian(now_s, jacobian):
             self._jacobian = np.array(jacobian, dtype=float)
 
-    def add_chain(self, chain: SerialChain) -> None:
-        """Tell the forward model as the camera sees it now."""
-        self._chain = chain
+    def add_chain(self, now_s: float, chain: SerialChain) -> None:
+        """Tell the forward model as the camera sees it now, and its arrival."""
+        self._chain, self._chain_s = chain, now_s
 
     def add_target(
         self, position_m: np.ndarray, frame: str, stamp_s: float = 0.0
@@ -165,6 +168,8 @@ class ServoLoop:
         dt_s : float
             Time since the last tick, s.
         """
+        if now_s - self._chain_s > _CHAIN_MAX_AGE_S:
+            self._chain = None  # who told it is gone, or has another method now
         aim = self.follower.at(self._stamp_s)
         if aim is not None:
             self.supervisor.track(aim.position_m)

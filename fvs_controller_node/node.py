@@ -135,10 +135,11 @@ class ControllerNode(ros.FvsNode):
             self._loop.supervisor.bad_input(now_s, JACOBIAN, str(error))
 
     def _on_chain(self, message: Float64MultiArray) -> None:
+        now_s = self.steady_s()
         try:
-            self._loop.add_chain(ros.from_chain(message))
+            self._loop.add_chain(now_s, ros.from_chain(message))
         except ros.MessageError as error:
-            self._loop.supervisor.bad_input(self.steady_s(), JACOBIAN, str(error))
+            self._loop.supervisor.bad_input(now_s, JACOBIAN, str(error))
 
     def _on_estimator_status(self, message: DiagnosticStatus) -> None:
         text = ros.from_status(message).get("one_step_prediction_error_ratio", "")

@@ -120,8 +120,6 @@ def servo(
     supervisor = loop.supervisor
     target = ball_and_jacobian(goal_rad)[0]
     assert loop.add_target(target, FRAME)[0]
-    if chain is not None:
-        loop.add_chain(chain)
     told_s = 0.0
     drive = Drive(start_rad)
     images: deque[tuple[float, np.ndarray]] = deque()
@@ -142,6 +140,8 @@ def servo(
             stamp, seen = images.popleft()
             loop.add_ball(t, stamp, seen, FRAME)
         estimate = jacobian + np.linalg.norm(jacobian) * wrong
+        if chain is not None:
+            loop.add_chain(t, chain)
         loop.add_jacobian(t, estimate if turned is None else turned @ estimate)
         loop.add_joints(t, t, drive.joints)
         if target_of is not None and started_s is not None:

@@ -8,15 +8,10 @@ from control_plant import TICK_S, chain_of_the_arm, pairs, servo
 from scipy.optimize import minimize
 from ur5_dh import HOME_RAD, ball_and_jacobian
 
+from fvs_ros.core.schemes import BEYOND
+
 #: Every addition that needs no forward model.
-ADDITIONS = {
-    "fusion": "adaptive",
-    "allocation": "least_speed",
-    "anticipate_drive_lag": True,
-    "ftsm_path": "straight",
-    "alpha2": 6.0,
-    "alpha3": 4.0,
-}
+ADDITIONS = BEYOND["extended"].controller_values
 PAIRS = pairs(4, seed=11)
 SPEED_RAD_S, ACCELERATION_RAD_S2 = 1.0, 6.0
 

@@ -13,7 +13,7 @@ from recordings import Recording
 from test_excitation import motion_of, samples_of
 
 from fvs_estimator_node.chain_worker import ChainWorker, serve
-from fvs_estimator_node.knowledge import Findings, Question, Trouble
+from fvs_estimator_node.knowledge import Findings, NothingYet, Question, Trouble
 
 #: A worker whose fits never end.
 HANGING = """
@@ -25,6 +25,14 @@ worker._LONGEST_S = 1
 worker.main()
 """
 
+#: One whose fits print, as libraries do.
+PRINTING = """
+import fvs_estimator_node.chain_worker as worker
+from fvs_estimator_node.excitation import ChainExaminer
+from fvs_estimator_node.knowledge import NothingYet
+ChainExaminer.findings = lambda self, question: print("careful!", flush=True) or NothingYet()
+worker.main()
+"""
 ANSWERING_3 = """
 import pickle, sys
 pickle.load(sys.stdin.buffer)
@@ -92,6 +100,12 @@ def test_a_process_that_fails_is_a_trouble_told_in_words(make_worker, command, w
     answer = answer_of(worker)
     assert isinstance(answer, Trouble)
     assert words in answer.reason
+
+
+def test_what_a_fit_prints_does_not_get_into_the_answers(make_worker):
+    worker = make_worker(sys.executable, "-c", PRINTING)
+    worker.ask(question())
+    assert answer_of(worker) == NothingYet()
 
 
 def test_a_process_that_never_answers_holds_nothing_up(make_worker):

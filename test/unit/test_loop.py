@@ -5,6 +5,7 @@ import pytest
 
 from fvs_controller_node.config import build_loop, default_values
 from fvs_controller_node.reasons import Reason
+from fvs_ros.core.chain import SerialChain
 
 HOME = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
 DT_S = 0.008
@@ -65,3 +66,33 @@ def test_the_fastest_joint_of_a_robot_is_no_jump(servoing):
     for _ in range(100):
         servoing.joints = servoing.joints + np.pi * DT_S
         assert servoing.tick().reason is not Reason.BAD_INPUT
+
+
+def test_a_chain_that_is_told_no_more_is_used_no_more(servoing):
+    chain = SerialChain(np.eye(6, 3) + 0.1, np.zeros((6, 3)), np.ones(3), HOME)
+    seen = []
+    law = servoing.loop.law
+    asked = law.command
+    law.command = lambda one: (seen.append(one.chain), asked(one))[1]
+    servoing.loop.add_chain(servoing.now_s, chain)
+    servoing.tick()
+    assert seen[-1] is chain
+    for _ in range(round(1.6 / DT_S)):
+        servoing.tick()
+    assert seen[-1] is None
+
+
+def test_a_moving_target_is_tracked_and_the_watch_on_its_error_goes_on(servoing):
+    loop = servoing.loop
+    first = np.array([0.2, 0.1, 1.2])
+    for k in range(12):
+        servoing.tick()
+        assert loop.add_target(first + [0.002 * k, 0.0, 0.0], FRAME, servoing.now_s)[0]
+    servoing.tick()
+    # 2 mm every 8 ms is a quarter of a metre a second: by now it has gone on
+    np.testing.assert_allclose(loop.supervisor.target_m, first + [0.024, 0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(loop.follower.velocity_m_s(servoing.now_s), [0.25, 0, 0], atol=1e-6)
+    stands, text = loop.add_target(np.array([0.0, 0.0, 9.0]), FRAME, servoing.now_s)
+    assert not stands
+    assert "workspace" in text
+    np.testing.assert_allclose(loop.follower.velocity_m_s(servoing.now_s), [0.25, 0, 0], atol=1e-6)

@@ -86,8 +86,8 @@ def test_a_path_at_many_times_is_that_at_each():
 def test_the_joints_keep_out_of_step_in_narrow_boxes_too(half_rad, seed):
     one = motion(seed, joint_range_rad=(half_rad,) * 6)
     rates = np.sort(one.course.rate_rad_s)
-    assert np.diff(rates).min() > 0.02 * rates.mean()
-    assert rates[-1] > 1.2 * rates[0]
+    assert np.diff(rates).min() > 0.04 * rates.mean()
+    assert rates[-1] > 1.5 * rates[0]
     times = np.arange(0.0, 60.0, DT_S)
     velocity = one.path(times)[1]
     assert np.abs(velocity).max() <= 0.65

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +28,7 @@ _TILT = 0.1
 #: In motion the blow comes so long after the target, s.
 STRUCK_AFTER_S = 0.3
 #: To the first target; at rest there after a blow; from the second target on, s.
-_FIRST_S, REST_S, SECOND_S = 2.0, 1.0, 4.0
+_FIRST_S, REST_S, SECOND_S = 1.6, 1.0, 3.5
 _VISIBLE = 0.9
 
 UNDISTURBED, AT_REST, IN_MOTION = "undisturbed", "between two targets", "in mid-motion"
@@ -76,7 +77,7 @@ class Arrival:
 
 
 def draw_journeys(
-    count: int, seed: int, names: tuple[str, ...], conditions: Conditions
+    count: int, seed: int, names: Sequence[str], conditions: Conditions
 ) -> list[Journey]:
     """Draw cases and blows after which the ball is still seen; for each all moments and names.
 
@@ -86,7 +87,7 @@ def draw_journeys(
         How many cases.
     seed : int
         Of the draw.
-    names : tuple of str
+    names : sequence of str
         The contestants.
     conditions : Conditions
         The world.

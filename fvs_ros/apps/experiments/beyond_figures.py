@@ -9,9 +9,8 @@ import numpy as np
 
 from fvs_ros.apps.experiments.beyond_camera import AT_REST, IN_MOTION
 from fvs_ros.apps.experiments.beyond_results import KEPT, Results
-from fvs_ros.apps.experiments.beyond_terms import FOLLOWERS, RACERS, SHAKEN, WORLDS, times_s
+from fvs_ros.apps.experiments.beyond_terms import FOLLOWERS, RACERS, WORLDS, times_s
 from fvs_ros.apps.experiments.beyond_tracking import CIRCLE, LINE
-from fvs_ros.apps.experiments.servo_terms import BASELINES
 from fvs_ros.apps.experiments.style import COLOURS, pyplot, save
 
 _COLOURS = {**COLOURS, "extended": "#E69F00", "best": "#7A1FA2"}
@@ -57,13 +56,13 @@ def races(results: Results, folder: Path) -> str:
     )
     rows = [
         *((name, name, results.races[name]) for name in RACERS),
-        *((f"{name}, as calm as extended", name, results.calmed[name]) for name in BASELINES),
+        *(
+            (f"{name}, as calm by {turned}", name, outcomes)
+            for (turned, name), outcomes in results.calmed.items()
+        ),
     ]
     for place, (_, name, outcomes) in enumerate(rows):
-        over = [
-            min(time / floor, _SLOWEST_FLOORS)
-            for time, floor in zip(times_s(outcomes), results.floors_s, strict=True)
-        ]
+        over = [min(one, _SLOWEST_FLOORS) for one in results.in_floors(outcomes)]
         jitter = [1e3 * one.jitter_rad_s for one in outcomes if np.isfinite(one.jitter_rad_s)]
         for axis, values in ((left, over), (right, jitter)):
             _dots(axis, values, place, _colour(name))
@@ -95,14 +94,14 @@ def camera(results: Results, folder: Path) -> str:
     plt = pyplot()
     figure, axes = plt.subplots(1, 2, figsize=(11.5, 3.8), sharey=True, layout="constrained")
     for axis, moment in zip(axes, (AT_REST, IN_MOTION), strict=True):
-        for place, name in enumerate(SHAKEN):
+        for place, name in enumerate(results.shaken):
             ratios = [min(one, _SLOWEST_RATIO) for one in results.slowdown(moment, name)]
             _dots(axis, ratios, place, _colour(name))
         axis.axvline(KEPT, color="black", linewidth=0.8, linestyle="--")
         axis.set_xlim(right=_SLOWEST_RATIO + 0.1)
         axis.set_title(moment, fontsize=10)
         axis.set_xlabel("settling over that of the undisturbed run")
-    axes[0].set_yticks(range(len(SHAKEN)), SHAKEN)
+    axes[0].set_yticks(range(len(results.shaken)), results.shaken)
     axes[0].invert_yaxis()
     save(figure, folder / "camera.png")
     return "camera.png"
@@ -115,10 +114,10 @@ def worlds(results: Results, folder: Path) -> str:
         2, 1, figsize=(10.5, 5.4), sharex=True, layout="constrained"
     )
     for shift, name in enumerate(FOLLOWERS):
-        for number in range(len(WORLDS)):
+        for place, number in enumerate(results.world_numbers):
             outcomes = results.worlds[number, name]
-            at = number + 0.22 * (shift - 1)
-            label = name if number == 0 else None
+            at = place + 0.22 * (shift - 1)
+            label = name if place == 0 else None
             times = np.minimum(times_s(outcomes), 4.0)
             rests = [1e3 * one.final_rms_m for one in outcomes]
             for axis, values in ((upper, times), (lower, rests)):
@@ -128,9 +127,8 @@ def worlds(results: Results, folder: Path) -> str:
     upper.set_ylabel("to 5 mm, s (4: never)")
     lower.set_ylabel("final rms, mm")
     lower.set_yscale("log")
-    names = [f"{one.kind}\n{one.label}" for one in WORLDS]
-    names[0] = "as usual"
-    lower.set_xticks(range(len(WORLDS)), names)
+    names = [f"{WORLDS[number].kind}\n{WORLDS[number].label}" for number in results.world_numbers]
+    lower.set_xticks(range(len(names)), names)
     upper.set_ylim(bottom=0.0)
     upper.legend()
     save(figure, folder / "worlds.png")

@@ -30,8 +30,8 @@ class Results:
         Least time of each case, s.
     races : dict of str to list of Outcome
         The same cases, by contestant.
-    calmed : dict of str to list of Outcome
-        The same, by the paper's schemes with gains that make them as calm as the extended one.
+    calmed : dict of (str, str) to list of Outcome
+        The same, by what was turned to make the scheme as calm as the extended one, and scheme.
     arrivals : dict of (str, str) to list of Arrival
         Journeys with a camera that is moved, by moment and contestant.
     worlds : dict of (int, str) to list of Outcome
@@ -45,15 +45,29 @@ class Results:
     minutes: Sequence[Learned]
     floors_s: Sequence[float]
     races: dict[str, list[Outcome]]
-    calmed: dict[str, list[Outcome]]
+    calmed: dict[tuple[str, str], list[Outcome]]
     arrivals: dict[tuple[str, str], list[Arrival]]
     worlds: dict[tuple[int, str], list[Outcome]]
     pursuits: list[tuple[Pursuit, Tracked]]
     checks: Sequence[SpotCheck] = ()
 
+    @property
+    def shaken(self) -> list[str]:
+        """Who met a camera that was moved."""
+        return list(dict.fromkeys(name for _, name in self.arrivals))
+
+    @property
+    def world_numbers(self) -> list[int]:
+        """The worlds that were visited."""
+        return list(dict.fromkeys(number for number, _ in self.worlds))
+
     def over_floor(self, name: str) -> list[float]:
         """Settling time over the least time, case by case."""
-        times = times_s(self.races[name])
+        return self.in_floors(self.races[name])
+
+    def in_floors(self, outcomes: Sequence[Outcome]) -> list[float]:
+        """Settling times of the cases over the least time of each."""
+        times = times_s(outcomes)
         return [time / floor for time, floor in zip(times, self.floors_s, strict=True)]
 
     def slowdown(self, moment: str, name: str) -> list[float]:

@@ -6,22 +6,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from fvs_ros.apps.experiments.beyond_calm import FILTER, GAINS
 from fvs_ros.apps.experiments.beyond_camera import AT_REST, IN_MOTION, MOMENTS, UNDISTURBED
 from fvs_ros.apps.experiments.beyond_results import KEPT, Results
 from fvs_ros.apps.experiments.beyond_terms import (
     FOLLOWERS,
-    RACERS,
-    SHAKEN,
     WORLDS,
     times_s,
 )
 from fvs_ros.apps.experiments.beyond_tracking import CIRCLE, LINE
 from fvs_ros.apps.experiments.report import Table
-from fvs_ros.apps.experiments.servo_terms import BASELINES
 from fvs_ros.apps.experiments.spot_check import SpotCheck
 from fvs_ros.apps.experiments.statistics import median
 from fvs_ros.apps.experiments.trials import Conditions, Outcome, seconds
 
+_TURNED = {GAINS: "its gains", FILTER: "its gains and image filter"}
 _SIGMA_M = Conditions.position_noise_m
 
 
@@ -78,19 +77,13 @@ def _minutes(results: Results) -> Table:
 
 
 def _races(results: Results) -> Table:
+    calmed = {
+        f"{name}, as calm by {_TURNED[turned]}": outcomes
+        for (turned, name), outcomes in results.calmed.items()
+    }
     rows = [
-        _race(
-            name,
-            outcomes,
-            [time / floor for time, floor in zip(times_s(outcomes), floors, strict=True)],
-        )
-        for name, outcomes, floors in (
-            *((name, results.races[name], results.floors_s) for name in RACERS),
-            *(
-                (f"{name}, made as calm as extended", results.calmed[name], results.floors_s)
-                for name in BASELINES
-            ),
-        )
+        _race(name, outcomes, results.in_floors(outcomes))
+        for name, outcomes in {**results.races, **calmed}.items()
     ]
     return Table(
         f"{len(results.floors_s)} cases with the same limits; the floor is "
@@ -121,7 +114,7 @@ def _race(name: str, outcomes: Sequence[Outcome], over_floor: Sequence[float]) -
 
 def _camera(results: Results) -> Table:
     rows = []
-    for name in SHAKEN:
+    for name in results.shaken:
         cells = [name]
         for moment in MOMENTS:
             arrivals = results.arrivals[moment, name]
@@ -151,7 +144,8 @@ def _camera(results: Results) -> Table:
 
 def _worlds(results: Results) -> Table:
     rows = []
-    for number, world in enumerate(WORLDS):
+    for number in results.world_numbers:
+        world = WORLDS[number]
         cells = [world.kind, world.label]
         for name in FOLLOWERS:
             outcomes = results.worlds[number, name]

@@ -12,7 +12,7 @@ from fvs_ros.core.schemes import BEYOND, SCHEMES, Scheme
 
 PROPOSED, EXTENDED, BEST = "proposed", "extended", "best"
 ORACLE, FROZEN = "oracle, proportional", "frozen"
-BEST_ORACLE, EXTENDED_ORACLE = "oracle, law of best", "oracle, law of extended"
+BEST_ORACLE = "oracle, law of best"
 
 #: Speed and acceleration limit of every joint, rad/s and rad/s^2; the nodes' defaults.
 SPEED_RAD_S, ACCELERATION_RAD_S2 = 1.0, 6.0
@@ -41,14 +41,13 @@ CONTESTANTS: dict[str, Contestant] = {
         *(_contestant(scheme) for scheme in (*SCHEMES.values(), *BEYOND.values())),
         Contestant(ORACLE, "oracle", "proportional"),
         _contestant(SCHEMES[PROPOSED], FROZEN, "frozen"),
-        _contestant(BEYOND[EXTENDED], EXTENDED_ORACLE, "oracle"),
         _contestant(BEYOND[BEST], BEST_ORACLE, "oracle"),
     )
 }
 #: Who races against the floor, who meets a camera that was moved, and who other worlds and moving
 #: targets.
-RACERS = (*SCHEMES, ORACLE, EXTENDED, BEST)
-SHAKEN = (BEST, EXTENDED, PROPOSED, FROZEN, BEST_ORACLE, EXTENDED_ORACLE)
+RACERS = (*SCHEMES, EXTENDED, BEST, ORACLE)
+SHAKEN = (BEST, EXTENDED, BEST_ORACLE, PROPOSED, FROZEN)
 FOLLOWERS = (PROPOSED, EXTENDED, BEST)
 
 
@@ -71,9 +70,9 @@ class World:
     changes: Mapping[str, Any]
 
 
-_LATENCIES_S, _USUAL_LATENCY_S = (0.0, 0.05, 0.1, 0.2), Conditions.latency_s
+_LATENCIES_S = (0.0, 0.05, 0.1, 0.2)
 _LAGS_S, _NOISES_M = (0.02, 0.05), (0.0002, 0.004)
-USUAL = World("as usual", f"{1e3 * _USUAL_LATENCY_S:g} ms, 0 ms, 1 mm", {})
+USUAL = World("as usual", f"{1e3 * Conditions.latency_s:g} ms, 0 ms, 1 mm", {})
 WORLDS = (
     USUAL,
     *(World("latency", f"{1e3 * one:g} ms", {"latency_s": one}) for one in _LATENCIES_S),

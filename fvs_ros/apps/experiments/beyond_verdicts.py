@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from fvs_ros.apps.experiments.beyond_calm import FILTER, GAINS
 from fvs_ros.apps.experiments.beyond_camera import AT_REST, IN_MOTION
 from fvs_ros.apps.experiments.beyond_minute import Learned
 from fvs_ros.apps.experiments.beyond_results import KEPT, Results
@@ -13,7 +14,6 @@ from fvs_ros.apps.experiments.beyond_terms import (
     BEST,
     BEST_ORACLE,
     EXTENDED,
-    EXTENDED_ORACLE,
     FOLLOWERS,
     WORLDS,
     times_s,
@@ -30,6 +30,8 @@ from fvs_ros.core.schemes import SCHEMES
 BOX_ERROR, WORKSPACE_ERROR, TAUGHT_ERROR, LATE_ERROR_S, FIT_S = 0.005, 0.015, 0.02, 0.003, 5.0
 #: Settling time over the physical floor, and over that of schemes that are as calm.
 OVER_FLOOR, OVER_CALM = 1.15, 0.4
+#: Share of the cases that must settle in each of the other worlds.
+MOST = 0.9
 #: Speed at which tracking is judged, m/s, and what feed-forward must leave of the error.
 TRACKING_M_S, LEFT = 0.1, 1.0 / 3.0
 #: The nodes agree if they settle no later or earlier than lock step by more, median, s.
@@ -42,7 +44,8 @@ def verdicts(results: Results) -> list[Verdict]:
         *_minute(results.minutes),
         _best(results),
         _extended(results),
-        _calm(results),
+        _calm(results, GAINS, "whose gains are searched anew"),
+        _calm(results, FILTER, "whose gains and image filter are searched anew"),
         *(
             _camera(results, moment, name)
             for moment in (AT_REST, IN_MOTION)
@@ -125,17 +128,18 @@ def _extended(results: Results) -> Verdict:
     )
 
 
-def _calm(results: Results) -> Verdict:
+def _calm(results: Results, turned: str, words: str) -> Verdict:
     own = results.races[EXTENDED]
-    parts, words = [], []
+    parts, found = [], []
     for name in BASELINES:
-        ratio = ratio_of_medians(times_s(own), times_s(results.calmed[name]))
+        outcomes = results.calmed[turned, name]
+        ratio = ratio_of_medians(times_s(own), times_s(outcomes))
         parts.append(ratio.below(OVER_CALM))
-        words.append(f"{name} {ratio.text()} at {_jitter(results.calmed[name])}")
+        found.append(f"{name} {ratio.text()} at {_jitter(outcomes)}")
     return Verdict(
-        f"At no more jitter than its own, extended takes at most {100 * OVER_CALM:g} % of the time "
-        "of the paper's other schemes, with gains searched anew for that.",
-        f"Ratio of the settling times to {', '.join(words)} mrad/s; extended is at "
+        f"extended takes at most {OVER_CALM:g} of the time of the paper's other schemes, {words} "
+        "so that they are no more restless than it is.",
+        f"Ratio of the settling times to {', '.join(found)} mrad/s; extended is at "
         f"{_jitter(own)} mrad/s.",
         all_hold(parts),
     )
@@ -148,14 +152,13 @@ def _jitter(outcomes: Sequence) -> str:
 def _camera(results: Results, moment: str, name: str) -> Verdict:
     ratio = median(results.slowdown(moment, name))
     hits, count = results.kept_share(moment, name)
-    truth = {BEST: BEST_ORACLE, EXTENDED: EXTENDED_ORACLE}[name]
-    bound = median(results.slowdown(moment, truth))
-    true_hits, _ = results.kept_share(moment, truth)
+    bound = median(results.slowdown(moment, BEST_ORACLE))
+    true_hits, _ = results.kept_share(moment, BEST_ORACLE)
     return Verdict(
         f"The camera turned by 45° and moved by 10 cm {moment}: {name} takes no longer than "
         f"{KEPT:g} times as long as undisturbed.",
-        f"Ratio {ratio.text()} (median), at most {KEPT:g} in {hits} of {count} cases. With the "
-        f"same law and the true Jacobian, told at once: {bound.text()}, {true_hits} of {count}.",
+        f"Ratio {ratio.text()} (median), at most {KEPT:g} in {hits} of {count} cases. With "
+        f"the true Jacobian, told at once, and the law of best: {bound.text()}, {true_hits} of {count}.",
         ratio.below(KEPT),
     )
 
@@ -163,25 +166,24 @@ def _camera(results: Results, moment: str, name: str) -> Verdict:
 def _worlds(results: Results) -> Verdict:
     parts, words = [], []
     for name in (EXTENDED, BEST):
-        shares = [
-            sum(not one.failure for one in results.worlds[number, name])
-            / len(results.worlds[number, name])
-            for number in range(len(WORLDS))
-        ]
-        worst = int(np.argmin(shares))
-        parts += [share > 0.5 for share in shares]
+        visited = {number: results.worlds[number, name] for number in results.world_numbers}
+        shares = {
+            number: sum(not one.failure for one in ones) / len(ones)
+            for number, ones in visited.items()
+        }
+        worst = min(shares, key=lambda number: shares[number])
+        parts += [share >= MOST for share in shares.values()]
         rests = [
-            float(np.median([one.final_rms_m for one in results.worlds[number, name]]))
-            for number in range(len(WORLDS))
+            1e3 * float(np.median([one.final_rms_m for one in ones])) for ones in visited.values()
         ]
+        where = "each" if shares[worst] == 1.0 else f"{WORLDS[worst].kind} {WORLDS[worst].label}"
         words.append(
-            f"{name} settles in at least {100 * shares[worst]:.0f} % of the cases of each "
-            f"({WORLDS[worst].kind} {WORLDS[worst].label} is the worst) and rests within "
-            f"{1e3 * min(rests):.2f} to {1e3 * max(rests):.2f} mm rms"
+            f"{name} settles in {100 * shares[worst]:.0f} % of the cases of {where} (the fewest) "
+            f"and rests within {min(rests):.2f} to {max(rests):.2f} mm rms"
         )
     return Verdict(
         "One set of gains does for latencies up to 200 ms, joint lags up to 50 ms, and noise from "
-        "0.2 to 4 mm: extended and best settle to 5 mm in most cases of each.",
+        "0.2 to 4 mm: extended and best settle to 5 mm in nine of ten cases of each at least.",
         f"{'; '.join(words)}.",
         all(parts),
     )

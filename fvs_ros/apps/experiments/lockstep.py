@@ -115,7 +115,7 @@ class LockStep:
         self._learn(self.pairing.add_joints(now_s, out.joints_rad))
         self.loop.add_jacobian(now_s, self.estimator.jacobian(out.joints_rad))
         if isinstance(self.estimator, PoeEstimator):
-            self.loop.add_chain(self.estimator.chain)
+            self.loop.add_chain(now_s, self.estimator.chain)
         if now_s >= self._next_quality_s and self.monitor.ratio is not None:
             self.loop.supervisor.estimator_quality(now_s, self.monitor.ratio)
             self._next_quality_s = now_s + _QUALITY_PERIOD_S
