@@ -46,7 +46,8 @@ def calm(context: Context, cases: Sequence[Case]) -> dict[tuple[str, str], Found
     limit = Limit("jitter_rad_s", jitter_rad_s)
     regimes = [
         Regime(name, "", "", LIMITS, limit, DURATION_S, _REST_S, knobs)
-        for name, knobs in ((GAINS, ()), (FILTER, REGIMES[-1].knobs))
+        for name, knobs in ((FILTER, REGIMES[-1].knobs), (GAINS, ()))
+        if name == FILTER or not context.quick
     ]
     keys = [(regime, name) for regime in regimes for name in BASELINES]
     found = run_searches(
@@ -55,7 +56,7 @@ def calm(context: Context, cases: Sequence[Case]) -> dict[tuple[str, str], Found
         cases,
         _TUNING,
         generations=1 if context.quick else 6,
-        population=2 if context.quick else 8,
+        population=4 if context.quick else 8,
         seed=_SEARCH_SEED,
     )
     return {(regime.name, name): one for (regime, name), one in zip(keys, found, strict=True)}
