@@ -131,7 +131,7 @@ class ServoLoop:
         stamp_s : float
             When it was there, on the clock of the joint states, s; 0 for now.
         """
-        moving = self.follower.expects(position_m)
+        moving = self.follower.expects(position_m, stamp_s, self._stamp_s)
         accepted, text = self.supervisor.target(position_m, frame, moving=moving)
         if accepted:
             self._moves += 1

@@ -158,14 +158,15 @@ class ControllerNode(ros.FvsNode):
         echo = stamped or now_s - self._heard_target_s < _TARGET_ECHO_S
         if heard == self._heard_target and echo:
             return
+        seldom = now_s - self._heard_target_s > _TARGET_ECHO_S
         self._heard_target, self._heard_target_s = heard, now_s
-        position_m = np.array([point.x, point.y, point.z])
-        moving = self._loop.follower.expects(position_m)
         accepted, text = self._loop.add_target(
-            position_m, message.header.frame_id, ros.from_stamp(stamp)
+            np.array([point.x, point.y, point.z]),
+            message.header.frame_id,
+            ros.from_stamp(stamp),
         )
         self._refusal = "" if accepted else text
-        if not (accepted and moving):  # a target on its way would fill the log
+        if seldom or not accepted:  # a target on its way would fill the log
             self.tell(ros.OK if accepted else ros.WARN, text)
 
     def _take_current_as_target(self) -> tuple[bool, str]:

@@ -59,6 +59,11 @@ class Progress:
         self._mark_m = float("inf")  # the best error when progress was last made
         self._since_mark_s = 0.0
 
+    def target_moved(self, distance_m: float) -> None:
+        """Tell that the target has moved: so much of the error is not the arm's doing, m."""
+        self._best_m += distance_m
+        self._mark_m += distance_m
+
     @property
     def best_m(self) -> float:
         """Least smoothed error since the start, m."""

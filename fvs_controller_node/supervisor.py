@@ -209,18 +209,26 @@ class Supervisor:
                 f"target refused: {', '.join(outside)} (workspace_min_m and workspace_max_m, "
                 f"in {frame})"
             )
-        # The same target said again, or a little further on its way, is no new task: the watch
-        # on growing errors goes on.
-        told = self._told_target
-        if told is None or not (moving or np.array_equal(target, told)):
+        # The same target said again is no new task, nor is one on its way: the watch on growing
+        # errors goes on.
+        if moving and self._target is not None:
+            self._move_target(target)
+        elif self._told_target is None or not np.array_equal(target, self._told_target):
             self._progress.restart()
-        self._target = self._told_target = target
+            self._target = target
+        self._told_target = target
         return True, "target set to ({:.3f}, {:.3f}, {:.3f}) m".format(*target.tolist())
 
     def track(self, position_m: np.ndarray) -> None:
         """Tell where a target that was accepted is by now, m, (3,); not outside the workspace."""
         if self._target is not None and not self._outside(position_m):
-            self._target = position_m
+            self._move_target(position_m)
+
+    def _move_target(self, position_m: np.ndarray) -> None:
+        assert self._target is not None
+        way = position_m - self._target
+        self._progress.target_moved(float(way @ way) ** 0.5)
+        self._target = position_m
 
     def program_running(self, running: bool) -> None:
         """Tell whether the robot's program runs."""

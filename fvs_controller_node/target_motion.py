@@ -65,20 +65,18 @@ class TargetMotion:
         self._updates.append((now_s, np.array(position_m, dtype=float)))
         self._curve = None
 
-    def continues(self, position_m: np.ndarray) -> bool:
-        """Whether a position is near enough to the last for a target on its way, m, (3,)."""
+    def continues(self, position_m: np.ndarray, now_s: float) -> bool:
+        """Whether a position, m, (3,), at a time, s, is of a target on its way."""
         if not self._updates:
             return False
-        return float(np.linalg.norm(position_m - self._updates[-1][1])) < _JUMP_M
+        last_s, last = self._updates[-1]
+        soon = 0.0 < now_s - last_s < _MAX_GAP_S
+        return soon and float(np.linalg.norm(position_m - last)) < _JUMP_M
 
     def update(self, position_m: np.ndarray, now_s: float) -> bool:
         """Take the target's position at a time, s; whether that goes on with a motion."""
         position = np.array(position_m, dtype=float)
-        if not self._updates:
-            self.restart(position, now_s)
-            return False
-        last_s = self._updates[-1][0]
-        if not 0.0 < now_s - last_s < _MAX_GAP_S or not self.continues(position):
+        if not self.continues(position, now_s):
             self.restart(position, now_s)
             return False
         self._updates.append((now_s, position))
@@ -143,14 +141,15 @@ class TargetFollower:
         TargetMotion(window_s)  # refuses what does not fit
         self._motion.window_s, self._enabled, self._inverse = window_s, enabled, inverse
 
-    def expects(self, position_m: np.ndarray) -> bool:
+    def expects(self, position_m: np.ndarray, stamp_s: float, now_s: float) -> bool:
         """Whether a target there would go on with the motion rather than be another one."""
-        return self._motion.continues(np.asarray(position_m, dtype=float))
+        return self._motion.continues(
+            np.asarray(position_m, dtype=float), _on_own_clock(stamp_s, now_s)
+        )
 
     def update(self, position_m: np.ndarray, stamp_s: float, now_s: float) -> None:
         """Take a target that was there at a stamp; one from another clock counts from now, s."""
-        own_clock = abs(stamp_s - now_s) < _OWN_CLOCK_S
-        self._motion.update(position_m, stamp_s if own_clock else now_s)
+        self._motion.update(position_m, _on_own_clock(stamp_s, now_s))
 
     def at(self, now_s: float) -> Target | None:
         """The target now, s; None before the first, and for one that is told to stand."""
@@ -169,3 +168,8 @@ class TargetFollower:
         if not velocity_m_s.any():
             return np.zeros(N_JOINTS)
         return self._inverse.joint_velocity(jacobian, velocity_m_s, joints_rad)
+
+
+def _on_own_clock(stamp_s: float, now_s: float) -> float:
+    """The stamp, or now if the stamp is of another clock, s."""
+    return stamp_s if abs(stamp_s - now_s) < _OWN_CLOCK_S else now_s

@@ -164,3 +164,22 @@ def test_a_jacobian_of_the_wrong_sign_is_held_though_the_target_moves():
     )
     assert run.states[-1] == "ERROR_GROWING"
     assert not run.command[-1].any()
+
+
+@pytest.mark.parametrize("values", [{}, ADDITIONS])
+def test_a_target_that_is_dragged_faster_than_the_arm_is_followed_when_it_stops(values):
+    def dragged(time_s):
+        return CENTRE_M + np.array([0.1, 0.05, 0.0]) * min(time_s, 2.0)
+
+    slow = {"max_joint_velocity_rad_s": 0.1, "max_joint_acceleration_rad_s2": 1.0}
+    run = servo(
+        HOME_RAD,
+        HOME_RAD,
+        seed=1,
+        values={**values, **slow},
+        duration_s=8.0,
+        target_of=dragged,
+    )
+    assert set(run.states) <= {"SERVOING", "SETTLED"}
+    assert run.error_m.max() > 0.05
+    assert run.error_m[-1] < 0.005

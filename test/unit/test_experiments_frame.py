@@ -26,7 +26,7 @@ from fvs_ros.apps.experiments.report import (
 )
 from fvs_ros.apps.experiments.search import Found, Knob, Limit, Search, run_searches
 from fvs_ros.apps.experiments.servo_terms import REGIMES, search_of
-from fvs_ros.apps.experiments.spot_check import Chain, SpotCheck, scenario_of
+from fvs_ros.apps.experiments.spot_check import Chain, SpotCheck, run_chain, scenario_of
 from fvs_ros.apps.experiments.statistics import (
     Interval,
     all_hold,
@@ -375,6 +375,19 @@ def test_the_spot_checks_scenario_is_one(tmp_path):
     exact = Chain(Trial(case, "rbf", "ftsm", conditions=EXACT), HOME, chain.targets_m, 4)
     with pytest.raises(ValueError, match="rendered"):
         scenario_of(exact, tmp_path)
+
+
+def test_the_spot_check_knows_the_fitted_chain():
+    from fvs_sim_node.simulation import Simulation
+
+    (case,) = make_cases("T", 1, 11)
+    with Simulation(EXACT.sim_config()) as simulation:
+        simulation.reset(case.goal_rad)
+        target = tuple(simulation.true_ball_position().tolist())
+    trial = Trial(case, "poe", "arrive", conditions=EXACT)
+    (settled_s,) = run_chain(Chain(trial, case.start_rad, (target,), case.seed))
+    assert settled_s is not None
+    assert settled_s < 1.5
 
 
 def test_the_shift_of_the_nodes_is_seen_through_the_noise():

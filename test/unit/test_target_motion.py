@@ -94,6 +94,14 @@ def test_a_stamp_of_another_clock_counts_from_now():
     np.testing.assert_allclose(follower.at(0.3).velocity_m_s, VELOCITY, atol=1e-6)
 
 
+def test_a_small_step_after_a_while_is_a_new_target():
+    follower = TargetFollower()
+    follower.update(START, 1.0, 1.0)
+    assert follower.expects(START + 0.01, 1.1, 1.1)
+    assert not follower.expects(START + 0.01, 3.0, 3.0)
+    assert not follower.expects(START + 0.1, 1.1, 1.1)
+
+
 def test_a_window_that_is_none_is_refused():
     with pytest.raises(ValueError, match="target_window_s"):
         TargetMotion(0.0)

@@ -129,8 +129,8 @@ def worlds(results: Results, folder: Path) -> str:
     lower.set_yscale("log")
     names = [f"{WORLDS[number].kind}\n{WORLDS[number].label}" for number in results.world_numbers]
     lower.set_xticks(range(len(names)), names)
-    upper.set_ylim(bottom=0.0)
-    upper.legend()
+    upper.set_ylim(0.0, 1.1 * upper.get_ylim()[1])
+    figure.legend(*upper.get_legend_handles_labels(), loc="outside upper center", ncol=3)
     save(figure, folder / "worlds.png")
     return "worlds.png"
 
