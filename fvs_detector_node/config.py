@@ -113,6 +113,15 @@ PARAMETERS = (
         live=True,
     ),
     Parameter(
+        "stamp_delay_s",
+        0.0,
+        "the camera stamps its images so long after their exposure: the ball's stamp is put back "
+        "by it; fvs_train finds it",
+        minimum=-0.5,
+        maximum=0.5,
+        live=True,
+    ),
+    Parameter(
         "depth_unit_m",
         0.001,
         "unit of depth images of whole numbers (16UC1); 32FC1 is always in metres",

@@ -199,11 +199,13 @@ class DetectorNode(ros.FvsNode):
         if sighting.detection is None or sighting.problem:
             return
         position_m = sighting.detection.position_m
-        message = ros.to_point(pair.stamp_s, pair.colour.header.frame_id, position_m)
-        message.header.stamp = pair.colour.header.stamp  # to the nanosecond, as it came
+        exposed_s = pair.stamp_s - self.values["stamp_delay_s"]
+        message = ros.to_point(exposed_s, pair.colour.header.frame_id, position_m)
+        if exposed_s == pair.stamp_s:
+            message.header.stamp = pair.colour.header.stamp  # to the nanosecond, as it came
         self._ball.publish(message)
         self._published.arrived(self.steady_s())
-        self._latency_s = self.ros_s() - pair.stamp_s
+        self._latency_s = self.ros_s() - exposed_s
 
     def _publish_annotated(
         self, pair: Pair[_Picture, _Picture], camera: CameraModel, sighting: Sighting

@@ -85,6 +85,21 @@ class DataSet:
         return len(self.stamps_s)
 
 
+#: Offsets of the images' stamps below this are not worth a word, s.
+_NOTABLE_OFFSET_S = 0.003
+
+
+def late_stamps_note(offset_s: float) -> str:
+    """What to say of images that are stamped late (or early, if negative), s; empty if nothing."""
+    if abs(offset_s) <= _NOTABLE_OFFSET_S:
+        return ""
+    return (
+        f"the images show the joints of {1e3 * abs(offset_s):.0f} ms "
+        f"{'before' if offset_s > 0.0 else 'after'} their stamps; corrected here, but the loop "
+        f"needs it, too: add {offset_s:.3f} to stamp_delay_s of fvs_detector_node"
+    )
+
+
 def save_data_set(path: str | os.PathLike[str], data: DataSet) -> None:
     """Write a data set in one piece."""
     write_npz(

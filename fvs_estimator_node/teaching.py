@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fvs_estimator_node.chain_fit import STILL_RAD, ChainFit, fit_chain
-from fvs_estimator_node.dataset import DataSet
+from fvs_estimator_node.dataset import DataSet, late_stamps_note
 from fvs_estimator_node.model_file import TrainedModel
 from fvs_estimator_node.rbf import N_FEATURES, RbfModel, rbf_features
 from fvs_ros.core.chain import SerialChain
@@ -33,8 +33,6 @@ _BALL_SAMPLES = 500
 MISFIT_LIMIT, UNEXPLAINED_LIMIT_M = 1.3, 0.001
 #: A Jacobian known worse than this, in the median over the box, is worth a word.
 _DOUBTFUL = 0.01
-#: Offsets of the images' stamps below this are not worth a word, s.
-_NOTABLE_OFFSET_S = 0.003
 #: Images that do not fit are not worth a word up to this share.
 _NOTABLE_OUTLIERS = 0.01
 
@@ -236,12 +234,9 @@ def _notes(fit: ChainFit, deviation: float, data: DataSet) -> tuple[str, ...]:
             f"the Jacobian is known to {100.0 * deviation:.1f} % only; collect longer or in a "
             "wider box"
         )
-    if abs(fit.time_offset_s) > _NOTABLE_OFFSET_S:
-        side = "before" if fit.time_offset_s > 0.0 else "after"
-        notes.append(
-            f"the images show the joints of {1e3 * abs(fit.time_offset_s):.0f} ms {side} their "
-            "stamps; corrected here, but better mended where they are stamped"
-        )
+    late = late_stamps_note(fit.time_offset_s)
+    if late:
+        notes.append(late)
     if fit.outliers > _NOTABLE_OUTLIERS * fit.samples:
         notes.append(f"{fit.outliers} of {fit.samples} images do not fit")
     return tuple(notes)

@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.dataset import DataSet
+from fvs_estimator_node.dataset import DataSet, late_stamps_note
 from fvs_estimator_node.model_file import TrainedModel
 from fvs_estimator_node.rbf import N_FEATURES, RbfModel, rbf_features
 from fvs_estimator_node.reference import reference_jacobian
@@ -37,7 +37,6 @@ METHODS = ("varpro", "ridge")
 MIN_SAMPLES = 60
 REFERENCE_IMAGES = 1200
 BALL_SAMPLES = 500
-NOTABLE_OFFSET_S = 0.003
 _MAX_OFFSET_S = 0.2
 _ALIGNMENTS = 4
 _SHORTEST_RUN = 30
@@ -624,12 +623,9 @@ class _Training:
             notes.append(
                 f"{', '.join(still)} did not move in the data set: their columns are not learned"
             )
-        if abs(offset_s) > NOTABLE_OFFSET_S:
-            notes.append(
-                f"the images show the joints of {1e3 * abs(offset_s):.0f} ms "
-                f"{'before' if offset_s > 0.0 else 'after'} their stamps; corrected here, but "
-                "better mended where they are stamped"
-            )
+        late = late_stamps_note(offset_s)
+        if late:
+            notes.append(late)
         if outliers:
             notes.append(f"{outliers} of {len(self._data)} images do not fit and were left out")
         return tuple(notes)

@@ -257,8 +257,9 @@ def test_a_blow_after_which_nobody_arrives_is_infinitely_slow():
     assert results().kept_share(AT_REST, BEST) == (COUNT, COUNT)
 
 
+@pytest.mark.timeout(240)
 def test_a_quick_run_makes_a_complete_page(tmp_path):
-    context = Context(tmp_path, quick=True, rendered=False, nodes=False)
+    context = Context(tmp_path, jobs=2, quick=True, rendered=False, nodes=False)
     report = beyond.run(context)
     write_report(report, context.folder("beyond"), Origin("test", "", "", True))
     page = write_page(tmp_path).read_text(encoding="utf-8")

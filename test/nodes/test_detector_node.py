@@ -194,6 +194,15 @@ def test_images_arrive_whatever_the_publishers_reliability(ros_test, qos):
     assert float(values["processing_ms"]) > 0.0
 
 
+def test_late_stamps_are_put_back(ros_test):
+    watched = Watched(ros_test)
+    camera = PlayedCamera(ros_test)
+    ros_test.start_node(NODE, stamp_delay_s=0.08)
+    last = watched.wait_for_balls()[-1]
+    behind_s = (camera._stamp_s - ros.from_stamp(last.header.stamp)) % camera.period_s
+    assert behind_s == pytest.approx(0.08 % camera.period_s, abs=1e-5)
+
+
 @pytest.mark.parametrize("encoding", ["16UC1", "32FC1"])
 def test_compressed_images(ros_test, encoding):
     watched = Watched(ros_test)

@@ -51,6 +51,10 @@ class Results:
     pursuits: list[tuple[Pursuit, Tracked]]
     checks: Sequence[SpotCheck] = ()
 
+    def calmed_by(self, turned: str) -> dict[str, list[Outcome]]:
+        """The schemes that were made calm by turning this, with their runs."""
+        return {name: ones for (by, name), ones in self.calmed.items() if by == turned}
+
     @property
     def shaken(self) -> list[str]:
         """Who met a camera that was moved."""

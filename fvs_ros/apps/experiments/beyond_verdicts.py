@@ -20,7 +20,6 @@ from fvs_ros.apps.experiments.beyond_terms import (
 )
 from fvs_ros.apps.experiments.beyond_tracking import CIRCLE, LINE
 from fvs_ros.apps.experiments.report import Verdict
-from fvs_ros.apps.experiments.servo_terms import BASELINES
 from fvs_ros.apps.experiments.spot_check import SpotCheck
 from fvs_ros.apps.experiments.statistics import DECISIVE, all_hold, median, ratio_of_medians
 from fvs_ros.core.schemes import SCHEMES
@@ -46,11 +45,7 @@ def verdicts(results: Results) -> list[Verdict]:
         *_minute(results.minutes),
         _best(results),
         _extended(results),
-        *(
-            _calm(results, turned)
-            for turned in _SEARCHED
-            if (turned, BASELINES[0]) in results.calmed
-        ),
+        *(_calm(results, turned) for turned in _SEARCHED if results.calmed_by(turned)),
         *(
             _camera(results, moment, name)
             for moment in (AT_REST, IN_MOTION)
@@ -136,8 +131,7 @@ def _extended(results: Results) -> Verdict:
 def _calm(results: Results, turned: str) -> Verdict:
     own = results.races[EXTENDED]
     parts, found = [], []
-    for name in BASELINES:
-        outcomes = results.calmed[turned, name]
+    for name, outcomes in results.calmed_by(turned).items():
         ratio = ratio_of_medians(times_s(own), times_s(outcomes))
         parts.append(ratio.below(OVER_CALM))
         found.append(f"{name} {ratio.text()} at {_jitter(outcomes)}")
