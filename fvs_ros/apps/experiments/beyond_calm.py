@@ -57,7 +57,7 @@ def calm(context: Context, cases: Sequence[Case]) -> dict[tuple[str, str], Found
         cases,
         _TUNING,
         generations=1 if context.quick else 6,
-        population=2 if context.quick else 8,
+        population=4 if context.quick else 8,
         seed=_SEARCH_SEED,
     )
     return {(regime.name, name): one for (regime, name), one in zip(keys, found, strict=True)}
