@@ -453,4 +453,6 @@ def _predictor_settings(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _follower_settings(values: Mapping[str, Any]) -> tuple[float, bool, Inverse]:
-    return values["target_window_s"], values["target_feed_forward"], make_inverse(values)
+    # The law pulls towards the posture already.
+    inverse = make_inverse({**values, "posture_gain_1_s": 0.0})
+    return values["target_window_s"], values["target_feed_forward"], inverse

@@ -256,9 +256,10 @@ class FtsmLaw(ControlLaw):
 
     def settling_bound_s(self, error_m: np.ndarray) -> float | None:
         """Eqs. (36)-(39) as corrected: reaching plus sliding time of the slowest axis."""
-        if self.discretisation == LITERAL or float(np.abs(error_m).max()) >= 1.0:
+        errors = _toward(error_m) @ error_m if self.path == STRAIGHT else error_m
+        if self.discretisation == LITERAL or float(np.abs(errors).max()) >= 1.0:
             return None
-        times = settling_times(error_m.tolist(), [0.0] * len(error_m), self.surface, self.reaching)
+        times = settling_times(errors.tolist(), [0.0] * len(errors), self.surface, self.reaching)
         return max(one.total_s for one in times)
 
     def command(self, control_input: ControlInput) -> ControlOutput:

@@ -12,7 +12,7 @@ from math import inf, pi
 import numpy as np
 
 from fvs_controller_node.anticipation import Anticipation
-from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
+from fvs_controller_node.base import N_AXES, ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.drive_lag import DriveLag
 from fvs_controller_node.predictor import BallPredictor
 from fvs_controller_node.reasons import State
@@ -64,6 +64,7 @@ class ServoLoop:
         self._chain_s = -inf
         self._stamp_s = 0.0
         self._moves = 0  # of the target
+        self._target_m_s = np.zeros(N_AXES)
         self._joint_stamps, self._ball_stamps = StampGate(), StampGate()
         self._joints: np.ndarray | None = None
         self._heard_joints: tuple[float, np.ndarray | None] = (0.0, None)
@@ -171,8 +172,8 @@ class ServoLoop:
         if now_s - self._chain_s > _CHAIN_MAX_AGE_S:
             self._chain = None  # who told it is gone, or has another method now
         aim = self.follower.at(self._stamp_s)
-        if aim is not None:
-            self.supervisor.track(aim.position_m)
+        moves = aim is not None and self.supervisor.track(aim.position_m)
+        self._target_m_s = aim.velocity_m_s if aim is not None and moves else np.zeros(N_AXES)
         command = self.supervisor.tick(
             now_s,
             dt_s,
@@ -206,10 +207,10 @@ class ServoLoop:
         self._drive_lag.add(
             self._stamp_s, applied, self._joints, compare=self.supervisor.full_speed
         )
-        target_m_s = self.follower.velocity_m_s(self._stamp_s)
+        target_m_s = self._target_m_s
         if target_m_s.any():
             self._moves += 1
-        ahead = self.follower.feed_forward(self._stamp_s, self._jacobian, self._joints)
+        ahead = self.follower.feed_forward(target_m_s, self._jacobian, self._joints)
         told = ControlInput(
             error_m,
             self._jacobian,

@@ -156,8 +156,7 @@ class ControllerNode(ros.FvsNode):
         # stamp, as `ros2 topic pub` sends it, only the quick echo is told from a new wish.
         stamped = bool(stamp.sec or stamp.nanosec)
         echo = stamped or now_s - self._heard_target_s < _TARGET_ECHO_S
-        if heard == self._heard_target and echo:
-            return
+        again = heard == self._heard_target and echo
         seldom = now_s - self._heard_target_s > _TARGET_ECHO_S
         self._heard_target, self._heard_target_s = heard, now_s
         accepted, text = self._loop.add_target(
@@ -165,6 +164,8 @@ class ControllerNode(ros.FvsNode):
             message.header.frame_id,
             ros.from_stamp(stamp),
         )
+        if again:  # said again, a moving target has stopped: that is all
+            return
         self._refusal = "" if accepted else text
         if seldom or not accepted:  # a target on its way would fill the log
             self.tell(ros.OK if accepted else ros.WARN, text)

@@ -119,9 +119,11 @@ class BallPredictor:
         age_s = newest - self._seen_stamp_s
         if abs(age_s) > self._max_latency_s:
             side = "older" if age_s > 0.0 else "newer"
+            lost = "is the ball in view? Else " if age_s > 0.0 else ""
             return (
                 f"the newest ball_position is stamped {abs(age_s):.2f} s {side} than the newest "
-                "joint_states; check that both machines' clocks agree (NTP), and use_sim_time"
+                f"joint_states; {lost}check that both machines' clocks agree (NTP), and "
+                "use_sim_time"
             )
         if self._stamp_s is None:
             return "no ball_position has joint states around its exposure time yet"

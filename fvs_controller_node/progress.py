@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 #: Time constant of the low pass on the error norm, s.
 _SMOOTHING_S = 0.1
 
@@ -56,13 +58,10 @@ class Progress:
         self._best_m = float("inf")
         self._up_s = 0.0
         self._near_s = 0.0
+        self._best_target: np.ndarray | None = None  # where the target was then, m
         self._mark_m = float("inf")  # the best error when progress was last made
+        self._mark_target: np.ndarray | None = None
         self._since_mark_s = 0.0
-
-    def target_moved(self, distance_m: float) -> None:
-        """Tell that the target has moved: so much of the error is not the arm's doing, m."""
-        self._best_m += distance_m
-        self._mark_m += distance_m
 
     @property
     def best_m(self) -> float:
@@ -89,8 +88,27 @@ class Progress:
         """Whether the error has been large for too long without getting smaller."""
         return self._since_mark_s >= self.limits.stall_time_s
 
-    def add(self, error_m: float, dt_s: float, servoing: bool) -> None:
-        """Tell the norm of the error at a tick, m; growth and stall count while servoing only."""
+    def add(
+        self,
+        error_m: float,
+        dt_s: float,
+        servoing: bool,
+        target_m: np.ndarray | None = None,
+    ) -> None:
+        """Tell a tick.
+
+        Parameters
+        ----------
+        error_m : float
+            Norm of the error, m.
+        dt_s : float
+            Time since the last tick, s.
+        servoing : bool
+            Whether the law is in charge: growth and stall count then only.
+        target_m : ndarray, shape (3,), optional
+            Where the target is, m: as far as it has gone from where it was at the best, a larger
+            error is not the arm's doing.
+        """
         if self._smooth_m is None:
             self._smooth_m = error_m
         self._smooth_m += (error_m - self._smooth_m) * dt_s / (dt_s + _SMOOTHING_S)
@@ -98,15 +116,27 @@ class Progress:
         self._near_s = self._near_s + dt_s if near else 0.0
         if not servoing:
             return  # the times stand still: a short gap in the inputs must not forgive what was
-        self._best_m = min(self._best_m, self._smooth_m)
+        best_m = self._best_m + _apart(target_m, self._best_target)
+        if self._smooth_m < best_m:
+            self._best_m, self._best_target = self._smooth_m, target_m
+            best_m = self._smooth_m
         up = (
-            self._smooth_m > self.limits.growth_factor * self._best_m
-            and self._smooth_m > self._best_m + self.limits.growth_m
+            self._smooth_m > self.limits.growth_factor * best_m
+            and self._smooth_m > best_m + self.limits.growth_m
         )
         self._up_s = self._up_s + dt_s if up else 0.0
-        if self._best_m < (1.0 - _PROGRESS_SHARE) * self._mark_m:
-            self._mark_m, self._since_mark_s = self._best_m, 0.0
+        mark_m = self._mark_m + _apart(target_m, self._mark_target)
+        if best_m < (1.0 - _PROGRESS_SHARE) * mark_m:
+            self._mark_m, self._mark_target, self._since_mark_s = best_m, target_m, 0.0
         elif self._smooth_m > self.limits.stall_error_m:
             self._since_mark_s += dt_s
         else:
             self._since_mark_s = 0.0
+
+
+def _apart(one: np.ndarray | None, other: np.ndarray | None) -> float:
+    """Distance of two places, m; zero where one is not known."""
+    if one is None or other is None:
+        return 0.0
+    way = one - other
+    return float(way @ way) ** 0.5

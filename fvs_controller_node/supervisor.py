@@ -211,24 +211,24 @@ class Supervisor:
             )
         # The same target said again is no new task, nor is one on its way: the watch on growing
         # errors goes on.
-        if moving and self._target is not None:
-            self._move_target(target)
-        elif self._told_target is None or not np.array_equal(target, self._told_target):
+        again = self._told_target is not None and np.array_equal(target, self._told_target)
+        if not (moving or again):
             self._progress.restart()
-            self._target = target
-        self._told_target = target
+        self._target = self._told_target = target
         return True, "target set to ({:.3f}, {:.3f}, {:.3f}) m".format(*target.tolist())
 
-    def track(self, position_m: np.ndarray) -> None:
-        """Tell where a target that was accepted is by now, m, (3,); not outside the workspace."""
-        if self._target is not None and not self._outside(position_m):
-            self._move_target(position_m)
+    def track(self, position_m: np.ndarray) -> bool:
+        """Tell where a target that was accepted is by now, m, (3,).
 
-    def _move_target(self, position_m: np.ndarray) -> None:
-        assert self._target is not None
-        way = position_m - self._target
-        self._progress.target_moved(float(way @ way) ** 0.5)
+        Returns
+        -------
+        bool
+            False outside the workspace: the target stays where it was.
+        """
+        if self._target is None or self._outside(position_m):
+            return False
         self._target = position_m
+        return True
 
     def program_running(self, running: bool) -> None:
         """Tell whether the robot's program runs."""
@@ -661,7 +661,7 @@ class Supervisor:
         error = self.error_m
         if error is not None:
             norm = float(error @ error) ** 0.5
-            self._progress.add(norm, dt_s, servoing=self._last.state is State.SERVOING)
+            self._progress.add(norm, dt_s, self._last.state is State.SERVOING, self._target)
 
     @property
     def error_m(self) -> np.ndarray | None:

@@ -22,6 +22,8 @@ _LEAST, _CURVED = 3, 5
 _MAX_GAP_S = 0.25
 #: No target goes further than this between two updates: it is another one, m.
 _JUMP_M = 0.05
+#: No target that an arm could go along with is faster, m/s.
+_FASTEST_M_S = 1.0
 #: A stamp further than this from the joint states' is of another clock, s.
 _OWN_CLOCK_S = 0.2
 
@@ -70,7 +72,7 @@ class TargetMotion:
         if not self._updates:
             return False
         last_s, last = self._updates[-1]
-        soon = 0.0 < now_s - last_s < _MAX_GAP_S
+        soon = -_OWN_CLOCK_S < now_s - last_s < _MAX_GAP_S
         return soon and float(np.linalg.norm(position_m - last)) < _JUMP_M
 
     def update(self, position_m: np.ndarray, now_s: float) -> bool:
@@ -79,6 +81,9 @@ class TargetMotion:
         if not self.continues(position, now_s):
             self.restart(position, now_s)
             return False
+        # Joint states, whose stamps may be the clock, can be rarer than updates.
+        if now_s <= self._updates[-1][0]:
+            now_s = self._updates.pop()[0]
         self._updates.append((now_s, position))
         while now_s - self._updates[0][0] > self.window_s and len(self._updates) > _CURVED:
             self._updates.popleft()
@@ -106,13 +111,16 @@ class TargetMotion:
         last_s, last = self._updates[-1]
         since_s = now_s - last_s
         curve = self._curve
-        if curve is None or not 0.0 <= since_s < _MAX_GAP_S:
+        # A target stamped a little ahead of the joint states is looked back at.
+        if curve is None or not -_OWN_CLOCK_S < since_s < _MAX_GAP_S:
             return Target(last.copy(), np.zeros(3))
         velocity = curve[1].copy()
         position = curve[0] + since_s * velocity
         if len(curve) > 2:
             position += since_s**2 * curve[2]
             velocity += 2.0 * since_s * curve[2]
+        if float(velocity @ velocity) > _FASTEST_M_S**2:
+            return Target(last.copy(), np.zeros(3))
         return Target(position, velocity)
 
 
@@ -155,16 +163,10 @@ class TargetFollower:
         """The target now, s; None before the first, and for one that is told to stand."""
         return self._motion.at(now_s) if self._enabled else None
 
-    def velocity_m_s(self, now_s: float) -> np.ndarray:
-        """Velocity of the target, m/s, shape (3,); zero for one that stands."""
-        target = self.at(now_s)
-        return np.zeros(3) if target is None else target.velocity_m_s
-
     def feed_forward(
-        self, now_s: float, jacobian: np.ndarray, joints_rad: np.ndarray
+        self, velocity_m_s: np.ndarray, jacobian: np.ndarray, joints_rad: np.ndarray
     ) -> np.ndarray:
-        """Joint velocities that go along with the target, rad/s, shape (6,)."""
-        velocity_m_s = self.velocity_m_s(now_s)
+        """Joint velocities that go along with a target's velocity, m/s, (3,); rad/s, shape (6,)."""
         if not velocity_m_s.any():
             return np.zeros(N_JOINTS)
         return self._inverse.joint_velocity(jacobian, velocity_m_s, joints_rad)

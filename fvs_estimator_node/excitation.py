@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from fvs_estimator_node.chain_chart import N_COORDINATES, Chart, residuals_and_slopes
-from fvs_estimator_node.chain_fit import ChainFit, ChainFitError, fit_chain
+from fvs_estimator_node.chain_fit import ChainFit, fit_chain
 from fvs_estimator_node.collecting import data_set_of
 from fvs_estimator_node.knowledge import Findings, NothingYet, Question
 from fvs_estimator_node.motion import Course, RandomMotion
@@ -40,7 +40,7 @@ class ChainExaminer:
         try:
             fit = fit_chain(data_set_of(self._samples))
             deviation = float(np.median(fit.jacobian_deviation(places)))
-        except (ChainFitError, np.linalg.LinAlgError):
+        except ValueError:  # no chain yet, or numbers too bad for linear algebra
             return NothingYet()
         return Findings(
             jacobian_deviation=deviation * max(1.0, fit.misfit),

@@ -152,12 +152,12 @@ def with_chain(trained: TrainedModel, data: DataSet, seed: int = 0) -> tuple[Tra
     str
         What came of it, in words.
     """
+    places = _within(trained.joint_box_rad, np.random.default_rng(seed), _EXAMINATION // 10)
     try:
         fit = fit_chain(data, np.random.default_rng(seed))
-    except ValueError as error:
+        deviation = float(np.median(fit.jacobian_deviation(places)))
+    except ValueError as error:  # also of numpy's linear algebra
         return trained, f"no chain: {error}"
-    places = _within(trained.joint_box_rad, np.random.default_rng(seed), _EXAMINATION // 10)
-    deviation = float(np.median(fit.jacobian_deviation(places)))
     if _is_no_chain(fit) or deviation > _DOUBTFUL:
         return trained, f"no chain: {_notes(fit, deviation, data)[0]}"
     errors = {

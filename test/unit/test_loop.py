@@ -91,8 +91,43 @@ def test_a_moving_target_is_tracked_and_the_watch_on_its_error_goes_on(servoing)
     servoing.tick()
     # 2 mm every 8 ms is a quarter of a metre a second: by now it has gone on
     np.testing.assert_allclose(loop.supervisor.target_m, first + [0.024, 0.0, 0.0], atol=1e-6)
-    np.testing.assert_allclose(loop.follower.velocity_m_s(servoing.now_s), [0.25, 0, 0], atol=1e-6)
+    velocity = loop.follower.at(servoing.now_s).velocity_m_s
+    np.testing.assert_allclose(velocity, [0.25, 0.0, 0.0], atol=1e-6)
     stands, text = loop.add_target(np.array([0.0, 0.0, 9.0]), FRAME, servoing.now_s)
     assert not stands
     assert "workspace" in text
-    np.testing.assert_allclose(loop.follower.velocity_m_s(servoing.now_s), [0.25, 0, 0], atol=1e-6)
+    velocity = loop.follower.at(servoing.now_s).velocity_m_s
+    np.testing.assert_allclose(velocity, [0.25, 0.0, 0.0], atol=1e-6)
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.0015])
+def test_a_target_that_is_told_again_and_again_hides_no_growing_error(servoing, noise_m):
+    rng = np.random.default_rng(1)
+    loop, target = servoing.loop, np.array([0.0, 0.0, 1.1])
+    for k in range(round(6.0 / DT_S)):
+        if k % 4 == 0:
+            loop.add_target(target + noise_m * rng.normal(size=3), FRAME, servoing.now_s)
+        loop.add_jacobian(servoing.now_s, JACOBIAN)
+        servoing.now_s += DT_S
+        loop.add_joints(servoing.now_s, servoing.now_s, servoing.joints)
+        ball = np.array([0.0, 0.0, 1.0 - 0.04 * k * DT_S])
+        loop.add_ball(servoing.now_s, servoing.now_s - 0.02, ball, FRAME)
+        command = loop.tick(servoing.now_s, DT_S)
+        servoing.joints = servoing.joints + DT_S * command.velocity_rad_s
+        if command.reason is Reason.ERROR_GROWING:
+            break
+    assert command.reason is Reason.ERROR_GROWING
+    assert k * DT_S < 4.0
+
+
+def test_beyond_the_workspace_nobody_goes_along_with_a_target(servoing):
+    loop, asked = servoing.loop, []
+    propose = loop.follower.feed_forward
+    loop.follower.feed_forward = lambda *one: (asked.append(one[0].copy()), propose(*one))[1]
+    edge_m = loop.supervisor.config.workspace_max_m[0]
+    for k in range(10):
+        at = np.array([edge_m - 0.003 * (9 - k), 0.0, 1.2])
+        assert loop.add_target(at, FRAME, servoing.now_s)[0]
+        servoing.tick()
+    assert not asked[-1].any()  # by now it would be outside
+    assert loop.supervisor.target_m[0] <= edge_m
