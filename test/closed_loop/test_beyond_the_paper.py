@@ -12,7 +12,7 @@ from fvs_ros.core.schemes import BEYOND
 
 #: Every addition that needs no forward model.
 ADDITIONS = BEYOND["extended"].controller_values
-PAIRS = pairs(4, seed=11)
+PAIRS = pairs(3, seed=11)
 SPEED_RAD_S, ACCELERATION_RAD_S2 = 1.0, 6.0
 
 

@@ -14,7 +14,7 @@ from stranger_trial import collect, draw_targets, jacobian_error, servo
 from fvs_estimator_node.training import TrainingOptions, train
 
 
-@pytest.mark.parametrize(("seed", "rate_hz"), [(0, 125.0), (1, 250.0)])
+@pytest.mark.parametrize(("seed", "rate_hz"), [(1, 250.0)])
 def test_a_stranger_is_learned_in_two_minutes_and_served(seed, rate_hz):
     stranger = Stranger(StrangerConfig(seed=seed, joint_state_rate_hz=rate_hz))
     data = collect(stranger, 120.0)
