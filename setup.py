@@ -16,6 +16,8 @@ EXTRAS = {
     "test": [
         "pytest",
         "pytest-timeout",
+        "pytest-xdist",
+        "pytest-rerunfailures",
         "hypothesis",
         "filterpy",
         "ruff",

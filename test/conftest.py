@@ -44,7 +44,21 @@ def pytest_configure(config):
     )
 
 
-def pytest_collection_modifyitems(items):
+#: Folders of tests with processes over DDS in real time.
+_REAL_TIME = ("nodes", "faults")
+
+
+def pytest_collection_modifyitems(config, items):
+    real_time = [item for item in items if item.path.parent.name in _REAL_TIME]
+    if config.pluginmanager.hasplugin("xdist"):
+        # One after the other, and first, while another process does the rest.
+        for item in real_time:
+            item.add_marker(pytest.mark.xdist_group("real time"))
+        items.sort(key=lambda item: item.path.parent.name not in _REAL_TIME)
+    if config.pluginmanager.hasplugin("rerunfailures"):
+        # A machine that stands still for a moment is no fault of ours; one that does so twice is.
+        for item in real_time:
+            item.add_marker(pytest.mark.flaky(reruns=1))
     if importlib.util.find_spec("torch") is None:
         for item in items:
             if item.get_closest_marker("torch"):
