@@ -44,6 +44,8 @@ def pytest_configure(config):
     )
 
 
+#: How far a process steps back that runs other tests beside the real-time ones.
+_NICE = 15
 #: Folders of tests with processes over DDS in real time.
 _REAL_TIME = ("nodes", "faults")
 
@@ -63,3 +65,9 @@ def pytest_collection_modifyitems(config, items):
         for item in items:
             if item.get_closest_marker("torch"):
                 item.add_marker(pytest.mark.skip(reason="torch is not installed"))
+
+
+def pytest_runtest_setup(item):
+    beside = "PYTEST_XDIST_WORKER" in os.environ and item.path.parent.name not in _REAL_TIME
+    if beside and os.nice(0) < _NICE:
+        os.nice(_NICE)
