@@ -16,7 +16,6 @@ EXTRAS = {
     "test": [
         "pytest",
         "pytest-timeout",
-        "pytest-xdist",
         "pytest-rerunfailures",
         "hypothesis",
         "filterpy",
@@ -26,7 +25,7 @@ EXTRAS = {
         "types-tqdm",
     ],
 }
-EXTRAS["all"] = [requirement for extra in EXTRAS.values() for requirement in extra]
+EXTRAS["all"] = [one for name, extra in EXTRAS.items() if name != "cluster" for one in extra]
 
 setup(
     name=PACKAGE,

@@ -44,19 +44,12 @@ def pytest_configure(config):
     )
 
 
-#: How far a process steps back that runs other tests beside the real-time ones.
-_NICE = 15
 #: Folders of tests with processes over DDS in real time.
 _REAL_TIME = ("nodes", "faults")
 
 
 def pytest_collection_modifyitems(config, items):
     real_time = [item for item in items if item.path.parent.name in _REAL_TIME]
-    if config.pluginmanager.hasplugin("xdist"):
-        # One after the other, and first, while another process does the rest.
-        for item in real_time:
-            item.add_marker(pytest.mark.xdist_group("real time"))
-        items.sort(key=lambda item: item.path.parent.name not in _REAL_TIME)
     if config.pluginmanager.hasplugin("rerunfailures"):
         # A machine that stands still for a moment is no fault of ours; one that does so twice is.
         for item in real_time:
@@ -65,9 +58,3 @@ def pytest_collection_modifyitems(config, items):
         for item in items:
             if item.get_closest_marker("torch"):
                 item.add_marker(pytest.mark.skip(reason="torch is not installed"))
-
-
-def pytest_runtest_setup(item):
-    beside = "PYTEST_XDIST_WORKER" in os.environ and item.path.parent.name not in _REAL_TIME
-    if beside and os.nice(0) < _NICE:
-        os.nice(_NICE)
