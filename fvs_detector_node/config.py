@@ -117,7 +117,7 @@ PARAMETERS = (
         0.0,
         "the camera stamps its images so long after their exposure: the ball's stamp is put back "
         "by it; fvs_train finds it",
-        minimum=-0.5,
+        minimum=0.0,
         maximum=0.5,
         live=True,
     ),
