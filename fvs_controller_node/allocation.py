@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from fvs_controller_node.pseudo_inverse import DampedInverse
+from fvs_controller_node.pseudo_inverse import DampedInverse, damped_solution
 from fvs_ros.core.joints import N_JOINTS
 from fvs_ros.core.limits import JointRange
 from fvs_ros.core.params import Parameter
@@ -96,9 +96,7 @@ class LeastSpeedInverse:
         ndarray, shape (6,)
             Joint velocities, rad/s.
         """
-        gram = jacobian @ jacobian.T
-        gram.flat[::4] += self.damping
-        least = jacobian.T @ np.linalg.solve(gram, velocity_m_s)
+        least = damped_solution(jacobian, velocity_m_s, self.damping)
         scale = float(np.abs(least).max())
         if not _TINY < scale < np.inf:
             return least

@@ -133,10 +133,15 @@ class DampedInverse:
         ndarray, shape (6,)
             Joint velocities, rad/s.
         """
-        gram = jacobian @ jacobian.T
-        gram.flat[::4] += self.damping
         if self.posture_gain == 0.0 or joints_rad is None:
-            return jacobian.T @ np.linalg.solve(gram, velocity_m_s)
+            return damped_solution(jacobian, velocity_m_s, self.damping)
         pull = self.posture_gain * (np.asarray(self.posture_rad) - joints_rad)
         pull *= min(1.0, POSTURE_SPEED_RAD_S / max(float(np.abs(pull).max()), 1e-12))
-        return pull + jacobian.T @ np.linalg.solve(gram, velocity_m_s - jacobian @ pull)
+        return pull + damped_solution(jacobian, velocity_m_s - jacobian @ pull, self.damping)
+
+
+def damped_solution(jacobian: np.ndarray, velocity_m_s: np.ndarray, damping: float) -> np.ndarray:
+    """Find ``J' (J J' + mu I)^-1 v``, shape (6,), of a (3, 6) Jacobian."""
+    gram = jacobian @ jacobian.T
+    gram.flat[::4] += damping
+    return jacobian.T @ np.linalg.solve(gram, velocity_m_s)

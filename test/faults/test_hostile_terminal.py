@@ -8,22 +8,11 @@ import time
 
 import numpy as np
 import pytest
+from held_pipe import full_pipe
 from std_msgs.msg import Float64MultiArray
 from test_controller_faults import Bench
 
 from fvs_ros.core import ros
-
-
-def full_pipe():
-    """A pipe that holds all it can."""
-    source, sink = os.pipe()
-    os.set_blocking(sink, False)
-    try:
-        while True:
-            os.write(sink, b"." * 4096)
-    except BlockingIOError:
-        os.set_blocking(sink, True)
-    return source, sink
 
 
 def starts_on(harness, monkeypatch, sink):

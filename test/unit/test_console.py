@@ -9,6 +9,7 @@ import sys
 import time
 
 import pytest
+from held_pipe import full_pipe
 
 OPEN = """
 import os, sys, time
@@ -26,18 +27,6 @@ FLOOD = """
         print("z" * 1024, file=sys.stderr)
     took_s = time.monotonic() - began_s
 """
-
-
-def full_pipe():
-    """A pipe that holds all it can."""
-    source, sink = os.pipe()
-    os.set_blocking(sink, False)
-    try:
-        while True:
-            os.write(sink, b"." * 4096)
-    except BlockingIOError:
-        os.set_blocking(sink, True)
-    return source, sink
 
 
 def run(body, **streams):
