@@ -74,6 +74,11 @@ class InputMonitor:
         self._trouble = Reason.BAD_INPUT
         self._why = why
 
+    def forget(self) -> None:
+        """Hold nothing against an input that need not come, once it has ceased to."""
+        if self.spec.max_age_s is None:
+            self._trouble = None
+
     def age_s(self, now_s: float) -> float:
         """Time since the last message, s; infinite if there was none."""
         return float("inf") if self._last_s is None else max(0.0, now_s - self._last_s)

@@ -17,7 +17,7 @@ from fvs_controller_node.drive_lag import DriveLag
 from fvs_controller_node.predictor import BallPredictor
 from fvs_controller_node.reasons import State
 from fvs_controller_node.supervisor import Command, Supervisor
-from fvs_controller_node.supervisor_config import BALL, JOINT_STATES
+from fvs_controller_node.supervisor_config import BALL, JOINT_STATES, KINEMATIC_CHAIN
 from fvs_controller_node.target_motion import TargetFollower
 from fvs_ros.core.chain import SerialChain
 from fvs_ros.core.history import StampGate
@@ -117,6 +117,12 @@ class ServoLoop:
     def add_chain(self, now_s: float, chain: SerialChain) -> None:
         """Tell the forward model as the camera sees it now, and its arrival."""
         self._chain, self._chain_s = chain, now_s
+        self.supervisor.chain(now_s)
+
+    def bad_chain(self, now_s: float, why: str) -> None:
+        """Tell that a forward model came that cannot be used, and why."""
+        self._chain, self._chain_s = None, now_s
+        self.supervisor.bad_input(now_s, KINEMATIC_CHAIN, why)
 
     def add_target(
         self, position_m: np.ndarray, frame: str, stamp_s: float = 0.0
@@ -171,6 +177,7 @@ class ServoLoop:
         """
         if now_s - self._chain_s > _CHAIN_MAX_AGE_S:
             self._chain = None  # who told it is gone, or has another method now
+            self.supervisor.no_chain()
         aim = self.follower.at(self._stamp_s)
         moves = aim is not None and self.supervisor.track(aim.position_m)
         self._target_m_s = aim.velocity_m_s if aim is not None and moves else np.zeros(N_AXES)

@@ -139,7 +139,7 @@ class ControllerNode(ros.FvsNode):
         try:
             self._loop.add_chain(now_s, ros.from_chain(message))
         except ros.MessageError as error:
-            self._loop.supervisor.bad_input(now_s, JACOBIAN, str(error))
+            self._loop.bad_chain(now_s, str(error))
 
     def _on_estimator_status(self, message: DiagnosticStatus) -> None:
         text = ros.from_status(message).get("one_step_prediction_error_ratio", "")

@@ -23,6 +23,7 @@ from fvs_controller_node.supervisor_config import (
     BALL,
     JACOBIAN,
     JOINT_STATES,
+    KINEMATIC_CHAIN,
     SPEED_SCALING,
     SupervisorConfig,
 )
@@ -176,6 +177,14 @@ class Supervisor:
         if name not in self._inputs:
             raise ValueError(f"unknown input {name!r}; known are {', '.join(self._inputs)}")
         self._inputs[name].bad(now_s, why)
+
+    def chain(self, now_s: float) -> None:
+        """Tell that a usable forward model came."""
+        self._inputs[KINEMATIC_CHAIN].good(now_s)
+
+    def no_chain(self) -> None:
+        """Tell that no forward model comes any more: nobody misses it."""
+        self._inputs[KINEMATIC_CHAIN].forget()
 
     def target(
         self, position_m: np.ndarray, frame: str, *, moving: bool = False
@@ -392,7 +401,6 @@ class Supervisor:
         nan = float("nan")
         singular = self._conditioning
         error = self.error_m
-        target = [nan] * N_AXES if self._target is None else self._target.tolist()
         values: dict[str, float | str] = {
             "state": self._last.state.value,
             "reason": self._last.reason.name,
@@ -409,8 +417,16 @@ class Supervisor:
             values[f"{name}_age_s"] = self._inputs[name].age_s(now_s)
         values["robot_program_running"] = str(self._program_running).lower()
         values["speed_scaling_percent"] = self._speed_scaling
-        for axis, value in zip("xyz", target, strict=True):
-            values[f"target_{axis}_m"] = value
+        vectors = {
+            "target_{}_m": self._target,
+            "position_{}_m": self._position,
+            "exponent_{}": None if self._last.output is None else self._last.output.exponent,
+        }
+        for name, vector in vectors.items():
+            for axis, value in zip(
+                "xyz", [nan] * N_AXES if vector is None else vector, strict=True
+            ):
+                values[name.format(axis)] = float(value)
         return values
 
     # ---- rules: may it move? --------------------------------------------------------------

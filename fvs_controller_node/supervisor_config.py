@@ -14,6 +14,7 @@ from fvs_ros.core.limits import JointRange
 JOINT_STATES = "joint_states"
 BALL = "ball_position"
 JACOBIAN = "jacobian"
+KINEMATIC_CHAIN = "kinematic_chain"
 SPEED_SCALING = "speed_scaling"
 
 
@@ -115,6 +116,7 @@ class SupervisorConfig:
                 self.ball_max_age_s,
             ),
             InputSpec(JACOBIAN, "is the estimator running?", self.jacobian_max_age_s),
+            InputSpec(KINEMATIC_CHAIN, "", None),
             InputSpec(SPEED_SCALING, "", None),
         )
         return {spec.name: spec for spec in specs}

@@ -19,6 +19,8 @@ from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
 MODEL_FORMAT = "fvs_rbf_model"
 MODEL_VERSION = 1
 MAX_MODEL_BYTES = 64 * 2**20
+#: No more notes are passed on, nor longer ones.
+_MOST_NOTES, _LONGEST_NOTE = 20, 500
 
 
 class ModelFileError(ValueError):
@@ -79,6 +81,14 @@ class TrainedModel:
             raise ModelFileError("ball_samples_m must be finite and of shape (k, 3)")
         object.__setattr__(self, "ball_samples_m", samples)
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the training found that a user of the model should know, a sentence each."""
+        notes = self.provenance.get("notes", ())
+        if not isinstance(notes, (list, tuple)):
+            return ()
+        return tuple(" ".join(str(note).split())[:_LONGEST_NOTE] for note in notes[:_MOST_NOTES])
 
 
 def save_model(path: str | os.PathLike[str], trained: TrainedModel) -> None:

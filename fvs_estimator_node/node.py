@@ -82,6 +82,8 @@ class EstimatorNode(ros.FvsNode):
         except FileNotFoundError as error:
             raise ValueError(f"model_path: {error}; train one with fvs_train") from error
         trained = load_model(path, v["joint_names"], self._frame)
+        for note in trained.notes:
+            self.tell(ros.WARN, f"{path.name}: {note}")
         return create_estimator(v["method"], trained.model, v, trained.chain)
 
     # --- inputs ---

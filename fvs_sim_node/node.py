@@ -8,14 +8,15 @@ stop.listen()
 
 import sys
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PointStamped
+from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, JointState
-from std_msgs.msg import Bool, Float64, Float64MultiArray
+from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from fvs_ros.core import ros
@@ -23,6 +24,7 @@ from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
 from fvs_sim_node.config import ALPHABETICAL, KINEMATIC, PARAMETERS
 from fvs_sim_node.frame_worker import FrameWorker
 from fvs_sim_node.simulation import BallObservation, Frame, SimConfig, SimStep, Simulation
+from fvs_sim_node.ur5_urdf import urdf_text
 
 _STATUS_PERIOD_S = 0.1
 _SUBSCRIBERS_PERIOD_S = 0.1
@@ -63,6 +65,10 @@ class SimNode(ros.FvsNode):
         self._true_jacobian = self.create_publisher(
             Float64MultiArray, "~/true_jacobian", ros.QOS_RELIABLE
         )
+        self._camera_pose = self.create_publisher(
+            PoseStamped, "~/true_camera_pose", ros.QOS_LATCHED
+        )
+        self._describe(v)
         self._color = self.create_publisher(Image, ros.COLOR_IMAGE, ros.QOS_RELIABLE)
         self._depth = self.create_publisher(Image, ros.DEPTH_IMAGE, ros.QOS_RELIABLE)
         self._info = self.create_publisher(CameraInfo, ros.CAMERA_INFO, ros.QOS_RELIABLE)
@@ -84,6 +90,22 @@ class SimNode(ros.FvsNode):
             self.create_timer(self._period_s, self._step_in_real_time, clock=self.steady_clock)
         self.create_timer(_SUBSCRIBERS_PERIOD_S, self._look_around, clock=self.steady_clock)
         self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
+
+    def _describe(self, v: Mapping[str, Any]) -> None:
+        """Publish the robot's model, once and for all."""
+        own = not v["urdf_path"]
+        text = (
+            urdf_text(v["tf_prefix"]) if own else Path(v["urdf_path"]).read_text(encoding="utf-8")
+        )
+        self._description = self.create_publisher(String, ros.ROBOT_DESCRIPTION, ros.QOS_LATCHED)
+        self._description.publish(String(data=text))
+
+    def _tell_camera_pose(self) -> None:
+        pose = self._sim.camera.in_base_link()
+        frame = self.values["tf_prefix"] + "base_link"
+        self._camera_pose.publish(
+            ros.to_pose(self.ros_s(), frame, pose.position_m, pose.quaternion_xyzw)
+        )
 
     def _play_driver(self, v: Mapping[str, Any]) -> None:
         self._program_running: Publisher | None = None
@@ -243,6 +265,7 @@ class SimNode(ros.FvsNode):
         if "camera_rotation_deg" in changed:
             sim.camera = self._camera_home
             sim.rotate_camera(np.radians(values["camera_rotation_deg"]))
+            self._tell_camera_pose()
         sim.speed_scaling = values["speed_scaling_percent"] / 100.0
         self._play_program(values["program_running"], values["announce_program_running"])
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import pybullet
 
@@ -25,6 +26,8 @@ _NOTHING = 0.999999
 _LIGHT = (-0.6, -0.5, 1.0)
 # OpenGL cameras look along -z with y up.
 _OPTICAL_TO_GL = np.diag([1.0, -1.0, -1.0])
+# About z, as `base` and `base_link` of a UR differ.
+_HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 _WALL_TOP_RGB, _WALL_BOTTOM_RGB = (214, 224, 234), (244, 246, 247)
 
 
@@ -46,6 +49,18 @@ class CameraPose:
     def to_camera(self, point_world_m: np.ndarray) -> np.ndarray:
         """Points, shape (..., 3), m, from the world frame into the camera's."""
         return (np.asarray(point_world_m) - self.position_m) @ self.rotation
+
+    def in_base_link(self) -> CameraPose:
+        """The same seen from ROS's ``base_link``, which is the world turned by half a turn."""
+        return CameraPose(_HALF_TURN @ self.position_m, _HALF_TURN @ self.rotation)
+
+    @property
+    def quaternion_xyzw(self) -> np.ndarray:
+        """The rotation as a unit quaternion, shape (4,)."""
+        vector = cv2.Rodrigues(self.rotation)[0][:, 0]
+        angle = float(vector @ vector) ** 0.5
+        # numpy's sinc is sin(pi x) / (pi x)
+        return np.append(0.5 * np.sinc(0.5 * angle / np.pi) * vector, np.cos(0.5 * angle))
 
     def rotated(self, rotation: np.ndarray) -> CameraPose:
         """Turn the camera about its own centre, by a rotation given in its own frame."""

@@ -138,27 +138,34 @@ VELOCITY_LIMIT_RAD_S = pi
 EFFORT_LIMITS_NM = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
 
 
-def urdf_text() -> str:
-    """Write the model as URDF, self-contained (no mesh files); the last link is ``tool0``."""
+def urdf_text(prefix: str = "") -> str:
+    """Write the model as URDF, self-contained (no mesh files); the last link is ``tool0``.
+
+    Parameters
+    ----------
+    prefix : str
+        Put before each joint and link name, as a UR driver does with its ``tf_prefix``.
+    """
     parts = ['<?xml version="1.0"?>', '<robot name="ur5">']
     for name, rgba in _MATERIALS.items():
         parts.append(f'<material name="{name}"><color rgba="{_numbers(rgba)}"/></material>')
-    parts.extend(_link_text(link) for link in _LINKS)
+    parts.extend(_link_text(link, prefix) for link in _LINKS)
     for i, name in enumerate(UR_JOINT_NAMES):
         xyz, rpy = _ORIGINS[i]
         parts.append(
-            f'<joint name="{name}" type="revolute">'
-            f'<parent link="{_LINKS[i].name}"/><child link="{_LINKS[i + 1].name}"/>'
+            f'<joint name="{prefix}{name}" type="revolute">'
+            f'<parent link="{prefix}{_LINKS[i].name}"/>'
+            f'<child link="{prefix}{_LINKS[i + 1].name}"/>'
             f'<origin xyz="{_numbers(xyz)}" rpy="{_numbers(rpy)}"/><axis xyz="0 0 1"/>'
             f'<limit lower="{-UR_POSITION_LIMITS_RAD[i]!r}" upper="{UR_POSITION_LIMITS_RAD[i]!r}" '
             f'effort="{EFFORT_LIMITS_NM[i]!r}" velocity="{VELOCITY_LIMIT_RAD_S!r}"/>'
             '<dynamics damping="0" friction="0"/></joint>'
         )
     parts.append(
-        '<link name="tool0"><inertial><mass value="0.01"/><origin xyz="0 0 0"/>'
+        f'<link name="{prefix}tool0"><inertial><mass value="0.01"/><origin xyz="0 0 0"/>'
         '<inertia ixx="1e-6" ixy="0" ixz="0" iyy="1e-6" iyz="0" izz="1e-6"/></inertial></link>'
-        '<joint name="wrist_3-tool0" type="fixed"><parent link="wrist_3_link"/>'
-        '<child link="tool0"/><origin xyz="0 0 0" rpy="0 0 0"/></joint>'
+        f'<joint name="{prefix}wrist_3-tool0" type="fixed"><parent link="{prefix}wrist_3_link"/>'
+        f'<child link="{prefix}tool0"/><origin xyz="0 0 0" rpy="0 0 0"/></joint>'
     )
     parts.append("</robot>")
     return "\n".join(parts)
@@ -168,7 +175,7 @@ def _numbers(values: tuple[float, ...]) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def _link_text(link: _Link) -> str:
+def _link_text(link: _Link, prefix: str) -> str:
     visuals = "".join(
         f'<visual><origin xyz="{_numbers(shape.xyz)}" rpy="{_numbers(shape.rpy)}"/><geometry>'
         f'<{shape.kind} radius="{shape.radius_m!r}" length="{shape.length_m!r}"/></geometry>'
@@ -176,7 +183,7 @@ def _link_text(link: _Link) -> str:
         for shape in link.shapes
     )
     return (
-        f'<link name="{link.name}"><inertial><mass value="{link.mass_kg!r}"/>'
+        f'<link name="{prefix}{link.name}"><inertial><mass value="{link.mass_kg!r}"/>'
         f'<origin xyz="{_numbers(link.com_m)}" rpy="0 {link.com_pitch_rad!r} 0"/>'
         f'<inertia ixx="{link.ixx!r}" ixy="0" ixz="0" iyy="{link.ixx!r}" iyz="0" '
         f'izz="{link.izz!r}"/></inertial>{visuals}</link>'

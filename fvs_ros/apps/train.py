@@ -39,9 +39,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         _check_output(arguments.output)
         data = load_data_set(arguments.data)
-        trained, words, out_of_time = _train(data, arguments)
+        trained, words, notes, out_of_time = _train(data, arguments)
         provenance = {
             **trained.provenance,
+            "notes": notes,  # the estimator says them again, of the model it loads
             "data_file": arguments.data.name,
             "data_sha256": _sha256(arguments.data),
             "stopped_by_time": out_of_time,
@@ -57,18 +58,23 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_FAILURE
     if not arguments.quiet:
         print(words)
+    for note in notes:
+        print(f"note: {note}", file=sys.stderr if arguments.quiet else sys.stdout)
     print(f"model written to {arguments.output}")
     return EXIT_OK
 
 
-def _train(data: DataSet, arguments: argparse.Namespace) -> tuple[TrainedModel, str, bool]:
-    """The model, what to say about it, and whether the time was over before the training."""
+def _train(
+    data: DataSet, arguments: argparse.Namespace
+) -> tuple[TrainedModel, str, list[str], bool]:
+    """The model, its figures and notes in words, and whether time was over before the training."""
     started_s = time.monotonic()
     if arguments.method == STRUCTURED:
         say = None if arguments.quiet else (lambda words: print(f"{words} ...", file=sys.stderr))
         neurons = NEURONS if arguments.neurons is None else arguments.neurons
         taught = train_structured(data, neurons, arguments.seed, say)
-        return taught.trained, report_structured(taught, time.monotonic() - started_s), False
+        words = report_structured(taught, time.monotonic() - started_s)
+        return taught.trained, words, list(taught.notes), False
     options = TrainingOptions(
         method=arguments.method,
         neurons=TrainingOptions.neurons if arguments.neurons is None else arguments.neurons,
@@ -78,7 +84,8 @@ def _train(data: DataSet, arguments: argparse.Namespace) -> tuple[TrainedModel, 
         result = train(data, options, bar.report)
     words = report(result, time.monotonic() - started_s)
     trained, chain = with_chain(result.trained, data, arguments.seed)
-    return trained, f"{words}\n{chain}", bar.out_of_time
+    notes = [*result.notes, *_doubts(result)]
+    return trained, f"{words}\n{chain}", notes, bar.out_of_time
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -162,8 +169,7 @@ def report(result: TrainingResult, seconds: float) -> str:
         f"{result.samples} images, {result.held_out_samples} held out, {result.outliers} left out; "
         f"{result.iterations} iterations, {seconds:.1f} s",
     ]
-    notes = [*result.notes, *_doubts(result)]
-    return "\n".join([*lines, *(f"note: {note}" for note in notes)])
+    return "\n".join(lines)
 
 
 def report_structured(taught: TaughtModel, seconds: float) -> str:
@@ -185,7 +191,7 @@ def report_structured(taught: TaughtModel, seconds: float) -> str:
         f"         to [{', '.join(f'{v:.2f}' for v in high)}] rad",
         f"{fit.samples} images, {fit.outliers} left out; {seconds:.1f} s",
     ]
-    return "\n".join([*lines, *(f"note: {note}" for note in taught.notes)])
+    return "\n".join(lines)
 
 
 def _doubts(result: TrainingResult) -> list[str]:

@@ -12,7 +12,7 @@ import numpy as np
 import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import PointStamped, Vector3Stamped
+from geometry_msgs.msg import PointStamped, PoseStamped, Vector3Stamped
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -50,6 +50,8 @@ ESTIMATOR_STATUS = topics.ESTIMATOR_STATUS.name
 CONTROLLER_STATUS = topics.CONTROLLER_STATUS.name
 TRUE_BALL_POSITION = topics.TRUE_BALL_POSITION.name
 TRUE_JACOBIAN = topics.TRUE_JACOBIAN.name
+TRUE_CAMERA_POSE = topics.TRUE_CAMERA_POSE.name
+ROBOT_DESCRIPTION = topics.ROBOT_DESCRIPTION.name
 STATUS = topics.STATUS.name
 DIAGNOSTICS = topics.DIAGNOSTICS.name
 COLOR_IMAGE = topics.COLOR_IMAGE.name
@@ -75,6 +77,7 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 _SPIN_PERIOD_S = 0.05
 _LAST_ZEROS, _LAST_ZEROS_PERIOD_S, _LAST_ZEROS_ACK_S = 5, 0.01, 0.5
 _DIAGNOSTICS_PERIOD_S = 1.0
+_QUATERNION_SLACK = 0.01
 _BUILT_IN_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
@@ -137,6 +140,45 @@ def from_point(message: PointStamped, frame: str, topic: str) -> np.ndarray:
     if not np.all(np.isfinite(position)):
         raise MessageError(f"{topic} is not finite: {position.tolist()}")
     return position
+
+
+def to_pose(
+    stamp_s: float, frame: str, position_m: np.ndarray, quaternion_xyzw: np.ndarray
+) -> PoseStamped:
+    """``PoseStamped`` of a position, m, shape (3,), and a unit quaternion, shape (4,)."""
+    message = PoseStamped()
+    message.header.stamp = to_stamp(stamp_s)
+    message.header.frame_id = frame
+    at, turn = message.pose.position, message.pose.orientation
+    at.x, at.y, at.z = (float(value) for value in position_m)
+    turn.x, turn.y, turn.z, turn.w = (float(value) for value in quaternion_xyzw)
+    return message
+
+
+def from_pose(message: PoseStamped, topic: str) -> tuple[np.ndarray, np.ndarray]:
+    """Position and orientation of a ``PoseStamped``.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        Position, m.
+    ndarray, shape (4,)
+        Unit quaternion x, y, z, w.
+
+    Raises
+    ------
+    MessageError
+        If it is not finite, or its quaternion is far from a unit one.
+    """
+    at, turn = message.pose.position, message.pose.orientation
+    position = np.array([at.x, at.y, at.z])
+    quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
+    size = float(quaternion @ quaternion) ** 0.5
+    if not (np.all(np.isfinite(position)) and abs(size - 1.0) < _QUATERNION_SLACK):
+        raise MessageError(
+            f"{topic} is no pose: position {position.tolist()}, quaternion {quaternion.tolist()}"
+        )
+    return position, quaternion / size
 
 
 def to_vector(stamp_s: float, frame: str, vector: np.ndarray) -> Vector3Stamped:

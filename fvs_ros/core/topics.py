@@ -178,6 +178,13 @@ SPEED_SCALING = Topic(
     "The robot's speed slider, 0 to 100 %; optional.",
     also_from=_DRIVER,
 )
+ROBOT_DESCRIPTION = Topic(
+    "robot_description",
+    "std_msgs/msg/String",
+    "The robot as URDF: what a viewer draws.",
+    also_from=_DRIVER,
+    also_to=_TOOLS,
+)
 #: Below which names cameras publish: the declared one, and that of a RealSense's driver.
 CAMERA_PREFIXES = ("camera", "camera/camera")
 
@@ -244,6 +251,14 @@ _TRUE_JACOBIAN = Topic(
     "computed only while somebody subscribes.",
 )
 
+_TRUE_CAMERA_POSE = Topic(
+    "~/true_camera_pose",
+    "geometry_msgs/msg/PoseStamped",
+    "Where the camera's optical frame really is, in the robot's `base_link`: to look at, never to "
+    "control by.",
+    also_to=_TOOLS,
+)
+
 _ANNOTATED_IMAGE = Topic(
     "~/annotated_image",
     "sensor_msgs/msg/Image",
@@ -255,6 +270,7 @@ ESTIMATOR_STATUS = STATUS.of("fvs_estimator_node")
 CONTROLLER_STATUS = STATUS.of("fvs_controller_node")
 TRUE_BALL_POSITION = _TRUE_BALL_POSITION.of("fvs_sim_node")
 TRUE_JACOBIAN = _TRUE_JACOBIAN.of("fvs_sim_node")
+TRUE_CAMERA_POSE = _TRUE_CAMERA_POSE.of("fvs_sim_node")
 
 _TRIGGER = "std_srvs/srv/Trigger"
 
@@ -289,6 +305,8 @@ INTERFACES: dict[str, Interface] = {
             End(SPEED_SCALING, _RELIABLE, given=_PLAYED),
             End(_TRUE_BALL_POSITION, _RELIABLE),
             End(_TRUE_JACOBIAN, _RELIABLE),
+            End(_TRUE_CAMERA_POSE, _LATCHED),
+            End(ROBOT_DESCRIPTION, _LATCHED),
             End(CLOCK, _RELIABLE, given=("simulated_time", True)),
             *_ALWAYS,
         ),

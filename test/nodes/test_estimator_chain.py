@@ -1,5 +1,7 @@
 """The estimator with a fitted chain over DDS: what it publishes, and a camera that is turned."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -112,6 +114,17 @@ def test_who_has_just_started_hears_of_the_chain_of_an_arm_at_rest(ros_test, mod
     ros_test.spin_until(lambda: len(late) > 3)
     assert error_of(ros.from_chain(late[-1]), arm) < 0.01
     assert [(dim.label, dim.size) for dim in late[-1].layout.dim] == [("row", 15), ("xyz", 3)]
+
+
+def test_what_the_training_found_wrong_is_said_when_the_model_is_loaded(ros_test):
+    trained = train_structured(RECORDING.data(), neurons=20).trained
+    notes = ["the ball does not move as one on a rigid chain", 7]
+    path = ros_test.folder / "doubtful.npz"
+    save_model(path, replace(trained, provenance={**trained.provenance, "notes": notes}))
+    MovingArm(ros_test)
+    process = ros_test.start_node(MODULE, method="poe", model_path=path)
+    ros_test.spin_until(lambda: "doubtful.npz: 7" in ros_test.output(process))
+    assert "doubtful.npz: the ball does not move as one" in ros_test.output(process)
 
 
 def test_without_a_chain_there_is_none_on_the_wire(ros_test, model_path):

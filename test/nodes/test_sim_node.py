@@ -1,16 +1,20 @@
 """The simulator node as others see it: over DDS, in the contract of a real UR5."""
 
+from xml.etree import ElementTree
+
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PointStamped
+from geometry_msgs.msg import PointStamped, PoseStamped
 from rosgraph_msgs.msg import Clock
+from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, JointState
-from std_msgs.msg import Bool, Float64MultiArray
+from std_msgs.msg import Bool, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from fvs_ros.core import ros
 from fvs_ros.core.joints import UR_JOINT_NAMES, UR_PUBLISHED_NAMES, JointMap
+from fvs_sim_node.kinematics import ball_position
 
 MODULE = "fvs_sim_node.node"
 
@@ -125,6 +129,32 @@ def test_disturbances_are_live_and_refusals_are_in_words(ros_test):
     refusal = set_parameter(ros_test, "feature_frame", "elsewhere")
     assert not refusal.successful
     assert any(words in refusal.reason for words in ("at start only", "read-only"))
+
+
+def test_a_viewer_learns_of_robot_and_camera_whenever_it_comes(ros_test):
+    ros_test.start_node("fvs_sim_node.node", tf_prefix="left_")
+    descriptions = ros_test.collect(String, ros.ROBOT_DESCRIPTION, ros.QOS_LATCHED)
+    poses = ros_test.collect(PoseStamped, ros.TRUE_CAMERA_POSE, ros.QOS_LATCHED)
+    balls = ros_test.collect(PointStamped, ros.TRUE_BALL_POSITION)
+    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    ros_test.spin_until(lambda: descriptions and poses and balls and states)
+    robot = ElementTree.fromstring(descriptions[0].data)
+    joints = {joint.get("name") for joint in robot.iter("joint") if joint.get("type") == "revolute"}
+    assert joints == {f"left_{name}" for name in UR_JOINT_NAMES}
+    assert poses[0].header.frame_id == "left_base_link"
+
+    def in_base_link():
+        position, quaternion = ros.from_pose(poses[-1], "camera")
+        ball = np.array([getattr(balls[-1].point, axis) for axis in "xyz"])
+        return Rotation.from_quat(quaternion).apply(ball) + position
+
+    joints_rad = JointMap(tf_prefix="left_").positions(states[-1].name, states[-1].position)
+    world = ball_position(joints_rad)
+    np.testing.assert_allclose(in_base_link(), world * [-1.0, -1.0, 1.0], atol=1e-4)
+    assert set_parameter(ros_test, "camera_rotation_deg", [0.0, 20.0, 0.0]).successful
+    ros_test.spin_until(lambda: len(poses) > 1)
+    ros_test.spin_for(0.1)
+    np.testing.assert_allclose(in_base_link(), world * [-1.0, -1.0, 1.0], atol=1e-4)
 
 
 def fastest(message):

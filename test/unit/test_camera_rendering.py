@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from fvs_ros.core.camera import Intrinsics
 from fvs_ros.core.tracking import Region
@@ -135,3 +136,16 @@ def test_unknown_preset_names_the_known_ones():
 def test_unknown_object_is_refused(world):
     with pytest.raises(ValueError, match="box, sphere"):
         world.add_object(SceneObject("cone", (0.0, 0.0, 0.0), (1.0,)))
+
+
+def test_a_pose_as_others_see_it():
+    rng = np.random.default_rng(0)
+    for rotation in Rotation.random(20, random_state=0):
+        pose = CameraPose(rng.normal(size=3), rotation.as_matrix())
+        quaternion = pose.quaternion_xyzw
+        assert abs(quaternion @ rotation.as_quat()) == pytest.approx(1.0, abs=1e-12)
+        seen, half_turn = pose.in_base_link(), np.diag([-1.0, -1.0, 1.0])
+        point = rng.normal(size=3)
+        np.testing.assert_allclose(
+            seen.to_camera(half_turn @ point), pose.to_camera(point), atol=1e-12
+        )

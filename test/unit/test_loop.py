@@ -82,6 +82,21 @@ def test_a_chain_that_is_told_no_more_is_used_no_more(servoing):
     assert seen[-1] is None
 
 
+def test_a_bad_chain_is_told_by_its_name_and_held_until_good_ones_come_or_none(servoing):
+    loop = servoing.loop
+    chain = SerialChain(np.eye(6, 3) + 0.1, np.zeros((6, 3)), np.ones(3), HOME)
+    for heals in (lambda: loop.add_chain(servoing.now_s, chain), lambda: None):
+        loop.bad_chain(servoing.now_s, "it is no chain")
+        command = servoing.tick()
+        assert command.reason is Reason.BAD_INPUT
+        assert command.text.startswith("kinematic_chain is not usable: it is no chain")
+        assert not command.velocity_rad_s.any()
+        for _ in range(round(1.6 / DT_S)):
+            heals()
+            command = servoing.tick()
+        assert command.velocity_rad_s.any()
+
+
 def test_a_moving_target_is_tracked_and_the_watch_on_its_error_goes_on(servoing):
     loop = servoing.loop
     first = np.array([0.2, 0.1, 1.2])

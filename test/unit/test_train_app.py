@@ -72,7 +72,9 @@ def test_a_chain_teaches_the_networks(tmp_path, capsys):
     first = model.read_bytes()
     assert main([*arguments, "--quiet"]) == 0
     captured = capsys.readouterr()
-    assert (captured.out, captured.err) == (f"model written to {model}\n", "")
+    assert captured.out == f"model written to {model}\n"
+    assert captured.err.startswith("note: the images show the joints of 50 ms before")
+    assert [f"note: {note}" for note in trained.notes] == captured.err.splitlines()
     assert model.read_bytes() == first
 
 

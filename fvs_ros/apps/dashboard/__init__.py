@@ -1,0 +1,1 @@
+"""``fvs_dashboard``: a page in a browser that shows arm, camera and estimator at work."""
