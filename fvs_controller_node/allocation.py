@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -49,15 +50,12 @@ class LeastSpeedInverse:
     joint_range: JointRange | None = None
 
     def __post_init__(self) -> None:
-        try:
-            # Here, for it takes most of a second: not while an arm waits for its command.
-            from scipy.optimize import nnls
-        except ImportError as error:
-            raise ValueError(
-                "least joint speeds (allocation least_speed, law arrive) need scipy: "
-                "pip install scipy"
-            ) from error
-        object.__setattr__(self, "_nnls", nnls)
+        ends = None
+        if self.joint_range is not None:
+            lower_rad = np.asarray(self.joint_range.lower_rad)
+            ends = np.concatenate([self.joint_range.upper_rad, -lower_rad])
+        object.__setattr__(self, "_ends_rad", ends)
+        object.__setattr__(self, "_solvers", _solvers())
 
     def joint_velocity(
         self,
@@ -96,11 +94,12 @@ class LeastSpeedInverse:
         ndarray, shape (6,)
             Joint velocities, rad/s.
         """
-        least = damped_solution(jacobian, velocity_m_s, self.damping)
+        solvers = self._solvers  # type: ignore[attr-defined]
+        least = damped_solution(jacobian, velocity_m_s, self.damping, solvers.symmetric)
         scale = float(np.abs(least).max())
         if not _TINY < scale < np.inf:
             return least
-        free = np.linalg.svd(jacobian)[2][3:]
+        free = solvers.orthogonal_to_rows(jacobian)
         if near_rad_s is not None:
             least = least + (free @ near_rad_s) @ free
             scale = max(scale, float(np.abs(least).max()))
@@ -111,7 +110,7 @@ class LeastSpeedInverse:
         distance[1:4, N_JOINTS:] = free / nearness
         distance[4, :N_JOINTS], distance[4, N_JOINTS:] = least, -least
         try:
-            weights, _ = self._nnls(distance, _LAST)  # type: ignore[attr-defined]
+            weights, _ = solvers.nnls(distance, _LAST)
         except RuntimeError:  # it did not converge
             return scale * least
         left = distance @ weights - _LAST
@@ -123,15 +122,48 @@ class LeastSpeedInverse:
         """Upward, then downward shares of each joint's speed, shape (12,)."""
         if self.joint_range is None or joints_rad is None:
             return 1.0
-        ends = np.concatenate([self.joint_range.upper_rad, self.joint_range.lower_rad])
-        room = np.abs(ends - np.tile(joints_rad, 2)) / self.joint_range.margin_rad
-        inside = np.concatenate([joints_rad < ends[:N_JOINTS], joints_rad > ends[N_JOINTS:]])
-        return np.clip(np.where(inside, room, 0.0), _LEAST_SHARE, 1.0)
+        ends_rad = self._ends_rad  # type: ignore[attr-defined]
+        room = ends_rad - np.concatenate((joints_rad, -joints_rad))
+        return np.minimum(np.maximum(room / self.joint_range.margin_rad, _LEAST_SHARE), 1.0)
 
 
 _LAST = np.array([0.0, 0.0, 0.0, 0.0, 1.0])
 
 Inverse = DampedInverse | LeastSpeedInverse
+
+
+class _Solvers:
+    """The three small problems of a tick, straight from LAPACK: numpy's wrappers take longer."""
+
+    def __init__(self) -> None:
+        try:
+            # Here, for it takes most of a second: not while an arm waits for its command.
+            from scipy.linalg.lapack import dgeqrf, dorgqr, dposv
+            from scipy.optimize import nnls
+        except ImportError as error:
+            raise ValueError(
+                "least joint speeds (allocation least_speed, law arrive) need scipy: "
+                "pip install scipy"
+            ) from error
+        self.nnls = nnls
+        self._dgeqrf, self._dorgqr, self._dposv = dgeqrf, dorgqr, dposv
+
+    def symmetric(self, matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """Solve ``A x = b`` for a positive definite A, (3, 3)."""
+        return self._dposv(matrix, right)[1]
+
+    def orthogonal_to_rows(self, jacobian: np.ndarray) -> np.ndarray:
+        """Orthonormal rows, (3, 6), orthogonal to those of a (3, 6) Jacobian of any rank."""
+        factors, scales, _, _ = self._dgeqrf(jacobian.T)
+        q, padded = np.zeros((N_JOINTS, N_JOINTS), order="F"), np.zeros(N_JOINTS)
+        q[:, :3], padded[:3] = factors, scales
+        return self._dorgqr(q, padded)[0][:, 3:].T
+
+
+@cache
+def _solvers() -> _Solvers:
+    return _Solvers()
+
 
 TWO_NORM, LEAST_SPEED = "two_norm", "least_speed"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -140,8 +140,13 @@ class DampedInverse:
         return pull + damped_solution(jacobian, velocity_m_s - jacobian @ pull, self.damping)
 
 
-def damped_solution(jacobian: np.ndarray, velocity_m_s: np.ndarray, damping: float) -> np.ndarray:
+def damped_solution(
+    jacobian: np.ndarray,
+    velocity_m_s: np.ndarray,
+    damping: float,
+    solve: Callable[[np.ndarray, np.ndarray], np.ndarray] = np.linalg.solve,
+) -> np.ndarray:
     """Find ``J' (J J' + mu I)^-1 v``, shape (6,), of a (3, 6) Jacobian."""
     gram = jacobian @ jacobian.T
     gram.flat[::4] += damping
-    return jacobian.T @ np.linalg.solve(gram, velocity_m_s)
+    return jacobian.T @ solve(gram, velocity_m_s)
