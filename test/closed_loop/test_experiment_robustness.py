@@ -16,7 +16,7 @@ from scipy.stats import binomtest, levy_stable, norm
 from fvs_ros.apps.experiments import cluster, main, robustness
 from fvs_ros.apps.experiments.context import Context
 from fvs_ros.apps.experiments.report import Origin, write_page, write_report
-from fvs_ros.apps.experiments.robustness import CONTESTANTS, SEED
+from fvs_ros.apps.experiments.robustness import CONTESTANTS
 from fvs_ros.apps.experiments.robustness_figures import DISTURBANCES, colours_of
 from fvs_ros.apps.experiments.robustness_runs import (
     DURATION_S,
@@ -31,7 +31,8 @@ from fvs_ros.apps.experiments.robustness_runs import (
 from fvs_ros.apps.experiments.robustness_verdicts import best_of, verdicts
 from fvs_ros.apps.experiments.robustness_worlds import (
     DISTANCE_M,
-    RANGES,
+    EVERYDAY,
+    HARSH,
     WHITE,
     StableNoise,
     draw_world,
@@ -59,26 +60,35 @@ def outcomes(settled, failed, settled_s=1.0):
 
 
 def test_a_world_is_a_function_of_seed_and_number():
-    world = draw_world(SEED, 3)
-    others = [draw_world(SEED, 4), draw_world(SEED + 1, 3)]
-    assert draw_world(SEED, 3) == world
+    world = draw_world(HARSH, 3)
+    others = [draw_world(HARSH, 4), draw_world(replace(HARSH, seed=7), 3)]
+    assert draw_world(HARSH, 3) == world
     for other in others:
         assert other.case.seed != world.case.seed
         assert other.latency_s != world.latency_s
 
 
 def test_worlds_keep_their_ranges_and_differ_in_kind():
-    worlds = [draw_world(SEED, number) for number in range(1, 13)]
+    worlds = [draw_world(HARSH, number) for number in range(1, 13)]
     for world in worlds:
         assert DISTANCE_M[0] <= world.distance_m <= DISTANCE_M[1]
         for name in ("noise_m", "latency_s", "image_loss", "joint_lag_s"):
-            low, high = RANGES[name]
+            low, high = HARSH.ranges[name]
             assert low <= getattr(world, name) <= high, name
-        assert world.turn_deg <= RANGES["camera_turn_deg"][1]
+        assert world.turn_deg <= HARSH.ranges["camera_turn_deg"][1]
         assert all(0 <= one.bin_of(world) < len(one.bins) for one in DISTURBANCES)
         assert f"{world.case.seed}" in world.words()
     assert 0 < sum(world.bump is not None for world in worlds) < len(worlds)
     assert 0 < sum(world.noise_exponent == WHITE for world in worlds) < len(worlds)
+
+
+def test_everyday_worlds_are_alike_but_for_start_target_and_camera():
+    worlds = [draw_world(EVERYDAY, number) for number in range(1, 9)]
+    for world in worlds:
+        assert (world.noise_m, world.latency_s, world.image_loss) == (0.001, 0.05, 0.1)
+        assert (world.bump, world.noise_exponent, world.joint_lag_s) == (None, WHITE, 0.0)
+    assert len({world.turn_deg for world in worlds}) == len(worlds)
+    assert len({world.case.start_rad for world in worlds}) == len(worlds)
 
 
 @pytest.mark.parametrize("exponent", [1.6, WHITE])
@@ -109,7 +119,7 @@ def test_noise_in_place_of_the_configured_one_is_the_runs_own():
 
 def small_jobs():
     """Runs by exact positions: two worlds, one of them with a bump, two schemes."""
-    worlds = [draw_world(SEED, number) for number in (1, 2)]
+    worlds = [draw_world(HARSH, number) for number in (1, 2)]
     worlds[1] = replace(worlds[1], bump=replace(BUMP, time_s=0.2))
     return [
         Job(world, one, rendered=False, record=True)
@@ -245,7 +255,7 @@ def test_a_quick_run_makes_a_complete_report(tmp_path):
     folder = context.folder(report.name)
     path = write_report(report, folder, Origin("", "", "", True))
     data = json.loads(path.read_text(encoding="utf-8"))["data"]
-    assert data["seed"] == SEED
+    assert data["seed"] == HARSH.seed
     assert [world["number"] for world in data["worlds"]] == [1, 2]
     assert {name: len(runs) for name, runs in data["runs"].items()} == {
         "proposed": 2,
@@ -264,7 +274,7 @@ def test_one_trial_is_looked_at_alone(tmp_path, capsys):
     command = ["robustness", "--trial", "2", "--camera", "exact", "--out", str(tmp_path)]
     assert main.main([*command, "--scheme", "rbf+pid", "--jobs", "1"]) == 0
     printed = capsys.readouterr().out
-    assert draw_world(SEED, 2).words() in printed
+    assert draw_world(HARSH, 2).words() in printed
     assert "rbf+pid: " in printed
     assert "proposed" not in printed
     assert (tmp_path / "robustness" / "trial_2.png").stat().st_size > 10_000

@@ -36,7 +36,9 @@ class Context:
     nodes : bool
         Whether spot checks through the real nodes are made.
     trials : int, optional
-        Number of random worlds of ``robustness``; it has its own default.
+        Number of random worlds; by default as many as the experiment finds enough.
+    schemes : tuple of str
+        Who is sent through them; empty for all.
     cluster : str
         Address of a dask scheduler whose workers do the runs; empty for this machine.
     """
@@ -48,6 +50,7 @@ class Context:
     rendered: bool = True
     nodes: bool = True
     trials: int | None = None
+    schemes: tuple[str, ...] = ()
     cluster: str = ""
 
     def folder(self, name: str) -> Path:

@@ -6,6 +6,7 @@ import argparse
 import hashlib
 import importlib
 import importlib.util
+import json
 import os
 import sys
 import time
@@ -69,13 +70,16 @@ def _parser() -> argparse.ArgumentParser:
         help="send the runs to the workers of a dask scheduler, such as tcp://10.0.0.1:8786",
     )
     alone = parser.add_argument_group(
-        "robustness", "Random worlds; the same number is the same world, whatever the others."
+        "everyday and robustness",
+        "Random worlds; the same number is the same world, whatever the others.",
     )
     alone.add_argument("--trials", type=_positive, help="number of worlds (default: 500)")
     alone.add_argument(
         "--trial", type=_positive, metavar="NUMBER", help="look at this one alone: words, a picture"
     )
-    alone.add_argument("--scheme", default="", help="with --trial: only this scheme")
+    alone.add_argument(
+        "--scheme", action="append", default=[], help="only this scheme (repeatable; default: all)"
+    )
     return parser
 
 
@@ -93,10 +97,8 @@ def main(argv: list[str] | None = None) -> int:
     """Run ``fvs_experiments``; the exit code says how it went."""
     parser = _parser()
     arguments = parser.parse_args(argv)
-    if arguments.name != "robustness" and (arguments.trials or arguments.trial):
-        parser.error("--trials and --trial are for robustness")
-    if arguments.scheme and not arguments.trial:
-        parser.error("--scheme needs --trial")
+    if arguments.name not in LONG and (arguments.trials or arguments.trial or arguments.scheme):
+        parser.error(f"--trials, --trial and --scheme are for {' and '.join(LONG)}")
     missing = [name for name in _NEEDS if importlib.util.find_spec(name) is None]
     if missing:
         print(
@@ -121,6 +123,8 @@ def main(argv: list[str] | None = None) -> int:
 def _run(arguments: argparse.Namespace) -> int:
     from fvs_ros.apps.experiments.cluster import ClusterError
     from fvs_ros.apps.experiments.context import Context
+    from fvs_ros.apps.experiments.robustness import UnknownSchemeError, contestants_called, rerun
+    from fvs_ros.apps.experiments.robustness_worlds import KINDS
 
     context = Context(
         out=arguments.out,
@@ -130,27 +134,19 @@ def _run(arguments: argparse.Namespace) -> int:
         rendered=arguments.camera == "rendered",
         nodes=arguments.nodes,
         trials=arguments.trials,
+        schemes=tuple(arguments.scheme),
         cluster=arguments.cluster,
     )
     try:
+        if arguments.name in LONG:
+            contestants_called(context.schemes)
         if arguments.trial:
-            return _look(context, arguments.trial, arguments.scheme)
+            rerun(context, KINDS[arguments.name], arguments.trial)
+            return EXIT_OK
         return _measure(context, arguments)
-    except ClusterError as error:
+    except (ClusterError, UnknownSchemeError) as error:
         print(f"fvs_experiments: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
-
-
-def _look(context: Context, trial: int, scheme: str) -> int:
-    from fvs_ros.apps.experiments.robustness import contestants_called, rerun
-
-    try:
-        contestants = contestants_called(scheme)
-    except ValueError as error:
-        print(f"fvs_experiments: {error}", file=sys.stderr)
-        return EXIT_BAD_INPUT
-    rerun(context, trial, contestants)
-    return EXIT_OK
 
 
 def _measure(context: Context, arguments: argparse.Namespace) -> int:
@@ -176,6 +172,7 @@ def _origin(arguments: argparse.Namespace) -> Origin:
     command = ["fvs_experiments", arguments.name]
     command += [f"--seeds {arguments.seeds}"] if arguments.seeds else []
     command += [f"--trials {arguments.trials}"] if arguments.trials else []
+    command += [f"--scheme {json.dumps(name)}" for name in arguments.scheme]
     command += ["--quick"] if arguments.quick else []
     command += [f"--camera {arguments.camera}"]
     command += [] if arguments.nodes else ["--no-nodes"]

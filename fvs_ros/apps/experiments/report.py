@@ -22,10 +22,11 @@ EXPERIMENTS = (
     "settling",
     "ablation",
     "beyond",
+    "everyday",
     "robustness",
 )
 #: Those that are run by their own name only: they take longer than all others together.
-LONG = ("robustness",)
+LONG = ("everyday", "robustness")
 _DIGITS = 7
 _WORDS = {True: "holds", False: "does not hold", None: "undecided"}
 

@@ -21,18 +21,14 @@ from fvs_ros.apps.experiments.robustness_runs import (
     success_rate,
 )
 from fvs_ros.apps.experiments.robustness_verdicts import rate_text, verdicts
-from fvs_ros.apps.experiments.robustness_worlds import (
-    BUMPED_SHARE,
-    DISTANCE_M,
-    HEAVY_SHARE,
-    RANGES,
-    draw_world,
-)
+from fvs_ros.apps.experiments.robustness_worlds import DISTANCE_M, HARSH, Kind, draw_world
 from fvs_ros.apps.experiments.trials import REST_S, Outcome
 from fvs_ros.core.schemes import BEYOND, SCHEMES
 
-NAME = "robustness"
-SEED = 304
+
+class UnknownSchemeError(ValueError):
+    """A scheme that nobody has; the text lists those known."""
+
 
 #: Who competes, with the defaults of the nodes but for what is named here. A new one is a line.
 CONTESTANTS: tuple[Contestant, ...] = (
@@ -51,22 +47,42 @@ _NAMED = 8
 
 
 def run(context: Context) -> Report:
-    """Draw the worlds, send everybody through all of them, and judge."""
-    contestants = [one for one in CONTESTANTS if not context.quick or one.name in _QUICK]
+    """Send everybody through worlds in which everything that may go wrong does so at once."""
+    return run_in(
+        context,
+        HARSH,
+        "Robustness",
+        "Random worlds, in which everything that may go wrong does so at once: which scheme brings "
+        "the ball to its target in nearly all of them?",
+    )
+
+
+def run_in(context: Context, kind: Kind, title: str, question: str) -> Report:
+    """Draw worlds of a kind, send everybody through all of them, and judge.
+
+    Parameters
+    ----------
+    context : Context
+        Settings.
+    kind : Kind
+        Of the worlds.
+    title, question : str
+        Of the report.
+    """
+    contestants = contestants_called(context.schemes or (_QUICK if context.quick else ()))
     count = context.trials or context.count(500, 4)
-    worlds = context.map(partial(draw_world, SEED), range(1, count + 1), "worlds")
+    worlds = context.map(partial(draw_world, kind), range(1, count + 1), "worlds")
     jobs = [Job(world, one, context.rendered) for world in worlds for one in contestants]
-    outcomes = context.map(run_job, jobs, NAME)
+    outcomes = context.map(run_job, jobs, kind.name)
     results = {
         one.name: outcomes[place :: len(contestants)] for place, one in enumerate(contestants)
     }
-    folder = context.folder(NAME)
+    folder = context.folder(kind.name)
     return Report(
-        name=NAME,
-        title="Robustness",
-        question="Random worlds, in which everything that may go wrong does so at once: which "
-        "scheme brings the ball to its target in nearly all of them?",
-        setup=_setup(count, context.rendered),
+        name=kind.name,
+        title=title,
+        question=question,
+        setup=_setup(kind, count, context.rendered),
         figures=[
             Figure(
                 robustness_figures.success(folder, worlds, results),
@@ -82,10 +98,10 @@ def run(context: Context) -> Report:
         tables=[_table(results), _failures_table(results)],
         verdicts=verdicts(contestants, results),
         data={
-            "seed": SEED,
+            "seed": kind.seed,
             "distance_m": DISTANCE_M,
             "duration_s": DURATION_S,
-            "ranges": RANGES,
+            "ranges": kind.ranges,
             "contestants": contestants,
             "worlds": worlds,
             "runs": {
@@ -99,43 +115,51 @@ def run(context: Context) -> Report:
     )
 
 
-def contestants_called(scheme: str) -> list[Contestant]:
-    """The contestant of this name, or all for an empty one.
+def contestants_called(names: Sequence[str]) -> list[Contestant]:
+    """The contestants of these names, or all without any.
 
     Raises
     ------
-    ValueError
-        If there is none; the text lists those known.
+    UnknownSchemeError
+        If there is none of a name.
     """
-    found = [one for one in CONTESTANTS if scheme in ("", one.name)]
-    if not found:
-        known = ", ".join(f"'{one.name}'" for one in CONTESTANTS)
-        raise ValueError(f"unknown scheme '{scheme}'; known are {known}")
-    return found
+    known = {one.name: one for one in CONTESTANTS}
+    for name in names:
+        if name not in known:
+            raise UnknownSchemeError(
+                f"unknown scheme '{name}'; known are {', '.join(repr(one) for one in known)}"
+            )
+    return [one for one in CONTESTANTS if not names or one.name in names]
 
 
-def rerun(context: Context, number: int, contestants: Sequence[Contestant]) -> None:
+def rerun(context: Context, kind: Kind, number: int) -> None:
     """Run one trial again, print a line for every contestant, and draw its error over time.
 
     Parameters
     ----------
     context : Context
         Settings.
+    kind : Kind
+        Of the worlds.
     number : int
         Of the trial, from 1.
-    contestants : sequence of Contestant
-        Who is to run.
+
+    Raises
+    ------
+    UnknownSchemeError
+        If there is no scheme of a wanted name.
     """
-    world = draw_world(SEED, number)
+    contestants = contestants_called(context.schemes)
+    world = draw_world(kind, number)
     print(f"   trial {number}: {world.words()}", flush=True)
     jobs = [Job(world, one, context.rendered, record=True) for one in contestants]
     results = {
         one.name: outcome
-        for one, outcome in zip(contestants, context.map(run_job, jobs, NAME), strict=True)
+        for one, outcome in zip(contestants, context.map(run_job, jobs, kind.name), strict=True)
     }
     for name, outcome in results.items():
         print(f"   {name}: {_line(outcome)}", flush=True)
-    path = context.folder(NAME) / f"trial_{number}.png"
+    path = context.folder(kind.name) / f"trial_{number}.png"
     robustness_figures.one_trial(path, world, results)
     print(f"picture: {path}", flush=True)
 
@@ -159,11 +183,21 @@ def _kept(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _setup(count: int, rendered: bool) -> list[str]:
+def _setup(kind: Kind, count: int, rendered: bool) -> list[str]:
     def span(name: str, factor: float = 1.0) -> str:
-        low, high = RANGES[name]
-        return f"{factor * low:g} to {factor * high:g}"
+        low, high = kind.ranges[name]
+        return f"{factor * low:g}" if low == high else f"{factor * low:g} to {factor * high:g}"
 
+    heavy = (
+        f" In {100 * kind.heavy_share:.0f} % of them the noise is alpha-stable with an exponent of "
+        f"{span('noise_exponent')}: most errors are as small as white noise's, and some are "
+        "centimetres."
+    )
+    bumped = (
+        f" In {100 * kind.bumped_share:.0f} % the camera is hit {span('bump_time_s')} s "
+        f"after the target was given: it turns by {span('bump_turn_deg')}° and moves by "
+        f"{span('bump_shift_m', 1e3)} mm, and the target is given anew in the new view."
+    )
     camera = "rendered images" if rendered else "the simulator's true positions"
     return [
         f"{count} worlds, each a pure function of its number. Start and target are "
@@ -171,12 +205,8 @@ def _setup(count: int, rendered: bool) -> list[str]:
         "been carried round the scene since the networks were trained "
         f"({span('camera_turn_deg')}°, in any direction), noise on each coordinate "
         f"({span('noise_m', 1e3)} mm), latency ({span('latency_s', 1e3)} ms), images lost "
-        f"({span('image_loss', 100)} %), further joint lag ({span('joint_lag_s', 1e3)} ms). In "
-        f"{100 * HEAVY_SHARE:.0f} % of them the noise is alpha-stable with an exponent of "
-        f"{span('noise_exponent')}: most errors are as small as white noise's, and some are "
-        f"centimetres. In {100 * BUMPED_SHARE:.0f} % the camera is hit {span('bump_time_s')} s "
-        f"after the target was given: it turns by {span('bump_turn_deg')}° and moves by "
-        f"{span('bump_shift_m', 1e3)} mm, and the target is given anew in the new view. The ball "
+        f"({span('image_loss', 100)} %), further joint lag ({span('joint_lag_s', 1e3)} ms)."
+        f"{heavy if kind.heavy_share else ''}{bumped if kind.bumped_share else ''} The ball "
         "can be seen at start and target, before and after.",
         "Fairness: every scheme meets the same worlds, noise included, with the defaults of the "
         f"nodes; nothing is tuned here. Ball positions come from {camera}. A trial lasts "
@@ -185,9 +215,9 @@ def _setup(count: int, rendered: bool) -> list[str]:
         "count from the target on, a bump included. "
         "Intervals of shares are Wilson's, 95 %. The oracle is told the true Jacobian, at once "
         "after a bump too: what it cannot do is not the estimator's fault.",
-        "Any trial can be seen alone: fvs_experiments robustness --trial NUMBER, and --scheme NAME "
-        "for one scheme of it. It prints the world and what came of it, and draws the error over "
-        "time.",
+        f"Any trial can be seen alone: fvs_experiments {kind.name} --trial NUMBER, and --scheme "
+        "NAME for one scheme of it. It prints the world and what came of it, and draws the error "
+        "over time.",
     ]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -13,26 +14,69 @@ from fvs_sim_node.simulation import Simulation
 
 #: Least and largest distance of start and target, m.
 DISTANCE_M = (0.1, 0.5)
-#: Ranges that everything else is drawn from, evenly.
-RANGES: dict[str, tuple[float, float]] = {
-    "camera_turn_deg": (0.0, 30.0),
-    "bump_turn_deg": (0.0, 10.0),
-    "bump_shift_m": (0.0, 0.1),
-    "bump_time_s": (0.3, 2.0),
-    "noise_m": (0.0002, 0.002),
-    "noise_exponent": (1.5, 1.8),
-    "latency_s": (0.0, 0.1),
-    "image_loss": (0.0, 0.2),
-    "joint_lag_s": (0.0, 0.04),
-}
-#: Shares of the worlds in which the camera is bumped, and in which the noise has heavy tails.
-BUMPED_SHARE, HEAVY_SHARE = 1 / 3, 1 / 2
 #: Exponent of noise without heavy tails.
 WHITE = 2.0
 #: No error of a coordinate is larger than this, m: the detection knows the size of the ball.
 _LARGEST_ERROR_M = 0.1
 #: Share of the ball that must be seen at start and target, whatever happens to the camera.
 _VISIBLE = 0.9
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of worlds.
+
+    Parameters
+    ----------
+    name : str
+        Of the experiment.
+    seed : int
+        Of all its worlds.
+    ranges : mapping of str to (float, float)
+        Ranges that everything but start and target is drawn from, evenly.
+    bumped_share, heavy_share : float
+        Shares of the worlds in which the camera is bumped, and in which the noise has heavy tails.
+    """
+
+    name: str
+    seed: int
+    ranges: Mapping[str, tuple[float, float]]
+    bumped_share: float = 0.0
+    heavy_share: float = 0.0
+
+
+#: Everything that may go wrong does so at once.
+HARSH = Kind(
+    "robustness",
+    304,
+    {
+        "camera_turn_deg": (0.0, 30.0),
+        "bump_turn_deg": (0.0, 10.0),
+        "bump_shift_m": (0.0, 0.1),
+        "bump_time_s": (0.3, 2.0),
+        "noise_m": (0.0002, 0.002),
+        "noise_exponent": (1.5, 1.8),
+        "latency_s": (0.0, 0.1),
+        "image_loss": (0.0, 0.2),
+        "joint_lag_s": (0.0, 0.04),
+    },
+    bumped_share=1 / 3,
+    heavy_share=1 / 2,
+)
+#: What a well-kept laboratory has: a usual sensor, and a camera that was moved since the training.
+EVERYDAY = Kind(
+    "everyday",
+    305,
+    {
+        **HARSH.ranges,
+        "noise_m": (0.001, 0.001),
+        "latency_s": (0.05, 0.05),
+        "image_loss": (0.1, 0.1),
+        "joint_lag_s": (0.0, 0.0),
+    },
+)
+
+KINDS = {kind.name: kind for kind in (EVERYDAY, HARSH)}
 
 
 @dataclass(frozen=True)
@@ -141,7 +185,7 @@ class World:
         )
 
 
-def draw_world(seed: int, number: int) -> World:
+def draw_world(kind: Kind, number: int) -> World:
     """Draw the world of a trial.
 
     How much of everything there is comes from the ranges alone; start, target and the directions
@@ -149,14 +193,14 @@ def draw_world(seed: int, number: int) -> World:
 
     Parameters
     ----------
-    seed : int
-        Of the whole experiment.
+    kind : Kind
+        What there is, and the seed of the whole experiment.
     number : int
         Of the trial.
     """
-    rng = np.random.default_rng([seed, number])
-    amount = {name: float(rng.uniform(*range_)) for name, range_ in RANGES.items()}
-    bumped, heavy = rng.random() < BUMPED_SHARE, rng.random() < HEAVY_SHARE
+    rng = np.random.default_rng([kind.seed, number])
+    amount = {name: float(rng.uniform(*range_)) for name, range_ in kind.ranges.items()}
+    bumped, heavy = rng.random() < kind.bumped_share, rng.random() < kind.heavy_share
     while True:
         case = make_cases(f"R{number}-", 1, int(rng.integers(2**31)), *DISTANCE_M)[0]
         turn_deg = _direction(rng, amount["camera_turn_deg"])
