@@ -12,6 +12,7 @@ EXTRAS = {
     "sim": ["pybullet", "opencv-python-headless", "matplotlib"],
     "train": ["torch", "threadpoolctl"],
     "lab": ["joblib", "cmaes", "jinja2", "matplotlib"],
+    "record": ["rosbags"],
     "cluster": ["distributed"],
     "test": [
         "pytest",
@@ -19,6 +20,7 @@ EXTRAS = {
         "pytest-rerunfailures",
         "hypothesis",
         "filterpy",
+        "mcap-ros2-support",
         "ruff",
         "mypy",
         "types-PyYAML",
@@ -58,6 +60,7 @@ setup(
             "fvs_controller_node=fvs_controller_node.node:main",
             "fvs_collector_node=fvs_estimator_node.collector_node:main",
             "fvs_demo_node=fvs_ros.apps.demo_node:main",
+            "fvs_recorder_node=fvs_ros.apps.recorder_node:main",
             "fvs_train=fvs_ros.apps.train:main",
             "fvs_launch=fvs_ros.apps.launcher:main",
             "fvs_experiments=fvs_ros.apps.experiments.main:main",

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
+from fvs_ros.apps import recording
 from fvs_ros.apps.scenario import (
     NODE_TABLE,
     Scenario,
@@ -150,10 +151,16 @@ class Launcher:
             self._print(f"[{name}] {line.decode('utf-8', 'replace').rstrip()}")
 
     def _wait(self) -> _Process | None:
+        gone: set[str] = set()
         while not stop.RECEIVED:
             for process in self._processes:
-                if process.popen.poll() is not None:
+                code = process.popen.poll()
+                if code is None or process.name in gone:
+                    continue
+                if not NODE_TABLE[process.name].observer:
                     return process
+                gone.add(process.name)
+                self._say(f"{process.name} ended with {_code_text(code)}: the others go on")
             time.sleep(_POLL_S)
         return None
 
@@ -176,9 +183,12 @@ class Launcher:
         return first.popen.returncode if first.popen.returncode > 0 else EXIT_FAILURE
 
     def _stop_all(self) -> None:
-        """Stop the nodes that command the arm first: their last zeros need a listener."""
-        for first_to_go in (True, False):
-            group = [p for p in self._processes if NODE_TABLE[p.name].commands_arm is first_to_go]
+        """Stop the nodes that command the arm first, and those that look on last.
+
+        The last zeros need a listener, and belong into a recording.
+        """
+        for turn in range(3):
+            group = [p for p in self._processes if _turn(p.name) == turn]
             for process in group:
                 process.stop()
             deadline_s = time.monotonic() + _STOP_S
@@ -199,6 +209,12 @@ class Launcher:
         """Print a line; without a reader the nodes are watched and drained all the same."""
         with self._print_lock, contextlib.suppress(OSError, ValueError):
             print(line, flush=True)
+
+
+def _turn(name: str) -> int:
+    """When a node is stopped: 0 first, 2 last."""
+    entry = NODE_TABLE[name]
+    return 0 if entry.commands_arm else 2 if entry.observer else 1
 
 
 def _code_text(code: int) -> str:
@@ -232,17 +248,42 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FROM:=TO",
         help="give a topic or service another name, in all nodes (repeatable)",
     )
+    parser.add_argument(
+        "--record",
+        default="",
+        metavar="DIR",
+        help="record all topics into a bag there, which must not exist yet; docs/recording.md",
+    )
+    parser.add_argument(
+        "--record-without-images",
+        dest="images",
+        action="store_false",
+        help="with --record: leave the images out, which are most of a bag, and which a simulator "
+        "would have to draw",
+    )
     return parser
+
+
+def _recorded(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
+    """The scenario with its overrides, and with a recorder if one is wanted."""
+    # A parameter without a node is not meant for the recorder: `output_dir` is the demo's.
+    own = [text for text in arguments.param if text.startswith(f"{recording.NODE}:")]
+    scenario = scenario.with_overrides([text for text in arguments.param if text not in own])
+    if arguments.record:
+        scenario = scenario.with_recording(arguments.record, arguments.images)
+    return scenario.with_overrides(own)
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run ``fvs_launch``; the exit code says how it went."""
     arguments = _parser().parse_args(argv)
     try:
+        if not arguments.images and not arguments.record:
+            raise ScenarioError("--record-without-images needs --record")
         scenario = load_scenario(arguments.scenario)
         if arguments.scheme:
             scenario = scenario.with_scheme(arguments.scheme)
-        scenario = scenario.with_overrides(arguments.param)
+        scenario = _recorded(scenario, arguments)
         remaps = [checked_remap(text) for text in arguments.remap]
         if not _NAMESPACE.fullmatch(arguments.namespace.strip("/")):
             raise ScenarioError(

@@ -40,6 +40,7 @@ UNITS = {
     "_percent": "%",
     "_px": "pixels",
     "_hz": "Hz",
+    "_mb": "MB",
     "_m": "m",
     "_s": "s",
 }
@@ -183,6 +184,9 @@ def _node(name: str, interface: Interface) -> str:
             (_code(end.topic.name), _type(end.topic.type), _qos(end), _note(name, end))
             for end in ends
         ]
+        if verb == "Subscribes" and interface.hears_all:
+            parts.append("**Subscribes** to every topic that it finds.\n")
+            continue
         head: tuple[str, ...] = ("topic", "type", "quality of service", "note")
         if not any(row[-1] for row in rows):
             head, rows = head[:-1], [row[:-1] for row in rows]

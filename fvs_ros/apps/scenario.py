@@ -17,6 +17,7 @@ from typing import Any
 
 import yaml
 
+from fvs_ros.apps import recording
 from fvs_ros.core.params import Parameter, ParameterError, ParameterSet
 from fvs_ros.core.paths import find_file
 from fvs_ros.core.schemes import scheme
@@ -73,6 +74,8 @@ class NodeEntry:
         Whether it sends joint commands: such a node is stopped first, while others still listen.
     task : bool
         Whether its end ends the scenario, its exit code being the scenario's.
+    observer : bool
+        Whether it only looks on: such a node is stopped last, and its end ends nothing.
     """
 
     executable: str
@@ -80,6 +83,7 @@ class NodeEntry:
     declarations: str
     commands_arm: bool = False
     task: bool = False
+    observer: bool = False
 
     def parameters(self) -> ParameterSet:
         """Declared parameters."""
@@ -106,6 +110,9 @@ NODE_TABLE: dict[str, NodeEntry] = {
             task=True,
         ),
         NodeEntry("fvs_demo_node", "fvs_ros.apps.demo_node", "fvs_ros.apps.demo", task=True),
+        NodeEntry(
+            recording.NODE, "fvs_ros.apps.recorder_node", "fvs_ros.apps.recording", observer=True
+        ),
     )
 }
 
@@ -196,6 +203,35 @@ class Scenario:
                 for parameter, value in wanted.items()
             ]
         )
+
+    def with_recording(self, folder: str, images: bool) -> Scenario:
+        """The scenario with a recorder, which starts before the other nodes.
+
+        Parameters
+        ----------
+        folder : str
+            Where the bag goes.
+        images : bool
+            Whether images are recorded, too.
+
+        Raises
+        ------
+        ScenarioError
+            If the folder exists.
+        """
+        try:
+            recording.check_folder(Path(folder).expanduser())
+        except recording.RecordingError as error:
+            raise ScenarioError(str(error)) from error
+        others = {name: one for name, one in self.parameters.items() if name != recording.NODE}
+        values = {
+            **self.parameters.get(recording.NODE, {}),
+            "output_dir": folder,
+            "images": images,
+            "scenario": self.to_params_yaml(),
+            "use_sim_time": any(one.get("use_sim_time", False) for one in others.values()),
+        }
+        return Scenario(self.path, {recording.NODE: values, **others})
 
     def to_params_yaml(self) -> str:
         """ROS parameter file that holds in any namespace."""

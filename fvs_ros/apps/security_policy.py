@@ -14,6 +14,8 @@ OPERATOR = "fvs_operator"
 
 _VERSION = "0.2.0"
 _DETECTOR = "fvs_detector_node"
+#: Every name, in a rule.
+_ANY = "/*"
 
 # No "--" in it: XML does not allow it in a comment.
 _HEAD = """\
@@ -55,6 +57,8 @@ def policy(namespace: str = "") -> str:
         heard = [end.topic.name for end in interface.subscribes]
         if node == _DETECTOR:
             heard = _wherever_cameras_publish(heard)
+        if interface.hears_all:
+            heard.append(_ANY)
         served = [service.name for service in interface.serves]
         _allow(profile, "topic", "publish", [*published, *topics.EVERY_NODE_PUBLISHES])
         _allow(profile, "topic", "subscribe", [*heard, *topics.EVERY_NODE_SUBSCRIBES])

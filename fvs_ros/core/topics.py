@@ -109,12 +109,15 @@ class Interface:
         Its topics.
     serves : tuple of Service
         Its services.
+    hears_all : bool
+        Whether it subscribes to whatever is published, too, as reliable and latched as that is.
     """
 
     does: str
     publishes: tuple[End, ...]
     subscribes: tuple[End, ...]
     serves: tuple[Service, ...] = ()
+    hears_all: bool = False
 
 
 _DRIVER = "the robot's driver"
@@ -387,6 +390,12 @@ INTERFACES: dict[str, Interface] = {
             End(COLOR_IMAGE, _RELIABLE, later=_AT_THE_END),
             End(CAMERA_INFO, _RELIABLE, later=_AT_THE_END),
         ),
+    ),
+    "fvs_recorder_node": Interface(
+        "Records every topic into a bag, as it is on the wire.",
+        publishes=_ALWAYS,
+        subscribes=(),
+        hears_all=True,
     ),
 }
 

@@ -1,0 +1,118 @@
+"""A rosbag2 that is being written: messages as they were on the wire, in an MCAP file.
+
+Any ROS 2 from Jazzy on reads it (``ros2 bag info``, ``ros2 bag play``), and so do Foxglove,
+PlotJuggler and ``fvs_experiments replay``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+_VERSION = 9  # of rosbag2's format, as ROS 2 Jazzy writes it
+
+
+def to_bag_qos(profile: Any) -> Qos:
+    """What a publisher offers, as a bag holds it; of a ``QoSProfile``, read by its names."""
+
+    def time(duration: Any) -> QosTime:
+        return QosTime(*divmod(duration.nanoseconds, 10**9))
+
+    return Qos(
+        history=QosHistory[profile.history.name],
+        depth=profile.depth,
+        reliability=QosReliability[profile.reliability.name],
+        durability=QosDurability[profile.durability.name],
+        deadline=time(profile.deadline),
+        lifespan=time(profile.lifespan),
+        liveliness=QosLiveliness[profile.liveliness.name],
+        liveliness_lease_duration=time(profile.liveliness_lease_duration),
+        avoid_ros_namespace_conventions=bool(profile.avoid_ros_namespace_conventions),
+    )
+
+
+class Bag:
+    """Writes one bag; a topic is in it from its first message on.
+
+    Parameters
+    ----------
+    folder : Path
+        Made here.
+    notes : mapping of str to str
+        What travels beside the messages.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be made.
+    """
+
+    def __init__(self, folder: Path, notes: Mapping[str, str]) -> None:
+        self._types = get_typestore(Stores.ROS2_JAZZY)
+        self._writer = Writer(folder, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
+        # Whole chunks of the file, as every reader of MCAP knows it: 1 MB at a time.
+        self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        for key, value in notes.items():
+            self._writer.set_custom_data(key, value)
+        self._writer.open()
+        self._connections: dict[str, Any] = {}
+        #: Messages by topic.
+        self.counts: dict[str, int] = {}
+
+    def knows(self, message_type: str) -> bool:
+        """Whether messages of a type can be described in the bag."""
+        return message_type in self._types.fielddefs
+
+    def write(
+        self, topic: str, message_type: str, profiles: Iterable[Any], stamp_ns: int, data: bytes
+    ) -> None:
+        """Append a message.
+
+        Parameters
+        ----------
+        topic, message_type : str
+            Its topic and type.
+        profiles : iterable of QoSProfile
+            What the topic's publishers offer; looked at with the first message.
+        stamp_ns : int
+            Time of its arrival, ns.
+        data : bytes
+            The message, serialised (CDR).
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+        """
+        connection = self._connections.get(topic)
+        if connection is None:
+            offered = dict.fromkeys(map(to_bag_qos, profiles))  # each kind once
+            connection = self._writer.add_connection(
+                topic, message_type, typestore=self._types, offered_qos_profiles=list(offered)
+            )
+            self._connections[topic] = connection
+            self.counts[topic] = 0
+        self._writer.write(connection, stamp_ns, data)
+        self.counts[topic] += 1
+
+    def close(self) -> None:
+        """Finish the file and write ``metadata.yaml``; an ``OSError`` if that fails."""
+        self._writer.close()
+
+    def abandon(self) -> None:
+        """Close after an error; what was written stays, without an index."""
+        with contextlib.suppress(OSError):
+            self._writer.abort()

@@ -1,0 +1,231 @@
+"""``fvs_recorder_node``: writes every topic that it finds into a bag, as it comes."""
+
+from __future__ import annotations
+
+from fvs_ros.core import stop
+
+stop.listen()
+
+import importlib
+import importlib.util
+import shutil
+import sys
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+
+from fvs_ros.apps import recording
+from fvs_ros.apps.recording import Doubles, Message, Request, SimulatedTime
+from fvs_ros.core import ros
+
+_LOOK_S = 0.2
+#: Messages wait in their queues, with the time at which they came, and are fetched this often:
+#: far cheaper than to be woken by each.
+_FETCH_S = 0.02
+_STATUS_S = 0.5
+_MB = 1e6
+
+
+class _Fetched(CallbackGroup):
+    """Subscriptions that the executor leaves alone."""
+
+    def can_execute(self, entity: Any) -> bool:
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        pass
+
+
+class RecorderNode(ros.FvsNode):
+    """Looks for topics, fetches their messages, writes them."""
+
+    def __init__(self) -> None:
+        super().__init__(recording.NODE, recording.PARAMETERS)
+        self._folder = Path(self.values["output_dir"]).expanduser()
+        recording.check_folder(self._folder)
+        if importlib.util.find_spec("rosbags") is None:
+            raise recording.RecordingError("recording needs rosbags: pip install rosbags")
+        from fvs_ros.apps.bag import Bag
+
+        self._bag = Bag(self._folder, recording.notes(self.values["scenario"], _version()))
+        self._group = _Fetched()
+        self._heard: dict[str, dict[Request, Subscription]] = {}
+        self._types: dict[str, str] = {}
+        self._offered: dict[str, list[Any]] = {}
+        self._doubles: dict[str, Doubles] = {}
+        self._left_out: set[str] = set()
+        simulated = self.get_parameter("use_sim_time").value
+        self._simulated_time = SimulatedTime() if simulated else None
+        self._broken = False
+        self.create_timer(_LOOK_S, self._look, clock=self.steady_clock)
+        self.create_timer(_FETCH_S, self._fetch, clock=self.steady_clock)
+        self.create_timer(_STATUS_S, self._publish_state, clock=self.steady_clock)
+        self._look()
+        self.tell(ros.OK, f"recording into {self._folder}")
+
+    # --- which topics ---
+
+    def _look(self) -> None:
+        """Subscribe to what is new on the graph."""
+        for topic, types in self.get_topic_names_and_types():
+            publishers = self.count_publishers(topic)
+            if publishers == len(self._offered.get(topic, ())) or topic in self._left_out:
+                continue
+            if len(types) > 1:
+                self._leave_out(topic, f"it has several types ({', '.join(types)})")
+            elif recording.is_recorded(topic, types[0], self.values["images"]):
+                self._hear(topic, types[0])
+            else:
+                self._left_out.add(topic)
+
+    def _hear(self, topic: str, message_type: str) -> None:
+        kind = _message_class(message_type)
+        if kind is None or not self._bag.knows(message_type):
+            self._leave_out(topic, f"its type {message_type} is not known here")
+            return
+        profiles = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
+        self._offered[topic] = profiles
+        self._types[topic] = message_type
+        heard = self._heard.setdefault(topic, {})
+        offers = (
+            Request(
+                reliable=profile.reliability == ReliabilityPolicy.RELIABLE,
+                latched=profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
+            )
+            for profile in profiles
+        )
+        for request in recording.missing_requests(offers, heard):
+            heard[request] = self.create_subscription(
+                kind,
+                topic,
+                lambda _message: None,  # fetched, never called
+                _qos(request, recording.queue_depth(message_type)),
+                callback_group=self._group,
+                raw=True,
+            )
+        if len(heard) > 1:
+            self._doubles.setdefault(topic, Doubles())
+
+    def _leave_out(self, topic: str, why: str) -> None:
+        self._left_out.add(topic)
+        self.tell(ros.WARN, f"{topic} is not recorded: {why}")
+
+    # --- their messages ---
+
+    def _fetch(self) -> None:
+        """Write all that has come, in the order in which it came."""
+        if self.exit_code is not None:
+            return
+        free_mb = shutil.disk_usage(self._folder).free / _MB
+        least_mb = self.values["smallest_free_mb"]
+        came = sorted(self._waiting(), key=lambda message: message.received_ns)
+        try:
+            for message in came:
+                self._write(message)
+            if free_mb < least_mb:
+                self._give_up(
+                    f"only {free_mb:.0f} MB are left on the disk (smallest_free_mb is "
+                    f"{least_mb:.0f}); what was recorded until now is complete"
+                )
+        except OSError as error:
+            self._break_off(error)
+
+    def _waiting(self) -> Iterator[Message]:
+        for topic, subscriptions in self._heard.items():
+            doubles = self._doubles.get(topic)
+            for subscription in subscriptions.values():
+                while True:
+                    with subscription.handle:
+                        taken = subscription.handle.take_message(subscription.msg_type, True)
+                    if taken is None:
+                        break
+                    data, info = taken
+                    if doubles is not None and doubles.again(info["source_timestamp"], data):
+                        continue
+                    yield Message(topic, self._types[topic], info["received_timestamp"], data)
+
+    def _write(self, message: Message) -> None:
+        stamp_ns = message.received_ns
+        if self._simulated_time is not None:
+            stamp_ns = self._simulated_time.stamp_ns(message)
+        topic = message.topic
+        self._bag.write(topic, message.message_type, self._offered[topic], stamp_ns, message.data)
+
+    # --- state and end ---
+
+    def _break_off(self, error: OSError) -> None:
+        self._broken = True
+        self._bag.abandon()
+        self._give_up(f"{error.strerror or error}; what was written has no index")
+
+    def _give_up(self, why: str) -> None:
+        self.tell(ros.ERROR, f"recording into {self._folder} has ended: {why}")
+        self.exit_code = stop.EXIT_FAILURE
+
+    def _publish_state(self) -> None:
+        counts = self._bag.counts
+        self.publish_status(
+            ros.OK,
+            "RECORDING",
+            f"recording into {self._folder}",
+            {"topics": len(counts), "messages": sum(counts.values())},
+        )
+
+    def finish(self) -> None:
+        """Write what has come until now, and finish the bag."""
+        self._fetch()
+        if self._broken:
+            return
+        try:
+            self._bag.close()
+        except OSError as error:
+            self._break_off(error)
+            return
+        counts = self._bag.counts
+        self.tell(ros.OK, f"{sum(counts.values())} messages of {len(counts)} topics recorded")
+
+
+def _qos(request: Request, depth: int) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=(
+            ReliabilityPolicy.RELIABLE if request.reliable else ReliabilityPolicy.BEST_EFFORT
+        ),
+        durability=(
+            DurabilityPolicy.TRANSIENT_LOCAL if request.latched else DurabilityPolicy.VOLATILE
+        ),
+    )
+
+
+def _message_class(message_type: str) -> Any:
+    """The class of a message type, or None where its package is not installed."""
+    package, kind, name = message_type.split("/")
+    try:
+        return getattr(importlib.import_module(f"{package}.{kind}"), name, None)
+    except ImportError:
+        return None
+
+
+def _version() -> str:
+    try:
+        return metadata.version("fvs_ros")
+    except metadata.PackageNotFoundError:
+        return "unknown"
+
+
+def main() -> int:
+    """Run ``fvs_recorder_node``."""
+    return ros.run(RecorderNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
