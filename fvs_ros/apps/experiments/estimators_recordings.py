@@ -14,6 +14,7 @@ from fvs_estimator_node.base import Estimator, MotionStep
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.pairing import StepPairing
 from fvs_ros.apps.experiments.trials import BOX_RAD, HOME_RAD, Conditions, simulation_of
+from fvs_ros.apps.score import criteria
 from fvs_ros.core.joints import N_JOINTS
 
 #: Speed of the fastest joint, rad/s, and the part of the box that the motion uses.
@@ -230,24 +231,6 @@ def judge(estimator: Estimator, recording: Recording, hears_prelude: bool) -> Tr
         / np.linalg.norm(true_jacobian, axis=(1, 2)),
         jacobian=jacobian,
     )
-
-
-def criteria(wrong_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The paper's criteria, eqs (40) to (42), of errors of predicted ball motions.
-
-    Parameters
-    ----------
-    wrong_m : ndarray, shape (n, 3)
-        dx - J dr of each step, m.
-
-    Returns
-    -------
-    t1_m : ndarray, shape (n,)
-        Length of each error, m.
-    t2_m : ndarray, shape (n,)
-        Length of the sum of all errors up to each step, m.
-    """
-    return np.linalg.norm(wrong_m, axis=1), np.linalg.norm(np.cumsum(wrong_m, axis=0), axis=1)
 
 
 def binned(time_s: np.ndarray, values: np.ndarray, edges_s: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from fvs_ros.apps.experiments.lockstep import (
     load_networks,
     make_estimator,
 )
-from fvs_ros.apps.score import settling_time_s
+from fvs_ros.apps.score import jitter_rad_s, settling_time_s
 from fvs_sim_node.rendering import CameraPose, camera_preset
 from fvs_sim_node.simulation import SimConfig, Simulation
 
@@ -426,7 +426,7 @@ class _Log:
     def _jitter(self, commands: np.ndarray) -> float:
         if self._last is None or self._last.state is not State.SERVOING:
             return float("inf")
-        return float(np.sqrt(np.mean(np.diff(commands, axis=0) ** 2, axis=0)).max())
+        return jitter_rad_s(commands)
 
     def _cause(self, errors: np.ndarray) -> str:
         if self._last is not None and self._last.state is not State.SERVOING:
