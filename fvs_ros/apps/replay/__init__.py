@@ -1,0 +1,1 @@
+"""What a recording shows, of simulation or of a real robot; needs no ROS."""

@@ -1,0 +1,262 @@
+"""A bag as arrays: which of its topics are this project's, and what they said when.
+
+Arrivals are the bag's times of reception; stamps are those in the messages' headers, computed as
+the nodes compute them, so that a number made of them is the nodes' own.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.rosbag2 import ReaderError
+from rosbags.typesys import Stores, get_typestore
+
+from fvs_ros.apps.replay.data import Flow, Recording, Said, Series
+from fvs_ros.core import topics
+from fvs_ros.core.joints import JOINT_PARAMETERS, N_JOINTS, JointMap, JointStateError
+
+#: What is looked at, by the name under which its messages are kept here.
+TOPICS = {
+    "joints": topics.JOINT_STATES.name,
+    "ball": topics.BALL_POSITION.name,
+    "true_ball": topics.TRUE_BALL_POSITION.name,
+    "target": topics.TARGET_POSITION.name,
+    "commands": topics.COMMANDS.name,
+    "jacobian": topics.JACOBIAN.name,
+    "controller": topics.CONTROLLER_STATUS.name,
+    "estimator": topics.ESTIMATOR_STATUS.name,
+}
+_POINTS = ("ball", "true_ball", "target")
+_STATUSES = ("controller", "estimator")
+_LOG, _PARAMETER_EVENTS = topics.EVERY_NODE_PUBLISHES
+#: From this level on a line of the log is kept: rcl's WARN.
+_WARN = 30
+#: Stamps and arrivals that lie further apart are not of one clock, s.
+_SAME_CLOCK_S = 1e4
+_WIDTHS = {"commands": N_JOINTS, "jacobian": 3 * N_JOINTS}
+
+
+class BagError(ValueError):
+    """A bag that cannot be looked at; the text says why."""
+
+
+def read(path: Path, namespace: str | None = None) -> Recording:
+    """Read a bag.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of a rosbag2 (MCAP or SQLite), or its one file.
+    namespace : str, optional
+        Of the nodes; only needed where the bag holds several.
+
+    Raises
+    ------
+    BagError
+        If it is none, is cut off, or holds nothing of this project.
+    """
+    if not path.exists():
+        raise BagError(f"there is no {path}")
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
+        raise BagError(
+            f"{path} has no metadata.yaml: it is no bag, or its recording was cut off "
+            "(`ros2 bag reindex` makes one)"
+        )
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+            return _Reading(reader, path, namespace).recording()
+    except (AnyReaderError, ReaderError) as error:
+        raise BagError(f"cannot read {path}: {_one_line(error)}; is it a whole bag?") from error
+    except BagError:
+        raise
+    except Exception as error:  # a damaged file is found out anywhere in the reader
+        raise BagError(
+            f"cannot read {path}: it is damaged or no bag ({type(error).__name__}: "
+            f"{_one_line(error)})"
+        ) from error
+
+
+class _Reading:
+    """One pass through a bag."""
+
+    def __init__(self, reader: AnyReader, path: Path, namespace: str | None) -> None:
+        self._reader = reader
+        self._path = path
+        names = {connection.topic for connection in reader.connections if connection.msgcount}
+        self._namespace = _namespace(names, namespace, path)
+        self._keys = {self._full(key): key for key in TOPICS}
+        self._notes = _notes(reader)
+        self._scenario = _scenario(self._notes.get("scenario", ""))
+        declared = {one.name: one.default for one in JOINT_PARAMETERS}
+        given = {**declared, **self._scenario.get("fvs_controller_node", {})}
+        self._joint_map = JointMap(given["joint_names"], given["tf_prefix"])
+        self._rows: dict[str, list[tuple[float, float, np.ndarray]]] = defaultdict(list)
+        self._said: dict[str, list[Said]] = defaultdict(list)
+
+    def _full(self, key: str) -> str:
+        return topics.resolve(TOPICS[key], "", self._namespace)
+
+    def recording(self) -> Recording:
+        flows: dict[str, tuple[str, list[float], list[float]]] = {}
+        stamped = {
+            kind: self._has_header(kind)
+            for kind in {connection.msgtype for connection in self._reader.connections}
+        }
+        for connection, time_ns, raw in self._reader.messages():
+            arrival_s = time_ns * 1e-9
+            stamp_s = _stamp_s(raw) if stamped[connection.msgtype] else np.nan
+            _, arrivals, stamps = flows.setdefault(connection.topic, (connection.msgtype, [], []))
+            arrivals.append(arrival_s)
+            stamps.append(stamp_s)
+            self._take(connection.topic, connection.msgtype, arrival_s, stamp_s, raw)
+        if not flows:
+            raise BagError(f"{self._path} holds no messages")
+        every = [time_s for _, arrivals, _ in flows.values() for time_s in arrivals]
+        return Recording(
+            path=self._path,
+            namespace=self._namespace,
+            version=self._notes.get("fvs_ros_version", ""),
+            scenario=self._scenario,
+            start_s=min(every),
+            end_s=max(every),
+            series={key: self._series(key, rows) for key, rows in self._rows.items()},
+            said=self._said,
+            flows={
+                topic: Flow(kind, np.array(arrivals), _of_one_clock(arrivals, stamps))
+                for topic, (kind, arrivals, stamps) in sorted(flows.items())
+            },
+        )
+
+    def _has_header(self, message_type: str) -> bool:
+        fields = self._reader.typestore.fielddefs.get(message_type, ((), ()))[1]
+        return bool(fields) and fields[0][0] == "header"
+
+    def _take(
+        self, topic: str, message_type: str, arrival_s: float, stamp_s: float, raw: bytes
+    ) -> None:
+        key = self._keys.get(topic)
+        if key is None and topic not in (_LOG, _PARAMETER_EVENTS):
+            return
+        message: Any = self._reader.deserialize(raw, message_type)
+        if key in _STATUSES:
+            values = {pair.key: pair.value for pair in message.values}
+            self._said[key].append(Said(arrival_s, message.name, message.message, values))
+        elif key is not None:
+            values = self._numbers(key, message)
+            if values is not None:
+                self._rows[key].append((arrival_s, stamp_s, values))
+        elif topic == _LOG and message.level >= _WARN:
+            self._said["log"].append(Said(arrival_s, message.name, message.msg))
+        elif topic == _PARAMETER_EVENTS:
+            changed = {one.name: _parameter(one.value) for one in message.changed_parameters}
+            if changed:
+                text = ", ".join(f"{name} is now {value}" for name, value in changed.items())
+                self._said["parameters"].append(Said(arrival_s, message.node.lstrip("/"), text))
+
+    def _numbers(self, key: str, message: Any) -> np.ndarray | None:
+        """The numbers of a message; None for one that its reader would have refused."""
+        if key in _POINTS:
+            point = message.point
+            return np.array([point.x, point.y, point.z])
+        if key == "joints":
+            try:
+                positions = self._joint_map.positions(message.name, message.position)
+                velocities = self._joint_map.positions(message.name, message.velocity)
+            except JointStateError:
+                return None
+            return np.concatenate([positions, velocities])
+        values = np.array(message.data, dtype=float)
+        return values if values.shape == (_WIDTHS[key],) else None
+
+    def _series(self, key: str, rows: list[tuple[float, float, np.ndarray]]) -> Series:
+        arrivals, stamps, values = zip(*rows, strict=True)
+        return Series(
+            self._full(key),
+            np.array(arrivals),
+            np.array(stamps),
+            np.array(values),
+        )
+
+
+# --- what a bag says of itself ---
+
+
+def _namespace(names: set[str], wanted: str | None, path: Path) -> str:
+    """The namespace of the nodes in a bag."""
+    found = set()
+    for name in names:
+        for own in TOPICS.values():
+            if name.endswith(f"/{own}"):
+                found.add(name.removesuffix(own).strip("/"))
+    if wanted is not None:
+        if wanted.strip("/") not in found:
+            raise BagError(f"{path} holds nothing in namespace '{wanted}'; it has {_list(found)}")
+        return wanted.strip("/")
+    if not found:
+        raise BagError(
+            f"{path} holds none of the topics {', '.join(TOPICS.values())}; it has "
+            f"{', '.join(sorted(names)) or 'no messages'}"
+        )
+    if len(found) > 1:
+        raise BagError(f"{path} holds several robots, name one by --namespace: {_list(found)}")
+    return found.pop()
+
+
+def _list(namespaces: set[str]) -> str:
+    return ", ".join(f"'/{one}'" for one in sorted(namespaces)) or "none of this project"
+
+
+def _notes(reader: AnyReader) -> Mapping[str, str]:
+    metadata = getattr(getattr(reader.readers[0], "storage", None), "metadata", None)
+    return getattr(metadata, "custom", None) or {}
+
+
+def _scenario(text: str) -> dict[str, dict[str, Any]]:
+    try:
+        content = yaml.safe_load(text) or {}
+        return {
+            key.rpartition("/")[2]: dict(section["ros__parameters"])
+            for key, section in content.items()
+        }
+    except (yaml.YAMLError, AttributeError, TypeError, KeyError):
+        return {}  # another tool's note
+
+
+# --- messages ---
+
+
+def _stamp_s(raw: bytes) -> float:
+    """Stamp of a message that begins with a header, s."""
+    order = "<" if raw[1] & 1 else ">"
+    seconds, nanoseconds = struct.unpack_from(f"{order}iI", raw, 4)
+    return seconds + nanoseconds * 1e-9 if seconds or nanoseconds else np.nan
+
+
+def _of_one_clock(arrivals_s: Sequence[float], stamps_s: Sequence[float]) -> np.ndarray:
+    """The stamps, if they are of the clock by which the bag was recorded."""
+    stamps = np.array(stamps_s)
+    known = np.isfinite(stamps)
+    if known.any() and abs(np.median(np.array(arrivals_s)[known] - stamps[known])) > _SAME_CLOCK_S:
+        return np.full(stamps.shape, np.nan)
+    return stamps
+
+
+def _parameter(value: Any) -> Any:
+    """A ``ParameterValue``'s value."""
+    names = ("", "bool", "integer", "double", "string")
+    arrays = ("byte_array", "bool_array", "integer_array", "double_array", "string_array")
+    if 0 < value.type < len(names):
+        return getattr(value, f"{names[value.type]}_value")
+    at = value.type - len(names)
+    return list(getattr(value, f"{arrays[at]}_value")) if 0 <= at < len(arrays) else None
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200]
