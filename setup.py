@@ -13,6 +13,7 @@ EXTRAS = {
     "train": ["torch", "threadpoolctl"],
     "lab": ["joblib", "cmaes", "jinja2", "matplotlib"],
     "record": ["rosbags"],
+    "dashboard": ["viser[urdf]", "opencv-python-headless"],
     "cluster": ["distributed"],
     "test": [
         "pytest",
@@ -21,6 +22,7 @@ EXTRAS = {
         "hypothesis",
         "filterpy",
         "mcap-ros2-support",
+        "playwright",
         "ruff",
         "mypy",
         "types-PyYAML",
@@ -61,6 +63,7 @@ setup(
             "fvs_collector_node=fvs_estimator_node.collector_node:main",
             "fvs_demo_node=fvs_ros.apps.demo_node:main",
             "fvs_recorder_node=fvs_ros.apps.recorder_node:main",
+            "fvs_dashboard=fvs_ros.apps.dashboard.dashboard_node:main",
             "fvs_train=fvs_ros.apps.train:main",
             "fvs_launch=fvs_ros.apps.launcher:main",
             "fvs_experiments=fvs_ros.apps.experiments.main:main",

@@ -16,6 +16,7 @@ from fvs_ros.core.topics import resolve
 PATIENCE: dict[str, dict[str, Any]] = {
     "fvs_collector_node": {"give_up_s": 600.0},
     "fvs_demo_node": {"start_timeout_s": 600.0},
+    "fvs_dashboard": {"port": 0},
     "fvs_recorder_node": {"images": False},  # nobody shall have to draw any
 }
 

@@ -194,6 +194,8 @@ def _node(name: str, interface: Interface) -> str:
     if interface.serves:
         served = [(_code(s.name), _type(s.type), s.description) for s in interface.serves]
         parts += ["**Services**\n", _table(("service", "type", "does"), served)]
+    if interface.calls:
+        parts.append(f"**Calls** {', '.join(map(_code, interface.calls))}.\n")
     for title, parameters in _parameter_groups(name):
         head = ("parameter", "default", "must be", "live", "meaning")
         parts += [f"**Parameters{title}**\n", _table(head, map(_parameter, parameters))]

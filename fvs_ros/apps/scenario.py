@@ -111,6 +111,12 @@ NODE_TABLE: dict[str, NodeEntry] = {
         ),
         NodeEntry("fvs_demo_node", "fvs_ros.apps.demo_node", "fvs_ros.apps.demo", task=True),
         NodeEntry(
+            "fvs_dashboard",
+            "fvs_ros.apps.dashboard.dashboard_node",
+            "fvs_ros.apps.dashboard.config",
+            observer=True,
+        ),
+        NodeEntry(
             recording.NODE, "fvs_ros.apps.recorder_node", "fvs_ros.apps.recording", observer=True
         ),
     )

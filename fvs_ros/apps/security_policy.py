@@ -13,7 +13,8 @@ from fvs_ros.core.topics import INTERFACES
 OPERATOR = "fvs_operator"
 
 _VERSION = "0.2.0"
-_DETECTOR = "fvs_detector_node"
+#: They look for a camera under several names.
+_FIND_CAMERAS = ("fvs_detector_node", "fvs_dashboard")
 #: Every name, in a rule.
 _ANY = "/*"
 
@@ -55,7 +56,7 @@ def policy(namespace: str = "") -> str:
         profile = _profile(enclaves, node, namespace)
         published = [end.topic.name for end in interface.publishes]
         heard = [end.topic.name for end in interface.subscribes]
-        if node == _DETECTOR:
+        if node in _FIND_CAMERAS:
             heard = _wherever_cameras_publish(heard)
         if interface.hears_all:
             heard.append(_ANY)
@@ -63,6 +64,8 @@ def policy(namespace: str = "") -> str:
         _allow(profile, "topic", "publish", [*published, *topics.EVERY_NODE_PUBLISHES])
         _allow(profile, "topic", "subscribe", [*heard, *topics.EVERY_NODE_SUBSCRIBES])
         _allow(profile, "service", "reply", [*served, *topics.EVERY_NODE_SERVES])
+        if interface.calls:
+            _allow(profile, "service", "request", interface.calls)
     _operator(enclaves, namespace)
     ET.indent(root)
     where = f" in namespace /{namespace}" if namespace else ""
@@ -88,7 +91,7 @@ def _operator(enclaves: ET.Element, namespace: str) -> None:
 
 
 def _wherever_cameras_publish(names: Iterable[str]) -> list[str]:
-    """The names, a camera's below every prefix that the detector looks at by itself."""
+    """The names, a camera's below every prefix that is looked at without being asked."""
     declared, *others = topics.CAMERA_PREFIXES
     found = []
     for name in names:

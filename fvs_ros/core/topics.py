@@ -111,6 +111,8 @@ class Interface:
         Its services.
     hears_all : bool
         Whether it subscribes to whatever is published, too, as reliable and latched as that is.
+    calls : tuple of str
+        Services of other nodes that it calls, by the names under which others know them.
     """
 
     does: str
@@ -118,6 +120,7 @@ class Interface:
     subscribes: tuple[End, ...]
     serves: tuple[Service, ...] = ()
     hears_all: bool = False
+    calls: tuple[str, ...] = ()
 
 
 _DRIVER = "the robot's driver"
@@ -292,6 +295,7 @@ _CAMERA_TOPICS = (
     "`camera_topics` says"
 )
 _AT_THE_END = "after the last target"
+_WHILE_WATCHED = "while a browser shows the page"
 
 #: What each node has on the wire, by name.
 INTERFACES: dict[str, Interface] = {
@@ -389,6 +393,34 @@ INTERFACES: dict[str, Interface] = {
             End(JOINT_STATES, _NEWEST),
             End(COLOR_IMAGE, _RELIABLE, later=_AT_THE_END),
             End(CAMERA_INFO, _RELIABLE, later=_AT_THE_END),
+        ),
+    ),
+    "fvs_dashboard": Interface(
+        "Serves a page for a browser: shows the arm, the camera's picture and how well it goes, "
+        "and hands on targets, start and stop.",
+        publishes=(End(TARGET_POSITION, _LATCHED), *_ALWAYS),
+        subscribes=(
+            End(JOINT_STATES, _NEWEST),
+            End(BALL_POSITION, _NEWEST),
+            End(CONTROLLER_STATUS, _NEWEST),
+            End(ROBOT_DESCRIPTION, _LATCHED),
+            End(TRUE_CAMERA_POSE, _LATCHED),
+            End(COLOR_IMAGE, _NEWEST, given=("image", True), later=_WHILE_WATCHED),
+            End(
+                CAMERA_INFO,
+                _NEWEST,
+                given=("image", True),
+                later=_WHILE_WATCHED,
+                note="this, and the image, below `camera/camera` as well",
+            ),
+        ),
+        calls=(
+            "fvs_controller_node/start",
+            "fvs_controller_node/stop",
+            "fvs_controller_node/set_current_as_target",
+            "fvs_controller_node/get_parameters",
+            "fvs_sim_node/get_parameters",
+            "fvs_sim_node/set_parameters",
         ),
     ),
     "fvs_recorder_node": Interface(

@@ -1,0 +1,87 @@
+"""What a person does on the page: said in the page's threads, done in the node's."""
+
+from __future__ import annotations
+
+import queue
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Call:
+    """A button that calls a service of the controller: start, stop, set_current_as_target."""
+
+    service: str
+
+
+@dataclass(frozen=True)
+class Target:
+    """A wanted ball position, camera frame, m, (3,); ``moving`` while it is dragged."""
+
+    position_m: tuple[float, float, float]
+    moving: bool = False
+
+
+@dataclass(frozen=True)
+class Tour:
+    """The tour is switched on or off."""
+
+    on: bool
+
+
+@dataclass(frozen=True)
+class Disturb:
+    """A parameter of the simulator and its wanted value."""
+
+    name: str
+    value: float | tuple[float, ...]
+
+
+Action = Call | Target | Tour | Disturb
+
+START, STOP = Call("start"), Call("stop")
+SET_CURRENT = Call("set_current_as_target")
+
+
+class Actions:
+    """The queue between the page's threads and the node's."""
+
+    def __init__(self) -> None:
+        self._queue: queue.SimpleQueue[Action] = queue.SimpleQueue()
+
+    def put(self, action: Action) -> None:
+        """Say an action, from any thread."""
+        self._queue.put(action)
+
+    def drain(self) -> list[Action]:
+        """All that was said since the last call, in order, of slid values only the last.
+
+        A stop is done before all else, and a motion that was wanted before it is forgotten.
+        """
+        said: list[Action] = []
+        while True:
+            try:
+                said.append(self._queue.get_nowait())
+            except queue.Empty:
+                break
+        if STOP in said:
+            last = len(said) - 1 - said[::-1].index(STOP)
+            kept = [action for action in said[:last] if isinstance(action, Disturb)]
+            said = [STOP, *kept, *said[last + 1 :]]
+        return [a for i, a in enumerate(said) if not any(_replaces(b, a) for b in said[i + 1 :])]
+
+
+def _replaces(later: Action, earlier: Action) -> bool:
+    """Whether a later action makes an earlier one pointless."""
+    if isinstance(later, Target):
+        return isinstance(earlier, Target)
+    if isinstance(later, Disturb):
+        return isinstance(earlier, Disturb) and later.name == earlier.name
+    return False
+
+
+def as_point(position_m: np.ndarray) -> tuple[float, float, float]:
+    """A position as three plain numbers."""
+    x, y, z = (float(value) for value in position_m)
+    return x, y, z

@@ -1,0 +1,227 @@
+"""Collects what comes over the topics, as plain values, and makes snapshots of it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from math import inf, isfinite, nan
+from typing import Any
+
+import numpy as np
+
+from fvs_ros.apps.dashboard import picture, view
+from fvs_ros.apps.dashboard.placement import CameraPlacement, Pose
+from fvs_ros.core.camera import Intrinsics
+from fvs_ros.core.history import JointHistory
+from fvs_ros.core.joints import N_JOINTS
+
+#: A ball seen longer ago is not drawn, an answer said longer ago not shown, s.
+_BALL_S, _ANSWER_S = 0.5, 12.0
+#: On a logarithmic scale nothing is zero, mm.
+_SMALLEST_MM = 1e-3
+_FIELD_OF_VIEW = (0.743, 4.0 / 3.0)  # a RealSense's, until the camera tells its own
+
+
+class Trace:
+    """The last seconds of some numbers.
+
+    Parameters
+    ----------
+    length_s : float
+        How far it reaches back, s.
+    columns : int
+        How many numbers at a time.
+    """
+
+    def __init__(self, length_s: float, columns: int) -> None:
+        self._length_s = length_s
+        self._columns = columns
+        self._rows: deque[np.ndarray] = deque()
+
+    def add(self, now_s: float, values: np.ndarray) -> None:
+        """Append numbers, shape (columns,); what is not finite is left out."""
+        values = np.asarray(values, dtype=float)
+        if np.isfinite(values).all():
+            self._rows.append(np.concatenate([[now_s], values]))
+        self._trim(now_s)
+
+    def window(self, now_s: float) -> np.ndarray:
+        """Time before now (s, negative) and numbers, shape (n, 1 + columns), oldest first."""
+        self._trim(now_s)
+        if not self._rows:
+            return np.zeros((0, 1 + self._columns))
+        rows = np.array(self._rows)
+        rows[:, 0] -= now_s
+        return rows
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._rows.clear()
+
+    def _trim(self, now_s: float) -> None:
+        while self._rows and self._rows[0][0] < now_s - self._length_s:
+            self._rows.popleft()
+
+
+class Board:
+    """All that is known, from the newest messages.
+
+    Parameters
+    ----------
+    history_s, trail_s : float
+        Length of the curves and of the ball's trail, s.
+    ball_radius_m : float
+        Radius of the ball, m.
+    """
+
+    def __init__(self, history_s: float, trail_s: float, ball_radius_m: float) -> None:
+        self._ball_radius_m = ball_radius_m
+        self._controller = view.ControllerView()
+        self._heard_s: dict[str, float] = {}
+        self._history = JointHistory()
+        self._velocity = np.full(N_JOINTS, nan)
+        self._ball: tuple[float, np.ndarray] | None = None  # exposure's stamp and position
+        self._learned_from = -inf
+        self._trail = Trace(trail_s, 3)
+        self._error = Trace(history_s, 4)
+        self._speed = Trace(history_s, N_JOINTS)
+        self._ratio = Trace(history_s, 1)
+        self._exponent = Trace(history_s, 3)
+        self._image: np.ndarray | None = None
+        self._intrinsics: Intrinsics | None = None
+        self._answer, self._answer_s = "", -inf
+        self.placement = CameraPlacement()
+        self.limit_rad_s = nan
+        self.simulator: Mapping[str, Any] | None = None
+
+    # --- what comes in ---
+
+    def add_joints(
+        self, now_s: float, stamp_s: float, joints_rad: np.ndarray, velocity_rad_s: np.ndarray
+    ) -> None:
+        """Tell joint positions and velocities, kinematic order, shape (6,)."""
+        self._heard_s["joint_states"] = now_s
+        self._history.add(stamp_s, joints_rad)
+        self._velocity = velocity_rad_s
+
+    def add_ball(self, now_s: float, stamp_s: float, position_m: np.ndarray) -> None:
+        """Tell a ball position, camera frame, m, shape (3,), and its exposure's stamp."""
+        self._heard_s["ball_position"] = now_s
+        self._ball = stamp_s, position_m
+        self._trail.add(now_s, position_m)
+
+    def add_status(self, now_s: float, values: Mapping[str, str], sentence: str) -> None:
+        """Tell the controller's status."""
+        self._heard_s["status"] = now_s
+        self._controller = controller = view.ControllerView.of(values, sentence)
+        error = controller.error_xyz_m
+        if error is not None:
+            parts = 1e3 * np.abs(np.concatenate([[controller.error_m], error]))
+            self._error.add(now_s, np.maximum(parts, _SMALLEST_MM))
+        self._ratio.add(now_s, np.array([controller.prediction_error_ratio]))
+        if controller.exponents is not None:
+            self._exponent.add(now_s, controller.exponents)
+
+    def add_image(self, image_rgb: np.ndarray) -> None:
+        """Tell a camera image, uint8, shape (height, width, 3)."""
+        self._image = image_rgb
+
+    def set_intrinsics(self, intrinsics: Intrinsics) -> None:
+        """Tell the camera's intrinsics."""
+        self._intrinsics = intrinsics
+
+    def tell_camera(self, pose: Pose) -> None:
+        """Tell where the camera really is; what was seen from elsewhere is forgotten."""
+        before = self.placement.pose
+        self.placement.tell(pose)
+        if before is not None and not np.allclose(before.rotation, pose.rotation, atol=1e-4):
+            self._trail.clear()
+
+    def answer(self, now_s: float, text: str) -> None:
+        """Tell what was answered to a person's wish."""
+        self._answer, self._answer_s = text, now_s
+
+    # --- what is known ---
+
+    @property
+    def joints_rad(self) -> np.ndarray | None:
+        """The newest joint positions, rad, shape (6,), or None."""
+        return self._history.newest
+
+    def controller(self, now_s: float) -> view.ControllerView:
+        """The controller's last word, unless it is old."""
+        if now_s - self._heard_s.get("status", -inf) > view.SILENT_S:
+            return view.ControllerView()
+        return self._controller
+
+    def ball_m(self, now_s: float) -> np.ndarray | None:
+        """The ball as last seen, camera frame, m, shape (3,); None if that is long ago."""
+        if self._ball is None or now_s - self._heard_s["ball_position"] > _BALL_S:
+            return None
+        return self._ball[1]
+
+    def learn_camera(self, flange_at: Callable[[np.ndarray], np.ndarray]) -> None:
+        """Learn the camera's place from the newest ball, unless it is told.
+
+        ``flange_at`` gives the flange's pose, shape (4, 4), at joints, rad, shape (6,).
+        """
+        if self.placement.told or self._ball is None or self._ball[0] == self._learned_from:
+            return
+        stamp_s, position_m = self._ball
+        joints = self._history.at(stamp_s)
+        if joints is not None:
+            self._learned_from = stamp_s
+            self.placement.add(flange_at(joints), position_m)
+
+    def sample(self, now_s: float) -> None:
+        """Note what is drawn over time and does not come with the status."""
+        if now_s - self._heard_s.get("joint_states", -inf) < view.SILENT_S:
+            self._speed.add(now_s, self._velocity)
+
+    def snapshot(self, now_s: float, tour: bool) -> view.Snapshot:
+        """Everything at this moment; an image is given out once."""
+        controller = self.controller(now_s)
+        heard_s = {name: now_s - heard for name, heard in self._heard_s.items()}
+        banner = view.banner_of(controller)
+        if controller.silent and "status" in heard_s:
+            banner = replace(
+                banner, sentence=f"no word from the controller for {heard_s['status']:.0f} s"
+            )
+        ball_m, trail_m = self.ball_m(now_s), self._trail.window(now_s)[:, 1:]
+        return view.Snapshot(
+            banner=banner,
+            controller=controller,
+            lamps=view.lamps_of(controller, heard_s),
+            joints_rad=self.joints_rad,
+            camera=self.placement.pose,
+            note=self.placement.note,
+            ball_m=ball_m,
+            trail_m=trail_m,
+            curves=view.Curves(
+                self._error.window(now_s),
+                self._speed.window(now_s),
+                self._ratio.window(now_s),
+                self._exponent.window(now_s),
+            ),
+            limit_rad_s=self.limit_rad_s,
+            picture=self._picture(ball_m, controller.target_m, trail_m),
+            field_of_view=self._field_of_view(),
+            answer=self._answer if now_s - self._answer_s < _ANSWER_S else "",
+            tour=tour,
+            simulator=self.simulator,
+        )
+
+    def _picture(
+        self, ball_m: np.ndarray | None, target_m: np.ndarray | None, trail_m: np.ndarray
+    ) -> np.ndarray | None:
+        image, self._image = self._image, None
+        if image is None:
+            return None
+        return picture.draw(image, self._intrinsics, ball_m, self._ball_radius_m, target_m, trail_m)
+
+    def _field_of_view(self) -> tuple[float, float]:
+        camera = self._intrinsics
+        if camera is None or not isfinite(camera.fy):
+            return _FIELD_OF_VIEW
+        return 2.0 * float(np.arctan(0.5 * camera.height / camera.fy)), camera.width / camera.height

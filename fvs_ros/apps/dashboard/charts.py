@@ -1,0 +1,106 @@
+"""The curves of the page."""
+
+from __future__ import annotations
+
+from math import isfinite
+
+import numpy as np
+import viser
+from viser import uplot
+
+from fvs_ros.apps.dashboard import markup
+from fvs_ros.apps.dashboard.view import Curves
+
+_HEIGHT_PX = 142
+_JOINTS = ("pan", "lift", "elbow", "wrist 1", "wrist 2", "wrist 3")
+_JOINT_COLOURS = (
+    markup.SKY,
+    markup.ORANGE,
+    markup.GREEN,
+    markup.YELLOW,
+    markup.PINK,
+    markup.VERMILLION,
+)
+_AXIS_COLOURS = (markup.SKY, markup.ORANGE, markup.PINK)
+_WHITE = "#F2F4F7"
+_AXES = (
+    uplot.Axis(size=22, gap=2, space=60.0, font="11px sans-serif"),
+    uplot.Axis(size=44, gap=3, space=22.0, font="11px sans-serif"),
+)
+
+
+def _series(label: str, colour: str, width: float = 1.5, dashed: bool = False) -> uplot.Series:
+    one = uplot.Series(label=label, stroke=colour, width=width, points={"show": False})
+    if dashed:
+        one["dash"] = (6.0, 4.0)
+    return one
+
+
+class Charts:
+    """Error, joint speeds, prediction error and exponents over the last seconds.
+
+    Parameters
+    ----------
+    gui : viser.GuiApi
+        Where they are put, in the present container.
+    history_s : float
+        Length of the curves, s.
+    """
+
+    def __init__(self, gui: viser.GuiApi, history_s: float) -> None:
+        self._gui = gui
+        self._history_s = history_s
+        self._error = self._add(
+            "Distance to the target, mm",
+            {"distr": 3, "log": 10, "range": (0.01, 1000.0)},
+            *(_series(f"|{a}|", c, 1.0) for a, c in zip("xyz", _AXIS_COLOURS, strict=True)),
+            _series("distance", _WHITE, 2.25),
+        )
+        self._speed = self._add(
+            "Joint speeds and their limit, rad/s",
+            {"range": (-1.2, 1.2)},
+            *(_series(n, c) for n, c in zip(_JOINTS, _JOINT_COLOURS, strict=True)),
+            _series("limit", markup.GREY, 1.0, dashed=True),
+            _series("", markup.GREY, 1.0, dashed=True),
+        )
+        self._ratio = self._add(
+            "One-step prediction error (1: as bad as predicting rest)",
+            {"range": (0.0, 1.5)},
+            _series("error ratio", markup.SKY, 2.0),
+            _series("as bad as none", markup.GREY, 1.0, dashed=True),
+        )
+        self._exponent = self._add(
+            "Exponents of the sliding mode law",
+            {"range": (0.0, 2.0)},
+            *(_series(f"γ{a}", c, 2.0) for a, c in zip("xyz", _AXIS_COLOURS, strict=True)),
+        )
+
+    def _add(self, title: str, scale: dict, *series: uplot.Series) -> viser.GuiUplotHandle:
+        empty = np.zeros(0)
+        return self._gui.add_uplot(
+            (empty,) * (1 + len(series)),
+            (uplot.Series(label="s"), *series),
+            title=title,
+            scales={"x": {"time": False, "range": (-self._history_s, 0.0)}, "y": scale},
+            axes=_AXES,
+            legend={"show": True, "live": False},
+            cursor={"drag": {"x": False, "y": False}},
+            height=_HEIGHT_PX,
+            padding=(4, 10, 0, 0),
+        )
+
+    def update(self, curves: Curves, limit_rad_s: float) -> None:
+        """Draw the newest curves."""
+        time_s, norm, *parts = curves.error_mm.T
+        self._error.data = (time_s, *parts, norm)
+        time_s, *speeds = curves.speed_rad_s.T
+        limits = np.full(len(time_s), limit_rad_s)
+        if isfinite(limit_rad_s):
+            reach = 1.2 * limit_rad_s
+            self._speed.scales = {**self._speed.scales, "y": {"range": (-reach, reach)}}
+        else:
+            limits = np.zeros(len(time_s))
+        self._speed.data = (time_s, *speeds, limits, -limits)
+        time_s, ratio = curves.ratio.T
+        self._ratio.data = (time_s, ratio, np.ones(len(time_s)))
+        self._exponent.data = tuple(curves.exponent.T)

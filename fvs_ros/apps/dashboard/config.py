@@ -1,0 +1,38 @@
+"""Parameters of ``fvs_dashboard``, declared once."""
+
+from __future__ import annotations
+
+from fvs_ros.core.camera import CAMERA_FRAME
+from fvs_ros.core.joints import JOINT_PARAMETERS
+from fvs_ros.core.params import Parameter
+
+PARAMETERS = (
+    Parameter("host", "127.0.0.1", "address the page is served at; 0.0.0.0 lets others see it"),
+    Parameter("port", 8080, "port of the page; 0 takes any free one", minimum=0, maximum=65535),
+    Parameter("rate_hz", 12.0, "pictures a second", minimum=1.0, maximum=30.0),
+    Parameter("feature_frame", CAMERA_FRAME, "frame of ball and target"),
+    *JOINT_PARAMETERS,
+    Parameter("trail_s", 6.0, "so much of the ball's way is drawn", minimum=0.0, maximum=60.0),
+    Parameter("history_s", 20.0, "length of the curves", minimum=2.0, maximum=300.0),
+    Parameter(
+        "ball_radius_m", 0.03, "radius of the ball, as it is drawn", minimum=0.001, maximum=0.2
+    ),
+    Parameter(
+        "image", True, "show the camera's image; the simulator draws it only while it is looked at"
+    ),
+    Parameter("tour", False, "send the ball to one target after another until a person takes over"),
+    Parameter("tour_period_s", 5.0, "time given to each target of the tour", minimum=1.0),
+    Parameter(
+        "tour_distance_m",
+        0.3,
+        "wanted distance from one target of the tour to the next",
+        minimum=0.05,
+        maximum=1.0,
+    ),
+    Parameter(
+        "model_path",
+        "models/ur5_front.npz",
+        "trained model: the tour's targets are positions it saw",
+    ),
+    Parameter("seed", 0, "seed of the tour", minimum=0),
+)

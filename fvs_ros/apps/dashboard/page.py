@@ -1,0 +1,150 @@
+"""The page: a viser server with a 3-D view, a panel and curves."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import io
+import socket
+import threading
+
+import viser
+
+from fvs_ros.apps.dashboard.actions import Actions, Target
+from fvs_ros.apps.dashboard.arm import Arm
+from fvs_ros.apps.dashboard.charts import Charts
+from fvs_ros.apps.dashboard.panel import Panel
+from fvs_ros.apps.dashboard.scene import Scene
+from fvs_ros.apps.dashboard.view import Snapshot
+
+#: The curves are sent with every so many pictures: they are long, and eyes are slow.
+_CURVES_EVERY = 3
+_STOP_S = 0.8
+_LEFT_PX, _RIGHT_PX = 400, 350
+
+
+class Page:
+    """Serves the page; what a person does there goes into ``actions``.
+
+    Parameters
+    ----------
+    host : str
+        Address to serve at.
+    port : int
+        Its port; 0 for any free one.
+    actions : Actions
+        Takes what a person does.
+    history_s : float
+        Length of the curves, s.
+    ball_radius_m : float
+        Radius of the ball, m.
+    image : bool
+        Whether there will be a picture.
+
+    Raises
+    ------
+    ValueError
+        If the port is taken, or the address is not this machine's.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        actions: Actions,
+        *,
+        history_s: float,
+        ball_radius_m: float,
+        image: bool,
+    ) -> None:
+        _check_free(host, port)
+        self._host = host
+        with _quiet():
+            self._server = viser.ViserServer(host, port, label="fvs_ros", verbose=False)
+        if port and self._server.get_port() != port:  # taken since it was looked at
+            self.close()
+            raise ValueError(_taken(host, port))
+        server, gui = self._server, self._server.gui
+        gui.configure_theme(
+            dark_mode=True, show_logo=False, show_share_button=False, brand_color=(0, 114, 178)
+        )
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(_RIGHT_PX)
+        self._panel = Panel(gui, actions.put, image)
+        curves = gui.add_panel()
+        with curves.add_tab("Curves", viser.Icon.CHART_LINE):
+            self._charts = Charts(gui, history_s)
+        curves.dock_left()
+        curves.set_width(_LEFT_PX)
+        self._scene = Scene(
+            server, ball_radius_m, lambda at, moving: actions.put(Target(at, moving))
+        )
+        server.initial_camera.position = (1.75, 1.15, 1.05)
+        server.initial_camera.look_at = (0.45, -0.15, 0.4)
+        server.initial_camera.fov = 0.85
+        self._shown = 0
+
+    @property
+    def address(self) -> str:
+        """Where a browser finds it."""
+        host = "localhost" if self._host in ("0.0.0.0", "::", "") else self._host
+        return f"http://{host}:{self._server.get_port()}"
+
+    @property
+    def watched(self) -> bool:
+        """Whether anybody is looking."""
+        return bool(self._server.get_clients())
+
+    def set_arm(self, arm: Arm) -> None:
+        """Show a robot."""
+        self._scene.set_arm(arm)
+
+    def update(self, shown: Snapshot) -> None:
+        """Show a moment to everybody who is looking."""
+        with self._server.atomic():
+            self._scene.update(shown)
+            self._panel.update(shown)
+            if self._shown % _CURVES_EVERY == 0:
+                self._charts.update(shown.curves, shown.limit_rad_s)
+        self._shown += 1
+
+    def close(self) -> None:
+        """Stop serving; a browser that does not answer is not waited for."""
+
+        def stop() -> None:
+            with _quiet():
+                self._server.stop()
+
+        thread = threading.Thread(target=stop, daemon=True)
+        thread.start()
+        thread.join(_STOP_S)
+
+
+def _taken(host: str, port: int) -> str:
+    return (
+        f"port {port} of {host} is taken; stop what is served there, or choose another one: "
+        "parameter port, 0 for any that is free"
+    )
+
+
+def _check_free(host: str, port: int) -> None:
+    """Refuse a port that is taken: viser would quietly take the next one."""
+    try:
+        found = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM)
+        family, kind, protocol, _, address = found[0]
+        with socket.socket(family, kind, protocol) as trial:
+            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            trial.bind(address)
+    except socket.gaierror as error:
+        raise ValueError(f"host {host} is not known: {error}") from error
+    except PermissionError as error:
+        raise ValueError(f"port {port} is the system's: choose one from 1024 on") from error
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            raise ValueError(_taken(host, port)) from error
+        raise ValueError(f"the page cannot be served at {host}: {error}") from error
+
+
+def _quiet() -> contextlib.redirect_stdout:
+    """Keep viser's own words from the terminal: the node says where the page is."""
+    return contextlib.redirect_stdout(io.StringIO())

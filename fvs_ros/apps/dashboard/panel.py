@@ -1,0 +1,153 @@
+"""The panel of the page: what a person reads and presses."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from math import inf
+
+import numpy as np
+import viser
+
+from fvs_ros.apps.dashboard import markup
+from fvs_ros.apps.dashboard.actions import (
+    SET_CURRENT,
+    START,
+    STOP,
+    Action,
+    Disturb,
+    Target,
+    Tour,
+    as_point,
+)
+from fvs_ros.apps.dashboard.view import Snapshot
+
+#: What somebody sets is left alone for so long, s.
+_EDITED_S = 4.0
+_ROTATION = "camera_rotation_deg"
+_AXES = ("right axis", "down axis", "optical axis")
+_LARGEST_TURN_DEG = 45.0
+
+
+class Panel:
+    """Banner, lamps, buttons, target, picture and the simulator's disturbances.
+
+    Parameters
+    ----------
+    gui : viser.GuiApi
+        Where it is put.
+    say : callable
+        Takes what a person does; called in the page's threads.
+    image : bool
+        Whether there will be a picture.
+    """
+
+    def __init__(self, gui: viser.GuiApi, say: Callable[[Action], None], image: bool) -> None:
+        self._gui = gui
+        self._say = say
+        self._edited_s: dict[str, float] = {}
+        self._banner = gui.add_html("")
+        self._lamps = gui.add_html("")
+        self._note = gui.add_html("")
+        self._answer = gui.add_html("")
+        self._add_buttons()
+        self._add_target()
+        self._picture: viser.GuiImageHandle | None = None
+        if image:
+            blank = np.full((240, 320, 3), 32, np.uint8)
+            self._picture = gui.add_image(blank, format="jpeg", jpeg_quality=75)
+        self._add_simulator()
+
+    # --- what is there ---
+
+    def _add_buttons(self) -> None:
+        gui = self._gui
+        icons = viser.Icon
+        self._button(gui.add_button("Start", color="teal", icon=icons.PLAYER_PLAY), START)
+        self._button(gui.add_button("Stop", color="red", icon=icons.PLAYER_STOP), STOP)
+
+    def _button(self, button: viser.GuiButtonHandle, action: Action) -> None:
+        @button.on_click
+        async def _(_event: viser.GuiEvent) -> None:
+            self._say(action)
+
+    def _add_target(self) -> None:
+        gui = self._gui
+        with gui.add_folder("Target in the camera's frame"):
+            self._target = gui.add_vector3("x, y, z (m)", (0.0, 0.0, 1.0), step=0.01)
+            go = gui.add_button("Go", color="blue", icon=viser.Icon.TARGET_ARROW)
+            current = gui.add_button("Set current as target", color="gray")
+            self._tour = gui.add_checkbox("Tour", False, hint="Send it to one after another.")
+        self._button(current, SET_CURRENT)
+
+        @self._target.on_update
+        async def _(event: viser.GuiEvent) -> None:
+            if event.client is not None:
+                self._edited_s["target"] = time.monotonic()
+
+        @go.on_click
+        async def _(_event: viser.GuiEvent) -> None:
+            self._edited_s.pop("target", None)
+            self._say(Target(as_point(np.array(self._target.value))))
+
+        @self._tour.on_update
+        async def _(event: viser.GuiEvent) -> None:
+            if event.client is not None:
+                self._edited_s["tour"] = time.monotonic()
+                self._say(Tour(self._tour.value))
+
+    def _add_simulator(self) -> None:
+        gui = self._gui
+        self._simulator = gui.add_folder("Simulator: disturb it", visible=False)
+        with self._simulator:
+            self._noise = gui.add_slider("Depth noise", 0.0, 5.0, 0.1, 1.0)
+            self._latency = gui.add_slider("Latency (ms)", 0.0, 200.0, 5.0, 40.0)
+            self._turns = tuple(
+                gui.add_slider(f"Bump, {axis} (°)", -_LARGEST_TURN_DEG, _LARGEST_TURN_DEG, 1.0, 0.0)
+                for axis in _AXES
+            )
+        self._disturb(self._noise, "depth_noise", lambda: self._noise.value)
+        self._disturb(self._latency, "latency_s", lambda: 1e-3 * self._latency.value)
+        for turn in self._turns:
+            self._disturb(turn, _ROTATION, lambda: tuple(one.value for one in self._turns))
+
+    def _disturb(
+        self, slider: viser.GuiSliderHandle, name: str, value: Callable[[], float | tuple]
+    ) -> None:
+        @slider.on_update
+        async def _(event: viser.GuiEvent) -> None:
+            if event.client is not None:
+                self._edited_s[name] = time.monotonic()
+                self._say(Disturb(name, value()))
+
+    # --- what is shown ---
+
+    def update(self, shown: Snapshot) -> None:
+        """Show a moment."""
+        self._banner.content = markup.banner_html(shown.banner)
+        self._lamps.content = markup.lamps_html(shown.lamps)
+        self._note.content = markup.remark_html(shown.note, "note")
+        self._answer.content = markup.remark_html(shown.answer, "answer")
+        if self._picture is not None and shown.picture is not None:
+            self._picture.image = shown.picture
+        if self._free("tour"):
+            self._tour.value = shown.tour
+        if shown.controller.target_m is not None and self._free("target"):
+            x, y, z = (round(value, 3) for value in as_point(shown.controller.target_m))
+            self._target.value = (x, y, z)
+        self._show_simulator(shown)
+
+    def _show_simulator(self, shown: Snapshot) -> None:
+        self._simulator.visible = shown.simulator is not None
+        values = shown.simulator or {}
+        if "depth_noise" in values and self._free("depth_noise"):
+            self._noise.value = values["depth_noise"]
+        if "latency_s" in values and self._free("latency_s"):
+            self._latency.value = 1e3 * values["latency_s"]
+        if _ROTATION in values and self._free(_ROTATION):
+            for slider, angle in zip(self._turns, values[_ROTATION], strict=True):
+                slider.value = angle
+
+    def _free(self, name: str) -> bool:
+        """Whether nobody is just setting it."""
+        return time.monotonic() - self._edited_s.get(name, -inf) > _EDITED_S

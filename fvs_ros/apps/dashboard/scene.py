@@ -1,0 +1,179 @@
+"""The 3-D view: arm, camera, ball, trail and target."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from math import inf
+
+import numpy as np
+import viser
+import viser.transforms
+from viser.extras import ViserUrdf
+
+from fvs_ros.apps.dashboard.arm import Arm
+from fvs_ros.apps.dashboard.view import Snapshot
+
+_BALL, _PREDICTED, _TARGET = (213, 40, 30), (255, 214, 0), (86, 180, 233)
+_TRAIL_OLD, _TRAIL_NEW = np.array([60, 64, 72]), np.array([255, 214, 0])
+#: The trail has always so many pieces: the page redraws it cheaply then.
+_PIECES = 96
+#: So long after a drag the target stays where it was dropped, until the controller has said, s.
+_DROPPED_S = 0.6
+_FRUSTUM_M = 0.16
+
+
+class Scene:
+    """All that stands in the 3-D view; what the camera sees stands in the camera's frame.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+        The page's server.
+    ball_radius_m : float
+        Radius of the ball, m.
+    on_drag : callable
+        Called with the target's position, camera frame, m, and whether it is still being dragged.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        ball_radius_m: float,
+        on_drag: Callable[[tuple[float, float, float], bool], None],
+    ) -> None:
+        self._server = server
+        self._on_drag = on_drag
+        self._held_s = -inf  # when the target was last held by somebody's hand
+        self._arm: Arm | None = None
+        self._robot: ViserUrdf | None = None
+        scene = server.scene
+        scene.configure_default_lights(enabled=True, cast_shadow=False)
+        scene.add_grid(
+            "/floor",
+            width=3.0,
+            height=3.0,
+            cell_size=0.1,
+            cell_color=(52, 56, 64),
+            section_size=0.5,
+            section_color=(84, 90, 102),
+            shadow_opacity=0.0,
+        )
+        self._root = scene.add_frame("/robot", show_axes=False)
+        self._base = scene.add_frame("/base", show_axes=False)
+        self._camera = scene.add_frame(
+            "/base/camera", axes_length=0.08, axes_radius=0.003, origin_radius=0.004, visible=False
+        )
+        self._frustum: viser.CameraFrustumHandle | None = None
+        self._trail = scene.add_line_segments(
+            "/base/camera/trail",
+            np.zeros((_PIECES, 2, 3)),
+            _trail_colours(),
+            thickness=3.0,
+            thickness_units="screen",
+        )
+        self._ball = scene.add_icosphere("/base/camera/ball", ball_radius_m, _BALL, visible=False)
+        self._predicted = scene.add_icosphere(
+            "/base/camera/predicted",
+            1.25 * ball_radius_m,
+            _PREDICTED,
+            subdivisions=2,
+            opacity=0.3,
+            visible=False,
+        )
+        self._add_target(ball_radius_m)
+
+    def _add_target(self, ball_radius_m: float) -> None:
+        scene = self._server.scene
+        self._target = scene.add_transform_controls(
+            "/base/camera/target",
+            scale=0.22,
+            line_width=3.0,
+            disable_rotations=True,
+            depth_test=False,
+            visible=False,
+        )
+        scene.add_icosphere("/base/camera/target/ball", ball_radius_m, _TARGET, opacity=0.65)
+        scene.add_label(
+            "/base/camera/target/name",
+            "target: drag me",
+            position=(0.0, -0.09, 0.0),
+            anchor="bottom-center",
+            font_screen_scale=0.8,
+        )
+
+        @self._target.on_update
+        async def _(event: viser.TransformControlsEvent) -> None:
+            # In the page's thread; assignments of numbers alone.
+            self._held_s = time.monotonic()
+            if event.phase != "start":
+                x, y, z = (float(value) for value in event.target.position)
+                self._on_drag((x, y, z), event.phase == "update")
+
+    def set_arm(self, arm: Arm) -> None:
+        """Show another robot, or the first."""
+        if self._robot is not None:
+            self._robot.remove()
+        self._arm, self._robot = arm, ViserUrdf(self._server, arm.urdf, root_node_name="/robot")
+        self._base.wxyz, self._base.position = _placed(arm.base[:3, :3], arm.base[:3, 3])
+
+    def update(self, shown: Snapshot) -> None:
+        """Show a moment."""
+        if self._robot is not None and self._arm is not None and shown.joints_rad is not None:
+            self._robot.update_cfg(self._arm.configuration(shown.joints_rad))
+        self._camera.visible = shown.camera is not None
+        if shown.camera is None:
+            return
+        self._camera.wxyz, self._camera.position = _placed(
+            shown.camera.rotation, shown.camera.position_m
+        )
+        self._show_frustum(shown)
+        _put(self._ball, shown.ball_m)
+        _put(self._predicted, shown.controller.position_m)
+        if time.monotonic() - self._held_s > _DROPPED_S:
+            _put(self._target, shown.controller.target_m)
+        self._trail.visible = len(shown.trail_m) > 1
+        if len(shown.trail_m) > 1:
+            self._trail.points = _pieces(shown.trail_m)
+
+    def _show_frustum(self, shown: Snapshot) -> None:
+        fov, aspect = shown.field_of_view
+        if self._frustum is None:
+            self._frustum = self._server.scene.add_camera_frustum(
+                "/base/camera/view",
+                fov,
+                aspect,
+                scale=_FRUSTUM_M,
+                thickness=0.004,
+                color=(190, 196, 208),
+                jpeg_quality=70,
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+        self._frustum.fov, self._frustum.aspect = fov, aspect
+        if shown.picture is not None:
+            self._frustum.image = shown.picture
+
+
+def _placed(rotation: np.ndarray, position_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return viser.transforms.SO3.from_matrix(rotation).wxyz, position_m
+
+
+def _put(node: viser.SceneNodeHandle, position_m: np.ndarray | None) -> None:
+    node.visible = position_m is not None
+    if position_m is not None:
+        node.position = position_m
+
+
+def _pieces(trail_m: np.ndarray) -> np.ndarray:
+    """The trail in equal parts of time, oldest first, shape (pieces, 2, 3)."""
+    where = np.linspace(0.0, len(trail_m) - 1.0, _PIECES + 1)
+    known = np.arange(len(trail_m))
+    points = np.stack([np.interp(where, known, column) for column in trail_m.T], axis=1)
+    return np.stack([points[:-1], points[1:]], axis=1)
+
+
+def _trail_colours() -> np.ndarray:
+    share = np.linspace(0.0, 1.0, _PIECES + 1)[:, None]
+    colours = ((1.0 - share) * _TRAIL_OLD + share * _TRAIL_NEW).astype(np.uint8)
+    return np.stack([colours[:-1], colours[1:]], axis=1)

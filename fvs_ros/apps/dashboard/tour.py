@@ -1,0 +1,49 @@
+"""The tour: one reachable target after another, until a person takes over."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fvs_ros.apps.demo import choose_target
+
+
+class TargetTour:
+    """Chooses the next target when the last one has had its time.
+
+    Parameters
+    ----------
+    candidates_m : ndarray, shape (n, 3)
+        Positions the ball can be at, m, camera frame.
+    period_s : float
+        Time given to each, s.
+    distance_m : float
+        Wanted distance from one to the next, m.
+    seed : int
+        Of the choice.
+    """
+
+    def __init__(
+        self, candidates_m: np.ndarray, period_s: float, distance_m: float, seed: int
+    ) -> None:
+        self._candidates_m = candidates_m
+        self._period_s = period_s
+        self._distance_m = distance_m
+        self._rng = np.random.default_rng(seed)
+        self._due_s = -np.inf
+
+    def next(self, now_s: float, ready: bool, ball_m: np.ndarray | None) -> np.ndarray | None:
+        """The next target, m, camera frame, (3,), if one is due.
+
+        Parameters
+        ----------
+        now_s : float
+            Steady clock, s.
+        ready : bool
+            Whether the controller would go there now.
+        ball_m : ndarray, shape (3,), or None
+            Where the ball is, m, camera frame.
+        """
+        if not ready or ball_m is None or now_s < self._due_s:
+            return None
+        self._due_s = now_s + self._period_s
+        return choose_target(self._candidates_m, ball_m, self._distance_m, self._rng)
