@@ -1,0 +1,184 @@
+"""The targets of a recording, each judged as the demo and the laboratory judge theirs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from fvs_ros.apps.demo import PARAMETERS, TargetRecord, TargetScore, score
+from fvs_ros.apps.replay.data import Recording, Series
+from fvs_ros.apps.score import jitter_rad_s
+from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.core.params import ParameterError, ParameterSet
+
+#: Targets that follow each other more quickly are one target that moves, s.
+_MOVING_S = 0.5
+#: Stamps further apart than this are two moments, s: their last digits are lost in seconds.
+_SAME_MOMENT_S = 1e-6
+#: A target's stamp further from its arrival than this is not when it was given, s.
+_GIVEN_S = 0.3
+_FINAL_S = 1.0
+_DEMO = "fvs_demo_node"
+
+
+@dataclass(frozen=True)
+class Target:
+    """One target, n samples of the ball on the way to it.
+
+    Parameters
+    ----------
+    number : int
+        From 1.
+    moving : bool
+        Whether it is one that moved: then there is no settling, but an error all along.
+    record : TargetRecord
+        Where it was (at last), and the ball's positions since it was given.
+    errors_m : ndarray, shape (n,)
+        Distances of the ball to it at each sample, m.
+    score : TargetScore
+        The demo's judgement.
+    path_m : float
+        Length of the ball's path, m; longer with a noisy position.
+    jitter_rad_s : float
+        Of the command over the last second; not a number without commands.
+    """
+
+    number: int
+    moving: bool
+    record: TargetRecord
+    errors_m: np.ndarray
+    score: TargetScore
+    path_m: float
+    jitter_rad_s: float
+
+    @property
+    def rms_m(self) -> float:
+        """Error over all of it, rms, m: what says something of a target that moves."""
+        return float(np.sqrt(np.mean(self.errors_m**2)))
+
+
+@dataclass(frozen=True)
+class _Given:
+    """A target as it was given: when, and where it was from then on."""
+
+    time_s: list[float] = field(default_factory=list)
+    position_m: list[np.ndarray] = field(default_factory=list)
+
+
+def settle_error_m(recording: Recording) -> float:
+    """The bound that counts as settled: that of the recorded demo, or the demo's default."""
+    return float(_demo_values(recording)["settle_error_m"])
+
+
+def judged_by(recording: Recording) -> Series | None:
+    """The ball positions to judge by: the true ones where the bag has them."""
+    return recording.series.get("true_ball") or recording.series.get("ball")
+
+
+def targets(recording: Recording) -> list[Target]:
+    """Judge every target that the bag has ball positions for."""
+    ball, given = judged_by(recording), recording.series.get("target")
+    if ball is None or given is None:
+        return []
+    time_s = _times(ball)
+    runs = _grouped(given, time_s)
+    found: list[Target] = []
+    for one, following in zip(runs, [*runs[1:], None], strict=True):
+        end_s = np.inf if following is None else following.time_s[0]
+        if following is None and _DEMO in recording.scenario:
+            end_s = _first_at_least(time_s, one.time_s[0] + _demo_values(recording)["target_s"])
+        target = _judge(recording, ball, time_s, one, end_s, len(found) + 1)
+        if target is not None:
+            found.append(target)
+    return found
+
+
+def _demo_values(recording: Recording) -> dict[str, Any]:
+    declared = ParameterSet(PARAMETERS)
+    given = dict(recording.scenario.get(_DEMO, {}))
+    given.pop("use_sim_time", None)
+    try:
+        return declared.values(given)
+    except ParameterError:
+        return declared.values()
+
+
+def _times(series: Series) -> np.ndarray:
+    """When each sample was so: its stamp, or else its arrival, s."""
+    return np.where(np.isfinite(series.stamp_s), series.stamp_s, series.arrival_s)
+
+
+def _first_at_least(time_s: np.ndarray, wanted_s: float) -> float:
+    later = time_s[time_s >= wanted_s]
+    return float(later[0]) if later.size else np.inf
+
+
+def _grouped(given: Series, ball_s: np.ndarray) -> list[_Given]:
+    """Targets one after another; those in quick succession are one."""
+    runs: list[_Given] = []
+    last: np.ndarray | None = None
+    heard_s = -np.inf
+    for arrival_s, stamp_s, position_m in zip(
+        given.arrival_s, given.stamp_s, given.values, strict=True
+    ):
+        quick = arrival_s - heard_s < _MOVING_S
+        heard_s = arrival_s
+        if last is not None and np.array_equal(last, position_m):
+            continue  # said again
+        last = position_m
+        # By another machine's clock, or without a stamp: it counts from when it came.
+        given_s = stamp_s if abs(arrival_s - stamp_s) < _GIVEN_S else arrival_s
+        nearest = int(np.argmin(np.abs(ball_s - given_s)))
+        if abs(ball_s[nearest] - given_s) < _SAME_MOMENT_S:
+            given_s = ball_s[nearest]
+        if not (runs and quick):
+            runs.append(_Given())
+        runs[-1].time_s.append(float(given_s))
+        runs[-1].position_m.append(position_m)
+    return runs
+
+
+def _judge(
+    recording: Recording,
+    ball: Series,
+    time_s: np.ndarray,
+    given: _Given,
+    end_s: float,
+    number: int,
+) -> Target | None:
+    start_s = given.time_s[0]
+    chosen = np.flatnonzero((time_s >= start_s) & (time_s <= end_s))
+    if chosen.size == 0:
+        return None
+    record = TargetRecord(given.position_m[-1], start_s)
+    for index in chosen:
+        record.add_position(float(time_s[index]), ball.values[index])
+    joints = recording.series.get("joints")
+    if joints is not None:
+        joint_s = _times(joints)
+        for index in np.flatnonzero((joint_s > start_s) & (joint_s <= end_s)):
+            record.add_joint_velocity(float(joint_s[index]), joints.values[index, N_JOINTS:])
+    positions = ball.values[chosen]
+    wanted = np.searchsorted(given.time_s, time_s[chosen], side="right") - 1
+    errors = np.linalg.norm(positions - np.array(given.position_m)[wanted], axis=1)
+    return Target(
+        number=number,
+        moving=len(given.time_s) > 1,
+        record=record,
+        errors_m=errors,
+        score=score(record, settle_error_m(recording)),
+        path_m=float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()),
+        jitter_rad_s=_jitter(recording.series.get("commands"), ball, chosen),
+    )
+
+
+def _jitter(commands: Series | None, ball: Series, chosen: Sequence[int] | np.ndarray) -> float:
+    """Jitter of the commands that came in the last second of some ball positions."""
+    if commands is None:
+        return float("nan")
+    end_s = ball.arrival_s[chosen[-1]]
+    last = (commands.arrival_s > end_s - _FINAL_S) & (commands.arrival_s <= end_s)
+    return jitter_rad_s(commands.values[last]) if last.sum() > 1 else float("nan")

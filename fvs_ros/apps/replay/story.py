@@ -1,0 +1,136 @@
+"""What the nodes said, in order: states and reasons, limits, warnings, silences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from fvs_ros.apps.replay.data import Recording, Said
+from fvs_ros.apps.replay.timing import gaps
+
+SERVOING = "SERVOING"
+#: A line of the log that came again within this is the same trouble, s.
+_AGAIN_S = 5.0
+
+
+@dataclass(frozen=True)
+class Spell:
+    """A time in which something stayed as it was.
+
+    Parameters
+    ----------
+    start_s, end_s : float
+        From and to, s.
+    what : str
+        The controller's state, or the name of a limit.
+    reason : str
+        The reason's name; empty for a limit.
+    sentence : str
+        The first sentence about it.
+    """
+
+    start_s: float
+    end_s: float
+    what: str
+    reason: str = ""
+    sentence: str = ""
+
+
+@dataclass(frozen=True)
+class Event:
+    """A moment worth a line.
+
+    Parameters
+    ----------
+    time_s : float
+        When, s.
+    who : str
+        The node or topic.
+    text : str
+        What was.
+    times : int
+        How often, in quick succession.
+    """
+
+    time_s: float
+    who: str
+    text: str
+    times: int = 1
+
+
+def states(recording: Recording) -> list[Spell]:
+    """The controller's states and reasons, one after the other."""
+    statuses = recording.said.get("controller", ())
+    found: list[Spell] = []
+    for status, end_s in _with_ends(recording, statuses):
+        state = status.values.get("state", "unknown")
+        reason = status.values.get("reason", "")
+        if found and (found[-1].what, found[-1].reason) == (state, reason):
+            last = found[-1]
+            found[-1] = Spell(last.start_s, end_s, state, reason, last.sentence)
+        else:
+            found.append(Spell(status.arrival_s, end_s, state, reason, status.text))
+    return found
+
+
+def limits(recording: Recording) -> list[Spell]:
+    """Spells in which a limit shaped the command, as far as ten statuses a second tell."""
+    found: list[Spell] = []
+    active = ""
+    for status, end_s in _with_ends(recording, recording.said.get("controller", ())):
+        previous, active = active, status.values.get("active_limit", "")
+        if not active:
+            continue
+        if active == previous:
+            found[-1] = Spell(found[-1].start_s, end_s, active)
+        else:
+            found.append(Spell(status.arrival_s, end_s, active))
+    return found
+
+
+def servoing_s(recording: Recording) -> float:
+    """Time in which the controller moved the arm, s."""
+    return sum(one.end_s - one.start_s for one in states(recording) if one.what == SERVOING)
+
+
+def events(recording: Recording) -> list[Event]:
+    """Warnings of the log, changed parameters and silences of inputs, in order.
+
+    The controller's own warnings are its states, and not said twice.
+    """
+    own = {spell.what for spell in states(recording)}
+    found = [
+        Event(line.arrival_s, line.who, line.text)
+        for line in recording.said.get("log", ())
+        if line.text.partition(":")[0] not in own
+    ]
+    found += [
+        Event(one.arrival_s, one.who, one.text) for one in recording.said.get("parameters", ())
+    ]
+    found += [
+        Event(gap.start_s, gap.topic, f"silent for {gap.length_s:.2f} s") for gap in gaps(recording)
+    ]
+    return _joined(sorted(found, key=lambda event: event.time_s))
+
+
+def _with_ends(recording: Recording, statuses: Sequence[Said]) -> list[tuple[Said, float]]:
+    ends = [status.arrival_s for status in statuses[1:]] + [recording.end_s]
+    return list(zip(statuses, ends, strict=True)) if statuses else []
+
+
+def _joined(events: Sequence[Event]) -> list[Event]:
+    """The events, each of those that come again and again once."""
+    found: list[Event] = []
+    latest: dict[tuple[str, str], tuple[int, float]] = {}
+    for event in events:
+        # "silent for 0.12 s" and "silent for 0.14 s" are the same trouble.
+        key = (event.who, event.text.partition(" for ")[0])
+        index, time_s = latest.get(key, (-1, float("-inf")))
+        if event.time_s - time_s < _AGAIN_S:
+            first = found[index]
+            found[index] = Event(first.time_s, first.who, first.text, first.times + 1)
+        else:
+            index = len(found)
+            found.append(event)
+        latest[key] = (index, event.time_s)
+    return found
