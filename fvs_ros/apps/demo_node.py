@@ -47,7 +47,7 @@ class DemoNode(ros.FvsNode):
         self._image_asked_s: float | None = None
         self._target = self.create_publisher(PointStamped, ros.TARGET_POSITION, ros.QOS_LATCHED)
         self.watch(DiagnosticStatus, ros.CONTROLLER_STATUS, self._on_status, ros.QOS_RELIABLE)
-        self.watch(PointStamped, ros.TRUE_BALL_POSITION, self._on_true_ball, ros.QOS_NEWEST)
+        self.watch(PointStamped, ros.TRUE_BALL_POSITION, self._on_true_ball, ros.QOS_EVERY)
         self.watch(JointState, ros.JOINT_STATES, self._on_joint_states, ros.QOS_NEWEST)
         self.create_timer(_POLL_S, self._poll, clock=self.steady_clock)
 

@@ -71,6 +71,10 @@ def _qos(reliability: ReliabilityPolicy, durability: DurabilityPolicy) -> QoSPro
 QOS_NEWEST = _qos(ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)
 QOS_RELIABLE = _qos(ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
 QOS_LATCHED = _qos(ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
+#: For a record: nothing is lost while its keeper is busy.
+QOS_EVERY = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=1000, reliability=ReliabilityPolicy.RELIABLE
+)
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 

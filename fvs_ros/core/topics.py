@@ -389,7 +389,7 @@ INTERFACES: dict[str, Interface] = {
         publishes=(End(TARGET_POSITION, _LATCHED), *_ALWAYS),
         subscribes=(
             End(CONTROLLER_STATUS, _RELIABLE),
-            End(TRUE_BALL_POSITION, _NEWEST),
+            End(TRUE_BALL_POSITION, _RELIABLE, note="every one of them, to judge by"),
             End(JOINT_STATES, _NEWEST),
             End(COLOR_IMAGE, _RELIABLE, later=_AT_THE_END),
             End(CAMERA_INFO, _RELIABLE, later=_AT_THE_END),

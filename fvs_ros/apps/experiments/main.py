@@ -30,7 +30,11 @@ _NEEDS = ("cmaes", "joblib", "jinja2", "matplotlib", "scipy")
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="fvs_experiments", description=__doc__.replace("`", ""))
+    parser = argparse.ArgumentParser(
+        prog="fvs_experiments",
+        description=__doc__.replace("`", ""),
+        epilog="fvs_experiments replay BAG looks at a recording instead.",
+    )
     parser.add_argument(
         "name",
         choices=(*EXPERIMENTS, "all"),
@@ -95,8 +99,13 @@ def _positive(text: str) -> int:
 
 def main(argv: list[str] | None = None) -> int:
     """Run ``fvs_experiments``; the exit code says how it went."""
+    given = sys.argv[1:] if argv is None else argv
+    if given[:1] == ["replay"]:
+        from fvs_ros.apps.replay.main import main as replay
+
+        return replay(given[1:])
     parser = _parser()
-    arguments = parser.parse_args(argv)
+    arguments = parser.parse_args(given)
     if arguments.name not in LONG and (arguments.trials or arguments.trial or arguments.scheme):
         parser.error(f"--trials, --trial and --scheme are for {' and '.join(LONG)}")
     missing = [name for name in _NEEDS if importlib.util.find_spec(name) is None]

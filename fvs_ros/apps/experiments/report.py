@@ -151,13 +151,33 @@ def write_report(report: Report, folder: Path, origin: Origin) -> Path:
     return path
 
 
-def write_page(out: Path) -> Path:
+@dataclass(frozen=True)
+class Heading:
+    """What stands above a page that is not the experiments'.
+
+    Parameters
+    ----------
+    title, lead : str
+        Its title, and a paragraph below it.
+    """
+
+    title: str
+    lead: str
+
+
+def write_page(
+    out: Path, names: Sequence[str] = EXPERIMENTS, heading: Heading | None = None
+) -> Path:
     """Write ``index.html`` from all results in a folder, pictures included, and ``index.md``.
 
     Parameters
     ----------
     out : Path
         Folder with a folder for each experiment that was run.
+    names : sequence of str
+        The folders, in the order of the page.
+    heading : Heading, optional
+        By default the experiments'.
 
     Returns
     -------
@@ -165,7 +185,7 @@ def write_page(out: Path) -> Path:
         The page. The Markdown beside it has the same words and tables, and links to the pictures.
     """
     reports = []
-    for name in EXPERIMENTS:
+    for name in names:
         path = out / name / RESULTS
         if path.is_file():
             report = json.loads(path.read_text(encoding="utf-8"))
@@ -179,13 +199,19 @@ def write_page(out: Path) -> Path:
                 figure["data"] = base64.b64encode(png).decode("ascii")
             reports.append(report)
     page = out / "index.html"
-    page.write_text(_render("page.html.jinja", reports, autoescape=True), encoding="utf-8")
-    text = _render("page.md.jinja", reports, autoescape=False)
+    html = _render("page.html.jinja", reports, heading, autoescape=True)
+    page.write_text(html, encoding="utf-8")
+    text = _render("page.md.jinja", reports, heading, autoescape=False)
     (out / "index.md").write_text(text, encoding="utf-8")
     return page
 
 
-def _render(template: str, reports: Sequence[Mapping[str, Any]], autoescape: bool) -> str:
+def _render(
+    template: str,
+    reports: Sequence[Mapping[str, Any]],
+    heading: Heading | None,
+    autoescape: bool,
+) -> str:
     from jinja2 import Environment
 
     source = files("fvs_ros.apps.experiments").joinpath(template).read_text("utf-8")
@@ -195,7 +221,7 @@ def _render(template: str, reports: Sequence[Mapping[str, Any]], autoescape: boo
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    return environment.from_string(source).render(reports=reports)
+    return environment.from_string(source).render(reports=reports, heading=heading)
 
 
 def _plain(value: Any) -> Any:

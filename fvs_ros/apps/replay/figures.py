@@ -1,4 +1,4 @@
-"""Pictures of a recording: errors, paths, timing, predictions; ``overview.py`` has the first one."""
+"""Pictures of a recording: errors, paths, timing, predictions; the first is in ``overview.py``."""
 
 from __future__ import annotations
 

@@ -1,0 +1,137 @@
+"""The first section of a recording's page: states and reasons, limits, warnings, silences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from fvs_ros.apps.experiments.report import Figure, Report, Table
+from fvs_ros.apps.replay import story
+from fvs_ros.apps.replay.data import Recording
+from fvs_ros.apps.replay.overview import overview
+from fvs_ros.apps.replay.runs import Target
+
+HAPPENED = "happened"
+#: A table of the page is no longer than this, rows.
+_MOST = 60
+
+
+def happened(
+    recording: Recording, targets: Sequence[Target], bounds_m: Sequence[float], folder: Path
+) -> Report:
+    """Tell what the controller did, and why, and draw it."""
+    states, limits, events = (
+        story.states(recording),
+        story.limits(recording),
+        story.events(recording),
+    )
+    figure = overview(recording, targets, bounds_m, folder)
+    tables = []
+    if states:
+        tables.append(
+            Table(
+                "The controller’s states and reasons.",
+                ["from, s", "for, s", "state", "reason", "said"],
+                _cut(
+                    [
+                        [
+                            _seconds(one.start_s - recording.start_s),
+                            _seconds(one.end_s - one.start_s),
+                            one.what,
+                            one.reason,
+                            one.sentence,
+                        ]
+                        for one in states
+                    ]
+                ),
+            )
+        )
+    if events:
+        tables.append(
+            Table(
+                "Warnings of all nodes, parameters that were changed, and inputs of the controller "
+                "that were silent for longer than it waits.",
+                ["at, s", "who", "what", "times"],
+                _cut(
+                    [
+                        [
+                            _seconds(one.time_s - recording.start_s),
+                            one.who,
+                            one.text,
+                            str(one.times),
+                        ]
+                        for one in events
+                    ]
+                ),
+            )
+        )
+    if limits:
+        tables.append(_limits_table(limits, story.servoing_s(recording)))
+    return Report(
+        name=HAPPENED,
+        title="What happened",
+        question="What did the controller do, when, and why?",
+        setup=[
+            f"{recording.end_s - recording.start_s:.1f} s, "
+            f"{sum(len(flow.arrival_s) for flow in recording.flows.values())} messages of "
+            f"{len(recording.flows)} topics. {_origin(recording)}"
+            + ("" if states else " The controller’s status is not in the bag.")
+        ],
+        figures=[
+            Figure(
+                figure,
+                "From above: the controller’s state, and when a limit shaped its command; the "
+                "distance of the ball to the target, a colour each; the joints’ velocities as "
+                "measured and as commanded, between the limits that the controller keeps.",
+            )
+        ],
+        tables=tables,
+        data={
+            "scenario": recording.scenario,
+            "states": [asdict(one) for one in states],
+            "limits": [asdict(one) for one in limits],
+            "events": [asdict(one) for one in events],
+        },
+    )
+
+
+def _origin(recording: Recording) -> str:
+    words = [f"Recorded with fvs_ros {recording.version}." if recording.version else ""]
+    values = recording.scenario
+    method = values.get("fvs_estimator_node", {}).get("method")
+    law = values.get("fvs_controller_node", {}).get("law")
+    if method and law:
+        words.append(f"Method {method}, law {law}.")
+    if not values:
+        words.append(
+            "The bag does not say how the nodes were started: the limits drawn and the bounds of "
+            "settling are the defaults."
+        )
+    return " ".join(filter(None, words))
+
+
+def _limits_table(limits: Sequence[story.Spell], servoing_s: float) -> Table:
+    total_s: dict[str, float] = {}
+    for spell in limits:
+        total_s[spell.what] = total_s.get(spell.what, 0.0) + spell.end_s - spell.start_s
+    return Table(
+        "Limits that shaped the command, as far as the status tells, ten times a second.",
+        ["limit", "for, s", "of the time in motion"],
+        [
+            [name, _seconds(time_s), f"{100 * time_s / servoing_s:.0f} %" if servoing_s else ""]
+            for name, time_s in sorted(total_s.items(), key=lambda one: -one[1])
+        ],
+    )
+
+
+def _seconds(value_s: float) -> str:
+    return f"{value_s:.2f}"
+
+
+def _cut(rows: list[list[str]]) -> list[list[str]]:
+    """At most so many rows; the last says how many more there are in ``results.json``."""
+    if len(rows) <= _MOST:
+        return rows
+    more = ["…", f"{len(rows) - _MOST} more in results.json", *[""] * (len(rows[0]) - 2)]
+    return [*rows[:_MOST], more]

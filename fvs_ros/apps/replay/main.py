@@ -1,0 +1,108 @@
+"""``fvs_experiments replay BAG``: the laboratory's figures and numbers of a recording."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_OK
+
+if TYPE_CHECKING:
+    from fvs_ros.apps.experiments.report import Report, Table
+    from fvs_ros.apps.replay.data import Recording
+
+COMMAND = "fvs_experiments replay"
+_NEEDS = ("rosbags", "jinja2", "matplotlib")
+#: No more rows of a table than this go to the terminal.
+_PRINTED = 25
+_LEAD = (
+    "A recorded run of visual servoing, in simulation or on a robot: what the controller did, how "
+    "the ball came to its targets, and whether everything came in time."
+)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog=COMMAND, description=__doc__.replace("`", ""))
+    parser.add_argument(
+        "bag", type=Path, help="folder of a rosbag2 (MCAP or SQLite), or its one file"
+    )
+    parser.add_argument(
+        "--out",
+        "--output",
+        type=Path,
+        help="folder of the page (default: out/replay/ and the bag's name)",
+    )
+    parser.add_argument(
+        "--namespace", help="of the nodes; needed where the bag holds several robots only"
+    )
+    return parser
+
+
+def main(argv: list[str]) -> int:
+    """Read a bag and write its page; the exit code says how it went."""
+    arguments = _parser().parse_args(argv)
+    missing = [name for name in _NEEDS if importlib.util.find_spec(name) is None]
+    if missing:
+        print(
+            f"{COMMAND}: {', '.join(missing)} not installed; "
+            "pip install -c constraints.txt -e '.[record,lab]'",
+            file=sys.stderr,
+        )
+        return EXIT_BAD_INPUT
+    from fvs_ros.apps.experiments.report import Heading, Origin, write_page, write_report
+    from fvs_ros.apps.replay.reading import BagError, read
+    from fvs_ros.apps.replay.sections import NAMES, sections
+
+    bag: Path = arguments.bag
+    out = arguments.out or Path("out/replay") / bag.resolve().stem
+    try:
+        recording = read(bag, arguments.namespace)
+        out.mkdir(parents=True, exist_ok=True)
+        reports = sections(recording, out)
+        origin = Origin(f"{COMMAND} {bag}", _version(), _model(recording), quick=False)
+        for report in reports:
+            write_report(report, out / report.name, origin)
+        page = write_page(out, NAMES, Heading(f"Recording {bag.resolve().name}", _LEAD))
+    except (BagError, OSError) as error:
+        print(f"{COMMAND}: {error}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    _tell(reports)
+    print(f"page: {page}")
+    return EXIT_OK
+
+
+def _tell(reports: list[Report]) -> None:
+    """Print what an engineer wants to know first: states with their reasons, and the targets."""
+    for report in reports[:2]:
+        for paragraph in report.setup:
+            print(paragraph)
+        for table in report.tables[:2]:
+            print(f"\n{_text(table)}\n")
+
+
+def _text(table: Table) -> str:
+    """A table as text; its last column is not filled up."""
+    rows = [table.header, *table.rows[:_PRINTED]]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
+    more = len(table.rows) - _PRINTED
+    return "\n".join([*lines, *([f"({more} more on the page)"] if more > 0 else [])])
+
+
+def _model(recording: Recording) -> str:
+    path = recording.scenario.get("fvs_estimator_node", {}).get("model_path", "")
+    return Path(path).name if path else ""
+
+
+def _version() -> str:
+    try:
+        return metadata.version("fvs_ros")
+    except metadata.PackageNotFoundError:
+        return ""
