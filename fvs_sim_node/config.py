@@ -44,6 +44,15 @@ PARAMETERS = (
     Parameter("feature_frame", CAMERA_FRAME, "frame of ball and images"),
     Parameter("camera", "front", "where the camera stands", choices=("front", "overhead")),
     Parameter("image_rate_hz", 30.0, "images a second", minimum=1.0, maximum=120.0),
+    Parameter(
+        "full_frame_rate_hz",
+        30.0,
+        "full camera images a second, at most, beside a loop in real time; each takes a core for "
+        "tens of milliseconds",
+        minimum=0.5,
+        maximum=120.0,
+        live=True,
+    ),
     Parameter("image_width", 640, "image width, pixels", minimum=64, maximum=1920),
     Parameter("image_height", 480, "image height, pixels", minimum=48, maximum=1080),
     Parameter("focal_length_px", 615.0, "focal length, pixels", minimum=50.0, maximum=3000.0),

@@ -56,6 +56,7 @@ class SimNode(ros.FvsNode):
         self._late = 0
         self._watched = False
         self._worker: FrameWorker | None = None
+        self._exposed_s = -np.inf  # the newest full frame, simulated time
 
         self._joint_states = self.create_publisher(JointState, ros.JOINT_STATES, ros.QOS_RELIABLE)
         self._ball = self.create_publisher(PointStamped, ros.BALL_POSITION, ros.QOS_RELIABLE)
@@ -195,14 +196,22 @@ class SimNode(ros.FvsNode):
             self._ball.publish(ros.to_point(stamp_s, self._frame, position_m))
         if observation.frame is not None:
             self._publish_frame(observation.frame)
-        elif self._worker is not None and self._watched:
-            self._worker.expose(
+        elif self._worker is not None and self._watched and self._frame_is_due(observation.stamp_s):
+            exposed = self._worker.expose(
                 observation.stamp_s,
                 observation.joints_rad,
                 observation.camera,
                 self._sim.depth_noise,
                 observation.covered,
             )
+            if exposed:
+                self._exposed_s = observation.stamp_s
+
+    def _frame_is_due(self, stamp_s: float) -> bool:
+        passed_s = stamp_s - self._exposed_s
+        # Half an image's period of slack: exposures come at the image rate, with some jitter.
+        slack_s = 0.5 / self.values["image_rate_hz"]
+        return not 0.0 <= passed_s < 1.0 / self.values["full_frame_rate_hz"] - slack_s
 
     def _publish_frame(self, frame: Frame) -> None:
         stamp_s = self._base_s + frame.stamp_s
@@ -212,8 +221,10 @@ class SimNode(ros.FvsNode):
         else:
             depth = depth_m.astype(np.float32)
         encoding = self.values["depth_encoding"]
-        self._color.publish(ros.to_image(stamp_s, self._frame, frame.rgb, "rgb8"))
-        self._depth.publish(ros.to_image(stamp_s, self._frame, depth, encoding))
+        if self._color.get_subscription_count():
+            self._color.publish(ros.to_image(stamp_s, self._frame, frame.rgb, "rgb8"))
+        if self._depth.get_subscription_count():
+            self._depth.publish(ros.to_image(stamp_s, self._frame, depth, encoding))
         self._info.publish(ros.to_camera_info(stamp_s, self._frame, self._sim.intrinsics))
 
     def _look_around(self) -> None:

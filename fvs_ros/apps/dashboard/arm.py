@@ -69,11 +69,11 @@ def _load(text: str) -> yourdfpy.URDF:
         raise ValueError(f"robot_description cannot be read: {error}") from error
 
 
-def _find(name: str) -> str:
+def _find(fname: str) -> str:
     """The file of a mesh that the URDF names."""
-    if not name.startswith(_PACKAGE):
-        return name.removeprefix("file://")
-    package, _, rest = name.removeprefix(_PACKAGE).partition("/")
+    if not fname.startswith(_PACKAGE):
+        return fname.removeprefix("file://")
+    package, _, rest = fname.removeprefix(_PACKAGE).partition("/")
     for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
         path = Path(prefix, "share", package, rest)
         if path.is_file():

@@ -177,7 +177,7 @@ class Board:
     def sample(self, now_s: float) -> None:
         """Note what is drawn over time and does not come with the status."""
         if now_s - self._heard_s.get("joint_states", -inf) < view.SILENT_S:
-            self._speed.add(now_s, self._velocity)
+            self._speed.add(now_s, np.abs(self._velocity))
 
     def snapshot(self, now_s: float, tour: bool) -> view.Snapshot:
         """Everything at this moment; an image is given out once."""

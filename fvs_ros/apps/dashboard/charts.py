@@ -23,9 +23,10 @@ _JOINT_COLOURS = (
 )
 _AXIS_COLOURS = (markup.SKY, markup.ORANGE, markup.PINK)
 _WHITE = "#F2F4F7"
+_TICKS = {"show": False}
 _AXES = (
-    uplot.Axis(size=22, gap=2, space=60.0, font="11px sans-serif"),
-    uplot.Axis(size=44, gap=3, space=22.0, font="11px sans-serif"),
+    uplot.Axis(size=36, gap=4, space=60.0, font="11px sans-serif", ticks=_TICKS),
+    uplot.Axis(size=46, gap=6, space=24.0, font="11px sans-serif", ticks=_TICKS),
 )
 
 
@@ -58,10 +59,9 @@ class Charts:
         )
         self._speed = self._add(
             "Joint speeds and their limit, rad/s",
-            {"range": (-1.2, 1.2)},
+            {"range": (0.0, 1.2)},
             *(_series(n, c) for n, c in zip(_JOINTS, _JOINT_COLOURS, strict=True)),
             _series("limit", markup.GREY, 1.0, dashed=True),
-            _series("", markup.GREY, 1.0, dashed=True),
         )
         self._ratio = self._add(
             "One-step prediction error (1: as bad as predicting rest)",
@@ -76,9 +76,10 @@ class Charts:
         )
 
     def _add(self, title: str, scale: dict, *series: uplot.Series) -> viser.GuiUplotHandle:
-        empty = np.zeros(0)
+        # Without a point, a chart forgets the range of its time.
+        ends_s, unknown = np.array([-self._history_s, 0.0]), np.full(2, np.nan)
         return self._gui.add_uplot(
-            (empty,) * (1 + len(series)),
+            (ends_s, *(unknown,) * len(series)),
             (uplot.Series(label="s"), *series),
             title=title,
             scales={"x": {"time": False, "range": (-self._history_s, 0.0)}, "y": scale},
@@ -92,15 +93,17 @@ class Charts:
     def update(self, curves: Curves, limit_rad_s: float) -> None:
         """Draw the newest curves."""
         time_s, norm, *parts = curves.error_mm.T
-        self._error.data = (time_s, *parts, norm)
+        self._draw(self._error, time_s, *parts, norm)
         time_s, *speeds = curves.speed_rad_s.T
-        limits = np.full(len(time_s), limit_rad_s)
         if isfinite(limit_rad_s):
-            reach = 1.2 * limit_rad_s
-            self._speed.scales = {**self._speed.scales, "y": {"range": (-reach, reach)}}
-        else:
-            limits = np.zeros(len(time_s))
-        self._speed.data = (time_s, *speeds, limits, -limits)
+            scale = {"range": (0.0, 1.2 * limit_rad_s)}
+            self._speed.scales = {**self._speed.scales, "y": scale}
+        self._draw(self._speed, time_s, *speeds, np.full(len(time_s), limit_rad_s))
         time_s, ratio = curves.ratio.T
-        self._ratio.data = (time_s, ratio, np.ones(len(time_s)))
-        self._exponent.data = tuple(curves.exponent.T)
+        self._draw(self._ratio, time_s, ratio, np.ones(len(time_s)))
+        self._draw(self._exponent, *curves.exponent.T)
+
+    @staticmethod
+    def _draw(chart: viser.GuiUplotHandle, *columns: np.ndarray) -> None:
+        if len(columns[0]):
+            chart.data = columns

@@ -15,7 +15,7 @@ PARAMETERS = (
     Parameter("trail_s", 6.0, "so much of the ball's way is drawn", minimum=0.0, maximum=60.0),
     Parameter("history_s", 20.0, "length of the curves", minimum=2.0, maximum=300.0),
     Parameter(
-        "ball_radius_m", 0.03, "radius of the ball, as it is drawn", minimum=0.001, maximum=0.2
+        "ball_radius_m", 0.04, "radius of the ball, as it is drawn", minimum=0.001, maximum=0.2
     ),
     Parameter(
         "image", True, "show the camera's image; the simulator draws it only while it is looked at"

@@ -6,6 +6,7 @@ from fvs_ros.core import stop
 
 stop.listen()
 
+import os
 import sys
 from collections.abc import Callable
 from math import isfinite, nan
@@ -31,6 +32,7 @@ from fvs_ros.core.joints import N_JOINTS, JointMap, JointStateError
 from fvs_ros.core.paths import find_file
 from fvs_ros.core.topics import CAMERA_PREFIXES
 
+_NICE = 5
 _ACTIONS_PERIOD_S = 0.02
 _LOOK_PERIOD_S = 1.0
 _CONTROLLER, _SIMULATOR = "fvs_controller_node", "fvs_sim_node"
@@ -280,7 +282,8 @@ def _make_page(values: dict[str, Any], actions: Actions) -> Any:
 
 
 def main() -> int:
-    """Run ``fvs_dashboard``."""
+    """Run ``fvs_dashboard``, behind the loop wherever there are too few cores for both."""
+    os.nice(_NICE)
     return ros.run(DashboardNode)
 
 

@@ -24,8 +24,27 @@ _LAMPS = {True: (GREEN, "✓"), False: (VERMILLION, "✗"), None: (GREY, "?")}
 _BOX = "margin:0 0.75em 0.5em 0.75em;border-radius:6px;"
 
 
+#: What the controller asks for by a service's name stands on the page as a button.
+_BUTTONS = {
+    "call ~/start": "press Start",
+    "publish one, or call ~/set_current_as_target": "set one, or press Set current as target",
+}
+
+
+def side_by_side(name: str) -> str:
+    """Put the next two elements of the panel into one row; ``name`` is unique."""
+    mark = f"div:has(> #fvs-{name})"
+    return (
+        f'<div id="fvs-{name}"></div><style>{mark} + div, {mark} + div + div '
+        "{display:inline-block;width:50%}</style>"
+    )
+
+
 def banner_html(banner: Banner) -> str:
     """The state, large, with the distance to go and the controller's sentence."""
+    sentence = banner.sentence
+    for service, button in _BUTTONS.items():
+        sentence = sentence.replace(service, button)
     return (
         f'<div style="{_BOX}background:{banner.colour};color:#fff;padding:0.7em 0.9em;">'
         '<div style="display:flex;justify-content:space-between;align-items:baseline;gap:0.6em">'
@@ -34,7 +53,7 @@ def banner_html(banner: Banner) -> str:
         f'font-variant-numeric:tabular-nums">{escape(banner.error)}</span></div>'
         '<div style="font-size:0.8em;line-height:1.35;margin-top:0.25em;min-height:2.7em">'
         f'<b id="fvs-state">{escape(banner.state)}</b> · '
-        f'<span id="fvs-sentence">{escape(banner.sentence)}</span></div></div>'
+        f'<span id="fvs-sentence">{escape(sentence)}</span></div></div>'
     )
 
 

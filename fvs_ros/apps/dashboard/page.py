@@ -79,8 +79,9 @@ class Page:
         self._scene = Scene(
             server, ball_radius_m, lambda at, moving: actions.put(Target(at, moving))
         )
-        server.initial_camera.position = (1.75, 1.15, 1.05)
-        server.initial_camera.look_at = (0.45, -0.15, 0.4)
+        # From where arm and camera stand side by side, wherever the camera usually stands.
+        server.initial_camera.position = (2.0, 1.45, 1.25)
+        server.initial_camera.look_at = (0.6, -0.4, 0.42)
         server.initial_camera.fov = 0.85
         self._shown = 0
 

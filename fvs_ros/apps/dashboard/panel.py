@@ -25,7 +25,6 @@ from fvs_ros.apps.dashboard.view import Snapshot
 #: What somebody sets is left alone for so long, s.
 _EDITED_S = 4.0
 _ROTATION = "camera_rotation_deg"
-_AXES = ("right axis", "down axis", "optical axis")
 _LARGEST_TURN_DEG = 45.0
 
 
@@ -50,6 +49,7 @@ class Panel:
         self._lamps = gui.add_html("")
         self._note = gui.add_html("")
         self._answer = gui.add_html("")
+        gui.add_html(markup.side_by_side("start-stop"))
         self._add_buttons()
         self._add_target()
         self._picture: viser.GuiImageHandle | None = None
@@ -75,6 +75,7 @@ class Panel:
         gui = self._gui
         with gui.add_folder("Target in the camera's frame"):
             self._target = gui.add_vector3("x, y, z (m)", (0.0, 0.0, 1.0), step=0.01)
+            gui.add_html(markup.side_by_side("go-current"))
             go = gui.add_button("Go", color="blue", icon=viser.Icon.TARGET_ARROW)
             current = gui.add_button("Set current as target", color="gray")
             self._tour = gui.add_checkbox("Tour", False, hint="Send it to one after another.")
@@ -98,13 +99,13 @@ class Panel:
 
     def _add_simulator(self) -> None:
         gui = self._gui
-        self._simulator = gui.add_folder("Simulator: disturb it", visible=False)
+        self._simulator = gui.add_folder("Simulator: disturb it, turn its camera", visible=False)
         with self._simulator:
             self._noise = gui.add_slider("Depth noise", 0.0, 5.0, 0.1, 1.0)
             self._latency = gui.add_slider("Latency (ms)", 0.0, 200.0, 5.0, 40.0)
             self._turns = tuple(
-                gui.add_slider(f"Bump, {axis} (°)", -_LARGEST_TURN_DEG, _LARGEST_TURN_DEG, 1.0, 0.0)
-                for axis in _AXES
+                gui.add_slider(f"Turn {axis} (°)", -_LARGEST_TURN_DEG, _LARGEST_TURN_DEG, 1.0, 0.0)
+                for axis in "xyz"
             )
         self._disturb(self._noise, "depth_noise", lambda: self._noise.value)
         self._disturb(self._latency, "latency_s", lambda: 1e-3 * self._latency.value)

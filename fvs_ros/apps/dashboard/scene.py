@@ -87,7 +87,7 @@ class Scene:
         scene = self._server.scene
         self._target = scene.add_transform_controls(
             "/base/camera/target",
-            scale=0.22,
+            scale=0.16,
             line_width=3.0,
             disable_rotations=True,
             depth_test=False,
@@ -96,8 +96,8 @@ class Scene:
         scene.add_icosphere("/base/camera/target/ball", ball_radius_m, _TARGET, opacity=0.65)
         scene.add_label(
             "/base/camera/target/name",
-            "target: drag me",
-            position=(0.0, -0.09, 0.0),
+            "target",
+            position=(0.0, -0.07, 0.0),
             anchor="bottom-center",
             font_screen_scale=0.8,
         )

@@ -221,7 +221,7 @@ class Curves:
     error_mm : ndarray, shape (n, 5)
         Time (s, 0 is now), norm, and |x|, |y|, |z|, mm.
     speed_rad_s : ndarray, shape (n, 7)
-        Time and six joint velocities, rad/s.
+        Time and six joint speeds, rad/s.
     ratio : ndarray, shape (n, 2)
         Time and one-step prediction error ratio.
     exponent : ndarray, shape (n, 4)

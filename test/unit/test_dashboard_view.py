@@ -1,0 +1,313 @@
+"""What the page says of the loop: states in words, lamps, curves, camera's place, tour, wishes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fvs_controller_node.reasons import State
+from fvs_controller_node.supervisor import Supervisor
+from fvs_controller_node.supervisor_config import SupervisorConfig
+from fvs_ros.apps.dashboard import markup, view
+from fvs_ros.apps.dashboard.actions import (
+    SET_CURRENT,
+    START,
+    STOP,
+    Actions,
+    Disturb,
+    Target,
+    Tour,
+)
+from fvs_ros.apps.dashboard.board import Board, Trace
+from fvs_ros.apps.dashboard.placement import UNKNOWN, CameraPlacement, Pose, rotation_of
+from fvs_ros.apps.dashboard.tour import TargetTour
+from fvs_ros.core.camera import Intrinsics
+from fvs_sim_node.kinematics import flange_pose
+from fvs_sim_node.rendering import camera_preset
+
+STATUS = {
+    "state": "SERVOING",
+    "reason": "SERVOING",
+    "settled": "false",
+    "error_m": "0.05",
+    "prediction_error_ratio": "0.1",
+    "joint_states_age_s": "0.004",
+    "ball_position_age_s": "0.02",
+    "jacobian_age_s": "0.5",
+    "robot_program_running": "true",
+    "speed_scaling_percent": "100",
+    **{f"target_{a}_m": v for a, v in zip("xyz", ("0.1", "0.2", "1.5"), strict=True)},
+    **{f"position_{a}_m": v for a, v in zip("xyz", ("0.07", "0.24", "1.5"), strict=True)},
+    **{f"exponent_{a}": "1.2" for a in "xyz"},
+}
+
+
+@pytest.fixture
+def board():
+    return Board(history_s=10.0, trail_s=2.0, ball_radius_m=0.03)
+
+
+# --- the controller's word ---
+
+
+def test_every_key_that_is_read_is_one_that_the_controller_tells():
+    told = Supervisor(SupervisorConfig()).status_values(0.0)
+    assert set(STATUS) <= set(told)
+
+
+def test_a_status_is_read_and_what_is_unknown_stays_unknown():
+    seen = view.ControllerView.of(STATUS, "servoing, 50.0 mm to go")
+    assert (seen.state, seen.error_m, seen.program_running) == ("SERVOING", 0.05, True)
+    np.testing.assert_allclose(seen.error_xyz_m, [0.03, -0.04, 0.0])
+    empty = view.ControllerView.of({"state": "WAITING", "error_m": "unknown"}, "no joint_states")
+    assert np.isnan(empty.error_m)
+    assert empty.target_m is None
+    assert empty.error_xyz_m is None
+
+
+def test_every_state_has_a_title_of_its_own():
+    known = [view.ControllerView(state=one.value, sentence="so it is") for one in State]
+    banners = [view.banner_of(one) for one in [view.ControllerView(), *known]]
+    assert len({banner.title for banner in banners}) == len(State) + 1
+    assert {banner.sentence for banner in banners[1:]} == {"so it is"}
+    odd = view.banner_of(view.ControllerView(state="DANCING"))
+    assert (odd.title, odd.state) == ("Dancing", "DANCING")
+
+
+def test_on_target_is_told_from_on_the_way():
+    on_way = view.banner_of(view.ControllerView.of(STATUS, ""))
+    there = view.banner_of(view.ControllerView.of({**STATUS, "settled": "true"}, ""))
+    assert on_way.title != there.title
+
+
+@pytest.mark.parametrize(
+    ("error_m", "text"), [(0.00012, "0.12 mm"), (0.3, "300 mm"), (float("nan"), "–")]
+)
+def test_a_distance_in_words(error_m, text):
+    assert view.distance(error_m) == text
+
+
+def test_lamps_follow_the_controllers_ages_and_else_ones_own():
+    lamps = {lamp.name: lamp for lamp in view.lamps_of(view.ControllerView.of(STATUS, ""), {})}
+    assert lamps["Ball seen"].good
+    assert lamps["Joint states"].good
+    assert lamps["Jacobian"].good is False
+    assert lamps["Robot program"] == view.Lamp("Robot program", True, "runs, 100 %")
+    silent = view.ControllerView()
+    alone = {lamp.name: lamp for lamp in view.lamps_of(silent, {"ball_position": 0.03})}
+    assert alone["Ball seen"].good
+    assert alone["Joint states"] == view.Lamp("Joint states", False, "never")
+    assert alone["Robot program"].good is None
+
+
+@pytest.mark.parametrize(
+    ("changed", "good"),
+    [({"robot_program_running": "false"}, False), ({"speed_scaling_percent": "0"}, False)],
+)
+def test_a_robot_that_does_not_obey_is_seen(changed, good):
+    lamps = view.lamps_of(view.ControllerView.of({**STATUS, **changed}, ""), {})
+    assert lamps[-1].good is good
+
+
+def test_what_comes_from_outside_is_no_markup():
+    banner = view.Banner("t", "#000", "FAULT", "<script>alert(1)</script>", "–")
+    html = markup.banner_html(banner)
+    assert "<script>" not in html
+    assert "&lt;script&gt;" in html
+    assert "<b>x" not in markup.remark_html("<b>x</b>", "answer")
+    assert "<b>x" not in markup.lamps_html((view.Lamp("<b>x</b>", True, "<b>x</b>"),))
+
+
+def test_a_service_that_the_controller_asks_for_is_called_by_its_button():
+    html = markup.banner_html(view.Banner("t", "#000", "READY", "ready; call ~/start to move", "–"))
+    assert "press Start to move" in html
+    assert "~/" not in html
+
+
+# --- the board ---
+
+
+def test_a_trace_forgets_what_is_old_and_leaves_out_what_is_unknown():
+    trace = Trace(2.0, 1)
+    assert trace.window(0.0).shape == (0, 2)
+    for t in (0.0, 1.0, 2.5):
+        trace.add(t, [t])
+    trace.add(2.6, [float("nan")])
+    np.testing.assert_allclose(trace.window(3.0), [[-2.0, 1.0], [-0.5, 2.5]])
+
+
+def test_a_silent_controller_shows_within_a_second_or_so(board):
+    assert board.snapshot(0.0, tour=False).banner.state == "SILENT"
+    board.add_status(0.0, STATUS, "servoing")
+    assert board.snapshot(0.9, tour=False).banner.sentence == "servoing"
+    gone = board.snapshot(3.0, tour=False)
+    assert gone.controller.silent
+    assert gone.banner.sentence == "no word from the controller for 3 s"
+    assert gone.controller.target_m is None
+
+
+def test_curves_are_in_millimetres_and_never_zero(board):
+    board.add_status(0.0, {**STATUS, "error_m": "0.05"}, "")
+    board.add_joints(0.0, 10.0, np.zeros(6), np.array([0.0, -1.0, 0.0, 0.0, 0.0, 0.5]))
+    board.sample(0.0)
+    curves = board.snapshot(0.5, tour=False).curves
+    np.testing.assert_allclose(curves.error_mm, [[-0.5, 50.0, 30.0, 40.0, 1e-3]])
+    np.testing.assert_allclose(curves.speed_rad_s, [[-0.5, 0, 1, 0, 0, 0, 0.5]])
+    np.testing.assert_allclose(curves.ratio, [[-0.5, 0.1]])
+    np.testing.assert_allclose(curves.exponent, [[-0.5, 1.2, 1.2, 1.2]])
+
+
+def test_without_joint_states_no_speeds_are_noted(board):
+    board.add_joints(0.0, 10.0, np.zeros(6), np.ones(6))
+    board.sample(0.5)
+    board.sample(5.0)
+    assert len(board.snapshot(5.0, tour=False).curves.speed_rad_s) == 1
+
+
+def test_a_ball_long_gone_is_not_shown_and_its_trail_fades(board):
+    board.add_ball(0.0, 10.0, np.array([0.0, 0.1, 1.4]))
+    assert board.snapshot(0.1, tour=False).ball_m is not None
+    later = board.snapshot(1.0, tour=False)
+    assert later.ball_m is None
+    assert len(later.trail_m) == 1
+    assert len(board.snapshot(3.0, tour=False).trail_m) == 0
+
+
+def test_an_image_is_given_out_once_and_an_answer_for_a_while(board):
+    board.set_intrinsics(Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5))
+    board.add_image(np.zeros((480, 640, 3), np.uint8))
+    board.answer(0.0, "start: servoing")
+    first = board.snapshot(0.0, tour=False)
+    assert first.picture.shape == (240, 320, 3)
+    assert first.answer == "start: servoing"
+    assert first.field_of_view == pytest.approx((2 * np.arctan(0.4), 4 / 3))
+    assert board.snapshot(0.1, tour=False).picture is None
+    assert board.snapshot(60.0, tour=False).answer == ""
+
+
+# --- where the camera is ---
+
+
+def sweep(placement, camera, steps, noise_m=0.0):
+    """Let the arm move and the camera look on."""
+    rng = np.random.default_rng(1)
+    for t in np.arange(steps) / 10.0:
+        wave = np.sin(t * np.array([0.7, 0.9, 1.1, 1.3, 1.7, 1.9]))
+        flange = flange_pose(np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0]) + 0.4 * wave)
+        ball = flange[:3, 3] + 0.09 * flange[:3, 2]
+        seen = camera.rotation.T @ (ball - camera.position_m)
+        placement.add(flange, seen + noise_m * rng.normal(size=3))
+
+
+def test_the_cameras_place_is_learned_and_learned_anew_when_it_was_moved():
+    placement = CameraPlacement()
+    assert placement.pose is None
+    assert placement.note == UNKNOWN
+    front = camera_preset("front")
+    sweep(placement, front, 200, noise_m=0.001)
+    np.testing.assert_allclose(placement.pose.position_m, front.position_m, atol=0.02)
+    assert "learned" in placement.note
+    overhead = camera_preset("overhead")
+    sweep(placement, overhead, 8)
+    assert placement.pose is None
+    sweep(placement, overhead, 200)
+    np.testing.assert_allclose(placement.pose.position_m, overhead.position_m, atol=0.02)
+
+
+def test_one_wrong_detection_moves_no_camera():
+    placement, front = CameraPlacement(), camera_preset("front")
+    sweep(placement, front, 200)
+    before = placement.pose.position_m
+    placement.add(flange_pose(np.zeros(6)), np.array([0.5, 0.5, 3.0]))
+    np.testing.assert_array_equal(placement.pose.position_m, before)
+
+
+def test_who_knows_is_believed(board):
+    pose = Pose(rotation_of(np.array([0.0, 0.0, np.sin(0.3), np.cos(0.3)])), np.ones(3))
+    np.testing.assert_allclose(pose.rotation[:2, 0], [np.cos(0.6), np.sin(0.6)])
+    board.add_ball(0.0, 10.0, np.array([0.0, 0.1, 1.4]))
+    board.tell_camera(pose)
+    assert board.snapshot(0.0, tour=False).camera is pose
+    assert board.snapshot(0.0, tour=False).note == ""
+    assert len(board.snapshot(0.0, tour=False).trail_m) == 1
+    board.tell_camera(Pose(np.eye(3), np.ones(3)))  # bumped: what was seen before is elsewhere now
+    assert len(board.snapshot(0.0, tour=False).trail_m) == 0
+
+
+def test_the_board_learns_from_the_joints_at_the_exposure(board):
+    front = camera_preset("front")
+    for k in range(1500):
+        stamp_s = 0.008 * k
+        wave = np.sin(stamp_s * np.array([0.7, 0.9, 1.1, 1.3, 1.7, 1.9]))
+        joints = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0]) + 0.4 * wave
+        board.add_joints(stamp_s, stamp_s, joints, np.zeros(6))
+        if k >= 5 and k % 4 == 0:
+            # Exposed between two joint states 40 ms ago.
+            exposed_s = stamp_s - 0.036
+            wave = np.sin(exposed_s * np.array([0.7, 0.9, 1.1, 1.3, 1.7, 1.9]))
+            flange = flange_pose(np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0]) + 0.4 * wave)
+            ball = flange[:3, 3] + 0.09 * flange[:3, 2]
+            seen = front.rotation.T @ (ball - front.position_m)
+            board.add_ball(stamp_s, exposed_s, seen)
+            board.learn_camera(flange_pose)
+    found = board.snapshot(12.0, tour=False).camera
+    np.testing.assert_allclose(found.position_m, front.position_m, atol=0.002)
+
+
+# --- the tour ---
+
+
+def test_the_tour_waits_for_the_loop_and_gives_each_target_its_time():
+    candidates = np.random.default_rng(0).uniform(-0.4, 0.4, (500, 3)) + [0.0, 0.2, 1.4]
+    tour = TargetTour(candidates, period_s=5.0, distance_m=0.3, seed=3)
+    ball = np.array([0.0, 0.2, 1.4])
+    assert tour.next(0.0, ready=False, ball_m=ball) is None
+    assert tour.next(0.0, ready=True, ball_m=None) is None
+    first = tour.next(1.0, ready=True, ball_m=ball)
+    assert np.linalg.norm(first - ball) == pytest.approx(0.3, abs=0.03)
+    assert tour.next(5.9, ready=True, ball_m=first) is None
+    second = tour.next(6.0, ready=True, ball_m=first)
+    assert np.linalg.norm(second - first) == pytest.approx(0.3, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("changed", "goes"),
+    [
+        ({}, True),
+        ({"state": "READY"}, True),
+        ({"state": "WAITING", "reason": "NO_TARGET"}, True),
+        ({"state": "WAITING", "reason": "STALE"}, False),
+        ({"state": "HOLDING", "reason": "STALLED"}, False),
+    ],
+)
+def test_when_a_target_would_be_gone_to(changed, goes):
+    assert view.ControllerView.of({**STATUS, **changed}, "").goes_to_targets is goes
+
+
+# --- what a person does ---
+
+
+def test_actions_come_in_order_and_of_slid_values_the_last():
+    actions = Actions()
+    for action in (START, Target((0, 0, 1), True), Disturb("latency_s", 0.1), Tour(True)):
+        actions.put(action)
+    actions.put(Target((0, 0, 2), True))
+    actions.put(Disturb("latency_s", 0.2))
+    actions.put(Disturb("depth_noise", 2.0))
+    assert actions.drain() == [
+        START,
+        Tour(True),
+        Target((0, 0, 2), True),
+        Disturb("latency_s", 0.2),
+        Disturb("depth_noise", 2.0),
+    ]
+    assert actions.drain() == []
+
+
+def test_a_stop_comes_first_and_nothing_wanted_before_it_moves_the_arm():
+    actions = Actions()
+    said = (START, Target((0, 0, 1)), Disturb("latency_s", 0.1), SET_CURRENT, Tour(True), STOP)
+    for action in said:
+        actions.put(action)
+    actions.put(Target((0, 0, 2)))
+    assert actions.drain() == [STOP, Disturb("latency_s", 0.1), Target((0, 0, 2))]
