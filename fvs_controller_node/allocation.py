@@ -95,7 +95,7 @@ class LeastSpeedInverse:
             Joint velocities, rad/s.
         """
         solvers = self._solvers  # type: ignore[attr-defined]
-        least = damped_solution(jacobian, velocity_m_s, self.damping, solvers.symmetric)
+        least = damped_solution(jacobian, velocity_m_s, self.damping)
         scale = float(np.abs(least).max())
         if not _TINY < scale < np.inf:
             return least
@@ -133,12 +133,12 @@ Inverse = DampedInverse | LeastSpeedInverse
 
 
 class _Solvers:
-    """The three small problems of a tick, straight from LAPACK: numpy's wrappers take longer."""
+    """What scipy solves in a tick, the factors straight from LAPACK: wrappers take longer."""
 
     def __init__(self) -> None:
         try:
             # Here, for it takes most of a second: not while an arm waits for its command.
-            from scipy.linalg.lapack import dgeqrf, dorgqr, dposv
+            from scipy.linalg.lapack import dgeqrf, dorgqr
             from scipy.optimize import nnls
         except ImportError as error:
             raise ValueError(
@@ -146,11 +146,7 @@ class _Solvers:
                 "pip install scipy"
             ) from error
         self.nnls = nnls
-        self._dgeqrf, self._dorgqr, self._dposv = dgeqrf, dorgqr, dposv
-
-    def symmetric(self, matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-        """Solve ``A x = b`` for a positive definite A, (3, 3)."""
-        return self._dposv(matrix, right)[1]
+        self._dgeqrf, self._dorgqr = dgeqrf, dorgqr
 
     def orthogonal_to_rows(self, jacobian: np.ndarray) -> np.ndarray:
         """Orthonormal rows, (3, 6), orthogonal to those of a (3, 6) Jacobian of any rank."""

@@ -7,11 +7,10 @@ motion made. With the lag out of the way, braking can be planned close to the ac
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from fvs_controller_node.base import ControlInput, ControlOutput
+from fvs_ros.core.limits import largest
 
 #: Share of the acceleration limit that braking is planned with.
 BRAKING_SHARE = 0.9
@@ -42,8 +41,7 @@ class Anticipation:
 
         ``target_motion_m`` is how far the target goes meanwhile, m, (3,).
         """
-        return replace(
-            present,
+        return present._replace(
             error_m=present.error_m + present.jacobian @ pending_rad - target_motion_m,
             joints_rad=present.joints_rad + pending_rad,
         )
@@ -52,12 +50,12 @@ class Anticipation:
         """The output, no faster than it can brake for the target."""
         if output.brakes:
             return output
-        fastest = float(np.abs(output.velocity_rad_s).max())
+        fastest = largest(output.velocity_rad_s)
         closing = -float(shifted.error_m @ (shifted.jacobian @ output.velocity_rad_s))
         if closing <= 0.0:
-            return replace(output, brakes=True)
+            return output._replace(brakes=True)
         # On this course the error is gone after so long, and the joint has gone so far.
         to_go_s = float(shifted.error_m @ shifted.error_m) / closing
         limit = braking_speed_within(fastest * to_go_s, self._acceleration, shifted.dt_s)
         share = min(1.0, limit / fastest)
-        return replace(output, velocity_rad_s=share * output.velocity_rad_s, brakes=True)
+        return output._replace(velocity_rad_s=share * output.velocity_rad_s, brakes=True)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -15,8 +14,7 @@ from fvs_ros.core.params import Parameter
 N_AXES = 3
 
 
-@dataclass(frozen=True)
-class ControlInput:
+class ControlInput(NamedTuple):
     """What a law knows at one tick.
 
     Parameters
@@ -47,8 +45,7 @@ class ControlInput:
     chain: SerialChain | None = None
 
 
-@dataclass(frozen=True)
-class ControlOutput:
+class ControlOutput(NamedTuple):
     """What a law answers.
 
     Parameters

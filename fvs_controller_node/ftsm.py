@@ -264,20 +264,21 @@ class FtsmLaw(ControlLaw):
 
     def command(self, control_input: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""
-        axes = np.eye(N_AXES)
+        error_m, jacobian = control_input.error_m, control_input.jacobian
+        velocity_m_s = jacobian @ control_input.applied_rad_s
         if self.path == STRAIGHT:
-            axes = _toward(control_input.error_m)
-        errors = (axes @ control_input.error_m).tolist()
-        velocities = (axes @ (control_input.jacobian @ control_input.applied_rad_s)).tolist()
+            axes = _toward(error_m)
+            error_m, velocity_m_s = axes @ error_m, axes @ velocity_m_s
+        errors, velocities = error_m.tolist(), velocity_m_s.tolist()
         axis = self._implicit if self.discretisation == IMPLICIT else self._literal
-        wanted, sliding = axis(errors, velocities, control_input.dt_s)
+        wanted, sliding = (np.array(one) for one in axis(errors, velocities, control_input.dt_s))
         exponents = [self.surface.exponent(y) for y in errors]
+        if self.path == STRAIGHT:
+            wanted, sliding, exponents = wanted @ axes, sliding @ axes, exponents * N_AXES
         return ControlOutput(
-            velocity_rad_s=self.inverse.joint_velocity(
-                control_input.jacobian, np.array(wanted) @ axes, control_input.joints_rad
-            ),
-            sliding_variable=np.array(sliding) @ axes,
-            exponent=np.array(exponents if len(exponents) == N_AXES else exponents * N_AXES),
+            velocity_rad_s=self.inverse.joint_velocity(jacobian, wanted, control_input.joints_rad),
+            sliding_variable=sliding,
+            exponent=np.array(exponents),
         )
 
     def _implicit(

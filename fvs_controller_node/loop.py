@@ -6,7 +6,6 @@ object.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import inf, pi
 
 import numpy as np
@@ -21,12 +20,15 @@ from fvs_controller_node.supervisor_config import BALL, JOINT_STATES, KINEMATIC_
 from fvs_controller_node.target_motion import TargetFollower
 from fvs_ros.core.chain import SerialChain
 from fvs_ros.core.history import StampGate
+from fvs_ros.core.joints import N_JOINTS
 
 #: No joint is faster, nor a step between joint states larger than this besides, rad/s and rad;
 #: after a longer gap than this nothing is said, s.
 _FASTEST_RAD_S, _JUMP_RAD, _JUMP_S = 1.5 * pi, 0.1, 0.5
 #: A chain is told more often than this, s.
 _CHAIN_MAX_AGE_S = 1.5
+#: A target that stands, m/s, and the joint velocities that keep up with it, rad/s.
+_STANDING, _AT_REST = np.zeros(N_AXES), np.zeros(N_JOINTS)
 
 
 class ServoLoop:
@@ -64,7 +66,7 @@ class ServoLoop:
         self._chain_s = -inf
         self._stamp_s = 0.0
         self._moves = 0  # of the target
-        self._target_m_s = np.zeros(N_AXES)
+        self._target_m_s = _STANDING
         self._joint_stamps, self._ball_stamps = StampGate(), StampGate()
         self._joints: np.ndarray | None = None
         self._heard_joints: tuple[float, np.ndarray | None] = (0.0, None)
@@ -180,7 +182,7 @@ class ServoLoop:
             self.supervisor.no_chain()
         aim = self.follower.at(self._stamp_s)
         moves = aim is not None and self.supervisor.track(aim.position_m)
-        self._target_m_s = aim.velocity_m_s if aim is not None and moves else np.zeros(N_AXES)
+        self._target_m_s = aim.velocity_m_s if aim is not None and moves else _STANDING
         command = self.supervisor.tick(
             now_s,
             dt_s,
@@ -214,10 +216,10 @@ class ServoLoop:
         self._drive_lag.add(
             self._stamp_s, applied, self._joints, compare=self.supervisor.full_speed
         )
-        target_m_s = self._target_m_s
-        if target_m_s.any():
+        target_m_s, ahead = self._target_m_s, _AT_REST
+        if target_m_s is not _STANDING and target_m_s.any():
             self._moves += 1
-        ahead = self.follower.feed_forward(target_m_s, self._jacobian, self._joints)
+            ahead = self.follower.feed_forward(target_m_s, self._jacobian, self._joints)
         told = ControlInput(
             error_m,
             self._jacobian,
@@ -234,10 +236,9 @@ class ServoLoop:
                 told, self._drive_lag.pending_rad(), self._drive_lag.lag_s * target_m_s
             )
             output = self.anticipation.brake(self.law.command(told), told)
-        if not ahead.any():
+        if ahead is _AT_REST:
             return output
-        return replace(
-            output,
+        return output._replace(
             velocity_rad_s=output.velocity_rad_s + ahead,
             feed_forward_rad_s=float(np.abs(ahead).max()),
         )

@@ -30,7 +30,9 @@ from fvs_controller_node.supervisor_config import (
 from fvs_ros.core.following import Following
 from fvs_ros.core.joints import N_JOINTS
 from fvs_ros.core.limits import (
+    all_finite,
     braking_speed,
+    largest,
     limit_acceleration,
     limit_speed,
     ramp_to_zero,
@@ -532,9 +534,9 @@ class Supervisor:
             sliding = np.asarray(output.sliding_variable, dtype=float)
         except Exception as error:  # whatever a law does wrong, the arm must stop
             return Reason.LAW_FAULT.because(why=f"{type(error).__name__}: {error}"), None
-        if velocity.shape != (N_JOINTS,) or not np.all(np.isfinite(velocity)):
+        if velocity.shape != (N_JOINTS,) or not all_finite(velocity):
             return Reason.LAW_FAULT.because(why=f"expected 6 finite numbers, got {velocity}"), None
-        if sliding.shape != (N_AXES,) or not np.all(np.isfinite(sliding)):
+        if sliding.shape != (N_AXES,) or not all_finite(sliding):
             return Reason.LAW_FAULT.because(why=f"its sliding variable is {sliding}"), None
         return None, output
 
@@ -584,7 +586,7 @@ class Supervisor:
         error = self.error_m
         assert self._jacobian is not None
         assert error is not None
-        return float(np.abs(_INVERSE.joint_velocity(self._jacobian, error)).max())
+        return largest(_INVERSE.joint_velocity(self._jacobian, error))
 
     def _speed_share(self) -> tuple[float, list[str]]:
         """Share of the velocity limit that the Jacobian's condition and quality leave."""
@@ -614,7 +616,7 @@ class Supervisor:
         if finding.reason.stop is Stop.AT_ONCE:
             self._velocity = np.zeros(N_JOINTS)
             return self._answer(finding, "", None)
-        moving = float(np.abs(self._velocity).max()) > _TINY_RAD_S
+        moving = largest(self._velocity) > _TINY_RAD_S
         self._velocity = self._slower(joints, dt_s) if moving else np.zeros(N_JOINTS)
         return self._answer(finding, "acceleration" if moving else "", None)
 
@@ -671,7 +673,7 @@ class Supervisor:
             self._ended = finding
 
     def _see(self, position: np.ndarray | None, problem: str, dt_s: float) -> None:
-        usable = position is not None and bool(np.all(np.isfinite(position)))
+        usable = position is not None and all_finite(position)
         self._position = position if usable else None
         self._problem = problem
         error = self.error_m

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 
@@ -16,9 +17,19 @@ _BRAKING_SHARE = 0.6
 _APPROACH_RATE_1_S = 5.0
 
 
+def largest(values: np.ndarray) -> float:
+    """Greatest magnitude of some finite numbers; of six, far quicker than by numpy."""
+    return max(map(abs, values.tolist()))
+
+
+def all_finite(values: np.ndarray) -> bool:
+    """Whether no number is infinite or NaN."""
+    return isfinite(float(values.sum()))
+
+
 def limit_speed(velocity: np.ndarray, max_speed: float) -> np.ndarray:
     """Scale the command as a whole so that no joint is faster than ``max_speed``."""
-    fastest = float(np.abs(velocity).max())
+    fastest = largest(velocity)
     if fastest <= max_speed:
         return velocity
     # The product of the two can pass the limit by the last bit.
@@ -48,7 +59,7 @@ def limit_acceleration(velocity: np.ndarray, last: np.ndarray, max_step: float) 
     ndarray, shape (6,)
         Never further than ``max_step`` from ``last`` in any joint.
     """
-    if float(np.abs(velocity - last).max()) <= max_step:
+    if largest(velocity - last) <= max_step:
         return velocity
     low, high = last - max_step, last + max_step
     scale, lowest = 1.0, 0.0
@@ -65,7 +76,7 @@ def limit_acceleration(velocity: np.ndarray, last: np.ndarray, max_step: float) 
 
 def ramp_to_zero(last: np.ndarray, max_step: float) -> np.ndarray:
     """Take one step to rest: the last command, its fastest joint slower by ``max_step``."""
-    fastest = float(np.abs(last).max())
+    fastest = largest(last)
     if fastest <= max_step:
         return np.zeros(N_JOINTS)
     return last * (1.0 - max_step / fastest)
