@@ -129,16 +129,24 @@ def _grouped(given: Series, ball_s: np.ndarray) -> list[_Given]:
         if last is not None and np.array_equal(last, position_m):
             continue  # said again
         last = position_m
-        # By another machine's clock, or without a stamp: it counts from when it came.
-        given_s = stamp_s if abs(arrival_s - stamp_s) < _GIVEN_S else arrival_s
-        nearest = int(np.argmin(np.abs(ball_s - given_s)))
-        if abs(ball_s[nearest] - given_s) < _SAME_MOMENT_S:
-            given_s = ball_s[nearest]
+        given_s = _given_s(stamp_s, arrival_s, ball_s)
         if not (runs and quick):
             runs.append(_Given())
-        runs[-1].time_s.append(float(given_s))
+        runs[-1].time_s.append(given_s)
         runs[-1].position_m.append(position_m)
     return runs
+
+
+def _given_s(stamp_s: float, arrival_s: float, ball_s: np.ndarray) -> float:
+    """When a target was given."""
+    if np.isfinite(stamp_s):
+        nearest_s = float(ball_s[np.argmin(np.abs(ball_s - stamp_s))])
+        if abs(nearest_s - stamp_s) < _SAME_MOMENT_S:
+            return nearest_s  # the demo's, who stamps it with the position it saw
+        if abs(arrival_s - stamp_s) < _GIVEN_S:
+            return float(stamp_s)
+    # By another machine's clock, or without a stamp: it counts from when it came.
+    return float(arrival_s)
 
 
 def _judge(

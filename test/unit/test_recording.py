@@ -1,0 +1,193 @@
+"""What goes into a bag, how it is asked for, and the bag itself, read back by another's reader."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import yaml
+
+from fvs_ros.apps import launcher, recording
+from fvs_ros.apps.recording import Doubles, Message, RecordingError, Request, SimulatedTime
+from fvs_ros.apps.scenario import ScenarioError, load_scenario
+
+pytest.importorskip("rosbags")
+
+from fvs_ros.apps.bag import Bag, to_bag_qos
+
+#: Bool(data=True) as it is on the wire, little endian.
+TRUE = bytes([0, 1, 0, 0, 1])
+
+
+def profile(reliability="RELIABLE", durability="TRANSIENT_LOCAL"):
+    """What rclpy tells of a publisher, as far as a bag wants to know it."""
+    forever = SimpleNamespace(nanoseconds=2**63 - 1)
+    return SimpleNamespace(
+        history=SimpleNamespace(name="UNKNOWN"),
+        depth=0,
+        reliability=SimpleNamespace(name=reliability),
+        durability=SimpleNamespace(name=durability),
+        deadline=forever,
+        lifespan=forever,
+        liveliness=SimpleNamespace(name="AUTOMATIC"),
+        liveliness_lease_duration=forever,
+        avoid_ros_namespace_conventions=False,
+    )
+
+
+def metadata(folder):
+    text = (folder / "metadata.yaml").read_text(encoding="utf-8")
+    return yaml.safe_load(text)["rosbag2_bagfile_information"]
+
+
+# --- what is recorded ---
+
+
+def test_a_folder_that_exists_is_refused(tmp_path):
+    with pytest.raises(RecordingError, match="it exists already; name a new folder"):
+        recording.check_folder(tmp_path)
+    recording.check_folder(tmp_path / "new" / "one")
+
+
+def test_a_folder_below_a_file_is_refused(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(RecordingError, match="file is no folder"):
+        recording.check_folder(tmp_path / "file" / "bag")
+
+
+@pytest.mark.parametrize(
+    ("topic", "message_type", "images", "recorded"),
+    [
+        ("/joint_states", "sensor_msgs/msg/JointState", False, True),
+        ("/camera/color/image_raw", "sensor_msgs/msg/Image", True, True),
+        ("/camera/color/image_raw", "sensor_msgs/msg/Image", False, False),
+        ("/camera/color/camera_info", "sensor_msgs/msg/CameraInfo", False, True),
+        ("/arm/_action/status", "action_msgs/msg/GoalStatusArray", True, False),
+    ],
+)
+def test_which_topics_are_recorded(topic, message_type, images, recorded):
+    assert recording.is_recorded(topic, message_type, images) is recorded
+
+
+def test_every_kind_of_publisher_is_asked_for_once():
+    latched, plain = Request(reliable=True, latched=True), Request(reliable=True, latched=False)
+    lossy = Request(reliable=False, latched=False)
+    assert recording.missing_requests([plain, plain], []) == [plain]
+    assert recording.missing_requests([latched, lossy, plain], [plain]) == [lossy, latched]
+    assert recording.missing_requests([plain], [plain, lossy]) == []
+
+
+def test_a_message_over_two_subscriptions_is_known_the_second_time():
+    doubles = Doubles()
+    assert not doubles.again(1, b"a")
+    assert not doubles.again(2, b"a")
+    assert not doubles.again(1, b"b")
+    assert doubles.again(1, b"a")
+
+
+def test_doubles_forgets_what_is_long_gone():
+    doubles = Doubles()
+    for sent_ns in range(10_000):
+        assert not doubles.again(sent_ns, b"")
+    assert not doubles.again(0, b"")
+
+
+def test_simulated_time_is_that_of_the_last_clock_before():
+    clock = bytes([0, 1, 0, 0]) + (7).to_bytes(4, "little") + (5).to_bytes(4, "little")
+    joints = Message("/joint_states", "sensor_msgs/msg/JointState", 3, b"")
+    time = SimulatedTime()
+    assert time.stamp_ns(joints) == 0
+    assert time.stamp_ns(Message("/clock", "rosgraph_msgs/msg/Clock", 2, clock)) == 7_000_000_005
+    assert time.stamp_ns(joints) == 7_000_000_005
+
+
+# --- the launcher ---
+
+
+def test_a_recorder_comes_first_and_knows_what_it_records(tmp_path):
+    scenario = load_scenario("demo").with_overrides(["use_sim_time:=true", "law:=arrive"])
+    recorded = scenario.with_recording(str(tmp_path / "bag"), images=False)
+    assert recorded.nodes == [recording.NODE, *scenario.nodes]
+    values = recorded.parameters[recording.NODE]
+    assert values["use_sim_time"] is True
+    assert values["images"] is False
+    started = yaml.safe_load(values["scenario"])
+    assert started["/**/fvs_controller_node"]["ros__parameters"]["law"] == "arrive"
+    assert yaml.safe_load(recorded.to_params_yaml())  # text within text
+
+
+def test_a_recording_into_a_folder_that_exists_is_no_scenario(tmp_path):
+    with pytest.raises(ScenarioError, match="exists already"):
+        load_scenario("demo").with_recording(str(tmp_path), images=True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["servo", "--record", "."], "it exists already"),
+        (["servo", "--record-without-images"], "needs --record"),
+        (["servo", "-p", "fvs_recorder_node:images:=false"], "has a parameter fvs_recorder_node"),
+    ],
+)
+def test_a_wrong_recording_starts_nothing(capsys, arguments, words):
+    assert launcher.main(arguments) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+
+
+# --- the bag ---
+
+
+def test_another_reader_reads_the_bag(tmp_path):
+    mcap = pytest.importorskip("mcap_ros2.reader")
+    bag = Bag(tmp_path / "bag", {"fvs_ros_version": "1.2.3"})
+    for number in range(50):
+        bag.write("/running", "std_msgs/msg/Bool", [profile()], 10**9 * number, TRUE)
+    bag.write("/other", "std_msgs/msg/Bool", [], 10**9, TRUE)
+    bag.close()
+    messages = list(mcap.read_ros2_messages(str(tmp_path / "bag" / "bag.mcap")))
+    assert sum(m.channel.topic == "/running" for m in messages) == 50
+    assert len(messages) == 51
+    assert all(m.ros_msg.data is True for m in messages)
+    assert [m.log_time_ns for m in messages] == sorted(m.log_time_ns for m in messages)
+
+
+def test_the_metadata_tells_counts_qualities_and_notes(tmp_path):
+    bag = Bag(tmp_path / "bag", {"fvs_ros_version": "1.2.3", "scenario": "a:\n  b: 1\n"})
+    both = [profile(), profile("BEST_EFFORT", "VOLATILE"), profile()]
+    bag.write("/running", "std_msgs/msg/Bool", both, 5, TRUE)
+    bag.close()
+    told = metadata(tmp_path / "bag")
+    assert told["custom_data"] == {"fvs_ros_version": "1.2.3", "scenario": "a:\n  b: 1\n"}
+    assert (told["version"], told["storage_identifier"]) == (9, "mcap")
+    (topic,) = told["topics_with_message_count"]
+    assert topic["message_count"] == 1
+    offered = topic["topic_metadata"]["offered_qos_profiles"]
+    assert [(one["reliability"], one["durability"]) for one in offered] == [
+        ("reliable", "transient_local"),
+        ("best_effort", "volatile"),
+    ]
+    # as rosbag2 writes "for ever"
+    assert offered[0]["deadline"] == {"sec": 9223372036, "nsec": 854775807}
+
+
+def test_a_full_disk_is_an_error_that_says_so(tmp_path):
+    bag = Bag(tmp_path / "bag", {})
+    long = bytes([0, 1, 0, 0]) + (2**21).to_bytes(4, "little") + bytes(2**21)
+    with Path("/dev/full").open("wb", buffering=0) as full:
+        bag._writer.storage.bio = full
+        with pytest.raises(OSError, match="No space left"):
+            bag.write("/text", "std_msgs/msg/String", [], 1, long)
+        bag.abandon()
+
+
+def test_only_types_that_can_be_described_are_known(tmp_path):
+    bag = Bag(tmp_path / "bag", {})
+    assert bag.knows("visualization_msgs/msg/MarkerArray")
+    assert not bag.knows("stranger_msgs/msg/Thing")
+    bag.close()
+
+
+def test_names_of_qualities_are_those_of_rosbags():
+    qos = to_bag_qos(profile("BEST_EFFORT", "VOLATILE"))
+    assert (qos.reliability.name, qos.durability.name) == ("BEST_EFFORT", "VOLATILE")
