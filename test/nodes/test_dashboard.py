@@ -1,0 +1,257 @@
+"""The page beside a real controller: it shows, it drives, and it does no harm."""
+
+from __future__ import annotations
+
+import re
+import signal
+import socket
+import time
+import urllib.request
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PointStamped, PoseStamped
+from rcl_interfaces.srv import GetParameters
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import String
+
+pytest.importorskip("viser", reason="viser is not installed (pip install 'viser[urdf]')")
+
+from harness import PlayedRobot
+from page_client import PageClient
+
+from fvs_ros.core import ros
+from fvs_ros.core.camera import Intrinsics
+from fvs_sim_node.rendering import camera_preset
+from fvs_sim_node.ur5_urdf import urdf_text
+
+DASHBOARD = "fvs_ros.apps.dashboard.dashboard_node"
+CONTROLLER = "fvs_controller_node.node"
+CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
+
+
+def address_of(harness, process):
+    """Where the page is, once it is served."""
+
+    def found():
+        return re.search(r"^page: (http://\S+)$", harness.output(process), re.M)
+
+    harness.spin_until(lambda: found() is not None or process.poll() is not None, 30.0, "the page")
+    assert found(), harness.output(process)
+    return found().group(1)
+
+
+@pytest.fixture
+def pages():
+    """Opens pages; all are closed at the end."""
+    opened = []
+
+    def open_page(address):
+        opened.append(PageClient(address))
+        return opened[-1]
+
+    yield open_page
+    for page in opened:
+        page.close()
+
+
+@pytest.fixture
+def loop(ros_test, pages):
+    """A played robot, a controller, and a page that somebody looks at."""
+    robot = PlayedRobot(ros_test)
+    controller = ros_test.start_node(CONTROLLER)
+    process = ros_test.start_node(DASHBOARD, port=0)
+    page = pages(address_of(ros_test, process))
+    ros_test.spin_until(lambda: "NO_TARGET" in states(page) or "WAITING" in states(page), 20.0)
+    return ros_test, robot, controller, process, page
+
+
+def states(page):
+    found = re.search(r'id="fvs-state">(\w+)<', page.text())
+    return found.group(1) if found else ""
+
+
+def wait_for_state(harness, page, state):
+    harness.spin_until(lambda: states(page) == state, 15.0, f"{state} on the page", page.text)
+
+
+def set_target(harness, page, position):
+    page.set("x, y, z (m)", tuple(round(float(value), 3) for value in position))
+    page.press("Go")
+
+
+def test_the_page_is_served_and_says_where(ros_test):
+    process = ros_test.start_node(DASHBOARD, port=0)
+    address = address_of(ros_test, process)
+    with urllib.request.urlopen(address, timeout=10) as answer:
+        assert answer.status == 200
+        assert b"<html" in answer.read().lower()
+    output = ros_test.output(process)
+    assert output.strip() == f"page: {address}"  # nothing else is said at a start
+    began_s = time.monotonic()
+    assert ros_test.stop(process) == 0
+    assert time.monotonic() - began_s < 3.0
+
+
+def test_a_browser_that_looks_does_not_hold_the_end(loop):
+    harness, _, _, process, _ = loop
+    began_s = time.monotonic()
+    assert harness.stop(process, signal.SIGINT) == 0
+    assert time.monotonic() - began_s < 4.0
+    assert "Traceback" not in harness.output(process)
+
+
+def test_a_port_that_is_taken_is_said_in_one_sentence(ros_test):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        process = ros_test.start_node(DASHBOARD, port=port)
+        assert ros_test.wait(process) == 2
+    output = ros_test.output(process)
+    assert f"cannot start: port {port} of 127.0.0.1 is taken" in output
+    assert len(output.strip().splitlines()) == 1
+
+
+def test_a_host_that_is_not_here_is_said_in_one_sentence(ros_test):
+    process = ros_test.start_node(DASHBOARD, port=0, host="203.0.113.1")
+    assert ros_test.wait(process) == 2
+    assert "cannot start: the page cannot be served at 203.0.113.1" in ros_test.output(process)
+
+
+def test_the_arm_goes_where_the_page_says_and_stops_at_a_press(loop):
+    harness, robot, _, _, page = loop
+    wait_for_state(harness, page, "WAITING")
+    page.press("Set current as target")
+    wait_for_state(harness, page, "READY")
+    page.press("Start")
+    wait_for_state(harness, page, "SERVOING")
+    target = robot.ball + np.array([0.1, -0.05, 0.05])
+    set_target(harness, page, target)
+    harness.spin_until(robot.moving, what="the arm to move")
+    harness.spin_until(
+        lambda: np.linalg.norm(robot.ball - np.round(target, 3)) < 0.005, what="the ball there"
+    )
+    assert "Joint states" in page.text()
+    set_target(harness, page, robot.ball - np.array([0.1, 0.0, 0.0]))
+    harness.spin_until(robot.moving, what="the arm to move again")
+    page.press("Stop")
+    harness.spin_until(robot.standing, what="zeros")
+    assert list(robot.commands[-1][1].data) == [0.0] * 6
+    wait_for_state(harness, page, "READY")
+
+
+def test_a_dragged_target_is_followed_and_dropped(loop):
+    harness, robot, _, _, page = loop
+    page.press("Set current as target")
+    wait_for_state(harness, page, "READY")
+    page.press("Start")
+    wait_for_state(harness, page, "SERVOING")
+    wanted = tuple(float(value) for value in robot.ball + [0.06, 0.0, 0.0])
+    halfway = tuple(float(value) for value in robot.ball + [0.03, 0.0, 0.0])
+    page.drag_target(halfway, wanted)
+    harness.spin_until(lambda: np.linalg.norm(robot.ball - wanted) < 0.005, what="the ball there")
+
+
+def test_what_the_controller_refuses_stands_on_the_page(loop):
+    harness, _, _, _, page = loop
+    set_target(harness, page, (0.0, 0.0, 9.0))
+    harness.spin_until(lambda: "target refused" in page.text(), 10.0, "the refusal", page.text)
+    page.press("Start")
+    harness.spin_until(
+        lambda: re.search('id="fvs-answer"[^>]*>start: ', page.text()) is not None,
+        10.0,
+        "the answer to a start",
+        page.text,
+    )
+
+
+def test_a_controller_that_is_gone_shows_as_that_and_comes_back(loop):
+    harness, _, controller, _, page = loop
+    harness.stop(controller)
+    wait_for_state(harness, page, "SILENT")
+    harness.spin_until(lambda: "no word from the controller" in page.text())
+    page.press("Start")
+    harness.spin_until(lambda: "is fvs_controller_node running?" in page.text())
+    harness.start_node(CONTROLLER)
+    wait_for_state(harness, page, "WAITING")
+
+
+def test_the_arm_and_the_camera_are_drawn_from_the_topics(loop):
+    harness, _, _, _, page = loop
+    latched = harness.node.create_publisher(String, ros.ROBOT_DESCRIPTION, ros.QOS_LATCHED)
+    latched.publish(String(data=urdf_text()))
+    harness.spin_until(lambda: any("wrist_3_link" in name for name in page.nodes), 15.0, "an arm")
+    harness.spin_until(lambda: "place is not known yet" in page.text())
+    pose = camera_preset("front").in_base_link()
+    poses = harness.node.create_publisher(PoseStamped, ros.TRUE_CAMERA_POSE, ros.QOS_LATCHED)
+    poses.publish(ros.to_pose(1.0, "base_link", pose.position_m, pose.quaternion_xyzw))
+    harness.spin_until(lambda: "/base/camera" in page.nodes, what="the camera")
+    np.testing.assert_allclose(page.nodes["/base/camera"], pose.position_m, atol=1e-6)
+    harness.spin_until(lambda: "place is not known yet" not in page.text())
+
+
+def test_images_are_asked_for_only_while_somebody_looks(loop, pages):
+    harness, _, _, process, page = loop
+    images = harness.node.create_publisher(Image, ros.COLOR_IMAGE, ros.QOS_RELIABLE)
+    infos = harness.node.create_publisher(CameraInfo, ros.CAMERA_INFO, ros.QOS_RELIABLE)
+    harness.spin_until(lambda: images.get_subscription_count() == 1, what="a subscription")
+    red = np.full((480, 640, 3), (200, 30, 20), np.uint8)
+    before = page.counts["GuiUpdateMessage"]
+
+    def picture():
+        infos.publish(ros.to_camera_info(1.0, "camera", CAMERA))
+        images.publish(ros.to_image(1.0, "camera", red, "rgb8"))
+        element = next(e for e in page.elements.values() if "_format" in e and "uuid" not in e)
+        return page.counts["GuiUpdateMessage"] > before and element["_data"] is not None
+
+    harness.spin_until(picture, what="a picture")
+    page.close()
+    harness.spin_until(lambda: images.get_subscription_count() == 0, what="no subscription")
+    again = pages(address_of(harness, process))
+    harness.spin_until(lambda: images.get_subscription_count() == 1, what="a subscription again")
+    assert again.labels()
+
+
+def test_the_tour_goes_on_until_a_person_takes_over(ros_test, pages):
+    PlayedRobot(ros_test)
+    statuses = ros_test.collect(DiagnosticStatus, ros.CONTROLLER_STATUS)
+    targets = ros_test.collect(PointStamped, ros.TARGET_POSITION, ros.QOS_RELIABLE)
+    ros_test.start_node(CONTROLLER, autostart=True)
+    process = ros_test.start_node(DASHBOARD, port=0, tour=True, tour_period_s=1.0)
+    page = pages(address_of(ros_test, process))
+    ros_test.spin_until(lambda: len(targets) > 2, 30.0, "three targets of the tour")
+    assert ros.from_status(statuses[-1])["state"] in ("SERVOING", "WAITING", "HOLDING")
+    ros_test.spin_until(lambda: page.value("Tour"), what="the tour's tick on the page")
+    page.press("Stop")
+    ros_test.spin_until(lambda: not page.value("Tour"), what="the end of the tour")
+    count = len(targets)
+    ros_test.spin_for(1.5)
+    assert len(targets) == count
+
+
+def test_the_simulator_is_disturbed_from_the_page_and_its_refusal_is_read(ros_test, pages):
+    ros_test.start_node("fvs_sim_node.node")
+    process = ros_test.start_node(DASHBOARD, port=0, image=False)
+    page = pages(address_of(ros_test, process))
+    folder = "Simulator: disturb it, turn its camera"
+    ros_test.spin_until(
+        lambda: page.elements[page.find(folder)].get("visible") is True, 20.0, "the simulator"
+    )
+    ros_test.spin_until(lambda: "/base/camera" in page.nodes, what="the camera")
+    page.set("Turn y (°)", 20.0)
+    page.set("Depth noise", 2.5)
+
+    wanted = GetParameters.Request(names=["depth_noise", "camera_rotation_deg"])
+
+    def told():
+        noise, turns = ros_test.call(GetParameters, "fvs_sim_node/get_parameters", wanted).values
+        return noise.double_value, list(turns.double_array_value)
+
+    ros_test.spin_until(lambda: told() == (2.5, [0.0, 20.0, 0.0]), what="the disturbances")
+    page.set("Depth noise", 50.0)
+    ros_test.spin_until(
+        lambda: "the simulator refuses: parameter depth_noise must be" in page.text(),
+        what="the refusal",
+    )

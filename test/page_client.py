@@ -1,0 +1,147 @@
+"""A browser of few words: speaks the page's protocol over a websocket, without drawing anything."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from typing import Any
+
+import msgspec
+import viser
+import zstandard
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+_COMPLETE_S = 20.0
+_TARGET_NODE = "/base/camera/target"
+
+
+class PageClient:
+    """Looks at a page and presses its buttons.
+
+    Parameters
+    ----------
+    address : str
+        Of the page, as ``http://...``.
+
+    Attributes
+    ----------
+    elements : dict
+        The panel's elements by id: their properties, and their value as ``value``.
+    nodes : dict
+        Position of every node of the 3-D view that has been given one.
+    counts : Counter
+        Messages received, by type.
+    """
+
+    def __init__(self, address: str) -> None:
+        self.elements: dict[str, dict[str, Any]] = {}
+        self.nodes: dict[str, Any] = {}
+        self.counts: Counter[str] = Counter()
+        self.bytes = 0
+        self._complete = threading.Event()
+        self._socket = connect(
+            address.replace("http", "ws", 1),
+            subprotocols=[f"viser-v{viser.__version__}"],  # type: ignore[list-item]
+            compression=None,
+            max_size=None,
+        )
+        self._thread = threading.Thread(target=self._receive, daemon=True)
+        self._thread.start()
+        # A browser counts from its first camera on.
+        self._send(
+            type="ViewerCameraMessage",
+            wxyz=(1.0, 0.0, 0.0, 0.0),
+            position=(3.0, 3.0, 3.0),
+            fov=1.0,
+            near=0.01,
+            far=1000.0,
+            image_height=600,
+            image_width=800,
+            look_at=(0.0, 0.0, 0.0),
+            up_direction=(0.0, 0.0, 1.0),
+        )
+        if not self._complete.wait(_COMPLETE_S):
+            raise TimeoutError(f"the page was not complete within {_COMPLETE_S} s")
+
+    def _send(self, **message: Any) -> None:
+        self._socket.send(msgspec.msgpack.encode(message))
+
+    def _receive(self) -> None:
+        decompressor = zstandard.ZstdDecompressor()
+        try:
+            for raw in self._socket:
+                assert isinstance(raw, bytes)
+                self.bytes += len(raw)
+                size = int.from_bytes(raw[:8], "little")
+                end = 16 + int.from_bytes(raw[8:16], "little")
+                plain = decompressor.decompress(raw[16:end], max_output_size=size)
+                for message in msgspec.msgpack.decode(plain)["messages"]:
+                    self._take(message)
+        except ConnectionClosed:
+            return
+
+    def _take(self, message: dict[str, Any]) -> None:
+        kind = message["type"]
+        self.counts[kind] += 1
+        if kind == "ReplayDoneMessage":
+            self._complete.set()
+        if kind == "GuiUpdateMessage":
+            self.elements.setdefault(message["uuid"], {}).update(message["updates"])
+        elif kind == "SetPositionMessage":
+            self.nodes[message["name"]] = message["position"]
+        elif "props" in message and "uuid" in message:
+            element = {**message["props"], "value": message.get("value")}
+            self.elements[message["uuid"]] = element
+
+    # --- what is seen ---
+
+    def find(self, label: str) -> str:
+        """Id of the element with a label."""
+        for uuid, element in list(self.elements.items()):
+            if element.get("label") == label:
+                return uuid
+        raise KeyError(f"no {label} on the page; there are {self.labels()}")
+
+    def labels(self) -> list[str]:
+        """All labels."""
+        return [one["label"] for one in list(self.elements.values()) if one.get("label")]
+
+    def value(self, label: str) -> Any:
+        """The value of the element with a label."""
+        return self.elements[self.find(label)]["value"]
+
+    def text(self) -> str:
+        """All that stands on the panel as HTML."""
+        return "\n".join(one.get("content", "") for one in list(self.elements.values()))
+
+    # --- what is done ---
+
+    def press(self, label: str) -> None:
+        """Press a button."""
+        self.set(label, True)
+
+    def set(self, label: str, value: Any) -> None:
+        """Set an element."""
+        self._send(type="GuiUpdateMessage", uuid=self.find(label), updates={"value": value})
+
+    def drag_target(self, *positions: tuple[float, float, float]) -> None:
+        """Drag the target through positions in the camera's frame, m, and let it go."""
+        self._send(type="TransformControlsDragStartMessage", name=_TARGET_NODE, owner="")
+        for position in positions:
+            turn = (1.0, 0.0, 0.0, 0.0)
+            self._send(
+                type="TransformControlsUpdateMessage",
+                name=_TARGET_NODE,
+                wxyz=turn,
+                position=position,
+                owner="",
+            )
+        self._send(type="TransformControlsDragEndMessage", name=_TARGET_NODE, owner="")
+
+    def close(self, timeout_s: float = 5.0) -> None:
+        """Close the browser's window."""
+        end_s = time.monotonic() + timeout_s
+        self._socket.close()
+        self._thread.join(max(0.0, end_s - time.monotonic()))
