@@ -35,7 +35,7 @@ demo: $(VENV)/.installed-demo log-dir ## simulated UR5 follows four targets; res
 test: $(VENV)/.installed-all log-dir ## all tests
 	@echo "== tests: a few minutes"
 	@ROS_PYTHON_CHECK_FIELDS=1 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST \
-		$(BIN)/python -m pytest $(ARGS)
+		$(BIN)/python -m pytest -n 2 $(ARGS)
 
 experiments: $(VENV)/.installed-lab log-dir ## the paper's experiments, measured anew; page in out/experiments
 	@echo "== experiments: a quarter of an hour on two cores; ARGS=--quick takes a minute or two"

@@ -19,6 +19,7 @@ EXTRAS = {
         "pytest",
         "pytest-timeout",
         "pytest-rerunfailures",
+        "pytest-xdist",
         "hypothesis",
         "filterpy",
         "mcap-ros2-support",
@@ -45,7 +46,10 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
-        (f"share/{PACKAGE}/config", sorted(glob("config/*.yaml"))),
+        (
+            f"share/{PACKAGE}/config",
+            [*sorted(glob("config/*.yaml")), "config/foxglove.json", "config/fvs.rviz"],
+        ),
         (f"share/{PACKAGE}/config/models", sorted(glob("config/models/*.npz"))),
         (f"share/{PACKAGE}/config/sros2", ["config/sros2/policy.xml"]),
         (f"share/{PACKAGE}/launch", sorted(glob("launch/*.py"))),
@@ -62,6 +66,7 @@ setup(
             "fvs_controller_node=fvs_controller_node.node:main",
             "fvs_collector_node=fvs_estimator_node.collector_node:main",
             "fvs_demo_node=fvs_ros.apps.demo_node:main",
+            "fvs_markers_node=fvs_ros.apps.markers_node:main",
             "fvs_recorder_node=fvs_ros.apps.recorder_node:main",
             "fvs_dashboard=fvs_ros.apps.dashboard.dashboard_node:main",
             "fvs_train=fvs_ros.apps.train:main",

@@ -46,15 +46,42 @@ def pytest_configure(config):
 
 #: Folders of tests with processes over DDS in real time.
 _REAL_TIME = ("nodes", "faults")
+_NICE = 19
+
+
+def _is_real_time(item):
+    return item.path.parent.name in _REAL_TIME
 
 
 def pytest_collection_modifyitems(config, items):
-    real_time = [item for item in items if item.path.parent.name in _REAL_TIME]
+    real_time = [item for item in items if _is_real_time(item)]
     if config.pluginmanager.hasplugin("rerunfailures"):
         # A machine that stands still for a moment is no fault of ours; one that does so twice is.
         for item in real_time:
             item.add_marker(pytest.mark.flaky(reruns=1))
+    # They take longest, so that they begin first.
+    items[:] = real_time + [item for item in items if not _is_real_time(item)]
     if importlib.util.find_spec("torch") is None:
         for item in items:
             if item.get_closest_marker("torch"):
                 item.add_marker(pytest.mark.skip(reason="torch is not installed"))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    from xdist.scheduler import LoadScopeScheduling
+
+    class OneAfterTheOther(LoadScopeScheduling):
+        """Real-time tests run in one process, whatever the others do."""
+
+        def _split_scope(self, nodeid):
+            folder = Path(nodeid.partition("::")[0]).parent.name
+            return "real time" if folder in _REAL_TIME else nodeid
+
+    return OneAfterTheOther(config, log)
+
+
+def pytest_runtest_setup(item):
+    # Whoever computes beside the real-time tests steps back for them.
+    if "PYTEST_XDIST_WORKER" in os.environ and not _is_real_time(item):
+        os.setpriority(os.PRIO_PROCESS, 0, _NICE)
