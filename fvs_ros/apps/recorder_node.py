@@ -10,6 +10,7 @@ import importlib
 import importlib.util
 import shutil
 import sys
+import time
 from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
@@ -28,6 +29,9 @@ _LOOK_S = 0.2
 #: far cheaper than to be woken by each.
 _FETCH_S = 0.02
 _STATUS_S = 0.5
+#: So long it goes on when it is stopped: a controller that is stopped together with it still sends
+#: its last zeros.
+_LAST_WORDS_S = 0.5
 _MB = 1e6
 
 
@@ -180,8 +184,11 @@ class RecorderNode(ros.FvsNode):
         )
 
     def finish(self) -> None:
-        """Write what has come until now, and finish the bag."""
-        self._fetch()
+        """Write what still comes, and finish the bag."""
+        end_s = self.steady_s() + _LAST_WORDS_S
+        while self.exit_code is None and self.steady_s() < end_s:
+            self._fetch()
+            time.sleep(_FETCH_S)
         if self._broken:
             return
         try:

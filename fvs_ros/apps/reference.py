@@ -73,9 +73,9 @@ writes this page from what the code declares; so change it there.
 
 _TOPICS = """\
 Names are relative unless they begin with `/`, so namespaces and remaps work; `~/` is below the
-node's own name. Units are SI. Only the newest message counts: queues hold one, longer
-ones are for `/diagnostics` and for records. A *best effort* subscription hears any publisher; *latched* means that a late subscriber gets the
-last message, too.
+node's own name. Units are SI. Only the newest message counts: queues hold one, but those of
+`/diagnostics` and of records more. A *best effort* subscription hears any publisher; *latched*
+means that a late subscriber gets the last message, too.
 """
 
 _PARAMETERS = """\

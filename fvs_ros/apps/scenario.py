@@ -17,7 +17,7 @@ from typing import Any
 
 import yaml
 
-from fvs_ros.apps import recording
+from fvs_ros.apps import markers, recording
 from fvs_ros.core.params import Parameter, ParameterError, ParameterSet
 from fvs_ros.core.paths import find_file
 from fvs_ros.core.schemes import scheme
@@ -116,6 +116,7 @@ NODE_TABLE: dict[str, NodeEntry] = {
             "fvs_ros.apps.dashboard.config",
             observer=True,
         ),
+        NodeEntry(markers.NODE, "fvs_ros.apps.markers_node", "fvs_ros.apps.markers", observer=True),
         NodeEntry(
             recording.NODE, "fvs_ros.apps.recorder_node", "fvs_ros.apps.recording", observer=True
         ),
@@ -235,9 +236,22 @@ class Scenario:
             "output_dir": folder,
             "images": images,
             "scenario": self.to_params_yaml(),
-            "use_sim_time": any(one.get("use_sim_time", False) for one in others.values()),
+            "use_sim_time": self._simulated_time(),
         }
         return Scenario(self.path, {recording.NODE: values, **others})
+
+    def with_markers(self) -> Scenario:
+        """The scenario with a node that shows the loop in RViz and Foxglove."""
+        controller = self.parameters.get("fvs_controller_node", {})
+        values = {
+            "use_sim_time": self._simulated_time(),
+            **{name: controller[name] for name in ("feature_frame",) if name in controller},
+            **self.parameters.get(markers.NODE, {}),
+        }
+        return Scenario(self.path, {**self.parameters, markers.NODE: values})
+
+    def _simulated_time(self) -> bool:
+        return any(one.get("use_sim_time", False) for one in self.parameters.values())
 
     def to_params_yaml(self) -> str:
         """ROS parameter file that holds in any namespace."""

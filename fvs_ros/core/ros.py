@@ -59,6 +59,8 @@ DEPTH_IMAGE = topics.DEPTH_IMAGE.name
 CAMERA_INFO = topics.CAMERA_INFO.name
 ROBOT_PROGRAM_RUNNING = topics.ROBOT_PROGRAM_RUNNING.name
 SPEED_SCALING = topics.SPEED_SCALING.name
+MARKERS = topics.MARKERS.name
+TF_STATIC = topics.TF_STATIC.name
 
 
 def _qos(reliability: ReliabilityPolicy, durability: DurabilityPolicy) -> QoSProfile:

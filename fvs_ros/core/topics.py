@@ -244,6 +244,20 @@ CLOCK = Topic(
     also_to="every node with use_sim_time",
 )
 
+MARKERS = Topic(
+    "markers",
+    "visualization_msgs/msg/MarkerArray",
+    "Ball, its trail, target with its distance and predicted position, in the camera's optical "
+    "frame; sent only while somebody subscribes.",
+    also_to="RViz, Foxglove",
+)
+TF_STATIC = Topic(
+    "/tf_static",
+    "tf2_msgs/msg/TFMessage",
+    "Where the simulated camera stands, from `base_link`: to look at.",
+    also_to="RViz, Foxglove",
+)
+
 _TRUE_BALL_POSITION = Topic(
     "~/true_ball_position",
     "geometry_msgs/msg/PointStamped",
@@ -421,6 +435,24 @@ INTERFACES: dict[str, Interface] = {
             "fvs_controller_node/get_parameters",
             "fvs_sim_node/get_parameters",
             "fvs_sim_node/set_parameters",
+        ),
+    ),
+    "fvs_markers_node": Interface(
+        "Shows ball, target and prediction in RViz and Foxglove.",
+        publishes=(
+            End(MARKERS, _RELIABLE),
+            End(
+                TF_STATIC,
+                _LATCHED,
+                later="when the simulator has told where its camera stands, and `tf2_msgs` is "
+                "installed",
+            ),
+            *_ALWAYS,
+        ),
+        subscribes=(
+            End(BALL_POSITION, _NEWEST),
+            End(CONTROLLER_STATUS, _NEWEST),
+            End(TRUE_CAMERA_POSE, _LATCHED),
         ),
     ),
     "fvs_recorder_node": Interface(
