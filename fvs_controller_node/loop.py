@@ -129,16 +129,10 @@ class ServoLoop:
     def add_target(
         self, position_m: np.ndarray, frame: str, stamp_s: float = 0.0
     ) -> tuple[bool, str]:
-        """Tell a target, camera frame, m, (3,); told often, it moves.
+        """Tell a target, (3,), m; told often, it moves.
 
-        Parameters
-        ----------
-        position_m : ndarray, shape (3,)
-            m.
-        frame : str
-            Its frame, to be checked.
-        stamp_s : float
-            When it was there, on the clock of the joint states, s; 0 for now.
+        A stamp (s; 0 for now) says when it was there, on the clock of the joint states. The answer
+        is the supervisor's: see :meth:`~fvs_controller_node.supervisor.Supervisor.target`.
         """
         moving = self.follower.expects(position_m, stamp_s, self._stamp_s)
         accepted, text = self.supervisor.target(position_m, frame, moving=moving)

@@ -16,9 +16,9 @@ from fvs_ros.apps.experiments.beyond_terms import (
 )
 from fvs_ros.apps.experiments.beyond_tracking import CIRCLE, LINE
 from fvs_ros.apps.experiments.report import Table
-from fvs_ros.apps.experiments.spot_check import SpotCheck
+from fvs_ros.apps.experiments.spot_check_words import spot_check_table
 from fvs_ros.apps.experiments.statistics import median
-from fvs_ros.apps.experiments.trials import Conditions, Outcome, seconds
+from fvs_ros.apps.experiments.trials import Conditions, Outcome
 
 _TURNED = {GAINS: "its gains", FILTER: "its gains and image filter"}
 _SIGMA_M = Conditions.position_noise_m
@@ -32,7 +32,7 @@ def tables(results: Results) -> list[Table]:
         _camera(results),
         _worlds(results),
         *(_tracking(results, kind) for kind in (LINE, CIRCLE)),
-        *([_spot(results.checks)] if results.checks else []),
+        *spot_check_table(results.checks, "the defaults of the nodes"),
     ]
 
 
@@ -190,24 +190,6 @@ def _tracking(results: Results, kind: str) -> Table:
         f"Targets on a {kind}: distance of the ball from the target after the start, rms, mm; "
         "medians of the paths. “Alone” is without feed-forward.",
         ["speed, m/s", *(f"{name}{alone}" for name in FOLLOWERS for alone in ("", ", alone"))],
-        rows,
-    )
-
-
-def _spot(checks: Sequence[SpotCheck]) -> Table:
-    rows = [
-        [
-            one.name,
-            ", ".join(f"{low:.2f} to {high:.2f}" for low, high in one.ranges_s()),
-            one.problem or ", ".join(f"{seconds(time):.2f}" for time in one.nodes_s),
-            "" if one.problem else f"{one.shift_s():+.2f}",
-        ]
-        for one in checks
-    ]
-    return Table(
-        "Spot check: one target after another, in lock step with several seeds of the noise, and "
-        "through the real nodes over DDS in real time; settling to 5 mm.",
-        ["scheme", "lock step, range, s", "nodes, s", "shift (median), s"],
         rows,
     )
 

@@ -20,7 +20,7 @@ from fvs_ros.apps.experiments.beyond_terms import (
 )
 from fvs_ros.apps.experiments.beyond_tracking import CIRCLE, LINE
 from fvs_ros.apps.experiments.report import Verdict
-from fvs_ros.apps.experiments.spot_check import SpotCheck
+from fvs_ros.apps.experiments.spot_check_words import spot_check_verdict
 from fvs_ros.apps.experiments.statistics import DECISIVE, all_hold, median, ratio_of_medians
 from fvs_ros.core.schemes import SCHEMES
 
@@ -35,8 +35,6 @@ MOST = 0.9
 TRACKING_M_S, LEFT = 0.1, 1.0 / 3.0
 #: What is searched anew for calm.
 _SEARCHED = {GAINS: "gains", FILTER: "gains and image filter"}
-#: The nodes agree if they settle no later or earlier than lock step by more, median, s.
-_AGREE_S = 0.05
 
 
 def verdicts(results: Results) -> list[Verdict]:
@@ -53,7 +51,10 @@ def verdicts(results: Results) -> list[Verdict]:
         ),
         _worlds(results),
         _tracking(results),
-        *_spot(results.checks),
+        *spot_check_verdict(
+            results.checks,
+            "Beyond the paper, too, the real nodes do over DDS what is measured in lock step.",
+        ),
     ]
 
 
@@ -211,22 +212,3 @@ def _tracking(results: Results) -> Verdict:
         f"Rms after the start, lines and circles: {', '.join(words)}.",
         all_hold(parts),
     )
-
-
-def _spot(checks: Sequence[SpotCheck]) -> list[Verdict]:
-    if not checks:
-        return []
-    claim = "Beyond the paper, too, the real nodes do over DDS what is measured in lock step."
-    problems = [f"{one.name}: {one.problem}" for one in checks if one.problem]
-    if problems:
-        return [Verdict(claim, "; ".join(problems), None)]
-    shifts = {one.name: one.shift_s() for one in checks}
-    words = ", ".join(f"{name} {shift:+.2f} s" for name, shift in shifts.items())
-    return [
-        Verdict(
-            claim,
-            "Settling time through the nodes minus the median of the lock-step runs, median of "
-            f"{len(checks[0].nodes_s)} targets: {words} (they agree up to {_AGREE_S} s).",
-            max(map(abs, shifts.values())) <= _AGREE_S,
-        )
-    ]

@@ -27,6 +27,7 @@ from fvs_ros.apps.experiments.servo_terms import (
     search_of,
 )
 from fvs_ros.apps.experiments.spot_check import SpotCheck, spot_check
+from fvs_ros.apps.experiments.spot_check_words import spot_check_table, spot_check_verdict
 from fvs_ros.apps.experiments.statistics import Interval, all_hold, median, ratio_of_medians
 from fvs_ros.apps.experiments.trials import (
     Case,
@@ -67,12 +68,14 @@ def run(context: Context) -> Report:
             *(_table(regime, outcomes, len(scoring)) for regime in REGIMES),
             _gains_table(found),
             _failures_table(outcomes),
-            *_spot_table(checks),
+            *spot_check_table(checks, "gains of the last regime"),
         ],
         verdicts=[
             *(_verdict(regime, outcomes) for regime in REGIMES),
             *(_oracle_verdict(regime, outcomes) for regime in REGIMES[:1]),
-            *_spot_verdict(checks),
+            *spot_check_verdict(
+                checks, "What is measured in lock step is what the real nodes do over DDS."
+            ),
         ],
         data={
             "conditions": asdict(conditions),
@@ -343,10 +346,6 @@ def _oracle_verdict(regime: Regime, outcomes: Outcomes) -> Verdict:
 
 # ---- spot check -----------------------------------------------------------------------------
 
-#: The nodes agree if their settling times are on the whole no later or earlier than in lock step
-#: by more than this: an image period and a few ticks, s.
-_AGREE_S = 0.05
-
 
 def _check(
     context: Context, found: Mapping[tuple[str, str], Found], scoring: Sequence[Case]
@@ -363,51 +362,6 @@ def _check(
         seeds = 4 if context.quick else 6
         checks.append(spot_check(context, name, trial, scoring[:_SHOWN], domain, seeds))
     return checks
-
-
-def _spot_table(checks: Sequence[SpotCheck]) -> list[Table]:
-    if not checks:
-        return []
-    rows = []
-    for one in checks:
-        ranges = ", ".join(f"{_seconds_text(a)} to {_seconds_text(b)}" for a, b in one.ranges_s())
-        nodes = ", ".join(_seconds_text(seconds(time)) for time in one.nodes_s)
-        shift = "" if one.problem else f"{one.shift_s():+.2f}"
-        rows.append([one.name, ranges, one.problem or nodes, shift])
-    return [
-        Table(
-            "Spot check: the same task in lock step, with several seeds of the noise, and through "
-            "the real nodes over DDS in real time (gains of the last regime; settling to 5 mm, one "
-            "target after another)",
-            ["scheme", "lock step, range, s", "nodes, s", "shift (median), s"],
-            rows,
-        )
-    ]
-
-
-def _seconds_text(time_s: float) -> str:
-    return f"{time_s:.2f}" if np.isfinite(time_s) else "never"
-
-
-def _spot_verdict(checks: Sequence[SpotCheck]) -> list[Verdict]:
-    if not checks:
-        return []
-    claim = "What is measured in lock step is what the real nodes do over DDS."
-    problems = [f"{one.name}: {one.problem}" for one in checks if one.problem]
-    if problems:
-        return [Verdict(claim, "; ".join(problems), None)]
-    shifts = [one.shift_s() for one in checks]
-    finding = ", ".join(
-        f"{one.name} {shift:+.2f} s" for one, shift in zip(checks, shifts, strict=True)
-    )
-    return [
-        Verdict(
-            claim,
-            f"Settling time through the nodes minus the median of the lock-step runs, median of "
-            f"{len(checks[0].nodes_s)} targets: {finding} (they agree up to {_AGREE_S} s).",
-            max(map(abs, shifts)) <= _AGREE_S,
-        )
-    ]
 
 
 # ---- figures --------------------------------------------------------------------------------
