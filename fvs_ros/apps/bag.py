@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from rosbags.interfaces import (
     Qos,
@@ -22,7 +22,8 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-_VERSION = 9  # of rosbag2's format, as ROS 2 Jazzy writes it
+#: Of rosbag2's format, as ROS 2 Jazzy writes it.
+_VERSION: Final = 9
 
 
 def to_bag_qos(profile: Any) -> Qos:

@@ -5,6 +5,7 @@ The bag itself is written in ``bag.py``, the node is ``recorder_node.py``.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -165,9 +166,9 @@ class SimulatedTime:
         """Simulated time of a message, ns; to be called in the order of arrival."""
         if message.message_type == "rosgraph_msgs/msg/Clock":
             # CDR: four bytes that say how, then seconds and nanoseconds.
-            order = "little" if message.data[1] & 1 else "big"
-            seconds = int.from_bytes(message.data[4:8], order, signed=True)
-            self._now_ns = seconds * 10**9 + int.from_bytes(message.data[8:12], order)
+            order = "<" if message.data[1] & 1 else ">"
+            seconds, nanoseconds = struct.unpack_from(f"{order}iI", message.data, 4)
+            self._now_ns = seconds * 10**9 + nanoseconds
         return self._now_ns
 
 

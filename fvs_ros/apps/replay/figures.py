@@ -22,7 +22,7 @@ _INPUTS = {"joints": "#0072B2", "ball": "#D55E00", "jacobian": "#009E73"}
 
 def colours(targets: Sequence[Target]) -> np.ndarray:
     """One colour a target, as in the demo's figure."""
-    return pyplot().get_cmap("viridis")(np.linspace(0.05, 0.85, max(1, len(targets))))
+    return pyplot().get_cmap("viridis")(np.linspace(0.05, 0.85, len(targets)))
 
 
 def plain_numbers(axis: Any) -> None:

@@ -116,9 +116,14 @@ class _Reading:
             arrivals.append(arrival_s)
             stamps.append(stamp_s)
             self._take(connection.topic, connection.msgtype, arrival_s, stamp_s, raw)
-        if not flows:
-            raise BagError(f"{self._path} holds no messages")
         every = [time_s for _, arrivals, _ in flows.values() for time_s in arrivals]
+        if not every:
+            raise BagError(f"{self._path} holds no messages")
+        if len(every) != self._reader.message_count:
+            raise BagError(
+                f"cannot read {self._path}: of the {self._reader.message_count} messages that it "
+                f"lists, {len(every)} are in it; the file is damaged"
+            )
         return Recording(
             path=self._path,
             namespace=self._namespace,
@@ -135,7 +140,7 @@ class _Reading:
         )
 
     def _has_header(self, message_type: str) -> bool:
-        fields = self._reader.typestore.fielddefs.get(message_type, ((), ()))[1]
+        _, fields = self._reader.typestore.fielddefs.get(message_type, ([], []))
         return bool(fields) and fields[0][0] == "header"
 
     def _take(
@@ -149,9 +154,9 @@ class _Reading:
             values = {pair.key: pair.value for pair in message.values}
             self._said[key].append(Said(arrival_s, message.name, message.message, values))
         elif key is not None:
-            values = self._numbers(key, message)
-            if values is not None:
-                self._rows[key].append((arrival_s, stamp_s, values))
+            numbers = self._numbers(key, message)
+            if numbers is not None:
+                self._rows[key].append((arrival_s, stamp_s, numbers))
         elif topic == _LOG and message.level >= _WARN:
             self._said["log"].append(Said(arrival_s, message.name, message.msg))
         elif topic == _PARAMETER_EVENTS:

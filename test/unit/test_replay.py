@@ -1,0 +1,344 @@
+"""What a replay says of recordings in which everything is known."""
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rosbags")
+
+from replayed_bags import (
+    BEGIN_S,
+    COMMAND_AGE_S,
+    DECAY_1_S,
+    END_S,
+    GIVEN_S,
+    IMAGE_AGE_S,
+    JACOBIAN,
+    JOINT_AGE_S,
+    START_M,
+    TARGET_M,
+    HandmadeBag,
+    distance_m,
+    servo,
+)
+from rosbags.rosbag2 import StoragePlugin
+
+from fvs_ros.apps.experiments.main import main
+from fvs_ros.apps.replay import estimates, runs, story, timing
+from fvs_ros.apps.replay.reading import BagError, read
+
+DEMO = {
+    "fvs_controller_node": {"law": "ftsm", "max_joint_velocity_rad_s": 0.8},
+    "fvs_estimator_node": {"method": "rbf", "model_path": "models/ur5_front.npz"},
+}
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    """One target, one gap of the images, one warning."""
+    folder = tmp_path_factory.mktemp("replay") / "run_1"
+    made = HandmadeBag(folder, scenario=DEMO)
+    servo(made, gap=(3.0, 3.5))
+    made.log(2.0, "fvs_sim_node", "something odd")
+    made.log(2.1, "fvs_sim_node", "something odd")
+    made.log(2.2, "fvs_sim_node", "all is well", level=20)
+    made.log(2.3, "fvs_controller_node", "SERVOING: said by the status already")
+    made.close()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def recording(bag):
+    return read(bag)
+
+
+def simple(folder, storage=StoragePlugin.MCAP, namespace="", **options):
+    made = HandmadeBag(folder, storage, namespace)
+    servo(made, **options)
+    made.close()
+    return folder
+
+
+# --- targets ---
+
+
+def test_a_target_is_judged_by_the_true_ball(recording):
+    (target,) = runs.targets(recording)
+    assert not target.moving
+    assert target.score.start_distance_m == pytest.approx(0.3)
+    for bound_m, settled_s in (
+        (0.005, target.score.settling_5mm_s),
+        (0.002, target.score.settling_2mm_s),
+    ):
+        exact_s = np.log(0.3 / bound_m) / DECAY_1_S
+        assert exact_s <= settled_s < exact_s + 0.0081
+    assert target.path_m == pytest.approx(0.3, rel=1e-4)
+    assert target.score.peak_joint_speed_rad_s == pytest.approx(2.4, rel=0.04)
+    assert runs.judged_by(recording).topic == "/fvs_sim_node/true_ball_position"
+
+
+def test_without_the_truth_the_measured_ball_is_taken(tmp_path):
+    recording = read(simple(tmp_path / "bag", true=False))
+    assert runs.judged_by(recording).topic == "/ball_position"
+    (target,) = runs.targets(recording)
+    assert target.score.settling_5mm_s == pytest.approx(np.log(60) / DECAY_1_S, abs=0.04)
+
+
+def test_a_target_said_again_is_the_same_and_a_new_one_is_another(tmp_path):
+    made = HandmadeBag(tmp_path / "bag")
+    servo(made)
+    made.point("target_position", 1.7, GIVEN_S, TARGET_M)
+    made.point("target_position", 3.0, None, START_M)  # by hand, without a stamp
+    made.close()
+    first, second = runs.targets(read(tmp_path / "bag"))
+    assert first.record.time_s[-1] <= 2.0 + 1e-6
+    assert second.record.start_s == pytest.approx(BEGIN_S + 3.0)
+    assert second.score.start_distance_m == pytest.approx(0.3, abs=0.001)
+    assert second.score.settling_5mm_s is None
+
+
+def test_targets_in_quick_succession_are_one_that_moves(tmp_path):
+    made = HandmadeBag(tmp_path / "bag")
+    servo(made)
+    for step in range(1, 40):
+        time_s = GIVEN_S + 0.1 * step
+        ahead = TARGET_M + [distance_m(time_s) - 0.01, 0.0, 0.0]
+        made.point("target_position", time_s, time_s, ahead)
+    made.close()
+    (target,) = runs.targets(read(tmp_path / "bag"))
+    assert target.moving
+    late = target.errors_m[np.array(target.record.time_s) > 2.0]
+    assert late == pytest.approx(0.01, abs=0.002)
+
+
+def test_a_demo_ends_its_last_target_after_its_time(tmp_path):
+    made = HandmadeBag(tmp_path / "bag", scenario={"fvs_demo_node": {"target_s": 2.0}})
+    servo(made)
+    made.close()
+    (target,) = runs.targets(read(tmp_path / "bag"))
+    assert target.record.time_s[-1] == pytest.approx(2.0, abs=1e-6)
+
+
+# --- timing ---
+
+
+def test_rates_ages_and_latencies(recording):
+    found = {one.topic: one for one in timing.rhythms(recording)}
+    joints = found["/joint_states"]
+    assert joints.rate_hz == pytest.approx(125.0, rel=1e-3)
+    assert joints.jitter_s < 1e-6
+    assert joints.age_s == pytest.approx(JOINT_AGE_S, abs=1e-6)
+    assert found["/ball_position"].age_s == pytest.approx(IMAGE_AGE_S, abs=1e-6)
+    assert found["/ball_position"].longest_s == pytest.approx(0.5 + 2 / 30, abs=0.04)
+    assert np.isnan(found["/jacobian"].age_s)
+    _, latency_s = timing.command_latencies_s(
+        recording.series["ball"], recording.series["commands"]
+    )
+    assert np.median(latency_s) == pytest.approx(COMMAND_AGE_S, abs=0.004)
+
+
+def test_a_silence_of_the_images_is_found(recording):
+    (gap,) = timing.gaps(recording)
+    assert gap.topic == "/ball_position"
+    assert gap.start_s - recording.start_s == pytest.approx(3.0, abs=0.05)
+    assert gap.length_s == pytest.approx(0.55, abs=0.04)
+
+
+# --- the story ---
+
+
+def test_states_follow_one_another_with_their_first_sentence(recording):
+    waiting, servoing = story.states(recording)
+    assert (waiting.what, waiting.reason) == ("WAITING", "NO_TARGET")
+    assert servoing.what == "SERVOING"
+    assert servoing.sentence == "servoing, 300.0 mm to go"
+    assert servoing.start_s - recording.start_s == pytest.approx(GIVEN_S)
+    assert servoing.end_s == recording.end_s
+    assert story.servoing_s(recording) == pytest.approx(END_S - GIVEN_S, abs=0.05)
+
+
+def test_an_active_limit_is_a_spell(recording):
+    (limit,) = story.limits(recording)
+    assert limit.what == "velocity"
+    assert limit.end_s - limit.start_s == pytest.approx(0.5)
+
+
+def test_warnings_and_silences_are_events_in_order(recording):
+    events = story.events(recording)
+    assert [(one.who, one.times) for one in events] == [("fvs_sim_node", 2), ("/ball_position", 1)]
+    assert events[1].text.startswith("silent for 0.5")
+
+
+# --- predictions ---
+
+
+def test_the_true_jacobian_predicts_without_error(recording):
+    found = estimates.prediction(recording)
+    assert found.true
+    assert found.time_s.size > 10
+    # What is left is the interpolation between ticks.
+    assert found.t1_m.max() < 1e-4
+    assert found.t2_m[-1] < 1e-3
+
+
+def test_a_wrong_jacobian_is_off_by_its_share(tmp_path):
+    made = HandmadeBag(tmp_path / "bag")
+    servo(made)
+    made.close()
+    recording = read(tmp_path / "bag")
+    recording.series["jacobian"].values[:] = 0.9 * JACOBIAN.reshape(-1)
+    found = estimates.prediction(recording)
+    assert found.share == pytest.approx(0.1, abs=0.005)
+    assert found.t2_m[-1] == pytest.approx(0.1 * found.motion_m.sum(), rel=0.05)
+
+
+def test_without_a_jacobian_nothing_is_said_of_it(recording):
+    series = {key: one for key, one in recording.series.items() if key != "jacobian"}
+    from dataclasses import replace
+
+    assert estimates.prediction(replace(recording, series=series)) is None
+
+
+# --- the page ---
+
+
+def test_the_page_has_all_sections_and_the_numbers(bag, tmp_path, capsys):
+    assert main(["replay", str(bag), "--out", str(tmp_path / "page")]) == 0
+    said = capsys.readouterr().out
+    assert "1.02 s" in said or "1.03 s" in said
+    assert "no target_position yet" in said
+    html = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
+    for words in ("Recording run_1", "What happened", "Targets", "Timing", "Predictions"):
+        assert words in html
+    assert "Uncalibrated visual servoing, measured side by side" not in html
+    results = json.loads((tmp_path / "page" / "targets" / "results.json").read_text())
+    (target,) = results["data"]["targets"]
+    assert target["given_s"] == pytest.approx(GIVEN_S, abs=0.01)
+    for section, figure in (
+        ("happened", "overview"),
+        ("targets", "errors"),
+        ("targets", "paths"),
+        ("timing", "ages"),
+        ("prediction", "estimates"),
+    ):
+        assert (tmp_path / "page" / section / f"{figure}.png").stat().st_size > 10_000
+    text = (tmp_path / "page" / "index.md").read_text(encoding="utf-8")
+    assert "![" in text
+    assert "nan" not in text
+
+
+def test_a_page_without_targets_says_what_is_missing(tmp_path, capsys):
+    made = HandmadeBag(tmp_path / "bag")
+    for tick in range(200):
+        made.joints(0.008 * tick + 0.002, 0.008 * tick, np.zeros(6), np.zeros(6))
+    made.close()
+    assert main(["replay", str(tmp_path / "bag"), "--out", str(tmp_path / "page")]) == 0
+    said = capsys.readouterr().out
+    assert "Neither the true nor the measured position of the ball is in the bag." in said
+    assert "status is not in the bag" in said
+
+
+# --- bags of all kinds ---
+
+
+def test_sqlite_bags_and_lone_files_are_read_alike(tmp_path):
+    mcap, sqlite = (
+        simple(tmp_path / plugin.name, plugin)
+        for plugin in (StoragePlugin.MCAP, StoragePlugin.SQLITE3)
+    )
+    (file,) = mcap.glob("*.mcap")
+    counts = [
+        {topic: len(flow.arrival_s) for topic, flow in read(path).flows.items()}
+        for path in (mcap, sqlite, file)
+    ]
+    assert counts[0] == counts[1] == counts[2]
+
+
+def test_a_namespace_is_found_by_itself(tmp_path):
+    recording = read(simple(tmp_path / "bag", namespace="/left"))
+    assert recording.namespace == "left"
+    assert len(runs.targets(recording)) == 1
+
+
+def two_robots(folder):
+    made = HandmadeBag(folder)
+    made.array("left/jacobian", 0.0, JACOBIAN)
+    made.array("right/jacobian", 0.0, JACOBIAN)
+    made.close()
+    return folder
+
+
+def cut_off(folder):
+    simple(folder)
+    (file,) = folder.glob("*.mcap")
+    file.write_bytes(file.read_bytes()[:-5000])
+    return folder
+
+
+def no_index(folder):
+    simple(folder)
+    (folder / "metadata.yaml").unlink()
+    return folder
+
+
+def garbled(folder):
+    simple(folder)
+    (file,) = folder.glob("*.mcap")
+    content = bytearray(file.read_bytes())
+    content[2000:4000] = bytes(2000)
+    file.write_bytes(bytes(content))
+    return folder
+
+
+def strange_metadata(folder):
+    simple(folder)
+    (folder / "metadata.yaml").write_text("[1, 2", encoding="utf-8")
+    return folder
+
+
+def foreign(folder):
+    made = HandmadeBag(folder)
+    made.array("weather", 0.0, [1.0])
+    made.close()
+    return folder
+
+
+def empty(folder):
+    HandmadeBag(folder).close()
+    return folder
+
+
+def wrong_file(folder):
+    folder.write_text("not a bag", encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda folder: folder, "there is no"),
+        (lambda folder: folder.mkdir() or folder, "has no metadata.yaml"),
+        (no_index, "cut off"),
+        (cut_off, "cannot read"),
+        (garbled, "cannot read"),
+        (strange_metadata, "cannot read"),
+        (wrong_file, "cannot read"),
+        (foreign, "it has /weather"),
+        (empty, "no messages"),
+        (two_robots, "name one by --namespace: '/left', '/right'"),
+    ],
+)
+def test_a_bag_that_cannot_be_looked_at_is_one_sentence(tmp_path, capsys, make, words):
+    path = make(tmp_path / "thing")
+    assert main(["replay", str(path), "--out", str(tmp_path / "page")]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+
+
+def test_a_namespace_that_is_not_there_is_named(tmp_path):
+    folder = two_robots(tmp_path / "bag")
+    assert read(folder, "left").namespace == "left"
+    with pytest.raises(BagError, match="'/left', '/right'"):
+        read(folder, "middle")
