@@ -44,7 +44,7 @@ def _parser() -> argparse.ArgumentParser:
         "--seeds",
         type=_positive,
         help="number of seeded cases (default: 16 servo, 5 estimators, 6 exponents, "
-        "60 settling, 9 ablation, 16 beyond)",
+        "60 settling, 9 ablation, 4 tuning, 16 beyond)",
     )
     parser.add_argument(
         "--jobs", type=_positive, default=os.cpu_count() or 1, help="processes (default: all cores)"

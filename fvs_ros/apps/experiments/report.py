@@ -21,6 +21,7 @@ EXPERIMENTS = (
     "exponents",
     "settling",
     "ablation",
+    "tuning",
     "beyond",
     "everyday",
     "robustness",
