@@ -22,7 +22,7 @@ unexport PYTHONPATH AMENT_PREFIX_PATH RMW_IMPLEMENTATION
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test experiments bench model lint format clean check-python log-dir
+.PHONY: help demo dashboard test experiments bench model lint format clean check-python log-dir
 
 help: ## list the targets
 	@echo "usage: make TARGET [PYTHON=python3.11] [ARGS=...]"
@@ -31,6 +31,10 @@ help: ## list the targets
 demo: $(VENV)/.installed-demo log-dir ## simulated UR5 follows four targets; result in out/demo
 	@echo "== demo: about a minute; Ctrl-C stops it"
 	@$(BIN)/fvs_launch config/demo.yaml $(ARGS)
+
+dashboard: $(VENV)/.installed-dashboard log-dir ## the same arm, watched and driven from a page in the browser
+	@echo "== the page's address follows in some seconds; Ctrl-C stops it"
+	@$(BIN)/fvs_launch config/dashboard.yaml $(ARGS)
 
 test: $(VENV)/.installed-all log-dir ## all tests
 	@echo "== tests: a few minutes"
@@ -74,12 +78,15 @@ log-dir:
 $(VENV)/.installed-demo: EXTRAS := ros,sim
 $(VENV)/.installed-model: EXTRAS := ros,sim,train
 $(VENV)/.installed-lab: EXTRAS := ros,sim,lab
+$(VENV)/.installed-dashboard: EXTRAS := ros,sim,dashboard
 $(VENV)/.installed-lint: EXTRAS := test
 $(VENV)/.installed-all: EXTRAS := all
-$(VENV)/.installed-all: ALSO := demo model lab lint
+$(VENV)/.installed-all: ALSO := demo dashboard model lab lint
+$(VENV)/.installed-dashboard: ALSO := demo
 $(VENV)/.installed-lab: ALSO := demo
 $(VENV)/.installed-model: ALSO := demo
 HINT_demo := half a minute and 250 MB
+HINT_dashboard := a minute and 450 MB
 HINT_model := minutes and up to 3 GB for torch
 HINT_lab := a minute and 350 MB
 HINT_lint := half a minute and 100 MB

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import os
 import signal
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -21,6 +22,8 @@ from fvs_sim_node.rendering import CameraPose, Renderer
 from fvs_sim_node.simulation import Frame, SimConfig, build_world
 
 _STOP_S = 2.0
+#: Where there are too few cores for both, the simulation goes first.
+_NICE = 5
 
 
 @dataclass(frozen=True)
@@ -102,6 +105,7 @@ class FrameWorker:
 def _work(pipe: Connection, config: SimConfig) -> None:
     # Ctrl-C reaches the whole terminal group; this process ends with its pipe.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.nice(_NICE)
     world = build_world(config)
     renderer = Renderer(world.client, config.intrinsics)
     rng = np.random.default_rng(config.seed)

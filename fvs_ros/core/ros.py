@@ -19,6 +19,7 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
+from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
@@ -466,6 +467,52 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
                 )
             ]
     return descriptor
+
+
+class _NeverReady(CallbackGroup):
+    """Callbacks that no executor runs."""
+
+    def can_execute(self, entity: Any) -> bool:
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        """Nothing has begun."""
+
+
+class Sampled:
+    """A topic that is looked at when it suits: its messages wake nobody.
+
+    Hundreds of messages a second cost a process a good part of a core even if it only wants to
+    know, now and then, what the newest one says.
+
+    Parameters
+    ----------
+    node : Node
+        Who looks.
+    message_type : type
+        Of the topic.
+    topic : str
+        Its name.
+    """
+
+    def __init__(self, node: Node, message_type: type, topic: str) -> None:
+        self._node = node
+        self._subscription = node.create_subscription(
+            message_type, topic, lambda _message: None, QOS_NEWEST, callback_group=_NeverReady()
+        )
+
+    def newest(self) -> Any | None:
+        """The newest message, if one has come since the last look."""
+        with self._subscription.handle:
+            taken = self._subscription.handle.take_message(self._subscription.msg_type, False)
+        return None if taken is None else taken[0]
+
+    def close(self) -> None:
+        """Hear no more."""
+        self._node.destroy_subscription(self._subscription)
 
 
 class FvsNode(Node):

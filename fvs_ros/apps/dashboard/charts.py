@@ -87,7 +87,7 @@ class Charts:
             legend={"show": True, "live": False},
             cursor={"drag": {"x": False, "y": False}},
             height=_HEIGHT_PX,
-            padding=(4, 10, 0, 0),
+            padding=(8, 10, 0, 0),
         )
 
     def update(self, curves: Curves, limit_rad_s: float) -> None:

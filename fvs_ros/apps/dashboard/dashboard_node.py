@@ -6,10 +6,12 @@ from fvs_ros.core import stop
 
 stop.listen()
 
+import contextlib
 import os
 import sys
 from collections.abc import Callable
 from math import isfinite, nan
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,7 +35,7 @@ from fvs_ros.core.paths import find_file
 from fvs_ros.core.topics import CAMERA_PREFIXES
 
 _NICE = 5
-_ACTIONS_PERIOD_S = 0.02
+_ACTIONS_PERIOD_S = 0.03
 _LOOK_PERIOD_S = 1.0
 _CONTROLLER, _SIMULATOR = "fvs_controller_node", "fvs_sim_node"
 _LIMIT = "max_joint_velocity_rad_s"
@@ -58,10 +60,11 @@ class DashboardNode(ros.FvsNode):
         self._actions = Actions()
         self._arm: Any = None
         self._callers = {name: self.create_client(kind, name) for name, kind in _CALLS.items()}
-        self._image_topics: list[Any] = []  # subscriptions, while somebody looks
+        self._images: list[ros.Sampled] = []  # while somebody looks
+        self._infos: list[ros.Sampled] = []
         self._tour: TargetTour | None = self._make_tour() if v["tour"] else None
         self._target = self.create_publisher(PointStamped, ros.TARGET_POSITION, ros.QOS_LATCHED)
-        self.watch(JointState, ros.JOINT_STATES, self._on_joint_states, ros.QOS_NEWEST)
+        self._joint_states = ros.Sampled(self, JointState, ros.JOINT_STATES)
         self.watch(PointStamped, ros.BALL_POSITION, self._on_ball, ros.QOS_NEWEST)
         self.watch(DiagnosticStatus, ros.CONTROLLER_STATUS, self._on_status, ros.QOS_NEWEST)
         self.watch(String, ros.ROBOT_DESCRIPTION, self._on_description, ros.QOS_LATCHED)
@@ -73,6 +76,17 @@ class DashboardNode(ros.FvsNode):
         print(f"page: {self._page.address}", flush=True)
 
     # --- inputs ---
+
+    def _sample(self) -> None:
+        """Take the newest of what comes more often than it can be shown."""
+        joint_state = self._joint_states.newest()
+        if joint_state is not None:
+            self._on_joint_states(joint_state)
+        for heard, take in ((self._infos, self._on_camera_info), (self._images, self._on_image)):
+            for topic in heard:
+                message = topic.newest()
+                if message is not None:
+                    take(message)
 
     def _on_joint_states(self, message: JointState) -> None:
         try:
@@ -127,35 +141,30 @@ class DashboardNode(ros.FvsNode):
     # --- what is shown ---
 
     def _show(self) -> None:
+        self._sample()
         now_s = self.steady_s()
         self._board.sample(now_s)
         if self._arm is not None:
             self._board.learn_camera(self._arm.flange)
         self._send_tour(now_s)
         watched = self._page.watched
-        if watched != bool(self._image_topics):
+        if self.values["image"] and watched != bool(self._images):
             self._look_at_images(watched)
         if watched:
             self._page.update(self._board.snapshot(now_s, self._tour is not None))
 
     def _look_at_images(self, wanted: bool) -> None:
         """Subscribe while somebody looks: the simulator draws full images for subscribers only."""
-        for subscription in self._image_topics:
-            self.destroy_subscription(subscription)
-        self._image_topics = []
-        if not wanted or not self.values["image"]:
-            return
-        declared, *others = CAMERA_PREFIXES
-        for prefix in (declared, *others):
+        for topic in (*self._images, *self._infos):
+            topic.close()
+        self._images, self._infos = [], []
+        declared = CAMERA_PREFIXES[0]
+        for prefix in CAMERA_PREFIXES if wanted else ():
             color = ros.COLOR_IMAGE.replace(declared, prefix, 1)
             if prefix == declared or self.count_publishers(color):
                 info = ros.CAMERA_INFO.replace(declared, prefix, 1)
-                self._image_topics += [
-                    self.create_subscription(Image, color, self._on_image, ros.QOS_NEWEST),
-                    self.create_subscription(
-                        CameraInfo, info, self._on_camera_info, ros.QOS_NEWEST
-                    ),
-                ]
+                self._images.append(ros.Sampled(self, Image, color))
+                self._infos.append(ros.Sampled(self, CameraInfo, info))
 
     def _look_around(self) -> None:
         """Ask for what is not on a topic: the speed limit, and the simulator's disturbances."""
@@ -281,9 +290,18 @@ def _make_page(values: dict[str, Any], actions: Actions) -> Any:
     )
 
 
-def main() -> int:
-    """Run ``fvs_dashboard``, behind the loop wherever there are too few cores for both."""
+def _step_back() -> None:
+    """Let the loop go first wherever there are too few cores for both."""
     os.nice(_NICE)
+    if os.getsid(0) == os.getpid():
+        # The kernel may weigh sessions first, and a launcher gives each process one of its own.
+        with contextlib.suppress(OSError):
+            Path("/proc/self/autogroup").write_text(str(_NICE), encoding="ascii")
+
+
+def main() -> int:
+    """Run ``fvs_dashboard``."""
+    _step_back()
     return ros.run(DashboardNode)
 
 

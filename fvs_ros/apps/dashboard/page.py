@@ -80,8 +80,8 @@ class Page:
             server, ball_radius_m, lambda at, moving: actions.put(Target(at, moving))
         )
         # From where arm and camera stand side by side, wherever the camera usually stands.
-        server.initial_camera.position = (2.0, 1.45, 1.25)
-        server.initial_camera.look_at = (0.6, -0.4, 0.42)
+        server.initial_camera.position = (1.95, 1.55, 1.2)
+        server.initial_camera.look_at = (0.5, -0.28, 0.3)
         server.initial_camera.fov = 0.85
         self._shown = 0
 
