@@ -22,7 +22,7 @@ unexport PYTHONPATH AMENT_PREFIX_PATH RMW_IMPLEMENTATION
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo dashboard test experiments bench model lint format clean check-python log-dir
+.PHONY: help demo dashboard test experiments bench model docs lint format clean check-python log-dir
 
 help: ## list the targets
 	@echo "usage: make TARGET [PYTHON=python3.11] [ARGS=...]"
@@ -57,6 +57,11 @@ model: $(VENV)/.installed-model log-dir ## record a data set and train the demo'
 	@mkdir -p $(dir $(MODEL))
 	@$(BIN)/fvs_train $(DATASET) -o $(MODEL) $(ARGS)
 
+docs: $(VENV)/.installed-docs log-dir ## the API's pages, from the docstrings; out/docs/index.html
+	@$(BIN)/pdoc --docformat numpy -o out/docs fvs_ros fvs_sim_node fvs_detector_node \
+		fvs_estimator_node fvs_controller_node
+	@echo "page: out/docs/index.html"
+
 lint: $(VENV)/.installed-lint ## ruff and mypy, changing nothing
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
@@ -83,12 +88,15 @@ $(VENV)/.installed-lint: EXTRAS := test
 $(VENV)/.installed-all: EXTRAS := all
 $(VENV)/.installed-all: ALSO := demo dashboard model lab lint
 $(VENV)/.installed-dashboard: ALSO := demo
+$(VENV)/.installed-docs: EXTRAS := all,docs
+$(VENV)/.installed-docs: ALSO := all demo dashboard model lab lint
 $(VENV)/.installed-lab: ALSO := demo
 $(VENV)/.installed-model: ALSO := demo
 HINT_demo := half a minute and 250 MB
 HINT_dashboard := a minute and 450 MB
 HINT_model := minutes and up to 3 GB for torch
 HINT_lab := a minute and 350 MB
+HINT_docs := minutes and up to 3 GB for torch
 HINT_lint := half a minute and 100 MB
 HINT_all := minutes and up to 3 GB for torch
 

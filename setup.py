@@ -15,6 +15,7 @@ EXTRAS = {
     "record": ["rosbags"],
     "dashboard": ["viser[urdf]", "opencv-python-headless"],
     "cluster": ["distributed"],
+    "docs": ["pdoc"],
     "test": [
         "pytest",
         "pytest-timeout",
@@ -30,7 +31,7 @@ EXTRAS = {
         "types-tqdm",
     ],
 }
-EXTRAS["all"] = [one for name, extra in EXTRAS.items() if name != "cluster" for one in extra]
+EXTRAS["all"] = [one for name, extra in EXTRAS.items() if name not in ("cluster", "docs") for one in extra]
 
 setup(
     name=PACKAGE,
