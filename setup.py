@@ -31,7 +31,9 @@ EXTRAS = {
         "types-tqdm",
     ],
 }
-EXTRAS["all"] = [one for name, extra in EXTRAS.items() if name not in ("cluster", "docs") for one in extra]
+EXTRAS["all"] = [
+    one for name, extra in EXTRAS.items() if name not in ("cluster", "docs") for one in extra
+]
 
 setup(
     name=PACKAGE,
