@@ -24,6 +24,12 @@ from rosbags.typesys import Stores, get_typestore
 
 #: Of rosbag2's format, as ROS 2 Jazzy writes it.
 _VERSION: Final = 9
+_TYPES = get_typestore(Stores.ROS2_JAZZY)
+
+
+def knows(message_type: str) -> bool:
+    """Whether messages of a type can be described in a bag."""
+    return message_type in _TYPES.fielddefs
 
 
 def to_bag_qos(profile: Any) -> Qos:
@@ -62,7 +68,6 @@ class Bag:
     """
 
     def __init__(self, folder: Path, notes: Mapping[str, str]) -> None:
-        self._types = get_typestore(Stores.ROS2_JAZZY)
         self._writer = Writer(folder, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
         # Whole chunks of the file, as every reader of MCAP knows it: 1 MB at a time.
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -72,10 +77,6 @@ class Bag:
         self._connections: dict[str, Any] = {}
         #: Messages by topic.
         self.counts: dict[str, int] = {}
-
-    def knows(self, message_type: str) -> bool:
-        """Whether messages of a type can be described in the bag."""
-        return message_type in self._types.fielddefs
 
     def write(
         self, topic: str, message_type: str, profiles: Iterable[Any], stamp_ns: int, data: bytes
@@ -102,7 +103,7 @@ class Bag:
         if connection is None:
             offered = dict.fromkeys(map(to_bag_qos, profiles))  # each kind once
             connection = self._writer.add_connection(
-                topic, message_type, typestore=self._types, offered_qos_profiles=list(offered)
+                topic, message_type, typestore=_TYPES, offered_qos_profiles=list(offered)
             )
             self._connections[topic] = connection
             self.counts[topic] = 0

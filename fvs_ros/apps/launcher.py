@@ -111,6 +111,8 @@ class Launcher:
                     if stop.RECEIVED:
                         break
                     self._start(name, params)
+                    if name == recording.NODE:
+                        self._await_recorder()
                 for process in self._processes:
                     process.reader.start()
                 self._say(f"started {', '.join(p.name for p in self._processes)}")
@@ -145,6 +147,16 @@ class Launcher:
         )
         reader = threading.Thread(target=self._forward, args=(name, popen.stdout), daemon=True)
         self._processes.append(_Process(name, popen, reader))
+
+    def _await_recorder(self) -> None:
+        """Have the recorder listen before the others speak; its folder tells that it does."""
+        folder = Path(self._scenario.parameters[recording.NODE]["output_dir"]).expanduser()
+        process = self._processes[-1].popen
+        end_s = time.monotonic() + _STOP_S
+        while not (stop.RECEIVED or folder.exists() or process.poll() is not None):
+            if time.monotonic() > end_s:
+                return
+            time.sleep(_POLL_S)
 
     def _forward(self, name: str, stream: IO[bytes] | None) -> None:
         for line in stream or ():

@@ -11,7 +11,7 @@ import importlib.util
 import shutil
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -23,11 +23,12 @@ from rclpy.subscription import Subscription
 from fvs_ros.apps import recording
 from fvs_ros.apps.recording import Doubles, Message, Request, SimulatedTime
 from fvs_ros.core import ros
+from fvs_ros.core.topics import INTERFACES, Qos
 
 _LOOK_S = 0.2
 #: Messages wait in their queues, with the time at which they came, and are fetched this often:
 #: far cheaper than to be woken by each.
-_FETCH_S = 0.02
+_FETCH_S = 0.05
 _STATUS_S = 0.5
 #: So long it goes on when it is stopped: a controller that is stopped together with it still sends
 #: its last zeros.
@@ -57,55 +58,65 @@ class RecorderNode(ros.FvsNode):
         recording.check_folder(self._folder)
         if importlib.util.find_spec("rosbags") is None:
             raise recording.RecordingError("recording needs rosbags: pip install rosbags")
-        from fvs_ros.apps.bag import Bag
+        from fvs_ros.apps.bag import Bag, knows
 
-        self._bag = Bag(self._folder, recording.notes(self.values["scenario"], _version()))
+        self._known = knows
         self._group = _Fetched()
         self._heard: dict[str, dict[Request, Subscription]] = {}
         self._types: dict[str, str] = {}
-        self._offered: dict[str, list[Any]] = {}
+        self._publishers_known: dict[str, int] = {}
         self._doubles: dict[str, Doubles] = {}
         self._left_out: set[str] = set()
         simulated = self.get_parameter("use_sim_time").value
         self._simulated_time = SimulatedTime() if simulated else None
         self._broken = False
+        self._expect()
+        # The last thing: a folder that is there tells who waits that everything is heard.
+        self._bag = Bag(self._folder, recording.notes(self.values["scenario"], _version()))
         self.create_timer(_LOOK_S, self._look, clock=self.steady_clock)
         self.create_timer(_FETCH_S, self._fetch, clock=self.steady_clock)
         self.create_timer(_STATUS_S, self._publish_state, clock=self.steady_clock)
-        self._look()
         self.tell(ros.OK, f"recording into {self._folder}")
 
     # --- which topics ---
+
+    def _expect(self) -> None:
+        """Subscribe to this package's topics before anybody publishes: no first message is lost."""
+        for node, interface in INTERFACES.items():
+            for end in interface.publishes:
+                topic = self.resolve_topic_name(end.topic.of(node).name)
+                if recording.is_recorded(topic, end.topic.type, self.values["images"]):
+                    offers = [
+                        Request(qos is not Qos.NEWEST, latched=qos is Qos.LATCHED)
+                        for qos in end.qos
+                    ]
+                    self._hear(topic, end.topic.type, offers)
 
     def _look(self) -> None:
         """Subscribe to what is new on the graph."""
         for topic, types in self.get_topic_names_and_types():
             publishers = self.count_publishers(topic)
-            if publishers == len(self._offered.get(topic, ())) or topic in self._left_out:
+            if publishers == self._publishers_known.get(topic, 0) or topic in self._left_out:
                 continue
+            self._publishers_known[topic] = publishers
             if len(types) > 1:
                 self._leave_out(topic, f"it has several types ({', '.join(types)})")
-            elif recording.is_recorded(topic, types[0], self.values["images"]):
-                self._hear(topic, types[0])
-            else:
+            elif not recording.is_recorded(topic, types[0], self.values["images"]):
                 self._left_out.add(topic)
+            elif not self._hear(topic, types[0], map(_request, self._profiles(topic))):
+                self._leave_out(topic, f"its type {types[0]} is not known here")
 
-    def _hear(self, topic: str, message_type: str) -> None:
+    def _profiles(self, topic: str) -> list[QoSProfile]:
+        """What the topic's publishers offer."""
+        return [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
+
+    def _hear(self, topic: str, message_type: str, offers: Iterable[Request]) -> bool:
+        """Subscribe to a topic; False where its type is not known."""
         kind = _message_class(message_type)
-        if kind is None or not self._bag.knows(message_type):
-            self._leave_out(topic, f"its type {message_type} is not known here")
-            return
-        profiles = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
-        self._offered[topic] = profiles
+        if kind is None or not self._known(message_type):
+            return False
         self._types[topic] = message_type
         heard = self._heard.setdefault(topic, {})
-        offers = (
-            Request(
-                reliable=profile.reliability == ReliabilityPolicy.RELIABLE,
-                latched=profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
-            )
-            for profile in profiles
-        )
         for request in recording.missing_requests(offers, heard):
             heard[request] = self.create_subscription(
                 kind,
@@ -117,6 +128,7 @@ class RecorderNode(ros.FvsNode):
             )
         if len(heard) > 1:
             self._doubles.setdefault(topic, Doubles())
+        return True
 
     def _leave_out(self, topic: str, why: str) -> None:
         self._left_out.add(topic)
@@ -161,7 +173,8 @@ class RecorderNode(ros.FvsNode):
         if self._simulated_time is not None:
             stamp_ns = self._simulated_time.stamp_ns(message)
         topic = message.topic
-        self._bag.write(topic, message.message_type, self._offered[topic], stamp_ns, message.data)
+        profiles = () if topic in self._bag.counts else self._profiles(topic)
+        self._bag.write(topic, message.message_type, profiles, stamp_ns, message.data)
 
     # --- state and end ---
 
@@ -198,6 +211,13 @@ class RecorderNode(ros.FvsNode):
             return
         counts = self._bag.counts
         self.tell(ros.OK, f"{sum(counts.values())} messages of {len(counts)} topics recorded")
+
+
+def _request(profile: QoSProfile) -> Request:
+    return Request(
+        reliable=profile.reliability == ReliabilityPolicy.RELIABLE,
+        latched=profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
+    )
 
 
 def _qos(request: Request, depth: int) -> QoSProfile:

@@ -3,7 +3,6 @@
 import json
 import signal
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -62,8 +61,14 @@ def test_a_replay_judges_a_demo_as_the_demo_did(ros_test):
     simulated = ["-p", "use_sim_time:=true", "-p", "simulated_time:=true"]
     short = ["-p", "targets:=2", "-p", "target_s:=1.6", "-p", "fvs_demo_node:seed:=5"]
     record = ["--record", "bag", "--record-without-images"]
-    process = ros_test.start(LAUNCHER, "demo", *record, *simulated, *short)
-    assert ros_test.wait(process, 90.0) == 0, ros_test.output(process)
+    patient = [
+        word
+        for name in ("joint_states", "ball", "jacobian")
+        for word in ("-p", f"{name}_max_age_s:=2.0")
+    ]
+    process = ros_test.start(LAUNCHER, "demo", *record, *simulated, *short, *patient)
+    # Whether it settled in time is the machine's business; what it said of itself is ours.
+    assert ros_test.wait(process, 90.0) in (0, 1), ros_test.output(process)
     bag = ros_test.folder / "bag"
 
     live = json.loads((ros_test.folder / "out" / "demo" / "results.json").read_text())
@@ -160,4 +165,5 @@ def test_a_recorder_that_gives_up_does_not_stop_the_arm(ros_test):
     assert "fvs_recorder_node ended with exit code 1" in output
     assert process.poll() is None
     assert ros_test.stop(process) == 1, "a recording that failed is no success"
-    assert read(Path(ros_test.folder / "bag")).flows  # what there was is whole
+    bag = ros_test.folder / "bag"  # what there was is whole
+    assert Counter(message.channel.topic for message in read_back(bag)) == told_counts(bag)

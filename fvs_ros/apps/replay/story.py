@@ -74,11 +74,12 @@ def states(recording: Recording) -> list[Spell]:
 
 
 def limits(recording: Recording) -> list[Spell]:
-    """Spells in which a limit shaped the command, as far as ten statuses a second tell."""
+    """Spells of servoing in which a limit shaped the command, as ten statuses a second tell it."""
     found: list[Spell] = []
     active = ""
     for status, end_s in _with_ends(recording, recording.said.get("controller", ())):
-        previous, active = active, status.values.get("active_limit", "")
+        servoing = status.values.get("state") == SERVOING
+        previous, active = active, status.values.get("active_limit", "") if servoing else ""
         if not active:
             continue
         if active == previous:
