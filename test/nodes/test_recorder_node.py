@@ -3,14 +3,17 @@
 import json
 import signal
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool, Float64, String
 
+from fvs_ros.apps import recording
 from fvs_ros.core import ros
 
 pytest.importorskip("rosbags")
@@ -45,6 +48,11 @@ def read_back(folder):
     return list(mcap.read_ros2_messages(str(path)))
 
 
+def with_demo(one, **values):
+    """A recording that knows of the demo, as one of the scenario `demo` does."""
+    return replace(one, scenario={**one.scenario, "fvs_demo_node": values})
+
+
 @pytest.fixture
 def recorder(ros_test):
     """A recorder that is up, and its folder."""
@@ -58,21 +66,28 @@ def listened(ros_test, publisher):
 
 
 def test_a_replay_judges_a_demo_as_the_demo_did(ros_test):
-    simulated = ["-p", "use_sim_time:=true", "-p", "simulated_time:=true"]
-    short = ["-p", "targets:=2", "-p", "target_s:=1.6", "-p", "fvs_demo_node:seed:=5"]
-    record = ["--record", "bag", "--record-without-images"]
-    patient = [
-        word
-        for name in ("joint_states", "ball", "jacobian")
-        for word in ("-p", f"{name}_max_age_s:=2.0")
-    ]
-    process = ros_test.start(LAUNCHER, "demo", *record, *simulated, *short, *patient)
+    patient = [f"{name}_max_age_s:=2.0" for name in ("joint_states", "ball", "jacobian")]
+    overrides = ["use_sim_time:=true", "simulated_time:=true", *patient]
+    launcher = ros_test.start(
+        LAUNCHER, "servo", "--record", "bag", "--record-without-images",
+        *(word for one in overrides for word in ("-p", one)),
+    )  # fmt: skip
+    status = ros_test.collect(DiagnosticStatus, f"{recording.NODE}/status")
+    ros_test.spin_until(
+        lambda: status and int(ros.from_status(status[-1])["topics"]) > 12,
+        30.0,
+        "the loop's topics",
+    )
+    demo = ros_test.start_node(
+        "fvs_ros.apps.demo_node", targets=2, target_s=1.6, seed=5, use_sim_time=True
+    )
     # Whether it settled in time is the machine's business; what it said of itself is ours.
-    assert ros_test.wait(process, 90.0) in (0, 1), ros_test.output(process)
+    assert ros_test.wait(demo, 60.0) in (0, 1), ros_test.output(demo)
+    assert ros_test.stop(launcher) == 0, ros_test.output(launcher)
     bag = ros_test.folder / "bag"
 
     live = json.loads((ros_test.folder / "out" / "demo" / "results.json").read_text())
-    replayed = targets(read(bag))
+    replayed = targets(with_demo(read(bag), target_s=1.6))
     assert len(replayed) == len(live) == 2
     for one, other in zip(replayed, live, strict=True):
         assert one.record.target_m == pytest.approx(other["target_m"], abs=0.0)
@@ -90,7 +105,7 @@ def test_a_replay_judges_a_demo_as_the_demo_did(ros_test):
     assert np.abs(commands).max() > 0.3
     assert not np.any(commands[-5:]), "the last zeros are missing"
     notes = metadata(bag)["custom_data"]
-    assert "target_s: 1.6" in notes["scenario"]
+    assert "joint_states_max_age_s: 2.0" in notes["scenario"]
     assert not any(m.schema.name == "sensor_msgs/msg/Image" for m in messages)
 
 

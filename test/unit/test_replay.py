@@ -1,6 +1,7 @@
 """What a replay says of recordings in which everything is known."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 from fvs_ros.apps.experiments.main import main
 from fvs_ros.apps.replay import estimates, runs, story, timing
+from fvs_ros.apps.replay.data import Series
 from fvs_ros.apps.replay.reading import BagError, read
 
 DEMO = {
@@ -120,6 +122,22 @@ def test_a_demo_ends_its_last_target_after_its_time(tmp_path):
     assert target.record.time_s[-1] == pytest.approx(2.0, abs=1e-6)
 
 
+def test_a_target_from_before_the_recording_counts_from_its_stamp(tmp_path):
+    made = HandmadeBag(tmp_path / "bag", scenario=DEMO)
+    servo(made)
+    made.close()
+    recording = read(tmp_path / "bag")
+    true = recording.series["true_ball"]
+    late = true.stamp_s > BEGIN_S + GIVEN_S + 0.5
+    kept = Series(true.topic, true.arrival_s[late], true.stamp_s[late], true.values[late])
+    given = recording.series["target"]
+    early = Series(given.topic, np.zeros(1), given.stamp_s, given.values)  # no clock heard yet
+    series = {**recording.series, "true_ball": kept, "target": early}
+    (target,) = runs.targets(replace(recording, series=series))
+    assert target.begins_late
+    assert target.score.settling_5mm_s == pytest.approx(np.log(60) / DECAY_1_S, abs=0.009)
+
+
 # --- timing ---
 
 
@@ -195,8 +213,6 @@ def test_a_wrong_jacobian_is_off_by_its_share(tmp_path):
 
 def test_without_a_jacobian_nothing_is_said_of_it(recording):
     series = {key: one for key, one in recording.series.items() if key != "jacobian"}
-    from dataclasses import replace
-
     assert estimates.prediction(replace(recording, series=series)) is None
 
 

@@ -20,6 +20,10 @@ _MOVING_S = 0.5
 _SAME_MOMENT_S = 1e-6
 #: A target's stamp further from its arrival than this is not when it was given, s.
 _GIVEN_S = 0.3
+#: A target that was given longer before the first position than this is none of the recording's, s.
+_BEFORE_S = 5.0
+#: Without a position for so long after it was given, its start is not known, s.
+_LATE_S = 0.1
 _FINAL_S = 1.0
 _DEMO = "fvs_demo_node"
 
@@ -53,6 +57,11 @@ class Target:
     score: TargetScore
     path_m: float
     jitter_rad_s: float
+
+    @property
+    def begins_late(self) -> bool:
+        """Whether the recording lacks its beginning, so that the start distance is not known."""
+        return self.record.time_s[0] > _LATE_S
 
     @property
     def rms_m(self) -> float:
@@ -138,14 +147,14 @@ def _grouped(given: Series, ball_s: np.ndarray) -> list[_Given]:
 
 
 def _given_s(stamp_s: float, arrival_s: float, ball_s: np.ndarray) -> float:
-    """When a target was given."""
-    if np.isfinite(stamp_s):
+    """When a target was given, by the clock of the ball's positions."""
+    if np.isfinite(stamp_s) and ball_s[0] - _BEFORE_S < stamp_s < ball_s[-1] + _GIVEN_S:
         nearest_s = float(ball_s[np.argmin(np.abs(ball_s - stamp_s))])
         if abs(nearest_s - stamp_s) < _SAME_MOMENT_S:
             return nearest_s  # the demo's, who stamps it with the position it saw
-        if abs(arrival_s - stamp_s) < _GIVEN_S:
+        # Not by another machine's clock; or before the recording heard any clock.
+        if abs(arrival_s - stamp_s) < _GIVEN_S or arrival_s < ball_s[0]:
             return float(stamp_s)
-    # By another machine's clock, or without a stamp: it counts from when it came.
     return float(arrival_s)
 
 

@@ -79,6 +79,7 @@ def _targets(recording: Recording, targets: Sequence[Target], folder: Path) -> R
                     "target_m": one.record.target_m,
                     "given_s": one.record.start_s - recording.start_s,
                     "moving": one.moving,
+                    "begins_late": one.begins_late,
                     **asdict(one.score),
                     "path_m": one.path_m,
                     "jitter_rad_s": one.jitter_rad_s,
@@ -114,7 +115,7 @@ def targets_table(targets: Sequence[Target], bounds: Sequence[float]) -> Table:
         [
             [
                 f"{one.number}{', moving' if one.moving else ''}",
-                f"{1e3 * one.score.start_distance_m:.0f} mm",
+                "unknown" if one.begins_late else f"{1e3 * one.score.start_distance_m:.0f} mm",
                 settled(one, one.score.settling_5mm_s),
                 settled(one, one.score.settling_2mm_s),
                 f"{1e3 * (one.rms_m if one.moving else one.score.final_rms_m):.2f} mm",
