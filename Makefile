@@ -80,10 +80,10 @@ log-dir:
 
 # What is installed: one stamp a set of extras. A larger set stamps the smaller ones it holds.
 
-$(VENV)/.installed-demo: EXTRAS := ros,sim
-$(VENV)/.installed-model: EXTRAS := ros,sim,train
-$(VENV)/.installed-lab: EXTRAS := ros,sim,lab
-$(VENV)/.installed-dashboard: EXTRAS := ros,sim,dashboard
+$(VENV)/.installed-demo: EXTRAS := ros,sim,record
+$(VENV)/.installed-model: EXTRAS := ros,sim,record,train
+$(VENV)/.installed-lab: EXTRAS := ros,sim,record,lab
+$(VENV)/.installed-dashboard: EXTRAS := ros,sim,record,dashboard
 $(VENV)/.installed-lint: EXTRAS := test
 $(VENV)/.installed-all: EXTRAS := all
 $(VENV)/.installed-all: ALSO := demo dashboard model lab lint
