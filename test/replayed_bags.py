@@ -11,7 +11,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from fvs_ros.core.camera import CAMERA_FRAME
-from fvs_ros.core.joints import UR_PUBLISHED_NAMES
+from fvs_ros.core.joints import UR_JOINT_NAMES, UR_PUBLISHED_NAMES
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 #: When every recording here begins, s.
@@ -77,10 +77,8 @@ class HandmadeBag:
 
     def joints(self, at_s: float, stamp_s: float, angles_rad: Any, speeds_rad_s: Any) -> None:
         """As a UR's driver does: in alphabetical order."""
-        order = np.argsort(np.argsort(UR_PUBLISHED_NAMES))
-        kinematic = [2, 1, 0, 3, 4, 5]  # elbow, lift, pan stand in alphabetical order
-        values = [np.asarray(one, dtype=float)[kinematic] for one in (angles_rad, speeds_rad_s)]
-        assert list(order) == [0, 1, 2, 3, 4, 5]
+        order = [UR_JOINT_NAMES.index(name) for name in UR_PUBLISHED_NAMES]
+        values = [np.asarray(one, dtype=float)[order] for one in (angles_rad, speeds_rad_s)]
         self.write(
             "joint_states",
             "sensor_msgs/msg/JointState",
