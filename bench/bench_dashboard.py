@@ -134,7 +134,7 @@ def client(address: str) -> Iterator[None]:
 def chromium(address: str) -> Iterator[None]:
     from playwright.sync_api import sync_playwright
 
-    flags = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    flags = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
     with sync_playwright() as tool:
         window = tool.chromium.launch(executable_path=shutil.which("chromium"), args=flags)
         page = window.new_page(viewport={"width": 1280, "height": 800})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import isfinite
+from math import isfinite, nan
 
 import numpy as np
 import viser
@@ -51,6 +51,7 @@ class Charts:
     def __init__(self, gui: viser.GuiApi, history_s: float) -> None:
         self._gui = gui
         self._history_s = history_s
+        self._limit_rad_s = nan
         self._error = self._add(
             "Distance to the target, mm",
             {"distr": 3, "log": 10, "range": (0.01, 1000.0)},
@@ -76,13 +77,12 @@ class Charts:
         )
 
     def _add(self, title: str, scale: dict, *series: uplot.Series) -> viser.GuiUplotHandle:
-        # Without a point, a chart forgets the range of its time.
-        ends_s, unknown = np.array([-self._history_s, 0.0]), np.full(2, np.nan)
+        nothing = np.full(2, np.nan)
         return self._gui.add_uplot(
-            (ends_s, *(unknown,) * len(series)),
+            (np.array([-self._history_s, 0.0]), *(nothing,) * len(series)),
             (uplot.Series(label="s"), *series),
             title=title,
-            scales={"x": {"time": False, "range": (-self._history_s, 0.0)}, "y": scale},
+            scales={"x": {"time": False}, "y": scale},
             axes=_AXES,
             legend={"show": True, "live": False},
             cursor={"drag": {"x": False, "y": False}},
@@ -95,7 +95,8 @@ class Charts:
         time_s, norm, *parts = curves.error_mm.T
         self._draw(self._error, time_s, *parts, norm)
         time_s, *speeds = curves.speed_rad_s.T
-        if isfinite(limit_rad_s):
+        if isfinite(limit_rad_s) and limit_rad_s != self._limit_rad_s:
+            self._limit_rad_s = limit_rad_s  # the chart is made anew: not oftener than need be
             scale = {"range": (0.0, 1.2 * limit_rad_s)}
             self._speed.scales = {**self._speed.scales, "y": scale}
         self._draw(self._speed, time_s, *speeds, np.full(len(time_s), limit_rad_s))
@@ -104,6 +105,7 @@ class Charts:
         self._draw(self._exponent, *curves.exponent.T)
 
     @staticmethod
-    def _draw(chart: viser.GuiUplotHandle, *columns: np.ndarray) -> None:
-        if len(columns[0]):
-            chart.data = columns
+    def _draw(chart: viser.GuiUplotHandle, time_s: np.ndarray, *columns: np.ndarray) -> None:
+        """Draw from the oldest time to now; a chart without two points would lose its axes."""
+        if len(time_s) > 1:
+            chart.data = (np.append(time_s, 0.0), *(np.append(one, one[-1]) for one in columns))

@@ -74,6 +74,7 @@ class DashboardNode(ros.FvsNode):
         self.create_timer(1.0 / v["rate_hz"], self._show, clock=self.steady_clock)
         self.create_timer(_LOOK_PERIOD_S, self._look_around, clock=self.steady_clock)
         print(f"page: {self._page.address}", flush=True)
+        _step_back()
 
     # --- inputs ---
 
@@ -301,7 +302,6 @@ def _step_back() -> None:
 
 def main() -> int:
     """Run ``fvs_dashboard``."""
-    _step_back()
     return ros.run(DashboardNode)
 
 

@@ -36,8 +36,8 @@ def side_by_side(name: str) -> str:
     mark = f"div:has(> #fvs-{name})"
     return (
         f'<div id="fvs-{name}"></div><style>{mark} + div, {mark} + div + div '
-        "{display:inline-block;width:50%;box-sizing:border-box;"
-        "margin-inline:0;padding-inline:0.4em}</style>"
+        "{display:inline-block;width:50%;box-sizing:border-box;vertical-align:top;"
+        "margin-inline:0 !important;padding-inline:0.4em !important}</style>"
     )
 
 

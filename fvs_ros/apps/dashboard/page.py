@@ -7,15 +7,18 @@ import errno
 import io
 import socket
 import threading
+from typing import TYPE_CHECKING
 
 import viser
 
 from fvs_ros.apps.dashboard.actions import Actions, Target
-from fvs_ros.apps.dashboard.arm import Arm
 from fvs_ros.apps.dashboard.charts import Charts
 from fvs_ros.apps.dashboard.panel import Panel
 from fvs_ros.apps.dashboard.scene import Scene
 from fvs_ros.apps.dashboard.view import Snapshot
+
+if TYPE_CHECKING:
+    from fvs_ros.apps.dashboard.arm import Arm
 
 #: The curves are sent with every so many pictures: they are long, and eyes are slow.
 _CURVES_EVERY = 3
@@ -80,8 +83,8 @@ class Page:
             server, ball_radius_m, lambda at, moving: actions.put(Target(at, moving))
         )
         # From where arm and camera stand side by side, wherever the camera usually stands.
-        server.initial_camera.position = (1.95, 1.55, 1.2)
-        server.initial_camera.look_at = (0.5, -0.28, 0.3)
+        server.initial_camera.position = (2.15, 1.65, 1.3)
+        server.initial_camera.look_at = (0.57, -0.36, 0.36)
         server.initial_camera.fov = 0.85
         self._shown = 0
 

@@ -5,14 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from math import inf
+from typing import TYPE_CHECKING
 
 import numpy as np
 import viser
 import viser.transforms
 from viser.extras import ViserUrdf
 
-from fvs_ros.apps.dashboard.arm import Arm
 from fvs_ros.apps.dashboard.view import Snapshot
+
+if TYPE_CHECKING:
+    from fvs_ros.apps.dashboard.arm import Arm  # a second to import, and not needed at the start
 
 _BALL, _PREDICTED, _TARGET = (213, 40, 30), (255, 214, 0), (86, 180, 233)
 _TRAIL_OLD, _TRAIL_NEW = np.array([60, 64, 72]), np.array([255, 214, 0])
@@ -48,7 +51,10 @@ class Scene:
         self._arm: Arm | None = None
         self._robot: ViserUrdf | None = None
         scene = server.scene
+        # No environment and no shadows: where no graphics card draws, they cost a core or more.
+        scene.configure_environment_map(hdri=None)
         scene.configure_default_lights(enabled=True, cast_shadow=False)
+        scene.add_light_hemisphere("/sky", ground_color=(110, 112, 120), intensity=1.2)
         scene.add_grid(
             "/floor",
             width=3.0,
