@@ -175,7 +175,7 @@ def test_a_ball_long_gone_is_not_shown_and_its_trail_fades(board):
 
 def test_an_image_is_given_out_once_and_an_answer_for_a_while(board):
     board.set_intrinsics(Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5))
-    board.add_image(np.zeros((480, 640, 3), np.uint8))
+    board.add_image(10.0, np.zeros((480, 640, 3), np.uint8))
     board.answer(0.0, "start: servoing")
     first = board.snapshot(0.0, tour=False)
     assert first.picture.shape == (240, 320, 3)
@@ -183,6 +183,18 @@ def test_an_image_is_given_out_once_and_an_answer_for_a_while(board):
     assert first.field_of_view == pytest.approx((2 * np.arctan(0.4), 4 / 3))
     assert board.snapshot(0.1, tour=False).picture is None
     assert board.snapshot(60.0, tour=False).answer == ""
+
+
+def test_the_ball_is_circled_where_the_image_shows_it(board):
+    board.set_intrinsics(Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5))
+    board.add_ball(0.0, 10.0, np.array([0.0, 0.0, 1.2]))
+    board.add_ball(0.1, 10.1, np.array([0.3, 0.0, 1.2]))
+    for stamp_s, column in ((10.0, 159.5), (10.1, 234.5)):
+        board.add_image(stamp_s, np.zeros((480, 640, 3), np.uint8))
+        yellow = board.snapshot(9.0, tour=False).picture[..., :2].min(axis=2) > 100
+        assert np.argwhere(yellow)[:, 1].mean() == pytest.approx(column, abs=0.7)
+    board.add_image(11.0, np.zeros((480, 640, 3), np.uint8))
+    assert not board.snapshot(9.0, tour=False).picture.any()
 
 
 # --- where the camera is ---

@@ -18,6 +18,8 @@ from fvs_ros.core.joints import N_JOINTS
 
 #: A ball seen longer ago is not drawn, an answer said longer ago not shown, s.
 _BALL_S, _ANSWER_S = 0.5, 12.0
+#: Positions kept for images that come late; one this near to an image's stamp was found in it, s.
+_KEPT_BALLS, _SAME_IMAGE_S = 60, 0.02
 #: On a logarithmic scale nothing is zero, mm.
 _SMALLEST_MM = 1e-3
 _FIELD_OF_VIEW = (0.743, 4.0 / 3.0)  # a RealSense's, until the camera tells its own
@@ -88,7 +90,8 @@ class Board:
         self._speed = Trace(history_s, N_JOINTS)
         self._ratio = Trace(history_s, 1)
         self._exponent = Trace(history_s, 3)
-        self._image: np.ndarray | None = None
+        self._balls: deque[tuple[float, np.ndarray]] = deque(maxlen=_KEPT_BALLS)
+        self._image: tuple[float, np.ndarray] | None = None
         self._intrinsics: Intrinsics | None = None
         self._answer, self._answer_s = "", -inf
         self.placement = CameraPlacement()
@@ -109,6 +112,7 @@ class Board:
         """Tell a ball position, camera frame, m, shape (3,), and its exposure's stamp."""
         self._heard_s["ball_position"] = now_s
         self._ball = stamp_s, position_m
+        self._balls.append(self._ball)
         self._trail.add(now_s, position_m)
 
     def add_status(self, now_s: float, values: Mapping[str, str], sentence: str) -> None:
@@ -123,9 +127,9 @@ class Board:
         if controller.exponents is not None:
             self._exponent.add(now_s, controller.exponents)
 
-    def add_image(self, image_rgb: np.ndarray) -> None:
-        """Tell a camera image, uint8, shape (height, width, 3)."""
-        self._image = image_rgb
+    def add_image(self, stamp_s: float, image_rgb: np.ndarray) -> None:
+        """Tell a camera image, uint8, shape (height, width, 3), and its exposure's stamp."""
+        self._image = stamp_s, image_rgb
 
     def set_intrinsics(self, intrinsics: Intrinsics) -> None:
         """Tell the camera's intrinsics."""
@@ -205,20 +209,27 @@ class Board:
                 self._exponent.window(now_s),
             ),
             limit_rad_s=self.limit_rad_s,
-            picture=self._picture(ball_m, controller.target_m, trail_m),
+            picture=self._picture(controller.target_m, trail_m),
             field_of_view=self._field_of_view(),
             answer=self._answer if now_s - self._answer_s < _ANSWER_S else "",
             tour=tour,
             simulator=self.simulator,
         )
 
-    def _picture(
-        self, ball_m: np.ndarray | None, target_m: np.ndarray | None, trail_m: np.ndarray
-    ) -> np.ndarray | None:
-        image, self._image = self._image, None
-        if image is None:
+    def _picture(self, target_m: np.ndarray | None, trail_m: np.ndarray) -> np.ndarray | None:
+        newest, self._image = self._image, None
+        if newest is None:
             return None
+        stamp_s, image = newest
+        ball_m = self._ball_seen_at(stamp_s)
         return picture.draw(image, self._intrinsics, ball_m, self._ball_radius_m, target_m, trail_m)
+
+    def _ball_seen_at(self, stamp_s: float) -> np.ndarray | None:
+        """The ball where an image shows it: images come later than what was found in them."""
+        nearest = min(self._balls, key=lambda ball: abs(ball[0] - stamp_s), default=None)
+        if nearest is None or abs(nearest[0] - stamp_s) > _SAME_IMAGE_S:
+            return None
+        return nearest[1]
 
     def _field_of_view(self) -> tuple[float, float]:
         camera = self._intrinsics

@@ -11,7 +11,7 @@ from viser import uplot
 from fvs_ros.apps.dashboard import markup
 from fvs_ros.apps.dashboard.view import Curves
 
-_HEIGHT_PX = 142
+_HEIGHT_PX = 150
 _JOINTS = ("pan", "lift", "elbow", "wrist 1", "wrist 2", "wrist 3")
 _JOINT_COLOURS = (
     markup.SKY,

@@ -129,7 +129,8 @@ class DashboardNode(ros.FvsNode):
 
     def _on_image(self, message: Image) -> None:
         try:
-            self._board.add_image(ros.from_color(message))
+            stamp_s = ros.from_stamp(message.header.stamp)
+            self._board.add_image(stamp_s, ros.from_color(message))
         except ros.MessageError as error:
             self.get_logger().warning(str(error), throttle_duration_sec=5.0)
 

@@ -74,7 +74,7 @@ class Panel:
     def _add_target(self) -> None:
         gui = self._gui
         with gui.add_folder("Target in the camera's frame"):
-            self._target = gui.add_vector3("x, y, z (m)", (0.0, 0.0, 1.0), step=0.01)
+            self._target = gui.add_vector3("x, y, z (m)", (0.0, 0.0, 1.0), step=0.005)
             gui.add_html(markup.side_by_side("go-current"))
             go = gui.add_button("Go", color="blue", icon=viser.Icon.TARGET_ARROW)
             current = gui.add_button("Set current as target", color="gray")
