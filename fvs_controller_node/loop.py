@@ -149,7 +149,11 @@ class ServoLoop:
         position = self.position_m
         if position is None:
             return False, "target refused: the ball's position is not known yet"
-        return self.add_target(position, self.supervisor.config.feature_frame)
+        accepted, text = self.supervisor.target(position, self.supervisor.config.feature_frame)
+        if accepted:
+            self._moves += 1
+            self.follower.stand(position, self._stamp_s)
+        return accepted, text
 
     @property
     def jacobian(self) -> np.ndarray | None:

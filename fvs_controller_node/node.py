@@ -159,10 +159,11 @@ class ControllerNode(ros.FvsNode):
         again = heard == self._heard_target and echo
         seldom = now_s - self._heard_target_s > _TARGET_ECHO_S
         self._heard_target, self._heard_target_s = heard, now_s
+        position_m = np.array([point.x, point.y, point.z])
+        if again and not self._loop.supervisor.was_told(position_m):
+            return  # another target has been set since, which this was not meant to undo
         accepted, text = self._loop.add_target(
-            np.array([point.x, point.y, point.z]),
-            message.header.frame_id,
-            ros.from_stamp(stamp),
+            position_m, message.header.frame_id, ros.from_stamp(stamp)
         )
         if again:  # said again, a moving target has stopped: that is all
             return

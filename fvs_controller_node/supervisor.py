@@ -222,11 +222,14 @@ class Supervisor:
             )
         # The same target said again is no new task, nor is one on its way: the watch on growing
         # errors goes on.
-        again = self._told_target is not None and np.array_equal(target, self._told_target)
-        if not (moving or again):
+        if not (moving or self.was_told(target)):
             self._progress.restart()
         self._target = self._told_target = target
         return True, "target set to ({:.3f}, {:.3f}, {:.3f}) m".format(*target.tolist())
+
+    def was_told(self, position_m: np.ndarray) -> bool:
+        """Whether a place, m, (3,), is the target that was told last."""
+        return self._told_target is not None and np.array_equal(position_m, self._told_target)
 
     def track(self, position_m: np.ndarray) -> bool:
         """Tell where a target that was accepted is by now, m, (3,).
@@ -538,6 +541,8 @@ class Supervisor:
             return Reason.LAW_FAULT.because(why=f"expected 6 finite numbers, got {velocity}"), None
         if sliding.shape != (N_AXES,) or not all_finite(sliding):
             return Reason.LAW_FAULT.because(why=f"its sliding variable is {sliding}"), None
+        if np.shape(output.exponent) != (N_AXES,):
+            return Reason.LAW_FAULT.because(why=f"its exponent is {output.exponent}"), None
         return None, output
 
     # ---- how it moves, how it rests ---------------------------------------------------------

@@ -24,6 +24,9 @@ _MAX_GAP_S = 0.25
 _JUMP_M = 0.05
 #: No target that an arm could go along with is faster, m/s.
 _FASTEST_M_S = 1.0
+#: So many intervals between updates a motion goes on without a further one, and it is no faster
+#: than the fastest step by this factor: one odd update must not throw the target about.
+_INTERVALS, _FASTER = 3.0, 1.2
 #: A stamp further than this from the joint states' is of another clock, s.
 _OWN_CLOCK_S = 0.2
 
@@ -60,6 +63,7 @@ class TargetMotion:
         self.window_s = window_s
         self._updates: deque[tuple[float, np.ndarray]] = deque(maxlen=64)
         self._curve: np.ndarray | None = None
+        self._interval_s, self._fastest_m_s = 0.0, 0.0  # between updates
 
     def restart(self, position_m: np.ndarray, now_s: float = 0.0) -> None:
         """Take a target that stands."""
@@ -99,12 +103,16 @@ class TargetMotion:
         positions = np.array([position for _, position in self._updates])
         powers = np.vander(since_s, 3 if count >= _CURVED else 2, increasing=True)
         self._curve = np.linalg.lstsq(powers, positions, rcond=None)[0]
+        steps_s = np.diff(since_s)
+        self._interval_s = float(steps_s.mean())
+        steps_m = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+        self._fastest_m_s = _FASTER * float((steps_m / np.maximum(steps_s, 1e-3)).max())
 
     def at(self, now_s: float) -> Target | None:
         """The target now, s; None before the first one.
 
-        After the last update it goes on for as long as a gap may be, and then stands where it
-        was told last.
+        After the last update it goes on for a few intervals, straight on after the first, and then
+        stands where it was told last.
         """
         if not self._updates:
             return None
@@ -112,15 +120,21 @@ class TargetMotion:
         since_s = now_s - last_s
         curve = self._curve
         # A target stamped a little ahead of the joint states is looked back at.
-        if curve is None or not -_OWN_CLOCK_S < since_s < _MAX_GAP_S:
+        longest_s = min(_MAX_GAP_S, _INTERVALS * self._interval_s)
+        if curve is None or not -_OWN_CLOCK_S < since_s < longest_s:
             return Target(last.copy(), np.zeros(3))
         velocity = curve[1].copy()
         position = curve[0] + since_s * velocity
         if len(curve) > 2:
-            position += since_s**2 * curve[2]
-            velocity += 2.0 * since_s * curve[2]
-        if float(velocity @ velocity) > _FASTEST_M_S**2:
+            bent_s = min(since_s, self._interval_s)
+            position += bent_s * (2.0 * since_s - bent_s) * curve[2]
+            velocity += 2.0 * bent_s * curve[2]
+        speed = float(velocity @ velocity) ** 0.5
+        if speed > _FASTEST_M_S:
             return Target(last.copy(), np.zeros(3))
+        if speed > self._fastest_m_s:
+            velocity *= self._fastest_m_s / speed
+            position = last + since_s * velocity
         return Target(position, velocity)
 
 
@@ -158,6 +172,10 @@ class TargetFollower:
     def update(self, position_m: np.ndarray, stamp_s: float, now_s: float) -> None:
         """Take a target that was there at a stamp; one from another clock counts from now, s."""
         self._motion.update(position_m, _on_own_clock(stamp_s, now_s))
+
+    def stand(self, position_m: np.ndarray, now_s: float) -> None:
+        """Take a target that stands, whatever moved before, m, (3,)."""
+        self._motion.restart(position_m, now_s)
 
     def at(self, now_s: float) -> Target | None:
         """The target now, s; None before the first, and for one that is told to stand."""

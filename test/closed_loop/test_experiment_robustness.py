@@ -226,6 +226,10 @@ def test_the_oracle_is_no_competitor():
     results = {one.name: outcomes(1, 9) for one in CONTESTANTS}
     results["oracle, proportional"] = outcomes(10, 0)
     assert best_of(CONTESTANTS, results).name in SCHEMES
+    oracle = [one for one in CONTESTANTS if one.knows_truth]
+    assert [one.claim for one in verdicts(oracle, results)] == [
+        "At least 99 % of the trials of oracle, proportional settle."
+    ]
 
 
 # ---- the whole ------------------------------------------------------------------------------

@@ -156,6 +156,20 @@ def test_a_target_is_heard_again_after_another_took_its_place(bench):
     bench.wait(lambda: values()["target_x_m"] == f"{target[0]:.5g}", what="the target again")
 
 
+def test_a_latched_target_that_is_delivered_once_more_undoes_no_later_one(bench):
+    target = bench.robot.ball + np.array([0.1, 0.0, 0.0])
+    point = ros.to_point(bench.robot._now_s(), PlayedRobot.FRAME, target)
+    values = lambda: ros.from_status(bench.statuses[-1])  # noqa: E731
+    bench.target.publish(point)
+    bench.wait(lambda: values()["target_x_m"] == f"{target[0]:.5g}", what="the target")
+    assert bench.harness.call(Trigger, "fvs_controller_node/set_current_as_target").success
+    bench.wait(lambda: values()["target_x_m"] != f"{target[0]:.5g}", what="the current position")
+    chosen = values()["target_x_m"]
+    bench.target.publish(point)  # the same message, as a latched one comes again
+    bench.harness.spin_for(0.3)
+    assert values()["target_x_m"] == chosen
+
+
 def spoilt_joints(message):
     message.position[2] = float("nan")
     return message

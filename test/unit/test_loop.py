@@ -135,6 +135,19 @@ def test_a_target_that_is_told_again_and_again_hides_no_growing_error(servoing, 
     assert k * DT_S < 5.5
 
 
+def test_the_current_position_as_target_stands_also_while_the_target_moves(servoing):
+    loop = servoing.loop
+    for k in range(12):
+        servoing.tick()
+        assert loop.add_target(np.array([0.05 + 0.002 * k, 0.0, 1.0]), FRAME, servoing.now_s)[0]
+    assert loop.set_current_as_target(servoing.now_s)[0]
+    here = loop.supervisor.target_m
+    for _ in range(40):
+        command = servoing.tick()
+        np.testing.assert_array_equal(loop.supervisor.target_m, here)
+        assert command.output.feed_forward_rad_s == 0.0
+
+
 def test_beyond_the_workspace_nobody_goes_along_with_a_target(servoing):
     loop, asked = servoing.loop, []
     propose = loop.follower.feed_forward

@@ -335,6 +335,14 @@ def test_a_wrong_target_is_refused_in_words_and_the_old_one_stays(point, frame, 
     assert cell.tick().state is State.SERVOING
 
 
+def test_a_law_without_three_exponents_is_a_fault():
+    cell = servoing()
+    law = cell.law
+    cell.law = lambda *told: law(*told)._replace(exponent=np.ones(1))
+    assert cell.tick().reason is Reason.LAW_FAULT
+    cell.supervisor.status_values(cell.now_s)
+
+
 @pytest.mark.parametrize(
     "wanted", [np.full(6, NAN), np.array([0, 0, math.inf, 0, 0, 0]), np.zeros(5), None]
 )

@@ -126,3 +126,28 @@ def test_no_target_is_faster_than_an_arm():
 def test_a_window_that_is_none_is_refused():
     with pytest.raises(ValueError, match="target_window_s"):
         TargetMotion(0.0)
+
+
+def test_one_odd_update_does_not_throw_the_target_about():
+    motion = TargetMotion()
+    for k in range(10):
+        motion.update(np.array([0.2 * k / 30.0, 0.0, 1.0]), k / 30.0)
+    last = np.array([0.2 * 9 / 30.0 - 0.01, 0.0, 1.0])  # a centimetre back
+    motion.update(last, 10 / 30.0)
+    for since_s in np.linspace(0.0, 0.3, 31):
+        seen = motion.at(10 / 30.0 + since_s)
+        assert np.linalg.norm(seen.position_m - last) < 0.05
+        assert np.linalg.norm(seen.velocity_m_s) < 0.7
+    np.testing.assert_array_equal(motion.at(10 / 30.0 + 0.11).position_m, last)
+
+
+def test_a_target_that_is_told_to_stand_stands_whatever_moved_before():
+    follower = TargetFollower()
+    for k in range(10):
+        follower.update(np.array([0.2 * k / 30.0, 0.0, 1.0]), k / 30.0, k / 30.0)
+    here = np.array([0.05, 0.0, 1.0])
+    follower.stand(here, 0.31)
+    for since_s in (0.0, 0.1, 0.3):
+        seen = follower.at(0.31 + since_s)
+        np.testing.assert_array_equal(seen.position_m, here)
+        assert not seen.velocity_m_s.any()

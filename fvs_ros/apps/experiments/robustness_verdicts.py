@@ -32,9 +32,11 @@ def best_of(contestants: Sequence[Contestant], results: Results) -> Contestant:
 
 def verdicts(contestants: Sequence[Contestant], results: Results) -> list[Verdict]:
     """Judge the best competitor, its lead over the paper's schemes, and what the truth is worth."""
+    truth = [one for one in contestants if one.knows_truth]
+    if len(truth) == len(contestants):
+        return [_enough(one.name, results[one.name]) for one in truth]
     best = best_of(contestants, results)
     rivals = [one for one in contestants if one.of_paper and one is not best]
-    truth = [one for one in contestants if one.knows_truth]
     found = [_enough(best.name, results[best.name])]
     if rivals:
         found.append(_lead(best, rivals, results))
