@@ -21,7 +21,7 @@ def settling_time_s(times_s: np.ndarray, errors_m: np.ndarray, bound_m: float) -
         Time of the first sample of the last stretch below the bound, s; None if the record
         ends above it.
     """
-    above = np.flatnonzero(errors_m >= bound_m)
+    above = np.flatnonzero(~(errors_m < bound_m))  # an unknown error is not below
     if above.size == 0:
         return float(times_s[0])
     if above[-1] + 1 >= len(errors_m):

@@ -133,6 +133,8 @@ def test_settled_means_for_good():
     assert settling_time_s(times, errors, 5.0) == 3.0
     assert settling_time_s(times, errors[:3], 5.0) is None
     assert settling_time_s(times, np.zeros(5), 5.0) == 0.0
+    assert settling_time_s(times, np.array([0.0, np.nan, 0.0, 0.0, 0.0]), 5.0) == times[2]
+    assert settling_time_s(times, np.full(5, np.nan), 5.0) is None
 
 
 # --- search ---

@@ -48,7 +48,9 @@ def overview(
     ):
         _velocities(axis, recording, key, first, limit_rad_s)
         axis.set_ylabel(title)
-    axes[2].legend(loc="upper left", bbox_to_anchor=(1.0, 0.93))
+    named = next((axis for axis in axes[2:] if axis.get_legend_handles_labels()[0]), None)
+    if named is not None:
+        named.legend(loc="upper left", bbox_to_anchor=(1.0, 0.93))
     axes[-1].set_xlabel("time since the recording began, s")
     axes[-1].set_xlim(0.0, recording.end_s - recording.start_s)
     save(figure, folder / "overview.png")
@@ -114,7 +116,7 @@ def _errors(
 
 def _velocities(axis: Any, recording: Recording, key: str, first: int, limit_rad_s: float) -> None:
     series = recording.series.get(key)
-    if series is None:
+    if series is None or not np.isfinite(series.values[:, first:]).any():
         axis.text(0.5, 0.5, "not in the bag", transform=axis.transAxes, ha="center")
         return
     time_s = series.arrival_s - recording.start_s

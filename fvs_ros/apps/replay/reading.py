@@ -7,7 +7,7 @@ the nodes compute them, so that a number made of them is the nodes' own.
 from __future__ import annotations
 
 import struct
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from fvs_ros.apps.replay.data import Flow, Recording, Said, Series
 from fvs_ros.core import topics
+from fvs_ros.core.camera import CAMERA_FRAME
 from fvs_ros.core.joints import JOINT_PARAMETERS, N_JOINTS, JointMap, JointStateError
 
 #: What is looked at, by the name under which its messages are kept here.
@@ -98,6 +99,7 @@ class _Reading:
         given = {**declared, **self._scenario.get("fvs_controller_node", {})}
         self._joint_map = JointMap(given["joint_names"], given["tf_prefix"])
         self._rows: dict[str, list[tuple[float, float, np.ndarray]]] = defaultdict(list)
+        self._frames: dict[str, list[str]] = defaultdict(list)  # of each row of a point's topic
         self._said: dict[str, list[Said]] = defaultdict(list)
 
     def _full(self, key: str) -> str:
@@ -131,7 +133,7 @@ class _Reading:
             scenario=self._scenario,
             start_s=min(every),
             end_s=max(every),
-            series={key: self._series(key, rows) for key, rows in self._rows.items()},
+            series={key: self._series(key, rows) for key, rows in self._usable().items()},
             said=self._said,
             flows={
                 topic: Flow(kind, np.array(arrivals), _of_one_clock(arrivals, stamps))
@@ -157,6 +159,8 @@ class _Reading:
             numbers = self._numbers(key, message)
             if numbers is not None:
                 self._rows[key].append((arrival_s, stamp_s, numbers))
+                if key in _POINTS:
+                    self._frames[key].append(message.header.frame_id)
         elif topic == _LOG and message.level >= _WARN:
             self._said["log"].append(Said(arrival_s, message.name, message.msg))
         elif topic == _PARAMETER_EVENTS:
@@ -169,16 +173,41 @@ class _Reading:
         """The numbers of a message; None for one that its reader would have refused."""
         if key in _POINTS:
             point = message.point
-            return np.array([point.x, point.y, point.z])
+            values = np.array([point.x, point.y, point.z])
+            return values if np.isfinite(values).all() else None
         if key == "joints":
             try:
                 positions = self._joint_map.positions(message.name, message.position)
-                velocities = self._joint_map.positions(message.name, message.velocity)
             except JointStateError:
                 return None
-            return np.concatenate([positions, velocities])
+            return np.concatenate([positions, self._velocities(message)])
         values = np.array(message.data, dtype=float)
-        return values if values.shape == (_WIDTHS[key],) else None
+        usable = values.shape == (_WIDTHS[key],) and np.isfinite(values).all()
+        return values if usable else None
+
+    def _velocities(self, message: Any) -> np.ndarray:
+        """A joint state's velocities, rad/s; not numbers where it has none, as it may."""
+        try:
+            return self._joint_map.positions(message.name, message.velocity)
+        except JointStateError:
+            return np.full(N_JOINTS, np.nan)
+
+    def _usable(self) -> dict[str, list[tuple[float, float, np.ndarray]]]:
+        """All rows but points in another frame than the loop's."""
+        wanted = self._frame()
+        kept = {}
+        for key, rows in self._rows.items():
+            frames = self._frames.get(key) or [wanted] * len(rows)
+            kept[key] = [row for row, frame in zip(rows, frames, strict=True) if frame == wanted]
+        return {key: rows for key, rows in kept.items() if rows}
+
+    def _frame(self) -> str:
+        """The frame in which the loop worked: as started, or else the measured ball's."""
+        started = self._scenario.get("fvs_controller_node")
+        if started is not None:
+            return str(started.get("feature_frame", CAMERA_FRAME))
+        frames = self._frames.get("ball") or self._frames.get("true_ball") or [CAMERA_FRAME]
+        return Counter(frames).most_common(1)[0][0]
 
     def _series(self, key: str, rows: list[tuple[float, float, np.ndarray]]) -> Series:
         arrivals, stamps, values = zip(*rows, strict=True)

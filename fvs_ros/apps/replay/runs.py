@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from fvs_controller_node.target_motion import TargetMotion
 from fvs_ros.apps.demo import PARAMETERS, TargetRecord, TargetScore, score
 from fvs_ros.apps.replay.data import Recording, Series
 from fvs_ros.apps.score import jitter_rad_s
 from fvs_ros.core.joints import N_JOINTS
 from fvs_ros.core.params import ParameterError, ParameterSet
 
-#: Targets that follow each other more quickly are one target that moves, s.
-_MOVING_S = 0.5
 #: Stamps further apart than this are two moments, s: their last digits are lost in seconds.
 _SAME_MOMENT_S = 1e-6
 #: A target's stamp further from its arrival than this is not when it was given, s.
@@ -43,7 +42,7 @@ class Target:
     errors_m : ndarray, shape (n,)
         Distances of the ball to it at each sample, m.
     score : TargetScore
-        The demo's judgement.
+        The demo's judgement; the joints' peak speed is not a number where no velocity is known.
     path_m : float
         Length of the ball's path, m; longer with a noisy position.
     jitter_rad_s : float
@@ -126,21 +125,20 @@ def _first_at_least(time_s: np.ndarray, wanted_s: float) -> float:
 
 
 def _grouped(given: Series, ball_s: np.ndarray) -> list[_Given]:
-    """Targets one after another; those in quick succession are one."""
+    """Targets one after another; those that the controller takes for one on its way are one."""
     runs: list[_Given] = []
+    motion = TargetMotion()
     last: np.ndarray | None = None
-    heard_s = -np.inf
     for arrival_s, stamp_s, position_m in zip(
         given.arrival_s, given.stamp_s, given.values, strict=True
     ):
-        quick = arrival_s - heard_s < _MOVING_S
-        heard_s = arrival_s
         if last is not None and np.array_equal(last, position_m):
             continue  # said again
         last = position_m
         given_s = _given_s(stamp_s, arrival_s, ball_s)
-        if not (runs and quick):
+        if not motion.continues(position_m, given_s):
             runs.append(_Given())
+        motion.restart(position_m, given_s)
         runs[-1].time_s.append(given_s)
         runs[-1].position_m.append(position_m)
     return runs
@@ -153,7 +151,7 @@ def _given_s(stamp_s: float, arrival_s: float, ball_s: np.ndarray) -> float:
         if abs(nearest_s - stamp_s) < _SAME_MOMENT_S:
             return nearest_s  # the demo's, who stamps it with the position it saw
         # Not by another machine's clock; or before the recording heard any clock.
-        if abs(arrival_s - stamp_s) < _GIVEN_S or arrival_s < ball_s[0]:
+        if abs(arrival_s - stamp_s) < _GIVEN_S or arrival_s < ball_s[0] + _GIVEN_S:
             return float(stamp_s)
     return float(arrival_s)
 
@@ -177,7 +175,12 @@ def _judge(
     if joints is not None:
         joint_s = _times(joints)
         for index in np.flatnonzero((joint_s > start_s) & (joint_s <= end_s)):
-            record.add_joint_velocity(float(joint_s[index]), joints.values[index, N_JOINTS:])
+            velocity_rad_s = joints.values[index, N_JOINTS:]
+            if np.isfinite(velocity_rad_s).all():
+                record.add_joint_velocity(float(joint_s[index]), velocity_rad_s)
+    judged = score(record, settle_error_m(recording))
+    if not record.joint_velocity_rad_s:
+        judged = replace(judged, peak_joint_speed_rad_s=float("nan"))
     positions = ball.values[chosen]
     wanted = np.searchsorted(given.time_s, time_s[chosen], side="right") - 1
     errors = np.linalg.norm(positions - np.array(given.position_m)[wanted], axis=1)
@@ -186,7 +189,7 @@ def _judge(
         moving=len(given.time_s) > 1,
         record=record,
         errors_m=errors,
-        score=score(record, settle_error_m(recording)),
+        score=judged,
         path_m=float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()),
         jitter_rad_s=_jitter(recording.series.get("commands"), ball, chosen),
     )

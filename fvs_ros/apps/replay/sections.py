@@ -120,8 +120,8 @@ def targets_table(targets: Sequence[Target], bounds: Sequence[float]) -> Table:
                 settled(one, one.score.settling_2mm_s),
                 f"{1e3 * (one.rms_m if one.moving else one.score.final_rms_m):.2f} mm",
                 f"{1e3 * one.path_m:.0f} mm",
-                f"{one.score.peak_joint_speed_rad_s:.2f} rad/s",
-                "" if np.isnan(one.jitter_rad_s) else f"{1e3 * one.jitter_rad_s:.2f} mrad/s",
+                _unless_unknown(one.score.peak_joint_speed_rad_s, "{:.2f} rad/s"),
+                _unless_unknown(1e3 * one.jitter_rad_s, "{:.2f} mrad/s"),
             ]
             for one in targets
         ],
@@ -228,4 +228,8 @@ def _prediction(recording: Recording, folder: Path) -> Report:
 
 
 def _ms(value_s: float) -> str:
-    return "" if np.isnan(value_s) else f"{1e3 * value_s:.3g} ms"
+    return _unless_unknown(1e3 * value_s, "{:.3g} ms")
+
+
+def _unless_unknown(value: float, words: str) -> str:
+    return "" if np.isnan(value) else words.format(value)
