@@ -124,7 +124,9 @@ class PageClient:
 
     def set(self, label: str, value: Any) -> None:
         """Set an element."""
-        self._send(type="GuiUpdateMessage", uuid=self.find(label), updates={"value": value})
+        uuid = self.find(label)
+        self.elements[uuid]["value"] = value
+        self._send(type="GuiUpdateMessage", uuid=uuid, updates={"value": value})
 
     def drag_target(self, *positions: tuple[float, float, float]) -> None:
         """Drag the target through positions in the camera's frame, m, and let it go."""

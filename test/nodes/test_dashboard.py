@@ -28,6 +28,7 @@ from fvs_sim_node.ur5_urdf import urdf_text
 
 DASHBOARD = "fvs_ros.apps.dashboard.dashboard_node"
 CONTROLLER = "fvs_controller_node.node"
+TARGET = "x, y, z (m)"
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
 
 
@@ -77,7 +78,7 @@ def wait_for_state(harness, page, state):
 
 
 def set_target(harness, page, position):
-    page.set("x, y, z (m)", tuple(round(float(value), 3) for value in position))
+    page.set(TARGET, tuple(round(float(value), 3) for value in position))
     page.press("Go")
 
 
@@ -140,6 +141,22 @@ def test_the_arm_goes_where_the_page_says_and_stops_at_a_press(loop):
     harness.spin_until(robot.standing, what="zeros")
     assert list(robot.commands[-1][1].data) == [0.0] * 6
     wait_for_state(harness, page, "READY")
+
+
+def test_numbers_that_are_typed_wait_for_their_button(loop):
+    harness, robot, _, _, page = loop
+    targets = harness.collect(PointStamped, ros.TARGET_POSITION, ros.QOS_RELIABLE)
+    page.press("Set current as target")
+    wait_for_state(harness, page, "READY")
+    typed = tuple(round(float(value) + 0.05, 3) for value in robot.ball)
+    page.set(TARGET, typed)
+    harness.spin_for(4.5)  # longer than what needs no button is left alone
+    assert page.value(TARGET) == typed
+    for count in (1, 2):  # twice, before the controller may have told the new target
+        page.press("Go")
+        harness.spin_until(lambda count=count: len(targets) == count, what="a target")
+        point = targets[-1].point
+        assert (point.x, point.y, point.z) == typed
 
 
 def test_a_dragged_target_is_followed_and_dropped(loop):

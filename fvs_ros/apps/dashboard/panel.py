@@ -22,8 +22,8 @@ from fvs_ros.apps.dashboard.actions import (
 )
 from fvs_ros.apps.dashboard.view import Snapshot
 
-#: What somebody sets is left alone for so long, s.
-_EDITED_S = 4.0
+#: What somebody sets is left alone for so long, s; numbers that wait for their button, longer.
+_SET_S, _TYPED_S = 4.0, 60.0
 _ROTATION = "camera_rotation_deg"
 _LARGEST_TURN_DEG = 45.0
 
@@ -44,7 +44,7 @@ class Panel:
     def __init__(self, gui: viser.GuiApi, say: Callable[[Action], None], image: bool) -> None:
         self._gui = gui
         self._say = say
-        self._edited_s: dict[str, float] = {}
+        self._held_until_s: dict[str, float] = {}
         self._banner = gui.add_html("")
         self._lamps = gui.add_html("")
         self._note = gui.add_html("")
@@ -84,17 +84,17 @@ class Panel:
         @self._target.on_update
         async def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                self._edited_s["target"] = time.monotonic()
+                self._hold("target", _TYPED_S)
 
         @go.on_click
         async def _(_event: viser.GuiEvent) -> None:
-            self._edited_s.pop("target", None)
+            self._hold("target")  # until the controller has taken it
             self._say(Target(as_point(np.array(self._target.value))))
 
         @self._tour.on_update
         async def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                self._edited_s["tour"] = time.monotonic()
+                self._hold("tour")
                 self._say(Tour(self._tour.value))
 
     def _add_simulator(self) -> None:
@@ -118,7 +118,7 @@ class Panel:
         @slider.on_update
         async def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                self._edited_s[name] = time.monotonic()
+                self._hold(name)
                 self._say(Disturb(name, value()))
 
     # --- what is shown ---
@@ -149,6 +149,10 @@ class Panel:
             for slider, angle in zip(self._turns, values[_ROTATION], strict=True):
                 slider.value = angle
 
+    def _hold(self, name: str, seconds: float = _SET_S) -> None:
+        """Leave to the person what they are setting."""
+        self._held_until_s[name] = time.monotonic() + seconds
+
     def _free(self, name: str) -> bool:
         """Whether nobody is just setting it."""
-        return time.monotonic() - self._edited_s.get(name, -inf) > _EDITED_S
+        return time.monotonic() > self._held_until_s.get(name, -inf)
