@@ -39,6 +39,14 @@ FLAGS = (
 )
 #: Drawn some times a second only: by software every picture takes a core for tens of milliseconds.
 SELDOM = "window.requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), 250)"
+#: The page is tested, not the machine, which draws the browser's pictures beside the loop.
+PATIENT = (
+    "full_frame_rate_hz:=1.0",
+    "joint_states_max_age_s:=1.0",
+    "ball_max_age_s:=1.0",
+    "jacobian_max_age_s:=1.0",
+    "follow_time_s:=30.0",
+)
 #: A look at the page costs page and test milliseconds.
 LOOK_S = 0.15
 TARGET = "x, y, z (m)"
@@ -90,9 +98,8 @@ class Eyes:
 
 
 def test_a_person_watches_sets_a_target_and_stops(ros_test, browser):
-    launched = ros_test.start(
-        "fvs_ros.apps.launcher", "dashboard", "-p", "port:=0", "-p", "full_frame_rate_hz:=1.0"
-    )
+    given = [argument for name in PATIENT for argument in ("-p", name)]
+    launched = ros_test.start("fvs_ros.apps.launcher", "dashboard", "-p", "port:=0", *given)
     commands = ros_test.collect(Float64MultiArray, ros.COMMANDS, ros.QOS_RELIABLE)
     statuses = ros_test.collect(DiagnosticStatus, ros.CONTROLLER_STATUS)
     balls = ros_test.collect(PointStamped, ros.BALL_POSITION)
