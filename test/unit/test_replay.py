@@ -299,6 +299,45 @@ def test_a_wrong_jacobian_is_off_by_its_share(tmp_path):
     assert found.t2_m[-1] == pytest.approx(0.1 * found.motion_m.sum(), rel=0.05)
 
 
+def shifted(recording, keys, by_s):
+    """The recording with the stamps of some series moved."""
+    series = {
+        key: replace(one, stamp_s=one.stamp_s + (by_s if key in keys else 0.0))
+        for key, one in recording.series.items()
+    }
+    return replace(recording, series=series)
+
+
+@pytest.mark.parametrize("by_s", [-100.0, 100.0])
+def test_stamps_by_another_clock_change_no_prediction_and_are_named(recording, by_s):
+    # Worse from tick to tick: another choice of Jacobian is another error.
+    jacobian = recording.series["jacobian"]
+    worse = np.linspace(1.0, 0.5, len(jacobian))[:, None] * jacobian.values
+    series = {**recording.series, "jacobian": replace(jacobian, values=worse)}
+    one_clock = replace(recording, series=series)
+    other = shifted(one_clock, ("joints", "ball", "true_ball"), by_s)
+    expected, found = estimates.prediction(one_clock), estimates.prediction(other)
+    assert expected.t1_m.max() > 1e-4
+    assert found.t1_m == pytest.approx(expected.t1_m, abs=1e-6)
+    assert timing.other_clocks(one_clock) == ""
+    side = "behind" if by_s < 0.0 else "ahead of"
+    assert "/joint_states are" in timing.other_clocks(other)
+    assert f"100.0 s {side} it" in timing.other_clocks(other)
+
+
+def test_a_jacobian_that_came_after_the_image_predicts_nothing_of_it(recording):
+    ball, jacobian = recording.series["ball"], recording.series["jacobian"]
+    quick = replace(ball, arrival_s=ball.stamp_s - 0.03)
+    time_s = estimates.prediction(recording).time_s[5]
+    learned = jacobian.arrival_s > time_s - 0.03
+    values = np.where(learned[:, None], 10.0, 1.0) * jacobian.values
+    series = {**recording.series, "ball": quick, "jacobian": replace(jacobian, values=values)}
+    found = estimates.prediction(replace(recording, series=series))
+    assert found.time_s[5] == time_s
+    assert found.t1_m[5] < 1e-4
+    assert found.t1_m[6] > 1e-3
+
+
 def test_without_a_jacobian_nothing_is_said_of_it(recording):
     series = {key: one for key, one in recording.series.items() if key != "jacobian"}
     assert estimates.prediction(replace(recording, series=series)) is None

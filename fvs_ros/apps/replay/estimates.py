@@ -2,7 +2,8 @@
 
 As in the laboratory (``experiments/estimators_recordings.py``): a step is the motion between two
 images, and is predicted with the Jacobian that came before the step's end, so that it has not
-learned from it.
+learned from it. Steps are made by stamps, and Jacobians, which have none, come by the recorder's
+clock; joint states have both, and so tell one from the other.
 """
 
 from __future__ import annotations
@@ -56,17 +57,20 @@ def prediction(recording: Recording) -> Prediction | None:
     series = recording.series
     if not {"joints", "ball", "jacobian"} <= series.keys():
         return None
-    jacobian, true = series["jacobian"], series.get("true_ball")
+    joints, ball, jacobian = series["joints"], series["ball"], series["jacobian"]
+    true = series.get("true_ball")
+    joints_s, joints_came_s = _by_stamp(joints)
+    images_s, images_came_s = _by_stamp(ball)
     rows = []
-    for step in _steps(series["joints"], series["ball"]):
+    for step in _steps(joints, ball):
         motion_m = _motion_m(step, true)
-        # At the middle of the step, as the joints that it is to hold for.
-        index = int(
-            np.searchsorted(jacobian.arrival_s, step.stamp_s - 0.5 * step.dt_s, side="right") - 1
-        )
-        if motion_m is None or index < 0:
-            continue
-        if step.stamp_s - jacobian.arrival_s[index] > _OLD_S + step.dt_s:
+        # At the middle of the step, as the joints that it is to hold for; but never one that may
+        # have learned from the image at its end.
+        middle_s = float(np.interp(step.stamp_s - 0.5 * step.dt_s, joints_s, joints_came_s))
+        image_s = float(images_came_s[np.searchsorted(images_s, step.stamp_s)])
+        wanted_s = min(middle_s, image_s)
+        index = int(np.searchsorted(jacobian.arrival_s, wanted_s, side="left")) - 1
+        if motion_m is None or index < 0 or wanted_s - jacobian.arrival_s[index] > _OLD_S:
             continue
         predicted_m = jacobian.values[index].reshape(3, N_JOINTS) @ step.d_joints_rad
         rows.append((step.stamp_s, motion_m, motion_m - predicted_m))
@@ -75,6 +79,13 @@ def prediction(recording: Recording) -> Prediction | None:
     time_s, motions_m, wrong_m = (np.array(one) for one in zip(*rows, strict=True))
     t1_m, t2_m = criteria(wrong_m)
     return Prediction(time_s, np.linalg.norm(motions_m, axis=1), t1_m, t2_m, true is not None)
+
+
+def _by_stamp(series: Series) -> tuple[np.ndarray, np.ndarray]:
+    """Stamps in order, and when their messages came, s."""
+    known = np.flatnonzero(np.isfinite(series.stamp_s))
+    order = known[np.argsort(series.stamp_s[known], kind="stable")]
+    return series.stamp_s[order], series.arrival_s[order]
 
 
 def _steps(joints: Series, ball: Series) -> list[MotionStep]:

@@ -148,6 +148,7 @@ def _timing(recording: Recording, folder: Path) -> Report:
         question="Did everything come in time, and how old was it?",
         setup=[
             *setup,
+            *_clocks(recording),
             "Arrival is when the recorder received a message, age the time from its stamp to then.",
         ],
         figures=[
@@ -184,13 +185,14 @@ def _timing(recording: Recording, folder: Path) -> Report:
 
 def _prediction(recording: Recording, folder: Path) -> Report:
     found = estimates.prediction(recording)
+    clocks = _clocks(recording)
     question = "How well did the Jacobian predict the ball? (Section 4.1 of the paper.)"
     if found is None:
         return Report(
             name=PREDICTION,
             title="Predictions",
             question=question,
-            setup=["There is no Jacobian in the bag, or the arm did not move."],
+            setup=["There is no Jacobian in the bag, or the arm did not move.", *clocks],
         )
     motion = "true motion" if found.true else "measured motion, with its noise"
     return Report(
@@ -200,7 +202,8 @@ def _prediction(recording: Recording, folder: Path) -> Report:
         setup=[
             f"{found.time_s.size} steps between images, judged by the ball’s {motion}, each with "
             "the Jacobian that came before its end. T1 is the error of one prediction, T2 that of "
-            "all of them summed up."
+            "all of them summed up.",
+            *clocks,
         ],
         figures=[
             Figure(
@@ -225,6 +228,11 @@ def _prediction(recording: Recording, folder: Path) -> Report:
         ],
         data=asdict(found),
     )
+
+
+def _clocks(recording: Recording) -> list[str]:
+    """A paragraph where stamps and arrivals are of different clocks."""
+    return list(filter(None, [timing.other_clocks(recording)]))
 
 
 def _ms(value_s: float) -> str:

@@ -18,6 +18,8 @@ INPUTS = {
     "ball": "ball_max_age_s",
     "jacobian": "jacobian_max_age_s",
 }
+#: Stamps further from their arrivals than this are of another clock, s: nothing is so slow.
+_OTHER_CLOCK_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -112,6 +114,25 @@ def gaps(recording: Recording) -> list[Gap]:
         for index in np.flatnonzero(intervals > limits[parameter]):
             found.append(Gap(series.topic, float(series.arrival_s[index]), float(intervals[index])))
     return sorted(found, key=lambda gap: gap.start_s)
+
+
+def other_clocks(recording: Recording) -> str:
+    """Which stamps are not by the clock of the arrivals, in a sentence; empty if none."""
+    found = []
+    for key in ("joints", "ball"):
+        series = recording.series.get(key)
+        if series is None or not np.isfinite(series.stamp_s).any():
+            continue
+        behind_s = float(np.nanmedian(series.arrival_s - series.stamp_s))
+        if abs(behind_s) > _OTHER_CLOCK_S:
+            where = "behind" if behind_s > 0.0 else "ahead of"
+            found.append(f"those of {series.topic} are {abs(behind_s):.1f} s {where} it")
+    if not found:
+        return ""
+    return (
+        f"Stamps are not by the recorder’s clock: {' and '.join(found)}, so that ages and "
+        "latencies say nothing."
+    )
 
 
 def command_latencies_s(ball: Series, commands: Series) -> tuple[np.ndarray, np.ndarray]:
