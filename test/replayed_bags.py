@@ -31,6 +31,8 @@ class HandmadeBag:
         Of all topics, with a slash before it.
     scenario : dict, optional
         Node -> parameters, kept in the bag.
+    remaps : dict of str to str, optional
+        Full names of topics as declared -> as they are, kept in the bag.
     """
 
     def __init__(
@@ -39,6 +41,7 @@ class HandmadeBag:
         storage: StoragePlugin = StoragePlugin.MCAP,
         namespace: str = "",
         scenario: dict[str, Any] | None = None,
+        remaps: dict[str, str] | None = None,
     ) -> None:
         self._namespace = namespace
         self._writer = Writer(folder, version=9, storage_plugin=storage)
@@ -48,6 +51,8 @@ class HandmadeBag:
             }
             self._writer.set_custom_data("scenario", yaml.safe_dump(content))
             self._writer.set_custom_data("fvs_ros_version", "0.1.0")
+        if remaps is not None:
+            self._writer.set_custom_data("remaps", yaml.safe_dump(remaps))
         self._writer.open()
         self._connections: dict[str, Any] = {}
 

@@ -19,12 +19,20 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2 import (
+    CompressionFormat,
+    CompressionMode,
+    StoragePlugin,
+    Writer,
+    WriterError,
+)
 from rosbags.typesys import Stores, get_typestore
 
 #: Of rosbag2's format, as ROS 2 Jazzy writes it.
 _VERSION: Final = 9
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
+#: What writing into a bag may raise.
+ERRORS: Final = (OSError, WriterError)
 
 
 def knows(message_type: str) -> bool:
@@ -96,7 +104,7 @@ class Bag:
 
         Raises
         ------
-        OSError
+        OSError or WriterError
             If it cannot be written.
         """
         connection = self._connections.get(topic)
@@ -111,10 +119,10 @@ class Bag:
         self.counts[topic] += 1
 
     def close(self) -> None:
-        """Finish the file and write ``metadata.yaml``; an ``OSError`` if that fails."""
+        """Finish the file and write ``metadata.yaml``; one of ``ERRORS`` if that fails."""
         self._writer.close()
 
     def abandon(self) -> None:
         """Close after an error; what was written stays, without an index."""
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(*ERRORS):
             self._writer.abort()

@@ -111,8 +111,8 @@ class Launcher:
                     if stop.RECEIVED:
                         break
                     self._start(name, params)
-                    if name == recording.NODE:
-                        self._await_recorder()
+                    if name == recording.NODE and not self._await_recorder():
+                        return self._end_unrecorded()
                 for process in self._processes:
                     process.reader.start()
                 self._say(f"started {', '.join(p.name for p in self._processes)}")
@@ -148,15 +148,31 @@ class Launcher:
         reader = threading.Thread(target=self._forward, args=(name, popen.stdout), daemon=True)
         self._processes.append(_Process(name, popen, reader))
 
-    def _await_recorder(self) -> None:
-        """Have the recorder listen before the others speak; its folder tells that it does."""
+    def _await_recorder(self) -> bool:
+        """Have the recorder listen before the others speak; its folder tells that it does.
+
+        Returns
+        -------
+        bool
+            False if it has ended without one.
+        """
         folder = Path(self._scenario.parameters[recording.NODE]["output_dir"]).expanduser()
         process = self._processes[-1].popen
         end_s = time.monotonic() + _STOP_S
-        while not (stop.RECEIVED or folder.exists() or process.poll() is not None):
-            if time.monotonic() > end_s:
-                return
+        while not (stop.RECEIVED or folder.exists()) and time.monotonic() < end_s:
+            if process.poll() is not None:
+                return folder.exists()  # what stopped it later is no reason not to start
             time.sleep(_POLL_S)
+        return True
+
+    def _end_unrecorded(self) -> int:
+        """Pass on what the recorder said, stop what runs, and tell that nothing is recorded."""
+        for process in self._processes:
+            process.reader.start()
+        self._stop_all()
+        code = self._processes[-1].popen.returncode
+        self._say(f"{recording.NODE} ended with {_code_text(code)}: not started without it")
+        return code if code > 0 else EXIT_FAILURE
 
     def _forward(self, name: str, stream: IO[bytes] | None) -> None:
         for line in stream or ():

@@ -7,12 +7,10 @@ from fvs_ros.core import stop
 stop.listen()
 
 import importlib
-import importlib.util
 import shutil
 import sys
 import time
 from collections.abc import Iterable, Iterator
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +21,8 @@ from rclpy.subscription import Subscription
 from fvs_ros.apps import recording
 from fvs_ros.apps.recording import Doubles, Message, Request, SimulatedTime
 from fvs_ros.core import ros
-from fvs_ros.core.topics import INTERFACES, Qos
+from fvs_ros.core.topics import INTERFACES, Qos, resolve
+from fvs_ros.core.version import version
 
 _LOOK_S = 0.2
 #: Messages wait in their queues, with the time at which they came, and are fetched this often:
@@ -56,11 +55,10 @@ class RecorderNode(ros.FvsNode):
         super().__init__(recording.NODE, recording.PARAMETERS)
         self._folder = Path(self.values["output_dir"]).expanduser()
         recording.check_folder(self._folder)
-        if importlib.util.find_spec("rosbags") is None:
-            raise recording.RecordingError("recording needs rosbags: pip install rosbags")
-        from fvs_ros.apps.bag import Bag, knows
+        recording.check_installed()
+        from fvs_ros.apps.bag import ERRORS, Bag, knows
 
-        self._known = knows
+        self._known, self._bag_errors = knows, ERRORS
         self._group = _Fetched()
         self._heard: dict[str, dict[Request, Subscription]] = {}
         self._types: dict[str, str] = {}
@@ -69,10 +67,10 @@ class RecorderNode(ros.FvsNode):
         self._left_out: set[str] = set()
         simulated = self.get_parameter("use_sim_time").value
         self._simulated_time = SimulatedTime() if simulated else None
-        self._broken = False
-        self._expect()
+        self._broken = self._warned = False
+        names = self._expect()
         # The last thing: a folder that is there tells who waits that everything is heard.
-        self._bag = Bag(self._folder, recording.notes(self.values["scenario"], _version()))
+        self._bag = Bag(self._folder, recording.notes(self.values["scenario"], version(), names))
         self.create_timer(_LOOK_S, self._look, clock=self.steady_clock)
         self.create_timer(_FETCH_S, self._fetch, clock=self.steady_clock)
         self.create_timer(_STATUS_S, self._publish_state, clock=self.steady_clock)
@@ -80,17 +78,26 @@ class RecorderNode(ros.FvsNode):
 
     # --- which topics ---
 
-    def _expect(self) -> None:
-        """Subscribe to this package's topics before anybody publishes: no first message is lost."""
+    def _expect(self) -> dict[str, str]:
+        """Subscribe to this package's topics before anybody publishes: no first message is lost.
+
+        Returns
+        -------
+        dict of str to str
+            Their full names as declared, and as they are here.
+        """
+        names = {}
         for node, interface in INTERFACES.items():
             for end in interface.publishes:
                 topic = self.resolve_topic_name(end.topic.of(node).name)
+                names[resolve(end.topic.name, node, self.get_namespace())] = topic
                 if recording.is_recorded(topic, end.topic.type, self.values["images"]):
                     offers = [
                         Request(qos is not Qos.NEWEST, latched=qos is Qos.LATCHED)
                         for qos in end.qos
                     ]
                     self._hear(topic, end.topic.type, offers)
+        return names
 
     def _look(self) -> None:
         """Subscribe to what is new on the graph."""
@@ -140,19 +147,20 @@ class RecorderNode(ros.FvsNode):
         """Write all that has come, in the order in which it came."""
         if self.exit_code is not None:
             return
-        free_mb = shutil.disk_usage(self._folder).free / _MB
-        least_mb = self.values["smallest_free_mb"]
         came = sorted(self._waiting(), key=lambda message: message.received_ns)
         try:
+            free_mb = shutil.disk_usage(self._folder).free / _MB
             for message in came:
                 self._write(message)
-            if free_mb < least_mb:
-                self._give_up(
-                    f"only {free_mb:.0f} MB are left on the disk (smallest_free_mb is "
-                    f"{least_mb:.0f}); what was recorded until now is complete"
-                )
-        except OSError as error:
+        except self._bag_errors as error:
             self._break_off(error)
+            return
+        least_mb = self.values["smallest_free_mb"]
+        if free_mb < least_mb:
+            self._give_up(
+                f"only {free_mb:.0f} MB are left on the disk (smallest_free_mb is "
+                f"{least_mb:.0f}); what was recorded until now is complete"
+            )
 
     def _waiting(self) -> Iterator[Message]:
         for topic, subscriptions in self._heard.items():
@@ -169,19 +177,31 @@ class RecorderNode(ros.FvsNode):
                     yield Message(topic, self._types[topic], info["received_timestamp"], data)
 
     def _write(self, message: Message) -> None:
-        stamp_ns = message.received_ns
-        if self._simulated_time is not None:
-            stamp_ns = self._simulated_time.stamp_ns(message)
+        if self._simulated_time is None:
+            self._append(message.received_ns, message)
+            return
+        for stamp_ns, one in self._simulated_time.stamped(message):
+            self._append(stamp_ns, one)
+        self._warn_without_clock()
+
+    def _append(self, stamp_ns: int, message: Message) -> None:
         topic = message.topic
         profiles = () if topic in self._bag.counts else self._profiles(topic)
         self._bag.write(topic, message.message_type, profiles, stamp_ns, message.data)
 
+    def _warn_without_clock(self) -> None:
+        if self._simulated_time is not None and self._simulated_time.without_clock:
+            if not self._warned:
+                self.tell(ros.WARN, "no /clock came (use_sim_time): times are the system's")
+            self._warned = True
+
     # --- state and end ---
 
-    def _break_off(self, error: OSError) -> None:
+    def _break_off(self, error: Exception) -> None:
         self._broken = True
         self._bag.abandon()
-        self._give_up(f"{error.strerror or error}; what was written has no index")
+        why = getattr(error, "strerror", None) or error
+        self._give_up(f"{why}; what was written has no index")
 
     def _give_up(self, why: str) -> None:
         self.tell(ros.ERROR, f"recording into {self._folder} has ended: {why}")
@@ -198,15 +218,23 @@ class RecorderNode(ros.FvsNode):
 
     def finish(self) -> None:
         """Write what still comes, and finish the bag."""
-        end_s = self.steady_s() + _LAST_WORDS_S
-        while self.exit_code is None and self.steady_s() < end_s:
-            self._fetch()
-            time.sleep(_FETCH_S)
-        if self._broken:
-            return
         try:
+            end_s = self.steady_s() + _LAST_WORDS_S
+            while self.exit_code is None and self.steady_s() < end_s:
+                self._fetch()
+                time.sleep(_FETCH_S)
+        finally:
+            if not self._broken:
+                self._close()
+
+    def _close(self) -> None:
+        try:
+            if self._simulated_time is not None:
+                for stamp_ns, message in self._simulated_time.rest():
+                    self._append(stamp_ns, message)
+                self._warn_without_clock()
             self._bag.close()
-        except OSError as error:
+        except self._bag_errors as error:
             self._break_off(error)
             return
         counts = self._bag.counts
@@ -240,13 +268,6 @@ def _message_class(message_type: str) -> Any:
         return getattr(importlib.import_module(f"{package}.{kind}"), name, None)
     except ImportError:
         return None
-
-
-def _version() -> str:
-    try:
-        return metadata.version("fvs_ros")
-    except metadata.PackageNotFoundError:
-        return "unknown"
 
 
 def main() -> int:

@@ -5,10 +5,13 @@ The bag itself is written in ``bag.py``, the node is ``recorder_node.py``.
 
 from __future__ import annotations
 
+import importlib.util
 import struct
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+
+import yaml
 
 from fvs_ros.core.params import Parameter
 
@@ -45,10 +48,24 @@ _LARGE = (
 _DEPTH, _DEPTH_LARGE = 4000, 60
 #: So many messages of one topic are remembered, to know those that came twice.
 _REMEMBERED = 4096
+#: No more than this waits for a first /clock, bytes.
+_HELD_BYTES = 64 * 2**20
 
 
 class RecordingError(ValueError):
     """A recording that cannot begin; the text says why."""
+
+
+def check_installed() -> None:
+    """Refuse to record without the library that writes bags.
+
+    Raises
+    ------
+    RecordingError
+        If it is not installed.
+    """
+    if importlib.util.find_spec("rosbags") is None:
+        raise RecordingError("recording needs rosbags, which is missing: pip install rosbags")
 
 
 def check_folder(folder: Path) -> None:
@@ -157,21 +174,59 @@ class Message:
 
 
 class SimulatedTime:
-    """Gives messages the simulated time of their arrival, by the ``/clock`` messages among them."""
+    """Gives messages the simulated time of their arrival, by the ``/clock`` messages among them.
+
+    Messages from before the first ``/clock`` wait for it, and count as come with it: another time
+    would be none of the simulation's. Where none comes, all stay with the system's time.
+    """
 
     def __init__(self) -> None:
-        self._now_ns = 0
+        self._now_ns: int | None = None
+        self._held: list[Message] = []
+        self._held_bytes = 0
+        #: Whether no clock came, so that times are the system's.
+        self.without_clock = False
 
-    def stamp_ns(self, message: Message) -> int:
-        """Simulated time of a message, ns; to be called in the order of arrival."""
+    def stamped(self, message: Message) -> Iterator[tuple[int, Message]]:
+        """Messages whose time is known now, ns; to be called in the order of arrival."""
+        if self.without_clock:
+            yield message.received_ns, message
+            return
         if message.message_type == "rosgraph_msgs/msg/Clock":
             # CDR: four bytes that say how, then seconds and nanoseconds.
             order = "<" if message.data[1] & 1 else ">"
             seconds, nanoseconds = struct.unpack_from(f"{order}iI", message.data, 4)
             self._now_ns = seconds * 10**9 + nanoseconds
-        return self._now_ns
+        self._held.append(message)
+        self._held_bytes += len(message.data)
+        if self._now_ns is not None:
+            yield from ((self._now_ns, one) for one in self._released())
+        elif self._held_bytes > _HELD_BYTES:
+            yield from self.rest()
+
+    def rest(self) -> Iterator[tuple[int, Message]]:
+        """What still waits, at the end, or because too much does, by the system's time."""
+        if self._now_ns is None:
+            self.without_clock = True
+        yield from ((one.received_ns, one) for one in self._released())
+
+    def _released(self) -> list[Message]:
+        released, self._held, self._held_bytes = self._held, [], 0
+        return released
 
 
-def notes(scenario: str, version: str) -> Mapping[str, str]:
-    """What travels in the bag beside the messages: its ``custom_data``."""
-    return {"fvs_ros_version": version, "scenario": scenario}
+def notes(scenario: str, version: str, names: Mapping[str, str]) -> Mapping[str, str]:
+    """What travels in the bag beside the messages: its ``custom_data``.
+
+    Parameters
+    ----------
+    scenario : str
+        What was started, as YAML.
+    version : str
+        Of this package.
+    names : mapping of str to str
+        Full name of each own topic as declared -> as it is; those that differ were remapped.
+    """
+    told = {"fvs_ros_version": version, "scenario": scenario}
+    remaps = {declared: name for declared, name in names.items() if declared != name}
+    return {**told, "remaps": yaml.safe_dump(remaps)} if remaps else told

@@ -224,10 +224,11 @@ class Scenario:
         Raises
         ------
         ScenarioError
-            If the folder exists.
+            If the folder exists, or what writes bags is not installed.
         """
         try:
             recording.check_folder(Path(folder).expanduser())
+            recording.check_installed()
         except recording.RecordingError as error:
             raise ScenarioError(str(error)) from error
         others = {name: one for name, one in self.parameters.items() if name != recording.NODE}

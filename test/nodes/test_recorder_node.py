@@ -1,6 +1,7 @@
 """The recorder with real nodes: nothing is lost, zeros come last, and a replay judges the same."""
 
 import json
+import shutil
 import signal
 from collections import Counter
 from dataclasses import replace
@@ -156,6 +157,33 @@ def test_a_latched_message_is_recorded_as_such(ros_test, recorder):
     )
     (offered,) = topic["offered_qos_profiles"]
     assert (offered["reliability"], offered["durability"]) == ("reliable", "transient_local")
+
+
+def test_a_folder_that_is_removed_ends_the_recording_in_a_sentence(ros_test, recorder):
+    process, bag = recorder
+    shutil.rmtree(bag)
+    assert ros_test.wait(process, 30.0) == 1
+    output = ros_test.output(process)
+    assert "recording into bag has ended: No such file or directory" in output
+    assert "Traceback" not in output
+
+
+def test_a_remapped_topic_is_noted_and_replayed(ros_test):
+    process = ros_test.start_node(RECORDER, {"target_position": "goal"}, output_dir="bag")
+    ros_test.spin_until(lambda: "recording into bag" in ros_test.output(process), what="recorder")
+    goal = ros_test.node.create_publisher(PointStamped, "goal", DEEP)
+    ball = ros_test.node.create_publisher(PointStamped, ros.BALL_POSITION, DEEP)
+    listened(ros_test, goal)
+    listened(ros_test, ball)
+    goal.publish(ros.to_point(1.0, "eye", np.array([0.1, 0.2, 0.9])))
+    ball.publish(ros.to_point(1.0, "eye", np.array([0.1, 0.2, 0.8])))
+    ros_test.spin_for(0.3)
+    assert ros_test.stop(process) == 0, ros_test.output(process)
+    bag = ros_test.folder / "bag"
+    assert "target_position: /goal" in metadata(bag)["custom_data"]["remaps"]
+    series = read(bag).series["target"]
+    assert series.topic == "/goal"
+    assert np.array_equal(series.values, [[0.1, 0.2, 0.9]])
 
 
 def test_a_folder_that_exists_is_refused_in_a_sentence(ros_test):

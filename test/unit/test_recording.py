@@ -1,5 +1,8 @@
 """What goes into a bag, how it is asked for, and the bag itself, read back by another's reader."""
 
+import importlib.util
+import shutil
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,7 +15,7 @@ from fvs_ros.apps.scenario import ScenarioError, load_scenario
 
 pytest.importorskip("rosbags")
 
-from fvs_ros.apps.bag import Bag, knows, to_bag_qos
+from fvs_ros.apps.bag import ERRORS, Bag, knows, to_bag_qos
 
 #: Bool(data=True) as it is on the wire, little endian.
 TRUE = bytes([0, 1, 0, 0, 1])
@@ -91,13 +94,61 @@ def test_doubles_forgets_what_is_long_gone():
     assert not doubles.again(0, b"")
 
 
+def clock(seconds, nanoseconds):
+    data = bytes([0, 1, 0, 0])
+    data += seconds.to_bytes(4, "little") + nanoseconds.to_bytes(4, "little")
+    return Message("/clock", "rosgraph_msgs/msg/Clock", 2, data)
+
+
+def joints(received_ns, data=b""):
+    return Message("/joint_states", "sensor_msgs/msg/JointState", received_ns, data)
+
+
+def stamped(time, *messages):
+    return [pair for message in messages for pair in time.stamped(message)]
+
+
 def test_simulated_time_is_that_of_the_last_clock_before():
-    clock = bytes([0, 1, 0, 0]) + (7).to_bytes(4, "little") + (5).to_bytes(4, "little")
-    joints = Message("/joint_states", "sensor_msgs/msg/JointState", 3, b"")
     time = SimulatedTime()
-    assert time.stamp_ns(joints) == 0
-    assert time.stamp_ns(Message("/clock", "rosgraph_msgs/msg/Clock", 2, clock)) == 7_000_000_005
-    assert time.stamp_ns(joints) == 7_000_000_005
+    stamped(time, clock(7, 5))
+    assert stamped(time, joints(3), joints(4)) == [
+        (7_000_000_005, joints(3)),
+        (7_000_000_005, joints(4)),
+    ]
+
+
+def test_messages_before_the_first_clock_wait_for_it():
+    time = SimulatedTime()
+    assert stamped(time, joints(1), joints(2)) == []
+    assert stamped(time, clock(5000, 0)) == [
+        (5000 * 10**9, one) for one in (joints(1), joints(2), clock(5000, 0))
+    ]
+    assert list(time.rest()) == []
+    assert not time.without_clock
+
+
+def test_without_a_clock_the_system_s_time_is_kept():
+    time = SimulatedTime()
+    assert stamped(time, joints(1), joints(2)) == []
+    assert list(time.rest()) == [(1, joints(1)), (2, joints(2))]
+    assert time.without_clock
+
+
+def test_no_more_than_some_memory_waits_for_a_clock():
+    time = SimulatedTime()
+    large = bytes(10 * 2**20)
+    found = stamped(time, *(joints(number, large) for number in range(20)))
+    assert len(found) == 20
+    assert [stamp_ns for stamp_ns, _ in found] == list(range(20))
+    assert stamped(time, clock(7, 5), joints(30)) == [(2, clock(7, 5)), (30, joints(30))]
+
+
+def test_the_notes_tell_what_was_remapped_only():
+    names = {"/left/target_position": "/goal", "/left/joint_states": "/left/joint_states"}
+    told = recording.notes("a: 1", "1.2.3", names)
+    assert yaml.safe_load(told["remaps"]) == {"/left/target_position": "/goal"}
+    plain = recording.notes("a: 1", "1.2.3", {"/left/joint_states": "/left/joint_states"})
+    assert plain == {"fvs_ros_version": "1.2.3", "scenario": "a: 1"}
 
 
 # --- the launcher ---
@@ -133,6 +184,32 @@ def test_a_wrong_recording_starts_nothing(capsys, arguments, words):
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1
+
+
+def test_without_rosbags_nothing_is_started(tmp_path, monkeypatch, capsys):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name: None if name == "rosbags" else find(name)
+    )
+    monkeypatch.setattr(launcher.Launcher, "run", lambda _: pytest.fail("it was started"))
+    assert launcher.main(["servo", "--record", str(tmp_path / "bag")]) == 2
+    error = capsys.readouterr().err
+    assert "pip install rosbags" in error
+    assert error.count("\n") == 1
+
+
+def test_a_recorder_that_cannot_begin_ends_the_launch(tmp_path, monkeypatch, capfd):
+    """Whatever stopped it: here its module is not to be found."""
+    table = dict(launcher.NODE_TABLE)
+    table[recording.NODE] = replace(table[recording.NODE], module="no_such_module")
+    monkeypatch.setattr(launcher, "NODE_TABLE", table)
+    recorded = load_scenario("servo").with_recording(str(tmp_path / "bag"), images=False)
+    one = launcher.Launcher(recorded)
+    assert one.run() == 1
+    said = capfd.readouterr().out
+    assert "No module named no_such_module" in said
+    assert "fvs_recorder_node ended with exit code 1: not started without it" in said
+    assert len(one._processes) == 1
 
 
 # --- the bag ---
@@ -179,6 +256,23 @@ def test_a_full_disk_is_an_error_that_says_so(tmp_path):
         with pytest.raises(OSError, match="No space left"):
             bag.write("/text", "std_msgs/msg/String", [], 1, long)
         bag.abandon()
+
+
+def test_a_folder_that_was_removed_is_one_of_the_errors(tmp_path):
+    bag = Bag(tmp_path / "bag", {})
+    bag.write("/running", "std_msgs/msg/Bool", [profile()], 1, TRUE)
+    shutil.rmtree(tmp_path / "bag")
+    with pytest.raises(ERRORS):
+        bag.close()
+    bag.abandon()
+
+
+def test_a_bag_that_was_closed_refuses_in_its_own_way(tmp_path):
+    bag = Bag(tmp_path / "bag", {})
+    bag.close()
+    with pytest.raises(ERRORS, match="not open"):
+        bag.write("/running", "std_msgs/msg/Bool", [], 1, TRUE)
+    bag.abandon()
 
 
 def test_only_types_that_can_be_described_are_known():

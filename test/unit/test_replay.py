@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 
 pytest.importorskip("rosbags")
 
@@ -402,6 +403,29 @@ def test_a_namespace_is_found_by_itself(tmp_path):
     recording = read(simple(tmp_path / "bag", namespace="/left"))
     assert recording.namespace == "left"
     assert len(runs.targets(recording)) == 1
+
+
+def test_a_remapped_topic_is_found_by_its_other_name(tmp_path):
+    remaps = {"/left/target_position": "/left/goal", "/left/ball_position": "/left/cam/jacobian"}
+    made = HandmadeBag(tmp_path / "bag", namespace="/left", remaps=remaps)
+    made.array("jacobian", 0.0, JACOBIAN)
+    made.point("cam/jacobian", 0.1, 0.1, START_M)
+    made.point("goal", 0.2, 0.2, TARGET_M)
+    made.close()
+    recording = read(tmp_path / "bag")
+    assert recording.namespace == "left"
+    assert recording.series["target"].topic == "/left/goal"
+    assert np.array_equal(recording.series["target"].values, [TARGET_M])
+    assert np.array_equal(recording.series["ball"].values, [START_M])
+
+
+@pytest.mark.parametrize("text", ["[1, 2", "words", "- a", "3"])
+def test_another_tool_s_note_on_remaps_is_passed_over(tmp_path, monkeypatch, text):
+    monkeypatch.setattr(yaml, "safe_dump", lambda _: text)
+    made = HandmadeBag(tmp_path / "bag", remaps={})
+    made.point("target_position", 0.2, 0.2, TARGET_M)
+    made.close()
+    assert "target" in read(tmp_path / "bag").series
 
 
 def two_robots(folder):

@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import sys
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_OK
+from fvs_ros.core.version import version
 
 if TYPE_CHECKING:
     from fvs_ros.apps.experiments.report import Report, Table
@@ -63,7 +63,7 @@ def main(argv: list[str]) -> int:
         recording = read(bag, arguments.namespace)
         out.mkdir(parents=True, exist_ok=True)
         reports = sections(recording, out)
-        origin = Origin(f"{COMMAND} {bag}", _version(), _model(recording), quick=False)
+        origin = Origin(f"{COMMAND} {bag}", version(), _model(recording), quick=False)
         for report in reports:
             write_report(report, out / report.name, origin)
         page = write_page(out, NAMES, Heading(f"Recording {bag.resolve().name}", _LEAD))
@@ -99,10 +99,3 @@ def _text(table: Table) -> str:
 def _model(recording: Recording) -> str:
     path = recording.scenario.get("fvs_estimator_node", {}).get("model_path", "")
     return Path(path).name if path else ""
-
-
-def _version() -> str:
-    try:
-        return metadata.version("fvs_ros")
-    except metadata.PackageNotFoundError:
-        return ""

@@ -91,9 +91,13 @@ class _Reading:
         self._reader = reader
         self._path = path
         names = {connection.topic for connection in reader.connections if connection.msgcount}
-        self._namespace = _namespace(names, namespace, path)
-        self._keys = {self._full(key): key for key in TOPICS}
         self._notes = _notes(reader)
+        self._remaps = _remaps(self._notes.get("remaps", ""))
+        # A remapped topic speaks for the namespace in which it was declared.
+        declared_names = {declared for declared, name in self._remaps.items() if name in names}
+        own_names = names - set(self._remaps.values()) | declared_names
+        self._namespace = _namespace(own_names, namespace, path)
+        self._keys = {self._full(key): key for key in TOPICS}
         self._scenario = _scenario(self._notes.get("scenario", ""))
         declared = {one.name: one.default for one in JOINT_PARAMETERS}
         given = {**declared, **self._scenario.get("fvs_controller_node", {})}
@@ -103,7 +107,8 @@ class _Reading:
         self._said: dict[str, list[Said]] = defaultdict(list)
 
     def _full(self, key: str) -> str:
-        return topics.resolve(TOPICS[key], "", self._namespace)
+        name = topics.resolve(TOPICS[key], "", self._namespace)
+        return self._remaps.get(name, name)
 
     def recording(self) -> Recording:
         flows: dict[str, tuple[str, list[float], list[float]]] = {}
@@ -250,6 +255,14 @@ def _list(namespaces: set[str]) -> str:
 def _notes(reader: AnyReader) -> Mapping[str, str]:
     metadata = getattr(getattr(reader.readers[0], "storage", None), "metadata", None)
     return getattr(metadata, "custom", None) or {}
+
+
+def _remaps(text: str) -> dict[str, str]:
+    """Full names as declared, and as they were in the bag."""
+    try:
+        return {str(declared): str(name) for declared, name in (yaml.safe_load(text) or {}).items()}
+    except (yaml.YAMLError, AttributeError):
+        return {}  # another tool's note
 
 
 def _scenario(text: str) -> dict[str, dict[str, Any]]:
