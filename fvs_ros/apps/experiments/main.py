@@ -10,7 +10,6 @@ import json
 import os
 import sys
 import time
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +21,7 @@ from fvs_ros.apps.experiments.report import (
     write_report,
 )
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
+from fvs_ros.core.version import version
 
 if TYPE_CHECKING:
     from fvs_ros.apps.experiments.context import Context
@@ -185,12 +185,10 @@ def _origin(arguments: argparse.Namespace) -> Origin:
     command += ["--quick"] if arguments.quick else []
     command += [f"--camera {arguments.camera}"]
     command += [] if arguments.nodes else ["--no-nodes"]
-    try:
-        version = metadata.version("fvs_ros")
-    except metadata.PackageNotFoundError:
-        version = ""
     digest = hashlib.sha256(find_file(MODEL).read_bytes()).hexdigest()
-    return Origin(" ".join(command), version, f"{Path(MODEL).name} {digest[:12]}", arguments.quick)
+    return Origin(
+        " ".join(command), version(), f"{Path(MODEL).name} {digest[:12]}", arguments.quick
+    )
 
 
 if __name__ == "__main__":

@@ -131,7 +131,7 @@ def run(context: Context) -> Report:
             for knob in knobs
         ],
         tables=[_table(knobs, results)],
-        verdicts=[_verdict(knobs[0], results)],
+        verdicts=_verdicts(knobs, results),
         data={
             "knobs": knobs,
             "cases": cases,
@@ -182,14 +182,46 @@ def _table(knobs: Sequence[Knob], results: Results) -> Table:
     )
 
 
-def _verdict(knob: Knob, results: Results) -> Verdict:
-    slow, usual = knob.values[0], knob.default
-    ratio = ratio_of_medians(
-        [one.settled_s for one in results[knob.name, usual]],
-        [one.settled_s for one in results[knob.name, slow]],
+def _verdicts(knobs: Sequence[Knob], results: Results) -> list[Verdict]:
+    claims = (
+        (
+            "max_joint_velocity_rad_s",
+            1.0,
+            0.25,
+            0.5,
+            "settled_s",
+            "The speed limit decides the time to a far target.",
+        ),
+        (
+            "fusion_gain",
+            0.1,
+            0.3,
+            0.5,
+            "jitter_rad_s",
+            "Believing a third of each image as much makes the arm twice as calm.",
+        ),
+        (
+            "alpha3",
+            1.0,
+            2.0,
+            0.7,
+            "jitter_rad_s",
+            "Half the slope of the surface is a good deal calmer.",
+        ),
+        ("rbf.n1", 0.3, 0.0, 0.7, "settled_s", "Learning finds a view that is 45 degrees off."),
     )
+    turned = {knob.name for knob in knobs}
+    return [_verdict(results, *one) for one in claims if one[0] in turned]
+
+
+def _verdict(
+    results: Results, name: str, value: Any, other: Any, bound: float, what: str, claim: str
+) -> Verdict:
+    """Judge a parameter by the ratio of medians at two of its values."""
+    ratio = ratio_of_medians(
+        *([getattr(one, what) for one in results[name, setting]] for setting in (value, other))
+    )
+    words = {"settled_s": "Settling time", "jitter_rad_s": "Jitter"}[what]
     return Verdict(
-        "The speed limit decides the time to a far target.",
-        f"Settling time at {usual:g} rad/s over that at {slow:g} rad/s: {ratio.text()}.",
-        ratio.below(0.5),
+        claim, f"{words} at {value:g} over that at {other:g}: {ratio.text()}.", ratio.below(bound)
     )
