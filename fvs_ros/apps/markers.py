@@ -32,6 +32,11 @@ _YELLOW, _WHITE = (0.95, 0.75, 0.1), (1.0, 1.0, 1.0)
 _LINE_M, _TEXT_M = 0.006, 0.035
 
 
+def lifetime_s(rate_hz: float) -> float:
+    """How long a viewer shows a marker that is not said again, s: no seldom one blinks."""
+    return max(FRESH_S, 2.0 / rate_hz)
+
+
 @dataclass(frozen=True)
 class Shape:
     """One thing to show.

@@ -16,7 +16,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from fvs_ros.apps import markers
-from fvs_ros.apps.markers import FRESH_S, Scene, Shape
+from fvs_ros.apps.markers import Scene, Shape
 from fvs_ros.core import ros
 
 _KINDS = {"sphere": Marker.SPHERE, "text": Marker.TEXT_VIEW_FACING, "line": Marker.LINE_STRIP}
@@ -31,6 +31,7 @@ class MarkersNode(ros.FvsNode):
         v = self.values
         self._frame = v["feature_frame"]
         self._scene = Scene(v["ball_radius_m"], v["trail_s"])
+        self._lifetime = Duration(seconds=markers.lifetime_s(v["rate_hz"])).to_msg()
         self._markers = self.create_publisher(MarkerArray, ros.MARKERS, ros.QOS_RELIABLE)
         self._transforms: Any = None
         self.watch(PointStamped, ros.BALL_POSITION, self._on_ball, ros.QOS_NEWEST)
@@ -85,7 +86,7 @@ class MarkersNode(ros.FvsNode):
         marker = Marker(ns=shape.name, type=_KINDS[shape.kind], action=Marker.ADD, text=shape.text)
         marker.header.stamp, marker.header.frame_id = stamp, self._frame
         marker.pose.orientation.w = 1.0
-        marker.lifetime = Duration(seconds=FRESH_S).to_msg()
+        marker.lifetime = self._lifetime
         size = float(shape.size_m)
         if shape.kind == "line":
             marker.scale.x = size

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from fvs_ros.core.params import Parameter, ParameterError, ParameterSet
+
 
 @dataclass(frozen=True)
 class Series:
@@ -108,3 +110,13 @@ class Recording:
     series: Mapping[str, Series]
     said: Mapping[str, Sequence[Said]]
     flows: Mapping[str, Flow]
+
+    def started(self, node: str, parameters: Sequence[Parameter]) -> dict[str, Any]:
+        """A node's parameters as started; the defaults where the bag does not say."""
+        declared = ParameterSet(parameters)
+        given = dict(self.scenario.get(node, {}))
+        given.pop("use_sim_time", None)
+        try:
+            return declared.values(given)
+        except ParameterError:  # another version's
+            return declared.values()

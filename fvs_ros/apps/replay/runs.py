@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +12,6 @@ from fvs_ros.apps.demo import PARAMETERS, TargetRecord, TargetScore, score
 from fvs_ros.apps.replay.data import Recording, Series
 from fvs_ros.apps.score import jitter_rad_s
 from fvs_ros.core.joints import N_JOINTS
-from fvs_ros.core.params import ParameterError, ParameterSet
 
 #: Stamps further apart than this are two moments, s: their last digits are lost in seconds.
 _SAME_MOMENT_S = 1e-6
@@ -78,7 +76,7 @@ class _Given:
 
 def settle_error_m(recording: Recording) -> float:
     """The bound that counts as settled: that of the recorded demo, or the demo's default."""
-    return float(_demo_values(recording)["settle_error_m"])
+    return float(recording.started(_DEMO, PARAMETERS)["settle_error_m"])
 
 
 def judged_by(recording: Recording) -> Series | None:
@@ -97,21 +95,12 @@ def targets(recording: Recording) -> list[Target]:
     for one, following in zip(runs, [*runs[1:], None], strict=True):
         end_s = np.inf if following is None else following.time_s[0]
         if following is None and _DEMO in recording.scenario:
-            end_s = _first_at_least(time_s, one.time_s[0] + _demo_values(recording)["target_s"])
+            target_s = recording.started(_DEMO, PARAMETERS)["target_s"]
+            end_s = _first_at_least(time_s, one.time_s[0] + target_s)
         target = _judge(recording, ball, time_s, one, end_s, len(found) + 1)
         if target is not None:
             found.append(target)
     return found
-
-
-def _demo_values(recording: Recording) -> dict[str, Any]:
-    declared = ParameterSet(PARAMETERS)
-    given = dict(recording.scenario.get(_DEMO, {}))
-    given.pop("use_sim_time", None)
-    try:
-        return declared.values(given)
-    except ParameterError:
-        return declared.values()
 
 
 def _times(series: Series) -> np.ndarray:

@@ -10,7 +10,6 @@ import numpy as np
 
 from fvs_controller_node.config import PARAMETERS
 from fvs_ros.apps.replay.data import Flow, Recording, Series
-from fvs_ros.core.params import ParameterError, ParameterSet
 
 #: Inputs of the controller, and the parameter above which an age holds the arm.
 INPUTS = {
@@ -92,14 +91,8 @@ def rhythm(topic: str, flow: Flow) -> Rhythm:
 
 
 def controller_values(recording: Recording) -> Mapping[str, Any]:
-    """The controller's parameters as started; its defaults where the bag does not say."""
-    declared = ParameterSet(PARAMETERS)
-    given = dict(recording.scenario.get("fvs_controller_node", {}))
-    given.pop("use_sim_time", None)
-    try:
-        return declared.values(given)
-    except ParameterError:  # another version's
-        return declared.values()
+    """The controller's parameters as started."""
+    return recording.started("fvs_controller_node", PARAMETERS)
 
 
 def gaps(recording: Recording) -> list[Gap]:
