@@ -196,11 +196,15 @@ def test_a_controller_that_is_gone_shows_as_that_and_comes_back(loop):
 
 
 def test_the_arm_and_the_camera_are_drawn_from_the_topics(loop):
-    harness, _, _, _, page = loop
+    harness, _, _, process, page = loop
     latched = harness.node.create_publisher(String, ros.ROBOT_DESCRIPTION, ros.QOS_LATCHED)
     latched.publish(String(data=urdf_text()))
     harness.spin_until(lambda: any("wrist_3_link" in name for name in page.nodes), 15.0, "an arm")
     harness.spin_until(lambda: "place is not known yet" in page.text())
+    page.nodes.clear()
+    latched.publish(String(data=urdf_text().replace("0.085", "0.095")))  # another robot
+    harness.spin_until(lambda: any("wrist_3_link" in name for name in page.nodes), 15.0, "another")
+    assert "Warning" not in harness.output(process)
     pose = camera_preset("front").in_base_link()
     poses = harness.node.create_publisher(PoseStamped, ros.TRUE_CAMERA_POSE, ros.QOS_LATCHED)
     poses.publish(ros.to_pose(1.0, "base_link", pose.position_m, pose.quaternion_xyzw))

@@ -23,6 +23,7 @@ _JOINT_COLOURS = (
 )
 _AXIS_COLOURS = (markup.SKY, markup.ORANGE, markup.PINK)
 _WHITE = "#F2F4F7"
+_NUDGE_S = 1e-6
 _TICKS = {"show": False}
 _AXES = (
     uplot.Axis(size=36, gap=4, space=60.0, font="11px sans-serif", ticks=_TICKS),
@@ -52,6 +53,7 @@ class Charts:
         self._gui = gui
         self._history_s = history_s
         self._limit_rad_s = nan
+        self._nudge_s = 0.0
         self._error = self._add(
             "Distance to the target, mm",
             {"distr": 3, "log": 10, "range": (0.01, 1000.0)},
@@ -92,6 +94,7 @@ class Charts:
 
     def update(self, curves: Curves, limit_rad_s: float) -> None:
         """Draw the newest curves."""
+        self._nudge_s = _NUDGE_S - self._nudge_s
         time_s, norm, *parts = curves.error_mm.T
         self._draw(self._error, time_s, *parts, norm)
         time_s, *speeds = curves.speed_rad_s.T
@@ -104,8 +107,12 @@ class Charts:
         self._draw(self._ratio, time_s, ratio, np.ones(len(time_s)))
         self._draw(self._exponent, *curves.exponent.T)
 
-    @staticmethod
-    def _draw(chart: viser.GuiUplotHandle, time_s: np.ndarray, *columns: np.ndarray) -> None:
-        """Draw from the oldest time to now; a chart without two points would lose its axes."""
-        if len(time_s) > 1:
-            chart.data = (np.append(time_s, 0.0), *(np.append(one, one[-1]) for one in columns))
+    def _draw(self, chart: viser.GuiUplotHandle, time_s: np.ndarray, *columns: np.ndarray) -> None:
+        """Draw over the whole length, the ends held.
+
+        The page keeps a zoom relative to the length, which therefore stays as it is; and it draws
+        the axes anew only where a range changes, which it therefore does, by less than one sees.
+        """
+        if len(time_s):
+            ends_s = [[self._nudge_s - self._history_s], time_s, [0.0]]
+            chart.data = (np.concatenate(ends_s), *(np.pad(one, 1, mode="edge") for one in columns))

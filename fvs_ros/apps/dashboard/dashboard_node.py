@@ -59,6 +59,7 @@ class DashboardNode(ros.FvsNode):
         self._board = Board(v["history_s"], v["trail_s"], v["ball_radius_m"])
         self._actions = Actions()
         self._arm: Any = None
+        self._description = ""
         self._callers = {name: self.create_client(kind, name) for name, kind in _CALLS.items()}
         self._images: list[ros.Sampled] = []  # while somebody looks
         self._infos: list[ros.Sampled] = []
@@ -115,6 +116,9 @@ class DashboardNode(ros.FvsNode):
     def _on_description(self, message: String) -> None:
         from fvs_ros.apps.dashboard.arm import Arm  # slow to import
 
+        if message.data == self._description:
+            return  # latched: it comes again whenever its publisher is found again
+        self._description = message.data
         try:
             self._arm = Arm(message.data, self._joint_map.names, self.values["tf_prefix"])
         except ValueError as error:

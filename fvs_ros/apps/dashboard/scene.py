@@ -119,7 +119,7 @@ class Scene:
     def set_arm(self, arm: Arm) -> None:
         """Show another robot, or the first."""
         if self._robot is not None:
-            self._robot.remove()
+            self._server.scene.remove_by_name("/robot/visual")  # and all that hangs on it
         self._arm, self._robot = arm, ViserUrdf(self._server, arm.urdf, root_node_name="/robot")
         self._base.wxyz, self._base.position = _placed(arm.base[:3, :3], arm.base[:3, 3])
 
