@@ -147,6 +147,20 @@ def test_a_demo_ends_its_last_target_after_its_time(tmp_path):
     assert target.record.time_s[-1] == pytest.approx(2.0, abs=1e-6)
 
 
+def test_a_demo_s_last_sample_is_the_demo_s_own_to_the_last_digit(recording):
+    times_s = np.array([nth // 125 + (nth % 125 * 8_000_000) * 1e-9 for nth in range(2000)])
+    still = np.tile(START_M, (2000, 1))
+    for start_s in times_s[250:1250]:
+        series = {
+            "true_ball": Series("/true", times_s, times_s, still),
+            "target": Series("/target", np.array([start_s]), np.array([start_s]), TARGET_M[None]),
+        }
+        demo = {"fvs_demo_node": {"target_s": 1.6}}
+        (target,) = runs.targets(replace(recording, series=series, scenario=demo))
+        since_s = target.record.time_s
+        assert since_s[-1] >= 1.6 > since_s[-2], start_s
+
+
 def test_a_target_from_before_the_recording_counts_from_its_stamp(tmp_path):
     made = HandmadeBag(tmp_path / "bag", scenario=DEMO)
     servo(made)

@@ -96,7 +96,7 @@ def targets(recording: Recording) -> list[Target]:
         end_s = np.inf if following is None else following.time_s[0]
         if following is None and _DEMO in recording.scenario:
             target_s = recording.started(_DEMO, PARAMETERS)["target_s"]
-            end_s = _first_at_least(time_s, one.time_s[0] + target_s)
+            end_s = _first_after(time_s, one.time_s[0], target_s)
         target = _judge(recording, ball, time_s, one, end_s, len(found) + 1)
         if target is not None:
             found.append(target)
@@ -108,8 +108,9 @@ def _times(series: Series) -> np.ndarray:
     return np.where(np.isfinite(series.stamp_s), series.stamp_s, series.arrival_s)
 
 
-def _first_at_least(time_s: np.ndarray, wanted_s: float) -> float:
-    later = time_s[time_s >= wanted_s]
+def _first_after(time_s: np.ndarray, start_s: float, least_s: float) -> float:
+    """The first time that is so much later than a start, s; computed as the demo does."""
+    later = time_s[time_s - start_s >= least_s]  # a sum is rounded otherwise
     return float(later[0]) if later.size else np.inf
 
 
