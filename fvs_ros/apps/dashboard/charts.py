@@ -114,5 +114,6 @@ class Charts:
         the axes anew only where a range changes, which it therefore does, by less than one sees.
         """
         if len(time_s):
-            ends_s = [[self._nudge_s - self._history_s], time_s, [0.0]]
-            chart.data = (np.concatenate(ends_s), *(np.pad(one, 1, mode="edge") for one in columns))
+            from_s = self._nudge_s - self._history_s
+            times_s = np.concatenate(([from_s], time_s, [0.0]))
+            chart.data = (times_s, *(np.pad(one, 1, mode="edge") for one in columns))

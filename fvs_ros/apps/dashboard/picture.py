@@ -67,17 +67,17 @@ def draw(
         return small
     small_camera = scaled(intrinsics, width)
     _trail(small, small_camera, trail_m)
-    if _visible(target_m):
+    if target_m is not None and _visible(target_m):
         _cross(small, _fixed(small_camera.project(target_m)))
-    if _visible(ball_m):
+    if ball_m is not None and _visible(ball_m):
         radius = small_camera.fx * ball_radius_m / ball_m[2]
         centre = _fixed(small_camera.project(ball_m))
         cv2.circle(small, centre, _fixed(radius), BALL_RGB, 1, cv2.LINE_AA, _SHIFT)
     return small
 
 
-def _visible(point_m: np.ndarray | None) -> bool:
-    return point_m is not None and point_m[2] > _NEAREST_M
+def _visible(point_m: np.ndarray) -> bool:
+    return bool(point_m[2] > _NEAREST_M)
 
 
 def _trail(image: np.ndarray, camera: Intrinsics, trail_m: np.ndarray) -> None:

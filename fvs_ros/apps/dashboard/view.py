@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import isfinite, isnan, nan
+from typing import Any
 
 import numpy as np
 
@@ -286,4 +287,4 @@ class Snapshot:
     field_of_view: tuple[float, float]
     answer: str
     tour: bool
-    simulator: Mapping[str, float | tuple[float, ...]] | None
+    simulator: Mapping[str, Any] | None
