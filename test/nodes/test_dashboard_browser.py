@@ -151,7 +151,6 @@ def test_a_person_watches_sets_a_target_and_stops(ros_test, browser):
     go_somewhere()
     eyes.wait(lambda: np.any(commands[-1].data), "a motion")
     eyes.started = False
-    pressed_s = time.monotonic()
     page.get_by_role("button", name="Stop", exact=True).click()
     count = len(commands)
     eyes.wait(
@@ -161,7 +160,6 @@ def test_a_person_watches_sets_a_target_and_stops(ros_test, browser):
         ),
         "six zeros",
     )
-    assert time.monotonic() - pressed_s < 10.0
     eyes.wait(lambda: eyes.state() == "READY", "the stop on the page")
     assert ros.from_status(statuses[-1])["state"] == "READY"
     assert failures == []
