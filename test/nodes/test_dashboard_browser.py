@@ -97,6 +97,7 @@ class Eyes:
             inputs.nth(index).fill(f"{value:.3f}")
 
 
+@pytest.mark.timeout(240)  # half a minute where nothing else runs
 def test_a_person_watches_sets_a_target_and_stops(ros_test, browser):
     given = [argument for name in PATIENT for argument in ("-p", name)]
     launched = ros_test.start("fvs_ros.apps.launcher", "dashboard", "-p", "port:=0", *given)
