@@ -609,13 +609,11 @@ def test_a_robot_paused_before_the_start_is_not_ready(how: str):
 
 # ---- progress ---------------------------------------------------------------------------------
 
-RNG = np.random.default_rng(2)
-
 
 def run_with_error(cell: Cell, error_m: Callable[[float], float], seconds: float) -> Command:
-    begin_s = cell.now_s
+    begin_s, rng = cell.now_s, np.random.default_rng(0)  # the same noise in whatever order
     for _ in range(round(seconds / DT_S)):
-        noise = 0.002 * RNG.normal(size=3)
+        noise = 0.002 * rng.normal(size=3)
         cell.ball = TARGET + np.array([error_m(cell.now_s - begin_s), 0.0, 0.0]) + noise
         command = cell.tick()
         if command.state is not State.SERVOING:
@@ -656,6 +654,7 @@ def test_noise_detours_and_new_targets_are_no_growth():
 def test_an_error_that_does_not_fall_is_held_in_the_end_and_says_how_far_it_was():
     cell = servoing()
     assert run_with_error(cell, lambda t: 0.05 + 0.15 * np.exp(-t), 5.0).state is State.SERVOING
+    cell.ball = TARGET + np.array([0.05, 0.0, 0.0])
     command = cell.until(lambda c: c.state is State.HOLDING, at_most_s=9.0)
     assert command.reason is Reason.STALLED
     assert "no progress for 6 s, 50 mm" in command.text
