@@ -741,6 +741,7 @@ def _run(make_node: Callable[[], FvsNode], argv: list[str] | None) -> int:
             return EXIT_OK
         finally:
             node.finish()
+            executor.shutdown(timeout_sec=0.0)  # left to the garbage collector, it complains
         return EXIT_OK if node.exit_code is None else node.exit_code
     finally:
         if node is not None:
