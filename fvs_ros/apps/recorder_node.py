@@ -14,7 +14,6 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from rclpy.callback_groups import CallbackGroup
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
@@ -35,19 +34,6 @@ _LAST_WORDS_S = 0.5
 _MB = 1e6
 
 
-class _Fetched(CallbackGroup):
-    """Subscriptions that the executor leaves alone."""
-
-    def can_execute(self, entity: Any) -> bool:
-        return False
-
-    def beginning_execution(self, entity: Any) -> bool:
-        return False
-
-    def ending_execution(self, entity: Any) -> None:
-        pass
-
-
 class RecorderNode(ros.FvsNode):
     """Looks for topics, fetches their messages, writes them."""
 
@@ -59,7 +45,7 @@ class RecorderNode(ros.FvsNode):
         from fvs_ros.apps.bag import ERRORS, Bag, knows
 
         self._known, self._bag_errors = knows, ERRORS
-        self._group = _Fetched()
+        self._group = ros.NeverReady()
         self._heard: dict[str, dict[Request, Subscription]] = {}
         self._types: dict[str, str] = {}
         self._publishers_known: dict[str, int] = {}

@@ -469,13 +469,15 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     return descriptor
 
 
-class _NeverReady(CallbackGroup):
-    """Callbacks that no executor runs."""
+class NeverReady(CallbackGroup):
+    """Subscriptions that the executor leaves alone: their messages are fetched."""
 
     def can_execute(self, entity: Any) -> bool:
+        """Never."""
         return False
 
     def beginning_execution(self, entity: Any) -> bool:
+        """Never."""
         return False
 
     def ending_execution(self, entity: Any) -> None:
@@ -501,7 +503,7 @@ class Sampled:
     def __init__(self, node: Node, message_type: type, topic: str) -> None:
         self._node = node
         self._subscription = node.create_subscription(
-            message_type, topic, lambda _message: None, QOS_NEWEST, callback_group=_NeverReady()
+            message_type, topic, lambda _message: None, QOS_NEWEST, callback_group=NeverReady()
         )
 
     def newest(self) -> Any | None:
