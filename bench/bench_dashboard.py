@@ -39,6 +39,8 @@ from fvs_ros.core import ros  # noqa: E402
 from fvs_ros.core.paths import find_file  # noqa: E402
 
 DASHBOARD = "fvs_ros.apps.dashboard.dashboard_node"
+#: As in config/dashboard.yaml.
+PICTURES_HZ = 4.0
 PERIOD_S, BLOCK_S, SETTLE_S, TARGET_S = 0.008, 8.0, 2.0, 3.0
 CONDITIONS = ("no page", "page, nobody looks", "page, a client looks")
 
@@ -146,7 +148,7 @@ def chromium(address: str) -> Iterator[None]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--rounds", type=int, default=6)
     parser.add_argument("--browser", action="store_true")
     arguments = parser.parse_args()
     print("client: " + ("headless chromium" if arguments.browser else "websocket, draws nothing"))
@@ -154,7 +156,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         harness = Harness(Path(name))
         try:
-            harness.start("fvs_ros.apps.launcher", "servo", "-p", "full_frame_rate_hz:=6.0")
+            harness.start("fvs_ros.apps.launcher", "servo", "-p", f"full_frame_rate_hz:={PICTURES_HZ}")
             watch = Watch(harness)
             harness.spin_until(watch.ready, 60.0, "the loop")
             for _ in range(arguments.rounds):

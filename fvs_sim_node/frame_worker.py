@@ -10,20 +10,18 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
-import os
 import signal
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
 import numpy as np
 
+from fvs_ros.core.background import step_back
 from fvs_sim_node.depth_noise import add_depth_noise
 from fvs_sim_node.rendering import CameraPose, Renderer
 from fvs_sim_node.simulation import Frame, SimConfig, build_world
 
 _STOP_S = 2.0
-#: Where there are too few cores for both, the simulation goes first.
-_NICE = 5
 
 
 @dataclass(frozen=True)
@@ -105,7 +103,7 @@ class FrameWorker:
 def _work(pipe: Connection, config: SimConfig) -> None:
     # Ctrl-C reaches the whole terminal group; this process ends with its pipe.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.nice(_NICE)
+    step_back(own_session=True)
     world = build_world(config)
     renderer = Renderer(world.client, config.intrinsics)
     rng = np.random.default_rng(config.seed)

@@ -6,12 +6,9 @@ from fvs_ros.core import stop
 
 stop.listen()
 
-import contextlib
-import os
 import sys
 from collections.abc import Callable
 from math import isfinite, nan
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,11 +27,11 @@ from fvs_ros.apps.dashboard.config import PARAMETERS
 from fvs_ros.apps.dashboard.placement import Pose, rotation_of
 from fvs_ros.apps.dashboard.tour import TargetTour
 from fvs_ros.core import ros
+from fvs_ros.core.background import step_back
 from fvs_ros.core.joints import N_JOINTS, JointMap, JointStateError
 from fvs_ros.core.paths import find_file
 from fvs_ros.core.topics import CAMERA_PREFIXES
 
-_NICE = 5
 _ACTIONS_PERIOD_S = 0.03
 _LOOK_PERIOD_S = 1.0
 _CONTROLLER, _SIMULATOR = "fvs_controller_node", "fvs_sim_node"
@@ -75,7 +72,7 @@ class DashboardNode(ros.FvsNode):
         self.create_timer(1.0 / v["rate_hz"], self._show, clock=self.steady_clock)
         self.create_timer(_LOOK_PERIOD_S, self._look_around, clock=self.steady_clock)
         print(f"page: {self._page.address}", flush=True)
-        _step_back()
+        step_back()
 
     # --- inputs ---
 
@@ -294,15 +291,6 @@ def _make_page(values: dict[str, Any], actions: Actions) -> Any:
         ball_radius_m=values["ball_radius_m"],
         image=values["image"],
     )
-
-
-def _step_back() -> None:
-    """Let the loop go first wherever there are too few cores for both."""
-    os.nice(_NICE)
-    if os.getsid(0) == os.getpid():
-        # The kernel may weigh sessions first, and a launcher gives each process one of its own.
-        with contextlib.suppress(OSError):
-            Path("/proc/self/autogroup").write_text(str(_NICE), encoding="ascii")
 
 
 def main() -> int:
