@@ -156,7 +156,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         harness = Harness(Path(name))
         try:
-            harness.start("fvs_ros.apps.launcher", "servo", "-p", f"full_frame_rate_hz:={PICTURES_HZ}")
+            harness.start(
+                "fvs_ros.apps.launcher", "servo", "-p", f"full_frame_rate_hz:={PICTURES_HZ}"
+            )
             watch = Watch(harness)
             harness.spin_until(watch.ready, 60.0, "the loop")
             for _ in range(arguments.rounds):

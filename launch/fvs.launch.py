@@ -40,11 +40,20 @@ def _params_file(scenario) -> str:
     return name
 
 
-def _viewer(scenario, namespace):
+def _viewer(scenario, namespace, remappings):
     """RViz, and for a simulated robot what tells it the links' places; a real one's driver does."""
-    config = str(find_file("fvs.rviz"))
+    prefixes = [
+        values["tf_prefix"] for values in scenario.parameters.values() if "tf_prefix" in values
+    ]
+    base = f"{prefixes[0] if prefixes else ''}base_link"
     actions = [
-        Node(package="rviz2", executable="rviz2", namespace=namespace, arguments=["-d", config])
+        Node(
+            package="rviz2",
+            executable="rviz2",
+            namespace=namespace,
+            arguments=["-d", str(find_file("fvs.rviz")), "-f", base],
+            remappings=remappings,
+        )
     ]
     if _SIMULATOR in scenario.nodes:
         given = scenario.parameters[_SIMULATOR]
@@ -56,6 +65,7 @@ def _viewer(scenario, namespace):
                 package="robot_state_publisher",
                 executable="robot_state_publisher",
                 namespace=namespace,
+                remappings=remappings,
                 parameters=[
                     {
                         "robot_description": ParameterValue(text, value_type=str),
@@ -105,7 +115,7 @@ def _nodes(context):
                 on_exit=None if entry.observer else Shutdown(reason=f"{name} ended"),
             )
         )
-    return [*actions, *(_viewer(scenario, namespace) if rviz else [])]
+    return [*actions, *(_viewer(scenario, namespace, remappings) if rviz else [])]
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -185,7 +185,8 @@ class Launcher:
                 code = process.popen.poll()
                 if code is None or process.name in gone:
                     continue
-                if not NODE_TABLE[process.name].observer:
+                # An observer that refuses its parameters was wanted and will never be there.
+                if not NODE_TABLE[process.name].observer or code == EXIT_BAD_INPUT:
                     return process
                 gone.add(process.name)
                 self._say(f"{process.name} ended with {_code_text(code)}: the others go on")

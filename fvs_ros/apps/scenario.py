@@ -75,7 +75,8 @@ class NodeEntry:
     task : bool
         Whether its end ends the scenario, its exit code being the scenario's.
     observer : bool
-        Whether it only looks on: such a node is stopped last, and its end ends nothing.
+        Whether it only looks on: such a node is stopped last, and its end ends nothing, unless it
+        refuses its parameters.
     """
 
     executable: str

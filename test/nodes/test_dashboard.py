@@ -28,6 +28,7 @@ from fvs_sim_node.ur5_urdf import urdf_text
 
 DASHBOARD = "fvs_ros.apps.dashboard.dashboard_node"
 CONTROLLER = "fvs_controller_node.node"
+LAUNCHER = "fvs_ros.apps.launcher"
 TARGET = "x, y, z (m)"
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
 
@@ -103,16 +104,27 @@ def test_a_browser_that_looks_does_not_hold_the_end(loop):
     assert "Traceback" not in harness.output(process)
 
 
-def test_a_port_that_is_taken_is_said_in_one_sentence(ros_test):
+@pytest.fixture
+def taken_port():
+    """A port at which something listens already."""
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        port = taken.getsockname()[1]
-        process = ros_test.start_node(DASHBOARD, port=port)
-        assert ros_test.wait(process) == 2
+        yield taken.getsockname()[1]
+
+
+def test_a_port_that_is_taken_is_said_in_one_sentence(ros_test, taken_port):
+    process = ros_test.start_node(DASHBOARD, port=taken_port)
+    assert ros_test.wait(process) == 2
     output = ros_test.output(process)
-    assert f"cannot start: port {port} of 127.0.0.1 is taken" in output
+    assert f"cannot start: port {taken_port} of 127.0.0.1 is taken" in output
     assert len(output.strip().splitlines()) == 1
+
+
+def test_a_scenario_whose_page_cannot_be_served_ends(ros_test, taken_port):
+    process = ros_test.start(LAUNCHER, "dashboard", "-p", f"port:={taken_port}")
+    assert ros_test.wait(process) == 2, ros_test.output(process)
+    assert "fvs_dashboard ended with exit code 2: stopping the rest" in ros_test.output(process)
 
 
 def test_a_host_that_is_not_here_is_said_in_one_sentence(ros_test):
