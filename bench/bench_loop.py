@@ -25,8 +25,10 @@ from std_msgs.msg import Float64MultiArray  # noqa: E402
 
 from fvs_ros.core import ros  # noqa: E402
 from fvs_ros.core.joints import UR_JOINT_NAMES, UR_PUBLISHED_NAMES  # noqa: E402
+from fvs_sim_node.kinematics import ball_position  # noqa: E402
+from fvs_sim_node.rendering import camera_preset  # noqa: E402
 
-ROUNDS, PERIOD_S, IMAGE_EVERY, STARTS = 800, 0.008, 4, 3
+ROUNDS, PERIOD_S, IMAGE_EVERY, TARGET_EVERY, STARTS = 800, 0.008, 4, 100, 3
 
 
 def quantiles(samples_s: list[float]) -> str:
@@ -76,26 +78,40 @@ def control_loop(folder: Path) -> tuple[str, str]:
         harness.start_node("fvs_estimator_node.node")
         harness.start_node("fvs_controller_node.node", autostart=True)
         received: list[float] = []
-        harness.node.create_subscription(
-            Float64MultiArray, ros.COMMANDS, lambda _m: received.append(time.monotonic()), 1
-        )
+        velocity_rad_s = np.zeros(6)
+
+        def on_command(message: Float64MultiArray) -> None:
+            received.append(time.monotonic())
+            velocity_rad_s[:] = message.data
+
+        harness.node.create_subscription(Float64MultiArray, ros.COMMANDS, on_command, 1)
         from sensor_msgs.msg import JointState
 
-        joints = harness.publisher(JointState, ros.JOINT_STATES)
+        joint_states = harness.publisher(JointState, ros.JOINT_STATES)
         balls = harness.publisher(PointStamped, ros.BALL_POSITION)
         targets = harness.publisher(PointStamped, ros.TARGET_POSITION, ros.QOS_LATCHED)
         statuses = harness.collect(DiagnosticStatus, "fvs_controller_node/status")
-        home = dict(zip(UR_JOINT_NAMES, [0.0, -1.35, 1.6, -1.75, -1.57, 0.0], strict=True))
+        joints_rad = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
+        published = [UR_JOINT_NAMES.index(name) for name in UR_PUBLISHED_NAMES]
+        camera = camera_preset("front")
+        home = camera.to_camera(ball_position(joints_rad))
         frame = "camera_color_optical_frame"
 
         def send(k: int) -> None:
+            """Be an arm that moves as told, and never arrives for long."""
             now_s = harness.node.get_clock().now().nanoseconds * 1e-9
+            joints_rad[:] += PERIOD_S * velocity_rad_s
+            if k % TARGET_EVERY == 0:
+                side = 0.1 if k % (2 * TARGET_EVERY) else -0.1
+                targets.publish(ros.to_point(now_s, frame, home + (side, 0.0, 0.5 * side)))
             if k % IMAGE_EVERY == 0:
-                balls.publish(ros.to_point(now_s, frame, np.array([0.0, 0.2, 1.43])))
-            positions = np.array([home[n] + 0.02 * np.sin(k / 9) for n in UR_PUBLISHED_NAMES])
-            joints.publish(ros.to_joint_state(now_s, UR_PUBLISHED_NAMES, positions, np.zeros(6)))
+                seen = camera.to_camera(ball_position(joints_rad))
+                balls.publish(ros.to_point(now_s, frame, seen))
+            positions, velocities = joints_rad[published], velocity_rad_s[published]
+            joint_states.publish(
+                ros.to_joint_state(now_s, UR_PUBLISHED_NAMES, positions, velocities)
+            )
 
-        targets.publish(ros.to_point(1.0, frame, np.array([0.05, 0.2, 1.45])))
         rounds(harness, send, received)
         state = ros.from_status(statuses[-1]).get("state")
         if state != "SERVOING":
