@@ -20,11 +20,12 @@ from collections.abc import Sequence
 from typing import BinaryIO
 
 from fvs_estimator_node.knowledge import Answer, Findings, NothingYet, Question, Trouble
-from fvs_ros.core.background import step_back
 
 _COMMAND = (sys.executable, "-m", "fvs_estimator_node.chain_worker")
 #: A fit that takes longer hangs: the process is ended by its alarm, s.
 _LONGEST_S = 60
+#: The commands come first where there are too few cores; but somebody waits for the fit.
+_NICENESS = 10
 #: How long a killed process is waited for, s.
 _KILLED_S = 0.5
 
@@ -127,7 +128,7 @@ def serve(questions: BinaryIO, answers: BinaryIO) -> None:
 
 def main() -> None:
     """Run the process."""
-    step_back(own_session=True)
+    os.nice(_NICENESS)
     # What is printed must not get between the answers.
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())

@@ -92,7 +92,7 @@ def test_chosen_courses_teach_faster_than_going_on_at_random(limits):
     gains = []
     noise = {"ray_noise_m": 0.003, "lateral_noise_m": 0.0005}
     some_fit = fit_chain(Recording(seconds=10.0).data())
-    for seed in range(6):
+    for seed in range(3):
         fit = replace(some_fit, chain=Recording(seed=seed).chain(), **noise)
         deviations = []
         for chosen in (False, True):

@@ -79,10 +79,10 @@ def test_the_unscented_filter_is_the_linear_one(joints):
     rng = np.random.default_rng(2)
     linear = LkfEstimator(None, KalmanConfig(initial="zero"))
     unscented = UkfEstimator(None, UkfConfig(initial="zero"))
-    for step in random_steps(rng, 5000, joints=joints):
+    for step in random_steps(rng, 1500, joints=joints):
         linear.update(step)
         unscented.update(step)
-    assert linear.updates == unscented.updates == 5000
+    assert linear.updates == unscented.updates == 1500
     np.testing.assert_allclose(unscented.jacobian(HOME), linear.jacobian(HOME), atol=1e-9)
     np.testing.assert_allclose(
         entries_covariance(unscented), entries_covariance(linear), rtol=1e-9, atol=1e-11
@@ -233,8 +233,8 @@ def test_the_covariance_stays_symmetric_and_positive_over_long_runs(method):
     rng = np.random.default_rng(11)
     for noise in ({}, {f"{method}.measurement_noise_m": 1e-6}):
         estimator = create_estimator(method, None, {**ZERO, **noise})
-        learn(estimator, random_steps(rng, 5000))
-        learn(estimator, random_steps(rng, 5000, joints=1))
+        learn(estimator, random_steps(rng, 2000))
+        learn(estimator, random_steps(rng, 2000, joints=1))
         assert estimator.refused == 0
         covariance = estimator.covariance
         np.testing.assert_array_equal(covariance, covariance.T)

@@ -11,6 +11,7 @@ from fvs_ros.apps.experiments import ablation_figures
 from fvs_ros.apps.experiments.ablation_changes import (
     BASE,
     DURATION_S,
+    QUICK_DURATION_S,
     Change,
     Row,
     all_changes,
@@ -47,6 +48,7 @@ def run(context: Context) -> Report:
     folder = context.folder(NAME)
     cases = make_cases("a", context.count(8, 1), SEED)
     changes = all_changes()
+    duration_s = QUICK_DURATION_S if context.quick else DURATION_S
     hold_s = _QUICK_REST_S if context.quick else _REST_S
     rests = all_rests(cases[: 1 if context.quick else 3], hold_s)
     trials = [
@@ -57,7 +59,7 @@ def run(context: Context) -> Report:
             estimator_values=change.estimator,
             controller_values=change.controller,
             conditions=context.conditions(**change.conditions),
-            duration_s=DURATION_S,
+            duration_s=duration_s,
         )
         for change in changes
         for case in cases
@@ -83,14 +85,14 @@ def run(context: Context) -> Report:
         question="The scheme is many parts: networks, their online update, a sliding surface, a "
         "prediction over the camera's delay. Take them away or change them one at a time: which "
         "of them matter, and do the corrections to the paper?",
-        setup=_setup(len(cases), len(rests) // len(rested), hold_s),
+        setup=_setup(len(cases), duration_s, len(rests) // len(rested), hold_s),
         figures=[Figure(ablation_figures.ratios(changes, rows, folder), _CAPTION)],
-        tables=[_table(changes, rows), _rest_table(rested, hold_s)],
+        tables=[_table(changes, rows, duration_s), _rest_table(rested, hold_s)],
         verdicts=verdicts(rows, rested),
         data={
             "seed": SEED,
             "cases": cases,
-            "duration_s": DURATION_S,
+            "duration_s": duration_s,
             "hold_s": hold_s,
             "rows": [
                 {"change": change, "runs": [one.summary() for one in runs[change.name]]}
@@ -105,12 +107,12 @@ def _run(job: Trial | Rest) -> Outcome | Rested:
     return run_rest(job) if isinstance(job, Rest) else run_trial(job)
 
 
-def _setup(count: int, rests: int, hold_s: float) -> list[str]:
+def _setup(count: int, duration_s: float, rests: int, hold_s: float) -> list[str]:
     return [
         "The scheme as it comes: trained networks with their online update, adaptive sliding mode "
         "law solved implicitly, prediction and fusion of images; 1 rad/s joint limit, 40 ms camera "
         "latency, 1 mm noise on the camera's measurements. Each row changes one thing and runs the "
-        f"same {count} pairs of start and goal, 0.2 to 0.5 m apart, for {DURATION_S:g} s. Ratios "
+        f"same {count} pairs of start and goal, 0.2 to 0.5 m apart, for {duration_s:g} s. Ratios "
         "are of medians over the same cases, with 95 % intervals; a change below "
         f"{100 * (NOTABLE - 1.0):.0f} % does not count. “Never” is a median of runs most "
         "of which did not settle; a ratio over such a row is 0.",
@@ -126,7 +128,7 @@ def _setup(count: int, rests: int, hold_s: float) -> list[str]:
     ]
 
 
-def _table(changes: Sequence[Change], rows: Mapping[str, Row]) -> Table:
+def _table(changes: Sequence[Change], rows: Mapping[str, Row], duration_s: float) -> Table:
     cells = []
     for change in changes:
         row = rows[change.name]
@@ -148,7 +150,7 @@ def _table(changes: Sequence[Change], rows: Mapping[str, Row]) -> Table:
     return Table(
         f"One change a row; medians of {len(rows[BASE].jitter_rad_s)} runs. Ratios are over the "
         f"first row, or over the row of the same latency, camera or gain. “Never” is not within "
-        f"{DURATION_S:g} s.",
+        f"{duration_s:g} s.",
         [
             "change",
             "to 5 mm, s",

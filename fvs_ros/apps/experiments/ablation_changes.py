@@ -10,7 +10,7 @@ from fvs_controller_node.config import default_values
 from fvs_ros.apps.experiments.statistics import Interval, ratio_of_medians
 from fvs_ros.apps.experiments.trials import BOUNDS_M, Outcome, seconds
 
-DURATION_S = 3.4
+DURATION_S, QUICK_DURATION_S = 3.4, 1.6
 
 BASE = "as it comes"
 LITERAL, LITERAL_SAME = "as printed, its own gains", "as printed, same gains"

@@ -118,7 +118,7 @@ def _tune(context: Context, cases: Sequence[Case]) -> dict[tuple[str, str], Foun
         # True positions with the same noise, coarser physics: fast enough to search.
         Conditions(rendered=False, physics_rate_hz=125.0),
         generations=1 if context.quick else 6,
-        population=4 if context.quick else 10,
+        population=2 if context.quick else 10,
         seed=_SEARCH_SEED,
     )
     own = dict(zip(keys, found, strict=True))
