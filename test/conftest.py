@@ -46,7 +46,6 @@ def pytest_configure(config):
 
 #: Folders of tests with processes over DDS in real time.
 _REAL_TIME = ("nodes", "faults")
-_NICE = 19
 
 
 def _is_real_time(item):
@@ -84,4 +83,6 @@ def pytest_xdist_make_scheduler(config, log):
 def pytest_runtest_setup(item):
     # Whoever computes beside the real-time tests steps back for them.
     if "PYTEST_XDIST_WORKER" in os.environ and not _is_real_time(item):
-        os.setpriority(os.PRIO_PROCESS, 0, _NICE)
+        from fvs_ros.core.background import step_back
+
+        step_back(own_session=True)

@@ -23,7 +23,7 @@ ROBOTS = {
     "left": (1, "[0.2, -1.4, 1.6, -1.75, -1.57, 0.0]", (-0.15, 0.09, 1.58)),
     "right": (2, "[-0.1, -1.3, 1.5, -1.7, -1.5, 0.1]", (0.16, 0.20, 1.67)),
 }
-SLOW = ["-p", "joint_state_rate_hz:=50", "-p", "tick_rate_hz:=50.0"]
+SLOW = ["-p", "joint_state_rate_hz:=50", "-p", "tick_rate_hz:=50.0", "-p", "image_rate_hz:=15.0"]
 
 
 class Robot:

@@ -19,8 +19,8 @@ from fvs_ros.core import ros
 
 TESTS = str(Path(__file__).resolve().parents[1])
 FRAME = "camera_color_optical_frame"
-#: A quarter of what the collector does by default; test/closed_loop has all of it.
-COLLECT_S, SETTLE_S, REST_S = 30.0, 3.0, 1.0
+#: A fifth of what the collector does by default; test/closed_loop has all of it.
+COLLECT_S, SETTLE_S, REST_S = 24.0, 3.0, 1.0
 
 
 @pytest.mark.timeout(200)
@@ -42,7 +42,7 @@ def test_a_strangers_robot_is_served_over_its_topics_alone(ros_test, monkeypatch
     ros_test.start_node("fvs_controller_node.node")
     publisher = ros_test.publisher(PointStamped, ros.TARGET_POSITION, ros.QOS_LATCHED)
     stranger = Stranger(StrangerConfig(seed=seed))
-    for target in draw_targets(stranger, np.random.default_rng(seed)):
+    for target in draw_targets(stranger, np.random.default_rng(seed), count=3):
         publisher.publish(ros.to_point(0.0, FRAME, target))
         ros_test.spin_until(
             lambda: statuses and ros.from_status(statuses[-1])["state"] in ("READY", "SERVOING"),
