@@ -24,6 +24,8 @@ class PageClient:
     ----------
     address : str
         Of the page, as ``http://...``.
+    **headers : str
+        More headers of its request, such as ``Origin``.
 
     Attributes
     ----------
@@ -35,7 +37,7 @@ class PageClient:
         Messages received, by type.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, **headers: str) -> None:
         self.elements: dict[str, dict[str, Any]] = {}
         self.nodes: dict[str, Any] = {}
         self.counts: Counter[str] = Counter()
@@ -46,6 +48,7 @@ class PageClient:
             subprotocols=[f"viser-v{viser.__version__}"],  # type: ignore[list-item]
             compression=None,
             max_size=None,
+            additional_headers=headers,
         )
         self._thread = threading.Thread(target=self._receive, daemon=True)
         self._thread.start()

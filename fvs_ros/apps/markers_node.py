@@ -64,6 +64,11 @@ class MarkersNode(ros.FvsNode):
                 "choose the camera's frame as the viewer's fixed frame",
             )
             return
+        try:
+            ros.from_pose(message, ros.TRUE_CAMERA_POSE)
+        except ros.MessageError as error:
+            self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+            return
         if self._transforms is None:
             self._transforms = self.create_publisher(TFMessage, ros.TF_STATIC, ros.QOS_LATCHED)
         transform = TransformStamped(header=message.header, child_frame_id=self._frame)

@@ -7,14 +7,16 @@ import os
 from pathlib import Path
 
 #: Of a core that is wanted by the loop, too, next to nothing is left for the others.
-_NICE = 19
+LEAST = 19
 
 
-def step_back(own_session: bool = False) -> None:
+def step_back(niceness: int = LEAST, own_session: bool = False) -> None:
     """Let the loop go first wherever there are too few cores for all.
 
     Parameters
     ----------
+    niceness : int
+        How far, 1 to 19.
     own_session : bool
         Leave the parent's session first. For a child without a terminal: the kernel may share the
         cores among sessions before it shares them among their processes (autogroup), and then a
@@ -23,7 +25,7 @@ def step_back(own_session: bool = False) -> None:
     if own_session and os.getsid(0) != os.getpid():
         with contextlib.suppress(OSError):  # the leader of a process group may not
             os.setsid()
-    os.setpriority(os.PRIO_PROCESS, 0, _NICE)
+    os.setpriority(os.PRIO_PROCESS, 0, niceness)
     if os.getsid(0) == os.getpid():
         with contextlib.suppress(OSError):  # not every kernel has it
-            Path("/proc/self/autogroup").write_text(str(_NICE), encoding="ascii")
+            Path("/proc/self/autogroup").write_text(str(niceness), encoding="ascii")

@@ -74,6 +74,14 @@ def _qos(reliability: ReliabilityPolicy, durability: DurabilityPolicy) -> QoSPro
 QOS_NEWEST = _qos(ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)
 QOS_RELIABLE = _qos(ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
 QOS_LATCHED = _qos(ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
+#: Heard for certain by whoever is there, and by nobody who comes later.
+QOS_EVENT = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    lifespan=Duration(seconds=1.0),
+)
 #: For a record: nothing is lost while its keeper is busy for a moment, and nothing is old.
 QOS_EVERY = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=25, reliability=ReliabilityPolicy.RELIABLE

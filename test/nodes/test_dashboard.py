@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import socket
+import subprocess
+import sys
 import time
 import urllib.request
 
@@ -20,6 +23,7 @@ pytest.importorskip("viser", reason="viser is not installed (pip install 'viser[
 
 from harness import PlayedRobot
 from page_client import PageClient
+from websockets.exceptions import InvalidStatus
 
 from fvs_ros.core import ros
 from fvs_ros.core.camera import Intrinsics
@@ -79,7 +83,7 @@ def wait_for_state(harness, page, state):
 
 
 def set_target(harness, page, position):
-    page.set(TARGET, tuple(round(float(value), 3) for value in position))
+    page.set(TARGET, ", ".join(f"{value:.3f}" for value in position))
     page.press("Go")
 
 
@@ -161,14 +165,19 @@ def test_numbers_that_are_typed_wait_for_their_button(loop):
     page.press("Set current as target")
     wait_for_state(harness, page, "READY")
     typed = tuple(round(float(value) + 0.05, 3) for value in robot.ball)
-    page.set(TARGET, typed)
+    text = " ".join(str(value) for value in typed)
+    page.set(TARGET, text)
     harness.spin_for(4.5)  # longer than what needs no button is left alone
-    assert page.value(TARGET) == typed
+    assert page.value(TARGET) == text
     for count in (1, 2):  # twice, before the controller may have told the new target
         page.press("Go")
         harness.spin_until(lambda count=count: len(targets) == count, what="a target")
         point = targets[-1].point
         assert (point.x, point.y, point.z) == typed
+    page.set(TARGET, "0.1, 0.2")
+    page.press("Go")
+    harness.spin_until(lambda: "three numbers in metres" in page.text(), what="a refusal")
+    assert len(targets) == 2
 
 
 def test_a_dragged_target_is_followed_and_dropped(loop):
@@ -201,10 +210,78 @@ def test_a_controller_that_is_gone_shows_as_that_and_comes_back(loop):
     harness.stop(controller)
     wait_for_state(harness, page, "SILENT")
     harness.spin_until(lambda: "no word from the controller" in page.text())
-    page.press("Start")
-    harness.spin_until(lambda: "is fvs_controller_node running?" in page.text())
+    targets = harness.collect(PointStamped, ros.TARGET_POSITION, ros.QOS_RELIABLE)
+    for wish in (lambda: page.press("Start"), lambda: page.drag_target((0.0, 0.1, 1.4))):
+        harness.spin_until(lambda: "not done: the controller is silent" not in page.text(), 15.0)
+        wish()
+        harness.spin_until(lambda: "not done: the controller is silent" in page.text())
+    assert not targets
     harness.start_node(CONTROLLER)
     wait_for_state(harness, page, "WAITING")
+
+
+def test_the_page_s_own_browser_is_let_in_and_another_site_s_is_not(loop):
+    harness, _, _, process, _ = loop
+    address = address_of(harness, process)
+    PageClient(address, Origin=address).close()
+    for origin in ("http://evil.example", "null"):
+        with pytest.raises(InvalidStatus) as refused:
+            PageClient(address, Origin=origin)
+        assert refused.value.response.status_code == 403
+
+
+def test_a_target_is_for_the_controller_that_was_there(loop):
+    """One that is started later stands until somebody wants it somewhere."""
+    harness, _, controller, _, page = loop
+    set_target(harness, page, (0.0, 0.1, 1.4))
+    wait_for_state(harness, page, "READY")
+    harness.stop(controller)
+    harness.spin_for(1.0)
+    statuses = harness.collect(DiagnosticStatus, ros.CONTROLLER_STATUS)
+    harness.start_node(CONTROLLER)
+    harness.spin_until(
+        lambda: statuses and ros.from_status(statuses[-1])["reason"] == "NO_TARGET",
+        20.0,
+        "all inputs but a target",
+    )
+    harness.spin_for(1.0)
+    assert ros.from_status(statuses[-1])["reason"] == "NO_TARGET"
+
+
+def test_a_stop_is_heard_while_others_want_the_processor(loop):
+    harness, robot, _, _, page = loop
+    page.press("Set current as target")
+    wait_for_state(harness, page, "READY")
+    page.press("Start")
+    wait_for_state(harness, page, "SERVOING")
+    busy = [
+        subprocess.Popen([sys.executable, "-c", "while True: pass"], start_new_session=True)
+        for _ in range(os.cpu_count() or 1)
+    ]
+    try:
+        harness.spin_for(2.0)
+        set_target(harness, page, robot.ball + np.array([0.15, -0.05, 0.05]))
+        harness.spin_until(robot.moving, what="the arm to move")
+        page.press("Stop")
+        harness.spin_until(robot.standing, 1.5, "zeros")
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+
+
+def test_a_stop_is_repeated_until_it_is_answered(loop):
+    harness, _, controller, _, page = loop
+    page.press("Set current as target")
+    wait_for_state(harness, page, "READY")
+    page.press("Start")
+    wait_for_state(harness, page, "SERVOING")
+    controller.send_signal(signal.SIGSTOP)
+    page.press("Stop")
+    harness.spin_until(lambda: "does not answer yet" in page.text(), what="words")
+    controller.send_signal(signal.SIGCONT)
+    wait_for_state(harness, page, "READY")
+    harness.spin_until(lambda: "stop: stopping" in page.text(), what="the answer")
 
 
 def test_the_arm_and_the_camera_are_drawn_from_the_topics(loop):
@@ -219,6 +296,8 @@ def test_the_arm_and_the_camera_are_drawn_from_the_topics(loop):
     assert "Warning" not in harness.output(process)
     pose = camera_preset("front").in_base_link()
     poses = harness.node.create_publisher(PoseStamped, ros.TRUE_CAMERA_POSE, ros.QOS_LATCHED)
+    poses.publish(ros.to_pose(1.0, "base_link", pose.position_m, np.zeros(4)))  # no rotation
+    harness.spin_until(lambda: "true_camera_pose" in harness.output(process), what="a warning")
     poses.publish(ros.to_pose(1.0, "base_link", pose.position_m, pose.quaternion_xyzw))
     harness.spin_until(lambda: "/base/camera" in page.nodes, what="the camera")
     np.testing.assert_allclose(page.nodes["/base/camera"], pose.position_m, atol=1e-6)
@@ -252,7 +331,9 @@ def test_the_tour_goes_on_until_a_person_takes_over(ros_test, pages):
     statuses = ros_test.collect(DiagnosticStatus, ros.CONTROLLER_STATUS)
     targets = ros_test.collect(PointStamped, ros.TARGET_POSITION, ros.QOS_RELIABLE)
     ros_test.start_node(CONTROLLER, autostart=True)
-    process = ros_test.start_node(DASHBOARD, port=0, tour=True, tour_period_s=1.0)
+    process = ros_test.start_node(
+        DASHBOARD, port=0, tour=True, tour_period_s=1.0, model_path="models/ur5_front.npz"
+    )
     page = pages(address_of(ros_test, process))
     ros_test.spin_until(lambda: len(targets) > 2, 30.0, "three targets of the tour")
     assert ros.from_status(statuses[-1])["state"] in ("SERVOING", "WAITING", "HOLDING")

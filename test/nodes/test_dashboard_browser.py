@@ -92,9 +92,8 @@ class Eyes:
         self.harness.spin_until(so_now, timeout_s, what, lambda: self.page.inner_text("body"))
 
     def type_target(self, position_m):
-        inputs = self.page.locator("div:has(> div label)", has_text=TARGET).last.locator("input")
-        for index, value in enumerate(position_m):
-            inputs.nth(index).fill(f"{value:.3f}")
+        row = self.page.locator("div:has(> div label)", has_text=TARGET).last
+        row.locator("input").fill(", ".join(f"{value:.3f}" for value in position_m))
 
 
 @pytest.mark.timeout(240)  # half a minute where nothing else runs

@@ -17,6 +17,7 @@ from fvs_ros.apps.dashboard.actions import (
     Disturb,
     Target,
     Tour,
+    point_of,
 )
 from fvs_ros.apps.dashboard.board import Board, Trace
 from fvs_ros.apps.dashboard.placement import UNKNOWN, CameraPlacement, Pose, rotation_of
@@ -87,16 +88,22 @@ def test_a_distance_in_words(error_m, text):
     assert view.distance(error_m) == text
 
 
+MAX_AGES_S = {"ball_position": 0.2, "joint_states": 0.1, "jacobian": 0.2}
+
+
 def test_lamps_follow_the_controllers_ages_and_else_ones_own():
-    lamps = {lamp.name: lamp for lamp in view.lamps_of(view.ControllerView.of(STATUS, ""), {})}
+    lamps = {
+        lamp.name: lamp
+        for lamp in view.lamps_of(view.ControllerView.of(STATUS, ""), {}, MAX_AGES_S)
+    }
     assert lamps["Ball seen"].good
     assert lamps["Joint states"].good
     assert lamps["Jacobian"].good is False
     assert lamps["Robot program"] == view.Lamp("Robot program", True, "runs, 100 %")
     silent = view.ControllerView()
-    alone = {lamp.name: lamp for lamp in view.lamps_of(silent, {"ball_position": 0.03})}
-    assert alone["Ball seen"].good
-    assert alone["Joint states"] == view.Lamp("Joint states", False, "never")
+    alone = {lamp.name: lamp for lamp in view.lamps_of(silent, {"ball_position": 0.03}, MAX_AGES_S)}
+    assert alone["Ball seen"] == view.Lamp("Ball seen", None, "30 ms ago")
+    assert alone["Joint states"] == view.Lamp("Joint states", None, "unknown")
     assert alone["Robot program"].good is None
 
 
@@ -105,7 +112,7 @@ def test_lamps_follow_the_controllers_ages_and_else_ones_own():
     [({"robot_program_running": "false"}, False), ({"speed_scaling_percent": "0"}, False)],
 )
 def test_a_robot_that_does_not_obey_is_seen(changed, good):
-    lamps = view.lamps_of(view.ControllerView.of({**STATUS, **changed}, ""), {})
+    lamps = view.lamps_of(view.ControllerView.of({**STATUS, **changed}, ""), {}, MAX_AGES_S)
     assert lamps[-1].good is good
 
 
@@ -323,3 +330,43 @@ def test_a_stop_comes_first_and_nothing_wanted_before_it_moves_the_arm():
         actions.put(action)
     actions.put(Target((0, 0, 2)))
     assert actions.drain() == [STOP, Disturb("latency_s", 0.1), Target((0, 0, 2))]
+
+
+def test_nothing_is_drawn_where_nothing_is_known():
+    charts = pytest.importorskip("fvs_ros.apps.dashboard.charts")
+    times, values = charts.with_gaps(np.array([0.0, 0.1, 2.1, 2.2]), np.array([1.0, 2.0, 3.0, 4.0]))
+    np.testing.assert_allclose(times, [0.0, 0.1, 1.1, 2.1, 2.2])
+    np.testing.assert_array_equal(values, [1.0, 2.0, np.nan, 3.0, 4.0])
+
+
+@pytest.mark.parametrize("text", ["0.1, 0.2, 1.5", " .1 .2 1.5 ", "0.1;0.2;1.5"])
+def test_a_typed_position(text):
+    assert point_of(text) == (0.1, 0.2, 1.5)
+
+
+@pytest.mark.parametrize("text", ["", "1, 2", "1, 2, 3, 4", "1, 2, nan", "1, 2, -", "a b c"])
+def test_what_is_no_position_is_said_to_be_none(text):
+    with pytest.raises(ValueError, match="three numbers in metres"):
+        point_of(text)
+
+
+@pytest.mark.parametrize(
+    ("host", "origin", "words"),
+    [
+        ("localhost:8080", None, ""),
+        ("127.0.0.1:9090", "http://127.0.0.1:9090", ""),  # through a tunnel
+        ("[::1]:8080", "http://[::1]:8080", ""),
+        ("localhost:8080", "http://localhost:3000", "may not command this arm"),
+        ("localhost:8080", "null", "may not command this arm"),
+        ("evil.example:8080", "http://evil.example:8080", "not served as evil.example"),
+        ("", None, "not served as"),
+    ],
+)
+def test_only_the_page_itself_may_command(host, origin, words):
+    guard = pytest.importorskip("fvs_ros.apps.dashboard.guard")
+    headers = {"Host": host} if origin is None else {"Host": host, "Origin": origin}
+    reason = guard.objection(headers, guard.LOOPBACK)
+    assert words in reason
+    assert bool(reason) == bool(words)
+    if host and origin is None:
+        assert guard.objection(headers, ()) == ""

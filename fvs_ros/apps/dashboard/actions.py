@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 from dataclasses import dataclass
+from math import isfinite, nan
 
 import numpy as np
 
@@ -38,7 +39,14 @@ class Disturb:
     value: float | tuple[float, ...]
 
 
-Action = Call | Target | Tour | Disturb
+@dataclass(frozen=True)
+class Remark:
+    """Words for the person, of what was not understood."""
+
+    text: str
+
+
+Action = Call | Target | Tour | Disturb | Remark
 
 START, STOP = Call("start"), Call("stop")
 SET_CURRENT = Call("set_current_as_target")
@@ -79,6 +87,24 @@ def _replaces(later: Action, earlier: Action) -> bool:
     if isinstance(later, Disturb):
         return isinstance(earlier, Disturb) and later.name == earlier.name
     return False
+
+
+def point_of(text: str) -> tuple[float, float, float]:
+    """A position that a person has typed.
+
+    Raises
+    ------
+    ValueError
+        If it is not three finite numbers.
+    """
+    words = text.replace(",", " ").replace(";", " ").split()
+    try:
+        x, y, z = (float(word) for word in words)
+    except ValueError:
+        x = y = z = nan
+    if not all(isfinite(one) for one in (x, y, z)):
+        raise ValueError(f"a target is three numbers in metres, like 0.1, 0.2, 1.5; got '{text}'")
+    return x, y, z
 
 
 def as_point(position_m: np.ndarray) -> tuple[float, float, float]:

@@ -96,6 +96,7 @@ class Board:
         self._answer, self._answer_s = "", -inf
         self.placement = CameraPlacement()
         self.limit_rad_s = nan
+        self.max_ages_s: Mapping[str, float] = {}
         self.simulator: Mapping[str, Any] | None = None
 
     # --- what comes in ---
@@ -196,7 +197,7 @@ class Board:
         return view.Snapshot(
             banner=banner,
             controller=controller,
-            lamps=view.lamps_of(controller, heard_s),
+            lamps=view.lamps_of(controller, heard_s, self.max_ages_s),
             joints_rad=self.joints_rad,
             camera=self.placement.pose,
             note=self.placement.note,

@@ -24,6 +24,8 @@ _JOINT_COLOURS = (
 _AXIS_COLOURS = (markup.SKY, markup.ORANGE, markup.PINK)
 _WHITE = "#F2F4F7"
 _NUDGE_S = 1e-6
+#: Samples that are further apart are not joined by a line, s.
+_GAP_S = 0.5
 _TICKS = {"show": False}
 _AXES = (
     uplot.Axis(size=36, gap=4, space=60.0, font="11px sans-serif", ticks=_TICKS),
@@ -97,23 +99,50 @@ class Charts:
         self._nudge_s = _NUDGE_S - self._nudge_s
         time_s, norm, *parts = curves.error_mm.T
         self._draw(self._error, time_s, *parts, norm)
-        time_s, *speeds = curves.speed_rad_s.T
         if isfinite(limit_rad_s) and limit_rad_s != self._limit_rad_s:
             self._limit_rad_s = limit_rad_s  # the chart is made anew: not oftener than need be
             scale = {"range": (0.0, 1.2 * limit_rad_s)}
             self._speed.scales = {**self._speed.scales, "y": scale}
-        self._draw(self._speed, time_s, *speeds, np.full(len(time_s), limit_rad_s))
-        time_s, ratio = curves.ratio.T
-        self._draw(self._ratio, time_s, ratio, np.ones(len(time_s)))
+        self._draw(self._speed, *curves.speed_rad_s.T, level=limit_rad_s)
+        self._draw(self._ratio, *curves.ratio.T, level=1.0)
         self._draw(self._exponent, *curves.exponent.T)
 
-    def _draw(self, chart: viser.GuiUplotHandle, time_s: np.ndarray, *columns: np.ndarray) -> None:
-        """Draw over the whole length, the ends held.
+    def _draw(
+        self,
+        chart: viser.GuiUplotHandle,
+        time_s: np.ndarray,
+        *columns: np.ndarray,
+        level: float | None = None,
+    ) -> None:
+        """Draw over the whole length; where nothing is known, nothing is drawn.
 
         The page keeps a zoom relative to the length, which therefore stays as it is; and it draws
         the axes anew only where a range changes, which it therefore does, by less than one sees.
         """
-        if len(time_s):
-            from_s = self._nudge_s - self._history_s
-            times_s = np.concatenate(([from_s], time_s, [0.0]))
-            chart.data = (times_s, *(np.pad(one, 1, mode="edge") for one in columns))
+        from_s = self._nudge_s - self._history_s
+        times, *lines = with_gaps(time_s, *columns)
+        lines = [np.pad(one, 1, constant_values=nan) for one in lines]
+        times = np.concatenate(([from_s], times, [0.0]))
+        if level is not None:
+            lines.append(np.full(len(times), level))
+        chart.data = (times, *lines)
+
+
+def with_gaps(time_s: np.ndarray, *columns: np.ndarray) -> list[np.ndarray]:
+    """Put something unknown (NaN) between samples that are far apart.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        Times, rising, s.
+    *columns : ndarray, shape (n,)
+        Values at these times.
+
+    Returns
+    -------
+    list of ndarray
+        Times and values, all of one length.
+    """
+    after = np.flatnonzero(np.diff(time_s) > _GAP_S) + 1
+    middles = 0.5 * (time_s[after - 1] + time_s[after])
+    return [np.insert(time_s, after, middles), *(np.insert(one, after, nan) for one in columns)]

@@ -7,7 +7,11 @@ from fvs_ros.core.joints import JOINT_PARAMETERS
 from fvs_ros.core.params import Parameter
 
 PARAMETERS = (
-    Parameter("host", "127.0.0.1", "address the page is served at; 0.0.0.0 lets others see it"),
+    Parameter(
+        "host",
+        "127.0.0.1",
+        "address the page is served at; 0.0.0.0 lets whoever reaches it move the arm",
+    ),
     Parameter("port", 8080, "port of the page; 0 takes any free one", minimum=0, maximum=65535),
     Parameter("rate_hz", 12.0, "pictures a second", minimum=1.0, maximum=30.0),
     Parameter("feature_frame", CAMERA_FRAME, "frame of ball and target"),
@@ -20,6 +24,11 @@ PARAMETERS = (
     Parameter(
         "image", True, "show the camera's image; the simulator draws it only while it is looked at"
     ),
+    Parameter(
+        "camera_topics",
+        "",
+        "what stands before /color/image_raw; empty: camera, and camera/camera where there is one",
+    ),
     Parameter("tour", False, "send the ball to one target after another until a person takes over"),
     Parameter("tour_period_s", 5.0, "time given to each target of the tour", minimum=1.0),
     Parameter(
@@ -31,8 +40,9 @@ PARAMETERS = (
     ),
     Parameter(
         "model_path",
-        "models/ur5_front.npz",
-        "trained model: the tour's targets are positions it saw",
+        "",
+        "trained model of this arm and camera: the tour's targets are positions it saw; without "
+        "one there is no tour",
     ),
     Parameter("seed", 0, "seed of the tour", minimum=0),
 )

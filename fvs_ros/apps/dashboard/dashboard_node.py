@@ -7,24 +7,30 @@ from fvs_ros.core import stop
 stop.listen()
 
 import sys
-from collections.abc import Callable
 from math import isfinite, nan
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseStamped
-from rcl_interfaces.srv import GetParameters, SetParameters
-from rclpy.parameter import Parameter, parameter_value_to_python
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 
 from fvs_estimator_node.model_file import load_model
-from fvs_ros.apps.dashboard.actions import STOP, Action, Actions, Call, Disturb, Target, Tour
+from fvs_ros.apps.dashboard.actions import (
+    STOP,
+    Action,
+    Actions,
+    Call,
+    Disturb,
+    Remark,
+    Target,
+    Tour,
+)
 from fvs_ros.apps.dashboard.board import Board
 from fvs_ros.apps.dashboard.config import PARAMETERS
 from fvs_ros.apps.dashboard.placement import Pose, rotation_of
+from fvs_ros.apps.dashboard.services import CONTROLLER, SIMULATOR, Services
 from fvs_ros.apps.dashboard.tour import TargetTour
 from fvs_ros.core import ros
 from fvs_ros.core.background import step_back
@@ -32,15 +38,17 @@ from fvs_ros.core.joints import N_JOINTS, JointMap, JointStateError
 from fvs_ros.core.paths import find_file
 from fvs_ros.core.topics import CAMERA_PREFIXES
 
+#: Behind the loop, but not far: its buttons must work on a busy machine, too.
+_NICE = 5
 _ACTIONS_PERIOD_S = 0.03
+#: A picture that comes later than this shows how little time the page gets, nothing else, s.
+_LATE_S = 0.7
 _LOOK_PERIOD_S = 1.0
-_CONTROLLER, _SIMULATOR = "fvs_controller_node", "fvs_sim_node"
 _LIMIT = "max_joint_velocity_rad_s"
-_CALLS: dict[str, type] = {
-    **{f"{_CONTROLLER}/{name}": Trigger for name in ("start", "stop", "set_current_as_target")},
-    f"{_CONTROLLER}/get_parameters": GetParameters,
-    f"{_SIMULATOR}/get_parameters": GetParameters,
-    f"{_SIMULATOR}/set_parameters": SetParameters,
+_AGES = {
+    "ball_max_age_s": "ball_position",
+    "joint_states_max_age_s": "joint_states",
+    "jacobian_max_age_s": "jacobian",
 }
 _DISTURBANCES = ("depth_noise", "latency_s", "camera_rotation_deg")
 
@@ -57,22 +65,26 @@ class DashboardNode(ros.FvsNode):
         self._actions = Actions()
         self._arm: Any = None
         self._description = ""
-        self._callers = {name: self.create_client(kind, name) for name, kind in _CALLS.items()}
-        self._images: list[ros.Sampled] = []  # while somebody looks
-        self._infos: list[ros.Sampled] = []
+        self._calls = Services(self, self._answer)
+        # Intrinsics and image by prefix, while somebody looks.
+        self._cameras: dict[str, tuple[ros.Sampled, ...]] = {}
         self._tour: TargetTour | None = self._make_tour() if v["tour"] else None
-        self._target = self.create_publisher(PointStamped, ros.TARGET_POSITION, ros.QOS_LATCHED)
+        # A wish of now: a controller that is started later must not go where one was sent before.
+        self._target = self.create_publisher(PointStamped, ros.TARGET_POSITION, ros.QOS_EVENT)
         self._joint_states = ros.Sampled(self, JointState, ros.JOINT_STATES)
         self.watch(PointStamped, ros.BALL_POSITION, self._on_ball, ros.QOS_NEWEST)
         self.watch(DiagnosticStatus, ros.CONTROLLER_STATUS, self._on_status, ros.QOS_NEWEST)
         self.watch(String, ros.ROBOT_DESCRIPTION, self._on_description, ros.QOS_LATCHED)
         self.watch(PoseStamped, ros.TRUE_CAMERA_POSE, self._on_camera_pose, ros.QOS_LATCHED)
         self._page = _make_page(v, self._actions)
+        self._shown_s = self.steady_s()
         self.create_timer(_ACTIONS_PERIOD_S, self._act, clock=self.steady_clock)
         self.create_timer(1.0 / v["rate_hz"], self._show, clock=self.steady_clock)
         self.create_timer(_LOOK_PERIOD_S, self._look_around, clock=self.steady_clock)
         print(f"page: {self._page.address}", flush=True)
-        step_back()
+        if self._page.open_to_others:
+            self.tell(ros.WARN, "whoever reaches this page can move the arm: it asks no password")
+        step_back(_NICE)
 
     # --- inputs ---
 
@@ -81,8 +93,8 @@ class DashboardNode(ros.FvsNode):
         joint_state = self._joint_states.newest()
         if joint_state is not None:
             self._on_joint_states(joint_state)
-        for heard, take in ((self._infos, self._on_camera_info), (self._images, self._on_image)):
-            for topic in heard:
+        for topics in self._cameras.values():
+            for topic, take in zip(topics, (self._on_camera_info, self._on_image), strict=True):
                 message = topic.newest()
                 if message is not None:
                     take(message)
@@ -125,7 +137,11 @@ class DashboardNode(ros.FvsNode):
         self._page.set_arm(self._arm)
 
     def _on_camera_pose(self, message: PoseStamped) -> None:
-        position_m, quaternion = ros.from_pose(message, ros.TRUE_CAMERA_POSE)
+        try:
+            position_m, quaternion = ros.from_pose(message, ros.TRUE_CAMERA_POSE)
+        except ros.MessageError as error:
+            self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+            return
         self._board.tell_camera(Pose(rotation_of(quaternion), position_m))
 
     def _on_image(self, message: Image) -> None:
@@ -151,37 +167,53 @@ class DashboardNode(ros.FvsNode):
             self._board.learn_camera(self._arm.flange)
         self._send_tour(now_s)
         watched = self._page.watched
-        if self.values["image"] and watched != bool(self._images):
+        if self.values["image"] and watched != bool(self._cameras):
             self._look_at_images(watched)
-        if watched:
+        late, self._shown_s = now_s - self._shown_s > _LATE_S, now_s
+        if late:  # what came meanwhile is yet to be heard
+            self._board.answer(now_s, "this page gets too little of the processor: it is behind")
+        elif watched:
             self._page.update(self._board.snapshot(now_s, self._tour is not None))
 
     def _look_at_images(self, wanted: bool) -> None:
         """Subscribe while somebody looks: the simulator draws full images for subscribers only."""
-        for topic in (*self._images, *self._infos):
-            topic.close()
-        self._images, self._infos = [], []
-        declared = CAMERA_PREFIXES[0]
-        for prefix in CAMERA_PREFIXES if wanted else ():
-            color = ros.COLOR_IMAGE.replace(declared, prefix, 1)
-            if prefix == declared or self.count_publishers(color):
-                info = ros.CAMERA_INFO.replace(declared, prefix, 1)
-                self._images.append(ros.Sampled(self, Image, color))
-                self._infos.append(ros.Sampled(self, CameraInfo, info))
+        given, declared = self.values["camera_topics"], CAMERA_PREFIXES[0]
+        names = set()
+        if wanted:
+            names = {given or declared}
+        if wanted and not given:  # drivers differ, and may start later
+            names.update(
+                prefix
+                for prefix in CAMERA_PREFIXES[1:]
+                if self.count_publishers(ros.COLOR_IMAGE.replace(declared, prefix, 1))
+            )
+        for prefix in set(self._cameras) - names:
+            for topic in self._cameras.pop(prefix):
+                topic.close()
+        for prefix in names - set(self._cameras):
+            self._cameras[prefix] = tuple(
+                ros.Sampled(self, kind, name.replace(declared, prefix, 1))
+                for kind, name in ((CameraInfo, ros.CAMERA_INFO), (Image, ros.COLOR_IMAGE))
+            )
 
     def _look_around(self) -> None:
-        """Ask for what is not on a topic: the speed limit, and the simulator's disturbances."""
+        """Ask for what is not on a topic: the controller's limits, the simulator's disturbances."""
         if not self._page.watched:
             return
-        self._ask(_CONTROLLER, (_LIMIT,), self._on_limit)
+        if self.values["image"]:
+            self._look_at_images(True)
+        self._calls.ask(CONTROLLER, (_LIMIT, *_AGES), self._on_limits)
         if self.count_publishers(ros.TRUE_CAMERA_POSE):
-            self._ask(_SIMULATOR, _DISTURBANCES, self._on_simulator)
+            self._calls.ask(SIMULATOR, _DISTURBANCES, self._on_simulator)
         else:
             self._board.simulator = None
 
-    def _on_limit(self, values: dict[str, Any]) -> None:
+    def _on_limits(self, values: dict[str, Any]) -> None:
         limit = values.get(_LIMIT)
         self._board.limit_rad_s = limit if isinstance(limit, float) and isfinite(limit) else nan
+        self._board.max_ages_s = {
+            name: values[key] for key, name in _AGES.items() if isinstance(values.get(key), float)
+        }
 
     def _on_simulator(self, values: dict[str, Any]) -> None:
         self._board.simulator = values
@@ -191,59 +223,31 @@ class DashboardNode(ros.FvsNode):
     def _act(self) -> None:
         for action in self._actions.drain():
             self._do(action)
+        self._calls.look_after()
 
     def _do(self, action: Action) -> None:
-        if isinstance(action, Call):
-            if action == STOP:
-                self._tour = None
-            self._call(action.service)
+        if action == STOP:
+            self._tour = None
+            self._calls.stop()
+        elif isinstance(action, Disturb):
+            self._calls.disturb(action)
+        elif isinstance(action, Remark):
+            self._answer(action.text)
+        elif action == Tour(False):
+            self._tour = None
+        elif self._board.controller(self.steady_s()).silent:
+            # It would be done whenever the controller comes back, when nobody expects it.
+            self._answer(f"not done: the controller is silent; is {CONTROLLER} running?")
+        elif isinstance(action, Call):
+            self._calls.call(action.service)
         elif isinstance(action, Target):
             self._tour = None
             self._send_target(np.array(action.position_m))
-        elif isinstance(action, Tour):
-            self._switch_tour(action.on)
-        elif isinstance(action, Disturb):
-            self._disturb(action)
+        else:
+            self._switch_tour()
 
     def _send_target(self, position_m: np.ndarray) -> None:
         self._target.publish(ros.to_point(self.ros_s(), self._frame, position_m))
-
-    def _call(self, service: str) -> None:
-        def on_answer(answer: Trigger.Response) -> None:
-            self._answer(f"{service.replace('_', ' ')}: {answer.message}")
-
-        self._request(f"{_CONTROLLER}/{service}", Trigger.Request(), on_answer)
-
-    def _disturb(self, action: Disturb) -> None:
-        def on_answer(answer: SetParameters.Response) -> None:
-            for result in answer.results:
-                if not result.successful:
-                    self._answer(f"the simulator refuses: {result.reason}")
-
-        value = list(action.value) if isinstance(action.value, tuple) else action.value
-        request = SetParameters.Request(
-            parameters=[Parameter(action.name, value=value).to_parameter_msg()]
-        )
-        self._request(f"{_SIMULATOR}/set_parameters", request, on_answer)
-
-    def _ask(
-        self, node: str, names: tuple[str, ...], on_values: Callable[[dict[str, Any]], None]
-    ) -> None:
-        def on_answer(answer: GetParameters.Response) -> None:
-            values = [parameter_value_to_python(value) for value in answer.values]
-            on_values({n: v for n, v in zip(names, values, strict=False) if v is not None})
-
-        request = GetParameters.Request(names=list(names))
-        self._request(f"{node}/get_parameters", request, on_answer, quiet=True)
-
-    def _request(
-        self, name: str, request: Any, on_answer: Callable[[Any], None], quiet: bool = False
-    ) -> None:
-        client = self._callers[name]
-        if client.service_is_ready():
-            client.call_async(request).add_done_callback(lambda done: on_answer(done.result()))
-        elif not quiet:
-            self._answer(f"{name} does not answer; is {name.partition('/')[0]} running?")
 
     def _answer(self, text: str) -> None:
         self._board.answer(self.steady_s(), text)
@@ -253,12 +257,14 @@ class DashboardNode(ros.FvsNode):
 
     def _make_tour(self) -> TargetTour:
         v = self.values
+        if not v["model_path"]:
+            raise ValueError("tour needs model_path: its targets are positions that a model saw")
         candidates_m = load_model(find_file(v["model_path"])).ball_samples_m
         return TargetTour(candidates_m, v["tour_period_s"], v["tour_distance_m"], v["seed"])
 
-    def _switch_tour(self, on: bool) -> None:
+    def _switch_tour(self) -> None:
         try:
-            self._tour = self._make_tour() if on else None
+            self._tour = self._make_tour()
         except (OSError, ValueError) as error:
             self._answer(f"no tour: {error}")
 
@@ -290,6 +296,7 @@ def _make_page(values: dict[str, Any], actions: Actions) -> Any:
         history_s=values["history_s"],
         ball_radius_m=values["ball_radius_m"],
         image=values["image"],
+        tour=bool(values["model_path"]),
     )
 
 

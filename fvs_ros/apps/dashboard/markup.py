@@ -41,11 +41,15 @@ def side_by_side(name: str) -> str:
     )
 
 
-def banner_html(banner: Banner) -> str:
-    """The state, large, with the distance to go and the controller's sentence."""
-    sentence = banner.sentence
+def _in_words(sentence: str) -> str:
+    """A sentence of the controller as markup, in the page's own words."""
     for service, button in _BUTTONS.items():
         sentence = sentence.replace(service, button)
+    return escape(sentence)
+
+
+def banner_html(banner: Banner) -> str:
+    """The state, large, with the distance to go and the controller's sentence."""
     return (
         f'<div style="{_BOX}background:{banner.colour};color:#fff;padding:0.7em 0.9em;">'
         '<div style="display:flex;justify-content:space-between;align-items:baseline;gap:0.6em">'
@@ -54,7 +58,7 @@ def banner_html(banner: Banner) -> str:
         f'font-variant-numeric:tabular-nums">{escape(banner.error)}</span></div>'
         '<div style="font-size:0.8em;line-height:1.35;margin-top:0.25em;min-height:2.7em">'
         f'<b id="fvs-state">{escape(banner.state)}</b> · '
-        f'<span id="fvs-sentence">{escape(sentence)}</span></div></div>'
+        f'<span id="fvs-sentence">{_in_words(banner.sentence)}</span></div></div>'
     )
 
 
@@ -85,5 +89,5 @@ def remark_html(text: str, name: str) -> str:
         return f'<div id="fvs-{name}"></div>'
     return (
         f'<div id="fvs-{name}" style="{_BOX}border:1px solid {GREY};padding:0.4em 0.7em;'
-        f'font-size:0.8em;line-height:1.35">{escape(text)}</div>'
+        f'font-size:0.8em;line-height:1.35">{_in_words(text)}</div>'
     )

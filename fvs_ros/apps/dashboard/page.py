@@ -13,6 +13,7 @@ import viser
 
 from fvs_ros.apps.dashboard.actions import Actions, Target
 from fvs_ros.apps.dashboard.charts import Charts
+from fvs_ros.apps.dashboard.guard import LOOPBACK, own_requests_only
 from fvs_ros.apps.dashboard.panel import Panel
 from fvs_ros.apps.dashboard.scene import Scene
 from fvs_ros.apps.dashboard.view import Snapshot
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 _CURVES_EVERY = 3
 _STOP_S = 0.8
 _LEFT_PX, _RIGHT_PX = 400, 350
+_EVERYWHERE = ("0.0.0.0", "::", "")
 
 
 class Page:
@@ -43,6 +45,8 @@ class Page:
         Radius of the ball, m.
     image : bool
         Whether there will be a picture.
+    tour : bool
+        Whether a tour can be had.
 
     Raises
     ------
@@ -59,10 +63,12 @@ class Page:
         history_s: float,
         ball_radius_m: float,
         image: bool,
+        tour: bool,
     ) -> None:
         _check_free(host, port)
         self._host = host
-        with _quiet():
+        hosts = () if self.open_to_others else LOOPBACK | {host.lower()}
+        with _quiet(), own_requests_only(hosts):
             self._server = viser.ViserServer(host, port, label="fvs_ros", verbose=False)
         if port and self._server.get_port() != port:  # taken since it was looked at
             self.close()
@@ -73,7 +79,7 @@ class Page:
         )
         gui.main_panel.dock_right()
         gui.main_panel.set_width(_RIGHT_PX)
-        self._panel = Panel(gui, actions.put, image)
+        self._panel = Panel(gui, actions.put, image, tour)
         curves = gui.add_panel()
         with curves.add_tab("Curves", viser.Icon.CHART_LINE):
             self._charts = Charts(gui, history_s)
@@ -91,8 +97,13 @@ class Page:
     @property
     def address(self) -> str:
         """Where a browser finds it."""
-        host = "localhost" if self._host in ("0.0.0.0", "::", "") else self._host
+        host = socket.gethostname() if self._host in _EVERYWHERE else self._host
         return f"http://{host}:{self._server.get_port()}"
+
+    @property
+    def open_to_others(self) -> bool:
+        """Whether it is served to more than this host."""
+        return self._host.lower() not in LOOPBACK
 
     @property
     def watched(self) -> bool:

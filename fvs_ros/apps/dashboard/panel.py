@@ -16,9 +16,11 @@ from fvs_ros.apps.dashboard.actions import (
     STOP,
     Action,
     Disturb,
+    Remark,
     Target,
     Tour,
     as_point,
+    point_of,
 )
 from fvs_ros.apps.dashboard.view import Snapshot
 
@@ -39,9 +41,13 @@ class Panel:
         Takes what a person does; called in the page's threads.
     image : bool
         Whether there will be a picture.
+    tour : bool
+        Whether a tour can be had.
     """
 
-    def __init__(self, gui: viser.GuiApi, say: Callable[[Action], None], image: bool) -> None:
+    def __init__(
+        self, gui: viser.GuiApi, say: Callable[[Action], None], image: bool, tour: bool
+    ) -> None:
         self._gui = gui
         self._say = say
         self._held_until_s: dict[str, float] = {}
@@ -51,7 +57,7 @@ class Panel:
         self._answer = gui.add_html("")
         gui.add_html(markup.side_by_side("start-stop"))
         self._add_buttons()
-        self._add_target()
+        self._add_target(tour)
         self._picture: viser.GuiImageHandle | None = None
         if image:
             blank = np.full((240, 320, 3), 32, np.uint8)
@@ -71,14 +77,16 @@ class Panel:
         async def _(_event: viser.GuiEvent) -> None:
             self._say(action)
 
-    def _add_target(self) -> None:
+    def _add_target(self, tour: bool) -> None:
         gui = self._gui
         with gui.add_folder("Target in the camera's frame"):
-            self._target = gui.add_vector3("x, y, z (m)", (0.0, 0.0, 1.0), step=0.005)
+            self._target = gui.add_text("x, y, z (m)", "")
             gui.add_html(markup.side_by_side("go-current"))
             go = gui.add_button("Go", color="blue", icon=viser.Icon.TARGET_ARROW)
             current = gui.add_button("Set current as target", color="gray")
-            self._tour = gui.add_checkbox("Tour", False, hint="Send it to one after another.")
+            self._tour = gui.add_checkbox(
+                "Tour", False, visible=tour, hint="Send it to one after another."
+            )
         self._button(current, SET_CURRENT)
 
         @self._target.on_update
@@ -88,8 +96,13 @@ class Panel:
 
         @go.on_click
         async def _(_event: viser.GuiEvent) -> None:
+            try:
+                wanted: Action = Target(point_of(self._target.value))
+            except ValueError as error:
+                self._say(Remark(str(error)))
+                return
             self._hold("target")  # until the controller has taken it
-            self._say(Target(as_point(np.array(self._target.value))))
+            self._say(wanted)
 
         @self._tour.on_update
         async def _(event: viser.GuiEvent) -> None:
@@ -134,8 +147,8 @@ class Panel:
         if self._free("tour"):
             self._tour.value = shown.tour
         if shown.controller.target_m is not None and self._free("target"):
-            x, y, z = (round(value, 3) for value in as_point(shown.controller.target_m))
-            self._target.value = (x, y, z)
+            target = as_point(shown.controller.target_m)
+            self._target.value = ", ".join(f"{value:.3f}" for value in target)
         self._show_simulator(shown)
 
     def _show_simulator(self, shown: Snapshot) -> None:

@@ -76,7 +76,8 @@ class CameraPlacement:
             return ""
         if self._learned is None:
             return UNKNOWN
-        return f"the camera's place is learned, to {1e3 * self._learned.error_m:.0f} mm"
+        agree_mm = 1e3 * self._learned.error_m
+        return f"the camera's place is learned: ball and arm agree to {agree_mm:.0f} mm"
 
     def tell(self, pose: Pose) -> None:
         """Take the word of who knows."""

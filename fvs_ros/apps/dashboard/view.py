@@ -171,15 +171,17 @@ class Lamp:
     text: str
 
 
-#: Inputs of the controller: what a person calls them, and the age at which they are stale, s.
+#: Inputs of the controller, and what a person calls them.
 _INPUTS = {
-    "ball_position": ("Ball seen", 0.2),
-    "joint_states": ("Joint states", 0.1),
-    "jacobian": ("Jacobian", 0.2),
+    "ball_position": "Ball seen",
+    "joint_states": "Joint states",
+    "jacobian": "Jacobian",
 }
 
 
-def lamps_of(controller: ControllerView, heard_s: Mapping[str, float]) -> tuple[Lamp, ...]:
+def lamps_of(
+    controller: ControllerView, heard_s: Mapping[str, float], max_ages_s: Mapping[str, float]
+) -> tuple[Lamp, ...]:
     """The lamps: the controller's inputs and the robot's program.
 
     Parameters
@@ -188,13 +190,21 @@ def lamps_of(controller: ControllerView, heard_s: Mapping[str, float]) -> tuple[
         Its last word.
     heard_s : mapping of str to float
         Ages of what was heard here, s, for what the controller does not tell.
+    max_ages_s : mapping of str to float
+        Ages at which the controller calls its inputs stale, s, as far as they are known.
     """
     lamps = []
-    for name, (label, limit_s) in _INPUTS.items():
+    for name, label in _INPUTS.items():
         age_s = controller.ages_s.get(name, nan)
         if not isfinite(age_s):
             age_s = heard_s.get(name, nan)
-        lamps.append(Lamp(label, *_age(age_s, limit_s)))
+        if isfinite(age_s):
+            text = f"{1e3 * age_s:.0f} ms ago" if age_s < 1.0 else f"{age_s:.0f} s ago"
+        else:
+            text = "unknown" if controller.silent else "never"
+        limit_s = max_ages_s.get(name, nan)
+        known = isfinite(limit_s) and not controller.silent
+        lamps.append(Lamp(label, age_s <= limit_s if known else None, text))
     running, percent = controller.program_running, controller.speed_scaling_percent
     if controller.silent:
         lamps.append(Lamp("Robot program", None, "unknown"))
@@ -204,13 +214,6 @@ def lamps_of(controller: ControllerView, heard_s: Mapping[str, float]) -> tuple[
         text = "runs" if isnan(percent) else f"runs, {percent:.0f} %"
         lamps.append(Lamp("Robot program", percent != 0.0, text))
     return tuple(lamps)
-
-
-def _age(age_s: float, limit_s: float) -> tuple[bool | None, str]:
-    if not isfinite(age_s):
-        return False, "never"
-    text = f"{1e3 * age_s:.0f} ms ago" if age_s < 1.0 else f"{age_s:.0f} s ago"
-    return age_s <= limit_s, text
 
 
 @dataclass(frozen=True)

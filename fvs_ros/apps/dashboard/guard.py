@@ -1,0 +1,67 @@
+"""Who may open the page's websocket: the page itself, not whatever else a browser has open.
+
+A browser lets any web site connect to this host, and a press of a button is a message. The page
+commands an arm, so that a request must come from the page it serves (``Origin``), and under a name
+that is this host's (``Host``; another one's name may be made to point here).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import inspect
+from collections.abc import Collection, Iterator, Mapping
+from typing import Any
+from urllib.parse import urlsplit
+
+from websockets.asyncio import server
+
+#: Addresses that only this host reaches, and its names for them.
+LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
+
+
+def objection(headers: Mapping[str, str], hosts: Collection[str]) -> str:
+    """Why a request is refused.
+
+    Parameters
+    ----------
+    headers : mapping of str to str
+        The request's.
+    hosts : collection of str
+        Names under which the page may be asked for; empty for any.
+
+    Returns
+    -------
+    str
+        The reason, or empty.
+    """
+    host, origin = headers.get("Host", ""), headers.get("Origin")
+    if hosts and urlsplit(f"//{host}").hostname not in hosts:
+        return f"the page is not served as {host}; it is as {' or '.join(sorted(hosts))}"
+    if origin is not None and urlsplit(origin).netloc != host:
+        return f"{origin} may not command this arm"
+    return ""
+
+
+@contextlib.contextmanager
+def own_requests_only(hosts: Collection[str]) -> Iterator[None]:
+    """Have a server that is started meanwhile refuse all others' requests.
+
+    viser has no setting for that: its server is given the check where it asks for one.
+    """
+    serve = server.serve
+
+    def guarded(*args: Any, process_request: Any = None, **given: Any) -> Any:
+        async def check(connection: Any, request: Any) -> Any:
+            reason = objection(request.headers, hosts)
+            if reason:
+                return connection.respond(403, reason + "\n")
+            answer = process_request(connection, request) if process_request else None
+            return await answer if inspect.isawaitable(answer) else answer
+
+        return serve(*args, process_request=check, **given)
+
+    server.serve = guarded  # type: ignore[assignment,misc]
+    try:
+        yield
+    finally:
+        server.serve = serve  # type: ignore[misc]

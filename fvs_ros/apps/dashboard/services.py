@@ -1,0 +1,124 @@
+"""Calls of the page's node to controller and simulator, none of which waits for ever."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.parameter import Parameter, parameter_value_to_python
+from std_srvs.srv import Trigger
+
+from fvs_ros.apps.dashboard.actions import Disturb
+
+if TYPE_CHECKING:
+    from fvs_ros.core.ros import FvsNode
+
+CONTROLLER, SIMULATOR = "fvs_controller_node", "fvs_sim_node"
+_CALLS: dict[str, type] = {
+    **{f"{CONTROLLER}/{name}": Trigger for name in ("start", "stop", "set_current_as_target")},
+    f"{CONTROLLER}/get_parameters": GetParameters,
+    f"{SIMULATOR}/get_parameters": GetParameters,
+    f"{SIMULATOR}/set_parameters": SetParameters,
+}
+#: An answer that takes longer is not waited for, s.
+_ANSWER_S = 3.0
+#: A stop is asked for this often, until it is answered, s; and after so long the person is told.
+_STOP_AGAIN_S, _STOP_LATE_S = 0.3, 0.5
+
+
+class Services:
+    """The services of controller and simulator.
+
+    Parameters
+    ----------
+    node : FvsNode
+        Calls them.
+    tell : callable
+        Takes what a person at the page is to read.
+    """
+
+    def __init__(self, node: FvsNode, tell: Callable[[str], None]) -> None:
+        self._node = node
+        self._tell = tell
+        self._clients = {name: node.create_client(kind, name) for name, kind in _CALLS.items()}
+        self._open: list[tuple[float, Any, Any]] = []  # asked at, client, future
+        self._stop_since_s: float | None = None
+        self._stop_said = False
+        self._stop_sent_s = 0.0
+
+    def call(self, service: str) -> None:
+        """Call a service of the controller; its answer is told."""
+        self._stop_since_s = None  # whoever starts after a stop means it
+        self._request(f"{CONTROLLER}/{service}", Trigger.Request(), self._on_answer(service))
+
+    def stop(self) -> None:
+        """Ask the controller to stop, again and again until it answers."""
+        self._stop_since_s, self._stop_said = self._node.steady_s(), False
+        self._send_stop()
+
+    def ask(
+        self, node: str, names: tuple[str, ...], on_values: Callable[[dict[str, Any]], None]
+    ) -> None:
+        """Ask for parameters; those that a node has come as plain values."""
+
+        def on_answer(answer: GetParameters.Response) -> None:
+            values = [parameter_value_to_python(value) for value in answer.values]
+            on_values({n: v for n, v in zip(names, values, strict=False) if v is not None})
+
+        request = GetParameters.Request(names=list(names))
+        self._request(f"{node}/get_parameters", request, on_answer, quiet=True)
+
+    def disturb(self, action: Disturb) -> None:
+        """Set a parameter of the simulator; a refusal is told."""
+
+        def on_answer(answer: SetParameters.Response) -> None:
+            for result in answer.results:
+                if not result.successful:
+                    self._tell(f"the simulator refuses: {result.reason}")
+
+        value = list(action.value) if isinstance(action.value, tuple) else action.value
+        request = SetParameters.Request(
+            parameters=[Parameter(action.name, value=value).to_parameter_msg()]
+        )
+        self._request(f"{SIMULATOR}/set_parameters", request, on_answer)
+
+    def look_after(self) -> None:
+        """Repeat a stop that is not answered, and give up what waits too long."""
+        now_s = self._node.steady_s()
+        if self._stop_since_s is not None and now_s - self._stop_sent_s > _STOP_AGAIN_S:
+            if now_s - self._stop_since_s > _STOP_LATE_S and not self._stop_said:
+                self._stop_said = True
+                self._tell("stop: the controller does not answer yet; use the robot's own stop")
+            self._send_stop()
+        for asked_s, client, future in self._open:
+            if now_s - asked_s > _ANSWER_S:
+                client.remove_pending_request(future)
+        self._open = [
+            one for one in self._open if not one[2].done() and now_s - one[0] <= _ANSWER_S
+        ]
+
+    def _send_stop(self) -> None:
+        self._stop_sent_s = self._node.steady_s()
+        answered = self._on_answer("stop")
+
+        def on_answer(answer: Trigger.Response) -> None:
+            if self._stop_since_s is not None:
+                self._stop_since_s = None
+                answered(answer)
+
+        self._request(f"{CONTROLLER}/stop", Trigger.Request(), on_answer, quiet=True)
+
+    def _on_answer(self, service: str) -> Callable[[Trigger.Response], None]:
+        return lambda answer: self._tell(f"{service.replace('_', ' ')}: {answer.message}")
+
+    def _request(
+        self, name: str, request: Any, on_answer: Callable[[Any], None], quiet: bool = False
+    ) -> None:
+        client = self._clients[name]
+        if client.service_is_ready():
+            future = client.call_async(request)
+            future.add_done_callback(lambda done: on_answer(done.result()))
+            self._open.append((self._node.steady_s(), client, future))
+        elif not quiet:
+            self._tell(f"{name} does not answer; is {name.partition('/')[0]} running?")
