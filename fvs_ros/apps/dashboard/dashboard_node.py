@@ -30,7 +30,7 @@ from fvs_ros.apps.dashboard.actions import (
 from fvs_ros.apps.dashboard.board import Board
 from fvs_ros.apps.dashboard.config import PARAMETERS
 from fvs_ros.apps.dashboard.placement import Pose, rotation_of
-from fvs_ros.apps.dashboard.services import CONTROLLER, SIMULATOR, Services
+from fvs_ros.apps.dashboard.services_of_node import CONTROLLER, SIMULATOR, Services
 from fvs_ros.apps.dashboard.tour import TargetTour
 from fvs_ros.core import ros
 from fvs_ros.core.background import step_back
