@@ -11,8 +11,9 @@ from fvs_ros.core.joints import N_JOINTS
 #: Motions are summed with this memory, s: much longer than a drive's lag.
 _MEMORY_S = 0.5
 
-#: A joint that moves against its command is found out so many times sooner.
-_AGAINST_WEIGHT = 6.0
+#: A joint that moves against its command is found out so many times sooner; but the small motions
+#: about a target are often late, and so against the newest commands: from this on, rad.
+_AGAINST_WEIGHT, _AGAINST_RAD = 6.0, 0.02
 
 #: They are compared this often, s; a tick only adds up.
 _LOOK_S = 0.04
@@ -94,7 +95,7 @@ class Following:
         along = self._moved * np.sign(self._commanded)
         judged = asked >= _LEAST_COMMANDED_RAD
         follows = along >= _LEAST_SHARE * asked
-        against = along < -_LEAST_SHARE * asked
+        against = (along < -_LEAST_SHARE * asked) & (asked >= _AGAINST_RAD)
         weight = np.where(against, _AGAINST_WEIGHT, 1.0)
         self._off_s = np.where(judged & follows, 0.0, self._off_s + passed_s * weight * judged)
 

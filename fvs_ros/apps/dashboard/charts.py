@@ -58,7 +58,8 @@ class Charts:
         self._nudge_s = 0.0
         self._error = self._add(
             "Distance to the target, mm",
-            {"distr": 3, "log": 10, "range": (0.01, 1000.0)},
+            # What is unknown has no logarithm either: it is not to be drawn as zero.
+            {"distr": 3, "log": 10, "range": (0.01, 1000.0), "clamp": "unknown"},
             *(_series(f"|{a}|", c, 1.0) for a, c in zip("xyz", _AXIS_COLOURS, strict=True)),
             _series("distance", _WHITE, 2.25),
         )

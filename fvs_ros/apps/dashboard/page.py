@@ -89,7 +89,7 @@ class Page:
             server, ball_radius_m, lambda at, moving: actions.put(Target(at, moving))
         )
         # From where arm and camera stand side by side, wherever the camera usually stands.
-        server.initial_camera.position = (2.15, 1.65, 1.3)
+        server.initial_camera.position = (2.45, 2.05, 1.5)
         server.initial_camera.look_at = (0.57, -0.36, 0.36)
         server.initial_camera.fov = 0.85
         self._shown = 0
