@@ -188,6 +188,7 @@ class ServoLoop:
             self.position_m,
             self._propose,
             problem=self.predictor.problem,
+            image=self.predictor.image,
         )
         if command.state is not State.SERVOING:
             self.law.reset()

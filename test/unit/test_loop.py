@@ -125,7 +125,7 @@ def test_a_target_that_is_told_again_and_again_hides_no_growing_error(servoing, 
         loop.add_jacobian(servoing.now_s, JACOBIAN)
         servoing.now_s += DT_S
         loop.add_joints(servoing.now_s, servoing.now_s, servoing.joints)
-        ball = np.array([0.0, 0.0, 1.0 - 0.04 * k * DT_S])
+        ball = np.array([0.0, 0.0, 1.0 - 0.1 * k * DT_S])
         loop.add_ball(servoing.now_s, servoing.now_s - 0.02, ball, FRAME)
         command = loop.tick(servoing.now_s, DT_S)
         servoing.joints = servoing.joints + DT_S * command.velocity_rad_s
