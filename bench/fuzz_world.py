@@ -990,6 +990,8 @@ def _wait_long(world: World, _rng: np.random.Generator, scene: Scene) -> None:
 def _another_ball(world: World, rng: np.random.Generator, scene: Scene) -> None:
     """Show a ball that is not on the arm, for so long that somebody should notice."""
     world.reconfigure([("stall_time_s", 0.5 + 0.1 * scene.variant)])
+    if scene.variant > 5:  # too slow to tell that from the image
+        world.reconfigure([("max_joint_velocity_rad_s", 0.02)])
     world._other_ball = world.ball()
     world.aim(rng, 0.3)
     world.calm(60 + 2 * scene.ticks, steady_s=0.02, ros_s=0.02)

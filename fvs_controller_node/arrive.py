@@ -54,6 +54,7 @@ class ArriveLaw(ControlLaw):
     """
 
     anticipates = True
+    reads_chain = True
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter(

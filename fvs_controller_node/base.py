@@ -80,6 +80,9 @@ class ControlLaw(ABC):
     #: Whether it wants error and joints as they will be when its command takes effect.
     anticipates: ClassVar[bool] = False
 
+    #: Whether it makes use of a chain; else nobody minds what becomes of chains.
+    reads_chain: ClassVar[bool] = False
+
     #: Parameters that this law adds to the node's.
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = ()
 

@@ -97,7 +97,8 @@ class AdaptiveFusion:
     """Kalman filter that learns the noise of the images and the error of the prediction.
 
     ``P += (w |motion|)^2`` on the way from image to image, ``K = P / (P + R)``,
-    ``P = (1 - K) P``; the innovations' squares teach R at rest and w in motion.
+    ``P = (1 - K)^2 P + K^2 R``, which holds for the bounded gain, too; the innovations' squares
+    teach R at rest and w in motion.
     """
 
     def __init__(self) -> None:
@@ -146,7 +147,7 @@ class AdaptiveFusion:
             return None
         self._learn(min(square, _CLIP * total), moved, before)
         gain = max(self._variance / (self._variance + self._noise2), _LEAST_GAIN)
-        self._variance *= 1.0 - gain
+        self._variance = (1.0 - gain) ** 2 * self._variance + gain**2 * self._noise2
         return gain * innovation_m
 
     def _learn(self, square: float, moved: float, before: float) -> None:

@@ -27,6 +27,9 @@ from fvs_ros.core.joints import N_JOINTS
 _FASTEST_RAD_S, _JUMP_RAD, _JUMP_S = 1.5 * pi, 0.1, 0.5
 #: A chain is told more often than this, s.
 _CHAIN_MAX_AGE_S = 1.5
+#: A chain whose Jacobian differs from that in use by more than this share is not used, and said to
+#: be wrong after so many messages: the two come one after the other when the camera was moved.
+_CHAIN_DIFFERS, _CHAIN_DOUBTS = 0.3, 5
 #: A target that stands, m/s, and the joint velocities that keep up with it, rad/s.
 _STANDING, _AT_REST = np.zeros(N_AXES), np.zeros(N_JOINTS)
 
@@ -64,6 +67,7 @@ class ServoLoop:
         self._drive_lag = DriveLag()
         self._chain: SerialChain | None = None
         self._chain_s = -inf
+        self._chain_doubts = 0  # how often in a row the two contradicted each other
         self._stamp_s = 0.0
         self._moves = 0  # of the target
         self._target_m_s = _STANDING
@@ -115,16 +119,39 @@ class ServoLoop:
         """Tell the estimated Jacobian (3, 6), m/rad, and its arrival."""
         if self.supervisor.jacobian(now_s, jacobian):
             self._jacobian = np.array(jacobian, dtype=float)
+            self._compare_chain()
 
     def add_chain(self, now_s: float, chain: SerialChain) -> None:
         """Tell the forward model as the camera sees it now, and its arrival."""
-        self._chain, self._chain_s = chain, now_s
-        self.supervisor.chain(now_s)
+        if self.law.reads_chain:
+            self._chain, self._chain_s = chain, now_s
+            self.supervisor.chain(now_s)
+            self._compare_chain()
+
+    def _compare_chain(self) -> None:
+        chain, joints, jacobian = self._chain, self._joints, self._jacobian
+        if chain is None or joints is None or jacobian is None:
+            self._chain_doubts = 0
+            return
+        apart = np.linalg.norm(chain.jacobian(joints) - jacobian)
+        differs = apart > _CHAIN_DIFFERS * np.linalg.norm(jacobian)
+        self._chain_doubts = self._chain_doubts + 1 if differs else 0
+
+    @property
+    def remark(self) -> str:
+        """What does not stop the arm, but should be known; mostly empty."""
+        if self._chain_doubts < _CHAIN_DOUBTS:
+            return ""
+        return (
+            f"{KINEMATIC_CHAIN} is not used: it contradicts the Jacobian; do two nodes publish it, "
+            "or is it of another arm?"
+        )
 
     def bad_chain(self, now_s: float, why: str) -> None:
         """Tell that a forward model came that cannot be used, and why."""
-        self._chain, self._chain_s = None, now_s
-        self.supervisor.bad_input(now_s, KINEMATIC_CHAIN, why)
+        if self.law.reads_chain:
+            self._chain, self._chain_s = None, now_s
+            self.supervisor.bad_input(now_s, KINEMATIC_CHAIN, why)
 
     def add_target(
         self, position_m: np.ndarray, frame: str, stamp_s: float = 0.0
@@ -188,6 +215,7 @@ class ServoLoop:
             self.position_m,
             self._propose,
             problem=self.predictor.problem,
+            image=self.predictor.image,
         )
         if command.state is not State.SERVOING:
             self.law.reset()
@@ -225,7 +253,7 @@ class ServoLoop:
             self._joints,
             dt_s,
             news=self.predictor.images + self._moves,
-            chain=self._chain,
+            chain=None if self._chain_doubts else self._chain,
         )
         if self.anticipation is None:
             output = self.law.command(told)

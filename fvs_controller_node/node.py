@@ -226,7 +226,7 @@ class ControllerNode(ros.FvsNode):
         command = self._command
         if command is None:
             return
-        remarks = [self._refusal] if self._refusal else []
+        remarks = [one for one in (self._refusal, self._loop.remark) if one]
         if self._rivals:
             remarks.append(f"{self._rivals} publishes commands as well: stop it")
         text = f"{command.text} ({'; '.join(remarks)})" if remarks else command.text

@@ -12,6 +12,7 @@ from collections import deque
 import numpy as np
 
 from fvs_controller_node.fusion import FixedFusion, Fusion
+from fvs_controller_node.image_watch import Image
 from fvs_ros.core.history import JointHistory
 
 #: Ball positions that may wait for the joint state after their exposure.
@@ -93,6 +94,7 @@ class BallPredictor:
         self._moved_then = np.zeros(3)  # motion up to that exposure
         self._outlier: np.ndarray | None = None  # innovation of the last image, if it was one
         self._outliers = 0
+        self._image: Image | None = None
         self._latency_s: float | None = None
 
     @property
@@ -104,6 +106,11 @@ class BallPredictor:
     def images(self) -> int:
         """Number of images heard of so far."""
         return self._images
+
+    @property
+    def image(self) -> Image | None:
+        """The newest image with joint states around it, before any fusion."""
+        return self._image
 
     @property
     def latency_s(self) -> float | None:
@@ -182,7 +189,7 @@ class BallPredictor:
         newest = self._moved.newest_stamp_s
         assert newest is not None
         self._latency_s = newest - stamp_s
-        self._raw = position
+        self._raw, self._image = position, Image(stamp_s, position, moved)
         motion = moved - self._moved_then
         before_s, self._stamp_s, self._moved_then = self._stamp_s, stamp_s, moved
         if before_s is None or stamp_s - before_s > self._max_latency_s:

@@ -111,6 +111,14 @@ class Reason(Enum):
         "{moved_rad:.2f} rad; check that the velocity controller is active, the robot program runs "
         "and no protective stop is on, then call ~/start",
     )
+    IMAGE_NOT_FOLLOWING = (
+        State.HOLDING,
+        Stop.RAMP,
+        True,
+        "the image does not follow the arm: within {time_s:.1f} s the ball was to move "
+        "{predicted_mm:.0f} mm and was seen to move {seen_mm:.0f} mm; is the picture frozen, or is "
+        "that the ball? Then call ~/start",
+    )
     RIVAL = (
         State.HOLDING,
         Stop.RAMP,

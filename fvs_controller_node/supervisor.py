@@ -14,6 +14,7 @@ from math import inf, isfinite
 import numpy as np
 
 from fvs_controller_node.base import N_AXES, ControlOutput
+from fvs_controller_node.image_watch import Image, ImageWatch
 from fvs_controller_node.inputs import InputMonitor
 from fvs_controller_node.progress import Progress
 from fvs_controller_node.pseudo_inverse import Conditioning, DampedInverse, conditioning
@@ -110,6 +111,7 @@ class Supervisor:
         }
         self._progress = Progress(self._config.progress)
         self._following = Following()
+        self._image_watch = ImageWatch()
         self._target: np.ndarray | None = None  # now
         self._told_target: np.ndarray | None = None  # when it was told last
         self._jacobian: np.ndarray | None = None
@@ -360,6 +362,7 @@ class Supervisor:
         propose: Propose,
         *,
         problem: str = "",
+        image: Image | None = None,
     ) -> Command:
         """Decide on the command for this tick.
 
@@ -377,11 +380,15 @@ class Supervisor:
             Asks the law; called only if the arm may move.
         problem : str
             Why there is no position, if there is none.
+        image : Image, optional
+            The newest one, as it was seen.
         """
         dt_s = min(dt_s, MAX_TICK_S) if isfinite(dt_s) and dt_s > 0.0 else 0.0
         steady_dt_s = min(max(now_s - self._ticked_s, 0.0), MAX_TICK_S)
         self._ticked_s = now_s
         self._see(position_m, problem, dt_s)
+        if image is not None:
+            self._image_watch.add(image)
         finding = self._objection(now_s)
         if finding is None and self._autostart_left and self._ended is None:
             self._begin()
@@ -476,7 +483,22 @@ class Supervisor:
     ) -> Finding | None:
         """Find what only shows while the arm moves."""
         not_following = self._does_not_follow(joints, dt_s)  # always heard: it counts the time
-        return self._bad_prediction(now_s, dt_s) or self._no_progress() or not_following
+        return (
+            self._image_not_following()
+            or self._bad_prediction(now_s, dt_s)
+            or self._no_progress()
+            or not_following
+        )
+
+    def _image_not_following(self) -> Finding | None:
+        unmoved = self._image_watch.unmoved
+        if unmoved is None:
+            return None
+        return Reason.IMAGE_NOT_FOLLOWING.because(
+            time_s=unmoved.time_s,
+            predicted_mm=1e3 * unmoved.predicted_m,
+            seen_mm=1e3 * unmoved.seen_m,
+        )
 
     def _bad_prediction(self, now_s: float, dt_s: float) -> Finding | None:
         ratio, config = self._ratio(now_s), self._config
@@ -662,6 +684,7 @@ class Supervisor:
         self._singularity.stay()
         self._progress.restart()
         self._following.restart()
+        self._image_watch.restart()
 
     def _pause(self, reason: Reason) -> None:
         """End the session for a pause of the robot, also one that something else has ended."""

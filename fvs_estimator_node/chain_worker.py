@@ -22,8 +22,14 @@ from typing import BinaryIO
 from fvs_estimator_node.knowledge import Answer, Findings, NothingYet, Question, Trouble
 
 _COMMAND = (sys.executable, "-m", "fvs_estimator_node.chain_worker")
-#: A fit that takes longer hangs: the process is ended by its alarm, s.
-_LONGEST_S = 60
+#: A fit that takes more of the processor hangs; one that takes longer by the clock gets too little
+#: of it, or waits for ever. The process is ended by its own timers, s.
+_PROCESSOR_S, _LONGEST_S = 60.0, 600.0
+_ENDS = {
+    -signal.SIGPROF: f"the fit hangs: it took more than {_PROCESSOR_S:.0f} s of the processor",
+    -signal.SIGALRM: "the fit got too little of the processor: "
+    f"it was not done within {_LONGEST_S:.0f} s",
+}
 #: The commands come first where there are too few cores; but somebody waits for the fit.
 _NICENESS = 10
 #: How long a killed process is waited for, s.
@@ -73,10 +79,17 @@ class ChainWorker:
             answer = self._exchanged(words)
         except Exception as error:
             self.close()
-            ended = f" (exit code {self._process.returncode})" if self._process else ""
-            self._answer = Trouble(f"the process that fits chains failed{ended}: {error!r}")
+            self._answer = Trouble(self._why(error))
         else:
             self._answer = answer
+
+    def _why(self, error: Exception) -> str:
+        if self._process is None:
+            return f"the process that fits chains failed: {error!r}"
+        code = self._process.returncode
+        if code in _ENDS:
+            return _ENDS[code]
+        return f"the process that fits chains failed (exit code {code}): {error!r}"
 
     def _exchanged(self, words: bytes) -> Answer:
         if self._process is None:
@@ -109,7 +122,7 @@ def serve(questions: BinaryIO, answers: BinaryIO) -> None:
         except EOFError:
             return
         answer: Answer
-        signal.alarm(_LONGEST_S)
+        _set_timers(_PROCESSOR_S, _LONGEST_S)
         try:
             if missing:
                 answer = Trouble(f"fitting a chain needs {' and '.join(missing)}: pip install them")
@@ -121,9 +134,14 @@ def serve(questions: BinaryIO, answers: BinaryIO) -> None:
                 answer = examine(question)
         except Exception as error:  # whatever it is, the collector shall hear of it
             answer = Trouble(f"fitting a chain failed: {error!r}")
-        signal.alarm(0)
+        _set_timers(0.0, 0.0)
         pickle.dump(answer, answers)
         answers.flush()
+
+
+def _set_timers(processor_s: float, longest_s: float) -> None:
+    signal.setitimer(signal.ITIMER_PROF, processor_s)
+    signal.setitimer(signal.ITIMER_REAL, longest_s)
 
 
 def main() -> None:

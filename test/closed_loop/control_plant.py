@@ -104,14 +104,15 @@ def servo(
     noise_m: float = NOISE_M,
     turned: np.ndarray | None = None,
     hidden_s: tuple[float, float] = (0.0, 0.0),
+    frozen_s: float = np.inf,
     chain: SerialChain | None = None,
     target_of: Callable[[float], np.ndarray] | None = None,
 ) -> Run:
     """Servo from rest at one joint vector to the ball position of another.
 
     ``turned`` is a rotation that the estimator does not know of; ``hidden_s`` is when no image
-    shows the ball, from the start on; ``target_of`` moves the target with the time since the start,
-    told at the images' rate.
+    shows the ball, from the start on; from ``frozen_s`` on all images are alike; ``target_of``
+    moves the target with the time since the start, told at the images' rate.
     """
     rng = np.random.default_rng(seed)
     wrong = rng.normal(size=(3, 6))
@@ -124,6 +125,7 @@ def servo(
     drive = Drive(start_rad)
     images: deque[tuple[float, np.ndarray]] = deque()
     next_image_s = rng.uniform(0.0, IMAGE_S)
+    last_seen: np.ndarray | None = None
     times, errors, commands, states = [], [], [], []
     started_s = None
     k = 0
@@ -133,6 +135,9 @@ def servo(
         while next_image_s <= t:
             back = drive.velocity * (t - next_image_s)  # joint motion since the exposure
             seen = ball - jacobian @ back + rng.normal(size=3) * noise_m
+            if last_seen is not None and t - (started_s or t) >= frozen_s:
+                seen = last_seen
+            last_seen = seen
             if not hidden_s[0] <= t - (started_s or t) < hidden_s[1]:
                 images.append((next_image_s, seen))
             next_image_s += IMAGE_S

@@ -7,6 +7,7 @@ import pytest
 from control_plant import pairs, servo
 
 from fvs_controller_node.registry import LAWS
+from fvs_ros.core.schemes import BEYOND
 
 CASES = pairs(5, seed=21, low_m=0.28, high_m=0.32)
 MANY = pairs(8, seed=5)
@@ -98,6 +99,18 @@ def test_a_camera_turned_upside_down_is_held_before_it_goes_far():
     assert run.states[-1] == "ERROR_GROWING"
     assert not run.command[-1].any()
     assert run.error_m.max() < 1.5
+
+
+@pytest.mark.parametrize("case", range(len(CASES)))
+@pytest.mark.parametrize(
+    "values", [{}, *(one.controller_values | {"law": one.law} for one in BEYOND.values())]
+)
+def test_a_frozen_picture_with_fresh_stamps_is_found_before_the_arm_goes_far(case, values):
+    run = servo(*CASES[case], seed=case, values=values, frozen_s=0.2)
+    assert run.states[-1] == "IMAGE_NOT_FOLLOWING"
+    assert run.time_s[run.states.index("IMAGE_NOT_FOLLOWING")] < 0.75
+    assert not run.command[-1].any()
+    assert run.error_m.max() < 1.2 * run.error_m[0]
 
 
 def test_a_ball_hidden_on_the_way_is_held_and_then_reached():

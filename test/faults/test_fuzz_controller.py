@@ -96,7 +96,8 @@ TO_SEE = (
     (Scene("estimator", 10, 7),),  # NEAR_SINGULAR
     (Scene("bad quality", 60, 0),),  # PREDICTION_ERROR
     (Scene("estimator", 1, 3), Scene("target", 60, 9), Scene("long wait", 60)),  # ERROR_GROWING
-    (Scene("another ball", 60, 0),),  # STALLED
+    (Scene("another ball", 60, 0),),  # IMAGE_NOT_FOLLOWING
+    (Scene("another ball", 60, 6),),  # STALLED
     (Scene("arm", 59, 3),),  # NOT_FOLLOWING
     (Scene("robot", 5, 0), Scene("robot", 5, 9)),  # PROGRAM_STOPPED, PAUSE_OVER
     (Scene("robot", 5, 4),),  # SPEED_SCALING_ZERO

@@ -15,15 +15,22 @@ from test_excitation import motion_of, samples_of
 from fvs_estimator_node.chain_worker import ChainWorker, serve
 from fvs_estimator_node.knowledge import Findings, NothingYet, Question, Trouble
 
-#: A worker whose fits never end.
-HANGING = """
+#: A worker whose fits take their time.
+SLOW = """
 import time
 import fvs_estimator_node.chain_worker as worker
 from fvs_estimator_node.excitation import ChainExaminer
-ChainExaminer.findings = lambda self, question: time.sleep(100.0)
-worker._LONGEST_S = 1
+from fvs_estimator_node.knowledge import NothingYet
+def compute():
+    while True:
+        pass
+ChainExaminer.findings = lambda self, question: {what} or NothingYet()
+worker._PROCESSOR_S, worker._LONGEST_S = {processor_s}, {longest_s}
 worker.main()
 """
+HANGING = SLOW.format(what="compute()", processor_s=0.5, longest_s=20.0)
+STARVED = SLOW.format(what="time.sleep(100.0)", processor_s=20.0, longest_s=1.0)
+WAITING = SLOW.format(what="time.sleep(2.5)", processor_s=2.0, longest_s=20.0)
 
 #: One whose fits print, as libraries do.
 PRINTING = """
@@ -90,9 +97,18 @@ def test_it_answers_and_no_call_waits(make_worker):
         (("no such program",), "FileNotFoundError"),
         (("sh", "-c", "echo nonsense; cat > /dev/null"), "UnpicklingError"),
         ((sys.executable, "-c", ANSWERING_3), "3 is no answer"),
-        ((sys.executable, "-c", HANGING), "exit code -14"),
+        ((sys.executable, "-c", HANGING), "the fit hangs"),
+        ((sys.executable, "-c", STARVED), "the fit got too little of the processor"),
     ],
-    ids=["ends", "is killed", "is missing", "babbles", "gives no answer", "hangs in a fit"],
+    ids=[
+        "ends",
+        "is killed",
+        "is missing",
+        "babbles",
+        "gives no answer",
+        "hangs in a fit",
+        "starves",
+    ],
 )
 def test_a_process_that_fails_is_a_trouble_told_in_words(make_worker, command, words):
     worker = make_worker(*command)
@@ -100,6 +116,12 @@ def test_a_process_that_fails_is_a_trouble_told_in_words(make_worker, command, w
     answer = answer_of(worker)
     assert isinstance(answer, Trouble)
     assert words in answer.reason
+
+
+def test_a_fit_that_waits_for_the_processor_may_take_its_time(make_worker):
+    worker = make_worker(sys.executable, "-c", WAITING)
+    worker.ask(question())
+    assert answer_of(worker) == NothingYet()
 
 
 def test_what_a_fit_prints_does_not_get_into_the_answers(make_worker):
@@ -134,7 +156,8 @@ def test_an_error_of_the_fit_is_an_answer_and_the_end_of_the_input_ends_it():
     (answer,) = served(question(motion=None))
     assert isinstance(answer, Trouble)
     assert "AttributeError" in answer.reason
-    assert signal.alarm(0) == 0
+    for timer in (signal.ITIMER_PROF, signal.ITIMER_REAL):
+        assert signal.getitimer(timer) == (0.0, 0.0)
 
 
 def test_without_scipy_it_says_what_to_install(monkeypatch):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from fvs_controller_node import fusion as fusion_module
 from fvs_controller_node.fusion import AdaptiveFusion, FixedFusion, make_fusion
 
 
@@ -33,6 +34,18 @@ def test_at_rest_it_learns_the_noise_and_averages_it_away(sigma_m):
     assert error < 0.2 * sigma_m
     fixed = follow(FixedFusion(0.3), images, np.zeros((400, 3)))
     assert error < 0.5 * np.sqrt(np.mean((fixed[60:] - truth) ** 2))
+
+
+@pytest.mark.parametrize("sigma_m", [2e-4, 1e-3, 4e-3])
+def test_after_a_long_rest_it_states_the_deviation_that_it_has(sigma_m):
+    rng = np.random.default_rng(6)
+    images = sigma_m * rng.normal(size=(4000, 3))
+    fusion = AdaptiveFusion()
+    estimates = follow(fusion, images, np.zeros((4000, 3)))
+    rms = np.sqrt(np.mean(estimates[1000:] ** 2))
+    assert fusion.deviation_m == pytest.approx(rms, rel=0.35)
+    least = fusion_module._LEAST_GAIN
+    assert rms == pytest.approx(sigma_m * np.sqrt(least / (2.0 - least)), rel=0.15)
 
 
 def moving(wrong, sigma_m, rng, n=300):

@@ -11,33 +11,38 @@ HOME = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
 DT_S = 0.008
 FRAME = "camera_color_optical_frame"
 JACOBIAN = np.eye(3, 6) * 0.5
+_DRAWN = np.random.default_rng(2)
+CHAIN = SerialChain(_DRAWN.normal(size=(6, 3)), _DRAWN.normal(size=(6, 3)), np.ones(3), HOME)
 
 
 class Cell:
     """A loop that hears everything at 125 Hz."""
 
-    def __init__(self):
-        self.loop = build_loop(default_values())
-        self.now_s, self.joints = 10.0, HOME.copy()
+    def __init__(self, **values):
+        self.loop = build_loop(default_values(**values))
+        self.now_s, self.joints, self.jacobian = 10.0, HOME.copy(), JACOBIAN
 
     def tick(self, joints=None):
         self.now_s += DT_S
-        self.loop.add_jacobian(self.now_s, JACOBIAN)
+        self.loop.add_jacobian(self.now_s, self.jacobian)
         self.loop.add_joints(self.now_s, self.now_s, self.joints if joints is None else joints)
         self.loop.add_ball(self.now_s, self.now_s - 0.02, np.array([0.0, 0.0, 1.0]), FRAME)
         return self.loop.tick(self.now_s, DT_S)
+
+    def begin(self):
+        for _ in range(20):
+            self.tick()
+        assert self.loop.supervisor.target(np.array([0.2, 0.1, 1.2]), FRAME)[0]
+        assert self.loop.supervisor.start(self.now_s)[0]
+        for _ in range(20):
+            command = self.tick()
+        assert command.velocity_rad_s.any()
 
 
 @pytest.fixture
 def servoing():
     cell = Cell()
-    for _ in range(20):
-        cell.tick()
-    assert cell.loop.supervisor.target(np.array([0.2, 0.1, 1.2]), FRAME)[0]
-    assert cell.loop.supervisor.start(cell.now_s)[0]
-    for _ in range(20):
-        command = cell.tick()
-    assert command.velocity_rad_s.any()
+    cell.begin()
     return cell
 
 
@@ -68,33 +73,90 @@ def test_the_fastest_joint_of_a_robot_is_no_jump(servoing):
         assert servoing.tick().reason is not Reason.BAD_INPUT
 
 
-def test_a_chain_that_is_told_no_more_is_used_no_more(servoing):
-    chain = SerialChain(np.eye(6, 3) + 0.1, np.zeros((6, 3)), np.ones(3), HOME)
-    seen = []
-    law = servoing.loop.law
+def turned(chain, degrees):
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return chain.moved(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3))
+
+
+@pytest.fixture
+def reading():
+    """A loop whose law reads chains, on its way, and the chains that law was shown."""
+    cell = Cell(law="arrive")
+    cell.jacobian = CHAIN.jacobian(HOME)
+    cell.begin()
+    seen, law = [], cell.loop.law
     asked = law.command
     law.command = lambda one: (seen.append(one.chain), asked(one))[1]
-    servoing.loop.add_chain(servoing.now_s, chain)
-    servoing.tick()
-    assert seen[-1] is chain
+    return cell, seen
+
+
+def test_a_chain_that_is_told_no_more_is_used_no_more(reading):
+    cell, seen = reading
+    cell.loop.add_chain(cell.now_s, CHAIN)
+    cell.tick()
+    assert seen[-1] is CHAIN
     for _ in range(round(1.6 / DT_S)):
-        servoing.tick()
+        cell.tick()
     assert seen[-1] is None
 
 
-def test_a_bad_chain_is_told_by_its_name_and_held_until_good_ones_come_or_none(servoing):
-    loop = servoing.loop
-    chain = SerialChain(np.eye(6, 3) + 0.1, np.zeros((6, 3)), np.ones(3), HOME)
-    for heals in (lambda: loop.add_chain(servoing.now_s, chain), lambda: None):
-        loop.bad_chain(servoing.now_s, "it is no chain")
-        command = servoing.tick()
+def test_a_bad_chain_is_told_by_its_name_and_held_until_good_ones_come_or_none(reading):
+    cell, _ = reading
+    loop = cell.loop
+    for heals in (lambda: loop.add_chain(cell.now_s, CHAIN), lambda: None):
+        loop.bad_chain(cell.now_s, "it is no chain")
+        command = cell.tick()
         assert command.reason is Reason.BAD_INPUT
         assert command.text.startswith("kinematic_chain is not usable: it is no chain")
         assert not command.velocity_rad_s.any()
         for _ in range(round(1.6 / DT_S)):
             heals()
-            command = servoing.tick()
+            command = cell.tick()
         assert command.velocity_rad_s.any()
+
+
+def test_a_law_that_reads_no_chain_does_not_mind_a_bad_one(servoing):
+    servoing.loop.bad_chain(servoing.now_s, "it is no chain")
+    servoing.loop.add_chain(servoing.now_s, turned(CHAIN, 90.0))
+    for _ in range(20):
+        assert servoing.tick().velocity_rad_s.any()
+    assert not servoing.loop.remark
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        turned(CHAIN, 90.0),
+        turned(CHAIN, 45.0),
+        SerialChain(-CHAIN.axes, CHAIN.points_m, CHAIN.ball_m, HOME),
+        SerialChain(CHAIN.axes, np.tile(CHAIN.ball_m, (6, 1)), CHAIN.ball_m, HOME),
+    ],
+    ids=["turned", "turned less", "mirrored axes", "the ball on all axes"],
+)
+def test_a_chain_that_contradicts_the_jacobian_is_never_used_and_told(reading, wrong):
+    cell, seen = reading
+    for _ in range(10):
+        cell.loop.add_chain(cell.now_s, wrong)
+        assert cell.tick().velocity_rad_s.any()  # by the Jacobian
+        assert seen[-1] is None
+    assert cell.loop.remark.startswith("kinematic_chain is not used: it contradicts the Jacobian")
+    cell.loop.add_chain(cell.now_s, CHAIN)
+    cell.tick()
+    assert seen[-1] is CHAIN
+    assert not cell.loop.remark
+
+
+def test_a_chain_that_is_about_right_is_used_and_one_ahead_of_the_jacobian_is_not_blamed(reading):
+    cell, seen = reading
+    cell.loop.add_chain(cell.now_s, turned(CHAIN, 10.0))
+    cell.tick()
+    assert seen[-1] is not None
+    cell.loop.add_chain(cell.now_s, turned(CHAIN, 45.0))  # the camera was bumped
+    cell.tick()
+    assert not cell.loop.remark
+    cell.jacobian = turned(CHAIN, 45.0).jacobian(HOME)
+    cell.tick()
+    assert seen[-1] is not None
 
 
 def test_a_moving_target_is_tracked_and_the_watch_on_its_error_goes_on(servoing):
@@ -125,7 +187,7 @@ def test_a_target_that_is_told_again_and_again_hides_no_growing_error(servoing, 
         loop.add_jacobian(servoing.now_s, JACOBIAN)
         servoing.now_s += DT_S
         loop.add_joints(servoing.now_s, servoing.now_s, servoing.joints)
-        ball = np.array([0.0, 0.0, 1.0 - 0.04 * k * DT_S])
+        ball = np.array([0.0, 0.0, 1.0 - 0.1 * k * DT_S])
         loop.add_ball(servoing.now_s, servoing.now_s - 0.02, ball, FRAME)
         command = loop.tick(servoing.now_s, DT_S)
         servoing.joints = servoing.joints + DT_S * command.velocity_rad_s

@@ -836,7 +836,7 @@ def test_every_reason_can_be_said():
     numbers = dict.fromkeys(
         ["age_s", "limit_s", "value", "limit", "best_mm", "error_mm", "time_s"], 1.0
     )
-    numbers |= dict.fromkeys(["commanded_rad", "moved_rad"], 1.0)
+    numbers |= dict.fromkeys(["commanded_rad", "moved_rad", "predicted_mm", "seen_mm"], 1.0)
     words = dict.fromkeys(["name", "hint", "why", "count", "wanted", "joint"], "this")
     for reason in Reason:
         assert len(reason.because(**numbers, **words).text) > 10
