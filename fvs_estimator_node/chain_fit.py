@@ -8,7 +8,8 @@ non-linear least squares with the exact derivatives.
 The start comes from a cubic regression of the positions about the mean joints: there
 ``dx/dr_i = J_i`` and ``d2x/dr_i dr_j = w_i x J_j`` for j >= i, which is linear in the axes; and of
 several times ``tau`` one fits best. Joints that hardly move the ball say little about their axes;
-those are tried in several ways until the images fit as well as they fit each other.
+those are tried in several ways until the images fit as well as they fit each other, and the weakest
+once more on the ball's other side when all is fitted.
 """
 
 from __future__ import annotations
@@ -40,6 +41,9 @@ _SEARCH_SAMPLES, _STARTS = 400, 12
 _SEARCH_OFFSETS_S, _REGRESSIONS = np.linspace(-0.18, 0.18, 13), 6
 #: A start is right if its residual is below so many times that of the images themselves.
 _GOOD_SHARE = 1.5
+#: So many of the weakest joints are turned about once more when all is fitted, and the evaluations
+#: that each is given: the right side needs six or so, a wrong one has no end.
+_TURNED, _TURNED_EVALUATIONS = 2, 10
 #: A joint that moves the ball less says little about its axis, m/rad.
 _WEAK_M_RAD = 0.03
 #: How far off the coordinates may be where the data do not tell, standard deviations: rad, m, m, s.
@@ -353,15 +357,19 @@ class _Fitting:
 
     def finish(self, chain: SerialChain, offset_s: float) -> ChainFit:
         """Fit all images, each weighed by its noise along and across the line of sight."""
-        everything = np.arange(len(self._ball))
-        residual = self._residuals(chain, offset_s)
         for _ in range(2):
-            ray_m, lateral_m = _noise_by_direction(residual, self._ball)
-            whitening = _whitening(self._ball, ray_m, lateral_m)
-            chart = Chart(chain)
-            values, _ = self._solve(chart, offset_s, everything, whitening, 1.0, 2.0, 100)
-            chain, offset_s = chart.chain(values), float(values[OFFSET])
-            residual = self._residuals(chain, offset_s)
+            whitening = self._weighing(chain, offset_s)
+            chain, offset_s, cost = self._refined(chain, offset_s, whitening)
+        # A wrong optimum can fit nearly as well as the right one: noise hides a weak joint's bend.
+        for rank in range(_TURNED):
+            turned = self._refined(
+                _turned_about(chain, rank), offset_s, whitening, _TURNED_EVALUATIONS
+            )
+            if turned[2] < cost:
+                chain, offset_s, cost = turned
+                whitening = self._weighing(chain, offset_s)
+                chain, offset_s, cost = self._refined(chain, offset_s, whitening)
+        residual = self._residuals(chain, offset_s)
         ray_m, lateral_m = _noise_by_direction(residual, self._ball)
         white = (_whitening(self._ball, ray_m, lateral_m) @ residual[..., None])[..., 0]
         covariance = self._covariance(chain, offset_s, whitening, white)
@@ -377,6 +385,19 @@ class _Fitting:
             samples=len(residual),
             covariance=covariance,
         )
+
+    def _weighing(self, chain: SerialChain, offset_s: float) -> np.ndarray:
+        """Matrices (n, 3, 3) that weigh each image by the noise about a chain."""
+        residual = self._residuals(chain, offset_s)
+        return _whitening(self._ball, *_noise_by_direction(residual, self._ball))
+
+    def _refined(
+        self, chain: SerialChain, offset_s: float, whitening: np.ndarray, evaluations: int = 100
+    ) -> tuple[SerialChain, float, float]:
+        """Chain and offset at the optimum of all images, and its cost for an image."""
+        chart, everything = Chart(chain), np.arange(len(self._ball))
+        values, cost = self._solve(chart, offset_s, everything, whitening, 1.0, 2.0, evaluations)
+        return chart.chain(values), float(values[OFFSET]), cost
 
     def _change_noise_m(self, residual: np.ndarray) -> float:
         """Median length of the residuals, if all were as unlike as neighbours are, m."""

@@ -181,7 +181,8 @@ def report_structured(taught: TaughtModel, seconds: float) -> str:
         f"Jacobian of the chain, in the box of the data: {100 * taught.jacobian_deviation:.3f} % "
         "(standard deviation, by the noise)",
         f"six networks taught by it: {100 * taught.teaching_error:.2f} % off the chain (median)",
-        f"images stamped late: {1e3 * fit.time_offset_s:.1f} +- "
+        # + 0.0: no negative zero
+        f"images stamped late: {round(1e3 * fit.time_offset_s, 1) + 0.0:.1f} +- "
         f"{1e3 * fit.time_offset_deviation_s:.1f} ms",
         f"noise of a ball position: {1e3 * fit.ray_noise_m:.2f} mm along the line of sight, "
         f"{1e3 * fit.lateral_noise_m:.2f} mm across",

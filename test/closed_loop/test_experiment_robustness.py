@@ -17,7 +17,7 @@ from fvs_ros.apps.experiments import cluster, main, robustness
 from fvs_ros.apps.experiments.context import Context
 from fvs_ros.apps.experiments.report import Origin, write_page, write_report
 from fvs_ros.apps.experiments.robustness import CONTESTANTS
-from fvs_ros.apps.experiments.robustness_figures import DISTURBANCES, colours_of
+from fvs_ros.apps.experiments.robustness_figures import DISTURBANCES, colours_of, varied
 from fvs_ros.apps.experiments.robustness_runs import (
     DURATION_S,
     Contestant,
@@ -25,7 +25,6 @@ from fvs_ros.apps.experiments.robustness_runs import (
     judged,
     run_job,
     settled_by,
-    wilson,
     wins,
 )
 from fvs_ros.apps.experiments.robustness_verdicts import best_of, verdicts
@@ -37,6 +36,7 @@ from fvs_ros.apps.experiments.robustness_worlds import (
     StableNoise,
     draw_world,
 )
+from fvs_ros.apps.experiments.statistics import wilson
 from fvs_ros.apps.experiments.trials import NOT_STAYED, Bump, Outcome, Trial, drive, make_cases
 from fvs_ros.core.schemes import SCHEMES
 from fvs_sim_node.simulation import SimConfig, Simulation
@@ -88,6 +88,8 @@ def test_everyday_worlds_are_alike_but_for_start_target_and_camera():
         assert (world.noise_m, world.latency_s, world.image_loss) == (0.001, 0.05, 0.1)
         assert (world.bump, world.noise_exponent, world.joint_lag_s) == (None, WHITE, 0.0)
     assert len({world.turn_deg for world in worlds}) == len(worlds)
+    assert varied(worlds) == DISTURBANCES[:2]
+    assert varied(worlds[:1]) == DISTURBANCES[:1]
     assert len({world.case.start_rad for world in worlds}) == len(worlds)
 
 
@@ -213,12 +215,17 @@ def test_the_verdicts_follow_the_numbers():
     results = {one.name: outcomes(400, 200) for one in CONTESTANTS}
     results["ukf+mpc"] = outcomes(600, 0)
     assert best_of(CONTESTANTS, results).name == "ukf+mpc"
-    enough, lead, oracle = verdicts(CONTESTANTS, results)
-    assert (enough.holds, lead.holds, oracle.holds) == (True, True, False)
+    *enough, lead = verdicts(CONTESTANTS, results)
+    assert len(enough) == len(CONTESTANTS)
+    assert [one.claim for one in enough if one.holds] == [
+        "At least 99 % of the trials of ukf+mpc settle."
+    ]
+    assert "oracle" in enough[-1].claim
+    assert lead.holds
     assert "200 of the 200 worlds" in lead.finding
     results["proposed"] = outcomes(600, 0, 0.9)
     assert best_of(CONTESTANTS, results).name == "proposed"
-    assert verdicts(CONTESTANTS, results)[1].holds is None, "none differs from ukf+mpc"
+    assert verdicts(CONTESTANTS, results)[-1].holds is None, "none differs from ukf+mpc"
 
 
 def test_the_oracle_is_no_competitor():
@@ -264,6 +271,7 @@ def test_a_quick_run_makes_a_complete_report(tmp_path):
         "proposed": 2,
         "oracle, proportional": 2,
     }
+    assert "The oracle is told" in " ".join(report.setup)
     for figure in report.figures:
         assert (folder / figure.file).stat().st_size > 10_000
     for table in report.tables:

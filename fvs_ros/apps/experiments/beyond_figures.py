@@ -9,17 +9,24 @@ import numpy as np
 
 from fvs_ros.apps.experiments.beyond_camera import AT_REST, IN_MOTION
 from fvs_ros.apps.experiments.beyond_results import KEPT, Results
-from fvs_ros.apps.experiments.beyond_terms import FOLLOWERS, RACERS, WORLDS, times_s
+from fvs_ros.apps.experiments.beyond_terms import (
+    BEST,
+    EXTENDED,
+    FOLLOWERS,
+    PROPOSED,
+    RACERS,
+    WORLDS,
+    times_s,
+)
 from fvs_ros.apps.experiments.beyond_tracking import CIRCLE, LINE
 from fvs_ros.apps.experiments.style import COLOURS, pyplot, save
 
-_COLOURS = {**COLOURS, "extended": "#E69F00", "best": "#7A1FA2"}
 #: What never settles, or is slower than this, stands here.
 _SLOWEST_FLOORS, _SLOWEST_RATIO = 8.0, 4.0
 
 
 def _colour(name: str) -> str:
-    return _COLOURS[name.split(",", maxsplit=1)[0]]
+    return COLOURS[name.split(",", maxsplit=1)[0]]
 
 
 def minute(results: Results, folder: Path) -> str:
@@ -34,7 +41,7 @@ def minute(results: Results, folder: Path) -> str:
         "the paper's training, box M": [one.ridge_box for one in results.minutes],
         "the paper's training, workspace": [one.ridge_workspace for one in results.minutes],
     }
-    colours = ("#7A1FA2", "#7A1FA2", "#E69F00", "#E69F00", "#0072B2", "#0072B2")
+    colours = [COLOURS[name] for name in (BEST, EXTENDED, PROPOSED) for _ in range(2)]
     for place, (values, colour) in enumerate(zip(rows.values(), colours, strict=True)):
         filled = colour if place % 2 == 0 else "none"
         axis.scatter(

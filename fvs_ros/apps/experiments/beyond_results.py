@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from fvs_ros.apps.experiments.beyond_camera import IN_MOTION, UNDISTURBED, Arrival
 from fvs_ros.apps.experiments.beyond_minute import Learned
 from fvs_ros.apps.experiments.beyond_terms import times_s
@@ -38,6 +36,8 @@ class Results:
         Other worlds, by their number and contestant.
     pursuits : list of (Pursuit, Tracked)
         Moving targets.
+    calm_limit_rad_s : float
+        Jitter at rest that the search for calm allowed on its own cases, rad/s.
     checks : sequence of SpotCheck
         Through the real nodes.
     """
@@ -49,6 +49,7 @@ class Results:
     arrivals: dict[tuple[str, str], list[Arrival]]
     worlds: dict[tuple[int, str], list[Outcome]]
     pursuits: list[tuple[Pursuit, Tracked]]
+    calm_limit_rad_s: float
     checks: Sequence[SpotCheck] = ()
 
     def calmed_by(self, turned: str) -> dict[str, list[Outcome]]:
@@ -78,7 +79,8 @@ class Results:
         """Settling time with a blow to the camera over that without, case by case.
 
         From the last target on: at rest that is the second one, in mid-motion the second one given
-        anew, which is compared with what was left of the undisturbed run.
+        anew, which is compared with what was left of the undisturbed run. Not a number where
+        nothing was left, or the undisturbed run never settled.
         """
 
         def left_s(one: Arrival) -> float:
@@ -86,12 +88,12 @@ class Results:
 
         struck, calm = self.arrivals[moment, name], self.arrivals[UNDISTURBED, name]
         return [
-            left_s(one) / left_s(other) if np.isfinite(left_s(one)) else float("inf")
+            left_s(one) / left_s(other) if 0.0 < left_s(other) < float("inf") else float("nan")
             for one, other in zip(struck, calm, strict=True)
         ]
 
-    def kept_share(self, moment: str, name: str) -> tuple[int, int]:
-        """In how many cases of how many the pace was kept."""
+    def kept(self, moment: str, name: str) -> tuple[int, int]:
+        """In how many cases of how many the pace was kept; where it cannot be told, it was not."""
         ratios = self.slowdown(moment, name)
         return sum(ratio <= KEPT for ratio in ratios), len(ratios)
 

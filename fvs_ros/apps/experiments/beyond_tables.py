@@ -11,6 +11,7 @@ from fvs_ros.apps.experiments.beyond_camera import AT_REST, IN_MOTION, MOMENTS, 
 from fvs_ros.apps.experiments.beyond_results import KEPT, Results
 from fvs_ros.apps.experiments.beyond_terms import (
     FOLLOWERS,
+    SIGMA_M,
     WORLDS,
     times_s,
 )
@@ -18,10 +19,9 @@ from fvs_ros.apps.experiments.beyond_tracking import CIRCLE, LINE
 from fvs_ros.apps.experiments.report import Table
 from fvs_ros.apps.experiments.spot_check_words import spot_check_table
 from fvs_ros.apps.experiments.statistics import median
-from fvs_ros.apps.experiments.trials import Conditions, Outcome
+from fvs_ros.apps.experiments.trials import Outcome
 
 _TURNED = {GAINS: "its gains", FILTER: "its gains and image filter"}
-_SIGMA_M = Conditions.position_noise_m
 
 
 def tables(results: Results) -> list[Table]:
@@ -88,7 +88,7 @@ def _races(results: Results) -> Table:
     return Table(
         f"{len(results.floors_s)} cases with the same limits; the floor is "
         f"{median(results.floors_s).text()} s. Settled is to 5 mm; medians. σ is the sensor's "
-        f"white noise of {1e3 * _SIGMA_M:g} mm on each coordinate.",
+        f"white noise of {1e3 * SIGMA_M:g} mm on each coordinate.",
         [
             "scheme",
             "settling over floor",
@@ -108,7 +108,7 @@ def _race(name: str, outcomes: Sequence[Outcome], over_floor: Sequence[float]) -
         median(times_s(outcomes)).text(),
         f"{sum(not one.failure for one in outcomes)} of {len(outcomes)}",
         _middle([1e3 * one.jitter_rad_s for one in outcomes]),
-        _middle([one.final_rms_m / _SIGMA_M for one in outcomes]),
+        _middle([one.final_rms_m / SIGMA_M for one in outcomes]),
     ]
 
 
@@ -120,7 +120,7 @@ def _camera(results: Results) -> Table:
             arrivals = results.arrivals[moment, name]
             cells.append(_middle([one.settled_s for one in arrivals]))
         for moment in (AT_REST, IN_MOTION):
-            hits, count = results.kept_share(moment, name)
+            hits, count = results.kept(moment, name)
             cells += [median(results.slowdown(moment, name)).text(), f"{hits} of {count}"]
         rows.append(cells)
     return Table(

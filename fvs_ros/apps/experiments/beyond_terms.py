@@ -14,6 +14,8 @@ PROPOSED, EXTENDED, BEST = "proposed", "extended", "best"
 ORACLE, FROZEN = "oracle, proportional", "frozen"
 BEST_ORACLE = "oracle, law of best"
 
+#: White noise on each coordinate of the sensor, m.
+SIGMA_M = Conditions.position_noise_m
 #: Speed and acceleration limit of every joint, rad/s and rad/s^2; the nodes' defaults.
 SPEED_RAD_S, ACCELERATION_RAD_S2 = 1.0, 6.0
 LIMITS = {

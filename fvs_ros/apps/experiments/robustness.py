@@ -82,7 +82,7 @@ def run_in(context: Context, kind: Kind, title: str, question: str) -> Report:
         name=kind.name,
         title=title,
         question=question,
-        setup=_setup(kind, count, context.rendered),
+        setup=_setup(kind, count, context.rendered, contestants),
         figures=[
             Figure(
                 robustness_figures.success(folder, worlds, results),
@@ -183,7 +183,7 @@ def _kept(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _setup(kind: Kind, count: int, rendered: bool) -> list[str]:
+def _setup(kind: Kind, count: int, rendered: bool, contestants: Sequence[Contestant]) -> list[str]:
     def span(name: str, factor: float = 1.0) -> str:
         low, high = kind.ranges[name]
         return f"{factor * low:g}" if low == high else f"{factor * low:g} to {factor * high:g}"
@@ -199,6 +199,10 @@ def _setup(kind: Kind, count: int, rendered: bool) -> list[str]:
         f"{span('bump_shift_m', 1e3)} mm, and the target is given anew in the new view."
     )
     camera = "rendered images" if rendered else "the simulator's true positions"
+    told = (
+        " The oracle is told the true Jacobian, at once after a bump too: what it cannot do is not "
+        "the estimator's fault."
+    )
     return [
         f"{count} worlds, each a pure function of its number. Start and target are "
         f"{DISTANCE_M[0]:g} to {DISTANCE_M[1]:g} m apart. Evenly drawn are: how far the camera has "
@@ -208,13 +212,14 @@ def _setup(kind: Kind, count: int, rendered: bool) -> list[str]:
         f"({span('image_loss', 100)} %), further joint lag ({span('joint_lag_s', 1e3)} ms)."
         f"{heavy if kind.heavy_share else ''}{bumped if kind.bumped_share else ''} The ball "
         "can be seen at start and target, before and after.",
-        "Fairness: every scheme meets the same worlds, noise included, with the defaults of the "
+        f"Who ran: {'; '.join(one.name for one in contestants)}. All meet the same worlds, noise "
+        "included, with the defaults of the "
         f"nodes; nothing is tuned here. Ball positions come from {camera}. A trial lasts "
         f"{DURATION_S:g} s. It is a success if the true ball stays within 5 mm of the target for "
         f"at least the last {REST_S:g} s; a run that does not counts as infinitely slow. Times "
         "count from the target on, a bump included. "
-        "Intervals of shares are Wilson's, 95 %. The oracle is told the true Jacobian, at once "
-        "after a bump too: what it cannot do is not the estimator's fault.",
+        "Intervals of shares are Wilson's, 95 %."
+        f"{told if any(one.knows_truth for one in contestants) else ''}",
         f"Any trial can be seen alone: fvs_experiments {kind.name} --trial NUMBER, and --scheme "
         "NAME for one scheme of it. It prints the world and what came of it, and draws the error "
         "over time.",
@@ -237,7 +242,7 @@ def _table(results: Mapping[str, Sequence[Outcome]]) -> Table:
             ]
         )
     return Table(
-        f"All schemes in the same {len(next(iter(results.values())))} worlds; medians. Jitter and "
+        f"{len(next(iter(results.values())))} worlds, the same for all; medians. Jitter and "
         "path are of the runs that settled, as an arm that is held neither shakes nor moves.",
         [
             "scheme",

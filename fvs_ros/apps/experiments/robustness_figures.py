@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from fvs_ros.apps.experiments.style import COLOURS, pyplot, save
 from fvs_ros.apps.experiments.trials import BOUNDS_M, Outcome
 
 #: For contestants that have no colour of their own in the laboratory.
-_SPARE = ("#E69F00", "#56B4E9", "#8C564B", "#999999")
+_SPARE = ("#56B4E9", "#8C564B", "#999999")
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,14 @@ DISTURBANCES = (
 Results = Mapping[str, Sequence[Outcome]]
 
 
+def varied(worlds: Sequence[World]) -> tuple[Disturbance, ...]:
+    """The disturbances that differ from world to world; the first one if none does."""
+    return (
+        tuple(one for one in DISTURBANCES if len({one.value(world) for world in worlds}) > 1)
+        or DISTURBANCES[:1]
+    )
+
+
 def success(folder: Path, worlds: Sequence[World], results: Results) -> str:
     """Draw success rates against each disturbance; returns the file's name."""
 
@@ -108,9 +117,21 @@ def _panels(
 ) -> str:
     """Draw a panel a disturbance: a value and the ends of its bar for each bin and contestant."""
     plt = pyplot()
-    figure, axes = plt.subplots(2, 4, figsize=(13.0, 6.6), sharey=True, layout="constrained")
+    panels = varied(worlds)
+    columns = min(len(panels), 4)
+    rows = math.ceil(len(panels) / columns)
+    figure, axes = plt.subplots(
+        rows,
+        columns,
+        figsize=(3.25 * columns, 3.3 * rows),
+        sharey=True,
+        squeeze=False,
+        layout="constrained",
+    )
+    for axis in axes.flat[len(panels) :]:
+        axis.set_visible(False)
     colours = colours_of(list(results))
-    for axis, disturbance in zip(axes.flat, DISTURBANCES, strict=True):
+    for axis, disturbance in zip(axes.flat, panels, strict=False):
         bins = [disturbance.bin_of(world) for world in worlds]
         for place, (name, outcomes) in enumerate(results.items()):
             shift = min(0.12, 0.8 / len(results)) * (place - 0.5 * (len(results) - 1))
@@ -145,7 +166,7 @@ def _panels(
     handles = [
         plt.Line2D([], [], color=colour, marker="o", label=name) for name, colour in colours.items()
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncol=len(handles))
+    figure.legend(handles=handles, loc="outside lower center", ncol=2 * columns)
     save(figure, path)
     return path.name
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fvs_ros.apps.experiments.robustness_worlds import World
-from fvs_ros.apps.experiments.statistics import Interval
+from fvs_ros.apps.experiments.statistics import Interval, wilson
 from fvs_ros.apps.experiments.trials import (
     NOT_STAYED,
     REST_S,
@@ -106,25 +106,6 @@ def judged(outcome: Outcome) -> Outcome:
 def success_rate(outcomes: Sequence[Outcome]) -> Interval:
     """Share of the runs that settled, with its interval."""
     return wilson(sum(not one.failure for one in outcomes), len(outcomes))
-
-
-def wilson(hits: int, count: int) -> Interval:
-    """A share and Wilson's 95 % interval, which holds near 0 and 1 as well.
-
-    Parameters
-    ----------
-    hits, count : int
-        So many of so many; at least one.
-    """
-    z = 1.959964
-    share = hits / count
-    middle = (share + z * z / (2 * count)) / (1 + z * z / count)
-    half = z * math.sqrt(share * (1 - share) / count + (z / (2 * count)) ** 2)
-    half /= 1 + z * z / count
-    # At 0 and 1 the end is the share itself, but for rounding.
-    low = 0.0 if hits == 0 else middle - half
-    high = 1.0 if hits == count else middle + half
-    return Interval(share, low, high, count)
 
 
 def wins(ones: Sequence[Outcome], others: Sequence[Outcome]) -> Interval | None:

@@ -31,16 +31,16 @@ def best_of(contestants: Sequence[Contestant], results: Results) -> Contestant:
 
 
 def verdicts(contestants: Sequence[Contestant], results: Results) -> list[Verdict]:
-    """Judge the best competitor, its lead over the paper's schemes, and what the truth is worth."""
-    truth = [one for one in contestants if one.knows_truth]
-    if len(truth) == len(contestants):
-        return [_enough(one.name, results[one.name]) for one in truth]
+    """Judge everybody, and the lead of the best competitor over the paper's schemes."""
+    found = [
+        _enough(one.name, results[one.name])
+        for one in sorted(contestants, key=lambda one: one.knows_truth)
+    ]
+    if all(one.knows_truth for one in contestants):
+        return found
     best = best_of(contestants, results)
     rivals = [one for one in contestants if one.of_paper and one is not best]
-    found = [_enough(best.name, results[best.name])]
-    if rivals:
-        found.append(_lead(best, rivals, results))
-    return found + [_enough(one.name, results[one.name]) for one in truth]
+    return [*found, _lead(best, rivals, results)] if rivals else found
 
 
 def rate_text(rate: Interval) -> str:

@@ -1,7 +1,8 @@
-"""Medians with intervals, and ratios of medians, for paired runs where some never settle."""
+"""Medians, their ratios, and shares, with intervals, for paired runs where some never settle."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -108,6 +109,25 @@ def ratio_of_medians(numerator: Sequence[float], denominator: Sequence[float]) -
     ratios = _ratio(_median(above[chosen]), _median(below[chosen]))
     middle = float(_ratio(_median(above), _median(below)))
     return Interval(middle, *_ends(ratios), above.size)
+
+
+def wilson(hits: int, count: int) -> Interval:
+    """A share and Wilson's 95 % interval, which holds near 0 and 1 as well.
+
+    Parameters
+    ----------
+    hits, count : int
+        So many of so many; at least one.
+    """
+    z = 1.959964
+    share = hits / count
+    middle = (share + z * z / (2 * count)) / (1 + z * z / count)
+    half = z * math.sqrt(share * (1 - share) / count + (z / (2 * count)) ** 2)
+    half /= 1 + z * z / count
+    # At 0 and 1 the end is the share itself, but for rounding.
+    low = 0.0 if hits == 0 else middle - half
+    high = 1.0 if hits == count else middle + half
+    return Interval(share, low, high, count)
 
 
 def _resamples(count: int) -> np.ndarray:
