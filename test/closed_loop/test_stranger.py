@@ -22,6 +22,6 @@ def test_a_stranger_is_learned_in_two_minutes_and_served(seed, rate_hz):
     model = train(data, TrainingOptions(method="ridge")).trained.model
     rng = np.random.default_rng(seed)
     assert jacobian_error(model, stranger, rng) < 0.06
-    for arrival in servo(stranger, model, draw_targets(stranger, rng)):
+    for arrival in servo(stranger, model, draw_targets(stranger, rng, count=3)):
         assert arrival.settled_s < 2.0
         assert arrival.final_rms_m < 0.0015

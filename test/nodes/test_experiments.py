@@ -40,6 +40,6 @@ def test_quick_mode_makes_a_complete_page_with_nodes_beside_it(tmp_path):
     (check,) = report["data"]["spot_check"]
     assert check["problem"] == ""
     assert len(check["nodes_s"]) == 1
-    assert len(check["lock_step_s"]) == 4
+    assert len(check["lock_step_s"]) == 2
     assert all(len(times) == 1 for times in check["lock_step_s"])
     assert None not in check["nodes_s"]

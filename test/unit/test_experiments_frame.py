@@ -202,7 +202,7 @@ def test_what_was_tried_elsewhere_counts_if_it_keeps_the_limit():
 def test_the_search_finds_the_gain_and_is_repeatable(tmp_path):
     """From the middle of the range, 1.7 1/s, up to where the speed limit rules."""
     knobs = (Knob("proportional_gain_1_s", 0.1, 30.0), Knob("damping", 1e-6, 1e-3))
-    search = Search("one", "rbf", "proportional", knobs, duration_s=3.0)
+    search = Search("one", "rbf", "proportional", knobs, duration_s=2.0)
     cases = make_cases("T", 1, 5)
     context = Context(tmp_path, jobs=1, rendered=False)
     one, again = (

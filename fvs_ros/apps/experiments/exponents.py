@@ -40,7 +40,7 @@ from fvs_ros.apps.experiments.trials import (
 
 NAME = "exponents"
 SEED = 301
-DURATION_S, QUICK_DURATION_S = 4.0, 2.4
+DURATION_S, QUICK_DURATION_S = 4.0, 1.6
 
 
 def run(context: Context) -> Report:

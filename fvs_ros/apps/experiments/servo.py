@@ -359,7 +359,7 @@ def _check(
         # The nodes have a rendered camera, whatever the laboratory uses.
         trial = found[regime.name, name].trial(scoring[0], Conditions(), regime.duration_s)
         domain = 1 + (os.getpid() + number) % 100
-        seeds = 4 if context.quick else 6
+        seeds = 2 if context.quick else 6
         checks.append(spot_check(context, name, trial, scoring[:_SHOWN], domain, seeds))
     return checks
 
