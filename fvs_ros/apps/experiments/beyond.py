@@ -194,7 +194,7 @@ def _pursuits(context: Context, count: int) -> list[tuple[Pursuit, Tracked]]:
         for path in draw_paths(count, _PATHS_SEED)
         for speed_m_s in (SPEEDS_M_S[2:3] if context.quick else SPEEDS_M_S)
         for feed_forward in (True, False)
-        for name in (FOLLOWERS[:1] if context.quick else FOLLOWERS)
+        for name in FOLLOWERS
     ]
     tracked = context.map(run_pursuit, pursuits, "moving targets")
     return list(zip(pursuits, tracked, strict=True))
