@@ -22,8 +22,6 @@ from fvs_sim_node.rendering import CameraPose, Renderer
 from fvs_sim_node.simulation import Frame, SimConfig, build_world
 
 _STOP_S = 2.0
-#: Behind the simulation; but somebody looks.
-_NICE = 10
 
 
 @dataclass(frozen=True)
@@ -105,7 +103,7 @@ class FrameWorker:
 def _work(pipe: Connection, config: SimConfig) -> None:
     # Ctrl-C reaches the whole terminal group; this process ends with its pipe.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    step_back(_NICE, own_session=True)
+    step_back(own_session=True)
     world = build_world(config)
     renderer = Renderer(world.client, config.intrinsics)
     rng = np.random.default_rng(config.seed)

@@ -13,7 +13,7 @@ PARAMETERS = (
         "address the page is served at; 0.0.0.0 lets whoever reaches it move the arm",
     ),
     Parameter("port", 8080, "port of the page; 0 takes any free one", minimum=0, maximum=65535),
-    Parameter("rate_hz", 12.0, "pictures a second", minimum=1.0, maximum=30.0),
+    Parameter("rate_hz", 10.0, "pictures a second", minimum=1.0, maximum=30.0),
     Parameter("feature_frame", CAMERA_FRAME, "frame of ball and target"),
     *JOINT_PARAMETERS,
     Parameter("trail_s", 6.0, "so much of the ball's way is drawn", minimum=0.0, maximum=60.0),
