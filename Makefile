@@ -37,12 +37,12 @@ dashboard: $(VENV)/.installed-dashboard log-dir ## the same arm, watched and dri
 	@$(BIN)/fvs_launch config/dashboard.yaml $(ARGS)
 
 test: $(VENV)/.installed-all log-dir ## all tests
-	@echo "== tests: a few minutes"
+	@echo "== tests: about a quarter of an hour on two cores"
 	@ROS_PYTHON_CHECK_FIELDS=1 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST \
 		$(BIN)/python -m pytest -n 2 $(ARGS)
 
 experiments: $(VENV)/.installed-lab log-dir ## the paper's experiments, measured anew; page in out/experiments
-	@echo "== experiments: a quarter of an hour on two cores; ARGS=--quick takes a minute or two"
+	@echo "== experiments: some forty minutes on two cores; ARGS=--quick takes two or three"
 	@ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST \
 		$(BIN)/fvs_experiments $(or $(NAME),all) $(ARGS)
 
