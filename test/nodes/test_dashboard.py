@@ -87,6 +87,14 @@ def set_target(harness, page, position):
     page.press("Go")
 
 
+def start(harness, page):
+    """Have the arm servo where it stands."""
+    page.press("Set current as target")
+    wait_for_state(harness, page, "READY")
+    page.press("Start")
+    wait_for_state(harness, page, "SERVOING")
+
+
 def test_the_page_is_served_and_says_where(ros_test):
     process = ros_test.start_node(DASHBOARD, port=0)
     address = address_of(ros_test, process)
@@ -140,10 +148,7 @@ def test_a_host_that_is_not_here_is_said_in_one_sentence(ros_test):
 def test_the_arm_goes_where_the_page_says_and_stops_at_a_press(loop):
     harness, robot, _, _, page = loop
     wait_for_state(harness, page, "WAITING")
-    page.press("Set current as target")
-    wait_for_state(harness, page, "READY")
-    page.press("Start")
-    wait_for_state(harness, page, "SERVOING")
+    start(harness, page)
     target = robot.ball + np.array([0.1, -0.05, 0.05])
     set_target(harness, page, target)
     harness.spin_until(robot.moving, what="the arm to move")
@@ -182,10 +187,7 @@ def test_numbers_that_are_typed_wait_for_their_button(loop):
 
 def test_a_dragged_target_is_followed_and_dropped(loop):
     harness, robot, _, _, page = loop
-    page.press("Set current as target")
-    wait_for_state(harness, page, "READY")
-    page.press("Start")
-    wait_for_state(harness, page, "SERVOING")
+    start(harness, page)
     wanted = tuple(float(value) for value in robot.ball + [0.06, 0.0, 0.0])
     halfway = tuple(float(value) for value in robot.ball + [0.03, 0.0, 0.0])
     page.drag_target(halfway, wanted)
@@ -250,10 +252,7 @@ def test_a_target_is_for_the_controller_that_was_there(loop):
 
 def test_a_stop_is_heard_while_others_want_the_processor(loop):
     harness, robot, _, _, page = loop
-    page.press("Set current as target")
-    wait_for_state(harness, page, "READY")
-    page.press("Start")
-    wait_for_state(harness, page, "SERVOING")
+    start(harness, page)
     busy = [
         subprocess.Popen([sys.executable, "-c", "while True: pass"], start_new_session=True)
         for _ in range(os.cpu_count() or 1)
@@ -272,10 +271,7 @@ def test_a_stop_is_heard_while_others_want_the_processor(loop):
 
 def test_a_stop_is_repeated_until_it_is_answered(loop):
     harness, _, controller, _, page = loop
-    page.press("Set current as target")
-    wait_for_state(harness, page, "READY")
-    page.press("Start")
-    wait_for_state(harness, page, "SERVOING")
+    start(harness, page)
     controller.send_signal(signal.SIGSTOP)
     page.press("Stop")
     harness.spin_until(lambda: "does not answer yet" in page.text(), what="words")
