@@ -35,12 +35,12 @@ from std_msgs.msg import Float64MultiArray  # noqa: E402
 
 from fvs_estimator_node.model_file import load_model  # noqa: E402
 from fvs_ros.apps.demo import choose_target  # noqa: E402
+from fvs_ros.apps.scenario import load_scenario  # noqa: E402
 from fvs_ros.core import ros  # noqa: E402
 from fvs_ros.core.paths import find_file  # noqa: E402
 
 DASHBOARD = "fvs_ros.apps.dashboard.dashboard_node"
-#: As in config/dashboard.yaml.
-PICTURES_HZ = 4.0
+PICTURES_HZ = load_scenario("dashboard").parameters["fvs_sim_node"]["full_frame_rate_hz"]
 PERIOD_S, BLOCK_S, SETTLE_S, TARGET_S = 0.008, 8.0, 2.0, 3.0
 _CLIENT = "import sys, time, page_client as p; p.PageClient(sys.argv[1]); time.sleep(600.0)"
 CONDITIONS = ("no page", "page, nobody looks", "page, a client looks")

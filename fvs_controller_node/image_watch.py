@@ -63,10 +63,12 @@ class ImageWatch:
 
     def __init__(self) -> None:
         self._images: deque[Image] = deque()
+        self._unmoved: Unmoved | None = None  # judged once an image: ticks are more frequent
 
     def restart(self) -> None:
         """Begin anew: a start."""
         self._images.clear()
+        self._unmoved = None
 
     def add(self, image: Image) -> None:
         """Tell the newest image; one that was told already changes nothing."""
@@ -79,6 +81,7 @@ class ImageWatch:
         self._images.append(image)
         while len(self._images) > 1 and self._can_spare_the_oldest():
             self._images.popleft()
+        self._unmoved = self._judged()
 
     def _can_spare_the_oldest(self) -> bool:
         second, newest = self._images[1], self._images[-1]
@@ -92,6 +95,9 @@ class ImageWatch:
     @property
     def unmoved(self) -> Unmoved | None:
         """The ball that does not follow; None while it does, or too little moves to say."""
+        return self._unmoved
+
+    def _judged(self) -> Unmoved | None:
         if len(self._images) < 2:
             return None
         time_s = self._images[-1].stamp_s - self._images[0].stamp_s
