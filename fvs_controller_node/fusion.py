@@ -24,6 +24,8 @@ _WRONG, _LEAST_WRONG, _MOST_WRONG = 0.1, 0.005, 0.5
 _STILL_M, _MOVED_M = 1e-3, 4e-3
 #: Share of a new squared innovation in what is learned, after the first so many images.
 _SHARE, _FIRST = 0.03, 5.0
+#: The same for the prediction where all that was learned of it is to be learned anew.
+_FIRST_MOVING = 2.0
 #: An innovation counts for at most so many variances in what is learned.
 _CLIP = 9.0
 #: The gain never falls below this: what is at rest may still drift.
@@ -69,6 +71,9 @@ class FixedFusion:
     def restart(self) -> None:
         """Forget the estimate's past: it begins with an image."""
 
+    def doubt(self) -> None:
+        """Camera or ball was moved: nothing, for nothing was learned of the prediction."""
+
     def agree(self, first_m: np.ndarray, second_m: np.ndarray, motion_m: np.ndarray) -> bool:
         """Whether two outliers in a row, m, (3,), say the same: no, there is no saying."""
         return False
@@ -104,7 +109,7 @@ class AdaptiveFusion:
     def __init__(self) -> None:
         self._noise2 = _NOISE_M**2
         self._wrong2 = _WRONG**2
-        self._seen = 0.0
+        self._seen, self._seen_moving = 0.0, 1.0 / _SHARE
         self.restart()
 
     @property
@@ -125,6 +130,14 @@ class AdaptiveFusion:
     def restart(self) -> None:
         """Forget the estimate's past: it begins with an image. What was learned stays."""
         self._variance = self._noise2
+
+    def doubt(self) -> None:
+        """Camera or ball was moved: how wrong the prediction is now must be learned anew.
+
+        Until the estimator has followed, whole images' worth of motion may be wrong. A filter that
+        goes on believing the prediction would keep that error long after the Jacobian is right.
+        """
+        self._wrong2, self._seen_moving = _MOST_WRONG**2, 0.0
 
     def agree(self, first_m: np.ndarray, second_m: np.ndarray, motion_m: np.ndarray) -> bool:
         """Whether two outliers in a row, m, (3,), say the same: that camera or ball was moved.
@@ -159,7 +172,9 @@ class AdaptiveFusion:
         elif moved > _MOVED_M:
             # One coordinate's share of the error, over the whole motion.
             wrong2 = (square - before - self._noise2) / (moved * moved)
-            self._wrong2 += _SHARE * (wrong2 - self._wrong2)
+            self._seen_moving += 1.0
+            share = max(_SHARE, 1.0 / (_FIRST_MOVING + self._seen_moving))
+            self._wrong2 += share * (wrong2 - self._wrong2)
             self._wrong2 = min(max(self._wrong2, _LEAST_WRONG**2), _MOST_WRONG**2)
 
 

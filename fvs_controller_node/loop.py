@@ -68,6 +68,7 @@ class ServoLoop:
         self._chain: SerialChain | None = None
         self._chain_s = -inf
         self._chain_doubts = 0  # how often in a row the two contradicted each other
+        self._compared = -1  # at which image they were compared last
         self._stamp_s = 0.0
         self._moves = 0  # of the target
         self._target_m_s = _STANDING
@@ -119,7 +120,9 @@ class ServoLoop:
         """Tell the estimated Jacobian (3, 6), m/rad, and its arrival."""
         if self.supervisor.jacobian(now_s, jacobian):
             self._jacobian = np.array(jacobian, dtype=float)
-            self._compare_chain()
+            # What is believed is looked at again with each image, what is doubted at once.
+            if self._chain_doubts or self.predictor.images != self._compared:
+                self._compare_chain()
 
     def add_chain(self, now_s: float, chain: SerialChain) -> None:
         """Tell the forward model as the camera sees it now, and its arrival."""
@@ -129,6 +132,7 @@ class ServoLoop:
             self._compare_chain()
 
     def _compare_chain(self) -> None:
+        self._compared = self.predictor.images
         chain, joints, jacobian = self._chain, self._joints, self._jacobian
         if chain is None or joints is None or jacobian is None:
             self._chain_doubts = 0

@@ -208,6 +208,7 @@ class BallPredictor:
         agreed = before is not None and self._fusion.agree(before, innovation, motion)
         if agreed or self._outliers >= self._outlier_repeats:
             self._believe(position)
+            self._fusion.doubt()
 
     def _believe(self, position: np.ndarray) -> None:
         self._estimate = position.copy()

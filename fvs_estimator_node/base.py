@@ -109,6 +109,11 @@ class Estimator(ABC):
         return {}
 
 
+#: A ball that went further than predicted by this, m, in one step and no other of so many: the
+#: camera was bumped. The Jacobian's errors come again.
+_JUMP_M, _JUMP_STEPS = 0.04, 10
+
+
 class PredictionMonitor:
     """How well the Jacobian predicts the ball, judged before it learns from the step.
 
@@ -117,6 +122,8 @@ class PredictionMonitor:
     time, until the joints have moved ``base_rad``; sum against sum, the noise of the positions in
     between cancels. A base in which the ball neither moved nor was predicted to move by
     ``min_ball_motion_m`` (say, only joint 6 turned) is counted in the error, not in the ratio.
+    A single jump of the ball in its view is a bump of the camera, and is not counted either: it
+    would outweigh all steps for seconds, although no Jacobian has anything to do with it.
 
     Parameters
     ----------
@@ -149,12 +156,14 @@ class PredictionMonitor:
         self._ratio_error = 0.0
         self._ratio_motion = 0.0
         self._last_stamp_s: float | None = None
+        self._since_jump = _JUMP_STEPS
         self._start_base()
 
     def _start_base(self) -> None:
         self._moved_rad = np.zeros(6)
         self._ball_m = np.zeros(3)
         self._predicted_m = np.zeros(3)
+        self._jump: tuple[np.ndarray, np.ndarray] | None = None  # seen and predicted, not counted
 
     @property
     def count(self) -> int:
@@ -193,8 +202,18 @@ class PredictionMonitor:
         if not (np.all(np.isfinite(predicted)) and np.all(np.isfinite(step.d_ball_m))):
             self._start_base()
             return
+        seen = step.d_ball_m
+        self._since_jump += 1
+        if _length(seen) - _length(predicted) > _JUMP_M:
+            since, self._since_jump = self._since_jump, 0
+            if since > _JUMP_STEPS:
+                self._jump = seen, predicted
+                return
+            if self._jump is not None:  # another one: it was none of the camera's
+                seen, predicted = seen + self._jump[0], predicted + self._jump[1]
+        self._jump = None
         self._moved_rad += np.abs(step.d_joints_rad)
-        self._ball_m += step.d_ball_m
+        self._ball_m += seen
         self._predicted_m += predicted
         if self._moved_rad.max() >= self._base_rad:
             self._judge()
@@ -214,3 +233,7 @@ class PredictionMonitor:
             weight = max(self._forget, 1.0 / self._ratio_count)
             self._ratio_error += weight * (squared_error - self._ratio_error)
             self._ratio_motion += weight * (motion - self._ratio_motion)
+
+
+def _length(vector: np.ndarray) -> float:
+    return math.sqrt(float(vector @ vector))

@@ -8,7 +8,9 @@ where the update law (17) learns along the path only. With ``u = J_rbf dr`` of e
 
 Old steps fade with the way that the ball has gone since, not with time: near the target, where
 steps are small and noisy, little is learned and little forgotten. Steps along one line need no
-small noise: in their sum the positions in between cancel.
+small noise: in their sum the positions in between cancel. Where the camera was bumped, old steps
+say nothing any more: a step far too long tells, or the next few that fit another rotation
+(:mod:`fvs_estimator_node.turn_watch`).
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ import numpy as np
 from fvs_estimator_node.base import MotionStep
 from fvs_estimator_node.camera_motion import nearest_rotation, rotation_angle_rad
 from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfModel
+from fvs_estimator_node.turn_watch import TurnWatch
 from fvs_ros.core.params import Parameter
 
 ROTATION, MATRIX = "rotation", "matrix"
@@ -149,6 +152,7 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         self._updates = 0
         self._refused = 0
         self._bumps = 0
+        self._watch = TurnWatch()
         self._begin(self._config.trust_m)
 
     def _begin(self, trust_m: float) -> None:
@@ -169,6 +173,7 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         """Learn from one step; too little motion or anything not finite changes nothing."""
         config = self._config
         if np.abs(step.d_joints_rad).max() < config.min_motion_rad:
+            self._watch.rest(step.d_ball_m)
             return
         predicted = super().jacobian(step.joints_rad) @ step.d_joints_rad
         predicted_m2 = float(predicted.dot(predicted))
@@ -180,19 +185,29 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         way_m = math.sqrt(predicted_m2)
         if math.sqrt(seen_m2) - way_m > config.bump_m:
             self._bumps += 1
+            self._watch.clear()
             self._begin(config.bumped_trust_m)
             return
-        keep = math.exp(-way_m / config.memory_m)
+        turned = self._watch.add(self._factor, predicted, step.d_ball_m)
+        if turned:
+            self._bumps += 1
+            self._begin(config.bumped_trust_m)
+        for one in turned or [(predicted, step.d_ball_m)]:
+            self._learn(*one)
+        self._updates += 1
+
+    def _learn(self, predicted: np.ndarray, seen: np.ndarray) -> None:
+        config = self._config
+        keep = math.exp(-(float(predicted.dot(predicted)) ** 0.5) / config.memory_m)
         # The little that is put back of the factor so far keeps what the steps do not tell,
         # however long they go along one line.
         floor = (1.0 - keep) * config.bumped_trust_m**2
-        self._cross = keep * self._cross + floor * self._factor + step.d_ball_m[:, None] * predicted
+        self._cross = keep * self._cross + floor * self._factor + seen[:, None] * predicted
         self._gram = keep * self._gram + floor * _IDENTITY + predicted[:, None] * predicted
         if config.kind == ROTATION:
             self._factor = nearest_rotation(self._cross)
         else:
             self._factor = np.linalg.solve(self._gram, self._cross.T).T
-        self._updates += 1
 
     def status_values(self) -> dict[str, float]:
         """Counts, and how far the factor turns the networks' Jacobian."""

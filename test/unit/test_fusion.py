@@ -81,6 +81,26 @@ def test_in_motion_it_is_no_worse_than_the_best_fixed_share(wrong):
     assert adaptive < 1.3 * min(rms.values())
 
 
+def test_after_a_doubt_it_follows_the_images_until_the_prediction_is_right_again():
+    rng = np.random.default_rng(7)
+    fusion = AdaptiveFusion()
+    _, images, motions = moving(0.0, 5e-4, rng)
+    follow(fusion, images, motions)
+    trusting = fusion.wrong_share
+    truth, images, motions = moving(0.4, 5e-4, rng, n=30)
+    errors = []
+    for doubts in (False, True):
+        if doubts:
+            fusion.doubt()
+        else:
+            fusion._wrong2 = trusting**2
+        errors.append(np.abs(follow(fusion, images, motions)[:10] - truth[1:11]).max())
+    assert errors[1] < 0.5 * errors[0]
+    _, images, motions = moving(0.0, 5e-4, rng, n=60)
+    follow(fusion, images, motions)
+    assert fusion.wrong_share < 0.2
+
+
 @pytest.mark.parametrize("make", [AdaptiveFusion, FixedFusion])
 def test_an_outlier_changes_nothing(make):
     rng = np.random.default_rng(4)

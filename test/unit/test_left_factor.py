@@ -129,6 +129,19 @@ def test_a_bump_is_not_learned_from_but_noted(model, kind):
     assert error_of(estimator, chain) < 0.2
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_turn_that_hardly_moves_the_ball_in_view_is_seen_by_the_next_steps(model, kind):
+    estimator, rng = estimator_of(model, kind), np.random.default_rng(3)
+    chain = ur5_chain()
+    travel(estimator, chain, 1.0, rng)  # much that speaks for a camera as it was
+    assert estimator.status_values()["camera_bumps"] == 0.0
+    home = chain.position(ur5_dh.HOME_RAD)
+    turned = chain.moved(TURNED, home - TURNED @ home)  # about the ball
+    travel(estimator, turned, 0.08, rng)
+    assert estimator.status_values()["camera_bumps"] == 1.0
+    assert error_of(estimator, turned) < 0.4
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_what_is_not_finite_or_too_little_teaches_nothing_and_reset_forgets(model, bad):
     estimator, home = estimator_of(model), ur5_dh.HOME_RAD

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -215,6 +216,34 @@ def test_the_monitor_has_no_ratio_when_the_ball_need_not_move():
     assert monitor.count == 100
     assert monitor.rms_m < 3e-3
     assert monitor.ratio is None
+
+
+def jumping(steps, at, by_m):
+    """The steps, with the ball put elsewhere in one of them, and back in the next if told so."""
+    return [
+        replace(step, d_ball_m=step.d_ball_m + by_m[k - at]) if 0 <= k - at < len(by_m) else step
+        for k, step in enumerate(steps)
+    ]
+
+
+def test_a_bump_of_the_camera_is_not_held_against_the_jacobian():
+    true, jump = JACOBIAN / 3.0, np.array([0.3, 0.3, 0.0])
+    steps = steps_with(true, 1e-3, 300)
+    for by_m in ([jump], [jump, -jump]):
+        monitor = PredictionMonitor()
+        for step in jumping(steps, 290, by_m):
+            monitor.observe(step, true)
+        assert monitor.ratio < 0.1
+
+
+def test_jumps_that_come_again_and_again_are_the_jacobians_and_count():
+    true = JACOBIAN / 3.0
+    for every in (1, 3):
+        monitor, rng = PredictionMonitor(), np.random.default_rng(0)
+        for k, step in enumerate(steps_with(true, 1e-3, 300)):
+            jump = 0.1 * rng.normal(size=3) if k % every == 0 else np.zeros(3)
+            monitor.observe(replace(step, d_ball_m=step.d_ball_m + jump), true)
+        assert monitor.ratio > 0.8
 
 
 @pytest.mark.parametrize("behind_s", [0.6, 1.0, 1.9, 3600.0])

@@ -1,0 +1,108 @@
+"""Whether the camera was just turned: the last steps then fit another rotation far better.
+
+A blow to the camera moves the ball in its view, and mostly by more than the joints explain. But the
+turn and the shift may cancel where the ball happens to be; then it shows only by the way the next
+steps go. Each of them is judged by noise: with residuals ``dx - p`` of predicted steps p, and Q the
+rotation that fits the last few best, the gain ``sum |dx - p|^2 - sum |dx - Q p|^2`` over the
+variance of a step is chi-square distributed with three degrees of freedom while nothing was turned.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+
+import numpy as np
+
+from fvs_estimator_node.camera_motion import nearest_rotation, rotation_angle_rad
+
+#: The last steps that are looked at: at most so many, and no more than these m need.
+_STEPS, _WAY_M = 6, 0.03
+#: Chi-square, 3 degrees of freedom, that chance exceeds once in some ten million steps.
+_CHANCE = 36.0
+#: A smaller turn is followed without being noticed, rad; what stays unexplained, a share at most.
+_LEAST_RAD, _UNEXPLAINED = 0.25, 0.3
+#: Variance of one coordinate of a step, m^2: the first guess, and its bounds; share of a new square
+#: in it, and how many variances one counts for at most, at rest and in motion, where it may be the
+#: turn that is looked for.
+_VARIANCE_M2, _LEAST_M2, _MOST_M2 = 2e-6, 8e-8, 2e-4
+_SHARE, _CLIP_STILL, _CLIP = 0.03, 9.0, 3.0
+#: How little the identity counts where the steps leave a rotation open.
+_TINY = 1e-3
+
+Step = tuple[np.ndarray, np.ndarray]
+
+
+class TurnWatch:
+    """Compares what was predicted of the last steps with what was seen."""
+
+    def __init__(self) -> None:
+        self._variance_m2 = _VARIANCE_M2
+        self._steps: deque[Step] = deque(maxlen=_STEPS)
+
+    @property
+    def deviation_m(self) -> float:
+        """Standard deviation of one coordinate of a step, as learned, m."""
+        return float(self._variance_m2**0.5)
+
+    def clear(self) -> None:
+        """Forget the steps; the noise stays known."""
+        self._steps.clear()
+
+    def add(self, factor: np.ndarray, predicted_m: np.ndarray, seen_m: np.ndarray) -> list[Step]:
+        """Tell one step, and hear whether it and those before it are of a camera that was turned.
+
+        Parameters
+        ----------
+        factor : ndarray, shape (3, 3)
+            What the predictions are to be multiplied with, as known now.
+        predicted_m, seen_m : ndarray, shape (3,)
+            The ball's step before the factor, and as seen, m.
+
+        Returns
+        -------
+        list of (ndarray, ndarray)
+            The steps, predicted and seen, that were made since the turn; empty without one.
+        """
+        self._steps.append((predicted_m, seen_m))
+        steps = self._last()
+        if len(steps) > 1 and self._turned(factor, steps):
+            self._steps.clear()
+            return steps
+        self._hear(seen_m - factor @ predicted_m, _CLIP)
+        return []
+
+    def rest(self, seen_m: np.ndarray) -> None:
+        """Tell what was seen of a step in which nothing moved, m, (3,): noise."""
+        self._hear(seen_m, _CLIP_STILL)
+
+    def _hear(self, off_m: np.ndarray, clip: float) -> None:
+        square = min(float(off_m @ off_m) / 3.0, clip * self._variance_m2)
+        if square >= 0.0:  # not for what is not a number
+            self._variance_m2 += _SHARE * (square - self._variance_m2)
+            self._variance_m2 = min(max(self._variance_m2, _LEAST_M2), _MOST_M2)
+
+    def _last(self) -> list[Step]:
+        steps: list[Step] = []
+        way_m = 0.0
+        for step in reversed(self._steps):
+            steps.insert(0, step)
+            way_m += float(step[0] @ step[0]) ** 0.5
+            if len(steps) > 1 and way_m > _WAY_M:
+                break
+        return steps
+
+    def _turned(self, factor: np.ndarray, steps: Iterable[Step]) -> bool:
+        predicted, seen = (np.array(one) for one in zip(*steps, strict=True))
+        predicted = predicted @ factor.T
+        before = float(np.square(seen - predicted).sum())
+        if before <= _CHANCE * self._variance_m2:
+            return False
+        size = float(np.square(predicted).sum())
+        turn = nearest_rotation(seen.T @ predicted + _TINY * size * np.eye(3))
+        after = float(np.square(seen - predicted @ turn.T).sum())
+        return (
+            before - after > _CHANCE * self._variance_m2
+            and after < _UNEXPLAINED * before
+            and rotation_angle_rad(turn) > _LEAST_RAD
+        )

@@ -1,0 +1,93 @@
+"""A turn of the camera is seen by the next few steps, and noise is not taken for one."""
+
+import numpy as np
+import pytest
+from recordings import turn
+
+from fvs_estimator_node.turn_watch import TurnWatch
+
+AXIS = np.array([0.2, -0.3, 1.0]) / np.linalg.norm([0.2, -0.3, 1.0])
+TURNED = turn(AXIS, np.radians(45.0))
+
+
+def path(count, rng, step_m=0.012, across=None):
+    """Positions of a ball that goes step by step along a smooth way, m; across an axis if told."""
+    direction = rng.normal(size=3)
+    steps = []
+    for _ in range(count):
+        direction += 0.3 * rng.normal(size=3)
+        if across is not None:
+            direction -= (direction @ across) * across
+        steps.append(step_m * direction / np.linalg.norm(direction))
+    return np.cumsum(steps, axis=0)
+
+
+def tell(watch, balls_m, rotation, noise_m, rng, factor=None):
+    """Let it watch; returns how often, and after how many steps first, a turn was seen."""
+    seen = balls_m @ rotation.T + noise_m * rng.normal(size=balls_m.shape)
+    found = [
+        len(watch.add(np.eye(3) if factor is None else factor, predicted, step)) > 0
+        for predicted, step in zip(np.diff(balls_m, axis=0), np.diff(seen, axis=0), strict=True)
+    ]
+    return sum(found), (found.index(True) + 1 if any(found) else None)
+
+
+def rested(rng, noise_m):
+    """A watch that has seen noise at rest."""
+    watch = TurnWatch()
+    for _ in range(150):
+        watch.rest(2.0**0.5 * noise_m * rng.normal(size=3))
+    return watch
+
+
+@pytest.mark.parametrize("noise_m", [0.0002, 0.001, 0.004])
+def test_noise_is_learned_at_rest_and_never_taken_for_a_turn(noise_m):
+    rng = np.random.default_rng(1)
+    watch = rested(rng, noise_m)
+    assert watch.deviation_m == pytest.approx(2.0**0.5 * noise_m, rel=0.3)
+    assert tell(watch, path(5000, rng), np.eye(3), noise_m, rng)[0] == 0
+
+
+@pytest.mark.parametrize(("noise_m", "within"), [(0.0002, 3), (0.001, 4)])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_turn_is_seen_by_the_next_few_steps_and_they_are_handed_out(noise_m, within, seed):
+    rng = np.random.default_rng(seed)
+    watch = rested(rng, noise_m)
+    count, first = tell(watch, path(20, rng, across=AXIS), TURNED, noise_m, rng)
+    assert count >= 1
+    assert first <= within
+    known = rested(rng, noise_m)
+    assert tell(known, path(200, rng), TURNED, noise_m, rng, TURNED)[0] == 0
+
+
+def test_the_steps_since_the_turn_are_handed_out_as_they_were_told():
+    watch = TurnWatch()
+    one, other = np.array([0.03, 0.0, 0.0]), np.array([0.02, 0.02, 0.0])
+    assert watch.add(np.eye(3), one, TURNED @ one) == []
+    steps = watch.add(np.eye(3), other, TURNED @ other)
+    np.testing.assert_array_equal([step[0] for step in steps], [one, other])
+    np.testing.assert_array_equal([step[1] for step in steps], [TURNED @ one, TURNED @ other])
+    assert watch.add(np.eye(3), one, TURNED @ one) == []  # begun anew
+
+
+def test_an_outlier_goes_out_and_back_and_is_no_turn():
+    rng = np.random.default_rng(2)
+    watch, balls = TurnWatch(), path(300, rng)
+    seen = balls + 0.001 * rng.normal(size=balls.shape)
+    seen[20::20] += 0.03 * rng.normal(size=(len(seen[20::20]), 3))
+    steps = zip(np.diff(balls, axis=0), np.diff(seen, axis=0), strict=True)
+    assert not any(watch.add(np.eye(3), *step) for step in steps)
+
+
+def test_after_clear_one_step_says_nothing():
+    watch, step = TurnWatch(), np.array([0.03, 0.0, 0.0])
+    watch.add(np.eye(3), step, TURNED @ step)
+    watch.clear()
+    assert watch.add(np.eye(3), step, TURNED @ step) == []
+
+
+def test_what_is_no_number_teaches_no_noise():
+    watch = TurnWatch()
+    before = watch.deviation_m
+    watch.rest(np.full(3, np.nan))
+    assert watch.deviation_m == before
