@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 #: Images are looked back on for so long, and further for a slow arm, s ...
-_LOOK_S, _LONGEST_S = 0.4, 2.0
+_LOOK_S, _LONGEST_S = 0.4, 4.0
 #: ... until the ball should have come this far, m.
 _LEAST_PREDICTED_M = 0.07
 #: The ball follows if it is seen to make this share of the way, whatever its direction: a camera

@@ -3,20 +3,24 @@
 A full frame takes tens of milliseconds to draw; a robot's joint states come every eight. The
 worker has its own copy of the scene and is told where joints and camera were at an exposure. It
 draws one frame at a time and skips exposures while it is busy, as a camera with too little
-bandwidth would.
+bandwidth would. Frames are handed over in shared memory: two megabytes through a pipe would make
+the loop wait for a process that gets what the loop leaves of the processor.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import multiprocessing
 import signal
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnContext
 
 import numpy as np
 
 from fvs_ros.core.background import step_back
+from fvs_ros.core.camera import Intrinsics
 from fvs_sim_node.depth_noise import add_depth_noise
 from fvs_sim_node.rendering import CameraPose, Renderer
 from fvs_sim_node.simulation import Frame, SimConfig, build_world
@@ -33,6 +37,37 @@ class _Exposure:
     covered: bool
 
 
+class _SharedFrame:
+    """Room for one frame that two processes see.
+
+    Parameters
+    ----------
+    context : multiprocessing context
+        Of the processes.
+    intrinsics : Intrinsics
+        The full image.
+    """
+
+    def __init__(self, context: SpawnContext, intrinsics: Intrinsics) -> None:
+        self._shape = intrinsics.height, intrinsics.width
+        pixels = intrinsics.height * intrinsics.width
+        self._rgb = context.RawArray(ctypes.c_uint8, 3 * pixels)
+        self._depth_m = context.RawArray(ctypes.c_float, pixels)
+
+    def put(self, frame: Frame) -> None:
+        """Copy a frame in."""
+        room = self.view(frame.stamp_s)
+        room.rgb[:], room.depth_m[:] = frame.rgb, frame.depth_m
+
+    def view(self, stamp_s: float) -> Frame:
+        """The frame that is in, exposed at a stamp, s; not a copy."""
+        return Frame(
+            stamp_s,
+            np.frombuffer(self._rgb, np.uint8).reshape(*self._shape, 3),
+            np.frombuffer(self._depth_m, np.float32).reshape(self._shape),
+        )
+
+
 class FrameWorker:
     """Draws frames of a simulated scene beside the simulation.
 
@@ -45,7 +80,10 @@ class FrameWorker:
     def __init__(self, config: SimConfig) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_work, args=(theirs, config), daemon=True)
+        self._shared = _SharedFrame(context, config.intrinsics)
+        self._process = context.Process(
+            target=_work, args=(theirs, self._shared, config), daemon=True
+        )
         self._process.start()
         theirs.close()
         self._busy = False
@@ -85,11 +123,11 @@ class FrameWorker:
         return True
 
     def finished(self) -> Frame | None:
-        """The frame asked for, once it is drawn."""
+        """The frame asked for, once it is drawn; overwritten after the next exposure."""
         if not self._busy or not self._pipe.poll():
             return None
         self._busy = False
-        return self._pipe.recv()
+        return self._shared.view(self._pipe.recv())
 
     def close(self) -> None:
         """End the process."""
@@ -100,7 +138,7 @@ class FrameWorker:
             self._process.join()
 
 
-def _work(pipe: Connection, config: SimConfig) -> None:
+def _work(pipe: Connection, shared: _SharedFrame, config: SimConfig) -> None:
     # Ctrl-C reaches the whole terminal group; this process ends with its pipe.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     step_back(own_session=True)
@@ -111,11 +149,13 @@ def _work(pipe: Connection, config: SimConfig) -> None:
         while True:
             wanted: _Exposure = pipe.recv()
             if wanted.covered:
-                pipe.send(Frame.black(wanted.stamp_s, config.intrinsics))
-                continue
-            world.reset(wanted.joints_rad)
-            world.place_ball()
-            rgb, depth_m = renderer.render(wanted.camera)
-            depth_m = add_depth_noise(depth_m, config.intrinsics.fx, rng, wanted.depth_noise)
-            pipe.send(Frame(wanted.stamp_s, rgb, depth_m))
+                frame = Frame.black(wanted.stamp_s, config.intrinsics)
+            else:
+                world.reset(wanted.joints_rad)
+                world.place_ball()
+                rgb, depth_m = renderer.render(wanted.camera)
+                depth_m = add_depth_noise(depth_m, config.intrinsics.fx, rng, wanted.depth_noise)
+                frame = Frame(wanted.stamp_s, rgb, depth_m)
+            shared.put(frame)
+            pipe.send(wanted.stamp_s)
     world.close()

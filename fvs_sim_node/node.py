@@ -149,9 +149,6 @@ class SimNode(ros.FvsNode):
             self._step()
 
     def _step(self) -> None:
-        frame = None if self._worker is None else self._worker.finished()
-        if frame is not None:
-            self._publish_frame(frame)
         step = self._sim.advance()
         self._steps += 1
         stamp_s = self._base_s + step.time_s
@@ -166,6 +163,10 @@ class SimNode(ros.FvsNode):
             self._true_jacobian.publish(ros.to_jacobian(self._sim.true_jacobian(step.joints_rad)))
         self._publish_joints(stamp_s, step)
         self._asked_s = self.steady_s()
+        # After the joint states, which are waited for.
+        frame = None if self._worker is None else self._worker.finished()
+        if frame is not None:
+            self._publish_frame(frame)
 
     # --- outputs ---
 
@@ -215,15 +216,12 @@ class SimNode(ros.FvsNode):
 
     def _publish_frame(self, frame: Frame) -> None:
         stamp_s = self._base_s + frame.stamp_s
-        depth_m = frame.depth_m
-        if self.values["depth_encoding"] == "16UC1":
-            depth = np.round(np.nan_to_num(depth_m) * 1e3).clip(0, 65535).astype(np.uint16)
-        else:
-            depth = depth_m.astype(np.float32)
-        encoding = self.values["depth_encoding"]
         if self._color.get_subscription_count():
             self._color.publish(ros.to_image(stamp_s, self._frame, frame.rgb, "rgb8"))
         if self._depth.get_subscription_count():
+            depth, encoding = frame.depth_m, self.values["depth_encoding"]
+            if encoding == "16UC1":
+                depth = np.round(np.nan_to_num(depth) * 1e3).clip(0, 65535).astype(np.uint16)
             self._depth.publish(ros.to_image(stamp_s, self._frame, depth, encoding))
         self._info.publish(ros.to_camera_info(stamp_s, self._frame, self._sim.intrinsics))
 

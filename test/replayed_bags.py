@@ -166,5 +166,7 @@ def servo(bag: HandmadeBag, true: bool = True, gap: tuple[float, float] = (9.0, 
             "servoing, 300.0 mm to go" if moving else "no target_position yet",
             state="SERVOING" if moving else "WAITING",
             reason="SERVOING" if moving else "NO_TARGET",
-            active_limit="velocity" if 1.05 < time_s < 1.55 else "",
+            active_limit=f"near singular ({0.07 - 0.001 * time_s:.4f} m/rad)"
+            if 1.05 < time_s < 1.55
+            else "",
         )

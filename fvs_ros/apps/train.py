@@ -187,7 +187,7 @@ def report_structured(taught: TaughtModel, seconds: float) -> str:
         f"noise of a ball position: {1e3 * fit.ray_noise_m:.2f} mm along the line of sight, "
         f"{1e3 * fit.lateral_noise_m:.2f} mm across",
         f"distance from the chain: {1e3 * fit.residual_m:.2f} mm (median), of which noise "
-        f"explains {1e3 * fit.noise_m:.2f} mm",
+        f"explains {1e3 * fit.noise_m:.2f} mm: misfit {fit.misfit:.2f}",
         f"joints from [{', '.join(f'{v:.2f}' for v in low)}]",
         f"         to [{', '.join(f'{v:.2f}' for v in high)}] rad",
         f"{fit.samples} images, {fit.outliers} left out; {seconds:.1f} s",

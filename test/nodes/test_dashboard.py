@@ -232,6 +232,13 @@ def test_the_page_s_own_browser_is_let_in_and_another_site_s_is_not(loop):
         assert refused.value.response.status_code == 403
 
 
+def test_parameters_without_ros_args_are_refused_not_passed_over(ros_test):
+    process = ros_test.start(DASHBOARD, "-p", "port:=9000")
+    assert ros_test.wait(process) == 2
+    assert "unknown argument '-p'" in ros_test.output(process)
+    assert "--ros-args -p name:=value" in ros_test.output(process)
+
+
 def test_a_target_is_for_the_controller_that_was_there(loop):
     """One that is started later stands until somebody wants it somewhere."""
     harness, _, controller, _, page = loop
@@ -274,6 +281,7 @@ def test_a_stop_is_repeated_until_it_is_answered(loop):
     start(harness, page)
     controller.send_signal(signal.SIGSTOP)
     page.press("Stop")
+    page.press("Set current as target")  # means no other stop
     harness.spin_until(lambda: "does not answer yet" in page.text(), what="words")
     controller.send_signal(signal.SIGCONT)
     wait_for_state(harness, page, "READY")
@@ -322,7 +330,8 @@ def test_images_are_asked_for_only_while_somebody_looks(loop, pages):
     assert again.labels()
 
 
-def test_the_tour_goes_on_until_a_person_takes_over(ros_test, pages):
+@pytest.mark.parametrize("button", ["Stop", "Set current as target"])
+def test_the_tour_goes_on_until_a_person_takes_over(ros_test, pages, button):
     PlayedRobot(ros_test)
     statuses = ros_test.collect(DiagnosticStatus, ros.CONTROLLER_STATUS)
     targets = ros_test.collect(PointStamped, ros.TARGET_POSITION, ros.QOS_RELIABLE)
@@ -334,7 +343,7 @@ def test_the_tour_goes_on_until_a_person_takes_over(ros_test, pages):
     ros_test.spin_until(lambda: len(targets) > 2, 30.0, "three targets of the tour")
     assert ros.from_status(statuses[-1])["state"] in ("SERVOING", "WAITING", "HOLDING")
     ros_test.spin_until(lambda: page.value("Tour"), what="the tour's tick on the page")
-    page.press("Stop")
+    page.press(button)
     ros_test.spin_until(lambda: not page.value("Tour"), what="the end of the tour")
     count = len(targets)
     ros_test.spin_for(1.5)

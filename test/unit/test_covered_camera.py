@@ -1,5 +1,6 @@
 """A hand on the lens: no ball, black images, whichever way the images are made."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -56,7 +57,7 @@ def test_the_frame_worker_draws_a_covered_camera_black():
                     1.0, simulation.joints_rad, simulation.camera, 1.0, covered=covered
                 )
                 assert worker._pipe.poll(20.0)
-                frames.append(worker.finished())
+                frames.append(copy.deepcopy(worker.finished()))
         finally:
             worker.close()
     dark, light = frames

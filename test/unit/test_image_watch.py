@@ -31,7 +31,8 @@ def test_a_picture_that_stands_while_the_arm_moves_is_found_within_half_a_second
 
 def test_a_slow_arm_takes_as_long_as_its_way_and_a_creeping_one_says_nothing():
     assert 1.3 < found_after_s(lambda t: [0.0, 0.0, 1.0], speed_m_s=0.05) < 1.6
-    assert found_after_s(lambda t: [0.0, 0.0, 1.0], speed_m_s=0.03) is None
+    assert 3.3 < found_after_s(lambda t: [0.0, 0.0, 1.0], speed_m_s=0.02) < 3.8
+    assert found_after_s(lambda t: [0.0, 0.0, 1.0], speed_m_s=0.015) is None
 
 
 def test_it_says_what_was_to_move_and_what_did():

@@ -64,6 +64,8 @@ def test_a_late_camera_and_many_outliers_are_told():
     assert "images do not fit" in outliers
     early, *_ = notes_of(Recording(seconds=20.0, late_s=-0.05, outliers=0.0))
     assert "50 ms after their stamps" in early
+    assert "stamp_delay_s" in late
+    assert "stamp_delay_s" not in early  # which no parameter puts right
 
 
 def test_a_joint_that_stood_still_is_named():

@@ -18,6 +18,7 @@ from std_msgs.msg import String
 
 from fvs_estimator_node.model_file import load_model
 from fvs_ros.apps.dashboard.actions import (
+    SET_CURRENT,
     STOP,
     Action,
     Actions,
@@ -239,6 +240,8 @@ class DashboardNode(ros.FvsNode):
             # It would be done whenever the controller comes back, when nobody expects it.
             self._answer(f"not done: the controller is silent; is {CONTROLLER} running?")
         elif isinstance(action, Call):
+            if action == SET_CURRENT:
+                self._tour = None
             self._calls.call(action.service)
         elif isinstance(action, Target):
             self._tour = None

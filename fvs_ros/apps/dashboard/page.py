@@ -21,8 +21,9 @@ from fvs_ros.apps.dashboard.view import Snapshot
 if TYPE_CHECKING:
     from fvs_ros.apps.dashboard.arm import Arm
 
-#: The curves are sent with every so many pictures: they are long, and eyes are slow.
-_CURVES_EVERY = 3
+#: The curves are drawn every so many times, for they are long and eyes are slow; and so is the
+#: picture in the frustum, which is small, in between.
+_SELDOM, _CURVES_AT, _FRUSTUM_AT = 3, 0, 1
 _STOP_S = 0.8
 _LEFT_PX, _RIGHT_PX = 400, 350
 _EVERYWHERE = ("0.0.0.0", "::", "")
@@ -117,9 +118,10 @@ class Page:
     def update(self, shown: Snapshot) -> None:
         """Show a moment to everybody who is looking."""
         with self._server.atomic():
-            self._scene.update(shown)
+            turn = self._shown % _SELDOM
+            self._scene.update(shown, with_picture=turn == _FRUSTUM_AT)
             self._panel.update(shown)
-            if self._shown % _CURVES_EVERY == 0:
+            if turn == _CURVES_AT:
                 self._charts.update(shown.curves, shown.limit_rad_s)
         self._shown += 1
 

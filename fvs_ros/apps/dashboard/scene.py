@@ -123,8 +123,8 @@ class Scene:
         self._arm, self._robot = arm, ViserUrdf(self._server, arm.urdf, root_node_name="/robot")
         self._base.wxyz, self._base.position = _placed(arm.base[:3, :3], arm.base[:3, 3])
 
-    def update(self, shown: Snapshot) -> None:
-        """Show a moment."""
+    def update(self, shown: Snapshot, with_picture: bool = True) -> None:
+        """Show a moment; the camera's picture in its frustum only if told so."""
         if self._robot is not None and self._arm is not None and shown.joints_rad is not None:
             self._robot.update_cfg(self._arm.configuration(shown.joints_rad))
         self._camera.visible = shown.camera is not None
@@ -133,7 +133,7 @@ class Scene:
         self._camera.wxyz, self._camera.position = _placed(
             shown.camera.rotation, shown.camera.position_m
         )
-        self._show_frustum(shown)
+        self._show_frustum(shown, with_picture)
         _put(self._ball, shown.ball_m)
         _put(self._predicted, shown.controller.position_m)
         if time.monotonic() - self._held_s > _DROPPED_S:
@@ -142,7 +142,7 @@ class Scene:
         if len(shown.trail_m) > 1:
             self._trail.points = _pieces(shown.trail_m)
 
-    def _show_frustum(self, shown: Snapshot) -> None:
+    def _show_frustum(self, shown: Snapshot, with_picture: bool) -> None:
         fov, aspect = shown.field_of_view
         if self._frustum is None:
             self._frustum = self._server.scene.add_camera_frustum(
@@ -157,7 +157,7 @@ class Scene:
                 receive_shadow=False,
             )
         self._frustum.fov, self._frustum.aspect = fov, aspect
-        if shown.picture is not None:
+        if with_picture and shown.picture is not None:
             self._frustum.image = shown.picture
 
 

@@ -9,7 +9,7 @@ from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
 from std_srvs.srv import Trigger
 
-from fvs_ros.apps.dashboard.actions import Disturb
+from fvs_ros.apps.dashboard.actions import START, Disturb
 
 if TYPE_CHECKING:
     from fvs_ros.core.ros import FvsNode
@@ -49,7 +49,8 @@ class Services:
 
     def call(self, service: str) -> None:
         """Call a service of the controller; its answer is told."""
-        self._stop_since_s = None  # whoever starts after a stop means it
+        if service == START.service:  # whoever starts after a stop means it
+            self._stop_since_s = None
         self._request(f"{CONTROLLER}/{service}", Trigger.Request(), self._on_answer(service))
 
     def stop(self) -> None:

@@ -58,7 +58,8 @@ def main(argv: list[str]) -> int:
     from fvs_ros.apps.replay.sections import NAMES, sections
 
     bag: Path = arguments.bag
-    out = arguments.out or Path("out/replay") / bag.resolve().stem
+    whole = bag.resolve()
+    out = arguments.out or Path("out/replay") / (whole.name if whole.is_dir() else whole.stem)
     try:
         recording = read(bag, arguments.namespace)
         out.mkdir(parents=True, exist_ok=True)

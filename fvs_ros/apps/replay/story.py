@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -79,7 +80,8 @@ def limits(recording: Recording) -> list[Spell]:
     active = ""
     for status, end_s in _with_ends(recording, recording.said.get("controller", ())):
         servoing = status.values.get("state") == SERVOING
-        previous, active = active, status.values.get("active_limit", "") if servoing else ""
+        previous, active = active, _unnumbered(status.values.get("active_limit", ""))
+        active = active if servoing else ""
         if not active:
             continue
         if active == previous:
@@ -87,6 +89,11 @@ def limits(recording: Recording) -> list[Spell]:
         else:
             found.append(Spell(status.arrival_s, end_s, active))
     return found
+
+
+def _unnumbered(limit: str) -> str:
+    """A limit's name without the number of the moment, as in "near singular (0.071 m/rad)"."""
+    return re.sub(r" \([^)]*\)", "", limit)
 
 
 def servoing_s(recording: Recording) -> float:
