@@ -63,8 +63,8 @@ class _SharedFrame:
         """The frame that is in, exposed at a stamp, s; not a copy."""
         return Frame(
             stamp_s,
-            np.frombuffer(self._rgb, np.uint8).reshape(*self._shape, 3),
-            np.frombuffer(self._depth_m, np.float32).reshape(self._shape),
+            np.ctypeslib.as_array(self._rgb).reshape(*self._shape, 3),
+            np.ctypeslib.as_array(self._depth_m).reshape(self._shape),
         )
 
 
