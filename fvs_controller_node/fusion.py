@@ -9,7 +9,7 @@ prediction is worth less, it follows the images.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
+from math import exp, inf
 
 import numpy as np
 
@@ -24,8 +24,9 @@ _WRONG, _LEAST_WRONG, _MOST_WRONG = 0.1, 0.005, 0.5
 _STILL_M, _MOVED_M = 1e-3, 4e-3
 #: Share of a new squared innovation in what is learned, after the first so many images.
 _SHARE, _FIRST = 0.03, 5.0
-#: The same for the prediction where all that was learned of it is to be learned anew.
-_FIRST_MOVING = 2.0
+#: The same for the prediction where all that was learned of it is to be learned anew; and the way
+#: after which such a doubt has faded to 37 % where the ball is too slow to learn from, m.
+_FIRST_MOVING, _FADE_M = 2.0, 0.05
 #: An innovation counts for at most so many variances in what is learned.
 _CLIP = 9.0
 #: The gain never falls below this: what is at rest may still drift.
@@ -164,6 +165,8 @@ class AdaptiveFusion:
         return gain * innovation_m
 
     def _learn(self, square: float, moved: float, before: float) -> None:
+        if moved <= _MOVED_M and self._wrong2 > _WRONG**2:
+            self._wrong2 = _WRONG**2 + (self._wrong2 - _WRONG**2) * exp(-moved / _FADE_M)
         if moved < _STILL_M:
             self._seen += 1.0
             share = max(_SHARE, 1.0 / (_FIRST + self._seen))

@@ -132,11 +132,11 @@ class ServoLoop:
             self._compare_chain()
 
     def _compare_chain(self) -> None:
-        self._compared = self.predictor.images
         chain, joints, jacobian = self._chain, self._joints, self._jacobian
         if chain is None or joints is None or jacobian is None:
-            self._chain_doubts = 0
+            self._chain_doubts, self._compared = 0, -1
             return
+        self._compared = self.predictor.images
         apart = np.linalg.norm(chain.jacobian(joints) - jacobian)
         differs = apart > _CHAIN_DIFFERS * np.linalg.norm(jacobian)
         self._chain_doubts = self._chain_doubts + 1 if differs else 0

@@ -111,7 +111,7 @@ class Estimator(ABC):
 
 #: A ball that went further than predicted by this, m, in one step and no other of so many: the
 #: camera was bumped. The Jacobian's errors come again.
-_JUMP_M, _JUMP_STEPS = 0.04, 10
+_JUMP_M, _JUMP_STEPS = 0.04, 100
 
 
 class PredictionMonitor:

@@ -32,6 +32,8 @@ ROTATION, MATRIX = "rotation", "matrix"
 KINDS = (ROTATION, MATRIX)
 
 _IDENTITY = np.eye(3)
+#: A joint that has moved less than this between two images stands, rad.
+_STILL_RAD = 2e-4
 
 
 @dataclass(frozen=True)
@@ -153,6 +155,7 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         self._refused = 0
         self._bumps = 0
         self._watch = TurnWatch()
+        self._sample: tuple[np.ndarray, np.ndarray] | None = None
         self._begin(self._config.trust_m)
 
     def _begin(self, trust_m: float) -> None:
@@ -169,11 +172,16 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         """Estimate at given joints, m/rad, shape (3, 6)."""
         return self._factor @ super().jacobian(joints_rad)
 
+    def observe(self, joints_rad: np.ndarray, ball_m: np.ndarray) -> None:
+        """Learn the noise from two positions in a row between which no joint moved."""
+        before, self._sample = self._sample, (joints_rad, ball_m)
+        if before is not None and np.abs(joints_rad - before[0]).max() < _STILL_RAD:
+            self._watch.rest(ball_m - before[1])
+
     def update(self, step: MotionStep) -> None:
         """Learn from one step; too little motion or anything not finite changes nothing."""
         config = self._config
         if np.abs(step.d_joints_rad).max() < config.min_motion_rad:
-            self._watch.rest(step.d_ball_m)
             return
         predicted = super().jacobian(step.joints_rad) @ step.d_joints_rad
         predicted_m2 = float(predicted.dot(predicted))

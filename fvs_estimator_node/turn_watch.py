@@ -16,17 +16,17 @@ import numpy as np
 
 from fvs_estimator_node.camera_motion import nearest_rotation, rotation_angle_rad
 
-#: The last steps that are looked at: at most so many, and no more than these m need.
-_STEPS, _WAY_M = 6, 0.03
+#: The last steps that are looked at: so many at least and at most, and no more than these m need.
+_FEWEST, _STEPS, _WAY_M = 3, 6, 0.03
 #: Chi-square, 3 degrees of freedom, that chance exceeds once in some ten million steps.
 _CHANCE = 36.0
 #: A smaller turn is followed without being noticed, rad; what stays unexplained, a share at most.
 _LEAST_RAD, _UNEXPLAINED = 0.25, 0.3
 #: Variance of one coordinate of a step, m^2: the first guess, and its bounds; share of a new square
 #: in it, and how many variances one counts for at most, at rest and in motion, where it may be the
-#: turn that is looked for.
+#: turn that is looked for. Nothing is judged before so many were heard.
 _VARIANCE_M2, _LEAST_M2, _MOST_M2 = 2e-6, 8e-8, 2e-4
-_SHARE, _CLIP_STILL, _CLIP = 0.03, 9.0, 3.0
+_SHARE, _CLIP_STILL, _CLIP, _HEARD = 0.03, 9.0, 3.0, 20
 #: How little the identity counts where the steps leave a rotation open.
 _TINY = 1e-3
 
@@ -38,6 +38,7 @@ class TurnWatch:
 
     def __init__(self) -> None:
         self._variance_m2 = _VARIANCE_M2
+        self._heard = 0
         self._steps: deque[Step] = deque(maxlen=_STEPS)
 
     @property
@@ -66,7 +67,8 @@ class TurnWatch:
         """
         self._steps.append((predicted_m, seen_m))
         steps = self._last()
-        if len(steps) > 1 and self._turned(factor, steps):
+        enough = len(steps) >= _FEWEST and self._heard >= _HEARD
+        if enough and self._turned(factor, steps):
             self._steps.clear()
             return steps
         self._hear(seen_m - factor @ predicted_m, _CLIP)
@@ -77,10 +79,17 @@ class TurnWatch:
         self._hear(seen_m, _CLIP_STILL)
 
     def _hear(self, off_m: np.ndarray, clip: float) -> None:
-        square = min(float(off_m @ off_m) / 3.0, clip * self._variance_m2)
-        if square >= 0.0:  # not for what is not a number
-            self._variance_m2 += _SHARE * (square - self._variance_m2)
-            self._variance_m2 = min(max(self._variance_m2, _LEAST_M2), _MOST_M2)
+        square = float(off_m @ off_m) / 3.0
+        if not square <= _MOST_M2:  # no noise, or not a number
+            return
+        self._heard += 1
+        share = _SHARE
+        if self._heard > _HEARD:
+            square = min(square, clip * self._variance_m2)
+        else:  # the mean of all, with the first guess as one of them
+            share = 1.0 / (1.0 + self._heard)
+        self._variance_m2 += share * (square - self._variance_m2)
+        self._variance_m2 = min(max(self._variance_m2, _LEAST_M2), _MOST_M2)
 
     def _last(self) -> list[Step]:
         steps: list[Step] = []
@@ -88,21 +97,25 @@ class TurnWatch:
         for step in reversed(self._steps):
             steps.insert(0, step)
             way_m += float(step[0] @ step[0]) ** 0.5
-            if len(steps) > 1 and way_m > _WAY_M:
+            if len(steps) >= _FEWEST and way_m > _WAY_M:
                 break
         return steps
 
     def _turned(self, factor: np.ndarray, steps: Iterable[Step]) -> bool:
         predicted, seen = (np.array(one) for one in zip(*steps, strict=True))
         predicted = predicted @ factor.T
-        before = float(np.square(seen - predicted).sum())
+        off2 = np.square(seen - predicted).sum(axis=1)
+        before = float(off2.sum())
         if before <= _CHANCE * self._variance_m2:
             return False
         size = float(np.square(predicted).sum())
         turn = nearest_rotation(seen.T @ predicted + _TINY * size * np.eye(3))
-        after = float(np.square(seen - predicted @ turn.T).sum())
-        return (
+        left2 = np.square(seen - predicted @ turn.T).sum(axis=1)
+        after = float(left2.sum())
+        return bool(
             before - after > _CHANCE * self._variance_m2
             and after < _UNEXPLAINED * before
+            # Every step speaks for it: what fits a single outlier does not fit its neighbours.
+            and (left2 < off2).all()
             and rotation_angle_rad(turn) > _LEAST_RAD
         )

@@ -145,7 +145,7 @@ def _work(pipe: Connection, shared: _SharedFrame, config: SimConfig) -> None:
     world = build_world(config)
     renderer = Renderer(world.client, config.intrinsics)
     rng = np.random.default_rng(config.seed)
-    with contextlib.suppress(EOFError, BrokenPipeError):
+    with contextlib.suppress(EOFError, OSError):  # the other end was closed
         while True:
             wanted: _Exposure = pipe.recv()
             if wanted.covered:

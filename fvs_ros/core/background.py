@@ -41,8 +41,10 @@ def step_back(niceness: int = LEAST, own_session: bool = False) -> None:
             os.setsid()
     for thread in os.listdir("/proc/self/task"):
         with contextlib.suppress(ProcessLookupError):  # it has just ended
-            os.setpriority(os.PRIO_PROCESS, int(thread), niceness)
-            _take_long_turns(int(thread), niceness)
+            # One that was started further back stays there: it may not come forward.
+            nice = max(niceness, os.getpriority(os.PRIO_PROCESS, int(thread)))
+            os.setpriority(os.PRIO_PROCESS, int(thread), nice)
+            _take_long_turns(int(thread), nice)
     if os.getsid(0) == os.getpid():
         with contextlib.suppress(OSError):  # not every kernel has it
             Path("/proc/self/autogroup").write_text(str(niceness), encoding="ascii")

@@ -731,14 +731,14 @@ def run(make_node: Callable[[], FvsNode], argv: list[str] | None = None) -> int:
 
 
 def _run(make_node: Callable[[], FvsNode], argv: list[str] | None) -> int:
-    unknown = remove_ros_args(sys.argv if argv is None else argv)[1:]
-    if unknown:  # rclpy would pass over them, and the node run with other values than wanted
-        _say(
-            f"cannot start: unknown argument {unknown[0]!r}; parameters and remaps stand behind "
-            "--ros-args, as in --ros-args -p name:=value"
-        )
-        return EXIT_BAD_INPUT
     try:
+        unknown = remove_ros_args(sys.argv if argv is None else argv)[1:]
+        if unknown:  # rclpy would pass over them, and the node run with other values than wanted
+            _say(
+                f"cannot start: unknown argument {unknown[0]!r}; parameters and remaps stand "
+                "behind --ros-args, as in --ros-args -p name:=value"
+            )
+            return EXIT_BAD_INPUT
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # rcl's own: arguments or a parameter file it cannot read
         _say(f"cannot start: {error}")

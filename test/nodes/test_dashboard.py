@@ -239,6 +239,14 @@ def test_parameters_without_ros_args_are_refused_not_passed_over(ros_test):
     assert "--ros-args -p name:=value" in ros_test.output(process)
 
 
+@pytest.mark.parametrize("odd", [["--nonsense"], ["-p", "foo"], ["--params-file", "/none.yaml"]])
+def test_what_ros_cannot_read_is_said_in_a_sentence(ros_test, odd):
+    process = ros_test.start(DASHBOARD, "--ros-args", *odd)
+    assert ros_test.wait(process) == 2
+    assert "cannot start:" in ros_test.output(process)
+    assert "Traceback" not in ros_test.output(process)
+
+
 def test_a_target_is_for_the_controller_that_was_there(loop):
     """One that is started later stands until somebody wants it somewhere."""
     harness, _, controller, _, page = loop

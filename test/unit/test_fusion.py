@@ -101,6 +101,17 @@ def test_after_a_doubt_it_follows_the_images_until_the_prediction_is_right_again
     assert fusion.wrong_share < 0.2
 
 
+def test_a_doubt_fades_where_the_ball_is_too_slow_to_learn_from():
+    rng = np.random.default_rng(8)
+    fusion = AdaptiveFusion()
+    fusion.doubt()
+    follow(fusion, 1e-3 * rng.normal(size=(60, 3)), np.zeros((60, 3)))
+    assert fusion.wrong_share > 0.45  # at rest nothing was seen of the prediction
+    way = np.outer(np.arange(200), [0.0015, 0.0, 0.0])
+    follow(fusion, way + 1e-3 * rng.normal(size=way.shape), np.diff(way, axis=0, prepend=way[:1]))
+    assert fusion.wrong_share < 0.15
+
+
 @pytest.mark.parametrize("make", [AdaptiveFusion, FixedFusion])
 def test_an_outlier_changes_nothing(make):
     rng = np.random.default_rng(4)

@@ -105,6 +105,19 @@ def test_a_camera_that_stands_still_is_hardly_turned_by_noise(model, kind):
     assert error_of(estimator, ur5_chain()) < before + 0.04
 
 
+@pytest.mark.parametrize("noise_m", [0.004, 0.006])
+@pytest.mark.parametrize("rests", [True, False])
+def test_a_noisy_camera_is_no_camera_that_is_bumped(model, noise_m, rests):
+    estimator, rng = estimator_of(model), np.random.default_rng(2)
+    if rests:
+        ball = ur5_chain().position(ur5_dh.HOME_RAD)
+        for _ in range(100):
+            estimator.observe(ur5_dh.HOME_RAD, ball + noise_m * rng.normal(size=3))
+        assert estimator._watch.deviation_m == pytest.approx(2.0**0.5 * noise_m, rel=0.3)
+    travel(estimator, ur5_chain(), 3.0, rng, noise_m)
+    assert estimator.status_values()["camera_bumps"] == 0.0
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_long_way_along_one_line_forgets_nothing(model, kind):
     chain = ur5_chain().moved(TURNED, np.zeros(3))

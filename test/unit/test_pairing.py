@@ -238,12 +238,12 @@ def test_a_bump_of_the_camera_is_not_held_against_the_jacobian():
 
 def test_jumps_that_come_again_and_again_are_the_jacobians_and_count():
     true = JACOBIAN / 3.0
-    for every in (1, 3):
+    for every in (1, 3, 10, 11, 30):
         monitor, rng = PredictionMonitor(), np.random.default_rng(0)
         for k, step in enumerate(steps_with(true, 1e-3, 300)):
-            jump = 0.1 * rng.normal(size=3) if k % every == 0 else np.zeros(3)
+            jump = 0.3 * rng.normal(size=3) if k % every == 0 else np.zeros(3)
             monitor.observe(replace(step, d_ball_m=step.d_ball_m + jump), true)
-        assert monitor.ratio > 0.8
+        assert monitor.ratio > 0.6
 
 
 @pytest.mark.parametrize("behind_s", [0.6, 1.0, 1.9, 3600.0])

@@ -40,15 +40,18 @@ def rested(rng, noise_m):
     return watch
 
 
-@pytest.mark.parametrize("noise_m", [0.0002, 0.001, 0.004])
-def test_noise_is_learned_at_rest_and_never_taken_for_a_turn(noise_m):
+@pytest.mark.parametrize("step_m", [0.012, 0.03, 0.06])
+@pytest.mark.parametrize("noise_m", [0.0002, 0.001, 0.004, 0.006])
+def test_noise_is_learned_and_never_taken_for_a_turn(noise_m, step_m):
     rng = np.random.default_rng(1)
     watch = rested(rng, noise_m)
     assert watch.deviation_m == pytest.approx(2.0**0.5 * noise_m, rel=0.3)
-    assert tell(watch, path(5000, rng), np.eye(3), noise_m, rng)[0] == 0
+    assert tell(watch, path(2000, rng, step_m), np.eye(3), noise_m, rng)[0] == 0
+    for _ in range(20):  # without a rest before
+        assert tell(TurnWatch(), path(100, rng, step_m), np.eye(3), noise_m, rng)[0] == 0
 
 
-@pytest.mark.parametrize(("noise_m", "within"), [(0.0002, 3), (0.001, 4)])
+@pytest.mark.parametrize(("noise_m", "within"), [(0.0002, 3), (0.001, 6)])
 @pytest.mark.parametrize("seed", range(5))
 def test_a_turn_is_seen_by_the_next_few_steps_and_they_are_handed_out(noise_m, within, seed):
     rng = np.random.default_rng(seed)
@@ -61,29 +64,40 @@ def test_a_turn_is_seen_by_the_next_few_steps_and_they_are_handed_out(noise_m, w
 
 
 def test_the_steps_since_the_turn_are_handed_out_as_they_were_told():
-    watch = TurnWatch()
-    one, other = np.array([0.03, 0.0, 0.0]), np.array([0.02, 0.02, 0.0])
-    assert watch.add(np.eye(3), one, TURNED @ one) == []
-    steps = watch.add(np.eye(3), other, TURNED @ other)
-    np.testing.assert_array_equal([step[0] for step in steps], [one, other])
-    np.testing.assert_array_equal([step[1] for step in steps], [TURNED @ one, TURNED @ other])
-    assert watch.add(np.eye(3), one, TURNED @ one) == []  # begun anew
+    watch = rested(np.random.default_rng(0), 0.001)
+    told = [np.array(one) for one in ([0.03, 0.0, 0.0], [0.02, 0.02, 0.0], [0.02, 0.01, 0.01])]
+    for one in told[:2]:
+        assert watch.add(np.eye(3), one, TURNED @ one) == []
+    steps = watch.add(np.eye(3), told[2], TURNED @ told[2])
+    np.testing.assert_array_equal([step[0] for step in steps], told)
+    np.testing.assert_array_equal([step[1] for step in steps], [TURNED @ one for one in told])
+    assert watch.add(np.eye(3), told[0], TURNED @ told[0]) == []  # begun anew
 
 
-def test_an_outlier_goes_out_and_back_and_is_no_turn():
+@pytest.mark.parametrize("step_m", [0.012, 0.03, 0.06])
+@pytest.mark.parametrize("outlier_m", [0.02, 0.03, 0.06])
+def test_an_outlier_goes_out_and_back_and_is_no_turn(outlier_m, step_m):
     rng = np.random.default_rng(2)
-    watch, balls = TurnWatch(), path(300, rng)
-    seen = balls + 0.001 * rng.normal(size=balls.shape)
-    seen[20::20] += 0.03 * rng.normal(size=(len(seen[20::20]), 3))
-    steps = zip(np.diff(balls, axis=0), np.diff(seen, axis=0), strict=True)
-    assert not any(watch.add(np.eye(3), *step) for step in steps)
+    found = 0
+    for _ in range(10):
+        watch, balls = rested(rng, 0.001), path(300, rng, step_m)
+        seen = balls + 0.001 * rng.normal(size=balls.shape)
+        struck = seen[10::20]
+        direction = rng.normal(size=struck.shape)
+        struck += outlier_m * direction / np.linalg.norm(direction, axis=1, keepdims=True)
+        steps = zip(np.diff(balls, axis=0), np.diff(seen, axis=0), strict=True)
+        found += sum(len(watch.add(np.eye(3), *step)) > 0 for step in steps)
+    assert found <= 1  # of 150 outliers
 
 
-def test_after_clear_one_step_says_nothing():
-    watch, step = TurnWatch(), np.array([0.03, 0.0, 0.0])
-    watch.add(np.eye(3), step, TURNED @ step)
+def test_after_clear_it_begins_anew():
+    watch, step = rested(np.random.default_rng(0), 0.001), np.array([0.03, 0.0, 0.0])
+    for _ in range(2):
+        watch.add(np.eye(3), step, TURNED @ step)
     watch.clear()
-    assert watch.add(np.eye(3), step, TURNED @ step) == []
+    for _ in range(2):
+        assert watch.add(np.eye(3), step, TURNED @ step) == []
+    assert watch.add(np.eye(3), step, TURNED @ step) != []
 
 
 def test_what_is_no_number_teaches_no_noise():
