@@ -183,6 +183,17 @@ def test_numbers_that_are_typed_wait_for_their_button(loop):
     page.press("Go")
     harness.spin_until(lambda: "three numbers in metres" in page.text(), what="a refusal")
     assert len(targets) == 2
+    page.press("Set current as target")  # and what was typed is forgotten, with the refusal
+    harness.spin_until(lambda: page.value(TARGET).count(",") == 2, what="the target as it is")
+    assert "three numbers in metres" not in page.text()
+
+
+def test_a_page_that_draws_once_a_second_is_not_taken_for_a_late_one(ros_test, pages):
+    PlayedRobot(ros_test)
+    ros_test.start_node(CONTROLLER)
+    process = ros_test.start_node(DASHBOARD, port=0, rate_hz=1.0)
+    page = pages(address_of(ros_test, process))
+    wait_for_state(ros_test, page, "WAITING")
 
 
 def test_a_dragged_target_is_followed_and_dropped(loop):
@@ -285,7 +296,7 @@ def test_a_stop_is_heard_while_others_want_the_processor(loop):
 
 
 def test_a_stop_is_repeated_until_it_is_answered(loop):
-    harness, _, controller, _, page = loop
+    harness, _, controller, process, page = loop
     start(harness, page)
     controller.send_signal(signal.SIGSTOP)
     page.press("Stop")
@@ -293,7 +304,7 @@ def test_a_stop_is_repeated_until_it_is_answered(loop):
     harness.spin_until(lambda: "does not answer yet" in page.text(), what="words")
     controller.send_signal(signal.SIGCONT)
     wait_for_state(harness, page, "READY")
-    harness.spin_until(lambda: "stop: stopping" in page.text(), what="the answer")
+    harness.spin_until(lambda: "stop: stopping" in harness.output(process), what="the answer")
 
 
 def test_the_arm_and_the_camera_are_drawn_from_the_topics(loop):

@@ -100,6 +100,35 @@ def test_a_target_said_again_is_the_same_and_a_new_one_is_another(tmp_path):
     assert second.score.settling_5mm_s is None
 
 
+def told(made, from_s, to_s, target_m):
+    """The controller's status, ten times a second, with the target that it has."""
+    for number in range(round(10 * from_s), round(10 * to_s)):
+        x, y, z = (f"{value:.6g}" for value in target_m)
+        made.status(
+            "fvs_controller_node",
+            0.1 * number + 0.01,
+            "servoing",
+            state="SERVOING",
+            reason="SERVOING",
+            target_x_m=x,
+            target_y_m=y,
+            target_z_m=z,
+        )
+
+
+def test_a_refused_target_is_none_and_one_set_by_a_service_ends_the_one_before(tmp_path):
+    made = HandmadeBag(tmp_path / "bag")
+    servo(made)
+    made.point("target_position", 2.0, None, [5.0, 5.0, 5.0])  # refused: the first goes on
+    told(made, GIVEN_S, 4.0, TARGET_M)
+    told(made, 4.0, END_S, START_M)
+    made.close()
+    recording = read(tmp_path / "bag")
+    (target,) = runs.targets(recording)
+    np.testing.assert_allclose(target.record.target_m, TARGET_M)
+    assert target.record.time_s[-1] == pytest.approx(4.0 - GIVEN_S, abs=0.05)
+
+
 def test_targets_in_quick_succession_are_one_that_moves(tmp_path):
     made = HandmadeBag(tmp_path / "bag")
     servo(made)
@@ -277,6 +306,21 @@ def test_states_follow_one_another_with_their_first_sentence(recording):
     assert servoing.start_s - recording.start_s == pytest.approx(GIVEN_S)
     assert servoing.end_s == recording.end_s
     assert story.servoing_s(recording) == pytest.approx(END_S - GIVEN_S, abs=0.05)
+
+
+def test_a_controller_that_says_no_more_is_silent_and_not_still_servoing(tmp_path):
+    made = HandmadeBag(tmp_path / "bag")
+    servo(made)
+    made.point("target_position", END_S + 5.0, None, START_M)  # the bag goes on
+    made.close()
+    recording = read(tmp_path / "bag")
+    *_, servoing, silent = story.states(recording)
+    assert servoing.what == "SERVOING"
+    assert (silent.what, silent.sentence) == ("SILENT", "no word from the controller")
+    assert servoing.end_s == silent.start_s
+    assert silent.start_s - recording.start_s == pytest.approx(END_S + 0.9, abs=0.05)
+    assert silent.end_s == recording.end_s
+    assert story.servoing_s(recording) == pytest.approx(END_S + 0.9 - GIVEN_S, abs=0.05)
 
 
 def test_an_active_limit_is_a_spell(recording):

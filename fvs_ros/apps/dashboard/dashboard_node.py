@@ -42,8 +42,10 @@ from fvs_ros.core.topics import CAMERA_PREFIXES
 #: Behind the loop, but not far: its buttons must work on a busy machine, too.
 _NICE = 5
 _ACTIONS_PERIOD_S = 0.03
-#: A picture that comes later than this shows how little time the page gets, nothing else, s.
+#: A picture that comes so much too late shows how little time the page gets, nothing else, s.
 _LATE_S = 0.7
+#: A tour that waits for longer than this says so, s.
+_WAITS_S = 10.0
 _LOOK_PERIOD_S = 1.0
 _LIMIT = "max_joint_velocity_rad_s"
 _AGES = {
@@ -78,7 +80,8 @@ class DashboardNode(ros.FvsNode):
         self.watch(String, ros.ROBOT_DESCRIPTION, self._on_description, ros.QOS_LATCHED)
         self.watch(PoseStamped, ros.TRUE_CAMERA_POSE, self._on_camera_pose, ros.QOS_LATCHED)
         self._page = _make_page(v, self._actions)
-        self._shown_s = self.steady_s()
+        self._shown_s = self._goes_s = self.steady_s()
+        self._skipped = False
         self.create_timer(_ACTIONS_PERIOD_S, self._act, clock=self.steady_clock)
         self.create_timer(1.0 / v["rate_hz"], self._show, clock=self.steady_clock)
         self.create_timer(_LOOK_PERIOD_S, self._look_around, clock=self.steady_clock)
@@ -170,10 +173,12 @@ class DashboardNode(ros.FvsNode):
         watched = self._page.watched
         if self.values["image"] and watched != bool(self._cameras):
             self._look_at_images(watched)
-        late, self._shown_s = now_s - self._shown_s > _LATE_S, now_s
-        if late:  # what came meanwhile is yet to be heard
+        late = now_s - self._shown_s > _LATE_S + 1.0 / self.values["rate_hz"]
+        self._shown_s = now_s
+        if late:  # what came meanwhile is yet to be heard; but not every time
             self._board.answer(now_s, "this page gets too little of the processor: it is behind")
-        elif watched:
+        self._skipped = late and not self._skipped
+        if watched and not self._skipped:
             self._page.update(self._board.snapshot(now_s, self._tour is not None))
 
     def _look_at_images(self, wanted: bool) -> None:
@@ -227,6 +232,7 @@ class DashboardNode(ros.FvsNode):
         self._calls.look_after()
 
     def _do(self, action: Action) -> None:
+        self._board.answer(self.steady_s(), "")  # what was said of another one
         if action == STOP:
             self._tour = None
             self._calls.stop()
@@ -275,6 +281,11 @@ class DashboardNode(ros.FvsNode):
         if self._tour is None:
             return
         ready = self._board.controller(now_s).goes_to_targets
+        if ready:
+            self._goes_s = now_s
+        elif now_s - self._goes_s > _WAITS_S:
+            self._goes_s = now_s
+            self._answer("the tour waits for the controller; does it need a Start?")
         target_m = self._tour.next(now_s, ready, self._board.ball_m(now_s))
         if target_m is not None:
             self._send_target(target_m)

@@ -87,7 +87,7 @@ class Page:
         curves.dock_left()
         curves.set_width(_LEFT_PX)
         self._scene = Scene(
-            server, ball_radius_m, lambda at, moving: actions.put(Target(at, moving))
+            server, ball_radius_m, lambda at, moving: self._dragged(actions, Target(at, moving))
         )
         # From where arm and camera stand side by side, wherever the camera usually stands.
         server.initial_camera.position = (2.45, 2.05, 1.5)
@@ -95,11 +95,15 @@ class Page:
         server.initial_camera.fov = 0.85
         self._shown = 0
 
+    def _dragged(self, actions: Actions, target: Target) -> None:
+        self._panel.forget_typed()
+        actions.put(target)
+
     @property
     def address(self) -> str:
         """Where a browser finds it."""
         host = socket.gethostname() if self._host in _EVERYWHERE else self._host
-        return f"http://{host}:{self._server.get_port()}"
+        return f"http://{f'[{host}]' if ':' in host else host}:{self._server.get_port()}"
 
     @property
     def open_to_others(self) -> bool:

@@ -87,7 +87,11 @@ class Panel:
             self._tour = gui.add_checkbox(
                 "Tour", False, visible=tour, hint="Send it to one after another."
             )
-        self._button(current, SET_CURRENT)
+
+        @current.on_click
+        async def _(_event: viser.GuiEvent) -> None:
+            self.forget_typed()
+            self._say(SET_CURRENT)
 
         @self._target.on_update
         async def _(event: viser.GuiEvent) -> None:
@@ -165,6 +169,10 @@ class Panel:
     def _hold(self, name: str, seconds: float = _SET_S) -> None:
         """Leave to the person what they are setting."""
         self._held_until_s[name] = time.monotonic() + seconds
+
+    def forget_typed(self) -> None:
+        """Show the controller's target again, whatever somebody typed and did not send."""
+        self._held_until_s.pop("target", None)
 
     def _free(self, name: str) -> bool:
         """Whether nobody is just setting it."""

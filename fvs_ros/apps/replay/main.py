@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 COMMAND = "fvs_experiments replay"
 _NEEDS = ("rosbags", "jinja2", "matplotlib")
-#: No more rows of a table than this go to the terminal.
-_PRINTED = 25
+#: No more rows of a table than this go to the terminal: most from its beginning, and its end.
+_PRINTED, _OF_THE_END = 25, 8
 _LEAD = (
     "A recorded run of visual servoing, in simulation or on a robot: what the controller did, how "
     "the ball came to its targets, and whether everything came in time."
@@ -87,14 +87,17 @@ def _tell(reports: list[Report]) -> None:
 
 def _text(table: Table) -> str:
     """A table as text; its last column is not filled up."""
-    rows = [table.header, *table.rows[:_PRINTED]]
+    more = len(table.rows) - _PRINTED
+    rows = [table.header, *table.rows]
+    if more > 0:
+        left_out = ["...", f"{more} more on the page", *[""] * (len(table.header) - 2)]
+        rows[1 + _PRINTED - _OF_THE_END : -_OF_THE_END] = [left_out]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in rows
     ]
-    more = len(table.rows) - _PRINTED
-    return "\n".join([*lines, *([f"({more} more on the page)"] if more > 0 else [])])
+    return "\n".join(lines)
 
 
 def _model(recording: Recording) -> str:

@@ -302,7 +302,9 @@ def _parameter(value: Any) -> Any:
     if 0 < value.type < len(names):
         return getattr(value, f"{names[value.type]}_value")
     at = value.type - len(names)
-    return list(getattr(value, f"{arrays[at]}_value")) if 0 <= at < len(arrays) else None
+    if at < 0:
+        return None
+    return np.asarray(getattr(value, f"{arrays[at]}_value")).tolist() if at < len(arrays) else None
 
 
 def _one_line(error: Exception) -> str:

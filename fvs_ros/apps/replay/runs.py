@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fvs_controller_node.target_motion import TargetMotion
+from fvs_ros.apps.dashboard.view import vector
 from fvs_ros.apps.demo import PARAMETERS, TargetRecord, TargetScore, score
 from fvs_ros.apps.replay.data import Recording, Series
 from fvs_ros.apps.score import jitter_rad_s
@@ -22,6 +23,8 @@ _BEFORE_S = 5.0
 #: Without a position for so long after it was given, its start is not known, s.
 _LATE_S = 0.1
 _FINAL_S = 1.0
+#: So long after a target's arrival the status shows it, and in so many digits, s and m.
+_SHOWN_S, _SAME_M = 0.25, 0.001
 _DEMO = "fvs_demo_node"
 
 
@@ -68,8 +71,9 @@ class Target:
 
 @dataclass(frozen=True)
 class _Given:
-    """A target as it was given: when, and where it was from then on."""
+    """A target as it was given: when it came, when it was given, and where it was from then on."""
 
+    arrival_s: float
     time_s: list[float] = field(default_factory=list)
     position_m: list[np.ndarray] = field(default_factory=list)
 
@@ -90,16 +94,51 @@ def targets(recording: Recording) -> list[Target]:
     if ball is None or given is None:
         return []
     time_s = _times(ball)
-    runs = _grouped(given, time_s)
+    runs = _taken(recording, _grouped(given, time_s))
     found: list[Target] = []
-    for one, following in zip(runs, [*runs[1:], None], strict=True):
+    for (one, replaced_s), (following, _) in zip(runs, [*runs[1:], (None, 0.0)], strict=True):
         end_s = np.inf if following is None else following.time_s[0]
+        end_s = min(end_s, one.time_s[0] + replaced_s)
         if following is None and _DEMO in recording.scenario:
             target_s = recording.started(_DEMO, PARAMETERS)["target_s"]
             end_s = _first_after(time_s, one.time_s[0], target_s)
         target = _judge(recording, ball, time_s, one, end_s, len(found) + 1)
         if target is not None:
             found.append(target)
+    return found
+
+
+def _taken(recording: Recording, runs: Sequence[_Given]) -> list[tuple[_Given, float]]:
+    """The targets that the controller took, and how long after it another one took its place, s.
+
+    Its status tells: one that it refused is not there, and one that was set by a service stands
+    there without a message. A bag without it, or a target on its way, has nothing to compare.
+    """
+    told = [
+        (status.arrival_s, target_m)
+        for status in recording.said.get("controller", ())
+        if (target_m := vector(status.values, "target_{}_m")) is not None
+    ]
+
+    def shown(one: _Given, following: _Given | None) -> list[tuple[float, bool]]:
+        """When the status told a target after this one, and whether it was this one."""
+        end_s = np.inf if following is None else following.arrival_s
+        return [
+            (at_s, bool(np.abs(target_m - one.position_m[0]).max() < _SAME_M))
+            for at_s, target_m in told
+            if one.arrival_s + _SHOWN_S < at_s < end_s
+        ]
+
+    def compared(runs: Sequence[_Given]) -> list[tuple[_Given, list[tuple[float, bool]]]]:
+        pairs = zip(runs, [*runs[1:], None], strict=bool(runs))
+        return [(one, [] if len(one.time_s) > 1 else shown(one, after)) for one, after in pairs]
+
+    taken = [one for one, seen in compared(runs) if not seen or any(same for _, same in seen)]
+    found: list[tuple[_Given, float]] = []
+    for one, seen in compared(taken):
+        last_s = max((at_s for at_s, same in seen if same), default=np.inf)
+        other_s = min((at_s for at_s, _ in seen if at_s > last_s), default=np.inf)
+        found.append((one, other_s - one.arrival_s))
     return found
 
 
@@ -127,7 +166,7 @@ def _grouped(given: Series, ball_s: np.ndarray) -> list[_Given]:
         last = position_m
         given_s = _given_s(stamp_s, arrival_s, ball_s)
         if not motion.continues(position_m, given_s):
-            runs.append(_Given())
+            runs.append(_Given(float(arrival_s)))
         motion.restart(position_m, given_s)
         runs[-1].time_s.append(given_s)
         runs[-1].position_m.append(position_m)

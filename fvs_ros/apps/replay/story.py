@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from fvs_ros.apps.dashboard.view import SILENT, SILENT_S
 from fvs_ros.apps.replay.data import Recording, Said
 from fvs_ros.apps.replay.timing import gaps
 
@@ -60,10 +61,10 @@ class Event:
 
 
 def states(recording: Recording) -> list[Spell]:
-    """The controller's states and reasons, one after the other."""
+    """The controller's states and reasons in order; ``SILENT`` where it said nothing."""
     statuses = recording.said.get("controller", ())
     found: list[Spell] = []
-    for status, end_s in _with_ends(recording, statuses):
+    for status, end_s, next_s in _with_ends(recording, statuses):
         state = status.values.get("state", "unknown")
         reason = status.values.get("reason", "")
         if found and (found[-1].what, found[-1].reason) == (state, reason):
@@ -71,6 +72,8 @@ def states(recording: Recording) -> list[Spell]:
             found[-1] = Spell(last.start_s, end_s, state, reason, last.sentence)
         else:
             found.append(Spell(status.arrival_s, end_s, state, reason, status.text))
+        if end_s < next_s:
+            found.append(Spell(end_s, next_s, SILENT, "", "no word from the controller"))
     return found
 
 
@@ -78,7 +81,7 @@ def limits(recording: Recording) -> list[Spell]:
     """Spells of servoing in which a limit shaped the command, as ten statuses a second tell it."""
     found: list[Spell] = []
     active = ""
-    for status, end_s in _with_ends(recording, recording.said.get("controller", ())):
+    for status, end_s, _ in _with_ends(recording, recording.said.get("controller", ())):
         servoing = status.values.get("state") == SERVOING
         previous, active = active, _unnumbered(status.values.get("active_limit", ""))
         active = active if servoing else ""
@@ -121,9 +124,16 @@ def events(recording: Recording) -> list[Event]:
     return _joined(sorted(found, key=lambda event: event.time_s))
 
 
-def _with_ends(recording: Recording, statuses: Sequence[Said]) -> list[tuple[Said, float]]:
-    ends = [status.arrival_s for status in statuses[1:]] + [recording.end_s]
-    return list(zip(statuses, ends, strict=True)) if statuses else []
+def _with_ends(recording: Recording, statuses: Sequence[Said]) -> list[tuple[Said, float, float]]:
+    """Each status, until when it holds, and when the next one came, or the bag ended, s.
+
+    What was said a second ago says nothing of now: the controller may be dead.
+    """
+    following = [status.arrival_s for status in statuses[1:]] + [recording.end_s]
+    return [
+        (status, min(next_s, status.arrival_s + SILENT_S), next_s)
+        for status, next_s in zip(statuses, following, strict=bool(statuses))
+    ]
 
 
 def _joined(events: Sequence[Event]) -> list[Event]:
