@@ -206,7 +206,7 @@ class LeftFactorEstimator(FrozenRbfEstimator):
 
     def _learn(self, predicted: np.ndarray, seen: np.ndarray) -> None:
         config = self._config
-        keep = math.exp(-(float(predicted.dot(predicted)) ** 0.5) / config.memory_m)
+        keep = math.exp(-math.sqrt(float(predicted.dot(predicted))) / config.memory_m)
         # The little that is put back of the factor so far keeps what the steps do not tell,
         # however long they go along one line.
         floor = (1.0 - keep) * config.bumped_trust_m**2
