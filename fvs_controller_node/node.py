@@ -44,6 +44,8 @@ _LEVELS = {
 class ControllerNode(ros.FvsNode):
     """Ticks at every joint state; a watchdog ticks when none come, so that zeros keep flowing."""
 
+    keeps_subscriptions = True
+
     def __init__(self) -> None:
         super().__init__("fvs_controller_node", PARAMETERS)
         v = self.values
@@ -60,7 +62,7 @@ class ControllerNode(ros.FvsNode):
         self._heard_target_s = -np.inf
         self._refusal = ""
         self._rivals = ""
-        self._rivals_commands: Any = None  # subscribed while there is a rival
+        self._hears_rivals = False
         self._sent: deque[tuple[float, ...]] = deque(maxlen=_SENT)
         self._command: Command | None = None
 
@@ -240,21 +242,19 @@ class ControllerNode(ros.FvsNode):
         )
 
     def _look_for_rivals(self) -> None:
-        """Listen to the commands while others publish there: a killed node may just be listed."""
+        """Listen to the commands once others publish there: a killed node may just be listed."""
         # One that is not known by name yet may be this very node.
         self._rivals = ", ".join(n for n in self.other_publishers(ros.COMMANDS) if "/" in n)
-        if self._rivals and self._rivals_commands is None:
-            self._rivals_commands = self.create_subscription(
+        if self._rivals and not self._hears_rivals:
+            self._hears_rivals = True
+            self.create_subscription(
                 Float64MultiArray, ros.COMMANDS, self._on_any_command, ros.QOS_RELIABLE
             )
-        elif not self._rivals and self._rivals_commands is not None:
-            self.destroy_subscription(self._rivals_commands)
-            self._rivals_commands = None
 
     def _on_any_command(self, message: Float64MultiArray) -> None:
         # One's own come back, too. A rival that says what was just said here does no harm.
-        if tuple(message.data) not in self._sent:
-            self._loop.supervisor.rival(self.steady_s(), self._rivals or "another node")
+        if self._rivals and tuple(message.data) not in self._sent:
+            self._loop.supervisor.rival(self.steady_s(), self._rivals)
 
     def diagnostic_values(self) -> dict[str, Any]:
         """Ticks that the watchdog made."""

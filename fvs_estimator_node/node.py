@@ -34,6 +34,8 @@ _CHAIN_PERIOD_S = 0.4
 class EstimatorNode(ros.FvsNode):
     """Publishes the Jacobian at the newest joints, and learns from every step."""
 
+    keeps_subscriptions = True
+
     def __init__(self) -> None:
         super().__init__("fvs_estimator_node", PARAMETERS)
         v = self.values

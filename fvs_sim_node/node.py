@@ -40,6 +40,8 @@ _BURST_S = 0.005
 class SimNode(ros.FvsNode):
     """Publishes joint states and ball positions, obeys joint velocity commands."""
 
+    keeps_subscriptions = True
+
     def __init__(self) -> None:
         super().__init__("fvs_sim_node", PARAMETERS)
         v = self.values

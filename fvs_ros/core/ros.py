@@ -23,7 +23,7 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -39,6 +39,11 @@ from fvs_ros.core.joints import N_JOINTS
 from fvs_ros.core.monitor import ArrivalMonitor
 from fvs_ros.core.params import Parameter, ParameterError, ParameterSet
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_OK
+
+try:
+    from rclpy.experimental import EventsExecutor
+except ImportError:  # before rclpy 7.1.4
+    EventsExecutor = None
 
 # Topic names; what they hold stands in topics.py.
 JOINT_STATES = topics.JOINT_STATES.name
@@ -703,6 +708,11 @@ class FvsNode(Node):
     #: Set to end the process with this exit code.
     exit_code: int | None = None
 
+    #: Whether subscriptions, timers and the like, once created, stay to the end. Such a node does
+    #: without wait sets, which take half of its time; the executor that does crashes where a
+    #: subscription is destroyed (ros2/rclpy#1644), and knows no callback groups.
+    keeps_subscriptions = False
+
     def finish(self) -> None:
         """Last words on the wire before the process ends, whatever ended it."""
 
@@ -750,10 +760,10 @@ def _run(make_node: Callable[[], FvsNode], argv: list[str] | None) -> int:
         except (ValueError, OSError, ParameterException) as error:
             _say(f"cannot start: {error}")
             return EXIT_BAD_INPUT
-        executor = SingleThreadedExecutor()
+        executor = _make_executor(node.keeps_subscriptions)
         executor.add_node(node)
         try:
-            while not stop.RECEIVED and node.exit_code is None:
+            while not stop.RECEIVED and node.exit_code is None and rclpy.ok():
                 executor.spin_once(timeout_sec=_SPIN_PERIOD_S)
         except ExternalShutdownException:
             return EXIT_OK
@@ -765,6 +775,11 @@ def _run(make_node: Callable[[], FvsNode], argv: list[str] | None) -> int:
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
+
+
+def _make_executor(events: bool) -> Executor:
+    events_too = events and EventsExecutor is not None
+    return EventsExecutor() if events_too else SingleThreadedExecutor()
 
 
 def _say(text: str) -> None:

@@ -143,3 +143,17 @@ def test_a_forbidden_import_is_found(path, source):
 )
 def test_an_allowed_import_is_passed(path, source):
     assert violations(path, source) == []
+
+
+NODES = [path for path in SOURCES if path.endswith("node.py")]
+KEEPS = "keeps_subscriptions = True"
+
+
+@pytest.mark.parametrize("path", [p for p in NODES if KEEPS in (ROOT / p).read_text("utf-8")])
+def test_a_node_that_keeps_its_subscriptions_destroys_none(path):
+    assert "destroy_" not in (ROOT / path).read_text(encoding="utf-8")
+
+
+def test_the_nodes_of_the_loop_keep_their_subscriptions():
+    for name in ("sim", "estimator", "controller"):
+        assert KEEPS in (ROOT / f"fvs_{name}_node/node.py").read_text(encoding="utf-8")
