@@ -253,8 +253,8 @@ class ControllerNode(ros.FvsNode):
 
     def _on_any_command(self, message: Float64MultiArray) -> None:
         # One's own come back, too. A rival that says what was just said here does no harm.
-        if self._rivals and tuple(message.data) not in self._sent:
-            self._loop.supervisor.rival(self.steady_s(), self._rivals)
+        if tuple(message.data) not in self._sent:
+            self._loop.supervisor.rival(self.steady_s(), self._rivals or "another node")
 
     def diagnostic_values(self) -> dict[str, Any]:
         """Ticks that the watchdog made."""
