@@ -10,7 +10,8 @@ Old steps fade with the way that the ball has gone since, not with time: near th
 steps are small and noisy, little is learned and little forgotten. Steps along one line need no
 small noise: in their sum the positions in between cancel. Where the camera was bumped, old steps
 say nothing any more: a step far too long tells, or the next few that fit another rotation
-(:mod:`fvs_estimator_node.turn_watch`).
+(:mod:`fvs_estimator_node.turn_watch`). A single wrong position is no bump: the step there and the
+one back add up to what was expected before.
 """
 
 from __future__ import annotations
@@ -130,6 +131,18 @@ def left_factor_config(values: Mapping[str, Any]) -> LeftFactorConfig:
     )
 
 
+@dataclass(frozen=True)
+class _Past:
+    """A step, and what was known before it."""
+
+    predicted: np.ndarray
+    seen: np.ndarray
+    factor: np.ndarray
+    cross: np.ndarray
+    gram: np.ndarray
+    bumps: int
+
+
 class LeftFactorEstimator(FrozenRbfEstimator):
     """Frozen networks times a learned 3x3 factor.
 
@@ -155,6 +168,7 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         self._refused = 0
         self._bumps = 0
         self._watch = TurnWatch()
+        self._past: _Past | None = None
         self._sample: tuple[np.ndarray, np.ndarray] | None = None
         self._begin(self._config.trust_m)
 
@@ -181,17 +195,18 @@ class LeftFactorEstimator(FrozenRbfEstimator):
     def update(self, step: MotionStep) -> None:
         """Learn from one step; too little motion or anything not finite changes nothing."""
         config = self._config
-        if np.abs(step.d_joints_rad).max() < config.min_motion_rad:
-            return
         predicted = super().jacobian(step.joints_rad) @ step.d_joints_rad
         predicted_m2 = float(predicted.dot(predicted))
         seen_m2 = float(step.d_ball_m.dot(step.d_ball_m))
         if not (step.dt_s > 0.0 and math.isfinite(predicted_m2 + seen_m2)):
             self._refused += 1
             return
+        if self._there_and_back(predicted, step.d_ball_m):
+            return
+        if np.abs(step.d_joints_rad).max() < config.min_motion_rad:
+            return
         # However the camera may have been turned, the ball goes as far as predicted.
-        way_m = math.sqrt(predicted_m2)
-        if math.sqrt(seen_m2) - way_m > config.bump_m:
+        if math.sqrt(seen_m2) - math.sqrt(predicted_m2) > config.bump_m:
             self._bumps += 1
             self._watch.clear()
             self._begin(config.bumped_trust_m)
@@ -203,6 +218,25 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         for one in turned or [(predicted, step.d_ball_m)]:
             self._learn(*one)
         self._updates += 1
+
+    def _there_and_back(self, predicted: np.ndarray, seen: np.ndarray) -> bool:
+        """Take back what a single wrong position did, and learn without it; remember the step."""
+        past, self._past = (
+            self._past,
+            _Past(predicted, seen, self._factor, self._cross, self._gram, self._bumps),
+        )
+        if past is None:
+            return False
+        there = past.seen - past.factor @ past.predicted
+        back = seen - past.factor @ predicted
+        wrong_m2 = (self._config.bump_m / 2.0) ** 2
+        if there.dot(there) < wrong_m2 or (there + back).dot(there + back) > wrong_m2:
+            return False
+        self._factor, self._cross, self._gram = past.factor, past.cross, past.gram
+        self._bumps, self._past = past.bumps, None
+        self._watch.clear()
+        self._learn(past.predicted + predicted, past.seen + seen)
+        return True
 
     def _learn(self, predicted: np.ndarray, seen: np.ndarray) -> None:
         config = self._config

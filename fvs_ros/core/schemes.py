@@ -80,8 +80,6 @@ BEYOND: dict[str, Scheme] = {
                 "allocation": "least_speed",
                 "anticipate_drive_lag": True,
                 "ftsm_path": "straight",
-                "alpha2": 6.0,
-                "alpha3": 4.0,
             },
         ),
         Scheme(

@@ -55,7 +55,7 @@ from fvs_ros.apps.experiments.trials import Case, Conditions, Outcome, make_case
 
 NAME = "beyond"
 _PLACES_SEED, _MINUTES_SEED, _TUNING_SEED, _SCORING_SEED = 400, 401, 402, 403
-_JOURNEYS_SEED, _PATHS_SEED = 404, 405
+_JOURNEYS_SEED, _PATHS_SEED = 505, 405
 #: Targets of the spot check, and contestants that are judged by moved cameras, the first ones.
 _TARGETS, _JUDGED = 4, 2
 
