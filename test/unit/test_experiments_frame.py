@@ -3,6 +3,7 @@
 import importlib.util
 import json
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -378,6 +379,23 @@ def test_the_spot_checks_scenario_is_one(tmp_path):
     exact = Chain(Trial(case, "rbf", "ftsm", conditions=EXACT), HOME, chain.targets_m, 4)
     with pytest.raises(ValueError, match="rendered"):
         scenario_of(exact, tmp_path)
+
+
+def test_the_spot_check_turns_the_nodes_camera_as_its_own():
+    from fvs_sim_node.simulation import Simulation
+
+    turned = Conditions(camera_turn_deg=(0.0, 0.0, 45.0))
+    case = Case("EXP1", HOME, HOME, 4)
+    chain = Chain(Trial(case, "rbf", "ftsm", conditions=turned), HOME, ((0.1, -0.2, 1.3),), 4)
+    given = scenario_of(chain, Path("results"))["fvs_sim_node"]["ros__parameters"]
+    with Simulation(turned.sim_config()) as own, Simulation(Conditions().sim_config()) as nodes:
+        nodes.rotate_camera(np.radians(given["camera_rotation_deg"]))
+        np.testing.assert_allclose(own.true_ball_position(), nodes.true_ball_position(), atol=1e-9)
+    aside = replace(
+        chain, trial=replace(chain.trial, conditions=Conditions(camera_turn_deg=(30.0, 0.0, 0.0)))
+    )
+    with pytest.raises(ValueError, match="optical axis"):
+        scenario_of(replace(chain, trial=replace(chain.trial, conditions=aside)), Path("results"))
 
 
 def test_the_spot_check_knows_the_fitted_chain():

@@ -58,6 +58,12 @@ _PLACES_SEED, _MINUTES_SEED, _TUNING_SEED, _SCORING_SEED = 400, 401, 402, 403
 _JOURNEYS_SEED, _PATHS_SEED = 505, 405
 #: Targets of the spot check, and contestants that are judged by moved cameras, the first ones.
 _TARGETS, _JUDGED = 4, 2
+#: Worlds of the spot check, in words behind the scheme's name.
+CHECKED = {
+    Conditions(): "",
+    Conditions(latency_s=0.2): ", 200 ms of latency",
+    Conditions(camera_turn_deg=(0.0, 0.0, 45.0)): ", camera turned by 45°",
+}
 
 
 def run(context: Context) -> Report:
@@ -203,16 +209,20 @@ def _pursuits(context: Context, count: int) -> list[tuple[Pursuit, Tracked]]:
 def _checks(context: Context, cases: Sequence[Case]) -> list[SpotCheck]:
     if not context.nodes:
         return []
-    checks = []
-    for number, name in enumerate((BEST,) if context.quick else (BEST, EXTENDED)):
-        # The nodes have a rendered camera, whatever the laboratory uses.
-        trial = trial_of(name, cases[0], Conditions())
-        domain = 1 + (os.getpid() + number) % 100
-        seeds = 2 if context.quick else 6
-        checks.append(
-            spot_check(context, name, trial, cases[:_TARGETS], domain, seeds, experiment=NAME)
+    # The nodes have a rendered camera, whatever the laboratory uses.
+    asked = [(name, conditions) for conditions in CHECKED for name in (BEST, EXTENDED)]
+    return [
+        spot_check(
+            context,
+            name + CHECKED[conditions],
+            trial_of(name, cases[0], conditions),
+            cases[:_TARGETS],
+            domain=1 + (os.getpid() + number) % 100,
+            seeds=2 if context.quick else 6,
+            experiment=NAME,
         )
-    return checks
+        for number, (name, conditions) in enumerate(asked[:1] if context.quick else asked)
+    ]
 
 
 def _limit(found: Mapping[tuple[str, str], Found]) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -44,7 +45,7 @@ class SpotCheck:
     Parameters
     ----------
     name : str
-        The scheme.
+        The scheme, and what is unusual.
     lock_step_s : sequence of sequence
         Of the lock-step runs, a row for each seed of the noise.
     nodes_s : sequence
@@ -113,7 +114,7 @@ def spot_check(
     context : Context
         For its cores, and the folder of the scenario file and of the nodes' results.
     name : str
-        The scheme's name.
+        The scheme's name, and what is unusual.
     trial : Trial
         Estimator, law, gains and conditions.
     cases : sequence of Case
@@ -138,7 +139,7 @@ def spot_check(
     lock_step = context.map(run_chain, chains, f"{name} in lock step")
     print(f"   {name} through the real nodes ...", flush=True)
     folder = context.folder(experiment)
-    nodes, problem = _through_nodes(chains[0], folder, name.replace("+", "_"), domain)
+    nodes, problem = _through_nodes(chains[0], folder, name, domain)
     return SpotCheck(name, lock_step, nodes, problem)
 
 
@@ -146,6 +147,7 @@ def _through_nodes(
     chain: Chain, folder: Path, name: str, domain: int
 ) -> tuple[list[float | None], str]:
     """Settling times of the real nodes, and what went wrong."""
+    name = re.sub(r"\W+", "_", name)
     scenario, results = folder / f"spot_check_{name}.yaml", folder / f"spot_check_{name}"
     scenario.write_text(
         yaml.safe_dump(scenario_of(chain, results), sort_keys=False), encoding="utf-8"
@@ -204,8 +206,11 @@ def run_chain(chain: Chain) -> list[float | None]:
 def scenario_of(chain: Chain, results: Path) -> Mapping[str, Any]:
     """The chain as a scenario: the same parameters, given to the nodes."""
     trial, conditions = chain.trial, chain.trial.conditions
-    if not conditions.rendered or any(conditions.camera_turn_deg):
-        raise ValueError("the nodes have a rendered camera, where the model was trained")
+    if not conditions.rendered or any(conditions.camera_turn_deg[:2]):
+        raise ValueError(
+            "the nodes have a rendered camera, turned about its optical axis at most: about "
+            "another one, the scene would be out of its sight"
+        )
 
     def parameters(**values: Any) -> dict[str, Any]:
         return {"ros__parameters": values}
@@ -218,6 +223,7 @@ def scenario_of(chain: Chain, results: Path) -> Mapping[str, Any]:
             depth_noise=conditions.depth_noise,
             position_noise_m=conditions.position_noise_m,
             joint_lag_s=conditions.joint_lag_s,
+            camera_rotation_deg=list(conditions.camera_turn_deg),
         ),
         "fvs_estimator_node": parameters(
             method=trial.method, model_path=MODEL, **trial.estimator_values
