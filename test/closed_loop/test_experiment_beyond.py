@@ -152,6 +152,14 @@ def test_a_camera_that_is_struck_is_back_for_the_next_run():
     assert len({one.settled_s for one in arrivals}) > 1
 
 
+@pytest.mark.parametrize("name", [BEST, EXTENDED])
+def test_a_camera_that_is_struck_between_two_targets_costs_no_time(name):
+    journeys = {one.moment: one for one in draw_journeys(1, 7, (name,), EXACT)}
+    undisturbed = run_journey(journeys[UNDISTURBED])
+    struck = run_journey(journeys[AT_REST])
+    assert struck.settled_s <= 1.2 * undisturbed.settled_s
+
+
 # ---- moving targets -------------------------------------------------------------------------
 
 

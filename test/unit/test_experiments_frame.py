@@ -395,7 +395,7 @@ def test_the_spot_check_turns_the_nodes_camera_as_its_own():
         chain, trial=replace(chain.trial, conditions=Conditions(camera_turn_deg=(30.0, 0.0, 0.0)))
     )
     with pytest.raises(ValueError, match="optical axis"):
-        scenario_of(replace(chain, trial=replace(chain.trial, conditions=aside)), Path("results"))
+        scenario_of(aside, Path("results"))
 
 
 def test_the_spot_check_knows_the_fitted_chain():
