@@ -39,6 +39,9 @@ STILL_RAD = 1e-3
 _SEARCH_SAMPLES, _STARTS = 400, 12
 #: Offsets of the stamps that are tried before, s, and the passes of a robust regression.
 _SEARCH_OFFSETS_S, _REGRESSIONS = np.linspace(-0.18, 0.18, 13), 6
+#: Above both, the second in m, something else than a chain of six revolute joints moves the ball; a
+#: camera's own systematic errors stay below.
+_MISFIT_LIMIT, _UNEXPLAINED_LIMIT_M = 1.3, 0.001
 #: A start is right if its residual is below so many times that of the images themselves.
 _GOOD_SHARE = 1.5
 #: So many of the weakest joints are turned about once more when all is fitted, and the evaluations
@@ -101,6 +104,11 @@ class ChainFit:
     def unexplained_m(self) -> float:
         """The part of the residual that neither the chain nor noise explains, m."""
         return math.sqrt(max(self.residual_m**2 - self.noise_m**2, 0.0))
+
+    @property
+    def is_chain(self) -> bool:
+        """Whether the ball moves as one on a serial chain, as far as the noise lets one see."""
+        return self.misfit <= _MISFIT_LIMIT or self.unexplained_m <= _UNEXPLAINED_LIMIT_M
 
     def jacobian_deviation(self, joints_rad: np.ndarray) -> np.ndarray:
         """Relative standard deviation of the Jacobian at joints, by the covariance.

@@ -15,7 +15,6 @@ from fvs_estimator_node.collecting import data_set_of
 from fvs_estimator_node.knowledge import Findings, NothingYet, Question
 from fvs_estimator_node.motion import Course, RandomMotion
 from fvs_estimator_node.pairing import BallSample
-from fvs_estimator_node.teaching import MISFIT_LIMIT, UNEXPLAINED_LIMIT_M
 
 #: Joints in the box at which the Jacobian's deviation is looked at.
 _PLACES = 100
@@ -46,7 +45,7 @@ class ChainExaminer:
             jacobian_deviation=deviation * max(1.0, fit.misfit),
             misfit=fit.misfit,
             image_offset_s=fit.time_offset_s,
-            is_chain=fit.misfit <= MISFIT_LIMIT or fit.unexplained_m <= UNEXPLAINED_LIMIT_M,
+            is_chain=fit.is_chain,
             course=best_course(fit, motion, time_s, len(self._samples) / time_s, self._rng),
         )
 

@@ -28,9 +28,6 @@ _LESSON, _EXAMINATION = 80, 1000
 _WIDTH_FACTOR, _BEYOND, _RIDGE = 4.0, 1.1, 1e-11
 #: Ball positions kept as places that the arm can reach.
 _BALL_SAMPLES = 500
-#: Above both, the second in m, something else than a chain of six revolute joints moves the ball; a
-#: camera's own systematic errors stay below.
-MISFIT_LIMIT, UNEXPLAINED_LIMIT_M = 1.3, 0.001
 #: A Jacobian known worse than this, in the median over the box, is worth a word.
 _DOUBTFUL = 0.01
 #: Images that do not fit are not worth a word up to this share.
@@ -158,7 +155,7 @@ def with_chain(trained: TrainedModel, data: DataSet, seed: int = 0) -> tuple[Tra
         deviation = float(np.median(fit.jacobian_deviation(places)))
     except ValueError as error:  # also of numpy's linear algebra
         return trained, f"no chain: {error}"
-    if _is_no_chain(fit) or deviation > _DOUBTFUL:
+    if not fit.is_chain or deviation > _DOUBTFUL:
         return trained, f"no chain: {_notes(fit, deviation, data)[0]}"
     errors = {
         **trained.errors,
@@ -170,10 +167,6 @@ def with_chain(trained: TrainedModel, data: DataSet, seed: int = 0) -> tuple[Tra
         replace(trained, chain=fit.chain, errors=errors),
         f"chain of six revolute joints: fits, Jacobian known to {100.0 * deviation:.3f} %",
     )
-
-
-def _is_no_chain(fit: ChainFit) -> bool:
-    return fit.misfit > MISFIT_LIMIT and fit.unexplained_m > UNEXPLAINED_LIMIT_M
 
 
 def teach(
@@ -222,7 +215,7 @@ def _notes(fit: ChainFit, deviation: float, data: DataSet) -> tuple[str, ...]:
     if still:
         them = "it" if len(still) == 1 else "them"
         notes.append(f"{', '.join(still)} did not move in the data set: nothing is known of {them}")
-    if _is_no_chain(fit):
+    if not fit.is_chain:
         notes.append(
             f"the ball does not move as one on a rigid chain of six revolute joints: images are "
             f"{1e3 * fit.residual_m:.1f} mm off it, of which noise explains "

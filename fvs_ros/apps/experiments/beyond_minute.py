@@ -167,7 +167,7 @@ def learn(minute: Minute) -> Learned:
 
     def errors(jacobian: Callable[[np.ndarray], np.ndarray]) -> tuple[float, float]:
         box, workspace = (
-            float(np.median(_relative(jacobian(joints), right)))
+            float(np.median(relative_errors(jacobian(joints), right)))
             for joints, right in zip(places, true, strict=True)
         )
         return box, workspace
@@ -184,6 +184,6 @@ def learn(minute: Minute) -> Learned:
     )
 
 
-def _relative(jacobian: np.ndarray, true: np.ndarray) -> np.ndarray:
+def relative_errors(jacobian: np.ndarray, true: np.ndarray) -> np.ndarray:
     """Relative Frobenius errors, shape (n,), of Jacobians, shape (n, 3, 6)."""
     return np.linalg.norm(jacobian - true, axis=(1, 2)) / np.linalg.norm(true, axis=(1, 2))
