@@ -43,7 +43,7 @@ from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_OK
 try:
     from rclpy.experimental import EventsExecutor
 except ImportError:  # before rclpy 7.1.4
-    EventsExecutor = None
+    EventsExecutor = None  # type: ignore[assignment]
 
 # Topic names; what they hold stands in topics.py.
 JOINT_STATES = topics.JOINT_STATES.name
