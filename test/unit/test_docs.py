@@ -13,6 +13,9 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 #: Sentences that are no reason's own, and where they stand.
 _ELSEWHERE = {
+    "is taken; stop what is served there": "fvs_ros/apps/dashboard/page.py",
+    "the camera's place is not known yet": "fvs_ros/apps/dashboard/placement.py",
+    "this page gets too little of the processor": "fvs_ros/apps/dashboard/dashboard_node.py",
     "is not used: it contradicts the Jacobian": "fvs_controller_node/loop.py",
     "target refused:": "fvs_controller_node/supervisor.py",
     "the newest ball_position is stamped": "fvs_controller_node/predictor.py",
