@@ -33,6 +33,8 @@ class PageClient:
         The panel's elements by id: their properties, and their value as ``value``.
     nodes : dict
         Position of every node of the 3-D view that has been given one.
+    drawn : dict
+        Properties of every node of the 3-D view, by its name.
     counts : Counter
         Messages received, by type.
     """
@@ -40,6 +42,7 @@ class PageClient:
     def __init__(self, address: str, **headers: str) -> None:
         self.elements: dict[str, dict[str, Any]] = {}
         self.nodes: dict[str, Any] = {}
+        self.drawn: dict[str, dict[str, Any]] = {}
         self.counts: Counter[str] = Counter()
         self.bytes = 0
         self._complete = threading.Event()
@@ -97,6 +100,8 @@ class PageClient:
         elif "props" in message and "uuid" in message:
             element = {**message["props"], "value": message.get("value")}
             self.elements[message["uuid"]] = element
+        elif "props" in message and "name" in message:
+            self.drawn[message["name"]] = message["props"]
 
     # --- what is seen ---
 

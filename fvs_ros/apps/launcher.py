@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from fvs_ros.apps import recording
+from fvs_ros.apps import markers, recording
 from fvs_ros.apps.scenario import (
     NODE_TABLE,
     Scenario,
@@ -281,7 +281,8 @@ def _parser() -> argparse.ArgumentParser:
         "--record",
         default="",
         metavar="DIR",
-        help="record all topics into a bag there, which must not exist yet; docs/recording.md",
+        help="record all topics, and markers to look at, into a bag there, which must not exist "
+        "yet; docs/recording.md",
     )
     parser.add_argument(
         "--record-without-images",
@@ -295,8 +296,9 @@ def _parser() -> argparse.ArgumentParser:
 
 def _recorded(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
     """The scenario with its overrides, and with a recorder if one is wanted."""
-    # A parameter without a node is not meant for the recorder: `output_dir` is the demo's.
-    own = [text for text in arguments.param if text.startswith(f"{recording.NODE}:")]
+    # A parameter without a node is not meant for what is added: `output_dir` is the demo's.
+    added = tuple(f"{name}:" for name in (recording.NODE, markers.NODE))
+    own = [text for text in arguments.param if text.startswith(added)]
     scenario = scenario.with_overrides([text for text in arguments.param if text not in own])
     if arguments.record:
         scenario = scenario.with_recording(arguments.record, arguments.images)

@@ -61,7 +61,7 @@ class MarkersNode(ros.FvsNode):
             self.tell(
                 ros.OK,
                 "tf2_msgs is not installed: where the camera stands is not told on /tf_static; "
-                "choose the camera's frame as the viewer's fixed frame",
+                "choose the camera's frame as the viewer's fixed frame (a recording has it)",
             )
             return
         try:

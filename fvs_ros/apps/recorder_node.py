@@ -17,7 +17,7 @@ from typing import Any
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from fvs_ros.apps import recording
+from fvs_ros.apps import recording, transforms
 from fvs_ros.apps.recording import Doubles, Message, Request, SimulatedTime
 from fvs_ros.core import ros
 from fvs_ros.core.topics import INTERFACES, Qos, resolve
@@ -42,9 +42,15 @@ class RecorderNode(ros.FvsNode):
         self._folder = Path(self.values["output_dir"]).expanduser()
         recording.check_folder(self._folder)
         recording.check_installed()
-        from fvs_ros.apps.bag import ERRORS, Bag, knows
+        from fvs_ros.apps.bag import ERRORS, Bag, Viewing, knows
 
         self._known, self._bag_errors = knows, ERRORS
+        self._viewing = Viewing(
+            self.resolve_topic_name(ros.ROBOT_DESCRIPTION),
+            self.resolve_topic_name(ros.JOINT_STATES),
+            self.resolve_topic_name(ros.TRUE_CAMERA_POSE),
+            self.values["feature_frame"],
+        )
         self._group = ros.NeverReady()
         self._heard: dict[str, dict[Request, Subscription]] = {}
         self._types: dict[str, str] = {}
@@ -97,7 +103,12 @@ class RecorderNode(ros.FvsNode):
             elif not recording.is_recorded(topic, types[0], self.values["images"]):
                 self._left_out.add(topic)
             elif not self._hear(topic, types[0], map(_request, self._profiles(topic))):
-                self._leave_out(topic, f"its type {types[0]} is not known here")
+                made = types[0] == transforms.TYPE
+                self._leave_out(
+                    topic,
+                    f"its type {types[0]} is not known here"
+                    + ("; the robot's links are computed from joint_states instead" * made),
+                )
 
     def _profiles(self, topic: str) -> list[QoSProfile]:
         """What the topic's publishers offer."""
@@ -174,6 +185,15 @@ class RecorderNode(ros.FvsNode):
         topic = message.topic
         profiles = () if topic in self._bag.counts else self._profiles(topic)
         self._bag.write(topic, message.message_type, profiles, stamp_ns, message.data)
+        told = self._viewing.of(
+            topic, stamp_ns, message.data, robot=transforms.TOPIC not in self._heard
+        )
+        if told is not None:
+            offers = ros.QOS_RELIABLE if told[0] == transforms.TOPIC else ros.QOS_LATCHED
+            self._bag.write(told[0], transforms.TYPE, [offers], stamp_ns, told[1])
+        elif self._viewing.wrong:
+            self.tell(ros.WARN, f"no transforms of the robot: {self._viewing.wrong}")
+            self._viewing.wrong = ""
 
     def _warn_without_clock(self) -> None:
         if self._simulated_time is not None and self._simulated_time.without_clock:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import yaml
 
+from fvs_ros.core.camera import CAMERA_FRAME
 from fvs_ros.core.params import Parameter
 
 NODE = "fvs_recorder_node"
@@ -35,6 +36,7 @@ PARAMETERS = (
         "the recording ends, complete, when its disk has less space left than this",
         minimum=0.0,
     ),
+    Parameter("feature_frame", CAMERA_FRAME, "frame of ball and images"),
     Parameter("scenario", "", "what was started, as YAML: kept in the bag beside the messages"),
 )
 

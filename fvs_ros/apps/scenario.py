@@ -213,7 +213,7 @@ class Scenario:
         )
 
     def with_recording(self, folder: str, images: bool) -> Scenario:
-        """The scenario with a recorder, which starts before the other nodes.
+        """The scenario with a recorder, which starts before the other nodes, and with markers.
 
         Parameters
         ----------
@@ -234,23 +234,24 @@ class Scenario:
             raise ScenarioError(str(error)) from error
         others = {name: one for name, one in self.parameters.items() if name != recording.NODE}
         values = {
+            **self._of_the_loop(),
             **self.parameters.get(recording.NODE, {}),
             "output_dir": folder,
             "images": images,
             "scenario": self.to_params_yaml(),
-            "use_sim_time": self._simulated_time(),
         }
-        return Scenario(self.path, {recording.NODE: values, **others})
+        return Scenario(self.path, {recording.NODE: values, **others}).with_markers()
 
     def with_markers(self) -> Scenario:
         """The scenario with a node that shows the loop in RViz and Foxglove."""
-        controller = self.parameters.get("fvs_controller_node", {})
-        values = {
-            "use_sim_time": self._simulated_time(),
-            **{name: controller[name] for name in ("feature_frame",) if name in controller},
-            **self.parameters.get(markers.NODE, {}),
-        }
+        values = {**self._of_the_loop(), **self.parameters.get(markers.NODE, {})}
         return Scenario(self.path, {**self.parameters, markers.NODE: values})
+
+    def _of_the_loop(self) -> dict[str, Any]:
+        """Parameters that whoever looks on shares with the loop."""
+        controller = self.parameters.get("fvs_controller_node", {})
+        frame = {name: controller[name] for name in ("feature_frame",) if name in controller}
+        return {"use_sim_time": self._simulated_time(), **frame}
 
     def _simulated_time(self) -> bool:
         return any(one.get("use_sim_time", False) for one in self.parameters.values())

@@ -327,6 +327,23 @@ def test_the_arm_and_the_camera_are_drawn_from_the_topics(loop):
     harness.spin_until(lambda: "place is not known yet" not in page.text())
 
 
+def test_an_arm_without_its_meshes_is_seen_and_told_of(loop):
+    harness, _, _, process, page = loop
+    mesh = '<geometry><mesh filename="package://no_such_package/part.dae"/></geometry>'
+    text = re.sub("<geometry>.*?</geometry>", mesh, urdf_text(), flags=re.DOTALL)
+    latched = harness.node.create_publisher(String, ros.ROBOT_DESCRIPTION, ros.QOS_LATCHED)
+    latched.publish(String(data=text))
+    harness.spin_until(lambda: "/robot/visual/missing" in page.drawn, 15.0, "words in the view")
+    bars = [name for name in page.drawn if name.endswith("_bar")]
+    assert len(bars) == 5
+    assert all(len(page.drawn[name]["glb_data"]) > 1000 for name in bars)
+    words = "install ros-jazzy-no-such-package"
+    assert words in page.drawn["/robot/visual/missing"]["text"].replace("\n", " ")
+    harness.spin_until(lambda: words in harness.output(process), what="a warning")
+    harness.spin_for(0.3)
+    assert harness.output(process).count(words) == 1
+
+
 def test_images_are_asked_for_only_while_somebody_looks(loop, pages):
     harness, _, _, process, page = loop
     images = harness.node.create_publisher(Image, ros.COLOR_IMAGE, ros.QOS_RELIABLE)

@@ -6,16 +6,21 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import yaml
 
-from fvs_ros.apps import launcher, recording
+from fvs_ros.apps import launcher, markers, recording
 from fvs_ros.apps.recording import Doubles, Message, RecordingError, Request, SimulatedTime
 from fvs_ros.apps.scenario import ScenarioError, load_scenario
 
 pytest.importorskip("rosbags")
 
-from fvs_ros.apps.bag import ERRORS, Bag, knows, to_bag_qos
+from replayed_bags import TYPES
+
+from fvs_ros.apps.bag import ERRORS, Bag, Viewing, knows, to_bag_qos
+from fvs_ros.core.joints import UR_JOINT_NAMES
+from fvs_sim_node.ur5_urdf import urdf_text
 
 #: Bool(data=True) as it is on the wire, little endian.
 TRUE = bytes([0, 1, 0, 0, 1])
@@ -157,13 +162,33 @@ def test_the_notes_tell_what_was_remapped_only():
 def test_a_recorder_comes_first_and_knows_what_it_records(tmp_path):
     scenario = load_scenario("demo").with_overrides(["use_sim_time:=true", "law:=arrive"])
     recorded = scenario.with_recording(str(tmp_path / "bag"), images=False)
-    assert recorded.nodes == [recording.NODE, *scenario.nodes]
+    assert recorded.nodes == [recording.NODE, *scenario.nodes, markers.NODE]
     values = recorded.parameters[recording.NODE]
     assert values["use_sim_time"] is True
     assert values["images"] is False
     started = yaml.safe_load(values["scenario"])
     assert started["/**/fvs_controller_node"]["ros__parameters"]["law"] == "arrive"
     assert yaml.safe_load(recorded.to_params_yaml())  # text within text
+
+
+def test_who_looks_on_shares_frame_and_time_with_the_loop(tmp_path):
+    scenario = load_scenario("demo").with_overrides(["use_sim_time:=true", "feature_frame:=eye"])
+    recorded = scenario.with_recording(str(tmp_path / "bag"), images=False)
+    for name in (recording.NODE, markers.NODE):
+        assert recorded.parameters[name]["feature_frame"] == "eye"
+        assert recorded.parameters[name]["use_sim_time"] is True
+    assert markers.NODE not in recorded.parameters[recording.NODE]["scenario"]
+
+
+def test_parameters_of_what_is_added_can_be_given(tmp_path, monkeypatch):
+    started = []
+    monkeypatch.setattr(
+        launcher.Launcher, "run", lambda self: started.append(self._scenario.parameters) or 0
+    )
+    given = ["-p", "fvs_markers_node:trail_s:=3.0", "-p", "fvs_recorder_node:smallest_free_mb:=5.0"]
+    assert launcher.main(["servo", "--record", str(tmp_path / "bag"), *given]) == 0
+    assert started[0][markers.NODE]["trail_s"] == 3.0
+    assert started[0][recording.NODE]["smallest_free_mb"] == 5.0
 
 
 def test_a_recording_into_a_folder_that_exists_is_no_scenario(tmp_path):
@@ -273,6 +298,99 @@ def test_a_bag_that_was_closed_refuses_in_its_own_way(tmp_path):
     with pytest.raises(ERRORS, match="not open"):
         bag.write("/running", "std_msgs/msg/Bool", [], 1, TRUE)
     bag.abandon()
+
+
+# --- what a viewer needs ---
+
+
+def message(kind, *fields):
+    return bytes(TYPES.serialize_cdr(TYPES.types[kind](*fields), kind))
+
+
+def header(second, frame=""):
+    return TYPES.types["std_msgs/msg/Header"](
+        TYPES.types["builtin_interfaces/msg/Time"](second, 0), frame
+    )
+
+
+def joint_state(second):
+    none = np.zeros(0)
+    kind = "sensor_msgs/msg/JointState"
+    return message(kind, header(second), list(UR_JOINT_NAMES), np.full(6, 0.1), none, none)
+
+
+def description(text):
+    return message("std_msgs/msg/String", text)
+
+
+def camera_pose():
+    kinds = TYPES.types
+    pose = kinds["geometry_msgs/msg/Pose"](
+        kinds["geometry_msgs/msg/Point"](1.0, 2.0, 3.0),
+        kinds["geometry_msgs/msg/Quaternion"](0.0, 1.0, 0.0, 0.0),
+    )
+    return message("geometry_msgs/msg/PoseStamped", header(1, "base_link"), pose)
+
+
+def told(answer):
+    """Topic and transforms, read back."""
+    topic, data = answer
+    return topic, TYPES.deserialize_cdr(data, "tf2_msgs/msg/TFMessage").transforms
+
+
+@pytest.fixture
+def viewing():
+    return Viewing("/robot_description", "/joint_states", "/sim/true_camera_pose", "eye")
+
+
+def test_the_last_static_transforms_hold_all_of_them(viewing):
+    topic, camera = told(viewing.of("/sim/true_camera_pose", 1, camera_pose()))
+    assert topic == "/tf_static"
+    assert [(one.header.frame_id, one.child_frame_id) for one in camera] == [("base_link", "eye")]
+    at, turned = camera[0].transform.translation, camera[0].transform.rotation
+    assert (at.x, at.y, at.z) == (1.0, 2.0, 3.0)
+    assert (turned.x, turned.y, turned.z, turned.w) == (0.0, 1.0, 0.0, 0.0)
+    _, both = told(viewing.of("/robot_description", 2, description(urdf_text())))
+    assert [one.child_frame_id for one in both] == ["tool0", "eye"]
+
+
+def test_links_that_move_are_told_as_often_as_a_viewer_wants(viewing):
+    assert viewing.of("/joint_states", 0, joint_state(0)) is None  # of which robot?
+    viewing.of("/robot_description", 0, description(urdf_text()))
+    assert viewing.of("/joint_states", 0, joint_state(0), robot=False) is None
+    answers = [
+        viewing.of("/joint_states", 10**9 + 2_000_000 * step, joint_state(7)) for step in range(501)
+    ]
+    found = [told(one) for one in answers if one is not None]
+    assert 28 <= len(found) <= 31
+    topic, moved = found[0]
+    assert topic == "/tf"
+    assert [one.child_frame_id for one in moved] == [
+        "shoulder_link",
+        "upper_arm_link",
+        "forearm_link",
+        "wrist_1_link",
+        "wrist_2_link",
+        "wrist_3_link",
+    ]
+    assert {one.header.stamp.sec for one in moved} == {7}
+    assert viewing.of("/joint_states", 5, joint_state(7)) is not None  # time was set back
+
+
+def test_a_robot_that_is_told_of_by_another_is_not_told_twice(viewing):
+    assert viewing.of("/robot_description", 0, description(urdf_text()), robot=False) is None
+    _, camera = told(viewing.of("/sim/true_camera_pose", 1, camera_pose(), robot=False))
+    assert [one.child_frame_id for one in camera] == ["eye"]
+
+
+def test_a_description_that_is_none_is_named(viewing):
+    assert viewing.of("/robot_description", 0, description("no urdf")) is None
+    assert "cannot be read" in viewing.wrong
+    assert viewing.of("/joint_states", 0, joint_state(0)) is None
+
+
+def test_other_topics_say_nothing_of_frames(viewing):
+    assert viewing.of("/running", 0, TRUE) is None
 
 
 def test_only_types_that_can_be_described_are_known():

@@ -9,9 +9,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import trimesh
 import yourdfpy
 
 _PACKAGE = "package://"
+#: Where ROS is installed, if it is: its meshes are wanted by programs that sourced none, too.
+_INSTALLED = Path("/opt/ros")
+#: How thick a bar is, m, and its colour; a link that is shorter gets none.
+_BAR_RADIUS_M, _SHORTEST_M = 0.03, 1e-3
+_BAR_COLOUR = (204, 209, 217, 255)
 
 
 class Arm:
@@ -26,6 +32,13 @@ class Arm:
     tf_prefix : str
         What stands before the names of its links.
 
+    Attributes
+    ----------
+    urdf : yourdfpy.URDF
+        The model; where a link of the arm has no shape that can be had, a bar to its next joint.
+    missing : str
+        Which shapes could not be had, and what to do, in a sentence; empty where all are there.
+
     Raises
     ------
     ValueError
@@ -34,14 +47,15 @@ class Arm:
 
     def __init__(self, text: str, names: Sequence[str], tf_prefix: str = "") -> None:
         self.names = tuple(names)
-        self.urdf = _load(text)
-        missing = [name for name in names if name not in self.urdf.joint_map]
-        if missing:
-            raise ValueError(f"robot_description has no joint {', '.join(missing)}")
+        self.urdf, self.missing = _load(text)
+        unknown = [name for name in names if name not in self.urdf.joint_map]
+        if unknown:
+            raise ValueError(f"robot_description has no joint {', '.join(unknown)}")
         links = self.urdf.link_map
         flange, base = f"{tf_prefix}tool0", f"{tf_prefix}base_link"
         self._flange = flange if flange in links else self.urdf.joint_map[names[-1]].child
         self._base = base if base in links else self.urdf.base_link
+        self._add_bars()
 
     def configuration(self, joints_rad: np.ndarray) -> dict[str, float]:
         """Joint positions by name, of positions in kinematic order, rad, shape (6,)."""
@@ -57,16 +71,75 @@ class Arm:
         """Pose of ``base_link`` in the model's root, shape (4, 4), m."""
         return self.urdf.get_transform(self._base)
 
+    def _add_bars(self) -> None:
+        """Draw a bar to the next joint for each link of the arm that has no shape here."""
+        scene = self.urdf.scene
+        drawn = {scene.graph.transforms.parents[name] for name in scene.graph.nodes_geometry}
+        for joint in self._joints():
+            end_m = np.zeros(3) if joint.origin is None else joint.origin[:3, 3]
+            if joint.parent in drawn or np.linalg.norm(end_m) < _SHORTEST_M:
+                continue
+            name = f"{joint.parent}_bar"
+            bar = trimesh.creation.cylinder(
+                _BAR_RADIUS_M, segment=[np.zeros(3), end_m], sections=24
+            ) + trimesh.creation.icosphere(2, 1.3 * _BAR_RADIUS_M).apply_translation(end_m)
+            bar.visual.face_colors = _BAR_COLOUR
+            scene.add_geometry(bar, name, geom_name=name, parent_node_name=joint.parent)
 
-def _load(text: str) -> yourdfpy.URDF:
+    def _joints(self) -> list[yourdfpy.Joint]:
+        """The joints from the first of the six to the flange, fixed ones among them."""
+        by_child = {joint.child: joint for joint in self.urdf.joint_map.values()}
+        first, link, found = self.urdf.joint_map[self.names[0]].parent, self._flange, []
+        while link != first and link in by_child:
+            found.append(by_child[link])
+            link = by_child[link].parent
+        return found
+
+
+def _load(text: str) -> tuple[yourdfpy.URDF, str]:
+    """Read a URDF with its meshes, as far as they can be had, and a sentence about the others."""
     # It warns of what every robot's URDF has, and of meshes that are not here.
     logging.getLogger("yourdfpy").setLevel(logging.ERROR)
-    try:
+    lost: list[str] = []
+
+    def find(fname: str) -> str:
+        path = _find(fname)
+        if not Path(path).is_file():
+            lost.append(fname)
+        return path
+
+    def load(meshes: bool) -> yourdfpy.URDF:
         return yourdfpy.URDF.load(
-            io.BytesIO(text.encode("utf-8")), filename_handler=_find, force_mesh=False
+            io.BytesIO(text.encode("utf-8")),
+            filename_handler=find,
+            load_meshes=meshes,
+            force_mesh=False,
         )
-    except Exception as error:  # whatever its XML and mesh readers raise
-        raise ValueError(f"robot_description cannot be read: {error}") from error
+
+    # Whatever its XML and mesh readers raise.
+    try:
+        return load(True), _about(lost)
+    except Exception as error:
+        try:
+            return load(False), f"bars are drawn, for a mesh cannot be read: {error}"
+        except Exception:
+            raise ValueError(f"robot_description cannot be read: {error}") from error
+
+
+def _about(lost: Sequence[str]) -> str:
+    """What to say of meshes that are not here."""
+    if not lost:
+        return ""
+    others = len(set(lost)) - 1
+    said = f"{lost[0]}{f' and {others} more meshes are' if others else ' is'} not on this computer"
+    packages = {name.removeprefix(_PACKAGE).partition("/")[0] for name in lost if _PACKAGE in name}
+    if not packages:
+        return f"{said}: bars are drawn instead"
+    debian = " ".join(f"ros-jazzy-{name.replace('_', '-')}" for name in sorted(packages))
+    return (
+        f"{said}: bars are drawn instead; install {debian} (apt), or name the folder that holds "
+        f"share/{min(packages)} in AMENT_PREFIX_PATH, and start this again"
+    )
 
 
 def _find(fname: str) -> str:
@@ -74,7 +147,9 @@ def _find(fname: str) -> str:
     if not fname.startswith(_PACKAGE):
         return fname.removeprefix("file://")
     package, _, rest = fname.removeprefix(_PACKAGE).partition("/")
-    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    installed = sorted(map(str, _INSTALLED.glob("*")), reverse=True)
+    for prefix in (*filter(None, prefixes), *installed):
         path = Path(prefix, "share", package, rest)
         if path.is_file():
             return str(path)

@@ -139,6 +139,8 @@ class DashboardNode(ros.FvsNode):
             self._board.answer(self.steady_s(), f"the arm cannot be drawn: {error}")
             return
         self._page.set_arm(self._arm)
+        if self._arm.missing:
+            self.tell(ros.WARN, self._arm.missing)
 
     def _on_camera_pose(self, message: PoseStamped) -> None:
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 import time
 from collections.abc import Callable
 from math import inf
@@ -24,6 +25,8 @@ _PIECES = 96
 #: So long after a drag the target stays where it was dropped, until the controller has said, s.
 _DROPPED_S = 0.6
 _FRUSTUM_M = 0.16
+#: Breaks a long sentence into lines, but no name that is to be typed.
+_WRAP = textwrap.TextWrapper(56, break_long_words=False, break_on_hyphens=False)
 
 
 class Scene:
@@ -121,6 +124,14 @@ class Scene:
         if self._robot is not None:
             self._server.scene.remove_by_name("/robot/visual")  # and all that hangs on it
         self._arm, self._robot = arm, ViserUrdf(self._server, arm.urdf, root_node_name="/robot")
+        if arm.missing:  # an answer on the panel fades, and nobody may look yet
+            self._server.scene.add_label(
+                "/robot/visual/missing",
+                _WRAP.fill(arm.missing),
+                position=(0.0, 0.0, -0.05),
+                anchor="top-center",
+                font_screen_scale=0.7,
+            )
         self._base.wxyz, self._base.position = _placed(arm.base[:3, :3], arm.base[:3, 3])
 
     def update(self, shown: Snapshot, with_picture: bool = True) -> None:
