@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+import yaml
 from rosbags.interfaces import (
     Qos,
     QosDurability,
@@ -26,11 +27,17 @@ from rosbags.rosbag2 import (
     Writer,
     WriterError,
 )
+from rosbags.rosbag2.storage_mcap import McapWriter
 from rosbags.typesys import Stores, get_typestore
 
 #: Of rosbag2's format, as ROS 2 Jazzy writes it.
 _VERSION: Final = 9
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
+#: Holds the notes until ``metadata.yaml`` does: a recorder that is killed leaves it.
+NOTES: Final = "notes.yaml"
+#: So much of the recording, by its own time, waits in memory at most, ns: a recorder that is killed
+#: loses it.
+_CHUNK_NS: Final = 10**9
 #: What writing into a bag may raise.
 ERRORS: Final = (OSError, WriterError)
 
@@ -72,17 +79,20 @@ class Bag:
     Raises
     ------
     OSError
-        If the folder cannot be made.
+        If the folder cannot be made, or not be written into.
     """
 
     def __init__(self, folder: Path, notes: Mapping[str, str]) -> None:
         self._writer = Writer(folder, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
-        # Whole chunks of the file, as every reader of MCAP knows it: 1 MB at a time.
+        # Whole chunks of the file, as every reader of MCAP knows it: 1 MB at a time, or less.
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         for key, value in notes.items():
             self._writer.set_custom_data(key, value)
         self._writer.open()
+        self._notes = folder / NOTES
+        self._notes.write_text(yaml.safe_dump(dict(notes)), encoding="utf-8")
         self._connections: dict[str, Any] = {}
+        self._chunk_ns: int | None = None
         #: Messages by topic.
         self.counts: dict[str, int] = {}
 
@@ -117,10 +127,24 @@ class Bag:
             self.counts[topic] = 0
         self._writer.write(connection, stamp_ns, data)
         self.counts[topic] += 1
+        if self._chunk_ns is None:
+            self._chunk_ns = stamp_ns
+        elif abs(stamp_ns - self._chunk_ns) > _CHUNK_NS:
+            self._chunk_ns = stamp_ns
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        """Give the system all that was written until now."""
+        storage = self._writer.storage
+        if isinstance(storage, McapWriter):
+            if storage.chunk.msgs:
+                storage.close_chunk()
+            storage.bio.flush()
 
     def close(self) -> None:
         """Finish the file and write ``metadata.yaml``; one of ``ERRORS`` if that fails."""
         self._writer.close()
+        self._notes.unlink(missing_ok=True)
 
     def abandon(self) -> None:
         """Close after an error; what was written stays, without an index."""
