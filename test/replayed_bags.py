@@ -113,7 +113,8 @@ class HandmadeBag:
         pair = TYPES.types["diagnostic_msgs/msg/KeyValue"]
         pairs = [pair(key, str(value)) for key, value in values.items()]
         kind = "diagnostic_msgs/msg/DiagnosticStatus"
-        self.write(f"{node}/status", kind, at_s, 0, f"/{node}", text, "", pairs)
+        name = f"{self._namespace}/{node}"
+        self.write(f"{node}/status", kind, at_s, 0, name, text, "", pairs)
 
     def log(self, at_s: float, who: str, text: str, level: int = 30) -> None:
         stamp = TYPES.types["builtin_interfaces/msg/Time"](0, 0)
@@ -137,7 +138,12 @@ def distance_m(time_s: float) -> float:
     return 0.3 * float(np.exp(-DECAY_1_S * max(0.0, time_s - GIVEN_S)))
 
 
-def servo(bag: HandmadeBag, true: bool = True, gap: tuple[float, float] = (9.0, 9.0)) -> None:
+def servo(
+    bag: HandmadeBag,
+    true: bool = True,
+    gap: tuple[float, float] = (9.0, 9.0),
+    target: str = "target_position",
+) -> None:
     """The ball goes straight to one target, exponentially; images are missing during a gap, s."""
     for tick in range(round(END_S / 0.008) + 1):
         time_s = 0.008 * tick
@@ -156,7 +162,7 @@ def servo(bag: HandmadeBag, true: bool = True, gap: tuple[float, float] = (9.0, 
         if not gap[0] <= time_s <= gap[1]:
             position_m = TARGET_M + [distance_m(time_s), 0.0, 0.0]
             bag.point("ball_position", time_s + IMAGE_AGE_S, time_s, position_m)
-    bag.point("target_position", GIVEN_S + 0.001, GIVEN_S, TARGET_M)
+    bag.point(target, GIVEN_S + 0.001, GIVEN_S, TARGET_M)
     for number in range(round(END_S * 10)):
         time_s = 0.1 * number
         moving = time_s >= GIVEN_S

@@ -67,7 +67,17 @@ def check_installed() -> None:
         If it is not installed.
     """
     if importlib.util.find_spec("rosbags") is None:
-        raise RecordingError("recording needs rosbags, which is missing: pip install rosbags")
+        raise RecordingError(
+            f"recording needs rosbags, which is missing: {how_to_install(['rosbags'])}"
+        )
+
+
+def how_to_install(packages: Iterable[str]) -> str:
+    """The command that brings what recording and replaying need, by where one stands."""
+    return (
+        "in a checkout with .venv, .venv/bin/pip install -c constraints.txt -e '.[record,lab]'; "
+        f"elsewhere, pip install {' '.join(packages)}"
+    )
 
 
 def check_folder(folder: Path) -> None:

@@ -174,6 +174,28 @@ def test_every_message_is_recorded_once(ros_test, recorder):
     assert times == sorted(times)
 
 
+def test_what_came_before_the_recorder_was_killed_is_replayed(ros_test):
+    scenario = '"{/**/fvs_demo_node: {ros__parameters: {settle_error_m: 0.02}}}"'
+    process = ros_test.start_node(RECORDER, output_dir="bag", scenario=scenario)
+    ros_test.spin_until(lambda: "recording into bag" in ros_test.output(process), what="recorder")
+    status = ros_test.collect(DiagnosticStatus, f"{recording.NODE}/status")
+    ball = ros_test.node.create_publisher(PointStamped, ros.BALL_POSITION, DEEP)
+    listened(ros_test, ball)
+    for number in range(30):
+        ball.publish(ros.to_point(1.0 + number, "eye", np.array([0.1, 0.2, 0.8])))
+    begun = len(status)
+    # Its own status, twice a second, is recorded, too: a second later all that is in the file.
+    ros_test.spin_until(lambda: len(status) > begun + 5, what="two seconds of its status")
+    process.kill()
+    ros_test.wait(process)
+    bag = ros_test.folder / "bag"
+    assert not (bag / "metadata.yaml").exists()
+    found = read(bag)
+    assert found.cut_off
+    assert len(found.series["ball"]) == 30
+    assert found.scenario == {"fvs_demo_node": {"settle_error_m": 0.02}}
+
+
 def test_a_latched_message_is_recorded_as_such(ros_test, recorder):
     process, bag = recorder
     description = ros_test.node.create_publisher(String, ros.ROBOT_DESCRIPTION, ros.QOS_LATCHED)

@@ -19,6 +19,7 @@ _ELSEWHERE = {
     "is not used: it contradicts the Jacobian": "fvs_controller_node/loop.py",
     "target refused:": "fvs_controller_node/supervisor.py",
     "the newest ball_position is stamped": "fvs_controller_node/predictor.py",
+    "The bag was cut off": "fvs_ros/apps/replay/happened.py",
 }
 _NAMES = ("joint_states", "ball_position", "jacobian", "…")
 _PARAMETERS = {p.name for entry in NODE_TABLE.values() for p in entry.parameters()}

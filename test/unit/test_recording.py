@@ -1,5 +1,6 @@
 """What goes into a bag, how it is asked for, and the bag itself, read back by another's reader."""
 
+import contextlib
 import importlib.util
 import shutil
 from dataclasses import replace
@@ -18,7 +19,8 @@ pytest.importorskip("rosbags")
 
 from replayed_bags import TYPES
 
-from fvs_ros.apps.bag import ERRORS, Bag, Viewing, knows, to_bag_qos
+from fvs_ros.apps.bag import ERRORS, NOTES, Bag, knows, to_bag_qos
+from fvs_ros.apps.bag_transforms import Viewing
 from fvs_ros.core.joints import UR_JOINT_NAMES
 from fvs_sim_node.ur5_urdf import urdf_text
 
@@ -219,7 +221,8 @@ def test_without_rosbags_nothing_is_started(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(launcher.Launcher, "run", lambda _: pytest.fail("it was started"))
     assert launcher.main(["servo", "--record", str(tmp_path / "bag")]) == 2
     error = capsys.readouterr().err
-    assert "pip install rosbags" in error
+    assert "elsewhere, pip install rosbags" in error
+    assert ".venv/bin/pip install -c constraints.txt -e '.[record,lab]'" in error
     assert error.count("\n") == 1
 
 
@@ -252,6 +255,23 @@ def test_another_reader_reads_the_bag(tmp_path):
     assert len(messages) == 51
     assert all(m.ros_msg.data is True for m in messages)
     assert [m.log_time_ns for m in messages] == sorted(m.log_time_ns for m in messages)
+
+
+def test_what_was_written_is_in_the_file_before_it_is_finished(tmp_path):
+    mcap = pytest.importorskip("mcap.stream_reader")
+    ended = pytest.importorskip("mcap.exceptions").EndOfFile
+    bag = Bag(tmp_path / "bag", {"fvs_ros_version": "1.2.3"})
+    for number in range(100):
+        bag.write("/running", "std_msgs/msg/Bool", [profile()], 10**8 * number, TRUE)
+    found = []
+    with (tmp_path / "bag" / "bag.mcap").open("rb") as file, contextlib.suppress(ended):
+        for record in mcap.StreamReader(file).records:
+            found.append(record)
+    assert sum(hasattr(one, "log_time") for one in found) >= 88  # all but the last second
+    notes = tmp_path / "bag" / NOTES
+    assert yaml.safe_load(notes.read_text(encoding="utf-8")) == {"fvs_ros_version": "1.2.3"}
+    bag.close()
+    assert not notes.exists()
 
 
 def test_the_metadata_tells_counts_qualities_and_notes(tmp_path):

@@ -1,7 +1,10 @@
 """What a replay says of recordings in which everything is known."""
 
+import importlib.util
 import json
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,15 +23,25 @@ from replayed_bags import (
     JOINT_AGE_S,
     START_M,
     TARGET_M,
+    TYPES,
     HandmadeBag,
     servo,
 )
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
 
+from fvs_controller_node.reasons import State
+from fvs_ros.apps.bag import Bag
+from fvs_ros.apps.dashboard.view import SILENT
 from fvs_ros.apps.experiments.main import main
-from fvs_ros.apps.replay import estimates, runs, story, timing
+from fvs_ros.apps.experiments.report import Origin, write_report
+from fvs_ros.apps.experiments.style import pyplot
+from fvs_ros.apps.replay import estimates, figures, overview, runs, story, timing
 from fvs_ros.apps.replay.data import Series
-from fvs_ros.apps.replay.reading import BagError, read
+from fvs_ros.apps.replay.files import BagError
+from fvs_ros.apps.replay.happened import happened
+from fvs_ros.apps.replay.reading import read
+from fvs_ros.apps.replay.sections import sections
 
 DEMO = {
     "fvs_controller_node": {"law": "ftsm", "max_joint_velocity_rad_s": 0.8},
@@ -60,6 +73,13 @@ def simple(folder, storage=StoragePlugin.MCAP, namespace="", **options):
     servo(made, **options)
     made.close()
     return folder
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Figures are made, but not drawn: that takes most of the time of a replay."""
+    for module in (figures, overview):
+        monkeypatch.setattr(module, "save", lambda figure, _: pyplot().close(figure))
 
 
 # --- targets ---
@@ -288,6 +308,27 @@ def test_rates_ages_and_latencies(recording):
     assert np.median(latency_s) == pytest.approx(COMMAND_AGE_S, abs=0.004)
 
 
+def every(start_s, end_s, period_s, age_s=0.0):
+    """A topic's messages, each so old when it comes."""
+    arrival_s = np.arange(start_s, end_s, period_s)
+    return Series("/topic", arrival_s, arrival_s - age_s, np.zeros((len(arrival_s), 6)))
+
+
+def test_an_image_is_late_only_where_commands_are_sent(recording, tmp_path):
+    sent = [every(start_s, start_s + 2.0, 0.008) for start_s in (30.0, 50.0)]
+    commands = Series("/commands", *(np.concatenate([s.arrival_s for s in sent]),) * 2, np.empty(0))
+    ball = every(0.0, 60.0, 1 / 30, 0.04)
+    arrival_s, latency_s = timing.command_latencies_s(ball, commands)
+    assert latency_s.max() <= 0.04 + 0.008 + 1e-6
+    assert arrival_s.size == pytest.approx(2 * 60, abs=2)
+    assert ((arrival_s >= 30.0) & (arrival_s < 32.0) | (arrival_s >= 50.0)).all()
+    # A controller that is slow is no silence.
+    slow = every(0.0, 10.0, 0.5)
+    _, latency_s = timing.command_latencies_s(every(1.0, 9.0, 1 / 30), slow)
+    assert latency_s.size == 240
+    assert latency_s.max() == pytest.approx(0.5, abs=0.04)
+
+
 def test_a_silence_of_the_images_is_found(recording):
     (gap,) = timing.gaps(recording)
     assert gap.topic == "/ball_position"
@@ -333,6 +374,67 @@ def test_warnings_and_silences_are_events_in_order(recording):
     events = story.events(recording)
     assert [(one.who, one.times) for one in events] == [("fvs_sim_node", 2), ("/ball_position", 1)]
     assert events[1].text.startswith("silent for 0.5")
+
+
+@pytest.mark.parametrize("namespace", ["", "/left"])
+def test_only_the_controller_s_own_words_are_not_said_twice(tmp_path, namespace):
+    made = HandmadeBag(tmp_path / "bag", namespace=namespace)
+    servo(made)
+    before = f"{namespace[1:]}." if namespace else ""
+    blind = "WAITING: no colour images on camera/color/image_raw; is the camera's driver running?"
+    made.log(0.5, f"{before}fvs_detector_node", blind)
+    made.log(0.6, f"{before}fvs_controller_node", "WAITING: no ball_position yet")
+    made.log(0.7, f"{before}fvs_controller_node", "target refused: it is out of the workspace")
+    made.log(0.8, "right.fvs_controller_node", "WAITING: no joint_states yet")
+    made.close()
+    assert [(one.who, one.text) for one in story.events(read(tmp_path / "bag"))] == [
+        (f"{before}fvs_detector_node", blind),
+        (f"{before}fvs_controller_node", "target refused: it is out of the workspace"),
+        ("right.fvs_controller_node", "WAITING: no joint_states yet"),
+    ]
+
+
+def test_every_state_that_is_drawn_has_a_name(recording, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(overview, "save", lambda figure, _: drawn.append(figure))
+    overview.overview(recording, [], (0.005,), tmp_path)
+    pyplot().close(drawn[0])
+    legend = drawn[0].axes[0].get_legend()
+    assert {text.get_text() for text in legend.get_texts()} == {*State.__members__, SILENT}
+
+
+# --- beginnings ---
+
+
+def beginning_at(recording, start_s, keys):
+    """The recording, of whose topics some begin so late, s."""
+    series = {}
+    for key, one in recording.series.items():
+        kept = one.arrival_s - recording.start_s >= (start_s if key in keys else 0.0)
+        series[key] = Series(one.topic, one.arrival_s[kept], one.stamp_s[kept], one.values[kept])
+    return replace(recording, series=series)
+
+
+def test_an_arm_that_moves_before_the_first_command_lacks_its_beginning(recording):
+    assert story.moved_before_s(recording) == 0.0
+    late = beginning_at(recording, GIVEN_S + 0.4, ["commands"])
+    assert story.moved_before_s(late) == pytest.approx(0.4, abs=0.02)
+    still = beginning_at(recording, GIVEN_S - 0.1, ["commands"])
+    assert story.moved_before_s(still) == 0.0
+    late.series["joints"].values[:, 6:] = np.nan
+    assert story.moved_before_s(late) == pytest.approx(0.4, abs=0.03)
+
+
+def test_the_page_says_that_the_beginning_is_missing(recording, tmp_path, undrawn):
+    def paragraphs(one):
+        return happened(one, runs.targets(one), (0.005, 0.002), tmp_path).setup
+
+    assert len(paragraphs(recording)) == 1
+    late = beginning_at(recording, GIVEN_S + 0.4, ["commands", "true_ball", "ball"])
+    _, moved, first = paragraphs(late)
+    assert "moved already 0.4" in moved
+    assert "0.4" in first
+    assert "its start distance is not known" in first
 
 
 # --- predictions ---
@@ -457,6 +559,148 @@ def test_sqlite_bags_and_lone_files_are_read_alike(tmp_path):
     assert counts[0] == counts[1] == counts[2]
 
 
+@pytest.fixture(scope="module", params=[StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def noted(request, tmp_path_factory):
+    """A folder whose notes change what a replay shows, and its file without what lies beside it."""
+    folder = tmp_path_factory.mktemp("noted") / "bag"
+    demo = {**DEMO, "fvs_demo_node": {"settle_error_m": 0.02, "target_s": 3.0}}
+    made = HandmadeBag(folder, request.param, scenario=demo, remaps={"/target_position": "/goal"})
+    servo(made, target="goal")
+    made.close()
+    (file,) = (one for one in folder.iterdir() if one.suffix in (".mcap", ".db3"))
+    return folder, Path(shutil.copy(file, folder.parent))
+
+
+def test_a_lone_file_notes_what_its_folder_does(noted):
+    folder, file = map(read, noted)
+    assert runs.settle_error_m(file) == 0.02
+    assert (file.scenario, file.version) == (folder.scenario, folder.version)
+    assert file.series["target"].topic == folder.series["target"].topic == "/goal"
+
+
+def test_the_page_of_a_lone_file_is_that_of_its_folder(noted, tmp_path, undrawn):
+    origin = Origin("", "", "", quick=False)
+    folder, file = (
+        [write_report(one, tmp_path, origin).read_text() for one in sections(read(path), tmp_path)]
+        for path in noted
+    )
+    assert folder == file
+    assert "to 20 mm" in str(folder)
+
+
+# --- bags that were never finished ---
+
+
+def killed(folder, whole, **notes):
+    """What a recorder leaves that is killed when it has heard nearly all of another bag."""
+    bag = Bag(folder, notes)
+    with AnyReader([whole]) as reader:
+        end_ns = reader.end_time - 300_000_000
+        for connection, time_ns, raw in reader.messages(stop=end_ns):
+            bag.write(connection.topic, connection.msgtype, [], time_ns, raw)
+    return folder
+
+
+def is_beginning_of(one, other):
+    """Whether a recording holds what another one does, up to some moment."""
+    for topic, flow in one.flows.items():
+        expected = other.flows[topic].arrival_s
+        assert np.array_equal(flow.arrival_s, expected[: len(flow.arrival_s)])
+        assert (expected[len(flow.arrival_s) :] >= one.end_s - 1e-9).all()
+    return one.start_s == other.start_s
+
+
+def test_a_bag_whose_recorder_was_killed_is_replayed(tmp_path, bag, recording, capsys):
+    scenario = yaml.safe_dump({f"/{node}": {"ros__parameters": one} for node, one in DEMO.items()})
+    folder = killed(tmp_path / "bag", bag, scenario=scenario, fvs_ros_version="1.2.3")
+    (file,) = folder.glob("*.mcap")
+    for path in (folder, file):
+        found = read(path)
+        assert found.cut_off
+        assert is_beginning_of(found, recording)
+        assert recording.end_s - 1.4 < found.end_s < recording.end_s - 0.3
+        assert (found.scenario, found.version) == (recording.scenario, "1.2.3")
+        (target,) = runs.targets(found)
+        (whole,) = runs.targets(recording)
+        assert target.score.settling_2mm_s == whole.score.settling_2mm_s
+    assert not recording.cut_off
+    assert main(["replay", str(folder), "--out", str(tmp_path / "page")]) == 0
+    assert "The bag was cut off" in capsys.readouterr().out
+    assert "The bag was cut off" in (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("tail", [b"", bytes(5000)], ids=["short", "zeros"])
+def test_a_file_that_ends_anywhere_is_read_as_far_as_it_is_whole(tmp_path, bag, recording, tail):
+    (file,) = killed(tmp_path / "bag", bag).glob("*.mcap")
+    content = file.read_bytes()
+    ends_s = []
+    for size in np.linspace(0.4 * len(content), len(content) - 1, 8).astype(int):
+        file.write_bytes(content[:size] + tail)
+        found = read(file)
+        assert found.cut_off
+        assert is_beginning_of(found, recording)
+        ends_s.append(found.end_s)
+    assert ends_s == sorted(ends_s)
+    assert ends_s[-1] - ends_s[0] > 1.0
+    for size in (8, 20, 100) if tail else (0, 5, 8, 20, 100):
+        file.write_bytes(content[:size] + tail)
+        with pytest.raises(BagError, match="cut off before any message"):
+            read(file)
+
+
+def test_a_whole_bag_that_was_not_copied_whole_is_read_with_its_notes(tmp_path, bag, recording):
+    folder = shutil.copytree(bag, tmp_path / "bag")
+    (file,) = folder.glob("*.mcap")
+    file.write_bytes(file.read_bytes()[:-20])  # all messages, but no index
+    found = read(folder)
+    assert found.cut_off
+    assert found.end_s == recording.end_s
+    assert found.scenario == recording.scenario
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_a_folder_without_metadata_is_read_by_its_files(tmp_path, storage):
+    made = HandmadeBag(tmp_path / "bag", storage, scenario=DEMO)
+    servo(made)
+    made.close()
+    whole = read(tmp_path / "bag")
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    found = read(tmp_path / "bag")
+    assert is_beginning_of(found, whole)
+    assert found.end_s == whole.end_s
+    assert found.scenario == whole.scenario
+    assert found.cut_off == (storage is StoragePlugin.SQLITE3)
+
+
+def test_messages_in_disorder_and_without_chunks_are_put_in_order(tmp_path):
+    writer = pytest.importorskip("mcap.writer")
+    kind = "std_msgs/msg/Float64MultiArray"
+    layout = TYPES.types["std_msgs/msg/MultiArrayLayout"]([], 0)
+    raw = TYPES.serialize_cdr(TYPES.types[kind](layout, JACOBIAN.reshape(-1)), kind)
+    with (tmp_path / "bag.mcap").open("wb") as file:
+        made = writer.Writer(file, use_chunking=False)
+        made.start(profile="ros2")
+        definition, _ = TYPES.generate_msgdef(kind, ros_version=2)
+        schema = made.register_schema(kind, "ros2msg", definition.encode())
+        channel = made.register_channel("/jacobian", "cdr", schema)
+        for time_s in (2, 1, 4, 3):
+            made.add_message(channel, time_s * 10**9, raw, time_s * 10**9)
+    found = read(tmp_path / "bag.mcap")  # as killed: never finished
+    assert found.cut_off
+    assert np.array_equal(found.series["jacobian"].arrival_s, [1.0, 2.0, 3.0, 4.0])
+
+
+def test_what_is_missing_is_named_with_the_way_to_get_it(tmp_path, monkeypatch, capsys):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name: None if name == "jinja2" else find(name)
+    )
+    assert main(["replay", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert ".venv/bin/pip install -c constraints.txt -e '.[record,lab]'" in error
+    assert "elsewhere, pip install jinja2\n" in error
+
+
 def test_a_namespace_is_found_by_itself(tmp_path):
     recording = read(simple(tmp_path / "bag", namespace="/left"))
     assert recording.namespace == "left"
@@ -494,16 +738,10 @@ def two_robots(folder):
     return folder
 
 
-def cut_off(folder):
+def nothing_left(folder):
     simple(folder)
     (file,) = folder.glob("*.mcap")
-    file.write_bytes(file.read_bytes()[:-5000])
-    return folder
-
-
-def no_index(folder):
-    simple(folder)
-    (folder / "metadata.yaml").unlink()
+    file.write_bytes(file.read_bytes()[:2000])
     return folder
 
 
@@ -543,9 +781,8 @@ def wrong_file(folder):
     ("make", "words"),
     [
         (lambda folder: folder, "there is no"),
-        (lambda folder: folder.mkdir() or folder, "has no metadata.yaml"),
-        (no_index, "cut off"),
-        (cut_off, "cannot read"),
+        (lambda folder: folder.mkdir() or folder, "neither metadata.yaml nor an .mcap file"),
+        (nothing_left, "cut off before any message"),
         (garbled, "cannot read"),
         (strange_metadata, "cannot read"),
         (wrong_file, "cannot read"),

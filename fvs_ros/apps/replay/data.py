@@ -90,6 +90,8 @@ class Recording:
         Of this package when it was recorded; empty where the bag does not say.
     scenario : mapping
         Node -> parameter -> value, as started; empty where the bag does not say.
+    cut_off : bool
+        Whether it was never finished, so that its end may be missing.
     start_s, end_s : float
         First and last arrival, s.
     series : mapping of str to Series
@@ -105,6 +107,7 @@ class Recording:
     namespace: str
     version: str
     scenario: Mapping[str, Mapping[str, Any]]
+    cut_off: bool
     start_s: float
     end_s: float
     series: Mapping[str, Series]

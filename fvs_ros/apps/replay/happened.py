@@ -76,7 +76,8 @@ def happened(
             f"{recording.end_s - recording.start_s:.1f} s, "
             f"{sum(len(flow.arrival_s) for flow in recording.flows.values())} messages of "
             f"{len(recording.flows)} topics. {_origin(recording)}"
-            + ("" if states else " The controller’s status is not in the bag.")
+            + ("" if states else " The controller’s status is not in the bag."),
+            *_incomplete(recording, targets),
         ],
         figures=[
             Figure(
@@ -88,12 +89,37 @@ def happened(
         ],
         tables=tables,
         data={
+            "cut_off": recording.cut_off,
             "scenario": recording.scenario,
             "states": [asdict(one) for one in states],
             "limits": [asdict(one) for one in limits],
             "events": [asdict(one) for one in events],
         },
     )
+
+
+def _incomplete(recording: Recording, targets: Sequence[Target]) -> list[str]:
+    """What is missing at the ends of the bag, a paragraph each."""
+    found = []
+    if recording.cut_off:
+        found.append(
+            "The bag was cut off: its recorder was killed, or it was not copied whole. What is "
+            "shown ends before the run did: the last second or more is missing, and with it the "
+            "arm’s coming to rest. The last target is judged by what there is of it."
+        )
+    moved_s = story.moved_before_s(recording)
+    if moved_s:
+        found.append(
+            f"The arm moved already {moved_s:.2f} s before the first command in the bag: its "
+            "beginning is missing, or something else moved the arm."
+        )
+    if targets and targets[0].begins_late:
+        found.append(
+            "The beginning of the first target is missing: the first position of the ball came "
+            f"{targets[0].record.time_s[0]:.2f} s after it was given, so that its start distance "
+            "is not known, and its path is what is left of it."
+        )
+    return found
 
 
 def _origin(recording: Recording) -> str:

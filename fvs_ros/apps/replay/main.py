@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fvs_ros.apps.recording import how_to_install
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_OK
 from fvs_ros.core.version import version
 
@@ -48,13 +49,13 @@ def main(argv: list[str]) -> int:
     missing = [name for name in _NEEDS if importlib.util.find_spec(name) is None]
     if missing:
         print(
-            f"{COMMAND}: {', '.join(missing)} not installed; "
-            "pip install -c constraints.txt -e '.[record,lab]'",
+            f"{COMMAND} needs {', '.join(missing)}: {how_to_install(missing)}",
             file=sys.stderr,
         )
         return EXIT_BAD_INPUT
     from fvs_ros.apps.experiments.report import Heading, Origin, write_page, write_report
-    from fvs_ros.apps.replay.reading import BagError, read
+    from fvs_ros.apps.replay.files import BagError
+    from fvs_ros.apps.replay.reading import read
     from fvs_ros.apps.replay.sections import NAMES, sections
 
     bag: Path = arguments.bag

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from fvs_ros.apps.dashboard.view import SILENT
 from fvs_ros.apps.experiments.style import pyplot, save
 from fvs_ros.apps.replay import story
 from fvs_ros.apps.replay.data import Recording
@@ -22,9 +23,11 @@ STATES = {
     "SERVOING": "#5fb88f",
     "HOLDING": "#e69f00",
     "FAULT": "#c0392b",
+    SILENT: "#eeeeee",
 }
 _LIMIT = "#7a6fb0"
-_OTHER = "#eeeeee"
+#: Of a state that is none of this project's controller.
+_OTHER = "#ffffff"
 _JOINTS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _SMALLEST_M = 1e-5
 #: A state is named where it takes at least this share of the width.

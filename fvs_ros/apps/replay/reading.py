@@ -16,9 +16,10 @@ import numpy as np
 import yaml
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag2 import ReaderError
-from rosbags.typesys import Stores, get_typestore
 
+from fvs_ros.apps.replay import files
 from fvs_ros.apps.replay.data import Flow, Recording, Said, Series
+from fvs_ros.apps.replay.files import BagError
 from fvs_ros.core import topics
 from fvs_ros.core.camera import CAMERA_FRAME
 from fvs_ros.core.joints import JOINT_PARAMETERS, N_JOINTS, JointMap, JointStateError
@@ -44,35 +45,28 @@ _SAME_CLOCK_S = 1e4
 _WIDTHS = {"commands": N_JOINTS, "jacobian": 3 * N_JOINTS}
 
 
-class BagError(ValueError):
-    """A bag that cannot be looked at; the text says why."""
-
-
 def read(path: Path, namespace: str | None = None) -> Recording:
     """Read a bag.
 
     Parameters
     ----------
     path : Path
-        Folder of a rosbag2 (MCAP or SQLite), or its one file.
+        Folder of a rosbag2 (MCAP or SQLite), or its one file; of one that was cut off, what is
+        whole is read.
     namespace : str, optional
         Of the nodes; only needed where the bag holds several.
 
     Raises
     ------
     BagError
-        If it is none, is cut off, or holds nothing of this project.
+        If it is none, is damaged, or holds nothing of this project.
     """
-    if not path.exists():
-        raise BagError(f"there is no {path}")
-    if path.is_dir() and not (path / "metadata.yaml").is_file():
-        raise BagError(
-            f"{path} has no metadata.yaml: it is no bag, or its recording was cut off "
-            "(`ros2 bag reindex` makes one)"
-        )
+    paths, cut_off = files.storages(path)
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
-            return _Reading(reader, path, namespace).recording()
+        with files.opened(paths) as reader:
+            if cut_off and not reader.message_count:
+                raise BagError(f"{path} was cut off before any message was written into it")
+            return _Reading(reader, path, namespace, files.notes(paths)).recording(cut_off)
     except (AnyReaderError, ReaderError) as error:
         raise BagError(f"cannot read {path}: {_one_line(error)}; is it a whole bag?") from error
     except BagError:
@@ -87,11 +81,13 @@ def read(path: Path, namespace: str | None = None) -> Recording:
 class _Reading:
     """One pass through a bag."""
 
-    def __init__(self, reader: AnyReader, path: Path, namespace: str | None) -> None:
+    def __init__(
+        self, reader: AnyReader, path: Path, namespace: str | None, notes: Mapping[str, str]
+    ) -> None:
         self._reader = reader
         self._path = path
         names = {connection.topic for connection in reader.connections if connection.msgcount}
-        self._notes = _notes(reader)
+        self._notes = notes
         self._remaps = _remaps(self._notes.get("remaps", ""))
         # A remapped topic speaks for the namespace in which it was declared.
         declared_names = {declared for declared, name in self._remaps.items() if name in names}
@@ -110,7 +106,7 @@ class _Reading:
         name = topics.resolve(TOPICS[key], "", self._namespace)
         return self._remaps.get(name, name)
 
-    def recording(self) -> Recording:
+    def recording(self, cut_off: bool) -> Recording:
         flows: dict[str, tuple[str, list[float], list[float]]] = {}
         stamped = {
             kind: self._has_header(kind)
@@ -136,6 +132,7 @@ class _Reading:
             namespace=self._namespace,
             version=self._notes.get("fvs_ros_version", ""),
             scenario=self._scenario,
+            cut_off=cut_off,
             start_s=min(every),
             end_s=max(every),
             series={key: self._series(key, rows) for key, rows in self._usable().items()},
@@ -250,11 +247,6 @@ def _namespace(names: set[str], wanted: str | None, path: Path) -> str:
 
 def _list(namespaces: set[str]) -> str:
     return ", ".join(f"'/{one}'" for one in sorted(namespaces)) or "none of this project"
-
-
-def _notes(reader: AnyReader) -> Mapping[str, str]:
-    metadata = getattr(getattr(reader.readers[0], "storage", None), "metadata", None)
-    return getattr(metadata, "custom", None) or {}
 
 
 def _remaps(text: str) -> dict[str, str]:

@@ -6,13 +6,18 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from fvs_ros.apps.dashboard.view import SILENT, SILENT_S
 from fvs_ros.apps.replay.data import Recording, Said
 from fvs_ros.apps.replay.timing import gaps
+from fvs_ros.core.joints import N_JOINTS
 
 SERVOING = "SERVOING"
 #: A line of the log that came again within this is the same trouble, s.
 _AGAIN_S = 5.0
+#: A joint that is further from where it was, rad, or quicker, rad/s, than this moves.
+_MOVED_RAD, _MOVES_RAD_S = 0.01, 0.02
 
 
 @dataclass(frozen=True)
@@ -99,6 +104,20 @@ def _unnumbered(limit: str) -> str:
     return re.sub(r" \([^)]*\)", "", limit)
 
 
+def moved_before_s(recording: Recording) -> float:
+    """How long before the first command in the bag the arm moved already, s; 0 if it did not."""
+    joints, commands = recording.series.get("joints"), recording.series.get("commands")
+    if joints is None or commands is None:
+        return 0.0
+    early = joints.arrival_s < commands.arrival_s[0]
+    values = joints.values[early]
+    moves = (np.abs(values[:, :N_JOINTS] - joints.values[0, :N_JOINTS]) > _MOVED_RAD).any(axis=1)
+    moves |= (np.abs(values[:, N_JOINTS:]) > _MOVES_RAD_S).any(axis=1)  # not where it is unknown
+    if not moves.any():
+        return 0.0
+    return float(commands.arrival_s[0] - joints.arrival_s[early][moves][0])
+
+
 def servoing_s(recording: Recording) -> float:
     """Time in which the controller moved the arm, s."""
     return sum(one.end_s - one.start_s for one in states(recording) if one.what == SERVOING)
@@ -107,13 +126,17 @@ def servoing_s(recording: Recording) -> float:
 def events(recording: Recording) -> list[Event]:
     """Warnings of the log, changed parameters and silences of inputs, in order.
 
-    The controller's own warnings are its states, and not said twice.
+    The controller's own warnings are its states, and not said twice; others use the same words.
     """
-    own = {spell.what for spell in states(recording)}
+    told = {spell.what for spell in states(recording)}
+    # The log has a node's full name with dots.
+    controller = {
+        status.who.strip("/").replace("/", ".") for status in recording.said.get("controller", ())
+    }
     found = [
         Event(line.arrival_s, line.who, line.text)
         for line in recording.said.get("log", ())
-        if line.text.partition(":")[0] not in own
+        if line.who not in controller or line.text.partition(":")[0] not in told
     ]
     found += [
         Event(one.arrival_s, one.who, one.text) for one in recording.said.get("parameters", ())

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from fvs_controller_node.config import PARAMETERS
+from fvs_ros.apps.dashboard.view import SILENT_S
 from fvs_ros.apps.replay.data import Flow, Recording, Series
 
 #: Inputs of the controller, and the parameter above which an age holds the arm.
@@ -131,14 +132,19 @@ def other_clocks(recording: Recording) -> str:
 def command_latencies_s(ball: Series, commands: Series) -> tuple[np.ndarray, np.ndarray]:
     """From an image's exposure to the first command after its ball position came.
 
+    Images from before the first command, or from a silence of the commands, wait for nobody who
+    would be slow: the controller was not there.
+
     Returns
     -------
     arrival_s : ndarray, shape (n,)
-        When the position came, s; those with a stamp, and a command after them.
+        When the position came, s; those with a stamp, between commands.
     latency_s : ndarray, shape (n,)
         How old the image was when that command came, s.
     """
     following = np.searchsorted(commands.arrival_s, ball.arrival_s, side="left")
-    usable = (following < len(commands)) & np.isfinite(ball.stamp_s)
+    # Between the command before an image and the one after it; for ever where one is missing.
+    apart_s = np.diff(commands.arrival_s, prepend=-np.inf, append=np.inf)[following]
+    usable = (apart_s <= SILENT_S) & np.isfinite(ball.stamp_s)
     came_s = commands.arrival_s[following[usable]]
     return ball.arrival_s[usable], came_s - ball.stamp_s[usable]

@@ -1,0 +1,263 @@
+"""The files of a bag: which there are, what they note, and what is whole of one that was cut off.
+
+Where metadata are missing, the files themselves tell. An MCAP file is a chain of records; one
+without an end (the recorder was killed, or the machine lost its power) is read from its beginning,
+as far as its records are whole.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sqlite3
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import yaml
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, decompress
+from rosbags.typesys import Stores, get_typestore
+
+from fvs_ros.apps.bag import NOTES
+
+_METADATA = "metadata.yaml"
+_MCAP, _SQLITE = ".mcap", ".db3"
+#: An MCAP file begins and ends with it.
+_MAGIC = b"\x89MCAP0\r\n"
+#: Kinds of records in an MCAP file: of what has no kind, nothing more was written.
+_NOTHING, _CHUNK, _NOTE, _END = 0x00, 0x06, 0x0C, 0x0F
+#: Before each record: its kind and its length, bytes.
+_HEAD = struct.Struct("<BQ")
+#: A chunk's first and last time, its length once unpacked, and the check of that.
+_CHUNK_HEAD = struct.Struct("<QQQI")
+
+
+class BagError(ValueError):
+    """A bag that cannot be looked at; the text says why."""
+
+
+class Record(NamedTuple):
+    """A whole record of an MCAP file: its kind, and where it begins and its content lies, bytes."""
+
+    kind: int
+    start: int
+    content: int
+    length: int
+
+
+def storages(path: Path) -> tuple[list[Path], bool]:
+    """What of a bag is to be opened: its folder, or its files where the folder is not whole.
+
+    Returns
+    -------
+    paths : list of Path
+        The folder, or files.
+    cut_off : bool
+        Whether the recorder never finished it.
+
+    Raises
+    ------
+    BagError
+        If there is no bag.
+    """
+    if not path.exists():
+        raise BagError(f"there is no {path}")
+    if not path.is_dir():
+        return [path], is_cut_off(path)
+    files = sorted(one for one in path.iterdir() if one.suffix in (_MCAP, _SQLITE))
+    cut_off = any(map(is_cut_off, files))
+    if (path / _METADATA).is_file() and not cut_off:
+        return [path], False
+    if not files:
+        raise BagError(f"{path} is no bag: it holds neither {_METADATA} nor an {_MCAP} file")
+    # SQLite's files stay whole, but without metadata they lack what was not yet in them.
+    return files, cut_off or any(one.suffix == _SQLITE for one in files)
+
+
+def opened(paths: Sequence[Path]) -> AnyReader:
+    """A reader of all of them, to be entered; those that were cut off are read as far as whole."""
+    reader = AnyReader(paths, default_typestore=get_typestore(Stores.ROS2_JAZZY))
+    for path, one in zip(paths, reader.readers, strict=True):
+        if isinstance(one, Reader) and is_cut_off(path):
+            one.storage = CutOffReader(path)
+    return reader
+
+
+def is_cut_off(path: Path) -> bool:
+    """Whether this is an MCAP file without its end."""
+    if path.suffix != _MCAP or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        if not _MAGIC.startswith(file.read(len(_MAGIC))):
+            return False  # no MCAP file at all
+        file.seek(max(len(_MAGIC), path.stat().st_size - len(_MAGIC)))
+        return file.read() != _MAGIC
+
+
+def records(file: BinaryIO) -> Iterator[Record]:
+    """The whole records of an MCAP file, up to the end of its data or to the first broken one."""
+    size = file.seek(0, 2)
+    start = len(_MAGIC)
+    while start + _HEAD.size <= size:
+        file.seek(start)
+        kind, length = _HEAD.unpack(file.read(_HEAD.size))
+        content = start + _HEAD.size
+        if kind in (_NOTHING, _END) or content + length > size:
+            return
+        yield Record(kind, start, content, length)
+        start = content + length
+
+
+class CutOffReader(McapReader):
+    """What is whole of an MCAP file whose end, with its index, is missing."""
+
+    def open(self) -> None:
+        """Look through the file; the parent's would begin at its end."""
+        self.bio = self.path.open("rb")
+        self.data_start = self.data_end = len(_MAGIC)
+        chunks: list[ChunkInfo] = []
+        for record in records(self.bio):
+            if record.kind == _CHUNK:
+                try:
+                    chunks.append(_chunk(self.bio, record))
+                except Exception:  # of the unpacking; what follows hangs in the air
+                    break
+            self.data_end = record.content + record.length
+        self.meta_scan()
+        assert self.statistics is not None
+        counts = self.statistics.channel_message_counts
+        self.connections = [
+            one._replace(msgcount=counts.get(one.id, 0)) for one in self.connections
+        ]
+        for chunk in chunks:
+            chunk.channel_count.update(counts)  # which of them are in this one, it tells itself
+        self.chunks = chunks
+        self.metadata = self.metadata._replace(message_count=self.statistics.message_count)
+
+    def messages(self, connections: Any, start: Any = None, stop: Any = None) -> Any:
+        """All messages in order: the parent's way, which refuses disorder outside of chunks."""
+        if self.chunks:
+            return super().messages(connections, start, stop)
+        return iter(sorted(self.messages_scan(connections, start, stop), key=lambda one: one[1]))
+
+
+def _chunk(file: BinaryIO, record: Record) -> ChunkInfo:
+    """A chunk that can be unpacked; any error if it cannot."""
+    file.seek(record.content)
+    content = file.read(record.length)
+    first_ns, last_ns, size, check = _CHUNK_HEAD.unpack_from(content)
+    name, at = _text(content, _CHUNK_HEAD.size)
+    (packed,) = struct.unpack_from("<Q", content, at)
+    decompress(content[at + 8 : at + 8 + packed], name, size, check)
+    return ChunkInfo(
+        message_start_time=first_ns,
+        message_end_time=last_ns,
+        chunk_start_offset=record.start,
+        chunk_length=_HEAD.size + record.length,
+        message_index_offsets={},
+        message_index_length=0,
+        compression=name,
+        compressed_size=packed,
+        uncompressed_size=size,
+        channel_count={},
+    )
+
+
+# --- notes ---
+
+
+def notes(paths: Sequence[Path]) -> Mapping[str, str]:
+    """What travels beside the messages of what was opened: its ``custom_data``.
+
+    Those of a folder are in its metadata, those of a file in it. The recorder of this project
+    leaves them beside a file that it could not finish.
+    """
+    for path in paths:
+        folder = path if path.is_dir() else path.parent
+        whole = [folder / _METADATA] if path.is_dir() or is_cut_off(path) else []
+        for text in (*map(_content, whole), *_written_in(path)):
+            found = _custom(text)
+            if found:
+                return found
+        found = _strings(_yaml(_content(folder / NOTES))) if path.is_file() else {}
+        if found:
+            return found
+    return {}
+
+
+def _written_in(path: Path) -> list[str]:
+    """A file's own copy of the metadata, the newest one first."""
+    if path.suffix == _MCAP and path.is_file():
+        return _written_in_mcap(path)
+    if path.suffix == _SQLITE:
+        return _written_in_sqlite(path)
+    return []
+
+
+def _written_in_mcap(path: Path) -> list[str]:
+    found = []
+    with path.open("rb") as file:
+        for record in records(file):
+            if record.kind == _NOTE:
+                file.seek(record.content)
+                content = file.read(record.length)
+                with contextlib.suppress(struct.error, UnicodeDecodeError):
+                    name, at = _text(content, 0)
+                    if name == "rosbag2":
+                        found.append(dict(_pairs(content, at)).get("serialized_metadata", ""))
+    return found[::-1]
+
+
+def _pairs(content: bytes, at: int) -> Iterator[tuple[str, str]]:
+    """A map of texts."""
+    (length,) = struct.unpack_from("<I", content, at)
+    at += 4
+    end = at + length
+    while at < end:
+        key, at = _text(content, at)
+        value, at = _text(content, at)
+        yield key, value
+
+
+def _text(content: bytes, at: int) -> tuple[str, int]:
+    """A text, and where the next thing begins."""
+    (length,) = struct.unpack_from("<I", content, at)
+    end = at + 4 + length
+    return content[at + 4 : end].decode(), end
+
+
+def _written_in_sqlite(path: Path) -> list[str]:
+    query = "SELECT metadata FROM metadata ORDER BY id DESC"
+    with (
+        contextlib.suppress(sqlite3.Error),  # older bags have no such table
+        contextlib.closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as bag,
+    ):
+        return [str(text) for (text,) in bag.execute(query)]
+    return []
+
+
+def _content(path: Path) -> str:
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        return path.read_text(encoding="utf-8")
+    return ""
+
+
+def _custom(text: str) -> dict[str, str]:
+    """The ``custom_data`` of metadata, which have a name over them in a file of their own."""
+    content = _yaml(text)
+    content = content.get("rosbag2_bagfile_information", content)
+    return _strings(content.get("custom_data")) if isinstance(content, dict) else {}
+
+
+def _strings(content: Any) -> dict[str, str]:
+    items = content.items() if isinstance(content, dict) else ()
+    return {str(key): str(value) for key, value in items}
+
+
+def _yaml(text: str) -> dict[str, Any]:
+    with contextlib.suppress(yaml.YAMLError):
+        content = yaml.safe_load(text)
+        return content if isinstance(content, dict) else {}
+    return {}
