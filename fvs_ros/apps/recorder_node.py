@@ -42,7 +42,8 @@ class RecorderNode(ros.FvsNode):
         self._folder = Path(self.values["output_dir"]).expanduser()
         recording.check_folder(self._folder)
         recording.check_installed()
-        from fvs_ros.apps.bag import ERRORS, Bag, Viewing, knows
+        from fvs_ros.apps.bag import ERRORS, Bag, knows
+        from fvs_ros.apps.viewing import Viewing
 
         self._known, self._bag_errors = knows, ERRORS
         self._viewing = Viewing(
