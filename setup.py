@@ -51,7 +51,12 @@ setup(
         (f"share/{PACKAGE}", ["package.xml"]),
         (
             f"share/{PACKAGE}/config",
-            [*sorted(glob("config/*.yaml")), "config/foxglove.json", "config/fvs.rviz"],
+            [
+                *sorted(glob("config/*.yaml")),
+                "config/foxglove.json",
+                "config/fvs.rviz",
+                "config/quick_discovery.xml",
+            ],
         ),
         (f"share/{PACKAGE}/config/models", sorted(glob("config/models/*.npz"))),
         (f"share/{PACKAGE}/config/sros2", ["config/sros2/policy.xml"]),

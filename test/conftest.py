@@ -18,7 +18,8 @@ os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_LOG_DIR"] = _LOG_DIR
 os.environ.setdefault(
-    "FASTRTPS_DEFAULT_PROFILES_FILE", str(Path(__file__).with_name("quick_discovery.xml"))
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+    str(Path(__file__).resolve().parents[1] / "config" / "quick_discovery.xml"),
 )
 
 # The source tree comes first, installed or not: here and in the processes that tests start.

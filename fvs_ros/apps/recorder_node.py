@@ -7,6 +7,7 @@ from fvs_ros.core import stop
 stop.listen()
 
 import importlib
+import os
 import shutil
 import sys
 import time
@@ -20,6 +21,7 @@ from rclpy.subscription import Subscription
 from fvs_ros.apps import recording, transforms
 from fvs_ros.apps.recording import Doubles, Message, Request, SimulatedTime
 from fvs_ros.core import ros
+from fvs_ros.core.paths import find_file
 from fvs_ros.core.topics import INTERFACES, Qos, resolve
 from fvs_ros.core.version import version
 
@@ -43,7 +45,7 @@ class RecorderNode(ros.FvsNode):
         recording.check_folder(self._folder)
         recording.check_installed()
         from fvs_ros.apps.bag import ERRORS, Bag, knows
-        from fvs_ros.apps.bag_transforms import Viewing
+        from fvs_ros.apps.viewing import Viewing
 
         self._known, self._bag_errors = knows, ERRORS
         self._viewing = Viewing(
@@ -279,6 +281,8 @@ def _message_class(message_type: str) -> Any:
 
 def main() -> int:
     """Run ``fvs_recorder_node``."""
+    # Who is started later finds the recorder at once: what is said until then is not recorded.
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(find_file("quick_discovery.xml")))
     return ros.run(RecorderNode)
 
 

@@ -1,9 +1,11 @@
 """The recorder with real nodes: nothing is lost, zeros come last, and a replay judges the same."""
 
+import contextlib
 import json
 import re
 import shutil
 import signal
+import socket
 from collections import Counter
 from dataclasses import replace
 
@@ -237,6 +239,35 @@ def test_a_remapped_topic_is_noted_and_replayed(ros_test):
     series = read(bag).series["target"]
     assert series.topic == "/goal"
     assert np.array_equal(series.values, [[0.1, 0.2, 0.9]])
+
+
+def senders(listener):
+    """Who sent the datagrams that have come, each once for each: the prefix of its RTPS GUID."""
+    found = Counter()
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            found[listener.recv(65536)[8:20]] += 1
+    return found
+
+
+def test_who_starts_later_is_told_soon_that_the_recorder_is_there(ros_test, monkeypatch):
+    """Fast DDS by itself says so once in three seconds; what is sent until then is lost."""
+    monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        # Where the domain's thirty-first process on this machine would listen for such words.
+        listener.bind(("127.0.0.1", 7400 + 250 * ros_test.domain + 10 + 2 * 30))
+        listener.setblocking(False)
+        ros_test.spin_for(1.0)
+        others = set(senders(listener))  # this test's own node
+        process = ros_test.start_node(RECORDER, output_dir="bag")
+        ros_test.spin_until(
+            lambda: "recording into bag" in ros_test.output(process), what="the recorder"
+        )
+        ros_test.spin_for(1.0)
+        senders(listener)  # at its very start everybody says so often
+        ros_test.spin_for(3.0)
+        (words,) = (n for who, n in senders(listener).items() if who not in others)
+    assert words > 5
 
 
 def test_a_folder_that_exists_is_refused_in_a_sentence(ros_test):

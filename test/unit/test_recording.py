@@ -20,7 +20,7 @@ pytest.importorskip("rosbags")
 from replayed_bags import TYPES
 
 from fvs_ros.apps.bag import ERRORS, NOTES, Bag, knows, to_bag_qos
-from fvs_ros.apps.bag_transforms import Viewing
+from fvs_ros.apps.viewing import Viewing
 from fvs_ros.core.joints import UR_JOINT_NAMES
 from fvs_sim_node.ur5_urdf import urdf_text
 
