@@ -1,9 +1,9 @@
 """How much of an image is believed against what the joints' motion predicts.
 
 *Fixed* believes one share of every image. *Adaptive* is a Kalman filter of the ball's position,
-one axis like the other two: it learns at rest how noisy the images are, and in motion by what
-share of it the Jacobian mispredicts. At rest it averages the noise away; in motion, when the
-prediction is worth less, it follows the images.
+one axis like the other two: it learns how noisy the images are, and by what share of a motion the
+Jacobian mispredicts it. At rest it averages the noise away; in motion, when the prediction is worth
+less, and where the camera itself is moved, it follows the images.
 """
 
 from __future__ import annotations
@@ -18,10 +18,13 @@ FIXED, ADAPTIVE = "fixed", "adaptive"
 #: Noise of an image before anything is known, its bounds, m.
 _NOISE_M, _LEAST_NOISE_M, _MOST_NOISE_M = 1e-3, 5e-5, 2e-2
 #: Share of the predicted motion that is wrong: before anything is known, and its bounds.
-_WRONG, _LEAST_WRONG, _MOST_WRONG = 0.1, 0.005, 0.5
-#: A motion between two images below this says nothing of the Jacobian, one above nothing of the
-#: noise, m.
-_STILL_M, _MOVED_M = 1e-3, 4e-3
+_WRONG, _LEAST_WRONG, _MOST_WRONG = 0.1, 0.002, 0.5
+#: A motion below this says nothing of the Jacobian, m; and where it changes by more from image to
+#: image, what it brings changes, too, and is not told from noise.
+_MOVED_M, _STEADY_M = 4e-3, 1e-3
+#: Share of a new innovation in their mean, and how far that may be off, in squared deviations of
+#: all three coordinates: chance gets there once in 10^5 images.
+_BEHIND_SHARE, _BEHIND = 0.2, 25.0
 #: Share of a new squared innovation in what is learned, after the first so many images.
 _SHARE, _FIRST = 0.03, 5.0
 #: The same for the prediction where all that was learned of it is to be learned anew; and the way
@@ -102,15 +105,24 @@ class FixedFusion:
 class AdaptiveFusion:
     """Kalman filter that learns the noise of the images and the error of the prediction.
 
-    ``P += (w |motion|)^2`` on the way from image to image, ``K = P / (P + R)``,
-    ``P = (1 - K)^2 P + K^2 R``, which holds for the bounded gain, too; the innovations' squares
-    teach R at rest and w in motion.
+    What is wrong about the estimate has two parts, ``P + w^2 |c|^2``: what is left of the noise of
+    past images, and a share w of the motion c that was predicted and not yet corrected. A Jacobian
+    that is wrong now is as wrong at the next image: its error adds up over c, where that of noise
+    would not, so that the ball may go as slowly as it likes. With the gain
+    ``K = (P + w^2 |c|^2) / (P + w^2 |c|^2 + R)``, bounded from below,
+
+        c -> (1 - K) c,    P -> (1 - K)^2 P + K^2 R.
+
+    R is learned from how images change beyond what is predicted: a change that stays (the Jacobian
+    is wrong, the camera is being carried) is no noise. w is learned from innovations after a
+    motion. Innovations that go on pointing one way tell that the estimate is behind, whatever the
+    cause: it is then doubted by as much.
     """
 
     def __init__(self) -> None:
         self._noise2 = _NOISE_M**2
         self._wrong2 = _WRONG**2
-        self._seen, self._seen_moving = 0.0, 1.0 / _SHARE
+        self._seen, self._seen_moving = 0.0, _FIRST_MOVING
         self.restart()
 
     @property
@@ -121,7 +133,7 @@ class AdaptiveFusion:
     @property
     def deviation_m(self) -> float | None:
         """Standard deviation of a coordinate of the estimate, m."""
-        return float(self._variance**0.5)
+        return float(self._variance() ** 0.5)
 
     @property
     def wrong_share(self) -> float:
@@ -130,7 +142,12 @@ class AdaptiveFusion:
 
     def restart(self) -> None:
         """Forget the estimate's past: it begins with an image. What was learned stays."""
-        self._variance = self._noise2
+        self._settled = self._noise2
+        self._uncorrected = np.zeros(3)
+        self._behind = np.zeros(3)
+        self._left: np.ndarray | None = None
+        self._change: np.ndarray | None = None
+        self._motion = np.zeros(3)
 
     def doubt(self) -> None:
         """Camera or ball was moved: how wrong the prediction is now must be learned anew.
@@ -152,33 +169,63 @@ class AdaptiveFusion:
 
     def correct(self, innovation_m: np.ndarray, motion_m: np.ndarray) -> np.ndarray | None:
         """What to add to the prediction, m, (3,), None for an outlier; see :class:`FixedFusion`."""
-        moved = _norm(motion_m)
-        before = self._variance
-        self._variance += self._wrong2 * moved * moved
-        total = self._variance + self._noise2
+        self._uncorrected = self._uncorrected + motion_m
+        total = self._variance() + self._noise2
         square = float(innovation_m @ innovation_m) / 3.0
         if not square**0.5 <= _GATE * total**0.5 + _GATE_M:  # true for NaN, too
+            self._left = self._change = None
             return None
-        self._learn(min(square, _CLIP * total), moved, before)
-        gain = max(self._variance / (self._variance + self._noise2), _LEAST_GAIN)
-        self._variance = (1.0 - gain) ** 2 * self._variance + gain**2 * self._noise2
+        self._learn_noise(innovation_m, motion_m)
+        self._learn_wrong(min(square, _CLIP * total), _norm(motion_m))
+        self._look_behind(innovation_m, square)
+        variance = self._variance()
+        gain = max(variance / (variance + self._noise2), _LEAST_GAIN)
+        self._settled = (1.0 - gain) ** 2 * self._settled + gain**2 * self._noise2
+        self._uncorrected = (1.0 - gain) * self._uncorrected
+        self._left = (1.0 - gain) * innovation_m
         return gain * innovation_m
 
-    def _learn(self, square: float, moved: float, before: float) -> None:
-        if moved <= _MOVED_M and self._wrong2 > _WRONG**2:
-            self._wrong2 = _WRONG**2 + (self._wrong2 - _WRONG**2) * exp(-moved / _FADE_M)
-        if moved < _STILL_M:
-            self._seen += 1.0
-            share = max(_SHARE, 1.0 / (_FIRST + self._seen))
-            self._noise2 += share * (square - before - self._noise2)
-            self._noise2 = min(max(self._noise2, _LEAST_NOISE_M**2), _MOST_NOISE_M**2)
-        elif moved > _MOVED_M:
+    def _variance(self) -> float:
+        """Of a coordinate of the estimate, m^2."""
+        far = self._uncorrected
+        return float(self._settled + self._wrong2 * far.dot(far))
+
+    def _learn_noise(self, innovation_m: np.ndarray, motion_m: np.ndarray) -> None:
+        """Learn R of white noise n and a change b that is the same from image to image.
+
+        With ``d = n - n' + b`` and ``d' = n' - n'' + b``, ``d d - d d'`` is three times R.
+        """
+        before, left, last_m = self._change, self._left, self._motion
+        self._change = None if left is None else innovation_m - left
+        self._motion = motion_m
+        if before is None or self._change is None or _norm(motion_m - last_m) > _STEADY_M:
+            return
+        noise2 = float(self._change @ (self._change - before)) / 9.0
+        most = _CLIP * self._noise2
+        self._seen += 1.0
+        share = max(_SHARE, 1.0 / (_FIRST + self._seen))
+        self._noise2 += share * (min(max(noise2, -most), most) - self._noise2)
+        self._noise2 = min(max(self._noise2, _LEAST_NOISE_M**2), _MOST_NOISE_M**2)
+
+    def _learn_wrong(self, square: float, moved: float) -> None:
+        far2 = float(self._uncorrected @ self._uncorrected)
+        if far2 > _MOVED_M**2:
             # One coordinate's share of the error, over the whole motion.
-            wrong2 = (square - before - self._noise2) / (moved * moved)
+            wrong2 = (square - self._settled - self._noise2) / far2
             self._seen_moving += 1.0
             share = max(_SHARE, 1.0 / (_FIRST_MOVING + self._seen_moving))
             self._wrong2 += share * (wrong2 - self._wrong2)
             self._wrong2 = min(max(self._wrong2, _LEAST_WRONG**2), _MOST_WRONG**2)
+        elif self._wrong2 > _WRONG**2:
+            self._wrong2 = _WRONG**2 + (self._wrong2 - _WRONG**2) * exp(-moved / _FADE_M)
+
+    def _look_behind(self, innovation_m: np.ndarray, square: float) -> None:
+        """Doubt the estimate where innovations go on pointing one way."""
+        self._behind = self._behind + _BEHIND_SHARE * (innovation_m - self._behind)
+        expected = (self._variance() + self._noise2) * _BEHIND_SHARE / (2.0 - _BEHIND_SHARE)
+        if float(self._behind @ self._behind) > _BEHIND * expected:
+            self._settled += square
+            self._behind = np.zeros(3)
 
 
 Fusion = FixedFusion | AdaptiveFusion

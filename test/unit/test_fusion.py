@@ -7,6 +7,7 @@ import pytest
 
 from fvs_controller_node import fusion as fusion_module
 from fvs_controller_node.fusion import AdaptiveFusion, FixedFusion, make_fusion
+from fvs_controller_node.predictor import BallPredictor
 
 
 def follow(fusion, images, motions):
@@ -69,16 +70,78 @@ def test_in_motion_it_learns_how_wrong_the_prediction_is():
     assert fusions[0.3].wrong_share > 2.0 * fusions[0.0].wrong_share
 
 
+GAINS = (0.1, 0.3, 0.6, 1.0)
+
+
+def rms_m(fusion, truth, images, motions, first=0):
+    return np.sqrt(np.mean((follow(fusion, images, motions) - truth[1:])[first:] ** 2))
+
+
+@pytest.mark.parametrize("sigma_m", [2e-4, 1e-3, 4e-3])
 @pytest.mark.parametrize("wrong", [0.0, 0.05, 0.3])
-def test_in_motion_it_is_no_worse_than_the_best_fixed_share(wrong):
+def test_in_motion_it_is_no_worse_than_the_best_fixed_share(wrong, sigma_m):
     rng = np.random.default_rng(3)
-    truth, images, motions = moving(wrong, 1e-3, rng)
-    rms = {
-        gain: np.sqrt(np.mean((follow(FixedFusion(gain), images, motions) - truth[1:]) ** 2))
-        for gain in (0.1, 0.3, 0.6, 1.0)
-    }
-    adaptive = np.sqrt(np.mean((follow(AdaptiveFusion(), images, motions) - truth[1:]) ** 2))
-    assert adaptive < 1.3 * min(rms.values())
+    paths = moving(wrong, sigma_m, rng)
+    best = min(rms_m(FixedFusion(gain), *paths, first=100) for gain in GAINS)
+    # That a prediction is exact, nobody knows after a hundred images.
+    assert rms_m(AdaptiveFusion(), *paths, first=100) < (1.3 if wrong else 1.8) * best
+
+
+def slow(wrong, speed_m, rng, n=240):
+    """A straight line of so many m an image, after a quick one that was predicted rightly."""
+    steps = np.concatenate([np.full(120, 0.01), np.full(n, speed_m)])
+    truth = np.outer(np.cumsum(steps), [0.6, 0.8, 0.0])
+    motions = np.diff(truth, axis=0, prepend=truth[:1])
+    motions[120:] *= 1.0 + wrong
+    return truth, truth + 1e-3 * rng.normal(size=truth.shape), motions
+
+
+@pytest.mark.parametrize("speed_m", [0.0007, 0.0017, 0.0033])
+@pytest.mark.parametrize("wrong", [0.1, 0.3])
+def test_a_slow_ball_is_followed_though_the_prediction_was_right_before(wrong, speed_m):
+    paths = slow(wrong, speed_m, np.random.default_rng(9))
+    best = min(rms_m(FixedFusion(gain), *paths, first=120) for gain in GAINS)
+    fusion = AdaptiveFusion()
+    assert rms_m(fusion, *paths, first=120) < 1.3 * best
+    assert fusion.noise_m == pytest.approx(1e-3, rel=0.25)
+
+
+@pytest.mark.parametrize("drift_m", [0.0003, 0.003, 0.012])
+def test_a_camera_that_is_carried_is_no_noise_and_the_estimate_is_soon_right(drift_m):
+    rng = np.random.default_rng(10)
+    way = np.concatenate([np.zeros(100), np.cumsum(np.full(60, drift_m)), np.zeros(20)])
+    way[160:] = way[159]
+    truth = np.outer(way, [0.6, 0.0, 0.8])
+    images = truth + 1e-3 * rng.normal(size=truth.shape)
+    fusion = AdaptiveFusion()
+    predictor = BallPredictor(fusion=fusion)
+    errors = []
+    for k, (image, true) in enumerate(zip(images, truth, strict=True)):
+        for part in range(4):
+            predictor.add_joints((k + part / 4.0) / 30.0, np.zeros(6), np.zeros((3, 6)))
+        predictor.add_ball(k / 30.0, image)
+        errors.append(np.linalg.norm(predictor.predict() - true))
+    assert fusion.noise_m == pytest.approx(1e-3, rel=0.4)
+    # Three images' way at most while it is carried, and the noise; soon after, noise alone.
+    assert max(errors[100:160]) < 3.0 * drift_m + 5e-3
+    assert max(errors[165:]) < 2.5e-3
+
+
+def test_two_wrong_positions_agree_only_where_they_say_the_same():
+    fusion, still = AdaptiveFusion(), np.zeros(3)
+    there = np.array([0.05, 0.0, 0.0])
+    assert fusion.agree(there, there + 0.003, still)
+    assert not fusion.agree(there, -there, still)
+    assert not fusion.agree(there, np.array([0.0, 0.05, 0.0]), still)
+    assert not fusion.agree(0.2 * there, 0.5 * there, still)  # nearer than the noise, not alike
+
+
+def test_one_wrong_position_within_the_gate_teaches_little():
+    fusion = AdaptiveFusion()
+    follow(fusion, 1e-3 * np.random.default_rng(11).normal(size=(300, 3)), np.zeros((300, 3)))
+    before = fusion.noise_m
+    fusion.correct(np.array([0.0, 0.009, 0.0]), np.zeros(3))
+    assert fusion.noise_m < 1.15 * before
 
 
 def test_after_a_doubt_it_follows_the_images_until_the_prediction_is_right_again():
