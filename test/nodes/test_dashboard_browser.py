@@ -68,9 +68,21 @@ class Eyes:
         self.page = page
         self.started = True
         self.next_s = 0.0
+        self.stops = set()  # where the button was
+        self.states = set()
 
     def state(self):
         return self.page.inner_text("#fvs-state")
+
+    def box(self, name):
+        """Left, top, right and bottom of a button, pixels."""
+        box = self.page.get_by_role("button", name=name, exact=True).bounding_box()
+        left, top = round(box["x"]), round(box["y"])
+        return left, top, left + round(box["width"]), top + round(box["height"])
+
+    def note_stop(self):
+        self.stops.add(self.box("Stop"))
+        self.states.add(self.state())
 
     def error_mm(self):
         found = re.fullmatch(r"([\d.]+) mm", self.page.inner_text("#fvs-error"))
@@ -83,6 +95,7 @@ class Eyes:
             if time.monotonic() < self.next_s:
                 return False
             self.next_s = time.monotonic() + LOOK_S
+            self.note_stop()
             if condition():
                 return True
             if "press Start" in self.page.inner_text("#fvs-sentence") and self.started:
@@ -161,6 +174,39 @@ def test_a_person_watches_sets_a_target_and_stops(ros_test, browser):
         "six zeros",
     )
     eyes.wait(lambda: eyes.state() == "READY", "the stop on the page")
+    answer = page.locator("#fvs-answer")
+    eyes.wait(lambda: "stop: " in answer.inner_text(), "the answer to the stop")
+    eyes.type_target([0.0, 0.0, 99.0])
+    page.get_by_role("button", name="Go", exact=True).click()
+    eyes.wait(lambda: "target refused" in page.inner_text("#fvs-sentence"), "a long reason")
+    eyes.wait(lambda: not answer.inner_text(), "no answer")
+    assert {"SERVOING", "READY"} <= eyes.states
+    assert len(eyes.stops) == 1, eyes.stops  # the button never moved
+    check_layout(eyes, page)
     assert ros.from_status(statuses[-1])["state"] == "READY"
     assert failures == []
     assert ros_test.stop(launched) == 0, ros_test.output(launched)
+
+
+def check_layout(eyes, page):
+    """What is usually looked at fits a small screen, and Stop stays where it is."""
+    page.set_viewport_size({"width": 1366, "height": 768})
+    folder = page.get_by_text("Simulator: disturb it")
+    eyes.wait(lambda: folder.bounding_box()["y"] > 600, "the page in its new size")
+    stop = eyes.box("Stop")
+    assert folder.bounding_box()["y"] < 768
+    charts = page.locator(".uplot")
+    assert charts.count() == 4
+    lowest = max(box["y"] + box["height"] for box in (one.bounding_box() for one in charts.all()))
+    assert lowest < 768
+    size = "node => parseFloat(getComputedStyle(node).fontSize)"
+    assert page.locator("#fvs-sentence").evaluate(size) >= 15.0
+    folder.click()
+    turn = page.get_by_text("Turn z", exact=False)
+    turn.scroll_into_view_if_needed()
+    eyes.wait(lambda: turn.bounding_box()["y"] < 768, "the last slider")
+    assert eyes.box("Stop") == stop  # on top of what is scrolled
+    hit = "([x, y]) => document.elementFromPoint(x, y).closest('button')?.innerText"
+    left, top, right, bottom = stop
+    for x in (left + 4, right - 4):  # and under no scroll bar
+        assert "Stop" in page.evaluate(hit, [x, (top + bottom) // 2])
