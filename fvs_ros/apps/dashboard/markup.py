@@ -53,8 +53,10 @@ def side_by_side(name: str, always: bool = False) -> str:
     )
     if always:
         style += (
-            f"{first}, {second} {{position:sticky;top:0;z-index:9}} "
-            f"{first} button, {second} button {{height:38px;font-size:16px;font-weight:650}}"
+            f"{first}, {second} {{position:sticky;top:10px;z-index:9}} "
+            f"{first} button, {second} button {{height:38px;font-size:16px;font-weight:650}} "
+            # What clips the panel would hold them.
+            f"div:has(> div > div > div > #fvs-{name}) {{overflow:visible !important}}"
         )
     return f'<div id="fvs-{name}"></div><style>{style}</style>'
 
