@@ -20,7 +20,7 @@ from fvs_ros.core.joints import N_JOINTS
 _BALL_S, _ANSWER_S = 0.5, 12.0
 #: Images come later than what was found in them, up to so much, s; a position this near to an
 #: image's stamp was found in it, s.
-_LATEST_IMAGE_S, _SAME_IMAGE_S = 3.0, 0.02
+_LATEST_IMAGE_S, _SAME_IMAGE_S = 10.0, 0.02
 #: Times that go back by more than this are of a clock that was set, s.
 _BACKSTEP_S = 1.0
 #: A detector's word that is older than this is none, s.
