@@ -18,7 +18,9 @@ from viser.infra import _infra
 from fvs_estimator_node.model_file import load_model
 from fvs_ros.apps.dashboard import config, guard
 from fvs_ros.apps.dashboard.actions import Actions
+from fvs_ros.apps.dashboard.board import Board
 from fvs_ros.apps.dashboard.page import Page
+from fvs_ros.apps.dashboard.placement import Pose
 from fvs_ros.core.paths import find_file
 from fvs_sim_node.rendering import camera_preset
 
@@ -122,6 +124,15 @@ def test_what_is_small_most_of_the_time_has_a_logarithmic_scale(client):
     low, high = scale["range"]
     assert low < 0.01
     assert high > 1.0
+
+
+def test_a_picture_that_came_between_two_turns_gets_into_the_frustum(page):
+    board = Board(history_s=20.0, trail_s=6.0, ball_radius_m=0.04)
+    board.tell_camera(Pose(np.eye(3), np.zeros(3)))
+    board.add_image(0.0, 10.0, np.full((240, 320, 3), 77, np.uint8))
+    for now_s in (0.0, 0.1, 0.2):
+        page.update(board.snapshot(now_s, tour=False))
+    assert (page._scene._frustum.image == 77).all()
 
 
 # --- what is seen first ---

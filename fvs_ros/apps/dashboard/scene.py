@@ -75,6 +75,7 @@ class Scene:
         )
         self._add_table()
         self._frustum: viser.CameraFrustumHandle | None = None
+        self._picture: np.ndarray | None = None  # not in the frustum yet
         self._trail = scene.add_line_segments(
             "/base/camera/trail",
             np.zeros((_PIECES, 2, 3)),
@@ -182,8 +183,10 @@ class Scene:
                 receive_shadow=False,
             )
         self._frustum.fov, self._frustum.aspect = fov, aspect
-        if with_picture and shown.picture is not None:
-            self._frustum.image = shown.picture
+        if shown.picture is not None:
+            self._picture = shown.picture
+        if with_picture and self._picture is not None:
+            self._frustum.image, self._picture = self._picture, None
 
 
 def _placed(rotation: np.ndarray, position_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
