@@ -13,7 +13,7 @@ EXTRAS = {
     "train": ["torch", "threadpoolctl"],
     "lab": ["joblib", "cmaes", "jinja2", "matplotlib"],
     "record": ["rosbags"],
-    "dashboard": ["viser[urdf]", "opencv-python-headless"],
+    "dashboard": ["viser[urdf]>=1.1,<1.2", "opencv-python-headless"],
     "cluster": ["distributed"],
     "docs": ["pdoc"],
     "test": [

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -18,41 +17,12 @@ import pybullet
 
 from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
 from fvs_sim_node.icosphere import icosphere
+from fvs_sim_node.objects import BALL_RGBA, TABLE, SceneObject
 from fvs_sim_node.ur5_urdf import EFFORT_LIMITS_NM, urdf_text
 
 _HALF_TURN = (0.0, 0.0, 1.0, 0.0)
-_BALL_RGBA = (0.86, 0.07, 0.06, 1.0)
 _ROD_RGBA = (0.27, 0.30, 0.34, 1.0)
 _ROD_RADIUS_M = 0.007
-
-
-@dataclass(frozen=True)
-class SceneObject:
-    """A thing that only the camera sees.
-
-    Parameters
-    ----------
-    kind : str
-        ``sphere`` or ``box``.
-    position_m : tuple of float
-        Centre, world frame, m.
-    size_m : tuple of float
-        Radius of a sphere (one number), or edge lengths of a box (three), m.
-    rgba : tuple of float
-        Colour, 0 to 1.
-    """
-
-    kind: str
-    position_m: tuple[float, float, float]
-    size_m: tuple[float, ...]
-    rgba: tuple[float, float, float, float] = _BALL_RGBA
-
-
-#: A table of light wood, low enough for the ball to pass over, and a foot for the arm.
-TABLE = (
-    SceneObject("box", (-0.30, 0.0, -0.22), (1.40, 1.20, 0.04), (0.87, 0.80, 0.68, 1.0)),
-    SceneObject("box", (0.0, 0.0, -0.10), (0.20, 0.20, 0.20), (0.45, 0.50, 0.56, 1.0)),
-)
 
 
 class World:
@@ -235,7 +205,7 @@ class World:
         )
 
     def _add_ball(self, radius_m: float) -> int:
-        return self._body(self._sphere(radius_m, _BALL_RGBA), (0.0, 0.0, 0.0))
+        return self._body(self._sphere(radius_m, BALL_RGBA), (0.0, 0.0, 0.0))
 
     def _add_rod(self, length_m: float) -> int:
         shape = pybullet.createVisualShape(

@@ -288,6 +288,7 @@ _ANNOTATED_IMAGE = Topic(
 
 ESTIMATOR_STATUS = STATUS.of("fvs_estimator_node")
 CONTROLLER_STATUS = STATUS.of("fvs_controller_node")
+DETECTOR_STATUS = STATUS.of("fvs_detector_node")
 TRUE_BALL_POSITION = _TRUE_BALL_POSITION.of("fvs_sim_node")
 TRUE_JACOBIAN = _TRUE_JACOBIAN.of("fvs_sim_node")
 TRUE_CAMERA_POSE = _TRUE_CAMERA_POSE.of("fvs_sim_node")
@@ -417,6 +418,7 @@ INTERFACES: dict[str, Interface] = {
             End(JOINT_STATES, _NEWEST),
             End(BALL_POSITION, _NEWEST),
             End(CONTROLLER_STATUS, _NEWEST),
+            End(DETECTOR_STATUS, _NEWEST),
             End(ROBOT_DESCRIPTION, _LATCHED),
             End(TRUE_CAMERA_POSE, _LATCHED),
             End(COLOR_IMAGE, _NEWEST, given=("image", True), later=_WHILE_WATCHED),

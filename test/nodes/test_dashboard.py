@@ -17,7 +17,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rcl_interfaces.srv import GetParameters
 from sensor_msgs.msg import CameraInfo, Image
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 
 pytest.importorskip("viser", reason="viser is not installed (pip install 'viser[urdf]')")
 
@@ -25,6 +25,7 @@ from harness import PlayedRobot
 from page_client import PageClient
 from websockets.exceptions import InvalidStatus
 
+from fvs_ros.apps.dashboard.tour import WAITS
 from fvs_ros.core import ros
 from fvs_ros.core.camera import Intrinsics
 from fvs_sim_node.rendering import camera_preset
@@ -366,6 +367,42 @@ def test_images_are_asked_for_only_while_somebody_looks(loop, pages):
     assert again.labels()
 
 
+def test_a_tour_that_waits_says_so_once_and_takes_no_answer_away(ros_test, pages):
+    PlayedRobot(ros_test)
+    ros_test.start_node(CONTROLLER)
+    process = ros_test.start_node(
+        DASHBOARD, port=0, tour=True, model_path="models/ur5_front.npz", tour_period_s=1.0
+    )
+    page = pages(address_of(ros_test, process))
+    wait_for_state(ros_test, page, "READY")
+    page.press("Start")
+    wait_for_state(ros_test, page, "SERVOING")
+    paused = ros_test.publisher(Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED)
+    paused.publish(Bool(data=False))
+    wait_for_state(ros_test, page, "HOLDING")
+    ros_test.spin_until(lambda: WAITS in page.text(), 20.0, "the tour's words", page.text)
+    page.press("Start")
+    answered = re.compile('id="fvs-answer"[^>]*>start: ')
+    ros_test.spin_until(lambda: answered.search(page.text()), 10.0, "the answer")
+    ros_test.spin_for(10.5)  # the tour waits on; answers are shown for a while
+    assert re.search(f'id="fvs-notes".*{re.escape(WAITS)}', page.text())
+    assert not re.search(f'id="fvs-answer"[^>]*>{re.escape(WAITS)}', page.text())
+    assert ros_test.output(process).count(WAITS) == 1
+
+
+def test_a_detectors_sentence_stands_on_the_page(loop):
+    harness, _, _, _, page = loop
+    statuses = harness.publisher(DiagnosticStatus, ros.DETECTOR_STATUS)
+    sentence = "no ball of that colour is in the image"
+
+    def told():
+        statuses.publish(ros.to_status(ros.WARN, "fvs_detector_node", sentence, {}))
+        return sentence in page.text()
+
+    harness.spin_until(told, 10.0, "the detector's sentence", page.text)
+    harness.spin_until(lambda: sentence not in page.text(), 10.0, "it to be forgotten")
+
+
 @pytest.mark.parametrize("button", ["Stop", "Set current as target"])
 def test_the_tour_goes_on_until_a_person_takes_over(ros_test, pages, button):
     PlayedRobot(ros_test)
@@ -396,7 +433,7 @@ def test_the_simulator_is_disturbed_from_the_page_and_its_refusal_is_read(ros_te
     )
     ros_test.spin_until(lambda: "/base/camera" in page.nodes, what="the camera")
     page.set("Turn y (°)", 20.0)
-    page.set("Depth noise", 2.5)
+    page.set("Depth noise (×)", 2.5)
 
     wanted = GetParameters.Request(names=["depth_noise", "camera_rotation_deg"])
 
@@ -405,7 +442,7 @@ def test_the_simulator_is_disturbed_from_the_page_and_its_refusal_is_read(ros_te
         return noise.double_value, list(turns.double_array_value)
 
     ros_test.spin_until(lambda: told() == (2.5, [0.0, 20.0, 0.0]), what="the disturbances")
-    page.set("Depth noise", 50.0)
+    page.set("Depth noise (×)", 50.0)
     ros_test.spin_until(
         lambda: "the simulator refuses: parameter depth_noise must be" in page.text(),
         what="the refusal",

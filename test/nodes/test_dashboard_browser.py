@@ -50,6 +50,14 @@ PATIENT = (
 #: A look at the page costs page and test milliseconds.
 LOOK_S = 0.15
 TARGET = "x, y, z (m)"
+#: All at one look: what the panel says, and where Stop is.
+LOOK = """() => {
+    const text = name => document.getElementById(`fvs-${name}`).innerText;
+    const stop = [...document.querySelectorAll("button")].find(one => one.innerText == "Stop");
+    const {left, top, right, bottom} = stop.getBoundingClientRect();
+    return {state: text("state"), sentence: text("sentence"), answer: text("answer"),
+            stop: [left, top, right, bottom]};
+}"""
 
 
 @pytest.fixture
@@ -68,9 +76,24 @@ class Eyes:
         self.page = page
         self.started = True
         self.next_s = 0.0
+        self.stops = set()  # where the button was
+        self.states = set()
+        self.answers = set()
 
     def state(self):
         return self.page.inner_text("#fvs-state")
+
+    def stop_box(self):
+        """Left, top, right and bottom of Stop, pixels."""
+        return tuple(round(edge) for edge in self.page.evaluate(LOOK)["stop"])
+
+    def look(self):
+        """Note what has been there at one time or another; the sentence of now."""
+        seen = self.page.evaluate(LOOK)
+        self.stops.add(tuple(round(edge) for edge in seen["stop"]))
+        self.states.add(seen["state"])
+        self.answers.add(seen["answer"])
+        return seen["sentence"]
 
     def error_mm(self):
         found = re.fullmatch(r"([\d.]+) mm", self.page.inner_text("#fvs-error"))
@@ -83,9 +106,10 @@ class Eyes:
             if time.monotonic() < self.next_s:
                 return False
             self.next_s = time.monotonic() + LOOK_S
+            sentence = self.look()
             if condition():
                 return True
-            if "press Start" in self.page.inner_text("#fvs-sentence") and self.started:
+            if "press Start" in sentence and self.started:
                 self.page.get_by_role("button", name="Start", exact=True).click()
             return False
 
@@ -161,6 +185,45 @@ def test_a_person_watches_sets_a_target_and_stops(ros_test, browser):
         "six zeros",
     )
     eyes.wait(lambda: eyes.state() == "READY", "the stop on the page")
+    eyes.wait(lambda: any(one.startswith("stop: ") for one in eyes.answers), "an answer")
+    eyes.type_target([0.0, 0.0, 99.0])
+    page.get_by_role("button", name="Go", exact=True).click()
+    eyes.wait(lambda: "target refused" in page.inner_text("#fvs-sentence"), "a long reason")
+    assert {"SERVOING", "READY"} <= eyes.states
+    assert "" in eyes.answers
+    assert len(eyes.stops) == 1, eyes.stops  # the button never moved
+    check_layout(eyes, page)
     assert ros.from_status(statuses[-1])["state"] == "READY"
     assert failures == []
     assert ros_test.stop(launched) == 0, ros_test.output(launched)
+
+
+def check_layout(eyes, page):
+    """What is usually looked at fits a small screen, and Stop stays where it is."""
+    page.set_viewport_size({"width": 1366, "height": 768})
+    folder = page.get_by_text("Simulator: disturb it")
+    current = page.get_by_role("button", name="Set current as target")
+
+    def fits():
+        if "target refused" in page.inner_text("#fvs-sentence"):  # nor is that usual
+            current.dispatch_event("click")
+        return 640 < folder.bounding_box()["y"] < 768
+
+    eyes.wait(fits, "a panel that fits")
+    stop = eyes.stop_box()
+    charts = page.locator(".uplot")
+    assert charts.count() == 4
+    lowest = max(box["y"] + box["height"] for box in (one.bounding_box() for one in charts.all()))
+    assert lowest < 768
+    size = "getComputedStyle(document.getElementById('fvs-sentence')).fontSize"
+    assert float(page.evaluate(size).removesuffix("px")) >= 15.0
+    folder.dispatch_event("click")
+    turn = page.get_by_text("Turn z", exact=False)
+    eyes.wait(turn.is_visible, "the sliders")
+    turn.evaluate("node => node.scrollIntoView()")
+    eyes.wait(lambda: turn.bounding_box()["y"] < 768, "the last slider")
+    assert eyes.stop_box() == stop  # on top of what is scrolled
+    hit = "([x, y]) => document.elementFromPoint(x, y).closest('button')?.innerText"
+    left, top, right, bottom = stop
+    for x in (left + 4, right - 4):  # and under no scroll bar
+        assert "Stop" in page.evaluate(hit, [x, (top + bottom) // 2])

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from fvs_controller_node.config import build_loop, default_values
 from fvs_controller_node.reasons import State
-from fvs_controller_node.supervisor import Supervisor
-from fvs_controller_node.supervisor_config import SupervisorConfig
 from fvs_ros.apps.dashboard import markup, view
 from fvs_ros.apps.dashboard.actions import (
     SET_CURRENT,
@@ -32,6 +31,9 @@ STATUS = {
     "settled": "false",
     "error_m": "0.05",
     "prediction_error_ratio": "0.1",
+    "active_limit": "velocity",
+    "image_latency_s": "0.041",
+    "drive_lag_s": "0.0124",
     "joint_states_age_s": "0.004",
     "ball_position_age_s": "0.02",
     "jacobian_age_s": "0.5",
@@ -52,7 +54,7 @@ def board():
 
 
 def test_every_key_that_is_read_is_one_that_the_controller_tells():
-    told = Supervisor(SupervisorConfig()).status_values(0.0)
+    told = build_loop(default_values()).status_values(0.0)
     assert set(STATUS) <= set(told)
 
 
@@ -116,13 +118,33 @@ def test_a_robot_that_does_not_obey_is_seen(changed, good):
     assert lamps[-1].good is good
 
 
+def test_what_the_troubleshooting_asks_for_stands_there_as_far_as_it_is_known(board):
+    board.add_status(0.0, STATUS, "")
+    board.add_detector(0.0, "no red ball in the image")
+    details = board.snapshot(0.5, tour=False).details
+    assert [(one.name, one.text) for one in details] == [
+        ("Image latency", "41 ms"),
+        ("Drive lag", "12 ms"),
+        ("Active limit", "velocity"),
+        ("Detector", "no red ball in the image"),
+    ]
+    html = markup.details_html(details)
+    assert "no red ball in the image" in html
+    unknown = {"state": "WAITING", "image_latency_s": "unknown", "active_limit": ""}
+    board.add_status(4.0, unknown, "")  # and no word from the detector since
+    assert board.snapshot(4.0, tour=False).details == (view.Detail("Active limit", "none"),)
+    assert board.snapshot(9.0, tour=False).details == ()
+
+
 def test_what_comes_from_outside_is_no_markup():
     banner = view.Banner("t", "#000", "FAULT", "<script>alert(1)</script>", "–")
     html = markup.banner_html(banner)
     assert "<script>" not in html
     assert "&lt;script&gt;" in html
-    assert "<b>x" not in markup.remark_html("<b>x</b>", "answer")
+    assert "<b>x" not in markup.answer_html("<b>x</b>")
+    assert "<b>x" not in markup.notes_html(("<b>x</b>",))
     assert "<b>x" not in markup.lamps_html((view.Lamp("<b>x</b>", True, "<b>x</b>"),))
+    assert "<b>x" not in markup.details_html((view.Detail("<b>x</b>", "<b>x</b>"),))
 
 
 def test_a_service_that_the_controller_asks_for_is_called_by_its_button():
@@ -143,6 +165,13 @@ def test_a_trace_forgets_what_is_old_and_leaves_out_what_is_unknown():
     np.testing.assert_allclose(trace.window(3.0), [[-2.0, 1.0], [-0.5, 2.5]])
 
 
+def test_a_trace_begins_anew_when_the_clock_was_set_back():
+    trace = Trace(2.0, 1)
+    for t in (500.0, 500.1, 100.0, 99.9):  # the last one is but late
+        trace.add(t, [t])
+    np.testing.assert_allclose(trace.rows[:, 0], [100.0, 99.9])
+
+
 def test_a_silent_controller_shows_within_a_second_or_so(board):
     assert board.snapshot(0.0, tour=False).banner.state == "SILENT"
     board.add_status(0.0, STATUS, "servoing")
@@ -161,6 +190,8 @@ def test_curves_are_in_millimetres_and_never_zero(board):
     np.testing.assert_allclose(curves.error_mm, [[-0.5, 50.0, 30.0, 40.0, 1e-3]])
     np.testing.assert_allclose(curves.speed_rad_s, [[-0.5, 0, 1, 0, 0, 0, 0.5]])
     np.testing.assert_allclose(curves.ratio, [[-0.5, 0.1]])
+    board.add_status(0.6, {**STATUS, "prediction_error_ratio": "0"}, "")
+    np.testing.assert_allclose(board.snapshot(0.6, tour=False).curves.ratio[-1], [0.0, 1e-4])
     np.testing.assert_allclose(curves.exponent, [[-0.5, 1.2, 1.2, 1.2]])
 
 
@@ -182,7 +213,7 @@ def test_a_ball_long_gone_is_not_shown_and_its_trail_fades(board):
 
 def test_an_image_is_given_out_once_and_an_answer_for_a_while(board):
     board.set_intrinsics(Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5))
-    board.add_image(10.0, np.zeros((480, 640, 3), np.uint8))
+    board.add_image(0.0, 10.0, np.zeros((480, 640, 3), np.uint8))
     board.answer(0.0, "start: servoing")
     first = board.snapshot(0.0, tour=False)
     assert first.picture.shape == (240, 320, 3)
@@ -192,16 +223,59 @@ def test_an_image_is_given_out_once_and_an_answer_for_a_while(board):
     assert board.snapshot(60.0, tour=False).answer == ""
 
 
+def test_what_the_page_says_of_itself_takes_no_answer_away(board):
+    board.answer(0.0, "stop: stopping")
+    board.note("behind", "it is behind", until_s=5.0)
+    board.note("tour", "the tour waits")
+    shown = board.snapshot(1.0, tour=False)
+    assert shown.answer == "stop: stopping"
+    assert shown.notes == (UNKNOWN, "it is behind", "the tour waits")
+    board.note("tour", "")
+    assert board.snapshot(6.0, tour=False).notes == (UNKNOWN,)
+
+
+def drawn(board, exposed_s, stamp_s, now_s):
+    """Where in the picture of an image there is what colour: columns of blue and of white."""
+    board.add_image(exposed_s, stamp_s, np.zeros((480, 640, 3), np.uint8))
+    picture = board.snapshot(now_s, tour=False).picture.astype(int)
+    blue = np.argwhere(picture[..., 2] - picture[..., 0] > 60)[:, 1]
+    white = np.argwhere(picture.min(axis=2) > 100)[:, 1]
+    return blue, white
+
+
+def test_a_late_image_shows_the_target_and_the_trail_of_its_own_time(board):
+    board.set_intrinsics(Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5))
+    for k in range(20):  # to the right at 0.2 m/s, down to the middle of the image
+        board.add_ball(0.1 * k, 100.0 + 0.1 * k, np.array([0.02 * k, 0.0, 1.2]))
+    for now_s, x in ((0.0, -0.2), (1.0, -0.4), (1.9, 0.6)):
+        values = {"target_x_m": str(x), "target_y_m": "0.3", "target_z_m": "1.2"}
+        board.add_status(now_s, {**STATUS, **values}, "")
+    blue, white = drawn(board, exposed_s=1.2, stamp_s=101.2, now_s=1.9)
+    assert blue.mean() == pytest.approx(159.5 - 300 * 0.4 / 1.2, abs=1.0)
+    assert white.max() == pytest.approx(159.5 + 300 * 0.24 / 1.2, abs=2.0)
+    board.tell_camera(Pose(np.eye(3), np.zeros(3)))
+    blue, white = drawn(board, exposed_s=0.5, stamp_s=100.5, now_s=1.9)
+    assert blue.mean() == pytest.approx(159.5 - 300 * 0.2 / 1.2, abs=1.0)
+    assert white.max() == pytest.approx(159.5 + 300 * 0.10 / 1.2, abs=2.0)
+    board.tell_camera(Pose(np.diag([1.0, -1.0, -1.0]), np.zeros(3)))  # bumped
+    blue, white = drawn(board, exposed_s=1.2, stamp_s=101.2, now_s=1.9)
+    assert len(blue)
+    assert not len(white)
+
+
 def test_the_ball_is_circled_where_the_image_shows_it(board):
     board.set_intrinsics(Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5))
     board.add_ball(0.0, 10.0, np.array([0.0, 0.0, 1.2]))
     board.add_ball(0.1, 10.1, np.array([0.3, 0.0, 1.2]))
+
+    def yellow(stamp_s):
+        board.add_image(0.0, stamp_s, np.zeros((480, 640, 3), np.uint8))
+        picture = board.snapshot(9.0, tour=False).picture.astype(int)
+        return np.argwhere(picture[..., :2].min(axis=2) - picture[..., 2] > 60)[:, 1]
+
     for stamp_s, column in ((10.0, 159.5), (10.1, 234.5)):
-        board.add_image(stamp_s, np.zeros((480, 640, 3), np.uint8))
-        yellow = board.snapshot(9.0, tour=False).picture[..., :2].min(axis=2) > 100
-        assert np.argwhere(yellow)[:, 1].mean() == pytest.approx(column, abs=0.7)
-    board.add_image(11.0, np.zeros((480, 640, 3), np.uint8))
-    assert not board.snapshot(9.0, tour=False).picture.any()
+        assert yellow(stamp_s).mean() == pytest.approx(column, abs=0.7)
+    assert not len(yellow(11.0))
 
 
 # --- where the camera is ---
@@ -247,7 +321,7 @@ def test_who_knows_is_believed(board):
     board.add_ball(0.0, 10.0, np.array([0.0, 0.1, 1.4]))
     board.tell_camera(pose)
     assert board.snapshot(0.0, tour=False).camera is pose
-    assert board.snapshot(0.0, tour=False).note == ""
+    assert board.snapshot(0.0, tour=False).notes == ()
     assert len(board.snapshot(0.0, tour=False).trail_m) == 1
     board.tell_camera(Pose(np.eye(3), np.ones(3)))  # bumped: what was seen before is elsewhere now
     assert len(board.snapshot(0.0, tour=False).trail_m) == 0
@@ -289,6 +363,15 @@ def test_the_tour_waits_for_the_loop_and_gives_each_target_its_time():
     assert np.linalg.norm(second - first) == pytest.approx(0.3, abs=0.03)
 
 
+def test_a_tour_that_waits_long_is_called_so_until_it_goes_on():
+    tour = TargetTour(np.zeros((1, 3)), period_s=5.0, distance_m=0.3, seed=3)
+    told = [tour.waits(now_s, ready=False) for now_s in (100.0, 105.0, 110.5, 120.0, 140.0)]
+    assert told == [False, False, True, True, True]
+    assert not tour.waits(141.0, ready=True)
+    assert not tour.waits(150.0, ready=False)
+    assert tour.waits(152.0, ready=False)
+
+
 @pytest.mark.parametrize(
     ("changed", "goes"),
     [
@@ -308,15 +391,15 @@ def test_when_a_target_would_be_gone_to(changed, goes):
 
 def test_actions_come_in_order_and_of_slid_values_the_last():
     actions = Actions()
-    for action in (START, Target((0, 0, 1), True), Disturb("latency_s", 0.1), Tour(True)):
+    for action in (START, Target((0, 0, 1)), Disturb("latency_s", 0.1), Tour(True)):
         actions.put(action)
-    actions.put(Target((0, 0, 2), True))
+    actions.put(Target((0, 0, 2)))
     actions.put(Disturb("latency_s", 0.2))
     actions.put(Disturb("depth_noise", 2.0))
     assert actions.drain() == [
         START,
         Tour(True),
-        Target((0, 0, 2), True),
+        Target((0, 0, 2)),
         Disturb("latency_s", 0.2),
         Disturb("depth_noise", 2.0),
     ]

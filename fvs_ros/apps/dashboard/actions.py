@@ -18,10 +18,9 @@ class Call:
 
 @dataclass(frozen=True)
 class Target:
-    """A wanted ball position, camera frame, m, (3,); ``moving`` while it is dragged."""
+    """A wanted ball position, camera frame, m, (3,)."""
 
     position_m: tuple[float, float, float]
-    moving: bool = False
 
 
 @dataclass(frozen=True)

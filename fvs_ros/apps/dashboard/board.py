@@ -18,10 +18,15 @@ from fvs_ros.core.joints import N_JOINTS
 
 #: A ball seen longer ago is not drawn, an answer said longer ago not shown, s.
 _BALL_S, _ANSWER_S = 0.5, 12.0
-#: Positions kept for images that come late; one this near to an image's stamp was found in it, s.
-_KEPT_BALLS, _SAME_IMAGE_S = 60, 0.02
+#: Images come later than what was found in them, up to so much, s; a position this near to an
+#: image's stamp was found in it, s.
+_LATEST_IMAGE_S, _SAME_IMAGE_S = 10.0, 0.02
+#: Times that go back by more than this are of a clock that was set, s.
+_BACKSTEP_S = 1.0
+#: A detector's word that is older than this is none, s.
+_DETECTOR_S = 2.0
 #: On a logarithmic scale nothing is zero, mm.
-_SMALLEST_MM = 1e-3
+_SMALLEST_MM, _SMALLEST_RATIO = 1e-3, 1e-4
 _FIELD_OF_VIEW = (0.743, 4.0 / 3.0)  # a RealSense's, until the camera tells its own
 
 
@@ -44,6 +49,8 @@ class Trace:
     def add(self, now_s: float, values: np.ndarray) -> None:
         """Append numbers, shape (columns,); what is not finite is left out."""
         values = np.asarray(values, dtype=float)
+        if self._rows and now_s < self._rows[-1][0] - _BACKSTEP_S:
+            self.clear()
         if np.isfinite(values).all():
             self._rows.append(np.concatenate([[now_s], values]))
         self._trim(now_s)
@@ -51,11 +58,14 @@ class Trace:
     def window(self, now_s: float) -> np.ndarray:
         """Time before now (s, negative) and numbers, shape (n, 1 + columns), oldest first."""
         self._trim(now_s)
-        if not self._rows:
-            return np.zeros((0, 1 + self._columns))
-        rows = np.array(self._rows)
+        rows = self.rows
         rows[:, 0] -= now_s
         return rows
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Time and numbers as they were added, shape (n, 1 + columns), oldest first."""
+        return np.array(self._rows).reshape(-1, 1 + self._columns)
 
     def clear(self) -> None:
         """Forget everything."""
@@ -78,6 +88,7 @@ class Board:
     """
 
     def __init__(self, history_s: float, trail_s: float, ball_radius_m: float) -> None:
+        self._trail_s = trail_s
         self._ball_radius_m = ball_radius_m
         self._controller = view.ControllerView()
         self._heard_s: dict[str, float] = {}
@@ -90,10 +101,13 @@ class Board:
         self._speed = Trace(history_s, N_JOINTS)
         self._ratio = Trace(history_s, 1)
         self._exponent = Trace(history_s, 3)
-        self._balls: deque[tuple[float, np.ndarray]] = deque(maxlen=_KEPT_BALLS)
-        self._image: tuple[float, np.ndarray] | None = None
+        self._seen = Trace(trail_s + _LATEST_IMAGE_S, 3)  # the trail, by the exposures' stamps
+        self._targets: deque[tuple[float, np.ndarray | None]] = deque()  # since when which
+        self._image: tuple[float, float, np.ndarray] | None = None
         self._intrinsics: Intrinsics | None = None
         self._answer, self._answer_s = "", -inf
+        self._notes: dict[str, tuple[str, float]] = {}  # text, and until when
+        self._detector = ""
         self.placement = CameraPlacement()
         self.limit_rad_s = nan
         self.max_ages_s: Mapping[str, float] = {}
@@ -113,7 +127,7 @@ class Board:
         """Tell a ball position, camera frame, m, shape (3,), and its exposure's stamp."""
         self._heard_s["ball_position"] = now_s
         self._ball = stamp_s, position_m
-        self._balls.append(self._ball)
+        self._seen.add(stamp_s, position_m)
         self._trail.add(now_s, position_m)
 
     def add_status(self, now_s: float, values: Mapping[str, str], sentence: str) -> None:
@@ -124,13 +138,25 @@ class Board:
         if error is not None:
             parts = 1e3 * np.abs(np.concatenate([[controller.error_m], error]))
             self._error.add(now_s, np.maximum(parts, _SMALLEST_MM))
-        self._ratio.add(now_s, np.array([controller.prediction_error_ratio]))
+        ratio = controller.prediction_error_ratio
+        self._ratio.add(now_s, np.maximum([ratio], _SMALLEST_RATIO))
         if controller.exponents is not None:
             self._exponent.add(now_s, controller.exponents)
+        self._targets.append((now_s, controller.target_m))
+        while self._targets[0][0] < now_s - _LATEST_IMAGE_S:
+            self._targets.popleft()
 
-    def add_image(self, stamp_s: float, image_rgb: np.ndarray) -> None:
-        """Tell a camera image, uint8, shape (height, width, 3), and its exposure's stamp."""
-        self._image = stamp_s, image_rgb
+    def add_detector(self, now_s: float, sentence: str) -> None:
+        """Tell the detector's sentence."""
+        self._heard_s["detector"] = now_s
+        self._detector = sentence
+
+    def add_image(self, exposed_s: float, stamp_s: float, image_rgb: np.ndarray) -> None:
+        """Tell a camera image, uint8, shape (height, width, 3).
+
+        It was exposed at ``exposed_s`` of the steady clock, and is stamped with ``stamp_s``.
+        """
+        self._image = exposed_s, stamp_s, image_rgb
 
     def set_intrinsics(self, intrinsics: Intrinsics) -> None:
         """Tell the camera's intrinsics."""
@@ -142,6 +168,11 @@ class Board:
         self.placement.tell(pose)
         if before is not None and not np.allclose(before.rotation, pose.rotation, atol=1e-4):
             self._trail.clear()
+            self._seen.clear()
+
+    def note(self, name: str, text: str, until_s: float = inf) -> None:
+        """Tell how the page itself is, until a time or until told otherwise; empty if well."""
+        self._notes[name] = text, until_s
 
     def answer(self, now_s: float, text: str) -> None:
         """Tell what was answered to a person's wish."""
@@ -193,16 +224,20 @@ class Board:
             banner = replace(
                 banner, sentence=f"no word from the controller for {heard_s['status']:.0f} s"
             )
-        ball_m, trail_m = self.ball_m(now_s), self._trail.window(now_s)[:, 1:]
+        detector_s = heard_s.get("detector", inf)
+        notes = [self.placement.note]
+        notes += [text for text, until_s in self._notes.values() if now_s < until_s]
         return view.Snapshot(
             banner=banner,
             controller=controller,
             lamps=view.lamps_of(controller, heard_s, self.max_ages_s),
+            details=view.details_of(controller, self._detector if detector_s < _DETECTOR_S else ""),
             joints_rad=self.joints_rad,
             camera=self.placement.pose,
-            note=self.placement.note,
-            ball_m=ball_m,
-            trail_m=trail_m,
+            table=self.placement.told,
+            notes=tuple(note for note in notes if note),
+            ball_m=self.ball_m(now_s),
+            trail_m=self._trail.window(now_s)[:, 1:],
             curves=view.Curves(
                 self._error.window(now_s),
                 self._speed.window(now_s),
@@ -210,27 +245,33 @@ class Board:
                 self._exponent.window(now_s),
             ),
             limit_rad_s=self.limit_rad_s,
-            picture=self._picture(controller.target_m, trail_m),
+            picture=self._picture(controller.silent),
             field_of_view=self._field_of_view(),
             answer=self._answer if now_s - self._answer_s < _ANSWER_S else "",
             tour=tour,
             simulator=self.simulator,
         )
 
-    def _picture(self, target_m: np.ndarray | None, trail_m: np.ndarray) -> np.ndarray | None:
+    def _picture(self, silent: bool) -> np.ndarray | None:
+        """The newest image with what was so when it was exposed: it may have come late."""
         newest, self._image = self._image, None
         if newest is None:
             return None
-        stamp_s, image = newest
-        ball_m = self._ball_seen_at(stamp_s)
+        exposed_s, stamp_s, image = newest
+        target_m = None if silent else self._target_at(exposed_s)
+        seen = self._seen.rows
+        near = np.abs(seen[:, 0] - stamp_s)
+        ball_m = seen[near.argmin(), 1:] if near.min(initial=inf) <= _SAME_IMAGE_S else None
+        since = seen[:, 0] - stamp_s
+        trail_m = seen[(since >= -self._trail_s) & (since <= _SAME_IMAGE_S), 1:]
         return picture.draw(image, self._intrinsics, ball_m, self._ball_radius_m, target_m, trail_m)
 
-    def _ball_seen_at(self, stamp_s: float) -> np.ndarray | None:
-        """The ball where an image shows it: images come later than what was found in them."""
-        nearest = min(self._balls, key=lambda ball: abs(ball[0] - stamp_s), default=None)
-        if nearest is None or abs(nearest[0] - stamp_s) > _SAME_IMAGE_S:
-            return None
-        return nearest[1]
+    def _target_at(self, steady_s: float) -> np.ndarray | None:
+        """The controller's target at a time; the oldest that is known, before."""
+        told = [target_m for told_s, target_m in self._targets if told_s <= steady_s]
+        if told:
+            return told[-1]
+        return self._targets[0][1] if self._targets else None
 
     def _field_of_view(self) -> tuple[float, float]:
         camera = self._intrinsics

@@ -11,7 +11,8 @@ from viser import uplot
 from fvs_ros.apps.dashboard import markup
 from fvs_ros.apps.dashboard.view import Curves
 
-_HEIGHT_PX = 150
+#: Four of them fit a window of 768 pixels.
+_HEIGHT_PX = 118
 _JOINTS = ("pan", "lift", "elbow", "wrist 1", "wrist 2", "wrist 3")
 _JOINT_COLOURS = (
     markup.SKY,
@@ -71,7 +72,7 @@ class Charts:
         )
         self._ratio = self._add(
             "One-step prediction error (1: as bad as predicting rest)",
-            {"range": (0.0, 1.5)},
+            {"distr": 3, "log": 10, "range": (0.001, 10.0), "clamp": "unknown"},
             _series("error ratio", markup.SKY, 2.0),
             _series("as bad as none", markup.GREY, 1.0, dashed=True),
         )

@@ -6,6 +6,9 @@ from fvs_ros.core.camera import CAMERA_FRAME
 from fvs_ros.core.joints import JOINT_PARAMETERS
 from fvs_ros.core.params import Parameter
 
+#: What the page is served by; its guard reaches into viser, so that a later one is unknown.
+VISER = "viser[urdf]>=1.1,<1.2"
+
 PARAMETERS = (
     Parameter(
         "host",

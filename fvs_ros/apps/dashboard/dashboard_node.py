@@ -29,10 +29,10 @@ from fvs_ros.apps.dashboard.actions import (
     Tour,
 )
 from fvs_ros.apps.dashboard.board import Board
-from fvs_ros.apps.dashboard.config import PARAMETERS
+from fvs_ros.apps.dashboard.config import PARAMETERS, VISER
 from fvs_ros.apps.dashboard.placement import Pose, rotation_of
 from fvs_ros.apps.dashboard.services_of_node import CONTROLLER, SIMULATOR, Services
-from fvs_ros.apps.dashboard.tour import TargetTour
+from fvs_ros.apps.dashboard.tour import WAITS, TargetTour
 from fvs_ros.core import ros
 from fvs_ros.core.background import step_back
 from fvs_ros.core.joints import N_JOINTS, JointMap, JointStateError
@@ -44,8 +44,9 @@ _NICE = 5
 _ACTIONS_PERIOD_S = 0.03
 #: A picture that comes so much too late shows how little time the page gets, nothing else, s.
 _LATE_S = 0.7
-#: A tour that waits for longer than this says so, s.
-_WAITS_S = 10.0
+#: And is said for so long, s.
+_BEHIND_S = 5.0
+_BEHIND = "this page gets too little of the processor: it is behind"
 _LOOK_PERIOD_S = 1.0
 _LIMIT = "max_joint_velocity_rad_s"
 _AGES = {
@@ -77,11 +78,12 @@ class DashboardNode(ros.FvsNode):
         self._joint_states = ros.Sampled(self, JointState, ros.JOINT_STATES)
         self.watch(PointStamped, ros.BALL_POSITION, self._on_ball, ros.QOS_NEWEST)
         self.watch(DiagnosticStatus, ros.CONTROLLER_STATUS, self._on_status, ros.QOS_NEWEST)
+        self.watch(DiagnosticStatus, ros.DETECTOR_STATUS, self._on_detector, ros.QOS_NEWEST)
         self.watch(String, ros.ROBOT_DESCRIPTION, self._on_description, ros.QOS_LATCHED)
         self.watch(PoseStamped, ros.TRUE_CAMERA_POSE, self._on_camera_pose, ros.QOS_LATCHED)
         self._page = _make_page(v, self._actions)
-        self._shown_s = self._goes_s = self.steady_s()
-        self._skipped = False
+        self._shown_s = self.steady_s()
+        self._skipped = self._tour_waits = False
         self.create_timer(_ACTIONS_PERIOD_S, self._act, clock=self.steady_clock)
         self.create_timer(1.0 / v["rate_hz"], self._show, clock=self.steady_clock)
         self.create_timer(_LOOK_PERIOD_S, self._look_around, clock=self.steady_clock)
@@ -126,6 +128,9 @@ class DashboardNode(ros.FvsNode):
     def _on_status(self, message: DiagnosticStatus) -> None:
         self._board.add_status(self.steady_s(), ros.from_status(message), message.message)
 
+    def _on_detector(self, message: DiagnosticStatus) -> None:
+        self._board.add_detector(self.steady_s(), message.message)
+
     def _on_description(self, message: String) -> None:
         from fvs_ros.apps.dashboard.arm import Arm  # slow to import
 
@@ -136,8 +141,9 @@ class DashboardNode(ros.FvsNode):
             self._arm = Arm(message.data, self._joint_map.names, self.values["tf_prefix"])
         except ValueError as error:
             self.tell(ros.WARN, f"the arm cannot be drawn: {error}")
-            self._board.answer(self.steady_s(), f"the arm cannot be drawn: {error}")
+            self._board.note("arm", f"the arm cannot be drawn: {error}")
             return
+        self._board.note("arm", "")
         self._page.set_arm(self._arm)
         if self._arm.missing:
             self.tell(ros.WARN, self._arm.missing)
@@ -153,7 +159,8 @@ class DashboardNode(ros.FvsNode):
     def _on_image(self, message: Image) -> None:
         try:
             stamp_s = ros.from_stamp(message.header.stamp)
-            self._board.add_image(stamp_s, ros.from_color(message))
+            exposed_s = self.steady_s() - max(self.ros_s() - stamp_s, 0.0)
+            self._board.add_image(exposed_s, stamp_s, ros.from_color(message))
         except ros.MessageError as error:
             self.get_logger().warning(str(error), throttle_duration_sec=5.0)
 
@@ -178,7 +185,7 @@ class DashboardNode(ros.FvsNode):
         late = now_s - self._shown_s > _LATE_S + 1.0 / self.values["rate_hz"]
         self._shown_s = now_s
         if late:  # what came meanwhile is yet to be heard; but not every time
-            self._board.answer(now_s, "this page gets too little of the processor: it is behind")
+            self._board.note("behind", _BEHIND, now_s + _BEHIND_S)
         self._skipped = late and not self._skipped
         if watched and not self._skipped:
             self._page.update(self._board.snapshot(now_s, self._tour is not None))
@@ -280,14 +287,14 @@ class DashboardNode(ros.FvsNode):
             self._answer(f"no tour: {error}")
 
     def _send_tour(self, now_s: float) -> None:
+        ready = self._board.controller(now_s).goes_to_targets
+        waits = self._tour is not None and self._tour.waits(now_s, ready)
+        self._board.note("tour", WAITS if waits else "")
+        if waits and not self._tour_waits:
+            self.tell(ros.OK, WAITS)
+        self._tour_waits = waits
         if self._tour is None:
             return
-        ready = self._board.controller(now_s).goes_to_targets
-        if ready:
-            self._goes_s = now_s
-        elif now_s - self._goes_s > _WAITS_S:
-            self._goes_s = now_s
-            self._answer("the tour waits for the controller; does it need a Start?")
         target_m = self._tour.next(now_s, ready, self._board.ball_m(now_s))
         if target_m is not None:
             self._send_target(target_m)
@@ -303,7 +310,7 @@ def _make_page(values: dict[str, Any], actions: Actions) -> Any:
         from fvs_ros.apps.dashboard.page import Page
     except ImportError as error:
         raise ValueError(
-            f"the page needs {error.name}: pip install 'viser[urdf]' (extra dashboard of fvs_ros)"
+            f"the page needs {error.name}: pip install '{VISER}' (extra dashboard of fvs_ros)"
         ) from error
     return Page(
         values["host"],

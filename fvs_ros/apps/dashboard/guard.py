@@ -8,12 +8,15 @@ that is this host's (``Host``; another one's name may be made to point here).
 from __future__ import annotations
 
 import contextlib
+import http.client
 import inspect
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 from urllib.parse import urlsplit
 
 from websockets.asyncio import server
+
+_CHECK_S = 10.0
 
 #: Addresses that only this host reaches, and its names for them.
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
@@ -65,3 +68,31 @@ def own_requests_only(hosts: Collection[str]) -> Iterator[None]:
         yield
     finally:
         server.serve = serve  # type: ignore[misc]
+
+
+def turns_others_away(host: str, port: int) -> bool:
+    """Whether a server refuses the websocket to a page of another site.
+
+    Asked for from outside, for a later viser may start its server in a way that takes no check.
+
+    Parameters
+    ----------
+    host : str
+        Where it is reached.
+    port : int
+        Its port.
+    """
+    connection = http.client.HTTPConnection(host, port, timeout=_CHECK_S)
+    headers = {
+        "Origin": "http://not-this-page.invalid",
+        "Connection": "Upgrade",
+        "Upgrade": "websocket",
+        "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+        "Sec-WebSocket-Version": "13",
+    }
+    with contextlib.closing(connection):
+        try:
+            connection.request("GET", "/", headers=headers)
+            return connection.getresponse().status == http.client.FORBIDDEN
+        except (OSError, http.client.HTTPException):
+            return False

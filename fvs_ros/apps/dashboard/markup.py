@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from html import escape
 
-from fvs_ros.apps.dashboard.view import Banner, Lamp
+from fvs_ros.apps.dashboard.view import Banner, Detail, Lamp
 
 #: Okabe and Ito's colours, which everybody can tell apart, light enough for a dark page.
 SKY, ORANGE, GREEN, YELLOW, BLUE, VERMILLION, PINK, GREY = (
@@ -21,8 +21,15 @@ SKY, ORANGE, GREEN, YELLOW, BLUE, VERMILLION, PINK, GREY = (
 #: A lamp says how it is by its sign, too, not by its colour alone.
 _LAMPS = {True: (GREEN, "✓"), False: (VERMILLION, "✗"), None: (GREY, "?")}
 
-_BOX = "margin:0 0.75em 0.5em 0.75em;border-radius:6px;"
+_BOX = "margin:0 0.75em 0.4em 0.75em;border-radius:6px;"
+#: Two columns, for what is looked at one after another.
+_GRID = (
+    "margin:0 0.75em 0.4em 0.75em;font-size:0.8em;display:grid;grid-template-columns:1fr 1fr;"
+    "line-height:1.2;"
+)
 
+#: More letters than this stand on a line of their own.
+_SHORT = 16
 
 #: What the controller asks for by a service's name stands on the page as a button.
 _BUTTONS = {
@@ -31,14 +38,27 @@ _BUTTONS = {
 }
 
 
-def side_by_side(name: str) -> str:
-    """Put the next two elements of the panel into one row; ``name`` is unique."""
+def side_by_side(name: str, always: bool = False) -> str:
+    """Put the next two elements of the panel into one row; ``name`` is unique.
+
+    With ``always`` they are large, and stay on top while what is below is scrolled.
+    """
     mark = f"div:has(> #fvs-{name})"
-    return (
-        f'<div id="fvs-{name}"></div><style>{mark} + div, {mark} + div + div '
-        "{display:inline-block;width:50%;box-sizing:border-box;vertical-align:top;"
-        "margin-inline:0 !important;padding-inline:0.4em !important}</style>"
+    first, second = f"{mark} + div", f"{mark} + div + div"
+    style = (
+        f"{first}, {second} {{display:inline-block;box-sizing:border-box;vertical-align:top;"
+        "width:calc(50% - 14px);padding-inline:0 !important;margin-inline:10px 4px !important} "
+        f"{second} {{margin-inline:4px 10px !important}} "
+        f"{first} button, {second} button {{padding-inline:4px}} "
     )
+    if always:
+        style += (
+            f"{first}, {second} {{position:sticky;top:10px;z-index:9}} "
+            f"{first} button, {second} button {{height:38px;font-size:16px;font-weight:650}} "
+            # What clips the panel would hold them.
+            f"div:has(> div > div > div > #fvs-{name}) {{overflow:visible !important}}"
+        )
+    return f'<div id="fvs-{name}"></div><style>{style}</style>'
 
 
 def _in_words(sentence: str) -> str:
@@ -49,14 +69,14 @@ def _in_words(sentence: str) -> str:
 
 
 def banner_html(banner: Banner) -> str:
-    """The state, large, with the distance to go and the controller's sentence."""
+    """The state, the distance to go and the controller's sentence, to be read from afar."""
     return (
-        f'<div style="{_BOX}background:{banner.colour};color:#fff;padding:0.7em 0.9em;">'
-        '<div style="display:flex;justify-content:space-between;align-items:baseline;gap:0.6em">'
-        f'<span style="font-size:1.3em;font-weight:650">{escape(banner.title)}</span>'
-        '<span id="fvs-error" style="font-size:1.5em;font-weight:650;white-space:nowrap;'
+        f'<div style="{_BOX}background:{banner.colour};color:#fff;padding:0.5em 0.8em;">'
+        '<div style="display:flex;justify-content:space-between;align-items:baseline;gap:0.5em">'
+        f'<span style="font-size:1.4em;font-weight:650;line-height:1.2">{escape(banner.title)}'
+        '</span><span id="fvs-error" style="font-size:1.5em;font-weight:650;white-space:nowrap;'
         f'font-variant-numeric:tabular-nums">{escape(banner.error)}</span></div>'
-        '<div style="font-size:0.8em;line-height:1.35;margin-top:0.25em;min-height:2.7em">'
+        '<div style="font-size:1.1em;line-height:1.3;margin-top:0.15em;min-height:2.6em">'
         f'<b id="fvs-state">{escape(banner.state)}</b> · '
         f'<span id="fvs-sentence">{_in_words(banner.sentence)}</span></div></div>'
     )
@@ -72,22 +92,40 @@ def lamps_html(lamps: tuple[Lamp, ...]) -> str:
             f'<span style="width:1.35em;height:1.35em;line-height:1.35em;text-align:center;'
             f"border-radius:50%;background:{colour};color:#101214;font-weight:700;"
             f'flex-shrink:0">{sign}</span>'
-            '<span style="min-width:0;line-height:1.2">'
+            '<span style="min-width:0">'
             f"{escape(lamp.name)}<br>"
             '<span style="opacity:0.65;font-variant-numeric:tabular-nums">'
             f"{escape(lamp.text)}</span></span></div>"
         )
+    return f'<div style="{_GRID}gap:0.4em 0.75em">{"".join(cells)}</div>'
+
+
+def details_html(details: tuple[Detail, ...]) -> str:
+    """What the troubleshooting asks for: short ones two a row, sentences below."""
+    cells = []
+    for detail in details:
+        wide = "" if len(detail.text) <= _SHORT else "grid-column:1 / -1;"
+        cells.append(
+            f'<div style="{wide}min-width:0;font-variant-numeric:tabular-nums">'
+            f'<span style="opacity:0.65">{escape(detail.name)}</span> '
+            f"{escape(detail.text)}</div>"
+        )
+    return f'<div id="fvs-details" style="{_GRID}gap:0.2em 0.75em">{"".join(cells)}</div>'
+
+
+def answer_html(text: str) -> str:
+    """What was last answered to a person's wish; its place is kept where there is nothing."""
     return (
-        '<div style="margin:0 0.75em 0.6em 0.75em;font-size:0.8em;display:grid;'
-        f'grid-template-columns:1fr 1fr;gap:0.5em 0.75em">{"".join(cells)}</div>'
+        f'<div id="fvs-answer" style="{_BOX}border:1px solid {GREY if text else "transparent"};'
+        'padding:0.25em 0.7em;font-size:0.9em;line-height:1.3;min-height:1.9em">'
+        f"{_in_words(text)}</div>"
     )
 
 
-def remark_html(text: str, name: str) -> str:
-    """A sentence for the person at the page; nothing where there is none."""
-    if not text:
-        return f'<div id="fvs-{name}"></div>'
+def notes_html(notes: tuple[str, ...]) -> str:
+    """Sentences about the page itself."""
+    lines = "".join(f"<div>{_in_words(note)}</div>" for note in notes)
     return (
-        f'<div id="fvs-{name}" style="{_BOX}border:1px solid {GREY};padding:0.4em 0.7em;'
-        f'font-size:0.8em;line-height:1.35">{_in_words(text)}</div>'
+        f'<div id="fvs-notes" style="margin:0 0.75em;font-size:0.8em;line-height:1.3;opacity:0.8">'
+        f"{lines}</div>"
     )

@@ -13,7 +13,8 @@ import viser
 
 from fvs_ros.apps.dashboard.actions import Actions, Target
 from fvs_ros.apps.dashboard.charts import Charts
-from fvs_ros.apps.dashboard.guard import LOOPBACK, own_requests_only
+from fvs_ros.apps.dashboard.config import VISER
+from fvs_ros.apps.dashboard.guard import LOOPBACK, own_requests_only, turns_others_away
 from fvs_ros.apps.dashboard.panel import Panel
 from fvs_ros.apps.dashboard.scene import Scene
 from fvs_ros.apps.dashboard.view import Snapshot
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 _SELDOM, _CURVES_AT, _FRUSTUM_AT = 3, 0, 1
 _STOP_S = 0.8
 _LEFT_PX, _RIGHT_PX = 400, 350
+_LAST_PORT = 65535
 _EVERYWHERE = ("0.0.0.0", "::", "")
 
 
@@ -52,7 +54,7 @@ class Page:
     Raises
     ------
     ValueError
-        If the port is taken, or the address is not this machine's.
+        If the port is taken, the address is not this machine's, or other sites would be let in.
     """
 
     def __init__(
@@ -74,6 +76,12 @@ class Page:
         if port and self._server.get_port() != port:  # taken since it was looked at
             self.close()
             raise ValueError(_taken(host, port))
+        if not turns_others_away(self._reached_at, self._server.get_port()):
+            self.close()
+            raise ValueError(
+                "the page would let any web site command the arm: the check of requests did not "
+                f"take with viser {viser.__version__}; pip install '{VISER}'"
+            )
         server, gui = self._server, self._server.gui
         gui.configure_theme(
             dark_mode=True, show_logo=False, show_share_button=False, brand_color=(0, 114, 178)
@@ -86,18 +94,20 @@ class Page:
             self._charts = Charts(gui, history_s)
         curves.dock_left()
         curves.set_width(_LEFT_PX)
-        self._scene = Scene(
-            server, ball_radius_m, lambda at, moving: self._dragged(actions, Target(at, moving))
-        )
+        self._scene = Scene(server, ball_radius_m, lambda at: self._dragged(actions, Target(at)))
         # From where arm and camera stand side by side, wherever the camera usually stands.
-        server.initial_camera.position = (2.45, 2.05, 1.5)
-        server.initial_camera.look_at = (0.57, -0.36, 0.36)
-        server.initial_camera.fov = 0.85
+        server.initial_camera.position = (-0.35, 1.75, 1.1)
+        server.initial_camera.look_at = (0.42, -0.2, 0.32)
+        server.initial_camera.fov = 0.75
         self._shown = 0
 
     def _dragged(self, actions: Actions, target: Target) -> None:
         self._panel.forget_typed()
         actions.put(target)
+
+    @property
+    def _reached_at(self) -> str:
+        return "localhost" if self._host in _EVERYWHERE else self._host
 
     @property
     def address(self) -> str:
@@ -144,7 +154,7 @@ class Page:
 def _taken(host: str, port: int) -> str:
     return (
         f"port {port} of {host} is taken; stop what is served there, or choose another one: "
-        "parameter port, 0 for any that is free"
+        f"-p port:={port + 1 if port < _LAST_PORT else 0}, or -p port:=0 for any that is free"
     )
 
 

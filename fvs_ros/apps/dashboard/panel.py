@@ -51,17 +51,19 @@ class Panel:
         self._gui = gui
         self._say = say
         self._held_until_s: dict[str, float] = {}
-        self._banner = gui.add_html("")
-        self._lamps = gui.add_html("")
-        self._note = gui.add_html("")
-        self._answer = gui.add_html("")
-        gui.add_html(markup.side_by_side("start-stop"))
+        # On top of all that grows and shrinks: a Stop must be where it was a moment ago.
+        gui.add_html(markup.side_by_side("start-stop", always=True))
         self._add_buttons()
+        self._banner = gui.add_html("")
+        self._answer = gui.add_html("")
+        self._lamps = gui.add_html("")
+        self._details = gui.add_html("")
         self._add_target(tour)
         self._picture: viser.GuiImageHandle | None = None
         if image:
             blank = np.full((240, 320, 3), 32, np.uint8)
             self._picture = gui.add_image(blank, format="jpeg", jpeg_quality=75)
+        self._notes = gui.add_html("")
         self._add_simulator()
 
     # --- what is there ---
@@ -116,9 +118,13 @@ class Panel:
 
     def _add_simulator(self) -> None:
         gui = self._gui
-        self._simulator = gui.add_folder("Simulator: disturb it, turn its camera", visible=False)
+        self._simulator = gui.add_folder(
+            "Simulator: disturb it, turn its camera", visible=False, expand_by_default=False
+        )
         with self._simulator:
-            self._noise = gui.add_slider("Depth noise", 0.0, 5.0, 0.1, 1.0)
+            self._noise = gui.add_slider(
+                "Depth noise (×)", 0.0, 5.0, 0.1, 1.0, hint="Times the depth camera's own noise."
+            )
             self._latency = gui.add_slider("Latency (ms)", 0.0, 200.0, 5.0, 40.0)
             self._turns = tuple(
                 gui.add_slider(f"Turn {axis} (°)", -_LARGEST_TURN_DEG, _LARGEST_TURN_DEG, 1.0, 0.0)
@@ -144,8 +150,9 @@ class Panel:
         """Show a moment."""
         self._banner.content = markup.banner_html(shown.banner)
         self._lamps.content = markup.lamps_html(shown.lamps)
-        self._note.content = markup.remark_html(shown.note, "note")
-        self._answer.content = markup.remark_html(shown.answer, "answer")
+        self._details.content = markup.details_html(shown.details)
+        self._answer.content = markup.answer_html(shown.answer)
+        self._notes.content = markup.notes_html(shown.notes)
         if self._picture is not None and shown.picture is not None:
             self._picture.image = shown.picture
         if self._free("tour"):

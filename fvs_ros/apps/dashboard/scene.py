@@ -14,6 +14,7 @@ import viser.transforms
 from viser.extras import ViserUrdf
 
 from fvs_ros.apps.dashboard.view import Snapshot
+from fvs_sim_node.objects import TABLE
 
 if TYPE_CHECKING:
     from fvs_ros.apps.dashboard.arm import Arm  # a second to import, and not needed at the start
@@ -27,6 +28,8 @@ _DROPPED_S = 0.6
 _FRUSTUM_M = 0.16
 #: Breaks a long sentence into lines, but no name that is to be typed.
 _WRAP = textwrap.TextWrapper(56, break_long_words=False, break_on_hyphens=False)
+#: The table is light; the page is dark, and what stands on the table is to be seen.
+_DIM = 0.45
 
 
 class Scene:
@@ -39,14 +42,14 @@ class Scene:
     ball_radius_m : float
         Radius of the ball, m.
     on_drag : callable
-        Called with the target's position, camera frame, m, and whether it is still being dragged.
+        Called with the target's position, camera frame, m, while it is dragged and when let go.
     """
 
     def __init__(
         self,
         server: viser.ViserServer,
         ball_radius_m: float,
-        on_drag: Callable[[tuple[float, float, float], bool], None],
+        on_drag: Callable[[tuple[float, float, float]], None],
     ) -> None:
         self._server = server
         self._on_drag = on_drag
@@ -58,7 +61,7 @@ class Scene:
         scene.configure_environment_map(hdri=None)
         scene.configure_default_lights(enabled=True, cast_shadow=False)
         scene.add_light_hemisphere("/sky", ground_color=(110, 112, 120), intensity=1.2)
-        scene.add_grid(
+        self._floor = scene.add_grid(
             "/floor",
             width=3.0,
             height=3.0,
@@ -73,7 +76,9 @@ class Scene:
         self._camera = scene.add_frame(
             "/base/camera", axes_length=0.08, axes_radius=0.003, origin_radius=0.004, visible=False
         )
+        self._add_table()
         self._frustum: viser.CameraFrustumHandle | None = None
+        self._picture: np.ndarray | None = None  # not in the frustum yet
         self._trail = scene.add_line_segments(
             "/base/camera/trail",
             np.zeros((_PIECES, 2, 3)),
@@ -91,6 +96,24 @@ class Scene:
             visible=False,
         )
         self._add_target(ball_radius_m)
+
+    def _add_table(self) -> None:
+        """What the simulated camera sees around the arm."""
+        scene = self._server.scene
+        # Its world is ROS's base_link, turned by half a turn.
+        self._table = scene.add_frame(
+            "/base/table", show_axes=False, wxyz=(0.0, 0.0, 0.0, 1.0), visible=False
+        )
+        for number, thing in enumerate(TABLE):
+            scene.add_box(
+                f"/base/table/{number}",
+                tuple(round(255 * _DIM * part) for part in thing.rgba[:3]),
+                thing.size_m,
+                position=thing.position_m,
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+        self._under_table_m = min(one.position_m[2] - 0.5 * one.size_m[2] for one in TABLE)
 
     def _add_target(self, ball_radius_m: float) -> None:
         scene = self._server.scene
@@ -117,7 +140,7 @@ class Scene:
             self._held_s = time.monotonic()
             if event.phase != "start":
                 x, y, z = (float(value) for value in event.target.position)
-                self._on_drag((x, y, z), event.phase == "update")
+                self._on_drag((x, y, z))
 
     def set_arm(self, arm: Arm) -> None:
         """Show another robot, or the first."""
@@ -138,6 +161,9 @@ class Scene:
         """Show a moment; the camera's picture in its frustum only if told so."""
         if self._robot is not None and self._arm is not None and shown.joints_rad is not None:
             self._robot.update_cfg(self._arm.configuration(shown.joints_rad))
+        if self._table.visible != shown.table:
+            self._table.visible = shown.table
+            self._floor.position = (0.0, 0.0, self._under_table_m if shown.table else 0.0)
         self._camera.visible = shown.camera is not None
         if shown.camera is None:
             return
@@ -168,8 +194,10 @@ class Scene:
                 receive_shadow=False,
             )
         self._frustum.fov, self._frustum.aspect = fov, aspect
-        if with_picture and shown.picture is not None:
-            self._frustum.image = shown.picture
+        if shown.picture is not None:
+            self._picture = shown.picture
+        if with_picture and self._picture is not None:
+            self._frustum.image, self._picture = self._picture, None
 
 
 def _placed(rotation: np.ndarray, position_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

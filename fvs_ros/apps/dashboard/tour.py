@@ -6,6 +6,10 @@ import numpy as np
 
 from fvs_ros.apps.demo import choose_target
 
+#: A tour that waits for longer than this says so, s.
+_WAITS_S = 10.0
+WAITS = "the tour waits for the controller; does it need a Start?"
+
 
 class TargetTour:
     """Chooses the next target when the last one has had its time.
@@ -30,6 +34,21 @@ class TargetTour:
         self._distance_m = distance_m
         self._rng = np.random.default_rng(seed)
         self._due_s = -np.inf
+        self._ready_s: float | None = None  # when the controller would last have gone
+
+    def waits(self, now_s: float, ready: bool) -> bool:
+        """Whether the controller has not been ready for so long that a person should know.
+
+        Parameters
+        ----------
+        now_s : float
+            Steady clock, s.
+        ready : bool
+            Whether the controller would go to a target now.
+        """
+        if ready or self._ready_s is None:
+            self._ready_s = now_s
+        return now_s - self._ready_s > _WAITS_S
 
     def next(self, now_s: float, ready: bool, ball_m: np.ndarray | None) -> np.ndarray | None:
         """The next target, m, camera frame, (3,), if one is due.

@@ -69,6 +69,8 @@ class ControllerView:
         Whether the robot obeys.
     speed_scaling_percent : float
         The robot's speed slider.
+    image_latency_s, drive_lag_s : float
+        From exposure to use, and of the arm behind its commands, as measured, s; NaN while unknown.
     """
 
     state: str = SILENT
@@ -84,6 +86,8 @@ class ControllerView:
     active_limit: str = ""
     program_running: bool = False
     speed_scaling_percent: float = nan
+    image_latency_s: float = nan
+    drive_lag_s: float = nan
 
     @staticmethod
     def of(values: Mapping[str, str], sentence: str) -> ControllerView:
@@ -103,6 +107,8 @@ class ControllerView:
             active_limit=values.get("active_limit", ""),
             program_running=values.get("robot_program_running") == "true",
             speed_scaling_percent=number(values, "speed_scaling_percent"),
+            image_latency_s=number(values, "image_latency_s"),
+            drive_lag_s=number(values, "drive_lag_s"),
         )
 
     @property
@@ -217,6 +223,37 @@ def lamps_of(
 
 
 @dataclass(frozen=True)
+class Detail:
+    """One thing to look up when it does not go as it should: its name, and how it is."""
+
+    name: str
+    text: str
+
+
+def details_of(controller: ControllerView, detector: str) -> tuple[Detail, ...]:
+    """What the troubleshooting asks for; what is unknown is left out.
+
+    Parameters
+    ----------
+    controller : ControllerView
+        Its last word.
+    detector : str
+        The detector's sentence; empty where none runs.
+    """
+    times_s = {"Image latency": controller.image_latency_s, "Drive lag": controller.drive_lag_s}
+    details = [
+        Detail(name, f"{1e3 * time_s:.0f} ms")
+        for name, time_s in times_s.items()
+        if isfinite(time_s)
+    ]
+    if not controller.silent:  # stands there while there is none, too: it comes and goes often
+        details.append(Detail("Active limit", controller.active_limit or "none"))
+    if detector:
+        details.append(Detail("Detector", detector))
+    return tuple(details)
+
+
+@dataclass(frozen=True)
 class Curves:
     """Everything that is drawn over time, newest last.
 
@@ -250,12 +287,16 @@ class Snapshot:
         The controller's last word.
     lamps : tuple of Lamp
         What is well or not.
+    details : tuple of Detail
+        What the troubleshooting asks for.
     joints_rad : ndarray, shape (6,), or None
         Joint positions.
     camera : Pose or None
         The camera in the robot's base frame.
-    note : str
-        A sentence about the camera's place, or empty.
+    table : bool
+        Whether the simulator's table stands there.
+    notes : tuple of str
+        Sentences about the page itself: what it does not know, or waits for.
     ball_m : ndarray, shape (3,), or None
         The ball as last seen, camera frame, m; None if that is long ago.
     trail_m : ndarray, shape (n, 3)
@@ -279,9 +320,11 @@ class Snapshot:
     banner: Banner
     controller: ControllerView
     lamps: tuple[Lamp, ...]
+    details: tuple[Detail, ...]
     joints_rad: np.ndarray | None
     camera: Pose | None
-    note: str
+    table: bool
+    notes: tuple[str, ...]
     ball_m: np.ndarray | None
     trail_m: np.ndarray
     curves: Curves

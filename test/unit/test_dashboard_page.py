@@ -1,0 +1,162 @@
+"""The page as it is served, without ROS: who is let in, what stands where, what is seen first."""
+
+from __future__ import annotations
+
+import re
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="viser is not installed (pip install 'viser[urdf]')")
+
+import websockets
+from page_client import PageClient
+from viser.infra import _infra
+
+from fvs_estimator_node.model_file import load_model
+from fvs_ros.apps.dashboard import config, guard
+from fvs_ros.apps.dashboard.actions import Actions
+from fvs_ros.apps.dashboard.board import Board
+from fvs_ros.apps.dashboard.page import Page
+from fvs_ros.apps.dashboard.placement import Pose
+from fvs_ros.core.paths import find_file
+from fvs_sim_node.rendering import camera_preset
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def served():
+    return Page(
+        "127.0.0.1",
+        0,
+        Actions(),
+        history_s=20.0,
+        ball_radius_m=0.04,
+        image=True,
+        tour=True,
+    )
+
+
+@pytest.fixture
+def page():
+    page = served()
+    yield page
+    page.close()
+
+
+@pytest.fixture
+def client(page):
+    client = PageClient(page.address)
+    yield client
+    client.close()
+
+
+# --- who is let in ---
+
+
+@pytest.fixture
+def later_viser(monkeypatch):
+    """A viser that keeps websockets' own server, where the guard does not reach it."""
+    server = types.SimpleNamespace(**vars(websockets.asyncio.server))
+    own = {**vars(websockets), "asyncio": types.SimpleNamespace(server=server)}
+    monkeypatch.setattr(_infra, "websockets", types.SimpleNamespace(**own))
+
+
+def test_a_page_whose_guard_did_not_take_is_not_served(later_viser, monkeypatch):
+    tried = []
+    check = guard.turns_others_away
+    monkeypatch.setattr(
+        "fvs_ros.apps.dashboard.page.turns_others_away",
+        lambda host, port: tried.append((host, port)) or check(host, port),
+    )
+    with pytest.raises(ValueError, match="would let any web site command the arm") as refused:
+        served()
+    assert config.VISER in str(refused.value)
+    ((host, port),) = tried
+    with pytest.raises(OSError, match="refused"):
+        PageClient(f"http://{host}:{port}")
+
+
+def test_a_guarded_page_turns_others_away(page):
+    host, port = re.fullmatch(r"http://(.+):(\d+)", page.address).groups()
+    assert guard.turns_others_away(host, int(port))
+
+
+def test_where_nothing_answers_nobody_is_turned_away(page):
+    page.close()
+    assert not guard.turns_others_away("127.0.0.1", int(page.address.rpartition(":")[2]))
+
+
+def test_a_taken_port_says_how_to_choose_another(page):
+    port = int(page.address.rpartition(":")[2])
+    with pytest.raises(ValueError, match=rf"is taken; .*-p port:={port + 1}"):
+        Page(
+            "127.0.0.1", port, Actions(), history_s=1.0, ball_radius_m=0.04, image=False, tour=False
+        )
+
+
+def test_the_versions_of_viser_are_the_same_everywhere():
+    bounds = config.VISER.removeprefix("viser[urdf]")
+    for name in ("README.md", "package.xml", "setup.py"):
+        found = re.findall(r"viser\[urdf\]([^'\"]*)", (ROOT / name).read_text(encoding="utf-8"))
+        assert found, name
+        assert set(found) == {bounds}, name
+    constraints = (ROOT / "constraints.txt").read_text(encoding="utf-8")
+    assert re.findall(r"^viser(.*)$", constraints, re.M) == [bounds]
+
+
+# --- what stands where ---
+
+
+def test_nothing_that_changes_its_height_is_above_start_and_stop(client):
+    panel = [one for one in client.elements.values() if one.get("order") is not None]
+    first = sorted(panel, key=lambda one: one["order"])[:3]
+    assert [one.get("label") for one in first[1:]] == ["Start", "Stop"]
+    assert "<style>" in first[0]["content"]  # the row they stand in
+
+
+def test_what_is_small_most_of_the_time_has_a_logarithmic_scale(client):
+    charts = {e["title"]: e["scales"]["y"] for e in list(client.elements.values()) if "scales" in e}
+    (scale,) = [scale for title, scale in charts.items() if "prediction error" in title]
+    assert (scale["distr"], scale["log"]) == (3, 10)
+    low, high = scale["range"]
+    assert low < 0.01
+    assert high > 1.0
+
+
+def test_a_picture_that_came_between_two_turns_gets_into_the_frustum(page):
+    board = Board(history_s=20.0, trail_s=6.0, ball_radius_m=0.04)
+    board.tell_camera(Pose(np.eye(3), np.zeros(3)))
+    board.add_image(0.0, 10.0, np.full((240, 320, 3), 77, np.uint8))
+    for now_s in (0.0, 0.1, 0.2):
+        page.update(board.snapshot(now_s, tour=False))
+    assert (page._scene._frustum.image == 77).all()
+
+
+# --- what is seen first ---
+
+
+@pytest.mark.parametrize(("width", "height"), [(608, 768), (842, 900)])
+def test_the_first_look_is_filled_by_arm_ball_and_camera(page, width, height):
+    first = page._server.initial_camera
+    eye, at = np.array(first.position), np.array(first.look_at)
+    forward = (at - eye) / np.linalg.norm(at - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(forward, right), forward], axis=1)
+
+    def view(points_m):
+        x, y, z = ((points_m - eye) @ axes).T
+        reach = z * np.tan(0.5 * first.fov)
+        return np.stack([x / reach * height / width, y / reach], axis=1)
+
+    camera = camera_preset("front").in_base_link()
+    samples = load_model(find_file("models/ur5_front.npz")).ball_samples_m
+    balls = samples @ camera.rotation.T + camera.position_m
+    foot = np.array([[0.1, 0.1, -0.2], [-0.1, -0.1, -0.2], [0.0, 0.0, 0.0]])
+    everything = view(np.vstack([foot, balls, camera.position_m[None]]))
+    assert np.abs(everything).max() < 0.97
+    work = view(np.vstack([foot, balls]))
+    assert np.ptp(work, axis=0).min() > 1.1  # of 2
