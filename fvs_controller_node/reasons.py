@@ -116,8 +116,8 @@ class Reason(Enum):
         Stop.RAMP,
         True,
         "the image does not follow the arm: within {time_s:.1f} s the ball was to move "
-        "{predicted_mm:.0f} mm and was seen to move {seen_mm:.0f} mm; is the picture frozen, was the "
-        "camera moved meanwhile, or is that not the ball? Then call ~/start",
+        "{predicted_mm:.0f} mm and was seen to move {seen_mm:.0f} mm; is the picture frozen, was "
+        "the camera moved meanwhile, or is that not the ball? Then call ~/start",
     )
     RIVAL = (
         State.HOLDING,
