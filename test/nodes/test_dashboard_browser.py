@@ -47,6 +47,8 @@ PATIENT = (
     "jacobian_max_age_s:=1.0",
     "follow_time_s:=30.0",
 )
+#: By software, a larger window costs more.
+SIZE = {"width": 1000, "height": 700}
 #: A look at the page costs page and test milliseconds.
 LOOK_S = 0.15
 TARGET = "x, y, z (m)"
@@ -133,7 +135,7 @@ def test_a_person_watches_sets_a_target_and_stops(ros_test, browser):
         return re.search(r"page: (http://\S+)", ros_test.output(launched))
 
     ros_test.spin_until(lambda: address() is not None, 30.0, "the page")
-    page = browser.new_page(viewport={"width": 1000, "height": 700})
+    page = browser.new_page(viewport=SIZE)
     page.add_init_script(SELDOM)
     failures = []
     page.on("pageerror", lambda error: failures.append(str(error)))
@@ -193,6 +195,7 @@ def test_a_person_watches_sets_a_target_and_stops(ros_test, browser):
     assert "" in eyes.answers
     assert len(eyes.stops) == 1, eyes.stops  # the button never moved
     check_layout(eyes, page)
+    page.set_viewport_size(SIZE)
     assert ros.from_status(statuses[-1])["state"] == "READY"
     assert failures == []
     assert ros_test.stop(launched) == 0, ros_test.output(launched)
