@@ -224,8 +224,8 @@ def _notes(fit: ChainFit, deviation: float, data: DataSet) -> tuple[str, ...]:
             "whether the ball moves as one on a rigid chain of six revolute joints cannot be told: "
             f"images are {1e3 * fit.residual_m:.1f} mm off it, and too few follow one another "
             "closely enough to show how much of that is noise; see that joint names and signs are "
-            "right and that nothing moves camera or ball, or collect with five images a second or "
-            "more"
+            "right, that the camera stays and that the ball is firm on its tool, or collect with "
+            "five images a second or more"
         )
     elif not fit.is_chain:
         notes.append(
