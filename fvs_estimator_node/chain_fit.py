@@ -31,8 +31,9 @@ from fvs_ros.core.joints import N_JOINTS
 MIN_SAMPLES = 200
 #: No depth camera sees further, m.
 _FARTHEST_M = 50.0
-#: No camera stamps its images later than this, s; ends of runs this long are left out.
-MAX_OFFSET_S = 0.2
+#: Images are not looked for that are stamped later, or earlier, than this, s; ends of runs this
+#: long are left out. An offset so near to it would go on beyond it, s.
+MAX_OFFSET_S, _AT_LIMIT_S = 0.2, 1e-3
 #: A joint that moves less, a standard deviation, rad, stands still: nothing is known of it.
 STILL_RAD = 1e-3
 #: Images of the search for the right start, and starts that are tried at most.
@@ -42,6 +43,11 @@ _SEARCH_OFFSETS_S, _REGRESSIONS = np.linspace(-0.18, 0.18, 13), 6
 #: Above both, the second in m, something else than a chain of six revolute joints moves the ball; a
 #: camera's own systematic errors stay below.
 _MISFIT_LIMIT, _UNEXPLAINED_LIMIT_M = 1.3, 0.001
+#: Neighbours are images no further apart, s, and so many pairs of them make a median; an image that
+#: is unlike both its neighbours by so many times what is usual is an outlier.
+_NEAR_S, _LEAST_PAIRS, _UNLIKE = 0.25, 50, 6.0
+#: Images further than so many standard deviations from the chain are left out.
+_OUTLIER = 6.0
 #: A start is right if its residual is below so many times that of the images themselves.
 _GOOD_SHARE = 1.5
 #: So many of the weakest joints are turned about once more when all is fitted, and the evaluations
@@ -70,9 +76,11 @@ class ChainFit:
     time_offset_deviation_s : float
         Its standard deviation, s.
     residual_m : float
-        Median distance of images from the chain, m.
+        Median distance of images from the chain, m, without those that are far from both their
+        neighbours.
     noise_m : float
-        The part of it that is noise: what changes from one image to the next, m.
+        The part of it that is noise: what changes from one image to the next, m; NaN if the images
+        are too far apart to tell.
     ray_noise_m, lateral_noise_m : float
         Standard deviation of a position along the line of sight, and across it (each of two), m.
     outliers : int
@@ -97,18 +105,34 @@ class ChainFit:
 
     @property
     def misfit(self) -> float:
-        """Residual over noise: 1 for a serial chain, more where something else moves the ball."""
+        """Residual over noise: 1 for a serial chain, more where something else moves the ball.
+
+        NaN if the images are too far apart to tell.
+        """
         return self.residual_m / self.noise_m
 
     @property
     def unexplained_m(self) -> float:
-        """The part of the residual that neither the chain nor noise explains, m."""
+        """The part of the residual that neither the chain nor noise explains, m.
+
+        All of it if the images are too far apart to tell.
+        """
+        if math.isnan(self.noise_m):
+            return self.residual_m
         return math.sqrt(max(self.residual_m**2 - self.noise_m**2, 0.0))
 
     @property
     def is_chain(self) -> bool:
-        """Whether the ball moves as one on a serial chain, as far as the noise lets one see."""
+        """Whether the ball moves as one on a serial chain, as far as the noise lets one see.
+
+        Not if the images are too far apart to tell, unless all of the residual is small.
+        """
         return self.misfit <= _MISFIT_LIMIT or self.unexplained_m <= _UNEXPLAINED_LIMIT_M
+
+    @property
+    def offset_at_limit(self) -> bool:
+        """Whether the images may be stamped later, or earlier, than is looked for."""
+        return abs(self.time_offset_s) > MAX_OFFSET_S - _AT_LIMIT_S
 
     def jacobian_deviation(self, joints_rad: np.ndarray) -> np.ndarray:
         """Relative standard deviation of the Jacobian at joints, by the covariance.
@@ -260,8 +284,8 @@ class _Fitting:
             )
             if best is None or cost < best[0]:
                 best = (cost, Chart(chain).chain(values), float(values[OFFSET]))
-            residual = self._residuals(best[1], best[2])
-            if _median_length(residual) < _GOOD_SHARE * self._change_noise_m(residual):
+            residual_m, noise_m = self._distances_m(self._residuals(best[1], best[2]))
+            if residual_m < _GOOD_SHARE * noise_m:
                 break
         assert best is not None
         return best[1], best[2]
@@ -377,19 +401,24 @@ class _Fitting:
                 chain, offset_s, cost = turned
                 whitening = self._weighing(chain, offset_s)
                 chain, offset_s, cost = self._refined(chain, offset_s, whitening)
+        # What is far off had a small say so far; in a long stretch, all of it pulls one way.
+        inlier = self._inliers(self._residuals(chain, offset_s))
+        if not inlier.all():
+            chain, offset_s, _ = self._refined(chain, offset_s, whitening, images=inlier)
         residual = self._residuals(chain, offset_s)
+        residual_m, noise_m = self._distances_m(residual)
         ray_m, lateral_m = _noise_by_direction(residual, self._ball)
-        white = (_whitening(self._ball, ray_m, lateral_m) @ residual[..., None])[..., 0]
-        covariance = self._covariance(chain, offset_s, whitening, white)
+        inlier = self._inliers(residual)
+        covariance = self._covariance(chain, offset_s, whitening, inlier)
         return ChainFit(
             chain=chain,
             time_offset_s=offset_s,
             time_offset_deviation_s=float(np.sqrt(covariance[OFFSET, OFFSET])),
-            residual_m=_median_length(residual),
-            noise_m=self._change_noise_m(residual),
+            residual_m=residual_m,
+            noise_m=noise_m,
             ray_noise_m=ray_m,
             lateral_noise_m=lateral_m,
-            outliers=int(np.count_nonzero(np.abs(white).max(axis=1) > 6.0)),
+            outliers=int(np.count_nonzero(~inlier)),
             samples=len(residual),
             covariance=covariance,
         )
@@ -399,29 +428,51 @@ class _Fitting:
         residual = self._residuals(chain, offset_s)
         return _whitening(self._ball, *_noise_by_direction(residual, self._ball))
 
+    def _inliers(self, residual: np.ndarray) -> np.ndarray:
+        """Which images are no further off than noise brings them, bool (n,)."""
+        whitening = _whitening(self._ball, *_noise_by_direction(residual, self._ball))
+        white = (whitening @ residual[..., None])[..., 0]
+        return np.abs(white).max(axis=1) <= _OUTLIER
+
     def _refined(
-        self, chain: SerialChain, offset_s: float, whitening: np.ndarray, evaluations: int = 100
+        self,
+        chain: SerialChain,
+        offset_s: float,
+        whitening: np.ndarray,
+        evaluations: int = 100,
+        images: np.ndarray | slice = slice(None),
     ) -> tuple[SerialChain, float, float]:
-        """Chain and offset at the optimum of all images, and its cost for an image."""
-        chart, everything = Chart(chain), np.arange(len(self._ball))
-        values, cost = self._solve(chart, offset_s, everything, whitening, 1.0, 2.0, evaluations)
+        """Chain and offset at the optimum of some images, or all, and its cost for an image."""
+        chart, some = Chart(chain), np.arange(len(self._ball))[images]
+        values, cost = self._solve(chart, offset_s, some, whitening, 1.0, 2.0, evaluations)
         return chart.chain(values), float(values[OFFSET]), cost
 
-    def _change_noise_m(self, residual: np.ndarray) -> float:
-        """Median length of the residuals, if all were as unlike as neighbours are, m."""
+    def _distances_m(self, residual: np.ndarray) -> tuple[float, float]:
+        """Median length of the residuals, and what it were if all were as unlike as neighbours, m.
+
+        Both of the same images: outliers, which are unlike both their neighbours, count for
+        neither. The second is NaN where there are too few neighbours.
+        """
         passed_s = np.diff(self._path.stamps_s)
-        near = np.flatnonzero((passed_s > 0.0) & (passed_s < 0.25))
-        if not len(near):
-            return _median_length(residual)
-        return _median_length(residual[near + 1] - residual[near]) / math.sqrt(2.0)
+        first = np.flatnonzero((passed_s > 0.0) & (passed_s < _NEAR_S))
+        apart_m = np.linalg.norm(residual[first + 1] - residual[first], axis=1)
+        nearest_m = np.full(len(residual), np.inf)
+        np.minimum.at(nearest_m, first, apart_m)
+        np.minimum.at(nearest_m, first + 1, apart_m)
+        alike = np.isfinite(nearest_m)
+        for _ in range(_REGRESSIONS if alike.any() else 0):
+            alike &= nearest_m <= _UNLIKE * np.median(nearest_m[alike])
+        both = alike[first] & alike[first + 1]
+        if np.count_nonzero(both) < _LEAST_PAIRS:
+            return _median_length(residual), math.nan
+        return _median_length(residual[alike]), float(np.median(apart_m[both])) / math.sqrt(2.0)
 
     def _covariance(
-        self, chain: SerialChain, offset_s: float, whitening: np.ndarray, white: np.ndarray
+        self, chain: SerialChain, offset_s: float, whitening: np.ndarray, inlier: np.ndarray
     ) -> np.ndarray:
         joints, velocity = self._path.joints_and_velocities(offset_s)
         values = np.zeros(N_COORDINATES)
         _, slope = residuals_and_slopes(Chart(chain), values, joints, velocity, self._ball)
-        inlier = np.abs(white).max(axis=1) < 6.0
         rows = (whitening @ slope)[inlier].reshape(-1, N_COORDINATES)
         return np.linalg.inv(rows.T @ rows + np.diag(1.0 / _PRIOR**2))
 

@@ -7,6 +7,8 @@ going on at random, early on; a search for the very best would gain little more.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from fvs_estimator_node.chain_chart import N_COORDINATES, Chart, residuals_and_slopes
@@ -41,8 +43,9 @@ class ChainExaminer:
             deviation = float(np.median(fit.jacobian_deviation(places)))
         except ValueError:  # no chain yet, or numbers too bad for linear algebra
             return NothingYet()
+        doubt = 1.0 if math.isnan(fit.misfit) else max(1.0, fit.misfit)
         return Findings(
-            jacobian_deviation=deviation * max(1.0, fit.misfit),
+            jacobian_deviation=deviation * doubt,
             misfit=fit.misfit,
             image_offset_s=fit.time_offset_s,
             is_chain=fit.is_chain,

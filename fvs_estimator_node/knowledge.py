@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isnan
 from typing import Protocol
 
 from fvs_estimator_node.motion import Course, RandomMotion
@@ -49,11 +50,11 @@ class Findings:
         Relative standard deviation of the Jacobian in the motion's box, the median over the box;
         larger by the misfit where that is above 1.
     misfit : float
-        Residual over noise: 1 for a serial chain.
+        Residual over noise: 1 for a serial chain; NaN if the images are too far apart to tell.
     image_offset_s : float
         How late the images are stamped, s.
     is_chain : bool
-        Whether the ball moves as on a chain of six revolute joints.
+        Whether the ball moves as on a chain of six revolute joints, as far as can be told.
     course : Course
         Where the motion learns most.
     """
@@ -164,4 +165,7 @@ class Knowledge:
         """What is known, for a user; empty if nothing is."""
         if self.findings is None:
             return ""
-        return f"Jacobian known to {100.0 * self.findings.jacobian_deviation:.2g} %"
+        words = f"Jacobian known to {100.0 * self.findings.jacobian_deviation:.2g} %"
+        if isnan(self.findings.misfit) and not self.findings.is_chain:
+            words += " if this is a serial chain, which so few images a second do not tell"
+        return words

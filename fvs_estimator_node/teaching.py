@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fvs_estimator_node.chain_fit import STILL_RAD, ChainFit, fit_chain
+from fvs_estimator_node.chain_fit import MAX_OFFSET_S, STILL_RAD, ChainFit, fit_chain
 from fvs_estimator_node.dataset import DataSet, late_stamps_note
 from fvs_estimator_node.model_file import TrainedModel
 from fvs_estimator_node.rbf import N_FEATURES, RbfModel, rbf_features
@@ -32,6 +32,8 @@ _BALL_SAMPLES = 500
 _DOUBTFUL = 0.01
 #: Images that do not fit are not worth a word up to this share.
 _NOTABLE_OUTLIERS = 0.01
+#: Images that scatter by more, a median, m, are worth a word: no depth camera is that bad.
+_NOTABLE_NOISE_M = 0.01
 
 
 @dataclass(frozen=True)
@@ -215,12 +217,28 @@ def _notes(fit: ChainFit, deviation: float, data: DataSet) -> tuple[str, ...]:
     if still:
         them = "it" if len(still) == 1 else "them"
         notes.append(f"{', '.join(still)} did not move in the data set: nothing is known of {them}")
-    if not fit.is_chain:
+    if fit.offset_at_limit:
+        notes.append(_limit_note(fit.time_offset_s))
+    if not fit.is_chain and math.isnan(fit.misfit):
+        notes.append(
+            "whether the ball moves as one on a rigid chain of six revolute joints cannot be told: "
+            f"images are {1e3 * fit.residual_m:.1f} mm off it, and too few follow one another "
+            "closely enough to show how much of that is noise; see that joint names and signs are "
+            "right, that the camera stays and that the ball is firm on its tool, or collect with "
+            "five images a second or more"
+        )
+    elif not fit.is_chain:
         notes.append(
             f"the ball does not move as one on a rigid chain of six revolute joints: images are "
             f"{1e3 * fit.residual_m:.1f} mm off it, of which noise explains "
-            f"{1e3 * fit.noise_m:.1f} mm; check joint names and signs, and that ball and camera "
-            "are fixed, or train with another method"
+            f"{1e3 * fit.noise_m:.1f} mm; check that nothing moved the camera or the ball on its "
+            "tool while collecting, check joint names and signs, or train with another method"
+        )
+    noise_m = fit.residual_m if math.isnan(fit.noise_m) else fit.noise_m
+    if noise_m > _NOTABLE_NOISE_M:
+        notes.append(
+            f"ball positions scatter by {1e3 * noise_m:.0f} mm (median), far more than a depth "
+            "camera's do; check depth, lighting and that nothing else is taken for the ball"
         )
     if deviation > _DOUBTFUL and not still:
         notes.append(
@@ -228,8 +246,18 @@ def _notes(fit: ChainFit, deviation: float, data: DataSet) -> tuple[str, ...]:
             "wider box"
         )
     late = late_stamps_note(fit.time_offset_s)
-    if late:
+    if late and not fit.offset_at_limit:
         notes.append(late)
     if fit.outliers > _NOTABLE_OUTLIERS * fit.samples:
         notes.append(f"{fit.outliers} of {fit.samples} images do not fit")
     return tuple(notes)
+
+
+def _limit_note(offset_s: float) -> str:
+    late = offset_s > 0.0
+    mend = f"add {offset_s:.1f} to stamp_delay_s of fvs_detector_node" if late else "set the clocks"
+    return (
+        f"the images seem to be stamped {1e3 * MAX_OFFSET_S:.0f} ms {'late' if late else 'early'} "
+        "or more, and more is not looked for, so that the fit is not to be trusted; do the clocks "
+        f"of camera and robot agree (NTP)? {mend}, then collect again"
+    )

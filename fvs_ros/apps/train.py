@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import math
 import platform
 import sys
 import time
@@ -176,6 +177,11 @@ def report_structured(taught: TaughtModel, seconds: float) -> str:
     """What a user should see of a structured training."""
     fit = taught.fit
     low, high = taught.trained.joint_box_rad
+    told = (
+        "images too far apart to tell how much of it is noise"
+        if math.isnan(fit.noise_m)
+        else f"of which noise explains {1e3 * fit.noise_m:.2f} mm: misfit {fit.misfit:.2f}"
+    )
     lines = [
         "",
         f"Jacobian of the chain, in the box of the data: {100 * taught.jacobian_deviation:.3f} % "
@@ -186,8 +192,7 @@ def report_structured(taught: TaughtModel, seconds: float) -> str:
         f"{1e3 * fit.time_offset_deviation_s:.1f} ms",
         f"noise of a ball position: {1e3 * fit.ray_noise_m:.2f} mm along the line of sight, "
         f"{1e3 * fit.lateral_noise_m:.2f} mm across",
-        f"distance from the chain: {1e3 * fit.residual_m:.2f} mm (median), of which noise "
-        f"explains {1e3 * fit.noise_m:.2f} mm: misfit {fit.misfit:.2f}",
+        f"distance from the chain: {1e3 * fit.residual_m:.2f} mm (median), {told}",
         f"joints from [{', '.join(f'{v:.2f}' for v in low)}]",
         f"         to [{', '.join(f'{v:.2f}' for v in high)}] rad",
         f"{fit.samples} images, {fit.outliers} left out; {seconds:.1f} s",

@@ -176,6 +176,105 @@ def test_what_is_no_chain_of_six_revolute_joints_shows(spoilt, monkeypatch):
     assert fit.misfit > 2.0
 
 
+def told(data, matrix):
+    """The joints told otherwise than they are: by a matrix, (6, 6)."""
+    return replace(data, joints_rad=data.joints_rad @ np.asarray(matrix).T)
+
+
+THIRD_TOO_FAR = np.diag([1.0, 1.0, 1.2, 1.0, 1.0, 1.0])
+FIFTH_FOR_FOURTH = np.eye(6)[[0, 1, 2, 4, 3, 5]]
+THIRD_FOR_SECOND = np.eye(6)[[0, 2, 1, 3, 4, 5]]
+
+
+@pytest.mark.parametrize(
+    ("matrix", "is_chain"),
+    [(np.eye(6), True), (THIRD_TOO_FAR, False), (FIFTH_FOR_FOURTH, False)],
+    ids=["as it is", "joint 3 times 1.2", "joints 4 and 5 swapped"],
+)
+def test_many_outliers_hide_no_misfit(matrix, is_chain):
+    fit = fit_chain(told(Recording(seconds=40.0, outliers=0.3).data(), matrix))
+    assert fit.is_chain == is_chain
+    if is_chain:
+        assert fit.misfit == pytest.approx(1.0, abs=0.1)
+    else:
+        assert fit.misfit > 1.8
+
+
+def every(step, data):
+    return replace(
+        data,
+        **{
+            name: getattr(data, name)[::step]
+            for name in ("stamps_s", "joints_rad", "ball_m", "segment")
+        },
+    )
+
+
+@pytest.mark.parametrize(
+    "matrix", [np.eye(6), THIRD_FOR_SECOND], ids=["as it is", "joints 2 and 3 swapped"]
+)
+def test_images_too_far_apart_do_not_tell_a_chain(matrix, monkeypatch):
+    monkeypatch.setattr("fvs_estimator_node.chain_fit._STARTS", 3)  # none is known to be right
+    fit = fit_chain(told(every(8, Recording(seconds=80.0, outliers=0.0).data()), matrix))
+    assert np.isnan(fit.noise_m)
+    assert np.isnan(fit.misfit)
+    assert fit.unexplained_m == fit.residual_m
+    assert not fit.is_chain
+
+
+def test_a_precise_camera_needs_no_neighbours():
+    """Nothing of a millimetre can be hidden where all are nearer than that."""
+    recording = Recording(seconds=80.0, outliers=0.0, noise_m=0.0003)
+    fit = fit_chain(every(8, recording.data()))
+    assert np.isnan(fit.misfit)
+    assert fit.is_chain
+    assert error_of(fit, recording) < 0.002
+
+
+@pytest.mark.parametrize("frozen", [False, True], ids=["5 cm aside", "frozen"])
+def test_a_stretch_that_is_far_off_pulls_at_nothing(frozen):
+    recording = Recording()
+    data = recording.data()
+    ball = data.ball_m.copy()
+    ball[500:680] = ball[500] if frozen else ball[500:680] + [0.05, 0.0, 0.0]
+    fit = fit_chain(replace(data, ball_m=ball))
+    deviation = float(np.median(fit.jacobian_deviation(recording.places(50))))
+    assert error_of(fit, recording) < 2.0 * deviation < 0.002
+    assert fit.outliers > 150
+
+
+@pytest.mark.parametrize(
+    ("misfit", "unexplained_m", "is_chain"),
+    [
+        (1.29, 0.005, True),
+        (1.31, 0.005, False),
+        (1.31, 0.0011, False),
+        (1.31, 0.0009, True),
+        (5.0, 0.0009, True),
+    ],
+)
+def test_no_chain_is_a_misfit_above_1_3_with_a_millimetre_unexplained(
+    some_fit, misfit, unexplained_m, is_chain
+):
+    noise_m = unexplained_m / np.sqrt(misfit**2 - 1.0)
+    fit = replace(some_fit, noise_m=noise_m, residual_m=misfit * noise_m)
+    assert fit.unexplained_m == pytest.approx(unexplained_m)
+    assert fit.is_chain == is_chain
+
+
+@pytest.fixture(scope="module")
+def some_fit():
+    return fit_chain(Recording(seconds=10.0).data())
+
+
+@pytest.mark.parametrize("late_s", [0.25, -0.25])
+def test_an_offset_beyond_what_is_looked_for_is_known_as_such(some_fit, late_s):
+    assert not some_fit.offset_at_limit
+    fit = fit_chain(Recording(seconds=20.0, late_s=late_s, outliers=0.0).data())
+    assert fit.offset_at_limit
+    assert np.sign(fit.time_offset_s) == np.sign(late_s)
+
+
 def test_too_little_is_refused_in_words():
     with pytest.raises(ChainFitError, match="needs at least 200 images in continuous runs"):
         fit_chain(Recording(seconds=6.0).data())

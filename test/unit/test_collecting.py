@@ -277,6 +277,8 @@ class Examiner:
         course = self.questions[-1].motion.draw(self.rng)
         if said == "no chain":
             return Findings(0.001, 2.0, 0.01, False, course)
+        if said == "cannot be told":
+            return Findings(0.001, np.nan, 0.01, False, course)
         return Findings(said, 1.0, 0.01, True, course) if isinstance(said, float) else said
 
 
@@ -318,6 +320,14 @@ def test_it_asks_every_few_seconds_and_tells_each_sample_once():
     told = [sample for question in examiner.questions for sample in question.samples]
     assert all(a is b for a, b in zip(told, cell.run.samples, strict=False))
     assert len(told) > 23.5 * 31
+
+
+def test_what_cannot_be_told_is_not_said_to_be_known():
+    knowledge = Knowledge(0.01, Examiner(*["cannot be told"] * 4))
+    cell = Cell(120.0, knowledge=knowledge)
+    cell.advance(30.0)
+    assert cell.run.reason == "moving and recording"
+    assert knowledge.words().startswith("Jacobian known to 0.1 % if this is a serial chain")
 
 
 def test_the_motion_changes_over_to_what_was_found():

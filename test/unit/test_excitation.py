@@ -52,6 +52,15 @@ def test_a_ball_that_moves_otherwise_is_said_to_be_on_no_chain():
     assert found.jacobian_deviation > 0.003
 
 
+def test_images_too_far_apart_never_are_enough(monkeypatch):
+    monkeypatch.setattr("fvs_estimator_node.chain_fit._STARTS", 3)  # none is known to be right
+    samples = samples_of(Recording(seconds=80.0, outliers=0.0).data())[::8]
+    found = ChainExaminer().findings(Question(samples, motion_of(0), 80.0))
+    assert np.isnan(found.misfit)
+    assert not found.is_chain
+    assert 0.0 < found.jacobian_deviation < 0.01  # by the noise, whatever that is
+
+
 def test_too_little_is_nothing_yet():
     samples = samples_of(Recording(seconds=4.0).data())
     found = ChainExaminer().findings(Question(samples, motion_of(0), 12.0))

@@ -151,3 +151,16 @@ def test_a_target_that_is_told_to_stand_stands_whatever_moved_before():
         seen = follower.at(0.31 + since_s)
         np.testing.assert_array_equal(seen.position_m, here)
         assert not seen.velocity_m_s.any()
+
+
+@pytest.mark.parametrize("after", range(1, 5))
+def test_a_target_that_turns_back_is_no_faster_than_it_was_told(after):
+    """A parabola through a sharp corner would be more than twice as fast."""
+    motion, rate_hz, speed_m_s = TargetMotion(), 30.0, 0.2
+    steps = np.repeat([-1.0, 1.0], [10, after])
+    x_m = np.cumsum(steps) * speed_m_s / rate_hz
+    for k, one_m in enumerate(x_m):
+        motion.update(np.array([one_m, 0.0, 1.0]), k / rate_hz)
+    for since_s in np.linspace(0.0, 0.15, 31):
+        target = motion.at((len(x_m) - 1) / rate_hz + since_s)
+        assert np.linalg.norm(target.velocity_m_s) < 1.21 * speed_m_s

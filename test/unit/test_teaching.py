@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import ur5_dh
-from recordings import Recording, relative_error, ur5_chain
+from recordings import Recording, relative_error, turn, ur5_chain
 
 from fvs_estimator_node.chain_fit import ChainFitError
-from fvs_estimator_node.teaching import teach, train_structured
+from fvs_estimator_node.teaching import teach, train_structured, with_chain
 
 BOX = ur5_dh.HOME_RAD + np.array([-1.0, 1.0])[:, None] * ur5_dh.BOX_M_RAD
 
@@ -83,6 +83,65 @@ def test_what_is_no_chain_is_told(monkeypatch):
     notes = notes_of(Recording(seconds=13.0, late_s=0.0, outliers=0.0), misnamed)
     assert "does not move as one on a rigid chain of six revolute joints" in notes[0]
     assert "check joint names" in notes[0]
+
+
+def test_a_camera_that_was_moved_meanwhile_is_named_first():
+    def bumped(data):
+        ball = data.ball_m.copy()
+        half = len(ball) // 2
+        ball[half:] = ball[half:] @ turn([0.0, 0.0, 1.0], np.radians(3.0)).T
+        return replace(data, ball_m=ball)
+
+    note = notes_of(Recording(seconds=20.0, late_s=0.0, outliers=0.0), bumped)[0]
+    assert "does not move as one on a rigid chain" in note
+    assert 0 < note.index("moved the camera") < note.index("joint names")
+
+
+@pytest.mark.parametrize(
+    ("late_s", "words"),
+    [
+        (0.25, ("200 ms late or more", "add 0.2 to stamp_delay_s")),
+        (-0.25, ("200 ms early or more", "NTP")),
+    ],
+)
+def test_more_delay_than_is_looked_for_is_named_first(late_s, words):
+    notes = notes_of(Recording(seconds=20.0, late_s=late_s, outliers=0.0))
+    for one in words:
+        assert one in notes[0]
+    assert not any("corrected here" in note for note in notes)
+
+
+def slow(data):
+    """A camera of 3.75 images a second."""
+    names = ("stamps_s", "joints_rad", "ball_m", "segment")
+    return replace(data, **{name: getattr(data, name)[::8] for name in names})
+
+
+def test_images_too_far_apart_are_told(monkeypatch):
+    monkeypatch.setattr("fvs_estimator_node.chain_fit._STARTS", 3)  # none is known to be right
+    notes = notes_of(Recording(seconds=80.0, late_s=0.0, outliers=0.0), slow)
+    assert len(notes) == 1
+    assert "cannot be told" in notes[0]
+    assert "five images a second" in notes[0]
+
+
+def test_a_model_trained_otherwise_gets_no_chain_that_cannot_be_told(taught, monkeypatch):
+    monkeypatch.setattr("fvs_estimator_node.chain_fit._STARTS", 3)
+    plain = replace(taught[0].trained, chain=None)
+    with_one, words = with_chain(plain, taught[1].data())
+    assert with_one.chain is not None
+    assert "fits" in words
+    data = slow(Recording(seconds=80.0, late_s=0.0, outliers=0.0).data())
+    without, words = with_chain(plain, data)
+    assert without.chain is None
+    assert words.startswith("no chain: whether the ball moves")
+
+
+def test_noise_of_centimetres_is_told():
+    notes = notes_of(Recording(seconds=20.0, noise_m=0.01, late_s=0.0, outliers=0.0))
+    assert any("ball positions scatter by 15 mm" in note for note in notes)
+    notes = notes_of(Recording(seconds=20.0, noise_m=0.004, late_s=0.0, outliers=0.0))
+    assert not any("scatter" in note for note in notes)
 
 
 def test_a_jacobian_that_is_hardly_known_is_told():
