@@ -8,20 +8,29 @@ distribution about the rotation so far, so that a little motion turns it a littl
 
 A camera that is bumped shows at once: positions that no noise explains, several in a row, as far
 from each other as they should be. What was learned of the old pose is then dropped, and the new
-one is learned from there.
+one is learned from there. How far the ball jumped says how far the camera may have been turned; but
+if it is soon off again, then the camera turns on (somebody carries it), or it was turned about the
+ball, and the jump says nothing: the rotation from before all that is then doubted as much as ever.
+A turn about the ball shows sooner by the steps (:mod:`fvs_estimator_node.turn_watch`).
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+
+from fvs_estimator_node.rotations import nearest_rotation, rotation_angle_rad
+from fvs_estimator_node.turn_watch import MOST_STEPS, TurnWatch
 
 #: How far a bumped camera may have been turned over how far that moved the ball in its view.
 _TURN_SHARE = 1.5
 #: Standard deviation that the first guess of the noise is, m, and its bounds.
 _NOISE_M, _LEAST_NOISE_M, _MOST_NOISE_M = 0.001, 0.0002, 0.01
+#: A bump within so many positions of the last one belongs to it.
+_SOON = 30
 #: A ball that has gone no further since what was remembered last is at rest, m.
 _STILL_M = 0.002
 #: No depth camera sees further, m.
@@ -39,7 +48,7 @@ class CameraMotionConfig:
     rotation_deviation_rad : float
         How far it may have been turned without anybody noticing, a standard deviation, rad.
     bumped_deviation_rad : float
-        The same at most once it was noticed, rad; less after a small bump.
+        The same at most once it was noticed, rad; less after a small bump that stays alone.
     memory : float
         Positions, some way apart, after which an old one has lost 63 % of its say.
     bump_m : float
@@ -85,6 +94,10 @@ class CameraMotion:
         self._rotation, self._translation = np.eye(3), np.zeros(3)
         self._variance = _NOISE_M**2
         self._bumps = 0
+        #: Positions since the last bump, and the rotation from before the first one of a series.
+        self._since_bump, self._before_bump = _SOON, self._rotation
+        self._watch = TurnWatch()
+        self._pairs: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=MOST_STEPS + 1)
         self._begin(self._config.rotation_deviation_rad)
 
     def _begin(self, deviation_rad: float) -> None:
@@ -137,14 +150,16 @@ class CameraMotion:
         distance_m = _length(innovation)
         if not (math.isfinite(distance_m) and _length(seen_m) < _FARTHEST_M):
             return False
-        if distance_m > self._disbelief_m():
-            return self._wonder(model_m, seen_m, distance_m)
-        self._strangers.clear()
-        if self._innovation is not None:
-            self._hear_noise(innovation - self._innovation)
-        self._innovation = innovation
-        self._learn(model_m, seen_m)
-        return True
+        believed = distance_m <= self._disbelief_m()
+        if believed:
+            self._strangers.clear()
+            if self._innovation is not None:
+                self._hear_noise(innovation - self._innovation)
+            self._innovation = innovation
+            self._learn(model_m, seen_m)
+        bumped = not believed and self._wonder(model_m, seen_m, distance_m)
+        turned = self._watch_steps(model_m, seen_m, believed)
+        return believed or bumped or turned
 
     def _hear_noise(self, change_m: np.ndarray) -> None:
         """Learn the noise from what changes between two positions: what stays is no noise."""
@@ -166,17 +181,48 @@ class CameraMotion:
         self._strangers.append((model_m, seen_m))
         if len(self._strangers) < self._config.bump_repeats:
             return False
-        pairs = self._strangers
-        self._bumps += 1
-        # A turn moves the ball by its angle times the distance, less where it is about the ball.
-        turned_rad = _TURN_SHARE * distance_m / max(_length(seen_m), 1e-3)
         least_rad, most_rad = self._config.rotation_deviation_rad, self._config.bumped_deviation_rad
-        self._begin(min(max(turned_rad, least_rad), most_rad))
-        for pair in pairs:
-            self._learn(*pair)
+        if self._since_bump < _SOON:
+            # What was learned in between was learned of a pose that did not last.
+            self._rotation = self._before_bump
+            doubt_rad = most_rad
+        else:
+            self._before_bump = self._rotation
+            # A turn moves the ball by angle times distance, less where it is about the ball.
+            turned_rad = _TURN_SHARE * distance_m / max(_length(seen_m), 1e-3)
+            doubt_rad = min(max(turned_rad, least_rad), most_rad)
+        self._begin_anew(self._strangers, doubt_rad)
         return True
 
+    def _watch_steps(self, model_m: np.ndarray, seen_m: np.ndarray, believed: bool) -> bool:
+        """Begin anew if the last steps of the ball are of a camera that was turned."""
+        self._pairs.append((model_m, seen_m))
+        if len(self._pairs) < 2:
+            return False
+        before_p, before_x = self._pairs[-2]
+        step = model_m - before_p
+        if _length(step) < _STILL_M:
+            self._watch.clear()
+            if believed:
+                self._watch.rest(seen_m - before_x)
+            return False
+        steps = self._watch.add(self._rotation, step, seen_m - before_x)
+        if not steps:
+            return False
+        self._begin_anew(list(self._pairs)[-len(steps) - 1 :], self._config.bumped_deviation_rad)
+        self._before_bump = self._rotation
+        return True
+
+    def _begin_anew(self, pairs: list[tuple[np.ndarray, np.ndarray]], deviation_rad: float) -> None:
+        """Count a bump, and know of the new pose what some pairs tell."""
+        self._bumps += 1
+        self._since_bump = 0
+        self._begin(deviation_rad)
+        for pair in pairs:
+            self._learn(*pair)
+
     def _learn(self, model_m: np.ndarray, seen_m: np.ndarray) -> None:
+        self._since_bump += 1
         # At rest there is nothing new to remember, and so nothing to forget.
         gone = model_m - self._faded_at
         keep = self._keep if float(gone.dot(gone)) > _STILL_M**2 else 1.0
@@ -187,32 +233,15 @@ class CameraMotion:
         from_p, from_x = model_m - self._mean_p, seen_m - self._mean_x
         # What fades is made up for by the rotation so far: a ball that has long been going along
         # one line does not make the camera forget how it is turned.
-        self._scatter = (
-            keep * self._scatter
-            + (1.0 - keep) * self._prior_m2 * self._rotation
-            + (weight / total) * from_x[:, None] * from_p
-        )
+        self._scatter = keep * self._scatter + (1.0 - keep) * self._prior_m2 * self._rotation
+        # Where the ball hardly goes, noise and a camera that is being carried would turn it.
+        if float(from_p.dot(from_p)) > _STILL_M**2:
+            self._scatter += (weight / total) * from_x[:, None] * from_p
         self._mean_p = self._mean_p + from_p / total
         self._mean_x = self._mean_x + from_x / total
         self._weight = total
         self._rotation = nearest_rotation(self._scatter)
         self._translation = self._mean_x - self._rotation @ self._mean_p
-
-
-def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
-    """The rotation R of the largest ``tr(R' M)``, shape (3, 3)."""
-    left, _, right = np.linalg.svd(matrix)
-    rotation = left @ right
-    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
-    if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0.0:  # a reflection
-        left[:, 2] *= -1.0
-        rotation = left @ right
-    return rotation
-
-
-def rotation_angle_rad(rotation: np.ndarray) -> float:
-    """Angle of a rotation matrix, rad."""
-    return math.acos(min(1.0, max(-1.0, 0.5 * (float(np.trace(rotation)) - 1.0))))
 
 
 def _length(vector: np.ndarray) -> float:

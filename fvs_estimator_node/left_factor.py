@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 
 from fvs_estimator_node.base import MotionStep
-from fvs_estimator_node.camera_motion import nearest_rotation, rotation_angle_rad
 from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfModel
+from fvs_estimator_node.rotations import nearest_rotation, rotation_angle_rad
 from fvs_estimator_node.turn_watch import TurnWatch
 from fvs_ros.core.params import Parameter
 

@@ -31,6 +31,7 @@ from fvs_ros.apps.experiments.beyond_terms import (
     CONTESTANTS,
     EXTENDED,
     FOLLOWERS,
+    LIMITS,
     RACERS,
     WORLDS,
     trial_of,
@@ -45,9 +46,11 @@ from fvs_ros.apps.experiments.beyond_tracking import (
     run_pursuit,
 )
 from fvs_ros.apps.experiments.context import Context
+from fvs_ros.apps.experiments.lockstep import LockStep, load_chain, load_networks, make_estimator
 from fvs_ros.apps.experiments.report import Origin, write_page, write_report
 from fvs_ros.apps.experiments.servo_terms import BASELINES
 from fvs_ros.apps.experiments.trials import (
+    PRELUDE_S,
     Case,
     Conditions,
     Outcome,
@@ -55,6 +58,7 @@ from fvs_ros.apps.experiments.trials import (
     run_trial,
     simulation_of,
 )
+from fvs_ros.apps.score import settling_time_s
 from fvs_ros.core.schemes import BEYOND, SCHEMES
 from fvs_sim_node.kinematics import ball_jacobian, ball_position
 
@@ -158,6 +162,68 @@ def test_a_camera_that_is_struck_between_two_targets_costs_no_time(name):
     undisturbed = run_journey(journeys[UNDISTURBED])
     struck = run_journey(journeys[AT_REST])
     assert struck.settled_s <= 1.2 * undisturbed.settled_s
+
+
+#: Changes of the controller's values with which a carried camera is followed; with ``{}`` the
+#: defaults are meant, once the adaptive fusion follows a camera that is carried, too.
+CARRIED_VALUES = {"fusion": "fixed"}
+
+
+@pytest.mark.parametrize("name", [BEST, EXTENDED])
+def test_a_camera_that_is_carried_while_the_arm_stands_costs_little_time(name):
+    one = draw_journeys(1, 7, (name,), EXACT)[0]
+    struck, carried = (settled_after_carrying(one, duration_s) for duration_s in (0.0, 2.0))
+    assert carried <= 1.2 * struck
+
+
+def settled_after_carrying(journey, duration_s):
+    """Time to 5 mm of the second target after the camera was moved while the arm was stopped, s."""
+    contestant, simulation = CONTESTANTS[journey.name], simulation_of(EXACT)
+    camera = simulation.camera
+    try:
+        simulation.reset(journey.case.start_rad)
+        first_m = simulation.world.ball_position()
+        simulation.reset(journey.case.goal_rad, journey.case.seed)
+        second_m = simulation.world.ball_position()
+        estimator = make_estimator(
+            contestant.method,
+            simulation,
+            load_networks(),
+            contestant.estimator_values,
+            load_chain(),
+        )
+        values = {"law": contestant.law, **contestant.controller_values, **LIMITS}
+        loop = LockStep(simulation, estimator, {**values, **CARRIED_VALUES})
+        loop.run(PRELUDE_S)
+        loop.set_target(simulation.camera.to_camera(first_m))
+        loop.run(1.6)
+        loop.loop.supervisor.stop()
+        loop.run(0.5)
+        ticks = max(1, round(duration_s / loop.period_s))
+        part = replace(
+            journey.bump,
+            rotation_deg=tuple(np.array(journey.bump.rotation_deg) / ticks),
+            translation_m=tuple(np.array(journey.bump.translation_m) / ticks),
+        )
+        for _ in range(ticks):
+            part.strike(simulation)
+            loop.tick()
+        loop.run(0.5)
+        loop.set_target(simulation.camera.to_camera(first_m))
+        accepted, why = loop.loop.supervisor.start(simulation.time_s)
+        assert accepted, why
+        loop.run(0.5)
+        loop.set_target(simulation.camera.to_camera(second_m))
+        errors_m = []
+        for _ in range(round(3.5 / loop.period_s)):
+            loop.tick()
+            errors_m.append(float(np.linalg.norm(simulation.world.ball_position() - second_m)))
+        times_s = loop.period_s * np.arange(1, len(errors_m) + 1)
+        settled_s = settling_time_s(times_s, np.array(errors_m), 0.005)
+        assert settled_s is not None
+        return settled_s
+    finally:
+        simulation.camera = camera
 
 
 # ---- moving targets -------------------------------------------------------------------------

@@ -5,13 +5,9 @@ import pytest
 from recordings import Recording, random_rotation, relative_error, turn, ur5_chain
 
 from fvs_estimator_node.base import MotionStep
-from fvs_estimator_node.camera_motion import (
-    CameraMotion,
-    CameraMotionConfig,
-    nearest_rotation,
-    rotation_angle_rad,
-)
+from fvs_estimator_node.camera_motion import CameraMotion, CameraMotionConfig
 from fvs_estimator_node.poe import POE_PARAMETERS, PoeEstimator, poe_config
+from fvs_estimator_node.rotations import nearest_rotation, rotation_angle_rad
 
 NOISE_M = 0.001
 
@@ -106,6 +102,80 @@ def test_a_camera_that_sags_slowly_is_followed():
     assert max(off) < np.radians(5.0)
     assert np.median(off) < np.radians(2.0)
     assert camera.noise_m == pytest.approx(NOISE_M, rel=0.3)
+
+
+def carry(camera, balls, degrees, rng, about=None):
+    """Carry it evenly while it watches, by 10 cm or about a point; returns the last pose."""
+    axis = np.array([0.2, 1.0, 0.3]) / np.linalg.norm([0.2, 1.0, 0.3])
+    for done, ball in zip(np.linspace(0.0, 1.0, len(balls)), balls, strict=True):
+        rotation = turn(axis, np.radians(degrees) * done)
+        shift = np.array([0.1, 0.0, 0.0]) * done if about is None else about - rotation @ about
+        watch(camera, [ball], rotation, shift, rng)
+    return rotation, shift
+
+
+def resting(ball, count, rng):
+    """A ball at rest, but for a fifth of a millimetre."""
+    return ball + 0.0002 * rng.normal(size=(count, 3))
+
+
+def corner(ball, legs=6):
+    """A ball that goes some steps of 15 mm along one line, and then along another."""
+    along = np.repeat(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), legs, axis=0)
+    return ball + 0.015 * np.cumsum(along, axis=0)
+
+
+@pytest.mark.parametrize("degrees", [20.0, 30.0, 45.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_camera_that_is_carried_while_the_ball_rests_is_known_after_a_short_way(degrees, seed):
+    rng = np.random.default_rng(seed)
+    camera, balls = CameraMotion(), path(100, rng)
+    watch(camera, balls[:100], np.eye(3), np.zeros(3), rng)
+    rotation, translation = carry(camera, resting(balls[99], 60, rng), degrees, rng)
+    watch(camera, resting(balls[99], 30, rng), rotation, translation, rng)
+    assert camera.angle_rad < np.radians(2.0)  # a ball at rest tells nothing of it
+    watch(camera, corner(balls[99]), rotation, translation, rng)
+    assert angle_between(camera.rotation, rotation) < np.radians(8.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_camera_that_is_carried_while_the_ball_moves_is_known_soon_after(seed):
+    rng = np.random.default_rng(seed)
+    camera, balls = CameraMotion(), path(200, rng)
+    watch(camera, balls[:100], np.eye(3), np.zeros(3), rng)
+    rotation, translation = carry(camera, balls[100:160], 45.0, rng)
+    watch(camera, corner(balls[159]), rotation, translation, rng)
+    assert angle_between(camera.rotation, rotation) < np.radians(8.0)
+
+
+@pytest.mark.parametrize("degrees", [60.0, 120.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_turn_about_the_ball_is_seen_by_the_way_it_goes_next(degrees, seed):
+    rng = np.random.default_rng(seed)
+    camera, balls = CameraMotion(), path(100, rng)
+    watch(camera, balls[:100], np.eye(3), np.zeros(3), rng)
+    rotation, translation = carry(
+        camera, resting(balls[99], 60, rng), degrees, rng, about=balls[99]
+    )
+    assert camera.bumps == 0
+    watch(camera, corner(balls[99]), rotation, translation, rng)
+    assert camera.bumps <= 2
+    assert angle_between(camera.rotation, rotation) < np.radians(10.0)
+
+
+@pytest.mark.parametrize("noise_m", [0.0002, 0.001, 0.004])
+def test_after_a_small_bump_noise_does_not_turn_it(noise_m):
+    rng = np.random.default_rng(0)
+    camera, balls = CameraMotion(), path(100, rng)
+    watch(camera, balls, np.eye(3), np.zeros(3), rng, noise_m)
+    rotation, translation = turn([0.0, 1.0, 0.2], np.radians(5.0)), np.array([0.1, 0.0, 0.0])
+    rest = resting(balls[-1], 150, rng)
+    off = []
+    for ball in rest:
+        watch(camera, [ball], rotation, translation, rng, noise_m)
+        off.append(angle_between(camera.rotation, rotation))
+    assert camera.bumps == 1
+    assert max(off) < np.radians(6.5)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e6, 1e200])
