@@ -164,11 +164,6 @@ def test_a_camera_that_is_struck_between_two_targets_costs_no_time(name):
     assert struck.settled_s <= 1.2 * undisturbed.settled_s
 
 
-#: Changes of the controller's values with which a carried camera is followed; with ``{}`` the
-#: defaults are meant, once the adaptive fusion follows a camera that is carried, too.
-CARRIED_VALUES = {"fusion": "fixed"}
-
-
 @pytest.mark.parametrize("name", [BEST, EXTENDED])
 def test_a_camera_that_is_carried_while_the_arm_stands_costs_little_time(name):
     one = draw_journeys(1, 7, (name,), EXACT)[0]
@@ -193,7 +188,7 @@ def settled_after_carrying(journey, duration_s):
             load_chain(),
         )
         values = {"law": contestant.law, **contestant.controller_values, **LIMITS}
-        loop = LockStep(simulation, estimator, {**values, **CARRIED_VALUES})
+        loop = LockStep(simulation, estimator, values)
         loop.run(PRELUDE_S)
         loop.set_target(simulation.camera.to_camera(first_m))
         loop.run(1.6)
