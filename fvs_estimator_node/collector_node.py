@@ -10,6 +10,7 @@ import os
 import sys
 from collections.abc import Mapping
 from datetime import datetime, timezone
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -179,7 +180,8 @@ class CollectorNode(ros.FvsNode):
         """What is known of the chain so far; empty if nothing is."""
         findings = self._knowledge.findings if self._knowledge is not None else None
         names = ("jacobian_deviation", "misfit", "image_offset_s")
-        return {} if findings is None else {name: getattr(findings, name) for name in names}
+        found = {} if findings is None else {name: getattr(findings, name) for name in names}
+        return {name: value for name, value in found.items() if isfinite(value)}
 
     def _show_progress(self) -> None:
         self._bar.total = min(self.values["duration_s"], self._run.duration_s)

@@ -119,7 +119,7 @@ def train_structured(
         ball_samples_m=data.ball_m[order],
         joint_names=data.joint_names,
         feature_frame=data.feature_frame,
-        errors=figures,
+        errors=_known(figures),
         provenance={
             "method": "poe",
             "options": {"neurons": neurons, "seed": seed},
@@ -166,9 +166,14 @@ def with_chain(trained: TrainedModel, data: DataSet, seed: int = 0) -> tuple[Tra
         "chain_time_offset_s": fit.time_offset_s,
     }
     return (
-        replace(trained, chain=fit.chain, errors=errors),
+        replace(trained, chain=fit.chain, errors=_known(errors)),
         f"chain of six revolute joints: fits, Jacobian known to {100.0 * deviation:.3f} %",
     )
+
+
+def _known(figures: dict[str, float]) -> dict[str, float]:
+    """Those that could be told: a model file holds no NaN."""
+    return {name: value for name, value in figures.items() if math.isfinite(value)}
 
 
 def teach(

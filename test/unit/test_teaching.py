@@ -162,3 +162,13 @@ def test_a_cameras_own_systematic_errors_are_no_alarm():
 
     recording = Recording(seconds=30.0, noise_m=0.0003, late_s=0.0, outliers=0.0)
     assert notes_of(recording, uneven) == ()
+
+
+def test_what_cannot_be_told_is_left_out_of_the_model(monkeypatch):
+    monkeypatch.setattr("fvs_estimator_node.chain_fit._STARTS", 3)  # none is known to be right
+    data = Recording(seconds=80.0, late_s=0.0, outliers=0.0).data()
+    seldom = {name: getattr(data, name)[::8] for name in ("stamps_s", "joints_rad", "ball_m")}
+    result = train_structured(replace(data, segment=data.segment[::8], **seldom), neurons=20)
+    assert any("cannot be told" in note for note in result.notes)
+    assert "misfit" not in result.trained.errors
+    assert all(np.isfinite(value) for value in result.trained.errors.values())
