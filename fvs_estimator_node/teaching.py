@@ -159,14 +159,13 @@ def with_chain(trained: TrainedModel, data: DataSet, seed: int = 0) -> tuple[Tra
         return trained, f"no chain: {error}"
     if not fit.is_chain or deviation > _DOUBTFUL:
         return trained, f"no chain: {_notes(fit, deviation, data)[0]}"
-    errors = {
-        **trained.errors,
+    found = {
         "chain_jacobian_deviation": deviation,
         "chain_misfit": fit.misfit,
         "chain_time_offset_s": fit.time_offset_s,
     }
     return (
-        replace(trained, chain=fit.chain, errors=_known(errors)),
+        replace(trained, chain=fit.chain, errors={**trained.errors, **_known(found)}),
         f"chain of six revolute joints: fits, Jacobian known to {100.0 * deviation:.3f} %",
     )
 

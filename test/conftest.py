@@ -43,6 +43,12 @@ def pytest_configure(config):
     config.addinivalue_line(
         "markers", "torch: trains with torch; skipped where it is not installed"
     )
+    if importlib.util.find_spec("hypothesis") is not None:
+        from hypothesis import settings
+
+        # How long an example takes says more of the machine than of the code.
+        settings.register_profile("untimed", deadline=None)
+        settings.load_profile("untimed")
 
 
 #: Folders of tests with processes over DDS in real time.
