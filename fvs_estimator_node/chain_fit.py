@@ -390,7 +390,7 @@ class _Fitting:
     def finish(self, chain: SerialChain, offset_s: float) -> ChainFit:
         """Fit all images, each weighed by its noise along and across the line of sight."""
         for _ in range(2):
-            whitening = self._weighing(chain, offset_s)
+            whitening = self._weighing(self._residuals(chain, offset_s))
             chain, offset_s, cost = self._refined(chain, offset_s, whitening)
         # A wrong optimum can fit nearly as well as the right one: noise hides a weak joint's bend.
         for rank in range(_TURNED):
@@ -399,7 +399,7 @@ class _Fitting:
             )
             if turned[2] < cost:
                 chain, offset_s, cost = turned
-                whitening = self._weighing(chain, offset_s)
+                whitening = self._weighing(self._residuals(chain, offset_s))
                 chain, offset_s, cost = self._refined(chain, offset_s, whitening)
         # What is far off had a small say so far; in a long stretch, all of it pulls one way.
         inlier = self._inliers(self._residuals(chain, offset_s))
@@ -423,15 +423,13 @@ class _Fitting:
             covariance=covariance,
         )
 
-    def _weighing(self, chain: SerialChain, offset_s: float) -> np.ndarray:
+    def _weighing(self, residual: np.ndarray) -> np.ndarray:
         """Matrices (n, 3, 3) that weigh each image by the noise about a chain."""
-        residual = self._residuals(chain, offset_s)
         return _whitening(self._ball, *_noise_by_direction(residual, self._ball))
 
     def _inliers(self, residual: np.ndarray) -> np.ndarray:
         """Which images are no further off than noise brings them, bool (n,)."""
-        whitening = _whitening(self._ball, *_noise_by_direction(residual, self._ball))
-        white = (whitening @ residual[..., None])[..., 0]
+        white = (self._weighing(residual) @ residual[..., None])[..., 0]
         return np.abs(white).max(axis=1) <= _OUTLIER
 
     def _refined(

@@ -32,7 +32,8 @@ from rosbags.typesys import Stores, get_typestore
 
 #: Of rosbag2's format, as ROS 2 Jazzy writes it.
 _VERSION: Final = 9
-_TYPES = get_typestore(Stores.ROS2_JAZZY)
+#: The types of messages that a bag of Jazzy may hold.
+TYPES = get_typestore(Stores.ROS2_JAZZY)
 #: Holds the notes until ``metadata.yaml`` does: a recorder that is killed leaves it.
 NOTES: Final = "notes.yaml"
 #: So much of the recording, by its own time, waits in memory at most, ns: a recorder that is killed
@@ -44,7 +45,7 @@ ERRORS: Final = (OSError, WriterError)
 
 def knows(message_type: str) -> bool:
     """Whether messages of a type can be described in a bag."""
-    return message_type in _TYPES.fielddefs
+    return message_type in TYPES.fielddefs
 
 
 def to_bag_qos(profile: Any) -> Qos:
@@ -121,7 +122,7 @@ class Bag:
         if connection is None:
             offered = dict.fromkeys(map(to_bag_qos, profiles))  # each kind once
             connection = self._writer.add_connection(
-                topic, message_type, typestore=_TYPES, offered_qos_profiles=list(offered)
+                topic, message_type, typestore=TYPES, offered_qos_profiles=list(offered)
             )
             self._connections[topic] = connection
             self.counts[topic] = 0

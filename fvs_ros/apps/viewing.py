@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_typestore
 
+from fvs_ros.apps.bag import TYPES
 from fvs_ros.apps.transforms import STATIC_TOPIC, TOPIC, TYPE, Links, Transform
 
-_TYPES = get_typestore(Stores.ROS2_JAZZY)
 _STRING, _POSE, _JOINTS = (
     f"{package}/msg/{name}"
     for package, name in (
@@ -79,10 +78,10 @@ class Viewing:
 
     def _describe(self, data: bytes) -> None:
         self._links = None
-        self._links = Links(_TYPES.deserialize_cdr(data, _STRING).data)  # type: ignore[attr-defined]
+        self._links = Links(TYPES.deserialize_cdr(data, _STRING).data)  # type: ignore[attr-defined]
 
     def _place_camera(self, data: bytes) -> None:
-        message: Any = _TYPES.deserialize_cdr(data, _POSE)
+        message: Any = TYPES.deserialize_cdr(data, _POSE)
         at, turn = message.pose.position, message.pose.orientation
         self._camera = (
             Transform(
@@ -97,7 +96,7 @@ class Viewing:
         if self._links is None or 0 <= stamp_ns - self._newest_ns < _PERIOD_NS:
             return None
         self._newest_ns = stamp_ns
-        message: Any = _TYPES.deserialize_cdr(data, _JOINTS)
+        message: Any = TYPES.deserialize_cdr(data, _JOINTS)
         moved = self._links.moved(dict(zip(message.name, message.position, strict=False)))
         stamp = message.header.stamp
         if not moved:
@@ -107,7 +106,7 @@ class Viewing:
 
 def _transforms(stamp_ns: int, transforms: Iterable[Transform]) -> bytes:
     """A ``TFMessage``, serialised."""
-    kinds: Any = _TYPES.types
+    kinds: Any = TYPES.types
     stamp = kinds["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
     told = [
         kinds["geometry_msgs/msg/TransformStamped"](
@@ -120,4 +119,4 @@ def _transforms(stamp_ns: int, transforms: Iterable[Transform]) -> bytes:
         )
         for one in transforms
     ]
-    return bytes(_TYPES.serialize_cdr(kinds[TYPE](told), TYPE))
+    return bytes(TYPES.serialize_cdr(kinds[TYPE](told), TYPE))

@@ -18,9 +18,8 @@ import yaml
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, decompress
-from rosbags.typesys import Stores, get_typestore
 
-from fvs_ros.apps.bag import NOTES
+from fvs_ros.apps.bag import NOTES, TYPES
 
 _METADATA = "metadata.yaml"
 _MCAP, _SQLITE = ".mcap", ".db3"
@@ -78,7 +77,7 @@ def storages(path: Path) -> tuple[list[Path], bool]:
 
 def opened(paths: Sequence[Path]) -> AnyReader:
     """A reader of all of them, to be entered; those that were cut off are read as far as whole."""
-    reader = AnyReader(paths, default_typestore=get_typestore(Stores.ROS2_JAZZY))
+    reader = AnyReader(paths, default_typestore=TYPES)
     for path, one in zip(paths, reader.readers, strict=True):
         if isinstance(one, Reader) and is_cut_off(path):
             one.storage = CutOffReader(path)
