@@ -23,7 +23,7 @@ import numpy as np
 
 from fvs_controller_node.pseudo_inverse import DampedInverse, damped_solution
 from fvs_ros.core.joints import N_JOINTS
-from fvs_ros.core.limits import JointRange
+from fvs_ros.core.limits import JointRange, largest
 from fvs_ros.core.params import Parameter
 
 #: Weight of the sum of squares (eps): the fastest joint is 2 % faster than need be, at most.
@@ -96,27 +96,28 @@ class LeastSpeedInverse:
         """
         solvers = self._solvers  # type: ignore[attr-defined]
         least = damped_solution(jacobian, velocity_m_s, self.damping)
-        scale = float(np.abs(least).max())
+        scale = largest(least)
         if not _TINY < scale < np.inf:
             return least
         free = solvers.orthogonal_to_rows(jacobian)
         if near_rad_s is not None:
             least = least + (free @ near_rad_s) @ free
-            scale = max(scale, float(np.abs(least).max()))
-        least = least / scale
+            scale = max(scale, largest(least))
         distance = np.empty((5, 2 * N_JOINTS))
+        upward, downward = distance[:, :N_JOINTS], distance[:, N_JOINTS:]
+        np.multiply(free, -1.0 / nearness, out=upward[1:4])
+        np.divide(least, scale, out=upward[4])
+        np.negative(upward[1:], out=downward[1:])
         distance[0] = self._shares(joints_rad)
-        distance[1:4, :N_JOINTS] = -free / nearness
-        distance[1:4, N_JOINTS:] = free / nearness
-        distance[4, :N_JOINTS], distance[4, N_JOINTS:] = least, -least
         try:
             weights, _ = solvers.nnls(distance, _LAST)
         except RuntimeError:  # it did not converge
-            return scale * least
-        left = distance @ weights - _LAST
-        if abs(left[4]) < _TINY:
-            return scale * least
-        return scale * (least - (left[1:4] / (nearness * left[4])) @ free)
+            return least
+        _, x, y, z, last = distance.dot(weights).tolist()
+        last = nearness * (last - 1.0)
+        if abs(last) < _TINY:
+            return least
+        return least - np.array((x, y, z)).dot(free) * (scale / last)
 
     def _shares(self, joints_rad: np.ndarray | None) -> np.ndarray | float:
         """Upward, then downward shares of each joint's speed, shape (12,)."""

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import yaml
 
+from fvs_ros.apps.installing import how_to_install
 from fvs_ros.core.camera import CAMERA_FRAME
 from fvs_ros.core.params import Parameter
 
@@ -68,16 +69,9 @@ def check_installed() -> None:
     """
     if importlib.util.find_spec("rosbags") is None:
         raise RecordingError(
-            f"recording needs rosbags, which is missing: {how_to_install(['rosbags'])}"
+            "recording needs rosbags, which is missing: "
+            f"{how_to_install('record,lab', ['rosbags'])}"
         )
-
-
-def how_to_install(packages: Iterable[str]) -> str:
-    """The command that brings what recording and replaying need, by where one stands."""
-    return (
-        "in a checkout with .venv, .venv/bin/pip install -c constraints.txt -e '.[record,lab]'; "
-        f"elsewhere, pip install {' '.join(packages)}"
-    )
 
 
 def check_folder(folder: Path) -> None:

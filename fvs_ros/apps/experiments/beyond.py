@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from fvs_ros.apps.experiments import beyond_figures
 from fvs_ros.apps.experiments.beyond_calm import DURATION_S, calm
 from fvs_ros.apps.experiments.beyond_camera import (
+    CARRIED_S,
     REST_S,
     STRUCK_AFTER_S,
     Arrival,
@@ -260,9 +261,10 @@ def _setup(context: Context, results: Results) -> list[str]:
         "Moved camera: from a first target, where the arm rests, to a second. The camera is turned "
         "by 45°, mostly about its optical axis so that the ball stays in view, and moved by 10 cm; "
         "the target is given anew at once where it is in the new view, and nothing else is told. "
-        f"Between two targets: {REST_S:g} s before the second target. In mid-motion: "
-        f"{STRUCK_AFTER_S:g} s after it. The oracle is told the true Jacobian at once, but has no "
-        "forward model.",
+        f"Between two targets: {REST_S:g} s before the second target. Carried: evenly for "
+        f"{CARRIED_S:g} s while the arm is stopped; it is started {REST_S:g} s before the second "
+        f"target. In mid-motion: {STRUCK_AFTER_S:g} s after it. The oracle is told the true "
+        "Jacobian at once, but has no forward model.",
         f"Moving targets are told at {RATE_HZ:g} Hz: straight lines of about half a metre, and "
         f"circles of {100 * RADIUS_M:g} cm radius in any plane. Numbers are medians with their "
         "95 % bootstrap intervals; a run that never settles counts as infinitely slow.",

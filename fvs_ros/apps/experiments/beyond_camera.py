@@ -1,4 +1,4 @@
-"""A camera that is turned far and moved, while the arm rests and while it moves."""
+"""A camera that is turned far and moved: at a blow while the arm rests or moves, or carried."""
 
 from __future__ import annotations
 
@@ -27,12 +27,16 @@ TURN_DEG, SHIFT_M = 45.0, 0.1
 _TILT = 0.1
 #: In motion the blow comes so long after the target, s.
 STRUCK_AFTER_S = 0.3
+#: How long the camera is carried, and how long the arm stands before and after, s.
+CARRIED_S, _STOPPED_S = 2.0, 0.5
 #: To the first target; at rest there after a blow; from the second target on, s.
 _FIRST_S, REST_S, SECOND_S = 1.6, 1.0, 3.5
 _VISIBLE = 0.9
 
 UNDISTURBED, AT_REST, IN_MOTION = "undisturbed", "between two targets", "in mid-motion"
-MOMENTS = (UNDISTURBED, AT_REST, IN_MOTION)
+CARRIED = f"within {CARRIED_S:g} s while the arm is stopped"
+#: When the camera moves; the first is never.
+MOMENTS = (UNDISTURBED, AT_REST, CARRIED, IN_MOTION)
 
 
 @dataclass(frozen=True)
@@ -46,9 +50,9 @@ class Journey:
     case : Case
         The two ends, and the seed of the noise.
     bump : Bump
-        The blow; its time does not count.
+        How the camera moves; its time does not count.
     moment : str
-        When it comes, one of ``MOMENTS``.
+        When it does, one of ``MOMENTS``.
     conditions : Conditions
         The world.
     """
@@ -157,6 +161,12 @@ def _travel(journey: Journey, simulation: Simulation) -> Arrival:
     if journey.moment == AT_REST:
         journey.bump.strike(simulation)
         loop.set_target(simulation.camera.to_camera(first_m))
+    elif journey.moment == CARRIED:
+        _carry(journey.bump, loop)
+        loop.set_target(simulation.camera.to_camera(first_m))
+        accepted, text = loop.loop.supervisor.start(simulation.time_s)
+        if not accepted:
+            raise RuntimeError(f"the arm does not start after the camera was carried: {text}")
     loop.run(REST_S)
     loop.set_target(simulation.camera.to_camera(second_m))
     errors_m = []
@@ -170,3 +180,15 @@ def _travel(journey: Journey, simulation: Simulation) -> Arrival:
     times_s = loop.period_s * np.arange(1, len(errors_m) + 1)
     settled_s = seconds(settling_time_s(times_s, np.array(errors_m), BOUNDS_M["5 mm"]))
     return Arrival(settled_s, settled_s - STRUCK_AFTER_S)
+
+
+def _carry(bump: Bump, loop: LockStep) -> None:
+    """Stop the arm and carry the camera evenly to where a blow would throw it."""
+    loop.loop.supervisor.stop()
+    loop.run(_STOPPED_S)
+    ticks = round(CARRIED_S / loop.period_s)
+    part = bump.divided(ticks)
+    for _ in range(ticks):
+        part.strike(loop.simulation)
+        loop.tick()
+    loop.run(_STOPPED_S)

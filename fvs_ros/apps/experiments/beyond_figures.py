@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fvs_ros.apps.experiments.beyond_camera import AT_REST, IN_MOTION
+from fvs_ros.apps.experiments.beyond_camera import MOMENTS
 from fvs_ros.apps.experiments.beyond_results import KEPT, Results
 from fvs_ros.apps.experiments.beyond_terms import (
     BEST,
@@ -102,8 +102,11 @@ def _dots(axis, values: Sequence[float], place: float, colour: str) -> None:
 def camera(results: Results, folder: Path) -> str:
     """Draw how much slower a moved camera makes everybody; returns the file's name."""
     plt = pyplot()
-    figure, axes = plt.subplots(1, 2, figsize=(11.5, 3.8), sharey=True, layout="constrained")
-    for axis, moment in zip(axes, (AT_REST, IN_MOTION), strict=True):
+    moments = MOMENTS[1:]
+    figure, axes = plt.subplots(
+        1, len(moments), figsize=(13.5, 3.8), sharey=True, layout="constrained"
+    )
+    for axis, moment in zip(axes, moments, strict=True):
         for place, name in enumerate(results.shaken):
             ratios = [min(one, _SLOWEST_RATIO) for one in results.slowdown(moment, name)]
             _dots(axis, ratios, place, _colour(name))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fvs_ros.apps.experiments.beyond_calm import FILTER, GAINS
-from fvs_ros.apps.experiments.beyond_camera import AT_REST, IN_MOTION
+from fvs_ros.apps.experiments.beyond_camera import MOMENTS
 from fvs_ros.apps.experiments.beyond_minute import Learned
 from fvs_ros.apps.experiments.beyond_results import KEPT, Results
 from fvs_ros.apps.experiments.beyond_terms import (
@@ -57,11 +57,7 @@ def verdicts(results: Results) -> list[Verdict]:
         _best(results),
         _extended(results),
         *(_calm(results, turned) for turned in _SEARCHED if results.calmed_by(turned)),
-        *(
-            _camera(results, moment, name)
-            for moment in (AT_REST, IN_MOTION)
-            for name in (BEST, EXTENDED)
-        ),
+        *(_camera(results, moment, name) for moment in MOMENTS[1:] for name in (BEST, EXTENDED)),
         _rest(results),
         *(verdict for name in (EXTENDED, BEST) for verdict in _latency(results, name)),
         _worlds(results),

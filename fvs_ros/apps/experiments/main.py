@@ -20,6 +20,7 @@ from fvs_ros.apps.experiments.report import (
     write_page,
     write_report,
 )
+from fvs_ros.apps.installing import how_to_install
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_ros.core.version import version
 
@@ -111,8 +112,7 @@ def main(argv: list[str] | None = None) -> int:
     missing = [name for name in _NEEDS if importlib.util.find_spec(name) is None]
     if missing:
         print(
-            f"fvs_experiments: {', '.join(missing)} not installed; "
-            "pip install -c constraints.txt -e '.[ros,sim,lab]'",
+            f"fvs_experiments needs {', '.join(missing)}: {how_to_install('ros,sim,lab', missing)}",
             file=sys.stderr,
         )
         return EXIT_BAD_INPUT

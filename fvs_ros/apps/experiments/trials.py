@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -154,6 +154,15 @@ class Bump:
     time_s: float
     rotation_deg: tuple[float, float, float]
     translation_m: tuple[float, float, float]
+
+    def divided(self, parts: int) -> Bump:
+        """Return that of which so many in a row are this one."""
+        (a, b, c), (x, y, z) = self.rotation_deg, self.translation_m
+        return replace(
+            self,
+            rotation_deg=(a / parts, b / parts, c / parts),
+            translation_m=(x / parts, y / parts, z / parts),
+        )
 
     def strike(self, simulation: Simulation) -> None:
         """Move the camera."""

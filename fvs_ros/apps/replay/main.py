@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fvs_ros.apps.recording import how_to_install
+from fvs_ros.apps.installing import how_to_install
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_OK
 from fvs_ros.core.version import version
 
@@ -49,7 +49,7 @@ def main(argv: list[str]) -> int:
     missing = [name for name in _NEEDS if importlib.util.find_spec(name) is None]
     if missing:
         print(
-            f"{COMMAND} needs {', '.join(missing)}: {how_to_install(missing)}",
+            f"{COMMAND} needs {', '.join(missing)}: {how_to_install('record,lab', missing)}",
             file=sys.stderr,
         )
         return EXIT_BAD_INPUT
