@@ -121,7 +121,11 @@ class LeastSpeedInverse:
 
     def _shares(self, joints_rad: np.ndarray | None) -> np.ndarray | float:
         """Upward, then downward shares of each joint's speed, shape (12,)."""
-        if self.joint_range is None or joints_rad is None:
+        if (
+            self.joint_range is None
+            or joints_rad is None
+            or not self.joint_range.near_end(joints_rad)
+        ):
             return 1.0
         ends_rad = self._ends_rad  # type: ignore[attr-defined]
         room = ends_rad - np.concatenate((joints_rad, -joints_rad))

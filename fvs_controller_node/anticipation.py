@@ -50,12 +50,14 @@ class Anticipation:
         """The output, no faster than it can brake for the target."""
         if output.brakes:
             return output
-        fastest = largest(output.velocity_rad_s)
-        closing = -float(shifted.error_m @ (shifted.jacobian @ output.velocity_rad_s))
+        velocity = output.velocity_rad_s
+        fastest = largest(velocity)
+        closing = -float(shifted.error_m @ (shifted.jacobian @ velocity))
         if closing <= 0.0:
             return output._replace(brakes=True)
         # On this course the error is gone after so long, and the joint has gone so far.
         to_go_s = float(shifted.error_m @ shifted.error_m) / closing
         limit = braking_speed_within(fastest * to_go_s, self._acceleration, shifted.dt_s)
-        share = min(1.0, limit / fastest)
-        return output._replace(velocity_rad_s=share * output.velocity_rad_s, brakes=True)
+        if limit < fastest:
+            velocity = (limit / fastest) * velocity
+        return output._replace(velocity_rad_s=velocity, brakes=True)

@@ -109,9 +109,10 @@ def next_error(right: float, guess: float, surface: SlidingSurface, dt_s: float)
     return copysign(z, right)
 
 
-def _toward(error_m: np.ndarray) -> np.ndarray:
-    """The error's direction as the one axis, shape (1, 3); nothing where there is no error."""
-    return error_m[None] / max(float(error_m @ error_m) ** 0.5, _TINY_M)
+def _toward(error_m: np.ndarray) -> tuple[float, np.ndarray]:
+    """The error's length, m, and direction, shape (3,), which is zero where there is no error."""
+    distance_m = float(error_m @ error_m) ** 0.5
+    return distance_m, error_m / max(distance_m, _TINY_M)
 
 
 def _power(base: float, exponent: float) -> float:
@@ -256,29 +257,32 @@ class FtsmLaw(ControlLaw):
 
     def settling_bound_s(self, error_m: np.ndarray) -> float | None:
         """Eqs. (36)-(39) as corrected: reaching plus sliding time of the slowest axis."""
-        errors = _toward(error_m) @ error_m if self.path == STRAIGHT else error_m
-        if self.discretisation == LITERAL or float(np.abs(errors).max()) >= 1.0:
+        errors = [_toward(error_m)[0]] if self.path == STRAIGHT else error_m.tolist()
+        if self.discretisation == LITERAL or max(map(abs, errors)) >= 1.0:
             return None
-        times = settling_times(errors.tolist(), [0.0] * len(errors), self.surface, self.reaching)
+        times = settling_times(errors, [0.0] * len(errors), self.surface, self.reaching)
         return max(one.total_s for one in times)
 
     def command(self, control_input: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""
         error_m, jacobian = control_input.error_m, control_input.jacobian
         velocity_m_s = jacobian @ control_input.applied_rad_s
+        solve = self._implicit if self.discretisation == IMPLICIT else self._literal
         if self.path == STRAIGHT:
-            axes = _toward(error_m)
-            error_m, velocity_m_s = axes @ error_m, axes @ velocity_m_s
-        errors, velocities = error_m.tolist(), velocity_m_s.tolist()
-        axis = self._implicit if self.discretisation == IMPLICIT else self._literal
-        wanted, sliding = (np.array(one) for one in axis(errors, velocities, control_input.dt_s))
-        exponents = [self.surface.exponent(y) for y in errors]
-        if self.path == STRAIGHT:
-            wanted, sliding, exponents = wanted @ axes, sliding @ axes, exponents * N_AXES
+            distance_m, axis = _toward(error_m)
+            (along,), (s,) = solve([distance_m], [float(axis @ velocity_m_s)], control_input.dt_s)
+            wanted, sliding = along * axis, s * axis
+            exponent = np.full(N_AXES, self.surface.exponent(distance_m))
+        else:
+            errors = error_m.tolist()
+            wanted, sliding = map(
+                np.array, solve(errors, velocity_m_s.tolist(), control_input.dt_s)
+            )
+            exponent = np.array([self.surface.exponent(y) for y in errors])
         return ControlOutput(
             velocity_rad_s=self.inverse.joint_velocity(jacobian, wanted, control_input.joints_rad),
             sliding_variable=sliding,
-            exponent=np.array(exponents),
+            exponent=exponent,
         )
 
     def _implicit(

@@ -115,4 +115,7 @@ def _way_m(places_m: list[np.ndarray]) -> float:
 
     Noise hardly adds to it, and to and fro does not cancel.
     """
-    return float((12.0 * np.var(places_m, axis=0).sum()) ** 0.5)
+    places = np.array(places_m)
+    places -= places.mean(axis=0)
+    flat = places.ravel()
+    return (12.0 * float(flat @ flat) / len(places)) ** 0.5

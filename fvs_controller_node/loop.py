@@ -11,13 +11,13 @@ from math import inf, pi
 import numpy as np
 
 from fvs_controller_node.anticipation import Anticipation
-from fvs_controller_node.base import N_AXES, ControlInput, ControlLaw, ControlOutput
+from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.drive_lag import DriveLag
 from fvs_controller_node.predictor import BallPredictor
 from fvs_controller_node.reasons import State
 from fvs_controller_node.supervisor import Command, Supervisor
 from fvs_controller_node.supervisor_config import BALL, JOINT_STATES, KINEMATIC_CHAIN
-from fvs_controller_node.target_motion import TargetFollower
+from fvs_controller_node.target_motion import STANDING, Target, TargetFollower
 from fvs_ros.core.chain import SerialChain
 from fvs_ros.core.history import StampGate
 from fvs_ros.core.joints import N_JOINTS
@@ -31,7 +31,7 @@ _CHAIN_MAX_AGE_S = 1.5
 #: be wrong after so many messages: the two come one after the other when the camera was moved.
 _CHAIN_DIFFERS, _CHAIN_DOUBTS = 0.3, 5
 #: A target that stands, m/s, and the joint velocities that keep up with it, rad/s.
-_STANDING, _AT_REST = np.zeros(N_AXES), np.zeros(N_JOINTS)
+_AT_REST = np.zeros(N_JOINTS)
 
 
 class ServoLoop:
@@ -71,7 +71,8 @@ class ServoLoop:
         self._compared = -1  # at which image they were compared last
         self._stamp_s = 0.0
         self._moves = 0  # of the target
-        self._target_m_s = _STANDING
+        self._aim: Target | None = None  # the target when the supervisor was told of it last
+        self._target_m_s = STANDING
         self._joint_stamps, self._ball_stamps = StampGate(), StampGate()
         self._joints: np.ndarray | None = None
         self._heard_joints: tuple[float, np.ndarray | None] = (0.0, None)
@@ -210,8 +211,10 @@ class ServoLoop:
             self._chain = None  # who told it is gone, or has another method now
             self.supervisor.no_chain()
         aim = self.follower.at(self._stamp_s)
-        moves = aim is not None and self.supervisor.track(aim.position_m)
-        self._target_m_s = aim.velocity_m_s if aim is not None and moves else _STANDING
+        if aim is not self._aim:
+            self._aim = aim
+            moves = aim is not None and self.supervisor.track(aim.position_m)
+            self._target_m_s = aim.velocity_m_s if aim is not None and moves else STANDING
         command = self.supervisor.tick(
             now_s,
             dt_s,
@@ -247,7 +250,7 @@ class ServoLoop:
             self._stamp_s, applied, self._joints, compare=self.supervisor.full_speed
         )
         target_m_s, ahead = self._target_m_s, _AT_REST
-        if target_m_s is not _STANDING and target_m_s.any():
+        if target_m_s is not STANDING and target_m_s.any():
             self._moves += 1
             ahead = self.follower.feed_forward(target_m_s, self._jacobian, self._joints)
         told = ControlInput(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 
@@ -166,21 +167,26 @@ class Reason(Enum):
         self.text = text
 
     def because(self, **numbers: object) -> Finding:
-        """Fill the numbers in."""
-        return Finding(self, self.text.format(**numbers))
+        """Give the numbers of the sentence."""
+        return Finding(self, numbers)
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A reason and its sentence.
+    """A reason and the numbers of its sentence.
 
     Parameters
     ----------
     reason : Reason
         Which row of the table.
-    text : str
-        The sentence, numbers filled in.
+    numbers : mapping
+        What its sentence says, by name.
     """
 
     reason: Reason
-    text: str
+    numbers: Mapping[str, object]
+
+    @property
+    def text(self) -> str:
+        """The sentence, numbers filled in: only where somebody reads it, for ticks are many."""
+        return self.reason.text.format(**self.numbers)

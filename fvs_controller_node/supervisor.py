@@ -76,10 +76,8 @@ class Command:
         Joint velocities in kinematic order, rad/s; always finite.
     state : State
         The supervisor's state.
-    reason : Reason
-        Why, as a row of the table.
-    text : str
-        Why, in words with numbers.
+    finding : Finding
+        Why.
     active_limit : str
         Limits that shaped the command, comma separated; empty if none did.
     output : ControlOutput or None
@@ -88,10 +86,19 @@ class Command:
 
     velocity_rad_s: np.ndarray
     state: State
-    reason: Reason
-    text: str
+    finding: Finding
     active_limit: str
     output: ControlOutput | None
+
+    @property
+    def reason(self) -> Reason:
+        """Why, as a row of the table."""
+        return self.finding.reason
+
+    @property
+    def text(self) -> str:
+        """Why, in words with numbers."""
+        return self.finding.text
 
 
 class Supervisor:
@@ -132,7 +139,9 @@ class Supervisor:
         self._velocity = np.zeros(N_JOINTS)
         self._position: np.ndarray | None = None  # of the ball at the last tick
         self._problem = ""  # why there is none
-        self._last = Command(self._velocity, State.WAITING, Reason.MISSING, "no tick yet", "", None)
+        missing = self._inputs[JOINT_STATES].find(-inf)
+        assert missing is not None
+        self._last = Command(self._velocity, State.WAITING, missing, "", None)
 
     # ---- what it is told ------------------------------------------------------------------
 
@@ -669,9 +678,7 @@ class Supervisor:
             state = reason.state
         else:
             state = State.WAITING
-        self._last = Command(
-            self._velocity.copy(), state, reason, finding.text, active_limit, output
-        )
+        self._last = Command(self._velocity.copy(), state, finding, active_limit, output)
         return self._last
 
     # ---- bookkeeping ------------------------------------------------------------------------
@@ -732,7 +739,7 @@ class Supervisor:
         if values.shape != shape:
             self.bad_input(now_s, name, f"expected {wanted} numbers, got shape {values.shape}")
             return False
-        if not float(np.abs(values).max()) <= _LARGEST:  # false for NaN, too
+        if not all(-_LARGEST <= value <= _LARGEST for value in values.ravel().tolist()):
             self.bad_input(
                 now_s,
                 name,

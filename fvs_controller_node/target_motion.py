@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fvs_controller_node.allocation import Inverse
+from fvs_controller_node.base import N_AXES
 from fvs_controller_node.pseudo_inverse import DampedInverse
 from fvs_ros.core.joints import N_JOINTS
 
@@ -29,6 +30,9 @@ _FASTEST_M_S = 1.0
 _INTERVALS, _FASTER = 3.0, 1.2
 #: A stamp further than this from the joint states' is of another clock, s.
 _OWN_CLOCK_S = 0.2
+#: Velocity of a target that stands, m/s.
+STANDING = np.zeros(N_AXES)
+STANDING.flags.writeable = False
 
 
 @dataclass(frozen=True)
@@ -62,14 +66,19 @@ class TargetMotion:
             raise ValueError(f"target_window_s must be positive, got {window_s}")
         self.window_s = window_s
         self._updates: deque[tuple[float, np.ndarray]] = deque(maxlen=64)
+        self._standing: Target | None = None
         self._curve: np.ndarray | None = None
         self._interval_s, self._fastest_m_s = 0.0, 0.0  # between updates
 
     def restart(self, position_m: np.ndarray, now_s: float = 0.0) -> None:
         """Take a target that stands."""
         self._updates.clear()
-        self._updates.append((now_s, np.array(position_m, dtype=float)))
+        self._take(np.array(position_m, dtype=float), now_s)
         self._curve = None
+
+    def _take(self, position: np.ndarray, now_s: float) -> None:
+        self._updates.append((now_s, position))
+        self._standing = Target(position, STANDING)
 
     def continues(self, position_m: np.ndarray, now_s: float) -> bool:
         """Whether a position, m, (3,), at a time, s, is of a target on its way."""
@@ -88,7 +97,7 @@ class TargetMotion:
         # Joint states, whose stamps may be the clock, can be rarer than updates.
         if now_s <= self._updates[-1][0]:
             now_s = self._updates.pop()[0]
-        self._updates.append((now_s, position))
+        self._take(position, now_s)
         while now_s - self._updates[0][0] > self.window_s and len(self._updates) > _CURVED:
             self._updates.popleft()
         self._fit(now_s)
@@ -112,7 +121,7 @@ class TargetMotion:
         """The target now, s; None before the first one.
 
         After the last update it goes on for a few intervals, straight on after the first, and then
-        stands where it was told last.
+        stands where it was told last: the same object then, whenever one asks.
         """
         if not self._updates:
             return None
@@ -122,7 +131,7 @@ class TargetMotion:
         # A target stamped a little ahead of the joint states is looked back at.
         longest_s = min(_MAX_GAP_S, _INTERVALS * self._interval_s)
         if curve is None or not -_OWN_CLOCK_S < since_s < longest_s:
-            return Target(last.copy(), np.zeros(3))
+            return self._standing
         velocity = curve[1].copy()
         position = curve[0] + since_s * velocity
         if len(curve) > 2:
@@ -131,7 +140,7 @@ class TargetMotion:
             velocity += 2.0 * bent_s * curve[2]
         speed = float(velocity @ velocity) ** 0.5
         if speed > _FASTEST_M_S:
-            return Target(last.copy(), np.zeros(3))
+            return self._standing
         if speed > self._fastest_m_s:
             velocity *= self._fastest_m_s / speed
             position = last + since_s * velocity
