@@ -23,6 +23,7 @@ from fvs_controller_node.reaching import ReachingLaw
 from fvs_controller_node.settling import settling_times
 from fvs_controller_node.surface import SlidingSurface
 from fvs_ros.core.params import Parameter
+from fvs_ros.core.vectors import length
 
 IMPLICIT, LITERAL = "implicit", "literal"
 EACH_AXIS, STRAIGHT = "each_axis", "straight"
@@ -111,7 +112,7 @@ def next_error(right: float, guess: float, surface: SlidingSurface, dt_s: float)
 
 def _toward(error_m: np.ndarray) -> tuple[float, np.ndarray]:
     """The error's length, m, and direction, shape (3,), which is zero where there is no error."""
-    distance_m = float(error_m @ error_m) ** 0.5
+    distance_m = length(error_m)
     return distance_m, error_m / max(distance_m, _TINY_M)
 
 

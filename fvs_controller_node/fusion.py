@@ -13,6 +13,8 @@ from math import exp, inf
 
 import numpy as np
 
+from fvs_ros.core.vectors import length
+
 FIXED, ADAPTIVE = "fixed", "adaptive"
 
 #: Noise of an image before anything is known, its bounds, m.
@@ -97,7 +99,7 @@ class FixedFusion:
         ndarray, shape (3,), or None
             m; None for an outlier.
         """
-        if not _norm(innovation_m) <= self.outlier_m + _norm(motion_m):
+        if not length(innovation_m) <= self.outlier_m + length(motion_m):
             return None
         return self.gain * innovation_m
 
@@ -163,9 +165,9 @@ class AdaptiveFusion:
         What is wrong about single images is seldom wrong twice in one way. The motion in between
         may be wrong altogether, for a camera that was turned.
         """
-        apart = _norm(second_m - first_m)
+        apart = length(second_m - first_m)
         noise = _GATE * (2.0 * self._noise2) ** 0.5
-        return apart <= min(noise + 2.0 * _norm(motion_m), _ALIKE * _norm(first_m))
+        return apart <= min(noise + 2.0 * length(motion_m), _ALIKE * length(first_m))
 
     def correct(self, innovation_m: np.ndarray, motion_m: np.ndarray) -> np.ndarray | None:
         """What to add to the prediction, m, (3,), None for an outlier; see :class:`FixedFusion`."""
@@ -176,7 +178,7 @@ class AdaptiveFusion:
             self._left = self._change = None
             return None
         self._learn_noise(innovation_m, motion_m)
-        self._learn_wrong(min(square, _CLIP * total), _norm(motion_m))
+        self._learn_wrong(min(square, _CLIP * total), length(motion_m))
         self._look_behind(innovation_m, square)
         variance = self._variance()
         gain = max(variance / (variance + self._noise2), _LEAST_GAIN)
@@ -198,7 +200,7 @@ class AdaptiveFusion:
         before, left, last_m = self._change, self._left, self._motion
         self._change = None if left is None else innovation_m - left
         self._motion = motion_m
-        if before is None or self._change is None or _norm(motion_m - last_m) > _STEADY_M:
+        if before is None or self._change is None or length(motion_m - last_m) > _STEADY_M:
             return
         noise2 = float(self._change @ (self._change - before)) / 9.0
         most = _CLIP * self._noise2
@@ -243,7 +245,3 @@ def make_fusion(kind: str, gain: float, outlier_m: float) -> Fusion:
         raise ValueError(f"unknown fusion {kind!r}; known are {FIXED}, {ADAPTIVE}")
     fixed = FixedFusion(gain, outlier_m)
     return AdaptiveFusion() if kind == ADAPTIVE else fixed
-
-
-def _norm(vector: np.ndarray) -> float:
-    return float(vector @ vector) ** 0.5

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fvs_ros.core.vectors import length
+
 #: Time constant of the low pass on the error norm, s.
 _SMOOTHING_S = 0.1
 
@@ -138,5 +140,4 @@ def _apart(one: np.ndarray | None, other: np.ndarray | None) -> float:
     """Distance of two places, m; zero where one is not known."""
     if one is None or other is None:
         return 0.0
-    way = one - other
-    return float(way @ way) ** 0.5
+    return length(one - other)

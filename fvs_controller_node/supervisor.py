@@ -31,13 +31,12 @@ from fvs_controller_node.supervisor_config import (
 from fvs_ros.core.following import Following
 from fvs_ros.core.joints import N_JOINTS
 from fvs_ros.core.limits import (
-    all_finite,
     braking_speed,
-    largest,
     limit_acceleration,
     limit_speed,
     ramp_to_zero,
 )
+from fvs_ros.core.vectors import all_finite, largest, length
 
 #: A tick counts for at most this long, s: a late one must not make a big step.
 MAX_TICK_S = 0.05
@@ -427,7 +426,7 @@ class Supervisor:
             "reason": self._last.reason.name,
             "started": str(self._started).lower(),
             "settled": str(self.settled).lower(),
-            "error_m": nan if error is None else float(error @ error) ** 0.5,
+            "error_m": nan if error is None else length(error),
             "active_limit": self._last.active_limit,
             "fastest_joint_rad_s": float(np.abs(self._velocity).max()),
             "smallest_singular_value_m_rad": nan if singular is None else singular.smallest,
@@ -609,7 +608,7 @@ class Supervisor:
         reason = Reason.SETTLED if self._progress.settled else Reason.SERVOING
         error = self.error_m
         assert error is not None
-        error_mm = 1e3 * float(error @ error) ** 0.5
+        error_mm = 1e3 * length(error)
         return self._answer(reason.because(error_mm=error_mm), ", ".join(active), output)
 
     def _braking_speed(self, output: ControlOutput) -> float:
@@ -713,7 +712,7 @@ class Supervisor:
         self._problem = problem
         error = self.error_m
         if error is not None:
-            norm = float(error @ error) ** 0.5
+            norm = length(error)
             self._progress.add(norm, dt_s, self._last.state is State.SERVOING, self._target)
 
     @property

@@ -16,6 +16,7 @@ from fvs_controller_node.allocation import Inverse
 from fvs_controller_node.base import N_AXES
 from fvs_controller_node.pseudo_inverse import DampedInverse
 from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.core.vectors import length
 
 #: Updates that make a motion, and from which on its curvature is believed.
 _LEAST, _CURVED = 3, 5
@@ -138,7 +139,7 @@ class TargetMotion:
             bent_s = min(since_s, self._interval_s)
             position += bent_s * (2.0 * since_s - bent_s) * curve[2]
             velocity += 2.0 * bent_s * curve[2]
-        speed = float(velocity @ velocity) ** 0.5
+        speed = length(velocity)
         if speed > _FASTEST_M_S:
             return self._standing
         if speed > self._fastest_m_s:

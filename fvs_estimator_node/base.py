@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fvs_ros.core.vectors import length
+
 
 @dataclass(frozen=True)
 class MotionStep:
@@ -204,7 +206,7 @@ class PredictionMonitor:
             return
         seen = step.d_ball_m
         self._since_jump += 1
-        if _length(seen) - _length(predicted) > _JUMP_M:
+        if length(seen) - length(predicted) > _JUMP_M:
             since, self._since_jump = self._since_jump, 0
             if since > _JUMP_STEPS:
                 self._jump = seen, predicted
@@ -233,7 +235,3 @@ class PredictionMonitor:
             weight = max(self._forget, 1.0 / self._ratio_count)
             self._ratio_error += weight * (squared_error - self._ratio_error)
             self._ratio_motion += weight * (motion - self._ratio_motion)
-
-
-def _length(vector: np.ndarray) -> float:
-    return math.sqrt(float(vector @ vector))

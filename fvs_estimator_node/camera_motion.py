@@ -24,6 +24,7 @@ import numpy as np
 
 from fvs_estimator_node.rotations import nearest_rotation, rotation_angle_rad
 from fvs_estimator_node.turn_watch import MOST_STEPS, TurnWatch
+from fvs_ros.core.vectors import length
 
 #: How far a bumped camera may have been turned over how far that moved the ball in its view.
 _TURN_SHARE = 1.5
@@ -147,8 +148,8 @@ class CameraMotion:
             Whether the pose is another one now.
         """
         innovation = seen_m - (self._rotation @ model_m + self._translation)
-        distance_m = _length(innovation)
-        if not (math.isfinite(distance_m) and _length(seen_m) < _FARTHEST_M):
+        distance_m = length(innovation)
+        if not (math.isfinite(distance_m) and length(seen_m) < _FARTHEST_M):
             return False
         believed = distance_m <= self._disbelief_m()
         if believed:
@@ -175,7 +176,7 @@ class CameraMotion:
         if self._strangers:
             before_p, before_x = self._strangers[-1]
             # However the camera was moved: in between the ball went as far as it was to go.
-            off_m = abs(_length(seen_m - before_x) - _length(model_m - before_p))
+            off_m = abs(length(seen_m - before_x) - length(model_m - before_p))
             if off_m > self._disbelief_m():
                 self._strangers.clear()
         self._strangers.append((model_m, seen_m))
@@ -189,7 +190,7 @@ class CameraMotion:
         else:
             self._before_bump = self._rotation
             # A turn moves the ball by angle times distance, less where it is about the ball.
-            turned_rad = _TURN_SHARE * distance_m / max(_length(seen_m), 1e-3)
+            turned_rad = _TURN_SHARE * distance_m / max(length(seen_m), 1e-3)
             doubt_rad = min(max(turned_rad, least_rad), most_rad)
         self._begin_anew(self._strangers, doubt_rad)
         return True
@@ -201,7 +202,7 @@ class CameraMotion:
             return False
         before_p, before_x = self._pairs[-2]
         step = model_m - before_p
-        if _length(step) < _STILL_M:
+        if length(step) < _STILL_M:
             self._watch.clear()
             if believed:
                 self._watch.rest(seen_m - before_x)
@@ -242,7 +243,3 @@ class CameraMotion:
         self._weight = total
         self._rotation = nearest_rotation(self._scatter)
         self._translation = self._mean_x - self._rotation @ self._mean_p
-
-
-def _length(vector: np.ndarray) -> float:
-    return math.sqrt(float(vector.dot(vector)))

@@ -28,6 +28,7 @@ from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfModel
 from fvs_estimator_node.rotations import nearest_rotation, rotation_angle_rad
 from fvs_estimator_node.turn_watch import TurnWatch
 from fvs_ros.core.params import Parameter
+from fvs_ros.core.vectors import length
 
 ROTATION, MATRIX = "rotation", "matrix"
 KINDS = (ROTATION, MATRIX)
@@ -240,7 +241,7 @@ class LeftFactorEstimator(FrozenRbfEstimator):
 
     def _learn(self, predicted: np.ndarray, seen: np.ndarray) -> None:
         config = self._config
-        keep = math.exp(-math.sqrt(float(predicted.dot(predicted))) / config.memory_m)
+        keep = math.exp(-length(predicted) / config.memory_m)
         # The little that is put back of the factor so far keeps what the steps do not tell,
         # however long they go along one line.
         floor = (1.0 - keep) * config.bumped_trust_m**2

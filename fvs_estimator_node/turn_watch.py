@@ -15,6 +15,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from fvs_estimator_node.rotations import nearest_rotation, rotation_angle_rad
+from fvs_ros.core.vectors import length
 
 #: The last steps that are looked at: so many at least and at most, and no more than these m need.
 _FEWEST, MOST_STEPS, _WAY_M = 3, 6, 0.03
@@ -96,7 +97,7 @@ class TurnWatch:
         way_m = 0.0
         for step in reversed(self._steps):
             steps.insert(0, step)
-            way_m += float(step[0] @ step[0]) ** 0.5
+            way_m += length(step[0])
             if len(steps) >= _FEWEST and way_m > _WAY_M:
                 break
         return steps

@@ -14,6 +14,7 @@ import pybullet
 
 from fvs_ros.core.camera import Intrinsics, look_at
 from fvs_ros.core.tracking import Region
+from fvs_ros.core.vectors import length
 
 #: Depth range that is drawn, m. What lies beyond has no depth, as with a real camera.
 NEAR_M, FAR_M = 0.25, 4.0
@@ -58,7 +59,7 @@ class CameraPose:
     def quaternion_xyzw(self) -> np.ndarray:
         """The rotation as a unit quaternion, shape (4,)."""
         vector = cv2.Rodrigues(self.rotation)[0][:, 0]
-        angle = float(vector @ vector) ** 0.5
+        angle = length(vector)
         # numpy's sinc is sin(pi x) / (pi x)
         return np.append(0.5 * np.sinc(0.5 * angle / np.pi) * vector, np.cos(0.5 * angle))
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite
 
 import numpy as np
 
 from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.core.vectors import largest
 
 #: Share of the acceleration limit that braking is planned with; the rest is for the robot's lag.
 _BRAKING_SHARE = 0.6
@@ -15,16 +15,6 @@ _BRAKING_SHARE = 0.6
 #: A joint nears its limit at no more than this times the distance, 1/s: with the robot's lag of
 #: 35 ms a faster approach would pass it.
 _APPROACH_RATE_1_S = 5.0
-
-
-def largest(values: np.ndarray) -> float:
-    """Greatest magnitude of some finite numbers; of six, far quicker than by numpy."""
-    return max(map(abs, values.tolist()))
-
-
-def all_finite(values: np.ndarray) -> bool:
-    """Whether none of some numbers, shape (n,), is infinite or NaN; quicker than by numpy."""
-    return all(map(isfinite, values.tolist()))
 
 
 def limit_speed(velocity: np.ndarray, max_speed: float) -> np.ndarray:

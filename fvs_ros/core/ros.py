@@ -39,6 +39,7 @@ from fvs_ros.core.joints import N_JOINTS
 from fvs_ros.core.monitor import ArrivalMonitor
 from fvs_ros.core.params import Parameter, ParameterError, ParameterSet
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_OK
+from fvs_ros.core.vectors import length
 
 try:
     from rclpy.experimental import EventsExecutor
@@ -195,7 +196,7 @@ def from_pose(message: PoseStamped, topic: str) -> tuple[np.ndarray, np.ndarray]
     at, turn = message.pose.position, message.pose.orientation
     position = np.array([at.x, at.y, at.z])
     quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
-    size = float(quaternion @ quaternion) ** 0.5
+    size = length(quaternion)
     if not (np.all(np.isfinite(position)) and abs(size - 1.0) < _QUATERNION_SLACK):
         raise MessageError(
             f"{topic} is no pose: position {position.tolist()}, quaternion {quaternion.tolist()}"
