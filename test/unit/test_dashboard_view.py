@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import socket
+from math import inf
+
 import numpy as np
 import pytest
 
@@ -270,12 +273,42 @@ def test_the_ball_is_circled_where_the_image_shows_it(board):
 
     def yellow(stamp_s):
         board.add_image(0.0, stamp_s, np.zeros((480, 640, 3), np.uint8))
-        picture = board.snapshot(9.0, tour=False).picture.astype(int)
+        picture = board.snapshot(1.0, tour=False).picture.astype(int)
         return np.argwhere(picture[..., :2].min(axis=2) - picture[..., 2] > 60)[:, 1]
 
     for stamp_s, column in ((10.0, 159.5), (10.1, 234.5)):
         assert yellow(stamp_s).mean() == pytest.approx(column, abs=0.7)
     assert not len(yellow(11.0))
+
+
+def test_a_picture_that_is_not_of_now_is_dark_and_tells_its_age(board):
+    assert board.picture_age_s(3.0) == inf
+    board.add_image(0.0, 10.0, np.full((480, 640, 3), 200, np.uint8))
+    assert board.picture_age_s(1.0) == 1.0
+    assert (board.snapshot(1.0, tour=False).picture == 200).all()
+    assert board.snapshot(1.9, tour=False).picture is None
+    ages = [board.snapshot(now_s, tour=False).picture for now_s in (2.6, 2.9, 3.4, 3.6, 12.0)]
+    assert [age is None for age in ages] == [False, True, True, False, False]
+    three, four, twelve = (age for age in ages if age is not None)
+    for one in (three, four, twelve):
+        assert np.median(one) == 70
+        assert (one > 240).any()  # the words
+    assert (three != four).any()
+    assert (four != twelve).any()
+    board.add_image(12.0, 22.0, np.full((480, 640, 3), 200, np.uint8))
+    assert (board.snapshot(12.1, tour=False).picture == 200).all()
+    board.add_image(7.0, 17.0, np.full((480, 640, 3), 200, np.uint8))  # five seconds late
+    assert np.median(board.snapshot(12.2, tour=False).picture) == 70
+
+
+def test_where_a_target_was_too_long_ago_to_know_none_is_drawn(board):
+    board.set_intrinsics(Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5))
+    values = {"target_x_m": "0.0", "target_y_m": "0.3", "target_z_m": "1.2"}
+    board.add_status(20.0, {**STATUS, **values}, "")
+    blue, _ = drawn(board, exposed_s=20.1, stamp_s=100.0, now_s=20.2)
+    assert len(blue)
+    blue, _ = drawn(board, exposed_s=19.0, stamp_s=99.0, now_s=20.2)
+    assert not len(blue)
 
 
 # --- where the camera is ---
@@ -448,8 +481,28 @@ def test_what_is_no_position_is_said_to_be_none(text):
 def test_only_the_page_itself_may_command(host, origin, words):
     guard = pytest.importorskip("fvs_ros.apps.dashboard.guard")
     headers = {"Host": host} if origin is None else {"Host": host, "Origin": origin}
-    reason = guard.objection(headers, guard.LOOPBACK)
+    reason = guard.objection(headers, guard.own_names("127.0.0.1"))
     assert words in reason
     assert bool(reason) == bool(words)
-    if host and origin is None:
-        assert guard.objection(headers, ()) == ""
+
+
+@pytest.mark.parametrize(
+    ("host", "words"),
+    [
+        ("192.168.1.7:8080", ""),
+        ("[fe80::7]:8080", ""),
+        ("localhost:8080", ""),
+        ("{own}:8080", ""),
+        ("{own}.local:8080", ""),
+        ("evil.example:8080", "not served as evil.example"),  # a name that was made to point here
+        ("", "not served as"),
+    ],
+)
+def test_a_page_for_everybody_is_asked_for_by_address_or_its_own_name(host, words):
+    guard = pytest.importorskip("fvs_ros.apps.dashboard.guard")
+    host = host.format(own=socket.gethostname())
+    reason = guard.objection(
+        {"Host": host, "Origin": f"http://{host}"}, guard.own_names("0.0.0.0"), addresses=True
+    )
+    assert words in reason
+    assert bool(reason) == bool(words)

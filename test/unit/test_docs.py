@@ -16,6 +16,7 @@ _ELSEWHERE = {
     "is taken; stop what is served there": "fvs_ros/apps/dashboard/page.py",
     "the camera's place is not known yet": "fvs_ros/apps/dashboard/placement.py",
     "this page gets too little of the processor": "fvs_ros/apps/dashboard/dashboard_node.py",
+    "no picture: nobody publishes": "fvs_ros/apps/dashboard/dashboard_node.py",
     "is not used: it contradicts the Jacobian": "fvs_controller_node/loop.py",
     "target refused:": "fvs_controller_node/supervisor.py",
     "the newest ball_position is stamped": "fvs_controller_node/predictor.py",

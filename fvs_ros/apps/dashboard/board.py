@@ -21,6 +21,8 @@ _BALL_S, _ANSWER_S = 0.5, 12.0
 #: Images come later than what was found in them, up to so much, s; a position this near to an
 #: image's stamp was found in it, s.
 _LATEST_IMAGE_S, _SAME_IMAGE_S = 10.0, 0.02
+#: A picture that was exposed longer ago is not taken for one of now, s.
+_OLD_PICTURE_S = 2.0
 #: Times that go back by more than this are of a clock that was set, s.
 _BACKSTEP_S = 1.0
 #: A detector's word that is older than this is none, s.
@@ -104,6 +106,8 @@ class Board:
         self._seen = Trace(trail_s + _LATEST_IMAGE_S, 3)  # the trail, by the exposures' stamps
         self._targets: deque[tuple[float, np.ndarray | None]] = deque()  # since when which
         self._image: tuple[float, float, np.ndarray] | None = None
+        self._drawn: tuple[float, np.ndarray] | None = None  # the last image, and its exposure
+        self._said_age_s = 0
         self._intrinsics: Intrinsics | None = None
         self._answer, self._answer_s = "", -inf
         self._notes: dict[str, tuple[str, float]] = {}  # text, and until when
@@ -245,19 +249,36 @@ class Board:
                 self._exponent.window(now_s),
             ),
             limit_rad_s=self.limit_rad_s,
-            picture=self._picture(controller.silent),
+            picture=self._picture(now_s, controller.silent),
             field_of_view=self._field_of_view(),
             answer=self._answer if now_s - self._answer_s < _ANSWER_S else "",
             tour=tour,
             simulator=self.simulator,
         )
 
-    def _picture(self, silent: bool) -> np.ndarray | None:
-        """The newest image with what was so when it was exposed: it may have come late."""
+    def picture_age_s(self, now_s: float) -> float:
+        """Time since the newest image was exposed, s; infinite if there was none."""
+        newest = self._image or self._drawn
+        return inf if newest is None else now_s - newest[0]
+
+    def _picture(self, now_s: float, silent: bool) -> np.ndarray | None:
+        """The newest image, once; and the last one again as often as its age is another one."""
         newest, self._image = self._image, None
-        if newest is None:
+        if newest is not None:
+            self._drawn = newest[0], self._draw(*newest, silent)
+        if self._drawn is None:
             return None
-        exposed_s, stamp_s, image = newest
+        exposed_s, drawn = self._drawn
+        age_s = now_s - exposed_s
+        said_s, self._said_age_s = self._said_age_s, round(age_s) if age_s > _OLD_PICTURE_S else 0
+        if self._said_age_s and (newest is not None or self._said_age_s != said_s):
+            return picture.aged(drawn, age_s)
+        return drawn if newest is not None else None
+
+    def _draw(
+        self, exposed_s: float, stamp_s: float, image: np.ndarray, silent: bool
+    ) -> np.ndarray:
+        """An image with what was so when it was exposed: it may have come late."""
         target_m = None if silent else self._target_at(exposed_s)
         seen = self._seen.rows
         near = np.abs(seen[:, 0] - stamp_s)
@@ -267,11 +288,9 @@ class Board:
         return picture.draw(image, self._intrinsics, ball_m, self._ball_radius_m, target_m, trail_m)
 
     def _target_at(self, steady_s: float) -> np.ndarray | None:
-        """The controller's target at a time; the oldest that is known, before."""
+        """The controller's target at a time; None where that is longer ago than is known."""
         told = [target_m for told_s, target_m in self._targets if told_s <= steady_s]
-        if told:
-            return told[-1]
-        return self._targets[0][1] if self._targets else None
+        return told[-1] if told else None
 
     def _field_of_view(self) -> tuple[float, float]:
         camera = self._intrinsics

@@ -46,6 +46,8 @@ _ACTIONS_PERIOD_S = 0.03
 _LATE_S = 0.7
 #: And is said for so long, s.
 _BEHIND_S = 5.0
+#: Somebody who looks has a picture within so long, s.
+_NO_PICTURE_S = 4.0
 _BEHIND = "this page gets too little of the processor: it is behind"
 _LOOK_PERIOD_S = 1.0
 _LIMIT = "max_joint_velocity_rad_s"
@@ -211,12 +213,22 @@ class DashboardNode(ros.FvsNode):
                 for kind, name in ((CameraInfo, ros.CAMERA_INFO), (Image, ros.COLOR_IMAGE))
             )
 
+    def _why_no_picture(self) -> str:
+        if self._board.picture_age_s(self.steady_s()) < _NO_PICTURE_S:
+            return ""
+        declared = CAMERA_PREFIXES[0]
+        names = [ros.COLOR_IMAGE.replace(declared, prefix, 1) for prefix in self._cameras]
+        if any(self.count_publishers(name) for name in names):
+            return f"no picture comes from {' or '.join(names)}"
+        return f"no picture: nobody publishes {' or '.join(names)}"
+
     def _look_around(self) -> None:
         """Ask for what is not on a topic: the controller's limits, the simulator's disturbances."""
         if not self._page.watched:
             return
         if self.values["image"]:
             self._look_at_images(True)
+            self._board.note("picture", self._why_no_picture())
         self._calls.ask(CONTROLLER, (_LIMIT, *_AGES), self._on_limits)
         if self.count_publishers(ros.TRUE_CAMERA_POSE):
             self._calls.ask(SIMULATOR, _DISTURBANCES, self._on_simulator)

@@ -10,6 +10,8 @@ from __future__ import annotations
 import contextlib
 import http.client
 import inspect
+import ipaddress
+import socket
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 from urllib.parse import urlsplit
@@ -20,9 +22,22 @@ _CHECK_S = 10.0
 
 #: Addresses that only this host reaches, and its names for them.
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
+#: What stands for every address that this host has.
+EVERYWHERE = frozenset({"0.0.0.0", "::", ""})
 
 
-def objection(headers: Mapping[str, str], hosts: Collection[str]) -> str:
+def own_names(host: str) -> frozenset[str]:
+    """Names under which a page that is served at a host may be asked for, besides addresses.
+
+    A name that is not this host's may be one that somebody else has made to point here.
+    """
+    if host not in EVERYWHERE:
+        return LOOPBACK | {host.lower()}
+    name = socket.gethostname().lower()
+    return LOOPBACK | {name, f"{name}.local", socket.getfqdn().lower()}
+
+
+def objection(headers: Mapping[str, str], hosts: Collection[str], addresses: bool = False) -> str:
     """Why a request is refused.
 
     Parameters
@@ -30,7 +45,10 @@ def objection(headers: Mapping[str, str], hosts: Collection[str]) -> str:
     headers : mapping of str to str
         The request's.
     hosts : collection of str
-        Names under which the page may be asked for; empty for any.
+        Names under which the page may be asked for.
+    addresses : bool
+        Whether it may be asked for by any address: none of them is a name that somebody else has
+        made to point here.
 
     Returns
     -------
@@ -38,24 +56,34 @@ def objection(headers: Mapping[str, str], hosts: Collection[str]) -> str:
         The reason, or empty.
     """
     host, origin = headers.get("Host", ""), headers.get("Origin")
-    if hosts and urlsplit(f"//{host}").hostname not in hosts:
+    name = urlsplit(f"//{host}").hostname or ""
+    if name not in hosts and not (addresses and _is_address(name)):
         return f"the page is not served as {host}; it is as {' or '.join(sorted(hosts))}"
     if origin is not None and urlsplit(origin).netloc != host:
         return f"{origin} may not command this arm"
     return ""
 
 
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
 @contextlib.contextmanager
-def own_requests_only(hosts: Collection[str]) -> Iterator[None]:
-    """Have a server that is started meanwhile refuse all others' requests.
+def own_requests_only(host: str) -> Iterator[None]:
+    """Have a server that is started meanwhile at a host refuse all others' requests.
 
     viser has no setting for that: its server is given the check where it asks for one.
     """
     serve = server.serve
+    names, addresses = own_names(host), host in EVERYWHERE
 
     def guarded(*args: Any, process_request: Any = None, **given: Any) -> Any:
         async def check(connection: Any, request: Any) -> Any:
-            reason = objection(request.headers, hosts)
+            reason = objection(request.headers, names, addresses)
             if reason:
                 return connection.respond(403, reason + "\n")
             answer = process_request(connection, request) if process_request else None

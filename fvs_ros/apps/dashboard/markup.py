@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from html import escape
 
 from fvs_ros.apps.dashboard.view import Banner, Detail, Lamp
@@ -119,6 +120,19 @@ def answer_html(text: str) -> str:
         f'<div id="fvs-answer" style="{_BOX}border:1px solid {GREY if text else "transparent"};'
         'padding:0.25em 0.7em;font-size:0.9em;line-height:1.3;min-height:1.9em">'
         f"{_in_words(text)}</div>"
+    )
+
+
+def legend_html(signs: Iterable[tuple[str, tuple[int, int, int], str]]) -> str:
+    """What the colours of the view mean: a sign, its colour (RGB), and words, of each."""
+    cells = [
+        f'<span style="white-space:nowrap"><span style="color:rgb{colour}">{sign}</span> '
+        f"{escape(words)}</span>"
+        for sign, colour, words in signs
+    ]
+    return (
+        '<div style="margin:0 0.75em;font-size:0.75em;line-height:1.3;display:flex;gap:0.9em">'
+        f"{''.join(cells)}</div>"
     )
 
 

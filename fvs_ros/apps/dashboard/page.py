@@ -14,7 +14,7 @@ import viser
 from fvs_ros.apps.dashboard.actions import Actions, Target
 from fvs_ros.apps.dashboard.charts import Charts
 from fvs_ros.apps.dashboard.config import VISER
-from fvs_ros.apps.dashboard.guard import LOOPBACK, own_requests_only, turns_others_away
+from fvs_ros.apps.dashboard.guard import EVERYWHERE, LOOPBACK, own_requests_only, turns_others_away
 from fvs_ros.apps.dashboard.panel import Panel
 from fvs_ros.apps.dashboard.scene import Scene
 from fvs_ros.apps.dashboard.view import Snapshot
@@ -28,7 +28,6 @@ _SELDOM, _CURVES_AT, _FRUSTUM_AT = 3, 0, 1
 _STOP_S = 0.8
 _LEFT_PX, _RIGHT_PX = 400, 350
 _LAST_PORT = 65535
-_EVERYWHERE = ("0.0.0.0", "::", "")
 
 
 class Page:
@@ -70,8 +69,7 @@ class Page:
     ) -> None:
         _check_free(host, port)
         self._host = host
-        hosts = () if self.open_to_others else LOOPBACK | {host.lower()}
-        with _quiet(), own_requests_only(hosts):
+        with _quiet(), own_requests_only(host):
             self._server = viser.ViserServer(host, port, label="fvs_ros", verbose=False)
         if port and self._server.get_port() != port:  # taken since it was looked at
             self.close()
@@ -107,12 +105,12 @@ class Page:
 
     @property
     def _reached_at(self) -> str:
-        return "localhost" if self._host in _EVERYWHERE else self._host
+        return "localhost" if self._host in EVERYWHERE else self._host
 
     @property
     def address(self) -> str:
         """Where a browser finds it."""
-        host = socket.gethostname() if self._host in _EVERYWHERE else self._host
+        host = socket.gethostname() if self._host in EVERYWHERE else self._host
         return f"http://{f'[{host}]' if ':' in host else host}:{self._server.get_port()}"
 
     @property

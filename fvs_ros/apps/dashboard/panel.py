@@ -22,6 +22,7 @@ from fvs_ros.apps.dashboard.actions import (
     as_point,
     point_of,
 )
+from fvs_ros.apps.dashboard.scene import LEGEND
 from fvs_ros.apps.dashboard.view import Snapshot
 
 #: What somebody sets is left alone for so long, s; numbers that wait for their button, longer.
@@ -63,6 +64,7 @@ class Panel:
         if image:
             blank = np.full((240, 320, 3), 32, np.uint8)
             self._picture = gui.add_image(blank, format="jpeg", jpeg_quality=75)
+        gui.add_html(markup.legend_html(LEGEND))
         self._notes = gui.add_html("")
         self._add_simulator()
 

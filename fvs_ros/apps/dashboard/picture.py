@@ -13,6 +13,8 @@ _SHIFT = 4
 _NEAREST_M = 0.05
 BALL_RGB, TARGET_RGB, TRAIL_RGB = (255, 214, 0), (86, 180, 233), (255, 255, 255)
 _CROSS_PX = 7
+#: What is left of the light of a picture that is old.
+_OLD_LIGHT = 0.35
 
 
 def scaled(intrinsics: Intrinsics, width: int) -> Intrinsics:
@@ -74,6 +76,18 @@ def draw(
         centre = _fixed(small_camera.project(ball_m))
         cv2.circle(small, centre, _fixed(radius), BALL_RGB, 1, cv2.LINE_AA, _SHIFT)
     return small
+
+
+def aged(image_rgb: np.ndarray, age_s: float) -> np.ndarray:
+    """A picture that is not of now: dark, and with its age, s, in words; uint8, as it was."""
+    old = (_OLD_LIGHT * image_rgb).astype(np.uint8)
+    words = f"{age_s:.0f} s old"
+    scale = image_rgb.shape[1] / 400.0
+    (width, height), _ = cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
+    at = ((image_rgb.shape[1] - width) // 2, (image_rgb.shape[0] + height) // 2)
+    return cv2.putText(
+        old, words, at, cv2.FONT_HERSHEY_SIMPLEX, scale, (255, 255, 255), 1, cv2.LINE_AA
+    )
 
 
 def _visible(point_m: np.ndarray) -> bool:

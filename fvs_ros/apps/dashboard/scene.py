@@ -20,6 +20,13 @@ if TYPE_CHECKING:
     from fvs_ros.apps.dashboard.arm import Arm  # a second to import, and not needed at the start
 
 _BALL, _PREDICTED, _TARGET = (213, 40, 30), (255, 214, 0), (86, 180, 233)
+#: What the colours mean, in the view and in the camera's picture.
+LEGEND = (
+    ("●", _BALL, "ball seen"),
+    ("◉", _PREDICTED, "where it is now"),
+    ("●", _TARGET, "target: drag it"),
+)
+_ROD = (150, 156, 168)
 _TRAIL_OLD, _TRAIL_NEW = np.array([60, 64, 72]), np.array([255, 214, 0])
 #: The trail has always so many pieces: the page redraws it cheaply then.
 _PIECES = 96
@@ -85,6 +92,15 @@ class Scene:
             _trail_colours(),
             thickness=3.0,
             thickness_units="screen",
+        )
+        # How the ball is held, nobody tells; but that it is, is to be seen.
+        self._rod = scene.add_line_segments(
+            "/base/rod",
+            np.zeros((1, 2, 3)),
+            np.full((1, 2, 3), _ROD, dtype=np.uint8),
+            thickness=5.0,
+            thickness_units="screen",
+            visible=False,
         )
         self._ball = scene.add_icosphere("/base/camera/ball", ball_radius_m, _BALL, visible=False)
         self._predicted = scene.add_icosphere(
@@ -172,12 +188,22 @@ class Scene:
         )
         self._show_frustum(shown, with_picture)
         _put(self._ball, shown.ball_m)
+        self._show_rod(shown)
         _put(self._predicted, shown.controller.position_m)
         if time.monotonic() - self._held_s > _DROPPED_S:
             _put(self._target, shown.controller.target_m)
         self._trail.visible = len(shown.trail_m) > 1
         if len(shown.trail_m) > 1:
             self._trail.points = _pieces(shown.trail_m)
+
+    def _show_rod(self, shown: Snapshot) -> None:
+        arm, camera, ball_m, joints = self._arm, shown.camera, shown.ball_m, shown.joints_rad
+        if arm is None or camera is None or ball_m is None or joints is None:
+            self._rod.visible = False
+            return
+        ends_m = arm.flange(joints)[:3, 3], camera.rotation @ ball_m + camera.position_m
+        self._rod.points = np.array([ends_m])
+        self._rod.visible = True
 
     def _show_frustum(self, shown: Snapshot, with_picture: bool) -> None:
         fov, aspect = shown.field_of_view
