@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import pybullet
 
 from fvs_ros.core.camera import Intrinsics, look_at
+from fvs_ros.core.quaternions import quaternion_of
 from fvs_ros.core.tracking import Region
-from fvs_ros.core.vectors import length
 
 #: Depth range that is drawn, m. What lies beyond has no depth, as with a real camera.
 NEAR_M, FAR_M = 0.25, 4.0
@@ -58,10 +57,7 @@ class CameraPose:
     @property
     def quaternion_xyzw(self) -> np.ndarray:
         """The rotation as a unit quaternion, shape (4,)."""
-        vector = cv2.Rodrigues(self.rotation)[0][:, 0]
-        angle = length(vector)
-        # numpy's sinc is sin(pi x) / (pi x)
-        return np.append(0.5 * np.sinc(0.5 * angle / np.pi) * vector, np.cos(0.5 * angle))
+        return quaternion_of(self.rotation)
 
     def rotated(self, rotation: np.ndarray) -> CameraPose:
         """Turn the camera about its own centre, by a rotation given in its own frame."""

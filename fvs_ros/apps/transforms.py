@@ -12,6 +12,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from fvs_ros.core.quaternions import about, product, rotation_of
+
 TOPIC, STATIC_TOPIC = "/tf", "/tf_static"
 TYPE = "tf2_msgs/msg/TFMessage"
 
@@ -95,7 +97,7 @@ def _read(joint: ElementTree.Element) -> _Joint:
     length = float(np.linalg.norm(axis))
     turned = np.array([0.0, 0.0, 0.0, 1.0])
     for unit, angle_rad in zip(np.eye(3), _numbers(joint, "origin", "rpy", "0 0 0"), strict=True):
-        turned = _product(_rotation(unit, angle_rad), turned)
+        turned = product(about(unit, angle_rad), turned)
     zero = Transform(parent, child, _numbers(joint, "origin", "xyz", "0 0 0"), turned)
     return _Joint(zero, axis / length if length else axis, turns=joint.get("type") != "prismatic")
 
@@ -116,28 +118,7 @@ def _numbers(joint: ElementTree.Element, tag: str, name: str, otherwise: str) ->
 def _moved(joint: _Joint, position: float) -> Transform:
     zero = joint.zero
     if joint.turns:
-        turned = _product(zero.quaternion_xyzw, _rotation(joint.axis, position))
+        turned = product(zero.quaternion_xyzw, about(joint.axis, position))
         return Transform(zero.parent, zero.child, zero.translation_m, turned)
-    x, y, z, w = zero.quaternion_xyzw
-    slid = _product(
-        _product(zero.quaternion_xyzw, np.append(position * joint.axis, 0.0)),
-        np.array([-x, -y, -z, w]),
-    )
-    return Transform(zero.parent, zero.child, zero.translation_m + slid[:3], zero.quaternion_xyzw)
-
-
-def _rotation(axis: np.ndarray, angle_rad: float) -> np.ndarray:
-    return np.append(np.sin(angle_rad / 2.0) * axis, np.cos(angle_rad / 2.0))
-
-
-def _product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Quaternion product: first the right rotation, then the left one."""
-    (ax, ay, az, aw), (bx, by, bz, bw) = left, right
-    return np.array(
-        [
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-            aw * bw - ax * bx - ay * by - az * bz,
-        ]
-    )
+    slid = rotation_of(zero.quaternion_xyzw) @ (position * joint.axis)
+    return Transform(zero.parent, zero.child, zero.translation_m + slid, zero.quaternion_xyzw)

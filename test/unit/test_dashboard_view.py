@@ -22,9 +22,10 @@ from fvs_ros.apps.dashboard.actions import (
     point_of,
 )
 from fvs_ros.apps.dashboard.board import Board, Trace
-from fvs_ros.apps.dashboard.placement import UNKNOWN, CameraPlacement, Pose, rotation_of
+from fvs_ros.apps.dashboard.placement import UNKNOWN, CameraPlacement, Pose
 from fvs_ros.apps.dashboard.tour import TargetTour
 from fvs_ros.core.camera import Intrinsics
+from fvs_ros.core.quaternions import rotation_of
 from fvs_sim_node.kinematics import flange_pose
 from fvs_sim_node.rendering import camera_preset
 

@@ -30,13 +30,14 @@ from fvs_ros.apps.dashboard.actions import (
 )
 from fvs_ros.apps.dashboard.board import Board
 from fvs_ros.apps.dashboard.config import PARAMETERS, VISER
-from fvs_ros.apps.dashboard.placement import Pose, rotation_of
+from fvs_ros.apps.dashboard.placement import Pose
 from fvs_ros.apps.dashboard.services_of_node import CONTROLLER, SIMULATOR, Services
 from fvs_ros.apps.dashboard.tour import WAITS, TargetTour
 from fvs_ros.core import ros
 from fvs_ros.core.background import step_back
 from fvs_ros.core.joints import N_JOINTS, JointMap, JointStateError
 from fvs_ros.core.paths import find_file
+from fvs_ros.core.quaternions import rotation_of
 from fvs_ros.core.topics import CAMERA_PREFIXES
 
 #: Behind the loop, but not far: its buttons must work on a busy machine, too.

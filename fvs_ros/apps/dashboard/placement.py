@@ -33,18 +33,6 @@ class Pose:
     position_m: np.ndarray
 
 
-def rotation_of(quaternion_xyzw: np.ndarray) -> np.ndarray:
-    """The rotation matrix, shape (3, 3), of a unit quaternion, shape (4,)."""
-    x, y, z, w = quaternion_xyzw
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
 class CameraPlacement:
     """The camera's pose, as a simulator tells it, or as the arm's motion does."""
 
