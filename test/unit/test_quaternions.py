@@ -16,8 +16,8 @@ def same(one, other):
 @pytest.mark.parametrize("angle_rad", [0.0, 1e-9, 0.3, 2.0, np.pi - 1e-9, np.pi, -1.7])
 def test_rotations_and_back(angle_rad):
     rng = np.random.default_rng(3)
-    for axis in (np.eye(3)[0], *rng.normal(size=(5, 3))):
-        axis = axis / np.linalg.norm(axis)
+    for way in (np.eye(3)[0], *rng.normal(size=(5, 3))):
+        axis = way / np.linalg.norm(way)
         truth = Rotation.from_rotvec(angle_rad * axis)
         same(about(axis, angle_rad), truth.as_quat())
         same(quaternion_of(truth.as_matrix()), truth.as_quat())
