@@ -60,6 +60,7 @@ class ControllerNode(ros.FvsNode):
         self._late = 0
         self._heard_target: tuple | None = None
         self._heard_target_s = -np.inf
+        self._untold = ""  # of a target that moves, where it was accepted last
         self._refusal = ""
         self._rivals = ""
         self._hears_rivals = False
@@ -170,7 +171,8 @@ class ControllerNode(ros.FvsNode):
         if again:  # said again, a moving target has stopped: that is all
             return
         self._refusal = "" if accepted else text
-        if seldom or not accepted:  # a target on its way would fill the log
+        self._untold = text if accepted and not seldom else ""
+        if not self._untold:  # a target on its way would fill the log
             self.tell(ros.OK if accepted else ros.WARN, text)
 
     def _take_current_as_target(self) -> tuple[bool, str]:
@@ -225,6 +227,9 @@ class ControllerNode(ros.FvsNode):
     # --- outputs ---
 
     def _publish_status(self) -> None:
+        if self._untold and self.steady_s() - self._heard_target_s > _TARGET_ECHO_S:
+            self.tell(ros.OK, self._untold)  # it has arrived
+            self._untold = ""
         command = self._command
         if command is None:
             return

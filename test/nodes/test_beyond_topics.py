@@ -92,3 +92,10 @@ def test_the_chain_is_told_and_a_target_on_a_circle_kept_up_with(bench):
     assert len(errors_m) > 20
     assert np.median(errors_m) < 0.015
     assert bench.reason() in ("SERVOING", "SETTLED")
+    x, y, z = at
+    where = f"target set to ({x:.3f}, {y:.3f}, {z:.3f}) m"
+    bench.harness.spin_until(
+        lambda: where in bench.harness.output(bench.process), 3.0, "a line on where it came to rest"
+    )
+    told = bench.harness.output(bench.process).count("target set to")
+    assert told <= 4  # not each of a hundred updates
