@@ -32,7 +32,6 @@ from rosbags.rosbag2 import StoragePlugin
 
 from fvs_controller_node.reasons import State
 from fvs_ros.apps.bag import Bag
-from fvs_ros.apps.dashboard.view import SILENT
 from fvs_ros.apps.experiments.main import main
 from fvs_ros.apps.experiments.report import Origin, write_report
 from fvs_ros.apps.experiments.style import pyplot
@@ -42,6 +41,7 @@ from fvs_ros.apps.replay.files import BagError
 from fvs_ros.apps.replay.happened import happened
 from fvs_ros.apps.replay.reading import read
 from fvs_ros.apps.replay.sections import sections
+from fvs_ros.core.status import SILENT
 
 DEMO = {
     "fvs_controller_node": {"law": "ftsm", "max_joint_velocity_rad_s": 0.8},

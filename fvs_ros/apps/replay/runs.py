@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fvs_controller_node.target_motion import TargetMotion
-from fvs_ros.apps.dashboard.view import vector
 from fvs_ros.apps.demo import PARAMETERS, TargetRecord, TargetScore, score
 from fvs_ros.apps.replay.data import Recording, Series
 from fvs_ros.apps.score import jitter_rad_s
 from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.core.status import vector
 
 #: Stamps further apart than this are two moments, s: their last digits are lost in seconds.
 _SAME_MOMENT_S = 1e-6

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fvs_ros.apps.dashboard.view import SILENT, SILENT_S
 from fvs_ros.apps.replay.data import Recording, Said
 from fvs_ros.apps.replay.timing import gaps
 from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.core.status import SILENT, SILENT_S
 
 SERVOING = "SERVOING"
 #: A line of the log that came again within this is the same trouble, s.
