@@ -672,6 +672,84 @@ def test_a_folder_without_metadata_is_read_by_its_files(tmp_path, storage):
     assert found.cut_off == (storage is StoragePlugin.SQLITE3)
 
 
+def pieces(folder, names, begins_s, whole):
+    """Files of one folder, each with what another bag holds from one moment to the next, s."""
+    folder.mkdir()
+    with AnyReader([whole]) as reader:
+        moments_ns = [reader.start_time + round(1e9 * one) for one in begins_s]
+        for name, start_ns, stop_ns in zip(
+            names, moments_ns, [*moments_ns[1:], reader.end_time], strict=True
+        ):
+            bag = Bag(folder / "made", {})
+            for connection, time_ns, raw in reader.messages(start=start_ns, stop=stop_ns):
+                bag.write(connection.topic, connection.msgtype, [], time_ns, raw)
+            bag.close()
+            (file,) = (folder / "made").glob("*.mcap")
+            file.rename(folder / name)
+            shutil.rmtree(folder / "made")
+    return folder
+
+
+def test_the_parts_of_a_split_bag_are_one_recording(tmp_path, bag, recording):
+    names = [f"run_{number}.mcap" for number in range(11)]  # the tenth comes after the ninth
+    folder = pieces(tmp_path / "bag", names, np.linspace(0.0, 4.5, 11), bag)
+    found = read(folder)
+    assert not found.cut_off
+    assert (found.start_s, found.end_s) == (recording.start_s, recording.end_s)
+    assert is_beginning_of(found, recording)
+    last = folder / "run_10.mcap"
+    last.write_bytes(last.read_bytes()[:-20])  # its recorder was killed then
+    assert read(folder).cut_off
+    assert is_beginning_of(read(folder), recording)
+    (folder / "run_3.mcap").unlink()
+    with pytest.raises(BagError, match="holds several bags"):
+        read(folder)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("a.mcap", "b.mcap"),
+        ("a_0.mcap", "b_1.mcap"),
+        ("run_1.mcap", "run_2.mcap"),
+        ("a.mcap", "a_0.mcap"),
+    ],
+)
+@pytest.mark.parametrize("cut_off", [True, False])
+def test_several_bags_in_one_folder_are_not_one(tmp_path, bag, recording, names, cut_off):
+    folder = pieces(tmp_path / "bag", names, [0.0, 3.0], bag)
+    if cut_off:
+        (folder / names[0]).write_bytes((folder / names[0]).read_bytes()[:-20])
+    with pytest.raises(BagError) as refused:
+        read(folder)
+    assert str(refused.value) == f"{folder} holds several bags, name one: {', '.join(names)}"
+    assert read(folder / names[0]).start_s == recording.start_s
+
+
+def test_bags_of_other_times_are_not_one_whatever_their_names(tmp_path, bag):
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    for number, later_s in enumerate((0.0, 60.0)):
+        made = HandmadeBag(tmp_path / f"run_{number}")
+        for step in range(10):
+            made.array("jacobian", later_s + 0.1 * step, JACOBIAN)
+        made.close()
+        (file,) = (tmp_path / f"run_{number}").glob("*.mcap")
+        file.rename(folder / f"run_{number}.mcap")
+    with pytest.raises(BagError, match=r"several bags, name one: run_0\.mcap, run_1\.mcap"):
+        read(folder)
+
+
+def test_a_file_beside_a_bag_s_own_is_none_of_it(tmp_path, bag, recording):
+    folder = shutil.copytree(bag, tmp_path / "bag")
+    (own,) = folder.glob("*.mcap")
+    content = own.read_bytes()
+    (folder / "another.mcap").write_bytes(content[:-20])
+    assert not read(folder).cut_off
+    own.write_bytes(content[:-20])
+    assert len(read(folder).series["ball"]) == len(recording.series["ball"])
+
+
 def test_messages_in_disorder_and_without_chunks_are_put_in_order(tmp_path):
     writer = pytest.importorskip("mcap.writer")
     kind = "std_msgs/msg/Float64MultiArray"
