@@ -346,7 +346,7 @@ def test_states_follow_one_another_with_their_first_sentence(recording):
     assert servoing.sentence == "servoing, 300.0 mm to go"
     assert servoing.start_s - recording.start_s == pytest.approx(GIVEN_S)
     assert servoing.end_s == recording.end_s
-    assert story.servoing_s(recording) == pytest.approx(END_S - GIVEN_S, abs=0.05)
+    assert story.on_the_way(recording) == [servoing]
 
 
 def test_a_controller_that_says_no_more_is_silent_and_not_still_servoing(tmp_path):
@@ -361,13 +361,83 @@ def test_a_controller_that_says_no_more_is_silent_and_not_still_servoing(tmp_pat
     assert servoing.end_s == silent.start_s
     assert silent.start_s - recording.start_s == pytest.approx(END_S + 0.9, abs=0.05)
     assert silent.end_s == recording.end_s
-    assert story.servoing_s(recording) == pytest.approx(END_S + 0.9 - GIVEN_S, abs=0.05)
+
+
+ZEROS = "forward_velocity_controller/commands"
+
+
+def ended(folder, joints_end_s, last_command=0.0, **last_word):
+    """A loop that was ended: the controller's last commands, joint states and recorder go on."""
+    made = HandmadeBag(folder)
+    servo(made)
+    if last_word:
+        made.status("fvs_controller_node", END_S + 0.02, "the end", **last_word)
+    for tick in range(1, 6):
+        made.array(ZEROS, END_S + 0.01 * tick, np.full(6, last_command))
+    for tick in range(round((joints_end_s - END_S) / 0.1)):
+        at_s = END_S + 0.1 * (tick + 1)
+        made.joints(at_s, at_s, np.zeros(6), np.zeros(6))
+    made.log(END_S + 12.0, "fvs_recorder_node", "the recorder's own", level=20)
+    made.close()
+    return read(folder)
+
+
+def test_a_controller_that_left_zeros_as_the_loop_was_ended_is_not_silent(tmp_path):
+    recording = ended(tmp_path / "bag", END_S + 2.0)
+    *_, servoing, end = story.states(recording)
+    assert servoing.what == "SERVOING"
+    assert (end.what, end.sentence) == ("ENDED", "the loop was being ended")
+    assert servoing.end_s == end.start_s == pytest.approx(BEGIN_S + END_S + 0.05, abs=1e-3)
+    assert end.end_s == recording.end_s
+
+
+def test_a_controller_that_says_that_it_shuts_down_is_not_silent_after_that(tmp_path):
+    recording = ended(
+        tmp_path / "bag", END_S + 11.0, 0.1, state="HOLDING", reason="SHUT_DOWN"
+    )  # its robot goes on
+    assert [one.what for one in story.states(recording)][-2:] == ["HOLDING", "ENDED"]
+
+
+@pytest.mark.parametrize(("joints_end_s", "last_command"), [(9.0, 1e-4), (16.0, 0.0)])
+def test_a_controller_that_was_killed_is_silent(tmp_path, joints_end_s, last_command):
+    recording = ended(tmp_path / "bag", joints_end_s, last_command)
+    assert [one.what for one in story.states(recording)][-2:] == ["SERVOING", "SILENT"]
+
+
+def test_an_end_without_commands_or_joint_states_in_the_bag_is_a_silence(tmp_path):
+    recording = ended(tmp_path / "bag", END_S + 2.0)
+    for key in ("commands", "joints"):
+        series = {name: one for name, one in recording.series.items() if name != key}
+        assert story.states(replace(recording, series=series))[-1].what == SILENT
 
 
 def test_an_active_limit_is_a_spell(recording):
     (limit,) = story.limits(recording)
     assert limit.what == "near singular"  # without the number, which is another one each time
     assert limit.end_s - limit.start_s == pytest.approx(0.5)
+
+
+def test_a_limit_s_share_is_of_the_time_on_the_way_and_not_of_the_rest(tmp_path, undrawn):
+    made = HandmadeBag(tmp_path / "bag")
+    for number in range(101):
+        time_s = 0.1 * number
+        settled = time_s >= 2.0 - 1e-9
+        limit = "joint speed" if time_s < 0.5 - 1e-9 else "near singular" if time_s >= 1.5 else ""
+        made.status(
+            "fvs_controller_node",
+            time_s,
+            "servoing",
+            state="SERVOING",
+            reason="SETTLED" if settled else "SERVOING",
+            active_limit=limit,
+        )
+    made.close()
+    recording = read(tmp_path / "bag")
+    (way,) = story.on_the_way(recording)
+    assert way.end_s - way.start_s == pytest.approx(2.0)
+    *_, table = happened(recording, [], (0.005, 0.002), tmp_path).tables
+    assert table.header == ["limit", "for, s", "of the time on the way"]
+    assert table.rows == [["near singular", "8.50", "25 %"], ["joint speed", "0.50", "25 %"]]
 
 
 def test_warnings_and_silences_are_events_in_order(recording):

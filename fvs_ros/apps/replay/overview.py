@@ -26,7 +26,7 @@ STATES = {
     SILENT: "#eeeeee",
 }
 _LIMIT = "#7a6fb0"
-#: Of a state that is none of this project's controller.
+#: Of a controller that was ended, and of a state that is none of this project's controller.
 _OTHER = "#ffffff"
 _JOINTS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _SMALLEST_M = 1e-5
