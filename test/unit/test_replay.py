@@ -210,6 +210,98 @@ def test_a_demo_s_last_sample_is_the_demo_s_own_to_the_last_digit(recording):
         assert since_s[-1] >= 1.6 > since_s[-2], start_s
 
 
+def cut_at(recording, since_given_s):
+    """The recording as a file that ends so long after the target was given, s."""
+    end_s = recording.start_s + GIVEN_S + since_given_s
+    series = {}
+    for key, one in recording.series.items():
+        kept = one.arrival_s <= end_s + 0.0011  # of the ball's true position, its stamp
+        series[key] = Series(one.topic, one.arrival_s[kept], one.stamp_s[kept], one.values[kept])
+    return replace(recording, series=series, end_s=end_s)
+
+
+#: When the ball in the handmade bag comes below 5 and 2 mm, s.
+BELOW_5_S, BELOW_2_S = np.log(60) / DECAY_1_S, np.log(150) / DECAY_1_S
+COARSE, FINE = "settling_5mm_s", "settling_2mm_s"
+LAST = ("final_rms_m", "jitter_rad_s")
+
+
+@pytest.mark.parametrize(
+    ("ends_s", "not_known"),
+    [
+        (0.9, {COARSE, FINE, *LAST}),  # on its way: no "never"
+        (BELOW_5_S + 0.05, {COARSE, FINE, *LAST}),  # just crossing
+        (BELOW_5_S + 0.95, {COARSE, FINE, *LAST}),
+        (BELOW_5_S + 1.05, {FINE}),
+        (BELOW_2_S + 1.05, set()),
+    ],
+)
+def test_what_a_recording_ends_too_early_for_is_not_known(recording, ends_s, not_known):
+    (whole,) = runs.targets(recording)
+    assert whole.not_known == {}
+    (target,) = runs.targets(cut_at(recording, ends_s))
+    assert target.not_known == dict.fromkeys(not_known, "the recording ends")
+    for name in (COARSE, FINE):
+        expected = None if name in not_known else getattr(whole.score, name)
+        assert getattr(target.score, name) == expected
+    for value, name in zip((target.score.final_rms_m, target.jitter_rad_s), LAST, strict=True):
+        assert np.isnan(value) == (name in not_known)
+
+
+def test_a_demo_s_target_of_its_whole_time_is_judged_as_by_the_demo(recording):
+    demo = {"fvs_demo_node": {"target_s": 1.5}}  # below 5 mm after 1.02 s
+    (whole,) = runs.targets(replace(recording, scenario=demo))
+    assert whole.not_known == {}
+    assert BELOW_2_S <= whole.score.settling_2mm_s < BELOW_2_S + 0.0081
+    assert np.isfinite([whole.score.final_rms_m, whole.jitter_rad_s]).all()
+    (cut,) = runs.targets(cut_at(replace(recording, scenario=demo), 1.4))
+    assert set(cut.not_known) == {COARSE, FINE, *LAST}
+
+
+@pytest.mark.parametrize(
+    ("after_s", "not_known"), [(0.9, set(LAST)), (1.3, {COARSE, FINE, *LAST}), (2.5, set())]
+)
+def test_another_target_leaves_unknown_whether_the_ball_stayed(tmp_path, after_s, not_known):
+    made = HandmadeBag(tmp_path / "bag")
+    servo(made)
+    made.point("target_position", GIVEN_S + after_s, GIVEN_S + after_s, START_M)
+    made.close()
+    first, _ = runs.targets(read(tmp_path / "bag"))
+    assert first.not_known == dict.fromkeys(not_known, "another target came")
+    if after_s == 0.9:  # while it was there, the ball never was
+        assert (first.score.settling_5mm_s, first.score.settling_2mm_s) == (None, None)
+
+
+@pytest.mark.parametrize(("lasts_s", "known"), [(3.0, False), (5.0, True)])
+def test_a_ball_that_stays_away_was_never_there_once_it_had_a_demo_s_time(tmp_path, lasts_s, known):
+    made = HandmadeBag(tmp_path / "bag")
+    for tick in range(round(lasts_s / 0.008) + 1):
+        time_s = 0.008 * tick
+        made.point("ball_position", time_s, time_s, START_M)
+    made.point("target_position", 0.0, 0.0, TARGET_M)
+    made.close()
+    (target,) = runs.targets(read(tmp_path / "bag"))
+    assert target.score.settling_5mm_s is None
+    assert (COARSE not in target.not_known) is known
+
+
+def test_the_page_says_not_known_and_why(recording, tmp_path, undrawn):
+    report = sections(cut_at(recording, BELOW_5_S + 1.05), tmp_path)[1]
+    (row,) = report.tables[0].rows
+    assert row[2].endswith(" s")
+    assert row[3] == "not known"
+    assert "Not known of target 1" in report.setup[1]
+    assert "the recording ends before" in report.setup[1]
+    (told,) = report.data["targets"]
+    assert told["not_known"] == {FINE: "the recording ends"}
+    row = sections(cut_at(recording, 0.9), tmp_path)[1].tables[0].rows[0]
+    assert row[2:5] == ["not known"] * 3
+    assert row[-1] == "not known"
+    report = sections(recording, tmp_path)[1]
+    assert len(report.setup) == 1
+    assert "not known" not in report.tables[0].rows[0]
+
+
 def test_a_target_from_before_the_recording_counts_from_its_stamp(tmp_path):
     made = HandmadeBag(tmp_path / "bag", scenario=DEMO)
     servo(made)

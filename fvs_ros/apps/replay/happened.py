@@ -105,7 +105,7 @@ def _incomplete(recording: Recording, targets: Sequence[Target]) -> list[str]:
         found.append(
             "The bag was cut off: its recorder was killed, or it was not copied whole. What is "
             "shown ends before the run did: the last second or more is missing, and with it the "
-            "arm’s coming to rest. The last target is judged by what there is of it."
+            "arm’s coming to rest. What it leaves unknown of the last target is not guessed."
         )
     moved_s = story.moved_before_s(recording)
     if moved_s:

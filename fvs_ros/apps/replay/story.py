@@ -88,15 +88,15 @@ def states(recording: Recording) -> list[Spell]:
             found.append(Spell(status.arrival_s, end_s, state, reason, status.text))
         if end_s < next_s:
             found.append(Spell(end_s, next_s, SILENT, "", "no word from the controller"))
+    if not found or found[-1].what != SILENT:
+        return found
+    *before, last, silent = found
     ended_s = _ended_s(recording)
-    if len(found) > 1 and found[-1].what == SILENT and ended_s is not None:
-        last, silent = found[-2:]
-        ended_s = min(ended_s, last.end_s)
-        found[-2:] = [
-            replace(last, end_s=ended_s),
-            Spell(ended_s, silent.end_s, ENDED, "", "the loop was being ended"),
-        ]
-    return found
+    if ended_s is None:
+        return found
+    ended_s = min(ended_s, last.end_s)
+    ended = Spell(ended_s, silent.end_s, ENDED, "", "the loop was being ended")
+    return [*before, replace(last, end_s=ended_s), ended]
 
 
 def _ended_s(recording: Recording) -> float | None:
