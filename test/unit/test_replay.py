@@ -1039,6 +1039,17 @@ def test_a_bag_that_cannot_be_looked_at_is_one_sentence(tmp_path, capsys, make, 
     assert error.count("\n") == 1
 
 
+@pytest.mark.parametrize("below", [False, True])
+def test_a_page_cannot_be_written_to_a_file_and_that_is_said(tmp_path, bag, capsys, below):
+    (tmp_path / "file").touch()
+    out = tmp_path / "file" / "page" if below else tmp_path / "file"
+    assert main(["replay", str(bag), "--out", str(out)]) == 2
+    assert capsys.readouterr().err == (
+        f"fvs_experiments replay: cannot write the page to {out}: it is no folder; "
+        "name another folder by --out\n"
+    )
+
+
 def test_a_namespace_that_is_not_there_is_named(tmp_path):
     folder = two_robots(tmp_path / "bag")
     assert read(folder, "left").namespace == "left"
