@@ -225,8 +225,15 @@ def test_every_program_may_be_piped_into_one_that_leaves(program):
     source, sink = os.pipe()
     os.close(source)
     command = [sys.executable, "-m", f"fvs_ros.apps.{program}", "--help"]
+    buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
     done = subprocess.run(
-        command, stdout=sink, stderr=subprocess.PIPE, text=True, check=False, timeout=60
+        command,
+        env=buffered,
+        stdout=sink,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+        timeout=60,
     )
     os.close(sink)
     assert (done.returncode, done.stderr) == (0, "")

@@ -290,8 +290,7 @@ def test_the_page_says_not_known_and_why(recording, tmp_path, undrawn):
     (row,) = report.tables[0].rows
     assert row[2].endswith(" s")
     assert row[3] == "not known"
-    assert "Not known of target 1" in report.setup[1]
-    assert "the recording ends before" in report.setup[1]
+    assert "Of target 1 not all is known: the recording ends before" in report.setup[1]
     (told,) = report.data["targets"]
     assert told["not_known"] == {FINE: "the recording ends"}
     row = sections(cut_at(recording, 0.9), tmp_path)[1].tables[0].rows[0]

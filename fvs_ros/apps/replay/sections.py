@@ -93,10 +93,10 @@ def _targets(recording: Recording, targets: Sequence[Target], folder: Path) -> R
 
 
 def _not_known(targets: Sequence[Target]) -> list[str]:
-    """What no number is given for, and why, a paragraph for each that ended too early."""
+    """Why some numbers are not given, a paragraph for each target that ended too early."""
     return [
-        f"Not known of target {one.number} is what takes a second to tell: {cut} before the ball "
-        "was below the bound, or the target there, for so long."
+        f"Of target {one.number} not all is known: {cut} before the ball was below the bounds for "
+        "a second."
         for one in targets
         for cut in dict.fromkeys(one.not_known.values())
     ]
