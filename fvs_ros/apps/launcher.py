@@ -305,6 +305,7 @@ def _recorded(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
     return scenario.with_overrides(own)
 
 
+@console.reader_may_leave()
 def main(argv: list[str] | None = None) -> int:
     """Run ``fvs_launch``; the exit code says how it went."""
     arguments = _parser().parse_args(argv)

@@ -15,14 +15,15 @@ import numpy as np
 
 from fvs_ros.core.camera import CAMERA_FRAME
 from fvs_ros.core.params import Parameter
+from fvs_ros.core.status import number, vector
 
 NODE = "fvs_markers_node"
 
 PARAMETERS = (
-    Parameter("feature_frame", CAMERA_FRAME, "Frame of ball and target."),
-    Parameter("rate_hz", 10.0, "How often the markers are sent.", minimum=1.0, maximum=30.0),
-    Parameter("trail_s", 10.0, "How much of the ball's way is shown.", minimum=0.1, maximum=120.0),
-    Parameter("ball_radius_m", 0.04, "Radius of the ball.", minimum=0.005, maximum=0.2),
+    Parameter("feature_frame", CAMERA_FRAME, "frame of ball and target"),
+    Parameter("rate_hz", 10.0, "how often the markers are sent", minimum=1.0, maximum=30.0),
+    Parameter("trail_s", 10.0, "how much of the ball's way is shown", minimum=0.1, maximum=120.0),
+    Parameter("ball_radius_m", 0.04, "radius of the ball", minimum=0.005, maximum=0.2),
 )
 
 #: What was not said again for so long is not shown any more, s.
@@ -109,7 +110,9 @@ class Scene:
     def _told(self) -> list[Shape]:
         """What the controller's status tells."""
         found = []
-        target_m, predicted_m = self._point("target_{}_m"), self._point("position_{}_m")
+        target_m, predicted_m = (
+            vector(self._status, f"{name}_{{}}_m") for name in ("target", "position")
+        )
         if target_m is not None:
             found.append(
                 Shape("target", "sphere", target_m[None], self._diameter_m, (*_GREEN, 0.4))
@@ -124,22 +127,11 @@ class Scene:
         return found
 
     def _words(self) -> str:
-        error_m = _number(self._status.get("error_m"))
+        error_m = number(self._status, "error_m")
         distance = f"{1e3 * error_m:.1f} mm" if isfinite(error_m) else "no ball"
         state = self._status.get("state", "")
         return distance if state in ("", "SERVOING") else f"{distance}, {state.lower()}"
 
-    def _point(self, key: str) -> np.ndarray | None:
-        point = np.array([_number(self._status.get(key.format(axis))) for axis in "xyz"])
-        return point if np.all(np.isfinite(point)) else None
-
     def _forget(self, now_s: float) -> None:
         while self._trail and now_s - self._trail[0][0] > self._trail_s:
             self._trail.popleft()
-
-
-def _number(text: str | None) -> float:
-    try:
-        return float(text or "nan")
-    except ValueError:  # "unknown"
-        return float("nan")

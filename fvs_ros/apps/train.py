@@ -25,6 +25,7 @@ from fvs_estimator_node.training import (
     TrainingResult,
     train,
 )
+from fvs_ros.core import console
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 
 #: The method that assumes a serial chain.
@@ -34,6 +35,7 @@ STRUCTURED = "poe"
 _DOUBTFUL, _MATTERS = 0.15, 0.2
 
 
+@console.reader_may_leave()
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program; returns its exit code."""
     arguments = _parser().parse_args(argv)

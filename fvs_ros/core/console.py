@@ -3,6 +3,9 @@
 A terminal that is held (Ctrl-S), an ssh that stalls or a pipe that nobody reads blocks every
 write, and with it the control loop that only wanted to log a line. So each of the two goes into
 a pipe of our own that does not block; a thread carries it on. What does not fit is dropped.
+
+A program that only tells what it found may wait; but a reader that leaves, as ``head`` does, is
+no reason to fail.
 """
 
 from __future__ import annotations
@@ -28,11 +31,12 @@ _COLOURS = "RCUTILS_COLORIZED_OUTPUT"
 
 
 class _Raw(io.RawIOBase):
-    """Writes to a descriptor what fits, and drops the rest."""
+    """Writes to a descriptor what it takes, and drops the rest."""
 
-    def __init__(self, fd: int, tty: bool) -> None:
+    def __init__(self, fd: int, tty: bool, waits: bool) -> None:
         self._fd = fd
         self._tty = tty
+        self._waits = waits
 
     def writable(self) -> bool:
         return True
@@ -45,15 +49,21 @@ class _Raw(io.RawIOBase):
 
     def write(self, data: Any, /) -> int:
         view = memoryview(data).cast("B")
-        _write(self._fd, view)
+        _write(self._fd, view, self._waits)
         return len(view)
 
 
-def _write(fd: int, view: memoryview) -> None:
-    """Write as much as the descriptor takes."""
-    with contextlib.suppress(OSError):
-        while view:
+def _write(fd: int, view: memoryview, waits: bool) -> None:
+    """Write as much as the descriptor takes now, or all that a reader waits for."""
+    while view:
+        try:
             view = view[os.write(fd, view) :]
+        except BlockingIOError:  # full; somebody else may have made a terminal so
+            if not waits:
+                return
+            select.select([], [fd], [])
+        except OSError:
+            return
 
 
 class _Channel:
@@ -81,16 +91,8 @@ class _Channel:
         self._thread.start()
 
     def _carry(self) -> None:
-        reader_left = False
         while chunk := os.read(self._source, _CHUNK):
-            view = memoryview(chunk)
-            while view and not reader_left:
-                try:
-                    view = view[os.write(self.original, view) :]
-                except BlockingIOError:  # somebody else made the terminal so
-                    select.select([], [self.original], [])
-                except OSError:
-                    reader_left = True
+            _write(self.original, memoryview(chunk), waits=True)
 
     def restore(self) -> None:
         """Lead the descriptor back; the thread ends once all has arrived."""
@@ -129,7 +131,7 @@ def _above_standard(fd: int) -> int:
     return moved
 
 
-def _stream(name: str, channel: _Channel, fd: int) -> io.TextIOWrapper | None:
+def _stream(name: str, fd: int, tty: bool, waits: bool) -> io.TextIOWrapper | None:
     """A text stream that drops instead of raising; None if the present one leads elsewhere."""
     present = getattr(sys, name)
     if present is not None:
@@ -141,11 +143,33 @@ def _stream(name: str, channel: _Channel, fd: int) -> io.TextIOWrapper | None:
         with contextlib.suppress(OSError, ValueError):
             present.flush()
     return io.TextIOWrapper(
-        _Raw(fd, channel.tty),  # type: ignore[arg-type]
+        _Raw(fd, tty, waits),  # type: ignore[arg-type]
         encoding=getattr(present, "encoding", None) or "utf-8",
         errors="backslashreplace",
         line_buffering=True,
     )
+
+
+@contextlib.contextmanager
+def reader_may_leave() -> Iterator[None]:
+    """Let standard output and error be closed at their other end: what is said then is dropped.
+
+    A program that was piped into ``head`` goes on and ends as it would, without a traceback. It
+    still waits for a slow reader. Also a decorator of a program's ``main``.
+    """
+    before = sys.stdout, sys.stderr
+    streams = (  # one that was closed before the start stays so: its descriptor may be another's
+        sys.stdout and _stream("stdout", _STDOUT, os.isatty(_STDOUT), waits=True),
+        sys.stderr and _stream("stderr", _STDERR, os.isatty(_STDERR), waits=True),
+    )
+    sys.stdout, sys.stderr = (s or b for s, b in zip(streams, before, strict=True))
+    try:
+        yield
+    finally:
+        for stream in streams:
+            if stream is not None and not stream.closed:
+                stream.flush()
+        sys.stdout, sys.stderr = before
 
 
 @contextlib.contextmanager
@@ -163,7 +187,10 @@ def never_blocking() -> Iterator[tuple[int, int]]:
     """
     out, err = channels = (_Channel(_STDOUT), _Channel(_STDERR))
     before = sys.stdout, sys.stderr
-    streams = _stream("stdout", out, _STDOUT), _stream("stderr", err, _STDERR)
+    streams = (
+        _stream("stdout", _STDOUT, out.tty, waits=False),
+        _stream("stderr", _STDERR, err.tty, waits=False),
+    )
     sys.stdout, sys.stderr = (s or b for s, b in zip(streams, before, strict=True))
     coloured = err.tty and _COLOURS not in os.environ
     if coloured:

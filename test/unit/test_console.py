@@ -177,3 +177,63 @@ with console.never_blocking():
 print(time.monotonic() - began_s)
 """)
     assert float(done.stdout.split()[1]) < 0.3
+
+
+# --- readers that leave ---
+
+TELLS = """
+@console.reader_may_leave()
+def main():
+    for number in range(30_000):
+        print("line", number)
+    print("and to the error", file=sys.stderr)
+    open(sys.argv[1], "w").write("well")
+main()
+"""
+
+
+def telling(tmp_path):
+    command = [sys.executable, "-c", OPEN + TELLS, str(tmp_path / "told")]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+def test_a_program_whose_reader_has_enough_ends_as_it_would(tmp_path):
+    process = telling(tmp_path)
+    assert process.stdout.readline() == b"line 0\n"
+    process.stdout.close()
+    assert process.stderr.read() == b"and to the error\n"
+    assert process.wait(20) == 0
+    assert (tmp_path / "told").read_text() == "well"
+
+
+@pytest.mark.parametrize("blocking", [True, False])
+def test_a_program_waits_for_a_slow_reader(tmp_path, blocking):
+    source, sink = os.pipe()
+    os.set_blocking(sink, blocking)  # as another program may make a terminal
+    command = [sys.executable, "-c", OPEN + TELLS, str(tmp_path / "told")]
+    process = subprocess.Popen(command, stdout=sink)
+    os.close(sink)
+    time.sleep(0.5)  # the pipe is full
+    with os.fdopen(source, "rb") as reader:
+        assert len(reader.read().splitlines()) == 30_000
+    assert process.wait(20) == 0
+    assert (tmp_path / "told").read_text() == "well"
+
+
+@pytest.mark.parametrize("program", ["experiments.main", "launcher", "train"])
+def test_every_program_may_be_piped_into_one_that_leaves(program):
+    source, sink = os.pipe()
+    os.close(source)
+    command = [sys.executable, "-m", f"fvs_ros.apps.{program}", "--help"]
+    buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    done = subprocess.run(
+        command,
+        env=buffered,
+        stdout=sink,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    os.close(sink)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -32,7 +32,6 @@ from rosbags.rosbag2 import StoragePlugin
 
 from fvs_controller_node.reasons import State
 from fvs_ros.apps.bag import Bag
-from fvs_ros.apps.dashboard.view import SILENT
 from fvs_ros.apps.experiments.main import main
 from fvs_ros.apps.experiments.report import Origin, write_report
 from fvs_ros.apps.experiments.style import pyplot
@@ -42,6 +41,7 @@ from fvs_ros.apps.replay.files import BagError
 from fvs_ros.apps.replay.happened import happened
 from fvs_ros.apps.replay.reading import read
 from fvs_ros.apps.replay.sections import sections
+from fvs_ros.core.status import SILENT
 
 DEMO = {
     "fvs_controller_node": {"law": "ftsm", "max_joint_velocity_rad_s": 0.8},
@@ -210,6 +210,97 @@ def test_a_demo_s_last_sample_is_the_demo_s_own_to_the_last_digit(recording):
         assert since_s[-1] >= 1.6 > since_s[-2], start_s
 
 
+def cut_at(recording, since_given_s):
+    """The recording as a file that ends so long after the target was given, s."""
+    end_s = recording.start_s + GIVEN_S + since_given_s
+    series = {}
+    for key, one in recording.series.items():
+        kept = one.arrival_s <= end_s + 0.0011  # of the ball's true position, its stamp
+        series[key] = Series(one.topic, one.arrival_s[kept], one.stamp_s[kept], one.values[kept])
+    return replace(recording, series=series, end_s=end_s)
+
+
+#: When the ball in the handmade bag comes below 5 and 2 mm, s.
+BELOW_5_S, BELOW_2_S = np.log(60) / DECAY_1_S, np.log(150) / DECAY_1_S
+COARSE, FINE = "settling_5mm_s", "settling_2mm_s"
+LAST = ("final_rms_m", "jitter_rad_s")
+
+
+@pytest.mark.parametrize(
+    ("ends_s", "not_known"),
+    [
+        (0.9, {COARSE, FINE, *LAST}),  # on its way: no "never"
+        (BELOW_5_S + 0.05, {COARSE, FINE, *LAST}),  # just crossing
+        (BELOW_5_S + 0.95, {COARSE, FINE, *LAST}),
+        (BELOW_5_S + 1.05, {FINE}),
+        (BELOW_2_S + 1.05, set()),
+    ],
+)
+def test_what_a_recording_ends_too_early_for_is_not_known(recording, ends_s, not_known):
+    (whole,) = runs.targets(recording)
+    assert whole.not_known == {}
+    (target,) = runs.targets(cut_at(recording, ends_s))
+    assert target.not_known == dict.fromkeys(not_known, "the recording ends")
+    for name in (COARSE, FINE):
+        expected = None if name in not_known else getattr(whole.score, name)
+        assert getattr(target.score, name) == expected
+    for value, name in zip((target.score.final_rms_m, target.jitter_rad_s), LAST, strict=True):
+        assert np.isnan(value) == (name in not_known)
+
+
+def test_a_demo_s_target_of_its_whole_time_is_judged_as_by_the_demo(recording):
+    demo = {"fvs_demo_node": {"target_s": 1.5}}  # below 5 mm after 1.02 s
+    (whole,) = runs.targets(replace(recording, scenario=demo))
+    assert whole.not_known == {}
+    assert BELOW_2_S <= whole.score.settling_2mm_s < BELOW_2_S + 0.0081
+    assert np.isfinite([whole.score.final_rms_m, whole.jitter_rad_s]).all()
+    (cut,) = runs.targets(cut_at(replace(recording, scenario=demo), 1.4))
+    assert set(cut.not_known) == {COARSE, FINE, *LAST}
+
+
+@pytest.mark.parametrize(
+    ("after_s", "not_known"), [(0.9, set(LAST)), (1.3, {COARSE, FINE, *LAST}), (2.5, set())]
+)
+def test_another_target_leaves_unknown_whether_the_ball_stayed(tmp_path, after_s, not_known):
+    made = HandmadeBag(tmp_path / "bag")
+    servo(made)
+    made.point("target_position", GIVEN_S + after_s, GIVEN_S + after_s, START_M)
+    made.close()
+    first, _ = runs.targets(read(tmp_path / "bag"))
+    assert first.not_known == dict.fromkeys(not_known, "another target came")
+    if after_s == 0.9:  # while it was there, the ball never was
+        assert (first.score.settling_5mm_s, first.score.settling_2mm_s) == (None, None)
+
+
+@pytest.mark.parametrize(("lasts_s", "known"), [(3.0, False), (5.0, True)])
+def test_a_ball_that_stays_away_was_never_there_once_it_had_a_demo_s_time(tmp_path, lasts_s, known):
+    made = HandmadeBag(tmp_path / "bag")
+    for tick in range(round(lasts_s / 0.008) + 1):
+        time_s = 0.008 * tick
+        made.point("ball_position", time_s, time_s, START_M)
+    made.point("target_position", 0.0, 0.0, TARGET_M)
+    made.close()
+    (target,) = runs.targets(read(tmp_path / "bag"))
+    assert target.score.settling_5mm_s is None
+    assert (COARSE not in target.not_known) is known
+
+
+def test_the_page_says_not_known_and_why(recording, tmp_path, undrawn):
+    report = sections(cut_at(recording, BELOW_5_S + 1.05), tmp_path)[1]
+    (row,) = report.tables[0].rows
+    assert row[2].endswith(" s")
+    assert row[3] == "not known"
+    assert "Of target 1 not all is known: the recording ends before" in report.setup[1]
+    (told,) = report.data["targets"]
+    assert told["not_known"] == {FINE: "the recording ends"}
+    row = sections(cut_at(recording, 0.9), tmp_path)[1].tables[0].rows[0]
+    assert row[2:5] == ["not known"] * 3
+    assert row[-1] == "not known"
+    report = sections(recording, tmp_path)[1]
+    assert len(report.setup) == 1
+    assert "not known" not in report.tables[0].rows[0]
+
+
 def test_a_target_from_before_the_recording_counts_from_its_stamp(tmp_path):
     made = HandmadeBag(tmp_path / "bag", scenario=DEMO)
     servo(made)
@@ -346,7 +437,7 @@ def test_states_follow_one_another_with_their_first_sentence(recording):
     assert servoing.sentence == "servoing, 300.0 mm to go"
     assert servoing.start_s - recording.start_s == pytest.approx(GIVEN_S)
     assert servoing.end_s == recording.end_s
-    assert story.servoing_s(recording) == pytest.approx(END_S - GIVEN_S, abs=0.05)
+    assert story.on_the_way(recording) == [servoing]
 
 
 def test_a_controller_that_says_no_more_is_silent_and_not_still_servoing(tmp_path):
@@ -361,13 +452,83 @@ def test_a_controller_that_says_no_more_is_silent_and_not_still_servoing(tmp_pat
     assert servoing.end_s == silent.start_s
     assert silent.start_s - recording.start_s == pytest.approx(END_S + 0.9, abs=0.05)
     assert silent.end_s == recording.end_s
-    assert story.servoing_s(recording) == pytest.approx(END_S + 0.9 - GIVEN_S, abs=0.05)
+
+
+ZEROS = "forward_velocity_controller/commands"
+
+
+def ended(folder, joints_end_s, last_command=0.0, **last_word):
+    """A loop that was ended: the controller's last commands, joint states and recorder go on."""
+    made = HandmadeBag(folder)
+    servo(made)
+    if last_word:
+        made.status("fvs_controller_node", END_S + 0.02, "the end", **last_word)
+    for tick in range(1, 6):
+        made.array(ZEROS, END_S + 0.01 * tick, np.full(6, last_command))
+    for tick in range(round((joints_end_s - END_S) / 0.1)):
+        at_s = END_S + 0.1 * (tick + 1)
+        made.joints(at_s, at_s, np.zeros(6), np.zeros(6))
+    made.log(END_S + 12.0, "fvs_recorder_node", "the recorder's own", level=20)
+    made.close()
+    return read(folder)
+
+
+def test_a_controller_that_left_zeros_as_the_loop_was_ended_is_not_silent(tmp_path):
+    recording = ended(tmp_path / "bag", END_S + 2.0)
+    *_, servoing, end = story.states(recording)
+    assert servoing.what == "SERVOING"
+    assert (end.what, end.sentence) == ("ENDED", "the loop was being ended")
+    assert servoing.end_s == end.start_s == pytest.approx(BEGIN_S + END_S + 0.05, abs=1e-3)
+    assert end.end_s == recording.end_s
+
+
+def test_a_controller_that_says_that_it_shuts_down_is_not_silent_after_that(tmp_path):
+    recording = ended(
+        tmp_path / "bag", END_S + 11.0, 0.1, state="HOLDING", reason="SHUT_DOWN"
+    )  # its robot goes on
+    assert [one.what for one in story.states(recording)][-2:] == ["HOLDING", "ENDED"]
+
+
+@pytest.mark.parametrize(("joints_end_s", "last_command"), [(9.0, 1e-4), (16.0, 0.0)])
+def test_a_controller_that_was_killed_is_silent(tmp_path, joints_end_s, last_command):
+    recording = ended(tmp_path / "bag", joints_end_s, last_command)
+    assert [one.what for one in story.states(recording)][-2:] == ["SERVOING", "SILENT"]
+
+
+def test_an_end_without_commands_or_joint_states_in_the_bag_is_a_silence(tmp_path):
+    recording = ended(tmp_path / "bag", END_S + 2.0)
+    for key in ("commands", "joints"):
+        series = {name: one for name, one in recording.series.items() if name != key}
+        assert story.states(replace(recording, series=series))[-1].what == SILENT
 
 
 def test_an_active_limit_is_a_spell(recording):
     (limit,) = story.limits(recording)
     assert limit.what == "near singular"  # without the number, which is another one each time
     assert limit.end_s - limit.start_s == pytest.approx(0.5)
+
+
+def test_a_limit_s_share_is_of_the_time_on_the_way_and_not_of_the_rest(tmp_path, undrawn):
+    made = HandmadeBag(tmp_path / "bag")
+    for number in range(101):
+        time_s = 0.1 * number
+        settled = time_s >= 2.0 - 1e-9
+        limit = "joint speed" if time_s < 0.5 - 1e-9 else "near singular" if time_s >= 1.5 else ""
+        made.status(
+            "fvs_controller_node",
+            time_s,
+            "servoing",
+            state="SERVOING",
+            reason="SETTLED" if settled else "SERVOING",
+            active_limit=limit,
+        )
+    made.close()
+    recording = read(tmp_path / "bag")
+    (way,) = story.on_the_way(recording)
+    assert way.end_s - way.start_s == pytest.approx(2.0)
+    *_, table = happened(recording, [], (0.005, 0.002), tmp_path).tables
+    assert table.header == ["limit", "for, s", "of the time on the way"]
+    assert table.rows == [["near singular", "8.50", "25 %"], ["joint speed", "0.50", "25 %"]]
 
 
 def test_warnings_and_silences_are_events_in_order(recording):
@@ -672,6 +833,84 @@ def test_a_folder_without_metadata_is_read_by_its_files(tmp_path, storage):
     assert found.cut_off == (storage is StoragePlugin.SQLITE3)
 
 
+def pieces(folder, names, begins_s, whole):
+    """Files of one folder, each with what another bag holds from one moment to the next, s."""
+    folder.mkdir()
+    with AnyReader([whole]) as reader:
+        moments_ns = [reader.start_time + round(1e9 * one) for one in begins_s]
+        for name, start_ns, stop_ns in zip(
+            names, moments_ns, [*moments_ns[1:], reader.end_time], strict=True
+        ):
+            bag = Bag(folder / "made", {})
+            for connection, time_ns, raw in reader.messages(start=start_ns, stop=stop_ns):
+                bag.write(connection.topic, connection.msgtype, [], time_ns, raw)
+            bag.close()
+            (file,) = (folder / "made").glob("*.mcap")
+            file.rename(folder / name)
+            shutil.rmtree(folder / "made")
+    return folder
+
+
+def test_the_parts_of_a_split_bag_are_one_recording(tmp_path, bag, recording):
+    names = [f"run_{number}.mcap" for number in range(11)]  # the tenth comes after the ninth
+    folder = pieces(tmp_path / "bag", names, np.linspace(0.0, 4.5, 11), bag)
+    found = read(folder)
+    assert not found.cut_off
+    assert (found.start_s, found.end_s) == (recording.start_s, recording.end_s)
+    assert is_beginning_of(found, recording)
+    last = folder / "run_10.mcap"
+    last.write_bytes(last.read_bytes()[:-20])  # its recorder was killed then
+    assert read(folder).cut_off
+    assert is_beginning_of(read(folder), recording)
+    (folder / "run_3.mcap").unlink()
+    with pytest.raises(BagError, match="holds several bags"):
+        read(folder)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("a.mcap", "b.mcap"),
+        ("a_0.mcap", "b_1.mcap"),
+        ("run_1.mcap", "run_2.mcap"),
+        ("a.mcap", "a_0.mcap"),
+    ],
+)
+@pytest.mark.parametrize("cut_off", [True, False])
+def test_several_bags_in_one_folder_are_not_one(tmp_path, bag, recording, names, cut_off):
+    folder = pieces(tmp_path / "bag", names, [0.0, 3.0], bag)
+    if cut_off:
+        (folder / names[0]).write_bytes((folder / names[0]).read_bytes()[:-20])
+    with pytest.raises(BagError) as refused:
+        read(folder)
+    assert str(refused.value) == f"{folder} holds several bags, name one: {', '.join(names)}"
+    assert read(folder / names[0]).start_s == recording.start_s
+
+
+def test_bags_of_other_times_are_not_one_whatever_their_names(tmp_path, bag):
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    for number, later_s in enumerate((0.0, 60.0)):
+        made = HandmadeBag(tmp_path / f"run_{number}")
+        for step in range(10):
+            made.array("jacobian", later_s + 0.1 * step, JACOBIAN)
+        made.close()
+        (file,) = (tmp_path / f"run_{number}").glob("*.mcap")
+        file.rename(folder / f"run_{number}.mcap")
+    with pytest.raises(BagError, match=r"several bags, name one: run_0\.mcap, run_1\.mcap"):
+        read(folder)
+
+
+def test_a_file_beside_a_bag_s_own_is_none_of_it(tmp_path, bag, recording):
+    folder = shutil.copytree(bag, tmp_path / "bag")
+    (own,) = folder.glob("*.mcap")
+    content = own.read_bytes()
+    (folder / "another.mcap").write_bytes(content[:-20])
+    assert not read(folder).cut_off
+    own.write_bytes(content[:-20])
+    assert len(read(folder).series["ball"]) == len(recording.series["ball"])
+
+
 def test_messages_in_disorder_and_without_chunks_are_put_in_order(tmp_path):
     writer = pytest.importorskip("mcap.writer")
     kind = "std_msgs/msg/Float64MultiArray"
@@ -797,6 +1036,17 @@ def test_a_bag_that_cannot_be_looked_at_is_one_sentence(tmp_path, capsys, make, 
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("below", [False, True])
+def test_a_page_cannot_be_written_to_a_file_and_that_is_said(tmp_path, bag, capsys, below):
+    (tmp_path / "file").touch()
+    out = tmp_path / "file" / "page" if below else tmp_path / "file"
+    assert main(["replay", str(bag), "--out", str(out)]) == 2
+    assert capsys.readouterr().err == (
+        f"fvs_experiments replay: cannot write the page to {out}: it is no folder; "
+        "name another folder by --out\n"
+    )
 
 
 def test_a_namespace_that_is_not_there_is_named(tmp_path):

@@ -15,6 +15,7 @@ from fvs_ros.apps.dashboard.placement import CameraPlacement, Pose
 from fvs_ros.core.camera import Intrinsics
 from fvs_ros.core.history import JointHistory
 from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.core.status import SILENT_S
 
 #: A ball seen longer ago is not drawn, an answer said longer ago not shown, s.
 _BALL_S, _ANSWER_S = 0.5, 12.0
@@ -191,7 +192,7 @@ class Board:
 
     def controller(self, now_s: float) -> view.ControllerView:
         """The controller's last word, unless it is old."""
-        if now_s - self._heard_s.get("status", -inf) > view.SILENT_S:
+        if now_s - self._heard_s.get("status", -inf) > SILENT_S:
             return view.ControllerView()
         return self._controller
 
@@ -216,7 +217,7 @@ class Board:
 
     def sample(self, now_s: float) -> None:
         """Note what is drawn over time and does not come with the status."""
-        if now_s - self._heard_s.get("joint_states", -inf) < view.SILENT_S:
+        if now_s - self._heard_s.get("joint_states", -inf) < SILENT_S:
             self._speed.add(now_s, np.abs(self._velocity))
 
     def snapshot(self, now_s: float, tour: bool) -> view.Snapshot:

@@ -10,10 +10,7 @@ from typing import Any
 import numpy as np
 
 from fvs_ros.apps.dashboard.placement import Pose
-
-#: A status older than this is no word from the controller, s.
-SILENT_S = 1.0
-SILENT = "SILENT"
+from fvs_ros.core.status import SILENT, number, vector
 
 #: What each state is called, and its colour (Okabe and Ito's, which everybody can tell apart).
 _TITLES = {
@@ -25,20 +22,6 @@ _TITLES = {
     SILENT: ("No controller", "#6B7280"),
 }
 _ON_TARGET = ("On target", "#009E73")
-
-
-def number(values: Mapping[str, str], key: str) -> float:
-    """A number of a status, NaN where it is missing or unknown."""
-    try:
-        return float(values.get(key, "nan"))
-    except ValueError:
-        return nan
-
-
-def vector(values: Mapping[str, str], pattern: str) -> np.ndarray | None:
-    """A vector of a status, shape (3,), by ``pattern`` with x, y, z in it; None if unknown."""
-    found = np.array([number(values, pattern.format(axis)) for axis in "xyz"])
-    return found if np.isfinite(found).all() else None
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from fvs_ros.apps.experiments.report import (
     write_report,
 )
 from fvs_ros.apps.installing import how_to_install
+from fvs_ros.core import console
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_ros.core.version import version
 
@@ -98,6 +99,7 @@ def _positive(text: str) -> int:
     return value
 
 
+@console.reader_may_leave()
 def main(argv: list[str] | None = None) -> int:
     """Run ``fvs_experiments``; the exit code says how it went."""
     given = sys.argv[1:] if argv is None else argv

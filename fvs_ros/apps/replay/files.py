@@ -8,9 +8,11 @@ as far as its records are whole.
 from __future__ import annotations
 
 import contextlib
+import re
 import sqlite3
 import struct
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -23,6 +25,10 @@ from fvs_ros.apps.bag import NOTES, TYPES
 
 _METADATA = "metadata.yaml"
 _MCAP, _SQLITE = ".mcap", ".db3"
+#: How rosbag2 numbers the files of one bag, from 0.
+_PART = re.compile(r"(.*)_(\d+)(\.\w+)")
+#: A bag's next file begins so soon after the one before: its topics came all the time, s.
+_GOES_ON_S = 10.0
 #: An MCAP file begins and ends with it.
 _MAGIC = b"\x89MCAP0\r\n"
 #: Kinds of records in an MCAP file: of what has no kind, nothing more was written.
@@ -59,29 +65,68 @@ def storages(path: Path) -> tuple[list[Path], bool]:
     Raises
     ------
     BagError
-        If there is no bag.
+        If there is no bag, or more than one.
     """
     if not path.exists():
         raise BagError(f"there is no {path}")
     if not path.is_dir():
         return [path], is_cut_off(path)
     files = sorted(one for one in path.iterdir() if one.suffix in (_MCAP, _SQLITE))
+    listed = _listed(path / _METADATA)
+    files = [one for one in files if one.name in listed] or files
     cut_off = any(map(is_cut_off, files))
     if (path / _METADATA).is_file() and not cut_off:
         return [path], False
     if not files:
         raise BagError(f"{path} is no bag: it holds neither {_METADATA} nor an {_MCAP} file")
+    if len(files) > 1:
+        files = _parts(path, files)
     # SQLite's files stay whole, but without metadata they lack what was not yet in them.
     return files, cut_off or any(one.suffix == _SQLITE for one in files)
 
 
-def opened(paths: Sequence[Path]) -> AnyReader:
-    """A reader of all of them, to be entered; those that were cut off are read as far as whole."""
+def _listed(metadata: Path) -> set[str]:
+    """Names of the files that are a bag's, as its metadata say; empty where they do not."""
+    content = _yaml(_content(metadata)).get("rosbag2_bagfile_information")
+    paths = content.get("relative_file_paths") if isinstance(content, dict) else None
+    return {Path(str(one)).name for one in paths} if isinstance(paths, list) else set()
+
+
+def _parts(folder: Path, files: Sequence[Path]) -> list[Path]:
+    """Several files in order, if they are named as those of one bag that was split."""
+    matches = [match for one in files if (match := _PART.fullmatch(one.name))]
+    parts = {int(match[2]): folder / match[0] for match in matches}
+    names = {(match[1], match[3]) for match in matches}
+    whole = len(matches) == len(files) and sorted(parts) == list(range(len(files)))
+    if not whole or len(names) > 1:
+        raise _several(folder, files)
+    return [parts[number] for number in range(len(files))]
+
+
+def _several(folder: Path, files: Sequence[Path]) -> BagError:
+    names = ", ".join(one.name for one in files)
+    return BagError(f"{folder} holds several bags, name one: {names}")
+
+
+@contextlib.contextmanager
+def opened(folder: Path, paths: Sequence[Path]) -> Iterator[AnyReader]:
+    """A reader of all of them; those that were cut off are read as far as whole.
+
+    Raises
+    ------
+    BagError
+        If they do not follow one another, as the parts of one bag do.
+    """
     reader = AnyReader(paths, default_typestore=TYPES)
     for path, one in zip(paths, reader.readers, strict=True):
         if isinstance(one, Reader) and is_cut_off(path):
             one.storage = CutOffReader(path)
-    return reader
+    with reader:
+        times_ns = [(one.start_time, one.end_time) for one in reader.readers if one.message_count]
+        for (_, end_ns), (start_ns, _) in pairwise(times_ns):
+            if abs(start_ns - end_ns) > _GOES_ON_S * 1e9:
+                raise _several(folder, paths)
+        yield reader
 
 
 def is_cut_off(path: Path) -> bool:
@@ -133,7 +178,11 @@ class CutOffReader(McapReader):
         for chunk in chunks:
             chunk.channel_count.update(counts)  # which of them are in this one, it tells itself
         self.chunks = chunks
-        self.metadata = self.metadata._replace(message_count=self.statistics.message_count)
+        self.metadata = self.metadata._replace(
+            message_count=self.statistics.message_count,
+            start_time=self.statistics.start_time,
+            end_time=self.statistics.end_time + 1,  # after the latest message, as the parent has it
+        )
 
     def messages(self, connections: Any, start: Any = None, stop: Any = None) -> Any:
         """All messages in order: the parent's way, which refuses disorder outside of chunks."""

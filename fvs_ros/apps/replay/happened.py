@@ -67,7 +67,7 @@ def happened(
             )
         )
     if limits:
-        tables.append(_limits_table(limits, story.servoing_s(recording)))
+        tables.append(_limits_table(limits, story.on_the_way(recording)))
     return Report(
         name=HAPPENED,
         title="What happened",
@@ -105,7 +105,7 @@ def _incomplete(recording: Recording, targets: Sequence[Target]) -> list[str]:
         found.append(
             "The bag was cut off: its recorder was killed, or it was not copied whole. What is "
             "shown ends before the run did: the last second or more is missing, and with it the "
-            "arm’s coming to rest. The last target is judged by what there is of it."
+            "arm’s coming to rest. What it leaves unknown of the last target is not guessed."
         )
     moved_s = story.moved_before_s(recording)
     if moved_s:
@@ -137,18 +137,26 @@ def _origin(recording: Recording) -> str:
     return " ".join(filter(None, words))
 
 
-def _limits_table(limits: Sequence[story.Spell], servoing_s: float) -> Table:
-    total_s: dict[str, float] = {}
-    for spell in limits:
-        total_s[spell.what] = total_s.get(spell.what, 0.0) + spell.end_s - spell.start_s
+def _limits_table(limits: Sequence[story.Spell], ways: Sequence[story.Spell]) -> Table:
+    """How long each limit shaped the command, in all and on the way to targets."""
+    way_s = sum(one.end_s - one.start_s for one in ways)
+    rows = []
+    for name in sorted({spell.what for spell in limits}):
+        spells = [spell for spell in limits if spell.what == name]
+        total_s = sum(one.end_s - one.start_s for one in spells)
+        common_s = sum(_common_s(one, way) for one in spells for way in ways)
+        share = f"{100 * common_s / way_s:.0f} %" if way_s else ""
+        rows.append((total_s, [name, _seconds(total_s), share]))
     return Table(
-        "Limits that shaped the command, as far as the status tells, ten times a second.",
-        ["limit", "for, s", "of the time in motion"],
-        [
-            [name, _seconds(time_s), f"{100 * time_s / servoing_s:.0f} %" if servoing_s else ""]
-            for name, time_s in sorted(total_s.items(), key=lambda one: -one[1])
-        ],
+        "Limits that shaped the command, as far as the status tells, ten times a second. On the "
+        "way is SERVOING before the ball is SETTLED on the target.",
+        ["limit", "for, s", "of the time on the way"],
+        [row for _, row in sorted(rows, key=lambda one: -one[0])],
     )
+
+
+def _common_s(one: story.Spell, other: story.Spell) -> float:
+    return max(0.0, min(one.end_s, other.end_s) - max(one.start_s, other.start_s))
 
 
 def _seconds(value_s: float) -> str:

@@ -63,18 +63,29 @@ def main(argv: list[str]) -> int:
     out = arguments.out or Path("out/replay") / (whole.name if whole.is_dir() else whole.stem)
     try:
         recording = read(bag, arguments.namespace)
+    except BagError as error:
+        return _refuse(str(error))
+    except OSError as error:
+        return _refuse(f"cannot read {bag}: {error.strerror}")
+    try:
         out.mkdir(parents=True, exist_ok=True)
         reports = sections(recording, out)
         origin = Origin(f"{COMMAND} {bag}", version(), _model(recording), quick=False)
         for report in reports:
             write_report(report, out / report.name, origin)
         page = write_page(out, NAMES, Heading(f"Recording {bag.resolve().name}", _LEAD))
-    except (BagError, OSError) as error:
-        print(f"{COMMAND}: {error}", file=sys.stderr)
-        return EXIT_BAD_INPUT
+    except OSError as error:
+        no_folder = isinstance(error, FileExistsError | NotADirectoryError)
+        why = "it is no folder" if no_folder else error.strerror
+        return _refuse(f"cannot write the page to {out}: {why}; name another folder by --out")
     _tell(reports)
     print(f"page: {page}")
     return EXIT_OK
+
+
+def _refuse(why: str) -> int:
+    print(f"{COMMAND}: {why}", file=sys.stderr)
+    return EXIT_BAD_INPUT
 
 
 def _tell(reports: list[Report]) -> None:

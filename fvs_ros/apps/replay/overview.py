@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from fvs_ros.apps.dashboard.view import SILENT
 from fvs_ros.apps.experiments.style import pyplot, save
 from fvs_ros.apps.replay import story
 from fvs_ros.apps.replay.data import Recording
@@ -16,6 +15,7 @@ from fvs_ros.apps.replay.figures import colours, plain_numbers
 from fvs_ros.apps.replay.runs import Target
 from fvs_ros.apps.replay.timing import controller_values
 from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
+from fvs_ros.core.status import SILENT
 
 STATES = {
     "WAITING": "#bbbbbb",
@@ -26,7 +26,7 @@ STATES = {
     SILENT: "#eeeeee",
 }
 _LIMIT = "#7a6fb0"
-#: Of a state that is none of this project's controller.
+#: Of a controller that was ended, and of a state that is none of this project's controller.
 _OTHER = "#ffffff"
 _JOINTS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _SMALLEST_M = 1e-5

@@ -63,7 +63,7 @@ def read(path: Path, namespace: str | None = None) -> Recording:
     """
     paths, cut_off = files.storages(path)
     try:
-        with files.opened(paths) as reader:
+        with files.opened(path, paths) as reader:
             if cut_off and not reader.message_count:
                 raise BagError(f"{path} was cut off before any message was written into it")
             return _Reading(reader, path, namespace, files.notes(paths)).recording(cut_off)

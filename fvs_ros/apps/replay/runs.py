@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from fvs_controller_node.target_motion import TargetMotion
-from fvs_ros.apps.dashboard.view import vector
 from fvs_ros.apps.demo import PARAMETERS, TargetRecord, TargetScore, score
 from fvs_ros.apps.replay.data import Recording, Series
 from fvs_ros.apps.score import jitter_rad_s
 from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.core.status import vector
 
 #: Stamps further apart than this are two moments, s: their last digits are lost in seconds.
 _SAME_MOMENT_S = 1e-6
@@ -22,7 +22,10 @@ _GIVEN_S = 0.3
 _BEFORE_S = 5.0
 #: Without a position for so long after it was given, its start is not known, s.
 _LATE_S = 0.1
+#: The last second is judged as the end; so long below a bound, the ball did not just cross it, s.
 _FINAL_S = 1.0
+#: What ended a target too early to judge it.
+_CUT_BY_END, _CUT_BY_TARGET = "the recording ends", "another target came"
 #: So long after a target's arrival the status shows it, and in so many digits, s and m.
 _SHOWN_S, _SAME_M = 0.25, 0.001
 _DEMO = "fvs_demo_node"
@@ -44,10 +47,14 @@ class Target:
         Distances of the ball to it at each sample, m.
     score : TargetScore
         The demo's judgement; the joints' peak speed is not a number where no velocity is known.
+        A settling time is None also where it is not known, and the final error not a number.
     path_m : float
         Length of the ball's path, m; longer with a noisy position.
     jitter_rad_s : float
         Of the command over the last second; not a number without commands.
+    not_known : mapping of str to str
+        Which of these numbers the record is too short for (``settling_5mm_s``,
+        ``settling_2mm_s``, ``final_rms_m``, ``jitter_rad_s``), and what ended it.
     """
 
     number: int
@@ -57,6 +64,7 @@ class Target:
     score: TargetScore
     path_m: float
     jitter_rad_s: float
+    not_known: Mapping[str, str]
 
     @property
     def begins_late(self) -> bool:
@@ -95,17 +103,54 @@ def targets(recording: Recording) -> list[Target]:
         return []
     time_s = _times(ball)
     runs = _taken(recording, _grouped(given, time_s))
+    target_s = recording.started(_DEMO, PARAMETERS)["target_s"]
     found: list[Target] = []
     for (one, replaced_s), (following, _) in zip(runs, [*runs[1:], (None, 0.0)], strict=True):
         end_s = np.inf if following is None else following.time_s[0]
         end_s = min(end_s, one.time_s[0] + replaced_s)
         if following is None and _DEMO in recording.scenario:
-            target_s = recording.started(_DEMO, PARAMETERS)["target_s"]
             end_s = _first_after(time_s, one.time_s[0], target_s)
         target = _judge(recording, ball, time_s, one, end_s, len(found) + 1)
         if target is not None:
-            found.append(target)
+            cut = _CUT_BY_TARGET if np.isfinite(end_s) else _CUT_BY_END
+            given_whole = target.record.time_s[-1] >= target_s
+            # The demo's own verdict, and its number, after its time: whatever came then.
+            whole = given_whole and _DEMO in recording.scenario
+            found.append(target if whole else _without_guesses(target, cut, given_whole))
     return found
+
+
+def _without_guesses(target: Target, cut: str, given_whole: bool) -> Target:
+    """The target without numbers that its record is too short for.
+
+    The ball may just have crossed a bound when the record ended: that it stayed below takes a
+    second to know, whether the file ended or another target came. One that was above is "never"
+    below only if another target came, or if it had the time that the demo gives.
+    """
+    end_s = target.record.time_s[-1]
+    final = end_s - target.record.time_s[0] >= _FINAL_S
+    not_known = {}
+    if not target.moving:
+        never = cut == _CUT_BY_TARGET or given_whole
+        for name in ("settling_5mm_s", "settling_2mm_s"):
+            settled_s = getattr(target.score, name)
+            if not (never if settled_s is None else end_s - settled_s >= _FINAL_S):
+                not_known[name] = cut
+        final = final and "settling_5mm_s" not in not_known
+    if not final:
+        not_known |= dict.fromkeys(("final_rms_m", "jitter_rad_s"), cut)
+    judged = target.score
+    return replace(
+        target,
+        score=replace(
+            judged,
+            settling_5mm_s=None if "settling_5mm_s" in not_known else judged.settling_5mm_s,
+            settling_2mm_s=None if "settling_2mm_s" in not_known else judged.settling_2mm_s,
+            final_rms_m=judged.final_rms_m if final else float("nan"),
+        ),
+        jitter_rad_s=target.jitter_rad_s if final else float("nan"),
+        not_known=not_known,
+    )
 
 
 def _taken(recording: Recording, runs: Sequence[_Given]) -> list[tuple[_Given, float]]:
@@ -221,6 +266,7 @@ def _judge(
         score=judged,
         path_m=float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()),
         jitter_rad_s=_jitter(recording.series.get("commands"), ball, chosen),
+        not_known={},
     )
 
 

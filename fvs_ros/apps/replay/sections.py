@@ -58,7 +58,7 @@ def _targets(recording: Recording, targets: Sequence[Target], folder: Path) -> R
         name=TARGETS,
         title="Targets",
         question="How soon was the ball at each target, how near, and on which way?",
-        setup=[setup],
+        setup=[setup, *_not_known(targets)],
         figures=[
             Figure(
                 figures.errors(targets, bounds, folder),
@@ -84,6 +84,7 @@ def _targets(recording: Recording, targets: Sequence[Target], folder: Path) -> R
                     "path_m": one.path_m,
                     "jitter_rad_s": one.jitter_rad_s,
                     "rms_m": one.rms_m,
+                    "not_known": one.not_known,
                 }
                 for one in targets
             ],
@@ -91,13 +92,27 @@ def _targets(recording: Recording, targets: Sequence[Target], folder: Path) -> R
     )
 
 
+def _not_known(targets: Sequence[Target]) -> list[str]:
+    """Why some numbers are not given, a paragraph for each target that ended too early."""
+    return [
+        f"Of target {one.number} not all is known: {cut} before the ball was below the bounds for "
+        "a second."
+        for one in targets
+        for cut in dict.fromkeys(one.not_known.values())
+    ]
+
+
 def targets_table(targets: Sequence[Target], bounds: Sequence[float]) -> Table:
     """The targets as rows; of a target that moved, the error all along."""
 
-    def settled(target: Target, time_s: float | None) -> str:
+    def settled(target: Target, name: str) -> str:
         if target.moving:
             return ""
-        return "never" if time_s is None else f"{time_s:.2f} s"
+        time_s = getattr(target.score, name)
+        return known(target, name, "never" if time_s is None else f"{time_s:.2f} s")
+
+    def known(target: Target, name: str, text: str) -> str:
+        return "not known" if name in target.not_known else text
 
     return Table(
         "Jitter is the change of the command from tick to tick over the last second, rms, of the "
@@ -116,12 +131,16 @@ def targets_table(targets: Sequence[Target], bounds: Sequence[float]) -> Table:
             [
                 f"{one.number}{', moving' if one.moving else ''}",
                 "unknown" if one.begins_late else f"{1e3 * one.score.start_distance_m:.0f} mm",
-                settled(one, one.score.settling_5mm_s),
-                settled(one, one.score.settling_2mm_s),
-                f"{1e3 * (one.rms_m if one.moving else one.score.final_rms_m):.2f} mm",
+                settled(one, "settling_5mm_s"),
+                settled(one, "settling_2mm_s"),
+                f"{1e3 * one.rms_m:.2f} mm"
+                if one.moving
+                else known(one, "final_rms_m", f"{1e3 * one.score.final_rms_m:.2f} mm"),
                 f"{1e3 * one.path_m:.0f} mm",
                 _unless_unknown(one.score.peak_joint_speed_rad_s, "{:.2f} rad/s"),
-                _unless_unknown(1e3 * one.jitter_rad_s, "{:.2f} mrad/s"),
+                known(
+                    one, "jitter_rad_s", _unless_unknown(1e3 * one.jitter_rad_s, "{:.2f} mrad/s")
+                ),
             ]
             for one in targets
         ],

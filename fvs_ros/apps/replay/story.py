@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fvs_ros.apps.dashboard.view import SILENT, SILENT_S
 from fvs_ros.apps.replay.data import Recording, Said
 from fvs_ros.apps.replay.timing import gaps
 from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.core.status import SILENT, SILENT_S
 
-SERVOING = "SERVOING"
+SERVOING, SETTLED, SHUT_DOWN = "SERVOING", "SETTLED", "SHUT_DOWN"
+#: Of a controller that was ended in order, when the loop was.
+ENDED = "ENDED"
+#: A loop that is ended takes no longer than this from the controller's last word to the last joint
+#: state, s.
+_ENDING_S = 5.0
 #: A line of the log that came again within this is the same trouble, s.
 _AGAIN_S = 5.0
 #: A joint that is further from where it was, rad, or quicker, rad/s, than this moves.
@@ -66,7 +71,11 @@ class Event:
 
 
 def states(recording: Recording) -> list[Spell]:
-    """The controller's states and reasons in order; ``SILENT`` where it said nothing."""
+    """The controller's states and reasons in order.
+
+    ``SILENT`` where it said nothing; ``ENDED`` where it says no more, as the loop was being ended:
+    the controller is stopped first and the recorder last.
+    """
     statuses = recording.said.get("controller", ())
     found: list[Spell] = []
     for status, end_s, next_s in _with_ends(recording, statuses):
@@ -79,7 +88,33 @@ def states(recording: Recording) -> list[Spell]:
             found.append(Spell(status.arrival_s, end_s, state, reason, status.text))
         if end_s < next_s:
             found.append(Spell(end_s, next_s, SILENT, "", "no word from the controller"))
-    return found
+    if not found or found[-1].what != SILENT:
+        return found
+    *before, last, silent = found
+    ended_s = _ended_s(recording)
+    if ended_s is None:
+        return found
+    ended_s = min(ended_s, last.end_s)
+    ended = Spell(ended_s, silent.end_s, ENDED, "", "the loop was being ended")
+    return [*before, replace(last, end_s=ended_s), ended]
+
+
+def _ended_s(recording: Recording) -> float | None:
+    """When the controller ended in order, s; None where it was killed, or that is not known.
+
+    Its last status may say so. Its last commands do: zeros, after which the joint states end, too.
+    One that was killed leaves the arm moving, and one whose robot goes on was alone in ending.
+    """
+    status = recording.said["controller"][-1]
+    commands, joints = recording.series.get("commands"), recording.series.get("joints")
+    last_s = status.arrival_s
+    if commands is not None:
+        last_s = max(last_s, float(commands.arrival_s[-1]))
+    if status.values.get("reason") == SHUT_DOWN:
+        return last_s
+    if commands is None or joints is None or commands.values[-1].any():
+        return None
+    return last_s if joints.arrival_s[-1] - status.arrival_s < _ENDING_S else None
 
 
 def limits(recording: Recording) -> list[Spell]:
@@ -118,9 +153,9 @@ def moved_before_s(recording: Recording) -> float:
     return float(commands.arrival_s[0] - joints.arrival_s[early][moves][0])
 
 
-def servoing_s(recording: Recording) -> float:
-    """Time in which the controller moved the arm, s."""
-    return sum(one.end_s - one.start_s for one in states(recording) if one.what == SERVOING)
+def on_the_way(recording: Recording) -> list[Spell]:
+    """Spells in which the arm was on its way to a target: servoing, and not settled on it."""
+    return [one for one in states(recording) if one.what == SERVOING and one.reason != SETTLED]
 
 
 def events(recording: Recording) -> list[Event]:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from fvs_controller_node.config import PARAMETERS
-from fvs_ros.apps.dashboard.view import SILENT_S
 from fvs_ros.apps.replay.data import Flow, Recording, Series
+from fvs_ros.core.status import SILENT_S
 
 #: Inputs of the controller, and the parameter above which an age holds the arm.
 INPUTS = {

@@ -1,0 +1,27 @@
+"""Reading the key numbers of a status, which are text on the wire."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import nan
+
+import numpy as np
+
+#: A status older than this is no word from its node, s.
+SILENT_S = 1.0
+#: The state of a controller from which there is no word.
+SILENT = "SILENT"
+
+
+def number(values: Mapping[str, str], key: str) -> float:
+    """A number of a status; not a number where it is missing or unknown."""
+    try:
+        return float(values.get(key, "nan"))
+    except ValueError:  # "unknown", or empty
+        return nan
+
+
+def vector(values: Mapping[str, str], pattern: str) -> np.ndarray | None:
+    """A vector of a status, shape (3,), by ``pattern`` with x, y, z in it; None if unknown."""
+    found = np.array([number(values, pattern.format(axis)) for axis in "xyz"])
+    return found if np.isfinite(found).all() else None
