@@ -266,9 +266,11 @@ class ControllerNode(ros.FvsNode):
         return {"late_ticks": self._late}
 
     def finish(self) -> None:
-        """Leave zeros on the wire."""
+        """Leave zeros on the wire, and then say so."""
         self._loop.supervisor.shutdown()
         ros.send_last_zeros(self._commands)
+        self._command = self._loop.tick(self.steady_s(), 0.0)
+        self._publish_status()
 
 
 def main() -> int:

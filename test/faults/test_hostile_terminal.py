@@ -87,6 +87,7 @@ def test_any_signal_that_ends_leaves_zeros_on_the_wire(ros_test, number):
     bench.servo()
     assert ros_test.stop(bench.process, number) == 0
     assert_zeros_last(bench)
+    bench.wait(lambda: bench.reason() == "SHUT_DOWN", 2.0, "the last word")
 
 
 def test_what_would_suspend_does_not(ros_test):
