@@ -122,7 +122,8 @@ def main(argv: list[str] | None = None) -> int:
         arguments.out.mkdir(parents=True, exist_ok=True)
         (arguments.out / "index.html").touch()
     except OSError as error:
-        print(f"fvs_experiments: cannot write to --out {arguments.out}: {error}", file=sys.stderr)
+        why = error.strerror or error
+        print(f"fvs_experiments: cannot write to --out {arguments.out}: {why}", file=sys.stderr)
         return EXIT_BAD_INPUT
     try:
         return _run(arguments)
