@@ -8,8 +8,9 @@ small weight on the sum of squares it has one solution that moves smoothly with 
 
 a least distance problem of four unknowns (t, and u in the null space of J), which Lawson and
 Hanson's non-negative least squares solves (Solving Least Squares Problems, ch. 23). ``low`` and
-``high`` are 1, and fall to a tenth as a joint nears that end of its range: the others then do the
-work, as far as they can.
+``high`` are 1, and fall to nothing as a joint nears that end of its range. The others then make up
+for most of what it leaves out of ``v``, as far as they can: where they cannot, because the target
+is out of their reach, they do not try with ever more speed.
 """
 
 from __future__ import annotations
@@ -30,7 +31,10 @@ from fvs_ros.core.vectors import largest
 #: Weight of the sum of squares (eps): the fastest joint is 2 % faster than need be, at most.
 _SMOOTHING = 0.2
 #: Least share of its speed that a joint keeps at the end of its range.
-_LEAST_SHARE = 0.1
+_LEAST_SHARE = 0.0
+#: From this part on (its inverse) of the fastest joint's speed that is left out, no speed is saved:
+#: at the edge of reach the least largest speed would jump from corner to corner.
+_CALM = 4.0
 _TINY = 1e-12
 
 
@@ -45,10 +49,14 @@ class LeastSpeedInverse:
         velocity is kept.
     joint_range : JointRange, optional
         Ends of the joints' ranges, to be kept away from.
+    left_out : float
+        How much of the motion that a joint near its end leaves out is not made up for by the others
+        (kappa), from 0 to 1: more is calmer where the target is out of reach.
     """
 
     damping: float = 1e-4
     joint_range: JointRange | None = None
+    left_out: float = 0.1
 
     def __post_init__(self) -> None:
         ends = None
@@ -97,19 +105,25 @@ class LeastSpeedInverse:
         """
         solvers = self._solvers  # type: ignore[attr-defined]
         least = damped_solution(jacobian, velocity_m_s, self.damping)
+        free = solvers.orthogonal_to_rows(jacobian)
+        shares, spared = self._shares(joints_rad), None
+        if shares is not None:
+            share = np.where(least > 0.0, shares[:N_JOINTS], shares[N_JOINTS:])
+            left_out = largest((1.0 - share) * least) / max(largest(least), _TINY)
+            spared = self._sparing(jacobian, velocity_m_s, share)
+            least = spared - (free @ spared) @ free
+        if near_rad_s is not None:
+            least = least + (free @ near_rad_s) @ free
+            spared = None if spared is None else least
         scale = largest(least)
         if not _TINY < scale < np.inf:
             return least
-        free = solvers.orthogonal_to_rows(jacobian)
-        if near_rad_s is not None:
-            least = least + (free @ near_rad_s) @ free
-            scale = max(scale, largest(least))
         distance = np.empty((5, 2 * N_JOINTS))
         upward, downward = distance[:, :N_JOINTS], distance[:, N_JOINTS:]
         np.multiply(free, -1.0 / nearness, out=upward[1:4])
         np.divide(least, scale, out=upward[4])
         np.negative(upward[1:], out=downward[1:])
-        distance[0] = self._shares(joints_rad)
+        distance[0] = 1.0 if shares is None else shares
         try:
             weights, _ = solvers.nnls(distance, _LAST)
         except RuntimeError:  # it did not converge
@@ -118,16 +132,31 @@ class LeastSpeedInverse:
         last = nearness * (last - 1.0)
         if abs(last) < _TINY:
             return least
-        return least - np.array((x, y, z)).dot(free) * (scale / last)
+        found = least - np.array((x, y, z)).dot(free) * (scale / last)
+        if spared is None:
+            return found
+        return found + min(1.0, _CALM * left_out) * (spared - found)
 
-    def _shares(self, joints_rad: np.ndarray | None) -> np.ndarray | float:
-        """Upward, then downward shares of each joint's speed, shape (12,)."""
+    def _sparing(
+        self, jacobian: np.ndarray, velocity_m_s: np.ndarray, share: np.ndarray
+    ) -> np.ndarray:
+        """Joint velocities of which each joint makes only a share, (6,).
+
+        With W the shares and ``D = W + kappa (I - W)`` it is ``W J' (J D J' + mu I)^-1 v``. With
+        kappa = 0 the other joints would make up for all that is left out, the faster the less they
+        can: at the edge of their reach they would throw the ball about.
+        """
+        root = np.sqrt(share + self.left_out * (1.0 - share))
+        return share / root * damped_solution(jacobian * root, velocity_m_s, self.damping)
+
+    def _shares(self, joints_rad: np.ndarray | None) -> np.ndarray | None:
+        """Upward, then downward shares of each joint's speed, shape (12,); None where all are 1."""
         if (
             self.joint_range is None
             or joints_rad is None
             or not self.joint_range.near_end(joints_rad)
         ):
-            return 1.0
+            return None
         ends_rad = self._ends_rad  # type: ignore[attr-defined]
         room = ends_rad - np.concatenate((joints_rad, -joints_rad))
         return np.minimum(np.maximum(room / self.joint_range.margin_rad, _LEAST_SHARE), 1.0)

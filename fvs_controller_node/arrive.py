@@ -38,6 +38,8 @@ _FIRST_STEPS, _STEPS, _LONGEST_RAD, _NEARNESS = 8, 2, 0.5, 0.2
 _NEW_M = 0.02
 #: Damping of the search, m^2/rad^2: larger would leave a part of the way out.
 _SEARCH_DAMPING = 1e-8
+#: What is left out near the end of a joint's range is made up for in the steps to come.
+_SEARCH_LEFT_OUT = 0.02
 
 
 class ArriveLaw(ControlLaw):
@@ -86,7 +88,7 @@ class ArriveLaw(ControlLaw):
         self._acceleration = BRAKING_SHARE * max_acceleration_rad_s2
         self._rate_1_s = rate_1_s
         self._inverse = inverse or LeastSpeedInverse()
-        self._search = replace(self._inverse, damping=_SEARCH_DAMPING)
+        self._search = replace(self._inverse, damping=_SEARCH_DAMPING, left_out=_SEARCH_LEFT_OUT)
         self.reset()
 
     @classmethod
