@@ -99,23 +99,16 @@ def test_a_joint_at_its_end_goes_no_further_and_the_others_are_not_overworked():
             assert np.abs(found).max() < 8.0 * np.linalg.norm(velocity) / np.abs(edge[0, 0])
 
 
-def test_it_moves_little_for_a_little_change_near_the_ends_too():
+def test_it_does_not_jump_where_a_joint_begins_to_go_towards_its_end():
     inverse = LeastSpeedInverse(1e-4, WIDE)
     rng = np.random.default_rng(3)
-    worst = 0.0
-    for jacobian, velocity in CASES:
-        joints = np.where(rng.random(6) < 0.5, rng.choice([-1.0, 1.0], 6), 0.0) * rng.uniform(
-            2.4, 3.0, 6
-        )
+    for jacobian, velocity in CASES[:20]:
+        near = np.zeros(6)
+        near[rng.integers(6)] = 2.9
         turn = rng.normal(size=3)
-        for angle in np.linspace(0.0, np.pi, 25):  # through what each joint does, from + to -
-            wanted = np.cos(angle) * velocity + np.sin(angle) * turn
-            one, other = (
-                inverse.joint_velocity(jacobian, wanted + 1e-5 * step * turn, joints)
-                for step in (0, 1)
-            )
-            worst = max(worst, np.abs(other - one).max() / np.abs(one).max() / 1e-5)
-    assert worst < 60.0
+        around = [np.cos(a) * velocity + np.sin(a) * turn for a in np.linspace(0.0, np.pi, 400)]
+        found = np.array([inverse.joint_velocity(jacobian, wanted, near) for wanted in around])
+        assert np.abs(np.diff(found, axis=0)).max() < 0.12 * np.abs(found).max()
 
 
 def test_nearness_holds_on_to_what_there_is():
