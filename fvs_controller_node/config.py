@@ -319,7 +319,7 @@ _TARGET = (
     Parameter(
         "target_window_s",
         0.15,
-        "A target's velocity is taken from the updates of so long, s; longer for a noisy one.",
+        "Shortest window of updates that tells how a target moves, s; noisy ones get a longer one.",
         0.02,
         2.0,
         live=True,

@@ -19,11 +19,18 @@ class InputSpec:
         What to look at when it does not come.
     max_age_s : float, optional
         Older than this it is stale; None for an input that may come rarely or never.
+    limit : str
+        The parameter that says so.
     """
 
     name: str
     hint: str
     max_age_s: float | None
+    limit: str = ""
+
+
+#: So many intervals beyond the limit make a slow input, if they are no longer than this, s.
+_SLOW_INTERVALS, _SLOW_S = 2, 5.0
 
 
 class InputMonitor:
@@ -48,6 +55,10 @@ class InputMonitor:
         self._trouble = None if spec.max_age_s is None else Reason.MISSING
         self._why = ""
         self._stuck_s = -float("inf")
+        self._late, self._interval_s = (
+            0,
+            0.0,
+        )  # intervals beyond the limit in this trouble; the last
 
     def configure(self, spec: InputSpec, fresh_samples: int) -> None:
         """Change what is expected and keep what was seen."""
@@ -57,6 +68,9 @@ class InputMonitor:
     def good(self, now_s: float) -> None:
         """Tell that a usable message arrived."""
         self.find(now_s)  # a gap since the last one counts, even if no tick saw it
+        self._interval_s, limit_s = self.age_s(now_s), self.spec.max_age_s
+        late = limit_s is not None and limit_s < self._interval_s < _SLOW_S
+        self._late = 0 if self._trouble is None else self._late + late
         self._last_s = now_s
         if self._trouble is not None:
             self._streak += 1
@@ -96,6 +110,9 @@ class InputMonitor:
         name, hint, wanted = self.spec.name, self.spec.hint, self._fresh_samples
         if limit_s is not None and now_s - self._stuck_s <= limit_s:
             hint = "messages come, but their stamps do not advance: its source has frozen"
+        elif self._late >= _SLOW_INTERVALS and age_s <= 2.0 * self._interval_s:
+            hint = f"messages come, but every {self._interval_s:.2f} s only"
+            hint += f" ({self.spec.limit} is {limit_s:.2f} s)"
         if self._trouble is Reason.BAD_INPUT:
             return Reason.BAD_INPUT.because(
                 name=name, why=self._why, count=self._streak, wanted=wanted

@@ -109,13 +109,20 @@ class SupervisorConfig:
                 JOINT_STATES,
                 "is the robot driver (or simulator) running?",
                 self.joint_states_max_age_s,
+                "joint_states_max_age_s",
             ),
             InputSpec(
                 BALL,
                 "is the ball in view, and the detector running?",
                 self.ball_max_age_s,
+                "ball_max_age_s",
             ),
-            InputSpec(JACOBIAN, "is the estimator running?", self.jacobian_max_age_s),
+            InputSpec(
+                JACOBIAN,
+                "is the estimator running?",
+                self.jacobian_max_age_s,
+                "jacobian_max_age_s",
+            ),
             InputSpec(KINEMATIC_CHAIN, "", None),
             InputSpec(SPEED_SCALING, "", None),
         )

@@ -62,6 +62,7 @@ class Run:
     error_m: np.ndarray
     command: np.ndarray
     states: list[str]
+    ball_m: np.ndarray
 
     def settled_s(self, within_m: float) -> float:
         """When the true error was last above a bound, s from the start; inf if at the end."""
@@ -126,7 +127,7 @@ def servo(
     images: deque[tuple[float, np.ndarray]] = deque()
     next_image_s = rng.uniform(0.0, IMAGE_S)
     last_seen: np.ndarray | None = None
-    times, errors, commands, states = [], [], [], []
+    times, errors, commands, states, balls = [], [], [], [], []
     started_s = None
     k = 0
     while started_s is None or k * TICK_S - started_s < duration_s:
@@ -162,10 +163,11 @@ def servo(
             states.append(command.reason.name)
             times.append(t - started_s)
             errors.append(float(np.linalg.norm(ball - target)))
+            balls.append(ball)
             commands.append(command.velocity_rad_s)
         drive.run(command.velocity_rad_s, round(TICK_S / Drive.step_s))
         k += 1
-    return Run(np.array(times), np.array(errors), np.array(commands), states)
+    return Run(np.array(times), np.array(errors), np.array(commands), states, np.array(balls))
 
 
 def pairs(count: int, seed: int, low_m: float = 0.2, high_m: float = 0.5) -> list[np.ndarray]:

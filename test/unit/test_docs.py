@@ -14,6 +14,7 @@ PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 #: Sentences that are no reason's own, and where they stand.
 _ELSEWHERE = {
     "is taken; stop what is served there": "fvs_ros/apps/dashboard/page.py",
+    "messages come, but every": "fvs_controller_node/inputs.py",
     "the camera's place is not known yet": "fvs_ros/apps/dashboard/placement.py",
     "this page gets too little of the processor": "fvs_ros/apps/dashboard/dashboard_node.py",
     "no picture: nobody publishes": "fvs_ros/apps/dashboard/dashboard_node.py",

@@ -44,6 +44,20 @@ def test_before_any_motion_and_where_it_must_not_compare_it_keeps_the_first_gues
     assert run(DriveLag(0.03), 1, 0.0, slider=0.3, compare=False).lag_s == pytest.approx(0.03)
 
 
+@pytest.mark.parametrize("share", [0.0, 3.0], ids=["stalled", "pushed along"])
+def test_an_arm_that_does_not_do_what_it_is_told_is_hardly_taken_for_a_lag(share):
+    """One moment counts at most like the slowest drive and at least like one without a lag."""
+    lag = run(DriveLag(), 2, 0.0)
+    found_s, joints = lag.lag_s, np.zeros(6)
+    lag.restart()
+    for tick in range(250):
+        command = np.full(6, 1.0 if tick % 125 < 63 else 0.3)
+        joints = joints + share * command * DT_S
+        lag.add(6.0 + tick * DT_S, command, joints)
+    lag.restart()
+    assert run(lag, 2, 0.0).lag_s == pytest.approx(found_s, abs=0.02)
+
+
 def test_what_is_pending_is_what_was_told_within_the_lag():
     lag = DriveLag(0.02)
     for tick, speed in enumerate((0.0, 1.0, 2.0, 3.0)):

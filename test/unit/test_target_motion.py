@@ -164,3 +164,111 @@ def test_a_target_that_turns_back_is_no_faster_than_it_was_told(after):
     for since_s in np.linspace(0.0, 0.15, 31):
         target = motion.at((len(x_m) - 1) / rate_hz + since_s)
         assert np.linalg.norm(target.velocity_m_s) < 1.21 * speed_m_s
+
+
+NOISES_M = (3e-4, 1e-3, 3e-3)
+
+
+def noisy(path, noise_m, seed):
+    rng = np.random.default_rng(seed)
+    return lambda time_s: path(time_s) + noise_m * rng.normal(size=3)
+
+
+def seen(path, noise_m, seed, from_s=1.0, until_s=5.0, rate_hz=30.0):
+    """What a motion told with noise is taken for: times, s; positions, m; velocities, m/s."""
+    motion, tell = TargetMotion(), noisy(path, noise_m, seed)
+    times_s = np.arange(0.0, until_s, 1.0 / rate_hz)
+    targets = []
+    for time_s in times_s:
+        motion.update(tell(time_s), float(time_s))
+        targets.append(motion.at(float(time_s)))
+    late = times_s >= from_s
+    positions = np.array([one.position_m for one in targets])
+    velocities = np.array([one.velocity_m_s for one in targets])
+    return times_s[late], positions[late], velocities[late]
+
+
+def rms(vectors):
+    return np.sqrt(np.mean(np.sum(vectors**2, axis=1)))
+
+
+@pytest.mark.parametrize("noise_m", NOISES_M)
+def test_a_noisy_target_that_stands_does_stand(noise_m):
+    for seed in range(3):
+        _, positions, velocities = seen(lambda t: START, noise_m, seed)
+        assert velocities.any(axis=1).mean() < 0.1
+        assert rms(velocities) < noise_m / 1.0  # 1 s
+        # It is where its updates are on average; the newest of them is off by root three times.
+        assert rms(positions - START) < 0.5 * noise_m
+
+
+@pytest.mark.parametrize("noise_m", NOISES_M)
+def test_the_velocity_of_a_line_has_the_noise_of_the_best_line(noise_m):
+    """Of a line through n updates: variance 12 / (n (n^2 - 1)) of the noise's, over dt^2."""
+    count, dt_s, found = 60, 1.0 / 30.0, []
+    for seed in range(60):
+        motion, last_s = told(noisy(line, noise_m, seed), (count - 0.5) * dt_s)
+        found.append(np.sum((motion.at(last_s).velocity_m_s - VELOCITY) ** 2))
+    expected = noise_m / dt_s * np.sqrt(12.0 / (count * (count**2 - 1)))
+    # The median of three squares; some windows are shorter, as noise resembles a bend there.
+    assert np.sqrt(np.median(found) / 2.366) == pytest.approx(expected, rel=0.3)
+
+
+@pytest.mark.parametrize("path", [lambda t: START, line, circle], ids=["rest", "line", "circle"])
+@pytest.mark.parametrize("noise_m", NOISES_M)
+def test_the_noise_of_the_updates_is_known_whatever_moves(path, noise_m):
+    known_m = [told(noisy(path, noise_m, seed), 4.0)[0].noise_m for seed in range(4)]
+    assert np.mean(known_m) == pytest.approx(noise_m, rel=0.1)
+
+
+def test_the_noise_stays_known_from_target_to_target_and_odd_updates_are_none():
+    motion, last_s = told(noisy(line, 1e-3, 1), 3.0)
+    known_m = motion.noise_m
+    assert not motion.update(START, last_s + 5.0)
+    assert motion.noise_m == known_m
+    odd, _ = told(lambda t: line(t) + 0.01 * (round(30.0 * t) % 20 == 7), 3.0)
+    assert odd.noise_m < 1e-4
+
+
+@pytest.mark.parametrize(("speed_m_s", "noise_m"), [(0.1, 1e-3), (0.1, 3e-3), (0.3, 3e-3)])
+def test_a_noisy_circle_is_known_about_as_well_as_it_is_told(speed_m_s, noise_m):
+    def path(time_s):
+        return circle(time_s, 0.08, speed_m_s)
+
+    times_s, positions, velocities = seen(path, noise_m, 2)
+    assert rms(positions - [path(one) for one in times_s]) < 1.1 * np.sqrt(3.0) * noise_m
+    true = np.array([(path(one + 1e-4) - path(one - 1e-4)) / 2e-4 for one in times_s])
+    assert rms(velocities - true) < 0.35 * speed_m_s
+
+
+def test_one_that_stands_is_the_same_object_until_the_next_update():
+    motion, last_s = told(noisy(lambda t: START, 1e-3, 1), 3.0)
+    target = motion.at(last_s)
+    assert motion.at(last_s + 0.03) is target
+    # Nobody tells it any more: it stands where it was told last, not where it was on average.
+    told_last = motion.at(last_s + 0.3)
+    assert motion.at(last_s + 0.4) is told_last
+    assert np.linalg.norm(told_last.position_m - target.position_m) > 1e-4
+
+
+def test_one_told_the_same_again_and_again_is_there_to_the_bit():
+    motion, last_s = told(lambda t: START, 3.0)
+    np.testing.assert_array_equal(motion.at(last_s).position_m, START)
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 1e-3])
+def test_a_target_that_stops_is_soon_known_to_stand(noise_m):
+    motion, _ = told(noisy(lambda t: line(min(t, 2.0)), noise_m, 3), 2.4)
+    target = motion.at(2.4)
+    np.testing.assert_allclose(target.position_m, line(2.0), atol=3e-3)
+    assert np.linalg.norm(target.velocity_m_s) < 0.1 * np.linalg.norm(VELOCITY)
+
+
+def test_the_shortest_window_is_a_setting():
+    """A longer one is calmer where updates are noisy, and follows a bend less."""
+    off = []
+    for settings in ({}, {"window_s": 1.0}):
+        motion, last_s = told(lambda t: circle(t, speed_m_s=0.1), 2.0, **settings)
+        true = circle(last_s, speed_m_s=0.1)
+        off.append(np.linalg.norm(motion.at(last_s).position_m - true))
+    assert 10.0 * off[0] < off[1]
