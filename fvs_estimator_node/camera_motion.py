@@ -23,9 +23,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fvs_estimator_node.rotations import nearest_rotation, rotation_angle_rad
+from fvs_estimator_node.stamp_watch import StampWatch
 from fvs_estimator_node.turn_watch import MOST_STEPS, TurnWatch
 from fvs_ros.core.vectors import length
 
+_IDENTITY = np.eye(3)
 #: How far a bumped camera may have been turned over how far that moved the ball in its view.
 _TURN_SHARE = 1.5
 #: Standard deviation that the first guess of the noise is, m, and its bounds.
@@ -98,6 +100,7 @@ class CameraMotion:
         #: Positions since the last bump, and the rotation from before the first one of a series.
         self._since_bump, self._before_bump = _SOON, self._rotation
         self._watch = TurnWatch()
+        self._stamps = StampWatch()
         self._pairs: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=MOST_STEPS + 1)
         self._begin(self._config.rotation_deviation_rad)
 
@@ -137,7 +140,12 @@ class CameraMotion:
         """How often the camera was found to have been moved."""
         return self._bumps
 
-    def add(self, model_m: np.ndarray, seen_m: np.ndarray) -> bool:
+    @property
+    def stamps(self) -> StampWatch:
+        """Whether what is seen is of the time that it is said to be of."""
+        return self._stamps
+
+    def add(self, model_m: np.ndarray, seen_m: np.ndarray, stamp_s: float = math.nan) -> bool:
         """Tell one pair: where the model has the ball, and where the image has it, m, (3,) each.
 
         Nothing is learned from what is not finite, beyond all reason, or not believed yet.
@@ -147,10 +155,16 @@ class CameraMotion:
         bool
             Whether the pose is another one now.
         """
+        if not (length(model_m) < _FARTHEST_M and length(seen_m) < _FARTHEST_M):
+            return False
+        if self._stamps.add(
+            model_m, seen_m, stamp_s, (self._rotation, self._before_bump, _IDENTITY)
+        ):
+            self._begin_in_time()
+        if self._stamps.lag:
+            model_m, seen_m = self._stamps.pair()
         innovation = seen_m - (self._rotation @ model_m + self._translation)
         distance_m = length(innovation)
-        if not (math.isfinite(distance_m) and length(seen_m) < _FARTHEST_M):
-            return False
         believed = distance_m <= self._disbelief_m()
         if believed:
             self._strangers.clear()
@@ -161,6 +175,17 @@ class CameraMotion:
         bumped = not believed and self._wonder(model_m, seen_m, distance_m)
         turned = self._watch_steps(model_m, seen_m, believed)
         return believed or bumped or turned
+
+    def _begin_in_time(self) -> None:
+        """Learn anew from the last pairs: they did not belong together, whatever they told."""
+        if self._since_bump < _SOON:
+            self._rotation = self._before_bump
+        self._begin(self._config.rotation_deviation_rad)
+        self._watch.clear()
+        self._pairs.clear()
+        for back in reversed(range(1, self._stamps.pairs)):
+            self._learn(*self._stamps.pair(back))
+        self._since_bump = _SOON
 
     def _hear_noise(self, change_m: np.ndarray) -> None:
         """Learn the noise from what changes between two positions: what stays is no noise."""

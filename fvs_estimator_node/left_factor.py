@@ -26,6 +26,7 @@ import numpy as np
 from fvs_estimator_node.base import MotionStep
 from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfModel
 from fvs_estimator_node.rotations import nearest_rotation, rotation_angle_rad
+from fvs_estimator_node.stamp_watch import StampWatch
 from fvs_estimator_node.turn_watch import TurnWatch
 from fvs_ros.core.params import Parameter
 from fvs_ros.core.vectors import length
@@ -169,6 +170,10 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         self._refused = 0
         self._bumps = 0
         self._watch = TurnWatch()
+        self._stamps = StampWatch()
+        #: Way of the ball as the networks have it, and the pair that the last step ended with.
+        self._way_m = np.zeros(3)
+        self._in_time: tuple[np.ndarray, np.ndarray] | None = None
         self._past: _Past | None = None
         self._sample: tuple[np.ndarray, np.ndarray] | None = None
         self._begin(self._config.trust_m)
@@ -179,6 +184,16 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         self._gram = trust_m**2 * _IDENTITY
 
     @property
+    def problem(self) -> str:
+        """Why the arm must not move on the estimate, in words; empty if it may."""
+        return self._stamps.problem
+
+    @property
+    def remark(self) -> str:
+        """What does not fit, in words; empty if all is well."""
+        return self._stamps.remark
+
+    @property
     def factor(self) -> np.ndarray:
         """A, shape (3, 3); a copy."""
         return self._factor.copy()
@@ -187,22 +202,36 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         """Estimate at given joints, m/rad, shape (3, 6)."""
         return self._factor @ super().jacobian(joints_rad)
 
-    def observe(self, joints_rad: np.ndarray, ball_m: np.ndarray) -> None:
-        """Learn the noise from two positions in a row between which no joint moved."""
+    def observe(
+        self, joints_rad: np.ndarray, ball_m: np.ndarray, stamp_s: float = math.nan
+    ) -> None:
+        """Learn the noise at rest, and in motion whether the images are of the time they say."""
+        if not math.isfinite(float(joints_rad.dot(joints_rad) + ball_m.dot(ball_m))):
+            return
         before, self._sample = self._sample, (joints_rad, ball_m)
-        if before is not None and np.abs(joints_rad - before[0]).max() < _STILL_RAD:
-            self._watch.rest(ball_m - before[1])
+        if before is not None:
+            d_joints = joints_rad - before[0]
+            if np.abs(d_joints).max() < _STILL_RAD:
+                self._watch.rest(ball_m - before[1])
+            else:
+                middle = super().jacobian(before[0] + 0.5 * d_joints)
+                self._way_m = self._way_m + middle @ d_joints
+        if self._stamps.add(self._way_m, ball_m, stamp_s, (self._factor, _IDENTITY)):
+            # What was learned so far was learned of pairs that did not belong together.
+            self._factor = _IDENTITY
+            self._in_time = self._past = None
+            self._watch.clear()
+            self._begin(self._config.trust_m)
 
     def update(self, step: MotionStep) -> None:
         """Learn from one step; too little motion or anything not finite changes nothing."""
         config = self._config
-        predicted = super().jacobian(step.joints_rad) @ step.d_joints_rad
-        predicted_m2 = float(predicted.dot(predicted))
-        seen_m2 = float(step.d_ball_m.dot(step.d_ball_m))
+        predicted, seen = self._step_in_time(step)
+        predicted_m2, seen_m2 = float(predicted.dot(predicted)), float(seen.dot(seen))
         if not (step.dt_s > 0.0 and math.isfinite(predicted_m2 + seen_m2)):
             self._refused += 1
             return
-        if self._there_and_back(predicted, step.d_ball_m):
+        if self._there_and_back(predicted, seen):
             return
         if np.abs(step.d_joints_rad).max() < config.min_motion_rad:
             return
@@ -212,13 +241,22 @@ class LeftFactorEstimator(FrozenRbfEstimator):
             self._watch.clear()
             self._begin(config.bumped_trust_m)
             return
-        turned = self._watch.add(self._factor, predicted, step.d_ball_m)
+        turned = self._watch.add(self._factor, predicted, seen)
         if turned:
             self._bumps += 1
             self._begin(config.bumped_trust_m)
-        for one in turned or [(predicted, step.d_ball_m)]:
+        for one in turned or [(predicted, seen)]:
             self._learn(*one)
         self._updates += 1
+
+    def _step_in_time(self, step: MotionStep) -> tuple[np.ndarray, np.ndarray]:
+        """What was predicted and seen of a step, m, of one time even where stamps are wrong."""
+        if not self._stamps.lag:
+            return super().jacobian(step.joints_rad) @ step.d_joints_rad, step.d_ball_m
+        before, self._in_time = self._in_time, self._stamps.pair()
+        if before is None:
+            return np.zeros(3), np.zeros(3)
+        return self._in_time[0] - before[0], self._in_time[1] - before[1]
 
     def _there_and_back(self, predicted: np.ndarray, seen: np.ndarray) -> bool:
         """Take back what a single wrong position did, and learn without it; remember the step."""
@@ -259,4 +297,5 @@ class LeftFactorEstimator(FrozenRbfEstimator):
             "refused": float(self._refused),
             "camera_turned_deg": math.degrees(rotation_angle_rad(nearest_rotation(self._factor))),
             "camera_bumps": float(self._bumps),
+            "images_late_s": self._stamps.lag_s,
         }
