@@ -37,6 +37,8 @@ KINDS = (ROTATION, MATRIX)
 _IDENTITY = np.eye(3)
 #: A joint that has moved less than this between two images stands, rad.
 _STILL_RAD = 2e-4
+#: The lengths of trust hold up to this standard deviation of one coordinate of a step, m.
+_TRUST_DEVIATION_M = 0.0014
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,8 @@ class LeftFactorConfig:
     memory_m : float
         Way of the ball after which a step has lost 63 % of its say, m.
     trust_m : float
-        The start (no motion of the camera) counts like a step of this length each way, m.
+        The start (no motion of the camera) counts like a step of this length each way, m; where
+        positions are noisier than 1 mm, like a longer one in proportion.
     bumped_trust_m : float
         The same for the factor so far after a bump, m.
     bump_m : float
@@ -142,6 +145,8 @@ class _Past:
     factor: np.ndarray
     cross: np.ndarray
     gram: np.ndarray
+    prior: np.ndarray
+    prior_m2: float
     bumps: int
 
 
@@ -180,8 +185,8 @@ class LeftFactorEstimator(FrozenRbfEstimator):
 
     def _begin(self, trust_m: float) -> None:
         """Forget all steps; the factor so far counts like a step of a length each way."""
-        self._cross = trust_m**2 * self._factor
-        self._gram = trust_m**2 * _IDENTITY
+        self._prior, self._prior_m2 = self._factor, trust_m**2
+        self._cross, self._gram = np.zeros((3, 3)), np.zeros((3, 3))
 
     @property
     def problem(self) -> str:
@@ -262,7 +267,16 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         """Take back what a single wrong position did, and learn without it; remember the step."""
         past, self._past = (
             self._past,
-            _Past(predicted, seen, self._factor, self._cross, self._gram, self._bumps),
+            _Past(
+                predicted,
+                seen,
+                self._factor,
+                self._cross,
+                self._gram,
+                self._prior,
+                self._prior_m2,
+                self._bumps,
+            ),
         )
         if past is None:
             return False
@@ -272,6 +286,7 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         if there.dot(there) < wrong_m2 or (there + back).dot(there + back) > wrong_m2:
             return False
         self._factor, self._cross, self._gram = past.factor, past.cross, past.gram
+        self._prior, self._prior_m2 = past.prior, past.prior_m2
         self._bumps, self._past = past.bumps, None
         self._watch.clear()
         self._learn(past.predicted + predicted, past.seen + seen)
@@ -282,13 +297,18 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         keep = math.exp(-length(predicted) / config.memory_m)
         # The little that is put back of the factor so far keeps what the steps do not tell,
         # however long they go along one line.
-        floor = (1.0 - keep) * config.bumped_trust_m**2
+        # Steps weigh by their noise, the start does not: against noisier ones it counts more.
+        growth = max(1.0, (self._watch.deviation_m / _TRUST_DEVIATION_M) ** 2)
+        floor = (1.0 - keep) * config.bumped_trust_m**2 * growth
         self._cross = keep * self._cross + floor * self._factor + seen[:, None] * predicted
         self._gram = keep * self._gram + floor * _IDENTITY + predicted[:, None] * predicted
+        self._prior_m2 *= keep
+        prior_m2 = growth * self._prior_m2
+        cross = self._cross + prior_m2 * self._prior
         if config.kind == ROTATION:
-            self._factor = nearest_rotation(self._cross)
+            self._factor = nearest_rotation(cross)
         else:
-            self._factor = np.linalg.solve(self._gram, self._cross.T).T
+            self._factor = np.linalg.solve(self._gram + prior_m2 * _IDENTITY, cross.T).T
 
     def status_values(self) -> dict[str, float]:
         """Counts, and how far the factor turns the networks' Jacobian."""

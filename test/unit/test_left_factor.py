@@ -118,6 +118,21 @@ def test_a_noisy_camera_is_no_camera_that_is_bumped(model, noise_m, rests):
     assert estimator.status_values()["camera_bumps"] == 0.0
 
 
+@pytest.mark.parametrize("noise_m", [0.002, 0.004])
+def test_the_start_counts_more_against_noisier_steps(model, noise_m):
+    chain, home = ur5_chain(), ur5_dh.HOME_RAD
+    off = []
+    for seed in range(12):
+        estimator, rng = estimator_of(model), np.random.default_rng(seed)
+        for _ in range(60):
+            estimator.observe(home, chain.position(home) + noise_m * rng.normal(size=3))
+        before = error_of(estimator, chain)
+        travel(estimator, chain, 0.3, rng, noise_m, along=rng.normal(size=6))
+        off.append(error_of(estimator, chain) - before)
+    assert max(off) < 0.15
+    assert np.median(off) < 0.06
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_long_way_along_one_line_forgets_nothing(model, kind):
     chain = ur5_chain().moved(TURNED, np.zeros(3))
