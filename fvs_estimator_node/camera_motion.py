@@ -38,6 +38,8 @@ _SOON = 30
 _STILL_M = 0.002
 #: No depth camera sees further, m.
 _FARTHEST_M = 20.0
+#: How many standard deviations the change of an innovation that is not believed counts at most.
+_MOST_SWING = 8.0
 #: Share of a new squared change of the innovation in the noise.
 _NOISE_SHARE = 0.02
 
@@ -114,6 +116,7 @@ class CameraMotion:
         self._scatter = self._prior_m2 * self._rotation
         self._strangers: list[tuple[np.ndarray, np.ndarray]] = []
         self._innovation: np.ndarray | None = None
+        self._strange: tuple[np.ndarray | None, np.ndarray | None] = None, None
 
     @property
     def rotation(self) -> np.ndarray:
@@ -168,10 +171,13 @@ class CameraMotion:
         believed = distance_m <= self._disbelief_m()
         if believed:
             self._strangers.clear()
+            self._strange = None, None
             if self._innovation is not None:
                 self._hear_noise(innovation - self._innovation)
             self._innovation = innovation
             self._learn(model_m, seen_m)
+        else:
+            self._hear_stranger(innovation)
         bumped = not believed and self._wonder(model_m, seen_m, distance_m)
         turned = self._watch_steps(model_m, seen_m, believed)
         return believed or bumped or turned
@@ -192,6 +198,15 @@ class CameraMotion:
         share = max(_NOISE_SHARE, 1.0 / (self._weight + 10.0))
         self._variance += share * (float(change_m.dot(change_m)) / 6.0 - self._variance)
         self._variance = min(max(self._variance, _LEAST_NOISE_M**2), _MOST_NOISE_M**2)
+
+    def _hear_stranger(self, innovation: np.ndarray) -> None:
+        """Learn the noise where all seems wrong: neither a bump nor who carries it swings so."""
+        before, last = self._strange
+        self._strange = last, innovation
+        if before is not None and last is not None:
+            swing_m = (innovation - 2.0 * last + before) / 3.0**0.5  # as noisy as a change
+            most_m = _MOST_SWING * self.noise_m
+            self._hear_noise(swing_m * min(1.0, most_m / max(length(swing_m), 1e-9)))
 
     def _disbelief_m(self) -> float:
         return self._config.bump_m + 6.0 * self.noise_m

@@ -37,6 +37,8 @@ KINDS = (ROTATION, MATRIX)
 _IDENTITY = np.eye(3)
 #: A joint that has moved less than this between two images stands, rad.
 _STILL_RAD = 2e-4
+#: A step that is off by less than so many deviations is noise, however long.
+_BUMP_DEVIATIONS = 6.0
 #: The lengths of trust hold up to this standard deviation of one coordinate of a step, m.
 _TRUST_DEVIATION_M = 0.0014
 
@@ -57,7 +59,8 @@ class LeftFactorConfig:
     bumped_trust_m : float
         The same for the factor so far after a bump, m.
     bump_m : float
-        A step that is off by more is the camera's own motion: not learned from, m.
+        A step that is off by more, and by six standard deviations, is the camera's own motion: not
+        learned from, m.
     min_motion_rad : float
         No learning from steps in which no joint moved further than this, rad.
     """
@@ -241,7 +244,8 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         if np.abs(step.d_joints_rad).max() < config.min_motion_rad:
             return
         # However the camera may have been turned, the ball goes as far as predicted.
-        if math.sqrt(seen_m2) - math.sqrt(predicted_m2) > config.bump_m:
+        most_m = max(config.bump_m, _BUMP_DEVIATIONS * self._watch.deviation_m)
+        if math.sqrt(seen_m2) - math.sqrt(predicted_m2) > most_m:
             self._bumps += 1
             self._watch.clear()
             self._begin(config.bumped_trust_m)

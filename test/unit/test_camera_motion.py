@@ -56,6 +56,17 @@ def test_a_camera_that_stands_still_is_not_turned_by_noise():
     assert camera.noise_m == pytest.approx(NOISE_M, rel=0.3)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_far_beyond_the_first_guess_is_learned_and_no_bump(seed):
+    rng, camera = np.random.default_rng(seed), CameraMotion()
+    balls = path(300, rng)
+    watch(camera, balls[:60], np.eye(3), np.zeros(3), rng, 0.012)
+    assert camera.noise_m == pytest.approx(0.01, rel=0.2)  # the bound
+    before = camera.bumps
+    watch(camera, balls[60:], np.eye(3), np.zeros(3), rng, 0.012)
+    assert camera.bumps == before
+
+
 def test_an_arm_that_hardly_moves_does_not_make_it_forget():
     rng = np.random.default_rng(0)
     rotation = turn([1.0, 2.0, 3.0], 0.5)
