@@ -11,7 +11,10 @@ from each other as they should be. What was learned of the old pose is then drop
 one is learned from there. How far the ball jumped says how far the camera may have been turned; but
 if it is soon off again, then the camera turns on (somebody carries it), or it was turned about the
 ball, and the jump says nothing: the rotation from before all that is then doubted as much as ever.
-A turn about the ball shows sooner by the steps (:mod:`fvs_estimator_node.turn_watch`).
+If it is back where it was before, nothing was moved: all that was known then is known again.
+A turn about the ball shows sooner by the steps (:mod:`fvs_estimator_node.turn_watch`). Stamps that
+are wrong are found first, and pairs made of what belongs together
+(:mod:`fvs_estimator_node.stamp_watch`).
 """
 
 from __future__ import annotations
@@ -80,6 +83,19 @@ class CameraMotionConfig:
             raise ValueError(f"bump_repeats must be at least 1, got {self.bump_repeats}")
 
 
+@dataclass(frozen=True)
+class _Known:
+    """What was known of a pose."""
+
+    rotation: np.ndarray
+    translation_m: np.ndarray
+    weight: float
+    mean_p_m: np.ndarray
+    mean_x_m: np.ndarray
+    prior_m2: float
+    scatter: np.ndarray
+
+
 class CameraMotion:
     """Rotation R and translation t of ``x = R p + t``, step by step.
 
@@ -101,6 +117,7 @@ class CameraMotion:
         self._bumps = 0
         #: Positions since the last bump, and the rotation from before the first one of a series.
         self._since_bump, self._before_bump = _SOON, self._rotation
+        self._known_before: _Known | None = None
         self._watch = TurnWatch()
         self._stamps = StampWatch()
         self._pairs: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=MOST_STEPS + 1)
@@ -223,16 +240,48 @@ class CameraMotion:
         if len(self._strangers) < self._config.bump_repeats:
             return False
         least_rad, most_rad = self._config.rotation_deviation_rad, self._config.bumped_deviation_rad
+        if self._since_bump < _SOON and self._was_here_before():
+            return True
         if self._since_bump < _SOON:
             # What was learned in between was learned of a pose that did not last.
             self._rotation = self._before_bump
             doubt_rad = most_rad
         else:
-            self._before_bump = self._rotation
+            self._before_bump, self._known_before = self._rotation, self._known()
             # A turn moves the ball by angle times distance, less where it is about the ball.
             turned_rad = _TURN_SHARE * distance_m / max(length(seen_m), 1e-3)
             doubt_rad = min(max(turned_rad, least_rad), most_rad)
         self._begin_anew(self._strangers, doubt_rad)
+        return True
+
+    def _known(self) -> _Known:
+        return _Known(
+            self._rotation,
+            self._translation,
+            self._weight,
+            self._mean_p,
+            self._mean_x,
+            self._prior_m2,
+            self._scatter,
+        )
+
+    def _was_here_before(self) -> bool:
+        """Take the pose from before the last bump again if it was none: images of another thing."""
+        known, self._known_before = self._known_before, None
+        if known is None or not all(
+            length(seen_m - (known.rotation @ model_m + known.translation_m)) < self._disbelief_m()
+            for model_m, seen_m in self._strangers
+        ):
+            return False
+        self._bumps += 1
+        self._rotation, self._translation = known.rotation, known.translation_m
+        self._weight, self._prior_m2 = known.weight, known.prior_m2
+        self._mean_p, self._mean_x = known.mean_p_m, known.mean_x_m
+        self._scatter = known.scatter
+        self._since_bump, self._innovation = _SOON, None
+        self._strangers.clear()
+        self._watch.clear()
+        self._pairs.clear()
         return True
 
     def _watch_steps(self, model_m: np.ndarray, seen_m: np.ndarray, believed: bool) -> bool:
@@ -251,7 +300,7 @@ class CameraMotion:
         if not steps:
             return False
         self._begin_anew(list(self._pairs)[-len(steps) - 1 :], self._config.bumped_deviation_rad)
-        self._before_bump = self._rotation
+        self._before_bump, self._known_before = self._rotation, None
         return True
 
     def _begin_anew(self, pairs: list[tuple[np.ndarray, np.ndarray]], deviation_rad: float) -> None:
