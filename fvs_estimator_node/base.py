@@ -68,6 +68,11 @@ class Estimator(ABC):
         """Why there is no estimate yet, in words; empty if there is one."""
         return ""
 
+    @property
+    def remark(self) -> str:
+        """What does not fit although there is an estimate, in words; empty if all is well."""
+        return ""
+
     @abstractmethod
     def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
         """Estimate at given joints, m/rad.
@@ -91,7 +96,9 @@ class Estimator(ABC):
         nothing and raises nothing.
         """
 
-    def observe(self, joints_rad: np.ndarray, ball_m: np.ndarray) -> None:  # noqa: B027
+    def observe(  # noqa: B027
+        self, joints_rad: np.ndarray, ball_m: np.ndarray, stamp_s: float = math.nan
+    ) -> None:
         """Hear where the ball is, also at rest: called for every image, before the update.
 
         Parameters
@@ -100,6 +107,8 @@ class Estimator(ABC):
             Joints at the exposure, rad.
         ball_m : ndarray, shape (3,)
             Ball position, camera frame, m.
+        stamp_s : float
+            Time of the exposure, s; not a number if nobody knows.
         """
 
     @abstractmethod

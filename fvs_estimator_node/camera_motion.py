@@ -11,7 +11,10 @@ from each other as they should be. What was learned of the old pose is then drop
 one is learned from there. How far the ball jumped says how far the camera may have been turned; but
 if it is soon off again, then the camera turns on (somebody carries it), or it was turned about the
 ball, and the jump says nothing: the rotation from before all that is then doubted as much as ever.
-A turn about the ball shows sooner by the steps (:mod:`fvs_estimator_node.turn_watch`).
+If it is back where it was before, nothing was moved: all that was known then is known again.
+A turn about the ball shows sooner by the steps (:mod:`fvs_estimator_node.turn_watch`). Stamps that
+are wrong are found first, and pairs made of what belongs together
+(:mod:`fvs_estimator_node.stamp_watch`).
 """
 
 from __future__ import annotations
@@ -23,9 +26,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fvs_estimator_node.rotations import nearest_rotation, rotation_angle_rad
+from fvs_estimator_node.stamp_watch import StampWatch
 from fvs_estimator_node.turn_watch import MOST_STEPS, TurnWatch
 from fvs_ros.core.vectors import length
 
+_IDENTITY = np.eye(3)
 #: How far a bumped camera may have been turned over how far that moved the ball in its view.
 _TURN_SHARE = 1.5
 #: Standard deviation that the first guess of the noise is, m, and its bounds.
@@ -36,6 +41,8 @@ _SOON = 30
 _STILL_M = 0.002
 #: No depth camera sees further, m.
 _FARTHEST_M = 20.0
+#: How many standard deviations the change of an innovation that is not believed counts at most.
+_MOST_SWING = 8.0
 #: Share of a new squared change of the innovation in the noise.
 _NOISE_SHARE = 0.02
 
@@ -76,6 +83,19 @@ class CameraMotionConfig:
             raise ValueError(f"bump_repeats must be at least 1, got {self.bump_repeats}")
 
 
+@dataclass(frozen=True)
+class _Known:
+    """What was known of a pose."""
+
+    rotation: np.ndarray
+    translation_m: np.ndarray
+    weight: float
+    mean_p_m: np.ndarray
+    mean_x_m: np.ndarray
+    prior_m2: float
+    scatter: np.ndarray
+
+
 class CameraMotion:
     """Rotation R and translation t of ``x = R p + t``, step by step.
 
@@ -97,7 +117,9 @@ class CameraMotion:
         self._bumps = 0
         #: Positions since the last bump, and the rotation from before the first one of a series.
         self._since_bump, self._before_bump = _SOON, self._rotation
+        self._known_before: _Known | None = None
         self._watch = TurnWatch()
+        self._stamps = StampWatch()
         self._pairs: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=MOST_STEPS + 1)
         self._begin(self._config.rotation_deviation_rad)
 
@@ -111,6 +133,7 @@ class CameraMotion:
         self._scatter = self._prior_m2 * self._rotation
         self._strangers: list[tuple[np.ndarray, np.ndarray]] = []
         self._innovation: np.ndarray | None = None
+        self._strange: tuple[np.ndarray | None, np.ndarray | None] = None, None
 
     @property
     def rotation(self) -> np.ndarray:
@@ -137,7 +160,12 @@ class CameraMotion:
         """How often the camera was found to have been moved."""
         return self._bumps
 
-    def add(self, model_m: np.ndarray, seen_m: np.ndarray) -> bool:
+    @property
+    def stamps(self) -> StampWatch:
+        """Whether what is seen is of the time that it is said to be of."""
+        return self._stamps
+
+    def add(self, model_m: np.ndarray, seen_m: np.ndarray, stamp_s: float = math.nan) -> bool:
         """Tell one pair: where the model has the ball, and where the image has it, m, (3,) each.
 
         Nothing is learned from what is not finite, beyond all reason, or not believed yet.
@@ -147,26 +175,55 @@ class CameraMotion:
         bool
             Whether the pose is another one now.
         """
+        if not (length(model_m) < _FARTHEST_M and length(seen_m) < _FARTHEST_M):
+            return False
+        if self._stamps.add(
+            model_m, seen_m, stamp_s, (self._rotation, self._before_bump, _IDENTITY)
+        ):
+            self._begin_in_time()
+        if self._stamps.lag:
+            model_m, seen_m = self._stamps.pair()
         innovation = seen_m - (self._rotation @ model_m + self._translation)
         distance_m = length(innovation)
-        if not (math.isfinite(distance_m) and length(seen_m) < _FARTHEST_M):
-            return False
         believed = distance_m <= self._disbelief_m()
         if believed:
             self._strangers.clear()
+            self._strange = None, None
             if self._innovation is not None:
                 self._hear_noise(innovation - self._innovation)
             self._innovation = innovation
             self._learn(model_m, seen_m)
+        else:
+            self._hear_stranger(innovation)
         bumped = not believed and self._wonder(model_m, seen_m, distance_m)
         turned = self._watch_steps(model_m, seen_m, believed)
         return believed or bumped or turned
+
+    def _begin_in_time(self) -> None:
+        """Learn anew from the last pairs: they did not belong together, whatever they told."""
+        if self._since_bump < _SOON:
+            self._rotation = self._before_bump
+        self._begin(self._config.rotation_deviation_rad)
+        self._watch.clear()
+        self._pairs.clear()
+        for back in reversed(range(1, self._stamps.pairs)):
+            self._learn(*self._stamps.pair(back))
+        self._since_bump = _SOON
 
     def _hear_noise(self, change_m: np.ndarray) -> None:
         """Learn the noise from what changes between two positions: what stays is no noise."""
         share = max(_NOISE_SHARE, 1.0 / (self._weight + 10.0))
         self._variance += share * (float(change_m.dot(change_m)) / 6.0 - self._variance)
         self._variance = min(max(self._variance, _LEAST_NOISE_M**2), _MOST_NOISE_M**2)
+
+    def _hear_stranger(self, innovation: np.ndarray) -> None:
+        """Learn the noise where all seems wrong: neither a bump nor who carries it swings so."""
+        before, last = self._strange
+        self._strange = last, innovation
+        if before is not None and last is not None:
+            swing_m = (innovation - 2.0 * last + before) / 3.0**0.5  # as noisy as a change
+            most_m = _MOST_SWING * self.noise_m
+            self._hear_noise(swing_m * min(1.0, most_m / max(length(swing_m), 1e-9)))
 
     def _disbelief_m(self) -> float:
         return self._config.bump_m + 6.0 * self.noise_m
@@ -183,16 +240,48 @@ class CameraMotion:
         if len(self._strangers) < self._config.bump_repeats:
             return False
         least_rad, most_rad = self._config.rotation_deviation_rad, self._config.bumped_deviation_rad
+        if self._since_bump < _SOON and self._was_here_before():
+            return True
         if self._since_bump < _SOON:
             # What was learned in between was learned of a pose that did not last.
             self._rotation = self._before_bump
             doubt_rad = most_rad
         else:
-            self._before_bump = self._rotation
+            self._before_bump, self._known_before = self._rotation, self._known()
             # A turn moves the ball by angle times distance, less where it is about the ball.
             turned_rad = _TURN_SHARE * distance_m / max(length(seen_m), 1e-3)
             doubt_rad = min(max(turned_rad, least_rad), most_rad)
         self._begin_anew(self._strangers, doubt_rad)
+        return True
+
+    def _known(self) -> _Known:
+        return _Known(
+            self._rotation,
+            self._translation,
+            self._weight,
+            self._mean_p,
+            self._mean_x,
+            self._prior_m2,
+            self._scatter,
+        )
+
+    def _was_here_before(self) -> bool:
+        """Take the pose from before the last bump again if it was none: images of another thing."""
+        known, self._known_before = self._known_before, None
+        if known is None or not all(
+            length(seen_m - (known.rotation @ model_m + known.translation_m)) < self._disbelief_m()
+            for model_m, seen_m in self._strangers
+        ):
+            return False
+        self._bumps += 1
+        self._rotation, self._translation = known.rotation, known.translation_m
+        self._weight, self._prior_m2 = known.weight, known.prior_m2
+        self._mean_p, self._mean_x = known.mean_p_m, known.mean_x_m
+        self._scatter = known.scatter
+        self._since_bump, self._innovation = _SOON, None
+        self._strangers.clear()
+        self._watch.clear()
+        self._pairs.clear()
         return True
 
     def _watch_steps(self, model_m: np.ndarray, seen_m: np.ndarray, believed: bool) -> bool:
@@ -211,7 +300,7 @@ class CameraMotion:
         if not steps:
             return False
         self._begin_anew(list(self._pairs)[-len(steps) - 1 :], self._config.bumped_deviation_rad)
-        self._before_bump = self._rotation
+        self._before_bump, self._known_before = self._rotation, None
         return True
 
     def _begin_anew(self, pairs: list[tuple[np.ndarray, np.ndarray]], deviation_rad: float) -> None:

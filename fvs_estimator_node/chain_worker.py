@@ -15,9 +15,10 @@ import pickle
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Sequence
-from typing import BinaryIO
+from typing import IO, BinaryIO
 
 from fvs_estimator_node.knowledge import Answer, Findings, NothingYet, Question, Trouble
 
@@ -34,6 +35,8 @@ _ENDS = {
 _NICENESS = 10
 #: How long a killed process is waited for, s.
 _KILLED_S = 0.5
+#: So much of what it wrote to its standard error last is read, bytes.
+_LAST_BYTES = 2000
 
 
 class ChainWorker:
@@ -51,6 +54,7 @@ class ChainWorker:
     def __init__(self, command: Sequence[str] = _COMMAND) -> None:
         self._command = tuple(command)
         self._process: subprocess.Popen[bytes] | None = None
+        self._said: IO[bytes] | None = None
         self._answer: Answer | None = None
 
     def ask(self, question: Question) -> None:
@@ -89,15 +93,28 @@ class ChainWorker:
         code = self._process.returncode
         if code in _ENDS:
             return _ENDS[code]
-        return f"the process that fits chains failed (exit code {code}): {error!r}"
+        # A pipe's end says nothing; what the process said before it does.
+        ended = isinstance(error, EOFError | BrokenPipeError)
+        why = (ended and self._last_words()) or repr(error)
+        return f"the process that fits chains failed (exit code {code}): {why}"
+
+    def _last_words(self) -> str:
+        """The last line that the process wrote to its standard error; empty if none."""
+        if self._said is None:
+            return ""
+        self._said.seek(max(self._said.seek(0, os.SEEK_END) - _LAST_BYTES, 0))
+        lines = self._said.read().decode(errors="replace").split("\n")
+        return next((line.strip() for line in reversed(lines) if line.strip()), "")
 
     def _exchanged(self, words: bytes) -> Answer:
         if self._process is None:
+            # A file and no pipe, which somebody would have to read before it is full.
+            self._said = tempfile.TemporaryFile()  # noqa: SIM115
             self._process = subprocess.Popen(
                 self._command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
+                stderr=self._said,
                 start_new_session=True,  # Ctrl-C is the collector's affair
                 env={**os.environ, "OMP_NUM_THREADS": "1"},
             )

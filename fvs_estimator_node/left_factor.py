@@ -26,6 +26,7 @@ import numpy as np
 from fvs_estimator_node.base import MotionStep
 from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfModel
 from fvs_estimator_node.rotations import nearest_rotation, rotation_angle_rad
+from fvs_estimator_node.stamp_watch import StampWatch
 from fvs_estimator_node.turn_watch import TurnWatch
 from fvs_ros.core.params import Parameter
 from fvs_ros.core.vectors import length
@@ -36,6 +37,10 @@ KINDS = (ROTATION, MATRIX)
 _IDENTITY = np.eye(3)
 #: A joint that has moved less than this between two images stands, rad.
 _STILL_RAD = 2e-4
+#: A step that is off by less than so many deviations is noise, however long.
+_BUMP_DEVIATIONS = 6.0
+#: The lengths of trust hold up to this standard deviation of one coordinate of a step, m.
+_TRUST_DEVIATION_M = 0.0014
 
 
 @dataclass(frozen=True)
@@ -49,11 +54,13 @@ class LeftFactorConfig:
     memory_m : float
         Way of the ball after which a step has lost 63 % of its say, m.
     trust_m : float
-        The start (no motion of the camera) counts like a step of this length each way, m.
+        The start (no motion of the camera) counts like a step of this length each way, m; where
+        positions are noisier than 1 mm, like a longer one in proportion.
     bumped_trust_m : float
         The same for the factor so far after a bump, m.
     bump_m : float
-        A step that is off by more is the camera's own motion: not learned from, m.
+        A step that is off by more, and by six standard deviations, is the camera's own motion: not
+        learned from, m.
     min_motion_rad : float
         No learning from steps in which no joint moved further than this, rad.
     """
@@ -141,6 +148,8 @@ class _Past:
     factor: np.ndarray
     cross: np.ndarray
     gram: np.ndarray
+    prior: np.ndarray
+    prior_m2: float
     bumps: int
 
 
@@ -169,14 +178,28 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         self._refused = 0
         self._bumps = 0
         self._watch = TurnWatch()
+        self._stamps = StampWatch()
+        #: Way of the ball as the networks have it, and the pair that the last step ended with.
+        self._way_m = np.zeros(3)
+        self._in_time: tuple[np.ndarray, np.ndarray] | None = None
         self._past: _Past | None = None
         self._sample: tuple[np.ndarray, np.ndarray] | None = None
         self._begin(self._config.trust_m)
 
     def _begin(self, trust_m: float) -> None:
         """Forget all steps; the factor so far counts like a step of a length each way."""
-        self._cross = trust_m**2 * self._factor
-        self._gram = trust_m**2 * _IDENTITY
+        self._prior, self._prior_m2 = self._factor, trust_m**2
+        self._cross, self._gram = np.zeros((3, 3)), np.zeros((3, 3))
+
+    @property
+    def problem(self) -> str:
+        """Why the arm must not move on the estimate, in words; empty if it may."""
+        return self._stamps.problem
+
+    @property
+    def remark(self) -> str:
+        """What does not fit, in words; empty if all is well."""
+        return self._stamps.remark
 
     @property
     def factor(self) -> np.ndarray:
@@ -187,44 +210,77 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         """Estimate at given joints, m/rad, shape (3, 6)."""
         return self._factor @ super().jacobian(joints_rad)
 
-    def observe(self, joints_rad: np.ndarray, ball_m: np.ndarray) -> None:
-        """Learn the noise from two positions in a row between which no joint moved."""
+    def observe(
+        self, joints_rad: np.ndarray, ball_m: np.ndarray, stamp_s: float = math.nan
+    ) -> None:
+        """Learn the noise at rest, and in motion whether the images are of the time they say."""
+        if not math.isfinite(float(joints_rad.dot(joints_rad) + ball_m.dot(ball_m))):
+            return
         before, self._sample = self._sample, (joints_rad, ball_m)
-        if before is not None and np.abs(joints_rad - before[0]).max() < _STILL_RAD:
-            self._watch.rest(ball_m - before[1])
+        if before is not None:
+            d_joints = joints_rad - before[0]
+            if np.abs(d_joints).max() < _STILL_RAD:
+                self._watch.rest(ball_m - before[1])
+            else:
+                middle = super().jacobian(before[0] + 0.5 * d_joints)
+                self._way_m = self._way_m + middle @ d_joints
+        if self._stamps.add(self._way_m, ball_m, stamp_s, (self._factor, _IDENTITY)):
+            # What was learned so far was learned of pairs that did not belong together.
+            self._factor = _IDENTITY
+            self._in_time = self._past = None
+            self._watch.clear()
+            self._begin(self._config.trust_m)
 
     def update(self, step: MotionStep) -> None:
         """Learn from one step; too little motion or anything not finite changes nothing."""
         config = self._config
-        predicted = super().jacobian(step.joints_rad) @ step.d_joints_rad
-        predicted_m2 = float(predicted.dot(predicted))
-        seen_m2 = float(step.d_ball_m.dot(step.d_ball_m))
+        predicted, seen = self._step_in_time(step)
+        predicted_m2, seen_m2 = float(predicted.dot(predicted)), float(seen.dot(seen))
         if not (step.dt_s > 0.0 and math.isfinite(predicted_m2 + seen_m2)):
             self._refused += 1
             return
-        if self._there_and_back(predicted, step.d_ball_m):
+        if self._there_and_back(predicted, seen):
             return
         if np.abs(step.d_joints_rad).max() < config.min_motion_rad:
             return
         # However the camera may have been turned, the ball goes as far as predicted.
-        if math.sqrt(seen_m2) - math.sqrt(predicted_m2) > config.bump_m:
+        most_m = max(config.bump_m, _BUMP_DEVIATIONS * self._watch.deviation_m)
+        if math.sqrt(seen_m2) - math.sqrt(predicted_m2) > most_m:
             self._bumps += 1
             self._watch.clear()
             self._begin(config.bumped_trust_m)
             return
-        turned = self._watch.add(self._factor, predicted, step.d_ball_m)
+        turned = self._watch.add(self._factor, predicted, seen)
         if turned:
             self._bumps += 1
             self._begin(config.bumped_trust_m)
-        for one in turned or [(predicted, step.d_ball_m)]:
+        for one in turned or [(predicted, seen)]:
             self._learn(*one)
         self._updates += 1
+
+    def _step_in_time(self, step: MotionStep) -> tuple[np.ndarray, np.ndarray]:
+        """What was predicted and seen of a step, m, of one time even where stamps are wrong."""
+        if not self._stamps.lag:
+            return super().jacobian(step.joints_rad) @ step.d_joints_rad, step.d_ball_m
+        before, self._in_time = self._in_time, self._stamps.pair()
+        if before is None:
+            return np.zeros(3), np.zeros(3)
+        return self._in_time[0] - before[0], self._in_time[1] - before[1]
 
     def _there_and_back(self, predicted: np.ndarray, seen: np.ndarray) -> bool:
         """Take back what a single wrong position did, and learn without it; remember the step."""
         past, self._past = (
             self._past,
-            _Past(predicted, seen, self._factor, self._cross, self._gram, self._bumps),
+            _Past(
+                predicted,
+                seen,
+                self._factor,
+                self._cross,
+                self._gram,
+                self._prior,
+                self._prior_m2,
+                self._bumps,
+            ),
         )
         if past is None:
             return False
@@ -234,6 +290,7 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         if there.dot(there) < wrong_m2 or (there + back).dot(there + back) > wrong_m2:
             return False
         self._factor, self._cross, self._gram = past.factor, past.cross, past.gram
+        self._prior, self._prior_m2 = past.prior, past.prior_m2
         self._bumps, self._past = past.bumps, None
         self._watch.clear()
         self._learn(past.predicted + predicted, past.seen + seen)
@@ -244,13 +301,18 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         keep = math.exp(-length(predicted) / config.memory_m)
         # The little that is put back of the factor so far keeps what the steps do not tell,
         # however long they go along one line.
-        floor = (1.0 - keep) * config.bumped_trust_m**2
+        # Steps weigh by their noise, the start does not: against noisier ones it counts more.
+        growth = max(1.0, (self._watch.deviation_m / _TRUST_DEVIATION_M) ** 2)
+        floor = (1.0 - keep) * config.bumped_trust_m**2 * growth
         self._cross = keep * self._cross + floor * self._factor + seen[:, None] * predicted
         self._gram = keep * self._gram + floor * _IDENTITY + predicted[:, None] * predicted
+        self._prior_m2 *= keep
+        prior_m2 = growth * self._prior_m2
+        cross = self._cross + prior_m2 * self._prior
         if config.kind == ROTATION:
-            self._factor = nearest_rotation(self._cross)
+            self._factor = nearest_rotation(cross)
         else:
-            self._factor = np.linalg.solve(self._gram, self._cross.T).T
+            self._factor = np.linalg.solve(self._gram + prior_m2 * _IDENTITY, cross.T).T
 
     def status_values(self) -> dict[str, float]:
         """Counts, and how far the factor turns the networks' Jacobian."""
@@ -259,4 +321,5 @@ class LeftFactorEstimator(FrozenRbfEstimator):
             "refused": float(self._refused),
             "camera_turned_deg": math.degrees(rotation_angle_rad(nearest_rotation(self._factor))),
             "camera_bumps": float(self._bumps),
+            "images_late_s": self._stamps.lag_s,
         }

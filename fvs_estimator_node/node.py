@@ -143,7 +143,7 @@ class EstimatorNode(ros.FvsNode):
         if not samples or not self._estimator.learns or self._frozen or self._paused():
             return
         for sample in samples:
-            self._estimator.observe(sample.joints_rad, sample.ball_m)
+            self._estimator.observe(sample.joints_rad, sample.ball_m, sample.stamp_s)
         for step in steps:
             self._estimator.update(step)
             self._steps += 1
@@ -220,7 +220,9 @@ class EstimatorNode(ros.FvsNode):
             return ros.OK, "FROZEN", "the robot is paused: nothing is learned meanwhile"
         if not self._estimator.learns:
             return ros.OK, "FROZEN", "estimating; this method does not learn online"
-        return ros.OK, "LEARNING", "estimating, and learning from every motion"
+        remark = self._estimator.remark
+        said = remark or "estimating, and learning from every motion"
+        return ros.WARN if remark else ros.OK, "LEARNING", said
 
     def _late_input(self, now_s: float) -> str:
         """Which input is late, in words; empty if none."""

@@ -108,10 +108,22 @@ class PoeEstimator(Estimator):
         """Estimate at given joints, m/rad, shape (3, 6)."""
         return self._camera.rotation @ self._fitted.jacobian(joints_rad)
 
-    def observe(self, joints_rad: np.ndarray, ball_m: np.ndarray) -> None:
+    @property
+    def problem(self) -> str:
+        """Why the arm must not move on the estimate, in words; empty if it may."""
+        return self._camera.stamps.problem
+
+    @property
+    def remark(self) -> str:
+        """What does not fit, in words; empty if all is well."""
+        return self._camera.stamps.remark
+
+    def observe(
+        self, joints_rad: np.ndarray, ball_m: np.ndarray, stamp_s: float = math.nan
+    ) -> None:
         """Learn the camera's pose from where the ball is."""
         if math.isfinite(float(joints_rad.dot(joints_rad))) and self._camera.add(
-            self._fitted.position(joints_rad), ball_m
+            self._fitted.position(joints_rad), ball_m, stamp_s
         ):
             self._updates += 1
         else:
@@ -135,4 +147,5 @@ class PoeEstimator(Estimator):
             "camera_turned_deg": math.degrees(camera.angle_rad),
             "camera_bumps": float(camera.bumps),
             "position_noise_m": camera.noise_m,
+            "images_late_s": camera.stamps.lag_s,
         }

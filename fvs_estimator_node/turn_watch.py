@@ -9,6 +9,7 @@ variance of a step is chi-square distributed with three degrees of freedom while
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterable
 
@@ -25,8 +26,10 @@ _CHANCE = 36.0
 _LEAST_RAD, _UNEXPLAINED = 0.25, 0.3
 #: Variance of one coordinate of a step, m^2: the first guess, and its bounds; share of a new square
 #: in it, and how many variances one counts for at most, at rest and in motion, where it may be the
-#: turn that is looked for. Nothing is judged before so many were heard.
+#: turn that is looked for. Nothing is judged before so many were heard, nor beyond so large a share
+#: of the largest variance.
 _VARIANCE_M2, _LEAST_M2, _MOST_M2 = 2e-6, 8e-8, 2e-4
+_TOO_NOISY = 0.75
 _SHARE, _CLIP_STILL, _CLIP, _HEARD = 0.03, 9.0, 3.0, 20
 #: How little the identity counts where the steps leave a rotation open.
 _TINY = 1e-3
@@ -46,6 +49,11 @@ class TurnWatch:
     def deviation_m(self) -> float:
         """Standard deviation of one coordinate of a step, as learned, m."""
         return float(self._variance_m2**0.5)
+
+    @property
+    def too_noisy(self) -> bool:
+        """Whether the noise is so large that more of it would not be known from a turn."""
+        return self._variance_m2 > _TOO_NOISY * _MOST_M2
 
     def clear(self) -> None:
         """Forget the steps; the noise stays known."""
@@ -68,7 +76,7 @@ class TurnWatch:
         """
         self._steps.append((predicted_m, seen_m))
         steps = self._last()
-        enough = len(steps) >= _FEWEST and self._heard >= _HEARD
+        enough = len(steps) >= _FEWEST and self._heard >= _HEARD and not self.too_noisy
         if enough and self._turned(factor, steps):
             self._steps.clear()
             return steps
@@ -81,7 +89,7 @@ class TurnWatch:
 
     def _hear(self, off_m: np.ndarray, clip: float) -> None:
         square = float(off_m @ off_m) / 3.0
-        if not square <= _MOST_M2:  # no noise, or not a number
+        if not math.isfinite(square):
             return
         self._heard += 1
         share = _SHARE
@@ -89,6 +97,7 @@ class TurnWatch:
             square = min(square, clip * self._variance_m2)
         else:  # the mean of all, with the first guess as one of them
             share = 1.0 / (1.0 + self._heard)
+            square = min(square, _MOST_M2)
         self._variance_m2 += share * (square - self._variance_m2)
         self._variance_m2 = min(max(self._variance_m2, _LEAST_M2), _MOST_M2)
 

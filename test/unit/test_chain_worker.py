@@ -93,6 +93,10 @@ def test_it_answers_and_no_call_waits(make_worker):
     ("command", "words"),
     [
         (("sh", "-c", "exit 3"), "exit code 3"),
+        (
+            (sys.executable, "-c", "import no_such_library"),
+            "(exit code 1): ModuleNotFoundError: No module named 'no_such_library'",
+        ),
         (("sh", "-c", "head -c 100 > /dev/null; kill -9 $$"), "exit code -9"),
         (("no such program",), "FileNotFoundError"),
         (("sh", "-c", "echo nonsense; cat > /dev/null"), "UnpicklingError"),
@@ -102,6 +106,7 @@ def test_it_answers_and_no_call_waits(make_worker):
     ],
     ids=[
         "ends",
+        "cannot import",
         "is killed",
         "is missing",
         "babbles",

@@ -105,7 +105,7 @@ def test_a_camera_that_stands_still_is_hardly_turned_by_noise(model, kind):
     assert error_of(estimator, ur5_chain()) < before + 0.04
 
 
-@pytest.mark.parametrize("noise_m", [0.004, 0.006])
+@pytest.mark.parametrize("noise_m", [0.004, 0.006, 0.01])
 @pytest.mark.parametrize("rests", [True, False])
 def test_a_noisy_camera_is_no_camera_that_is_bumped(model, noise_m, rests):
     estimator, rng = estimator_of(model), np.random.default_rng(2)
@@ -116,6 +116,21 @@ def test_a_noisy_camera_is_no_camera_that_is_bumped(model, noise_m, rests):
         assert estimator._watch.deviation_m == pytest.approx(2.0**0.5 * noise_m, rel=0.3)
     travel(estimator, ur5_chain(), 3.0, rng, noise_m)
     assert estimator.status_values()["camera_bumps"] == 0.0
+
+
+@pytest.mark.parametrize("noise_m", [0.002, 0.004])
+def test_the_start_counts_more_against_noisier_steps(model, noise_m):
+    chain, home = ur5_chain(), ur5_dh.HOME_RAD
+    off = []
+    for seed in range(12):
+        estimator, rng = estimator_of(model), np.random.default_rng(seed)
+        for _ in range(60):
+            estimator.observe(home, chain.position(home) + noise_m * rng.normal(size=3))
+        before = error_of(estimator, chain)
+        travel(estimator, chain, 0.3, rng, noise_m, along=rng.normal(size=6))
+        off.append(error_of(estimator, chain) - before)
+    assert max(off) < 0.15
+    assert np.median(off) < 0.06
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -51,6 +51,16 @@ def test_noise_is_learned_and_never_taken_for_a_turn(noise_m, step_m):
         assert tell(TurnWatch(), path(100, rng, step_m), np.eye(3), noise_m, rng)[0] == 0
 
 
+@pytest.mark.parametrize("noise_m", [0.012, 0.02])
+def test_noise_beyond_all_bounds_is_no_turn_either(noise_m):
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        assert tell(rested(rng, noise_m), path(100, rng, 0.03), np.eye(3), noise_m, rng)[0] == 0
+    watch = rested(rng, noise_m)
+    assert watch.too_noisy
+    assert watch.deviation_m == pytest.approx(0.014, rel=0.2)  # the bound
+
+
 @pytest.mark.parametrize(("noise_m", "within"), [(0.0002, 3), (0.001, 6)])
 @pytest.mark.parametrize("seed", range(5))
 def test_a_turn_is_seen_by_the_next_few_steps_and_they_are_handed_out(noise_m, within, seed):

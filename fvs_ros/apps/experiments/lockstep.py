@@ -113,7 +113,8 @@ class LockStep:
             self._learn(self.pairing.add_ball(seen.stamp_s, position_m))
             self.loop.add_ball(now_s, seen.stamp_s, position_m, CAMERA_FRAME)
         self._learn(self.pairing.add_joints(now_s, out.joints_rad))
-        self.loop.add_jacobian(now_s, self.estimator.jacobian(out.joints_rad))
+        if not self.estimator.problem:
+            self.loop.add_jacobian(now_s, self.estimator.jacobian(out.joints_rad))
         if isinstance(self.estimator, PoeEstimator):
             self.loop.add_chain(now_s, self.estimator.chain)
         if now_s >= self._next_quality_s and self.monitor.ratio is not None:
@@ -134,7 +135,7 @@ class LockStep:
         if not self.estimator.learns:
             return
         for sample in samples:
-            self.estimator.observe(sample.joints_rad, sample.ball_m)
+            self.estimator.observe(sample.joints_rad, sample.ball_m, sample.stamp_s)
         for step in steps:
             self.estimator.update(step)
 
