@@ -55,10 +55,8 @@ class InputMonitor:
         self._trouble = None if spec.max_age_s is None else Reason.MISSING
         self._why = ""
         self._stuck_s = -float("inf")
-        self._late, self._interval_s = (
-            0,
-            0.0,
-        )  # intervals beyond the limit in this trouble; the last
+        self._late = 0  # intervals beyond the limit in this trouble
+        self._interval_s = 0.0  # the last one
 
     def configure(self, spec: InputSpec, fresh_samples: int) -> None:
         """Change what is expected and keep what was seen."""

@@ -138,8 +138,10 @@ class Supervisor:
         self._velocity = np.zeros(N_JOINTS)
         self._position: np.ndarray | None = None  # of the ball at the last tick
         self._problem = ""  # why there is none
-        missing = self._inputs[JOINT_STATES].find(-inf)
-        assert missing is not None
+        spec = self._inputs[JOINT_STATES].spec
+        missing = Reason.MISSING.because(
+            name=spec.name, count=0, wanted=self._config.fresh_samples, hint=spec.hint
+        )
         self._last = Command(self._velocity, State.WAITING, missing, "", None)
 
     # ---- what it is told ------------------------------------------------------------------
