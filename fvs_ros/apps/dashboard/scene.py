@@ -27,6 +27,8 @@ LEGEND = (
     ("●", _TARGET, "target: drag it"),
 )
 _ROD = (150, 156, 168)
+#: The rod is drawn anew where its end is off by more, m.
+_ROD_BENT_M = 0.03
 _TRAIL_OLD, _TRAIL_NEW = np.array([60, 64, 72]), np.array([255, 214, 0])
 #: The trail has always so many pieces: the page redraws it cheaply then.
 _PIECES = 96
@@ -94,8 +96,10 @@ class Scene:
             thickness_units="screen",
         )
         # How the ball is held, nobody tells; but that it is, is to be seen.
+        self._flange = scene.add_frame("/base/flange", show_axes=False)
+        self._rod_m = np.zeros(3)  # from the flange to the ball, as drawn
         self._rod = scene.add_line_segments(
-            "/base/rod",
+            "/base/flange/rod",
             np.zeros((1, 2, 3)),
             np.full((1, 2, 3), _ROD, dtype=np.uint8),
             thickness=5.0,
@@ -201,8 +205,13 @@ class Scene:
         if arm is None or camera is None or ball_m is None or joints is None:
             self._rod.visible = False
             return
-        ends_m = arm.flange(joints)[:3, 3], camera.rotation @ ball_m + camera.position_m
-        self._rod.points = np.array([ends_m])
+        flange = arm.flange(joints)
+        self._flange.wxyz, self._flange.position = _placed(flange[:3, :3], flange[:3, 3])
+        ball_m = camera.rotation @ ball_m + camera.position_m
+        rod_m = flange[:3, :3].T @ (ball_m - flange[:3, 3])
+        if np.abs(rod_m - self._rod_m).max() > _ROD_BENT_M:  # lines are slow to change in a browser
+            self._rod_m = rod_m
+            self._rod.points = np.array([[np.zeros(3), rod_m]])
         self._rod.visible = True
 
     def _show_frustum(self, shown: Snapshot, with_picture: bool) -> None:
