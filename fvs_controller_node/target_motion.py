@@ -156,7 +156,7 @@ class TargetMotion:
             return False
         last_s, last = self._updates[-1]
         soon = -_OWN_CLOCK_S < now_s - last_s < _MAX_GAP_S
-        return soon and float(np.linalg.norm(position_m - last)) < _JUMP_M
+        return soon and length(position_m - last) < _JUMP_M
 
     def update(self, position_m: np.ndarray, now_s: float) -> bool:
         """Take the target's position at a time, s; whether that goes on with a motion."""

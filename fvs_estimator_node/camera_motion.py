@@ -240,9 +240,9 @@ class CameraMotion:
         if len(self._strangers) < self._config.bump_repeats:
             return False
         least_rad, most_rad = self._config.rotation_deviation_rad, self._config.bumped_deviation_rad
-        if self._since_bump < _SOON and self._was_here_before():
-            return True
         if self._since_bump < _SOON:
+            if self._was_here_before():
+                return True
             # What was learned in between was learned of a pose that did not last.
             self._rotation = self._before_bump
             doubt_rad = most_rad
