@@ -6,6 +6,11 @@ from dataclasses import dataclass
 
 from fvs_controller_node.reasons import Finding, Reason
 
+#: So many intervals beyond the limit make a slow input, if they are no longer than this, s.
+_SLOW_INTERVALS, _SLOW_S = 2, 5.0
+#: What a source said of itself holds for so long, s.
+_SAID_S = 2.0
+
 
 @dataclass(frozen=True)
 class InputSpec:
@@ -27,10 +32,6 @@ class InputSpec:
     hint: str
     max_age_s: float | None
     limit: str = ""
-
-
-#: So many intervals beyond the limit make a slow input, if they are no longer than this, s.
-_SLOW_INTERVALS, _SLOW_S = 2, 5.0
 
 
 class InputMonitor:
@@ -55,6 +56,7 @@ class InputMonitor:
         self._trouble = None if spec.max_age_s is None else Reason.MISSING
         self._why = ""
         self._stuck_s = -float("inf")
+        self._said, self._said_s = "", -float("inf")
         self._late = 0  # intervals beyond the limit in this trouble
         self._interval_s = 0.0  # the last one
 
@@ -78,6 +80,10 @@ class InputMonitor:
     def stuck(self, now_s: float) -> None:
         """Tell that a message arrived whose stamp does not advance; it does not count."""
         self._stuck_s = now_s
+
+    def source_says(self, now_s: float, why: str) -> None:
+        """Tell why its source sends nothing, in the source's words; empty if it has no reason."""
+        self._said, self._said_s = why, now_s
 
     def bad(self, now_s: float, why: str) -> None:
         """Tell that a message arrived that cannot be used."""
@@ -106,7 +112,9 @@ class InputMonitor:
         if self._trouble is None:
             return None
         name, hint, wanted = self.spec.name, self.spec.hint, self._fresh_samples
-        if limit_s is not None and now_s - self._stuck_s <= limit_s:
+        if self._said and now_s - self._said_s <= _SAID_S:
+            hint = self._said
+        elif limit_s is not None and now_s - self._stuck_s <= limit_s:
             hint = "messages come, but their stamps do not advance: its source has frozen"
         elif self._late >= _SLOW_INTERVALS and age_s <= 2.0 * self._interval_s:
             hint = f"messages come, but every {self._interval_s:.2f} s only"

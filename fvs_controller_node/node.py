@@ -23,6 +23,7 @@ from fvs_controller_node.supervisor import Command
 from fvs_controller_node.supervisor_config import BALL, JACOBIAN, JOINT_STATES
 from fvs_ros.core import ros
 from fvs_ros.core.joints import ForeignJointsError, JointMap, JointStateError
+from fvs_ros.core.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING, number
 
 _STATUS_PERIOD_S = 0.1
 _RIVALS_PERIOD_S = 0.5
@@ -145,11 +146,11 @@ class ControllerNode(ros.FvsNode):
             self._loop.bad_chain(now_s, str(error))
 
     def _on_estimator_status(self, message: DiagnosticStatus) -> None:
-        text = ros.from_status(message).get("one_step_prediction_error_ratio", "")
-        try:
-            self._loop.supervisor.estimator_quality(self.steady_s(), float(text))
-        except ValueError:
-            return  # not known yet
+        values, now_s = ros.from_status(message), self.steady_s()
+        supervisor = self._loop.supervisor
+        supervisor.estimator_quality(now_s, number(values, "one_step_prediction_error_ratio"))
+        idle = values.get("state") in (ESTIMATOR_WAITING, ESTIMATOR_FAULT)
+        supervisor.estimator_says(now_s, message.message if idle else "")
 
     def _on_target(self, message: PointStamped) -> None:
         point, stamp = message.point, message.header.stamp

@@ -276,6 +276,11 @@ class Supervisor:
         """Tell the estimator's one-step prediction error ratio; not finite means unknown."""
         self._quality = (float(error_ratio), now_s) if isfinite(error_ratio) else None
 
+    def estimator_says(self, now_s: float, why: str) -> None:
+        """Tell why the estimator publishes no Jacobian, in its words; empty if it does."""
+        said = f"the estimator says: {why}" if why else ""
+        self._inputs[JACOBIAN].source_says(now_s, said)
+
     def start(self, now_s: float) -> tuple[bool, str]:
         """Begin to servo; or, while held near a singularity, let the arm leave it slowly.
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fvs_ros.core.chain import SerialChain
 from fvs_ros.core.vectors import length
 
 
@@ -72,6 +73,11 @@ class Estimator(ABC):
     def remark(self) -> str:
         """What does not fit although there is an estimate, in words; empty if all is well."""
         return ""
+
+    @property
+    def chain(self) -> SerialChain | None:
+        """The serial chain as the camera sees it now; None from an estimator that has none."""
+        return None
 
     @abstractmethod
     def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:

@@ -21,16 +21,16 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from fvs_estimator_node.camera_doubts import CameraDoubts
 from fvs_estimator_node.rotations import nearest_rotation, rotation_angle_rad
-from fvs_estimator_node.stamp_watch import StampWatch
 from fvs_estimator_node.turn_watch import MOST_STEPS, TurnWatch
 from fvs_ros.core.vectors import length
 
-_IDENTITY = np.eye(3)
+_IDENTITY, _NOWHERE = np.eye(3), np.zeros(3)
 #: How far a bumped camera may have been turned over how far that moved the ball in its view.
 _TURN_SHARE = 1.5
 #: Standard deviation that the first guess of the noise is, m, and its bounds.
@@ -84,16 +84,34 @@ class CameraMotionConfig:
 
 
 @dataclass(frozen=True)
-class _Known:
-    """What was known of a pose."""
+class _Pose:
+    """A pose and what is known of it; never changed in place.
+
+    Parameters
+    ----------
+    rotation, translation_m : ndarray, shapes (3, 3) and (3,)
+        R and t, the latter in m.
+    prior_m2 : float
+        What the rotation before all pairs counts like, m^2.
+    scatter : ndarray, shape (3, 3)
+        Of the pairs about their means, the prior included, m^2.
+    weight : float
+        So many pairs, old ones faded.
+    mean_p_m, mean_x_m : ndarray, shape (3,)
+        Their means, m.
+    """
 
     rotation: np.ndarray
     translation_m: np.ndarray
-    weight: float
-    mean_p_m: np.ndarray
-    mean_x_m: np.ndarray
     prior_m2: float
     scatter: np.ndarray
+    weight: float = 0.0
+    mean_p_m: np.ndarray = field(default_factory=lambda: _NOWHERE)
+    mean_x_m: np.ndarray = field(default_factory=lambda: _NOWHERE)
+
+    def off_m(self, model_m: np.ndarray, seen_m: np.ndarray) -> np.ndarray:
+        """From where the ball should be seen to where it is, m, shape (3,)."""
+        return np.asarray(seen_m - (self.rotation @ model_m + self.translation_m))
 
 
 class CameraMotion:
@@ -112,25 +130,21 @@ class CameraMotion:
 
     def reset(self) -> None:
         """Forget everything: the camera stands where it stood."""
-        self._rotation, self._translation = np.eye(3), np.zeros(3)
         self._variance = _NOISE_M**2
-        self._bumps = 0
         #: Positions since the last bump, and the rotation from before the first one of a series.
-        self._since_bump, self._before_bump = _SOON, self._rotation
-        self._known_before: _Known | None = None
+        self._since_bump, self._before_bump = _SOON, _IDENTITY
+        self._known_before: _Pose | None = None
         self._watch = TurnWatch()
-        self._stamps = StampWatch()
+        self._doubts = CameraDoubts()
         self._pairs: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=MOST_STEPS + 1)
-        self._begin(self._config.rotation_deviation_rad)
+        self._pose = _Pose(_IDENTITY, _NOWHERE, 0.0, np.zeros((3, 3)))
+        self._begin(_IDENTITY, self._config.rotation_deviation_rad)
 
-    def _begin(self, deviation_rad: float) -> None:
-        """Forget all pairs; the rotation so far is known to a standard deviation."""
-        self._weight = 0.0
-        self._mean_p, self._mean_x = np.zeros(3), np.zeros(3)
-        self._faded_at = np.zeros(3)
-        #: What the rotation so far counts like, m^2.
-        self._prior_m2 = self._variance / (2.0 * deviation_rad**2)
-        self._scatter = self._prior_m2 * self._rotation
+    def _begin(self, rotation: np.ndarray, deviation_rad: float) -> None:
+        """Forget all pairs; a rotation is known to a standard deviation."""
+        prior_m2 = self._variance / (2.0 * deviation_rad**2)
+        self._pose = _Pose(rotation, self._pose.translation_m, prior_m2, prior_m2 * rotation)
+        self._faded_at = _NOWHERE
         self._strangers: list[tuple[np.ndarray, np.ndarray]] = []
         self._innovation: np.ndarray | None = None
         self._strange: tuple[np.ndarray | None, np.ndarray | None] = None, None
@@ -138,17 +152,17 @@ class CameraMotion:
     @property
     def rotation(self) -> np.ndarray:
         """R, shape (3, 3); not to be changed."""
-        return self._rotation
+        return self._pose.rotation
 
     @property
     def translation_m(self) -> np.ndarray:
         """t, m, shape (3,); not to be changed."""
-        return self._translation
+        return self._pose.translation_m
 
     @property
     def angle_rad(self) -> float:
         """Angle of the rotation, rad."""
-        return rotation_angle_rad(self._rotation)
+        return rotation_angle_rad(self._pose.rotation)
 
     @property
     def noise_m(self) -> float:
@@ -156,14 +170,9 @@ class CameraMotion:
         return math.sqrt(self._variance)
 
     @property
-    def bumps(self) -> int:
-        """How often the camera was found to have been moved."""
-        return self._bumps
-
-    @property
-    def stamps(self) -> StampWatch:
-        """Whether what is seen is of the time that it is said to be of."""
-        return self._stamps
+    def doubts(self) -> CameraDoubts:
+        """How often the camera was found to have been moved, and what is wrong with the images."""
+        return self._doubts
 
     def add(self, model_m: np.ndarray, seen_m: np.ndarray, stamp_s: float = math.nan) -> bool:
         """Tell one pair: where the model has the ball, and where the image has it, m, (3,) each.
@@ -177,13 +186,12 @@ class CameraMotion:
         """
         if not (length(model_m) < _FARTHEST_M and length(seen_m) < _FARTHEST_M):
             return False
-        if self._stamps.add(
-            model_m, seen_m, stamp_s, (self._rotation, self._before_bump, _IDENTITY)
-        ):
+        turns = (self._pose.rotation, self._before_bump, _IDENTITY)
+        if self._doubts.image(model_m, seen_m, stamp_s, turns):
             self._begin_in_time()
-        if self._stamps.lag:
-            model_m, seen_m = self._stamps.pair()
-        innovation = seen_m - (self._rotation @ model_m + self._translation)
+        if self._doubts.stamps.lag:
+            model_m, seen_m = self._doubts.stamps.pair()
+        innovation = self._pose.off_m(model_m, seen_m)
         distance_m = length(innovation)
         believed = distance_m <= self._disbelief_m()
         if believed:
@@ -201,18 +209,18 @@ class CameraMotion:
 
     def _begin_in_time(self) -> None:
         """Learn anew from the last pairs: they did not belong together, whatever they told."""
-        if self._since_bump < _SOON:
-            self._rotation = self._before_bump
-        self._begin(self._config.rotation_deviation_rad)
+        soon, stamps = self._since_bump < _SOON, self._doubts.stamps
+        rotation = self._before_bump if soon else self._pose.rotation
+        self._begin(rotation, self._config.rotation_deviation_rad)
         self._watch.clear()
         self._pairs.clear()
-        for back in reversed(range(1, self._stamps.pairs)):
-            self._learn(*self._stamps.pair(back))
+        for back in reversed(range(1, stamps.pairs)):
+            self._learn(*stamps.pair(back))
         self._since_bump = _SOON
 
     def _hear_noise(self, change_m: np.ndarray) -> None:
         """Learn the noise from what changes between two positions: what stays is no noise."""
-        share = max(_NOISE_SHARE, 1.0 / (self._weight + 10.0))
+        share = max(_NOISE_SHARE, 1.0 / (self._pose.weight + 10.0))
         self._variance += share * (float(change_m.dot(change_m)) / 6.0 - self._variance)
         self._variance = min(max(self._variance, _LEAST_NOISE_M**2), _MOST_NOISE_M**2)
 
@@ -244,40 +252,24 @@ class CameraMotion:
             if self._was_here_before():
                 return True
             # What was learned in between was learned of a pose that did not last.
-            self._rotation = self._before_bump
             doubt_rad = most_rad
         else:
-            self._before_bump, self._known_before = self._rotation, self._known()
+            self._before_bump, self._known_before = self._pose.rotation, self._pose
             # A turn moves the ball by angle times distance, less where it is about the ball.
             turned_rad = _TURN_SHARE * distance_m / max(length(seen_m), 1e-3)
             doubt_rad = min(max(turned_rad, least_rad), most_rad)
-        self._begin_anew(self._strangers, doubt_rad)
+        self._begin_anew(self._strangers, self._before_bump, doubt_rad)
         return True
-
-    def _known(self) -> _Known:
-        return _Known(
-            self._rotation,
-            self._translation,
-            self._weight,
-            self._mean_p,
-            self._mean_x,
-            self._prior_m2,
-            self._scatter,
-        )
 
     def _was_here_before(self) -> bool:
         """Take the pose from before the last bump again if it was none: images of another thing."""
         known, self._known_before = self._known_before, None
         if known is None or not all(
-            length(seen_m - (known.rotation @ model_m + known.translation_m)) < self._disbelief_m()
-            for model_m, seen_m in self._strangers
+            length(known.off_m(*pair)) < self._disbelief_m() for pair in self._strangers
         ):
             return False
-        self._bumps += 1
-        self._rotation, self._translation = known.rotation, known.translation_m
-        self._weight, self._prior_m2 = known.weight, known.prior_m2
-        self._mean_p, self._mean_x = known.mean_p_m, known.mean_x_m
-        self._scatter = known.scatter
+        self._doubts.bump()
+        self._pose = known
         self._since_bump, self._innovation = _SOON, None
         self._strangers.clear()
         self._watch.clear()
@@ -296,39 +288,48 @@ class CameraMotion:
             if believed:
                 self._watch.rest(seen_m - before_x)
             return False
-        steps = self._watch.add(self._rotation, step, seen_m - before_x)
+        rotation = self._pose.rotation
+        steps = self._watch.add(rotation, step, seen_m - before_x)
         if not steps:
             return False
-        self._begin_anew(list(self._pairs)[-len(steps) - 1 :], self._config.bumped_deviation_rad)
-        self._before_bump, self._known_before = self._rotation, None
+        pairs = list(self._pairs)[-len(steps) - 1 :]
+        self._begin_anew(pairs, rotation, self._config.bumped_deviation_rad)
+        self._before_bump, self._known_before = self._pose.rotation, None
         return True
 
-    def _begin_anew(self, pairs: list[tuple[np.ndarray, np.ndarray]], deviation_rad: float) -> None:
-        """Count a bump, and know of the new pose what some pairs tell."""
-        self._bumps += 1
+    def _begin_anew(
+        self,
+        pairs: list[tuple[np.ndarray, np.ndarray]],
+        rotation: np.ndarray,
+        deviation_rad: float,
+    ) -> None:
+        """Count a bump, and know of the new pose what some pairs tell, and a rotation at most."""
+        self._doubts.bump()
         self._since_bump = 0
-        self._begin(deviation_rad)
+        self._begin(rotation, deviation_rad)
         for pair in pairs:
             self._learn(*pair)
 
     def _learn(self, model_m: np.ndarray, seen_m: np.ndarray) -> None:
         self._since_bump += 1
+        pose = self._pose
         # At rest there is nothing new to remember, and so nothing to forget.
         gone = model_m - self._faded_at
         keep = self._keep if float(gone.dot(gone)) > _STILL_M**2 else 1.0
         if keep < 1.0:
             self._faded_at = model_m
-        weight = min(keep * self._weight, self._config.memory)
+        weight = min(keep * pose.weight, self._config.memory)
         total = weight + 1.0
-        from_p, from_x = model_m - self._mean_p, seen_m - self._mean_x
+        from_p, from_x = model_m - pose.mean_p_m, seen_m - pose.mean_x_m
         # What fades is made up for by the rotation so far: a ball that has long been going along
         # one line does not make the camera forget how it is turned.
-        self._scatter = keep * self._scatter + (1.0 - keep) * self._prior_m2 * self._rotation
+        scatter = keep * pose.scatter + (1.0 - keep) * pose.prior_m2 * pose.rotation
         # Where the ball hardly goes, noise and a camera that is being carried would turn it.
         if float(from_p.dot(from_p)) > _STILL_M**2:
-            self._scatter += (weight / total) * from_x[:, None] * from_p
-        self._mean_p = self._mean_p + from_p / total
-        self._mean_x = self._mean_x + from_x / total
-        self._weight = total
-        self._rotation = nearest_rotation(self._scatter)
-        self._translation = self._mean_x - self._rotation @ self._mean_p
+            scatter += (weight / total) * from_x[:, None] * from_p
+        mean_p_m, mean_x_m = pose.mean_p_m + from_p / total, pose.mean_x_m + from_x / total
+        rotation = nearest_rotation(scatter)
+        translation_m = mean_x_m - rotation @ mean_p_m
+        self._pose = _Pose(
+            rotation, translation_m, pose.prior_m2, scatter, total, mean_p_m, mean_x_m
+        )

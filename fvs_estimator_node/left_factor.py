@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 
 from fvs_estimator_node.base import MotionStep
+from fvs_estimator_node.camera_doubts import CameraDoubts, CameraLearner
 from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfModel
 from fvs_estimator_node.rotations import nearest_rotation, rotation_angle_rad
-from fvs_estimator_node.stamp_watch import StampWatch
 from fvs_estimator_node.turn_watch import TurnWatch
 from fvs_ros.core.params import Parameter
 from fvs_ros.core.vectors import length
@@ -153,7 +153,7 @@ class _Past:
     bumps: int
 
 
-class LeftFactorEstimator(FrozenRbfEstimator):
+class LeftFactorEstimator(CameraLearner, FrozenRbfEstimator):
     """Frozen networks times a learned 3x3 factor.
 
     Parameters
@@ -176,9 +176,8 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         self._factor = np.eye(3)
         self._updates = 0
         self._refused = 0
-        self._bumps = 0
         self._watch = TurnWatch()
-        self._stamps = StampWatch()
+        self._doubts = CameraDoubts()
         #: Way of the ball as the networks have it, and the pair that the last step ended with.
         self._way_m = np.zeros(3)
         self._in_time: tuple[np.ndarray, np.ndarray] | None = None
@@ -192,14 +191,9 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         self._cross, self._gram = np.zeros((3, 3)), np.zeros((3, 3))
 
     @property
-    def problem(self) -> str:
-        """Why the arm must not move on the estimate, in words; empty if it may."""
-        return self._stamps.problem
-
-    @property
-    def remark(self) -> str:
-        """What does not fit, in words; empty if all is well."""
-        return self._stamps.remark
+    def doubts(self) -> CameraDoubts:
+        """What does not fit."""
+        return self._doubts
 
     @property
     def factor(self) -> np.ndarray:
@@ -224,7 +218,7 @@ class LeftFactorEstimator(FrozenRbfEstimator):
             else:
                 middle = super().jacobian(before[0] + 0.5 * d_joints)
                 self._way_m = self._way_m + middle @ d_joints
-        if self._stamps.add(self._way_m, ball_m, stamp_s, (self._factor, _IDENTITY)):
+        if self._doubts.image(self._way_m, ball_m, stamp_s, (self._factor, _IDENTITY)):
             # What was learned so far was learned of pairs that did not belong together.
             self._factor = _IDENTITY
             self._in_time = self._past = None
@@ -246,13 +240,13 @@ class LeftFactorEstimator(FrozenRbfEstimator):
         # However the camera may have been turned, the ball goes as far as predicted.
         most_m = max(config.bump_m, _BUMP_DEVIATIONS * self._watch.deviation_m)
         if math.sqrt(seen_m2) - math.sqrt(predicted_m2) > most_m:
-            self._bumps += 1
+            self._doubts.bump()
             self._watch.clear()
             self._begin(config.bumped_trust_m)
             return
         turned = self._watch.add(self._factor, predicted, seen)
         if turned:
-            self._bumps += 1
+            self._doubts.bump()
             self._begin(config.bumped_trust_m)
         for one in turned or [(predicted, seen)]:
             self._learn(*one)
@@ -260,9 +254,9 @@ class LeftFactorEstimator(FrozenRbfEstimator):
 
     def _step_in_time(self, step: MotionStep) -> tuple[np.ndarray, np.ndarray]:
         """What was predicted and seen of a step, m, of one time even where stamps are wrong."""
-        if not self._stamps.lag:
+        if not self._doubts.stamps.lag:
             return super().jacobian(step.joints_rad) @ step.d_joints_rad, step.d_ball_m
-        before, self._in_time = self._in_time, self._stamps.pair()
+        before, self._in_time = self._in_time, self._doubts.stamps.pair()
         if before is None:
             return np.zeros(3), np.zeros(3)
         return self._in_time[0] - before[0], self._in_time[1] - before[1]
@@ -279,7 +273,7 @@ class LeftFactorEstimator(FrozenRbfEstimator):
                 self._gram,
                 self._prior,
                 self._prior_m2,
-                self._bumps,
+                self._doubts.bumps,
             ),
         )
         if past is None:
@@ -291,7 +285,8 @@ class LeftFactorEstimator(FrozenRbfEstimator):
             return False
         self._factor, self._cross, self._gram = past.factor, past.cross, past.gram
         self._prior, self._prior_m2 = past.prior, past.prior_m2
-        self._bumps, self._past = past.bumps, None
+        self._past = None
+        self._doubts.take_back(past.bumps)
         self._watch.clear()
         self._learn(past.predicted + predicted, past.seen + seen)
         return True
@@ -320,6 +315,5 @@ class LeftFactorEstimator(FrozenRbfEstimator):
             "updates": float(self._updates),
             "refused": float(self._refused),
             "camera_turned_deg": math.degrees(rotation_angle_rad(nearest_rotation(self._factor))),
-            "camera_bumps": float(self._bumps),
-            "images_late_s": self._stamps.lag_s,
+            **super().status_values(),
         }

@@ -19,11 +19,11 @@ from fvs_estimator_node.config import PARAMETERS
 from fvs_estimator_node.model_file import load_model
 from fvs_estimator_node.oracle import OracleEstimator
 from fvs_estimator_node.pairing import ExposureMatcher, StepPairing
-from fvs_estimator_node.poe import PoeEstimator
 from fvs_estimator_node.registry import create_estimator, estimator_factory
 from fvs_ros.core import ros
 from fvs_ros.core.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.core.paths import find_file
+from fvs_ros.core.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
 
 _STATUS_PERIOD_S = 0.1
 _FRESH_S = 0.2
@@ -72,7 +72,7 @@ class EstimatorNode(ros.FvsNode):
         self.create_service(SetBool, "~/freeze", self._on_freeze)
         self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
 
-        if isinstance(self._estimator, PoeEstimator):
+        if self._estimator.chain is not None:
             self.create_timer(_CHAIN_PERIOD_S, self._publish_chain, clock=self.steady_clock)
 
     def _make_estimator(self) -> Estimator:
@@ -176,10 +176,11 @@ class EstimatorNode(ros.FvsNode):
 
     def _publish_chain(self) -> None:
         """Tell the chain as the camera sees it now, if there is one."""
-        if not isinstance(self._estimator, PoeEstimator):
+        chain = self._estimator.chain
+        if chain is None:
             return
         try:
-            self._chain.publish(ros.to_chain(self._estimator.chain))
+            self._chain.publish(ros.to_chain(chain))
         except ValueError as error:
             self._complain(f"the chain was not published: {error}; call ~/reset")
 
@@ -210,10 +211,10 @@ class EstimatorNode(ros.FvsNode):
         """Level, state and reason in words."""
         now_s = self.steady_s()
         if now_s - self._problem_s < 1.0:
-            return ros.ERROR, "FAULT", self._problem
+            return ros.ERROR, ESTIMATOR_FAULT, self._problem
         waiting = self._no_estimate() or self._late_input(now_s)
         if waiting:
-            return ros.WARN, "WAITING", waiting
+            return ros.WARN, ESTIMATOR_WAITING, waiting
         if self._frozen:
             return ros.OK, "FROZEN", "learning is frozen by ~/freeze"
         if self._paused():

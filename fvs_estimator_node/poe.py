@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.base import Estimator, MotionStep
+from fvs_estimator_node.base import MotionStep
+from fvs_estimator_node.camera_doubts import CameraDoubts, CameraLearner
 from fvs_estimator_node.camera_motion import CameraMotion, CameraMotionConfig
 from fvs_ros.core.chain import SerialChain
 from fvs_ros.core.params import Parameter
@@ -70,7 +71,7 @@ def poe_config(values: Mapping[str, Any]) -> CameraMotionConfig:
     )
 
 
-class PoeEstimator(Estimator):
+class PoeEstimator(CameraLearner):
     """A fitted chain behind a camera that may have been moved.
 
     Parameters
@@ -109,14 +110,9 @@ class PoeEstimator(Estimator):
         return self._camera.rotation @ self._fitted.jacobian(joints_rad)
 
     @property
-    def problem(self) -> str:
-        """Why the arm must not move on the estimate, in words; empty if it may."""
-        return self._camera.stamps.problem
-
-    @property
-    def remark(self) -> str:
-        """What does not fit, in words; empty if all is well."""
-        return self._camera.stamps.remark
+    def doubts(self) -> CameraDoubts:
+        """What does not fit."""
+        return self._camera.doubts
 
     def observe(
         self, joints_rad: np.ndarray, ball_m: np.ndarray, stamp_s: float = math.nan
@@ -145,7 +141,6 @@ class PoeEstimator(Estimator):
             "updates": float(self._updates),
             "refused": float(self._refused),
             "camera_turned_deg": math.degrees(camera.angle_rad),
-            "camera_bumps": float(camera.bumps),
             "position_noise_m": camera.noise_m,
-            "images_late_s": camera.stamps.lag_s,
+            **super().status_values(),
         }

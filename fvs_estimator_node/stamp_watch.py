@@ -70,6 +70,7 @@ class StampWatch:
             return ""
         late_s = self.lag_s
         by = f" by about {abs(late_s):.2f} s" if late_s else ""
+        by += " or more" if late_s and abs(self._lag) >= _MOST else ""
         which = "late" if self._lag > 0.0 else "early"
         return (
             f"the image does not fit the arm's motion: its stamps are too {which}{by}; set the "

@@ -11,6 +11,8 @@ import numpy as np
 SILENT_S = 1.0
 #: The state of a controller from which there is no word.
 SILENT = "SILENT"
+#: States of an estimator that publishes no Jacobian; the reason says why.
+ESTIMATOR_WAITING, ESTIMATOR_FAULT = "WAITING", "FAULT"
 
 
 def number(values: Mapping[str, str], key: str) -> float:

@@ -13,6 +13,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from fvs_ros.core import ros
+from fvs_ros.core.status import ESTIMATOR_WAITING
 
 MODULE = "fvs_controller_node.node"
 VELOCITY, ACCELERATION = 0.5, 6.0
@@ -249,6 +250,20 @@ def test_a_paused_program_needs_a_new_start(bench):
     bench.assert_keeps_sending_zeros()
     bench.start()
     bench.wait(bench.robot.moving, what="motion")
+
+
+def test_where_the_estimator_gives_no_jacobian_the_controller_says_why_in_its_words(bench):
+    why = "the image does not fit the arm's motion: its stamps are too late by about 0.15 s"
+    estimator = bench.harness.publisher(DiagnosticStatus, ros.ESTIMATOR_STATUS, ros.QOS_RELIABLE)
+    bench.servo()
+    estimator.publish(ros.to_status(ros.WARN, "", why, {"state": ESTIMATOR_WAITING}))
+    bench.robot.silent.add(ros.JACOBIAN)
+    bench.assert_stops(time.monotonic())
+    bench.wait(lambda: f"the estimator says: {why}" in bench.text(), what="the estimator's words")
+    assert bench.reason() == "STALE"
+    # What it said of itself is no reason for ever: it may have died since.
+    bench.wait(lambda: "is the estimator running?" in bench.text(), what="the usual question")
+    bench.assert_keeps_sending_zeros()
 
 
 def test_a_jacobian_of_the_wrong_sign_is_noticed_and_held(bench):

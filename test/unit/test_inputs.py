@@ -49,3 +49,12 @@ def test_who_comes_now_just_in_time_and_now_just_too_late_is_slow_too():
 def test_what_comes_in_time_is_fine_again():
     times_s = [0.0, 0.25, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]
     assert heard(times_s).find(1.05) is None
+
+
+def test_what_the_source_says_of_itself_is_the_hint_while_it_is_new():
+    monitor = heard(np.arange(0.0, 1.0, 0.1))
+    monitor.source_says(1.5, "the estimator says: waiting for ball_position")
+    assert "the estimator says: waiting for ball_position" in monitor.find(1.6).text
+    assert "is the ball in view?" in monitor.find(4.0).text
+    monitor.source_says(4.0, "")
+    assert "is the ball in view?" in monitor.find(4.1).text

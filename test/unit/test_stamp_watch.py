@@ -35,9 +35,9 @@ def test_wrong_stamps_do_not_turn_the_camera(late_s, noise_m):
     for model_m, seen_m, stamp_s in told(late_s, noise_m, np.random.default_rng(0)):
         camera.add(model_m, seen_m, stamp_s)
     assert camera.angle_rad < np.radians(2.0)
-    assert camera.stamps.lag_s == pytest.approx(late_s, abs=0.02)
-    assert ("too late" if late_s > 0.0 else "too early") in camera.stamps.remark
-    assert bool(camera.stamps.problem) == (abs(late_s) > 0.08)
+    assert camera.doubts.stamps.lag_s == pytest.approx(late_s, abs=0.02)
+    assert ("too late" if late_s > 0.0 else "too early") in camera.doubts.stamps.remark
+    assert bool(camera.doubts.stamps.problem) == (abs(late_s) > 0.08)
 
 
 @pytest.mark.parametrize("noise_m", [0.001, 0.004, 0.012])
@@ -47,8 +47,8 @@ def test_right_stamps_are_not_doubted_wherever_the_camera_stands(noise_m, degree
     camera = CameraMotion()
     for pair in told(0.0, noise_m, rng, rotation=turn([1.0, 2.0, 3.0], np.radians(degrees))):
         camera.add(*pair)
-        assert camera.stamps.lag == 0.0
-    assert camera.stamps.remark == camera.stamps.problem == ""
+        assert camera.doubts.stamps.lag == 0.0
+    assert camera.doubts.stamps.remark == camera.doubts.stamps.problem == ""
 
 
 @pytest.mark.parametrize("struck", [10, 22, 30, 36, 45, 62])
@@ -58,8 +58,8 @@ def test_a_blow_is_no_lag_whenever_it_falls(struck):
     camera = CameraMotion()
     for i, (model_m, seen_m, stamp_s) in enumerate(told(0.0, 0.001, rng)):
         camera.add(model_m, rotation @ seen_m + shift if i >= struck else seen_m, stamp_s)
-        assert camera.stamps.lag == 0.0
-    assert camera.bumps >= 1
+        assert camera.doubts.stamps.lag == 0.0
+    assert camera.doubts.bumps >= 1
 
 
 def test_stamps_that_were_mended_are_no_longer_doubted():
@@ -68,7 +68,7 @@ def test_stamps_that_were_mended_are_no_longer_doubted():
     for late_s in (0.06, 0.0):
         for pair in told(late_s, 0.001, rng):
             camera.add(*pair)
-        assert bool(camera.stamps.lag) == bool(late_s)
+        assert bool(camera.doubts.stamps.lag) == bool(late_s)
 
 
 def test_without_stamps_it_is_said_without_a_number():
