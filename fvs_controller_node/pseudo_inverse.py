@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.core.joints import HOME_JOINTS_RAD, N_JOINTS
 from fvs_ros.core.params import Parameter
 
 #: The posture term never asks for more than this of any joint, rad/s.
@@ -98,7 +98,7 @@ class DampedInverse:
         ),
         Parameter(
             "posture_rad",
-            [0.0, -1.35, 1.6, -1.75, -1.57, 0.0],
+            list(HOME_JOINTS_RAD),
             "Posture of the pull, kinematic order, rad; the middle of the training box.",
             -2.0 * np.pi,
             2.0 * np.pi,

@@ -6,7 +6,12 @@ from math import pi
 
 from fvs_estimator_node.config import MAX_LATENCY
 from fvs_ros.core.camera import CAMERA_FRAME
-from fvs_ros.core.joints import JOINT_PARAMETERS, N_JOINTS, UR_POSITION_LIMITS_RAD
+from fvs_ros.core.joints import (
+    JOINT_PARAMETERS,
+    N_JOINTS,
+    TRAINING_BOX_RAD,
+    UR_POSITION_LIMITS_RAD,
+)
 from fvs_ros.core.params import Parameter
 
 PARAMETERS = (
@@ -26,7 +31,7 @@ PARAMETERS = (
     Parameter("seed", 0, "seed of the motion", minimum=0),
     Parameter(
         "joint_range_rad",
-        [0.6, 0.5, 0.5, 0.5, 0.5, 0.5],
+        list(TRAINING_BOX_RAD),
         "half width of the box of motion about the joints at the start",
         size=N_JOINTS,
         minimum=0.0,

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.core.joints import N_JOINTS, TRAINING_BOX_RAD
 from fvs_ros.core.limits import limit_speed
 
 #: Least speed of a joint relative to the fastest allowed, and how many sets of speeds are tried.
@@ -56,7 +56,7 @@ class MotionConfig:
     """
 
     duration_s: float = 120.0
-    joint_range_rad: tuple[float, ...] = (0.6, 0.5, 0.5, 0.5, 0.5, 0.5)
+    joint_range_rad: tuple[float, ...] = TRAINING_BOX_RAD
     max_joint_velocity_rad_s: float = 0.65
     max_joint_acceleration_rad_s2: float = 3.0
     lower_limits_rad: tuple[float, ...] = (-2.0 * math.pi,) * N_JOINTS

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from fvs_ros.core.camera import CAMERA_FRAME
-from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.core.joints import HOME_JOINTS_RAD, N_JOINTS
 from fvs_ros.core.params import Parameter
-
-#: Home of the arm: the middle of the box that the shipped networks were trained in, rad.
-HOME_JOINTS_RAD = [0.0, -1.35, 1.6, -1.75, -1.57, 0.0]
 
 ALPHABETICAL, KINEMATIC, SHUFFLED = "alphabetical", "kinematic", "shuffled"
 
@@ -25,7 +22,7 @@ PARAMETERS = (
     Parameter("tf_prefix", "", "put before each joint name, as a UR driver does"),
     Parameter(
         "initial_joints_rad",
-        HOME_JOINTS_RAD,
+        list(HOME_JOINTS_RAD),
         "joints at start and after ~/reset",
         size=N_JOINTS,
         minimum=-6.3,

@@ -16,7 +16,7 @@ import numpy as np
 
 from fvs_ros.core.camera import Intrinsics
 from fvs_ros.core.detection import BallColour, BallDetection, colour_mask, detect_ball
-from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.core.joints import HOME_JOINTS_RAD, N_JOINTS
 from fvs_ros.core.tracking import Region, WindowTracker
 from fvs_sim_node import kinematics
 from fvs_sim_node.actuator import Actuator, ActuatorConfig
@@ -114,7 +114,7 @@ class SimConfig:
     latency_s: float = 0.04
     ball_radius_m: float = 0.04
     ball_offset_m: float = 0.09
-    initial_joints_rad: tuple[float, ...] = (0.0, -1.35, 1.6, -1.75, -1.57, 0.0)
+    initial_joints_rad: tuple[float, ...] = HOME_JOINTS_RAD
     depth_noise: float = 1.0
     rendered: bool = True
     position_noise_m: float = 0.0

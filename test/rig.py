@@ -23,8 +23,7 @@ from wire import PREFIX, Wire
 from fvs_controller_node.config import PARAMETERS as CONTROLLER_PARAMETERS
 from fvs_ros.core import ros
 from fvs_ros.core.camera import CAMERA_FRAME
-from fvs_ros.core.joints import JointMap
-from fvs_sim_node.config import HOME_JOINTS_RAD
+from fvs_ros.core.joints import HOME_JOINTS_RAD, JointMap
 from fvs_sim_node.config import PARAMETERS as SIMULATOR_PARAMETERS
 
 SIMULATOR, ESTIMATOR, CONTROLLER = "fvs_sim_node", "fvs_estimator_node", "fvs_controller_node"

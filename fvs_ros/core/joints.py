@@ -21,6 +21,11 @@ UR_JOINT_NAMES = (
     "wrist_3_joint",
 )
 
+#: Home of the arm: the middle of the box that the shipped networks were trained in, and half its
+#: widths, rad, kinematic order.
+HOME_JOINTS_RAD = (0.0, -1.35, 1.6, -1.75, -1.57, 0.0)
+TRAINING_BOX_RAD = (0.6, 0.5, 0.5, 0.5, 0.5, 0.5)
+
 #: The order in which a UR's ``joint_state_broadcaster`` publishes on ROS 2 Jazzy.
 UR_PUBLISHED_NAMES = tuple(sorted(UR_JOINT_NAMES))
 

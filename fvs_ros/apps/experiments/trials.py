@@ -19,12 +19,13 @@ from fvs_ros.apps.experiments.lockstep import (
     make_estimator,
 )
 from fvs_ros.apps.score import jitter_rad_s, settling_time_s
+from fvs_ros.core.joints import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.rendering import CameraPose, camera_preset
 from fvs_sim_node.simulation import SimConfig, Simulation
 
 #: Middle and half widths of the box that starts and goals are drawn from, rad.
-HOME_RAD = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
-BOX_RAD = np.array([0.6, 0.5, 0.5, 0.5, 0.5, 0.5])
+HOME_RAD = np.array(HOME_JOINTS_RAD)
+BOX_RAD = np.array(TRAINING_BOX_RAD)
 
 #: Errors whose settling times are taken, m.
 BOUNDS_M = {"5 mm": 0.005, "2 mm": 0.002, "1 mm": 0.001}
