@@ -27,6 +27,9 @@ _MOVED_M, _STEADY_M = 4e-3, 1e-3
 #: Share of a new innovation in their mean, and how far that may be off, in squared deviations of
 #: all three coordinates: chance gets there once in 10^5 images.
 _BEHIND_SHARE, _BEHIND = 0.2, 25.0
+#: A single innovation counts for at most so many deviations of a coordinate there: it takes three
+#: in a row, or a heavy tail's worst image would be taken for a ball that has gone elsewhere.
+_BEHIND_CLIP = 4.0
 #: Share of a new squared innovation in what is learned, after the first so many images.
 _SHARE, _FIRST = 0.03, 5.0
 #: The same for the prediction where all that was learned of it is to be learned anew; and the way
@@ -223,8 +226,10 @@ class AdaptiveFusion:
 
     def _look_behind(self, innovation_m: np.ndarray, square: float) -> None:
         """Doubt the estimate where innovations go on pointing one way."""
-        self._behind = self._behind + _BEHIND_SHARE * (innovation_m - self._behind)
-        expected = (self._variance() + self._noise2) * _BEHIND_SHARE / (2.0 - _BEHIND_SHARE)
+        total = self._variance() + self._noise2
+        heard_m = innovation_m * min(1.0, _BEHIND_CLIP * (total / max(3.0 * square, 1e-18)) ** 0.5)
+        self._behind = self._behind + _BEHIND_SHARE * (heard_m - self._behind)
+        expected = total * _BEHIND_SHARE / (2.0 - _BEHIND_SHARE)
         if float(self._behind @ self._behind) > _BEHIND * expected:
             self._settled += square
             self._behind = np.zeros(3)

@@ -16,7 +16,7 @@ from scipy.stats import binomtest, levy_stable, norm
 from fvs_ros.apps.experiments import cluster, main, robustness
 from fvs_ros.apps.experiments.context import Context
 from fvs_ros.apps.experiments.report import Origin, write_page, write_report
-from fvs_ros.apps.experiments.robustness import CONTESTANTS
+from fvs_ros.apps.experiments.robustness import CONTESTANTS, contestants_called
 from fvs_ros.apps.experiments.robustness_figures import DISTURBANCES, colours_of, varied
 from fvs_ros.apps.experiments.robustness_runs import (
     DURATION_S,
@@ -257,6 +257,12 @@ def test_everybody_is_known_to_the_nodes_and_has_a_colour():
 def test_new_contestants_get_colours_of_their_own():
     names = ["proposed", "oracle, proportional", "rbf, arrive", "poe", "oracle, ftsm"]
     assert len(set(colours_of(names).values())) == len(names)
+
+
+@pytest.mark.parametrize("number", [37, 86, 88])
+def test_a_heavy_tails_worst_image_does_not_throw_an_arm_at_rest_off_its_target(number):
+    (best,) = contestants_called(["best"])
+    assert not run_job(Job(draw_world(HARSH, number), best, rendered=False)).failure
 
 
 def test_a_quick_run_makes_a_complete_report(tmp_path):

@@ -144,6 +144,26 @@ def test_one_wrong_position_within_the_gate_teaches_little():
     assert fusion.noise_m < 1.15 * before
 
 
+def test_one_wrong_position_within_the_gate_moves_the_estimate_little_however_far_it_is_off():
+    rest = 1e-3 * np.random.default_rng(12).normal(size=(300, 3))
+    for off_m in np.linspace(0.001, 0.02, 20):
+        for direction in np.vstack([np.eye(3), np.ones(3) / 3.0**0.5]):
+            fusion = AdaptiveFusion()
+            follow(fusion, rest, np.zeros((300, 3)))
+            correction = fusion.correct(off_m * direction, np.zeros(3))
+            assert correction is None or np.linalg.norm(correction) < 1.5e-3
+
+
+@pytest.mark.parametrize("off_m", [0.004, 0.008, 0.012])
+def test_three_in_a_row_that_say_the_same_are_followed(off_m):
+    fusion = AdaptiveFusion()
+    follow(fusion, 1e-3 * np.random.default_rng(12).normal(size=(300, 3)), np.zeros((300, 3)))
+    estimate, there = np.zeros(3), np.array([0.0, off_m, 0.0])
+    for _ in range(6):
+        estimate = estimate + fusion.correct(there - estimate, np.zeros(3))
+    assert np.linalg.norm(estimate - there) < 0.25 * off_m
+
+
 def test_after_a_doubt_it_follows_the_images_until_the_prediction_is_right_again():
     rng = np.random.default_rng(7)
     fusion = AdaptiveFusion()
