@@ -8,6 +8,7 @@ less, and where the camera itself is moved, it follows the images.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from math import exp, inf
 
@@ -39,6 +40,10 @@ _FIRST_MOVING, _FADE_M = 2.0, 0.05
 _CLIP = 9.0
 #: The gain never falls below this: what is at rest may still drift.
 _LEAST_GAIN = 0.02
+#: So many second differences of the images are looked at for noise that the arm's own motion hides;
+#: the one of this rank among them is, in the mean, so many variances; and noise is raised towards
+#: what they say, by so large a share, where that is so many times the variance learned.
+_SWINGS, _RANK, _OF_RANK, _SWING_SHARE, _TOO_CALM = 8, 1, 7.3, 0.1, 6.0
 #: An image this far off is passed over: in standard deviations, and m besides.
 _GATE, _GATE_M = 6.0, 0.002
 #: Two outliers that are apart by less than this share of the first may agree.
@@ -128,6 +133,9 @@ class AdaptiveFusion:
         self._noise2 = _NOISE_M**2
         self._wrong2 = _WRONG**2
         self._seen, self._seen_moving = 0.0, _FIRST_MOVING
+        self._swings_m2: deque[float] = deque(maxlen=_SWINGS)
+        self._step: np.ndarray | None = None
+        self._motion_before = np.zeros(3)
         self.restart()
 
     @property
@@ -153,6 +161,7 @@ class AdaptiveFusion:
         self._left: np.ndarray | None = None
         self._change: np.ndarray | None = None
         self._motion = np.zeros(3)
+        self._off = np.zeros(3)  # from the estimate to the last image
 
     def doubt(self) -> None:
         """Camera or ball was moved: how wrong the prediction is now must be learned anew.
@@ -174,11 +183,13 @@ class AdaptiveFusion:
 
     def correct(self, innovation_m: np.ndarray, motion_m: np.ndarray) -> np.ndarray | None:
         """What to add to the prediction, m, (3,), None for an outlier; see :class:`FixedFusion`."""
+        self._look_for_noise(innovation_m, motion_m)
         self._uncorrected = self._uncorrected + motion_m
         total = self._variance() + self._noise2
         square = float(innovation_m @ innovation_m) / 3.0
         if not square**0.5 <= _GATE * total**0.5 + _GATE_M:  # true for NaN, too
             self._left = self._change = None
+            self._off = innovation_m
             return None
         self._learn_noise(innovation_m, motion_m)
         self._learn_wrong(min(square, _CLIP * total), length(motion_m))
@@ -187,13 +198,36 @@ class AdaptiveFusion:
         gain = max(variance / (variance + self._noise2), _LEAST_GAIN)
         self._settled = (1.0 - gain) ** 2 * self._settled + gain**2 * self._noise2
         self._uncorrected = (1.0 - gain) * self._uncorrected
-        self._left = (1.0 - gain) * innovation_m
+        self._left = self._off = (1.0 - gain) * innovation_m
         return gain * innovation_m
 
     def _variance(self) -> float:
         """Of a coordinate of the estimate, m^2."""
         far = self._uncorrected
         return float(self._settled + self._wrong2 * far.dot(far))
+
+    def _look_for_noise(self, innovation_m: np.ndarray, motion_m: np.ndarray) -> None:
+        """Raise R where the images swing more than it and the wrongest prediction explain.
+
+        Noise that is far above what is known of it throws the arm about, is passed over for that,
+        and would never be learned: neither in motion nor from outliers. But from image to image
+        nothing else changes its direction so: a step beyond what is predicted is alike from one to
+        the next, but for what the motion changed, and that is wrong by twice itself at most.
+        Single outliers are a few of the swings; nearly all of them must be large.
+        """
+        before, self._step = self._step, innovation_m - self._off
+        bend = motion_m - self._motion_before
+        self._motion_before = motion_m
+        if before is None:
+            return
+        swing = self._step - before
+        self._swings_m2.append(float(swing.dot(swing)) - 4.0 * float(bend.dot(bend)))
+        if len(self._swings_m2) < _SWINGS:
+            return
+        noise2 = sorted(self._swings_m2)[_RANK] / _OF_RANK
+        if noise2 > _TOO_CALM * self._noise2:
+            self._noise2 += _SWING_SHARE * (min(noise2, _CLIP * self._noise2) - self._noise2)
+            self._noise2 = min(self._noise2, _MOST_NOISE_M**2)
 
     def _learn_noise(self, innovation_m: np.ndarray, motion_m: np.ndarray) -> None:
         """Learn R of white noise n and a change b that is the same from image to image.

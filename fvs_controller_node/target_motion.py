@@ -139,12 +139,14 @@ class TargetMotion:
         self._mean: Target | None = None  # of a noisy one that stands
         self._curve: np.ndarray | None = None
         self._interval_s, self._fastest_m_s = 0.0, 0.0  # between updates
+        self._age_s = 0.0  # of the last one when it was told
 
     def restart(self, position_m: np.ndarray, now_s: float = 0.0) -> None:
         """Take a target that stands; how noisy updates are stays known."""
         self._updates.clear()
         self._take(np.array(position_m, dtype=float), now_s)
         self._curve = self._mean = None
+        self._age_s = 0.0
 
     def _take(self, position: np.ndarray, now_s: float) -> None:
         self._updates.append((now_s, position))
@@ -158,8 +160,8 @@ class TargetMotion:
         soon = -_OWN_CLOCK_S < now_s - last_s < _MAX_GAP_S
         return soon and length(position_m - last) < _JUMP_M
 
-    def update(self, position_m: np.ndarray, now_s: float) -> bool:
-        """Take the target's position at a time, s; whether that goes on with a motion."""
+    def update(self, position_m: np.ndarray, now_s: float, age_s: float = 0.0) -> bool:
+        """Take the target's position at a time, s, told so much later; whether it goes on a way."""
         position = np.array(position_m, dtype=float)
         if not self.continues(position, now_s):
             self.restart(position, now_s)
@@ -172,6 +174,7 @@ class TargetMotion:
             self._take(position, now_s)
             self._learn_noise()
         self._fit(now_s)
+        self._age_s = max(0.0, age_s)
         return True
 
     @property
@@ -218,8 +221,9 @@ class TargetMotion:
     def at(self, now_s: float) -> Target | None:
         """The target now, s; None before the first one.
 
-        After the last update it goes on for a few intervals, straight on after the first, and then
-        stands where it was told last. One that stands is the same object, whenever one asks.
+        After the last update was told it goes on for a few intervals, straight on after the first,
+        and then stands where it was told last. One that stands is the same object, whenever one
+        asks.
         """
         if not self._updates:
             return None
@@ -227,7 +231,7 @@ class TargetMotion:
         since_s = now_s - last_s
         curve = self._curve
         # A target stamped a little ahead of the joint states is looked back at.
-        longest_s = min(_MAX_GAP_S, _INTERVALS * self._interval_s)
+        longest_s = self._age_s + min(_MAX_GAP_S, _INTERVALS * self._interval_s)
         if not -_OWN_CLOCK_S < since_s < longest_s:
             return self._told
         if curve is None:
@@ -235,7 +239,7 @@ class TargetMotion:
         velocity = curve[1].copy()
         position = curve[0] + since_s * velocity
         if len(curve) > 2:
-            bent_s = min(since_s, self._interval_s)
+            bent_s = min(since_s, self._age_s + self._interval_s)
             position += bent_s * (2.0 * since_s - bent_s) * curve[2]
             velocity += 2.0 * bent_s * curve[2]
         speed = length(velocity)
@@ -280,7 +284,8 @@ class TargetFollower:
 
     def update(self, position_m: np.ndarray, stamp_s: float, now_s: float) -> None:
         """Take a target that was there at a stamp; one from another clock counts from now, s."""
-        self._motion.update(position_m, _on_own_clock(stamp_s, now_s))
+        there_s = _on_own_clock(stamp_s, now_s)
+        self._motion.update(position_m, there_s, now_s - there_s)
 
     def stand(self, position_m: np.ndarray, now_s: float) -> None:
         """Take a target that stands, whatever moved before, m, (3,)."""

@@ -47,6 +47,22 @@ def test_a_line_is_known_to_the_bit_between_updates():
     np.testing.assert_allclose(target.velocity_m_s, VELOCITY, atol=1e-7)
 
 
+@pytest.mark.parametrize("age_s", [0.0, 0.05, 0.1, 0.15])
+@pytest.mark.parametrize("rate_hz", [30.0, 60.0, 100.0])
+def test_updates_that_are_told_late_are_those_of_a_moving_target_all_the_same(age_s, rate_hz):
+    follower, told_s = TargetFollower(), 0.0
+    for now_s in np.arange(0.0, 1.0, 0.008):
+        if now_s >= told_s:
+            told_s += 1.0 / rate_hz
+            follower.update(line(now_s - age_s), now_s - age_s, now_s)
+        if now_s > 0.3:
+            target = follower.at(now_s)
+            np.testing.assert_allclose(target.position_m, line(now_s), atol=1e-6)
+            np.testing.assert_allclose(target.velocity_m_s, VELOCITY, atol=1e-5)
+    # Silence counts from when it was told last, not from where the target was then.
+    assert not follower.at(now_s + 3.5 / rate_hz + 1.0 / rate_hz).velocity_m_s.any()
+
+
 def test_a_circle_is_followed_within_a_millimetre():
     motion, last_s = told(circle, 1.0)
     target = motion.at(last_s + 0.02)
