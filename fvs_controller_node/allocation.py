@@ -30,8 +30,6 @@ from fvs_ros.core.vectors import largest
 
 #: Weight of the sum of squares (eps): the fastest joint is 2 % faster than need be, at most.
 _SMOOTHING = 0.2
-#: Least share of its speed that a joint keeps at the end of its range.
-_LEAST_SHARE = 0.0
 #: From this part on (its inverse) of the fastest joint's speed that is left out, no speed is saved:
 #: at the edge of reach the least largest speed would jump from corner to corner.
 _CALM = 4.0
@@ -159,7 +157,7 @@ class LeastSpeedInverse:
             return None
         ends_rad = self._ends_rad  # type: ignore[attr-defined]
         room = ends_rad - np.concatenate((joints_rad, -joints_rad))
-        return np.minimum(np.maximum(room / self.joint_range.margin_rad, _LEAST_SHARE), 1.0)
+        return np.minimum(np.maximum(room / self.joint_range.margin_rad, 0.0), 1.0)
 
 
 _LAST = np.array([0.0, 0.0, 0.0, 0.0, 1.0])

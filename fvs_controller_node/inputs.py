@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 from fvs_controller_node.reasons import Finding, Reason
 
-#: So many intervals beyond the limit make a slow input, if they are no longer than this, s.
-_SLOW_INTERVALS, _SLOW_S = 2, 5.0
+#: So many intervals beyond the limit, or nearly, make a slow input, if they are no longer than
+#: this, s: at the limit itself chance, and the ticks in between, decide which of them is too late.
+_SLOW_INTERVALS, _NEARLY, _SLOW_S = 2, 0.9, 5.0
 #: What a source said of itself holds for so long, s.
 _SAID_S = 2.0
 
@@ -69,7 +70,7 @@ class InputMonitor:
         """Tell that a usable message arrived."""
         self.find(now_s)  # a gap since the last one counts, even if no tick saw it
         self._interval_s, limit_s = self.age_s(now_s), self.spec.max_age_s
-        late = limit_s is not None and limit_s < self._interval_s < _SLOW_S
+        late = limit_s is not None and _NEARLY * limit_s < self._interval_s < _SLOW_S
         self._late = 0 if self._trouble is None else self._late + late
         self._last_s = now_s
         if self._trouble is not None:
@@ -116,9 +117,8 @@ class InputMonitor:
             hint = self._said
         elif limit_s is not None and now_s - self._stuck_s <= limit_s:
             hint = "messages come, but their stamps do not advance: its source has frozen"
-        elif self._late >= _SLOW_INTERVALS and age_s <= 2.0 * self._interval_s:
-            hint = f"messages come, but every {self._interval_s:.2f} s only"
-            hint += f" ({self.spec.limit} is {limit_s:.2f} s)"
+        elif slow := self._slow(age_s):
+            hint = slow
         if self._trouble is Reason.BAD_INPUT:
             return Reason.BAD_INPUT.because(
                 name=name, why=self._why, count=self._streak, wanted=wanted
@@ -128,4 +128,12 @@ class InputMonitor:
         if stale:
             assert limit_s is not None
             return Reason.STALE.because(name=name, age_s=age_s, limit_s=limit_s, hint=hint)
-        return Reason.RETURNING.because(name=name, count=self._streak, wanted=wanted)
+        more = f"; {slow}" if (slow := self._slow(age_s)) else ""
+        return Reason.RETURNING.because(name=name, count=self._streak, wanted=wanted, more=more)
+
+    def _slow(self, age_s: float) -> str:
+        """How rarely messages come, in words, if too rarely; else empty."""
+        if self._late < _SLOW_INTERVALS or age_s > 2.0 * self._interval_s:
+            return ""
+        limit = f"{self.spec.limit} is {self.spec.max_age_s:.2f} s"
+        return f"messages come, but every {self._interval_s:.2f} s only ({limit})"

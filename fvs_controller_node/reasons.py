@@ -58,7 +58,7 @@ class Reason(Enum):
         State.HOLDING,
         Stop.RAMP,
         False,
-        "{name} is coming back: {count} of {wanted} fresh messages",
+        "{name} is coming back: {count} of {wanted} fresh messages{more}",
     )
     BAD_INPUT = (
         State.FAULT,
@@ -130,7 +130,7 @@ class Reason(Enum):
         State.HOLDING,
         Stop.RAMP,
         True,
-        "held for more than {limit_s:.0f} s, since {why}; call ~/start to go on",
+        "held for more than {limit_s:.0f} s; call ~/start to go on. What was said meanwhile: {why}",
     )
     PROGRAM_STOPPED = (
         State.HOLDING,

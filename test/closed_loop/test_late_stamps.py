@@ -56,4 +56,5 @@ def test_where_no_loop_comes_to_rest_the_arm_is_held_and_the_estimator_says_why(
     loop, _, command = run(name, 0.1)
     assert "too late by about 0.1" in loop.estimator.problem
     np.testing.assert_array_equal(command.velocity_rad_s, 0.0)
+    assert "the estimator says: the image does not fit" in command.text
     assert loop.estimator.status_values()["camera_turned_deg"] < 10.0

@@ -46,6 +46,18 @@ def test_who_comes_now_just_in_time_and_now_just_too_late_is_slow_too():
     assert "messages come, but every 0.21 s only" in heard(times_s).find(times_s[-1] + 0.1).text
 
 
+def test_who_comes_at_the_very_limit_is_slow_in_every_sentence():
+    times_s = np.arange(0.0, 5.0, 0.2)
+    monitor = InputMonitor(SPEC, 5)
+    for time_s in times_s:
+        monitor.find(time_s - 1e-3)
+        monitor.good(float(time_s))
+        monitor.find(time_s + 0.2 + 1e-3)  # a tick that came just before the next one
+    for after_s in (0.01, 0.19, 0.21):
+        text = monitor.find(times_s[-1] + after_s).text
+        assert "messages come, but every 0.20 s only (ball_max_age_s is 0.20 s)" in text
+
+
 def test_what_comes_in_time_is_fine_again():
     times_s = [0.0, 0.25, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]
     assert heard(times_s).find(1.05) is None

@@ -18,7 +18,6 @@ from fvs_estimator_node.base import Estimator, MotionStep, PredictionMonitor
 from fvs_estimator_node.model_file import TrainedModel, load_model
 from fvs_estimator_node.oracle import OracleEstimator
 from fvs_estimator_node.pairing import StepPairing
-from fvs_estimator_node.poe import PoeEstimator
 from fvs_estimator_node.rbf import RbfModel
 from fvs_estimator_node.registry import create_estimator
 from fvs_ros.core.camera import CAMERA_FRAME
@@ -113,10 +112,12 @@ class LockStep:
             self._learn(self.pairing.add_ball(seen.stamp_s, position_m))
             self.loop.add_ball(now_s, seen.stamp_s, position_m, CAMERA_FRAME)
         self._learn(self.pairing.add_joints(now_s, out.joints_rad))
-        if not self.estimator.problem:
+        problem, chain = self.estimator.problem, self.estimator.chain
+        if not problem:
             self.loop.add_jacobian(now_s, self.estimator.jacobian(out.joints_rad))
-        if isinstance(self.estimator, PoeEstimator):
-            self.loop.add_chain(now_s, self.estimator.chain)
+        if chain is not None:
+            self.loop.add_chain(now_s, chain)
+        self.loop.supervisor.estimator_says(now_s, problem)
         if now_s >= self._next_quality_s and self.monitor.ratio is not None:
             self.loop.supervisor.estimator_quality(now_s, self.monitor.ratio)
             self._next_quality_s = now_s + _QUALITY_PERIOD_S
