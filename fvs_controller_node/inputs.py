@@ -128,8 +128,8 @@ class InputMonitor:
         if stale:
             assert limit_s is not None
             return Reason.STALE.because(name=name, age_s=age_s, limit_s=limit_s, hint=hint)
-        more = f"; {slow}" if (slow := self._slow(age_s)) else ""
-        return Reason.RETURNING.because(name=name, count=self._streak, wanted=wanted, more=more)
+        hint = self._slow(age_s) or "they come in time"
+        return Reason.RETURNING.because(name=name, count=self._streak, wanted=wanted, hint=hint)
 
     def _slow(self, age_s: float) -> str:
         """How rarely messages come, in words, if too rarely; else empty."""

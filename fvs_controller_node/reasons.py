@@ -58,7 +58,7 @@ class Reason(Enum):
         State.HOLDING,
         Stop.RAMP,
         False,
-        "{name} is coming back: {count} of {wanted} fresh messages{more}",
+        "{name} is coming back: {count} of {wanted} fresh messages; {hint}",
     )
     BAD_INPUT = (
         State.FAULT,

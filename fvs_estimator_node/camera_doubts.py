@@ -69,8 +69,8 @@ class CameraDoubts:
             return (
                 "the image does not fit the arm's motion: the camera seems to have been moved "
                 f"{_MANY} times and more in {_IMAGES} images; is it being carried about? If not, "
-                "positions are far off again and again, or a joint has another sign, zero, scale or "
-                "name than when the model was learned"
+                "positions are far off again and again, or a joint has another sign, zero, scale "
+                "or name than when the model was learned"
             )
         return self.stamps.remark
 

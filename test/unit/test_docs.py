@@ -14,6 +14,7 @@ PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 #: Sentences that are no reason's own, and where they stand.
 _ELSEWHERE = {
     "the image does not fit the arm's motion:": "fvs_estimator_node/stamp_watch.py",
+    "the camera seems to have been moved": "fvs_estimator_node/camera_doubts.py",
     "is taken; stop what is served there": "fvs_ros/apps/dashboard/page.py",
     "messages come, but every": "fvs_controller_node/inputs.py",
     "the camera's place is not known yet": "fvs_ros/apps/dashboard/placement.py",
