@@ -10,7 +10,7 @@ EXTRAS = {
     "ros": ["ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "ros-jazzy-common-interfaces"],
     "camera": ["opencv-python-headless"],
     "sim": ["pybullet", "opencv-python-headless", "matplotlib"],
-    "train": ["torch", "threadpoolctl"],
+    "train": ["torch"],
     "lab": ["joblib", "cmaes", "jinja2", "matplotlib"],
     "record": ["rosbags"],
     "dashboard": ["viser[urdf]>=1.1,<1.2", "opencv-python-headless"],
@@ -63,7 +63,7 @@ setup(
         (f"share/{PACKAGE}/launch", sorted(glob("launch/*.py"))),
     ],
     # What the cores need without ROS; in a ROS workspace rosdep brings these by apt.
-    install_requires=["numpy", "scipy", "PyYAML", "tqdm"],
+    install_requires=["numpy", "scipy", "threadpoolctl", "PyYAML", "tqdm"],
     extras_require=EXTRAS,
     zip_safe=True,
     entry_points={

@@ -21,6 +21,7 @@ from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from fvs_estimator_node.chain_chart import N_COORDINATES, OFFSET, Chart, residuals_and_slopes
 from fvs_estimator_node.dataset import DataSet
@@ -227,12 +228,6 @@ def fit_chain(
     ChainFitError
         If there is too little data, or nothing fits.
     """
-    try:
-        from threadpoolctl import threadpool_limits
-    except ImportError as error:
-        raise ChainFitError(
-            "fitting a chain needs scipy and threadpoolctl: pip install scipy threadpoolctl"
-        ) from error
     rng = rng if rng is not None else np.random.default_rng(0)
     say = progress or (lambda words: None)
     path = _Path(data, MAX_OFFSET_S)

@@ -30,11 +30,16 @@ from fvs_ros.core.joints import UR_JOINT_NAMES
 
 _STARTED = itertools.count(1)
 _BEGAN_S = time.time()
+_SHELLS_DOMAIN = os.environ.get("ROS_DOMAIN_ID", "0")
 
 
 def _next_domain() -> int:
-    """A domain of its own for each test; ids above 101 collide with ephemeral ports."""
-    return 1 + (os.getpid() * 17 + next(_STARTED)) % 100
+    """A domain of its own for each test; ids above 101 collide with ephemeral ports.
+
+    Never the shell's own: a loop that somebody watches there, or a robot, may be in it.
+    """
+    domain = 1 + (os.getpid() * 17 + next(_STARTED)) % 100
+    return _next_domain() if str(domain) == _SHELLS_DOMAIN else domain
 
 
 def _clear_shared_memory() -> None:

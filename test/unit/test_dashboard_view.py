@@ -451,9 +451,16 @@ def test_a_stop_comes_first_and_nothing_wanted_before_it_moves_the_arm():
 
 def test_nothing_is_drawn_where_nothing_is_known():
     charts = pytest.importorskip("fvs_ros.apps.dashboard.charts")
-    times, values = charts.with_gaps(np.array([0.0, 0.1, 2.1, 2.2]), np.array([1.0, 2.0, 3.0, 4.0]))
-    np.testing.assert_allclose(times, [0.0, 0.1, 1.1, 2.1, 2.2])
-    np.testing.assert_array_equal(values, [1.0, 2.0, np.nan, 3.0, 4.0])
+    nan, time_s = np.nan, np.array([0.0, 0.1, 2.1, 2.2, 2.3])
+    values = charts.since_gap(time_s, np.array([1.0, 2.0, 3.0, 4.0, 5.0]))
+    np.testing.assert_array_equal(values, [nan, nan, 3.0, 4.0, 5.0])
+    # As good as none: samples that say nothing for as long. A single one is no gap.
+    time_s = np.array([0.0, 0.7, 1.4, 2.1, 2.8, 3.3])
+    values = charts.since_gap(time_s, np.array([1.0, nan, nan, 4.0, nan, 6.0]))
+    np.testing.assert_array_equal(values, [nan, nan, nan, 4.0, nan, 6.0])
+    steady = np.arange(5.0)
+    np.testing.assert_array_equal(charts.since_gap(0.1 * steady, steady), steady)
+    np.testing.assert_array_equal(charts.since_gap(time_s, np.full(6, nan)), np.full(6, nan))
 
 
 @pytest.mark.parametrize("text", ["0.1, 0.2, 1.5", " .1 .2 1.5 ", "0.1;0.2;1.5"])

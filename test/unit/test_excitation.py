@@ -14,8 +14,6 @@ from fvs_estimator_node.knowledge import Findings, NothingYet, Question
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.pairing import BallSample
 
-pytest.importorskip("threadpoolctl")
-
 
 def samples_of(data):
     columns = (data.stamps_s, data.joints_rad, data.ball_m, data.segment.tolist())

@@ -25,8 +25,8 @@ _JOINT_COLOURS = (
 _AXIS_COLOURS = (markup.SKY, markup.ORANGE, markup.PINK)
 _WHITE = "#F2F4F7"
 _NUDGE_S = 1e-6
-#: Samples that are further apart are not joined by a line, s.
-_GAP_S = 0.5
+#: Samples that are further apart are not joined by a line, s: viser's charts know no gaps.
+_GAP_S = 1.5
 _TICKS = {"show": False}
 _AXES = (
     uplot.Axis(size=36, gap=4, space=60.0, font="11px sans-serif", ticks=_TICKS),
@@ -122,29 +122,32 @@ class Charts:
         the axes anew only where a range changes, which it therefore does, by less than one sees.
         """
         from_s = self._nudge_s - self._history_s
-        times, *lines = with_gaps(time_s, *columns)
-        lines = [np.pad(one, 1, constant_values=nan) for one in lines]
-        times = np.concatenate(([from_s], times, [0.0]))
+        lines = [np.pad(since_gap(time_s, one), 1, constant_values=nan) for one in columns]
+        times = np.concatenate(([from_s], time_s, [0.0]))
         if level is not None:
             lines.append(np.full(len(times), level))
         chart.data = (times, *lines)
 
 
-def with_gaps(time_s: np.ndarray, *columns: np.ndarray) -> list[np.ndarray]:
-    """Put something unknown (NaN) between samples that are far apart.
+def since_gap(time_s: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Leave out what was before the last gap: the page would draw a line across it.
 
     Parameters
     ----------
     time_s : ndarray, shape (n,)
         Times, rising, s.
-    *columns : ndarray, shape (n,)
-        Values at these times.
+    values : ndarray, shape (n,)
+        At these times; NaN where unknown.
 
     Returns
     -------
-    list of ndarray
-        Times and values, all of one length.
+    ndarray, shape (n,)
+        The same, and NaN before the last time that nothing was known for long.
     """
-    after = np.flatnonzero(np.diff(time_s) > _GAP_S) + 1
-    middles = 0.5 * (time_s[after - 1] + time_s[after])
-    return [np.insert(time_s, after, middles), *(np.insert(one, after, nan) for one in columns)]
+    known = np.flatnonzero(np.isfinite(values))
+    gaps = np.flatnonzero(np.diff(time_s[known]) > _GAP_S)
+    if not len(gaps):
+        return values
+    since = values.copy()
+    since[: known[gaps[-1]] + 1] = nan
+    return since

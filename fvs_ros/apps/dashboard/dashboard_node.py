@@ -215,12 +215,15 @@ class DashboardNode(ros.FvsNode):
             )
 
     def _why_no_picture(self) -> str:
-        if self._board.picture_age_s(self.steady_s()) < _NO_PICTURE_S:
+        age_s = self._board.picture_age_s(self.steady_s())
+        if age_s < _NO_PICTURE_S:
             return ""
         declared = CAMERA_PREFIXES[0]
         names = [ros.COLOR_IMAGE.replace(declared, prefix, 1) for prefix in self._cameras]
         if any(self.count_publishers(name) for name in names):
-            return f"no picture comes from {' or '.join(names)}"
+            if isfinite(age_s):
+                return f"the last picture is {age_s:.0f} s old: they are seldom, or come late"
+            return f"no picture has come yet from {' or '.join(names)}"
         return f"no picture: nobody publishes {' or '.join(names)}"
 
     def _look_around(self) -> None:

@@ -19,6 +19,9 @@ SKY, ORANGE, GREEN, YELLOW, BLUE, VERMILLION, PINK, GREY = (
     "#8A8F98",
 )
 
+#: Without a sign of life for so long, a page says that its program has ended, s.
+LOST_S = 5.0
+
 #: A lamp says how it is by its sign, too, not by its colour alone.
 _LAMPS = {True: (GREEN, "✓"), False: (VERMILLION, "✗"), None: (GREY, "?")}
 
@@ -123,9 +126,29 @@ def answer_html(text: str) -> str:
     )
 
 
-def legend_html(signs: Iterable[tuple[str, tuple[int, int, int], str]]) -> str:
-    """What the colours of the view mean: a sign, its colour (RGB), and words, of each."""
-    cells = [
+def alive_html(beat: int) -> str:
+    """A warning that shows itself where no further beat comes: the program has ended.
+
+    A page without its program shows what it was told last, and for ever; nobody is left to change
+    it but the browser itself.
+    """
+    name = f"fvs-lost-{beat % 2}"  # another one: or the browser might go on with the old wait
+    return (
+        f"<style>@keyframes {name} {{from {{max-height:0;opacity:0}} "
+        "to {max-height:20em;opacity:1}}</style>"
+        f'<div id="fvs-lost" style="margin:0 0.75em;overflow:hidden;max-height:0;opacity:0;'
+        f'animation:{name} 0.1s linear {LOST_S:g}s forwards">'
+        f'<div style="margin-bottom:0.4em;padding:0.5em 0.8em;border-radius:6px;'
+        f'background:{VERMILLION};color:#101214;font-weight:650;line-height:1.3">'
+        f"No word from this page's program for {LOST_S:g} s: what stands here is old, and Stop "
+        "does nothing. Use the robot's own stop. Where the program runs again, reload the page."
+        "</div></div>"
+    )
+
+
+def legend_html(title: str, signs: Iterable[tuple[str, tuple[int, int, int], str]]) -> str:
+    """What the colours of a picture mean: a sign, its colour (RGB), and words, of each."""
+    cells = [f'<span style="opacity:0.65">{escape(title)}</span>'] + [
         f'<span style="white-space:nowrap"><span style="color:rgb{colour}">{sign}</span> '
         f"{escape(words)}</span>"
         for sign, colour, words in signs

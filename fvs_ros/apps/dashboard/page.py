@@ -152,7 +152,8 @@ class Page:
 def _taken(host: str, port: int) -> str:
     return (
         f"port {port} of {host} is taken; stop what is served there, or choose another one: "
-        f"-p port:={port + 1 if port < _LAST_PORT else 0}, or -p port:=0 for any that is free"
+        f"-p port:={port + 1 if port < _LAST_PORT else 0}, or -p port:=0 for any that is free "
+        "(after --ros-args, if fvs_dashboard is called by itself)"
     )
 
 

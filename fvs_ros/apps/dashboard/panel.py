@@ -9,7 +9,7 @@ from math import inf
 import numpy as np
 import viser
 
-from fvs_ros.apps.dashboard import markup
+from fvs_ros.apps.dashboard import markup, picture
 from fvs_ros.apps.dashboard.actions import (
     SET_CURRENT,
     START,
@@ -27,6 +27,8 @@ from fvs_ros.apps.dashboard.view import Snapshot
 
 #: What somebody sets is left alone for so long, s; numbers that wait for their button, longer.
 _SET_S, _TYPED_S = 4.0, 60.0
+#: The page hears so often that its program lives, s.
+_BEAT_S = 1.0
 _ROTATION = "camera_rotation_deg"
 _LARGEST_TURN_DEG = 45.0
 
@@ -55,6 +57,8 @@ class Panel:
         # On top of all that grows and shrinks: a Stop must be where it was a moment ago.
         gui.add_html(markup.side_by_side("start-stop", always=True))
         self._add_buttons()
+        self._alive = gui.add_html("")
+        self._beat_s, self._beats = -inf, 0
         self._banner = gui.add_html("")
         self._answer = gui.add_html("")
         self._lamps = gui.add_html("")
@@ -64,7 +68,8 @@ class Panel:
         if image:
             blank = np.full((240, 320, 3), 32, np.uint8)
             self._picture = gui.add_image(blank, format="jpeg", jpeg_quality=75)
-        gui.add_html(markup.legend_html(LEGEND))
+            gui.add_html(markup.legend_html("Picture", picture.LEGEND))
+        gui.add_html(markup.legend_html("View", LEGEND))
         self._notes = gui.add_html("")
         self._add_simulator()
 
@@ -150,6 +155,9 @@ class Panel:
 
     def update(self, shown: Snapshot) -> None:
         """Show a moment."""
+        if time.monotonic() - self._beat_s > _BEAT_S:
+            self._beat_s, self._beats = time.monotonic(), self._beats + 1
+            self._alive.content = markup.alive_html(self._beats)
         self._banner.content = markup.banner_html(shown.banner)
         self._lamps.content = markup.lamps_html(shown.lamps)
         self._details.content = markup.details_html(shown.details)

@@ -12,6 +12,12 @@ _SHIFT = 4
 #: Nearer to the camera's plane than this nothing is drawn, m.
 _NEAREST_M = 0.05
 BALL_RGB, TARGET_RGB, TRAIL_RGB = (255, 214, 0), (86, 180, 233), (255, 255, 255)
+#: What they mean.
+LEGEND = (
+    ("○", BALL_RGB, "ball found"),
+    ("+", TARGET_RGB, "target"),
+    ("―", TRAIL_RGB, "its way"),
+)
 _CROSS_PX = 7
 #: What is left of the light of a picture that is old.
 _OLD_LIGHT = 0.35

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from fvs_ros.apps.dashboard.arm import Arm  # a second to import, and not needed at the start
 
 _BALL, _PREDICTED, _TARGET = (213, 40, 30), (255, 214, 0), (86, 180, 233)
-#: What the colours mean, in the view and in the camera's picture.
+#: What the colours mean in the view.
 LEGEND = (
     ("●", _BALL, "ball seen"),
     ("◉", _PREDICTED, "where it is now"),
@@ -32,6 +32,8 @@ _ROD_BENT_M = 0.03
 _TRAIL_OLD, _TRAIL_NEW = np.array([60, 64, 72]), np.array([255, 214, 0])
 #: The trail has always so many pieces: the page redraws it cheaply then.
 _PIECES = 96
+#: The target is smaller than the ball, which hides it once it is there.
+_TARGET_SHARE = 0.6
 #: So long after a drag the target stays where it was dropped, until the controller has said, s.
 _DROPPED_S = 0.6
 _FRUSTUM_M = 0.16
@@ -145,7 +147,9 @@ class Scene:
             depth_test=False,
             visible=False,
         )
-        scene.add_icosphere("/base/camera/target/ball", ball_radius_m, _TARGET, opacity=0.65)
+        scene.add_icosphere(
+            "/base/camera/target/ball", _TARGET_SHARE * ball_radius_m, _TARGET, opacity=0.8
+        )
         scene.add_label(
             "/base/camera/target/name",
             "target",
