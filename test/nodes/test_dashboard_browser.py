@@ -63,6 +63,9 @@ LOOK = """() => {
             stop: [left, top, right, bottom]};
 }"""
 
+#: Whether the page says that its program has ended.
+LOST = "getComputedStyle(document.getElementById('fvs-lost')).opacity"
+
 
 @pytest.fixture
 def browser():
@@ -200,7 +203,10 @@ def test_a_person_watches_sets_a_target_and_stops(ros_test, browser):
     page.set_viewport_size(SIZE)
     assert ros.from_status(statuses[-1])["state"] == "READY"
     assert failures == []
+    eyes.wait(lambda: page.evaluate(LOST) == "0", "no talk of a program that has ended")
     assert ros_test.stop(launched) == 0, ros_test.output(launched)
+    page.wait_for_function(f"{LOST} == '1'", timeout=20_000)
+    assert "No word from this page's program" in page.inner_text("#fvs-lost")
 
 
 def check_layout(eyes, page):
