@@ -256,9 +256,11 @@ def test_where_the_estimator_gives_no_jacobian_the_controller_says_why_in_its_wo
     why = "the image does not fit the arm's motion: its stamps are too late by about 0.15 s"
     estimator = bench.harness.publisher(DiagnosticStatus, ros.ESTIMATOR_STATUS, ros.QOS_RELIABLE)
     bench.servo()
-    estimator.publish(ros.to_status(ros.WARN, "", why, {"state": ESTIMATOR_WAITING}))
     bench.robot.silent.add(ros.JACOBIAN)
     bench.assert_stops(time.monotonic())
+    estimator.publish(ros.to_status(ros.WARN, "", "a remark", {"state": "LEARNING"}))
+    bench.wait(lambda: "is the estimator running?" in bench.text(), what="no word of a remark")
+    estimator.publish(ros.to_status(ros.WARN, "", why, {"state": ESTIMATOR_WAITING}))
     bench.wait(lambda: f"the estimator says: {why}" in bench.text(), what="the estimator's words")
     assert bench.reason() == "STALE"
     # What it said of itself is no reason for ever: it may have died since.
