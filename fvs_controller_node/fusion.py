@@ -183,11 +183,13 @@ class AdaptiveFusion:
 
     def correct(self, innovation_m: np.ndarray, motion_m: np.ndarray) -> np.ndarray | None:
         """What to add to the prediction, m, (3,), None for an outlier; see :class:`FixedFusion`."""
+        square = float(innovation_m @ innovation_m) / 3.0
+        if not square < inf:  # or not a number
+            return None
         self._look_for_noise(innovation_m, motion_m)
         self._uncorrected = self._uncorrected + motion_m
         total = self._variance() + self._noise2
-        square = float(innovation_m @ innovation_m) / 3.0
-        if not square**0.5 <= _GATE * total**0.5 + _GATE_M:  # true for NaN, too
+        if square**0.5 > _GATE * total**0.5 + _GATE_M:
             self._left = self._change = None
             self._off = innovation_m
             return None
