@@ -73,8 +73,8 @@ class StampWatch:
         by += " or more" if late_s and abs(self._lag) >= _MOST else ""
         which = "late" if self._lag > 0.0 else "early"
         return (
-            f"the image does not fit the arm's motion: its stamps are too {which}{by}, as the ball's "
-            "last start or stop told; set the detector's stamp_delay_s, or make the clocks agree, "
+            f"the image does not fit the arm's motion: its stamps are too {which}{by}, as the last "
+            "start or stop of the ball told; set the detector's stamp_delay_s, or make the clocks agree, "
             "and call ~/reset"
         )
 

@@ -77,7 +77,7 @@ def test_without_stamps_it_is_said_without_a_number():
         watch.add(model_m, seen_m)
     assert watch.lag == pytest.approx(3.0, abs=0.5)
     assert watch.lag_s == 0.0
-    assert "too late;" in watch.remark
+    assert "too late, as" in watch.remark
     assert watch.problem == ""
 
 
