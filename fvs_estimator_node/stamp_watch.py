@@ -74,8 +74,8 @@ class StampWatch:
         which = "late" if self._lag > 0.0 else "early"
         return (
             f"the image does not fit the arm's motion: its stamps are too {which}{by}, as the last "
-            "start or stop of the ball told; set the detector's stamp_delay_s, or make the clocks agree, "
-            "and call ~/reset"
+            "start or stop of the ball told; set the detector's stamp_delay_s, or make the clocks "
+            "agree, and call ~/reset"
         )
 
     @property
