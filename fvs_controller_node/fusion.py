@@ -40,10 +40,10 @@ _FIRST_MOVING, _FADE_M = 2.0, 0.05
 _CLIP = 9.0
 #: The gain never falls below this: what is at rest may still drift.
 _LEAST_GAIN = 0.02
-#: So many second differences of the images are looked at for noise that the arm's own motion hides;
-#: the one of this rank among them is, in the mean, so many variances; and noise is raised towards
-#: what they say, by so large a share, where that is so many times the variance learned.
-_SWINGS, _RANK, _OF_RANK, _SWING_SHARE, _TOO_CALM = 8, 1, 7.3, 0.1, 6.0
+#: So many swings of the images are looked at for noise that the arm's own motion hides; the one of
+#: this rank among them is, in the mean, so many variances; and noise is raised towards what they
+#: say, by so large a share, where that is so many times the variance learned.
+_SWINGS, _RANK, _OF_RANK, _SWING_SHARE, _TOO_CALM = 12, 1, 3.1, 0.3, 10.0
 #: An image this far off is passed over: in standard deviations, and m besides.
 _GATE, _GATE_M = 6.0, 0.002
 #: Two outliers that are apart by less than this share of the first may agree.
@@ -184,10 +184,11 @@ class AdaptiveFusion:
     def correct(self, innovation_m: np.ndarray, motion_m: np.ndarray) -> np.ndarray | None:
         """What to add to the prediction, m, (3,), None for an outlier; see :class:`FixedFusion`."""
         square = float(innovation_m @ innovation_m) / 3.0
+        self._uncorrected = self._uncorrected + motion_m
         if not square < inf:  # or not a number
+            self._left = self._change = None
             return None
         self._look_for_noise(innovation_m, motion_m)
-        self._uncorrected = self._uncorrected + motion_m
         total = self._variance() + self._noise2
         if square**0.5 > _GATE * total**0.5 + _GATE_M:
             self._left = self._change = None
@@ -215,15 +216,18 @@ class AdaptiveFusion:
         and would never be learned: neither in motion nor from outliers. But from image to image
         nothing else changes its direction so: a step beyond what is predicted is alike from one to
         the next, but for what the motion changed, and that is wrong by twice itself at most.
-        Single outliers are a few of the swings; nearly all of them must be large.
+        Outliers swing, too, but over two images there and back again: noise is what shows both
+        ways. With ``d = n - n' + b``, ``d - d'`` has six variances of a coordinate, ``d + d'`` two.
+        Nearly all of the swings must be large.
         """
         before, self._step = self._step, innovation_m - self._off
         bend = motion_m - self._motion_before
         self._motion_before = motion_m
         if before is None:
             return
-        swing = self._step - before
-        self._swings_m2.append(float(swing.dot(swing)) - 4.0 * float(bend.dot(bend)))
+        swing, way = self._step - before, self._step + before
+        swing_m2 = float(swing.dot(swing)) - 4.0 * float(bend.dot(bend))
+        self._swings_m2.append(min(swing_m2, 3.0 * float(way.dot(way))))
         if len(self._swings_m2) < _SWINGS:
             return
         noise2 = sorted(self._swings_m2)[_RANK] / _OF_RANK

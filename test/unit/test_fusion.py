@@ -154,8 +154,35 @@ def test_one_wrong_position_within_the_gate_moves_the_estimate_little_however_fa
             assert correction is None or np.linalg.norm(correction) < 1.5e-3
 
 
+@pytest.mark.parametrize("off_m", [0.02, 0.05, 0.2])
+@pytest.mark.parametrize("period", [2, 3, 5])
+def test_an_image_that_flickers_between_two_things_is_no_noise(period, off_m):
+    images = 1e-3 * np.random.default_rng(13).normal(size=(400, 3))
+    images[100:][::period] += [off_m, 0.0, 0.0]
+    fusion, predictor_errors = AdaptiveFusion(), []
+    predictor = BallPredictor(fusion=fusion)
+    for k, image in enumerate(images):
+        for part in range(4):
+            predictor.add_joints((k + part / 4.0) / 30.0, np.zeros(6), np.zeros((3, 6)))
+        predictor.add_ball(k / 30.0, image)
+        predictor_errors.append(np.linalg.norm(predictor.predict()))
+    assert np.median(predictor_errors[100:]) < 5e-4
+    assert fusion.noise_m < 2e-3
+
+
+def test_wrong_images_now_and_then_teach_little():
+    rng = np.random.default_rng(14)
+    images = 1e-3 * rng.normal(size=(2000, 3))
+    wrong = rng.random(2000) < 0.1
+    images[wrong] += 0.05 * rng.normal(size=(int(wrong.sum()), 3))
+    fusion = AdaptiveFusion()
+    estimates = follow(fusion, images, np.zeros((2000, 3)))
+    assert np.median(np.linalg.norm(estimates, axis=1)) < 5e-4
+    assert fusion.noise_m < 2e-3
+
+
 @pytest.mark.parametrize("off_m", [0.004, 0.008, 0.012])
-def test_three_in_a_row_that_say_the_same_are_followed(off_m):
+def test_some_in_a_row_that_say_the_same_are_followed(off_m):
     fusion = AdaptiveFusion()
     follow(fusion, 1e-3 * np.random.default_rng(12).normal(size=(300, 3)), np.zeros((300, 3)))
     estimate, there = np.zeros(3), np.array([0.0, off_m, 0.0])
