@@ -8,7 +8,7 @@ from fvs_controller_node.reasons import Finding, Reason
 
 #: So many intervals beyond the limit, or nearly, make a slow input, if they are no longer than
 #: this, s: at the limit itself chance, and the ticks in between, decide which of them is too late.
-_SLOW_INTERVALS, _NEARLY, _SLOW_S = 2, 0.9, 5.0
+_SLOW_INTERVALS, _NEARLY, _AT_LIMIT, _SLOW_S = 2, 0.9, 0.99, 5.0
 #: What a source said of itself holds for so long, s.
 _SAID_S = 2.0
 
@@ -58,7 +58,8 @@ class InputMonitor:
         self._why = ""
         self._stuck_s = -float("inf")
         self._said, self._said_s = "", -float("inf")
-        self._late = 0  # intervals beyond the limit in this trouble
+        #: In this trouble: intervals beyond the limit or nearly, and the longest of them.
+        self._late, self._longest_s = 0, 0.0
         self._interval_s = 0.0  # the last one
 
     def configure(self, spec: InputSpec, fresh_samples: int) -> None:
@@ -71,7 +72,10 @@ class InputMonitor:
         self.find(now_s)  # a gap since the last one counts, even if no tick saw it
         self._interval_s, limit_s = self.age_s(now_s), self.spec.max_age_s
         late = limit_s is not None and _NEARLY * limit_s < self._interval_s < _SLOW_S
-        self._late = 0 if self._trouble is None else self._late + late
+        if self._trouble is None:
+            self._late, self._longest_s = 0, 0.0
+        elif late:
+            self._late, self._longest_s = self._late + 1, max(self._longest_s, self._interval_s)
         self._last_s = now_s
         if self._trouble is not None:
             self._streak += 1
@@ -128,12 +132,15 @@ class InputMonitor:
         if stale:
             assert limit_s is not None
             return Reason.STALE.because(name=name, age_s=age_s, limit_s=limit_s, hint=hint)
-        hint = self._slow(age_s) or "they come in time"
+        hint = self._slow(age_s) or "more are waited for"
         return Reason.RETURNING.because(name=name, count=self._streak, wanted=wanted, hint=hint)
 
     def _slow(self, age_s: float) -> str:
         """How rarely messages come, in words, if too rarely; else empty."""
-        if self._late < _SLOW_INTERVALS or age_s > 2.0 * self._interval_s:
+        limit_s = self.spec.max_age_s
+        if limit_s is None or self._late < _SLOW_INTERVALS or self._longest_s < _AT_LIMIT * limit_s:
             return ""
-        limit = f"{self.spec.limit} is {self.spec.max_age_s:.2f} s"
+        if self._interval_s < _NEARLY * limit_s or age_s > 2.0 * self._interval_s:
+            return ""
+        limit = f"{self.spec.limit} is {limit_s:.2f} s"
         return f"messages come, but every {self._interval_s:.2f} s only ({limit})"

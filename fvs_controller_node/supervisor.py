@@ -277,7 +277,7 @@ class Supervisor:
         self._quality = (float(error_ratio), now_s) if isfinite(error_ratio) else None
 
     def estimator_says(self, now_s: float, why: str) -> None:
-        """Tell why the estimator publishes no Jacobian, in its words; empty if it does."""
+        """Tell why the estimator may publish no Jacobian, in its words; empty if all is well."""
         said = f"the estimator says: {why}" if why else ""
         self._inputs[JACOBIAN].source_says(now_s, said)
 

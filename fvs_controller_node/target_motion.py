@@ -166,9 +166,11 @@ class TargetMotion:
         if not self.continues(position, now_s):
             self.restart(position, now_s)
             return False
+        if now_s < self._updates[-1][0]:
+            return True  # it was overtaken on its way
         # Joint states, whose stamps may be the clock, can be rarer than updates.
-        if now_s <= self._updates[-1][0]:
-            now_s = self._updates.pop()[0]
+        if now_s == self._updates[-1][0]:
+            self._updates.pop()
             self._take(position, now_s)
         else:
             self._take(position, now_s)

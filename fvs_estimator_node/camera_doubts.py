@@ -27,7 +27,7 @@ class CameraDoubts:
         self.stamps = StampWatch()
         self._images = 0
         self._bumps = 0
-        self._bumped_at: deque[int] = deque(maxlen=_MANY)
+        self._bumped_at: deque[int] = deque(maxlen=4 * _MANY)
 
     @property
     def bumps(self) -> int:
@@ -43,7 +43,10 @@ class CameraDoubts:
     ) -> bool:
         """Hear of an image, and say whether the stamps' lag is another now: as ``StampWatch``."""
         self._images += 1
-        return self.stamps.add(model_m, seen_m, stamp_s, rotations)
+        changed = self.stamps.add(model_m, seen_m, stamp_s, rotations)
+        if changed:
+            self._bumped_at.clear()  # it was the stamps
+        return changed
 
     def bump(self) -> None:
         """Tell of a bump at the last image."""
@@ -60,7 +63,7 @@ class CameraDoubts:
     @property
     def _bumped_often(self) -> bool:
         at = self._bumped_at
-        return len(at) == _MANY and self._images - at[0] < _IMAGES
+        return len(at) >= _MANY and self._images - at[-_MANY] < _IMAGES
 
     @property
     def remark(self) -> str:

@@ -31,6 +31,7 @@ from fvs_estimator_node.turn_watch import MOST_STEPS, TurnWatch
 from fvs_ros.core.vectors import length
 
 _IDENTITY, _NOWHERE = np.eye(3), np.zeros(3)
+_IDENTITY.flags.writeable = _NOWHERE.flags.writeable = False
 #: How far a bumped camera may have been turned over how far that moved the ball in its view.
 _TURN_SHARE = 1.5
 #: Standard deviation that the first guess of the noise is, m, and its bounds.

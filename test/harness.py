@@ -30,7 +30,7 @@ from fvs_ros.core.joints import UR_JOINT_NAMES
 
 _STARTED = itertools.count(1)
 _BEGAN_S = time.time()
-_SHELLS_DOMAIN = os.environ.get("ROS_DOMAIN_ID", "0")
+_SHELLS_DOMAIN = int(os.environ.get("ROS_DOMAIN_ID") or 0)
 
 
 def _next_domain() -> int:
@@ -39,7 +39,7 @@ def _next_domain() -> int:
     Never the shell's own: a loop that somebody watches there, or a robot, may be in it.
     """
     domain = 1 + (os.getpid() * 17 + next(_STARTED)) % 100
-    return _next_domain() if str(domain) == _SHELLS_DOMAIN else domain
+    return _next_domain() if domain == _SHELLS_DOMAIN else domain
 
 
 def _clear_shared_memory() -> None:

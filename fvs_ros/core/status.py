@@ -11,7 +11,7 @@ import numpy as np
 SILENT_S = 1.0
 #: The state of a controller from which there is no word.
 SILENT = "SILENT"
-#: States of an estimator that publishes no Jacobian; the reason says why.
+#: States in which an estimator may publish no Jacobian; if it does not, the reason says why.
 ESTIMATOR_WAITING, ESTIMATOR_FAULT = "WAITING", "FAULT"
 
 

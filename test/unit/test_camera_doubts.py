@@ -29,7 +29,7 @@ def test_bumps_in_quick_succession_are_remarked_upon_until_they_are_long_ago():
     assert doubts_after(at, 300).problem == ""  # the arm may move on: it is learned anew each time
 
 
-def test_as_many_bumps_in_an_hour_are_nothing_to_speak_of():
+def test_as_many_bumps_in_minutes_are_nothing_to_speak_of():
     assert doubts_after(range(0, 8000, 1000), 8000).remark == ""
 
 
@@ -39,6 +39,24 @@ def test_what_was_none_is_taken_back():
     assert (doubts.bumps, doubts.remark) == (6, "")
     doubts.bump()
     assert (doubts.bumps, doubts.remark) == (7, "")
+
+
+def test_after_many_bumps_the_last_one_is_taken_back_and_the_others_count():
+    doubts = doubts_after(range(100, 112), 120)
+    doubts.take_back(11)
+    assert "carried" in doubts.remark
+
+
+def test_wrong_stamps_that_looked_like_bumps_are_called_wrong_stamps():
+    recording = Recording(seed=0, seconds=20.0, outliers=0.0, late_s=0.15)
+    data, estimator = recording.data(), PoeEstimator(recording.chain())
+    held = set()
+    for row in zip(data.joints_rad, data.ball_m, data.stamps_s, strict=True):
+        estimator.observe(*row)
+        held.add(estimator.problem)
+    held.discard("")
+    assert held
+    assert all("too late" in words for words in held)
 
 
 def unchanged(_stamp_s, ball):

@@ -58,7 +58,15 @@ def test_who_comes_at_the_very_limit_is_slow_in_every_sentence():
         assert "messages come, but every 0.20 s only (ball_max_age_s is 0.20 s)" in text
 
 
+def test_who_comes_just_in_time_is_not_called_slow():
+    assert "messages come" not in heard([0.0, 0.185, 0.37, 0.555]).find(0.6).text
+
+
 def test_what_comes_in_time_is_fine_again():
+    monitor = heard([0.0, 0.25, 0.5])
+    for time_s in (0.53, 0.56, 0.59):
+        monitor.good(time_s)
+        assert "messages come" not in monitor.find(time_s + 0.01).text
     times_s = [0.0, 0.25, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]
     assert heard(times_s).find(1.05) is None
 

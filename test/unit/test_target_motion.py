@@ -63,6 +63,15 @@ def test_updates_that_are_told_late_are_those_of_a_moving_target_all_the_same(ag
     assert not follower.at(now_s + 3.5 / rate_hz + 1.0 / rate_hz).velocity_m_s.any()
 
 
+def test_updates_that_were_overtaken_on_their_way_change_nothing():
+    follower, rng = TargetFollower(), np.random.default_rng(3)
+    for k, now_s in enumerate(np.arange(0.0, 1.0, 1.0 / 30.0)):
+        there_s = now_s - rng.uniform(0.0, 0.15)
+        follower.update(line(there_s), there_s, now_s)
+        if k > 10:
+            np.testing.assert_allclose(follower.at(now_s).position_m, line(now_s), atol=1e-6)
+
+
 def test_a_circle_is_followed_within_a_millimetre():
     motion, last_s = told(circle, 1.0)
     target = motion.at(last_s + 0.02)

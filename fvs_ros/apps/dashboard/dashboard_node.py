@@ -222,7 +222,7 @@ class DashboardNode(ros.FvsNode):
         names = [ros.COLOR_IMAGE.replace(declared, prefix, 1) for prefix in self._cameras]
         if any(self.count_publishers(name) for name in names):
             if isfinite(age_s):
-                return f"the last picture is {age_s:.0f} s old: they are seldom, or come late"
+                return f"the last picture is {age_s:.0f} s old: images have ceased, or come late"
             return f"no picture has come yet from {' or '.join(names)}"
         return f"no picture: nobody publishes {' or '.join(names)}"
 
