@@ -187,6 +187,7 @@ def test_a_silent_controller_shows_within_a_second_or_so(board):
 
 
 def test_curves_are_in_millimetres_and_never_zero(board):
+    board.add_ball(0.0, 10.0, np.array([0.0, 0.1, 1.4]))
     board.add_status(0.0, {**STATUS, "error_m": "0.05"}, "")
     board.add_joints(0.0, 10.0, np.zeros(6), np.array([0.0, -1.0, 0.0, 0.0, 0.0, 0.5]))
     board.sample(0.0)
@@ -204,6 +205,14 @@ def test_without_joint_states_no_speeds_are_noted(board):
     board.sample(0.5)
     board.sample(5.0)
     assert len(board.snapshot(5.0, tour=False).curves.speed_rad_s) == 1
+
+
+def test_without_a_ball_the_prediction_error_is_no_news(board):
+    board.add_ball(0.0, 10.0, np.array([0.0, 0.1, 1.4]))
+    for now_s in (0.5, 0.9, 1.1, 9.0):
+        board.add_status(now_s, STATUS, "")
+    assert len(board.snapshot(9.0, tour=False).curves.ratio) == 2
+    assert len(board.snapshot(9.0, tour=False).curves.error_mm) == 4
 
 
 def test_a_ball_long_gone_is_not_shown_and_its_trail_fades(board):

@@ -22,6 +22,8 @@ _BALL_S, _ANSWER_S = 0.5, 12.0
 #: Images come later than what was found in them, up to so much, s; a position this near to an
 #: image's stamp was found in it, s.
 _LATEST_IMAGE_S, _SAME_IMAGE_S = 10.0, 0.02
+#: The prediction error is of a ball that was seen within this, s.
+_JUDGED_S = 1.0
 #: A picture that was exposed longer ago is not taken for one of now, s.
 _OLD_PICTURE_S = 2.0
 #: Times that go back by more than this are of a clock that was set, s.
@@ -143,8 +145,10 @@ class Board:
         if error is not None:
             parts = 1e3 * np.abs(np.concatenate([[controller.error_m], error]))
             self._error.add(now_s, np.maximum(parts, _SMALLEST_MM))
-        ratio = controller.prediction_error_ratio
-        self._ratio.add(now_s, np.maximum([ratio], _SMALLEST_RATIO))
+        # Without a ball nothing is judged: what the estimator goes on saying is of before.
+        if now_s - self._heard_s.get("ball_position", -inf) < _JUDGED_S:
+            ratio = controller.prediction_error_ratio
+            self._ratio.add(now_s, np.maximum([ratio], _SMALLEST_RATIO))
         if controller.exponents is not None:
             self._exponent.add(now_s, controller.exponents)
         self._targets.append((now_s, controller.target_m))
