@@ -231,8 +231,12 @@ def check_layout(eyes, page):
     folder.dispatch_event("click")
     turn = page.get_by_text("Turn z", exact=False)
     eyes.wait(turn.is_visible, "the sliders")
-    turn.evaluate("node => node.scrollIntoView()")
-    eyes.wait(lambda: turn.bounding_box()["y"] < 768, "the last slider")
+
+    def scrolled():  # the folder is still unfolding
+        turn.evaluate("node => node.scrollIntoView({block: 'center'})")
+        return turn.bounding_box()["y"] < 768
+
+    eyes.wait(scrolled, "the last slider")
     assert eyes.stop_box() == stop  # on top of what is scrolled
     hit = "([x, y]) => document.elementFromPoint(x, y).closest('button')?.innerText"
     left, top, right, bottom = stop
