@@ -449,6 +449,14 @@ def test_actions_come_in_order_and_of_slid_values_the_last():
     assert actions.drain() == []
 
 
+def test_who_does_the_actions_is_woken_when_the_action_is_there():
+    heard = []
+    actions = Actions(lambda: heard.append(actions.drain()))
+    actions.put(START)
+    actions.put(STOP)
+    assert heard == [[START], [STOP]]
+
+
 def test_a_stop_comes_first_and_nothing_wanted_before_it_moves_the_arm():
     actions = Actions()
     said = (START, Target((0, 0, 1)), Disturb("latency_s", 0.1), SET_CURRENT, Tour(True), STOP)

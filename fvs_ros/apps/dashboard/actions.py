@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite, nan
 
@@ -52,14 +53,22 @@ SET_CURRENT = Call("set_current_as_target")
 
 
 class Actions:
-    """The queue between the page's threads and the node's."""
+    """The queue between the page's threads and the node's.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    wake : callable, optional
+        Called, in the page's thread, when something has been said.
+    """
+
+    def __init__(self, wake: Callable[[], None] = lambda: None) -> None:
         self._queue: queue.SimpleQueue[Action] = queue.SimpleQueue()
+        self._wake = wake
 
     def put(self, action: Action) -> None:
         """Say an action, from any thread."""
         self._queue.put(action)
+        self._wake()
 
     def drain(self) -> list[Action]:
         """All that was said since the last call, in order, of slid values only the last.
