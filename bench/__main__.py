@@ -1,4 +1,7 @@
-"""Run the measurements of this folder in turn: ``python -m bench [NAME ...]``."""
+"""Run the measurements of this folder in turn: ``python -m bench [NAME ...]``.
+
+What begins with a dash is handed on to the one that is named: ``python -m bench NAME --option``.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +16,20 @@ def names() -> list[str]:
     return sorted(path.stem[len("bench_") :] for path in Path(__file__).parent.glob("bench_*.py"))
 
 
-def main(wanted: list[str]) -> int:
+def main(arguments: list[str]) -> int:
     """Run the named measurements, or all; the exit code tells whether all of them finished."""
+    own = next((i for i, word in enumerate(arguments) if word.startswith("-")), len(arguments))
+    wanted, options = arguments[:own], arguments[own:]
+    if options and len(wanted) != 1:
+        print(f"{options[0]} stands behind the name of one measurement", file=sys.stderr)
+        return 2
     known = names()
     unknown = [name for name in wanted if name not in known]
     if unknown:
         print(f"no measurement {', '.join(unknown)}; known are {', '.join(known)}", file=sys.stderr)
         return 2
     failed = []
-    sys.argv[1:] = []  # they read their own when run alone
+    sys.argv[1:] = options
     for name in wanted or known:
         print(f"== {name}", flush=True)
         start_s = time.perf_counter()
