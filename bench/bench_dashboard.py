@@ -32,6 +32,7 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 from geometry_msgs.msg import PointStamped  # noqa: E402
 from harness import Harness  # noqa: E402
 from std_msgs.msg import Float64MultiArray  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
 
 from fvs_estimator_node.model_file import load_model  # noqa: E402
 from fvs_ros.apps.demo import choose_target  # noqa: E402
@@ -80,6 +81,8 @@ class Watch:
 
     def measure(self) -> tuple[np.ndarray, np.ndarray]:
         """Image stamp to command, s, and how much later than 8 ms the next command came, s."""
+        # After some hundred targets the wrist may hide the ball, and the arm stands.
+        self._harness.call(Trigger, "fvs_sim_node/reset")
         self._run(SETTLE_S)
         self.commands.clear()
         self.latency_s.clear()

@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseStamped
-from rcl_interfaces.srv import GetParameters
-from sensor_msgs.msg import CameraInfo, Image
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Bool, String
 
 pytest.importorskip("viser", reason="viser is not installed (pip install 'viser[urdf]')")
@@ -25,9 +26,10 @@ from harness import PlayedRobot
 from page_client import PageClient
 from websockets.exceptions import InvalidStatus
 
-from fvs_ros.apps.dashboard.tour import WAITS
+from fvs_ros.apps.dashboard.tour import LOST, WAITS
 from fvs_ros.core import ros
 from fvs_ros.core.camera import Intrinsics
+from fvs_ros.core.joints import HOME_JOINTS_RAD, UR_JOINT_NAMES
 from fvs_sim_node.rendering import camera_preset
 from fvs_sim_node.ur5_urdf import urdf_text
 
@@ -447,3 +449,36 @@ def test_the_simulator_is_disturbed_from_the_page_and_its_refusal_is_read(ros_te
         lambda: "the simulator refuses: parameter depth_noise must be" in page.text(),
         what="the refusal",
     )
+
+
+def test_a_tour_that_loses_the_ball_puts_the_simulated_arm_back_and_goes_on(ros_test, pages):
+    ros_test.start_node("fvs_sim_node.node")
+    ros_test.start_node("fvs_estimator_node.node", model_path="models/ur5_front.npz")
+    ros_test.start_node(CONTROLLER, autostart=True)
+    process = ros_test.start_node(
+        DASHBOARD, port=0, image=False, tour=True, model_path="models/ur5_front.npz"
+    )
+    page = pages(address_of(ros_test, process))
+    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    home = np.array(HOME_JOINTS_RAD)
+
+    def away_rad():
+        joints = dict(zip(states[-1].name, states[-1].position, strict=True))
+        return np.abs([joints[name] for name in UR_JOINT_NAMES] - home).max()
+
+    ros_test.spin_until(lambda: states and away_rad() > 0.2, 30.0, "the tour to begin")
+    cover = SetParameters.Request(
+        parameters=[Parameter("camera_covered", value=True).to_parameter_msg()]
+    )
+    ros_test.call(SetParameters, "fvs_sim_node/set_parameters", cover)
+    wait_for_state(ros_test, page, "HOLDING")
+    ros_test.spin_until(lambda: away_rad() < 1e-3, 20.0, "the arm where it began", page.text)
+    ros_test.spin_until(lambda: LOST in page.text(), 5.0, "why", page.text)
+    cover.parameters = [Parameter("camera_covered", value=False).to_parameter_msg()]
+    ros_test.call(SetParameters, "fvs_sim_node/set_parameters", cover)
+    ros_test.spin_until(lambda: away_rad() > 0.2, 20.0, "the tour to go on", page.text)
+    assert page.value("Tour")
+    page.press("Stop")
+    wait_for_state(ros_test, page, "READY")
+    page.press("Put the arm back")
+    ros_test.spin_until(lambda: away_rad() < 1e-3, 5.0, "the arm where it began", page.text)

@@ -415,6 +415,17 @@ def test_a_tour_that_waits_long_is_called_so_until_it_goes_on():
     assert tour.waits(152.0, ready=False)
 
 
+def test_a_tour_that_lost_the_ball_says_so_once():
+    tour = TargetTour(np.zeros((1, 3)), period_s=5.0, distance_m=0.3, seed=3)
+    ball = np.zeros(3)
+    assert not tour.lost(100.0, None), "there was none yet"
+    assert not tour.lost(101.0, ball)
+    told = [tour.lost(now_s, None) for now_s in (105.0, 108.9, 109.1, 110.0, 140.0)]
+    assert told == [False, False, True, False, False]
+    assert not tour.lost(141.0, ball)
+    assert tour.lost(149.5, None)
+
+
 @pytest.mark.parametrize(
     ("changed", "goes"),
     [

@@ -40,13 +40,18 @@ class Disturb:
 
 
 @dataclass(frozen=True)
+class PutBack:
+    """The simulated arm is put back where it began."""
+
+
+@dataclass(frozen=True)
 class Remark:
     """Words for the person, of what was not understood."""
 
     text: str
 
 
-Action = Call | Target | Tour | Disturb | Remark
+Action = Call | Target | Tour | Disturb | PutBack | Remark
 
 START, STOP = Call("start"), Call("stop")
 SET_CURRENT = Call("set_current_as_target")

@@ -24,6 +24,7 @@ from fvs_ros.apps.dashboard.actions import (
     Actions,
     Call,
     Disturb,
+    PutBack,
     Remark,
     Target,
     Tour,
@@ -32,7 +33,7 @@ from fvs_ros.apps.dashboard.board import Board
 from fvs_ros.apps.dashboard.config import PARAMETERS, VISER
 from fvs_ros.apps.dashboard.placement import Pose
 from fvs_ros.apps.dashboard.services_of_node import CONTROLLER, SIMULATOR, Services
-from fvs_ros.apps.dashboard.tour import WAITS, TargetTour
+from fvs_ros.apps.dashboard.tour import LOST, WAITS, TargetTour
 from fvs_ros.core import ros
 from fvs_ros.core.background import step_back
 from fvs_ros.core.joints import N_JOINTS, JointMap, JointStateError
@@ -262,6 +263,8 @@ class DashboardNode(ros.FvsNode):
             self._calls.stop()
         elif isinstance(action, Disturb):
             self._calls.disturb(action)
+        elif isinstance(action, PutBack):
+            self._calls.put_back("as wished")
         elif isinstance(action, Remark):
             self._answer(action.text)
         elif action == Tour(False):
@@ -310,7 +313,10 @@ class DashboardNode(ros.FvsNode):
         self._tour_waits = waits
         if self._tour is None:
             return
-        target_m = self._tour.next(now_s, ready, self._board.ball_m(now_s))
+        ball_m = self._board.ball_m(now_s)
+        if self._tour.lost(now_s, ball_m) and self.count_publishers(ros.TRUE_CAMERA_POSE):
+            self._calls.put_back(LOST)
+        target_m = self._tour.next(now_s, ready, ball_m)
         if target_m is not None:
             self._send_target(target_m)
 

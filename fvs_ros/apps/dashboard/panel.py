@@ -16,6 +16,7 @@ from fvs_ros.apps.dashboard.actions import (
     STOP,
     Action,
     Disturb,
+    PutBack,
     Remark,
     Target,
     Tour,
@@ -137,6 +138,12 @@ class Panel:
                 gui.add_slider(f"Turn {axis} (°)", -_LARGEST_TURN_DEG, _LARGEST_TURN_DEG, 1.0, 0.0)
                 for axis in "xyz"
             )
+            back = gui.add_button(
+                "Put the arm back",
+                color="gray",
+                hint="Where it began, at once: when it hides the ball, say.",
+            )
+        self._button(back, PutBack())
         self._disturb(self._noise, "depth_noise", lambda: self._noise.value)
         self._disturb(self._latency, "latency_s", lambda: 1e-3 * self._latency.value)
         for turn in self._turns:

@@ -20,6 +20,7 @@ _CALLS: dict[str, type] = {
     f"{CONTROLLER}/get_parameters": GetParameters,
     f"{SIMULATOR}/get_parameters": GetParameters,
     f"{SIMULATOR}/set_parameters": SetParameters,
+    f"{SIMULATOR}/reset": Trigger,
 }
 #: An answer that takes longer is not waited for, s.
 _ANSWER_S = 3.0
@@ -83,6 +84,14 @@ class Services:
             parameters=[Parameter(action.name, value=value).to_parameter_msg()]
         )
         self._request(f"{SIMULATOR}/set_parameters", request, on_answer)
+
+    def put_back(self, why: str) -> None:
+        """Put the simulated arm back where it began; the answer is told, behind the reason."""
+
+        def on_answer(answer: Trigger.Response) -> None:
+            self._tell(f"{why}: {answer.message}")
+
+        self._request(f"{SIMULATOR}/reset", Trigger.Request(), on_answer)
 
     def look_after(self) -> None:
         """Repeat a stop that is not answered, and give up what waits too long."""

@@ -9,6 +9,10 @@ from fvs_ros.apps.demo import choose_target
 #: A tour that waits for longer than this says so, s.
 _WAITS_S = 10.0
 WAITS = "the tour waits for the controller; does it need a Start?"
+#: After so long without a ball the arm itself is taken to hide it, s: well before a controller
+#: that holds wants a new start.
+_LOST_S = 8.0
+LOST = "the tour saw no ball any more"
 
 
 class TargetTour:
@@ -35,6 +39,7 @@ class TargetTour:
         self._rng = np.random.default_rng(seed)
         self._due_s = -np.inf
         self._ready_s: float | None = None  # when the controller would last have gone
+        self._seen_s = np.inf  # when the ball was last seen; nothing is lost before it was seen
 
     def waits(self, now_s: float, ready: bool) -> bool:
         """Whether the controller has not been ready for so long that a person should know.
@@ -49,6 +54,26 @@ class TargetTour:
         if ready or self._ready_s is None:
             self._ready_s = now_s
         return now_s - self._ready_s > _WAITS_S
+
+    def lost(self, now_s: float, ball_m: np.ndarray | None) -> bool:
+        """Whether the ball has been out of sight for so long that it will not come back by itself.
+
+        A joint that turns a little further with every target brings the wrist before the ball
+        some day, and an arm that does not see the ball does not move. Said once each time.
+
+        Parameters
+        ----------
+        now_s : float
+            Steady clock, s.
+        ball_m : ndarray, shape (3,), or None
+            Where the ball is, m, camera frame.
+        """
+        if ball_m is not None:
+            self._seen_s = now_s
+        lost = now_s - self._seen_s > _LOST_S
+        if lost:
+            self._seen_s = np.inf
+        return lost
 
     def next(self, now_s: float, ready: bool, ball_m: np.ndarray | None) -> np.ndarray | None:
         """The next target, m, camera frame, (3,), if one is due.
