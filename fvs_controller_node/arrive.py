@@ -4,7 +4,8 @@ Joints that are limited one by one are at their goal soonest where the longest t
 So the law first looks for the joint goal ``q``: of all joints that put the ball on the target, the
 one with the least largest travel from here. With a forward model of the chain that is a short
 sequence of least distance problems (:mod:`fvs_controller_node.allocation`), each about the goal
-before, and the image's offset from the model is kept; without one the Jacobian here has to do.
+before, drawn a little to the joints that the arm was started at, and the image's offset from the
+model is kept; without one the Jacobian here has to do.
 Then all joints go there in proportion. With D the travel left, the speed of the one with the
 longest way is the largest v that lets it brake at the acceleration limit a from the next tick on,
 
@@ -34,6 +35,8 @@ from fvs_ros.core.params import Parameter
 #: image; longest step of a joint, rad. The steps hold on to what was found more and more: a
 #: linear programme after the other would go to and fro between two corners.
 _FIRST_STEPS, _STEPS, _LONGEST_RAD, _NEARNESS = 8, 2, 0.5, 0.2
+#: In so many of the first steps the goal is drawn towards the posture that the arm was started in.
+_HOMING_STEPS = 4
 #: A target further than this from where the last goal leads is a new one, m.
 _NEW_M = 0.02
 #: Damping of the search, m^2/rad^2: larger would leave a part of the way out.
@@ -128,7 +131,9 @@ class ArriveLaw(ControlLaw):
         """Joints with the ball on the target and the least largest travel, rad, shape (6,)."""
         joints, chain = one.joints_rad, one.chain
         if chain is None:
-            return joints + self._inverse.joint_velocity(one.jacobian, -one.error_m, joints)
+            return joints + self._inverse.joint_velocity(
+                one.jacobian, -one.error_m, joints, one.home_rad
+            )
         wanted = chain.position(joints) - one.error_m
         goal = joints if self._goal is None else self._goal
         position, jacobian = chain.position_and_jacobian(goal)
@@ -136,12 +141,14 @@ class ArriveLaw(ControlLaw):
         new = float(np.abs(missing).max()) > _NEW_M
         for number in range(0 if new else _FIRST_STEPS - _STEPS, _FIRST_STEPS):
             travel = goal - joints
+            homing = new and one.home_rad is not None and number < _HOMING_STEPS
             step = self._search.solve(
                 jacobian,
                 missing + jacobian @ travel,
                 joints,
-                travel,
+                None if homing else travel,
                 _NEARNESS * 2.0 ** max(0, number - 2),
+                one.home_rad if homing else None,
             )
             step = step - travel
             goal = self._within_range(

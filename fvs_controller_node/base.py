@@ -34,6 +34,8 @@ class ControlInput(NamedTuple):
         a moving target.
     chain : SerialChain, optional
         Forward model of arm and ball as the camera sees them; up to a constant offset.
+    home_rad : ndarray, shape (6,), optional
+        Joints at which the arm was started, rad: a posture to come back to on the way.
     """
 
     error_m: np.ndarray
@@ -43,6 +45,7 @@ class ControlInput(NamedTuple):
     dt_s: float
     news: int = 0
     chain: SerialChain | None = None
+    home_rad: np.ndarray | None = None
 
 
 class ControlOutput(NamedTuple):

@@ -281,7 +281,9 @@ class FtsmLaw(ControlLaw):
             )
             exponent = np.array([self.surface.exponent(y) for y in errors])
         return ControlOutput(
-            velocity_rad_s=self.inverse.joint_velocity(jacobian, wanted, control_input.joints_rad),
+            velocity_rad_s=self.inverse.joint_velocity(
+                jacobian, wanted, control_input.joints_rad, control_input.home_rad
+            ),
             sliding_variable=sliding,
             exponent=exponent,
         )

@@ -77,6 +77,7 @@ class ServoLoop:
         self._joints: np.ndarray | None = None
         self._heard_joints: tuple[float, np.ndarray | None] = (0.0, None)
         self._jacobian: np.ndarray | None = None
+        self._home: np.ndarray | None = None  # joints at the last start
 
     def add_joints(self, now_s: float, stamp_s: float, joints_rad: np.ndarray) -> None:
         """Tell a joint state: arrival on the steady clock and stamp, s; positions (6,), rad."""
@@ -227,6 +228,8 @@ class ServoLoop:
         if command.state is not State.SERVOING:
             self.law.reset()
             self._drive_lag.restart()
+        if not self.supervisor.started:
+            self._home = None
         return command
 
     def status_values(self, now_s: float) -> dict[str, float | str]:
@@ -246,13 +249,15 @@ class ServoLoop:
     def _propose(self, error_m: np.ndarray, applied: np.ndarray, dt_s: float) -> ControlOutput:
         assert self._jacobian is not None
         assert self._joints is not None
+        if self._home is None:
+            self._home = self._joints
         self._drive_lag.add(
             self._stamp_s, applied, self._joints, compare=self.supervisor.full_speed
         )
         target_m_s, ahead = self._target_m_s, _AT_REST
         if target_m_s is not STANDING and target_m_s.any():
             self._moves += 1
-            ahead = self.follower.feed_forward(target_m_s, self._jacobian, self._joints)
+            ahead = self.follower.feed_forward(target_m_s, self._jacobian, self._joints, self._home)
         told = ControlInput(
             error_m,
             self._jacobian,
@@ -261,6 +266,7 @@ class ServoLoop:
             dt_s,
             news=self.predictor.images + self._moves,
             chain=None if self._chain_doubts else self._chain,
+            home_rad=self._home,
         )
         if self.anticipation is None:
             output = self.law.command(told)

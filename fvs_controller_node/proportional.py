@@ -60,6 +60,7 @@ class ProportionalLaw(ControlLaw):
                 control_input.jacobian,
                 -self.gain_1_s * control_input.error_m,
                 control_input.joints_rad,
+                control_input.home_rad,
             ),
             sliding_variable=control_input.error_m.copy(),
             exponent=np.ones(N_AXES),

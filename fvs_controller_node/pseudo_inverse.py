@@ -117,6 +117,7 @@ class DampedInverse:
         jacobian: np.ndarray,
         velocity_m_s: np.ndarray,
         joints_rad: np.ndarray | None = None,
+        _home_rad: np.ndarray | None = None,
     ) -> np.ndarray:
         """Joint velocities that move the ball as wanted.
 
@@ -128,6 +129,8 @@ class DampedInverse:
             Wanted ball velocity, m/s.
         joints_rad : ndarray, shape (6,), optional
             Present joints, rad; without them there is no posture term.
+        _home_rad : ndarray, shape (6,), optional
+            Not used: only the posture of the parameters counts, as long as there is a gain.
 
         Returns
         -------

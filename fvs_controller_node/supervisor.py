@@ -339,6 +339,11 @@ class Supervisor:
     # ---- what it says ---------------------------------------------------------------------
 
     @property
+    def started(self) -> bool:
+        """Whether the arm servoes, or will when what holds it is over."""
+        return self._started
+
+    @property
     def config(self) -> SupervisorConfig:
         """Limits and thresholds in force."""
         return self._config

@@ -298,12 +298,19 @@ class TargetFollower:
         return self._motion.at(now_s) if self._enabled else None
 
     def feed_forward(
-        self, velocity_m_s: np.ndarray, jacobian: np.ndarray, joints_rad: np.ndarray
+        self,
+        velocity_m_s: np.ndarray,
+        jacobian: np.ndarray,
+        joints_rad: np.ndarray,
+        home_rad: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Joint velocities that go along with a target's velocity, m/s, (3,); rad/s, shape (6,)."""
+        """Joint velocities that go along with a target's velocity, m/s, (3,); rad/s, shape (6,).
+
+        On the way they come back to ``home_rad``, (6,), if that costs little speed.
+        """
         if not velocity_m_s.any():
             return np.zeros(N_JOINTS)
-        return self._inverse.joint_velocity(jacobian, velocity_m_s, joints_rad)
+        return self._inverse.joint_velocity(jacobian, velocity_m_s, joints_rad, home_rad)
 
 
 def _on_own_clock(stamp_s: float, now_s: float) -> float:
