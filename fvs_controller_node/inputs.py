@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
+from statistics import median_high
 
 from fvs_controller_node.reasons import Finding, Reason
 
 #: So many intervals beyond the limit, or nearly, make a slow input, if they are no longer than
 #: this, s: at the limit itself chance, and the ticks in between, decide which of them is too late.
 _SLOW_INTERVALS, _NEARLY, _AT_LIMIT, _SLOW_S = 2, 0.9, 0.99, 5.0
+#: Their middle one is said, of so many, the last: one long gap says nothing of how often they come.
+_LATE = 5
 #: What a source said of itself holds for so long, s.
 _SAID_S = 2.0
 
@@ -58,8 +62,8 @@ class InputMonitor:
         self._why = ""
         self._stuck_s = -float("inf")
         self._said, self._said_s = "", -float("inf")
-        #: In this trouble: intervals beyond the limit or nearly, and the longest of them.
-        self._late, self._longest_s = 0, 0.0
+        #: In this trouble: the last intervals beyond the limit, or nearly.
+        self._late_s: deque[float] = deque(maxlen=_LATE)
         self._interval_s = 0.0  # the last one
 
     def configure(self, spec: InputSpec, fresh_samples: int) -> None:
@@ -73,9 +77,9 @@ class InputMonitor:
         self._interval_s, limit_s = self.age_s(now_s), self.spec.max_age_s
         late = limit_s is not None and _NEARLY * limit_s < self._interval_s < _SLOW_S
         if self._trouble is None:
-            self._late, self._longest_s = 0, 0.0
+            self._late_s.clear()
         elif late:
-            self._late, self._longest_s = self._late + 1, max(self._longest_s, self._interval_s)
+            self._late_s.append(self._interval_s)
         self._last_s = now_s
         if self._trouble is not None:
             self._streak += 1
@@ -138,9 +142,12 @@ class InputMonitor:
     def _slow(self, age_s: float) -> str:
         """How rarely messages come, in words, if too rarely; else empty."""
         limit_s = self.spec.max_age_s
-        if limit_s is None or self._late < _SLOW_INTERVALS or self._longest_s < _AT_LIMIT * limit_s:
+        if limit_s is None or len(self._late_s) < _SLOW_INTERVALS:
+            return ""
+        often_s = median_high(self._late_s)
+        if often_s < _AT_LIMIT * limit_s:
             return ""
         if self._interval_s < _NEARLY * limit_s or age_s > 2.0 * self._interval_s:
             return ""
         limit = f"{self.spec.limit} is {limit_s:.2f} s"
-        return f"messages come, but every {self._interval_s:.2f} s only ({limit})"
+        return f"messages come, but every {often_s:.2f} s only ({limit})"

@@ -167,6 +167,9 @@ class ServoLoop:
         A stamp (s; 0 for now) says when it was there, on the clock of the joint states. The answer
         is the supervisor's: see :meth:`~fvs_controller_node.supervisor.Supervisor.target`.
         """
+        own = frame == self.supervisor.config.feature_frame
+        if own and self.follower.overtaken(position_m, stamp_s, self._stamp_s):
+            return True, "target passed over: a newer one has been told"
         moving = self.follower.expects(position_m, stamp_s, self._stamp_s)
         accepted, text = self.supervisor.target(position_m, frame, moving=moving)
         if accepted:

@@ -160,14 +160,18 @@ class TargetMotion:
         soon = -_OWN_CLOCK_S < now_s - last_s < _MAX_GAP_S
         return soon and length(position_m - last) < _JUMP_M
 
+    def overtaken(self, position_m: np.ndarray, now_s: float) -> bool:
+        """Whether an update, m, (3,), of a time, s, comes after a newer one of the same way."""
+        return self.continues(position_m, now_s) and now_s < self._updates[-1][0]
+
     def update(self, position_m: np.ndarray, now_s: float, age_s: float = 0.0) -> bool:
         """Take the target's position at a time, s, told so much later; whether it goes on a way."""
         position = np.array(position_m, dtype=float)
         if not self.continues(position, now_s):
             self.restart(position, now_s)
             return False
-        if now_s < self._updates[-1][0]:
-            return True  # it was overtaken on its way
+        if self.overtaken(position, now_s):
+            return True
         # Joint states, whose stamps may be the clock, can be rarer than updates.
         if now_s == self._updates[-1][0]:
             self._updates.pop()
@@ -281,6 +285,12 @@ class TargetFollower:
     def expects(self, position_m: np.ndarray, stamp_s: float, now_s: float) -> bool:
         """Whether a target there would go on with the motion rather than be another one."""
         return self._motion.continues(
+            np.asarray(position_m, dtype=float), _on_own_clock(stamp_s, now_s)
+        )
+
+    def overtaken(self, position_m: np.ndarray, stamp_s: float, now_s: float) -> bool:
+        """Whether a target comes after one that was told earlier and was there later."""
+        return self._enabled and self._motion.overtaken(
             np.asarray(position_m, dtype=float), _on_own_clock(stamp_s, now_s)
         )
 

@@ -68,7 +68,7 @@ class CameraDoubts:
     @property
     def remark(self) -> str:
         """What does not fit, in words; empty if all is well."""
-        if self._bumped_often:
+        if self._bumped_often and not self.stamps.problem:
             return (
                 "the image does not fit the arm's motion: the camera seems to have been moved "
                 f"{_MANY} times and more in {_IMAGES} images; is it being carried about? If not, "
@@ -80,7 +80,7 @@ class CameraDoubts:
     @property
     def problem(self) -> str:
         """Why the arm must not move on the estimate, in words; empty if it may."""
-        return self.remark if self.stamps.problem else ""
+        return self.stamps.problem
 
 
 class CameraLearner(Estimator):

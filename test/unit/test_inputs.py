@@ -46,6 +46,19 @@ def test_who_comes_now_just_in_time_and_now_just_too_late_is_slow_too():
     assert "messages come, but every 0.21 s only" in heard(times_s).find(times_s[-1] + 0.1).text
 
 
+def test_one_long_gap_says_nothing_of_how_rarely_messages_come():
+    times_s = np.cumsum([0.0, 0.21, 0.21, 0.21, 4.0])
+    assert "messages come, but every 0.21 s only" in heard(times_s).find(times_s[-1] + 0.1).text
+
+
+def test_who_comes_in_time_of_late_is_not_called_slow():
+    times_s = np.cumsum([0.0, 0.25, 0.25, 0.19, 0.19, 0.19])
+    text = heard(times_s[:-2]).find(times_s[-3] + 0.1).text
+    assert "messages come, but every 0.25 s only" in text
+    monitor = heard(times_s)
+    assert "messages come" not in str(monitor.find(times_s[-1] + 0.1))
+
+
 def test_who_comes_at_the_very_limit_is_slow_in_every_sentence():
     times_s = np.arange(0.0, 5.0, 0.2)
     monitor = InputMonitor(SPEC, 5)
