@@ -215,9 +215,9 @@ class AdaptiveFusion:
         Noise that is far above what is known of it throws the arm about, is passed over for that,
         and would never be learned: neither in motion nor from outliers. But from image to image
         nothing else changes its direction so: a step beyond what is predicted is alike from one to
-        the next, but for what the motion changed, and that is wrong by itself at most, even where
-        the camera was turned by 60 degrees. (More must not be granted: an arm that noise throws
-        about bends its way from image to image.) Outliers swing, too, but over two images there and
+        the next, but for what the motion changed, and that is wrong by half of itself where the
+        camera was turned by 30 degrees. (More must not be granted: an arm that noise throws about
+        bends its way from image to image.) Outliers swing, too, but over two images there and
         back again: noise is what shows both ways. With ``d = n - n' + b``, ``d - d'`` has six
         variances of a coordinate, ``d + d'`` two. Nearly all of the swings must be large.
         """
@@ -227,7 +227,7 @@ class AdaptiveFusion:
         if before is None:
             return
         swing, way = self._step - before, self._step + before
-        swing_m2 = float(swing.dot(swing)) - float(bend.dot(bend))
+        swing_m2 = float(swing.dot(swing)) - 0.25 * float(bend.dot(bend))
         self._swings_m2.append(min(swing_m2, 3.0 * float(way.dot(way))))
         if len(self._swings_m2) < _SWINGS:
             return

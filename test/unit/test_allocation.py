@@ -125,6 +125,25 @@ def test_nearness_holds_on_to_what_there_is():
         np.testing.assert_allclose(jacobian @ found, velocity, atol=1e-8)
 
 
+def test_the_way_back_to_a_posture_moves_no_ball_and_costs_little_speed():
+    inverse, costs = LeastSpeedInverse(1e-12), []
+    for jacobian, velocity in CASES:
+        joints, way = RNG.normal(size=6), 0.5 * RNG.normal(size=6)
+        plain = inverse.joint_velocity(jacobian, velocity, joints)
+        at_home = inverse.joint_velocity(jacobian, velocity, joints, joints)
+        for factor in (0.1, 1.0, 10.0):
+            home = joints + factor * way
+            homing = inverse.joint_velocity(jacobian, velocity, joints, home)
+            np.testing.assert_allclose(jacobian @ homing, velocity, atol=1e-8)
+            assert (homing - at_home) @ way > 0.0
+            costs.append(np.abs(homing).max() / np.abs(plain).max())
+            slow = inverse.joint_velocity(jacobian, 1e-3 * velocity, joints, home)
+            np.testing.assert_allclose(slow, 1e-3 * homing, rtol=1e-5, atol=1e-9)
+        assert not inverse.joint_velocity(jacobian, np.zeros(3), joints, joints + way).any()
+    assert np.mean(costs) < 1.2
+    assert max(costs) < 1.5
+
+
 def test_it_is_chosen_by_a_parameter():
     assert isinstance(make_inverse(default_values()), DampedInverse)
     assert isinstance(make_inverse(default_values(allocation="least_speed")), LeastSpeedInverse)

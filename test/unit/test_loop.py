@@ -210,6 +210,41 @@ def test_the_current_position_as_target_stands_also_while_the_target_moves(servo
         assert command.output.feed_forward_rad_s == 0.0
 
 
+@pytest.mark.parametrize("moves", [False, True])
+def test_an_overtaken_target_is_passed_over_whether_the_newer_one_stands_or_moves(servoing, moves):
+    loop, newer = servoing.loop, np.array([0.1, 0.0, 1.1])
+    now_s = servoing.now_s
+    if moves:
+        assert loop.add_target(newer - [0.01, 0.0, 0.0], FRAME, now_s - 0.05)[0]
+    assert loop.add_target(newer, FRAME, now_s)[0]
+    accepted, text = loop.add_target(newer - [0.03, 0.0, 0.0], FRAME, now_s - 0.1)
+    assert accepted
+    assert text == "target passed over: a newer one has been told"
+    for _ in range(50):
+        servoing.tick()
+    np.testing.assert_allclose(loop.supervisor.target_m, newer, atol=1e-9)
+    assert not loop.add_target(newer, "another_frame", now_s - 0.1)[0]
+
+
+def test_the_posture_to_come_back_to_is_that_of_the_last_start(servoing):
+    loop, told = servoing.loop, []
+    command = loop.law.command
+    loop.law.command = lambda one: (told.append(one.home_rad), command(one))[1]
+    servoing.joints = HOME + 0.05
+    servoing.tick()
+    np.testing.assert_array_equal(told[-1], HOME)
+    loop.supervisor.bad_input(servoing.now_s, "joint_states", "a hold that ends by itself")
+    for _ in range(20):
+        servoing.tick()
+    np.testing.assert_array_equal(told[-1], HOME)
+    loop.supervisor.stop()
+    for _ in range(50):
+        servoing.tick()
+    assert loop.supervisor.start(servoing.now_s)[0]
+    servoing.tick()
+    np.testing.assert_array_equal(told[-1], HOME + 0.05)
+
+
 def test_beyond_the_workspace_nobody_goes_along_with_a_target(servoing):
     loop, asked = servoing.loop, []
     propose = loop.follower.feed_forward
