@@ -91,7 +91,8 @@ class DampedInverse:
         Parameter(
             "posture_gain_1_s",
             0.0,
-            "Pull towards posture_rad that does not move the ball, 1/s; 0 is off.",
+            "Pull towards posture_rad that does not move the ball, with allocation two_norm, 1/s; "
+            "0 is off.",
             0.0,
             5.0,
             live=True,
