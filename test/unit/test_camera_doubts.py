@@ -59,6 +59,22 @@ def test_wrong_stamps_that_looked_like_bumps_are_called_wrong_stamps():
     assert all("too late" in words for words in held)
 
 
+@pytest.mark.parametrize(("late", "withheld"), [(2, False), (6, True)])
+def test_an_arm_that_is_withheld_for_its_stamps_is_told_of_them_whatever_else_is_wrong(
+    late, withheld
+):
+    doubts = CameraDoubts()
+    share = np.clip((np.arange(60.0) - 20.0) / 15.0, 0.0, 1.0)
+    way_m = (share * share * (3.0 - 2.0 * share))[:, None] * [0.4, 0.0, 0.0]
+    for number in range(late, 60):
+        doubts.image(way_m[number], way_m[number - late], number / 30.0, (np.eye(3),))
+    assert "too late" in doubts.remark
+    for _ in range(8):
+        doubts.bump()
+    assert ("too late" in doubts.problem) == withheld
+    assert doubts.remark == doubts.problem if withheld else "carried" in doubts.remark
+
+
 def unchanged(_stamp_s, ball):
     return ball
 

@@ -100,6 +100,21 @@ def test_what_a_camera_on_the_way_taught_is_dropped_for_what_was_known_before(se
     assert angle_between(camera.rotation, learned) < np.radians(2.0)
 
 
+def test_after_images_of_another_place_a_small_bump_is_taken_for_no_more_than_it_is():
+    off, rotation = [], turn([1.0, 2.0, 3.0], 0.5)
+    for seed in range(8):
+        rng, camera = np.random.default_rng(seed), CameraMotion()
+        balls = path(100, rng)
+        watch(camera, balls, rotation, np.zeros(3), rng)
+        for count, shift in ((3, [0.1, 0.05, 0.0]), (5, np.zeros(3)), (3, [0.03, 0.0, 0.0])):
+            watch(camera, resting(balls[-1], count, rng), rotation, np.array(shift), rng)
+        off.append(0.0)
+        for ball in corner(balls[-1], 2):
+            watch(camera, [ball], rotation, np.array(shift), rng)
+            off[-1] = max(off[-1], angle_between(camera.rotation, rotation))
+    assert np.median(off) < np.radians(3.0)
+
+
 def test_an_arm_that_hardly_moves_does_not_make_it_forget():
     rng = np.random.default_rng(0)
     rotation = turn([1.0, 2.0, 3.0], 0.5)
@@ -132,6 +147,18 @@ def test_a_bump_is_noticed_and_the_new_pose_learned():
     watch(camera, balls[103:], rotation, translation, rng)
     assert camera.doubts.bumps == 1
     assert angle_between(camera.rotation, rotation) < np.radians(1.0)
+
+
+@pytest.mark.parametrize("degrees", [5.0, 10.0])
+def test_how_a_bump_turned_the_camera_is_half_known_within_six_centimetres(degrees):
+    off, rotation = [], turn([0.2, 1.0, 0.3], np.radians(degrees))
+    for seed in range(8):
+        rng, camera = np.random.default_rng(seed), CameraMotion()
+        balls = path(60, rng)
+        watch(camera, balls, np.eye(3), np.zeros(3), rng, 0.0005)
+        watch(camera, corner(balls[-1], 2), rotation, np.zeros(3), rng, 0.0005)
+        off.append(angle_between(camera.rotation, rotation))
+    assert np.median(off) < np.radians(3.4)
 
 
 def test_a_camera_that_sags_slowly_is_followed():
@@ -205,6 +232,18 @@ def test_a_turn_about_the_ball_is_seen_by_the_way_it_goes_next(degrees, seed):
     watch(camera, corner(balls[99]), rotation, translation, rng)
     assert camera.doubts.bumps <= 2
     assert angle_between(camera.rotation, rotation) < np.radians(10.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_shift_soon_after_a_turn_about_the_ball_leaves_what_the_turn_taught(seed):
+    rng = np.random.default_rng(seed)
+    camera, balls = CameraMotion(), path(100, rng)
+    watch(camera, balls, np.eye(3), np.zeros(3), rng)
+    rotation, translation = carry(camera, resting(balls[-1], 60, rng), 60.0, rng, about=balls[-1])
+    way = corner(balls[-1], 4)
+    watch(camera, way, rotation, translation, rng)
+    watch(camera, resting(way[-1], 3, rng), rotation, translation + [0.1, 0.0, 0.0], rng)
+    assert angle_between(camera.rotation, rotation) < np.radians(25.0)
 
 
 @pytest.mark.parametrize("noise_m", [0.0002, 0.001, 0.004])

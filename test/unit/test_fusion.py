@@ -133,7 +133,10 @@ def test_two_wrong_positions_agree_only_where_they_say_the_same():
     assert fusion.agree(there, there + 0.003, still)
     assert not fusion.agree(there, -there, still)
     assert not fusion.agree(there, np.array([0.0, 0.05, 0.0]), still)
-    assert not fusion.agree(0.2 * there, 0.5 * there, still)  # nearer than the noise, not alike
+    assert not fusion.agree(0.2 * there, 0.5 * there, still)
+    # Nearer to each other than noise, or the motion in between, may bring them; but not alike.
+    assert not fusion.agree(np.array([0.009, 0.0, 0.0]), np.array([0.006, 0.006, 0.0]), still)
+    assert not fusion.agree(there, -there, 1.2 * there)
 
 
 def test_one_wrong_position_within_the_gate_teaches_little():
@@ -170,6 +173,41 @@ def test_an_image_that_flickers_between_two_things_is_no_noise(period, off_m):
     assert fusion.noise_m < 2e-3
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_however_wild_the_images_were_none_is_believed_that_is_far_off(seed):
+    rng = np.random.default_rng(seed)
+    fusion = AdaptiveFusion()
+    for noise_m, count in ((0.3, 300), (0.001, 20)):
+        motions = 0.004 * rng.normal(size=(count, 3))
+        images = np.cumsum(motions, axis=0) + noise_m * rng.normal(size=(count, 3))
+        follow(fusion, images, motions)
+    assert fusion.correct(np.array([0.3, 0.0, 0.0]), np.zeros(3)) is None
+
+
+def test_a_wrong_prediction_of_a_jerky_motion_is_no_noise():
+    learned_m = []
+    for seed in range(5):
+        rng, fusion = np.random.default_rng(seed), AdaptiveFusion()
+        follow(fusion, 1e-3 * rng.normal(size=(100, 3)), np.zeros((100, 3)))
+        motions = 0.01 * rng.normal(size=(300, 3))
+        images = np.cumsum(motions, axis=0) + 1e-3 * rng.normal(size=(300, 3))
+        follow(fusion, images, 0.7 * motions)
+        learned_m.append(fusion.noise_m)
+    assert np.mean(learned_m) == pytest.approx(1e-3, rel=0.2)
+
+
+def test_images_without_a_position_in_between_do_not_spoil_what_is_known_of_the_noise():
+    learned_m = []
+    for seed in range(10):
+        rng, fusion = np.random.default_rng(seed), AdaptiveFusion()
+        way = np.outer(np.arange(400), [0.003, 0.0, 0.0])
+        images = way + 1e-3 * rng.normal(size=way.shape)
+        images[100 + np.flatnonzero(np.arange(300) % 15 < 10)] = np.nan
+        follow(fusion, images, np.tile([0.0015, 0.0, 0.0], (400, 1)))
+        learned_m.append(fusion.noise_m)
+    assert np.mean(learned_m) == pytest.approx(1e-3, rel=0.1)
+
+
 def test_wrong_images_now_and_then_teach_little():
     rng = np.random.default_rng(14)
     images = 1e-3 * rng.normal(size=(2000, 3))
@@ -181,7 +219,7 @@ def test_wrong_images_now_and_then_teach_little():
     assert fusion.noise_m < 2e-3
 
 
-@pytest.mark.parametrize("off_m", [0.004, 0.008, 0.012])
+@pytest.mark.parametrize("off_m", [0.003, 0.004, 0.008, 0.012])
 def test_some_in_a_row_that_say_the_same_are_followed(off_m):
     fusion = AdaptiveFusion()
     follow(fusion, 1e-3 * np.random.default_rng(12).normal(size=(300, 3)), np.zeros((300, 3)))

@@ -157,6 +157,19 @@ def test_a_bump_is_not_learned_from_but_noted(model, kind):
     assert error_of(estimator, chain) < 0.2
 
 
+def test_a_blow_is_no_step_of_the_ball_however_noisy_the_camera_is(model):
+    estimator, rng = estimator_of(model), np.random.default_rng(2)
+    ball = ur5_chain().position(ur5_dh.HOME_RAD)
+    for _ in range(60):
+        estimator.observe(ur5_dh.HOME_RAD, ball + 0.004 * rng.normal(size=3))
+    before = estimator.factor
+    estimator.update(
+        MotionStep(1.0, 0.03, ur5_dh.HOME_RAD, np.full(6, 0.01), np.array([0.1, 0.0, 0.0]))
+    )
+    np.testing.assert_array_equal(estimator.factor, before)
+    assert estimator.status_values()["camera_bumps"] == 1.0
+
+
 @pytest.mark.parametrize("off_m", [0.03, 0.045, 0.05, 0.06, 0.1, 0.3])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_single_wrong_position_turns_nothing_and_is_no_bump(model, kind, off_m):

@@ -80,6 +80,14 @@ def test_a_circle_is_followed_within_a_millimetre():
     np.testing.assert_allclose(target.velocity_m_s, true, atol=0.03)
 
 
+@pytest.mark.parametrize(("age_s", "within_m"), [(0.1, 0.002), (0.15, 0.005)])
+def test_a_circle_that_is_told_late_is_known_where_it_is_now(age_s, within_m):
+    follower = TargetFollower()
+    for now_s in np.arange(0.0, 1.0, 1.0 / 30.0):
+        follower.update(circle(now_s - age_s), now_s - age_s, now_s)
+    assert np.linalg.norm(follower.at(now_s).position_m - circle(now_s)) < within_m
+
+
 def test_without_further_updates_it_stands_where_it_was_told_last():
     motion, last_s = told(line, 0.5)
     target = motion.at(last_s + 0.3)
@@ -89,8 +97,13 @@ def test_without_further_updates_it_stands_where_it_was_told_last():
 
 @pytest.mark.parametrize(
     ("position", "after_s"),
-    [(START + [0.3, 0.0, 0.0], 1 / 30), (START, 0.5), (START, -1.0)],
-    ids=["a jump", "a pause", "back in time"],
+    [
+        (START + [0.3, 0.0, 0.0], 1 / 30),
+        (START + [0.07, 0.0, 0.0], 1 / 30),
+        (START, 0.5),
+        (START, -1.0),
+    ],
+    ids=["a jump", "a small jump", "a pause", "back in time"],
 )
 def test_what_no_motion_goes_on_to_is_a_new_target(position, after_s):
     motion, last_s = told(lambda t: START, 0.5)

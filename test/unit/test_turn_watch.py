@@ -51,11 +51,20 @@ def test_noise_is_learned_and_never_taken_for_a_turn(noise_m, step_m):
         assert tell(TurnWatch(), path(100, rng, step_m), np.eye(3), noise_m, rng)[0] == 0
 
 
-@pytest.mark.parametrize("noise_m", [0.012, 0.02])
-def test_noise_beyond_all_bounds_is_no_turn_either(noise_m):
+def test_a_camera_that_is_calm_for_a_few_images_is_not_turned_by_the_noise_that_follows():
+    for seed in range(40):
+        rng, watch = np.random.default_rng(seed), TurnWatch()
+        for _ in range(4):
+            watch.rest(0.0001 * rng.normal(size=3))
+        assert tell(watch, path(20, rng), np.eye(3), 0.002, rng)[0] == 0
+
+
+@pytest.mark.parametrize("step_m", [0.03, 0.06])
+@pytest.mark.parametrize("noise_m", [0.012, 0.02, 0.03])
+def test_noise_beyond_all_bounds_is_no_turn_either(noise_m, step_m):
     rng = np.random.default_rng(1)
     for _ in range(20):
-        assert tell(rested(rng, noise_m), path(100, rng, 0.03), np.eye(3), noise_m, rng)[0] == 0
+        assert tell(rested(rng, noise_m), path(100, rng, step_m), np.eye(3), noise_m, rng)[0] == 0
     watch = rested(rng, noise_m)
     assert watch.too_noisy
     assert watch.deviation_m == pytest.approx(0.014, rel=0.2)  # the bound
@@ -71,6 +80,23 @@ def test_a_turn_is_seen_by_the_next_few_steps_and_they_are_handed_out(noise_m, w
     assert first <= within
     known = rested(rng, noise_m)
     assert tell(known, path(200, rng), TURNED, noise_m, rng, TURNED)[0] == 0
+
+
+def test_a_small_turn_is_left_to_be_followed_however_well_it_is_seen():
+    watch, turned = rested(np.random.default_rng(0), 0.0002), turn(AXIS, np.radians(8.0))
+    for one in ([0.03, 0.0, 0.0], [0.02, 0.02, 0.0], [0.02, 0.01, 0.01], [0.0, 0.02, 0.02]):
+        assert watch.add(np.eye(3), np.array(one), turned @ one) == []
+
+
+def test_a_turn_is_seen_only_where_the_steps_are_longer_than_noise_may_feign_it():
+    watch, turned = rested(np.random.default_rng(0), 0.001), turn(AXIS, np.radians(20.0))
+    across = np.array([0.3, 0.2, 0.0]) / np.linalg.norm([0.3, 0.2, 0.0])
+    seen = []
+    for step_m in (0.012, 0.03):
+        watch.clear()
+        steps = [step_m * across] * 3
+        seen.append([len(watch.add(np.eye(3), step, turned @ step)) for step in steps])
+    assert seen == [[0, 0, 0], [0, 0, 3]]
 
 
 def test_the_steps_since_the_turn_are_handed_out_as_they_were_told():
