@@ -146,7 +146,6 @@ class TargetMotion:
         self._updates.clear()
         self._take(np.array(position_m, dtype=float), now_s)
         self._curve = self._mean = None
-        self._age_s = 0.0
 
     def _take(self, position: np.ndarray, now_s: float) -> None:
         self._updates.append((now_s, position))
