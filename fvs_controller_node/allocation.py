@@ -45,7 +45,7 @@ _CALM = 4.0
 #: Weight of the sum of squares counted from the way back to a posture. Over 120 targets in a row
 #: it takes no time: the joints stay where the Jacobian is known better.
 _HOMING = 0.5
-#: Closer to the posture than this, the way back is slower in proportion, rad.
+#: Closer to the posture than this, way back and weight are less in proportion, rad.
 _NEAR_HOME_RAD = 0.3
 _TINY = 1e-12
 
@@ -129,7 +129,7 @@ class LeastSpeedInverse:
             spared = self._sparing(jacobian, velocity_m_s, share)
             least = spared - (free @ spared) @ free
         if home_rad is not None and joints_rad is not None and near_rad_s is None:
-            near_rad_s, nearness = _homing(home_rad - joints_rad, largest(least)), _HOMING
+            near_rad_s, nearness = _homing(home_rad - joints_rad, largest(least))
         if near_rad_s is not None:
             least = least + (free @ near_rad_s) @ free
             spared = None if spared is None else least
@@ -180,9 +180,12 @@ class LeastSpeedInverse:
         return np.minimum(np.maximum(room / self.joint_range.margin_rad, 0.0), 1.0)
 
 
-def _homing(way_rad: np.ndarray, speed: float) -> np.ndarray:
-    """The way back to a posture at the speed of the wanted motion, slower when close to it."""
-    return way_rad * (speed / max(largest(way_rad), _NEAR_HOME_RAD))
+def _homing(away_rad: np.ndarray, speed: float) -> tuple[np.ndarray, float]:
+    """The way back to a posture, and the weight it has: nothing where the arm is there."""
+    furthest_rad = largest(away_rad)
+    share = min(1.0, furthest_rad / _NEAR_HOME_RAD)
+    near = away_rad * (share * speed / max(furthest_rad, _TINY))
+    return near, _SMOOTHING + share * (_HOMING - _SMOOTHING)
 
 
 _LAST = np.array([0.0, 0.0, 0.0, 0.0, 1.0])

@@ -8,10 +8,12 @@ where the update law (17) learns along the path only. With ``u = J_rbf dr`` of e
 
 Old steps fade with the way that the ball has gone since, not with time: near the target, where
 steps are small and noisy, little is learned and little forgotten. Steps along one line need no
-small noise: in their sum the positions in between cancel. Where the camera was bumped, old steps
-say nothing any more: a step far too long tells, or the next few that fit another rotation
-(:mod:`fvs_estimator_node.turn_watch`). A single wrong position is no bump: the step there and the
-one back add up to what was expected before.
+small noise: in their sum the positions in between cancel. A rotation is believed as far as noise
+would not feign it: a turn about the very line that the ball goes along is told by its few
+millimetres to the side. Where the camera was bumped, old steps say nothing any more: a step far too
+long tells, or the next few that fit another rotation (:mod:`fvs_estimator_node.turn_watch`). A
+single wrong position is no bump: the step there and the one back add up to what was expected
+before.
 """
 
 from __future__ import annotations
@@ -305,9 +307,20 @@ class LeftFactorEstimator(CameraLearner, FrozenRbfEstimator):
         prior_m2 = growth * self._prior_m2
         cross = self._cross + prior_m2 * self._prior
         if config.kind == ROTATION:
-            self._factor = nearest_rotation(cross)
+            self._factor = self._believed(nearest_rotation(cross))
         else:
             self._factor = np.linalg.solve(self._gram + prior_m2 * _IDENTITY, cross.T).T
+
+    def _believed(self, found: np.ndarray) -> np.ndarray:
+        """As much of a rotation that was found as noise would not feign.
+
+        Where noise alone tells three numbers, the steps seem explained better by three variances.
+        James and Stein's estimate (1961) goes back to the start by one of them.
+        """
+        apart = found - self._prior
+        told_m2 = float(((apart @ self._gram) * apart).sum())
+        share = 1.0 - self._watch.deviation_m**2 / max(told_m2, 1e-12)
+        return nearest_rotation(self._prior + share * apart) if share > 0.0 else self._prior
 
     def status_values(self) -> dict[str, float]:
         """Counts, and how far the factor turns the networks' Jacobian."""

@@ -133,6 +133,24 @@ def test_the_start_counts_more_against_noisier_steps(model, noise_m):
     assert np.median(off) < 0.06
 
 
+def test_noise_feigns_no_turn_about_the_line_that_the_ball_goes_along(model):
+    """What the small motions to the side tell is less than their noise: nothing is believed."""
+    off_deg = []
+    for seed in range(10):
+        rng, learner = np.random.default_rng(seed), estimator_of(model)
+        joints, last = ur5_dh.HOME_RAD, 0.001 * rng.normal(size=3)
+        for k in range(12):
+            j = FrozenRbfEstimator(model).jacobian(joints)
+            aside = 0.002 * rng.normal(size=3)
+            step = np.linalg.pinv(j) @ (np.array([0.03, 0.0, 0.0]) + aside)
+            noise = 0.001 * rng.normal(size=3)
+            learner.update(MotionStep(k / 30.0, 1.0 / 30.0, joints, step, j @ step + noise - last))
+            last = noise
+        turned = learner.factor
+        off_deg.append(np.degrees(np.arccos(np.clip(0.5 * (np.trace(turned) - 1.0), -1.0, 1.0))))
+    assert np.mean(off_deg) < 2.0
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_long_way_along_one_line_forgets_nothing(model, kind):
     chain = ur5_chain().moved(TURNED, np.zeros(3))
