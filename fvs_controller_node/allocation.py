@@ -128,11 +128,13 @@ class LeastSpeedInverse:
             left_out = largest((1.0 - share) * least) / max(largest(least), _TINY)
             spared = self._sparing(jacobian, velocity_m_s, share)
             least = spared - (free @ spared) @ free
-        if home_rad is not None and joints_rad is not None and near_rad_s is None:
-            near_rad_s, nearness = _homing(home_rad - joints_rad, largest(least))
         if near_rad_s is not None:
             least = least + (free @ near_rad_s) @ free
             spared = None if spared is None else least
+        elif home_rad is not None and joints_rad is not None:
+            room = 1.0 if shares is None else float(shares.min())
+            homing, nearness = _homing(home_rad - joints_rad, largest(least), room)
+            least = least + (free @ homing) @ free
         scale = largest(least)
         if not _TINY < scale < np.inf:
             return least
@@ -180,10 +182,13 @@ class LeastSpeedInverse:
         return np.minimum(np.maximum(room / self.joint_range.margin_rad, 0.0), 1.0)
 
 
-def _homing(away_rad: np.ndarray, speed: float) -> tuple[np.ndarray, float]:
-    """The way back to a posture, and the weight it has: nothing where the arm is there."""
+def _homing(away_rad: np.ndarray, speed: float, room: float) -> tuple[np.ndarray, float]:
+    """The way back to a posture, and the weight it has.
+
+    Nothing where the arm is there, nor where a joint is at its end: the others have enough to do.
+    """
     furthest_rad = largest(away_rad)
-    share = min(1.0, furthest_rad / _NEAR_HOME_RAD)
+    share = room * min(1.0, furthest_rad / _NEAR_HOME_RAD)
     near = away_rad * (share * speed / max(furthest_rad, _TINY))
     return near, _SMOOTHING + share * (_HOMING - _SMOOTHING)
 
