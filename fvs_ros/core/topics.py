@@ -437,6 +437,7 @@ INTERFACES: dict[str, Interface] = {
             "fvs_controller_node/get_parameters",
             "fvs_sim_node/get_parameters",
             "fvs_sim_node/set_parameters",
+            "fvs_sim_node/reset",
         ),
     ),
     "fvs_markers_node": Interface(
