@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseStamped
-from rcl_interfaces.srv import GetParameters, SetParameters
-from rclpy.parameter import Parameter
+from rcl_interfaces.srv import GetParameters
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Bool, String
 
@@ -467,15 +466,11 @@ def test_a_tour_that_loses_the_ball_puts_the_simulated_arm_back_and_goes_on(ros_
         return np.abs([joints[name] for name in UR_JOINT_NAMES] - home).max()
 
     ros_test.spin_until(lambda: states and away_rad() > 0.2, 30.0, "the tour to begin")
-    cover = SetParameters.Request(
-        parameters=[Parameter("camera_covered", value=True).to_parameter_msg()]
-    )
-    ros_test.call(SetParameters, "fvs_sim_node/set_parameters", cover)
+    ros_test.set_parameters("fvs_sim_node", camera_covered=True)
     wait_for_state(ros_test, page, "HOLDING")
     ros_test.spin_until(lambda: away_rad() < 1e-3, 20.0, "the arm where it began", page.text)
     ros_test.spin_until(lambda: LOST in page.text(), 5.0, "why", page.text)
-    cover.parameters = [Parameter("camera_covered", value=False).to_parameter_msg()]
-    ros_test.call(SetParameters, "fvs_sim_node/set_parameters", cover)
+    ros_test.set_parameters("fvs_sim_node", camera_covered=False)
     ros_test.spin_until(lambda: away_rad() > 0.2, 20.0, "the tour to go on", page.text)
     assert page.value("Tour")
     page.press("Stop")

@@ -16,6 +16,7 @@ from fvs_estimator_node.left_factor import (
     left_factor_config,
 )
 from fvs_estimator_node.rbf import FrozenRbfEstimator
+from fvs_estimator_node.rotations import rotation_angle_rad
 from fvs_estimator_node.teaching import teach
 
 BOX = ur5_dh.HOME_RAD + np.array([-1.0, 1.0])[:, None] * ur5_dh.BOX_M_RAD
@@ -146,8 +147,7 @@ def test_noise_feigns_no_turn_about_the_line_that_the_ball_goes_along(model):
             noise = 0.001 * rng.normal(size=3)
             learner.update(MotionStep(k / 30.0, 1.0 / 30.0, joints, step, j @ step + noise - last))
             last = noise
-        turned = learner.factor
-        off_deg.append(np.degrees(np.arccos(np.clip(0.5 * (np.trace(turned) - 1.0), -1.0, 1.0))))
+        off_deg.append(np.degrees(rotation_angle_rad(learner.factor)))
     assert np.mean(off_deg) < 2.0
 
 
