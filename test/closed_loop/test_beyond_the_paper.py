@@ -49,10 +49,10 @@ def floors_s():
     return np.array([floor_s(start, goal) for start, goal in PAIRS])
 
 
-def runs(values, **changes):
+def runs(values, motions=PAIRS, **changes):
     return [
         servo(start, goal, seed=number, values=values, duration_s=3.0, **changes)
-        for number, (start, goal) in enumerate(PAIRS)
+        for number, (start, goal) in enumerate(motions)
     ]
 
 
@@ -100,10 +100,14 @@ def test_one_default_does_for_little_and_much_noise(noise_m):
 
 
 def test_the_additions_are_worth_something_each():
-    whole = np.mean(settled_s(runs(ADDITIONS)))
+    # Three motions do not tell: what is worth something to most costs some of them a little.
+    motions = pairs(16, seed=11)
+    whole_s = settled_s(runs(ADDITIONS, motions))
     for name in ("allocation", "anticipate_drive_lag", "ftsm_path"):
         without = {key: value for key, value in ADDITIONS.items() if key != name}
-        assert np.mean(settled_s(runs(without))) > 1.02 * whole, name
+        without_s = settled_s(runs(without, motions))
+        assert np.median(without_s / whole_s) > 1.02, name
+        assert np.median(without_s) > 1.02 * np.median(whole_s), name
     fixed = {**ADDITIONS, "fusion": "fixed"}
     calm, restless = (
         np.median([run.final_rms_m for run in runs(values)]) for values in (ADDITIONS, fixed)
