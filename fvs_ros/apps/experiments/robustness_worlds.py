@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from math import hypot
 
 import numpy as np
 
@@ -146,12 +147,12 @@ class World:
     @property
     def turn_deg(self) -> float:
         """How far the camera has been carried round, degrees."""
-        return _length(self.camera_turn_deg)
+        return hypot(*self.camera_turn_deg)
 
     @property
     def bump_deg(self) -> float:
         """How far a bump turns the camera, degrees; 0 without one."""
-        return 0.0 if self.bump is None else _length(self.bump.rotation_deg)
+        return 0.0 if self.bump is None else hypot(*self.bump.rotation_deg)
 
     def simulation(self, rendered: bool) -> Simulation:
         """The process's simulation, set up as this world; to be reset before use."""
@@ -175,7 +176,7 @@ class World:
             ""
             if bump is None
             else f", camera bumped by {self.bump_deg:.1f}° and "
-            f"{1e3 * _length(bump.translation_m):.0f} mm after {bump.time_s:.1f} s"
+            f"{1e3 * hypot(*bump.translation_m):.0f} mm after {bump.time_s:.1f} s"
         )
         return (
             f"{1e3 * self.distance_m:.0f} mm to go, camera carried round by {self.turn_deg:.1f}°"
@@ -236,10 +237,6 @@ def _direction(rng: np.random.Generator, length: float) -> tuple[float, float, f
     vector = rng.normal(size=3)
     x, y, z = (length * vector / np.linalg.norm(vector)).tolist()
     return (x, y, z)
-
-
-def _length(vector: tuple[float, ...]) -> float:
-    return float(np.linalg.norm(vector))
 
 
 def _visible_distance_m(
