@@ -5,7 +5,7 @@ So the law first looks for the joint goal ``q``: of all joints that put the ball
 one with the least largest travel from here. With a forward model of the chain that is a short
 sequence of least distance problems (:mod:`fvs_controller_node.allocation`), each about the goal
 before, drawn a little to the joints that the arm was started at, and the image's offset from the
-model is kept; without one the Jacobian here has to do.
+model is kept; without one the Jacobian here has to do. A moving target takes the goal along.
 Then all joints go there in proportion. With D the travel left, the speed of the one with the
 longest way is the largest v that lets it brake at the acceleration limit a from the next tick on,
 
@@ -32,12 +32,12 @@ from fvs_ros.core.joints import N_JOINTS
 from fvs_ros.core.params import Parameter
 
 #: Steps of the search for the goal after a new target, the last of which are repeated after each
-#: image; longest step of a joint, rad. The steps hold on to what was found more and more: a
-#: linear programme after the other would go to and fro between two corners.
+#: image; longest step of a joint, rad. In the first ones the goal is drawn towards the posture that
+#: the arm was started in; the others hold on to what was found, more and more: a linear programme
+#: after the other would go to and fro between two corners.
 _FIRST_STEPS, _STEPS, _LONGEST_RAD, _NEARNESS = 8, 2, 0.5, 0.2
-#: In so many of the first steps the goal is drawn towards the posture that the arm was started in.
 _HOMING_STEPS = 4
-#: A target further than this from where the last goal leads is a new one, m.
+#: The goal is looked for anew, too, if it leads further than this from the target, m.
 _NEW_M = 0.02
 #: Damping of the search, m^2/rad^2: larger would leave a part of the way out.
 _SEARCH_DAMPING = 1e-8
@@ -60,6 +60,7 @@ class ArriveLaw(ControlLaw):
 
     anticipates = True
     reads_chain = True
+    least_speed = True
 
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
         Parameter(
@@ -107,14 +108,16 @@ class ArriveLaw(ControlLaw):
     def reset(self) -> None:
         """Forget the goal."""
         self._goal: np.ndarray | None = None
-        self._news = -1
+        self._news = self._targets = -1
 
     def command(self, control_input: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""
         one = control_input
+        if self._goal is not None and one.ahead_rad_s.any():
+            self._goal = self._within_range(self._goal + one.dt_s * one.ahead_rad_s)
         if self._goal is None or one.news != self._news or one.chain is None:
             self._goal = self._find_goal(one)
-            self._news = one.news
+            self._news, self._targets = one.news, one.targets
         left = self._goal - one.joints_rad
         travel = float(np.abs(left).max())
         velocity = np.zeros(N_JOINTS)
@@ -138,19 +141,16 @@ class ArriveLaw(ControlLaw):
         goal = joints if self._goal is None else self._goal
         position, jacobian = chain.position_and_jacobian(goal)
         missing = wanted - position
-        new = float(np.abs(missing).max()) > _NEW_M
+        new = one.targets != self._targets or float(np.abs(missing).max()) > _NEW_M
         for number in range(0 if new else _FIRST_STEPS - _STEPS, _FIRST_STEPS):
             travel = goal - joints
-            homing = new and one.home_rad is not None and number < _HOMING_STEPS
-            step = self._search.solve(
-                jacobian,
-                missing + jacobian @ travel,
-                joints,
-                None if homing else travel,
-                _NEARNESS * 2.0 ** max(0, number - 2),
-                one.home_rad if homing else None,
-            )
-            step = step - travel
+            way = missing + jacobian @ travel
+            if new and one.home_rad is not None and number < _HOMING_STEPS:
+                found = self._search.solve(jacobian, way, joints, home_rad=one.home_rad)
+            else:
+                nearness = _NEARNESS * 2.0 ** max(0, number - 2)
+                found = self._search.solve(jacobian, way, joints, travel, nearness)
+            step = found - travel
             goal = self._within_range(
                 goal + step * min(1.0, _LONGEST_RAD / max(float(np.abs(step).max()), 1e-12))
             )

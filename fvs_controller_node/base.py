@@ -9,9 +9,14 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from fvs_ros.core.chain import SerialChain
+from fvs_ros.core.joints import N_JOINTS
 from fvs_ros.core.params import Parameter
 
 N_AXES = 3
+
+#: Joint velocities of an arm that rests, rad/s.
+AT_REST = np.zeros(N_JOINTS)
+AT_REST.flags.writeable = False
 
 
 class ControlInput(NamedTuple):
@@ -36,6 +41,10 @@ class ControlInput(NamedTuple):
         Forward model of arm and ball as the camera sees them; up to a constant offset.
     home_rad : ndarray, shape (6,), optional
         Joints at which the arm was started, rad: a posture to come back to on the way.
+    ahead_rad_s : ndarray, shape (6,)
+        Joint velocities that go along with a moving target, rad/s: added to what the law answers.
+    targets : int
+        Changes with every target that does not go on with the motion of the last one.
     """
 
     error_m: np.ndarray
@@ -46,6 +55,8 @@ class ControlInput(NamedTuple):
     news: int = 0
     chain: SerialChain | None = None
     home_rad: np.ndarray | None = None
+    ahead_rad_s: np.ndarray = AT_REST
+    targets: int = 0
 
 
 class ControlOutput(NamedTuple):
@@ -85,6 +96,9 @@ class ControlLaw(ABC):
 
     #: Whether it makes use of a chain; else nobody minds what becomes of chains.
     reads_chain: ClassVar[bool] = False
+
+    #: Whether it moves at the least joint speeds, whatever the parameter ``allocation`` says.
+    least_speed: ClassVar[bool] = False
 
     #: Parameters that this law adds to the node's.
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = ()

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from math import pi
 from typing import Any
 
-from fvs_controller_node.allocation import ALLOCATION_PARAMETERS, Inverse, make_inverse
+from fvs_controller_node.allocation import ALLOCATION_PARAMETERS, LEAST_SPEED, Inverse, make_inverse
 from fvs_controller_node.anticipation import Anticipation
 from fvs_controller_node.base import N_AXES, ControlLaw
 from fvs_controller_node.fusion import ADAPTIVE, FIXED, AdaptiveFusion, make_fusion
@@ -454,5 +454,6 @@ def _predictor_settings(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _follower_settings(values: Mapping[str, Any]) -> tuple[float, bool, Inverse]:
     # The law pulls towards the posture already.
-    inverse = make_inverse({**values, "posture_gain_1_s": 0.0})
+    own = {"allocation": LEAST_SPEED} if LAWS[values["law"]].least_speed else {}
+    inverse = make_inverse({**values, **own, "posture_gain_1_s": 0.0})
     return values["target_window_s"], values["target_feed_forward"], inverse

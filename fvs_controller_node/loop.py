@@ -11,7 +11,7 @@ from math import inf, pi
 import numpy as np
 
 from fvs_controller_node.anticipation import Anticipation
-from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
+from fvs_controller_node.base import AT_REST, ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.drive_lag import DriveLag
 from fvs_controller_node.predictor import BallPredictor
 from fvs_controller_node.reasons import State
@@ -20,7 +20,6 @@ from fvs_controller_node.supervisor_config import BALL, JOINT_STATES, KINEMATIC_
 from fvs_controller_node.target_motion import STANDING, Target, TargetFollower
 from fvs_ros.core.chain import SerialChain
 from fvs_ros.core.history import StampGate
-from fvs_ros.core.joints import N_JOINTS
 
 #: No joint is faster, nor a step between joint states larger than this besides, rad/s and rad;
 #: after a longer gap than this nothing is said, s.
@@ -30,8 +29,6 @@ _CHAIN_MAX_AGE_S = 1.5
 #: A chain whose Jacobian differs from that in use by more than this share is not used, and said to
 #: be wrong after so many messages: the two come one after the other when the camera was moved.
 _CHAIN_DIFFERS, _CHAIN_DOUBTS = 0.3, 5
-#: A target that stands, m/s, and the joint velocities that keep up with it, rad/s.
-_AT_REST = np.zeros(N_JOINTS)
 
 
 class ServoLoop:
@@ -71,6 +68,7 @@ class ServoLoop:
         self._compared = -1  # at which image they were compared last
         self._stamp_s = 0.0
         self._moves = 0  # of the target
+        self._targets = 0  # that did not go on with the motion of the one before
         self._aim: Target | None = None  # the target when the supervisor was told of it last
         self._target_m_s = STANDING
         self._joint_stamps, self._ball_stamps = StampGate(), StampGate()
@@ -174,6 +172,7 @@ class ServoLoop:
         accepted, text = self.supervisor.target(position_m, frame, moving=moving)
         if accepted:
             self._moves += 1
+            self._targets += not moving
             self.follower.update(position_m, stamp_s, self._stamp_s)
         return accepted, text
 
@@ -188,6 +187,7 @@ class ServoLoop:
         accepted, text = self.supervisor.target(position, self.supervisor.config.feature_frame)
         if accepted:
             self._moves += 1
+            self._targets += 1
             self.follower.stand(position, self._stamp_s)
         return accepted, text
 
@@ -257,7 +257,7 @@ class ServoLoop:
         self._drive_lag.add(
             self._stamp_s, applied, self._joints, compare=self.supervisor.full_speed
         )
-        target_m_s, ahead = self._target_m_s, _AT_REST
+        target_m_s, ahead = self._target_m_s, AT_REST
         if target_m_s is not STANDING and target_m_s.any():
             self._moves += 1
             ahead = self.follower.feed_forward(target_m_s, self._jacobian, self._joints, self._home)
@@ -270,6 +270,8 @@ class ServoLoop:
             news=self.predictor.images + self._moves,
             chain=None if self._chain_doubts else self._chain,
             home_rad=self._home,
+            ahead_rad_s=ahead,
+            targets=self._targets,
         )
         if self.anticipation is None:
             output = self.law.command(told)
@@ -278,7 +280,7 @@ class ServoLoop:
                 told, self._drive_lag.pending_rad(), self._drive_lag.lag_s * target_m_s
             )
             output = self.anticipation.brake(self.law.command(told), told)
-        if ahead is _AT_REST:
+        if ahead is AT_REST:
             return output
         return output._replace(
             velocity_rad_s=output.velocity_rad_s + ahead,

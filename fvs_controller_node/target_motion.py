@@ -275,6 +275,7 @@ class TargetFollower:
         self._motion = TargetMotion(window_s)
         self._enabled = enabled
         self._inverse = inverse or DampedInverse()
+        self._stamped = False  # the last update
 
     def configure(self, window_s: float, enabled: bool, inverse: Inverse) -> None:
         """Change the settings and keep the motion."""
@@ -288,15 +289,21 @@ class TargetFollower:
         )
 
     def overtaken(self, position_m: np.ndarray, stamp_s: float, now_s: float) -> bool:
-        """Whether a target comes after one that was told earlier and was there later."""
-        return self._enabled and self._motion.overtaken(
-            np.asarray(position_m, dtype=float), _on_own_clock(stamp_s, now_s)
-        )
+        """Whether a target comes after one that was told earlier and was there later.
+
+        Nobody knows when one without a stamp was there: it overtakes none.
+        """
+        there_s = _on_own_clock(stamp_s, now_s)
+        known = self._enabled and self._stamped
+        return known and self._motion.overtaken(np.asarray(position_m, dtype=float), there_s)
 
     def update(self, position_m: np.ndarray, stamp_s: float, now_s: float) -> None:
         """Take a target that was there at a stamp; one from another clock counts from now, s."""
         there_s = _on_own_clock(stamp_s, now_s)
+        if not self._stamped and self._motion.overtaken(np.asarray(position_m), there_s):
+            there_s = now_s
         self._motion.update(position_m, there_s, now_s - there_s)
+        self._stamped = there_s == stamp_s
 
     def stand(self, position_m: np.ndarray, now_s: float) -> None:
         """Take a target that stands, whatever moved before, m, (3,)."""

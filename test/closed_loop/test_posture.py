@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from fvs_controller_node.reasons import State
 from fvs_estimator_node.model_file import load_model
 from fvs_ros.apps.demo import choose_target
 from fvs_ros.apps.experiments.lockstep import (
@@ -17,16 +18,21 @@ from fvs_ros.core.paths import find_file
 from fvs_ros.core.schemes import scheme
 
 TARGETS = 40
+CIRCLE_M, CIRCLE_M_S, IMAGE_S = 0.1, 0.15, 1.0 / 30.0
 
 
-@pytest.mark.parametrize("name", ["best", "extended"])
-def test_forty_targets_in_a_row_are_reached_near_the_posture_of_the_start(name):
+def loop_of(name):
     one, simulation = scheme(name), simulation_of(Conditions(rendered=False))
     simulation.reset(HOME_RAD, 1)
     estimator = make_estimator(
         one.method, simulation, load_networks(), one.estimator_values, load_chain()
     )
-    loop = LockStep(simulation, estimator, {"law": one.law, **one.controller_values})
+    return simulation, LockStep(simulation, estimator, {"law": one.law, **one.controller_values})
+
+
+@pytest.mark.parametrize("name", ["best", "extended"])
+def test_forty_targets_in_a_row_are_reached_near_the_posture_of_the_start(name):
+    simulation, loop = loop_of(name)
     rng = np.random.default_rng(1)
     candidates_m = load_model(find_file(MODEL)).ball_samples_m
     loop.run(0.4)
@@ -39,3 +45,21 @@ def test_forty_targets_in_a_row_are_reached_near_the_posture_of_the_start(name):
         away_rad.append(np.abs(simulation.joints_rad - HOME_RAD).max())
     # Without the way back: 0.82 and 0.76 in the mean.
     assert np.mean(away_rad) < 0.45
+
+
+@pytest.mark.parametrize("name", ["best", "extended"])
+def test_a_target_that_goes_round_and_round_is_followed_near_the_posture_of_the_start(name):
+    simulation, loop = loop_of(name)
+    loop.run(0.4)
+    began_s, start_m = simulation.time_s, simulation.true_ball_position()
+    away_rad, told_s = 0.0, 0.0
+    while simulation.time_s < began_s + 60.0:
+        now_s = simulation.time_s - began_s
+        if now_s >= told_s:
+            angle = CIRCLE_M_S / CIRCLE_M * now_s
+            loop.set_target(start_m + CIRCLE_M * np.array([np.cos(angle) - 1, 0.0, np.sin(angle)]))
+            told_s += IMAGE_S
+        assert loop.tick().state is State.SERVOING
+        away_rad = max(away_rad, np.abs(simulation.joints_rad - HOME_RAD).max())
+    # Half of it is the circle itself. Without the way back: 0.50, and ever more.
+    assert away_rad < 0.4

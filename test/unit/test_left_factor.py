@@ -134,20 +134,27 @@ def test_the_start_counts_more_against_noisier_steps(model, noise_m):
     assert np.median(off) < 0.06
 
 
-def test_noise_feigns_no_turn_about_the_line_that_the_ball_goes_along(model):
+@pytest.mark.parametrize("turned", [np.eye(3), TURNED])
+def test_noise_feigns_no_turn_about_the_line_that_the_ball_goes_along(model, turned):
     """What the small motions to the side tell is less than their noise: nothing is believed."""
     off_deg = []
     for seed in range(10):
         rng, learner = np.random.default_rng(seed), estimator_of(model)
+        if turned is TURNED:
+            travel(learner, ur5_chain().moved(TURNED, np.zeros(3)), 3.0, rng)
+            jump = MotionStep(0.0, 1.0 / 30.0, ur5_dh.HOME_RAD, np.full(6, 0.01), np.ones(3))
+            learner.update(jump)  # a bump that turns nothing
+        begun = learner.factor
         joints, last = ur5_dh.HOME_RAD, 0.001 * rng.normal(size=3)
         for k in range(12):
             j = FrozenRbfEstimator(model).jacobian(joints)
             aside = 0.002 * rng.normal(size=3)
             step = np.linalg.pinv(j) @ (np.array([0.03, 0.0, 0.0]) + aside)
             noise = 0.001 * rng.normal(size=3)
-            learner.update(MotionStep(k / 30.0, 1.0 / 30.0, joints, step, j @ step + noise - last))
+            seen = begun @ (j @ step) + noise - last
+            learner.update(MotionStep(k / 30.0, 1.0 / 30.0, joints, step, seen))
             last = noise
-        off_deg.append(np.degrees(rotation_angle_rad(learner.factor)))
+        off_deg.append(np.degrees(rotation_angle_rad(learner.factor @ begun.T)))
     assert np.mean(off_deg) < 2.0
 
 

@@ -220,10 +220,44 @@ def test_an_overtaken_target_is_passed_over_whether_the_newer_one_stands_or_move
     accepted, text = loop.add_target(newer - [0.03, 0.0, 0.0], FRAME, now_s - 0.1)
     assert accepted
     assert text == "target passed over: a newer one has been told"
+    assert not loop.add_target(newer - [0.03, 0.0, 0.0], "another_frame", now_s - 0.1)[0]
     for _ in range(50):
         servoing.tick()
     np.testing.assert_allclose(loop.supervisor.target_m, newer, atol=1e-9)
-    assert not loop.add_target(newer, "another_frame", now_s - 0.1)[0]
+
+
+def test_a_target_without_a_stamp_overtakes_none(servoing):
+    loop, first = servoing.loop, np.array([0.1, 0.0, 1.1])
+    assert loop.add_target(first, FRAME)[0]
+    stamp_s = servoing.now_s - 0.01
+    for _ in range(10):
+        servoing.tick()
+    accepted, text = loop.add_target(first + [0.04, 0.0, 0.0], FRAME, stamp_s)
+    assert accepted
+    assert "passed over" not in text
+    for _ in range(50):
+        servoing.tick()
+    np.testing.assert_allclose(loop.supervisor.target_m, first + [0.04, 0.0, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("values", [{"law": "arrive"}, {"allocation": "least_speed"}])
+def test_what_goes_along_with_a_target_leads_back_to_the_posture_of_the_start(values):
+    cell = Cell(**values)
+    cell.jacobian = np.hstack([np.eye(3), np.eye(3)]) * 0.5
+    cell.loop.add_chain(cell.now_s, CHAIN)
+    cell.begin()
+    told = []
+    command = cell.loop.law.command
+    cell.loop.law.command = lambda one: (told.append(one), command(one))[1]
+    cell.joints = HOME + [0.05, 0.0, 0.0, -0.05, 0.0, 0.0]  # does not move the ball
+    for k in range(12):
+        cell.tick()
+        target = np.array([0.2, 0.1 + 0.002 * k, 1.2])
+        assert cell.loop.add_target(target, FRAME, cell.now_s)[0]
+    ahead_rad_s = told[-1].ahead_rad_s
+    np.testing.assert_allclose(cell.jacobian @ ahead_rad_s, [0.0, 0.25, 0.0], atol=1e-3)
+    assert ahead_rad_s[0] < -0.02
+    assert ahead_rad_s[3] > 0.02
 
 
 def test_the_posture_to_come_back_to_is_that_of_the_last_start(servoing):
