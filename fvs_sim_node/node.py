@@ -72,8 +72,8 @@ class SimNode(ros.FvsNode):
             PoseStamped, "~/true_camera_pose", ros.QOS_LATCHED
         )
         self._describe(v)
-        self._color = self.create_publisher(Image, ros.COLOR_IMAGE, ros.QOS_RELIABLE)
-        self._depth = self.create_publisher(Image, ros.DEPTH_IMAGE, ros.QOS_RELIABLE)
+        self._color = self.create_publisher(Image, ros.COLOR_IMAGE, ros.QOS_LARGE)
+        self._depth = self.create_publisher(Image, ros.DEPTH_IMAGE, ros.QOS_LARGE)
         self._info = self.create_publisher(CameraInfo, ros.CAMERA_INFO, ros.QOS_RELIABLE)
         self._play_driver(v)
         self.watch(Float64MultiArray, ros.COMMANDS, self._on_command, ros.QOS_RELIABLE)

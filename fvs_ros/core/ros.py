@@ -94,6 +94,10 @@ QOS_EVENT = QoSProfile(
 QOS_EVERY = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=25, reliability=ReliabilityPolicy.RELIABLE
 )
+#: For images: one may be still on its way when the next one is there.
+QOS_LARGE = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=5, reliability=ReliabilityPolicy.RELIABLE
+)
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 

@@ -22,6 +22,7 @@ from fvs_ros.apps.dashboard.actions import (
     point_of,
 )
 from fvs_ros.apps.dashboard.board import Board, Trace
+from fvs_ros.apps.dashboard.picture import with_age
 from fvs_ros.apps.dashboard.placement import UNKNOWN, CameraPlacement, Pose
 from fvs_ros.apps.dashboard.tour import TargetTour
 from fvs_ros.core.camera import Intrinsics
@@ -297,16 +298,18 @@ def test_a_picture_that_is_not_of_now_is_dark_and_tells_its_age(board):
     assert board.picture_age_s(1.0) == 1.0
     assert (board.snapshot(1.0, tour=False).picture == 200).all()
     assert board.snapshot(1.9, tour=False).picture is None
-    ages = [board.snapshot(now_s, tour=False).picture for now_s in (2.6, 2.9, 3.4, 3.6, 12.0)]
-    assert [age is None for age in ages] == [False, True, True, False, False]
-    three, four, twelve = (age for age in ages if age is not None)
-    for one in (three, four, twelve):
-        assert np.median(one) == 70
-        assert (one > 240).any()  # the words
-    assert (three != four).any()
-    assert (four != twelve).any()
+    shown = [board.snapshot(now_s, tour=False) for now_s in (2.6, 2.9, 3.4, 3.6, 12.0)]
+    assert [one.picture is None for one in shown] == [False, True, True, False, False]
+    assert [one.picture_old_s for one in shown if one.picture is not None] == [3, 4, 12]
+    for one in shown:
+        assert one.picture is None or (one.picture == 70).all()
+    words = [with_age(shown[0].picture, age_s) for age_s in (3, 4)]
+    assert all((one > 240).any() for one in words)
+    assert (words[0] != words[1]).any()
     board.add_image(12.0, 22.0, np.full((480, 640, 3), 200, np.uint8))
-    assert (board.snapshot(12.1, tour=False).picture == 200).all()
+    young = board.snapshot(12.1, tour=False)
+    assert (young.picture == 200).all()
+    assert young.picture_old_s == 0
     board.add_image(7.0, 17.0, np.full((480, 640, 3), 200, np.uint8))  # five seconds late
     assert np.median(board.snapshot(12.2, tour=False).picture) == 70
 

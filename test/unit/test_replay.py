@@ -555,13 +555,16 @@ def test_only_the_controller_s_own_words_are_not_said_twice(tmp_path, namespace)
     ]
 
 
-def test_every_state_that_is_drawn_has_a_name(recording, tmp_path, monkeypatch):
+def test_the_states_that_are_drawn_have_names_and_colours(recording, tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(overview, "save", lambda figure, _: drawn.append(figure))
     overview.overview(recording, [], (0.005,), tmp_path)
     pyplot().close(drawn[0])
     legend = drawn[0].axes[0].get_legend()
-    assert {text.get_text() for text in legend.get_texts()} == {*State.__members__, SILENT}
+    assert {text.get_text() for text in legend.get_texts()} == {
+        spell.what for spell in story.states(recording)
+    }
+    assert set(overview.STATES) == {*State.__members__, SILENT, story.ENDED}
 
 
 # --- beginnings ---

@@ -236,6 +236,7 @@ class Board:
         detector_s = heard_s.get("detector", inf)
         notes = [self.placement.note]
         notes += [text for text, until_s in self._notes.values() if now_s < until_s]
+        drawn = self._picture(now_s, controller.silent)
         return view.Snapshot(
             banner=banner,
             controller=controller,
@@ -254,7 +255,8 @@ class Board:
                 self._exponent.window(now_s),
             ),
             limit_rad_s=self.limit_rad_s,
-            picture=self._picture(now_s, controller.silent),
+            picture=drawn,
+            picture_old_s=self._said_age_s,
             field_of_view=self._field_of_view(),
             answer=self._answer if now_s - self._answer_s < _ANSWER_S else "",
             tour=tour,
@@ -277,7 +279,7 @@ class Board:
         age_s = now_s - exposed_s
         said_s, self._said_age_s = self._said_age_s, round(age_s) if age_s > _OLD_PICTURE_S else 0
         if self._said_age_s and (newest is not None or self._said_age_s != said_s):
-            return picture.aged(drawn, age_s)
+            return picture.darkened(drawn)
         return drawn if newest is not None else None
 
     def _draw(

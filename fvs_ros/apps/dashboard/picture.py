@@ -84,15 +84,26 @@ def draw(
     return small
 
 
-def aged(image_rgb: np.ndarray, age_s: float) -> np.ndarray:
-    """A picture that is not of now: dark, and with its age, s, in words; uint8, as it was."""
-    old = (_OLD_LIGHT * image_rgb).astype(np.uint8)
-    words = f"{age_s:.0f} s old"
+def darkened(image_rgb: np.ndarray) -> np.ndarray:
+    """A picture that is not of now; uint8, as it was."""
+    return (_OLD_LIGHT * image_rgb).astype(np.uint8)
+
+
+def with_age(image_rgb: np.ndarray, age_s: int) -> np.ndarray:
+    """A picture with its age, s, in words; uint8, as it was."""
+    words = f"{age_s} s old"
     scale = image_rgb.shape[1] / 400.0
     (width, height), _ = cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
     at = ((image_rgb.shape[1] - width) // 2, (image_rgb.shape[0] + height) // 2)
     return cv2.putText(
-        old, words, at, cv2.FONT_HERSHEY_SIMPLEX, scale, (255, 255, 255), 1, cv2.LINE_AA
+        image_rgb.copy(),
+        words,
+        at,
+        cv2.FONT_HERSHEY_SIMPLEX,
+        scale,
+        (255, 255, 255),
+        1,
+        cv2.LINE_AA,
     )
 
 

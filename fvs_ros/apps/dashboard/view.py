@@ -290,6 +290,8 @@ class Snapshot:
         The controller's joint speed limit; NaN while unknown.
     picture : ndarray, shape (height, width, 3), or None
         A new camera image with what was found drawn in, uint8; None if there is no new one.
+    picture_old_s : int
+        Its age where it is not of now, s; else 0.
     field_of_view : tuple of float
         The camera's vertical field of view, rad, and its image's width over height.
     answer : str
@@ -313,6 +315,7 @@ class Snapshot:
     curves: Curves
     limit_rad_s: float
     picture: np.ndarray | None
+    picture_old_s: int
     field_of_view: tuple[float, float]
     answer: str
     tour: bool

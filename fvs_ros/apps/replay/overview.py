@@ -23,11 +23,12 @@ STATES = {
     "SERVOING": "#5fb88f",
     "HOLDING": "#e69f00",
     "FAULT": "#c0392b",
-    SILENT: "#eeeeee",
+    SILENT: "#dddddd",
+    story.ENDED: "#ffffff",
 }
 _LIMIT = "#7a6fb0"
-#: Of a controller that was ended, and of a state that is none of this project's controller.
-_OTHER = "#ffffff"
+#: Of a state that is none of this project's controller.
+_OTHER = "#ffd7f0"
 _JOINTS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _SMALLEST_M = 1e-5
 #: A state is named where it takes at least this share of the width.
@@ -74,8 +75,12 @@ def _strip(axis: Any, recording: Recording) -> None:
             axis.text(left + 0.5 * width, 1, name, ha="center", va="center", fontsize=8)
     axis.set(ylim=(-0.6, 1.6), yticks=[0, 1], yticklabels=["a limit is active", "controller"])
     axis.grid(visible=False)
-    handles = [pyplot().Rectangle((0, 0), 1, 1, color=colour) for colour in STATES.values()]
-    axis.legend(handles, STATES, loc="upper left", bbox_to_anchor=(1.0, 1.2))
+    seen = list(dict.fromkeys(spell.what for spell in states))
+    handles = [
+        pyplot().Rectangle((0, 0), 1, 1, facecolor=STATES.get(what, _OTHER), edgecolor="#888888")
+        for what in seen
+    ]
+    axis.legend(handles, seen, loc="upper left", bbox_to_anchor=(1.0, 1.2))
 
 
 def _blocks(recording: Recording, states: Sequence[story.Spell]) -> list[tuple[float, float, str]]:
