@@ -57,10 +57,14 @@ TARGET = "x, y, z (m)"
 #: All at one look: what the panel says, and where Stop is.
 LOOK = """() => {
     const text = name => document.getElementById(`fvs-${name}`).innerText;
-    const stop = [...document.querySelectorAll("button")].find(one => one.innerText == "Stop");
-    const {left, top, right, bottom} = stop.getBoundingClientRect();
+    const box = name => {
+        const all = [...document.querySelectorAll("button")];
+        const {left, top, right, bottom} = all.find(one => one.innerText == name)
+            .getBoundingClientRect();
+        return [left, top, right, bottom];
+    };
     return {state: text("state"), sentence: text("sentence"), answer: text("answer"),
-            stop: [left, top, right, bottom]};
+            stop: box("Stop"), go: box("Go")};
 }"""
 
 #: Whether the page says that its program has ended.
@@ -83,7 +87,7 @@ class Eyes:
         self.page = page
         self.started = True
         self.next_s = 0.0
-        self.stops = set()  # where the button was
+        self.stops, self.gos = set(), set()  # where the buttons were
         self.states = set()
         self.answers = set()
 
@@ -98,6 +102,8 @@ class Eyes:
         """Note what has been there at one time or another; the sentence of now."""
         seen = self.page.evaluate(LOOK)
         self.stops.add(tuple(round(edge) for edge in seen["stop"]))
+        if seen["sentence"].startswith(("servoing", "on target")):
+            self.gos.add(tuple(round(edge) for edge in seen["go"]))
         self.states.add(seen["state"])
         self.answers.add(seen["answer"])
         return seen["sentence"]
@@ -177,6 +183,8 @@ def test_a_person_watches_sets_a_target_and_stops(ros_test, browser):
 
     wanted = go_somewhere()
     eyes.wait(lambda: np.linalg.norm(ball() - wanted) < 0.01, "the ball at the target")
+
+    assert len(eyes.gos) == 1, eyes.gos  # nor did this one, while all went well
 
     # Stop on the way to another.
     go_somewhere()

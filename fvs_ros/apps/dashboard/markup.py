@@ -59,7 +59,8 @@ def side_by_side(name: str, always: bool = False) -> str:
         style += (
             # What is scrolled under them is not to be seen between them.
             f"{first}, {second} {{position:sticky;top:10px;z-index:9;"
-            "background:var(--mantine-color-body);box-shadow:0 0 0 4px var(--mantine-color-body),"
+            "background:var(--mantine-color-body);"
+            "box-shadow:0 -4px 0 4px var(--mantine-color-body),"
             "0 -8px 0 4px var(--mantine-color-body)}} "
             f"{first} button, {second} button {{height:38px;font-size:16px;font-weight:650}} "
             # What clips the panel would hold them.
@@ -80,7 +81,9 @@ def banner_html(banner: Banner) -> str:
     return (
         f'<div style="{_BOX}background:{banner.colour};color:#fff;padding:0.5em 0.8em;">'
         '<div style="display:flex;justify-content:space-between;align-items:baseline;gap:0.5em">'
-        f'<span style="font-size:1.3em;font-weight:650;white-space:nowrap">{escape(banner.title)}'
+        # One line, whatever there is to say: the buttons below stay where they are.
+        '<span style="flex:1 1 0;width:0;overflow:hidden;text-overflow:ellipsis;white-space:nowrap;'
+        f'font-size:1.3em;font-weight:650">{escape(banner.title)}'
         '</span><span id="fvs-error" style="font-size:1.4em;font-weight:650;white-space:nowrap;'
         f'font-variant-numeric:tabular-nums">{escape(banner.error)}</span></div>'
         '<div style="font-size:1.1em;line-height:1.3;margin-top:0.15em;min-height:2.6em">'

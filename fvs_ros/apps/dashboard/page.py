@@ -93,9 +93,9 @@ class Page:
         curves.dock_left()
         curves.set_width(_LEFT_PX)
         self._scene = Scene(server, ball_radius_m, lambda at: self._dragged(actions, Target(at)))
-        # From where arm and camera stand side by side, wherever the camera usually stands.
-        server.initial_camera.position = (-0.35, 1.75, 1.1)
-        server.initial_camera.look_at = (0.42, -0.2, 0.32)
+        # From behind the simulator's camera: what one sees and its picture are the same way round.
+        server.initial_camera.position = (2.6, -0.65, 1.3)
+        server.initial_camera.look_at = (0.6, -0.42, 0.46)
         server.initial_camera.fov = 0.75
         self._shown = 0
 

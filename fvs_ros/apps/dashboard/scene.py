@@ -36,7 +36,7 @@ _PIECES = 96
 _TARGET_SHARE = 0.6
 #: So long after a drag the target stays where it was dropped, until the controller has said, s.
 _DROPPED_S = 0.6
-_FRUSTUM_M = 0.16
+_FRUSTUM_M = 0.14
 #: Breaks a long sentence into lines, but no name that is to be typed.
 _WRAP = textwrap.TextWrapper(56, break_long_words=False, break_on_hyphens=False)
 #: The table is light; the page is dark, and what stands on the table is to be seen.

@@ -14,7 +14,7 @@ from fvs_ros.core.status import SILENT, number, vector
 
 #: What each state is called, and its colour (Okabe and Ito's, which everybody can tell apart).
 _TITLES = {
-    "SERVOING": ("Moving to the target", "#009E73"),
+    "SERVOING": ("Moving to target", "#009E73"),
     "READY": ("Ready", "#0072B2"),
     "WAITING": ("Waiting", "#6B7280"),
     "HOLDING": ("Held", "#B87A00"),
