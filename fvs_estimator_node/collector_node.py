@@ -72,7 +72,9 @@ class CollectorNode(ros.FvsNode):
         self._bar = tqdm(
             total=v["duration_s"],
             desc="collecting",
-            bar_format="{desc} {percentage:3.0f}%|{bar:30}| {n:.0f}/{total:.0f} s{postfix}",
+            bar_format="{desc} {percentage:3.0f}%|{bar:30}| {n:.0f} of "
+            + ("at most " if self._knowledge is not None else "")
+            + "{total:.0f} s{postfix}",
             mininterval=0.2 if sys.stderr.isatty() else 10.0,
         )
         self._commands = self.create_publisher(Float64MultiArray, ros.COMMANDS, ros.QOS_RELIABLE)
