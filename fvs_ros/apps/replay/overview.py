@@ -69,7 +69,8 @@ def _strip(axis: Any, recording: Recording) -> None:
             left = spell.start_s - recording.start_s
             width = spell.end_s - spell.start_s
             colour = STATES.get(spell.what, _OTHER) if row else _LIMIT
-            axis.broken_barh([(left, width)], (row - 0.4, 0.8), color=colour, linewidth=0)
+            # A line around: what lasted a moment is to be seen, too.
+            axis.broken_barh([(left, width)], (row - 0.4, 0.8), color=colour, linewidth=1.5)
     for left, width, name in _blocks(recording, states):
         if width > _NAMED_SHARE * length_s:
             axis.text(left + 0.5 * width, 1, name, ha="center", va="center", fontsize=8)
