@@ -65,11 +65,11 @@ def _strip(axis: Any, recording: Recording) -> None:
     length_s = recording.end_s - recording.start_s
     states = story.states(recording)
     for row, spells in ((1, states), (0, story.limits(recording))):
-        for spell in spells:
+        # What lasted a moment is to be seen, too: drawn last, with a line around.
+        for spell in sorted(spells, key=lambda one: one.start_s - one.end_s):
             left = spell.start_s - recording.start_s
             width = spell.end_s - spell.start_s
             colour = STATES.get(spell.what, _OTHER) if row else _LIMIT
-            # A line around: what lasted a moment is to be seen, too.
             axis.broken_barh([(left, width)], (row - 0.4, 0.8), color=colour, linewidth=1.5)
     for left, width, name in _blocks(recording, states):
         if width > _NAMED_SHARE * length_s:
