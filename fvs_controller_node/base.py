@@ -44,7 +44,7 @@ class ControlInput(NamedTuple):
     ahead_rad_s : ndarray, shape (6,)
         Joint velocities that go along with a moving target, rad/s: added to what the law answers.
     targets : int
-        Changes with every target that does not go on with the motion of the last one.
+        Changes with every target that ``ahead_rad_s`` has not led to.
     """
 
     error_m: np.ndarray

@@ -68,7 +68,7 @@ class ServoLoop:
         self._compared = -1  # at which image they were compared last
         self._stamp_s = 0.0
         self._moves = 0  # of the target
-        self._targets = 0  # that did not go on with the motion of the one before
+        self._targets = 0  # that nothing goes along with from the one before
         self._aim: Target | None = None  # the target when the supervisor was told of it last
         self._target_m_s = STANDING
         self._joint_stamps, self._ball_stamps = StampGate(), StampGate()
@@ -172,7 +172,7 @@ class ServoLoop:
         accepted, text = self.supervisor.target(position_m, frame, moving=moving)
         if accepted:
             self._moves += 1
-            self._targets += not moving
+            self._targets += not (moving and self.follower.enabled)
             self.follower.update(position_m, stamp_s, self._stamp_s)
         return accepted, text
 

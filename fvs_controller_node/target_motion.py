@@ -273,14 +273,14 @@ class TargetFollower:
         self, window_s: float = 0.15, enabled: bool = True, inverse: Inverse | None = None
     ) -> None:
         self._motion = TargetMotion(window_s)
-        self._enabled = enabled
+        self.enabled = enabled
         self._inverse = inverse or DampedInverse()
         self._stamped = False  # the last update
 
     def configure(self, window_s: float, enabled: bool, inverse: Inverse) -> None:
         """Change the settings and keep the motion."""
         TargetMotion(window_s)  # refuses what does not fit
-        self._motion.window_s, self._enabled, self._inverse = window_s, enabled, inverse
+        self._motion.window_s, self.enabled, self._inverse = window_s, enabled, inverse
 
     def expects(self, position_m: np.ndarray, stamp_s: float, now_s: float) -> bool:
         """Whether a target there would go on with the motion rather than be another one."""
@@ -294,7 +294,7 @@ class TargetFollower:
         Nobody knows when one without a stamp was there: it overtakes none.
         """
         there_s = _on_own_clock(stamp_s, now_s)
-        known = self._enabled and self._stamped
+        known = self.enabled and self._stamped
         return known and self._motion.overtaken(np.asarray(position_m, dtype=float), there_s)
 
     def update(self, position_m: np.ndarray, stamp_s: float, now_s: float) -> None:
@@ -311,7 +311,7 @@ class TargetFollower:
 
     def at(self, now_s: float) -> Target | None:
         """The target now, s; None before the first, and for one that is told to stand."""
-        return self._motion.at(now_s) if self._enabled else None
+        return self._motion.at(now_s) if self.enabled else None
 
     def feed_forward(
         self,

@@ -240,6 +240,22 @@ def test_a_target_without_a_stamp_overtakes_none(servoing):
     np.testing.assert_allclose(loop.supervisor.target_m, first + [0.04, 0.0, 0.0], atol=1e-9)
 
 
+@pytest.mark.parametrize("along", [True, False])
+def test_a_target_is_a_new_one_unless_something_goes_along_with_it(along):
+    cell, told = Cell(target_feed_forward=along), []
+    cell.begin()
+    command = cell.loop.law.command
+    cell.loop.law.command = lambda one: (told.append(one.targets), command(one))[1]
+    for k in range(5):
+        target = np.array([0.1 + 0.002 * k, 0.0, 1.1])
+        assert cell.loop.add_target(target, FRAME, cell.now_s)[0]
+        cell.tick()
+    assert len(set(told)) == (1 if along else 5)
+    assert cell.loop.set_current_as_target(cell.now_s)[0]
+    cell.tick()
+    assert told[-1] == told[-2] + 1
+
+
 @pytest.mark.parametrize("values", [{"law": "arrive"}, {"allocation": "least_speed"}])
 def test_what_goes_along_with_a_target_leads_back_to_the_posture_of_the_start(values):
     cell = Cell(**values)
