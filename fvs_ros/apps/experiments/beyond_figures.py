@@ -166,6 +166,6 @@ def tracking(results: Results, folder: Path) -> str:
         axis.set_xlabel("speed of the target, m/s")
         axis.set_title(kind, fontsize=10)
     axes[0].set_ylabel("distance from the target, rms, mm")
-    axes[1].legend()
+    figure.legend(*axes[1].get_legend_handles_labels(), loc="outside upper center", ncol=6)
     save(figure, folder / "tracking.png")
     return "tracking.png"
