@@ -114,7 +114,7 @@ class ArriveLaw(ControlLaw):
         """Return the joint velocities for this tick, before any limit."""
         one = control_input
         if self._goal is not None and one.ahead_rad_s.any():
-            self._goal = self._within_range(self._goal + one.dt_s * one.ahead_rad_s)
+            self._goal = self._goal + one.dt_s * one.ahead_rad_s
         if self._goal is None or one.news != self._news or one.chain is None:
             self._goal = self._find_goal(one)
             self._news, self._targets = one.news, one.targets

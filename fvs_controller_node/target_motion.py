@@ -300,14 +300,18 @@ class TargetFollower:
     def update(self, position_m: np.ndarray, stamp_s: float, now_s: float) -> None:
         """Take a target that was there at a stamp; one from another clock counts from now, s."""
         there_s = _on_own_clock(stamp_s, now_s)
-        if not self._stamped and self._motion.overtaken(np.asarray(position_m), there_s):
+        stamped = there_s == stamp_s
+        if self._motion.overtaken(np.asarray(position_m), there_s) and not self.overtaken(
+            position_m, stamp_s, now_s
+        ):
             there_s = now_s
         self._motion.update(position_m, there_s, now_s - there_s)
-        self._stamped = there_s == stamp_s
+        self._stamped = stamped
 
     def stand(self, position_m: np.ndarray, now_s: float) -> None:
         """Take a target that stands, whatever moved before, m, (3,)."""
         self._motion.restart(position_m, now_s)
+        self._stamped = True  # that this is now is certain
 
     def at(self, now_s: float) -> Target | None:
         """The target now, s; None before the first, and for one that is told to stand."""

@@ -7,6 +7,7 @@ import pytest
 from recordings import ur5_chain
 from ur5_dh import HOME_RAD
 
+from fvs_controller_node.allocation import LeastSpeedInverse
 from fvs_controller_node.arrive import ArriveLaw
 from fvs_controller_node.base import AT_REST, ControlInput
 
@@ -24,11 +25,21 @@ def away_from_home():
     return joints
 
 
+class Counting(LeastSpeedInverse):
+    """Knows how often it was asked."""
+
+    asked = 0
+
+    def solve(self, *args, **named):
+        Counting.asked += 1
+        return super().solve(*args, **named)
+
+
 class Following:
     """The law, and drives that do as they are told; the model is exact."""
 
     def __init__(self, joints):
-        self.law, self.joints = ArriveLaw(), joints
+        self.law, self.joints = ArriveLaw(inverse=Counting()), joints
         self.target, self.told = CHAIN.position(joints), 0
         self.run(20)
 
@@ -86,3 +97,17 @@ def test_the_goal_goes_along_with_a_moving_target():
     np.testing.assert_allclose((arm.joints - before) @ free, 25 * DT_S * 0.1, rtol=0.1)
     arm.run(50)
     np.testing.assert_allclose((arm.joints - before) @ free, 25 * DT_S * 0.1, rtol=0.1)
+
+
+def test_what_is_new_is_looked_for_longer_than_what_an_image_corrects():
+    arm = Following(away_from_home())
+
+    def asked(images, way_m=0.0, told=0):
+        before = Counting.asked
+        arm.target, arm.told = arm.target + [0.0, way_m, 0.0], arm.told + told
+        arm.run(4 * images)
+        return Counting.asked - before
+
+    assert asked(1, 0.005, told=1) == 8
+    assert asked(10) == 20
+    assert asked(1, 0.1) == 8  # the camera was bumped

@@ -238,6 +238,31 @@ def test_a_target_without_a_stamp_overtakes_none(servoing):
     for _ in range(50):
         servoing.tick()
     np.testing.assert_allclose(loop.supervisor.target_m, first + [0.04, 0.0, 0.0], atol=1e-9)
+    assert loop.add_target(first + [0.04, 0.01, 0.0], FRAME, servoing.now_s)[0]
+    servoing.tick()
+    np.testing.assert_allclose(loop.supervisor.target_m, first + [0.04, 0.01, 0.0], atol=1e-9)
+
+
+def test_the_current_position_as_target_overtakes_what_was_told_of_before(servoing):
+    loop = servoing.loop
+    assert loop.set_current_as_target(servoing.now_s)[0]
+    here = loop.supervisor.target_m
+    assert loop.add_target(here + [0.03, 0.0, 0.0], FRAME, servoing.now_s - 0.05)[0]
+    for _ in range(50):
+        servoing.tick()
+    np.testing.assert_allclose(loop.supervisor.target_m, here, atol=1e-9)
+
+
+def test_a_near_target_after_a_while_is_a_new_one(servoing):
+    told = []
+    command = servoing.loop.law.command
+    servoing.loop.law.command = lambda one: (told.append(one.targets), command(one))[1]
+    for k in range(3):
+        target = np.array([0.1 + 0.01 * k, 0.0, 1.1])
+        assert servoing.loop.add_target(target, FRAME, servoing.now_s)[0]
+        for _ in range(40):
+            servoing.tick()
+    assert len(set(told)) == 3
 
 
 @pytest.mark.parametrize("along", [True, False])
@@ -256,8 +281,8 @@ def test_a_target_is_a_new_one_unless_something_goes_along_with_it(along):
     assert told[-1] == told[-2] + 1
 
 
-@pytest.mark.parametrize("values", [{"law": "arrive"}, {"allocation": "least_speed"}])
-def test_what_goes_along_with_a_target_leads_back_to_the_posture_of_the_start(values):
+@pytest.mark.parametrize("values", [{"law": "arrive"}, {"allocation": "least_speed"}, {}])
+def test_at_least_speeds_what_goes_along_with_a_target_leads_back_to_the_posture(values):
     cell = Cell(**values)
     cell.jacobian = np.hstack([np.eye(3), np.eye(3)]) * 0.5
     cell.loop.add_chain(cell.now_s, CHAIN)
@@ -272,8 +297,11 @@ def test_what_goes_along_with_a_target_leads_back_to_the_posture_of_the_start(va
         assert cell.loop.add_target(target, FRAME, cell.now_s)[0]
     ahead_rad_s = told[-1].ahead_rad_s
     np.testing.assert_allclose(cell.jacobian @ ahead_rad_s, [0.0, 0.25, 0.0], atol=1e-3)
-    assert ahead_rad_s[0] < -0.02
-    assert ahead_rad_s[3] > 0.02
+    if values:
+        assert ahead_rad_s[0] < -0.02
+        assert ahead_rad_s[3] > 0.02
+    else:
+        np.testing.assert_allclose(ahead_rad_s[[0, 3]], 0.0, atol=1e-9)
 
 
 def test_the_posture_to_come_back_to_is_that_of_the_last_start(servoing):

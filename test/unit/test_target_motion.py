@@ -72,6 +72,19 @@ def test_updates_that_were_overtaken_on_their_way_change_nothing():
             np.testing.assert_allclose(follower.at(now_s).position_m, line(now_s), atol=1e-6)
 
 
+@pytest.mark.parametrize("odd_age_s", [0.25, None])
+@pytest.mark.parametrize("age_s", [0.05, 0.1, 0.19])
+def test_one_update_of_unknown_time_among_late_ones_is_soon_forgotten(age_s, odd_age_s):
+    follower = TargetFollower()
+    for k, now_s in enumerate(np.arange(10.0, 13.0, 1.0 / 30.0)):
+        there_s = now_s - (odd_age_s or age_s if k == 40 else age_s)
+        stamp_s = 0.0 if odd_age_s is None and k == 40 else there_s
+        if not follower.overtaken(line(there_s), stamp_s, now_s):
+            follower.update(line(there_s), stamp_s, now_s)
+        if k > 80:
+            np.testing.assert_allclose(follower.at(now_s).position_m, line(now_s), atol=1e-5)
+
+
 def test_a_circle_is_followed_within_a_millimetre():
     motion, last_s = told(circle, 1.0)
     target = motion.at(last_s + 0.02)
