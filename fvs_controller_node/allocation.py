@@ -234,7 +234,7 @@ ALLOCATION_PARAMETERS = (
         "allocation",
         TWO_NORM,
         "Which of the joint velocities that move the ball as wanted: those with the least sum of "
-        "squares, or those whose fastest joint is slowest.",
+        "squares, or those whose fastest joint is slowest. The law arrive always takes the latter.",
         choices=(TWO_NORM, LEAST_SPEED),
     ),
 )

@@ -40,18 +40,19 @@ class Following:
 
     def __init__(self, joints):
         self.law, self.joints = ArriveLaw(inverse=Counting()), joints
-        self.target, self.told = CHAIN.position(joints), 0
+        self.target, self.told, self.images = CHAIN.position(joints), 0, 0
         self.run(20)
 
     def run(self, ticks, ahead_rad_s=AT_REST):
         for k in range(ticks):
+            self.images += k % 4 == 0
             told = ControlInput(
                 error_m=CHAIN.position(self.joints) - self.target,
                 jacobian=CHAIN.jacobian(self.joints),
                 applied_rad_s=AT_REST,
                 joints_rad=self.joints,
                 dt_s=DT_S,
-                news=100 * self.told + k // 4,
+                news=self.images,
                 chain=CHAIN,
                 home_rad=HOME_RAD,
                 ahead_rad_s=ahead_rad_s,
