@@ -159,4 +159,4 @@ def test_the_first_look_is_filled_by_arm_ball_and_camera(page, width, height):
     everything = view(np.vstack([foot, balls, camera.position_m[None]]))
     assert np.abs(everything).max() < 0.97
     work = view(np.vstack([foot, balls]))
-    assert np.ptp(work, axis=0).min() > 1.1  # of 2
+    assert np.ptp(work, axis=0).min() > 0.7  # of 2; the camera stands before it

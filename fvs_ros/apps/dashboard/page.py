@@ -94,9 +94,9 @@ class Page:
         curves.set_width(_LEFT_PX)
         self._scene = Scene(server, ball_radius_m, lambda at: self._dragged(actions, Target(at)))
         # From behind the simulator's camera: what one sees and its picture are the same way round.
-        server.initial_camera.position = (2.9, -0.75, 1.4)
-        server.initial_camera.look_at = (0.6, -0.27, 0.42)
-        server.initial_camera.fov = 0.66
+        server.initial_camera.position = (2.9, -1.05, 1.4)
+        server.initial_camera.look_at = (0.6, -0.3, 0.42)
+        server.initial_camera.fov = 0.7
         self._shown = 0
 
     def _dragged(self, actions: Actions, target: Target) -> None:
