@@ -35,6 +35,8 @@ _FIRST_SIMULATED_S = 1.0
 _MAX_BEHIND_S = 0.2
 #: In simulated time, services and parameters are looked at this often.
 _BURST_S = 0.005
+#: In simulated time an answer to the joint states is waited for so long, s.
+_PATIENCE_S = 0.1
 
 
 class SimNode(ros.FvsNode):
@@ -82,6 +84,7 @@ class SimNode(ros.FvsNode):
 
         self._period_s = 1.0 / v["joint_state_rate_hz"]
         self._asked_s: float | None = None
+        self._answered = False  # the last joint states, by whoever commands
         if v["simulated_time"]:
             self._base_s = _FIRST_SIMULATED_S
             self._clock_topic = self.create_publisher(Clock, "/clock", ros.QOS_RELIABLE)
@@ -141,10 +144,12 @@ class SimNode(ros.FvsNode):
     def _step_as_fast_as_it_goes(self) -> None:
         now_s = self.steady_s()
         if self._commanders:
-            # Whoever commands the arm gets to answer each joint state; one that is silent does
-            # not hold the simulation below real time.
-            if self._asked_s is None or now_s - self._asked_s >= self._period_s:
+            # Whoever commands the arm gets to answer each joint state, however slow the machine;
+            # one that has become silent does not hold the simulation below real time.
+            patience_s = _PATIENCE_S if self._answered else self._period_s
+            if self._asked_s is None or now_s - self._asked_s >= patience_s:
                 self._late += self._asked_s is not None
+                self._answered = False
                 self._step()
             return
         while self.steady_s() - now_s < _BURST_S:
@@ -247,6 +252,7 @@ class SimNode(ros.FvsNode):
         if self._refusal:
             self.get_logger().error(self._refusal, throttle_duration_sec=5.0)
         self._asked_s = None
+        self._answered = True
         if self.values["simulated_time"]:
             self._step()
 
