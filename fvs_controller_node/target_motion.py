@@ -293,19 +293,22 @@ class TargetFollower:
 
         Nobody knows when one without a stamp was there: it overtakes none.
         """
-        there_s = _on_own_clock(stamp_s, now_s)
-        known = self.enabled and self._stamped
-        return known and self._motion.overtaken(np.asarray(position_m, dtype=float), there_s)
+        position = np.asarray(position_m, dtype=float)
+        return self._in_order and self._motion.overtaken(position, _on_own_clock(stamp_s, now_s))
+
+    @property
+    def _in_order(self) -> bool:
+        """Whether it matters, and is known, which target was there later."""
+        return self.enabled and self._stamped
 
     def update(self, position_m: np.ndarray, stamp_s: float, now_s: float) -> None:
         """Take a target that was there at a stamp; one from another clock counts from now, s."""
+        position = np.asarray(position_m, dtype=float)
         there_s = _on_own_clock(stamp_s, now_s)
         stamped = there_s == stamp_s
-        if self._motion.overtaken(np.asarray(position_m), there_s) and not self.overtaken(
-            position_m, stamp_s, now_s
-        ):
+        if not self._in_order and self._motion.overtaken(position, there_s):
             there_s = now_s
-        self._motion.update(position_m, there_s, now_s - there_s)
+        self._motion.update(position, there_s, now_s - there_s)
         self._stamped = stamped
 
     def stand(self, position_m: np.ndarray, now_s: float) -> None:

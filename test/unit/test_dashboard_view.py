@@ -306,6 +306,7 @@ def test_a_picture_that_is_not_of_now_is_dark_and_tells_its_age(board):
     words = [with_age(shown[0].picture, age_s) for age_s in (3, 4)]
     assert all((one > 240).any() for one in words)
     assert (words[0] != words[1]).any()
+    assert with_age(shown[0].picture, 0) is shown[0].picture
     board.add_image(12.0, 22.0, np.full((480, 640, 3), 200, np.uint8))
     young = board.snapshot(12.1, tour=False)
     assert (young.picture == 200).all()

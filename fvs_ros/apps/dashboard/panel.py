@@ -171,8 +171,7 @@ class Panel:
         self._answer.content = markup.answer_html(shown.answer)
         self._notes.content = markup.notes_html(shown.notes)
         if self._picture is not None and shown.picture is not None:
-            old_s = shown.picture_old_s
-            self._picture.image = picture.with_age(shown.picture, old_s) if old_s else shown.picture
+            self._picture.image = picture.with_age(shown.picture, shown.picture_old_s)
         if self._free("tour"):
             self._tour.value = shown.tour
         if shown.controller.target_m is not None and self._free("target"):

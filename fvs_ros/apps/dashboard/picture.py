@@ -90,21 +90,14 @@ def darkened(image_rgb: np.ndarray) -> np.ndarray:
 
 
 def with_age(image_rgb: np.ndarray, age_s: int) -> np.ndarray:
-    """A picture with its age, s, in words; uint8, as it was."""
+    """A picture with its age, s, in words; itself where that is 0; uint8."""
+    if not age_s:
+        return image_rgb
     words = f"{age_s} s old"
-    scale = image_rgb.shape[1] / 400.0
-    (width, height), _ = cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
+    font, scale, white = cv2.FONT_HERSHEY_SIMPLEX, image_rgb.shape[1] / 400.0, (255, 255, 255)
+    (width, height), _ = cv2.getTextSize(words, font, scale, 1)
     at = ((image_rgb.shape[1] - width) // 2, (image_rgb.shape[0] + height) // 2)
-    return cv2.putText(
-        image_rgb.copy(),
-        words,
-        at,
-        cv2.FONT_HERSHEY_SIMPLEX,
-        scale,
-        (255, 255, 255),
-        1,
-        cv2.LINE_AA,
-    )
+    return cv2.putText(image_rgb.copy(), words, at, font, scale, white, 1, cv2.LINE_AA)
 
 
 def _visible(point_m: np.ndarray) -> bool:
