@@ -35,8 +35,8 @@ class ControlInput(NamedTuple):
     dt_s : float
         Time since the last tick, s; positive.
     news : int
-        Changes whenever something else than the joints' motion has changed ``error_m``: an image,
-        a moving target.
+        Changes whenever something else than the joints' motion and ``ahead_rad_s`` has changed
+        ``error_m``: an image, a target that was told.
     chain : SerialChain, optional
         Forward model of arm and ball as the camera sees them; up to a constant offset.
     home_rad : ndarray, shape (6,), optional

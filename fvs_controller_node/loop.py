@@ -67,7 +67,7 @@ class ServoLoop:
         self._chain_doubts = 0  # how often in a row the two contradicted each other
         self._compared = -1  # at which image they were compared last
         self._stamp_s = 0.0
-        self._moves = 0  # of the target
+        self._told = 0  # targets
         self._targets = 0  # that nothing goes along with from the one before
         self._aim: Target | None = None  # the target when the supervisor was told of it last
         self._target_m_s = STANDING
@@ -171,7 +171,7 @@ class ServoLoop:
         moving = self.follower.expects(position_m, stamp_s, self._stamp_s)
         accepted, text = self.supervisor.target(position_m, frame, moving=moving)
         if accepted:
-            self._moves += 1
+            self._told += 1
             self._targets += not (moving and self.follower.enabled)
             self.follower.update(position_m, stamp_s, self._stamp_s)
         return accepted, text
@@ -186,7 +186,7 @@ class ServoLoop:
             return False, "target refused: the ball's position is not known yet"
         accepted, text = self.supervisor.target(position, self.supervisor.config.feature_frame)
         if accepted:
-            self._moves += 1
+            self._told += 1
             self._targets += 1
             self.follower.stand(position, self._stamp_s)
         return accepted, text
@@ -259,7 +259,6 @@ class ServoLoop:
         )
         target_m_s, ahead = self._target_m_s, AT_REST
         if target_m_s is not STANDING and target_m_s.any():
-            self._moves += 1
             ahead = self.follower.feed_forward(target_m_s, self._jacobian, self._joints, self._home)
         told = ControlInput(
             error_m,
@@ -267,7 +266,7 @@ class ServoLoop:
             applied - ahead,
             self._joints,
             dt_s,
-            news=self.predictor.images + self._moves,
+            news=self.predictor.images + self._told,
             chain=None if self._chain_doubts else self._chain,
             home_rad=self._home,
             ahead_rad_s=ahead,

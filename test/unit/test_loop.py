@@ -22,11 +22,12 @@ class Cell:
         self.loop = build_loop(default_values(**values))
         self.now_s, self.joints, self.jacobian = 10.0, HOME.copy(), JACOBIAN
 
-    def tick(self, joints=None):
+    def tick(self, joints=None, ball=True):
         self.now_s += DT_S
         self.loop.add_jacobian(self.now_s, self.jacobian)
         self.loop.add_joints(self.now_s, self.now_s, self.joints if joints is None else joints)
-        self.loop.add_ball(self.now_s, self.now_s - 0.02, np.array([0.0, 0.0, 1.0]), FRAME)
+        if ball:
+            self.loop.add_ball(self.now_s, self.now_s - 0.02, np.array([0.0, 0.0, 1.0]), FRAME)
         return self.loop.tick(self.now_s, DT_S)
 
     def begin(self):
@@ -302,6 +303,25 @@ def test_at_least_speeds_what_goes_along_with_a_target_leads_back_to_the_posture
         assert ahead_rad_s[3] > 0.02
     else:
         np.testing.assert_allclose(ahead_rad_s[[0, 3]], 0.0, atol=1e-9)
+
+
+def test_images_and_told_targets_are_news_and_a_target_on_its_way_in_between_is_not(
+    servoing,
+):
+    news, along = [], []
+    command = servoing.loop.law.command
+    servoing.loop.law.command = lambda one: (
+        news.append(one.news),
+        along.append(one.ahead_rad_s.any()),
+        command(one),
+    )[2]
+    for k in range(24):
+        if k % 6 == 0:
+            target = np.array([0.2, 0.1 + 0.002 * k, 1.2])
+            assert servoing.loop.add_target(target, FRAME, servoing.now_s)[0]
+        servoing.tick(ball=k % 6 == 3)
+    assert all(along[-9:])
+    assert (np.diff(news) > 0).tolist() == [k % 3 == 0 for k in range(1, 24)]
 
 
 def test_the_posture_to_come_back_to_is_that_of_the_last_start(servoing):
