@@ -41,8 +41,8 @@ _IDENTITY = np.eye(3)
 _STILL_RAD = 2e-4
 #: A step that is off by less than so many deviations is noise, however long.
 _BUMP_DEVIATIONS = 6.0
-#: The lengths of trust hold up to this standard deviation of one coordinate of a step, m.
-_TRUST_DEVIATION_M = 0.0014
+#: Up to this standard deviation of one coordinate of a step no more is put back, m.
+_KEPT_DEVIATION_M = 0.0014
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,7 @@ class LeftFactorConfig:
     memory_m : float
         Way of the ball after which a step has lost 63 % of its say, m.
     trust_m : float
-        The start (no motion of the camera) counts like a step of this length each way, m; where
-        positions are noisier than 1 mm, like a longer one in proportion.
+        The start (no motion of the camera) counts like a step of this length each way, m.
     bumped_trust_m : float
         The same for the factor so far after a bump, m.
     bump_m : float
@@ -297,19 +296,18 @@ class LeftFactorEstimator(CameraLearner, FrozenRbfEstimator):
         config = self._config
         keep = math.exp(-length(predicted) / config.memory_m)
         # The little that is put back of the factor so far keeps what the steps do not tell,
-        # however long they go along one line.
-        # Steps weigh by their noise, the start does not: against noisier ones it counts more.
-        growth = max(1.0, (self._watch.deviation_m / _TRUST_DEVIATION_M) ** 2)
+        # however long they go along one line; the noisier they are, the more is put back. The start
+        # counts the same however noisy they are: a turned camera is to be found soon.
+        growth = max(1.0, (self._watch.deviation_m / _KEPT_DEVIATION_M) ** 2)
         floor = (1.0 - keep) * config.bumped_trust_m**2 * growth
         self._cross = keep * self._cross + floor * self._factor + seen[:, None] * predicted
         self._gram = keep * self._gram + floor * _IDENTITY + predicted[:, None] * predicted
         self._prior_m2 *= keep
-        prior_m2 = growth * self._prior_m2
-        cross = self._cross + prior_m2 * self._prior
+        cross = self._cross + self._prior_m2 * self._prior
         if config.kind == ROTATION:
             self._factor = self._believed(nearest_rotation(cross))
         else:
-            self._factor = np.linalg.solve(self._gram + prior_m2 * _IDENTITY, cross.T).T
+            self._factor = np.linalg.solve(self._gram + self._prior_m2 * _IDENTITY, cross.T).T
 
     def _believed(self, found: np.ndarray) -> np.ndarray:
         """As much of a rotation that was found as noise would not feign.

@@ -450,6 +450,28 @@ def test_the_simulator_is_disturbed_from_the_page_and_its_refusal_is_read(ros_te
     )
 
 
+def test_a_simulator_that_hangs_is_said_not_to_answer(ros_test, pages):
+    simulator = ros_test.start_node("fvs_sim_node.node")
+    page = pages(address_of(ros_test, ros_test.start_node(DASHBOARD, port=0, image=False)))
+    folder = "Simulator: disturb it, turn its camera"
+    ros_test.spin_until(
+        lambda: page.elements[page.find(folder)].get("visible") is True, 20.0, "the simulator"
+    )
+    simulator.send_signal(signal.SIGSTOP)
+    try:
+        for what, wish in (
+            ("reset", lambda: page.press("Put the arm back")),
+            ("set_parameters", lambda: page.set("Depth noise (×)", 2.5)),
+        ):
+            wish()
+            ros_test.spin_until(
+                lambda what=what: f"fvs_sim_node/{what} does not answer" in page.text(),
+                what=what,
+            )
+    finally:
+        simulator.send_signal(signal.SIGCONT)
+
+
 def test_a_tour_that_loses_the_ball_puts_the_simulated_arm_back_and_goes_on(ros_test, pages):
     ros_test.start_node("fvs_sim_node.node")
     ros_test.start_node("fvs_estimator_node.node", model_path="models/ur5_front.npz")

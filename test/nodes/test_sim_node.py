@@ -69,6 +69,22 @@ def test_it_obeys_a_command_in_kinematic_order_and_holds_it(ros_test):
     ros_test.spin_until(lambda: np.abs(positions(states[-1]) - start).max() < 1e-3)
 
 
+def test_in_simulated_time_it_waits_for_a_slow_answer_to_each_joint_state(ros_test):
+    ros_test.start_node(MODULE, simulated_time=True)
+    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    commands = ros_test.publisher(Float64MultiArray, ros.COMMANDS)
+    ros_test.spin_until(lambda: len(states) > 0)
+    stamps_s = []
+    for _ in range(25):
+        count = len(states)
+        commands.publish(Float64MultiArray(data=[0.0] * 6))
+        ros_test.spin_until(lambda count=count: len(states) > count, what="the next joint state")
+        ros_test.spin_for(0.04)
+        stamps_s.append(ros.from_stamp(states[-1].header.stamp))
+    # On a busy machine an answer may take longer than anybody waits.
+    assert np.median(np.diff(stamps_s)) == pytest.approx(0.008)
+
+
 def test_images_are_rendered_for_subscribers_and_agree_with_camera_info(ros_test):
     ros_test.start_node(MODULE)
     states = ros_test.collect(JointState, ros.JOINT_STATES)

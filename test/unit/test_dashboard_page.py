@@ -18,11 +18,14 @@ from viser.infra import _infra
 from fvs_estimator_node.model_file import load_model
 from fvs_ros.apps.dashboard import config, guard
 from fvs_ros.apps.dashboard.actions import Actions
+from fvs_ros.apps.dashboard.arm import Arm
 from fvs_ros.apps.dashboard.board import Board
 from fvs_ros.apps.dashboard.page import Page
 from fvs_ros.apps.dashboard.placement import Pose
+from fvs_ros.core.joints import UR_JOINT_NAMES
 from fvs_ros.core.paths import find_file
 from fvs_sim_node.rendering import camera_preset
+from fvs_sim_node.ur5_urdf import urdf_text
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -135,11 +138,31 @@ def test_a_picture_that_came_between_two_turns_gets_into_the_frustum(page):
     assert (page._scene._frustum.image == 77).all()
 
 
+def test_the_rod_ends_at_the_ball(page):
+    joints = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
+    board = Board(history_s=20.0, trail_s=6.0, ball_radius_m=0.04)
+    board.tell_camera(Pose(np.eye(3), np.zeros(3)))
+    page.set_arm(Arm(urdf_text(), UR_JOINT_NAMES, ""))
+    for now_s, ball_m in ((0.0, [0.3, 0.1, 0.9]), (0.1, [0.3, 0.1, 1.0])):
+        board.add_joints(now_s, 10.0 + now_s, joints, np.zeros(6))
+        board.add_ball(now_s, 10.0 + now_s, np.array(ball_m))
+        page.update(board.snapshot(now_s, tour=False))
+        flange = page._scene._arm.flange(joints)
+        end_m = flange[:3, :3] @ page._scene._rod.points[0, 1] + flange[:3, 3]
+        np.testing.assert_allclose(end_m, ball_m, atol=1e-6)
+
+
 # --- what is seen first ---
 
 
-@pytest.mark.parametrize(("width", "height"), [(608, 768), (842, 900)])
-def test_the_first_look_is_filled_by_arm_ball_and_camera(page, width, height):
+#: Of what a window 1280, 1366, 1600 or 1920 pixels wide leaves to the arm.
+@pytest.mark.parametrize(
+    ("width", "height", "with_camera"),
+    [(522, 800, False), (608, 768, True), (842, 900, True), (1170, 1080, True)],
+)
+def test_the_first_look_is_filled_by_the_arm_and_its_work_and_holds_the_camera(
+    page, width, height, with_camera
+):
     first = page._server.initial_camera
     eye, at = np.array(first.position), np.array(first.look_at)
     forward = (at - eye) / np.linalg.norm(at - eye)
@@ -156,7 +179,7 @@ def test_the_first_look_is_filled_by_arm_ball_and_camera(page, width, height):
     samples = load_model(find_file("models/ur5_front.npz")).ball_samples_m
     balls = samples @ camera.rotation.T + camera.position_m
     foot = np.array([[0.1, 0.1, -0.2], [-0.1, -0.1, -0.2], [0.0, 0.0, 0.0]])
-    everything = view(np.vstack([foot, balls, camera.position_m[None]]))
-    assert np.abs(everything).max() < 0.97
     work = view(np.vstack([foot, balls]))
-    assert np.ptp(work, axis=0).min() > 0.7  # of 2; the camera stands before it
+    assert np.abs(work).max() < 1.0
+    assert np.ptp(work, axis=0).min() > 0.65  # of 2; the camera stands before it
+    assert bool(np.abs(view(camera.position_m[None])).max() < 0.97) is with_camera

@@ -434,7 +434,7 @@ def test_a_tour_that_lost_the_ball_says_so_once():
     ("changed", "goes"),
     [
         ({}, True),
-        ({"state": "READY"}, True),
+        ({"state": "READY", "reason": "READY"}, False),
         ({"state": "WAITING", "reason": "NO_TARGET"}, True),
         ({"state": "WAITING", "reason": "STALE"}, False),
         ({"state": "HOLDING", "reason": "STALLED"}, False),

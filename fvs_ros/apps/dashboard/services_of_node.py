@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -28,6 +28,16 @@ _ANSWER_S = 3.0
 _STOP_AGAIN_S, _STOP_LATE_S = 0.3, 0.5
 
 
+class _Request(NamedTuple):
+    """A request that is not answered yet; a quiet one is none of a person's."""
+
+    name: str
+    asked_s: float
+    client: Any
+    future: Any
+    quiet: bool
+
+
 class Services:
     """The services of controller and simulator.
 
@@ -43,7 +53,7 @@ class Services:
         self._node = node
         self._tell = tell
         self._clients = {name: node.create_client(kind, name) for name, kind in _CALLS.items()}
-        self._open: list[tuple[float, Any, Any]] = []  # asked at, client, future
+        self._open: list[_Request] = []
         self._stop_since_s: float | None = None
         self._stop_said = False
         self._stop_sent_s = 0.0
@@ -101,12 +111,13 @@ class Services:
                 self._stop_said = True
                 self._tell("stop: the controller does not answer yet; use the robot's own stop")
             self._send_stop()
-        for asked_s, client, future in self._open:
-            if now_s - asked_s > _ANSWER_S:
-                client.remove_pending_request(future)
-        self._open = [
-            one for one in self._open if not one[2].done() and now_s - one[0] <= _ANSWER_S
-        ]
+        self._open = [one for one in self._open if not one.future.done()]
+        for one in self._open:
+            if now_s - one.asked_s > _ANSWER_S:
+                one.client.remove_pending_request(one.future)
+                if not one.quiet:
+                    self._tell(f"{one.name} does not answer; it may still be done, later")
+        self._open = [one for one in self._open if now_s - one.asked_s <= _ANSWER_S]
 
     def _send_stop(self) -> None:
         self._stop_sent_s = self._node.steady_s()
@@ -129,6 +140,6 @@ class Services:
         if client.service_is_ready():
             future = client.call_async(request)
             future.add_done_callback(lambda done: on_answer(done.result()))
-            self._open.append((self._node.steady_s(), client, future))
+            self._open.append(_Request(name, self._node.steady_s(), client, future, quiet))
         elif not quiet:
             self._tell(f"{name} does not answer; is {name.partition('/')[0]} running?")

@@ -109,7 +109,7 @@ class ControllerView:
     @property
     def goes_to_targets(self) -> bool:
         """Whether a target sent now would be gone to."""
-        return self.state in ("SERVOING", "READY") or self.reason == "NO_TARGET"
+        return self.state == "SERVOING" or self.reason == "NO_TARGET"
 
 
 @dataclass(frozen=True)
