@@ -555,6 +555,36 @@ def test_only_the_controller_s_own_words_are_not_said_twice(tmp_path, namespace)
     ]
 
 
+def test_of_a_long_story_beginning_and_end_are_on_the_page_and_all_in_the_numbers(tmp_path, capsys):
+    made = HandmadeBag(tmp_path / "bag")
+    for k in range(200):
+        made.status(
+            "fvs_controller_node",
+            0.1 * k,
+            f"said {k}",
+            state="HOLDING" if k % 2 else "SERVOING",
+            reason=f"R{k % 2}",
+        )
+    made.array("jacobian", 30.0, JACOBIAN)
+    made.close()
+    assert main(["replay", str(tmp_path / "bag"), "--out", str(tmp_path / "page")]) == 0
+    said = capsys.readouterr().out
+    page = (tmp_path / "page" / "index.md").read_text(encoding="utf-8")
+    for text in (said, page):
+        assert "said 0" in text
+        assert "said 199" in text
+        assert "said 100" not in text
+        assert SILENT in text
+    assert "141 more in results.json" in page
+    assert "the controller | silent for 9.1" in page
+    report = json.loads((tmp_path / "page" / "happened" / "results.json").read_text())
+    states, events = report["data"]["states"], report["data"]["events"]
+    assert [one["start_s"] for one in states[:3]] == pytest.approx([0.0, 0.1, 0.2], abs=1e-3)
+    assert states[-1]["end_s"] == pytest.approx(30.0, abs=1e-3)
+    assert len(states) == 201
+    assert events[-1]["time_s"] == pytest.approx(states[-1]["start_s"])
+
+
 def test_the_states_that_are_drawn_have_names_and_colours(recording, tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(overview, "save", lambda figure, _: drawn.append(figure))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import io
+import math
 import socket
 import threading
 from typing import TYPE_CHECKING
@@ -28,6 +29,9 @@ _SELDOM, _CURVES_AT, _FRUSTUM_AT = 3, 0, 1
 _STOP_S = 0.8
 _LEFT_PX, _RIGHT_PX = 400, 350
 _LAST_PORT = 65535
+#: The first look: its field of view from top to bottom, rad, and the least width over height at
+#: which arm, ball and camera are in it.
+_FIELD_RAD, _LEAST_ASPECT = 0.7, 0.78
 
 
 class Page:
@@ -96,7 +100,8 @@ class Page:
         # From behind the simulator's camera: what one sees and its picture are the same way round.
         server.initial_camera.position = (2.9, -1.05, 1.4)
         server.initial_camera.look_at = (0.6, -0.3, 0.42)
-        server.initial_camera.fov = 0.7
+        server.initial_camera.fov = _FIELD_RAD
+        server.on_client_connect(_fit)
         self._shown = 0
 
     def _dragged(self, actions: Actions, target: Target) -> None:
@@ -147,6 +152,22 @@ class Page:
         thread = threading.Thread(target=stop, daemon=True)
         thread.start()
         thread.join(_STOP_S)
+
+
+def field_of_view_rad(aspect: float) -> float:
+    """The field of view from top to bottom, for a width over height: narrow ones see as much."""
+    wider = max(1.0, _LEAST_ASPECT / aspect)
+    return 2.0 * math.atan(wider * math.tan(0.5 * _FIELD_RAD))
+
+
+async def _fit(client: viser.ClientHandle) -> None:
+    """Keep the field of view right for the width that a browser leaves to the arm."""
+
+    async def fit(camera: viser.CameraHandle) -> None:
+        camera.fov = field_of_view_rad(camera.aspect)
+
+    client.camera.on_update(fit)
+    await fit(client.camera)
 
 
 def _taken(host: str, port: int) -> str:

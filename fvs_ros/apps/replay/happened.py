@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from fvs_ros.apps.experiments.report import Figure, Report, Table
 from fvs_ros.apps.replay import story
 from fvs_ros.apps.replay.data import Recording
 from fvs_ros.apps.replay.overview import overview
 from fvs_ros.apps.replay.runs import Target
+from fvs_ros.apps.replay.tables import shortened
 
 HAPPENED = "happened"
-#: A table of the page is no longer than this, rows.
-_MOST = 60
+#: A table of the page is no longer than this, rows: most from its beginning, and its end.
+_MOST, _OF_THE_END = 60, 20
 
 
 def happened(
@@ -50,8 +52,8 @@ def happened(
     if events:
         tables.append(
             Table(
-                "Warnings of all nodes, parameters that were changed, and inputs of the controller "
-                "that were silent for longer than it waits.",
+                "Warnings of all nodes, parameters that were changed, inputs of the controller "
+                "that were silent for longer than it waits, and its own silences.",
                 ["at, s", "who", "what", "times"],
                 _cut(
                     [
@@ -91,9 +93,9 @@ def happened(
         data={
             "cut_off": recording.cut_off,
             "scenario": recording.scenario,
-            "states": [asdict(one) for one in states],
-            "limits": [asdict(one) for one in limits],
-            "events": [asdict(one) for one in events],
+            "states": [_since(recording, one) for one in states],
+            "limits": [_since(recording, one) for one in limits],
+            "events": [_since(recording, one) for one in events],
         },
     )
 
@@ -163,9 +165,14 @@ def _seconds(value_s: float) -> str:
     return f"{value_s:.2f}"
 
 
-def _cut(rows: list[list[str]]) -> list[list[str]]:
-    """At most so many rows; the last says how many more there are in ``results.json``."""
-    if len(rows) <= _MOST:
-        return rows
-    more = ["…", f"{len(rows) - _MOST} more in results.json", *[""] * (len(rows[0]) - 2)]
-    return [*rows[:_MOST], more]
+def _since(recording: Recording, one: story.Spell | story.Event) -> dict[str, Any]:
+    """As a dictionary, with times since the recording's start, s, as the tables have them."""
+    times_s = {"start_s", "end_s", "time_s"}
+    return {
+        name: value - recording.start_s if name in times_s else value
+        for name, value in asdict(one).items()
+    }
+
+
+def _cut(rows: Sequence[Sequence[str]]) -> Sequence[Sequence[str]]:
+    return shortened(rows, _MOST, _OF_THE_END, "in results.json")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fvs_ros.apps.installing import how_to_install
+from fvs_ros.apps.replay.tables import shortened
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_OK
 from fvs_ros.core.version import version
 
@@ -99,11 +100,7 @@ def _tell(reports: list[Report]) -> None:
 
 def _text(table: Table) -> str:
     """A table as text; its last column is not filled up."""
-    more = len(table.rows) - _PRINTED
-    rows = [table.header, *table.rows]
-    if more > 0:
-        left_out = ["...", f"{more} more on the page", *[""] * (len(table.header) - 2)]
-        rows[1 + _PRINTED - _OF_THE_END : -_OF_THE_END] = [left_out]
+    rows = [table.header, *shortened(table.rows, _PRINTED, _OF_THE_END, "on the page")]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()

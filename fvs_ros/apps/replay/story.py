@@ -159,11 +159,12 @@ def on_the_way(recording: Recording) -> list[Spell]:
 
 
 def events(recording: Recording) -> list[Event]:
-    """Warnings of the log, changed parameters and silences of inputs, in order.
+    """Warnings of the log, changed parameters, silences of inputs and controller, in order.
 
     The controller's own warnings are its states, and not said twice; others use the same words.
     """
-    told = {spell.what for spell in states(recording)}
+    spells = states(recording)
+    told = {spell.what for spell in spells}
     # The log has a node's full name with dots.
     controller = {
         status.who.strip("/").replace("/", ".") for status in recording.said.get("controller", ())
@@ -178,6 +179,11 @@ def events(recording: Recording) -> list[Event]:
     ]
     found += [
         Event(gap.start_s, gap.topic, f"silent for {gap.length_s:.2f} s") for gap in gaps(recording)
+    ]
+    found += [
+        Event(spell.start_s, "the controller", f"silent for {spell.end_s - spell.start_s:.2f} s")
+        for spell in spells
+        if spell.what == SILENT
     ]
     return _joined(sorted(found, key=lambda event: event.time_s))
 
