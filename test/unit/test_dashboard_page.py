@@ -157,13 +157,14 @@ def test_the_rod_ends_at_the_ball(page):
 
 
 def test_a_view_that_is_made_narrow_or_wide_shows_as_much_from_side_to_side(client):
-    for width, height in ((800, 600), (522, 800), (400, 800), (842, 900)):
+    for width, height in ((800, 600), (522, 800), (0, 800), (400, 800), (0, 0), (842, 900)):
         client.look(width, height)
-        wanted_rad = field_of_view_rad(width / height)
+        wanted_rad = field_of_view_rad(width, height)
         until_s = time.monotonic() + 5.0
         while abs(client.field_of_view_rad - wanted_rad) > 1e-6 and time.monotonic() < until_s:
             time.sleep(0.01)
         assert client.field_of_view_rad == pytest.approx(wanted_rad)
+        assert 0.6 < wanted_rad < 2.0
 
 
 #: What a window 1280, 1366, 1600 or 1920 pixels wide leaves to the arm.
@@ -178,7 +179,7 @@ def test_the_first_look_is_filled_by_arm_ball_and_camera(page, width, height):
 
     def view(points_m):
         x, y, z = ((points_m - eye) @ axes).T
-        reach = z * np.tan(0.5 * field_of_view_rad(width / height))
+        reach = z * np.tan(0.5 * field_of_view_rad(width, height))
         return np.stack([x / reach * height / width, y / reach], axis=1)
 
     camera = camera_preset("front").in_base_link()

@@ -85,6 +85,15 @@ def test_one_update_of_unknown_time_among_late_ones_is_soon_forgotten(age_s, odd
             np.testing.assert_allclose(follower.at(now_s).position_m, line(now_s), atol=1e-5)
 
 
+def test_a_target_of_before_one_of_unknown_time_is_the_target_all_the_same():
+    follower = TargetFollower()
+    follower.update(np.array([0.0, 0.0, 1.0]), 0.0, 10.0)  # without a stamp
+    near = np.array([0.02, 0.0, 1.0])
+    assert not follower.overtaken(near, 9.98, 10.01)
+    follower.update(near, 9.98, 10.01)
+    np.testing.assert_array_equal(follower.at(10.02).position_m, near)
+
+
 def test_a_circle_is_followed_within_a_millimetre():
     motion, last_s = told(circle, 1.0)
     target = motion.at(last_s + 0.02)

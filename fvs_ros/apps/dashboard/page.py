@@ -154,9 +154,10 @@ class Page:
         thread.join(_STOP_S)
 
 
-def field_of_view_rad(aspect: float) -> float:
-    """The field of view from top to bottom, for a width over height: narrow ones see as much."""
-    wider = max(1.0, _LEAST_ASPECT / aspect)
+def field_of_view_rad(width: int, height: int) -> float:
+    """The field of view from top to bottom, for a size in px: narrow ones see as much."""
+    # Panels may leave nothing of a small window.
+    wider = max(1.0, _LEAST_ASPECT * height / max(width, 0.2 * height, 1))
     return 2.0 * math.atan(wider * math.tan(0.5 * _FIELD_RAD))
 
 
@@ -164,7 +165,7 @@ async def _fit(client: viser.ClientHandle) -> None:
     """Keep the field of view right for the width that a browser leaves to the arm."""
 
     async def fit(camera: viser.CameraHandle) -> None:
-        camera.fov = field_of_view_rad(camera.aspect)
+        camera.fov = field_of_view_rad(camera.image_width, camera.image_height)
 
     client.camera.on_update(fit)
     await fit(client.camera)
