@@ -168,8 +168,11 @@ def test_a_view_that_is_made_narrow_or_wide_shows_as_much_from_side_to_side(clie
 
 
 #: What a window 1280, 1366, 1600 or 1920 pixels wide leaves to the arm.
-@pytest.mark.parametrize(("width", "height"), [(522, 800), (608, 768), (842, 900), (1170, 1080)])
-def test_the_first_look_is_filled_by_arm_ball_and_camera(page, width, height):
+@pytest.mark.parametrize(
+    ("width", "height", "filled"),
+    [(522, 800, 0.7), (608, 768, 0.7), (842, 900, 0.7), (1170, 1080, 0.65)],
+)
+def test_the_first_look_is_filled_by_arm_ball_and_camera(page, width, height, filled):
     first = page._server.initial_camera
     eye, at = np.array(first.position), np.array(first.look_at)
     forward = (at - eye) / np.linalg.norm(at - eye)
@@ -189,4 +192,4 @@ def test_the_first_look_is_filled_by_arm_ball_and_camera(page, width, height):
     everything = view(np.vstack([foot, balls, camera.position_m[None]]))
     assert np.abs(everything).max() < 0.97
     work = view(np.vstack([foot, balls]))
-    assert np.ptp(work, axis=0).min() > 0.65  # of 2; the camera stands before it
+    assert np.ptp(work, axis=0).min() > filled  # of 2; the camera stands before it
