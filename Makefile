@@ -3,6 +3,7 @@
 #   PYTHON=python3.12    the Python of .venv (3.10 to 3.13); default python3
 #   ARGS="..."           more arguments for the command behind a target, e.g. ARGS="-k launcher"
 #   NAME=servo           which experiment (experiments only); default all
+#   BAG=out/run_1        which recording (replay only)
 #   PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu    a torch without CUDA, 2 GB less
 
 PYTHON ?= python3
@@ -10,7 +11,7 @@ ARGS ?=
 
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+PIP := $(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt
 DATASET := out/collect/dataset.npz
 MODEL := config/models/ur5_front.npz
 
@@ -22,7 +23,7 @@ unexport PYTHONPATH AMENT_PREFIX_PATH RMW_IMPLEMENTATION
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo dashboard test experiments bench model docs lint format clean check-python log-dir
+.PHONY: help demo dashboard test experiments replay bench model docs lint format clean check-python log-dir
 
 help: ## list the targets
 	@echo "usage: make TARGET [PYTHON=python3.11] [ARGS=...]"
@@ -45,6 +46,9 @@ experiments: $(VENV)/.installed-lab log-dir ## the paper's experiments, measured
 	@echo "== experiments: some forty minutes on two cores; ARGS=--quick takes two or three"
 	@ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST \
 		$(BIN)/fvs_experiments $(or $(NAME),all) $(ARGS)
+
+replay: $(VENV)/.installed-lab log-dir ## figures and numbers of a recording, BAG=out/run_1; page in out/replay
+	@$(BIN)/fvs_experiments replay $(or $(BAG),$(error name the recording: make replay BAG=out/run_1)) $(ARGS)
 
 bench: $(VENV)/.installed-all log-dir ## measurements of bench/, as tables
 	@echo "== benchmarks: some minutes; keep the machine idle"
@@ -92,6 +96,7 @@ $(VENV)/.installed-docs: EXTRAS := all,docs
 $(VENV)/.installed-docs: ALSO := all demo dashboard model lab lint
 $(VENV)/.installed-lab: ALSO := demo
 $(VENV)/.installed-model: ALSO := demo
+# Of installations; pip shows its own progress.
 HINT_demo := half a minute and 250 MB
 HINT_dashboard := a minute and 450 MB
 HINT_model := minutes and up to 3 GB for torch
@@ -109,7 +114,7 @@ $(VENV)/.installed-%: setup.py constraints.txt $(VENV)/.made | check-python
 # Where there is no wheel (from Python 3.12 on, or off x86-64) pybullet is compiled. Left to itself,
 # pip would do that without numpy in sight, and camera images would take many times as long.
 define install-pybullet
-$(PIP) setuptools numpy && \
+$(PIP) --quiet setuptools numpy && \
 if ! $(BIN)/python -c 'import pybullet' >/dev/null 2>&1; then \
 	if ! $(PIP) --only-binary pybullet pybullet >/dev/null 2>&1; then \
 		echo "== compile pybullet (no wheel for this Python): 5 to 10 minutes;" \

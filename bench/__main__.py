@@ -10,6 +10,8 @@ import sys
 import time
 from pathlib import Path
 
+from fvs_ros.core.arguments import unknown
+
 
 def names() -> list[str]:
     """Names of the measurements: ``bench_loop.py`` is ``loop``."""
@@ -24,10 +26,10 @@ def main(arguments: list[str]) -> int:
         print(f"{options[0]} stands behind the name of one measurement", file=sys.stderr)
         return 2
     known = names()
-    unknown = [name for name in wanted if name not in known]
-    if unknown:
-        print(f"no measurement {', '.join(unknown)}; known are {', '.join(known)}", file=sys.stderr)
-        return 2
+    for name in wanted:
+        if name not in known:
+            print(unknown("measurement", name, known), file=sys.stderr)
+            return 2
     failed = []
     sys.argv[1:] = options
     for name in wanted or known:

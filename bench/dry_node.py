@@ -70,7 +70,7 @@ class DryNode(FvsNode):
         """Make the status message, as the node does, for what may go wrong in it."""
         to_status(level, self._name, reason, {"state": state, **values})
 
-    def steady_s(self) -> float:
+    def now_s(self) -> float:
         return self.clock_s()
 
     def call(self, service: str) -> tuple[bool, str]:

@@ -234,7 +234,8 @@ class World:
         self._drive = np.zeros(6)  # the drives' speed, rad/s
         self._away = np.zeros(3)  # what pushed the ball, m
         self._images: deque[tuple[float, np.ndarray]] = deque(maxlen=LATENCY_TICKS + 1)
-        self._other_ball: np.ndarray | None = None  # one that is not on the arm
+        self._other_ball: np.ndarray | None = None
+        self._seen_share = 1.0  # of the motion of the ball  # one that is not on the arm
         self._beats = 0
         self._ambushed = False
         self._messages()
@@ -329,7 +330,12 @@ class World:
         dt_s = min(dt_s, MAX_TICK_S) if math.isfinite(dt_s) and dt_s > 0.0 else 0.0
         passed_s = min(max(now_s - self._ticked_s, 0.0), MAX_TICK_S)
         self._ticked_s = now_s
-        step = config.max_joint_acceleration_rad_s2 * (dt_s if servoing else dt_s or passed_s)
+        step = config.max_joint_acceleration_rad_s2 * dt_s
+        if not servoing:  # a stop has half a second from full speed, at most
+            stop_rad_s2 = max(
+                config.max_joint_acceleration_rad_s2, 2.0 * config.max_joint_velocity_rad_s
+            )
+            step = stop_rad_s2 * (dt_s or passed_s)
 
         # A limit that is lowered in motion cannot be obeyed at once, since the acceleration limit
         # holds, too: from the next command on the arm slows down with all it has.
@@ -490,7 +496,8 @@ class World:
         """Where the ball is, m."""
         if self._other_ball is not None:
             return self._other_ball
-        return BALL_AT_START_M + TRUE_JACOBIAN @ (self._joints - START_RAD) + self._away
+        moved_m = TRUE_JACOBIAN @ (self._joints - START_RAD)
+        return BALL_AT_START_M + self._seen_share * moved_m + self._away
 
     # ---- messages -------------------------------------------------------------------------
 
@@ -548,10 +555,11 @@ class World:
                 self._end_session()
         self.node._on_speed_scaling(Float64(data=percent))
 
-    def send_quality(self, text: str) -> None:
-        """Say how well the estimator predicts."""
-        pair = KeyValue(key="one_step_prediction_error_ratio", value=text)
-        self.node._on_estimator_status(DiagnosticStatus(values=[pair]))
+    def show(self, share: float) -> None:
+        """From where the ball is, let the camera show this share of its motion."""
+        moved_m = TRUE_JACOBIAN @ (self._joints - START_RAD)
+        self._away = self._away + (self._seen_share - share) * moved_m
+        self._seen_share = share
 
     def start(self) -> None:
         """Call ``~/start``."""
@@ -836,8 +844,8 @@ def _garbage_words(world: World, rng: np.random.Generator) -> None:
         "\0",
         "9" * 5000,
     ]
-    world.send_quality(str(rng.choice(texts)))
-    world.node._on_estimator_status(DiagnosticStatus())
+    pair = KeyValue(key=str(rng.choice(texts)), value=str(rng.choice(texts)))
+    world.node._on_estimator_status(DiagnosticStatus(values=[pair], message=str(rng.choice(texts))))
 
 
 def _garbage_scaling(world: World, rng: np.random.Generator) -> None:
@@ -954,17 +962,27 @@ def _estimator(world: World, rng: np.random.Generator, scene: Scene) -> None:
     if scene.variant < len(ESTIMATES):
         world.set_estimate(ESTIMATES[scene.variant], rng)
     else:
-        for _ in range(1 + scene.ticks // 8):
-            world.send_quality(str(rng.choice(["0.1", "0.9", "1.1", "1.5", "7", "unknown"])))
-            world.calm(8)
+        world.show(float(rng.choice([0.1, 0.5, 2.0])))
     world.calm(2 * scene.ticks)
+    world.show(1.0)
 
 
-def _bad_quality(world: World, rng: np.random.Generator, scene: Scene) -> None:
-    """Say for seconds that the estimator predicts badly."""
-    for _ in range(4 + scene.ticks // 8):
-        world.send_quality(f"{rng.uniform(0.9, 5.0):.3f}")
-        world.calm(10, steady_s=0.03, ros_s=0.03)
+def _wrong_way(world: World, rng: np.random.Generator, scene: Scene) -> None:
+    """Show the ball going the other way, as behind a joint of the wrong sign."""
+    world.show(-1.0)
+    world.aim(rng, 0.3)
+    world.calm(60 + 2 * scene.ticks, steady_s=0.02, ros_s=0.02)
+    world.show(1.0)
+
+
+def _swing(world: World, _rng: np.random.Generator, scene: Scene) -> None:
+    """Let the ball swing, whatever the arm does."""
+    world.reconfigure([("max_joint_velocity_rad_s", 0.02), ("growth_time_s", 50.0)])
+    here, way = world._away, np.array([0.02 + 0.02 * scene.variant, 0.0, 0.0])
+    for tick in range(300 + 4 * scene.ticks):
+        world._away = here + way * np.sin(0.1 * tick)
+        world.calm(1, steady_s=0.01, ros_s=0.01)
+    world._away = here
 
 
 def _push(world: World, rng: np.random.Generator, scene: Scene) -> None:
@@ -975,6 +993,8 @@ def _push(world: World, rng: np.random.Generator, scene: Scene) -> None:
         world._away = world._away + direction * (0.01, 0.05, 0.2, 1.0)[scene.variant]
         world.calm(2 * scene.ticks)
     else:
+        if scene.variant > 7:  # faster than the arm
+            world.reconfigure([("max_joint_velocity_rad_s", 0.02)])
         for _ in range(2 * scene.ticks):
             world._away = world._away + direction * 0.002
             world.calm(1, steady_s=0.02, ros_s=0.02)
@@ -990,8 +1010,9 @@ def _wait_long(world: World, _rng: np.random.Generator, scene: Scene) -> None:
 def _another_ball(world: World, rng: np.random.Generator, scene: Scene) -> None:
     """Show a ball that is not on the arm, for so long that somebody should notice."""
     world.reconfigure([("stall_time_s", 0.5 + 0.1 * scene.variant)])
-    if scene.variant > 5:  # too slow to tell that from the image
-        world.reconfigure([("max_joint_velocity_rad_s", 0.02)])
+    if scene.variant > 5:  # on an arm that cannot move
+        ends = [("joint_min_rad", -0.001), ("joint_max_rad", 0.001)]
+        world.reconfigure([(name, (world._joints + off).tolist()) for name, off in ends])
     world._other_ball = world.ball()
     world.aim(rng, 0.3)
     world.calm(60 + 2 * scene.ticks, steady_s=0.02, ros_s=0.02)
@@ -1080,7 +1101,8 @@ SCENES: dict[str, tuple[int, Callable[[World, np.random.Generator, Scene], None]
     "parameters": (4, _parameters),
     "arm": (2, _arm),
     "estimator": (2, _estimator),
-    "bad quality": (1, _bad_quality),
+    "wrong way": (1, _wrong_way),
+    "swing": (1, _swing),
     "push": (2, _push),
     "long wait": (1, _wait_long),
     "another ball": (1, _another_ball),

@@ -9,7 +9,6 @@ from typing import Any
 from fvs_controller_node.allocation import ALLOCATION_PARAMETERS, LEAST_SPEED, Inverse, make_inverse
 from fvs_controller_node.anticipation import Anticipation
 from fvs_controller_node.base import N_AXES, ControlLaw
-from fvs_controller_node.fusion import ADAPTIVE, FIXED, AdaptiveFusion, make_fusion
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.predictor import BallPredictor
 from fvs_controller_node.progress import ProgressLimits
@@ -154,7 +153,8 @@ _SUPERVISION = (
     Parameter(
         "prediction_slow",
         _DEFAULT.prediction_slow,
-        "One-step prediction error over the motion (1 is useless) above which the arm slows down.",
+        "Error of the predicted motion over the motion (1 is useless) above which the arm slows "
+        "down.",
         0.01,
         100.0,
         live=True,
@@ -162,19 +162,19 @@ _SUPERVISION = (
     Parameter(
         "prediction_hold",
         _DEFAULT.prediction_hold,
-        "One-step prediction error over the motion above which the arm is held after "
-        "prediction_hold_time_s.",
+        "Error of the predicted motion over the motion above which the arm is held after "
+        "prediction_hold_m.",
         0.01,
         100.0,
         live=True,
     ),
     Parameter(
-        "prediction_hold_time_s",
-        _DEFAULT.prediction_hold_time_s,
-        "How long the prediction error may stay above prediction_hold, so that an estimator that "
-        "learns can mend itself, s.",
+        "prediction_hold_m",
+        _DEFAULT.prediction_hold_m,
+        "Way of the ball for which the error may stay above prediction_hold, so that an estimator "
+        "that learns can mend itself, m.",
         0.0,
-        100.0,
+        10.0,
         live=True,
     ),
     Parameter(
@@ -256,39 +256,6 @@ _PREDICTION = (
         "predictor",
         True,
         "Predict the ball from its exposure to now with the joints' motion.",
-        live=True,
-    ),
-    Parameter(
-        "fusion",
-        FIXED,
-        "How images and joint motion are fused: with a fixed share of each image, or by a Kalman "
-        "filter that learns the images' noise.",
-        choices=(FIXED, ADAPTIVE),
-        live=True,
-    ),
-    Parameter(
-        "fusion_gain",
-        0.3,
-        "Share of an image's innovation that fixed fusion believes; 1 trusts images alone.",
-        0.01,
-        1.0,
-        live=True,
-    ),
-    Parameter(
-        "outlier_m",
-        0.03,
-        "A ball position further than this (and its motion) from the prediction is passed over "
-        "by fixed fusion, m.",
-        1e-3,
-        10.0,
-        live=True,
-    ),
-    Parameter(
-        "outlier_repeats",
-        3,
-        "So many outliers in a row are believed.",
-        1,
-        100,
         live=True,
     ),
     Parameter(
@@ -415,12 +382,7 @@ def reconfigure(loop: ServoLoop, values: Mapping[str, Any]) -> None:
     loop.law = law
     loop.anticipation = build_anticipation(values)
     loop.supervisor.configure(config)
-    settings = _predictor_settings(values)
-    if isinstance(settings["fusion"], AdaptiveFusion) and isinstance(
-        loop.predictor.fusion, AdaptiveFusion
-    ):
-        settings["fusion"] = loop.predictor.fusion  # it keeps what it has learned
-    loop.predictor.configure(**settings)
+    loop.predictor.configure(**_predictor_settings(values))
     loop.follower.configure(*_follower_settings(values))
 
 
@@ -437,19 +399,14 @@ _SAME_NAME = (
     "singular_hold_m_rad",
     "prediction_slow",
     "prediction_hold",
-    "prediction_hold_time_s",
+    "prediction_hold_m",
     "follow_time_s",
     "resume_within_s",
 )
 
 
 def _predictor_settings(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        "fusion": make_fusion(values["fusion"], values["fusion_gain"], values["outlier_m"]),
-        "outlier_repeats": values["outlier_repeats"],
-        "max_latency_s": values["max_latency_s"],
-        "enabled": values["predictor"],
-    }
+    return {"max_latency_s": values["max_latency_s"], "enabled": values["predictor"]}
 
 
 def _follower_settings(values: Mapping[str, Any]) -> tuple[float, bool, Inverse]:

@@ -84,6 +84,7 @@ class ServoLoop:
             return
         jump = self._jump(stamp_s, joints_rad)
         if jump:
+            self.predictor.reset()  # it was no motion of the ball's
             self.supervisor.bad_input(now_s, JOINT_STATES, jump)
         elif self.supervisor.joint_states(now_s, joints_rad):
             self._joints = np.array(joints_rad, dtype=float)
@@ -219,18 +220,27 @@ class ServoLoop:
             self._aim = aim
             moves = aim is not None and self.supervisor.track(aim.position_m)
             self._target_m_s = aim.velocity_m_s if aim is not None and moves else STANDING
+        if self._joints is not None:
+            self._drive_lag.add(
+                self._stamp_s,
+                self.supervisor.velocity_rad_s,
+                self._joints,
+                compare=self.supervisor.full_speed and self.supervisor.last.state is State.SERVOING,
+            )
+        if self._home is None:  # what moved before this start says nothing of now
+            self.predictor.tracker.agreement.restart()
         command = self.supervisor.tick(
             now_s,
             dt_s,
             self._joints,
             self.position_m,
             self._propose,
+            pending_rad=self._drive_lag.pending_rad(),
             problem=self.predictor.problem,
-            image=self.predictor.image,
+            verdict=self.predictor.tracker.agreement.verdict,
         )
         if command.state is not State.SERVOING:
             self.law.reset()
-            self._drive_lag.restart()
         if not self.supervisor.started:
             self._home = None
         return command
@@ -243,8 +253,8 @@ class ServoLoop:
         return {
             **self.supervisor.status_values(now_s),
             "image_latency_s": float("nan") if latency_s is None else latency_s,
-            "position_noise_m": _or_nan(self.predictor.fusion.noise_m),
-            "position_deviation_m": _or_nan(self.predictor.fusion.deviation_m),
+            "position_noise_m": self.predictor.tracker.fusion.noise_m,
+            "position_deviation_m": self.predictor.tracker.fusion.deviation_m,
             "drive_lag_s": self._drive_lag.lag_s,
             "settling_bound_without_limits_s": float("nan") if bound_s is None else bound_s,
         }
@@ -254,9 +264,6 @@ class ServoLoop:
         assert self._joints is not None
         if self._home is None:
             self._home = self._joints
-        self._drive_lag.add(
-            self._stamp_s, applied, self._joints, compare=self.supervisor.full_speed
-        )
         target_m_s, ahead = self._target_m_s, AT_REST
         if target_m_s is not STANDING and target_m_s.any():
             ahead = self.follower.feed_forward(target_m_s, self._jacobian, self._joints, self._home)
@@ -285,7 +292,3 @@ class ServoLoop:
             velocity_rad_s=output.velocity_rad_s + ahead,
             feed_forward_rad_s=float(np.abs(ahead).max()),
         )
-
-
-def _or_nan(value: float | None) -> float:
-    return float("nan") if value is None else value

@@ -18,12 +18,12 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import Trigger
 
 from fvs_controller_node.config import PARAMETERS, build_loop, reconfigure
-from fvs_controller_node.reasons import State
+from fvs_controller_node.reasons import Reason, State
 from fvs_controller_node.supervisor import Command
 from fvs_controller_node.supervisor_config import BALL, JACOBIAN, JOINT_STATES
-from fvs_ros.core import ros
+from fvs_ros.core import clock, ros
 from fvs_ros.core.joints import ForeignJointsError, JointMap, JointStateError
-from fvs_ros.core.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING, number
+from fvs_ros.core.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
 
 _STATUS_PERIOD_S = 0.1
 _RIVALS_PERIOD_S = 0.5
@@ -31,6 +31,9 @@ _RIVALS_PERIOD_S = 0.5
 _SENT = 64
 #: Without a joint state for so many tick periods the watchdog ticks in its place.
 _WATCHDOG_PERIODS = 2.5
+#: What passes by itself is logged so seldom, s, or when it lasts for so long, s.
+_TOLD_AGAIN_S, _LASTS_S = 10.0, 1.0
+_LATE = (Reason.STALE, Reason.RETURNING, Reason.NO_POSITION)
 #: A latched target is heard by both subscriptions, within this.
 _TARGET_ECHO_S = 0.5
 _LEVELS = {
@@ -55,7 +58,7 @@ class ControllerNode(ros.FvsNode):
         self._loop = build_loop(v)
         self._simulated_time = self.get_parameter("use_sim_time").value
         self._period_s = 1.0 / v["tick_rate_hz"]
-        self._ticked_s = self.steady_s()
+        self._ticked_s = self.now_s()
         self._joints_s = -np.inf
         self._stamp_s: float | None = None
         self._late = 0
@@ -67,6 +70,9 @@ class ControllerNode(ros.FvsNode):
         self._hears_rivals = False
         self._sent: deque[tuple[float, ...]] = deque(maxlen=_SENT)
         self._command: Command | None = None
+        self._reason_s = -np.inf  # since when it is the reason
+        self._told: Reason | None = None
+        self._told_passing_s = -np.inf
 
         self._commands = self.create_publisher(Float64MultiArray, ros.COMMANDS, ros.QOS_RELIABLE)
         self._sliding = self.create_publisher(
@@ -87,7 +93,7 @@ class ControllerNode(ros.FvsNode):
         self.create_service(
             Trigger,
             "~/start",
-            self._answer(lambda: self._loop.supervisor.start(self.steady_s())),
+            self._answer(lambda: self._loop.supervisor.start(self.now_s())),
         )
         self.create_service(Trigger, "~/stop", self._answer(self._loop.supervisor.stop))
         self.create_service(
@@ -100,7 +106,7 @@ class ControllerNode(ros.FvsNode):
     # --- inputs ---
 
     def _on_joint_states(self, message: JointState) -> None:
-        now_s = self.steady_s()
+        now_s = self.now_s()
         supervisor = self._loop.supervisor
         try:
             joints = self._joint_map.positions(message.name, message.position)
@@ -123,7 +129,7 @@ class ControllerNode(ros.FvsNode):
         self._tick(now_s, dt_s)
 
     def _on_ball(self, message: PointStamped) -> None:
-        now_s = self.steady_s()
+        now_s = self.now_s()
         try:
             position_m = ros.from_point(message, self._frame, ros.BALL_POSITION)
         except ros.MessageError as error:
@@ -132,30 +138,29 @@ class ControllerNode(ros.FvsNode):
         self._loop.add_ball(now_s, ros.from_stamp(message.header.stamp), position_m)
 
     def _on_jacobian(self, message: Float64MultiArray) -> None:
-        now_s = self.steady_s()
+        now_s = self.now_s()
         try:
             self._loop.add_jacobian(now_s, ros.from_jacobian(message))
         except ros.MessageError as error:
             self._loop.supervisor.bad_input(now_s, JACOBIAN, str(error))
 
     def _on_chain(self, message: Float64MultiArray) -> None:
-        now_s = self.steady_s()
+        now_s = self.now_s()
         try:
             self._loop.add_chain(now_s, ros.from_chain(message))
         except ros.MessageError as error:
             self._loop.bad_chain(now_s, str(error))
 
     def _on_estimator_status(self, message: DiagnosticStatus) -> None:
-        values, now_s = ros.from_status(message), self.steady_s()
+        values, now_s = ros.from_status(message), self.now_s()
         supervisor = self._loop.supervisor
-        supervisor.estimator_quality(now_s, number(values, "one_step_prediction_error_ratio"))
         idle = values.get("state") in (ESTIMATOR_WAITING, ESTIMATOR_FAULT)
         supervisor.estimator_says(now_s, message.message if idle else "")
 
     def _on_target(self, message: PointStamped) -> None:
         point, stamp = message.point, message.header.stamp
         heard = (point.x, point.y, point.z, stamp.sec, stamp.nanosec, message.header.frame_id)
-        now_s = self.steady_s()
+        now_s = self.now_s()
         # Latched samples come twice, and once more whenever the publisher is found again. Without a
         # stamp, as `ros2 topic pub` sends it, only the quick echo is told from a new wish.
         stamped = bool(stamp.sec or stamp.nanosec)
@@ -177,7 +182,7 @@ class ControllerNode(ros.FvsNode):
             self.tell(ros.OK if accepted else ros.WARN, text)
 
     def _take_current_as_target(self) -> tuple[bool, str]:
-        accepted, text = self._loop.set_current_as_target(self.steady_s())
+        accepted, text = self._loop.set_current_as_target(self.now_s())
         if accepted:
             self._refusal = ""
         return accepted, text
@@ -186,7 +191,7 @@ class ControllerNode(ros.FvsNode):
         self._loop.supervisor.program_running(message.data)
 
     def _on_speed_scaling(self, message: Float64) -> None:
-        self._loop.supervisor.speed_scaling(self.steady_s(), message.data)
+        self._loop.supervisor.speed_scaling(self.now_s(), message.data)
 
     def _answer(self, action):
         def on_request(_request: Trigger.Request, response: Trigger.Response):
@@ -203,7 +208,7 @@ class ControllerNode(ros.FvsNode):
     # --- the tick: the only place that sends commands ---
 
     def _watchdog(self) -> None:
-        now_s = self.steady_s()
+        now_s = self.now_s()
         if now_s - self._ticked_s > _WATCHDOG_PERIODS * self._period_s:
             self._late += 1
             self._tick(now_s, now_s - self._ticked_s)
@@ -220,15 +225,29 @@ class ControllerNode(ros.FvsNode):
             )
         previous, self._command = self._command, command
         if previous is None or previous.reason is not command.reason:
-            # Before a start, waiting for something is how things should be.
-            level = ros.OK if command.state is State.WAITING else _LEVELS[command.state]
-            self.tell(level, f"{command.state.value}: {command.text}")
+            self._reason_s = now_s
             self._publish_status()
+        if command.reason is not self._told:
+            self._tell_reason(now_s, command)
 
     # --- outputs ---
 
+    def _tell_reason(self, now_s: float, command: Command) -> None:
+        if command.state is State.HOLDING and not command.reason.needs_start:
+            if now_s < min(self._told_passing_s + _TOLD_AGAIN_S, self._reason_s + _LASTS_S):
+                return
+            self._told_passing_s = now_s
+        self._told = command.reason
+        # Before a start, waiting for something is how things should be.
+        level = ros.OK if command.state is State.WAITING else _LEVELS[command.state]
+        self.tell(level, f"{command.state.value}: {self._words(command)}")
+
+    def _words(self, command: Command) -> str:
+        late = command.state is State.HOLDING and command.reason in _LATE
+        return clock.blamed(command.text) if late else command.text
+
     def _publish_status(self) -> None:
-        if self._untold and self.steady_s() - self._heard_target_s > _TARGET_ECHO_S:
+        if self._untold and self.now_s() - self._heard_target_s > _TARGET_ECHO_S:
             self.tell(ros.OK, self._untold)  # it has arrived
             self._untold = ""
         command = self._command
@@ -237,8 +256,9 @@ class ControllerNode(ros.FvsNode):
         remarks = [one for one in (self._refusal, self._loop.remark) if one]
         if self._rivals:
             remarks.append(f"{self._rivals} publishes commands as well: stop it")
-        text = f"{command.text} ({'; '.join(remarks)})" if remarks else command.text
-        values = self._loop.status_values(self.steady_s())
+        words = self._words(command)
+        text = f"{words} ({'; '.join(remarks)})" if remarks else words
+        values = self._loop.status_values(self.now_s())
         values.pop("state", None)
         self.publish_status(
             max(_LEVELS[command.state], ros.WARN if self._rivals else ros.OK),
@@ -260,7 +280,7 @@ class ControllerNode(ros.FvsNode):
     def _on_any_command(self, message: Float64MultiArray) -> None:
         # One's own come back, too. A rival that says what was just said here does no harm.
         if tuple(message.data) not in self._sent:
-            self._loop.supervisor.rival(self.steady_s(), self._rivals or "another node")
+            self._loop.supervisor.rival(self.now_s(), self._rivals or "another node")
 
     def diagnostic_values(self) -> dict[str, Any]:
         """Ticks that the watchdog made."""
@@ -270,13 +290,13 @@ class ControllerNode(ros.FvsNode):
         """Leave zeros on the wire, and then say so."""
         self._loop.supervisor.shutdown()
         ros.send_last_zeros(self._commands)
-        self._command = self._loop.tick(self.steady_s(), 0.0)
+        self._command = self._loop.tick(self.now_s(), 0.0)
         self._publish_status()
 
 
 def main() -> int:
     """Run ``fvs_controller_node``."""
-    return ros.run(ControllerNode)
+    return ros.run(ControllerNode, __doc__, PARAMETERS)
 
 
 if __name__ == "__main__":

@@ -11,9 +11,8 @@ from collections import deque
 
 import numpy as np
 
-from fvs_controller_node.fusion import FixedFusion, Fusion
-from fvs_controller_node.image_watch import Image
 from fvs_ros.core.history import JointHistory
+from fvs_ros.core.tracker import Image, Tracker
 
 #: Ball positions that may wait for the joint state after their exposure.
 _MAX_WAITING = 32
@@ -27,55 +26,29 @@ class BallPredictor:
 
     The ball's motion ``sum J dr`` is kept over time and interpolated at an image's exposure (an
     image waits for a later joint state if need be). Between images the estimate follows it; an
-    image pulls it: ``xh += K (x - xh)``. Clock jumps, gaps in the joint
+    image pulls it (:class:`~fvs_ros.core.tracker.Tracker`). Clock jumps, gaps in the joint
     states and long absences of the ball start it anew.
 
     Parameters
     ----------
-    fusion : FixedFusion or AdaptiveFusion, optional
-        How much of an image is believed, and which are outliers.
-    outlier_repeats : int
-        So many of them in a row are believed, and start the estimate anew.
     max_latency_s : float
         No prediction over more than this, s; also the largest gap between images.
     enabled : bool
         Off: the position is that of the last image.
     """
 
-    def __init__(
-        self,
-        *,
-        fusion: Fusion | None = None,
-        outlier_repeats: int = 3,
-        max_latency_s: float = 0.5,
-        enabled: bool = True,
-    ) -> None:
-        self.configure(
-            fusion=fusion or FixedFusion(),
-            outlier_repeats=outlier_repeats,
-            max_latency_s=max_latency_s,
-            enabled=enabled,
-        )
+    def __init__(self, *, max_latency_s: float = 0.5, enabled: bool = True) -> None:
+        self.configure(max_latency_s=max_latency_s, enabled=enabled)
         self._images = 0
+        self.tracker = Tracker()
         self._moved = JointHistory()  # of the ball by the joints, m, rather than of the joints
         self._waiting: deque[tuple[float, np.ndarray]] = deque(maxlen=_MAX_WAITING)
         self.reset()
 
-    def configure(
-        self,
-        *,
-        fusion: Fusion,
-        outlier_repeats: int,
-        max_latency_s: float,
-        enabled: bool,
-    ) -> None:
-        """Change the settings and keep the estimate; a new fusion has all to learn."""
-        if outlier_repeats < 1:
-            raise ValueError(f"outlier_repeats must be at least 1, got {outlier_repeats}")
+    def configure(self, *, max_latency_s: float, enabled: bool) -> None:
+        """Change the settings and keep the estimate."""
         if not max_latency_s > 0.0:
             raise ValueError(f"max_latency_s must be positive, got {max_latency_s}")
-        self._fusion = fusion
-        self._outlier_repeats = outlier_repeats
         self._max_latency_s = max_latency_s
         self._enabled = enabled
 
@@ -90,27 +63,13 @@ class BallPredictor:
         self._stamp_s: float | None = None  # exposure that the estimate belongs to
         self._seen_stamp_s: float | None = None  # newest exposure received
         self._raw = np.zeros(3)
-        self._estimate = np.zeros(3)
-        self._moved_then = np.zeros(3)  # motion up to that exposure
-        self._outlier: np.ndarray | None = None  # innovation of the last image, if it was one
-        self._outliers = 0
-        self._image: Image | None = None
         self._latency_s: float | None = None
-
-    @property
-    def fusion(self) -> Fusion:
-        """How images and joint motion are fused, with what it has learned."""
-        return self._fusion
+        self.tracker.restart()
 
     @property
     def images(self) -> int:
         """Number of images heard of so far."""
         return self._images
-
-    @property
-    def image(self) -> Image | None:
-        """The newest image with joint states around it, before any fusion."""
-        return self._image
 
     @property
     def latency_s(self) -> float | None:
@@ -189,31 +148,13 @@ class BallPredictor:
         newest = self._moved.newest_stamp_s
         assert newest is not None
         self._latency_s = newest - stamp_s
-        self._raw, self._image = position, Image(stamp_s, position, moved)
-        motion = moved - self._moved_then
-        before_s, self._stamp_s, self._moved_then = self._stamp_s, stamp_s, moved
+        self._raw = position
+        before_s, self._stamp_s = self._stamp_s, stamp_s
         if before_s is None or stamp_s - before_s > self._max_latency_s:
-            self._believe(position)
-            return
-        self._estimate = self._estimate + motion
-        innovation = position - self._estimate
-        correction = self._fusion.correct(innovation, motion)
-        self._images += 1
-        if correction is not None:
-            self._outlier, self._outliers = None, 0
-            self._estimate += correction
-            return
-        before, self._outlier = self._outlier, innovation
-        self._outliers += 1
-        agreed = before is not None and self._fusion.agree(before, innovation, motion)
-        if agreed or self._outliers >= self._outlier_repeats:
-            self._believe(position)
-            self._fusion.doubt()
-
-    def _believe(self, position: np.ndarray) -> None:
-        self._estimate = position.copy()
-        self._outlier, self._outliers = None, 0
-        self._fusion.restart()
+            self.tracker.restart()
+        else:
+            self._images += 1
+        self.tracker.add(Image(stamp_s, position, moved))
 
     def predict(self) -> np.ndarray | None:
         """Predict the ball's position at the newest joint state.
@@ -224,10 +165,11 @@ class BallPredictor:
             Position, m; None where there is nothing to predict from (see ``problem``).
         """
         newest, moved = self._moved.newest_stamp_s, self._moved.newest
-        if newest is None or moved is None or self._stamp_s is None:
+        estimate = self.tracker.estimate_m
+        if newest is None or moved is None or self._stamp_s is None or estimate is None:
             return None
         if newest - self._stamp_s > self._max_latency_s or self.problem:
             return None
         if not self._enabled:
             return self._raw.copy()
-        return self._estimate + moved - self._moved_then
+        return estimate + moved - self.tracker.moved_m

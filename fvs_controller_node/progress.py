@@ -1,4 +1,4 @@
-"""Is the ball getting to its target? Settled, growing and stalled errors, robust to noise."""
+"""Is the ball getting to its target? Settled, growing, stalled and swinging errors."""
 
 from __future__ import annotations
 
@@ -10,6 +10,10 @@ from fvs_ros.core.vectors import length
 
 #: Time constant of the low pass on the error norm, s.
 _SMOOTHING_S = 0.1
+#: The error has swung when it is this far from where it was, m: more than noise does. What swings
+#: no more for so long, s, has come to rest. A sustained oscillation sums up to this way, m, and to
+#: twice the way to the target besides.
+_SWING_M, _REST_S, _SWINGS_M = 0.01, 1.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -48,11 +52,18 @@ _PROGRESS_SHARE = 0.03
 
 
 class Progress:
-    """Follows the norm of the error since the start, or since a new target."""
+    """Follows the error since the start, or since a new target."""
 
     def __init__(self, limits: ProgressLimits) -> None:
         self.limits = limits
+        self._task: np.ndarray | None = None  # the target of the last restart, m
         self.restart()
+
+    def take_target(self, target_m: np.ndarray) -> None:
+        """Begin anew for a target, m, (3,), that is another one by more than errors may grow."""
+        if self._task is None or _apart(target_m, self._task) > self.limits.growth_m:
+            self._task = target_m
+            self.restart()
 
     def restart(self) -> None:
         """Begin anew: a start, or another target."""
@@ -64,6 +75,8 @@ class Progress:
         self._mark_m = float("inf")  # the best error when progress was last made
         self._mark_target: np.ndarray | None = None
         self._since_mark_s = 0.0
+        self._swung_m: tuple[np.ndarray, np.ndarray | None] | None = None  # error, target
+        self._swings_m, self._still_s, self._first_m = 0.0, 0.0, 0.0
 
     @property
     def best_m(self) -> float:
@@ -90,9 +103,19 @@ class Progress:
         """Whether the error has been large for too long without getting smaller."""
         return self._since_mark_s >= self.limits.stall_time_s
 
+    @property
+    def swings_m(self) -> float:
+        """How far the error has gone, there and back, without coming to rest, m."""
+        return self._swings_m
+
+    @property
+    def swinging(self) -> bool:
+        """Whether it goes to and fro and does not come to rest."""
+        return self._swings_m > _SWINGS_M + 2.0 * self._first_m
+
     def add(
         self,
-        error_m: float,
+        error_m: np.ndarray,
         dt_s: float,
         servoing: bool,
         target_m: np.ndarray | None = None,
@@ -101,23 +124,25 @@ class Progress:
 
         Parameters
         ----------
-        error_m : float
-            Norm of the error, m.
+        error_m : ndarray, shape (3,)
+            The error, m.
         dt_s : float
             Time since the last tick, s.
         servoing : bool
-            Whether the law is in charge: growth and stall count then only.
+            Whether the law is in charge: all but settling counts then only.
         target_m : ndarray, shape (3,), optional
             Where the target is, m: as far as it has gone from where it was at the best, a larger
             error is not the arm's doing.
         """
+        norm_m = length(error_m)
         if self._smooth_m is None:
-            self._smooth_m = error_m
-        self._smooth_m += (error_m - self._smooth_m) * dt_s / (dt_s + _SMOOTHING_S)
+            self._smooth_m = self._first_m = norm_m
+        self._smooth_m += (norm_m - self._smooth_m) * dt_s / (dt_s + _SMOOTHING_S)
         near = self._smooth_m < self.limits.settled_error_m
         self._near_s = self._near_s + dt_s if near else 0.0
         if not servoing:
             return  # the times stand still: a short gap in the inputs must not forgive what was
+        self._swing(error_m, dt_s, target_m)
         best_m = self._best_m + _apart(target_m, self._best_target)
         if self._smooth_m < best_m:
             self._best_m, self._best_target = self._smooth_m, target_m
@@ -134,6 +159,18 @@ class Progress:
             self._since_mark_s += dt_s
         else:
             self._since_mark_s = 0.0
+
+    def _swing(self, error_m: np.ndarray, dt_s: float, target_m: np.ndarray | None) -> None:
+        if self._swung_m is None:
+            self._swung_m = error_m, target_m
+        went_m = length(error_m - self._swung_m[0])
+        self._still_s += dt_s
+        if went_m > _SWING_M:
+            # As far as the target has gone, it was not the arm that swung.
+            self._swings_m += max(0.0, went_m - _apart(target_m, self._swung_m[1]))
+            self._swung_m, self._still_s = (error_m, target_m), 0.0
+        elif self._still_s > _REST_S:
+            self._swings_m = self._first_m = 0.0
 
 
 def _apart(one: np.ndarray | None, other: np.ndarray | None) -> float:

@@ -77,16 +77,14 @@ class Reason(Enum):
         Stop.RAMP,
         False,
         "the Jacobian is near singular: smallest singular value {value:.4f} m/rad, below "
-        "{limit:.4f}; choose a target away from there and call ~/start to leave slowly, jog the "
-        "arm, or check the estimator's model",
+        "{limit:.4f}; call ~/start to leave slowly for another target, or the estimator's ~/reset",
     )
     PREDICTION_ERROR = (
         State.HOLDING,
         Stop.RAMP,
         True,
-        "the Jacobian predicts motion badly: one-step error ratio {value:.2f}, above "
-        "{limit:.2f} for {time_s:.1f} s; check camera and model (estimator ~/reset), then "
-        "call ~/start",
+        "the Jacobian predicts motion badly: error ratio {value:.2f}, above {limit:.2f} for "
+        "{way_mm:.0f} mm; check camera and model, call the estimator's ~/reset, then ~/start",
     )
     ERROR_GROWING = (
         State.HOLDING,
@@ -104,6 +102,13 @@ class Reason(Enum):
         "reach, a joint at the end of its range, or the Jacobian wrong there; choose another "
         "target, then call ~/start",
     )
+    OSCILLATING = (
+        State.HOLDING,
+        Stop.RAMP,
+        True,
+        "the ball swings about its target, {way_m:.1f} m so far; check stamps (stamp_delay_s) and "
+        "gains, then call ~/start",
+    )
     NOT_FOLLOWING = (
         State.HOLDING,
         Stop.RAMP,
@@ -116,9 +121,8 @@ class Reason(Enum):
         State.HOLDING,
         Stop.RAMP,
         True,
-        "the image does not follow the arm: within {time_s:.1f} s the ball was to move "
-        "{predicted_mm:.0f} mm and was seen to move {seen_mm:.0f} mm; is the picture frozen, was "
-        "the camera moved meanwhile, or is that not the ball? Then call ~/start",
+        "frozen image: {predicted_mm:.0f} mm of motion predicted in {time_s:.1f} s, "
+        "{seen_mm:.0f} mm seen; check camera and detector, then call ~/start",
     )
     RIVAL = (
         State.HOLDING,

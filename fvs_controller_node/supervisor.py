@@ -14,7 +14,6 @@ from math import inf, isfinite
 import numpy as np
 
 from fvs_controller_node.base import N_AXES, ControlOutput
-from fvs_controller_node.image_watch import Image, ImageWatch
 from fvs_controller_node.inputs import InputMonitor
 from fvs_controller_node.progress import Progress
 from fvs_controller_node.pseudo_inverse import Conditioning, DampedInverse, conditioning
@@ -28,6 +27,7 @@ from fvs_controller_node.supervisor_config import (
     SPEED_SCALING,
     SupervisorConfig,
 )
+from fvs_ros.core.agreement import Verdict
 from fvs_ros.core.following import Following
 from fvs_ros.core.joints import N_JOINTS
 from fvs_ros.core.limits import (
@@ -50,8 +50,15 @@ _LARGEST = 100.0
 #: Speed at which the arm leaves a singular pose on request, rad/s, and for how long at most, s.
 _LEAVE_RAD_S, _LEAVE_TIME_S = 0.1, 10.0
 
+#: A ball that is seen to make less of its predicted way than this does not follow the arm. A camera
+#: that was turned shows all of it, in another direction; a learning Jacobian shows about all.
+_LEAST_SEEN = 0.3
+
 #: Another node's command forbids motion for so long, s.
 _RIVAL_S = 1.0
+
+#: From full speed the arm stops within this, s, however small the acceleration limit is.
+_STOP_S = 0.5
 
 #: Commands below this are rest, rad/s.
 _TINY_RAD_S = 1e-9
@@ -117,7 +124,6 @@ class Supervisor:
         }
         self._progress = Progress(self._config.progress)
         self._following = Following()
-        self._image_watch = ImageWatch()
         self._target: np.ndarray | None = None  # now
         self._told_target: np.ndarray | None = None  # when it was told last
         self._jacobian: np.ndarray | None = None
@@ -128,8 +134,8 @@ class Supervisor:
         self._held_s = 0.0
         self._program_running = True
         self._speed_scaling = 100.0
-        self._quality: tuple[float, float] | None = None  # ratio, arrival
-        self._mispredicted_s = 0.0  # how long the ratio has been too high
+        self._verdict: Verdict | None = None  # of seen and predicted motion
+        self._mispredicted_m = 0.0  # how far the ball was to go meanwhile
         self._started = False
         self._autostart_left = self._config.autostart
         self._ended: Finding | None = None  # what ended the session and needs a start
@@ -232,10 +238,8 @@ class Supervisor:
                 f"target refused: {', '.join(outside)} (workspace_min_m and workspace_max_m, "
                 f"in {frame})"
             )
-        # The same target said again is no new task, nor is one on its way: the watch on growing
-        # errors goes on.
-        if not (moving or self.was_told(target)):
-            self._progress.restart()
+        if not moving:  # one on its way is no new task
+            self._progress.take_target(target)
         self._target = self._told_target = target
         return True, "target set to ({:.3f}, {:.3f}, {:.3f}) m".format(*target.tolist())
 
@@ -271,10 +275,6 @@ class Supervisor:
         self._speed_scaling = float(percent)
         if self._speed_scaling <= 0.0:
             self._pause(Reason.SPEED_SCALING_ZERO)
-
-    def estimator_quality(self, now_s: float, error_ratio: float) -> None:
-        """Tell the estimator's one-step prediction error ratio; not finite means unknown."""
-        self._quality = (float(error_ratio), now_s) if isfinite(error_ratio) else None
 
     def estimator_says(self, now_s: float, why: str) -> None:
         """Tell why the estimator may publish no Jacobian, in its words; empty if all is well."""
@@ -381,8 +381,9 @@ class Supervisor:
         position_m: np.ndarray | None,
         propose: Propose,
         *,
+        pending_rad: np.ndarray | None = None,
         problem: str = "",
-        image: Image | None = None,
+        verdict: Verdict | None = None,
     ) -> Command:
         """Decide on the command for this tick.
 
@@ -398,17 +399,18 @@ class Supervisor:
             Ball position predicted to now, m.
         propose : callable
             Asks the law; called only if the arm may move.
+        pending_rad : ndarray, shape (6,), optional
+            Joint motion that was commanded and is still to come.
         problem : str
             Why there is no position, if there is none.
-        image : Image, optional
-            The newest one, as it was seen.
+        verdict : Verdict, optional
+            How seen and predicted motion agree, as far as enough moved to say.
         """
         dt_s = min(dt_s, MAX_TICK_S) if isfinite(dt_s) and dt_s > 0.0 else 0.0
         steady_dt_s = min(max(now_s - self._ticked_s, 0.0), MAX_TICK_S)
         self._ticked_s = now_s
         self._see(position_m, problem, dt_s)
-        if image is not None:
-            self._image_watch.add(image)
+        self._verdict = verdict
         finding = self._objection(now_s)
         if finding is None and self._autostart_left and self._ended is None:
             self._begin()
@@ -420,6 +422,8 @@ class Supervisor:
         finding = self._held_long(finding, steady_dt_s)
         if finding is not None and finding.reason.needs_start:
             self._end_session(finding)
+        if joints_rad is not None and pending_rad is not None:
+            joints_rad = joints_rad + pending_rad  # where they are when the command takes effect
         if output is not None and joints_rad is not None:
             return self._move(output, joints_rad, dt_s)
         self._following.pause()
@@ -443,7 +447,7 @@ class Supervisor:
             "fastest_joint_rad_s": float(np.abs(self._velocity).max()),
             "smallest_singular_value_m_rad": nan if singular is None else singular.smallest,
             "condition_number": nan if singular is None else singular.condition,
-            "prediction_error_ratio": self._ratio(now_s),
+            "prediction_error_ratio": self._error_ratio,
         }
         for name in (JOINT_STATES, BALL, JACOBIAN):
             values[f"{name}_age_s"] = self._inputs[name].age_s(now_s)
@@ -503,33 +507,34 @@ class Supervisor:
     ) -> Finding | None:
         """Find what only shows while the arm moves."""
         not_following = self._does_not_follow(joints, dt_s)  # always heard: it counts the time
-        return (
-            self._image_not_following()
-            or self._bad_prediction(now_s, dt_s)
-            or self._no_progress()
-            or not_following
-        )
+        return self._disagreement(dt_s) or self._no_progress() or not_following
 
-    def _image_not_following(self) -> Finding | None:
-        unmoved = self._image_watch.unmoved
-        if unmoved is None:
+    def _disagreement(self, dt_s: float) -> Finding | None:
+        """What is wrong about the image or the Jacobian, if what was seen was not predicted."""
+        verdict, config = self._verdict, self._config
+        if verdict is not None and verdict.seen_share < _LEAST_SEEN:
+            return Reason.IMAGE_NOT_FOLLOWING.because(
+                time_s=verdict.time_s,
+                predicted_mm=1e3 * verdict.predicted_m,
+                seen_mm=1e3 * verdict.seen_share * verdict.predicted_m,
+            )
+        if not self._error_ratio > config.prediction_hold:
+            self._mispredicted_m = 0.0
             return None
-        return Reason.IMAGE_NOT_FOLLOWING.because(
-            time_s=unmoved.time_s,
-            predicted_mm=1e3 * unmoved.predicted_m,
-            seen_mm=1e3 * unmoved.seen_m,
-        )
-
-    def _bad_prediction(self, now_s: float, dt_s: float) -> Finding | None:
-        ratio, config = self._ratio(now_s), self._config
-        self._mispredicted_s = (
-            self._mispredicted_s + dt_s if ratio > config.prediction_hold else 0.0
-        )
-        if self._mispredicted_s < config.prediction_hold_time_s:
+        assert self._jacobian is not None
+        self._mispredicted_m += dt_s * length(self._jacobian @ self._velocity)
+        if self._mispredicted_m < config.prediction_hold_m:
             return None
         return Reason.PREDICTION_ERROR.because(
-            value=ratio, limit=config.prediction_hold, time_s=config.prediction_hold_time_s
+            value=self._error_ratio,
+            limit=config.prediction_hold,
+            way_mm=1e3 * config.prediction_hold_m,
         )
+
+    @property
+    def _error_ratio(self) -> float:
+        """Error of predicted motion over the motion; not a number while unknown."""
+        return float("nan") if self._verdict is None else self._verdict.error_ratio
 
     def _no_progress(self) -> Finding | None:
         progress, error_mm = self._progress, 1e3 * self._progress.smooth_m
@@ -539,6 +544,8 @@ class Supervisor:
                 error_mm=error_mm,
                 time_s=progress.limits.growth_time_s,
             )
+        if progress.swinging:
+            return Reason.OSCILLATING.because(way_m=progress.swings_m, error_mm=error_mm)
         if progress.stalled:
             return Reason.STALLED.because(time_s=progress.limits.stall_time_s, error_mm=error_mm)
         return None
@@ -644,8 +651,7 @@ class Supervisor:
         if value < config.singular_slow_m_rad:
             share = _ramp(value, config.singular_hold_m_rad, config.singular_slow_m_rad)
             active.append(f"near singular ({value:.3f} m/rad)")
-        if self._quality is not None and self._quality[0] > config.prediction_slow:
-            ratio = self._quality[0]
+        if (ratio := self._error_ratio) > config.prediction_slow:
             share *= _ramp(ratio, config.prediction_hold, config.prediction_slow)
             active.append(f"prediction error ({ratio:.2f})")
         return max(share, _SLOWEST_SHARE), active
@@ -670,7 +676,8 @@ class Supervisor:
     def _slower(self, joints: np.ndarray | None, dt_s: float) -> np.ndarray:
         """Find the next command on the way to rest, rad/s, shape (6,)."""
         config, last = self._config, self._velocity
-        step = config.max_joint_acceleration_rad_s2 * dt_s
+        limit = max(config.max_joint_acceleration_rad_s2, config.max_joint_velocity_rad_s / _STOP_S)
+        step = limit * dt_s
         velocity = ramp_to_zero(last, step)
         if joints is None:
             return velocity
@@ -679,7 +686,7 @@ class Supervisor:
             velocity,
             joints,
             config.max_joint_velocity_rad_s,
-            config.max_joint_acceleration_rad_s2,
+            limit,
         )
         return np.clip(velocity, last - step, last + step)
 
@@ -698,11 +705,10 @@ class Supervisor:
         self._started = True
         self._autostart_left = False
         self._ended = None
-        self._mispredicted_s = 0.0
+        self._mispredicted_m = 0.0
         self._singularity.stay()
         self._progress.restart()
         self._following.restart()
-        self._image_watch.restart()
 
     def _pause(self, reason: Reason) -> None:
         """End the session for a pause of the robot, also one that something else has ended."""
@@ -724,8 +730,7 @@ class Supervisor:
         self._problem = problem
         error = self.error_m
         if error is not None:
-            norm = length(error)
-            self._progress.add(norm, dt_s, self._last.state is State.SERVOING, self._target)
+            self._progress.add(error, dt_s, self._last.state is State.SERVOING, self._target)
 
     @property
     def error_m(self) -> np.ndarray | None:
@@ -733,16 +738,6 @@ class Supervisor:
         if self._position is None or self._target is None:
             return None
         return self._position - self._target
-
-    def _ratio(self, now_s: float) -> float:
-        """Return the newest prediction error ratio; NaN when unknown or too old."""
-        if self._quality is None:
-            return float("nan")
-        ratio, arrival_s = self._quality
-        if now_s - arrival_s > self._config.prediction_max_age_s:
-            self._quality = None
-            return float("nan")
-        return ratio
 
     def _check(self, now_s: float, name: str, values: np.ndarray, shape: tuple[int, ...]) -> bool:
         values = np.asarray(values, dtype=float)

@@ -43,13 +43,11 @@ class SupervisorConfig:
     singular_slow_m_rad, singular_hold_m_rad : float
         Smallest singular value of the Jacobian below which the arm slows down, and is held.
     prediction_slow, prediction_hold : float
-        One-step prediction error ratio (1: no better than predicting rest) above which the arm
-        slows down, and is held.
-    prediction_hold_time_s : float
-        So long above ``prediction_hold`` while servoing: an estimator that learns needs motion
-        to mend itself, s.
-    prediction_max_age_s : float
-        A ratio older than this is forgotten, s.
+        Error of the predicted motion over the motion (1: no better than predicting rest) above
+        which the arm slows down, and is held.
+    prediction_hold_m : float
+        ... once the ball was to go so far meanwhile: an estimator that learns needs motion to mend
+        itself, m.
     follow_time_s : float
         So long the arm may fail to move as commanded, s.
     resume_within_s : float
@@ -78,8 +76,7 @@ class SupervisorConfig:
     singular_hold_m_rad: float = 0.03
     prediction_slow: float = 0.8
     prediction_hold: float = 1.2
-    prediction_hold_time_s: float = 2.0
-    prediction_max_age_s: float = 2.5
+    prediction_hold_m: float = 0.05
     follow_time_s: float = 3.0
     resume_within_s: float = 30.0
     progress: ProgressLimits = field(default_factory=ProgressLimits)

@@ -68,7 +68,7 @@ class DetectorNode(ros.FvsNode):
         self._problem, self._problem_s = "", -np.inf
         self._latency_s = self._processing_ms = np.nan
         # A camera needs a moment to be found; a ball at the edge of being seen comes and goes.
-        self._told, self._told_s = "", self.steady_s()
+        self._told, self._told_s = "", self.now_s()
 
         self._ball = self.create_publisher(PointStamped, ros.BALL_POSITION, ros.QOS_RELIABLE)
         self._annotated = self.create_publisher(Image, "~/annotated_image", ros.QOS_RELIABLE)
@@ -204,7 +204,7 @@ class DetectorNode(ros.FvsNode):
         if exposed_s == pair.stamp_s:
             message.header.stamp = pair.colour.header.stamp  # to the nanosecond, as it came
         self._ball.publish(message)
-        self._published.arrived(self.steady_s())
+        self._published.arrived(self.now_s())
         self._latency_s = self.ros_s() - exposed_s
 
     def _publish_annotated(
@@ -223,7 +223,7 @@ class DetectorNode(ros.FvsNode):
 
     def _complain(self, topic: str, problem: str) -> None:
         self._problem = f"{self.resolve_topic_name(topic)}: {problem}"
-        self._problem_s = self.steady_s()
+        self._problem_s = self.now_s()
 
     # --- status ---
 
@@ -235,7 +235,7 @@ class DetectorNode(ros.FvsNode):
         )
 
     def _publish_status(self) -> None:
-        now_s = self.steady_s()
+        now_s = self.now_s()
         pairing = self._pairing
         state, reason = judge(
             Snapshot(
@@ -283,7 +283,7 @@ def _rate_hz(monitor: ArrivalMonitor, now_s: float) -> float:
 
 def main() -> int:
     """Run ``fvs_detector_node``."""
-    return ros.run(DetectorNode)
+    return ros.run(DetectorNode, __doc__, PARAMETERS)
 
 
 if __name__ == "__main__":

@@ -12,9 +12,7 @@ one is learned from there. How far the ball jumped says how far the camera may h
 if it is soon off again, then the camera turns on (somebody carries it), or it was turned about the
 ball, and the jump says nothing: the rotation from before all that is then doubted as much as ever.
 If it is back where it was before, nothing was moved: all that was known then is known again.
-A turn about the ball shows sooner by the steps (:mod:`fvs_estimator_node.turn_watch`). Stamps that
-are wrong are found first, and pairs made of what belongs together
-(:mod:`fvs_estimator_node.stamp_watch`).
+A turn about the ball shows sooner by the steps (:mod:`fvs_estimator_node.turn_watch`).
 """
 
 from __future__ import annotations
@@ -172,10 +170,10 @@ class CameraMotion:
 
     @property
     def doubts(self) -> CameraDoubts:
-        """How often the camera was found to have been moved, and what is wrong with the images."""
+        """How often the camera was found to have been moved."""
         return self._doubts
 
-    def add(self, model_m: np.ndarray, seen_m: np.ndarray, stamp_s: float = math.nan) -> bool:
+    def add(self, model_m: np.ndarray, seen_m: np.ndarray) -> bool:
         """Tell one pair: where the model has the ball, and where the image has it, m, (3,) each.
 
         Nothing is learned from what is not finite, beyond all reason, or not believed yet.
@@ -187,11 +185,7 @@ class CameraMotion:
         """
         if not (length(model_m) < _FARTHEST_M and length(seen_m) < _FARTHEST_M):
             return False
-        turns = (self._pose.rotation, self._before_bump, _IDENTITY)
-        if self._doubts.image(model_m, seen_m, stamp_s, turns):
-            self._begin_in_time()
-        if self._doubts.stamps.lag:
-            model_m, seen_m = self._doubts.stamps.pair()
+        self._doubts.image()
         innovation = self._pose.off_m(model_m, seen_m)
         distance_m = length(innovation)
         believed = distance_m <= self._disbelief_m()
@@ -207,17 +201,6 @@ class CameraMotion:
         bumped = not believed and self._wonder(model_m, seen_m, distance_m)
         turned = self._watch_steps(model_m, seen_m, believed)
         return believed or bumped or turned
-
-    def _begin_in_time(self) -> None:
-        """Learn anew from the last pairs: they did not belong together, whatever they told."""
-        soon, stamps = self._since_bump < _SOON, self._doubts.stamps
-        rotation = self._before_bump if soon else self._pose.rotation
-        self._begin(rotation, self._config.rotation_deviation_rad)
-        self._watch.clear()
-        self._pairs.clear()
-        for back in reversed(range(1, stamps.pairs)):
-            self._learn(*stamps.pair(back))
-        self._since_bump = _SOON
 
     def _hear_noise(self, change_m: np.ndarray) -> None:
         """Learn the noise from what changes between two positions: what stays is no noise."""

@@ -20,8 +20,9 @@ from collections.abc import Sequence
 from typing import IO, BinaryIO
 
 from fvs_estimator_node.knowledge import Answer, Findings, NothingYet, Question, Trouble
+from fvs_ros.core.paths import program
 
-_COMMAND = (sys.executable, "-m", "fvs_estimator_node.chain_worker")
+_COMMAND = program("fvs_estimator_node.chain_worker")
 #: A fit that takes more of the processor hangs; one that takes longer by the clock gets too little
 #: of it, or waits for ever. The process is ended by its own timers, s.
 _PROCESSOR_S, _LONGEST_S = 60.0, 600.0

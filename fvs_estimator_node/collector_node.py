@@ -26,13 +26,15 @@ from fvs_estimator_node.collector_config import PARAMETERS
 from fvs_estimator_node.dataset import save_data_set
 from fvs_estimator_node.knowledge import Knowledge
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
-from fvs_ros.core import ros
+from fvs_ros.core import clock, ros
 from fvs_ros.core.joints import ForeignJointsError, JointMap, JointStateError
 
 _STATUS_PERIOD_S = 0.1
 _WATCHDOG_S = 0.02
 _MIN_SAMPLES = 30
 _RIVALS_PERIOD_S = 0.25
+#: That the arm is held, or goes back, is said so seldom, s.
+_SAID_PERIOD_S = 10.0
 
 
 class CollectorNode(ros.FvsNode):
@@ -65,9 +67,9 @@ class CollectorNode(ros.FvsNode):
         if v["stop_at_error"] > 0.0:
             self._knowledge = Knowledge(v["stop_at_error"], self._worker)
         self._run = CollectionRun(config, self._make_motion, self._knowledge)
-        self._ticked_s = self.steady_s()
+        self._ticked_s = self.now_s()
         self._stamp_s: float | None = None
-        self._said = State.WAITING
+        self._said, self._said_s = State.WAITING, -np.inf
         self._told_trouble = False
         self._bar = tqdm(
             total=v["duration_s"],
@@ -94,7 +96,7 @@ class CollectorNode(ros.FvsNode):
     # --- inputs ---
 
     def _on_joint_states(self, message: JointState) -> None:
-        now_s = self.steady_s()
+        now_s = self.now_s()
         try:
             joints = self._joint_map.positions(message.name, message.position)
         except ForeignJointsError:
@@ -116,7 +118,7 @@ class CollectorNode(ros.FvsNode):
         except ros.MessageError as error:
             self._run.fail(str(error))
             return
-        self._run.ball(self.steady_s(), ros.from_stamp(message.header.stamp), position_m)
+        self._run.ball(self.now_s(), ros.from_stamp(message.header.stamp), position_m)
 
     def _on_program_running(self, message: Bool) -> None:
         if not message.data:
@@ -134,7 +136,7 @@ class CollectorNode(ros.FvsNode):
     # --- the tick: the only place that sends commands ---
 
     def _watchdog(self) -> None:
-        now_s = self.steady_s()
+        now_s = self.now_s()
         if now_s - self._ticked_s > _WATCHDOG_S:
             self._tick(now_s, now_s - self._ticked_s)
 
@@ -151,7 +153,7 @@ class CollectorNode(ros.FvsNode):
         run = self._run
         failed = run.state is State.FAILED
         if failed:
-            print(f"collecting failed: {run.reason}", file=sys.stderr)
+            print(f"collecting failed: {clock.blamed(run.reason)}", file=sys.stderr)
         if len(run.samples) < _MIN_SAMPLES:
             print(f"{len(run.samples)} positions are too few to be written", file=sys.stderr)
             failed = True
@@ -198,11 +200,15 @@ class CollectorNode(ros.FvsNode):
         run = self._run
         level = {State.FAILED: ros.ERROR, State.MOVING: ros.OK, State.DONE: ros.OK}
         values = {"progress": run.progress, "positions": len(run.samples), **self._known()}
-        self.publish_status(level.get(run.state, ros.WARN), run.state.value, run.reason, values)
-        if run.state is not self._said:
+        reason = clock.blamed(run.reason) if run.state is State.HOLDING else run.reason
+        self.publish_status(level.get(run.state, ros.WARN), run.state.value, reason, values)
+        passing = run.state in (State.HOLDING, State.RETURNING, State.WAITING)
+        now_s = self.now_s()
+        if run.state is not self._said and now_s - self._said_s > _SAID_PERIOD_S * passing:
             self._said = run.state
-            if run.state in (State.HOLDING, State.RETURNING, State.WAITING):
-                tqdm.write(f"{run.state.value}: {run.reason}", file=sys.stderr)
+            if passing:
+                self._said_s = now_s
+                tqdm.write(f"{run.state.value}: {reason}", file=sys.stderr)
         if self._knowledge is not None and self._knowledge.trouble and not self._told_trouble:
             self._told_trouble = True
             words = f"collecting for the whole duration_s: {self._knowledge.trouble}"
@@ -246,7 +252,7 @@ def _writable(path: Path) -> Path:
 
 def main() -> int:
     """Run ``fvs_collector_node``."""
-    return ros.run(CollectorNode)
+    return ros.run(CollectorNode, __doc__, PARAMETERS)
 
 
 if __name__ == "__main__":

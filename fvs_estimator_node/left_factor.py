@@ -11,9 +11,7 @@ steps are small and noisy, little is learned and little forgotten. Steps along o
 small noise: in their sum the positions in between cancel. A rotation is believed as far as noise
 would not feign it: a turn about the very line that the ball goes along is told by its few
 millimetres to the side. Where the camera was bumped, old steps say nothing any more: a step far too
-long tells, or the next few that fit another rotation (:mod:`fvs_estimator_node.turn_watch`). A
-single wrong position is no bump: the step there and the one back add up to what was expected
-before.
+long tells, or the next few that fit another rotation (:mod:`fvs_estimator_node.turn_watch`).
 """
 
 from __future__ import annotations
@@ -140,20 +138,6 @@ def left_factor_config(values: Mapping[str, Any]) -> LeftFactorConfig:
     )
 
 
-@dataclass(frozen=True)
-class _Past:
-    """A step, and what was known before it."""
-
-    predicted: np.ndarray
-    seen: np.ndarray
-    factor: np.ndarray
-    cross: np.ndarray
-    gram: np.ndarray
-    prior: np.ndarray
-    prior_m2: float
-    bumps: int
-
-
 class LeftFactorEstimator(CameraLearner, FrozenRbfEstimator):
     """Frozen networks times a learned 3x3 factor.
 
@@ -179,10 +163,6 @@ class LeftFactorEstimator(CameraLearner, FrozenRbfEstimator):
         self._refused = 0
         self._watch = TurnWatch()
         self._doubts = CameraDoubts()
-        #: Way of the ball as the networks have it, and the pair that the last step ended with.
-        self._way_m = np.zeros(3)
-        self._in_time: tuple[np.ndarray, np.ndarray] | None = None
-        self._past: _Past | None = None
         self._sample: tuple[np.ndarray, np.ndarray] | None = None
         self._begin(self._config.trust_m)
 
@@ -197,6 +177,11 @@ class LeftFactorEstimator(CameraLearner, FrozenRbfEstimator):
         return self._doubts
 
     @property
+    def camera_rotation(self) -> np.ndarray:
+        """The factor's rotation, (3, 3)."""
+        return nearest_rotation(self._factor)
+
+    @property
     def factor(self) -> np.ndarray:
         """A, shape (3, 3); a copy."""
         return self._factor.copy()
@@ -205,36 +190,22 @@ class LeftFactorEstimator(CameraLearner, FrozenRbfEstimator):
         """Estimate at given joints, m/rad, shape (3, 6)."""
         return self._factor @ super().jacobian(joints_rad)
 
-    def observe(
-        self, joints_rad: np.ndarray, ball_m: np.ndarray, stamp_s: float = math.nan
-    ) -> None:
-        """Learn the noise at rest, and in motion whether the images are of the time they say."""
+    def observe(self, joints_rad: np.ndarray, ball_m: np.ndarray) -> None:
+        """Learn the noise at rest."""
         if not math.isfinite(float(joints_rad.dot(joints_rad) + ball_m.dot(ball_m))):
             return
+        self._doubts.image()
         before, self._sample = self._sample, (joints_rad, ball_m)
-        if before is not None:
-            d_joints = joints_rad - before[0]
-            if np.abs(d_joints).max() < _STILL_RAD:
-                self._watch.rest(ball_m - before[1])
-            else:
-                middle = super().jacobian(before[0] + 0.5 * d_joints)
-                self._way_m = self._way_m + middle @ d_joints
-        if self._doubts.image(self._way_m, ball_m, stamp_s, (self._factor, _IDENTITY)):
-            # What was learned so far was learned of pairs that did not belong together.
-            self._factor = _IDENTITY
-            self._in_time = self._past = None
-            self._watch.clear()
-            self._begin(self._config.trust_m)
+        if before is not None and np.abs(joints_rad - before[0]).max() < _STILL_RAD:
+            self._watch.rest(ball_m - before[1])
 
     def update(self, step: MotionStep) -> None:
         """Learn from one step; too little motion or anything not finite changes nothing."""
         config = self._config
-        predicted, seen = self._step_in_time(step)
+        predicted, seen = super().jacobian(step.joints_rad) @ step.d_joints_rad, step.d_ball_m
         predicted_m2, seen_m2 = float(predicted.dot(predicted)), float(seen.dot(seen))
         if not (step.dt_s > 0.0 and math.isfinite(predicted_m2 + seen_m2)):
             self._refused += 1
-            return
-        if self._there_and_back(predicted, seen):
             return
         if np.abs(step.d_joints_rad).max() < config.min_motion_rad:
             return
@@ -252,45 +223,6 @@ class LeftFactorEstimator(CameraLearner, FrozenRbfEstimator):
         for one in turned or [(predicted, seen)]:
             self._learn(*one)
         self._updates += 1
-
-    def _step_in_time(self, step: MotionStep) -> tuple[np.ndarray, np.ndarray]:
-        """What was predicted and seen of a step, m, of one time even where stamps are wrong."""
-        if not self._doubts.stamps.lag:
-            return super().jacobian(step.joints_rad) @ step.d_joints_rad, step.d_ball_m
-        before, self._in_time = self._in_time, self._doubts.stamps.pair()
-        if before is None:
-            return np.zeros(3), np.zeros(3)
-        return self._in_time[0] - before[0], self._in_time[1] - before[1]
-
-    def _there_and_back(self, predicted: np.ndarray, seen: np.ndarray) -> bool:
-        """Take back what a single wrong position did, and learn without it; remember the step."""
-        past, self._past = (
-            self._past,
-            _Past(
-                predicted,
-                seen,
-                self._factor,
-                self._cross,
-                self._gram,
-                self._prior,
-                self._prior_m2,
-                self._doubts.bumps,
-            ),
-        )
-        if past is None:
-            return False
-        there = past.seen - past.factor @ past.predicted
-        back = seen - past.factor @ predicted
-        wrong_m2 = (self._config.bump_m / 2.0) ** 2
-        if there.dot(there) < wrong_m2 or (there + back).dot(there + back) > wrong_m2:
-            return False
-        self._factor, self._cross, self._gram = past.factor, past.cross, past.gram
-        self._prior, self._prior_m2 = past.prior, past.prior_m2
-        self._past = None
-        self._doubts.take_back(past.bumps)
-        self._watch.clear()
-        self._learn(past.predicted + predicted, past.seen + seen)
-        return True
 
     def _learn(self, predicted: np.ndarray, seen: np.ndarray) -> None:
         config = self._config

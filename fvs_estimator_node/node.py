@@ -7,6 +7,7 @@ from fvs_ros.core import stop
 stop.listen()
 
 import sys
+from collections.abc import Callable
 
 import numpy as np
 from geometry_msgs.msg import PointStamped, Vector3Stamped
@@ -14,8 +15,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from fvs_estimator_node.base import Estimator, MotionStep, PredictionMonitor
+from fvs_estimator_node.base import Estimator
 from fvs_estimator_node.config import PARAMETERS
+from fvs_estimator_node.loop import EstimationLoop
 from fvs_estimator_node.model_file import load_model
 from fvs_estimator_node.oracle import OracleEstimator
 from fvs_estimator_node.pairing import ExposureMatcher, StepPairing
@@ -47,11 +49,10 @@ class EstimatorNode(ros.FvsNode):
             v["max_step_s"],
             matcher=ExposureMatcher(v["max_gap_s"], max_latency_s=v["max_latency_s"]),
         )
-        self._prediction = PredictionMonitor()
+        self._loop = EstimationLoop(self._estimator, self._pairing)
         self._frozen = False
         self._program_running, self._speed_scaling = True, 100.0
         self._joints_s = -np.inf
-        self._steps = 0
         self._problem = ""
         self._problem_s = -np.inf
         self._published_stamp_s: float | None = None
@@ -101,9 +102,9 @@ class EstimatorNode(ros.FvsNode):
         except JointStateError as error:
             self._complain(str(error))
             return
-        self._joints_s = self.steady_s()
+        self._joints_s = self.now_s()
         stamp_s = ros.from_stamp(message.header.stamp)
-        self._learn(self._pairing.add_joints(stamp_s, joints))
+        self._learn(self._loop.add_joints, stamp_s, joints)
         self._publish_jacobian(stamp_s, joints)
 
     def _on_ball(self, message: PointStamped) -> None:
@@ -112,7 +113,7 @@ class EstimatorNode(ros.FvsNode):
         except ros.MessageError as error:
             self._complain(str(error))
             return
-        self._learn(self._pairing.add_ball(ros.from_stamp(message.header.stamp), ball_m))
+        self._learn(self._loop.add_ball, ros.from_stamp(message.header.stamp), ball_m)
 
     def _on_sliding(self, message: Vector3Stamped) -> None:
         vector = np.array([message.vector.x, message.vector.y, message.vector.z])
@@ -135,29 +136,22 @@ class EstimatorNode(ros.FvsNode):
         """Whether the robot is paused: what moves it now is not the command."""
         return not self._program_running or not self._speed_scaling > 0.0
 
-    def _learn(self, steps: list[MotionStep]) -> None:
-        for step in steps:
-            # A-priori: judged with the estimate that has not seen this step.
-            self._prediction.observe(step, self._estimator.jacobian(step.joints_rad))
-        samples = self._pairing.take_samples()
-        if not samples or not self._estimator.learns or self._frozen or self._paused():
-            return
-        for sample in samples:
-            self._estimator.observe(sample.joints_rad, sample.ball_m, sample.stamp_s)
-        for step in steps:
-            self._estimator.update(step)
-            self._steps += 1
-        self._publish_chain()
+    def _learn(
+        self, take: Callable[[float, np.ndarray], bool], stamp_s: float, values: np.ndarray
+    ) -> None:
+        self._loop.learns = not (self._frozen or self._paused())
+        if take(stamp_s, values):
+            self._publish_chain()
 
     # --- output ---
 
     def _no_estimate(self) -> str:
         """Why there is no estimate, in words; empty if there is one."""
         if not isinstance(self._estimator, OracleEstimator):
-            return self._estimator.problem
-        if self.monitor(ros.TRUE_JACOBIAN).age_s(self.steady_s()) > _FRESH_S:
+            return self._loop.problem
+        if self.monitor(ros.TRUE_JACOBIAN).age_s(self.now_s()) > _FRESH_S:
             self._estimator.reset()  # what was true is not true any more
-        problem = self._estimator.problem
+        problem = self._loop.problem
         return problem and f"waiting for {ros.TRUE_JACOBIAN}: {problem}"
 
     def _publish_jacobian(self, stamp_s: float, joints: np.ndarray) -> None:
@@ -187,11 +181,8 @@ class EstimatorNode(ros.FvsNode):
     # --- services ---
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response):
-        self._estimator.reset()
+        self._loop.reset()
         self._publish_chain()
-        self._pairing.reset()
-        self._prediction.reset()
-        self._steps = 0
         response.success, response.message = True, "what was learned online is forgotten"
         return response
 
@@ -204,12 +195,12 @@ class EstimatorNode(ros.FvsNode):
     # --- status ---
 
     def _complain(self, problem: str) -> None:
-        self._problem, self._problem_s = problem, self.steady_s()
+        self._problem, self._problem_s = problem, self.now_s()
         self.get_logger().warning(problem, throttle_duration_sec=5.0)
 
     def _state(self) -> tuple[bytes, str, str]:
         """Level, state and reason in words."""
-        now_s = self.steady_s()
+        now_s = self.now_s()
         if now_s - self._problem_s < 1.0:
             return ros.ERROR, ESTIMATOR_FAULT, self._problem
         waiting = self._no_estimate() or self._late_input(now_s)
@@ -219,11 +210,10 @@ class EstimatorNode(ros.FvsNode):
             return ros.OK, "FROZEN", "learning is frozen by ~/freeze"
         if self._paused():
             return ros.OK, "FROZEN", "the robot is paused: nothing is learned meanwhile"
-        if not self._estimator.learns:
-            return ros.OK, "FROZEN", "estimating; this method does not learn online"
-        remark = self._estimator.remark
-        said = remark or "estimating, and learning from every motion"
-        return ros.WARN if remark else ros.OK, "LEARNING", said
+        remark, learns = self._loop.remark, self._estimator.learns
+        usual = "and learning from every motion" if learns else "this method does not learn online"
+        state = "LEARNING" if learns else "FROZEN"
+        return ros.WARN if remark else ros.OK, state, remark or f"estimating; {usual}"
 
     def _late_input(self, now_s: float) -> str:
         """Which input is late, in words; empty if none."""
@@ -238,7 +228,7 @@ class EstimatorNode(ros.FvsNode):
         return ""
 
     def _publish_status(self) -> None:
-        now_s = self.steady_s()
+        now_s = self.now_s()
         level, state, reason = self._state()
         matcher = self._pairing.matcher
         self.publish_status(
@@ -247,13 +237,13 @@ class EstimatorNode(ros.FvsNode):
             reason,
             {
                 "method": self.values["method"],
-                "one_step_prediction_error_m": self._prediction.rms_m,
-                "one_step_prediction_error_ratio": self._prediction.ratio,
-                "steps_learned": self._steps,
+                "prediction_error_ratio": self._loop.error_ratio,
+                "steps_learned": self._loop.steps,
                 "joint_states_age_s": now_s - self._joints_s,
                 "ball_position_age_s": self.monitor(ros.BALL_POSITION).age_s(now_s),
                 "ball_positions_not_paired": matcher.dropped,
                 "last_not_paired_because": matcher.last_reason,
+                "images_late_s": self._loop.late_s,
                 **self._estimator.status_values(),
             },
         )
@@ -261,7 +251,7 @@ class EstimatorNode(ros.FvsNode):
 
 def main() -> int:
     """Run ``fvs_estimator_node``."""
-    return ros.run(EstimatorNode)
+    return ros.run(EstimatorNode, __doc__, PARAMETERS)
 
 
 if __name__ == "__main__":

@@ -17,9 +17,6 @@ import numpy as np
 from fvs_estimator_node.base import MotionStep
 from fvs_ros.core.history import JointHistory
 
-#: Samples that are kept for whoever wants them.
-_MAX_SAMPLES = 32
-
 
 @dataclass(frozen=True)
 class BallSample:
@@ -110,12 +107,16 @@ class ExposureMatcher:
             self._run += 1
         self._paired_stamp_s = None
 
-    def reset(self) -> None:
-        """Forget all joint states and waiting ball positions, and start a new run."""
-        self._history.clear()
+    def forget_balls(self) -> None:
+        """Forget the ball positions, keep the joint states, and start a new run."""
         self._waiting.clear()
         self._heard_stamp_s = None
         self.break_run()
+
+    def reset(self) -> None:
+        """Forget all joint states and waiting ball positions, and start a new run."""
+        self._history.clear()
+        self.forget_balls()
 
     def add_joints(self, stamp_s: float, joints_rad: np.ndarray) -> list[BallSample]:
         """Take a joint state; returns the ball positions that waited for it.
@@ -232,7 +233,6 @@ class StepPairing:
         self._max_step_s = max_step_s
         self._max_sliding_age_s = max_sliding_age_s
         self._matcher = matcher if matcher is not None else ExposureMatcher(max_gap_s)
-        self._samples: deque[BallSample] = deque(maxlen=_MAX_SAMPLES)
         self._anchor: BallSample | None = None
         self._sliding: tuple[float, np.ndarray] | None = None
 
@@ -255,12 +255,6 @@ class StepPairing:
         """Take a ball position; returns the steps it completes."""
         return self._steps(self._matcher.add_ball(stamp_s, ball_m))
 
-    def take_samples(self) -> list[BallSample]:
-        """The samples since the last call, also those at rest, which make no steps."""
-        samples = list(self._samples)
-        self._samples.clear()
-        return samples
-
     def add_sliding_variable(self, stamp_s: float, sliding_variable: np.ndarray) -> None:
         """Take the controller's sliding variable; the newest one goes into coming steps."""
         value = np.array(sliding_variable, dtype=float)
@@ -268,32 +262,31 @@ class StepPairing:
             self._sliding = (stamp_s, value)
 
     def _steps(self, samples: list[BallSample]) -> list[MotionStep]:
-        steps = []
-        for sample in samples:
-            self._samples.append(sample)
-            anchor = self._anchor
-            if anchor is None or sample.run != anchor.run:
-                self._anchor = sample
-                continue
-            dt_s = sample.stamp_s - anchor.stamp_s
-            if dt_s > self._max_step_s:
-                self._anchor = sample
-                continue
-            d_joints = sample.joints_rad - anchor.joints_rad
-            if np.abs(d_joints).max() < self._min_joint_motion_rad:
-                continue
+        steps = [self.step(sample) for sample in samples]
+        return [step for step in steps if step is not None]
+
+    def step(self, sample: BallSample) -> MotionStep | None:
+        """The step that a sample completes, if it does."""
+        anchor = self._anchor
+        if anchor is None or sample.run != anchor.run:
             self._anchor = sample
-            steps.append(
-                MotionStep(
-                    stamp_s=sample.stamp_s,
-                    dt_s=dt_s,
-                    joints_rad=anchor.joints_rad + 0.5 * d_joints,
-                    d_joints_rad=d_joints,
-                    d_ball_m=sample.ball_m - anchor.ball_m,
-                    sliding_variable=self._sliding_at(sample.stamp_s),
-                )
-            )
-        return steps
+            return None
+        dt_s = sample.stamp_s - anchor.stamp_s
+        if dt_s > self._max_step_s:
+            self._anchor = sample
+            return None
+        d_joints = sample.joints_rad - anchor.joints_rad
+        if np.abs(d_joints).max() < self._min_joint_motion_rad:
+            return None
+        self._anchor = sample
+        return MotionStep(
+            stamp_s=sample.stamp_s,
+            dt_s=dt_s,
+            joints_rad=anchor.joints_rad + 0.5 * d_joints,
+            d_joints_rad=d_joints,
+            d_ball_m=sample.ball_m - anchor.ball_m,
+            sliding_variable=self._sliding_at(sample.stamp_s),
+        )
 
     def _sliding_at(self, stamp_s: float) -> np.ndarray:
         if self._sliding is None or abs(stamp_s - self._sliding[0]) > self._max_sliding_age_s:

@@ -114,12 +114,15 @@ class PoeEstimator(CameraLearner):
         """What does not fit."""
         return self._camera.doubts
 
-    def observe(
-        self, joints_rad: np.ndarray, ball_m: np.ndarray, stamp_s: float = math.nan
-    ) -> None:
+    @property
+    def camera_rotation(self) -> np.ndarray:
+        """How the camera has been turned since the chain was fitted, (3, 3)."""
+        return self._camera.rotation
+
+    def observe(self, joints_rad: np.ndarray, ball_m: np.ndarray) -> None:
         """Learn the camera's pose from where the ball is."""
         if math.isfinite(float(joints_rad.dot(joints_rad))) and self._camera.add(
-            self._fitted.position(joints_rad), ball_m, stamp_s
+            self._fitted.position(joints_rad), ball_m
         ):
             self._updates += 1
         else:

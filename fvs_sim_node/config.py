@@ -14,8 +14,8 @@ PARAMETERS = (
     Parameter(
         "simulated_time",
         False,
-        "publish /clock and run as fast as it goes; whoever commands the arm has 0.1 s to answer "
-        "each joint state; the other nodes then need use_sim_time",
+        "publish /clock and run as fast as it goes; whoever answers joint states is waited for; "
+        "the other nodes then need use_sim_time",
     ),
     Parameter("urdf_path", "", "another robot's URDF with the six UR joints; empty: own UR5"),
     Parameter("ball_link", "", "its link that carries the ball; empty: tool0, or the last link"),

@@ -35,8 +35,10 @@ _FIRST_SIMULATED_S = 1.0
 _MAX_BEHIND_S = 0.2
 #: In simulated time, services and parameters are looked at this often.
 _BURST_S = 0.005
-#: In simulated time an answer to the joint states is waited for so long, s.
-_PATIENCE_S = 0.1
+#: What answers joint states, and the simulated time that may pass without a new answer, s.
+_ANSWERS = {ros.COMMANDS: 0.0, ros.JACOBIAN: 0.1}
+#: A late answer is waited for so long, s: then its node has ended, until it answers again.
+_PATIENCE_S = 1.0
 
 
 class SimNode(ros.FvsNode):
@@ -83,13 +85,13 @@ class SimNode(ros.FvsNode):
         self.on_parameters(v, {p.name for p in self.parameter_set if p.live})
 
         self._period_s = 1.0 / v["joint_state_rate_hz"]
-        self._asked_s: float | None = None
-        self._answered = False  # the last joint states, by whoever commands
+        self._stepped_s = self.steady_s()
+        self._answered_s: dict[str, float] = {}  # simulated time of the last answer on each topic
         if v["simulated_time"]:
             self._base_s = _FIRST_SIMULATED_S
             self._clock_topic = self.create_publisher(Clock, "/clock", ros.QOS_RELIABLE)
-            self._commanders = 0
-            self.create_timer(0.0, self._step_as_fast_as_it_goes, clock=self.steady_clock)
+            self.watch(Float64MultiArray, ros.JACOBIAN, self._on_jacobian, ros.QOS_RELIABLE)
+            self.create_timer(_BURST_S, self._step_as_fast_as_it_goes, clock=self.steady_clock)
         else:
             self._base_s = self.ros_s()
             self._ahead_s = self._base_s - self.steady_s()
@@ -142,18 +144,31 @@ class SimNode(ros.FvsNode):
             behind_s -= self._period_s
 
     def _step_as_fast_as_it_goes(self) -> None:
-        now_s = self.steady_s()
-        if self._commanders:
-            # Whoever commands the arm gets to answer each joint state, however slow the machine;
-            # one that has become silent does not hold the simulation below real time.
-            patience_s = _PATIENCE_S if self._answered else self._period_s
-            if self._asked_s is None or now_s - self._asked_s >= patience_s:
-                self._late += self._asked_s is not None
-                self._answered = False
-                self._step()
-            return
-        while self.steady_s() - now_s < _BURST_S:
+        end_s = self.steady_s() + _BURST_S
+        while self.steady_s() < end_s and not self._waits():
             self._step()
+
+    def _waits(self) -> bool:
+        """Whether a node that answers joint states has yet to answer, however slow the machine."""
+        late = [
+            topic
+            for topic, answered_s in self._answered_s.items()
+            if self._simulated_s() - answered_s > _ANSWERS[topic]
+        ]
+        if late and self.steady_s() - self._stepped_s < _PATIENCE_S:
+            return True
+        for topic in late:
+            del self._answered_s[topic]
+            self._late += 1
+        return False
+
+    def _answer(self, topic: str) -> None:
+        if self.values["simulated_time"]:
+            self._answered_s[topic] = self._simulated_s()
+            self._step_as_fast_as_it_goes()
+
+    def _simulated_s(self) -> float:
+        return self._base_s + self._sim.time_s
 
     def _step(self) -> None:
         step = self._sim.advance()
@@ -169,7 +184,7 @@ class SimNode(ros.FvsNode):
         if self._true_jacobian.get_subscription_count():
             self._true_jacobian.publish(ros.to_jacobian(self._sim.true_jacobian(step.joints_rad)))
         self._publish_joints(stamp_s, step)
-        self._asked_s = self.steady_s()
+        self._stepped_s = self.steady_s()
         # After the joint states, which are waited for.
         frame = None if self._worker is None else self._worker.finished()
         if frame is not None:
@@ -233,7 +248,7 @@ class SimNode(ros.FvsNode):
         self._info.publish(ros.to_camera_info(stamp_s, self._frame, self._sim.intrinsics))
 
     def _look_around(self) -> None:
-        """Render full frames, and wait for commands, only while somebody is there."""
+        """Render full frames only while somebody is there."""
         self._watched = any(
             publisher.get_subscription_count() for publisher in (self._color, self._depth)
         )
@@ -241,7 +256,6 @@ class SimNode(ros.FvsNode):
             self._sim.full_frames = self._watched
         elif self._watched and self._worker is None:
             self._worker = FrameWorker(self._sim.config)
-        self._commanders = self.count_publishers(ros.COMMANDS)
 
     # --- inputs ---
 
@@ -251,10 +265,10 @@ class SimNode(ros.FvsNode):
             self._refusal = self._sim.command(np.array(message.data, dtype=float)) or ""
         if self._refusal:
             self.get_logger().error(self._refusal, throttle_duration_sec=5.0)
-        self._asked_s = None
-        self._answered = True
-        if self.values["simulated_time"]:
-            self._step()
+        self._answer(ros.COMMANDS)
+
+    def _on_jacobian(self, _message: Float64MultiArray) -> None:
+        self._answer(ros.JACOBIAN)
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response):
         # The simulation begins at zero again; the stamps go on.
@@ -335,7 +349,7 @@ class SimNode(ros.FvsNode):
 
 def main() -> int:
     """Run ``fvs_sim_node``."""
-    return ros.run(SimNode)
+    return ros.run(SimNode, __doc__, PARAMETERS)
 
 
 if __name__ == "__main__":

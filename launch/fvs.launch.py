@@ -95,6 +95,7 @@ def _nodes(context):
     rviz = LaunchConfiguration("rviz").perform(context) == _YES
     if rviz:
         scenario = scenario.with_markers()
+    scenario.check_models()
     params_file = _params_file(scenario)
     actions = []
     if _SIMULATOR in scenario.nodes and "ROS_AUTOMATIC_DISCOVERY_RANGE" not in os.environ:

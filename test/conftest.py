@@ -39,10 +39,38 @@ def ros_test(tmp_path):
     harness.close()
 
 
+@pytest.fixture(scope="module")
+def ros_module(tmp_path_factory):
+    """Node processes that the tests of a module share, until one of them fails."""
+    from harness import Harness
+
+    harness = Harness(tmp_path_factory.mktemp("shared"))
+    yield harness
+    harness.close()
+
+
+@pytest.fixture
+def ros_beside(ros_module, tmp_path):
+    """A ROS context of its own beside the shared processes."""
+    from harness import Harness
+
+    harness = Harness(tmp_path, beside=ros_module)
+    yield harness
+    harness.close()
+
+
+def pytest_runtest_makereport(item, call):
+    if call.excinfo is not None and "ros_module" in getattr(item, "funcargs", {}):
+        item.funcargs["ros_module"].end_processes()
+
+
 def pytest_configure(config):
     config.addinivalue_line(
         "markers", "torch: trains with torch; skipped where it is not installed"
     )
+    # xdist would replace a worker that died, and then wait for it for ever.
+    if getattr(config.option, "maxworkerrestart", "0") is None:
+        config.option.maxworkerrestart = "0"
     if importlib.util.find_spec("hypothesis") is not None:
         from hypothesis import settings
 
@@ -64,7 +92,7 @@ def pytest_collection_modifyitems(config, items):
     if config.pluginmanager.hasplugin("rerunfailures"):
         # A machine that stands still for a moment is no fault of ours; one that does so twice is.
         for item in real_time:
-            item.add_marker(pytest.mark.flaky(reruns=1))
+            item.add_marker(pytest.mark.flaky(reruns=1, rerun_except="Failed: Timeout"))
     # They take longest, so that they begin first.
     items[:] = real_time + [item for item in items if not _is_real_time(item)]
     if importlib.util.find_spec("torch") is None:
@@ -84,14 +112,14 @@ def pytest_terminal_summary(terminalreporter):
 def pytest_xdist_make_scheduler(config, log):
     from xdist.scheduler import LoadScopeScheduling
 
-    class OneAfterTheOther(LoadScopeScheduling):
-        """Real-time tests run in one process, whatever the others do."""
+    class ByFile(LoadScopeScheduling):
+        """The real-time tests of a file share processes; all others go where there is time."""
 
         def _split_scope(self, nodeid):
-            folder = Path(nodeid.partition("::")[0]).parent.name
-            return "real time" if folder in _REAL_TIME else nodeid
+            path = Path(nodeid.partition("::")[0])
+            return str(path) if path.parent.name in _REAL_TIME else nodeid
 
-    return OneAfterTheOther(config, log)
+    return ByFile(config, log)
 
 
 def pytest_runtest_setup(item):
@@ -99,4 +127,5 @@ def pytest_runtest_setup(item):
     if "PYTEST_XDIST_WORKER" in os.environ and not _is_real_time(item):
         from fvs_ros.core.background import step_back
 
-        step_back(own_session=True)
+        # By little: beside strangers that want all cores, next to nothing would be left.
+        step_back(5, own_session=True)

@@ -6,6 +6,7 @@ import contextlib
 import itertools
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -24,22 +25,32 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
 
 from fvs_ros.core import ros
 from fvs_ros.core.joints import UR_JOINT_NAMES
 
-_STARTED = itertools.count(1)
 _BEGAN_S = time.time()
+#: Where this process begins to look for a domain; ids above 101 collide with ephemeral ports.
+_DOMAINS = itertools.cycle(1 + (os.getpid() * 17 + i) % 101 for i in range(101))
 _SHELLS_DOMAIN = int(os.environ.get("ROS_DOMAIN_ID") or 0)
 
 
-def _next_domain() -> int:
-    """A domain of its own for each test; ids above 101 collide with ephemeral ports.
+def _take_domain() -> tuple[int, socket.socket]:
+    """A domain that no other test on this machine has while the socket is open.
 
     Never the shell's own: a loop that somebody watches there, or a robot, may be in it.
     """
-    domain = 1 + (os.getpid() * 17 + next(_STARTED)) % 100
-    return _next_domain() if domain == _SHELLS_DOMAIN else domain
+    for domain in _DOMAINS:
+        lock = socket.socket(socket.AF_UNIX)
+        try:
+            if domain != _SHELLS_DOMAIN:
+                lock.bind(f"\0fvs_test_domain_{domain}")
+                return domain, lock
+        except OSError:
+            pass
+        lock.close()
+    raise AssertionError("there is always another domain")
 
 
 def _clear_shared_memory() -> None:
@@ -75,11 +86,15 @@ class Harness:
         Where the processes' output goes.
     simulated_time : bool
         Whether the test's own node follows ``/clock``.
+    beside : Harness or None
+        Whose processes this one talks to as well; they outlive it.
     """
 
-    def __init__(self, folder: Path, simulated_time: bool = False) -> None:
+    def __init__(
+        self, folder: Path, simulated_time: bool = False, beside: Harness | None = None
+    ) -> None:
         self.folder = folder
-        self.domain = _next_domain()
+        self.domain, self._lock = (beside.domain, None) if beside else _take_domain()
         self.context = rclpy.Context()
         rclpy.init(
             context=self.context,
@@ -95,6 +110,8 @@ class Harness:
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.processes: list[subprocess.Popen] = []
+        self._others = beside.processes if beside else []
+        self._kept: dict[str, subprocess.Popen] = {}
         self._clients: dict[str, Any] = {}
 
     # --- processes ---
@@ -131,6 +148,13 @@ class Harness:
             text = str(value).lower() if isinstance(value, bool) else str(value)
             arguments += ["-p", f"{name}:={text}"]
         return self.start(module, *arguments)
+
+    def keep(self, module: str, **parameters: Any) -> subprocess.Popen:
+        """The process of a node, from an earlier test if it still runs."""
+        process = self._kept.get(module)
+        if process is None or process.poll() is not None:
+            process = self._kept[module] = self.start_node(module, **parameters)
+        return process
 
     @staticmethod
     def output(process: subprocess.Popen) -> str:
@@ -199,14 +223,15 @@ class Harness:
         end_s = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() > end_s:
-                logs = "\n".join(f"--- {p.args}\n{self.output(p)}" for p in self.processes)
+                processes = [*self._others, *self.processes]
+                logs = "\n".join(f"--- {p.args}\n{self.output(p)}" for p in processes)
                 raise AssertionError(
                     f"waited {timeout_s:g} s in vain for {what}; {story()}\n{logs}"
                 )
             self.executor.spin_once(timeout_sec=0.02)
 
-    def close(self) -> None:
-        """End every process and the context."""
+    def end_processes(self) -> None:
+        """End every process."""
         for process in self.processes:
             if process.poll() is None:
                 process.terminate()
@@ -216,10 +241,17 @@ class Harness:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+        self.processes.clear()
+
+    def close(self) -> None:
+        """End every process and the context."""
+        self.end_processes()
         self.executor.shutdown()
         self.node.destroy_node()
         rclpy.try_shutdown(context=self.context)
         _clear_shared_memory()
+        if self._lock:
+            self._lock.close()
 
 
 class PlayedRobot:
@@ -290,6 +322,18 @@ class PlayedRobot:
 
     def _look(self) -> None:
         self._send(ros.BALL_POSITION, ros.to_point(self._now_s(), self.FRAME, self.ball))
+
+    def meet_controller(self) -> None:
+        """Wait until the controller hears this robot, and the robot the controller."""
+        self.harness.spin_until(
+            lambda: (
+                len(self.commands) > 5
+                and all(p.get_subscription_count() for p in self._publishers.values())
+            ),
+            what="a controller",
+        )
+        assert self.harness.call(Trigger, "fvs_controller_node/stop").success
+        self.harness.spin_for(0.2)  # until it has five of everything
 
     def give_target(self, publisher: Any, offset_m: tuple[float, float, float]) -> np.ndarray:
         """Publish a target at an offset from the ball; returns it."""

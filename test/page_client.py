@@ -159,6 +159,10 @@ class PageClient:
             )
         self._send(type="TransformControlsDragEndMessage", name=_TARGET_NODE, owner="")
 
+    def ask_for_a_tunnel(self) -> None:
+        """Ask for a public address of the page."""
+        self._send(type="ShareUrlRequest")
+
     def close(self, timeout_s: float = 5.0) -> None:
         """Close the browser's window."""
         end_s = time.monotonic() + timeout_s

@@ -105,10 +105,13 @@ class TargetRecord:
         The target, m, camera frame.
     start_s : float
         When it was given, s.
+    slowed : bool
+        Whether inputs came late, so that the arm was held.
     """
 
     target_m: np.ndarray
     start_s: float
+    slowed: bool = False
     time_s: list[float] = field(default_factory=list)
     position_m: list[np.ndarray] = field(default_factory=list)
     joint_time_s: list[float] = field(default_factory=list)
@@ -138,6 +141,7 @@ class TargetScore:
     settling_2mm_s: float | None
     final_rms_m: float
     peak_joint_speed_rad_s: float
+    slowed: bool
 
 
 def score(record: TargetRecord, settle_error_m: float) -> TargetScore:
@@ -150,6 +154,7 @@ def score(record: TargetRecord, settle_error_m: float) -> TargetScore:
         settling_2mm_s=settling_time_s(times, errors, _FINE_ERROR_M),
         final_rms_m=float(np.sqrt(np.mean(final**2))),
         peak_joint_speed_rad_s=float(np.max(np.abs(record.joint_velocity_rad_s), initial=0.0)),
+        slowed=record.slowed,
     )
 
 
@@ -167,6 +172,7 @@ def table(scores: list[TargetScore], settle_error_m: float) -> str:
         f"{number:>6}  {s.start_distance_m * 1e3:>5.0f} mm  {seconds(s.settling_5mm_s):>9}  "
         f"{seconds(s.settling_2mm_s):>9}  {s.final_rms_m * 1e3:>6.2f} mm  "
         f"{s.peak_joint_speed_rad_s:>10.2f} rad/s"
+        + ("  slowed: inputs came late" if s.slowed else "")
         for number, s in enumerate(scores, start=1)
     ]
     return "\n".join([head, *rows])

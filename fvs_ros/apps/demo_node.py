@@ -13,6 +13,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
 from sensor_msgs.msg import CameraInfo, Image, JointState
+from std_srvs.srv import Trigger
 
 from fvs_estimator_node.model_file import load_model
 from fvs_ros.apps import demo
@@ -45,6 +46,7 @@ class DemoNode(ros.FvsNode):
         self._intrinsics: Intrinsics | None = None
         self._began_s = self.steady_s()
         self._image_asked_s: float | None = None
+        self._stop = self.create_client(Trigger, "fvs_controller_node/stop")
         self._target = self.create_publisher(PointStamped, ros.TARGET_POSITION, ros.QOS_LATCHED)
         self.watch(DiagnosticStatus, ros.CONTROLLER_STATUS, self._on_status, ros.QOS_RELIABLE)
         self.watch(PointStamped, ros.TRUE_BALL_POSITION, self._on_true_ball, ros.QOS_EVERY)
@@ -55,10 +57,13 @@ class DemoNode(ros.FvsNode):
 
     def _on_status(self, message: DiagnosticStatus) -> None:
         values = ros.from_status(message)
-        state = values.get("state", "")
-        if self._records and state != self._state and state not in ("SERVOING", "READY"):
-            print(f"controller {state}: {message.message}", flush=True)
+        state, before = values.get("state", ""), self._state
         self._state, self._reason = state, message.message
+        if self._records and self._image_asked_s is None:
+            record = self._records[-1]
+            if state not in ("SERVOING", "READY", before) and not record.slowed:
+                print(f"controller {state}: {message.message}", flush=True)
+            record.slowed |= values.get("reason") in ("STALE", "RETURNING")
         self._wants_target = values.get("reason") == "NO_TARGET"
 
     def _on_joint_states(self, message: JointState) -> None:
@@ -116,7 +121,7 @@ class DemoNode(ros.FvsNode):
             reason = self._reason or "no status from the controller; is it running?"
             print(f"the loop did not get ready: {self._state} {reason}", flush=True)
             self.exit_code = stop.EXIT_FAILURE
-        late_s = self.monitor(ros.TRUE_BALL_POSITION).age_s(now_s)
+        late_s = self.monitor(ros.TRUE_BALL_POSITION).age_s(self.now_s())
         if self._records and self._image_asked_s is None and late_s > _SILENCE_S:
             print(f"the simulator has been silent for {late_s:.0f} s", flush=True)
             self.exit_code = stop.EXIT_FAILURE
@@ -130,6 +135,7 @@ class DemoNode(ros.FvsNode):
     def _ask_image(self) -> None:
         """Subscribe now, not before: the simulator renders full frames for subscribers only."""
         self._image_asked_s = self.steady_s()
+        self._stop.call_async(Trigger.Request())  # drawing makes the loop late
         self.create_subscription(Image, ros.COLOR_IMAGE, self._on_image, ros.QOS_RELIABLE)
         self.create_subscription(CameraInfo, ros.CAMERA_INFO, self._on_info, ros.QOS_RELIABLE)
 
@@ -160,7 +166,7 @@ class DemoNode(ros.FvsNode):
 
 def main() -> int:
     """Run ``fvs_demo_node``."""
-    return ros.run(DemoNode)
+    return ros.run(DemoNode, __doc__, demo.PARAMETERS)
 
 
 if __name__ == "__main__":

@@ -30,8 +30,11 @@ from fvs_ros.apps.scenario import (
     checked_remap,
     enclave_arguments,
     load_scenario,
+    scenario_names,
 )
 from fvs_ros.core import console
+from fvs_ros.core.arguments import Parser
+from fvs_ros.core.paths import program
 from fvs_ros.core.schemes import BEYOND, SCHEMES
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 
@@ -101,16 +104,17 @@ class Launcher:
             that ended it.
         """
         with (
-            tempfile.TemporaryDirectory(prefix="fvs_launch_") as folder,
+            # It has no name: whatever ends this program, nothing of it is left.
+            tempfile.TemporaryFile("w+", encoding="utf-8") as params,
             console.never_blocking() as self._task_output,
         ):
-            params = Path(folder) / "params.yaml"
-            params.write_text(self._scenario.to_params_yaml(), encoding="utf-8")
+            params.write(self._scenario.to_params_yaml())
+            params.flush()
             try:
                 for name in self._scenario.nodes:
                     if stop.RECEIVED:
                         break
-                    self._start(name, params)
+                    self._start(name, params.fileno())
                     if name == recording.NODE and not self._await_recorder():
                         return self._end_unrecorded()
                 for process in self._processes:
@@ -121,9 +125,9 @@ class Launcher:
             finally:
                 self._stop_all()
 
-    def _start(self, name: str, params: Path) -> None:
+    def _start(self, name: str, params: int) -> None:
         entry = NODE_TABLE[name]
-        command = [sys.executable, "-m", entry.module, "--ros-args", "--params-file", str(params)]
+        command = [*program(entry.module), "--ros-args", "--params-file", f"/dev/fd/{params}"]
         if self._namespace:
             command += ["-r", f"__ns:=/{self._namespace}"]
         for rule in self._remaps:
@@ -131,6 +135,7 @@ class Launcher:
         command += enclave_arguments(name, self._namespace, os.environ)
         popen = subprocess.Popen(
             command,
+            pass_fds=[params],
             stdin=subprocess.DEVNULL,
             # A task speaks to the user itself (tables, a progress bar); others are prefixed.
             stdout=self._task_output[0] if entry.task else subprocess.PIPE,
@@ -139,6 +144,7 @@ class Launcher:
                 "RCUTILS_CONSOLE_OUTPUT_FORMAT": _LOG_FORMAT,
                 **os.environ,
                 "PYTHONUNBUFFERED": "1",
+                "PYTHONSAFEPATH": "1",  # for what the nodes start, from Python 3.11 on
             },
             # Ctrl-C reaches the launcher alone, which stops the nodes in the right order.
             start_new_session=True,
@@ -195,7 +201,7 @@ class Launcher:
 
     def _end(self, first: _Process | None) -> int:
         if first is None:
-            self._say(f"{signal.Signals(stop.RECEIVED[0]).name}: stopping")
+            self._say(f"{stop.name_of(stop.RECEIVED[0])}: stopping")
         elif first.name != self._scenario.task or first.popen.returncode != 0:
             self._say(
                 f"{first.name} ended with {_code_text(first.popen.returncode)}: stopping the rest"
@@ -247,11 +253,19 @@ def _turn(name: str) -> int:
 
 
 def _code_text(code: int) -> str:
-    return f"exit code {code}" if code >= 0 else f"signal {signal.Signals(-code).name}"
+    return f"exit code {code}" if code >= 0 else f"signal {stop.name_of(-code)}"
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="fvs_launch", description=__doc__)
+    parser = Parser(
+        "fvs_launch",
+        __doc__,
+        {
+            "scenarios": scenario_names(),
+            "schemes": {one.name: one.description for one in (*SCHEMES.values(), *BEYOND.values())},
+            "nodes": dict.fromkeys(NODE_TABLE, "its --help lists its parameters"),
+        },
+    )
     parser.add_argument("scenario", help="a scenario YAML file, or the name of one in config/")
     parser.add_argument(
         "-p",
@@ -265,8 +279,7 @@ def _parser() -> argparse.ArgumentParser:
         "--scheme",
         default="",
         metavar="NAME",
-        help="estimator method and control law by one name: "
-        f"{', '.join((*SCHEMES, *BEYOND))}; -p wins over it",
+        help="estimator method and control law by one name; -p wins over it",
     )
     parser.add_argument("--namespace", default="", help="ROS namespace of all nodes")
     parser.add_argument(
@@ -316,6 +329,7 @@ def main(argv: list[str] | None = None) -> int:
         if arguments.scheme:
             scenario = scenario.with_scheme(arguments.scheme)
         scenario = _recorded(scenario, arguments)
+        scenario.check_models()
         remaps = [checked_remap(text) for text in arguments.remap]
         if not _NAMESPACE.fullmatch(arguments.namespace.strip("/")):
             raise ScenarioError(

@@ -43,11 +43,7 @@ class MarkersNode(ros.FvsNode):
     # --- inputs ---
 
     def _on_ball(self, message: PointStamped) -> None:
-        try:
-            position_m = ros.from_point(message, self._frame, ros.BALL_POSITION)
-        except ros.MessageError as error:
-            self.get_logger().warning(str(error), throttle_duration_sec=5.0)
-            return
+        position_m = ros.from_point(message, self._frame, ros.BALL_POSITION)
         self._scene.add_ball(self.steady_s(), position_m)
 
     def _on_status(self, message: DiagnosticStatus) -> None:
@@ -64,11 +60,7 @@ class MarkersNode(ros.FvsNode):
                 "choose the camera's frame as the viewer's fixed frame (a recording has it)",
             )
             return
-        try:
-            ros.from_pose(message, ros.TRUE_CAMERA_POSE)
-        except ros.MessageError as error:
-            self.get_logger().warning(str(error), throttle_duration_sec=5.0)
-            return
+        ros.from_pose(message, ros.TRUE_CAMERA_POSE)  # an error if it is none
         if self._transforms is None:
             self._transforms = self.create_publisher(TFMessage, ros.TF_STATIC, ros.QOS_LATCHED)
         transform = TransformStamped(header=message.header, child_frame_id=self._frame)
@@ -120,7 +112,7 @@ def _point(position_m: Any) -> Point:
 
 def main() -> int:
     """Run ``fvs_markers_node``."""
-    return ros.run(MarkersNode)
+    return ros.run(MarkersNode, __doc__, markers.PARAMETERS)
 
 
 if __name__ == "__main__":

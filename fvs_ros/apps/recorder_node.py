@@ -7,7 +7,6 @@ from fvs_ros.core import stop
 stop.listen()
 
 import importlib
-import os
 import shutil
 import sys
 import time
@@ -21,7 +20,6 @@ from rclpy.subscription import Subscription
 from fvs_ros.apps import recording, transforms
 from fvs_ros.apps.recording import Doubles, Message, Request, SimulatedTime
 from fvs_ros.core import ros
-from fvs_ros.core.paths import find_file
 from fvs_ros.core.topics import INTERFACES, Qos, resolve
 from fvs_ros.core.version import version
 
@@ -281,9 +279,7 @@ def _message_class(message_type: str) -> Any:
 
 def main() -> int:
     """Run ``fvs_recorder_node``."""
-    # Who is started later finds the recorder at once: what is said until then is not recorded.
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(find_file("quick_discovery.xml")))
-    return ros.run(RecorderNode)
+    return ros.run(RecorderNode, __doc__, recording.PARAMETERS)
 
 
 if __name__ == "__main__":

@@ -17,41 +17,19 @@ from typing import Any
 
 import yaml
 
+from fvs_estimator_node.registry import estimator_factory
 from fvs_ros.apps import markers, recording
+from fvs_ros.core import yaml_text
+from fvs_ros.core.arguments import unknown
 from fvs_ros.core.params import Parameter, ParameterError, ParameterSet
-from fvs_ros.core.paths import find_file
+from fvs_ros.core.paths import find_file, share_folders
 from fvs_ros.core.schemes import scheme
 
 ALL_NODES = "/**"
 _NAME = r"~?/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*"
 _REMAP = re.compile(rf"({_NAME}:)?{_NAME}:=/?{_NAME}", re.ASCII)
-#: No scenario is larger; no refusal quotes more of it, characters.
-_MAX_BYTES, _QUOTED = 2**20, 300
 #: What rclpy declares for every node.
 _EVERYWHERE = ParameterSet([Parameter("use_sim_time", False, "follow /clock")])
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML without aliases: a few lines of them can unfold to more than any memory."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.events.AliasEvent):
-            raise yaml.YAMLError("aliases (*name) are not taken")
-        return super().compose_node(parent, index)
-
-
-def _read_yaml(text: str) -> Any:
-    """Read YAML of a stranger; a ``ValueError`` says in short what is wrong with it."""
-    try:
-        loader = _Loader(text)
-        try:
-            return loader.get_single_data()
-        finally:
-            loader.dispose()
-    except RecursionError:
-        raise ValueError("it is nested too deeply") from None
-    except (yaml.YAMLError, ValueError, OverflowError) as error:
-        raise ValueError(str(error)[:_QUOTED]) from None
 
 
 class ScenarioError(ValueError):
@@ -166,17 +144,18 @@ class Scenario:
             node, _, name = key.rpartition(":")
             if not separator or not name:
                 raise ScenarioError(f"'{override}' is not of the form name:=value")
+            if node and node not in parameters:
+                raise ScenarioError(unknown(f"node of {self.path.name}", node, parameters))
             targets = [node] if node else [n for n in parameters if _declares(n, name)]
-            if not targets or any(n not in parameters for n in targets):
-                raise ScenarioError(
-                    f"no node of {self.path.name} ({', '.join(parameters)}) "
-                    f"has a parameter {key.replace(':', '.')}"
-                )
+            if not targets:
+                every = {one.name for n in parameters for one in NODE_TABLE[n].parameters()}
+                kind = f"parameter of {self.path.name} ({', '.join(parameters)})"
+                raise ScenarioError(unknown(kind, name, sorted(every)))
             try:
-                value = _read_yaml(text)
+                value = yaml_text.read(text)
             except ValueError as error:
                 raise ScenarioError(
-                    f"'{override[:_QUOTED]}' has a value that is no YAML: {error}"
+                    f"'{override[: yaml_text.QUOTED]}' has a value that is no YAML: {error}"
                 ) from error
             for target in targets:
                 parameters[target][name] = value
@@ -256,6 +235,29 @@ class Scenario:
     def _simulated_time(self) -> bool:
         return any(one.get("use_sim_time", False) for one in self.parameters.values())
 
+    def check_models(self) -> None:
+        """Find out before anything starts that a model is missing.
+
+        Raises
+        ------
+        ScenarioError
+            If a node needs one that is not there.
+        """
+        for node in self.nodes:
+            declared = NODE_TABLE[node].parameters()
+            given = {n: v for n, v in self.parameters[node].items() if n in declared}
+            values = declared.values(given)
+            needed = bool(values.get("model_path"))
+            if needed and "method" in values:
+                needed = estimator_factory(values["method"]).needs_model(values)
+            if needed:
+                try:
+                    find_file(values["model_path"])
+                except FileNotFoundError as error:
+                    raise ScenarioError(
+                        f"{node} needs a model: {error}; train one with fvs_train"
+                    ) from error
+
     def to_params_yaml(self) -> str:
         """ROS parameter file that holds in any namespace."""
         return yaml.safe_dump(
@@ -265,6 +267,15 @@ class Scenario:
             },
             sort_keys=False,
         )
+
+
+def scenario_names() -> dict[str, str]:
+    """The project's own scenarios, each with the first sentence of its file."""
+    found: dict[str, str] = {}
+    for path in sorted(path for share in share_folders() for path in share.glob("config/*.yaml")):
+        words = path.read_text(encoding="utf-8").partition("\n\n")[0].replace("\n#", "")
+        found.setdefault(path.stem, words.removeprefix("# ").partition(". ")[0].rstrip(".") + ".")
+    return found
 
 
 def load_scenario(name: str) -> Scenario:
@@ -283,9 +294,11 @@ def load_scenario(name: str) -> Scenario:
     """
     try:
         path = find_file(name if Path(name).suffix else f"{name}.yaml")
-        if path.stat().st_size > _MAX_BYTES:
-            raise ValueError(f"it is larger than {_MAX_BYTES >> 20} MB")
-        content = _read_yaml(path.read_text(encoding="utf-8"))
+        content = yaml_text.read_file(path)
+    except FileNotFoundError as error:
+        named = name == Path(name).stem
+        text = unknown("scenario", name, scenario_names()) if named else str(error)
+        raise ScenarioError(text) from error
     except (OSError, ValueError, RuntimeError) as error:
         raise ScenarioError(f"cannot read scenario {name}: {error}") from error
     if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
@@ -297,11 +310,11 @@ def load_scenario(name: str) -> Scenario:
             raise ScenarioError(f"'{key}' in {path} must hold ros__parameters and nothing else")
         sections[key] = values
     common = sections.pop(ALL_NODES, {})
-    unknown = [node for node in sections if node not in NODE_TABLE]
-    if unknown or not sections:
-        raise ScenarioError(
-            f"scenario {path} names {unknown or 'no node'}; known nodes are {', '.join(NODE_TABLE)}"
-        )
+    if not sections:
+        raise ScenarioError(f"scenario {path} names no node; known are {', '.join(NODE_TABLE)}")
+    for node in sections:
+        if node not in NODE_TABLE:
+            raise ScenarioError(f"scenario {path}: {unknown('node', node, NODE_TABLE)}")
     parameters = {}
     for node, values in sections.items():
         shared = {name: value for name, value in common.items() if _declares(node, name)}
@@ -341,12 +354,9 @@ def _declares(node: str, name: str) -> bool:
 def _checked(path: Path, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     checked: dict[str, dict[str, Any]] = {}
     for node, values in parameters.items():
-        declared = NODE_TABLE[node].parameters()
         try:
-            checked[node] = {
-                name: (_EVERYWHERE if name in _EVERYWHERE else declared)[name].check(value)
-                for name, value in values.items()
-            }
+            declared = ParameterSet([*NODE_TABLE[node].parameters(), *_EVERYWHERE])
+            checked[node] = declared.checked(values)
         except ParameterError as error:
             raise ScenarioError(f"{node} in {path.name}: {error}") from error
     return checked

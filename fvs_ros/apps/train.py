@@ -1,4 +1,4 @@
-"""``fvs_train``: a data set in, a model file out."""
+"""``fvs_train``: train the Jacobian networks from a data set of the collector."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from fvs_estimator_node.training import (
     train,
 )
 from fvs_ros.core import console
+from fvs_ros.core.arguments import Parser, one_of
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 
 #: The method that assumes a serial chain.
@@ -40,8 +41,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the program; returns its exit code."""
     arguments = _parser().parse_args(argv)
     try:
-        _check_output(arguments.output)
         data = load_data_set(arguments.data)
+        _check_output(arguments.output)
         trained, words, notes, out_of_time = _train(data, arguments)
         provenance = {
             **trained.provenance,
@@ -93,17 +94,14 @@ def _train(
 
 def _parser() -> argparse.ArgumentParser:
     defaults = TrainingOptions()
-    parser = argparse.ArgumentParser(
-        prog="fvs_train",
-        description="Train the six Jacobian networks from a data set of the collector.",
-    )
+    parser = Parser("fvs_train", __doc__)
     parser.add_argument("data", type=Path, metavar="DATA", help="data set, .npz")
     parser.add_argument(
         "-o", "--output", type=Path, required=True, metavar="MODEL", help="model to write, .npz"
     )
     parser.add_argument(
         "--method",
-        choices=(*METHODS, STRUCTURED),
+        type=one_of("method", (*METHODS, STRUCTURED)),
         default=defaults.method,
         help="varpro also moves the neurons; ridge solves for the weights only, in about a second; "
         "poe fits a chain of six revolute joints, which teaches the networks: a minute of motion "

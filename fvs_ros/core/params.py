@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from fvs_ros.core.arguments import did_you_mean, unknown
+
 _TYPES = (bool, int, float, str)
 
 #: What ROS can hold: 64 bits with a sign, and any finite number.
@@ -131,7 +133,10 @@ class Parameter:
     def _refusal(self, value: Any) -> ParameterError:
         given = list(value) if isinstance(value, array) else value
         words = reprlib.repr(given)  # of a stranger's value, so of limited length
-        return ParameterError(f"parameter {self.name} must be {self.expected()}, got {words}")
+        meant = did_you_mean(value, self.choices) if isinstance(value, str) else ""
+        return ParameterError(
+            f"parameter {self.name} must be {self.expected()}, got {words}; {meant}".rstrip("; ")
+        )
 
 
 class ParameterSet:
@@ -180,7 +185,18 @@ class ParameterSet:
         ParameterError
             If an override is unknown or has a wrong value.
         """
-        values = {parameter.name: parameter.default for parameter in self}
-        for name, value in (overrides or {}).items():
-            values[name] = self[name].check(value)
-        return values
+        defaults = {parameter.name: parameter.default for parameter in self}
+        return {**defaults, **self.checked(overrides or {})}
+
+    def checked(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Given values in their parameters' types.
+
+        Raises
+        ------
+        ParameterError
+            If one is unknown or has a wrong value.
+        """
+        for name in given:
+            if name not in self:
+                raise ParameterError(unknown("parameter", str(name), sorted(self._by_name)))
+        return {name: self[name].check(value) for name, value in given.items()}

@@ -1,4 +1,4 @@
-"""Where the project's own files (scenarios, models) lie: beside the source or in a ROS share."""
+"""Where the project's own files lie (beside the source or in a ROS share), and its programs."""
 
 from __future__ import annotations
 
@@ -7,9 +7,15 @@ import sys
 from pathlib import Path
 
 PACKAGE = "fvs_ros"
+#: Like ``python -m``, but never imports what lies in the working directory (the empty name).
+_RUN = (
+    "import sys; sys.path[:] = filter(None, sys.path); import runpy; "
+    "runpy.run_module({module!r}, run_name='__main__', alter_sys=True)"
+)
 
 
-def _share_folders() -> list[Path]:
+def share_folders() -> list[Path]:
+    """Folders that may hold the project's own: the source tree, then of each ROS prefix."""
     source = Path(__file__).resolve().parents[2]
     folders = [source] if (source / "package.xml").is_file() else []
     prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
@@ -43,8 +49,13 @@ def find_file(name: str, folder: str = "config") -> Path:
         raise FileNotFoundError(f"no file {name}: there is no such user") from None
     places = [given]
     if not given.is_absolute():
-        places += [share / folder / given for share in _share_folders()]
+        places += [share / folder / given for share in share_folders()]
     for place in places:
         if place.is_file():
             return place
     raise FileNotFoundError(f"no file {name}; looked in {', '.join(str(p) for p in places)}")
+
+
+def program(module: str) -> list[str]:
+    """Command that runs a module as a program, in this Python."""
+    return [sys.executable, "-c", _RUN.format(module=module)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -19,6 +20,7 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
@@ -27,17 +29,23 @@ from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedE
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.service import Service
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState
-from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
 
 from fvs_ros.core import console, stop, topics
+from fvs_ros.core.arguments import node_help
 from fvs_ros.core.camera import CameraModel, Intrinsics, camera_model
 from fvs_ros.core.chain import SerialChain
+from fvs_ros.core.clock import LoopClock
 from fvs_ros.core.joints import N_JOINTS
 from fvs_ros.core.monitor import ArrivalMonitor
 from fvs_ros.core.params import Parameter, ParameterError, ParameterSet
+from fvs_ros.core.paths import find_file
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_OK
 from fvs_ros.core.vectors import length
 
@@ -104,12 +112,57 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 _SPIN_PERIOD_S = 0.05
 _LAST_ZEROS, _LAST_ZEROS_PERIOD_S, _LAST_ZEROS_ACK_S = 5, 0.01, 0.5
 _DIAGNOSTICS_PERIOD_S = 1.0
+#: The same complaint is logged once in this time.
+_REPEAT_S = 5.0
 _QUATERNION_SLACK = 0.01
+#: Messages and requests of others are at most so large, bytes; a robot's description (URDF) may be
+#: larger. A request names at most so many things.
+_MOST_BYTES, _MOST_BYTES_OF, _MOST_ITEMS = 2**14, {String: 2**22}, 250
+#: Images are as large as their pixels, which their decoding bounds; their texts are bounded here.
+_IMAGES = (Image, CompressedImage)
+#: Longest text that is logged, told or taken for a frame, characters.
+_MOST_TEXT = 1000
 _BUILT_IN_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
 class MessageError(ValueError):
     """A message that cannot be used; the text says what was wrong and what was expected."""
+
+
+# --- what comes from others ---
+
+
+def _unpacked(message_type: type, data: Any) -> Any:
+    """The message in what a topic brought, bytes or an image; a ``MessageError`` if it is none."""
+    if message_type in _IMAGES:
+        size, most, what = len(data.header.frame_id), _MOST_TEXT, "its frame_id"
+    else:
+        size, most, what = len(data), _MOST_BYTES_OF.get(message_type, _MOST_BYTES), "it"
+    if size > most:
+        raise MessageError(f"{what} has {size} bytes, expected at most {most}")
+    try:
+        return data if message_type in _IMAGES else deserialize_message(data, message_type)
+    except RuntimeError as error:
+        raise MessageError(str(error)) from error
+
+
+def _check_request(request: Any) -> None:
+    """A ``ValueError`` if a service's request is too large or malformed."""
+    size = len(serialize_message(request))
+    fields = [getattr(request, name) for name in request.get_fields_and_field_types()]
+    items = max([len(field) for field in fields if isinstance(field, list)], default=0)
+    if size > _MOST_BYTES or items > _MOST_ITEMS:
+        raise MessageError(
+            f"a request of {items} items and {size} bytes is too large, "
+            f"expected at most {_MOST_ITEMS} and {_MOST_BYTES}"
+        )
+    for parameter in getattr(request, "parameters", ()):
+        rclpy.Parameter.from_parameter_msg(parameter)  # raises if its type is unknown
+
+
+def _plain(text: str) -> str:
+    """A text as it may be logged and told: printable, and not too long."""
+    return "".join(c if c.isprintable() else " " for c in text[:_MOST_TEXT])
 
 
 # --- messages <-> numpy. Scalars go through float(): rclpy does not check float fields. ---
@@ -442,7 +495,7 @@ def to_status(level: bytes, name: str, message: str, values: Mapping[str, Any]) 
     return DiagnosticStatus(
         level=level,
         name=name,
-        message=message,
+        message=_plain(message),
         values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
     )
 
@@ -454,7 +507,7 @@ def _text(value: Any) -> str:
         return " ".join(f"{float(v):.5g}" for v in value.reshape(-1))
     if value is None:
         return "unknown"
-    return str(value)
+    return _plain(str(value))
 
 
 def from_status(message: DiagnosticStatus) -> dict[str, str]:
@@ -518,19 +571,25 @@ class Sampled:
         Of the topic.
     topic : str
         Its name.
+    callback : callable
+        Takes a message.
     """
 
-    def __init__(self, node: Node, message_type: type, topic: str) -> None:
+    def __init__(
+        self, node: Node, message_type: type, topic: str, callback: Callable[[Any], None]
+    ) -> None:
         self._node = node
         self._subscription = node.create_subscription(
-            message_type, topic, lambda _message: None, QOS_NEWEST, callback_group=NeverReady()
+            message_type, topic, callback, QOS_NEWEST, callback_group=NeverReady()
         )
 
-    def newest(self) -> Any | None:
-        """The newest message, if one has come since the last look."""
-        with self._subscription.handle:
-            taken = self._subscription.handle.take_message(self._subscription.msg_type, False)
-        return None if taken is None else taken[0]
+    def look(self) -> None:
+        """Take the newest message, if one has come since the last look."""
+        subscription = self._subscription
+        with subscription.handle:
+            taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+        if taken is not None:
+            subscription.callback(taken[0])
 
     def close(self) -> None:
         """Hear no more."""
@@ -558,7 +617,9 @@ class FvsNode(Node):
         self.parameter_set = ParameterSet(parameters)
         self.values = self._declare()
         self.add_on_set_parameters_callback(self._on_set)
+        simulated = self.get_parameter("use_sim_time").value
         #: Ages on it never jump; stamps (``get_clock``) serve pairing and latency only.
+        self._loop_clock = LoopClock(self.ros_s if simulated else None)
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._monitors: dict[str, ArrivalMonitor] = {}
         self._status = self.create_publisher(DiagnosticStatus, STATUS, QOS_RELIABLE)
@@ -630,14 +691,68 @@ class FvsNode(Node):
     # --- time ---
 
     def steady_s(self) -> float:
-        """Seconds on the steady clock: for ages and time-outs."""
+        """Seconds on the steady clock."""
         return time.monotonic()
+
+    def now_s(self) -> float:
+        """Seconds of the loop, for ages and time-outs: simulated ones in simulated time."""
+        return self._loop_clock.now_s()
 
     def ros_s(self) -> float:
         """Seconds on the node's ROS clock: for stamps."""
         return self.get_clock().now().nanoseconds * 1e-9
 
     # --- inputs and diagnostics ---
+
+    def create_subscription(
+        self,
+        msg_type: Any,
+        topic: str,
+        callback: Callable[[Any], None],
+        qos_profile: QoSProfile | int,
+        *,
+        raw: bool = False,
+        **options: Any,
+    ) -> Subscription:
+        """Subscribe; what is too large, malformed or refused by a ``MessageError`` is dropped."""
+
+        def on_data(data: Any) -> None:
+            try:
+                callback(_unpacked(msg_type, data))
+            except MessageError as error:
+                text = _plain(f"{topic}: a message was dropped: {error}")
+                self.get_logger().warning(text, throttle_duration_sec=_REPEAT_S)
+
+        return super().create_subscription(
+            msg_type,
+            topic,
+            callback if raw else on_data,
+            qos_profile,
+            # From its bytes an image takes four times as long to unpack.
+            raw=raw or msg_type not in _IMAGES,
+            **options,
+        )
+
+    def create_service(
+        self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any
+    ) -> Service:
+        """Offer a service; a request that is too large or malformed is refused."""
+
+        def on_request(request: Any, response: Any) -> Any:
+            try:
+                _check_request(request)
+            except ValueError as error:
+                refusal = SetParametersResult(successful=False, reason=str(error))
+                if isinstance(response, SetParameters.Response):
+                    response.results = [refusal] * len(request.parameters[:_MOST_ITEMS])
+                elif isinstance(response, SetParametersAtomically.Response):
+                    response.result = refusal
+                text = f"{srv_name}: a request was refused: {error}"
+                self.get_logger().warning(text, throttle_duration_sec=_REPEAT_S)
+                return response
+            return callback(request, response)
+
+        return super().create_service(srv_type, srv_name, on_request, **options)
 
     def watch(
         self, message_type: type, topic: str, callback: Callable[[Any], None], qos: QoSProfile
@@ -646,7 +761,7 @@ class FvsNode(Node):
         monitor = self._monitors.setdefault(topic, ArrivalMonitor())
 
         def on_message(message: Any) -> None:
-            monitor.arrived(self.steady_s())
+            monitor.arrived(self.now_s())
             callback(message)
 
         return self.create_subscription(message_type, topic, on_message, qos)
@@ -683,6 +798,7 @@ class FvsNode(Node):
 
     def tell(self, level: bytes, text: str) -> None:
         """Log with the severity of a diagnostic level."""
+        text = _plain(text)
         # One line each: rclpy holds a call site to its first severity.
         if level == OK:
             self.get_logger().info(text)
@@ -696,7 +812,7 @@ class FvsNode(Node):
         return {}
 
     def _publish_diagnostics(self) -> None:
-        now_s = self.steady_s()
+        now_s = self.now_s()
         values: dict[str, Any] = {}
         for topic, monitor in self._monitors.items():
             for key, value in monitor.report(now_s).items():
@@ -723,7 +839,12 @@ class FvsNode(Node):
         """Last words on the wire before the process ends, whatever ended it."""
 
 
-def run(make_node: Callable[[], FvsNode], argv: list[str] | None = None) -> int:
+def run(
+    make_node: Callable[[], FvsNode],
+    doc: str,
+    parameters: Iterable[Parameter],
+    argv: list[str] | None = None,
+) -> int:
     """Run one node in this process until a signal, its own wish, or an error.
 
     Signals end the spin loop, not the ROS context, so that ``finish`` can still send. A blocked
@@ -733,6 +854,10 @@ def run(make_node: Callable[[], FvsNode], argv: list[str] | None = None) -> int:
     ----------
     make_node : callable
         Builds the node after ``rclpy.init``.
+    doc : str
+        Docstring of its module, for ``--help``: name, and what it is for.
+    parameters : iterable of Parameter
+        Its parameters, for ``--help``.
     argv : list of str, optional
         Arguments with ``--ros-args``; default those of the process.
 
@@ -742,7 +867,12 @@ def run(make_node: Callable[[], FvsNode], argv: list[str] | None = None) -> int:
         0 after a signal or a finished task, 1 after an error, 2 after a wrong parameter or file.
     """
     stop.listen()
+    # A first announcement that is lost costs a moment, not three seconds; read by Fast DDS alone.
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(find_file("quick_discovery.xml")))
     with console.never_blocking():
+        if {"-h", "--help"} & set(sys.argv if argv is None else argv):
+            print(node_help(doc, parameters))
+            return EXIT_OK
         return _run(make_node, argv)
 
 
@@ -752,7 +882,7 @@ def _run(make_node: Callable[[], FvsNode], argv: list[str] | None) -> int:
         if unknown:  # rclpy would pass over them, and the node run with other values than wanted
             _say(
                 f"cannot start: unknown argument {unknown[0]!r}; parameters and remaps stand "
-                "behind --ros-args, as in --ros-args -p name:=value"
+                "behind --ros-args, as in --ros-args -p name:=value; --help lists them"
             )
             return EXIT_BAD_INPUT
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)

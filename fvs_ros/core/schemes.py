@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from fvs_ros.core.arguments import unknown
+
 
 @dataclass(frozen=True)
 class Scheme:
@@ -74,9 +76,8 @@ BEYOND: dict[str, Scheme] = {
             "rbf_left",
             "ftsm",
             "The paper's networks behind a learned rotation, its law straight to the target, "
-            "images fused by a Kalman filter, least joint speeds, the drives' lag anticipated.",
+            "least joint speeds, the drives' lag anticipated.",
             controller_values={
-                "fusion": "adaptive",
                 "allocation": "least_speed",
                 "anticipate_drive_lag": True,
                 "ftsm_path": "straight",
@@ -87,8 +88,7 @@ BEYOND: dict[str, Scheme] = {
             "poe",
             "arrive",
             "A serial chain fitted to a minute of motion, least largest joint travel at the "
-            "limits, images fused by a Kalman filter.",
-            controller_values={"fusion": "adaptive"},
+            "limits.",
         ),
     )
 }
@@ -104,5 +104,5 @@ def scheme(name: str) -> Scheme:
     """
     known = {**SCHEMES, **BEYOND}
     if name not in known:
-        raise ValueError(f"unknown scheme '{name}'; known are {', '.join(known)}")
+        raise ValueError(unknown("scheme", name, known))
     return known[name]

@@ -15,26 +15,29 @@ EXIT_OK, EXIT_FAILURE, EXIT_BAD_INPUT = 0, 1, 2
 #: Signals that have come so far.
 RECEIVED: list[int] = []
 
-_NOTED = (
-    signal.SIGINT,
-    signal.SIGTERM,
-    signal.SIGHUP,  # the terminal was closed, or ssh was lost
-    signal.SIGQUIT,
-    signal.SIGUSR1,
-    signal.SIGUSR2,
-    signal.SIGALRM,
-)
-_IGNORED = (signal.SIGTSTP, signal.SIGTTOU, signal.SIGTTIN)
+#: What would suspend a program, with the arm moving at its last command.
+_IGNORED = {signal.SIGTSTP, signal.SIGTTOU, signal.SIGTTIN}
+#: What no program can note, what a crash would raise again and again, and what ends no program.
+_LEFT = {
+    *(signal.SIGKILL, signal.SIGSTOP),
+    *(signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL),
+    *(signal.SIGCHLD, signal.SIGCONT, signal.SIGURG, signal.SIGWINCH),
+    *(signal.SIGPIPE, signal.SIGXFSZ),  # errors of the write, in Python
+}
 
 
 def listen() -> None:
-    """Note the signals that ask for an end instead of dying from them.
+    """Note every signal that would end the program, instead of dying from it.
 
-    SIGHUP stays ignored where it is already, as under ``nohup``. Ctrl-Z and its like (SIGTSTP,
-    SIGTTOU, SIGTTIN) are ignored: a suspended program leaves the arm moving at its last command.
+    SIGHUP stays ignored where it is already, as under ``nohup``.
     """
-    for number in _NOTED:
+    for number in signal.valid_signals() - _LEFT - _IGNORED:
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, lambda received, _frame: RECEIVED.append(received))
     for number in _IGNORED:
         signal.signal(number, signal.SIG_IGN)
+
+
+def name_of(number: int) -> str:
+    """Name of a signal, such as SIGTERM; most real-time signals have none."""
+    return {one.value: one.name for one in signal.Signals}.get(number, f"signal {number}")

@@ -301,7 +301,7 @@ _EITHER = (Qos.LATCHED, Qos.NEWEST)
 
 _ALWAYS = (End(STATUS, _RELIABLE), End(DIAGNOSTICS, _RELIABLE))
 _ROBOT_STATE = (End(ROBOT_PROGRAM_RUNNING, _EITHER), End(SPEED_SCALING, _NEWEST))
-_PLAYED = ("play_driver_topics", True)
+_PLAYED, _SIMULATED = ("play_driver_topics", True), ("simulated_time", True)
 _IMAGE_RELIABILITY = (
     "best effort if `image_reliability` says so, or is `auto` and a publisher is best effort"
 )
@@ -329,10 +329,13 @@ INTERFACES: dict[str, Interface] = {
             End(_TRUE_JACOBIAN, _RELIABLE),
             End(_TRUE_CAMERA_POSE, _LATCHED),
             End(ROBOT_DESCRIPTION, _LATCHED),
-            End(CLOCK, _RELIABLE, given=("simulated_time", True)),
+            End(CLOCK, _RELIABLE, given=_SIMULATED),
             *_ALWAYS,
         ),
-        subscribes=(End(COMMANDS, _RELIABLE),),
+        subscribes=(
+            End(COMMANDS, _RELIABLE),
+            End(JACOBIAN, _RELIABLE, given=_SIMULATED, note="waited for, not read"),
+        ),
         serves=(Service("~/reset", _TRIGGER, "Puts the arm back to `initial_joints_rad`."),),
     ),
     "fvs_detector_node": Interface(
@@ -409,6 +412,7 @@ INTERFACES: dict[str, Interface] = {
             End(COLOR_IMAGE, _RELIABLE, later=_AT_THE_END),
             End(CAMERA_INFO, _RELIABLE, later=_AT_THE_END),
         ),
+        calls=("fvs_controller_node/stop",),
     ),
     "fvs_dashboard": Interface(
         "Serves a page for a browser: shows the arm, the camera's picture and how well it goes, "

@@ -61,9 +61,7 @@ def settled_s(all_runs):
 
 
 def test_with_a_forward_model_it_arrives_at_the_physical_floor(floors_s):
-    arrived = runs(
-        {"law": "arrive", "fusion": "adaptive"}, chain=chain_of_the_arm(), jacobian_error=0.001
-    )
+    arrived = runs({"law": "arrive"}, chain=chain_of_the_arm(), jacobian_error=0.001)
     ratio = settled_s(arrived) / floors_s
     assert np.median(ratio) < 1.08
     assert ratio.max() < 1.25
@@ -77,19 +75,17 @@ def test_with_a_forward_model_it_arrives_at_the_physical_floor(floors_s):
 
 
 def test_without_a_forward_model_the_same_law_does_with_the_jacobian(floors_s):
-    ratio = settled_s(runs({"law": "arrive", "fusion": "adaptive"})) / floors_s
+    ratio = settled_s(runs({"law": "arrive"})) / floors_s
     assert np.median(ratio) < 1.2
     assert ratio.max() < 1.6
 
 
-def test_the_papers_law_with_all_additions_is_faster_and_calmer_than_without():
+def test_the_papers_law_with_all_additions_is_faster_and_rests_as_well():
     plain, added = runs({}), runs(ADDITIONS)
     assert np.median(settled_s(added)) < 0.93 * np.median(settled_s(plain))
-    rest = [np.median([run.final_rms_m for run in which]) for which in (added, plain)]
-    assert rest[0] < 0.6 * rest[1]
-    assert rest[0] < 0.0004  # of 1 mm of noise
-    jitter = [np.median([run.jitter_rad_s for run in which]) for which in (added, plain)]
-    assert jitter[0] < 0.5 * jitter[1]
+    for which in (added, plain):  # of 1 mm of noise
+        assert np.median([run.final_rms_m for run in which]) < 0.0003
+        assert np.median([run.jitter_rad_s for run in which]) < 0.0005
 
 
 @pytest.mark.parametrize("noise_m", [2e-4, 4e-3])
@@ -101,18 +97,13 @@ def test_one_default_does_for_little_and_much_noise(noise_m):
 
 def test_the_additions_are_worth_something_each():
     # Three motions do not tell: what is worth something to most costs some of them a little.
-    motions = pairs(16, seed=11)
+    motions = pairs(10, seed=11)
     whole_s = settled_s(runs(ADDITIONS, motions))
     for name in ("allocation", "anticipate_drive_lag", "ftsm_path"):
         without = {key: value for key, value in ADDITIONS.items() if key != name}
         without_s = settled_s(runs(without, motions))
         assert np.median(without_s / whole_s) > 1.02, name
         assert np.median(without_s) > 1.02 * np.median(whole_s), name
-    fixed = {**ADDITIONS, "fusion": "fixed"}
-    calm, restless = (
-        np.median([run.final_rms_m for run in runs(values)]) for values in (ADDITIONS, fixed)
-    )
-    assert restless > 1.5 * calm
 
 
 CENTRE_M = ball_and_jacobian(HOME_RAD)[0]
@@ -132,7 +123,7 @@ def circle(speed_m_s, radius_m=0.08):
         (0.05, {}, 0.0015),
         (0.1, {}, 0.002),
         (0.1, ADDITIONS, 0.0015),
-        (0.2, {"law": "arrive", "fusion": "adaptive"}, 0.002),
+        (0.2, {"law": "arrive"}, 0.002),
     ],
 )
 def test_a_target_on_a_circle_is_kept_up_with(speed_m_s, values, most_m):
@@ -166,7 +157,7 @@ def test_a_jacobian_of_the_wrong_sign_is_held_though_the_target_moves():
         target_of=circle(0.05),
         turned=-np.eye(3),
     )
-    assert run.states[-1] == "ERROR_GROWING"
+    assert run.states[-1] == "PREDICTION_ERROR"
     assert not run.command[-1].any()
 
 

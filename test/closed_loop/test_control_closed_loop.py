@@ -96,7 +96,7 @@ def test_a_camera_turned_by_20_degrees_still_arrives():
 
 def test_a_camera_turned_upside_down_is_held_before_it_goes_far():
     run = servo(*CASES[0], seed=0, turned=rotation(180.0))
-    assert run.states[-1] == "ERROR_GROWING"
+    assert run.states[-1] == "PREDICTION_ERROR"
     assert not run.command[-1].any()
     assert run.error_m.max() < 1.5
 

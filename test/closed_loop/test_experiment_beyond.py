@@ -11,7 +11,6 @@ pytest.importorskip("matplotlib")
 pytest.importorskip("jinja2")
 
 from fvs_ros.apps.experiments import beyond, beyond_verdicts
-from fvs_ros.apps.experiments.beyond_calm import FILTER
 from fvs_ros.apps.experiments.beyond_camera import (
     AT_REST,
     CARRIED,
@@ -237,7 +236,7 @@ def results(
         minutes=[learned] * COUNT,
         floors_s=[1.0] * COUNT,
         races=races,
-        calmed={(FILTER, name): [outcome(4.0)] * COUNT for name in BASELINES},
+        calmed={name: [outcome(4.0)] * COUNT for name in BASELINES},
         arrivals=arrivals,
         worlds={
             (number, name): [outcome(delayed_s if "200" in world.label else 1.0)] * COUNT

@@ -242,7 +242,7 @@ def made_up_rests(after_zero=0.4, after_offline=0.01):
 
 def test_changes_that_change_nothing_are_worth_nothing():
     found = ablation_verdicts.verdicts(ablation_rows(), made_up_rests(0.01, 0.3))
-    for words in ("Solved implicitly", "breaks down", "Predicting", "Fusing", "cap on"):
+    for words in ("Solved implicitly", "breaks down", "Predicting", "cap on"):
         assert verdict(found, words).holds is False, words
     for words in ("online update pays where", "carried round", "printed sign", "toward zero"):
         assert verdict(found, words).holds is False, words

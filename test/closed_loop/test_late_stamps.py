@@ -48,13 +48,13 @@ def test_late_stamps_turn_no_camera(name):
     loop, errors, _ = run(name, 0.06)
     assert errors[round(1.8 / loop.period_s) :].max() < 0.005
     assert jacobian_error(loop) < 0.1
-    assert "too late" in loop.estimator.remark
+    assert "too late" in loop.estimation.remark
 
 
 @pytest.mark.parametrize("name", ["best", "extended"])
 def test_where_no_loop_comes_to_rest_the_arm_is_held_and_the_estimator_says_why(name):
     loop, _, command = run(name, 0.1)
-    assert "too late by about 0.1" in loop.estimator.problem
+    assert "too late by about 0.1" in loop.estimation.problem
     np.testing.assert_array_equal(command.velocity_rad_s, 0.0)
-    assert "the estimator says: the image does not fit" in command.text
+    assert "the estimator says: image stamps are too late" in command.text
     assert loop.estimator.status_values()["camera_turned_deg"] < 10.0

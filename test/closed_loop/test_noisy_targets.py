@@ -10,7 +10,7 @@ from ur5_dh import HOME_RAD, ball_and_jacobian
 from fvs_ros.core.schemes import BEYOND
 
 EXTENDED = BEYOND["extended"].controller_values
-ARRIVE = {"law": "arrive", "fusion": "adaptive"}
+ARRIVE = {"law": "arrive"}
 CENTRE_M = ball_and_jacobian(HOME_RAD)[0]
 RADIUS_M = 0.08
 

@@ -17,7 +17,7 @@ from fvs_ros.apps.experiments.trials import HOME_RAD, Conditions, simulation_of
 from fvs_ros.core.paths import find_file
 from fvs_ros.core.schemes import scheme
 
-TARGETS = 40
+TARGETS = 20
 CIRCLE_M, CIRCLE_M_S, IMAGE_S = 0.1, 0.15, 1.0 / 30.0
 
 
@@ -31,7 +31,7 @@ def loop_of(name):
 
 
 @pytest.mark.parametrize("name", ["best", "extended"])
-def test_forty_targets_in_a_row_are_reached_near_the_posture_of_the_start(name):
+def test_many_targets_in_a_row_are_reached_near_the_posture_of_the_start(name):
     simulation, loop = loop_of(name)
     rng = np.random.default_rng(1)
     candidates_m = load_model(find_file(MODEL)).ball_samples_m
@@ -53,7 +53,7 @@ def test_a_target_that_goes_round_and_round_is_followed_near_the_posture_of_the_
     loop.run(0.4)
     began_s, start_m = simulation.time_s, simulation.true_ball_position()
     away_rad, told_s = 0.0, 0.0
-    while simulation.time_s < began_s + 60.0:
+    while simulation.time_s < began_s + 30.0:
         now_s = simulation.time_s - began_s
         if now_s >= told_s:
             angle = CIRCLE_M_S / CIRCLE_M * now_s

@@ -27,23 +27,20 @@ def test_a_singular_jacobian_is_held_with_the_number_and_released_when_good(rig)
     rig.assert_settles()
 
 
-def test_a_jacobian_of_the_wrong_sign_goes_the_wrong_way_for_a_second_and_is_held(
-    rig,
-):
+def test_a_jacobian_of_the_wrong_sign_goes_the_wrong_way_for_little_and_is_held(rig):
     rig.wires[ros.JACOBIAN].spoil = flipped
     rig.harness.spin_for(0.2)
     start_m = rig.ball()
     rig.servo()
     rig.wait(lambda: rig.state() == "HOLDING", what="HOLDING")
-    rig.assert_says("HOLDING", "ERROR_GROWING", "error grew", "~/start")
+    rig.assert_says("HOLDING", "PREDICTION_ERROR", "predicts motion badly", "~/start")
     rig.wait(rig.standing, what="zeros")
     rig.assert_stands()
     rig.wires[ros.JACOBIAN].spoil = None
     rig.assert_stands()
     gone_m = float(np.linalg.norm(rig.ball() - start_m))
     print(f"the ball went {gone_m:.3f} m")
-    # What a second at the velocity limit can do; slower limits bound it.
-    assert gone_m < 0.6
+    assert gone_m < 0.35
     rig.start()
     rig.assert_settles()
 

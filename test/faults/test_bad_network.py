@@ -54,16 +54,13 @@ def test_a_ball_hidden_for_a_tenth_of_a_second_is_not_noticed(rig):
         assert not any("ball_position" in status.message for status in rig.statuses[said:])
 
 
-@pytest.mark.parametrize("seconds", [0.5, 5.0])
-def test_a_covered_lens_holds_the_arm_until_the_ball_is_seen_again(rig, seconds):
+def test_a_covered_lens_holds_the_arm_until_the_ball_is_seen_again(rig):
     rig.servo()
     since_s = rig.set(SIMULATOR, camera_covered=True)
     # What was exposed before is still under way for the camera's latency of 0.04 s, and the last
     # of it may be a whole image period old.
     rig.assert_stops(since_s, 0.04 + 0.034 + MAX_AGE_S[ros.BALL_POSITION] + RAMP_S)
     rig.assert_says("HOLDING", "STALE", "ball_position", "in view")
-    rig.wait(lambda: time.time() - since_s > seconds, what="the time to pass")
-    assert rig.standing()
     rig.set(SIMULATOR, camera_covered=False)
     rig.assert_goes_on_by_itself()
     rig.assert_settles()
@@ -80,8 +77,15 @@ def test_a_frozen_stream_is_no_fresh_one(rig, topic, freeze):
     rig.assert_goes_on_by_itself()
 
 
-@pytest.mark.parametrize("shift_s", [1.0, -1.0, 3600.0, -3600.0])
-@pytest.mark.parametrize("topic", STAMPED)
+@pytest.mark.parametrize(
+    ("topic", "shift_s"),
+    [
+        (ros.JOINT_STATES, 1.0),
+        (ros.JOINT_STATES, -3600.0),
+        (ros.BALL_POSITION, -1.0),
+        (ros.BALL_POSITION, 3600.0),
+    ],
+)
 def test_a_clock_that_jumps_alone_holds_the_arm_until_the_clocks_agree(rig, topic, shift_s):
     rig.servo()
     rig.wires[topic].shift_s = shift_s
@@ -93,7 +97,7 @@ def test_a_clock_that_jumps_alone_holds_the_arm_until_the_clocks_agree(rig, topi
     rig.assert_settles()
 
 
-@pytest.mark.parametrize("shift_s", [1.0, -1.0, 3600.0, -3600.0])
+@pytest.mark.parametrize("shift_s", [3600.0, -1.0])
 def test_a_clock_that_jumps_for_all_is_got_over_by_itself(rig, shift_s):
     rig.servo()
     for topic in STAMPED:
@@ -102,16 +106,10 @@ def test_a_clock_that_jumps_for_all_is_got_over_by_itself(rig, shift_s):
     rig.wait(lambda: rig.state() == "SERVOING", what="SERVOING")
 
 
-def test_repeated_and_reordered_messages_do_no_harm(rig):
+@pytest.mark.parametrize("harm", [{"repeat": 0.3, "swap": 0.3}, {"loss": 0.3}])
+def test_repeated_reordered_and_lost_messages_slow_nothing_but_the_arm(rig, harm):
     for wire in rig.wires.values():
-        wire.repeat, wire.swap = 0.3, 0.3
-    rig.servo()
-    rig.assert_settles()
-
-
-def test_a_third_of_all_messages_lost_slows_nothing_but_the_arm(rig):
-    for wire in rig.wires.values():
-        wire.loss = 0.3
+        vars(wire).update(harm)
     rig.servo()
     rig.assert_settles()
 

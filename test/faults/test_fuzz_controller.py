@@ -88,14 +88,15 @@ def test_an_arm_that_obeys_never_passes_the_ends_of_its_range(start, seed, plant
 #: What it takes to meet the reasons.
 TO_SEE = (
     (Scene("services", 60, 9),),  # READY
-    (Scene("work", 60, 1),),  # SERVOING, SETTLED
+    (Scene("work", 60, 1), Scene("long wait", 60)),  # SERVOING, SETTLED
     (Scene("silence", 40, 2),),  # STALE
     (Scene("silence", 30, 0), Scene("calm", 9)),  # RETURNING
     (Scene("garbage", 60, 6),),  # BAD_INPUT
     (Scene("clocks", 20, 9),),  # NO_POSITION
     (Scene("estimator", 10, 7),),  # NEAR_SINGULAR
-    (Scene("bad quality", 60, 0),),  # PREDICTION_ERROR
-    (Scene("estimator", 1, 3), Scene("target", 60, 9), Scene("long wait", 60)),  # ERROR_GROWING
+    (Scene("work", 5, 3), Scene("wrong way", 60, 0)),  # PREDICTION_ERROR
+    (Scene("work", 5, 3), Scene("swing", 60, 1)),  # OSCILLATING
+    (Scene("work", 60, 1), Scene("long wait", 60), Scene("push", 60, 9)),  # ERROR_GROWING
     (Scene("another ball", 60, 0),),  # IMAGE_NOT_FOLLOWING
     (Scene("another ball", 60, 6),),  # STALLED
     (Scene("arm", 59, 3),),  # NOT_FOLLOWING

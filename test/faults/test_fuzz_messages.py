@@ -11,8 +11,9 @@ from geometry_msgs.msg import PointStamped
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from sensor_msgs.msg import CameraInfo, JointState
-from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import CameraInfo, Image, JointState
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
 
 from fvs_ros.core import ros
 from fvs_ros.core.joints import UR_JOINT_NAMES, JointMap, JointStateError
@@ -215,3 +216,56 @@ def test_points_and_vectors_are_written_as_they_are(vector, stamp_s):
     arrow = ros.to_vector(stamp_s, "frame", np.array(vector)).vector
     for one in (point, arrow):
         np.testing.assert_array_equal([one.x, one.y, one.z], vector)
+
+
+def in_frame(kind, frame):
+    message = kind()
+    message.header.frame_id = frame
+    return message
+
+
+def with_dimensions(count):
+    message = Float64MultiArray()
+    message.layout.dim = [MultiArrayDimension()] * count
+    return message
+
+
+@pytest.mark.parametrize(
+    ("small", "large"),
+    [
+        (in_frame(PointStamped, "camera"), in_frame(PointStamped, "x" * 10**6)),
+        (with_dimensions(2), with_dimensions(10**5)),
+        (Float64MultiArray(data=[0.0] * 18), Float64MultiArray(data=[0.0] * 10**5)),
+        (JointState(name=["joint"] * 100), JointState(name=["joint"] * 10**4)),
+        (DiagnosticStatus(values=[KeyValue()] * 50), DiagnosticStatus(values=[KeyValue()] * 10**4)),
+        (String(data="<robot/>" * 10**4), String(data="<robot/>" * 10**6)),
+    ],
+    ids=["frame_id", "dimensions", "values", "joints", "key numbers", "URDF"],
+)
+def test_a_message_is_unpacked_unless_it_is_too_large(small, large):
+    assert ros._unpacked(type(small), serialize_message(small)) == small
+    with pytest.raises(ros.MessageError, match="expected at most"):
+        ros._unpacked(type(large), serialize_message(large))
+
+
+def test_an_image_is_large_but_its_text_is_not():
+    image = Image(height=1000, width=1000, step=3000, data=bytes(3 * 10**6))
+    assert ros._unpacked(Image, image) is image
+    with pytest.raises(ros.MessageError, match="frame_id"):
+        ros._unpacked(Image, in_frame(Image, "x" * 10**6))
+
+
+@MANY
+@given(kind=st.sampled_from([JointState, PointStamped, Float64MultiArray]), data=st.binary())
+def test_any_bytes_are_a_message_or_refused(kind, data):
+    message, refusal = outcome(ros.MessageError, ros._unpacked, kind, data)
+    assert isinstance(message, kind) or refusal
+
+
+@MANY
+@given(text=st.text(), size=st.integers(0, 3))
+def test_any_text_is_told_short_and_printable(text, size):
+    status = ros.to_status(ros.OK, "name", text * 100**size, {"key": text * 100**size})
+    for told in (status.message, status.values[0].value):
+        assert len(told) <= 1000
+        assert told.isprintable()

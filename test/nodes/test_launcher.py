@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -10,12 +11,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
+from sensor_msgs.msg import Image
 from std_msgs.msg import Float64MultiArray
 
+from fvs_ros.apps.scenario import NODE_TABLE
 from fvs_ros.core import ros
+from fvs_ros.core.paths import program
 
 MODULE = "fvs_ros.apps.launcher"
+EXECUTABLES = dict(
+    re.findall(
+        r'"(fvs_\w+)=([\w.]+):main"',
+        (Path(__file__).resolve().parents[2] / "setup.py").read_text(encoding="utf-8"),
+    )
+)
 
 
 def children(process):
@@ -44,8 +55,14 @@ def alive(pid):
 def test_the_demo_settles_every_target(ros_test):
     simulated = ["-p", "use_sim_time:=true", "-p", "simulated_time:=true"]
     short = ["-p", "targets:=2", "-p", "target_s:=3.0", "-p", "fvs_demo_node:seed:=5"]
+    statuses = ros_test.collect(DiagnosticStatus, ros.CONTROLLER_STATUS, ros.QOS_EVERY)
     process = ros_test.start(MODULE, "demo", *simulated, *short)
     assert ros_test.wait(process, 90.0) == 0, ros_test.output(process)
+    # The arm is stopped before the figure is drawn, and so not held meanwhile.
+    states = [ros.from_status(status)["state"] for status in statuses]
+    drawing = states[-states[::-1].index("SERVOING") :]
+    assert drawing[0] == "READY", drawing
+    assert "HOLDING" not in drawing[:-1], drawing
     folder = ros_test.folder / "out" / "demo"
     results = json.loads((folder / "results.json").read_text())
     assert len(results) == 2
@@ -79,7 +96,36 @@ def test_a_signal_in_motion_ends_all_with_zeros_last(ros_test, number):
     assert not any(alive(pid) for pid in nodes)
 
 
-@pytest.mark.parametrize("delay_s", [0.15, 0.3, 0.5, 0.8, 1.2])
+def test_nothing_in_the_current_folder_is_run_and_a_killed_launcher_leaves_nothing(
+    ros_test, monkeypatch
+):
+    here, temporary = ros_test.folder / "here", ros_test.folder / "temporary"
+    here.mkdir()
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    for name in ("yaml", "numpy", "runpy", "signal", "multiprocessing", "pickle", "fvs_ros"):
+        (here / f"{name}.py").write_text("import os; open('run', 'a').write(__file__)")
+    if sys.version_info < (3, 11):  # where Python itself starts others with the folder on the path
+        (here / "multiprocessing.py").unlink()
+        (here / "pickle.py").unlink()
+        (here / "signal.py").unlink()
+    truths = ros_test.collect(PointStamped, "fvs_sim_node/true_ball_position")
+    images = ros_test.collect(Image, ros.COLOR_IMAGE)  # for which the simulator starts a process
+    process = subprocess.Popen(
+        [*program(MODULE), "servo"], cwd=here, env=ros_test.environment, stdout=subprocess.DEVNULL
+    )
+    try:
+        ros_test.spin_until(lambda: bool(truths and images), 30.0, "the simulator and its images")
+        nodes = children(process)
+    finally:
+        process.kill()
+        process.wait()
+    assert not (here / "run").exists()
+    ros_test.spin_until(lambda: not any(map(alive, nodes)), what="the nodes to end with it")
+    assert list(temporary.iterdir()) == []
+
+
+@pytest.mark.parametrize("delay_s", [0.15, 0.4, 1.0])
 def test_a_signal_at_any_moment_of_the_start_ends_all(ros_test, delay_s):
     process = ros_test.start(MODULE, "servo")
     ros_test.spin_for(delay_s)
@@ -104,10 +150,12 @@ def test_a_node_that_dies_brings_all_down_and_is_named(ros_test):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["nowhere"], "no file nowhere.yaml"),
+        (["nowhere"], "unknown scenario 'nowhere'; known are best, "),
+        (["servo", "--shceme", "best"], "did you mean --scheme?"),
+        (["servo", "-p", "model_path:=nowhere.npz"], "needs a model: no file nowhere.npz"),
         (["servo", "-p", "law:=pid"], "law must be one of"),
         (["servo", "-p", "method:=psychic"], "method must be one of"),
-        (["servo", "-p", "lawn:=ftsm"], "has a parameter lawn"),
+        (["servo", "-p", "lawn:=ftsm"], "did you mean law?"),
         (["servo", "-p", "law:=["], "no YAML"),
         (["servo", "-p", "use_sim_time:=3"], "use_sim_time must be true or false"),
         (["servo", "--namespace", "a b"], "--namespace must be"),
@@ -122,12 +170,29 @@ def test_a_wrong_scenario_starts_nothing(tmp_path, arguments, words):
     assert "Traceback" not in done.stderr
 
 
+def test_every_executable_says_what_it_is_for():
+    helps = {
+        name: subprocess.Popen(
+            [sys.executable, "-m", module, "--help"], stdout=subprocess.PIPE, text=True
+        )
+        for name, module in EXECUTABLES.items()
+    }
+    for name, process in helps.items():
+        text, _ = process.communicate(timeout=60)
+        assert process.returncode == 0, name
+        assert f"\n\n{name}: " in f"\n\n{text}"
+        assert "usage: " in text
+        wanted = {"fvs_launch": "  demo  ", "fvs_experiments": "  servo  ", "fvs_train": "--method"}
+        if name in NODE_TABLE:
+            wanted[name] = "\nparameters and their defaults:\n  "
+        assert wanted[name] in text
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
         (lambda path: None, "no file"),
         (lambda path: path.write_bytes(b"not a model"), "model"),
-        (lambda path: np.savez(path, centres=np.zeros(3)), "model"),
     ],
 )
 def test_a_missing_or_foreign_model_is_one_clear_sentence(ros_test, make, words):
@@ -150,12 +215,3 @@ def test_scenario_files_serve_ros_params_file_as_well(ros_test):
     ros_test.start("fvs_sim_node.node", "--ros-args", "--params-file", str(path))
     ros_test.spin_until(lambda: bool(states))
     assert states[-1].name[0] == "ur_elbow_joint"
-
-
-def test_a_namespace_moves_every_topic_and_the_parameters_still_apply(ros_test):
-    from sensor_msgs.msg import JointState
-
-    states = ros_test.collect(JointState, "left/joint_states")
-    ros_test.start(MODULE, "servo", "--namespace", "left", "-p", "joint_state_order:=kinematic")
-    ros_test.spin_until(lambda: bool(states), 30.0)
-    assert states[-1].name[0] == "shoulder_pan_joint"

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from every_node import PATIENCE, start_alone, wait_until_up
 from harness import Harness
-from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    ListParameters,
+    SetParameters,
+    SetParametersAtomically,
+)
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.parameter import parameter_value_to_python
 
@@ -63,6 +71,11 @@ class Services:
         messages = [RosParameter(name, value=v).to_parameter_msg() for name, v in values.items()]
         answer = self._call(SetParameters, "set_parameters", parameters=messages)
         return dict(zip(values, answer.results, strict=True))
+
+    def ask(self, name, *parameters):
+        """What the node answers to messages as they are."""
+        kind = SetParametersAtomically if name.endswith("atomically") else SetParameters
+        return self._call(kind, name, parameters=list(parameters))
 
     def live(self):
         return {name: p for name, p in self.declared.items() if p.live}
@@ -225,6 +238,35 @@ def test_a_whole_number_is_taken_where_a_number_is_wanted(services):
     service = services["fvs_controller_node"]
     assert service.set({"max_joint_velocity_rad_s": 1})["max_joint_velocity_rad_s"].successful
     assert service.get(["max_joint_velocity_rad_s"])["max_joint_velocity_rad_s"] == 1.0
+
+
+@nodes
+@pytest.mark.parametrize(
+    "called", [UNKNOWN, "use_sim_time", "qos_overrides.x", "declared", "", "\x1b"]
+)
+def test_a_malformed_request_is_refused_and_ends_nothing(services, name, called):
+    service = services[name]
+    called = next(iter(service.declared)) if called == "declared" else called
+    for number in (0, *range(5, 12), 77, 255):  # the types of lists, none, and unknown ones
+        odd = ParameterMessage(name=called, value=ParameterValue(type=number))
+        assert not service.ask("set_parameters_atomically", odd).result.successful
+        results = service.ask("set_parameters", odd, odd).results
+        assert [result.successful for result in results] == [False, False], number
+    assert service.names() - set(BUILT_IN) == set(service.declared)
+
+
+@nodes
+def test_a_request_that_is_too_large_is_refused_in_few_words(services, name):
+    service = services[name]
+    first = next(iter(service.declared))
+    value = RosParameter(first, value=service.get([first])[first]).get_parameter_value()
+    for names in ([first] * 1000, ["x" * 10**6]):
+        many = [ParameterMessage(name=one, value=value) for one in names]
+        for result in service.ask("set_parameters", *many).results:
+            assert_refused(result, "too large")
+            assert len(result.reason) < 200
+        assert_refused(service.ask("set_parameters_atomically", *many).result, "too large")
+    assert service.get(service.declared)
 
 
 @nodes

@@ -250,7 +250,7 @@ def senders(listener):
     return found
 
 
-def test_who_starts_later_is_told_soon_that_the_recorder_is_there(ros_test, monkeypatch):
+def test_who_starts_later_is_told_soon_that_a_node_is_there(ros_test, monkeypatch):
     """Fast DDS by itself says so once in three seconds; what is sent until then is lost."""
     monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
@@ -259,10 +259,9 @@ def test_who_starts_later_is_told_soon_that_the_recorder_is_there(ros_test, monk
         listener.setblocking(False)
         ros_test.spin_for(1.0)
         others = set(senders(listener))  # this test's own node
-        process = ros_test.start_node(RECORDER, output_dir="bag")
-        ros_test.spin_until(
-            lambda: "recording into bag" in ros_test.output(process), what="the recorder"
-        )
+        statuses = ros_test.collect(DiagnosticStatus, ros.CONTROLLER_STATUS)
+        ros_test.start_node("fvs_controller_node.node")
+        ros_test.spin_until(lambda: bool(statuses), what="the controller")
         ros_test.spin_for(1.0)
         senders(listener)  # at its very start everybody says so often
         ros_test.spin_for(3.0)

@@ -14,9 +14,20 @@ from std_srvs.srv import Trigger
 
 from fvs_ros.core import ros
 from fvs_ros.core.joints import UR_JOINT_NAMES, UR_PUBLISHED_NAMES, JointMap
+from fvs_sim_node.config import PARAMETERS
 from fvs_sim_node.kinematics import ball_position
 
 MODULE = "fvs_sim_node.node"
+
+
+@pytest.fixture
+def simulator(ros_module, ros_beside):
+    """One beside a simulator that other tests use as well; it is put back afterwards."""
+    ros_module.keep(MODULE)
+    yield ros_beside
+    live = {parameter.name: parameter.default for parameter in PARAMETERS if parameter.live}
+    assert all(result.successful for result in ros_beside.set_parameters("fvs_sim_node", **live))
+    assert ros_beside.call(Trigger, "fvs_sim_node/reset").success
 
 
 def positions(message):
@@ -27,13 +38,12 @@ def set_parameter(harness, name, value):
     return harness.set_parameters("fvs_sim_node", **{name: value})[0]
 
 
-def test_it_publishes_what_a_ur_and_a_detector_publish(ros_test):
-    ros_test.start_node(MODULE)
-    states = ros_test.collect(JointState, ros.JOINT_STATES)
-    balls = ros_test.collect(PointStamped, ros.BALL_POSITION)
-    truths = ros_test.collect(PointStamped, "fvs_sim_node/true_ball_position")
-    running = ros_test.collect(Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED)
-    ros_test.spin_until(lambda: len(states) > 60 and len(balls) > 10 and truths and running)
+def test_it_publishes_what_a_ur_and_a_detector_publish(simulator):
+    states = simulator.collect(JointState, ros.JOINT_STATES)
+    balls = simulator.collect(PointStamped, ros.BALL_POSITION)
+    truths = simulator.collect(PointStamped, "fvs_sim_node/true_ball_position")
+    running = simulator.collect(Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED)
+    simulator.spin_until(lambda: len(states) > 60 and len(balls) > 10 and truths and running)
     assert tuple(states[-1].name) == UR_PUBLISHED_NAMES
     assert running[0].data
     assert balls[-1].header.frame_id == "camera_color_optical_frame"
@@ -69,31 +79,14 @@ def test_it_obeys_a_command_in_kinematic_order_and_holds_it(ros_test):
     ros_test.spin_until(lambda: np.abs(positions(states[-1]) - start).max() < 1e-3)
 
 
-def test_in_simulated_time_it_waits_for_a_slow_answer_to_each_joint_state(ros_test):
-    ros_test.start_node(MODULE, simulated_time=True)
-    states = ros_test.collect(JointState, ros.JOINT_STATES)
-    commands = ros_test.publisher(Float64MultiArray, ros.COMMANDS)
-    ros_test.spin_until(lambda: len(states) > 0)
-    stamps_s = []
-    for _ in range(25):
-        count = len(states)
-        commands.publish(Float64MultiArray(data=[0.0] * 6))
-        ros_test.spin_until(lambda count=count: len(states) > count, what="the next joint state")
-        ros_test.spin_for(0.04)
-        stamps_s.append(ros.from_stamp(states[-1].header.stamp))
-    # On a busy machine an answer may take longer than anybody waits.
-    assert np.median(np.diff(stamps_s)) == pytest.approx(0.008)
-
-
-def test_images_are_rendered_for_subscribers_and_agree_with_camera_info(ros_test):
-    ros_test.start_node(MODULE)
-    states = ros_test.collect(JointState, ros.JOINT_STATES)
-    ros_test.spin_until(lambda: len(states) > 0)
-    colours = ros_test.collect(Image, ros.COLOR_IMAGE, ros.QOS_RELIABLE)
-    depths = ros_test.collect(Image, ros.DEPTH_IMAGE, ros.QOS_RELIABLE)
-    infos = ros_test.collect(CameraInfo, ros.CAMERA_INFO, ros.QOS_RELIABLE)
-    balls = ros_test.collect(PointStamped, ros.BALL_POSITION)
-    ros_test.spin_until(lambda: len(colours) > 2 and len(depths) > 2 and infos and len(balls) > 2)
+def test_images_are_rendered_for_subscribers_and_agree_with_camera_info(simulator):
+    states = simulator.collect(JointState, ros.JOINT_STATES)
+    simulator.spin_until(lambda: len(states) > 0)
+    colours = simulator.collect(Image, ros.COLOR_IMAGE, ros.QOS_RELIABLE)
+    depths = simulator.collect(Image, ros.DEPTH_IMAGE, ros.QOS_RELIABLE)
+    infos = simulator.collect(CameraInfo, ros.CAMERA_INFO, ros.QOS_RELIABLE)
+    balls = simulator.collect(PointStamped, ros.BALL_POSITION)
+    simulator.spin_until(lambda: len(colours) > 2 and len(depths) > 2 and infos and len(balls) > 2)
     colour, depth, info = colours[-1], depths[-1], infos[-1]
     assert (colour.encoding, depth.encoding) == ("rgb8", "16UC1")
     assert (colour.width, colour.height) == (info.width, info.height) == (640, 480)
@@ -124,25 +117,24 @@ def test_the_same_seed_sees_the_same_to_the_bit(ros_test):
     assert not one & other
 
 
-def test_disturbances_are_live_and_refusals_are_in_words(ros_test):
-    ros_test.start_node(MODULE)
-    states = ros_test.collect(JointState, ros.JOINT_STATES)
-    balls = ros_test.collect(PointStamped, ros.BALL_POSITION)
-    ros_test.spin_until(lambda: len(balls) > 0)
+def test_disturbances_are_live_and_refusals_are_in_words(simulator):
+    states = simulator.collect(JointState, ros.JOINT_STATES)
+    balls = simulator.collect(PointStamped, ros.BALL_POSITION)
+    simulator.spin_until(lambda: len(balls) > 0)
     before = balls[-1].point
-    assert set_parameter(ros_test, "joint_state_order", "kinematic").successful
-    ros_test.spin_until(lambda: tuple(states[-1].name) == UR_JOINT_NAMES)
-    assert set_parameter(ros_test, "camera_rotation_deg", [0.0, 0.0, 20.0]).successful
-    ros_test.spin_until(lambda: abs(balls[-1].point.x - before.x) > 0.03, what="a bumped camera")
-    assert set_parameter(ros_test, "dropout", 1.0).successful
-    ros_test.spin_for(0.2)
+    assert set_parameter(simulator, "joint_state_order", "kinematic").successful
+    simulator.spin_until(lambda: tuple(states[-1].name) == UR_JOINT_NAMES)
+    assert set_parameter(simulator, "camera_rotation_deg", [0.0, 0.0, 20.0]).successful
+    simulator.spin_until(lambda: abs(balls[-1].point.x - before.x) > 0.03, what="a bumped camera")
+    assert set_parameter(simulator, "dropout", 1.0).successful
+    simulator.spin_for(0.2)
     count = len(balls)
-    ros_test.spin_for(0.3)
+    simulator.spin_for(0.3)
     assert len(balls) == count
-    refusal = set_parameter(ros_test, "dropout", 1.5)
+    refusal = set_parameter(simulator, "dropout", 1.5)
     assert not refusal.successful
     assert "dropout must be number from 0 to 1, got 1.5" in refusal.reason
-    refusal = set_parameter(ros_test, "feature_frame", "elsewhere")
+    refusal = set_parameter(simulator, "feature_frame", "elsewhere")
     assert not refusal.successful
     assert any(words in refusal.reason for words in ("at start only", "read-only"))
 
@@ -177,31 +169,30 @@ def fastest(message):
     return max(abs(v) for v in message.velocity)
 
 
-def test_a_pause_is_announced_once_and_a_controller_that_comes_back_stands(ros_test):
-    ros_test.start_node(MODULE)
-    states = ros_test.collect(JointState, ros.JOINT_STATES)
-    running = ros_test.collect(Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED)
-    commands = ros_test.publisher(Float64MultiArray, ros.COMMANDS)
-    ros_test.spin_until(lambda: states and running)
+def test_a_pause_is_announced_once_and_a_controller_that_comes_back_stands(simulator):
+    states = simulator.collect(JointState, ros.JOINT_STATES)
+    running = simulator.collect(Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED)
+    commands = simulator.publisher(Float64MultiArray, ros.COMMANDS)
+    simulator.spin_until(lambda: states and running)
     commands.publish(Float64MultiArray(data=[0.2, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    ros_test.spin_until(lambda: fastest(states[-1]) > 0.19, what="motion")
+    simulator.spin_until(lambda: fastest(states[-1]) > 0.19, what="motion")
     for _ in range(2):
-        assert set_parameter(ros_test, "program_running", False).successful
-    ros_test.spin_until(lambda: fastest(states[-1]) < 1e-3, what="the arm to stand")
+        assert set_parameter(simulator, "program_running", False).successful
+    simulator.spin_until(lambda: fastest(states[-1]) < 1e-3, what="the arm to stand")
     # A command in the pause is lost, and whoever listens only now hears of the pause as well.
     commands.publish(Float64MultiArray(data=[0.3, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    late = ros_test.collect(Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED)
-    ros_test.spin_until(lambda: bool(late), what="the latched pause")
+    late = simulator.collect(Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED)
+    simulator.spin_until(lambda: bool(late), what="the latched pause")
     assert [m.data for m in late] == [False]
     for _ in range(2):
-        assert set_parameter(ros_test, "program_running", True).successful
-    ros_test.spin_until(lambda: len(running) == 3, what="the end of the pause")
+        assert set_parameter(simulator, "program_running", True).successful
+    simulator.spin_until(lambda: len(running) == 3, what="the end of the pause")
     count = len(states)
-    ros_test.spin_for(0.3)
+    simulator.spin_for(0.3)
     assert len(states) > count
     assert max(fastest(m) for m in states[count:]) < 1e-3
     commands.publish(Float64MultiArray(data=[0.3, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    ros_test.spin_until(lambda: fastest(states[-1]) > 0.29, what="motion")
+    simulator.spin_until(lambda: fastest(states[-1]) > 0.29, what="motion")
     assert [m.data for m in running] == [True, False, True]
 
 
@@ -220,32 +211,30 @@ def test_a_pause_without_a_word_stops_the_arm_all_the_same(ros_test):
     assert not running[0].data
 
 
-def test_a_controller_that_a_bad_command_deactivated_stays_so_after_a_pause(ros_test):
-    ros_test.start_node(MODULE)
-    states = ros_test.collect(JointState, ros.JOINT_STATES)
-    statuses = ros_test.collect(DiagnosticStatus, "fvs_sim_node/status")
-    commands = ros_test.publisher(Float64MultiArray, ros.COMMANDS)
-    ros_test.spin_until(lambda: bool(states))
+def test_a_controller_that_a_bad_command_deactivated_stays_so_after_a_pause(simulator):
+    states = simulator.collect(JointState, ros.JOINT_STATES)
+    statuses = simulator.collect(DiagnosticStatus, "fvs_sim_node/status")
+    commands = simulator.publisher(Float64MultiArray, ros.COMMANDS)
+    simulator.spin_until(lambda: bool(states))
     commands.publish(Float64MultiArray(data=[0.2] * 5))
-    ros_test.spin_until(
+    simulator.spin_until(
         lambda: statuses and "deactivated" in statuses[-1].message, what="the refusal"
     )
     for running in (False, True):
-        assert set_parameter(ros_test, "program_running", running).successful
+        assert set_parameter(simulator, "program_running", running).successful
     commands.publish(Float64MultiArray(data=[0.2, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    ros_test.spin_until(lambda: "inactive" in statuses[-1].message, what="the refusal")
+    simulator.spin_until(lambda: "inactive" in statuses[-1].message, what="the refusal")
     assert fastest(states[-1]) < 1e-3
 
 
-def test_an_empty_command_changes_nothing(ros_test):
-    ros_test.start_node(MODULE)
-    states = ros_test.collect(JointState, ros.JOINT_STATES)
-    statuses = ros_test.collect(DiagnosticStatus, "fvs_sim_node/status")
-    commands = ros_test.publisher(Float64MultiArray, ros.COMMANDS)
+def test_an_empty_command_changes_nothing(simulator):
+    states = simulator.collect(JointState, ros.JOINT_STATES)
+    statuses = simulator.collect(DiagnosticStatus, "fvs_sim_node/status")
+    commands = simulator.publisher(Float64MultiArray, ros.COMMANDS)
     commands.publish(Float64MultiArray(data=[0.2, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    ros_test.spin_until(lambda: states and fastest(states[-1]) > 0.19, what="motion")
+    simulator.spin_until(lambda: states and fastest(states[-1]) > 0.19, what="motion")
     commands.publish(Float64MultiArray(data=[]))
-    ros_test.spin_until(lambda: statuses and "empty" in statuses[-1].message, what="a word")
+    simulator.spin_until(lambda: statuses and "empty" in statuses[-1].message, what="a word")
     assert fastest(states[-1]) > 0.19
 
 
@@ -265,17 +254,16 @@ def test_a_gripper_in_the_joint_states_has_a_position_only(ros_test):
     np.testing.assert_allclose(home, [0.0, -1.35, 1.6, -1.75, -1.57, 0.0], atol=1e-3)
 
 
-def test_a_joint_can_be_nan_for_a_while(ros_test):
-    ros_test.start_node(MODULE)
-    states = ros_test.collect(JointState, ros.JOINT_STATES)
-    ros_test.spin_until(lambda: bool(states))
-    assert set_parameter(ros_test, "nan_joint", "elbow_joint").successful
-    ros_test.spin_until(lambda: not np.isfinite(states[-1].position).all(), what="NaN")
+def test_a_joint_can_be_nan_for_a_while(simulator):
+    states = simulator.collect(JointState, ros.JOINT_STATES)
+    simulator.spin_until(lambda: bool(states))
+    assert set_parameter(simulator, "nan_joint", "elbow_joint").successful
+    simulator.spin_until(lambda: not np.isfinite(states[-1].position).all(), what="NaN")
     bad = [n for n, p in zip(states[-1].name, states[-1].position, strict=True) if np.isnan(p)]
     assert bad == ["elbow_joint"]
-    assert set_parameter(ros_test, "nan_joint", "").successful
-    ros_test.spin_until(lambda: np.isfinite(states[-1].position).all(), what="no NaN")
-    refusal = set_parameter(ros_test, "nan_joint", "third_elbow")
+    assert set_parameter(simulator, "nan_joint", "").successful
+    simulator.spin_until(lambda: np.isfinite(states[-1].position).all(), what="no NaN")
+    refusal = set_parameter(simulator, "nan_joint", "third_elbow")
     assert not refusal.successful
     assert "third_elbow" in refusal.reason
 
@@ -306,7 +294,7 @@ def test_a_covered_camera_publishes_black_images_and_no_ball(ros_test, simulated
         ({"extra_joints": "elbow_joint"}, "extra_joints: a name comes twice"),
         ({"nan_joint": "third_elbow"}, "there is no joint third_elbow"),
         ({"camera": "below"}, "camera must be one of front, overhead"),
-        ({"sead": 3}, "unknown parameter sead"),
+        ({"sead": 3}, "unknown parameter 'sead'; did you mean seed?"),
         ({"urdf_path": "/nowhere.urdf"}, "/nowhere.urdf"),
         ({"gui": True}, "gui needs a display"),
     ],

@@ -42,7 +42,7 @@ def test_a_strangers_robot_is_served_over_its_topics_alone(ros_test, monkeypatch
     ros_test.start_node("fvs_controller_node.node")
     publisher = ros_test.publisher(PointStamped, ros.TARGET_POSITION, ros.QOS_LATCHED)
     stranger = Stranger(StrangerConfig(seed=seed))
-    for target in draw_targets(stranger, np.random.default_rng(seed), count=3):
+    for target in draw_targets(stranger, np.random.default_rng(seed), count=2):
         publisher.publish(ros.to_point(0.0, FRAME, target))
         ros_test.spin_until(
             lambda: statuses and ros.from_status(statuses[-1])["state"] in ("READY", "SERVOING"),

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import http.client
+import queue
 import re
 import time
 import types
@@ -86,6 +89,35 @@ def test_a_page_whose_guard_did_not_take_is_not_served(later_viser, monkeypatch)
 def test_a_guarded_page_turns_others_away(page):
     host, port = re.fullmatch(r"http://(.+):(\d+)", page.address).groups()
     assert guard.turns_others_away(host, int(port))
+
+
+def requested(page, **headers):
+    host, port = re.fullmatch(r"http://(.+):(\d+)", page.address).groups()
+    connection = http.client.HTTPConnection(host, int(port), timeout=10.0)
+    with contextlib.closing(connection):
+        connection.request("GET", "/", headers=headers)
+        return connection.getresponse()
+
+
+@pytest.mark.parametrize(
+    "wanted", ["document", "iframe", "frame", "fencedframe", "embed", "object"]
+)
+def test_no_other_page_may_hold_this_one_in_a_frame(page, wanted):
+    answer = requested(page, **{"Sec-Fetch-Dest": wanted})
+    assert answer.status == (200 if wanted == "document" else 403)
+    assert answer.headers["Content-Security-Policy"] == "frame-ancestors 'none'"
+    assert answer.headers["X-Frame-Options"] == "DENY"
+
+
+def test_a_request_for_a_public_tunnel_is_refused(page, client, monkeypatch):
+    tunnels, answers = [], queue.Queue()
+    monkeypatch.setattr("viser._viser.ViserTunnel", tunnels.append)
+    server = type(page._server)
+    own = server.request_share_url
+    monkeypatch.setattr(server, "request_share_url", lambda self: answers.put(own(self)))
+    client.ask_for_a_tunnel()
+    assert answers.get(timeout=10.0) is None
+    assert tunnels == []
 
 
 def test_where_nothing_answers_nobody_is_turned_away(page):

@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 #: Sentences that are no reason's own, and where they stand.
 _ELSEWHERE = {
-    "the image does not fit the arm's motion:": "fvs_estimator_node/stamp_watch.py",
+    "image stamps are too": "fvs_estimator_node/loop.py",
     "the camera seems to have been moved": "fvs_estimator_node/camera_doubts.py",
     "is taken; stop what is served there": "fvs_ros/apps/dashboard/page.py",
     "messages come, but every": "fvs_controller_node/inputs.py",

@@ -1,13 +1,13 @@
-"""How much of an image is believed: the fixed share, and the filter that learns the noise."""
+"""How much of an image is believed: the filter that learns the noise."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from fvs_controller_node import fusion as fusion_module
-from fvs_controller_node.fusion import AdaptiveFusion, FixedFusion, make_fusion
 from fvs_controller_node.predictor import BallPredictor
+from fvs_ros.core import fusion as fusion_module
+from fvs_ros.core.fusion import Fusion
 
 
 def follow(fusion, images, motions):
@@ -23,17 +23,30 @@ def follow(fusion, images, motions):
     return np.array(found)
 
 
+class FixedShare:
+    """Believes a fixed share of each image: what the filter must not be worse than."""
+
+    def __init__(self, gain):
+        self.gain = gain
+
+    def restart(self):
+        pass
+
+    def correct(self, innovation_m, motion_m):
+        return self.gain * innovation_m
+
+
 @pytest.mark.parametrize("sigma_m", [2e-4, 1e-3, 4e-3])
 def test_at_rest_it_learns_the_noise_and_averages_it_away(sigma_m):
     rng = np.random.default_rng(1)
     truth = np.array([0.1, -0.2, 1.3])
     images = truth + sigma_m * rng.normal(size=(400, 3))
-    fusion = AdaptiveFusion()
+    fusion = Fusion()
     estimates = follow(fusion, images, np.zeros((400, 3)))
     assert fusion.noise_m == pytest.approx(sigma_m, rel=0.25)
     error = np.sqrt(np.mean((estimates[60:] - truth) ** 2))
     assert error < 0.2 * sigma_m
-    fixed = follow(FixedFusion(0.3), images, np.zeros((400, 3)))
+    fixed = follow(FixedShare(0.3), images, np.zeros((400, 3)))
     assert error < 0.5 * np.sqrt(np.mean((fixed[60:] - truth) ** 2))
 
 
@@ -41,7 +54,7 @@ def test_at_rest_it_learns_the_noise_and_averages_it_away(sigma_m):
 def test_after_a_long_rest_it_states_the_deviation_that_it_has(sigma_m):
     rng = np.random.default_rng(6)
     images = sigma_m * rng.normal(size=(4000, 3))
-    fusion = AdaptiveFusion()
+    fusion = Fusion()
     estimates = follow(fusion, images, np.zeros((4000, 3)))
     rms = np.sqrt(np.mean(estimates[1000:] ** 2))
     assert fusion.deviation_m == pytest.approx(rms, rel=0.35)
@@ -64,7 +77,7 @@ def test_in_motion_it_learns_how_wrong_the_prediction_is():
     fusions = {}
     for wrong in (0.0, 0.3):
         _, images, motions = moving(wrong, 5e-4, rng)
-        fusions[wrong] = AdaptiveFusion()
+        fusions[wrong] = Fusion()
         follow(fusions[wrong], images, motions)
     assert fusions[0.0].wrong_share < 0.1
     assert fusions[0.3].wrong_share > 2.0 * fusions[0.0].wrong_share
@@ -82,9 +95,9 @@ def rms_m(fusion, truth, images, motions, first=0):
 def test_in_motion_it_is_no_worse_than_the_best_fixed_share(wrong, sigma_m):
     rng = np.random.default_rng(3)
     paths = moving(wrong, sigma_m, rng)
-    best = min(rms_m(FixedFusion(gain), *paths, first=100) for gain in GAINS)
+    best = min(rms_m(FixedShare(gain), *paths, first=100) for gain in GAINS)
     # That a prediction is exact, nobody knows after a hundred images.
-    assert rms_m(AdaptiveFusion(), *paths, first=100) < (1.3 if wrong else 1.8) * best
+    assert rms_m(Fusion(), *paths, first=100) < (1.3 if wrong else 1.8) * best
 
 
 def slow(wrong, speed_m, rng, n=240):
@@ -100,8 +113,8 @@ def slow(wrong, speed_m, rng, n=240):
 @pytest.mark.parametrize("wrong", [0.1, 0.3])
 def test_a_slow_ball_is_followed_though_the_prediction_was_right_before(wrong, speed_m):
     paths = slow(wrong, speed_m, np.random.default_rng(9))
-    best = min(rms_m(FixedFusion(gain), *paths, first=120) for gain in GAINS)
-    fusion = AdaptiveFusion()
+    best = min(rms_m(FixedShare(gain), *paths, first=120) for gain in GAINS)
+    fusion = Fusion()
     assert rms_m(fusion, *paths, first=120) < 1.3 * best
     assert fusion.noise_m == pytest.approx(1e-3, rel=0.25)
 
@@ -113,8 +126,9 @@ def test_a_camera_that_is_carried_is_no_noise_and_the_estimate_is_soon_right(dri
     way[160:] = way[159]
     truth = np.outer(way, [0.6, 0.0, 0.8])
     images = truth + 1e-3 * rng.normal(size=truth.shape)
-    fusion = AdaptiveFusion()
-    predictor = BallPredictor(fusion=fusion)
+    fusion = Fusion()
+    predictor = BallPredictor()
+    predictor.tracker.fusion = fusion
     errors = []
     for k, (image, true) in enumerate(zip(images, truth, strict=True)):
         for part in range(4):
@@ -128,7 +142,7 @@ def test_a_camera_that_is_carried_is_no_noise_and_the_estimate_is_soon_right(dri
 
 
 def test_two_wrong_positions_agree_only_where_they_say_the_same():
-    fusion, still = AdaptiveFusion(), np.zeros(3)
+    fusion, still = Fusion(), np.zeros(3)
     there = np.array([0.05, 0.0, 0.0])
     assert fusion.agree(there, there + 0.003, still)
     assert not fusion.agree(there, -there, still)
@@ -140,7 +154,7 @@ def test_two_wrong_positions_agree_only_where_they_say_the_same():
 
 
 def test_one_wrong_position_within_the_gate_teaches_little():
-    fusion = AdaptiveFusion()
+    fusion = Fusion()
     follow(fusion, 1e-3 * np.random.default_rng(11).normal(size=(300, 3)), np.zeros((300, 3)))
     before = fusion.noise_m
     fusion.correct(np.array([0.0, 0.009, 0.0]), np.zeros(3))
@@ -151,7 +165,7 @@ def test_one_wrong_position_within_the_gate_moves_the_estimate_little_however_fa
     rest = 1e-3 * np.random.default_rng(12).normal(size=(300, 3))
     for off_m in np.linspace(0.001, 0.02, 20):
         for direction in np.vstack([np.eye(3), np.ones(3) / 3.0**0.5]):
-            fusion = AdaptiveFusion()
+            fusion = Fusion()
             follow(fusion, rest, np.zeros((300, 3)))
             correction = fusion.correct(off_m * direction, np.zeros(3))
             assert correction is None or np.linalg.norm(correction) < 1.5e-3
@@ -162,8 +176,9 @@ def test_one_wrong_position_within_the_gate_moves_the_estimate_little_however_fa
 def test_an_image_that_flickers_between_two_things_is_no_noise(period, off_m):
     images = 1e-3 * np.random.default_rng(13).normal(size=(400, 3))
     images[100:][::period] += [off_m, 0.0, 0.0]
-    fusion, predictor_errors = AdaptiveFusion(), []
-    predictor = BallPredictor(fusion=fusion)
+    fusion, predictor_errors = Fusion(), []
+    predictor = BallPredictor()
+    predictor.tracker.fusion = fusion
     for k, image in enumerate(images):
         for part in range(4):
             predictor.add_joints((k + part / 4.0) / 30.0, np.zeros(6), np.zeros((3, 6)))
@@ -176,7 +191,7 @@ def test_an_image_that_flickers_between_two_things_is_no_noise(period, off_m):
 @pytest.mark.parametrize("seed", range(3))
 def test_however_wild_the_images_were_none_is_believed_that_is_far_off(seed):
     rng = np.random.default_rng(seed)
-    fusion = AdaptiveFusion()
+    fusion = Fusion()
     for noise_m, count in ((0.3, 300), (0.001, 20)):
         motions = 0.004 * rng.normal(size=(count, 3))
         images = np.cumsum(motions, axis=0) + noise_m * rng.normal(size=(count, 3))
@@ -187,7 +202,7 @@ def test_however_wild_the_images_were_none_is_believed_that_is_far_off(seed):
 def test_a_wrong_prediction_of_a_jerky_motion_is_no_noise():
     learned_m = []
     for seed in range(5):
-        rng, fusion = np.random.default_rng(seed), AdaptiveFusion()
+        rng, fusion = np.random.default_rng(seed), Fusion()
         follow(fusion, 1e-3 * rng.normal(size=(100, 3)), np.zeros((100, 3)))
         motions = 0.01 * rng.normal(size=(300, 3))
         images = np.cumsum(motions, axis=0) + 1e-3 * rng.normal(size=(300, 3))
@@ -199,7 +214,7 @@ def test_a_wrong_prediction_of_a_jerky_motion_is_no_noise():
 def test_images_without_a_position_in_between_do_not_spoil_what_is_known_of_the_noise():
     learned_m = []
     for seed in range(10):
-        rng, fusion = np.random.default_rng(seed), AdaptiveFusion()
+        rng, fusion = np.random.default_rng(seed), Fusion()
         way = np.outer(np.arange(400), [0.003, 0.0, 0.0])
         images = way + 1e-3 * rng.normal(size=way.shape)
         images[100 + np.flatnonzero(np.arange(300) % 15 < 10)] = np.nan
@@ -213,7 +228,7 @@ def test_wrong_images_now_and_then_teach_little():
     images = 1e-3 * rng.normal(size=(2000, 3))
     wrong = rng.random(2000) < 0.1
     images[wrong] += 0.05 * rng.normal(size=(int(wrong.sum()), 3))
-    fusion = AdaptiveFusion()
+    fusion = Fusion()
     estimates = follow(fusion, images, np.zeros((2000, 3)))
     assert np.median(np.linalg.norm(estimates, axis=1)) < 5e-4
     assert fusion.noise_m < 2e-3
@@ -221,7 +236,7 @@ def test_wrong_images_now_and_then_teach_little():
 
 @pytest.mark.parametrize("off_m", [0.003, 0.004, 0.008, 0.012])
 def test_some_in_a_row_that_say_the_same_are_followed(off_m):
-    fusion = AdaptiveFusion()
+    fusion = Fusion()
     follow(fusion, 1e-3 * np.random.default_rng(12).normal(size=(300, 3)), np.zeros((300, 3)))
     estimate, there = np.zeros(3), np.array([0.0, off_m, 0.0])
     for _ in range(6):
@@ -231,7 +246,7 @@ def test_some_in_a_row_that_say_the_same_are_followed(off_m):
 
 def test_after_a_doubt_it_follows_the_images_until_the_prediction_is_right_again():
     rng = np.random.default_rng(7)
-    fusion = AdaptiveFusion()
+    fusion = Fusion()
     _, images, motions = moving(0.0, 5e-4, rng)
     follow(fusion, images, motions)
     trusting = fusion.wrong_share
@@ -251,7 +266,7 @@ def test_after_a_doubt_it_follows_the_images_until_the_prediction_is_right_again
 
 def test_a_doubt_fades_where_the_ball_is_too_slow_to_learn_from():
     rng = np.random.default_rng(8)
-    fusion = AdaptiveFusion()
+    fusion = Fusion()
     fusion.doubt()
     follow(fusion, 1e-3 * rng.normal(size=(60, 3)), np.zeros((60, 3)))
     assert fusion.wrong_share > 0.45  # at rest nothing was seen of the prediction
@@ -260,11 +275,10 @@ def test_a_doubt_fades_where_the_ball_is_too_slow_to_learn_from():
     assert fusion.wrong_share < 0.15
 
 
-@pytest.mark.parametrize("make", [AdaptiveFusion, FixedFusion])
-def test_an_outlier_changes_nothing(make):
+def test_an_outlier_changes_nothing():
     rng = np.random.default_rng(4)
     images = 1e-3 * rng.normal(size=(200, 3))
-    fusion = make()
+    fusion = Fusion()
     follow(fusion, images, np.zeros((200, 3)))
     before = fusion.noise_m, fusion.deviation_m
     assert fusion.correct(np.array([0.0, 0.05, 0.0]), np.zeros(3)) is None
@@ -274,19 +288,10 @@ def test_an_outlier_changes_nothing(make):
 
 
 def test_a_restart_keeps_what_was_learned_and_doubts_the_position():
-    fusion = AdaptiveFusion()
+    fusion = Fusion()
     images = 3e-3 * np.random.default_rng(5).normal(size=(300, 3))
     follow(fusion, images, np.zeros((300, 3)))
     noise_m, deviation_m = fusion.noise_m, fusion.deviation_m
     fusion.restart()
     assert fusion.noise_m == noise_m
     assert fusion.deviation_m > 3.0 * deviation_m
-
-
-def test_what_does_not_fit_is_refused_by_name():
-    with pytest.raises(ValueError, match="fusion_gain"):
-        FixedFusion(gain=0.0)
-    with pytest.raises(ValueError, match="outlier_m"):
-        FixedFusion(outlier_m=0.0)
-    with pytest.raises(ValueError, match=r"median.*fixed, adaptive"):
-        make_fusion("median", 0.3, 0.03)

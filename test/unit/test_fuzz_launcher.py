@@ -97,12 +97,12 @@ def trapped(folder):
 @pytest.mark.parametrize("text", HOSTILE)
 def test_a_hostile_value_reaches_the_node_as_it_is(told, text, tmp_path):
     Path("some.yaml").write_text(
-        yaml.safe_dump({"fvs_demo_node": {"ros__parameters": {"model_path": text}}})
+        yaml.safe_dump({"fvs_demo_node": {"ros__parameters": {"output_dir": text}}})
     )
     assert launch("some.yaml") == 0
     heard = json.loads(told.read_text())
     values = yaml.safe_load(heard["params"])["/**/fvs_demo_node"]["ros__parameters"]
-    assert values["model_path"] == text
+    assert values["output_dir"] == text
     assert heard["argv"][:2] == ["--ros-args", "--params-file"]
     assert len(heard["argv"]) == 3
     assert not trapped(tmp_path)
@@ -111,9 +111,9 @@ def test_a_hostile_value_reaches_the_node_as_it_is(told, text, tmp_path):
 @pytest.mark.parametrize("text", HOSTILE)
 def test_so_does_one_from_the_command_line(told, text, tmp_path):
     Path("some.yaml").write_text("fvs_demo_node: {ros__parameters: {}}\n")
-    assert launch("some.yaml", "-p", f"model_path:={json.dumps(text)}") == 0
+    assert launch("some.yaml", "-p", f"output_dir:={json.dumps(text)}") == 0
     values = yaml.safe_load(json.loads(told.read_text())["params"])
-    assert values["/**/fvs_demo_node"]["ros__parameters"]["model_path"] == text
+    assert values["/**/fvs_demo_node"]["ros__parameters"]["output_dir"] == text
     assert not trapped(tmp_path)
 
 

@@ -196,36 +196,6 @@ def test_a_blow_is_no_step_of_the_ball_however_noisy_the_camera_is(model):
     assert estimator.status_values()["camera_bumps"] == 1.0
 
 
-@pytest.mark.parametrize("off_m", [0.03, 0.045, 0.05, 0.06, 0.1, 0.3])
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_single_wrong_position_turns_nothing_and_is_no_bump(model, kind, off_m):
-    chain, rng = ur5_chain(), np.random.default_rng(7)
-    for _ in range(20):
-        estimator = estimator_of(model, kind)
-        joints, wrong = ur5_dh.HOME_RAD.copy(), off_m * unit(rng)
-        last_wrong = np.zeros(3)
-        direction = rng.normal(size=6)
-        for count in range(30):
-            step = 0.03 * direction / np.abs(direction).max()
-            direction = direction + 0.3 * rng.normal(size=6)
-            now_wrong = 0.001 * rng.normal(size=3) + (wrong if count == 20 else 0.0)
-            moved = chain.position(joints + step) - chain.position(joints)
-            estimator.update(
-                MotionStep(
-                    count / 30.0,
-                    1 / 30.0,
-                    joints + 0.5 * step,
-                    step,
-                    moved + now_wrong - last_wrong,
-                )
-            )
-            joints, last_wrong = joints + step, now_wrong
-            if count == 19:
-                before = error_of(estimator, chain)
-        assert error_of(estimator, chain) < before + 0.1
-        assert estimator.status_values()["camera_bumps"] == 0.0
-
-
 def unit(rng):
     direction = rng.normal(size=3)
     return direction / np.linalg.norm(direction)

@@ -3,6 +3,8 @@
 import ast
 import re
 import runpy
+import shutil
+import subprocess
 import xml.etree.ElementTree as ET
 from itertools import chain
 from pathlib import Path
@@ -164,3 +166,21 @@ def test_pages_are_finished_and_their_links_lead_somewhere(page):
     for link in re.findall(r"\]\(([^)#]+)\)", text):
         if "://" not in link:
             assert ((ROOT / page).parent / link).exists(), f"{page} links to {link}"
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["BAG=out/run_1"], 0, "fvs_experiments replay out/run_1"),
+        ([], 2, "make replay BAG=out/run_1"),
+    ],
+)
+def test_make_replays_a_recording_with_what_that_needs(arguments, code, words):
+    command = ["make", "--dry-run", "--always-make", "replay", *arguments]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == code
+    assert words in done.stdout + done.stderr
+    if code == 0:
+        assert "pip install --disable-pip-version-check -c constraints.txt -e '.[" in done.stdout
+        assert "ros,sim,record,lab" in done.stdout

@@ -1,10 +1,8 @@
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from fvs_estimator_node.base import MotionStep, PredictionMonitor
 from fvs_estimator_node.pairing import ExposureMatcher, StepPairing
 
 VELOCITY = np.array([0.3, -0.2, 0.1, 0.4, 0.0, 0.05])
@@ -173,77 +171,6 @@ def test_a_fresh_sliding_variable_goes_into_steps_and_a_stale_one_does_not():
     steps = feed(pairing, 0.0, 1.0)
     np.testing.assert_array_equal(steps[0].sliding_variable, [1.0, 2.0, 3.0])
     np.testing.assert_array_equal(steps[-1].sliding_variable, np.zeros(3))
-
-
-def steps_with(jacobian, noise_m, count, seed=0):
-    rng = np.random.default_rng(seed)
-    d_joints = 0.03 * rng.uniform(-1.0, 1.0, (1, 6)) * np.ones((count, 1))
-    positions = np.cumsum(np.vstack([np.zeros(3), d_joints @ jacobian.T]), axis=0)
-    positions += noise_m * rng.standard_normal(positions.shape)
-    return [
-        MotionStep(0.04 * (k + 1), 0.04, np.zeros(6), d_joints[k], positions[k + 1] - positions[k])
-        for k in range(count)
-    ]
-
-
-def test_the_monitor_reads_zero_for_the_truth_and_sees_a_wrong_jacobian_through_noise():
-    true = JACOBIAN / 3.0
-    for factor, low, high in ((1.0, 0.0, 0.1), (1.5, 0.28, 0.4), (-1.0, 1.8, 2.1)):
-        monitor = PredictionMonitor()
-        assert monitor.ratio is None
-        assert monitor.rms_m is None
-        for step in steps_with(true, 1e-3, 300):
-            monitor.observe(step, factor * true)
-        assert low <= monitor.ratio <= high
-
-
-def test_the_monitor_needs_motion_and_never_sums_across_a_gap():
-    monitor = PredictionMonitor(base_rad=0.05)
-    for k in range(100):
-        monitor.observe(
-            MotionStep(10.0 * k, 0.04, np.zeros(6), np.full(6, 0.02), np.zeros(3)), JACOBIAN
-        )
-    assert monitor.count == 0
-
-
-def test_the_monitor_has_no_ratio_when_the_ball_need_not_move():
-    monitor = PredictionMonitor(base_rad=0.05)
-    rng = np.random.default_rng(0)
-    for k in range(100):
-        turn = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.06])
-        step = MotionStep(0.04 * (k + 1), 0.04, np.zeros(6), turn, 1e-3 * rng.standard_normal(3))
-        monitor.observe(step, np.zeros((3, 6)))
-    assert monitor.count == 100
-    assert monitor.rms_m < 3e-3
-    assert monitor.ratio is None
-
-
-def jumping(steps, at, by_m):
-    """The steps, with the ball put elsewhere in one of them, and back in the next if told so."""
-    return [
-        replace(step, d_ball_m=step.d_ball_m + by_m[k - at]) if 0 <= k - at < len(by_m) else step
-        for k, step in enumerate(steps)
-    ]
-
-
-def test_a_bump_of_the_camera_is_not_held_against_the_jacobian():
-    true, jump = JACOBIAN / 3.0, np.array([0.3, 0.3, 0.0])
-    steps = steps_with(true, 1e-3, 300)
-    for by_m in ([jump], [jump, -jump]):
-        monitor = PredictionMonitor()
-        for step in jumping(steps, 290, by_m):
-            monitor.observe(step, true)
-        assert monitor.ratio < 0.1
-
-
-def test_jumps_that_come_again_and_again_are_the_jacobians_and_count():
-    true = JACOBIAN / 3.0
-    for every in (1, 3, 10, 11, 30):
-        monitor, rng = PredictionMonitor(), np.random.default_rng(0)
-        for k, step in enumerate(steps_with(true, 1e-3, 300)):
-            jump = 0.3 * rng.normal(size=3) if k % every == 0 else np.zeros(3)
-            monitor.observe(replace(step, d_ball_m=step.d_ball_m + jump), true)
-        assert monitor.ratio > 0.6
 
 
 @pytest.mark.parametrize("behind_s", [0.6, 1.0, 1.9, 3600.0])

@@ -46,7 +46,7 @@ def test_choices_and_types():
 def test_a_set_knows_its_names():
     parameters = ParameterSet([GAIN, BOX])
     assert parameters.values({"gain": 3}) == {"gain": 3.0, "box": [0.1] * 3}
-    with pytest.raises(ParameterError, match="unknown parameter gian; known are box, gain"):
+    with pytest.raises(ParameterError, match=r"'gian'; did you mean gain\? known are box, gain"):
         parameters.values({"gian": 3})
     with pytest.raises(ValueError, match="declared twice"):
         ParameterSet([GAIN, GAIN])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fvs_controller_node.fusion import FixedFusion
 from fvs_controller_node.predictor import BallPredictor
 
 RNG = np.random.default_rng(5)
@@ -35,7 +34,7 @@ def newest(predictor: BallPredictor) -> np.ndarray:
 
 
 def test_it_carries_an_old_image_to_the_newest_joints():
-    predictor = BallPredictor(fusion=FixedFusion(1.0))
+    predictor = BallPredictor()
     feed(predictor, 0.0, 1.0)
     predictor.add_ball(0.9, ball(0.9))
     np.testing.assert_allclose(newest(predictor), ball(0.992), atol=5e-5)
@@ -44,7 +43,7 @@ def test_it_carries_an_old_image_to_the_newest_joints():
 
 
 def test_a_position_waits_for_the_joint_state_after_its_exposure():
-    predictor = BallPredictor(fusion=FixedFusion(1.0))
+    predictor = BallPredictor()
     feed(predictor, 0.0, 1.0)
     predictor.add_ball(1.05, ball(1.05))
     assert predictor.predict() is None
@@ -55,42 +54,41 @@ def test_a_position_waits_for_the_joint_state_after_its_exposure():
 
 def test_fusion_averages_noise_and_does_not_lag_behind_motion():
     rng = np.random.default_rng(1)
-    errors: dict[float, list[float]] = {1.0: [], 0.2: []}
-    for gain, found in errors.items():
-        predictor = BallPredictor(fusion=FixedFusion(gain))
-        for k in range(1000):
-            feed(predictor, k * 0.032, (k + 1) * 0.032)
-            t = k * 0.032
-            predictor.add_ball(t, ball(t) + 0.001 * rng.normal(size=3))
-            now = round((k + 1) * 0.032 / JOINT_S - 1) * JOINT_S
-            found.append(float(np.linalg.norm(newest(predictor) - ball(now))))
-    raw, fused = (np.sqrt(np.mean(np.square(errors[gain][100:]))) for gain in (1.0, 0.2))
-    assert raw == pytest.approx(0.001 * 3**0.5, rel=0.1)
-    assert fused == pytest.approx(raw * (0.2 / 1.8) ** 0.5, rel=0.1)
+    predictor, found = BallPredictor(), []
+    for k in range(1000):
+        feed(predictor, k * 0.032, (k + 1) * 0.032)
+        t = k * 0.032
+        predictor.add_ball(t, ball(t) + 0.001 * rng.normal(size=3))
+        now = round((k + 1) * 0.032 / JOINT_S - 1) * JOINT_S
+        found.append(float(np.linalg.norm(newest(predictor) - ball(now))))
+    assert np.sqrt(np.mean(np.square(found[100:]))) < 0.5 * 0.001 * 3**0.5
 
 
-def test_an_outlier_is_passed_over_and_a_lasting_one_is_believed():
-    predictor = BallPredictor(fusion=FixedFusion(0.3, 0.03), outlier_repeats=3)
+def standing(positions: list[np.ndarray]) -> list[np.ndarray]:
+    """Predictions at rest after each of some positions, 10 ms apart."""
+    predictor, found = BallPredictor(), []
     predictor.add_joints(0.0, np.zeros(6), JACOBIAN)
-    predictor.add_joints(0.05, np.zeros(6), JACOBIAN)
-    for k in range(2):
-        predictor.add_ball(0.01 * k, ORIGIN)
-    moved = ORIGIN + np.array([0.1, 0.0, 0.0])
-    for k in (2, 3):
-        predictor.add_ball(0.01 * k, moved)
-        np.testing.assert_allclose(newest(predictor), ORIGIN)
-    predictor.add_ball(0.04, moved)
-    np.testing.assert_allclose(newest(predictor), moved)
+    predictor.add_joints(0.09, np.zeros(6), JACOBIAN)
+    for k, position in enumerate(positions):
+        predictor.add_ball(0.01 * k, position)
+        found.append(newest(predictor))
+    return found
+
+
+def test_an_outlier_is_passed_over_and_what_two_say_alike_or_three_in_a_row_is_believed():
+    away, other = np.array([0.1, 0.0, 0.0]), np.array([0.0, 0.2, 0.0])
+    alike = standing([ORIGIN, ORIGIN, ORIGIN + away, ORIGIN + away])
+    np.testing.assert_allclose(alike[2], ORIGIN)
+    np.testing.assert_allclose(alike[3], ORIGIN + away)
+    unlike = standing([ORIGIN, ORIGIN, ORIGIN + away, ORIGIN + other, ORIGIN - away])
+    np.testing.assert_allclose(unlike[3], ORIGIN)
+    np.testing.assert_allclose(unlike[4], ORIGIN - away)
 
 
 def test_a_good_position_forgives_the_outliers_before():
-    predictor = BallPredictor(outlier_repeats=2)
-    predictor.add_joints(0.0, np.zeros(6), JACOBIAN)
-    predictor.add_joints(0.09, np.zeros(6), JACOBIAN)
-    for k in range(8):
-        wrong = [0.1, 0.0, 0.0] if k % 2 else [0.0, 0.0, 0.0]
-        predictor.add_ball(0.01 * k, ORIGIN + wrong)
-        np.testing.assert_allclose(newest(predictor), ORIGIN)
+    away = np.array([0.1, 0.0, 0.0])
+    found = standing([ORIGIN + away * (k % 2) for k in range(8)])
+    np.testing.assert_allclose(found, [ORIGIN] * 8)
 
 
 def test_off_it_gives_the_last_image():
@@ -112,7 +110,7 @@ def test_it_predicts_over_no_more_than_the_longest_latency():
 
 
 def test_after_a_long_absence_it_starts_from_the_image_alone():
-    predictor = BallPredictor(fusion=FixedFusion(0.1), max_latency_s=0.3)
+    predictor = BallPredictor(max_latency_s=0.3)
     feed(predictor, 0.0, 0.2)
     predictor.add_ball(0.1, ORIGIN + 0.02)  # wrong by little, so no outlier
     feed(predictor, 0.2, 1.0)
@@ -122,7 +120,7 @@ def test_after_a_long_absence_it_starts_from_the_image_alone():
 
 @pytest.mark.parametrize("jump_s", [-100.0, 1000.0])
 def test_a_clock_jump_starts_it_anew(jump_s: float):
-    predictor = BallPredictor(fusion=FixedFusion(0.1))
+    predictor = BallPredictor()
     feed(predictor, 0.0, 1.0)
     predictor.add_ball(0.9, ball(0.9))
     feed(predictor, 1.0, 1.1, offset_s=jump_s)
@@ -132,7 +130,7 @@ def test_a_clock_jump_starts_it_anew(jump_s: float):
 
 
 def test_a_gap_in_the_joint_states_drops_the_image_inside_it():
-    predictor = BallPredictor(fusion=FixedFusion(1.0))
+    predictor = BallPredictor()
     feed(predictor, 0.0, 0.5)
     predictor.add_ball(0.4, ball(0.4))
     feed(predictor, 0.7, 0.8)
@@ -142,7 +140,7 @@ def test_a_gap_in_the_joint_states_drops_the_image_inside_it():
 
 
 def test_repeated_and_reordered_images_are_passed_over():
-    predictor = BallPredictor(fusion=FixedFusion(0.5))
+    predictor = BallPredictor()
     feed(predictor, 0.0, 1.0)
     predictor.add_ball(0.90, ball(0.90))
     before = newest(predictor)
@@ -164,7 +162,6 @@ def test_clocks_that_disagree_are_named(offset_s: float, word: str):
 @pytest.mark.parametrize(
     ("wrong", "word"),
     [
-        ({"outlier_repeats": 0}, "outlier_repeats"),
         ({"max_latency_s": 0.0}, "max_latency_s"),
     ],
 )
@@ -175,7 +172,7 @@ def test_a_wrong_setting_is_refused_by_name(wrong: dict, word: str):
 
 def test_over_a_long_latency_it_follows_the_bend_of_the_path():
     """On a circle of 0.5 m; a straight line from the newest Jacobian is 7 mm off."""
-    predictor = BallPredictor(fusion=FixedFusion(1.0))
+    predictor = BallPredictor()
 
     def on_circle(angle: float) -> np.ndarray:
         return 0.5 * np.array([np.cos(angle), np.sin(angle), 0.0])

@@ -203,7 +203,10 @@ def test_a_recording_into_a_folder_that_exists_is_no_scenario(tmp_path):
     [
         (["servo", "--record", "."], "it exists already"),
         (["servo", "--record-without-images"], "needs --record"),
-        (["servo", "-p", "fvs_recorder_node:images:=false"], "has a parameter fvs_recorder_node"),
+        (
+            ["servo", "-p", "fvs_recorder_node:images:=false"],
+            "unknown node of servo.yaml 'fvs_recorder_node'",
+        ),
     ],
 )
 def test_a_wrong_recording_starts_nothing(capsys, arguments, words):

@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import resource
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -35,7 +36,7 @@ from fvs_ros.apps.bag import Bag
 from fvs_ros.apps.experiments.main import main
 from fvs_ros.apps.experiments.report import Origin, write_report
 from fvs_ros.apps.experiments.style import pyplot
-from fvs_ros.apps.replay import estimates, figures, overview, runs, story, timing
+from fvs_ros.apps.replay import estimates, figures, files, overview, runs, story, timing
 from fvs_ros.apps.replay.data import Series
 from fvs_ros.apps.replay.files import BagError
 from fvs_ros.apps.replay.happened import happened
@@ -1032,6 +1033,33 @@ def strange_metadata(folder):
     return folder
 
 
+def unfolding_metadata(folder):
+    simple(folder)
+    rows = ["a0: &a0 [x, x]"]
+    rows += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 7)]
+    path = folder / "metadata.yaml"
+    text = path.read_text().split("  custom_data:")[0]
+    path.write_text("\n    ".join([f"{text}  custom_data:", *rows]))
+    return folder
+
+
+def unfolding_profiles(folder):
+    simple(folder)
+    path = folder / "metadata.yaml"
+    content = yaml.safe_load(path.read_text())
+    for topic in content["rosbag2_bagfile_information"]["topics_with_message_count"]:
+        topic["topic_metadata"]["offered_qos_profiles"] = "- &a {depth: 1}\n- *a\n"
+    path.write_text(yaml.safe_dump(content))
+    return folder
+
+
+def large_metadata(folder):
+    simple(folder)
+    with (folder / "metadata.yaml").open("r+b") as file:
+        file.truncate(2**32)  # sparse: it takes no room on the disk
+    return folder
+
+
 def foreign(folder):
     made = HandmadeBag(folder)
     made.array("weather", 0.0, [1.0])
@@ -1057,6 +1085,9 @@ def wrong_file(folder):
         (nothing_left, "cut off before any message"),
         (garbled, "cannot read"),
         (strange_metadata, "cannot read"),
+        (unfolding_metadata, "aliases (*name) are not taken"),
+        (unfolding_profiles, "aliases (*name) are not taken"),
+        (large_metadata, "metadata.yaml is too large"),
         (wrong_file, "cannot read"),
         (foreign, "it has /weather"),
         (empty, "no messages"),
@@ -1069,6 +1100,13 @@ def test_a_bag_that_cannot_be_looked_at_is_one_sentence(tmp_path, capsys, make, 
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1
+
+
+def test_what_a_bag_unpacks_to_is_bounded():
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    with files.bounded_memory(), pytest.raises(MemoryError):
+        np.zeros(2**30)
+    assert resource.getrlimit(resource.RLIMIT_DATA) == before
 
 
 @pytest.mark.parametrize("below", [False, True])

@@ -48,10 +48,11 @@ def test_overrides_go_to_the_nodes_that_have_the_parameter():
     ("override", "words"),
     [
         ("law=mpc", "not of the form name:=value"),
-        ("lwa:=mpc", "no node .* has a parameter lwa"),
+        ("lwa:=mpc", "unknown parameter .*'lwa'; did you mean law[?] known are .*law, "),
         ("law:=nonsense", "fvs_controller_node .*law must be one of"),
-        ("fvs_sim_node:law:=ftsm", "unknown parameter law"),
-        ("other_node:law:=ftsm", "no node"),
+        ("law:=ftsn", "one of .*; did you mean ftsm[?]"),
+        ("fvs_sim_node:law:=ftsm", "unknown parameter 'law'"),
+        ("fvs_smi_node:seed:=1", "unknown node .*; did you mean fvs_sim_node[?]"),
         ("latency_s:=-1.0", "latency_s must be number from 0 to 1"),
     ],
 )
@@ -66,9 +67,12 @@ def test_a_wrong_override_is_refused_in_words(override, words):
         ("- a\n- b\n", "must map node names"),
         ("fvs_sim_node: 3\n", "must hold ros__parameters"),
         ("fvs_sim_node: {ros__parameters: {}, more: 1}\n", "and nothing else"),
-        ("some_node: {ros__parameters: {}}\n", "known nodes are"),
+        ("some_node: {ros__parameters: {}}\n", "unknown node .* known are fvs_sim_node"),
         ("{}\n", "names no node"),
-        ("fvs_sim_node: {ros__parameters: {sead: 3}}\n", "unknown parameter sead"),
+        (
+            "fvs_sim_node: {ros__parameters: {sead: 3}}\n",
+            "unknown parameter 'sead'; did you mean seed[?]",
+        ),
         ("a: [\n", "cannot read scenario"),
     ],
 )
@@ -81,7 +85,39 @@ def test_a_file_that_is_no_scenario_is_refused_in_words(tmp_path, text, words):
 
 def test_a_missing_scenario_says_where_it_was_looked_for():
     with pytest.raises(ScenarioError, match=r"no file nowhere\.yaml; looked in .*config"):
-        load_scenario("nowhere")
+        load_scenario("nowhere.yaml")
+
+
+def test_a_misspelled_scenario_is_answered_with_the_right_one_and_all():
+    with pytest.raises(ScenarioError, match=r"did you mean demo\? known are .*, servo, ur5_real"):
+        load_scenario("dmeo")
+
+
+@pytest.mark.parametrize("content", [b"PK\x03\x04\xff", b"a: \x00"])
+def test_a_binary_file_is_called_so(tmp_path, content):
+    path = tmp_path / "model.npz"
+    path.write_bytes(content)
+    with pytest.raises(ScenarioError, match="it is binary, expected text"):
+        load_scenario(str(path))
+
+
+@pytest.mark.parametrize(
+    ("scenario", "overrides", "missing"),
+    [
+        ("demo", [], ""),
+        ("collect", [], ""),
+        ("dashboard", [], ""),
+        ("demo", ["model_path:=nowhere.npz"], "fvs_estimator_node needs a model: no file nowhere"),
+        ("servo", ["model_path:=nowhere.npz", "method:=oracle"], ""),
+        ("demo", ["fvs_demo_node:model_path:=nowhere.npz"], "fvs_demo_node needs a model"),
+    ],
+)
+def test_a_missing_model_is_found_before_anything_starts(scenario, overrides, missing):
+    wanted = load_scenario(scenario).with_overrides(overrides)
+    if not missing:
+        return wanted.check_models()
+    with pytest.raises(ScenarioError, match=missing):
+        wanted.check_models()
 
 
 def test_wildcard_parameters_reach_every_node_and_the_file_holds_in_any_namespace():
@@ -118,7 +154,9 @@ def test_an_override_wins_over_a_scheme():
 
 
 def test_a_scheme_that_does_not_fit_is_refused_in_words():
-    with pytest.raises(ScenarioError, match=r"unknown scheme 'pid'; known are proposed, rbf\+pid"):
+    with pytest.raises(
+        ScenarioError, match=r"did you mean rbf\+pid\? known are proposed, rbf\+pid"
+    ):
         load_scenario("demo").with_scheme("pid")
     with pytest.raises(
         ScenarioError,

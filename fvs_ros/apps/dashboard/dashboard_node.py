@@ -79,7 +79,7 @@ class DashboardNode(ros.FvsNode):
         self._tour: TargetTour | None = self._make_tour() if v["tour"] else None
         # A wish of now: a controller that is started later must not go where one was sent before.
         self._target = self.create_publisher(PointStamped, ros.TARGET_POSITION, ros.QOS_EVENT)
-        self._joint_states = ros.Sampled(self, JointState, ros.JOINT_STATES)
+        self._joint_states = ros.Sampled(self, JointState, ros.JOINT_STATES, self._on_joint_states)
         self.watch(PointStamped, ros.BALL_POSITION, self._on_ball, ros.QOS_NEWEST)
         self.watch(DiagnosticStatus, ros.CONTROLLER_STATUS, self._on_status, ros.QOS_NEWEST)
         self.watch(DiagnosticStatus, ros.DETECTOR_STATUS, self._on_detector, ros.QOS_NEWEST)
@@ -99,14 +99,10 @@ class DashboardNode(ros.FvsNode):
 
     def _sample(self) -> None:
         """Take the newest of what comes more often than it can be shown."""
-        joint_state = self._joint_states.newest()
-        if joint_state is not None:
-            self._on_joint_states(joint_state)
+        self._joint_states.look()
         for topics in self._cameras.values():
-            for topic, take in zip(topics, (self._on_camera_info, self._on_image), strict=True):
-                message = topic.newest()
-                if message is not None:
-                    take(message)
+            for topic in topics:
+                topic.look()
 
     def _on_joint_states(self, message: JointState) -> None:
         try:
@@ -121,10 +117,7 @@ class DashboardNode(ros.FvsNode):
         self._board.add_joints(self.steady_s(), stamp_s, joints, velocity)
 
     def _on_ball(self, message: PointStamped) -> None:
-        try:
-            position_m = ros.from_point(message, self._frame, ros.BALL_POSITION)
-        except ros.MessageError:
-            return  # the controller says what is wrong with it
+        position_m = ros.from_point(message, self._frame, ros.BALL_POSITION)
         stamp_s = ros.from_stamp(message.header.stamp)
         self._board.add_ball(self.steady_s(), stamp_s, position_m)
 
@@ -152,26 +145,16 @@ class DashboardNode(ros.FvsNode):
             self.tell(ros.WARN, self._arm.missing)
 
     def _on_camera_pose(self, message: PoseStamped) -> None:
-        try:
-            position_m, quaternion = ros.from_pose(message, ros.TRUE_CAMERA_POSE)
-        except ros.MessageError as error:
-            self.get_logger().warning(str(error), throttle_duration_sec=5.0)
-            return
+        position_m, quaternion = ros.from_pose(message, ros.TRUE_CAMERA_POSE)
         self._board.tell_camera(Pose(rotation_of(quaternion), position_m))
 
     def _on_image(self, message: Image) -> None:
-        try:
-            stamp_s = ros.from_stamp(message.header.stamp)
-            exposed_s = self.steady_s() - max(self.ros_s() - stamp_s, 0.0)
-            self._board.add_image(exposed_s, stamp_s, ros.from_color(message))
-        except ros.MessageError as error:
-            self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+        stamp_s = ros.from_stamp(message.header.stamp)
+        exposed_s = self.steady_s() - max(self.ros_s() - stamp_s, 0.0)
+        self._board.add_image(exposed_s, stamp_s, ros.from_color(message))
 
     def _on_camera_info(self, message: CameraInfo) -> None:
-        try:
-            self._board.set_intrinsics(ros.from_camera_info(message).intrinsics)
-        except ros.MessageError as error:
-            self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+        self._board.set_intrinsics(ros.from_camera_info(message).intrinsics)
 
     # --- what is shown ---
 
@@ -211,8 +194,11 @@ class DashboardNode(ros.FvsNode):
                 topic.close()
         for prefix in names - set(self._cameras):
             self._cameras[prefix] = tuple(
-                ros.Sampled(self, kind, name.replace(declared, prefix, 1))
-                for kind, name in ((CameraInfo, ros.CAMERA_INFO), (Image, ros.COLOR_IMAGE))
+                ros.Sampled(self, kind, name.replace(declared, prefix, 1), take)
+                for kind, name, take in (
+                    (CameraInfo, ros.CAMERA_INFO, self._on_camera_info),
+                    (Image, ros.COLOR_IMAGE, self._on_image),
+                )
             )
 
     def _why_no_picture(self) -> str:
@@ -346,7 +332,7 @@ def _make_page(values: dict[str, Any], actions: Actions) -> Any:
 
 def main() -> int:
     """Run ``fvs_dashboard``."""
-    return ros.run(DashboardNode)
+    return ros.run(DashboardNode, __doc__, PARAMETERS)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,8 @@
 
 A browser lets any web site connect to this host, and a press of a button is a message. The page
 commands an arm, so that a request must come from the page it serves (``Origin``), and under a name
-that is this host's (``Host``; another one's name may be made to point here).
+that is this host's (``Host``; another one's name may be made to point here). No other page may hold
+it in a frame, where a click that is meant for that one would press a button of this one.
 """
 
 from __future__ import annotations
@@ -24,6 +25,10 @@ _CHECK_S = 10.0
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 #: What stands for every address that this host has.
 EVERYWHERE = frozenset({"0.0.0.0", "::", ""})
+#: What a browser says a request is for (``Sec-Fetch-Dest``) that is not the page by itself.
+_FRAMES = frozenset({"iframe", "frame", "fencedframe", "embed", "object"})
+#: The same said to the browser, in today's words and in those of old.
+_UNFRAMED = {"Content-Security-Policy": "frame-ancestors 'none'", "X-Frame-Options": "DENY"}
 
 
 def own_names(host: str) -> frozenset[str]:
@@ -61,6 +66,8 @@ def objection(headers: Mapping[str, str], hosts: Collection[str], addresses: boo
         return f"the page is not served as {host}; it is as {' or '.join(sorted(hosts))}"
     if origin is not None and urlsplit(origin).netloc != host:
         return f"{origin} may not command this arm"
+    if headers.get("Sec-Fetch-Dest") in _FRAMES:
+        return "the page is not shown in a frame of another; open it by itself"
     return ""
 
 
@@ -85,9 +92,13 @@ def own_requests_only(host: str) -> Iterator[None]:
         async def check(connection: Any, request: Any) -> Any:
             reason = objection(request.headers, names, addresses)
             if reason:
-                return connection.respond(403, reason + "\n")
-            answer = process_request(connection, request) if process_request else None
-            return await answer if inspect.isawaitable(answer) else answer
+                answer = connection.respond(403, reason + "\n")
+            else:
+                answer = process_request(connection, request) if process_request else None
+                answer = await answer if inspect.isawaitable(answer) else answer
+            if answer is not None:  # not a websocket, which has no page
+                answer.headers.update(_UNFRAMED)
+            return answer
 
         return serve(*args, process_request=check, **given)
 

@@ -34,6 +34,14 @@ _LAST_PORT = 65535
 _FIELD_RAD, _LEAST_ASPECT = 0.7, 0.78
 
 
+class _Server(viser.ViserServer):
+    """viser's server, which stays on this host: any browser could ask for a public tunnel to it."""
+
+    def request_share_url(self, verbose: bool = True) -> str | None:
+        """Refuse."""
+        return None
+
+
 class Page:
     """Serves the page; what a person does there goes into ``actions``.
 
@@ -74,7 +82,7 @@ class Page:
         _check_free(host, port)
         self._host = host
         with _quiet(), own_requests_only(host):
-            self._server = viser.ViserServer(host, port, label="fvs_ros", verbose=False)
+            self._server = _Server(host, port, label="fvs_ros", verbose=False)
         if port and self._server.get_port() != port:  # taken since it was looked at
             self.close()
             raise ValueError(_taken(host, port))

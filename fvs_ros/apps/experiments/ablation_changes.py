@@ -15,7 +15,7 @@ DURATION_S, QUICK_DURATION_S = 3.4, 1.6
 BASE = "as it comes"
 LITERAL, LITERAL_SAME = "as printed, its own gains", "as printed, same gains"
 CAPPED, UNCAPPED = "gain 100 times as high, capped", "gain 100 times as high, cap off"
-UNFUSED, FROZEN, ORACLE = "no fusion", "no online update", "true Jacobian"
+FROZEN, ORACLE = "no online update", "true Jacobian"
 
 #: Reaching gains of the law as printed: of 24 combinations of k1 (0.3 to 3), k2 (0.01, 0.05) and
 #: k4 (0 to 0.008) below its stability limits the one that was soonest within 2 mm, on other cases.
@@ -108,7 +108,6 @@ def all_changes() -> list[Change]:
         ),
         Change(CAPPED, update, estimator=high),
         Change(UNCAPPED, update, CAPPED, "capped", estimator={**high, "rbf.mu": 1.9}),
-        Change(UNFUSED, images, controller={"fusion_gain": 1.0}),
     ]
     for latency_ms in LATENCIES_MS:
         name, conditions = _latency_name(latency_ms), {"latency_s": 1e-3 * latency_ms}

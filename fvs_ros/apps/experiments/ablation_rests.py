@@ -103,7 +103,7 @@ def run_rest(rest: Rest) -> Rested:
     estimator = make_estimator("rbf", simulation, load_networks(), rest.estimator)
     one = LockStep(simulation, estimator)
     if rest.learns_at_rest:
-        one.pairing = StepPairing(min_joint_motion_rad=_ANY_MOTION_RAD)
+        one.estimation.pairing = StepPairing(min_joint_motion_rad=_ANY_MOTION_RAD)
     one.run(PRELUDE_S)
     one.set_target(target_m)
     one.run(_REACH_S)

@@ -17,7 +17,6 @@ from fvs_ros.apps.experiments.ablation_changes import (
     SOFTER,
     TURNS_DEG,
     UNCAPPED,
-    UNFUSED,
     Row,
     blind_name,
     jitter_ratio,
@@ -55,7 +54,6 @@ def verdicts(rows: Mapping[str, Row], rests: Mapping[str, Sequence[Rested]]) -> 
         _implicit(rows),
         _same_gains(rows),
         _prediction(rows),
-        _fusion(rows),
         _update(rows),
         _turned(rows),
         _oracle(rows),
@@ -107,17 +105,6 @@ def _prediction(rows: Mapping[str, Row]) -> Verdict:
         "Without it the gains must be softer; settling to 5 mm then takes, over that with it: "
         f"{'; '.join(text)}.",
         all_hold(parts),
-    )
-
-
-def _fusion(rows: Mapping[str, Row]) -> Verdict:
-    time, jitter = settling_ratio(rows, UNFUSED), jitter_ratio(rows, UNFUSED)
-    slower = time.inverse().above(SAME)
-    return Verdict(
-        "Fusing images with joint motion calms the command and costs no speed (10 % at most).",
-        f"Without fusion jitter is {jitter.text(1)} times as high and settling to 5 mm takes "
-        f"{time.text()} times as long.",
-        all_hold([jitter.above(NOTABLE), None if slower is None else not slower]),
     )
 
 

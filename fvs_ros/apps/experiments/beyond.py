@@ -108,8 +108,7 @@ def run(context: Context) -> Report:
                 name: [one.summary() for one in ones] for name, ones in results.races.items()
             },
             "calmed": {
-                f"{name}, {turned}": [one.summary() for one in ones]
-                for (turned, name), ones in results.calmed.items()
+                name: [one.summary() for one in ones] for name, ones in results.calmed.items()
             },
             "arrivals": {
                 f"{name}, {moment}": ones for (moment, name), ones in results.arrivals.items()
@@ -138,7 +137,7 @@ def run(context: Context) -> Report:
 
 
 def _minutes(context: Context, count: int) -> list[Learned]:
-    duration_s = MINUTE_S / 4 if context.quick else MINUTE_S
+    duration_s = MINUTE_S / 6 if context.quick else MINUTE_S
     places = draw_places(_PLACES_SEED, 20 if context.quick else 200)
     minutes = [
         Minute(_MINUTES_SEED + number, duration_s, context.conditions(), places)
@@ -154,8 +153,8 @@ def _races(context: Context, cases: Sequence[Case]) -> dict[str, list[Outcome]]:
 
 
 def _calmed(
-    context: Context, found: Mapping[tuple[str, str], Found], cases: Sequence[Case]
-) -> dict[tuple[str, str], list[Outcome]]:
+    context: Context, found: Mapping[str, Found], cases: Sequence[Case]
+) -> dict[str, list[Outcome]]:
     trials = [
         one.trial(case, context.conditions(), DURATION_S)
         for one in found.values()
@@ -198,7 +197,7 @@ def _worlds(context: Context, cases: Sequence[Case]) -> dict[tuple[int, str], li
 def _pursuits(context: Context, count: int) -> list[tuple[Pursuit, Tracked]]:
     pursuits = [
         Pursuit(name, path, speed_m_s, feed_forward, context.conditions())
-        for path in draw_paths(count, _PATHS_SEED)
+        for path in draw_paths(count, _PATHS_SEED)[: 1 if context.quick else None]
         for speed_m_s in (SPEEDS_M_S[2:3] if context.quick else SPEEDS_M_S)
         for feed_forward in (True, False)
         for name in FOLLOWERS
@@ -226,7 +225,7 @@ def _checks(context: Context, cases: Sequence[Case]) -> list[SpotCheck]:
     ]
 
 
-def _limit(found: Mapping[tuple[str, str], Found]) -> float:
+def _limit(found: Mapping[str, Found]) -> float:
     """The jitter that all searches allowed, rad/s."""
     (bound,) = {one.search.limit.bound for one in found.values() if one.search.limit}
     return bound

@@ -9,7 +9,7 @@ import numpy as np
 from fvs_ros.apps.experiments.beyond_terms import EXTENDED, LIMITS, trial_of
 from fvs_ros.apps.experiments.context import Context
 from fvs_ros.apps.experiments.search import Found, Limit, run_searches
-from fvs_ros.apps.experiments.servo_terms import BASELINES, REGIMES, Regime, search_of
+from fvs_ros.apps.experiments.servo_terms import BASELINES, Regime, search_of
 from fvs_ros.apps.experiments.trials import Case, Conditions, run_trial
 
 #: Longest run, and rest at the end of a tuning run, s: calm is slow.
@@ -19,12 +19,7 @@ _TUNING = Conditions(rendered=False, physics_rate_hz=125.0)
 _SEARCH_SEED = 8
 
 
-#: What is turned: the gains of law and filter, or beside them the share of an image that the
-#: predictor believes, which is the cheapest way to calm a command.
-GAINS, FILTER = "gains", "filter"
-
-
-def calm(context: Context, cases: Sequence[Case]) -> dict[tuple[str, str], Found]:
+def calm(context: Context, cases: Sequence[Case]) -> dict[str, Found]:
     """Find the fastest gains that are no more restless at rest than the extended scheme.
 
     Parameters
@@ -36,28 +31,23 @@ def calm(context: Context, cases: Sequence[Case]) -> dict[tuple[str, str], Found
 
     Returns
     -------
-    dict of (str, str) to Found
-        By what is turned and scheme.
+    dict of str to Found
+        By scheme.
     """
     yardsticks = context.map(
         run_trial, [trial_of(EXTENDED, case, _TUNING) for case in cases], "yardstick"
     )
     jitter_rad_s = float(np.median([one.jitter_rad_s for one in yardsticks]))
     limit = Limit("jitter_rad_s", jitter_rad_s)
-    regimes = [
-        Regime(name, "", "", LIMITS, limit, DURATION_S, _REST_S, knobs)
-        for name, knobs in ((FILTER, REGIMES[-1].knobs), (GAINS, ()))
-        if name == FILTER or not context.quick
-    ]
+    regime = Regime("calm", "", "", LIMITS, limit, DURATION_S, _REST_S)
     names = BASELINES[:1] if context.quick else BASELINES
-    keys = [(regime, name) for regime in regimes for name in names]
     found = run_searches(
         context,
-        [search_of(name, regime) for regime, name in keys],
+        [search_of(name, regime) for name in names],
         cases,
         _TUNING,
         generations=1 if context.quick else 6,
         population=4 if context.quick else 8,
         seed=_SEARCH_SEED,
     )
-    return {(regime.name, name): one for (regime, name), one in zip(keys, found, strict=True)}
+    return dict(zip(names, found, strict=True))

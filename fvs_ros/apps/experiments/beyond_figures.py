@@ -63,10 +63,7 @@ def races(results: Results, folder: Path) -> str:
     )
     rows = [
         *((name, name, results.races[name]) for name in RACERS),
-        *(
-            (f"{name}, as calm by {turned}", name, outcomes)
-            for (turned, name), outcomes in results.calmed.items()
-        ),
+        *((f"{name}, as calm", name, outcomes) for name, outcomes in results.calmed.items()),
     ]
     for place, (_, name, outcomes) in enumerate(rows):
         over = [min(one, _SLOWEST_FLOORS) for one in results.in_floors(outcomes)]

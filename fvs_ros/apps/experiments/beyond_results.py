@@ -28,8 +28,8 @@ class Results:
         Least time of each case, s.
     races : dict of str to list of Outcome
         The same cases, by contestant.
-    calmed : dict of (str, str) to list of Outcome
-        The same, by what was turned to make the scheme as calm as the extended one, and scheme.
+    calmed : dict of str to list of Outcome
+        The same, by scheme, made as calm as the extended one.
     arrivals : dict of (str, str) to list of Arrival
         Journeys with a camera that is moved, by moment and contestant.
     worlds : dict of (int, str) to list of Outcome
@@ -45,16 +45,12 @@ class Results:
     minutes: Sequence[Learned]
     floors_s: Sequence[float]
     races: dict[str, list[Outcome]]
-    calmed: dict[tuple[str, str], list[Outcome]]
+    calmed: dict[str, list[Outcome]]
     arrivals: dict[tuple[str, str], list[Arrival]]
     worlds: dict[tuple[int, str], list[Outcome]]
     pursuits: list[tuple[Pursuit, Tracked]]
     calm_limit_rad_s: float
     checks: Sequence[SpotCheck] = ()
-
-    def calmed_by(self, turned: str) -> dict[str, list[Outcome]]:
-        """The schemes that were made calm by turning this, with their runs."""
-        return {name: ones for (by, name), ones in self.calmed.items() if by == turned}
 
     @property
     def shaken(self) -> list[str]:

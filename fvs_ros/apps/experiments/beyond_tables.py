@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fvs_ros.apps.experiments.beyond_calm import FILTER, GAINS
 from fvs_ros.apps.experiments.beyond_camera import MOMENTS, UNDISTURBED
 from fvs_ros.apps.experiments.beyond_results import KEPT, Results
 from fvs_ros.apps.experiments.beyond_terms import (
@@ -20,8 +19,6 @@ from fvs_ros.apps.experiments.report import Table
 from fvs_ros.apps.experiments.spot_check_words import spot_check_table
 from fvs_ros.apps.experiments.statistics import median
 from fvs_ros.apps.experiments.trials import Outcome
-
-_TURNED = {GAINS: "its gains", FILTER: "its gains and image filter"}
 
 
 def tables(results: Results) -> list[Table]:
@@ -77,10 +74,7 @@ def _minutes(results: Results) -> Table:
 
 
 def _races(results: Results) -> Table:
-    calmed = {
-        f"{name}, as calm by {_TURNED[turned]}": outcomes
-        for (turned, name), outcomes in results.calmed.items()
-    }
+    calmed = {f"{name}, as calm": outcomes for name, outcomes in results.calmed.items()}
     rows = [
         _race(name, outcomes, results.in_floors(outcomes))
         for name, outcomes in {**results.races, **calmed}.items()

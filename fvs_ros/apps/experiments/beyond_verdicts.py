@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fvs_ros.apps.experiments.beyond_calm import FILTER, GAINS
 from fvs_ros.apps.experiments.beyond_camera import MOMENTS
 from fvs_ros.apps.experiments.beyond_minute import Learned
 from fvs_ros.apps.experiments.beyond_results import KEPT, Results
@@ -46,8 +45,6 @@ REST_SIGMA, SLOWED = 0.4, 1.1
 MOST = 0.9
 #: Speed at which tracking is judged, m/s, and what feed-forward must leave of the error.
 TRACKING_M_S, LEFT = 0.1, 1.0 / 3.0
-#: What is searched anew for calm.
-_SEARCHED = {GAINS: "gains", FILTER: "gains and image filter"}
 
 
 def verdicts(results: Results) -> list[Verdict]:
@@ -56,7 +53,7 @@ def verdicts(results: Results) -> list[Verdict]:
         *_minute(results.minutes),
         _best(results),
         _extended(results),
-        *(_calm(results, turned) for turned in _SEARCHED if results.calmed_by(turned)),
+        _calm(results),
         *(_camera(results, moment, name) for moment in MOMENTS[1:] for name in (BEST, EXTENDED)),
         _rest(results),
         *(verdict for name in (EXTENDED, BEST) for verdict in _latency(results, name)),
@@ -140,16 +137,16 @@ def _extended(results: Results) -> Verdict:
     )
 
 
-def _calm(results: Results, turned: str) -> Verdict:
+def _calm(results: Results) -> Verdict:
     own = results.races[EXTENDED]
     parts, found = [], []
-    for name, outcomes in results.calmed_by(turned).items():
+    for name, outcomes in results.calmed.items():
         ratio = ratio_of_medians(times_s(own), times_s(outcomes))
         parts.append(ratio.below(OVER_CALM))
         found.append(f"{name} {ratio.text()} at {_jitter(outcomes)}")
     return Verdict(
         f"extended takes at most {OVER_CALM:g} of the time of the paper's other schemes, whose "
-        f"{_SEARCHED[turned]} are searched anew for at most {1e3 * results.calm_limit_rad_s:.2f} "
+        f"gains are searched anew for at most {1e3 * results.calm_limit_rad_s:.2f} "
         "mrad/s of jitter on other cases, which is what extended has there.",
         f"Ratio of the settling times to {', '.join(found)} mrad/s; extended is at "
         f"{_jitter(own)} mrad/s.",

@@ -14,10 +14,10 @@ import numpy as np
 
 from fvs_controller_node.config import build_loop, default_values
 from fvs_controller_node.supervisor import Command
-from fvs_estimator_node.base import Estimator, MotionStep, PredictionMonitor
+from fvs_estimator_node.base import Estimator
+from fvs_estimator_node.loop import EstimationLoop
 from fvs_estimator_node.model_file import TrainedModel, load_model
 from fvs_estimator_node.oracle import OracleEstimator
-from fvs_estimator_node.pairing import StepPairing
 from fvs_estimator_node.rbf import RbfModel
 from fvs_estimator_node.registry import create_estimator
 from fvs_ros.core.camera import CAMERA_FRAME
@@ -27,9 +27,6 @@ from fvs_sim_node.simulation import Simulation
 
 #: The model that the laboratory's estimators begin with.
 MODEL = "models/ur5_front.npz"
-
-#: As often as the estimator's status, which carries it, reaches the controller, s.
-_QUALITY_PERIOD_S = 0.1
 
 
 @lru_cache(maxsize=4)
@@ -95,11 +92,9 @@ class LockStep:
     ) -> None:
         self.simulation = simulation
         self.estimator = estimator
-        self.pairing = StepPairing()
-        self.monitor = PredictionMonitor()
+        self.estimation = EstimationLoop(estimator)
         self.loop = build_loop(default_values(**{"autostart": True, **(controller_values or {})}))
         self.period_s = 1.0 / simulation.config.joint_state_rate_hz
-        self._next_quality_s = 0.0
 
     def tick(self) -> Command:
         """Let one joint-state period pass and answer it; returns the command that was sent."""
@@ -109,36 +104,22 @@ class LockStep:
             if seen.detection is None:
                 continue
             position_m = seen.detection.position_m
-            self._learn(self.pairing.add_ball(seen.stamp_s, position_m))
+            self.estimation.add_ball(seen.stamp_s, position_m)
             self.loop.add_ball(now_s, seen.stamp_s, position_m, CAMERA_FRAME)
-        self._learn(self.pairing.add_joints(now_s, out.joints_rad))
-        problem, chain = self.estimator.problem, self.estimator.chain
+        self.estimation.add_joints(now_s, out.joints_rad)
+        problem, chain = self.estimation.problem, self.estimator.chain
         if not problem:
             self.loop.add_jacobian(now_s, self.estimator.jacobian(out.joints_rad))
         if chain is not None:
             self.loop.add_chain(now_s, chain)
         self.loop.supervisor.estimator_says(now_s, problem)
-        if now_s >= self._next_quality_s and self.monitor.ratio is not None:
-            self.loop.supervisor.estimator_quality(now_s, self.monitor.ratio)
-            self._next_quality_s = now_s + _QUALITY_PERIOD_S
         self.loop.add_joints(now_s, now_s, out.joints_rad)
         command = self.loop.tick(now_s, self.period_s)
         if command.output is not None:
-            self.pairing.add_sliding_variable(now_s, command.output.sliding_variable)
+            self.estimation.pairing.add_sliding_variable(now_s, command.output.sliding_variable)
         refusal = self.simulation.command(command.velocity_rad_s)
         assert refusal is None, refusal
         return command
-
-    def _learn(self, steps: list[MotionStep]) -> None:
-        for step in steps:
-            self.monitor.observe(step, self.estimator.jacobian(step.joints_rad))
-        samples = self.pairing.take_samples()
-        if not self.estimator.learns:
-            return
-        for sample in samples:
-            self.estimator.observe(sample.joints_rad, sample.ball_m, sample.stamp_s)
-        for step in steps:
-            self.estimator.update(step)
 
     def run(self, seconds: float) -> None:
         """Let time pass."""

@@ -10,6 +10,7 @@ import json
 import os
 import sys
 import time
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,7 @@ from fvs_ros.apps.experiments.report import (
 )
 from fvs_ros.apps.installing import how_to_install
 from fvs_ros.core import console
+from fvs_ros.core.arguments import Parser, one_of
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_ros.core.version import version
 
@@ -32,14 +34,18 @@ _NEEDS = ("cmaes", "joblib", "jinja2", "matplotlib", "scipy")
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="fvs_experiments",
-        description=__doc__.replace("`", ""),
-        epilog="fvs_experiments replay BAG looks at a recording instead.",
+    parser = Parser(
+        "fvs_experiments",
+        __doc__,
+        {
+            "experiments": {name: _about(name) for name in EXPERIMENTS},
+            "instead of an experiment": {"replay BAG": "look at a recording"},
+        },
     )
     parser.add_argument(
         "name",
-        choices=(*EXPERIMENTS, "all"),
+        metavar="EXPERIMENT",
+        type=one_of("experiment", (*EXPERIMENTS, "all", "replay")),
         help=f"which experiment; all is without {', '.join(LONG)}, which takes long",
     )
     parser.add_argument(
@@ -89,6 +95,12 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _about(name: str) -> str:
+    """The first line of an experiment's docstring; to import it takes long."""
+    source = files("fvs_ros.apps.experiments").joinpath(f"{name}.py")
+    return source.read_text(encoding="utf-8").split('"""')[1].splitlines()[0]
+
+
 def _positive(text: str) -> int:
     try:
         value = int(text)
@@ -111,6 +123,8 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parser.parse_args(given)
     if arguments.name not in LONG and (arguments.trials or arguments.trial or arguments.scheme):
         parser.error(f"--trials, --trial and --scheme are for {' and '.join(LONG)}")
+    if arguments.name == "replay":
+        parser.error("replay comes first: fvs_experiments replay BAG")
     missing = [name for name in _NEEDS if importlib.util.find_spec(name) is None]
     if missing:
         print(

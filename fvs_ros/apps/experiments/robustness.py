@@ -23,6 +23,7 @@ from fvs_ros.apps.experiments.robustness_runs import (
 from fvs_ros.apps.experiments.robustness_verdicts import rate_text, verdicts
 from fvs_ros.apps.experiments.robustness_worlds import DISTANCE_M, HARSH, Kind, draw_world
 from fvs_ros.apps.experiments.trials import REST_S, Outcome
+from fvs_ros.core.arguments import unknown
 from fvs_ros.core.schemes import BEYOND, SCHEMES
 
 
@@ -126,9 +127,7 @@ def contestants_called(names: Sequence[str]) -> list[Contestant]:
     known = {one.name: one for one in CONTESTANTS}
     for name in names:
         if name not in known:
-            raise UnknownSchemeError(
-                f"unknown scheme '{name}'; known are {', '.join(repr(one) for one in known)}"
-            )
+            raise UnknownSchemeError(unknown("scheme", name, map(repr, known)))
     return [one for one in CONTESTANTS if not names or one.name in names]
 
 

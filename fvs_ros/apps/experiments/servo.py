@@ -405,9 +405,8 @@ def _figures(
         Figure(
             servo_figures.trade(folder, found, JITTER_RAD_S),
             "Every candidate of the searches with a speed limit: settling time against jitter on "
-            "the tuning cases, with the usual image filter and with the filter tuned too. Left and "
-            "below is better; lines join the best of each scheme. The regimes of equal jitter ask "
-            "for candidates left of the dashed line.",
+            "the tuning cases. Left and below is better; lines join the best of each scheme. "
+            "Equal jitter asks for candidates left of the dashed line.",
         ),
     ]
     return figures

@@ -24,8 +24,6 @@ _VIEW_PX = (320, 240)
 #: Rows of the tables that are drawn, and how.
 _DRAWN = (*SCHEMES, "oracle, sliding mode")
 _AXES = "xyz"
-#: Panels of the trade between speed and calm, and the regimes whose candidates they show.
-_TRADES = {"usual image filter": ("jitter",), "image filter tuned too": ("filter",)}
 
 
 def drawn(outcome: Outcome) -> dict[str, np.ndarray]:
@@ -57,9 +55,9 @@ def summary(
 ) -> str:
     """Draw all settling times, a panel a regime; returns the file's name."""
     plt = pyplot()
-    figure, panels = plt.subplots(2, 2, figsize=(13, 6.6), layout="constrained")
+    figure, panels = plt.subplots(1, len(regimes), figsize=(15, 3.6), layout="constrained")
     rng = np.random.default_rng(0)
-    for panel, regime in zip(panels.flat, regimes, strict=True):
+    for panel, regime in zip(panels, regimes, strict=True):
         rows = outcomes[regime.name]
         top_s = regime.duration_s
         for place, (row, ones) in enumerate(reversed(list(rows.items()))):
@@ -220,35 +218,25 @@ def paths(folder: Path, rows: Mapping[str, Sequence[Outcome]], cases: Sequence[C
 def trade(folder: Path, found: Mapping[tuple[str, str], Found], jitter_bound_rad_s: float) -> str:
     """Draw settling time against jitter of all candidates with a speed limit; the file's name."""
     plt = pyplot()
-    figure, panels = plt.subplots(
-        1, 2, figsize=(13, 5), layout="constrained", sharex=True, sharey=True
+    figure, panel = plt.subplots(figsize=(8, 5), layout="constrained")
+    for name in SCHEMES:
+        tried = [one for one in found["jitter", name].tried if np.isfinite(one.settled_s)]
+        jitter = 1e3 * np.array([one.jitter_rad_s for one in tried])
+        settled = np.array([one.settled_s for one in tried])
+        panel.plot(jitter, settled, "o", color=_colour(name), alpha=0.3, markersize=4)
+        front = _front(jitter, settled)
+        panel.plot(jitter[front], settled[front], "o-", color=_colour(name), label=name)
+    panel.axvline(1e3 * jitter_bound_rad_s, color="0.4", linestyle="--", linewidth=1)
+    panel.set(
+        xscale="log",
+        yscale="log",
+        xlabel="jitter of the command at rest (mrad/s rms, from tick to tick)",
+        ylabel="settling time to 5 mm (s)",
     )
-    for panel, (title, regimes) in zip(panels, _TRADES.items(), strict=True):
-        for name in SCHEMES:
-            tried = [
-                one
-                for (regime, scheme), search in found.items()
-                if scheme == name and regime in regimes
-                for one in search.tried
-                if np.isfinite(one.settled_s)
-            ]
-            jitter = 1e3 * np.array([one.jitter_rad_s for one in tried])
-            settled = np.array([one.settled_s for one in tried])
-            panel.plot(jitter, settled, "o", color=_colour(name), alpha=0.3, markersize=4)
-            front = _front(jitter, settled)
-            panel.plot(jitter[front], settled[front], "o-", color=_colour(name), label=name)
-        panel.axvline(1e3 * jitter_bound_rad_s, color="0.4", linestyle="--", linewidth=1)
-        panel.set(
-            title=title,
-            xscale="log",
-            yscale="log",
-            xlabel="jitter of the command at rest (mrad/s rms, from tick to tick)",
-        )
-    panels[0].set_ylabel("settling time to 5 mm (s)")
-    panels[0].set_yticks([0.6, 0.8, 1.0, 1.5, 2.0, 3.0, 4.0], minor=False)
-    panels[0].yaxis.set_major_formatter("{x:g}")
-    panels[0].yaxis.set_minor_formatter("")
-    panels[0].legend()
+    panel.set_yticks([0.6, 0.8, 1.0, 1.5, 2.0, 3.0, 4.0], minor=False)
+    panel.yaxis.set_major_formatter("{x:g}")
+    panel.yaxis.set_minor_formatter("")
+    panel.legend()
     save(figure, folder / "trade.png")
     return "trade.png"
 

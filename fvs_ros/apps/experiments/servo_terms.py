@@ -59,8 +59,6 @@ class Regime:
         Length of a run, s.
     rest_s : float
         Rest at the end of a tuning run, s.
-    knobs : tuple of Knob
-        Gains that every scheme may turn in addition.
     """
 
     name: str
@@ -70,7 +68,6 @@ class Regime:
     limit: Limit | None
     duration_s: float
     rest_s: float = 1.0
-    knobs: tuple[Knob, ...] = ()
 
 
 _CLIPPED = {"max_joint_velocity_rad_s": 1.0, "max_joint_acceleration_rad_s2": 6.0}
@@ -107,22 +104,10 @@ REGIMES = (
         5.0,
         2.0,
     ),
-    Regime(
-        "filter",
-        "Equal command jitter, image filter tuned too",
-        "as before, but every scheme may also choose how much of an image's innovation its "
-        "predictor believes: the cheapest way to calm a command",
-        _CLIPPED,
-        Limit("jitter_rad_s", JITTER_RAD_S),
-        5.0,
-        2.0,
-        (Knob("fusion_gain", 0.02, 1.0),),
-    ),
 )
 #: What was tried for one regime counts for others of the same world: a calm candidate may be the
-#: fastest, and one with the usual filter the best. Not the other way: the runs of ``limit`` end
-#: too early to know jitter at rest, and ``filter`` has a knob more.
-SAME_WORLD = {"limit": ("jitter",), "filter": ("jitter",)}
+#: fastest. Not the other way: the runs of ``limit`` end too early to know jitter at rest.
+SAME_WORLD = {"limit": ("jitter",)}
 
 
 @dataclass(frozen=True)
@@ -168,7 +153,7 @@ def search_of(name: str, regime: Regime) -> Search:
         f"{regime.name} {name}",
         scheme.method,
         scheme.law,
-        (*_LAW_KNOBS[scheme.law], *_METHOD_KNOBS[scheme.method], *regime.knobs),
+        (*_LAW_KNOBS[scheme.law], *_METHOD_KNOBS[scheme.method]),
         controller_values=regime.controller_values,
         limit=regime.limit,
         duration_s=regime.duration_s,

@@ -6,7 +6,6 @@ import json
 import os
 import re
 import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +32,7 @@ from fvs_ros.apps.experiments.trials import (
     simulation_of,
 )
 from fvs_ros.apps.score import settling_time_s
+from fvs_ros.core.paths import program
 
 _TARGET_S = 3.0
 _TIMEOUT_S = 90.0
@@ -157,7 +157,7 @@ def _through_nodes(
     try:
         ended = subprocess.run(
             [
-                *(sys.executable, "-m", "fvs_ros.apps.launcher", str(scenario)),
+                *(*program("fvs_ros.apps.launcher"), str(scenario)),
                 *("--namespace", "fvs_spot_check"),
             ],
             # Whatever the shell says: these commands must not reach a robot of the network.

@@ -65,13 +65,6 @@ KNOBS = (
         along={"max_joint_acceleration_rad_s2": 6.0},
     ),
     Knob(
-        "fusion_gain",
-        (0.05, 0.1, 0.3, 0.6, 1.0),
-        0.3,
-        "The share of an image that is believed. Lower it until the arm is calm at rest; too low, "
-        "and the last millimetres take longer. fusion:=adaptive finds it by itself.",
-    ),
-    Knob(
         "alpha3",
         (0.5, 1.0, 2.0, 4.0, 8.0),
         2.0,
@@ -191,14 +184,6 @@ def _verdicts(knobs: Sequence[Knob], results: Results) -> list[Verdict]:
             0.5,
             "settled_s",
             "The speed limit decides the time to a far target.",
-        ),
-        (
-            "fusion_gain",
-            0.1,
-            0.3,
-            0.5,
-            "jitter_rad_s",
-            "Believing a third of each image as much makes the arm twice as calm.",
         ),
         (
             "alpha3",

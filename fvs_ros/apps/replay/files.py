@@ -9,19 +9,28 @@ from __future__ import annotations
 
 import contextlib
 import re
+import resource
 import sqlite3
 import struct
 from collections.abc import Iterator, Mapping, Sequence
+from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-import yaml
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import Reader
-from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, decompress
+from rosbags.rosbag2 import Reader, ReaderError, metadata, reader
+from rosbags.rosbag2.storage_mcap import (
+    ChunkInfo,
+    McapReader,
+    decompress,
+    read_bytes,
+    read_sized,
+    read_string,
+)
 
 from fvs_ros.apps.bag import NOTES, TYPES
+from fvs_ros.core import yaml_text
 
 _METADATA = "metadata.yaml"
 _MCAP, _SQLITE = ".mcap", ".db3"
@@ -37,6 +46,20 @@ _NOTHING, _CHUNK, _NOTE, _END = 0x00, 0x06, 0x0C, 0x0F
 _HEAD = struct.Struct("<BQ")
 #: A chunk's first and last time, its length once unpacked, and the check of that.
 _CHUNK_HEAD = struct.Struct("<QQQI")
+
+
+#: What a bag may take of the memory, bytes: a small file may claim, or unpack to, any size.
+_MOST_MEMORY = 2**32
+
+
+class _Yaml(metadata.YAML):
+    """In place of rosbags' own, which takes aliases, in metadata and in texts therein."""
+
+    def load(self, stream: Any) -> Any:
+        return yaml_text.read(stream)
+
+
+metadata.YAML = reader.YAML = _Yaml  # type: ignore[misc]
 
 
 class BagError(ValueError):
@@ -72,10 +95,12 @@ def storages(path: Path) -> tuple[list[Path], bool]:
     if not path.is_dir():
         return [path], is_cut_off(path)
     files = sorted(one for one in path.iterdir() if one.suffix in (_MCAP, _SQLITE))
-    listed = _listed(path / _METADATA)
+    listed = _listed(_yaml(path / _METADATA))
     files = [one for one in files if one.name in listed] or files
     cut_off = any(map(is_cut_off, files))
     if (path / _METADATA).is_file() and not cut_off:
+        if (path / _METADATA).stat().st_size > yaml_text.MOST_BYTES:
+            raise BagError(f"cannot read {path}: {_METADATA} is too large")
         return [path], False
     if not files:
         raise BagError(f"{path} is no bag: it holds neither {_METADATA} nor an {_MCAP} file")
@@ -85,10 +110,9 @@ def storages(path: Path) -> tuple[list[Path], bool]:
     return files, cut_off or any(one.suffix == _SQLITE for one in files)
 
 
-def _listed(metadata: Path) -> set[str]:
+def _listed(content: Any) -> set[str]:
     """Names of the files that are a bag's, as its metadata say; empty where they do not."""
-    content = _yaml(_content(metadata)).get("rosbag2_bagfile_information")
-    paths = content.get("relative_file_paths") if isinstance(content, dict) else None
+    paths = _part(_part(content, "rosbag2_bagfile_information"), "relative_file_paths")
     return {Path(str(one)).name for one in paths} if isinstance(paths, list) else set()
 
 
@@ -106,6 +130,18 @@ def _parts(folder: Path, files: Sequence[Path]) -> list[Path]:
 def _several(folder: Path, files: Sequence[Path]) -> BagError:
     names = ", ".join(one.name for one in files)
     return BagError(f"{folder} holds several bags, name one: {names}")
+
+
+@contextlib.contextmanager
+def bounded_memory() -> Iterator[None]:
+    """Raise a ``MemoryError`` where this process would take more than a bag may, on Linux."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    most = _MOST_MEMORY if soft == resource.RLIM_INFINITY else min(soft, _MOST_MEMORY)
+    resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
 
 
 @contextlib.contextmanager
@@ -194,11 +230,10 @@ class CutOffReader(McapReader):
 def _chunk(file: BinaryIO, record: Record) -> ChunkInfo:
     """A chunk that can be unpacked; any error if it cannot."""
     file.seek(record.content)
-    content = file.read(record.length)
-    first_ns, last_ns, size, check = _CHUNK_HEAD.unpack_from(content)
-    name, at = _text(content, _CHUNK_HEAD.size)
-    (packed,) = struct.unpack_from("<Q", content, at)
-    decompress(content[at + 8 : at + 8 + packed], name, size, check)
+    chunk = BytesIO(file.read(record.length))
+    first_ns, last_ns, size, check = _CHUNK_HEAD.unpack(chunk.read(_CHUNK_HEAD.size))
+    name, packed = read_string(chunk), read_sized(chunk)
+    decompress(packed, name, size, check)
     return ChunkInfo(
         message_start_time=first_ns,
         message_end_time=last_ns,
@@ -207,7 +242,7 @@ def _chunk(file: BinaryIO, record: Record) -> ChunkInfo:
         message_index_offsets={},
         message_index_length=0,
         compression=name,
-        compressed_size=packed,
+        compressed_size=len(packed),
         uncompressed_size=size,
         channel_count={},
     )
@@ -225,11 +260,14 @@ def notes(paths: Sequence[Path]) -> Mapping[str, str]:
     for path in paths:
         folder = path if path.is_dir() else path.parent
         whole = [folder / _METADATA] if path.is_dir() or is_cut_off(path) else []
-        for text in (*map(_content, whole), *_written_in(path)):
-            found = _custom(text)
+        sources: list[Path | str] = [*whole, *_written_in(path)]
+        for content in map(_yaml, sources):
+            # Metadata have a name over them in a file of their own.
+            told = _part(content, "rosbag2_bagfile_information") or content
+            found = _strings(_part(told, "custom_data"))
             if found:
                 return found
-        found = _strings(_yaml(_content(folder / NOTES))) if path.is_file() else {}
+        found = _strings(_yaml(folder / NOTES)) if path.is_file() else {}
         if found:
             return found
     return {}
@@ -248,32 +286,18 @@ def _written_in_mcap(path: Path) -> list[str]:
     found = []
     with path.open("rb") as file:
         for record in records(file):
-            if record.kind == _NOTE:
+            if record.kind == _NOTE and record.length <= 2 * yaml_text.MOST_BYTES:
                 file.seek(record.content)
-                content = file.read(record.length)
-                with contextlib.suppress(struct.error, UnicodeDecodeError):
-                    name, at = _text(content, 0)
-                    if name == "rosbag2":
-                        found.append(dict(_pairs(content, at)).get("serialized_metadata", ""))
+                note = BytesIO(file.read(record.length))
+                with contextlib.suppress(ReaderError, struct.error, UnicodeDecodeError):
+                    if read_string(note) == "rosbag2":
+                        content = BytesIO(read_bytes(note))
+                        pairs = {}
+                        while content.tell() < len(content.getbuffer()):
+                            name = read_string(content)
+                            pairs[name] = read_string(content)
+                        found.append(pairs.get("serialized_metadata", ""))
     return found[::-1]
-
-
-def _pairs(content: bytes, at: int) -> Iterator[tuple[str, str]]:
-    """A map of texts."""
-    (length,) = struct.unpack_from("<I", content, at)
-    at += 4
-    end = at + length
-    while at < end:
-        key, at = _text(content, at)
-        value, at = _text(content, at)
-        yield key, value
-
-
-def _text(content: bytes, at: int) -> tuple[str, int]:
-    """A text, and where the next thing begins."""
-    (length,) = struct.unpack_from("<I", content, at)
-    end = at + 4 + length
-    return content[at + 4 : end].decode(), end
 
 
 def _written_in_sqlite(path: Path) -> list[str]:
@@ -286,17 +310,8 @@ def _written_in_sqlite(path: Path) -> list[str]:
     return []
 
 
-def _content(path: Path) -> str:
-    with contextlib.suppress(OSError, UnicodeDecodeError):
-        return path.read_text(encoding="utf-8")
-    return ""
-
-
-def _custom(text: str) -> dict[str, str]:
-    """The ``custom_data`` of metadata, which have a name over them in a file of their own."""
-    content = _yaml(text)
-    content = content.get("rosbag2_bagfile_information", content)
-    return _strings(content.get("custom_data")) if isinstance(content, dict) else {}
+def _part(content: Any, name: str) -> Any:
+    return content.get(name) if isinstance(content, dict) else None
 
 
 def _strings(content: Any) -> dict[str, str]:
@@ -304,8 +319,10 @@ def _strings(content: Any) -> dict[str, str]:
     return {str(key): str(value) for key, value in items}
 
 
-def _yaml(text: str) -> dict[str, Any]:
-    with contextlib.suppress(yaml.YAMLError):
-        content = yaml.safe_load(text)
-        return content if isinstance(content, dict) else {}
-    return {}
+def _yaml(source: Path | str) -> Any:
+    """YAML of a file or a text, or None."""
+    with contextlib.suppress(OSError, ValueError):
+        if isinstance(source, Path):
+            return yaml_text.read_file(source)
+        return yaml_text.read(source)
+    return None

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from fvs_ros.apps.installing import how_to_install
 from fvs_ros.apps.replay.tables import shortened
+from fvs_ros.core.arguments import Parser
 from fvs_ros.core.stop import EXIT_BAD_INPUT, EXIT_OK
 from fvs_ros.core.version import version
 
@@ -28,7 +29,7 @@ _LEAD = (
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog=COMMAND, description=__doc__.replace("`", ""))
+    parser = Parser(COMMAND, __doc__)
     parser.add_argument(
         "bag", type=Path, help="folder of a rosbag2 (MCAP or SQLite), or its one file"
     )

@@ -13,14 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag2 import ReaderError
 
 from fvs_ros.apps.replay import files
 from fvs_ros.apps.replay.data import Flow, Recording, Said, Series
 from fvs_ros.apps.replay.files import BagError
-from fvs_ros.core import topics
+from fvs_ros.core import topics, yaml_text
 from fvs_ros.core.camera import CAMERA_FRAME
 from fvs_ros.core.joints import JOINT_PARAMETERS, N_JOINTS, JointMap, JointStateError
 
@@ -63,7 +62,7 @@ def read(path: Path, namespace: str | None = None) -> Recording:
     """
     paths, cut_off = files.storages(path)
     try:
-        with files.opened(path, paths) as reader:
+        with files.bounded_memory(), files.opened(path, paths) as reader:
             if cut_off and not reader.message_count:
                 raise BagError(f"{path} was cut off before any message was written into it")
             return _Reading(reader, path, namespace, files.notes(paths)).recording(cut_off)
@@ -252,19 +251,19 @@ def _list(namespaces: set[str]) -> str:
 def _remaps(text: str) -> dict[str, str]:
     """Full names as declared, and as they were in the bag."""
     try:
-        return {str(declared): str(name) for declared, name in (yaml.safe_load(text) or {}).items()}
-    except (yaml.YAMLError, AttributeError):
+        return {str(declared): str(name) for declared, name in (yaml_text.read(text) or {}).items()}
+    except (ValueError, AttributeError):
         return {}  # another tool's note
 
 
 def _scenario(text: str) -> dict[str, dict[str, Any]]:
     try:
-        content = yaml.safe_load(text) or {}
+        content = yaml_text.read(text) or {}
         return {
             key.rpartition("/")[2]: dict(section["ros__parameters"])
             for key, section in content.items()
         }
-    except (yaml.YAMLError, AttributeError, TypeError, KeyError):
+    except (ValueError, AttributeError, TypeError, KeyError):
         return {}  # another tool's note
 
 

@@ -1,22 +1,19 @@
 """How much of an image is believed against what the joints' motion predicts.
 
-*Fixed* believes one share of every image. *Adaptive* is a Kalman filter of the ball's position,
-one axis like the other two: it learns how noisy the images are, and by what share of a motion the
-Jacobian mispredicts it. At rest it averages the noise away; in motion, when the prediction is worth
-less, and where the camera itself is moved, it follows the images.
+A Kalman filter of the feature's position, one axis like the other: it learns how noisy the images
+are, and by what share of a motion the Jacobian mispredicts it. At rest it averages the noise away;
+in motion, when the prediction is worth less, and where the camera itself is moved, it follows the
+images.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 from math import exp, inf
 
 import numpy as np
 
 from fvs_ros.core.vectors import length
-
-FIXED, ADAPTIVE = "fixed", "adaptive"
 
 #: Noise of an image before anything is known, its bounds, m.
 _NOISE_M, _LEAST_NOISE_M, _MOST_NOISE_M = 1e-3, 5e-5, 2e-2
@@ -50,69 +47,7 @@ _GATE, _GATE_M = 6.0, 0.002
 _ALIKE = 0.5
 
 
-@dataclass
-class FixedFusion:
-    """Believes a fixed share of each image.
-
-    Parameters
-    ----------
-    gain : float
-        The share K, above 0, at most 1.
-    outlier_m : float
-        An image further than this, plus the distance the ball was predicted to move, from the
-        prediction is passed over, m.
-    """
-
-    gain: float = 0.3
-    outlier_m: float = 0.03
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.gain <= 1.0:
-            raise ValueError(f"fusion_gain must be above 0 and at most 1, got {self.gain}")
-        if not 0.0 < self.outlier_m < inf:
-            raise ValueError(f"outlier_m must be positive, got {self.outlier_m}")
-
-    @property
-    def noise_m(self) -> float | None:
-        """Standard deviation of a coordinate of an image; None, for it is not learned."""
-        return None
-
-    @property
-    def deviation_m(self) -> float | None:
-        """Standard deviation of a coordinate of the estimate; None, for it is not known."""
-        return None
-
-    def restart(self) -> None:
-        """Forget the estimate's past: it begins with an image."""
-
-    def doubt(self) -> None:
-        """Camera or ball was moved: nothing, for nothing was learned of the prediction."""
-
-    def agree(self, first_m: np.ndarray, second_m: np.ndarray, motion_m: np.ndarray) -> bool:
-        """Whether two outliers in a row, m, (3,), say the same: no, there is no saying."""
-        return False
-
-    def correct(self, innovation_m: np.ndarray, motion_m: np.ndarray) -> np.ndarray | None:
-        """What to add to the prediction.
-
-        Parameters
-        ----------
-        innovation_m : ndarray, shape (3,)
-            Image minus prediction, m.
-        motion_m : ndarray, shape (3,)
-            Predicted motion since the last image, m.
-
-        Returns
-        -------
-        ndarray, shape (3,), or None
-            m; None for an outlier.
-        """
-        if not length(innovation_m) <= self.outlier_m + length(motion_m):
-            return None
-        return self.gain * innovation_m
-
-
-class AdaptiveFusion:
+class Fusion:
     """Kalman filter that learns the noise of the images and the error of the prediction.
 
     What is wrong about the estimate has two parts, ``P + w^2 |c|^2``: what is left of the noise of
@@ -139,12 +74,12 @@ class AdaptiveFusion:
         self.restart()
 
     @property
-    def noise_m(self) -> float | None:
+    def noise_m(self) -> float:
         """Standard deviation of a coordinate of an image, as learned, m."""
         return float(self._noise2**0.5)
 
     @property
-    def deviation_m(self) -> float | None:
+    def deviation_m(self) -> float:
         """Standard deviation of a coordinate of the estimate, m."""
         return float(self._variance() ** 0.5)
 
@@ -182,7 +117,20 @@ class AdaptiveFusion:
         return apart <= min(noise + 2.0 * length(motion_m), _ALIKE * length(first_m))
 
     def correct(self, innovation_m: np.ndarray, motion_m: np.ndarray) -> np.ndarray | None:
-        """What to add to the prediction, m, (3,), None for an outlier; see :class:`FixedFusion`."""
+        """What to add to the prediction.
+
+        Parameters
+        ----------
+        innovation_m : ndarray, shape (3,)
+            Image minus prediction, m.
+        motion_m : ndarray, shape (3,)
+            Predicted motion since the last image, m.
+
+        Returns
+        -------
+        ndarray, shape (3,), or None
+            m; None for an outlier.
+        """
         square = float(innovation_m @ innovation_m) / 3.0
         self._uncorrected = self._uncorrected + motion_m
         if not square < inf:  # or not a number
@@ -274,20 +222,3 @@ class AdaptiveFusion:
         if float(self._behind @ self._behind) > _BEHIND * expected:
             self._settled += square
             self._behind = np.zeros(3)
-
-
-Fusion = FixedFusion | AdaptiveFusion
-
-
-def make_fusion(kind: str, gain: float, outlier_m: float) -> Fusion:
-    """Build a fusion by name.
-
-    Raises
-    ------
-    ValueError
-        If the name is unknown or a number out of range.
-    """
-    if kind not in (FIXED, ADAPTIVE):
-        raise ValueError(f"unknown fusion {kind!r}; known are {FIXED}, {ADAPTIVE}")
-    fixed = FixedFusion(gain, outlier_m)
-    return AdaptiveFusion() if kind == ADAPTIVE else fixed

@@ -1,0 +1,102 @@
+"""The only place that compares what was seen with what was predicted.
+
+One filter, one innovation (seen minus predicted) and its sums serve every method and law: the
+filter says where the feature is and which images are outliers, the sums say whether the image
+follows the arm (:mod:`fvs_ros.core.agreement`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fvs_ros.core.agreement import Agreement
+from fvs_ros.core.fusion import Fusion
+
+#: So many outliers in a row are no outliers: camera or ball was moved.
+_REPEATS = 3
+
+
+class Image(NamedTuple):
+    """One image, and the arm's motion up to it.
+
+    Parameters
+    ----------
+    stamp_s : float
+        Exposure, s.
+    seen_m : ndarray, shape (3,)
+        The feature as seen, m.
+    moved_m : ndarray, shape (3,)
+        What the joints have moved it by then, ``sum J dr``, from any origin, m.
+    """
+
+    stamp_s: float
+    seen_m: np.ndarray
+    moved_m: np.ndarray
+
+
+class Tracker:
+    """Where the feature is at the newest image, and whether it goes as predicted."""
+
+    def __init__(self) -> None:
+        self.fusion, self.agreement = Fusion(), Agreement()
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget where the feature was; what was learned of noise and prediction stays."""
+        self.agreement.restart()
+        self._estimate: np.ndarray | None = None
+        self._moved = np.zeros(0)
+        self._outliers: list[tuple[Image, np.ndarray]] = []  # and their innovations
+
+    @property
+    def estimate_m(self) -> np.ndarray | None:
+        """The feature at the newest image, m, (3,); None before the first."""
+        return self._estimate
+
+    @property
+    def moved_m(self) -> np.ndarray:
+        """What the joints had moved it by then, m, (3,)."""
+        return self._moved
+
+    def add(self, image: Image) -> list[Image]:
+        """Take an image.
+
+        Returns
+        -------
+        list of Image
+            Those that are believed now, oldest first: this one; none, for an outlier; this one and
+            the outliers before it, where they turn out to be true.
+        """
+        if self._estimate is None:
+            return self._believe(image)
+        motion = image.moved_m - self._moved
+        self._moved = image.moved_m
+        self._estimate = self._estimate + motion
+        innovation = image.seen_m - self._estimate
+        correction = self.fusion.correct(innovation, motion)
+        if correction is not None:
+            self._outliers.clear()
+            self._estimate = self._estimate + correction
+            return self._sum_up([image])
+        before = self._outliers[-1][1] if self._outliers else None
+        self._outliers.append((image, innovation))
+        agreed = before is not None and self.fusion.agree(before, innovation, motion)
+        if not agreed and len(self._outliers) < _REPEATS:
+            return []
+        believed = self._believe(image)
+        self.fusion.doubt()
+        return believed
+
+    def _believe(self, image: Image) -> list[Image]:
+        images = [outlier for outlier, _ in self._outliers] or [image]
+        self._outliers = []
+        self._estimate, self._moved = image.seen_m.copy(), image.moved_m
+        self.fusion.restart()
+        return self._sum_up(images)
+
+    def _sum_up(self, images: list[Image]) -> list[Image]:
+        for image in images:
+            self.agreement.add(*image, self.fusion.noise_m)
+        return images

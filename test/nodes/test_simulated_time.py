@@ -1,0 +1,123 @@
+"""Simulated time is lock step: a busy machine makes it slower, never wrong."""
+
+import time
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PointStamped
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from fvs_ros.core import ros
+from fvs_ros.core.joints import HOME_JOINTS_RAD, UR_JOINT_NAMES
+
+STEP_S = 0.008
+JACOBIAN = np.array(
+    [[0.5, 0.1, 0.1, 0, 0, 0], [0.1, 0.5, -0.3, 0, 0, 0], [0.1, -0.2, 0.4, 0, 0, 0]]
+)
+
+
+def test_the_simulator_waits_for_a_slow_answer_to_each_joint_state(ros_test):
+    ros_test.start_node("fvs_sim_node.node", simulated_time=True)
+    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    commands = ros_test.publisher(Float64MultiArray, ros.COMMANDS)
+    ros_test.spin_until(lambda: len(states) > 0)
+    stamps_s = []
+    for _ in range(8):
+        count = len(states)
+        commands.publish(Float64MultiArray(data=[0.0] * 6))
+        ros_test.spin_until(lambda count=count: len(states) > count, what="the next joint state")
+        ros_test.spin_for(0.3)
+        assert len(states) == count + 1 or not stamps_s
+        stamps_s.append(ros.from_stamp(states[-1].header.stamp))
+    assert np.diff(stamps_s[1:]) == pytest.approx(STEP_S)
+    # From who answers no more, nothing is awaited.
+    ros_test.spin_until(lambda: len(states) > count + 100, what="the simulator to go on alone")
+
+
+def test_the_simulator_waits_for_an_estimator_that_is_far_behind(ros_test):
+    ros_test.start_node("fvs_sim_node.node", simulated_time=True)
+    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    jacobians = ros_test.publisher(Float64MultiArray, ros.JACOBIAN)
+    ros_test.spin_until(lambda: len(states) > 0)
+    for _ in range(2):
+        jacobians.publish(ros.to_jacobian(JACOBIAN))
+        ros_test.spin_for(0.3)
+    first_s = ros.from_stamp(states[-1].header.stamp)
+    jacobians.publish(ros.to_jacobian(JACOBIAN))
+    ros_test.spin_for(0.3)
+    assert ros.from_stamp(states[-1].header.stamp) - first_s == pytest.approx(
+        0.1, abs=1.01 * STEP_S
+    )
+
+
+class SlowSimulator:
+    """Steps when its joint states were answered, and takes its time."""
+
+    def __init__(self, harness):
+        node = harness.node
+        self.harness = harness
+        self.commands = harness.collect(Float64MultiArray, ros.COMMANDS, ros.QOS_RELIABLE)
+        self._clock = node.create_publisher(Clock, "/clock", ros.QOS_RELIABLE)
+        self._states = node.create_publisher(JointState, ros.JOINT_STATES, ros.QOS_RELIABLE)
+        self._balls = node.create_publisher(PointStamped, ros.BALL_POSITION, ros.QOS_RELIABLE)
+        self._jacobians = node.create_publisher(Float64MultiArray, ros.JACOBIAN, ros.QOS_RELIABLE)
+        self.joints, self.ball = np.array(HOME_JOINTS_RAD), np.array([0.0, 0.1, 1.4])
+        self.stamp_s = 1.0
+        harness.spin_until(lambda: self._states.get_subscription_count() > 0)
+
+    def step(self):
+        self.stamp_s += STEP_S
+        moved = STEP_S * np.array(self.commands[-1].data if self.commands else np.zeros(6))
+        self.joints, self.ball = self.joints + moved, self.ball + JACOBIAN @ moved
+        answered = len(self.commands)
+        self._clock.publish(Clock(clock=ros.to_stamp(self.stamp_s)))
+        self._balls.publish(ros.to_point(self.stamp_s, "camera_color_optical_frame", self.ball))
+        self._jacobians.publish(ros.to_jacobian(JACOBIAN))
+        self._states.publish(
+            ros.to_joint_state(self.stamp_s, UR_JOINT_NAMES, self.joints, np.zeros(6))
+        )
+        self.harness.spin_until(lambda: len(self.commands) > answered, what="an answer")
+
+
+@pytest.mark.parametrize(
+    ("module", "name"),
+    [
+        ("fvs_controller_node.node", "fvs_controller_node"),
+        ("fvs_estimator_node.collector_node", "fvs_collector_node"),
+    ],
+)
+def test_who_commands_answers_each_joint_state_once_however_slowly_they_come(
+    ros_test, module, name
+):
+    own = (
+        {"autostart": True}
+        if name == "fvs_controller_node"
+        else {"output_path": str(ros_test.folder / "part.npz")}
+    )
+    node = ros_test.start_node(module, use_sim_time=True, **own)
+    statuses = ros_test.collect(DiagnosticStatus, f"{name}/status", ros.QOS_EVERY)
+    targets = ros_test.publisher if name == "fvs_controller_node" else None
+    simulator = SlowSimulator(ros_test)
+    if targets:
+        point = ros.to_point(1.0, "camera_color_optical_frame", simulator.ball + 0.1)
+        targets(PointStamped, ros.TARGET_POSITION, ros.QOS_LATCHED).publish(point)
+
+    def state():
+        return ros.from_status(statuses[-1])["state"] if statuses else ""
+
+    def moves():
+        simulator.step()
+        return state() in ("MOVING", "SERVOING")
+
+    ros_test.spin_until(moves, what="motion")
+    told, count = len(statuses), len(simulator.commands)
+    for _ in range(6):
+        time.sleep(0.3)
+        simulator.step()
+    ros_test.spin_for(0.3)
+    assert len(simulator.commands) == count + 6
+    assert {ros.from_status(one)["state"] for one in statuses[told:]} <= {"MOVING", "SERVOING"}
+    assert ros_test.stop(node) == 0

@@ -1,0 +1,142 @@
+"""Does the image follow the arm, and as predicted? A frozen one is found at any speed."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from test_supervisor import WANTED, at_rest, servoing
+
+from fvs_controller_node.reasons import Reason, State
+from fvs_controller_node.supervisor import _LEAST_SEEN
+from fvs_ros.core.agreement import Agreement, Verdict
+
+IMAGE_S = 1.0 / 30.0
+TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+def verdicts(seen_of, way_of, seconds=4.0, noise_m=0.0, seed=1):
+    """Times, s, and verdicts along a motion; ``seen_of`` and ``way_of`` are of time, m."""
+    agreement, rng = Agreement(), np.random.default_rng(seed)
+    found = []
+    for k in range(round(seconds / IMAGE_S)):
+        t = k * IMAGE_S
+        seen = seen_of(t) + noise_m * rng.normal(size=3)
+        agreement.add(t, seen, np.asarray(way_of(t)), max(noise_m, 5e-5))
+        found.append((t, agreement.verdict))
+    return found
+
+
+def line(speed_m_s):
+    return lambda t: np.array([speed_m_s * t, 0.0, 0.0])
+
+
+def scaled(factor, way, t):
+    return factor @ way(t)
+
+
+def frozen(t):
+    return np.array([0.1, 0.2, 1.0])
+
+
+def frozen_after_s(seen_of, way_of, **how):
+    found = verdicts(seen_of, way_of, **how)
+    return next((t for t, one in found if one and one.seen_share < _LEAST_SEEN), None)
+
+
+@pytest.mark.parametrize(
+    ("speed_m_s", "noise_m"),
+    [(speed, noise) for speed in (1e-4, 5e-4, 2e-3, 5e-3) for noise in (0.0, 0.001, 0.004)]
+    + [(0.02, 0.0), (0.02, 0.002), (0.05, 0.001)],
+)
+def test_a_frozen_picture_is_found_within_20_mm_however_slowly_the_arm_drifts(speed_m_s, noise_m):
+    for seed in range(5):
+        way = line(speed_m_s)
+        after_s = frozen_after_s(frozen, way, seconds=0.025 / speed_m_s, noise_m=noise_m, seed=seed)
+        assert after_s is not None
+        assert after_s * speed_m_s < 0.02
+
+
+def test_a_quick_arm_behind_a_frozen_picture_is_found_within_a_third_of_a_second():
+    assert 0.2 < frozen_after_s(frozen, line(0.3), noise_m=0.002) < 0.34
+
+
+def test_a_picture_that_freezes_after_minutes_at_rest_and_a_motion_is_found_as_soon():
+    def way(t):
+        return np.array([0.3 * min(t, 1.0) + 0.002 * max(t - 60.0, 0.0), 0.0, 0.0])
+
+    after_s = frozen_after_s(lambda t: way(min(t, 60.0)), way, seconds=75.0, noise_m=0.001)
+    assert 60.0 < after_s < 69.0
+
+
+@pytest.mark.parametrize("turn", [np.eye(3), TURN, TURN @ TURN])
+@pytest.mark.parametrize("share", [0.6, 1.0, 2.0])
+def test_a_ball_that_moves_otherwise_than_predicted_still_moves(turn, share):
+    for way in (line(0.005), line(0.3)):
+        for seed in range(5):
+            seen = partial(scaled, share * turn, way)
+            assert frozen_after_s(seen, way, noise_m=0.003, seed=seed) is None
+
+
+@pytest.mark.parametrize("rate_hz", [0.2, 1.0, 3.0])
+def test_to_and_fro_is_moving(rate_hz):
+    def swing(t):
+        return np.array([0.0, 0.06 * np.sin(2.0 * np.pi * rate_hz * t), 0.0])
+
+    assert frozen_after_s(swing, swing, noise_m=0.004) is None
+    assert frozen_after_s(frozen, swing, noise_m=0.004) < 1.2
+
+
+@pytest.mark.parametrize(
+    ("factor", "ratio"), [(1.0, 0.0), (0.7, 0.3), (1.4, 0.29), (0.0, 1.0), (-1.0, 2.0), (-2.0, 1.5)]
+)
+def test_the_error_ratio_is_that_of_the_prediction_through_noise(factor, ratio):
+    for way in (line(0.01), line(0.3)):
+        seen = partial(scaled, factor * np.eye(3), way)
+        ones = [one for _, one in verdicts(seen, way, noise_m=1e-3) if one]
+        assert np.median([one.error_ratio for one in ones]) == pytest.approx(ratio, abs=0.08)
+
+
+def test_a_camera_that_is_bumped_is_neither_frozen_nor_opposite():
+    for step_m in (-0.3, -0.1, 0.1, 0.3):
+        for bumped_s in (0.1, 0.4, 0.9):
+
+            def seen(t, bumped_s=bumped_s, step_m=step_m):
+                return np.array([0.3 * t if t < bumped_s else 0.21 * t + step_m, 0.1 * t, 0.0])
+
+            found = [one for _, one in verdicts(seen, line(0.3), noise_m=0.002) if one]
+            assert min(one.seen_share for one in found) > _LEAST_SEEN
+            assert found[-1].error_ratio < 0.6
+
+
+def test_a_gap_between_images_and_a_clock_that_jumps_begin_it_anew():
+    agreement = Agreement()
+    for k in range(40):
+        agreement.add(k * IMAGE_S, np.zeros(3), np.array([0.01 * k, 0.0, 0.0]), 1e-3)
+    assert agreement.verdict is not None
+    agreement.add(k * IMAGE_S + 0.6, np.zeros(3), np.array([0.01 * k, 0.0, 0.0]), 1e-3)
+    assert agreement.verdict is None
+
+
+def test_ten_minutes_at_rest_are_remembered_in_few_cells():
+    agreement, rng = Agreement(), np.random.default_rng(3)
+    for k in range(18000):
+        way = 0.002 * rng.normal(size=3)
+        agreement.add(k * IMAGE_S, way + 0.004 * rng.normal(size=3), way, 0.004)
+        assert agreement.verdict is None or agreement.verdict.seen_share > _LEAST_SEEN
+    assert len(agreement._cells) <= 32
+
+
+def test_the_supervisor_holds_names_it_and_wants_a_start():
+    cell = servoing()
+    tick, frozen_verdict = cell.supervisor.tick, Verdict(0.013, 0.05, 1.0, 0.4)
+    cell.supervisor.tick = lambda *given: tick(*given, verdict=frozen_verdict)
+    cell.wanted = 2.0 * WANTED
+    command = cell.until(lambda c: c.state is State.HOLDING)
+    assert command.reason is Reason.IMAGE_NOT_FOLLOWING
+    assert "frozen image: 13 mm" in command.text
+    assert "~/start" in command.text
+    cell.until(at_rest)
+    assert cell.run(1.0).reason is Reason.IMAGE_NOT_FOLLOWING
+    cell.supervisor.tick = tick
+    assert cell.supervisor.start(cell.now_s)[0]
+    assert cell.run(0.2).state is State.SERVOING
