@@ -27,6 +27,7 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension
 from bench.dry_node import DryController
 from fvs_controller_node.base import ControlLaw, ControlOutput
 from fvs_controller_node.config import PARAMETERS, build_loop
+from fvs_controller_node.progress import ProgressLimits
 from fvs_controller_node.reasons import Reason, State, Stop
 from fvs_controller_node.registry import LAWS
 from fvs_controller_node.supervisor import BALL, JACOBIAN, JOINT_STATES, MAX_TICK_S, Command
@@ -53,6 +54,9 @@ WILD = (
     *(math.nan, math.inf, -math.inf, 1e308, -1e300, 5e-324, -5e-324, 0.0, -0.0, 1e-300),
     *(1e9, 100.0, 100.00001, -100.0, math.pi, 1e-9),
 )
+#: What the world sees for itself, the controller may see so much later, s, or larger: it knows it
+#: from images only.
+LATE_S, MARGIN = 1.0, 1.5
 #: Rounding: what a promise may be missed by, rad/s.
 ROUNDING = 1e-9
 #: Below this the arm is at rest and zeros need no ramp, rad/s.
@@ -199,6 +203,46 @@ def episodes() -> st.SearchStrategy:
 # ---- the world --------------------------------------------------------------------------------
 
 
+class Errand:
+    """How the ball comes to its target, since a start or another target, by the world's own eyes.
+
+    Parameters
+    ----------
+    target : ndarray, shape (3,)
+        m.
+    """
+
+    def __init__(self, target: np.ndarray) -> None:
+        self.target = target
+        self._first_m = self._best_m = self._mark_m = math.inf
+        self._up_s = self._since_s = self._still_s = self._swings_m = 0.0
+        self._turned_m = np.zeros(3)
+
+    def add(self, ball_m: np.ndarray, dt_s: float, limits: ProgressLimits) -> str:
+        """Take a tick of servoing; returns what should have held the arm by now, mostly nothing."""
+        error = ball_m - self.target
+        error_m = float(np.linalg.norm(error))
+        if self._first_m == math.inf:
+            self._first_m, self._turned_m = error_m, error
+        self._best_m = min(self._best_m, error_m)
+        up_m = max(limits.growth_factor * self._best_m, self._best_m + limits.growth_m)
+        self._up_s = self._up_s + dt_s if error_m > MARGIN * up_m else 0.0
+        self._since_s += dt_s
+        if error_m < MARGIN * limits.stall_error_m or self._best_m < 0.9 * self._mark_m:
+            self._mark_m, self._since_s = self._best_m, 0.0
+        self._still_s += dt_s
+        if (went_m := float(np.linalg.norm(error - self._turned_m))) > 0.02:
+            self._swings_m += went_m
+            self._turned_m, self._still_s = error, 0.0
+        elif self._still_s > 0.5:
+            self._swings_m = 0.0
+        if self._up_s > limits.growth_time_s + LATE_S:
+            return "an error that grows is held"
+        if self._since_s > limits.stall_time_s + LATE_S:
+            return "an error that does not fall is held"
+        return "a swing is held" if self._swings_m > MARGIN * (0.5 + 2.0 * self._first_m) else ""
+
+
 class World:
     """A controller node, an arm, a ball, an estimator and an operator, none of them trustworthy.
 
@@ -235,12 +279,13 @@ class World:
         self._away = np.zeros(3)  # what pushed the ball, m
         self._images: deque[tuple[float, np.ndarray]] = deque(maxlen=LATENCY_TICKS + 1)
         self._other_ball: np.ndarray | None = None
-        self._seen_share = 1.0  # of the motion of the ball  # one that is not on the arm
+        self._seen_share = 1.0  # of the ball's motion
         self._beats = 0
         self._ambushed = False
         self._messages()
         # what the promises are judged by
-        self._last = (0.0,) * 6
+        self._last = self._before = (0.0,) * 6
+        self._singular_m_rad = math.inf
         self._ticked_s = -math.inf
         self._session = False
         self._autostart_left = bool(given.get("autostart", False))
@@ -248,7 +293,12 @@ class World:
         self._program_runs, self._scaling = True, 100.0
         self._arrived = dict.fromkeys((JOINT_STATES, BALL, JACOBIAN), -math.inf)
         self._stamps: dict[str, float] = {}
+        self._good = dict.fromkeys(self._arrived, 0.0)  # messages since the last trouble
         self._bad: set[str] = set()
+        self._errand = Errand(BALL_AT_START_M)
+        self._asked_s = -math.inf  # when ~/start was called last
+        self._held_s = self._ignored_s = 0.0
+        self._begin_lie()
         self.set_estimate(episode.estimate, np.random.default_rng(episode.seed))
 
     def play(self) -> World:
@@ -283,6 +333,11 @@ class World:
                 if last is not None and last - 0.1 <= stamp_s <= last:
                     return
                 self._stamps[name] = stamp_s
+            limits = self._age_limits_s()
+            late = not now_s - self._arrived.get(name, -math.inf) <= limits.get(name, math.inf)
+            self._good[name] = 1 if late or name in self._bad else self._good[name] + 1
+            if self._good[name] >= self.node._loop.supervisor.config.fresh_samples:
+                self._good[name] = math.inf  # trusted, until the next trouble
             self._arrived[name] = now_s
             self._bad.discard(name)
 
@@ -296,6 +351,9 @@ class World:
 
         def on_jacobian(now_s: float, values: np.ndarray) -> bool:
             arrives(JACOBIAN, now_s)
+            self._singular_m_rad = np.inf
+            if values.shape == (3, 6) and np.isfinite(values).all():
+                self._singular_m_rad = float(np.linalg.svd(values, compute_uv=False)[-1])
             return jacobian(now_s, values)
 
         def on_bad(now_s: float, name: str, why: str) -> None:
@@ -318,7 +376,7 @@ class World:
         ok = velocity.shape == (6,) and velocity.dtype == np.float64
         self._promise(ok, "six numbers", lambda: f"{velocity!r}")
         v, last = tuple(velocity.tolist()), self._last
-        self._last = v
+        self._before, self._last = last, v
         self._promise(all(map(math.isfinite, v)), "finite", lambda: f"{v}")
         state, reason = command.state, command.reason
         self.states[state] += 1
@@ -358,7 +416,12 @@ class World:
             ok = all(0.0 <= a / b <= 1.0 if b else a == 0.0 for a, b in zip(v, last, strict=True))
             self._promise(ok, "only slower", lambda: f"{last} to {v} in {reason.name}")
         self._judge_words(command)
-        self._judge_session(command, now_s)
+        self._judge_session(command, now_s, passed_s)
+        if servoing:
+            self._judge_servoing(command, v, dt_s)
+        else:
+            self._ignored_s = 0.0
+            self._begin_lie()
         if moving:
             self._judge_range(v, last, step, servoing)
 
@@ -371,26 +434,87 @@ class World:
         ok = isinstance(command.text, str) and bool(command.text.strip())
         self._promise(ok, "says why", lambda: f"{command.text!r}")
 
-    def _judge_session(self, command: Command, now_s: float) -> None:
+    def _age_limits_s(self) -> dict[str, float]:
+        config = self.node._loop.supervisor.config
+        return {
+            JOINT_STATES: config.joint_states_max_age_s,
+            BALL: config.ball_max_age_s,
+            JACOBIAN: config.jacobian_max_age_s,
+        }
+
+    def _judge_session(self, command: Command, now_s: float, passed_s: float) -> None:
         """Nothing moves but by a start, nor on old inputs."""
         if command.state is State.SERVOING:
             if not self._session and self._autostart_left:
                 self._session, self._autostart_left = True, False
             self._promise(self._session, "moves when asked only", lambda: command.text)
-            config = self.node._loop.supervisor.config
-            for name, limit_s in (
-                (JOINT_STATES, config.joint_states_max_age_s),
-                (BALL, config.ball_max_age_s),
-                (JACOBIAN, config.jacobian_max_age_s),
-            ):
+            for name, limit_s in self._age_limits_s().items():
                 age_s = now_s - self._arrived[name]
                 self._promise(
                     age_s <= limit_s,
                     "fresh inputs",
                     lambda name=name, age_s=age_s: f"{name} is {age_s} s old",
                 )
+                self._promise(
+                    self._good[name] == math.inf,
+                    "several good messages end a trouble",
+                    lambda name=name: f"{self._good[name]} of {name}",
+                )
+        self._held_s = 0.0 if command.state is State.SERVOING else self._held_s + passed_s
+        long_s = self.node._loop.supervisor.config.resume_within_s + 2.0 * MAX_TICK_S
+        if self._held_s > long_s:
+            self._end_session()
         if command.reason.needs_start:
             self._end_session()
+
+    def _judge_servoing(self, command: Command, v: tuple[float, ...], dt_s: float) -> None:
+        """What the arm must not go on with, by the world's own eyes."""
+        config = self.node._loop.supervisor.config
+        fastest = max(map(abs, v))
+        low = self._singular_m_rad < config.singular_hold_m_rad
+        leaves = self.now_s - self._asked_s < 10.0 + LATE_S and fastest <= 0.1 + ROUNDING
+        ok = not low or leaves or fastest < max(map(abs, self._before))
+        self._promise(ok, "held near a singularity", lambda: f"{self._singular_m_rad}, {v}")
+
+        target = self.node._loop.supervisor.target_m
+        assert target is not None
+        if not np.array_equal(target, self._errand.target):
+            self._errand = Errand(target)
+        wrong = self._errand.add(self.ball(), dt_s, config.progress)
+        self._promise(not wrong, wrong, lambda: f"{self.ball()} to {target}")
+
+        slow = self._plant != "ignores" or fastest < 0.05
+        self._ignored_s += 0.0 if slow else dt_s
+        ok = self._ignored_s < config.follow_time_s + LATE_S
+        self._promise(ok, "an arm that does not follow is held", lambda: f"{self._ignored_s} s")
+
+        # Half a second passes until enough was seen of an arm that is fast.
+        at_m, astray_m = TRUE_JACOBIAN @ self._joints, 0.0
+        speed_m_s = float(np.linalg.norm(TRUE_JACOBIAN @ self._drive))
+        self._lie_speed_m_s = max(self._lie_speed_m_s, speed_m_s)
+        seen = 0.5 * self._lie_speed_m_s
+        if self._lie == "frozen":
+            astray_m = float(np.linalg.norm(at_m - self._lie_at_m))
+            ok = astray_m < 0.03 + seen
+            self._promise(ok, "a frozen image is held", lambda: f"{astray_m} m")
+        elif self._lie == "reversed" and config.prediction_hold < 1.5:
+            self._lie_way_m += speed_m_s * dt_s
+            ok = self._lie_way_m < 0.03 + config.prediction_hold_m + seen
+            self._promise(ok, "a wrong Jacobian is held", lambda: f"{self._lie_way_m} m")
+
+    def _begin_lie(self) -> None:
+        """From here on it counts what the arm does on what is shown to it."""
+        self._lie_at_m, self._lie_way_m = TRUE_JACOBIAN @ self._joints, 0.0
+        self._lie_speed_m_s = 0.0
+
+    @property
+    def _lie(self) -> str:
+        """What is wrong with the image, if it is wrong enough to be held for certain."""
+        if self._estimate is not TRUE_JACOBIAN or self._plant not in ("obeys", "lags"):
+            return ""
+        if self._other_ball is not None:
+            return "frozen"
+        return "reversed" if self._seen_share == -1.0 else ""
 
     def _judge_range(
         self, v: tuple[float, ...], last: tuple[float, ...], step: float, servoing: bool
@@ -537,7 +661,13 @@ class World:
         point = message.point
         point.x, point.y, point.z = (float(value) for value in target)
         _stamp(message, self.ros_s)
+        supervisor = self.node._loop.supervisor
+        before = supervisor._told_target
         self.node._on_target(message)
+        low, high = supervisor.config.workspace_min_m, supervisor.config.workspace_max_m
+        right = frame == CAMERA_FRAME and np.all((low <= target) & (target <= high))
+        ok = right or supervisor._told_target is before
+        self._promise(ok, "a wrong target changes nothing", lambda: f"{target} in {frame}")
 
     def send_program(self, running: bool) -> None:
         """Say whether the robot's program runs."""
@@ -560,11 +690,14 @@ class World:
         moved_m = TRUE_JACOBIAN @ (self._joints - START_RAD)
         self._away = self._away + (self._seen_share - share) * moved_m
         self._seen_share = share
+        self._begin_lie()
 
     def start(self) -> None:
         """Call ``~/start``."""
         done, text = self.node.call("~/start")
         self._session = self._session or done
+        self._asked_s, self._errand = self.now_s, Errand(self._errand.target)
+        self._begin_lie()
         self._promise(bool(text), "says why", lambda: "~/start")
 
     def stop(self) -> None:
@@ -695,6 +828,8 @@ def _rival(world: World, rng: np.random.Generator, scene: Scene) -> None:
         own = scene.variant % 2 and k % 2
         data = list(world._last) if own else [float(v) for v in rng.normal(size=6)]
         world.node._on_any_command(Float64MultiArray(data=data))
+        if not own:
+            world._end_session()
         world.calm(1)
     world.calm(3 * scene.ticks)
 
@@ -798,6 +933,8 @@ def _garbage_ball(world: World, rng: np.random.Generator) -> None:
     else:
         _stamp(message, world.ros_s + float(rng.normal(0.0, 0.05)))
     world.node._on_ball(message)
+    if message.header.frame_id != CAMERA_FRAME:
+        world._bad.add(BALL)
 
 
 def _garbage_jacobian(world: World, rng: np.random.Generator) -> None:
@@ -1014,6 +1151,7 @@ def _another_ball(world: World, rng: np.random.Generator, scene: Scene) -> None:
         ends = [("joint_min_rad", -0.001), ("joint_max_rad", 0.001)]
         world.reconfigure([(name, (world._joints + off).tolist()) for name, off in ends])
     world._other_ball = world.ball()
+    world._begin_lie()
     world.aim(rng, 0.3)
     world.calm(60 + 2 * scene.ticks, steady_s=0.02, ros_s=0.02)
     if scene.variant % 2:

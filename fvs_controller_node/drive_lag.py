@@ -19,7 +19,7 @@ _SLOW_S, _MEMORY_S = 1.0, 20.0
 #: The first guess counts like motion at this speed for a while, rad^2/s.
 _TRUST = 0.05
 #: No drive is slower than this, s.
-_MOST_S, _MOST_TICKS = 0.15, 150
+_MOST_S, _MOST_TICKS = 0.2, 200
 
 
 class DriveLag:

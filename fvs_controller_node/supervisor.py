@@ -63,6 +63,8 @@ _STOP_S = 0.5
 #: Commands below this are rest, rad/s.
 _TINY_RAD_S = 1e-9
 
+_STILL = np.zeros(N_JOINTS)
+
 #: Turns the error into the joint motion that it takes.
 _INVERSE = DampedInverse()
 
@@ -135,6 +137,7 @@ class Supervisor:
         self._program_running = True
         self._speed_scaling = 100.0
         self._verdict: Verdict | None = None  # of seen and predicted motion
+        self._pending = _STILL  # motion still to come, rad
         self._mispredicted_m = 0.0  # how far the ball was to go meanwhile
         self._started = False
         self._autostart_left = self._config.autostart
@@ -411,6 +414,7 @@ class Supervisor:
         self._ticked_s = now_s
         self._see(position_m, problem, dt_s)
         self._verdict = verdict
+        self._pending = _STILL if pending_rad is None else pending_rad
         finding = self._objection(now_s)
         if finding is None and self._autostart_left and self._ended is None:
             self._begin()
@@ -422,8 +426,6 @@ class Supervisor:
         finding = self._held_long(finding, steady_dt_s)
         if finding is not None and finding.reason.needs_start:
             self._end_session(finding)
-        if joints_rad is not None and pending_rad is not None:
-            joints_rad = joints_rad + pending_rad  # where they are when the command takes effect
         if output is not None and joints_rad is not None:
             return self._move(output, joints_rad, dt_s)
         self._following.pause()
@@ -615,6 +617,7 @@ class Supervisor:
             joints,
             config.max_joint_velocity_rad_s,
             config.max_joint_acceleration_rad_s2,
+            self._pending,
         )
         active += [f"range of {config.joint_names[i]}" for i in slowed]
         free = velocity
@@ -687,6 +690,7 @@ class Supervisor:
             joints,
             config.max_joint_velocity_rad_s,
             limit,
+            self._pending,
         )
         return np.clip(velocity, last - step, last + step)
 

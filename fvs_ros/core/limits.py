@@ -114,8 +114,12 @@ class JointRange:
         joints: np.ndarray,
         max_speed: float,
         max_acceleration: float,
+        pending_rad: np.ndarray,
     ) -> tuple[np.ndarray, list[int]]:
         """Slow down every joint that nears an end of its range.
+
+        Motion that is still to come, ``pending_rad``, takes room where it goes towards the end; it
+        makes none where it leads away.
 
         Returns
         -------
@@ -127,8 +131,10 @@ class JointRange:
         slowed: list[int] = []
         values = velocity.tolist()
         slope = min(max_speed / self.margin_rad, _APPROACH_RATE_1_S)
-        for i, (v, q) in enumerate(zip(values, joints.tolist(), strict=True)):
-            room = max(0.0, self.upper_rad[i] - q if v > 0.0 else q - self.lower_rad[i])
+        both = zip(values, joints.tolist(), pending_rad.tolist(), strict=True)
+        for i, (v, q, ahead) in enumerate(both):
+            room = self.upper_rad[i] - q if v > 0.0 else q - self.lower_rad[i]
+            room = max(0.0, room - max(0.0, ahead if v > 0.0 else -ahead))
             cap = min(slope * room, braking_speed(room, max_acceleration))
             if abs(v) > cap:
                 values[i] = cap if v > 0.0 else -cap

@@ -7,21 +7,20 @@ million ticks of it, these tests play fewer, always the same.
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bench import fuzz_world
-from bench.fuzz_world import AMBUSHES, SCENES, BrokenPromiseError, Episode, Scene, World
-from fvs_controller_node import supervisor
-from fvs_controller_node.inputs import InputMonitor
+from bench import bench_mutants, fuzz_world
+from bench.bench_mutants import ROWS
+from bench.fuzz_world import AMBUSHES, SCENES, Episode, Scene, World
 from fvs_controller_node.reasons import Reason
 from fvs_controller_node.registry import LAWS
-from fvs_controller_node.supervisor import Supervisor
-from fvs_ros.core.limits import JointRange
 
+README = Path(__file__).resolve().parents[2] / "README.md"
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of numpy, about wild numbers
 
 
@@ -117,37 +116,23 @@ def test_every_reason_is_met():
     assert met == set(Reason), f"not met: {[reason.name for reason in set(Reason) - met]}"
 
 
-def sabotage_finding(monitor, now_s):
-    return None
+MUTANTS = [(row, mutant) for row, mutants in ROWS.items() for mutant in mutants]
 
 
-SABOTAGE = {
-    "velocity limit": (supervisor, "limit_speed", lambda velocity, speed: velocity),
-    "acceleration limit": (supervisor, "limit_acceleration", lambda velocity, last, step: velocity),
-    "only slower": (supervisor, "ramp_to_zero", lambda last, step: last * 1.001),
-    "stops before its limit": (JointRange, "slow_down", lambda self, velocity, *_: (velocity, [])),
-    "fresh inputs": (InputMonitor, "find", sabotage_finding),
-    "moves when asked only": (Supervisor, "_end_session", lambda self, finding: None),
-}
+@pytest.mark.parametrize(
+    ("row", "mutant"), MUTANTS, ids=[f"{row}: {mutant.name}" for row, mutant in MUTANTS]
+)
+def test_a_controller_that_lacks_a_row_of_the_safety_table_is_found_out(row, mutant):
+    assert mutant.promise in bench_mutants.broken(mutant), f"nobody misses {mutant.name}"
+    assert not bench_mutants.broken(mutant, whole=True)
 
 
-@pytest.mark.parametrize("promise", sorted(SABOTAGE))
-def test_a_controller_that_lacks_a_guard_is_found_out(promise, monkeypatch):
-    monkeypatch.setattr(*SABOTAGE[promise])
-    names = ("to the limit", "silence", "robot", "push", "frozen stamps", "work")
-    found = set()
-    for seed in range(3):
-        for name in names:
-            scenes = (Scene(name, 40, 6), Scene("work", 40, 3), Scene(name, 40, 1))
-            try:
-                World(Episode(seed=seed, scenes=scenes, law="proportional")).play()
-            except BrokenPromiseError as error:
-                found.add(error.promise)
-            except (AssertionError, AttributeError, TypeError):
-                continue  # what lacks its guard may also just break
-        if promise in found:
-            return
-    pytest.fail(f"{promise} was not seen to be broken, only {found}")
+def test_every_row_of_the_safety_table_is_promised():
+    table = README.read_text().split("| when | the arm |")[1].split("\n\n")[0]
+    told = [line.strip("| ") for line in table.splitlines()[2:]]
+    known = [*ROWS, *bench_mutants.ELSEWHERE]
+    assert [begin for begin in known if not any(row.startswith(begin) for row in told)] == []
+    assert [row for row in told if not row.startswith(tuple(known))] == []
 
 
 # ---- the shortest episodes that once broke a promise ------------------------------------------
