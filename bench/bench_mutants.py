@@ -120,7 +120,7 @@ ROWS = {
     "the error grows": [
         Mutant(_GROWS, Progress, "growing", _NEVER, "work/40/3, long wait/60/0, push/90/9"),
         Mutant(_STALLS, Progress, "stalled", _NEVER, "another ball/60/6, long wait/60/0"),
-        Mutant("a swing is held", Progress, "swinging", _NEVER, "work/5/3, swing/60/1"),
+        Mutant("a swing is held", Progress, "swinging", _NEVER, "work/5/3, swing/60/4"),
     ],
     "the ball is seen to stand": [
         Mutant(_FROZEN, supervisor, "_LEAST_SEEN", -1.0, "another ball/60/5"),

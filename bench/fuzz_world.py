@@ -228,11 +228,12 @@ class Errand:
         up_m = max(limits.growth_factor * self._best_m, self._best_m + limits.growth_m)
         self._up_s = self._up_s + dt_s if error_m > MARGIN * up_m else 0.0
         self._since_s += dt_s
-        if error_m < MARGIN * limits.stall_error_m or self._best_m < 0.9 * self._mark_m:
+        if error_m < MARGIN * limits.stall_error_m or self._best_m < 0.98 * self._mark_m:
             self._mark_m, self._since_s = self._best_m, 0.0
         self._still_s += dt_s
         if (went_m := float(np.linalg.norm(error - self._turned_m))) > 0.02:
-            self._swings_m += went_m
+            nearer_m = float(np.linalg.norm(self._turned_m)) - error_m
+            self._swings_m += went_m - max(0.0, nearer_m)
             self._turned_m, self._still_s = error, 0.0
         elif self._still_s > 0.5:
             self._swings_m = 0.0
@@ -295,7 +296,7 @@ class World:
         self._stamps: dict[str, float] = {}
         self._good = dict.fromkeys(self._arrived, 0.0)  # messages since the last trouble
         self._bad: set[str] = set()
-        self._errand = Errand(BALL_AT_START_M)
+        self._errand, self._judged_ball = Errand(BALL_AT_START_M), BALL_AT_START_M
         self._asked_s = -math.inf  # when ~/start was called last
         self._held_s = self._ignored_s = 0.0
         self._begin_lie()
@@ -389,10 +390,11 @@ class World:
         passed_s = min(max(now_s - self._ticked_s, 0.0), MAX_TICK_S)
         self._ticked_s = now_s
         step = config.max_joint_acceleration_rad_s2 * dt_s
-        if not servoing:  # a stop has half a second from full speed, at most
-            stop_rad_s2 = max(
-                config.max_joint_acceleration_rad_s2, 2.0 * config.max_joint_velocity_rad_s
-            )
+        # A stop has half a second from full speed, at most.
+        stop_rad_s2 = max(
+            config.max_joint_acceleration_rad_s2, 2.0 * config.max_joint_velocity_rad_s
+        )
+        if not servoing:
             step = stop_rad_s2 * (dt_s or passed_s)
 
         # A limit that is lowered in motion cannot be obeyed at once, since the acceleration limit
@@ -423,7 +425,8 @@ class World:
             self._ignored_s = 0.0
             self._begin_lie()
         if moving:
-            self._judge_range(v, last, step, servoing)
+            brake_rad_s2 = config.max_joint_acceleration_rad_s2 if servoing else stop_rad_s2
+            self._judge_range(v, last, step, servoing, brake_rad_s2)
 
     def _judge_words(self, command: Command) -> None:
         state, reason = command.state, command.reason
@@ -478,10 +481,12 @@ class World:
 
         target = self.node._loop.supervisor.target_m
         assert target is not None
-        if not np.array_equal(target, self._errand.target):
+        ball, before = self.ball(), self._judged_ball
+        self._judged_ball = ball
+        if not np.array_equal(target, self._errand.target) or np.linalg.norm(ball - before) > 0.1:
             self._errand = Errand(target)
-        wrong = self._errand.add(self.ball(), dt_s, config.progress)
-        self._promise(not wrong, wrong, lambda: f"{self.ball()} to {target}")
+        wrong = self._errand.add(ball, dt_s, config.progress)
+        self._promise(not wrong, wrong, lambda: f"{ball} to {target}")
 
         slow = self._plant != "ignores" or fastest < 0.05
         self._ignored_s += 0.0 if slow else dt_s
@@ -517,7 +522,12 @@ class World:
         return "reversed" if self._seen_share == -1.0 else ""
 
     def _judge_range(
-        self, v: tuple[float, ...], last: tuple[float, ...], step: float, servoing: bool
+        self,
+        v: tuple[float, ...],
+        last: tuple[float, ...],
+        step: float,
+        servoing: bool,
+        brake_rad_s2: float,
     ) -> None:
         """No joint goes outward faster than it can brake, unless it brakes already."""
         config = self.node._loop.supervisor.config
@@ -528,7 +538,7 @@ class World:
         lower, upper = config.joint_range.lower_rad, config.joint_range.upper_rad
         for i, (a, b, q) in enumerate(zip(v, last, joints.tolist(), strict=True)):
             room = max(0.0, upper[i] - q if a > 0.0 else q - lower[i])
-            brake = math.sqrt(2.0 * config.max_joint_acceleration_rad_s2 * room)
+            brake = math.sqrt(2.0 * brake_rad_s2 * room)
             braking = a * b > 0.0 and abs(a) <= abs(b) - step + ROUNDING
             ok = abs(a) <= brake + ROUNDING or braking
             self._promise(

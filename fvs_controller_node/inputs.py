@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
-from statistics import median_high
 
 from fvs_controller_node.reasons import Finding, Reason
 
-#: So many intervals beyond the limit, or nearly, make a slow input, if they are no longer than
-#: this, s: at the limit itself chance, and the ticks in between, decide which of them is too late.
-_SLOW_INTERVALS, _NEARLY, _AT_LIMIT, _SLOW_S = 2, 0.9, 0.99, 5.0
-#: Their middle one is said, of so many, the last: one long gap says nothing of how often they come.
-_LATE = 5
 #: What a source said of itself holds for so long, s.
 _SAID_S = 2.0
 
@@ -62,9 +55,6 @@ class InputMonitor:
         self._why = ""
         self._stuck_s = -float("inf")
         self._said, self._said_s = "", -float("inf")
-        #: In this trouble: the last intervals beyond the limit, or nearly.
-        self._late_s: deque[float] = deque(maxlen=_LATE)
-        self._interval_s = 0.0  # the last one
 
     def configure(self, spec: InputSpec, fresh_samples: int) -> None:
         """Change what is expected and keep what was seen."""
@@ -74,12 +64,6 @@ class InputMonitor:
     def good(self, now_s: float) -> None:
         """Tell that a usable message arrived."""
         self.find(now_s)  # a gap since the last one counts, even if no tick saw it
-        self._interval_s, limit_s = self.age_s(now_s), self.spec.max_age_s
-        late = limit_s is not None and _NEARLY * limit_s < self._interval_s < _SLOW_S
-        if self._trouble is None:
-            self._late_s.clear()
-        elif late:
-            self._late_s.append(self._interval_s)
         self._last_s = now_s
         if self._trouble is not None:
             self._streak += 1
@@ -125,8 +109,6 @@ class InputMonitor:
             hint = self._said
         elif limit_s is not None and now_s - self._stuck_s <= limit_s:
             hint = "messages come, but their stamps do not advance: its source has frozen"
-        elif slow := self._slow(age_s):
-            hint = slow
         if self._trouble is Reason.BAD_INPUT:
             return Reason.BAD_INPUT.because(
                 name=name, why=self._why, count=self._streak, wanted=wanted
@@ -135,19 +117,7 @@ class InputMonitor:
             return Reason.MISSING.because(name=name, count=self._streak, wanted=wanted, hint=hint)
         if stale:
             assert limit_s is not None
-            return Reason.STALE.because(name=name, age_s=age_s, limit_s=limit_s, hint=hint)
-        hint = self._slow(age_s) or "more are waited for"
-        return Reason.RETURNING.because(name=name, count=self._streak, wanted=wanted, hint=hint)
-
-    def _slow(self, age_s: float) -> str:
-        """How rarely messages come, in words, if too rarely; else empty."""
-        limit_s = self.spec.max_age_s
-        if limit_s is None or len(self._late_s) < _SLOW_INTERVALS:
-            return ""
-        often_s = median_high(self._late_s)
-        if often_s < _AT_LIMIT * limit_s:
-            return ""
-        if self._interval_s < _NEARLY * limit_s or age_s > 2.0 * self._interval_s:
-            return ""
-        limit = f"{self.spec.limit} is {limit_s:.2f} s"
-        return f"messages come, but every {often_s:.2f} s only ({limit})"
+            return Reason.STALE.because(
+                name=name, age_s=age_s, limit=self.spec.limit, limit_s=limit_s, hint=hint
+            )
+        return Reason.RETURNING.because(name=name, count=self._streak, wanted=wanted)

@@ -52,13 +52,13 @@ class Reason(Enum):
         State.HOLDING,
         Stop.RAMP,
         False,
-        "{name} is {age_s:.2f} s old (limit {limit_s:.2f} s); {hint}",
+        "{name} is {age_s:.2f} s old ({limit} is {limit_s:.2f} s); {hint}",
     )
     RETURNING = (
         State.HOLDING,
         Stop.RAMP,
         False,
-        "{name} is coming back: {count} of {wanted} fresh messages; {hint}",
+        "{name} is coming back: {count} of {wanted} fresh messages",
     )
     BAD_INPUT = (
         State.FAULT,

@@ -16,7 +16,6 @@ _ELSEWHERE = {
     "image stamps are too": "fvs_estimator_node/loop.py",
     "the camera seems to have been moved": "fvs_estimator_node/camera_doubts.py",
     "is taken; stop what is served there": "fvs_ros/apps/dashboard/page.py",
-    "messages come, but every": "fvs_controller_node/inputs.py",
     "Put the arm back": "fvs_ros/apps/dashboard/panel.py",
     "the camera's place is not known yet": "fvs_ros/apps/dashboard/placement.py",
     "this page gets too little of the processor": "fvs_ros/apps/dashboard/dashboard_node.py",
