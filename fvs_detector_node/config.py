@@ -115,9 +115,9 @@ PARAMETERS = (
     Parameter(
         "stamp_delay_s",
         0.0,
-        "the camera stamps its images so long after their exposure: the ball's stamp is put back "
-        "by it; fvs_train finds it",
-        minimum=0.0,
+        "the camera stamps its images so long after their exposure (negative: before): the ball's "
+        "stamp is put back by it; fvs_train finds it",
+        minimum=-0.5,
         maximum=0.5,
         live=True,
     ),

@@ -93,17 +93,12 @@ def late_stamps_note(offset_s: float) -> str:
     """What to say of images that are stamped late (or early, if negative), s; empty if nothing."""
     if abs(offset_s) <= _NOTABLE_OFFSET_S:
         return ""
-    if offset_s > 0.0:
-        side, mend = "before", f"add {offset_s:.3f} to stamp_delay_s of fvs_detector_node"
-    else:
-        side = "after"
-        mend = (
-            "no camera stamps an image before it is taken; do the clocks of camera and robot "
-            "agree (NTP)?"
-        )
+    side = "before" if offset_s > 0.0 else "after"
+    clocks = "" if offset_s > 0.0 else " (if more than half an image's time: set the clocks, NTP)"
     return (
         f"the images show the joints of {1e3 * abs(offset_s):.0f} ms {side} their stamps; "
-        f"corrected here, but the loop needs it, too: {mend}"
+        f"corrected here, but the loop needs it, too: add {offset_s:.3f} to stamp_delay_s of "
+        f"fvs_detector_node{clocks}"
     )
 
 

@@ -73,8 +73,8 @@ class EstimationLoop:
             return self.estimator.remark
         late_s, which = abs(self._late_s), "late" if self._late_s > 0.0 else "early"
         return (
-            f"image stamps are too {which} by about {late_s:.2f} s; correct the detector's "
-            "stamp_delay_s or the clocks, then call ~/reset"
+            f"image stamps are too {which} by about {late_s:.2f} s; add {self._late_s:.2f} to the "
+            "detector's stamp_delay_s or set the clocks, then call ~/reset"
         )
 
     @property

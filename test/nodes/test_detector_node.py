@@ -194,13 +194,14 @@ def test_images_arrive_whatever_the_publishers_reliability(ros_test, qos):
     assert float(values["processing_ms"]) > 0.0
 
 
-def test_late_stamps_are_put_back(ros_test):
+@pytest.mark.parametrize("delay_s", [0.08, -0.016])
+def test_late_and_early_stamps_are_put_right(ros_test, delay_s):
     watched = Watched(ros_test)
     camera = PlayedCamera(ros_test)
-    ros_test.start_node(NODE, stamp_delay_s=0.08)
+    ros_test.start_node(NODE, stamp_delay_s=delay_s)
     last = watched.wait_for_balls()[-1]
     behind_s = (camera._stamp_s - ros.from_stamp(last.header.stamp)) % camera.period_s
-    assert behind_s == pytest.approx(0.08 % camera.period_s, abs=1e-5)
+    assert behind_s == pytest.approx(delay_s % camera.period_s, abs=1e-5)
 
 
 @pytest.mark.parametrize("encoding", ["16UC1", "32FC1"])

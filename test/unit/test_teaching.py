@@ -1,5 +1,6 @@
 """From data to a chain to six networks, and what a user is told of it."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -7,8 +8,10 @@ import pytest
 import ur5_dh
 from recordings import Recording, relative_error, turn, ur5_chain
 
+from fvs_detector_node.config import PARAMETERS
 from fvs_estimator_node.chain_fit import ChainFitError
 from fvs_estimator_node.teaching import teach, train_structured, with_chain
+from fvs_ros.core.params import ParameterSet
 
 BOX = ur5_dh.HOME_RAD + np.array([-1.0, 1.0])[:, None] * ur5_dh.BOX_M_RAD
 
@@ -64,8 +67,12 @@ def test_a_late_camera_and_many_outliers_are_told():
     assert "images do not fit" in outliers
     early, *_ = notes_of(Recording(seconds=20.0, late_s=-0.05, outliers=0.0))
     assert "50 ms after their stamps" in early
-    assert "stamp_delay_s" in late
-    assert "stamp_delay_s" not in early  # which no parameter puts right
+    for note, wanted_s in ((late, 0.08), (early, -0.05)):
+        told = float(re.search(r"add (\S+) to stamp_delay_s", note)[1])
+        assert ParameterSet(PARAMETERS)["stamp_delay_s"].check(told) == pytest.approx(
+            wanted_s, abs=2e-3
+        )
+    assert "NTP" in early
 
 
 def test_a_joint_that_stood_still_is_named():
