@@ -214,6 +214,8 @@ class SimNode(ros.FvsNode):
 
     def _publish_observation(self, observation: BallObservation) -> None:
         stamp_s = self._base_s + observation.stamp_s
+        if self._info.get_subscription_count():
+            self._info.publish(ros.to_camera_info(stamp_s, self._frame, self._sim.intrinsics))
         if observation.detection is not None and self.values["publish_ball_position"]:
             position_m = observation.detection.position_m
             self._ball.publish(ros.to_point(stamp_s, self._frame, position_m))
@@ -245,7 +247,6 @@ class SimNode(ros.FvsNode):
             if encoding == "16UC1":
                 depth = np.round(np.nan_to_num(depth) * 1e3).clip(0, 65535).astype(np.uint16)
             self._depth.publish(ros.to_image(stamp_s, self._frame, depth, encoding))
-        self._info.publish(ros.to_camera_info(stamp_s, self._frame, self._sim.intrinsics))
 
     def _look_around(self) -> None:
         """Render full frames only while somebody is there."""

@@ -222,7 +222,7 @@ DEPTH_IMAGE_COMPRESSED = Topic(
 CAMERA_INFO = Topic(
     "camera/color/camera_info",
     "sensor_msgs/msg/CameraInfo",
-    "The colour camera's pinhole model; comes with the images.",
+    "The colour camera's pinhole model, at the image rate, images drawn or not.",
     also_from=_CAMERA,
 )
 STATUS = Topic(

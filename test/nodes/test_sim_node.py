@@ -81,13 +81,14 @@ def test_it_obeys_a_command_in_kinematic_order_and_holds_it(ros_test):
 
 def test_images_are_rendered_for_subscribers_and_agree_with_camera_info(simulator):
     states = simulator.collect(JointState, ros.JOINT_STATES)
-    simulator.spin_until(lambda: len(states) > 0)
+    infos = simulator.collect(CameraInfo, ros.CAMERA_INFO, ros.QOS_RELIABLE)
+    simulator.spin_until(lambda: states and infos, what="camera_info without a look at images")
     colours = simulator.collect(Image, ros.COLOR_IMAGE, ros.QOS_RELIABLE)
     depths = simulator.collect(Image, ros.DEPTH_IMAGE, ros.QOS_RELIABLE)
-    infos = simulator.collect(CameraInfo, ros.CAMERA_INFO, ros.QOS_RELIABLE)
     balls = simulator.collect(PointStamped, ros.BALL_POSITION)
     simulator.spin_until(lambda: len(colours) > 2 and len(depths) > 2 and infos and len(balls) > 2)
-    colour, depth, info = colours[-1], depths[-1], infos[-1]
+    colour, depth = colours[-1], depths[-1]
+    info = next(one for one in infos if one.header.stamp == colour.header.stamp)
     assert (colour.encoding, depth.encoding) == ("rgb8", "16UC1")
     assert (colour.width, colour.height) == (info.width, info.height) == (640, 480)
     ball = balls[-1].point
