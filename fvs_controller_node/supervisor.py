@@ -68,6 +68,9 @@ _STILL = np.zeros(N_JOINTS)
 #: Turns the error into the joint motion that it takes.
 _INVERSE = DampedInverse()
 
+#: Speed scaling from which the robot is at full speed, %: the driver multiplies doubles.
+_FULL_PERCENT = 99.5
+
 _PAUSES = (Reason.PROGRAM_STOPPED, Reason.SPEED_SCALING_ZERO)
 
 #: Asks the law: (error (3,) m, last command (6,) rad/s, dt s) -> its output.
@@ -364,7 +367,7 @@ class Supervisor:
     @property
     def full_speed(self) -> bool:
         """Whether the robot does what it is told at its full speed."""
-        return self._program_running and self._speed_scaling >= 100.0
+        return self._program_running is not False and self._speed_scaling >= _FULL_PERCENT
 
     @property
     def settled(self) -> bool:
