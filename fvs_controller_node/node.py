@@ -26,7 +26,8 @@ from fvs_ros.core.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.core.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
 
 _STATUS_PERIOD_S = 0.1
-_RIVALS_PERIOD_S = 0.5
+_LOOK_PERIOD_S = 0.5
+_NEVER_RAN = "no robot_program_running yet: start the robot program if the arm does not move"
 #: Own commands that are remembered, to tell a rival's from them.
 _SENT = 64
 #: Without a joint state for so many tick periods the watchdog ticks in its place.
@@ -67,6 +68,7 @@ class ControllerNode(ros.FvsNode):
         self._untold = ""  # of a target that moves, where it was accepted last
         self._refusal = ""
         self._rivals = ""
+        self._silence = ""  # of a driver that has never said whether the robot program runs
         self._hears_rivals = False
         self._sent: deque[tuple[float, ...]] = deque(maxlen=_SENT)
         self._command: Command | None = None
@@ -90,18 +92,14 @@ class ControllerNode(ros.FvsNode):
         for qos in (ros.QOS_LATCHED, ros.QOS_NEWEST):
             self.watch(PointStamped, ros.TARGET_POSITION, self._on_target, qos)
             self.watch(Bool, ros.ROBOT_PROGRAM_RUNNING, self._on_program_running, qos)
-        self.create_service(
-            Trigger,
-            "~/start",
-            self._answer(lambda: self._loop.supervisor.start(self.now_s())),
-        )
+        self.create_service(Trigger, "~/start", self._answer(self._start))
         self.create_service(Trigger, "~/stop", self._answer(self._loop.supervisor.stop))
         self.create_service(
             Trigger, "~/set_current_as_target", self._answer(self._take_current_as_target)
         )
         self.create_timer(self._period_s, self._watchdog, clock=self.steady_clock)
         self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
-        self.create_timer(_RIVALS_PERIOD_S, self._look_for_rivals, clock=self.steady_clock)
+        self.create_timer(_LOOK_PERIOD_S, self._look_around, clock=self.steady_clock)
 
     # --- inputs ---
 
@@ -193,6 +191,10 @@ class ControllerNode(ros.FvsNode):
     def _on_speed_scaling(self, message: Float64) -> None:
         self._loop.supervisor.speed_scaling(self.now_s(), message.data)
 
+    def _start(self) -> tuple[bool, str]:
+        started, text = self._loop.supervisor.start(self.now_s())
+        return started, f"{text}; {self._silence}" if self._silence else text
+
     def _answer(self, action):
         def on_request(_request: Trigger.Request, response: Trigger.Response):
             response.success, response.message = action()
@@ -253,7 +255,8 @@ class ControllerNode(ros.FvsNode):
         command = self._command
         if command is None:
             return
-        remarks = [one for one in (self._refusal, self._loop.remark) if one]
+        silence = "" if command.state is State.SERVOING else self._silence
+        remarks = [one for one in (self._refusal, self._loop.remark, silence) if one]
         if self._rivals:
             remarks.append(f"{self._rivals} publishes commands as well: stop it")
         words = self._words(command)
@@ -267,8 +270,15 @@ class ControllerNode(ros.FvsNode):
             {**values, "late_ticks": self._late, "other_commanders": self._rivals},
         )
 
-    def _look_for_rivals(self) -> None:
-        """Listen to the commands once others publish there: a killed node may just be listed."""
+    def _look_around(self) -> None:
+        """Listen to the commands once others publish there: a killed node may just be listed.
+
+        A UR's driver publishes ``robot_program_running`` on change only: never, before the first
+        program ran. Other drivers say nothing although the robot obeys.
+        """
+        topic = self.resolve_topic_name(ros.ROBOT_PROGRAM_RUNNING)
+        unheard = not self.monitor(ros.ROBOT_PROGRAM_RUNNING).count
+        self._silence = _NEVER_RAN if unheard and self.count_publishers(topic) else ""
         # One that is not known by name yet may be this very node.
         self._rivals = ", ".join(n for n in self.other_publishers(ros.COMMANDS) if "/" in n)
         if self._rivals and not self._hears_rivals:

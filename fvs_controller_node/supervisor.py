@@ -137,7 +137,7 @@ class Supervisor:
         self._leaving_s = 0.0
         self._rival = ("", -inf)
         self._held_s = 0.0
-        self._program_running = True
+        self._program_running: bool | None = None  # never told
         self._speed_scaling = 100.0
         self._verdict: Verdict | None = None  # of seen and predicted motion
         self._pending = _STILL  # motion still to come, rad
@@ -456,7 +456,8 @@ class Supervisor:
         }
         for name in (JOINT_STATES, BALL, JACOBIAN):
             values[f"{name}_age_s"] = self._inputs[name].age_s(now_s)
-        values["robot_program_running"] = str(self._program_running).lower()
+        running = {None: "unknown", False: "false", True: "true"}
+        values["robot_program_running"] = running[self._program_running]
         values["speed_scaling_percent"] = self._speed_scaling
         vectors = {
             "target_{}_m": self._target,
@@ -487,10 +488,8 @@ class Supervisor:
         return first or self._no_position() or self._near_singular()
 
     def _paused(self) -> list[Finding]:
-        paused = [] if self._program_running else [Reason.PROGRAM_STOPPED.because()]
-        return (
-            paused if self._speed_scaling > 0.0 else [*paused, Reason.SPEED_SCALING_ZERO.because()]
-        )
+        now = self._program_running is False, self._speed_scaling <= 0.0
+        return [pause.because() for pause, holds in zip(_PAUSES, now, strict=True) if holds]
 
     def _no_position(self) -> Finding | None:
         if self._position is not None:
@@ -668,7 +667,7 @@ class Supervisor:
         worse = finding is not None and finding.reason.stop is Stop.AT_ONCE
         if not self._started and self._ended is not None and not worse:
             finding = self._ended
-            if finding.reason in _PAUSES and self._program_running and self._speed_scaling > 0.0:
+            if finding.reason in _PAUSES and not self._paused():
                 finding = Reason.PAUSE_OVER.because()
         if finding is None:
             finding = Reason.READY.because()

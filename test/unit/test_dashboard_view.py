@@ -116,7 +116,11 @@ def test_lamps_follow_the_controllers_ages_and_else_ones_own():
 
 @pytest.mark.parametrize(
     ("changed", "good"),
-    [({"robot_program_running": "false"}, False), ({"speed_scaling_percent": "0"}, False)],
+    [
+        ({"robot_program_running": "false"}, False),
+        ({"robot_program_running": "unknown"}, None),
+        ({"speed_scaling_percent": "0"}, False),
+    ],
 )
 def test_a_robot_that_does_not_obey_is_seen(changed, good):
     lamps = view.lamps_of(view.ControllerView.of({**STATUS, **changed}, ""), {}, MAX_AGES_S)

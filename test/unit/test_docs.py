@@ -24,6 +24,7 @@ _ELSEWHERE = {
     "the last picture is": "fvs_ros/apps/dashboard/dashboard_node.py",
     "No word from this page's program": "fvs_ros/apps/dashboard/markup.py",
     "is not used: it contradicts the Jacobian": "fvs_controller_node/loop.py",
+    "no robot_program_running yet": "fvs_controller_node/node.py",
     "target refused:": "fvs_controller_node/supervisor.py",
     "the newest ball_position is stamped": "fvs_controller_node/predictor.py",
     "The bag was cut off": "fvs_ros/apps/replay/happened.py",

@@ -606,6 +606,16 @@ def test_a_pause_shorter_than_a_tick_counts(how: str):
     assert at_rest(command)
 
 
+@pytest.mark.parametrize(("percent", "full"), [(99.0, False), (99.5, True), (100.0, True)])
+def test_full_speed_is_a_product_of_doubles_and_needs_no_word_on_the_program(percent, full):
+    cell = servoing()
+    assert cell.supervisor.status_values(cell.now_s)["robot_program_running"] == "unknown"
+    cell.supervisor.speed_scaling(cell.now_s, percent)
+    assert cell.supervisor.full_speed is full
+    cell.supervisor.program_running(False)
+    assert not cell.supervisor.full_speed
+
+
 @pytest.mark.parametrize("how", ["program", "scaling"])
 def test_a_robot_paused_before_the_start_is_not_ready(how: str):
     cell = ready(SupervisorConfig())

@@ -21,6 +21,7 @@ _TITLES = {
     "FAULT": ("Fault", "#D55E00"),
     SILENT: ("No controller", "#6B7280"),
 }
+_YES_NO = {"true": True, "false": False}
 _ON_TARGET = ("On target", "#009E73")
 
 
@@ -48,8 +49,8 @@ class ControllerView:
         Ages of the inputs, s, NaN while unknown.
     active_limit : str
         The limit that holds the command back, or empty.
-    program_running : bool
-        Whether the robot obeys.
+    program_running : bool or None
+        Whether the robot obeys; None while unknown.
     speed_scaling_percent : float
         The robot's speed slider.
     image_latency_s, drive_lag_s : float
@@ -67,7 +68,7 @@ class ControllerView:
     prediction_error_ratio: float = nan
     ages_s: Mapping[str, float] = field(default_factory=dict)
     active_limit: str = ""
-    program_running: bool = False
+    program_running: bool | None = None
     speed_scaling_percent: float = nan
     image_latency_s: float = nan
     drive_lag_s: float = nan
@@ -88,7 +89,7 @@ class ControllerView:
             prediction_error_ratio=number(values, "prediction_error_ratio"),
             ages_s=ages,
             active_limit=values.get("active_limit", ""),
-            program_running=values.get("robot_program_running") == "true",
+            program_running=_YES_NO.get(values.get("robot_program_running", "")),
             speed_scaling_percent=number(values, "speed_scaling_percent"),
             image_latency_s=number(values, "image_latency_s"),
             drive_lag_s=number(values, "drive_lag_s"),
@@ -195,7 +196,7 @@ def lamps_of(
         known = isfinite(limit_s) and not controller.silent
         lamps.append(Lamp(label, age_s <= limit_s if known else None, text))
     running, percent = controller.program_running, controller.speed_scaling_percent
-    if controller.silent:
+    if running is None:
         lamps.append(Lamp("Robot program", None, "unknown"))
     elif not running:
         lamps.append(Lamp("Robot program", False, "stopped"))
