@@ -108,7 +108,8 @@ ros2 security generate_artifacts -k keystore \\
 export ROS_SECURITY_KEYSTORE="$PWD/keystore"
 export ROS_SECURITY_ENABLE=true ROS_SECURITY_STRATEGY=Enforce
 ros2 run fvs_ros fvs_controller_node --ros-args --enclave /fvs_controller_node
-ROS_SECURITY_ENCLAVE_OVERRIDE=/{OPERATOR} ros2 topic echo --no-daemon /fvs_controller_node/status
+ROS_SECURITY_ENCLAVE_OVERRIDE=/{OPERATOR} ros2 topic echo --no-daemon \\
+    --full-length /fvs_controller_node/status
 ```
 
 With `ROS_SECURITY_ENABLE=true`, `fvs_launch` and `ros2 launch` give each node the enclave of its

@@ -76,6 +76,13 @@ def test_experiments_that_commands_name_exist(path):
         assert name in {*EXPERIMENTS, "all", "replay"}, name
 
 
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_a_status_is_shown_at_full_length(path):
+    """``ros2 topic echo`` cuts strings at 128 characters."""
+    commands = re.findall(r"ros2 topic echo (?:.*\\\n)?.*/status", page(path))
+    assert all("--full-length" in command for command in commands)
+
+
 def test_quoted_sentences_are_said():
     text = page(ROOT / "docs" / "troubleshooting.md")
     quotes = re.findall(r'"([^"]+)"', re.sub(r"```.*?```", "", text, flags=re.DOTALL))
