@@ -30,7 +30,14 @@ from fvs_controller_node.config import PARAMETERS, build_loop
 from fvs_controller_node.progress import ProgressLimits
 from fvs_controller_node.reasons import Reason, State, Stop
 from fvs_controller_node.registry import LAWS
-from fvs_controller_node.supervisor import BALL, JACOBIAN, JOINT_STATES, MAX_TICK_S, Command
+from fvs_controller_node.supervisor import (
+    BALL,
+    JACOBIAN,
+    JOINT_STATES,
+    KINEMATIC_CHAIN,
+    MAX_TICK_S,
+    Command,
+)
 from fvs_ros.core.camera import CAMERA_FRAME
 from fvs_ros.core.chain import SerialChain
 from fvs_ros.core.joints import UR_JOINT_NAMES
@@ -322,6 +329,7 @@ class World:
         loop, supervisor = self.node._loop, self.node._loop.supervisor
         tick, add_joints, add_ball = loop.tick, loop.add_joints, loop.add_ball
         jacobian, bad_input = supervisor.jacobian, supervisor.bad_input
+        no_chain = supervisor.no_chain
 
         def on_tick(now_s: float, dt_s: float) -> Command:
             command = tick(now_s, dt_s)
@@ -363,6 +371,8 @@ class World:
 
         loop.tick, loop.add_joints, loop.add_ball = on_tick, on_joints, on_ball
         supervisor.jacobian, supervisor.bad_input = on_jacobian, on_bad
+        # Without any chain none is missed, and the last one's faults are past.
+        supervisor.no_chain = lambda: (self._bad.discard(KINEMATIC_CHAIN), no_chain())
 
     def _promise(self, kept: bool, promise: str, how: Callable[[], str]) -> None:
         if kept:
@@ -484,7 +494,7 @@ class World:
         ball, before = self.ball(), self._judged_ball
         self._judged_ball = ball
         if not np.array_equal(target, self._errand.target) or np.linalg.norm(ball - before) > 0.1:
-            self._errand = Errand(target)
+            self._errand, self._ignored_s = Errand(target), 0.0
         wrong = self._errand.add(ball, dt_s, config.progress)
         self._promise(not wrong, wrong, lambda: f"{ball} to {target}")
 
@@ -738,6 +748,7 @@ class World:
 
     def reconfigure(self, values: list[tuple[str, Any]]) -> None:
         """Set live parameters; a refusal must change nothing."""
+        self._errand, self._ignored_s = Errand(self._errand.target), 0.0
         before = self.node._loop.supervisor.config, dict(self.node.values), self.node._loop.law
         result = self.node._on_set([rclpy.Parameter(name, value=value) for name, value in values])
         if not result.successful:

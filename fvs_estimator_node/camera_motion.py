@@ -11,7 +11,6 @@ from each other as they should be. What was learned of the old pose is then drop
 one is learned from there. How far the ball jumped says how far the camera may have been turned; but
 if it is soon off again, then the camera turns on (somebody carries it), or it was turned about the
 ball, and the jump says nothing: the rotation from before all that is then doubted as much as ever.
-If it is back where it was before, nothing was moved: all that was known then is known again.
 A turn about the ball shows sooner by the steps (:mod:`fvs_estimator_node.turn_watch`).
 """
 
@@ -40,8 +39,6 @@ _SOON = 30
 _STILL_M = 0.002
 #: No depth camera sees further, m.
 _FARTHEST_M = 20.0
-#: How many standard deviations the change of an innovation that is not believed counts at most.
-_MOST_SWING = 8.0
 #: Share of a new squared change of the innovation in the noise.
 _NOISE_SHARE = 0.02
 
@@ -132,7 +129,6 @@ class CameraMotion:
         self._variance = _NOISE_M**2
         #: Positions since the last bump, and the rotation from before the first one of a series.
         self._since_bump, self._before_bump = _SOON, _IDENTITY
-        self._known_before: _Pose | None = None
         self._watch = TurnWatch()
         self._doubts = CameraDoubts()
         self._pairs: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=MOST_STEPS + 1)
@@ -146,7 +142,6 @@ class CameraMotion:
         self._faded_at = _NOWHERE
         self._strangers: list[tuple[np.ndarray, np.ndarray]] = []
         self._innovation: np.ndarray | None = None
-        self._strange: tuple[np.ndarray | None, np.ndarray | None] = None, None
 
     @property
     def rotation(self) -> np.ndarray:
@@ -191,13 +186,10 @@ class CameraMotion:
         believed = distance_m <= self._disbelief_m()
         if believed:
             self._strangers.clear()
-            self._strange = None, None
             if self._innovation is not None:
                 self._hear_noise(innovation - self._innovation)
             self._innovation = innovation
             self._learn(model_m, seen_m)
-        else:
-            self._hear_stranger(innovation)
         bumped = not believed and self._wonder(model_m, seen_m, distance_m)
         turned = self._watch_steps(model_m, seen_m, believed)
         return believed or bumped or turned
@@ -207,15 +199,6 @@ class CameraMotion:
         share = max(_NOISE_SHARE, 1.0 / (self._pose.weight + 10.0))
         self._variance += share * (float(change_m.dot(change_m)) / 6.0 - self._variance)
         self._variance = min(max(self._variance, _LEAST_NOISE_M**2), _MOST_NOISE_M**2)
-
-    def _hear_stranger(self, innovation: np.ndarray) -> None:
-        """Learn the noise where all seems wrong: neither a bump nor who carries it swings so."""
-        before, last = self._strange
-        self._strange = last, innovation
-        if before is not None and last is not None:
-            swing_m = (innovation - 2.0 * last + before) / 3.0**0.5  # as noisy as a change
-            most_m = _MOST_SWING * self.noise_m
-            self._hear_noise(swing_m * min(1.0, most_m / max(length(swing_m), 1e-9)))
 
     def _disbelief_m(self) -> float:
         return self._config.bump_m + 6.0 * self.noise_m
@@ -233,31 +216,14 @@ class CameraMotion:
             return False
         least_rad, most_rad = self._config.rotation_deviation_rad, self._config.bumped_deviation_rad
         if self._since_bump < _SOON:
-            if self._was_here_before():
-                return True
             # What was learned in between was learned of a pose that did not last.
             doubt_rad = most_rad
         else:
-            self._before_bump, self._known_before = self._pose.rotation, self._pose
+            self._before_bump = self._pose.rotation
             # A turn moves the ball by angle times distance, less where it is about the ball.
             turned_rad = _TURN_SHARE * distance_m / max(length(seen_m), 1e-3)
             doubt_rad = min(max(turned_rad, least_rad), most_rad)
         self._begin_anew(self._strangers, self._before_bump, doubt_rad)
-        return True
-
-    def _was_here_before(self) -> bool:
-        """Take the pose from before the last bump again if it was none: images of another thing."""
-        known, self._known_before = self._known_before, None
-        if known is None or not all(
-            length(known.off_m(*pair)) < self._disbelief_m() for pair in self._strangers
-        ):
-            return False
-        self._doubts.bump()
-        self._pose = known
-        self._since_bump, self._innovation = _SOON, None
-        self._strangers.clear()
-        self._watch.clear()
-        self._pairs.clear()
         return True
 
     def _watch_steps(self, model_m: np.ndarray, seen_m: np.ndarray, believed: bool) -> bool:
@@ -278,7 +244,7 @@ class CameraMotion:
             return False
         pairs = list(self._pairs)[-len(steps) - 1 :]
         self._begin_anew(pairs, rotation, self._config.bumped_deviation_rad)
-        self._before_bump, self._known_before = self._pose.rotation, None
+        self._before_bump = self._pose.rotation
         return True
 
     def _begin_anew(
