@@ -46,7 +46,6 @@ class EstimationLoop:
         #: The same as if no camera had ever been turned, and how it was at the last samples.
         self._way_m = np.zeros(3)
         self._rotations: deque[np.ndarray] = deque(maxlen=_LAST)
-        self._waiting: list[BallSample] = []  # for the tracker to believe them
         self._steps = 0
         self._stamps = StampWatch()
         self._late_s = 0.0
@@ -132,7 +131,6 @@ class EstimationLoop:
             self._tracker.restart()
             self._stamps = StampWatch()
             self._rotations.clear()
-            self._waiting.clear()
         else:
             d_joints = sample.joints_rad - last.joints_rad
             jacobian = self.estimator.jacobian(last.joints_rad + 0.5 * d_joints)
@@ -144,15 +142,11 @@ class EstimationLoop:
             self._last = None  # no prediction to judge by
             return [sample]
         self._moved_m = moved_m
-        self._waiting.append(sample)
-        images = self._tracker.add(Image(sample.stamp_s, sample.ball_m, moved_m))
-        believed = self._waiting[len(self._waiting) - len(images) :]
-        if images:
-            self._waiting = []
+        images = self._tracker.add(Image(sample.stamp_s, sample.ball_m, moved_m, sample))
         if self._rotations:
             turns = _IDENTITY, self._rotations[0], self._rotations[-1]
             late_s = self._stamps.add(sample.stamp_s, sample.ball_m, self._way_m, turns)
             if late_s:
                 self._put_right(late_s)
                 return []
-        return believed
+        return [image.source for image in images]

@@ -87,8 +87,9 @@ class Agreement:
             self.restart()
         self._newest_s = stamp_s
         if not self._cells or length(moved_m - self._cells[-1].anchor_m) > _CELL_M:
-            self._cells.append(_Cell(stamp_s, moved_m, 0, np.zeros_like(moved_m), 0.0 * seen_m))
-        self._cells[-1].add(moved_m, seen_m)
+            self._cells.append(_Cell(stamp_s, moved_m, 1, moved_m, seen_m))
+        else:
+            self._cells[-1].add(1, moved_m, seen_m)
         if len(self._cells) > _CELLS:
             self._merge()
         verdict = self._judge(0, noise_m)
@@ -100,7 +101,9 @@ class Agreement:
     def _merge(self) -> None:
         means = np.array([cell.moved_sum_m / cell.images for cell in self._cells])
         first = int(np.linalg.norm(np.diff(means, axis=0), axis=1).argmin())
-        self._cells[first].merge(self._cells.pop(first + 1))
+        later = self._cells.pop(first + 1)
+        self._cells[first].add(later.images, later.moved_sum_m, later.seen_sum_m)
+        self._cells[first].anchor_m = later.anchor_m
 
     def _judge(self, first: int, noise_m: float) -> Verdict | None:
         """The verdict of the cells from one on; None where they do not suffice for one."""
@@ -137,13 +140,7 @@ class _Cell:
     moved_sum_m: np.ndarray
     seen_sum_m: np.ndarray
 
-    def add(self, moved_m: np.ndarray, seen_m: np.ndarray) -> None:
-        self.images += 1
-        self.moved_sum_m = self.moved_sum_m + moved_m
-        self.seen_sum_m = self.seen_sum_m + seen_m
-
-    def merge(self, later: _Cell) -> None:
-        self.images += later.images
-        self.moved_sum_m = self.moved_sum_m + later.moved_sum_m
-        self.seen_sum_m = self.seen_sum_m + later.seen_sum_m
-        self.anchor_m = later.anchor_m
+    def add(self, images: int, moved_sum_m: np.ndarray, seen_sum_m: np.ndarray) -> None:
+        self.images += images
+        self.moved_sum_m = self.moved_sum_m + moved_sum_m
+        self.seen_sum_m = self.seen_sum_m + seen_sum_m

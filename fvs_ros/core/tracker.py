@@ -7,7 +7,7 @@ follows the arm (:mod:`fvs_ros.core.agreement`).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,11 +29,14 @@ class Image(NamedTuple):
         The feature as seen, m.
     moved_m : ndarray, shape (3,)
         What the joints have moved it by then, ``sum J dr``, from any origin, m.
+    source : object
+        What the caller wants back with it.
     """
 
     stamp_s: float
     seen_m: np.ndarray
     moved_m: np.ndarray
+    source: Any = None
 
 
 class Tracker:
@@ -98,5 +101,5 @@ class Tracker:
 
     def _sum_up(self, images: list[Image]) -> list[Image]:
         for image in images:
-            self.agreement.add(*image, self.fusion.noise_m)
+            self.agreement.add(image.stamp_s, image.seen_m, image.moved_m, self.fusion.noise_m)
         return images
