@@ -39,7 +39,6 @@ def served():
         "127.0.0.1",
         0,
         Actions(),
-        history_s=20.0,
         ball_radius_m=0.04,
         image=True,
         tour=True,
@@ -128,9 +127,7 @@ def test_where_nothing_answers_nobody_is_turned_away(page):
 def test_a_taken_port_says_how_to_choose_another(page):
     port = int(page.address.rpartition(":")[2])
     with pytest.raises(ValueError, match=rf"is taken; .*-p port:={port + 1}"):
-        Page(
-            "127.0.0.1", port, Actions(), history_s=1.0, ball_radius_m=0.04, image=False, tour=False
-        )
+        Page("127.0.0.1", port, Actions(), ball_radius_m=0.04, image=False, tour=False)
 
 
 def test_the_versions_of_viser_are_the_same_everywhere():
@@ -163,23 +160,23 @@ def test_what_is_small_most_of_the_time_has_a_logarithmic_scale(client):
 
 
 def test_a_picture_that_came_between_two_turns_gets_into_the_frustum(page):
-    board = Board(history_s=20.0, trail_s=6.0, ball_radius_m=0.04)
+    board = Board(ball_radius_m=0.04)
     board.tell_camera(Pose(np.eye(3), np.zeros(3)))
     board.add_image(0.0, 10.0, np.full((240, 320, 3), 77, np.uint8))
     for now_s in (0.0, 0.1, 0.2):
-        page.update(board.snapshot(now_s, tour=False))
+        page.update(board, now_s)
     assert (page._scene._frustum.image == 77).all()
 
 
 def test_the_rod_ends_at_the_ball(page):
     joints = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
-    board = Board(history_s=20.0, trail_s=6.0, ball_radius_m=0.04)
+    board = Board(ball_radius_m=0.04)
     board.tell_camera(Pose(np.eye(3), np.zeros(3)))
     page.set_arm(Arm(urdf_text(), UR_JOINT_NAMES, ""))
     for now_s, ball_m in ((0.0, [0.3, 0.1, 0.9]), (0.1, [0.3, 0.1, 1.0])):
         board.add_joints(now_s, 10.0 + now_s, joints, np.zeros(6))
         board.add_ball(now_s, 10.0 + now_s, np.array(ball_m))
-        page.update(board.snapshot(now_s, tour=False))
+        page.update(board, now_s)
         flange = page._scene._arm.flange(joints)
         end_m = flange[:3, :3] @ page._scene._rod.points[0, 1] + flange[:3, 3]
         np.testing.assert_allclose(end_m, ball_m, atol=1e-6)
