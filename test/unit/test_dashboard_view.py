@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fvs_controller_node.config import build_loop, default_values
-from fvs_controller_node.reasons import State
+from fvs_controller_node.reasons import Reason, State
 from fvs_ros.apps.dashboard import markup
 from fvs_ros.apps.dashboard.actions import (
     CONTROLLER,
@@ -91,6 +91,11 @@ def test_the_banner_says_each_thing_once_and_in_the_pages_words(reason, text, se
     assert shown.sentence.startswith(sentence)
     assert bool(shown.sentence) == bool(sentence)
     assert shown.hint == hint
+
+
+def test_no_reason_asks_for_a_service_that_the_page_has_a_button_for():
+    for reason in Reason:
+        assert "~/" not in markup.in_words(reason.text), reason
 
 
 @pytest.mark.parametrize("others", ["", "; x publishes as well"])

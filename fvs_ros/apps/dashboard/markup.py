@@ -54,6 +54,10 @@ _BUTTONS = {
     "call its ~/stop": "press Stop",
     "call ~/stop": "press Stop",
     "call ~/start": "press Start",
+    "then ~/start": "then Start",
+    "call the estimator's ~/reset": "press Reset everything",
+    "the estimator's ~/reset": "Reset everything",
+    "call ~/reset": "press Reset everything",
 }
 #: What fits one place keeps its height, whatever it says; all of it is told to who points there.
 _CLIPPED = "overflow:hidden;display:-webkit-box;-webkit-box-orient:vertical;-webkit-line-clamp:"

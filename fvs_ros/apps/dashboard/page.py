@@ -24,9 +24,8 @@ from fvs_ros.apps.dashboard.scene import LEGEND, Scene
 if TYPE_CHECKING:
     from fvs_ros.apps.dashboard.arm import Arm
 
-#: The curves are drawn every so many times, for they are long and eyes are slow; and so is the
-#: picture in the frustum, which is small, in between.
-_SELDOM, _CURVES_AT, _FRUSTUM_AT = 3, 0, 1
+#: The left panel is drawn every so many times, for curves are long and eyes are slow.
+_SELDOM = 3
 _STOP_S = 0.8
 _LEFT_PX, _RIGHT_PX = 400, 350
 _LAST_PORT = 65535
@@ -141,11 +140,10 @@ class Page:
     def update(self, board: Board, now_s: float) -> None:
         """Show a moment, steady clock, s, to everybody who is looking."""
         with self._server.atomic():
-            turn = self._shown % _SELDOM
             picture = board.picture(now_s)
             self._panel.update(board, now_s, picture)
-            self._scene.update(board, now_s, picture, with_picture=turn == _FRUSTUM_AT)
-            if turn == _CURVES_AT:
+            self._scene.update(board, now_s, picture)
+            if self._shown % _SELDOM == 0:
                 self._charts.update(board, now_s)
                 lamps, details = markup.lamps_of(board, now_s), markup.details_of(board, now_s)
                 self._inputs.content = markup.inputs_html(lamps, details)

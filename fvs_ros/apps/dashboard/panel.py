@@ -24,7 +24,7 @@ from fvs_ros.apps.dashboard.actions import (
     Action,
     point_of,
 )
-from fvs_ros.apps.dashboard.board import Board
+from fvs_ros.apps.dashboard.board import Board, Controller
 
 #: What somebody sets is left alone for so long, s; numbers that wait for their button, longer.
 _SET_S, _TYPED_S = 4.0, 60.0
@@ -69,7 +69,7 @@ class Panel:
         self._alive = gui.add_html("")
         self._beat_s, self._beats = -inf, 0
         self._banner = gui.add_html("")
-        self._shown: markup.Banner | None = None
+        self._shown = markup.banner_of(Controller({}, ""))
         self._state_s = self._sentence_s = -inf  # when they changed
         self._answer = gui.add_html("")
         self._add_target(tour)
@@ -188,12 +188,13 @@ class Panel:
                 handle.value = value
 
     def _show_banner(self, banner: markup.Banner, error_m: float, now_s: float) -> None:
-        changes_state = self._shown is None or banner.state != self._shown.state
-        if now_s - (self._state_s if changes_state else self._sentence_s) > _STEADY_S:
-            if changes_state:
-                self._state_s = now_s
+        """Show title and distance as they are; state and sentence stay for a while."""
+        same = banner.state == self._shown.state
+        if now_s - (self._sentence_s if same else self._state_s) > _STEADY_S:
+            self._state_s = self._state_s if same else now_s
             self._shown, self._sentence_s = banner, now_s
-        assert self._shown is not None
+        elif same:
+            self._shown = self._shown._replace(title=banner.title)
         self._banner.content = markup.banner_html(self._shown, error_m)
 
     def _hold(self, name: str, seconds: float = _SET_S) -> None:

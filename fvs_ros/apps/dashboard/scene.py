@@ -89,7 +89,6 @@ class Scene:
         )
         self._add_table()
         self._frustum: viser.CameraFrustumHandle | None = None
-        self._picture: np.ndarray | None = None  # not in the frustum yet
         self._trail = scene.add_line_segments(
             "/base/camera/trail",
             np.zeros((_PIECES, 2, 3)),
@@ -181,12 +180,8 @@ class Scene:
             )
         self._base.wxyz, self._base.position = _placed(arm.base[:3, :3], arm.base[:3, 3])
 
-    def update(
-        self, board: Board, now_s: float, picture: np.ndarray | None, *, with_picture: bool
-    ) -> None:
-        """Show a moment; the newest picture gets into the frustum only if told so."""
-        if picture is not None:
-            self._picture = picture
+    def update(self, board: Board, now_s: float, picture: np.ndarray | None) -> None:
+        """Show a moment, and a new picture if there is one."""
         joints, placement = board.joints_rad, board.placement
         if self._robot is not None and self._arm is not None and joints is not None:
             self._robot.update_cfg(self._arm.configuration(joints))
@@ -195,14 +190,16 @@ class Scene:
             self._floor.position = (0.0, 0.0, self._under_table_m if placement.told else 0.0)
         camera = placement.pose
         self._camera.visible = camera is not None
-        self._rod.visible = False
         if camera is None:
+            self._rod.visible = False
             return
         self._camera.wxyz, self._camera.position = _placed(camera.rotation, camera.position_m)
-        self._show_frustum(board.field_of_view, with_picture)
+        self._show_frustum(board.field_of_view, picture)
         controller, ball_m = board.controller(now_s), board.ball_m(now_s)
         _put(self._ball, ball_m)
-        if self._arm is not None and joints is not None and ball_m is not None:
+        if self._arm is None or joints is None or ball_m is None:
+            self._rod.visible = False
+        else:
             self._show_rod(self._arm.flange(joints), camera.rotation @ ball_m + camera.position_m)
         _put(self._predicted, controller.position_m)
         if time.monotonic() - self._held_s > _DROPPED_S:
@@ -220,7 +217,7 @@ class Scene:
             self._rod.points = np.array([[np.zeros(3), rod_m]])
         self._rod.visible = True
 
-    def _show_frustum(self, field_of_view: tuple[float, float], with_picture: bool) -> None:
+    def _show_frustum(self, field_of_view: tuple[float, float], picture: np.ndarray | None) -> None:
         fov, aspect = field_of_view
         if self._frustum is None:
             self._frustum = self._server.scene.add_camera_frustum(
@@ -235,8 +232,8 @@ class Scene:
                 receive_shadow=False,
             )
         self._frustum.fov, self._frustum.aspect = fov, aspect
-        if with_picture and self._picture is not None:
-            self._frustum.image, self._picture = self._picture, None
+        if picture is not None:
+            self._frustum.image = picture
 
 
 def _placed(rotation: np.ndarray, position_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
