@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from fvs_ros.apps.dashboard import picture
+from fvs_ros.apps.dashboard.actions import CONTROLLER
 from fvs_ros.apps.dashboard.placement import CameraPlacement, Pose
 from fvs_ros.core.camera import Intrinsics
 from fvs_ros.core.history import JointHistory
@@ -247,9 +248,14 @@ class Board:
         """Time since something was heard, s; infinite if it never was."""
         return now_s - self._heard_s.get(name, -inf)
 
-    def parameter(self, node: str, name: str, unknown: Any = nan) -> Any:
-        """A node's parameter; ``unknown`` while it is not known."""
-        return self.parameters.get(node, {}).get(name, unknown)
+    def parameter(self, node: str, name: str) -> Any:
+        """A node's parameter; None while it is not known."""
+        return self.parameters.get(node, {}).get(name)
+
+    def limit(self, name: str) -> float:
+        """A limit of the controller; NaN while it is not known."""
+        value = self.parameter(CONTROLLER, name)
+        return value if isinstance(value, float) else nan
 
     @property
     def joints_rad(self) -> np.ndarray | None:

@@ -9,7 +9,6 @@ import viser
 from viser import uplot
 
 from fvs_ros.apps.dashboard import markup
-from fvs_ros.apps.dashboard.actions import CONTROLLER
 from fvs_ros.apps.dashboard.board import HISTORY_S, Board
 
 #: Three of them and the inputs fit a window of 768 pixels.
@@ -90,7 +89,7 @@ class Charts:
     def update(self, board: Board, now_s: float) -> None:
         """Draw the newest curves."""
         self._nudge_s = _NUDGE_S - self._nudge_s
-        limit_rad_s = board.parameter(CONTROLLER, "max_joint_velocity_rad_s")
+        limit_rad_s = board.limit("max_joint_velocity_rad_s")
         if isfinite(limit_rad_s) and limit_rad_s != self._limit_rad_s:
             self._limit_rad_s = limit_rad_s  # the chart is made anew: not oftener than need be
             scale = {"range": (0.0, 1.2 * limit_rad_s)}

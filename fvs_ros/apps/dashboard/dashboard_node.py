@@ -52,8 +52,9 @@ _BEHIND = "this page gets too little of the processor: it is behind"
 _LOOK_PERIOD_S = 1.0
 #: So long after a reset the ball is seen where it has come to rest, s.
 _AT_REST_S = 1.0
-#: A bump turns the camera by up to so much about x, y (or the ball is out of view) and z, degrees.
-_BUMP_DEG = (4.0, 4.0, 25.0)
+#: A bump turns the camera by this much about x, y and z, degrees: about x and y by little, or the
+#: ball is out of view.
+_LEAST_BUMP_DEG, _LARGEST_BUMP_DEG = (1.0, 1.0, 15.0), (4.0, 4.0, 25.0)
 _ROTATION = "camera_rotation_deg"
 _NO_TOUR = Action("tour", False)
 _ASKED = {
@@ -248,7 +249,8 @@ class DashboardNode(ros.FvsNode):
         elif action == RESET:
             self._reset()
         elif action == BUMP:
-            turns_deg = self._rng.uniform(-1.0, 1.0, 3) * _BUMP_DEG
+            turns_deg = self._rng.uniform(_LEAST_BUMP_DEG, _LARGEST_BUMP_DEG)
+            turns_deg *= self._rng.choice((-1.0, 1.0), 3)
             turns_deg += self._begun.get(_ROTATION, np.zeros(3))
             self._calls.set(f"{SIMULATOR}/{_ROTATION}", tuple(turns_deg.tolist()))
         elif action.sets_parameter:

@@ -194,7 +194,7 @@ def lamps_of(board: Board, now_s: float) -> list[Lamp]:
             text = f"{1e3 * age_s:.0f} ms ago" if age_s < 1.0 else f"{age_s:.0f} s ago"
         else:
             text = "unknown" if controller.silent else "never"
-        limit_s = board.parameter(CONTROLLER, limit)
+        limit_s = board.limit(limit)
         known = isfinite(limit_s) and not controller.silent
         lamps.append(Lamp(label, age_s <= limit_s if known else None, text))
     percent = controller.number("speed_scaling_percent")

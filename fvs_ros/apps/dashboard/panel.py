@@ -183,8 +183,8 @@ class Panel:
         self._simulator.visible = self._bump.visible = self._beside.visible = simulated
         for name, handle in self._settings.items():
             node, _, parameter = name.partition("/")
-            value = board.parameter(node, parameter, unknown=None)
-            if value is not None and self._free(name):
+            value = board.parameter(node, parameter)
+            if isinstance(value, type(handle.value)) and self._free(name):
                 handle.value = value
 
     def _show_banner(self, banner: markup.Banner, error_m: float, now_s: float) -> None:
