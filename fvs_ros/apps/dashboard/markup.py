@@ -237,7 +237,7 @@ def inputs_html(lamps: Iterable[Lamp], details: dict[str, str]) -> str:
             f"{escape(lamp.text)}</span></span></div>"
         )
     for name, text in details.items():
-        wide = "grid-column:1 / -1;" if name == "Detector" else ""
+        wide = "" if name.endswith(("latency", "lag")) else "grid-column:1 / -1;"
         cells.append(
             f'<div style="{wide}min-width:0;font-variant-numeric:tabular-nums">'
             f'<span style="opacity:0.65">{escape(name)}</span> {escape(text)}</div>'
