@@ -25,7 +25,13 @@ _DEFAULT = SupervisorConfig()
 _PROGRESS = ProgressLimits()
 
 _NODE = (
-    Parameter("law", "ftsm", "Control law.", choices=tuple(LAWS)),
+    Parameter(
+        "law",
+        "ftsm",
+        "Control law; changes only while the arm is stopped.",
+        choices=tuple(LAWS),
+        live=True,
+    ),
     Parameter(
         "autostart",
         False,

@@ -204,7 +204,9 @@ class ControllerNode(ros.FvsNode):
         return on_request
 
     def on_parameters(self, values: dict[str, Any], changed: set[str]) -> None:
-        """Take changed gains and limits into use."""
+        """Take changed gains and limits into use; another law only while the arm is stopped."""
+        if values["law"] != self.values["law"] and self._loop.supervisor.started:
+            raise ValueError("the law changes only while the arm is stopped; call ~/stop first")
         reconfigure(self._loop, values)
 
     # --- the tick: the only place that sends commands ---
@@ -267,7 +269,12 @@ class ControllerNode(ros.FvsNode):
             max(_LEVELS[command.state], ros.WARN if self._rivals else ros.OK),
             command.state.value,
             text,
-            {**values, "late_ticks": self._late, "other_commanders": self._rivals},
+            {
+                **values,
+                "late_ticks": self._late,
+                "other_commanders": self._rivals,
+                "refused_target": self._refusal,
+            },
         )
 
     def _look_around(self) -> None:

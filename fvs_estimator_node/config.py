@@ -17,7 +17,13 @@ MAX_LATENCY = Parameter(
 )
 
 PARAMETERS = (
-    Parameter("method", "rbf", "how the Jacobian is estimated", choices=tuple(ESTIMATORS)),
+    Parameter(
+        "method",
+        "rbf",
+        "how the Jacobian is estimated; changes only while the controller does not servo",
+        choices=tuple(ESTIMATORS),
+        live=True,
+    ),
     Parameter(
         "model_path",
         "models/ur5_front.npz",

@@ -8,6 +8,7 @@ stop.listen()
 
 import sys
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PointStamped, Vector3Stamped
@@ -43,13 +44,7 @@ class EstimatorNode(ros.FvsNode):
         v = self.values
         self._frame = v["feature_frame"]
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
-        self._estimator = self._make_estimator()
-        self._pairing = StepPairing(
-            v["min_step_rad"],
-            v["max_step_s"],
-            matcher=ExposureMatcher(v["max_gap_s"], max_latency_s=v["max_latency_s"]),
-        )
-        self._loop = EstimationLoop(self._estimator, self._pairing)
+        self._hears_truth = False
         self._frozen = False
         self._program_running, self._speed_scaling = True, 100.0
         self._joints_s = -np.inf
@@ -64,20 +59,40 @@ class EstimatorNode(ros.FvsNode):
         self.watch(JointState, ros.JOINT_STATES, self._on_joint_states, ros.QOS_NEWEST)
         self.watch(PointStamped, ros.BALL_POSITION, self._on_ball, ros.QOS_NEWEST)
         self.watch(Vector3Stamped, ros.SLIDING_VARIABLE, self._on_sliding, ros.QOS_NEWEST)
-        if isinstance(self._estimator, OracleEstimator):
-            self.watch(Float64MultiArray, ros.TRUE_JACOBIAN, self._on_truth, ros.QOS_NEWEST)
         self.watch(Float64, ros.SPEED_SCALING, self._on_speed_scaling, ros.QOS_NEWEST)
         for qos in (ros.QOS_LATCHED, ros.QOS_NEWEST):  # latched or not
             self.watch(Bool, ros.ROBOT_PROGRAM_RUNNING, self._on_program_running, qos)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/freeze", self._on_freeze)
+        self._use(v)
         self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
+        self.create_timer(_CHAIN_PERIOD_S, self._publish_chain, clock=self.steady_clock)
 
-        if self._estimator.chain is not None:
-            self.create_timer(_CHAIN_PERIOD_S, self._publish_chain, clock=self.steady_clock)
+    def _use(self, v: dict[str, Any]) -> None:
+        """Estimate by the method that the values name, from nothing but the model."""
+        self._estimator = self._make_estimator(v)
+        self._pairing = StepPairing(
+            v["min_step_rad"],
+            v["max_step_s"],
+            matcher=ExposureMatcher(v["max_gap_s"], max_latency_s=v["max_latency_s"]),
+        )
+        self._loop = EstimationLoop(self._estimator, self._pairing)
+        if isinstance(self._estimator, OracleEstimator) and not self._hears_truth:
+            self._hears_truth = True
+            self.watch(Float64MultiArray, ros.TRUE_JACOBIAN, self._on_truth, ros.QOS_NEWEST)
 
-    def _make_estimator(self) -> Estimator:
-        v = self.values
+    def on_parameters(self, values: dict[str, Any], changed: set[str]) -> None:
+        """Take another method into use, but not one that would take over a moving arm."""
+        if values["method"] == self.values["method"]:
+            return
+        # The controller tells the sliding variable at every tick that servoes, and at no other.
+        if self.monitor(ros.SLIDING_VARIABLE).age_s(self.now_s()) < _FRESH_S:
+            raise ValueError(
+                "the method changes only while the controller does not servo; call its ~/stop first"
+            )
+        self._use(values)
+
+    def _make_estimator(self, v: dict[str, Any]) -> Estimator:
         if not estimator_factory(v["method"]).needs_model(v):
             return create_estimator(v["method"], None, v)
         try:
@@ -120,7 +135,8 @@ class EstimatorNode(ros.FvsNode):
         self._pairing.add_sliding_variable(ros.from_stamp(message.header.stamp), vector)
 
     def _on_truth(self, message: Float64MultiArray) -> None:
-        assert isinstance(self._estimator, OracleEstimator)
+        if not isinstance(self._estimator, OracleEstimator):
+            return  # no longer
         try:
             self._estimator.tell(ros.from_jacobian(message))
         except ros.MessageError as error:

@@ -416,7 +416,7 @@ INTERFACES: dict[str, Interface] = {
     ),
     "fvs_dashboard": Interface(
         "Serves a page for a browser: shows the arm, the camera's picture and how well it goes, "
-        "and hands on targets, start and stop.",
+        "and hands on targets, start, stop, and which estimator and law shall run.",
         publishes=(End(TARGET_POSITION, _LATCHED), *_ALWAYS),
         subscribes=(
             End(JOINT_STATES, _NEWEST),
@@ -439,6 +439,10 @@ INTERFACES: dict[str, Interface] = {
             "fvs_controller_node/stop",
             "fvs_controller_node/set_current_as_target",
             "fvs_controller_node/get_parameters",
+            "fvs_controller_node/set_parameters",
+            "fvs_estimator_node/get_parameters",
+            "fvs_estimator_node/set_parameters",
+            "fvs_estimator_node/reset",
             "fvs_sim_node/get_parameters",
             "fvs_sim_node/set_parameters",
             "fvs_sim_node/reset",

@@ -78,7 +78,7 @@ def loop(ros_module, ros_beside, pages):
 
 
 def states(page):
-    found = re.search(r'id="fvs-state">(\w+)<', page.text())
+    found = re.search(r'data-state="(\w+)"', page.text())
     return found.group(1) if found else ""
 
 
@@ -183,13 +183,36 @@ def test_a_dragged_target_is_followed_and_dropped(loop):
 def test_what_the_controller_refuses_stands_on_the_page(loop):
     harness, _, _, _, page = loop
     set_target(harness, page, (0.0, 0.0, 9.0))
-    harness.spin_until(lambda: "target refused" in page.text(), 10.0, "the refusal", page.text)
+
+    def stands(name, words):
+        return re.search(f'id="fvs-{name}"[^>]*>[^<]*{words}', page.text()) is not None
+
+    harness.spin_until(lambda: stands("refusal", "refused: z"), 10.0, "the refusal", page.text)
+    assert not stands("sentence", "refused")  # is said once, near the target
     page.press("Start")
+    harness.spin_until(lambda: stands("answer", "start: "), 10.0, "an answer", page.text)
+
+
+def test_another_law_is_chosen_once_the_arm_is_stopped(loop):
+    harness, _, _, _, page = loop
+    start(harness, page)
+    harness.spin_until(lambda: page.value("Law") == "ftsm", what="the law that runs")
+    page.set("Law", "proportional")
+    words = "the law changes only while the arm is stopped; press Stop first"
+    harness.spin_until(lambda: words in page.text(), 10.0, "the refusal", page.text)
+    harness.spin_until(lambda: page.value("Law") == "ftsm", what="the law that still runs")
+    page.press("Stop")
+    wait_for_state(harness, page, "READY")
+    page.set("Law", "proportional")
+    wanted = GetParameters.Request(names=["law"])
+
+    def law():
+        answer = harness.call(GetParameters, "fvs_controller_node/get_parameters", wanted)
+        return answer.values[0].string_value
+
+    harness.spin_until(lambda: law() == "proportional", what="the other law")
     harness.spin_until(
-        lambda: re.search('id="fvs-answer"[^>]*>start: ', page.text()) is not None,
-        10.0,
-        "the answer to a start",
-        page.text,
+        lambda: "Scheme: proportional" in page.labels(), what="its name", story=page.labels
     )
 
 
@@ -378,33 +401,35 @@ def test_the_tour_goes_on_until_a_person_takes_over(ros_test, pages):
     assert len(targets) == count
 
 
-def test_the_simulator_is_disturbed_from_the_page_and_its_refusal_is_read(ros_test, pages):
+def test_the_simulator_is_disturbed_and_reset_from_the_page(ros_test, pages):
     simulator = ros_test.start_node("fvs_sim_node.node")
     process = ros_test.start_node(DASHBOARD, port=0, image=False)
     page = pages(address_of(ros_test, process))
-    folder = "Simulator: disturb it, turn its camera"
-    ros_test.spin_until(
-        lambda: page.elements[page.find(folder)].get("visible") is True, 20.0, "the simulator"
-    )
+
+    def visible(label):
+        return page.elements[page.find(label)].get("visible") is True
+
+    ros_test.spin_until(lambda: visible("Bump the camera"), 20.0, "the simulator")
     ros_test.spin_until(lambda: "/base/camera" in page.nodes, what="the camera")
-    page.set("Turn y (°)", 20.0)
+    page.press("Bump the camera")
     page.set("Depth noise (×)", 2.5)
 
     wanted = GetParameters.Request(names=["depth_noise", "camera_rotation_deg"])
 
     def told():
         noise, turns = ros_test.call(GetParameters, "fvs_sim_node/get_parameters", wanted).values
-        return noise.double_value, list(turns.double_array_value)
+        return noise.double_value, any(turns.double_array_value)
 
-    ros_test.spin_until(lambda: told() == (2.5, [0.0, 20.0, 0.0]), what="the disturbances")
+    ros_test.spin_until(lambda: told() == (2.5, True), what="the disturbances")
     page.set("Depth noise (×)", 50.0)
     ros_test.spin_until(
-        lambda: "the simulator refuses: parameter depth_noise must be" in page.text(),
-        what="the refusal",
+        lambda: "refused: parameter depth_noise must be" in page.text(), what="the refusal"
     )
+    page.press("Reset everything")
+    ros_test.spin_until(lambda: told() == (1.0, False), what="the simulator as it began")
     simulator.send_signal(signal.SIGSTOP)
     try:
-        page.press("Put the arm back")
+        page.press("Reset everything")
         ros_test.spin_until(lambda: "fvs_sim_node/reset does not answer" in page.text(), what="it")
     finally:
         simulator.send_signal(signal.SIGCONT)
@@ -436,5 +461,7 @@ def test_a_tour_that_loses_the_ball_puts_the_simulated_arm_back_and_goes_on(ros_
     page.press("Stop")
     wait_for_state(ros_test, page, "READY")
     ros_test.spin_until(lambda: not page.value("Tour"), what="the end of the tour")
-    page.press("Put the arm back")
+    page.press("Reset everything")
     ros_test.spin_until(lambda: away_rad() < 1e-3, 5.0, "the arm where it began", page.text)
+    ros_test.spin_until(lambda: "everything reset; target set to" in page.text(), 10.0, "the end")
+    wait_for_state(ros_test, page, "READY")

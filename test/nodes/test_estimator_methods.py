@@ -1,9 +1,14 @@
 """Each way of estimating, in its node over DDS."""
 
+from itertools import cycle
+
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import Vector3Stamped
 from harness import PlayedRobot
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
@@ -99,3 +104,41 @@ def test_a_missing_model_is_one_clear_sentence(ros_test):
     assert ros_test.wait(process) == 2
     assert "model_path" in ros_test.output(process)
     assert "Traceback" not in ros_test.output(process)
+
+
+def test_another_method_is_chosen_while_the_controller_rests_and_at_no_other_time(ros_test):
+    robot = PlayedRobot(ros_test)
+    robot.silent.add(ros.JACOBIAN)
+    estimator = Watched(ros_test, method="rbf")
+    ros_test.spin_until(lambda: estimator.values().get("state") == "LEARNING")
+    sliding = ros_test.publisher(Vector3Stamped, ros.SLIDING_VARIABLE)
+    servoes = ros_test.node.create_timer(0.02, lambda: sliding.publish(Vector3Stamped()))
+
+    def choose(method):
+        values = [Parameter("method", value=method).to_parameter_msg()]
+        service = "fvs_estimator_node/set_parameters"
+        return ros_test.call(
+            SetParameters, service, SetParameters.Request(parameters=values)
+        ).results[0]
+
+    others = cycle(("lkf", "rls"))  # the first may be chosen before the controller is heard
+
+    def is_refused():
+        answer = choose(next(others))
+        return not answer.successful and "call its ~/stop first" in answer.reason
+
+    ros_test.spin_until(is_refused, what="a refusal in motion")
+    servoes.cancel()
+    ros_test.spin_until(lambda: choose("poe").successful, what="poe")
+    chains = ros_test.collect(Float64MultiArray, ros.KINEMATIC_CHAIN)
+    ros_test.spin_until(lambda: chains and estimator.values()["method"] == "poe")
+    assert choose("oracle").successful
+    truth = ros_test.publisher(Float64MultiArray, ros.TRUE_JACOBIAN)
+    count = len(estimator.jacobians)
+
+    def tells_the_truth():
+        truth.publish(ros.to_jacobian(robot.jacobian))
+        new = estimator.jacobians[count:]
+        return new and np.array_equal(ros.from_jacobian(new[-1]), robot.jacobian)
+
+    ros_test.spin_until(tells_the_truth, what="the true Jacobian")

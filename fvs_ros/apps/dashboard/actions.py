@@ -6,55 +6,35 @@ import queue
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite, nan
+from typing import Any
 
-import numpy as np
-
-
-@dataclass(frozen=True)
-class Call:
-    """A button that calls a service of the controller: start, stop, set_current_as_target."""
-
-    service: str
+CONTROLLER, ESTIMATOR, SIMULATOR = "fvs_controller_node", "fvs_estimator_node", "fvs_sim_node"
 
 
 @dataclass(frozen=True)
-class Target:
-    """A wanted ball position, camera frame, m, (3,)."""
+class Action:
+    """One press, one choice or one drag.
 
-    position_m: tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class Tour:
-    """The tour is switched on or off."""
-
-    on: bool
-
-
-@dataclass(frozen=True)
-class Disturb:
-    """A parameter of the simulator and its wanted value."""
+    Parameters
+    ----------
+    name : str
+        What to do: a service of the controller, ``target``, ``tour``, ``reset``, ``bump``; or a
+        node and its parameter with a slash between them, to set that.
+    value : bool, float, str or tuple of float, optional
+        The target (camera frame, m), whether the tour goes on, or the parameter's value.
+    """
 
     name: str
-    value: float | tuple[float, ...]
+    value: Any = None
+
+    @property
+    def sets_parameter(self) -> bool:
+        """Whether it sets a parameter."""
+        return "/" in self.name
 
 
-@dataclass(frozen=True)
-class PutBack:
-    """The simulated arm is put back where it began."""
-
-
-@dataclass(frozen=True)
-class Remark:
-    """Words for the person, of what was not understood."""
-
-    text: str
-
-
-Action = Call | Target | Tour | Disturb | PutBack | Remark
-
-START, STOP = Call("start"), Call("stop")
-SET_CURRENT = Call("set_current_as_target")
+START, STOP, SET_CURRENT = Action("start"), Action("stop"), Action("set_current_as_target")
+RESET, BUMP = Action("reset"), Action("bump")
 
 
 class Actions:
@@ -76,30 +56,20 @@ class Actions:
         self._wake()
 
     def drain(self) -> list[Action]:
-        """All that was said since the last call, in order, of slid values only the last.
+        """All that was said since the last call, in order; of equal names only the last.
 
-        A stop is done before all else, and a motion that was wanted before it is forgotten.
+        A stop comes first, and a motion that was wanted before it is forgotten. A reset stops, too.
         """
         said: list[Action] = []
-        while True:
-            try:
-                said.append(self._queue.get_nowait())
-            except queue.Empty:
-                break
-        if STOP in said:
-            last = len(said) - 1 - said[::-1].index(STOP)
-            kept = [action for action in said[:last] if isinstance(action, Disturb)]
-            said = [STOP, *kept, *said[last + 1 :]]
-        return [a for i, a in enumerate(said) if not any(_replaces(b, a) for b in said[i + 1 :])]
-
-
-def _replaces(later: Action, earlier: Action) -> bool:
-    """Whether a later action makes an earlier one pointless."""
-    if isinstance(later, Target):
-        return isinstance(earlier, Target)
-    if isinstance(later, Disturb):
-        return isinstance(earlier, Disturb) and later.name == earlier.name
-    return False
+        while not self._queue.empty():  # this is its only reader
+            said.append(self._queue.get_nowait())
+        stops = [i for i, action in enumerate(said) if action in (STOP, RESET)]
+        if stops:
+            last = stops[-1]
+            set_before = [action for action in said[:last] if action.sets_parameter]
+            said = [said[last], *set_before, *said[last + 1 :]]
+        names = [action.name for action in said]
+        return [action for i, action in enumerate(said) if action.name not in names[i + 1 :]]
 
 
 def point_of(text: str) -> tuple[float, float, float]:
@@ -117,10 +87,4 @@ def point_of(text: str) -> tuple[float, float, float]:
         x = y = z = nan
     if not all(isfinite(one) for one in (x, y, z)):
         raise ValueError(f"a target is three numbers in metres, like 0.1, 0.2, 1.5; got '{text}'")
-    return x, y, z
-
-
-def as_point(position_m: np.ndarray) -> tuple[float, float, float]:
-    """A position as three plain numbers."""
-    x, y, z = (float(value) for value in position_m)
     return x, y, z

@@ -1,22 +1,24 @@
-"""Collects what comes over the topics, as plain values, and makes snapshots of it."""
+"""What is known of the loop: the newest messages as plain values, and the last seconds of some."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from math import inf, isfinite, nan
 from typing import Any
 
 import numpy as np
 
-from fvs_ros.apps.dashboard import picture, view
+from fvs_ros.apps.dashboard import picture
+from fvs_ros.apps.dashboard.actions import CONTROLLER
 from fvs_ros.apps.dashboard.placement import CameraPlacement, Pose
 from fvs_ros.core.camera import Intrinsics
 from fvs_ros.core.history import JointHistory
 from fvs_ros.core.joints import N_JOINTS
-from fvs_ros.core.status import SILENT_S
+from fvs_ros.core.status import SILENT, SILENT_S, number, vector
 
+#: Length of the curves and of the ball's trail, s.
+HISTORY_S, TRAIL_S = 20.0, 6.0
 #: A ball seen longer ago is not drawn, an answer said longer ago not shown, s.
 _BALL_S, _ANSWER_S = 0.5, 12.0
 #: Images come later than what was found in them, up to so much, s; a position this near to an
@@ -33,6 +35,38 @@ _DETECTOR_S = 2.0
 #: On a logarithmic scale nothing is zero, mm.
 _SMALLEST_MM, _SMALLEST_RATIO = 1e-3, 1e-4
 _FIELD_OF_VIEW = (0.743, 4.0 / 3.0)  # a RealSense's, until the camera tells its own
+
+
+class Controller:
+    """The controller's last status, or its silence.
+
+    Parameters
+    ----------
+    values : mapping of str to str
+        The key numbers of the status.
+    sentence : str
+        The reason in words.
+    """
+
+    def __init__(self, values: Mapping[str, str], sentence: str) -> None:
+        self.values = values
+        self.sentence = sentence
+        self.state = values.get("state", SILENT)
+        self.reason = values.get("reason", "")
+        self.silent = self.state == SILENT
+        self.error_m = self.number("error_m")
+        #: Camera frame, m, shape (3,), or None.
+        self.target_m = vector(values, "target_{}_m")
+        self.position_m = vector(values, "position_{}_m")
+
+    def number(self, key: str) -> float:
+        """A key number; NaN while unknown."""
+        return number(self.values, key)
+
+    @property
+    def goes_to_targets(self) -> bool:
+        """Whether a target sent now would be gone to."""
+        return self.state == "SERVOING" or self.reason == "NO_TARGET"
 
 
 class Trace:
@@ -82,43 +116,54 @@ class Trace:
 
 
 class Board:
-    """All that is known, from the newest messages.
+    """All that is known.
 
     Parameters
     ----------
-    history_s, trail_s : float
-        Length of the curves and of the ball's trail, s.
     ball_radius_m : float
         Radius of the ball, m.
+
+    Attributes
+    ----------
+    error_mm, speed_rad_s, ratio : Trace
+        What is drawn over time: distance to the target and its parts x, y, z, mm; six joint speeds,
+        rad/s; one-step prediction error over that of predicting rest.
+    trail_m : Trace
+        Where the ball was, camera frame, m.
+    placement : CameraPlacement
+        Where the camera stands.
+    parameters : dict
+        Parameters that the page asks for, by node; empty of a node that does not run.
+    waits_for : str
+        What the camera's picture waits for, in words.
+    tour : bool
+        Whether the tour goes on.
     """
 
-    def __init__(self, history_s: float, trail_s: float, ball_radius_m: float) -> None:
-        self._trail_s = trail_s
+    def __init__(self, ball_radius_m: float) -> None:
         self._ball_radius_m = ball_radius_m
-        self._controller = view.ControllerView()
+        self._controller = Controller({}, "")
         self._heard_s: dict[str, float] = {}
         self._history = JointHistory()
         self._velocity = np.full(N_JOINTS, nan)
         self._ball: tuple[float, np.ndarray] | None = None  # exposure's stamp and position
         self._learned_from = -inf
-        self._trail = Trace(trail_s, 3)
-        self._error = Trace(history_s, 4)
-        self._speed = Trace(history_s, N_JOINTS)
-        self._ratio = Trace(history_s, 1)
-        self._exponent = Trace(history_s, 3)
-        self._seen = Trace(trail_s + _LATEST_IMAGE_S, 3)  # the trail, by the exposures' stamps
-        self._targets: deque[tuple[float, np.ndarray | None]] = deque()  # since when which
+        self._seen = Trace(_LATEST_IMAGE_S, 3)  # the ball, by the exposures' stamps
         self._image: tuple[float, float, np.ndarray] | None = None
         self._drawn: tuple[float, np.ndarray] | None = None  # the last image, and its exposure
-        self._said_age_s = 0
+        self._words: str | None = None  # that stand in the picture
         self._intrinsics: Intrinsics | None = None
         self._answer, self._answer_s = "", -inf
         self._notes: dict[str, tuple[str, float]] = {}  # text, and until when
         self._detector = ""
+        self.error_mm = Trace(HISTORY_S, 4)
+        self.speed_rad_s = Trace(HISTORY_S, N_JOINTS)
+        self.ratio = Trace(HISTORY_S, 1)
+        self.trail_m = Trace(TRAIL_S, 3)
         self.placement = CameraPlacement()
-        self.limit_rad_s = nan
-        self.max_ages_s: Mapping[str, float] = {}
-        self.simulator: Mapping[str, Any] | None = None
+        self.parameters: dict[str, Mapping[str, Any]] = {}
+        self.waits_for = ""
+        self.tour = False
 
     # --- what comes in ---
 
@@ -135,25 +180,20 @@ class Board:
         self._heard_s["ball_position"] = now_s
         self._ball = stamp_s, position_m
         self._seen.add(stamp_s, position_m)
-        self._trail.add(now_s, position_m)
+        self.trail_m.add(now_s, position_m)
 
     def add_status(self, now_s: float, values: Mapping[str, str], sentence: str) -> None:
         """Tell the controller's status."""
         self._heard_s["status"] = now_s
-        self._controller = controller = view.ControllerView.of(values, sentence)
-        error = controller.error_xyz_m
-        if error is not None:
-            parts = 1e3 * np.abs(np.concatenate([[controller.error_m], error]))
-            self._error.add(now_s, np.maximum(parts, _SMALLEST_MM))
+        self._controller = controller = Controller(values, sentence)
+        if controller.target_m is not None and controller.position_m is not None:
+            error_m = controller.target_m - controller.position_m
+            parts = 1e3 * np.abs(np.concatenate([[controller.error_m], error_m]))
+            self.error_mm.add(now_s, np.maximum(parts, _SMALLEST_MM))
         # Without a ball nothing is judged: what the estimator goes on saying is of before.
-        if now_s - self._heard_s.get("ball_position", -inf) < _JUDGED_S:
-            ratio = controller.prediction_error_ratio
-            self._ratio.add(now_s, np.maximum([ratio], _SMALLEST_RATIO))
-        if controller.exponents is not None:
-            self._exponent.add(now_s, controller.exponents)
-        self._targets.append((now_s, controller.target_m))
-        while self._targets[0][0] < now_s - _LATEST_IMAGE_S:
-            self._targets.popleft()
+        if self.age_s("ball_position", now_s) < _JUDGED_S:
+            ratio = controller.number("prediction_error_ratio")
+            self.ratio.add(now_s, np.maximum([ratio], _SMALLEST_RATIO))
 
     def add_detector(self, now_s: float, sentence: str) -> None:
         """Tell the detector's sentence."""
@@ -173,11 +213,8 @@ class Board:
 
     def tell_camera(self, pose: Pose) -> None:
         """Tell where the camera really is; what was seen from elsewhere is forgotten."""
-        before = self.placement.pose
         self.placement.tell(pose)
-        if before is not None and not np.allclose(before.rotation, pose.rotation, atol=1e-4):
-            self._trail.clear()
-            self._seen.clear()
+        self.trail_m.clear()
 
     def note(self, name: str, text: str, until_s: float = inf) -> None:
         """Tell how the page itself is, until a time or until told otherwise; empty if well."""
@@ -186,25 +223,6 @@ class Board:
     def answer(self, now_s: float, text: str) -> None:
         """Tell what was answered to a person's wish."""
         self._answer, self._answer_s = text, now_s
-
-    # --- what is known ---
-
-    @property
-    def joints_rad(self) -> np.ndarray | None:
-        """The newest joint positions, rad, shape (6,), or None."""
-        return self._history.newest
-
-    def controller(self, now_s: float) -> view.ControllerView:
-        """The controller's last word, unless it is old."""
-        if now_s - self._heard_s.get("status", -inf) > SILENT_S:
-            return view.ControllerView()
-        return self._controller
-
-    def ball_m(self, now_s: float) -> np.ndarray | None:
-        """The ball as last seen, camera frame, m, shape (3,); None if that is long ago."""
-        if self._ball is None or now_s - self._heard_s["ball_position"] > _BALL_S:
-            return None
-        return self._ball[1]
 
     def learn_camera(self, flange_at: Callable[[np.ndarray], np.ndarray]) -> None:
         """Learn the camera's place from the newest ball, unless it is told.
@@ -221,86 +239,86 @@ class Board:
 
     def sample(self, now_s: float) -> None:
         """Note what is drawn over time and does not come with the status."""
-        if now_s - self._heard_s.get("joint_states", -inf) < SILENT_S:
-            self._speed.add(now_s, np.abs(self._velocity))
+        if self.age_s("joint_states", now_s) < SILENT_S:
+            self.speed_rad_s.add(now_s, np.abs(self._velocity))
 
-    def snapshot(self, now_s: float, tour: bool) -> view.Snapshot:
-        """Everything at this moment; an image is given out once."""
-        controller = self.controller(now_s)
-        heard_s = {name: now_s - heard for name, heard in self._heard_s.items()}
-        banner = view.banner_of(controller)
-        if controller.silent and "status" in heard_s:
-            banner = replace(
-                banner, sentence=f"no word from the controller for {heard_s['status']:.0f} s"
-            )
-        detector_s = heard_s.get("detector", inf)
-        notes = [self.placement.note]
-        notes += [text for text, until_s in self._notes.values() if now_s < until_s]
-        drawn = self._picture(now_s, controller.silent)
-        return view.Snapshot(
-            banner=banner,
-            controller=controller,
-            lamps=view.lamps_of(controller, heard_s, self.max_ages_s),
-            details=view.details_of(controller, self._detector if detector_s < _DETECTOR_S else ""),
-            joints_rad=self.joints_rad,
-            camera=self.placement.pose,
-            table=self.placement.told,
-            notes=tuple(note for note in notes if note),
-            ball_m=self.ball_m(now_s),
-            trail_m=self._trail.window(now_s)[:, 1:],
-            curves=view.Curves(
-                self._error.window(now_s),
-                self._speed.window(now_s),
-                self._ratio.window(now_s),
-                self._exponent.window(now_s),
-            ),
-            limit_rad_s=self.limit_rad_s,
-            picture=drawn,
-            picture_old_s=self._said_age_s,
-            field_of_view=self._field_of_view(),
-            answer=self._answer if now_s - self._answer_s < _ANSWER_S else "",
-            tour=tour,
-            simulator=self.simulator,
-        )
+    # --- what is known ---
 
-    def picture_age_s(self, now_s: float) -> float:
-        """Time since the newest image was exposed, s; infinite if there was none."""
-        newest = self._image or self._drawn
-        return inf if newest is None else now_s - newest[0]
+    def age_s(self, name: str, now_s: float) -> float:
+        """Time since something was heard, s; infinite if it never was."""
+        return now_s - self._heard_s.get(name, -inf)
 
-    def _picture(self, now_s: float, silent: bool) -> np.ndarray | None:
-        """The newest image, once; and the last one again as often as its age is another one."""
-        newest, self._image = self._image, None
-        if newest is not None:
-            self._drawn = newest[0], self._draw(*newest, silent)
-        if self._drawn is None:
+    def parameter(self, node: str, name: str) -> Any:
+        """A node's parameter; None while it is not known."""
+        return self.parameters.get(node, {}).get(name)
+
+    def limit(self, name: str) -> float:
+        """A limit of the controller; NaN while it is not known."""
+        value = self.parameter(CONTROLLER, name)
+        return value if isinstance(value, float) else nan
+
+    @property
+    def joints_rad(self) -> np.ndarray | None:
+        """The newest joint positions, rad, shape (6,), or None."""
+        return self._history.newest
+
+    def controller(self, now_s: float) -> Controller:
+        """The controller's last word, unless it is old."""
+        age_s = self.age_s("status", now_s)
+        if age_s <= SILENT_S:
+            return self._controller
+        for_s = f" for {age_s:.0f} s" if isfinite(age_s) else "; is fvs_controller_node running?"
+        return Controller({}, f"no word from the controller{for_s}")
+
+    def ball_m(self, now_s: float) -> np.ndarray | None:
+        """The ball as last seen, camera frame, m, shape (3,); None if that is long ago."""
+        if self._ball is None or self.age_s("ball_position", now_s) > _BALL_S:
             return None
-        exposed_s, drawn = self._drawn
-        age_s = now_s - exposed_s
-        said_s, self._said_age_s = self._said_age_s, round(age_s) if age_s > _OLD_PICTURE_S else 0
-        if self._said_age_s and (newest is not None or self._said_age_s != said_s):
-            return picture.darkened(drawn)
-        return drawn if newest is not None else None
+        return self._ball[1]
 
-    def _draw(
-        self, exposed_s: float, stamp_s: float, image: np.ndarray, silent: bool
-    ) -> np.ndarray:
-        """An image with what was so when it was exposed: it may have come late."""
-        target_m = None if silent else self._target_at(exposed_s)
-        seen = self._seen.rows
-        near = np.abs(seen[:, 0] - stamp_s)
-        ball_m = seen[near.argmin(), 1:] if near.min(initial=inf) <= _SAME_IMAGE_S else None
-        since = seen[:, 0] - stamp_s
-        trail_m = seen[(since >= -self._trail_s) & (since <= _SAME_IMAGE_S), 1:]
-        return picture.draw(image, self._intrinsics, ball_m, self._ball_radius_m, target_m, trail_m)
+    def detector(self, now_s: float) -> str:
+        """The detector's sentence; empty where none runs."""
+        return self._detector if self.age_s("detector", now_s) < _DETECTOR_S else ""
 
-    def _target_at(self, steady_s: float) -> np.ndarray | None:
-        """The controller's target at a time; None where that is longer ago than is known."""
-        told = [target_m for told_s, target_m in self._targets if told_s <= steady_s]
-        return told[-1] if told else None
+    def answered(self, now_s: float) -> str:
+        """What was last answered to a person's wish, for a while."""
+        return self._answer if now_s - self._answer_s < _ANSWER_S else ""
 
-    def _field_of_view(self) -> tuple[float, float]:
+    def notes(self, now_s: float) -> list[str]:
+        """Sentences about the page itself: what it does not know, or waits for."""
+        notes = [text for text, until_s in self._notes.values() if now_s < until_s]
+        return [note for note in (self.placement.note, *notes) if note]
+
+    @property
+    def field_of_view(self) -> tuple[float, float]:
+        """The camera's vertical field of view, rad, and its image's width over height."""
         camera = self._intrinsics
         if camera is None or not isfinite(camera.fy):
             return _FIELD_OF_VIEW
         return 2.0 * float(np.arctan(0.5 * camera.height / camera.fy)), camera.width / camera.height
+
+    def picture(self, now_s: float) -> np.ndarray | None:
+        """The camera's picture, uint8, if it is another one than at the last call.
+
+        A ball is circled where the image itself shows it; words say how old the picture is, or what
+        it waits for.
+        """
+        newest, self._image = self._image, None
+        if newest is not None:
+            self._drawn = newest[0], self._draw(now_s, *newest[1:])
+        exposed_s, image = self._drawn or (inf, picture.BLANK)
+        age_s = now_s - exposed_s
+        words = self.waits_for if self._drawn is None else ""
+        if age_s > _OLD_PICTURE_S:
+            words = f"{age_s:.0f} s old"
+        if newest is None and words == self._words:
+            return None
+        self._words = words
+        return picture.with_words(image, words) if words else image
+
+    def _draw(self, now_s: float, stamp_s: float, image: np.ndarray) -> np.ndarray:
+        seen = self._seen.rows
+        near_s = np.abs(seen[:, 0] - stamp_s)
+        ball_m = seen[near_s.argmin(), 1:] if near_s.min(initial=inf) <= _SAME_IMAGE_S else None
+        target_m = self.controller(now_s).target_m
+        return picture.draw(image, self._intrinsics, ball_m, self._ball_radius_m, target_m)

@@ -19,8 +19,6 @@ PARAMETERS = (
     Parameter("rate_hz", 10.0, "pictures a second", minimum=1.0, maximum=30.0),
     Parameter("feature_frame", CAMERA_FRAME, "frame of ball and target"),
     *JOINT_PARAMETERS,
-    Parameter("trail_s", 6.0, "so much of the ball's way is drawn", minimum=0.0, maximum=60.0),
-    Parameter("history_s", 20.0, "length of the curves", minimum=2.0, maximum=300.0),
     Parameter(
         "ball_radius_m", 0.04, "radius of the ball, as it is drawn", minimum=0.001, maximum=0.2
     ),
@@ -35,17 +33,9 @@ PARAMETERS = (
     Parameter("tour", False, "send the ball to one target after another until a person takes over"),
     Parameter("tour_period_s", 5.0, "time given to each target of the tour", minimum=1.0),
     Parameter(
-        "tour_distance_m",
-        0.3,
-        "wanted distance from one target of the tour to the next",
-        minimum=0.05,
-        maximum=1.0,
-    ),
-    Parameter(
         "model_path",
         "",
         "trained model of this arm and camera: the tour's targets are positions it saw; without "
         "one there is no tour",
     ),
-    Parameter("seed", 0, "seed of the tour", minimum=0),
 )

@@ -7,7 +7,8 @@ from fvs_ros.core import stop
 stop.listen()
 
 import sys
-from math import isfinite, nan
+from functools import partial
+from math import nan
 from typing import Any
 
 import numpy as np
@@ -18,22 +19,22 @@ from std_msgs.msg import String
 
 from fvs_estimator_node.model_file import load_model
 from fvs_ros.apps.dashboard.actions import (
+    BUMP,
+    CONTROLLER,
+    ESTIMATOR,
+    RESET,
     SET_CURRENT,
+    SIMULATOR,
     STOP,
     Action,
     Actions,
-    Call,
-    Disturb,
-    PutBack,
-    Remark,
-    Target,
-    Tour,
 )
 from fvs_ros.apps.dashboard.board import Board
 from fvs_ros.apps.dashboard.config import PARAMETERS, VISER
+from fvs_ros.apps.dashboard.markup import SHOWN_BY
 from fvs_ros.apps.dashboard.placement import Pose
-from fvs_ros.apps.dashboard.services_of_node import CONTROLLER, SIMULATOR, Services
-from fvs_ros.apps.dashboard.tour import LOST, WAITS, TargetTour
+from fvs_ros.apps.dashboard.services_of_node import Services
+from fvs_ros.apps.dashboard.tour import LOST, TargetTour
 from fvs_ros.core import ros
 from fvs_ros.core.background import step_back
 from fvs_ros.core.joints import N_JOINTS, JointMap, JointStateError
@@ -47,17 +48,20 @@ _NICE = 5
 _LATE_S = 0.7
 #: And is said for so long, s.
 _BEHIND_S = 5.0
-#: Somebody who looks has a picture within so long, s.
-_NO_PICTURE_S = 4.0
 _BEHIND = "this page gets too little of the processor: it is behind"
 _LOOK_PERIOD_S = 1.0
-_LIMIT = "max_joint_velocity_rad_s"
-_AGES = {
-    "ball_max_age_s": "ball_position",
-    "joint_states_max_age_s": "joint_states",
-    "jacobian_max_age_s": "jacobian",
+#: So long after a reset the ball is seen where it has come to rest, s.
+_AT_REST_S = 1.0
+#: A bump turns the camera by this much about x, y and z, degrees: about x and y by little, or the
+#: ball is out of view.
+_LEAST_BUMP_DEG, _LARGEST_BUMP_DEG = (1.0, 1.0, 15.0), (4.0, 4.0, 25.0)
+_ROTATION = "camera_rotation_deg"
+_NO_TOUR = Action("tour", False)
+_ASKED = {
+    CONTROLLER: SHOWN_BY,
+    ESTIMATOR: ("method",),
+    SIMULATOR: ("depth_noise", "latency_s", _ROTATION),
 }
-_DISTURBANCES = ("depth_noise", "latency_s", "camera_rotation_deg")
 
 
 class DashboardNode(ros.FvsNode):
@@ -68,7 +72,7 @@ class DashboardNode(ros.FvsNode):
         v = self.values
         self._frame = v["feature_frame"]
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
-        self._board = Board(v["history_s"], v["trail_s"], v["ball_radius_m"])
+        self._board = Board(v["ball_radius_m"])
         # Woken when something is said: to look for it thirty times a second took 3 % of a core.
         self._actions = Actions(self.create_guard_condition(self._act).trigger)
         self._arm: Any = None
@@ -87,7 +91,10 @@ class DashboardNode(ros.FvsNode):
         self.watch(PoseStamped, ros.TRUE_CAMERA_POSE, self._on_camera_pose, ros.QOS_LATCHED)
         self._page = _make_page(v, self._actions)
         self._shown_s = self.steady_s()
-        self._skipped = self._tour_waits = False
+        self._skipped = False
+        self._begun: dict[str, Any] = {}  # the simulator's parameters as they were at first
+        self._reset_s: float | None = None
+        self._rng = np.random.default_rng()
         self.create_timer(1.0 / v["rate_hz"], self._show, clock=self.steady_clock)
         self.create_timer(_LOOK_PERIOD_S, self._look_around, clock=self.steady_clock)
         print(f"page: {self._page.address}", flush=True)
@@ -166,6 +173,9 @@ class DashboardNode(ros.FvsNode):
         if self._arm is not None:
             self._board.learn_camera(self._arm.flange)
         self._send_tour(now_s)
+        if self._reset_s is not None and now_s - self._reset_s > _AT_REST_S:
+            self._reset_s = None
+            self._calls.call(f"{CONTROLLER}/{SET_CURRENT.name}", self._on_reset_done)
         watched = self._page.watched
         if self.values["image"] and watched != bool(self._cameras):
             self._look_at_images(watched)
@@ -175,7 +185,8 @@ class DashboardNode(ros.FvsNode):
             self._board.note("behind", _BEHIND, now_s + _BEHIND_S)
         self._skipped = late and not self._skipped
         if watched and not self._skipped:
-            self._page.update(self._board.snapshot(now_s, self._tour is not None))
+            self._board.tour = self._tour is not None
+            self._page.update(self._board, now_s)
 
     def _look_at_images(self, wanted: bool) -> None:
         """Subscribe while somebody looks: the simulator draws full images for subscribers only."""
@@ -202,39 +213,25 @@ class DashboardNode(ros.FvsNode):
             )
 
     def _why_no_picture(self) -> str:
-        age_s = self._board.picture_age_s(self.steady_s())
-        if age_s < _NO_PICTURE_S:
-            return ""
-        declared = CAMERA_PREFIXES[0]
-        names = [ros.COLOR_IMAGE.replace(declared, prefix, 1) for prefix in self._cameras]
+        names = [ros.COLOR_IMAGE.replace(CAMERA_PREFIXES[0], p, 1) for p in self._cameras]
         if any(self.count_publishers(name) for name in names):
-            if isfinite(age_s):
-                return f"the last picture is {age_s:.0f} s old: images have ceased, or come late"
-            return f"no picture has come yet from {' or '.join(names)}"
-        return f"no picture: nobody publishes {' or '.join(names)}"
+            return f"waiting for the first picture from {' or '.join(names)}"
+        return f"no picture: no node publishes {' or '.join(names)}"
 
     def _look_around(self) -> None:
-        """Ask for what is not on a topic: the controller's limits, the simulator's disturbances."""
+        """Ask for what is not on a topic: parameters of the others."""
         if not self._page.watched:
             return
         if self.values["image"]:
             self._look_at_images(True)
-            self._board.note("picture", self._why_no_picture())
-        self._calls.ask(CONTROLLER, (_LIMIT, *_AGES), self._on_limits)
-        if self.count_publishers(ros.TRUE_CAMERA_POSE):
-            self._calls.ask(SIMULATOR, _DISTURBANCES, self._on_simulator)
-        else:
-            self._board.simulator = None
+            self._board.waits_for = self._why_no_picture()
+        for node, names in _ASKED.items():
+            self._calls.ask(node, names, partial(self._on_values, node))
 
-    def _on_limits(self, values: dict[str, Any]) -> None:
-        limit = values.get(_LIMIT)
-        self._board.limit_rad_s = limit if isinstance(limit, float) and isfinite(limit) else nan
-        self._board.max_ages_s = {
-            name: values[key] for key, name in _AGES.items() if isinstance(values.get(key), float)
-        }
-
-    def _on_simulator(self, values: dict[str, Any]) -> None:
-        self._board.simulator = values
+    def _on_values(self, node: str, values: dict[str, Any]) -> None:
+        self._board.parameters[node] = values
+        if node == SIMULATOR and values and not self._begun:
+            self._begun = values
 
     # --- what is done ---
 
@@ -244,29 +241,45 @@ class DashboardNode(ros.FvsNode):
 
     def _do(self, action: Action) -> None:
         self._board.answer(self.steady_s(), "")  # what was said of another one
+        self._reset_s = None  # whoever wants something meanwhile means it
+        if action in (STOP, RESET, SET_CURRENT, _NO_TOUR) or action.name == "target":
+            self._tour = None  # a person takes over
         if action == STOP:
-            self._tour = None
             self._calls.stop()
-        elif isinstance(action, Disturb):
-            self._calls.disturb(action)
-        elif isinstance(action, PutBack):
-            self._calls.put_back("as wished")
-        elif isinstance(action, Remark):
-            self._answer(action.text)
-        elif action == Tour(False):
-            self._tour = None
+        elif action == RESET:
+            self._reset()
+        elif action == BUMP:
+            turns_deg = self._rng.uniform(_LEAST_BUMP_DEG, _LARGEST_BUMP_DEG)
+            turns_deg *= self._rng.choice((-1.0, 1.0), 3)
+            turns_deg += self._begun.get(_ROTATION, np.zeros(3))
+            self._calls.set(f"{SIMULATOR}/{_ROTATION}", tuple(turns_deg.tolist()))
+        elif action.sets_parameter:
+            self._calls.set(action.name, action.value)
+        elif action == _NO_TOUR:
+            pass
         elif self._board.controller(self.steady_s()).silent:
             # It would be done whenever the controller comes back, when nobody expects it.
             self._answer(f"not done: the controller is silent; is {CONTROLLER} running?")
-        elif isinstance(action, Call):
-            if action == SET_CURRENT:
-                self._tour = None
-            self._calls.call(action.service)
-        elif isinstance(action, Target):
-            self._tour = None
-            self._send_target(np.array(action.position_m))
-        else:
+        elif action.name == "target":
+            self._send_target(np.array(action.value))
+        elif action.name == "tour":
             self._switch_tour()
+        else:
+            self._calls.call(f"{CONTROLLER}/{action.name}")
+
+    def _reset(self) -> None:
+        """Stop, forget what was learned, and put the simulation back as it began."""
+        self._calls.stop()
+        self._calls.call(f"{ESTIMATOR}/reset")
+        if self._board.parameters.get(SIMULATOR):
+            for name, value in self._begun.items():
+                self._calls.set(f"{SIMULATOR}/{name}", value)
+            self._calls.call(f"{SIMULATOR}/reset")
+        self._reset_s = self.steady_s()
+
+    def _on_reset_done(self, answer: Any) -> None:
+        """Say how it ended; no service clears a target, but at the ball it moves nothing."""
+        self._answer(f"everything reset; {answer.message}")
 
     def _send_target(self, position_m: np.ndarray) -> None:
         self._target.publish(ros.to_point(self.ros_s(), self._frame, position_m))
@@ -282,7 +295,7 @@ class DashboardNode(ros.FvsNode):
         if not v["model_path"]:
             raise ValueError("tour needs model_path: its targets are positions that a model saw")
         candidates_m = load_model(find_file(v["model_path"])).ball_samples_m
-        return TargetTour(candidates_m, v["tour_period_s"], v["tour_distance_m"], v["seed"])
+        return TargetTour(candidates_m, v["tour_period_s"])
 
     def _switch_tour(self) -> None:
         try:
@@ -291,17 +304,14 @@ class DashboardNode(ros.FvsNode):
             self._answer(f"no tour: {error}")
 
     def _send_tour(self, now_s: float) -> None:
-        ready = self._board.controller(now_s).goes_to_targets
-        waits = self._tour is not None and self._tour.waits(now_s, ready)
-        self._board.note("tour", WAITS if waits else "")
-        if waits and not self._tour_waits:
-            self.tell(ros.OK, WAITS)
-        self._tour_waits = waits
         if self._tour is None:
             return
         ball_m = self._board.ball_m(now_s)
         if self._tour.lost(now_s, ball_m) and self.count_publishers(ros.TRUE_CAMERA_POSE):
-            self._calls.put_back(LOST)
+            self._calls.call(
+                f"{SIMULATOR}/reset", lambda answer: self._answer(f"{LOST}: {answer.message}")
+            )
+        ready = self._board.controller(now_s).goes_to_targets
         target_m = self._tour.next(now_s, ready, ball_m)
         if target_m is not None:
             self._send_target(target_m)
@@ -323,7 +333,6 @@ def _make_page(values: dict[str, Any], actions: Actions) -> Any:
         values["host"],
         values["port"],
         actions,
-        history_s=values["history_s"],
         ball_radius_m=values["ball_radius_m"],
         image=values["image"],
         tour=bool(values["model_path"]),

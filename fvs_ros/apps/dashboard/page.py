@@ -12,20 +12,20 @@ from typing import TYPE_CHECKING
 
 import viser
 
-from fvs_ros.apps.dashboard.actions import Actions, Target
+from fvs_ros.apps.dashboard import markup
+from fvs_ros.apps.dashboard.actions import Action, Actions
+from fvs_ros.apps.dashboard.board import Board
 from fvs_ros.apps.dashboard.charts import Charts
 from fvs_ros.apps.dashboard.config import VISER
 from fvs_ros.apps.dashboard.guard import EVERYWHERE, LOOPBACK, own_requests_only, turns_others_away
 from fvs_ros.apps.dashboard.panel import Panel
-from fvs_ros.apps.dashboard.scene import Scene
-from fvs_ros.apps.dashboard.view import Snapshot
+from fvs_ros.apps.dashboard.scene import LEGEND, Scene
 
 if TYPE_CHECKING:
     from fvs_ros.apps.dashboard.arm import Arm
 
-#: The curves are drawn every so many times, for they are long and eyes are slow; and so is the
-#: picture in the frustum, which is small, in between.
-_SELDOM, _CURVES_AT, _FRUSTUM_AT = 3, 0, 1
+#: The left panel is drawn every so many times, for curves are long and eyes are slow.
+_SELDOM = 3
 _STOP_S = 0.8
 _LEFT_PX, _RIGHT_PX = 400, 350
 _LAST_PORT = 65535
@@ -53,8 +53,6 @@ class Page:
         Its port; 0 for any free one.
     actions : Actions
         Takes what a person does.
-    history_s : float
-        Length of the curves, s.
     ball_radius_m : float
         Radius of the ball, m.
     image : bool
@@ -74,7 +72,6 @@ class Page:
         port: int,
         actions: Actions,
         *,
-        history_s: float,
         ball_radius_m: float,
         image: bool,
         tour: bool,
@@ -83,9 +80,6 @@ class Page:
         self._host = host
         with _quiet(), own_requests_only(host):
             self._server = _Server(host, port, label="fvs_ros", verbose=False)
-        if port and self._server.get_port() != port:  # taken since it was looked at
-            self.close()
-            raise ValueError(_taken(host, port))
         if not turns_others_away(self._reached_at, self._server.get_port()):
             self.close()
             raise ValueError(
@@ -101,10 +95,13 @@ class Page:
         self._panel = Panel(gui, actions.put, image, tour)
         curves = gui.add_panel()
         with curves.add_tab("Curves", viser.Icon.CHART_LINE):
-            self._charts = Charts(gui, history_s)
+            self._charts = Charts(gui)
+            self._inputs = gui.add_html("")
+            gui.add_html(markup.legend_html(LEGEND))
+            self._notes = gui.add_html("")
         curves.dock_left()
         curves.set_width(_LEFT_PX)
-        self._scene = Scene(server, ball_radius_m, lambda at: self._dragged(actions, Target(at)))
+        self._scene = Scene(server, ball_radius_m, lambda at: self._dragged(actions, at))
         # From behind the simulator's camera: what one sees and its picture are the same way round.
         server.initial_camera.position = (2.9, -1.05, 1.4)
         server.initial_camera.look_at = (0.6, -0.3, 0.42)
@@ -112,9 +109,9 @@ class Page:
         server.on_client_connect(_fit)
         self._shown = 0
 
-    def _dragged(self, actions: Actions, target: Target) -> None:
+    def _dragged(self, actions: Actions, target_m: tuple[float, float, float]) -> None:
         self._panel.forget_typed()
-        actions.put(target)
+        actions.put(Action("target", target_m))
 
     @property
     def _reached_at(self) -> str:
@@ -140,14 +137,17 @@ class Page:
         """Show a robot."""
         self._scene.set_arm(arm)
 
-    def update(self, shown: Snapshot) -> None:
-        """Show a moment to everybody who is looking."""
+    def update(self, board: Board, now_s: float) -> None:
+        """Show a moment, steady clock, s, to everybody who is looking."""
         with self._server.atomic():
-            turn = self._shown % _SELDOM
-            self._scene.update(shown, with_picture=turn == _FRUSTUM_AT)
-            self._panel.update(shown)
-            if turn == _CURVES_AT:
-                self._charts.update(shown.curves, shown.limit_rad_s)
+            picture = board.picture(now_s)
+            self._panel.update(board, now_s, picture)
+            self._scene.update(board, now_s, picture)
+            if self._shown % _SELDOM == 0:
+                self._charts.update(board, now_s)
+                lamps, details = markup.lamps_of(board, now_s), markup.details_of(board, now_s)
+                self._inputs.content = markup.inputs_html(lamps, details)
+                self._notes.content = markup.notes_html(board.notes(now_s))
         self._shown += 1
 
     def close(self) -> None:

@@ -9,33 +9,41 @@ from math import inf
 import numpy as np
 import viser
 
+from fvs_controller_node.registry import LAWS
+from fvs_estimator_node.registry import ESTIMATORS
 from fvs_ros.apps.dashboard import markup, picture
 from fvs_ros.apps.dashboard.actions import (
+    BUMP,
+    CONTROLLER,
+    ESTIMATOR,
+    RESET,
     SET_CURRENT,
+    SIMULATOR,
     START,
     STOP,
     Action,
-    Disturb,
-    PutBack,
-    Remark,
-    Target,
-    Tour,
-    as_point,
     point_of,
 )
-from fvs_ros.apps.dashboard.scene import LEGEND
-from fvs_ros.apps.dashboard.view import Snapshot
+from fvs_ros.apps.dashboard.board import Board, Controller
 
 #: What somebody sets is left alone for so long, s; numbers that wait for their button, longer.
 _SET_S, _TYPED_S = 4.0, 60.0
 #: The page hears so often that its program lives, s.
 _BEAT_S = 1.0
-_ROTATION = "camera_rotation_deg"
-_LARGEST_TURN_DEG = 45.0
+#: The banner keeps a state, and a sentence, for so long, s: to be read, and not to flicker.
+_STEADY_S = 1.0
+_METHOD, _LAW = f"{ESTIMATOR}/method", f"{CONTROLLER}/law"
+_NOISE, _LATENCY = f"{SIMULATOR}/depth_noise", f"{SIMULATOR}/latency_s"
+_SIGNS = (
+    ("○", picture.BALL_RGB, "ball found"),
+    ("+", picture.TARGET_RGB, "target"),
+)
 
 
 class Panel:
-    """Banner, lamps, buttons, target, picture and the simulator's disturbances.
+    """Start, Stop, banner, target, scheme, picture and the simulator's disturbances.
+
+    What changes its height stands below all that is pressed.
 
     Parameters
     ----------
@@ -55,37 +63,60 @@ class Panel:
         self._gui = gui
         self._say = say
         self._held_until_s: dict[str, float] = {}
-        # On top of all that grows and shrinks: a Stop must be where it was a moment ago.
         gui.add_html(markup.side_by_side("start-stop", always=True))
-        self._add_buttons()
+        self._button("Start", START, color="teal", icon=viser.Icon.PLAYER_PLAY)
+        self._button("Stop", STOP, color="red", icon=viser.Icon.PLAYER_STOP)
         self._alive = gui.add_html("")
         self._beat_s, self._beats = -inf, 0
         self._banner = gui.add_html("")
+        self._shown = markup.banner_of(Controller({}, ""))
+        self._state_s = self._sentence_s = -inf  # when they changed
         self._answer = gui.add_html("")
-        self._lamps = gui.add_html("")
-        self._details = gui.add_html("")
         self._add_target(tour)
+        self._scheme = gui.add_folder("Scheme")
+        with self._scheme:
+            self._settings: dict[str, viser.GuiInputHandle] = {
+                _METHOD: gui.add_dropdown("Estimator", tuple(ESTIMATORS)),
+                _LAW: gui.add_dropdown("Law", tuple(LAWS)),
+            }
+        self._beside = gui.add_html(markup.side_by_side("reset-bump"))
+        self._button(
+            "Reset everything",
+            RESET,
+            color="gray",
+            hint="Stops, forgets what was learned, and puts the simulation back as it began.",
+        )
+        self._bump = self._button(
+            "Bump the camera", BUMP, color="gray", hint="Turns the simulated camera by chance."
+        )
+        self._beside.visible = self._bump.visible = False  # until a simulator is heard of
         self._picture: viser.GuiImageHandle | None = None
         if image:
-            blank = np.full((240, 320, 3), 32, np.uint8)
-            self._picture = gui.add_image(blank, format="jpeg", jpeg_quality=75)
-            gui.add_html(markup.legend_html("Picture", picture.LEGEND))
-        gui.add_html(markup.legend_html("View", LEGEND))
-        self._notes = gui.add_html("")
-        self._add_simulator()
+            self._picture = gui.add_image(picture.BLANK, format="jpeg", jpeg_quality=75)
+            gui.add_html(markup.legend_html(_SIGNS))
+        self._simulator = gui.add_folder(
+            "Simulator: disturb it", visible=False, expand_by_default=False
+        )
+        with self._simulator:
+            self._settings[_NOISE] = gui.add_slider(
+                "Depth noise (×)", 0.0, 5.0, 0.1, 1.0, hint="Times the depth camera's own noise."
+            )
+            self._settings[_LATENCY] = gui.add_slider("Latency (s)", 0.0, 0.2, 0.005, 0.04)
+        for name, handle in self._settings.items():
+            self._sets(handle, name)
 
     # --- what is there ---
 
-    def _add_buttons(self) -> None:
-        gui = self._gui
-        icons = viser.Icon
-        self._button(gui.add_button("Start", color="teal", icon=icons.PLAYER_PLAY), START)
-        self._button(gui.add_button("Stop", color="red", icon=icons.PLAYER_STOP), STOP)
+    def _button(self, label: str, action: Action, **look: str) -> viser.GuiButtonHandle:
+        button = self._gui.add_button(label, **look)
 
-    def _button(self, button: viser.GuiButtonHandle, action: Action) -> None:
         @button.on_click
         async def _(_event: viser.GuiEvent) -> None:
+            if action in (SET_CURRENT, RESET):
+                self.forget_typed()
             self._say(action)
+
+        return button
 
     def _add_target(self, tour: bool) -> None:
         gui = self._gui
@@ -93,15 +124,12 @@ class Panel:
             self._target = gui.add_text("x, y, z (m)", "")
             gui.add_html(markup.side_by_side("go-current"))
             go = gui.add_button("Go", color="blue", icon=viser.Icon.TARGET_ARROW)
-            current = gui.add_button("Set current as target", color="gray")
+            self._button("Set current as target", SET_CURRENT, color="gray")
+            self._refusal = gui.add_html("")
+            self._typed_wrong = ""
             self._tour = gui.add_checkbox(
                 "Tour", False, visible=tour, hint="Send it to one after another."
             )
-
-        @current.on_click
-        async def _(_event: viser.GuiEvent) -> None:
-            self.forget_typed()
-            self._say(SET_CURRENT)
 
         @self._target.on_update
         async def _(event: viser.GuiEvent) -> None:
@@ -111,10 +139,11 @@ class Panel:
         @go.on_click
         async def _(_event: viser.GuiEvent) -> None:
             try:
-                wanted: Action = Target(point_of(self._target.value))
+                wanted = Action("target", point_of(self._target.value))
             except ValueError as error:
-                self._say(Remark(str(error)))
+                self._typed_wrong = str(error)
                 return
+            self._typed_wrong = ""
             self._hold("target")  # until the controller has taken it
             self._say(wanted)
 
@@ -122,73 +151,51 @@ class Panel:
         async def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
                 self._hold("tour")
-                self._say(Tour(self._tour.value))
+                self._say(Action("tour", self._tour.value))
 
-    def _add_simulator(self) -> None:
-        gui = self._gui
-        self._simulator = gui.add_folder(
-            "Simulator: disturb it, turn its camera", visible=False, expand_by_default=False
-        )
-        with self._simulator:
-            self._noise = gui.add_slider(
-                "Depth noise (×)", 0.0, 5.0, 0.1, 1.0, hint="Times the depth camera's own noise."
-            )
-            self._latency = gui.add_slider("Latency (ms)", 0.0, 200.0, 5.0, 40.0)
-            self._turns = tuple(
-                gui.add_slider(f"Turn {axis} (°)", -_LARGEST_TURN_DEG, _LARGEST_TURN_DEG, 1.0, 0.0)
-                for axis in "xyz"
-            )
-            back = gui.add_button(
-                "Put the arm back",
-                color="gray",
-                hint="Where it began, at once: when it hides the ball, say.",
-            )
-        self._button(back, PutBack())
-        self._disturb(self._noise, "depth_noise", lambda: self._noise.value)
-        self._disturb(self._latency, "latency_s", lambda: 1e-3 * self._latency.value)
-        for turn in self._turns:
-            self._disturb(turn, _ROTATION, lambda: tuple(one.value for one in self._turns))
-
-    def _disturb(
-        self, slider: viser.GuiSliderHandle, name: str, value: Callable[[], float | tuple]
-    ) -> None:
-        @slider.on_update
+    def _sets(self, handle: viser.GuiInputHandle, name: str) -> None:
+        @handle.on_update
         async def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
                 self._hold(name)
-                self._say(Disturb(name, value()))
+                self._say(Action(name, handle.value))
 
     # --- what is shown ---
 
-    def update(self, shown: Snapshot) -> None:
+    def update(self, board: Board, now_s: float, new_picture: np.ndarray | None) -> None:
         """Show a moment."""
-        if time.monotonic() - self._beat_s > _BEAT_S:
-            self._beat_s, self._beats = time.monotonic(), self._beats + 1
+        if now_s - self._beat_s > _BEAT_S:
+            self._beat_s, self._beats = now_s, self._beats + 1
             self._alive.content = markup.alive_html(self._beats)
-        self._banner.content = markup.banner_html(shown.banner)
-        self._lamps.content = markup.lamps_html(shown.lamps)
-        self._details.content = markup.details_html(shown.details)
-        self._answer.content = markup.answer_html(shown.answer)
-        self._notes.content = markup.notes_html(shown.notes)
-        if self._picture is not None and shown.picture is not None:
-            self._picture.image = picture.with_age(shown.picture, shown.picture_old_s)
+        controller = board.controller(now_s)
+        self._show_banner(markup.banner_of(controller), controller.error_m, now_s)
+        self._answer.content = markup.line_html("answer", board.answered(now_s), 2)
+        refusal = self._typed_wrong or controller.values.get("refused_target", "")
+        self._refusal.content = markup.line_html("refusal", refusal, 2)
+        if self._picture is not None and new_picture is not None:
+            self._picture.image = new_picture
         if self._free("tour"):
-            self._tour.value = shown.tour
-        if shown.controller.target_m is not None and self._free("target"):
-            target = as_point(shown.controller.target_m)
-            self._target.value = ", ".join(f"{value:.3f}" for value in target)
-        self._show_simulator(shown)
+            self._tour.value = board.tour
+        if controller.target_m is not None and self._free("target"):
+            self._target.value = ", ".join(f"{value:.3f}" for value in controller.target_m)
+        self._scheme.label = f"Scheme: {markup.scheme_of(board)}"
+        simulated = bool(board.parameters.get(SIMULATOR))
+        self._simulator.visible = self._bump.visible = self._beside.visible = simulated
+        for name, handle in self._settings.items():
+            node, _, parameter = name.partition("/")
+            value = board.parameter(node, parameter)
+            if isinstance(value, type(handle.value)) and self._free(name):
+                handle.value = value
 
-    def _show_simulator(self, shown: Snapshot) -> None:
-        self._simulator.visible = shown.simulator is not None
-        values = shown.simulator or {}
-        if "depth_noise" in values and self._free("depth_noise"):
-            self._noise.value = values["depth_noise"]
-        if "latency_s" in values and self._free("latency_s"):
-            self._latency.value = 1e3 * values["latency_s"]
-        if _ROTATION in values and self._free(_ROTATION):
-            for slider, angle in zip(self._turns, values[_ROTATION], strict=True):
-                slider.value = angle
+    def _show_banner(self, banner: markup.Banner, error_m: float, now_s: float) -> None:
+        """Show title and distance as they are; state and sentence stay for a while."""
+        same = banner.state == self._shown.state
+        if now_s - (self._sentence_s if same else self._state_s) > _STEADY_S:
+            self._state_s = self._state_s if same else now_s
+            self._shown, self._sentence_s = banner, now_s
+        elif same:
+            self._shown = self._shown._replace(title=banner.title)
+        self._banner.content = markup.banner_html(self._shown, error_m)
 
     def _hold(self, name: str, seconds: float = _SET_S) -> None:
         """Leave to the person what they are setting."""
@@ -196,6 +203,7 @@ class Panel:
 
     def forget_typed(self) -> None:
         """Show the controller's target again, whatever somebody typed and did not send."""
+        self._typed_wrong = ""
         self._held_until_s.pop("target", None)
 
     def _free(self, name: str) -> bool:

@@ -13,7 +13,7 @@ import viser
 import viser.transforms
 from viser.extras import ViserUrdf
 
-from fvs_ros.apps.dashboard.view import Snapshot
+from fvs_ros.apps.dashboard.board import Board
 from fvs_sim_node.objects import TABLE
 
 if TYPE_CHECKING:
@@ -89,7 +89,6 @@ class Scene:
         )
         self._add_table()
         self._frustum: viser.CameraFrustumHandle | None = None
-        self._picture: np.ndarray | None = None  # not in the frustum yet
         self._trail = scene.add_line_segments(
             "/base/camera/trail",
             np.zeros((_PIECES, 2, 3)),
@@ -181,45 +180,45 @@ class Scene:
             )
         self._base.wxyz, self._base.position = _placed(arm.base[:3, :3], arm.base[:3, 3])
 
-    def update(self, shown: Snapshot, with_picture: bool = True) -> None:
-        """Show a moment; the camera's picture in its frustum only if told so."""
-        if self._robot is not None and self._arm is not None and shown.joints_rad is not None:
-            self._robot.update_cfg(self._arm.configuration(shown.joints_rad))
-        if self._table.visible != shown.table:
-            self._table.visible = shown.table
-            self._floor.position = (0.0, 0.0, self._under_table_m if shown.table else 0.0)
-        self._camera.visible = shown.camera is not None
-        if shown.camera is None:
-            return
-        self._camera.wxyz, self._camera.position = _placed(
-            shown.camera.rotation, shown.camera.position_m
-        )
-        self._show_frustum(shown, with_picture)
-        _put(self._ball, shown.ball_m)
-        self._show_rod(shown)
-        _put(self._predicted, shown.controller.position_m)
-        if time.monotonic() - self._held_s > _DROPPED_S:
-            _put(self._target, shown.controller.target_m)
-        self._trail.visible = len(shown.trail_m) > 1
-        if len(shown.trail_m) > 1:
-            self._trail.points = _pieces(shown.trail_m)
-
-    def _show_rod(self, shown: Snapshot) -> None:
-        arm, camera, ball_m, joints = self._arm, shown.camera, shown.ball_m, shown.joints_rad
-        if arm is None or camera is None or ball_m is None or joints is None:
+    def update(self, board: Board, now_s: float, picture: np.ndarray | None) -> None:
+        """Show a moment, and a new picture if there is one."""
+        joints, placement = board.joints_rad, board.placement
+        if self._robot is not None and self._arm is not None and joints is not None:
+            self._robot.update_cfg(self._arm.configuration(joints))
+        if self._table.visible != placement.told:
+            self._table.visible = placement.told
+            self._floor.position = (0.0, 0.0, self._under_table_m if placement.told else 0.0)
+        camera = placement.pose
+        self._camera.visible = camera is not None
+        if camera is None:
             self._rod.visible = False
             return
-        flange = arm.flange(joints)
+        self._camera.wxyz, self._camera.position = _placed(camera.rotation, camera.position_m)
+        self._show_frustum(board.field_of_view, picture)
+        controller, ball_m = board.controller(now_s), board.ball_m(now_s)
+        _put(self._ball, ball_m)
+        if self._arm is None or joints is None or ball_m is None:
+            self._rod.visible = False
+        else:
+            self._show_rod(self._arm.flange(joints), camera.rotation @ ball_m + camera.position_m)
+        _put(self._predicted, controller.position_m)
+        if time.monotonic() - self._held_s > _DROPPED_S:
+            _put(self._target, controller.target_m)
+        trail_m = board.trail_m.window(now_s)[:, 1:]
+        self._trail.visible = len(trail_m) > 1
+        if len(trail_m) > 1:
+            self._trail.points = _pieces(trail_m)
+
+    def _show_rod(self, flange: np.ndarray, ball_m: np.ndarray) -> None:
         self._flange.wxyz, self._flange.position = _placed(flange[:3, :3], flange[:3, 3])
-        ball_m = camera.rotation @ ball_m + camera.position_m
         rod_m = flange[:3, :3].T @ (ball_m - flange[:3, 3])
         if np.abs(rod_m - self._rod_m).max() > _ROD_BENT_M:  # lines are slow to change in a browser
             self._rod_m = rod_m
             self._rod.points = np.array([[np.zeros(3), rod_m]])
         self._rod.visible = True
 
-    def _show_frustum(self, shown: Snapshot, with_picture: bool) -> None:
-        fov, aspect = shown.field_of_view
+    def _show_frustum(self, field_of_view: tuple[float, float], picture: np.ndarray | None) -> None:
+        fov, aspect = field_of_view
         if self._frustum is None:
             self._frustum = self._server.scene.add_camera_frustum(
                 "/base/camera/view",
@@ -233,10 +232,8 @@ class Scene:
                 receive_shadow=False,
             )
         self._frustum.fov, self._frustum.aspect = fov, aspect
-        if shown.picture is not None:
-            self._picture = shown.picture
-        if with_picture and self._picture is not None:
-            self._frustum.image, self._picture = self._picture, None
+        if picture is not None:
+            self._frustum.image = picture
 
 
 def _placed(rotation: np.ndarray, position_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""Calls of the page's node to controller and simulator, none of which waits for ever."""
+"""Calls of the page's node to the others, none of which waits for ever."""
 
 from __future__ import annotations
 
@@ -9,18 +9,16 @@ from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
 from std_srvs.srv import Trigger
 
-from fvs_ros.apps.dashboard.actions import START, Disturb
+from fvs_ros.apps.dashboard.actions import CONTROLLER, ESTIMATOR, SIMULATOR
 
 if TYPE_CHECKING:
     from fvs_ros.core.ros import FvsNode
 
-CONTROLLER, SIMULATOR = "fvs_controller_node", "fvs_sim_node"
 _CALLS: dict[str, type] = {
     **{f"{CONTROLLER}/{name}": Trigger for name in ("start", "stop", "set_current_as_target")},
-    f"{CONTROLLER}/get_parameters": GetParameters,
-    f"{SIMULATOR}/get_parameters": GetParameters,
-    f"{SIMULATOR}/set_parameters": SetParameters,
-    f"{SIMULATOR}/reset": Trigger,
+    **{f"{node}/reset": Trigger for node in (ESTIMATOR, SIMULATOR)},
+    **{f"{node}/get_parameters": GetParameters for node in (CONTROLLER, ESTIMATOR, SIMULATOR)},
+    **{f"{node}/set_parameters": SetParameters for node in (CONTROLLER, ESTIMATOR, SIMULATOR)},
 }
 #: An answer that takes longer is not waited for, s.
 _ANSWER_S = 3.0
@@ -39,7 +37,7 @@ class _Request(NamedTuple):
 
 
 class Services:
-    """The services of controller and simulator.
+    """The services of controller, estimator and simulator.
 
     Parameters
     ----------
@@ -58,11 +56,11 @@ class Services:
         self._stop_said = False
         self._stop_sent_s = 0.0
 
-    def call(self, service: str) -> None:
-        """Call a service of the controller; its answer is told."""
-        if service == START.service:  # whoever starts after a stop means it
+    def call(self, name: str, on_answer: Callable[[Trigger.Response], None] | None = None) -> None:
+        """Call a service by node and name; its answer is told, or given to ``on_answer``."""
+        if name == f"{CONTROLLER}/start":  # whoever starts after a stop means it
             self._stop_since_s = None
-        self._request(f"{CONTROLLER}/{service}", Trigger.Request(), self._on_answer(service))
+        self._request(name, Trigger.Request(), on_answer or self._told(name))
 
     def stop(self) -> None:
         """Ask the controller to stop, again and again until it answers."""
@@ -72,36 +70,31 @@ class Services:
     def ask(
         self, node: str, names: tuple[str, ...], on_values: Callable[[dict[str, Any]], None]
     ) -> None:
-        """Ask for parameters; those that a node has come as plain values."""
+        """Ask for parameters; those that a node has come as plain values, none if it is gone."""
 
         def on_answer(answer: GetParameters.Response) -> None:
             values = [parameter_value_to_python(value) for value in answer.values]
             on_values({n: v for n, v in zip(names, values, strict=False) if v is not None})
 
-        request = GetParameters.Request(names=list(names))
-        self._request(f"{node}/get_parameters", request, on_answer, quiet=True)
+        name = f"{node}/get_parameters"
+        if self._clients[name].service_is_ready():
+            self._request(name, GetParameters.Request(names=list(names)), on_answer, quiet=True)
+        else:
+            on_values({})
 
-    def disturb(self, action: Disturb) -> None:
-        """Set a parameter of the simulator; a refusal is told."""
+    def set(self, parameter: str, value: Any) -> None:
+        """Set a parameter, named by node and name; a refusal is told."""
 
         def on_answer(answer: SetParameters.Response) -> None:
             for result in answer.results:
                 if not result.successful:
-                    self._tell(f"the simulator refuses: {result.reason}")
+                    self._tell(f"refused: {result.reason}")
 
-        value = list(action.value) if isinstance(action.value, tuple) else action.value
-        request = SetParameters.Request(
-            parameters=[Parameter(action.name, value=value).to_parameter_msg()]
-        )
-        self._request(f"{SIMULATOR}/set_parameters", request, on_answer)
-
-    def put_back(self, why: str) -> None:
-        """Put the simulated arm back where it began; the answer is told, behind the reason."""
-
-        def on_answer(answer: Trigger.Response) -> None:
-            self._tell(f"{why}: {answer.message}")
-
-        self._request(f"{SIMULATOR}/reset", Trigger.Request(), on_answer)
+        node, _, name = parameter.partition("/")
+        plain = value if isinstance(value, (float, str)) else list(value)
+        wanted = Parameter(name, value=plain).to_parameter_msg()
+        request = SetParameters.Request(parameters=[wanted])
+        self._request(f"{node}/set_parameters", request, on_answer)
 
     def look_after(self) -> None:
         """Repeat a stop that is not answered, and give up what waits too long."""
@@ -121,17 +114,17 @@ class Services:
 
     def _send_stop(self) -> None:
         self._stop_sent_s = self._node.steady_s()
-        answered = self._on_answer("stop")
 
         def on_answer(answer: Trigger.Response) -> None:
             if self._stop_since_s is not None:
                 self._stop_since_s = None
-                answered(answer)
+                self._told("stop")(answer)
 
         self._request(f"{CONTROLLER}/stop", Trigger.Request(), on_answer, quiet=True)
 
-    def _on_answer(self, service: str) -> Callable[[Trigger.Response], None]:
-        return lambda answer: self._tell(f"{service.replace('_', ' ')}: {answer.message}")
+    def _told(self, name: str) -> Callable[[Trigger.Response], None]:
+        said = name.rpartition("/")[2].replace("_", " ")
+        return lambda answer: self._tell(f"{said}: {answer.message}")
 
     def _request(
         self, name: str, request: Any, on_answer: Callable[[Any], None], quiet: bool = False

@@ -6,13 +6,11 @@ import numpy as np
 
 from fvs_ros.apps.demo import choose_target
 
-#: A tour that waits for longer than this says so, s.
-_WAITS_S = 10.0
-WAITS = "the tour waits for the controller; does it need a Start?"
 #: After so long without a ball the arm itself is taken to hide it, s: well before a controller
 #: that holds wants a new start.
 _LOST_S = 8.0
 LOST = "the tour saw no ball any more"
+_DISTANCE_M, _SEED = 0.3, 0
 
 
 class TargetTour:
@@ -24,42 +22,19 @@ class TargetTour:
         Positions the ball can be at, m, camera frame.
     period_s : float
         Time given to each, s.
-    distance_m : float
-        Wanted distance from one to the next, m.
-    seed : int
-        Of the choice.
     """
 
-    def __init__(
-        self, candidates_m: np.ndarray, period_s: float, distance_m: float, seed: int
-    ) -> None:
+    def __init__(self, candidates_m: np.ndarray, period_s: float) -> None:
         self._candidates_m = candidates_m
         self._period_s = period_s
-        self._distance_m = distance_m
-        self._rng = np.random.default_rng(seed)
+        self._rng = np.random.default_rng(_SEED)
         self._due_s = -np.inf
-        self._ready_s: float | None = None  # when the controller would last have gone
         self._seen_s = np.inf  # when the ball was last seen; nothing is lost before it was seen
-
-    def waits(self, now_s: float, ready: bool) -> bool:
-        """Whether the controller has not been ready for so long that a person should know.
-
-        Parameters
-        ----------
-        now_s : float
-            Steady clock, s.
-        ready : bool
-            Whether the controller would go to a target now.
-        """
-        if ready or self._ready_s is None:
-            self._ready_s = now_s
-        return now_s - self._ready_s > _WAITS_S
 
     def lost(self, now_s: float, ball_m: np.ndarray | None) -> bool:
         """Whether the ball has been out of sight for so long that it will not come back by itself.
 
-        A joint that turns a little further with every target brings the wrist before the ball
-        some day, and an arm that does not see the ball does not move. Said once each time.
+        An arm that does not see the ball does not move. Said once each time.
 
         Parameters
         ----------
@@ -90,4 +65,4 @@ class TargetTour:
         if not ready or ball_m is None or now_s < self._due_s:
             return None
         self._due_s = now_s + self._period_s
-        return choose_target(self._candidates_m, ball_m, self._distance_m, self._rng)
+        return choose_target(self._candidates_m, ball_m, _DISTANCE_M, self._rng)
