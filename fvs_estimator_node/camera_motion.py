@@ -11,20 +11,17 @@ from each other as they should be. What was learned of the old pose is then drop
 one is learned from there. How far the ball jumped says how far the camera may have been turned; but
 if it is soon off again, then the camera turns on (somebody carries it), or it was turned about the
 ball, and the jump says nothing: the rotation from before all that is then doubted as much as ever.
-A turn about the ball shows sooner by the steps (:mod:`fvs_estimator_node.turn_watch`).
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from fvs_estimator_node.camera_doubts import CameraDoubts
 from fvs_estimator_node.rotations import nearest_rotation, rotation_angle_rad
-from fvs_estimator_node.turn_watch import MOST_STEPS, TurnWatch
 from fvs_ros.core.vectors import length
 
 _IDENTITY, _NOWHERE = np.eye(3), np.zeros(3)
@@ -129,9 +126,7 @@ class CameraMotion:
         self._variance = _NOISE_M**2
         #: Positions since the last bump, and the rotation from before the first one of a series.
         self._since_bump, self._before_bump = _SOON, _IDENTITY
-        self._watch = TurnWatch()
         self._doubts = CameraDoubts()
-        self._pairs: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=MOST_STEPS + 1)
         self._pose = _Pose(_IDENTITY, _NOWHERE, 0.0, np.zeros((3, 3)))
         self._begin(_IDENTITY, self._config.rotation_deviation_rad)
 
@@ -191,8 +186,7 @@ class CameraMotion:
             self._innovation = innovation
             self._learn(model_m, seen_m)
         bumped = not believed and self._wonder(model_m, seen_m, distance_m)
-        turned = self._watch_steps(model_m, seen_m, believed)
-        return believed or bumped or turned
+        return believed or bumped
 
     def _hear_noise(self, change_m: np.ndarray) -> None:
         """Learn the noise from what changes between two positions: what stays is no noise."""
@@ -224,27 +218,6 @@ class CameraMotion:
             turned_rad = _TURN_SHARE * distance_m / max(length(seen_m), 1e-3)
             doubt_rad = min(max(turned_rad, least_rad), most_rad)
         self._begin_anew(self._strangers, self._before_bump, doubt_rad)
-        return True
-
-    def _watch_steps(self, model_m: np.ndarray, seen_m: np.ndarray, believed: bool) -> bool:
-        """Begin anew if the last steps of the ball are of a camera that was turned."""
-        self._pairs.append((model_m, seen_m))
-        if len(self._pairs) < 2:
-            return False
-        before_p, before_x = self._pairs[-2]
-        step = model_m - before_p
-        if length(step) < _STILL_M:
-            self._watch.clear()
-            if believed:
-                self._watch.rest(seen_m - before_x)
-            return False
-        rotation = self._pose.rotation
-        steps = self._watch.add(rotation, step, seen_m - before_x)
-        if not steps:
-            return False
-        pairs = list(self._pairs)[-len(steps) - 1 :]
-        self._begin_anew(pairs, rotation, self._config.bumped_deviation_rad)
-        self._before_bump = self._pose.rotation
         return True
 
     def _begin_anew(

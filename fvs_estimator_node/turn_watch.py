@@ -19,7 +19,7 @@ from fvs_estimator_node.rotations import nearest_rotation, rotation_angle_rad
 from fvs_ros.core.vectors import length
 
 #: The last steps that are looked at: so many at least and at most, and no more than these m need.
-_FEWEST, MOST_STEPS, _WAY_M = 3, 6, 0.03
+_FEWEST, _MOST_STEPS, _WAY_M = 3, 6, 0.03
 #: Chi-square, 3 degrees of freedom, that chance exceeds once in some ten million steps.
 _CHANCE = 36.0
 #: A smaller turn is followed without being noticed, rad; what stays unexplained, a share at most.
@@ -43,7 +43,7 @@ class TurnWatch:
     def __init__(self) -> None:
         self._variance_m2 = _VARIANCE_M2
         self._heard = 0
-        self._steps: deque[Step] = deque(maxlen=MOST_STEPS)
+        self._steps: deque[Step] = deque(maxlen=_MOST_STEPS)
 
     @property
     def deviation_m(self) -> float:

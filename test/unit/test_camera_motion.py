@@ -186,18 +186,6 @@ def test_a_turn_about_the_ball_is_seen_by_the_way_it_goes_next(degrees, seed):
     assert angle_between(camera.rotation, rotation) < np.radians(10.0)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_shift_soon_after_a_turn_about_the_ball_leaves_what_the_turn_taught(seed):
-    rng = np.random.default_rng(seed)
-    camera, balls = CameraMotion(), path(100, rng)
-    watch(camera, balls, np.eye(3), np.zeros(3), rng)
-    rotation, translation = carry(camera, resting(balls[-1], 60, rng), 60.0, rng, about=balls[-1])
-    way = corner(balls[-1], 4)
-    watch(camera, way, rotation, translation, rng)
-    watch(camera, resting(way[-1], 3, rng), rotation, translation + [0.1, 0.0, 0.0], rng)
-    assert angle_between(camera.rotation, rotation) < np.radians(25.0)
-
-
 @pytest.mark.parametrize("noise_m", [0.0002, 0.001, 0.004])
 def test_after_a_small_bump_noise_does_not_turn_it(noise_m):
     rng = np.random.default_rng(0)
