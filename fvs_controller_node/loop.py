@@ -6,7 +6,7 @@ object.
 
 from __future__ import annotations
 
-from math import inf, pi
+from math import inf
 
 import numpy as np
 
@@ -19,11 +19,10 @@ from fvs_controller_node.supervisor import Command, Supervisor
 from fvs_controller_node.supervisor_config import BALL, JOINT_STATES, KINEMATIC_CHAIN
 from fvs_controller_node.target_motion import STANDING, Target, TargetFollower
 from fvs_ros.core.chain import SerialChain
-from fvs_ros.core.history import StampGate
+from fvs_ros.core.history import StampGate, jump_of
 
-#: No joint is faster, nor a step between joint states larger than this besides, rad/s and rad;
-#: after a longer gap than this nothing is said, s.
-_FASTEST_RAD_S, _JUMP_RAD, _JUMP_S = 1.5 * pi, 0.1, 0.5
+#: Of joints after a longer gap nothing is said, s.
+_JUMP_S = 0.5
 #: A chain is told more often than this, s.
 _CHAIN_MAX_AGE_S = 1.5
 #: A chain whose Jacobian differs from that in use by more than this share is not used, and said to
@@ -99,12 +98,12 @@ class ServoLoop:
         passed_s = stamp_s - before_s
         if before is None or before.shape != joints_rad.shape or not 0.0 < passed_s < _JUMP_S:
             return ""
-        moved = np.abs(joints_rad - before)
-        joint = int(moved.argmax())
-        if not moved[joint] > _JUMP_RAD + _FASTEST_RAD_S * passed_s:
+        moved = joints_rad - before
+        joint = jump_of(moved, passed_s)
+        if joint is None:
             return ""
         return (
-            f"{self.supervisor.config.joint_names[joint]} jumped by {moved[joint]:.2f} rad in "
+            f"{self.supervisor.config.joint_names[joint]} jumped by {abs(moved[joint]):.2f} rad in "
             f"{passed_s:.3f} s; do two nodes publish joint states?"
         )
 

@@ -237,7 +237,8 @@ class ControllerNode(ros.FvsNode):
     # --- outputs ---
 
     def _tell_reason(self, now_s: float, command: Command) -> None:
-        if command.state is State.HOLDING and not command.reason.needs_start:
+        passes = command.state is State.HOLDING or command.reason in _LATE
+        if passes and not command.reason.needs_start:
             if now_s < min(self._told_passing_s + _TOLD_AGAIN_S, self._reason_s + _LASTS_S):
                 return
             self._told_passing_s = now_s
@@ -247,8 +248,7 @@ class ControllerNode(ros.FvsNode):
         self.tell(level, f"{command.state.value}: {self._words(command)}")
 
     def _words(self, command: Command) -> str:
-        late = command.state is State.HOLDING and command.reason in _LATE
-        return clock.blamed(command.text) if late else command.text
+        return clock.blamed(command.text) if command.reason in _LATE else command.text
 
     def _publish_status(self) -> None:
         if self._untold and self.now_s() - self._heard_target_s > _TARGET_ECHO_S:

@@ -313,7 +313,10 @@ class Supervisor:
         assert self._conditioning is not None
         value, hold = self._conditioning.smallest, self._config.singular_hold_m_rad
         if not self._singularity.leave(value, hold):
-            return False, f"not started: {finding.text}"
+            return False, (
+                f"not started: the Jacobian is too singular to leave ({value:.4f} m/rad); call the "
+                "estimator's ~/reset, or move the arm by hand"
+            )
         if not self._started:
             self._begin()
             self._singularity.leave(value, hold)

@@ -131,7 +131,7 @@ class ExposureMatcher:
         if not (np.isfinite(stamp_s) and np.all(np.isfinite(joints_rad))):
             return []
         if not self._history.add(stamp_s, joints_rad):
-            self._drop_waiting("the joint states' clock jumped")
+            self._drop_waiting("the joint states or their clock jumped")
             self._heard_stamp_s = None
         return self._pair()
 

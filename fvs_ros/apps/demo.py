@@ -221,10 +221,10 @@ def draw(
     from matplotlib import pyplot as plt
 
     colours = plt.get_cmap("viridis")(np.linspace(0.05, 0.85, len(records)))
-    figure = plt.figure(figsize=(13, 6.2), layout="constrained")
-    grid = figure.add_gridspec(2, 2, width_ratios=[1.0, 1.15])
+    seen = image_rgb is not None and intrinsics is not None
+    figure = plt.figure(figsize=(13 if seen else 6.5, 6.2), layout="constrained")
+    grid = figure.add_gridspec(2, 2 if seen else 1, width_ratios=[1.0, 1.15][: 1 + seen])
     error_axes, speed_axes = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[1, 0])
-    view_axes = figure.add_subplot(grid[:, 1])
 
     for number, (record, colour) in enumerate(zip(records, colours, strict=True), start=1):
         error_axes.semilogy(
@@ -248,9 +248,10 @@ def draw(
     )
     speed_axes.grid(alpha=0.3)
 
-    view_axes.set_title("Camera view at the end, trail of the ball, targets (+)")
-    view_axes.axis("off")
     if image_rgb is not None and intrinsics is not None:
+        view_axes = figure.add_subplot(grid[:, 1])
+        view_axes.set_title("Camera view at the end, trail of the ball, targets (+)")
+        view_axes.axis("off")
         view_axes.imshow(image_rgb)
         for record, colour in zip(records, colours, strict=True):
             trail = intrinsics.project(np.array(record.position_m))

@@ -23,7 +23,7 @@ from fvs_ros.core.joints import JointMap
 from fvs_ros.core.paths import find_file
 
 _POLL_S = 0.1
-_IMAGE_WAIT_S = 5.0
+_IMAGE_WAIT_S = 30.0
 _SILENCE_S = 5.0
 
 
@@ -46,6 +46,7 @@ class DemoNode(ros.FvsNode):
         self._intrinsics: Intrinsics | None = None
         self._began_s = self.steady_s()
         self._image_asked_s: float | None = None
+        self._end_s = 0.0  # stamp of the end
         self._stop = self.create_client(Trigger, "fvs_controller_node/stop")
         self._target = self.create_publisher(PointStamped, ros.TARGET_POSITION, ros.QOS_LATCHED)
         self.watch(DiagnosticStatus, ros.CONTROLLER_STATUS, self._on_status, ros.QOS_RELIABLE)
@@ -88,7 +89,7 @@ class DemoNode(ros.FvsNode):
             if len(self._records) < self._count:
                 self._next_target(stamp_s, position_m)
             else:
-                self._ask_image()
+                self._ask_image(stamp_s)
 
     # --- the task ---
 
@@ -132,15 +133,16 @@ class DemoNode(ros.FvsNode):
 
     # --- the picture and the table ---
 
-    def _ask_image(self) -> None:
+    def _ask_image(self, stamp_s: float) -> None:
         """Subscribe now, not before: the simulator renders full frames for subscribers only."""
-        self._image_asked_s = self.steady_s()
+        self._image_asked_s, self._end_s = self.steady_s(), stamp_s
         self._stop.call_async(Trigger.Request())  # drawing makes the loop late
         self.create_subscription(Image, ros.COLOR_IMAGE, self._on_image, ros.QOS_RELIABLE)
         self.create_subscription(CameraInfo, ros.CAMERA_INFO, self._on_info, ros.QOS_RELIABLE)
 
     def _on_image(self, message: Image) -> None:
-        self._image = message
+        if ros.from_stamp(message.header.stamp) >= self._end_s:  # an old one waited somewhere
+            self._image = message
 
     def _on_info(self, message: CameraInfo) -> None:
         self._intrinsics = Intrinsics(
@@ -152,7 +154,9 @@ class DemoNode(ros.FvsNode):
         scores = [demo.score(record, settle_error_m) for record in self._records]
         folder = Path(self.values["output_dir"])
         image_rgb = None
-        if self._image is not None:
+        if self._image is None:
+            print(f"no camera image came within {_IMAGE_WAIT_S:.0f} s: the figure has none")
+        else:
             image_rgb = np.frombuffer(self._image.data, np.uint8).reshape(
                 self._image.height, self._image.width, 3
             )

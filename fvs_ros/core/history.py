@@ -4,8 +4,18 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import deque
+from math import pi
 
 import numpy as np
+
+#: No joint is faster, nor a step between two joint states larger than this besides, rad/s and rad.
+_FASTEST_RAD_S, _JUMP_RAD = 1.5 * pi, 0.1
+
+
+def jump_of(step_rad: np.ndarray, passed_s: float) -> int | None:
+    """The joint that made an impossible step, rad, (6,), in this time, s; None if none did."""
+    joint = int(np.abs(step_rad).argmax())
+    return joint if abs(step_rad[joint]) > _JUMP_RAD + _FASTEST_RAD_S * passed_s else None
 
 
 class StampGate:
@@ -34,8 +44,9 @@ class JointHistory:
     """The last few seconds of joint positions.
 
     Stamps must come from one clock. A stamp that goes back by more than ``max_backstep_s``, or
-    forward by more than the history's length, is a clock jump and starts the history anew;
-    a repeated or slightly older stamp (a duplicate, a reordered message) is passed over.
+    forward by more than the history's length, is a clock jump; that or a jump of the joints starts
+    the history anew. A repeated or slightly older stamp (a duplicate, a reordered message) is
+    passed over.
 
     Parameters
     ----------
@@ -87,14 +98,15 @@ class JointHistory:
         Returns
         -------
         bool
-            False if the clock jumped, so that the history was started anew.
+            False if clock or joints jumped, so that the history was started anew.
         """
         jumped = False
         if self._stamps:
             step_s = stamp_s - self._stamps[-1]
             if -self._max_backstep_s <= step_s <= 0.0:
                 return True
-            if step_s < 0.0 or step_s > self._length_s:
+            jump = jump_of(joints_rad - self._joints[-1], step_s)
+            if step_s < 0.0 or step_s > self._length_s or jump is not None:
                 self.clear()
                 jumped = True
         self._stamps.append(stamp_s)

@@ -174,7 +174,7 @@ class DashboardNode(ros.FvsNode):
             self._board.learn_camera(self._arm.flange)
         self._send_tour(now_s)
         if self._reset_s is not None and now_s - self._reset_s > _AT_REST_S:
-            self._reset_s = None
+            self._reset_s = now_s  # again, until it is accepted
             self._calls.call(f"{CONTROLLER}/{SET_CURRENT.name}", self._on_reset_done)
         watched = self._page.watched
         if self.values["image"] and watched != bool(self._cameras):
@@ -270,16 +270,22 @@ class DashboardNode(ros.FvsNode):
     def _reset(self) -> None:
         """Stop, forget what was learned, and put the simulation back as it began."""
         self._calls.stop()
-        self._calls.call(f"{ESTIMATOR}/reset")
         if self._board.parameters.get(SIMULATOR):
             for name, value in self._begun.items():
                 self._calls.set(f"{SIMULATOR}/{name}", value)
             self._calls.call(f"{SIMULATOR}/reset")
+        self._calls.call(f"{ESTIMATOR}/reset")
         self._reset_s = self.steady_s()
 
     def _on_reset_done(self, answer: Any) -> None:
         """Say how it ended; no service clears a target, but at the ball it moves nothing."""
-        self._answer(f"everything reset; {answer.message}")
+        if self._reset_s is None:
+            return
+        if answer.success:
+            self._reset_s = None
+            self._answer(f"everything reset; {answer.message}")
+        else:
+            self._board.answer(self.steady_s(), f"not all is reset yet; {answer.message}")
 
     def _send_target(self, position_m: np.ndarray) -> None:
         self._target.publish(ros.to_point(self.ros_s(), self._frame, position_m))
