@@ -26,13 +26,12 @@ class BallPredictor:
 
     The ball's motion ``sum J dr`` is kept over time and interpolated at an image's exposure (an
     image waits for a later joint state if need be). Between images the estimate follows it; an
-    image pulls it (:class:`~fvs_ros.core.tracker.Tracker`). Clock jumps, gaps in the joint
-    states and long absences of the ball start it anew.
+    image pulls it (:class:`~fvs_ros.core.tracker.Tracker`). Clock jumps start it anew.
 
     Parameters
     ----------
     max_latency_s : float
-        No prediction over more than this, s; also the largest gap between images.
+        No prediction over more than this, s.
     enabled : bool
         Off: the position is that of the last image.
     """
@@ -150,10 +149,7 @@ class BallPredictor:
         self._latency_s = newest - stamp_s
         self._raw = position
         before_s, self._stamp_s = self._stamp_s, stamp_s
-        if before_s is None or stamp_s - before_s > self._max_latency_s:
-            self.tracker.restart()
-        else:
-            self._images += 1
+        self._images += before_s is not None
         self.tracker.add(Image(stamp_s, position, moved))
 
     def predict(self) -> np.ndarray | None:

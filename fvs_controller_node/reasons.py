@@ -121,8 +121,8 @@ class Reason(Enum):
         State.HOLDING,
         Stop.RAMP,
         True,
-        "frozen image: {predicted_mm:.0f} mm of motion predicted in {time_s:.1f} s, "
-        "{seen_mm:.0f} mm seen; check camera and detector, then call ~/start",
+        "the image does not follow the arm: {predicted_mm:.0f} mm predicted in {time_s:.1f} s, "
+        "{seen_mm:.0f} mm seen; check camera, detector and stamp_delay_s, then call ~/start",
     )
     RIVAL = (
         State.HOLDING,

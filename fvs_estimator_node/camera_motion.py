@@ -51,7 +51,7 @@ class CameraMotionConfig:
     bumped_deviation_rad : float
         The same at most once it was noticed, rad; less after a small bump that stays alone.
     memory : float
-        Positions, some way apart, after which an old one has lost 63 % of its say.
+        Positions, some way apart, after which an old one's weight has decayed by 63 %.
     bump_m : float
         A position further than this, and than six standard deviations of the noise besides, from
         where it should be is not believed, m.

@@ -52,7 +52,7 @@ class LeftFactorConfig:
     kind : str
         ``rotation``: three numbers, what moving a camera does; ``matrix``: nine.
     memory_m : float
-        Way of the ball after which a step has lost 63 % of its say, m.
+        Way of the ball after which a step's weight has decayed by 63 %, m.
     trust_m : float
         The start (no motion of the camera) counts like a step of this length each way, m.
     bumped_trust_m : float
@@ -95,7 +95,7 @@ LEFT_FACTOR_PARAMETERS = (
     Parameter(
         "rbf_left.memory_m",
         _DEFAULT.memory_m,
-        "Way of the ball after which a step has lost 63 % of its say, m.",
+        "Way of the ball after which a step's weight has decayed by 63 %, m.",
         1e-3,
         1e3,
     ),

@@ -17,7 +17,7 @@ from fvs_ros.core.tracker import Image, Tracker
 
 #: With images that are stamped by more too late or too early, no loop comes to rest, s.
 _MOST_LATE_S = 0.08
-#: So many of the last ball positions are paired anew once their stamps are known to be wrong.
+#: This many of the last ball positions are paired anew once their stamps are known to be wrong.
 _LAST = 16
 _IDENTITY = np.eye(3)
 
@@ -62,7 +62,7 @@ class EstimationLoop:
 
     @property
     def late_s(self) -> float:
-        """So late the ball positions' stamps are, s; negative for early ones."""
+        """How late the ball positions' stamps are, s; negative for early ones."""
         return self._late_s
 
     @property
@@ -85,12 +85,6 @@ class EstimationLoop:
     def steps(self) -> int:
         """Number of steps learned from."""
         return self._steps
-
-    @property
-    def error_ratio(self) -> float | None:
-        """Error of the predicted motion over the motion; None while too little has moved."""
-        verdict = self._tracker.agreement.verdict
-        return None if verdict is None else verdict.error_ratio
 
     def add_joints(self, stamp_s: float, joints_rad: np.ndarray) -> bool:
         """Take a joint state, s and rad, (6,); whether the estimator learned from it."""
@@ -128,9 +122,10 @@ class EstimationLoop:
         last, self._last = self._last, sample
         moved_m = np.zeros_like(sample.ball_m)
         if last is None or last.run != sample.run:
-            self._tracker.restart()
             self._stamps = StampWatch()
             self._rotations.clear()
+        if last is None:
+            self._tracker.restart()
         else:
             d_joints = sample.joints_rad - last.joints_rad
             jacobian = self.estimator.jacobian(last.joints_rad + 0.5 * d_joints)

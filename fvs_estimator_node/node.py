@@ -253,7 +253,6 @@ class EstimatorNode(ros.FvsNode):
             reason,
             {
                 "method": self.values["method"],
-                "prediction_error_ratio": self._loop.error_ratio,
                 "steps_learned": self._loop.steps,
                 "joint_states_age_s": now_s - self._joints_s,
                 "ball_position_age_s": self.monitor(ros.BALL_POSITION).age_s(now_s),

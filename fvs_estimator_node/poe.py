@@ -41,7 +41,7 @@ POE_PARAMETERS = (
     Parameter(
         "poe.memory",
         _DEFAULT.memory,
-        "Steps after which an old one has lost 63 % of its say about the camera's pose.",
+        "Steps after which an old one's weight in the camera's pose has decayed by 63 %.",
         1.0,
         1e6,
     ),

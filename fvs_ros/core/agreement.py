@@ -12,6 +12,7 @@ and s, where it was seen. One sum of both answers three questions, however fast 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 
@@ -27,8 +28,6 @@ _LEAST_S = 0.25
 _CELL_M = _LEAST_M / 8.0
 #: So many cells are kept; beyond, the two neighbours nearest to each other become one.
 _CELLS = 32
-#: A longer gap between two exposures begins anew, s.
-_GAP_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ class Agreement:
     """Compares seen and predicted ways."""
 
     def __init__(self) -> None:
-        self._newest_s = 0.0
+        self._newest_s = -inf
         self.restart()
 
     def restart(self) -> None:
@@ -83,7 +82,7 @@ class Agreement:
         noise_m : float
             Standard deviation of a coordinate of an image, m.
         """
-        if self._cells and not 0.0 < stamp_s - self._newest_s <= _GAP_S:
+        if stamp_s <= self._newest_s:  # the clock jumped; no gap between images forgives anything
             self.restart()
         self._newest_s = stamp_s
         if not self._cells or length(moved_m - self._cells[-1].anchor_m) > _CELL_M:

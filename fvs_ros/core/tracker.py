@@ -14,8 +14,8 @@ import numpy as np
 from fvs_ros.core.agreement import Agreement
 from fvs_ros.core.fusion import Fusion
 
-#: So many outliers in a row are no outliers: camera or ball was moved.
-_REPEATS = 3
+#: After this many outliers in a row camera or ball is moving, even if no two of them agree.
+_REPEATS = 6
 
 
 class Image(NamedTuple):
