@@ -24,6 +24,7 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -764,7 +765,11 @@ class FvsNode(Node):
             monitor.arrived(self.now_s())
             callback(message)
 
-        return self.create_subscription(message_type, topic, on_message, qos)
+        # What is watched latched is watched volatile, too: no publisher is to be warned of.
+        events = SubscriptionEventCallbacks(use_default_callbacks=qos is not QOS_LATCHED)
+        return self.create_subscription(
+            message_type, topic, on_message, qos, event_callbacks=events
+        )
 
     def monitor(self, topic: str) -> ArrivalMonitor:
         """Arrival statistics of a watched input."""
