@@ -115,7 +115,7 @@ ROWS = {
         Mutant(_SINGULAR, Supervisor, "_near_singular", _nothing, "estimator/10/7"),
     ],
     "the Jacobian predicting badly": [
-        Mutant(_WRONG, Supervisor, "_error_ratio", _NEVER, "work/5/3, wrong way/60/0"),
+        Mutant(_WRONG, Supervisor, "_error_ratio", _NEVER, "work/5/3, wrong way/120/9"),
     ],
     "the error grows": [
         Mutant(_GROWS, Progress, "growing", _NEVER, "work/40/3, long wait/60/0, push/90/9"),

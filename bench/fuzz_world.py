@@ -1127,7 +1127,13 @@ def _estimator(world: World, rng: np.random.Generator, scene: Scene) -> None:
 
 def _wrong_way(world: World, rng: np.random.Generator, scene: Scene) -> None:
     """Show the ball going the other way, as behind a joint of the wrong sign."""
+    if scene.variant > 5:  # slowly
+        world.reconfigure([("max_joint_velocity_rad_s", 0.1)])
     world.show(-1.0)
+    if scene.variant > 5:  # from a start on
+        world.stop()
+        world.calm(30)
+        world.start()
     world.aim(rng, 0.3)
     world.calm(60 + 2 * scene.ticks, steady_s=0.02, ros_s=0.02)
     world.show(1.0)

@@ -147,6 +147,8 @@ class BallPredictor:
         newest = self._moved.newest_stamp_s
         assert newest is not None
         self._latency_s = newest - stamp_s
+        if self._latency_s > self._max_latency_s:
+            return  # the clocks differ
         self._raw = position
         before_s, self._stamp_s = self._stamp_s, stamp_s
         self._images += before_s is not None

@@ -8,7 +8,7 @@ stop.listen()
 
 import sys
 from functools import partial
-from math import nan
+from math import inf, nan
 from typing import Any
 
 import numpy as np
@@ -174,7 +174,7 @@ class DashboardNode(ros.FvsNode):
             self._board.learn_camera(self._arm.flange)
         self._send_tour(now_s)
         if self._reset_s is not None and now_s - self._reset_s > _AT_REST_S:
-            self._reset_s = now_s  # again, until it is accepted
+            self._reset_s = inf  # asked
             self._calls.call(f"{CONTROLLER}/{SET_CURRENT.name}", self._on_reset_done)
         watched = self._page.watched
         if self.values["image"] and watched != bool(self._cameras):
@@ -285,7 +285,8 @@ class DashboardNode(ros.FvsNode):
             self._reset_s = None
             self._answer(f"everything reset; {answer.message}")
         else:
-            self._board.answer(self.steady_s(), f"not all is reset yet; {answer.message}")
+            self._reset_s = self.steady_s()  # again, until it is accepted
+            self._board.answer(self._reset_s, f"not all is reset yet; {answer.message}")
 
     def _send_target(self, position_m: np.ndarray) -> None:
         self._target.publish(ros.to_point(self.ros_s(), self._frame, position_m))
