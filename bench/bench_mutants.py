@@ -122,7 +122,7 @@ ROWS = {
         Mutant(_STALLS, Progress, "stalled", _NEVER, "another ball/60/6, long wait/60/0"),
         Mutant("a swing is held", Progress, "swinging", _NEVER, "work/5/3, swing/60/4"),
     ],
-    "frozen image": [
+    "the image does not follow": [
         Mutant(_FROZEN, supervisor, "_LEAST_SEEN", -1.0, "another ball/60/5"),
     ],
     "the arm does not move": [

@@ -227,7 +227,7 @@ class ServoLoop:
                 compare=self.supervisor.full_speed and self.supervisor.last.state is State.SERVOING,
             )
         if self._home is None:  # what moved before this start says nothing of now
-            self.predictor.tracker.agreement.restart()
+            self.predictor.agreement.restart()
         command = self.supervisor.tick(
             now_s,
             dt_s,
@@ -236,7 +236,7 @@ class ServoLoop:
             self._propose,
             pending_rad=self._drive_lag.pending_rad(),
             problem=self.predictor.problem,
-            verdict=self.predictor.tracker.agreement.verdict,
+            verdict=self.predictor.agreement.verdict,
         )
         if command.state is not State.SERVOING:
             self.law.reset()

@@ -34,7 +34,7 @@ _SENT = 64
 _WATCHDOG_PERIODS = 2.5
 #: What passes by itself is logged so seldom, s, or when it lasts for so long, s.
 _TOLD_AGAIN_S, _LASTS_S = 10.0, 1.0
-_LATE = (Reason.STALE, Reason.RETURNING, Reason.NO_POSITION)
+_LATE = (Reason.STALE, Reason.RETURNING)
 #: A latched target is heard by both subscriptions, within this.
 _TARGET_ECHO_S = 0.5
 _LEVELS = {

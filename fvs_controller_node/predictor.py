@@ -11,6 +11,7 @@ from collections import deque
 
 import numpy as np
 
+from fvs_ros.core.agreement import Agreement
 from fvs_ros.core.history import JointHistory
 from fvs_ros.core.tracker import Image, Tracker
 
@@ -39,7 +40,7 @@ class BallPredictor:
     def __init__(self, *, max_latency_s: float = 0.5, enabled: bool = True) -> None:
         self.configure(max_latency_s=max_latency_s, enabled=enabled)
         self._images = 0
-        self.tracker = Tracker()
+        self.tracker, self.agreement = Tracker(), Agreement()
         self._moved = JointHistory()  # of the ball by the joints, m, rather than of the joints
         self._waiting: deque[tuple[float, np.ndarray]] = deque(maxlen=_MAX_WAITING)
         self.reset()
@@ -54,6 +55,7 @@ class BallPredictor:
     def reset(self) -> None:
         """Forget everything."""
         self._moved.clear()
+        self.agreement.restart()
         self._joints: np.ndarray | None = None
         self._forget_ball()
 
@@ -150,9 +152,11 @@ class BallPredictor:
         if self._latency_s > self._max_latency_s:
             return  # the clocks differ
         self._raw = position
-        before_s, self._stamp_s = self._stamp_s, stamp_s
-        self._images += before_s is not None
-        self.tracker.add(Image(stamp_s, position, moved))
+        self._stamp_s = stamp_s
+        self._images += 1
+        for image in self.tracker.add(Image(stamp_s, position, moved)):
+            noise_m = self.tracker.fusion.noise_m
+            self.agreement.add(image.stamp_s, image.seen_m, image.moved_m, noise_m)
 
     def predict(self) -> np.ndarray | None:
         """Predict the ball's position at the newest joint state.

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fvs_estimator_node.base import MotionStep
-from fvs_ros.core.history import JointHistory
+from fvs_ros.core.history import JointHistory, jump_of
 
 
 @dataclass(frozen=True)
@@ -130,8 +130,13 @@ class ExposureMatcher:
         """
         if not (np.isfinite(stamp_s) and np.all(np.isfinite(joints_rad))):
             return []
+        newest, newest_s = self._history.newest, self._history.newest_stamp_s
+        passed_s = 0.0 if newest_s is None else stamp_s - newest_s
+        if passed_s > 0.0 and jump_of(joints_rad - newest, passed_s) is not None:
+            self._history.clear()
+            self._drop_waiting("the joints jumped")
         if not self._history.add(stamp_s, joints_rad):
-            self._drop_waiting("the joint states or their clock jumped")
+            self._drop_waiting("the joint states' clock jumped")
             self._heard_stamp_s = None
         return self._pair()
 

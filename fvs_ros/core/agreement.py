@@ -82,8 +82,9 @@ class Agreement:
         noise_m : float
             Standard deviation of a coordinate of an image, m.
         """
-        if stamp_s <= self._newest_s:  # the clock jumped; no gap between images forgives anything
-            self.restart()
+        if stamp_s <= self._newest_s:  # the clock stepped back, which forgives nothing
+            for cell in self._cells:
+                cell.stamp_s += stamp_s - self._newest_s
         self._newest_s = stamp_s
         if not self._cells or length(moved_m - self._cells[-1].anchor_m) > _CELL_M:
             self._cells.append(_Cell(stamp_s, moved_m, 1, moved_m, seen_m))

@@ -17,13 +17,13 @@ _PROGRAMS_PER_CORE = 2.0
 
 
 def blamed(lateness: str) -> str:
-    """Words on an input that is late; if this computer is too busy, with that for their advice."""
+    """Words on an input that is late, with the cause before them if this computer is too busy."""
     try:
         running = int(Path("/proc/loadavg").read_text().split()[3].partition("/")[0])
     except (OSError, ValueError, IndexError):  # not on this system
         return lateness
     busy = running >= _PROGRAMS_PER_CORE * len(os.sched_getaffinity(0))
-    return f"this computer is too busy: {lateness.partition('; ')[0]}" if busy else lateness
+    return f"this computer is too busy: {lateness}" if busy else lateness
 
 
 class LoopClock:

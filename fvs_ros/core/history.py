@@ -44,9 +44,8 @@ class JointHistory:
     """The last few seconds of joint positions.
 
     Stamps must come from one clock. A stamp that goes back by more than ``max_backstep_s``, or
-    forward by more than the history's length, is a clock jump; that or a jump of the joints starts
-    the history anew. A repeated or slightly older stamp (a duplicate, a reordered message) is
-    passed over.
+    forward by more than the history's length, is a clock jump and starts the history anew;
+    a repeated or slightly older stamp (a duplicate, a reordered message) is passed over.
 
     Parameters
     ----------
@@ -98,15 +97,14 @@ class JointHistory:
         Returns
         -------
         bool
-            False if clock or joints jumped, so that the history was started anew.
+            False if the clock jumped, so that the history was started anew.
         """
         jumped = False
         if self._stamps:
             step_s = stamp_s - self._stamps[-1]
             if -self._max_backstep_s <= step_s <= 0.0:
                 return True
-            jump = jump_of(joints_rad - self._joints[-1], step_s)
-            if step_s < 0.0 or step_s > self._length_s or jump is not None:
+            if step_s < 0.0 or step_s > self._length_s:
                 self.clear()
                 jumped = True
         self._stamps.append(stamp_s)

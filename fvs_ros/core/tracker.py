@@ -1,8 +1,7 @@
-"""The only place that compares what was seen with what was predicted.
+"""Where the feature is, by image and prediction, and which images are outliers.
 
-One filter, one innovation (seen minus predicted) and its sums serve every method and law: the
-filter says where the feature is and which images are outliers, the sums say whether the image
-follows the arm (:mod:`fvs_ros.core.agreement`).
+One filter and one innovation (seen minus predicted) serve every method and law; whether the image
+follows the arm, the sums of the believed images say (:mod:`fvs_ros.core.agreement`).
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fvs_ros.core.agreement import Agreement
 from fvs_ros.core.fusion import Fusion
 
 #: After this many outliers in a row camera or ball is moving, even if no two of them agree.
@@ -40,15 +38,14 @@ class Image(NamedTuple):
 
 
 class Tracker:
-    """Where the feature is at the newest image, and whether it goes as predicted."""
+    """Where the feature is at the newest image."""
 
     def __init__(self) -> None:
-        self.fusion, self.agreement = Fusion(), Agreement()
+        self.fusion = Fusion()
         self.restart()
 
     def restart(self) -> None:
         """Forget where the feature was; what was learned of noise and prediction stays."""
-        self.agreement.restart()
         self._estimate: np.ndarray | None = None
         self._moved = np.zeros(0)
         self._outliers: list[tuple[Image, np.ndarray]] = []  # and their innovations
@@ -82,7 +79,7 @@ class Tracker:
         if correction is not None:
             self._outliers.clear()
             self._estimate = self._estimate + correction
-            return self._sum_up([image])
+            return [image]
         before = self._outliers[-1][1] if self._outliers else None
         self._outliers.append((image, innovation))
         agreed = before is not None and self.fusion.agree(before, innovation, motion)
@@ -97,9 +94,4 @@ class Tracker:
         self._outliers = []
         self._estimate, self._moved = image.seen_m.copy(), image.moved_m
         self.fusion.restart()
-        return self._sum_up(images)
-
-    def _sum_up(self, images: list[Image]) -> list[Image]:
-        for image in images:
-            self.agreement.add(image.stamp_s, image.seen_m, image.moved_m, self.fusion.noise_m)
         return images

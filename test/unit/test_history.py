@@ -46,15 +46,6 @@ def test_a_clock_jump_starts_anew(jump_s):
     assert history.at(100.004) is None
 
 
-def test_a_jump_of_the_joints_starts_anew():
-    history = JointHistory()
-    assert history.add(0.0, np.zeros(6))
-    assert history.add(0.01, np.full(6, 0.02))
-    assert not history.add(0.02, np.full(6, 0.3))
-    assert history.at(0.005) is None
-    assert len(history) == 1
-
-
 def test_it_forgets_what_is_too_old():
     history = filled(np.arange(1000) * 0.008)
     assert len(history) <= 252

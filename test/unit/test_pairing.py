@@ -147,6 +147,14 @@ def test_no_step_across_a_clock_jump_and_recovery_after_it(jump_s):
     assert all(s.dt_s <= 0.5 and s.start_stamp_s >= 201.0 + jump_s for s in steps)
 
 
+def test_no_step_across_a_jump_of_the_joints():
+    pairing = StepPairing()
+    for k in range(60):
+        pairing.add_joints(0.01 * k, joints_at(0.01 * k) + (k >= 30))
+        for step in pairing.add_ball(0.01 * k, ball_at(0.01 * k)):
+            np.testing.assert_allclose(step.joint_velocity, VELOCITY, atol=1e-9)
+
+
 def test_one_ball_stamp_from_the_future_does_not_stop_the_pairing():
     pairing = StepPairing()
     feed(pairing, 0.0, 0.5)

@@ -8,7 +8,7 @@ stop.listen()
 
 import sys
 from functools import partial
-from math import inf, nan
+from math import nan
 from typing import Any
 
 import numpy as np
@@ -33,7 +33,7 @@ from fvs_ros.apps.dashboard.board import Board
 from fvs_ros.apps.dashboard.config import PARAMETERS, VISER
 from fvs_ros.apps.dashboard.markup import SHOWN_BY
 from fvs_ros.apps.dashboard.placement import Pose
-from fvs_ros.apps.dashboard.services_of_node import Services
+from fvs_ros.apps.dashboard.services_of_node import ANSWER_S, Services
 from fvs_ros.apps.dashboard.tour import LOST, TargetTour
 from fvs_ros.core import ros
 from fvs_ros.core.background import step_back
@@ -174,7 +174,7 @@ class DashboardNode(ros.FvsNode):
             self._board.learn_camera(self._arm.flange)
         self._send_tour(now_s)
         if self._reset_s is not None and now_s - self._reset_s > _AT_REST_S:
-            self._reset_s = inf  # asked
+            self._reset_s = now_s + ANSWER_S  # again, if no answer comes
             self._calls.call(f"{CONTROLLER}/{SET_CURRENT.name}", self._on_reset_done)
         watched = self._page.watched
         if self.values["image"] and watched != bool(self._cameras):

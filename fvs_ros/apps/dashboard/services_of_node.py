@@ -21,7 +21,7 @@ _CALLS: dict[str, type] = {
     **{f"{node}/set_parameters": SetParameters for node in (CONTROLLER, ESTIMATOR, SIMULATOR)},
 }
 #: An answer that takes longer is not waited for, s.
-_ANSWER_S = 3.0
+ANSWER_S = 3.0
 #: A stop is asked for this often, until it is answered, s; and after so long the person is told.
 _STOP_AGAIN_S, _STOP_LATE_S = 0.3, 0.5
 
@@ -106,11 +106,11 @@ class Services:
             self._send_stop()
         self._open = [one for one in self._open if not one.future.done()]
         for one in self._open:
-            if now_s - one.asked_s > _ANSWER_S:
+            if now_s - one.asked_s > ANSWER_S:
                 one.client.remove_pending_request(one.future)
                 if not one.quiet:
                     self._tell(f"{one.name} does not answer; it may still be done, later")
-        self._open = [one for one in self._open if now_s - one.asked_s <= _ANSWER_S]
+        self._open = [one for one in self._open if now_s - one.asked_s <= ANSWER_S]
 
     def _send_stop(self) -> None:
         self._stop_sent_s = self._node.steady_s()
