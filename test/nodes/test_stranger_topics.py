@@ -25,7 +25,7 @@ COLLECT_S, SETTLE_S, REST_S = 24.0, 3.0, 1.0
 
 @pytest.mark.timeout(200)
 def test_a_strangers_robot_is_served_over_its_topics_alone(ros_test, monkeypatch):
-    seed, rate_hz = 4, 250
+    seed, rate_hz = 4, 125
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([TESTS, os.environ["PYTHONPATH"]]))
     ros_test.start("stranger_node", str(seed), str(rate_hz))
     data, model = ros_test.folder / "data.npz", ros_test.folder / "model.npz"
