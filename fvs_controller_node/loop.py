@@ -61,6 +61,7 @@ class ServoLoop:
         self.follower = follower or TargetFollower()
         self.anticipation = anticipation
         self._drive_lag = DriveLag()
+        self._pending_rad = self._drive_lag.pending_rad()
         self._chain: SerialChain | None = None
         self._chain_s = -inf
         self._chain_doubts = 0  # how often in a row the two contradicted each other
@@ -226,6 +227,7 @@ class ServoLoop:
                 self._joints,
                 compare=self.supervisor.full_speed and self.supervisor.last.state is State.SERVOING,
             )
+        self._pending_rad = self._drive_lag.pending_rad()
         if self._home is None:  # what moved before this start says nothing of now
             self.predictor.agreement.restart()
         command = self.supervisor.tick(
@@ -234,7 +236,7 @@ class ServoLoop:
             self._joints,
             self.position_m,
             self._propose,
-            pending_rad=self._drive_lag.pending_rad(),
+            pending_rad=self._pending_rad,
             problem=self.predictor.problem,
             verdict=self.predictor.agreement.verdict,
         )
@@ -282,7 +284,7 @@ class ServoLoop:
             output = self.law.command(told)
         else:
             told = self.anticipation.shift(
-                told, self._drive_lag.pending_rad(), self._drive_lag.lag_s * target_m_s
+                told, self._pending_rad, self._drive_lag.lag_s * target_m_s
             )
             output = self.anticipation.brake(self.law.command(told), told)
         if ahead is AT_REST:
