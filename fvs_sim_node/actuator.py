@@ -62,8 +62,8 @@ class Actuator:
     ----------
     speed_scaling : float
         Factor on every command, 0 to 1, as set on a UR's teach pendant.
-    joint_lag_s : float
-        Time constant of a further first-order lag, s; 0 for none.
+    dead_time_s, joint_lag_s : float
+        Dead time, and time constant of a further first-order lag, s; 0 for none.
     """
 
     def __init__(
@@ -79,11 +79,11 @@ class Actuator:
         self._lower_rad = np.array(lower_rad, dtype=float)
         self._upper_rad = np.array(upper_rad, dtype=float)
         self._period_steps = max(1, round(config.control_period_s / dt_s))
-        self._dead_steps = round(config.dead_time_s / dt_s)
         self._max_change = config.acceleration_limit_rad_s2 * dt_s
         self._max_speed = config.velocity_limit_rad_s
         self._blend = 1.0 - np.exp(-dt_s / config.lag_s) if config.lag_s > 0.0 else 1.0
         self.speed_scaling = 1.0
+        self.dead_time_s = config.dead_time_s
         self.joint_lag_s = 0.0
         self.reset()
 
@@ -115,7 +115,8 @@ class Actuator:
             Velocities to hold during the step, rad/s.
         """
         if self._step % self._period_steps == 0:
-            self._pending.append((self._step + self._dead_steps, self._command))
+            dead_steps = round(self.dead_time_s / self._dt_s)
+            self._pending.append((self._step + dead_steps, self._command))
         while self._pending and self._pending[0][0] <= self._step:
             self._in_effect = self._pending.popleft()[1]
         self._step += 1

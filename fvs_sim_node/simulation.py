@@ -51,6 +51,21 @@ _SAME_NAME = (
 )
 
 
+#: Fields of the configuration that are attributes of the simulation, too, and may be changed there.
+LIVE = (
+    "position_noise_m",
+    "latency_s",
+    "dropout",
+    "depth_noise",
+    "image_rate_hz",
+    "joint_lag_s",
+    "dead_time_s",
+    "encoder_noise_rad",
+    "focal_error",
+    "depth_error",
+)
+
+
 @dataclass(frozen=True)
 class SimConfig:
     """What is simulated.
@@ -93,6 +108,10 @@ class SimConfig:
         The drives; see :class:`~fvs_sim_node.actuator.ActuatorConfig`.
     joint_lag_s : float
         Further lag of the joints, s.
+    encoder_noise_rad : float
+        Standard deviation of white noise on each joint angle that is told, rad.
+    focal_error, depth_error : float
+        By what share the camera is told a longer focal length than it has, and tells larger depths.
     colour : BallColour
         What the detection takes for the ball's colour.
     objects : tuple of SceneObject
@@ -123,6 +142,9 @@ class SimConfig:
     acceleration_limit_rad_s2: float = 15.0
     lag_s: float = 0.012
     joint_lag_s: float = 0.0
+    encoder_noise_rad: float = 0.0
+    focal_error: float = 0.0
+    depth_error: float = 0.0
     colour: BallColour = field(default_factory=BallColour)
     objects: tuple[SceneObject, ...] = TABLE
 
@@ -252,7 +274,7 @@ class SimStep:
     time_s : float
         Simulated time, s.
     joints_rad, joint_velocities_rad_s : ndarray, shape (6,)
-        Joint angles and velocities now, kinematic order.
+        Joint angles, as the encoders tell them, and velocities now, kinematic order.
     observations : tuple of BallObservation
         Those that were released during this period.
     """
@@ -273,8 +295,12 @@ class Simulation:
 
     Attributes
     ----------
-    latency_s, dropout, depth_noise : float
+    position_noise_m, latency_s, dropout, depth_noise, dead_time_s, joint_lag_s : float
         Live values of those in the configuration.
+    encoder_noise_rad, focal_error, depth_error : float
+        Live, too.
+    image_rate_hz : float
+        That of the configuration; another value counts from the next reset on.
     position_noise : callable, optional
         Draws the error of a ball position, m, shape (3,), from the run's random generator, in
         place of the white noise of the configuration.
@@ -285,6 +311,15 @@ class Simulation:
     camera : CameraPose
         Where the camera is now.
     """
+
+    position_noise_m: float
+    latency_s: float
+    dropout: float
+    depth_noise: float
+    image_rate_hz: float
+    encoder_noise_rad: float
+    focal_error: float
+    depth_error: float
 
     def __init__(self, config: SimConfig | None = None) -> None:
         cv2.setNumThreads(1)  # one small image at a time: threads only cost
@@ -306,10 +341,8 @@ class Simulation:
         )
         self._steps_per_period = round(cfg.physics_rate_hz / cfg.joint_state_rate_hz)
         self.camera = cfg.camera_pose or camera_preset(cfg.camera)
-        self.latency_s = cfg.latency_s
-        self.dropout = cfg.dropout
-        self.depth_noise = cfg.depth_noise
-        self.joint_lag_s = cfg.joint_lag_s
+        for name in LIVE:
+            setattr(self, name, getattr(cfg, name))
         self.position_noise: Callable[[np.random.Generator], np.ndarray] | None = None
         self.full_frames = False
         self.covered = False
@@ -350,16 +383,13 @@ class Simulation:
         )
         if joints.shape != (N_JOINTS,) or not np.isfinite(joints).all():
             raise ValueError(f"reset needs {N_JOINTS} finite joint angles, got {joints_rad}")
-        noise_seed, loss_seed = np.random.SeedSequence(
-            self.config.seed if seed is None else seed
-        ).spawn(2)
-        self._noise_rng = np.random.default_rng(noise_seed)
-        self._loss_rng = np.random.default_rng(loss_seed)
+        seeds = np.random.SeedSequence(self.config.seed if seed is None else seed).spawn(3)
+        self._noise_rng, self._loss_rng, self._encoder_rng = map(np.random.default_rng, seeds)
         self._step = 0
         self._image_count = 0
         self._active = True
         self._pending: deque[tuple[float, BallObservation]] = deque()
-        self._tracker = WindowTracker(self.intrinsics, self.config.ball_radius_m)
+        self._tracker = WindowTracker(self._told_intrinsics, self.config.ball_radius_m)
         self._actuator.reset()
         self.world.reset(joints)
         self._joints, self._velocities = self.world.joint_states()
@@ -433,12 +463,13 @@ class Simulation:
         released = []
         while self._pending and self._pending[0][0] <= now + 1e-9:
             released.append(self._pending.popleft()[1])
-        return SimStep(now, self._joints.copy(), self._velocities.copy(), tuple(released))
+        told = self._joints + self._encoder_rng.normal(scale=self.encoder_noise_rad, size=N_JOINTS)
+        return SimStep(now, told, self._velocities.copy(), tuple(released))
 
     # --------------------------------------------------------------------- eyes
     def _expose_if_due(self) -> None:
         cfg = self.config
-        due = int(np.floor(self._image_count * cfg.physics_rate_hz / cfg.image_rate_hz + 0.5))
+        due = int(np.floor(self._image_count * cfg.physics_rate_hz / self.image_rate_hz + 0.5))
         if self._step < due:
             return
         self._image_count += 1
@@ -500,16 +531,15 @@ class Simulation:
         if not (0.0 <= u < self.intrinsics.width and 0.0 <= v < self.intrinsics.height):
             return None
         radius_px = self.config.ball_radius_m * self.intrinsics.fx / position[2]
-        return BallDetection(
-            self._blurred(position), 1.0, 1.0, 0.0, (float(u), float(v)), float(radius_px)
-        )
+        seen = self._blurred(self.as_seen(position))
+        return BallDetection(seen, 1.0, 1.0, 0.0, (float(u), float(v)), float(radius_px))
 
     def _blurred(self, position_m: np.ndarray) -> np.ndarray:
         if self.position_noise is not None:
             return position_m + self.position_noise(self._noise_rng)
-        if self.config.position_noise_m == 0.0:
+        if self.position_noise_m == 0.0:
             return position_m
-        return position_m + self._noise_rng.normal(scale=self.config.position_noise_m, size=3)
+        return position_m + self._noise_rng.normal(scale=self.position_noise_m, size=3)
 
     def _regions(self, stamp_s: float, has_whole: bool) -> Iterator[Region]:
         """Parts of the image to look at, one after the other until the ball is found."""
@@ -538,17 +568,29 @@ class Simulation:
     def _draw(self, region: Region) -> tuple[np.ndarray, np.ndarray]:
         rgb, depth = self._renderer.render(self.camera, region)
         noisy = add_depth_noise(depth, self.intrinsics.fx, self._noise_rng, self.depth_noise)
-        return rgb, noisy
+        return rgb, noisy * np.float32(1.0 + self.depth_error)
 
     def _detect(self, image: tuple[np.ndarray, np.ndarray], region: Region) -> BallDetection | None:
-        window = self.intrinsics.window(region.u0, region.v0, region.width, region.height)
+        told = self._told_intrinsics
+        window = told.window(region.u0, region.v0, region.width, region.height)
         detection = detect_ball(*image, window, self.config.ball_radius_m, self.config.colour)
         if detection is None:
             return None
         u, v = detection.pixel
         return replace(detection, pixel=(u + region.u0, v + region.v0))
 
+    @property
+    def _told_intrinsics(self) -> Intrinsics:
+        """What the detection takes for the camera's."""
+        one, scale = self.intrinsics, 1.0 + self.focal_error
+        return replace(one, fx=scale * one.fx, fy=scale * one.fy)
+
     # -------------------------------------------------------------------- truth
+    def as_seen(self, position_m: np.ndarray) -> np.ndarray:
+        """Where a camera with these errors sees what is at a position of its frame, m, (3,)."""
+        x, y, z = (1.0 + self.depth_error) * position_m
+        return np.array([x / (1.0 + self.focal_error), y / (1.0 + self.focal_error), z])
+
     def true_ball_position(self) -> np.ndarray:
         """Where the ball is now, camera frame, m, shape (3,). For evaluation only."""
         return self.camera.to_camera(self.world.ball_position())
@@ -574,6 +616,15 @@ class Simulation:
         return self.camera.rotation.T @ jacobian
 
     # ------------------------------------------------------------- disturbances
+    @property
+    def dead_time_s(self) -> float:
+        """Time from a command to its first effect, s."""
+        return self._actuator.dead_time_s
+
+    @dead_time_s.setter
+    def dead_time_s(self, value: float) -> None:
+        self._actuator.dead_time_s = value
+
     @property
     def joint_lag_s(self) -> float:
         """Further first-order lag of the joints, s."""

@@ -21,7 +21,6 @@ from fvs_ros.apps.experiments.trials import (
     simulation_of,
 )
 from fvs_ros.apps.score import settling_time_s
-from fvs_sim_node.simulation import Simulation
 
 TURN_DEG, SHIFT_M = 45.0, 0.1
 #: How far the axis of the turn is off the optical axis, a standard deviation of each part.
@@ -122,31 +121,19 @@ def _vector(direction: np.ndarray, length: float) -> tuple[float, float, float]:
 def _seen_after(bump: Bump, case: Case) -> bool:
     """Whether the struck camera sees the ball at both ends and between them."""
     simulation = simulation_of(Conditions())
-    camera = simulation.camera
-    try:
-        bump.strike(simulation)
-        between = 0.5 * (np.array(case.start_rad) + np.array(case.goal_rad))
-        for joints in (case.start_rad, case.goal_rad, between):
-            simulation.reset(joints)
-            seen = simulation.look().detection
-            if seen is None or seen.visible_fraction < _VISIBLE:
-                return False
-    finally:
-        simulation.camera = camera
+    bump.strike(simulation)
+    between = 0.5 * (np.array(case.start_rad) + np.array(case.goal_rad))
+    for joints in (case.start_rad, case.goal_rad, between):
+        simulation.reset(joints)
+        seen = simulation.look().detection
+        if seen is None or seen.visible_fraction < _VISIBLE:
+            return False
     return True
 
 
 def run_journey(journey: Journey) -> Arrival:
     """Run one journey; the same to the bit in whatever process."""
     simulation = simulation_of(journey.conditions)
-    camera = simulation.camera
-    try:
-        return _travel(journey, simulation)
-    finally:
-        simulation.camera = camera
-
-
-def _travel(journey: Journey, simulation: Simulation) -> Arrival:
     simulation.reset(journey.case.start_rad)
     first_m = simulation.world.ball_position()
     simulation.reset(journey.case.goal_rad, journey.case.seed)

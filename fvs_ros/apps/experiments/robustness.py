@@ -21,7 +21,13 @@ from fvs_ros.apps.experiments.robustness_runs import (
     success_rate,
 )
 from fvs_ros.apps.experiments.robustness_verdicts import rate_text, verdicts
-from fvs_ros.apps.experiments.robustness_worlds import DISTANCE_M, HARSH, Kind, draw_world
+from fvs_ros.apps.experiments.robustness_worlds import (
+    DISTANCE_M,
+    HARSH,
+    QUANTITIES,
+    Kind,
+    draw_world,
+)
 from fvs_ros.apps.experiments.trials import REST_S, Outcome
 from fvs_ros.core.arguments import unknown
 from fvs_ros.core.schemes import BEYOND, SCHEMES
@@ -94,6 +100,10 @@ def run_in(context: Context, kind: Kind, title: str, question: str) -> Report:
                 robustness_figures.settling(folder, worlds, results),
                 "Settling time to 5 mm against each disturbance: the dot is the median, the bar "
                 f"goes up to 90 %. At {DURATION_S:g} s stands what never settles.",
+            ),
+            Figure(
+                robustness_figures.jitter(folder, worlds, results),
+                "Jitter at rest of the runs that settled: median, and the range of 80 % of them.",
             ),
         ],
         tables=[_table(results), _failures_table(results)],
@@ -188,9 +198,8 @@ def _setup(kind: Kind, count: int, rendered: bool, contestants: Sequence[Contest
         return f"{factor * low:g}" if low == high else f"{factor * low:g} to {factor * high:g}"
 
     heavy = (
-        f" In {100 * kind.heavy_share:.0f} % of them the noise is alpha-stable with an exponent of "
-        f"{span('noise_exponent')}: most errors are as small as white noise's, and some are "
-        "centimetres."
+        f" In {100 * kind.heavy_share:.0f} % of them the noise is alpha-stable: most errors are as "
+        "small as white noise's, and some are centimetres; in the others the exponent is 2."
     )
     bumped = (
         f" In {100 * kind.bumped_share:.0f} % the camera is hit {span('bump_time_s')} s "
@@ -206,9 +215,8 @@ def _setup(kind: Kind, count: int, rendered: bool, contestants: Sequence[Contest
         f"{count} worlds, each a pure function of its number. Start and target are "
         f"{DISTANCE_M[0]:g} to {DISTANCE_M[1]:g} m apart. Evenly drawn are: how far the camera has "
         "been carried round the scene since the networks were trained "
-        f"({span('camera_turn_deg')}°, in any direction), noise on each coordinate "
-        f"({span('noise_m', 1e3)} mm), latency ({span('latency_s', 1e3)} ms), images lost "
-        f"({span('image_loss', 100)} %), further joint lag ({span('joint_lag_s', 1e3)} ms)."
+        f"({span('camera_turn_deg')}°, in any direction), "
+        f"{'; '.join(f'{one.label} {span(one.name, one.scale)}' for one in QUANTITIES)}."
         f"{heavy if kind.heavy_share else ''}{bumped if kind.bumped_share else ''} The ball "
         "can be seen at start and target, before and after.",
         f"Who ran: {'; '.join(one.name for one in contestants)}. All meet the same worlds, noise "

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from fvs_ros.apps.experiments.noise import WHITE
 from fvs_ros.apps.experiments.robustness_runs import DURATION_S, settled_by, success_rate
-from fvs_ros.apps.experiments.robustness_worlds import WHITE, World
+from fvs_ros.apps.experiments.robustness_worlds import QUANTITIES, Quantity, World
 from fvs_ros.apps.experiments.style import COLOURS, pyplot, save
 from fvs_ros.apps.experiments.trials import BOUNDS_M, Outcome
 
@@ -51,6 +52,26 @@ class Disturbance:
         return min(max(place, 0), len(self.edges) - 2)
 
 
+#: Ends of the bins of what is drawn, in the units of their labels.
+_EDGES: dict[str, tuple[float, ...]] = {
+    "position_noise_m": (0.2, 0.8, 1.4, 2.0),
+    "noise_exponent": (1.5, 1.65, 1.8, WHITE),
+    "image_rate_hz": (8, 15, 30, 60),
+    "latency_s": (0, 25, 50, 75, 100),
+    "dropout": (0, 5, 10, 15, 20),
+    "focal_error": (-2, -1, 0, 1, 2),
+    "depth_error": (-2, -1, 0, 1, 2),
+    "encoder_noise_rad": (0, 0.1, 0.2, 0.35, 0.5),
+    "joint_lag_s": (0, 25, 50, 75, 100),
+    "dead_time_s": (8, 20, 40, 60),
+    "drive_gain": (0.8, 0.87, 0.94, 1.0),
+}
+
+
+def _value_of(quantity: Quantity) -> Callable[[World], float]:
+    return lambda world: quantity.scale * getattr(world.conditions, quantity.name)
+
+
 DISTURBANCES = (
     Disturbance("distance, m", lambda world: world.distance_m, (0.1, 0.2, 0.3, 0.4, 0.5)),
     Disturbance("camera carried round, °", lambda world: world.turn_deg, (0.0, 10.0, 20.0, 30.0)),
@@ -60,21 +81,7 @@ DISTURBANCES = (
         (-1.0, 0.0, 5.0, 10.0),
         ("not", "0-5", "5-10"),
     ),
-    Disturbance("noise, mm", lambda world: 1e3 * world.noise_m, (0.2, 0.8, 1.4, 2.0)),
-    Disturbance(
-        "exponent of the noise's tails",
-        # Heavier to the right, as everything else is worse there.
-        lambda world: -world.noise_exponent,
-        (-WHITE, -1.8, -1.65, -1.5),
-        ("2 (white)", "1.8-1.65", "1.65-1.5"),
-    ),
-    Disturbance("latency, ms", lambda world: 1e3 * world.latency_s, (0.0, 25.0, 50.0, 75.0, 100.0)),
-    Disturbance(
-        "images lost, %", lambda world: 100 * world.image_loss, (0.0, 5.0, 10.0, 15.0, 20.0)
-    ),
-    Disturbance(
-        "joint lag, ms", lambda world: 1e3 * world.joint_lag_s, (0.0, 10.0, 20.0, 30.0, 40.0)
-    ),
+    *(Disturbance(one.label, _value_of(one), _EDGES[one.name]) for one in QUANTITIES),
 )
 
 Results = Mapping[str, Sequence[Outcome]]
@@ -106,6 +113,17 @@ def settling(folder: Path, worlds: Sequence[World], results: Results) -> str:
         return middle, middle, late
 
     return _panels(folder / "settling.png", worlds, results, times, "to 5 mm, s")
+
+
+def jitter(folder: Path, worlds: Sequence[World], results: Results) -> str:
+    """Draw jitter at rest against each disturbance; returns the file's name."""
+
+    def jitters(outcomes: Sequence[Outcome]) -> tuple[float, float, float]:
+        found = [1e3 * one.jitter_rad_s for one in outcomes if not one.failure] or [np.nan]
+        low, middle, high = np.percentile(found, (10, 50, 90))
+        return middle, low, high
+
+    return _panels(folder / "jitter.png", worlds, results, jitters, "jitter, mrad/s")
 
 
 def _panels(

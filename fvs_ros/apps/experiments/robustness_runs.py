@@ -14,10 +14,10 @@ from fvs_ros.apps.experiments.statistics import Interval, wilson
 from fvs_ros.apps.experiments.trials import (
     NOT_STAYED,
     REST_S,
-    Conditions,
     Outcome,
     Trial,
     drive,
+    simulation_of,
 )
 
 #: Length of a trial from the target on, s; of this the last second must be within 5 mm.
@@ -84,11 +84,11 @@ def run_job(job: Job) -> Outcome:
         one.law,
         one.estimator_values,
         one.controller_values,
-        Conditions(rendered=job.rendered),
+        replace(job.world.conditions, rendered=job.rendered),
         DURATION_S,
         record=job.record,
     )
-    return judged(drive(trial, job.world.simulation(job.rendered), job.world.bump))
+    return judged(drive(trial, simulation_of(trial.conditions), job.world.bump))
 
 
 def judged(outcome: Outcome) -> Outcome:

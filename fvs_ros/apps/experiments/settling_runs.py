@@ -19,7 +19,6 @@ from fvs_ros.apps.experiments.settling_bounds import (
     printed_sliding_time_s,
 )
 from fvs_ros.apps.experiments.trials import BOUNDS_M, Case, Conditions, Outcome, Trial, seconds
-from fvs_sim_node.simulation import SimConfig
 
 #: A worse Jacobian does not count as good (relative Frobenius error).
 GOOD_JACOBIAN = 0.05
@@ -79,17 +78,6 @@ IDEAL = "no noise, ideal drives"
 _PERIOD_S = 0.008
 
 
-@dataclass(frozen=True)
-class IdealDrives(Conditions):
-    """Conditions with drives that follow any command at the next tick."""
-
-    def sim_config(self) -> SimConfig:
-        """The simulation of these conditions."""
-        return replace(
-            super().sim_config(), dead_time_s=0.0, lag_s=0.0, acceleration_limit_rad_s2=1e4
-        )
-
-
 def law_of(gains: str) -> FtsmLaw:
     """The control law with a set of gains."""
     law = build_law(default_values(law="ftsm", **GAINS[gains]))
@@ -142,7 +130,7 @@ class Plan:
 def plans(cases: Sequence[Case], noisy: Conditions) -> list[Plan]:
     """Every start with every gains; noise and oracle on a part of them, for the time it takes."""
     silent = Conditions(rendered=False, position_noise_m=0.0)
-    ideal = IdealDrives(rendered=False, position_noise_m=0.0)
+    ideal = replace(silent, dead_time_s=0.0, lag_s=0.0, acceleration_limit_rad_s2=1e4)
     half = cases[: max(1, len(cases) // 2)]
     found = []
     for number, gains in enumerate(FREE_GAINS):
@@ -197,7 +185,7 @@ def judged(plan: Plan, outcomes: Sequence[Outcome]) -> list[Run]:
     law = law_of(plan.gains)
     errors = np.array([one.series["ball_m"][0] - np.array(one.target_m) for one in outcomes])
     predicted = predicted_times_s(errors, law.surface, law.reaching)
-    acceleration = plan.conditions.sim_config().acceleration_limit_rad_s2
+    acceleration = plan.conditions.acceleration_limit_rad_s2
     found = []
     for number, (case, outcome) in enumerate(zip(plan.cases, outcomes, strict=True)):
         error = errors[number]

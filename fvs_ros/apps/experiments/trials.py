@@ -18,10 +18,11 @@ from fvs_ros.apps.experiments.lockstep import (
     load_networks,
     make_estimator,
 )
+from fvs_ros.apps.experiments.noise import WHITE, StableNoise
 from fvs_ros.apps.score import jitter_rad_s, settling_time_s
 from fvs_ros.core.joints import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.rendering import CameraPose, camera_preset
-from fvs_sim_node.simulation import SimConfig, Simulation
+from fvs_sim_node.simulation import LIVE, SimConfig, Simulation
 
 #: Middle and half widths of the box that starts and goals are drawn from, rad.
 HOME_RAD = np.array(HOME_JOINTS_RAD)
@@ -49,13 +50,30 @@ class Conditions:
     rendered : bool
         Whether ball positions come from rendered images.
     position_noise_m : float
-        White noise on each coordinate, m.
+        Further noise on each coordinate, m.
+    noise_exponent : float
+        That of :class:`~fvs_ros.apps.experiments.noise.StableNoise`; 2 for white noise.
     depth_noise : float
         Factor on the depth camera's own noise (rendered only).
+    image_rate_hz : float
+        Images a second.
     latency_s : float
         From exposure to the ball position's release, s.
+    dropout : float
+        Share of the images that are lost.
+    focal_error, depth_error : float
+        Errors of the camera's calibration: by what share the focal length that the detection is
+        told, and the depths, are too large.
+    encoder_noise_rad : float
+        White noise on each joint angle that is told, rad.
+    dead_time_s : float
+        From a command to the drives' first answer, s.
     joint_lag_s : float
         Further lag of the drives, s.
+    lag_s, acceleration_limit_rad_s2 : float
+        Lag and largest acceleration of the drives themselves, s and rad/s^2.
+    drive_gain : float
+        How fast the drives go over how fast they are told to.
     physics_rate_hz : float
         Steps of the physics a second; fewer make a search faster.
     camera_turn_deg : tuple of 3 float
@@ -65,22 +83,32 @@ class Conditions:
 
     rendered: bool = True
     position_noise_m: float = 0.001
+    noise_exponent: float = WHITE
     depth_noise: float = 1.0
+    image_rate_hz: float = 30.0
     latency_s: float = 0.04
+    dropout: float = 0.0
+    focal_error: float = 0.0
+    depth_error: float = 0.0
+    encoder_noise_rad: float = 0.0
+    dead_time_s: float = SimConfig.dead_time_s
     joint_lag_s: float = 0.0
+    lag_s: float = SimConfig.lag_s
+    acceleration_limit_rad_s2: float = SimConfig.acceleration_limit_rad_s2
+    drive_gain: float = 1.0
     physics_rate_hz: float = 500.0
     camera_turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def sim_config(self) -> SimConfig:
         """The simulation of these conditions."""
         return SimConfig(
-            rendered=self.rendered,
-            position_noise_m=self.position_noise_m,
-            depth_noise=self.depth_noise,
-            latency_s=self.latency_s,
-            physics_rate_hz=self.physics_rate_hz,
+            **{name: getattr(self, name) for name in (*LIVE, *_BUILT)},
             camera_pose=carried_camera(np.radians(self.camera_turn_deg)),
         )
+
+
+#: Fields of the conditions that a simulation is built with; the others are set on it.
+_BUILT = ("rendered", "physics_rate_hz", "lag_s", "acceleration_limit_rad_s2")
 
 
 @dataclass(frozen=True)
@@ -250,12 +278,25 @@ def carried_camera(turn_rad: np.ndarray) -> CameraPose:
 _SCENE_M = np.array([-0.47, -0.1, 0.33])
 
 
-@lru_cache(maxsize=4)
 def simulation_of(conditions: Conditions) -> Simulation:
-    """The process's simulation under these conditions; to be reset before use."""
-    simulation = Simulation(conditions.sim_config())
-    simulation.joint_lag_s = conditions.joint_lag_s
+    """The process's simulation, put under these conditions; to be reset before use."""
+    simulation = _build(Conditions(**{name: getattr(conditions, name) for name in _BUILT}))
+    config = conditions.sim_config()
+    for name in LIVE:
+        setattr(simulation, name, getattr(config, name))
+    simulation.camera = carried_camera(np.radians(conditions.camera_turn_deg))
+    simulation.speed_scaling = conditions.drive_gain
+    simulation.position_noise = (
+        None
+        if conditions.noise_exponent == WHITE
+        else StableNoise(conditions.position_noise_m, conditions.noise_exponent)
+    )
     return simulation
+
+
+@lru_cache(maxsize=4)
+def _build(conditions: Conditions) -> Simulation:
+    return Simulation(conditions.sim_config())
 
 
 def make_cases(
@@ -319,21 +360,19 @@ def drive(trial: Trial, simulation: Simulation, bump: Bump | None = None) -> Out
     """
     simulation.reset(trial.case.goal_rad)
     goal_m = simulation.world.ball_position()
-    target_m = simulation.true_ball_position()
     simulation.reset(trial.case.start_rad, trial.case.seed)
     estimator = make_estimator(
         trial.method, simulation, load_networks(), trial.estimator_values, load_chain()
     )
     one = LockStep(simulation, estimator, {"law": trial.law, **trial.controller_values})
     one.run(PRELUDE_S)
-    one.set_target(target_m)
+    target_m = _tell_target(one, goal_m)
     log = _Log(simulation.time_s)
     bump_tick = None if bump is None else round(bump.time_s / one.period_s)
     for tick in range(round(trial.duration_s / one.period_s)):
         if bump is not None and tick == bump_tick:
             bump.strike(simulation)
-            target_m = simulation.camera.to_camera(goal_m)
-            one.set_target(target_m)
+            target_m = _tell_target(one, goal_m)
         command = one.tick()
         log.add(simulation.time_s, simulation.true_ball_position(), target_m, command)
         if tick % _JACOBIAN_EVERY == 0:
@@ -341,6 +380,13 @@ def drive(trial: Trial, simulation: Simulation, bump: Bump | None = None) -> Out
         if trial.stop_after_s is not None and log.rested_s() >= trial.stop_after_s:
             break
     return log.outcome(trial.record)
+
+
+def _tell_target(one: LockStep, goal_m: np.ndarray) -> np.ndarray:
+    """Tell a target as its camera sees it; where it truly is, camera frame, m."""
+    target_m = one.simulation.camera.to_camera(goal_m)
+    one.set_target(one.simulation.as_seen(target_m))
+    return target_m
 
 
 def jacobian_error(one: LockStep) -> float:
