@@ -58,7 +58,6 @@ class ArriveLaw(ControlLaw):
         Solves for the least largest joint motion.
     """
 
-    anticipates = True
     reads_chain = True
     least_speed = True
 

@@ -91,9 +91,6 @@ class ControlLaw(ABC):
     is one file here and one line in :mod:`fvs_controller_node.registry`.
     """
 
-    #: Whether it wants error and joints as they will be when its command takes effect.
-    anticipates: ClassVar[bool] = False
-
     #: Whether it makes use of a chain; else nobody minds what becomes of chains.
     reads_chain: ClassVar[bool] = False
 

@@ -277,13 +277,6 @@ _PREDICTION = (
 
 _TARGET = (
     Parameter(
-        "anticipate_drive_lag",
-        False,
-        "Show the law error and joints as they will be when its command takes effect, and brake "
-        "for the target close to the acceleration limit. The law arrive always does.",
-        live=True,
-    ),
-    Parameter(
         "target_feed_forward",
         True,
         "Go along with a target that is told often; off, every target stands where it was told.",
@@ -339,11 +332,9 @@ def build_predictor(values: Mapping[str, Any]) -> BallPredictor:
     return BallPredictor(**_predictor_settings(values))
 
 
-def build_anticipation(values: Mapping[str, Any]) -> Anticipation | None:
-    """Build the anticipation, if it is wanted or the law cannot do without."""
-    if values["anticipate_drive_lag"] or LAWS[values["law"]].anticipates:
-        return Anticipation(values["max_joint_acceleration_rad_s2"])
-    return None
+def build_anticipation(values: Mapping[str, Any]) -> Anticipation:
+    """Build the anticipation of the drives' lag."""
+    return Anticipation(values["max_joint_acceleration_rad_s2"])
 
 
 def build_supervisor_config(values: Mapping[str, Any]) -> SupervisorConfig:

@@ -41,10 +41,10 @@ class ServoLoop:
         Predicts the ball to now.
     supervisor : Supervisor
         The one exit.
-    follower : TargetFollower, optional
+    follower : TargetFollower
         Keeps up with a moving target.
-    anticipation : Anticipation, optional
-        Shows the law what will be when its command takes effect; without, it sees the present.
+    anticipation : Anticipation
+        Shows the law what will be when its command takes effect.
     """
 
     def __init__(
@@ -52,13 +52,13 @@ class ServoLoop:
         law: ControlLaw,
         predictor: BallPredictor,
         supervisor: Supervisor,
-        follower: TargetFollower | None = None,
-        anticipation: Anticipation | None = None,
+        follower: TargetFollower,
+        anticipation: Anticipation,
     ) -> None:
         self.law = law
         self.predictor = predictor
         self.supervisor = supervisor
-        self.follower = follower or TargetFollower()
+        self.follower = follower
         self.anticipation = anticipation
         self._drive_lag = DriveLag()
         self._pending_rad = self._drive_lag.pending_rad()
@@ -87,8 +87,13 @@ class ServoLoop:
             self.predictor.reset()  # it was no motion of the ball's
             self.supervisor.bad_input(now_s, JOINT_STATES, jump)
         elif self.supervisor.joint_states(now_s, joints_rad):
-            self._joints = np.array(joints_rad, dtype=float)
             self._stamp_s = stamp_s
+            self._joints = self._drive_lag.add(
+                stamp_s,
+                self.supervisor.velocity_rad_s,
+                np.array(joints_rad, dtype=float),
+                compare=self.supervisor.full_speed and self.supervisor.last.state is State.SERVOING,
+            )
             if self._jacobian is not None:
                 self.predictor.add_joints(stamp_s, self._joints, self._jacobian)
 
@@ -220,13 +225,6 @@ class ServoLoop:
             self._aim = aim
             moves = aim is not None and self.supervisor.track(aim.position_m)
             self._target_m_s = aim.velocity_m_s if aim is not None and moves else STANDING
-        if self._joints is not None:
-            self._drive_lag.add(
-                self._stamp_s,
-                self.supervisor.velocity_rad_s,
-                self._joints,
-                compare=self.supervisor.full_speed and self.supervisor.last.state is State.SERVOING,
-            )
         self._pending_rad = self._drive_lag.pending_rad()
         if self._home is None:  # what moved before this start says nothing of now
             self.predictor.agreement.restart()
@@ -280,13 +278,8 @@ class ServoLoop:
             ahead_rad_s=ahead,
             targets=self._targets,
         )
-        if self.anticipation is None:
-            output = self.law.command(told)
-        else:
-            told = self.anticipation.shift(
-                told, self._pending_rad, self._drive_lag.lag_s * target_m_s
-            )
-            output = self.anticipation.brake(self.law.command(told), told)
+        told = self.anticipation.shift(told, self._pending_rad, self._drive_lag.lag_s * target_m_s)
+        output = self.anticipation.brake(self.law.command(told), told)
         if ahead is AT_REST:
             return output
         return output._replace(

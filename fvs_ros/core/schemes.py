@@ -76,10 +76,9 @@ BEYOND: dict[str, Scheme] = {
             "rbf_left",
             "ftsm",
             "The paper's networks behind a learned rotation, its law straight to the target, "
-            "least joint speeds, the drives' lag anticipated.",
+            "least joint speeds.",
             controller_values={
                 "allocation": "least_speed",
-                "anticipate_drive_lag": True,
                 "ftsm_path": "straight",
             },
         ),

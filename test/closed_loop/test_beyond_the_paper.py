@@ -99,7 +99,7 @@ def test_the_additions_are_worth_something_each():
     # Three motions do not tell: what is worth something to most costs some of them a little.
     motions = pairs(10, seed=11)
     whole_s = settled_s(runs(ADDITIONS, motions))
-    for name in ("allocation", "anticipate_drive_lag", "ftsm_path"):
+    for name in ("allocation", "ftsm_path"):
         without = {key: value for key, value in ADDITIONS.items() if key != name}
         without_s = settled_s(runs(without, motions))
         assert np.median(without_s / whole_s) > 1.02, name

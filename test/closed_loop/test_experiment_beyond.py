@@ -146,7 +146,7 @@ def test_a_camera_that_is_struck_is_back_for_the_next_run():
     assert abs(turn[2]) > 35.0  # mostly about the optical axis
     assert np.linalg.norm(journeys[0].bump.translation_m) == pytest.approx(0.1)
     arrivals = [run_journey(one) for one in journeys]
-    assert simulation_of(EXACT).camera is before
+    np.testing.assert_array_equal(simulation_of(EXACT).camera.rotation, before.rotation)
     assert run_journey(journeys[0]) == arrivals[0]
     assert all(np.isfinite(one.settled_s) for one in arrivals)
     assert len({one.settled_s for one in arrivals}) > 1
