@@ -7,56 +7,40 @@ It does not matter whether T is dead time, lag or the age of the joint states.
 
 from __future__ import annotations
 
-from collections import deque
-from math import exp
-
 import numpy as np
 
+from fvs_ros.core.history import JointHistory
 from fvs_ros.core.joints import N_JOINTS
 
-#: What is slower than this is no lag, s; memory of the comparison, s.
-_SLOW_S, _MEMORY_S = 1.0, 20.0
-#: The first guess counts like motion at this speed for a while, rad^2/s.
-_TRUST = 0.05
-#: No drive is slower than this, s.
-_MOST_S, _MOST_TICKS = 0.2, 200
+#: What it is taken for before anything has moved, s.
+_FIRST_S = 0.03
+#: No drive is slower than this; what is slower than that is no lag, s.
+_MOST_S, _SLOW_S = 0.2, 1.0
+#: The first guess counts like so much motion, and all that was seen like no more than that: the
+#: square of the speed over time, rad^2/s.
+_FIRST, _MEMORY = 0.05, 20.0
 
 
 class DriveLag:
-    """Estimates the lag of the drives from commands and joint positions.
+    """Estimates the lag of the drives from commands and joint positions."""
 
-    Parameters
-    ----------
-    first_s : float
-        What it is taken for before anything has moved, s.
-    """
-
-    def __init__(self, first_s: float = 0.03) -> None:
-        self._cross, self._power = first_s * _TRUST, _TRUST
-        self.restart()
+    def __init__(self) -> None:
+        self._lag_s, self._known = _FIRST_S, _FIRST
+        self._told = JointHistory()  # the path as commanded
+        self._joints = np.zeros(N_JOINTS)
+        self._behind, self._slow_behind = np.zeros(N_JOINTS), np.zeros(N_JOINTS)
+        self._slow_command = np.zeros(N_JOINTS)
 
     @property
     def lag_s(self) -> float:
         """The lag, s."""
-        return min(max(self._cross / self._power, 0.0), _MOST_S)
-
-    def restart(self) -> None:
-        """Begin anew to compare (the arm was moved by something else); the lag stays known."""
-        self._stamp_s = 0.0
-        self._joints: np.ndarray | None = None
-        self._behind, self._slow_behind = np.zeros(N_JOINTS), np.zeros(N_JOINTS)
-        self._slow_command = np.zeros(N_JOINTS)
-        self._told: deque[tuple[float, np.ndarray]] = deque(maxlen=_MOST_TICKS)
+        return self._lag_s
 
     def pending_rad(self) -> np.ndarray:
         """Motion that was commanded and is still to come, rad, shape (6,)."""
-        total, left_s = np.zeros(N_JOINTS), self.lag_s
-        for length_s, command in reversed(self._told):
-            if left_s <= 0.0:
-                break
-            total += min(length_s, left_s) * command
-            left_s -= length_s
-        return total
+        newest_s, told = self._told.newest_stamp_s, self._told.newest
+        done = None if newest_s is None else self._told.at(newest_s - self._lag_s)
+        return np.zeros(N_JOINTS) if told is None or done is None else told - done
 
     def add(
         self,
@@ -79,24 +63,21 @@ class DriveLag:
             Whether the arm goes as fast as it is told; one with its speed slider down does not,
             and would feign a lag as well.
         """
-        before_s, self._stamp_s = self._stamp_s, stamp_s
-        before, self._joints = self._joints, joints_rad
+        before_s, told = self._told.newest_stamp_s, self._told.newest
+        moved, self._joints = joints_rad - self._joints, joints_rad
+        if before_s is None or told is None:
+            self._told.add(stamp_s, np.zeros(N_JOINTS))
+            return
         dt_s = stamp_s - before_s
-        if before is None or dt_s <= 0.0:
-            return
-        self._told.append((dt_s, command_rad_s))
-        if not compare:
-            return
-        self._behind = self._behind + command_rad_s * dt_s - (joints_rad - before)
+        if not self._told.add(stamp_s, told + dt_s * command_rad_s) or not compare:
+            return  # the clock jumped, or the arm is not to be compared
+        self._behind = self._behind + command_rad_s * dt_s - moved
         share = dt_s / (_SLOW_S + dt_s)
         self._slow_behind = self._slow_behind + share * (self._behind - self._slow_behind)
         self._slow_command = self._slow_command + share * (command_rad_s - self._slow_command)
         behind, command = self._behind - self._slow_behind, command_rad_s - self._slow_command
         power = float(command @ command) * dt_s
-        keep = exp(-dt_s / _MEMORY_S) if power > 1e-6 else 1.0
         # However long a stall was: no more than the slowest drive would be behind.
         late = min(max(float(behind @ command) * dt_s, 0.0), _MOST_S * power)
-        self._cross = keep * self._cross + late
-        self._power = keep * self._power + power
-        if self._power < 1e-3 * _TRUST:
-            self._cross, self._power = self.lag_s * _TRUST, _TRUST
+        self._known = min(self._known + power, _MEMORY)
+        self._lag_s += (late - power * self._lag_s) / self._known
