@@ -230,7 +230,7 @@ BAD = {
     "joints_unknown": lambda c: c.supervisor.bad_input(c.now_s, "joint_states", "lacks elbow"),
     "ball_inf": lambda c: c.supervisor.ball(c.now_s, np.array([0, math.inf, 1]), FRAME),
     "ball_frame": lambda c: c.supervisor.ball(c.now_s, TARGET, "world"),
-    "ball_millimetres": lambda c: c.supervisor.ball(c.now_s, 1e3 * TARGET, FRAME),
+    "ball_millimetres": lambda c: c.supervisor.ball(c.now_s, 0.2e3 * TARGET, FRAME),
     "jacobian_nan": lambda c: c.supervisor.jacobian(c.now_s, np.full((3, 6), NAN)),
     "jacobian_size": lambda c: c.supervisor.jacobian(c.now_s, np.zeros((6, 3))),
     "jacobian_empty": lambda c: c.supervisor.jacobian(c.now_s, np.zeros(0)),
@@ -256,6 +256,10 @@ def test_after_good_messages_it_goes_on_by_itself(what: str):
     states = [cell.tick().state for _ in range(6)]
     assert states == [State.FAULT] * 4 + [State.SERVOING] * 2
     assert cell.run(0.2).state is State.SERVOING
+
+
+def test_a_wrist_that_was_turned_ten_times_is_no_bad_input():
+    assert Supervisor().joint_states(0.0, np.full(6, 20.0 * np.pi))
 
 
 def test_good_messages_between_bad_ones_do_not_recover():
