@@ -80,7 +80,6 @@ class InputMonitor:
 
     def bad(self, now_s: float, why: str) -> None:
         """Tell that a message arrived that cannot be used."""
-        self._last_s = now_s
         self._streak = 0
         self._trouble = Reason.BAD_INPUT
         self._why = why
@@ -91,7 +90,7 @@ class InputMonitor:
             self._trouble = None
 
     def age_s(self, now_s: float) -> float:
-        """Time since the last message, s; infinite if there was none."""
+        """Time since the last usable message, s; infinite if there was none."""
         return float("inf") if self._last_s is None else max(0.0, now_s - self._last_s)
 
     def find(self, now_s: float) -> Finding | None:

@@ -12,14 +12,11 @@ from collections import deque
 import numpy as np
 
 from fvs_ros.core.agreement import Agreement
-from fvs_ros.core.history import JointHistory
+from fvs_ros.core.history import MAX_BACKSTEP_S, JointHistory
 from fvs_ros.core.tracker import Image, Tracker
 
 #: Ball positions that may wait for the joint state after their exposure.
 _MAX_WAITING = 32
-
-#: A ball stamp this far behind the last one means that the camera's clock jumped, s.
-_CLOCK_JUMP_S = 0.1
 
 
 class BallPredictor:
@@ -102,21 +99,17 @@ class BallPredictor:
         Parameters
         ----------
         stamp_s : float
-            Its stamp, s.
+            Its stamp, s, newer than the last or of another clock.
         joints_rad : ndarray, shape (6,)
             Positions, rad.
         jacobian : ndarray, shape (3, 6)
             Newest estimate of the Jacobian, m/rad.
         """
-        newest, moved = self._moved.newest_stamp_s, self._moved.newest
-        if newest is None or moved is None or self._joints is None:
+        moved = self._moved.newest
+        if moved is None or self._joints is None:
             self._moved.add(stamp_s, np.zeros(3))
-        else:
-            step = jacobian @ (joints_rad - self._joints)
-            if not self._moved.add(stamp_s, moved + step):
-                self._forget_ball()
-            if self._moved.newest_stamp_s == newest:
-                return  # a repeated or late message
+        elif not self._moved.add(stamp_s, moved + jacobian @ (joints_rad - self._joints)):
+            self._forget_ball()
         self._joints = np.array(joints_rad, dtype=float)
         while self._waiting and self._waiting[0][0] <= stamp_s:
             self._use(*self._waiting.popleft())
@@ -132,7 +125,7 @@ class BallPredictor:
             Position, m.
         """
         if self._seen_stamp_s is not None and stamp_s <= self._seen_stamp_s:
-            if stamp_s >= self._seen_stamp_s - _CLOCK_JUMP_S:
+            if stamp_s >= self._seen_stamp_s - MAX_BACKSTEP_S:
                 return
             self._forget_ball()
         self._seen_stamp_s = stamp_s

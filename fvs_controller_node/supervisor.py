@@ -60,9 +60,6 @@ _RIVAL_S = 1.0
 #: From full speed the arm stops within this, s, however small the acceleration limit is.
 _STOP_S = 0.5
 
-#: Commands below this are rest, rad/s.
-_TINY_RAD_S = 1e-9
-
 _STILL = np.zeros(N_JOINTS)
 
 #: Turns the error into the joint motion that it takes.
@@ -677,7 +674,7 @@ class Supervisor:
         if finding.reason.stop is Stop.AT_ONCE:
             self._velocity = np.zeros(N_JOINTS)
             return self._answer(finding, "", None)
-        moving = largest(self._velocity) > _TINY_RAD_S
+        moving = bool(self._velocity.any())
         self._velocity = self._slower(joints, dt_s) if moving else np.zeros(N_JOINTS)
         return self._answer(finding, "acceleration" if moving else "", None)
 

@@ -6,8 +6,6 @@ import numpy as np
 
 #: On top of what the speed allows, for the noise of two positions, m.
 _NOISE_M = 0.01
-#: Sightings further apart than this are no repetition of each other, s.
-_MAX_GAP_S = 1.0
 
 
 class Gate:
@@ -53,12 +51,7 @@ class Gate:
         if self._accepted is None or self._near(self._accepted, stamp_s, position_m):
             self._accept(stamp_s, position_m)
             return ""
-        candidate = self._candidate
-        again = (
-            candidate is not None
-            and stamp_s - candidate[0] <= _MAX_GAP_S
-            and self._near(candidate, stamp_s, position_m)
-        )
+        again = self._candidate is not None and self._near(self._candidate, stamp_s, position_m)
         self._seen = self._seen + 1 if again else 1
         self._candidate = (stamp_s, position_m)
         if self._seen >= self.repeats:

@@ -9,10 +9,9 @@ from fvs_detector_node.detector import Sighting
 
 WAITING, TRACKING, LOST, FAULT = "WAITING", "TRACKING", "LOST", "FAULT"
 
-#: An input that is silent for so long is missing, s; the slowest cameras give 5 images a second.
+#: An input that is silent for so long is missing, and a bad message over, s; the slowest cameras
+#: give 5 images a second.
 _MISSING_S = 1.0
-#: A bad message is reported for so long, s.
-_REPORTED_S = 1.0
 #: So many images in a row without a newer stamp are a frozen stream.
 _FROZEN_IMAGES = 5
 
@@ -96,7 +95,7 @@ def judge(now: Snapshot) -> tuple[str, str]:
     reason : str
         One sentence.
     """
-    if now.problem_age_s < _REPORTED_S:
+    if now.problem_age_s < _MISSING_S:
         return FAULT, now.problem
     missing = _missing_input(now)
     if missing:

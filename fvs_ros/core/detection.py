@@ -28,9 +28,8 @@ MIN_VISIBLE_FRACTION = 0.25
 #: Depth beyond this, or not finite, is no depth, m.
 MAX_DEPTH_M = 100.0
 
-#: Fewer pixels of the ball's colour in one piece are no candidate.
+#: Fewer pixels of the ball's colour in one piece, or fewer of them with a depth, are no candidate.
 MIN_PIXELS = 20
-_MIN_DEPTH_PIXELS = 8
 _MAX_BLOBS = 16
 _MIN_ON_OUTLINE = 0.6
 _MIN_ARC = 0.2
@@ -388,7 +387,7 @@ def _cut_out(
     blame = Rejection(
         Cause.NO_DEPTH, (blob.u0, blob.v0, width, height), blob.pixels, len(own_depth)
     )
-    if len(own_depth) < _MIN_DEPTH_PIXELS:
+    if len(own_depth) < MIN_PIXELS:
         return blame
     # First guess of the distance: half of a disc lies within 0.7 r of its middle.
     middle = _unit(camera.rays(blob.u0 + 0.5 * (width - 1), blob.v0 + 0.5 * (height - 1)))
@@ -655,12 +654,12 @@ def _central_surface(
     cos = rays @ direction
     sideways2 = np.square(range_m) * np.maximum(0.0, 1.0 - np.square(cos))
     central = np.flatnonzero(sideways2 < (0.85 * radius_m) ** 2)
-    if len(central) < _MIN_DEPTH_PIXELS:
+    if len(central) < MIN_PIXELS:
         return None
     values = range_m[central] * cos[central] + np.sqrt(radius_m**2 - sideways2[central])
     off = np.abs(values - np.median(values))
     near = off < 3.0 * max(1.4826 * float(np.median(off)), 0.001)
     central, values = central[near], values[near]
-    if len(central) < _MIN_DEPTH_PIXELS:
+    if len(central) < MIN_PIXELS:
         return None
     return _Surface(rays[central, :2], sideways2[central], values, float(values.mean()))

@@ -11,6 +11,9 @@ import numpy as np
 #: No joint is faster, nor a step between two joint states larger than this besides, rad/s and rad.
 _FASTEST_RAD_S, _JUMP_RAD = 1.5 * pi, 0.1
 
+#: A stamp that goes back by no more is a late message; by more, the clock jumped, s.
+MAX_BACKSTEP_S = 0.1
+
 
 def jump_of(step_rad: np.ndarray, passed_s: float) -> int | None:
     """The joint that made an impossible step, rad, (6,), in this time, s; None if none did."""
@@ -19,22 +22,15 @@ def jump_of(step_rad: np.ndarray, passed_s: float) -> int | None:
 
 
 class StampGate:
-    """Lets a message pass whose stamp is newer than the last: a frozen stream is not fresh.
+    """Lets a message pass whose stamp is newer than the last: a frozen stream is not fresh."""
 
-    Parameters
-    ----------
-    max_backstep_s : float
-        A stamp that goes back by no more is a late message; by more, the clock jumped, s.
-    """
-
-    def __init__(self, max_backstep_s: float = 0.1) -> None:
-        self._max_backstep_s = max_backstep_s
+    def __init__(self) -> None:
         self._last_s: float | None = None
 
     def advances(self, stamp_s: float) -> bool:
         """Whether the stamp is new, s."""
         last = self._last_s
-        if last is not None and last - self._max_backstep_s <= stamp_s <= last:
+        if last is not None and last - MAX_BACKSTEP_S <= stamp_s <= last:
             return False
         self._last_s = stamp_s
         return True
@@ -58,7 +54,7 @@ class JointHistory:
     """
 
     def __init__(
-        self, length_s: float = 2.0, max_gap_s: float = 0.1, max_backstep_s: float = 0.1
+        self, length_s: float = 2.0, max_gap_s: float = 0.1, max_backstep_s: float = MAX_BACKSTEP_S
     ) -> None:
         self._length_s = length_s
         self._max_gap_s = max_gap_s

@@ -33,12 +33,14 @@ def test_dead_time_then_ramp_then_command():
     np.testing.assert_allclose(velocity[14:], 0.3)
 
 
-def test_lag_is_first_order():
-    actuator = make(dead_time_s=0.0, acceleration_limit_rad_s2=1e6)
+@pytest.mark.parametrize(("lag_s", "joint_lag_s"), [(0.012, 0.0), (0.0, 0.1)])
+def test_lag_is_first_order(lag_s, joint_lag_s):
+    actuator = make(dead_time_s=0.0, acceleration_limit_rad_s2=1e6, lag_s=lag_s)
+    actuator.joint_lag_s = joint_lag_s
     actuator.command(np.full(6, 1.0))
     velocity = run(actuator, 30)[:, 2]
     time_s = DT_S * np.arange(1, 31)
-    np.testing.assert_allclose(velocity, 1.0 - np.exp(-time_s / 0.012), atol=1e-12)
+    np.testing.assert_allclose(velocity, 1.0 - np.exp(-time_s / (lag_s + joint_lag_s)), atol=1e-12)
 
 
 def test_extra_joint_lag_slows_down_but_arrives():
@@ -94,19 +96,23 @@ def test_speed_is_limited():
     np.testing.assert_allclose(run(actuator, 500)[-1], np.pi, atol=1e-6)
 
 
-def test_joint_stops_at_its_limit_and_leaves_it():
-    upper = WIDE.copy()
-    upper[1] = 0.1
-    actuator = make(upper=upper)
+@pytest.mark.parametrize("joint_lag_s", [0.0, 0.05])
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_joint_stops_at_its_limit_and_leaves_it_as_from_rest(way, joint_lag_s):
+    end = WIDE.copy()
+    end[1] = 0.1
+    actuator, resting = make(lower=-end, upper=end), make()
+    actuator.joint_lag_s = resting.joint_lag_s = joint_lag_s
     positions = np.zeros(6)
-    actuator.command(np.full(6, 0.5))
+    actuator.command(np.full(6, 0.5 * way))
     velocities = run(actuator, 400, positions)
-    assert positions[1] == pytest.approx(0.1, abs=1e-9)
+    assert positions[1] == pytest.approx(0.1 * way, abs=1e-9)
     assert velocities[-1, 1] == 0.0
-    assert positions[0] > 0.3
-    actuator.command(np.full(6, -0.5))
-    run(actuator, 50, positions)
-    assert positions[1] < 0.1
+    assert way * positions[0] > 0.3
+    for one in (actuator, resting):
+        one.command(np.full(6, -0.5 * way))
+    left = run(actuator, 50, positions)
+    np.testing.assert_allclose(left[:, 1], run(resting, 50)[:, 1], atol=1e-12)
 
 
 def test_same_commands_same_motion():

@@ -96,6 +96,13 @@ def test_the_error_ratio_is_that_of_the_prediction_through_noise(factor, ratio):
         assert np.median([one.error_ratio for one in ones]) == pytest.approx(ratio, abs=0.08)
 
 
+def test_a_right_prediction_is_not_blamed_for_noise():
+    for way in (line(0.01), line(0.3)):
+        for seed in range(4):
+            found = verdicts(way, way, noise_m=0.006, seed=seed)
+            assert max(one.error_ratio for _, one in found if one) < 0.5
+
+
 def test_a_camera_that_is_bumped_is_neither_frozen_nor_opposite():
     for step_m in (-0.3, -0.1, 0.1, 0.3):
         for bumped_s in (0.1, 0.4, 0.9):

@@ -41,12 +41,16 @@ def test_one_percent_is_lost():
     assert np.mean(noisy(flat()) == 0.0) == pytest.approx(0.01, abs=0.002)
 
 
-def test_half_of_the_edge_is_lost():
+@pytest.mark.parametrize(
+    ("jump_m", "scale", "share"),
+    [(1.0, 1.0, 0.5), (0.1, 1.0, 0.5), (0.03, 1.0, 0.01), (1, 0.4, 0.2)],
+)
+def test_half_of_an_edge_is_lost_and_nothing_beside_it(jump_m, scale, share):
     depth = flat()
-    depth[:, 150:] = 2.5
-    values = noisy(depth)
-    assert np.mean(values[:, 149:151] == 0.0) == pytest.approx(0.5, abs=0.06)
-    assert np.mean(values[:, :145] == 0.0) < 0.02
+    depth[:, 150:] += jump_m
+    values = noisy(depth, scale)
+    assert np.mean(values[:, 149:151] == 0.0) == pytest.approx(share, abs=0.06)
+    assert np.mean(values[:, 140:149] == 0.0) < 0.02
 
 
 def test_unknown_stays_unknown():
@@ -66,6 +70,10 @@ def test_scale_two_doubles_the_spread():
     values = noisy(flat(2.0), scale=2.0)
     expected = 2 * DepthNoiseConfig().sigma_m(np.float32(2.0), FX)
     assert np.std(values[values > 0]) == pytest.approx(expected, rel=0.03)
+
+
+def test_however_wild_the_noise_no_depth_is_negative():
+    assert noisy(flat(6.0), scale=20.0).min() == 0.0
 
 
 def test_seed_decides():

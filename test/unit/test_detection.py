@@ -89,6 +89,16 @@ def test_invalid_depth_is_passed_over():
     assert detect_ball(rgb, depth, VGA, RADIUS_M) is None
 
 
+def test_a_ball_far_away_is_found_but_not_by_a_few_pixels_of_depth():
+    centre = np.array([0.3, -0.2, 4.5])
+    rgb, depth = draw([(centre, RADIUS_M)], wall_m=9.0)
+    assert error_mm(detect_ball(rgb, depth, VGA, RADIUS_M), centre) < 10.0
+    depth[np.random.default_rng(1).random(depth.shape) < 0.85] = 0.0
+    found, (rejection,) = examine(rgb, depth, VGA, RADIUS_M)
+    assert found is None
+    assert rejection.cause is Cause.NO_DEPTH
+
+
 def test_millimetres_of_a_real_camera():
     centre = np.array([0.1, -0.05, 1.3])
     rgb, depth = draw([(centre, RADIUS_M)])

@@ -50,6 +50,18 @@ def test_after_a_while_unseen_the_ball_may_be_elsewhere():
     assert gate.check(0.2, THERE) == ""
 
 
+def test_noise_is_no_jump_however_slow_the_ball_must_be_and_a_decimetre_is():
+    gate, rng = Gate(0.02, 3), np.random.default_rng(0)
+    assert all(believed(gate, HERE + 0.002 * rng.normal(size=(100, 3))))
+    assert gate.check(100 * DT, HERE + [0.06, 0.0, 0.0])
+
+
+def test_a_clock_that_is_set_back_changes_nothing():
+    gate = Gate(3.0, 3)
+    assert believed(gate, [HERE], start=300) == [True]
+    assert believed(gate, [THERE, HERE, HERE]) == [False, True, True]
+
+
 def test_a_reset_forgets():
     gate = Gate(3.0, 3)
     gate.check(0.0, HERE)

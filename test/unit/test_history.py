@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fvs_ros.core.history import JointHistory
+from fvs_ros.core.history import JointHistory, StampGate, jump_of
 
 
 def ramp(stamp_s):
@@ -31,14 +31,29 @@ def test_nothing_is_made_up_outside_or_in_a_gap():
 
 
 def test_duplicates_and_reordered_samples_are_passed_over():
-    history = filled([0.0, 0.008, 0.016])
-    assert history.add(0.016, np.ones(6))
-    assert history.add(0.008, np.ones(6))
+    history = filled([0.0, 0.008, 0.066])
+    for late_s in (0.066, 0.008, 0.0):
+        assert history.add(late_s, np.ones(6))
     assert len(history) == 3
-    np.testing.assert_allclose(history.newest, ramp(0.016))
+    np.testing.assert_allclose(history.newest, ramp(0.066))
 
 
-@pytest.mark.parametrize("jump_s", [-5.0, 10.0])
+def test_a_message_passes_when_it_is_newer_or_the_clock_was_set():
+    gate = StampGate()
+    stamps = [5.0, 5.0, 5.1, 5.04, 5.1, 5.11, 4.8, 4.8, 4.81, 99.0]
+    passed = [True, False, True, False, False, True, True, False, True, True]
+    assert [gate.advances(stamp_s) for stamp_s in stamps] == passed
+
+
+@pytest.mark.parametrize("passed_s", [0.008, 0.1, 0.4])
+def test_the_fastest_joint_makes_no_jump_and_one_three_times_as_fast_does(passed_s):
+    step = np.zeros(6)
+    step[3] = -np.pi * passed_s
+    assert jump_of(step, passed_s) is None
+    assert jump_of(3.0 * step - 0.1 * (step < 0.0), passed_s) == 3
+
+
+@pytest.mark.parametrize("jump_s", [-5.0, -0.3, 10.0])
 def test_a_clock_jump_starts_anew(jump_s):
     history = filled([100.0, 100.008])
     assert not history.add(100.0 + jump_s, np.ones(6))

@@ -31,7 +31,15 @@ def test_an_input_that_is_late_is_told_with_its_limit_until_it_comes_in_time_aga
 def test_what_the_source_says_of_itself_is_the_hint_while_it_is_new():
     monitor = heard(np.arange(0.0, 1.0, 0.1))
     monitor.source_says(1.5, "the estimator says: waiting for ball_position")
-    assert "the estimator says: waiting for ball_position" in monitor.find(1.6).text
+    for now_s in (1.6, 3.2):
+        assert "the estimator says: waiting for ball_position" in monitor.find(now_s).text
     assert "is the ball in view?" in monitor.find(4.0).text
     monitor.source_says(4.0, "")
     assert "is the ball in view?" in monitor.find(4.1).text
+
+
+def test_stamps_that_stand_still_are_the_hint_while_such_messages_come():
+    monitor = heard(np.arange(0.0, 1.0, 0.1))
+    monitor.stuck(1.5)
+    assert "stamps do not advance" in monitor.find(1.6).text
+    assert "is the ball in view?" in monitor.find(2.0).text

@@ -42,13 +42,15 @@ def test_it_carries_an_old_image_to_the_newest_joints():
     assert predictor.problem == ""
 
 
-def test_a_position_waits_for_the_joint_state_after_its_exposure():
+def test_positions_wait_for_the_joint_state_after_their_exposure():
     predictor = BallPredictor()
     feed(predictor, 0.0, 1.0)
-    predictor.add_ball(1.05, ball(1.05))
+    for stamp_s in (1.01, 1.02, 1.03, 1.04, 1.05):
+        predictor.add_ball(stamp_s, ball(stamp_s))
     assert predictor.predict() is None
     assert "no ball_position" in predictor.problem
     feed(predictor, 1.0, 1.1)
+    assert predictor.images == 5
     np.testing.assert_allclose(newest(predictor), ball(1.096), atol=5e-5)
 
 

@@ -154,6 +154,20 @@ def test_speed_scaling_and_joint_lag_are_live(make):
         simulation.joint_lag_s = -1.0
 
 
+@pytest.mark.parametrize(
+    "slower",
+    [
+        {"dead_time_s": 0.06},
+        {"lag_s": 0.1},
+        {"acceleration_limit_rad_s2": 2.0},
+        {"joint_lag_s": 0.1},
+    ],
+)
+def test_each_constant_of_the_drives_is_that_of_the_configuration(make, slower):
+    usual, changed = (run(make(**one), 6, np.full(6, 0.3))[-1] for one in ({}, slower))
+    assert np.all(changed.joint_velocities_rad_s < 0.6 * usual.joint_velocities_rad_s)
+
+
 # ---------------------------------------------------------------------- the ball
 def test_the_ball_comes_from_the_image(make):
     simulation = make()
@@ -184,6 +198,27 @@ def test_noise_is_live(make):
     run(simulation, 10)
     noisy = np.array([o.detection.position_m for o in observations(run(simulation, 100))])
     assert np.ptp(noisy, axis=0).max() > 3e-4
+
+
+@pytest.mark.parametrize(("rendered", "images"), [(True, 100), (False, 1000)])
+def test_position_noise_is_white_on_each_axis(make, rendered, images):
+    simulation = make(position_noise_m=0.01, depth_noise=0.0, rendered=rendered)
+    seen = [simulation.look() for _ in range(images)]
+    errors = np.array([one.detection.position_m - one.true_position_m for one in seen])
+    many = 3.5 / np.sqrt(images)  # chance gets there once in two thousand times
+    np.testing.assert_allclose(errors.std(axis=0), 0.01, rtol=many / np.sqrt(2.0))
+    for both in (errors, np.column_stack([errors[1:], errors[:-1]])):
+        apart = np.corrcoef(both.T) - np.eye(both.shape[1])
+        assert np.abs(apart).max() < many
+
+
+@pytest.mark.parametrize("rendered", [True, False])
+@pytest.mark.parametrize("turned_rad", [0.7, np.pi])
+def test_a_ball_beside_or_behind_the_camera_is_not_seen(make, rendered, turned_rad):
+    simulation = make(rendered=rendered)
+    assert simulation.look().detection is not None
+    simulation.rotate_camera([0.0, turned_rad, 0.0])
+    assert simulation.look().detection is None
 
 
 def test_dropout_loses_observations(make):
