@@ -1,5 +1,7 @@
 """The floor: the least time after which the ball is near the target for good, nobody beats it."""
 
+from functools import lru_cache
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -20,6 +22,11 @@ GOAL_RAD = START_RAD + [0.5, -0.3, 0.4, 0.3, -0.5, 0.2]
 CASE = Case("", tuple(START_RAD), tuple(GOAL_RAD), 1)
 TARGET_M = ball_position(GOAL_RAD)
 TICK_S, COARSE_S = 0.008, 0.016
+
+
+@lru_cache
+def soonest(tolerance_m):
+    return fastest(CASE, LIMITS, tolerance_m)
 
 
 @pytest.mark.parametrize("limits", [LIMITS, Limits(100.0, 6.0)])
@@ -57,7 +64,7 @@ def test_a_single_joint_enters_at_the_near_edge_and_brakes_at_the_far_one(monkey
 
 def test_a_larger_tolerance_is_no_slower_and_none_at_all_is_rest_on_the_target():
     rest_s = LIMITS.rest_s(np.abs(least_travel_rad(CASE)).max())
-    times_s = [fastest(CASE, LIMITS, one).time_s for one in (5e-5, 0.001, 0.005)]
+    times_s = [soonest(one).time_s for one in (5e-5, 0.001, 0.005)]
     assert rest_s > times_s[0] > 0.985 * rest_s
     assert times_s == sorted(times_s, reverse=True)
     assert times_s[-1] < 0.95 * rest_s
@@ -78,7 +85,7 @@ def test_nobody_gets_there_with_less_travel():
 
 @pytest.mark.parametrize("tolerance_m", BOUNDS_M.values())
 def test_the_fastest_motion_keeps_the_limits_and_stays_near(tolerance_m):
-    found = fastest(CASE, LIMITS, tolerance_m)
+    found = soonest(tolerance_m)
     step_s = 1e-4
     times_s = np.arange(0.0, found.time_s + 0.2, step_s)
     speeds = found.speeds_rad_s(times_s)
@@ -135,7 +142,7 @@ def nearest_m(ticks, tolerance_m):
 
 
 def test_linear_programmes_over_the_whole_motion_find_the_same():
-    time_s = fastest(CASE, LIMITS, 0.005).time_s
+    time_s = soonest(0.005).time_s
     assert nearest_m(int(np.ceil(1.01 * time_s / COARSE_S)), 0.005) < 1e-5
     assert nearest_m(int(0.99 * time_s / COARSE_S), 0.005) > 1e-4
 
@@ -146,9 +153,9 @@ def test_played_on_ideal_drives_it_is_attained(name):
         SimConfig(rendered=False, dead_time_s=0.0, lag_s=0.0, acceleration_limit_rad_s2=1e3)
     ) as ideal:
         bound_m = BOUNDS_M[name]
-        commands = fastest(CASE, LIMITS, bound_m - floor.SPARE_M).commands_rad_s(TICK_S)
+        commands = soonest(bound_m - floor.SPARE_M).commands_rad_s(TICK_S)
         assert np.abs(np.diff(commands, axis=0, prepend=0.0)).max() <= 6.0 * TICK_S + 1e-6
-        late_s = play_s(ideal, CASE, commands, bound_m) - fastest(CASE, LIMITS, bound_m).time_s
+        late_s = play_s(ideal, CASE, commands, bound_m) - soonest(bound_m).time_s
         assert -0.001 < late_s < 0.03
 
 

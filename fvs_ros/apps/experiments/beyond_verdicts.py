@@ -122,8 +122,8 @@ def _best(results: Results) -> Verdict:
     return Verdict(
         f"best arrives within {OVER_FLOOR:g} times the least time that is physically possible.",
         f"Settling to 5 mm over the floor: {over.text()} (median), to 2 mm {tight.text()}. Who "
-        "knows arm, target and drives, and plays the fastest motion blindly, is at "
-        f"{played.text()} to 5 mm: the rest is dead time, lag and the first tick.",
+        f"knows arm and target exactly and plays the fastest motion blindly is at {played.text()} "
+        "to 5 mm: that much are dead time, lag and the first tick.",
         over.below(OVER_FLOOR),
     )
 
