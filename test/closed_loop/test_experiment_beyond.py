@@ -22,16 +22,17 @@ from fvs_ros.apps.experiments.beyond_camera import (
     draw_journeys,
     run_journey,
 )
-from fvs_ros.apps.experiments.beyond_floor import floor_s, least_travel_rad
 from fvs_ros.apps.experiments.beyond_minute import Learned, Minute, draw_places, learn, record
 from fvs_ros.apps.experiments.beyond_results import Results
 from fvs_ros.apps.experiments.beyond_terms import (
+    ACCELERATION_RAD_S2,
     BEST,
     BEST_ORACLE,
     CONTESTANTS,
     EXTENDED,
     FOLLOWERS,
     RACERS,
+    SPEED_RAD_S,
     WORLDS,
     trial_of,
 )
@@ -45,9 +46,11 @@ from fvs_ros.apps.experiments.beyond_tracking import (
     run_pursuit,
 )
 from fvs_ros.apps.experiments.context import Context
+from fvs_ros.apps.experiments.floor import Floor, Limits, fastest
 from fvs_ros.apps.experiments.report import Origin, write_page, write_report
 from fvs_ros.apps.experiments.servo_terms import BASELINES
 from fvs_ros.apps.experiments.trials import (
+    BOUNDS_M,
     Case,
     Conditions,
     Outcome,
@@ -56,7 +59,7 @@ from fvs_ros.apps.experiments.trials import (
     simulation_of,
 )
 from fvs_ros.core.schemes import BEYOND, SCHEMES
-from fvs_sim_node.kinematics import ball_jacobian, ball_position
+from fvs_sim_node.kinematics import ball_position
 
 INF = float("inf")
 EXACT = Conditions(rendered=False)
@@ -74,35 +77,13 @@ def outcome(settled_s=1.0, jitter=0.001):
 # ---- the floor ------------------------------------------------------------------------------
 
 
-def test_nobody_gets_there_with_less_travel():
-    (case,) = make_cases("t", 1, 5)
-    start, goal = np.array(case.start_rad), np.array(case.goal_rad)
-    least = least_travel_rad(case)
-    assert least <= np.abs(goal - start).max()
-    rng = np.random.default_rng(1)
-    for _ in range(200):
-        joints = start + rng.uniform(-1.0, 1.0, 6) * least
-        for _ in range(20):  # onto the target, the nearest way
-            missing = ball_position(goal) - ball_position(joints)
-            joints = joints + np.linalg.pinv(ball_jacobian(joints)) @ missing
-        if np.linalg.norm(missing) < 1e-9:
-            assert np.abs(joints - start).max() >= least - 1e-6
-
-
-def test_the_floor_is_that_of_a_joint_from_rest_to_rest():
-    (case,) = make_cases("t", 1, 5)
-    travel = least_travel_rad(case)
-    assert floor_s(case, 1.0, 6.0) == pytest.approx(travel + 1.0 / 6.0)
-    # with room enough the limit on speed is never met
-    assert floor_s(case, 100.0, 6.0) == pytest.approx(2.0 * np.sqrt(travel / 6.0))
-
-
 def test_best_is_close_to_the_floor_and_the_same_when_repeated():
     (case,) = make_cases("t", 1, 5)
     trial = trial_of(BEST, case, EXACT, 2.0)
     one, again = run_trial(trial), run_trial(trial)
     assert one == again
-    assert one.settled_s < 1.2 * floor_s(case, 1.0, 6.0)
+    least_s = fastest(case, Limits(SPEED_RAD_S, ACCELERATION_RAD_S2), 0.005).time_s
+    assert least_s < one.settled_s < 1.2 * least_s
 
 
 # ---- a minute of data -----------------------------------------------------------------------
@@ -234,7 +215,7 @@ def results(
     path = draw_paths(1, 8)[0]
     return Results(
         minutes=[learned] * COUNT,
-        floors_s=[1.0] * COUNT,
+        floors=[Floor(dict.fromkeys(BOUNDS_M, 1.0), dict.fromkeys(BOUNDS_M, 1.05))] * COUNT,
         races=races,
         calmed={name: [outcome(4.0)] * COUNT for name in BASELINES},
         arrivals=arrivals,

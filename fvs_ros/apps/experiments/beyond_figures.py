@@ -11,6 +11,7 @@ from fvs_ros.apps.experiments.beyond_camera import MOMENTS
 from fvs_ros.apps.experiments.beyond_results import KEPT, Results
 from fvs_ros.apps.experiments.beyond_terms import (
     BEST,
+    CLAIRVOYANT,
     EXTENDED,
     FOLLOWERS,
     PROPOSED,
@@ -56,40 +57,43 @@ def minute(results: Results, folder: Path) -> str:
 
 
 def races(results: Results, folder: Path) -> str:
-    """Draw settling over the floor, and jitter; returns the file's name."""
+    """Draw settling over the floors, and jitter; returns the file's name."""
     plt = pyplot()
-    figure, (left, right) = plt.subplots(
-        1, 2, figsize=(11.5, 4.6), sharey=True, layout="constrained"
+    figure, (*lefts, right) = plt.subplots(
+        1, 3, figsize=(14.0, 4.6), sharey=True, layout="constrained"
     )
     rows = [
         *((name, name, results.races[name]) for name in RACERS),
         *((f"{name}, as calm", name, outcomes) for name, outcomes in results.calmed.items()),
     ]
-    for place, (_, name, outcomes) in enumerate(rows):
-        over = [min(one, _SLOWEST_FLOORS) for one in results.in_floors(outcomes)]
+    for left, bound in zip(lefts, ("5 mm", "2 mm"), strict=True):
+        _dots(left, results.in_floors(results.played_s(bound), bound), 0, "black")
+        for place, (_, name, outcomes) in enumerate(rows, start=1):
+            over = results.in_floors(times_s(outcomes, bound), bound)
+            _dots(left, np.minimum(over, _SLOWEST_FLOORS), place, _colour(name))
+        left.axvline(1.0, color="black", linewidth=0.8)
+        left.set_xscale("log")
+        ticks = (1, 1.5, 2, 3, 5, 8)
+        left.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        left.minorticks_off()
+        left.set_xlabel(f"settling to {bound} over the physical floor")
+    for place, (_, name, outcomes) in enumerate(rows, start=1):
         jitter = [1e3 * one.jitter_rad_s for one in outcomes if np.isfinite(one.jitter_rad_s)]
-        for axis, values in ((left, over), (right, jitter)):
-            _dots(axis, values, place, _colour(name))
-    left.axvline(1.0, color="black", linewidth=0.8)
-    left.set_xscale("log")
-    ticks = (1, 1.5, 2, 3, 5, 8)
-    left.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-    left.minorticks_off()
-    left.set_xlabel("settling to 5 mm over the physical floor")
+        _dots(right, jitter, place, _colour(name))
     right.set_xscale("log")
     decades = (0.1, 0.2, 0.5, 1, 2, 5, 10)
     right.set_xticks(decades, [f"{tick:g}" for tick in decades])
     right.minorticks_off()
     right.set_xlabel("jitter of the command at rest, mrad/s")
-    left.set_yticks(range(len(rows)), [label for label, _, _ in rows])
-    left.invert_yaxis()
+    right.set_yticks(range(1 + len(rows)), [CLAIRVOYANT, *(label for label, _, _ in rows)])
+    right.invert_yaxis()
     save(figure, folder / "races.png")
     return "races.png"
 
 
-def _dots(axis, values: Sequence[float], place: float, colour: str) -> None:
+def _dots(axis, values: Sequence[float] | np.ndarray, place: float, colour: str) -> None:
     """Draw a row of dots and their median as a bar."""
-    if not values:
+    if len(values) == 0:
         return
     axis.plot(values, np.full(len(values), place), "o", color=colour, alpha=0.45, markersize=5)
     middle = float(np.median(values))

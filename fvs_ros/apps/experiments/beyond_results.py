@@ -9,6 +9,7 @@ from fvs_ros.apps.experiments.beyond_camera import IN_MOTION, UNDISTURBED, Arriv
 from fvs_ros.apps.experiments.beyond_minute import Learned
 from fvs_ros.apps.experiments.beyond_terms import times_s
 from fvs_ros.apps.experiments.beyond_tracking import Pursuit, Tracked
+from fvs_ros.apps.experiments.floor import Floor
 from fvs_ros.apps.experiments.spot_check import SpotCheck
 from fvs_ros.apps.experiments.trials import Outcome
 
@@ -24,8 +25,8 @@ class Results:
     ----------
     minutes : sequence of Learned
         Of a minute of data each.
-    floors_s : sequence of float
-        Least time of each case, s.
+    floors : sequence of Floor
+        How soon each case can be over.
     races : dict of str to list of Outcome
         The same cases, by contestant.
     calmed : dict of str to list of Outcome
@@ -43,7 +44,7 @@ class Results:
     """
 
     minutes: Sequence[Learned]
-    floors_s: Sequence[float]
+    floors: Sequence[Floor]
     races: dict[str, list[Outcome]]
     calmed: dict[str, list[Outcome]]
     arrivals: dict[tuple[str, str], list[Arrival]]
@@ -62,14 +63,20 @@ class Results:
         """The worlds that were visited."""
         return list(dict.fromkeys(number for number, _ in self.worlds))
 
-    def over_floor(self, name: str) -> list[float]:
+    def over_floor(self, name: str, bound: str = "5 mm") -> list[float]:
         """Settling time over the least time, case by case."""
-        return self.in_floors(self.races[name])
+        return self.in_floors(times_s(self.races[name], bound), bound)
 
-    def in_floors(self, outcomes: Sequence[Outcome]) -> list[float]:
+    def in_floors(self, times_s: Sequence[float], bound: str = "5 mm") -> list[float]:
         """Settling times of the cases over the least time of each."""
-        times = times_s(outcomes)
-        return [time / floor for time, floor in zip(times, self.floors_s, strict=True)]
+        return [
+            time_s / floor.least_s[bound]
+            for time_s, floor in zip(times_s, self.floors, strict=True)
+        ]
+
+    def played_s(self, bound: str = "5 mm") -> list[float]:
+        """Settling times of the clairvoyant open loop, s."""
+        return [floor.clairvoyant_s[bound] for floor in self.floors]
 
     def slowdown(self, moment: str, name: str) -> list[float]:
         """Settling time with a blow to the camera over that without, case by case.

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from fvs_ros.apps.experiments.robustness_runs import Contestant
-from fvs_ros.apps.experiments.trials import Case, Conditions, Outcome, Trial
+from fvs_ros.apps.experiments.trials import Case, Conditions, Outcome, Trial, seconds
 from fvs_ros.core.schemes import BEYOND, SCHEMES, Scheme
 
 PROPOSED, EXTENDED, BEST = "proposed", "extended", "best"
+#: Whoever plays the fastest motion blindly; races, too.
+CLAIRVOYANT = "clairvoyant open loop"
 ORACLE, FROZEN = "oracle, proportional", "frozen"
 BEST_ORACLE = "oracle, law of best"
 
@@ -97,6 +99,6 @@ def trial_of(name: str, case: Case, conditions: Conditions, duration_s: float = 
     )
 
 
-def times_s(outcomes: Sequence[Outcome]) -> list[float]:
-    """Settling times to 5 mm, s; infinite for never."""
-    return [one.settled_s for one in outcomes]
+def times_s(outcomes: Sequence[Outcome], bound: str = "5 mm") -> list[float]:
+    """Settling times to a bound, s; infinite for never."""
+    return [seconds(one.settling_s[bound]) for one in outcomes]

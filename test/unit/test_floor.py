@@ -1,0 +1,165 @@
+"""The floor: the least time after which the ball is near the target for good, nobody beats it."""
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.optimize import linprog
+
+pytest.importorskip("pybullet")
+
+from fvs_ros.apps.experiments import floor
+from fvs_ros.apps.experiments.floor import Limits, fastest, floor_of, least_travel_rad, play_s
+from fvs_ros.apps.experiments.trials import BOUNDS_M, Case
+from fvs_ros.core.joints import HOME_JOINTS_RAD
+from fvs_sim_node.kinematics import ball_jacobian, ball_position
+from fvs_sim_node.simulation import SimConfig, Simulation
+
+LIMITS = Limits(1.0, 6.0)
+START_RAD = np.array(HOME_JOINTS_RAD)
+GOAL_RAD = START_RAD + [0.5, -0.3, 0.4, 0.3, -0.5, 0.2]
+CASE = Case("", tuple(START_RAD), tuple(GOAL_RAD), 1)
+TARGET_M = ball_position(GOAL_RAD)
+TICK_S, COARSE_S = 0.008, 0.016
+
+
+@lru_cache
+def soonest(tolerance_m):
+    return fastest(CASE, LIMITS, tolerance_m)
+
+
+@pytest.mark.parametrize("limits", [LIMITS, Limits(100.0, 6.0)])
+def test_a_joint_goes_as_far_as_its_least_time_says(limits):
+    for end_rad_s in np.linspace(-0.9, 0.9, 7):
+        for travel_rad in (0.1, 0.3, 1.0):
+            time_s = limits.least_s(np.array([travel_rad]), np.array([end_rad_s]))
+            found = limits.furthest(np.array([end_rad_s]), time_s)
+            assert found[0] == pytest.approx(travel_rad)
+            more = limits.furthest(np.array([end_rad_s + 1e-6]), time_s + 1e-6)[0]
+            assert (more - travel_rad) / 1e-6 == pytest.approx(found[1] + found[2], abs=1e-4)
+            mirrored = limits.least_s(np.array([-travel_rad]), np.array([-end_rad_s]))
+            assert mirrored == pytest.approx(time_s)
+    # the least time, at a speed that cannot be avoided
+    assert limits.least_s(np.array([0.03]), np.array([0.6])) == pytest.approx(0.1)
+
+
+def test_from_rest_to_rest_the_time_is_that_of_a_trapezium():
+    assert LIMITS.rest_s(0.7) == pytest.approx(0.7 + 1.0 / 6.0)
+    assert LIMITS.rest_s(0.05) == pytest.approx(2.0 * np.sqrt(0.05 / 6.0))
+
+
+@pytest.mark.parametrize("tolerance_m", [0.005, 0.001])
+def test_a_single_joint_enters_at_the_near_edge_and_brakes_at_the_far_one(monkeypatch, tolerance_m):
+    # Three joints along three axes, a target on the first: a metre is a radian.
+    slopes = np.eye(3, 6)
+    monkeypatch.setattr(floor, "ball_position", lambda joints: joints[..., :3])
+    monkeypatch.setattr(
+        floor, "ball_jacobian", lambda joints: np.broadcast_to(slopes, (*joints.shape[:-1], 3, 6))
+    )
+    case = Case("", (0.0,) * 6, (0.4, 0.0, 0.0, 0.0, 0.0, 0.0), 1)
+    known_s = LIMITS.rest_s(0.4 + tolerance_m) - np.sqrt(4.0 * tolerance_m / 6.0)
+    assert fastest(case, LIMITS, tolerance_m).time_s == pytest.approx(known_s, rel=1e-3)
+
+
+def test_a_larger_tolerance_is_no_slower_and_none_at_all_is_rest_on_the_target():
+    rest_s = LIMITS.rest_s(np.abs(least_travel_rad(CASE)).max())
+    times_s = [soonest(one).time_s for one in (5e-5, 0.001, 0.005)]
+    assert rest_s > times_s[0] > 0.985 * rest_s
+    assert times_s == sorted(times_s, reverse=True)
+    assert times_s[-1] < 0.95 * rest_s
+
+
+def test_nobody_gets_there_with_less_travel():
+    least = np.abs(least_travel_rad(CASE)).max()
+    assert least <= np.abs(GOAL_RAD - START_RAD).max()
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        joints = START_RAD + rng.uniform(-1.0, 1.0, 6) * least
+        for _ in range(20):  # onto the target, the nearest way
+            missing = TARGET_M - ball_position(joints)
+            joints = joints + np.linalg.pinv(ball_jacobian(joints)) @ missing
+        if np.linalg.norm(missing) < 1e-9:
+            assert np.abs(joints - START_RAD).max() >= least - 1e-6
+
+
+@pytest.mark.parametrize("tolerance_m", BOUNDS_M.values())
+def test_the_fastest_motion_keeps_the_limits_and_stays_near(tolerance_m):
+    found = soonest(tolerance_m)
+    step_s = 1e-4
+    times_s = np.arange(0.0, found.time_s + 0.2, step_s)
+    speeds = found.speeds_rad_s(times_s)
+    assert np.abs(speeds).max() <= 1.0 + 1e-6
+    assert np.abs(np.diff(speeds, axis=0)).max() <= 6.0 * step_s + 1e-6
+    assert not np.abs(speeds[0]).any()
+    np.testing.assert_allclose(speeds[-1], 0.0, atol=1e-6)
+    ways = np.cumsum(0.5 * step_s * (speeds[1:] + speeds[:-1]), axis=0)
+    errors_m = np.linalg.norm(ball_position(START_RAD + ways) - TARGET_M, axis=1)
+    after = times_s[1:] >= found.time_s
+    assert errors_m[after].max() < 1.03 * tolerance_m
+    assert errors_m[~after].min() > 0.97 * tolerance_m  # and not near any sooner
+
+
+def nearest_m(ticks, tolerance_m):
+    """How far outside the tolerance the ball must be from a tick on, at least, m.
+
+    Another way to the same: all speeds of all ticks in one linear programme after the other.
+    """
+    count = ticks + 11  # the ticks until rest
+    # Position at ticks: speeds are linear in between.
+    sums = COARSE_S * (np.tri(count + 1, count, -1) - 0.5 * np.eye(count + 1, count, -1))
+    ramp = np.clip(6.0 * COARSE_S * np.arange(1, count + 1), 0.0, 1.0)
+    travel = least_travel_rad(CASE)
+    speeds = np.outer(np.minimum(ramp, ramp[::-1]), travel)
+    speeds *= np.abs(travel).max() / np.abs(sums[-1] @ speeds).max()
+    change = sparse.diags([np.ones(6 * count), -np.ones(6 * count - 6)], [0, -6])
+    change = sparse.hstack([change, sparse.csr_matrix((6 * count, 1))])
+    ends = [(-1.0, 1.0)] * (6 * count - 6) + [(0.0, 0.0)] * 6 + [(None, None)]
+    rows, bounds = [change, -change], [np.full(12 * count, 6.0 * COARSE_S)]
+    outside_m = np.inf
+    for _ in range(5):
+        joints = START_RAD + sums[ticks:] @ speeds
+        missing, slopes = ball_position(joints) - TARGET_M, ball_jacobian(joints)
+        outside_m = min(outside_m, np.linalg.norm(missing, axis=1).max() - tolerance_m)
+        if outside_m < 0.0:
+            break
+        # Where the ball is outside, in that direction it must be less so; other directions stay.
+        for away in (missing, *np.eye(3)[:, None], *-np.eye(3)[:, None]):
+            unit = np.broadcast_to(away / np.linalg.norm(away, axis=1)[:, None], missing.shape)
+            along = np.einsum("kx,kxj->kj", unit, slopes)
+            row = np.einsum("kt,kj->ktj", sums[ticks:], along).reshape(len(unit), -1)
+            rows.append(sparse.csr_matrix(np.hstack([row, -np.ones((len(unit), 1))])))
+            bounds.append(tolerance_m - np.sum(unit * missing, axis=1) + row @ speeds.ravel())
+        found = linprog(
+            np.eye(6 * count + 1)[-1],
+            sparse.vstack(rows),
+            np.concatenate(bounds),
+            bounds=ends,
+            method="highs",
+        )
+        speeds = found.x[:-1].reshape(count, 6)
+    return outside_m
+
+
+def test_linear_programmes_over_the_whole_motion_find_the_same():
+    time_s = soonest(0.005).time_s
+    assert nearest_m(int(np.ceil(1.01 * time_s / COARSE_S)), 0.005) < 1e-5
+    assert nearest_m(int(0.99 * time_s / COARSE_S), 0.005) > 1e-4
+
+
+@pytest.mark.parametrize("name", BOUNDS_M)
+def test_played_on_ideal_drives_it_is_attained(name):
+    with Simulation(
+        SimConfig(rendered=False, dead_time_s=0.0, lag_s=0.0, acceleration_limit_rad_s2=1e3)
+    ) as ideal:
+        bound_m = BOUNDS_M[name]
+        commands = soonest(bound_m - floor.SPARE_M).commands_rad_s(TICK_S)
+        assert np.abs(np.diff(commands, axis=0, prepend=0.0)).max() <= 6.0 * TICK_S + 1e-6
+        late_s = play_s(ideal, CASE, commands, bound_m) - soonest(bound_m).time_s
+        assert -0.001 < late_s < 0.03
+
+
+def test_dead_time_and_lag_cost_a_few_hundredths():
+    found = floor_of(CASE, LIMITS)
+    for name in BOUNDS_M:
+        assert 0.01 < found.clairvoyant_s[name] - found.least_s[name] < 0.05
