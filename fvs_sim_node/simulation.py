@@ -470,7 +470,7 @@ class Simulation:
         for region in self._regions(stamp, whole is not None):
             image = self._draw(region) if whole is None else _crop(whole, region)
             detection = self._detect(image, region)
-            if detection is not None:
+            if detection is not None and not region.cuts_off(detection, self.intrinsics):
                 break
         self._tracker.update(stamp, detection)
         frame = None if whole is None else Frame(stamp, *whole)
