@@ -392,7 +392,7 @@ def _cut_out(
         return blame
     # First guess of the distance: half of a disc lies within 0.7 r of its middle.
     middle = _unit(camera.rays(blob.u0 + 0.5 * (width - 1), blob.v0 + 0.5 * (height - 1)))
-    distance = float(np.median(own_depth)) / middle[2] + 0.7 * radius_m
+    distance = _median(own_depth) / middle[2] + 0.7 * radius_m
     if distance < 1.5 * radius_m:
         return replace(blame, cause=Cause.TOO_NEAR, distance_m=float(distance))
     expected_px = _outline_area_px(middle, distance, radius_m, camera)
@@ -415,7 +415,7 @@ def _cut_out(
         inside=inside,
         coloured=inside | (mask[v0:v1, u0:u1] > 0),
         depth=np.where((depth > 0.0) & (depth < MAX_DEPTH_M), depth, 0.0),
-        rays=_unit(view.rays(*np.meshgrid(np.arange(view.width), np.arange(view.height)))),
+        rays=_unit_rays(view),
         view=view,
         distance_m=distance,
         blame=blame,
@@ -486,6 +486,25 @@ def _judge(
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.sqrt(np.sum(np.square(vectors), axis=-1, keepdims=True))
+
+
+def _unit_rays(view: Intrinsics) -> np.ndarray:
+    """Unit rays through all pixels, shape (h, w, 3); seven times as fast as by ``rays``."""
+    x = (np.arange(view.width) - view.cx) / view.fx
+    y = (np.arange(view.height)[:, None] - view.cy) / view.fy
+    rays = np.empty((view.height, view.width, 3))
+    z = 1.0 / np.sqrt(x * x + y * y + 1.0)
+    rays[..., 0], rays[..., 1], rays[..., 2] = x * z, y * z, z
+    return rays
+
+
+def _median(values: np.ndarray) -> float:
+    """Median of finite numbers; the checks of ``np.median`` take longer than the median."""
+    half = len(values) // 2
+    if len(values) % 2:
+        return float(np.partition(values, half)[half])
+    parted = np.partition(values, (half - 1, half))
+    return 0.5 * (float(parted[half - 1]) + float(parted[half]))
 
 
 def _share(mask: np.ndarray, of_px: float) -> float:
@@ -572,21 +591,27 @@ def _fit_direction(
 
 def _refine_circle(points: np.ndarray, radius: float, start: np.ndarray, cut: float) -> np.ndarray:
     """Centre of a circle of known radius through points, (N, 2); those off by ``cut`` are out."""
-    centre = start
+    u, v = points.T
+    x, y = start
+    # A little damping: an arc alone says little along its own direction.
+    damping = 1e-3 * len(points)
     for _ in range(8):
-        offset = points - centre
-        length = np.maximum(_lengths(offset), 1e-12)
+        du, dv = u - x, v - y
+        length = np.maximum(np.sqrt(du * du + dv * dv), 1e-12)
         error = length - radius
         weight = np.square(np.maximum(0.0, 1.0 - np.square(error / cut)))
-        normal = offset / length[:, None]
-        information = (normal * weight[:, None]).T @ normal
-        # A little damping: an arc alone says little along its own direction.
-        information += 1e-3 * len(points) * np.eye(2)
-        step = np.linalg.solve(information, normal.T @ (weight * error))
-        centre = centre + step
-        if np.abs(step).max() < 5e-3 * cut:
+        du, dv = du / length, dv / length
+        weighted_u, weighted_v = weight * du, weight * dv
+        # The normal equations of two unknowns: np.linalg.solve takes as long as all the rest.
+        uu, vv, uv = weighted_u @ du + damping, weighted_v @ dv + damping, weighted_u @ dv
+        right_u, right_v = weighted_u @ error, weighted_v @ error
+        determinant = uu * vv - uv * uv
+        step_x = (vv * right_u - uv * right_v) / determinant
+        step_y = (uu * right_v - uv * right_u) / determinant
+        x, y = x + step_x, y + step_y
+        if max(abs(step_x), abs(step_y)) < 5e-3 * cut:
             break
-    return centre
+    return np.array([x, y])
 
 
 def _search_circle(points: np.ndarray, radius: float, tolerance: float) -> np.ndarray | None:
@@ -658,8 +683,8 @@ def _central_surface(
     if len(central) < _MIN_DEPTH_PIXELS:
         return None
     values = range_m[central] * cos[central] + np.sqrt(radius_m**2 - sideways2[central])
-    off = np.abs(values - np.median(values))
-    near = off < 3.0 * max(1.4826 * float(np.median(off)), 0.001)
+    off = np.abs(values - _median(values))
+    near = off < 3.0 * max(1.4826 * _median(off), 0.001)
     central, values = central[near], values[near]
     if len(central) < _MIN_DEPTH_PIXELS:
         return None
