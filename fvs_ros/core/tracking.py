@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 
@@ -78,10 +79,10 @@ class WindowTracker:
         if expected[2] < 2.0 * self._radius_m:
             return None
         camera = self._camera
-        u, v = camera.project(expected)
+        u, v = camera.project(expected).tolist()
         half_m = self._RADII * self._radius_m + astray_m
         half = half_m * camera.fx / expected[2] + self._MARGIN_PX
-        size = min(8 * int(np.ceil(half / 4.0)), camera.width, camera.height)
-        u0 = int(np.clip(round(u - size / 2), 0, camera.width - size))
-        v0 = int(np.clip(round(v - size / 2), 0, camera.height - size))
+        size = min(2 * ceil(half), camera.width, camera.height)
+        u0 = min(max(round(u - size / 2), 0), camera.width - size)
+        v0 = min(max(round(v - size / 2), 0), camera.height - size)
         return Region(u0, v0, size, size)
