@@ -114,7 +114,7 @@ class Detector:
         detection = None
         if window is not None:
             detection = self._search(rectifier, rgb, depth_m, window)
-            if detection is not None and _cut_off(detection, window, camera):
+            if detection is not None and window.cuts_off(detection, camera.intrinsics):
                 detection = None
         searched_whole = detection is None
         if searched_whole:
@@ -171,16 +171,3 @@ class Detector:
 
 def _whole(camera: CameraModel) -> Region:
     return Region(0, 0, camera.intrinsics.width, camera.intrinsics.height)
-
-
-def _cut_off(detection: BallDetection, window: Region, camera: CameraModel) -> bool:
-    """Whether the window's border, but not the image's, cuts the ball off."""
-    u, v = detection.pixel
-    reach = detection.radius_px + 2.0
-    whole = camera.intrinsics
-    return (
-        (u - reach < window.u0 and window.u0 > 0)
-        or (v - reach < window.v0 and window.v0 > 0)
-        or (u + reach > window.u0 + window.width and window.u0 + window.width < whole.width)
-        or (v + reach > window.v0 + window.height and window.v0 + window.height < whole.height)
-    )

@@ -98,8 +98,9 @@ class SimConfig:
         Factor on the depth camera's noise; 0 for an ideal camera.
     rendered : bool
         Whether ball positions come from rendered images. If not, they are the true ones (plus
-        ``position_noise_m``), eight times faster, and nothing hides the ball but the image's
-        border; full frames are then not to be had.
+        ``position_noise_m``), several times faster, and nothing hides the ball but the image's
+        border; full frames are then not to be had. With noise of 1 mm an arm comes to rest alike;
+        with 0.2 mm it rests 0.1 mm nearer, as the detection's own deviation stands still with it.
     position_noise_m : float
         Standard deviation of a further, white noise on each coordinate of a ball position, m.
     dropout : float
@@ -501,7 +502,7 @@ class Simulation:
         for region in self._regions(stamp, whole is not None):
             image = self._draw(region) if whole is None else _crop(whole, region)
             detection = self._detect(image, region)
-            if detection is not None:
+            if detection is not None and not region.cuts_off(detection, self.intrinsics):
                 break
         self._tracker.update(stamp, detection)
         frame = None if whole is None else Frame(stamp, *whole)

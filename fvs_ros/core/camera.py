@@ -8,7 +8,8 @@ optical: x right, y down, z forward.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 
@@ -40,7 +41,7 @@ class Intrinsics:
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
             raise ValueError(f"image size must be positive, got {self.width}x{self.height}")
-        if not all(np.isfinite([self.fx, self.fy, self.cx, self.cy])):
+        if not all(map(isfinite, (self.fx, self.fy, self.cx, self.cy))):
             raise ValueError("intrinsics must be finite")
         if self.fx <= 0.0 or self.fy <= 0.0:
             raise ValueError(f"focal lengths must be positive, got fx={self.fx} fy={self.fy}")
@@ -84,7 +85,7 @@ class Intrinsics:
 
     def window(self, u0: int, v0: int, width: int, height: int) -> Intrinsics:
         """Intrinsics of the sub-image whose first pixel is (u0, v0)."""
-        return replace(self, width=width, height=height, cx=self.cx - u0, cy=self.cy - v0)
+        return Intrinsics(width, height, self.fx, self.fy, self.cx - u0, self.cy - v0)
 
 
 #: Distortion models of ``sensor_msgs``, and the numbers of coefficients that they may have.

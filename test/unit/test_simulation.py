@@ -267,7 +267,7 @@ def test_tracker_follows_and_gives_up(make):
     detection = observations(run(simulation, 20))[0].detection
     tracker.update(0.0, detection)
     here = tracker.region(0.0)
-    assert 80 <= here.width <= 136
+    assert 48 <= here.width <= 80
     step = np.array([0.02, 0.0, 0.0])
     moved = replace(detection, position_m=detection.position_m + step)
     tracker.update(0.1, moved)
