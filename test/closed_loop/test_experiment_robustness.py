@@ -15,6 +15,7 @@ from scipy.stats import binomtest, levy_stable, norm
 
 from fvs_ros.apps.experiments import cluster, main, robustness
 from fvs_ros.apps.experiments.context import Context
+from fvs_ros.apps.experiments.noise import WHITE, StableNoise
 from fvs_ros.apps.experiments.report import Origin, write_page, write_report
 from fvs_ros.apps.experiments.robustness import CONTESTANTS, contestants_called
 from fvs_ros.apps.experiments.robustness_figures import DISTURBANCES, colours_of, varied
@@ -32,8 +33,7 @@ from fvs_ros.apps.experiments.robustness_worlds import (
     DISTANCE_M,
     EVERYDAY,
     HARSH,
-    WHITE,
-    StableNoise,
+    QUANTITIES,
     draw_world,
 )
 from fvs_ros.apps.experiments.statistics import wilson
@@ -65,30 +65,33 @@ def test_a_world_is_a_function_of_seed_and_number():
     assert draw_world(HARSH, 3) == world
     for other in others:
         assert other.case.seed != world.case.seed
-        assert other.latency_s != world.latency_s
+        assert other.conditions.latency_s != world.conditions.latency_s
 
 
 def test_worlds_keep_their_ranges_and_differ_in_kind():
     worlds = [draw_world(HARSH, number) for number in range(1, 13)]
     for world in worlds:
         assert DISTANCE_M[0] <= world.distance_m <= DISTANCE_M[1]
-        for name in ("noise_m", "latency_s", "image_loss", "joint_lag_s"):
-            low, high = HARSH.ranges[name]
-            assert low <= getattr(world, name) <= high, name
+        for one in QUANTITIES:
+            low, high = HARSH.ranges[one.name]
+            value = getattr(world.conditions, one.name)
+            assert low <= value <= high or (one.name, value) == ("noise_exponent", WHITE), one
         assert world.turn_deg <= HARSH.ranges["camera_turn_deg"][1]
         assert all(0 <= one.bin_of(world) < len(one.bins) for one in DISTURBANCES)
         assert f"{world.case.seed}" in world.words()
     assert 0 < sum(world.bump is not None for world in worlds) < len(worlds)
-    assert 0 < sum(world.noise_exponent == WHITE for world in worlds) < len(worlds)
+    assert 0 < sum(world.conditions.noise_exponent == WHITE for world in worlds) < len(worlds)
 
 
-def test_everyday_worlds_are_alike_but_for_start_target_and_camera():
+def test_everyday_worlds_differ_in_start_target_camera_and_drives():
     worlds = [draw_world(EVERYDAY, number) for number in range(1, 9)]
     for world in worlds:
-        assert (world.noise_m, world.latency_s, world.image_loss) == (0.001, 0.05, 0.1)
-        assert (world.bump, world.noise_exponent, world.joint_lag_s) == (None, WHITE, 0.0)
+        one = world.conditions
+        assert (one.position_noise_m, one.latency_s, one.dropout) == (0.001, 0.05, 0.1)
+        assert (world.bump, one.noise_exponent, one.drive_gain) == (None, WHITE, 1.0)
     assert len({world.turn_deg for world in worlds}) == len(worlds)
-    assert varied(worlds) == DISTURBANCES[:2]
+    assert DISTURBANCES[2] not in varied(worlds), "no camera is bumped"
+    assert 2 < len(varied(worlds)) < len(DISTURBANCES)
     assert varied(worlds[:1]) == DISTURBANCES[:1]
     assert len({world.case.start_rad for world in worlds}) == len(worlds)
 

@@ -191,7 +191,7 @@ def draw_world(kind: Kind, number: int) -> World:
     rng = np.random.default_rng([kind.seed, number])
     amount = {name: float(rng.uniform(*range_)) for name, range_ in kind.ranges.items()}
     bumped, heavy = rng.random() < kind.bumped_share, rng.random() < kind.heavy_share
-    drawn = Conditions(**{one.name: amount[one.name] for one in QUANTITIES})
+    drawn = replace(Conditions(), **{one.name: amount[one.name] for one in QUANTITIES})
     if not heavy:
         drawn = replace(drawn, noise_exponent=WHITE)
     while True:
