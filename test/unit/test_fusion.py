@@ -8,6 +8,7 @@ import pytest
 from fvs_controller_node.predictor import BallPredictor
 from fvs_ros.core import fusion as fusion_module
 from fvs_ros.core.fusion import Fusion
+from fvs_ros.core.tracker import Image, Tracker
 
 
 def follow(fusion, images, motions):
@@ -262,6 +263,19 @@ def test_after_a_doubt_it_follows_the_images_until_the_prediction_is_right_again
     _, images, motions = moving(0.0, 5e-4, rng, n=60)
     follow(fusion, images, motions)
     assert fusion.wrong_share < 0.2
+
+
+def test_a_camera_that_is_turned_is_followed_at_once():
+    errors = []
+    for seed in range(5):
+        rng, tracker = np.random.default_rng(seed), Tracker()
+        for k in range(110):
+            moved = np.array([0.1 * np.sin(0.1 * k), 0.0, 0.0])
+            truth = np.array([0.0, 0.1, 1.0]) + (moved if k < 90 else moved[[1, 0, 2]])
+            tracker.add(Image(k / 30.0, truth + 0.001 * rng.normal(size=3), moved))
+            if k >= 93:
+                errors.append(tracker.estimate_m - truth)
+    assert np.sqrt(np.mean(np.square(errors))) < 0.0015
 
 
 def test_a_doubt_fades_where_the_ball_is_too_slow_to_learn_from():

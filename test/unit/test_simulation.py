@@ -233,11 +233,16 @@ def test_dropout_loses_observations(make):
 def test_a_window_sees_what_the_whole_image_sees(make):
     window, whole = make(depth_noise=0.0), make(depth_noise=0.0)
     whole.full_frames = True
-    for by_window, by_whole in zip(
-        observations(drive_waves(window, 60)), observations(drive_waves(whole, 60)), strict=True
+    for number, (by_window, by_whole) in enumerate(
+        zip(
+            observations(drive_waves(window, 60)), observations(drive_waves(whole, 60)), strict=True
+        )
     ):
+        # The first is searched for, with all that has the ball's colour in the window.
         np.testing.assert_allclose(
-            by_window.detection.position_m, by_whole.detection.position_m, atol=2e-4
+            by_window.detection.position_m,
+            by_whole.detection.position_m,
+            atol=2e-4 if number else 1e-9,
         )
         assert by_window.frame is None
         frame = by_whole.frame
