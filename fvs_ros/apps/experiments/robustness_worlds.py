@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import hypot
+from typing import Any
 
 import numpy as np
 
@@ -191,7 +192,8 @@ def draw_world(kind: Kind, number: int) -> World:
     rng = np.random.default_rng([kind.seed, number])
     amount = {name: float(rng.uniform(*range_)) for name, range_ in kind.ranges.items()}
     bumped, heavy = rng.random() < kind.bumped_share, rng.random() < kind.heavy_share
-    drawn = replace(Conditions(), **{one.name: amount[one.name] for one in QUANTITIES})
+    changes: dict[str, Any] = {one.name: amount[one.name] for one in QUANTITIES}
+    drawn = Conditions(**changes)
     if not heavy:
         drawn = replace(drawn, noise_exponent=WHITE)
     while True:
