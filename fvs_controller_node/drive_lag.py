@@ -1,11 +1,11 @@
-"""What the drives make of what they are told: how late they do it, and how much of it.
+"""How long the drives take to do what they are told.
 
-Drives that answer velocities u late by T, and at a share g of them, follow the commanded path p by
-``r = g p - g T u + constant``. Both sides, freed of what is slow, are compared over time. It does
-not matter whether T is dead time, lag or the age of the joint states.
+A drive that answers a velocity late by T is behind the commanded path by T times the velocity:
+``r_commanded - r = T u + constant``. Both sides, freed of what is slow, are compared over time.
+It does not matter whether T is dead time, lag or the age of the joint states.
 
-Told so, the joints are known before they are measured, but for the constant. At rest it is
-averaged, so that the noise of the encoders does not become motion.
+So the joints are known before they are measured, but for that constant. At rest it is averaged, so
+that the noise of the encoders does not become motion.
 """
 
 from __future__ import annotations
@@ -19,41 +19,35 @@ from fvs_ros.core.joints import N_JOINTS
 _FIRST_S = 0.03
 #: No drive is slower than this; what is slower than that is no lag, s.
 _MOST_S, _SLOW_S = 0.2, 1.0
-#: No drive does less of what it is told.
-_LEAST_GAIN = 0.5
-#: The first guess of gain and lag counts like so much motion, and all that was seen like no more
-#: than that: squares of way, rad^2 s, and speed, rad^2/s, over time. A first gain that counts for
-#: less is corrected sooner where drives are weak, and takes lag for weakness where they are not.
-_FIRST_GAIN, _FIRST_LAG, _MEMORY = 0.05, 0.05, 20.0
+#: The first guess counts like so much motion, and all that was seen like no more than that: the
+#: square of the speed over time, rad^2/s.
+_FIRST, _MEMORY = 0.05, 20.0
 #: Time over which the constant is averaged at rest, s, and the speed from which on it is not: there
-#: a wrong lag or gain would be worse than the encoders' noise, rad/s.
+#: a wrong lag would be worse than the encoders' noise, rad/s.
 _AVERAGED_S, _MOVING_RAD_S = 0.16, 0.02
 
 
 class DriveLag:
-    """Estimates lag and gain of the drives from commands and joint positions.
+    """Estimates the lag of the drives from commands and joint positions.
 
     Attributes
     ----------
-    lag_s, gain : float
-        The lag, s, and the share of the commanded speed that is reached.
+    lag_s : float
+        The lag, s.
     """
 
     def __init__(self) -> None:
-        self.lag_s, self.gain = _FIRST_S, 1.0
-        # Normal equations of r = g p + h u, with h = -g T.
-        self._normal = np.diag([_FIRST_GAIN, _FIRST_LAG])
-        self._right = self._normal @ [1.0, -_FIRST_S]
+        self.lag_s, self._known = _FIRST_S, _FIRST
         self._told = JointHistory()  # the path as commanded
         self._constant: np.ndarray | None = None
         self._joints = np.zeros(N_JOINTS)
-        # Path, speed and joints, and what is slow of them.
-        self._now, self._slow = np.zeros((3, N_JOINTS)), np.zeros((3, N_JOINTS))
+        self._behind, self._slow_behind = np.zeros(N_JOINTS), np.zeros(N_JOINTS)
+        self._slow_command = np.zeros(N_JOINTS)
 
     def pending_rad(self) -> np.ndarray:
         """Motion that was commanded and is still to come, rad, shape (6,)."""
         told, done = self._told.newest, self._done(self.lag_s)
-        return np.zeros(N_JOINTS) if told is None or done is None else self.gain * (told - done)
+        return np.zeros(N_JOINTS) if told is None or done is None else told - done
 
     def _done(self, late_s: float) -> np.ndarray | None:
         """The path that had been commanded so long ago, rad, shape (6,)."""
@@ -96,29 +90,29 @@ class DriveLag:
         if dt_s <= 0.0 or not (went_on and compare):
             self._constant = None
             return joints_rad
-        self._now[:2] = self._now[0] + dt_s * command_rad_s, command_rad_s
-        self._now[2] += moved
-        self._slow += dt_s / (_SLOW_S + dt_s) * (self._now - self._slow)
-        fast = self._now - self._slow
-        keep = max(1.0 - float(fast[1] @ fast[1]) * dt_s / _MEMORY, 0.0)
-        products = dt_s * fast[:2] @ fast.T
-        self._normal = keep * self._normal + products[:, :2]
-        self._right = keep * self._right + products[:, 2]
-        gain, late = np.linalg.solve(self._normal, self._right)
-        self.gain = float(min(max(gain, _LEAST_GAIN), 1.0))
-        self.lag_s = float(min(max(-late / self.gain, 0.0), _MOST_S))
-        return self._averaged(joints_rad, dt_s)
+        self._behind = self._behind + command_rad_s * dt_s - moved
+        share = dt_s / (_SLOW_S + dt_s)
+        self._slow_behind = self._slow_behind + share * (self._behind - self._slow_behind)
+        self._slow_command = self._slow_command + share * (command_rad_s - self._slow_command)
+        behind, command = self._behind - self._slow_behind, command_rad_s - self._slow_command
+        power = float(command @ command) * dt_s
+        # However long a stall was: no more than the slowest drive would be behind.
+        late = min(max(float(behind @ command) * dt_s, 0.0), _MOST_S * power)
+        self._known = min(self._known + power, _MEMORY)
+        self.lag_s += (late - power * self.lag_s) / self._known
+        return self._averaged(joints_rad, command_rad_s, dt_s)
 
-    def _averaged(self, joints_rad: np.ndarray, dt_s: float) -> np.ndarray:
+    def _averaged(
+        self, joints_rad: np.ndarray, command_rad_s: np.ndarray, dt_s: float
+    ) -> np.ndarray:
         done, before = self._done(self.lag_s), self._done(self.lag_s + dt_s)
         if done is None or before is None:
             return joints_rad
-        path = self.gain * done
-        constant = joints_rad - path
+        constant = joints_rad - done
         if self._constant is None:
             self._constant = constant
         # The faster of the command and of what it makes of the joints now.
-        speed = np.maximum(np.abs(self._now[1]), np.abs(done - before) / dt_s)
+        speed = np.maximum(np.abs(command_rad_s), np.abs(done - before) / dt_s)
         share = np.maximum(dt_s / _AVERAGED_S, speed**2 / (speed**2 + _MOVING_RAD_S**2))
         self._constant = self._constant + np.minimum(share, 1.0) * (constant - self._constant)
-        return path + self._constant
+        return done + self._constant
