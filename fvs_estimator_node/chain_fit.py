@@ -58,6 +58,10 @@ _TURNED, _TURNED_EVALUATIONS = 2, 10
 _WEAK_M_RAD = 0.03
 #: How far off the coordinates may be where the data do not tell, standard deviations: rad, m, m, s.
 _PRIOR = np.repeat([1.0, 1.0, 1.0, 0.1], [12, 12, 3, 1])
+#: The same for a slope of the residuals by the joints, m/rad: more than any joint moves the ball.
+_SLOPE_PRIOR = np.ones(3 * N_JOINTS)
+#: Step of the derivatives of the Jacobian by the coordinates, rad and m.
+_STEP = 1e-4
 
 
 class ChainFitError(ValueError):
@@ -89,8 +93,11 @@ class ChainFit:
     samples : int
         Images used.
     covariance : ndarray, shape (28, 28)
-        Of the coordinates of :class:`~fvs_estimator_node.chain_chart.Chart` at the chain; rad, m
-        and s.
+        Of the coordinates of :class:`~fvs_estimator_node.chain_chart.Chart` at the chain, by the
+        noise; rad, m and s.
+    unfitted : ndarray, shape (46, 46)
+        What a constant Jacobian beside the chain would change, squared and less what noise makes
+        of it: the 28 coordinates, and that Jacobian row by row, m/rad.
     """
 
     chain: SerialChain
@@ -103,6 +110,7 @@ class ChainFit:
     outliers: int
     samples: int
     covariance: np.ndarray
+    unfitted: np.ndarray
 
     @property
     def misfit(self) -> float:
@@ -136,7 +144,11 @@ class ChainFit:
         return abs(self.time_offset_s) > MAX_OFFSET_S - _AT_LIMIT_S
 
     def jacobian_deviation(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Relative standard deviation of the Jacobian at joints, by the covariance.
+        """Relative standard deviation of the Jacobian at joints where data are.
+
+        Of the noise and, in the mean over the data, of what no chain explains: a camera whose
+        focal length is told wrongly makes the ball's path another one than a chain's. A wrong
+        scale of the camera makes all of a chain larger, and is not seen.
 
         Parameters
         ----------
@@ -150,15 +162,18 @@ class ChainFit:
         """
         chart = Chart(self.chain)
         jacobian = self.chain.jacobian(joints_rad)
-        root = np.linalg.cholesky(self.covariance[:OFFSET, :OFFSET])
-        step = 1e-3
-        variance = np.zeros(len(joints_rad))
-        for direction in root.T:
-            # one standard deviation may be far for what is hardly known
-            scale = step / max(float(np.abs(direction).max()), 1e-12)
-            change = chart.chain(scale * direction).jacobian(joints_rad) - jacobian
-            variance += np.sum(np.square(change / scale), axis=(-2, -1))
-        return np.sqrt(variance) / np.linalg.norm(jacobian, axis=(-2, -1))
+        changes = np.zeros((len(joints_rad), 3 * N_JOINTS, len(self.unfitted)))
+        for place, step in enumerate(_STEP * np.eye(OFFSET)):
+            change = (chart.chain(step).jacobian(joints_rad) - jacobian) / _STEP
+            changes[..., place] = change.reshape(len(joints_rad), -1)
+        changes[..., N_COORDINATES:] = np.eye(3 * N_JOINTS)
+
+        def squares(moments: np.ndarray) -> np.ndarray:
+            some = changes[..., : len(moments)]
+            return np.sum(some @ moments * some, axis=(1, 2))
+
+        square = squares(self.covariance) + np.maximum(squares(self.unfitted), 0.0)
+        return np.sqrt(square) / np.linalg.norm(jacobian, axis=(1, 2))
 
 
 @dataclass(frozen=True)
@@ -404,7 +419,7 @@ class _Fitting:
         residual_m, noise_m = self._distances_m(residual)
         ray_m, lateral_m = _noise_by_direction(residual, self._ball)
         inlier = self._inliers(residual)
-        covariance = self._covariance(chain, offset_s, whitening, inlier)
+        covariance, unfitted = self._moments(chain, offset_s, whitening, inlier)
         return ChainFit(
             chain=chain,
             time_offset_s=offset_s,
@@ -416,6 +431,7 @@ class _Fitting:
             outliers=int(np.count_nonzero(~inlier)),
             samples=len(residual),
             covariance=covariance,
+            unfitted=unfitted,
         )
 
     def _weighing(self, residual: np.ndarray) -> np.ndarray:
@@ -460,14 +476,26 @@ class _Fitting:
             return _median_length(residual), math.nan
         return _median_length(residual[alike]), float(np.median(apart_m[both])) / math.sqrt(2.0)
 
-    def _covariance(
+    def _moments(
         self, chain: SerialChain, offset_s: float, whitening: np.ndarray, inlier: np.ndarray
-    ) -> np.ndarray:
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Covariance by the noise, and what a constant Jacobian beside the chain would change."""
         joints, velocity = self._path.joints_and_velocities(offset_s)
-        values = np.zeros(N_COORDINATES)
-        _, slope = residuals_and_slopes(Chart(chain), values, joints, velocity, self._ball)
-        rows = (whitening @ slope)[inlier].reshape(-1, N_COORDINATES)
-        return np.linalg.inv(rows.T @ rows + np.diag(1.0 / _PRIOR**2))
+        residual, slope = residuals_and_slopes(
+            Chart(chain), np.zeros(N_COORDINATES), joints, velocity, self._ball
+        )
+        beside = np.kron(np.eye(3), (joints - joints.mean(axis=0))[:, None])
+        columns = np.concatenate([slope, beside], axis=2)
+        rows = (whitening @ columns)[inlier].reshape(-1, columns.shape[2])
+        wanted = (whitening @ residual[..., None])[inlier].ravel()
+        known = rows.T @ rows + np.diag(np.concatenate([_PRIOR, _SLOPE_PRIOR]) ** -2)
+        covariance = np.linalg.inv(known[:N_COORDINATES, :N_COORDINATES])
+        wider = np.linalg.inv(known)
+        found = wider @ (rows.T @ wanted)
+        # Noise alone makes a difference of the two fits as large as that of their covariances.
+        unfitted = np.outer(found, found) - wider
+        unfitted[:N_COORDINATES, :N_COORDINATES] += covariance
+        return covariance, unfitted
 
 
 def _first_guess(

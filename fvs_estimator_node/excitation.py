@@ -7,8 +7,6 @@ going on at random, early on; a search for the very best would gain little more.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from fvs_estimator_node.chain_chart import N_COORDINATES, Chart, residuals_and_slopes
@@ -43,9 +41,8 @@ class ChainExaminer:
             deviation = float(np.median(fit.jacobian_deviation(places)))
         except ValueError:  # no chain yet, or numbers too bad for linear algebra
             return NothingYet()
-        doubt = 1.0 if math.isnan(fit.misfit) else max(1.0, fit.misfit)
         return Findings(
-            jacobian_deviation=deviation * doubt,
+            jacobian_deviation=deviation,
             misfit=fit.misfit,
             image_offset_s=fit.time_offset_s,
             is_chain=fit.is_chain,

@@ -47,8 +47,7 @@ class Findings:
     Parameters
     ----------
     jacobian_deviation : float
-        Relative standard deviation of the Jacobian in the motion's box, the median over the box;
-        larger by the misfit where that is above 1.
+        Relative standard deviation of the Jacobian in the motion's box, the median over the box.
     misfit : float
         Residual over noise: 1 for a serial chain; NaN if the images are too far apart to tell.
     image_offset_s : float

@@ -47,7 +47,7 @@ class TaughtModel:
     fit : ChainFit
         The fit of the chain.
     jacobian_deviation : float
-        Relative standard deviation of the chain's Jacobian in the box, median.
+        Relative standard deviation of the chain's Jacobian in the box, median; as the camera sees.
     teaching_error : float
         Relative error of the networks against the chain at fresh joints in the box, median.
     notes : tuple of str
@@ -247,7 +247,7 @@ def _notes(fit: ChainFit, deviation: float, data: DataSet) -> tuple[str, ...]:
     if deviation > _DOUBTFUL and not still:
         notes.append(
             f"the Jacobian is known to {100.0 * deviation:.1f} % only; collect longer or in a "
-            "wider box"
+            "wider box, and see that the camera is calibrated"
         )
     late = late_stamps_note(fit.time_offset_s)
     if late and not fit.offset_at_limit:

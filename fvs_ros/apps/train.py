@@ -185,7 +185,7 @@ def report_structured(taught: TaughtModel, seconds: float) -> str:
     lines = [
         "",
         f"Jacobian of the chain, in the box of the data: {100 * taught.jacobian_deviation:.3f} % "
-        "(standard deviation, by the noise)",
+        "(standard deviation; as the camera sees, whose scale no motion tells)",
         f"six networks taught by it: {100 * taught.teaching_error:.2f} % off the chain (median)",
         # + 0.0: no negative zero
         f"images stamped late: {round(1e3 * fit.time_offset_s, 1) + 0.0:.1f} +- "

@@ -22,7 +22,16 @@ from fvs_ros.apps.experiments.beyond_camera import (
     draw_journeys,
     run_journey,
 )
-from fvs_ros.apps.experiments.beyond_minute import Learned, Minute, draw_places, learn, record
+from fvs_ros.apps.experiments.beyond_minute import (
+    ERRING,
+    Learned,
+    Minute,
+    Told,
+    draw_places,
+    learn,
+    record,
+    tell,
+)
 from fvs_ros.apps.experiments.beyond_results import Results
 from fvs_ros.apps.experiments.beyond_terms import (
     ACCELERATION_RAD_S2,
@@ -90,7 +99,7 @@ def test_best_is_close_to_the_floor_and_the_same_when_repeated():
 
 
 def test_images_are_stamped_late_and_the_fit_finds_out():
-    minute = Minute(3, 12.0, EXACT, draw_places(1, 10))
+    minute = Minute(3, 12.0, EXACT, draw_places(1, 10), "ridge")
     data, late_s = record(minute)
     again, _ = record(minute)
     np.testing.assert_array_equal(data.ball_m, again.ball_m)
@@ -110,9 +119,18 @@ def test_images_are_stamped_late_and_the_fit_finds_out():
 
     assert error_m(late_s) < 0.0025 < error_m(late_s + 0.03)
     learned = learn(minute)
-    assert learned.chain_box < 0.01 < learned.ridge_box
+    assert learned.chain_box < 0.01 < learned.paper_box
     assert learned.taught_box < 0.02
     assert abs(learned.found_late_s - late_s) < 0.003
+
+
+@pytest.mark.parametrize("plant", ERRING)
+def test_a_fit_says_how_far_it_is_off_from_what_the_camera_sees(plant):
+    conditions = replace(EXACT, **ERRING[plant])
+    told = tell((plant, Minute(3, 40.0, conditions, draw_places(1, 20))))
+    assert 0.5 * told.seen < told.told < 2.0 * told.seen
+    # in metres, a wrong scale of the camera is not told
+    assert (told.metric > 3.0 * told.told) == (plant == "depths told 0.5 % too large")
 
 
 # ---- moved cameras --------------------------------------------------------------------------
@@ -197,6 +215,7 @@ def results(
     slow=0,
     delayed_s=1.0,
     rest_m=0.0003,
+    told=0.0003,
 ):
     """Six runs of most; the floor is 1 s, the paper's schemes take 4 s."""
     settled = {BEST: best_s, EXTENDED: extended_s}
@@ -215,6 +234,7 @@ def results(
     path = draw_paths(1, 8)[0]
     return Results(
         minutes=[learned] * COUNT,
+        told=[Told(plant, told, 0.0003, 0.005) for plant in ERRING] * COUNT,
         floors=[Floor(dict.fromkeys(BOUNDS_M, 1.0), dict.fromkeys(BOUNDS_M, 1.05))] * COUNT,
         races=races,
         calmed={name: [outcome(4.0)] * COUNT for name in BASELINES},
@@ -249,6 +269,7 @@ def test_the_verdicts_follow_the_numbers():
     assert found("settles sooner", extended_s=4.5) == [False]
     assert found("at most 0.30 mrad/s of jitter", extended_s=2.0) == [False]
     assert found("how late", late_s=0.06) == [False]
+    assert found("factor of 2", told=0.0007) == found("factor of 2", told=0.0001) == [False]
     assert found("Going along", followed_m=0.005) == [False]
     # what is left of the run counts in mid-motion: 0.8 of 0.7 s is more than 1.1 of 1 s
     assert found("between two targets", struck_s=1.1) == [True, True]

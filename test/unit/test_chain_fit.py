@@ -75,6 +75,36 @@ def test_it_knows_how_well_the_jacobian_is_known(recording):
     assert told / 3.0 < error_of(fit, recording) < 3.0 * told
 
 
+def with_encoder_noise(noise_rad, data):
+    noise = noise_rad * np.random.default_rng(0).normal(size=data.joints_rad.shape)
+    return replace(data, joints_rad=data.joints_rad + noise)
+
+
+@pytest.mark.parametrize("encoder_noise_rad", [0.0, 0.0002, 0.001])
+@pytest.mark.parametrize(
+    "scales",
+    [
+        (1.0, 1.0, 1.0),
+        (1.005, 1.005, 1.005),
+        (0.99, 0.99, 1.0),
+        (1.01, 1.01, 1.0),
+        (0.98, 0.98, 1.0),
+    ],
+    ids=["perfect", "depths", "focal length +", "focal length -", "focal length ++"],
+)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_it_says_how_good_it_is_with_a_camera_and_joints_that_err(seed, scales, encoder_noise_rad):
+    """In the frame of the camera as it is: what servoing by it needs."""
+    recording = Recording(seed=seed)
+    data = with_encoder_noise(encoder_noise_rad, recording.data())
+    fit = fit_chain(replace(data, ball_m=data.ball_m * scales))
+    places = recording.places(50)
+    seen = np.diag(scales) @ recording.chain().jacobian(places)
+    error = np.median(relative_error(fit.chain.jacobian(places), seen))
+    told = np.median(fit.jacobian_deviation(places))
+    assert 0.5 * error < told < 2.0 * error
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_strangers_robot(seed):
     arm = Kinematics(np.random.default_rng([seed, 77]))

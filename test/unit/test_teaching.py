@@ -44,6 +44,18 @@ def test_chain_and_networks_are_those_of_the_arm(taught):
     assert result.trained.errors["jacobian_deviation"] == result.jacobian_deviation
 
 
+def test_a_camera_with_another_focal_length_than_told_makes_a_worse_model_that_says_so(taught):
+    recording = taught[1]
+    data = recording.data()
+    scales = np.array([1.0, 1.0, 1.01])
+    result = train_structured(replace(data, ball_m=data.ball_m * scales), neurons=20)
+    places = recording.places()
+    seen = np.diag(scales) @ recording.chain().jacobian(places)
+    error = np.median(relative_error(result.trained.chain.jacobian(places), seen))
+    assert 0.5 * error < result.jacobian_deviation < 2.0 * error
+    assert result.jacobian_deviation > 3.0 * taught[0].jacobian_deviation
+
+
 def test_a_good_model_needs_no_words(taught):
     assert taught[0].notes == ()
 

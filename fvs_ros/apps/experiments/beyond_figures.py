@@ -39,8 +39,8 @@ def minute(results: Results, folder: Path) -> str:
         "chain, workspace": [one.chain_workspace for one in results.minutes],
         "networks it taught, box M": [one.taught_box for one in results.minutes],
         "networks, workspace": [one.taught_workspace for one in results.minutes],
-        "the paper's training, box M": [one.ridge_box for one in results.minutes],
-        "the paper's training, workspace": [one.ridge_workspace for one in results.minutes],
+        "the paper's training, box M": [one.paper_box for one in results.minutes],
+        "the paper's training, workspace": [one.paper_workspace for one in results.minutes],
     }
     colours = [COLOURS[name] for name in (BEST, EXTENDED, PROPOSED) for _ in range(2)]
     for place, (values, colour) in enumerate(zip(rows.values(), colours, strict=True)):

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any
 
 import numpy as np
 
+from fvs_estimator_node.chain_fit import fit_chain
 from fvs_estimator_node.dataset import DataSet
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.pairing import BallSample, ExposureMatcher
@@ -20,6 +23,19 @@ MINUTE_S = 60.0
 MOST_LATE_S = 0.1
 #: Share of the ball that must be seen for joints to belong to the workspace.
 _VISIBLE = 0.9
+#: How the paper trains, and what is left of it where torch is not installed.
+PAPERS_METHOD = "varpro" if find_spec("torch") else "ridge"
+
+#: What may err in a plant, and how its conditions differ: the calibration by as much as that of a
+#: depth camera off the shelf, encoders and drives far worse than a UR's.
+ERRING: Mapping[str, Mapping[str, Any]] = {
+    "nothing": {},
+    "focal length told 1 % too long": {"focal_error": 0.01},
+    "focal length told 1 % too short": {"focal_error": -0.01},
+    "depths told 0.5 % too large": {"depth_error": 0.005},
+    "0.2 mrad of noise on the joints": {"encoder_noise_rad": 0.0002},
+    "drives that lag by 100 ms": {"joint_lag_s": 0.1},
+}
 
 
 @dataclass(frozen=True)
@@ -50,12 +66,15 @@ class Minute:
         The world.
     places : Places
         Where what was learned is judged.
+    papers_method : str
+        How the paper's networks are trained.
     """
 
     seed: int
     duration_s: float
     conditions: Conditions
     places: Places
+    papers_method: str = PAPERS_METHOD
 
 
 @dataclass(frozen=True)
@@ -74,7 +93,7 @@ class Learned:
         Errors of the chain's Jacobian in box M and over the workspace.
     taught_box, taught_workspace : float
         Errors of the six networks that the chain taught.
-    ridge_box, ridge_workspace : float
+    paper_box, paper_workspace : float
         Errors of the networks that the paper's training makes of the same data.
     late_s, found_late_s : float
         How late the images were stamped, and what the fit says, s.
@@ -87,10 +106,30 @@ class Learned:
     chain_workspace: float
     taught_box: float
     taught_workspace: float
-    ridge_box: float
-    ridge_workspace: float
+    paper_box: float
+    paper_workspace: float
     late_s: float
     found_late_s: float
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a fit says of itself, and what is true, in box M; errors as those of :class:`Learned`.
+
+    Parameters
+    ----------
+    plant : str
+        What errs.
+    told : float
+        What the fit says of its error.
+    seen, metric : float
+        Its error against the Jacobian of where the camera sees the ball, and of where it is.
+    """
+
+    plant: str
+    told: float
+    seen: float
+    metric: float
 
 
 def draw_places(seed: int, count: int) -> Places:
@@ -159,7 +198,7 @@ def learn(minute: Minute) -> Learned:
     began_s = time.process_time()
     taught = train_structured(data, seed=minute.seed)
     fit_s = time.process_time() - began_s
-    trained = train(data, TrainingOptions(method="ridge", seed=minute.seed)).trained
+    trained = train(data, TrainingOptions(method=minute.papers_method, seed=minute.seed)).trained
     simulation = simulation_of(minute.conditions)
 
     places = (minute.places.box_rad, minute.places.workspace_rad)
@@ -181,6 +220,23 @@ def learn(minute: Minute) -> Learned:
         *errors(trained.model.jacobian),
         late_s,
         taught.fit.time_offset_s,
+    )
+
+
+def tell(task: tuple[str, Minute]) -> Told:
+    """Record a minute of a plant, fit a chain, and compare its error with what the fit says."""
+    plant, minute = task
+    fit = fit_chain(record(minute)[0])
+    simulation = simulation_of(minute.conditions)
+    joints = minute.places.box_rad
+    metric = np.array([simulation.true_jacobian(one) for one in joints])
+    # how the camera errs is linear
+    seen = np.stack([simulation.as_seen(one) for one in np.eye(3)], axis=1) @ metric
+    found = fit.chain.jacobian(joints)
+    return Told(
+        plant,
+        float(np.median(fit.jacobian_deviation(joints))),
+        *(float(np.median(relative_errors(found, true))) for true in (seen, metric)),
     )
 
 

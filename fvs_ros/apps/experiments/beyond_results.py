@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from fvs_ros.apps.experiments.beyond_camera import IN_MOTION, UNDISTURBED, Arrival
-from fvs_ros.apps.experiments.beyond_minute import Learned
+from fvs_ros.apps.experiments.beyond_minute import Learned, Told
 from fvs_ros.apps.experiments.beyond_terms import times_s
 from fvs_ros.apps.experiments.beyond_tracking import Pursuit, Tracked
 from fvs_ros.apps.experiments.floor import Floor
@@ -25,6 +25,8 @@ class Results:
     ----------
     minutes : sequence of Learned
         Of a minute of data each.
+    told : sequence of Told
+        The same from plants that err.
     floors : sequence of Floor
         How soon each case can be over.
     races : dict of str to list of Outcome
@@ -44,6 +46,7 @@ class Results:
     """
 
     minutes: Sequence[Learned]
+    told: Sequence[Told]
     floors: Sequence[Floor]
     races: dict[str, list[Outcome]]
     calmed: dict[str, list[Outcome]]

@@ -35,13 +35,15 @@ from fvs_ros.core.schemes import SCHEMES
 #: What a minute of data must be good for: relative errors of the Jacobian in box M and over the
 #: workspace, and of the networks; error of the images' lateness and time of the fit, s.
 BOX_ERROR, WORKSPACE_ERROR, TAUGHT_ERROR, LATE_ERROR_S, FIT_S = 0.005, 0.015, 0.02, 0.003, 5.0
+#: What the fit says of its error may be larger or smaller by this factor.
+HONEST = 2.0
 #: Settling time over the physical floor, and over that of schemes that are as calm.
 OVER_FLOOR, OVER_CALM = 1.15, 0.4
 #: Share of the cases in which a camera that was moved must not cost the pace.
 KEPT_SHARE = 0.95
 #: True error at rest over the sensor's noise, and settling time over that without latency.
 REST_SIGMA, SLOWED = 0.4, 1.1
-#: Share of the cases that must settle in each of the other worlds.
+#: Share of the cases that must settle in each of the other worlds, and of honest fits.
 MOST = 0.9
 #: Speed at which tracking is judged, m/s, and what feed-forward must leave of the error.
 TRACKING_M_S, LEFT = 0.1, 1.0 / 3.0
@@ -51,6 +53,7 @@ def verdicts(results: Results) -> list[Verdict]:
     """All verdicts, in the order of the page."""
     return [
         *_minute(results.minutes),
+        _honest(results),
         _best(results),
         _extended(results),
         _calm(results),
@@ -81,7 +84,7 @@ def _minute(minutes: Sequence[Learned]) -> list[Verdict]:
     chain = [one.chain_box for one in minutes]
     far = [one.chain_workspace for one in minutes]
     wrong_s = [abs(one.found_late_s - one.late_s) for one in minutes]
-    taught, ridge = [one.taught_box for one in minutes], [one.ridge_box for one in minutes]
+    taught, paper = [one.taught_box for one in minutes], [one.paper_box for one in minutes]
     fit_s = [one.fit_s for one in minutes]
     return [
         Verdict(
@@ -109,10 +112,24 @@ def _minute(minutes: Sequence[Learned]) -> list[Verdict]:
             "The six networks that the chain teaches are at most "
             f"{100 * TAUGHT_ERROR:g} % off in the box.",
             f"{span(taught, 100, '%')}; those of the paper's training on the same minute are "
-            f"{span(ridge, 100, '%')} off.",
+            f"{span(paper, 100, '%')} off.",
             in_all([one <= TAUGHT_ERROR for one in taught]),
         ),
     ]
+
+
+def _honest(results: Results) -> Verdict:
+    ratios = [one.told / one.seen for one in results.told]
+    honest = sum(1.0 / HONEST <= ratio <= HONEST for ratio in ratios)
+    share = wilson(honest, len(ratios))
+    plants = len({one.plant for one in results.told}) - 1
+    return Verdict(
+        "The fit says how far its Jacobian is off, as the camera sees, within a factor of "
+        f"{HONEST:g} in {100 * MOST:g} % of the recordings, whatever errs.",
+        f"{honest} of {len(ratios)}, with and without {plants} errors of camera, encoders and "
+        f"drives; it says {min(ratios):.2f} to {max(ratios):.2f} times what is true.",
+        share.above(MOST),
+    )
 
 
 def _best(results: Results) -> Verdict:
