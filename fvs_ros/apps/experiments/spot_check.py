@@ -15,13 +15,7 @@ import numpy as np
 import yaml
 
 from fvs_ros.apps.experiments.context import Context
-from fvs_ros.apps.experiments.lockstep import (
-    MODEL,
-    LockStep,
-    load_chain,
-    load_networks,
-    make_estimator,
-)
+from fvs_ros.apps.experiments.lockstep import LockStep
 from fvs_ros.apps.experiments.statistics import median
 from fvs_ros.apps.experiments.trials import (
     BOUNDS_M,
@@ -185,10 +179,9 @@ def run_chain(chain: Chain) -> list[float | None]:
     trial = chain.trial
     simulation = simulation_of(trial.conditions)
     simulation.reset(chain.start_rad, chain.seed)
-    estimator = make_estimator(
-        trial.method, simulation, load_networks(), trial.estimator_values, load_chain()
+    one = LockStep(
+        simulation, trial.estimator(simulation), {"law": trial.law, **trial.controller_values}
     )
-    one = LockStep(simulation, estimator, {"law": trial.law, **trial.controller_values})
     one.run(PRELUDE_S)
     settling = []
     for target in chain.targets_m:
@@ -226,7 +219,7 @@ def scenario_of(chain: Chain, results: Path) -> Mapping[str, Any]:
             camera_rotation_deg=list(conditions.camera_turn_deg),
         ),
         "fvs_estimator_node": parameters(
-            method=trial.method, model_path=MODEL, **trial.estimator_values
+            method=trial.method, model_path=trial.model, **trial.estimator_values
         ),
         "fvs_controller_node": parameters(law=trial.law, autostart=True, **trial.controller_values),
         "fvs_demo_node": parameters(
