@@ -416,6 +416,7 @@ def test_the_shift_of_the_nodes_is_seen_through_the_noise():
     assert SpotCheck("a", lock_step, [0.6, 1.1, 0.8], "").shift_s() == pytest.approx(0.0)
     assert SpotCheck("a", lock_step, [0.8, 1.2, 0.9], "").shift_s() == pytest.approx(0.1)
     assert SpotCheck("a", lock_step, [None, None, 0.8], "").shift_s() == INF
+    assert SpotCheck("a", lock_step, [0.2, 1.1, 0.9], "").worst_s() == pytest.approx(-0.4)
 
 
 def test_own_targets_are_read_or_refused_in_words():

@@ -58,8 +58,8 @@ class SpotCheck:
         columns = zip(*self.lock_step_s, strict=True)
         return [(min(map(seconds, times)), max(map(seconds, times))) for times in columns]
 
-    def shift_s(self) -> float:
-        """How much later the nodes settle than the median lock-step run, median of the targets, s.
+    def shifts_s(self) -> list[float]:
+        """How much later the nodes settle than the median lock-step run, target by target, s.
 
         The noise is another one in every run and decides when the error is last above 5 mm; a
         delay that lock step does not know would show in all targets.
@@ -67,7 +67,15 @@ class SpotCheck:
         columns = zip(*self.lock_step_s, strict=True)
         expected = [median([seconds(time) for time in times]).value for times in columns]
         late = [seconds(node) - one for node, one in zip(self.nodes_s, expected, strict=True)]
-        return median([one if np.isfinite(one) else float("inf") for one in late]).value
+        return [one if np.isfinite(one) else float("inf") for one in late]
+
+    def shift_s(self) -> float:
+        """The median of the targets' shifts, s."""
+        return median(self.shifts_s()).value
+
+    def worst_s(self) -> float:
+        """The shift of the target that is furthest off, s."""
+        return max(self.shifts_s(), key=abs)
 
 
 @dataclass(frozen=True)
