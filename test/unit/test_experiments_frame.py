@@ -97,6 +97,15 @@ def test_the_ratio_is_paired():
         ratio_of_medians([1.0], [1.0, 2.0])
 
 
+def test_runs_of_several_searches_on_the_same_cases_are_no_more_cases():
+    slow = np.random.default_rng(3).uniform(1.0, 10.0, 30).tolist()
+    one, again = median(slow), median(3 * slow, repeats=3)
+    assert (again.value, again.low, again.high, again.count) == (one.value, one.low, one.high, 30)
+    differ = median(slow + [2.0 * time for time in slow], repeats=2)
+    assert differ.high - differ.low > again.high - again.low
+    assert ratio_of_medians([1.0] * 10, [2.0] * 10, repeats=5).below(1.0) is None  # two cases
+
+
 def test_an_interval_on_both_sides_of_a_bound_decides_nothing():
     for low, high, above in ((1.06, 1.2, True), (0.9, 1.04, False), (0.9, 1.2, None)):
         one = Interval(0.5 * (low + high), low, high)
