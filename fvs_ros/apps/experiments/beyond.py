@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain
+from typing import Any
 
 from fvs_estimator_node.model_file import save_model
 from fvs_estimator_node.teaching import train_structured
@@ -62,7 +63,7 @@ from fvs_ros.apps.experiments.beyond_verdicts import verdicts
 from fvs_ros.apps.experiments.context import Context
 from fvs_ros.apps.experiments.floor import SPARE_M, Limits, floor_of
 from fvs_ros.apps.experiments.report import Figure, Report
-from fvs_ros.apps.experiments.search import SEEDS, Found, search_all
+from fvs_ros.apps.experiments.search import SEEDS, Found, Key, search_all
 from fvs_ros.apps.experiments.servo_terms import REGIMES, search_of
 from fvs_ros.apps.experiments.spot_check import SpotCheck, spot_check
 from fvs_ros.apps.experiments.trials import (
@@ -135,19 +136,14 @@ def run(context: Context) -> Report:
             },
             "minutes": results.minutes,
             "floors": results.floors,
-            "races": {
-                name: [one.summary() for one in ones] for name, ones in results.races.items()
-            },
-            "rendered": {
-                name: [one.summary() for one in ones] for name, ones in results.rendered.items()
-            },
+            "races": _summed(results.races),
+            "rendered": _summed(results.rendered),
             "arrivals": {
                 f"{name}, {moment}": ones for (moment, name), ones in results.arrivals.items()
             },
-            "worlds": {
-                f"{name}, world {number}": [one.summary() for one in ones]
-                for (number, name), ones in results.worlds.items()
-            },
+            "worlds": _summed(
+                {f"{name}, world {number}": ones for (number, name), ones in results.worlds.items()}
+            ),
             "pursuits": [
                 {
                     "name": pursuit.name,
@@ -162,6 +158,10 @@ def run(context: Context) -> Report:
             "spot_check": results.checks,
         },
     )
+
+
+def _summed(outcomes: Mapping[str, Sequence[Outcome]]) -> dict[str, list[dict[str, Any]]]:
+    return {name: [one.summary() for one in ones] for name, ones in outcomes.items()}
 
 
 # ---- runs -----------------------------------------------------------------------------------
@@ -210,8 +210,9 @@ def _rendered(context: Context, cases: Sequence[Case]) -> dict[str, list[Outcome
 
 
 def _run(
-    context: Context, trials: Mapping[str, Sequence[Trial]], label: str
-) -> dict[str, list[Outcome]]:
+    context: Context, trials: Mapping[Key, Sequence[Trial]], label: str
+) -> dict[Key, list[Outcome]]:
+    """Run all trials of everybody."""
     outcomes = iter(context.map(run_trial, chain.from_iterable(trials.values()), label))
     return {name: [next(outcomes) for _ in ones] for name, ones in trials.items()}
 
@@ -235,15 +236,12 @@ def _arrivals(context: Context, count: int) -> dict[tuple[str, str], list[Arriva
 
 
 def _worlds(context: Context, cases: Sequence[Case]) -> dict[tuple[int, str], list[Outcome]]:
-    numbers = range(1 if context.quick else len(WORLDS))
-    keys = [(number, name) for number in numbers for name in FOLLOWERS]
-    trials = [
-        trial_of(name, case, context.conditions(**WORLDS[number].changes))
-        for number, name in keys
-        for case in cases
-    ]
-    outcomes = iter(context.map(run_trial, trials, "other worlds"))
-    return {key: [next(outcomes) for _ in cases] for key in keys}
+    trials = {}
+    for number in range(1 if context.quick else len(WORLDS)):
+        conditions = context.conditions(**WORLDS[number].changes)
+        for name in FOLLOWERS:
+            trials[number, name] = [trial_of(name, case, conditions) for case in cases]
+    return _run(context, trials, "other worlds")
 
 
 def _pursuits(context: Context, count: int) -> list[tuple[Pursuit, Tracked]]:
@@ -302,9 +300,9 @@ def _setup(context: Context, results: Results) -> list[str]:
         "place of the filter. Intervals are of cases and searches drawn anew.",
         "Race and searches have the exact camera, the true positions with the same noise: "
         f"{camera} make {min(seen):+.0f} to {max(seen):+.0f} ms of settling time (medians of "
-        f"paired differences of {len(results.rendered[BEST])} cases, in a table below) at three "
-        "times the cost. The shipped model that all begin with was fitted to 400 s of motion; a "
-        f"minute's makes {min(taught):+.0f} to {max(taught):+.0f} ms (same table).",
+        f"paired differences of {len(results.rendered[BEST])} cases, in a table below) at two to "
+        "three times the cost. The shipped model that all begin with was fitted to 400 s of "
+        f"motion; a minute's makes {min(taught):+.0f} to {max(taught):+.0f} ms (same table).",
         f"A minute: {len(results.minutes)} recordings of the collector's motion in box M, whose "
         f"images are stamped late by a random 0 to {1e3 * MOST_LATE_S:.0f} ms. A chain of six "
         "revolute joints is fitted and teaches six networks; beside it, the paper's networks are "

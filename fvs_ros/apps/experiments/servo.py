@@ -49,7 +49,7 @@ _SHOWN = 4
 
 def run(context: Context) -> Report:
     """Tune, score, draw and judge."""
-    # Rendered images change no settling time, at three times the cost: see the page "beyond".
+    # Rendered images change no settling time, at two to three times the cost: see page beyond.
     conditions = Conditions(rendered=False)
     tuning = make_cases("TUNE", 1 if context.quick else 4, _TUNING_SEED)
     scoring = make_cases("EXP", context.count(60, 2), _SCORING_SEED)
@@ -158,7 +158,7 @@ def _setup(conditions: Conditions, tuning: Sequence[Case], scoring: Sequence[Cas
         f"{1e3 * conditions.position_noise_m:g} mm of white noise on each coordinate, "
         f"{1e3 * conditions.latency_s:g} ms from exposure to arrival, drives with dead time "
         "and lag. Errors are of the true ball position. Rendered images give the same settling "
-        "times at three times the cost: see the table on the page “Beyond the paper”.",
+        "times at two to three times the cost: see the table on the page “Beyond the paper”.",
         "Fairness: every scheme has the same starts, targets, limits, noise, latency and seeds, "
         "the same predictor over the latency, and begins with the same knowledge: the trained "
         "networks (the filter starts from their Jacobian at the start pose). Gains come from one "
