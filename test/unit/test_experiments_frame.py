@@ -27,7 +27,7 @@ from fvs_ros.apps.experiments.report import (
     write_report,
 )
 from fvs_ros.apps.experiments.search import Found, Knob, Limit, Search, run_searches
-from fvs_ros.apps.experiments.servo_terms import REGIMES, search_of
+from fvs_ros.apps.experiments.servo_terms import REGIMES, SEARCHED, search_of
 from fvs_ros.apps.experiments.spot_check import Chain, SpotCheck, run_chain, scenario_of
 from fvs_ros.apps.experiments.statistics import (
     Interval,
@@ -47,7 +47,6 @@ from fvs_ros.apps.experiments.trials import (
 )
 from fvs_ros.apps.scenario import load_scenario
 from fvs_ros.apps.score import settling_time_s
-from fvs_ros.core.schemes import SCHEMES
 
 INF = float("inf")
 HOME = (0.0, -1.35, 1.6, -1.75, -1.57, 0.0)
@@ -95,6 +94,15 @@ def test_the_ratio_is_paired():
     assert ratio.value == ratio.low == ratio.high == 0.5
     with pytest.raises(ValueError, match="as many"):
         ratio_of_medians([1.0], [1.0, 2.0])
+
+
+def test_runs_of_several_searches_on_the_same_cases_are_no_more_cases():
+    slow = np.random.default_rng(3).uniform(1.0, 10.0, 30).tolist()
+    one, again = median(slow), median(3 * slow, repeats=3)
+    assert (again.value, again.low, again.high, again.count) == (one.value, one.low, one.high, 30)
+    differ = median(slow + [2.0 * time for time in slow], repeats=2)
+    assert differ.high - differ.low > again.high - again.low
+    assert ratio_of_medians([1.0] * 10, [2.0] * 10, repeats=5).below(1.0) is None  # two cases
 
 
 def test_an_interval_on_both_sides_of_a_bound_decides_nothing():
@@ -169,7 +177,7 @@ def test_the_cost_is_settling_time_and_breaking_a_limit_costs_more_than_it_gains
 def test_jitter_that_tuning_knows_is_that_of_rest():
     """The way from 5 mm to the goal is no jitter: a search that stops too early takes it for it."""
     (case,) = make_cases("T", 1, 10)
-    search = search_of("rbf+pid", REGIMES[2])
+    search = search_of(SEARCHED["rbf+pid"], REGIMES[2])
     trial = search.trial({"proportional_gain_1_s": 4.0}, case, EXACT)
     tuned = run_trial(trial)
     scored = run_trial(replace(trial, stop_after_s=None))
@@ -182,7 +190,7 @@ def test_mfac_may_be_the_proportional_law_that_it_can_be():
     knobs = {
         knob.name: knob
         for name in ("rbf+pid", "ukf+mfac")
-        for knob in search_of(name, REGIMES[0]).knobs
+        for knob in search_of(SEARCHED[name], REGIMES[0]).knobs
     }
     gain, interval = knobs["proportional_gain_1_s"], knobs["mfac_interval_s"]
     assert interval.low <= 1.0 / gain.high
@@ -223,8 +231,8 @@ def test_every_scheme_has_the_same_budget_and_knobs_that_its_nodes_know():
 
     estimator = ParameterSet(PARAMETERS)
     for regime in REGIMES:
-        for name in SCHEMES:
-            search = search_of(name, regime)
+        for scheme in SEARCHED.values():
+            search = search_of(scheme, regime)
             lowest = search.gains([0.0] * len(search.knobs))
             trial = search.trial(lowest, Case("", HOME, HOME, 0), EXACT)
             default_values(**trial.controller_values)
@@ -355,10 +363,10 @@ def test_the_verdict_follows_the_numbers():
 
     regime = REGIMES[0]
     base = {"rbf+pid": 1.0, "ukf+mfac": 2.0, "ukf+mpc": 0.9}
-    wins = servo._verdict(regime, {"limit": rows(proposed=0.4, **base)})
+    wins = servo._verdict(regime, {"limit": rows(proposed=0.4, **base)}, 6)
     assert wins.holds is True
     assert "ukf+mpc" in wins.finding
-    loses = servo._verdict(regime, {"limit": rows(proposed=3.0, **base)})
+    loses = servo._verdict(regime, {"limit": rows(proposed=3.0, **base)}, 6)
     assert loses.holds is False
 
 
@@ -416,6 +424,7 @@ def test_the_shift_of_the_nodes_is_seen_through_the_noise():
     assert SpotCheck("a", lock_step, [0.6, 1.1, 0.8], "").shift_s() == pytest.approx(0.0)
     assert SpotCheck("a", lock_step, [0.8, 1.2, 0.9], "").shift_s() == pytest.approx(0.1)
     assert SpotCheck("a", lock_step, [None, None, 0.8], "").shift_s() == INF
+    assert SpotCheck("a", lock_step, [0.2, 1.1, 0.9], "").worst_s() == pytest.approx(-0.4)
 
 
 def test_own_targets_are_read_or_refused_in_words():

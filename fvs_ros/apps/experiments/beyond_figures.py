@@ -15,7 +15,6 @@ from fvs_ros.apps.experiments.beyond_terms import (
     EXTENDED,
     FOLLOWERS,
     PROPOSED,
-    RACERS,
     WORLDS,
     times_s,
 )
@@ -60,16 +59,12 @@ def races(results: Results, folder: Path) -> str:
     """Draw settling over the floors, and jitter; returns the file's name."""
     plt = pyplot()
     figure, (*lefts, right) = plt.subplots(
-        1, 3, figsize=(14.0, 4.6), sharey=True, layout="constrained"
+        1, 3, figsize=(14.0, 6.0), sharey=True, layout="constrained"
     )
-    rows = [
-        *((name, name, results.races[name]) for name in RACERS),
-        *((f"{name}, as calm", name, outcomes) for name, outcomes in results.calmed.items()),
-    ]
     for left, bound in zip(lefts, ("5 mm", "2 mm"), strict=True):
         _dots(left, results.in_floors(results.played_s(bound), bound), 0, "black")
-        for place, (_, name, outcomes) in enumerate(rows, start=1):
-            over = results.in_floors(times_s(outcomes, bound), bound)
+        for place, name in enumerate(results.races, start=1):
+            over = results.over_floor(name, bound)
             _dots(left, np.minimum(over, _SLOWEST_FLOORS), place, _colour(name))
         left.axvline(1.0, color="black", linewidth=0.8)
         left.set_xscale("log")
@@ -77,7 +72,7 @@ def races(results: Results, folder: Path) -> str:
         left.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         left.minorticks_off()
         left.set_xlabel(f"settling to {bound} over the physical floor")
-    for place, (_, name, outcomes) in enumerate(rows, start=1):
+    for place, (name, outcomes) in enumerate(results.races.items(), start=1):
         jitter = [1e3 * one.jitter_rad_s for one in outcomes if np.isfinite(one.jitter_rad_s)]
         _dots(right, jitter, place, _colour(name))
     right.set_xscale("log")
@@ -85,7 +80,7 @@ def races(results: Results, folder: Path) -> str:
     right.set_xticks(decades, [f"{tick:g}" for tick in decades])
     right.minorticks_off()
     right.set_xlabel("jitter of the command at rest, mrad/s")
-    right.set_yticks(range(1 + len(rows)), [CLAIRVOYANT, *(label for label, _, _ in rows)])
+    right.set_yticks(range(1 + len(results.races)), [CLAIRVOYANT, *results.races])
     right.invert_yaxis()
     save(figure, folder / "races.png")
     return "races.png"

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import cycle
 
 from fvs_ros.apps.experiments.beyond_camera import IN_MOTION, UNDISTURBED, Arrival
 from fvs_ros.apps.experiments.beyond_minute import Learned, Told
-from fvs_ros.apps.experiments.beyond_terms import times_s
+from fvs_ros.apps.experiments.beyond_terms import MINUTES, times_s
 from fvs_ros.apps.experiments.beyond_tracking import Pursuit, Tracked
 from fvs_ros.apps.experiments.floor import Floor
 from fvs_ros.apps.experiments.spot_check import SpotCheck
+from fvs_ros.apps.experiments.statistics import Interval, median, ratio_of_medians
 from fvs_ros.apps.experiments.trials import Outcome
 
 #: A run after a blow to the camera keeps its pace if it takes no longer than this share.
@@ -30,17 +32,15 @@ class Results:
     floors : sequence of Floor
         How soon each case can be over.
     races : dict of str to list of Outcome
-        The same cases, by contestant.
-    calmed : dict of str to list of Outcome
-        The same, by scheme, made as calm as the extended one.
+        The same cases, by contestant; one after another as often as its gains were searched.
+    rendered : dict of str to list of Outcome
+        The first of the cases with rendered images, by contestant; also with a minute's model.
     arrivals : dict of (str, str) to list of Arrival
         Journeys with a camera that is moved, by moment and contestant.
     worlds : dict of (int, str) to list of Outcome
         Other worlds, by their number and contestant.
     pursuits : list of (Pursuit, Tracked)
         Moving targets.
-    calm_limit_rad_s : float
-        Jitter at rest that the search for calm allowed on its own cases, rad/s.
     checks : sequence of SpotCheck
         Through the real nodes.
     """
@@ -49,11 +49,10 @@ class Results:
     told: Sequence[Told]
     floors: Sequence[Floor]
     races: dict[str, list[Outcome]]
-    calmed: dict[str, list[Outcome]]
+    rendered: dict[str, list[Outcome]]
     arrivals: dict[tuple[str, str], list[Arrival]]
     worlds: dict[tuple[int, str], list[Outcome]]
     pursuits: list[tuple[Pursuit, Tracked]]
-    calm_limit_rad_s: float
     checks: Sequence[SpotCheck] = ()
 
     @property
@@ -71,11 +70,42 @@ class Results:
         return self.in_floors(times_s(self.races[name], bound), bound)
 
     def in_floors(self, times_s: Sequence[float], bound: str = "5 mm") -> list[float]:
-        """Settling times of the cases over the least time of each."""
+        """Settling times of the cases, once or more, over the least time of each."""
         return [
             time_s / floor.least_s[bound]
-            for time_s, floor in zip(times_s, self.floors, strict=True)
+            for time_s, floor in zip(times_s, cycle(self.floors), strict=False)
         ]
+
+    def middle(self, name: str, bound: str = "5 mm") -> Interval:
+        """Median of the settling times over the floor."""
+        over = self.over_floor(name, bound)
+        return median(over, len(over) // len(self.floors))
+
+    def searched(self, name: str) -> list[float]:
+        """The same to 5 mm, search by search."""
+        over, count = self.over_floor(name), len(self.floors)
+        return [median(over[at : at + count]).value for at in range(0, len(over), count)]
+
+    def ratio(self, name: str, other: str) -> Interval:
+        """Ratio of two contestants' medians; whose gains were not searched runs the same again."""
+        ones, others = self.over_floor(name), self.over_floor(other)
+        longer = max(len(ones), len(others))
+        return ratio_of_medians(
+            ones * (longer // len(ones)),
+            others * (longer // len(others)),
+            repeats=longer // len(self.floors),
+        )
+
+    def shift_ms(self, name: str) -> tuple[float, float]:
+        """How much later than in the race a contestant settles to 5 mm: median and furthest, ms.
+
+        With rendered images in place of the exact camera, and another model perhaps.
+        """
+        racer = name.removesuffix(MINUTES)
+        pairs = zip(times_s(self.rendered[name]), times_s(self.races[racer]), strict=False)
+        # Two that never settle are alike.
+        late = [0.0 if one == other else 1e3 * (one - other) for one, other in pairs]
+        return median(late).value, max(late, key=abs)
 
     def played_s(self, bound: str = "5 mm") -> list[float]:
         """Settling times of the clairvoyant open loop, s."""

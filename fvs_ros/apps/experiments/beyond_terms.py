@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from fvs_ros.apps.experiments.robustness_runs import Contestant
+from fvs_ros.apps.experiments.servo_terms import ORACLE, ORACLES
 from fvs_ros.apps.experiments.trials import Case, Conditions, Outcome, Trial, seconds
 from fvs_ros.core.schemes import BEYOND, SCHEMES, Scheme
 
 PROPOSED, EXTENDED, BEST = "proposed", "extended", "best"
 #: Whoever plays the fastest motion blindly; races, too.
 CLAIRVOYANT = "clairvoyant open loop"
-ORACLE, FROZEN = "oracle, proportional", "frozen"
-BEST_ORACLE = "oracle, law of best"
+FROZEN, BEST_ORACLE = "frozen", "oracle, law of best"
 
 #: White noise on each coordinate of the sensor, m.
 SIGMA_M = Conditions.position_noise_m
@@ -43,16 +43,55 @@ CONTESTANTS: dict[str, Contestant] = {
     one.name: one
     for one in (
         *(_contestant(scheme) for scheme in (*SCHEMES.values(), *BEYOND.values())),
-        Contestant(ORACLE, "oracle", "proportional"),
+        _contestant(ORACLES[ORACLE]),
         _contestant(SCHEMES[PROPOSED], FROZEN, "frozen"),
         _contestant(BEYOND[BEST], BEST_ORACLE, "oracle"),
     )
 }
-#: Who races against the floor, who meets a camera that was moved, and who other worlds and moving
-#: targets.
-RACERS = (*SCHEMES, EXTENDED, BEST, ORACLE)
+#: Who meets a camera that was moved, and who other worlds and moving targets.
 SHAKEN = (BEST, EXTENDED, BEST_ORACLE, PROPOSED, FROZEN)
 FOLLOWERS = (PROPOSED, EXTENDED, BEST)
+#: Who races against the floor as the nodes' defaults have it: in the first form the paper's schemes
+#: and the oracle have neither addition nor searched gains.
+PUBLISHED = (*SCHEMES, ORACLE)
+RACERS = (BEST, EXTENDED, *PUBLISHED)
+
+
+def _equipped(scheme: Scheme) -> Scheme:
+    """A scheme with all additions that its parts can take, for a search of its gains.
+
+    The camera's rotation is for the networks; a straight path is a matter of the sliding mode law.
+    """
+    return replace(
+        scheme,
+        name=f"{scheme.name}, tuned",
+        method={"rbf": "rbf_left"}.get(scheme.method, scheme.method),
+        controller_values={**scheme.controller_values, "allocation": "least_speed"},
+    )
+
+
+def _on_networks(law: str) -> Scheme:
+    """A law of the paper that has the filter there, with the networks."""
+    return _equipped(Scheme(f"rbf+{law}", "rbf", law, ""))
+
+
+#: Who races with all additions and searched gains; the sliding mode law in its best form first.
+TUNED = {
+    one.name: one
+    for one in (
+        _equipped(BEYOND[EXTENDED]),
+        *map(_equipped, SCHEMES.values()),
+        *map(_on_networks, ("mfac", "mpc")),
+        _equipped(ORACLES[ORACLE]),
+    )
+}
+#: Who races with rendered images, too, and what is behind the names of those with another model.
+SEEN, MINUTES = (BEST, EXTENDED, PROPOSED, "rbf+pid"), ", a minute's model"
+SLIDING = next(iter(TUNED))
+#: The other laws with the same means; the filter knows less than the networks.
+OTHERS = tuple(
+    one.name for one in TUNED.values() if one.law != BEYOND[EXTENDED].law and one.method != "oracle"
+)
 
 
 @dataclass(frozen=True)

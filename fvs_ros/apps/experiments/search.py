@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -22,6 +22,13 @@ _PENALTY_S = 20.0
 _FINE_SHARE = 0.1
 #: First spread of the search, in a cube of edge 1.
 _SPREAD = 0.3
+#: Searches of each scheme, each from a seed of its own: their spread is what chance is worth. The
+#: candidates of each are rounds times candidates of a round.
+SEEDS, _ROUNDS, _ABREAST = 3, 6, 10
+#: True positions with the same noise, coarser physics: fast enough to search.
+TUNING = Conditions(rendered=False, physics_rate_hz=125.0)
+
+Key = TypeVar("Key")
 
 ESTIMATOR, CONTROLLER = "estimator", "controller"
 
@@ -253,7 +260,7 @@ def run_searches(
     generations, population : int
         The budget: their product is the number of candidates of each search.
     seed : int
-        Of the searches.
+        Of the first search; each has another one.
     """
     from cmaes import CMA
 
@@ -288,3 +295,31 @@ def run_searches(
                 told.append((places, one.search.cost(candidate)))
             optimiser.tell(told)
     return found
+
+
+def search_all(
+    context: Context, searches: Mapping[Key, Search], cases: Sequence[Case], seed: int
+) -> dict[Key, list[Found]]:
+    """Search each of them several times, from other seeds, all with the same budget.
+
+    Parameters
+    ----------
+    context : Context
+        For its cores; a quick one searches once, and little.
+    searches : mapping to Search
+        What is searched.
+    cases : sequence of Case
+        The tuning cases.
+    seed : int
+        Of the first search; each has another one.
+    """
+    found = run_searches(
+        context,
+        (1 if context.quick else SEEDS) * [*searches.values()],
+        cases,
+        TUNING,
+        generations=1 if context.quick else _ROUNDS,
+        population=2 if context.quick else _ABREAST,
+        seed=seed,
+    )
+    return {key: found[place :: len(searches)] for place, key in enumerate(searches)}

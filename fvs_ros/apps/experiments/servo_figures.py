@@ -215,12 +215,15 @@ def paths(folder: Path, rows: Mapping[str, Sequence[Outcome]], cases: Sequence[C
     return "paths.png"
 
 
-def trade(folder: Path, found: Mapping[tuple[str, str], Found], jitter_bound_rad_s: float) -> str:
+def trade(
+    folder: Path, found: Mapping[tuple[str, str], Sequence[Found]], jitter_bound_rad_s: float
+) -> str:
     """Draw settling time against jitter of all candidates with a speed limit; the file's name."""
     plt = pyplot()
     figure, panel = plt.subplots(figsize=(8, 5), layout="constrained")
     for name in SCHEMES:
-        tried = [one for one in found["jitter", name].tried if np.isfinite(one.settled_s)]
+        tried = [one for ones in found["jitter", name] for one in ones.tried]
+        tried = [one for one in tried if np.isfinite(one.settled_s)]
         jitter = 1e3 * np.array([one.jitter_rad_s for one in tried])
         settled = np.array([one.settled_s for one in tried])
         panel.plot(jitter, settled, "o", color=_colour(name), alpha=0.3, markersize=4)

@@ -7,11 +7,22 @@ from dataclasses import dataclass
 from typing import Any
 
 from fvs_ros.apps.experiments.search import ESTIMATOR, Knob, Limit, Search
-from fvs_ros.core.schemes import SCHEMES
+from fvs_ros.core.schemes import SCHEMES, Scheme
 
 PROPOSED = "proposed"
 #: The paper's other schemes.
 BASELINES = tuple(name for name in SCHEMES if name != PROPOSED)
+#: Laws that are told the true Jacobian: yardsticks.
+ORACLE_SLIDING, ORACLE = "oracle, sliding mode", "oracle, proportional"
+ORACLES = {
+    name: Scheme(name, "oracle", law, "")
+    for name, law in ((ORACLE_SLIDING, "ftsm"), (ORACLE, "proportional"))
+}
+#: Whose gains are searched.
+SEARCHED = {**SCHEMES, **ORACLES}
+#: Who runs in a regime: the last one with the gains of the proposed scheme.
+FROZEN = "frozen networks, sliding mode"
+ROWS = (*SEARCHED, FROZEN)
 
 #: The gains of each law that the search may turn; what is fixed are units (alpha1) and what a
 #: knob already scales.
@@ -35,10 +46,7 @@ _LAW_KNOBS = {
 }
 #: Of the estimators, the filter has a number that servoing depends on: how fast it follows the arm.
 #: The networks know the whole box, and their n1 is left alone.
-_METHOD_KNOBS: dict[str, tuple[Knob, ...]] = {
-    "rbf": (),
-    "ukf": (Knob("ukf.process_noise", 1e-5, 1e-1, ESTIMATOR),),
-}
+_METHOD_KNOBS = {"ukf": (Knob("ukf.process_noise", 1e-5, 1e-1, ESTIMATOR),)}
 
 
 @dataclass(frozen=True)
@@ -110,51 +118,15 @@ REGIMES = (
 SAME_WORLD = {"limit": ("jitter",)}
 
 
-@dataclass(frozen=True)
-class Row:
-    """One line of a regime's table: a scheme, or the oracle beside it.
-
-    Parameters
-    ----------
-    name : str
-        For tables and figures.
-    gains_of : str
-        Scheme whose tuned gains it uses.
-    method : str
-        Estimator in place of the scheme's; empty for the scheme's own.
-    """
-
-    name: str
-    gains_of: str
-    method: str = ""
-
-
-_SCHEME_ROWS = tuple(Row(name, name) for name in SCHEMES)
-_ORACLE_ROWS = (
-    Row("oracle, sliding mode", PROPOSED, "oracle"),
-    Row("oracle, proportional", "rbf+pid", "oracle"),
-    Row("frozen networks, sliding mode", PROPOSED, "frozen"),
-)
-
-
-#: Who stands beside the schemes, regime by regime.
-_BESIDE = {"limit": _ORACLE_ROWS, "peak": _ORACLE_ROWS[:1]}
-
-
-def rows_of(regime: Regime) -> tuple[Row, ...]:
-    """Who runs in a regime."""
-    return (*_SCHEME_ROWS, *_BESIDE.get(regime.name, ()))
-
-
-def search_of(name: str, regime: Regime) -> Search:
+def search_of(scheme: Scheme, regime: Regime) -> Search:
     """The search for the gains of a scheme in a regime."""
-    scheme = SCHEMES[name]
     return Search(
-        f"{regime.name} {name}",
+        f"{regime.name} {scheme.name}",
         scheme.method,
         scheme.law,
-        (*_LAW_KNOBS[scheme.law], *_METHOD_KNOBS[scheme.method]),
-        controller_values=regime.controller_values,
+        (*_LAW_KNOBS[scheme.law], *_METHOD_KNOBS.get(scheme.method, ())),
+        controller_values={**scheme.controller_values, **regime.controller_values},
+        estimator_values=scheme.estimator_values,
         limit=regime.limit,
         duration_s=regime.duration_s,
         rest_s=regime.rest_s,

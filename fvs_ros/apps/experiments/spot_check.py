@@ -15,13 +15,7 @@ import numpy as np
 import yaml
 
 from fvs_ros.apps.experiments.context import Context
-from fvs_ros.apps.experiments.lockstep import (
-    MODEL,
-    LockStep,
-    load_chain,
-    load_networks,
-    make_estimator,
-)
+from fvs_ros.apps.experiments.lockstep import LockStep
 from fvs_ros.apps.experiments.statistics import median
 from fvs_ros.apps.experiments.trials import (
     BOUNDS_M,
@@ -64,8 +58,8 @@ class SpotCheck:
         columns = zip(*self.lock_step_s, strict=True)
         return [(min(map(seconds, times)), max(map(seconds, times))) for times in columns]
 
-    def shift_s(self) -> float:
-        """How much later the nodes settle than the median lock-step run, median of the targets, s.
+    def shifts_s(self) -> list[float]:
+        """How much later the nodes settle than the median lock-step run, target by target, s.
 
         The noise is another one in every run and decides when the error is last above 5 mm; a
         delay that lock step does not know would show in all targets.
@@ -73,7 +67,15 @@ class SpotCheck:
         columns = zip(*self.lock_step_s, strict=True)
         expected = [median([seconds(time) for time in times]).value for times in columns]
         late = [seconds(node) - one for node, one in zip(self.nodes_s, expected, strict=True)]
-        return median([one if np.isfinite(one) else float("inf") for one in late]).value
+        return [one if np.isfinite(one) else float("inf") for one in late]
+
+    def shift_s(self) -> float:
+        """The median of the targets' shifts, s."""
+        return median(self.shifts_s()).value
+
+    def worst_s(self) -> float:
+        """The shift of the target that is furthest off, s."""
+        return max(self.shifts_s(), key=abs)
 
 
 @dataclass(frozen=True)
@@ -185,10 +187,9 @@ def run_chain(chain: Chain) -> list[float | None]:
     trial = chain.trial
     simulation = simulation_of(trial.conditions)
     simulation.reset(chain.start_rad, chain.seed)
-    estimator = make_estimator(
-        trial.method, simulation, load_networks(), trial.estimator_values, load_chain()
+    one = LockStep(
+        simulation, trial.estimator(simulation), {"law": trial.law, **trial.controller_values}
     )
-    one = LockStep(simulation, estimator, {"law": trial.law, **trial.controller_values})
     one.run(PRELUDE_S)
     settling = []
     for target in chain.targets_m:
@@ -226,7 +227,7 @@ def scenario_of(chain: Chain, results: Path) -> Mapping[str, Any]:
             camera_rotation_deg=list(conditions.camera_turn_deg),
         ),
         "fvs_estimator_node": parameters(
-            method=trial.method, model_path=MODEL, **trial.estimator_values
+            method=trial.method, model_path=trial.model, **trial.estimator_values
         ),
         "fvs_controller_node": parameters(law=trial.law, autostart=True, **trial.controller_values),
         "fvs_demo_node": parameters(

@@ -76,26 +76,33 @@ def any_holds(parts: Iterable[bool | None]) -> bool | None:
     return None if any(part is None for part in parts) else False
 
 
-def median(values: Sequence[float]) -> Interval:
+def median(values: Sequence[float], repeats: int = 1) -> Interval:
     """Median and its bootstrap interval (percentiles of resampled medians).
 
     Parameters
     ----------
     values : sequence of float
         One per run; infinite for a run that never settled.
+    repeats : int
+        How often the same cases come one after the other, each time with what another search
+        found: both cases and searches are drawn anew then.
     """
     data = np.asarray(values, dtype=float)
-    medians = _median(data[_resamples(data.size)])
-    return Interval(float(_median(data)), *_ends(medians), data.size)
+    medians = _median(data[_resamples(data.size, repeats)])
+    return Interval(float(_median(data)), *_ends(medians), data.size // repeats)
 
 
-def ratio_of_medians(numerator: Sequence[float], denominator: Sequence[float]) -> Interval:
+def ratio_of_medians(
+    numerator: Sequence[float], denominator: Sequence[float], *, repeats: int = 1
+) -> Interval:
     """Ratio of two medians over the same cases, and its paired bootstrap interval.
 
     Parameters
     ----------
     numerator, denominator : sequence of float
         One per case each, in the same order.
+    repeats : int
+        As for :func:`median`.
 
     Raises
     ------
@@ -105,10 +112,10 @@ def ratio_of_medians(numerator: Sequence[float], denominator: Sequence[float]) -
     above, below = np.asarray(numerator, dtype=float), np.asarray(denominator, dtype=float)
     if above.shape != below.shape:
         raise ValueError(f"paired runs must be as many: got {above.size} and {below.size}")
-    chosen = _resamples(above.size)
+    chosen = _resamples(above.size, repeats)
     ratios = _ratio(_median(above[chosen]), _median(below[chosen]))
     middle = float(_ratio(_median(above), _median(below)))
-    return Interval(middle, *_ends(ratios), above.size)
+    return Interval(middle, *_ends(ratios), above.size // repeats)
 
 
 def wilson(hits: int, count: int) -> Interval:
@@ -130,8 +137,12 @@ def wilson(hits: int, count: int) -> Interval:
     return Interval(share, low, high, count)
 
 
-def _resamples(count: int) -> np.ndarray:
-    return np.random.default_rng(0).integers(0, count, (_RESAMPLES, count))
+def _resamples(count: int, repeats: int) -> np.ndarray:
+    """Numbers of runs, shape (resamples, count): drawn cases of drawn repeats."""
+    rng, cases = np.random.default_rng(0), count // repeats
+    drawn = rng.integers(0, cases, (_RESAMPLES, 1, cases))
+    again = rng.integers(0, repeats, (_RESAMPLES, repeats, 1))
+    return (cases * again + drawn).reshape(_RESAMPLES, -1)
 
 
 def _median(data: np.ndarray) -> np.ndarray:

@@ -14,6 +14,8 @@ COLOURS = {
     "rbf+pid": "#D55E00",
     "ukf+mfac": "#009E73",
     "ukf+mpc": "#CC79A7",
+    "rbf+mfac": "#009E73",
+    "rbf+mpc": "#CC79A7",
     "extended": "#E69F00",
     "best": "#7A1FA2",
     "oracle": "#000000",

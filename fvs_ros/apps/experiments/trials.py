@@ -12,7 +12,9 @@ import numpy as np
 
 from fvs_controller_node.reasons import State
 from fvs_controller_node.supervisor import Command
+from fvs_estimator_node.base import Estimator
 from fvs_ros.apps.experiments.lockstep import (
+    MODEL,
     LockStep,
     load_chain,
     load_networks,
@@ -151,6 +153,8 @@ class Trial:
         End when the error has been below 5 mm for so long, s; for searches.
     record : bool
         Whether to keep the time series.
+    model : str
+        Trained model that the estimator begins with: a file of the ``config`` folder, or a path.
     """
 
     case: Case
@@ -162,6 +166,17 @@ class Trial:
     duration_s: float = 4.0
     stop_after_s: float | None = None
     record: bool = False
+    model: str = MODEL
+
+    def estimator(self, simulation: Simulation) -> Estimator:
+        """The estimator, with the model that it begins with."""
+        return make_estimator(
+            self.method,
+            simulation,
+            load_networks(self.model),
+            self.estimator_values,
+            load_chain(self.model),
+        )
 
 
 @dataclass(frozen=True)
@@ -361,10 +376,9 @@ def drive(trial: Trial, simulation: Simulation, bump: Bump | None = None) -> Out
     simulation.reset(trial.case.goal_rad)
     goal_m = simulation.world.ball_position()
     simulation.reset(trial.case.start_rad, trial.case.seed)
-    estimator = make_estimator(
-        trial.method, simulation, load_networks(), trial.estimator_values, load_chain()
+    one = LockStep(
+        simulation, trial.estimator(simulation), {"law": trial.law, **trial.controller_values}
     )
-    one = LockStep(simulation, estimator, {"law": trial.law, **trial.controller_values})
     one.run(PRELUDE_S)
     target_m = _tell_target(one, goal_m)
     log = _Log(simulation.time_s)
