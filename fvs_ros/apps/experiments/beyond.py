@@ -315,8 +315,9 @@ def _setup(context: Context, results: Results) -> list[str]:
         "networks and law with all additions that need no forward model; best has the fitted "
         "chain and a law that arrives at the limits.",
         f"The race: as published are {', '.join(PUBLISHED)}: the defaults of the nodes. Tuned: all "
-        "additions that a scheme can take (joint speeds whose largest is least, a learned "
-        "rotation of the camera for the networks, a straight path for the sliding mode law of "
+        "additions that a scheme can take (joint speeds whose largest is least for the sliding "
+        "mode and the proportional law, mfac and mpc having joint speeds of their own; a learned "
+        "rotation of the camera for the networks; a straight path for the sliding mode law of "
         "extended) and gains from one automatic search (CMA-ES) for least settling time, with the "
         f"same number of candidates for each, on other cases, from {SEEDS} seeds; all that was "
         "found runs on all cases. rbf+mfac and rbf+mpc are the paper's laws with the networks in "

@@ -57,16 +57,22 @@ PUBLISHED = (*SCHEMES, ORACLE)
 RACERS = (BEST, EXTENDED, *PUBLISHED)
 
 
+#: Laws that say how the ball is to move and leave the joints to the allocation; to the other two
+#: their own least squares of the joint speeds are what makes them.
+ALLOCATED = ("ftsm", "proportional")
+
+
 def _equipped(scheme: Scheme) -> Scheme:
     """A scheme with all additions that its parts can take, for a search of its gains.
 
     The camera's rotation is for the networks; a straight path is a matter of the sliding mode law.
     """
+    allocation = {"allocation": "least_speed"} if scheme.law in ALLOCATED else {}
     return replace(
         scheme,
         name=f"{scheme.name}, tuned",
         method={"rbf": "rbf_left"}.get(scheme.method, scheme.method),
-        controller_values={**scheme.controller_values, "allocation": "least_speed"},
+        controller_values={**scheme.controller_values, **allocation},
     )
 
 
@@ -88,7 +94,7 @@ TUNED = {
 #: Who races with rendered images, too, and what is behind the names of those with another model.
 SEEN, MINUTES = (BEST, EXTENDED, PROPOSED, "rbf+pid"), ", a minute's model"
 SLIDING = next(iter(TUNED))
-#: The other laws with the same means; the filter knows less than the networks.
+#: The other laws with the same search; the filter knows less than the networks.
 OTHERS = tuple(
     one.name for one in TUNED.values() if one.law != BEYOND[EXTENDED].law and one.method != "oracle"
 )

@@ -171,8 +171,8 @@ def _law(results: Results) -> list[Verdict]:
     words = ", ".join(f"{name} {results.middle(name).text()}" for name in (SLIDING, *others))
     return [
         Verdict(
-            "With the same means (all additions, gains from the same search) the sliding mode law "
-            "settles sooner than every other law of the paper.",
+            "With the same means (all additions that a law can take, gains from the same search) "
+            "the sliding mode law settles sooner than every other law of the paper.",
             f"Ratio to the best other one ({best}): {ratio.text()}{ending[ratio.below(1.0)]}. "
             f"Jitter {_jitter(results, SLIDING)} against {_jitter(results, best)} mrad/s. Over "
             f"the floor: {words}.",
