@@ -199,12 +199,17 @@ def _setup(kind: Kind, count: int, rendered: bool, contestants: Sequence[Contest
 
     heavy = (
         f" In {100 * kind.heavy_share:.0f} % of them the noise is alpha-stable: most errors are as "
-        "small as white noise's, and some are centimetres; in the others the exponent is 2."
+        "small as white noise's, and some are centimetres; in the others it is white, exponent 2."
     )
     bumped = (
         f" In {100 * kind.bumped_share:.0f} % the camera is hit {span('bump_time_s')} s "
         f"after the target was given: it turns by {span('bump_turn_deg')}° and moves by "
         f"{span('bump_shift_m', 1e3)} mm, and the target is given anew in the new view."
+    )
+    drawn = ", ".join(
+        f"{one.label} {span(one.name, one.scale)}{one.unit}"
+        for one in QUANTITIES
+        if kind.heavy_share or one.name != "noise_exponent"
     )
     camera = "rendered images" if rendered else "the simulator's true positions"
     told = (
@@ -216,7 +221,7 @@ def _setup(kind: Kind, count: int, rendered: bool, contestants: Sequence[Contest
         f"{DISTANCE_M[0]:g} to {DISTANCE_M[1]:g} m apart. Evenly drawn are: how far the camera has "
         "been carried round the scene since the networks were trained "
         f"({span('camera_turn_deg')}°, in any direction), "
-        f"{'; '.join(f'{one.label} {span(one.name, one.scale)}' for one in QUANTITIES)}."
+        f"{drawn}."
         f"{heavy if kind.heavy_share else ''}{bumped if kind.bumped_share else ''} The ball "
         "can be seen at start and target, before and after.",
         f"Who ran: {'; '.join(one.name for one in contestants)}. All meet the same worlds, noise "

@@ -81,7 +81,7 @@ DISTURBANCES = (
         (-1.0, 0.0, 5.0, 10.0),
         ("not", "0-5", "5-10"),
     ),
-    *(Disturbance(one.label, _value_of(one), _EDGES[one.name]) for one in QUANTITIES),
+    *(Disturbance(one.axis, _value_of(one), _EDGES[one.name]) for one in QUANTITIES),
 )
 
 Results = Mapping[str, Sequence[Outcome]]

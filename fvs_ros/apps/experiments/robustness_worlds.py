@@ -133,7 +133,7 @@ class World:
             f"{1e3 * hypot(*bump.translation_m):.0f} mm after {bump.time_s:.1f} s"
         )
         rest = ", ".join(
-            f"{quantity.label} {quantity.scale * getattr(one, quantity.name):.2g}"
+            f"{quantity.label} {quantity.scale * getattr(one, quantity.name):.2g}{quantity.unit}"
             for quantity in QUANTITIES
         )
         return (
@@ -150,28 +150,34 @@ class Quantity:
     ----------
     name : str
         Field of the conditions.
-    label : str
-        In words, with its unit.
+    label, unit : str
+        In words; the unit begins with a space where there is one.
     scale : float
         From SI units to that unit.
     """
 
     name: str
     label: str
+    unit: str = ""
     scale: float = 1.0
+
+    @property
+    def axis(self) -> str:
+        """The label with its unit, for tables and figures."""
+        return f"{self.label},{self.unit}" if self.unit else self.label
 
 
 QUANTITIES = (
-    Quantity("position_noise_m", "noise of positions, mm", 1e3),
-    Quantity("noise_exponent", "exponent of the noise's tails"),
-    Quantity("image_rate_hz", "images a second"),
-    Quantity("latency_s", "latency, ms", 1e3),
-    Quantity("dropout", "images lost, %", 1e2),
-    Quantity("focal_error", "focal length wrong by, %", 1e2),
-    Quantity("depth_error", "depths wrong by, %", 1e2),
-    Quantity("encoder_noise_rad", "encoder noise, mrad", 1e3),
-    Quantity("joint_lag_s", "further drive lag, ms", 1e3),
-    Quantity("dead_time_s", "dead time of the drives, ms", 1e3),
+    Quantity("position_noise_m", "noise of positions", " mm", 1e3),
+    Quantity("noise_exponent", "exponent of the noise"),
+    Quantity("image_rate_hz", "image rate", " Hz"),
+    Quantity("latency_s", "latency", " ms", 1e3),
+    Quantity("dropout", "images lost", " %", 1e2),
+    Quantity("focal_error", "error of the focal length", " %", 1e2),
+    Quantity("depth_error", "error of the depths", " %", 1e2),
+    Quantity("encoder_noise_rad", "encoder noise", " mrad", 1e3),
+    Quantity("joint_lag_s", "further drive lag", " ms", 1e3),
+    Quantity("dead_time_s", "dead time of the drives", " ms", 1e3),
     Quantity("drive_gain", "speed over the commanded one"),
 )
 
