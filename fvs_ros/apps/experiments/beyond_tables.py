@@ -124,8 +124,8 @@ def _races(results: Results) -> Table:
     return Table(
         f"The race: {len(results.floors)} cases with the same limits and the exact camera; the "
         f"floor is {', '.join(floors)}. Settling times are over the floor of each case, or over "
-        "the clairvoyant's time. Tuned: with all additions, and each search's gains on all cases; "
-        "the medians of the searches are in a column of their own.",
+        "the clairvoyant's time. Tuned and calm: with all additions and searched gains; the "
+        "medians of the searches are in a column of their own.",
         [
             "scheme",
             "settled",

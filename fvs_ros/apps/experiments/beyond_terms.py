@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from fvs_ros.apps.experiments.robustness_runs import Contestant
-from fvs_ros.apps.experiments.servo_terms import ORACLE, ORACLES
+from fvs_ros.apps.experiments.search import Limit
+from fvs_ros.apps.experiments.servo_terms import ORACLE, ORACLES, Regime
 from fvs_ros.apps.experiments.trials import Case, Conditions, Outcome, Trial, seconds
 from fvs_ros.core.schemes import BEYOND, SCHEMES, Scheme
 
@@ -62,7 +63,7 @@ RACERS = (BEST, EXTENDED, *PUBLISHED)
 ALLOCATED = ("ftsm", "proportional")
 
 
-def _equipped(scheme: Scheme) -> Scheme:
+def _equipped(scheme: Scheme, how: str = "tuned") -> Scheme:
     """A scheme with all additions that its parts can take, for a search of its gains.
 
     The camera's rotation is for the networks; a straight path is a matter of the sliding mode law.
@@ -70,34 +71,34 @@ def _equipped(scheme: Scheme) -> Scheme:
     allocation = {"allocation": "least_speed"} if scheme.law in ALLOCATED else {}
     return replace(
         scheme,
-        name=f"{scheme.name}, tuned",
+        name=f"{scheme.name}, {how}",
         method={"rbf": "rbf_left"}.get(scheme.method, scheme.method),
         controller_values={**scheme.controller_values, **allocation},
     )
 
 
-def _on_networks(law: str) -> Scheme:
-    """A law of the paper that has the filter there, with the networks."""
-    return _equipped(Scheme(f"rbf+{law}", "rbf", law, ""))
-
-
-#: Who races with all additions and searched gains; the sliding mode law in its best form first.
+#: The paper's laws that have the filter there, with the networks.
+_ON_NETWORKS = [Scheme(f"rbf+{law}", "rbf", law, "") for law in ("mfac", "mpc")]
+_LAWS = (BEYOND[EXTENDED], SCHEMES["rbf+pid"], *_ON_NETWORKS)
+#: Who races with all additions and searched gains: for speed alone; and each law for speed at no
+#: more jitter, rad/s, than about what extended has by its defaults. That is known two seconds after
+#: it came to 5 mm; jitter is that of the second that follows.
 TUNED = {
     one.name: one
-    for one in (
-        _equipped(BEYOND[EXTENDED]),
-        *map(_equipped, SCHEMES.values()),
-        *map(_on_networks, ("mfac", "mpc")),
-        _equipped(ORACLES[ORACLE]),
-    )
+    for one in map(_equipped, (BEYOND[EXTENDED], *SCHEMES.values(), *_ON_NETWORKS, ORACLES[ORACLE]))
 }
+CALM = {one.name: one for one in (_equipped(law, "calm") for law in _LAWS)}
+CALM_RAD_S = 0.0002
+CALM_REGIME = Regime("calm", "", "", LIMITS, Limit("jitter_rad_s", CALM_RAD_S), 5.0, 3.0)
+#: The sliding mode law, and all others with the same search; the filter knows less than networks.
+SLIDING, SLIDING_CALM = next(iter(TUNED)), next(iter(CALM))
+OTHERS = tuple(
+    one.name
+    for one in (*TUNED.values(), *CALM.values())
+    if one.law != BEYOND[EXTENDED].law and one.method != "oracle"
+)
 #: Who races with rendered images, too, and what is behind the names of those with another model.
 SEEN, MINUTES = (BEST, EXTENDED, PROPOSED, "rbf+pid"), ", a minute's model"
-SLIDING = next(iter(TUNED))
-#: The other laws with the same search; the filter knows less than the networks.
-OTHERS = tuple(
-    one.name for one in TUNED.values() if one.law != BEYOND[EXTENDED].law and one.method != "oracle"
-)
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,14 @@ from fvs_ros.apps.experiments.beyond_results import KEPT, Results
 from fvs_ros.apps.experiments.beyond_terms import (
     BEST,
     BEST_ORACLE,
+    CALM_RAD_S,
     EXTENDED,
     FOLLOWERS,
     OTHERS,
     PROPOSED,
     SIGMA_M,
     SLIDING,
+    SLIDING_CALM,
     TUNED,
     WORLDS,
     times_s,
@@ -42,6 +44,8 @@ BOX_ERROR, WORKSPACE_ERROR, TAUGHT_ERROR, LATE_ERROR_S, FIT_S = 0.005, 0.015, 0.
 HONEST = 2.0
 #: Settling time over the physical floor.
 OVER_FLOOR = 1.15
+#: A law is faster than another from this ratio on: the rest is about a tick of 8 ms.
+FASTER = 0.98
 #: Share of the cases in which a camera that was moved must not cost the pace.
 KEPT_SHARE = 0.95
 #: True error at rest over the sensor's noise, and settling time over that without latency.
@@ -59,7 +63,8 @@ def verdicts(results: Results) -> list[Verdict]:
         _honest(results),
         _best(results),
         _extended(results),
-        *_law(results),
+        *_law(results, SLIDING, "for speed alone"),
+        *_law(results, SLIDING_CALM, f"for at most {1e3 * CALM_RAD_S:g} mrad/s of jitter"),
         _means(results),
         *(_camera(results, moment, name) for moment in MOMENTS[1:] for name in (BEST, EXTENDED)),
         _rest(results),
@@ -160,23 +165,25 @@ def _extended(results: Results) -> Verdict:
     )
 
 
-def _law(results: Results) -> list[Verdict]:
+def _law(results: Results, sliding: str, terms: str) -> list[Verdict]:
     """What the sliding mode law is worth among equals; a quick run has too few of them."""
-    others = [name for name in OTHERS if name in results.races]
-    if SLIDING not in results.races or not others:
+    how = sliding.rpartition(", ")[2]
+    others = [name for name in OTHERS if name in results.races and name.endswith(how)]
+    if sliding not in results.races or not others:
         return []
     best = min(others, key=lambda name: results.middle(name).value)
-    ratio = results.ratio(SLIDING, best)
+    ratio = results.ratio(sliding, best)
     ending = {True: ": it is faster", False: ": it is slower", None: ": a tie within the interval"}
-    words = ", ".join(f"{name} {results.middle(name).text()}" for name in (SLIDING, *others))
+    words = ", ".join(f"{name} {results.middle(name).text()}" for name in (sliding, *others))
     return [
         Verdict(
-            "With the same means (all additions that a law can take, gains from the same search) "
-            "the sliding mode law settles sooner than every other law of the paper.",
+            f"With the same means (all additions that a law can take, gains searched {terms}) the "
+            f"sliding mode law settles {100 * (1 - FASTER):.0f} % sooner than every other law of "
+            "the paper, or more.",
             f"Ratio to the best other one ({best}): {ratio.text()}{ending[ratio.below(1.0)]}. "
-            f"Jitter {_jitter(results, SLIDING)} against {_jitter(results, best)} mrad/s. Over "
+            f"Jitter {_jitter(results, sliding)} against {_jitter(results, best)} mrad/s. Over "
             f"the floor: {words}.",
-            ratio.below(1.0),
+            ratio.below(FASTER),
         )
     ]
 
