@@ -217,8 +217,6 @@ def _explain(thing: Rejection, depth_m: np.ndarray, radius_m: float) -> Miss:
     against = {
         Cause.OUTLINE: f"only {thing.value:.0%} of its outline is round",
         Cause.BULGE: f"it is {1e3 * thing.value:.0f} mm (rms) off the shape of a sphere",
-        Cause.BEYOND: f"{thing.value:.0%} of it lies out of a ball's outline",
-        Cause.GAPS: f"{thing.value:.0%} of it lets the view through",
     }.get(thing.cause, "its depth is not that of a sphere")
     return Miss(
         Why.NO_BALL,

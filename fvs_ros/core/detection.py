@@ -33,8 +33,6 @@ MIN_PIXELS = 20
 _MAX_BLOBS = 16
 _MIN_ON_OUTLINE = 0.6
 _MIN_ARC = 0.2
-_MAX_EXCESS = 0.15
-_MAX_GAPS = 0.1
 _MAX_RESIDUAL_RADII = 0.1
 
 
@@ -104,9 +102,7 @@ class Cause(enum.IntEnum):
     SURFACE = 4
     OUTLINE = 5
     BULGE = 6
-    BEYOND = 7
-    GAPS = 8
-    HIDDEN = 9
+    HIDDEN = 7
 
 
 @dataclass(frozen=True)
@@ -129,8 +125,7 @@ class Rejection:
         Its area over that of a whole ball at this distance; NaN without depth.
     value : float
         The number that spoke against it: part of the outline that fits (``OUTLINE``), departure
-        from the sphere, m (``BULGE``), share of the ball's area (``BEYOND``, ``GAPS``,
-        ``HIDDEN``).
+        from the sphere, m (``BULGE``), share of the ball's area (``HIDDEN``).
     """
 
     cause: Cause
@@ -459,18 +454,11 @@ def _judge(
     middle_z = fit.distance_m * fit.direction[2]
     behind = patch.depth > middle_z + 2.0 * radius_m
     before = (patch.depth > 0.0) & (patch.depth < middle_z - 2.0 * radius_m)
-    # Colour beyond the outline, and a view past the ball within it, speak against it.
-    excess = _share(patch.inside & (cos < cone_cos - 1.5 * pixel_cos), expected_px)
-    gaps = _share(~patch.coloured & behind & (cos > cone_cos + 1.5 * pixel_cos), expected_px)
-    if excess > _MAX_EXCESS:
-        return replace(patch.blame, cause=Cause.BEYOND, value=excess)
-    if gaps > _MAX_GAPS:
-        return replace(patch.blame, cause=Cause.GAPS, value=gaps)
     visible = patch.coloured & (cos >= cone_cos - 0.5 * pixel_cos) & ~before & ~behind
-    fraction = min(1.0, _share(visible, expected_px))
+    fraction = min(1.0, float(np.count_nonzero(visible) / expected_px))
     if fraction < MIN_VISIBLE_FRACTION:
         return replace(patch.blame, cause=Cause.HIDDEN, value=fraction)
-    quality = fraction * fit.on_outline * (1.0 - excess) * (1.0 - gaps)
+    quality = fraction * fit.on_outline
     quality *= float(np.exp(-np.square(fit.residual_m / (0.08 * radius_m))))
     position = fit.distance_m * fit.direction
     pixel = camera.project(position)
@@ -505,10 +493,6 @@ def _median(values: np.ndarray) -> float:
         return float(np.partition(values, half)[half])
     parted = np.partition(values, (half - 1, half))
     return 0.5 * (float(parted[half - 1]) + float(parted[half]))
-
-
-def _share(mask: np.ndarray, of_px: float) -> float:
-    return float(np.count_nonzero(mask) / of_px)
 
 
 def _lengths(points: np.ndarray, origin: np.ndarray) -> np.ndarray:
@@ -636,7 +620,7 @@ def _search_circle(points: np.ndarray, radius: float, tolerance: float) -> np.nd
 
 @dataclass(frozen=True)
 class _Surface:
-    """Points on the middle of the ball's surface.
+    """Points on the ball's surface.
 
     Parameters
     ----------
@@ -673,14 +657,14 @@ class _Surface:
 def _central_surface(
     rays: np.ndarray, range_m: np.ndarray, direction: np.ndarray, radius_m: float
 ) -> _Surface | None:
-    """Take the ball's surface near its middle, and the distance of its centre from it.
+    """Take the ball's surface, and the distance of its centre from it.
 
     A pixel at range R along a ray at an angle b to the centre sees the sphere if the centre is at
     R cos b + sqrt(r^2 - R^2 sin^2 b). The median throws out what is not the ball.
     """
     cos = rays @ direction
     sideways2 = np.square(range_m) * np.maximum(0.0, 1.0 - np.square(cos))
-    central = np.flatnonzero(sideways2 < (0.85 * radius_m) ** 2)
+    central = np.flatnonzero(sideways2 < radius_m**2)
     if len(central) < MIN_PIXELS:
         return None
     values = range_m[central] * cos[central] + np.sqrt(radius_m**2 - sideways2[central])

@@ -133,6 +133,51 @@ def test_a_ball_of_another_size_is_not_the_ball(other_radius_m):
         assert detect_ball(*draw([other]), VGA, RADIUS_M) is None
 
 
+@pytest.mark.parametrize("share", [0.95, 1.05])
+def test_a_radius_that_is_told_a_little_wrong_still_finds_the_ball(share):
+    for z in (0.7, 1.0, 1.3, 1.6):
+        centre = np.array([0.05, 0.02, z])
+        detection = detect_ball(*draw([(centre, share * RADIUS_M)]), VGA, RADIUS_M)
+        assert error_mm(detection, centre) < 4.0
+
+
+def test_balls_of_nearly_its_size_are_seldom_taken_for_it_though_partly_hidden():
+    rng, taken = np.random.default_rng(3), 0
+    view = VGA.window(240, 160, 160, 160)
+    rows, columns = np.mgrid[:160, :160]
+    for _ in range(120):
+        z, radius_m = rng.uniform(0.7, 1.5), rng.choice([0.028, 0.033, 0.05, 0.056])
+        other = z * VGA.rays(rng.uniform(300, 340), rng.uniform(220, 260)), radius_m
+        rgb, depth = draw([other], view)
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        across = np.cos(angle) * columns + np.sin(angle) * rows
+        shown = np.quantile(across[rgb[..., 0] > 2.0 * rgb[..., 1]], rng.uniform(0.3, 1.0))
+        hide(rgb, depth, across > shown, z - 0.1)
+        taken += detect_ball(rgb, depth, view, RADIUS_M) is not None
+    assert taken < 0.2 * 120
+
+
+def test_a_ball_is_found_among_many_larger_red_things():
+    centre = np.array([0.0, 0.0, 1.2])
+    others = [(np.array([x, y, 1.2]), 0.06) for x in (-0.4, -0.2, 0.2, 0.4) for y in (-0.3, 0.3)]
+    assert error_mm(detect_ball(*draw([*others, (centre, RADIUS_M)]), VGA, RADIUS_M), centre) < 0.6
+
+
+def test_a_red_stem_that_the_ball_sits_on_moves_it_little():
+    for width in (0.1, 0.3, 0.5):
+        centre = np.array([0.02, 0.01, 1.0])
+        rgb, depth = draw([(centre, RADIUS_M)])
+        u, v = VGA.project(centre)
+        radius_px = VGA.fx * RADIUS_M
+        stem = np.s_[
+            int(v) : int(v + 1.8 * radius_px),
+            int(u - width * radius_px) : int(u + width * radius_px),
+        ]
+        behind = depth[stem] > 1.5
+        rgb[stem][behind], depth[stem][behind] = (200, 20, 20), 1.0
+        assert error_mm(detect_ball(rgb, depth, VGA, RADIUS_M), centre) < 1.0
+
+
 def test_ball_before_a_bigger_red_ball():
     centre = np.array([0.02, 0.0, 1.1])
     behind = (np.array([0.05, 0.03, 1.4]), 0.12)

@@ -45,7 +45,7 @@ def test_dead_time_and_lag_are_found_together(delay_ticks, time_constant_s):
 def test_noise_of_encoders_is_averaged_where_the_arm_rests_and_hides_no_motion():
     """Noise averaged with weight k, 0.05 at rest, has k / (2 - k) of its variance."""
     rng, lag = np.random.default_rng(3), DriveLag()
-    told = np.zeros((2500, 6))
+    told = np.outer(5e-3 * (-1.0) ** np.arange(2500), np.ones(6))  # as it trembles at rest
     told[1250:1500] = 0.5  # rad/s, for two seconds
     true = DT_S * np.cumsum(told, axis=0)
     seen = np.array(
@@ -54,9 +54,20 @@ def test_noise_of_encoders_is_averaged_where_the_arm_rests_and_hides_no_motion()
             for tick, (command, joints) in enumerate(zip(told, true, strict=True))
         ]
     )
-    assert np.std(seen[500:1250]) < 1.2 * 2e-4 * np.sqrt(0.05 / 1.95)
+    assert np.std((seen - true)[500:1250]) < 1.2 * 2e-4 * np.sqrt(0.05 / 1.95)
     assert np.abs(seen[1260:1500] - true[1260:1500]).max() < 5 * 2e-4
     assert np.abs(seen[1600:] - true[1600:]).max() < 5e-4
+
+
+def test_no_slow_motion_is_told_late_and_what_moves_a_joint_at_rest_in_half_a_second():
+    """Even where the drives answer at once, sooner than was supposed."""
+    lag, told = DriveLag(), np.zeros((300, 6))
+    told[100:160] = 0.05
+    true = DT_S * np.cumsum(told, axis=0)
+    true[200:] += 1e-3
+    seen = np.array([lag.add(k * DT_S, told[k], true[k]) for k in range(300)])
+    assert np.abs(seen - true)[:200].max() < 0.5 * 0.05 * DT_S
+    assert np.abs(seen - true)[262:].max() < 0.1 * 1e-3
 
 
 def test_before_any_motion_and_where_it_must_not_compare_it_takes_the_drives_for_a_urs():

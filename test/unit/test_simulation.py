@@ -80,6 +80,14 @@ def test_latency_is_live(make):
             assert step.time_s - observation.stamp_s >= 0.1 - 1e-9
 
 
+def test_image_rate_is_live_from_a_reset_on(make):
+    simulation = make(rendered=False)
+    simulation.image_rate_hz = 10.0
+    simulation.reset()
+    stamps = [o.stamp_s for o in observations(run(simulation, 125))]
+    np.testing.assert_allclose(stamps, 0.1 * np.arange(10), atol=0.001 + 1e-9)
+
+
 def test_rates_that_do_not_divide_are_refused():
     with pytest.raises(ValueError, match="whole multiple"):
         SimConfig(physics_rate_hz=500.0, joint_state_rate_hz=120.0)
@@ -154,6 +162,15 @@ def test_speed_scaling_and_joint_lag_are_live(make):
         simulation.joint_lag_s = -1.0
 
 
+@pytest.mark.parametrize("dead_time_s", [0.0, 0.024, 0.1])
+def test_dead_time_is_live_and_nothing_moves_before_it(make, dead_time_s):
+    simulation = make(image_rate_hz=1.0)
+    simulation.dead_time_s = dead_time_s
+    steps = run(simulation, 30, np.full(6, 0.3))
+    began_s = next(s.time_s for s in steps if np.all(s.joint_velocities_rad_s > 1e-3))
+    assert dead_time_s < began_s <= dead_time_s + 2.0 * PERIOD_S + 1e-9
+
+
 @pytest.mark.parametrize(
     "slower",
     [
@@ -200,16 +217,42 @@ def test_noise_is_live(make):
     assert np.ptp(noisy, axis=0).max() > 3e-4
 
 
+def assert_white(errors, deviation):
+    many = 3.5 / np.sqrt(len(errors))  # chance gets there once in two thousand times
+    np.testing.assert_allclose(errors.std(axis=0), deviation, rtol=many / np.sqrt(2.0))
+    for both in (errors, np.column_stack([errors[1:], errors[:-1]])):
+        apart = np.corrcoef(both.T) - np.eye(both.shape[1])
+        assert np.abs(apart).max() < many
+
+
 @pytest.mark.parametrize(("rendered", "images"), [(True, 100), (False, 1000)])
 def test_position_noise_is_white_on_each_axis(make, rendered, images):
     simulation = make(position_noise_m=0.01, depth_noise=0.0, rendered=rendered)
     seen = [simulation.look() for _ in range(images)]
-    errors = np.array([one.detection.position_m - one.true_position_m for one in seen])
-    many = 3.5 / np.sqrt(images)  # chance gets there once in two thousand times
-    np.testing.assert_allclose(errors.std(axis=0), 0.01, rtol=many / np.sqrt(2.0))
-    for both in (errors, np.column_stack([errors[1:], errors[:-1]])):
-        apart = np.corrcoef(both.T) - np.eye(both.shape[1])
-        assert np.abs(apart).max() < many
+    assert_white(np.array([o.detection.position_m - o.true_position_m for o in seen]), 0.01)
+
+
+def test_encoder_noise_is_white_on_what_is_told_and_moves_no_joint(make):
+    simulation, quiet = make(rendered=False), make(rendered=False)
+    simulation.encoder_noise_rad = 0.01
+    told = np.array([s.joints_rad for s in drive_waves(simulation, 500)])
+    assert_white(told - [s.joints_rad for s in drive_waves(quiet, 500)], 0.01)
+    np.testing.assert_array_equal(simulation.joints_rad, quiet.joints_rad)
+
+
+@pytest.mark.parametrize(("focal", "depth"), [(0.05, 0.0), (-0.05, 0.0), (0.0, 0.05), (0.1, 0.1)])
+def test_an_error_of_the_calibration_is_alike_in_an_image_and_without(make, focal, depth):
+    drawn, known = make(depth_noise=0.0), make(rendered=False)
+    for one in (drawn, known):
+        one.focal_error, one.depth_error = focal, depth
+        one.reset()
+    for by_image, by_truth in zip(
+        *(observations(drive_waves(one, 100)) for one in (drawn, known)), strict=True
+    ):
+        seen_m, true_m = by_image.detection.position_m, by_image.true_position_m
+        np.testing.assert_array_equal(by_truth.detection.position_m, known.as_seen(true_m))
+        # Of 1.5 m; the ball looks larger or smaller than it is told to be, too.
+        np.testing.assert_allclose(seen_m, known.as_seen(true_m), atol=4e-3)
 
 
 @pytest.mark.parametrize("rendered", [True, False])
