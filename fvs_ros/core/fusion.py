@@ -17,11 +17,11 @@ from fvs_ros.core.vectors import length
 
 #: Noise of an image before anything is known, its bounds, m.
 _NOISE_M, _LEAST_NOISE_M, _MOST_NOISE_M = 1e-3, 5e-5, 2e-2
-#: Share of the predicted motion that is wrong: before anything is known, and at most.
-_WRONG, _MOST_WRONG = 0.1, 0.5
+#: Share of the predicted motion that is wrong: before anything is known, and its bounds.
+_WRONG, _LEAST_WRONG, _MOST_WRONG = 0.1, 0.002, 0.5
 #: A motion below this says nothing of the Jacobian, m; and where it changes by more from image to
 #: image, what it brings changes, too, and is not told from noise.
-_MOVED_M = 4e-3
+_MOVED_M, _STEADY_M = 4e-3, 1e-3
 #: Share of a new innovation in their mean, and how far that may be off, in squared deviations of
 #: all three coordinates: chance gets there once in 10^5 images.
 _BEHIND_SHARE, _BEHIND = 0.2, 25.0
@@ -30,16 +30,17 @@ _BEHIND_SHARE, _BEHIND = 0.2, 25.0
 _BEHIND_CLIP = 4.0
 #: Share of a new squared innovation in what is learned, after the first so many images.
 _SHARE, _FIRST = 0.03, 5.0
-#: Way after which a doubt has faded to 37 % where the ball is too slow to learn from, m.
-_FADE_M = 0.05
-#: An image counts for at most so many variances in what is learned of the noise.
-_CLIP = 10.0
+#: The same for the prediction where all that was learned of it is to be learned anew; and the way
+#: after which such a doubt has faded to 37 % where the ball is too slow to learn from, m.
+_FIRST_MOVING, _FADE_M = 2.0, 0.05
+#: An innovation counts for at most so many variances in what is learned.
+_CLIP = 9.0
 #: The gain never falls below this: what is at rest may still drift.
 _LEAST_GAIN = 0.02
 #: So many swings of the images are looked at for noise that the arm's own motion hides; the one of
-#: this rank among them is, in the mean, so many variances; and where that is more than an image
-#: may count for, the variance learned is raised by this factor.
-_SWINGS, _RANK, _OF_RANK, _RAISE = 12, 1, 3.1, 3.4
+#: this rank among them is, in the mean, so many variances; and noise is raised towards what they
+#: say, by so large a share, where that is so many times the variance learned.
+_SWINGS, _RANK, _OF_RANK, _SWING_SHARE, _TOO_CALM = 12, 1, 3.1, 0.3, 10.0
 #: An image this far off is passed over: in standard deviations, and m besides.
 _GATE, _GATE_M = 6.0, 0.002
 #: Two outliers that are apart by less than this share of the first may agree.
@@ -66,7 +67,7 @@ class Fusion:
     def __init__(self) -> None:
         self._noise2 = _NOISE_M**2
         self._wrong2 = _WRONG**2
-        self._seen, self._seen_moving = 0.0, _FIRST
+        self._seen, self._seen_moving = 0.0, _FIRST_MOVING
         self._swings_m2: deque[float] = deque(maxlen=_SWINGS)
         self._step: np.ndarray | None = None
         self._motion_before = np.zeros(3)
@@ -142,7 +143,7 @@ class Fusion:
             self._off = innovation_m
             return None
         self._learn_noise(innovation_m, motion_m)
-        self._learn_wrong(square, length(motion_m))
+        self._learn_wrong(min(square, _CLIP * total), length(motion_m))
         self._look_behind(innovation_m, square)
         variance = self._variance()
         gain = max(variance / (variance + self._noise2), _LEAST_GAIN)
@@ -178,8 +179,10 @@ class Fusion:
         self._swings_m2.append(min(swing_m2, 3.0 * float(way.dot(way))))
         if len(self._swings_m2) < _SWINGS:
             return
-        if sorted(self._swings_m2)[_RANK] / _OF_RANK > _CLIP * self._noise2:
-            self._noise2 = min(_RAISE * self._noise2, _MOST_NOISE_M**2)
+        noise2 = sorted(self._swings_m2)[_RANK] / _OF_RANK
+        if noise2 > _TOO_CALM * self._noise2:
+            self._noise2 += _SWING_SHARE * (min(noise2, _CLIP * self._noise2) - self._noise2)
+            self._noise2 = min(self._noise2, _MOST_NOISE_M**2)
 
     def _learn_noise(self, innovation_m: np.ndarray, motion_m: np.ndarray) -> None:
         """Learn R of white noise n and a change b that is the same from image to image.
@@ -189,7 +192,7 @@ class Fusion:
         before, left, last_m = self._change, self._left, self._motion
         self._change = None if left is None else innovation_m - left
         self._motion = motion_m
-        if before is None or self._change is None or length(motion_m - last_m) > _MOVED_M:
+        if before is None or self._change is None or length(motion_m - last_m) > _STEADY_M:
             return
         noise2 = float(self._change @ (self._change - before)) / 9.0
         most = _CLIP * self._noise2
@@ -204,9 +207,9 @@ class Fusion:
             # One coordinate's share of the error, over the whole motion.
             wrong2 = (square - self._settled - self._noise2) / far2
             self._seen_moving += 1.0
-            share = max(_SHARE, 1.0 / (_FIRST + self._seen_moving))
+            share = max(_SHARE, 1.0 / (_FIRST_MOVING + self._seen_moving))
             self._wrong2 += share * (wrong2 - self._wrong2)
-            self._wrong2 = min(max(self._wrong2, 0.0), _MOST_WRONG**2)
+            self._wrong2 = min(max(self._wrong2, _LEAST_WRONG**2), _MOST_WRONG**2)
         elif self._wrong2 > _WRONG**2:
             self._wrong2 = _WRONG**2 + (self._wrong2 - _WRONG**2) * exp(-moved / _FADE_M)
 
