@@ -89,7 +89,7 @@ _EXACT = Conditions(rendered=False)
 #: Searched gains are for speed alone, within the limits that all have.
 _REGIME = REGIMES[0]
 #: All of it on one core of a desktop computer, minutes.
-_ALL_MIN = 60.0
+_ALL_MIN = 80.0
 _LIMITS = Limits(SPEED_RAD_S, ACCELERATION_RAD_S2)
 #: Targets of the spot check, and contestants that are judged by moved cameras, the first ones.
 _TARGETS, _JUDGED = 4, 2
