@@ -299,7 +299,8 @@ def simulation_of(conditions: Conditions) -> Simulation:
     config = conditions.sim_config()
     for name in LIVE:
         setattr(simulation, name, getattr(config, name))
-    simulation.camera = carried_camera(np.radians(conditions.camera_turn_deg))
+    assert config.camera_pose is not None
+    simulation.camera = config.camera_pose
     simulation.speed_scaling = conditions.drive_gain
     simulation.position_noise = (
         None
