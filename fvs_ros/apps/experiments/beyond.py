@@ -6,7 +6,6 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import chain
 from typing import Any
 
 from fvs_estimator_node.model_file import save_model
@@ -69,14 +68,13 @@ from fvs_ros.apps.experiments.beyond_verdicts import verdicts
 from fvs_ros.apps.experiments.context import Context
 from fvs_ros.apps.experiments.floor import SPARE_M, Limits, floor_of
 from fvs_ros.apps.experiments.report import Figure, Report
-from fvs_ros.apps.experiments.search import SEEDS, Found, Key, search_all
+from fvs_ros.apps.experiments.search import SEEDS, Found, search_all
 from fvs_ros.apps.experiments.servo_terms import REGIMES, search_of
 from fvs_ros.apps.experiments.spot_check import SpotCheck, spot_check
 from fvs_ros.apps.experiments.trials import (
     Case,
     Conditions,
     Outcome,
-    Trial,
     make_cases,
     run_trial,
 )
@@ -221,7 +219,7 @@ def _races(
         trials[name] = [
             one.trial(case, _EXACT, _REGIME.duration_s) for one in ones for case in cases
         ]
-    return _run(context, trials, "against the floor")
+    return context.map_groups(run_trial, trials, "against the floor")
 
 
 def _rendered(context: Context, cases: Sequence[Case]) -> dict[str, list[Outcome]]:
@@ -234,15 +232,7 @@ def _rendered(context: Context, cases: Sequence[Case]) -> dict[str, list[Outcome
     for name in (BEST, EXTENDED):
         trials[name + MINUTES] = [replace(one, model=str(path)) for one in trials[name]]
     # On this machine: others need not see its files.
-    return _run(replace(context, cluster=""), trials, "with images")
-
-
-def _run(
-    context: Context, trials: Mapping[Key, Sequence[Trial]], label: str
-) -> dict[Key, list[Outcome]]:
-    """Run all trials of everybody."""
-    outcomes = iter(context.map(run_trial, chain.from_iterable(trials.values()), label))
-    return {name: [next(outcomes) for _ in ones] for name, ones in trials.items()}
+    return replace(context, cluster="").map_groups(run_trial, trials, "with images")
 
 
 def _arrivals(context: Context, count: int) -> dict[tuple[str, str], list[Arrival]]:
@@ -269,7 +259,7 @@ def _worlds(context: Context, cases: Sequence[Case]) -> dict[tuple[int, str], li
         conditions = context.conditions(**WORLDS[number].changes)
         for name in FOLLOWERS:
             trials[number, name] = [trial_of(name, case, conditions) for case in cases]
-    return _run(context, trials, "other worlds")
+    return context.map_groups(run_trial, trials, "other worlds")
 
 
 def _pursuits(context: Context, count: int) -> list[tuple[Pursuit, Tracked]]:

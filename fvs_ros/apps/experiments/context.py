@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,6 +16,7 @@ from fvs_ros.apps.experiments.trials import Conditions
 
 T = TypeVar("T")
 R = TypeVar("R")
+Key = TypeVar("Key")
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,13 @@ class Context:
             # Results one by one, as they come, are not to be had from every engine; its count is.
             parallel.print_progress = lambda: bar.update(parallel.n_completed_tasks - bar.n)
             return parallel(delayed(engine(function))(item) for item in items)
+
+    def map_groups(
+        self, function: Callable[[T], R], groups: Mapping[Key, Sequence[T]], label: str
+    ) -> dict[Key, list[R]]:
+        """Apply a function to the items of all groups at once; the results by group."""
+        results = iter(self.map(function, chain.from_iterable(groups.values()), label))
+        return {key: [next(results) for _ in items] for key, items in groups.items()}
 
     @contextmanager
     def _engine(self) -> Iterator[tuple[Any, Callable]]:

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-from fvs_ros.apps.experiments.context import Context
+from fvs_ros.apps.experiments.context import Context, Key
 from fvs_ros.apps.experiments.trials import Case, Conditions, Outcome, Trial, run_trial
 
 #: Steepness of the penalty on a constraint's relative violation, s: whoever breaks it by a tenth
@@ -28,7 +28,6 @@ SEEDS, _ROUNDS, _ABREAST = 3, 6, 10
 #: True positions with the same noise, coarser physics: fast enough to search.
 TUNING = Conditions(rendered=False, physics_rate_hz=125.0)
 
-Key = TypeVar("Key")
 
 ESTIMATOR, CONTROLLER = "estimator", "controller"
 

@@ -97,13 +97,12 @@ def run(context: Context) -> Report:
     """Turn one knob after the other, in the same cases."""
     cases = make_cases("U", context.count(4, 1), _SEED)
     knobs = KNOBS[:2] if context.quick else KNOBS
-    keys = [(knob.name, value) for knob in knobs for value in knob.values]
-    trials = [
-        _trial(context, knob, value, case) for knob in knobs for value in knob.values
-        for case in cases
-    ]  # fmt: skip
-    outcomes = iter(context.map(run_trial, trials, NAME))
-    results = {key: [next(outcomes) for _ in cases] for key in keys}
+    trials = {
+        (knob.name, value): [_trial(context, knob, value, case) for case in cases]
+        for knob in knobs
+        for value in knob.values
+    }
+    results = context.map_groups(run_trial, trials, NAME)
     folder = context.folder(NAME)
     return Report(
         name=NAME,
