@@ -10,7 +10,6 @@ import numpy as np
 
 from fvs_ros.core.camera import Intrinsics
 from fvs_ros.core.detection import (
-    MAX_DEPTH_M,
     MIN_PIXELS,
     MIN_VISIBLE_FRACTION,
     BallColour,
@@ -236,7 +235,7 @@ def _depth_does_not_fit(thing: Rejection, depth_m: np.ndarray, radius_m: float) 
     rows, columns = np.mgrid[-0.5 : 0.5 : height * 1j, -0.5 : 0.5 : width * 1j]
     middle = np.square(rows) + np.square(columns) < 0.4**2
     part = depth_m[v0 : v0 + height, u0 : u0 + width]
-    inner = part[middle & (part > 0.0) & (part < MAX_DEPTH_M)]
+    inner = part[middle & (part > 0.0) & (part < np.inf)]
     if len(inner) < MIN_PIXELS // 2:
         return ""
     near, far = np.percentile(inner, (10, 90))
@@ -246,7 +245,7 @@ def _depth_does_not_fit(thing: Rejection, depth_m: np.ndarray, radius_m: float) 
     top, left = max(0, v0 - margin_v), max(0, u0 - margin_u)
     around = depth_m[top : v0 + height + margin_v, left : u0 + width + margin_u].copy()
     around[v0 - top : v0 - top + height, u0 - left : u0 - left + width] = 0.0
-    outer = around[(around > 0.0) & (around < MAX_DEPTH_M)]
+    outer = around[(around > 0.0) & (around < np.inf)]
     # Where little is seen around it, that may be what holds the ball.
     if 2 * len(outer) < around.size - width * height or far - near > 0.5 * radius_m:
         return ""

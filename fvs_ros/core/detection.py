@@ -25,9 +25,6 @@ from fvs_ros.core.camera import Intrinsics
 #: Nothing is reported where less of the ball is visible.
 MIN_VISIBLE_FRACTION = 0.25
 
-#: Depth beyond this, or not finite, is no depth, m.
-MAX_DEPTH_M = 100.0
-
 #: Fewer pixels of the ball's colour in one piece, or fewer of them with a depth, are no candidate.
 MIN_PIXELS = 20
 _MAX_BLOBS = 16
@@ -238,7 +235,7 @@ class _Blob:
         """Depth within the bounding box, m, and where the blob has one; both of its shape."""
         height, width = self.filled.shape
         depth = depth_m[self.v0 : self.v0 + height, self.u0 : self.u0 + width]
-        return depth, (self.filled > 0) & (depth > 0.0) & (depth < MAX_DEPTH_M)
+        return depth, (self.filled > 0) & (depth > 0.0) & (depth < np.inf)
 
 
 def _blobs(mask: np.ndarray, u0: int = 0, v0: int = 0) -> list[_Blob]:
@@ -408,7 +405,7 @@ def _cut_out(
     return _Patch(
         inside=inside,
         coloured=inside | (mask[v0:v1, u0:u1] > 0),
-        depth=np.where((depth > 0.0) & (depth < MAX_DEPTH_M), depth, 0.0),
+        depth=np.where((depth > 0.0) & (depth < np.inf), depth, 0.0),
         rays=_unit_rays(view),
         view=view,
         distance_m=distance,
@@ -640,7 +637,7 @@ class _Surface:
     distance_m: float
 
     def residual_m(self) -> float:
-        """Rms of what a tilt or a wrong bulge explains, less what noise alone would, m."""
+        """Rms of what a tilt or a wrong bulge explains, m."""
         count = len(self.values_m)
         shape = np.vstack([self.across.T, self.sideways2_m2])
         shape -= shape.mean(axis=1, keepdims=True)
@@ -648,10 +645,7 @@ class _Surface:
         off = self.values_m - self.distance_m
         normal = shape @ shape.T + 1e-9 * count * np.eye(3)
         model = np.linalg.solve(normal, shape @ off) @ shape
-        noise2 = float((off - model) @ (off - model)) / count
-        # Neighbouring pixels share part of their noise, hence twice the three parameters' share.
-        systematic2 = float(model @ model) / count - 6.0 * noise2 / count
-        return float(np.sqrt(max(0.0, systematic2)))
+        return float(np.sqrt(model @ model / count))
 
 
 def _central_surface(

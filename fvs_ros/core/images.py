@@ -12,8 +12,8 @@ from collections.abc import Mapping
 import cv2
 import numpy as np
 
-from fvs_ros.core.detection import MAX_DEPTH_M
-
+#: Depth beyond this, or not finite, is no depth, m.
+MAX_DEPTH_M = 100.0
 #: Largest side and number of pixels of an image that is decoded.
 MAX_SIDE_PX, MAX_PIXELS = 8192, 16_000_000
 
