@@ -88,7 +88,7 @@ def test_everyday_worlds_differ_in_start_target_camera_and_drives():
     for world in worlds:
         one = world.conditions
         assert (one.position_noise_m, one.latency_s, one.dropout) == (0.001, 0.05, 0.1)
-        assert (world.bump, one.noise_exponent, one.drive_gain) == (None, WHITE, 1.0)
+        assert (world.bump, one.noise_exponent) == (None, WHITE)
     assert len({world.turn_deg for world in worlds}) == len(worlds)
     assert DISTURBANCES[2] not in varied(worlds), "no camera is bumped"
     assert 2 < len(varied(worlds)) < len(DISTURBANCES)

@@ -55,7 +55,7 @@ FOLLOWERS = (PROPOSED, EXTENDED, BEST)
 #: Who races against the floor as the nodes' defaults have it: in the first form the paper's schemes
 #: and the oracle have neither addition nor searched gains.
 PUBLISHED = (*SCHEMES, ORACLE)
-RACERS = (BEST, EXTENDED, *PUBLISHED)
+RACERS = (BEST, BEST_ORACLE, EXTENDED, *PUBLISHED)
 
 
 #: Laws that say how the ball is to move and leave the joints to the allocation; to the other two

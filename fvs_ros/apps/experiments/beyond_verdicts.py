@@ -26,6 +26,7 @@ from fvs_ros.apps.experiments.beyond_terms import (
 )
 from fvs_ros.apps.experiments.beyond_tracking import CIRCLE, LINE
 from fvs_ros.apps.experiments.report import Verdict
+from fvs_ros.apps.experiments.robustness_runs import success_rate
 from fvs_ros.apps.experiments.spot_check_words import spot_check_verdict
 from fvs_ros.apps.experiments.statistics import (
     DECISIVE,
@@ -271,21 +272,17 @@ def _worlds(results: Results) -> Verdict:
     parts, words = [], []
     for name in (EXTENDED, BEST):
         visited = {number: results.worlds[number, name] for number in results.world_numbers}
-        shares = {
-            number: sum(not one.failure for one in ones) / len(ones)
-            for number, ones in visited.items()
-        }
-        worst = min(shares, key=lambda number: shares[number])
-        parts += [
-            None if len(visited[number]) < DECISIVE and share >= MOST else share >= MOST
-            for number, share in shares.items()
-        ]
+        shares = {number: success_rate(ones) for number, ones in visited.items()}
+        worst = min(shares, key=lambda number: shares[number].value)
+        parts += [share.above(MOST) for share in shares.values()]
         rests = [
             1e3 * float(np.median([one.final_rms_m for one in ones])) for ones in visited.values()
         ]
-        where = "each" if shares[worst] == 1.0 else f"{WORLDS[worst].kind} {WORLDS[worst].label}"
+        least = shares[worst]
+        where = "each" if least.value == 1.0 else f"{WORLDS[worst].kind} {WORLDS[worst].label}"
         words.append(
-            f"{name} settles in {100 * shares[worst]:.0f} % of the cases of {where} (the fewest) "
+            f"{name} settles in {round(least.value * least.count)} of {least.count} cases of "
+            f"{where} (the fewest, {100 * least.low:.0f} to {100 * least.high:.0f} %) "
             f"and rests within {min(rests):.2f} to {max(rests):.2f} mm rms"
         )
     return Verdict(

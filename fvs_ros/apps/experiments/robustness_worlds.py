@@ -67,7 +67,7 @@ HARSH = Kind(
     bumped_share=1 / 3,
     heavy_share=1 / 2,
 )
-#: What a well-kept laboratory has: a usual sensor, and a camera that was moved since the training.
+#: What a laboratory has: a usual sensor, real drives, a camera that was moved since the training.
 EVERYDAY = Kind(
     "everyday",
     305,
@@ -76,13 +76,13 @@ EVERYDAY = Kind(
         "position_noise_m": (0.001, 0.001),
         "latency_s": (0.05, 0.05),
         "dropout": (0.1, 0.1),
-        "image_rate_hz": (30.0, 30.0),
+        "image_rate_hz": (15.0, 60.0),
         "focal_error": (-0.005, 0.005),
         "depth_error": (-0.005, 0.005),
-        "encoder_noise_rad": (0.0, 0.0001),
-        "joint_lag_s": (0.0, 0.02),
-        "dead_time_s": (0.008, 0.02),
-        "drive_gain": (1.0, 1.0),
+        "encoder_noise_rad": (0.0, 0.0002),
+        "joint_lag_s": (0.0, 0.05),
+        "dead_time_s": (0.008, 0.04),
+        "drive_gain": (0.9, 1.0),
     },
 )
 
