@@ -321,8 +321,8 @@ def _setup(context: Context, results: Results) -> list[str]:
         "and searches drawn anew.",
         "Races, searches and other worlds have the exact camera, the true positions with the same "
         f"noise: {camera} make {min(seen):+.0f} to {max(seen):+.0f} ms of settling time (medians "
-        f"of paired differences of {len(results.rendered[BEST])} cases, in a table below) at two to "
-        "three times the cost. The shipped model that all begin with was fitted to 400 s of "
+        f"of paired differences of {len(results.rendered[BEST])} cases, in a table below) at two "
+        "to three times the cost. The shipped model that all begin with was fitted to 400 s of "
         f"motion; a minute's makes {min(taught):+.0f} to {max(taught):+.0f} ms (same table).",
         f"A minute: {len(results.minutes)} recordings of the collector's motion in box M, whose "
         f"images are stamped late by a random 0 to {1e3 * MOST_LATE_S:.0f} ms. A chain of six "
