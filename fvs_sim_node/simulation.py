@@ -588,7 +588,11 @@ class Simulation:
 
     # -------------------------------------------------------------------- truth
     def as_seen(self, position_m: np.ndarray) -> np.ndarray:
-        """Where a camera with these errors sees what is at a position of its frame, m, (3,)."""
+        """Where a camera with these errors sees what is at a position of its frame, m, (3,).
+
+        A ball in a rendered image is up to 2 mm from there (at 2 %): it looks larger or smaller
+        than its distance says.
+        """
         x, y, z = (1.0 + self.depth_error) * position_m
         return np.array([x / (1.0 + self.focal_error), y / (1.0 + self.focal_error), z])
 
