@@ -83,6 +83,7 @@ INF = float("inf")
 EXACT = Conditions(rendered=False)
 COUNT = 6  # the fewest runs that decide
 JOURNEYS = 73  # the fewest of which all must keep their pace to show 95 %
+WORLDLY = 60  # runs in each of the other worlds
 
 
 def outcome(settled_s=1.0, jitter=0.001):
@@ -243,6 +244,7 @@ def results(
     delayed_s=1.0,
     rest_m=0.0003,
     told=0.0003,
+    lost=0,
 ):
     """Six runs of most; the floor is 1 s, the paper's schemes take 4 s."""
     settled = {BEST: best_s, EXTENDED: extended_s}
@@ -272,7 +274,8 @@ def results(
         },
         arrivals=arrivals,
         worlds={
-            (number, name): [outcome(delayed_s if "200" in world.label else 1.0)] * COUNT
+            (number, name): [outcome(delayed_s if "200" in world.label else 1.0)] * (WORLDLY - lost)
+            + [outcome(INF)] * lost
             for number, world in enumerate(WORLDS)
             for name in FOLLOWERS
         },
@@ -314,6 +317,10 @@ def test_the_verdicts_follow_the_numbers():
     assert found("of latency", delayed_s=1.09) == [True, True]
     assert found("of latency", delayed_s=1.2) == [False, False]
     assert found("At rest", rest_m=0.0005) == [False]
+    # one of 60 may be chance, ten are not
+    assert found("One set of gains", lost=1) == [True]
+    assert found("One set of gains", lost=3) == [None]
+    assert found("One set of gains", lost=12) == [False]
 
 
 def test_a_few_cases_cannot_show_a_share_of_95_percent():
