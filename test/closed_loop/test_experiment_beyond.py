@@ -245,6 +245,7 @@ def results(
     rest_m=0.0003,
     told=0.0003,
     lost=0,
+    shaken_rad_s=0.001,
 ):
     """Six runs of most; the floor is 1 s, the paper's schemes take 4 s."""
     settled = {BEST: best_s, EXTENDED: extended_s}
@@ -274,7 +275,8 @@ def results(
         },
         arrivals=arrivals,
         worlds={
-            (number, name): [outcome(delayed_s if "200" in world.label else 1.0)] * (WORLDLY - lost)
+            (number, name): [outcome(delayed_s if "200" in world.label else 1.0, shaken_rad_s)]
+            * (WORLDLY - lost)
             + [outcome(INF)] * lost
             for number, world in enumerate(WORLDS)
             for name in FOLLOWERS
@@ -317,10 +319,11 @@ def test_the_verdicts_follow_the_numbers():
     assert found("of latency", delayed_s=1.09) == [True, True]
     assert found("of latency", delayed_s=1.2) == [False, False]
     assert found("At rest", rest_m=0.0005) == [False]
-    # one of 60 may be chance, ten are not
+    # one of 60 may be chance, twelve are not
     assert found("One set of gains", lost=1) == [True]
     assert found("One set of gains", lost=3) == [None]
     assert found("One set of gains", lost=12) == [False]
+    assert found("encoder noise best", shaken_rad_s=0.003) == [False]
 
 
 def test_a_few_cases_cannot_show_a_share_of_95_percent():

@@ -29,6 +29,7 @@ from fvs_ros.apps.experiments.report import (
 from fvs_ros.apps.experiments.search import Found, Knob, Limit, Search, run_searches
 from fvs_ros.apps.experiments.servo_terms import REGIMES, SEARCHED, search_of
 from fvs_ros.apps.experiments.spot_check import Chain, SpotCheck, run_chain, scenario_of
+from fvs_ros.apps.experiments.spot_check_words import spot_check_verdict
 from fvs_ros.apps.experiments.statistics import (
     Interval,
     all_hold,
@@ -424,7 +425,11 @@ def test_the_shift_of_the_nodes_is_seen_through_the_noise():
     assert SpotCheck("a", lock_step, [0.6, 1.1, 0.8], "").shift_s() == pytest.approx(0.0)
     assert SpotCheck("a", lock_step, [0.8, 1.2, 0.9], "").shift_s() == pytest.approx(0.1)
     assert SpotCheck("a", lock_step, [None, None, 0.8], "").shift_s() == INF
-    assert SpotCheck("a", lock_step, [0.2, 1.1, 0.9], "").worst_s() == pytest.approx(-0.4)
+    one_early = SpotCheck("a", lock_step, [0.2, 1.1, 0.8], "")
+    assert one_early.worst_s() == pytest.approx(-0.4)
+    alike = SpotCheck("b", lock_step, [0.6, 1.12, 0.8], "")
+    assert [one.holds for one in spot_check_verdict([alike], "")] == [True]
+    assert [one.holds for one in spot_check_verdict([alike, one_early], "")] == [False]
 
 
 def test_own_targets_are_read_or_refused_in_words():

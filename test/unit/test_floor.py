@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 pytest.importorskip("pybullet")
 
 from fvs_ros.apps.experiments import floor
-from fvs_ros.apps.experiments.floor import Limits, fastest, floor_of, least_travel_rad, play_s
+from fvs_ros.apps.experiments.floor import Limits, floor_of, least_travel_rad, play_s
 from fvs_ros.apps.experiments.trials import BOUNDS_M, Case, make_cases
 from fvs_ros.core.joints import HOME_JOINTS_RAD
 from fvs_sim_node.kinematics import ball_jacobian, ball_position
@@ -27,9 +27,7 @@ CASES = make_cases("B", 20, 410)
 TICK_S = 0.008
 
 
-@lru_cache
-def soonest(tolerance_m):
-    return fastest(CASE, LIMITS, tolerance_m)
+fastest = lru_cache(maxsize=None)(floor.fastest)
 
 
 @pytest.mark.parametrize("limits", [LIMITS, Limits(100.0, 6.0)])
@@ -67,7 +65,7 @@ def test_a_single_joint_enters_at_the_near_edge_and_brakes_at_the_far_one(monkey
 
 def test_a_larger_tolerance_is_no_slower_and_none_at_all_is_rest_on_the_target():
     rest_s = LIMITS.rest_s(np.abs(least_travel_rad(CASE)).max())
-    times_s = [soonest(one).time_s for one in (5e-5, 0.001, 0.005)]
+    times_s = [fastest(CASE, LIMITS, one).time_s for one in (5e-5, 0.001, 0.005)]
     assert rest_s > times_s[0] > 0.985 * rest_s
     assert times_s == sorted(times_s, reverse=True)
     assert times_s[-1] < 0.95 * rest_s

@@ -90,6 +90,8 @@ TUNED = {
 CALM = {one.name: one for one in (_equipped(law, "calm") for law in _LAWS)}
 CALM_RAD_S = 0.0002
 CALM_REGIME = Regime("calm", "", "", LIMITS, Limit("jitter_rad_s", CALM_RAD_S), 5.0, 3.0)
+#: Gains of the proportional law between the two, 1/s: what it pays in jitter for speed.
+TURNED_1_S = (10.0, 14.0, 20.0)
 #: The sliding mode law, and all others with the same search; the filter knows less than networks.
 SLIDING, SLIDING_CALM = next(iter(TUNED)), next(iter(CALM))
 OTHERS = tuple(
@@ -120,13 +122,27 @@ class World:
     changes: Mapping[str, Any]
 
 
-_LATENCIES_S = (0.0, 0.05, 0.1, 0.2)
-_LAGS_S, _NOISES_M = (0.02, 0.05), (0.0002, 0.004)
-USUAL = World("as usual", f"{1e3 * Conditions.latency_s:g} ms, 0 ms, 1 mm", {})
+_LATENCIES_S, _NOISES_M = (0.0, 0.05, 0.1, 0.2), (0.0002, 0.004)
+#: Further lag and dead time of the drives, s.
+_DRIVES_S = ((0.05, 0.008), (0.05, 0.04), (0.1, 0.06))
+_ENCODERS_RAD = (0.0002, 0.001)
+USUAL = World("as usual", f"{1e3 * Conditions.latency_s:g} ms, 1 mm", {})
 WORLDS = (
     USUAL,
     *(World("latency", f"{1e3 * one:g} ms", {"latency_s": one}) for one in _LATENCIES_S),
-    *(World("joint lag", f"{1e3 * one:g} ms", {"joint_lag_s": one}) for one in _LAGS_S),
+    *(
+        World(
+            "drives' lag",
+            f"{1e3 * lag_s:g} + {1e3 * dead_s:g} ms",
+            {"joint_lag_s": lag_s, "dead_time_s": dead_s},
+        )
+        for lag_s, dead_s in _DRIVES_S
+    ),
+    *(
+        World("encoders", f"{1e3 * one:g} mrad", {"encoder_noise_rad": one})
+        for one in _ENCODERS_RAD
+    ),
+    World("images", "8 Hz", {"image_rate_hz": 8.0}),
     *(World("noise", f"{1e3 * one:g} mm", {"position_noise_m": one}) for one in _NOISES_M),
 )
 

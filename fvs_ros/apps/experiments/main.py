@@ -123,6 +123,8 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parser.parse_args(given)
     if arguments.name not in LONG and (arguments.trials or arguments.trial or arguments.scheme):
         parser.error(f"--trials, --trial and --scheme are for {' and '.join(LONG)}")
+    # Random worlds need no pictures: who sees none settles alike, at a third of the cost.
+    arguments.camera = arguments.camera or ("exact" if arguments.name in LONG else "rendered")
     if arguments.name == "replay":
         parser.error("replay comes first: fvs_experiments replay BAG")
     missing = [name for name in _NEEDS if importlib.util.find_spec(name) is None]
@@ -157,7 +159,7 @@ def _run(arguments: argparse.Namespace) -> int:
         seeds=arguments.seeds,
         jobs=arguments.jobs,
         quick=arguments.quick,
-        rendered=(arguments.camera or _camera(arguments.name)) == "rendered",
+        rendered=arguments.camera == "rendered",
         nodes=arguments.nodes,
         trials=arguments.trials,
         schemes=tuple(arguments.scheme),
@@ -173,11 +175,6 @@ def _run(arguments: argparse.Namespace) -> int:
     except (ClusterError, UnknownSchemeError) as error:
         print(f"fvs_experiments: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
-
-
-def _camera(name: str) -> str:
-    """What random worlds need not see in pictures: it settles alike, at a third of the cost."""
-    return "exact" if name in LONG else "rendered"
 
 
 def _measure(context: Context, arguments: argparse.Namespace) -> int:
