@@ -43,7 +43,7 @@ test: $(VENV)/.installed-all log-dir ## all tests
 		$(BIN)/python -m pytest -n 2 $(ARGS)
 
 experiments: $(VENV)/.installed-lab log-dir ## the paper's experiments, measured anew; page in out/experiments
-	@echo "== experiments: some forty minutes on two cores; ARGS=--quick takes two or three"
+	@echo "== experiments: some two hours on two cores; ARGS=--quick takes two or three"
 	@ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST \
 		$(BIN)/fvs_experiments $(or $(NAME),all) $(ARGS)
 
