@@ -1,6 +1,8 @@
 """Random worlds: pure functions of a number, the same on every engine, judged and drawn."""
 
 import json
+import re
+import shlex
 import sys
 from dataclasses import replace
 
@@ -301,6 +303,14 @@ def test_one_trial_is_looked_at_alone(tmp_path, capsys):
     assert not (tmp_path / "robustness" / "results.json").exists()
     assert main.main([*command, "--scheme", "none"]) == 2
     assert "known are 'proposed'" in capsys.readouterr().err
+
+
+def test_a_page_names_a_command_that_makes_it(tmp_path):
+    given = ["everyday", "--trials", "1", "--scheme", "rbf+pid"]
+    assert main.main([*given, "--jobs", "1", "--out", str(tmp_path)]) == 0
+    page = (tmp_path / "index.md").read_text(encoding="utf-8")
+    (command,) = re.findall(r"Made by `fvs_experiments (.*?)`", page)
+    assert shlex.split(command) == [*given, "--camera", "exact"]
 
 
 # ---- clusters that are none -----------------------------------------------------------------
