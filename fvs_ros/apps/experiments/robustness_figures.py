@@ -120,7 +120,7 @@ def jitter(folder: Path, worlds: Sequence[World], results: Results) -> str:
 
     def jitters(outcomes: Sequence[Outcome]) -> tuple[float, float, float]:
         found = [1e3 * one.jitter_rad_s for one in outcomes if not one.failure] or [np.nan]
-        low, middle, high = np.percentile(found, (10, 50, 90))
+        low, middle, high = np.percentile(found, (10, 50, 90), method="nearest")
         return middle, low, high
 
     return _panels(folder / "jitter.png", worlds, results, jitters, "jitter, mrad/s")
