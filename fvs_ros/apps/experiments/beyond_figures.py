@@ -120,7 +120,7 @@ def worlds(results: Results, folder: Path) -> str:
     """Draw settling time and rest in other worlds; returns the file's name."""
     plt = pyplot()
     figure, (upper, lower) = plt.subplots(
-        2, 1, figsize=(10.5, 5.4), sharex=True, layout="constrained"
+        2, 1, figsize=(12.5, 5.4), sharex=True, layout="constrained"
     )
     for shift, name in enumerate(FOLLOWERS):
         for place, number in enumerate(results.world_numbers):

@@ -237,8 +237,7 @@ def _worlds(results: Results) -> Table:
             ]
         rows.append(cells)
     return Table(
-        "Other latencies, joint lags and noises with one set of gains: settling to 5 mm, s, final "
-        "rms, mm, jitter, mrad/s; medians.",
+        "Other worlds with one set of gains; medians.",
         [
             "what",
             "how much",

@@ -123,7 +123,7 @@ class World:
 
 
 _LATENCIES_S, _NOISES_M = (0.0, 0.05, 0.1, 0.2), (0.0002, 0.004)
-#: Further lag and dead time of the drives, s.
+#: Further lag of the drives and their dead time, s.
 _DRIVES_S = ((0.05, 0.008), (0.05, 0.04), (0.1, 0.06))
 _ENCODERS_RAD = (0.0002, 0.001)
 USUAL = World("as usual", f"{1e3 * Conditions.latency_s:g} ms, 1 mm", {})
@@ -132,8 +132,8 @@ WORLDS = (
     *(World("latency", f"{1e3 * one:g} ms", {"latency_s": one}) for one in _LATENCIES_S),
     *(
         World(
-            "drives' lag",
-            f"{1e3 * lag_s:g} + {1e3 * dead_s:g} ms",
+            "drives",
+            f"{1e3 * lag_s:g}+{1e3 * dead_s:g} ms",
             {"joint_lag_s": lag_s, "dead_time_s": dead_s},
         )
         for lag_s, dead_s in _DRIVES_S
