@@ -373,8 +373,8 @@ def _figures(context: Context, results: Results) -> list[Figure]:
         ),
         Figure(
             beyond_figures.worlds(results, folder),
-            "Other worlds with one set of gains: medians, and the range of 80 % of the cases. Drives: "
-            "their further lag and their dead time.",
+            "Other worlds with one set of gains: medians, and the range of 80 % of the cases. "
+            "Drives: their further lag and their dead time.",
         ),
         Figure(
             beyond_figures.tracking(results, folder),
