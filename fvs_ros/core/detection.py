@@ -637,7 +637,7 @@ class _Surface:
     distance_m: float
 
     def residual_m(self) -> float:
-        """Rms of what a tilt or a wrong bulge explains, m."""
+        """Rms of what a tilt or a wrong bulge explains, less what noise alone would, m."""
         count = len(self.values_m)
         shape = np.vstack([self.across.T, self.sideways2_m2])
         shape -= shape.mean(axis=1, keepdims=True)
@@ -645,7 +645,10 @@ class _Surface:
         off = self.values_m - self.distance_m
         normal = shape @ shape.T + 1e-9 * count * np.eye(3)
         model = np.linalg.solve(normal, shape @ off) @ shape
-        return float(np.sqrt(model @ model / count))
+        noise2 = float((off - model) @ (off - model)) / count
+        # Neighbouring pixels share part of their noise, hence twice the three parameters' share.
+        systematic2 = float(model @ model) / count - 6.0 * noise2 / count
+        return float(np.sqrt(max(0.0, systematic2)))
 
 
 def _central_surface(
