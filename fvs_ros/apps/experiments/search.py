@@ -28,7 +28,6 @@ SEEDS, _ROUNDS, _ABREAST = 3, 6, 10
 #: True positions with the same noise, coarser physics: fast enough to search.
 TUNING = Conditions(rendered=False, physics_rate_hz=125.0)
 
-
 ESTIMATOR, CONTROLLER = "estimator", "controller"
 
 
