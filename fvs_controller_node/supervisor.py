@@ -483,9 +483,9 @@ class Supervisor:
         name, rival_s = self._rival
         if now_s - rival_s < _RIVAL_S:
             bad.append(Reason.RIVAL.because(name=name))
-        no_target = [] if self._target is not None else [Reason.NO_TARGET.because()]
-        first = next(iter(bad + self._paused() + troubles + no_target), None)
-        return first or self._no_position() or self._near_singular()
+        first = next(iter(bad + self._paused() + troubles), None)
+        # Who waits to be asked for a target may count on the arm to start at once.
+        return first or self._no_position() or self._no_target() or self._near_singular()
 
     def _paused(self) -> list[Finding]:
         now = self._program_running is False, self._speed_scaling <= 0.0
@@ -495,6 +495,9 @@ class Supervisor:
         if self._position is not None:
             return None
         return Reason.NO_POSITION.because(why=self._problem or "no image is usable yet")
+
+    def _no_target(self) -> Finding | None:
+        return Reason.NO_TARGET.because() if self._target is None else None
 
     def _near_singular(self) -> Finding | None:
         assert self._conditioning is not None

@@ -383,6 +383,13 @@ def test_a_law_that_raises_is_a_fault():
     assert "Singular matrix" in command.text
 
 
+def test_it_asks_for_a_target_only_when_it_knows_where_the_ball_is():
+    cell = Cell()
+    cell.run(0.1)
+    command = cell.supervisor.tick(cell.now_s + DT_S, DT_S, cell.joints, None, cell.law)
+    assert (command.state, command.reason) == (State.WAITING, Reason.NO_POSITION)
+
+
 def test_no_position_is_held_with_the_reason():
     cell = servoing()
     for _ in range(50):
