@@ -62,7 +62,7 @@ model: $(VENV)/.installed-model log-dir ## record a data set and train the demo'
 	@$(BIN)/fvs_train $(DATASET) -o $(MODEL) $(ARGS)
 
 docs: $(VENV)/.installed-docs log-dir ## the API's pages, from the docstrings; out/docs/index.html
-	@$(BIN)/pdoc --docformat numpy -o out/docs fvs_ros fvs_sim_node fvs_detector_node \
+	@$(BIN)/pdoc --docformat numpy -o out/docs fvs_ros fvs_tools fvs_dashboard fvs_lab fvs_sim_node fvs_detector_node \
 		fvs_estimator_node fvs_controller_node
 	@echo "page: out/docs/index.html"
 

@@ -10,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-from fvs_ros.core.arguments import unknown
+from fvs_ros.arguments import unknown
 
 
 def names() -> list[str]:

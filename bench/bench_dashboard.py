@@ -35,12 +35,12 @@ from std_msgs.msg import Float64MultiArray  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from fvs_estimator_node.model_file import load_model  # noqa: E402
-from fvs_ros.apps.demo import choose_target  # noqa: E402
-from fvs_ros.apps.scenario import load_scenario  # noqa: E402
-from fvs_ros.core import ros  # noqa: E402
-from fvs_ros.core.paths import find_file  # noqa: E402
+from fvs_ros import ros, topics  # noqa: E402
+from fvs_ros.paths import find_file  # noqa: E402
+from fvs_tools.demo import choose_target  # noqa: E402
+from fvs_tools.scenario import load_scenario  # noqa: E402
 
-DASHBOARD = "fvs_ros.apps.dashboard.dashboard_node"
+DASHBOARD = "fvs_dashboard.dashboard_node"
 PICTURES_HZ = load_scenario("dashboard").parameters["fvs_sim_node"]["full_frame_rate_hz"]
 PERIOD_S, BLOCK_S, SETTLE_S, TARGET_S = 0.008, 8.0, 2.0, 3.0
 _CLIENT = "import sys, time, page_client as p; p.PageClient(sys.argv[1]); time.sleep(600.0)"
@@ -55,16 +55,18 @@ class Watch:
         self._rng = np.random.default_rng(0)
         self._candidates = load_model(find_file("models/ur5_front.npz")).ball_samples_m
         self._targets = harness.node.create_publisher(
-            PointStamped, ros.TARGET_POSITION, ros.QOS_LATCHED
+            PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED
         )
         self._ball: PointStamped | None = None
         self._fresh = False
         self.commands: list[tuple[float, bool]] = []
         self.latency_s: list[float] = []
         node = harness.node
-        node.create_subscription(PointStamped, ros.BALL_POSITION, self._on_ball, ros.QOS_NEWEST)
         node.create_subscription(
-            Float64MultiArray, ros.COMMANDS, self._on_command, ros.QOS_RELIABLE
+            PointStamped, topics.BALL_POSITION.name, self._on_ball, ros.QOS_NEWEST
+        )
+        node.create_subscription(
+            Float64MultiArray, topics.COMMANDS.name, self._on_command, ros.QOS_RELIABLE
         )
 
     def _on_ball(self, message: PointStamped) -> None:
@@ -159,9 +161,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         harness = Harness(Path(name))
         try:
-            harness.start(
-                "fvs_ros.apps.launcher", "servo", "-p", f"full_frame_rate_hz:={PICTURES_HZ}"
-            )
+            harness.start("fvs_tools.launcher", "servo", "-p", f"full_frame_rate_hz:={PICTURES_HZ}")
             watch = Watch(harness)
             harness.spin_until(watch.ready, 60.0, "the loop")
             for _ in range(arguments.rounds):

@@ -22,7 +22,7 @@ def run_demo(seed: int, folder: Path) -> list[dict]:
     """Scores of one run's targets."""
     subprocess.run(
         [
-            *(sys.executable, "-m", "fvs_ros.apps.launcher", "demo"),
+            *(sys.executable, "-m", "fvs_tools.launcher", "demo"),
             *("-p", f"seed:={seed}", "-p", f"output_dir:={folder}"),
         ],
         cwd=ROOT,

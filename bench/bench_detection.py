@@ -14,14 +14,14 @@ import cv2
 import numpy as np
 
 from fvs_detector_node.config import PARAMETERS
+from fvs_detector_node.detection import BallColour, detect_ball
 from fvs_detector_node.detector import Detector
 from fvs_detector_node.diagnosis import diagnose
 from fvs_detector_node.rectifier import Rectifier
-from fvs_ros.core import images
-from fvs_ros.core.camera import CameraModel
-from fvs_ros.core.detection import BallColour, detect_ball
-from fvs_ros.core.params import ParameterSet
-from fvs_ros.core.tracking import Region, WindowTracker
+from fvs_detector_node.tracking import Region, WindowTracker
+from fvs_ros import images
+from fvs_ros.camera import CameraModel
+from fvs_ros.params import ParameterSet
 from fvs_sim_node.depth_noise import add_depth_noise
 from fvs_sim_node.rendering import CAMERA_PRESETS, Renderer, camera_preset
 from fvs_sim_node.simulation import SimConfig

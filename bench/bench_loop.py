@@ -23,8 +23,8 @@ from geometry_msgs.msg import PointStamped  # noqa: E402
 from harness import Harness  # noqa: E402
 from std_msgs.msg import Float64MultiArray  # noqa: E402
 
-from fvs_ros.core import ros  # noqa: E402
-from fvs_ros.core.joints import UR_JOINT_NAMES, UR_PUBLISHED_NAMES  # noqa: E402
+from fvs_ros import ros, topics  # noqa: E402
+from fvs_ros.joints import UR_JOINT_NAMES, UR_PUBLISHED_NAMES  # noqa: E402
 from fvs_sim_node.kinematics import ball_position  # noqa: E402
 from fvs_sim_node.rendering import camera_preset  # noqa: E402
 
@@ -84,12 +84,12 @@ def control_loop(folder: Path) -> tuple[str, str]:
             received.append(time.monotonic())
             velocity_rad_s[:] = message.data
 
-        harness.node.create_subscription(Float64MultiArray, ros.COMMANDS, on_command, 1)
+        harness.node.create_subscription(Float64MultiArray, topics.COMMANDS.name, on_command, 1)
         from sensor_msgs.msg import JointState
 
-        joint_states = harness.publisher(JointState, ros.JOINT_STATES)
-        balls = harness.publisher(PointStamped, ros.BALL_POSITION)
-        targets = harness.publisher(PointStamped, ros.TARGET_POSITION, ros.QOS_LATCHED)
+        joint_states = harness.publisher(JointState, topics.JOINT_STATES.name)
+        balls = harness.publisher(PointStamped, topics.BALL_POSITION.name)
+        targets = harness.publisher(PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED)
         statuses = harness.collect(DiagnosticStatus, "fvs_controller_node/status")
         joints_rad = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
         published = [UR_JOINT_NAMES.index(name) for name in UR_PUBLISHED_NAMES]
@@ -127,12 +127,14 @@ def start_up(folder: Path) -> float:
     """From the launcher's start to the first command that moves the arm, s."""
     harness = Harness(folder)
     try:
-        commands = harness.collect(Float64MultiArray, ros.COMMANDS)
-        targets = harness.node.create_publisher(PointStamped, ros.TARGET_POSITION, ros.QOS_LATCHED)
+        commands = harness.collect(Float64MultiArray, topics.COMMANDS.name)
+        targets = harness.node.create_publisher(
+            PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED
+        )
         point = np.array([0.05, 0.2, 1.45])
         targets.publish(ros.to_point(1.0, "camera_color_optical_frame", point))
         begin = time.monotonic()
-        harness.start("fvs_ros.apps.launcher", "servo")
+        harness.start("fvs_tools.launcher", "servo")
         harness.spin_until(lambda: bool(commands) and bool(np.any(commands[-1].data)), 60.0)
         return time.monotonic() - begin
     finally:

@@ -14,8 +14,8 @@ from fvs_controller_node import supervisor
 from fvs_controller_node.inputs import InputMonitor
 from fvs_controller_node.progress import Progress
 from fvs_controller_node.supervisor import Supervisor
-from fvs_ros.core.history import StampGate
-from fvs_ros.core.limits import JointRange
+from fvs_ros.history import StampGate
+from fvs_ros.limits import JointRange
 
 
 class Mutant(NamedTuple):

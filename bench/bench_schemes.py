@@ -22,15 +22,15 @@ import numpy as np
 sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
 
 from fvs_controller_node.reasons import State  # noqa: E402
-from fvs_ros.apps.experiments.lockstep import (  # noqa: E402
+from fvs_lab.lockstep import (  # noqa: E402
     LockStep,
     load_chain,
     load_networks,
     make_estimator,
 )
-from fvs_ros.apps.experiments.trials import Conditions, make_cases  # noqa: E402
-from fvs_ros.core.schemes import BEYOND, SCHEMES, Scheme  # noqa: E402
+from fvs_lab.trials import Conditions, make_cases  # noqa: E402
 from fvs_sim_node.simulation import Simulation  # noqa: E402
+from fvs_tools.schemes import BEYOND, SCHEMES, Scheme  # noqa: E402
 
 TARGETS, TARGET_S = 12, 0.8
 RADIUS_M, SPEED_M_S, TOLD_HZ = 0.1, 0.15, 30.0

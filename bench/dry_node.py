@@ -9,8 +9,8 @@ from typing import Any
 from std_srvs.srv import Trigger
 
 from fvs_controller_node.node import ControllerNode
-from fvs_ros.core.params import ParameterSet
-from fvs_ros.core.ros import FvsNode, to_status
+from fvs_ros.params import ParameterSet
+from fvs_ros.ros import FvsNode, to_status
 
 
 class DryPublisher:

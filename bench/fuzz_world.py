@@ -38,11 +38,11 @@ from fvs_controller_node.supervisor import (
     MAX_TICK_S,
     Command,
 )
-from fvs_ros.core.camera import CAMERA_FRAME
-from fvs_ros.core.chain import SerialChain
-from fvs_ros.core.joints import UR_JOINT_NAMES
-from fvs_ros.core.params import Parameter, ParameterSet
-from fvs_ros.core.ros import to_chain
+from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.chain import SerialChain
+from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_ros.params import Parameter, ParameterSet
+from fvs_ros.ros import to_chain
 
 TICK_S = 0.008
 FRESH_TICKS = 26  # until every input counts again

@@ -9,7 +9,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException
 from std_msgs.msg import Float64MultiArray
 
-from fvs_ros.core import ros
+from fvs_ros import ros
 
 
 def main() -> None:

@@ -32,10 +32,10 @@ from typing import Any
 import numpy as np
 
 from fvs_controller_node.pseudo_inverse import DampedInverse, damped_solution
-from fvs_ros.core.joints import N_JOINTS
-from fvs_ros.core.limits import JointRange
-from fvs_ros.core.params import Parameter
-from fvs_ros.core.vectors import largest
+from fvs_ros.joints import N_JOINTS
+from fvs_ros.limits import JointRange
+from fvs_ros.params import Parameter
+from fvs_ros.vectors import largest
 
 #: Weight of the sum of squares (eps): the fastest joint is 2 % faster than need be, at most.
 _SMOOTHING = 0.2

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from fvs_controller_node.base import ControlInput, ControlOutput
-from fvs_ros.core.vectors import largest
+from fvs_ros.vectors import largest
 
 #: Share of the acceleration limit that braking is planned with.
 BRAKING_SHARE = 0.9

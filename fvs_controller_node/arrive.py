@@ -28,8 +28,8 @@ import numpy as np
 from fvs_controller_node.allocation import LeastSpeedInverse, least_speed_inverse
 from fvs_controller_node.anticipation import BRAKING_SHARE, braking_speed_within
 from fvs_controller_node.base import N_AXES, ControlInput, ControlLaw, ControlOutput
-from fvs_ros.core.joints import N_JOINTS
-from fvs_ros.core.params import Parameter
+from fvs_ros.joints import N_JOINTS
+from fvs_ros.params import Parameter
 
 #: Steps of the search for the goal after a new target, the last of which are repeated after each
 #: image; longest step of a joint, rad. In the first ones the goal is drawn towards the posture that

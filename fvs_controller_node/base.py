@@ -8,9 +8,9 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from fvs_ros.core.chain import SerialChain
-from fvs_ros.core.joints import N_JOINTS
-from fvs_ros.core.params import Parameter
+from fvs_ros.chain import SerialChain
+from fvs_ros.joints import N_JOINTS
+from fvs_ros.params import Parameter
 
 N_AXES = 3
 

@@ -17,9 +17,9 @@ from fvs_controller_node.registry import LAWS, make_law
 from fvs_controller_node.supervisor import Supervisor
 from fvs_controller_node.supervisor_config import SupervisorConfig
 from fvs_controller_node.target_motion import TargetFollower
-from fvs_ros.core.joints import JOINT_PARAMETERS, N_JOINTS
-from fvs_ros.core.limits import JointRange
-from fvs_ros.core.params import Parameter, ParameterSet
+from fvs_ros.joints import JOINT_PARAMETERS, N_JOINTS
+from fvs_ros.limits import JointRange
+from fvs_ros.params import Parameter, ParameterSet
 
 _DEFAULT = SupervisorConfig()
 _PROGRESS = ProgressLimits()

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fvs_ros.core.history import JointHistory
-from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.history import JointHistory
+from fvs_ros.joints import N_JOINTS
 
 #: What the lag is taken for before anything has moved, s.
 _FIRST_S = 0.03

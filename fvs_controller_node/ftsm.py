@@ -22,8 +22,8 @@ from fvs_controller_node.pseudo_inverse import DampedInverse
 from fvs_controller_node.reaching import ReachingLaw
 from fvs_controller_node.settling import settling_times
 from fvs_controller_node.surface import SlidingSurface
-from fvs_ros.core.params import Parameter
-from fvs_ros.core.vectors import length
+from fvs_ros.params import Parameter
+from fvs_ros.vectors import length
 
 IMPLICIT, LITERAL = "implicit", "literal"
 EACH_AXIS, STRAIGHT = "each_axis", "straight"

@@ -18,8 +18,8 @@ from fvs_controller_node.reasons import State
 from fvs_controller_node.supervisor import Command, Supervisor
 from fvs_controller_node.supervisor_config import BALL, JOINT_STATES, KINEMATIC_CHAIN
 from fvs_controller_node.target_motion import STANDING, Target, TargetFollower
-from fvs_ros.core.chain import SerialChain
-from fvs_ros.core.history import StampGate, jump_of
+from fvs_ros.chain import SerialChain
+from fvs_ros.history import StampGate, jump_of
 
 #: Of joints after a longer gap nothing is said, s.
 _JUMP_S = 0.5

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fvs_ros.core import stop
+from fvs_ros import stop
 
 stop.listen()
 
@@ -21,9 +21,9 @@ from fvs_controller_node.config import PARAMETERS, build_loop, reconfigure
 from fvs_controller_node.reasons import Reason, State
 from fvs_controller_node.supervisor import Command
 from fvs_controller_node.supervisor_config import BALL, JACOBIAN, JOINT_STATES
-from fvs_ros.core import clock, ros
-from fvs_ros.core.joints import ForeignJointsError, JointMap, JointStateError
-from fvs_ros.core.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
+from fvs_ros import clock, ros, topics
+from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
+from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
 
 _STATUS_PERIOD_S = 0.1
 _LOOK_PERIOD_S = 0.5
@@ -76,22 +76,27 @@ class ControllerNode(ros.FvsNode):
         self._told: Reason | None = None
         self._told_passing_s = -np.inf
 
-        self._commands = self.create_publisher(Float64MultiArray, ros.COMMANDS, ros.QOS_RELIABLE)
+        self._commands = self.create_publisher(
+            Float64MultiArray, topics.COMMANDS.name, ros.QOS_RELIABLE
+        )
         self._sliding = self.create_publisher(
-            Vector3Stamped, ros.SLIDING_VARIABLE, ros.QOS_RELIABLE
+            Vector3Stamped, topics.SLIDING_VARIABLE.name, ros.QOS_RELIABLE
         )
-        self.watch(JointState, ros.JOINT_STATES, self._on_joint_states, ros.QOS_NEWEST)
-        self.watch(PointStamped, ros.BALL_POSITION, self._on_ball, ros.QOS_NEWEST)
-        self.watch(Float64MultiArray, ros.JACOBIAN, self._on_jacobian, ros.QOS_NEWEST)
-        self.watch(Float64MultiArray, ros.KINEMATIC_CHAIN, self._on_chain, ros.QOS_NEWEST)
+        self.watch(JointState, topics.JOINT_STATES.name, self._on_joint_states, ros.QOS_NEWEST)
+        self.watch(PointStamped, topics.BALL_POSITION.name, self._on_ball, ros.QOS_NEWEST)
+        self.watch(Float64MultiArray, topics.JACOBIAN.name, self._on_jacobian, ros.QOS_NEWEST)
+        self.watch(Float64MultiArray, topics.KINEMATIC_CHAIN.name, self._on_chain, ros.QOS_NEWEST)
         self.watch(
-            DiagnosticStatus, ros.ESTIMATOR_STATUS, self._on_estimator_status, ros.QOS_NEWEST
+            DiagnosticStatus,
+            topics.ESTIMATOR_STATUS.name,
+            self._on_estimator_status,
+            ros.QOS_NEWEST,
         )
-        self.watch(Float64, ros.SPEED_SCALING, self._on_speed_scaling, ros.QOS_NEWEST)
+        self.watch(Float64, topics.SPEED_SCALING.name, self._on_speed_scaling, ros.QOS_NEWEST)
         # Latched or not: both kinds of publisher are heard, the latched one twice.
         for qos in (ros.QOS_LATCHED, ros.QOS_NEWEST):
-            self.watch(PointStamped, ros.TARGET_POSITION, self._on_target, qos)
-            self.watch(Bool, ros.ROBOT_PROGRAM_RUNNING, self._on_program_running, qos)
+            self.watch(PointStamped, topics.TARGET_POSITION.name, self._on_target, qos)
+            self.watch(Bool, topics.ROBOT_PROGRAM_RUNNING.name, self._on_program_running, qos)
         self.create_service(Trigger, "~/start", self._answer(self._start))
         self.create_service(Trigger, "~/stop", self._answer(self._loop.supervisor.stop))
         self.create_service(
@@ -129,7 +134,7 @@ class ControllerNode(ros.FvsNode):
     def _on_ball(self, message: PointStamped) -> None:
         now_s = self.now_s()
         try:
-            position_m = ros.from_point(message, self._frame, ros.BALL_POSITION)
+            position_m = ros.from_point(message, self._frame, topics.BALL_POSITION.name)
         except ros.MessageError as error:
             self._loop.supervisor.bad_input(now_s, BALL, str(error))
             return
@@ -283,15 +288,15 @@ class ControllerNode(ros.FvsNode):
         A UR's driver publishes ``robot_program_running`` on change only: never, before the first
         program ran. Other drivers say nothing although the robot obeys.
         """
-        topic = self.resolve_topic_name(ros.ROBOT_PROGRAM_RUNNING)
-        unheard = not self.monitor(ros.ROBOT_PROGRAM_RUNNING).count
+        topic = self.resolve_topic_name(topics.ROBOT_PROGRAM_RUNNING.name)
+        unheard = not self.monitor(topics.ROBOT_PROGRAM_RUNNING.name).count
         self._silence = _NEVER_RAN if unheard and self.count_publishers(topic) else ""
         # One that is not known by name yet may be this very node.
-        self._rivals = ", ".join(n for n in self.other_publishers(ros.COMMANDS) if "/" in n)
+        self._rivals = ", ".join(n for n in self.other_publishers(topics.COMMANDS.name) if "/" in n)
         if self._rivals and not self._hears_rivals:
             self._hears_rivals = True
             self.create_subscription(
-                Float64MultiArray, ros.COMMANDS, self._on_any_command, ros.QOS_RELIABLE
+                Float64MultiArray, topics.COMMANDS.name, self._on_any_command, ros.QOS_RELIABLE
             )
 
     def _on_any_command(self, message: Float64MultiArray) -> None:

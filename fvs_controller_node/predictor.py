@@ -11,9 +11,9 @@ from collections import deque
 
 import numpy as np
 
-from fvs_ros.core.agreement import Agreement
-from fvs_ros.core.history import MAX_BACKSTEP_S, JointHistory
-from fvs_ros.core.tracker import Image, Tracker
+from fvs_ros.agreement import Agreement
+from fvs_ros.history import MAX_BACKSTEP_S, JointHistory
+from fvs_ros.tracker import Image, Tracker
 
 #: Ball positions that may wait for the joint state after their exposure.
 _MAX_WAITING = 32
@@ -24,7 +24,7 @@ class BallPredictor:
 
     The ball's motion ``sum J dr`` is kept over time and interpolated at an image's exposure (an
     image waits for a later joint state if need be). Between images the estimate follows it; an
-    image pulls it (:class:`~fvs_ros.core.tracker.Tracker`). Clock jumps start it anew.
+    image pulls it (:class:`~fvs_ros.tracker.Tracker`). Clock jumps start it anew.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fvs_ros.core.vectors import length
+from fvs_ros.vectors import length
 
 #: Time constant of the low pass on the error norm, s.
 _SMOOTHING_S = 0.1

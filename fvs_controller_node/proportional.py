@@ -17,7 +17,7 @@ import numpy as np
 from fvs_controller_node.allocation import Inverse, make_inverse
 from fvs_controller_node.base import N_AXES, ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.pseudo_inverse import DampedInverse
-from fvs_ros.core.params import Parameter
+from fvs_ros.params import Parameter
 
 
 class ProportionalLaw(ControlLaw):

@@ -9,8 +9,8 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from fvs_ros.core.joints import HOME_JOINTS_RAD, N_JOINTS
-from fvs_ros.core.params import Parameter
+from fvs_ros.joints import HOME_JOINTS_RAD, N_JOINTS
+from fvs_ros.params import Parameter
 
 #: The posture term never asks for more than this of any joint, rad/s.
 POSTURE_SPEED_RAD_S = 0.2

@@ -27,16 +27,16 @@ from fvs_controller_node.supervisor_config import (
     SPEED_SCALING,
     SupervisorConfig,
 )
-from fvs_ros.core.agreement import Verdict
-from fvs_ros.core.following import Following
-from fvs_ros.core.joints import N_JOINTS
-from fvs_ros.core.limits import (
+from fvs_ros.agreement import Verdict
+from fvs_ros.following import Following
+from fvs_ros.joints import N_JOINTS
+from fvs_ros.limits import (
     braking_speed,
     limit_acceleration,
     limit_speed,
     ramp_to_zero,
 )
-from fvs_ros.core.vectors import all_finite, largest, length
+from fvs_ros.vectors import all_finite, largest, length
 
 #: A tick counts for at most this long, s: a late one must not make a big step.
 MAX_TICK_S = 0.05

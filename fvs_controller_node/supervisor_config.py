@@ -7,9 +7,9 @@ from math import isfinite
 
 from fvs_controller_node.inputs import InputSpec
 from fvs_controller_node.progress import ProgressLimits
-from fvs_ros.core.camera import CAMERA_FRAME
-from fvs_ros.core.joints import UR_JOINT_NAMES, UR_POSITION_LIMITS_RAD
-from fvs_ros.core.limits import JointRange
+from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.joints import UR_JOINT_NAMES, UR_POSITION_LIMITS_RAD
+from fvs_ros.limits import JointRange
 
 JOINT_STATES = "joint_states"
 BALL = "ball_position"

@@ -22,8 +22,8 @@ import numpy as np
 from fvs_controller_node.allocation import Inverse
 from fvs_controller_node.base import N_AXES
 from fvs_controller_node.pseudo_inverse import DampedInverse
-from fvs_ros.core.joints import N_JOINTS
-from fvs_ros.core.vectors import length
+from fvs_ros.joints import N_JOINTS
+from fvs_ros.vectors import length
 
 #: Updates that make a motion, and from which on its curvature is believed; most that are kept.
 _LEAST, _CURVED, _MOST = 3, 5, 64

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from fvs_ros.core import topics
-from fvs_ros.core.detection import BallColour
-from fvs_ros.core.params import Parameter
+from fvs_detector_node.detection import BallColour
+from fvs_ros import topics
+from fvs_ros.params import Parameter
 
 RAW, COMPRESSED, COMPRESSED_DEPTH = "raw", "compressed", "compressedDepth"
 AUTO, RELIABLE, BEST_EFFORT = "auto", "reliable", "best_effort"

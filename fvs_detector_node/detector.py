@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from fvs_detector_node.config import ball_colour
+from fvs_detector_node.detection import BallDetection, detect_ball
 from fvs_detector_node.diagnosis import Miss, diagnose
 from fvs_detector_node.gate import Gate
 from fvs_detector_node.rectifier import Rectifier
-from fvs_ros.core.camera import CameraModel
-from fvs_ros.core.detection import BallDetection, detect_ball
-from fvs_ros.core.tracking import Region, WindowTracker
+from fvs_detector_node.tracking import Region, WindowTracker
+from fvs_ros.camera import CameraModel
 
 #: A lost ball is explained this often at most, s of image stamps.
 _EXPLAIN_PERIOD_S = 0.3

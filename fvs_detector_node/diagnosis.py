@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from fvs_ros.core.camera import Intrinsics
-from fvs_ros.core.detection import (
+from fvs_detector_node.detection import (
     MIN_PIXELS,
     MIN_VISIBLE_FRACTION,
     BallColour,
@@ -18,6 +17,7 @@ from fvs_ros.core.detection import (
     colour_mask,
     examine,
 )
+from fvs_ros.camera import Intrinsics
 
 #: Below these the hue of a pixel is mere noise.
 _LEAST_VALUE, _LEAST_SATURATION = 12, 40

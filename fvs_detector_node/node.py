@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fvs_ros.core import stop
+from fvs_ros import stop
 
 stop.listen()
 
@@ -30,10 +30,11 @@ from fvs_detector_node.config import (
 from fvs_detector_node.detector import Detector, Sighting
 from fvs_detector_node.health import FAULT, TRACKING, Input, Snapshot, judge, mismatch
 from fvs_detector_node.synchroniser import Pair, Synchroniser
-from fvs_ros.core import ros
-from fvs_ros.core.camera import CameraModel
-from fvs_ros.core.monitor import ArrivalMonitor
-from fvs_ros.core.topics import CAMERA_PREFIXES
+from fvs_ros import ros, topics
+from fvs_ros.camera import CameraModel
+from fvs_ros.ros.images import from_color, from_depth
+from fvs_ros.ros.monitor import ArrivalMonitor
+from fvs_ros.topics import CAMERA_PREFIXES
 
 _STATUS_PERIOD_S = 0.1
 _PUBLISHERS_PERIOD_S = 1.0
@@ -70,7 +71,9 @@ class DetectorNode(ros.FvsNode):
         # A camera needs a moment to be found; a ball at the edge of being seen comes and goes.
         self._told, self._told_s = "", self.now_s()
 
-        self._ball = self.create_publisher(PointStamped, ros.BALL_POSITION, ros.QOS_RELIABLE)
+        self._ball = self.create_publisher(
+            PointStamped, topics.BALL_POSITION.name, ros.QOS_RELIABLE
+        )
         self._annotated = self.create_publisher(Image, "~/annotated_image", ros.QOS_RELIABLE)
         self._topics = CameraTopics.of(v["camera_topics"] or CAMERA_PREFIXES[0], v)
         self._heard: dict[str, tuple[Any, QoSProfile]] = {}
@@ -129,7 +132,7 @@ class DetectorNode(ros.FvsNode):
 
     def _on_color(self, message: Any) -> None:
         try:
-            picture = _Picture(message.header, ros.from_color(message))
+            picture = _Picture(message.header, from_color(message))
         except ros.MessageError as error:
             self._complain(self._topics.color, str(error))
             return
@@ -138,7 +141,7 @@ class DetectorNode(ros.FvsNode):
 
     def _on_depth(self, message: Any) -> None:
         try:
-            depth_m = ros.from_depth(message, self.values["depth_unit_m"])
+            depth_m = from_depth(message, self.values["depth_unit_m"])
         except ros.MessageError as error:
             self._complain(self._topics.depth, str(error))
             return

@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from fvs_ros.core.camera import CameraModel
-from fvs_ros.core.tracking import Region
+from fvs_detector_node.tracking import Region
+from fvs_ros.camera import CameraModel
 
 
 class Rectifier:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fvs_ros.core.chain import SerialChain
+from fvs_ros.chain import SerialChain
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from fvs_estimator_node.online import OnlineConfig, OnlineEstimator, online_parameters
 from fvs_estimator_node.rbf import RbfModel
-from fvs_ros.core.params import Parameter
+from fvs_ros.params import Parameter
 
 
 @dataclass(frozen=True)

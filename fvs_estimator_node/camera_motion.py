@@ -22,7 +22,7 @@ import numpy as np
 
 from fvs_estimator_node.camera_doubts import CameraDoubts
 from fvs_estimator_node.rotations import nearest_rotation, rotation_angle_rad
-from fvs_ros.core.vectors import length
+from fvs_ros.vectors import length
 
 _IDENTITY, _NOWHERE = np.eye(3), np.zeros(3)
 _IDENTITY.flags.writeable = _NOWHERE.flags.writeable = False

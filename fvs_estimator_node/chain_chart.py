@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fvs_ros.core.chain import SerialChain, cross_matrix
-from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.chain import SerialChain, cross_matrix
+from fvs_ros.joints import N_JOINTS
 
 #: Where the coordinates stand: axes, places, ball, and the offset of the stamps.
 AXES, POINTS, BALL, OFFSET = slice(0, 12), slice(12, 24), slice(24, 27), 27

@@ -1,7 +1,7 @@
 """Fits a serial chain of revolute joints to a minute of ordinary motion.
 
 The camera sees the ball at ``x(r(t - tau)) + noise`` of an image stamped t: 27 numbers of a
-:class:`~fvs_ros.core.chain.SerialChain` (two for each axis' direction, two for its place, three for
+:class:`~fvs_ros.chain.SerialChain` (two for each axis' direction, two for its place, three for
 the ball) and the time ``tau`` that the images are stamped late. They are found by robust
 non-linear least squares with the exact derivatives.
 
@@ -25,8 +25,8 @@ from threadpoolctl import threadpool_limits
 
 from fvs_estimator_node.chain_chart import N_COORDINATES, OFFSET, Chart, residuals_and_slopes
 from fvs_estimator_node.dataset import DataSet
-from fvs_ros.core.chain import SerialChain, cross_matrix
-from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.chain import SerialChain, cross_matrix
+from fvs_ros.joints import N_JOINTS
 
 #: Fewest images that a chain is fitted to.
 MIN_SAMPLES = 200

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from typing import IO, BinaryIO
 
 from fvs_estimator_node.knowledge import Answer, Findings, NothingYet, Question, Trouble
-from fvs_ros.core.paths import program
+from fvs_ros.paths import program
 
 _COMMAND = program("fvs_estimator_node.chain_worker")
 #: A fit that takes more of the processor hangs; one that takes longer by the clock gets too little

@@ -20,10 +20,10 @@ from fvs_estimator_node.dataset import DataSet
 from fvs_estimator_node.knowledge import Knowledge
 from fvs_estimator_node.motion import RandomMotion
 from fvs_estimator_node.pairing import BallSample, ExposureMatcher
-from fvs_ros.core.following import Following
-from fvs_ros.core.history import StampGate
-from fvs_ros.core.joints import LARGEST_RAD, N_JOINTS, UR_JOINT_NAMES
-from fvs_ros.core.limits import limit_acceleration, limit_speed, ramp_to_zero
+from fvs_ros.following import Following
+from fvs_ros.history import StampGate
+from fvs_ros.joints import LARGEST_RAD, N_JOINTS, UR_JOINT_NAMES
+from fvs_ros.limits import limit_acceleration, limit_speed, ramp_to_zero
 
 #: The ball counts as seen again after so many positions.
 _FRESH_BALLS = 5

@@ -5,14 +5,14 @@ from __future__ import annotations
 from math import pi
 
 from fvs_estimator_node.config import MAX_LATENCY
-from fvs_ros.core.camera import CAMERA_FRAME
-from fvs_ros.core.joints import (
+from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.joints import (
     JOINT_PARAMETERS,
     N_JOINTS,
     TRAINING_BOX_RAD,
     UR_POSITION_LIMITS_RAD,
 )
-from fvs_ros.core.params import Parameter
+from fvs_ros.params import Parameter
 
 PARAMETERS = (
     Parameter("output_path", "out/collect/dataset.npz", "data set file to write"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fvs_ros.core import stop
+from fvs_ros import stop
 
 stop.listen()
 
@@ -26,8 +26,8 @@ from fvs_estimator_node.collector_config import PARAMETERS
 from fvs_estimator_node.dataset import save_data_set
 from fvs_estimator_node.knowledge import Knowledge
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
-from fvs_ros.core import clock, ros
-from fvs_ros.core.joints import ForeignJointsError, JointMap, JointStateError
+from fvs_ros import clock, ros, topics
+from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 
 _STATUS_PERIOD_S = 0.1
 _WATCHDOG_S = 0.02
@@ -79,12 +79,14 @@ class CollectorNode(ros.FvsNode):
             + "{total:.0f} s{postfix}",
             mininterval=0.2 if sys.stderr.isatty() else 10.0,
         )
-        self._commands = self.create_publisher(Float64MultiArray, ros.COMMANDS, ros.QOS_RELIABLE)
-        self.watch(JointState, ros.JOINT_STATES, self._on_joint_states, ros.QOS_NEWEST)
-        self.watch(PointStamped, ros.BALL_POSITION, self._on_ball, ros.QOS_NEWEST)
+        self._commands = self.create_publisher(
+            Float64MultiArray, topics.COMMANDS.name, ros.QOS_RELIABLE
+        )
+        self.watch(JointState, topics.JOINT_STATES.name, self._on_joint_states, ros.QOS_NEWEST)
+        self.watch(PointStamped, topics.BALL_POSITION.name, self._on_ball, ros.QOS_NEWEST)
         for qos in (ros.QOS_LATCHED, ros.QOS_NEWEST):  # latched or not
-            self.watch(Bool, ros.ROBOT_PROGRAM_RUNNING, self._on_program_running, qos)
-        self.watch(Float64, ros.SPEED_SCALING, self._on_speed_scaling, ros.QOS_NEWEST)
+            self.watch(Bool, topics.ROBOT_PROGRAM_RUNNING.name, self._on_program_running, qos)
+        self.watch(Float64, topics.SPEED_SCALING.name, self._on_speed_scaling, ros.QOS_NEWEST)
         self.create_timer(_WATCHDOG_S, self._watchdog, clock=self.steady_clock)
         self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
         self.create_timer(_RIVALS_PERIOD_S, self._look_for_rivals, clock=self.steady_clock)
@@ -114,7 +116,7 @@ class CollectorNode(ros.FvsNode):
 
     def _on_ball(self, message: PointStamped) -> None:
         try:
-            position_m = ros.from_point(message, self._frame, ros.BALL_POSITION)
+            position_m = ros.from_point(message, self._frame, topics.BALL_POSITION.name)
         except ros.MessageError as error:
             self._run.fail(str(error))
             return
@@ -131,7 +133,7 @@ class CollectorNode(ros.FvsNode):
             self._run.speed_scaling(min(message.data, 100.0) / 100.0)
 
     def _look_for_rivals(self) -> None:
-        self._run.rivals(self.other_publishers(ros.COMMANDS))
+        self._run.rivals(self.other_publishers(topics.COMMANDS.name))
 
     # --- the tick: the only place that sends commands ---
 

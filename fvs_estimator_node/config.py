@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from fvs_estimator_node.registry import ESTIMATORS, estimator_parameters
-from fvs_ros.core.camera import CAMERA_FRAME
-from fvs_ros.core.joints import JOINT_PARAMETERS
-from fvs_ros.core.params import Parameter
+from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.joints import JOINT_PARAMETERS
+from fvs_ros.params import Parameter
 
 #: Of the camera; the collector has it, too.
 MAX_LATENCY = Parameter(

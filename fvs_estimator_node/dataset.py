@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from fvs_estimator_node.npz_file import NpzFile, check_same, write_npz
-from fvs_ros.core.camera import CAMERA_FRAME
-from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
+from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.joints import N_JOINTS, UR_JOINT_NAMES
 
 DATA_SET_FORMAT = "fvs_dataset"
 DATA_SET_VERSION = 1

@@ -28,8 +28,8 @@ from fvs_estimator_node.camera_doubts import CameraDoubts, CameraLearner
 from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfModel
 from fvs_estimator_node.rotations import nearest_rotation, rotation_angle_rad
 from fvs_estimator_node.turn_watch import TurnWatch
-from fvs_ros.core.params import Parameter
-from fvs_ros.core.vectors import length
+from fvs_ros.params import Parameter
+from fvs_ros.vectors import length
 
 ROTATION, MATRIX = "rotation", "matrix"
 KINDS = (ROTATION, MATRIX)

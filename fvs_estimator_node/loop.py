@@ -13,7 +13,7 @@ import numpy as np
 from fvs_estimator_node.base import Estimator
 from fvs_estimator_node.pairing import BallSample, StepPairing
 from fvs_estimator_node.stamp_watch import StampWatch
-from fvs_ros.core.tracker import Image, Tracker
+from fvs_ros.tracker import Image, Tracker
 
 #: With images that are stamped by more too late or too early, no loop comes to rest, s.
 _MOST_LATE_S = 0.08

@@ -12,9 +12,9 @@ import numpy as np
 
 from fvs_estimator_node.npz_file import NpzFile, check_same, write_npz
 from fvs_estimator_node.rbf import RbfModel
-from fvs_ros.core.camera import CAMERA_FRAME
-from fvs_ros.core.chain import CHAIN_SHAPES, SerialChain
-from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
+from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.chain import CHAIN_SHAPES, SerialChain
+from fvs_ros.joints import N_JOINTS, UR_JOINT_NAMES
 
 MODEL_FORMAT = "fvs_rbf_model"
 MODEL_VERSION = 1

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fvs_ros.core.joints import N_JOINTS, TRAINING_BOX_RAD
-from fvs_ros.core.limits import limit_speed
+from fvs_ros.joints import N_JOINTS, TRAINING_BOX_RAD
+from fvs_ros.limits import limit_speed
 
 #: Least speed of a joint relative to the fastest allowed, and how many sets of speeds are tried.
 _LEAST_SHARE = 0.5

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fvs_ros.core import stop
+from fvs_ros import stop
 
 stop.listen()
 
@@ -23,10 +23,10 @@ from fvs_estimator_node.model_file import load_model
 from fvs_estimator_node.oracle import OracleEstimator
 from fvs_estimator_node.pairing import ExposureMatcher, StepPairing
 from fvs_estimator_node.registry import create_estimator, estimator_factory
-from fvs_ros.core import ros
-from fvs_ros.core.joints import ForeignJointsError, JointMap, JointStateError
-from fvs_ros.core.paths import find_file
-from fvs_ros.core.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
+from fvs_ros import ros, topics
+from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
+from fvs_ros.paths import find_file
+from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
 
 _STATUS_PERIOD_S = 0.1
 _FRESH_S = 0.2
@@ -52,16 +52,18 @@ class EstimatorNode(ros.FvsNode):
         self._problem_s = -np.inf
         self._published_stamp_s: float | None = None
 
-        self._jacobian = self.create_publisher(Float64MultiArray, ros.JACOBIAN, ros.QOS_RELIABLE)
-        self._chain = self.create_publisher(
-            Float64MultiArray, ros.KINEMATIC_CHAIN, ros.QOS_RELIABLE
+        self._jacobian = self.create_publisher(
+            Float64MultiArray, topics.JACOBIAN.name, ros.QOS_RELIABLE
         )
-        self.watch(JointState, ros.JOINT_STATES, self._on_joint_states, ros.QOS_NEWEST)
-        self.watch(PointStamped, ros.BALL_POSITION, self._on_ball, ros.QOS_NEWEST)
-        self.watch(Vector3Stamped, ros.SLIDING_VARIABLE, self._on_sliding, ros.QOS_NEWEST)
-        self.watch(Float64, ros.SPEED_SCALING, self._on_speed_scaling, ros.QOS_NEWEST)
+        self._chain = self.create_publisher(
+            Float64MultiArray, topics.KINEMATIC_CHAIN.name, ros.QOS_RELIABLE
+        )
+        self.watch(JointState, topics.JOINT_STATES.name, self._on_joint_states, ros.QOS_NEWEST)
+        self.watch(PointStamped, topics.BALL_POSITION.name, self._on_ball, ros.QOS_NEWEST)
+        self.watch(Vector3Stamped, topics.SLIDING_VARIABLE.name, self._on_sliding, ros.QOS_NEWEST)
+        self.watch(Float64, topics.SPEED_SCALING.name, self._on_speed_scaling, ros.QOS_NEWEST)
         for qos in (ros.QOS_LATCHED, ros.QOS_NEWEST):  # latched or not
-            self.watch(Bool, ros.ROBOT_PROGRAM_RUNNING, self._on_program_running, qos)
+            self.watch(Bool, topics.ROBOT_PROGRAM_RUNNING.name, self._on_program_running, qos)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/freeze", self._on_freeze)
         self._use(v)
@@ -79,14 +81,14 @@ class EstimatorNode(ros.FvsNode):
         self._loop = EstimationLoop(self._estimator, self._pairing)
         if isinstance(self._estimator, OracleEstimator) and not self._hears_truth:
             self._hears_truth = True
-            self.watch(Float64MultiArray, ros.TRUE_JACOBIAN, self._on_truth, ros.QOS_NEWEST)
+            self.watch(Float64MultiArray, topics.TRUE_JACOBIAN.name, self._on_truth, ros.QOS_NEWEST)
 
     def on_parameters(self, values: dict[str, Any], changed: set[str]) -> None:
         """Take another method into use, but not one that would take over a moving arm."""
         if values["method"] == self.values["method"]:
             return
         # The controller tells the sliding variable at every tick that servoes, and at no other.
-        if self.monitor(ros.SLIDING_VARIABLE).age_s(self.now_s()) < _FRESH_S:
+        if self.monitor(topics.SLIDING_VARIABLE.name).age_s(self.now_s()) < _FRESH_S:
             raise ValueError(
                 "the method changes only while the controller does not servo; call its ~/stop first"
             )
@@ -124,7 +126,7 @@ class EstimatorNode(ros.FvsNode):
 
     def _on_ball(self, message: PointStamped) -> None:
         try:
-            ball_m = ros.from_point(message, self._frame, ros.BALL_POSITION)
+            ball_m = ros.from_point(message, self._frame, topics.BALL_POSITION.name)
         except ros.MessageError as error:
             self._complain(str(error))
             return
@@ -140,7 +142,7 @@ class EstimatorNode(ros.FvsNode):
         try:
             self._estimator.tell(ros.from_jacobian(message))
         except ros.MessageError as error:
-            self._complain(f"{ros.TRUE_JACOBIAN}: {error}")
+            self._complain(f"{topics.TRUE_JACOBIAN.name}: {error}")
 
     def _on_speed_scaling(self, message: Float64) -> None:
         self._speed_scaling = message.data
@@ -165,10 +167,10 @@ class EstimatorNode(ros.FvsNode):
         """Why there is no estimate, in words; empty if there is one."""
         if not isinstance(self._estimator, OracleEstimator):
             return self._loop.problem
-        if self.monitor(ros.TRUE_JACOBIAN).age_s(self.now_s()) > _FRESH_S:
+        if self.monitor(topics.TRUE_JACOBIAN.name).age_s(self.now_s()) > _FRESH_S:
             self._estimator.reset()  # what was true is not true any more
         problem = self._loop.problem
-        return problem and f"waiting for {ros.TRUE_JACOBIAN}: {problem}"
+        return problem and f"waiting for {topics.TRUE_JACOBIAN.name}: {problem}"
 
     def _publish_jacobian(self, stamp_s: float, joints: np.ndarray) -> None:
         last = self._published_stamp_s
@@ -234,8 +236,8 @@ class EstimatorNode(ros.FvsNode):
     def _late_input(self, now_s: float) -> str:
         """Which input is late, in words; empty if none."""
         ages_s = {
-            ros.JOINT_STATES: now_s - self._joints_s,
-            ros.BALL_POSITION: self.monitor(ros.BALL_POSITION).age_s(now_s),
+            topics.JOINT_STATES.name: now_s - self._joints_s,
+            topics.BALL_POSITION.name: self.monitor(topics.BALL_POSITION.name).age_s(now_s),
         }
         for topic, age_s in ages_s.items():
             if age_s > _FRESH_S:
@@ -255,7 +257,7 @@ class EstimatorNode(ros.FvsNode):
                 "method": self.values["method"],
                 "steps_learned": self._loop.steps,
                 "joint_states_age_s": now_s - self._joints_s,
-                "ball_position_age_s": self.monitor(ros.BALL_POSITION).age_s(now_s),
+                "ball_position_age_s": self.monitor(topics.BALL_POSITION.name).age_s(now_s),
                 "ball_positions_not_paired": matcher.dropped,
                 "last_not_paired_because": matcher.last_reason,
                 "images_late_s": self._loop.late_s,

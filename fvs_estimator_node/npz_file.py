@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from fvs_ros.core.joints import UR_JOINT_NAMES
+from fvs_ros.joints import UR_JOINT_NAMES
 
 #: More elements than this in one array, or text longer than this in a sentence, is nothing of ours.
 _MAX_ELEMENTS, _MAX_QUOTED = 2**27, 200

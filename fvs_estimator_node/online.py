@@ -17,8 +17,8 @@ import numpy as np
 
 from fvs_estimator_node.base import Estimator, MotionStep
 from fvs_estimator_node.rbf import N_FEATURES, RbfModel
-from fvs_ros.core.joints import N_JOINTS
-from fvs_ros.core.params import Parameter
+from fvs_ros.joints import N_JOINTS
+from fvs_ros.params import Parameter
 
 #: Where the Jacobian starts.
 FROM_MODEL, FROM_ZERO = "model", "zero"

@@ -8,7 +8,7 @@ import numpy as np
 
 from fvs_estimator_node.base import Estimator, MotionStep
 from fvs_estimator_node.rbf import N_FEATURES
-from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.joints import N_JOINTS
 
 
 class OracleEstimator(Estimator):

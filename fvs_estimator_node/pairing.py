@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fvs_estimator_node.base import MotionStep
-from fvs_ros.core.history import JointHistory, jump_of
+from fvs_ros.history import JointHistory, jump_of
 
 
 @dataclass(frozen=True)

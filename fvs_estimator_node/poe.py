@@ -17,8 +17,8 @@ import numpy as np
 from fvs_estimator_node.base import MotionStep
 from fvs_estimator_node.camera_doubts import CameraDoubts, CameraLearner
 from fvs_estimator_node.camera_motion import CameraMotion, CameraMotionConfig
-from fvs_ros.core.chain import SerialChain
-from fvs_ros.core.params import Parameter
+from fvs_ros.chain import SerialChain
+from fvs_ros.params import Parameter
 
 _DEFAULT = CameraMotionConfig()
 

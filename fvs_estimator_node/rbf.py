@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from fvs_estimator_node.base import Estimator, MotionStep
-from fvs_ros.core.joints import N_JOINTS
-from fvs_ros.core.params import Parameter
+from fvs_ros.joints import N_JOINTS
+from fvs_ros.params import Parameter
 
 N_FEATURES = 3
 

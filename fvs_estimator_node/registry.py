@@ -26,8 +26,8 @@ from fvs_estimator_node.rbf import (
 )
 from fvs_estimator_node.rls import RLS_PARAMETERS, RlsConfig, RlsEstimator
 from fvs_estimator_node.ukf import UKF_PARAMETERS, UkfConfig, UkfEstimator
-from fvs_ros.core.chain import SerialChain
-from fvs_ros.core.params import Parameter
+from fvs_ros.chain import SerialChain
+from fvs_ros.params import Parameter
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from fvs_estimator_node.online import (
     row_update,
 )
 from fvs_estimator_node.rbf import RbfModel
-from fvs_ros.core.joints import N_JOINTS
-from fvs_ros.core.params import Parameter
+from fvs_ros.joints import N_JOINTS
+from fvs_ros.params import Parameter
 
 
 @dataclass(frozen=True)

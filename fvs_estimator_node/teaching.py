@@ -16,8 +16,8 @@ from fvs_estimator_node.chain_fit import MAX_OFFSET_S, STILL_RAD, ChainFit, fit_
 from fvs_estimator_node.dataset import DataSet, late_stamps_note
 from fvs_estimator_node.model_file import TrainedModel
 from fvs_estimator_node.rbf import N_FEATURES, RbfModel, rbf_features
-from fvs_ros.core.chain import SerialChain
-from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.chain import SerialChain
+from fvs_ros.joints import N_JOINTS
 
 #: Neurons of each network where nothing else is said; more cost little where samples are free.
 NEURONS = 100

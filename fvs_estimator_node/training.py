@@ -31,7 +31,7 @@ from fvs_estimator_node.dataset import DataSet, late_stamps_note
 from fvs_estimator_node.model_file import TrainedModel
 from fvs_estimator_node.rbf import N_FEATURES, RbfModel, rbf_features
 from fvs_estimator_node.reference import reference_jacobian
-from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.joints import N_JOINTS
 
 METHODS = ("varpro", "ridge")
 MIN_SAMPLES = 60

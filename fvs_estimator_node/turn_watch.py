@@ -16,7 +16,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from fvs_estimator_node.rotations import nearest_rotation, rotation_angle_rad
-from fvs_ros.core.vectors import length
+from fvs_ros.vectors import length
 
 #: The last steps that are looked at: so many at least and at most, and no more than these m need.
 _FEWEST, _MOST_STEPS, _WAY_M = 3, 6, 0.03

@@ -15,8 +15,8 @@ import numpy as np
 from fvs_estimator_node.lkf import KalmanConfig, kalman_parameters
 from fvs_estimator_node.online import OnlineEstimator
 from fvs_estimator_node.rbf import N_FEATURES, RbfModel
-from fvs_ros.core.joints import N_JOINTS
-from fvs_ros.core.params import Parameter
+from fvs_ros.joints import N_JOINTS
+from fvs_ros.params import Parameter
 
 _N = N_FEATURES * N_JOINTS
 _IDENTITY = np.eye(_N)

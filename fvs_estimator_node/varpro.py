@@ -14,7 +14,7 @@ from contextlib import contextmanager
 import numpy as np
 import torch
 
-from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.joints import N_JOINTS
 
 #: Start and end joints, rad, shape (n, 6) each, and the ball's motion between them, m, (n, 3).
 Batch = tuple[np.ndarray, np.ndarray, np.ndarray]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fvs_ros.core.joints import N_JOINTS
+from fvs_ros.joints import N_JOINTS
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from fvs_ros.core.camera import CAMERA_FRAME
-from fvs_ros.core.joints import HOME_JOINTS_RAD, N_JOINTS
-from fvs_ros.core.params import Parameter
+from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.joints import HOME_JOINTS_RAD, N_JOINTS
+from fvs_ros.params import Parameter
 
 ALPHABETICAL, KINEMATIC, SHUFFLED = "alphabetical", "kinematic", "shuffled"
 

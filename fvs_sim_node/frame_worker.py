@@ -19,8 +19,8 @@ from multiprocessing.context import SpawnContext
 
 import numpy as np
 
-from fvs_ros.core.background import step_back
-from fvs_ros.core.camera import Intrinsics
+from fvs_ros.background import step_back
+from fvs_ros.camera import Intrinsics
 from fvs_sim_node.depth_noise import add_depth_noise
 from fvs_sim_node.rendering import CameraPose, Renderer
 from fvs_sim_node.simulation import Frame, SimConfig, build_world

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fvs_ros.core import stop
+from fvs_ros import stop
 
 stop.listen()
 
@@ -19,8 +19,8 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
-from fvs_ros.core import ros
-from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
+from fvs_ros import ros, topics
+from fvs_ros.joints import N_JOINTS, UR_JOINT_NAMES
 from fvs_sim_node.config import ALPHABETICAL, KINEMATIC, PARAMETERS
 from fvs_sim_node.frame_worker import FrameWorker
 from fvs_sim_node.simulation import BallObservation, Frame, SimConfig, SimStep, Simulation
@@ -36,7 +36,7 @@ _MAX_BEHIND_S = 0.2
 #: In simulated time, services and parameters are looked at this often.
 _BURST_S = 0.005
 #: What answers joint states, and the simulated time that may pass without a new answer, s.
-_ANSWERS = {ros.COMMANDS: 0.0, ros.JACOBIAN: 0.1}
+_ANSWERS = {topics.COMMANDS.name: 0.0, topics.JACOBIAN.name: 0.1}
 #: A late answer is waited for so long, s: then its node has ended, until it answers again.
 _PATIENCE_S = 1.0
 
@@ -64,8 +64,12 @@ class SimNode(ros.FvsNode):
         self._worker: FrameWorker | None = None
         self._exposed_s = -np.inf  # the newest full frame, simulated time
 
-        self._joint_states = self.create_publisher(JointState, ros.JOINT_STATES, ros.QOS_RELIABLE)
-        self._ball = self.create_publisher(PointStamped, ros.BALL_POSITION, ros.QOS_RELIABLE)
+        self._joint_states = self.create_publisher(
+            JointState, topics.JOINT_STATES.name, ros.QOS_RELIABLE
+        )
+        self._ball = self.create_publisher(
+            PointStamped, topics.BALL_POSITION.name, ros.QOS_RELIABLE
+        )
         self._true_ball = self.create_publisher(
             PointStamped, "~/true_ball_position", ros.QOS_RELIABLE
         )
@@ -76,11 +80,11 @@ class SimNode(ros.FvsNode):
             PoseStamped, "~/true_camera_pose", ros.QOS_LATCHED
         )
         self._describe(v)
-        self._color = self.create_publisher(Image, ros.COLOR_IMAGE, ros.QOS_LARGE)
-        self._depth = self.create_publisher(Image, ros.DEPTH_IMAGE, ros.QOS_LARGE)
-        self._info = self.create_publisher(CameraInfo, ros.CAMERA_INFO, ros.QOS_RELIABLE)
+        self._color = self.create_publisher(Image, topics.COLOR_IMAGE.name, ros.QOS_LARGE)
+        self._depth = self.create_publisher(Image, topics.DEPTH_IMAGE.name, ros.QOS_LARGE)
+        self._info = self.create_publisher(CameraInfo, topics.CAMERA_INFO.name, ros.QOS_RELIABLE)
         self._play_driver(v)
-        self.watch(Float64MultiArray, ros.COMMANDS, self._on_command, ros.QOS_RELIABLE)
+        self.watch(Float64MultiArray, topics.COMMANDS.name, self._on_command, ros.QOS_RELIABLE)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.on_parameters(v, {p.name for p in self.parameter_set if p.live})
 
@@ -90,7 +94,7 @@ class SimNode(ros.FvsNode):
         if v["simulated_time"]:
             self._base_s = _FIRST_SIMULATED_S
             self._clock_topic = self.create_publisher(Clock, "/clock", ros.QOS_RELIABLE)
-            self.watch(Float64MultiArray, ros.JACOBIAN, self._on_jacobian, ros.QOS_RELIABLE)
+            self.watch(Float64MultiArray, topics.JACOBIAN.name, self._on_jacobian, ros.QOS_RELIABLE)
             self.create_timer(_BURST_S, self._step_as_fast_as_it_goes, clock=self.steady_clock)
         else:
             self._base_s = self.ros_s()
@@ -105,7 +109,9 @@ class SimNode(ros.FvsNode):
         text = (
             urdf_text(v["tf_prefix"]) if own else Path(v["urdf_path"]).read_text(encoding="utf-8")
         )
-        self._description = self.create_publisher(String, ros.ROBOT_DESCRIPTION, ros.QOS_LATCHED)
+        self._description = self.create_publisher(
+            String, topics.ROBOT_DESCRIPTION.name, ros.QOS_LATCHED
+        )
         self._description.publish(String(data=text))
 
     def _tell_camera_pose(self) -> None:
@@ -122,9 +128,9 @@ class SimNode(ros.FvsNode):
         if not v["play_driver_topics"]:
             return
         self._program_running = self.create_publisher(
-            Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED
+            Bool, topics.ROBOT_PROGRAM_RUNNING.name, ros.QOS_LATCHED
         )
-        scaling = self.create_publisher(Float64, ros.SPEED_SCALING, ros.QOS_RELIABLE)
+        scaling = self.create_publisher(Float64, topics.SPEED_SCALING.name, ros.QOS_RELIABLE)
 
         def publish_scaling() -> None:
             scaling.publish(Float64(data=float(self.values["speed_scaling_percent"])))
@@ -266,10 +272,10 @@ class SimNode(ros.FvsNode):
             self._refusal = self._sim.command(np.array(message.data, dtype=float)) or ""
         if self._refusal:
             self.get_logger().error(self._refusal, throttle_duration_sec=5.0)
-        self._answer(ros.COMMANDS)
+        self._answer(topics.COMMANDS.name)
 
     def _on_jacobian(self, _message: Float64MultiArray) -> None:
-        self._answer(ros.JACOBIAN)
+        self._answer(topics.JACOBIAN.name)
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response):
         # The simulation begins at zero again; the stamps go on.

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 import pybullet
 
-from fvs_ros.core.camera import Intrinsics, look_at
-from fvs_ros.core.quaternions import quaternion_of
-from fvs_ros.core.tracking import Region
+from fvs_detector_node.tracking import Region
+from fvs_ros.camera import Intrinsics, look_at
+from fvs_ros.quaternions import quaternion_of
 
 #: Depth range that is drawn, m. What lies beyond has no depth, as with a real camera.
 NEAR_M, FAR_M = 0.25, 4.0

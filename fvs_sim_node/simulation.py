@@ -14,10 +14,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from fvs_ros.core.camera import Intrinsics
-from fvs_ros.core.detection import BallColour, BallDetection, colour_mask, detect_ball
-from fvs_ros.core.joints import HOME_JOINTS_RAD, N_JOINTS
-from fvs_ros.core.tracking import Region, WindowTracker
+from fvs_detector_node.detection import BallColour, BallDetection, colour_mask, detect_ball
+from fvs_detector_node.tracking import Region, WindowTracker
+from fvs_ros.camera import Intrinsics
+from fvs_ros.joints import HOME_JOINTS_RAD, N_JOINTS
 from fvs_sim_node import kinematics
 from fvs_sim_node.actuator import Actuator, ActuatorConfig
 from fvs_sim_node.depth_noise import add_depth_noise

@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import pi
 
-from fvs_ros.core.joints import UR_JOINT_NAMES, UR_POSITION_LIMITS_RAD
+from fvs_ros.joints import UR_JOINT_NAMES, UR_POSITION_LIMITS_RAD
 from fvs_sim_node.kinematics import DH_A_M, DH_D_M
 
 _HALF_PI = pi / 2.0

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import pybullet
 
-from fvs_ros.core.joints import N_JOINTS, UR_JOINT_NAMES
+from fvs_ros.joints import N_JOINTS, UR_JOINT_NAMES
 from fvs_sim_node.icosphere import icosphere
 from fvs_sim_node.objects import BALL_RGBA, TABLE, SceneObject
 from fvs_sim_node.ur5_urdf import EFFORT_LIMITS_NM, urdf_text

@@ -16,15 +16,15 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from fvs_ros.apps.scenario import (
+from fvs_ros.paths import find_file
+from fvs_sim_node.config import PARAMETERS as SIM_PARAMETERS
+from fvs_sim_node.ur5_urdf import urdf_text
+from fvs_tools.scenario import (
     NODE_TABLE,
     checked_remap,
     enclave_arguments,
     load_scenario,
 )
-from fvs_ros.core.paths import find_file
-from fvs_sim_node.config import PARAMETERS as SIM_PARAMETERS
-from fvs_sim_node.ur5_urdf import urdf_text
 
 _SIMULATOR = "fvs_sim_node"
 _YES = "true"

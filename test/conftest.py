@@ -127,7 +127,7 @@ def pytest_xdist_make_scheduler(config, log):
 def pytest_runtest_setup(item):
     # Whoever computes beside the real-time tests steps back for them.
     if "PYTEST_XDIST_WORKER" in os.environ and not _is_real_time(item):
-        from fvs_ros.core.background import step_back
+        from fvs_ros.background import step_back
 
         # By little: beside strangers that want all cores, next to nothing would be left.
         step_back(5, own_session=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fvs_ros.core.camera import Intrinsics
+from fvs_ros.camera import Intrinsics
 
 VGA = Intrinsics(640, 480, 615.0, 615.0, 319.5, 239.5)
 RADIUS_M = 0.04

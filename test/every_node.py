@@ -8,9 +8,9 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from harness import Harness
 
-from fvs_ros.apps.scenario import NODE_TABLE
-from fvs_ros.core import ros
-from fvs_ros.core.topics import resolve
+from fvs_ros import topics
+from fvs_ros.topics import resolve
+from fvs_tools.scenario import NODE_TABLE
 
 #: What keeps a node running that has nobody to talk to.
 PATIENCE: dict[str, dict[str, Any]] = {
@@ -65,7 +65,7 @@ def start_alone(harness: Harness, name: str, namespace: str, **parameters: Any) 
 
 def wait_until_up(harness: Harness, nodes: list[LoneNode]) -> None:
     """Receive until every node has spoken, and so has made all that it makes at its start."""
-    heard: list[DiagnosticArray] = harness.collect(DiagnosticArray, ros.DIAGNOSTICS, 10)
+    heard: list[DiagnosticArray] = harness.collect(DiagnosticArray, topics.DIAGNOSTICS.name, 10)
     wanted = {node.full_name for node in nodes}
 
     def up() -> set[str]:

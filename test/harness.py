@@ -27,8 +27,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
-from fvs_ros.core import ros
-from fvs_ros.core.joints import UR_JOINT_NAMES
+from fvs_ros import ros, topics
+from fvs_ros.joints import UR_JOINT_NAMES
 
 _BEGAN_S = time.time()
 #: Where this process begins to look for a domain; ids above 101 collide with ephemeral ports.
@@ -285,11 +285,17 @@ class PlayedRobot:
         node = harness.node
         qos = ros.QOS_RELIABLE
         self._publishers = {
-            ros.JOINT_STATES: node.create_publisher(JointState, ros.JOINT_STATES, qos),
-            ros.BALL_POSITION: node.create_publisher(PointStamped, ros.BALL_POSITION, qos),
-            ros.JACOBIAN: node.create_publisher(Float64MultiArray, ros.JACOBIAN, qos),
+            topics.JOINT_STATES.name: node.create_publisher(
+                JointState, topics.JOINT_STATES.name, qos
+            ),
+            topics.BALL_POSITION.name: node.create_publisher(
+                PointStamped, topics.BALL_POSITION.name, qos
+            ),
+            topics.JACOBIAN.name: node.create_publisher(
+                Float64MultiArray, topics.JACOBIAN.name, qos
+            ),
         }
-        node.create_subscription(Float64MultiArray, ros.COMMANDS, self._on_command, qos)
+        node.create_subscription(Float64MultiArray, topics.COMMANDS.name, self._on_command, qos)
         self._last_s = time.monotonic()
         node.create_timer(0.008, self._step)
         node.create_timer(1 / 30, self._look)
@@ -315,13 +321,13 @@ class PlayedRobot:
         names = [UR_JOINT_NAMES[i] for i in order]
         stamp_s = self._now_s()
         self._send(
-            ros.JOINT_STATES,
+            topics.JOINT_STATES.name,
             ros.to_joint_state(stamp_s, names, self.joints[order], self.velocity[order]),
         )
-        self._send(ros.JACOBIAN, ros.to_jacobian(self.jacobian))
+        self._send(topics.JACOBIAN.name, ros.to_jacobian(self.jacobian))
 
     def _look(self) -> None:
-        self._send(ros.BALL_POSITION, ros.to_point(self._now_s(), self.FRAME, self.ball))
+        self._send(topics.BALL_POSITION.name, ros.to_point(self._now_s(), self.FRAME, self.ball))
 
     def meet_controller(self) -> None:
         """Wait until the controller hears this robot, and the robot the controller."""

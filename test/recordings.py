@@ -9,7 +9,7 @@ import ur5_dh
 
 from fvs_estimator_node.dataset import DataSet
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
-from fvs_ros.core.chain import SerialChain
+from fvs_ros.chain import SerialChain
 
 _RATE_HZ = 30.0
 

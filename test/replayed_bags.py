@@ -10,8 +10,8 @@ import yaml
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from fvs_ros.core.camera import CAMERA_FRAME
-from fvs_ros.core.joints import UR_JOINT_NAMES, UR_PUBLISHED_NAMES
+from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.joints import UR_JOINT_NAMES, UR_PUBLISHED_NAMES
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 #: When every recording here begins, s.

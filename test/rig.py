@@ -21,9 +21,9 @@ from std_srvs.srv import Trigger
 from wire import PREFIX, Wire
 
 from fvs_controller_node.config import PARAMETERS as CONTROLLER_PARAMETERS
-from fvs_ros.core import ros
-from fvs_ros.core.camera import CAMERA_FRAME
-from fvs_ros.core.joints import HOME_JOINTS_RAD, JointMap
+from fvs_ros import ros, topics
+from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.joints import HOME_JOINTS_RAD, JointMap
 from fvs_sim_node.config import PARAMETERS as SIMULATOR_PARAMETERS
 
 SIMULATOR, ESTIMATOR, CONTROLLER = "fvs_sim_node", "fvs_estimator_node", "fvs_controller_node"
@@ -50,9 +50,9 @@ _LIGHT = {"joint_state_rate_hz": 50, "physics_rate_hz": 250}
 
 _MODEL = Path(__file__).resolve().parents[1] / "config" / "models" / "ur5_front.npz"
 _RELAYED = {
-    ros.JOINT_STATES: JointState,
-    ros.BALL_POSITION: PointStamped,
-    ros.JACOBIAN: Float64MultiArray,
+    topics.JOINT_STATES.name: JointState,
+    topics.BALL_POSITION.name: PointStamped,
+    topics.JACOBIAN.name: Float64MultiArray,
 }
 _DECLARED = {
     SIMULATOR: {p.name: p.default for p in SIMULATOR_PARAMETERS},
@@ -171,13 +171,15 @@ class Rig:
         self.wires = {topic: Wire(node, _RELAYED[topic], topic) for topic in wires}
         self._joint_map = JointMap()
         deep = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
-        node.create_subscription(Float64MultiArray, ros.COMMANDS, self._on_command, deep)
+        node.create_subscription(Float64MultiArray, topics.COMMANDS.name, self._on_command, deep)
         self.statuses = self.harness.collect(DiagnosticStatus, f"{CONTROLLER}/status")
         self.estimates = self.harness.collect(DiagnosticStatus, f"{ESTIMATOR}/status")
-        self.states = self._listen(JointState, ros.JOINT_STATES)
-        self.balls = self._listen(PointStamped, ros.BALL_POSITION)
+        self.states = self._listen(JointState, topics.JOINT_STATES.name)
+        self.balls = self._listen(PointStamped, topics.BALL_POSITION.name)
         self.processes = {name: self.start_node(name) for name in self._parameters}
-        self._targets = self.harness.publisher(PointStamped, ros.TARGET_POSITION, ros.QOS_LATCHED)
+        self._targets = self.harness.publisher(
+            PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED
+        )
         self.wait(lambda: self.reason() == "NO_TARGET", 30.0, "all inputs")
 
     def _listen(self, message_type: type, topic: str) -> list:
@@ -198,7 +200,7 @@ class Rig:
         """Run one of the three nodes, again perhaps."""
         remaps = {topic: PREFIX + topic for topic in self._wired} if name != SIMULATOR else {}
         if name == ESTIMATOR:
-            remaps.pop(ros.JACOBIAN, None)  # it says this one, and the controller hears it
+            remaps.pop(topics.JACOBIAN.name, None)  # it says this one, and the controller hears it
         return self.harness.start_node(f"{name}.node", remaps=remaps, **self._parameters[name])
 
     def kill(self, name: str) -> float:

@@ -12,7 +12,7 @@ from fvs_estimator_node.dataset import DataSet
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.rbf import RbfModel
 from fvs_estimator_node.registry import create_estimator
-from fvs_ros.apps.experiments.lockstep import LockStep
+from fvs_lab.lockstep import LockStep
 
 #: Time for each target, and its end over which the rms is taken, s.
 TARGET_S, FINAL_S = 5.0, 2.0

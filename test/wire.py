@@ -11,7 +11,7 @@ from typing import Any
 
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from fvs_ros.core import ros
+from fvs_ros import ros
 
 #: What goes through a relay is published on this prefix and the topic.
 PREFIX = "wire/"

@@ -23,7 +23,7 @@ from ur5_dh import (
 )
 
 from fvs_controller_node.config import build_loop, default_values
-from fvs_ros.core.chain import SerialChain
+from fvs_ros.chain import SerialChain
 
 TICK_S = 0.008
 IMAGE_S = 1.0 / 30.0

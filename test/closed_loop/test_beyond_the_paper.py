@@ -8,7 +8,7 @@ from control_plant import TICK_S, chain_of_the_arm, pairs, servo
 from scipy.optimize import minimize
 from ur5_dh import HOME_RAD, ball_and_jacobian
 
-from fvs_ros.core.schemes import BEYOND
+from fvs_tools.schemes import BEYOND
 
 #: Every addition that needs no forward model.
 ADDITIONS = BEYOND["extended"].controller_values

@@ -7,7 +7,7 @@ import pytest
 from control_plant import pairs, servo
 
 from fvs_controller_node.registry import LAWS
-from fvs_ros.core.schemes import BEYOND
+from fvs_tools.schemes import BEYOND
 
 CASES = pairs(5, seed=21, low_m=0.28, high_m=0.32)
 MANY = pairs(8, seed=5)

@@ -10,8 +10,8 @@ pytest.importorskip("joblib")
 pytest.importorskip("matplotlib")
 pytest.importorskip("jinja2")
 
-from fvs_ros.apps.experiments import beyond, beyond_verdicts
-from fvs_ros.apps.experiments.beyond_camera import (
+from fvs_lab import beyond, beyond_verdicts
+from fvs_lab.beyond_camera import (
     AT_REST,
     CARRIED,
     IN_MOTION,
@@ -22,7 +22,7 @@ from fvs_ros.apps.experiments.beyond_camera import (
     draw_journeys,
     run_journey,
 )
-from fvs_ros.apps.experiments.beyond_minute import (
+from fvs_lab.beyond_minute import (
     ERRING,
     Learned,
     Minute,
@@ -32,8 +32,8 @@ from fvs_ros.apps.experiments.beyond_minute import (
     record,
     tell,
 )
-from fvs_ros.apps.experiments.beyond_results import Results
-from fvs_ros.apps.experiments.beyond_terms import (
+from fvs_lab.beyond_results import Results
+from fvs_lab.beyond_terms import (
     ACCELERATION_RAD_S2,
     ALLOCATED,
     BEST,
@@ -53,7 +53,7 @@ from fvs_ros.apps.experiments.beyond_terms import (
     WORLDS,
     trial_of,
 )
-from fvs_ros.apps.experiments.beyond_tracking import (
+from fvs_lab.beyond_tracking import (
     CIRCLE,
     LINE,
     RADIUS_M,
@@ -62,12 +62,12 @@ from fvs_ros.apps.experiments.beyond_tracking import (
     draw_paths,
     run_pursuit,
 )
-from fvs_ros.apps.experiments.context import Context
-from fvs_ros.apps.experiments.floor import Floor, Limits, fastest
-from fvs_ros.apps.experiments.report import Origin, write_page, write_report
-from fvs_ros.apps.experiments.search import SEEDS
-from fvs_ros.apps.experiments.servo_terms import REGIMES, search_of
-from fvs_ros.apps.experiments.trials import (
+from fvs_lab.context import Context
+from fvs_lab.floor import Floor, Limits, fastest
+from fvs_lab.report import Origin, write_page, write_report
+from fvs_lab.search import SEEDS
+from fvs_lab.servo_terms import REGIMES, search_of
+from fvs_lab.trials import (
     BOUNDS_M,
     Case,
     Conditions,
@@ -76,8 +76,8 @@ from fvs_ros.apps.experiments.trials import (
     run_trial,
     simulation_of,
 )
-from fvs_ros.core.schemes import BEYOND, SCHEMES
 from fvs_sim_node.kinematics import ball_position
+from fvs_tools.schemes import BEYOND, SCHEMES
 
 INF = float("inf")
 EXACT = Conditions(rendered=False)

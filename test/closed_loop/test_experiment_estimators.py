@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 
 from fvs_estimator_node.base import Estimator, MotionStep
-from fvs_ros.apps.experiments.context import Context
-from fvs_ros.apps.experiments.estimators import report_of
-from fvs_ros.apps.experiments.estimators_contestants import CONTESTANTS, GRIDS
-from fvs_ros.apps.experiments.estimators_recordings import (
+from fvs_lab.context import Context
+from fvs_lab.estimators import report_of
+from fvs_lab.estimators_contestants import CONTESTANTS, GRIDS
+from fvs_lab.estimators_recordings import (
     Recording,
     binned,
     criteria,
     judge,
     record,
 )
-from fvs_ros.apps.experiments.estimators_study import NOISE, Job, judge_all, study
-from fvs_ros.apps.experiments.estimators_verdicts import disagreements
-from fvs_ros.apps.experiments.lockstep import load_networks, make_estimator
-from fvs_ros.apps.experiments.report import Origin, write_report
-from fvs_ros.apps.experiments.trials import BOX_RAD, HOME_RAD, Conditions, simulation_of
+from fvs_lab.estimators_study import NOISE, Job, judge_all, study
+from fvs_lab.estimators_verdicts import disagreements
+from fvs_lab.lockstep import load_networks, make_estimator
+from fvs_lab.report import Origin, write_report
+from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, simulation_of
 
 CLEAN = Conditions(rendered=False, position_noise_m=0.0, depth_noise=0.0)
 DURATION_S = 2.0

@@ -15,13 +15,13 @@ pytest.importorskip("jinja2")
 
 from scipy.stats import binomtest, levy_stable, norm
 
-from fvs_ros.apps.experiments import cluster, main, robustness
-from fvs_ros.apps.experiments.context import Context
-from fvs_ros.apps.experiments.noise import WHITE, StableNoise
-from fvs_ros.apps.experiments.report import Origin, write_page, write_report
-from fvs_ros.apps.experiments.robustness import CONTESTANTS, contestants_called
-from fvs_ros.apps.experiments.robustness_figures import DISTURBANCES, colours_of, varied
-from fvs_ros.apps.experiments.robustness_runs import (
+from fvs_lab import cluster, main, robustness
+from fvs_lab.context import Context
+from fvs_lab.noise import WHITE, StableNoise
+from fvs_lab.report import Origin, write_page, write_report
+from fvs_lab.robustness import CONTESTANTS, contestants_called
+from fvs_lab.robustness_figures import DISTURBANCES, colours_of, varied
+from fvs_lab.robustness_runs import (
     DURATION_S,
     Contestant,
     Job,
@@ -30,18 +30,18 @@ from fvs_ros.apps.experiments.robustness_runs import (
     settled_by,
     wins,
 )
-from fvs_ros.apps.experiments.robustness_verdicts import best_of, verdicts
-from fvs_ros.apps.experiments.robustness_worlds import (
+from fvs_lab.robustness_verdicts import best_of, verdicts
+from fvs_lab.robustness_worlds import (
     DISTANCE_M,
     EVERYDAY,
     HARSH,
     QUANTITIES,
     draw_world,
 )
-from fvs_ros.apps.experiments.statistics import wilson
-from fvs_ros.apps.experiments.trials import NOT_STAYED, Bump, Outcome, Trial, drive, make_cases
-from fvs_ros.core.schemes import SCHEMES
+from fvs_lab.statistics import wilson
+from fvs_lab.trials import NOT_STAYED, Bump, Outcome, Trial, drive, make_cases
 from fvs_sim_node.simulation import SimConfig, Simulation
+from fvs_tools.schemes import SCHEMES
 
 INF = float("inf")
 ORACLE = Contestant("oracle", "oracle", "proportional")
@@ -249,7 +249,7 @@ def test_the_oracle_is_no_competitor():
 def test_everybody_is_known_to_the_nodes_and_has_a_colour():
     from fvs_controller_node.config import default_values
     from fvs_estimator_node.config import PARAMETERS
-    from fvs_ros.core.params import ParameterSet
+    from fvs_ros.params import ParameterSet
 
     names = [one.name for one in CONTESTANTS]
     assert set(SCHEMES) < set(names)

@@ -6,11 +6,11 @@ import pytest
 
 from fvs_controller_node.config import default_values
 from fvs_estimator_node.config import PARAMETERS
-from fvs_ros.apps.experiments import tuning
-from fvs_ros.apps.experiments.context import Context
-from fvs_ros.apps.experiments.report import Origin, write_report
-from fvs_ros.apps.experiments.tuning import KNOBS
-from fvs_ros.core.params import ParameterSet
+from fvs_lab import tuning
+from fvs_lab.context import Context
+from fvs_lab.report import Origin, write_report
+from fvs_lab.tuning import KNOBS
+from fvs_ros.params import ParameterSet
 
 
 @pytest.mark.parametrize("knob", KNOBS, ids=lambda knob: knob.name)

@@ -16,7 +16,7 @@ pytest.importorskip("jinja2")
 from fvs_controller_node.reaching import ReachingLaw
 from fvs_controller_node.settling import settling_times
 from fvs_controller_node.surface import SlidingSurface
-from fvs_ros.apps.experiments import (
+from fvs_lab import (
     ablation,
     ablation_changes,
     ablation_rests,
@@ -29,9 +29,9 @@ from fvs_ros.apps.experiments import (
     settling_runs,
     settling_verdicts,
 )
-from fvs_ros.apps.experiments.context import Context
-from fvs_ros.apps.experiments.report import Origin, write_page, write_report
-from fvs_ros.apps.experiments.trials import BOUNDS_M, Conditions, Trial, make_cases, run_trial
+from fvs_lab.context import Context
+from fvs_lab.report import Origin, write_page, write_report
+from fvs_lab.trials import BOUNDS_M, Conditions, Trial, make_cases, run_trial
 
 EXACT = Conditions(rendered=False)
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from fvs_ros.apps.experiments.lockstep import LockStep, load_chain, load_networks, make_estimator
-from fvs_ros.apps.experiments.trials import Conditions, make_cases, simulation_of
-from fvs_ros.core.schemes import BEYOND
+from fvs_lab.lockstep import LockStep, load_chain, load_networks, make_estimator
+from fvs_lab.trials import Conditions, make_cases, simulation_of
+from fvs_tools.schemes import BEYOND
 
 EXACT = Conditions(rendered=False)
 LAGS = Conditions(rendered=False, joint_lag_s=0.06)

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from fvs_ros.apps.experiments.lockstep import LockStep, load_chain, load_networks, make_estimator
-from fvs_ros.apps.experiments.trials import HOME_RAD, Conditions, jacobian_error, simulation_of
-from fvs_ros.core.schemes import scheme
+from fvs_lab.lockstep import LockStep, load_chain, load_networks, make_estimator
+from fvs_lab.trials import HOME_RAD, Conditions, jacobian_error, simulation_of
+from fvs_tools.schemes import scheme
 
 TRUE_LATENCY_S = 0.1
 

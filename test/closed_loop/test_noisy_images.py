@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fvs_ros.apps.experiments.lockstep import LockStep, load_chain, load_networks, make_estimator
-from fvs_ros.apps.experiments.trials import HOME_RAD, Conditions
-from fvs_ros.core.schemes import scheme
+from fvs_lab.lockstep import LockStep, load_chain, load_networks, make_estimator
+from fvs_lab.trials import HOME_RAD, Conditions
 from fvs_sim_node.simulation import Simulation
+from fvs_tools.schemes import scheme
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 from control_plant import NOISE_M, chain_of_the_arm, servo
 from ur5_dh import HOME_RAD, ball_and_jacobian
 
-from fvs_ros.core.schemes import BEYOND
+from fvs_tools.schemes import BEYOND
 
 EXTENDED = BEYOND["extended"].controller_values
 ARRIVE = {"law": "arrive"}

@@ -5,17 +5,17 @@ import pytest
 
 from fvs_controller_node.reasons import State
 from fvs_estimator_node.model_file import load_model
-from fvs_ros.apps.demo import choose_target
-from fvs_ros.apps.experiments.lockstep import (
+from fvs_lab.lockstep import (
     MODEL,
     LockStep,
     load_chain,
     load_networks,
     make_estimator,
 )
-from fvs_ros.apps.experiments.trials import HOME_RAD, Conditions, simulation_of
-from fvs_ros.core.paths import find_file
-from fvs_ros.core.schemes import scheme
+from fvs_lab.trials import HOME_RAD, Conditions, simulation_of
+from fvs_ros.paths import find_file
+from fvs_tools.demo import choose_target
+from fvs_tools.schemes import scheme
 
 TARGETS = 20
 CIRCLE_M, CIRCLE_M_S, IMAGE_S = 0.1, 0.15, 1.0 / 30.0

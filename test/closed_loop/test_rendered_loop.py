@@ -7,11 +7,11 @@ import pytest
 
 from fvs_controller_node.reasons import State
 from fvs_estimator_node.model_file import load_model
-from fvs_ros.apps.demo import choose_target
-from fvs_ros.apps.experiments.lockstep import LockStep, load_networks, make_estimator
-from fvs_ros.apps.experiments.trials import jacobian_error
-from fvs_ros.apps.score import settling_time_s
+from fvs_lab.lockstep import LockStep, load_networks, make_estimator
+from fvs_lab.trials import jacobian_error
 from fvs_sim_node.simulation import SimConfig, Simulation
+from fvs_tools.demo import choose_target
+from fvs_tools.score import settling_time_s
 
 MODEL = load_model(Path(__file__).resolve().parents[2] / "config" / "models" / "ur5_front.npz")
 TICK_S = 0.008

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rig import RAMP_S
 
-from fvs_ros.core import ros
+from fvs_ros import ros, topics
 
 
 def rank_deficient(message):
@@ -19,16 +19,16 @@ def flipped(message):
 
 def test_a_singular_jacobian_is_held_with_the_number_and_released_when_good(rig):
     rig.servo()
-    rig.wires[ros.JACOBIAN].spoil = rank_deficient
+    rig.wires[topics.JACOBIAN.name].spoil = rank_deficient
     rig.assert_stops(time.time(), 0.05 + RAMP_S)
     rig.assert_says("HOLDING", "NEAR_SINGULAR", "smallest singular value 0.0000 m/rad")
-    rig.wires[ros.JACOBIAN].spoil = None
+    rig.wires[topics.JACOBIAN.name].spoil = None
     rig.assert_goes_on_by_itself()
     rig.assert_settles()
 
 
 def test_a_jacobian_of_the_wrong_sign_goes_the_wrong_way_for_little_and_is_held(rig):
-    rig.wires[ros.JACOBIAN].spoil = flipped
+    rig.wires[topics.JACOBIAN.name].spoil = flipped
     rig.harness.spin_for(0.2)
     start_m = rig.ball()
     rig.servo()
@@ -36,7 +36,7 @@ def test_a_jacobian_of_the_wrong_sign_goes_the_wrong_way_for_little_and_is_held(
     rig.assert_says("HOLDING", "PREDICTION_ERROR", "predicts motion badly", "~/start")
     rig.wait(rig.standing, what="zeros")
     rig.assert_stands()
-    rig.wires[ros.JACOBIAN].spoil = None
+    rig.wires[topics.JACOBIAN.name].spoil = None
     rig.assert_stands()
     gone_m = float(np.linalg.norm(rig.ball() - start_m))
     print(f"the ball went {gone_m:.3f} m")

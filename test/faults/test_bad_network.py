@@ -7,16 +7,20 @@ import pytest
 from rig import BUSY_S, OTHER_TARGET, RAMP_S, SIMULATOR
 from sensor_msgs.msg import JointState
 
-from fvs_ros.core import ros
+from fvs_ros import ros, topics
 
 #: Age from which an input is stale, s: the controller's defaults.
-MAX_AGE_S = {ros.JOINT_STATES: 0.1, ros.BALL_POSITION: 0.2, ros.JACOBIAN: 0.2}
-HINT = {
-    ros.JOINT_STATES: "is the robot driver (or simulator) running?",
-    ros.BALL_POSITION: "is the ball in view",
-    ros.JACOBIAN: "is the estimator running?",
+MAX_AGE_S = {
+    topics.JOINT_STATES.name: 0.1,
+    topics.BALL_POSITION.name: 0.2,
+    topics.JACOBIAN.name: 0.2,
 }
-STAMPED = (ros.JOINT_STATES, ros.BALL_POSITION)
+HINT = {
+    topics.JOINT_STATES.name: "is the robot driver (or simulator) running?",
+    topics.BALL_POSITION.name: "is the ball in view",
+    topics.JACOBIAN.name: "is the estimator running?",
+}
+STAMPED = (topics.JOINT_STATES.name, topics.BALL_POSITION.name)
 
 
 def test_nothing_moves_before_the_start_and_then_the_ball_arrives(rig):
@@ -42,7 +46,7 @@ def test_a_stream_that_stops_ramps_the_arm_to_rest_until_it_is_back(rig, topic):
 
 def test_a_ball_hidden_for_a_tenth_of_a_second_is_not_noticed(rig):
     rig.servo()
-    said, wire = len(rig.statuses), rig.wires[ros.BALL_POSITION]
+    said, wire = len(rig.statuses), rig.wires[topics.BALL_POSITION.name]
     wire.silent = True
     rig.harness.spin_for(0.1)
     wire.silent = False
@@ -59,7 +63,7 @@ def test_a_covered_lens_holds_the_arm_until_the_ball_is_seen_again(rig):
     since_s = rig.set(SIMULATOR, camera_covered=True)
     # What was exposed before is still under way for the camera's latency of 0.04 s, and the last
     # of it may be a whole image period old.
-    rig.assert_stops(since_s, 0.04 + 0.034 + MAX_AGE_S[ros.BALL_POSITION] + RAMP_S)
+    rig.assert_stops(since_s, 0.04 + 0.034 + MAX_AGE_S[topics.BALL_POSITION.name] + RAMP_S)
     rig.assert_says("HOLDING", "STALE", "ball_position", "in view")
     rig.set(SIMULATOR, camera_covered=False)
     rig.assert_goes_on_by_itself()
@@ -80,17 +84,17 @@ def test_a_frozen_stream_is_no_fresh_one(rig, topic, freeze):
 @pytest.mark.parametrize(
     ("topic", "shift_s"),
     [
-        (ros.JOINT_STATES, 1.0),
-        (ros.JOINT_STATES, -3600.0),
-        (ros.BALL_POSITION, -1.0),
-        (ros.BALL_POSITION, 3600.0),
+        (topics.JOINT_STATES.name, 1.0),
+        (topics.JOINT_STATES.name, -3600.0),
+        (topics.BALL_POSITION.name, -1.0),
+        (topics.BALL_POSITION.name, 3600.0),
     ],
 )
 def test_a_clock_that_jumps_alone_holds_the_arm_until_the_clocks_agree(rig, topic, shift_s):
     rig.servo()
     rig.wires[topic].shift_s = shift_s
     rig.assert_stops(time.time(), 0.2 + RAMP_S)
-    side = "older" if (topic == ros.JOINT_STATES) == (shift_s > 0.0) else "newer"
+    side = "older" if (topic == topics.JOINT_STATES.name) == (shift_s > 0.0) else "newer"
     rig.assert_says("HOLDING", "NO_POSITION", side, "clocks agree")
     rig.wires[topic].shift_s = 0.0
     rig.assert_goes_on_by_itself()
@@ -115,7 +119,7 @@ def test_repeated_reordered_and_lost_messages_slow_nothing_but_the_arm(rig, harm
 
 
 def test_a_ball_that_is_seen_a_fifth_of_a_second_late_still_arrives(rig):
-    rig.wires[ros.BALL_POSITION].delay(0.16)  # and the camera's own 0.04 s
+    rig.wires[topics.BALL_POSITION.name].delay(0.16)  # and the camera's own 0.04 s
     rig.servo()
     rig.assert_settles()
 
@@ -124,7 +128,7 @@ def test_another_devices_joint_states_in_between_do_no_harm(rig):
     def gripper():
         message = JointState(name=["finger_joint"], position=[0.4])
         message.header.stamp = ros.to_stamp(time.time())
-        rig.wires[ros.JOINT_STATES].send(message)
+        rig.wires[topics.JOINT_STATES.name].send(message)
 
     timer = rig.harness.node.create_timer(0.02, gripper)
     rig.servo()
@@ -169,12 +173,12 @@ def unknown_joint(message):
 @pytest.mark.parametrize(
     ("topic", "spoil", "words"),
     [
-        (ros.JOINT_STATES, nan_in_joints, "not finite"),
-        (ros.JOINT_STATES, unknown_joint, "lacks"),
-        (ros.BALL_POSITION, infinite_ball, "not finite"),
-        (ros.BALL_POSITION, ball_in_another_frame, "base_link"),
-        (ros.JACOBIAN, nan_in_jacobian, "not finite"),
-        (ros.JACOBIAN, short_jacobian, "17 values"),
+        (topics.JOINT_STATES.name, nan_in_joints, "not finite"),
+        (topics.JOINT_STATES.name, unknown_joint, "lacks"),
+        (topics.BALL_POSITION.name, infinite_ball, "not finite"),
+        (topics.BALL_POSITION.name, ball_in_another_frame, "base_link"),
+        (topics.JACOBIAN.name, nan_in_jacobian, "not finite"),
+        (topics.JACOBIAN.name, short_jacobian, "17 values"),
     ],
 )
 def test_a_message_that_cannot_be_used_is_zeros_at_once_until_five_good_ones(

@@ -4,7 +4,7 @@ import numpy as np
 from rig import CONTROLLER, SIMULATOR, VELOCITY
 from std_srvs.srv import Trigger
 
-from fvs_ros.core.joints import HOME_JOINTS_RAD, UR_JOINT_NAMES
+from fvs_ros.joints import HOME_JOINTS_RAD, UR_JOINT_NAMES
 
 
 def test_a_paused_program_is_zeros_at_once_and_needs_a_start_after_it(rig):

@@ -10,8 +10,8 @@ from harness import PlayedRobot
 from std_msgs.msg import Bool, Float64MultiArray, MultiArrayDimension
 from std_srvs.srv import Trigger
 
-from fvs_ros.core import ros
-from fvs_ros.core.status import ESTIMATOR_WAITING
+from fvs_ros import ros, topics
+from fvs_ros.status import ESTIMATOR_WAITING
 
 MODULE = "fvs_controller_node.node"
 VELOCITY, ACCELERATION = 0.5, 6.0
@@ -29,7 +29,7 @@ class Bench:
         self.robot = PlayedRobot(harness)
         self.process = process or harness.start_node(MODULE, **LIMITS)
         self.statuses = harness.collect(DiagnosticStatus, "fvs_controller_node/status")
-        self.target = harness.publisher(PointStamped, ros.TARGET_POSITION, ros.QOS_LATCHED)
+        self.target = harness.publisher(PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED)
         self.robot.meet_controller()
         harness.spin_until(lambda: self.reason() in ("NO_TARGET", "READY"), what="all inputs")
 
@@ -100,7 +100,9 @@ def test_a_target_is_heard_again_but_not_the_same_message_twice(bench):
 
 def test_another_nodes_commands_hold_the_arm_and_the_node_is_named(bench):
     bench.servo()
-    rival = bench.harness.node.create_publisher(Float64MultiArray, ros.COMMANDS, ros.QOS_RELIABLE)
+    rival = bench.harness.node.create_publisher(
+        Float64MultiArray, topics.COMMANDS.name, ros.QOS_RELIABLE
+    )
     timer = bench.harness.node.create_timer(
         0.02, lambda: rival.publish(ros.to_command(np.full(6, 0.01)))
     )
@@ -117,7 +119,7 @@ def test_a_program_that_never_ran_is_told_before_the_start_and_in_its_answer(ben
     bench.wait(lambda: bench.state() == "READY", what="READY")
     bench.harness.spin_for(0.6)
     assert "robot_program_running" not in bench.text()  # there is no such topic
-    driver = bench.harness.publisher(Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED)
+    driver = bench.harness.publisher(Bool, topics.ROBOT_PROGRAM_RUNNING.name, ros.QOS_LATCHED)
     bench.wait(lambda: "start the robot program" in bench.text(), what="a word on the program")
     started = bench.harness.call(Trigger, "fvs_controller_node/start")
     assert started.success
@@ -138,9 +140,11 @@ def test_a_second_controller_of_the_same_name_is_noticed(bench):
 
 def test_where_the_estimator_gives_no_jacobian_the_controller_says_why_in_its_words(bench):
     why = "image stamps are too late by about 0.15 s"
-    estimator = bench.harness.publisher(DiagnosticStatus, ros.ESTIMATOR_STATUS, ros.QOS_RELIABLE)
+    estimator = bench.harness.publisher(
+        DiagnosticStatus, topics.ESTIMATOR_STATUS.name, ros.QOS_RELIABLE
+    )
     bench.servo()
-    bench.robot.silent.add(ros.JACOBIAN)
+    bench.robot.silent.add(topics.JACOBIAN.name)
     bench.assert_stops(time.monotonic())
     estimator.publish(ros.to_status(ros.WARN, "", "a remark", {"state": "LEARNING"}))
     bench.wait(lambda: "is the estimator running?" in bench.text(), what="no word of a remark")
@@ -178,7 +182,7 @@ def test_huge_and_malformed_messages_are_dropped_and_told_in_a_line(bench):
         bench.harness.spin_for(0.05)
     jacobian = Float64MultiArray()
     jacobian.layout.dim = [MultiArrayDimension(label="x" * 100)] * 1000
-    publisher = bench.harness.publisher(Float64MultiArray, ros.JACOBIAN)
+    publisher = bench.harness.publisher(Float64MultiArray, topics.JACOBIAN.name)
     for _ in range(3):  # best effort: one of them arrives
         publisher.publish(jacobian)
         bench.harness.spin_for(0.05)

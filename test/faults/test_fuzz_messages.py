@@ -15,8 +15,8 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
 
-from fvs_ros.core import ros
-from fvs_ros.core.joints import UR_JOINT_NAMES, JointMap, JointStateError
+from fvs_ros import ros
+from fvs_ros.joints import UR_JOINT_NAMES, JointMap, JointStateError
 
 MANY = settings(max_examples=200, derandomize=True, deadline=None)
 NUMBER = st.floats(width=64)

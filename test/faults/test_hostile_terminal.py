@@ -12,7 +12,7 @@ from held_pipe import full_pipe
 from std_msgs.msg import Float64MultiArray
 from test_controller_faults import Bench
 
-from fvs_ros.core import ros
+from fvs_ros import topics
 
 
 def starts_on(harness, monkeypatch, sink):
@@ -66,7 +66,7 @@ def test_a_blocked_terminal_holds_neither_the_zeros_nor_the_end(deaf):
     bench = Bench(deaf)
     bench.servo()
     for _ in range(2):  # back and forth: each change is a line in the log
-        bench.robot.silent.add(ros.JACOBIAN)
+        bench.robot.silent.add(topics.JACOBIAN.name)
         bench.assert_stops(time.monotonic() + 0.2)
         bench.assert_keeps_sending_zeros()
         bench.robot.silent.clear()
@@ -95,7 +95,7 @@ def test_what_would_suspend_does_not(ros_test):
         bench.process.send_signal(number)
         count = len(bench.robot.commands)
         ros_test.spin_until(lambda n=count: len(bench.robot.commands) > n + 20, 2.0, "commands")
-    bench.robot.silent.add(ros.BALL_POSITION)
+    bench.robot.silent.add(topics.BALL_POSITION.name)
     bench.assert_stops(time.monotonic() + 0.2)
 
 
@@ -113,8 +113,8 @@ def test_a_hangup_that_is_ignored_stays_so(ros_test):
 @pytest.mark.parametrize("terminal", ["deaf", "left"])
 def test_the_launcher_outlives_its_reader(request, terminal):
     harness = request.getfixturevalue(terminal)
-    commands = harness.collect(Float64MultiArray, ros.COMMANDS)
-    process = harness.start("fvs_ros.apps.launcher", "servo")
+    commands = harness.collect(Float64MultiArray, topics.COMMANDS.name)
+    process = harness.start("fvs_tools.launcher", "servo")
     harness.spin_until(lambda: len(commands) > 100, 30.0, "commands")
     assert process.poll() is None
     assert harness.stop(process) == 0

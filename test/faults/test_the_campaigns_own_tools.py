@@ -8,7 +8,7 @@ from geometry_msgs.msg import PointStamped
 from rig import ACCELERATION, LONGEST_TICK_S, VELOCITY, Sent, assert_sound
 from wire import PREFIX, Wire
 
-from fvs_ros.core import ros
+from fvs_ros import ros
 
 TICK_S = 0.02
 

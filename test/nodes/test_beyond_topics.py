@@ -9,8 +9,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
 from std_msgs.msg import Float64MultiArray
 
-from fvs_ros.core import ros
-from fvs_ros.core.camera import CAMERA_FRAME
+from fvs_ros import ros, topics
+from fvs_ros.camera import CAMERA_FRAME
 
 START = np.array([0.0, 0.15, 1.45])
 GOAL = np.array([-0.1, 0.05, 1.55])
@@ -21,12 +21,12 @@ class Bench:
 
     def __init__(self, harness, scheme):
         self.harness = harness
-        self.process = harness.start("fvs_ros.apps.launcher", "servo", "--scheme", scheme)
-        self.balls = harness.collect(PointStamped, ros.BALL_POSITION)
-        self.chains = harness.collect(Float64MultiArray, ros.KINEMATIC_CHAIN)
+        self.process = harness.start("fvs_tools.launcher", "servo", "--scheme", scheme)
+        self.balls = harness.collect(PointStamped, topics.BALL_POSITION.name)
+        self.chains = harness.collect(Float64MultiArray, topics.KINEMATIC_CHAIN.name)
         self.statuses = harness.collect(DiagnosticStatus, "fvs_controller_node/status")
         self.learned = harness.collect(DiagnosticStatus, "fvs_estimator_node/status")
-        self.target = harness.publisher(PointStamped, ros.TARGET_POSITION)
+        self.target = harness.publisher(PointStamped, topics.TARGET_POSITION.name)
 
     def reason(self):
         return ros.from_status(self.statuses[-1])["reason"] if self.statuses else ""

@@ -13,10 +13,10 @@ from std_msgs.msg import Float64MultiArray
 
 from fvs_estimator_node.dataset import load_data_set
 from fvs_estimator_node.model_file import load_model
-from fvs_ros.core import ros
+from fvs_ros import ros, topics
 from fvs_sim_node.simulation import SimConfig, Simulation
 
-LAUNCHER = "fvs_ros.apps.launcher"
+LAUNCHER = "fvs_tools.launcher"
 
 
 def test_collecting_ends_when_the_arm_is_known_and_training_finds_its_jacobian(ros_test):
@@ -43,7 +43,7 @@ def test_collecting_ends_when_the_arm_is_known_and_training_finds_its_jacobian(r
     assert np.abs(speeds[np.diff(data.segment) == 0]).max() < 0.7
 
     train = ros_test.start(
-        "fvs_ros.apps.train", str(data_path), "-o", str(model_path), "--method", "poe"
+        "fvs_tools.train", str(data_path), "-o", str(model_path), "--method", "poe"
     )
     assert ros_test.wait(train, 60.0) == 0, ros_test.output(train)
     trained = load_model(model_path)
@@ -64,7 +64,7 @@ def children(process):
 def test_a_worker_that_is_killed_neither_stops_nor_jerks_the_arm(ros_test):
     simulated = {"joint_state_rate_hz": 50, "physics_rate_hz": 250, "simulated_time": True}
     ros_test.start_node("fvs_sim_node.node", **simulated)
-    commands = ros_test.collect(Float64MultiArray, ros.COMMANDS, ros.QOS_EVERY)
+    commands = ros_test.collect(Float64MultiArray, topics.COMMANDS.name, ros.QOS_EVERY)
     statuses = ros_test.collect(DiagnosticStatus, "fvs_collector_node/status")
     collector = ros_test.start_node(
         "fvs_estimator_node.collector_node",
@@ -91,7 +91,7 @@ def test_a_worker_that_is_killed_neither_stops_nor_jerks_the_arm(ros_test):
 
 def test_a_collector_that_is_stopped_leaves_zeros_on_the_wire(ros_test):
     ros_test.start_node("fvs_sim_node.node")
-    commands = ros_test.collect(Float64MultiArray, ros.COMMANDS)
+    commands = ros_test.collect(Float64MultiArray, topics.COMMANDS.name)
     collector = ros_test.start_node(
         "fvs_estimator_node.collector_node", output_path=str(ros_test.folder / "part.npz")
     )
@@ -109,7 +109,7 @@ def test_a_collector_that_is_stopped_leaves_zeros_on_the_wire(ros_test):
     ],
 )
 def test_a_collection_that_cannot_end_well_does_not_begin(ros_test, parameters, words):
-    commands = ros_test.collect(Float64MultiArray, ros.COMMANDS)
+    commands = ros_test.collect(Float64MultiArray, topics.COMMANDS.name)
     collector = ros_test.start_node("fvs_estimator_node.collector_node", **parameters)
     assert ros_test.wait(collector) != 0
     assert words in ros_test.output(collector)
@@ -119,9 +119,9 @@ def test_a_collection_that_cannot_end_well_does_not_begin(ros_test, parameters, 
 
 def test_a_collector_without_a_ball_does_not_move_and_says_why(ros_test):
     ros_test.start_node("fvs_sim_node.node", dropout=1.0)
-    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    states = ros_test.collect(JointState, topics.JOINT_STATES.name)
     ros_test.spin_until(lambda: bool(states), what="the simulator")
-    commands = ros_test.collect(Float64MultiArray, ros.COMMANDS)
+    commands = ros_test.collect(Float64MultiArray, topics.COMMANDS.name)
     collector = ros_test.start_node(
         "fvs_estimator_node.collector_node", give_up_s=2.0, output_path="none.npz"
     )

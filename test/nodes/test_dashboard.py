@@ -25,14 +25,14 @@ from harness import PlayedRobot
 from page_client import PageClient
 from websockets.exceptions import InvalidStatus
 
-from fvs_ros.apps.dashboard.tour import LOST
-from fvs_ros.core import ros
-from fvs_ros.core.camera import Intrinsics
-from fvs_ros.core.joints import HOME_JOINTS_RAD, UR_JOINT_NAMES
+from fvs_dashboard.tour import LOST
+from fvs_ros import ros, topics
+from fvs_ros.camera import Intrinsics
+from fvs_ros.joints import HOME_JOINTS_RAD, UR_JOINT_NAMES
 from fvs_sim_node.rendering import camera_preset
 from fvs_sim_node.ur5_urdf import urdf_text
 
-DASHBOARD = "fvs_ros.apps.dashboard.dashboard_node"
+DASHBOARD = "fvs_dashboard.dashboard_node"
 CONTROLLER = "fvs_controller_node.node"
 #: The page is tested, not the machine.
 PATIENT = {f"{name}_max_age_s": 1.0 for name in ("joint_states", "ball", "jacobian")}
@@ -149,7 +149,7 @@ def test_the_arm_goes_where_the_page_says_and_stops_at_a_press(loop):
 
 def test_numbers_that_are_typed_wait_for_their_button(loop):
     harness, robot, _, _, page = loop
-    targets = harness.collect(PointStamped, ros.TARGET_POSITION, ros.QOS_RELIABLE)
+    targets = harness.collect(PointStamped, topics.TARGET_POSITION.name, ros.QOS_RELIABLE)
     page.press("Set current as target")
     wait_for_state(harness, page, "READY")
     typed = tuple(round(float(value) + 0.05, 3) for value in robot.ball)
@@ -221,7 +221,7 @@ def test_a_controller_that_is_gone_shows_as_that_and_comes_back(ros_module, loop
     harness.stop(controller)
     wait_for_state(harness, page, "SILENT")
     harness.spin_until(lambda: "no word from the controller" in page.text())
-    targets = harness.collect(PointStamped, ros.TARGET_POSITION, ros.QOS_RELIABLE)
+    targets = harness.collect(PointStamped, topics.TARGET_POSITION.name, ros.QOS_RELIABLE)
     refusal = "not done: the controller is silent"
     before = harness.output(process).count(refusal)
     for count, wish in enumerate(
@@ -269,7 +269,7 @@ def test_a_target_is_for_the_controller_that_was_there(ros_module, loop):
     wait_for_state(harness, page, "READY")
     harness.stop(controller)
     harness.spin_for(1.0)
-    statuses = harness.collect(DiagnosticStatus, ros.CONTROLLER_STATUS)
+    statuses = harness.collect(DiagnosticStatus, topics.CONTROLLER_STATUS.name)
     ros_module.keep(CONTROLLER, **PATIENT)
     harness.spin_until(
         lambda: statuses and ros.from_status(statuses[-1])["reason"] == "NO_TARGET",
@@ -313,7 +313,7 @@ def test_a_stop_is_repeated_until_it_is_answered(loop):
 
 def test_the_arm_and_the_camera_are_drawn_from_the_topics(loop):
     harness, _, _, process, page = loop
-    latched = harness.node.create_publisher(String, ros.ROBOT_DESCRIPTION, ros.QOS_LATCHED)
+    latched = harness.node.create_publisher(String, topics.ROBOT_DESCRIPTION.name, ros.QOS_LATCHED)
     latched.publish(String(data=urdf_text()))
     harness.spin_until(lambda: any("wrist_3_link" in name for name in page.nodes), 15.0, "an arm")
     harness.spin_until(lambda: "place is not known yet" in page.text())
@@ -322,7 +322,9 @@ def test_the_arm_and_the_camera_are_drawn_from_the_topics(loop):
     harness.spin_until(lambda: any("wrist_3_link" in name for name in page.nodes), 15.0, "another")
     assert "Warning" not in harness.output(process)
     pose = camera_preset("front").in_base_link()
-    poses = harness.node.create_publisher(PoseStamped, ros.TRUE_CAMERA_POSE, ros.QOS_LATCHED)
+    poses = harness.node.create_publisher(
+        PoseStamped, topics.TRUE_CAMERA_POSE.name, ros.QOS_LATCHED
+    )
     poses.publish(ros.to_pose(1.0, "base_link", pose.position_m, np.zeros(4)))  # no rotation
     harness.spin_until(lambda: "true_camera_pose" in harness.output(process), what="a warning")
     poses.publish(ros.to_pose(1.0, "base_link", pose.position_m, pose.quaternion_xyzw))
@@ -335,7 +337,7 @@ def test_an_arm_without_its_meshes_is_seen_and_told_of(loop):
     harness, _, _, process, page = loop
     mesh = '<geometry><mesh filename="package://no_such_package/part.dae"/></geometry>'
     text = re.sub("<geometry>.*?</geometry>", mesh, urdf_text(), flags=re.DOTALL)
-    latched = harness.node.create_publisher(String, ros.ROBOT_DESCRIPTION, ros.QOS_LATCHED)
+    latched = harness.node.create_publisher(String, topics.ROBOT_DESCRIPTION.name, ros.QOS_LATCHED)
     latched.publish(String(data=text))
     harness.spin_until(lambda: "/robot/visual/missing" in page.drawn, 15.0, "words in the view")
     bars = [name for name in page.drawn if name.endswith("_bar")]
@@ -350,8 +352,8 @@ def test_an_arm_without_its_meshes_is_seen_and_told_of(loop):
 
 def test_images_are_asked_for_only_while_somebody_looks(loop, pages):
     harness, _, _, process, page = loop
-    images = harness.node.create_publisher(Image, ros.COLOR_IMAGE, ros.QOS_RELIABLE)
-    infos = harness.node.create_publisher(CameraInfo, ros.CAMERA_INFO, ros.QOS_RELIABLE)
+    images = harness.node.create_publisher(Image, topics.COLOR_IMAGE.name, ros.QOS_RELIABLE)
+    infos = harness.node.create_publisher(CameraInfo, topics.CAMERA_INFO.name, ros.QOS_RELIABLE)
     harness.spin_until(lambda: images.get_subscription_count() == 1, what="a subscription")
     red = np.full((480, 640, 3), (200, 30, 20), np.uint8)
     before = page.counts["GuiUpdateMessage"]
@@ -372,7 +374,7 @@ def test_images_are_asked_for_only_while_somebody_looks(loop, pages):
 
 def test_a_detectors_sentence_stands_on_the_page(loop):
     harness, _, _, _, page = loop
-    statuses = harness.publisher(DiagnosticStatus, ros.DETECTOR_STATUS)
+    statuses = harness.publisher(DiagnosticStatus, topics.DETECTOR_STATUS.name)
     sentence = "no ball of that colour is in the image"
 
     def told():
@@ -385,7 +387,7 @@ def test_a_detectors_sentence_stands_on_the_page(loop):
 
 def test_the_tour_goes_on_until_a_person_takes_over(ros_test, pages):
     PlayedRobot(ros_test)
-    targets = ros_test.collect(PointStamped, ros.TARGET_POSITION, ros.QOS_RELIABLE)
+    targets = ros_test.collect(PointStamped, topics.TARGET_POSITION.name, ros.QOS_RELIABLE)
     ros_test.start_node(CONTROLLER, autostart=True, **PATIENT)
     given = {"tour": True, "tour_period_s": 1.0, "model_path": "models/ur5_front.npz"}
     # A page that draws once a second is not taken for a late one.
@@ -443,7 +445,7 @@ def test_a_tour_that_loses_the_ball_puts_the_simulated_arm_back_and_goes_on(ros_
         DASHBOARD, port=0, image=False, tour=True, model_path="models/ur5_front.npz"
     )
     page = pages(address_of(ros_test, process))
-    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    states = ros_test.collect(JointState, topics.JOINT_STATES.name)
     home = np.array(HOME_JOINTS_RAD)
 
     def away_rad():

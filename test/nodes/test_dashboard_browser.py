@@ -14,9 +14,9 @@ from geometry_msgs.msg import PointStamped
 from std_msgs.msg import Float64MultiArray
 
 from fvs_estimator_node.model_file import load_model
-from fvs_ros.apps.demo import choose_target
-from fvs_ros.core import ros
-from fvs_ros.core.paths import find_file
+from fvs_ros import ros, topics
+from fvs_ros.paths import find_file
+from fvs_tools.demo import choose_target
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
@@ -137,11 +137,11 @@ class Eyes:
 @pytest.mark.timeout(240)  # half a minute where nothing else runs
 def test_a_person_watches_sets_a_target_and_stops(ros_test, browser):
     given = [argument for name in PATIENT for argument in ("-p", name)]
-    launched = ros_test.start("fvs_ros.apps.launcher", "dashboard", "-p", "port:=0", *given)
-    commands = ros_test.collect(Float64MultiArray, ros.COMMANDS, ros.QOS_RELIABLE)
-    statuses = ros_test.collect(DiagnosticStatus, ros.CONTROLLER_STATUS)
-    balls = ros_test.collect(PointStamped, ros.BALL_POSITION)
-    targets = ros_test.collect(PointStamped, ros.TARGET_POSITION, ros.QOS_RELIABLE)
+    launched = ros_test.start("fvs_tools.launcher", "dashboard", "-p", "port:=0", *given)
+    commands = ros_test.collect(Float64MultiArray, topics.COMMANDS.name, ros.QOS_RELIABLE)
+    statuses = ros_test.collect(DiagnosticStatus, topics.CONTROLLER_STATUS.name)
+    balls = ros_test.collect(PointStamped, topics.BALL_POSITION.name)
+    targets = ros_test.collect(PointStamped, topics.TARGET_POSITION.name, ros.QOS_RELIABLE)
 
     def address():
         return re.search(r"page: (http://\S+)", ros_test.output(launched))

@@ -13,8 +13,9 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
-from fvs_ros.core import ros
-from fvs_ros.core.camera import Intrinsics
+from fvs_ros import ros, topics
+from fvs_ros.camera import Intrinsics
+from fvs_ros.ros.images import from_color
 
 NODE = "fvs_detector_node.node"
 QVGA = Intrinsics(320, 240, 307.5, 307.5, 159.5, 119.5)
@@ -53,11 +54,11 @@ class PlayedCamera:
         self._stamp_s = harness.node.get_clock().now().nanoseconds * 1e-9
         kind = CompressedImage if compressed else Image
         node = harness.node
-        color = ros.COLOR_IMAGE + ("/compressed" if compressed else "")
-        depth = ros.DEPTH_IMAGE + ("/compressedDepth" if compressed else "")
+        color = topics.COLOR_IMAGE.name + ("/compressed" if compressed else "")
+        depth = topics.DEPTH_IMAGE.name + ("/compressedDepth" if compressed else "")
         self._color = node.create_publisher(kind, rename(color), qos)
         self._depth = node.create_publisher(kind, rename(depth), qos)
-        self._info = node.create_publisher(CameraInfo, rename(ros.CAMERA_INFO), qos)
+        self._info = node.create_publisher(CameraInfo, rename(topics.CAMERA_INFO.name), qos)
         node.create_timer(1 / 15, self._show)
 
     def _show(self):
@@ -103,7 +104,7 @@ class Watched:
 
     def __init__(self, harness):
         self.harness = harness
-        self.balls = harness.collect(PointStamped, ros.BALL_POSITION)
+        self.balls = harness.collect(PointStamped, topics.BALL_POSITION.name)
         self.status = harness.collect(DiagnosticStatus, "fvs_detector_node/status")
 
     def wait_for(self, state, *said):
@@ -162,7 +163,7 @@ def test_it_agrees_with_the_simulators_own_detection(ros_test, encoding, within_
         # Depth with noise comes in whole millimetres, and both encodings would be exact.
         "depth_noise": 0.0,
     }
-    arguments = ["--ros-args", "-r", f"{ros.BALL_POSITION}:=sim_ball"]
+    arguments = ["--ros-args", "-r", f"{topics.BALL_POSITION.name}:=sim_ball"]
     for name, value in options.items():
         arguments += ["-p", f"{name}:={str(value).lower() if value is True else value}"]
     ros_test.start("fvs_sim_node.node", *arguments)
@@ -232,7 +233,7 @@ def test_remapped_topics_of_any_reliability_are_heard(ros_test):
     watched = Watched(ros_test)
     PlayedCamera(ros_test, qos=ros.QOS_NEWEST, rename=lambda topic: topic.replace("/", "_"))
     remaps = []
-    for topic in (ros.COLOR_IMAGE, ros.DEPTH_IMAGE, ros.CAMERA_INFO):
+    for topic in (topics.COLOR_IMAGE.name, topics.DEPTH_IMAGE.name, topics.CAMERA_INFO.name):
         remaps += ["-r", f"{topic}:={topic.replace('/', '_')}"]
     ros_test.start(NODE, "--ros-args", *remaps)
     watched.wait_for_balls()
@@ -301,7 +302,7 @@ def test_the_annotated_image_can_be_looked_at(ros_test):
     pictures = ros_test.collect(Image, "fvs_detector_node/annotated_image")
     ros_test.spin_until(lambda: pictures, PATIENCE_S, "an annotated image")
     assert (pictures[0].width, pictures[0].height, pictures[0].encoding) == (320, 240, "rgb8")
-    drawn = ros.from_color(pictures[0])
+    drawn = from_color(pictures[0])
     u, v = np.round(QVGA.project(CENTRE)).astype(int)
     assert drawn[v, u].tolist() != camera.rgb[v, u].tolist()
 
@@ -309,9 +310,9 @@ def test_the_annotated_image_can_be_looked_at(ros_test):
 def test_no_message_ends_it(ros_test):
     watched = Watched(ros_test)
     detector = ros_test.start_node(NODE)
-    color = ros_test.publisher(Image, ros.COLOR_IMAGE)
-    depth = ros_test.publisher(Image, ros.DEPTH_IMAGE)
-    info = ros_test.publisher(CameraInfo, ros.CAMERA_INFO)
+    color = ros_test.publisher(Image, topics.COLOR_IMAGE.name)
+    depth = ros_test.publisher(Image, topics.DEPTH_IMAGE.name)
+    info = ros_test.publisher(CameraInfo, topics.CAMERA_INFO.name)
     rgb, _ = draw([], QVGA)
     sizes = (0, 1, 7, 2**32 - 1)
     for i, (width, height) in enumerate(itertools.product(sizes, sizes)):

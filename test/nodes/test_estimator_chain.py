@@ -13,9 +13,9 @@ from std_srvs.srv import Trigger
 
 from fvs_estimator_node.model_file import save_model
 from fvs_estimator_node.teaching import train_structured
-from fvs_ros.core import ros
-from fvs_ros.core.camera import CAMERA_FRAME
-from fvs_ros.core.joints import UR_JOINT_NAMES
+from fvs_ros import ros, topics
+from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.joints import UR_JOINT_NAMES
 
 MODULE = "fvs_estimator_node.node"
 RECORDING = Recording(seconds=20.0, outliers=0.0, late_s=0.0)
@@ -39,8 +39,10 @@ class MovingArm:
         self.moving = True
         self._harness = harness
         node = harness.node
-        self._states = node.create_publisher(JointState, ros.JOINT_STATES, ros.QOS_RELIABLE)
-        self._balls = node.create_publisher(PointStamped, ros.BALL_POSITION, ros.QOS_RELIABLE)
+        self._states = node.create_publisher(JointState, topics.JOINT_STATES.name, ros.QOS_RELIABLE)
+        self._balls = node.create_publisher(
+            PointStamped, topics.BALL_POSITION.name, ros.QOS_RELIABLE
+        )
         node.create_timer(0.008, self._tell_joints)
         node.create_timer(1.0 / 30.0, self._tell_ball)
 
@@ -71,9 +73,9 @@ def error_of(chain, arm):
 def test_chain_and_jacobian_are_those_of_the_arm_and_follow_a_turned_camera(ros_test, model_path):
     arm = MovingArm(ros_test)
     ros_test.start_node(MODULE, method="poe", model_path=model_path)
-    chains = ros_test.collect(Float64MultiArray, ros.KINEMATIC_CHAIN)
-    jacobians = ros_test.collect(Float64MultiArray, ros.JACOBIAN)
-    statuses = ros_test.collect(DiagnosticStatus, ros.ESTIMATOR_STATUS)
+    chains = ros_test.collect(Float64MultiArray, topics.KINEMATIC_CHAIN.name)
+    jacobians = ros_test.collect(Float64MultiArray, topics.JACOBIAN.name)
+    statuses = ros_test.collect(DiagnosticStatus, topics.ESTIMATOR_STATUS.name)
 
     def told(key):
         return float(ros.from_status(statuses[-1])[key]) if statuses else 0.0
@@ -108,9 +110,9 @@ def test_who_has_just_started_hears_of_the_chain_of_an_arm_at_rest(ros_test, mod
     arm = MovingArm(ros_test)
     arm.moving = False
     ros_test.start_node(MODULE, method="poe", model_path=model_path)
-    jacobians = ros_test.collect(Float64MultiArray, ros.JACOBIAN)
+    jacobians = ros_test.collect(Float64MultiArray, topics.JACOBIAN.name)
     ros_test.spin_until(lambda: jacobians)
-    late = ros_test.collect(Float64MultiArray, ros.KINEMATIC_CHAIN)
+    late = ros_test.collect(Float64MultiArray, topics.KINEMATIC_CHAIN.name)
     ros_test.spin_until(lambda: len(late) > 3)
     assert error_of(ros.from_chain(late[-1]), arm) < 0.01
     assert [(dim.label, dim.size) for dim in late[-1].layout.dim] == [("row", 15), ("xyz", 3)]
@@ -130,8 +132,8 @@ def test_what_the_training_found_wrong_is_said_when_the_model_is_loaded(ros_test
 def test_without_a_chain_there_is_none_on_the_wire(ros_test, model_path):
     MovingArm(ros_test)
     ros_test.start_node(MODULE, method="rbf_left", model_path=model_path)
-    chains = ros_test.collect(Float64MultiArray, ros.KINEMATIC_CHAIN)
-    statuses = ros_test.collect(DiagnosticStatus, ros.ESTIMATOR_STATUS)
+    chains = ros_test.collect(Float64MultiArray, topics.KINEMATIC_CHAIN.name)
+    statuses = ros_test.collect(DiagnosticStatus, topics.ESTIMATOR_STATUS.name)
     ros_test.spin_until(lambda: statuses and float(ros.from_status(statuses[-1])["updates"]) > 10.0)
     ros_test.spin_for(0.5)
     assert ros.from_status(statuses[-1])["method"] == "rbf_left"

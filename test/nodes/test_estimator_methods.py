@@ -12,8 +12,8 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from fvs_ros.core import ros
-from fvs_ros.core.joints import JointMap
+from fvs_ros import ros, topics
+from fvs_ros.joints import JointMap
 from fvs_sim_node.simulation import SimConfig, Simulation
 
 MODULE = "fvs_estimator_node.node"
@@ -24,8 +24,8 @@ class Watched:
 
     def __init__(self, harness, **parameters):
         self.process = harness.start_node(MODULE, **parameters)
-        self.jacobians = harness.collect(Float64MultiArray, ros.JACOBIAN)
-        self.statuses = harness.collect(DiagnosticStatus, ros.ESTIMATOR_STATUS)
+        self.jacobians = harness.collect(Float64MultiArray, topics.JACOBIAN.name)
+        self.statuses = harness.collect(DiagnosticStatus, topics.ESTIMATOR_STATUS.name)
 
     def values(self):
         return ros.from_status(self.statuses[-1]) if self.statuses else {}
@@ -38,7 +38,7 @@ class Watched:
 def test_at_rest_the_jacobian_is_that_of_the_arm(ros_test, method):
     ros_test.start_node("fvs_sim_node.node")
     estimator = Watched(ros_test, method=method)
-    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    states = ros_test.collect(JointState, topics.JOINT_STATES.name)
     wanted = "FROZEN" if method == "oracle" else "LEARNING"
     ros_test.spin_until(lambda: estimator.values().get("state") == wanted)
     ros_test.spin_until(lambda: states and estimator.jacobians)
@@ -54,14 +54,14 @@ def test_at_rest_the_jacobian_is_that_of_the_arm(ros_test, method):
 
 def test_the_oracle_is_silent_without_a_simulator_that_tells_it(ros_test):
     robot = PlayedRobot(ros_test)
-    robot.silent.add(ros.JACOBIAN)
+    robot.silent.add(topics.JACOBIAN.name)
     oracle = Watched(ros_test, method="oracle", model_path="not_needed.npz")
     ros_test.spin_until(lambda: "waiting for fvs_sim_node/true_jacobian" in oracle.reason())
     assert "only a simulator knows the true Jacobian" in oracle.reason()
     assert oracle.values()["state"] == "WAITING"
     assert not oracle.jacobians
 
-    truth = ros_test.publisher(Float64MultiArray, ros.TRUE_JACOBIAN)
+    truth = ros_test.publisher(Float64MultiArray, topics.TRUE_JACOBIAN.name)
     teller = ros_test.node.create_timer(
         0.008, lambda: truth.publish(ros.to_jacobian(robot.jacobian))
     )
@@ -78,7 +78,7 @@ def test_the_oracle_is_silent_without_a_simulator_that_tells_it(ros_test):
 
 def test_from_zero_it_learns_without_a_model(ros_test):
     robot = PlayedRobot(ros_test)
-    robot.silent.add(ros.JACOBIAN)
+    robot.silent.add(topics.JACOBIAN.name)
     estimator = Watched(
         ros_test,
         method="lkf",
@@ -108,10 +108,10 @@ def test_a_missing_model_is_one_clear_sentence(ros_test):
 
 def test_another_method_is_chosen_while_the_controller_rests_and_at_no_other_time(ros_test):
     robot = PlayedRobot(ros_test)
-    robot.silent.add(ros.JACOBIAN)
+    robot.silent.add(topics.JACOBIAN.name)
     estimator = Watched(ros_test, method="rbf")
     ros_test.spin_until(lambda: estimator.values().get("state") == "LEARNING")
-    sliding = ros_test.publisher(Vector3Stamped, ros.SLIDING_VARIABLE)
+    sliding = ros_test.publisher(Vector3Stamped, topics.SLIDING_VARIABLE.name)
     servoes = ros_test.node.create_timer(0.02, lambda: sliding.publish(Vector3Stamped()))
 
     def choose(method):
@@ -130,10 +130,10 @@ def test_another_method_is_chosen_while_the_controller_rests_and_at_no_other_tim
     ros_test.spin_until(is_refused, what="a refusal in motion")
     servoes.cancel()
     ros_test.spin_until(lambda: choose("poe").successful, what="poe")
-    chains = ros_test.collect(Float64MultiArray, ros.KINEMATIC_CHAIN)
+    chains = ros_test.collect(Float64MultiArray, topics.KINEMATIC_CHAIN.name)
     ros_test.spin_until(lambda: chains and estimator.values()["method"] == "poe")
     assert choose("oracle").successful
-    truth = ros_test.publisher(Float64MultiArray, ros.TRUE_JACOBIAN)
+    truth = ros_test.publisher(Float64MultiArray, topics.TRUE_JACOBIAN.name)
     count = len(estimator.jacobians)
 
     def tells_the_truth():

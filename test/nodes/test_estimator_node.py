@@ -9,8 +9,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from fvs_ros.core import ros
-from fvs_ros.core.joints import JointMap
+from fvs_ros import ros, topics
+from fvs_ros.joints import JointMap
 from fvs_sim_node.simulation import SimConfig, Simulation
 
 MODULE = "fvs_estimator_node.node"
@@ -20,9 +20,9 @@ STATUS = "fvs_estimator_node/status"
 def test_the_jacobian_is_that_of_the_arm_at_the_newest_joints_often_enough(ros_test):
     ros_test.start_node("fvs_sim_node.node")
     ros_test.start_node(MODULE)
-    jacobians = ros_test.collect(Float64MultiArray, ros.JACOBIAN)
-    balls = ros_test.collect(PointStamped, ros.BALL_POSITION)
-    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    jacobians = ros_test.collect(Float64MultiArray, topics.JACOBIAN.name)
+    balls = ros_test.collect(PointStamped, topics.BALL_POSITION.name)
+    states = ros_test.collect(JointState, topics.JOINT_STATES.name)
     ros_test.spin_until(lambda: jacobians and balls)
     before = len(jacobians), len(balls)
     ros_test.spin_for(1.0)
@@ -42,9 +42,9 @@ class Learner:
     def __init__(self, harness, **parameters):
         self.harness = harness
         self.robot = PlayedRobot(harness)
-        self.robot.silent.add(ros.JACOBIAN)
+        self.robot.silent.add(topics.JACOBIAN.name)
         harness.start_node(MODULE, **parameters)
-        self.jacobians = harness.collect(Float64MultiArray, ros.JACOBIAN)
+        self.jacobians = harness.collect(Float64MultiArray, topics.JACOBIAN.name)
         self.statuses = harness.collect(DiagnosticStatus, STATUS)
         harness.spin_until(lambda: self.jacobians and self.statuses, what="Jacobian and status")
 
@@ -95,19 +95,19 @@ def test_what_it_cannot_use_is_said_and_makes_no_jacobian_nonsense(ros_test):
         message.header.frame_id = "base_link"
         return message
 
-    learner.robot.spoil[ros.BALL_POSITION] = elsewhere
+    learner.robot.spoil[topics.BALL_POSITION.name] = elsewhere
     ros_test.spin_until(lambda: "base_link" in learner.statuses[-1].message)
     assert learner.values()["state"] == "FAULT"
     learner.robot.spoil.clear()
     ros_test.spin_until(lambda: learner.values()["state"] == "LEARNING")
-    learner.robot.silent.add(ros.BALL_POSITION)
+    learner.robot.silent.add(topics.BALL_POSITION.name)
     ros_test.spin_until(lambda: "waiting for ball_position" in learner.statuses[-1].message)
     assert all(np.all(np.isfinite(m.data)) for m in learner.jacobians)
 
 
 def test_every_node_reports_ages_rates_and_jitter(ros_test):
     learner = Learner(ros_test)
-    arrays = ros_test.collect(DiagnosticArray, ros.DIAGNOSTICS)
+    arrays = ros_test.collect(DiagnosticArray, topics.DIAGNOSTICS.name)
     ros_test.spin_until(lambda: len(arrays) > 2)
     values = ros.from_status(arrays[-1].status[0])
     assert arrays[-1].status[0].name == "/fvs_estimator_node"

@@ -6,7 +6,7 @@ import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
-from fvs_ros.core import ros, stop
+from fvs_ros import ros, stop
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ import pytest
 def test_quick_mode_makes_a_complete_page_with_nodes_beside_it(tmp_path):
     ended = subprocess.run(
         [
-            *(sys.executable, "-m", "fvs_ros.apps.experiments.main", "servo"),
+            *(sys.executable, "-m", "fvs_lab.main", "servo"),
             *("--quick", "--seeds", "1", "--camera", "exact", "--jobs", "2"),
             *("--out", str(tmp_path)),
         ],

@@ -1,4 +1,4 @@
-"""The running nodes have on the wire what core/topics.py declares, no more and no less."""
+"""The running nodes have on the wire what fvs_ros/topics.py declares, no more and no less."""
 
 import xml.etree.ElementTree as ET
 
@@ -12,12 +12,12 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from fvs_ros.apps.scenario import NODE_TABLE
-from fvs_ros.apps.security_policy import policy
-from fvs_ros.core import ros, topics
-from fvs_ros.core.camera import CAMERA_FRAME
-from fvs_ros.core.joints import UR_JOINT_NAMES
-from fvs_ros.core.topics import INTERFACES
+from fvs_ros import ros, topics
+from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_ros.topics import INTERFACES
+from fvs_tools.scenario import NODE_TABLE
+from fvs_tools.security_policy import policy
 
 RELIABILITY = {
     ReliabilityPolicy.RELIABLE: "reliable",
@@ -67,7 +67,9 @@ def running(tmp_path_factory):
             # Somebody who could command: a simulator in simulated time then does not race.
             if name == "fvs_sim_node":
                 harness.node.create_publisher(
-                    Float64MultiArray, f"/{namespace(index)}/{ros.COMMANDS}", ros.QOS_RELIABLE
+                    Float64MultiArray,
+                    f"/{namespace(index)}/{topics.COMMANDS.name}",
+                    ros.QOS_RELIABLE,
                 )
             nodes.append(start_alone(harness, name, namespace(index), **given))
         wait_until_up(harness, nodes)
@@ -206,12 +208,14 @@ def test_the_demo_subscribes_to_images_after_its_last_target(ros_test):
     status, ball, joints = (
         ros_test.publisher(kind, node.resolve(topic), ros.QOS_RELIABLE)
         for kind, topic in (
-            (DiagnosticStatus, ros.CONTROLLER_STATUS),
-            (PointStamped, ros.TRUE_BALL_POSITION),
-            (JointState, ros.JOINT_STATES),
+            (DiagnosticStatus, topics.CONTROLLER_STATUS.name),
+            (PointStamped, topics.TRUE_BALL_POSITION.name),
+            (JointState, topics.JOINT_STATES.name),
         )
     )
-    targets = ros_test.collect(PointStamped, node.resolve(ros.TARGET_POSITION), ros.QOS_LATCHED)
+    targets = ros_test.collect(
+        PointStamped, node.resolve(topics.TARGET_POSITION.name), ros.QOS_LATCHED
+    )
 
     def play(stamp_s):
         status.publish(ros.to_status(ros.WARN, "", "", {"state": "WAITING", "reason": "NO_TARGET"}))

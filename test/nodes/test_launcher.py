@@ -16,11 +16,11 @@ from geometry_msgs.msg import PointStamped
 from sensor_msgs.msg import Image
 from std_msgs.msg import Float64MultiArray
 
-from fvs_ros.apps.scenario import NODE_TABLE
-from fvs_ros.core import ros
-from fvs_ros.core.paths import program
+from fvs_ros import ros, topics
+from fvs_ros.paths import program
+from fvs_tools.scenario import NODE_TABLE
 
-MODULE = "fvs_ros.apps.launcher"
+MODULE = "fvs_tools.launcher"
 EXECUTABLES = dict(
     re.findall(
         r'"(fvs_\w+)=([\w.]+):main"',
@@ -55,7 +55,7 @@ def alive(pid):
 def test_the_demo_settles_every_target(ros_test):
     simulated = ["-p", "use_sim_time:=true", "-p", "simulated_time:=true"]
     short = ["-p", "targets:=2", "-p", "target_s:=3.0", "-p", "fvs_demo_node:seed:=5"]
-    statuses = ros_test.collect(DiagnosticStatus, ros.CONTROLLER_STATUS, ros.QOS_EVERY)
+    statuses = ros_test.collect(DiagnosticStatus, topics.CONTROLLER_STATUS.name, ros.QOS_EVERY)
     process = ros_test.start(MODULE, "demo", *simulated, *short)
     assert ros_test.wait(process, 90.0) == 0, ros_test.output(process)
     # The arm is stopped before the figure is drawn, and so not held meanwhile.
@@ -77,8 +77,10 @@ def test_the_demo_settles_every_target(ros_test):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_in_motion_ends_all_with_zeros_last(ros_test, number):
-    commands = ros_test.collect(Float64MultiArray, ros.COMMANDS)
-    target = ros_test.node.create_publisher(PointStamped, ros.TARGET_POSITION, ros.QOS_LATCHED)
+    commands = ros_test.collect(Float64MultiArray, topics.COMMANDS.name)
+    target = ros_test.node.create_publisher(
+        PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED
+    )
     truths = ros_test.collect(PointStamped, "fvs_sim_node/true_ball_position")
     process = ros_test.start(MODULE, "servo")
     ros_test.spin_until(lambda: bool(truths), 30.0, "the simulator")
@@ -110,7 +112,9 @@ def test_nothing_in_the_current_folder_is_run_and_a_killed_launcher_leaves_nothi
         (here / "pickle.py").unlink()
         (here / "signal.py").unlink()
     truths = ros_test.collect(PointStamped, "fvs_sim_node/true_ball_position")
-    images = ros_test.collect(Image, ros.COLOR_IMAGE)  # for which the simulator starts a process
+    images = ros_test.collect(
+        Image, topics.COLOR_IMAGE.name
+    )  # for which the simulator starts a process
     process = subprocess.Popen(
         [*program(MODULE), "servo"], cwd=here, env=ros_test.environment, stdout=subprocess.DEVNULL
     )
@@ -211,7 +215,7 @@ def test_scenario_files_serve_ros_params_file_as_well(ros_test):
     path.write_text(yaml.safe_dump({"fvs_sim_node": {"ros__parameters": {"tf_prefix": "ur_"}}}))
     from sensor_msgs.msg import JointState
 
-    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    states = ros_test.collect(JointState, topics.JOINT_STATES.name)
     ros_test.start("fvs_sim_node.node", "--ros-args", "--params-file", str(path))
     ros_test.spin_until(lambda: bool(states))
     assert states[-1].name[0] == "ur_elbow_joint"

@@ -8,10 +8,10 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
 from visualization_msgs.msg import Marker, MarkerArray
 
-from fvs_ros.core import ros
-from fvs_ros.core.camera import CAMERA_FRAME
+from fvs_ros import ros, topics
+from fvs_ros.camera import CAMERA_FRAME
 
-MODULE = "fvs_ros.apps.markers_node"
+MODULE = "fvs_tools.markers_node"
 BALL = np.array([0.1, 0.2, 1.5])
 
 
@@ -19,8 +19,8 @@ BALL = np.array([0.1, 0.2, 1.5])
 def loop(ros_test):
     """A markers node, and what says ball and status to it."""
     ros_test.start_node(MODULE, rate_hz=30.0)
-    ball = ros_test.publisher(PointStamped, ros.BALL_POSITION)
-    status = ros_test.publisher(DiagnosticStatus, ros.CONTROLLER_STATUS)
+    ball = ros_test.publisher(PointStamped, topics.BALL_POSITION.name)
+    status = ros_test.publisher(DiagnosticStatus, topics.CONTROLLER_STATUS.name)
 
     def say():
         now_s = ros_test.node.get_clock().now().nanoseconds * 1e-9
@@ -33,7 +33,7 @@ def loop(ros_test):
 
 
 def test_a_viewer_sees_ball_and_target_in_the_cameras_frame(ros_test, loop):
-    seen = ros_test.collect(MarkerArray, ros.MARKERS)
+    seen = ros_test.collect(MarkerArray, topics.MARKERS.name)
 
     def complete():
         loop()
@@ -54,7 +54,7 @@ def test_nothing_is_sent_while_nobody_looks(ros_test, loop):
     states = ros_test.collect(DiagnosticStatus, "fvs_markers_node/status")
     ros_test.spin_until(lambda: bool(states), what="a status")
     assert ros.from_status(states[-1])["state"] == "IDLE"
-    seen = ros_test.collect(MarkerArray, ros.MARKERS)
+    seen = ros_test.collect(MarkerArray, topics.MARKERS.name)
     ros_test.spin_until(
         lambda: ros.from_status(states[-1])["state"] == "SHOWING", what="the viewer to count"
     )
@@ -66,7 +66,7 @@ def test_without_tf2_msgs_the_node_says_so_once_and_goes_on(ros_test):
     from geometry_msgs.msg import PoseStamped
 
     process = ros_test.start_node(MODULE)
-    pose = ros_test.publisher(PoseStamped, ros.TRUE_CAMERA_POSE, ros.QOS_LATCHED)
+    pose = ros_test.publisher(PoseStamped, topics.TRUE_CAMERA_POSE.name, ros.QOS_LATCHED)
     pose.publish(ros.to_pose(1.0, "base_link", np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])))
     ros_test.spin_until(
         lambda: "tf2_msgs is not installed" in ros_test.output(process), what="a line"

@@ -11,9 +11,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
-from fvs_ros.core import ros
-from fvs_ros.core.camera import CAMERA_FRAME
-from fvs_ros.core.joints import JointMap
+from fvs_ros import ros, topics
+from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.joints import JointMap
 
 #: What no robot has for itself: /diagnostics is absolute by custom, the others are ROS's own.
 SHARED = {"/diagnostics", "/rosout", "/parameter_events"}
@@ -34,14 +34,14 @@ class Robot:
         self.harness = harness
         arguments = ["-p", f"fvs_sim_node:seed:={seed}", "-p", f"initial_joints_rad:={start}"]
         self.process = harness.start(
-            "fvs_ros.apps.launcher", "servo", "--namespace", name, *arguments, *SLOW
+            "fvs_tools.launcher", "servo", "--namespace", name, *arguments, *SLOW
         )
-        self.commands = harness.collect(Float64MultiArray, f"{name}/{ros.COMMANDS}")
-        self.states = harness.collect(JointState, f"{name}/{ros.JOINT_STATES}")
-        self.balls = harness.collect(PointStamped, f"{name}/{ros.BALL_POSITION}")
+        self.commands = harness.collect(Float64MultiArray, f"{name}/{topics.COMMANDS.name}")
+        self.states = harness.collect(JointState, f"{name}/{topics.JOINT_STATES.name}")
+        self.balls = harness.collect(PointStamped, f"{name}/{topics.BALL_POSITION.name}")
         self.statuses = harness.collect(DiagnosticStatus, f"{name}/fvs_controller_node/status")
         self.target = harness.node.create_publisher(
-            PointStamped, f"{name}/{ros.TARGET_POSITION}", ros.QOS_LATCHED
+            PointStamped, f"{name}/{topics.TARGET_POSITION.name}", ros.QOS_LATCHED
         )
 
     def waits_for_a_target(self):
@@ -83,7 +83,7 @@ def assert_nothing_crosses_over(node):
     names = {name for name, _ in node.get_topic_names_and_types()}
     for side in ROBOTS:
         ours = {name for name in names if name.startswith(f"/{side}/")}
-        assert f"/{side}/{ros.COMMANDS}" in ours
+        assert f"/{side}/{topics.COMMANDS.name}" in ours
         for name in ours:
             ends = node.get_publishers_info_by_topic(name)
             ends += node.get_subscriptions_info_by_topic(name)

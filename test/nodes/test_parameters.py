@@ -18,7 +18,7 @@ from rcl_interfaces.srv import (
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.parameter import parameter_value_to_python
 
-from fvs_ros.apps.scenario import NODE_TABLE
+from fvs_tools.scenario import NODE_TABLE
 
 #: A parameter that no node has.
 UNKNOWN = "no_such_parameter"

@@ -17,17 +17,17 @@ from geometry_msgs.msg import PointStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool, Float64, String
 
-from fvs_ros.apps import recording
-from fvs_ros.core import ros
+from fvs_ros import ros, topics
+from fvs_tools import recording
 
 pytest.importorskip("rosbags")
 
-from fvs_ros.apps.replay.reading import read
-from fvs_ros.apps.replay.runs import targets
+from fvs_lab.replay.reading import read
+from fvs_lab.replay.runs import targets
 
 mcap = pytest.importorskip("mcap_ros2.reader")
-LAUNCHER = "fvs_ros.apps.launcher"
-RECORDER = "fvs_ros.apps.recorder_node"
+LAUNCHER = "fvs_tools.launcher"
+RECORDER = "fvs_tools.recorder_node"
 DEEP = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 
 
@@ -97,7 +97,7 @@ def test_a_replay_judges_a_demo_as_the_demo_did(ros_test):
         30.0,
         "the loop's topics",
     )
-    demo = ros_test.start_node("fvs_ros.apps.demo_node", targets=2, target_s=1.6, seed=5)
+    demo = ros_test.start_node("fvs_tools.demo_node", targets=2, target_s=1.6, seed=5)
     # Whether it settled in time is the machine's business; what it said of itself is ours.
     assert ros_test.wait(demo, 60.0) in (0, 1), ros_test.output(demo)
     assert ros_test.stop(launcher) == 0, ros_test.output(launcher)
@@ -118,7 +118,7 @@ def test_a_replay_judges_a_demo_as_the_demo_did(ros_test):
 
     messages = read_back(bag)
     assert Counter(message.channel.topic for message in messages) == told_counts(bag)
-    commands = [m.ros_msg.data for m in messages if m.channel.topic == f"/{ros.COMMANDS}"]
+    commands = [m.ros_msg.data for m in messages if m.channel.topic == f"/{topics.COMMANDS.name}"]
     assert np.abs(commands).max() > 0.3
     assert not np.any(commands[-5:]), "the last zeros are missing"
     notes = metadata(bag)["custom_data"]
@@ -126,10 +126,13 @@ def test_a_replay_judges_a_demo_as_the_demo_did(ros_test):
     assert not any(m.schema.name == "sensor_msgs/msg/Image" for m in messages)
 
     # A viewer has all that it needs to draw arm, camera and markers in one picture.
-    (described,) = [m for m in messages if m.channel.topic == f"/{ros.ROBOT_DESCRIPTION}"]
+    (described,) = [m for m in messages if m.channel.topic == f"/{topics.ROBOT_DESCRIPTION.name}"]
     links = set(re.findall(r'<link name="(\w+)"', described.ros_msg.data))
     shown = [
-        one for m in messages if m.channel.topic == f"/{ros.MARKERS}" for one in m.ros_msg.markers
+        one
+        for m in messages
+        if m.channel.topic == f"/{topics.MARKERS.name}"
+        for one in m.ros_msg.markers
     ]
     assert {"ball", "trail", "target", "distance"} <= {one.ns for one in shown}
     parents = frames(messages)
@@ -181,7 +184,7 @@ def test_what_came_before_the_recorder_was_killed_is_replayed(ros_test):
     process = ros_test.start_node(RECORDER, output_dir="bag", scenario=scenario)
     ros_test.spin_until(lambda: "recording into bag" in ros_test.output(process), what="recorder")
     status = ros_test.collect(DiagnosticStatus, f"{recording.NODE}/status")
-    ball = ros_test.node.create_publisher(PointStamped, ros.BALL_POSITION, DEEP)
+    ball = ros_test.node.create_publisher(PointStamped, topics.BALL_POSITION.name, DEEP)
     listened(ros_test, ball)
     for number in range(30):
         ball.publish(ros.to_point(1.0 + number, "eye", np.array([0.1, 0.2, 0.8])))
@@ -200,7 +203,9 @@ def test_what_came_before_the_recorder_was_killed_is_replayed(ros_test):
 
 def test_a_latched_message_is_recorded_as_such(ros_test, recorder):
     process, bag = recorder
-    description = ros_test.node.create_publisher(String, ros.ROBOT_DESCRIPTION, ros.QOS_LATCHED)
+    description = ros_test.node.create_publisher(
+        String, topics.ROBOT_DESCRIPTION.name, ros.QOS_LATCHED
+    )
     description.publish(String(data="<robot/>"))
     listened(ros_test, description)
     ros_test.spin_for(0.2)
@@ -208,7 +213,7 @@ def test_a_latched_message_is_recorded_as_such(ros_test, recorder):
     (topic,) = (
         one["topic_metadata"]
         for one in metadata(bag)["topics_with_message_count"]
-        if one["topic_metadata"]["name"] == f"/{ros.ROBOT_DESCRIPTION}"
+        if one["topic_metadata"]["name"] == f"/{topics.ROBOT_DESCRIPTION.name}"
     )
     (offered,) = topic["offered_qos_profiles"]
     assert (offered["reliability"], offered["durability"]) == ("reliable", "transient_local")
@@ -227,7 +232,7 @@ def test_a_remapped_topic_is_noted_and_replayed(ros_test):
     process = ros_test.start_node(RECORDER, {"target_position": "goal"}, output_dir="bag")
     ros_test.spin_until(lambda: "recording into bag" in ros_test.output(process), what="recorder")
     goal = ros_test.node.create_publisher(PointStamped, "goal", DEEP)
-    ball = ros_test.node.create_publisher(PointStamped, ros.BALL_POSITION, DEEP)
+    ball = ros_test.node.create_publisher(PointStamped, topics.BALL_POSITION.name, DEEP)
     listened(ros_test, goal)
     listened(ros_test, ball)
     goal.publish(ros.to_point(1.0, "eye", np.array([0.1, 0.2, 0.9])))
@@ -259,7 +264,7 @@ def test_who_starts_later_is_told_soon_that_a_node_is_there(ros_test, monkeypatc
         listener.setblocking(False)
         ros_test.spin_for(1.0)
         others = set(senders(listener))  # this test's own node
-        statuses = ros_test.collect(DiagnosticStatus, ros.CONTROLLER_STATUS)
+        statuses = ros_test.collect(DiagnosticStatus, topics.CONTROLLER_STATUS.name)
         ros_test.start_node("fvs_controller_node.node")
         ros_test.spin_until(lambda: bool(statuses), what="the controller")
         ros_test.spin_for(1.0)
@@ -281,7 +286,7 @@ def test_a_folder_that_exists_is_refused_in_a_sentence(ros_test):
 def test_a_recorder_that_gives_up_does_not_stop_the_arm(ros_test):
     full = ["-p", "fvs_recorder_node:smallest_free_mb:=1.0e+12"]
     process = ros_test.start(LAUNCHER, "servo", "--record", "bag", "--record-without-images", *full)
-    truths = ros_test.collect(PointStamped, ros.TRUE_BALL_POSITION)
+    truths = ros_test.collect(PointStamped, topics.TRUE_BALL_POSITION.name)
     ros_test.spin_until(
         lambda: "the others go on" in ros_test.output(process), 30.0, "the recorder's end"
     )

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-MODULE = "fvs_ros.apps.launcher"
+MODULE = "fvs_tools.launcher"
 SHORT = ["-p", "use_sim_time:=true", "-p", "simulated_time:=true", "-p", "targets:=1"]
 
 

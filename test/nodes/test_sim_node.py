@@ -12,8 +12,8 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Bool, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
-from fvs_ros.core import ros
-from fvs_ros.core.joints import UR_JOINT_NAMES, UR_PUBLISHED_NAMES, JointMap
+from fvs_ros import ros, topics
+from fvs_ros.joints import UR_JOINT_NAMES, UR_PUBLISHED_NAMES, JointMap
 from fvs_sim_node.config import PARAMETERS
 from fvs_sim_node.kinematics import ball_position
 
@@ -39,10 +39,10 @@ def set_parameter(harness, name, value):
 
 
 def test_it_publishes_what_a_ur_and_a_detector_publish(simulator):
-    states = simulator.collect(JointState, ros.JOINT_STATES)
-    balls = simulator.collect(PointStamped, ros.BALL_POSITION)
+    states = simulator.collect(JointState, topics.JOINT_STATES.name)
+    balls = simulator.collect(PointStamped, topics.BALL_POSITION.name)
     truths = simulator.collect(PointStamped, "fvs_sim_node/true_ball_position")
-    running = simulator.collect(Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED)
+    running = simulator.collect(Bool, topics.ROBOT_PROGRAM_RUNNING.name, ros.QOS_LATCHED)
     simulator.spin_until(lambda: len(states) > 60 and len(balls) > 10 and truths and running)
     assert tuple(states[-1].name) == UR_PUBLISHED_NAMES
     assert running[0].data
@@ -58,8 +58,8 @@ def test_it_publishes_what_a_ur_and_a_detector_publish(simulator):
 
 def test_it_obeys_a_command_in_kinematic_order_and_holds_it(ros_test):
     ros_test.start_node(MODULE, simulated_time=True)
-    states = ros_test.collect(JointState, ros.JOINT_STATES)
-    commands = ros_test.publisher(Float64MultiArray, ros.COMMANDS)
+    states = ros_test.collect(JointState, topics.JOINT_STATES.name)
+    commands = ros_test.publisher(Float64MultiArray, topics.COMMANDS.name)
     ros_test.spin_until(lambda: len(states) > 0)
     start = positions(states[-1])
     commands.publish(Float64MultiArray(data=[0.0, 0.0, 0.2, 0.0, 0.0, 0.0]))
@@ -80,12 +80,12 @@ def test_it_obeys_a_command_in_kinematic_order_and_holds_it(ros_test):
 
 
 def test_images_are_rendered_for_subscribers_and_agree_with_camera_info(simulator):
-    states = simulator.collect(JointState, ros.JOINT_STATES)
-    infos = simulator.collect(CameraInfo, ros.CAMERA_INFO, ros.QOS_RELIABLE)
+    states = simulator.collect(JointState, topics.JOINT_STATES.name)
+    infos = simulator.collect(CameraInfo, topics.CAMERA_INFO.name, ros.QOS_RELIABLE)
     simulator.spin_until(lambda: states and infos, what="camera_info without a look at images")
-    colours = simulator.collect(Image, ros.COLOR_IMAGE, ros.QOS_RELIABLE)
-    depths = simulator.collect(Image, ros.DEPTH_IMAGE, ros.QOS_RELIABLE)
-    balls = simulator.collect(PointStamped, ros.BALL_POSITION)
+    colours = simulator.collect(Image, topics.COLOR_IMAGE.name, ros.QOS_RELIABLE)
+    depths = simulator.collect(Image, topics.DEPTH_IMAGE.name, ros.QOS_RELIABLE)
+    balls = simulator.collect(PointStamped, topics.BALL_POSITION.name)
     simulator.spin_until(lambda: len(colours) > 2 and len(depths) > 2 and infos and len(balls) > 2)
     colour, depth = colours[-1], depths[-1]
     info = next(one for one in infos if one.header.stamp == colour.header.stamp)
@@ -104,7 +104,7 @@ def test_images_are_rendered_for_subscribers_and_agree_with_camera_info(simulato
 def test_the_same_seed_sees_the_same_to_the_bit(ros_test):
     def balls_after_reset(seed):
         process = ros_test.start_node(MODULE, simulated_time=True, seed=seed)
-        balls = ros_test.collect(PointStamped, ros.BALL_POSITION, ros.QOS_RELIABLE)
+        balls = ros_test.collect(PointStamped, topics.BALL_POSITION.name, ros.QOS_RELIABLE)
         clocks = ros_test.collect(Clock, "/clock")
         ros_test.spin_until(lambda: balls and clocks)
         assert ros_test.call(Trigger, "fvs_sim_node/reset").success
@@ -119,8 +119,8 @@ def test_the_same_seed_sees_the_same_to_the_bit(ros_test):
 
 
 def test_disturbances_are_live_and_refusals_are_in_words(simulator):
-    states = simulator.collect(JointState, ros.JOINT_STATES)
-    balls = simulator.collect(PointStamped, ros.BALL_POSITION)
+    states = simulator.collect(JointState, topics.JOINT_STATES.name)
+    balls = simulator.collect(PointStamped, topics.BALL_POSITION.name)
     simulator.spin_until(lambda: len(balls) > 0)
     before = balls[-1].point
     assert set_parameter(simulator, "joint_state_order", "kinematic").successful
@@ -142,10 +142,10 @@ def test_disturbances_are_live_and_refusals_are_in_words(simulator):
 
 def test_a_viewer_learns_of_robot_and_camera_whenever_it_comes(ros_test):
     ros_test.start_node("fvs_sim_node.node", tf_prefix="left_")
-    descriptions = ros_test.collect(String, ros.ROBOT_DESCRIPTION, ros.QOS_LATCHED)
-    poses = ros_test.collect(PoseStamped, ros.TRUE_CAMERA_POSE, ros.QOS_LATCHED)
-    balls = ros_test.collect(PointStamped, ros.TRUE_BALL_POSITION)
-    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    descriptions = ros_test.collect(String, topics.ROBOT_DESCRIPTION.name, ros.QOS_LATCHED)
+    poses = ros_test.collect(PoseStamped, topics.TRUE_CAMERA_POSE.name, ros.QOS_LATCHED)
+    balls = ros_test.collect(PointStamped, topics.TRUE_BALL_POSITION.name)
+    states = ros_test.collect(JointState, topics.JOINT_STATES.name)
     ros_test.spin_until(lambda: descriptions and poses and balls and states)
     robot = ElementTree.fromstring(descriptions[0].data)
     joints = {joint.get("name") for joint in robot.iter("joint") if joint.get("type") == "revolute"}
@@ -171,9 +171,9 @@ def fastest(message):
 
 
 def test_a_pause_is_announced_once_and_a_controller_that_comes_back_stands(simulator):
-    states = simulator.collect(JointState, ros.JOINT_STATES)
-    running = simulator.collect(Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED)
-    commands = simulator.publisher(Float64MultiArray, ros.COMMANDS)
+    states = simulator.collect(JointState, topics.JOINT_STATES.name)
+    running = simulator.collect(Bool, topics.ROBOT_PROGRAM_RUNNING.name, ros.QOS_LATCHED)
+    commands = simulator.publisher(Float64MultiArray, topics.COMMANDS.name)
     simulator.spin_until(lambda: states and running)
     commands.publish(Float64MultiArray(data=[0.2, 0.0, 0.0, 0.0, 0.0, 0.0]))
     simulator.spin_until(lambda: fastest(states[-1]) > 0.19, what="motion")
@@ -182,7 +182,7 @@ def test_a_pause_is_announced_once_and_a_controller_that_comes_back_stands(simul
     simulator.spin_until(lambda: fastest(states[-1]) < 1e-3, what="the arm to stand")
     # A command in the pause is lost, and whoever listens only now hears of the pause as well.
     commands.publish(Float64MultiArray(data=[0.3, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    late = simulator.collect(Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED)
+    late = simulator.collect(Bool, topics.ROBOT_PROGRAM_RUNNING.name, ros.QOS_LATCHED)
     simulator.spin_until(lambda: bool(late), what="the latched pause")
     assert [m.data for m in late] == [False]
     for _ in range(2):
@@ -199,9 +199,9 @@ def test_a_pause_is_announced_once_and_a_controller_that_comes_back_stands(simul
 
 def test_a_pause_without_a_word_stops_the_arm_all_the_same(ros_test):
     ros_test.start_node(MODULE, announce_program_running=False)
-    states = ros_test.collect(JointState, ros.JOINT_STATES)
-    running = ros_test.collect(Bool, ros.ROBOT_PROGRAM_RUNNING, ros.QOS_LATCHED)
-    commands = ros_test.publisher(Float64MultiArray, ros.COMMANDS)
+    states = ros_test.collect(JointState, topics.JOINT_STATES.name)
+    running = ros_test.collect(Bool, topics.ROBOT_PROGRAM_RUNNING.name, ros.QOS_LATCHED)
+    commands = ros_test.publisher(Float64MultiArray, topics.COMMANDS.name)
     commands.publish(Float64MultiArray(data=[0.2, 0.0, 0.0, 0.0, 0.0, 0.0]))
     ros_test.spin_until(lambda: states and fastest(states[-1]) > 0.19, what="motion")
     assert set_parameter(ros_test, "program_running", False).successful
@@ -213,9 +213,9 @@ def test_a_pause_without_a_word_stops_the_arm_all_the_same(ros_test):
 
 
 def test_a_controller_that_a_bad_command_deactivated_stays_so_after_a_pause(simulator):
-    states = simulator.collect(JointState, ros.JOINT_STATES)
+    states = simulator.collect(JointState, topics.JOINT_STATES.name)
     statuses = simulator.collect(DiagnosticStatus, "fvs_sim_node/status")
-    commands = simulator.publisher(Float64MultiArray, ros.COMMANDS)
+    commands = simulator.publisher(Float64MultiArray, topics.COMMANDS.name)
     simulator.spin_until(lambda: bool(states))
     commands.publish(Float64MultiArray(data=[0.2] * 5))
     simulator.spin_until(
@@ -229,9 +229,9 @@ def test_a_controller_that_a_bad_command_deactivated_stays_so_after_a_pause(simu
 
 
 def test_an_empty_command_changes_nothing(simulator):
-    states = simulator.collect(JointState, ros.JOINT_STATES)
+    states = simulator.collect(JointState, topics.JOINT_STATES.name)
     statuses = simulator.collect(DiagnosticStatus, "fvs_sim_node/status")
-    commands = simulator.publisher(Float64MultiArray, ros.COMMANDS)
+    commands = simulator.publisher(Float64MultiArray, topics.COMMANDS.name)
     commands.publish(Float64MultiArray(data=[0.2, 0.0, 0.0, 0.0, 0.0, 0.0]))
     simulator.spin_until(lambda: states and fastest(states[-1]) > 0.19, what="motion")
     commands.publish(Float64MultiArray(data=[]))
@@ -241,7 +241,7 @@ def test_an_empty_command_changes_nothing(simulator):
 
 def test_a_gripper_in_the_joint_states_has_a_position_only(ros_test):
     ros_test.start_node(MODULE, extra_joints="finger_joint a_thumb_joint", tf_prefix="ur_")
-    states = ros_test.collect(JointState, ros.JOINT_STATES)
+    states = ros_test.collect(JointState, topics.JOINT_STATES.name)
     ros_test.spin_until(lambda: bool(states))
     message = states[-1]
     ours = ["ur_" + name for name in UR_JOINT_NAMES]
@@ -256,7 +256,7 @@ def test_a_gripper_in_the_joint_states_has_a_position_only(ros_test):
 
 
 def test_a_joint_can_be_nan_for_a_while(simulator):
-    states = simulator.collect(JointState, ros.JOINT_STATES)
+    states = simulator.collect(JointState, topics.JOINT_STATES.name)
     simulator.spin_until(lambda: bool(states))
     assert set_parameter(simulator, "nan_joint", "elbow_joint").successful
     simulator.spin_until(lambda: not np.isfinite(states[-1].position).all(), what="NaN")
@@ -273,9 +273,9 @@ def test_a_joint_can_be_nan_for_a_while(simulator):
 def test_a_covered_camera_publishes_black_images_and_no_ball(ros_test, simulated_time):
     small = {"image_width": 320, "image_height": 240, "focal_length_px": 300.0}
     ros_test.start_node(MODULE, simulated_time=simulated_time, **small)
-    balls = ros_test.collect(PointStamped, ros.BALL_POSITION)
-    colours = ros_test.collect(Image, ros.COLOR_IMAGE, ros.QOS_RELIABLE)
-    depths = ros_test.collect(Image, ros.DEPTH_IMAGE, ros.QOS_RELIABLE)
+    balls = ros_test.collect(PointStamped, topics.BALL_POSITION.name)
+    colours = ros_test.collect(Image, topics.COLOR_IMAGE.name, ros.QOS_RELIABLE)
+    depths = ros_test.collect(Image, topics.DEPTH_IMAGE.name, ros.QOS_RELIABLE)
     ros_test.spin_until(lambda: balls and colours and depths, what="ball and images")
     assert np.frombuffer(colours[-1].data, np.uint8).any()
     assert set_parameter(ros_test, "camera_covered", True).successful

@@ -10,8 +10,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from fvs_ros.core import ros
-from fvs_ros.core.joints import HOME_JOINTS_RAD, UR_JOINT_NAMES
+from fvs_ros import ros, topics
+from fvs_ros.joints import HOME_JOINTS_RAD, UR_JOINT_NAMES
 
 STEP_S = 0.008
 JACOBIAN = np.array(
@@ -21,8 +21,8 @@ JACOBIAN = np.array(
 
 def test_the_simulator_waits_for_a_slow_answer_to_each_joint_state(ros_test):
     ros_test.start_node("fvs_sim_node.node", simulated_time=True)
-    states = ros_test.collect(JointState, ros.JOINT_STATES)
-    commands = ros_test.publisher(Float64MultiArray, ros.COMMANDS)
+    states = ros_test.collect(JointState, topics.JOINT_STATES.name)
+    commands = ros_test.publisher(Float64MultiArray, topics.COMMANDS.name)
     ros_test.spin_until(lambda: len(states) > 0)
     stamps_s = []
     for _ in range(8):
@@ -39,8 +39,8 @@ def test_the_simulator_waits_for_a_slow_answer_to_each_joint_state(ros_test):
 
 def test_the_simulator_waits_for_an_estimator_that_is_far_behind(ros_test):
     ros_test.start_node("fvs_sim_node.node", simulated_time=True)
-    states = ros_test.collect(JointState, ros.JOINT_STATES)
-    jacobians = ros_test.publisher(Float64MultiArray, ros.JACOBIAN)
+    states = ros_test.collect(JointState, topics.JOINT_STATES.name)
+    jacobians = ros_test.publisher(Float64MultiArray, topics.JACOBIAN.name)
     ros_test.spin_until(lambda: len(states) > 0)
     for _ in range(2):
         jacobians.publish(ros.to_jacobian(JACOBIAN))
@@ -59,11 +59,15 @@ class SlowSimulator:
     def __init__(self, harness):
         node = harness.node
         self.harness = harness
-        self.commands = harness.collect(Float64MultiArray, ros.COMMANDS, ros.QOS_RELIABLE)
+        self.commands = harness.collect(Float64MultiArray, topics.COMMANDS.name, ros.QOS_RELIABLE)
         self._clock = node.create_publisher(Clock, "/clock", ros.QOS_RELIABLE)
-        self._states = node.create_publisher(JointState, ros.JOINT_STATES, ros.QOS_RELIABLE)
-        self._balls = node.create_publisher(PointStamped, ros.BALL_POSITION, ros.QOS_RELIABLE)
-        self._jacobians = node.create_publisher(Float64MultiArray, ros.JACOBIAN, ros.QOS_RELIABLE)
+        self._states = node.create_publisher(JointState, topics.JOINT_STATES.name, ros.QOS_RELIABLE)
+        self._balls = node.create_publisher(
+            PointStamped, topics.BALL_POSITION.name, ros.QOS_RELIABLE
+        )
+        self._jacobians = node.create_publisher(
+            Float64MultiArray, topics.JACOBIAN.name, ros.QOS_RELIABLE
+        )
         self.joints, self.ball = np.array(HOME_JOINTS_RAD), np.array([0.0, 0.1, 1.4])
         self.stamp_s = 1.0
         harness.spin_until(lambda: self._states.get_subscription_count() > 0)
@@ -103,7 +107,7 @@ def test_who_commands_answers_each_joint_state_once_however_slowly_they_come(
     simulator = SlowSimulator(ros_test)
     if targets:
         point = ros.to_point(1.0, "camera_color_optical_frame", simulator.ball + 0.1)
-        targets(PointStamped, ros.TARGET_POSITION, ros.QOS_LATCHED).publish(point)
+        targets(PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED).publish(point)
 
     def state():
         return ros.from_status(statuses[-1])["state"] if statuses else ""

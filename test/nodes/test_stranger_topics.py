@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from stranger import Stranger, StrangerConfig
 from stranger_trial import draw_targets
 
-from fvs_ros.core import ros
+from fvs_ros import ros, topics
 
 TESTS = str(Path(__file__).resolve().parents[1])
 FRAME = "camera_color_optical_frame"
@@ -33,14 +33,14 @@ def test_a_strangers_robot_is_served_over_its_topics_alone(ros_test, monkeypatch
         "fvs_estimator_node.collector_node", output_path=str(data), duration_s=COLLECT_S
     )
     assert ros_test.wait(collector, COLLECT_S + 40.0) == 0, ros_test.output(collector)
-    trainer = ros_test.start("fvs_ros.apps.train", str(data), "-o", str(model), "--method", "ridge")
+    trainer = ros_test.start("fvs_tools.train", str(data), "-o", str(model), "--method", "ridge")
     assert ros_test.wait(trainer, 60.0) == 0, ros_test.output(trainer)
 
     truth = ros_test.collect(PointStamped, "true_ball")
     statuses = ros_test.collect(DiagnosticStatus, "fvs_controller_node/status")
     ros_test.start_node("fvs_estimator_node.node", model_path=str(model))
     ros_test.start_node("fvs_controller_node.node")
-    publisher = ros_test.publisher(PointStamped, ros.TARGET_POSITION, ros.QOS_LATCHED)
+    publisher = ros_test.publisher(PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED)
     stranger = Stranger(StrangerConfig(seed=seed))
     for target in draw_targets(stranger, np.random.default_rng(seed), count=2):
         publisher.publish(ros.to_point(0.0, FRAME, target))

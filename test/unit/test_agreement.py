@@ -8,7 +8,7 @@ from test_supervisor import WANTED, at_rest, servoing
 
 from fvs_controller_node.reasons import Reason, State
 from fvs_controller_node.supervisor import _LEAST_SEEN
-from fvs_ros.core.agreement import Agreement, Verdict
+from fvs_ros.agreement import Agreement, Verdict
 
 IMAGE_S = 1.0 / 30.0
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

@@ -9,7 +9,7 @@ from scipy.optimize import linprog
 from fvs_controller_node.allocation import LeastSpeedInverse, make_inverse
 from fvs_controller_node.config import default_values
 from fvs_controller_node.pseudo_inverse import DampedInverse
-from fvs_ros.core.limits import JointRange
+from fvs_ros.limits import JointRange
 
 RNG = np.random.default_rng(7)
 CASES = [(RNG.normal(size=(3, 6)), RNG.normal(size=3)) for _ in range(40)]

@@ -1,4 +1,4 @@
-"""The direction of imports: node.py → its siblings → fvs_ros.core → numpy, never slice to slice."""
+"""Three floors, arrows only down: ``fvs_ros``, the nodes, and what composes them."""
 
 import ast
 import sys
@@ -12,11 +12,22 @@ SOURCES = sorted(
     path.relative_to(ROOT).as_posix() for name in PACKAGES for path in (ROOT / name).rglob("*.py")
 )
 
-ROS_MODULE = "fvs_ros/core/ros.py"
+#: Each package of a floor may import those below, and these beside it.
+FLOORS = (
+    {"fvs_ros"},
+    {"fvs_controller_node", "fvs_detector_node", "fvs_estimator_node", "fvs_sim_node"},
+    {"fvs_tools", "fvs_dashboard", "fvs_lab"},
+)
+BESIDE = {
+    ("fvs_sim_node", "fvs_detector_node"),  # its ball positions are detected ones
+    ("fvs_dashboard", "fvs_tools"),
+    ("fvs_lab", "fvs_tools"),
+}
+ROS_HOME = "fvs_ros/ros"
+IMAGES = "fvs_ros/ros/images.py"
 TRAINING = "fvs_estimator_node/varpro.py"
 SIMULATOR = "fvs_sim_node"
-CORE_MAY_IMPORT = {"numpy", "yaml", "fvs_ros"}
-CV2_IN_CORE = {"fvs_ros/core/detection.py", "fvs_ros/core/images.py"}
+GROUND_MAY_IMPORT = {"numpy", "yaml", "fvs_ros"}
 
 
 def imported_modules(path, source):
@@ -37,8 +48,8 @@ def imported_modules(path, source):
     return names
 
 
-def is_slice(package):
-    return package.startswith("fvs_") and package.endswith("_node")
+def floor_of(package):
+    return next((number for number, floor in enumerate(FLOORS) if package in floor), None)
 
 
 def is_ros(module):
@@ -50,40 +61,42 @@ def violations(path, source):
     """Sentences about the imports of one file that break a rule."""
     file = PurePosixPath(path)
     home = file.parts[0]
-    in_core = file.is_relative_to("fvs_ros/core")
-    in_apps = file.is_relative_to("fvs_ros/apps")
-    is_node = file.name.endswith("node.py")
+    in_ros = file.is_relative_to(ROS_HOME)
+    may_ros = in_ros or file.name.endswith("node.py")
     modules = imported_modules(path, source)
     packages = {module.partition(".")[0] for module in modules}
     found = []
 
     for package in sorted(packages):
-        if is_ros(package) and not is_node and path != ROS_MODULE:
-            found.append(f"{path} imports {package}: only *node.py and {ROS_MODULE} know ROS")
+        if is_ros(package) and not may_ros:
+            found.append(f"{path} imports {package}: only *node.py and {ROS_HOME} know ROS")
         if package == "pybullet" and home != SIMULATOR:
             found.append(f"{path} imports pybullet: only {SIMULATOR} may")
         if package == "torch" and path != TRAINING:
             found.append(f"{path} imports torch: only {TRAINING} may")
-        if is_slice(package) and package != home and not in_apps:
-            found.append(f"{path} imports {package}: only fvs_ros/apps composes slices")
-        if in_core and not (
-            package in CORE_MAY_IMPORT
+        inside = package == home or floor_of(package) is None or (home, package) in BESIDE
+        if not inside and floor_of(package) >= floor_of(home):
+            found.append(f"{path} imports {package}: it is not on a floor below")
+        if home == "fvs_ros" and not (
+            package in GROUND_MAY_IMPORT
             or package in sys.stdlib_module_names
-            or (package == "cv2" and path in CV2_IN_CORE)
-            or (is_ros(package) and path == ROS_MODULE)
+            or (package == "cv2" and path == IMAGES)
+            or (is_ros(package) and in_ros)
         ):
-            found.append(f"{path} imports {package}: fvs_ros/core stays on numpy, yaml and stdlib")
-    if "fvs_ros.core.ros" in modules and not is_node:
-        found.append(f"{path} imports fvs_ros.core.ros and so rclpy: only *node.py may")
-    if "fvs_ros.apps" in modules and not in_apps:
-        found.append(f"{path} imports fvs_ros.apps: it is on top of all")
+            found.append(f"{path} imports {package}: fvs_ros stays on numpy, yaml and stdlib")
+    if "fvs_ros.ros" in modules and not may_ros:
+        found.append(f"{path} imports fvs_ros.ros and so rclpy: only *node.py may")
+    if (
+        IMAGES.removesuffix(".py").replace("/", ".") in modules
+        and path == f"{ROS_HOME}/__init__.py"
+    ):
+        found.append(f"{path} imports cv2 for every node")
     return found
 
 
 def test_the_sources_are_found():
-    slices = {f"fvs_{name}_node" for name in ("sim", "detector", "estimator", "controller")}
-    assert {"fvs_ros", *slices} <= set(PACKAGES)
-    assert ROS_MODULE in SOURCES
+    assert set(PACKAGES) == set().union(*FLOORS)
+    assert {IMAGES, TRAINING} <= set(SOURCES)
 
 
 @pytest.mark.parametrize("path", SOURCES)
@@ -98,25 +111,28 @@ def test_imports_point_one_way(path):
         ("fvs_controller_node/ftsm.py", "from std_msgs.msg import Float64MultiArray"),
         ("fvs_controller_node/ftsm.py", "def f():\n    from std_srvs.srv import Trigger"),
         ("fvs_controller_node/inputs.py", "from builtin_interfaces.msg import Time"),
-        ("fvs_controller_node/inputs.py", "from fvs_ros.core import ros"),
-        ("fvs_controller_node/inputs.py", "from fvs_ros.core.ros import to_stamp"),
+        ("fvs_controller_node/inputs.py", "from fvs_ros import ros"),
+        ("fvs_controller_node/inputs.py", "from fvs_ros.ros import to_stamp"),
         ("fvs_controller_node/node.py", "from fvs_estimator_node.rbf import RbfModel"),
         ("fvs_controller_node/node.py", "import fvs_sim_node.kinematics as kinematics"),
-        ("fvs_controller_node/node.py", "from fvs_ros.apps import launcher"),
+        ("fvs_controller_node/node.py", "from fvs_tools import launcher"),
         ("fvs_estimator_node/rbf.py", "class A:\n    def f(self):\n        import torch.nn"),
         ("fvs_estimator_node/node.py", "if True:\n    import pybullet"),
-        ("fvs_ros/core/limits.py", "from fvs_controller_node import limits"),
-        ("fvs_ros/core/limits.py", "from ..apps import launcher"),
-        ("fvs_ros/core/limits.py", "import scipy.optimize"),
-        ("fvs_ros/core/camera.py", "import cv2"),
-        ("fvs_ros/core/ros.py", "def f():\n    import cv2"),
+        ("fvs_ros/limits.py", "from fvs_controller_node import limits"),
+        ("fvs_ros/limits.py", "from fvs_tools import launcher"),
+        ("fvs_ros/limits.py", "import scipy.optimize"),
+        ("fvs_ros/camera.py", "import cv2"),
+        ("fvs_ros/ros/node.py", "def f():\n    import cv2"),
         ("fvs_detector_node/annotate.py", "from fvs_sim_node.rendering import Renderer"),
         ("fvs_detector_node/detector.py", "from sensor_msgs.msg import Image"),
-        ("fvs_ros/core/camera.py", "from . import ros"),
-        ("fvs_ros/apps/launcher.py", "import rclpy"),
-        ("fvs_ros/apps/launcher.py", "from fvs_ros.core import ros"),
-        ("fvs_ros/apps/train.py", "import torch"),
-        ("fvs_ros/apps/demo_node.py", "import pybullet"),
+        ("fvs_ros/camera.py", "from . import ros"),
+        ("fvs_tools/launcher.py", "import rclpy"),
+        ("fvs_tools/launcher.py", "from fvs_ros import ros"),
+        ("fvs_tools/train.py", "import torch"),
+        ("fvs_tools/demo_node.py", "import pybullet"),
+        ("fvs_tools/demo_node.py", "from fvs_lab import main"),
+        ("fvs_detector_node/node.py", "from fvs_sim_node import rendering"),
+        ("fvs_ros/ros/__init__.py", "from fvs_ros.ros import images"),
     ],
 )
 def test_a_forbidden_import_is_found(path, source):
@@ -126,19 +142,21 @@ def test_a_forbidden_import_is_found(path, source):
 @pytest.mark.parametrize(
     ("path", "source"),
     [
-        ("fvs_controller_node/node.py", "import rclpy\nfrom fvs_ros.core import ros"),
+        ("fvs_controller_node/node.py", "import rclpy\nfrom fvs_ros import ros"),
         ("fvs_controller_node/node.py", "from fvs_controller_node.ftsm import FtsmLaw"),
         ("fvs_controller_node/node.py", "from . import ftsm"),
         ("fvs_estimator_node/collector_node.py", "from sensor_msgs.msg import JointState"),
         ("fvs_estimator_node/varpro.py", "import torch"),
         ("fvs_sim_node/world.py", "import pybullet"),
-        ("fvs_ros/core/detection.py", "import cv2\nimport numpy as np"),
-        ("fvs_ros/core/images.py", "import cv2\nimport struct"),
+        ("fvs_detector_node/detection.py", "import cv2\nimport numpy as np"),
+        ("fvs_ros/ros/images.py", "import cv2\nimport struct"),
         ("fvs_detector_node/rectifier.py", "import cv2"),
-        ("fvs_ros/core/ros.py", "import rclpy\nfrom std_msgs.msg import Float64MultiArray"),
-        ("fvs_ros/core/params.py", "import yaml\nfrom fvs_ros.core.joints import JointMap"),
-        ("fvs_ros/apps/train.py", "from fvs_estimator_node import training, rbf\nimport tqdm"),
-        ("fvs_ros/apps/demo_node.py", "import rclpy\nimport fvs_sim_node.config"),
+        ("fvs_ros/ros/node.py", "import rclpy\nfrom std_msgs.msg import Float64MultiArray"),
+        ("fvs_ros/params.py", "import yaml\nfrom fvs_ros.joints import JointMap"),
+        ("fvs_tools/train.py", "from fvs_estimator_node import training, rbf\nimport tqdm"),
+        ("fvs_tools/demo_node.py", "import rclpy\nimport fvs_sim_node.config"),
+        ("fvs_sim_node/simulation.py", "from fvs_detector_node.detection import BallDetector"),
+        ("fvs_lab/main.py", "from fvs_tools.schemes import SCHEMES"),
     ],
 )
 def test_an_allowed_import_is_passed(path, source):

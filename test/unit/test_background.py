@@ -11,7 +11,7 @@ import pytest
 _CHILD = """
 import json, os, re, sys, threading
 from pathlib import Path
-from fvs_ros.core.background import step_back
+from fvs_ros.background import step_back
 done = threading.Event()
 thread = threading.Thread(target=done.wait)
 thread.start()

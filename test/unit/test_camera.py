@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fvs_ros.core.camera import Intrinsics, look_at
+from fvs_ros.camera import Intrinsics, look_at
 
 CAMERA = Intrinsics(640, 480, 615.0, 610.0, 319.5, 239.5)
 

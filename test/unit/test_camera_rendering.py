@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fvs_ros.core.camera import Intrinsics
-from fvs_ros.core.tracking import Region
+from fvs_detector_node.tracking import Region
+from fvs_ros.camera import Intrinsics
 from fvs_sim_node.rendering import (
     CAMERA_PRESETS,
     CameraPose,

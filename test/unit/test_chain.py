@@ -7,7 +7,7 @@ import pytest
 import ur5_dh
 from recordings import random_rotation, ur5_chain
 
-from fvs_ros.core.chain import CHAIN_SHAPES, SerialChain
+from fvs_ros.chain import CHAIN_SHAPES, SerialChain
 
 
 def random_chain(seed=0):

@@ -13,7 +13,7 @@ from fvs_estimator_node.chain_chart import Chart, residuals_and_slopes
 from fvs_estimator_node.chain_fit import ChainFitError, fit_chain
 from fvs_estimator_node.dataset import DataSet
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
-from fvs_ros.core.chain import SerialChain
+from fvs_ros.chain import SerialChain
 
 
 def error_of(fit, recording):

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from bench.dry_node import DryController
-from fvs_ros.core import clock, ros
-from fvs_ros.core.clock import LoopClock
-from fvs_ros.core.joints import HOME_JOINTS_RAD, UR_JOINT_NAMES
+from fvs_ros import clock, ros
+from fvs_ros.clock import LoopClock
+from fvs_ros.joints import HOME_JOINTS_RAD, UR_JOINT_NAMES
 
 FRAME = "camera_color_optical_frame"
 JACOBIAN = np.array([[0.5, 0.1, 0.1, 0, 0, 0], [0.1, 0.5, -0.3, 0, 0, 0], [0.1, 0, 0.4, 0, 0, 0]])

@@ -4,7 +4,7 @@ import pytest
 from fvs_estimator_node.collecting import CollectionRun, RunConfig, State
 from fvs_estimator_node.knowledge import Findings, Knowledge, NothingYet, Trouble
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
-from fvs_ros.core.joints import UR_JOINT_NAMES
+from fvs_ros.joints import UR_JOINT_NAMES
 
 HOME = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
 DT_S = 0.008

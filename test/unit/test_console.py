@@ -13,7 +13,7 @@ from held_pipe import full_pipe
 
 OPEN = """
 import os, sys, time
-from fvs_ros.core import console
+from fvs_ros import console
 """
 #: Far more than any pipe holds.
 FLOOD = """
@@ -220,11 +220,11 @@ def test_a_program_waits_for_a_slow_reader(tmp_path, blocking):
     assert (tmp_path / "told").read_text() == "well"
 
 
-@pytest.mark.parametrize("program", ["experiments.main", "launcher", "train"])
+@pytest.mark.parametrize("program", ["fvs_lab.main", "fvs_tools.launcher", "fvs_tools.train"])
 def test_every_program_may_be_piped_into_one_that_leaves(program):
     source, sink = os.pipe()
     os.close(source)
-    command = [sys.executable, "-m", f"fvs_ros.apps.{program}", "--help"]
+    command = [sys.executable, "-m", program, "--help"]
     buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
     done = subprocess.run(
         command,

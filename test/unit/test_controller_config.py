@@ -20,7 +20,7 @@ from fvs_controller_node.pseudo_inverse import DampedInverse
 from fvs_controller_node.registry import LAWS, make_law
 from fvs_controller_node.supervisor_config import SupervisorConfig
 from fvs_controller_node.surface import SlidingSurface
-from fvs_ros.core.params import ParameterError, ParameterSet
+from fvs_ros.params import ParameterError, ParameterSet
 
 JACOBIAN = np.random.default_rng(0).normal(size=(3, 6))
 

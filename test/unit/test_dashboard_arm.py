@@ -12,9 +12,9 @@ pytest.importorskip("yourdfpy", reason="yourdfpy is not installed (pip install '
 
 import trimesh
 
-from fvs_ros.apps.dashboard import arm as module
-from fvs_ros.apps.dashboard.arm import Arm
-from fvs_ros.core.joints import UR_JOINT_NAMES
+from fvs_dashboard import arm as module
+from fvs_dashboard.arm import Arm
+from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_sim_node.kinematics import flange_pose
 from fvs_sim_node.ur5_urdf import urdf_text
 

@@ -20,15 +20,15 @@ import websockets
 from page_client import PageClient
 from viser.infra import _infra
 
+from fvs_dashboard import config, guard
+from fvs_dashboard.actions import Actions
+from fvs_dashboard.arm import Arm
+from fvs_dashboard.board import Board
+from fvs_dashboard.page import Page, field_of_view_rad
+from fvs_dashboard.placement import Pose
 from fvs_estimator_node.model_file import load_model
-from fvs_ros.apps.dashboard import config, guard
-from fvs_ros.apps.dashboard.actions import Actions
-from fvs_ros.apps.dashboard.arm import Arm
-from fvs_ros.apps.dashboard.board import Board
-from fvs_ros.apps.dashboard.page import Page, field_of_view_rad
-from fvs_ros.apps.dashboard.placement import Pose
-from fvs_ros.core.joints import UR_JOINT_NAMES
-from fvs_ros.core.paths import find_file
+from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_ros.paths import find_file
 from fvs_sim_node.rendering import camera_preset
 from fvs_sim_node.ur5_urdf import urdf_text
 
@@ -75,7 +75,7 @@ def test_a_page_whose_guard_did_not_take_is_not_served(later_viser, monkeypatch)
     tried = []
     check = guard.turns_others_away
     monkeypatch.setattr(
-        "fvs_ros.apps.dashboard.page.turns_others_away",
+        "fvs_dashboard.page.turns_others_away",
         lambda host, port: tried.append((host, port)) or check(host, port),
     )
     with pytest.raises(ValueError, match="would let any web site command the arm") as refused:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fvs_ros.apps.dashboard import picture
-from fvs_ros.core.camera import Intrinsics
+from fvs_dashboard import picture
+from fvs_ros.camera import Intrinsics
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
 

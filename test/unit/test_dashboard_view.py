@@ -10,8 +10,8 @@ import pytest
 
 from fvs_controller_node.config import build_loop, default_values
 from fvs_controller_node.reasons import Reason, State
-from fvs_ros.apps.dashboard import markup
-from fvs_ros.apps.dashboard.actions import (
+from fvs_dashboard import markup
+from fvs_dashboard.actions import (
     CONTROLLER,
     ESTIMATOR,
     RESET,
@@ -22,13 +22,13 @@ from fvs_ros.apps.dashboard.actions import (
     Actions,
     point_of,
 )
-from fvs_ros.apps.dashboard.board import Board, Controller, Trace
-from fvs_ros.apps.dashboard.placement import UNKNOWN, CameraPlacement, Pose
-from fvs_ros.apps.dashboard.tour import TargetTour
-from fvs_ros.core.camera import Intrinsics
-from fvs_ros.core.schemes import BEYOND, SCHEMES
+from fvs_dashboard.board import Board, Controller, Trace
+from fvs_dashboard.placement import UNKNOWN, CameraPlacement, Pose
+from fvs_dashboard.tour import TargetTour
+from fvs_ros.camera import Intrinsics
 from fvs_sim_node.kinematics import flange_pose
 from fvs_sim_node.rendering import camera_preset
+from fvs_tools.schemes import BEYOND, SCHEMES
 
 STATUS = {
     "state": "SERVOING",
@@ -390,7 +390,7 @@ def test_who_does_the_actions_is_woken_when_the_action_is_there():
 
 
 def test_no_line_joins_what_is_before_and_after_a_gap():
-    charts = pytest.importorskip("fvs_ros.apps.dashboard.charts")
+    charts = pytest.importorskip("fvs_dashboard.charts")
     nan, time_s = np.nan, np.array([0.0, 0.1, 2.1, 2.2, 2.3])
     values = charts.since_gap(time_s, np.array([1.0, 2.0, 3.0, 4.0, 5.0]))
     np.testing.assert_array_equal(values, [nan, nan, 3.0, 4.0, 5.0])
@@ -430,7 +430,7 @@ def test_what_is_no_position_is_said_to_be_none(text):
     ],
 )
 def test_only_the_page_itself_may_command_and_under_its_own_name(served_at, host, origin, words):
-    guard = pytest.importorskip("fvs_ros.apps.dashboard.guard")
+    guard = pytest.importorskip("fvs_dashboard.guard")
     own = socket.gethostname()
     headers = {"Host": host.format(own=own)}
     if origin is not None:

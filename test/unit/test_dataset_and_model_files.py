@@ -17,8 +17,8 @@ from fvs_estimator_node.model_file import (
     save_model,
 )
 from fvs_estimator_node.rbf import RbfModel
-from fvs_ros.core.chain import CHAIN_SHAPES
-from fvs_ros.core.joints import UR_JOINT_NAMES, UR_PUBLISHED_NAMES
+from fvs_ros.chain import CHAIN_SHAPES
+from fvs_ros.joints import UR_JOINT_NAMES, UR_PUBLISHED_NAMES
 
 
 def some_data(n=8):

@@ -1,6 +1,6 @@
 import numpy as np
 
-from fvs_ros.apps.demo import TargetRecord, score, table
+from fvs_tools.demo import TargetRecord, score, table
 
 
 def test_a_target_that_late_inputs_slowed_is_marked():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from drawn_balls import RADIUS_M, VGA, draw, hide
 
-from fvs_ros.core.detection import BallColour, Cause, colour_mask, detect_ball, examine
-from fvs_ros.core.tracking import Region
+from fvs_detector_node.detection import BallColour, Cause, colour_mask, detect_ball, examine
+from fvs_detector_node.tracking import Region
 from fvs_sim_node.depth_noise import add_depth_noise
 from fvs_sim_node.rendering import Renderer, camera_preset, pose_from_look_at
 from fvs_sim_node.world import TABLE, SceneObject, World

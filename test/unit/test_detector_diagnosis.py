@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from drawn_balls import RADIUS_M, VGA, draw, hide
 
+from fvs_detector_node.detection import BallColour, detect_ball
 from fvs_detector_node.diagnosis import Why, diagnose
-from fvs_ros.core.detection import BallColour, detect_ball
 
 CENTRE = np.array([0.05, 0.02, 1.2])
 

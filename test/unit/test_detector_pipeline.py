@@ -12,9 +12,9 @@ from fvs_detector_node.annotate import annotate
 from fvs_detector_node.config import PARAMETERS
 from fvs_detector_node.detector import Detector
 from fvs_detector_node.rectifier import Rectifier
-from fvs_ros.core.camera import CameraModel, camera_model
-from fvs_ros.core.params import ParameterSet
-from fvs_ros.core.tracking import Region
+from fvs_detector_node.tracking import Region
+from fvs_ros.camera import CameraModel, camera_model
+from fvs_ros.params import ParameterSet
 
 PINHOLE = CameraModel(VGA)
 DT = 1 / 30

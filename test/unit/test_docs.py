@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from fvs_controller_node.reasons import Reason
-from fvs_ros.apps.experiments.report import EXPERIMENTS
-from fvs_ros.apps.scenario import NODE_TABLE
+from fvs_lab.report import EXPERIMENTS
+from fvs_tools.scenario import NODE_TABLE
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
@@ -15,19 +15,19 @@ PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 _ELSEWHERE = {
     "image stamps are too": "fvs_estimator_node/loop.py",
     "the camera seems to have been moved": "fvs_estimator_node/camera_doubts.py",
-    "is taken; stop what is served there": "fvs_ros/apps/dashboard/page.py",
-    "Reset everything": "fvs_ros/apps/dashboard/panel.py",
-    "the camera's place is not known yet": "fvs_ros/apps/dashboard/placement.py",
-    "this page gets too little of the processor": "fvs_ros/apps/dashboard/dashboard_node.py",
-    "no picture: no node publishes": "fvs_ros/apps/dashboard/dashboard_node.py",
-    "waiting for the first picture from": "fvs_ros/apps/dashboard/dashboard_node.py",
+    "is taken; stop what is served there": "fvs_dashboard/page.py",
+    "Reset everything": "fvs_dashboard/panel.py",
+    "the camera's place is not known yet": "fvs_dashboard/placement.py",
+    "this page gets too little of the processor": "fvs_dashboard/dashboard_node.py",
+    "no picture: no node publishes": "fvs_dashboard/dashboard_node.py",
+    "waiting for the first picture from": "fvs_dashboard/dashboard_node.py",
     "changes only while": "fvs_controller_node/node.py",
-    "No word from this page's program": "fvs_ros/apps/dashboard/markup.py",
+    "No word from this page's program": "fvs_dashboard/markup.py",
     "is not used: it contradicts the Jacobian": "fvs_controller_node/loop.py",
     "no robot_program_running yet": "fvs_controller_node/node.py",
     "target refused:": "fvs_controller_node/supervisor.py",
     "the newest ball_position is stamped": "fvs_controller_node/predictor.py",
-    "The bag was cut off": "fvs_ros/apps/replay/happened.py",
+    "The bag was cut off": "fvs_lab/replay/happened.py",
 }
 _NAMES = ("joint_states", "ball_position", "jacobian", "…")
 _PARAMETERS = {p.name for entry in NODE_TABLE.values() for p in entry.parameters()}

@@ -11,10 +11,9 @@ import pytest
 import yaml
 from scipy.stats import bootstrap
 
-from fvs_ros.apps.demo import own_targets
-from fvs_ros.apps.experiments import main, servo
-from fvs_ros.apps.experiments.context import Context
-from fvs_ros.apps.experiments.report import (
+from fvs_lab import main, servo
+from fvs_lab.context import Context
+from fvs_lab.report import (
     EXPERIMENTS,
     LONG,
     RESULTS,
@@ -26,18 +25,18 @@ from fvs_ros.apps.experiments.report import (
     write_page,
     write_report,
 )
-from fvs_ros.apps.experiments.search import Found, Knob, Limit, Search, run_searches
-from fvs_ros.apps.experiments.servo_terms import REGIMES, SEARCHED, search_of
-from fvs_ros.apps.experiments.spot_check import Chain, SpotCheck, run_chain, scenario_of
-from fvs_ros.apps.experiments.spot_check_words import spot_check_verdict
-from fvs_ros.apps.experiments.statistics import (
+from fvs_lab.search import Found, Knob, Limit, Search, run_searches
+from fvs_lab.servo_terms import REGIMES, SEARCHED, search_of
+from fvs_lab.spot_check import Chain, SpotCheck, run_chain, scenario_of
+from fvs_lab.spot_check_words import spot_check_verdict
+from fvs_lab.statistics import (
     Interval,
     all_hold,
     any_holds,
     median,
     ratio_of_medians,
 )
-from fvs_ros.apps.experiments.trials import (
+from fvs_lab.trials import (
     Case,
     Conditions,
     Outcome,
@@ -46,8 +45,9 @@ from fvs_ros.apps.experiments.trials import (
     make_cases,
     run_trial,
 )
-from fvs_ros.apps.scenario import load_scenario
-from fvs_ros.apps.score import settling_time_s
+from fvs_tools.demo import own_targets
+from fvs_tools.scenario import load_scenario
+from fvs_tools.score import settling_time_s
 
 INF = float("inf")
 HOME = (0.0, -1.35, 1.6, -1.75, -1.57, 0.0)
@@ -228,7 +228,7 @@ def test_the_search_finds_the_gain_and_is_repeatable(tmp_path):
 def test_every_scheme_has_the_same_budget_and_knobs_that_its_nodes_know():
     from fvs_controller_node.config import default_values
     from fvs_estimator_node.config import PARAMETERS
-    from fvs_ros.core.params import ParameterSet
+    from fvs_ros.params import ParameterSet
 
     estimator = ParameterSet(PARAMETERS)
     for regime in REGIMES:

@@ -10,10 +10,10 @@ from scipy.optimize import linprog
 
 pytest.importorskip("pybullet")
 
-from fvs_ros.apps.experiments import floor
-from fvs_ros.apps.experiments.floor import Limits, floor_of, least_travel_rad, play_s
-from fvs_ros.apps.experiments.trials import BOUNDS_M, Case, make_cases
-from fvs_ros.core.joints import HOME_JOINTS_RAD
+from fvs_lab import floor
+from fvs_lab.floor import Limits, floor_of, least_travel_rad, play_s
+from fvs_lab.trials import BOUNDS_M, Case, make_cases
+from fvs_ros.joints import HOME_JOINTS_RAD
 from fvs_sim_node.kinematics import ball_jacobian, ball_position
 from fvs_sim_node.simulation import SimConfig, Simulation
 

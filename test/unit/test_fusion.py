@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from fvs_controller_node.predictor import BallPredictor
-from fvs_ros.core import fusion as fusion_module
-from fvs_ros.core.fusion import Fusion
-from fvs_ros.core.tracker import Image, Tracker
+from fvs_ros import fusion as fusion_module
+from fvs_ros.fusion import Fusion
+from fvs_ros.tracker import Image, Tracker
 
 
 def follow(fusion, images, motions):

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from fvs_estimator_node.dataset import DataSet, DataSetError, load_data_set, save_data_set
 from fvs_estimator_node.model_file import ModelFileError, load_model
-from fvs_ros.apps.scenario import NODE_TABLE, ScenarioError, load_scenario
+from fvs_tools.scenario import NODE_TABLE, ScenarioError, load_scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 FEW = settings(
@@ -388,7 +388,7 @@ def test_the_home_of_nobody_is_no_scenario():
 
 LOAD_SCENARIO = """
 import sys
-from fvs_ros.apps.scenario import ScenarioError, load_scenario
+from fvs_tools.scenario import ScenarioError, load_scenario
 try:
     load_scenario(sys.argv[1])
 except ScenarioError as error:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from fvs_ros.apps import launcher, scenario
+from fvs_tools import launcher, scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAMS = [
@@ -79,7 +79,7 @@ def told(tmp_path, monkeypatch):
     monkeypatch.setenv(
         "PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
     )
-    entry = scenario.NodeEntry("fvs_demo_node", "telling_node", "fvs_ros.apps.demo", task=True)
+    entry = scenario.NodeEntry("fvs_demo_node", "telling_node", "fvs_tools.demo", task=True)
     monkeypatch.setitem(scenario.NODE_TABLE, "fvs_demo_node", entry)
     monkeypatch.setattr(launcher.stop, "RECEIVED", [])
     monkeypatch.chdir(tmp_path)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fvs_ros.core.history import JointHistory, StampGate, jump_of
+from fvs_ros.history import JointHistory, StampGate, jump_of
 
 
 def ramp(stamp_s):

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fvs_ros.core.images import (
+from fvs_ros.ros.images import (
     MAX_PIXELS,
     ImageError,
     decode_colour,

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fvs_ros.core.joints import (
+from fvs_ros.joints import (
     UR_JOINT_NAMES,
     UR_PUBLISHED_NAMES,
     ForeignJointsError,

@@ -5,8 +5,8 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from fvs_ros.core.detection import BallColour, colour_mask
-from fvs_ros.core.joints import UR_JOINT_NAMES
+from fvs_detector_node.detection import BallColour, colour_mask
+from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_sim_node import kinematics
 from fvs_sim_node.ur5_urdf import urdf_text
 from fvs_sim_node.world import World

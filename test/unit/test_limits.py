@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fvs_ros.core.limits import (
+from fvs_ros.limits import (
     JointRange,
     limit_acceleration,
     limit_speed,

@@ -5,7 +5,7 @@ import pytest
 
 from fvs_controller_node.config import build_loop, default_values
 from fvs_controller_node.reasons import Reason, State
-from fvs_ros.core.chain import SerialChain
+from fvs_ros.chain import SerialChain
 
 HOME = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
 DT_S = 0.008

@@ -10,10 +10,10 @@ import yaml
 
 from fvs_controller_node.config import build_loop, default_values
 from fvs_controller_node.supervisor import Supervisor
-from fvs_ros.apps import markers
-from fvs_ros.apps.markers import FRESH_S, Scene
-from fvs_ros.apps.scenario import load_scenario
-from fvs_ros.core import topics
+from fvs_ros import topics
+from fvs_tools import markers
+from fvs_tools.markers import FRESH_S, Scene
+from fvs_tools.scenario import load_scenario
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 BALL = np.array([0.1, 0.2, 1.5])

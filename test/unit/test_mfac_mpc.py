@@ -16,7 +16,7 @@ from fvs_controller_node.config import build_loop, default_values, reconfigure
 from fvs_controller_node.mfac import MfacLaw
 from fvs_controller_node.mpc import MpcLaw, mpc_coefficients
 from fvs_controller_node.registry import make_law
-from fvs_ros.core.params import ParameterError
+from fvs_ros.params import ParameterError
 
 RNG = np.random.default_rng(11)
 JACOBIAN = 0.4 * RNG.normal(size=(3, 6))

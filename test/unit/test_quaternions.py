@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fvs_ros.core.quaternions import about, product, quaternion_of, rotation_of
+from fvs_ros.quaternions import about, product, quaternion_of, rotation_of
 
 Rotation = pytest.importorskip("scipy.spatial.transform").Rotation
 

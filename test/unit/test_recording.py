@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 import yaml
 
-from fvs_ros.apps import launcher, markers, recording
-from fvs_ros.apps.recording import Doubles, Message, RecordingError, Request, SimulatedTime
-from fvs_ros.apps.scenario import ScenarioError, load_scenario
+from fvs_tools import launcher, markers, recording
+from fvs_tools.recording import Doubles, Message, RecordingError, Request, SimulatedTime
+from fvs_tools.scenario import ScenarioError, load_scenario
 
 pytest.importorskip("rosbags")
 
 from replayed_bags import TYPES
 
-from fvs_ros.apps.bag import ERRORS, NOTES, Bag, knows, to_bag_qos
-from fvs_ros.apps.viewing import Viewing
-from fvs_ros.core.joints import UR_JOINT_NAMES
+from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_sim_node.ur5_urdf import urdf_text
+from fvs_tools.bag import ERRORS, NOTES, Bag, knows, to_bag_qos
+from fvs_tools.viewing import Viewing
 
 #: Bool(data=True) as it is on the wire, little endian.
 TRUE = bytes([0, 1, 0, 0, 1])

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from fvs_controller_node.reasons import Reason, State
-from fvs_ros.apps import reference
-from fvs_ros.apps.reference import UNITS, readable, sentence, unit
-from fvs_ros.apps.scenario import NODE_TABLE
-from fvs_ros.apps.security_policy import OPERATOR, policy
-from fvs_ros.core import topics
-from fvs_ros.core.topics import INTERFACES, resolve
+from fvs_ros import topics
+from fvs_ros.topics import INTERFACES, resolve
+from fvs_tools import reference
+from fvs_tools.reference import UNITS, readable, sentence, unit
+from fvs_tools.scenario import NODE_TABLE
+from fvs_tools.security_policy import OPERATOR, policy
 
 ROOT = Path(__file__).resolve().parents[2]
 

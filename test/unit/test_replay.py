@@ -32,17 +32,17 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
 
 from fvs_controller_node.reasons import State
-from fvs_ros.apps.bag import Bag
-from fvs_ros.apps.experiments.main import main
-from fvs_ros.apps.experiments.report import Origin, write_report
-from fvs_ros.apps.experiments.style import pyplot
-from fvs_ros.apps.replay import estimates, figures, files, overview, runs, story, timing
-from fvs_ros.apps.replay.data import Series
-from fvs_ros.apps.replay.files import BagError
-from fvs_ros.apps.replay.happened import happened
-from fvs_ros.apps.replay.reading import read
-from fvs_ros.apps.replay.sections import sections
-from fvs_ros.core.status import SILENT
+from fvs_lab.main import main
+from fvs_lab.replay import estimates, figures, files, overview, runs, story, timing
+from fvs_lab.replay.data import Series
+from fvs_lab.replay.files import BagError
+from fvs_lab.replay.happened import happened
+from fvs_lab.replay.reading import read
+from fvs_lab.replay.sections import sections
+from fvs_lab.report import Origin, write_report
+from fvs_lab.style import pyplot
+from fvs_ros.status import SILENT
+from fvs_tools.bag import Bag
 
 DEMO = {
     "fvs_controller_node": {"law": "ftsm", "max_joint_velocity_rad_s": 0.8},

@@ -5,14 +5,14 @@ import yaml
 
 from fvs_controller_node.registry import LAWS
 from fvs_estimator_node.registry import ESTIMATORS
-from fvs_ros.apps.scenario import (
+from fvs_tools.scenario import (
     NODE_TABLE,
     ScenarioError,
     checked_remap,
     enclave_arguments,
     load_scenario,
 )
-from fvs_ros.core.schemes import BEYOND, SCHEMES, scheme
+from fvs_tools.schemes import BEYOND, SCHEMES, scheme
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fvs_ros.core.camera import Intrinsics
-from fvs_ros.core.params import ParameterSet
-from fvs_ros.core.tracking import WindowTracker
+from fvs_detector_node.tracking import WindowTracker
+from fvs_ros.camera import Intrinsics
+from fvs_ros.params import ParameterSet
 from fvs_sim_node import kinematics
 from fvs_sim_node.config import PARAMETERS
 from fvs_sim_node.rendering import CameraPose

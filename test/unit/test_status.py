@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fvs_ros.core.status import number, vector
+from fvs_ros.status import number, vector
 
-APPS = Path(__file__).resolve().parents[2] / "fvs_ros" / "apps"
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize("text", [None, "", "unknown", "nan"])
@@ -24,8 +24,8 @@ def test_a_vector_is_known_only_as_a_whole():
     assert vector(values, "position_{}_m") is None
 
 
-@pytest.mark.parametrize("path", ["replay", "markers.py"])
+@pytest.mark.parametrize("path", ["fvs_lab/replay", "fvs_tools/markers.py"])
 def test_replay_and_markers_do_without_the_page(path):
-    files = sorted((APPS / path).glob("*.py")) or [APPS / path]
+    files = sorted((ROOT / path).glob("*.py")) or [ROOT / path]
     for file in files:
-        assert "fvs_ros.apps.dashboard" not in file.read_text(encoding="utf-8"), file
+        assert "fvs_dashboard" not in file.read_text(encoding="utf-8"), file

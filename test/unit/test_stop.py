@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fvs_ros.core import stop
+from fvs_ros import stop
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "real_ur5.md"
 #: What cannot be noted, and what a crash raises again and again.
@@ -17,7 +17,7 @@ HARMLESS = {"SIGCHLD", "SIGCONT", "SIGURG", "SIGWINCH", "SIGPIPE", "SIGXFSZ"}
 HARMLESS |= {"SIGTSTP", "SIGTTIN", "SIGTTOU"}
 CODE = """
 import signal, sys
-from fvs_ros.core import stop
+from fvs_ros import stop
 stop.listen()
 signal.raise_signal(int(sys.argv[1]))
 print(stop.RECEIVED)

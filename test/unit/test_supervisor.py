@@ -14,8 +14,8 @@ from fvs_controller_node.progress import ProgressLimits
 from fvs_controller_node.reasons import Reason, State
 from fvs_controller_node.supervisor import Command, Supervisor
 from fvs_controller_node.supervisor_config import SupervisorConfig
-from fvs_ros.core.agreement import Verdict
-from fvs_ros.core.limits import JointRange
+from fvs_ros.agreement import Verdict
+from fvs_ros.limits import JointRange
 
 DT_S = 0.008
 FRAME = "camera_color_optical_frame"

@@ -11,7 +11,7 @@ from recordings import Recording, relative_error, turn, ur5_chain
 from fvs_detector_node.config import PARAMETERS
 from fvs_estimator_node.chain_fit import ChainFitError
 from fvs_estimator_node.teaching import teach, train_structured, with_chain
-from fvs_ros.core.params import ParameterSet
+from fvs_ros.params import ParameterSet
 
 BOX = ur5_dh.HOME_RAD + np.array([-1.0, 1.0])[:, None] * ur5_dh.BOX_M_RAD
 

@@ -8,9 +8,9 @@ from recordings import Recording, relative_error
 from fvs_estimator_node.dataset import DataSet, load_data_set, save_data_set
 from fvs_estimator_node.model_file import load_model
 from fvs_estimator_node.teaching import train_structured
-from fvs_ros.apps.train import main, report_structured
-from fvs_ros.core.joints import UR_PUBLISHED_NAMES
-from fvs_ros.core.stop import EXIT_FAILURE
+from fvs_ros.joints import UR_PUBLISHED_NAMES
+from fvs_ros.stop import EXIT_FAILURE
+from fvs_tools.train import main, report_structured
 
 
 @pytest.fixture
@@ -89,7 +89,7 @@ def test_interrupted_it_writes_nothing_and_says_so(data_file, tmp_path, capsys, 
     def interrupt(*_arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("fvs_ros.apps.train.train", interrupt)
+    monkeypatch.setattr("fvs_tools.train.train", interrupt)
     model = tmp_path / "model.npz"
     assert main([str(data_file), "-o", str(model), "--method", "ridge"]) == EXIT_FAILURE
     assert capsys.readouterr().err == "fvs_train: interrupted, no model was written\n"

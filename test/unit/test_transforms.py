@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from fvs_ros.apps.transforms import Links
-from fvs_ros.core.joints import UR_JOINT_NAMES
+from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_sim_node.kinematics import flange_pose
 from fvs_sim_node.ur5_urdf import urdf_text
+from fvs_tools.transforms import Links
 
 #: ``base_link`` is the closed form's base, turned by half a turn.
 HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])

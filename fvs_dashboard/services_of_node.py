@@ -1,0 +1,138 @@
+"""Calls of the page's node to the others, none of which waits for ever."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.parameter import Parameter, parameter_value_to_python
+from std_srvs.srv import Trigger
+
+from fvs_dashboard.actions import CONTROLLER, ESTIMATOR, SIMULATOR
+
+if TYPE_CHECKING:
+    from fvs_ros.ros import FvsNode
+
+_CALLS: dict[str, type] = {
+    **{f"{CONTROLLER}/{name}": Trigger for name in ("start", "stop", "set_current_as_target")},
+    **{f"{node}/reset": Trigger for node in (ESTIMATOR, SIMULATOR)},
+    **{f"{node}/get_parameters": GetParameters for node in (CONTROLLER, ESTIMATOR, SIMULATOR)},
+    **{f"{node}/set_parameters": SetParameters for node in (CONTROLLER, ESTIMATOR, SIMULATOR)},
+}
+#: An answer that takes longer is not waited for, s.
+ANSWER_S = 3.0
+#: A stop is asked for this often, until it is answered, s; and after so long the person is told.
+_STOP_AGAIN_S, _STOP_LATE_S = 0.3, 0.5
+
+
+class _Request(NamedTuple):
+    """A request that is not answered yet; a quiet one is none of a person's."""
+
+    name: str
+    asked_s: float
+    client: Any
+    future: Any
+    quiet: bool
+
+
+class Services:
+    """The services of controller, estimator and simulator.
+
+    Parameters
+    ----------
+    node : FvsNode
+        Calls them.
+    tell : callable
+        Takes what a person at the page is to read.
+    """
+
+    def __init__(self, node: FvsNode, tell: Callable[[str], None]) -> None:
+        self._node = node
+        self._tell = tell
+        self._clients = {name: node.create_client(kind, name) for name, kind in _CALLS.items()}
+        self._open: list[_Request] = []
+        self._stop_since_s: float | None = None
+        self._stop_said = False
+        self._stop_sent_s = 0.0
+
+    def call(self, name: str, on_answer: Callable[[Trigger.Response], None] | None = None) -> None:
+        """Call a service by node and name; its answer is told, or given to ``on_answer``."""
+        if name == f"{CONTROLLER}/start":  # whoever starts after a stop means it
+            self._stop_since_s = None
+        self._request(name, Trigger.Request(), on_answer or self._told(name))
+
+    def stop(self) -> None:
+        """Ask the controller to stop, again and again until it answers."""
+        self._stop_since_s, self._stop_said = self._node.steady_s(), False
+        self._send_stop()
+
+    def ask(
+        self, node: str, names: tuple[str, ...], on_values: Callable[[dict[str, Any]], None]
+    ) -> None:
+        """Ask for parameters; those that a node has come as plain values, none if it is gone."""
+
+        def on_answer(answer: GetParameters.Response) -> None:
+            values = [parameter_value_to_python(value) for value in answer.values]
+            on_values({n: v for n, v in zip(names, values, strict=False) if v is not None})
+
+        name = f"{node}/get_parameters"
+        if self._clients[name].service_is_ready():
+            self._request(name, GetParameters.Request(names=list(names)), on_answer, quiet=True)
+        else:
+            on_values({})
+
+    def set(self, parameter: str, value: Any) -> None:
+        """Set a parameter, named by node and name; a refusal is told."""
+
+        def on_answer(answer: SetParameters.Response) -> None:
+            for result in answer.results:
+                if not result.successful:
+                    self._tell(f"refused: {result.reason}")
+
+        node, _, name = parameter.partition("/")
+        plain = value if isinstance(value, (float, str)) else list(value)
+        wanted = Parameter(name, value=plain).to_parameter_msg()
+        request = SetParameters.Request(parameters=[wanted])
+        self._request(f"{node}/set_parameters", request, on_answer)
+
+    def look_after(self) -> None:
+        """Repeat a stop that is not answered, and give up what waits too long."""
+        now_s = self._node.steady_s()
+        if self._stop_since_s is not None and now_s - self._stop_sent_s > _STOP_AGAIN_S:
+            if now_s - self._stop_since_s > _STOP_LATE_S and not self._stop_said:
+                self._stop_said = True
+                self._tell("stop: the controller does not answer yet; use the robot's own stop")
+            self._send_stop()
+        self._open = [one for one in self._open if not one.future.done()]
+        for one in self._open:
+            if now_s - one.asked_s > ANSWER_S:
+                one.client.remove_pending_request(one.future)
+                if not one.quiet:
+                    self._tell(f"{one.name} does not answer; it may still be done, later")
+        self._open = [one for one in self._open if now_s - one.asked_s <= ANSWER_S]
+
+    def _send_stop(self) -> None:
+        self._stop_sent_s = self._node.steady_s()
+
+        def on_answer(answer: Trigger.Response) -> None:
+            if self._stop_since_s is not None:
+                self._stop_since_s = None
+                self._told("stop")(answer)
+
+        self._request(f"{CONTROLLER}/stop", Trigger.Request(), on_answer, quiet=True)
+
+    def _told(self, name: str) -> Callable[[Trigger.Response], None]:
+        said = name.rpartition("/")[2].replace("_", " ")
+        return lambda answer: self._tell(f"{said}: {answer.message}")
+
+    def _request(
+        self, name: str, request: Any, on_answer: Callable[[Any], None], quiet: bool = False
+    ) -> None:
+        client = self._clients[name]
+        if client.service_is_ready():
+            future = client.call_async(request)
+            future.add_done_callback(lambda done: on_answer(done.result()))
+            self._open.append(_Request(name, self._node.steady_s(), client, future, quiet))
+        elif not quiet:
+            self._tell(f"{name} does not answer; is {name.partition('/')[0]} running?")

@@ -1,0 +1,245 @@
+"""A minute of motion: what a fitted chain makes of it, and what the paper's training does."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+
+from fvs_estimator_node.chain_fit import fit_chain
+from fvs_estimator_node.dataset import DataSet
+from fvs_estimator_node.motion import MotionConfig, RandomMotion
+from fvs_estimator_node.pairing import BallSample, ExposureMatcher
+from fvs_estimator_node.teaching import train_structured
+from fvs_estimator_node.training import TrainingOptions, train
+from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, simulation_of
+
+MINUTE_S = 60.0
+#: The images of a seed are stamped late by as much as this, drawn evenly, s.
+MOST_LATE_S = 0.1
+#: Share of the ball that must be seen for joints to belong to the workspace.
+_VISIBLE = 0.9
+#: How the paper trains, and what is left of it where torch is not installed.
+PAPERS_METHOD = "varpro" if find_spec("torch") else "ridge"
+
+#: What may err in a plant, and how its conditions differ: the calibration by as much as that of a
+#: depth camera off the shelf, encoders and drives far worse than a UR's.
+ERRING: Mapping[str, Mapping[str, Any]] = {
+    "nothing": {},
+    "focal length told 1 % too long": {"focal_error": 0.01},
+    "focal length told 1 % too short": {"focal_error": -0.01},
+    "depths told 0.5 % too large": {"depth_error": 0.005},
+    "0.2 mrad of noise on the joints": {"encoder_noise_rad": 0.0002},
+    "drives that lag by 100 ms": {"joint_lag_s": 0.1},
+}
+
+
+@dataclass(frozen=True)
+class Places:
+    """Joints at which Jacobians are compared with the true one.
+
+    Parameters
+    ----------
+    box_rad, workspace_rad : ndarray, shape (n, 6)
+        In box M, and over the whole range of the joints where the camera sees the ball, rad.
+    """
+
+    box_rad: np.ndarray
+    workspace_rad: np.ndarray
+
+
+@dataclass(frozen=True)
+class Minute:
+    """A recording to learn from.
+
+    Parameters
+    ----------
+    seed : int
+        Of the motion, the noise and the lateness.
+    duration_s : float
+        Length of the motion, s.
+    conditions : Conditions
+        The world.
+    places : Places
+        Where what was learned is judged.
+    papers_method : str
+        How the paper's networks are trained.
+    """
+
+    seed: int
+    duration_s: float
+    conditions: Conditions
+    places: Places
+    papers_method: str = PAPERS_METHOD
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What came of a minute; errors are medians over the places, relative, by Frobenius norms.
+
+    Parameters
+    ----------
+    seed : int
+        Of the minute.
+    images : int
+        Ball positions recorded.
+    fit_s : float
+        Fitting the chain and teaching the networks, s of one core.
+    chain_box, chain_workspace : float
+        Errors of the chain's Jacobian in box M and over the workspace.
+    taught_box, taught_workspace : float
+        Errors of the six networks that the chain taught.
+    paper_box, paper_workspace : float
+        Errors of the networks that the paper's training makes of the same data.
+    late_s, found_late_s : float
+        How late the images were stamped, and what the fit says, s.
+    """
+
+    seed: int
+    images: int
+    fit_s: float
+    chain_box: float
+    chain_workspace: float
+    taught_box: float
+    taught_workspace: float
+    paper_box: float
+    paper_workspace: float
+    late_s: float
+    found_late_s: float
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a fit says of itself, and what is true, in box M; errors as those of :class:`Learned`.
+
+    Parameters
+    ----------
+    plant : str
+        What errs.
+    told : float
+        What the fit says of its error.
+    seen, metric : float
+        Its error against the Jacobian of where the camera sees the ball, and of where it is.
+    """
+
+    plant: str
+    told: float
+    seen: float
+    metric: float
+
+
+def draw_places(seed: int, count: int) -> Places:
+    """Draw joints of box M, and of the whole workspace that the camera sees.
+
+    Parameters
+    ----------
+    seed : int
+        Of the draw.
+    count : int
+        How many of each.
+    """
+    rng = np.random.default_rng(seed)
+    box = HOME_RAD + rng.uniform(-1.0, 1.0, (count, 6)) * BOX_RAD
+    simulation = simulation_of(Conditions())
+    seen: list[np.ndarray] = []
+    while len(seen) < count:
+        joints = rng.uniform(-np.pi, np.pi, 6)
+        simulation.reset(joints)
+        detection = simulation.look().detection
+        if detection is not None and detection.visible_fraction >= _VISIBLE:
+            seen.append(joints)
+    return Places(box, np.array(seen))
+
+
+def record(minute: Minute) -> tuple[DataSet, float]:
+    """Let the simulated arm move as the collector does, and record as it does.
+
+    Returns
+    -------
+    DataSet
+        Ball positions and the joints at the stamps.
+    float
+        How late the images are stamped, s.
+    """
+    rng = np.random.default_rng([minute.seed, 1])
+    late_s = float(rng.uniform(0.0, MOST_LATE_S))
+    simulation = simulation_of(minute.conditions)
+    simulation.reset(HOME_RAD, minute.seed)
+    motion = RandomMotion(HOME_RAD, MotionConfig(minute.duration_s), rng)
+    matcher = ExposureMatcher()
+    samples: list[BallSample] = []
+    joints = simulation.joints_rad
+    while simulation.time_s < minute.duration_s:
+        simulation.command(motion.command(simulation.time_s, joints))
+        out = simulation.advance()
+        joints = out.joints_rad
+        samples += matcher.add_joints(out.time_s, joints)
+        for seen in out.observations:
+            if seen.detection is not None:
+                samples += matcher.add_ball(seen.stamp_s + late_s, seen.detection.position_m)
+    return (
+        DataSet(
+            np.array([one.stamp_s for one in samples]),
+            np.array([one.joints_rad for one in samples]),
+            np.array([one.ball_m for one in samples]),
+            np.array([one.run for one in samples]),
+        ),
+        late_s,
+    )
+
+
+def learn(minute: Minute) -> Learned:
+    """Record a minute, fit, teach and train, and compare with the true Jacobian."""
+    data, late_s = record(minute)
+    began_s = time.process_time()
+    taught = train_structured(data, seed=minute.seed)
+    fit_s = time.process_time() - began_s
+    trained = train(data, TrainingOptions(method=minute.papers_method, seed=minute.seed)).trained
+    simulation = simulation_of(minute.conditions)
+
+    places = (minute.places.box_rad, minute.places.workspace_rad)
+    true = [np.array([simulation.true_jacobian(one) for one in joints]) for joints in places]
+
+    def errors(jacobian: Callable[[np.ndarray], np.ndarray]) -> tuple[float, float]:
+        box, workspace = (
+            float(np.median(relative_errors(jacobian(joints), right)))
+            for joints, right in zip(places, true, strict=True)
+        )
+        return box, workspace
+
+    return Learned(
+        minute.seed,
+        len(data),
+        fit_s,
+        *errors(taught.fit.chain.jacobian),
+        *errors(taught.trained.model.jacobian),
+        *errors(trained.model.jacobian),
+        late_s,
+        taught.fit.time_offset_s,
+    )
+
+
+def tell(task: tuple[str, Minute]) -> Told:
+    """Record a minute of a plant, fit a chain, and compare its error with what the fit says."""
+    plant, minute = task
+    fit = fit_chain(record(minute)[0])
+    simulation = simulation_of(minute.conditions)
+    joints = minute.places.box_rad
+    metric = np.array([simulation.true_jacobian(one) for one in joints])
+    # how the camera errs is linear
+    seen = np.stack([simulation.as_seen(one) for one in np.eye(3)], axis=1) @ metric
+    found = fit.chain.jacobian(joints)
+    return Told(
+        plant,
+        float(np.median(fit.jacobian_deviation(joints))),
+        *(float(np.median(relative_errors(found, true))) for true in (seen, metric)),
+    )
+
+
+def relative_errors(jacobian: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Relative Frobenius errors, shape (n,), of Jacobians, shape (n, 3, 6)."""
+    return np.linalg.norm(jacobian - true, axis=(1, 2)) / np.linalg.norm(true, axis=(1, 2))

@@ -1,0 +1,255 @@
+"""Recordings of the simulated arm in smooth motion, and the paper's criteria T1 and T2 on them.
+
+A recording is made once, and all estimators hear it. An estimator is always judged on a step
+before it learns from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fvs_estimator_node.base import Estimator, MotionStep
+from fvs_estimator_node.motion import MotionConfig, RandomMotion
+from fvs_estimator_node.pairing import StepPairing
+from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, simulation_of
+from fvs_ros.joints import N_JOINTS
+from fvs_tools.score import criteria
+
+#: Speed of the fastest joint, rad/s, and the part of the box that the motion uses.
+SPEED_RAD_S = 0.4
+_BOX_SHARE = 0.9
+#: Velocity per distance from the path, 1/s.
+_POSITION_GAIN = 2.0
+#: At rest in the beginning, one joint's turn in the wiggling, and the motion's soft start, s.
+_REST_S, WIGGLE_S, _SOFT_START_S = 0.4, 0.8, 1.0
+#: The beginning over which the initial Jacobian is judged, s.
+FIRST_S = 1.0
+
+
+# ---- recordings -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What all estimators hear, and what only the simulator knows about it.
+
+    Parameters
+    ----------
+    steps : tuple of MotionStep
+        n steps, in order.
+    time_s : ndarray, shape (n,)
+        End of each step since the scored motion began, s; in the prelude not above 0.
+    true_d_ball_m : ndarray, shape (n, 3)
+        True ball motion of each step, camera frame, m.
+    true_jacobian : ndarray, shape (n, 3, 6)
+        True Jacobian at each step's ``joints_rad``, m/rad.
+    visible_share : float
+        Share of the images in which the ball was found.
+    position_error_m : float
+        Error of the ball positions, rms of the distance, m.
+    """
+
+    steps: tuple[MotionStep, ...]
+    time_s: np.ndarray
+    true_d_ball_m: np.ndarray
+    true_jacobian: np.ndarray
+    visible_share: float
+    position_error_m: float
+
+
+class _Reference:
+    """Where the arm is to be: at rest, each joint in turn out and back, then all of them freely.
+
+    Parameters
+    ----------
+    seed : int
+        Decides the free motion and its beginning.
+    """
+
+    def __init__(self, seed: int) -> None:
+        config = MotionConfig(
+            duration_s=3600.0,  # its end, which is slow, is never reached
+            joint_range_rad=tuple(_BOX_SHARE * BOX_RAD),
+            max_joint_velocity_rad_s=SPEED_RAD_S,
+        )
+        self._motion = RandomMotion(HOME_RAD, config, np.random.default_rng([seed, 1]))
+        self.start_rad = self._motion.path(0.0)[0]
+        self.prelude_s = _REST_S + N_JOINTS * WIGGLE_S
+
+    def __call__(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
+        """Joint positions, rad, and velocities, rad/s, shape (6,) each, at a time, s."""
+        free_s = time_s - self.prelude_s
+        if free_s >= 0.0:
+            # the path's own clock starts softly, for the arm starts at rest
+            early = min(free_s, _SOFT_START_S)
+            clock_s = 0.5 * early**2 / _SOFT_START_S + (free_s - early)
+            position, velocity = self._motion.path(clock_s)
+            return position, early / _SOFT_START_S * velocity
+        position, velocity = self.start_rad.copy(), np.zeros(N_JOINTS)
+        joint, within_s = divmod(time_s - _REST_S, WIGGLE_S)
+        if joint >= 0:
+            one = int(joint)
+            # toward the middle of the box, so as not to leave it
+            speed = SPEED_RAD_S if self.start_rad[one] <= HOME_RAD[one] else -SPEED_RAD_S
+            phase = 2.0 * np.pi * within_s / WIGGLE_S
+            position[one] += speed * WIGGLE_S / (2.0 * np.pi) * (1.0 - np.cos(phase))
+            velocity[one] = speed * np.sin(phase)
+        return position, velocity
+
+
+def record(seed: int, conditions: Conditions, duration_s: float) -> Recording:
+    """Let the simulated arm move, and keep what is heard and what is true.
+
+    Parameters
+    ----------
+    seed : int
+        Of the motion and of the noise.
+    conditions : Conditions
+        The world.
+    duration_s : float
+        Length of the scored motion, s; the wiggling of each joint comes before it.
+    """
+    simulation = simulation_of(conditions)
+    reference = _Reference(seed)
+    simulation.reset(reference.start_rad, seed)
+    pairing = StepPairing()
+    period_s = 1.0 / simulation.config.joint_state_rate_hz
+    joints = simulation.joints_rad
+    steps: list[MotionStep] = []
+    truth_m: dict[int, np.ndarray] = {}
+    squared_errors_m2: list[float] = []
+    for _ in range(round((reference.prelude_s + duration_s) / period_s)):
+        position, velocity = reference(simulation.time_s)
+        simulation.command(velocity + _POSITION_GAIN * (position - joints))
+        out = simulation.advance()
+        joints = out.joints_rad
+        for seen in out.observations:
+            truth_m[_microseconds(seen.stamp_s)] = seen.true_position_m
+            if seen.detection is not None:
+                error_m = seen.detection.position_m - seen.true_position_m
+                squared_errors_m2.append(float(error_m @ error_m))
+                steps += pairing.add_ball(seen.stamp_s, seen.detection.position_m)
+        steps += pairing.add_joints(out.time_s, joints)
+    return Recording(
+        steps=tuple(steps),
+        time_s=np.array([step.stamp_s for step in steps]) - reference.prelude_s,
+        true_d_ball_m=np.array(
+            [
+                truth_m[_microseconds(step.stamp_s)] - truth_m[_microseconds(step.start_stamp_s)]
+                for step in steps
+            ]
+        ),
+        true_jacobian=np.array([simulation.true_jacobian(step.joints_rad) for step in steps]),
+        visible_share=len(squared_errors_m2) / len(truth_m),
+        position_error_m=float(np.sqrt(np.mean(squared_errors_m2))),
+    )
+
+
+def _microseconds(stamp_s: float) -> int:
+    """A stamp as a key that survives the rounding of sums."""
+    return round(1e6 * stamp_s)
+
+
+# ---- judgement ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Track:
+    """How well one estimator did along the scored motion, n steps.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        End of each step since the scored motion began, s.
+    motion_m : ndarray, shape (n,)
+        Length of each step's true ball motion, m.
+    t1_m : ndarray, shape (n,)
+        T1 = |dx - J dr|, eq (40): dx true, J before it learned from the step, m.
+    t2_m : ndarray, shape (n,)
+        T2 = |x - x_hat|, eqs (41) and (42): x_hat is summed up of the predictions J dr, m.
+    jacobian_error : ndarray, shape (n,)
+        |J - J_true| / |J_true|, Frobenius norms, J before it learned from the step.
+    jacobian : ndarray, shape (n, 3, 6)
+        J, m/rad.
+    """
+
+    time_s: np.ndarray
+    motion_m: np.ndarray
+    t1_m: np.ndarray
+    t2_m: np.ndarray
+    jacobian_error: np.ndarray
+    jacobian: np.ndarray
+
+    def summary(self) -> dict[str, float]:
+        """The run in a few numbers, by name."""
+        first = self.time_s <= FIRST_S
+        late = self.time_s > 0.5 * self.time_s[-1]
+        return {
+            "t1_m": float(self.t1_m.mean()),
+            "t1_share": float(self.t1_m.sum() / self.motion_m.sum()),
+            "t1_first_m": float(self.t1_m[first].mean()),
+            "t1_late_m": float(self.t1_m[late].mean()),
+            "t2_final_m": float(self.t2_m[-1]),
+            "t2_max_m": float(self.t2_m.max()),
+            "jacobian_error": float(self.jacobian_error.mean()),
+        }
+
+
+def judge(estimator: Estimator, recording: Recording, hears_prelude: bool) -> Track:
+    """Let an estimator predict, and then learn from, each step of a recording.
+
+    Parameters
+    ----------
+    estimator : Estimator
+        Fresh.
+    recording : Recording
+        What it hears.
+    hears_prelude : bool
+        Whether it also learns from the steps before the scored motion.
+    """
+    scored = recording.time_s > 0.0
+    jacobians = []
+    for step, counts in zip(recording.steps, scored, strict=True):
+        if counts:
+            jacobians.append(estimator.jacobian(step.joints_rad))
+        if estimator.learns and (counts or hears_prelude):
+            estimator.update(step)
+    jacobian = np.array(jacobians)
+    true_jacobian = recording.true_jacobian[scored]
+    true_m = recording.true_d_ball_m[scored]
+    moved_rad = np.array([step.d_joints_rad for step in recording.steps])[scored]
+    wrong_m = true_m - np.einsum("nij,nj->ni", jacobian, moved_rad)
+    t1_m, t2_m = criteria(wrong_m)
+    return Track(
+        time_s=recording.time_s[scored],
+        motion_m=np.linalg.norm(true_m, axis=1),
+        t1_m=t1_m,
+        t2_m=t2_m,
+        jacobian_error=np.linalg.norm(jacobian - true_jacobian, axis=(1, 2))
+        / np.linalg.norm(true_jacobian, axis=(1, 2)),
+        jacobian=jacobian,
+    )
+
+
+def binned(time_s: np.ndarray, values: np.ndarray, edges_s: np.ndarray) -> np.ndarray:
+    """Means over intervals of time, not a number where an interval is empty.
+
+    Parameters
+    ----------
+    time_s, values : ndarray, shape (n,)
+        A series, times in s.
+    edges_s : ndarray, shape (m + 1,)
+        Ends of the intervals, s; an interval has its right end.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+    """
+    where = np.searchsorted(edges_s, time_s, side="left") - 1
+    inside = (where >= 0) & (where < edges_s.size - 1)
+    counts = np.bincount(where[inside], minlength=edges_s.size - 1)
+    sums = np.bincount(where[inside], weights=values[inside], minlength=edges_s.size - 1)
+    with np.errstate(invalid="ignore"):
+        return np.where(counts > 0, sums / counts, np.nan)

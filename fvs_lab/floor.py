@@ -1,0 +1,308 @@
+"""The least time after which the ball is near the target for good, joints being limited.
+
+Found by sequential quadratic programming from one start; braking lasts no longer than the joints
+need from full speed. The arm need not have stopped by then: it is enough that the ball is within
+the tolerance and can be kept there while the joints brake. Up to that moment joints are
+independent, and each can reach whatever lies between its quickest motions either way, which are
+known in closed form. So the unknowns are the moment, the travel and speed of each joint then, and
+how it brakes afterwards.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fvs_lab.trials import BOUNDS_M, Case, Conditions, simulation_of
+from fvs_ros.joints import N_JOINTS
+from fvs_sim_node.kinematics import ball_jacobian, ball_position
+from fvs_sim_node.simulation import Simulation
+from fvs_tools.score import settling_time_s
+
+#: Guesses from which the nearest joints on the target are searched, and their spread, rad. All but
+#: one or two of them end at the same joints.
+_ATTEMPTS, _SPREAD_RAD = 8, 0.3
+#: Braking is so many pieces of steady acceleration, and the ball is looked at so many times in
+#: each: twice as many of either change the time by less than a millisecond.
+_PIECES, _LOOKS = 8, 4
+#: What the search leaves undone, s, and how many steps it may take; a few hundred do.
+_UNDONE_S, _MOST_STEPS = 1e-7, 2000
+#: Part of the tolerance by which the ball may be outside before a search has failed.
+_OUTSIDE = 0.01
+#: A command is the mean of the speed at so many moments; commands go on for a while at rest, s, for
+#: the drives to come to rest, too.
+_MOMENTS, _AT_REST_S = 20, 0.2
+#: The fastest motion touches the tolerance again while it brakes. What is played is planned for so
+#: much less, m: commands that hold for 8 ms, and the arm's physics, are not more exact than that.
+SPARE_M = 0.0002
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What every joint can do.
+
+    Parameters
+    ----------
+    speed_rad_s, acceleration_rad_s2 : float
+        Its limits.
+    """
+
+    speed_rad_s: float
+    acceleration_rad_s2: float
+
+    def rest_s(self, travel_rad: float) -> float:
+        """Least time for a travel from rest to rest, s."""
+        return self.least_s(np.array([travel_rad]), np.zeros(1))
+
+    def least_s(self, travel_rad: np.ndarray, end_rad_s: np.ndarray) -> float:
+        """Least time from rest until all joints have made a travel and have a speed, s."""
+        top, steep = self.speed_rad_s, self.acceleration_rad_s2
+        way = np.where(travel_rad < end_rad_s * np.abs(end_rad_s) / (2.0 * steep), -1.0, 1.0)
+        travel, end = way * travel_rad, way * end_rad_s
+        # Up to a peak and down to the end; a peak above the limit is cut off.
+        peak = np.sqrt(np.maximum(0.5 * end**2 + steep * travel, 0.0))
+        cut = np.maximum(peak - top, 0.0)
+        return float(((2.0 * peak - end) / steep + cut**2 / (steep * top)).max())
+
+    def furthest(self, end_rad_s: np.ndarray, time_s: float) -> tuple[np.ndarray, ...]:
+        """Largest travel from rest in a time with a speed at its end, rad.
+
+        Also its slopes over that speed, s, and over the time, rad/s.
+        """
+        top, steep = self.speed_rad_s, self.acceleration_rad_s2
+        peak = 0.5 * (steep * time_s + end_rad_s)
+        cut = np.maximum(peak - top, 0.0)
+        travel = (peak**2 - 0.5 * end_rad_s**2 - cut**2) / steep
+        return travel, (peak - end_rad_s - cut) / steep, peak - cut
+
+
+@dataclass(frozen=True)
+class Fastest:
+    """The motion that has the ball near the target soonest.
+
+    Parameters
+    ----------
+    limits : Limits
+        Of every joint.
+    time_s : float
+        From rest until the ball is near the target for good, s.
+    travel_rad, speed_rad_s : ndarray, shape (6,)
+        Of the joints at that time.
+    braking_rad_s2 : ndarray, shape (pieces, 6)
+        Accelerations from then on, each for ``piece_s``; then the joints are at rest.
+    piece_s : float
+        Length of a piece of braking, s.
+    """
+
+    limits: Limits
+    time_s: float
+    travel_rad: np.ndarray
+    speed_rad_s: np.ndarray
+    braking_rad_s2: np.ndarray
+    piece_s: float
+
+    def speeds_rad_s(self, times_s: np.ndarray) -> np.ndarray:
+        """Speeds of the joints at times, shape (n, 6), rad/s."""
+        steep, top, end = self.limits.acceleration_rad_s2, self.limits.speed_rad_s, self.speed_rad_s
+        so_far = np.clip(times_s, 0.0, self.time_s)[:, None]
+        ramp, left = steep * so_far, steep * (self.time_s - so_far)
+        # A mean of the quickest motions either way is within the limits as they are.
+        up, down = np.minimum(np.minimum(ramp, top), end + left), end - left
+        down = np.maximum(np.maximum(-ramp, -top), down)
+        furthest = self.limits.furthest(end, self.time_s)[0]
+        least = -self.limits.furthest(-end, self.time_s)[0]
+        share = (self.travel_rad - least) / (furthest - least)
+        # How much of each piece of braking is over.
+        over = (times_s[:, None] - self.time_s) / self.piece_s - np.arange(_PIECES)
+        braked = self.piece_s * np.clip(over, 0.0, 1.0) @ self.braking_rad_s2
+        return share * up + (1.0 - share) * down + braked
+
+    def commands_rad_s(self, period_s: float) -> np.ndarray:
+        """The motion, and some rest, as commands that hold for a period, shape (n, 6), rad/s."""
+        whole_s = self.time_s + _PIECES * self.piece_s + _AT_REST_S
+        count = int(np.ceil(whole_s / period_s))
+        # A command may at once be what the limit allows after a period: half a one is gained.
+        moments = period_s * (0.5 + (np.arange(count * _MOMENTS) + 0.5) / _MOMENTS)
+        return self.speeds_rad_s(moments).reshape(count, _MOMENTS, N_JOINTS).mean(axis=1)
+
+
+def fastest(case: Case, limits: Limits, tolerance_m: float) -> Fastest:
+    """Find the motion that has the ball near the target soonest, by true kinematics.
+
+    By sequential quadratic programmes from the motion with the least largest joint travel to the
+    target itself. Joints may turn as far as they like.
+
+    Parameters
+    ----------
+    case : Case
+        Start and goal.
+    limits : Limits
+        Of every joint.
+    tolerance_m : float
+        Largest distance from the target that counts as near, m; positive.
+
+    Raises
+    ------
+    RuntimeError
+        If nothing was found.
+    """
+    from scipy.optimize import minimize
+
+    start, target_m = np.array(case.start_rad), ball_position(np.array(case.goal_rad))
+    travel = least_travel_rad(case)
+    rest_s = limits.rest_s(float(np.abs(travel).max()))
+    steep, top = limits.acceleration_rad_s2, limits.speed_rad_s
+    # More time than a joint needs to brake from the speed limit gains nothing.
+    piece_s = min(top / steep, 0.5 * rest_s) / _PIECES
+    fastest_rad_s = _PIECES * piece_s * steep
+    # Unknowns: time, travels, speeds, and accelerations joint by joint within each piece.
+    unit = np.eye(1 + (2 + _PIECES) * N_JOINTS)
+    travels, speeds = unit[1 : 1 + N_JOINTS], unit[1 + N_JOINTS : 1 + 2 * N_JOINTS]
+    pieces = unit[1 + 2 * N_JOINTS :].reshape(_PIECES, N_JOINTS, -1)
+    looks = np.arange(_PIECES * _LOOKS + 1)[:, None] / _LOOKS
+    begun = np.maximum(looks - np.arange(_PIECES), 0.0)
+    done = np.minimum(begun, 1.0)
+    moved = piece_s**2 * done * (begun - 0.5 * done)
+    paths = travels + np.multiply.outer(piece_s * looks[:, 0], speeds)
+    paths = paths + np.tensordot(moved, pieces, 1)
+    rest = speeds + piece_s * pieces.sum(axis=0)
+    ways, ways_rad = np.repeat([1.0, -1.0], N_JOINTS), np.vstack([travels, -travels])
+
+    def near(unknown: np.ndarray) -> np.ndarray:
+        missing = (ball_position(start + paths @ unknown) - target_m) / tolerance_m
+        return 1.0 - np.sum(missing**2, axis=1)
+
+    def near_slopes(unknown: np.ndarray) -> np.ndarray:
+        joints = start + paths @ unknown
+        missing = (ball_position(joints) - target_m) / tolerance_m**2
+        return -2.0 * np.einsum("kx,kxj,kjn->kn", missing, ball_jacobian(joints), paths)
+
+    def reached(unknown: np.ndarray) -> np.ndarray:
+        return limits.furthest(ways * np.tile(speeds @ unknown, 2), unknown[0])[0] - (
+            ways_rad @ unknown
+        )
+
+    def reached_slopes(unknown: np.ndarray) -> np.ndarray:
+        _, over_speed, over_time = limits.furthest(ways * np.tile(speeds @ unknown, 2), unknown[0])
+        over_speeds = (ways * over_speed)[:, None] * np.vstack([speeds, speeds])
+        return np.outer(over_time, unit[0]) + over_speeds - ways_rad
+
+    found = minimize(
+        lambda unknown: unknown[0],
+        np.concatenate([[rest_s], travel, np.zeros((1 + _PIECES) * N_JOINTS)]),
+        jac=lambda _: unit[0],
+        constraints=(
+            {"type": "ineq", "fun": near, "jac": near_slopes},
+            {"type": "ineq", "fun": reached, "jac": reached_slopes},
+            {"type": "eq", "fun": lambda unknown: rest @ unknown, "jac": lambda _: rest},
+        ),
+        # No less time than it takes to reach the largest speed.
+        bounds=[(_PIECES * piece_s, rest_s)]
+        + N_JOINTS * [(None, None)]
+        + N_JOINTS * [(-fastest_rad_s, fastest_rad_s)]
+        + _PIECES * N_JOINTS * [(-steep, steep)],
+        method="SLSQP",
+        options={"maxiter": _MOST_STEPS, "ftol": _UNDONE_S},
+    ).x
+    if near(found).min() < -2.0 * _OUTSIDE:  # of squared distances
+        raise RuntimeError(f"no fastest motion found for case {case.name}")
+    end = speeds @ found
+    return Fastest(
+        limits, limits.least_s(travels @ found, end), travels @ found, end, pieces @ found, piece_s
+    )
+
+
+def least_travel_rad(case: Case) -> np.ndarray:
+    """Joint travels with the least largest one that put the ball on the target, rad, shape (6,).
+
+    By sequential quadratic programmes from several guesses; never longer than the travel to the
+    joints that the target was drawn from.
+    """
+    from scipy.optimize import minimize
+
+    start, goal = np.array(case.start_rad), np.array(case.goal_rad)
+    target_m = ball_position(goal)
+    rng = np.random.default_rng(case.seed)
+    # Unknowns are the largest travel and the travels: the largest above each, either way.
+    slopes = np.hstack([np.ones((12, 1)), np.vstack([-np.eye(6), np.eye(6)])])
+    constraints = (
+        {
+            "type": "eq",
+            "fun": lambda z: ball_position(start + z[1:]) - target_m,
+            "jac": lambda z: np.hstack([np.zeros((3, 1)), ball_jacobian(start + z[1:])]),
+        },
+        {"type": "ineq", "fun": lambda z: slopes @ z, "jac": lambda z: slopes},
+    )
+    unit = np.eye(7)[0]
+    best = goal - start
+    for attempt in range(_ATTEMPTS):
+        guess = goal - start + (_SPREAD_RAD * rng.normal(size=6) if attempt else 0.0)
+        found = minimize(
+            lambda z: z[0],
+            np.append(np.abs(guess).max(), guess),
+            jac=lambda z: unit,
+            constraints=constraints,
+            method="SLSQP",
+        )
+        if found.success and np.abs(found.x[1:]).max() < np.abs(best).max():
+            best = found.x[1:]
+    return best
+
+
+def play_s(
+    simulation: Simulation, case: Case, commands_rad_s: np.ndarray, tolerance_m: float
+) -> float:
+    """Settling time of commands that are played blindly on simulated drives, s.
+
+    As everybody's, the first command answers the first joint state after the target was given.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        It is reset.
+    case : Case
+        Start, and goal to be judged by.
+    commands_rad_s : ndarray, shape (n, 6)
+        One a joint state; the last one holds.
+    tolerance_m : float
+        Largest distance from the target that counts as settled, m.
+    """
+    target_m = ball_position(np.array(case.goal_rad))
+    simulation.reset(case.start_rad, case.seed)
+    times_s, errors_m = [], []
+    for command in commands_rad_s:
+        state = simulation.advance()
+        simulation.command(command)
+        times_s.append(state.time_s)
+        errors_m.append(np.linalg.norm(ball_position(state.joints_rad) - target_m))
+    settled = settling_time_s(np.array(times_s), np.array(errors_m), tolerance_m)
+    return float("inf") if settled is None else settled
+
+
+@dataclass(frozen=True)
+class Floor:
+    """How soon a case can be over, by the bound on the error: ``5 mm``, ``2 mm``, ``1 mm``.
+
+    Parameters
+    ----------
+    least_s : dict of str to float
+        Least time within the joints' limits, s.
+    clairvoyant_s : dict of str to float
+        Settling time of a motion next to the fastest, played blindly on the simulated drives, s.
+    """
+
+    least_s: dict[str, float]
+    clairvoyant_s: dict[str, float]
+
+
+def floor_of(case: Case, limits: Limits) -> Floor:
+    """Compute how soon a case can be over, and play it."""
+    simulation = simulation_of(Conditions(rendered=False))
+    period_s = 1.0 / simulation.config.joint_state_rate_hz
+    least_s, clairvoyant_s = {}, {}
+    for name, bound_m in BOUNDS_M.items():
+        least_s[name] = fastest(case, limits, bound_m).time_s
+        commands = fastest(case, limits, bound_m - SPARE_M).commands_rad_s(period_s)
+        clairvoyant_s[name] = play_s(simulation, case, commands, bound_m)
+    return Floor(least_s, clairvoyant_s)

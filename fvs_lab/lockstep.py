@@ -1,0 +1,141 @@
+"""The whole loop in lock step: simulated arm and camera, estimator and controller, no ROS.
+
+The same objects as in the nodes, joined as the topics join them, one joint state after the other:
+a run is a function of its configuration and seed, to the bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from fvs_controller_node.config import build_loop, default_values
+from fvs_controller_node.supervisor import Command
+from fvs_estimator_node.base import Estimator
+from fvs_estimator_node.loop import EstimationLoop
+from fvs_estimator_node.model_file import TrainedModel, load_model
+from fvs_estimator_node.oracle import OracleEstimator
+from fvs_estimator_node.rbf import RbfModel
+from fvs_estimator_node.registry import create_estimator
+from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.chain import SerialChain
+from fvs_ros.paths import find_file
+from fvs_sim_node.simulation import Simulation
+
+#: The model that the laboratory's estimators begin with.
+MODEL = "models/ur5_front.npz"
+
+
+@lru_cache(maxsize=4)
+def _load(name: str) -> TrainedModel:
+    return load_model(find_file(name))
+
+
+def load_networks(name: str = MODEL) -> RbfModel:
+    """Read the trained networks of a model file in the project's ``config`` folder, or a path."""
+    return _load(name).model
+
+
+def load_chain(name: str = MODEL) -> SerialChain | None:
+    """Read the fitted chain of such a file; None if it has none."""
+    return _load(name).chain
+
+
+def make_estimator(
+    method: str,
+    simulation: Simulation,
+    networks: RbfModel,
+    values: Mapping[str, Any] | None = None,
+    chain: SerialChain | None = None,
+) -> Estimator:
+    """Build an estimator as its node does; the oracle asks the simulation itself.
+
+    Parameters
+    ----------
+    method : str
+        A name of the estimators' registry.
+    simulation : Simulation
+        Where the oracle knows it from.
+    networks : RbfModel
+        The trained networks.
+    values : mapping, optional
+        The node's parameters, by name, where they differ from the defaults.
+    chain : SerialChain, optional
+        The fitted chain, for a method that needs it.
+    """
+    if method == "oracle":
+        return OracleEstimator(simulation.true_jacobian)
+    return create_estimator(method, networks, values or {}, chain)
+
+
+class LockStep:
+    """Simulation, estimator and controller, one joint state after the other.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Freshly reset.
+    estimator : Estimator
+        Who learns and is asked.
+    controller_values : mapping, optional
+        The controller node's parameters, where they differ from the defaults; ``autostart`` is on.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        estimator: Estimator,
+        controller_values: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.simulation = simulation
+        self.estimator = estimator
+        self.estimation = EstimationLoop(estimator)
+        self.loop = build_loop(default_values(**{"autostart": True, **(controller_values or {})}))
+        self.period_s = 1.0 / simulation.config.joint_state_rate_hz
+
+    def tick(self) -> Command:
+        """Let one joint-state period pass and answer it; returns the command that was sent."""
+        out = self.simulation.advance()
+        now_s = out.time_s
+        for seen in out.observations:
+            if seen.detection is None:
+                continue
+            position_m = seen.detection.position_m
+            self.estimation.add_ball(seen.stamp_s, position_m)
+            self.loop.add_ball(now_s, seen.stamp_s, position_m, CAMERA_FRAME)
+        self.estimation.add_joints(now_s, out.joints_rad)
+        problem, chain = self.estimation.problem, self.estimator.chain
+        if not problem:
+            self.loop.add_jacobian(now_s, self.estimator.jacobian(out.joints_rad))
+        if chain is not None:
+            self.loop.add_chain(now_s, chain)
+        self.loop.supervisor.estimator_says(now_s, problem)
+        self.loop.add_joints(now_s, now_s, out.joints_rad)
+        command = self.loop.tick(now_s, self.period_s)
+        if command.output is not None:
+            self.estimation.pairing.add_sliding_variable(now_s, command.output.sliding_variable)
+        refusal = self.simulation.command(command.velocity_rad_s)
+        assert refusal is None, refusal
+        return command
+
+    def run(self, seconds: float) -> None:
+        """Let time pass."""
+        for _ in range(round(seconds / self.period_s)):
+            self.tick()
+
+    def set_target(self, target_m: np.ndarray) -> None:
+        """Give the controller a target, camera frame, m, shape (3,).
+
+        Raises
+        ------
+        ValueError
+            If the controller refuses it; the text says why.
+        """
+        accepted, text = self.loop.add_target(
+            np.asarray(target_m), CAMERA_FRAME, self.simulation.time_s
+        )
+        if not accepted:
+            raise ValueError(text)

@@ -1,0 +1,214 @@
+"""``fvs_experiments``: the paper's experiments, measured side by side, as numbers and a page."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import importlib
+import importlib.util
+import json
+import os
+import sys
+import time
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fvs_lab.report import (
+    EXPERIMENTS,
+    LONG,
+    Origin,
+    write_page,
+    write_report,
+)
+from fvs_ros import console
+from fvs_ros.arguments import Parser, one_of
+from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
+from fvs_ros.version import version
+from fvs_tools.installing import how_to_install
+
+if TYPE_CHECKING:
+    from fvs_lab.context import Context
+
+_NEEDS = ("cmaes", "joblib", "jinja2", "matplotlib", "scipy")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser(
+        "fvs_experiments",
+        __doc__,
+        {
+            "experiments": {name: _about(name) for name in EXPERIMENTS},
+            "instead of an experiment": {"replay BAG": "look at a recording"},
+        },
+    )
+    parser.add_argument(
+        "name",
+        metavar="EXPERIMENT",
+        type=one_of("experiment", (*EXPERIMENTS, "all", "replay")),
+        help=f"which experiment; all is without {', '.join(LONG)}, which takes long",
+    )
+    parser.add_argument(
+        "--seeds",
+        type=_positive,
+        help="number of seeded cases (default: 16 servo, 5 estimators, 6 exponents, "
+        "60 settling, 9 ablation, 4 tuning, 16 beyond)",
+    )
+    parser.add_argument(
+        "--jobs", type=_positive, default=os.cpu_count() or 1, help="processes (default: all cores)"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/experiments"), help="folder (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="a small part of everything, to see that it works"
+    )
+    parser.add_argument(
+        "--camera",
+        choices=("rendered", "exact"),
+        help="ball positions from rendered images, or the true ones with the same noise, which is "
+        f"faster (default: rendered; exact for {' and '.join(LONG)})",
+    )
+    parser.add_argument(
+        "--no-nodes",
+        dest="nodes",
+        action="store_false",
+        help="leave out the spot check through the real nodes",
+    )
+    parser.add_argument(
+        "--cluster",
+        metavar="ADDRESS",
+        default="",
+        help="send the runs to the workers of a dask scheduler, such as tcp://10.0.0.1:8786",
+    )
+    alone = parser.add_argument_group(
+        "everyday and robustness",
+        "Random worlds; the same number is the same world, whatever the others.",
+    )
+    alone.add_argument("--trials", type=_positive, help="number of worlds (default: 500)")
+    alone.add_argument(
+        "--trial", type=_positive, metavar="NUMBER", help="look at this one alone: words, a picture"
+    )
+    alone.add_argument(
+        "--scheme", action="append", default=[], help="only this scheme (repeatable; default: all)"
+    )
+    return parser
+
+
+def _about(name: str) -> str:
+    """The first line of an experiment's docstring; to import it takes long."""
+    source = files("fvs_lab").joinpath(f"{name}.py")
+    return source.read_text(encoding="utf-8").split('"""')[1].splitlines()[0]
+
+
+def _positive(text: str) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        value = 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number from 1, got {text!r}")
+    return value
+
+
+@console.reader_may_leave()
+def main(argv: list[str] | None = None) -> int:
+    """Run ``fvs_experiments``; the exit code says how it went."""
+    given = sys.argv[1:] if argv is None else argv
+    if given[:1] == ["replay"]:
+        from fvs_lab.replay.main import main as replay
+
+        return replay(given[1:])
+    parser = _parser()
+    arguments = parser.parse_args(given)
+    if arguments.name not in LONG and (arguments.trials or arguments.trial or arguments.scheme):
+        parser.error(f"--trials, --trial and --scheme are for {' and '.join(LONG)}")
+    # Random worlds need no pictures: who sees none settles alike, at a third of the cost.
+    arguments.camera = arguments.camera or ("exact" if arguments.name in LONG else "rendered")
+    if arguments.name == "replay":
+        parser.error("replay comes first: fvs_experiments replay BAG")
+    missing = [name for name in _NEEDS if importlib.util.find_spec(name) is None]
+    if missing:
+        print(
+            f"fvs_experiments needs {', '.join(missing)}: {how_to_install('ros,sim,lab', missing)}",
+            file=sys.stderr,
+        )
+        return EXIT_BAD_INPUT
+    try:
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        (arguments.out / "index.html").touch()
+    except OSError as error:
+        why = error.strerror or error
+        print(f"fvs_experiments: cannot write to --out {arguments.out}: {why}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    try:
+        return _run(arguments)
+    except KeyboardInterrupt:
+        print("fvs_experiments: interrupted; what was complete is kept")
+        return EXIT_FAILURE
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from fvs_lab.cluster import ClusterError
+    from fvs_lab.context import Context
+    from fvs_lab.robustness import UnknownSchemeError, contestants_called, rerun
+    from fvs_lab.robustness_worlds import KINDS
+
+    context = Context(
+        out=arguments.out,
+        seeds=arguments.seeds,
+        jobs=arguments.jobs,
+        quick=arguments.quick,
+        rendered=arguments.camera == "rendered",
+        nodes=arguments.nodes,
+        trials=arguments.trials,
+        schemes=tuple(arguments.scheme),
+        cluster=arguments.cluster,
+    )
+    try:
+        if arguments.name in LONG:
+            contestants_called(context.schemes)
+        if arguments.trial:
+            rerun(context, KINDS[arguments.name], arguments.trial)
+            return EXIT_OK
+        return _measure(context, arguments)
+    except (ClusterError, UnknownSchemeError) as error:
+        print(f"fvs_experiments: {error}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+
+
+def _measure(context: Context, arguments: argparse.Namespace) -> int:
+    most = [name for name in EXPERIMENTS if name not in LONG]
+    names = most if arguments.name == "all" else [arguments.name]
+    began_s = time.monotonic()
+    for number, name in enumerate(names, start=1):
+        folder = context.folder(name)
+        print(f"== {name} ({number} of {len(names)})", flush=True)
+        report = importlib.import_module(f"fvs_lab.{name}").run(context)
+        write_report(report, folder, _origin(arguments))
+        for verdict in report.verdicts:
+            print(f"   {verdict.word}: {verdict.claim}\n      {verdict.finding}", flush=True)
+        page = write_page(context.out)
+    print(f"page: {page} ({(time.monotonic() - began_s) / 60.0:.1f} min)", flush=True)
+    return EXIT_OK
+
+
+def _origin(arguments: argparse.Namespace) -> Origin:
+    from fvs_lab.lockstep import MODEL
+    from fvs_ros.paths import find_file
+
+    command = ["fvs_experiments", arguments.name]
+    command += [f"--seeds {arguments.seeds}"] if arguments.seeds else []
+    command += [f"--trials {arguments.trials}"] if arguments.trials else []
+    command += [f"--scheme {json.dumps(name)}" for name in arguments.scheme]
+    command += ["--quick"] if arguments.quick else []
+    command += [f"--camera {arguments.camera}"]
+    command += [] if arguments.nodes else ["--no-nodes"]
+    digest = hashlib.sha256(find_file(MODEL).read_bytes()).hexdigest()
+    return Origin(
+        " ".join(command), version(), f"{Path(MODEL).name} {digest[:12]}", arguments.quick
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,242 @@
+"""What an experiment found, as a file of numbers and as a part of the page."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, is_dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+RESULTS = "results.json"
+#: The experiments, in the order of the page; each is a module of this package.
+EXPERIMENTS = (
+    "servo",
+    "estimators",
+    "exponents",
+    "settling",
+    "ablation",
+    "tuning",
+    "beyond",
+    "everyday",
+    "robustness",
+)
+#: Those that are run by their own name only: they take longer than all others together.
+LONG = ("everyday", "robustness")
+_DIGITS = 7
+_WORDS = {True: "holds", False: "does not hold", None: "undecided"}
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A picture.
+
+    Parameters
+    ----------
+    file : str
+        PNG in the experiment's folder.
+    caption : str
+        What is to be seen, and what in the paper it answers to.
+    """
+
+    file: str
+    caption: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text under a header.
+
+    Parameters
+    ----------
+    caption : str
+        What it shows.
+    header : sequence of str
+        Names of the columns.
+    rows : sequence of sequence of str
+        The cells.
+    """
+
+    caption: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A claim, what was measured, and whether it holds.
+
+    Parameters
+    ----------
+    claim : str
+        The claim, in words.
+    finding : str
+        What was measured.
+    holds : bool or None
+        None where the measurement does not decide.
+    """
+
+    claim: str
+    finding: str
+    holds: bool | None
+
+    @property
+    def word(self) -> str:
+        """The verdict in a word or two."""
+        return _WORDS[self.holds]
+
+
+@dataclass(frozen=True)
+class Report:
+    """Everything that an experiment found.
+
+    Parameters
+    ----------
+    name : str
+        The experiment.
+    title : str
+        Heading on the page.
+    question : str
+        What was to be found out, for a reader without the paper.
+    setup : sequence of str
+        What was done, a paragraph each.
+    figures, tables, verdicts : sequence
+        What came of it.
+    data : mapping
+        Every number behind them, with seeds and parameters.
+    """
+
+    name: str
+    title: str
+    question: str
+    setup: Sequence[str]
+    figures: Sequence[Figure] = ()
+    tables: Sequence[Table] = ()
+    verdicts: Sequence[Verdict] = ()
+    data: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """How results came about.
+
+    Parameters
+    ----------
+    command : str
+        The command line.
+    version : str
+        Of this package; empty where it is not installed.
+    model : str
+        The trained model's file name and the first digits of its SHA-256.
+    quick : bool
+        Whether only a small part was done.
+    """
+
+    command: str
+    version: str
+    model: str
+    quick: bool
+
+
+def write_report(report: Report, folder: Path, origin: Origin) -> Path:
+    """Write ``results.json`` into the experiment's folder, and return its path."""
+    path = folder / RESULTS
+    content = {"origin": _plain(origin), **_plain(report)}
+    text = json.dumps(content, indent=None, separators=(",", ":"), allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")
+    return path
+
+
+@dataclass(frozen=True)
+class Heading:
+    """What stands above a page that is not the experiments'.
+
+    Parameters
+    ----------
+    title, lead : str
+        Its title, and a paragraph below it.
+    """
+
+    title: str
+    lead: str
+
+
+def write_page(
+    out: Path, names: Sequence[str] = EXPERIMENTS, heading: Heading | None = None
+) -> Path:
+    """Write ``index.html`` from all results in a folder, pictures included, and ``index.md``.
+
+    Parameters
+    ----------
+    out : Path
+        Folder with a folder for each experiment that was run.
+    names : sequence of str
+        The folders, in the order of the page.
+    heading : Heading, optional
+        By default the experiments'.
+
+    Returns
+    -------
+    Path
+        The page. The Markdown beside it has the same words and tables, and links to the pictures.
+    """
+    reports = []
+    for name in names:
+        path = out / name / RESULTS
+        if path.is_file():
+            report = json.loads(path.read_text(encoding="utf-8"))
+            del report["data"]
+            # The name that Markdown viewers give to a heading.
+            report["slug"] = re.sub(r"[^\w\- ]", "", report["title"].lower()).replace(" ", "-")
+            for verdict in report["verdicts"]:
+                verdict["word"] = _WORDS[verdict["holds"]]
+            for figure in report["figures"]:
+                png = (path.parent / figure["file"]).read_bytes()
+                figure["data"] = base64.b64encode(png).decode("ascii")
+            reports.append(report)
+    page = out / "index.html"
+    html = _render("page.html.jinja", reports, heading, autoescape=True)
+    page.write_text(html, encoding="utf-8")
+    text = _render("page.md.jinja", reports, heading, autoescape=False)
+    (out / "index.md").write_text(text, encoding="utf-8")
+    return page
+
+
+def _render(
+    template: str,
+    reports: Sequence[Mapping[str, Any]],
+    heading: Heading | None,
+    autoescape: bool,
+) -> str:
+    from jinja2 import Environment
+
+    source = files("fvs_lab").joinpath(template).read_text("utf-8")
+    environment = Environment(
+        autoescape=autoescape,  # Markdown has nothing to escape, HTML has
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    return environment.from_string(source).render(reports=reports, heading=heading)
+
+
+def _plain(value: Any) -> Any:
+    """JSON's types: arrays as lists, numbers rounded, what is not finite as null."""
+    if is_dataclass(value) and not isinstance(value, type):
+        value = asdict(value)
+    elif isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    if isinstance(value, float):
+        return float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    raise TypeError(f"{type(value).__name__} cannot be written to {RESULTS}")

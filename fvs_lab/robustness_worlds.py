@@ -1,0 +1,248 @@
+"""Random worlds: start, target, camera, noise, delay and loss, a pure function of a number."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import hypot
+from typing import Any
+
+import numpy as np
+
+from fvs_lab.noise import WHITE
+from fvs_lab.trials import Bump, Case, Conditions, make_cases, simulation_of
+from fvs_sim_node.rendering import CameraPose
+from fvs_sim_node.simulation import Simulation
+
+#: Least and largest distance of start and target, m.
+DISTANCE_M = (0.1, 0.5)
+#: Share of the ball that must be seen at start and target, whatever happens to the camera.
+_VISIBLE = 0.9
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of worlds.
+
+    Parameters
+    ----------
+    name : str
+        Of the experiment.
+    seed : int
+        Of all its worlds.
+    ranges : mapping of str to (float, float)
+        Ranges that everything but start and target is drawn from, evenly.
+    bumped_share, heavy_share : float
+        Shares of the worlds in which the camera is bumped, and in which the noise has heavy tails.
+    """
+
+    name: str
+    seed: int
+    ranges: Mapping[str, tuple[float, float]]
+    bumped_share: float = 0.0
+    heavy_share: float = 0.0
+
+
+#: Everything that may go wrong does so at once.
+HARSH = Kind(
+    "robustness",
+    304,
+    {
+        "camera_turn_deg": (0.0, 30.0),
+        "bump_turn_deg": (0.0, 10.0),
+        "bump_shift_m": (0.0, 0.1),
+        "bump_time_s": (0.3, 2.0),
+        "position_noise_m": (0.0002, 0.002),
+        "noise_exponent": (1.5, 1.8),
+        "latency_s": (0.0, 0.1),
+        "dropout": (0.0, 0.2),
+        "image_rate_hz": (8.0, 60.0),
+        "focal_error": (-0.02, 0.02),
+        "depth_error": (-0.02, 0.02),
+        "encoder_noise_rad": (0.0, 0.0005),
+        "joint_lag_s": (0.0, 0.1),
+        "dead_time_s": (0.008, 0.06),
+        "drive_gain": (0.8, 1.0),
+    },
+    bumped_share=1 / 3,
+    heavy_share=1 / 2,
+)
+#: What a laboratory has: a usual sensor, real drives, a camera that was moved since the training.
+EVERYDAY = Kind(
+    "everyday",
+    305,
+    {
+        **HARSH.ranges,
+        "position_noise_m": (0.001, 0.001),
+        "latency_s": (0.05, 0.05),
+        "dropout": (0.1, 0.1),
+        "image_rate_hz": (15.0, 60.0),
+        "focal_error": (-0.005, 0.005),
+        "depth_error": (-0.005, 0.005),
+        "encoder_noise_rad": (0.0, 0.0002),
+        "joint_lag_s": (0.0, 0.05),
+        "dead_time_s": (0.008, 0.04),
+        "drive_gain": (0.9, 1.0),
+    },
+)
+
+KINDS = {kind.name: kind for kind in (EVERYDAY, HARSH)}
+
+
+@dataclass(frozen=True)
+class World:
+    """What all contestants meet in one trial.
+
+    Parameters
+    ----------
+    number : int
+        Of the trial, from 1.
+    case : Case
+        Start, goal and the seed of the noise.
+    distance_m : float
+        From start to target, m.
+    conditions : Conditions
+        Camera, sensor and drives.
+    bump : Bump or None
+        A blow to the camera in mid-run.
+    """
+
+    number: int
+    case: Case
+    distance_m: float
+    conditions: Conditions
+    bump: Bump | None
+
+    @property
+    def turn_deg(self) -> float:
+        """How far the camera has been carried round, degrees."""
+        return hypot(*self.conditions.camera_turn_deg)
+
+    @property
+    def bump_deg(self) -> float:
+        """How far a bump turns the camera, degrees; 0 without one."""
+        return 0.0 if self.bump is None else hypot(*self.bump.rotation_deg)
+
+    def words(self) -> str:
+        """Say what it is, in a sentence."""
+        one, bump = self.conditions, self.bump
+        blow = (
+            ""
+            if bump is None
+            else f", camera bumped by {self.bump_deg:.1f}° and "
+            f"{1e3 * hypot(*bump.translation_m):.0f} mm after {bump.time_s:.1f} s"
+        )
+        rest = ", ".join(
+            f"{quantity.label} {quantity.scale * getattr(one, quantity.name):.2g}{quantity.unit}"
+            for quantity in QUANTITIES
+        )
+        return (
+            f"{1e3 * self.distance_m:.0f} mm to go, camera carried round by {self.turn_deg:.1f}°"
+            f"{blow}, {rest}; noise seed {self.case.seed}"
+        )
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One of the conditions that are drawn.
+
+    Parameters
+    ----------
+    name : str
+        Field of the conditions.
+    label, unit : str
+        In words; the unit begins with a space where there is one.
+    scale : float
+        From SI units to that unit.
+    """
+
+    name: str
+    label: str
+    unit: str = ""
+    scale: float = 1.0
+
+    @property
+    def axis(self) -> str:
+        """The label with its unit, for tables and figures."""
+        return f"{self.label},{self.unit}" if self.unit else self.label
+
+
+QUANTITIES = (
+    Quantity("position_noise_m", "noise of positions", " mm", 1e3),
+    Quantity("noise_exponent", "exponent of the noise"),
+    Quantity("image_rate_hz", "image rate", " Hz"),
+    Quantity("latency_s", "latency", " ms", 1e3),
+    Quantity("dropout", "images lost", " %", 1e2),
+    Quantity("focal_error", "error of the focal length", " %", 1e2),
+    Quantity("depth_error", "error of the depths", " %", 1e2),
+    Quantity("encoder_noise_rad", "encoder noise", " mrad", 1e3),
+    Quantity("joint_lag_s", "further drive lag", " ms", 1e3),
+    Quantity("dead_time_s", "dead time of the drives", " ms", 1e3),
+    Quantity("drive_gain", "speed over the commanded one"),
+)
+
+
+def draw_world(kind: Kind, number: int) -> World:
+    """Draw the world of a trial.
+
+    How much of everything there is comes from the ranges alone; start, target and the directions
+    are drawn until the ball is seen at both ends, before and after whatever happens to the camera.
+
+    Parameters
+    ----------
+    kind : Kind
+        What there is, and the seed of the whole experiment.
+    number : int
+        Of the trial.
+    """
+    rng = np.random.default_rng([kind.seed, number])
+    amount = {name: float(rng.uniform(*range_)) for name, range_ in kind.ranges.items()}
+    bumped, heavy = rng.random() < kind.bumped_share, rng.random() < kind.heavy_share
+    changes: dict[str, Any] = {one.name: amount[one.name] for one in QUANTITIES}
+    drawn = Conditions(**changes)
+    if not heavy:
+        drawn = replace(drawn, noise_exponent=WHITE)
+    while True:
+        case = make_cases(f"R{number}-", 1, int(rng.integers(2**31)), *DISTANCE_M)[0]
+        turn_deg = _direction(rng, amount["camera_turn_deg"])
+        blow = Bump(
+            amount["bump_time_s"],
+            _direction(rng, amount["bump_turn_deg"]),
+            _direction(rng, amount["bump_shift_m"]),
+        )
+        bump = blow if bumped else None
+        distance_m = _visible_distance_m(case, turn_deg, bump)
+        if distance_m is not None:
+            conditions = replace(drawn, camera_turn_deg=turn_deg)
+            return World(number, case, distance_m, conditions, bump)
+
+
+def _direction(rng: np.random.Generator, length: float) -> tuple[float, float, float]:
+    """Draw a vector of this length, any direction as likely as another."""
+    vector = rng.normal(size=3)
+    x, y, z = (length * vector / np.linalg.norm(vector)).tolist()
+    return (x, y, z)
+
+
+def _visible_distance_m(
+    case: Case, turn_deg: tuple[float, float, float], bump: Bump | None
+) -> float | None:
+    """Distance from start to target, m; None if the ball cannot be seen at either of them."""
+    simulation = simulation_of(Conditions(camera_turn_deg=turn_deg))
+    cameras = [simulation.camera]
+    if bump is not None:
+        bump.strike(simulation)
+        cameras.append(simulation.camera)
+    ends = []
+    for joints in (case.start_rad, case.goal_rad):
+        simulation.reset(np.array(joints))
+        if not all(_sees(simulation, camera) for camera in cameras):
+            return None
+        ends.append(simulation.world.ball_position())
+    return float(np.linalg.norm(ends[1] - ends[0]))
+
+
+def _sees(simulation: Simulation, camera: CameraPose) -> bool:
+    simulation.camera = camera
+    detection = simulation.look().detection
+    return detection is not None and detection.visible_fraction >= _VISIBLE

@@ -1,0 +1,240 @@
+"""The same run twice: in lock step, and through the real nodes over DDS."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from fvs_lab.context import Context
+from fvs_lab.lockstep import LockStep
+from fvs_lab.statistics import median
+from fvs_lab.trials import (
+    BOUNDS_M,
+    PRELUDE_S,
+    Case,
+    Trial,
+    seconds,
+    simulation_of,
+)
+from fvs_ros.paths import program
+from fvs_tools.score import settling_time_s
+
+_TARGET_S = 3.0
+_TIMEOUT_S = 90.0
+
+
+@dataclass(frozen=True)
+class SpotCheck:
+    """Settling times to 5 mm of one scheme, target after target, s; None for never.
+
+    Parameters
+    ----------
+    name : str
+        The scheme, and what is unusual.
+    lock_step_s : sequence of sequence
+        Of the lock-step runs, a row for each seed of the noise.
+    nodes_s : sequence
+        Of the real nodes; empty if they did not run.
+    problem : str
+        Why they did not; empty if they did.
+    """
+
+    name: str
+    lock_step_s: Sequence[Sequence[float | None]]
+    nodes_s: Sequence[float | None]
+    problem: str
+
+    def ranges_s(self) -> list[tuple[float, float]]:
+        """Least and largest lock-step time of each target, s; infinite for never."""
+        columns = zip(*self.lock_step_s, strict=True)
+        return [(min(map(seconds, times)), max(map(seconds, times))) for times in columns]
+
+    def shifts_s(self) -> list[float]:
+        """How much later the nodes settle than the median lock-step run, target by target, s.
+
+        The noise is another one in every run and decides when the error is last above 5 mm; a
+        delay that lock step does not know would show in all targets.
+        """
+        columns = zip(*self.lock_step_s, strict=True)
+        expected = [median([seconds(time) for time in times]).value for times in columns]
+        late = [seconds(node) - one for node, one in zip(self.nodes_s, expected, strict=True)]
+        return [one if np.isfinite(one) else float("inf") for one in late]
+
+    def shift_s(self) -> float:
+        """The median of the targets' shifts, s."""
+        return median(self.shifts_s()).value
+
+    def worst_s(self) -> float:
+        """The shift of the target that is furthest off, s."""
+        return max(self.shifts_s(), key=abs)
+
+
+@dataclass(frozen=True)
+class Chain:
+    """One start, several targets, one after another.
+
+    Parameters
+    ----------
+    trial : Trial
+        Estimator, law, gains and conditions.
+    start_rad : tuple of 6 float
+        Joints at the start, rad.
+    targets_m : tuple of tuple of 3 float
+        The targets, camera frame, m.
+    seed : int
+        Of the noise.
+    """
+
+    trial: Trial
+    start_rad: tuple[float, ...]
+    targets_m: tuple[tuple[float, ...], ...]
+    seed: int
+
+
+def spot_check(
+    context: Context,
+    name: str,
+    trial: Trial,
+    cases: Sequence[Case],
+    domain: int,
+    seeds: int,
+    experiment: str = "servo",
+) -> SpotCheck:
+    """Servo from the first case's start to every case's target, in lock step and by the nodes.
+
+    Parameters
+    ----------
+    context : Context
+        For its cores, and the folder of the scenario file and of the nodes' results.
+    name : str
+        The scheme's name, and what is unusual.
+    trial : Trial
+        Estimator, law, gains and conditions.
+    cases : sequence of Case
+        The first one's start, and all targets.
+    domain : int
+        ``ROS_DOMAIN_ID`` of the nodes.
+    seeds : int
+        Number of lock-step runs.
+    experiment : str
+        Whose folder it is.
+    """
+    simulation = simulation_of(trial.conditions)
+    targets = []
+    for case in cases:
+        simulation.reset(case.goal_rad)
+        targets.append(tuple(float(number) for number in simulation.true_ball_position()))
+    first = cases[0]
+    chains = [
+        Chain(trial, first.start_rad, tuple(targets), first.seed + number)
+        for number in range(seeds)
+    ]
+    lock_step = context.map(run_chain, chains, f"{name} in lock step")
+    print(f"   {name} through the real nodes ...", flush=True)
+    folder = context.folder(experiment)
+    nodes, problem = _through_nodes(chains[0], folder, name, domain)
+    return SpotCheck(name, lock_step, nodes, problem)
+
+
+def _through_nodes(
+    chain: Chain, folder: Path, name: str, domain: int
+) -> tuple[list[float | None], str]:
+    """Settling times of the real nodes, and what went wrong."""
+    name = re.sub(r"\W+", "_", name)
+    scenario, results = folder / f"spot_check_{name}.yaml", folder / f"spot_check_{name}"
+    scenario.write_text(
+        yaml.safe_dump(scenario_of(chain, results), sort_keys=False), encoding="utf-8"
+    )
+    path = results / "results.json"
+    path.unlink(missing_ok=True)
+    try:
+        ended = subprocess.run(
+            [
+                *(*program("fvs_tools.launcher"), str(scenario)),
+                *("--namespace", "fvs_spot_check"),
+            ],
+            # Whatever the shell says: these commands must not reach a robot of the network.
+            env={
+                **os.environ,
+                "ROS_DOMAIN_ID": str(domain),
+                "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            },
+            capture_output=True,
+            text=True,
+            timeout=_TIMEOUT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return [], f"the nodes took more than {_TIMEOUT_S:g} s"
+    if not path.is_file():
+        last = (ended.stdout + ended.stderr).strip().splitlines()[-1:]
+        return [], f"the nodes gave no result: {' '.join(last)}"
+    scores = json.loads(path.read_text(encoding="utf-8"))
+    return [one["settling_5mm_s"] for one in scores], ""
+
+
+def run_chain(chain: Chain) -> list[float | None]:
+    """Servo to all targets in lock step; settling times to 5 mm, s."""
+    trial = chain.trial
+    simulation = simulation_of(trial.conditions)
+    simulation.reset(chain.start_rad, chain.seed)
+    one = LockStep(
+        simulation, trial.estimator(simulation), {"law": trial.law, **trial.controller_values}
+    )
+    one.run(PRELUDE_S)
+    settling = []
+    for target in chain.targets_m:
+        target_m = np.array(target)
+        one.set_target(target_m)
+        errors = []
+        for _ in range(round(_TARGET_S / one.period_s)):
+            one.tick()
+            errors.append(np.linalg.norm(simulation.true_ball_position() - target_m))
+        times = one.period_s * np.arange(1, len(errors) + 1)
+        settling.append(settling_time_s(times, np.array(errors), BOUNDS_M["5 mm"]))
+    return settling
+
+
+def scenario_of(chain: Chain, results: Path) -> Mapping[str, Any]:
+    """The chain as a scenario: the same parameters, given to the nodes."""
+    trial, conditions = chain.trial, chain.trial.conditions
+    if not conditions.rendered or any(conditions.camera_turn_deg[:2]):
+        raise ValueError(
+            "the nodes have a rendered camera, turned about its optical axis at most: about "
+            "another one, the scene would be out of its sight"
+        )
+
+    def parameters(**values: Any) -> dict[str, Any]:
+        return {"ros__parameters": values}
+
+    return {
+        "fvs_sim_node": parameters(
+            seed=chain.seed,
+            initial_joints_rad=list(chain.start_rad),
+            latency_s=conditions.latency_s,
+            depth_noise=conditions.depth_noise,
+            position_noise_m=conditions.position_noise_m,
+            joint_lag_s=conditions.joint_lag_s,
+            camera_rotation_deg=list(conditions.camera_turn_deg),
+        ),
+        "fvs_estimator_node": parameters(
+            method=trial.method, model_path=trial.model, **trial.estimator_values
+        ),
+        "fvs_controller_node": parameters(law=trial.law, autostart=True, **trial.controller_values),
+        "fvs_demo_node": parameters(
+            target_positions="; ".join(
+                " ".join(f"{number:.6f}" for number in target) for target in chain.targets_m
+            ),
+            target_s=_TARGET_S,
+            output_dir=str(results),
+        ),
+    }

@@ -1,0 +1,101 @@
+"""Arguments of programs and nodes: their help, and what was probably meant by a wrong name."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import json
+import textwrap
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fvs_ros.params import Parameter
+
+_WIDTH, _COLUMN = 100, 22
+#: No more of a wrong name is compared or repeated, characters.
+_QUOTED = 60
+
+
+def unknown(kind: str, given: str, known: Iterable[str]) -> str:
+    """Words for a name that is not among those known: the nearest of them, and all."""
+    names = list(known)
+    meant = did_you_mean(given, names)
+    return f"unknown {kind} '{given[:_QUOTED]}'; {meant}known are {', '.join(names)}"
+
+
+def did_you_mean(given: str, known: Iterable[str]) -> str:
+    """A question with the nearest of the known names; empty if none is near."""
+    near = difflib.get_close_matches(given[:_QUOTED], list(known), n=1)
+    return f"did you mean {near[0]}? " if near else ""
+
+
+def one_of(kind: str, known: Iterable[str]) -> Callable[[str], str]:
+    """An argparse type that takes one of some names, instead of ``choices``."""
+    names = list(known)
+
+    def check(text: str) -> str:
+        if text not in names:
+            raise argparse.ArgumentTypeError(unknown(kind, text, names))
+        return text
+
+    return check
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that says which argument was probably meant.
+
+    Parameters
+    ----------
+    program : str
+        Its name.
+    doc : str
+        The docstring of the program's module: what it is for.
+    lists : mapping of str to mapping
+        Shown at the end of the help: titles, and below each names with their texts.
+    """
+
+    def __init__(
+        self, program: str, doc: str, lists: Mapping[str, Mapping[str, str]] | None = None
+    ) -> None:
+        super().__init__(
+            program,
+            description=doc.replace("`", ""),
+            epilog="\n\n".join(_listing(title, texts) for title, texts in (lists or {}).items()),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+
+    def parse_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> Any:  # type: ignore[override]
+        """Read the arguments; one that is unknown ends the program with 2."""
+        found, rest = self.parse_known_args(args, namespace)
+        if rest:
+            self.error(unknown("argument", rest[0], self._option_string_actions))
+        return found
+
+
+def node_help(doc: str, parameters: Iterable[Parameter]) -> str:
+    """Help of a node: what it is for, and its parameters with defaults and ranges."""
+    name = doc.split("`")[2]
+    texts = {}
+    for one in parameters:
+        when = ", also while it runs" if one.live else ""
+        default = f"{one.name}:={json.dumps(one.default)}"
+        texts[default] = f"{one.description.rstrip('.')} ({one.expected()}{when})"
+    return (
+        f"{doc.replace('`', '')}\n\n"
+        f"usage: {name} --ros-args [-p NAME:=VALUE ...] [-r FROM:=TO ...] [--params-file FILE]\n\n"
+        f"{_listing('parameters and their defaults', texts)}"
+    )
+
+
+def _listing(title: str, texts: Mapping[str, str]) -> str:
+    lines = [f"{title}:"]
+    for name, text in texts.items():
+        first = f"  {name} ".ljust(_COLUMN)
+        if len(first) > _COLUMN:
+            lines.append(first.rstrip())
+            first = " " * _COLUMN
+        lines.append(
+            textwrap.fill(text, _WIDTH, initial_indent=first, subsequent_indent=" " * _COLUMN)
+        )
+    return "\n".join(lines)

@@ -1,0 +1,172 @@
+"""A serial chain of revolute joints that carries the ball, seen from the camera.
+
+Product of exponentials: with axis i a line through ``q_i`` along the unit vector ``w_i``,
+
+    x(r) = E_1(r_1 - r0_1) E_2(r_2 - r0_2) ... E_6(r_6 - r0_6) x0,
+
+where ``E_i(angle)`` turns space about axis i. Axes and ball are those of the reference joints
+``r0``, in the camera's frame: no other frame, and no length or angle of the robot, is needed. With
+``T_i``, the derivative of ``E_i`` at 0, column i of the Jacobian is the same product with ``T_i``
+put in before ``E_i``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import reduce
+
+import numpy as np
+
+from fvs_ros.joints import N_JOINTS
+
+#: What a chain is made of, and the shapes.
+CHAIN_SHAPES: dict[str, tuple[int, ...]] = {
+    "axes": (N_JOINTS, 3),
+    "points_m": (N_JOINTS, 3),
+    "ball_m": (3,),
+    "reference_rad": (N_JOINTS,),
+}
+
+_IDENTITY = np.eye(4)
+_LARGEST_M = 100.0
+_BACKWARD = tuple(reversed(range(N_JOINTS)))
+
+
+def cross_matrix(vectors: np.ndarray) -> np.ndarray:
+    """Matrices K with ``K u = v x u``, shape (..., 3, 3), of vectors v, shape (..., 3)."""
+    vectors = np.asarray(vectors, dtype=float)
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+@dataclass(frozen=True)
+class SerialChain:
+    """Six axes and a ball.
+
+    Parameters
+    ----------
+    axes : ndarray, shape (6, 3)
+        Directions w of the axes at the reference joints, camera frame; normalised here.
+    points_m : ndarray, shape (6, 3)
+        A point q of each axis, camera frame, m.
+    ball_m : ndarray, shape (3,)
+        The ball x0 at the reference joints, camera frame, m.
+    reference_rad : ndarray, shape (6,)
+        The reference joints r0, rad.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, a number is not finite or beyond all reason, or an axis has no
+        direction.
+    """
+
+    axes: np.ndarray
+    points_m: np.ndarray
+    ball_m: np.ndarray
+    reference_rad: np.ndarray
+    #: T_i and T_i^2, with ``E_i(a) = 1 + sin(a) T_i + (1 - cos(a)) T_i^2``; all transposed, for
+    #: points in rows.
+    _twists: np.ndarray = field(init=False, repr=False)
+    _squares: np.ndarray = field(init=False, repr=False)
+    _ball: np.ndarray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        for name, shape in CHAIN_SHAPES.items():
+            value = np.array(getattr(self, name), dtype=float)
+            if value.shape != shape:
+                raise ValueError(f"{name} of a chain has shape {value.shape}, expected {shape}")
+            if not float(np.abs(value).max()) <= _LARGEST_M:  # false for NaN, too
+                raise ValueError(f"{name} of a chain must be finite and below {_LARGEST_M:g}")
+            self._keep(name, value)
+        lengths = np.linalg.norm(self.axes, axis=1, keepdims=True)
+        if lengths.min() < 1e-6:
+            raise ValueError("an axis of a chain has no direction")
+        self._keep("axes", self.axes / lengths)
+        twists = np.zeros((N_JOINTS, 4, 4))
+        twists[:, :3, :3] = cross_matrix(self.axes)
+        twists[:, :3, 3] = np.cross(self.points_m, self.axes)
+        twists = np.ascontiguousarray(np.swapaxes(twists, 1, 2))
+        self._keep("_twists", twists)
+        self._keep("_squares", twists @ twists)
+        self._keep("_ball", np.append(self.ball_m, 1.0))
+
+    def _keep(self, name: str, value: np.ndarray) -> None:
+        value.setflags(write=False)
+        object.__setattr__(self, name, value)
+
+    def _turns(self, joints_rad: np.ndarray) -> np.ndarray:
+        """The turns E_i, transposed, shape (..., 6, 4, 4), at joints, rad, shape (..., 6)."""
+        angle = (np.asarray(joints_rad, dtype=float) - self.reference_rad)[..., None, None]
+        turns = np.sin(angle) * self._twists
+        turns += (1.0 - np.cos(angle)) * self._squares
+        turns += _IDENTITY
+        return turns
+
+    def position(self, joints_rad: np.ndarray) -> np.ndarray:
+        """The ball's position, camera frame, m, shape (..., 3), at joints, rad, shape (..., 6)."""
+        turns = self._turns(joints_rad)
+        if turns.ndim == 3:
+            return reduce(np.dot, turns[::-1], self._ball)[:3]
+        ball = self._ball[None, :]
+        for i in _BACKWARD:
+            ball = ball @ turns[..., i, :, :]
+        return ball[..., 0, :3]
+
+    def position_and_jacobian(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The ball's position and its Jacobian.
+
+        Parameters
+        ----------
+        joints_rad : ndarray, shape (..., 6)
+            Joint positions, rad.
+
+        Returns
+        -------
+        position_m : ndarray, shape (..., 3)
+            m.
+        jacobian : ndarray, shape (..., 3, 6)
+            m/rad.
+        """
+        turns = self._turns(joints_rad)
+        # Rows: the columns of the Jacobian and, last, the ball, from the last joint to the first.
+        parts = np.empty((*turns.shape[:-3], N_JOINTS + 1, 4))
+        parts[..., N_JOINTS, :] = self._ball
+        if parts.ndim == 2:
+            self._turn_one(parts, turns)
+        else:
+            for i in _BACKWARD:
+                parts[..., i + 1 :, :] = parts[..., i + 1 :, :] @ turns[..., i, :, :]
+                parts[..., i, :] = parts[..., N_JOINTS, :] @ self._twists[i]
+        return parts[..., N_JOINTS, :3], np.swapaxes(parts[..., :N_JOINTS, :3], -1, -2)
+
+    def _turn_one(self, parts: np.ndarray, turns: np.ndarray) -> None:
+        """The same for one joint vector, where calls cost more than sums: in half the time."""
+        twists, ball = self._twists, parts[N_JOINTS]
+        for i in _BACKWARD:
+            later = parts[i + 1 :]
+            later[:] = later.dot(turns[i])
+            ball.dot(twists[i], out=parts[i])
+
+    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
+        """The Jacobian, m/rad, shape (..., 3, 6), at joints, rad, shape (..., 6)."""
+        return self.position_and_jacobian(joints_rad)[1]
+
+    def moved(self, rotation: np.ndarray, translation_m: np.ndarray) -> SerialChain:
+        """The chain as seen after ``x -> R x + t``: another camera pose, all else the same.
+
+        Parameters
+        ----------
+        rotation : ndarray, shape (3, 3)
+            R.
+        translation_m : ndarray, shape (3,)
+            t, m.
+        """
+        return SerialChain(
+            self.axes @ rotation.T,
+            self.points_m @ rotation.T + translation_m,
+            rotation @ self.ball_m + translation_m,
+            self.reference_rad,
+        )

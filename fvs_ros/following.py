@@ -1,0 +1,107 @@
+"""Does the arm do what it is told? Commanded against measured motion of each joint."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fvs_ros.joints import N_JOINTS
+
+#: Motions are summed with this memory, s: much longer than a drive's lag.
+_MEMORY_S = 0.5
+
+#: A joint that moves against its command is found out so many times sooner; but the small motions
+#: about a target are often late, and so against the newest commands: from this on, rad.
+_AGAINST_WEIGHT, _AGAINST_RAD = 6.0, 0.02
+
+#: They are compared this often, s; a tick only adds up.
+_LOOK_S = 0.04
+
+#: Less commanded motion than this within the memory says nothing, rad.
+_LEAST_COMMANDED_RAD = 0.004
+
+#: A joint follows if it makes this share of the motion that command and speed scaling ask for.
+_LEAST_SHARE = 0.15
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A joint that does not follow.
+
+    Parameters
+    ----------
+    joint : int
+        Its place in kinematic order.
+    commanded_rad, moved_rad : float
+        Motion that was asked for, and made, within the memory, rad.
+    """
+
+    joint: int
+    commanded_rad: float
+    moved_rad: float
+
+
+class Following:
+    """Compares commands with joint states; both fade with a memory of half a second."""
+
+    def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew: a start."""
+        self._commanded = np.zeros(N_JOINTS)
+        self._moved = np.zeros(N_JOINTS)
+        self._off_s = np.zeros(N_JOINTS)  # how long each joint has not followed
+        self.pause()
+
+    def pause(self) -> None:
+        """Stand still while the arm is held: what was counted stays, what moves now is not told."""
+        self._joints: np.ndarray | None = None
+        self._pending = np.zeros(N_JOINTS)
+        self._pending_s = 0.0
+
+    def add(
+        self, command_rad_s: np.ndarray, joints_rad: np.ndarray, scaling: float, dt_s: float
+    ) -> None:
+        """Tell one tick.
+
+        Parameters
+        ----------
+        command_rad_s : ndarray, shape (6,)
+            Command in force since the last tick, rad/s.
+        joints_rad : ndarray, shape (6,)
+            Joint positions now, rad.
+        scaling : float
+            The robot's speed scaling, 0 to 1.
+        dt_s : float
+            Time since the last tick, s.
+        """
+        if self._joints is None:
+            self._joints = joints_rad
+            return
+        self._pending += (scaling * dt_s) * command_rad_s
+        self._pending_s += dt_s
+        if self._pending_s < _LOOK_S:
+            return
+        passed_s, keep = self._pending_s, _MEMORY_S / (_MEMORY_S + self._pending_s)
+        self._moved = keep * (self._moved + joints_rad - self._joints)
+        self._commanded = keep * (self._commanded + self._pending)
+        self._joints, self._pending, self._pending_s = joints_rad, np.zeros(N_JOINTS), 0.0
+        self._count(passed_s)
+
+    def _count(self, passed_s: float) -> None:
+        asked = np.abs(self._commanded)
+        along = self._moved * np.sign(self._commanded)
+        judged = asked >= _LEAST_COMMANDED_RAD
+        follows = along >= _LEAST_SHARE * asked
+        against = (along < -_LEAST_SHARE * asked) & (asked >= _AGAINST_RAD)
+        weight = np.where(against, _AGAINST_WEIGHT, 1.0)
+        self._off_s = np.where(judged & follows, 0.0, self._off_s + passed_s * weight * judged)
+
+    def refusal(self, time_s: float) -> Refusal | None:
+        """Name the joint that has not followed for ``time_s``; None if all do."""
+        joint = int(self._off_s.argmax())
+        if self._off_s[joint] < time_s or self._off_s[joint] <= 0.0:
+            return None
+        return Refusal(joint, float(self._commanded[joint]), float(self._moved[joint]))

@@ -1,0 +1,128 @@
+"""Joint names, their kinematic order, and the map from any ``JointState`` into it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import pi
+
+import numpy as np
+
+from fvs_ros.params import Parameter
+
+N_JOINTS = 6
+
+#: The UR joints in kinematic order, base to flange: the order of every vector in this project.
+UR_JOINT_NAMES = (
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+)
+
+#: Home of the arm: the middle of the box that the shipped networks were trained in, and half its
+#: widths, rad, kinematic order.
+HOME_JOINTS_RAD = (0.0, -1.35, 1.6, -1.75, -1.57, 0.0)
+TRAINING_BOX_RAD = (0.6, 0.5, 0.5, 0.5, 0.5, 0.5)
+
+#: The order in which a UR's ``joint_state_broadcaster`` publishes on ROS 2 Jazzy.
+UR_PUBLISHED_NAMES = tuple(sorted(UR_JOINT_NAMES))
+
+
+#: A UR turns each joint by so much to either side, rad, the elbow less; kinematic order.
+UR_POSITION_LIMITS_RAD = (2 * pi, 2 * pi, pi, 2 * pi, 2 * pi, 2 * pi)
+
+#: No joint is turned further than this, rad: a position beyond is a mistake of whoever sent it.
+LARGEST_RAD = 100.0
+
+
+#: The parameters by which a node knows its joints.
+JOINT_PARAMETERS = (
+    Parameter(
+        "joint_names",
+        list(UR_JOINT_NAMES),
+        "The six joints in kinematic order, base to flange, without tf_prefix.",
+        size=N_JOINTS,
+    ),
+    Parameter("tf_prefix", "", "What the robot's driver puts before each joint name."),
+)
+
+
+class JointStateError(ValueError):
+    """A joint state that cannot be used; the text says what was wrong and what was expected."""
+
+
+class ForeignJointsError(JointStateError):
+    """A joint state that holds none of the wanted joints: another device's, to be passed over."""
+
+
+class JointMap:
+    """Picks the wanted joints, by name, out of messages in any order and with extra joints.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The six joint names in kinematic order.
+    tf_prefix : str
+        What the robot's driver puts before each of them (its ``tf_prefix``).
+
+    Raises
+    ------
+    ValueError
+        If there are not six different names.
+    """
+
+    def __init__(self, names: Sequence[str] = UR_JOINT_NAMES, tf_prefix: str = "") -> None:
+        self.names = tuple(tf_prefix + name for name in names)
+        if len(self.names) != N_JOINTS or len(set(self.names)) != N_JOINTS:
+            raise ValueError(
+                f"joint_names must be {N_JOINTS} different names in kinematic order, "
+                f"got {list(self.names)}"
+            )
+        self._cached_for: tuple[str, ...] | None = None
+        self._indices: list[int] = []
+
+    def positions(self, names: Sequence[str], values: Sequence[float]) -> np.ndarray:
+        """Joint angles in kinematic order.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Joint names of the message.
+        values : sequence of float
+            Angles of the message, rad, one for each name.
+
+        Returns
+        -------
+        ndarray, shape (6,)
+            Angles, rad, kinematic order; finite.
+
+        Raises
+        ------
+        ForeignJointsError
+            If the message holds none of the wanted joints.
+        JointStateError
+            If some joints are missing, sizes differ, or an angle is not finite.
+        """
+        key = tuple(names)
+        if key != self._cached_for:
+            missing = [name for name in self.names if name not in key]
+            if len(missing) == N_JOINTS:
+                raise ForeignJointsError(
+                    f"joint_states names {list(key)}, none of the wanted {list(self.names)}"
+                )
+            if missing:
+                raise JointStateError(f"joint_states lacks {missing}; it names {list(key)}")
+            twice = [name for name in self.names if key.count(name) > 1]
+            if twice:
+                raise JointStateError(f"joint_states names {twice} more than once")
+            self._indices = [key.index(name) for name in self.names]
+            self._cached_for = key
+        if len(values) != len(key):
+            raise JointStateError(f"joint_states has {len(values)} positions for {len(key)} names")
+        positions = np.array([values[i] for i in self._indices], dtype=float)
+        if not np.all(np.isfinite(positions)):
+            bad = [n for n, p in zip(self.names, positions, strict=True) if not np.isfinite(p)]
+            raise JointStateError(f"joint_states has a position that is not finite for {bad}")
+        return positions

@@ -1,0 +1,142 @@
+"""Limits on a joint velocity command; each takes six numbers, rad/s, and gives six."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fvs_ros.joints import N_JOINTS
+from fvs_ros.vectors import largest
+
+#: Share of the acceleration limit that braking is planned with; the rest is for the robot's lag.
+_BRAKING_SHARE = 0.6
+
+#: A joint nears its limit at no more than this times the distance, 1/s: with the robot's lag of
+#: 35 ms a faster approach would pass it.
+_APPROACH_RATE_1_S = 5.0
+
+
+def limit_speed(velocity: np.ndarray, max_speed: float) -> np.ndarray:
+    """Scale the command as a whole so that no joint is faster than ``max_speed``."""
+    fastest = largest(velocity)
+    if fastest <= max_speed:
+        return velocity
+    # The product of the two can pass the limit by the last bit.
+    return np.clip(velocity * (max_speed / fastest), -max_speed, max_speed)
+
+
+def braking_speed(travel_rad: float, max_acceleration: float) -> float:
+    """Find the speed from which a joint can brake within ``travel_rad``, rad/s."""
+    return (2.0 * _BRAKING_SHARE * max_acceleration * travel_rad) ** 0.5
+
+
+def limit_acceleration(velocity: np.ndarray, last: np.ndarray, max_step: float) -> np.ndarray:
+    """Find the command nearest to ``velocity`` whose step from ``last`` is at most ``max_step``.
+
+    Where a shorter command of the same direction is within reach, the longest such one; else
+    each joint goes as far as it may.
+
+    Parameters
+    ----------
+    velocity, last : ndarray, shape (6,)
+        Wanted command and the one before, rad/s.
+    max_step : float
+        Largest change of any joint, rad/s.
+
+    Returns
+    -------
+    ndarray, shape (6,)
+        Never further than ``max_step`` from ``last`` in any joint.
+    """
+    if largest(velocity - last) <= max_step:
+        return velocity
+    low, high = last - max_step, last + max_step
+    scale, lowest = 1.0, 0.0
+    for v, lo, hi in zip(velocity.tolist(), low.tolist(), high.tolist(), strict=True):
+        if v > 0.0:
+            scale, lowest = min(scale, hi / v), max(lowest, lo / v)
+        elif v < 0.0:
+            scale, lowest = min(scale, lo / v), max(lowest, hi / v)
+        elif not lo <= 0.0 <= hi:
+            lowest = np.inf
+    wanted = velocity * scale if lowest <= scale else velocity
+    return np.minimum(np.maximum(wanted, low), high)
+
+
+def ramp_to_zero(last: np.ndarray, max_step: float) -> np.ndarray:
+    """Take one step to rest: the last command, its fastest joint slower by ``max_step``."""
+    fastest = largest(last)
+    if fastest <= max_step:
+        return np.zeros(N_JOINTS)
+    return last * (1.0 - max_step / fastest)
+
+
+@dataclass(frozen=True)
+class JointRange:
+    """Slows joints down near the ends of their range.
+
+    A joint may move towards an end at most at ``max_speed * distance / margin``, nor faster
+    than it can brake (``braking_speed``); away from it, as it likes. Each joint
+    is slowed alone, so that the others go on and the arm slides along the limit.
+
+    Parameters
+    ----------
+    lower_rad, upper_rad : tuple of 6 float
+        Ends of the range, rad.
+    margin_rad : float
+        Distance from the end at which slowing down begins, rad.
+    """
+
+    lower_rad: tuple[float, ...]
+    upper_rad: tuple[float, ...]
+    margin_rad: float = 0.2
+
+    def __post_init__(self) -> None:
+        if len(self.lower_rad) != N_JOINTS or len(self.upper_rad) != N_JOINTS:
+            raise ValueError(f"joint limits need {N_JOINTS} numbers each")
+        if not all(lo < up for lo, up in zip(self.lower_rad, self.upper_rad, strict=True)):
+            raise ValueError(
+                f"lower joint limits {self.lower_rad} must be below upper ones {self.upper_rad}"
+            )
+        if not 0.0 < self.margin_rad < np.inf:
+            raise ValueError(f"joint_limit_margin_rad must be positive, got {self.margin_rad}")
+
+    def near_end(self, joints_rad: np.ndarray) -> bool:
+        """Whether a joint, (6,), rad, is within the margin of an end of its range, or beyond."""
+        margin = self.margin_rad
+        ranges = zip(joints_rad.tolist(), self.lower_rad, self.upper_rad, strict=True)
+        return any(not low + margin <= joint <= high - margin for joint, low, high in ranges)
+
+    def slow_down(
+        self,
+        velocity: np.ndarray,
+        joints: np.ndarray,
+        max_speed: float,
+        max_acceleration: float,
+        pending_rad: np.ndarray,
+    ) -> tuple[np.ndarray, list[int]]:
+        """Slow down every joint that nears an end of its range.
+
+        Motion that is still to come, ``pending_rad``, takes room where it goes towards the end; it
+        makes none where it leads away.
+
+        Returns
+        -------
+        ndarray, shape (6,)
+            The command, rad/s.
+        list of int
+            The joints that were slowed.
+        """
+        slowed: list[int] = []
+        values = velocity.tolist()
+        slope = min(max_speed / self.margin_rad, _APPROACH_RATE_1_S)
+        both = zip(values, joints.tolist(), pending_rad.tolist(), strict=True)
+        for i, (v, q, ahead) in enumerate(both):
+            room = self.upper_rad[i] - q if v > 0.0 else q - self.lower_rad[i]
+            room = max(0.0, room - max(0.0, ahead if v > 0.0 else -ahead))
+            cap = min(slope * room, braking_speed(room, max_acceleration))
+            if abs(v) > cap:
+                values[i] = cap if v > 0.0 else -cap
+                slowed.append(i)
+        return (np.array(values), slowed) if slowed else (velocity, slowed)

@@ -1,0 +1,274 @@
+"""Parameters declared once: type, default, range, unit, description, and whether they are live.
+
+A parameter is a field of a frozen dataclass, made by :func:`parameter`. The dataclass is what the
+code reads; its checks, the node's ROS parameters, their descriptors and refusals, the checks of
+scenario files and the reference page follow from the declaration.
+"""
+
+from __future__ import annotations
+
+import reprlib
+import sys
+from array import array
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from fvs_ros.arguments import did_you_mean, unknown
+
+_TYPES = (bool, int, float, str)
+_DECLARED = "parameter"
+_Self = TypeVar("_Self", bound="Parameters")
+
+#: What ROS can hold: 64 bits with a sign, and any finite number.
+_LARGEST = {int: 2**63 - 1, float: sys.float_info.max}
+
+
+class ParameterError(ValueError):
+    """A parameter with a wrong name or value; the text says what was expected."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of a node.
+
+    Parameters
+    ----------
+    name : str
+        Name; ends in the unit where it has one (``_s``, ``_m``, ``_rad_s``).
+    default : bool, int, float, str, or a list of one of them
+        Default value; its type is the parameter's type.
+    description : str
+        One sentence for a user.
+    minimum, maximum : float, optional
+        Inclusive range of a number, or of each number of a list.
+    choices : tuple of str
+        The only values allowed for a string, if given.
+    size : int, optional
+        Required length of a list.
+    live : bool
+        Whether it may change while the node runs.
+    broadcast : bool
+        Whether a single number may stand for a list of ``size`` equal ones.
+    """
+
+    name: str
+    default: Any
+    description: str
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+    size: int | None = None
+    live: bool = False
+    broadcast: bool = False
+
+    @property
+    def is_list(self) -> bool:
+        """Whether the value is a list."""
+        return isinstance(self.default, list)
+
+    @property
+    def kind(self) -> Any:
+        """Type of the value, or of a list's elements."""
+        return type(self.default[0]) if self.is_list else type(self.default)
+
+    def expected(self) -> str:
+        """Words for what a value must be."""
+        names = {bool: "true or false", int: "whole number", float: "number", str: "text"}
+        text = names[self.kind]
+        if self.is_list:
+            text = f"a list of {text}s" if self.size is None else f"a list of {self.size} {text}s"
+            if self.broadcast:
+                text += ", or one for all,"
+        if self.choices:
+            text = "one of " + ", ".join(self.choices)
+        if self.minimum is not None and self.maximum is not None:
+            text += f" from {self.minimum:g} to {self.maximum:g}"
+        elif self.minimum is not None:
+            text += f", at least {self.minimum:g}"
+        elif self.maximum is not None:
+            text += f", at most {self.maximum:g}"
+        return text
+
+    def check(self, value: Any) -> Any:
+        """The value in the parameter's type.
+
+        A whole number is welcome where a number is wanted (``gain: 2`` in YAML).
+
+        Raises
+        ------
+        ParameterError
+            If the value has another type, size or range.
+        """
+        if self.is_list:
+            if self.broadcast and self.size and isinstance(value, (int, float)):
+                value = [value] * self.size
+            if isinstance(value, str) or not hasattr(value, "__len__"):
+                raise self._refusal(value)
+            if self.size is not None and len(value) != self.size:
+                raise self._refusal(value)
+            return [self._check_one(element, value) for element in value]
+        return self._check_one(value, value)
+
+    def _check_one(self, element: Any, whole: Any) -> Any:
+        kind = self.kind
+        if isinstance(element, np.generic):
+            element = element.item()
+        if kind is float and isinstance(element, int) and not isinstance(element, bool):
+            if abs(element) > _LARGEST[int]:
+                raise self._refusal(whole)
+            element = float(element)
+        if not isinstance(element, kind) or (kind is int and isinstance(element, bool)):
+            raise self._refusal(whole)
+        if kind in (int, float):
+            if not -_LARGEST[kind] <= element <= _LARGEST[kind]:  # false for NaN, too
+                raise self._refusal(whole)
+            if self.minimum is not None and element < self.minimum:
+                raise self._refusal(whole)
+            if self.maximum is not None and element > self.maximum:
+                raise self._refusal(whole)
+        if self.choices and element not in self.choices:
+            raise self._refusal(whole)
+        return element
+
+    def _refusal(self, value: Any) -> ParameterError:
+        given = list(value) if isinstance(value, array) else value
+        words = reprlib.repr(given)  # of a stranger's value, so of limited length
+        meant = did_you_mean(value, self.choices) if isinstance(value, str) else ""
+        return ParameterError(
+            f"parameter {self.name} must be {self.expected()}, got {words}; {meant}".rstrip("; ")
+        )
+
+
+class ParameterSet:
+    """The declared parameters of one node, by name.
+
+    Parameters
+    ----------
+    parameters : iterable of Parameter
+        The declarations.
+
+    Raises
+    ------
+    ValueError
+        If a name is declared twice or a default does not pass its own check.
+    """
+
+    def __init__(self, parameters: Iterable[Parameter]) -> None:
+        self._by_name: dict[str, Parameter] = {}
+        for parameter in parameters:
+            if parameter.name in self._by_name:
+                raise ValueError(f"parameter {parameter.name} is declared twice")
+            if parameter.kind not in _TYPES:
+                raise ValueError(f"parameter {parameter.name} has no ROS type")
+            parameter.check(parameter.default)
+            self._by_name[parameter.name] = parameter
+
+    def __iter__(self):
+        return iter(self._by_name.values())
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._by_name
+
+    def __getitem__(self, name: str) -> Parameter:
+        try:
+            return self._by_name[name]
+        except KeyError:
+            raise ParameterError(
+                f"unknown parameter {name}; known are {', '.join(sorted(self._by_name))}"
+            ) from None
+
+    def values(self, overrides: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """All values: the defaults, with checked overrides in their place.
+
+        Raises
+        ------
+        ParameterError
+            If an override is unknown or has a wrong value.
+        """
+        defaults = {parameter.name: parameter.default for parameter in self}
+        return {**defaults, **self.checked(overrides or {})}
+
+    def checked(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Given values in their parameters' types.
+
+        Raises
+        ------
+        ParameterError
+            If one is unknown or has a wrong value.
+        """
+        for name in given:
+            if name not in self:
+                raise ParameterError(unknown("parameter", str(name), sorted(self._by_name)))
+        return {name: self[name].check(value) for name, value in given.items()}
+
+
+def parameter(
+    default: Any,
+    description: str,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    *,
+    choices: tuple[str, ...] = (),
+    size: int | None = None,
+    live: bool = False,
+    broadcast: bool = False,
+) -> Any:
+    """A field of a :class:`Parameters` dataclass that is a node's parameter.
+
+    What it takes is that of :class:`Parameter`; its name is the field's. A tuple is a list in ROS.
+    """
+    values = list(default) if isinstance(default, tuple) else default
+    one = Parameter("", values, description, minimum, maximum, choices, size, live, broadcast)
+    return field(default=default, metadata={_DECLARED: one})
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """A set of parameters with values, checked whenever one is made.
+
+    A field made by :func:`parameter` is one parameter; a field whose ``default_factory`` is
+    another such class holds that one's parameters, under the same names.
+
+    Raises
+    ------
+    ParameterError
+        If a value has another type, size or range than declared.
+    """
+
+    def __post_init__(self) -> None:
+        for one in _own(type(self)):
+            value = one.check(getattr(self, one.name))
+            object.__setattr__(self, one.name, tuple(value) if one.is_list else value)
+
+    @classmethod
+    def declared(cls, prefix: str = "") -> tuple[Parameter, ...]:
+        """All its parameters as a node declares them, each name after the prefix."""
+        own = (replace(one, name=prefix + one.name) for one in _own(cls))
+        nested = (one for part in _parts(cls).values() for one in part.declared(prefix))
+        return (*own, *nested)
+
+    @classmethod
+    def from_values(cls: type[_Self], values: Mapping[str, Any], prefix: str = "") -> _Self:
+        """Take the values that are its own, by name after the prefix; the others default."""
+        own = {one.name: prefix + one.name for one in _own(cls)}
+        given = {name: values[long] for name, long in own.items() if long in values}
+        parts = {name: part.from_values(values, prefix) for name, part in _parts(cls).items()}
+        return cls(**given, **parts)
+
+
+def _own(cls: type) -> Iterator[Parameter]:
+    for one in fields(cls):
+        if _DECLARED in one.metadata:
+            yield replace(one.metadata[_DECLARED], name=one.name)
+
+
+def _parts(cls: type) -> dict[str, type[Parameters]]:
+    made: dict[str, Any] = {one.name: one.default_factory for one in fields(cls)}
+    return {
+        name: part
+        for name, part in made.items()
+        if isinstance(part, type) and issubclass(part, Parameters)
+    }

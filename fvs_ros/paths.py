@@ -1,0 +1,61 @@
+"""Where the project's own files lie (beside the source or in a ROS share), and its programs."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+PACKAGE = "fvs_ros"
+#: Like ``python -m``, but never imports what lies in the working directory (the empty name).
+_RUN = (
+    "import sys; sys.path[:] = filter(None, sys.path); import runpy; "
+    "runpy.run_module({module!r}, run_name='__main__', alter_sys=True)"
+)
+
+
+def share_folders() -> list[Path]:
+    """Folders that may hold the project's own: the source tree, then of each ROS prefix."""
+    source = Path(__file__).resolve().parents[1]
+    folders = [source] if (source / "package.xml").is_file() else []
+    prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    return folders + [Path(p) / "share" / PACKAGE for p in [*prefixes, sys.prefix]]
+
+
+def find_file(name: str, folder: str = "config") -> Path:
+    """A file given by path, or by name within the project's own folder.
+
+    Parameters
+    ----------
+    name : str
+        A path; if relative and not found from the working directory, it is looked up in
+        ``folder`` of the source tree, then of each ROS prefix.
+    folder : str
+        Folder of the project.
+
+    Returns
+    -------
+    Path
+        An existing file.
+
+    Raises
+    ------
+    FileNotFoundError
+        If it is nowhere; the text lists where it was looked for.
+    """
+    try:
+        given = Path(name).expanduser()
+    except RuntimeError:
+        raise FileNotFoundError(f"no file {name}: there is no such user") from None
+    places = [given]
+    if not given.is_absolute():
+        places += [share / folder / given for share in share_folders()]
+    for place in places:
+        if place.is_file():
+            return place
+    raise FileNotFoundError(f"no file {name}; looked in {', '.join(str(p) for p in places)}")
+
+
+def program(module: str) -> list[str]:
+    """Command that runs a module as a program, in this Python."""
+    return [sys.executable, "-c", _RUN.format(module=module)]

@@ -1,0 +1,336 @@
+"""Messages to numpy and back: what cannot be used is a ``MessageError`` with words."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PointStamped, PoseStamped, Vector3Stamped
+from rclpy.duration import Duration
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import CameraInfo, Image, JointState
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+
+from fvs_ros.camera import CameraModel, Intrinsics, camera_model
+from fvs_ros.chain import SerialChain
+from fvs_ros.joints import N_JOINTS
+from fvs_ros.vectors import length
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+_LAST_ZEROS, _LAST_ZEROS_PERIOD_S, _LAST_ZEROS_ACK_S = 5, 0.01, 0.5
+_QUATERNION_SLACK = 0.01
+#: Longest text that is logged, told or taken for a frame, characters.
+MOST_TEXT = 1000
+
+
+class MessageError(ValueError):
+    """A message that cannot be used; the text says what was wrong and what was expected."""
+
+
+def plain(text: str) -> str:
+    """A text as it may be logged and told: printable, and not too long."""
+    return "".join(c if c.isprintable() else " " for c in text[:MOST_TEXT])
+
+
+# --- messages <-> numpy. Scalars go through float(): rclpy does not check float fields. ---
+
+
+def to_stamp(stamp_s: float) -> Time:
+    """ROS time of seconds since the clock's epoch, within what a ``Time`` can hold."""
+    nanoseconds = min(max(round(stamp_s * 1e9), -(2**31) * 10**9), 2**31 * 10**9 - 1)
+    return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
+
+
+def from_stamp(stamp: Time) -> float:
+    """Seconds since the clock's epoch."""
+    return stamp.sec + stamp.nanosec * 1e-9
+
+
+def to_point(stamp_s: float, frame: str, position_m: np.ndarray) -> PointStamped:
+    """``PointStamped`` of a position, m, shape (3,)."""
+    message = PointStamped()
+    message.header.stamp = to_stamp(stamp_s)
+    message.header.frame_id = frame
+    x, y, z = position_m
+    message.point.x, message.point.y, message.point.z = float(x), float(y), float(z)
+    return message
+
+
+def from_point(message: PointStamped, frame: str, topic: str) -> np.ndarray:
+    """Position of a ``PointStamped``.
+
+    Parameters
+    ----------
+    message : PointStamped
+        The message.
+    frame : str
+        The only frame accepted.
+    topic : str
+        Name for the error's text.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        Position, m.
+
+    Raises
+    ------
+    MessageError
+        If it is in another frame or not finite.
+    """
+    if message.header.frame_id != frame:
+        raise MessageError(
+            f"{topic} is in frame '{message.header.frame_id}', expected '{frame}' "
+            "(parameter feature_frame)"
+        )
+    position = np.array([message.point.x, message.point.y, message.point.z], dtype=float)
+    if not np.all(np.isfinite(position)):
+        raise MessageError(f"{topic} is not finite: {position.tolist()}")
+    return position
+
+
+def to_pose(
+    stamp_s: float, frame: str, position_m: np.ndarray, quaternion_xyzw: np.ndarray
+) -> PoseStamped:
+    """``PoseStamped`` of a position, m, shape (3,), and a unit quaternion, shape (4,)."""
+    message = PoseStamped()
+    message.header.stamp = to_stamp(stamp_s)
+    message.header.frame_id = frame
+    at, turn = message.pose.position, message.pose.orientation
+    at.x, at.y, at.z = (float(value) for value in position_m)
+    turn.x, turn.y, turn.z, turn.w = (float(value) for value in quaternion_xyzw)
+    return message
+
+
+def from_pose(message: PoseStamped, topic: str) -> tuple[np.ndarray, np.ndarray]:
+    """Position and orientation of a ``PoseStamped``.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        Position, m.
+    ndarray, shape (4,)
+        Unit quaternion x, y, z, w.
+
+    Raises
+    ------
+    MessageError
+        If it is not finite, or its quaternion is far from a unit one.
+    """
+    at, turn = message.pose.position, message.pose.orientation
+    position = np.array([at.x, at.y, at.z])
+    quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
+    size = length(quaternion)
+    if not (np.all(np.isfinite(position)) and abs(size - 1.0) < _QUATERNION_SLACK):
+        raise MessageError(
+            f"{topic} is no pose: position {position.tolist()}, quaternion {quaternion.tolist()}"
+        )
+    return position, quaternion / size
+
+
+def to_vector(stamp_s: float, frame: str, vector: np.ndarray) -> Vector3Stamped:
+    """``Vector3Stamped`` of a vector, shape (3,)."""
+    message = Vector3Stamped()
+    message.header.stamp = to_stamp(stamp_s)
+    message.header.frame_id = frame
+    x, y, z = vector
+    message.vector.x, message.vector.y, message.vector.z = float(x), float(y), float(z)
+    return message
+
+
+def _to_matrix(matrix: np.ndarray, row: str, column: str) -> Float64MultiArray:
+    """``Float64MultiArray`` of a matrix, row-major, with the names of its dimensions."""
+    rows, columns = matrix.shape
+    message = Float64MultiArray()
+    message.layout.dim = [
+        MultiArrayDimension(label=row, size=rows, stride=rows * columns),
+        MultiArrayDimension(label=column, size=columns, stride=columns),
+    ]
+    message.data = np.asarray(matrix, dtype=float).reshape(-1).tolist()
+    return message
+
+
+def _from_matrix(message: Float64MultiArray, name: str, rows: int, columns: int) -> np.ndarray:
+    """The matrix of a message, shape (rows, columns); a ``MessageError`` if it is none."""
+    sizes = [dim.size for dim in message.layout.dim]
+    if len(message.data) != rows * columns or sizes not in ([], [rows, columns]):
+        raise MessageError(
+            f"{name} has {len(message.data)} values and dimensions {sizes}, "
+            f"expected {rows * columns} values and dimensions [{rows}, {columns}]"
+        )
+    matrix = np.array(message.data, dtype=float).reshape(rows, columns)
+    if not np.all(np.isfinite(matrix)):
+        raise MessageError(f"{name} holds a value that is not finite")
+    return matrix
+
+
+def to_jacobian(jacobian: np.ndarray) -> Float64MultiArray:
+    """``Float64MultiArray`` of a Jacobian, m/rad, shape (3, 6), row-major."""
+    return _to_matrix(jacobian, "feature", "joint")
+
+
+def from_jacobian(message: Float64MultiArray) -> np.ndarray:
+    """Jacobian of a ``Float64MultiArray``.
+
+    Returns
+    -------
+    ndarray, shape (3, 6)
+        m/rad, joints in kinematic order.
+
+    Raises
+    ------
+    MessageError
+        If it is not 3x6 or not finite.
+    """
+    return _from_matrix(message, "jacobian", 3, N_JOINTS)
+
+
+def to_chain(chain: SerialChain) -> Float64MultiArray:
+    """``Float64MultiArray`` of a chain, shape (15, 3), row-major.
+
+    Rows 0 to 5 are the axes, 6 to 11 the points on them, m, 12 the ball, m, and 13 and 14 the
+    reference joints, rad.
+    """
+    reference = chain.reference_rad.reshape(2, 3)
+    rows = np.concatenate([chain.axes, chain.points_m, chain.ball_m[None], reference])
+    return _to_matrix(rows, "row", "xyz")
+
+
+def from_chain(message: Float64MultiArray) -> SerialChain:
+    """Chain of a ``Float64MultiArray`` as :func:`to_chain` makes it.
+
+    Raises
+    ------
+    MessageError
+        If it is not 15x3, not finite, or no chain.
+    """
+    rows = _from_matrix(message, "kinematic_chain", 2 * N_JOINTS + 3, 3)
+    axes, points, ball, reference = np.split(rows, [N_JOINTS, 2 * N_JOINTS, 2 * N_JOINTS + 1])
+    try:
+        return SerialChain(axes, points, ball[0], reference.reshape(-1))
+    except ValueError as error:
+        raise MessageError(f"kinematic_chain is no chain: {error}") from error
+
+
+def to_command(velocity_rad_s: np.ndarray) -> Float64MultiArray:
+    """``Float64MultiArray`` of joint velocities, rad/s, shape (6,), kinematic order.
+
+    Raises
+    ------
+    MessageError
+        If they are not six finite numbers: a velocity controller would go on with its last
+        command, or be deactivated.
+    """
+    velocity = np.asarray(velocity_rad_s, dtype=float)
+    if velocity.shape != (N_JOINTS,) or not np.all(np.isfinite(velocity)):
+        raise MessageError(f"a command must be {N_JOINTS} finite numbers, got {velocity}")
+    return Float64MultiArray(data=velocity.tolist())
+
+
+def send_last_zeros(commands: Publisher) -> None:
+    """Leave several zero commands on the wire: a velocity controller holds its last command."""
+    for _ in range(_LAST_ZEROS):
+        commands.publish(to_command(np.zeros(N_JOINTS)))
+        time.sleep(_LAST_ZEROS_PERIOD_S)
+    commands.wait_for_all_acked(Duration(seconds=_LAST_ZEROS_ACK_S))
+
+
+def to_joint_state(
+    stamp_s: float,
+    names: Iterable[str],
+    positions_rad: np.ndarray,
+    velocities_rad_s: np.ndarray,
+) -> JointState:
+    """``JointState`` of joints in the order of ``names``."""
+    message = JointState()
+    message.header.stamp = to_stamp(stamp_s)
+    message.name = list(names)
+    message.position = np.asarray(positions_rad, dtype=float).tolist()
+    message.velocity = np.asarray(velocities_rad_s, dtype=float).tolist()
+    return message
+
+
+def to_image(stamp_s: float, frame: str, pixels: np.ndarray, encoding: str) -> Image:
+    """``Image`` of a contiguous array, shape (height, width[, channels])."""
+    message = Image()
+    message.header.stamp = to_stamp(stamp_s)
+    message.header.frame_id = frame
+    message.height, message.width = int(pixels.shape[0]), int(pixels.shape[1])
+    message.encoding = encoding
+    message.is_bigendian = sys.byteorder == "big"
+    message.step = int(pixels.strides[0])
+    # Through bytes: assigning an array goes element by element, ten thousand times slower.
+    message.data = np.ascontiguousarray(pixels).tobytes()
+    return message
+
+
+def to_camera_info(stamp_s: float, frame: str, intrinsics: Intrinsics) -> CameraInfo:
+    """``CameraInfo`` of a pinhole camera without distortion."""
+    fx, fy, cx, cy = (
+        float(value) for value in (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy)
+    )
+    message = CameraInfo()
+    message.header.stamp = to_stamp(stamp_s)
+    message.header.frame_id = frame
+    message.width, message.height = int(intrinsics.width), int(intrinsics.height)
+    message.distortion_model = "plumb_bob"
+    message.d = [0.0] * 5
+    message.k = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+    message.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    message.p = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+    return message
+
+
+def from_camera_info(message: CameraInfo) -> CameraModel:
+    """Calibration of a camera.
+
+    Raises
+    ------
+    MessageError
+        If it cannot be used.
+    """
+    roi = message.roi
+    try:
+        return camera_model(
+            message.width,
+            message.height,
+            message.k.tolist(),
+            message.distortion_model,
+            message.d.tolist(),
+            binning=(message.binning_x, message.binning_y),
+            roi=(roi.x_offset, roi.y_offset, roi.width, roi.height),
+        )
+    except ValueError as error:
+        raise MessageError(str(error)) from error
+
+
+def to_status(level: bytes, name: str, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:
+    """``DiagnosticStatus`` with numbers printed to five digits."""
+    return DiagnosticStatus(
+        level=level,
+        name=name,
+        message=plain(message),
+        values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
+    )
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, (float, np.floating)):
+        return f"{float(value):.5g}" if math.isfinite(value) else "unknown"
+    if isinstance(value, np.ndarray):
+        return " ".join(f"{float(v):.5g}" for v in value.reshape(-1))
+    if value is None:
+        return "unknown"
+    return plain(str(value))
+
+
+def from_status(message: DiagnosticStatus) -> dict[str, str]:
+    """The key numbers of a status by name."""
+    return {pair.key: pair.value for pair in message.values}

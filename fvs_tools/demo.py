@@ -1,0 +1,265 @@
+"""The demo's task and its judgement: targets one after another, scored by the true position."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from fvs_ros.camera import CAMERA_FRAME, Intrinsics
+from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_ros.params import Parameter
+from fvs_tools.score import settling_time_s
+
+PARAMETERS = (
+    Parameter("model_path", "models/ur5_front.npz", "trained model: targets are positions it saw"),
+    Parameter("targets", 4, "number of targets", minimum=1, maximum=100),
+    Parameter(
+        "target_positions",
+        "",
+        "own targets in place of chosen ones, m: 'x y z; x y z; ...'; empty chooses",
+    ),
+    Parameter("seed", 0, "seed of the choice of targets", minimum=0),
+    Parameter(
+        "distance_m", 0.3, "wanted distance from one target to the next", minimum=0.05, maximum=1.0
+    ),
+    Parameter("target_s", 4.0, "time given to each target", minimum=1.0, maximum=60.0),
+    Parameter("start_timeout_s", 30.0, "longest wait for the loop to be ready", minimum=1.0),
+    Parameter(
+        "settle_error_m",
+        0.005,
+        "true error below which a target counts as settled",
+        minimum=1e-4,
+        maximum=0.1,
+    ),
+    Parameter("feature_frame", CAMERA_FRAME, "frame of ball and target"),
+    Parameter("output_dir", "out/demo", "folder for the log, the results and the figure"),
+)
+
+#: A target further than this from the wanted distance is not chosen while a nearer one exists.
+_DISTANCE_TOLERANCE_M = 0.02
+_FINAL_S = 1.0
+_FINE_ERROR_M = 0.002
+
+
+def own_targets(text: str) -> np.ndarray:
+    """Read targets written as ``x y z; x y z``.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        The targets, m, camera frame; none of them for an empty text.
+
+    Raises
+    ------
+    ValueError
+        If one does not have three finite numbers.
+    """
+    targets = []
+    for part in filter(None, (part.strip() for part in text.split(";"))):
+        try:
+            target = np.array([float(number) for number in part.split()])
+        except ValueError:
+            target = np.empty(0)
+        if target.shape != (3,) or not np.isfinite(target).all():
+            raise ValueError(f"target_positions: expected three numbers, got '{part}'")
+        targets.append(target)
+    return np.array(targets).reshape(-1, 3)
+
+
+def choose_target(
+    candidates_m: np.ndarray, position_m: np.ndarray, distance_m: float, rng: np.random.Generator
+) -> np.ndarray:
+    """A position the ball has been at, about ``distance_m`` from where it is.
+
+    Parameters
+    ----------
+    candidates_m : ndarray, shape (n, 3)
+        Positions to choose from, m, camera frame.
+    position_m : ndarray, shape (3,)
+        Where the ball is, m, camera frame.
+    distance_m : float
+        Wanted distance, m.
+    rng : numpy.random.Generator
+        Source of the choice.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        The target, m, camera frame.
+    """
+    mismatch_m = np.abs(np.linalg.norm(candidates_m - position_m, axis=1) - distance_m)
+    fitting = np.flatnonzero(mismatch_m <= max(_DISTANCE_TOLERANCE_M, mismatch_m.min()))
+    return candidates_m[rng.choice(fitting)]
+
+
+@dataclass
+class TargetRecord:
+    """What happened on the way to one target.
+
+    Parameters
+    ----------
+    target_m : ndarray, shape (3,)
+        The target, m, camera frame.
+    start_s : float
+        When it was given, s.
+    slowed : bool
+        Whether inputs came late, so that the arm was held.
+    """
+
+    target_m: np.ndarray
+    start_s: float
+    slowed: bool = False
+    time_s: list[float] = field(default_factory=list)
+    position_m: list[np.ndarray] = field(default_factory=list)
+    joint_time_s: list[float] = field(default_factory=list)
+    joint_velocity_rad_s: list[np.ndarray] = field(default_factory=list)
+
+    def add_position(self, stamp_s: float, position_m: np.ndarray) -> None:
+        """Note the true ball position at a moment."""
+        self.time_s.append(stamp_s - self.start_s)
+        self.position_m.append(position_m)
+
+    def add_joint_velocity(self, stamp_s: float, velocity_rad_s: np.ndarray) -> None:
+        """Note the joint velocities at a moment."""
+        self.joint_time_s.append(stamp_s - self.start_s)
+        self.joint_velocity_rad_s.append(velocity_rad_s)
+
+    def errors_m(self) -> np.ndarray:
+        """Distances to the target, m."""
+        return np.linalg.norm(np.array(self.position_m) - self.target_m, axis=1)
+
+
+@dataclass(frozen=True)
+class TargetScore:
+    """One row of the demo's table; a settling time is None where it was not reached."""
+
+    start_distance_m: float
+    settling_5mm_s: float | None
+    settling_2mm_s: float | None
+    final_rms_m: float
+    peak_joint_speed_rad_s: float
+    slowed: bool
+
+
+def score(record: TargetRecord, settle_error_m: float) -> TargetScore:
+    """Judge one target by the true ball position."""
+    times, errors = np.array(record.time_s), record.errors_m()
+    final = errors[times >= times[-1] - _FINAL_S]
+    return TargetScore(
+        start_distance_m=float(errors[0]),
+        settling_5mm_s=settling_time_s(times, errors, settle_error_m),
+        settling_2mm_s=settling_time_s(times, errors, _FINE_ERROR_M),
+        final_rms_m=float(np.sqrt(np.mean(final**2))),
+        peak_joint_speed_rad_s=float(np.max(np.abs(record.joint_velocity_rad_s), initial=0.0)),
+        slowed=record.slowed,
+    )
+
+
+def table(scores: list[TargetScore], settle_error_m: float) -> str:
+    """The scores as text."""
+
+    def seconds(value: float | None) -> str:
+        return "never" if value is None else f"{value:.2f} s"
+
+    head = (
+        f"{'target':>6}  {'start':>8}  {f'to {settle_error_m * 1e3:g} mm':>9}  "
+        f"{f'to {_FINE_ERROR_M * 1e3:g} mm':>9}  {'final rms':>9}  {'peak joint speed':>16}"
+    )
+    rows = [
+        f"{number:>6}  {s.start_distance_m * 1e3:>5.0f} mm  {seconds(s.settling_5mm_s):>9}  "
+        f"{seconds(s.settling_2mm_s):>9}  {s.final_rms_m * 1e3:>6.2f} mm  "
+        f"{s.peak_joint_speed_rad_s:>10.2f} rad/s"
+        + ("  slowed: inputs came late" if s.slowed else "")
+        for number, s in enumerate(scores, start=1)
+    ]
+    return "\n".join([head, *rows])
+
+
+def write_results(folder: Path, records: list[TargetRecord], scores: list[TargetScore]) -> None:
+    """Write ``results.json`` (scores) and ``log.csv`` (true position and error over time)."""
+    folder.mkdir(parents=True, exist_ok=True)
+    content = [
+        {"target_m": record.target_m.tolist(), **asdict(one)}
+        for record, one in zip(records, scores, strict=True)
+    ]
+    (folder / "results.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    with (folder / "log.csv").open("w", encoding="utf-8") as log:
+        log.write("target,time_s,true_x_m,true_y_m,true_z_m,error_m\n")
+        for number, record in enumerate(records, start=1):
+            for t, p, e in zip(record.time_s, record.position_m, record.errors_m(), strict=True):
+                log.write(f"{number},{t:.4f},{p[0]:.6f},{p[1]:.6f},{p[2]:.6f},{e:.6f}\n")
+
+
+def draw(
+    path: Path,
+    records: list[TargetRecord],
+    settle_error_m: float,
+    image_rgb: np.ndarray | None,
+    intrinsics: Intrinsics | None,
+) -> None:
+    """Draw the run: error against time, joint speeds, camera view with the ball's trail.
+
+    Parameters
+    ----------
+    path : Path
+        PNG file to write.
+    records : list of TargetRecord
+        The run.
+    settle_error_m : float
+        Bound drawn into the error's plot, m.
+    image_rgb : ndarray, shape (height, width, 3), optional
+        Camera view at the end.
+    intrinsics : Intrinsics, optional
+        Its camera.
+    """
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    colours = plt.get_cmap("viridis")(np.linspace(0.05, 0.85, len(records)))
+    seen = image_rgb is not None and intrinsics is not None
+    figure = plt.figure(figsize=(13 if seen else 6.5, 6.2), layout="constrained")
+    grid = figure.add_gridspec(2, 2 if seen else 1, width_ratios=[1.0, 1.15][: 1 + seen])
+    error_axes, speed_axes = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[1, 0])
+
+    for number, (record, colour) in enumerate(zip(records, colours, strict=True), start=1):
+        error_axes.semilogy(
+            record.time_s, record.errors_m() * 1e3, color=colour, label=f"target {number}"
+        )
+    error_axes.axhline(settle_error_m * 1e3, color="0.4", linestyle="--", linewidth=1)
+    error_axes.set(ylabel="true error (mm)", title="Distance of the ball to its target")
+    error_axes.legend(fontsize=8, ncols=2)
+    error_axes.grid(alpha=0.3, which="both")
+
+    origin_s = records[0].start_s
+    for joint in range(records[0].joint_velocity_rad_s[0].size):
+        times = [t + r.start_s - origin_s for r in records for t in r.joint_time_s]
+        speeds = [v[joint] for r in records for v in r.joint_velocity_rad_s]
+        speed_axes.plot(times, speeds, linewidth=1, label=UR_JOINT_NAMES[joint])
+    for record, colour in zip(records, colours, strict=True):
+        speed_axes.axvline(record.start_s - origin_s, color=colour, linewidth=1.5, alpha=0.7)
+    speed_axes.set(xlabel="time (s)", ylabel="joint speed (rad/s)", title="Joint speeds")
+    speed_axes.legend(
+        fontsize=8, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.22), frameon=False
+    )
+    speed_axes.grid(alpha=0.3)
+
+    if image_rgb is not None and intrinsics is not None:
+        view_axes = figure.add_subplot(grid[:, 1])
+        view_axes.set_title("Camera view at the end, trail of the ball, targets (+)")
+        view_axes.axis("off")
+        view_axes.imshow(image_rgb)
+        for record, colour in zip(records, colours, strict=True):
+            trail = intrinsics.project(np.array(record.position_m))
+            view_axes.plot(trail[:, 0], trail[:, 1], color=colour, linewidth=2)
+            u, v = intrinsics.project(record.target_m)
+            view_axes.plot(u, v, "+", color="white", markersize=15, markeredgewidth=4)
+            view_axes.plot(u, v, "+", color=colour, markersize=14, markeredgewidth=2)
+        view_axes.set(xlim=(0, intrinsics.width), ylim=(intrinsics.height, 0))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)

@@ -1,0 +1,183 @@
+"""``fvs_demo_node``: gives the controller targets, watches the true ball, prints and draws it."""
+
+from __future__ import annotations
+
+from fvs_ros import stop
+
+stop.listen()
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PointStamped
+from sensor_msgs.msg import CameraInfo, Image, JointState
+from std_srvs.srv import Trigger
+
+from fvs_estimator_node.model_file import load_model
+from fvs_ros import ros, topics
+from fvs_ros.camera import Intrinsics
+from fvs_ros.joints import JointMap
+from fvs_ros.paths import find_file
+from fvs_tools import demo
+
+_POLL_S = 0.1
+_IMAGE_WAIT_S = 30.0
+_SILENCE_S = 5.0
+
+
+class DemoNode(ros.FvsNode):
+    """Runs the demo's targets one after another."""
+
+    def __init__(self) -> None:
+        super().__init__("fvs_demo_node", demo.PARAMETERS)
+        model = load_model(find_file(self.values["model_path"]))
+        self._candidates_m = model.ball_samples_m
+        self._own_m = demo.own_targets(self.values["target_positions"])
+        self._count = len(self._own_m) or self.values["targets"]
+        self._rng = np.random.default_rng(self.values["seed"])
+        self._joint_map = JointMap()
+        self._records: list[demo.TargetRecord] = []
+        self._state = self._reason = ""
+        self._wants_target = False
+        self._frame = self.values["feature_frame"]
+        self._image: Image | None = None
+        self._intrinsics: Intrinsics | None = None
+        self._began_s = self.steady_s()
+        self._image_asked_s: float | None = None
+        self._end_s = 0.0  # stamp of the end
+        self._stop = self.create_client(Trigger, "fvs_controller_node/stop")
+        self._target = self.create_publisher(
+            PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED
+        )
+        self.watch(
+            DiagnosticStatus, topics.CONTROLLER_STATUS.name, self._on_status, ros.QOS_RELIABLE
+        )
+        self.watch(PointStamped, topics.TRUE_BALL_POSITION.name, self._on_true_ball, ros.QOS_EVERY)
+        self.watch(JointState, topics.JOINT_STATES.name, self._on_joint_states, ros.QOS_NEWEST)
+        self.create_timer(_POLL_S, self._poll, clock=self.steady_clock)
+
+    # --- inputs ---
+
+    def _on_status(self, message: DiagnosticStatus) -> None:
+        values = ros.from_status(message)
+        state, before = values.get("state", ""), self._state
+        self._state, self._reason = state, message.message
+        if self._records and self._image_asked_s is None:
+            record = self._records[-1]
+            if state not in ("SERVOING", "READY", before) and not record.slowed:
+                print(f"controller {state}: {message.message}", flush=True)
+            record.slowed |= values.get("reason") in ("STALE", "RETURNING")
+        self._wants_target = values.get("reason") == "NO_TARGET"
+
+    def _on_joint_states(self, message: JointState) -> None:
+        if self._records and self._image_asked_s is None:
+            velocity = self._joint_map.positions(message.name, message.velocity)
+            self._records[-1].add_joint_velocity(ros.from_stamp(message.header.stamp), velocity)
+
+    def _on_true_ball(self, message: PointStamped) -> None:
+        if self._image_asked_s is not None:
+            return
+        stamp_s = ros.from_stamp(message.header.stamp)
+        position_m = ros.from_point(message, self._frame, topics.TRUE_BALL_POSITION.name)
+        if not self._records:
+            # The controller waits for a target alone: the loop is up, the first one may come.
+            if self._wants_target:
+                self._next_target(stamp_s, position_m)
+            return
+        record = self._records[-1]
+        record.add_position(stamp_s, position_m)
+        if record.time_s[-1] >= self.values["target_s"]:
+            self._report(len(self._records), record)
+            if len(self._records) < self._count:
+                self._next_target(stamp_s, position_m)
+            else:
+                self._ask_image(stamp_s)
+
+    # --- the task ---
+
+    def _next_target(self, stamp_s: float, position_m: np.ndarray) -> None:
+        if len(self._own_m):
+            target_m = self._own_m[len(self._records)]
+        else:
+            target_m = demo.choose_target(
+                self._candidates_m, position_m, self.values["distance_m"], self._rng
+            )
+        self._target.publish(ros.to_point(stamp_s, self._frame, target_m))
+        self._records.append(demo.TargetRecord(target_m, stamp_s))
+        self._records[-1].add_position(stamp_s, position_m)
+
+    def _report(self, number: int, record: demo.TargetRecord) -> None:
+        one = demo.score(record, self.values["settle_error_m"])
+        text = "not settled"
+        if one.settling_5mm_s is not None:
+            text = f"settled after {one.settling_5mm_s:.2f} s"
+        print(
+            f"target {number} of {self._count}, "
+            f"{one.start_distance_m * 1e3:.0f} mm away: {text}, "
+            f"final true error {one.final_rms_m * 1e3:.2f} mm",
+            flush=True,
+        )
+
+    def _poll(self) -> None:
+        now_s = self.steady_s()
+        if not self._records and now_s - self._began_s > self.values["start_timeout_s"]:
+            reason = self._reason or "no status from the controller; is it running?"
+            print(f"the loop did not get ready: {self._state} {reason}", flush=True)
+            self.exit_code = stop.EXIT_FAILURE
+        late_s = self.monitor(topics.TRUE_BALL_POSITION.name).age_s(self.now_s())
+        if self._records and self._image_asked_s is None and late_s > _SILENCE_S:
+            print(f"the simulator has been silent for {late_s:.0f} s", flush=True)
+            self.exit_code = stop.EXIT_FAILURE
+        if self._image_asked_s is not None:
+            complete = self._image is not None and self._intrinsics is not None
+            if complete or now_s - self._image_asked_s > _IMAGE_WAIT_S:
+                self._conclude()
+
+    # --- the picture and the table ---
+
+    def _ask_image(self, stamp_s: float) -> None:
+        """Subscribe now, not before: the simulator renders full frames for subscribers only."""
+        self._image_asked_s, self._end_s = self.steady_s(), stamp_s
+        self._stop.call_async(Trigger.Request())  # drawing makes the loop late
+        self.create_subscription(Image, topics.COLOR_IMAGE.name, self._on_image, ros.QOS_RELIABLE)
+        self.create_subscription(
+            CameraInfo, topics.CAMERA_INFO.name, self._on_info, ros.QOS_RELIABLE
+        )
+
+    def _on_image(self, message: Image) -> None:
+        if ros.from_stamp(message.header.stamp) >= self._end_s:  # an old one waited somewhere
+            self._image = message
+
+    def _on_info(self, message: CameraInfo) -> None:
+        self._intrinsics = Intrinsics(
+            message.width, message.height, message.k[0], message.k[4], message.k[2], message.k[5]
+        )
+
+    def _conclude(self) -> None:
+        settle_error_m = self.values["settle_error_m"]
+        scores = [demo.score(record, settle_error_m) for record in self._records]
+        folder = Path(self.values["output_dir"])
+        image_rgb = None
+        if self._image is None:
+            print(f"no camera image came within {_IMAGE_WAIT_S:.0f} s: the figure has none")
+        else:
+            image_rgb = np.frombuffer(self._image.data, np.uint8).reshape(
+                self._image.height, self._image.width, 3
+            )
+        demo.write_results(folder, self._records, scores)
+        demo.draw(folder / "demo.png", self._records, settle_error_m, image_rgb, self._intrinsics)
+        print(f"\n{demo.table(scores, settle_error_m)}\n", flush=True)
+        print(f"figure: {folder / 'demo.png'}", flush=True)
+        settled = all(one.settling_5mm_s is not None for one in scores)
+        self.exit_code = stop.EXIT_OK if settled else stop.EXIT_FAILURE
+
+
+def main() -> int:
+    """Run ``fvs_demo_node``."""
+    return ros.run(DemoNode, __doc__, demo.PARAMETERS)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,369 @@
+"""``python -m fvs_tools.reference``: writes the pages that follow from the declarations.
+
+``docs/reference.md`` is made from the topics, services, parameters, reasons and exit codes that the
+code declares, ``config/sros2/policy.xml`` from the topics and services. Both are committed; a test
+compares them with what would be written now.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import string
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from fvs_controller_node.reasons import Reason, State, Stop
+from fvs_controller_node.registry import LAWS
+from fvs_ros import topics
+from fvs_ros.params import Parameter
+from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
+from fvs_ros.topics import INTERFACES, End, Interface
+from fvs_tools.scenario import NODE_TABLE
+from fvs_tools.security_policy import OPERATOR, policy
+
+PAGE, POLICY = "docs/reference.md", "config/sros2/policy.xml"
+COMMAND = "python -m fvs_tools.reference"
+
+#: Unit of a parameter by the end of its name; longer ends first.
+UNITS = {
+    "_rad_s2": "rad/s²",
+    "_rad_s": "rad/s",
+    "_m_rad": "m/rad",
+    "_m_s": "m/s",
+    "_1_m2": "m⁻²",
+    "_1_s": "s⁻¹",
+    "_rad": "rad",
+    "_deg": "degrees",
+    "_percent": "%",
+    "_px": "pixels",
+    "_hz": "Hz",
+    "_mb": "MB",
+    "_m": "m",
+    "_s": "s",
+}
+
+#: A topic, service or parameter within a sentence.
+_NAME = re.compile(r"(?<![\w`/~^.*)])(~?/[a-z]\w*(?:/\w+)*|[a-z]\w*_\w+)(?![\w`/*(])")
+
+_STATES = {
+    State.WAITING: "Something that a start needs is missing; zeros are sent.",
+    State.READY: "A start would be accepted; zeros are sent.",
+    State.SERVOING: "The law moves the arm.",
+    State.HOLDING: "Held still: goes on by itself, or needs a new start, as the reason says.",
+    State.FAULT: "Something was wrong that must never be; zeros at once.",
+}
+
+_STOPS = {Stop.NONE: "goes on", Stop.RAMP: "ramps to rest", Stop.AT_ONCE: "zeros at once"}
+
+_EXIT_CODES = {
+    EXIT_OK: "done, or stopped by a signal",
+    EXIT_FAILURE: "an error, or a task that was not reached; the last lines say which",
+    EXIT_BAD_INPUT: "a wrong parameter, argument or file; nothing was started",
+}
+
+_INTRODUCTION = f"""\
+# Reference
+
+Every topic, service, parameter, reason and exit code. `{COMMAND}`
+writes this page from what the code declares; so change it there.
+"""
+
+_TOPICS = """\
+Names are relative unless they begin with `/`, so namespaces and remaps work; `~/` is below the
+node's own name. Units are SI. Only the newest message counts: queues hold one, but those of
+`/diagnostics` and of records more. A *best effort* subscription hears any publisher; *latched*
+means that a late subscriber gets the last message, too.
+"""
+
+_PARAMETERS = """\
+A parameter's name ends in its unit. *Live* ones may change while the node runs (`ros2 param set`),
+the others are set at its start: `-p name:=value` after `--ros-args`, in a scenario file, or
+`fvs_launch SCENARIO -p name:=value`. A wrong value is refused with what was expected. Every node
+also has `use_sim_time`. Long numbers are rounded here.
+"""
+
+_REASONS = """\
+What the controller does and says on `~/status`: key `state`, key `reason`, and the sentence as the
+message. Before a start, every reason but `READY` shows as `WAITING`. Words in *italics* stand for
+the names and numbers of the moment. A ramp keeps to the acceleration limit; zeros at once do not.
+"""
+
+_ACCESS = f"""\
+[{POLICY}](../{POLICY}) says for SROS2 what every node may publish, hear and
+serve, and forbids the rest. Joint commands may come from `fvs_controller_node` and
+`fvs_collector_node` alone. The enclave `/{OPERATOR}` is for a person's tools: it sees everything,
+sets targets and parameters and calls services, but cannot send a joint command.
+
+It needs a ROS 2 with the security plugins (the Debian packages; the wheels that `make` installs are
+built without). The domain of the rules is the `ROS_DOMAIN_ID` in force when they are generated:
+
+```sh
+ros2 security create_keystore keystore
+ros2 security generate_artifacts -k keystore \\
+  -p "$(ros2 pkg prefix --share fvs_ros)/{POLICY}"
+
+export ROS_SECURITY_KEYSTORE="$PWD/keystore"
+export ROS_SECURITY_ENABLE=true ROS_SECURITY_STRATEGY=Enforce
+ros2 run fvs_ros fvs_controller_node --ros-args --enclave /fvs_controller_node
+ROS_SECURITY_ENCLAVE_OVERRIDE=/{OPERATOR} ros2 topic echo --no-daemon \\
+    --full-length /fvs_controller_node/status
+```
+
+With `ROS_SECURITY_ENABLE=true`, `fvs_launch` and `ros2 launch` give each node the enclave of its
+full name; a node that is started by itself needs its `--enclave`. After a change of the rules, run
+`generate_artifacts` again. For nodes in a namespace, make rules of their own, whose enclaves are
+called `/left/fvs_controller_node` and so on:
+
+```sh
+python3 -m fvs_tools.reference --policy policy.xml --namespace left
+```
+
+The driver of the robot, the camera and your own nodes need enclaves of their own.
+"""
+
+
+def page() -> str:
+    """The whole of ``docs/reference.md``."""
+    nodes = "".join(f"  - [{name}](#{name})\n" for name in NODE_TABLE)
+    contents = (
+        "- [Topics](#topics)\n"
+        "- [Parameters](#parameters)\n"
+        f"- Nodes\n{nodes}"
+        "- [States and reasons of the controller](#states-and-reasons-of-the-controller)\n"
+        "- [Exit codes](#exit-codes)\n"
+        "- [Access rules for SROS2](#access-rules-for-sros2)\n"
+    )
+    parts = [
+        _INTRODUCTION,
+        contents,
+        "## Topics\n",
+        _TOPICS,
+        _topics_table(),
+        "## Parameters\n",
+        _PARAMETERS,
+        *(_node(name, INTERFACES[name]) for name in NODE_TABLE),
+        "## States and reasons of the controller\n",
+        _REASONS,
+        _table(("state", "meaning"), [(_code(s.value), _STATES[s]) for s in State]),
+        _reasons_table(),
+        "## Exit codes\n",
+        "Of every program and node.\n",
+        _table(("code", "when"), [(str(code), text) for code, text in _EXIT_CODES.items()]),
+        "## Access rules for SROS2\n",
+        _ACCESS,
+    ]
+    return "\n".join(parts)
+
+
+# --- topics and services ---
+
+
+def _topics_table() -> str:
+    rows = []
+    for topic in topics.declared_topics():
+        sources = [_link(node) for node in topics.nodes_with(topic, publishing=True)]
+        sinks = [_link(node) for node in topics.nodes_with(topic, publishing=False)]
+        if len(sources) == len(INTERFACES):
+            sources = ["every node"]
+        ends = [
+            " or ".join([*sources, *filter(None, [topic.also_from])]),
+            ", ".join([*sinks, *filter(None, [topic.also_to])]),
+        ]
+        rows.append(
+            (f"{_code(topic.name)}<br>{_type(topic.type)}", *ends, sentence(topic.description))
+        )
+    return _table(("topic and type", "from", "to", "holds"), rows)
+
+
+def _node(name: str, interface: Interface) -> str:
+    parts = [f"## {name}\n", f"{interface.does}\n"]
+    for verb, ends in (("Publishes", interface.publishes), ("Subscribes", interface.subscribes)):
+        rows: list[tuple[str, ...]] = [
+            (_code(end.topic.name), _type(end.topic.type), _qos(end), _note(name, end))
+            for end in ends
+        ]
+        if verb == "Subscribes" and interface.hears_all:
+            parts.append("**Subscribes** to every topic that it finds.\n")
+            continue
+        head: tuple[str, ...] = ("topic", "type", "quality of service", "note")
+        if not any(row[-1] for row in rows):
+            head, rows = head[:-1], [row[:-1] for row in rows]
+        parts += [f"**{verb}**\n", _table(head, rows)]
+    if interface.serves:
+        served = [(_code(s.name), _type(s.type), s.description) for s in interface.serves]
+        parts += ["**Services**\n", _table(("service", "type", "does"), served)]
+    if interface.calls:
+        parts.append(f"**Calls** {', '.join(map(_code, interface.calls))}.\n")
+    for title, parameters in _parameter_groups(name):
+        head = ("parameter", "default", "must be", "live", "meaning")
+        parts += [f"**Parameters{title}**\n", _table(head, map(_parameter, parameters))]
+    return "\n".join(parts)
+
+
+def _qos(end: End) -> str:
+    # Two subscriptions hear both kinds of publisher.
+    return " or ".join(qos.words for qos in end.qos)
+
+
+def _note(node: str, end: End) -> str:
+    words = []
+    if end.given is not None:
+        name, value = end.given
+        assert name in NODE_TABLE[node].parameters(), f"{node} has no parameter {name}"
+        words.append(f"only with {_code(f'{name}: {_value(value)}')}")
+    if end.later:
+        words.append(f"only {end.later}")
+    return "; ".join([*words, *filter(None, [end.note])])
+
+
+# --- parameters ---
+
+
+def _parameter_groups(node: str) -> list[tuple[str, list[Parameter]]]:
+    """Parameters of all, then those of one method or one law alone."""
+    owners = {p.name: f" of law `{law}`" for law, kind in LAWS.items() for p in kind.PARAMETERS}
+    groups: dict[str, list[Parameter]] = {"": []}
+    for parameter in NODE_TABLE[node].parameters():
+        prefix, dot, _ = parameter.name.rpartition(".")
+        title = f" of method `{prefix}`" if dot else ""
+        if node == "fvs_controller_node":
+            title = owners.get(parameter.name, "")
+        groups.setdefault(title, []).append(parameter)
+    return list(groups.items())
+
+
+def _parameter(parameter: Parameter) -> tuple[str, ...]:
+    must_be, words = parameter.expected(), unit(parameter.name)
+    if words:
+        must_be += f" {words}" if must_be[-1].isdigit() else f", {words}"
+    live = "live" if parameter.live else ""
+    default = _default(parameter.default)
+    return (_code(parameter.name), default, must_be, live, sentence(parameter.description))
+
+
+def unit(name: str) -> str:
+    """The unit that a parameter's name ends in, or nothing."""
+    return next((words for end, words in UNITS.items() if name.endswith(end)), "")
+
+
+def sentence(text: str) -> str:
+    """A description with a capital letter, a full stop, and ROS names set as code."""
+    text = text.strip()
+    first = text.split(maxsplit=1)[0] if text else ""
+    if first.endswith(":"):  # what a value means
+        text = f"`{first[:-1]}`{text[len(first) - 1 :]}"
+    elif "_" not in first and (len(first) != 1 or first == "a"):  # names and symbols stay
+        text = text[:1].upper() + text[1:]
+    text = _NAME.sub(r"`\1`", text)
+    return text if text.endswith((".", "!", "?")) else f"{text}."
+
+
+def _default(value: Any) -> str:
+    if isinstance(value, list):
+        # Three numbers or one text a line: a long default would widen the whole column.
+        cells = [_value(one) for one in value]
+        step = 1 if isinstance(value[0], str) else 3
+        lines = [", ".join(cells[i : i + step]) for i in range(0, len(cells), step)]
+        return "<br>".join(map(_code, lines))
+    return _code(_value(value)) if value != "" else "empty"
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        text = f"{value:.6g}"
+        return text if re.search(r"[.e]", text) else f"{text}.0"
+    return str(value)
+
+
+# --- reasons ---
+
+
+def _reasons_table() -> str:
+    rows = [
+        (
+            _code(reason.name),
+            _code(reason.state.value),
+            _STOPS[reason.stop],
+            "yes" if reason.needs_start else "",
+            sentence(readable(reason.text)),
+        )
+        for reason in Reason
+    ]
+    return _table(("reason", "state", "the arm", "needs a new start", "says"), rows)
+
+
+def readable(template: str) -> str:
+    """A format string with its fields as words in italics, without their units."""
+    parts = []
+    for literal, field, _spec, _conversion in string.Formatter().parse(template):
+        parts.append(literal)
+        if field:
+            end = next((end for end in ("_mm", *UNITS) if field.endswith(end)), "")
+            parts.append(f"*{field.removesuffix(end).replace('_', ' ')}*")
+    return "".join(parts)
+
+
+# --- Markdown ---
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    cells = ([cell.replace("|", r"\|") for cell in row] for row in rows)
+    return "".join(f"| {' | '.join(line)} |\n" for line in (head, ["---"] * len(head), *cells))
+
+
+def _code(text: str) -> str:
+    return f"`{text}`"
+
+
+def _type(name: str) -> str:
+    """``sensor_msgs/JointState``, as people write it."""
+    return name.replace("/msg/", "/").replace("/srv/", "/")
+
+
+def _link(node: str) -> str:
+    short = node.removeprefix("fvs_").removesuffix("_node")
+    return f"[{short}](#{node})"
+
+
+# --- program ---
+
+
+def written() -> dict[str, str]:
+    """What is generated: path within the source tree -> text."""
+    return {PAGE: page(), POLICY: policy()}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Write the generated files, or say which of them are out of date."""
+    parser = argparse.ArgumentParser(prog=COMMAND, description=__doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if one differs")
+    parser.add_argument("-p", "--policy", type=Path, help="write the SROS2 policy alone, to there")
+    parser.add_argument("-n", "--namespace", default="", help="of the nodes (with --policy)")
+    arguments = parser.parse_args(argv)
+    if arguments.policy is not None:
+        arguments.policy.write_text(policy(arguments.namespace), encoding="utf-8")
+        return EXIT_OK
+    root = Path(__file__).resolve().parents[1]
+    if not (root / "package.xml").is_file():
+        print(f"{PAGE} is written in the source tree only; here, use --policy", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    code = EXIT_OK
+    for name, text in written().items():
+        path = root / name
+        if arguments.check:
+            if not path.is_file() or path.read_text(encoding="utf-8") != text:
+                print(f"{name} is out of date; write it anew with {COMMAND}", file=sys.stderr)
+                code = EXIT_FAILURE
+            continue
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,107 @@
+"""Schemes: pairs of an estimator method and a control law, the paper's and those beyond it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from fvs_ros.arguments import unknown
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """One pair.
+
+    Parameters
+    ----------
+    name : str
+        The paper's name, in lower case.
+    method : str
+        The estimator's parameter ``method``.
+    law : str
+        The controller's parameter ``law``.
+    description : str
+        One sentence for a user.
+    estimator_values, controller_values : mapping
+        Further parameters of the two nodes, where they differ from the defaults.
+    """
+
+    name: str
+    method: str
+    law: str
+    description: str
+    estimator_values: Mapping[str, Any] = field(default_factory=dict)
+    controller_values: Mapping[str, Any] = field(default_factory=dict)
+
+
+#: Those that the paper compares.
+SCHEMES: dict[str, Scheme] = {
+    one.name: one
+    for one in (
+        Scheme(
+            "proposed",
+            "rbf",
+            "ftsm",
+            "Networks that learn by (17), sliding mode law (16) with the adaptive exponent (29).",
+        ),
+        Scheme(
+            "rbf+pid",
+            "rbf",
+            "proportional",
+            "Networks that learn by (45), proportional law (46).",
+        ),
+        Scheme(
+            "ukf+mfac",
+            "ukf",
+            "mfac",
+            "Unscented Kalman filter, model free adaptive law (48).",
+        ),
+        Scheme(
+            "ukf+mpc",
+            "ukf",
+            "mpc",
+            "Unscented Kalman filter, model predictive law (49).",
+        ),
+    )
+}
+
+
+#: Those beyond the paper.
+BEYOND: dict[str, Scheme] = {
+    one.name: one
+    for one in (
+        Scheme(
+            "extended",
+            "rbf_left",
+            "ftsm",
+            "The paper's networks behind a learned rotation, its law straight to the target, "
+            "least joint speeds.",
+            controller_values={
+                "allocation": "least_speed",
+                "ftsm_path": "straight",
+            },
+        ),
+        Scheme(
+            "best",
+            "poe",
+            "arrive",
+            "A serial chain fitted to a minute of motion, least largest joint travel at the "
+            "limits.",
+        ),
+    )
+}
+
+
+def scheme(name: str) -> Scheme:
+    """The scheme of a name.
+
+    Raises
+    ------
+    ValueError
+        If there is none; the text lists those known.
+    """
+    known = {**SCHEMES, **BEYOND}
+    if name not in known:
+        raise ValueError(unknown("scheme", name, known))
+    return known[name]
