@@ -6,14 +6,17 @@ python -m bench mutants. Each mutant lacks one rule; in the scenes beside it the
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 from unittest import mock
 
 from bench.fuzz_world import BrokenPromiseError, Episode, Scene, World
-from fvs_controller_node import supervisor
+from fvs_controller_node import limiter, monitors
 from fvs_controller_node.inputs import InputMonitor
+from fvs_controller_node.monitors import FollowingMonitor
 from fvs_controller_node.progress import Progress
 from fvs_controller_node.supervisor import Supervisor
+from fvs_ros.agreement import Agreement
 from fvs_ros.history import StampGate
 from fvs_ros.limits import JointRange
 
@@ -45,6 +48,14 @@ class Mutant(NamedTuple):
 
 def _nothing(*_arguments: Any, **_options: Any) -> None:
     return None
+
+
+_JUDGE = Agreement._judge
+
+
+def _sees_no_error(*arguments: Any) -> Any:
+    verdict = _JUDGE(*arguments)
+    return None if verdict is None else replace(verdict, error_ratio=0.0)
 
 
 _NEVER = property(lambda _self: False)
@@ -91,17 +102,15 @@ ROWS = {
         Mutant(_ASKED, Supervisor, "_held_long", lambda _self, it, _dt_s: it, "abandoned/60/1"),
     ],
     "another node commands": [
-        Mutant(_ASKED, Supervisor, "rival", _nothing, "rival/20/0"),
+        Mutant(_ASKED, Supervisor, "conflicting_command", _nothing, "rival/20/0"),
     ],
     "messages whose stamps": [
         Mutant(_FRESH, StampGate, "advances", lambda _self, _stamp_s: True, "frozen stamps/40/1"),
     ],
     "always": [
-        Mutant("velocity limit", supervisor, "limit_speed", lambda v, _s: v, "work/40/11"),
-        Mutant(
-            "acceleration limit", supervisor, "limit_acceleration", lambda v, *_: v, "work/40/3"
-        ),
-        Mutant("only slower", supervisor, "ramp_to_zero", lambda v, _s: 1.001 * v, "silence/40/1"),
+        Mutant("velocity limit", limiter, "limit_speed", lambda v, _s: v, "work/40/11"),
+        Mutant("acceleration limit", limiter, "limit_acceleration", lambda v, *_: v, "work/40/3"),
+        Mutant("only slower", limiter, "ramp_to_zero", lambda v, _s: 1.001 * v, "silence/40/1"),
         Mutant(
             *("stops before its limit", JointRange, "slow_down", _brakes_for_no_end),
             "to the limit/40/6, to the limit/40/1",
@@ -115,7 +124,7 @@ ROWS = {
         Mutant(_SINGULAR, Supervisor, "_near_singular", _nothing, "estimator/10/7"),
     ],
     "the Jacobian predicting badly": [
-        Mutant(_WRONG, Supervisor, "_error_ratio", _NEVER, "work/5/3, wrong way/120/9"),
+        Mutant(_WRONG, Agreement, "_judge", _sees_no_error, "work/5/3, wrong way/120/9"),
     ],
     "the error grows": [
         Mutant(_GROWS, Progress, "growing", _NEVER, "work/40/3, long wait/60/0, push/90/9"),
@@ -123,10 +132,10 @@ ROWS = {
         Mutant("a swing is held", Progress, "swinging", _NEVER, "work/5/3, swing/60/4"),
     ],
     "the image does not follow": [
-        Mutant(_FROZEN, supervisor, "_LEAST_SEEN", -1.0, "another ball/60/5"),
+        Mutant(_FROZEN, monitors, "_LEAST_SEEN", -1.0, "another ball/60/5"),
     ],
     "the arm does not move": [
-        Mutant(_FOLLOWS, Supervisor, "_does_not_follow", _nothing, "arm/59/3, long wait/60/0"),
+        Mutant(_FOLLOWS, FollowingMonitor, "check", _nothing, "arm/59/3, long wait/60/0"),
     ],
     "the robot program stopped": [
         Mutant(_ZEROS, Supervisor, "program_running", _nothing, "robot/5/0"),

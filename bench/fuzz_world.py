@@ -399,10 +399,10 @@ class World:
         dt_s = min(dt_s, MAX_TICK_S) if math.isfinite(dt_s) and dt_s > 0.0 else 0.0
         passed_s = min(max(now_s - self._ticked_s, 0.0), MAX_TICK_S)
         self._ticked_s = now_s
-        step = config.max_joint_acceleration_rad_s2 * dt_s
+        step = config.speed.max_joint_acceleration_rad_s2 * dt_s
         # A stop has half a second from full speed, at most.
         stop_rad_s2 = max(
-            config.max_joint_acceleration_rad_s2, 2.0 * config.max_joint_velocity_rad_s
+            config.speed.max_joint_acceleration_rad_s2, 2.0 * config.speed.max_joint_velocity_rad_s
         )
         if not servoing:
             step = stop_rad_s2 * (dt_s or passed_s)
@@ -410,7 +410,7 @@ class World:
         # A limit that is lowered in motion cannot be obeyed at once, since the acceleration limit
         # holds, too: from the next command on the arm slows down with all it has.
         fastest, before = max(map(abs, v)), max(map(abs, last))
-        limit = config.max_joint_velocity_rad_s
+        limit = config.speed.max_joint_velocity_rad_s
         ok = fastest <= limit or fastest <= before - step + ROUNDING
         self._promise(ok, "velocity limit", lambda: f"{fastest} after {before}, limit {limit}")
 
@@ -435,7 +435,7 @@ class World:
             self._ignored_s = 0.0
             self._begin_lie()
         if moving:
-            brake_rad_s2 = config.max_joint_acceleration_rad_s2 if servoing else stop_rad_s2
+            brake_rad_s2 = config.speed.max_joint_acceleration_rad_s2 if servoing else stop_rad_s2
             self._judge_range(v, last, step, servoing, brake_rad_s2)
 
     def _judge_words(self, command: Command) -> None:
@@ -545,7 +545,7 @@ class World:
         if joints is None:
             return
         promise = "stops before its limit" if servoing else "stops before its limit, resting too"
-        lower, upper = config.joint_range.lower_rad, config.joint_range.upper_rad
+        lower, upper = config.joint_range.joint_min_rad, config.joint_range.joint_max_rad
         for i, (a, b, q) in enumerate(zip(v, last, joints.tolist(), strict=True)):
             room = max(0.0, upper[i] - q if a > 0.0 else q - lower[i])
             brake = math.sqrt(2.0 * brake_rad_s2 * room)
@@ -682,11 +682,11 @@ class World:
         point.x, point.y, point.z = (float(value) for value in target)
         _stamp(message, self.ros_s)
         supervisor = self.node._loop.supervisor
-        before = supervisor._told_target
+        before = supervisor._set_target
         self.node._on_target(message)
         low, high = supervisor.config.workspace_min_m, supervisor.config.workspace_max_m
         right = frame == CAMERA_FRAME and np.all((low <= target) & (target <= high))
-        ok = right or supervisor._told_target is before
+        ok = right or supervisor._set_target is before
         self._promise(ok, "a wrong target changes nothing", lambda: f"{target} in {frame}")
 
     def send_program(self, running: bool) -> None:
@@ -1071,7 +1071,7 @@ def _parameters(world: World, rng: np.random.Generator, scene: Scene) -> None:
         values.append(("joint_min_rad", (joints - room[0]).tolist()))
         values.append(("joint_max_rad", (joints + np.maximum(room[1], 0.06)).tolist()))
     elif v == 6:
-        values.append(("fresh_samples", int(rng.integers(1, 40))))
+        values.append(("follow_time_s", float(rng.uniform(1.0, 5.0))))
     else:
         for _ in range(v - 6):
             parameter = LIVE[int(rng.integers(len(LIVE)))]

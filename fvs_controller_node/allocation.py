@@ -30,11 +30,12 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from scipy.linalg.lapack import dgeqrf, dorgqr
+from scipy.optimize import nnls
 
 from fvs_controller_node.pseudo_inverse import DampedInverse, damped_solution
-from fvs_ros.joints import N_JOINTS
 from fvs_ros.limits import JointRange
-from fvs_ros.params import Parameter
+from fvs_ros.params import Parameters, parameter
 from fvs_ros.vectors import largest
 
 #: Weight of the sum of squares (eps): the fastest joint is 2 % faster than need be, at most.
@@ -73,10 +74,9 @@ class LeastSpeedInverse:
     def __post_init__(self) -> None:
         ends = None
         if self.joint_range is not None:
-            lower_rad = np.asarray(self.joint_range.lower_rad)
-            ends = np.concatenate([self.joint_range.upper_rad, -lower_rad])
+            lower_rad = np.asarray(self.joint_range.joint_min_rad)
+            ends = np.concatenate([self.joint_range.joint_max_rad, -lower_rad])
         object.__setattr__(self, "_ends_rad", ends)
-        object.__setattr__(self, "_solvers", _solvers())
 
     def joint_velocity(
         self,
@@ -101,30 +101,29 @@ class LeastSpeedInverse:
 
         Parameters
         ----------
-        jacobian : ndarray, shape (3, 6)
+        jacobian : ndarray, shape (m, n)
             m/rad.
-        velocity_m_s : ndarray, shape (3,)
+        velocity_m_s : ndarray, shape (m,)
             Wanted ball velocity, m/s.
-        joints_rad : ndarray, shape (6,), optional
+        joints_rad : ndarray, shape (n,), optional
             Present joints, rad; without them the ends of their ranges do not count.
-        near_rad_s : ndarray, shape (6,), optional
+        near_rad_s : ndarray, shape (n,), optional
             What the sum of squares is counted from; zero if not given.
         nearness : float
             Weight eps of the sum of squares.
-        home_rad : ndarray, shape (6,), optional
+        home_rad : ndarray, shape (n,), optional
             Posture to come back to on the way, rad; with ``joints_rad`` and without ``near_rad_s``.
 
         Returns
         -------
-        ndarray, shape (6,)
+        ndarray, shape (n,)
             Joint velocities, rad/s.
         """
-        solvers = self._solvers  # type: ignore[attr-defined]
         least = damped_solution(jacobian, velocity_m_s, self.damping)
-        free = solvers.orthogonal_to_rows(jacobian)
+        free, joints = _orthogonal_to_rows(jacobian), least.size
         shares, spared = self._shares(joints_rad), None
         if shares is not None:
-            share = np.where(least > 0.0, shares[:N_JOINTS], shares[N_JOINTS:])
+            share = np.where(least > 0.0, shares[:joints], shares[joints:])
             left_out = largest((1.0 - share) * least) / max(largest(least), _TINY)
             spared = self._sparing(jacobian, velocity_m_s, share)
             least = spared - (free @ spared) @ free
@@ -138,21 +137,21 @@ class LeastSpeedInverse:
         scale = largest(least)
         if not _TINY < scale < np.inf:
             return least
-        distance = np.empty((5, 2 * N_JOINTS))
-        upward, downward = distance[:, :N_JOINTS], distance[:, N_JOINTS:]
-        np.multiply(free, -1.0 / nearness, out=upward[1:4])
-        np.divide(least, scale, out=upward[4])
+        distance = np.empty((2 + len(free), 2 * joints))
+        upward, downward = distance[:, :joints], distance[:, joints:]
+        np.multiply(free, -1.0 / nearness, out=upward[1:-1])
+        np.divide(least, scale, out=upward[-1])
         np.negative(upward[1:], out=downward[1:])
         distance[0] = 1.0 if shares is None else shares
         try:
-            weights, _ = solvers.nnls(distance, _LAST)
+            weights, _ = nnls(distance, _unit(len(distance)))
         except RuntimeError:  # it did not converge
             return least
-        _, x, y, z, last = distance.dot(weights).tolist()
-        last = nearness * (last - 1.0)
+        rest = distance.dot(weights)
+        last = nearness * (float(rest[-1]) - 1.0)
         if abs(last) < _TINY:
             return least
-        found = least - np.array((x, y, z)).dot(free) * (scale / last)
+        found = least - rest[1:-1].dot(free) * (scale / last)
         if spared is None:
             return found
         return found + min(1.0, _CALM * left_out) * (spared - found)
@@ -160,7 +159,7 @@ class LeastSpeedInverse:
     def _sparing(
         self, jacobian: np.ndarray, velocity_m_s: np.ndarray, share: np.ndarray
     ) -> np.ndarray:
-        """Joint velocities of which each joint makes only a share, (6,).
+        """Joint velocities of which each joint makes only a share, (n,).
 
         With W the shares and ``D = W + kappa (I - W)`` it is ``W J' (J D J' + mu I)^-1 v``. With
         kappa = 0 the other joints would make up for all that is left out, the faster the less they
@@ -170,7 +169,7 @@ class LeastSpeedInverse:
         return share / root * damped_solution(jacobian * root, velocity_m_s, self.damping)
 
     def _shares(self, joints_rad: np.ndarray | None) -> np.ndarray | None:
-        """Upward, then downward shares of each joint's speed, shape (12,); None where all are 1."""
+        """Upward, then downward shares of the joints' speeds, (2 n,); None where all are 1."""
         if (
             self.joint_range is None
             or joints_rad is None
@@ -179,7 +178,13 @@ class LeastSpeedInverse:
             return None
         ends_rad = self._ends_rad  # type: ignore[attr-defined]
         room = ends_rad - np.concatenate((joints_rad, -joints_rad))
-        return np.minimum(np.maximum(room / self.joint_range.margin_rad, 0.0), 1.0)
+        return np.minimum(np.maximum(room / self.joint_range.joint_limit_margin_rad, 0.0), 1.0)
+
+
+@cache
+def _unit(length: int) -> np.ndarray:
+    """The last unit vector."""
+    return np.eye(length)[-1]
 
 
 def _homing(away_rad: np.ndarray, speed: float, room: float) -> tuple[np.ndarray, float]:
@@ -193,65 +198,61 @@ def _homing(away_rad: np.ndarray, speed: float, room: float) -> tuple[np.ndarray
     return near, _SMOOTHING + share * (_HOMING - _SMOOTHING)
 
 
-_LAST = np.array([0.0, 0.0, 0.0, 0.0, 1.0])
-
 Inverse = DampedInverse | LeastSpeedInverse
 
 
-class _Solvers:
-    """What scipy solves in a tick, the factors straight from LAPACK: wrappers take longer."""
+def _orthogonal_to_rows(jacobian: np.ndarray) -> np.ndarray:
+    """Orthonormal rows, (n - m, n), orthogonal to those of an (m, n) Jacobian of any rank.
 
-    def __init__(self) -> None:
-        try:
-            # Here, for it takes most of a second: not while an arm waits for its command.
-            from scipy.linalg.lapack import dgeqrf, dorgqr
-            from scipy.optimize import nnls
-        except ImportError as error:
-            raise ValueError(
-                "least joint speeds (allocation least_speed, law arrive) need scipy: "
-                "pip install scipy"
-            ) from error
-        self.nnls = nnls
-        self._dgeqrf, self._dorgqr = dgeqrf, dorgqr
-
-    def orthogonal_to_rows(self, jacobian: np.ndarray) -> np.ndarray:
-        """Orthonormal rows, (3, 6), orthogonal to those of a (3, 6) Jacobian of any rank."""
-        factors, scales, _, _ = self._dgeqrf(jacobian.T)
-        q, padded = np.zeros((N_JOINTS, N_JOINTS), order="F"), np.zeros(N_JOINTS)
-        q[:, :3], padded[:3] = factors, scales
-        return self._dorgqr(q, padded)[0][:, 3:].T
-
-
-@cache
-def _solvers() -> _Solvers:
-    return _Solvers()
+    By QR factors straight from LAPACK: numpy's wrapper takes five times as long.
+    """
+    m, n = jacobian.shape
+    factors, scales, _, _ = dgeqrf(jacobian.T)
+    q, padded = np.zeros((n, n), order="F"), np.zeros(n)
+    q[:, :m], padded[:m] = factors, scales
+    return dorgqr(q, padded)[0][:, m:].T
 
 
 TWO_NORM, LEAST_SPEED = "two_norm", "least_speed"
 
-ALLOCATION_PARAMETERS = (
-    Parameter(
-        "allocation",
+
+@dataclass(frozen=True)
+class AllocationConfig(Parameters):
+    """Which of the joint velocities that move the feature as wanted."""
+
+    allocation: str = parameter(
         TWO_NORM,
-        "Which of the joint velocities that move the ball as wanted: those with the least sum of "
-        "squares, or those whose fastest joint is slowest. The law arrive always takes the latter.",
+        "Which of the joint velocities that move the feature as wanted: those with the least sum "
+        "of squares, or those whose fastest joint is slowest. The law arrive always takes the "
+        "latter.",
         choices=(TWO_NORM, LEAST_SPEED),
-    ),
-)
+    )
+    damping: float = parameter(
+        1e-4,
+        "Damping mu of the pseudo inverse J' (J J' + mu I)^-1, m^2/rad^2.",
+        1e-12,
+        1.0,
+        live=True,
+    )
+    posture_gain_1_s: float = parameter(
+        0.0,
+        "Pull towards the joints of the last start that does not move the feature, with "
+        "allocation two_norm, 1/s; 0 is off.",
+        0.0,
+        5.0,
+        live=True,
+    )
 
 
 def make_inverse(values: Mapping[str, Any]) -> Inverse:
     """Build what ``allocation`` names, with the numbers in ``values`` (by parameter name)."""
-    if values["allocation"] == TWO_NORM:
-        return DampedInverse.from_values(values)
+    config = AllocationConfig.from_values(values)
+    if config.allocation == TWO_NORM:
+        return DampedInverse(config.damping, config.posture_gain_1_s)
     return least_speed_inverse(values)
 
 
 def least_speed_inverse(values: Mapping[str, Any]) -> LeastSpeedInverse:
     """Build the least largest speed with the joints' ranges in ``values``."""
-    joint_range = JointRange(
-        tuple(values["joint_min_rad"]),
-        tuple(values["joint_max_rad"]),
-        values["joint_limit_margin_rad"],
-    )
-    return LeastSpeedInverse(values["damping"], joint_range)
+    damping = AllocationConfig.from_values(values).damping
+    return LeastSpeedInverse(damping, JointRange.from_values(values))

@@ -37,9 +37,9 @@ class Anticipation:
     def shift(
         self, present: ControlInput, pending_rad: np.ndarray, target_motion_m: np.ndarray
     ) -> ControlInput:
-        """What will be once pending motion of the joints, rad, (6,), and the target has been made.
+        """What will be once pending motion of the joints, rad, (n,), and the target has been made.
 
-        ``target_motion_m`` is how far the target goes meanwhile, m, (3,).
+        ``target_motion_m`` is how far the target goes meanwhile, m, (m,).
         """
         return present._replace(
             error_m=present.error_m + present.jacobian @ pending_rad - target_motion_m,

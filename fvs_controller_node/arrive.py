@@ -19,17 +19,17 @@ from where the drives will be (:mod:`fvs_controller_node.anticipation`).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
-from math import inf
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from fvs_controller_node.allocation import LeastSpeedInverse, least_speed_inverse
 from fvs_controller_node.anticipation import BRAKING_SHARE, braking_speed_within
-from fvs_controller_node.base import N_AXES, ControlInput, ControlLaw, ControlOutput
-from fvs_ros.joints import N_JOINTS
-from fvs_ros.params import Parameter
+from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
+from fvs_ros.limits import SpeedLimits
+from fvs_ros.params import Parameters, parameter
+from fvs_ros.vectors import largest
 
 #: Steps of the search for the goal after a new target, the last of which are repeated after each
 #: image; longest step of a joint, rad. In the first ones the goal is drawn towards the posture that
@@ -45,51 +45,47 @@ _SEARCH_DAMPING = 1e-8
 _SEARCH_LEFT_OUT = 0.02
 
 
+@dataclass(frozen=True)
+class ArriveGains(Parameters):
+    """Limits of the joints and the law's one gain."""
+
+    arrive_rate_1_s: float = parameter(
+        25.0,
+        "Speed over travel of the law arrive close to the goal, 1/s: larger is quicker and makes "
+        "more of the noise.",
+        1.0,
+        100.0,
+        live=True,
+    )
+
+
 class ArriveLaw(ControlLaw):
     """Least largest joint travel at the limits.
 
     Parameters
     ----------
-    max_speed_rad_s, max_acceleration_rad_s2 : float
-        Limits of each joint.
-    rate_1_s : float
-        Speed over travel close to the goal, 1/s.
-    inverse : LeastSpeedInverse
+    gains : ArriveGains, optional
+        The gain.
+    limits : SpeedLimits, optional
+        Of each joint.
+    inverse : LeastSpeedInverse, optional
         Solves for the least largest joint motion.
     """
 
     reads_chain = True
     least_speed = True
-
-    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
-        Parameter(
-            "arrive_rate_1_s",
-            25.0,
-            "Speed over travel of the law arrive close to the goal, 1/s: larger is quicker and "
-            "makes more of the noise.",
-            1.0,
-            100.0,
-            live=True,
-        ),
-    )
+    PARAMETERS = ArriveGains.declared()
 
     def __init__(
         self,
-        max_speed_rad_s: float = 1.0,
-        max_acceleration_rad_s2: float = 6.0,
-        rate_1_s: float = 25.0,
+        gains: ArriveGains | None = None,
+        limits: SpeedLimits | None = None,
         inverse: LeastSpeedInverse | None = None,
     ) -> None:
-        for name, value in (
-            ("max_joint_velocity_rad_s", max_speed_rad_s),
-            ("max_joint_acceleration_rad_s2", max_acceleration_rad_s2),
-            ("arrive_rate_1_s", rate_1_s),
-        ):
-            if not 0.0 < value < inf:
-                raise ValueError(f"{name} must be positive, got {value}")
-        self._speed = max_speed_rad_s
-        self._acceleration = BRAKING_SHARE * max_acceleration_rad_s2
-        self._rate_1_s = rate_1_s
+        self._rate_1_s = (gains or ArriveGains()).arrive_rate_1_s
+        limits = limits or SpeedLimits()
+        self._speed = limits.max_joint_velocity_rad_s
+        self._acceleration = BRAKING_SHARE * limits.max_joint_acceleration_rad_s2
         self._inverse = inverse or LeastSpeedInverse()
         self._search = replace(self._inverse, damping=_SEARCH_DAMPING, left_out=_SEARCH_LEFT_OUT)
         self.reset()
@@ -98,31 +94,32 @@ class ArriveLaw(ControlLaw):
     def from_values(cls, values: Mapping[str, Any]) -> ArriveLaw:
         """Build the law with the limits and gains in ``values``."""
         return cls(
-            values["max_joint_velocity_rad_s"],
-            values["max_joint_acceleration_rad_s2"],
-            values["arrive_rate_1_s"],
+            ArriveGains.from_values(values),
+            SpeedLimits.from_values(values),
             least_speed_inverse(values),
         )
 
     def reset(self) -> None:
         """Forget the goal."""
         self._goal: np.ndarray | None = None
-        self._news = self._targets = -1
+        self._measurements = self._targets = -1
 
     def command(self, control_input: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""
         one = control_input
-        if self._goal is not None and one.ahead_rad_s.any():
-            self._goal = self._goal + one.dt_s * one.ahead_rad_s
-        if self._goal is None or one.news != self._news or one.chain is None:
+        if self._goal is not None and one.feed_forward_rad_s.any():
+            self._goal = self._goal + one.dt_s * one.feed_forward_rad_s
+        new = one.measurement_count != self._measurements
+        if self._goal is None or new or one.chain is None:
             self._goal = self._find_goal(one)
-            self._news, self._targets = one.news, one.targets
+            self._measurements, self._targets = one.measurement_count, one.target_count
         left = self._goal - one.joints_rad
-        travel = float(np.abs(left).max())
-        velocity = np.zeros(N_JOINTS)
+        travel = largest(left)
+        velocity = np.zeros(left.size)
         if travel > 0.0:
             velocity = left * (self._speed_for(travel, one.dt_s) / travel)
-        return ControlOutput(velocity, np.zeros(N_AXES), np.ones(N_AXES), brakes=True)
+        features = one.error_m.size
+        return ControlOutput(velocity, np.zeros(features), np.ones(features), brakes=True)
 
     def _speed_for(self, travel_rad: float, dt_s: float) -> float:
         """Largest speed that can be braked in time, rad/s."""
@@ -130,7 +127,7 @@ class ArriveLaw(ControlLaw):
         return min(self._speed, self._rate_1_s * travel_rad, braking)
 
     def _find_goal(self, one: ControlInput) -> np.ndarray:
-        """Joints with the ball on the target and the least largest travel, rad, shape (6,)."""
+        """Joints with the ball on the target and the least largest travel, rad, shape (n,)."""
         joints, chain = one.joints_rad, one.chain
         if chain is None:
             return joints + self._inverse.joint_velocity(
@@ -140,7 +137,7 @@ class ArriveLaw(ControlLaw):
         goal = joints if self._goal is None else self._goal
         position, jacobian = chain.position_and_jacobian(goal)
         missing = wanted - position
-        new = one.targets != self._targets or float(np.abs(missing).max()) > _NEW_M
+        new = one.target_count != self._targets or float(np.abs(missing).max()) > _NEW_M
         for number in range(0 if new else _FIRST_STEPS - _STEPS, _FIRST_STEPS):
             travel = goal - joints
             way = missing + jacobian @ travel
@@ -160,4 +157,4 @@ class ArriveLaw(ControlLaw):
     def _within_range(self, joints: np.ndarray) -> np.ndarray:
         """The joints, none beyond the ends of its range, rad."""
         ends = self._inverse.joint_range
-        return joints if ends is None else np.clip(joints, ends.lower_rad, ends.upper_rad)
+        return joints if ends is None else np.clip(joints, ends.joint_min_rad, ends.joint_max_rad)

@@ -9,42 +9,40 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from fvs_ros.chain import SerialChain
-from fvs_ros.joints import N_JOINTS
 from fvs_ros.params import Parameter
 
-N_AXES = 3
-
-#: Joint velocities of an arm that rests, rad/s.
-AT_REST = np.zeros(N_JOINTS)
-AT_REST.flags.writeable = False
+#: Joint velocities for a target that stands, rad/s.
+NO_FEED_FORWARD = np.zeros(1)
+NO_FEED_FORWARD.flags.writeable = False
 
 
 class ControlInput(NamedTuple):
-    """What a law knows at one tick.
+    """What a law knows at one tick, of m features and n joints.
 
     Parameters
     ----------
-    error_m : ndarray, shape (3,)
-        Ball position, predicted to now, minus its target; camera frame, m.
-    jacobian : ndarray, shape (3, 6)
+    error_m : ndarray, shape (m,)
+        Feature, predicted to now, minus its target; camera frame, m.
+    jacobian : ndarray, shape (m, n)
         Estimated Jacobian at the present joints, m/rad.
-    applied_rad_s : ndarray, shape (6,)
-        Joint velocities actually sent at the last tick, after every limit, rad/s.
-    joints_rad : ndarray, shape (6,)
+    applied_rad_s : ndarray, shape (n,)
+        Joint velocities actually sent at the last tick, after every limit, less the feed-forward,
+        rad/s.
+    joints_rad : ndarray, shape (n,)
         Joint positions, rad.
     dt_s : float
         Time since the last tick, s; positive.
-    news : int
-        Changes whenever something else than the joints' motion and ``ahead_rad_s`` has changed
-        ``error_m``: an image, a target that was told.
     chain : SerialChain, optional
-        Forward model of arm and ball as the camera sees them; up to a constant offset.
-    home_rad : ndarray, shape (6,), optional
+        Forward model of arm and feature as the camera sees them; up to a constant offset.
+    home_rad : ndarray, shape (n,), optional
         Joints at which the arm was started, rad: a posture to come back to on the way.
-    ahead_rad_s : ndarray, shape (6,)
+    measurement_count : int
+        Changes whenever something else than the joints' motion and the feed-forward has changed
+        ``error_m``: an image, a target.
+    target_count : int
+        Changes with every target that the feed-forward has not led to.
+    feed_forward_rad_s : ndarray, shape (n,) or (1,)
         Joint velocities that go along with a moving target, rad/s: added to what the law answers.
-    targets : int
-        Changes with every target that ``ahead_rad_s`` has not led to.
     """
 
     error_m: np.ndarray
@@ -52,11 +50,11 @@ class ControlInput(NamedTuple):
     applied_rad_s: np.ndarray
     joints_rad: np.ndarray
     dt_s: float
-    news: int = 0
     chain: SerialChain | None = None
     home_rad: np.ndarray | None = None
-    ahead_rad_s: np.ndarray = AT_REST
-    targets: int = 0
+    measurement_count: int = 0
+    target_count: int = 0
+    feed_forward_rad_s: np.ndarray = NO_FEED_FORWARD
 
 
 class ControlOutput(NamedTuple):
@@ -64,15 +62,15 @@ class ControlOutput(NamedTuple):
 
     Parameters
     ----------
-    velocity_rad_s : ndarray, shape (6,)
+    velocity_rad_s : ndarray, shape (n,)
         Wanted joint velocities before any limit, rad/s.
-    sliding_variable : ndarray, shape (3,)
+    sliding_variable : ndarray, shape (m,)
         What the law gives the estimator's update law in the place of s: a sliding mode law its
         sliding variable (17), the proportional law the error (45); zeros for a law without one.
-    exponent : ndarray, shape (3,)
-        The exponent gamma of each axis; ones for a law without one.
+    exponent : ndarray, shape (m,)
+        The exponent gamma of each component; ones for a law without one.
     brakes : bool
-        Whether the law itself brakes in time for the target; else the supervisor sees to it.
+        Whether the law itself brakes in time for the target; else the supervisor does.
     feed_forward_rad_s : float
         Speed of the fastest joint that only keeps up with a moving target, rad/s.
     """
@@ -91,7 +89,7 @@ class ControlLaw(ABC):
     is one file here and one line in :mod:`fvs_controller_node.registry`.
     """
 
-    #: Whether it makes use of a chain; else nobody minds what becomes of chains.
+    #: Whether it makes use of a chain; the Jacobian then is the chain's.
     reads_chain: ClassVar[bool] = False
 
     #: Whether it moves at the least joint speeds, whatever the parameter ``allocation`` says.
@@ -110,7 +108,7 @@ class ControlLaw(ABC):
         """Return the joint velocities for this tick, before any limit."""
 
     def settling_bound_s(self, error_m: np.ndarray) -> float | None:
-        """Longest time from rest at an error, m, shape (3,), to zero, without speed limits, s.
+        """Longest time from rest at an error, m, shape (m,), to zero, without speed limits, s.
 
         None for a law that makes no such promise.
         """

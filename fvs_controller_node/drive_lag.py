@@ -13,7 +13,6 @@ from __future__ import annotations
 import numpy as np
 
 from fvs_ros.history import JointHistory
-from fvs_ros.joints import N_JOINTS
 
 #: What the lag is taken for before anything has moved, s.
 _FIRST_S = 0.03
@@ -40,17 +39,20 @@ class DriveLag:
         self.lag_s, self._known = _FIRST_S, _FIRST
         self._told = JointHistory()  # the path as commanded
         self._constant: np.ndarray | None = None
-        self._joints = np.zeros(N_JOINTS)
-        self._behind, self._slow_behind = np.zeros(N_JOINTS), np.zeros(N_JOINTS)
-        self._slow_command = np.zeros(N_JOINTS)
+        self._joints: np.ndarray | float = 0.0
+        self._behind: np.ndarray | float = 0.0
+        self._slow_behind: np.ndarray | float = 0.0
+        self._slow_command: np.ndarray | float = 0.0
 
     def pending_rad(self) -> np.ndarray:
-        """Motion that was commanded and is still to come, rad, shape (6,)."""
+        """Motion that was commanded and is still to come, rad, shape (n,) or (1,)."""
         told, done = self._told.newest, self._done(self.lag_s)
-        return np.zeros(N_JOINTS) if told is None or done is None else told - done
+        if told is None or done is None:
+            return np.zeros(1) if told is None else np.zeros_like(told)
+        return told - done
 
     def _done(self, late_s: float) -> np.ndarray | None:
-        """The path that had been commanded so long ago, rad, shape (6,)."""
+        """The path that had been commanded so long ago, rad, shape (n,)."""
         newest_s = self._told.newest_stamp_s
         return None if newest_s is None else self._told.at(newest_s - late_s)
 
@@ -67,9 +69,9 @@ class DriveLag:
         ----------
         stamp_s : float
             Its stamp, s: the times of arrival jitter, and would feign a lag.
-        command_rad_s : ndarray, shape (6,)
+        command_rad_s : ndarray, shape (n,)
             The command in force since the one before, rad/s.
-        joints_rad : ndarray, shape (6,)
+        joints_rad : ndarray, shape (n,)
             Joint positions, rad.
         compare : bool
             Whether the arm goes as it is told; one with its speed slider down, or moved by somebody
@@ -77,13 +79,13 @@ class DriveLag:
 
         Returns
         -------
-        ndarray, shape (6,)
+        ndarray, shape (n,)
             Joint positions with less noise where the arm goes as it is told, rad.
         """
         before_s, told = self._told.newest_stamp_s, self._told.newest
         moved, self._joints = joints_rad - self._joints, joints_rad
         if before_s is None or told is None:
-            self._told.add(stamp_s, np.zeros(N_JOINTS))
+            self._told.add(stamp_s, np.zeros_like(joints_rad))
             return joints_rad
         dt_s = stamp_s - before_s
         went_on = self._told.add(stamp_s, told + dt_s * command_rad_s)

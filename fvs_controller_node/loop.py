@@ -1,7 +1,6 @@
 """The whole controller without ROS: predictor, law and supervisor, joined once.
 
-The node hands messages in and sends what ``tick`` answers; tests and benchmarks use the same
-object.
+The node hands messages in and sends what ``tick`` answers; the laboratory uses the same object.
 """
 
 from __future__ import annotations
@@ -11,23 +10,22 @@ from math import inf
 import numpy as np
 
 from fvs_controller_node.anticipation import Anticipation
-from fvs_controller_node.base import AT_REST, ControlInput, ControlLaw, ControlOutput
+from fvs_controller_node.base import NO_FEED_FORWARD, ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.drive_lag import DriveLag
 from fvs_controller_node.predictor import BallPredictor
 from fvs_controller_node.reasons import State
 from fvs_controller_node.supervisor import Command, Supervisor
 from fvs_controller_node.supervisor_config import BALL, JOINT_STATES, KINEMATIC_CHAIN
-from fvs_controller_node.target_motion import STANDING, Target, TargetFollower
+from fvs_controller_node.target_motion import Target, TargetFollower
 from fvs_ros.chain import SerialChain
 from fvs_ros.history import StampGate, jump_of
 
-#: Of joints after a longer gap nothing is said, s.
+#: Velocity of a target that stands, m/s.
+_STANDING = np.zeros(1)
+#: After a longer gap between two joint states their step is not checked, s.
 _JUMP_S = 0.5
-#: A chain is told more often than this, s.
+#: The estimator publishes the chain more often than this; an older one is not used, s.
 _CHAIN_MAX_AGE_S = 1.5
-#: A chain whose Jacobian differs from that in use by more than this share is not used, and said to
-#: be wrong after so many messages: the two come one after the other when the camera was moved.
-_CHAIN_DIFFERS, _CHAIN_DOUBTS = 0.3, 5
 
 
 class ServoLoop:
@@ -64,27 +62,24 @@ class ServoLoop:
         self._pending_rad = self._drive_lag.pending_rad()
         self._chain: SerialChain | None = None
         self._chain_s = -inf
-        self._chain_doubts = 0  # how often in a row the two contradicted each other
-        self._compared = -1  # at which image they were compared last
         self._stamp_s = 0.0
-        self._told = 0  # targets
-        self._targets = 0  # that nothing goes along with from the one before
-        self._aim: Target | None = None  # the target when the supervisor was told of it last
-        self._target_m_s = STANDING
+        self._target_updates = self._target_count = 0
+        self._aim: Target | None = None  # the target that the supervisor has
+        self._target_m_s = _STANDING
         self._joint_stamps, self._ball_stamps = StampGate(), StampGate()
         self._joints: np.ndarray | None = None
-        self._heard_joints: tuple[float, np.ndarray | None] = (0.0, None)
+        self._last_joints: tuple[float, np.ndarray | None] = (0.0, None)  # as they came
         self._jacobian: np.ndarray | None = None
         self._home: np.ndarray | None = None  # joints at the last start
 
     def add_joints(self, now_s: float, stamp_s: float, joints_rad: np.ndarray) -> None:
-        """Tell a joint state: arrival on the steady clock and stamp, s; positions (6,), rad."""
+        """Take a joint state: arrival on the steady clock and stamp, s; positions (n,), rad."""
         if not self._joint_stamps.advances(stamp_s):
             self.supervisor.stuck(now_s, JOINT_STATES)
             return
         jump = self._jump(stamp_s, joints_rad)
         if jump:
-            self.predictor.reset()  # it was no motion of the ball's
+            self.predictor.reset()  # the ball did not move with it
             self.supervisor.bad_input(now_s, JOINT_STATES, jump)
         elif self.supervisor.joint_states(now_s, joints_rad):
             self._stamp_s = stamp_s
@@ -94,13 +89,15 @@ class ServoLoop:
                 np.array(joints_rad, dtype=float),
                 compare=self.supervisor.full_speed and self.supervisor.last.state is State.SERVOING,
             )
+            if self._chain is not None and self._jacobian is not None:
+                self._jacobian = self._chain.jacobian(self._joints)
             if self._jacobian is not None:
                 self.predictor.add_joints(stamp_s, self._joints, self._jacobian)
 
     def _jump(self, stamp_s: float, joints_rad: np.ndarray) -> str:
         """Say what is impossible about a joint state after the last one; empty if nothing is."""
-        before_s, before = self._heard_joints
-        self._heard_joints = (stamp_s, joints_rad)
+        before_s, before = self._last_joints
+        self._last_joints = (stamp_s, joints_rad)
         passed_s = stamp_s - before_s
         if before is None or before.shape != joints_rad.shape or not 0.0 < passed_s < _JUMP_S:
             return ""
@@ -116,49 +113,27 @@ class ServoLoop:
     def add_ball(
         self, now_s: float, stamp_s: float, position_m: np.ndarray, frame: str | None = None
     ) -> None:
-        """Tell a ball position: arrival on the steady clock and exposure stamp, s; (3,), m."""
+        """Take a ball position: arrival on the steady clock and exposure stamp, s; (m,), m."""
         if not self._ball_stamps.advances(stamp_s):
             self.supervisor.stuck(now_s, BALL)
         elif self.supervisor.ball(now_s, position_m, frame):
             self.predictor.add_ball(stamp_s, position_m)
 
     def add_jacobian(self, now_s: float, jacobian: np.ndarray) -> None:
-        """Tell the estimated Jacobian (3, 6), m/rad, and its arrival."""
-        if self.supervisor.jacobian(now_s, jacobian):
+        """Take the estimated Jacobian, (m, n), m/rad, and its arrival; a chain's goes before it."""
+        if self.supervisor.jacobian(now_s, jacobian) and (
+            self._chain is None or self._jacobian is None
+        ):
             self._jacobian = np.array(jacobian, dtype=float)
-            # What is believed is looked at again with each image, what is doubted at once.
-            if self._chain_doubts or self.predictor.images != self._compared:
-                self._compare_chain()
 
     def add_chain(self, now_s: float, chain: SerialChain) -> None:
-        """Tell the forward model as the camera sees it now, and its arrival."""
+        """Take the forward model as the camera sees it now, and its arrival."""
         if self.law.reads_chain:
             self._chain, self._chain_s = chain, now_s
             self.supervisor.chain(now_s)
-            self._compare_chain()
-
-    def _compare_chain(self) -> None:
-        chain, joints, jacobian = self._chain, self._joints, self._jacobian
-        if chain is None or joints is None or jacobian is None:
-            self._chain_doubts, self._compared = 0, -1
-            return
-        self._compared = self.predictor.images
-        apart = np.linalg.norm(chain.jacobian(joints) - jacobian)
-        differs = apart > _CHAIN_DIFFERS * np.linalg.norm(jacobian)
-        self._chain_doubts = self._chain_doubts + 1 if differs else 0
-
-    @property
-    def remark(self) -> str:
-        """What does not stop the arm, but should be known; mostly empty."""
-        if self._chain_doubts < _CHAIN_DOUBTS:
-            return ""
-        return (
-            f"{KINEMATIC_CHAIN} is not used: it contradicts the Jacobian; do two nodes publish it, "
-            "or is it of another arm?"
-        )
 
     def bad_chain(self, now_s: float, why: str) -> None:
-        """Tell that a forward model came that cannot be used, and why."""
+        """Report that a forward model came that cannot be used, and why."""
         if self.law.reads_chain:
             self._chain, self._chain_s = None, now_s
             self.supervisor.bad_input(now_s, KINEMATIC_CHAIN, why)
@@ -166,19 +141,19 @@ class ServoLoop:
     def add_target(
         self, position_m: np.ndarray, frame: str, stamp_s: float = 0.0
     ) -> tuple[bool, str]:
-        """Tell a target, (3,), m; told often, it moves.
+        """Take a target, (m,), m; one that is updated often moves.
 
         A stamp (s; 0 for now) says when it was there, on the clock of the joint states. The answer
         is the supervisor's: see :meth:`~fvs_controller_node.supervisor.Supervisor.target`.
         """
         own = frame == self.supervisor.config.feature_frame
         if own and self.follower.overtaken(position_m, stamp_s, self._stamp_s):
-            return True, "target passed over: a newer one has been told"
+            return True, "target passed over: a newer one has come"
         moving = self.follower.expects(position_m, stamp_s, self._stamp_s)
         accepted, text = self.supervisor.target(position_m, frame, moving=moving)
         if accepted:
-            self._told += 1
-            self._targets += not (moving and self.follower.enabled)
+            self._target_updates += 1
+            self._target_count += not (moving and self.follower.enabled)
             self.follower.update(position_m, stamp_s, self._stamp_s)
         return accepted, text
 
@@ -192,14 +167,14 @@ class ServoLoop:
             return False, "target refused: the ball's position is not known yet"
         accepted, text = self.supervisor.target(position, self.supervisor.config.feature_frame)
         if accepted:
-            self._told += 1
-            self._targets += 1
+            self._target_updates += 1
+            self._target_count += 1
             self.follower.stand(position, self._stamp_s)
         return accepted, text
 
     @property
     def jacobian(self) -> np.ndarray | None:
-        """The Jacobian in use, m/rad, shape (3, 6), or None; a copy."""
+        """The Jacobian in use, m/rad, shape (m, n), or None; a copy."""
         return None if self._jacobian is None else self._jacobian.copy()
 
     @property
@@ -218,13 +193,13 @@ class ServoLoop:
             Time since the last tick, s.
         """
         if now_s - self._chain_s > _CHAIN_MAX_AGE_S:
-            self._chain = None  # who told it is gone, or has another method now
+            self._chain = None  # its publisher is gone, or has another method now
             self.supervisor.no_chain()
         aim = self.follower.at(self._stamp_s)
         if aim is not self._aim:
             self._aim = aim
             moves = aim is not None and self.supervisor.track(aim.position_m)
-            self._target_m_s = aim.velocity_m_s if aim is not None and moves else STANDING
+            self._target_m_s = aim.velocity_m_s if aim is not None and moves else _STANDING
         self._pending_rad = self._drive_lag.pending_rad()
         if self._home is None:  # what moved before this start says nothing of now
             self.predictor.agreement.restart()
@@ -263,26 +238,28 @@ class ServoLoop:
         assert self._joints is not None
         if self._home is None:
             self._home = self._joints
-        target_m_s, ahead = self._target_m_s, AT_REST
-        if target_m_s is not STANDING and target_m_s.any():
-            ahead = self.follower.feed_forward(target_m_s, self._jacobian, self._joints, self._home)
-        told = ControlInput(
+        target_m_s, feed_forward = self._target_m_s, NO_FEED_FORWARD
+        if target_m_s.any():
+            feed_forward = self.follower.feed_forward(
+                target_m_s, self._jacobian, self._joints, self._home
+            )
+        state = ControlInput(
             error_m,
             self._jacobian,
-            applied - ahead,
+            applied - feed_forward,
             self._joints,
             dt_s,
-            news=self.predictor.images + self._told,
-            chain=None if self._chain_doubts else self._chain,
+            chain=self._chain,
             home_rad=self._home,
-            ahead_rad_s=ahead,
-            targets=self._targets,
+            measurement_count=self.predictor.images + self._target_updates,
+            target_count=self._target_count,
+            feed_forward_rad_s=feed_forward,
         )
-        told = self.anticipation.shift(told, self._pending_rad, self._drive_lag.lag_s * target_m_s)
-        output = self.anticipation.brake(self.law.command(told), told)
-        if ahead is AT_REST:
-            return output
+        state = self.anticipation.shift(
+            state, self._pending_rad, self._drive_lag.lag_s * target_m_s
+        )
+        output = self.anticipation.brake(self.law.command(state), state)
         return output._replace(
-            velocity_rad_s=output.velocity_rad_s + ahead,
-            feed_forward_rad_s=float(np.abs(ahead).max()),
+            velocity_rad_s=output.velocity_rad_s + feed_forward,
+            feed_forward_rad_s=float(np.abs(feed_forward).max()),
         )

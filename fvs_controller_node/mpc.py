@@ -16,15 +16,18 @@ proportional law, with gain (b - c) / (a T) and damping q / a.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import inf, log
-from typing import Any, ClassVar, NamedTuple
+from dataclasses import dataclass
+from functools import partial
+from math import log
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from fvs_controller_node.base import N_AXES, ControlInput, ControlLaw, ControlOutput
-from fvs_controller_node.pseudo_inverse import DampedInverse
-from fvs_ros.params import Parameter
+from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
+from fvs_controller_node.pseudo_inverse import damped_solution
+from fvs_ros.params import Parameters, parameter
 
+_gain = partial(parameter, live=True)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 #: Beyond so many time constants nothing is left of the weight, in double precision.
 _TIME_CONSTANTS = 60.0
@@ -74,112 +77,53 @@ def _moment(power: int, rate: float, horizon: float) -> float:
     return 0.5 * end * float(_WEIGHTS @ (np.exp(-rate * t) * t**power))
 
 
-class MpcLaw(ControlLaw):
-    """The law (49) as corrected, with Q = q E, its increment spread over a control interval.
+@dataclass(frozen=True)
+class MpcGains(Parameters):
+    """Gains of the law; a positive q gives a singular Jacobian a finite command."""
 
-    The velocity is u / T, computed anew at every tick. The posture parameters do not act on this
-    law.
+    mpc_horizon: float = _gain(10.7, "Prediction horizon H, control intervals.", 0.1, 1000.0)
+    mpc_alpha: float = _gain(
+        0.64, "Weight alpha of an interval over the one before; 1 weighs all alike.", 0.01, 1.0
+    )
+    mpc_rho: float = _gain(
+        1.26, "Decay of the wanted error, 1/interval; more is faster.", 1e-3, 100.0
+    )
+    mpc_q: float = _gain(
+        0.07,
+        "Weight q of the joint increment, m^2/rad^2; more is slower, most where the feature moves "
+        "little.",
+        1e-4,
+        100.0,
+    )
+    mpc_interval_s: float = _gain(
+        0.04, "Control interval that the increment is spread over, s; less is faster.", 1e-3, 10.0
+    )
+
+
+class MpcLaw(ControlLaw):
+    """The law (49) as corrected, with Q = q E; the velocity u / T is computed anew at every tick.
 
     Parameters
     ----------
-    horizon : float
-        H, control intervals.
-    alpha : float
-        alpha*, weight of the future, in (0, 1].
-    rho : float
-        Decay of the wanted error, 1/interval; beta = exp(-rho).
-    q : float
-        What a squared radian of increment costs, m^2/rad^2; positive, so that a singular Jacobian
-        gives a finite command.
-    interval_s : float
-        T, the control interval, s.
+    gains : MpcGains, optional
+        H, alpha, rho, q and T.
     """
 
-    PARAMETERS: ClassVar[tuple[Parameter, ...]] = (
-        Parameter(
-            "mpc_horizon",
-            10.7,
-            "Prediction horizon H, control intervals.",
-            0.1,
-            1000.0,
-            live=True,
-        ),
-        Parameter(
-            "mpc_alpha",
-            0.64,
-            "Weight alpha of an interval over that of the one before; 1 weighs all alike.",
-            0.01,
-            1.0,
-            live=True,
-        ),
-        Parameter(
-            "mpc_rho",
-            1.26,
-            "Decay of the wanted error, 1/interval; more is faster.",
-            1e-3,
-            100.0,
-            live=True,
-        ),
-        Parameter(
-            "mpc_q",
-            0.07,
-            "Weight q of the joint increment, m^2/rad^2; more is slower, most where the ball moves "
-            "little.",
-            1e-4,
-            100.0,
-            live=True,
-        ),
-        Parameter(
-            "mpc_interval_s",
-            0.04,
-            "Control interval that the increment is spread over, s; less is faster.",
-            1e-3,
-            10.0,
-            live=True,
-        ),
-    )
+    PARAMETERS = MpcGains.declared()
 
-    def __init__(
-        self,
-        horizon: float = 10.7,
-        alpha: float = 0.64,
-        rho: float = 1.26,
-        q: float = 0.07,
-        interval_s: float = 0.04,
-    ) -> None:
-        for name, value in (
-            ("mpc_horizon", horizon),
-            ("mpc_rho", rho),
-            ("mpc_q", q),
-            ("mpc_interval_s", interval_s),
-        ):
-            if not 0.0 < value < inf:
-                raise ValueError(f"{name} must be positive, got {value}")
-        if not 0.0 < alpha <= 1.0:
-            raise ValueError(f"mpc_alpha must be above 0 and at most 1, got {alpha}")
-        self.interval_s = interval_s
-        self.coefficients = mpc_coefficients(horizon, alpha, rho)
+    def __init__(self, gains: MpcGains | None = None) -> None:
+        self.gains = one = gains or MpcGains()
+        self.coefficients = mpc_coefficients(one.mpc_horizon, one.mpc_alpha, one.mpc_rho)
         a, b, c = self.coefficients
-        self._gain_1_s = (b - c) / (a * interval_s)
-        self._inverse = DampedInverse(q / a)
+        self._gain_1_s, self._damping = (b - c) / (a * one.mpc_interval_s), one.mpc_q / a
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> MpcLaw:
         """Build the law with the gains in ``values``."""
-        return cls(
-            values["mpc_horizon"],
-            values["mpc_alpha"],
-            values["mpc_rho"],
-            values["mpc_q"],
-            values["mpc_interval_s"],
-        )
+        return cls(MpcGains.from_values(values))
 
     def command(self, control_input: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""
-        return ControlOutput(
-            velocity_rad_s=self._inverse.joint_velocity(
-                control_input.jacobian, -self._gain_1_s * control_input.error_m
-            ),
-            sliding_variable=np.zeros(N_AXES),
-            exponent=np.ones(N_AXES),
-        )
+        error_m = control_input.error_m
+        velocity = damped_solution(control_input.jacobian, -self._gain_1_s * error_m, self._damping)
+        return ControlOutput(velocity, np.zeros(error_m.size), np.ones(error_m.size))

@@ -263,7 +263,7 @@ class ControllerNode(ros.FvsNode):
         if command is None:
             return
         silence = "" if command.state is State.SERVOING else self._silence
-        remarks = [one for one in (self._refusal, self._loop.remark, silence) if one]
+        remarks = [one for one in (self._refusal, silence) if one]
         if self._rivals:
             remarks.append(f"{self._rivals} publishes commands as well: stop it")
         words = self._words(command)
@@ -302,7 +302,7 @@ class ControllerNode(ros.FvsNode):
     def _on_any_command(self, message: Float64MultiArray) -> None:
         # One's own come back, too. A rival that says what was just said here does no harm.
         if tuple(message.data) not in self._sent:
-            self._loop.supervisor.rival(self.now_s(), self._rivals or "another node")
+            self._loop.supervisor.conflicting_command(self.now_s(), self._rivals or "another node")
 
     def diagnostic_values(self) -> dict[str, Any]:
         """Ticks that the watchdog made."""

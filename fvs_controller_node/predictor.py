@@ -8,15 +8,29 @@ by more than the camera's noise.
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 
 from fvs_ros.agreement import Agreement
 from fvs_ros.history import MAX_BACKSTEP_S, JointHistory
+from fvs_ros.params import Parameters, parameter
 from fvs_ros.tracker import Image, Tracker
 
 #: Ball positions that may wait for the joint state after their exposure.
 _MAX_WAITING = 32
+
+
+@dataclass(frozen=True)
+class PredictorConfig(Parameters):
+    """Settings of the predictor."""
+
+    predictor: bool = parameter(
+        True, "Predict the ball from its exposure to now with the joints' motion.", live=True
+    )
+    max_latency_s: float = parameter(
+        0.5, "No prediction over more than this, s.", 0.01, 1.9, live=True
+    )
 
 
 class BallPredictor:
@@ -28,26 +42,17 @@ class BallPredictor:
 
     Parameters
     ----------
-    max_latency_s : float
-        No prediction over more than this, s.
-    enabled : bool
-        Off: the position is that of the last image.
+    config : PredictorConfig, optional
+        Settings; may be exchanged at any time.
     """
 
-    def __init__(self, *, max_latency_s: float = 0.5, enabled: bool = True) -> None:
-        self.configure(max_latency_s=max_latency_s, enabled=enabled)
+    def __init__(self, config: PredictorConfig | None = None) -> None:
+        self.config = config or PredictorConfig()
         self._images = 0
         self.tracker, self.agreement = Tracker(), Agreement()
         self._moved = JointHistory()  # of the ball by the joints, m, rather than of the joints
         self._waiting: deque[tuple[float, np.ndarray]] = deque(maxlen=_MAX_WAITING)
         self.reset()
-
-    def configure(self, *, max_latency_s: float, enabled: bool) -> None:
-        """Change the settings and keep the estimate."""
-        if not max_latency_s > 0.0:
-            raise ValueError(f"max_latency_s must be positive, got {max_latency_s}")
-        self._max_latency_s = max_latency_s
-        self._enabled = enabled
 
     def reset(self) -> None:
         """Forget everything."""
@@ -60,7 +65,7 @@ class BallPredictor:
         self._waiting.clear()
         self._stamp_s: float | None = None  # exposure that the estimate belongs to
         self._seen_stamp_s: float | None = None  # newest exposure received
-        self._raw = np.zeros(3)
+        self._raw: np.ndarray | None = None
         self._latency_s: float | None = None
         self.tracker.restart()
 
@@ -81,7 +86,7 @@ class BallPredictor:
         if newest is None or self._seen_stamp_s is None:
             return ""
         age_s = newest - self._seen_stamp_s
-        if abs(age_s) > self._max_latency_s:
+        if abs(age_s) > self.config.max_latency_s:
             side = "older" if age_s > 0.0 else "newer"
             lost = "is the ball in view? Else " if age_s > 0.0 else ""
             return (
@@ -100,14 +105,14 @@ class BallPredictor:
         ----------
         stamp_s : float
             Its stamp, s, newer than the last or of another clock.
-        joints_rad : ndarray, shape (6,)
+        joints_rad : ndarray, shape (n,)
             Positions, rad.
-        jacobian : ndarray, shape (3, 6)
+        jacobian : ndarray, shape (m, n)
             Newest estimate of the Jacobian, m/rad.
         """
         moved = self._moved.newest
         if moved is None or self._joints is None:
-            self._moved.add(stamp_s, np.zeros(3))
+            self._moved.add(stamp_s, np.zeros(len(jacobian)))
         elif not self._moved.add(stamp_s, moved + jacobian @ (joints_rad - self._joints)):
             self._forget_ball()
         self._joints = np.array(joints_rad, dtype=float)
@@ -121,7 +126,7 @@ class BallPredictor:
         ----------
         stamp_s : float
             Exposure time, s, on the clock of the joint states.
-        position_m : ndarray, shape (3,)
+        position_m : ndarray, shape (m,)
             Position, m.
         """
         if self._seen_stamp_s is not None and stamp_s <= self._seen_stamp_s:
@@ -142,7 +147,7 @@ class BallPredictor:
         newest = self._moved.newest_stamp_s
         assert newest is not None
         self._latency_s = newest - stamp_s
-        if self._latency_s > self._max_latency_s:
+        if self._latency_s > self.config.max_latency_s:
             return  # the clocks differ
         self._raw = position
         self._stamp_s = stamp_s
@@ -156,15 +161,15 @@ class BallPredictor:
 
         Returns
         -------
-        ndarray, shape (3,), or None
+        ndarray, shape (m,), or None
             Position, m; None where there is nothing to predict from (see ``problem``).
         """
         newest, moved = self._moved.newest_stamp_s, self._moved.newest
         estimate = self.tracker.estimate_m
         if newest is None or moved is None or self._stamp_s is None or estimate is None:
             return None
-        if newest - self._stamp_s > self._max_latency_s or self.problem:
+        if newest - self._stamp_s > self.config.max_latency_s or self.problem:
             return None
-        if not self._enabled:
-            return self._raw.copy()
+        if not self.config.predictor:
+            return None if self._raw is None else self._raw.copy()
         return estimate + moved - self.tracker.moved_m

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fvs_ros.params import Parameters, parameter
 from fvs_ros.vectors import length
 
 #: Time constant of the low pass on the error norm, s.
@@ -17,34 +18,32 @@ _SWING_M, _REST_S, _SWINGS_M = 0.01, 1.0, 0.5
 
 
 @dataclass(frozen=True)
-class ProgressLimits:
-    """When the error counts as settled, when as growing, and when as stalled.
+class ProgressLimits(Parameters):
+    """When the error counts as settled, when as growing, and when as stalled."""
 
-    Parameters
-    ----------
-    settled_error_m : float
-        Settled when the smoothed error stays below this ...
-    settled_time_s : float
-        ... for so long.
-    growth_time_s : float
-        Growing when the error stays for so long above the best since the start by both ...
-    growth_factor : float
-        ... this factor and ...
-    growth_m : float
-        ... this distance, m.
-    stall_time_s : float
-        Stalled when the best error since the start has not improved for so long ...
-    stall_error_m : float
-        ... while the error is above this, m.
-    """
+    settled_error_m: float = parameter(
+        0.005, "Settled when the error stays below this for 0.3 s, m.", 1e-5, 1.0, live=True
+    )
+    growth_time_s: float = parameter(
+        1.0,
+        "Held when the error stays above its best by half of that and 30 mm for this time, s.",
+        0.05,
+        100.0,
+        live=True,
+    )
+    stall_time_s: float = parameter(
+        6.0,
+        "Held when an error above 20 mm has not become smaller for this time, s.",
+        0.1,
+        1000.0,
+        live=True,
+    )
 
-    settled_error_m: float = 0.005
-    settled_time_s: float = 0.3
-    growth_time_s: float = 1.0
-    growth_factor: float = 1.5
-    growth_m: float = 0.03
-    stall_time_s: float = 6.0
-    stall_error_m: float = 0.02
+    settled_time_s = 0.3
+    #: The error has grown when it is above its best by both.
+    growth_factor, growth_m = 1.5, 0.03
+    #: Errors below this are never taken for a stall.
+    stall_error_m = 0.02
 
 
 #: The best error must fall by this share of itself to count as progress.
@@ -60,7 +59,7 @@ class Progress:
         self.restart()
 
     def take_target(self, target_m: np.ndarray) -> None:
-        """Begin anew for a target, m, (3,), that is another one by more than errors may grow."""
+        """Begin anew for a target, m, (m,), that is another one by more than errors may grow."""
         if self._task is None or _apart(target_m, self._task) > self.limits.growth_m:
             self._task = target_m
             self.restart()
@@ -124,13 +123,13 @@ class Progress:
 
         Parameters
         ----------
-        error_m : ndarray, shape (3,)
+        error_m : ndarray, shape (m,)
             The error, m.
         dt_s : float
             Time since the last tick, s.
         servoing : bool
             Whether the law is in charge: all but settling counts then only.
-        target_m : ndarray, shape (3,), optional
+        target_m : ndarray, shape (m,), optional
             Where the target is, m: as far as it has gone from where it was at the best, a larger
             error is not the arm's doing.
         """

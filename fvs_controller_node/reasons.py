@@ -124,7 +124,7 @@ class Reason(Enum):
         "the image does not follow the arm: {predicted_mm:.0f} mm predicted in {time_s:.1f} s, "
         "{seen_mm:.0f} mm seen; check camera, detector and stamp_delay_s, then call ~/start",
     )
-    RIVAL = (
+    CONFLICT = (
         State.HOLDING,
         Stop.RAMP,
         True,

@@ -1,8 +1,8 @@
 """The one exit for commands: decides at every tick whether the arm may move, and how fast.
 
 Pure and deterministic: the caller passes a steady clock. Inputs are reported as events;
-``tick`` applies the rules in order, asks the law only if none objects, limits what it says,
-and always answers six finite numbers.
+``tick`` asks the monitors in order, asks the law only if none objects, limits what it says,
+and always answers n finite numbers.
 """
 
 from __future__ import annotations
@@ -13,8 +13,15 @@ from math import inf, isfinite
 
 import numpy as np
 
-from fvs_controller_node.base import N_AXES, ControlOutput
+from fvs_controller_node.base import ControlOutput
 from fvs_controller_node.inputs import InputMonitor
+from fvs_controller_node.limiter import Limiter
+from fvs_controller_node.monitors import (
+    FollowingMonitor,
+    Motion,
+    PredictionMonitor,
+    ProgressMonitor,
+)
 from fvs_controller_node.progress import Progress
 from fvs_controller_node.pseudo_inverse import Conditioning, DampedInverse, conditioning
 from fvs_controller_node.reasons import Finding, Reason, State, Stop
@@ -28,14 +35,6 @@ from fvs_controller_node.supervisor_config import (
     SupervisorConfig,
 )
 from fvs_ros.agreement import Verdict
-from fvs_ros.following import Following
-from fvs_ros.joints import N_JOINTS
-from fvs_ros.limits import (
-    braking_speed,
-    limit_acceleration,
-    limit_speed,
-    ramp_to_zero,
-)
 from fvs_ros.vectors import all_finite, largest, length
 
 #: A tick counts for at most this long, s: a late one must not make a big step.
@@ -50,17 +49,8 @@ _LARGEST = 100.0
 #: Speed at which the arm leaves a singular pose on request, rad/s, and for how long at most, s.
 _LEAVE_RAD_S, _LEAVE_TIME_S = 0.1, 10.0
 
-#: A ball that is seen to make less of its predicted way than this does not follow the arm. A camera
-#: that was turned shows all of it, in another direction; a learning Jacobian shows about all.
-_LEAST_SEEN = 0.3
-
-#: Another node's command forbids motion for so long, s.
-_RIVAL_S = 1.0
-
-#: From full speed the arm stops within this, s, however small the acceleration limit is.
-_STOP_S = 0.5
-
-_STILL = np.zeros(N_JOINTS)
+#: Another node's command forbids motion for this time, s.
+_CONFLICT_S = 1.0
 
 #: Turns the error into the joint motion that it takes.
 _INVERSE = DampedInverse()
@@ -70,7 +60,7 @@ _FULL_PERCENT = 99.5
 
 _PAUSES = (Reason.PROGRAM_STOPPED, Reason.SPEED_SCALING_ZERO)
 
-#: Asks the law: (error (3,) m, last command (6,) rad/s, dt s) -> its output.
+#: Asks the law: (error (m,) m, last command (n,) rad/s, dt s) -> its output.
 Propose = Callable[[np.ndarray, np.ndarray, float], ControlOutput]
 
 
@@ -80,7 +70,7 @@ class Command:
 
     Parameters
     ----------
-    velocity_rad_s : ndarray, shape (6,)
+    velocity_rad_s : ndarray, shape (n,)
         Joint velocities in kinematic order, rad/s; always finite.
     state : State
         The supervisor's state.
@@ -124,36 +114,41 @@ class Supervisor:
             name: InputMonitor(spec, self._config.fresh_samples)
             for name, spec in self._config.input_specs().items()
         }
+        joints = len(self._config.joint_names)
         self._progress = Progress(self._config.progress)
-        self._following = Following()
+        self._following = FollowingMonitor()
+        self._monitors = (
+            PredictionMonitor(),
+            ProgressMonitor(self._progress),
+            self._following,
+        )
+        self._limiter = Limiter(joints)
         self._target: np.ndarray | None = None  # now
-        self._told_target: np.ndarray | None = None  # when it was told last
+        self._set_target: np.ndarray | None = None  # when it was set last
         self._jacobian: np.ndarray | None = None
         self._conditioning: Conditioning | None = None
         self._singularity = SingularityWatch()
         self._leaving_s = 0.0
-        self._rival = ("", -inf)
+        self._conflict = ("", -inf)
         self._held_s = 0.0
-        self._program_running: bool | None = None  # never told
+        self._program_running: bool | None = None  # never reported
         self._speed_scaling = 100.0
         self._verdict: Verdict | None = None  # of seen and predicted motion
-        self._pending = _STILL  # motion still to come, rad
-        self._mispredicted_m = 0.0  # how far the ball was to go meanwhile
+        self._pending = np.zeros(joints)  # motion still to come, rad
         self._started = False
         self._autostart_left = self._config.autostart
         self._ended: Finding | None = None  # what ended the session and needs a start
         self._shut_down = False
         self._ticked_s = -inf
-        self._velocity = np.zeros(N_JOINTS)
         self._position: np.ndarray | None = None  # of the ball at the last tick
         self._problem = ""  # why there is none
         spec = self._inputs[JOINT_STATES].spec
         missing = Reason.MISSING.because(
             name=spec.name, count=0, wanted=self._config.fresh_samples, hint=spec.hint
         )
-        self._last = Command(self._velocity, State.WAITING, missing, "", None)
+        self._last = Command(self._limiter.velocity_rad_s, State.WAITING, missing, "", None)
 
-    # ---- what it is told ------------------------------------------------------------------
+    # ---- inputs ---------------------------------------------------------------------------
 
     def configure(self, config: SupervisorConfig) -> None:
         """Change limits and thresholds while running.
@@ -163,24 +158,32 @@ class Supervisor:
         self._config = config
         self._progress.limits = config.progress
         if self._target is not None and self._outside(self._target):
-            self._target = self._told_target = None
+            self._target = self._set_target = None
         for name, spec in config.input_specs().items():
             self._inputs[name].configure(spec, config.fresh_samples)
 
+    @property
+    def _features(self) -> int:
+        return len(self._config.workspace_min_m)
+
+    @property
+    def _jacobian_shape(self) -> tuple[int, int]:
+        return self._features, len(self._config.joint_names)
+
     def joint_states(self, now_s: float, joints_rad: np.ndarray) -> bool:
         """Tell joint positions in kinematic order; False if they cannot be used."""
-        return self._check(now_s, JOINT_STATES, joints_rad, (N_JOINTS,))
+        return self._check(now_s, JOINT_STATES, joints_rad, (len(self._config.joint_names),))
 
     def ball(self, now_s: float, position_m: np.ndarray, frame: str | None = None) -> bool:
         """Tell a ball position (and its frame, to be checked); False if it cannot be used."""
         if frame is not None and frame != self._config.feature_frame:
             self.bad_input(now_s, BALL, self._wrong_frame(frame))
             return False
-        return self._check(now_s, BALL, position_m, (N_AXES,))
+        return self._check(now_s, BALL, position_m, (self._features,))
 
     def jacobian(self, now_s: float, jacobian: np.ndarray) -> bool:
         """Tell the estimated Jacobian, m/rad; False if it cannot be used."""
-        if not self._check(now_s, JACOBIAN, jacobian, (N_AXES, N_JOINTS)):
+        if not self._check(now_s, JACOBIAN, jacobian, self._jacobian_shape):
             return False
         self._jacobian = np.array(jacobian, dtype=float)
         self._conditioning = conditioning(self._jacobian)
@@ -216,7 +219,7 @@ class Supervisor:
 
         Parameters
         ----------
-        position_m : ndarray, shape (3,)
+        position_m : ndarray, shape (m,)
             m.
         frame : str
             Its frame, to be checked.
@@ -233,8 +236,10 @@ class Supervisor:
         if frame != self._config.feature_frame:
             return False, "target refused: " + self._wrong_frame(frame)
         target = np.array(position_m, dtype=float)
-        if target.shape != (N_AXES,) or not np.all(np.isfinite(target)):
-            return False, f"target refused: expected {N_AXES} finite numbers, got {position_m}"
+        if target.shape != (self._features,) or not all_finite(target):
+            return False, (
+                f"target refused: expected {self._features} finite numbers, got {position_m}"
+            )
         outside = self._outside(target)
         if outside:
             return False, (
@@ -243,15 +248,15 @@ class Supervisor:
             )
         if not moving:  # one on its way is no new task
             self._progress.take_target(target)
-        self._target = self._told_target = target
+        self._target = self._set_target = target
         return True, "target set to ({:.3f}, {:.3f}, {:.3f}) m".format(*target.tolist())
 
     def was_told(self, position_m: np.ndarray) -> bool:
-        """Whether a place, m, (3,), is the target that was told last."""
-        return self._told_target is not None and np.array_equal(position_m, self._told_target)
+        """Whether a place, m, (m,), is the target that was told last."""
+        return self._set_target is not None and np.array_equal(position_m, self._set_target)
 
     def track(self, position_m: np.ndarray) -> bool:
-        """Tell where a target that was accepted is by now, m, (3,).
+        """Tell where a target that was accepted is by now, m, (m,).
 
         Returns
         -------
@@ -321,9 +326,9 @@ class Supervisor:
         self._progress.restart()
         return True, "leaving the singular pose slowly; held again should it come nearer to it"
 
-    def rival(self, now_s: float, name: str) -> None:
-        """Tell that another node has just commanded the arm, too."""
-        self._rival = (name, now_s)
+    def conflicting_command(self, now_s: float, name: str) -> None:
+        """Report that another node has just commanded the arm, too."""
+        self._conflict = (name, now_s)
 
     def stop(self) -> tuple[bool, str]:
         """End servoing; the arm ramps to rest. It does not start again by itself."""
@@ -339,7 +344,7 @@ class Supervisor:
         self._shut_down = True
         self._started = False
         self._ended = Reason.SHUT_DOWN.because()
-        self._velocity = np.zeros(N_JOINTS)
+        self._limiter.stop()
         return self._answer(self._ended, "", None)
 
     # ---- what it says ---------------------------------------------------------------------
@@ -356,8 +361,8 @@ class Supervisor:
 
     @property
     def velocity_rad_s(self) -> np.ndarray:
-        """The last command, after every limit, rad/s, shape (6,)."""
-        return self._velocity.copy()
+        """The last command, after every limit, rad/s, shape (n,)."""
+        return self._limiter.velocity_rad_s.copy()
 
     @property
     def target_m(self) -> np.ndarray | None:
@@ -399,13 +404,13 @@ class Supervisor:
             Steady clock, s.
         dt_s : float
             Time since the last tick, s.
-        joints_rad : ndarray, shape (6,), or None
+        joints_rad : ndarray, shape (n,), or None
             Newest joint positions.
-        position_m : ndarray, shape (3,), or None
+        position_m : ndarray, shape (m,), or None
             Ball position predicted to now, m.
         propose : callable
             Asks the law; called only if the arm may move.
-        pending_rad : ndarray, shape (6,), optional
+        pending_rad : ndarray, shape (n,), optional
             Joint motion that was commanded and is still to come.
         problem : str
             Why there is no position, if there is none.
@@ -417,13 +422,14 @@ class Supervisor:
         self._ticked_s = now_s
         self._see(position_m, problem, dt_s)
         self._verdict = verdict
-        self._pending = _STILL if pending_rad is None else pending_rad
+        if pending_rad is not None:
+            self._pending = pending_rad
         finding = self._objection(now_s)
         if finding is None and self._autostart_left and self._ended is None:
             self._begin()
         output: ControlOutput | None = None
-        if finding is None and self._started:
-            finding = self._trouble_in_motion(now_s, dt_s, joints_rad)
+        if finding is None and self._started and joints_rad is not None:
+            finding = self._trouble_in_motion(dt_s, joints_rad)
             if finding is None:
                 finding, output = self._ask(propose, dt_s)
         finding = self._held_long(finding, steady_dt_s)
@@ -449,7 +455,7 @@ class Supervisor:
             "settled": str(self.settled).lower(),
             "error_m": nan if error is None else length(error),
             "active_limit": self._last.active_limit,
-            "fastest_joint_rad_s": float(np.abs(self._velocity).max()),
+            "fastest_joint_rad_s": largest(self._limiter.velocity_rad_s),
             "smallest_singular_value_m_rad": nan if singular is None else singular.smallest,
             "condition_number": nan if singular is None else singular.condition,
             "prediction_error_ratio": self._error_ratio,
@@ -466,7 +472,7 @@ class Supervisor:
         }
         for name, vector in vectors.items():
             for axis, value in zip(
-                "xyz", [nan] * N_AXES if vector is None else vector, strict=True
+                "xyz", [nan] * len("xyz") if vector is None else vector, strict=True
             ):
                 values[name.format(axis)] = float(value)
         return values
@@ -480,9 +486,9 @@ class Supervisor:
         findings = [monitor.find(now_s) for monitor in self._inputs.values()]
         troubles = [finding for finding in findings if finding is not None]
         bad = [finding for finding in troubles if finding.reason is Reason.BAD_INPUT]
-        name, rival_s = self._rival
-        if now_s - rival_s < _RIVAL_S:
-            bad.append(Reason.RIVAL.because(name=name))
+        name, conflict_s = self._conflict
+        if now_s - conflict_s < _CONFLICT_S:
+            bad.append(Reason.CONFLICT.because(name=name))
         first = next(iter(bad + self._paused() + troubles), None)
         # Who waits to be asked for a target may count on the arm to start at once.
         return first or self._no_position() or self._no_target() or self._near_singular()
@@ -509,53 +515,24 @@ class Supervisor:
             return None
         return Reason.NEAR_SINGULAR.because(value=value, limit=limit)
 
-    def _trouble_in_motion(
-        self, now_s: float, dt_s: float, joints: np.ndarray | None
-    ) -> Finding | None:
-        """Find what only shows while the arm moves."""
-        not_following = self._does_not_follow(joints, dt_s)  # always heard: it counts the time
-        return self._disagreement(dt_s) or self._no_progress() or not_following
-
-    def _disagreement(self, dt_s: float) -> Finding | None:
-        """What is wrong about the image or the Jacobian, if what was seen was not predicted."""
-        verdict, config = self._verdict, self._config
-        if verdict is not None and verdict.seen_share < _LEAST_SEEN:
-            return Reason.IMAGE_NOT_FOLLOWING.because(
-                time_s=verdict.time_s,
-                predicted_mm=1e3 * verdict.predicted_m,
-                seen_mm=1e3 * verdict.seen_share * verdict.predicted_m,
-            )
-        if not self._error_ratio > config.prediction_hold:
-            self._mispredicted_m = 0.0
-            return None
+    def _trouble_in_motion(self, dt_s: float, joints: np.ndarray) -> Finding | None:
+        """Find what only shows while the arm moves; every monitor counts at every tick."""
         assert self._jacobian is not None
-        self._mispredicted_m += dt_s * length(self._jacobian @ self._velocity)
-        if self._mispredicted_m < config.prediction_hold_m:
-            return None
-        return Reason.PREDICTION_ERROR.because(
-            value=self._error_ratio,
-            limit=config.prediction_hold,
-            way_mm=1e3 * config.prediction_hold_m,
+        motion = Motion(
+            dt_s,
+            joints,
+            self._limiter.velocity_rad_s,
+            min(self._speed_scaling, 100.0) / 100.0,
+            self._jacobian,
+            self._verdict,
         )
+        findings = [monitor.check(motion, self._config) for monitor in self._monitors]
+        return next((finding for finding in findings if finding is not None), None)
 
     @property
     def _error_ratio(self) -> float:
         """Error of predicted motion over the motion; not a number while unknown."""
         return float("nan") if self._verdict is None else self._verdict.error_ratio
-
-    def _no_progress(self) -> Finding | None:
-        progress, error_mm = self._progress, 1e3 * self._progress.smooth_m
-        if progress.growing:
-            return Reason.ERROR_GROWING.because(
-                best_mm=1e3 * progress.best_m,
-                error_mm=error_mm,
-                time_s=progress.limits.growth_time_s,
-            )
-        if progress.swinging:
-            return Reason.OSCILLATING.because(way_m=progress.swings_m, error_mm=error_mm)
-        if progress.stalled:
-            return Reason.STALLED.because(time_s=progress.limits.stall_time_s, error_mm=error_mm)
-        return None
 
     def _held_long(self, finding: Finding | None, dt_s: float) -> Finding | None:
         """Let a hold of a started arm end in a needed start, once nobody expects it to go on."""
@@ -568,80 +545,47 @@ class Supervisor:
             return finding
         return Reason.HELD_LONG.because(limit_s=limit_s, why=finding.text)
 
-    def _does_not_follow(self, joints: np.ndarray | None, dt_s: float) -> Finding | None:
-        if joints is None:
-            return None
-        scaling = min(self._speed_scaling, 100.0) / 100.0
-        self._following.add(self._velocity, joints, scaling, dt_s)
-        refusal = self._following.refusal(self._config.follow_time_s)
-        if refusal is None:
-            return None
-        return Reason.NOT_FOLLOWING.because(
-            joint=self._config.joint_names[refusal.joint],
-            commanded_rad=refusal.commanded_rad,
-            moved_rad=refusal.moved_rad,
-        )
-
     def _ask(self, propose: Propose, dt_s: float) -> tuple[Finding | None, ControlOutput | None]:
-        error = self.error_m
+        error, velocity_rad_s = self.error_m, self._limiter.velocity_rad_s
         assert error is not None
         if dt_s <= 0.0:
-            return None, ControlOutput(self._velocity, np.zeros(N_AXES), np.ones(N_AXES))
+            return None, ControlOutput(velocity_rad_s, 0.0 * error, np.ones_like(error))
         try:
-            output = propose(error, self._velocity.copy(), dt_s)
-            velocity = np.asarray(output.velocity_rad_s, dtype=float)
-            sliding = np.asarray(output.sliding_variable, dtype=float)
+            output = propose(error, velocity_rad_s.copy(), dt_s)
+            expected = {"command": velocity_rad_s, "sliding variable": error, "exponent": error}
+            given = (output.velocity_rad_s, output.sliding_variable, output.exponent)
+            for (name, like), value in zip(expected.items(), given, strict=True):
+                if np.shape(value) != like.shape or not all_finite(np.asarray(value)):
+                    raise ValueError(f"its {name} is {value}")
         except Exception as error:  # whatever a law does wrong, the arm must stop
             return Reason.LAW_FAULT.because(why=f"{type(error).__name__}: {error}"), None
-        if velocity.shape != (N_JOINTS,) or not all_finite(velocity):
-            return Reason.LAW_FAULT.because(why=f"expected 6 finite numbers, got {velocity}"), None
-        if sliding.shape != (N_AXES,) or not all_finite(sliding):
-            return Reason.LAW_FAULT.because(why=f"its sliding variable is {sliding}"), None
-        if np.shape(output.exponent) != (N_AXES,):
-            return Reason.LAW_FAULT.because(why=f"its exponent is {output.exponent}"), None
         return None, output
 
     # ---- how it moves, how it rests ---------------------------------------------------------
 
     def _move(self, output: ControlOutput, joints: np.ndarray, dt_s: float) -> Command:
         config = self._config
-        share, active = self._speed_share()
-        fast = config.max_joint_velocity_rad_s * share
+        share, slowed = self._speed_share()
+        fast = config.speed.max_joint_velocity_rad_s * share
         if self._singularity.leaving:
             fast = min(fast, _LEAVE_RAD_S)
             self._leaving_s += dt_s
             if self._leaving_s > _LEAVE_TIME_S:
                 self._singularity.stay()
-        braking = inf if output.brakes else self._braking_speed(output)
-        wanted = np.asarray(output.velocity_rad_s, dtype=float)
-        velocity = limit_speed(wanted, min(fast, braking))
-        if velocity is not wanted:
-            active.append("velocity" if fast <= braking else "braking")
-        velocity, slowed = config.joint_range.slow_down(
-            velocity,
+        active = self._limiter.move(
+            output,
             joints,
-            config.max_joint_velocity_rad_s,
-            config.max_joint_acceleration_rad_s2,
-            self._pending,
+            dt_s,
+            config,
+            max_speed_rad_s=fast,
+            travel_rad=0.0 if output.brakes else self._travel_rad(),
+            pending_rad=self._pending,
         )
-        active += [f"range of {config.joint_names[i]}" for i in slowed]
-        free = velocity
-        velocity = limit_acceleration(
-            velocity, self._velocity, config.max_joint_acceleration_rad_s2 * dt_s
-        )
-        if velocity is not free:
-            active.append("acceleration")
-        self._velocity = velocity
         reason = Reason.SETTLED if self._progress.settled else Reason.SERVOING
         error = self.error_m
         assert error is not None
         error_mm = 1e3 * length(error)
-        return self._answer(reason.because(error_mm=error_mm), ", ".join(active), output)
-
-    def _braking_speed(self, output: ControlOutput) -> float:
-        """Speed from which the arm can brake for the target, wherever that goes, rad/s."""
-        limit = self._config.max_joint_acceleration_rad_s2
-        return braking_speed(self._travel_rad(), limit) + output.feed_forward_rad_s
+        return self._answer(reason.because(error_mm=error_mm), ", ".join(slowed + active), output)
 
     def _travel_rad(self) -> float:
         """Return about how far the joint that moves most has to go to the target, rad."""
@@ -675,29 +619,10 @@ class Supervisor:
         if finding is None:
             finding = Reason.READY.because()
         if finding.reason.stop is Stop.AT_ONCE:
-            self._velocity = np.zeros(N_JOINTS)
+            self._limiter.stop()
             return self._answer(finding, "", None)
-        moving = bool(self._velocity.any())
-        self._velocity = self._slower(joints, dt_s) if moving else np.zeros(N_JOINTS)
+        moving = self._limiter.come_to_rest(joints, dt_s, self._config, self._pending)
         return self._answer(finding, "acceleration" if moving else "", None)
-
-    def _slower(self, joints: np.ndarray | None, dt_s: float) -> np.ndarray:
-        """Find the next command on the way to rest, rad/s, shape (6,)."""
-        config, last = self._config, self._velocity
-        limit = max(config.max_joint_acceleration_rad_s2, config.max_joint_velocity_rad_s / _STOP_S)
-        step = limit * dt_s
-        velocity = ramp_to_zero(last, step)
-        if joints is None:
-            return velocity
-        # The ramp is as long as the fastest joint's; one that nears its limit brakes harder.
-        velocity, _ = config.joint_range.slow_down(
-            velocity,
-            joints,
-            config.max_joint_velocity_rad_s,
-            limit,
-            self._pending,
-        )
-        return np.clip(velocity, last - step, last + step)
 
     def _answer(self, finding: Finding, active_limit: str, output: ControlOutput | None) -> Command:
         reason = finding.reason
@@ -705,7 +630,9 @@ class Supervisor:
             state = reason.state
         else:
             state = State.WAITING
-        self._last = Command(self._velocity.copy(), state, finding, active_limit, output)
+        self._last = Command(
+            self._limiter.velocity_rad_s.copy(), state, finding, active_limit, output
+        )
         return self._last
 
     # ---- bookkeeping ------------------------------------------------------------------------
@@ -714,10 +641,9 @@ class Supervisor:
         self._started = True
         self._autostart_left = False
         self._ended = None
-        self._mispredicted_m = 0.0
         self._singularity.stay()
-        self._progress.restart()
-        self._following.restart()
+        for monitor in self._monitors:
+            monitor.restart()
 
     def _pause(self, reason: Reason) -> None:
         """End the session for a pause of the robot, also one that something else has ended."""
@@ -743,7 +669,7 @@ class Supervisor:
 
     @property
     def error_m(self) -> np.ndarray | None:
-        """Ball minus target, m, shape (3,), or None where one of them is unknown."""
+        """Ball minus target, m, shape (m,), or None where one of them is unknown."""
         if self._position is None or self._target is None:
             return None
         return self._position - self._target

@@ -1,103 +1,107 @@
-"""Limits and thresholds of the supervisor, and the inputs it watches."""
+"""What the supervisor goes by: limits and thresholds, and the names of its inputs."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import isfinite
+from functools import partial
+from operator import lt
 
 from fvs_controller_node.inputs import InputSpec
 from fvs_controller_node.progress import ProgressLimits
 from fvs_ros.camera import CAMERA_FRAME
-from fvs_ros.joints import UR_JOINT_NAMES, UR_POSITION_LIMITS_RAD
-from fvs_ros.limits import JointRange
+from fvs_ros.joints import ArmJoints
+from fvs_ros.limits import JointRange, SpeedLimits
+from fvs_ros.params import ParameterError, Parameters, parameter
 
-JOINT_STATES = "joint_states"
-BALL = "ball_position"
-JACOBIAN = "jacobian"
-KINEMATIC_CHAIN = "kinematic_chain"
-SPEED_SCALING = "speed_scaling"
+#: Inputs by topic name.
+JOINT_STATES, BALL, JACOBIAN = "joint_states", "ball_position", "jacobian"
+KINEMATIC_CHAIN, SPEED_SCALING = "kinematic_chain", "speed_scaling"
+
+_live = partial(parameter, live=True)
 
 
 @dataclass(frozen=True)
-class SupervisorConfig:
-    """Limits and thresholds of the supervisor.
+class SupervisorConfig(Parameters):
+    """Limits and thresholds of the supervisor."""
 
-    Parameters
-    ----------
-    autostart : bool
-        Start once by itself, the first time everything is ready; for simulation only.
-    max_joint_velocity_rad_s, max_joint_acceleration_rad_s2 : float
-        Limits of each joint's command.
-    joint_range : JointRange
-        Ends of the joints' ranges.
-    joint_names : tuple of 6 str
-        For the words only.
-    feature_frame : str
-        Frame that ball and target must be in.
-    workspace_min_m, workspace_max_m : tuple of 3 float
-        Box that a target must be in, feature frame, m.
-    joint_states_max_age_s, ball_max_age_s, jacobian_max_age_s : float
-        Older inputs are stale, s.
-    fresh_samples : int
-        Good messages in a row after which an input counts again.
-    singular_slow_m_rad, singular_hold_m_rad : float
-        Smallest singular value of the Jacobian below which the arm slows down, and is held.
-    prediction_slow, prediction_hold : float
-        Error of the predicted motion over the motion (1: no better than predicting rest) above
-        which the arm slows down, and is held.
-    prediction_hold_m : float
-        ... once the ball was to go so far meanwhile: an estimator that learns needs motion to mend
-        itself, m.
-    follow_time_s : float
-        So long the arm may fail to move as commanded, s.
-    resume_within_s : float
-        A hold that lasts longer does not end by itself, s.
-    progress : ProgressLimits
-        When the error is settled, when it grows, and when it stalls.
-    """
-
-    autostart: bool = False
-    max_joint_velocity_rad_s: float = 1.0
-    max_joint_acceleration_rad_s2: float = 6.0
-    joint_range: JointRange = field(
-        default_factory=lambda: JointRange(
-            tuple(-limit for limit in UR_POSITION_LIMITS_RAD), UR_POSITION_LIMITS_RAD
-        )
+    autostart: bool = parameter(
+        False,
+        "Start once by itself, the first time everything is ready. For simulation only.",
     )
-    joint_names: tuple[str, ...] = UR_JOINT_NAMES
-    feature_frame: str = CAMERA_FRAME
-    workspace_min_m: tuple[float, ...] = (-1.0, -1.0, 0.2)
-    workspace_max_m: tuple[float, ...] = (1.0, 1.0, 3.0)
-    joint_states_max_age_s: float = 0.1
-    ball_max_age_s: float = 0.2
-    jacobian_max_age_s: float = 0.2
-    fresh_samples: int = 5
-    singular_slow_m_rad: float = 0.08
-    singular_hold_m_rad: float = 0.03
-    prediction_slow: float = 0.8
-    prediction_hold: float = 1.2
-    prediction_hold_m: float = 0.05
-    follow_time_s: float = 3.0
-    resume_within_s: float = 30.0
+    feature_frame: str = parameter(CAMERA_FRAME, "Frame of ball and target.")
+    joints: ArmJoints = field(default_factory=ArmJoints)
+    speed: SpeedLimits = field(default_factory=SpeedLimits)
+    joint_range: JointRange = field(default_factory=JointRange)
     progress: ProgressLimits = field(default_factory=ProgressLimits)
+    workspace_min_m: tuple[float, ...] = _live(
+        (-1.0, -1.0, 0.2), "Lower corner of the box that targets must be in, feature frame, m."
+    )
+    workspace_max_m: tuple[float, ...] = _live(
+        (1.0, 1.0, 3.0), "Upper corner of the box that targets must be in, feature frame, m."
+    )
+    joint_states_max_age_s: float = _live(
+        0.1, "Older joint states are stale: the arm is held, s.", 0.01, 10.0
+    )
+    ball_max_age_s: float = _live(
+        0.2, "An older ball position is stale: the arm is held, s.", 0.01, 10.0
+    )
+    jacobian_max_age_s: float = _live(
+        0.2, "An older Jacobian is stale: the arm is held, s.", 0.01, 10.0
+    )
+    singular_hold_m_rad: float = _live(
+        0.03,
+        "Smallest singular value of the Jacobian below which the arm is held, m/rad; it slows down "
+        "from 8/3 of that on.",
+        1e-5,
+        10.0,
+    )
+    prediction_hold: float = _live(
+        1.2,
+        "Error of the predicted motion over the motion (1 is useless) above which the arm is held "
+        "after 50 mm of motion; it slows down from 2/3 of that on.",
+        0.01,
+        100.0,
+    )
+    follow_time_s: float = _live(
+        3.0, "Held when the arm does not move as commanded for this time, s.", 0.1, 100.0
+    )
+    resume_within_s: float = _live(
+        30.0, "An arm that was held for longer needs a new start, s.", 0.5, 1e6
+    )
+
+    #: Good messages in a row after which an input counts again: one could be a remainder.
+    fresh_samples = 5
+    #: Motion for which the prediction may be bad, m: an estimator that learns needs some to mend
+    #: itself after the camera was moved.
+    prediction_hold_m = 0.05
 
     def __post_init__(self) -> None:
-        for name in ("max_joint_velocity_rad_s", "max_joint_acceleration_rad_s2"):
-            value = getattr(self, name)
-            if not (isfinite(value) and value > 0.0):
-                raise ValueError(f"{name} must be positive, got {value}")
-        for low, high in zip(self.workspace_min_m, self.workspace_max_m, strict=True):
-            if not low < high:
-                raise ValueError(
-                    f"workspace_min_m {list(self.workspace_min_m)} must be below "
-                    f"workspace_max_m {list(self.workspace_max_m)}"
-                )
-        if not 0.0 < self.singular_hold_m_rad < self.singular_slow_m_rad:
-            raise ValueError("singular_hold_m_rad must be positive and below singular_slow_m_rad")
-        if not 0.0 < self.prediction_slow < self.prediction_hold:
-            raise ValueError("prediction_slow must be positive and below prediction_hold")
-        if self.fresh_samples < 1:
-            raise ValueError(f"fresh_samples must be at least 1, got {self.fresh_samples}")
+        super().__post_init__()
+        low, high = self.workspace_min_m, self.workspace_max_m
+        if len(low) != len(high) or not all(map(lt, low, high)):
+            raise ParameterError(
+                f"workspace_min_m {list(low)} must be below workspace_max_m {list(high)}"
+            )
+        if len(self.joint_range.joint_min_rad) != len(self.joints.joint_names):
+            raise ParameterError(
+                f"joint_min_rad and joint_max_rad need {len(self.joints.joint_names)} numbers, one "
+                "for each of joint_names"
+            )
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Joints in kinematic order."""
+        return self.joints.joint_names
+
+    @property
+    def singular_slow_m_rad(self) -> float:
+        """Smallest singular value below which the arm slows down, m/rad."""
+        return self.singular_hold_m_rad * 8.0 / 3.0
+
+    @property
+    def prediction_slow(self) -> float:
+        """Prediction error above which the arm slows down."""
+        return self.prediction_hold * 2.0 / 3.0
 
     def input_specs(self) -> dict[str, InputSpec]:
         """List what is expected of each input, by topic name."""

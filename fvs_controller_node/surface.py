@@ -10,12 +10,17 @@ Plain floats on purpose: for three axes numpy costs more than the arithmetic.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from math import copysign, inf, log, tanh
+
+from fvs_ros.params import ParameterError, Parameters, parameter
+
+_gain = partial(parameter, live=True)
 
 
 @dataclass(frozen=True)
-class SlidingSurface:
+class SlidingSurface(Parameters):
     """Parameters of the sliding surface, and its functions.
 
     ``psi`` rises strictly for |y| < 1 m: psi' = |y|^g (g/|y| + g' ln|y| sgn y), where both
@@ -23,60 +28,49 @@ class SlidingSurface:
     is negative but dies like exp(-2 l3 y^2), far below the first while
     ``switch_error_m`` <= 0.3 m (which is required), so that the surface is monotone everywhere.
 
-    Parameters
-    ----------
-    alpha1 : float
-        Weight of the error's velocity.
-    alpha2 : float
-        Weight of the error, 1/s where alpha1 = 1.
-    alpha3 : float
-        Weight of the terminal attractor psi.
-    lambda1, lambda2 : float
-        Middle and half span of the exponent: lambda1 - lambda2 far from the goal, about
-        lambda1 + lambda2 near it. lambda2 = 0 fixes the exponent.
-    switch_error_m : float
-        sqrt(Delta), the error at which the exponent switches, m.
-    lambda3 : float, optional
-        Steepness of the switch, 1/m^2. Default 3 / Delta: then the exponent at zero error is
-        within 0.5 % of lambda1 + lambda2. A smaller one never gets there.
-
     Raises
     ------
-    ValueError
+    ParameterError
         If a parameter is out of range; the text says which and why.
     """
 
-    alpha1: float = 1.0
-    alpha2: float = 3.0
-    alpha3: float = 2.0
-    lambda1: float = 0.6375
-    lambda2: float = 0.2625
-    switch_error_m: float = 0.005
-    lambda3: float | None = None
+    alpha1: float = _gain(1.0, "Weight of the error's velocity in s.", 1e-3, 100.0)
+    alpha2: float = _gain(3.0, "Weight of the error in s.", 1e-3, 100.0)
+    alpha3: float = _gain(2.0, "Weight of the terminal attractor in s.", 0.0, 100.0)
+    lambda1: float = _gain(0.6375, "Middle of the adaptive exponent, eq. (29).", 0.01, 1.0)
+    lambda2: float = _gain(
+        0.2625,
+        "Half span of the exponent: lambda1 - lambda2 far from the goal, lambda1 + lambda2 near "
+        "it; 0 fixes it, eq. (14).",
+        0.0,
+        0.5,
+    )
+    switch_error_m: float = _gain(
+        0.005,
+        "Error at which the exponent switches (the paper's sqrt(Delta)), m; three to five times "
+        "the measurement noise.",
+        1e-5,
+        0.3,
+    )
+    lambda3_1_m2: float = _gain(
+        0.0,
+        "Steepness of the exponent's switch, 1/m^2; 0 takes 3 / switch_error_m^2, with which the "
+        "exponent at zero error is within 0.5 % of lambda1 + lambda2.",
+        0.0,
+        1e9,
+    )
+    lambda3: float = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.alpha1 < inf:
-            raise ValueError(f"alpha1 must be positive, got {self.alpha1}")
-        if not 0.0 < self.alpha2 < inf:
-            raise ValueError(f"alpha2 must be positive, got {self.alpha2}")
-        if not 0.0 <= self.alpha3 < inf:
-            raise ValueError(f"alpha3 must not be negative, got {self.alpha3}")
-        if not 0.0 < self.switch_error_m <= 0.3:
-            raise ValueError(
-                f"switch_error_m must be above 0 and at most 0.3 m, got {self.switch_error_m}"
-            )
-        if self.lambda3 is None:
-            object.__setattr__(self, "lambda3", 3.0 / self.switch_error_m**2)
-        elif not 0.0 < self.lambda3 < inf:
-            raise ValueError(f"lambda3 must be positive, got {self.lambda3}")
-        if self.lambda2 < 0.0:
-            raise ValueError(f"lambda2 must not be negative, got {self.lambda2}")
+        super().__post_init__()
         low, high = self.lambda1 - self.lambda2, self.lambda1 + self.lambda2
         if not (low > 0.0 and high <= 1.0):
-            raise ValueError(
+            raise ParameterError(
                 "the exponent must stay above 0 and at most 1: lambda1 - lambda2 is "
                 f"{low:g}, lambda1 + lambda2 is {high:g}"
             )
+        steepness = self.lambda3_1_m2 or 3.0 / self.switch_error_m**2
+        object.__setattr__(self, "lambda3", steepness)
 
     @classmethod
     def fixed(
@@ -87,14 +81,12 @@ class SlidingSurface:
 
     def exponent(self, y: float) -> float:
         """Return the exponent g(y), eq. (29)."""
-        assert self.lambda3 is not None
         return self.lambda1 - self.lambda2 * tanh(
             self.lambda3 * (y * y - self.switch_error_m * self.switch_error_m)
         )
 
     def exponent_slope(self, y: float) -> float:
         """dg/dy = -2 l2 l3 y sech^2(l3 (y^2 - Delta)), 1/m."""
-        assert self.lambda3 is not None
         t = tanh(self.lambda3 * (y * y - self.switch_error_m * self.switch_error_m))
         return -2.0 * self.lambda2 * self.lambda3 * y * (1.0 - t * t)
 
@@ -110,7 +102,6 @@ class SlidingSurface:
             return 0.0, (1.0 if self.exponent(0.0) >= 1.0 else inf)
         a = abs(y)
         # exponent() and exponent_slope() in one, for the root finding of the implicit law.
-        assert self.lambda3 is not None
         t = tanh(self.lambda3 * (a * a - self.switch_error_m * self.switch_error_m))
         g = self.lambda1 - self.lambda2 * t
         g_slope = -2.0 * self.lambda2 * self.lambda3 * a * (1.0 - t * t)

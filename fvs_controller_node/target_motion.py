@@ -20,9 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fvs_controller_node.allocation import Inverse
-from fvs_controller_node.base import N_AXES
 from fvs_controller_node.pseudo_inverse import DampedInverse
-from fvs_ros.joints import N_JOINTS
 from fvs_ros.vectors import length
 
 #: Updates that make a motion, and from which on its curvature is believed; most that are kept.
@@ -34,6 +32,8 @@ _MEDIAN, _LIKELY, _SIGNIFICANT = 2.366, 6.25, 11.3
 _SCATTER = 2.0
 #: Least noise, m; the one that is supposed until so many updates have told it; so many tell it.
 _LEAST_NOISE_M, _SUPPOSED_M, _SUPPOSED, _REMEMBERED = 5e-6, 2e-3, 4, 200
+#: Shortest window, s: a longer one is calmer, a shorter one quicker at corners.
+_WINDOW_S = 0.15
 #: Updates further apart than this are two targets, s.
 _MAX_GAP_S = 0.25
 #: No target goes further than this between two updates: it is another one, m.
@@ -45,9 +45,6 @@ _FASTEST_M_S = 1.0
 _INTERVALS, _FASTER = 3.0, 1.2
 #: A stamp further than this from the joint states' is of another clock, s.
 _OWN_CLOCK_S = 0.2
-#: Velocity of a target that stands, m/s.
-STANDING = np.zeros(N_AXES)
-STANDING.flags.writeable = False
 
 
 @dataclass(frozen=True)
@@ -84,7 +81,7 @@ class _Parabola:
         self._parts = basis.T @ self.positions
         self._sizes_m2 = (self._parts**2).sum(axis=1)
         rest = self.positions - basis[:, : self._terms] @ self._parts[: self._terms]
-        self._rest_m2 = float((rest**2).sum()) / (N_AXES * (count - self._terms))
+        self._rest_m2 = float((rest**2).sum()) / (self.positions.shape[1] * (count - self._terms))
 
     @property
     def mean(self) -> np.ndarray:
@@ -122,17 +119,11 @@ class _Parabola:
 class TargetMotion:
     """The target's motion over time.
 
-    Parameters
-    ----------
-    window_s : float
-        Updates of so long are looked at at least, s, and five; of longer while one parabola
-        explains them within their noise. A longer one is calmer, a shorter one quicker.
+    At least five updates and those of ``_WINDOW_S`` are looked at, and more while one parabola
+    explains them within their noise.
     """
 
-    def __init__(self, window_s: float = 0.15) -> None:
-        if not window_s > 0.0:
-            raise ValueError(f"target_window_s must be positive, got {window_s}")
-        self.window_s = window_s
+    def __init__(self) -> None:
         self._updates: deque[tuple[float, np.ndarray]] = deque(maxlen=_MOST)
         self._scatter_m2 = deque([_MEDIAN * _SUPPOSED_M**2] * _SUPPOSED, maxlen=_REMEMBERED)
         self._told: Target | None = None  # where it was told last
@@ -149,7 +140,7 @@ class TargetMotion:
 
     def _take(self, position: np.ndarray, now_s: float) -> None:
         self._updates.append((now_s, position))
-        self._told = Target(position, STANDING)
+        self._told = Target(position, np.zeros_like(position))
 
     def continues(self, position_m: np.ndarray, now_s: float) -> bool:
         """Whether a position, m, (3,), at a time, s, is of a target on its way."""
@@ -209,7 +200,7 @@ class TargetMotion:
             fit = _Parabola(self._updates)
         self._curve = fit.curve(noise_m2)
         if self._curve is None and explained:
-            self._mean = Target(fit.mean, STANDING)
+            self._mean = Target(fit.mean, np.zeros_like(fit.mean))
         steps_s = np.diff(fit.since_s)
         self._interval_s = float(steps_s.mean())
         steps_m = np.linalg.norm(np.diff(fit.positions, axis=0), axis=1)
@@ -217,7 +208,7 @@ class TargetMotion:
 
     def _forget(self, now_s: float) -> bool:
         """Leave out the oldest quarter of the updates, down to the shortest window."""
-        least = max(_CURVED, sum(now_s - time_s <= self.window_s for time_s, _ in self._updates))
+        least = max(_CURVED, sum(now_s - time_s <= _WINDOW_S for time_s, _ in self._updates))
         few = min(len(self._updates) - least, max(1, len(self._updates) // 4))
         for _ in range(few):
             self._updates.popleft()
@@ -261,26 +252,20 @@ class TargetFollower:
 
     Parameters
     ----------
-    window_s : float
-        See :class:`TargetMotion`.
     enabled : bool
         Off: every target stands where it was told last.
     inverse : Inverse, optional
         From ball velocity to joint velocities.
     """
 
-    def __init__(
-        self, window_s: float = 0.15, enabled: bool = True, inverse: Inverse | None = None
-    ) -> None:
-        self._motion = TargetMotion(window_s)
-        self.enabled = enabled
-        self._inverse = inverse or DampedInverse()
+    def __init__(self, enabled: bool = True, inverse: Inverse | None = None) -> None:
+        self._motion = TargetMotion()
+        self.configure(enabled, inverse or DampedInverse())
         self._stamped = False  # the last update
 
-    def configure(self, window_s: float, enabled: bool, inverse: Inverse) -> None:
+    def configure(self, enabled: bool, inverse: Inverse) -> None:
         """Change the settings and keep the motion."""
-        TargetMotion(window_s)  # refuses what does not fit
-        self._motion.window_s, self.enabled, self._inverse = window_s, enabled, inverse
+        self.enabled, self._inverse = enabled, inverse
 
     def expects(self, position_m: np.ndarray, stamp_s: float, now_s: float) -> bool:
         """Whether a target there would go on with the motion rather than be another one."""
@@ -327,12 +312,10 @@ class TargetFollower:
         joints_rad: np.ndarray,
         home_rad: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Joint velocities that go along with a target's velocity, m/s, (3,); rad/s, shape (6,).
+        """Joint velocities that go along with a target's velocity, m/s, (3,); rad/s, shape (n,).
 
-        On the way they come back to ``home_rad``, (6,), if that costs little speed.
+        On the way they come back to ``home_rad``, (n,), if that costs little speed.
         """
-        if not velocity_m_s.any():
-            return np.zeros(N_JOINTS)
         return self._inverse.joint_velocity(jacobian, velocity_m_s, joints_rad, home_rad)
 
 

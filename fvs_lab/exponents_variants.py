@@ -74,7 +74,7 @@ def variants_of(world: str) -> list[Variant]:
 
 
 def _fixed(exponent: float) -> dict[str, Any]:
-    return {"exponent": "fixed", "fixed_exponent": exponent}
+    return {"lambda1": exponent, "lambda2": 0.0}
 
 
 def exponents_of(world: str, form: str) -> tuple[float, ...]:

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fvs_ros.joints import N_JOINTS
-
 #: Motions are summed with this memory, s: much longer than a drive's lag.
 _MEMORY_S = 0.5
 
@@ -50,15 +48,14 @@ class Following:
 
     def restart(self) -> None:
         """Begin anew: a start."""
-        self._commanded = np.zeros(N_JOINTS)
-        self._moved = np.zeros(N_JOINTS)
-        self._off_s = np.zeros(N_JOINTS)  # how long each joint has not followed
+        self._commanded = self._moved = np.zeros(1)
+        self._off_s = np.zeros(1)  # how long each joint has not followed
         self.pause()
 
     def pause(self) -> None:
         """Stand still while the arm is held: what was counted stays, what moves now is not told."""
         self._joints: np.ndarray | None = None
-        self._pending = np.zeros(N_JOINTS)
+        self._pending = np.zeros(1)
         self._pending_s = 0.0
 
     def add(
@@ -68,9 +65,9 @@ class Following:
 
         Parameters
         ----------
-        command_rad_s : ndarray, shape (6,)
+        command_rad_s : ndarray, shape (n,)
             Command in force since the last tick, rad/s.
-        joints_rad : ndarray, shape (6,)
+        joints_rad : ndarray, shape (n,)
             Joint positions now, rad.
         scaling : float
             The robot's speed scaling, 0 to 1.
@@ -80,14 +77,14 @@ class Following:
         if self._joints is None:
             self._joints = joints_rad
             return
-        self._pending += (scaling * dt_s) * command_rad_s
+        self._pending = self._pending + (scaling * dt_s) * command_rad_s
         self._pending_s += dt_s
         if self._pending_s < _LOOK_S:
             return
         passed_s, keep = self._pending_s, _MEMORY_S / (_MEMORY_S + self._pending_s)
         self._moved = keep * (self._moved + joints_rad - self._joints)
         self._commanded = keep * (self._commanded + self._pending)
-        self._joints, self._pending, self._pending_s = joints_rad, np.zeros(N_JOINTS), 0.0
+        self._joints, self._pending, self._pending_s = joints_rad, np.zeros(1), 0.0
         self._count(passed_s)
 
     def _count(self, passed_s: float) -> None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import pi
 
 import numpy as np
 
-from fvs_ros.params import Parameter
+from fvs_ros.params import Parameters, parameter
 
 N_JOINTS = 6
 
@@ -37,16 +38,17 @@ UR_POSITION_LIMITS_RAD = (2 * pi, 2 * pi, pi, 2 * pi, 2 * pi, 2 * pi)
 LARGEST_RAD = 100.0
 
 
-#: The parameters by which a node knows its joints.
-JOINT_PARAMETERS = (
-    Parameter(
-        "joint_names",
-        list(UR_JOINT_NAMES),
-        "The six joints in kinematic order, base to flange, without tf_prefix.",
-        size=N_JOINTS,
-    ),
-    Parameter("tf_prefix", "", "What the robot's driver puts before each joint name."),
-)
+@dataclass(frozen=True)
+class ArmJoints(Parameters):
+    """How a node knows the arm's joints."""
+
+    joint_names: tuple[str, ...] = parameter(
+        UR_JOINT_NAMES, "The joints in kinematic order, base to flange, without tf_prefix."
+    )
+    tf_prefix: str = parameter("", "What the robot's driver puts before each joint name.")
+
+
+JOINT_PARAMETERS = ArmJoints.declared()
 
 
 class JointStateError(ValueError):
@@ -63,22 +65,21 @@ class JointMap:
     Parameters
     ----------
     names : sequence of str
-        The six joint names in kinematic order.
+        The joint names in kinematic order.
     tf_prefix : str
         What the robot's driver puts before each of them (its ``tf_prefix``).
 
     Raises
     ------
     ValueError
-        If there are not six different names.
+        If they are not different names.
     """
 
     def __init__(self, names: Sequence[str] = UR_JOINT_NAMES, tf_prefix: str = "") -> None:
         self.names = tuple(tf_prefix + name for name in names)
-        if len(self.names) != N_JOINTS or len(set(self.names)) != N_JOINTS:
+        if not self.names or len(set(self.names)) != len(self.names):
             raise ValueError(
-                f"joint_names must be {N_JOINTS} different names in kinematic order, "
-                f"got {list(self.names)}"
+                f"joint_names must be different names in kinematic order, got {list(self.names)}"
             )
         self._cached_for: tuple[str, ...] | None = None
         self._indices: list[int] = []
@@ -95,7 +96,7 @@ class JointMap:
 
         Returns
         -------
-        ndarray, shape (6,)
+        ndarray, shape (n,)
             Angles, rad, kinematic order; finite.
 
         Raises
@@ -108,7 +109,7 @@ class JointMap:
         key = tuple(names)
         if key != self._cached_for:
             missing = [name for name in self.names if name not in key]
-            if len(missing) == N_JOINTS:
+            if len(missing) == len(self.names):
                 raise ForeignJointsError(
                     f"joint_states names {list(key)}, none of the wanted {list(self.names)}"
                 )

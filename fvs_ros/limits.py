@@ -1,12 +1,15 @@
-"""Limits on a joint velocity command; each takes six numbers, rad/s, and gives six."""
+"""Limits on a joint velocity command; each takes n numbers, rad/s, and gives n."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import pi
+from operator import lt
 
 import numpy as np
 
-from fvs_ros.joints import N_JOINTS
+from fvs_ros.joints import UR_POSITION_LIMITS_RAD
+from fvs_ros.params import ParameterError, Parameters, parameter
 from fvs_ros.vectors import largest
 
 #: Share of the acceleration limit that braking is planned with; the rest is for the robot's lag.
@@ -39,14 +42,14 @@ def limit_acceleration(velocity: np.ndarray, last: np.ndarray, max_step: float) 
 
     Parameters
     ----------
-    velocity, last : ndarray, shape (6,)
+    velocity, last : ndarray, shape (n,)
         Wanted command and the one before, rad/s.
     max_step : float
         Largest change of any joint, rad/s.
 
     Returns
     -------
-    ndarray, shape (6,)
+    ndarray, shape (n,)
         Never further than ``max_step`` from ``last`` in any joint.
     """
     if largest(velocity - last) <= max_step:
@@ -68,44 +71,72 @@ def ramp_to_zero(last: np.ndarray, max_step: float) -> np.ndarray:
     """Take one step to rest: the last command, its fastest joint slower by ``max_step``."""
     fastest = largest(last)
     if fastest <= max_step:
-        return np.zeros(N_JOINTS)
+        return np.zeros_like(last)
     return last * (1.0 - max_step / fastest)
 
 
 @dataclass(frozen=True)
-class JointRange:
+class SpeedLimits(Parameters):
+    """Limits of every joint's command."""
+
+    max_joint_velocity_rad_s: float = parameter(
+        1.0,
+        "Velocity limit of every joint, rad/s; the whole command is scaled.",
+        0.01,
+        pi,
+        live=True,
+    )
+    max_joint_acceleration_rad_s2: float = parameter(
+        6.0, "Acceleration limit of every joint's command, rad/s^2.", 0.1, 40.0, live=True
+    )
+
+
+@dataclass(frozen=True)
+class JointRange(Parameters):
     """Slows joints down near the ends of their range.
 
     A joint may move towards an end at most at ``max_speed * distance / margin``, nor faster
     than it can brake (``braking_speed``); away from it, as it likes. Each joint
     is slowed alone, so that the others go on and the arm slides along the limit.
 
-    Parameters
-    ----------
-    lower_rad, upper_rad : tuple of 6 float
-        Ends of the range, rad.
-    margin_rad : float
-        Distance from the end at which slowing down begins, rad.
+    The joints of the two lists are those of ``joint_names``.
     """
 
-    lower_rad: tuple[float, ...]
-    upper_rad: tuple[float, ...]
-    margin_rad: float = 0.2
+    joint_min_rad: tuple[float, ...] = parameter(
+        tuple(-limit for limit in UR_POSITION_LIMITS_RAD),
+        "Lower ends of the joints' ranges, rad.",
+        -4.0 * pi,
+        4.0 * pi,
+        live=True,
+    )
+    joint_max_rad: tuple[float, ...] = parameter(
+        UR_POSITION_LIMITS_RAD,
+        "Upper ends of the joints' ranges, rad.",
+        -4.0 * pi,
+        4.0 * pi,
+        live=True,
+    )
+    joint_limit_margin_rad: float = parameter(
+        0.2,
+        "Distance from the end of its range at which a joint begins to slow down, rad.",
+        0.01,
+        2.0,
+        live=True,
+    )
 
     def __post_init__(self) -> None:
-        if len(self.lower_rad) != N_JOINTS or len(self.upper_rad) != N_JOINTS:
-            raise ValueError(f"joint limits need {N_JOINTS} numbers each")
-        if not all(lo < up for lo, up in zip(self.lower_rad, self.upper_rad, strict=True)):
-            raise ValueError(
-                f"lower joint limits {self.lower_rad} must be below upper ones {self.upper_rad}"
+        super().__post_init__()
+        lower, upper = self.joint_min_rad, self.joint_max_rad
+        if len(lower) != len(upper) or not all(map(lt, lower, upper)):
+            raise ParameterError(
+                f"joint_min_rad {list(lower)} and joint_max_rad {list(upper)} must be as many, and "
+                "each lower end below its upper one"
             )
-        if not 0.0 < self.margin_rad < np.inf:
-            raise ValueError(f"joint_limit_margin_rad must be positive, got {self.margin_rad}")
 
     def near_end(self, joints_rad: np.ndarray) -> bool:
-        """Whether a joint, (6,), rad, is within the margin of an end of its range, or beyond."""
-        margin = self.margin_rad
-        ranges = zip(joints_rad.tolist(), self.lower_rad, self.upper_rad, strict=True)
+        """Whether a joint, (n,), rad, is within the margin of an end of its range, or beyond."""
+        margin = self.joint_limit_margin_rad
+        ranges = zip(joints_rad.tolist(), self.joint_min_rad, self.joint_max_rad, strict=True)
         return any(not low + margin <= joint <= high - margin for joint, low, high in ranges)
 
     def slow_down(
@@ -123,17 +154,17 @@ class JointRange:
 
         Returns
         -------
-        ndarray, shape (6,)
+        ndarray, shape (n,)
             The command, rad/s.
         list of int
             The joints that were slowed.
         """
         slowed: list[int] = []
         values = velocity.tolist()
-        slope = min(max_speed / self.margin_rad, _APPROACH_RATE_1_S)
+        slope = min(max_speed / self.joint_limit_margin_rad, _APPROACH_RATE_1_S)
         both = zip(values, joints.tolist(), pending_rad.tolist(), strict=True)
         for i, (v, q, ahead) in enumerate(both):
-            room = self.upper_rad[i] - q if v > 0.0 else q - self.lower_rad[i]
+            room = self.joint_max_rad[i] - q if v > 0.0 else q - self.joint_min_rad[i]
             room = max(0.0, room - max(0.0, ahead if v > 0.0 else -ahead))
             cap = min(slope * room, braking_speed(room, max_acceleration))
             if abs(v) > cap:

@@ -36,7 +36,7 @@ def test_it_does_not_overshoot_nor_tremble():
     "values",
     [
         {"law": "proportional", "proportional_gain_1_s": 8.0},
-        {"exponent": "fixed", "fixed_exponent": 0.75},
+        {"lambda1": 0.75, "lambda2": 0.0},
         {"max_joint_acceleration_rad_s2": 2.0},
         {"max_joint_velocity_rad_s": 2.0},
         {"posture_gain_1_s": 0.5},
@@ -75,7 +75,7 @@ def test_the_predictor_is_what_lets_it_be_fast():
 
 
 def test_the_adaptive_exponent_is_calmer_than_a_fixed_one():
-    fixed = {"exponent": "fixed", "fixed_exponent": 0.6}
+    fixed = {"lambda1": 0.6, "lambda2": 0.0}
     jitter = {
         name: np.median([servo(*c, seed=k, values=v).jitter_rad_s for k, c in enumerate(MANY[:3])])
         for name, v in (("adaptive", {}), ("fixed", fixed))

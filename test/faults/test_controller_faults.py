@@ -106,7 +106,7 @@ def test_another_nodes_commands_hold_the_arm_and_the_node_is_named(bench):
     timer = bench.harness.node.create_timer(
         0.02, lambda: rival.publish(ros.to_command(np.full(6, 0.01)))
     )
-    bench.wait(lambda: bench.reason() == "RIVAL", what="RIVAL")
+    bench.wait(lambda: bench.reason() == "CONFLICT", what="CONFLICT")
     assert "/test_node commands the arm as well" in bench.text()
     timer.cancel()
     bench.harness.node.destroy_publisher(rival)

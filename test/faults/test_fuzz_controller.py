@@ -104,7 +104,7 @@ TO_SEE = (
     (Scene("mad law", 6, 0),),  # LAW_FAULT
     (Scene("shutdown", 5, 0),),  # SHUT_DOWN
     (Scene("abandoned", 60, 1),),  # HELD_LONG
-    (Scene("rival", 20, 0),),  # RIVAL
+    (Scene("rival", 20, 0),),  # CONFLICT
 )
 
 

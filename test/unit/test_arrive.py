@@ -9,7 +9,7 @@ from ur5_dh import HOME_RAD
 
 from fvs_controller_node.allocation import LeastSpeedInverse
 from fvs_controller_node.arrive import ArriveLaw
-from fvs_controller_node.base import AT_REST, ControlInput
+from fvs_controller_node.base import NO_FEED_FORWARD, ControlInput
 
 DT_S = 0.008
 CHAIN = ur5_chain()
@@ -43,22 +43,22 @@ class Following:
         self.target, self.told, self.images = CHAIN.position(joints), 0, 0
         self.run(20)
 
-    def run(self, ticks, ahead_rad_s=AT_REST):
+    def run(self, ticks, feed_forward_rad_s=NO_FEED_FORWARD):
         for k in range(ticks):
             self.images += k % 4 == 0
             told = ControlInput(
                 error_m=CHAIN.position(self.joints) - self.target,
                 jacobian=CHAIN.jacobian(self.joints),
-                applied_rad_s=AT_REST,
+                applied_rad_s=np.zeros(6),
                 joints_rad=self.joints,
                 dt_s=DT_S,
-                news=self.images,
+                measurement_count=self.images,
                 chain=CHAIN,
                 home_rad=HOME_RAD,
-                ahead_rad_s=ahead_rad_s,
-                targets=self.told,
+                feed_forward_rad_s=feed_forward_rad_s,
+                target_count=self.told,
             )
-            velocity = self.law.command(told).velocity_rad_s + ahead_rad_s
+            velocity = self.law.command(told).velocity_rad_s + feed_forward_rad_s
             self.joints = self.joints + DT_S * velocity
 
     def go(self, way_m):

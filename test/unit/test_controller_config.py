@@ -10,12 +10,11 @@ from fvs_controller_node.config import (
     PARAMETERS,
     build_law,
     build_loop,
-    build_supervisor_config,
     default_values,
     reconfigure,
 )
 from fvs_controller_node.ftsm import FtsmLaw, ReachingLaw
-from fvs_controller_node.proportional import ProportionalLaw
+from fvs_controller_node.proportional import ProportionalGains, ProportionalLaw
 from fvs_controller_node.pseudo_inverse import DampedInverse
 from fvs_controller_node.registry import LAWS, make_law
 from fvs_controller_node.supervisor_config import SupervisorConfig
@@ -32,7 +31,7 @@ def test_names_are_declared_once_and_every_default_passes():
 
 def test_defaults_build_the_defaults():
     values = default_values()
-    assert build_supervisor_config(values) == SupervisorConfig()
+    assert SupervisorConfig.from_values(values) == SupervisorConfig()
     law = build_law(values)
     assert isinstance(law, FtsmLaw)
     assert law.surface == SlidingSurface()
@@ -58,22 +57,22 @@ def test_an_unknown_law_is_refused_with_those_known():
 
 
 def test_the_proportional_law_closes_the_error_at_its_rate():
-    law = ProportionalLaw(4.0, DampedInverse(1e-10))
+    law = ProportionalLaw(ProportionalGains(4.0), DampedInverse(1e-10))
     error = np.array([0.1, -0.2, 0.05])
     out = law.command(ControlInput(error, JACOBIAN, np.zeros(6), np.zeros(6), 0.008))
     np.testing.assert_allclose(JACOBIAN @ out.velocity_rad_s, -4.0 * error, rtol=1e-6)
     np.testing.assert_array_equal(out.sliding_variable, error)  # for the update law (45)
     with pytest.raises(ValueError, match="proportional_gain"):
-        ProportionalLaw(0.0)
+        ProportionalGains(0.0)
 
 
 def test_modes_of_the_sliding_mode_law():
-    fixed = build_law(default_values(exponent="fixed", fixed_exponent=0.4))
+    fixed = build_law(default_values(lambda1=0.4, lambda2=0.0))
     assert isinstance(fixed, FtsmLaw)
     assert fixed.surface.exponent(0.0) == fixed.surface.exponent(0.5) == 0.4
     literal = build_law(default_values(discretisation="literal", lambda3_1_m2=500.0))
     assert isinstance(literal, FtsmLaw)
-    assert literal.discretisation == "literal"
+    assert literal.gains.discretisation == "literal"
     assert literal.surface.lambda3 == 500.0
 
 
@@ -81,7 +80,7 @@ def test_the_exponent_is_fixed_and_freed_live():
     loop = build_loop(default_values())
     state = ControlInput(np.full(3, 0.1), JACOBIAN, np.zeros(6), np.zeros(6), 0.008)
     adaptive = loop.law.command(state)
-    reconfigure(loop, default_values(exponent="fixed", fixed_exponent=0.6))
+    reconfigure(loop, default_values(lambda1=0.6, lambda2=0.0))
     fixed = loop.law.command(state)
     np.testing.assert_array_equal(fixed.exponent, np.full(3, 0.6))
     assert np.abs(fixed.velocity_rad_s - adaptive.velocity_rad_s).max() > 1e-3
@@ -106,4 +105,4 @@ def test_values_that_do_not_fit_together_change_nothing():
     reconfigure(loop, default_values(alpha2=1.0, max_joint_velocity_rad_s=0.2))
     assert isinstance(loop.law, FtsmLaw)
     assert loop.law.surface.alpha2 == 1.0
-    assert loop.supervisor.config.max_joint_velocity_rad_s == 0.2
+    assert loop.supervisor.config.speed.max_joint_velocity_rad_s == 0.2

@@ -45,7 +45,7 @@ def test_what_cannot_be_used_is_refused_in_words(names, values, error, text):
         JointMap().positions(names, values)
 
 
-@pytest.mark.parametrize("names", [UR_JOINT_NAMES[:5], ["a"] * 6, []])
-def test_six_different_names_are_needed(names):
-    with pytest.raises(ValueError, match="6 different names"):
+@pytest.mark.parametrize("names", [["a"] * 6, []])
+def test_different_names_are_needed(names):
+    with pytest.raises(ValueError, match="different names"):
         JointMap(names)

@@ -15,7 +15,7 @@ from fvs_ros.limits import (
 )
 
 SIX = st.lists(st.floats(-10.0, 10.0), min_size=6, max_size=6).map(np.array)
-RANGE = JointRange((-2.0,) * 6, (2.0,) * 6, margin_rad=0.2)
+RANGE = JointRange((-2.0,) * 6, (2.0,) * 6, joint_limit_margin_rad=0.2)
 
 
 def parallel(a: np.ndarray, b: np.ndarray) -> bool:

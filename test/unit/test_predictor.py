@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fvs_controller_node.predictor import BallPredictor
+from fvs_controller_node.predictor import BallPredictor, PredictorConfig
 
 RNG = np.random.default_rng(5)
 JACOBIAN = 0.4 * RNG.normal(size=(3, 6))
@@ -94,7 +94,7 @@ def test_a_good_position_forgives_the_outliers_before():
 
 
 def test_off_it_gives_the_last_image():
-    predictor = BallPredictor(enabled=False)
+    predictor = BallPredictor(PredictorConfig(predictor=False))
     feed(predictor, 0.0, 1.0)
     predictor.add_ball(0.5, ball(0.5))
     predictor.add_ball(0.9, ball(0.9))
@@ -102,7 +102,7 @@ def test_off_it_gives_the_last_image():
 
 
 def test_it_predicts_over_no_more_than_the_longest_latency():
-    predictor = BallPredictor(max_latency_s=0.3)
+    predictor = BallPredictor(PredictorConfig(max_latency_s=0.3))
     feed(predictor, 0.0, 1.0)
     predictor.add_ball(0.95, ball(0.95))
     feed(predictor, 1.0, 1.2)
@@ -112,7 +112,7 @@ def test_it_predicts_over_no_more_than_the_longest_latency():
 
 
 def test_after_a_long_absence_two_images_suffice():
-    predictor = BallPredictor(max_latency_s=0.3)
+    predictor = BallPredictor(PredictorConfig(max_latency_s=0.3))
     feed(predictor, 0.0, 0.2)
     predictor.add_ball(0.1, ORIGIN + 0.02)  # wrong by little, so no outlier
     feed(predictor, 0.2, 1.0)
@@ -170,7 +170,7 @@ def test_clocks_that_disagree_are_named(offset_s: float, word: str):
 )
 def test_a_wrong_setting_is_refused_by_name(wrong: dict, word: str):
     with pytest.raises(ValueError, match=word):
-        BallPredictor(**wrong)
+        PredictorConfig(**wrong)
 
 
 def test_over_a_long_latency_it_follows_the_bend_of_the_path():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from fvs_controller_node.reasons import Reason, State
 from fvs_controller_node.supervisor import Command, Supervisor
 from fvs_controller_node.supervisor_config import SupervisorConfig
 from fvs_ros.agreement import Verdict
-from fvs_ros.limits import JointRange
+from fvs_ros.limits import JointRange, SpeedLimits
 
 DT_S = 0.008
 FRAME = "camera_color_optical_frame"
@@ -751,9 +750,9 @@ def test_a_hold_that_lasts_needs_a_new_start():
 
 def test_another_commander_is_named_and_forbids_motion_while_it_speaks():
     cell = servoing()
-    cell.supervisor.rival(cell.now_s, "/fvs_collector_node")
+    cell.supervisor.conflicting_command(cell.now_s, "/fvs_collector_node")
     command = cell.until(at_rest)
-    assert (command.state, command.reason) == (State.HOLDING, Reason.RIVAL)
+    assert (command.state, command.reason) == (State.HOLDING, Reason.CONFLICT)
     assert "/fvs_collector_node commands the arm as well" in command.text
     cell.run(0.7)
     assert not cell.supervisor.start(cell.now_s)[0]
@@ -816,7 +815,9 @@ def test_a_stop_is_no_harsher_where_a_joint_finds_itself_at_its_end():
 @pytest.mark.parametrize("limit_rad_s2", [0.1, 6.0])
 def test_a_stop_from_full_speed_takes_half_a_second_at_most(limit_rad_s2: float):
     cell = servoing()
-    cell.supervisor.configure(SupervisorConfig(max_joint_acceleration_rad_s2=limit_rad_s2))
+    cell.supervisor.configure(
+        SupervisorConfig(speed=SpeedLimits(max_joint_acceleration_rad_s2=limit_rad_s2))
+    )
     cell.supervisor.stop()
     assert at_rest(cell.run(0.5))
 
@@ -980,7 +981,7 @@ def test_a_target_and_a_start_in_one_tick_are_fine():
 
 def test_limits_may_change_while_it_runs():
     cell = servoing()
-    cell.supervisor.configure(replace(SupervisorConfig(), max_joint_velocity_rad_s=0.1))
+    cell.supervisor.configure(SupervisorConfig(speed=SpeedLimits(0.1)))
     assert np.abs(cell.run(0.3).velocity_rad_s).max() == pytest.approx(0.1)
 
 
@@ -999,12 +1000,9 @@ def test_every_reason_can_be_said():
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"max_joint_velocity_rad_s": 0.0},
-        {"max_joint_acceleration_rad_s2": NAN},
+        {"singular_hold_m_rad": NAN},
         {"workspace_min_m": (2.0, -1.0, 0.0)},
-        {"singular_hold_m_rad": 0.5},
-        {"prediction_slow": 2.0},
-        {"fresh_samples": 0},
+        {"prediction_hold": 0.0},
     ],
 )
 def test_a_config_that_makes_no_sense_is_refused(wrong: dict):

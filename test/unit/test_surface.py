@@ -22,7 +22,9 @@ def test_lambda3_is_three_over_delta_unless_given():
     assert SlidingSurface(**paper).lambda3 == pytest.approx(7500.0)
     assert SlidingSurface(**paper).exponent(0.0) == pytest.approx(0.5, abs=0.002)
     # The paper's "lambda3 >> 1" is not enough where Delta is small.
-    assert SlidingSurface(**paper, lambda3=100.0).exponent(0.0) == pytest.approx(0.308, abs=0.001)
+    assert SlidingSurface(**paper, lambda3_1_m2=100.0).exponent(0.0) == pytest.approx(
+        0.308, abs=0.001
+    )
 
 
 def test_a_fixed_exponent_is_the_same_everywhere():
@@ -77,7 +79,7 @@ def test_psi_rises_everywhere_and_is_odd(switch_error_m: float):
         ({"lambda1": 0.9, "lambda2": 0.3}, "exponent"),
         ({"lambda2": -0.1}, "lambda2"),
         ({"switch_error_m": 0.0}, "switch_error_m"),
-        ({"lambda3": -1.0}, "lambda3"),
+        ({"lambda3_1_m2": -1.0}, "lambda3"),
     ],
 )
 def test_a_wrong_parameter_is_refused_by_name(wrong: dict, word: str):

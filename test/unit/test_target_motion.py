@@ -20,8 +20,8 @@ def circle(time_s, radius_m=0.1, speed_m_s=0.3):
     return START + radius_m * np.array([np.cos(angle), np.sin(angle), 0.0])
 
 
-def told(path, until_s, rate_hz=30.0, **settings):
-    motion = TargetMotion(**settings)
+def told(path, until_s, rate_hz=30.0):
+    motion = TargetMotion()
     times_s = np.arange(0.0, until_s, 1.0 / rate_hz)
     for time_s in times_s:
         motion.update(path(time_s), float(time_s))
@@ -183,11 +183,6 @@ def test_no_target_is_faster_than_an_arm():
     assert not motion.at(last_s).velocity_m_s.any()
 
 
-def test_a_window_that_is_none_is_refused():
-    with pytest.raises(ValueError, match="target_window_s"):
-        TargetMotion(0.0)
-
-
 def test_one_odd_update_does_not_throw_the_target_about():
     motion = TargetMotion()
     for k in range(10):
@@ -322,13 +317,3 @@ def test_a_target_that_stops_is_soon_known_to_stand(noise_m):
     target = motion.at(2.4)
     np.testing.assert_allclose(target.position_m, line(2.0), atol=3e-3)
     assert np.linalg.norm(target.velocity_m_s) < 0.1 * np.linalg.norm(VELOCITY)
-
-
-def test_the_shortest_window_is_a_setting():
-    """A longer one is calmer where updates are noisy, and follows a bend less."""
-    off = []
-    for settings in ({}, {"window_s": 1.0}):
-        motion, last_s = told(lambda t: circle(t, speed_m_s=0.1), 2.0, **settings)
-        true = circle(last_s, speed_m_s=0.1)
-        off.append(np.linalg.norm(motion.at(last_s).position_m - true))
-    assert 10.0 * off[0] < off[1]

@@ -1,0 +1,111 @@
+"""From what a law wants to what is sent: limits of speed, acceleration, range and braking."""
+
+from __future__ import annotations
+
+from math import inf
+
+import numpy as np
+
+from fvs_controller_node.base import ControlOutput
+from fvs_controller_node.supervisor_config import SupervisorConfig
+from fvs_ros.limits import braking_speed, limit_acceleration, limit_speed, ramp_to_zero
+
+#: From full speed the arm stops within this, s, however small the acceleration limit is.
+_STOP_S = 0.5
+
+
+class Limiter:
+    """Remembers the last command and finds the next one within the limits.
+
+    Attributes
+    ----------
+    velocity_rad_s : ndarray, shape (n,)
+        The last command, rad/s.
+    """
+
+    def __init__(self, joints: int) -> None:
+        self.velocity_rad_s = np.zeros(joints)
+
+    def stop(self) -> None:
+        """Zeros at once."""
+        self.velocity_rad_s = np.zeros_like(self.velocity_rad_s)
+
+    def move(
+        self,
+        output: ControlOutput,
+        joints_rad: np.ndarray,
+        dt_s: float,
+        config: SupervisorConfig,
+        *,
+        max_speed_rad_s: float,
+        travel_rad: float,
+        pending_rad: np.ndarray,
+    ) -> list[str]:
+        """Find the next command for what a law wants.
+
+        Parameters
+        ----------
+        output : ControlOutput
+            The law's answer.
+        joints_rad, pending_rad : ndarray, shape (n,)
+            Joint positions, and motion that was commanded and is still to come, rad.
+        dt_s : float
+            Time since the last command, s.
+        config : SupervisorConfig
+            The limits.
+        max_speed_rad_s : float
+            No joint is faster.
+        travel_rad : float
+            About how far the joint that moves most has to go to the target.
+
+        Returns
+        -------
+        list of str
+            The limits that shaped the command.
+        """
+        acceleration = config.speed.max_joint_acceleration_rad_s2
+        braking = inf
+        if not output.brakes:
+            braking = braking_speed(travel_rad, acceleration) + output.feed_forward_rad_s
+        active = []
+        wanted = np.asarray(output.velocity_rad_s, dtype=float)
+        velocity = limit_speed(wanted, min(max_speed_rad_s, braking))
+        if velocity is not wanted:
+            active.append("velocity" if max_speed_rad_s <= braking else "braking")
+        velocity, slowed = config.joint_range.slow_down(
+            velocity,
+            joints_rad,
+            config.speed.max_joint_velocity_rad_s,
+            acceleration,
+            pending_rad,
+        )
+        active += [f"range of {config.joint_names[i]}" for i in slowed]
+        free = velocity
+        velocity = limit_acceleration(velocity, self.velocity_rad_s, acceleration * dt_s)
+        if velocity is not free:
+            active.append("acceleration")
+        self.velocity_rad_s = velocity
+        return active
+
+    def come_to_rest(
+        self,
+        joints_rad: np.ndarray | None,
+        dt_s: float,
+        config: SupervisorConfig,
+        pending_rad: np.ndarray,
+    ) -> bool:
+        """Find the next command on the way to rest; whether the arm still moved."""
+        last, speed = self.velocity_rad_s, config.speed
+        if not last.any():
+            return False
+        limit = max(speed.max_joint_acceleration_rad_s2, speed.max_joint_velocity_rad_s / _STOP_S)
+        step = limit * dt_s
+        velocity = ramp_to_zero(last, step)
+        if joints_rad is not None:
+            # The ramp is as long as the fastest joint's; one that nears its limit brakes harder.
+            velocity, _ = config.joint_range.slow_down(
+                velocity, joints_rad, speed.max_joint_velocity_rad_s, limit, pending_rad
+            )
+            velocity = np.clip(velocity, last - step, last + step)
+        self.velocity_rad_s = velocity
+        return True
