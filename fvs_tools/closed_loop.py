@@ -1,0 +1,140 @@
+"""The whole loop without ROS: simulated arm and camera, estimator and controller in lock step.
+
+The same objects as in the nodes, joined as the topics join them, one joint state after the other:
+a run is a function of its configuration and seed, to the bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from fvs_controller_node.config import build_loop, default_values
+from fvs_controller_node.supervisor import Command
+from fvs_estimator_node.base import Estimator
+from fvs_estimator_node.loop import EstimationLoop
+from fvs_estimator_node.model_file import TrainedModel, load_model
+from fvs_estimator_node.oracle import OracleEstimator
+from fvs_estimator_node.registry import create_estimator
+from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.paths import find_file
+from fvs_sim_node.simulation import Simulation
+from fvs_tools.schemes import scheme as scheme_called
+
+#: The model that comes with the package.
+MODEL = "models/ur5_front.npz"
+
+
+@lru_cache(maxsize=4)
+def _load(name: str) -> TrainedModel:
+    return load_model(find_file(name))
+
+
+def make_estimator(
+    method: str,
+    simulation: Simulation,
+    values: Mapping[str, Any] | None = None,
+    model: str = MODEL,
+) -> Estimator:
+    """Build an estimator as its node does; the oracle asks the simulation itself.
+
+    Parameters
+    ----------
+    method : str
+        A name of the estimators' registry.
+    simulation : Simulation
+        Where the oracle knows the Jacobian from.
+    values : mapping, optional
+        The node's parameters, by name, where they differ from the defaults.
+    model : str
+        Model file: a path, or a name in the project's ``config`` folder.
+    """
+    if method == "oracle":
+        return OracleEstimator(simulation.true_jacobian)
+    trained = _load(model)
+    return create_estimator(method, trained.model, values or {}, trained.chain)
+
+
+class ClosedLoop:
+    """Simulation, estimator and controller, one joint state after the other.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Freshly reset.
+    estimator : Estimator
+        Learns and is asked for the Jacobian.
+    controller_values : mapping, optional
+        The controller node's parameters, where they differ from the defaults; ``autostart`` is on.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        estimator: Estimator,
+        controller_values: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.simulation = simulation
+        self.estimator = estimator
+        self.estimation = EstimationLoop(estimator)
+        self.loop = build_loop(default_values(**{"autostart": True, **(controller_values or {})}))
+        self.period_s = 1.0 / simulation.config.joint_state_rate_hz
+
+    @classmethod
+    def of_scheme(cls, name: str, simulation: Simulation | None = None) -> ClosedLoop:
+        """Close the loop with a scheme, such as ``best``, about a simulation (default: a UR5)."""
+        scheme, simulation = scheme_called(name), simulation or Simulation()
+        estimator = make_estimator(scheme.method, simulation, scheme.estimator_values)
+        return cls(simulation, estimator, {"law": scheme.law, **scheme.controller_values})
+
+    @property
+    def ball_m(self) -> np.ndarray:
+        """Where the ball truly is, camera frame, m, shape (3,)."""
+        return self.simulation.true_ball_position()
+
+    def tick(self) -> Command:
+        """Let one joint-state period pass and answer it; returns the command that was sent."""
+        out = self.simulation.advance()
+        now_s = out.time_s
+        for seen in out.observations:
+            if seen.detection is None:
+                continue
+            position_m = seen.detection.position_m
+            self.estimation.add_ball(seen.stamp_s, position_m)
+            self.loop.add_ball(now_s, seen.stamp_s, position_m, CAMERA_FRAME)
+        self.estimation.add_joints(now_s, out.joints_rad)
+        problem, chain = self.estimation.problem, self.estimator.chain
+        if not problem:
+            self.loop.add_jacobian(now_s, self.estimator.jacobian(out.joints_rad))
+        if chain is not None:
+            self.loop.add_chain(now_s, chain)
+        self.loop.supervisor.estimator_says(now_s, problem)
+        self.loop.add_joints(now_s, now_s, out.joints_rad)
+        command = self.loop.tick(now_s, self.period_s)
+        if command.output is not None:
+            self.estimation.pairing.add_sliding_variable(now_s, command.output.sliding_variable)
+        refusal = self.simulation.command(command.velocity_rad_s)
+        assert refusal is None, refusal
+        return command
+
+    def run(self, seconds: float) -> None:
+        """Let time pass."""
+        for _ in range(round(seconds / self.period_s)):
+            self.tick()
+
+    def set_target(self, target_m: np.ndarray) -> None:
+        """Give the controller a target, camera frame, m, shape (3,).
+
+        Raises
+        ------
+        ValueError
+            If the controller refuses it; the text says why.
+        """
+        accepted, text = self.loop.add_target(
+            np.asarray(target_m, dtype=float), CAMERA_FRAME, self.simulation.time_s
+        )
+        if not accepted:
+            raise ValueError(text)
