@@ -80,7 +80,8 @@ class SupervisorConfig(Parameters):
         low, high = self.workspace_min_m, self.workspace_max_m
         if len(low) != len(high) or not all(map(lt, low, high)):
             raise ParameterError(
-                f"workspace_min_m {list(low)} must be below workspace_max_m {list(high)}"
+                "workspace_min_m must be a list of numbers, each below that of workspace_max_m "
+                f"{list(high)}, got {list(low)}"
             )
         if len(self.joint_range.joint_min_rad) != len(self.joints.joint_names):
             raise ParameterError(

@@ -129,8 +129,8 @@ class JointRange(Parameters):
         lower, upper = self.joint_min_rad, self.joint_max_rad
         if len(lower) != len(upper) or not all(map(lt, lower, upper)):
             raise ParameterError(
-                f"joint_min_rad {list(lower)} and joint_max_rad {list(upper)} must be as many, and "
-                "each lower end below its upper one"
+                "joint_min_rad must be a list of numbers, each below that of joint_max_rad "
+                f"{list(upper)}, got {list(lower)}"
             )
 
     def near_end(self, joints_rad: np.ndarray) -> bool:

@@ -127,7 +127,8 @@ def outside(parameter):
         found.append(float("nan"))
     if parameter.is_list:
         found = [[value] * len(parameter.default) for value in found]
-        found.append(parameter.default[:-1])
+        if parameter.size is not None:
+            found.append(parameter.default[:-1])
     if parameter.choices:
         found.append("nonsense")
     return found
