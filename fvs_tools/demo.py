@@ -10,33 +10,33 @@ import numpy as np
 
 from fvs_ros.camera import CAMERA_FRAME, Intrinsics
 from fvs_ros.joints import UR_JOINT_NAMES
-from fvs_ros.params import Parameter
+from fvs_ros.params import Parameters, parameter
 from fvs_tools.score import settling_time_s
 
-PARAMETERS = (
-    Parameter("model_path", "models/ur5_front.npz", "trained model: targets are positions it saw"),
-    Parameter("targets", 4, "number of targets", minimum=1, maximum=100),
-    Parameter(
-        "target_positions",
-        "",
-        "own targets in place of chosen ones, m: 'x y z; x y z; ...'; empty chooses",
-    ),
-    Parameter("seed", 0, "seed of the choice of targets", minimum=0),
-    Parameter(
-        "distance_m", 0.3, "wanted distance from one target to the next", minimum=0.05, maximum=1.0
-    ),
-    Parameter("target_s", 4.0, "time given to each target", minimum=1.0, maximum=60.0),
-    Parameter("start_timeout_s", 30.0, "longest wait for the loop to be ready", minimum=1.0),
-    Parameter(
-        "settle_error_m",
-        0.005,
-        "true error below which a target counts as settled",
-        minimum=1e-4,
-        maximum=0.1,
-    ),
-    Parameter("feature_frame", CAMERA_FRAME, "frame of ball and target"),
-    Parameter("output_dir", "out/demo", "folder for the log, the results and the figure"),
-)
+
+@dataclass(frozen=True)
+class DemoConfig(Parameters):
+    """Parameters of ``fvs_demo_node``."""
+
+    model_path: str = parameter(
+        "models/ur5_front.npz", "trained model: targets are positions it saw"
+    )
+    targets: int = parameter(4, "number of targets", 1, 100)
+    target_positions: str = parameter(
+        "", "own targets in place of chosen ones, m: 'x y z; x y z; ...'; empty chooses"
+    )
+    seed: int = parameter(0, "seed of the choice of targets", 0)
+    distance_m: float = parameter(0.3, "wanted distance from one target to the next", 0.05, 1.0)
+    target_s: float = parameter(4.0, "time given to each target", 1.0, 60.0)
+    start_timeout_s: float = parameter(30.0, "longest wait for the loop to be ready", 1.0)
+    settle_error_m: float = parameter(
+        0.005, "true error below which a target counts as settled", 1e-4, 0.1
+    )
+    feature_frame: str = parameter(CAMERA_FRAME, "frame of ball and target")
+    output_dir: str = parameter("out/demo", "folder for the log, the results and the figure")
+
+
+PARAMETERS = DemoConfig.declared()
 
 #: A target further than this from the wanted distance is not chosen while a nearer one exists.
 _DISTANCE_TOLERANCE_M = 0.02
@@ -186,11 +186,19 @@ def write_results(folder: Path, records: list[TargetRecord], scores: list[Target
         for record, one in zip(records, scores, strict=True)
     ]
     (folder / "results.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    with (folder / "log.csv").open("w", encoding="utf-8") as log:
-        log.write("target,time_s,true_x_m,true_y_m,true_z_m,error_m\n")
-        for number, record in enumerate(records, start=1):
-            for t, p, e in zip(record.time_s, record.position_m, record.errors_m(), strict=True):
-                log.write(f"{number},{t:.4f},{p[0]:.6f},{p[1]:.6f},{p[2]:.6f},{e:.6f}\n")
+    rows = [
+        np.column_stack(
+            [np.full(len(one.time_s), number), one.time_s, one.position_m, one.errors_m()]
+        )
+        for number, one in enumerate(records, start=1)
+    ]
+    np.savetxt(
+        folder / "log.csv",
+        np.concatenate(rows),
+        fmt="%d,%.4f,%.6f,%.6f,%.6f,%.6f",
+        header="target,time_s,true_x_m,true_y_m,true_z_m,error_m",
+        comments="",
+    )
 
 
 def draw(
@@ -220,46 +228,38 @@ def draw(
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    colours = plt.get_cmap("viridis")(np.linspace(0.05, 0.85, len(records)))
-    seen = image_rgb is not None and intrinsics is not None
-    figure = plt.figure(figsize=(13 if seen else 6.5, 6.2), layout="constrained")
-    grid = figure.add_gridspec(2, 2 if seen else 1, width_ratios=[1.0, 1.15][: 1 + seen])
-    error_axes, speed_axes = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[1, 0])
-
-    for number, (record, colour) in enumerate(zip(records, colours, strict=True), start=1):
-        error_axes.semilogy(
-            record.time_s, record.errors_m() * 1e3, color=colour, label=f"target {number}"
-        )
-    error_axes.axhline(settle_error_m * 1e3, color="0.4", linestyle="--", linewidth=1)
-    error_axes.set(ylabel="true error (mm)", title="Distance of the ball to its target")
-    error_axes.legend(fontsize=8, ncols=2)
-    error_axes.grid(alpha=0.3, which="both")
-
-    origin_s = records[0].start_s
-    for joint in range(records[0].joint_velocity_rad_s[0].size):
-        times = [t + r.start_s - origin_s for r in records for t in r.joint_time_s]
-        speeds = [v[joint] for r in records for v in r.joint_velocity_rad_s]
-        speed_axes.plot(times, speeds, linewidth=1, label=UR_JOINT_NAMES[joint])
-    for record, colour in zip(records, colours, strict=True):
-        speed_axes.axvline(record.start_s - origin_s, color=colour, linewidth=1.5, alpha=0.7)
-    speed_axes.set(xlabel="time (s)", ylabel="joint speed (rad/s)", title="Joint speeds")
-    speed_axes.legend(
-        fontsize=8, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.22), frameon=False
+    figure, axes = plt.subplot_mosaic(
+        [["error", "view"], ["speed", "view"]],
+        figsize=(13, 6.2),
+        width_ratios=[1.0, 1.15],
+        layout="constrained",
     )
-    speed_axes.grid(alpha=0.3)
-
-    if image_rgb is not None and intrinsics is not None:
-        view_axes = figure.add_subplot(grid[:, 1])
-        view_axes.set_title("Camera view at the end, trail of the ball, targets (+)")
-        view_axes.axis("off")
-        view_axes.imshow(image_rgb)
-        for record, colour in zip(records, colours, strict=True):
-            trail = intrinsics.project(np.array(record.position_m))
-            view_axes.plot(trail[:, 0], trail[:, 1], color=colour, linewidth=2)
-            u, v = intrinsics.project(record.target_m)
-            view_axes.plot(u, v, "+", color="white", markersize=15, markeredgewidth=4)
-            view_axes.plot(u, v, "+", color=colour, markersize=14, markeredgewidth=2)
-        view_axes.set(xlim=(0, intrinsics.width), ylim=(intrinsics.height, 0))
+    colours = plt.get_cmap("viridis")(np.linspace(0.05, 0.85, len(records)))
+    origin_s = records[0].start_s
+    view = axes["view"]
+    view.axis("off")
+    if image_rgb is not None:
+        view.imshow(image_rgb)
+    for number, (record, colour) in enumerate(zip(records, colours, strict=True), start=1):
+        errors_mm = 1e3 * record.errors_m()
+        axes["error"].semilogy(record.time_s, errors_mm, color=colour, label=f"target {number}")
+        axes["speed"].axvline(record.start_s - origin_s, color=colour, linewidth=1.5, alpha=0.7)
+        if intrinsics is not None:
+            view.plot(*intrinsics.project(np.array(record.position_m)).T, color=colour)
+            at = intrinsics.project(record.target_m)
+            view.plot(*at, "+", color="white", markersize=15, markeredgewidth=4)
+            view.plot(*at, "+", color=colour, markersize=14, markeredgewidth=2)
+            view.set(xlim=(0, intrinsics.width), ylim=(intrinsics.height, 0))
+    axes["error"].axhline(settle_error_m * 1e3, color="0.4", linestyle="--", linewidth=1)
+    times_s = np.concatenate([np.add(r.joint_time_s, r.start_s - origin_s) for r in records])
+    speeds = np.concatenate([r.joint_velocity_rad_s for r in records])
+    axes["speed"].plot(times_s, speeds, linewidth=1, label=UR_JOINT_NAMES)
+    axes["error"].set(ylabel="true error (mm)", title="Distance of the ball to its target")
+    axes["speed"].set(xlabel="time (s)", ylabel="joint speed (rad/s)", title="Joint speeds")
+    view.set_title("Camera view at the end, trail of the ball, targets (+)")
+    for name in ("error", "speed"):
+        axes[name].legend(fontsize=8, ncols=2)
+        axes[name].grid(alpha=0.3)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
     plt.close(figure)

@@ -32,16 +32,15 @@ class DemoNode(ros.FvsNode):
 
     def __init__(self) -> None:
         super().__init__("fvs_demo_node", demo.PARAMETERS)
-        model = load_model(find_file(self.values["model_path"]))
-        self._candidates_m = model.ball_samples_m
-        self._own_m = demo.own_targets(self.values["target_positions"])
-        self._count = len(self._own_m) or self.values["targets"]
-        self._rng = np.random.default_rng(self.values["seed"])
+        self._config = demo.DemoConfig.from_values(self.values)
+        self._candidates_m = load_model(find_file(self._config.model_path)).ball_samples_m
+        self._own_m = demo.own_targets(self._config.target_positions)
+        self._count = len(self._own_m) or self._config.targets
+        self._rng = np.random.default_rng(self._config.seed)
         self._joint_map = JointMap()
         self._records: list[demo.TargetRecord] = []
         self._state = self._reason = ""
         self._wants_target = False
-        self._frame = self.values["feature_frame"]
         self._image: Image | None = None
         self._intrinsics: Intrinsics | None = None
         self._began_s = self.steady_s()
@@ -80,7 +79,9 @@ class DemoNode(ros.FvsNode):
         if self._image_asked_s is not None:
             return
         stamp_s = ros.from_stamp(message.header.stamp)
-        position_m = ros.from_point(message, self._frame, topics.TRUE_BALL_POSITION.name)
+        position_m = ros.from_point(
+            message, self._config.feature_frame, topics.TRUE_BALL_POSITION.name
+        )
         if not self._records:
             # The controller waits for a target alone: the loop is up, the first one may come.
             if self._wants_target:
@@ -88,7 +89,7 @@ class DemoNode(ros.FvsNode):
             return
         record = self._records[-1]
         record.add_position(stamp_s, position_m)
-        if record.time_s[-1] >= self.values["target_s"]:
+        if record.time_s[-1] >= self._config.target_s:
             self._report(len(self._records), record)
             if len(self._records) < self._count:
                 self._next_target(stamp_s, position_m)
@@ -102,14 +103,14 @@ class DemoNode(ros.FvsNode):
             target_m = self._own_m[len(self._records)]
         else:
             target_m = demo.choose_target(
-                self._candidates_m, position_m, self.values["distance_m"], self._rng
+                self._candidates_m, position_m, self._config.distance_m, self._rng
             )
-        self._target.publish(ros.to_point(stamp_s, self._frame, target_m))
+        self._target.publish(ros.to_point(stamp_s, self._config.feature_frame, target_m))
         self._records.append(demo.TargetRecord(target_m, stamp_s))
         self._records[-1].add_position(stamp_s, position_m)
 
     def _report(self, number: int, record: demo.TargetRecord) -> None:
-        one = demo.score(record, self.values["settle_error_m"])
+        one = demo.score(record, self._config.settle_error_m)
         text = "not settled"
         if one.settling_5mm_s is not None:
             text = f"settled after {one.settling_5mm_s:.2f} s"
@@ -122,7 +123,7 @@ class DemoNode(ros.FvsNode):
 
     def _poll(self) -> None:
         now_s = self.steady_s()
-        if not self._records and now_s - self._began_s > self.values["start_timeout_s"]:
+        if not self._records and now_s - self._began_s > self._config.start_timeout_s:
             reason = self._reason or "no status from the controller; is it running?"
             print(f"the loop did not get ready: {self._state} {reason}", flush=True)
             self.exit_code = stop.EXIT_FAILURE
@@ -156,9 +157,9 @@ class DemoNode(ros.FvsNode):
         )
 
     def _conclude(self) -> None:
-        settle_error_m = self.values["settle_error_m"]
+        settle_error_m = self._config.settle_error_m
         scores = [demo.score(record, settle_error_m) for record in self._records]
-        folder = Path(self.values["output_dir"])
+        folder = Path(self._config.output_dir)
         image_rgb = None
         if self._image is None:
             print(f"no camera image came within {_IMAGE_WAIT_S:.0f} s: the figure has none")

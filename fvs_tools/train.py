@@ -11,9 +11,9 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from fvs_estimator_node.dataset import DataSet, load_data_set
 from fvs_estimator_node.model_file import TrainedModel, save_model
@@ -48,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             **trained.provenance,
             "notes": notes,  # the estimator says them again, of the model it loads
             "data_file": arguments.data.name,
-            "data_sha256": _sha256(arguments.data),
+            "data_sha256": hashlib.sha256(arguments.data.read_bytes()).hexdigest(),
             "stopped_by_time": out_of_time,
             "numpy": np.__version__,
             "python": platform.python_version(),
@@ -84,12 +84,30 @@ def _train(
         neurons=TrainingOptions.neurons if arguments.neurons is None else arguments.neurons,
         seed=arguments.seed,
     )
-    with _Bar(arguments.max_seconds, quiet=arguments.quiet) as bar:
-        result = train(data, options, bar.report)
+    out_of_time = False
+    with tqdm(
+        desc="training",
+        unit="it",
+        leave=False,
+        disable=arguments.quiet,
+        mininterval=0.2 if sys.stderr.isatty() else 10.0,
+    ) as bar:
+
+        def on_progress(progress: TrainingProgress) -> bool:
+            """Show it; True when the time is over."""
+            nonlocal out_of_time
+            bar.total = progress.iterations
+            bar.update(progress.iteration - bar.n)
+            bar.set_postfix_str(f"error {100.0 * progress.validation_error:.2f} %")
+            passed_s = time.monotonic() - started_s
+            out_of_time = arguments.max_seconds is not None and passed_s > arguments.max_seconds
+            return out_of_time
+
+        result = train(data, options, on_progress)
     words = report(result, time.monotonic() - started_s)
     trained, chain = with_chain(result.trained, data, arguments.seed)
     notes = [*result.notes, *_doubts(result)]
-    return trained, f"{words}\n{chain}", notes, bar.out_of_time
+    return trained, f"{words}\n{chain}", notes, out_of_time
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -134,39 +152,19 @@ def _check_output(path: Path) -> None:
         raise ValueError(f"the folder {path.absolute().parent} for the model does not exist")
 
 
-def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as stream:
-        while chunk := stream.read(1 << 20):
-            digest.update(chunk)
-    return digest.hexdigest()
-
-
 def report(result: TrainingResult, seconds: float) -> str:
     """What a user should see: errors, boxes, time."""
     lines = ["", "network              column m/rad  error"]
     for name, network in zip(result.trained.joint_names, result.networks, strict=True):
-        error = (
-            "does not move the ball"
-            if network.relative is None
-            else f"{100.0 * network.relative:6.2f} %"
-        )
+        error = "does not move the ball"
+        if network.relative is not None:
+            error = f"{100.0 * network.relative:6.2f} %"
         lines.append(f"{name:20s} {network.column_m_rad:11.3f}  {error}")
-    low, high = result.trained.joint_box_rad
     lines += [
-        "(errors at held-out joints against a smooth fit that is itself about a percent off)",
-        "",
-        f"prediction between held-out images: {1e3 * result.pair_error_m:.2f} mm rms, "
+        "(at held-out joints, against a smooth fit that is itself about 1 % off)",
+        f"between held-out images: {1e3 * result.pair_error_m:.2f} mm rms, "
         f"{100.0 * result.pair_error_relative:.2f} % of the ball's motion, noise included",
-    ]
-    if result.step_error_relative is not None:
-        lines.append(
-            f"prediction from one held-out image to the next: "
-            f"{100.0 * result.step_error_relative:.1f} %, mostly noise"
-        )
-    lines += [
-        f"joints from [{', '.join(f'{v:.2f}' for v in low)}]",
-        f"         to [{', '.join(f'{v:.2f}' for v in high)}] rad",
+        *_boxes(result.trained),
         f"{result.samples} images, {result.held_out_samples} held out, {result.outliers} left out; "
         f"{result.iterations} iterations, {seconds:.1f} s",
     ]
@@ -176,28 +174,28 @@ def report(result: TrainingResult, seconds: float) -> str:
 def report_structured(taught: TaughtModel, seconds: float) -> str:
     """What a user should see of a structured training."""
     fit = taught.fit
-    low, high = taught.trained.joint_box_rad
-    told = (
-        "images too far apart to tell how much of it is noise"
-        if math.isnan(fit.noise_m)
-        else f"of which noise explains {1e3 * fit.noise_m:.2f} mm: misfit {fit.misfit:.2f}"
-    )
+    noise = f"noise {1e3 * fit.noise_m:.2f} mm, misfit {fit.misfit:.2f}"
     lines = [
         "",
         f"Jacobian of the chain, in the box of the data: {100 * taught.jacobian_deviation:.3f} % "
-        "(standard deviation; as the camera sees, whose scale no motion tells)",
-        f"six networks taught by it: {100 * taught.teaching_error:.2f} % off the chain (median)",
+        "(standard deviation; the camera's scale is not observable)",
+        f"networks taught by it: {100 * taught.teaching_error:.2f} % off the chain (median)",
         # + 0.0: no negative zero
         f"images stamped late: {round(1e3 * fit.time_offset_s, 1) + 0.0:.1f} +- "
         f"{1e3 * fit.time_offset_deviation_s:.1f} ms",
         f"noise of a ball position: {1e3 * fit.ray_noise_m:.2f} mm along the line of sight, "
         f"{1e3 * fit.lateral_noise_m:.2f} mm across",
-        f"distance from the chain: {1e3 * fit.residual_m:.2f} mm (median), {told}",
-        f"joints from [{', '.join(f'{v:.2f}' for v in low)}]",
-        f"         to [{', '.join(f'{v:.2f}' for v in high)}] rad",
+        f"distance from the chain: {1e3 * fit.residual_m:.2f} mm (median); "
+        + ("noise unknown: images too far apart" if math.isnan(fit.noise_m) else noise),
+        *_boxes(taught.trained),
         f"{fit.samples} images, {fit.outliers} left out; {seconds:.1f} s",
     ]
     return "\n".join(lines)
+
+
+def _boxes(trained: TrainedModel) -> list[str]:
+    low, high = (", ".join(f"{v:.2f}" for v in side) for side in trained.joint_box_rad)
+    return [f"joints from [{low}]", f"         to [{high}] rad"]
 
 
 def _doubts(result: TrainingResult) -> list[str]:
@@ -214,51 +212,8 @@ def _doubts(result: TrainingResult) -> list[str]:
         return []
     return [
         f"{', '.join(bad)}: over {100 * _DOUBTFUL:.0f} % off; collect longer or in a wider box, "
-        "and see that one robot and one detector alone were publishing"
+        "with one robot and one detector publishing"
     ]
-
-
-class _Bar:
-    """A progress bar, seldom redrawn off a terminal; ends the training when time is over."""
-
-    def __init__(self, max_seconds: float | None, quiet: bool) -> None:
-        self._max_seconds = max_seconds
-        self._quiet = quiet
-        self._started_s = time.monotonic()
-        self._bar: Any = None
-        self.out_of_time = False
-
-    def __enter__(self) -> _Bar:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._bar is not None:
-            self._bar.close()
-
-    def report(self, progress: TrainingProgress) -> bool:
-        """Show the progress; True when the time is over."""
-        if not self._quiet:
-            self._show(progress)
-        if self._max_seconds is not None:
-            self.out_of_time = time.monotonic() - self._started_s > self._max_seconds
-        return self.out_of_time
-
-    def _show(self, progress: TrainingProgress) -> None:
-        if self._bar is None:
-            try:
-                from tqdm import tqdm
-            except ImportError:
-                self._quiet = True
-                return
-            self._bar = tqdm(
-                total=progress.iterations,
-                desc="training",
-                unit="it",
-                leave=False,
-                mininterval=0.2 if sys.stderr.isatty() else 10.0,
-            )
-        self._bar.update(progress.iteration - self._bar.n)
-        self._bar.set_postfix_str(f"error {100.0 * progress.validation_error:.2f} %")
 
 
 if __name__ == "__main__":

@@ -58,7 +58,7 @@ def test_a_chain_teaches_the_networks(tmp_path, capsys):
     assert "looking for the axes" in captured.err
     for words in (
         "Jacobian of the chain, in the box of the data: 0.",
-        "six networks taught by it",
+        "networks taught by it",
         "images stamped late: ",
         "note: the images show the joints of 50 ms before their stamps",
         "model written",
