@@ -9,8 +9,12 @@ from pathlib import Path
 PACKAGE = "fvs_ros"
 #: Like ``python -m``, but never imports what lies in the working directory (the empty name).
 _RUN = (
-    "import sys; sys.path[:] = filter(None, sys.path); import runpy; "
+    "import sys; sys.path[:] = filter(None, sys.path); {first}import runpy; "
     "runpy.run_module({module!r}, run_name='__main__', alter_sys=True)"
+)
+#: Has the kernel (Linux) send SIGTERM when the parent has died: PR_SET_PDEATHSIG is 1.
+_DIE_WITH_PARENT = (
+    "import ctypes, os; ctypes.CDLL(None).prctl(1, 15); os.getppid() == {parent} or sys.exit(1); "
 )
 
 
@@ -56,6 +60,15 @@ def find_file(name: str, folder: str = "config") -> Path:
     raise FileNotFoundError(f"no file {name}; looked in {', '.join(str(p) for p in places)}")
 
 
-def program(module: str) -> list[str]:
-    """Command that runs a module as a program, in this Python."""
-    return [sys.executable, "-c", _RUN.format(module=module)]
+def program(module: str, dies_with_parent: bool = False) -> list[str]:
+    """Command that runs a module as a program, in this Python.
+
+    Parameters
+    ----------
+    module : str
+        Its name.
+    dies_with_parent : bool
+        Whether it gets SIGTERM when this process ends, even if that was killed.
+    """
+    first = _DIE_WITH_PARENT.format(parent=os.getpid()) if dies_with_parent else ""
+    return [sys.executable, "-c", _RUN.format(module=module, first=first)]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,7 +28,6 @@ from rosbags.rosbag2 import (
     Writer,
     WriterError,
 )
-from rosbags.rosbag2.storage_mcap import McapWriter
 from rosbags.typesys import Stores, get_typestore
 
 #: Of rosbag2's format, as ROS 2 Jazzy writes it.
@@ -36,9 +36,11 @@ _VERSION: Final = 9
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 #: Holds the notes until ``metadata.yaml`` does: a recorder that is killed leaves it.
 NOTES: Final = "notes.yaml"
-#: So much of the recording, by its own time, waits in memory at most, ns: a recorder that is killed
-#: loses it.
+#: A recorder that is killed loses this much of the recording's own time, ns.
 _CHUNK_NS: Final = 10**9
+#: Messages that wait for a first /clock take this much memory at most, bytes.
+_HELD_BYTES: Final = 64 * 2**20
+_CLOCK: Final = "rosgraph_msgs/msg/Clock"
 #: What writing into a bag may raise.
 ERRORS: Final = (OSError, WriterError)
 
@@ -67,6 +69,56 @@ def to_bag_qos(profile: Any) -> Qos:
     )
 
 
+@dataclass(frozen=True)
+class Message:
+    """One message as it came.
+
+    Parameters
+    ----------
+    topic, message_type : str
+        Its topic's full name, and type.
+    stamp_ns : int
+        When it arrived, ns.
+    data : bytes
+        As it was on the wire (CDR).
+    """
+
+    topic: str
+    message_type: str
+    stamp_ns: int
+    data: bytes
+
+
+class SimulatedTime:
+    """Gives messages the simulated time of their arrival, by the ``/clock`` messages among them.
+
+    Messages from before the first ``/clock`` wait for it and get its time. Where none comes, all
+    keep the system's time.
+    """
+
+    def __init__(self) -> None:
+        self._now_ns: int | None = None
+        self._held: list[Message] = []
+        self._held_bytes = 0
+
+    def stamped(self, message: Message) -> list[Message]:
+        """Messages whose time is known now; to be called in the order of arrival."""
+        if message.message_type == _CLOCK:
+            clock: Any = TYPES.deserialize_cdr(message.data, _CLOCK)
+            self._now_ns = clock.clock.sec * 10**9 + clock.clock.nanosec
+        self._held.append(message)
+        self._held_bytes += len(message.data)
+        waits = self._now_ns is None and self._held_bytes <= _HELD_BYTES
+        return [] if waits else self.rest()
+
+    def rest(self) -> list[Message]:
+        """What still waits, at the end, or because too much does."""
+        released, self._held = self._held, []
+        if self._now_ns is None:
+            return released
+        return [Message(m.topic, m.message_type, self._now_ns, m.data) for m in released]
+
+
 class Bag:
     """Writes one bag; a topic is in it from its first message on.
 
@@ -75,7 +127,12 @@ class Bag:
     folder : Path
         Made here.
     notes : mapping of str to str
-        What travels beside the messages.
+        What travels beside the messages, as ``custom_data``.
+
+    Attributes
+    ----------
+    counts : dict of str to int
+        Messages by topic.
 
     Raises
     ------
@@ -94,60 +151,53 @@ class Bag:
         self._notes.write_text(yaml.safe_dump(dict(notes)), encoding="utf-8")
         self._connections: dict[str, Any] = {}
         self._chunk_ns: int | None = None
-        #: Messages by topic.
         self.counts: dict[str, int] = {}
 
-    def write(
-        self, topic: str, message_type: str, profiles: Iterable[Any], stamp_ns: int, data: bytes
-    ) -> None:
+    def write(self, message: Message, profiles: Iterable[Any] = ()) -> None:
         """Append a message.
 
         Parameters
         ----------
-        topic, message_type : str
-            Its topic and type.
+        message : Message
+            To be written.
         profiles : iterable of QoSProfile
             What the topic's publishers offer; looked at with the first message.
-        stamp_ns : int
-            Time of its arrival, ns.
-        data : bytes
-            The message, serialised (CDR).
 
         Raises
         ------
         OSError or WriterError
             If it cannot be written.
         """
-        connection = self._connections.get(topic)
-        if connection is None:
+        topic, stamp_ns = message.topic, message.stamp_ns
+        if topic not in self._connections:
             offered = dict.fromkeys(map(to_bag_qos, profiles))  # each kind once
-            connection = self._writer.add_connection(
-                topic, message_type, typestore=TYPES, offered_qos_profiles=list(offered)
+            self._connections[topic] = self._writer.add_connection(
+                topic, message.message_type, typestore=TYPES, offered_qos_profiles=list(offered)
             )
-            self._connections[topic] = connection
             self.counts[topic] = 0
-        self._writer.write(connection, stamp_ns, data)
+        self._writer.write(self._connections[topic], stamp_ns, message.data)
         self.counts[topic] += 1
         if self._chunk_ns is None:
             self._chunk_ns = stamp_ns
         elif abs(stamp_ns - self._chunk_ns) > _CHUNK_NS:
             self._chunk_ns = stamp_ns
-            self._hand_over()
-
-    def _hand_over(self) -> None:
-        """Give the system all that was written until now."""
-        storage = self._writer.storage
-        if isinstance(storage, McapWriter):
+            storage: Any = self._writer.storage
             if storage.chunk.msgs:
                 storage.close_chunk()
             storage.bio.flush()
 
     def close(self) -> None:
-        """Finish the file and write ``metadata.yaml``; one of ``ERRORS`` if that fails."""
-        self._writer.close()
-        self._notes.unlink(missing_ok=True)
+        """Finish the file and write ``metadata.yaml``.
 
-    def abandon(self) -> None:
-        """Close after an error; what was written stays, without an index."""
-        with contextlib.suppress(*ERRORS):
-            self._writer.abort()
+        Raises
+        ------
+        OSError or WriterError
+            If that fails; what was written stays, without an index.
+        """
+        try:
+            self._writer.close()
+        except ERRORS:
+            with contextlib.suppress(*ERRORS):
+                self._writer.abort()
+            raise
+        self._notes.unlink(missing_ok=True)

@@ -8,7 +8,6 @@ stop.listen()
 
 import argparse
 import contextlib
-import ctypes
 import os
 import re
 import signal
@@ -18,17 +17,15 @@ import tempfile
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
 
 from fvs_ros import console
 from fvs_ros.arguments import Parser
 from fvs_ros.paths import program
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
-from fvs_tools import markers, recording
 from fvs_tools.scenario import (
     NODE_TABLE,
+    RECORDER,
     Scenario,
     ScenarioError,
     checked_remap,
@@ -41,40 +38,89 @@ from fvs_tools.schemes import BEYOND, SCHEMES
 _NAMESPACE = re.compile(r"([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", re.ASCII)
 _STOP_S = 5.0
 _POLL_S = 0.05
-_PR_SET_PDEATHSIG = 1
 #: The launcher's prefix names the node already.
 _LOG_FORMAT = "[{severity}] {message}"
 
 
-def _die_with_parent() -> None:
-    """Have the kernel end this child should the launcher itself be killed (Linux)."""
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-
-
-@dataclass
 class _Process:
-    """One running node."""
+    """One running node.
 
-    name: str
-    popen: subprocess.Popen
-    reader: threading.Thread
-    stopped: bool = False
+    Parameters
+    ----------
+    name : str
+        Its name in the table of nodes.
+    arguments : list of str
+        ROS arguments.
+    params : int
+        Descriptor of the parameter file, which it inherits.
+    terminal : tuple of int
+        Descriptors of this program's own output and error.
+    """
 
-    def stop(self) -> None:
-        """Ask it to end."""
+    def __init__(
+        self, name: str, arguments: list[str], params: int, terminal: tuple[int, int]
+    ) -> None:
+        self.name, self.entry = name, NODE_TABLE[name]
+        self._asked = False
+        # A task speaks to the user itself (tables, a progress bar); others are prefixed.
+        out, err = terminal if self.entry.task else (subprocess.PIPE, subprocess.STDOUT)
+        self.popen = subprocess.Popen(
+            [*program(self.entry.module, dies_with_parent=True), *arguments],
+            pass_fds=[params],
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=err,
+            env={
+                "RCUTILS_CONSOLE_OUTPUT_FORMAT": _LOG_FORMAT,
+                **os.environ,
+                "PYTHONUNBUFFERED": "1",
+                "PYTHONSAFEPATH": "1",  # for what the nodes start, from Python 3.11 on
+            },
+            # Ctrl-C reaches the launcher alone, which stops the nodes in the right order.
+            start_new_session=True,
+        )
+        self._reader = threading.Thread(target=self._forward, daemon=True)
+        self._reader.start()
+
+    def _forward(self) -> None:
+        for line in self.popen.stdout or ():
+            _print(f"[{self.name}] {line.decode('utf-8', 'replace').rstrip()}")
+
+    @property
+    def turn(self) -> int:
+        """When it is stopped: 0 first, 2 last."""
+        return 0 if self.entry.commands_arm else 2 if self.entry.observer else 1
+
+    def ask_to_end(self) -> None:
+        """Send SIGTERM, if it still runs."""
         if self.popen.poll() is None:
-            self.stopped = True
+            self._asked = True
             self.popen.terminate()
+
+    def await_end(self, deadline_s: float) -> None:
+        """Wait for its end and its last words; kill it at a moment of the steady clock."""
+        try:
+            self.popen.wait(max(0.0, deadline_s - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            _say(f"{self.name} did not stop within {_STOP_S:g} s: killed")
+            self.popen.kill()
+            self.popen.wait()
+        self._reader.join(_STOP_S)
 
     def ended_well(self) -> bool:
         """Whether it ended by itself with 0, or as asked (before its handlers stood, by signal)."""
         code = self.popen.returncode
-        return code == 0 or (self.stopped and code == -signal.SIGTERM)
+        return code == 0 or (self._asked and code == -signal.SIGTERM)
+
+    def end_text(self) -> str:
+        """Its name, and how it ended."""
+        code = self.popen.returncode
+        how = f"exit code {code}" if code >= 0 else f"signal {stop.name_of(-code)}"
+        return f"{self.name} ended with {how}"
 
 
-class Launcher:
-    """Runs the processes of one scenario.
+def launch(scenario: Scenario, namespace: str = "", remaps: Sequence[str] = ()) -> int:
+    """Start all nodes, wait for the first end or a signal, stop all.
 
     Parameters
     ----------
@@ -84,176 +130,111 @@ class Launcher:
         ROS namespace of all nodes, or empty.
     remaps : sequence of str
         Rules ``from:=to`` for all nodes.
+
+    Returns
+    -------
+    int
+        0 when ended by a signal or a task that succeeded; else the exit code of the node
+        that ended it.
     """
-
-    def __init__(self, scenario: Scenario, namespace: str = "", remaps: Sequence[str] = ()) -> None:
-        self._scenario = scenario
-        self._remaps = tuple(remaps)
-        self._namespace = namespace.strip("/")
-        self._processes: list[_Process] = []
-        self._print_lock = threading.Lock()
-        self._task_output: tuple[int | None, int | None] = (None, None)
-
-    def run(self) -> int:
-        """Start all, wait for the first end or a signal, stop all.
-
-        Returns
-        -------
-        int
-            0 when ended by a signal or a task that succeeded; else the exit code of the node
-            that ended it.
-        """
-        with (
-            # It has no name: whatever ends this program, nothing of it is left.
-            tempfile.TemporaryFile("w+", encoding="utf-8") as params,
-            console.never_blocking() as self._task_output,
-        ):
-            params.write(self._scenario.to_params_yaml())
-            params.flush()
-            try:
-                for name in self._scenario.nodes:
-                    if stop.RECEIVED:
-                        break
-                    self._start(name, params.fileno())
-                    if name == recording.NODE and not self._await_recorder():
-                        return self._end_unrecorded()
-                for process in self._processes:
-                    process.reader.start()
-                self._say(f"started {', '.join(p.name for p in self._processes)}")
-                first = self._wait()
-                return self._end(first)
-            finally:
-                self._stop_all()
-
-    def _start(self, name: str, params: int) -> None:
-        entry = NODE_TABLE[name]
-        command = [*program(entry.module), "--ros-args", "--params-file", f"/dev/fd/{params}"]
-        if self._namespace:
-            command += ["-r", f"__ns:=/{self._namespace}"]
-        for rule in self._remaps:
-            command += ["-r", rule]
-        command += enclave_arguments(name, self._namespace, os.environ)
-        popen = subprocess.Popen(
-            command,
-            pass_fds=[params],
-            stdin=subprocess.DEVNULL,
-            # A task speaks to the user itself (tables, a progress bar); others are prefixed.
-            stdout=self._task_output[0] if entry.task else subprocess.PIPE,
-            stderr=self._task_output[1] if entry.task else subprocess.STDOUT,
-            env={
-                "RCUTILS_CONSOLE_OUTPUT_FORMAT": _LOG_FORMAT,
-                **os.environ,
-                "PYTHONUNBUFFERED": "1",
-                "PYTHONSAFEPATH": "1",  # for what the nodes start, from Python 3.11 on
-            },
-            # Ctrl-C reaches the launcher alone, which stops the nodes in the right order.
-            start_new_session=True,
-            # The console's threads alone run yet, and they hold no lock across the fork.
-            preexec_fn=_die_with_parent,  # noqa: PLW1509
-        )
-        reader = threading.Thread(target=self._forward, args=(name, popen.stdout), daemon=True)
-        self._processes.append(_Process(name, popen, reader))
-
-    def _await_recorder(self) -> bool:
-        """Have the recorder listen before the others speak; its folder tells that it does.
-
-        Returns
-        -------
-        bool
-            False if it has ended without one.
-        """
-        folder = Path(self._scenario.parameters[recording.NODE]["output_dir"]).expanduser()
-        process = self._processes[-1].popen
-        end_s = time.monotonic() + _STOP_S
-        while not (stop.RECEIVED or folder.exists()) and time.monotonic() < end_s:
-            if process.poll() is not None:
-                return folder.exists()  # what stopped it later is no reason not to start
-            time.sleep(_POLL_S)
-        return True
-
-    def _end_unrecorded(self) -> int:
-        """Pass on what the recorder said, stop what runs, and tell that nothing is recorded."""
-        for process in self._processes:
-            process.reader.start()
-        self._stop_all()
-        code = self._processes[-1].popen.returncode
-        self._say(f"{recording.NODE} ended with {_code_text(code)}: not started without it")
-        return code if code > 0 else EXIT_FAILURE
-
-    def _forward(self, name: str, stream: IO[bytes] | None) -> None:
-        for line in stream or ():
-            self._print(f"[{name}] {line.decode('utf-8', 'replace').rstrip()}")
-
-    def _wait(self) -> _Process | None:
-        gone: set[str] = set()
-        while not stop.RECEIVED:
-            for process in self._processes:
-                code = process.popen.poll()
-                if code is None or process.name in gone:
-                    continue
-                # An observer that refuses its parameters was wanted and will never be there.
-                if not NODE_TABLE[process.name].observer or code == EXIT_BAD_INPUT:
-                    return process
-                gone.add(process.name)
-                self._say(f"{process.name} ended with {_code_text(code)}: the others go on")
-            time.sleep(_POLL_S)
-        return None
-
-    def _end(self, first: _Process | None) -> int:
-        if first is None:
-            self._say(f"{stop.name_of(stop.RECEIVED[0])}: stopping")
-        elif first.name != self._scenario.task or first.popen.returncode != 0:
-            self._say(
-                f"{first.name} ended with {_code_text(first.popen.returncode)}: stopping the rest"
-            )
-        self._stop_all()
-        bad = [p for p in self._processes if not p.ended_well()]
-        for process in bad:
-            if process is not first:
-                self._say(f"{process.name} ended with {_code_text(process.popen.returncode)}")
-        if first is None:
-            return EXIT_FAILURE if bad else EXIT_OK
-        if first.name == self._scenario.task and first.popen.returncode == 0:
-            return EXIT_FAILURE if bad else EXIT_OK
-        return first.popen.returncode if first.popen.returncode > 0 else EXIT_FAILURE
-
-    def _stop_all(self) -> None:
-        """Stop the nodes that command the arm first, and those that look on last.
-
-        The last zeros need a listener, and belong into a recording.
-        """
-        for turn in range(3):
-            group = [p for p in self._processes if _turn(p.name) == turn]
-            for process in group:
-                process.stop()
-            deadline_s = time.monotonic() + _STOP_S
-            for process in group:
-                try:
-                    process.popen.wait(max(0.0, deadline_s - time.monotonic()))
-                except subprocess.TimeoutExpired:
-                    self._say(f"{process.name} did not stop within {_STOP_S:g} s: killed")
-                    process.popen.kill()
-                    process.popen.wait()
-                if process.reader.ident is not None:
-                    process.reader.join(_STOP_S)
-
-    def _say(self, text: str) -> None:
-        self._print(f"[fvs_launch] {text}")
-
-    def _print(self, line: str) -> None:
-        """Print a line; without a reader the nodes are watched and drained all the same."""
-        with self._print_lock, contextlib.suppress(OSError, ValueError):
-            print(line, flush=True)
+    processes: list[_Process] = []
+    with (
+        # It has no name: whatever ends this program, nothing of it is left.
+        tempfile.TemporaryFile("w+", encoding="utf-8") as params,
+        console.never_blocking() as terminal,
+    ):
+        params.write(scenario.to_params_yaml())
+        params.flush()
+        first = None
+        try:
+            for name in scenario.nodes:
+                if stop.RECEIVED or first is not None:
+                    break
+                arguments = ["--ros-args", "--params-file", f"/dev/fd/{params.fileno()}"]
+                if namespace.strip("/"):
+                    arguments += ["-r", f"__ns:=/{namespace.strip('/')}"]
+                arguments += [word for rule in remaps for word in ("-r", rule)]
+                arguments += enclave_arguments(name, namespace, os.environ)
+                processes.append(_Process(name, arguments, params.fileno(), terminal))
+                if name == RECORDER:
+                    first = _await_bag(processes[-1], scenario)
+            if first is None:
+                _say(f"started {', '.join(one.name for one in processes)}")
+                first = _first_end(processes)
+        finally:
+            code = _stop_all(processes, first)
+    return code
 
 
-def _turn(name: str) -> int:
-    """When a node is stopped: 0 first, 2 last."""
-    entry = NODE_TABLE[name]
-    return 0 if entry.commands_arm else 2 if entry.observer else 1
+def _await_bag(recorder: _Process, scenario: Scenario) -> _Process | None:
+    """Have the recorder listen before the others speak; return it if it ended without a bag."""
+    folder = Path(scenario.parameters[RECORDER]["bag_dir"]).expanduser()
+    end_s = time.monotonic() + _STOP_S
+    while not (stop.RECEIVED or folder.exists()) and time.monotonic() < end_s:
+        if recorder.popen.poll() is not None:
+            return recorder
+        time.sleep(_POLL_S)
+    return None
 
 
-def _code_text(code: int) -> str:
-    return f"exit code {code}" if code >= 0 else f"signal {stop.name_of(-code)}"
+def _first_end(processes: Sequence[_Process]) -> _Process | None:
+    """Wait for the end of a node that is needed; None at a signal."""
+    running = list(processes)
+    while not stop.RECEIVED:
+        for process in running[:]:
+            code = process.popen.poll()
+            # An observer that refuses its parameters was wanted and will never be there.
+            if code is not None and (not process.entry.observer or code == EXIT_BAD_INPUT):
+                return process
+            if code is not None:
+                running.remove(process)
+                _say(f"{process.end_text()}: the others go on")
+        time.sleep(_POLL_S)
+    return None
+
+
+def _stop_all(processes: Sequence[_Process], first: _Process | None) -> int:
+    """Stop the nodes that command the arm first, and those that look on last.
+
+    The last zeros need a listener, and belong into a recording.
+
+    Returns
+    -------
+    int
+        The launcher's exit code, where ``first`` ended the scenario.
+    """
+    done = first is not None and first.entry.task and first.popen.returncode == 0
+    if first is not None and not done:
+        _say(f"{first.end_text()}: stopping the rest")
+    elif stop.RECEIVED:
+        _say(f"{stop.name_of(stop.RECEIVED[0])}: stopping")
+    for turn in range(3):
+        group = [one for one in processes if one.turn == turn]
+        for process in group:
+            process.ask_to_end()
+        deadline_s = time.monotonic() + _STOP_S
+        for process in group:
+            process.await_end(deadline_s)
+    bad = [one for one in processes if not one.ended_well()]
+    for process in bad:
+        if process is not first:
+            _say(process.end_text())
+    if first is None or done:
+        return EXIT_FAILURE if bad else EXIT_OK
+    return max(first.popen.returncode, EXIT_FAILURE)
+
+
+_print_lock = threading.Lock()
+
+
+def _print(line: str) -> None:
+    """Print a line; without a reader the nodes are watched and drained all the same."""
+    with _print_lock, contextlib.suppress(OSError, ValueError):
+        print(line, flush=True)
+
+
+def _say(text: str) -> None:
+    _print(f"[fvs_launch] {text}")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -294,47 +275,32 @@ def _parser() -> argparse.ArgumentParser:
         "--record",
         default="",
         metavar="DIR",
-        help="record all topics, and markers to look at, into a bag there, which must not exist "
-        "yet; docs/recording.md",
+        help="record all topics, and markers to look at, into a new bag; docs/recording.md",
     )
     parser.add_argument(
         "--record-without-images",
         dest="images",
         action="store_false",
-        help="with --record: leave the images out, which are most of a bag, and which a simulator "
-        "would have to draw",
+        help="with --record: leave out the images, which are most of a bag",
     )
     return parser
-
-
-def _recorded(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
-    """The scenario with its overrides, and with a recorder if one is wanted."""
-    # A parameter without a node is not meant for what is added: `output_dir` is the demo's.
-    added = tuple(f"{name}:" for name in (recording.NODE, markers.NODE))
-    own = [text for text in arguments.param if text.startswith(added)]
-    scenario = scenario.with_overrides([text for text in arguments.param if text not in own])
-    if arguments.record:
-        scenario = scenario.with_recording(arguments.record, arguments.images)
-    return scenario.with_overrides(own)
 
 
 @console.reader_may_leave()
 def main(argv: list[str] | None = None) -> int:
     """Run ``fvs_launch``; the exit code says how it went."""
-    arguments = _parser().parse_args(argv)
+    given = _parser().parse_args(argv)
     try:
-        if not arguments.images and not arguments.record:
+        if not given.images and not given.record:
             raise ScenarioError("--record-without-images needs --record")
-        scenario = load_scenario(arguments.scenario)
-        if arguments.scheme:
-            scenario = scenario.with_scheme(arguments.scheme)
-        scenario = _recorded(scenario, arguments)
-        scenario.check_models()
-        remaps = [checked_remap(text) for text in arguments.remap]
-        if not _NAMESPACE.fullmatch(arguments.namespace.strip("/")):
+        scenario = load_scenario(
+            given.scenario, given.param, given.scheme, given.record, given.images
+        )
+        remaps = [checked_remap(text) for text in given.remap]
+        if not _NAMESPACE.fullmatch(given.namespace.strip("/")):
             raise ScenarioError(
                 f"--namespace must be names of letters, digits and _ with / between, "
-                f"got '{arguments.namespace}'"
+                f"got '{given.namespace}'"
             )
     except ScenarioError as error:
         print(f"fvs_launch: {error}", file=sys.stderr)
@@ -342,7 +308,7 @@ def main(argv: list[str] | None = None) -> int:
     if "fvs_sim_node" in scenario.nodes:
         # A simulated arm must not hear, or be heard by, the robots of a laboratory network.
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    return Launcher(scenario, arguments.namespace, remaps).run()
+    return launch(scenario, given.namespace, remaps)
 
 
 if __name__ == "__main__":

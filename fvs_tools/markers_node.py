@@ -7,8 +7,11 @@ from fvs_ros import stop
 stop.listen()
 
 import sys
+from collections import deque
+from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point, PointStamped, PoseStamped, TransformStamped
 from rclpy.duration import Duration
@@ -16,47 +19,64 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from fvs_ros import ros, topics
+from fvs_ros.status import number, vector
 from fvs_tools import markers
-from fvs_tools.markers import Scene, Shape
+from fvs_tools.markers import MarkersConfig
 
-_KINDS = {"sphere": Marker.SPHERE, "text": Marker.TEXT_VIEW_FACING, "line": Marker.LINE_STRIP}
+_PERIOD_S = 0.1
 _STATUS_S = 0.5
+_TRAIL_S = 10.0
+#: What was not heard again for this time is not shown any more, s.
+_FRESH_S = 0.5
+_LINE_M, _TEXT_M = 0.006, 0.035
+#: Red, green, blue, opacity: the target must not hide the ball.
+_BALL, _TRAIL, _TARGET, _PREDICTED, _TEXT = (
+    ColorRGBA(r=red, g=green, b=blue, a=opacity)
+    for red, green, blue, opacity in (
+        (0.85, 0.1, 0.1, 1.0),
+        (0.95, 0.75, 0.1, 0.9),
+        (0.2, 0.75, 0.35, 0.4),
+        (0.1, 0.45, 0.7, 0.9),
+        (1.0, 1.0, 1.0, 1.0),
+    )
+)
 
 
 class MarkersNode(ros.FvsNode):
-    """Shows the loop; draws only while somebody looks."""
+    """Shows the loop in the camera's optical frame; draws only while a viewer subscribes."""
 
     def __init__(self) -> None:
-        super().__init__(markers.NODE, markers.PARAMETERS)
-        v = self.values
-        self._frame = v["feature_frame"]
-        self._scene = Scene(v["ball_radius_m"], v["trail_s"])
-        self._lifetime = Duration(seconds=markers.lifetime_s(v["rate_hz"])).to_msg()
+        super().__init__("fvs_markers_node", markers.PARAMETERS)
+        self._config = MarkersConfig.from_values(self.values)
+        self._trail: deque[tuple[float, Point]] = deque()
+        self._heard: Mapping[str, str] = {}
+        self._heard_s = float("-inf")
         self._markers = self.create_publisher(MarkerArray, topics.MARKERS.name, ros.QOS_RELIABLE)
         self._transforms: Any = None
         self.watch(PointStamped, topics.BALL_POSITION.name, self._on_ball, ros.QOS_NEWEST)
         self.watch(DiagnosticStatus, topics.CONTROLLER_STATUS.name, self._on_status, ros.QOS_NEWEST)
         self.watch(PoseStamped, topics.TRUE_CAMERA_POSE.name, self._on_camera_pose, ros.QOS_LATCHED)
-        self.create_timer(1.0 / v["rate_hz"], self._show, clock=self.steady_clock)
+        self.create_timer(_PERIOD_S, self._show, clock=self.steady_clock)
         self.create_timer(_STATUS_S, self._publish_state, clock=self.steady_clock)
 
     # --- inputs ---
 
     def _on_ball(self, message: PointStamped) -> None:
-        position_m = ros.from_point(message, self._frame, topics.BALL_POSITION.name)
-        self._scene.add_ball(self.steady_s(), position_m)
+        ros.from_point(message, self._config.feature_frame, topics.BALL_POSITION.name)  # may raise
+        self._trail.append((self.steady_s(), message.point))
+        self._forget()
 
     def _on_status(self, message: DiagnosticStatus) -> None:
-        self._scene.add_status(self.steady_s(), ros.from_status(message))
+        self._heard, self._heard_s = ros.from_status(message), self.steady_s()
 
     def _on_camera_pose(self, message: PoseStamped) -> None:
-        """Tell where the camera stands, so that a viewer draws robot and ball in one picture."""
+        """Publish where the camera stands, so that a viewer draws robot and ball together."""
         try:
             from tf2_msgs.msg import TFMessage
         except ImportError:
             self.tell(
                 ros.OK,
-                "tf2_msgs is not installed: where the camera stands is not told on /tf_static; "
+                "tf2_msgs is not installed: no camera on /tf_static; "
                 "choose the camera's frame as the viewer's fixed frame (a recording has it)",
             )
             return
@@ -65,49 +85,84 @@ class MarkersNode(ros.FvsNode):
             self._transforms = self.create_publisher(
                 TFMessage, topics.TF_STATIC.name, ros.QOS_LATCHED
             )
-        transform = TransformStamped(header=message.header, child_frame_id=self._frame)
-        at = message.pose.position
-        to = transform.transform.translation
+        transform = TransformStamped(
+            header=message.header, child_frame_id=self._config.feature_frame
+        )
+        at, to = message.pose.position, transform.transform.translation
         to.x, to.y, to.z = at.x, at.y, at.z
         transform.transform.rotation = message.pose.orientation
         self._transforms.publish(TFMessage(transforms=[transform]))
 
     # --- output ---
 
-    def _show(self) -> None:
-        if not self._markers.get_subscription_count():
-            return
-        shapes = self._scene.shapes(self.steady_s())
-        stamp = ros.to_stamp(self.ros_s())
-        self._markers.publish(MarkerArray(markers=[self._marker(one, stamp) for one in shapes]))
+    def _forget(self) -> None:
+        while self._trail and self.steady_s() - self._trail[0][0] > _TRAIL_S:
+            self._trail.popleft()
 
-    def _marker(self, shape: Shape, stamp: Any) -> Marker:
-        marker = Marker(ns=shape.name, type=_KINDS[shape.kind], action=Marker.ADD, text=shape.text)
-        marker.header.stamp, marker.header.frame_id = stamp, self._frame
+    def _show(self) -> None:
+        if self._markers.get_subscription_count():
+            self._markers.publish(MarkerArray(markers=self.shown()))
+
+    def shown(self) -> list[Marker]:
+        """The markers of this moment."""
+        self._forget()
+        now_s, size_m = self.steady_s(), 2.0 * self._config.ball_radius_m
+        found = []
+        if self._trail and now_s - self._trail[-1][0] < _FRESH_S:
+            found.append(self._marker("ball", Marker.SPHERE, size_m, _BALL, self._trail[-1][1]))
+        if len(self._trail) > 1:
+            points = [point for _, point in self._trail]
+            found.append(self._marker("trail", Marker.LINE_STRIP, _LINE_M, _TRAIL, *points))
+        if now_s - self._heard_s >= _FRESH_S:
+            return found
+        target_m, predicted_m = (
+            vector(self._heard, f"{name}_{{}}_m") for name in ("target", "position")
+        )
+        if target_m is not None:
+            above_m = target_m - [0.0, 0.75 * size_m + _TEXT_M, 0.0]  # y points down
+            text = self._marker(
+                "distance", Marker.TEXT_VIEW_FACING, _TEXT_M, _TEXT, _point(above_m)
+            )
+            text.text = self._distance_text()
+            target = self._marker("target", Marker.SPHERE, size_m, _TARGET, _point(target_m))
+            found += [target, text]
+        if predicted_m is not None:
+            at = _point(predicted_m)
+            found.append(self._marker("predicted", Marker.SPHERE, 0.4 * size_m, _PREDICTED, at))
+        return found
+
+    def _distance_text(self) -> str:
+        error_m = number(self._heard, "error_m")
+        distance = f"{1e3 * error_m:.1f} mm" if np.isfinite(error_m) else "no ball"
+        state = self._heard.get("state", "")
+        return distance if state in ("", "SERVOING") else f"{distance}, {state.lower()}"
+
+    def _marker(
+        self, name: str, kind: int, size_m: float, colour: ColorRGBA, *points: Point
+    ) -> Marker:
+        marker = Marker(ns=name, type=kind, action=Marker.ADD, color=colour)
+        marker.header.stamp = ros.to_stamp(self.ros_s())
+        marker.header.frame_id = self._config.feature_frame
         marker.pose.orientation.w = 1.0
-        marker.lifetime = self._lifetime
-        size = float(shape.size_m)
-        if shape.kind == "line":
-            marker.scale.x = size
-            marker.points = [_point(one) for one in shape.points_m]
+        marker.lifetime = Duration(seconds=_FRESH_S).to_msg()
+        if kind == Marker.LINE_STRIP:
+            marker.points = list(points)
         else:
-            marker.pose.position = _point(shape.points_m[0])
-            marker.scale.x = marker.scale.y = marker.scale.z = size
-        red, green, blue, opacity = shape.colour
-        marker.color = ColorRGBA(r=red, g=green, b=blue, a=opacity)
+            marker.pose.position = points[0]
+        marker.scale.x = marker.scale.y = marker.scale.z = float(size_m)
         return marker
 
     def _publish_state(self) -> None:
-        watched = self._markers.get_subscription_count()
+        viewers = self._markers.get_subscription_count()
         self.publish_status(
             ros.OK,
-            "SHOWING" if watched else "IDLE",
-            f"markers for {watched} viewers" if watched else "nobody looks: no markers are sent",
-            {"viewers": watched},
+            "SHOWING" if viewers else "IDLE",
+            f"markers for {viewers} viewers" if viewers else "no viewer: no markers are sent",
+            {"viewers": viewers},
         )
 
 
-def _point(position_m: Any) -> Point:
+def _point(position_m: np.ndarray) -> Point:
     x, y, z = (float(value) for value in position_m)
     return Point(x=x, y=y, z=z)
 

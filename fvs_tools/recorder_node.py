@@ -10,60 +10,83 @@ import importlib
 import shutil
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import yaml
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from fvs_ros import ros, topics
-from fvs_ros.topics import INTERFACES, Qos, resolve
 from fvs_ros.version import version
-from fvs_tools import recording, transforms
-from fvs_tools.recording import Doubles, Message, Request, SimulatedTime
+from fvs_tools import recording
+from fvs_tools.recording import LARGE, RecorderConfig
 
 _LOOK_S = 0.2
-#: Messages wait in their queues, with the time at which they came, and are fetched this often:
-#: far cheaper than to be woken by each.
+#: Fetching messages from their queues now and then costs far less than being woken by each.
 _FETCH_S = 0.05
 _STATUS_S = 0.5
-#: So long it goes on when it is stopped: a controller that is stopped together with it still sends
-#: its last zeros.
-_LAST_WORDS_S = 0.5
-_MB = 1e6
+#: A controller that is stopped together with the recorder still sends its last zeros.
+_LAST_MESSAGES_S = 0.5
+#: The recording ends, complete, when its disk has less space left, MB.
+_LEAST_FREE_MB = 200
+#: Messages of a topic that may wait in its queue, and how many of a large one.
+_DEPTH, _DEPTH_LARGE = 4000, 60
+
+
+@dataclass
+class _Topic:
+    """A topic that is recorded.
+
+    Each kind of publisher (reliable, latched) has a subscription of its own, as one that asks for
+    less than is offered loses messages, and one that asks for more hears nothing.
+    """
+
+    type: str
+    subscriptions: dict[tuple[Any, Any], Subscription] = field(default_factory=dict)
+    #: Newest messages, to know those that came twice, over two subscriptions.
+    recent: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=1000))
+
+    def came_before(self, sent_ns: int, data: bytes) -> bool:
+        if len(self.subscriptions) < 2:
+            return False
+        key = (sent_ns, hash(data))
+        known = key in self.recent
+        self.recent.append(key)
+        return known
 
 
 class RecorderNode(ros.FvsNode):
     """Looks for topics, fetches their messages, writes them."""
 
     def __init__(self) -> None:
-        super().__init__(recording.NODE, recording.PARAMETERS)
-        self._folder = Path(self.values["output_dir"]).expanduser()
-        recording.check_folder(self._folder)
-        recording.check_installed()
-        from fvs_tools.bag import ERRORS, Bag, knows
-        from fvs_tools.viewing import Viewing
+        super().__init__("fvs_recorder_node", recording.PARAMETERS)
+        self._config = RecorderConfig.from_values(self.values)
+        self._folder = Path(self._config.bag_dir).expanduser()
+        recording.check(self._folder)
+        from fvs_tools import bag, viewing
 
-        self._known, self._bag_errors = knows, ERRORS
-        self._viewing = Viewing(
+        self._bags, self._tf = bag, viewing.TOPIC
+        self._viewing = viewing.Viewing(
             self.resolve_topic_name(topics.ROBOT_DESCRIPTION.name),
             self.resolve_topic_name(topics.JOINT_STATES.name),
             self.resolve_topic_name(topics.TRUE_CAMERA_POSE.name),
-            self.values["feature_frame"],
+            self._config.feature_frame,
         )
         self._group = ros.NeverReady()
-        self._heard: dict[str, dict[Request, Subscription]] = {}
-        self._types: dict[str, str] = {}
-        self._publishers_known: dict[str, int] = {}
-        self._doubles: dict[str, Doubles] = {}
-        self._left_out: set[str] = set()
+        self._topics: dict[str, _Topic] = {}
+        self._publisher_counts: dict[str, int] = {}
         simulated = self.get_parameter("use_sim_time").value
-        self._simulated_time = SimulatedTime() if simulated else None
-        self._broken = self._warned = False
-        names = self._expect()
-        # The last thing: a folder that is there tells who waits that everything is heard.
-        self._bag = Bag(self._folder, recording.notes(self.values["scenario"], version(), names))
+        self._simulated_time = bag.SimulatedTime() if simulated else None
+        remaps = self._expect()
+        notes = {"fvs_ros_version": version(), "scenario": self._config.scenario}
+        if remaps:
+            notes["remaps"] = yaml.safe_dump(remaps)
+        # The last thing: the launcher waits for the folder, and then everything is heard.
+        self._bag = bag.Bag(self._folder, notes)
         self.create_timer(_LOOK_S, self._look, clock=self.steady_clock)
         self.create_timer(_FETCH_S, self._fetch, clock=self.steady_clock)
         self.create_timer(_STATUS_S, self._publish_state, clock=self.steady_clock)
@@ -72,72 +95,67 @@ class RecorderNode(ros.FvsNode):
     # --- which topics ---
 
     def _expect(self) -> dict[str, str]:
-        """Subscribe to this package's topics before anybody publishes: no first message is lost.
+        """Subscribe to this package's topics before a node publishes: no first message is lost.
 
         Returns
         -------
         dict of str to str
-            Their full names as declared, and as they are here.
+            Those that were remapped: their full names as declared, and as they are here.
         """
-        names = {}
-        for node, interface in INTERFACES.items():
-            for end in interface.publishes:
-                topic = self.resolve_topic_name(end.topic.of(node).name)
-                names[resolve(end.topic.name, node, self.get_namespace())] = topic
-                if recording.is_recorded(topic, end.topic.type, self.values["images"]):
-                    offers = [
-                        Request(qos is not Qos.NEWEST, latched=qos is Qos.LATCHED)
-                        for qos in end.qos
-                    ]
-                    self._hear(topic, end.topic.type, offers)
-        return names
+        remaps = {}
+        for topic in topics.TOPICS:
+            for node, end in topic.publishers.items():
+                own = topic.name.replace("~", node, 1)
+                declared = topics.resolve(own, "", self.get_namespace())
+                name = self.resolve_topic_name(own)
+                if name != declared:
+                    remaps[declared] = name
+                if recording.is_recorded(name, topic.type, self._config.images):
+                    for qos in end.qos:
+                        self._hear(name, topic.type, ros.PROFILES[qos])
+        return remaps
 
     def _look(self) -> None:
         """Subscribe to what is new on the graph."""
         for topic, types in self.get_topic_names_and_types():
             publishers = self.count_publishers(topic)
-            if publishers == self._publishers_known.get(topic, 0) or topic in self._left_out:
+            if publishers == self._publisher_counts.get(topic, 0):
                 continue
-            self._publishers_known[topic] = publishers
+            self._publisher_counts[topic] = publishers
+            if not recording.is_recorded(topic, types[0], self._config.images):
+                continue
             if len(types) > 1:
-                self._leave_out(topic, f"it has several types ({', '.join(types)})")
-            elif not recording.is_recorded(topic, types[0], self.values["images"]):
-                self._left_out.add(topic)
-            elif not self._hear(topic, types[0], map(_request, self._profiles(topic))):
-                made = types[0] == transforms.TYPE
-                self._leave_out(
-                    topic,
-                    f"its type {types[0]} is not known here"
-                    + ("; the robot's links are computed from joint_states instead" * made),
-                )
+                self.tell(ros.WARN, f"{topic} is not recorded: it has several types {types}")
+            elif not all([self._hear(topic, types[0], qos) for qos in self._offers(topic)]):
+                self.tell(ros.WARN, f"{topic} is not recorded: its type {types[0]} is not known")
 
-    def _profiles(self, topic: str) -> list[QoSProfile]:
+    def _offers(self, topic: str) -> list[QoSProfile]:
         """What the topic's publishers offer."""
         return [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
 
-    def _hear(self, topic: str, message_type: str, offers: Iterable[Request]) -> bool:
-        """Subscribe to a topic; False where its type is not known."""
+    def _hear(self, topic: str, message_type: str, offer: QoSProfile) -> bool:
+        """Subscribe to a kind of publisher; False where the type of message is not known."""
         kind = _message_class(message_type)
-        if kind is None or not self._known(message_type):
+        if kind is None or not self._bags.knows(message_type):
             return False
-        self._types[topic] = message_type
-        heard = self._heard.setdefault(topic, {})
-        for request in recording.missing_requests(offers, heard):
-            heard[request] = self.create_subscription(
+        one = self._topics.setdefault(topic, _Topic(message_type))
+        reliable = offer.reliability == ReliabilityPolicy.RELIABLE
+        latched = offer.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        if (reliable, latched) not in one.subscriptions:
+            one.subscriptions[reliable, latched] = self.create_subscription(
                 kind,
                 topic,
                 lambda _message: None,  # fetched, never called
-                _qos(request, recording.queue_depth(message_type)),
+                QoSProfile(
+                    history=HistoryPolicy.KEEP_LAST,
+                    depth=_DEPTH_LARGE if message_type in LARGE else _DEPTH,
+                    reliability=offer.reliability,
+                    durability=offer.durability,
+                ),
                 callback_group=self._group,
                 raw=True,
             )
-        if len(heard) > 1:
-            self._doubles.setdefault(topic, Doubles())
         return True
-
-    def _leave_out(self, topic: str, why: str) -> None:
-        self._left_out.add(topic)
-        self.tell(ros.WARN, f"{topic} is not recorded: {why}")
 
     # --- their messages ---
 
@@ -145,70 +163,44 @@ class RecorderNode(ros.FvsNode):
         """Write all that has come, in the order in which it came."""
         if self.exit_code is not None:
             return
-        came = sorted(self._waiting(), key=lambda message: message.received_ns)
         try:
-            free_mb = shutil.disk_usage(self._folder).free / _MB
-            for message in came:
-                self._write(message)
-        except self._bag_errors as error:
-            self._break_off(error)
+            for message in sorted(self._waiting(), key=lambda one: one.stamp_ns):
+                simulated = self._simulated_time
+                for one in [message] if simulated is None else simulated.stamped(message):
+                    self._write(one)
+            free_mb = shutil.disk_usage(self._folder).free / 1e6
+        except self._bags.ERRORS as error:
+            self._give_up(str(getattr(error, "strerror", None) or error))
             return
-        least_mb = self.values["smallest_free_mb"]
-        if free_mb < least_mb:
-            self._give_up(
-                f"only {free_mb:.0f} MB are left on the disk (smallest_free_mb is "
-                f"{least_mb:.0f}); what was recorded until now is complete"
-            )
+        if free_mb < _LEAST_FREE_MB:
+            self._give_up(f"only {free_mb:.0f} MB are left on the disk")
 
-    def _waiting(self) -> Iterator[Message]:
-        for topic, subscriptions in self._heard.items():
-            doubles = self._doubles.get(topic)
-            for subscription in subscriptions.values():
+    def _waiting(self) -> Iterator[Any]:
+        for name, topic in self._topics.items():
+            for subscription in topic.subscriptions.values():
                 while True:
                     with subscription.handle:
                         taken = subscription.handle.take_message(subscription.msg_type, True)
                     if taken is None:
                         break
                     data, info = taken
-                    if doubles is not None and doubles.again(info["source_timestamp"], data):
-                        continue
-                    yield Message(topic, self._types[topic], info["received_timestamp"], data)
+                    if not topic.came_before(info["source_timestamp"], data):
+                        stamp_ns = info["received_timestamp"]
+                        yield self._bags.Message(name, topic.type, stamp_ns, data)
 
-    def _write(self, message: Message) -> None:
-        if self._simulated_time is None:
-            self._append(message.received_ns, message)
+    def _write(self, message: Any) -> None:
+        is_new = message.topic not in self._bag.counts
+        self._bag.write(message, self._offers(message.topic) if is_new else ())
+        try:
+            transforms = self._viewing.of(message, robot=self._tf not in self._topics)
+        except ValueError as error:
+            self.tell(ros.WARN, f"no transforms of the robot: {error}")
             return
-        for stamp_ns, one in self._simulated_time.stamped(message):
-            self._append(stamp_ns, one)
-        self._warn_without_clock()
-
-    def _append(self, stamp_ns: int, message: Message) -> None:
-        topic = message.topic
-        profiles = () if topic in self._bag.counts else self._profiles(topic)
-        self._bag.write(topic, message.message_type, profiles, stamp_ns, message.data)
-        told = self._viewing.of(
-            topic, stamp_ns, message.data, robot=transforms.TOPIC not in self._heard
-        )
-        if told is not None:
-            offers = ros.QOS_RELIABLE if told[0] == transforms.TOPIC else ros.QOS_LATCHED
-            self._bag.write(told[0], transforms.TYPE, [offers], stamp_ns, told[1])
-        elif self._viewing.wrong:
-            self.tell(ros.WARN, f"no transforms of the robot: {self._viewing.wrong}")
-            self._viewing.wrong = ""
-
-    def _warn_without_clock(self) -> None:
-        if self._simulated_time is not None and self._simulated_time.without_clock:
-            if not self._warned:
-                self.tell(ros.WARN, "no /clock came (use_sim_time): times are the system's")
-            self._warned = True
+        if transforms is not None:
+            moving = transforms.topic == self._tf
+            self._bag.write(transforms, [ros.QOS_RELIABLE if moving else ros.QOS_LATCHED])
 
     # --- state and end ---
-
-    def _break_off(self, error: Exception) -> None:
-        self._broken = True
-        self._bag.abandon()
-        why = getattr(error, "strerror", None) or error
-        self._give_up(f"{why}; what was written has no index")
 
     def _give_up(self, why: str) -> None:
         self.tell(ros.ERROR, f"recording into {self._folder} has ended: {why}")
@@ -225,47 +217,21 @@ class RecorderNode(ros.FvsNode):
 
     def finish(self) -> None:
         """Write what still comes, and finish the bag."""
-        try:
-            end_s = self.steady_s() + _LAST_WORDS_S
-            while self.exit_code is None and self.steady_s() < end_s:
-                self._fetch()
-                time.sleep(_FETCH_S)
-        finally:
-            if not self._broken:
-                self._close()
-
-    def _close(self) -> None:
+        end_s = self.steady_s() + _LAST_MESSAGES_S
+        while self.exit_code is None and self.steady_s() < end_s:
+            self._fetch()
+            time.sleep(_FETCH_S)
         try:
             if self._simulated_time is not None:
-                for stamp_ns, message in self._simulated_time.rest():
-                    self._append(stamp_ns, message)
-                self._warn_without_clock()
+                for message in self._simulated_time.rest():
+                    self._write(message)
             self._bag.close()
-        except self._bag_errors as error:
-            self._break_off(error)
+        except self._bags.ERRORS as error:
+            if self.exit_code is None:
+                self._give_up(str(error))
             return
         counts = self._bag.counts
         self.tell(ros.OK, f"{sum(counts.values())} messages of {len(counts)} topics recorded")
-
-
-def _request(profile: QoSProfile) -> Request:
-    return Request(
-        reliable=profile.reliability == ReliabilityPolicy.RELIABLE,
-        latched=profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
-    )
-
-
-def _qos(request: Request, depth: int) -> QoSProfile:
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=depth,
-        reliability=(
-            ReliabilityPolicy.RELIABLE if request.reliable else ReliabilityPolicy.BEST_EFFORT
-        ),
-        durability=(
-            DurabilityPolicy.TRANSIENT_LOCAL if request.latched else DurabilityPolicy.VOLATILE
-        ),
-    )
 
 
 def _message_class(message_type: str) -> Any:

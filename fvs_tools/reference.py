@@ -20,7 +20,7 @@ from fvs_controller_node.registry import LAWS
 from fvs_ros import topics
 from fvs_ros.params import Parameter
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
-from fvs_ros.topics import INTERFACES, End, Interface
+from fvs_ros.topics import NODES, End, Node, Topic
 from fvs_tools.scenario import NODE_TABLE
 from fvs_tools.security_policy import OPERATOR, policy
 
@@ -75,7 +75,8 @@ _TOPICS = """\
 Names are relative unless they begin with `/`, so namespaces and remaps work; `~/` is below the
 node's own name. Units are SI. Only the newest message counts: queues hold one, but those of
 `/diagnostics` and of records more. A *best effort* subscription hears any publisher; *latched*
-means that a late subscriber gets the last message, too.
+means that a late subscriber gets the last message, too. A camera's topics are also found below
+`camera/camera`, as a RealSense's driver names them.
 """
 
 _PARAMETERS = """\
@@ -144,7 +145,7 @@ def page() -> str:
         _topics_table(),
         "## Parameters\n",
         _PARAMETERS,
-        *(_node(name, INTERFACES[name]) for name in NODE_TABLE),
+        *(_node(name, NODES[name]) for name in NODE_TABLE),
         "## States and reasons of the controller\n",
         _REASONS,
         _table(("state", "meaning"), [(_code(s.value), _STATES[s]) for s in State]),
@@ -163,60 +164,52 @@ def page() -> str:
 
 def _topics_table() -> str:
     rows = []
-    for topic in topics.declared_topics():
-        sources = [_link(node) for node in topics.nodes_with(topic, publishing=True)]
-        sinks = [_link(node) for node in topics.nodes_with(topic, publishing=False)]
-        if len(sources) == len(INTERFACES):
+    for topic in topics.TOPICS:
+        sources = [_link(node) for node in topic.publishers]
+        if len(sources) == len(NODES):
             sources = ["every node"]
         ends = [
             " or ".join([*sources, *filter(None, [topic.also_from])]),
-            ", ".join([*sinks, *filter(None, [topic.also_to])]),
+            ", ".join([*map(_link, topic.subscribers), *filter(None, [topic.also_to])]),
         ]
-        rows.append(
-            (f"{_code(topic.name)}<br>{_type(topic.type)}", *ends, sentence(topic.description))
-        )
+        if ends[0]:
+            name = f"{_code(topic.name)}<br>{_type(topic.type)}"
+            rows.append((name, *ends, sentence(topic.description)))
     return _table(("topic and type", "from", "to", "holds"), rows)
 
 
-def _node(name: str, interface: Interface) -> str:
-    parts = [f"## {name}\n", f"{interface.does}\n"]
-    for verb, ends in (("Publishes", interface.publishes), ("Subscribes", interface.subscribes)):
-        rows: list[tuple[str, ...]] = [
-            (_code(end.topic.name), _type(end.topic.type), _qos(end), _note(name, end))
-            for end in ends
-        ]
-        if verb == "Subscribes" and interface.hears_all:
+def _node(name: str, node: Node) -> str:
+    parts = [f"## {name}\n", f"{node.does}\n"]
+    for verb, ends in (
+        ("Publishes", topics.publishers(name)),
+        ("Subscribes", topics.subscribers(name)),
+    ):
+        if verb == "Subscribes" and node.hears_all:
             parts.append("**Subscribes** to every topic that it finds.\n")
-            continue
-        head: tuple[str, ...] = ("topic", "type", "quality of service", "note")
-        if not any(row[-1] for row in rows):
-            head, rows = head[:-1], [row[:-1] for row in rows]
-        parts += [f"**{verb}**\n", _table(head, rows)]
-    if interface.serves:
-        served = [(_code(s.name), _type(s.type), s.description) for s in interface.serves]
+        else:
+            rows = [_end(name, topic, end) for topic, end in ends.items()]
+            head: tuple[str, ...] = ("topic", "type", "quality of service", "only")
+            parts += [f"**{verb}**\n", _table(head, rows)]
+    if node.serves:
+        served = [(_code(one), _type(kind), does) for one, (kind, does) in node.serves.items()]
         parts += ["**Services**\n", _table(("service", "type", "does"), served)]
-    if interface.calls:
-        parts.append(f"**Calls** {', '.join(map(_code, interface.calls))}.\n")
+    if node.calls:
+        parts.append(f"**Calls** {', '.join(map(_code, node.calls))}.\n")
     for title, parameters in _parameter_groups(name):
         head = ("parameter", "default", "must be", "live", "meaning")
         parts += [f"**Parameters{title}**\n", _table(head, map(_parameter, parameters))]
     return "\n".join(parts)
 
 
-def _qos(end: End) -> str:
-    # Two subscriptions hear both kinds of publisher.
-    return " or ".join(qos.words for qos in end.qos)
-
-
-def _note(node: str, end: End) -> str:
-    words = []
+def _end(node: str, topic: Topic, end: End) -> tuple[str, ...]:
+    only = [end.later] if end.later else []
     if end.given is not None:
         name, value = end.given
         assert name in NODE_TABLE[node].parameters(), f"{node} has no parameter {name}"
-        words.append(f"only with {_code(f'{name}: {_value(value)}')}")
-    if end.later:
-        words.append(f"only {end.later}")
-    return "; ".join([*words, *filter(None, [end.note])])
+        only.append(f"with {_code(f'{name}: {_value(value)}')}")
+    # Two subscriptions hear both kinds of publisher.
+    qos = " or ".join(one.value for one in end.qos)
+    return _code(topic.name), _type(topic.type), qos, "; ".join(only)
 
 
 # --- parameters ---

@@ -6,17 +6,13 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 
 from fvs_ros import topics
-from fvs_ros.topics import INTERFACES
+from fvs_ros.topics import CAMERA_PREFIXES, NODES
 
 #: The enclave for a person's tools (``ros2 topic``, ``ros2 param``, RViz): sees everything, sets
 #: parameters and targets, calls services, and cannot send a joint command.
 OPERATOR = "fvs_operator"
 
 _VERSION = "0.2.0"
-#: They look for a camera under several names.
-_FIND_CAMERAS = ("fvs_detector_node", "fvs_dashboard")
-#: Every name, in a rule.
-_ANY = "/*"
 
 # No "--" in it: XML does not allow it in a comment.
 _HEAD = """\
@@ -52,21 +48,17 @@ def policy(namespace: str = "") -> str:
     namespace = namespace.strip("/")
     root = ET.Element("policy", version=_VERSION)
     enclaves = ET.SubElement(root, "enclaves")
-    for node, interface in INTERFACES.items():
-        profile = _profile(enclaves, node, namespace)
-        published = [end.topic.name for end in interface.publishes]
-        heard = [end.topic.name for end in interface.subscribes]
-        if node in _FIND_CAMERAS:
-            heard = _wherever_cameras_publish(heard)
-        if interface.hears_all:
-            heard.append(_ANY)
-        served = [service.name for service in interface.serves]
-        _allow(profile, "topic", "publish", [*published, *topics.EVERY_NODE_PUBLISHES])
-        _allow(profile, "topic", "subscribe", [*heard, *topics.EVERY_NODE_SUBSCRIBES])
-        _allow(profile, "service", "reply", [*served, *topics.EVERY_NODE_SERVES])
-        if interface.calls:
-            _allow(profile, "service", "request", interface.calls)
-    _operator(enclaves, namespace)
+    everything, services = set(topics.EVERY_NODE_PUBLISHES), set()
+    for name, node in NODES.items():
+        published = {topic.name for topic in topics.publishers(name)}
+        heard = {topic.name for topic in topics.subscribers(name)}
+        if node.hears_all:
+            heard.add("/*")
+        served = {*node.serves, *topics.EVERY_NODE_SERVES}
+        _enclave(enclaves, name, namespace, published, heard, served, node.calls)
+        everything |= {one.replace("~", name, 1) for one in published}
+        services |= {one.replace("~", name, 1) for one in served}
+    _enclave(enclaves, OPERATOR, namespace, {topics.TARGET_POSITION.name}, everything, (), services)
     ET.indent(root)
     where = f" in namespace /{namespace}" if namespace else ""
     holds = f"namespace /{namespace}" if namespace else "the root namespace"
@@ -74,40 +66,29 @@ def policy(namespace: str = "") -> str:
     return head + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _operator(enclaves: ET.Element, namespace: str) -> None:
-    every = topics.EVERY_NODE_PUBLISHES
-    heard: list[str] = []
-    called: list[str] = []
-    for node, interface in INTERFACES.items():
-        # Below a node's own name ("~/") for the node, below the node's name for others.
-        heard += [end.topic.of(node).name for end in interface.publishes]
-        served = [service.name for service in interface.serves]
-        called += [name.replace("~", node, 1) for name in [*served, *topics.EVERY_NODE_SERVES]]
-    profile = _profile(enclaves, OPERATOR, namespace)
-    _allow(profile, "topic", "publish", [topics.TARGET_POSITION.name, *every])
-    heard = _wherever_cameras_publish(heard)
-    _allow(profile, "topic", "subscribe", [*heard, *every, *topics.EVERY_NODE_SUBSCRIBES])
-    _allow(profile, "service", "request", called)
-
-
-def _wherever_cameras_publish(names: Iterable[str]) -> list[str]:
-    """The names, a camera's below every prefix that is looked at without being asked."""
-    declared, *others = topics.CAMERA_PREFIXES
-    found = []
-    for name in names:
-        found.append(name)
-        if name.startswith(f"{declared}/"):
-            found += [other + name.removeprefix(declared) for other in others]
-    return found
-
-
-def _profile(enclaves: ET.Element, node: str, namespace: str) -> ET.Element:
+def _enclave(
+    enclaves: ET.Element,
+    node: str,
+    namespace: str,
+    published: Iterable[str],
+    heard: Iterable[str],
+    served: Iterable[str],
+    called: Iterable[str],
+) -> None:
+    """Add the rules of one node."""
     enclave = ET.SubElement(enclaves, "enclave", path=topics.resolve("~", node, namespace))
     profiles = ET.SubElement(enclave, "profiles")
-    return ET.SubElement(profiles, "profile", ns=f"/{namespace}", node=node)
-
-
-def _allow(profile: ET.Element, kind: str, verb: str, names: Iterable[str]) -> None:
-    rules = ET.SubElement(profile, f"{kind}s", {verb: "ALLOW"})
-    for name in sorted(set(names)):
-        ET.SubElement(rules, kind).text = name
+    profile = ET.SubElement(profiles, "profile", ns=f"/{namespace}", node=node)
+    declared, *others = CAMERA_PREFIXES  # a camera is looked for under each
+    cameras = [name.partition("/")[2] for name in heard if name.startswith(f"{declared}/")]
+    heard = {*heard, *(f"{other}/{name}" for other in others for name in cameras)}
+    for kind, verb, names in (
+        ("topic", "publish", {*published, *topics.EVERY_NODE_PUBLISHES}),
+        ("topic", "subscribe", {*heard, *topics.EVERY_NODE_SUBSCRIBES}),
+        ("service", "reply", served),
+        ("service", "request", called),
+    ):
+        if names:
+            rules = ET.SubElement(profile, f"{kind}s", {verb: "ALLOW"})
+            for name in sorted(names):
+                ET.SubElement(rules, kind).text = name

@@ -29,9 +29,10 @@ from fvs_ros.ros.node import (
     FvsNode,
     NeverReady,
     Sampled,
-    run,
 )
+from fvs_ros.ros.process import run
 from fvs_ros.ros.qos import (
+    PROFILES,
     QOS_EVENT,
     QOS_EVERY,
     QOS_LARGE,
@@ -43,6 +44,7 @@ from fvs_ros.ros.qos import (
 __all__ = [
     "ERROR",
     "OK",
+    "PROFILES",
     "QOS_EVENT",
     "QOS_EVERY",
     "QOS_LARGE",

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
@@ -21,34 +19,21 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.exceptions import ParameterException
-from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.service import Service
-from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
-from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import String
 
-from fvs_ros import console, stop, topics
-from fvs_ros.arguments import node_help
+from fvs_ros import topics
 from fvs_ros.clock import LoopClock
 from fvs_ros.params import Parameter, ParameterError, ParameterSet
-from fvs_ros.paths import find_file
 from fvs_ros.ros.messages import MOST_TEXT, OK, WARN, MessageError, plain, to_stamp, to_status
 from fvs_ros.ros.monitor import ArrivalMonitor
 from fvs_ros.ros.qos import QOS_LATCHED, QOS_NEWEST, QOS_RELIABLE
-from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
 
-try:
-    from rclpy.experimental import EventsExecutor
-except ImportError:  # before rclpy 7.1.4
-    EventsExecutor = None  # type: ignore[assignment]
-
-_SPIN_PERIOD_S = 0.05
 _DIAGNOSTICS_PERIOD_S = 1.0
 #: The same complaint is logged once in this time.
 _REPEAT_S = 5.0
@@ -57,6 +42,8 @@ _REPEAT_S = 5.0
 _MOST_BYTES, _MOST_BYTES_OF, _MOST_ITEMS = 2**14, {String: 2**22}, 250
 #: Images are as large as their pixels, which their decoding bounds; their texts are bounded here.
 _IMAGES = (Image, CompressedImage)
+#: End of an open range of whole numbers.
+_LARGEST = 2**62
 _BUILT_IN_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
@@ -94,27 +81,27 @@ def _check_request(request: Any) -> None:
 # --- parameters ---
 
 
-def _descriptor(parameter: Parameter) -> ParameterDescriptor:
+def _descriptor(one: Parameter) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(
-        description=parameter.description,
-        additional_constraints=parameter.expected(),
-        read_only=not parameter.live,
+        description=one.description,
+        additional_constraints=one.expected(),
+        read_only=not one.live,
     )
-    bounds = (parameter.minimum, parameter.maximum)
-    if bounds != (None, None):
-        low, high = (-math.inf if bounds[0] is None else bounds[0]), bounds[1]
-        if parameter.kind is float:
-            high = math.inf if high is None else high
-            descriptor.floating_point_range = [
-                FloatingPointRange(from_value=float(low), to_value=float(high))
-            ]
-        elif parameter.kind is int:
-            descriptor.integer_range = [
-                IntegerRange(
-                    from_value=int(max(low, -(2**62))),
-                    to_value=int(2**62 if high is None else high),
-                )
-            ]
+    low, high = one.minimum, one.maximum
+    if one.kind is float and (low, high) != (None, None):
+        descriptor.floating_point_range = [
+            FloatingPointRange(
+                from_value=-math.inf if low is None else float(low),
+                to_value=math.inf if high is None else float(high),
+            )
+        ]
+    elif one.kind is int and (low, high) != (None, None):
+        descriptor.integer_range = [
+            IntegerRange(
+                from_value=-_LARGEST if low is None else int(low),
+                to_value=_LARGEST if high is None else int(high),
+            )
+        ]
     return descriptor
 
 
@@ -212,12 +199,9 @@ class FvsNode(Node):
         values = self.parameter_set.values(given)
         for name in given:
             self.undeclare_parameter(name)
-        for parameter in self.parameter_set:
+        for one in self.parameter_set:
             self.declare_parameter(
-                parameter.name,
-                values[parameter.name],
-                _descriptor(parameter),
-                ignore_override=True,
+                one.name, values[one.name], _descriptor(one), ignore_override=True
             )
         return values
 
@@ -240,22 +224,18 @@ class FvsNode(Node):
     def _settable(self, given: rclpy.Parameter) -> rclpy.Parameter:
         if given.name.startswith(_BUILT_IN_PARAMETERS):
             return given
-        parameter = self.parameter_set[given.name]
-        if not parameter.live:
+        declared = self.parameter_set[given.name]
+        if not declared.live:
             raise ParameterError(
                 f"parameter {given.name} can be set at start only; restart the node"
             )
-        return rclpy.Parameter(given.name, value=parameter.check(given.value))
+        return rclpy.Parameter(given.name, value=declared.check(given.value))
 
     def _on_set(self, changes: list[rclpy.Parameter]) -> SetParametersResult:
-        accepted: dict[str, Any] = {}
+        changed = {one.name: one.value for one in changes if one.name in self.parameter_set}
+        candidate = {**self.values, **changed}
         try:
-            for change in changes:
-                if change.name.startswith(_BUILT_IN_PARAMETERS):
-                    continue
-                accepted[change.name] = self.parameter_set[change.name].check(change.value)
-            candidate = {**self.values, **accepted}
-            self.on_parameters(candidate, set(accepted))
+            self.on_parameters(candidate, set(changed))
         except ValueError as error:
             return SetParametersResult(successful=False, reason=str(error))
         self.values = candidate
@@ -417,86 +397,3 @@ class FvsNode(Node):
 
     def finish(self) -> None:
         """Last words on the wire before the process ends, whatever ended it."""
-
-
-def run(
-    make_node: Callable[[], FvsNode],
-    doc: str,
-    parameters: Iterable[Parameter],
-    argv: list[str] | None = None,
-) -> int:
-    """Run one node in this process until a signal, its own wish, or an error.
-
-    Signals end the spin loop, not the ROS context, so that ``finish`` can still send. A blocked
-    terminal does not hold the node: what it cannot take is dropped.
-
-    Parameters
-    ----------
-    make_node : callable
-        Builds the node after ``rclpy.init``.
-    doc : str
-        Docstring of its module, for ``--help``: name, and what it is for.
-    parameters : iterable of Parameter
-        Its parameters, for ``--help``.
-    argv : list of str, optional
-        Arguments with ``--ros-args``; default those of the process.
-
-    Returns
-    -------
-    int
-        0 after a signal or a finished task, 1 after an error, 2 after a wrong parameter or file.
-    """
-    stop.listen()
-    # A first announcement that is lost costs a moment, not three seconds; read by Fast DDS alone.
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(find_file("quick_discovery.xml")))
-    with console.never_blocking():
-        if {"-h", "--help"} & set(sys.argv if argv is None else argv):
-            print(node_help(doc, parameters))
-            return EXIT_OK
-        return _run(make_node, argv)
-
-
-def _run(make_node: Callable[[], FvsNode], argv: list[str] | None) -> int:
-    try:
-        unknown = remove_ros_args(sys.argv if argv is None else argv)[1:]
-        if unknown:  # rclpy would pass over them, and the node run with other values than wanted
-            _say(
-                f"cannot start: unknown argument {unknown[0]!r}; parameters and remaps stand "
-                "behind --ros-args, as in --ros-args -p name:=value; --help lists them"
-            )
-            return EXIT_BAD_INPUT
-        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # rcl's own: arguments or a parameter file it cannot read
-        _say(f"cannot start: {error}")
-        return EXIT_BAD_INPUT
-    node = None
-    try:
-        try:
-            node = make_node()
-        except (ValueError, OSError, ParameterException) as error:
-            _say(f"cannot start: {error}")
-            return EXIT_BAD_INPUT
-        executor = _make_executor(node.keeps_subscriptions)
-        executor.add_node(node)
-        try:
-            while not stop.RECEIVED and node.exit_code is None and rclpy.ok():
-                executor.spin_once(timeout_sec=_SPIN_PERIOD_S)
-        except ExternalShutdownException:
-            return EXIT_OK
-        finally:
-            node.finish()
-            executor.shutdown(timeout_sec=0.0)  # left to the garbage collector, it complains
-        return EXIT_OK if node.exit_code is None else node.exit_code
-    finally:
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
-
-
-def _make_executor(events: bool) -> Executor:
-    events_too = events and EventsExecutor is not None
-    return EventsExecutor() if events_too else SingleThreadedExecutor()
-
-
-def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)

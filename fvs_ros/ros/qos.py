@@ -5,6 +5,8 @@ from __future__ import annotations
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from fvs_ros.topics import Qos
+
 
 def _qos(reliability: ReliabilityPolicy, durability: DurabilityPolicy) -> QoSProfile:
     return QoSProfile(
@@ -16,7 +18,9 @@ def _qos(reliability: ReliabilityPolicy, durability: DurabilityPolicy) -> QoSPro
 QOS_NEWEST = _qos(ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)
 QOS_RELIABLE = _qos(ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
 QOS_LATCHED = _qos(ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
-#: Heard for certain by whoever is there, and by nobody who comes later.
+#: Of a declared topic.
+PROFILES = {Qos.NEWEST: QOS_NEWEST, Qos.RELIABLE: QOS_RELIABLE, Qos.LATCHED: QOS_LATCHED}
+#: Heard for certain by nodes that are there, and not by those that come later.
 QOS_EVENT = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=1,

@@ -5,7 +5,7 @@ import importlib.util
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PointStamped
+from geometry_msgs.msg import PointStamped, PoseStamped
 from visualization_msgs.msg import Marker, MarkerArray
 
 from fvs_ros import ros, topics
@@ -13,58 +13,63 @@ from fvs_ros.camera import CAMERA_FRAME
 
 MODULE = "fvs_tools.markers_node"
 BALL = np.array([0.1, 0.2, 1.5])
+STATUS = {"state": "SERVOING", "error_m": 0.01}
+STATUS |= {f"target_{axis}_m": 0.5 for axis in "xyz"}
+STATUS |= dict(zip(("position_x_m", "position_y_m", "position_z_m"), BALL, strict=True))
 
 
 @pytest.fixture
-def loop(ros_test):
-    """A markers node, and what says ball and status to it."""
-    ros_test.start_node(MODULE, rate_hz=30.0)
+def viewer(ros_test):
+    """A markers node; says ball and status to it until a viewer sees the markers of these names."""
+    ros_test.start_node(MODULE)
+    states = ros_test.collect(DiagnosticStatus, "fvs_markers_node/status")
+    ros_test.spin_until(lambda: bool(states), what="a status")
+    assert ros.from_status(states[-1])["state"] == "IDLE"
     ball = ros_test.publisher(PointStamped, topics.BALL_POSITION.name)
     status = ros_test.publisher(DiagnosticStatus, topics.CONTROLLER_STATUS.name)
-
-    def say():
-        now_s = ros_test.node.get_clock().now().nanoseconds * 1e-9
-        ball.publish(ros.to_point(now_s, CAMERA_FRAME, BALL))
-        values = {"state": "SERVOING", "error_m": 0.01}
-        values |= {f"target_{axis}_m": 0.5 for axis in "xyz"}
-        status.publish(ros.to_status(ros.OK, "", "", values))
-
-    return say
-
-
-def test_a_viewer_sees_ball_and_target_in_the_cameras_frame(ros_test, loop):
     seen = ros_test.collect(MarkerArray, topics.MARKERS.name)
 
-    def complete():
-        loop()
-        return bool(seen) and {"ball", "target", "distance"} <= {m.ns for m in seen[-1].markers}
+    def until(names, ball_m=BALL, **values):
+        def complete():
+            now_s = ros_test.node.get_clock().now().nanoseconds * 1e-9
+            if ball_m is not None:
+                ball.publish(ros.to_point(now_s, CAMERA_FRAME, ball_m))
+            if values:
+                status.publish(ros.to_status(ros.OK, "", "", values))
+            return bool(seen) and {marker.ns for marker in seen[-1].markers} == names
 
-    ros_test.spin_until(complete, what="the markers")
-    found = {marker.ns: marker for marker in seen[-1].markers}
+        ros_test.spin_until(complete, what=f"the markers {names}")
+        return {marker.ns: marker for marker in seen[-1].markers}
+
+    return until
+
+
+def test_a_viewer_sees_ball_target_and_prediction_in_the_cameras_frame(viewer):
+    found = viewer({"ball", "trail", "target", "distance", "predicted"}, **STATUS)
     for marker in found.values():
         assert marker.header.frame_id == CAMERA_FRAME
         assert 0.1 < marker.lifetime.sec + marker.lifetime.nanosec * 1e-9 < 1.0
     at = found["ball"].pose.position
     assert [at.x, at.y, at.z] == pytest.approx(BALL)
+    assert found["ball"].scale.x == pytest.approx(0.08)
+    assert found["trail"].type == Marker.LINE_STRIP
+    assert len(found["trail"].points) > 1
     assert found["distance"].text == "10.0 mm"
     assert found["distance"].type == Marker.TEXT_VIEW_FACING
+    assert found["distance"].pose.position.y < 0.5, "above: the camera's y points down"
+    assert found["target"].color.a < 1.0, "it must not hide the ball"
 
 
-def test_nothing_is_sent_while_nobody_looks(ros_test, loop):
-    states = ros_test.collect(DiagnosticStatus, "fvs_markers_node/status")
-    ros_test.spin_until(lambda: bool(states), what="a status")
-    assert ros.from_status(states[-1])["state"] == "IDLE"
-    seen = ros_test.collect(MarkerArray, topics.MARKERS.name)
-    ros_test.spin_until(
-        lambda: ros.from_status(states[-1])["state"] == "SHOWING", what="the viewer to count"
-    )
-    ros_test.spin_until(lambda: bool(seen), what="markers, be they empty")
+def test_what_is_not_known_any_more_is_not_shown(viewer):
+    values = {**STATUS, "state": "HOLDING", "error_m": "unknown", "position_x_m": "unknown"}
+    found = viewer({"ball", "trail", "target", "distance"}, **values)
+    assert found["distance"].text == "no ball, holding"
+    viewer({"ball", "trail"})
+    viewer({"trail"}, ball_m=None)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("tf2_msgs") is not None, reason="tf2_msgs is there")
-def test_without_tf2_msgs_the_node_says_so_once_and_goes_on(ros_test):
-    from geometry_msgs.msg import PoseStamped
-
+def test_without_tf2_msgs_the_node_says_so_and_goes_on(ros_test):
     process = ros_test.start_node(MODULE)
     pose = ros_test.publisher(PoseStamped, topics.TRUE_CAMERA_POSE.name, ros.QOS_LATCHED)
     pose.publish(ros.to_pose(1.0, "base_link", np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])))

@@ -4,8 +4,9 @@ import contextlib
 import json
 import re
 import shutil
-import signal
 import socket
+import subprocess
+import sys
 from collections import Counter
 from dataclasses import replace
 
@@ -15,10 +16,10 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from std_msgs.msg import Bool, Float64, String
+from std_msgs.msg import Bool, Float64
 
 from fvs_ros import ros, topics
-from fvs_tools import recording
+from fvs_tools.scenario import RECORDER as NAME
 
 pytest.importorskip("rosbags")
 
@@ -76,7 +77,7 @@ def with_demo(one, **values):
 @pytest.fixture
 def recorder(ros_test):
     """A recorder that is up, and its folder."""
-    process = ros_test.start_node(RECORDER, output_dir="bag")
+    process = ros_test.start_node(RECORDER, bag_dir="bag")
     ros_test.spin_until(lambda: "recording into bag" in ros_test.output(process), what="recorder")
     return process, ros_test.folder / "bag"
 
@@ -91,7 +92,7 @@ def test_a_replay_judges_a_demo_as_the_demo_did(ros_test):
         LAUNCHER, "servo", "--record", "bag", "--record-without-images",
         *(word for one in patient for word in ("-p", one)),
     )  # fmt: skip
-    status = ros_test.collect(DiagnosticStatus, f"{recording.NODE}/status")
+    status = ros_test.collect(DiagnosticStatus, f"{NAME}/status")
     ros_test.spin_until(
         lambda: status and int(ros.from_status(status[-1])["topics"]) > 12,
         30.0,
@@ -181,9 +182,9 @@ def test_every_message_is_recorded_once(ros_test, recorder):
 
 def test_what_came_before_the_recorder_was_killed_is_replayed(ros_test):
     scenario = '"{/**/fvs_demo_node: {ros__parameters: {settle_error_m: 0.02}}}"'
-    process = ros_test.start_node(RECORDER, output_dir="bag", scenario=scenario)
+    process = ros_test.start_node(RECORDER, bag_dir="bag", scenario=scenario)
     ros_test.spin_until(lambda: "recording into bag" in ros_test.output(process), what="recorder")
-    status = ros_test.collect(DiagnosticStatus, f"{recording.NODE}/status")
+    status = ros_test.collect(DiagnosticStatus, f"{NAME}/status")
     ball = ros_test.node.create_publisher(PointStamped, topics.BALL_POSITION.name, DEEP)
     listened(ros_test, ball)
     for number in range(30):
@@ -201,35 +202,8 @@ def test_what_came_before_the_recorder_was_killed_is_replayed(ros_test):
     assert found.scenario == {"fvs_demo_node": {"settle_error_m": 0.02}}
 
 
-def test_a_latched_message_is_recorded_as_such(ros_test, recorder):
-    process, bag = recorder
-    description = ros_test.node.create_publisher(
-        String, topics.ROBOT_DESCRIPTION.name, ros.QOS_LATCHED
-    )
-    description.publish(String(data="<robot/>"))
-    listened(ros_test, description)
-    ros_test.spin_for(0.2)
-    assert ros_test.stop(process, signal.SIGINT) == 0
-    (topic,) = (
-        one["topic_metadata"]
-        for one in metadata(bag)["topics_with_message_count"]
-        if one["topic_metadata"]["name"] == f"/{topics.ROBOT_DESCRIPTION.name}"
-    )
-    (offered,) = topic["offered_qos_profiles"]
-    assert (offered["reliability"], offered["durability"]) == ("reliable", "transient_local")
-
-
-def test_a_folder_that_is_removed_ends_the_recording_in_a_sentence(ros_test, recorder):
-    process, bag = recorder
-    shutil.rmtree(bag)
-    assert ros_test.wait(process, 30.0) == 1
-    output = ros_test.output(process)
-    assert "recording into bag has ended: No such file or directory" in output
-    assert "Traceback" not in output
-
-
 def test_a_remapped_topic_is_noted_and_replayed(ros_test):
-    process = ros_test.start_node(RECORDER, {"target_position": "goal"}, output_dir="bag")
+    process = ros_test.start_node(RECORDER, {"target_position": "goal"}, bag_dir="bag")
     ros_test.spin_until(lambda: "recording into bag" in ros_test.output(process), what="recorder")
     goal = ros_test.node.create_publisher(PointStamped, "goal", DEEP)
     ball = ros_test.node.create_publisher(PointStamped, topics.BALL_POSITION.name, DEEP)
@@ -274,27 +248,33 @@ def test_who_starts_later_is_told_soon_that_a_node_is_there(ros_test, monkeypatc
     assert words > 5
 
 
-def test_a_folder_that_exists_is_refused_in_a_sentence(ros_test):
-    (ros_test.folder / "bag").mkdir()
-    process = ros_test.start_node(RECORDER, output_dir="bag")
-    assert ros_test.wait(process) == 2
-    output = ros_test.output(process)
-    assert "cannot record into bag: it exists already" in output
-    assert "Traceback" not in output
-
-
 def test_a_recorder_that_gives_up_does_not_stop_the_arm(ros_test):
-    full = ["-p", "fvs_recorder_node:smallest_free_mb:=1.0e+12"]
-    process = ros_test.start(LAUNCHER, "servo", "--record", "bag", "--record-without-images", *full)
+    process = ros_test.start(LAUNCHER, "servo", "--record", "bag", "--record-without-images")
     truths = ros_test.collect(PointStamped, topics.TRUE_BALL_POSITION.name)
+    ros_test.spin_until(lambda: len(truths) > 10, 30.0, "the simulator")
+    shutil.rmtree(ros_test.folder / "bag")
     ros_test.spin_until(
         lambda: "the others go on" in ros_test.output(process), 30.0, "the recorder's end"
     )
-    ros_test.spin_until(lambda: len(truths) > 10, 30.0, "the simulator")
     output = ros_test.output(process)
-    assert "MB are left on the disk" in output
+    assert "recording into bag has ended: No such file or directory" in output
+    assert "Traceback" not in output
     assert "fvs_recorder_node ended with exit code 1" in output
+    truths.clear()
+    ros_test.spin_until(lambda: len(truths) > 10, 30.0, "the simulator")
     assert process.poll() is None
     assert ros_test.stop(process) == 1, "a recording that failed is no success"
-    bag = ros_test.folder / "bag"  # what there was is whole
+
+
+def test_a_full_disk_ends_the_recording_with_a_whole_bag(ros_test):
+    limit = "import fvs_tools.recorder_node as one; one._LEAST_FREE_MB = 1e12; one.main()"
+    process = subprocess.Popen(
+        [sys.executable, "-c", limit, "--ros-args", "-p", "bag_dir:=bag"],
+        cwd=ros_test.folder,
+        env=ros_test.environment,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert "MB are left on the disk" in process.communicate(timeout=30)[1]
+    bag = ros_test.folder / "bag"
     assert Counter(message.channel.topic for message in read_back(bag)) == told_counts(bag)

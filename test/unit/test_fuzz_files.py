@@ -332,7 +332,7 @@ def test_no_code_is_run(tmp_path, tag):
     value = tag.format(trap)
     assert scenario(tmp_path, f"fvs_sim_node: {{ros__parameters: {{seed: {value}}}}}") is None
     with pytest.raises(ScenarioError):
-        load_scenario("demo").with_overrides([f"law:={value}"])
+        load_scenario("demo", [f"law:={value}"])
     assert not trap.exists()
     assert "antigravity" not in sys.modules
 

@@ -8,7 +8,7 @@ import pytest
 
 from fvs_controller_node.reasons import Reason, State
 from fvs_ros import topics
-from fvs_ros.topics import INTERFACES, resolve
+from fvs_ros.topics import NODES, resolve
 from fvs_tools import reference
 from fvs_tools.reference import UNITS, readable, sentence, unit
 from fvs_tools.scenario import NODE_TABLE
@@ -20,24 +20,6 @@ PARAMETERS = {
     f"{node}:{parameter.name}": parameter
     for node, entry in NODE_TABLE.items()
     for parameter in entry.parameters()
-}
-
-#: Named after the paper's symbols, which have no room for a unit.
-SYMBOLS = {"damping", "k4", "rbf.k3", "mfac_lambda", "mpc_rho", "mpc_q"}
-
-#: How a description may write a unit, by what the name then ends in.
-WRITTEN = {
-    "m": "_m",
-    "s": "_s",
-    "rad": "_rad",
-    "rad/s": "_rad_s",
-    "rad/s^2": "_rad_s2",
-    "m/rad": "_m_rad",
-    "m/s": "_m_s",
-    "1/s": "_1_s",
-    "1/m^2": "_1_m2",
-    "Hz": "_hz",
-    "degrees": "_deg",
 }
 
 
@@ -79,133 +61,81 @@ def test_every_link_of_the_page_leads_somewhere(page):
     links = re.findall(r"\]\(([^)]+)\)", page)
     assert links
     for link in links:
-        if link.startswith("#"):
-            assert link[1:] in anchors, link
-        else:
-            assert (ROOT / "docs" / link).is_file(), link
+        assert link[1:] in anchors if link[0] == "#" else (ROOT / "docs" / link).is_file(), link
 
 
 def test_every_table_row_has_a_cell_for_each_column(page):
-    width = None
-    for line in page.splitlines():
-        columns = len(re.findall(r"(?<!\\)\|", line)) if line.startswith("|") else None
-        if columns is not None and width is not None:
-            assert columns == width, line
-        width = columns
+    for table in re.findall(r"(?:^\|.*\n)+", page, re.M):
+        widths = {len(re.findall(r"(?<!\\)\|", line)) for line in table.splitlines()}
+        assert len(widths) == 1, table
 
 
 def test_the_page_names_everything(page):
-    for node, interface in INTERFACES.items():
+    for node, on_the_wire in NODES.items():
         assert f"\n## {node}\n" in page
-        for end in (*interface.publishes, *interface.subscribes):
-            assert f"`{end.topic.name}`" in page
-        for service in interface.serves:
-            assert f"`{service.name}`" in page
+        for topic in (*topics.publishers(node), *topics.subscribers(node)):
+            assert f"`{topic.name}`" in page
+        for service in on_the_wire.serves:
+            assert f"`{service}`" in page
         for parameter in NODE_TABLE[node].parameters():
             assert f"| `{parameter.name}` |" in page
     for item in (*Reason, *State):
         assert f"`{item.name}`" in page
-
-
-def test_the_page_has_no_placeholder_left(page):
     assert "{" not in page
     assert "None" not in page
 
 
 def test_every_heard_topic_comes_from_somewhere():
-    published = {
-        resolve(end.topic.name, node)
-        for node, interface in INTERFACES.items()
-        for end in interface.publishes
-    }
-    for node, interface in INTERFACES.items():
-        for end in interface.subscribes:
-            known = resolve(end.topic.name, node) in published
-            assert known or end.topic.also_from, f"nobody publishes {end.topic.name}"
+    published = {resolve(one.name, node) for one in topics.TOPICS for node in one.publishers}
+    for topic in topics.TOPICS:
+        assert resolve(topic.name, "") in published or topic.publishers or topic.also_from
 
 
-def test_a_placeholder_becomes_a_word():
-    assert readable("{name} is {age_s:.2f} s old") == "*name* is *age* s old"
-    assert readable("{best_mm:.0f} to {error_mm:.0f} mm") == "*best* to *error* mm"
-
-
-def test_a_description_becomes_a_sentence():
+def test_descriptions_become_sentences():
     assert sentence("joints after ~/reset") == "Joints after `~/reset`."
     assert sentence("false: images only") == "`false`: images only."
     assert sentence("s decays with k4 / k1 seconds.") == "s decays with k4 / k1 seconds."
-    assert sentence("0 takes 3 / switch_error_m^2, 1/m^2") == (
-        "0 takes 3 / `switch_error_m`^2, 1/m^2."
-    )
+    assert readable("{name} is {age_s:.2f} s old") == "*name* is *age* s old"
 
 
 # --- parameters ---
 
+_POSITIVE = ("_s", "_hz", "radius_m", "error_m", "_rad_s2")
+_SIGNED = "stamp_delay_s"  # stamps may be early
 
-def offenders(rule):
-    """Descriptions of the parameters that break a rule, by node and name."""
-    return {name: p.description for name, p in PARAMETERS.items() if not rule(p)}
-
-
-def test_every_description_is_more_than_a_word_and_tidy():
-    assert not offenders(
-        lambda p: (
-            len(p.description) >= 12
-            and p.description == " ".join(p.description.split())
-            and p.description.count("(") == p.description.count(")")
-        )
-    )
-
-
-def test_no_description_goes_on_in_another_parameters():
-    assert not offenders(lambda p: not re.search(r"^\.\.\.|\.\.\.$", p.description))
-
-
-def test_a_name_ends_in_the_unit_that_its_description_names():
-    def agrees(parameter):
-        written = re.search(r", (\S+?)(?=[.;,]?$|; )", parameter.description)
-        if written is None or written[1] not in WRITTEN or parameter.name in SYMBOLS:
-            return True
-        return parameter.name.endswith(WRITTEN[written[1]])
-
-    assert not offenders(agrees)
+#: What each parameter keeps to.
+RULES = {
+    "a tidy description": lambda p: (
+        len(p.description) >= 12
+        and p.description == " ".join(p.description.split())
+        and p.description.count("(") == p.description.count(")")
+        and not re.search(r"^\.\.\.|\.\.\.$", p.description)
+    ),
+    "a unit only of numbers": lambda p: not unit(p.name) or p.kind in (int, float),
+    "SI units": lambda p: not p.name.endswith(("_ms", "_mm", "_cm", "_us", "_ns")),
+    "a range only of numbers": lambda p: (
+        p.kind in (int, float) or (p.minimum, p.maximum) == (None, None)
+    ),
+    "a range that is not empty": lambda p: None in (p.minimum, p.maximum) or p.minimum < p.maximum,
+    "several different choices": lambda p: (
+        not p.choices or (p.kind is str and len(set(p.choices)) == len(p.choices) > 1)
+    ),
+    "no negative time, rate or size": lambda p: (
+        not p.name.endswith(_POSITIVE)
+        or p.name == _SIGNED
+        or (p.minimum is not None and p.minimum >= 0.0)
+    ),
+}
 
 
-def test_only_numbers_have_a_unit_and_it_is_si():
-    assert not offenders(lambda p: not unit(p.name) or p.kind in (int, float))
-    assert not offenders(lambda p: not p.name.endswith(("_ms", "_mm", "_cm", "_us", "_ns")))
+@pytest.mark.parametrize("rule", RULES)
+def test_every_parameter_has(rule):
+    assert not [name for name, parameter in PARAMETERS.items() if not RULES[rule](parameter)]
 
 
 def test_the_longest_unit_wins():
     for end, words in UNITS.items():
         assert unit(f"some{end}") == words
-
-
-def test_a_range_is_that_of_a_number_and_not_empty():
-    def sensible(parameter):
-        low, high = parameter.minimum, parameter.maximum
-        if parameter.kind in (int, float):
-            return low is None or high is None or low < high
-        return low is None and high is None
-
-    assert not offenders(sensible)
-
-
-def test_choices_are_several_different_texts():
-    assert not offenders(
-        lambda p: not p.choices or (p.kind is str and len(set(p.choices)) == len(p.choices) > 1)
-    )
-
-
-def test_a_time_a_rate_and_a_size_cannot_be_negative():
-    ends = ("_s", "_hz", "radius_m", "error_m", "_rad_s2")
-    signed = "stamp_delay_s"  # stamps may be early
-    assert not offenders(
-        lambda p: (
-            not p.name.endswith(ends)
-            or p.name == signed
-            or (p.minimum is not None and p.minimum >= 0.0)
-        )
-    )
 
 
 # --- access rules ---
@@ -227,45 +157,32 @@ def allowed(profile, kind, verb):
     return {resolve(rule.text, node, namespace) for rule in rules}
 
 
-#: Where a node finds a RealSense under its driver's own names.
-REALSENSE = {
-    "fvs_detector_node": (
-        "camera/camera/color/image_raw",
-        "camera/camera/color/image_raw/compressed",
-        "camera/camera/aligned_depth_to_color/image_raw",
-        "camera/camera/aligned_depth_to_color/image_raw/compressedDepth",
-        "camera/camera/color/camera_info",
-    ),
-    "fvs_dashboard": ("camera/camera/color/image_raw", "camera/camera/color/camera_info"),
-}
-
-
 @pytest.mark.parametrize("namespace", ["", "left", "/cell/left/"])
 def test_every_declared_name_is_allowed_under_its_verb(namespace):
     found = profiles(policy(namespace))
-    assert len(found) == len(INTERFACES) + 1
-    for node, interface in INTERFACES.items():
+    assert len(found) == len(NODES) + 1
+    for node, on_the_wire in NODES.items():
         profile = found[resolve("~", node, namespace)]
         assert profile.attrib == {"ns": "/" + namespace.strip("/"), "node": node}
 
         def full(names, node=node):
             return {resolve(name, node, namespace) for name in names}
 
+        published = [topic.name for topic in topics.publishers(node)]
+        heard = [topic.name for topic in topics.subscribers(node)]
+        # A RealSense under its driver's own names.
+        heard += [f"camera/{name}" for name in heard if name.startswith("camera/")]
+        heard += ["/*"] if on_the_wire.hears_all else []
         assert allowed(profile, "topic", "publish") == full(
-            [*(end.topic.name for end in interface.publishes), *topics.EVERY_NODE_PUBLISHES]
+            [*published, *topics.EVERY_NODE_PUBLISHES]
         )
         assert allowed(profile, "topic", "subscribe") == full(
-            [
-                *(end.topic.name for end in interface.subscribes),
-                *REALSENSE.get(node, ()),
-                *(["/*"] if interface.hears_all else ()),
-                *topics.EVERY_NODE_SUBSCRIBES,
-            ]
+            [*heard, *topics.EVERY_NODE_SUBSCRIBES]
         )
         assert allowed(profile, "service", "reply") == full(
-            [*(service.name for service in interface.serves), *topics.EVERY_NODE_SERVES]
+            [*on_the_wire.serves, *topics.EVERY_NODE_SERVES]
         )
-        assert allowed(profile, "service", "request") == full(interface.calls)
+        assert allowed(profile, "service", "request") == full(on_the_wire.calls)
 
 
 def test_joint_commands_come_from_the_controller_and_the_collector_alone():
@@ -287,9 +204,9 @@ def test_a_person_hears_all_and_calls_all_but_sends_targets_only():
         "/target_position",
         *topics.EVERY_NODE_PUBLISHES,
     }
-    for node, interface in INTERFACES.items():
-        heard = {resolve(end.topic.name, node) for end in interface.publishes}
-        called = {resolve(service.name, node) for service in interface.serves}
+    for node, on_the_wire in NODES.items():
+        heard = {resolve(topic.name, node) for topic in topics.publishers(node)}
+        called = {resolve(service, node) for service in on_the_wire.serves}
         assert heard <= allowed(profile, "topic", "subscribe")
         assert called <= allowed(profile, "service", "request")
 

@@ -42,7 +42,7 @@ from fvs_lab.replay.sections import sections
 from fvs_lab.report import Origin, write_report
 from fvs_lab.style import pyplot
 from fvs_ros.status import SILENT
-from fvs_tools.bag import Bag
+from fvs_tools.bag import Bag, Message
 
 DEMO = {
     "fvs_controller_node": {"law": "ftsm", "max_joint_velocity_rad_s": 0.8},
@@ -792,7 +792,7 @@ def killed(folder, whole, **notes):
     with AnyReader([whole]) as reader:
         end_ns = reader.end_time - 300_000_000
         for connection, time_ns, raw in reader.messages(stop=end_ns):
-            bag.write(connection.topic, connection.msgtype, [], time_ns, raw)
+            bag.write(Message(connection.topic, connection.msgtype, time_ns, raw))
     return folder
 
 
@@ -877,7 +877,7 @@ def pieces(folder, names, begins_s, whole):
         ):
             bag = Bag(folder / "made", {})
             for connection, time_ns, raw in reader.messages(start=start_ns, stop=stop_ns):
-                bag.write(connection.topic, connection.msgtype, [], time_ns, raw)
+                bag.write(Message(connection.topic, connection.msgtype, time_ns, raw))
             bag.close()
             (file,) = (folder / "made").glob("*.mcap")
             file.rename(folder / name)

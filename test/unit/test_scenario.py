@@ -1,3 +1,5 @@
+"""Scenario files, and what a command line makes of them."""
+
 from pathlib import Path
 
 import pytest
@@ -6,7 +8,9 @@ import yaml
 from fvs_controller_node.registry import LAWS
 from fvs_estimator_node.registry import ESTIMATORS
 from fvs_tools.scenario import (
+    MARKERS,
     NODE_TABLE,
+    RECORDER,
     ScenarioError,
     checked_remap,
     enclave_arguments,
@@ -19,23 +23,19 @@ CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 @pytest.mark.parametrize("path", sorted(CONFIG.glob("*.yaml")), ids=lambda p: p.stem)
 def test_every_scenario_passes_its_declarations(path):
-    scenario = load_scenario(str(path))
-    assert scenario.nodes
-    assert load_scenario(path.stem).parameters == scenario.parameters
+    assert load_scenario(path.stem).parameters == load_scenario(str(path)).parameters
 
 
 def test_every_node_of_the_table_declares_its_parameters():
-    for entry in NODE_TABLE.values():
-        assert list(entry.parameters()), entry.executable
-        for parameter in entry.parameters():
-            assert parameter.description, f"{entry.executable} {parameter.name}"
+    for name, entry in NODE_TABLE.items():
+        assert list(entry.parameters()), name
 
 
 def test_overrides_go_to_the_nodes_that_have_the_parameter():
-    scenario = load_scenario("demo").with_overrides(
-        ["method:=frozen", "law:=proportional", "fvs_sim_node:seed:=7", "model_path:=other.npz"]
-    )
-    values = scenario.parameters
+    values = load_scenario(
+        "demo",
+        ["method:=frozen", "law:=proportional", "fvs_sim_node:seed:=7", "model_path:=other.npz"],
+    ).parameters
     assert values["fvs_estimator_node"]["method"] == "frozen"
     assert values["fvs_controller_node"]["law"] == "proportional"
     assert values["fvs_sim_node"]["seed"] == 7
@@ -49,16 +49,16 @@ def test_overrides_go_to_the_nodes_that_have_the_parameter():
     [
         ("law=mpc", "not of the form name:=value"),
         ("lwa:=mpc", "unknown parameter .*'lwa'; did you mean law[?] known are .*law, "),
-        ("law:=nonsense", "fvs_controller_node .*law must be one of"),
-        ("law:=ftsn", "one of .*; did you mean ftsm[?]"),
+        ("law:=ftsn", "fvs_controller_node .*law must be one of .*; did you mean ftsm[?]"),
         ("fvs_sim_node:law:=ftsm", "unknown parameter 'law'"),
         ("fvs_smi_node:seed:=1", "unknown node .*; did you mean fvs_sim_node[?]"),
+        ("fvs_recorder_node:images:=false", "unknown node of demo.yaml 'fvs_recorder_node'"),
         ("latency_s:=-1.0", "latency_s must be number from 0 to 1"),
     ],
 )
 def test_a_wrong_override_is_refused_in_words(override, words):
     with pytest.raises(ScenarioError, match=words):
-        load_scenario("demo").with_overrides([override])
+        load_scenario("demo", [override])
 
 
 @pytest.mark.parametrize(
@@ -69,11 +69,9 @@ def test_a_wrong_override_is_refused_in_words(override, words):
         ("fvs_sim_node: {ros__parameters: {}, more: 1}\n", "and nothing else"),
         ("some_node: {ros__parameters: {}}\n", "unknown node .* known are fvs_sim_node"),
         ("{}\n", "names no node"),
-        (
-            "fvs_sim_node: {ros__parameters: {sead: 3}}\n",
-            "unknown parameter 'sead'; did you mean seed[?]",
-        ),
+        ("fvs_sim_node: {ros__parameters: {sead: 3}}\n", "'sead'; did you mean seed[?]"),
         ("a: [\n", "cannot read scenario"),
+        ("a: \0", "it is binary, expected text"),
     ],
 )
 def test_a_file_that_is_no_scenario_is_refused_in_words(tmp_path, text, words):
@@ -83,41 +81,16 @@ def test_a_file_that_is_no_scenario_is_refused_in_words(tmp_path, text, words):
         load_scenario(str(path))
 
 
-def test_a_missing_scenario_says_where_it_was_looked_for():
-    with pytest.raises(ScenarioError, match=r"no file nowhere\.yaml; looked in .*config"):
-        load_scenario("nowhere.yaml")
-
-
-def test_a_misspelled_scenario_is_answered_with_the_right_one_and_all():
-    with pytest.raises(ScenarioError, match=r"did you mean demo\? known are .*, servo, ur5_real"):
-        load_scenario("dmeo")
-
-
-@pytest.mark.parametrize("content", [b"PK\x03\x04\xff", b"a: \x00"])
-def test_a_binary_file_is_called_so(tmp_path, content):
-    path = tmp_path / "model.npz"
-    path.write_bytes(content)
-    with pytest.raises(ScenarioError, match="it is binary, expected text"):
-        load_scenario(str(path))
-
-
 @pytest.mark.parametrize(
-    ("scenario", "overrides", "missing"),
+    ("name", "words"),
     [
-        ("demo", [], ""),
-        ("collect", [], ""),
-        ("dashboard", [], ""),
-        ("demo", ["model_path:=nowhere.npz"], "fvs_estimator_node needs a model: no file nowhere"),
-        ("servo", ["model_path:=nowhere.npz", "method:=oracle"], ""),
-        ("demo", ["fvs_demo_node:model_path:=nowhere.npz"], "fvs_demo_node needs a model"),
+        ("nowhere.yaml", r"no file nowhere\.yaml; looked in .*config"),
+        ("dmeo", r"did you mean demo\? known are .*, servo, ur5_real"),
     ],
 )
-def test_a_missing_model_is_found_before_anything_starts(scenario, overrides, missing):
-    wanted = load_scenario(scenario).with_overrides(overrides)
-    if not missing:
-        return wanted.check_models()
-    with pytest.raises(ScenarioError, match=missing):
-        wanted.check_models()
+def test_a_scenario_that_is_not_there_is_looked_for_or_guessed(name, words):
+    with pytest.raises(ScenarioError, match=words):
+        load_scenario(name)
 
 
 def test_wildcard_parameters_reach_every_node_and_the_file_holds_in_any_namespace():
@@ -128,41 +101,62 @@ def test_wildcard_parameters_reach_every_node_and_the_file_holds_in_any_namespac
 
 
 @pytest.mark.parametrize("name", [*SCHEMES, *BEYOND])
-def test_a_scheme_sets_method_and_law(name):
+def test_a_scheme_sets_method_and_law_and_an_override_wins(name):
     one = scheme(name)
     assert one.name == name
     assert one.description.endswith(".")
     assert one.law in LAWS
     assert one.method in ESTIMATORS
-    before, after = load_scenario("demo").parameters, load_scenario("demo").with_scheme(name)
-    assert after.parameters["fvs_estimator_node"]["method"] == one.method
-    assert after.parameters["fvs_controller_node"]["law"] == one.law
-    controller = after.parameters["fvs_controller_node"]
-    assert {name: controller[name] for name in one.controller_values} == one.controller_values
-    assert after.parameters["fvs_demo_node"] == before["fvs_demo_node"]
+    parameters = load_scenario("demo", scheme_name=name).parameters
+    assert parameters["fvs_estimator_node"]["method"] == one.method
+    assert parameters["fvs_controller_node"]["law"] == one.law
+    assert one.controller_values.items() <= parameters["fvs_controller_node"].items()
+    other = load_scenario("demo", ["law:=mfac"], name).parameters
+    assert other["fvs_controller_node"]["law"] == "mfac"
+    assert other["fvs_estimator_node"]["method"] == one.method
 
 
 def test_the_best_scenario_is_the_demo_with_the_best_scheme():
-    wanted = load_scenario("demo").with_scheme("best").with_overrides(["output_dir:=out/best"])
+    wanted = load_scenario("demo", ["output_dir:=out/best"], "best")
     assert load_scenario("best").parameters == wanted.parameters
 
 
-def test_an_override_wins_over_a_scheme():
-    scenario = load_scenario("demo").with_scheme("rbf+pid").with_overrides(["law:=mfac"])
-    assert scenario.parameters["fvs_controller_node"]["law"] == "mfac"
-    assert scenario.parameters["fvs_estimator_node"]["method"] == "rbf"
+@pytest.mark.parametrize(
+    ("scenario", "name", "words"),
+    [
+        ("demo", "pid", r"did you mean rbf\+pid\? known are proposed, rbf\+pid"),
+        ("collect", "proposed", r"needs fvs_estimator_node and fvs_controller_node, which collect"),
+    ],
+)
+def test_a_scheme_that_does_not_fit_is_refused_in_words(scenario, name, words):
+    with pytest.raises(ScenarioError, match=words):
+        load_scenario(scenario, scheme_name=name)
 
 
-def test_a_scheme_that_does_not_fit_is_refused_in_words():
-    with pytest.raises(
-        ScenarioError, match=r"did you mean rbf\+pid\? known are proposed, rbf\+pid"
-    ):
-        load_scenario("demo").with_scheme("pid")
-    with pytest.raises(
-        ScenarioError,
-        match=r"needs fvs_estimator_node and fvs_controller_node, which collect\.yaml",
-    ):
-        load_scenario("collect").with_scheme("proposed")
+def test_recorder_and_markers_share_frame_and_time_with_the_loop(tmp_path):
+    overrides = ["use_sim_time:=true", "fvs_controller_node:feature_frame:=eye", "law:=mfac"]
+    loop = load_scenario("demo", overrides)
+    recorded = load_scenario("demo", overrides, record=str(tmp_path / "bag"), images=False)
+    assert recorded.nodes == [RECORDER, *loop.nodes, MARKERS]
+    shared = {"use_sim_time": True, "feature_frame": "eye"}
+    assert recorded.parameters[MARKERS] == shared
+    values = recorded.parameters[RECORDER]
+    started = values["scenario"]
+    assert values == {
+        **shared,
+        "bag_dir": str(tmp_path / "bag"),
+        "images": False,
+        "scenario": started,
+    }
+    assert started == loop.to_params_yaml()
+    assert yaml.safe_load(recorded.to_params_yaml())  # text within text
+    assert load_scenario("demo", markers=True).nodes == [*loop.nodes, MARKERS]
+
+
+def test_parameters_of_the_recorder_can_be_given(tmp_path):
+    given = [f"{RECORDER}:feature_frame:=eye"]
+    recorded = load_scenario("servo", given, record=str(tmp_path / "bag"))
+    assert recorded.parameters[RECORDER]["feature_frame"] == "eye"
 
 
 @pytest.mark.parametrize(
@@ -184,7 +178,6 @@ def test_nodes_get_their_enclave_only_where_security_is_on():
     on = {"ROS_SECURITY_ENABLE": "true"}
     assert enclave_arguments("a_node", "", on) == ["--enclave", "/a_node"]
     assert enclave_arguments("a_node", "/left/arm", on) == ["--enclave", "/left/arm/a_node"]
-    assert enclave_arguments("a_node", "left", {}) == []
     assert enclave_arguments("a_node", "left", {"ROS_SECURITY_ENABLE": "false"}) == []
 
 

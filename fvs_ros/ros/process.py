@@ -1,0 +1,96 @@
+"""One node as a process: its executor, its help, its orderly end."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterable
+
+import rclpy
+from rclpy.exceptions import ParameterException
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+
+from fvs_ros import console, stop
+from fvs_ros.arguments import node_help
+from fvs_ros.params import Parameter
+from fvs_ros.paths import find_file
+from fvs_ros.ros.node import FvsNode
+from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
+
+try:
+    from rclpy.experimental import EventsExecutor
+except ImportError:  # before rclpy 7.1.4
+    EventsExecutor = SingleThreadedExecutor
+
+_SPIN_PERIOD_S = 0.05
+
+
+def run(make_node: Callable[[], FvsNode], doc: str, parameters: Iterable[Parameter]) -> int:
+    """Run one node in this process until a signal, its own wish, or an error.
+
+    Signals end the spin loop, not the ROS context, so that ``finish`` can still send. A blocked
+    terminal does not hold the node: what it cannot take is dropped.
+
+    Parameters
+    ----------
+    make_node : callable
+        Builds the node after ``rclpy.init``.
+    doc : str
+        Docstring of its module, for ``--help``: name, and what it is for.
+    parameters : iterable of Parameter
+        Its parameters, for ``--help``.
+
+    Returns
+    -------
+    int
+        0 after a signal or a finished task, 1 after an error, 2 after a wrong parameter or file.
+    """
+    stop.listen()
+    # A first announcement that is lost costs a moment, not three seconds; read by Fast DDS alone.
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(find_file("quick_discovery.xml")))
+    with console.never_blocking():
+        if {"-h", "--help"} & set(sys.argv):
+            print(node_help(doc, parameters))
+            return EXIT_OK
+        unknown = remove_ros_args(sys.argv)[1:]
+        if unknown:  # rclpy would pass over them, and the node run with other values than wanted
+            return _refused(
+                f"unknown argument {unknown[0]!r}; parameters and remaps stand "
+                "behind --ros-args, as in --ros-args -p name:=value; --help lists them"
+            )
+        try:
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        except RuntimeError as error:  # rcl's own: arguments or a parameter file it cannot read
+            return _refused(str(error))
+        try:
+            node = make_node()
+        except (ValueError, OSError, ParameterException) as error:
+            return _refused(str(error))
+        else:
+            return _spin(node)
+        finally:
+            rclpy.try_shutdown()
+
+
+def _spin(node: FvsNode) -> int:
+    executor: Executor = EventsExecutor() if node.keeps_subscriptions else SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        while not stop.RECEIVED and node.exit_code is None and rclpy.ok():
+            executor.spin_once(timeout_sec=_SPIN_PERIOD_S)
+    except ExternalShutdownException:
+        pass
+    finally:
+        try:
+            node.finish()
+        finally:
+            executor.shutdown(timeout_sec=0.0)  # left to the garbage collector, it complains
+            node.destroy_node()
+    return EXIT_OK if node.exit_code is None else node.exit_code
+
+
+def _refused(why: str) -> int:
+    print(f"cannot start: {why}", file=sys.stderr, flush=True)
+    return EXIT_BAD_INPUT
