@@ -22,7 +22,7 @@ from fvs_ros.params import Parameter
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_ros.topics import NODES, End, Node, Topic
 from fvs_tools.scenario import NODE_TABLE
-from fvs_tools.security_policy import OPERATOR, policy
+from fvs_tools.security_policy import policy
 
 PAGE, POLICY = "docs/reference.md", "config/sros2/policy.xml"
 COMMAND = "python -m fvs_tools.reference"
@@ -64,99 +64,19 @@ _EXIT_CODES = {
     EXIT_BAD_INPUT: "a wrong parameter, argument or file; nothing was started",
 }
 
-_INTRODUCTION = f"""\
-# Reference
-
-Every topic, service, parameter, reason and exit code. `{COMMAND}`
-writes this page from what the code declares; so change it there.
-"""
-
-_TOPICS = """\
-Names are relative unless they begin with `/`, so namespaces and remaps work; `~/` is below the
-node's own name. Units are SI. Only the newest message counts: queues hold one, but those of
-`/diagnostics` and of records more. A *best effort* subscription hears any publisher; *latched*
-means that a late subscriber gets the last message, too. A camera's topics are also found below
-`camera/camera`, as a RealSense's driver names them.
-"""
-
-_PARAMETERS = """\
-A parameter's name ends in its unit. *Live* ones may change while the node runs (`ros2 param set`),
-the others are set at its start: `-p name:=value` after `--ros-args`, in a scenario file, or
-`fvs_launch SCENARIO -p name:=value`. A wrong value is refused with what was expected. Every node
-also has `use_sim_time`. Long numbers are rounded here.
-"""
-
-_REASONS = """\
-What the controller does and says on `~/status`: key `state`, key `reason`, and the sentence as the
-message. Before a start, every reason but `READY` shows as `WAITING`. Words in *italics* stand for
-the names and numbers of the moment. A ramp keeps to the acceleration limit; zeros at once do not.
-"""
-
-_ACCESS = f"""\
-[{POLICY}](../{POLICY}) says for SROS2 what every node may publish, hear and
-serve, and forbids the rest. Joint commands may come from `fvs_controller_node` and
-`fvs_collector_node` alone. The enclave `/{OPERATOR}` is for a person's tools: it sees everything,
-sets targets and parameters and calls services, but cannot send a joint command.
-
-It needs a ROS 2 with the security plugins (the Debian packages; the wheels that `make` installs are
-built without). The domain of the rules is the `ROS_DOMAIN_ID` in force when they are generated:
-
-```sh
-ros2 security create_keystore keystore
-ros2 security generate_artifacts -k keystore \\
-  -p "$(ros2 pkg prefix --share fvs_ros)/{POLICY}"
-
-export ROS_SECURITY_KEYSTORE="$PWD/keystore"
-export ROS_SECURITY_ENABLE=true ROS_SECURITY_STRATEGY=Enforce
-ros2 run fvs_ros fvs_controller_node --ros-args --enclave /fvs_controller_node
-ROS_SECURITY_ENCLAVE_OVERRIDE=/{OPERATOR} ros2 topic echo --no-daemon \\
-    --full-length /fvs_controller_node/status
-```
-
-With `ROS_SECURITY_ENABLE=true`, `fvs_launch` and `ros2 launch` give each node the enclave of its
-full name; a node that is started by itself needs its `--enclave`. After a change of the rules, run
-`generate_artifacts` again. For nodes in a namespace, make rules of their own, whose enclaves are
-called `/left/fvs_controller_node` and so on:
-
-```sh
-python3 -m fvs_tools.reference --policy policy.xml --namespace left
-```
-
-The driver of the robot, the camera and your own nodes need enclaves of their own.
-"""
-
 
 def page() -> str:
     """The whole of ``docs/reference.md``."""
-    nodes = "".join(f"  - [{name}](#{name})\n" for name in NODE_TABLE)
-    contents = (
-        "- [Topics](#topics)\n"
-        "- [Parameters](#parameters)\n"
-        f"- Nodes\n{nodes}"
-        "- [States and reasons of the controller](#states-and-reasons-of-the-controller)\n"
-        "- [Exit codes](#exit-codes)\n"
-        "- [Access rules for SROS2](#access-rules-for-sros2)\n"
+    template = Path(__file__).with_name("reference.md.in").read_text(encoding="utf-8")
+    codes = [(str(code), text) for code, text in _EXIT_CODES.items()]
+    return string.Template(template).substitute(
+        nodes="\n".join(f"  - [{name}](#{name})" for name in NODE_TABLE),
+        topics=_topics_table(),
+        node_sections="\n".join(_node(name, NODES[name]) for name in NODE_TABLE),
+        states=_table(("state", "meaning"), [(_code(s.value), _STATES[s]) for s in State]),
+        reasons=_reasons_table(),
+        exit_codes=_table(("code", "when"), codes),
     )
-    parts = [
-        _INTRODUCTION,
-        contents,
-        "## Topics\n",
-        _TOPICS,
-        _topics_table(),
-        "## Parameters\n",
-        _PARAMETERS,
-        *(_node(name, NODES[name]) for name in NODE_TABLE),
-        "## States and reasons of the controller\n",
-        _REASONS,
-        _table(("state", "meaning"), [(_code(s.value), _STATES[s]) for s in State]),
-        _reasons_table(),
-        "## Exit codes\n",
-        "Of every program and node.\n",
-        _table(("code", "when"), [(str(code), text) for code, text in _EXIT_CODES.items()]),
-        "## Access rules for SROS2\n",
-        _ACCESS,
-    ]
-    return "\n".join(parts)
 
 
 # --- topics and services ---
@@ -332,9 +252,8 @@ def written() -> dict[str, str]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Write the generated files, or say which of them are out of date."""
+    """Write the generated files, or one policy to anywhere."""
     parser = argparse.ArgumentParser(prog=COMMAND, description=__doc__)
-    parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if one differs")
     parser.add_argument("-p", "--policy", type=Path, help="write the SROS2 policy alone, to there")
     parser.add_argument("-n", "--namespace", default="", help="of the nodes (with --policy)")
     arguments = parser.parse_args(argv)
@@ -345,17 +264,9 @@ def main(argv: list[str] | None = None) -> int:
     if not (root / "package.xml").is_file():
         print(f"{PAGE} is written in the source tree only; here, use --policy", file=sys.stderr)
         return EXIT_BAD_INPUT
-    code = EXIT_OK
     for name, text in written().items():
-        path = root / name
-        if arguments.check:
-            if not path.is_file() or path.read_text(encoding="utf-8") != text:
-                print(f"{name} is out of date; write it anew with {COMMAND}", file=sys.stderr)
-                code = EXIT_FAILURE
-            continue
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    return code
+        (root / name).write_text(text, encoding="utf-8")
+    return EXIT_OK
 
 
 if __name__ == "__main__":

@@ -90,6 +90,7 @@ def _train(
         unit="it",
         leave=False,
         disable=arguments.quiet,
+        delay=0.5,
         mininterval=0.2 if sys.stderr.isatty() else 10.0,
     ) as bar:
 
