@@ -12,7 +12,7 @@ from pathlib import Path
 _STILL_S = 2.0
 #: Simulated time that advances by more at once has jumped, s.
 _JUMP_S = 1.0
-#: So many programs that want to run for each core make some of them late.
+#: With this number of running programs per core, some are late.
 _PROGRAMS_PER_CORE = 2.0
 
 

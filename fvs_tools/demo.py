@@ -57,16 +57,15 @@ def own_targets(text: str) -> np.ndarray:
     ValueError
         If one does not have three finite numbers.
     """
-    targets = []
-    for part in filter(None, (part.strip() for part in text.split(";"))):
-        try:
-            target = np.array([float(number) for number in part.split()])
-        except ValueError:
-            target = np.empty(0)
-        if target.shape != (3,) or not np.isfinite(target).all():
-            raise ValueError(f"target_positions: expected three numbers, got '{part}'")
-        targets.append(target)
-    return np.array(targets).reshape(-1, 3)
+    parts = [part.split() for part in text.split(";") if part.strip()]
+    try:
+        targets = np.array(parts, dtype=float).reshape(-1, 3) if parts else np.empty((0, 3))
+        given = {len(part) for part in parts} <= {3} and bool(np.isfinite(targets).all())
+    except ValueError:
+        given = False
+    if not given:
+        raise ValueError(f"target_positions must be 'x y z; ...' in m, got '{text}'")
+    return targets
 
 
 def choose_target(

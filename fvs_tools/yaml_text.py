@@ -1,4 +1,4 @@
-"""YAML that a stranger may have written: no aliases, nothing oversized."""
+"""YAML from untrusted files: no aliases, nothing oversized."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 
 _LAST_ZEROS, _LAST_ZEROS_PERIOD_S, _LAST_ZEROS_ACK_S = 5, 0.01, 0.5
 _QUATERNION_SLACK = 0.01
-#: Longest text that is logged, told or taken for a frame, characters.
+#: Longest text that is logged, published or taken for a frame, characters.
 MOST_TEXT = 1000
 
 
@@ -35,7 +35,7 @@ class MessageError(ValueError):
 
 
 def plain(text: str) -> str:
-    """A text as it may be logged and told: printable, and not too long."""
+    """A text as it may be logged and published: printable, and not too long."""
     return "".join(c if c.isprintable() else " " for c in text[:MOST_TEXT])
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from itertools import pairwise
+
+import numpy as np
 
 
 class ArrivalMonitor:
@@ -31,17 +32,11 @@ class ArrivalMonitor:
 
     def report(self, now_s: float) -> dict[str, float | int]:
         """Age (s), rate (Hz), jitter (ms, standard deviation of the intervals) and count."""
-        arrivals = list(self._arrivals_s)
-        intervals = [b - a for a, b in pairwise(arrivals)]
-        rate_hz = jitter_ms = math.nan
-        if intervals:
-            mean_s = sum(intervals) / len(intervals)
-            rate_hz = 1.0 / mean_s if mean_s > 0.0 else math.nan
-            variance = sum((interval - mean_s) ** 2 for interval in intervals) / len(intervals)
-            jitter_ms = 1e3 * math.sqrt(variance)
+        intervals_s = np.diff(self._arrivals_s)
+        mean_s = float(np.mean(intervals_s)) if intervals_s.size else 0.0
         return {
             "age_s": self.age_s(now_s),
-            "rate_hz": rate_hz,
-            "jitter_ms": jitter_ms,
+            "rate_hz": 1.0 / mean_s if mean_s > 0.0 else math.nan,
+            "jitter_ms": 1e3 * float(np.std(intervals_s)) if intervals_s.size else math.nan,
             "count": self.count,
         }

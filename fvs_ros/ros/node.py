@@ -37,8 +37,8 @@ from fvs_ros.ros.qos import QOS_LATCHED, QOS_NEWEST, QOS_RELIABLE
 _DIAGNOSTICS_PERIOD_S = 1.0
 #: The same complaint is logged once in this time.
 _REPEAT_S = 5.0
-#: Messages and requests of others are at most so large, bytes; a robot's description (URDF) may be
-#: larger. A request names at most so many things.
+#: Largest message or request of others, bytes; a robot's description (URDF) may be larger. Most
+#: items that a request names.
 _MOST_BYTES, _MOST_BYTES_OF, _MOST_ITEMS = 2**14, {String: 2**22}, 250
 #: Images are as large as their pixels, which their decoding bounds; their texts are bounded here.
 _IMAGES = (Image, CompressedImage)
@@ -121,10 +121,9 @@ class NeverReady(CallbackGroup):
 
 
 class Sampled:
-    """A topic that is looked at when it suits: its messages wake nobody.
+    """A topic that is looked at when it suits: its messages do not wake the process.
 
-    Hundreds of messages a second cost a process a good part of a core even if it only wants to
-    know, now and then, what the newest one says.
+    Being woken by hundreds of messages a second costs a good part of a core.
 
     Parameters
     ----------
@@ -276,8 +275,7 @@ class FvsNode(Node):
             try:
                 callback(_unpacked(msg_type, data))
             except MessageError as error:
-                text = plain(f"{topic}: a message was dropped: {error}")
-                self.get_logger().warning(text, throttle_duration_sec=_REPEAT_S)
+                self._log_refusal(f"{topic}: a message was dropped: {error}")
 
         return super().create_subscription(
             msg_type,
@@ -303,8 +301,7 @@ class FvsNode(Node):
                     response.results = [refusal] * len(request.parameters[:_MOST_ITEMS])
                 elif isinstance(response, SetParametersAtomically.Response):
                     response.result = refusal
-                text = f"{srv_name}: a request was refused: {error}"
-                self.get_logger().warning(text, throttle_duration_sec=_REPEAT_S)
+                self._log_refusal(f"{srv_name}: a request was refused: {error}")
                 return response
             return callback(request, response)
 
@@ -367,6 +364,9 @@ class FvsNode(Node):
         else:
             self.get_logger().error(text)
 
+    def _log_refusal(self, text: str) -> None:
+        self.get_logger().warning(plain(text), throttle_duration_sec=_REPEAT_S)
+
     def diagnostic_values(self) -> dict[str, Any]:
         """More key numbers for ``/diagnostics``."""
         return {}
@@ -396,4 +396,4 @@ class FvsNode(Node):
     keeps_subscriptions = False
 
     def finish(self) -> None:
-        """Last words on the wire before the process ends, whatever ended it."""
+        """Send the last messages before the process ends, whatever ended it."""
