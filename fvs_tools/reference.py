@@ -27,24 +27,8 @@ from fvs_tools.security_policy import policy
 PAGE, POLICY = "docs/reference.md", "config/sros2/policy.xml"
 COMMAND = "python -m fvs_tools.reference"
 
-#: Unit of a parameter by the end of its name; longer ends first.
-UNITS = {
-    "_rad_s2": "rad/s²",
-    "_rad_s": "rad/s",
-    "_m_rad": "m/rad",
-    "_m_s": "m/s",
-    "_1_m2": "m⁻²",
-    "_1_s": "s⁻¹",
-    "_rad": "rad",
-    "_deg": "degrees",
-    "_percent": "%",
-    "_px": "pixels",
-    "_hz": "Hz",
-    "_mb": "MB",
-    "_m": "m",
-    "_s": "s",
-}
-
+#: Unit at the end of a field's name in a reason's text.
+_UNIT = re.compile(r"_(?:mm|m|s|rad|m_s|rad_s|deg|hz|percent)$")
 #: A topic, service or parameter within a sentence.
 _NAME = re.compile(r"(?<![\w`/~^.*)])(~?/[a-z]\w*(?:/\w+)*|[a-z]\w*_\w+)(?![\w`/*(])")
 
@@ -149,17 +133,13 @@ def _parameter_groups(node: str) -> list[tuple[str, list[Parameter]]]:
 
 
 def _parameter(parameter: Parameter) -> tuple[str, ...]:
-    must_be, words = parameter.expected(), unit(parameter.name)
-    if words:
-        must_be += f" {words}" if must_be[-1].isdigit() else f", {words}"
-    live = "live" if parameter.live else ""
-    default = _default(parameter.default)
-    return (_code(parameter.name), default, must_be, live, sentence(parameter.description))
-
-
-def unit(name: str) -> str:
-    """The unit that a parameter's name ends in, or nothing."""
-    return next((words for end, words in UNITS.items() if name.endswith(end)), "")
+    return (
+        _code(parameter.name),
+        _default(parameter.default),
+        parameter.expected(),
+        "live" if parameter.live else "",
+        sentence(parameter.description),
+    )
 
 
 def sentence(text: str) -> str:
@@ -214,10 +194,8 @@ def readable(template: str) -> str:
     """A format string with its fields as words in italics, without their units."""
     parts = []
     for literal, field, _spec, _conversion in string.Formatter().parse(template):
-        parts.append(literal)
-        if field:
-            end = next((end for end in ("_mm", *UNITS) if field.endswith(end)), "")
-            parts.append(f"*{field.removesuffix(end).replace('_', ' ')}*")
+        words = _UNIT.sub("", field).replace("_", " ") if field else ""
+        parts.append(literal + (f"*{words}*" if words else ""))
     return "".join(parts)
 
 

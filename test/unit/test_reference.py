@@ -10,7 +10,7 @@ from fvs_controller_node.reasons import Reason, State
 from fvs_ros import topics
 from fvs_ros.topics import NODES, resolve
 from fvs_tools import reference
-from fvs_tools.reference import UNITS, readable, sentence, unit
+from fvs_tools.reference import readable, sentence
 from fvs_tools.scenario import NODE_TABLE
 from fvs_tools.security_policy import OPERATOR, policy
 
@@ -104,7 +104,6 @@ RULES = {
         and p.description.count("(") == p.description.count(")")
         and not re.search(r"^\.\.\.|\.\.\.$", p.description)
     ),
-    "a unit only of numbers": lambda p: not unit(p.name) or p.kind in (int, float),
     "SI units": lambda p: not p.name.endswith(("_ms", "_mm", "_cm", "_us", "_ns")),
     "a range only of numbers": lambda p: (
         p.kind in (int, float) or (p.minimum, p.maximum) == (None, None)
@@ -124,11 +123,6 @@ RULES = {
 @pytest.mark.parametrize("rule", RULES)
 def test_every_parameter_has(rule):
     assert not [name for name, parameter in PARAMETERS.items() if not RULES[rule](parameter)]
-
-
-def test_the_longest_unit_wins():
-    for end, words in UNITS.items():
-        assert unit(f"some{end}") == words
 
 
 # --- access rules ---
