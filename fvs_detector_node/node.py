@@ -33,7 +33,7 @@ from fvs_detector_node.synchroniser import Pair, Synchroniser
 from fvs_ros import ros, topics
 from fvs_ros.camera import CameraModel
 from fvs_ros.ros.images import from_color, from_depth
-from fvs_ros.ros.monitor import ArrivalMonitor
+from fvs_ros.ros.inputs import ArrivalMonitor
 from fvs_ros.topics import CAMERA_PREFIXES
 
 _STATUS_PERIOD_S = 0.1

@@ -1,5 +1,6 @@
 """The one part of the ground that knows ROS: node, messages, quality of service."""
 
+from fvs_ros.ros.inputs import NeverReady, Sampled
 from fvs_ros.ros.messages import (
     ERROR,
     OK,
@@ -25,11 +26,7 @@ from fvs_ros.ros.messages import (
     to_status,
     to_vector,
 )
-from fvs_ros.ros.node import (
-    FvsNode,
-    NeverReady,
-    Sampled,
-)
+from fvs_ros.ros.node import FvsNode
 from fvs_ros.ros.process import run
 from fvs_ros.ros.qos import (
     PROFILES,

@@ -16,69 +16,26 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
-from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.service import Service
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import CompressedImage, Image
-from std_msgs.msg import String
 
 from fvs_ros import topics
 from fvs_ros.clock import LoopClock
 from fvs_ros.params import Parameter, ParameterError, ParameterSet
-from fvs_ros.ros.messages import MOST_TEXT, OK, WARN, MessageError, plain, to_stamp, to_status
-from fvs_ros.ros.monitor import ArrivalMonitor
-from fvs_ros.ros.qos import QOS_LATCHED, QOS_NEWEST, QOS_RELIABLE
+from fvs_ros.ros.inputs import IMAGES, MOST_ITEMS, ArrivalMonitor, check_request, unpacked
+from fvs_ros.ros.messages import OK, WARN, MessageError, plain, to_stamp, to_status
+from fvs_ros.ros.qos import QOS_LATCHED, QOS_RELIABLE
 
 _DIAGNOSTICS_PERIOD_S = 1.0
 #: The same complaint is logged once in this time.
 _REPEAT_S = 5.0
-#: Largest message or request of others, bytes; a robot's description (URDF) may be larger. Most
-#: items that a request names.
-_MOST_BYTES, _MOST_BYTES_OF, _MOST_ITEMS = 2**14, {String: 2**22}, 250
-#: Images are as large as their pixels, which their decoding bounds; their texts are bounded here.
-_IMAGES = (Image, CompressedImage)
 #: End of an open range of whole numbers.
 _LARGEST = 2**62
 _BUILT_IN_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
-
-
-# --- what comes from others ---
-
-
-def _unpacked(message_type: type, data: Any) -> Any:
-    """The message in what a topic brought, bytes or an image; a ``MessageError`` if it is none."""
-    if message_type in _IMAGES:
-        size, most, what = len(data.header.frame_id), MOST_TEXT, "its frame_id"
-    else:
-        size, most, what = len(data), _MOST_BYTES_OF.get(message_type, _MOST_BYTES), "it"
-    if size > most:
-        raise MessageError(f"{what} has {size} bytes, expected at most {most}")
-    try:
-        return data if message_type in _IMAGES else deserialize_message(data, message_type)
-    except RuntimeError as error:
-        raise MessageError(str(error)) from error
-
-
-def _check_request(request: Any) -> None:
-    """A ``ValueError`` if a service's request is too large or malformed."""
-    size = len(serialize_message(request))
-    fields = [getattr(request, name) for name in request.get_fields_and_field_types()]
-    items = max([len(field) for field in fields if isinstance(field, list)], default=0)
-    if size > _MOST_BYTES or items > _MOST_ITEMS:
-        raise MessageError(
-            f"a request of {items} items and {size} bytes is too large, "
-            f"expected at most {_MOST_ITEMS} and {_MOST_BYTES}"
-        )
-    for parameter in getattr(request, "parameters", ()):
-        rclpy.Parameter.from_parameter_msg(parameter)  # raises if its type is unknown
-
-
-# --- parameters ---
 
 
 def _descriptor(one: Parameter) -> ParameterDescriptor:
@@ -103,59 +60,6 @@ def _descriptor(one: Parameter) -> ParameterDescriptor:
             )
         ]
     return descriptor
-
-
-class NeverReady(CallbackGroup):
-    """Subscriptions that the executor leaves alone: their messages are fetched."""
-
-    def can_execute(self, entity: Any) -> bool:
-        """Never."""
-        return False
-
-    def beginning_execution(self, entity: Any) -> bool:
-        """Never."""
-        return False
-
-    def ending_execution(self, entity: Any) -> None:
-        """Nothing has begun."""
-
-
-class Sampled:
-    """A topic that is looked at when it suits: its messages do not wake the process.
-
-    Being woken by hundreds of messages a second costs a good part of a core.
-
-    Parameters
-    ----------
-    node : Node
-        Who looks.
-    message_type : type
-        Of the topic.
-    topic : str
-        Its name.
-    callback : callable
-        Takes a message.
-    """
-
-    def __init__(
-        self, node: Node, message_type: type, topic: str, callback: Callable[[Any], None]
-    ) -> None:
-        self._node = node
-        self._subscription = node.create_subscription(
-            message_type, topic, callback, QOS_NEWEST, callback_group=NeverReady()
-        )
-
-    def look(self) -> None:
-        """Take the newest message, if one has come since the last look."""
-        subscription = self._subscription
-        with subscription.handle:
-            taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-        if taken is not None:
-            subscription.callback(taken[0])
-
-    def close(self) -> None:
-        """Hear no more."""
-        self._node.destroy_subscription(self._subscription)
 
 
 class FvsNode(Node):
@@ -273,7 +177,7 @@ class FvsNode(Node):
 
         def on_data(data: Any) -> None:
             try:
-                callback(_unpacked(msg_type, data))
+                callback(unpacked(msg_type, data))
             except MessageError as error:
                 self._log_refusal(f"{topic}: a message was dropped: {error}")
 
@@ -283,7 +187,7 @@ class FvsNode(Node):
             callback if raw else on_data,
             qos_profile,
             # From its bytes an image takes four times as long to unpack.
-            raw=raw or msg_type not in _IMAGES,
+            raw=raw or msg_type not in IMAGES,
             **options,
         )
 
@@ -294,11 +198,11 @@ class FvsNode(Node):
 
         def on_request(request: Any, response: Any) -> Any:
             try:
-                _check_request(request)
+                check_request(request)
             except ValueError as error:
                 refusal = SetParametersResult(successful=False, reason=str(error))
                 if isinstance(response, SetParameters.Response):
-                    response.results = [refusal] * len(request.parameters[:_MOST_ITEMS])
+                    response.results = [refusal] * len(request.parameters[:MOST_ITEMS])
                 elif isinstance(response, SetParametersAtomically.Response):
                     response.result = refusal
                 self._log_refusal(f"{srv_name}: a request was refused: {error}")

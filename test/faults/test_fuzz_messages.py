@@ -17,6 +17,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
 
 from fvs_ros import ros
 from fvs_ros.joints import UR_JOINT_NAMES, JointMap, JointStateError
+from fvs_ros.ros.inputs import unpacked
 
 MANY = settings(max_examples=200, derandomize=True, deadline=None)
 NUMBER = st.floats(width=64)
@@ -243,22 +244,22 @@ def with_dimensions(count):
     ids=["frame_id", "dimensions", "values", "joints", "key numbers", "URDF"],
 )
 def test_a_message_is_unpacked_unless_it_is_too_large(small, large):
-    assert ros._unpacked(type(small), serialize_message(small)) == small
+    assert unpacked(type(small), serialize_message(small)) == small
     with pytest.raises(ros.MessageError, match="expected at most"):
-        ros._unpacked(type(large), serialize_message(large))
+        unpacked(type(large), serialize_message(large))
 
 
 def test_an_image_is_large_but_its_text_is_not():
     image = Image(height=1000, width=1000, step=3000, data=bytes(3 * 10**6))
-    assert ros._unpacked(Image, image) is image
+    assert unpacked(Image, image) is image
     with pytest.raises(ros.MessageError, match="frame_id"):
-        ros._unpacked(Image, in_frame(Image, "x" * 10**6))
+        unpacked(Image, in_frame(Image, "x" * 10**6))
 
 
 @MANY
 @given(kind=st.sampled_from([JointState, PointStamped, Float64MultiArray]), data=st.binary())
 def test_any_bytes_are_a_message_or_refused(kind, data):
-    message, refusal = outcome(ros.MessageError, ros._unpacked, kind, data)
+    message, refusal = outcome(ros.MessageError, unpacked, kind, data)
     assert isinstance(message, kind) or refusal
 
 

@@ -144,34 +144,6 @@ def allowed(profile, kind, verb):
     return {resolve(rule.text, node, namespace) for rule in rules}
 
 
-@pytest.mark.parametrize("namespace", ["", "left", "/cell/left/"])
-def test_every_declared_name_is_allowed_under_its_verb(namespace):
-    found = profiles(policy(namespace))
-    assert len(found) == len(NODES) + 1
-    for node, on_the_wire in NODES.items():
-        profile = found[resolve("~", node, namespace)]
-        assert profile.attrib == {"ns": "/" + namespace.strip("/"), "node": node}
-
-        def full(names, node=node):
-            return {resolve(name, node, namespace) for name in names}
-
-        published = [topic.name for topic in topics.publishers(node)]
-        heard = [topic.name for topic in topics.subscribers(node)]
-        # A RealSense under its driver's own names.
-        heard += [f"camera/{name}" for name in heard if name.startswith("camera/")]
-        heard += ["/*"] if on_the_wire.hears_all else []
-        assert allowed(profile, "topic", "publish") == full(
-            [*published, *topics.EVERY_NODE_PUBLISHES]
-        )
-        assert allowed(profile, "topic", "subscribe") == full(
-            [*heard, *topics.EVERY_NODE_SUBSCRIBES]
-        )
-        assert allowed(profile, "service", "reply") == full(
-            [*on_the_wire.serves, *topics.EVERY_NODE_SERVES]
-        )
-        assert allowed(profile, "service", "request") == full(on_the_wire.calls)
-
-
 def test_joint_commands_come_from_the_controller_and_the_collector_alone():
     text = (ROOT / reference.POLICY).read_text(encoding="utf-8")
     command = resolve(topics.COMMANDS.name, "")

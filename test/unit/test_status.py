@@ -1,14 +1,11 @@
-"""Reading statuses, and that nobody reads them in another way."""
+"""Reading statuses."""
 
 from math import isnan
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fvs_ros.status import number, vector
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize("text", [None, "", "unknown", "nan"])
@@ -22,10 +19,3 @@ def test_a_vector_is_known_only_as_a_whole():
     for text in ("inf", "unknown", ""):
         assert vector({**values, "target_y_m": text}, "target_{}_m") is None
     assert vector(values, "position_{}_m") is None
-
-
-@pytest.mark.parametrize("path", ["fvs_lab/replay", "fvs_tools/markers.py"])
-def test_replay_and_markers_do_without_the_page(path):
-    files = sorted((ROOT / path).glob("*.py")) or [ROOT / path]
-    for file in files:
-        assert "fvs_dashboard" not in file.read_text(encoding="utf-8"), file
