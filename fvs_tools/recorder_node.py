@@ -194,7 +194,7 @@ class RecorderNode(ros.FvsNode):
         try:
             transforms = self._viewing.of(message, robot=self._tf not in self._topics)
         except ValueError as error:
-            self.tell(ros.WARN, f"no transforms of the robot: {error}")
+            self._log_refusal(f"no transforms of the robot: {error}")
             return
         if transforms is not None:
             moving = transforms.topic == self._tf

@@ -7,7 +7,7 @@ are computed from what a recording has anyway: the robot's URDF and its joint st
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -26,51 +26,36 @@ _PERIOD_NS = 10**9 // 30
 
 
 @dataclass(frozen=True)
-class Transform:
-    """Where one frame stands in another.
+class Joint:
+    """A joint of a URDF, or a camera's mount: where one frame stands in another.
 
     Parameters
     ----------
     parent, child : str
         Names of the frames.
     translation_m : ndarray, shape (3,)
-        The child's origin in the parent, m.
+        The child's origin in the parent at position zero, m.
     rotation : Rotation
         Its orientation there.
+    kind : str
+        Such as ``revolute``.
+    axis : ndarray, shape (3,)
+        Unit axis in the child.
     """
 
     parent: str
     child: str
     translation_m: np.ndarray
     rotation: Rotation
+    kind: str = "fixed"
+    axis: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
-
-@dataclass(frozen=True)
-class Joint:
-    """A joint of a URDF.
-
-    Parameters
-    ----------
-    kind : str
-        Such as ``revolute``.
-    zero : Transform
-        Its child in its parent at position zero.
-    axis : ndarray, shape (3,)
-        Unit axis in the child.
-    """
-
-    kind: str
-    zero: Transform
-    axis: np.ndarray
-
-    def at(self, position: float) -> Transform:
-        """The child in the parent at a position, rad or m."""
-        zero, step = self.zero, position * self.axis
+    def at(self, position: float) -> Joint:
+        """The same with the child where a position, rad or m, puts it."""
+        step = position * self.axis
         if self.kind == "prismatic":
-            moved_m = zero.translation_m + zero.rotation.apply(step)
-            return Transform(zero.parent, zero.child, moved_m, zero.rotation)
-        turned = zero.rotation * Rotation.from_rotvec(step)
-        return Transform(zero.parent, zero.child, zero.translation_m, turned)
+            return replace(self, translation_m=self.translation_m + self.rotation.apply(step))
+        return replace(self, rotation=self.rotation * Rotation.from_rotvec(step))
 
 
 def read_joints(urdf: str) -> dict[str, Joint]:
@@ -104,9 +89,10 @@ def _joint(element: ElementTree.Element) -> Joint:
     if not parent or not child:
         raise ValueError(f"joint {element.get('name')} has no parent or no child")
     axis = numbers("axis", "xyz", "1 0 0")
-    turned = Rotation.from_euler("xyz", numbers("origin", "rpy", "0 0 0"))
-    zero = Transform(parent, child, numbers("origin", "xyz", "0 0 0"), turned)
-    return Joint(element.get("type", ""), zero, axis / (np.linalg.norm(axis) or 1.0))
+    rotation = Rotation.from_euler("xyz", numbers("origin", "rpy", "0 0 0"))
+    translation_m = numbers("origin", "xyz", "0 0 0")
+    axis /= np.linalg.norm(axis) or 1.0
+    return Joint(parent, child, translation_m, rotation, element.get("type", ""), axis)
 
 
 class Viewing:
@@ -126,7 +112,7 @@ class Viewing:
         self._description, self._joint_states = description, joint_states
         self._camera_pose, self._camera_frame = camera_pose, camera_frame
         self._joints: dict[str, Joint] = {}
-        self._camera: list[Transform] = []
+        self._camera: list[Joint] = []
         self._newest_ns = 0
 
     def of(self, message: Message, robot: bool = True) -> Message | None:
@@ -151,20 +137,18 @@ class Viewing:
                 self._joints = {}
                 self._joints = read_joints(_read(message, "std_msgs/msg/String").data)
             elif message.topic == self._camera_pose:
-                self._camera = [self._placed(_read(message, "geometry_msgs/msg/PoseStamped"))]
+                stamped = _read(message, "geometry_msgs/msg/PoseStamped")
+                at, turn = stamped.pose.position, stamped.pose.orientation
+                rotation = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w])
+                place = stamped.header.frame_id, self._camera_frame, np.array([at.x, at.y, at.z])
+                self._camera = [Joint(*place, rotation)]
             else:
                 return None
         except SerdeError as error:
             raise ValueError(f"{message.topic} is malformed: {error}") from error
         # All that is known each time: a latched topic keeps its last message only.
-        links = [one.zero for one in self._joints.values() if robot and one.kind == "fixed"]
+        links = [one for one in self._joints.values() if robot and one.kind == "fixed"]
         return _message(STATIC_TOPIC, message, message.stamp_ns, [*links, *self._camera])
-
-    def _placed(self, message: Any) -> Transform:
-        at, turn = message.pose.position, message.pose.orientation
-        rotation = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w])
-        translation_m = np.array([at.x, at.y, at.z])
-        return Transform(message.header.frame_id, self._camera_frame, translation_m, rotation)
 
     def _moved(self, message: Message) -> Message | None:
         if not self._joints or 0 <= message.stamp_ns - self._newest_ns < _PERIOD_NS:
@@ -185,7 +169,7 @@ def _read(message: Message, kind: str) -> Any:
 
 
 def _message(
-    topic: str, cause: Message, stamp_ns: int, transforms: Iterable[Transform]
+    topic: str, cause: Message, stamp_ns: int, transforms: Iterable[Joint]
 ) -> Message | None:
     """A ``TFMessage`` of the transforms, written at the time of its cause; None without any."""
     kinds: Any = TYPES.types

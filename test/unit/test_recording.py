@@ -314,7 +314,7 @@ def test_a_joint_that_slides_does_so_along_its_own_axis():
 
 def test_an_origin_turns_about_fixed_axes_one_after_the_other():
     text = urdf("fixed").replace("0 0 1.57", "1.5707963267948966 0 1.57")
-    turned = read_joints(text)["j"].zero.rotation.as_matrix()
+    turned = read_joints(text)["j"].rotation.as_matrix()
     # The child's y looks up, its z where the parent's x does.
     np.testing.assert_allclose(turned[:, 1], [0.0, 0.0, 1.0], atol=1e-12)
     np.testing.assert_allclose(turned[:, 2], [1.0, 0.0, 0.0], atol=1e-12)
