@@ -35,62 +35,40 @@ class Scheme:
     controller_values: Mapping[str, Any] = field(default_factory=dict)
 
 
-#: Those that the paper compares.
-SCHEMES: dict[str, Scheme] = {
-    one.name: one
-    for one in (
-        Scheme(
-            "proposed",
-            "rbf",
-            "ftsm",
-            "Networks that learn by (17), sliding mode law (16) with the adaptive exponent (29).",
-        ),
-        Scheme(
-            "rbf+pid",
-            "rbf",
-            "proportional",
-            "Networks that learn by (45), proportional law (46).",
-        ),
-        Scheme(
-            "ukf+mfac",
-            "ukf",
-            "mfac",
-            "Unscented Kalman filter, model free adaptive law (48).",
-        ),
-        Scheme(
-            "ukf+mpc",
-            "ukf",
-            "mpc",
-            "Unscented Kalman filter, model predictive law (49).",
-        ),
-    )
-}
+def _by_name(*schemes: Scheme) -> dict[str, Scheme]:
+    return {one.name: one for one in schemes}
 
+
+#: Those that the paper compares.
+SCHEMES = _by_name(
+    Scheme(
+        "proposed",
+        "rbf",
+        "ftsm",
+        "Networks that learn by (17), sliding mode law (16) with the adaptive exponent (29).",
+    ),
+    Scheme("rbf+pid", "rbf", "proportional", "Networks that learn by (45), proportional law (46)."),
+    Scheme("ukf+mfac", "ukf", "mfac", "Unscented Kalman filter, model free adaptive law (48)."),
+    Scheme("ukf+mpc", "ukf", "mpc", "Unscented Kalman filter, model predictive law (49)."),
+)
 
 #: Those beyond the paper.
-BEYOND: dict[str, Scheme] = {
-    one.name: one
-    for one in (
-        Scheme(
-            "extended",
-            "rbf_left",
-            "ftsm",
-            "The paper's networks behind a learned rotation, its law straight to the target, "
-            "least joint speeds.",
-            controller_values={
-                "allocation": "least_speed",
-                "ftsm_path": "straight",
-            },
-        ),
-        Scheme(
-            "best",
-            "poe",
-            "arrive",
-            "A serial chain fitted to a minute of motion, least largest joint travel at the "
-            "limits.",
-        ),
-    )
-}
+BEYOND = _by_name(
+    Scheme(
+        "extended",
+        "rbf_left",
+        "ftsm",
+        "The paper's networks behind a learned rotation, its law straight to the target, "
+        "least joint speeds.",
+        controller_values={"allocation": "least_speed", "ftsm_path": "straight"},
+    ),
+    Scheme(
+        "best",
+        "poe",
+        "arrive",
+        "A serial chain fitted to a minute of motion, least largest joint travel at the limits.",
+    ),
+)
 
 
 def scheme(name: str) -> Scheme:
