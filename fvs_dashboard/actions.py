@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import queue
 from collections.abc import Callable
-from dataclasses import dataclass
-from math import isfinite, nan
-from typing import Any
+from typing import Any, NamedTuple
 
 CONTROLLER, ESTIMATOR, SIMULATOR = "fvs_controller_node", "fvs_estimator_node", "fvs_sim_node"
 
 
-@dataclass(frozen=True)
-class Action:
+class Action(NamedTuple):
     """One press, one choice or one drag.
 
     Parameters
@@ -42,11 +39,11 @@ class Actions:
 
     Parameters
     ----------
-    wake : callable, optional
+    wake : callable
         Called, in the page's thread, when something has been said.
     """
 
-    def __init__(self, wake: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, wake: Callable[[], None]) -> None:
         self._queue: queue.SimpleQueue[Action] = queue.SimpleQueue()
         self._wake = wake
 
@@ -60,31 +57,13 @@ class Actions:
 
         A stop comes first, and a motion that was wanted before it is forgotten. A reset stops, too.
         """
-        said: list[Action] = []
+        said: dict[str, Action] = {}
         while not self._queue.empty():  # this is its only reader
-            said.append(self._queue.get_nowait())
-        stops = [i for i, action in enumerate(said) if action in (STOP, RESET)]
-        if stops:
-            last = stops[-1]
-            set_before = [action for action in said[:last] if action.sets_parameter]
-            said = [said[last], *set_before, *said[last + 1 :]]
-        names = [action.name for action in said]
-        return [action for i, action in enumerate(said) if action.name not in names[i + 1 :]]
-
-
-def point_of(text: str) -> tuple[float, float, float]:
-    """A position that a person has typed.
-
-    Raises
-    ------
-    ValueError
-        If it is not three finite numbers.
-    """
-    words = text.replace(",", " ").replace(";", " ").split()
-    try:
-        x, y, z = (float(word) for word in words)
-    except ValueError:
-        x = y = z = nan
-    if not all(isfinite(one) for one in (x, y, z)):
-        raise ValueError(f"a target is three numbers in metres, like 0.1, 0.2, 1.5; got '{text}'")
-    return x, y, z
+            action = self._queue.get_nowait()
+            if action in (STOP, RESET):
+                settings = {name: one for name, one in said.items() if one.sets_parameter}
+                said = {action.name: action, **settings}
+            else:
+                said.pop(action.name, None)
+                said[action.name] = action
+        return list(said.values())

@@ -13,7 +13,7 @@ import trimesh
 import yourdfpy
 
 _PACKAGE = "package://"
-#: Where ROS is installed, if it is: its meshes are wanted by programs that sourced none, too.
+#: Where ROS is installed, if it is: programs that sourced none find its meshes, too.
 _INSTALLED = Path("/opt/ros")
 #: How thick a bar is, m, and its colour; a link that is shorter gets none.
 _BAR_RADIUS_M, _SHORTEST_M = 0.03, 1e-3
@@ -28,7 +28,7 @@ class Arm:
     text : str
         The URDF.
     names : sequence of str
-        Its six joints in kinematic order, as the URDF calls them.
+        Its n joints in kinematic order, as the URDF calls them.
     tf_prefix : str
         What stands before the names of its links.
 
@@ -58,7 +58,7 @@ class Arm:
         self._add_bars()
 
     def configuration(self, joints_rad: np.ndarray) -> dict[str, float]:
-        """Joint positions by name, of positions in kinematic order, rad, shape (6,)."""
+        """Joint positions by name, of positions in kinematic order, rad, shape (n,)."""
         return {name: float(angle) for name, angle in zip(self.names, joints_rad, strict=True)}
 
     def flange(self, joints_rad: np.ndarray) -> np.ndarray:
@@ -75,25 +75,20 @@ class Arm:
         """Draw a bar to the next joint for each link of the arm that has no shape here."""
         scene = self.urdf.scene
         drawn = {scene.graph.transforms.parents[name] for name in scene.graph.nodes_geometry}
-        for joint in self._joints():
+        by_child = {joint.child: joint for joint in self.urdf.joint_map.values()}
+        first, link = self.urdf.joint_map[self.names[0]].parent, self._flange
+        while link != first and link in by_child:
+            joint = by_child[link]
+            link = joint.parent
             end_m = np.zeros(3) if joint.origin is None else joint.origin[:3, 3]
-            if joint.parent in drawn or np.linalg.norm(end_m) < _SHORTEST_M:
+            if link in drawn or np.linalg.norm(end_m) < _SHORTEST_M:
                 continue
-            name = f"{joint.parent}_bar"
             bar = trimesh.creation.cylinder(
                 _BAR_RADIUS_M, segment=[np.zeros(3), end_m], sections=24
             ) + trimesh.creation.icosphere(2, 1.3 * _BAR_RADIUS_M).apply_translation(end_m)
             bar.visual.face_colors = _BAR_COLOUR
-            scene.add_geometry(bar, name, geom_name=name, parent_node_name=joint.parent)
-
-    def _joints(self) -> list[yourdfpy.Joint]:
-        """The joints from the first of the six to the flange, fixed ones among them."""
-        by_child = {joint.child: joint for joint in self.urdf.joint_map.values()}
-        first, link, found = self.urdf.joint_map[self.names[0]].parent, self._flange, []
-        while link != first and link in by_child:
-            found.append(by_child[link])
-            link = by_child[link].parent
-        return found
+            name = f"{link}_bar"
+            scene.add_geometry(bar, name, geom_name=name, parent_node_name=link)
 
 
 def _load(text: str) -> tuple[yourdfpy.URDF, str]:
@@ -109,12 +104,8 @@ def _load(text: str) -> tuple[yourdfpy.URDF, str]:
         return path
 
     def load(meshes: bool) -> yourdfpy.URDF:
-        return yourdfpy.URDF.load(
-            io.BytesIO(text.encode("utf-8")),
-            filename_handler=find,
-            load_meshes=meshes,
-            force_mesh=False,
-        )
+        source = io.BytesIO(text.encode("utf-8"))
+        return yourdfpy.URDF.load(source, filename_handler=find, load_meshes=meshes)
 
     # Whatever its XML and mesh readers raise.
     try:
@@ -130,14 +121,13 @@ def _about(lost: Sequence[str]) -> str:
     """What to say of meshes that are not here."""
     if not lost:
         return ""
-    others = len(set(lost)) - 1
-    said = f"{lost[0]}{f' and {others} more meshes are' if others else ' is'} not on this computer"
     packages = {name.removeprefix(_PACKAGE).partition("/")[0] for name in lost if _PACKAGE in name}
+    said = f"{len(set(lost))} meshes are not on this computer ({lost[0]}): bars are drawn instead"
     if not packages:
-        return f"{said}: bars are drawn instead"
+        return said
     debian = " ".join(f"ros-jazzy-{name.replace('_', '-')}" for name in sorted(packages))
     return (
-        f"{said}: bars are drawn instead; install {debian} (apt), or name the folder that holds "
+        f"{said}; install {debian} (apt), or name the folder that holds "
         f"share/{min(packages)} in AMENT_PREFIX_PATH, and start this again"
     )
 
@@ -146,11 +136,8 @@ def _find(fname: str) -> str:
     """The file of a mesh that the URDF names."""
     if not fname.startswith(_PACKAGE):
         return fname.removeprefix("file://")
-    package, _, rest = fname.removeprefix(_PACKAGE).partition("/")
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    installed = sorted(map(str, _INSTALLED.glob("*")), reverse=True)
-    for prefix in (*filter(None, prefixes), *installed):
-        path = Path(prefix, "share", package, rest)
-        if path.is_file():
-            return str(path)
-    return rest
+    inside = fname.removeprefix(_PACKAGE)
+    sourced = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    prefixes = (*map(Path, filter(None, sourced)), *sorted(_INSTALLED.glob("*"), reverse=True))
+    paths = (prefix / "share" / inside for prefix in prefixes)
+    return str(next((path for path in paths if path.is_file()), inside))

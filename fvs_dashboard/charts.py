@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import cycle
 from math import isfinite, nan
 
 import numpy as np
@@ -13,14 +15,6 @@ from fvs_dashboard.board import HISTORY_S, Board
 
 #: Three of them and the inputs fit a window of 768 pixels.
 _HEIGHT_PX = 118
-_JOINTS = {
-    "pan": markup.SKY,
-    "lift": markup.ORANGE,
-    "elbow": markup.GREEN,
-    "wrist 1": markup.YELLOW,
-    "wrist 2": markup.PINK,
-    "wrist 3": markup.VERMILLION,
-}
 _AXES = {"|x|": markup.SKY, "|y|": markup.ORANGE, "|z|": markup.PINK}
 _WHITE = "#F2F4F7"
 _NUDGE_S = 1e-6
@@ -32,11 +26,17 @@ _SCALES = tuple(
 )
 
 
-def _series(label: str, colour: str, width: float = 1.5, dashed: bool = False) -> uplot.Series:
-    one = uplot.Series(label=label, stroke=colour, width=width, points={"show": False})
-    if dashed:
-        one["dash"] = (6.0, 4.0)
-    return one
+def _series(label: str, colour: str, width: float = 1.5) -> uplot.Series:
+    return uplot.Series(label=label, stroke=colour, width=width, points={"show": False})
+
+
+def _level(label: str) -> uplot.Series:
+    return uplot.Series(**_series(label, markup.GREY, 1.0), dash=(6.0, 4.0))
+
+
+def _logarithmic(least: float, most: float) -> dict:
+    # What is unknown has no logarithm: it is not to be drawn as zero.
+    return {"distr": 3, "log": 10, "range": (least, most), "clamp": "unknown"}
 
 
 class Charts:
@@ -46,30 +46,35 @@ class Charts:
     ----------
     gui : viser.GuiApi
         Where they are put, in the present container.
+    joint_names : sequence of str
+        Kinematic order.
     """
 
-    def __init__(self, gui: viser.GuiApi) -> None:
+    def __init__(self, gui: viser.GuiApi, joint_names: Sequence[str]) -> None:
         self._gui = gui
         self._limit_rad_s = nan
         self._nudge_s = 0.0
+        labels = (
+            name.removesuffix("_joint").removeprefix("shoulder_").replace("_", " ")
+            for name in joint_names
+        )
         self._error = self._add(
             "Distance to the target, mm",
-            # What is unknown has no logarithm either: it is not to be drawn as zero.
-            {"distr": 3, "log": 10, "range": (0.01, 1000.0), "clamp": "unknown"},
+            _logarithmic(0.01, 1000.0),
             _series("distance", _WHITE, 2.25),
             *(_series(name, colour, 1.0) for name, colour in _AXES.items()),
         )
         self._speed = self._add(
             "Joint speeds and their limit, rad/s",
             {"range": (0.0, 1.2)},
-            *(_series(name, colour) for name, colour in _JOINTS.items()),
-            _series("limit", markup.GREY, 1.0, dashed=True),
+            *(_series(*both) for both in zip(labels, cycle(markup.COLOURS[:-1]), strict=False)),
+            _level("limit"),
         )
         self._ratio = self._add(
             "One-step prediction error (1: as bad as predicting rest)",
-            {"distr": 3, "log": 10, "range": (0.001, 10.0), "clamp": "unknown"},
+            _logarithmic(0.001, 10.0),
             _series("error ratio", markup.SKY, 2.0),
-            _series("as bad as none", markup.GREY, 1.0, dashed=True),
+            _level("as bad as none"),
         )
 
     def _add(self, title: str, scale: dict, *series: uplot.Series) -> viser.GuiUplotHandle:
@@ -91,16 +96,14 @@ class Charts:
         self._nudge_s = _NUDGE_S - self._nudge_s
         limit_rad_s = board.limit("max_joint_velocity_rad_s")
         if isfinite(limit_rad_s) and limit_rad_s != self._limit_rad_s:
-            self._limit_rad_s = limit_rad_s  # the chart is made anew: not oftener than need be
+            self._limit_rad_s = limit_rad_s  # a new scale makes the chart anew: seldom
             scale = {"range": (0.0, 1.2 * limit_rad_s)}
             self._speed.scales = {**self._speed.scales, "y": scale}
         self._draw(self._error, board.error_mm.window(now_s))
-        self._draw(self._speed, board.speed_rad_s.window(now_s), level=limit_rad_s)
-        self._draw(self._ratio, board.ratio.window(now_s), level=1.0)
+        self._draw(self._speed, board.speed_rad_s.window(now_s), limit_rad_s)
+        self._draw(self._ratio, board.ratio.window(now_s), 1.0)
 
-    def _draw(
-        self, chart: viser.GuiUplotHandle, window: np.ndarray, level: float | None = None
-    ) -> None:
+    def _draw(self, chart: viser.GuiUplotHandle, window: np.ndarray, *levels: float) -> None:
         """Draw over the whole length; where nothing is known, nothing is drawn.
 
         The page keeps a zoom relative to the length, which therefore stays as it is; and it draws
@@ -109,9 +112,7 @@ class Charts:
         time_s, *columns = window.T
         times = np.concatenate(([self._nudge_s - HISTORY_S], time_s, [0.0]))
         lines = [np.pad(since_gap(time_s, one), 1, constant_values=nan) for one in columns]
-        if level is not None:
-            lines.append(np.full(len(times), level))
-        chart.data = (times, *lines)
+        chart.data = (times, *lines, *(np.full(len(times), level) for level in levels))
 
 
 def since_gap(time_s: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -119,15 +120,13 @@ def since_gap(time_s: np.ndarray, values: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    time_s : ndarray, shape (n,)
-        Times, rising, s.
-    values : ndarray, shape (n,)
-        At these times.
+    time_s, values : ndarray, shape (n,)
+        Times, rising, s, and values at them.
 
     Returns
     -------
     ndarray, shape (n,)
-        The same, and NaN before the last time that nothing was known for long.
+        The values, NaN before the last gap.
     """
     gaps = np.flatnonzero(np.diff(time_s) > _GAP_S)
     since = np.array(values)

@@ -2,40 +2,35 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.joints import JOINT_PARAMETERS
-from fvs_ros.params import Parameter
+from fvs_ros.params import Parameters, parameter
 
-#: What the page is served by; its guard reaches into viser, so that a later one is unknown.
+#: Versions of viser that the guard is known to work with: it reaches into viser.
 VISER = "viser[urdf]>=1.1,<1.2"
 
-PARAMETERS = (
-    Parameter(
-        "host",
-        "127.0.0.1",
-        "address the page is served at; 0.0.0.0 lets whoever reaches it move the arm",
-    ),
-    Parameter("port", 8080, "port of the page; 0 takes any free one", minimum=0, maximum=65535),
-    Parameter("rate_hz", 10.0, "pictures a second", minimum=1.0, maximum=30.0),
-    Parameter("feature_frame", CAMERA_FRAME, "frame of ball and target"),
-    *JOINT_PARAMETERS,
-    Parameter(
-        "ball_radius_m", 0.04, "radius of the ball, as it is drawn", minimum=0.001, maximum=0.2
-    ),
-    Parameter(
-        "image", True, "show the camera's image; the simulator draws it only while it is looked at"
-    ),
-    Parameter(
-        "camera_topics",
-        "",
-        "what stands before /color/image_raw; empty: camera, and camera/camera where there is one",
-    ),
-    Parameter("tour", False, "send the ball to one target after another until a person takes over"),
-    Parameter("tour_period_s", 5.0, "time given to each target of the tour", minimum=1.0),
-    Parameter(
-        "model_path",
-        "",
-        "trained model of this arm and camera: the tour's targets are positions it saw; without "
-        "one there is no tour",
-    ),
-)
+
+@dataclass(frozen=True)
+class DashboardConfig(Parameters):
+    """What the page needs to know beyond the joints' names."""
+
+    host: str = parameter(
+        "127.0.0.1", "address the page is served at; 0.0.0.0 lets whoever reaches it move the arm"
+    )
+    port: int = parameter(8080, "port of the page; 0 takes any free one", 0, 65535)
+    feature_frame: str = parameter(CAMERA_FRAME, "frame of ball and target")
+    ball_radius_m: float = parameter(0.04, "radius of the ball, as it is drawn", 0.001, 0.2)
+    camera_topics: str = parameter(
+        "", "what stands before /color/image_raw; empty: camera or camera/camera"
+    )
+    tour: bool = parameter(
+        False, "send the ball to one target after another until a person takes over"
+    )
+    model_path: str = parameter(
+        "", "trained model: the tour's targets are positions it saw; without one there is no tour"
+    )
+
+
+PARAMETERS = (*DashboardConfig.declared(), *JOINT_PARAMETERS)

@@ -9,11 +9,12 @@ it in a frame, where a click that is meant for that one would press a button of 
 from __future__ import annotations
 
 import contextlib
+import functools
 import http.client
 import inspect
 import ipaddress
 import socket
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -31,6 +32,7 @@ _FRAMES = frozenset({"iframe", "frame", "fencedframe", "embed", "object"})
 _UNFRAMED = {"Content-Security-Policy": "frame-ancestors 'none'", "X-Frame-Options": "DENY"}
 
 
+@functools.cache  # a look-up of the host's full name may take seconds
 def own_names(host: str) -> frozenset[str]:
     """Names under which a page that is served at a host may be asked for, besides addresses.
 
@@ -42,28 +44,13 @@ def own_names(host: str) -> frozenset[str]:
     return LOOPBACK | {name, f"{name}.local", socket.getfqdn().lower()}
 
 
-def objection(headers: Mapping[str, str], hosts: Collection[str], addresses: bool = False) -> str:
-    """Why a request is refused.
-
-    Parameters
-    ----------
-    headers : mapping of str to str
-        The request's.
-    hosts : collection of str
-        Names under which the page may be asked for.
-    addresses : bool
-        Whether it may be asked for by any address: none of them is a name that somebody else has
-        made to point here.
-
-    Returns
-    -------
-    str
-        The reason, or empty.
-    """
+def objection(headers: Mapping[str, str], served_at: str) -> str:
+    """Why a request with these headers to a page that is served at a host is refused, or empty."""
     host, origin = headers.get("Host", ""), headers.get("Origin")
-    name = urlsplit(f"//{host}").hostname or ""
-    if name not in hosts and not (addresses and _is_address(name)):
-        return f"the page is not served as {host}; it is as {' or '.join(sorted(hosts))}"
+    name, names = urlsplit(f"//{host}").hostname or "", own_names(served_at)
+    # Served everywhere, any address will do: none can be made to point here.
+    if name not in names and not (served_at in EVERYWHERE and _is_address(name)):
+        return f"the page is not served as {host}; it is as {' or '.join(sorted(names))}"
     if origin is not None and urlsplit(origin).netloc != host:
         return f"{origin} may not command this arm"
     if headers.get("Sec-Fetch-Dest") in _FRAMES:
@@ -86,11 +73,10 @@ def own_requests_only(host: str) -> Iterator[None]:
     viser has no setting for that: its server is given the check where it asks for one.
     """
     serve = server.serve
-    names, addresses = own_names(host), host in EVERYWHERE
 
     def guarded(*args: Any, process_request: Any = None, **given: Any) -> Any:
         async def check(connection: Any, request: Any) -> Any:
-            reason = objection(request.headers, names, addresses)
+            reason = objection(request.headers, host)
             if reason:
                 answer = connection.respond(403, reason + "\n")
             else:
@@ -110,16 +96,9 @@ def own_requests_only(host: str) -> Iterator[None]:
 
 
 def turns_others_away(host: str, port: int) -> bool:
-    """Whether a server refuses the websocket to a page of another site.
+    """Whether the server at a host and port refuses the websocket to a page of another site.
 
     Asked for from outside, for a later viser may start its server in a way that takes no check.
-
-    Parameters
-    ----------
-    host : str
-        Where it is reached.
-    port : int
-        Its port.
     """
     connection = http.client.HTTPConnection(host, port, timeout=_CHECK_S)
     headers = {

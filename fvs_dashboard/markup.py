@@ -1,7 +1,8 @@
-"""The parts of the page that are plain HTML: banner, inputs, answers."""
+"""The parts of the page that are plain HTML, and what they say."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from html import escape
 from math import isfinite, isnan
@@ -13,7 +14,7 @@ from fvs_ros.status import SILENT
 from fvs_tools.schemes import BEYOND, SCHEMES
 
 #: Okabe and Ito's colours, which everybody can tell apart, light enough for a dark page.
-SKY, ORANGE, GREEN, YELLOW, VERMILLION, PINK, GREY = (
+SKY, ORANGE, GREEN, YELLOW, VERMILLION, PINK, GREY = COLOURS = (
     "#56B4E9",
     "#E69F00",
     "#1FBF92",
@@ -31,9 +32,9 @@ _TITLES = {
     "FAULT": ("Fault", "#D55E00"),
     SILENT: ("No controller", "#6B7280"),
 }
-#: Without a sign of life for so long, a page says that its program has ended, s.
+#: Without a sign of life for this long, a page says that its program has ended, s.
 LOST_S = 5.0
-#: A lamp says how it is by its sign, too, not by its colour alone.
+#: A lamp's colour, and its sign: colour alone does not tell.
 _LAMPS = {True: (GREEN, "✓"), False: (VERMILLION, "✗"), None: (GREY, "?")}
 #: Inputs of the controller, what a person calls them, and the limits of their ages.
 _INPUTS = {
@@ -41,68 +42,72 @@ _INPUTS = {
     "joint_states": ("Joint states", "joint_states_max_age_s"),
     "jacobian": ("Jacobian", "jacobian_max_age_s"),
 }
-#: Parameters of the controller that the page shows something by: limits, and what a scheme is.
+#: Parameters of the controller that the page reads: limits, and what a scheme is.
 SHOWN_BY = (
     "law",
     "max_joint_velocity_rad_s",
     *(limit for _, limit in _INPUTS.values()),
     *sorted({name for one in BEYOND.values() for name in one.controller_values}),
 )
-#: What the controller asks for by a service's name stands on the page as a button.
+#: Services that nodes ask for, and the buttons that call them.
 _BUTTONS = {
-    "publish one, or call ~/set_current_as_target": "set one, or press Set current as target",
-    "call its ~/stop": "press Stop",
-    "call ~/stop": "press Stop",
-    "call ~/start": "press Start",
-    "then ~/start": "then Start",
-    "call the estimator's ~/reset": "press Reset everything",
-    "the estimator's ~/reset": "Reset everything",
-    "call ~/reset": "press Reset everything",
+    "start": "Start",
+    "stop": "Stop",
+    "set_current_as_target": "Set current as target",
+    "reset": "Reset everything",
 }
-#: What fits one place keeps its height, whatever it says; all of it is told to who points there.
-_CLIPPED = "overflow:hidden;display:-webkit-box;-webkit-box-orient:vertical;-webkit-line-clamp:"
-_GRID = (
-    "margin:0 0.75em 0.4em 0.75em;font-size:0.8em;display:grid;grid-template-columns:1fr 1fr;"
-    "line-height:1.2;gap:0.4em 0.75em"
-)
-
-
-def side_by_side(name: str, always: bool = False) -> str:
-    """Put the next two elements of the panel into one row; ``name`` is unique.
-
-    With ``always`` they are large, and stay on top while what is below is scrolled.
-    """
-    mark = f"div:has(> #fvs-{name})"
-    first, second = f"{mark} + div", f"{mark} + div + div"
-    style = (
-        f"{first}, {second} {{display:inline-block;box-sizing:border-box;vertical-align:top;"
-        "width:calc(50% - 14px);padding-inline:0 !important;margin-inline:10px 4px !important} "
-        f"{second} {{margin-inline:4px 10px !important}} "
-        f"{first} button, {second} button {{padding-inline:4px}} "
-    )
-    if always:
-        style += (
-            # What is scrolled under them is not to be seen between them.
-            f"{first}, {second} {{position:sticky;top:10px;z-index:9;"
-            "background:var(--mantine-color-body);"
-            "box-shadow:0 -4px 0 4px var(--mantine-color-body),"
-            "0 -8px 0 4px var(--mantine-color-body)}} "
-            f"{first} button, {second} button {{height:38px;font-size:16px;font-weight:650}} "
-            # What clips the panel would hold them.
-            f"div:has(> div > div > div > #fvs-{name}) {{overflow:visible !important}}"
-        )
-    return f'<div id="fvs-{name}"></div><style>{style}</style>'
+#: Two elements after ``ROW`` stand side by side; after ``TOP_ROW``, on top of what is scrolled.
+ROW, TOP_ROW = '<i class="fvs-row"></i>', '<i class="fvs-row fvs-top"></i>'
+#: Text is clipped, so that no button moves, whatever is said; pointing at it shows all of it.
+STYLE = f"""<style>
+div:has(> .fvs-row) + div, div:has(> .fvs-row) + div + div {{
+  display: inline-block; box-sizing: border-box; vertical-align: top; width: calc(50% - 14px);
+  padding-inline: 0 !important; margin-inline: 10px 4px !important }}
+div:has(> .fvs-row) + div + div {{ margin-inline: 4px 10px !important }}
+div:has(> .fvs-row) + div button, div:has(> .fvs-row) + div + div button {{ padding-inline: 4px }}
+div:has(> .fvs-top) + div, div:has(> .fvs-top) + div + div {{
+  position: sticky; top: 10px; z-index: 9; background: var(--mantine-color-body);
+  box-shadow: 0 -4px 0 4px var(--mantine-color-body), 0 -8px 0 4px var(--mantine-color-body) }}
+div:has(> .fvs-top) + div button, div:has(> .fvs-top) + div + div button {{
+  height: 38px; font-size: 16px; font-weight: 650 }}
+div:has(> div > div > div > .fvs-top) {{ overflow: visible !important }}
+.fvs-clip {{ overflow: hidden; display: -webkit-box; -webkit-box-orient: vertical;
+  line-height: 1.3 }}
+.fvs-small {{ margin: 0 0.75em; font-size: 0.8em; line-height: 1.3 }}
+.fvs-number {{ font-variant-numeric: tabular-nums }}
+.fvs-faint {{ opacity: 0.65 }}
+#fvs-banner, #fvs-lost {{ box-sizing: border-box; height: 9.3em; padding: 0.4em 0.8em;
+  border-radius: 6px; overflow: hidden }}
+#fvs-banner {{ margin: 0 0.75em 0.4em; color: #fff }}
+.fvs-head {{ display: flex; justify-content: space-between; align-items: baseline; gap: 0.5em;
+  font-weight: 650; font-size: 1.35em; white-space: nowrap }}
+.fvs-head > :first-child {{ flex: 1 1 0; width: 0; overflow: hidden; text-overflow: ellipsis }}
+#fvs-inputs {{ display: grid; grid-template-columns: 1fr 1fr; gap: 0.4em 0.75em;
+  margin-bottom: 0.4em }}
+#fvs-inputs > * {{ display: flex; gap: 0.5em; align-items: center; min-width: 0 }}
+#fvs-inputs .fvs-wide {{ grid-column: 1 / -1; align-items: start }}
+.fvs-lamp {{ flex-shrink: 0; width: 1.35em; height: 1.35em; line-height: 1.35em;
+  text-align: center; border-radius: 50%; color: #101214; font-weight: 700 }}
+#fvs-lost {{ position: absolute; left: 0.75em; right: 0.75em; opacity: 0; line-height: 1.3;
+  background: {VERMILLION}; color: #101214; font-weight: 650;
+  animation: 0.1s linear {LOST_S:g}s forwards }}
+@keyframes fvs-lost-0 {{ from {{ opacity: 0 }} to {{ opacity: 1 }} }}
+@keyframes fvs-lost-1 {{ from {{ opacity: 0 }} to {{ opacity: 1 }} }}
+</style>"""
 
 
 def in_words(sentence: str) -> str:
-    """A sentence of a node in the page's own words."""
-    for service, button in _BUTTONS.items():
-        sentence = sentence.replace(service, button)
-    return sentence
+    """A sentence of a node with the page's buttons in place of services."""
+    names = "|".join(_BUTTONS)
+    return re.sub(
+        rf"(call )?(?:its |the estimator's )?~/({names})",
+        lambda found: ("press " if found[1] else "") + _BUTTONS[found[2]],
+        sentence,
+    )
 
 
 class Banner(NamedTuple):
-    """What is to be read from afar: title, its colour, sentence, hint."""
+    """What is to be read from afar: state, title, its colour, sentence, hint."""
 
     state: str
     title: str
@@ -112,22 +117,18 @@ class Banner(NamedTuple):
 
 
 def banner_of(controller: Controller) -> Banner:
-    """The banner of a controller: each thing once, a refused target elsewhere."""
-    title, colour = _TITLES.get(controller.state, (controller.state.capitalize(), "#6B7280"))
-    if controller.reason == "SETTLED":
-        title = "On target"
-    refused = controller.values.get("refused_target") or "\0"
-    words = controller.sentence.replace(f" ({refused})", "").replace(f"({refused}; ", "(")
+    """The banner of a controller; a refused target stands beside its numbers instead."""
+    title, colour = _TITLES.get(controller.state, (controller.state.capitalize(), GREY))
+    words = controller.sentence.replace(f" ({controller.values.get('refused_target')})", "")
     sentence, _, hint = words.partition("; ")
-    if controller.reason in ("SERVOING", "SETTLED"):  # title and distance say it already
+    if controller.reason in ("SERVOING", "SETTLED"):  # title and distance say all but a remark
         sentence, hint = words.partition(" (")[2].removesuffix(")"), ""
-    elif controller.reason == "READY":
-        sentence = ""
+        title = "On target" if controller.reason == "SETTLED" else title
     return Banner(controller.state, title, colour, in_words(sentence), in_words(hint))
 
 
 def distance(error_m: float) -> str:
-    """A distance as text in mm, two figures below 10 mm."""
+    """A distance as text in mm, two decimals below 10 mm."""
     if isnan(error_m):
         return "–"
     error_mm = 1e3 * error_m
@@ -136,29 +137,23 @@ def distance(error_m: float) -> str:
 
 def banner_html(banner: Banner, error_m: float) -> str:
     """The banner, of one height whatever it says, and the distance to go."""
-    said = f"{banner.sentence}. {banner.hint}"
+    sentence, hint = escape(banner.sentence), escape(banner.hint)
     return (
-        f'<div id="fvs-banner" data-state="{escape(banner.state)}" title="{escape(said)}" '
-        f'style="margin:0 0.75em 0.4em 0.75em;border-radius:6px;background:{banner.colour};'
-        'color:#fff;padding:0.4em 0.8em;box-sizing:border-box;height:9.3em;overflow:hidden">'
-        '<div style="display:flex;justify-content:space-between;align-items:baseline;gap:0.5em">'
-        '<span style="flex:1 1 0;width:0;overflow:hidden;text-overflow:ellipsis;white-space:nowrap;'
-        f'font-size:1.3em;font-weight:650">{escape(banner.title)}'
-        '</span><span id="fvs-error" style="font-size:1.4em;font-weight:650;white-space:nowrap;'
-        f'font-variant-numeric:tabular-nums">{distance(error_m)}</span></div>'
-        f'<div style="line-height:1.3;{_CLIPPED}5">'
-        f'<span id="fvs-sentence">{escape(banner.sentence)}</span>'
-        f'<div id="fvs-hint" style="opacity:0.85">{escape(banner.hint)}</div></div></div>'
+        f'<div id="fvs-banner" data-state="{escape(banner.state)}" title="{sentence}. {hint}" '
+        f'style="background:{banner.colour}"><div class="fvs-head">'
+        f"<span>{escape(banner.title)}</span>"
+        f'<span id="fvs-error" class="fvs-number">{distance(error_m)}</span></div>'
+        f'<div class="fvs-clip" style="-webkit-line-clamp:5"><span id="fvs-sentence">{sentence}'
+        f'</span><div id="fvs-hint" style="opacity:0.85">{hint}</div></div></div>'
     )
 
 
-def line_html(name: str, text: str, lines: int) -> str:
-    """A text that keeps its place of so many lines where there is nothing to say."""
+def line_html(name: str, text: str) -> str:
+    """A text that takes two lines, whether there is something to say or not."""
     text = escape(in_words(text))
     return (
-        f'<div title="{text}" style="margin:0 0.9em;font-size:0.85em;line-height:1.3;'
-        f'height:{1.3 * lines:g}em;overflow:hidden">'
-        f'<div id="fvs-{name}" style="{_CLIPPED}{lines}">{text}</div></div>'
+        f'<div class="fvs-small" title="{text}" style="height:2.6em">'
+        f'<div id="fvs-{name}" class="fvs-clip" style="-webkit-line-clamp:2">{text}</div></div>'
     )
 
 
@@ -198,68 +193,56 @@ def lamps_of(board: Board, now_s: float) -> list[Lamp]:
         known = isfinite(limit_s) and not controller.silent
         lamps.append(Lamp(label, age_s <= limit_s if known else None, text))
     percent = controller.number("speed_scaling_percent")
-    running = controller.values.get("robot_program_running")
-    if controller.silent or running == "unknown":
-        lamps.append(Lamp("Robot program", None, "unknown"))
-    elif running != "true":
-        lamps.append(Lamp("Robot program", False, "stopped"))
-    else:
-        text = "runs" if isnan(percent) else f"runs, {percent:.0f} %"
-        lamps.append(Lamp("Robot program", percent != 0.0, text))
-    return lamps
+    running = controller.values.get("robot_program_running", "unknown")
+    good, text = {"true": (percent != 0.0, "runs"), "unknown": (None, "unknown")}.get(
+        running, (False, "stopped")
+    )
+    if text == "runs" and isfinite(percent):
+        text = f"runs, {percent:.0f} %"
+    return [*lamps, Lamp("Robot program", good, text)]
 
 
 def details_of(board: Board, now_s: float) -> dict[str, str]:
-    """What the troubleshooting asks for, by name; what is unknown is left out."""
+    """Further numbers by name; unknown ones are left out."""
     controller = board.controller(now_s)
     details = {
         name: f"{1e3 * controller.number(key):.0f} ms"
         for name, key in (("Image latency", "image_latency_s"), ("Drive lag", "drive_lag_s"))
         if isfinite(controller.number(key))
     }
-    if not controller.silent:  # stands there while there is none, too: it comes and goes often
+    if not controller.silent:
         details["Active limit"] = controller.values.get("active_limit") or "none"
-    if detector := board.detector(now_s):
+    if detector := board.newest("detector", now_s):
         details["Detector"] = detector
     return details
 
 
 def inputs_html(lamps: Iterable[Lamp], details: dict[str, str]) -> str:
-    """What is well and what is not, two a row, and the details below."""
+    """Lamps and details, two per row; a detail that is a sentence has a row of its own."""
     cells = []
     for lamp in lamps:
         colour, sign = _LAMPS[lamp.good]
         cells.append(
-            '<div style="display:flex;align-items:center;gap:0.5em;min-width:0">'
-            f'<span style="width:1.35em;height:1.35em;line-height:1.35em;text-align:center;'
-            f"border-radius:50%;background:{colour};color:#101214;font-weight:700;"
-            f'flex-shrink:0">{sign}</span><span style="min-width:0">{escape(lamp.name)} '
-            '<span style="opacity:0.65;font-variant-numeric:tabular-nums">'
-            f"{escape(lamp.text)}</span></span></div>"
+            f'<div><span class="fvs-lamp" style="background:{colour}">{sign}</span>'
+            f'<span>{escape(lamp.name)} <span class="fvs-faint">{escape(lamp.text)}</span></span>'
+            "</div>"
         )
     for name, text in details.items():
-        wide = "" if name.endswith(("latency", "lag")) else "grid-column:1 / -1;"
+        row = "" if text.endswith(" ms") else "fvs-wide"
         cells.append(
-            f'<div style="{wide}min-width:0;font-variant-numeric:tabular-nums">'
-            f'<span style="opacity:0.65">{escape(name)}</span> {escape(text)}</div>'
+            f'<div class="{row}"><span class="fvs-faint">{escape(name)}</span> {escape(text)}</div>'
         )
-    return f'<div id="fvs-inputs" style="{_GRID}">{"".join(cells)}</div>'
+    return f'<div id="fvs-inputs" class="fvs-small fvs-number">{"".join(cells)}</div>'
 
 
 def alive_html(beat: int) -> str:
     """A warning that covers the banner where no further beat comes: the program has ended.
 
-    A page without its program shows what it was told last, and for ever; nobody is left to change
-    it but the browser itself.
+    Only the browser itself can show it then. Each beat names another animation, which restarts it.
     """
-    name = f"fvs-lost-{beat % 2}"  # another one: or the browser might go on with the old wait
     return (
-        f"<style>@keyframes {name} {{from {{opacity:0}} to {{opacity:1}}}}</style>"
         '<div style="position:relative;height:0;z-index:8;pointer-events:none">'
-        '<div id="fvs-lost" style="position:absolute;left:0.75em;right:0.75em;height:9.3em;'
-        f"box-sizing:border-box;opacity:0;animation:{name} 0.1s linear {LOST_S:g}s forwards;"
-        f"padding:0.5em 0.8em;border-radius:6px;background:{VERMILLION};color:#101214;"
-        'font-weight:650;line-height:1.3">'
+        f'<div id="fvs-lost" style="animation-name:fvs-lost-{beat % 2}">'
         f"No word from this page's program for {LOST_S:g} s: what stands here is old, and Stop "
         "does nothing. Use the robot's own stop. Where the program runs again, reload the page."
         "</div></div>"
@@ -273,16 +256,10 @@ def legend_html(signs: Iterable[tuple[str, tuple[int, int, int], str]]) -> str:
         f"{escape(words)}</span>"
         for sign, colour, words in signs
     ]
-    return (
-        '<div style="margin:0 0.75em;font-size:0.75em;line-height:1.3;display:flex;gap:0.9em">'
-        f"{''.join(cells)}</div>"
-    )
+    return f'<div class="fvs-small" style="display:flex;gap:0.9em">{"".join(cells)}</div>'
 
 
 def notes_html(notes: Iterable[str]) -> str:
     """Sentences about the page itself."""
     lines = "".join(f"<div>{escape(in_words(note))}</div>" for note in notes)
-    return (
-        f'<div id="fvs-notes" style="margin:0 0.75em;font-size:0.8em;line-height:1.3;opacity:0.8">'
-        f"{lines}</div>"
-    )
+    return f'<div id="fvs-notes" class="fvs-small">{lines}</div>'

@@ -8,7 +8,7 @@ import io
 import math
 import socket
 import threading
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import viser
 
@@ -16,19 +16,16 @@ from fvs_dashboard import markup
 from fvs_dashboard.actions import Action, Actions
 from fvs_dashboard.board import Board
 from fvs_dashboard.charts import Charts
-from fvs_dashboard.config import VISER
+from fvs_dashboard.config import VISER, DashboardConfig
 from fvs_dashboard.guard import EVERYWHERE, LOOPBACK, own_requests_only, turns_others_away
 from fvs_dashboard.panel import Panel
+from fvs_dashboard.picture import Picture
 from fvs_dashboard.scene import LEGEND, Scene
 
-if TYPE_CHECKING:
-    from fvs_dashboard.arm import Arm
-
-#: The left panel is drawn every so many times, for curves are long and eyes are slow.
+#: The left panel is drawn once in so many times: its curves are long and change slowly.
 _SELDOM = 3
 _STOP_S = 0.8
 _LEFT_PX, _RIGHT_PX = 400, 350
-_LAST_PORT = 65535
 #: The first look: its field of view from top to bottom, rad, and the least width over height at
 #: which arm, ball and camera are in it.
 _FIELD_RAD, _LEAST_ASPECT = 0.7, 0.78
@@ -47,18 +44,12 @@ class Page:
 
     Parameters
     ----------
-    host : str
-        Address to serve at.
-    port : int
-        Its port; 0 for any free one.
+    config : DashboardConfig
+        Address, port, the ball's radius, and whether a tour can be had.
+    joint_names : sequence of str
+        Kinematic order.
     actions : Actions
         Takes what a person does.
-    ball_radius_m : float
-        Radius of the ball, m.
-    image : bool
-        Whether there will be a picture.
-    tour : bool
-        Whether a tour can be had.
 
     Raises
     ------
@@ -67,20 +58,14 @@ class Page:
     """
 
     def __init__(
-        self,
-        host: str,
-        port: int,
-        actions: Actions,
-        *,
-        ball_radius_m: float,
-        image: bool,
-        tour: bool,
+        self, config: DashboardConfig, joint_names: Sequence[str], actions: Actions
     ) -> None:
-        _check_free(host, port)
-        self._host = host
-        with _quiet(), own_requests_only(host):
-            self._server = _Server(host, port, label="fvs_ros", verbose=False)
-        if not turns_others_away(self._reached_at, self._server.get_port()):
+        self._host, self._actions = config.host, actions
+        _check_free(config.host, config.port)
+        with _quiet(), own_requests_only(config.host):
+            self._server = _Server(config.host, config.port, label="fvs_ros", verbose=False)
+        reached_at = "localhost" if config.host in EVERYWHERE else config.host
+        if not turns_others_away(reached_at, self._server.get_port()):
             self.close()
             raise ValueError(
                 "the page would let any web site command the arm: the check of requests did not "
@@ -92,16 +77,16 @@ class Page:
         )
         gui.main_panel.dock_right()
         gui.main_panel.set_width(_RIGHT_PX)
-        self._panel = Panel(gui, actions.put, image, tour)
+        self._panel = Panel(gui, actions.put, tour=bool(config.model_path))
         curves = gui.add_panel()
         with curves.add_tab("Curves", viser.Icon.CHART_LINE):
-            self._charts = Charts(gui)
+            self._charts = Charts(gui, joint_names)
             self._inputs = gui.add_html("")
             gui.add_html(markup.legend_html(LEGEND))
             self._notes = gui.add_html("")
         curves.dock_left()
         curves.set_width(_LEFT_PX)
-        self._scene = Scene(server, ball_radius_m, lambda at: self._dragged(actions, at))
+        self.scene = Scene(server, config.ball_radius_m, self._dragged)
         # From behind the simulator's camera: what one sees and its picture are the same way round.
         server.initial_camera.position = (2.9, -1.05, 1.4)
         server.initial_camera.look_at = (0.6, -0.3, 0.42)
@@ -109,13 +94,9 @@ class Page:
         server.on_client_connect(_fit)
         self._shown = 0
 
-    def _dragged(self, actions: Actions, target_m: tuple[float, float, float]) -> None:
+    def _dragged(self, target_m: tuple[float, float, float]) -> None:
         self._panel.forget_typed()
-        actions.put(Action("target", target_m))
-
-    @property
-    def _reached_at(self) -> str:
-        return "localhost" if self._host in EVERYWHERE else self._host
+        self._actions.put(Action("target", target_m))
 
     @property
     def address(self) -> str:
@@ -130,24 +111,23 @@ class Page:
 
     @property
     def watched(self) -> bool:
-        """Whether anybody is looking."""
+        """Whether a browser shows it."""
         return bool(self._server.get_clients())
 
-    def set_arm(self, arm: Arm) -> None:
-        """Show a robot."""
-        self._scene.set_arm(arm)
-
-    def update(self, board: Board, now_s: float) -> None:
-        """Show a moment, steady clock, s, to everybody who is looking."""
+    def update(self, board: Board, picture: Picture, now_s: float) -> None:
+        """Show a moment, steady clock, s, in every browser."""
         with self._server.atomic():
-            picture = board.picture(now_s)
-            self._panel.update(board, now_s, picture)
-            self._scene.update(board, now_s, picture)
+            image = picture.newest(now_s, board.controller(now_s).target_m)
+            self._panel.update(board, now_s, image)
+            self.scene.update(board, now_s)
+            self.scene.show_picture(picture.field_of_view, image)
             if self._shown % _SELDOM == 0:
                 self._charts.update(board, now_s)
                 lamps, details = markup.lamps_of(board, now_s), markup.details_of(board, now_s)
                 self._inputs.content = markup.inputs_html(lamps, details)
-                self._notes.content = markup.notes_html(board.notes(now_s))
+                told = (board.newest(name, now_s) for name in ("arm", "behind"))
+                notes = filter(None, (board.placement.note, *told))
+                self._notes.content = markup.notes_html(notes)
         self._shown += 1
 
     def close(self) -> None:
@@ -179,14 +159,6 @@ async def _fit(client: viser.ClientHandle) -> None:
     await fit(client.camera)
 
 
-def _taken(host: str, port: int) -> str:
-    return (
-        f"port {port} of {host} is taken; stop what is served there, or choose another one: "
-        f"-p port:={port + 1 if port < _LAST_PORT else 0}, or -p port:=0 for any that is free "
-        "(after --ros-args, if fvs_dashboard is called by itself)"
-    )
-
-
 def _check_free(host: str, port: int) -> None:
     """Refuse a port that is taken: viser would quietly take the next one."""
     try:
@@ -195,14 +167,15 @@ def _check_free(host: str, port: int) -> None:
         with socket.socket(family, kind, protocol) as trial:
             trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             trial.bind(address)
-    except socket.gaierror as error:
-        raise ValueError(f"host {host} is not known: {error}") from error
-    except PermissionError as error:
-        raise ValueError(f"port {port} is the system's: choose one from 1024 on") from error
     except OSError as error:
-        if error.errno == errno.EADDRINUSE:
-            raise ValueError(_taken(host, port)) from error
-        raise ValueError(f"the page cannot be served at {host}: {error}") from error
+        if error.errno != errno.EADDRINUSE:
+            raise ValueError(
+                f"the page cannot be served at {host}, port {port}: {error}"
+            ) from error
+        raise ValueError(
+            f"port {port} of {host} is taken; stop what is served there, or choose another one "
+            "(-p port:=0 takes any; after --ros-args, if fvs_dashboard is called by itself)"
+        ) from error
 
 
 def _quiet() -> contextlib.redirect_stdout:

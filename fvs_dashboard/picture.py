@@ -1,87 +1,128 @@
-"""The camera's image, small, with ball, target and words drawn in."""
+"""The camera's picture, small, with ball, target and words drawn in."""
 
 from __future__ import annotations
 
 import textwrap
+from collections import deque
+from math import atan, inf
 
 import cv2
 import numpy as np
 
 from fvs_ros.camera import Intrinsics
 
-#: Fractional bits of OpenCV's coordinates.
-_SHIFT = 4
+BALL_RGB, TARGET_RGB = (255, 214, 0), (86, 180, 233)
+_WIDTH_PX = 320
+BLANK = np.full((240, _WIDTH_PX, 3), 90, np.uint8)
 #: Nearer to the camera's plane than this nothing is drawn, m.
 _NEAREST_M = 0.05
-BALL_RGB, TARGET_RGB = (255, 214, 0), (86, 180, 233)
-_CROSS_PX = 7
-_WIDTH_PX = 320
-#: What is left of the light of a picture that words stand on.
-_OLD_LIGHT = 0.35
-_LETTERS, _LINE_PX = 36, 22  # a line of words
-BLANK = np.full((240, _WIDTH_PX, 3), 90, np.uint8)
+_CROSS_PX = 14
+#: How many ball positions are remembered, for images come late; one whose stamp is this near to
+#: an image's was found in it, s.
+_MEMORY, _SAME_IMAGE_S = 600, 0.02
+#: A picture that was exposed longer ago than this tells its age, s.
+_OLD_S = 2.0
+#: Share of the light that is left where words stand on a picture.
+_DARK = 0.35
+_LETTERS, _LINE_PX = 36, 22
+_FIELD_OF_VIEW = (0.743, 4.0 / 3.0)  # a RealSense's, until the camera tells its own
 
 
-def scaled(intrinsics: Intrinsics, width: int) -> Intrinsics:
-    """Intrinsics of the same image at another width."""
-    scale = width / intrinsics.width
-    return Intrinsics(
-        width,
-        round(scale * intrinsics.height),
-        scale * intrinsics.fx,
-        scale * intrinsics.fy,
-        # integer coordinates are pixel centres
-        scale * (intrinsics.cx + 0.5) - 0.5,
-        scale * (intrinsics.cy + 0.5) - 0.5,
-    )
-
-
-def draw(
-    image_rgb: np.ndarray,
-    intrinsics: Intrinsics | None,
-    ball_m: np.ndarray | None,
-    ball_radius_m: float,
-    target_m: np.ndarray | None,
-) -> np.ndarray:
-    """Scale an image down and draw what was found in it.
+class Picture:
+    """The newest image as it is shown.
 
     Parameters
     ----------
-    image_rgb : ndarray, shape (height, width, 3)
-        The camera's image, uint8; not changed.
-    intrinsics : Intrinsics or None
-        Of that image; without, nothing is drawn.
-    ball_m, target_m : ndarray, shape (3,), or None
-        Camera frame, m.
     ball_radius_m : float
-        m.
+        Radius of the ball, m.
 
-    Returns
-    -------
-    ndarray, shape (height, width, 3)
-        uint8.
+    Attributes
+    ----------
+    intrinsics : Intrinsics or None
+        Of the images; without, nothing is drawn into them.
+    waits_for : str
+        What the first picture waits for, in words.
     """
-    width = min(_WIDTH_PX, image_rgb.shape[1])
-    height = round(width * image_rgb.shape[0] / image_rgb.shape[1])
-    small = cv2.resize(image_rgb, (width, height), interpolation=cv2.INTER_AREA)
-    if intrinsics is None:
-        return small
-    camera = scaled(intrinsics, width)
-    if target_m is not None and target_m[2] > _NEAREST_M:
-        u, v = _fixed(camera.project(target_m))
-        reach = _CROSS_PX << _SHIFT
-        for start, end in (((u - reach, v), (u + reach, v)), ((u, v - reach), (u, v + reach))):
-            cv2.line(small, start, end, TARGET_RGB, 1, cv2.LINE_AA, _SHIFT)
-    if ball_m is not None and ball_m[2] > _NEAREST_M:
-        radius, _ = _fixed(np.array([camera.fx * ball_radius_m / ball_m[2], 0.0]))
-        centre = _fixed(camera.project(ball_m))
-        cv2.circle(small, centre, radius, BALL_RGB, 1, cv2.LINE_AA, _SHIFT)
-    return small
+
+    def __init__(self, ball_radius_m: float) -> None:
+        self.intrinsics: Intrinsics | None = None
+        self.waits_for = ""
+        self._ball_radius_m = ball_radius_m
+        self._seen: deque[tuple[float, np.ndarray]] = deque(maxlen=_MEMORY)
+        self._new: tuple[float, float, np.ndarray] | None = None
+        self._exposed_s, self._drawn = inf, BLANK
+        self._words: str | None = None
+
+    def add_ball(self, stamp_s: float, position_m: np.ndarray) -> None:
+        """Tell a ball position, camera frame, m, shape (3,), and its exposure's stamp."""
+        self._seen.append((stamp_s, position_m))
+
+    def add_image(self, exposed_s: float, stamp_s: float, image_rgb: np.ndarray) -> None:
+        """Tell a camera image, uint8, shape (height, width, 3).
+
+        It was exposed at ``exposed_s`` of the steady clock, and is stamped with ``stamp_s``.
+        """
+        self._new = exposed_s, stamp_s, image_rgb
+
+    @property
+    def field_of_view(self) -> tuple[float, float]:
+        """The camera's vertical field of view, rad, and its image's width over height."""
+        camera = self.intrinsics
+        if camera is None:
+            return _FIELD_OF_VIEW
+        return 2.0 * atan(0.5 * camera.height / camera.fy), camera.width / camera.height
+
+    def newest(self, now_s: float, target_m: np.ndarray | None) -> np.ndarray | None:
+        """The picture, uint8, shape (height, width, 3), if it changed since the last call.
+
+        The ball is circled where the image itself shows it, at the target, camera frame, m, stands
+        a cross; words say how old the picture is, or what it waits for.
+        """
+        new, self._new = self._new, None
+        if new is not None:
+            self._exposed_s, stamp_s, image = new
+            ball_m = min(self._seen, key=lambda one: abs(one[0] - stamp_s), default=(inf, None))
+            found = abs(ball_m[0] - stamp_s) <= _SAME_IMAGE_S
+            self._drawn = self._draw(image, ball_m[1] if found else None, target_m)
+        age_s = now_s - self._exposed_s
+        words = f"{age_s:.0f} s old" if age_s > _OLD_S else ""
+        if self._exposed_s == inf:
+            words = self.waits_for
+        if new is None and words == self._words:
+            return None
+        self._words = words
+        return with_words(self._drawn, words) if words else self._drawn
+
+    def _draw(
+        self, image: np.ndarray, ball_m: np.ndarray | None, target_m: np.ndarray | None
+    ) -> np.ndarray:
+        """Draw ball and target at full size, then scale down."""
+        image = image.copy()
+        scale = max(1.0, image.shape[1] / _WIDTH_PX)
+        look = round(scale), cv2.LINE_AA
+        at = self._pixel(target_m)
+        if at is not None:
+            size = round(_CROSS_PX * scale)
+            cv2.drawMarker(image, at, TARGET_RGB, cv2.MARKER_CROSS, size, *look)
+        at = self._pixel(ball_m)
+        if at is not None and self.intrinsics is not None and ball_m is not None:
+            radius = round(self.intrinsics.fx * self._ball_radius_m / ball_m[2])
+            cv2.circle(image, at, radius, BALL_RGB, *look)
+        size = (round(image.shape[1] / scale), round(image.shape[0] / scale))
+        return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+
+    def _pixel(self, point_m: np.ndarray | None) -> tuple[int, int] | None:
+        """Where a point is in the image; None if it is not near it."""
+        camera = self.intrinsics
+        if camera is None or point_m is None or point_m[2] < _NEAREST_M:
+            return None
+        u, v = np.round(camera.project(point_m)).astype(int).tolist()
+        return (u, v) if max(abs(u), abs(v)) < 2 * camera.width else None
 
 
 def with_words(image_rgb: np.ndarray, words: str) -> np.ndarray:
     """A darkened copy of a picture with words in its middle, uint8."""
-    dark = (_OLD_LIGHT * image_rgb).astype(np.uint8)
+    dark = (_DARK * image_rgb).astype(np.uint8)
     scale = image_rgb.shape[1] / _WIDTH_PX
     font, white = cv2.FONT_HERSHEY_SIMPLEX, (255, 255, 255)
     lines = textwrap.wrap(words, _LETTERS)
@@ -92,9 +133,3 @@ def with_words(image_rgb: np.ndarray, words: str) -> np.ndarray:
         cv2.putText(dark, line, at, font, 0.45 * scale, white, 1, cv2.LINE_AA)
         row += scale * _LINE_PX
     return dark
-
-
-def _fixed(pixels: np.ndarray) -> tuple[int, int]:
-    """Pixels as OpenCV's fixed-point numbers, within what it can draw."""
-    u, v = np.clip(np.round(pixels * (1 << _SHIFT)), -(2**20), 2**20).astype(int).tolist()
-    return u, v

@@ -1,47 +1,29 @@
 """Where the camera stands in the robot's base frame: told, or learned from the motion.
 
 It is to draw by, never to control by. With the flange at ``p``, turned by ``A``, a ball ``b`` on
-the flange is seen at ``x``: ``Q x + u = p + A b`` where Q and u take the camera's frame to the
-robot's base. Multiplied by ``A'`` that is linear in the fifteen numbers Q, u and b. The nearest
-rotation is taken from the least squares solution; u and b follow from the rotation once more.
+the flange is seen at ``x``: ``Q x + u = p + A b``, where Q and u take the camera's frame to the
+robot's base. Multiplied by ``A'`` that is linear in the fifteen numbers Q, u and b: least squares
+gives the ball b. The rotation that best turns what was seen to where it was gives Q and u.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-#: Ball positions that are remembered, the fewest that are enough, and how often they are used.
-_MEMORY, _FEWEST, _EVERY = 300, 12, 3
-#: A flange that has moved less than this teaches nothing new: m, and as the change of its rotation.
+#: Ball positions that are remembered, and the fewest that are enough.
+_MEMORY, _FEWEST = 300, 12
+#: A flange that moved less than this adds nothing: m, and as the change of its rotation.
 _STEP_M, _STEP_TURN = 0.01, 0.03
-#: Smallest singular value over the largest that tells all fifteen numbers.
+#: Smallest singular value over the largest that determines all fifteen numbers.
 _CONDITION = 1e-3
-#: A camera whose view is off by more than this is not known yet, m.
-_LARGEST_ERROR_M = 0.03
-#: A ball seen further than this from where it should be is a contradiction, m; after so many in a
-#: row, the camera was moved.
-_MOVED_M, _CONTRADICTIONS = 0.05, 6
+#: A ball further than this from where it should be is an outlier, m; after so many in a row the
+#: camera was moved. A pose with a larger median error is none.
+_OUTLIER_M, _OUTLIERS = 0.05, 6
 
 UNKNOWN = "the camera's place is not known yet: it is learned while the arm moves"
-
-
-@dataclass(frozen=True)
-class Pose:
-    """A frame seen from the robot's base.
-
-    Parameters
-    ----------
-    rotation : ndarray, shape (3, 3)
-        Its axes as columns.
-    position_m : ndarray, shape (3,)
-        Its origin, m.
-    """
-
-    rotation: np.ndarray
-    position_m: np.ndarray
 
 
 class CameraPlacement:
@@ -50,24 +32,23 @@ class CameraPlacement:
     Attributes
     ----------
     told : bool
-        Whether somebody who knows has told it.
-    pose : Pose or None
-        The camera's optical frame in the robot's base frame.
+        Whether it was told, not learned.
+    pose : ndarray, shape (4, 4), or None
+        The camera's optical frame in the robot's base frame, m.
     note : str
         A sentence about it for a person, or empty.
     """
 
     def __init__(self) -> None:
         self.told = False
-        self.pose: Pose | None = None
+        self.pose: np.ndarray | None = None
         self.note = UNKNOWN
-        self._ball_m = np.zeros(3)  # in the flange's frame
         self._pairs: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=_MEMORY)
-        self._contradictions = 0
-        self._count = 0
+        self._ball_m = np.zeros(3)  # in the flange's frame
+        self._outliers = 0
 
-    def tell(self, pose: Pose) -> None:
-        """Take the word of who knows."""
+    def tell(self, pose: np.ndarray) -> None:
+        """Take a pose from a node that knows it."""
         self.told, self.pose, self.note = True, pose, ""
 
     def add(self, flange: np.ndarray, ball_m: np.ndarray) -> None:
@@ -81,42 +62,52 @@ class CameraPlacement:
             The ball in the camera's frame, m.
         """
         if self.pose is not None:
-            seen = self.pose.rotation @ ball_m + self.pose.position_m
-            there = flange[:3, :3] @ self._ball_m + flange[:3, 3]
-            if np.linalg.norm(seen - there) > _MOVED_M:
-                self._contradictions += 1
-                if self._contradictions < _CONTRADICTIONS:
-                    return  # perhaps a wrong detection
+            seen_m = self.pose[:3, :3] @ ball_m + self.pose[:3, 3]
+            there_m = flange[:3, :3] @ self._ball_m + flange[:3, 3]
+            self._outliers += 1
+            if np.linalg.norm(seen_m - there_m) < _OUTLIER_M:
+                self._outliers = 0
+            elif self._outliers < _OUTLIERS:
+                return
+            else:
                 self._pairs.clear()
                 self.pose, self.note = None, UNKNOWN
-        self._contradictions = 0
         if self._pairs:
             moved = np.abs(flange - self._pairs[-1][0])
             if moved[:3, 3].max() < _STEP_M and moved[:3, :3].max() < _STEP_TURN:
                 return
-        self._pairs.append((np.array(flange), ball_m))
-        self._count += 1
-        if len(self._pairs) >= _FEWEST and self._count % _EVERY == 0:
+        self._pairs.append((flange, ball_m))
+        if len(self._pairs) >= _FEWEST:
             self._solve()
 
     def _solve(self) -> None:
-        """Find the camera's pose, or none while the motion does not tell it."""
-        flanges, balls_m = (np.array(part) for part in zip(*self._pairs, strict=True))
-        turns = flanges[:, :3, :3].transpose(0, 2, 1)
+        """Find the camera's pose, or none while the motion does not determine it."""
+        flanges, seen_m = (np.array(part) for part in zip(*self._pairs, strict=True))
+        turns, origins_m = flanges[:, :3, :3], flanges[:, :3, 3]
+        back = turns.transpose(0, 2, 1)
         # A' Q x + A' u - b = A' p, with Q column by column.
-        by_rotation = np.einsum("nj,nik->nijk", balls_m, turns).reshape(len(turns), 3, 9)
-        minus = np.broadcast_to(-np.eye(3), turns.shape)
-        rows = np.concatenate([by_rotation, turns, minus], axis=2).reshape(-1, 15)
-        wanted = np.einsum("nik,nk->ni", turns, flanges[:, :3, 3]).reshape(-1)
+        rows = np.concatenate(
+            [
+                np.einsum("nj,nik->nijk", seen_m, back).reshape(len(turns), 3, 9),
+                back,
+                np.broadcast_to(-np.eye(3), turns.shape),
+            ],
+            axis=2,
+        ).reshape(-1, 15)
+        wanted = np.einsum("nik,nk->ni", back, origins_m).reshape(-1)
         free, _, _, sizes = np.linalg.lstsq(rows, wanted, rcond=None)
-        left, _, right = np.linalg.svd(free[:9].reshape(3, 3).T)
-        rotation = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-        left_over = wanted - rows[:, :9] @ rotation.T.reshape(-1)
-        rest = np.linalg.lstsq(rows[:, 9:], left_over, rcond=None)[0]
-        off_m = (left_over - rows[:, 9:] @ rest).reshape(-1, 3)
-        error_m = float(np.sqrt((off_m**2).sum(axis=1).mean()))
-        if sizes[-1] < _CONDITION * sizes[0] or error_m > _LARGEST_ERROR_M:
-            self.pose, self.note = None, UNKNOWN
-            return
-        self.pose, self._ball_m = Pose(rotation, rest[:3]), rest[3:]
-        self.note = f"the camera's place is learned: ball and arm agree to {1e3 * error_m:.0f} mm"
+        where_m = origins_m + turns @ free[12:]
+        rotation, _ = Rotation.align_vectors(
+            where_m - where_m.mean(axis=0), seen_m - seen_m.mean(axis=0)
+        )
+        pose = np.eye(4)
+        pose[:3, :3] = rotation.as_matrix()
+        pose[:3, 3] = where_m.mean(axis=0) - pose[:3, :3] @ seen_m.mean(axis=0)
+        off_m = np.linalg.norm(seen_m @ pose[:3, :3].T + pose[:3, 3] - where_m, axis=1)
+        error_m = np.median(off_m)
+        self.pose, self.note, self._ball_m = None, UNKNOWN, free[12:]
+        if sizes[-1] > _CONDITION * sizes[0] and error_m < _OUTLIER_M:
+            self.pose = pose
+            self.note = (
+                f"the camera's place is learned: ball and arm agree to {1e3 * error_m:.0f} mm"
+            )

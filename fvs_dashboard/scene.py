@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 import time
 from collections.abc import Callable
 from math import inf
@@ -10,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import viser
-import viser.transforms
 from viser.extras import ViserUrdf
+from viser.transforms import SO3
 
 from fvs_dashboard.board import Board
 from fvs_sim_node.objects import TABLE
@@ -27,19 +26,15 @@ LEGEND = (
     ("●", _TARGET, "target: drag it"),
 )
 _ROD = (150, 156, 168)
-#: The rod is drawn anew where its end is off by more, m.
-_ROD_BENT_M = 0.03
 _TRAIL_OLD, _TRAIL_NEW = np.array([60, 64, 72]), np.array([255, 214, 0])
-#: The trail has always so many pieces: the page redraws it cheaply then.
+#: A fixed number of pieces: the browser redraws the trail cheaply then.
 _PIECES = 96
 #: The target is smaller than the ball, which hides it once it is there.
 _TARGET_SHARE = 0.6
-#: So long after a drag the target stays where it was dropped, until the controller has said, s.
+#: After a drag the target stays where it was dropped, until the controller has answered, s.
 _DROPPED_S = 0.6
 _FRUSTUM_M = 0.14
-#: Breaks a long sentence into lines, but no name that is to be typed.
-_WRAP = textwrap.TextWrapper(56, break_long_words=False, break_on_hyphens=False)
-#: The table is light; the page is dark, and what stands on the table is to be seen.
+#: The table is light; the page is dark.
 _DIM = 0.45
 
 
@@ -64,10 +59,41 @@ class Scene:
     ) -> None:
         self._server = server
         self._on_drag = on_drag
-        self._held_s = -inf  # when the target was last held by somebody's hand
+        self._held_s = -inf  # when a person last held the target
         self._arm: Arm | None = None
         self._robot: ViserUrdf | None = None
+        self._add_surroundings()
         scene = server.scene
+        scene.add_frame("/robot", show_axes=False)
+        self._camera = scene.add_frame(
+            "/base/camera", axes_length=0.08, axes_radius=0.003, origin_radius=0.004, visible=False
+        )
+        self._frustum = scene.add_camera_frustum(
+            "/base/camera/view",
+            1.0,
+            1.0,
+            scale=_FRUSTUM_M,
+            thickness=0.004,
+            color=(190, 196, 208),
+            jpeg_quality=70,
+        )
+        self._trail = self._add_lines("/base/camera/trail", _trail_colours(), 3.0)
+        # How the ball is held is not known; that it is, is drawn.
+        self._rod = self._add_lines("/base/camera/rod", np.full((1, 2, 3), _ROD), 5.0)
+        self._ball = scene.add_icosphere("/base/camera/ball", ball_radius_m, _BALL, visible=False)
+        self._predicted = scene.add_icosphere(
+            "/base/camera/predicted",
+            1.25 * ball_radius_m,
+            _PREDICTED,
+            subdivisions=2,
+            opacity=0.3,
+            visible=False,
+        )
+        self._add_target(ball_radius_m)
+
+    def _add_surroundings(self) -> None:
+        """Light, floor, and what the simulated camera sees around the arm."""
+        scene = self._server.scene
         # No environment and no shadows: where no graphics card draws, they cost a core or more.
         scene.configure_environment_map(hdri=None)
         scene.configure_default_lights(enabled=True, cast_shadow=False)
@@ -82,46 +108,8 @@ class Scene:
             section_color=(84, 90, 102),
             shadow_opacity=0.0,
         )
-        self._root = scene.add_frame("/robot", show_axes=False)
         self._base = scene.add_frame("/base", show_axes=False)
-        self._camera = scene.add_frame(
-            "/base/camera", axes_length=0.08, axes_radius=0.003, origin_radius=0.004, visible=False
-        )
-        self._add_table()
-        self._frustum: viser.CameraFrustumHandle | None = None
-        self._trail = scene.add_line_segments(
-            "/base/camera/trail",
-            np.zeros((_PIECES, 2, 3)),
-            _trail_colours(),
-            thickness=3.0,
-            thickness_units="screen",
-        )
-        # How the ball is held, nobody tells; but that it is, is to be seen.
-        self._flange = scene.add_frame("/base/flange", show_axes=False)
-        self._rod_m = np.zeros(3)  # from the flange to the ball, as drawn
-        self._rod = scene.add_line_segments(
-            "/base/flange/rod",
-            np.zeros((1, 2, 3)),
-            np.full((1, 2, 3), _ROD, dtype=np.uint8),
-            thickness=5.0,
-            thickness_units="screen",
-            visible=False,
-        )
-        self._ball = scene.add_icosphere("/base/camera/ball", ball_radius_m, _BALL, visible=False)
-        self._predicted = scene.add_icosphere(
-            "/base/camera/predicted",
-            1.25 * ball_radius_m,
-            _PREDICTED,
-            subdivisions=2,
-            opacity=0.3,
-            visible=False,
-        )
-        self._add_target(ball_radius_m)
-
-    def _add_table(self) -> None:
-        """What the simulated camera sees around the arm."""
-        scene = self._server.scene
-        # Its world is ROS's base_link, turned by half a turn.
+        # The simulator's world is ROS's base_link, turned by half a turn.
         self._table = scene.add_frame(
             "/base/table", show_axes=False, wxyz=(0.0, 0.0, 0.0, 1.0), visible=False
         )
@@ -131,10 +119,20 @@ class Scene:
                 tuple(round(255 * _DIM * part) for part in thing.rgba[:3]),
                 thing.size_m,
                 position=thing.position_m,
-                cast_shadow=False,
-                receive_shadow=False,
             )
         self._under_table_m = min(one.position_m[2] - 0.5 * one.size_m[2] for one in TABLE)
+
+    def _add_lines(
+        self, name: str, colours: np.ndarray, thickness: float
+    ) -> viser.LineSegmentsHandle:
+        return self._server.scene.add_line_segments(
+            name,
+            np.zeros(colours.shape),
+            colours.astype(np.uint8),
+            thickness=thickness,
+            thickness_units="screen",
+            visible=False,
+        )
 
     def _add_target(self, ball_radius_m: float) -> None:
         scene = self._server.scene
@@ -170,74 +168,43 @@ class Scene:
         if self._robot is not None:
             self._server.scene.remove_by_name("/robot/visual")  # and all that hangs on it
         self._arm, self._robot = arm, ViserUrdf(self._server, arm.urdf, root_node_name="/robot")
-        if arm.missing:  # an answer on the panel fades, and nobody may look yet
-            self._server.scene.add_label(
-                "/robot/visual/missing",
-                _WRAP.fill(arm.missing),
-                position=(0.0, 0.0, -0.05),
-                anchor="top-center",
-                font_screen_scale=0.7,
-            )
-        self._base.wxyz, self._base.position = _placed(arm.base[:3, :3], arm.base[:3, 3])
+        _place(self._base, arm.base)
 
-    def update(self, board: Board, now_s: float, picture: np.ndarray | None) -> None:
-        """Show a moment, and a new picture if there is one."""
-        joints, placement = board.joints_rad, board.placement
+    def update(self, board: Board, now_s: float) -> None:
+        """Show a moment."""
+        joints, placement = board.newest("joint_states", now_s), board.placement
         if self._robot is not None and self._arm is not None and joints is not None:
             self._robot.update_cfg(self._arm.configuration(joints))
-        if self._table.visible != placement.told:
-            self._table.visible = placement.told
-            self._floor.position = (0.0, 0.0, self._under_table_m if placement.told else 0.0)
+        self._table.visible = placement.told
+        self._floor.position = (0.0, 0.0, self._under_table_m if placement.told else 0.0)
         camera = placement.pose
         self._camera.visible = camera is not None
         if camera is None:
-            self._rod.visible = False
             return
-        self._camera.wxyz, self._camera.position = _placed(camera.rotation, camera.position_m)
-        self._show_frustum(board.field_of_view, picture)
-        controller, ball_m = board.controller(now_s), board.ball_m(now_s)
+        _place(self._camera, camera)
+        controller, ball_m = board.controller(now_s), board.newest("ball_position", now_s)
         _put(self._ball, ball_m)
-        if self._arm is None or joints is None or ball_m is None:
-            self._rod.visible = False
-        else:
-            self._show_rod(self._arm.flange(joints), camera.rotation @ ball_m + camera.position_m)
         _put(self._predicted, controller.position_m)
         if time.monotonic() - self._held_s > _DROPPED_S:
             _put(self._target, controller.target_m)
+        self._rod.visible = self._arm is not None and joints is not None and ball_m is not None
+        if self._arm is not None and joints is not None and ball_m is not None:
+            flange_m = self._arm.flange(joints)[:3, 3]
+            self._rod.points = np.array([[(flange_m - camera[:3, 3]) @ camera[:3, :3], ball_m]])
         trail_m = board.trail_m.window(now_s)[:, 1:]
         self._trail.visible = len(trail_m) > 1
         if len(trail_m) > 1:
             self._trail.points = _pieces(trail_m)
 
-    def _show_rod(self, flange: np.ndarray, ball_m: np.ndarray) -> None:
-        self._flange.wxyz, self._flange.position = _placed(flange[:3, :3], flange[:3, 3])
-        rod_m = flange[:3, :3].T @ (ball_m - flange[:3, 3])
-        if np.abs(rod_m - self._rod_m).max() > _ROD_BENT_M:  # lines are slow to change in a browser
-            self._rod_m = rod_m
-            self._rod.points = np.array([[np.zeros(3), rod_m]])
-        self._rod.visible = True
-
-    def _show_frustum(self, field_of_view: tuple[float, float], picture: np.ndarray | None) -> None:
-        fov, aspect = field_of_view
-        if self._frustum is None:
-            self._frustum = self._server.scene.add_camera_frustum(
-                "/base/camera/view",
-                fov,
-                aspect,
-                scale=_FRUSTUM_M,
-                thickness=0.004,
-                color=(190, 196, 208),
-                jpeg_quality=70,
-                cast_shadow=False,
-                receive_shadow=False,
-            )
-        self._frustum.fov, self._frustum.aspect = fov, aspect
-        if picture is not None:
-            self._frustum.image = picture
+    def show_picture(self, field_of_view: tuple[float, float], image: np.ndarray | None) -> None:
+        """Show a new picture in the camera's view: vertical angle, rad, and width over height."""
+        self._frustum.fov, self._frustum.aspect = field_of_view
+        if image is not None:
+            self._frustum.image = image
 
 
-def _placed(rotation: np.ndarray, position_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return viser.transforms.SO3.from_matrix(rotation).wxyz, position_m
+def _place(node: viser.SceneNodeHandle, pose: np.ndarray) -> None:
+    node.wxyz, node.position = SO3.from_matrix(pose[:3, :3]).wxyz, pose[:3, 3]
 
 
 def _put(node: viser.SceneNodeHandle, position_m: np.ndarray | None) -> None:
@@ -256,5 +223,5 @@ def _pieces(trail_m: np.ndarray) -> np.ndarray:
 
 def _trail_colours() -> np.ndarray:
     share = np.linspace(0.0, 1.0, _PIECES + 1)[:, None]
-    colours = ((1.0 - share) * _TRAIL_OLD + share * _TRAIL_NEW).astype(np.uint8)
+    colours = (1.0 - share) * _TRAIL_OLD + share * _TRAIL_NEW
     return np.stack([colours[:-1], colours[1:]], axis=1)

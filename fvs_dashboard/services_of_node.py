@@ -22,12 +22,12 @@ _CALLS: dict[str, type] = {
 }
 #: An answer that takes longer is not waited for, s.
 ANSWER_S = 3.0
-#: A stop is asked for this often, until it is answered, s; and after so long the person is told.
+#: A stop is asked for this often, until it is answered, s; and after this long the person is told.
 _STOP_AGAIN_S, _STOP_LATE_S = 0.3, 0.5
 
 
 class _Request(NamedTuple):
-    """A request that is not answered yet; a quiet one is none of a person's."""
+    """A request that is not answered yet; a quiet one is not a person's."""
 
     name: str
     asked_s: float
@@ -52,19 +52,20 @@ class Services:
         self._tell = tell
         self._clients = {name: node.create_client(kind, name) for name, kind in _CALLS.items()}
         self._open: list[_Request] = []
-        self._stop_since_s: float | None = None
-        self._stop_said = False
-        self._stop_sent_s = 0.0
+        self._stopping = False
+        self._stop_sent_s = self._stop_late_s = 0.0
 
     def call(self, name: str, on_answer: Callable[[Trigger.Response], None] | None = None) -> None:
         """Call a service by node and name; its answer is told, or given to ``on_answer``."""
-        if name == f"{CONTROLLER}/start":  # whoever starts after a stop means it
-            self._stop_since_s = None
-        self._request(name, Trigger.Request(), on_answer or self._told(name))
+        if name == f"{CONTROLLER}/start":  # a start after a stop takes it back
+            self._stopping = False
+        said = name.rpartition("/")[2].replace("_", " ")
+        told = on_answer or (lambda answer: self._tell(f"{said}: {answer.message}"))
+        self._request(name, Trigger.Request(), told)
 
     def stop(self) -> None:
         """Ask the controller to stop, again and again until it answers."""
-        self._stop_since_s, self._stop_said = self._node.steady_s(), False
+        self._stopping, self._stop_late_s = True, self._node.steady_s() + _STOP_LATE_S
         self._send_stop()
 
     def ask(
@@ -76,10 +77,8 @@ class Services:
             values = [parameter_value_to_python(value) for value in answer.values]
             on_values({n: v for n, v in zip(names, values, strict=False) if v is not None})
 
-        name = f"{node}/get_parameters"
-        if self._clients[name].service_is_ready():
-            self._request(name, GetParameters.Request(names=list(names)), on_answer, quiet=True)
-        else:
+        request = GetParameters.Request(names=list(names))
+        if not self._request(f"{node}/get_parameters", request, on_answer, quiet=True):
             on_values({})
 
     def set(self, parameter: str, value: Any) -> None:
@@ -99,40 +98,39 @@ class Services:
     def look_after(self) -> None:
         """Repeat a stop that is not answered, and give up what waits too long."""
         now_s = self._node.steady_s()
-        if self._stop_since_s is not None and now_s - self._stop_sent_s > _STOP_AGAIN_S:
-            if now_s - self._stop_since_s > _STOP_LATE_S and not self._stop_said:
-                self._stop_said = True
+        if self._stopping and now_s - self._stop_sent_s > _STOP_AGAIN_S:
+            if now_s > self._stop_late_s:
+                self._stop_late_s = float("inf")  # said once
                 self._tell("stop: the controller does not answer yet; use the robot's own stop")
             self._send_stop()
-        self._open = [one for one in self._open if not one.future.done()]
-        for one in self._open:
+        waiting = [one for one in self._open if not one.future.done()]
+        self._open = [one for one in waiting if now_s - one.asked_s <= ANSWER_S]
+        for one in waiting:
             if now_s - one.asked_s > ANSWER_S:
                 one.client.remove_pending_request(one.future)
                 if not one.quiet:
                     self._tell(f"{one.name} does not answer; it may still be done, later")
-        self._open = [one for one in self._open if now_s - one.asked_s <= ANSWER_S]
 
     def _send_stop(self) -> None:
         self._stop_sent_s = self._node.steady_s()
 
         def on_answer(answer: Trigger.Response) -> None:
-            if self._stop_since_s is not None:
-                self._stop_since_s = None
-                self._told("stop")(answer)
+            if self._stopping:
+                self._stopping = False
+                self._tell(f"stop: {answer.message}")
 
         self._request(f"{CONTROLLER}/stop", Trigger.Request(), on_answer, quiet=True)
 
-    def _told(self, name: str) -> Callable[[Trigger.Response], None]:
-        said = name.rpartition("/")[2].replace("_", " ")
-        return lambda answer: self._tell(f"{said}: {answer.message}")
-
     def _request(
         self, name: str, request: Any, on_answer: Callable[[Any], None], quiet: bool = False
-    ) -> None:
+    ) -> bool:
+        """Send a request; whether there is a node that would answer."""
         client = self._clients[name]
-        if client.service_is_ready():
-            future = client.call_async(request)
-            future.add_done_callback(lambda done: on_answer(done.result()))
-            self._open.append(_Request(name, self._node.steady_s(), client, future, quiet))
-        elif not quiet:
-            self._tell(f"{name} does not answer; is {name.partition('/')[0]} running?")
+        if not client.service_is_ready():
+            if not quiet:
+                self._tell(f"{name} does not answer; is {name.partition('/')[0]} running?")
+            return False
+        future = client.call_async(request)
+        future.add_done_callback(lambda done: on_answer(done.result()))
+        self._open.append(_Request(name, self._node.steady_s(), client, future, quiet))
+        return True

@@ -131,7 +131,8 @@ class Eyes:
 
     def type_target(self, position_m):
         row = self.page.locator("div:has(> div label)", has_text=TARGET).last
-        row.locator("input").fill(", ".join(f"{value:.3f}" for value in position_m))
+        for number, value in enumerate(position_m):
+            row.locator("input").nth(number).fill(f"{value:.3f}")
 
 
 @pytest.mark.timeout(240)  # half a minute where nothing else runs

@@ -20,30 +20,22 @@ import websockets
 from page_client import PageClient
 from viser.infra import _infra
 
-from fvs_dashboard import config, guard
+from fvs_dashboard import charts, config, guard
 from fvs_dashboard.actions import Actions
-from fvs_dashboard.arm import Arm
-from fvs_dashboard.board import Board
+from fvs_dashboard.board import Board, Controller
 from fvs_dashboard.page import Page, field_of_view_rad
-from fvs_dashboard.placement import Pose
+from fvs_dashboard.picture import Picture
 from fvs_estimator_node.model_file import load_model
 from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_ros.paths import find_file
 from fvs_sim_node.rendering import camera_preset
-from fvs_sim_node.ur5_urdf import urdf_text
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def served():
-    return Page(
-        "127.0.0.1",
-        0,
-        Actions(),
-        ball_radius_m=0.04,
-        image=True,
-        tour=True,
-    )
+def served(port=0):
+    given = config.DashboardConfig(port=port, model_path="any")
+    return Page(given, UR_JOINT_NAMES, Actions(lambda: None))
 
 
 @pytest.fixture
@@ -60,18 +52,19 @@ def client(page):
     client.close()
 
 
+def place(page):
+    host, port = re.fullmatch(r"http://(.+):(\d+)", page.address).groups()
+    return host, int(port)
+
+
 # --- who is let in ---
 
 
-@pytest.fixture
-def later_viser(monkeypatch):
-    """A viser that keeps websockets' own server, where the guard does not reach it."""
+def test_a_page_whose_guard_did_not_take_is_not_served(monkeypatch):
+    # A later viser that keeps websockets' own server, where the guard does not reach it.
     server = types.SimpleNamespace(**vars(websockets.asyncio.server))
     own = {**vars(websockets), "asyncio": types.SimpleNamespace(server=server)}
     monkeypatch.setattr(_infra, "websockets", types.SimpleNamespace(**own))
-
-
-def test_a_page_whose_guard_did_not_take_is_not_served(later_viser, monkeypatch):
     tried = []
     check = guard.turns_others_away
     monkeypatch.setattr(
@@ -86,24 +79,20 @@ def test_a_page_whose_guard_did_not_take_is_not_served(later_viser, monkeypatch)
         PageClient(f"http://{host}:{port}")
 
 
-def test_a_guarded_page_turns_others_away(page):
-    host, port = re.fullmatch(r"http://(.+):(\d+)", page.address).groups()
-    assert guard.turns_others_away(host, int(port))
-
-
-def requested(page, **headers):
-    host, port = re.fullmatch(r"http://(.+):(\d+)", page.address).groups()
-    connection = http.client.HTTPConnection(host, int(port), timeout=10.0)
-    with contextlib.closing(connection):
-        connection.request("GET", "/", headers=headers)
-        return connection.getresponse()
+def test_the_guard_is_checked_from_outside(page):
+    assert guard.turns_others_away(*place(page))
+    page.close()
+    assert not guard.turns_others_away(*place(page))
 
 
 @pytest.mark.parametrize(
     "wanted", ["document", "iframe", "frame", "fencedframe", "embed", "object"]
 )
 def test_no_other_page_may_hold_this_one_in_a_frame(page, wanted):
-    answer = requested(page, **{"Sec-Fetch-Dest": wanted})
+    connection = http.client.HTTPConnection(*place(page), timeout=10.0)
+    with contextlib.closing(connection):
+        connection.request("GET", "/", headers={"Sec-Fetch-Dest": wanted})
+        answer = connection.getresponse()
     assert answer.status == (200 if wanted == "document" else 403)
     assert answer.headers["Content-Security-Policy"] == "frame-ancestors 'none'"
     assert answer.headers["X-Frame-Options"] == "DENY"
@@ -120,22 +109,15 @@ def test_a_request_for_a_public_tunnel_is_refused(page, client, monkeypatch):
     assert tunnels == []
 
 
-def test_where_nothing_answers_nobody_is_turned_away(page):
-    page.close()
-    assert not guard.turns_others_away("127.0.0.1", int(page.address.rpartition(":")[2]))
-
-
 def test_a_taken_port_says_how_to_choose_another(page):
-    port = int(page.address.rpartition(":")[2])
-    with pytest.raises(ValueError, match=rf"is taken; .*-p port:={port + 1}"):
-        Page("127.0.0.1", port, Actions(), ball_radius_m=0.04, image=False, tour=False)
+    with pytest.raises(ValueError, match=r"is taken; .*-p port:=0"):
+        served(place(page)[1])
 
 
 def test_the_versions_of_viser_are_the_same_everywhere():
     bounds = config.VISER.removeprefix("viser[urdf]")
     for name in ("README.md", "package.xml", "setup.py"):
         found = re.findall(r"viser\[urdf\]([^'\"]*)", (ROOT / name).read_text(encoding="utf-8"))
-        assert found, name
         assert set(found) == {bounds}, name
     constraints = (ROOT / "constraints.txt").read_text(encoding="utf-8")
     assert re.findall(r"^viser(.*)$", constraints, re.M) == [bounds]
@@ -151,38 +133,30 @@ def test_nothing_that_changes_its_height_is_above_start_and_stop(client):
     assert "<style>" in first[0]["content"]  # the row they stand in
 
 
-def test_the_banner_does_not_flicker_and_its_distance_is_of_now(page):
-    board, said = Board(ball_radius_m=0.04), []
+def test_the_banner_does_not_flicker_and_its_distance_is_current(page):
+    board, picture, said = Board(len(UR_JOINT_NAMES)), Picture(0.04), []
     for tenth in range(40):  # a loop that is held ten times a second
         state, now_s = ("SERVOING", "HOLDING")[tenth % 2], 0.1 * tenth
         values = {"state": state, "reason": "STALE", "error_m": str(0.1 + now_s)}
-        board.add_status(now_s, values, f"{tenth}")
-        page.update(board, now_s)
+        board.add_status(now_s, Controller(values, f"{tenth}"))
+        page.update(board, picture, now_s)
         html = page._panel._banner.content
         assert f"{100 + 100 * tenth} mm" in html
         said.append(re.search(r'data-state="(\w+)" title="(\w+)', html).groups())
-    changes = sum(before != after for before, after in pairwise(said))
-    assert 2 <= changes <= 4
+    assert 2 <= sum(before != after for before, after in pairwise(said)) <= 4
 
 
-def test_the_rod_ends_at_the_ball(page):
-    joints = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
-    board = Board(ball_radius_m=0.04)
-    board.tell_camera(Pose(np.eye(3), np.zeros(3)))
-    page.set_arm(Arm(urdf_text(), UR_JOINT_NAMES, ""))
-    for now_s, ball_m in ((0.0, [0.3, 0.1, 0.9]), (0.1, [0.3, 0.1, 1.0])):
-        board.add_joints(now_s, 10.0 + now_s, joints, np.zeros(6))
-        board.add_ball(now_s, 10.0 + now_s, np.array(ball_m))
-        page.update(board, now_s)
-        flange = page._scene._arm.flange(joints)
-        end_m = flange[:3, :3] @ page._scene._rod.points[0, 1] + flange[:3, 3]
-        np.testing.assert_allclose(end_m, ball_m, atol=1e-6)
+def test_no_line_joins_what_is_before_and_after_a_gap():
+    nan, time_s = np.nan, np.array([0.0, 0.1, 2.1, 2.2, 2.3])
+    values = charts.since_gap(time_s, np.array([1.0, 2.0, 3.0, 4.0, 5.0]))
+    np.testing.assert_array_equal(values, [nan, nan, 3.0, 4.0, 5.0])
+    np.testing.assert_array_equal(charts.since_gap(0.1 * time_s, time_s), time_s)
 
 
 # --- what is seen first ---
 
 
-def test_a_view_that_is_made_narrow_or_wide_shows_as_much_from_side_to_side(client):
+def test_a_narrow_view_shows_as_much_from_side_to_side(client):
     for width, height in ((800, 600), (522, 800), (0, 800), (400, 800), (0, 0), (842, 900)):
         client.look(width, height)
         wanted_rad = field_of_view_rad(width, height)
@@ -215,7 +189,6 @@ def test_the_first_look_is_filled_by_arm_ball_and_camera(page, width, height, fi
     samples = load_model(find_file("models/ur5_front.npz")).ball_samples_m
     balls = samples @ camera.rotation.T + camera.position_m
     foot = np.array([[0.1, 0.1, -0.2], [-0.1, -0.1, -0.2], [0.0, 0.0, 0.0]])
-    everything = view(np.vstack([foot, balls, camera.position_m[None]]))
-    assert np.abs(everything).max() < 0.97
+    assert np.abs(view(np.vstack([foot, balls, camera.position_m[None]]))).max() < 0.97
     work = view(np.vstack([foot, balls]))
     assert np.ptp(work, axis=0).min() > filled  # of 2; the camera stands before it

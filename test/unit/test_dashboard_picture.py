@@ -1,76 +1,64 @@
-"""The camera's picture: small, with ball and target where they are."""
-
-from __future__ import annotations
+"""The camera's picture: small, with ball and target where they are, and honest about its age."""
 
 import numpy as np
 import pytest
 
-from fvs_dashboard import picture
+from fvs_dashboard.picture import BALL_RGB, TARGET_RGB, Picture
 from fvs_ros.camera import Intrinsics
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
+BLACK = np.zeros((480, 640, 3), np.uint8)
 
 
-def blank():
-    return np.zeros((480, 640, 3), np.uint8)
+@pytest.fixture
+def picture():
+    picture = Picture(ball_radius_m=0.03)
+    picture.intrinsics = CAMERA
+    return picture
 
 
-def pixels(image, colour):
-    """Rows and columns of the pixels that are about of a colour."""
-    off = np.abs(image.astype(int) - np.array(colour)).max(axis=2)
-    return np.argwhere(off < 60)
+def drawn(image, colour):
+    """Middle and half width, pixels (column, row), of what has about a colour."""
+    found = np.argwhere(image @ (np.array(colour) / 255.0) > 120)[:, ::-1]
+    return (found.min(axis=0) + found.max(axis=0)) / 2, np.ptp(found, axis=0) / 2
 
 
-def test_the_scaled_camera_sees_the_same_ray_at_the_same_place():
-    small = picture.scaled(CAMERA, 320)
-    assert (small.width, small.height) == (320, 240)
-    # the outer corner of the image stays its outer corner
-    assert small.rays(-0.5, -0.5) == pytest.approx(CAMERA.rays(-0.5, -0.5))
-    assert small.rays(319.5, 239.5) == pytest.approx(CAMERA.rays(639.5, 479.5))
+def test_ball_and_target_are_drawn_where_the_image_itself_shows_them(picture):
+    ball_m, target_m = np.array([0.1, -0.05, 1.2]), np.array([-0.2, 0.1, 1.5])
+    picture.add_ball(10.0, ball_m)
+    picture.add_ball(10.1, np.array([0.3, 0.0, 1.2]))
+    picture.add_image(0.0, 10.0, BLACK)
+    image = picture.newest(0.1, None)
+    assert image.shape == (240, 320, 3)
+    middle, half = drawn(image, BALL_RGB)
+    np.testing.assert_allclose(middle, CAMERA.project(ball_m) / 2, atol=1.0)
+    np.testing.assert_allclose(half, 300.0 * 0.03 / 1.2, atol=1.5)
+    assert not image[tuple(np.round(middle).astype(int))[::-1]].any()  # the ball stays visible
+    picture.add_image(0.0, 11.0, BLACK)  # the ball was not found in this one
+    middle, half = drawn(picture.newest(0.1, target_m), TARGET_RGB)
+    np.testing.assert_allclose(middle, CAMERA.project(target_m) / 2, atol=1.0)
+    assert not BLACK.any()
 
 
-def test_the_circle_has_the_balls_place_and_size():
-    ball = np.array([0.1, -0.05, 1.2])
-    small = picture.draw(blank(), CAMERA, ball, 0.03, None)
-    rows, columns = pixels(small, picture.BALL_RGB).T
-    u, v = picture.scaled(CAMERA, 320).project(ball)
-    radius = 300.0 * 0.03 / 1.2
-    assert (columns.min() + columns.max()) / 2 == pytest.approx(u, abs=0.6)
-    assert (rows.min() + rows.max()) / 2 == pytest.approx(v, abs=0.6)
-    assert (columns.max() - columns.min()) / 2 == pytest.approx(radius, abs=0.8)
-    assert tuple(small[round(v), round(u)]) == (0, 0, 0)  # the ball itself stays to be seen
+@pytest.mark.parametrize("where_m", [[0.0, 0.0, -1.0], [9.0, 9.0, 0.06]])
+def test_a_target_behind_the_camera_or_far_outside_is_not_drawn(picture, where_m):
+    picture.add_image(0.0, 10.0, BLACK)
+    assert not picture.newest(0.1, np.array(where_m)).any()
 
 
-def test_the_cross_stands_on_the_target():
-    target = np.array([-0.2, 0.1, 1.5])
-    small = picture.draw(blank(), CAMERA, None, 0.03, target)
-    u, v = picture.scaled(CAMERA, 320).project(target)
-    found = np.argwhere(small.max(axis=2) > 60)  # a line between two rows is two, half as bright
-    assert np.abs(found.mean(axis=0) - [v, u]).max() < 0.7
-    assert np.ptp(found, axis=0) == pytest.approx([14, 14], abs=2)
+def test_a_small_image_without_intrinsics_is_shown_as_it_is():
+    picture = Picture(ball_radius_m=0.03)
+    picture.add_image(0.0, 10.0, np.full((90, 120, 3), 77, np.uint8))
+    np.testing.assert_array_equal(picture.newest(0.1, np.ones(3)), np.full((90, 120, 3), 77))
 
 
-def test_what_is_behind_the_camera_or_far_out_of_the_image_is_no_trouble():
-    behind, out = np.array([0.0, 0.0, -1.0]), np.array([9.0, 9.0, 0.06])
-    assert picture.draw(blank(), CAMERA, behind, 0.03, behind).max() == 0
-    picture.draw(blank(), CAMERA, out, 0.03, out)
-
-
-def test_a_camera_without_intrinsics_and_a_small_image():
-    image = np.full((90, 120, 3), 77, np.uint8)
-    small = picture.draw(image, None, np.ones(3), 0.03, np.ones(3))
-    assert small.shape == (90, 120, 3)
-    assert (small == 77).all()
-
-
-def test_the_image_itself_is_not_painted_on():
-    image = blank()[:240, :320]
-    picture.draw(image, CAMERA, np.array([0.0, 0.0, 1.0]), 0.03, None)
-    assert image.max() == 0
-
-
-def test_words_stand_in_the_middle_however_long_they_are():
-    dark = picture.with_words(picture.BLANK, "no picture: no node publishes " + "name/" * 8)
-    rows, columns = np.argwhere(dark.min(axis=2) > 150).T
-    assert rows.mean() == pytest.approx(120, abs=15)
-    assert 5 < columns.min() < columns.max() < 315
+def test_an_empty_picture_says_what_it_waits_for_and_an_old_one_its_age(picture):
+    picture.waits_for = "no picture: no node publishes camera/color/image_raw"
+    assert (picture.newest(0.0, None) > 200).any()
+    assert picture.newest(0.1, None) is None  # unchanged
+    picture.add_image(0.2, 10.0, np.full((480, 640, 3), 200, np.uint8))
+    assert (picture.newest(0.3, None) == 200).all()
+    shown = [picture.newest(now_s, None) for now_s in (2.0, 2.8, 2.9, 3.8)]
+    assert [one is None for one in shown] == [True, False, True, False]
+    assert np.median(shown[1]) == np.median(shown[3]) == 70
+    assert (shown[1] != shown[3]).any()
