@@ -96,7 +96,7 @@ class Charts:
         self._nudge_s = _NUDGE_S - self._nudge_s
         limit_rad_s = board.limit("max_joint_velocity_rad_s")
         if isfinite(limit_rad_s) and limit_rad_s != self._limit_rad_s:
-            self._limit_rad_s = limit_rad_s  # a new scale makes the chart anew: seldom
+            self._limit_rad_s = limit_rad_s  # a new scale rebuilds the chart
             scale = {"range": (0.0, 1.2 * limit_rad_s)}
             self._speed.scales = {**self._speed.scales, "y": scale}
         self._draw(self._error, board.error_mm.window(now_s))
@@ -106,8 +106,8 @@ class Charts:
     def _draw(self, chart: viser.GuiUplotHandle, window: np.ndarray, *levels: float) -> None:
         """Draw over the whole length; where nothing is known, nothing is drawn.
 
-        The page keeps a zoom relative to the length, which therefore stays as it is; and it draws
-        the axes anew only where a range changes, which it therefore does, by less than one sees.
+        The browser keeps a zoom relative to the length, so that this is constant; it redraws the
+        axes only where a range changes, so that it changes by less than one sees.
         """
         time_s, *columns = window.T
         times = np.concatenate(([self._nudge_s - HISTORY_S], time_s, [0.0]))

@@ -17,7 +17,8 @@ class DashboardConfig(Parameters):
     """What the page needs to know beyond the joints' names."""
 
     host: str = parameter(
-        "127.0.0.1", "address the page is served at; 0.0.0.0 lets whoever reaches it move the arm"
+        "127.0.0.1",
+        "address the page is served at; 0.0.0.0 lets anybody who reaches it move the arm",
     )
     port: int = parameter(8080, "port of the page; 0 takes any free one", 0, 65535)
     feature_frame: str = parameter(CAMERA_FRAME, "frame of ball and target")

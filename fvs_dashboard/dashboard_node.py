@@ -33,7 +33,7 @@ from fvs_dashboard.board import Board, Controller
 from fvs_dashboard.config import PARAMETERS, VISER, DashboardConfig
 from fvs_dashboard.markup import SHOWN_BY
 from fvs_dashboard.picture import Picture
-from fvs_dashboard.services_of_node import Services
+from fvs_dashboard.services_of_node import ANSWER_S, Services
 from fvs_estimator_node.model_file import load_model
 from fvs_ros import ros, topics
 from fvs_ros.background import step_back
@@ -111,7 +111,9 @@ class DashboardNode(ros.FvsNode):
         self.create_timer(_LOOK_PERIOD_S, self._look_around, clock=self.steady_clock)
         print(f"page: {self._page.address}", flush=True)
         if self._page.open_to_others:
-            self.tell(ros.WARN, "whoever reaches this page can move the arm: it asks no password")
+            self.tell(
+                ros.WARN, "anybody who reaches this page can move the arm: it asks no password"
+            )
         step_back(_NICE)
 
     # --- inputs ---
@@ -183,11 +185,8 @@ class DashboardNode(ros.FvsNode):
             self._board.learn_camera(self._arm.flange)
         self._send_tour(now_s)
         if now_s > self._at_rest_s:  # no service clears a target, but at the ball it moves nothing
-            self._at_rest_s = inf
-            self._calls.call(
-                f"{CONTROLLER}/{SET_CURRENT.name}",
-                lambda answer: self._answer(f"everything reset; {answer.message}"),
-            )
+            self._at_rest_s = now_s + ANSWER_S  # again, if no answer comes
+            self._calls.call(f"{CONTROLLER}/{SET_CURRENT.name}", self._on_reset)
         if now_s - self._shown_s > _PERIOD_S + _LATE_S:
             self._board.tell("behind", now_s, _BEHIND)
         self._shown_s = now_s
@@ -281,6 +280,14 @@ class DashboardNode(ros.FvsNode):
             self._calls.call(f"{SIMULATOR}/reset")
         self._calls.call(f"{ESTIMATOR}/reset")
         self._at_rest_s = self.steady_s() + _AT_REST_S
+
+    def _on_reset(self, answer: Any) -> None:
+        if self._at_rest_s < inf:
+            self._answer(
+                f"{'every' if answer.success else 'not every'}thing reset; {answer.message}"
+            )
+        if answer.success:
+            self._at_rest_s = inf
 
     def _send_target(self, position_m: np.ndarray) -> None:
         self._target.publish(ros.to_point(self.ros_s(), self._config.feature_frame, position_m))

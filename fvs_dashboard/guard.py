@@ -36,7 +36,7 @@ _UNFRAMED = {"Content-Security-Policy": "frame-ancestors 'none'", "X-Frame-Optio
 def own_names(host: str) -> frozenset[str]:
     """Names under which a page that is served at a host may be asked for, besides addresses.
 
-    A name that is not this host's may be one that somebody else has made to point here.
+    A name that is not this host's may have been made to point here by others.
     """
     if host not in EVERYWHERE:
         return LOOPBACK | {host.lower()}

@@ -22,7 +22,7 @@ from fvs_dashboard.panel import Panel
 from fvs_dashboard.picture import Picture
 from fvs_dashboard.scene import LEGEND, Scene
 
-#: The left panel is drawn once in so many times: its curves are long and change slowly.
+#: The left panel is drawn every third time: its curves are long and change slowly.
 _SELDOM = 3
 _STOP_S = 0.8
 _LEFT_PX, _RIGHT_PX = 400, 350

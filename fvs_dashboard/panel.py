@@ -126,8 +126,9 @@ class Panel:
 
         @go.on_click
         async def _(_event: viser.GuiEvent) -> None:
+            x, y, z = (float(value) for value in self._target.value)
             self._hold("target", _SET_S)  # until the controller has taken it
-            self._say(Action("target", self._target.value))
+            self._say(Action("target", (x, y, z)))
 
     def _sets(self, name: str, handle: viser.GuiInputHandle) -> None:
         """Say what a person sets, and show it as it is otherwise."""

@@ -19,7 +19,7 @@ _MEMORY, _FEWEST = 300, 12
 _STEP_M, _STEP_TURN = 0.01, 0.03
 #: Smallest singular value over the largest that determines all fifteen numbers.
 _CONDITION = 1e-3
-#: A ball further than this from where it should be is an outlier, m; after so many in a row the
+#: A ball further than this from where it should be is an outlier, m; after six in a row the
 #: camera was moved. A pose with a larger median error is none.
 _OUTLIER_M, _OUTLIERS = 0.05, 6
 

@@ -66,7 +66,7 @@ def pages():
 
 @pytest.fixture
 def loop(ros_module, ros_beside, pages):
-    """A played robot, a controller that is stopped, and a page that somebody looks at."""
+    """A played robot, a controller that is stopped, and a page that a browser shows."""
     robot = PlayedRobot(ros_beside)
     controller = ros_module.keep(CONTROLLER, **PATIENT)
     process = ros_module.keep(DASHBOARD, port=0)
