@@ -103,7 +103,7 @@ class DashboardNode(ros.FvsNode):
         self.watch(String, topics.ROBOT_DESCRIPTION.name, self._on_description, ros.QOS_LATCHED)
         self.watch(PoseStamped, topics.TRUE_CAMERA_POSE.name, self._on_camera_pose, ros.QOS_LATCHED)
         self._page = _make_page(self._config, v["joint_names"], self._actions)
-        self._shown_s = self.steady_s()
+        self._shown_s, self._skipped = self.steady_s(), False
         self._begun: dict[str, Any] = {}  # the simulator's parameters as they were at first
         self._at_rest_s = inf  # when the ball has come to rest after a reset
         self._rng = np.random.default_rng()
@@ -187,13 +187,16 @@ class DashboardNode(ros.FvsNode):
         if now_s > self._at_rest_s:  # no service clears a target, but at the ball it moves nothing
             self._at_rest_s = now_s + ANSWER_S  # again, if no answer comes
             self._calls.call(f"{CONTROLLER}/{SET_CURRENT.name}", self._on_reset)
-        if now_s - self._shown_s > _PERIOD_S + _LATE_S:
+        late = now_s - self._shown_s > _PERIOD_S + _LATE_S
+        if late:
             self._board.tell("behind", now_s, _BEHIND)
+        # What came meanwhile is heard first, or the page would show a silent controller.
+        self._skipped = late and not self._skipped
         self._shown_s = now_s
         watched = self._page.watched
         if watched != bool(self._cameras):
             self._look_at_images(watched)
-        if watched:
+        if watched and not self._skipped:
             self._page.update(self._board, self._picture, now_s)
 
     def _camera_names(self, topic: str) -> list[str]:
