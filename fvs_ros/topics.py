@@ -151,7 +151,7 @@ _EITHER = End((Qos.LATCHED, Qos.NEWEST))
 _SIMULATED = End((Qos.RELIABLE,), given=("simulated_time", True))
 _DRIVEN = ("play_driver_topics", True)
 _AT_THE_END = End((Qos.RELIABLE,), later="after the last target")
-_WHILE_WATCHED = End((Qos.NEWEST,), ("image", True), "while a browser shows the page")
+_WHILE_WATCHED = End((Qos.NEWEST,), later="while a browser shows the page")
 
 _DRIVER = "the robot's driver"
 _CAMERA = "an RGB-D camera's driver"

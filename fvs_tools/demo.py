@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +41,8 @@ PARAMETERS = DemoConfig.declared()
 #: A target further than this from the wanted distance is not chosen while a nearer one exists.
 _DISTANCE_TOLERANCE_M = 0.02
 _FINAL_S = 1.0
-_FINE_ERROR_M = 0.002
+#: The finer of the two bounds of settling, m.
+FINE_ERROR_M = 0.002
 
 
 def own_targets(text: str) -> np.ndarray:
@@ -145,15 +146,40 @@ class TargetScore:
 
 def score(record: TargetRecord, settle_error_m: float) -> TargetScore:
     """Judge one target by the true ball position."""
-    times, errors = np.array(record.time_s), record.errors_m()
-    final = errors[times >= times[-1] - _FINAL_S]
+    judged = judge(
+        np.array(record.time_s),
+        record.errors_m(),
+        np.array(record.joint_velocity_rad_s),
+        settle_error_m,
+    )
+    return replace(judged, slowed=record.slowed)
+
+
+def judge(
+    time_s: np.ndarray,
+    errors_m: np.ndarray,
+    joint_velocity_rad_s: np.ndarray,
+    settle_error_m: float,
+) -> TargetScore:
+    """Judge the way to one target.
+
+    Parameters
+    ----------
+    time_s, errors_m : ndarray, shape (n,)
+        Times since the target was given, s, and distances to it, m.
+    joint_velocity_rad_s : ndarray, shape (k, joints)
+        Joint velocities on the way, rad/s.
+    settle_error_m : float
+        Error below which it counts as settled, m.
+    """
+    final = errors_m[time_s >= time_s[-1] - _FINAL_S]
     return TargetScore(
-        start_distance_m=float(errors[0]),
-        settling_5mm_s=settling_time_s(times, errors, settle_error_m),
-        settling_2mm_s=settling_time_s(times, errors, _FINE_ERROR_M),
+        start_distance_m=float(errors_m[0]),
+        settling_5mm_s=settling_time_s(time_s, errors_m, settle_error_m),
+        settling_2mm_s=settling_time_s(time_s, errors_m, FINE_ERROR_M),
         final_rms_m=float(np.sqrt(np.mean(final**2))),
-        peak_joint_speed_rad_s=float(np.max(np.abs(record.joint_velocity_rad_s), initial=0.0)),
-        slowed=record.slowed,
+        peak_joint_speed_rad_s=float(np.max(np.abs(joint_velocity_rad_s), initial=0.0)),
+        slowed=False,
     )
 
 
@@ -165,7 +191,7 @@ def table(scores: list[TargetScore], settle_error_m: float) -> str:
 
     head = (
         f"{'target':>6}  {'start':>8}  {f'to {settle_error_m * 1e3:g} mm':>9}  "
-        f"{f'to {_FINE_ERROR_M * 1e3:g} mm':>9}  {'final rms':>9}  {'peak joint speed':>16}"
+        f"{f'to {FINE_ERROR_M * 1e3:g} mm':>9}  {'final rms':>9}  {'peak joint speed':>16}"
     )
     rows = [
         f"{number:>6}  {s.start_distance_m * 1e3:>5.0f} mm  {seconds(s.settling_5mm_s):>9}  "

@@ -176,3 +176,41 @@ def servo(
             if 1.05 < time_s < 1.55
             else "",
         )
+
+
+def long_run(bag: HandmadeBag, length_s: float, target_s: float = 5.0) -> None:
+    """A run of any length, with all that a demo records: a target every few seconds, and holds.
+
+    The ball goes to and fro between two targets; in every tenth one the images are missing for a
+    second, and the controller holds the arm.
+    """
+    for tick in range(round(length_s * 125)):
+        time_s = tick / 125
+        number, since_s = divmod(time_s, target_s)
+        goal_m, other_m = (TARGET_M, START_M) if number % 2 == 0 else (START_M, TARGET_M)
+        share = float(np.exp(-DECAY_1_S * since_s))
+        ball_m = goal_m + share * (other_m - goal_m)
+        angles, speeds = np.zeros(6), np.zeros(6)
+        angles[0] = ball_m[0] / 0.5
+        speeds[0] = -DECAY_1_S * share * (other_m - goal_m)[0] / 0.5
+        held = number % 10 == 9 and 1.0 <= since_s < 2.0
+        bag.joints(time_s + JOINT_AGE_S, time_s, angles, speeds)
+        bag.array("jacobian", time_s + 0.003, JACOBIAN)
+        bag.array("sliding_variable", time_s + 0.003, ball_m)
+        bag.array("forward_velocity_controller/commands", time_s + 0.004, speeds)
+        bag.point("fvs_sim_node/true_ball_position", time_s + 0.001, time_s, ball_m)
+        if tick % 4 == 0 and not held:
+            bag.point("ball_position", time_s + IMAGE_AGE_S, time_s, ball_m)
+        if tick % round(125 * target_s) == 0:
+            bag.point("target_position", time_s + 0.001, time_s, goal_m)
+        if tick % 12 == 0:
+            state, reason = ("HOLDING", "STALE") if held else ("SERVOING", "SERVOING")
+            numbers = {f"number_{one}": f"{time_s + one:.6g}" for one in range(25)}
+            goal = {
+                f"target_{axis}_m": f"{one:.6g}" for axis, one in zip("xyz", goal_m, strict=True)
+            }
+            limit = "joint speed" if since_s < 0.5 else ""
+            words = f"servoing, {300 * share:.1f} mm to go"
+            bag.status("fvs_controller_node", time_s + 0.005, words, state=state, reason=reason,
+                       active_limit=limit, **goal, **numbers)  # fmt: skip
+            bag.status("fvs_estimator_node", time_s + 0.005, "learning", state="OK", **numbers)

@@ -1,218 +1,196 @@
-"""What the nodes said, in order: states and reasons, limits, warnings, silences."""
+"""What happened, and when: the controller's states, limits, warnings, silences, and timing."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from itertools import groupby
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from fvs_lab.replay.data import Recording, Said
-from fvs_lab.replay.timing import gaps
-from fvs_ros.joints import N_JOINTS
+from fvs_lab.replay.recording import CONTROLLER, Event, Recording, Series
 from fvs_ros.status import SILENT, SILENT_S
 
 SERVOING, SETTLED, SHUT_DOWN = "SERVOING", "SETTLED", "SHUT_DOWN"
-#: Of a controller that was ended in order, when the loop was.
+#: The state after the last status of a controller that was stopped in order.
 ENDED = "ENDED"
-#: A loop that is ended takes no longer than this from the controller's last word to the last joint
-#: state, s.
+#: When everything is stopped, the joint states end this long after the controller at most, s.
 _ENDING_S = 5.0
-#: A line of the log that came again within this is the same trouble, s.
-_AGAIN_S = 5.0
-#: A joint that is further from where it was, rad, or quicker, rad/s, than this moves.
-_MOVED_RAD, _MOVES_RAD_S = 0.01, 0.02
+#: Inputs of the controller, and the parameter with the age from which on it holds the arm.
+INPUTS = {
+    "joints": "joint_states_max_age_s",
+    "ball": "ball_max_age_s",
+    "jacobian": "jacobian_max_age_s",
+}
+#: Stamps and arrivals further apart than this are of different clocks: no input is so slow, s.
+_OTHER_CLOCK_S = 0.5
 
 
-@dataclass(frozen=True)
-class Spell:
-    """A time in which something stayed as it was.
-
-    Parameters
-    ----------
-    start_s, end_s : float
-        From and to, s.
-    what : str
-        The controller's state, or the name of a limit.
-    reason : str
-        The reason's name; empty for a limit.
-    sentence : str
-        The first sentence about it.
-    """
+class Spell(NamedTuple):
+    """A time in which the controller's status stayed as it was, since the recording began, s."""
 
     start_s: float
-    end_s: float
-    what: str
-    reason: str = ""
-    sentence: str = ""
-
-
-@dataclass(frozen=True)
-class Event:
-    """A moment worth a line.
-
-    Parameters
-    ----------
-    time_s : float
-        When, s.
-    who : str
-        The node or topic.
-    text : str
-        What was.
-    times : int
-        How often, in quick succession.
-    """
-
-    time_s: float
-    who: str
+    length_s: float
+    state: str
+    reason: str
+    limit: str
     text: str
-    times: int = 1
+
+
+def statuses(recording: Recording) -> list[Spell]:
+    """Each status until the next one, with ``SILENT`` or ``ENDED`` where none came for a second."""
+    found: list[Spell] = []
+    following_s = [*(one.arrival_s for one in recording.statuses[1:]), recording.end_s]
+    for one, next_s in zip(recording.statuses, following_s, strict=False):
+        start_s, length_s = one.arrival_s - recording.start_s, next_s - one.arrival_s
+        limit = one.limit if one.state == SERVOING else ""
+        held_s = min(length_s, SILENT_S)
+        found.append(Spell(start_s, held_s, one.state, one.reason, limit, one.text))
+        if length_s > SILENT_S:
+            words = "no word from the controller"
+            found.append(Spell(start_s + held_s, length_s - held_s, SILENT, "", "", words))
+    if found and found[-1].state == SILENT and _ended_in_order(recording):
+        found[-1] = found[-1]._replace(state=ENDED, text="the controller was stopped")
+    return found
+
+
+def _ended_in_order(recording: Recording) -> bool:
+    """Whether the controller was stopped, not killed: it left zeros, and then all else stopped."""
+    last = recording.statuses[-1]
+    commands, joints = recording.series.get("commands"), recording.series.get("joints")
+    if last.reason == SHUT_DOWN:
+        return True
+    if commands is None or joints is None or commands.values[-1].any():
+        return False
+    return bool(joints.arrival_s[-1] - last.arrival_s < _ENDING_S)
+
+
+def merged(spells: Iterable[Spell], *fields: str) -> list[Spell]:
+    """Neighbours that agree in some fields as one spell, with the words of the first."""
+    groups = (list(group) for _, group in groupby(spells, attrgetter(*fields)))
+    return [group[0]._replace(length_s=sum(one.length_s for one in group)) for group in groups]
 
 
 def states(recording: Recording) -> list[Spell]:
-    """The controller's states and reasons in order.
-
-    ``SILENT`` where it said nothing; ``ENDED`` where it says no more, as the loop was being ended:
-    the controller is stopped first and the recorder last.
-    """
-    statuses = recording.said.get("controller", ())
-    found: list[Spell] = []
-    for status, end_s, next_s in _with_ends(recording, statuses):
-        state = status.values.get("state", "unknown")
-        reason = status.values.get("reason", "")
-        if found and (found[-1].what, found[-1].reason) == (state, reason):
-            last = found[-1]
-            found[-1] = Spell(last.start_s, end_s, state, reason, last.sentence)
-        else:
-            found.append(Spell(status.arrival_s, end_s, state, reason, status.text))
-        if end_s < next_s:
-            found.append(Spell(end_s, next_s, SILENT, "", "no word from the controller"))
-    if not found or found[-1].what != SILENT:
-        return found
-    *before, last, silent = found
-    ended_s = _ended_s(recording)
-    if ended_s is None:
-        return found
-    ended_s = min(ended_s, last.end_s)
-    ended = Spell(ended_s, silent.end_s, ENDED, "", "the loop was being ended")
-    return [*before, replace(last, end_s=ended_s), ended]
+    """The controller's states and reasons in order."""
+    return merged(statuses(recording), "state", "reason")
 
 
-def _ended_s(recording: Recording) -> float | None:
-    """When the controller ended in order, s; None where it was killed, or that is not known.
-
-    Its last status may say so. Its last commands do: zeros, after which the joint states end, too.
-    One that was killed leaves the arm moving, and one whose robot goes on was alone in ending.
-    """
-    status = recording.said["controller"][-1]
-    commands, joints = recording.series.get("commands"), recording.series.get("joints")
-    last_s = status.arrival_s
-    if commands is not None:
-        last_s = max(last_s, float(commands.arrival_s[-1]))
-    if status.values.get("reason") == SHUT_DOWN:
-        return last_s
-    if commands is None or joints is None or commands.values[-1].any():
-        return None
-    return last_s if joints.arrival_s[-1] - status.arrival_s < _ENDING_S else None
+def totals(spells: Sequence[Spell], *fields: str) -> list[tuple[Any, int, float]]:
+    """Value of some fields, number of spells and their time, s; the longest first."""
+    value = attrgetter(*fields)
+    groups = [(key, list(group)) for key, group in groupby(sorted(spells, key=value), value)]
+    found = [(key, len(group), sum(one.length_s for one in group)) for key, group in groups]
+    return sorted(found, key=lambda one: -one[2])
 
 
-def limits(recording: Recording) -> list[Spell]:
-    """Spells of servoing in which a limit shaped the command, as ten statuses a second tell it."""
-    found: list[Spell] = []
-    active = ""
-    for status, end_s, _ in _with_ends(recording, recording.said.get("controller", ())):
-        servoing = status.values.get("state") == SERVOING
-        previous, active = active, _unnumbered(status.values.get("active_limit", ""))
-        active = active if servoing else ""
-        if not active:
-            continue
-        if active == previous:
-            found[-1] = Spell(found[-1].start_s, end_s, active)
-        else:
-            found.append(Spell(status.arrival_s, end_s, active))
-    return found
-
-
-def _unnumbered(limit: str) -> str:
-    """A limit's name without the number of the moment, as in "near singular (0.071 m/rad)"."""
-    return re.sub(r" \([^)]*\)", "", limit)
-
-
-def moved_before_s(recording: Recording) -> float:
-    """How long before the first command in the bag the arm moved already, s; 0 if it did not."""
-    joints, commands = recording.series.get("joints"), recording.series.get("commands")
-    if joints is None or commands is None:
-        return 0.0
-    early = joints.arrival_s < commands.arrival_s[0]
-    values = joints.values[early]
-    moves = (np.abs(values[:, :N_JOINTS] - joints.values[0, :N_JOINTS]) > _MOVED_RAD).any(axis=1)
-    moves |= (np.abs(values[:, N_JOINTS:]) > _MOVES_RAD_S).any(axis=1)  # not where it is unknown
-    if not moves.any():
-        return 0.0
-    return float(commands.arrival_s[0] - joints.arrival_s[early][moves][0])
-
-
-def on_the_way(recording: Recording) -> list[Spell]:
-    """Spells in which the arm was on its way to a target: servoing, and not settled on it."""
-    return [one for one in states(recording) if one.what == SERVOING and one.reason != SETTLED]
+def limit_shares(recording: Recording) -> list[dict[str, Any]]:
+    """Limits that shaped the command: how long, s, and share of the time on the way to targets."""
+    every = statuses(recording)
+    on_way = [one for one in every if one.state == SERVOING and one.reason != SETTLED]
+    way_s = sum(one.length_s for one in on_way) or np.nan
+    on_way_s = {limit: time_s for limit, _, time_s in totals(on_way, "limit")}
+    return [
+        {"limit": limit, "time_s": time_s, "way": on_way_s.get(limit, 0.0) / way_s}
+        for limit, _, time_s in totals(every, "limit")
+        if limit
+    ]
 
 
 def events(recording: Recording) -> list[Event]:
-    """Warnings of the log, changed parameters, silences of inputs and controller, in order.
+    """Warnings, changed parameters and silences by first time since the recording began, s.
 
-    The controller's own warnings are its states, and not said twice; others use the same words.
+    Those that came again are one. The controller also logs its states: these are left out.
     """
     spells = states(recording)
-    told = {spell.what for spell in spells}
-    # The log has a node's full name with dots.
-    controller = {
-        status.who.strip("/").replace("/", ".") for status in recording.said.get("controller", ())
-    }
+    names = {one.state for one in spells}
     found = [
-        Event(line.arrival_s, line.who, line.text)
-        for line in recording.said.get("log", ())
-        if line.who not in controller or line.text.partition(":")[0] not in told
+        one
+        for one in recording.events
+        if not (one.who.endswith(CONTROLLER) and one.text.partition(":")[0] in names)
     ]
+    limits_s = recording.started()
+    for key, parameter in INPUTS.items():
+        if key in recording.series:
+            one = recording.series[key]
+            gaps_s = np.diff(one.arrival_s)
+            for index in np.flatnonzero(gaps_s > limits_s[parameter]):
+                words = f"silent for {gaps_s[index]:.2f} s"
+                found.append(Event(float(one.arrival_s[index]), one.topic, words))
+    found = [one._replace(time_s=one.time_s - recording.start_s) for one in found]
     found += [
-        Event(one.arrival_s, one.who, one.text) for one in recording.said.get("parameters", ())
+        Event(one.start_s, CONTROLLER, f"silent for {one.length_s:.2f} s")
+        for one in spells
+        if one.state == SILENT
     ]
-    found += [
-        Event(gap.start_s, gap.topic, f"silent for {gap.length_s:.2f} s") for gap in gaps(recording)
-    ]
-    found += [
-        Event(spell.start_s, "the controller", f"silent for {spell.end_s - spell.start_s:.2f} s")
-        for spell in spells
-        if spell.what == SILENT
-    ]
-    return _joined(sorted(found, key=lambda event: event.time_s))
+    return _counted(found)
 
 
-def _with_ends(recording: Recording, statuses: Sequence[Said]) -> list[tuple[Said, float, float]]:
-    """Each status, until when it holds, and when the next one came, or the bag ended, s.
-
-    What was said a second ago says nothing of now: the controller may be dead.
-    """
-    following = [status.arrival_s for status in statuses[1:]] + [recording.end_s]
-    return [
-        (status, min(next_s, status.arrival_s + SILENT_S), next_s)
-        for status, next_s in zip(statuses, following, strict=bool(statuses))
-    ]
+def _counted(found: Sequence[Event]) -> list[Event]:
+    """Events that differ only in time and numbers as one."""
+    first: dict[tuple[str, str], Event] = {}
+    for event in sorted(found, key=lambda one: one.time_s):
+        key = event.who, re.sub(r"\d+(\.\d+)?", "", event.text)
+        known = first.get(key)
+        first[key] = known._replace(times=known.times + 1) if known else event
+    return list(first.values())
 
 
-def _joined(events: Sequence[Event]) -> list[Event]:
-    """The events, each of those that come again and again once."""
-    found: list[Event] = []
-    latest: dict[tuple[str, str], tuple[int, float]] = {}
-    for event in events:
-        # "silent for 0.12 s" and "silent for 0.14 s" are the same trouble.
-        key = (event.who, event.text.partition(" for ")[0])
-        index, time_s = latest.get(key, (-1, float("-inf")))
-        if event.time_s - time_s < _AGAIN_S:
-            first = found[index]
-            found[index] = Event(first.time_s, first.who, first.text, first.times + 1)
-        else:
-            index = len(found)
-            found.append(event)
-        latest[key] = (index, event.time_s)
+# --- timing ---
+
+
+def rhythms(recording: Recording) -> list[dict[str, Any]]:
+    """Rate, jitter, longest gap and age of each topic; NaN where they are not known."""
+    found = []
+    for topic, series in recording.topics.items():
+        gaps_ms = 1e3 * np.diff(series.arrival_s)
+        ages_ms = 1e3 * ages(series)
+        known = np.isfinite(ages_ms)
+        ages_ms = ages_ms[known] if known.any() else np.array([np.nan])
+        if gaps_ms.any():
+            found.append(
+                {
+                    "topic": topic,
+                    "count": len(series),
+                    "rate_hz": 1e3 / gaps_ms.mean(),
+                    "jitter_ms": gaps_ms.std(),
+                    "longest_gap_ms": gaps_ms.max(),
+                    "median_age_ms": np.median(ages_ms),
+                    "p99_age_ms": np.percentile(ages_ms, 99),
+                }
+            )
     return found
+
+
+def clock_offset_s(series: Series) -> float:
+    """How far the stamps' clock is behind the arrivals', s; 0 if they are of one clock."""
+    ages_s = series.arrival_s - series.stamp_s
+    middle_s = float(np.median(ages_s[np.isfinite(ages_s)])) if np.isfinite(ages_s).any() else 0.0
+    return middle_s if abs(middle_s) > _OTHER_CLOCK_S else 0.0
+
+
+def ages(series: Series) -> np.ndarray:
+    """From stamp to arrival, s, shape (n,); NaN where that is not known."""
+    return np.where(clock_offset_s(series) == 0.0, series.arrival_s - series.stamp_s, np.nan)
+
+
+def command_latencies(ball: Series, commands: Series) -> tuple[np.ndarray, np.ndarray]:
+    """From an image's exposure to the first command after its ball position came.
+
+    Images from before the first command, or between commands that are more than a second apart,
+    are left out: no controller was there to answer.
+
+    Returns
+    -------
+    arrival_s : ndarray, shape (n,)
+        When the position came, s.
+    latency_s : ndarray, shape (n,)
+        Age of the image when that command came, s.
+    """
+    following = np.searchsorted(commands.arrival_s, ball.arrival_s)
+    apart_s = np.diff(commands.arrival_s, prepend=-np.inf, append=np.inf)[following]
+    answered = (apart_s <= SILENT_S) & np.isfinite(ball.stamp_s)
+    came_s = commands.arrival_s[following[answered]]
+    return ball.arrival_s[answered], came_s - ball.stamp_s[answered]

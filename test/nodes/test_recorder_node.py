@@ -24,7 +24,7 @@ from fvs_tools.scenario import RECORDER as NAME
 pytest.importorskip("rosbags")
 
 from fvs_lab.replay.reading import read
-from fvs_lab.replay.runs import targets
+from fvs_lab.replay.targets import targets
 
 mcap = pytest.importorskip("mcap_ros2.reader")
 LAUNCHER = "fvs_tools.launcher"
@@ -108,7 +108,7 @@ def test_a_replay_judges_a_demo_as_the_demo_did(ros_test):
     replayed = targets(with_demo(read(bag), target_s=1.6))
     assert len(replayed) == len(live) == 2
     for one, other in zip(replayed, live, strict=True):
-        assert one.record.target_m == pytest.approx(other["target_m"], abs=0.0)
+        assert one.target_m == pytest.approx(other["target_m"], abs=0.0)
         assert one.score.start_distance_m == other["start_distance_m"]
         assert one.score.settling_5mm_s == other["settling_5mm_s"]
         assert one.score.settling_2mm_s == other["settling_2mm_s"]
