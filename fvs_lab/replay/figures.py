@@ -186,12 +186,12 @@ def ages(recording: Recording, path: Path) -> None:
         if key in series:
             one = recording.topics[series[key].topic]
             time_s, name = one.arrival_s - recording.start_s, one.topic.rpartition("/")[2]
-            ages_s = story.ages(one)
+            ages_s = one.arrival_s - one.stamp_s
             if np.isfinite(ages_s).any():
                 old.append((time_s, 1e3 * ages_s, f"{name}: stamp to arrival", None))
             apart.append((time_s[1:], 1e3 * np.diff(time_s), name, None))
             held.setdefault(1e3 * started[parameter], []).append(name)
-    if {"ball", "commands"} <= series.keys() and not story.clock_offset_s(series["ball"]):
+    if {"ball", "commands"} <= series.keys():
         arrival_s, latency_s = story.command_latencies(series["ball"], series["commands"])
         time_s = arrival_s - recording.start_s
         old.append((time_s, 1e3 * latency_s, "image to the first command after it", None))

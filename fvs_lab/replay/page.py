@@ -133,18 +133,16 @@ def _how_targets_went(recording: Recording, found: Sequence[Target]) -> str:
     """How many targets settled, and how fast."""
     if not found:
         return "There is no target with a ball position after it in the bag."
-    standing = [one for one in found if not one.moving]
-    times_s = [t for one in standing if (t := one.score.settling_5mm_s) is not None]
-    unknown = sum("settling_5mm_s" in one.not_known for one in standing)
+    times_s = [one.numbers["settling_5mm_s"] for one in found if not one.moving]
+    settled_s = [one for one in times_s if one is not None and np.isfinite(one)]
     bound_mm = 1e3 * bounds_m(recording)[0]
-    words = f"{len(times_s)} of {len(standing)} targets settled within {bound_mm:g} mm"
-    if times_s:
-        words += f", after {np.median(times_s):.2f} s (median), {max(times_s):.2f} s (longest)"
-    if unknown:
-        words += f"; {unknown} not known"
-    if len(found) > len(standing):
-        words += f"; {len(found) - len(standing)} moved"
-    return f"{words}."
+    words = f"{len(settled_s)} of {len(times_s)} targets settled within {bound_mm:g} mm"
+    if settled_s:
+        words += f", after {np.median(settled_s):.2f} s (median), {max(settled_s):.2f} s (longest)"
+    unknown = sum("settling_5mm_s" in one.not_known for one in found)
+    words += f"; {unknown} not known" if unknown else ""
+    moving = len(found) - len(times_s)
+    return words + (f"; {moving} moved." if moving else ".")
 
 
 def _why_stopped(recording: Recording) -> str:
@@ -170,7 +168,7 @@ def _what_is_missing(recording: Recording, found: Sequence[Target]) -> list[str]
     commands = recording.series.get("commands")
     if commands is not None and commands.values[0].any():
         words.append("The beginning is missing: the first command in the bag moves the arm.")
-    if found and found[0].begins_late:
+    if found and "start_distance_m" in found[0].not_known:
         words.append(
             f"The first ball position came {found[0].time_s[0]:.2f} s after the first target, "
             "whose start distance is therefore not known."
@@ -198,72 +196,62 @@ def _targets(recording: Recording, found: Sequence[Target], folder: Path) -> Rep
             Figure("errors.png", "Distance of the ball to each target since it was given."),
             Figure("paths.png", "The ball’s paths from their starts (dots) to the targets (+)."),
         ]
-    header = ["target", "start", *(f"to {1e3 * one:g} mm" for one in bounds), "final rms", "path"]
-    header += ["peak joint speed", "jitter"]
-    rows = [_target_row(number, one) for number, one in enumerate(found, start=1)]
-    table = Table(
-        "Final error and jitter of the command are rms over the last second. Of a moving target, "
-        "the error is that of all its time. Not known is what the record is too short for.",
-        header,
-        shortened(rows, _ROWS, _LAST_ROWS, "in results.json"),
-    )
+    coarse, fine = (f"to {1e3 * one:g} mm" for one in bounds)
+    columns = {
+        "start": ("start_distance_m", 1e3, "{:.0f} mm"),
+        coarse: ("settling_5mm_s", 1.0, "{:.2f} s"),
+        fine: ("settling_2mm_s", 1.0, "{:.2f} s"),
+        "final rms": ("final_rms_m", 1e3, "{:.2f} mm"),
+        "path": ("path_m", 1e3, "{:.0f} mm"),
+        "peak joint speed": ("peak_joint_speed_rad_s", 1.0, "{:.2f} rad/s"),
+        "jitter": ("jitter_rad_s", 1e3, "{:.2f} mrad/s"),
+    }
+    records = [
+        {
+            "target": f"{number}, moving" if one.moving else str(number),
+            **{title: _cell(one, *column) for title, column in columns.items()},
+        }
+        for number, one in enumerate(found, start=1)
+    ]
+    data = [
+        {
+            "target_m": one.target_m,
+            "given_s": one.given_s - recording.start_s,
+            "moving": one.moving,
+            **one.numbers,
+            "not_known": one.not_known,
+        }
+        for one in found
+    ]
     return Report(
         name="targets",
         title="Targets",
         question="How soon was the ball at each target, how near, and on which path?",
         setup=setup,
         figures=drawn,
-        tables=[table] if found else [],
-        data={
-            "judged_by": None if ball is None else ball.topic,
-            "targets": [
-                {
-                    "target_m": one.target_m,
-                    "given_s": one.given_s - recording.start_s,
-                    "moving": one.moving,
-                    "begins_late": one.begins_late,
-                    **asdict(one.score),
-                    "path_m": one.path_m,
-                    "jitter_rad_s": one.jitter_rad_s,
-                    "rms_m": one.rms_m,
-                    "not_known": one.not_known,
-                }
-                for one in found
-            ],
-        },
+        tables=_table(
+            "Final error and jitter of the command are rms over the last second; of a moving "
+            "target, the error of all its time. Not known is what the record is too short for.",
+            {title: f"{{{title}}}" for title in ("target", *columns)},
+            records,
+        ),
+        data={"judged_by": None if ball is None else ball.topic, "targets": data},
     )
 
 
-def _target_row(number: int, target: Target) -> list[str]:
-    def known(name: str, value: float | None, words: str) -> str:
-        if name in target.not_known:
-            return "not known"
-        return "never" if value is None else "" if np.isnan(value) else words.format(value)
-
-    def settled(name: str) -> str:
-        return "" if target.moving else known(name, getattr(score, name), "{:.2f} s")
-
-    score = target.score
-    start = f"{1e3 * score.start_distance_m:.0f} mm"
-    error_m = target.rms_m if target.moving else score.final_rms_m
-    return [
-        f"{number}{', moving' if target.moving else ''}",
-        "not known" if target.begins_late else start,
-        settled("settling_5mm_s"),
-        settled("settling_2mm_s"),
-        known("" if target.moving else "final_rms_m", 1e3 * error_m, "{:.2f} mm"),
-        f"{1e3 * target.path_m:.0f} mm",
-        known("", score.peak_joint_speed_rad_s, "{:.2f} rad/s"),
-        known("jitter_rad_s", 1e3 * target.jitter_rad_s, "{:.2f} mrad/s"),
-    ]
+def _cell(target: Target, name: str, factor: float, words: str) -> str:
+    value = target.numbers[name]
+    if name in target.not_known:
+        return "not known"
+    return "never" if value is None else words.format(factor * value)
 
 
 # --- timing and predictions ---
 
 
 def _timing(recording: Recording, _: Sequence[Target], folder: Path) -> Report:
-    series, found, setup = recording.series, story.rhythms(recording), _other_clocks(recording)
-    if {"ball", "commands"} <= series.keys() and not setup:
+    series, found, setup = recording.series, story.rhythms(recording), []
+    if {"ball", "commands"} <= series.keys():
         latency_s = story.command_latencies(series["ball"], series["commands"])[1]
         if latency_s.size:
             median_ms, late_ms = np.percentile(1e3 * latency_s, [50, 99])
@@ -305,7 +293,6 @@ def _timing(recording: Recording, _: Sequence[Target], folder: Path) -> Report:
 def _steps(recording: Recording, _: Sequence[Target], folder: Path) -> Report:
     found = prediction(recording)
     setup, drawn = ["There is no Jacobian in the bag, or the arm did not move."], []
-    tables: list[Table] = []
     if found is not None:
         motion = "true motion" if found.true else "measured motion, with its noise"
         setup = [
@@ -315,40 +302,16 @@ def _steps(recording: Recording, _: Sequence[Target], folder: Path) -> Report:
         ]
         figures.predictions(found, folder / "predictions.png")
         drawn = [Figure("predictions.png", "Motion of the ball, T1 and T2 in each step.")]
-        tables = _table(
-            "The paper’s criteria.",
-            {
-                "T1, mean, mm": "{t1:.2f}",
-                "T1, share of the motion": "{share:.1%}",
-                "T2 at the end, mm": "{t2:.1f}",
-                "T2 at most, mm": "{t2_most:.1f}",
-            },
-            [
-                {
-                    "t1": 1e3 * found.t1_m.mean(),
-                    "share": found.share,
-                    "t2": 1e3 * found.t2_m[-1],
-                    "t2_most": 1e3 * found.t2_m.max(),
-                }
-            ],
+        t1_mm, t2_mm = 1e3 * found.t1_m, 1e3 * found.t2_m
+        setup.append(
+            f"T1 is {t1_mm.mean():.2f} mm on average, {found.share:.1%} of the motion. "
+            f"T2 is {t2_mm[-1]:.1f} mm at the end, {t2_mm.max():.1f} mm at most."
         )
     return Report(
         name="prediction",
         title="Predictions",
         question="How well did the Jacobian predict the ball? (Section 4.1 of the paper.)",
-        setup=[*setup, *_other_clocks(recording)],
+        setup=setup,
         figures=drawn,
-        tables=tables,
         data=asdict(found) if found else {},
     )
-
-
-def _other_clocks(recording: Recording) -> list[str]:
-    """A sentence for each input with stamps that are not by the recorder's clock."""
-    inputs = [recording.series[key] for key in ("joints", "ball") if key in recording.series]
-    return [
-        f"Stamps of {one.topic} are {abs(offset_s):.1f} s "
-        f"{'behind' if offset_s > 0.0 else 'ahead of'} the recorder’s clock: ages are not known."
-        for one in inputs
-        if (offset_s := story.clock_offset_s(one))
-    ]

@@ -24,8 +24,6 @@ INPUTS = {
     "ball": "ball_max_age_s",
     "jacobian": "jacobian_max_age_s",
 }
-#: Stamps and arrivals further apart than this are of different clocks: no input is so slow, s.
-_OTHER_CLOCK_S = 0.5
 
 
 class Spell(NamedTuple):
@@ -146,7 +144,7 @@ def rhythms(recording: Recording) -> list[dict[str, Any]]:
     found = []
     for topic, series in recording.topics.items():
         gaps_ms = 1e3 * np.diff(series.arrival_s)
-        ages_ms = 1e3 * ages(series)
+        ages_ms = 1e3 * (series.arrival_s - series.stamp_s)
         known = np.isfinite(ages_ms)
         ages_ms = ages_ms[known] if known.any() else np.array([np.nan])
         if gaps_ms.any():
@@ -162,18 +160,6 @@ def rhythms(recording: Recording) -> list[dict[str, Any]]:
                 }
             )
     return found
-
-
-def clock_offset_s(series: Series) -> float:
-    """How far the stamps' clock is behind the arrivals', s; 0 if they are of one clock."""
-    ages_s = series.arrival_s - series.stamp_s
-    middle_s = float(np.median(ages_s[np.isfinite(ages_s)])) if np.isfinite(ages_s).any() else 0.0
-    return middle_s if abs(middle_s) > _OTHER_CLOCK_S else 0.0
-
-
-def ages(series: Series) -> np.ndarray:
-    """From stamp to arrival, s, shape (n,); NaN where that is not known."""
-    return np.where(clock_offset_s(series) == 0.0, series.arrival_s - series.stamp_s, np.nan)
 
 
 def command_latencies(ball: Series, commands: Series) -> tuple[np.ndarray, np.ndarray]:

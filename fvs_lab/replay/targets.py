@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from fvs_controller_node.target_motion import TargetMotion
 from fvs_lab.replay.recording import Recording, Series
-from fvs_tools.demo import FINE_ERROR_M, PARAMETERS, TargetScore, judge
+from fvs_tools.demo import FINE_ERROR_M, PARAMETERS, judge
 from fvs_tools.score import jitter_rad_s
 
 _DEMO = "fvs_demo_node"
+_SETTLING = ("settling_5mm_s", "settling_2mm_s")
 #: Stamps closer than this are of one moment, s: seconds as floating point lose the last digits.
 _SAME_MOMENT_S = 1e-6
 #: A target's stamp further from its arrival is by another clock; nearer, it may be latched, s.
@@ -33,7 +34,7 @@ class Target:
     Parameters
     ----------
     moving : bool
-        Whether it moved: then there is no settling, but an error over all its time.
+        Whether it moved: then there is no settling, and its final error is that of all its time.
     target_m : ndarray, shape (3,)
         Where it was, at last, m.
     given_s : float
@@ -44,14 +45,11 @@ class Target:
         Ball positions, m.
     errors_m : ndarray, shape (n,)
         Their distances to the target, m.
-    score : TargetScore
-        The demo's judgement. None and NaN also stand for what is not known.
-    path_m : float
-        Length of the ball's path, m; longer with a noisy position.
-    jitter_rad_s : float
-        Of the command over the last second, rad/s; NaN without commands.
+    numbers : mapping of str to float or None
+        The demo's judgement, ``path_m`` of the ball, and ``jitter_rad_s`` of the command over the
+        last second. A settling time is None if the ball never settled, and any is NaN if unknown.
     not_known : mapping of str to str
-        Numbers that the record is too short for, and what ended it.
+        Numbers that the record is too short for, and why.
     """
 
     moving: bool
@@ -60,20 +58,8 @@ class Target:
     time_s: np.ndarray
     position_m: np.ndarray
     errors_m: np.ndarray
-    score: TargetScore
-    path_m: float
-    jitter_rad_s: float
+    numbers: Mapping[str, float | None]
     not_known: Mapping[str, str]
-
-    @property
-    def begins_late(self) -> bool:
-        """Whether its beginning is missing, so that the start distance is not known."""
-        return bool(self.time_s[0] > _LATE_S)
-
-    @property
-    def rms_m(self) -> float:
-        """Error over all its time, rms, m."""
-        return float(np.sqrt(np.mean(self.errors_m**2)))
 
 
 def bounds_m(recording: Recording) -> tuple[float, float]:
@@ -108,10 +94,11 @@ def targets(recording: Recording) -> list[Target]:
         chosen = slice(*np.searchsorted(time_s, [start_s, np.nextafter(end_s, np.inf)]))
         if len(time_s[chosen]):
             target = _judge(ball.taking(chosen), run, joints, commands, settle_error_m)
-            cut = "another target came" if np.isfinite(end_s) else "the recording ends"
             given_whole = bool(target.time_s[-1] >= target_s)
+            replaced = bool(np.isfinite(end_s))
             if not (of_demo and given_whole):  # else the demo's own verdict
-                target = _without_guesses(target, cut, given_whole)
+                cut = "another target came" if replaced else "the recording ends"
+                target = _without_guesses(target, cut, never=replaced or given_whole)
             found.append(target)
     return found
 
@@ -170,42 +157,38 @@ def _taken(recording: Recording, runs: Sequence[Series]) -> list[tuple[Series, f
 
 
 def _judge(
-    ball: Series,
-    run: Series,
-    joints: Series | None,
-    commands: Series | None,
-    settle_error_m: float,
+    way: Series, run: Series, joints: Series | None, commands: Series | None, settle_error_m: float
 ) -> Target:
     """Judge the way to one target by its ball positions; all but the target in order of time."""
-    start_s, end_s = run.stamp_s[0], ball.time_s[-1]
-    time_s = ball.time_s - start_s
-    wanted = np.searchsorted(run.stamp_s, ball.time_s, side="right") - 1
-    errors_m = np.linalg.norm(ball.values - run.values[wanted], axis=1)
+    start_s, end_s = run.stamp_s[0], way.time_s[-1]
+    time_s = way.time_s - start_s
+    wanted = np.searchsorted(run.stamp_s, way.time_s, side="right") - 1
+    errors_m = np.linalg.norm(way.values - run.values[wanted], axis=1)
     speeds_rad_s = np.empty(0)
     if joints is not None:
-        chosen = _between(joints.time_s, start_s, end_s)
-        speeds_rad_s = joints.values[chosen, joints.values.shape[1] // 2 :]
+        speeds_rad_s = joints.values[_between(joints.time_s, start_s, end_s)]
+        speeds_rad_s = speeds_rad_s[:, joints.values.shape[1] // 2 :]
         speeds_rad_s = speeds_rad_s[np.isfinite(speeds_rad_s).all(axis=1)]
-    score = judge(time_s, errors_m, speeds_rad_s, settle_error_m)
+    numbers: dict[str, float | None] = asdict(judge(time_s, errors_m, speeds_rad_s, settle_error_m))
+    del numbers["slowed"]
     if not speeds_rad_s.size:
-        score = replace(score, peak_joint_speed_rad_s=float("nan"))
-    jitter = float("nan")
+        numbers["peak_joint_speed_rad_s"] = np.nan
+    numbers["path_m"] = float(np.linalg.norm(np.diff(way.values, axis=0), axis=1).sum())
+    numbers["jitter_rad_s"] = np.nan
     if commands is not None:
-        arrived_s = ball.arrival_s[-1]
-        last = commands.values[_between(commands.arrival_s, arrived_s - _FINAL_S, arrived_s)]
-        jitter = jitter_rad_s(last) if len(last) > 1 else jitter
-    return Target(
-        moving=len(run) > 1,
-        target_m=run.values[-1],
-        given_s=float(start_s),
-        time_s=time_s,
-        position_m=ball.values,
-        errors_m=errors_m,
-        score=score,
-        path_m=float(np.linalg.norm(np.diff(ball.values, axis=0), axis=1).sum()),
-        jitter_rad_s=jitter,
-        not_known={},
-    )
+        came_s = way.arrival_s[-1]
+        last = commands.values[_between(commands.arrival_s, came_s - _FINAL_S, came_s)]
+        numbers["jitter_rad_s"] = jitter_rad_s(last) if len(last) > 1 else np.nan
+    moving = len(run) > 1
+    if moving:
+        numbers |= dict.fromkeys(_SETTLING, np.nan)
+        numbers["final_rms_m"] = float(np.sqrt(np.mean(errors_m**2)))
+    not_known = {}
+    if time_s[0] > _LATE_S:
+        numbers["start_distance_m"] = np.nan
+        not_known["start_distance_m"] = "the recording begins later"
+    given_s, target_m = float(start_s), run.values[-1]
+    return Target(moving, target_m, given_s, time_s, way.values, errors_m, numbers, not_known)
 
 
 def _between(time_s: np.ndarray, start_s: float, end_s: float) -> slice:
@@ -213,35 +196,18 @@ def _between(time_s: np.ndarray, start_s: float, end_s: float) -> slice:
     return slice(*np.searchsorted(time_s, [start_s, end_s], side="right"))
 
 
-def _without_guesses(target: Target, cut: str, given_whole: bool) -> Target:
+def _without_guesses(target: Target, cut: str, never: bool) -> Target:
     """The target without the numbers that its record is too short for.
 
-    A settling time is known after a second below the bound. "Never" is known where another target
-    came, or after the time that the demo gives.
+    A settling time is known after a second below the bound, and if the ball was ``never`` there.
     """
-    never = given_whole or cut == "another target came"
     last_s = target.time_s[-1]
-
-    def known(at_s: float | None) -> bool:
-        return target.moving or (never if at_s is None else bool(last_s - at_s >= _FINAL_S))
-
-    coarse_s, fine_s = target.score.settling_5mm_s, target.score.settling_2mm_s
-    final = known(coarse_s) and last_s >= _FINAL_S
-    score = replace(
-        target.score,
-        settling_5mm_s=coarse_s if known(coarse_s) else None,
-        settling_2mm_s=fine_s if known(fine_s) else None,
-        final_rms_m=target.score.final_rms_m if final else float("nan"),
-    )
-    unknown = {
-        "settling_5mm_s": not known(coarse_s),
-        "settling_2mm_s": not known(fine_s),
-        "final_rms_m": not final,
-        "jitter_rad_s": not final,
-    }
-    return replace(
-        target,
-        score=score,
-        jitter_rad_s=target.jitter_rad_s if final else float("nan"),
-        not_known={name: cut for name, is_unknown in unknown.items() if is_unknown},
-    )
+    not_known = dict(target.not_known)
+    for name in () if target.moving else _SETTLING:
+        settled_s = target.numbers[name]
+        if not (never if settled_s is None else last_s - settled_s >= _FINAL_S):
+            not_known[name] = cut
+    if last_s < _FINAL_S or _SETTLING[0] in not_known:
+        not_known |= {"final_rms_m": cut, "jitter_rad_s": cut}
+    numbers = {**target.numbers, **dict.fromkeys(not_known, np.nan)}
+    return replace(target, numbers=numbers, not_known=not_known)

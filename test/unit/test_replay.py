@@ -124,11 +124,11 @@ def file_in(folder):
 def test_a_target_is_judged_by_the_true_ball(recording):
     (target,) = targets(recording)
     assert not target.moving
-    assert target.score.start_distance_m == pytest.approx(0.3)
-    assert BELOW_5_S <= target.score.settling_5mm_s < BELOW_5_S + 0.0081
-    assert BELOW_2_S <= target.score.settling_2mm_s < BELOW_2_S + 0.0081
-    assert target.path_m == pytest.approx(0.3, rel=1e-4)
-    assert target.score.peak_joint_speed_rad_s == pytest.approx(2.4, rel=0.04)
+    assert target.numbers["start_distance_m"] == pytest.approx(0.3)
+    assert BELOW_5_S <= target.numbers["settling_5mm_s"] < BELOW_5_S + 0.0081
+    assert BELOW_2_S <= target.numbers["settling_2mm_s"] < BELOW_2_S + 0.0081
+    assert target.numbers["path_m"] == pytest.approx(0.3, rel=1e-4)
+    assert target.numbers["peak_joint_speed_rad_s"] == pytest.approx(2.4, rel=0.04)
     assert judged_by(recording).topic == "/fvs_sim_node/true_ball_position"
 
 
@@ -137,7 +137,7 @@ def test_without_the_truth_the_measured_ball_is_taken(made, read_back):
     recording = read_back()
     assert judged_by(recording).topic == "/ball_position"
     (target,) = targets(recording)
-    assert target.score.settling_5mm_s == pytest.approx(BELOW_5_S, abs=0.04)
+    assert target.numbers["settling_5mm_s"] == pytest.approx(BELOW_5_S, abs=0.04)
 
 
 def test_a_repeated_target_is_the_same_and_a_new_one_is_another(made, read_back):
@@ -147,8 +147,8 @@ def test_a_repeated_target_is_the_same_and_a_new_one_is_another(made, read_back)
     first, second = targets(read_back())
     assert first.time_s[-1] <= 2.0 + 1e-6
     assert second.given_s == pytest.approx(BEGIN_S + 3.0)
-    assert second.score.start_distance_m == pytest.approx(0.3, abs=0.001)
-    assert second.score.settling_5mm_s is None
+    assert second.numbers["start_distance_m"] == pytest.approx(0.3, abs=0.001)
+    assert COARSE in second.not_known
 
 
 def test_a_refused_target_is_none_and_one_set_by_a_service_ends_the_one_before(made, read_back):
@@ -216,10 +216,12 @@ def test_what_a_recording_ends_too_early_for_is_not_known(
     (target,) = targets(cut_at(recording, ends_s))
     assert target.not_known == dict.fromkeys(not_known, "the recording ends")
     for name in (COARSE, FINE):
-        expected = None if name in not_known else getattr(whole.score, name)
-        assert getattr(target.score, name) == expected
-    for value, name in zip((target.score.final_rms_m, target.jitter_rad_s), LAST, strict=True):
-        assert np.isnan(value) == (name in not_known)
+        known = name not in not_known
+        assert target.numbers[name] == (
+            whole.numbers[name] if known else pytest.approx(np.nan, nan_ok=True)
+        )
+    for name in LAST:
+        assert np.isnan(target.numbers[name]) == (name in not_known)
     report = sections(cut_at(recording, ends_s), tmp_path)["targets"]
     assert report.tables[0].rows[0].count("not known") == len(not_known)
     assert report.data["targets"][0]["not_known"] == target.not_known
@@ -229,7 +231,7 @@ def test_a_demo_s_target_of_its_whole_time_is_judged_as_by_the_demo(recording):
     demo = {"fvs_demo_node": {"target_s": 1.5}}  # below 5 mm after 1.02 s
     (whole,) = targets(replace(recording, scenario=demo))
     assert whole.not_known == {}
-    assert np.isfinite([whole.score.settling_2mm_s, whole.jitter_rad_s]).all()
+    assert np.isfinite([whole.numbers["settling_2mm_s"], whole.numbers["jitter_rad_s"]]).all()
     (cut,) = targets(cut_at(replace(recording, scenario=demo), 1.4))
     assert set(cut.not_known) == {COARSE, FINE, *LAST}
 
@@ -250,8 +252,7 @@ def test_a_ball_that_stays_away_never_settled_after_a_demo_s_time(made, read_bac
         made.point("ball_position", 0.008 * tick, 0.008 * tick, START_M)
     made.point("target_position", 0.0, 0.0, TARGET_M)
     (target,) = targets(read_back())
-    assert target.score.settling_5mm_s is None
-    assert (COARSE not in target.not_known) is known
+    assert (target.numbers[COARSE] is None) == (COARSE not in target.not_known) == known
 
 
 # --- messages that the nodes would have refused, or that lack something ---
@@ -290,7 +291,7 @@ def test_joint_states_without_velocities_keep_their_positions(
     assert np.isfinite(joints[:, :6]).all()
     assert np.isnan(joints[:, 6:]).all()
     assert prediction(recording).t1_m.max() < 1e-4
-    assert np.isnan(targets(recording)[0].score.peak_joint_speed_rad_s)
+    assert np.isnan(targets(recording)[0].numbers["peak_joint_speed_rad_s"])
     sections(recording, tmp_path)
     assert "nan" not in (tmp_path / "index.md").read_text(encoding="utf-8")
 
@@ -424,7 +425,7 @@ def test_what_is_missing_at_the_beginning_is_on_the_page(recording, tmp_path, un
     assert "0.4" in first
     # The target counts from its stamp all the same.
     (target,) = targets(replace(recording, series=series))
-    assert target.score.settling_5mm_s == pytest.approx(BELOW_5_S, abs=0.009)
+    assert target.numbers["settling_5mm_s"] == pytest.approx(BELOW_5_S, abs=0.009)
 
 
 # --- predictions ---
@@ -446,9 +447,7 @@ def test_the_true_jacobian_predicts_without_error_and_a_wrong_one_is_off_by_its_
 
 
 @pytest.mark.parametrize("by_s", [-100.0, 100.0])
-def test_stamps_by_another_clock_change_no_prediction_and_are_named(
-    recording, by_s, tmp_path, undrawn
-):
+def test_stamps_by_another_clock_change_no_prediction(recording, by_s):
     # Worse from tick to tick: another choice of Jacobian is another error.
     jacobian = recording.series["jacobian"]
     worse = np.linspace(1.0, 0.5, len(jacobian))[:, None] * jacobian.values
@@ -456,13 +455,9 @@ def test_stamps_by_another_clock_change_no_prediction_and_are_named(
     expected = prediction(replace(recording, series=series))
     for key in ("joints", "ball", "true_ball"):
         series[key] = replace(series[key], stamp_s=series[key].stamp_s + by_s)
-    other = replace(recording, series=series)
     assert expected.t1_m.max() > 1e-4
-    assert prediction(other).t1_m == pytest.approx(expected.t1_m, abs=1e-6)
-    assert story.clock_offset_s(recording.series["ball"]) == 0.0
-    first, second = sections(other, tmp_path)["timing"].setup
-    assert first.startswith("Stamps of /joint_states are 100.0 s")
-    assert ("behind" in second) == (by_s < 0.0)
+    found = prediction(replace(recording, series=series))
+    assert found.t1_m == pytest.approx(expected.t1_m, abs=1e-6)
 
 
 def test_a_jacobian_that_came_after_the_image_predicts_nothing_of_it(recording):
@@ -591,7 +586,10 @@ def test_a_bag_whose_recorder_was_killed_is_replayed(tmp_path, bag, recording, c
         assert is_beginning_of(found, recording)
         assert recording.end_s - 1.4 < found.end_s < recording.end_s - 0.3
         assert (found.scenario, found.version) == (recording.scenario, "1.2.3")
-        assert targets(found)[0].score.settling_2mm_s == targets(recording)[0].score.settling_2mm_s
+        assert (
+            targets(found)[0].numbers["settling_2mm_s"]
+            == targets(recording)[0].numbers["settling_2mm_s"]
+        )
     assert not recording.cut_off
     assert main(["replay", str(folder), "--out", str(tmp_path / "page")]) == 0
     assert "The bag was cut off" in capsys.readouterr().out
