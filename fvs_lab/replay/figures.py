@@ -65,7 +65,9 @@ class Panel:
             axis.plot(*shown, self.style, label=name, color=colour, linewidth=1.1, markersize=2.5)
         for level, name in self.levels:
             axis.axhline(level, color="black", linewidth=0.9, linestyle="--")
-            axis.text(0.004, level, name, transform=axis.get_yaxis_transform(), va="bottom", size=8)
+            behind = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
+            at = axis.get_yaxis_transform()
+            axis.text(0.004, level, name, transform=at, va="bottom", size=8, bbox=behind)
         if self.smallest:
             axis.set_yscale("log")
             axis.yaxis.set_major_formatter("{x:g}")

@@ -12,7 +12,7 @@ import numpy as np
 from fvs_controller_node.reasons import State
 from fvs_lab.replay import figures, story
 from fvs_lab.replay.predictions import prediction
-from fvs_lab.replay.recording import CONTROLLER, Recording
+from fvs_lab.replay.recording import Recording
 from fvs_lab.replay.targets import Target, bounds_m, judged_by, targets
 from fvs_lab.report import Figure, Heading, Origin, Report, Table, write_page, write_report
 from fvs_ros.status import SILENT
@@ -64,16 +64,10 @@ def _happened(recording: Recording, found: Sequence[Target], folder: Path) -> Re
     events = [one._asdict() for one in story.events(recording)]
     limits = story.limit_shares(recording)
     figures.overview(recording, found, bounds_m(recording), folder / "overview.png")
-    at, lasted = "{start_s:.2f}", "{length_s:.2f}"
+    times = {"from, s": "{start_s:.2f}", "for, s": "{length_s:.2f}"}
     tables = _table(
         "The controller’s states and reasons.",
-        {
-            "from, s": at,
-            "for, s": lasted,
-            "state": "{state}",
-            "reason": "{reason}",
-            "status": "{text}",
-        },
+        {**times, "state": "{state}", "reason": "{reason}", "status": "{text}"},
         states,
     )
     tables += _table(
@@ -115,18 +109,13 @@ def _happened(recording: Recording, found: Sequence[Target], folder: Path) -> Re
 
 
 def _what_ran(recording: Recording) -> str:
-    law = recording.scenario.get(CONTROLLER, {}).get("law")
-    method = recording.scenario.get("fvs_estimator_node", {}).get("method")
-    words = [
-        f"fvs_ros {recording.version}" if recording.version else "",
-        f"law {law}" if law else "",
-        f"method {method}" if method else "",
-    ]
-    ran = ", ".join(filter(None, words)) or "The bag does not say how the nodes were started"
-    defaults = "" if recording.scenario else " Limits and bounds shown are the defaults."
+    ran = "The bag does not say how the nodes were started, limits and bounds are the defaults"
+    if recording.scenario:
+        method = recording.scenario.get("fvs_estimator_node", {}).get("method", "unknown")
+        ran = f"fvs_ros {recording.version}, law {recording.started()['law']}, method {method}"
     count = sum(map(len, recording.topics.values()))
     length_s = recording.end_s - recording.start_s
-    return f"{ran}: {length_s:.1f} s, {count} messages of {len(recording.topics)} topics.{defaults}"
+    return f"{ran}: {length_s:.1f} s, {count} messages of {len(recording.topics)} topics."
 
 
 def _how_targets_went(recording: Recording, found: Sequence[Target]) -> str:
@@ -151,10 +140,10 @@ def _why_stopped(recording: Recording) -> str:
         return "The controller’s status is not in the bag."
     stopped = [one for one in story.states(recording) if one.state in _STOPPED]
     reasons = [
-        f"{' '.join(filter(None, which))} {count} times, {total_s:.1f} s"
+        f"{' '.join(which).strip()} {count}×, {total_s:.1f} s"
         for which, count, total_s in story.totals(stopped, "state", "reason")
     ]
-    return "; ".join(reasons) + "." if reasons else "The controller never held the arm."
+    return f"Held: {'; '.join(reasons)}." if reasons else "The controller never held the arm."
 
 
 def _what_is_missing(recording: Recording, found: Sequence[Target]) -> list[str]:
