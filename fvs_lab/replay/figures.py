@@ -26,7 +26,7 @@ STATES = {
     SILENT: "#555555",
     story.ENDED: "#ffffff",
 }
-_OTHER_STATE, _LIMIT = "#ffd7f0", "#7a6fb0"
+_LIMIT = "#7a6fb0"
 #: More curves than this are not told apart by a legend.
 _NAMED = 8
 #: A curve of many more points than this is drawn by the least and largest of each pixel.
@@ -119,18 +119,16 @@ def _draw_states(axis: Any, recording: Recording) -> None:
     # The short ones last, so that a long neighbour's edge does not cover them.
     states = sorted(story.merged(spells, "state"), key=lambda one: -one.length_s)
     limits = [one for one in story.merged(spells, "limit") if one.limit]
-    state_colours = [STATES.get(one.state, _OTHER_STATE) for one in states]
+    state_colours = [STATES.get(one.state, "#ffd7f0") for one in states]
     for row, bars, colours in ((1, states, state_colours), (0, limits, [_LIMIT] * len(limits))):
         spans = [(one.start_s, one.length_s) for one in bars]
         axis.broken_barh(spans, (row - 0.4, 0.8), facecolors=colours, edgecolors=colours)
     axis.set(ylim=(-0.6, 1.6), yticks=[0, 1], yticklabels=["a limit is active", "controller"])
     axis.grid(visible=False)
-    for name, colour in dict(
-        zip((one.state for one in states), state_colours, strict=True)
-    ).items():
-        axis.bar(0.0, 0.0, color=colour, edgecolor="#888888", label=name)
-    if states:
-        axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.2))
+    seen = dict(zip((one.state for one in states), state_colours, strict=True))
+    patch = pyplot().Rectangle
+    handles = [patch((0, 0), 1, 1, fc=colour, ec="#888888") for colour in seen.values()]
+    axis.legend(handles, seen, loc="upper left", bbox_to_anchor=(1.0, 1.2))
 
 
 def errors(

@@ -138,7 +138,8 @@ def _why_stopped(recording: Recording) -> str:
     """How often, for how long and why the controller held the arm."""
     if not recording.statuses:
         return "The controller’s status is not in the bag."
-    stopped = [one for one in story.states(recording) if one.state in _STOPPED]
+    states = [one for one in story.states(recording) if one.reason != story.SHUT_DOWN]
+    stopped = [one for one in states if one.state in _STOPPED]
     reasons = [
         f"{' '.join(which).strip()} {count}×, {total_s:.1f} s"
         for which, count, total_s in story.totals(stopped, "state", "reason")

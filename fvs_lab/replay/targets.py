@@ -38,7 +38,7 @@ class Target:
     target_m : ndarray, shape (3,)
         Where it was, at last, m.
     given_s : float
-        When it was given, s.
+        When it was given, by the recorder's clock, s.
     time_s : ndarray, shape (n,)
         Times of the ball positions since then, s.
     position_m : ndarray, shape (n, 3)
@@ -123,9 +123,10 @@ def _given_s(given: Series, ball_s: np.ndarray) -> np.ndarray:
     """When targets were given, by the clock of the ball positions in order, s, shape (n,)."""
     own_clock = np.abs(given.arrival_s - given.stamp_s) < _SAME_CLOCK_S
     given_s = np.where(own_clock, given.stamp_s, given.arrival_s)
-    # The demo stamps a target with the position that it saw.
-    near_s = ball_s[np.searchsorted(ball_s, given_s - _SAME_MOMENT_S).clip(max=len(ball_s) - 1)]
-    return np.where(np.abs(near_s - given_s) < _SAME_MOMENT_S, near_s, given_s)
+    # The demo stamps a target with the position that it saw, in simulated time, too.
+    near = np.searchsorted(ball_s, given.stamp_s - _SAME_MOMENT_S).clip(max=len(ball_s) - 1)
+    of_demo = np.abs(ball_s[near] - given.stamp_s) < _SAME_MOMENT_S
+    return np.where(of_demo, ball_s[near], given_s)
 
 
 def _taken(recording: Recording, runs: Sequence[Series]) -> list[tuple[Series, float]]:
@@ -187,7 +188,7 @@ def _judge(
     if time_s[0] > _LATE_S:
         numbers["start_distance_m"] = np.nan
         not_known["start_distance_m"] = "the recording begins later"
-    given_s, target_m = float(start_s), run.values[-1]
+    given_s, target_m = float(way.arrival_s[0] - time_s[0]), run.values[-1]
     return Target(moving, target_m, given_s, time_s, way.values, errors_m, numbers, not_known)
 
 

@@ -163,6 +163,15 @@ def test_a_refused_target_is_none_and_one_set_by_a_service_ends_the_one_before(m
     assert target.time_s[-1] == pytest.approx(4.0 - GIVEN_S, abs=0.05)
 
 
+def test_a_recorder_s_clock_need_not_be_that_of_the_stamps(recording):
+    series = dict(recording.series)
+    for key in ("true_ball", "target", "joints"):  # as in simulated time
+        series[key] = replace(series[key], stamp_s=series[key].stamp_s - BEGIN_S)
+    (target,), (expected,) = targets(replace(recording, series=series)), targets(recording)
+    assert target.numbers == pytest.approx(expected.numbers, abs=1e-6)
+    assert target.given_s == pytest.approx(expected.given_s)
+
+
 def test_targets_in_quick_succession_are_one_that_moves(made, read_back, tmp_path, undrawn):
     servo(made)
     for step in range(1, 40):
