@@ -14,7 +14,6 @@ EXTRAS = {
     "lab": ["joblib", "cmaes", "jinja2", "matplotlib"],
     "record": ["rosbags"],
     "dashboard": ["viser[urdf]>=1.1,<1.2", "opencv-python-headless"],
-    "cluster": ["distributed"],
     "docs": ["pdoc"],
     "test": [
         "pytest",
@@ -31,9 +30,7 @@ EXTRAS = {
         "types-tqdm",
     ],
 }
-EXTRAS["all"] = [
-    one for name, extra in EXTRAS.items() if name not in ("cluster", "docs") for one in extra
-]
+EXTRAS["all"] = [one for name, extra in EXTRAS.items() if name != "docs" for one in extra]
 
 setup(
     name=PACKAGE,

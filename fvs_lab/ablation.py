@@ -2,186 +2,326 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fvs_lab import ablation_figures
-from fvs_lab.ablation_changes import (
-    BASE,
-    DURATION_S,
-    QUICK_DURATION_S,
-    Change,
-    Row,
-    all_changes,
-    jitter_ratio,
-    row_of,
-    settling_ratio,
-)
-from fvs_lab.ablation_rests import (
-    Rest,
-    Rested,
-    all_rests,
-    run_rest,
-)
-from fvs_lab.ablation_verdicts import NOTABLE, verdicts
+from fvs_controller_node.config import default_values
+from fvs_estimator_node.pairing import StepPairing
 from fvs_lab.context import Context
-from fvs_lab.report import Figure, Report, Table
-from fvs_lab.statistics import median
-from fvs_lab.trials import Outcome, Trial, make_cases, run_trial
-
-NAME = "ablation"
-SEED = 303
-#: Time to hold a target, s.
-_REST_S, _QUICK_REST_S = 60.0, 2.0
-
-_CAPTION = (
-    "What each change does to the settling time (left) and to the unrest of the command "
-    "(right): dots are ratios of medians, bars their 95 % intervals. Right of the line is "
-    "worse. Compared with the scheme as it comes, or with what stands in brackets."
+from fvs_lab.experiment import (
+    OURS,
+    PAPER,
+    Claim,
+    Experiment,
+    Found,
+    Named,
+    Part,
+    above,
+    below,
+    either,
+)
+from fvs_lab.figures import keys, panels, plain_ticks
+from fvs_lab.lockstep import LockStep
+from fvs_lab.outcome import settling_columns
+from fvs_lab.results import METRICS, Metric, Results, failures, table
+from fvs_lab.trials import (
+    PRELUDE_S,
+    Case,
+    Conditions,
+    Trial,
+    Variant,
+    make_cases,
+    relative_errors,
+    simulation_of,
 )
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
-def run(context: Context) -> Report:
-    """Run the experiment."""
-    folder = context.folder(NAME)
-    cases = make_cases("a", context.count(8, 1), SEED)
-    changes = all_changes()
-    duration_s = QUICK_DURATION_S if context.quick else DURATION_S
-    hold_s = _QUICK_REST_S if context.quick else _REST_S
-    rests = all_rests(cases[: 1 if context.quick else 3], hold_s)
-    trials = [
-        Trial(
-            case,
-            change.method,
-            "ftsm",
-            estimator_values=change.estimator,
-            controller_values=change.controller,
-            conditions=context.conditions(**change.conditions),
-            duration_s=duration_s,
-        )
-        for change in changes
-        for case in cases
+SEED = 303
+_DURATION_S, _QUICK_DURATION_S = 3.4, 1.6
+
+BASE = "as it comes"
+LITERAL, LITERAL_SAME = "as printed, its own gains", "as printed, same gains"
+CAPPED, UNCAPPED = "gain 100 times as high, capped", "gain 100 times as high, cap off"
+FROZEN, ORACLE = "no online update", "true Jacobian"
+#: Reaching gains of the law as printed: of 24 combinations of k1 (0.3 to 3), k2 (0.01, 0.05) and
+#: k4 (0 to 0.008) below its stability limits the one that was soonest within 2 mm, on other cases.
+_LITERAL = {"discretisation": "literal", "k1": 2.0, "k2": 0.01, "k4": 0.003}
+#: Gains of the sliding term: none, and beside the default; negative for the printed sign.
+_TERMS = (0.0, 0.03, 0.1, -0.005, -0.03, -0.1)
+#: Latencies, ms, and the factors on alpha2 and alpha3 with which the law is soonest within 5 mm
+#: without prediction, of 0.5, 0.35, 0.25 and 0.15, on other cases.
+_SOFTER = {40: 0.35, 80: 0.25, 120: 0.15}
+_TURNS_DEG = (20, 45)
+#: Changes smaller than this say nothing; up to the second, two rows count as equal.
+NOTABLE, SAME = 1.05, 1.1
+
+_COLOURS = {"control law": "#0072B2", "Jacobian": "#D55E00", "images": "#009E73",
+            "camera": "#CC79A7"}  # fmt: skip
+
+
+def _sliding(gain: float) -> str:
+    if gain == 0.0:
+        return "no sliding term"
+    return f"{'printed sign, ' if gain < 0.0 else ''}sliding term {abs(gain):g}"
+
+
+def _latency(latency_ms: int) -> str:
+    return BASE if latency_ms == next(iter(_SOFTER)) else f"{latency_ms} ms latency"
+
+
+def variants() -> list[Variant]:
+    """All rows: what is changed, its group, and the row that it is compared with."""
+
+    def one(name: str, group: str, against: str = BASE, **changes: Any) -> Variant:
+        return Variant({"change": name, "group": group, "against": against}, **changes)
+
+    law, update, images, camera = _COLOURS
+    high = {"rbf.n1": 30.0}
+    found = [
+        one(BASE, "", ""),
+        one(LITERAL, law, controller_values=_LITERAL),
+        one(LITERAL_SAME, law, controller_values={"discretisation": "literal"}),
+        one(FROZEN, update, method="frozen"),
+        one(ORACLE, update, method="oracle"),
+        *(one(_sliding(gain), update, estimator_values={"rbf.alpha2": gain}) for gain in _TERMS),
+        one(CAPPED, update, estimator_values=high),
+        one(UNCAPPED, update, CAPPED, estimator_values={**high, "rbf.mu": 1.9}),
     ]
-    # The long ones first, so that no process is left alone with one at the end.
-    jobs: list[Trial | Rest] = [*rests, *trials]
-    done = context.map(_run, jobs, NAME)
-    rested: dict[str, list[Rested]] = {}
-    outcomes = []
-    for one in done:
-        if isinstance(one, Rested):
-            rested.setdefault(one.name, []).append(one)
-        else:
-            outcomes.append(one)
-    runs = {
-        change.name: outcomes[number * len(cases) : (number + 1) * len(cases)]
-        for number, change in enumerate(changes)
+    gains = default_values(law="ftsm")
+    for latency_ms, factor in _SOFTER.items():
+        name, blind = _latency(latency_ms), {"predictor": False}
+        late: dict[str, Any] = {"conditions": {"latency_s": 1e-3 * latency_ms}}
+        if name != BASE:
+            found.append(one(name, images, **late))
+        softer = {gain: factor * gains[gain] for gain in ("alpha2", "alpha3")}
+        for words, values in (("", {}), (", softer gains", softer)):
+            row = f"{latency_ms} ms, no prediction{words}"
+            found.append(one(row, images, name, controller_values={**blind, **values}, **late))
+    for turn_deg in _TURNS_DEG:
+        name = f"camera carried round by {turn_deg}°"
+        turned: dict[str, Any] = {"conditions": {"camera_turn_deg": (0.0, float(turn_deg), 0.0)}}
+        found.append(one(name, camera, **turned))
+        found.append(one(f"{turn_deg}°, {FROZEN}", camera, name, method="frozen", **turned))
+    return found
+
+
+# ---- long rests -----------------------------------------------------------------------------
+
+NO_LEAK, ZERO_AT_REST = "no leak, learning at rest", "leak toward zero, learning at rest"
+OFFLINE_AT_REST = "leak toward the trained weights, learning at rest"
+ZERO_GATED = "leak toward zero, learning from motion only"
+_UNGATED = {"rbf.min_motion_rad": 0.0}
+_ZERO = {"rbf.k3": 0.01, "rbf.leak_target": "zero"}
+#: Parameters of the estimator by what is different.
+RESTS: Mapping[str, Mapping[str, Any]] = {
+    NO_LEAK: _UNGATED,
+    ZERO_AT_REST: {**_UNGATED, **_ZERO},
+    OFFLINE_AT_REST: {**_UNGATED, "rbf.k3": 0.01, "rbf.leak_target": "offline"},
+    ZERO_GATED: _ZERO,
+}
+#: Time to reach the target before holding it, s.
+_REACH_S = 4.0
+#: Below every motion of the joints: with it the estimator learns from every image, at rest, too.
+_ANY_MOTION_RAD = 1e-12
+_REST_METRICS = METRICS | {
+    "error_before": Metric("Jacobian error before, %", 1e2, 1),
+    "error_after": Metric("after, %", 1e2, 1),
+    "to_5mm_s": Metric("next target: to 5 mm, s"),
+}
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Go to a target, hold it for long, go back.
+
+    Parameters
+    ----------
+    case : Case
+        Start and goal.
+    name : str
+        A key of ``RESTS``.
+    hold_s : float
+        Time to hold, s.
+    """
+
+    case: Case
+    name: str
+    hold_s: float
+
+
+def run_rest(rest: Rest) -> dict[str, Any]:
+    """Run one long rest, with the exact camera and 1 mm noise: a minute of images takes long."""
+    simulation = simulation_of(Conditions(rendered=False))
+    simulation.reset(rest.case.goal_rad)
+    target_m = simulation.true_ball_position()
+    simulation.reset(rest.case.start_rad, rest.case.seed)
+    home_m = simulation.true_ball_position()
+    one = Trial(rest.case, "rbf", "ftsm", RESTS[rest.name]).loop(simulation)
+    if "rbf.min_motion_rad" in RESTS[rest.name]:
+        one.estimation.pairing = StepPairing(min_joint_motion_rad=_ANY_MOTION_RAD)
+    one.run(PRELUDE_S)
+    one.set_target(target_m)
+    one.run(_REACH_S)
+    before = _estimators_error(one)
+    one.run(rest.hold_s)
+    after = _estimators_error(one)
+    one.set_target(home_m)
+    errors = []
+    for _ in range(round(_DURATION_S / one.period_s)):
+        one.tick()
+        errors.append(float(np.linalg.norm(simulation.true_ball_position() - home_m)))
+    times = one.period_s * np.arange(1, len(errors) + 1)
+    return {
+        "update": rest.name,
+        "case": rest.case.name,
+        "error_before": before,
+        "error_after": after,
+        **settling_columns(times, np.array(errors)),
     }
-    rows = {change.name: row_of(change.against, runs[change.name]) for change in changes}
-    return Report(
-        name=NAME,
-        title="What each part is worth",
-        question="The scheme is many parts: networks, their online update, a sliding surface, a "
-        "prediction over the camera's delay. Take them away or change them one at a time: which "
-        "of them matter, and do the corrections to the paper?",
-        setup=_setup(len(cases), duration_s, len(rests) // len(rested), hold_s),
-        figures=[Figure(ablation_figures.ratios(changes, rows, folder), _CAPTION)],
-        tables=[_table(changes, rows, duration_s), _rest_table(rested, hold_s)],
-        verdicts=verdicts(rows, rested),
-        data={
-            "seed": SEED,
-            "cases": cases,
-            "duration_s": duration_s,
-            "hold_s": hold_s,
-            "rows": [
-                {"change": change, "runs": [one.summary() for one in runs[change.name]]}
-                for change in changes
-            ],
-            "rests": rested,
-        },
-    )
 
 
-def _run(job: Trial | Rest) -> Outcome | Rested:
-    return run_rest(job) if isinstance(job, Rest) else run_trial(job)
+def _estimators_error(one: LockStep) -> float:
+    """Relative error of the estimator's Jacobian."""
+    joints = one.simulation.joints_rad
+    true = one.simulation.true_jacobian(joints)
+    return float(relative_errors(one.estimator.jacobian(joints), true))
 
 
-def _setup(count: int, duration_s: float, rests: int, hold_s: float) -> list[str]:
-    return [
-        "The scheme as it comes: trained networks with their online update, adaptive sliding mode "
-        "law solved implicitly, prediction and fusion of images; 1 rad/s joint limit, 40 ms camera "
-        "latency, 1 mm noise on the camera's measurements. Each row changes one thing and runs the "
-        f"same {count} pairs of start and goal, 0.2 to 0.5 m apart, for {duration_s:g} s. Ratios "
-        "are of medians over the same cases, with 95 % intervals; a change below "
-        f"{100 * (NOTABLE - 1.0):.0f} % does not count. “Never” is a median of runs most "
-        "of which did not settle; a ratio over such a row is 0.",
-        "The law as printed (16) evaluates its right side with the last command; its own gains (k1 "
-        "= 2, k2 = 0.01, k4 = 0.003) are the best of 24 combinations on other cases. The printed "
-        "update law (17) has a sliding term with a minus sign, which breaks the stability proof; "
-        "0.005, 0.03 and 0.1 are its gain. Carried round: the camera is moved about the scene, as "
-        "nobody told the networks; the Jacobian turns with it.",
-        f"The long rest: {rests} runs each go to a target, hold it for {hold_s:g} s, and return. "
-        "The leak (k3 = 0.01) pulls the weights toward zero, as in the paper, or toward the "
-        "trained ones. “Learning at rest” updates with every image, as the paper's law in "
-        "continuous time does; the estimator as it comes learns from motion only.",
+# ---- the experiment -------------------------------------------------------------------------
+
+
+def measure(context: Context) -> Found:
+    """Run every change and the long rests."""
+    cases = make_cases("a", context.count(8, 1), SEED)
+    duration_s = _QUICK_DURATION_S if context.quick else _DURATION_S
+    hold_s = 2.0 if context.quick else 60.0
+    runs = context.run(variants(), cases, "ablation", duration_s=duration_s)
+    rested = cases[: 1 if context.quick else 3]
+    rests = [Rest(case, name, hold_s) for name in RESTS for case in rested]
+    rests_found = Results(context.map(run_rest, rests, "long rests"))
+    facts = {
+        "count": len(cases),
+        "duration_s": duration_s,
+        "rests": len(rested),
+        "hold_s": hold_s,
+        "notable_percent": round(100 * (NOTABLE - 1.0)),
+        "softer": _SOFTER,
+        "turns_deg": _TURNS_DEG,
+    }
+    data = {"seed": SEED, "cases": cases, "variants": variants(), "rests": rests_found.rows}
+    return Found(runs, facts, data, {"rests": rests_found})
+
+
+def claims(found: Found) -> Iterator[Claim]:
+    """What each part is worth."""
+    rows = found.runs.groups("change")
+
+    def ratio(name: str, metric: str = "to_5mm_s", against: str = "", least: float = NOTABLE):
+        other = against or rows[name].rows[0]["against"]
+        words = f"{name} over {other}: {METRICS[metric].label.partition(',')[0]}"
+        return above(words, rows[name].over(rows[other], metric), least)
+
+    def slower(name: str) -> list[Part]:
+        return [ratio(name), ratio(name, "to_2mm_s")]
+
+    blind = [f"{latency_ms} ms, no prediction, softer gains" for latency_ms in _SOFTER]
+    turned = [f"{turn_deg}°, {FROZEN}" for turn_deg in _TURNS_DEG]
+    printed = [(_sliding(-gain), gain) for gain in (0.005, 0.03, 0.1)]
+    oracle = rows[BASE].over(rows[ORACLE], "to_5mm_s")
+    yield Claim("implicit", OURS, [*slower(LITERAL), ratio(LITERAL, "jitter_rad_s")], any_of=True)
+    same = [ratio(LITERAL_SAME, "to_2mm_s"), ratio(LITERAL_SAME, "jitter_rad_s", least=2.0)]
+    yield Claim("same_gains", OURS, same, any_of=True)
+    yield Claim("prediction", OURS, [ratio(name) for name in blind])
+    yield Claim("update", PAPER, slower(FROZEN), any_of=True)
+    yield Claim("turned", PAPER, [either(name, *slower(name)) for name in turned])
+    yield Claim("oracle", OURS, [below("settling time over that with it", oracle, SAME)])
+    wrong = ratio(UNCAPPED, "jacobian_error", least=2.0)
+    yield Claim("cap", OURS, [ratio(UNCAPPED), wrong], any_of=True)
+    yield Claim("sliding", PAPER, [ratio(_sliding(0.0))])
+    signs = [
+        ratio(name, against=BASE if gain == 0.005 else _sliding(gain)) for name, gain in printed
     ]
+    yield Claim("printed_sign", OURS, signs)
+    yield from _leak_claims(found.extra["rests"])
 
 
-def _table(changes: Sequence[Change], rows: Mapping[str, Row], duration_s: float) -> Table:
-    cells = []
-    for change in changes:
-        row = rows[change.name]
-        causes = Counter(row.failures)
-        cells.append(
-            [
-                change.name,
-                median(row.settling_s["5 mm"]).text(),
-                settling_ratio(rows, change.name).text() if change.against else "",
-                median(row.settling_s["2 mm"]).text(),
-                settling_ratio(rows, change.name, bound="2 mm").text() if change.against else "",
-                f"{1e3 * median(row.final_rms_m).value:.2f}",
-                f"{1e3 * median(row.jitter_rad_s).value:.1f}",
-                jitter_ratio(rows, change.name).text() if change.against else "",
-                f"{100 * float(np.median(row.jacobian_error)):.1f} %",
-                "; ".join(f"{number} {cause}" for cause, number in causes.most_common()) or "none",
-            ]
-        )
-    return Table(
-        f"One change a row; medians of {len(rows[BASE].jitter_rad_s)} runs. Ratios are over the "
-        f"first row, or over the row of the same latency, camera or gain. “Never” is not within "
-        f"{duration_s:g} s.",
-        [
-            "change",
-            "to 5 mm, s",
-            "ratio",
-            "to 2 mm, s",
-            "ratio",
-            "final error, mm rms",
-            "jitter, mrad/s",
-            "ratio",
-            "Jacobian error",
-            "failed",
-        ],
-        cells,
-    )
+def _leak_claims(rests: Results) -> Iterator[Claim]:
+    after = {
+        name: float(np.median(ones.values("error_after")))
+        for name, ones in rests.groups("update").items()
+    }
+    none = after[NO_LEAK]
+    for claim, name, most, wanted in (
+        ("leak_zero", ZERO_AT_REST, max(0.1, 2.0 * none), "above"),
+        ("leak_offline", OFFLINE_AT_REST, max(0.05, 1.5 * none), "at most"),
+    ):
+        text = f"{100 * after[name]:.1f} % (without a leak {100 * none:.1f} %), asked: {wanted}"
+        holds = (after[name] > most) is (wanted == "above")
+        label = "error of the Jacobian after the rest"
+        yield Claim(claim, OURS, [Part(label, f"{text} {100 * most:.0f} %", holds)])
 
 
-def _rest_table(rests: Mapping[str, Sequence[Rested]], hold_s: float) -> Table:
-    def percent(values: Sequence[float]) -> str:
-        return f"{100 * float(np.median(values)):.1f} %"
+def tables(found: Found) -> Iterator[Named]:
+    """All changes with their ratios, and the rests."""
+    rows = found.runs.groups("change")
 
-    return Table(
-        f"A rest of {hold_s:g} s at the target, and the way back; medians.",
-        ["update", "Jacobian error before", "after", "next target: to 5 mm, s", "to 2 mm, s"],
-        [
-            [
-                name,
-                percent([one.error_before for one in found]),
-                percent([one.error_after for one in found]),
-                median([one.next_s["5 mm"] for one in found]).text(),
-                median([one.next_s["2 mm"] for one in found]).text(),
-            ]
-            for name, found in rests.items()
-        ],
-    )
+    def over(metric: str, ones: Results) -> str:
+        against = ones.rows[0]["against"]
+        return ones.over(rows[against], metric).text() if against else ""
+
+    metrics = ("to_5mm_s", "to_2mm_s", "final_rms_m", "jitter_rad_s", "jacobian_error")
+    cells = {
+        f"ratio, {METRICS[metric].label.partition(',')[0]}": partial(over, metric)
+        for metric in ("to_5mm_s", "to_2mm_s", "jitter_rad_s")
+    }
+    yield "changes", table(found.runs, {"change": "change"}, metrics, cells | {"failed": failures})
+    shown = ("error_before", "error_after", "to_5mm_s", "to_2mm_s")
+    yield "rests", table(found.extra["rests"], {"update": "update"}, shown, known=_REST_METRICS)
+
+
+def figures(found: Found) -> Iterator[Named]:
+    """What each change does to settling time and jitter, as ratios."""
+    rows = found.runs.groups("change")
+    shown = {name: ones for name, ones in rows.items() if name != BASE}
+    figure, (axes,) = panels(1, 2, (12, 8.5), sharey=True)
+    for axis, metric, ticks in zip(
+        axes,
+        ("to_5mm_s", "jitter_rad_s"),
+        ((0.7, 1.0, 1.5, 2.0, 3.0, 4.0), (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)),
+        strict=True,
+    ):
+        for place, ones in enumerate(shown.values()):
+            _ratio_bar(axis, place, ones, rows, metric, 1.2 * ticks[-1])
+        axis.axvline(1.0, color="black", linewidth=0.8)
+        plain_ticks(axis, ticks)
+        axis.set(xlabel=f"{METRICS[metric].label.partition(',')[0]}, ratio",
+                 xlim=(0.9 * ticks[0], 1.25 * ticks[-1]))  # fmt: skip
+    names = [_label(name, ones.rows[0]["against"]) for name, ones in shown.items()]
+    axes[0].set_yticks(range(len(names)), names)
+    axes[0].invert_yaxis()
+    keys(figure, {name: {"color": colour, "marker": "o"} for name, colour in _COLOURS.items()})
+    yield "ablation", figure
+
+
+def _ratio_bar(
+    axis: Axes, place: int, ones: Results, rows: Mapping[str, Results], metric: str, most: float
+) -> None:
+    first = ones.rows[0]
+    one = ones.over(rows[first["against"]], metric)
+    value = np.minimum([one.value, one.low, one.high], most)
+    colour = _COLOURS[first["group"]]
+    axis.plot(value[1:], [place, place], color=colour, alpha=0.7)
+    axis.plot(value[0], place, "o" if one.value < most else ">", color=colour)
+
+
+def _label(name: str, against: str) -> str:
+    return name if against == BASE else f"{name}  [over {against}]"
+
+
+EXPERIMENT = Experiment("ablation", measure, claims, tables, figures)

@@ -5,33 +5,29 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from fvs_lab.beyond_terms import CONTESTANTS, LIMITS
-from fvs_lab.lockstep import LockStep, load_chain, load_networks, make_estimator
-from fvs_lab.trials import (
-    BOUNDS_M,
-    PRELUDE_S,
-    Bump,
-    Case,
-    Conditions,
-    make_cases,
-    seconds,
-    simulation_of,
-)
+from fvs_lab.beyond_contestants import variant
+from fvs_lab.lockstep import LockStep
+from fvs_lab.outcome import BOUNDS_M, seconds
+from fvs_lab.results import Results
+from fvs_lab.trials import PRELUDE_S, Bump, Case, Conditions, make_cases, simulation_of
 from fvs_tools.score import settling_time_s
 
 TURN_DEG, SHIFT_M = 45.0, 0.1
 #: How far the axis of the turn is off the optical axis, a standard deviation of each part.
 _TILT = 0.1
-#: In motion the blow comes so long after the target, s.
+#: In motion the blow comes this time after the target, s.
 STRUCK_AFTER_S = 0.3
 #: How long the camera is carried, and how long the arm stands before and after, s.
 CARRIED_S, _STOPPED_S = 2.0, 0.5
 #: To the first target; at rest there after a blow; from the second target on, s.
 _FIRST_S, REST_S, SECOND_S = 1.6, 1.0, 3.5
 _VISIBLE = 0.9
+#: A run after a blow to the camera keeps its pace if it takes no longer than this ratio.
+KEPT = 1.2
 
 UNDISTURBED, AT_REST, IN_MOTION = "undisturbed", "between two targets", "in mid-motion"
 CARRIED = f"within {CARRIED_S:g} s while the arm is stopped"
@@ -62,22 +58,6 @@ class Journey:
     bump: Bump
     moment: str
     conditions: Conditions
-
-
-@dataclass(frozen=True)
-class Arrival:
-    """What came of a journey.
-
-    Parameters
-    ----------
-    settled_s : float
-        From the second target on until the error stayed below 5 mm, s; infinite for never.
-    after_s : float
-        The same from the moment on at which a blow in mid-motion comes, or would have come, s.
-    """
-
-    settled_s: float
-    after_s: float
 
 
 def draw_journeys(
@@ -131,18 +111,20 @@ def _seen_after(bump: Bump, case: Case) -> bool:
     return True
 
 
-def run_journey(journey: Journey) -> Arrival:
-    """Run one journey; the same to the bit in whatever process."""
+def run_journey(journey: Journey) -> dict[str, Any]:
+    """Run one journey; the same to the bit in whatever process.
+
+    Returns
+    -------
+    dict
+        A row; ``to_5mm_s`` counts from the second target on.
+    """
     simulation = simulation_of(journey.conditions)
     simulation.reset(journey.case.start_rad)
     first_m = simulation.world.ball_position()
     simulation.reset(journey.case.goal_rad, journey.case.seed)
     second_m = simulation.world.ball_position()
-    one = CONTESTANTS[journey.name]
-    estimator = make_estimator(
-        one.method, simulation, load_networks(), one.estimator_values, load_chain()
-    )
-    loop = LockStep(simulation, estimator, {"law": one.law, **one.controller_values, **LIMITS})
+    loop = variant(journey.name).trial(journey.case, journey.conditions).loop(simulation)
     loop.run(PRELUDE_S)
     loop.set_target(simulation.camera.to_camera(first_m))
     loop.run(_FIRST_S)
@@ -154,7 +136,7 @@ def run_journey(journey: Journey) -> Arrival:
         loop.set_target(simulation.camera.to_camera(first_m))
         accepted, _ = loop.loop.supervisor.start(simulation.time_s)
         if not accepted:  # the ball was lost on the way to the first target, as undisturbed
-            return Arrival(math.inf, math.inf)
+            return _row(journey, math.inf)
     loop.run(REST_S)
     loop.set_target(simulation.camera.to_camera(second_m))
     errors_m = []
@@ -167,7 +149,35 @@ def run_journey(journey: Journey) -> Arrival:
         errors_m.append(float(np.linalg.norm(simulation.world.ball_position() - second_m)))
     times_s = loop.period_s * np.arange(1, len(errors_m) + 1)
     settled_s = seconds(settling_time_s(times_s, np.array(errors_m), BOUNDS_M["5 mm"]))
-    return Arrival(settled_s, settled_s - STRUCK_AFTER_S)
+    return _row(journey, settled_s)
+
+
+def _row(journey: Journey, settled_s: float) -> dict[str, Any]:
+    return {
+        "part": "camera",
+        "scheme": journey.name,
+        "moment": journey.moment,
+        "case": journey.case.name,
+        "to_5mm_s": settled_s,
+    }
+
+
+def with_slowdown(arrivals: Results) -> Results:
+    """Rows with ``slowdown``: settling time over that of the undisturbed run of the same case.
+
+    From the last target on: in mid-motion that is the second one given anew, which is compared
+    with what was left of the undisturbed run. Infinite where nothing was left, or the undisturbed
+    run never settled. ``kept``: whether it is at most ``KEPT``.
+    """
+    calm = arrivals.where(moment=UNDISTURBED).groups("scheme", "case")
+    rows = []
+    for row in arrivals:
+        before_s = STRUCK_AFTER_S if row["moment"] == IN_MOTION else 0.0
+        left_s = calm[row["scheme"], row["case"]].rows[0]["to_5mm_s"] - before_s
+        comparable = 0.0 < left_s < math.inf
+        slowdown = (row["to_5mm_s"] - before_s) / left_s if comparable else math.inf
+        rows.append({**row, "slowdown": slowdown, "kept": slowdown <= KEPT})
+    return Results(rows)
 
 
 def _carry(bump: Bump, loop: LockStep) -> None:

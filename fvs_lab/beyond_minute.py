@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any
@@ -16,7 +16,7 @@ from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.pairing import BallSample, ExposureMatcher
 from fvs_estimator_node.teaching import train_structured
 from fvs_estimator_node.training import TrainingOptions, train
-from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, simulation_of
+from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, relative_errors, simulation_of
 
 MINUTE_S = 60.0
 #: The images of a seed are stamped late by as much as this, drawn evenly, s.
@@ -75,61 +75,6 @@ class Minute:
     conditions: Conditions
     places: Places
     papers_method: str = PAPERS_METHOD
-
-
-@dataclass(frozen=True)
-class Learned:
-    """What came of a minute; errors are medians over the places, relative, by Frobenius norms.
-
-    Parameters
-    ----------
-    seed : int
-        Of the minute.
-    images : int
-        Ball positions recorded.
-    fit_s : float
-        Fitting the chain and teaching the networks, s of one core.
-    chain_box, chain_workspace : float
-        Errors of the chain's Jacobian in box M and over the workspace.
-    taught_box, taught_workspace : float
-        Errors of the six networks that the chain taught.
-    paper_box, paper_workspace : float
-        Errors of the networks that the paper's training makes of the same data.
-    late_s, found_late_s : float
-        How late the images were stamped, and what the fit says, s.
-    """
-
-    seed: int
-    images: int
-    fit_s: float
-    chain_box: float
-    chain_workspace: float
-    taught_box: float
-    taught_workspace: float
-    paper_box: float
-    paper_workspace: float
-    late_s: float
-    found_late_s: float
-
-
-@dataclass(frozen=True)
-class Told:
-    """What a fit says of itself, and what is true, in box M; errors as those of :class:`Learned`.
-
-    Parameters
-    ----------
-    plant : str
-        What errs.
-    told : float
-        What the fit says of its error.
-    seen, metric : float
-        Its error against the Jacobian of where the camera sees the ball, and of where it is.
-    """
-
-    plant: str
-    told: float
-    seen: float
-    metric: float
 
 
 def draw_places(seed: int, count: int) -> Places:
@@ -192,39 +137,56 @@ def record(minute: Minute) -> tuple[DataSet, float]:
     )
 
 
-def learn(minute: Minute) -> Learned:
-    """Record a minute, fit, teach and train, and compare with the true Jacobian."""
+def learn(minute: Minute) -> dict[str, Any]:
+    """Record a minute, fit, teach and train, and compare with the true Jacobian.
+
+    Returns
+    -------
+    dict
+        A row: relative errors of the Jacobians (medians over the places) of the chain, of the
+        networks that it taught and of those that the paper's training makes of the same data, in
+        box M and over the workspace; ``fit_s`` of one core for chain and teaching; how late the
+        images were stamped, and what the fit says.
+    """
     data, late_s = record(minute)
     began_s = time.process_time()
     taught = train_structured(data, seed=minute.seed)
     fit_s = time.process_time() - began_s
     trained = train(data, TrainingOptions(method=minute.papers_method, seed=minute.seed)).trained
     simulation = simulation_of(minute.conditions)
+    row = {
+        "part": "minute",
+        "seed": minute.seed,
+        "images": len(data),
+        "fit_s": fit_s,
+        "late_s": late_s,
+        "found_late_s": taught.fit.time_offset_s,
+        "late_error_s": abs(taught.fit.time_offset_s - late_s),
+    }
+    for where, joints in (
+        ("box", minute.places.box_rad),
+        ("workspace", minute.places.workspace_rad),
+    ):
+        true = np.array([simulation.true_jacobian(one) for one in joints])
+        for who, model in (
+            ("chain", taught.fit.chain),
+            ("taught", taught.trained.model),
+            ("paper", trained.model),
+        ):
+            errors = relative_errors(model.jacobian(joints), true)
+            row[f"{who}_{where}"] = float(np.median(errors))
+    return row
 
-    places = (minute.places.box_rad, minute.places.workspace_rad)
-    true = [np.array([simulation.true_jacobian(one) for one in joints]) for joints in places]
 
-    def errors(jacobian: Callable[[np.ndarray], np.ndarray]) -> tuple[float, float]:
-        box, workspace = (
-            float(np.median(relative_errors(jacobian(joints), right)))
-            for joints, right in zip(places, true, strict=True)
-        )
-        return box, workspace
+def tell(task: tuple[str, Minute]) -> dict[str, Any]:
+    """Record a minute of a plant, fit a chain, and compare its error with what the fit says.
 
-    return Learned(
-        minute.seed,
-        len(data),
-        fit_s,
-        *errors(taught.fit.chain.jacobian),
-        *errors(taught.trained.model.jacobian),
-        *errors(trained.model.jacobian),
-        late_s,
-        taught.fit.time_offset_s,
-    )
-
-
-def tell(task: tuple[str, Minute]) -> Told:
-    """Record a minute of a plant, fit a chain, and compare its error with what the fit says."""
+    Returns
+    -------
+    dict
+        A row: what errs, the error ``told`` by the fit, the error ``seen`` against the Jacobian of
+        where the camera sees the ball, and the ``metric`` one of where it is; medians in box M.
+    """
     plant, minute = task
     fit = fit_chain(record(minute)[0])
     simulation = simulation_of(minute.conditions)
@@ -233,13 +195,11 @@ def tell(task: tuple[str, Minute]) -> Told:
     # how the camera errs is linear
     seen = np.stack([simulation.as_seen(one) for one in np.eye(3)], axis=1) @ metric
     found = fit.chain.jacobian(joints)
-    return Told(
-        plant,
-        float(np.median(fit.jacobian_deviation(joints))),
-        *(float(np.median(relative_errors(found, true))) for true in (seen, metric)),
-    )
-
-
-def relative_errors(jacobian: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """Relative Frobenius errors, shape (n,), of Jacobians, shape (n, 3, 6)."""
-    return np.linalg.norm(jacobian - true, axis=(1, 2)) / np.linalg.norm(true, axis=(1, 2))
+    told = float(np.median(fit.jacobian_deviation(joints)))
+    errors = {
+        name: float(np.median(relative_errors(found, true)))
+        for name, true in (("seen", seen), ("metric", metric))
+    }
+    return {
+        "part": "told", "plant": plant, "told": told, **errors, "honesty": told / errors["seen"]
+    }  # fmt: skip

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from fvs_controller_node.reasons import State
-from fvs_lab.beyond_terms import CONTESTANTS, LIMITS
-from fvs_lab.lockstep import LockStep, load_chain, load_networks, make_estimator
+from fvs_lab.beyond_contestants import variant
 from fvs_lab.trials import (
     HOME_RAD,
     PRELUDE_S,
+    Case,
     Conditions,
     make_cases,
     simulation_of,
@@ -21,7 +22,7 @@ from fvs_lab.trials import (
 LINE, CIRCLE = "line", "circle"
 RADIUS_M = 0.08
 SPEEDS_M_S = (0.02, 0.05, 0.1, 0.2, 0.3)
-#: Lines are between the balls of two joint positions, so far apart, m.
+#: Least and largest distance of a line's ends, m.
 _LINE_M = (0.45, 0.6)
 #: Longest run, and its beginning, which does not count, by kind, s.
 LONGEST_S = {LINE: 3.0, CIRCLE: 4.0}
@@ -58,7 +59,7 @@ class Path:
     seed: int
 
     def at(self, way_m: float) -> np.ndarray:
-        """The target after so much of its way, m, shape (3,)."""
+        """The target after a length of its way, m, shape (3,)."""
         origin, first = np.array(self.origin_m), np.array(self.first)
         if self.kind == LINE:
             return origin + way_m * first
@@ -96,22 +97,8 @@ class Pursuit:
     conditions: Conditions
 
 
-@dataclass(frozen=True)
-class Tracked:
-    """What came of a pursuit.
-
-    Parameters
-    ----------
-    rms_m : float
-        Distance of the true ball from the target, rms after the start, m; infinite for an arm
-        that the supervisor held.
-    """
-
-    rms_m: float
-
-
 def draw_paths(count: int, seed: int) -> list[Path]:
-    """Draw so many lines between places in box M, and circles in any plane about home."""
+    """Draw lines between places in box M, and as many circles in any plane about home."""
     rng = np.random.default_rng(seed)
     simulation = simulation_of(Conditions())
 
@@ -136,16 +123,21 @@ def draw_paths(count: int, seed: int) -> list[Path]:
     return paths
 
 
-def run_pursuit(pursuit: Pursuit) -> Tracked:
-    """Follow one target; the same to the bit in whatever process."""
-    path, one = pursuit.path, CONTESTANTS[pursuit.name]
+def run_pursuit(pursuit: Pursuit) -> dict[str, Any]:
+    """Follow one target; the same to the bit in whatever process.
+
+    Returns
+    -------
+    dict
+        A row; ``rms_m`` is the distance of the true ball from the target after the start, m,
+        infinite for an arm that the supervisor held.
+    """
+    path = pursuit.path
     simulation = simulation_of(pursuit.conditions)
     simulation.reset(path.start_rad, path.seed)
-    estimator = make_estimator(
-        one.method, simulation, load_networks(), one.estimator_values, load_chain()
-    )
-    values = {**one.controller_values, **LIMITS, "target_feed_forward": pursuit.feed_forward}
-    loop = LockStep(simulation, estimator, {"law": one.law, **values})
+    one = variant(pursuit.name, target_feed_forward=pursuit.feed_forward)
+    case = Case("", path.start_rad, path.start_rad, path.seed)
+    loop = one.trial(case, pursuit.conditions).loop(simulation)
     loop.run(PRELUDE_S)
     squares_m2, next_s, held = [], 0.0, False
     for tick in range(round(path.duration_s(pursuit.speed_m_s) / loop.period_s)):
@@ -158,4 +150,12 @@ def run_pursuit(pursuit: Pursuit) -> Tracked:
             target_m = path.at(pursuit.speed_m_s * (now_s + loop.period_s))
             error_m = simulation.true_ball_position() - target_m
             squares_m2.append(float(error_m @ error_m))
-    return Tracked(float("inf") if held else float(np.sqrt(np.mean(squares_m2))))
+    return {
+        "part": "tracking",
+        "scheme": pursuit.name,
+        "path": path.kind,
+        "seed": path.seed,
+        "speed_m_s": pursuit.speed_m_s,
+        "feed_forward": pursuit.feed_forward,
+        "rms_m": float("inf") if held else float(np.sqrt(np.mean(squares_m2))),
+    }

@@ -1,18 +1,17 @@
-"""What an experiment is told, and how it uses all cores, of one machine or of many."""
+"""Settings of an experiment, and how it uses all cores."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 
-from fvs_lab.cluster import alone, connected
-from fvs_lab.trials import Conditions
+from fvs_lab.outcome import Outcome
+from fvs_lab.results import Results
+from fvs_lab.trials import Case, Conditions, Variant, run_trial
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -30,7 +29,7 @@ class Context:
     seeds : int, optional
         Number of seeded cases; each experiment has its own default.
     jobs : int
-        Number of processes on this machine.
+        Number of processes.
     quick : bool
         Whether to do a small part of everything, to see that it works.
     rendered : bool
@@ -41,8 +40,6 @@ class Context:
         Number of random worlds; by default as many as the experiment finds enough.
     schemes : tuple of str
         Who is sent through them; empty for all.
-    cluster : str
-        Address of a dask scheduler whose workers do the runs; empty for this machine.
     """
 
     out: Path
@@ -53,7 +50,6 @@ class Context:
     nodes: bool = True
     trials: int | None = None
     schemes: tuple[str, ...] = ()
-    cluster: str = ""
 
     def folder(self, name: str) -> Path:
         """The folder of an experiment, made if need be."""
@@ -86,26 +82,17 @@ class Context:
         Returns
         -------
         list
-            The results in the items' order, whatever the number of processes and their place.
-
-        Raises
-        ------
-        ClusterError
-            If there is to be a cluster, and it cannot be used.
+            The results in the items' order, whatever the number of processes.
         """
-        from joblib import delayed
+        from joblib import Parallel, delayed
         from tqdm import tqdm
 
         items = list(items)
         if not sys.stderr.isatty():
             print(f"   {label}: {len(items)} runs ...", flush=True)
-        with (
-            self._engine() as (parallel, engine),
-            tqdm(total=len(items), desc=label, leave=False, disable=None) as bar,
-        ):
-            # Results one by one, as they come, are not to be had from every engine; its count is.
-            parallel.print_progress = lambda: bar.update(parallel.n_completed_tasks - bar.n)
-            return parallel(delayed(engine(function))(item) for item in items)
+        parallel = Parallel(n_jobs=self.jobs, return_as="generator")
+        done = parallel(delayed(function)(item) for item in items)
+        return list(tqdm(done, desc=label, total=len(items), leave=False, disable=None))
 
     def map_groups(
         self, function: Callable[[T], R], groups: Mapping[Key, Sequence[T]], label: str
@@ -114,13 +101,44 @@ class Context:
         results = iter(self.map(function, chain.from_iterable(groups.values()), label))
         return {key: [next(results) for _ in items] for key, items in groups.items()}
 
-    @contextmanager
-    def _engine(self) -> Iterator[tuple[Any, Callable]]:
-        """Joblib on this machine or on the cluster, and what must be done to a function there."""
-        from joblib import Parallel, parallel_config
+    def run(
+        self,
+        variants: Iterable[Variant],
+        cases: Sequence[Case],
+        label: str,
+        measure: Callable[[Variant, Case, Outcome], Mapping[str, Any]] | None = None,
+        **fields: Any,
+    ) -> Results:
+        """Run every variant on every case.
 
-        if not self.cluster:
-            yield Parallel(n_jobs=self.jobs), lambda function: function
-            return
-        with connected(self.cluster) as client, parallel_config(backend="dask", client=client):
-            yield Parallel(n_jobs=-1), lambda function: partial(alone, function)
+        Parameters
+        ----------
+        variants : iterable of Variant
+            What is compared.
+        cases : sequence of Case
+            Starts and goals, the same for all.
+        label : str
+            What the progress bar says.
+        measure : callable, optional
+            Further columns of a run.
+        **fields
+            Of all trials, such as ``duration_s`` and ``record``.
+        """
+        pairs = [(variant, case) for variant in variants for case in cases]
+        return self.run_pairs(pairs, label, measure, **fields)
+
+    def run_pairs(
+        self,
+        pairs: Sequence[tuple[Variant, Case]],
+        label: str,
+        measure: Callable[[Variant, Case, Outcome], Mapping[str, Any]] | None = None,
+        **fields: Any,
+    ) -> Results:
+        """Run variants on cases of their own; see :meth:`run`."""
+        trials = [variant.trial(case, self.conditions(), **fields) for variant, case in pairs]
+        outcomes = self.map(run_trial, trials, label)
+        rows = []
+        for (variant, case), outcome in zip(pairs, outcomes, strict=True):
+            more = measure(variant, case, outcome) if measure else {}
+            rows.append({**outcome.row(**variant.labels, case=case.name), **more})
+        return Results(rows)

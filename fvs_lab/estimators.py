@@ -1,261 +1,210 @@
-"""Which estimator knows the Jacobian best along a smooth motion: section 4.1 of the paper.
-
-Here is the page's section. What it tells is measured in ``estimators_study``, with those in
-``estimators_contestants`` on the motions in ``estimators_recordings``.
-"""
+"""Which estimator knows the Jacobian best along a smooth motion: section 4.1 of the paper."""
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.rbf import RbfConfig
-from fvs_lab import estimators_figures
-from fvs_lab.context import Context
-from fvs_lab.estimators_contestants import (
-    CONTESTANTS,
-    FAST_N1,
-    FAST_PROCESS_NOISE,
-    GRIDS,
-    IGNORANCE_M_RAD,
-)
-from fvs_lab.estimators_recordings import FIRST_S, SPEED_RAD_S, WIGGLE_S
-from fvs_lab.estimators_study import (
-    BIN_S,
-    CLEAN,
-    DRAWN,
-    DRAWN_TURN,
-    NOISE,
-    TUNING_SEEDS,
-    Study,
-    World,
-    millimetres,
-    study,
-)
-from fvs_lab.estimators_verdicts import verdicts
-from fvs_lab.report import Figure, Report, Table
-from fvs_lab.statistics import median
+from fvs_lab.estimators_recordings import FIRST_S
+from fvs_lab.estimators_study import CLEAN, CONTESTANTS, DRAWN, NOISE, World, measure
+from fvs_lab.experiment import OURS, PAPER, Claim, Experiment, Found, Named, Part, below
+from fvs_lab.figures import legend, medians, panels
+from fvs_lab.results import Metric, Results, table
+from fvs_lab.statistics import Interval
+from fvs_lab.style import COLOURS
 
-NAME = "estimators"
+#: Two filters that differ by less than this are one, m/rad.
+_SAME_M_RAD = 1e-9
 
+#: What is shown of a run.
+SHOWN = {
+    "t1_m": Metric("T1, mm", 1e3, 3),
+    "t1_share": Metric("T1, % of motion", 1e2, 1),
+    "t1_first_m": Metric(f"T1 in the first {FIRST_S:g} s, mm", 1e3),
+    "t2_final_m": Metric("T2 at the end, mm", 1e3, 1),
+    "t2_max_m": Metric("T2 at most, mm", 1e3, 1),
+    "jacobian_error": Metric("Jacobian error, %", 1e2, 1),
+}
 
-def run(context: Context) -> Report:
-    """Compare the estimators along smooth motion, and report."""
-    return report_of(context, study(context))
+#: Those that the paper compares the proposed one with, in all their starts.
+_FILTERS = ("lkf_explored", "lkf_model", "lkf_zero", "ukf_explored", "ukf_model")
+_RLS = ("rls_explored", "rls_model")
+_RIVALS = (*_FILTERS, *_RLS)
+
+# ---- claims ---------------------------------------------------------------------------------
 
 
-def report_of(context: Context, found: Study) -> Report:
-    """Draw, tabulate and judge what was measured."""
-    return Report(
-        name=NAME,
-        title="Who knows the Jacobian?",
-        question="A control law is only as good as the 3x6 Jacobian it is given. Along a smooth "
-        "motion that nobody controls, which estimator predicts the ball best: without noise, with "
-        "noise, and when the camera has been moved since the networks were trained? (Section 4.1 "
-        "of the paper, its figures 6 and 7.)",
-        setup=_setup(context, found),
-        figures=_figures(found, context.folder(NAME)),
-        tables=[*(_world_table(found, world) for world in found.worlds), *_tuning_tables(found)],
-        verdicts=verdicts(found),
-        data=_data(found),
-    )
+class _Judge:
+    """Compares contestants in a world by the medians of a criterion."""
 
+    def __init__(self, runs: Results) -> None:
+        self._runs = runs.groups("world", "name")
 
-# ---- words and pictures ---------------------------------------------------------------------
+    def middle(self, world: World, name: str, criterion: str) -> float:
+        return self._runs[world.name, name].median(criterion).value
 
+    def best(self, world: World, criterion: str, names: Sequence[str]) -> str:
+        # Those that are equal except for rounding stay in their order.
+        return min(names, key=lambda name: float(f"{self.middle(world, name, criterion):.9g}"))
 
-def _setup(context: Context, found: Study) -> list[str]:
-    noise, clean = found.judged[NOISE.name], found.judged[CLEAN.name]
-    paths = f"{len(found.seeds)} random path{'s' if len(found.seeds) > 1 else ''}"
-    eyes = "rendered depth images" if context.rendered else "the simulator (exact camera)"
-    depth = ", and the depth camera’s own" if context.rendered else ""
-    noisy, exact = (
-        millimetres(float(np.median([one.position_error_rms_m for one in each])))
-        for each in (noise, clean)
-    )
-    step = millimetres(float(np.median([one.median_step_m for one in noise])))
-    visible = min(one.visible_share for results in found.judged.values() for one in results)
-    return [
-        f"The simulated arm moves for {found.duration_s:g} s inside the box that the networks were "
-        f"trained in, its fastest joint at about {SPEED_RAD_S:g} rad/s, on {paths}. Each path is "
-        "recorded once in each condition, and all estimators hear that same recording. Ball "
-        f"positions come from {eyes}; their error is {noisy} rms with noise (1 mm on each "
-        f"coordinate{depth}) and {exact} without. The ball was seen in at least "
-        f"{100 * visible:.0f} % of the images.",
-        f"At each step between two images (the ball moves by {step}, median) an estimator is asked "
-        "for its Jacobian J and judged, and only then told what happened. T1 is the length of "
-        "dx - J dr with the true ball motion dx: the error of one prediction. T2 is the length of "
-        "the sum of these errors since the motion began: how far one would be off by dead "
-        "reckoning. It can shrink by luck on a winding path, so verdicts take its largest value. "
-        "(The paper prints s for the feature x in (40) to (42), and does not say whether J has "
-        "seen the step already; if it had, any estimator could score zero.)",
-        "Compared are the proposed networks, which go on learning with the gain n1; the same "
-        "networks frozen; the linear and the unscented Kalman filter (LKF, UKF), recursive least "
-        "squares (RLS) and Broyden’s rule. The paper sets n1 to zero here, as there is no target. "
-        "With s = 0 that leaves (17) no learning term, and so the frozen networks; what has to "
-        "vanish without a target is the term with s, and n1 stays.",
-        f"Starts. “Explored”: before the scored motion each joint is wiggled in turn for "
-        f"{WIGGLE_S:g} s, and the estimator hears it, from a zero Jacobian that knows it is "
-        f"ignorant (standard deviation {IGNORANCE_M_RAD:g} m/rad); the learning networks hear it, "
-        "too. “Networks’ start”: the trained networks’ Jacobian at the first joints, no wiggling. "
-        "“From zero”: neither.",
-        "The camera is rotated by carrying it round the scene, about a random axis for each path: "
-        "it still sees the ball, but all that it reports is turned. (Merely shifting it would not "
-        "change the Jacobian.)",
-        f"Every method’s one free number is the best of {len(GRIDS['rbf'].values)} values by the "
-        f"median of T1 over {len(TUNING_SEEDS)} other paths, with 1 mm noise and an exact camera "
-        "that was not rotated. Not tuned are the networks with n1 = "
-        f"{RbfConfig.n1:g} (the default) and {FAST_N1:g}, and the LKF with a process noise of "
-        f"{FAST_PROCESS_NOISE:g}, which is there for the condition without noise only."
-        if found.tuning
-        else "Nothing was tuned in this quick run: all parameters are the nodes’ own.",
-    ]
+    def ratio(self, world: World, one: str, other: str, criterion: str) -> Interval:
+        return self._runs[world.name, one].over(self._runs[world.name, other], criterion)
 
-
-def _figures(found: Study, folder: Path) -> list[Figure]:
-    at = found.text
-    points = f"each point a mean over {BIN_S:g} s, median of all paths; lower is better"
-    return [
-        Figure(
-            estimators_figures.against_time(found, "t1_m", folder),
-            f"Answers figure 6: T1 against time ({points}). With noise (middle), the networks err "
-            f"by {at(NOISE, 'frozen', 't1_m')} a step when frozen and by "
-            f"{at(NOISE, 'rbf', 't1_m')} when they go on learning, the LKF by "
-            f"{at(NOISE, 'lkf_explored', 't1_m')}. After a rotation of the camera (right) they err "
-            f"by {at(DRAWN_TURN, 'frozen', 't1_m')} frozen and by {at(DRAWN_TURN, 'rbf', 't1_m')} "
-            "learning. The LKF lies on the broad line of the UKF. The true Jacobian would score "
-            f"{at(NOISE, 'oracle', 't1_m')}.",
-        ),
-        Figure(
-            estimators_figures.against_time(found, "t2_m", folder),
-            f"Answers figure 7: T2 against time ({points}). Random errors cancel in this sum; "
-            "those of a Jacobian that is always a little behind the arm add up. With noise, T2 is "
-            f"at most {at(NOISE, 'lkf_explored', 't2_max_m')} for the LKF and "
-            f"{at(NOISE, 'rbf', 't2_max_m')} for the proposed estimator; with the camera rotated, "
-            f"{at(DRAWN_TURN, 'lkf_explored', 't2_max_m')} and "
-            f"{at(DRAWN_TURN, 'rbf', 't2_max_m')} ({at(DRAWN_TURN, 'rbf_fast', 't2_max_m')} with "
-            f"n1 = {FAST_N1:g}).",
-        ),
-        Figure(
-            estimators_figures.against_angle(found, folder),
-            "Not in the paper: T1 (left) and the error of the whole Jacobian (right) against the "
-            "angle by which the camera was rotated after training; 1 mm noise, median and 95 % "
-            "interval over the paths. An estimator can have a small T1 and a bad Jacobian, if it "
-            "knows the direction of the present motion only; a control law that wants to go "
-            "elsewhere needs all of it.",
-        ),
-    ]
-
-
-# ---- tables ---------------------------------------------------------------------------------
-
-#: Header, criterion, factor and digits.
-_COLUMNS = (
-    ("T1, mm", "t1_m", 1e3, 3),
-    ("T1, % of motion", "t1_share", 1e2, 1),
-    (f"T1 in the first {FIRST_S:g} s, mm", "t1_first_m", 1e3, 2),
-    ("T2 at the end, mm", "t2_final_m", 1e3, 1),
-    ("T2 at most, mm", "t2_max_m", 1e3, 1),
-    ("Jacobian error, %", "jacobian_error", 1e2, 1),
-)
-
-
-def _world_table(found: Study, world: World) -> Table:
-    return Table(
-        f"{world.label[0].upper()}{world.label[1:]}: median over {len(found.seeds)} paths "
-        "(95 % interval), best T1 first. Jacobian error: Frobenius norm, relative.",
-        ["estimator", *(title for title, *_ in _COLUMNS)],
-        [
-            [
-                one.label,
-                *(
-                    median(
-                        [factor * value for value in found.values(world, one.name, criterion)]
-                    ).text(digits)
-                    for _, criterion, factor, digits in _COLUMNS
-                ),
-            ]
-            for one in found.ranking(world, "t1_m")
-        ],
-    )
-
-
-def _tuning_tables(found: Study) -> list[Table]:
-    if not found.tuning:
-        return []
-    caption = (
-        "Tuning: each value tried, with its T1 in mm (median over the tuning paths). A UKF takes "
-        "the LKF’s value, the LKF from zero that of the explored one."
-    )
-    if found.tuning["rbf_tuned"]["chosen"] == GRIDS["rbf"].values[0]:
-        caption += (
-            " For the networks the slowest update on offer is the best one in the world they were "
-            "trained in; it leaves them nearly frozen when the camera is rotated."
+    def part(self, world: World, one: str, other: str, criterion: str) -> Part:
+        label = (
+            f"{criterion[:2].upper()} of {CONTESTANTS[one].label} over {CONTESTANTS[other].label}"
         )
-    rows = []
-    for name, one in found.tuning.items():
-        tried = (
-            f"{value:g}: {1e3 * t1_m:.3g}"
-            for value, t1_m in zip(one["values"], one["t1_m"], strict=True)
+        return below(f"{label}, {world.label}", self.ratio(world, one, other, criterion), 1.0)
+
+
+def claims(found: Found) -> Iterator[Claim]:
+    """The paper's claims on the estimators."""
+    judge_of, worlds = _Judge(found.runs), found.extra["worlds"]
+    turned = [world for world in worlds if world.turn_deg > 0.0]
+
+    def against_best(world: World, criterion: str) -> Part:
+        rival = judge_of.best(world, criterion, _RIVALS)
+        return judge_of.part(world, "rbf", rival, criterion)
+
+    yield Claim("unmoved", PAPER, [against_best(NOISE, one) for one in ("t1_m", "t2_max_m")])
+    for criterion, title in (("t1_m", "T1"), ("t2_max_m", "the largest T2")):
+        parts = [against_best(world, criterion) for world in turned]
+        yield Claim("rotated", PAPER, parts, given={"criterion": title})
+    parts = []
+    for world in (NOISE, *turned):
+        rls, other = (judge_of.best(world, "t1_m", names) for names in (_RLS, _FILTERS))
+        worst = max((other, "rbf"), key=lambda name: judge_of.middle(world, name, "t1_m"))
+        parts.append(judge_of.part(world, worst, rls, "t1_m"))
+    yield Claim("rls", PAPER, parts)
+    yield Claim("ukf", PAPER, _ukf_parts(found.runs, judge_of))
+    rival = judge_of.best(CLEAN, "t1_late_m", (*_RIVALS, "lkf_fast"))
+    yield Claim("bound", PAPER, [judge_of.part(CLEAN, rival, "frozen", "t1_late_m")])
+    parts = [
+        judge_of.part(world, "rbf", "frozen", criterion)
+        for world in turned
+        for criterion in ("t1_m", "jacobian_error")
+    ]
+    yield Claim("update", PAPER, parts)
+    yield Claim("cost", OURS, [judge_of.part(NOISE, "rbf", "frozen", "t1_m")])
+    yield Claim("proof", PAPER, [_proof_part(found.runs, (NOISE, *turned))])
+
+
+def _ukf_parts(runs: Results, judge_of: _Judge) -> list[Part]:
+    difference = max(runs.those(lambda row: row["method"] == "ukf").values("lkf_difference_m_rad"))
+    if difference < _SAME_M_RAD:
+        text = f"{difference:.1g} m/rad: they are the same filter"
+        return [Part("largest difference of any entry of their Jacobians", text, False)]
+    starts = ("explored", "model")
+    return [judge_of.part(NOISE, f"ukf_{start}", f"lkf_{start}", "t1_m") for start in starts]
+
+
+def disagreements(first: Mapping[str, float], second: Mapping[str, float]) -> tuple[int, int]:
+    """How often two criteria do not agree which of two contestants is better.
+
+    Parameters
+    ----------
+    first, second : mapping of str to float
+        The criteria, by contestant.
+
+    Returns
+    -------
+    tuple of int
+        Pairs on which they disagree, and all pairs.
+    """
+    pairs = list(combinations(first, 2))
+    wrong = sum((first[a] - first[b]) * (second[a] - second[b]) < 0.0 for a, b in pairs)
+    return wrong, len(pairs)
+
+
+def _proof_part(runs: Results, worlds: Sequence[World]) -> Part:
+    """Without one of the two filters that are the same, and without the oracle."""
+    counts = []
+    for world in worlds:
+        chosen = runs.where(world=world.name).those(
+            lambda row: row["method"] not in ("ukf", "oracle")
         )
-        label = CONTESTANTS[name].label
-        rows.append([label, one["parameter"], f"{one['chosen']:g}", ", ".join(tried)])
-    return [Table(caption, ["estimator", "parameter", "chosen", "tried"], rows)]
+        t1_m, error = (
+            {name: ones.median(criterion).value for name, ones in chosen.groups("name").items()}
+            for criterion in ("t1_m", "jacobian_error")
+        )
+        counts.append(disagreements(t1_m, error))
+    wrong, total = (sum(count) for count in zip(*counts, strict=True))
+    label = "pairs of estimators of which the one with the smaller T1 has the worse Jacobian"
+    return Part(label, f"{wrong} of {total}, asked: none", wrong == 0)
 
 
-# ---- data -----------------------------------------------------------------------------------
+# ---- tables and figures ---------------------------------------------------------------------
 
 
-def _data(found: Study) -> dict[str, Any]:
+def tables(found: Found) -> Iterator[Named]:
+    """A table per world, best T1 first, and the tuning."""
+    for world in found.extra["worlds"]:
+        runs = found.runs.where(world=world.name)
+        t1_m = {name: ones.median("t1_m").value for name, ones in runs.groups("name").items()}
+        ranked = sorted(runs, key=lambda row: float(f"{t1_m[row['name']]:.9g}"))
+        rows = table(Results(ranked), {"estimator": "estimator"}, list(SHOWN), known=SHOWN)
+        yield "world", rows, {"world": world.label}
+    if found.extra["tuning"]:
+        yield "tuning", [_tuning_row(*one) for one in found.extra["tuning"].items()]
+
+
+def _tuning_row(name: str, one: Mapping[str, Any]) -> dict[str, str]:
+    tried = zip(one["values"], one["t1_m"], strict=True)
     return {
-        "seeds": found.seeds,
-        "tuning_seeds": TUNING_SEEDS if found.tuning else (),
-        "duration_s": found.duration_s,
-        "speed_rad_s": SPEED_RAD_S,
-        "tuning": found.tuning,
-        "contestants": {
-            one.name: {
-                name: getattr(one, name) for name in ("label", "method", "values", "hears_prelude")
-            }
-            for one in found.contestants
-        },
-        "worlds": {
-            world.name: {
-                "label": world.label,
-                "turn_deg": world.turn_deg,
-                "recordings": [
-                    {
-                        name: getattr(one, name)
-                        for name in (
-                            "steps",
-                            "median_step_m",
-                            "visible_share",
-                            "position_error_rms_m",
-                            "ukf_difference_m_rad",
-                        )
-                    }
-                    for one in found.judged[world.name]
-                ],
-                "results": {
-                    one.name: [each.summaries[one.name] for each in found.judged[world.name]]
-                    for one in found.contestants
-                },
-            }
-            for world in found.worlds
-        },
-        "curves": {
-            "time_s": found.curve_time_s,
-            **{
-                world.name: {
-                    name: {
-                        criterion: found.curve(world, name, criterion)
-                        for criterion in ("t1_m", "t2_m")
-                    }
-                    for name in estimators_figures.LINES
-                }
-                for world in DRAWN
-            },
-        },
+        "estimator": CONTESTANTS[name].label,
+        "parameter": one["parameter"],
+        "chosen": f"{one['chosen']:g}",
+        "tried: T1, mm": ", ".join(f"{value:g}: {1e3 * t1_m:.3g}" for value, t1_m in tried),
     }
+
+
+#: Estimators that are drawn, with style and width (points) of the line.
+_LINES = {
+    "rbf": ("-", 2.6),
+    "rbf_fast": ("--", 1.6),
+    "frozen": ("-", 2.2),
+    "lkf_explored": ("-", 1.6),
+    "ukf_explored": ("-", 6.0),
+    "lkf_model": ("--", 1.6),
+    "lkf_zero": (":", 1.6),
+    "rls_explored": ("-", 1.6),
+    "broyden_explored": ("-", 1.6),
+}
+
+
+def _look(name: str) -> dict[str, Any]:
+    one, (style, width) = CONTESTANTS[name], _LINES[name]
+    look = {"linestyle": style, "linewidth": width, "color": COLOURS[one.method]}
+    # The UKF broad and pale, behind the LKF's.
+    return look | {"label": one.label} | ({"alpha": 0.45} if one.method == "ukf" else {})
+
+
+def figures(found: Found) -> Iterator[Named]:
+    """Figures 6 and 7 of the paper, and T1 and the Jacobian's error against the rotation."""
+    for criterion, label in (("t1_m", "T1, mm"), ("t2_m", "T2, mm")):
+        figure, (axes,) = panels(1, len(DRAWN), (12.5, 5.6), sharey=True)
+        for axis, world in zip(axes, DRAWN, strict=True):
+            for name in _LINES:
+                runs = found.runs.where(world=world.name, name=name)
+                curves = np.array([series[criterion] for series in runs.values("series")])
+                middle = np.ma.median(np.ma.masked_invalid(curves), axis=0).filled(np.nan)
+                time_s = runs.rows[0]["series"]["time_s"]
+                axis.semilogy(time_s, 1e3 * middle, **_look(name))
+            axis.set(title=world.label, xlabel="time, s")
+        axes[0].set_ylabel(label)
+        legend(figure, axes[0])
+        yield criterion[:2], figure
+    figure, (axes,) = panels(1, 2, (12.5, 5.6))
+    noisy = found.runs.those(lambda row: row["world"] != CLEAN.name)
+    for axis, metric in zip(axes, ("t1_m", "jacobian_error"), strict=True):
+        for name in _LINES:
+            medians(axis, noisy.where(name=name), "turn_deg", metric, known=SHOWN, **_look(name))
+        axis.set(yscale="log", xlabel="camera rotated since training by, °")
+    legend(figure, axes[0])
+    yield "rotation", figure
+
+
+EXPERIMENT = Experiment("estimators", measure, claims, tables, figures)

@@ -13,7 +13,7 @@ import numpy as np
 from fvs_estimator_node.base import Estimator, MotionStep
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.pairing import StepPairing
-from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, simulation_of
+from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, relative_errors, simulation_of
 from fvs_ros.joints import N_JOINTS
 from fvs_tools.score import criteria
 
@@ -227,8 +227,7 @@ def judge(estimator: Estimator, recording: Recording, hears_prelude: bool) -> Tr
         motion_m=np.linalg.norm(true_m, axis=1),
         t1_m=t1_m,
         t2_m=t2_m,
-        jacobian_error=np.linalg.norm(jacobian - true_jacobian, axis=(1, 2))
-        / np.linalg.norm(true_jacobian, axis=(1, 2)),
+        jacobian_error=relative_errors(jacobian, true_jacobian),
         jacobian=jacobian,
     )
 

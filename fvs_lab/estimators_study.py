@@ -1,38 +1,132 @@
-"""The measurements: everyone tuned, then judged on the same recordings in every world."""
+"""Estimators with their starts, the worlds, and how all are tuned and judged."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from fvs_estimator_node.rbf import RbfConfig
 from fvs_lab.context import Context
-from fvs_lab.estimators_contestants import (
-    CONTESTANTS,
-    GRIDS,
-    SEARCHED,
-    Contestant,
-)
 from fvs_lab.estimators_recordings import (
+    SPEED_RAD_S,
+    WIGGLE_S,
     Recording,
     Track,
     binned,
     judge,
     record,
 )
+from fvs_lab.experiment import Found
 from fvs_lab.lockstep import load_networks, make_estimator
-from fvs_lab.statistics import Interval, median, ratio_of_medians
+from fvs_lab.results import Results
 from fvs_lab.trials import Conditions, simulation_of
 
 #: Tuning motions are numbered from here, far from any scored motion's number.
 TUNING_SEEDS = (9001, 9002, 9003)
 #: Length of one point of a curve against time, s.
-BIN_S = 0.5
+_BIN_S = 0.5
+#: A faster update than the default, and a filter that hardly believes in noise, for comparison.
+FAST_N1, FAST_PROCESS_NOISE = 3.0, 10.0
+#: Standard deviation of an entry of a Jacobian that begins at zero, m/rad.
+IGNORANCE_M_RAD = 0.5
+
+# ---- contestants ----------------------------------------------------------------------------
+
+_FILTER_GRID = ("process_noise", (1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1))
+#: Each method's one free parameter, and eight values that it is tuned over.
+GRIDS: Mapping[str, tuple[str, tuple[float, ...]]] = {
+    "rbf": ("n1", (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)),
+    "lkf": _FILTER_GRID,
+    "ukf": _FILTER_GRID,
+    "rls": ("forgetting", (0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98)),
+    "broyden": ("gain", (0.03, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 0.8)),
+}
 
 
-# ---- worlds ---------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Contestant:
+    """An estimator with a start.
+
+    Parameters
+    ----------
+    name, label : str
+        In the data, and for readers.
+    method : str
+        By the estimators' registry's name.
+    values : mapping
+        Parameters of the node that are not tuned.
+    tuned_as : str
+        The contestant whose tuned value it takes, itself or another; empty for none.
+    hears_prelude : bool
+        Whether it learns from the wiggling before the scored motion.
+    """
+
+    name: str
+    label: str
+    method: str
+    values: Mapping[str, Any] = field(default_factory=dict)
+    tuned_as: str = ""
+    hears_prelude: bool = True
+
+    @property
+    def parameter(self) -> str:
+        """The node's parameter that may be tuned."""
+        return f"{self.method}.{GRIDS[self.method][0]}"
+
+    def with_value(self, value: float) -> Contestant:
+        """The same with another value of that parameter."""
+        return replace(self, values={**self.values, self.parameter: value})
+
+    def tuned(self, chosen: Mapping[str, float]) -> Contestant:
+        """The same with its tuned value, by contestant, if there is one for it."""
+        return self.with_value(chosen[self.tuned_as]) if self.tuned_as in chosen else self
+
+
+def _started(method: str, start: str, tuned_as: str = "") -> Contestant:
+    """A method with one of three starts; tuned by itself unless another's value is named."""
+    name = f"{method}_{start}"
+    values: dict[str, Any] = {}
+    if start != "model":
+        values[f"{method}.initial"] = "zero"
+        if method != "broyden":  # which has no notion of how wrong it may be
+            values[f"{method}.initial_deviation_m_rad"] = IGNORANCE_M_RAD
+    label = {"lkf": "LKF", "ukf": "UKF", "rls": "RLS", "broyden": "Broyden"}[method]
+    words = {"explored": "explored", "model": "networks' start", "zero": "from zero"}[start]
+    hears = start == "explored"
+    return Contestant(name, f"{label}, {words}", method, values, tuned_as or name, hears)
+
+
+_EXPLORED = _started("lkf", "explored")
+_FAST = Contestant(
+    "lkf_fast", f"LKF, explored, process noise {FAST_PROCESS_NOISE:g}", "lkf", _EXPLORED.values
+)
+#: All of them, by name; a UKF takes the LKF's tuned value, for they are one filter.
+CONTESTANTS = {
+    one.name: one
+    for one in (
+        Contestant("rbf", f"proposed, n1 = {RbfConfig.n1:g}", "rbf"),
+        Contestant("rbf_fast", f"proposed, n1 = {FAST_N1:g}", "rbf", {"rbf.n1": FAST_N1}),
+        Contestant("rbf_tuned", "proposed, n1 tuned", "rbf", tuned_as="rbf_tuned"),
+        Contestant("frozen", "networks, frozen", "frozen"),
+        _EXPLORED,
+        _started("ukf", "explored", "lkf_explored"),
+        _started("lkf", "model"),
+        _started("ukf", "model", "lkf_model"),
+        _started("lkf", "zero", "lkf_explored"),
+        _FAST.with_value(FAST_PROCESS_NOISE),
+        _started("rls", "explored"),
+        _started("rls", "model"),
+        _started("broyden", "explored"),
+        _started("broyden", "model"),
+        Contestant("oracle", "true Jacobian (oracle)", "oracle"),
+    )
+}
+#: Those that have a search of their own.
+SEARCHED = tuple(one for one in CONTESTANTS.values() if one.tuned_as == one.name)
+# ---- worlds and runs ------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -67,89 +161,59 @@ def _turned(turn_deg: float) -> World:
     return World(f"turned_{turn_deg:g}", label, turn_deg=turn_deg)
 
 
-CLEAN = World("clean", "no noise", noisy=False)
-NOISE = World("noise", "1 mm noise")
-DRAWN_TURN = _turned(20.0)
-#: The worlds that are drawn against time, which are also those of a quick run.
-DRAWN = (CLEAN, NOISE, DRAWN_TURN)
-_WORLDS = (CLEAN, NOISE, _turned(10.0), DRAWN_TURN, _turned(30.0))
-
-
-# ---- one recording --------------------------------------------------------------------------
+CLEAN, NOISE = World("clean", "no noise", noisy=False), World("noise", "1 mm noise")
+#: Worlds that are drawn against time, which are also those of a quick run.
+DRAWN = (CLEAN, NOISE, _turned(20.0))
+_WORLDS = (CLEAN, NOISE, *map(_turned, (10.0, 20.0, 30.0)))
 
 
 @dataclass(frozen=True)
 class Job:
-    """One recording and who is judged on it."""
+    """One recording and those who are judged on it."""
 
+    world: World
     conditions: Conditions
     seed: int
     duration_s: float
     contestants: tuple[Contestant, ...]
 
 
-@dataclass(frozen=True)
-class Judged:
-    """What came of a job.
-
-    Parameters
-    ----------
-    steps : int
-        Number of scored steps.
-    median_step_m : float
-        Ball motion of a step, m.
-    visible_share, position_error_rms_m : float
-        As the recording has them.
-    ukf_difference_m_rad : float
-        Largest difference of any entry of the UKF's and LKF's Jacobians, m/rad.
-    summaries : dict
-        By contestant: its track in a few numbers.
-    curves : dict
-        By contestant: ``t1_m`` and ``t2_m`` against time, m.
-    """
-
-    steps: int
-    median_step_m: float
-    visible_share: float
-    position_error_rms_m: float
-    ukf_difference_m_rad: float
-    summaries: dict[str, dict[str, float]]
-    curves: dict[str, dict[str, np.ndarray]]
-
-
-def judge_all(job: Job) -> Judged:
-    """Make a recording and judge everyone on it."""
+def judge_all(job: Job) -> list[dict[str, Any]]:
+    """Make a recording, judge everyone on it, and return their rows."""
     recording = record(job.seed, job.conditions, job.duration_s)
     tracks = {one.name: _judge_one(one, recording, job.conditions) for one in job.contestants}
-    edges_s = _edges_s(job.duration_s)
-    some = next(iter(tracks.values()))
-    return Judged(
-        steps=some.time_s.size,
-        median_step_m=float(np.median(some.motion_m)),
-        visible_share=recording.visible_share,
-        position_error_rms_m=recording.position_error_m,
-        ukf_difference_m_rad=max(
-            float(np.abs(tracks[f"ukf_{start}"].jacobian - tracks[f"lkf_{start}"].jacobian).max())
-            for start in ("explored", "model")
-        ),
-        summaries={name: track.summary() for name, track in tracks.items()},
-        curves={
-            name: {
+    edges_s = np.linspace(0.0, job.duration_s, round(job.duration_s / _BIN_S) + 1)
+    rows = []
+    for one in job.contestants:
+        track = tracks[one.name]
+        row = {
+            "world": job.world.name,
+            "turn_deg": job.world.turn_deg,
+            "name": one.name,
+            "estimator": one.label,
+            "method": one.method,
+            "case": job.seed,
+            **track.summary(),
+            "steps": track.time_s.size,
+            "median_step_m": float(np.median(track.motion_m)),
+            "visible_share": recording.visible_share,
+            "position_error_rms_m": recording.position_error_m,
+            "series": {
+                "time_s": 0.5 * (edges_s[1:] + edges_s[:-1]),
                 "t1_m": binned(track.time_s, track.t1_m, edges_s),
                 "t2_m": binned(track.time_s, track.t2_m, edges_s),
-            }
-            for name, track in tracks.items()
-        },
-    )
+            },
+        }
+        twin = tracks.get(one.name.replace("ukf", "lkf"))
+        if one.method == "ukf" and twin is not None:
+            row["lkf_difference_m_rad"] = float(np.abs(track.jacobian - twin.jacobian).max())
+        rows.append(row)
+    return rows
 
 
 def _judge_one(one: Contestant, recording: Recording, conditions: Conditions) -> Track:
     estimator = make_estimator(one.method, simulation_of(conditions), load_networks(), one.values)
     return judge(estimator, recording, one.hears_prelude)
-
-
-def _edges_s(duration_s: float) -> np.ndarray:
-    return np.linspace(0.0, duration_s, round(duration_s / BIN_S) + 1)
 
 
 def _tuning_t1_m(job: Job) -> dict[str, list[float]]:
@@ -158,99 +222,35 @@ def _tuning_t1_m(job: Job) -> dict[str, list[float]]:
     return {
         one.name: [
             _judge_one(one.with_value(value), recording, job.conditions).summary()["t1_m"]
-            for value in GRIDS[one.method].values
+            for value in GRIDS[one.method][1]
         ]
         for one in job.contestants
     }
 
 
-# ---- all of them ----------------------------------------------------------------------------
+def _tune(context: Context, duration_s: float) -> dict[str, dict[str, Any]]:
+    """Choose everyone's free number on motions that are not scored, with the exact camera."""
+    exact = replace(context, rendered=False)
+    jobs = [
+        Job(NOISE, NOISE.conditions(exact, seed), seed, duration_s, SEARCHED)
+        for seed in TUNING_SEEDS
+    ]
+    results = context.map(_tuning_t1_m, jobs, "estimators: tuning")
+    tuning = {}
+    for one in SEARCHED:
+        values = GRIDS[one.method][1]
+        t1_m = np.median([result[one.name] for result in results], axis=0)
+        chosen = values[int(np.argmin(t1_m))]
+        tuning[one.name] = {
+            "parameter": one.parameter, "values": values, "t1_m": t1_m, "chosen": chosen
+        }  # fmt: skip
+    return tuning
 
 
-@dataclass(frozen=True)
-class Study:
-    """All that was measured.
-
-    Parameters
-    ----------
-    worlds : tuple of World
-        The conditions.
-    contestants : tuple of Contestant
-        Who was compared, with tuned values.
-    seeds : tuple of int
-        Of the scored motions, in the order of all lists.
-    duration_s : float
-        Length of a scored motion, s.
-    tuning : dict
-        By contestant: ``parameter``, ``values``, ``t1_m`` (median over the tuning motions) and
-        ``chosen``; empty if nothing was tuned.
-    judged : dict
-        By world's name, one of each seed.
-    """
-
-    worlds: tuple[World, ...]
-    contestants: tuple[Contestant, ...]
-    seeds: tuple[int, ...]
-    duration_s: float
-    tuning: dict[str, dict[str, Any]]
-    judged: dict[str, list[Judged]]
-
-    @property
-    def turned(self) -> list[World]:
-        """The worlds with a rotated camera, in the order of the angle."""
-        return [one for one in self.worlds if one.turn_deg > 0.0]
-
-    @property
-    def curve_time_s(self) -> np.ndarray:
-        """Times of a curve's points, s, shape (m,)."""
-        edges_s = _edges_s(self.duration_s)
-        return 0.5 * (edges_s[1:] + edges_s[:-1])
-
-    def curve(self, world: World, contestant: str, criterion: str) -> np.ndarray:
-        """T1 or T2 against time, median over the seeds, m, shape (m,); ``t1_m`` or ``t2_m``."""
-        series = np.array([one.curves[contestant][criterion] for one in self.judged[world.name]])
-        return np.ma.median(np.ma.masked_invalid(series), axis=0).filled(np.nan)
-
-    def values(self, world: World, contestant: str, criterion: str) -> list[float]:
-        """A criterion of a contestant in a world, one value a seed."""
-        return [one.summaries[contestant][criterion] for one in self.judged[world.name]]
-
-    def middle(self, world: World, contestant: str, criterion: str) -> float:
-        """The median over the seeds."""
-        return median(self.values(world, contestant, criterion)).value
-
-    def text(self, world: World, contestant: str, criterion: str) -> str:
-        """The median over the seeds of a length, for readers."""
-        return millimetres(self.middle(world, contestant, criterion))
-
-    def ratio(self, world: World, one: str, other: str, criterion: str) -> Interval:
-        """Ratio of two contestants' medians."""
-        return ratio_of_medians(
-            self.values(world, one, criterion), self.values(world, other, criterion)
-        )
-
-    def ranking(self, world: World, criterion: str) -> list[Contestant]:
-        """All contestants, the smallest median first; equal but for rounding, in their order."""
-        return sorted(
-            self.contestants,
-            key=lambda one: float(f"{self.middle(world, one.name, criterion):.9g}"),
-        )
-
-    def best(self, world: World, criterion: str, names: Sequence[str]) -> str:
-        """The one of these contestants with the smallest median."""
-        return next(one.name for one in self.ranking(world, criterion) if one.name in names)
-
-
-def millimetres(length_m: float) -> str:
-    """A length for readers: two digits, ``0.12 mm`` or ``135 mm``."""
-    length_mm = 1e3 * length_m
-    return f"{length_mm:.2g} mm" if length_mm < 10.0 else f"{length_mm:.0f} mm"
-
-
-def study(context: Context) -> Study:
+def measure(context: Context) -> Found:
     """Record, tune and judge."""
     duration_s = 8.0 if context.quick else 20.0
-    seeds = tuple(range(1, context.count(default=6, quick=1) + 1))
+    seeds = range(1, context.count(default=6, quick=1) + 1)
     worlds = DRAWN if context.quick else _WORLDS
     tuning = {} if context.quick else _tune(context, duration_s)
     chosen = {name: one["chosen"] for name, one in tuning.items()}
@@ -260,28 +260,32 @@ def study(context: Context) -> Study:
         if one.name != "rbf_tuned" or tuning  # untuned, it would only be the first one again
     )
     jobs = [
-        Job(world.conditions(context, seed), seed, duration_s, contestants)
+        Job(world, world.conditions(context, seed), seed, duration_s, contestants)
         for world in worlds
         for seed in seeds
     ]
-    results = iter(context.map(judge_all, jobs, "estimators: recordings"))
-    judged = {world.name: [next(results) for _ in seeds] for world in worlds}
-    return Study(worlds, contestants, seeds, duration_s, tuning, judged)
-
-
-def _tune(context: Context, duration_s: float) -> dict[str, dict[str, Any]]:
-    """Choose everyone's free number on motions that are not scored, with the exact camera."""
-    exact = replace(context, rendered=False)
-    jobs = [Job(NOISE.conditions(exact, seed), seed, duration_s, SEARCHED) for seed in TUNING_SEEDS]
-    results = context.map(_tuning_t1_m, jobs, "estimators: tuning")
-    tuning = {}
-    for one in SEARCHED:
-        values = GRIDS[one.method].values
-        t1_m = np.median([result[one.name] for result in results], axis=0)
-        tuning[one.name] = {
-            "parameter": one.parameter,
-            "values": list(values),
-            "t1_m": t1_m,
-            "chosen": values[int(np.argmin(t1_m))],
-        }
-    return tuning
+    judged = context.map(judge_all, jobs, "estimators: recordings")
+    runs = Results(row for rows in judged for row in rows)
+    facts = {
+        "duration_s": duration_s,
+        "speed_rad_s": SPEED_RAD_S,
+        "paths": len(seeds),
+        "rendered": context.rendered,
+        "errors_mm": {
+            name: 1e3 * float(np.median(runs.where(world=name).values("position_error_rms_m")))
+            for name in ("clean", "noise")
+        },
+        "step_mm": 1e3 * float(np.median(runs.where(world="noise").values("median_step_m"))),
+        "visible_percent": 100 * min(runs.values("visible_share")),
+        "wiggle_s": WIGGLE_S,
+        "ignorance_m_rad": IGNORANCE_M_RAD,
+        "values": len(GRIDS["rbf"][1]),
+        "tuning": len(TUNING_SEEDS) if tuning else 0,
+        "n1": RbfConfig.n1,
+        "fast_n1": FAST_N1,
+        "fast_process_noise": FAST_PROCESS_NOISE,
+        "largest_turn_deg": max(world.turn_deg for world in worlds),
+        "bin_s": _BIN_S,
+    }
+    data = {"seeds": list(seeds), "tuning": tuning, "contestants": contestants, "worlds": worlds}
+    return Found(runs, facts, data, {"worlds": worlds, "tuning": tuning})

@@ -7,199 +7,262 @@ suddenly it must turn round there. Everything runs without a speed limit that wo
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
-from fvs_lab import exponents_figures
 from fvs_lab.context import Context
-from fvs_lab.exponents_variants import (
-    LITERAL_REACHING,
-    NOISY,
-    REACHING,
-    SILENT,
-    Key,
-    Results,
-    Variant,
-    literal_limits,
-    results_of,
-    variants_of,
+from fvs_lab.experiment import OURS, PAPER, Claim, Experiment, Found, Named, Part, above, below
+from fvs_lab.figures import (
+    bound_line,
+    error_curve,
+    keys,
+    legend,
+    medians,
+    panels,
+    ranges,
+    shades,
 )
-from fvs_lab.exponents_verdicts import text_of, verdicts
-from fvs_lab.report import Figure, Report, Table
-from fvs_lab.statistics import median
-from fvs_lab.trials import (
-    BOUNDS_M,
-    Conditions,
-    Outcome,
-    Trial,
-    make_cases,
-    run_trial,
-)
+from fvs_lab.outcome import BOUNDS_M, Outcome
+from fvs_lab.results import METRICS, Metric, Results, number_text, table
+from fvs_lab.trials import Case, Variant, make_cases
 
-NAME = "exponents"
 SEED = 301
-DURATION_S, QUICK_DURATION_S = 4.0, 1.6
+EXPONENTS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.9)
+
+#: Limits out of the way; the largest that the controller takes.
+FREE = {"max_joint_velocity_rad_s": 3.14, "max_joint_acceleration_rad_s2": 40.0, "damping": 1e-6}
+SURFACE = {"alpha1": 1.0, "alpha2": 0.3, "alpha3": 0.45}
+REACHING = {"k1": 1.63, "k2": 0.067, "k4": 0.125, "sigma": 0.82}
+#: Reaching gains with which the law as printed runs at 125 Hz with the surface above.
+LITERAL_REACHING = {"k1": 0.1, "k2": 0.01, "k4": 0.001, "sigma": 0.82}
+#: The paper's adaptive exponent, and the same idea away from the noise.
+SMALL_TO_HALF = {"lambda1": 0.3, "lambda2": 0.2, "switch_error_m": 0.00688}
+LARGE = {"lambda1": 0.6375, "lambda2": 0.2625, "switch_error_m": 0.005}
+#: Factor on alpha2 and alpha3 that gives the larger exponents about the same top speed.
+SCALE = 1.6
+
+WORLDS: dict[str, dict[str, Any]] = {
+    "no noise": {"rendered": False, "position_noise_m": 0.0},
+    "1 mm noise": {"position_noise_m": 0.001},
+}
+SILENT, NOISY = WORLDS
+IMPLICIT, LITERAL = "implicit", "as printed"
+ADAPTIVE, ADAPTIVE_LARGE = "0.1 → 0.5", "0.375 → 0.9"
+ADAPTIVE_SCALED = f"0.375 → 0.9, faster (α2, α3 × {SCALE:g})"
+#: The law as printed with the reaching gains of the implicit form.
+UNSTABLE = "0.5, reaching gains of the implicit form"
+
+_PERIOD_S = 0.008
+_SHOWN = METRICS | {"pace": Metric("own pace")}
+_COLOURS = {LITERAL: "#D55E00", IMPLICIT: "#0072B2"}
 
 
-def run(context: Context) -> Report:
-    """Run the experiment."""
-    folder = context.folder(NAME)
-    duration_s = QUICK_DURATION_S if context.quick else DURATION_S
+def variants() -> list[Variant]:
+    """All that is run; with noise fewer exponents as printed, to save time."""
+    implicit = {**FREE, **SURFACE, **REACHING}
+    literal = {**FREE, **SURFACE, **LITERAL_REACHING, "discretisation": "literal"}
+    faster = {name: SCALE * SURFACE[name] for name in ("alpha2", "alpha3")}
+    found = []
+    for world, conditions in WORLDS.items():
+        values = {}
+        for form, gains in ((LITERAL, literal), (IMPLICIT, implicit)):
+            for one in EXPONENTS[::2] if (world, form) == (NOISY, LITERAL) else EXPONENTS:
+                values[form, f"{one:g}"] = {**gains, **_fixed(one)}
+            values[form, ADAPTIVE] = {**gains, **SMALL_TO_HALF}
+        values[IMPLICIT, ADAPTIVE_LARGE] = {**implicit, **LARGE}
+        values[IMPLICIT, ADAPTIVE_SCALED] = {**implicit, **LARGE, **faster}
+        if world == SILENT:
+            values[LITERAL, UNSTABLE] = {**implicit, **_fixed(0.5), "discretisation": "literal"}
+        found += [
+            Variant(
+                {"world": world, "law": form, "exponent": exponent},
+                controller_values=gains,
+                conditions=conditions,
+            )
+            for (form, exponent), gains in values.items()
+        ]
+    return found
+
+
+def _fixed(exponent: float) -> dict[str, Any]:
+    return {"exponent": "fixed", "fixed_exponent": exponent}
+
+
+def literal_limits() -> tuple[float, float]:
+    """Largest k4 and k1 with which the law as printed is stable far from the goal.
+
+    ``k4 < 2 a2 dt / (2 a1 + a2 dt)`` and ``k1 < 2 a2 / (a1 + a2 dt / 2)``, with the surface above
+    and the time dt from command to command.
+    """
+    a1, a2 = SURFACE["alpha1"], SURFACE["alpha2"]
+    return (
+        2.0 * a2 * _PERIOD_S / (2.0 * a1 + a2 * _PERIOD_S),
+        2.0 * a2 / (a1 + 0.5 * a2 * _PERIOD_S),
+    )
+
+
+def _pace(_: Variant, __: Case, outcome: Outcome) -> dict[str, float]:
+    """Settling time over the time that the way takes at the run's own top joint speed."""
+    if not np.isfinite(outcome.settled_s):
+        return {"pace": float("inf")}
+    moving = outcome.series["time_s"] <= outcome.settled_s
+    speeds = np.abs(outcome.series["command_rad_s"][moving])
+    travel_rad = float(speeds.sum(axis=0).max()) * _PERIOD_S
+    return {"pace": outcome.settled_s * float(speeds.max()) / travel_rad}
+
+
+def measure(context: Context) -> Found:
+    """Run both forms of the law with all exponents, with and without noise."""
+    duration_s = 1.6 if context.quick else 4.0
     cases = make_cases("e", context.count(6, 1), SEED)
-    worlds = {
-        SILENT: Conditions(rendered=False, position_noise_m=0.0),
-        NOISY: context.conditions(position_noise_m=0.001),
-    }
-    variants = {world: variants_of(world) for world in worlds}
-    keys = [(world, one.form, one.exponent) for world in worlds for one in variants[world]]
-    trials = [
-        Trial(
-            case,
-            "rbf",
-            "ftsm",
-            controller_values=one.values,
-            conditions=conditions,
-            duration_s=duration_s,
-            record=True,
-        )
-        for world, conditions in worlds.items()
-        for one in variants[world]
-        for case in cases
-    ]
-    outcomes = context.map(run_trial, trials, NAME)
-    runs = {
-        key: outcomes[number * len(cases) : (number + 1) * len(cases)]
-        for number, key in enumerate(keys)
-    }
-    results = {key: results_of(found) for key, found in runs.items()}
-    first = {key: found[0] for key, found in runs.items()}
-    return Report(
-        name=NAME,
-        title="The exponent: fast or calm",
-        question="The control law moves the ball at a speed that grows with the distance to the "
-        "power of an exponent. A small exponent keeps the ball fast up to the goal, and then has "
-        "to stop at once. How much faster is that, when does it chatter, and does an exponent "
-        "that grows near the goal have the best of both?",
-        setup=_setup(len(cases), duration_s),
-        figures=_figures(first, results, duration_s, folder),
-        tables=[_table(results, variants[world], world, duration_s) for world in worlds],
-        verdicts=verdicts(results),
-        data={
-            "seed": SEED,
-            "cases": cases,
-            "duration_s": duration_s,
-            "worlds": worlds,
-            "rows": [
-                {
-                    "world": world,
-                    "form": one.form,
-                    "exponent": one.exponent,
-                    "controller_values": one.values,
-                    "runs": [run.summary() for run in runs[world, one.form, one.exponent]],
-                    "pace": results[world, one.form, one.exponent].pace,
-                    "first_run": {
-                        name: values
-                        for name, values in runs[world, one.form, one.exponent][0].series.items()
-                        if name != "ball_m"
-                    },
-                }
-                for world in worlds
-                for one in variants[world]
-            ],
-        },
-    )
-
-
-def _setup(count: int, duration_s: float) -> list[str]:
+    runs = context.run(variants(), cases, "exponents", _pace, duration_s=duration_s, record=True)
     k4_limit, k1_limit = literal_limits()
-    return [
-        f"{count} pairs of start and goal 0.2 to 0.5 m apart, the same for all rows, each run for "
-        f"{duration_s:g} s with the trained networks and their online update. Limits are out of "
-        "the way (3.14 rad/s, 40 rad/s²), as in the paper; gains α1 = 1, α2 = 0.3, α3 = 0.45. "
-        "“No noise” takes the ball's true position; “1 mm noise” adds 1 mm to each coordinate of "
-        "the camera's measurement.",
-        "The law comes in two forms. As printed (16), it evaluates its right side with the last "
-        f"command. At 125 Hz this is stable only for k4 < {k4_limit:.4f} and k1 < {k1_limit:.2f}, "
-        "so it gets its own reaching gains k1 = {k1:g}, k2 = {k2:g}, k4 = {k4:g}. ".format(
-            **LITERAL_REACHING
+    facts = {
+        "count": len(cases),
+        "duration_s": duration_s,
+        "k1_limit": k1_limit,
+        "k4_limit": k4_limit,
+        "reaching": REACHING,
+        "literal": LITERAL_REACHING,
+        "surface": SURFACE,
+    }
+    return Found(runs, facts, {"seed": SEED, "cases": cases, "variants": variants()})
+
+
+def claims(found: Found) -> Iterator[Claim]:
+    """The paper's claims on the exponent, and ours."""
+
+    def runs(world: str, law: str, exponent: str) -> Results:
+        return found.runs.where(world=world, law=law, exponent=exponent)
+
+    stable = float(np.mean(runs(SILENT, LITERAL, UNSTABLE).values("settled")))
+    text = f"{100 * stable:.0f} %, asked: 95 %"
+    yield Claim("printed", PAPER, [Part("runs within 5 mm", text, stable >= 0.95)])
+    for name, metric in (("faster", "to_5mm_s"), ("pace", "pace")):
+        chosen = [runs(SILENT, IMPLICIT, f"{one:g}").median(metric).value for one in EXPONENTS]
+        text = ", ".join(
+            f"{number_text(one, 2)} at {exponent:g}"
+            for one, exponent in zip(chosen, EXPONENTS, strict=True)
         )
-        + "Solved implicitly, the form that the controller uses, it is stable with any gains: "
-        "k1 = {k1:g}, k2 = {k2:g}, k4 = {k4:g}.".format(**REACHING),
-        "Jitter is the change of the joint command from tick to tick in the last second, rms, "
-        "worst joint: what one hears and feels when the arm should stand still. “Own pace” is the "
-        "settling time over the time the way would take at the run's own top speed; it compares "
-        "runs that drive at different speeds. “Path” is the ball's path to 5 mm over the straight "
-        "line.",
-    ]
-
-
-def _figures(
-    first: Mapping[Key, Outcome],
-    results: Mapping[Key, Results],
-    duration_s: float,
-    folder: Path,
-) -> list[Figure]:
-    return [
-        Figure(
-            exponents_figures.errors(first, folder),
-            "One run with seven fixed exponents (the paper's figure 2). As printed, small "
-            "exponents arrive first and then never come to rest; solved implicitly they do. Noise "
-            "brings the unrest back (with fewer exponents as printed, to save time). Large "
-            "exponents are calm and slow.",
-        ),
-        Figure(
-            exponents_figures.adaptive(first, folder),
-            "One run with the adaptive exponent against the two fixed ones between which it "
-            "switches (the paper's figure 3). Top: error. Middle: the command, where chatter "
-            "shows. Bottom: the adaptive exponent of each axis; it switches from 0.1 to 0.5 when "
-            "that axis comes within 6.9 mm.",
-        ),
-        Figure(
-            exponents_figures.summary(results, duration_s, folder),
-            "Medians over all runs. A small exponent buys time (left) with unrest (right). Stars: "
-            "adaptive exponents, implicit with 1 mm noise; they have the time of a small exponent "
-            "at the unrest of a large one.",
-        ),
-    ]
-
-
-def _table(
-    results: Mapping[Key, Results], variants: Sequence[Variant], world: str, duration_s: float
-) -> Table:
-    rows = []
-    for one in variants:
-        found = results[world, one.form, one.exponent]
-        rows.append(
-            [
-                one.form,
-                one.exponent,
-                *(median(found.settling_s[name]).text() for name in BOUNDS_M),
-                text_of(1e3 * median(found.final_rms_m).value),
-                median([1e3 * value for value in found.jitter_rad_s]).text(1),
-                text_of(median(found.peak_rad_s).value),
-                text_of(median(found.pace).value),
-                text_of(median(found.path_ratio).value),
-                f"{100 * float(np.median(found.limited_share)):.0f} %",
-            ]
-        )
-    header = [
-        "law",
-        "exponent",
-        *(f"to {name}, s" for name in BOUNDS_M),
-        "final error, mm rms",
-        "jitter, mrad/s",
-        "top speed, rad/s",
-        "own pace",
-        "path",
-        "limited",
-    ]
-    count = len(next(iter(results.values())).jitter_rad_s)
-    return Table(
-        f"{world[0].upper()}{world[1:]}: medians of {count} runs (95 % intervals). “Never” is not "
-        f"within the {duration_s:g} s of a run. “Limited” is the share of the way on which a limit "
-        "shaped the command.",
-        header,
-        rows,
+        rising = all(after >= before for before, after in pairwise(chosen))
+        yield Claim(name, PAPER, [Part(_SHOWN[metric].label, text, rising)])
+    small, half, adaptive = (
+        {
+            place: runs(*place, exponent)
+            for place in ((SILENT, LITERAL), (SILENT, IMPLICIT), (NOISY, IMPLICIT))
+        }
+        for exponent in ("0.1", "0.5", ADAPTIVE)
     )
+    chatter = small[SILENT, LITERAL].over(half[SILENT, LITERAL], "jitter_rad_s")
+    yield Claim("chatter", PAPER, [above("jitter as printed, 0.1 over 0.5", chatter, 2.0)])
+    time = adaptive[SILENT, IMPLICIT].over(small[SILENT, IMPLICIT], "to_5mm_s")
+    calm = [
+        below(
+            f"jitter over that of 0.5, {law}, {world}",
+            one.over(half[world, law], "jitter_rad_s"),
+            2.0,
+        )
+        for (world, law), one in adaptive.items()
+        if (world, law) != (SILENT, IMPLICIT)
+    ]
+    yield Claim("adaptive", PAPER, [below("settling time over that of 0.1", time, 1.2), *calm])
+    ours, paper = runs(NOISY, IMPLICIT, ADAPTIVE_SCALED), adaptive[NOISY, IMPLICIT]
+    yield Claim(
+        "large",
+        OURS,
+        [
+            above("jitter of 0.1 → 0.5 over ours", paper.over(ours, "jitter_rad_s"), 2.0),
+            below("settling time over that of 0.1 → 0.5", ours.over(paper, "to_5mm_s"), 1.2),
+        ],
+    )
+
+
+def tables(found: Found) -> Iterator[Named]:
+    """Medians, a table per world."""
+    metrics = (
+        "to_5mm_s", "to_2mm_s", "to_1mm_s", "final_rms_m", "jitter_rad_s",
+        "peak_joint_speed_rad_s", "pace", "path_ratio", "limited_share",
+    )  # fmt: skip
+    for world, runs in found.runs.groups("world").items():
+        rows = table(runs, {"law": "law", "exponent": "exponent"}, metrics, known=_SHOWN)
+        yield "world", rows, {"world": world}
+
+
+def figures(found: Found) -> Iterator[Named]:
+    """Figures 2 and 3 of the paper, and settling and jitter over the exponent."""
+    first = found.runs.groups("world", "law", "exponent")
+    yield "exponents", _errors(first)
+    yield "adaptive", _adaptive(first)
+    yield "summary", _summary(found.runs)
+
+
+def _errors(groups: dict[Any, Results]):
+    figure, axes = panels(2, 2, (11, 7), sharex=True, sharey=True)
+    for row, world in zip(axes, WORLDS, strict=True):
+        for axis, law in zip(row, _COLOURS, strict=True):
+            for exponent, colour in zip(EXPONENTS, shades(len(EXPONENTS)), strict=True):
+                if runs := groups.get((world, law, f"{exponent:g}")):
+                    look = {"color": colour, "linewidth": 1.3, "label": f"{exponent:g}"}
+                    error_curve(axis, runs.rows[0]["series"], **look)
+            bound_line(axis, 1e3 * BOUNDS_M["5 mm"])
+            axis.set(title=f"{law}, {world}", ylim=(0.05, 600.0))
+        row[0].set_ylabel("distance to the goal, mm")
+    axes[1, 0].set_xlabel("time, s")
+    legend(figure, axes[0, 0], len(EXPONENTS))
+    return figure
+
+
+def _adaptive(groups: dict[Any, Results]):
+    places = ((SILENT, LITERAL), (SILENT, IMPLICIT), (NOISY, IMPLICIT))
+    shown = {"0.1": "#D55E00", "0.5": "#009E73", ADAPTIVE: "#0072B2"}
+    figure, axes = panels(3, 3, (12, 8), sharex=True, sharey="row")
+    for (error, command, profile), (world, law) in zip(axes.T, places, strict=True):
+        for exponent, colour in shown.items():
+            series = groups[world, law, exponent].rows[0]["series"]
+            error_curve(error, series, color=colour, label=exponent)
+            joint = int(np.abs(series["command_rad_s"]).max(axis=0).argmax())
+            command.plot(series["time_s"], series["command_rad_s"][:, joint], color=colour)
+        profile.plot(series["time_s"], series["exponent"], label=["x", "y", "z"])
+        bound_line(error, 1e3 * BOUNDS_M["5 mm"])
+        error.set(title=f"{law}, {world}", ylim=(0.05, 600.0))
+        profile.set(xlabel="time, s", xlim=(0.0, 2.5), ylim=(0.0, 0.6))
+    names = ("distance to the goal, mm", "fastest joint's command, rad/s", "adaptive exponent γ")
+    for axis, name in zip(axes[:, 0], names, strict=True):
+        axis.set_ylabel(name)
+    axes[0, 2].legend(title="exponent")
+    axes[2, 2].legend(title="axis", ncols=3)
+    return figure
+
+
+def _summary(runs: Results):
+    figure, (axes,) = panels(1, 2, (11, 4.4))
+    looks = {}
+    for (world, law), ones in runs.groups("world", "law").items():
+        fixed = Results(
+            {**row, "exponent": float(row["exponent"])}
+            for row in ones
+            if row["exponent"].replace(".", "").isdigit()
+        )
+        style = ":" if world == SILENT else "-"
+        look: dict[str, Any] = {"color": _COLOURS[law], "linestyle": style}
+        looks[f"{law}, {world}"] = look
+        medians(axes[0], fixed, "exponent", "to_5mm_s", **look)
+        medians(axes[1], fixed, "exponent", "jitter_rad_s", least=0.01, **look)
+    for exponent, place, colour in ((ADAPTIVE, 0.5, "black"), (ADAPTIVE_SCALED, 0.9, "#CC79A7")):
+        chosen = runs.where(world=NOISY, law=IMPLICIT, exponent=exponent)
+        look = {"color": colour, "marker": "*", "linestyle": ""}
+        looks[f"adaptive {exponent}"] = look
+        for axis, metric in zip(axes, ("to_5mm_s", "jitter_rad_s"), strict=True):
+            value = METRICS[metric].factor * chosen.median(metric).value
+            ranges(axis, [place], [(value, value, value)], **look, markersize=12)
+    axes[1].set_yscale("log")
+    for axis in axes:
+        axis.set_xlabel("exponent γ (of stars: near the goal)")
+    keys(figure, looks, 3)
+    return figure
+
+
+EXPERIMENT = Experiment("exponents", measure, claims, tables, figures)

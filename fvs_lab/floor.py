@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fvs_lab.trials import BOUNDS_M, Case, Conditions, simulation_of
+from fvs_lab.outcome import BOUNDS_M
+from fvs_lab.trials import Case, Conditions, simulation_of
 from fvs_ros.joints import N_JOINTS
 from fvs_sim_node.kinematics import ball_jacobian, ball_position
 from fvs_sim_node.simulation import Simulation

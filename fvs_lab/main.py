@@ -51,8 +51,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--seeds",
         type=_positive,
-        help="number of seeded cases (default: 16 servo, 5 estimators, 6 exponents, "
-        "60 settling, 9 ablation, 4 tuning, 16 beyond)",
+        help="number of seeded cases (default: 60 servo, 6 estimators, 6 exponents, "
+        "60 settling, 8 ablation, 4 tuning, 60 beyond)",
     )
     parser.add_argument(
         "--jobs", type=_positive, default=os.cpu_count() or 1, help="processes (default: all cores)"
@@ -75,19 +75,13 @@ def _parser() -> argparse.ArgumentParser:
         action="store_false",
         help="leave out the spot check through the real nodes",
     )
-    parser.add_argument(
-        "--cluster",
-        metavar="ADDRESS",
-        default="",
-        help="send the runs to the workers of a dask scheduler, such as tcp://10.0.0.1:8786",
-    )
     alone = parser.add_argument_group(
         "everyday and robustness",
         "Random worlds; the same number is the same world, whatever the others.",
     )
     alone.add_argument("--trials", type=_positive, help="number of worlds (default: 500)")
     alone.add_argument(
-        "--trial", type=_positive, metavar="NUMBER", help="look at this one alone: words, a picture"
+        "--trial", type=_positive, metavar="NUMBER", help="run this world alone: text and a picture"
     )
     alone.add_argument(
         "--scheme", action="append", default=[], help="only this scheme (repeatable; default: all)"
@@ -123,7 +117,7 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parser.parse_args(given)
     if arguments.name not in LONG and (arguments.trials or arguments.trial or arguments.scheme):
         parser.error(f"--trials, --trial and --scheme are for {' and '.join(LONG)}")
-    # Random worlds need no pictures: who sees none settles alike, at a third of the cost.
+    # Random worlds need no images: without them all settle alike, at a third of the cost.
     arguments.camera = arguments.camera or ("exact" if arguments.name in LONG else "rendered")
     if arguments.name == "replay":
         parser.error("replay comes first: fvs_experiments replay BAG")
@@ -149,10 +143,9 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from fvs_lab.cluster import ClusterError
     from fvs_lab.context import Context
     from fvs_lab.robustness import UnknownSchemeError, contestants_called, rerun
-    from fvs_lab.robustness_worlds import KINDS
+    from fvs_lab.worlds import KINDS
 
     context = Context(
         out=arguments.out,
@@ -163,7 +156,6 @@ def _run(arguments: argparse.Namespace) -> int:
         nodes=arguments.nodes,
         trials=arguments.trials,
         schemes=tuple(arguments.scheme),
-        cluster=arguments.cluster,
     )
     try:
         if arguments.name in LONG:
@@ -172,7 +164,7 @@ def _run(arguments: argparse.Namespace) -> int:
             rerun(context, KINDS[arguments.name], arguments.trial)
             return EXIT_OK
         return _measure(context, arguments)
-    except (ClusterError, UnknownSchemeError) as error:
+    except UnknownSchemeError as error:
         print(f"fvs_experiments: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
 
@@ -184,10 +176,11 @@ def _measure(context: Context, arguments: argparse.Namespace) -> int:
     for number, name in enumerate(names, start=1):
         folder = context.folder(name)
         print(f"== {name} ({number} of {len(names)})", flush=True)
-        report = importlib.import_module(f"fvs_lab.{name}").run(context)
+        report = importlib.import_module(f"fvs_lab.{name}").EXPERIMENT.run(context)
         write_report(report, folder, _origin(arguments))
         for verdict in report.verdicts:
-            print(f"   {verdict.word}: {verdict.claim}\n      {verdict.finding}", flush=True)
+            print(f"   {verdict.word} ({verdict.whose}): {verdict.claim}", flush=True)
+            print(f"      {verdict.finding}", flush=True)
         page = write_page(context.out)
     print(f"page: {page} ({(time.monotonic() - began_s) / 60.0:.1f} min)", flush=True)
     return EXIT_OK

@@ -76,14 +76,17 @@ class Verdict:
     claim : str
         The claim, in words.
     finding : str
-        What was measured.
+        The number that decides.
     holds : bool or None
         None where the measurement does not decide.
+    whose : str
+        Who claims it.
     """
 
     claim: str
     finding: str
     holds: bool | None
+    whose: str = ""
 
     @property
     def word(self) -> str:

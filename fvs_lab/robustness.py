@@ -1,132 +1,44 @@
-"""Hundreds of random worlds, to see which scheme brings the ball home whatever goes wrong."""
+"""Hundreds of random worlds, to see which scheme settles whatever goes wrong."""
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
-from fvs_lab import robustness_figures
 from fvs_lab.context import Context
-from fvs_lab.report import Figure, Report, Table
-from fvs_lab.robustness_runs import (
-    DURATION_S,
-    Contestant,
-    Job,
-    run_job,
-    settled_by,
-    success_rate,
-)
-from fvs_lab.robustness_verdicts import rate_text, verdicts
-from fvs_lab.robustness_worlds import (
-    DISTANCE_M,
-    HARSH,
-    QUANTITIES,
-    Kind,
-    draw_world,
-)
-from fvs_lab.trials import REST_S, Outcome
+from fvs_lab.experiment import OURS, Claim, Experiment, Found, Named, share_above
+from fvs_lab.figures import bound_line, colours_of, error_curve, keys, panels, ranges
+from fvs_lab.outcome import BOUNDS_M, NOT_STAYED, REST_S, Outcome
+from fvs_lab.results import METRICS, Results, number_text
+from fvs_lab.statistics import Interval, wilson
+from fvs_lab.style import save
+from fvs_lab.trials import Trial, Variant, run_trial
+from fvs_lab.worlds import DISTANCE_M, HARSH, QUANTITIES, Kind, World, draw_world
 from fvs_ros.arguments import unknown
-from fvs_tools.schemes import BEYOND, SCHEMES
+from fvs_tools.schemes import BEYOND, SCHEMES, Scheme
+
+#: Length of a trial from the target on, s; of this the last second must be within 5 mm.
+DURATION_S = 6.0
+#: Share of the trials that a robust scheme must master.
+WANTED = 0.99
+#: Trials named in the table of failures, for each cause.
+_NAMED = 8
+
+_ORACLE = Scheme("oracle, proportional", "oracle", "proportional", "")
+#: Who competes, with the defaults of the nodes. A new one is a line.
+CONTESTANTS = (*SCHEMES.values(), _ORACLE, *BEYOND.values())
+_QUICK = ("proposed", _ORACLE.name)
 
 
 class UnknownSchemeError(ValueError):
-    """A scheme that nobody has; the text lists those known."""
+    """A scheme that does not exist; the text lists those known."""
 
 
-#: Who competes, with the defaults of the nodes but for what is named here. A new one is a line.
-CONTESTANTS: tuple[Contestant, ...] = (
-    *(Contestant(one.name, one.method, one.law, of_paper=True) for one in SCHEMES.values()),
-    Contestant("oracle, proportional", "oracle", "proportional"),
-    *(
-        Contestant(one.name, one.method, one.law, one.estimator_values, one.controller_values)
-        for one in BEYOND.values()
-    ),
-)
-#: A quick run has these.
-_QUICK = ("proposed", "oracle, proportional")
-
-#: So many trials of a kind are named in the table of failures.
-_NAMED = 8
-
-
-def run(context: Context) -> Report:
-    """Send everybody through worlds in which everything that may go wrong does so at once."""
-    return run_in(
-        context,
-        HARSH,
-        "Robustness",
-        "Random worlds, in which everything that may go wrong does so at once: which scheme brings "
-        "the ball to its target in nearly all of them?",
-    )
-
-
-def run_in(context: Context, kind: Kind, title: str, question: str) -> Report:
-    """Draw worlds of a kind, send everybody through all of them, and judge.
-
-    Parameters
-    ----------
-    context : Context
-        Settings.
-    kind : Kind
-        Of the worlds.
-    title, question : str
-        Of the report.
-    """
-    contestants = contestants_called(context.schemes or (_QUICK if context.quick else ()))
-    count = context.trials or context.count(500, 4)
-    worlds = context.map(partial(draw_world, kind), range(1, count + 1), "worlds")
-    jobs = [Job(world, one, context.rendered) for world in worlds for one in contestants]
-    outcomes = context.map(run_job, jobs, kind.name)
-    results = {
-        one.name: outcomes[place :: len(contestants)] for place, one in enumerate(contestants)
-    }
-    folder = context.folder(kind.name)
-    return Report(
-        name=kind.name,
-        title=title,
-        question=question,
-        setup=_setup(kind, count, context.rendered, contestants),
-        figures=[
-            Figure(
-                robustness_figures.success(folder, worlds, results),
-                "Share of the trials that settle against each disturbance, with 95 % intervals; "
-                "in brackets the number of worlds. Everything else is as random as always.",
-            ),
-            Figure(
-                robustness_figures.settling(folder, worlds, results),
-                "Settling time to 5 mm against each disturbance: the dot is the median, the bar "
-                f"goes up to 90 %. At {DURATION_S:g} s stands what never settles.",
-            ),
-            Figure(
-                robustness_figures.jitter(folder, worlds, results),
-                "Jitter at rest of the runs that settled: median, and the range of 80 % of them.",
-            ),
-        ],
-        tables=[_table(results), _failures_table(results)],
-        verdicts=verdicts(contestants, results),
-        data={
-            "seed": kind.seed,
-            "distance_m": DISTANCE_M,
-            "duration_s": DURATION_S,
-            "ranges": kind.ranges,
-            "contestants": contestants,
-            "worlds": worlds,
-            "runs": {
-                name: [
-                    {"trial": world.number, **_kept(one)}
-                    for world, one in zip(worlds, ones, strict=True)
-                ]
-                for name, ones in results.items()
-            },
-        },
-    )
-
-
-def contestants_called(names: Sequence[str]) -> list[Contestant]:
+def contestants_called(names: Sequence[str]) -> list[Scheme]:
     """The contestants of these names, or all without any.
 
     Raises
@@ -139,6 +51,56 @@ def contestants_called(names: Sequence[str]) -> list[Contestant]:
         if name not in known:
             raise UnknownSchemeError(unknown("scheme", name, map(repr, known)))
     return [one for one in CONTESTANTS if not names or one.name in names]
+
+
+def trial_in(world: World, scheme: Scheme, rendered: bool, record: bool = False) -> Trial:
+    """A scheme's trial in a world, with rendered images or exact positions."""
+    conditions = replace(world.conditions, rendered=rendered)
+    return Variant.of(scheme).trial(
+        world.case, conditions, duration_s=DURATION_S, record=record, bump=world.bump
+    )
+
+
+def judged(outcome: Outcome) -> Outcome:
+    """Call it a failure, too, if the ball came to stay only within the last second."""
+    if outcome.failure or outcome.settled_s <= DURATION_S - REST_S:
+        return outcome
+    return replace(
+        outcome, failure=NOT_STAYED, settling_s={name: None for name in outcome.settling_s}
+    )
+
+
+def experiment_in(kind: Kind) -> Experiment:
+    """The experiment in worlds of a kind."""
+    return Experiment(
+        kind.name, partial(measure, kind), claims, tables, figures, template="robustness"
+    )
+
+
+def measure(kind: Kind, context: Context) -> Found:
+    """Draw worlds of a kind, and run every scheme in all of them."""
+    contestants = contestants_called(context.schemes or (_QUICK if context.quick else ()))
+    count = context.trials or context.count(500, 4)
+    worlds = context.map(partial(draw_world, kind), range(1, count + 1), "worlds")
+    pairs = [(world, one) for world in worlds for one in contestants]
+    trials = [trial_in(world, one, context.rendered) for world, one in pairs]
+    outcomes = context.map(run_trial, trials, kind.name)
+    runs = Results(
+        judged(outcome).row(scheme=one.name, **world.row())
+        for (world, one), outcome in zip(pairs, outcomes, strict=True)
+    )
+    facts = {
+        "kind": kind,
+        "count": count,
+        "rendered": context.rendered,
+        "contestants": [one.name for one in contestants],
+        "distance_m": DISTANCE_M,
+        "duration_s": DURATION_S,
+        "rest_s": REST_S,
+        "wanted": WANTED,
+    }
+    data = {"seed": kind.seed, "ranges": kind.ranges, "worlds": worlds, "duration_s": DURATION_S}
+    return Found(runs, facts, data)
 
 
 def rerun(context: Context, kind: Kind, number: int) -> None:
@@ -160,141 +122,184 @@ def rerun(context: Context, kind: Kind, number: int) -> None:
     """
     contestants = contestants_called(context.schemes)
     world = draw_world(kind, number)
-    print(f"   trial {number}: {world.words()}", flush=True)
-    jobs = [Job(world, one, context.rendered, record=True) for one in contestants]
-    results = {
-        one.name: outcome
-        for one, outcome in zip(contestants, context.map(run_job, jobs, kind.name), strict=True)
-    }
-    for name, outcome in results.items():
-        print(f"   {name}: {_line(outcome)}", flush=True)
+    print(f"   trial {number}: {world.text()}", flush=True)
+    trials = [trial_in(world, one, context.rendered, record=True) for one in contestants]
+    figure, ((axis,),) = panels(1, 1, (9.0, 5.0))
+    names = [one.name for one in contestants]
+    outcomes = map(judged, context.map(run_trial, trials, kind.name))
+    for outcome, (name, colour) in zip(outcomes, colours_of(names).items(), strict=True):
+        text = (
+            f"failed ({outcome.failure})"
+            if outcome.failure
+            else (f"settled after {outcome.settled_s:.2f} s")
+        )
+        print(f"   {name}: {text}, {1e3 * outcome.final_rms_m:.1f} mm rms in the last second"
+              f"{outcome.said and f'; status: {outcome.said}'}", flush=True)  # fmt: skip
+        error_curve(axis, outcome.series, color=colour, label=f"{name}: {text}")
+    bound_line(axis, 1e3 * BOUNDS_M["5 mm"])
+    if world.bump is not None:
+        bound_line(axis, world.bump.time_s, upright=True)
+    axis.set(xlabel="time since the target was given, s", ylabel="error, mm",
+             title=f"Trial {number}")  # fmt: skip
+    axis.legend()
     path = context.folder(kind.name) / f"trial_{number}.png"
-    robustness_figures.one_trial(path, world, results)
+    save(figure, path)
     print(f"picture: {path}", flush=True)
 
 
-def _line(outcome: Outcome) -> str:
-    error = f"{1e3 * outcome.final_rms_m:.1f} mm rms in the last second"
-    if not outcome.failure:
-        return f"settled after {outcome.settled_s:.2f} s, {error}"
-    return f"failed ({outcome.failure}), {error}; the controller said: {outcome.said}"
+# ---- claims ---------------------------------------------------------------------------------
 
 
-def _kept(outcome: Outcome) -> dict[str, Any]:
-    return {
-        "settled_s": outcome.settled_s,
-        "failure": outcome.failure,
-        "said": outcome.said,
-        "final_rms_m": outcome.final_rms_m,
-        "jitter_rad_s": outcome.jitter_rad_s,
-        "path_ratio": outcome.path_ratio,
-        "jacobian_error": outcome.jacobian_error,
-    }
+def settled_by(runs: Results, share: float) -> float:
+    """Time by which this share of the runs had settled, s; infinite if fewer ever do."""
+    times = np.sort(runs.values("to_5mm_s"))
+    return float(times[math.ceil(share * times.size) - 1])
 
 
-def _setup(kind: Kind, count: int, rendered: bool, contestants: Sequence[Contestant]) -> list[str]:
-    def span(name: str, factor: float = 1.0) -> str:
-        low, high = kind.ranges[name]
-        return f"{factor * low:g}" if low == high else f"{factor * low:g} to {factor * high:g}"
+def wins(ones: Results, others: Results) -> Interval | None:
+    """Of the worlds in which just one of two settles, the share that the first one does.
 
-    heavy = (
-        f" In {100 * kind.heavy_share:.0f} % of them the noise is alpha-stable: most errors are as "
-        "small as white noise's, and some are centimetres; in the others it is white, exponent 2."
+    Returns
+    -------
+    Interval or None
+        None where there is no such world.
+    """
+    pairs = zip(ones.values("settled"), others.values("settled"), strict=True)
+    won = [one for one, other in pairs if one != other]
+    return wilson(sum(won), len(won)) if won else None
+
+
+def best_of(runs: Results) -> str:
+    """The competitor that settles in most worlds; of equals, the one with the shorter median."""
+    groups = {name: ones for name, ones in runs.groups("scheme").items() if name != _ORACLE.name}
+    return min(
+        groups, key=lambda name: (-groups[name].share().value, settled_by(groups[name], 0.5))
     )
-    bumped = (
-        f" In {100 * kind.bumped_share:.0f} % the camera is hit {span('bump_time_s')} s "
-        f"after the target was given: it turns by {span('bump_turn_deg')}° and moves by "
-        f"{span('bump_shift_m', 1e3)} mm, and the target is given anew in the new view."
-    )
-    drawn = ", ".join(
-        f"{one.label} {span(one.name, one.scale)}{one.unit}"
-        for one in QUANTITIES
-        if kind.heavy_share or one.name != "noise_exponent"
-    )
-    camera = (
-        "rendered images"
-        if rendered
-        else "an exact camera, with the noise and errors above; it sees through the arm"
-    )
-    told = (
-        " The oracle is told the true Jacobian, at once after a bump too: what it cannot do is not "
-        "the estimator's fault."
-    )
-    return [
-        f"{count} worlds, each a pure function of its number. Start and target are "
-        f"{DISTANCE_M[0]:g} to {DISTANCE_M[1]:g} m apart. Evenly drawn are: how far the camera has "
-        "been carried round the scene since the networks were trained "
-        f"({span('camera_turn_deg')}°, in any direction), "
-        f"{drawn}."
-        f"{heavy if kind.heavy_share else ''}{bumped if kind.bumped_share else ''} The ball "
-        "can be seen at start and target, before and after.",
-        f"Who ran: {'; '.join(one.name for one in contestants)}. All meet the same worlds, noise "
-        "included, with the defaults of the "
-        f"nodes; nothing is tuned here. Ball positions come from {camera}. The target is given as "
-        "this camera sees it: a target in metres would be missed by the camera's error. A trial "
-        f"lasts {DURATION_S:g} s. It is a success if the true ball stays within 5 mm of the target "
-        f"for at least the last {REST_S:g} s; a run that does not counts as infinitely slow. Times "
-        "count from the target on, a bump included. "
-        "Intervals of shares are Wilson's, 95 %."
-        f"{told if any(one.knows_truth for one in contestants) else ''}",
-        f"Any trial can be seen alone: fvs_experiments {kind.name} --trial NUMBER, and --scheme "
-        "NAME for one scheme of it. It prints the world and what came of it, and draws the error "
-        "over time.",
-    ]
 
 
-def _table(results: Mapping[str, Sequence[Outcome]]) -> Table:
-    rows = []
-    for name, ones in results.items():
-        good = [one for one in ones if not one.failure]
+def claims(found: Found) -> Iterator[Claim]:
+    """Judge every scheme, and the lead of the best one over the paper's."""
+    schemes = found.runs.groups("scheme")
+    for name in sorted(schemes, key=lambda name: name == _ORACLE.name):
+        part = share_above("trials that settle", schemes[name].share(), WANTED)
+        yield Claim("enough", OURS, [part], given={"scheme": name})
+    if set(schemes) == {_ORACLE.name}:
+        return
+    best = best_of(found.runs)
+    parts = []
+    for name in SCHEMES:
+        if name in schemes and name != best:
+            share = wins(schemes[best], schemes[name])
+            label = f"of the worlds that only one of it and {name} masters"
+            # Without such a world nothing tells the two apart.
+            parts.append(share_above(label, share or Interval(0.5, 0.0, 1.0, 0), 0.5))
+    yield Claim("lead", OURS, parts, given={"scheme": best})
+
+
+# ---- tables and figures ---------------------------------------------------------------------
+
+
+def _share_text(runs: Results) -> str:
+    share = runs.share()
+    return f"{100 * share.value:.1f} % ({100 * share.low:.1f} to {100 * share.high:.1f})"
+
+
+def _plain(runs: Results, metric: str) -> str:
+    one = METRICS[metric]
+    values = runs.values(metric)
+    return number_text(one.factor * float(np.median(values)), 2) if values else "-"
+
+
+def tables(found: Found) -> Iterator[Named]:
+    """Success and medians, and failures by cause."""
+    rows, failed = [], []
+    for name, runs in found.runs.groups("scheme").items():
+        good = runs.where(settled=True)
         rows.append(
-            [
-                name,
-                rate_text(success_rate(ones)),
-                _seconds(settled_by(ones, 0.5)),
-                _seconds(settled_by(ones, 0.9)),
-                _middle([1e3 * one.final_rms_m for one in ones]),
-                _middle([1e3 * one.jitter_rad_s for one in good]),
-                _middle([one.path_ratio for one in good]),
-            ]
+            {
+                "scheme": name,
+                "settled": _share_text(runs),
+                "half by, s": number_text(settled_by(runs, 0.5), 2),
+                "90 % by, s": number_text(settled_by(runs, 0.9), 2),
+                "final error, mm rms": _plain(runs, "final_rms_m"),
+                "jitter, mrad/s": _plain(good, "jitter_rad_s"),
+                "path / distance": _plain(good, "path_ratio"),
+            }
         )
-    return Table(
-        f"{len(next(iter(results.values())))} worlds, the same for all; medians. Jitter and "
-        "path are of the runs that settled, as an arm that is held neither shakes nor moves.",
-        [
-            "scheme",
-            "settled",
-            "half by, s",
-            "90 % by, s",
-            "final rms, mm",
-            "jitter, mrad/s",
-            "path / distance",
-        ],
-        rows,
-    )
+        causes = runs.where(settled=False).groups("failure")
+        for cause, ones in sorted(causes.items(), key=lambda one: -len(one[1])):
+            trials = [str(number) for number in ones.values("world")]
+            more = ", ..." if len(trials) > _NAMED else ""
+            failed.append(
+                {
+                    "scheme": name,
+                    "cause": cause,
+                    "runs": str(len(trials)),
+                    "trials": ", ".join(trials[:_NAMED]) + more,
+                }
+            )
+    none = {"scheme": "all", "cause": "none", "runs": "0", "trials": "every run settled"}
+    yield "schemes", rows
+    yield "failures", failed or [none]
 
 
-def _failures_table(results: Mapping[str, Sequence[Outcome]]) -> Table:
-    rows = []
-    for name, ones in results.items():
-        trials = defaultdict(list)
-        for number, one in enumerate(ones, start=1):
-            if one.failure:
-                trials[one.failure].append(str(number))
-        for cause, numbers in sorted(trials.items(), key=lambda item: -len(item[1])):
-            more = ", ..." if len(numbers) > _NAMED else ""
-            rows.append([name, cause, str(len(numbers)), ", ".join(numbers[:_NAMED]) + more])
-    return Table(
-        "Failures by cause, with the numbers of trials to look at (--trial); all of them, and what "
-        "the controller said, are in results.json.",
-        ["scheme", "cause", "runs", "trials"],
-        rows or [["all", "none", "0", "every run settled"]],
-    )
+#: A point and the ends of its bar.
+_Bar = tuple[float, float, float]
 
 
-def _seconds(seconds: float) -> str:
-    return f"{seconds:.2f}" if np.isfinite(seconds) else "never"
+def _success(runs: Results) -> _Bar:
+    share = runs.share()
+    return 100 * share.value, 100 * share.low, 100 * share.high
 
 
-def _middle(values: Sequence[float]) -> str:
-    return f"{np.median(values):.2f}" if values else "-"
+def _settling(runs: Results) -> _Bar:
+    half, most = (min(settled_by(runs, share), DURATION_S) for share in (0.5, 0.9))
+    return half, half, most
+
+
+def _jitter(runs: Results) -> _Bar:
+    found = runs.where(settled=True).values("jitter_rad_s") or [np.nan]
+    low, half, high = 1e3 * np.percentile(found, (10, 50, 90), method="nearest")
+    return half, low, high
+
+
+def figures(found: Found) -> Iterator[Named]:
+    """Success, settling time and jitter against each quantity that differs."""
+    yield "success", _against(found.runs, _success, "settled, %")
+    yield "settling", _against(found.runs, _settling, METRICS["to_5mm_s"].label)
+    yield "jitter", _against(found.runs, _jitter, METRICS["jitter_rad_s"].label)
+
+
+def _against(runs: Results, bar: Callable[[Results], _Bar], label: str):
+    """Draw a panel per quantity: a bar for each bin and scheme."""
+    varied = [one for one in QUANTITIES if len(set(runs.values(one.name))) > 1] or QUANTITIES[:1]
+    columns = min(len(varied), 4)
+    rows = math.ceil(len(varied) / columns)
+    figure, axes = panels(rows, columns, (3.25 * columns, 3.3 * rows), sharey=True)
+    for axis in axes.flat[len(varied) :]:
+        axis.set_visible(False)
+    schemes = runs.groups("scheme")
+    colours = colours_of(list(schemes))
+    for axis, quantity in zip(axes.flat, varied, strict=False):
+        counts = dict.fromkeys(range(len(quantity.bins)), 0)
+        for number, (name, ones) in enumerate(schemes.items()):
+            bins = Results(
+                {**row, "bin": quantity.bin_of(row[quantity.name])} for row in ones
+            ).groups("bin")
+            counts |= {place: len(some) for place, some in bins.items()}
+            shift = min(0.12, 0.8 / len(schemes)) * (number - 0.5 * (len(schemes) - 1))
+            places = sorted(bins)
+            bars = [bar(bins[place]) for place in places]
+            ranges(axis, [place + shift for place in places], bars, color=colours[name])
+        names = [f"{name}\n({counts[place]})" for place, name in enumerate(quantity.bins)]
+        axis.set_xticks(range(len(names)), names)
+        axis.set_xlabel(quantity.axis)
+        axis.grid(visible=False, axis="x")
+    for axis in axes[:, 0]:
+        axis.set_ylabel(label)
+    looks = {name: {"color": colour, "marker": "o"} for name, colour in colours.items()}
+    keys(figure, looks, 2 * columns)
+    return figure
+
+
+EXPERIMENT = experiment_in(HARSH)

@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 
 from fvs_lab.context import Context, Key
-from fvs_lab.trials import Case, Conditions, Outcome, Trial, run_trial
+from fvs_lab.outcome import Outcome
+from fvs_lab.trials import Case, Conditions, Trial, run_trial
 
-#: Steepness of the penalty on a constraint's relative violation, s: whoever breaks it by a tenth
-#: pays two seconds, more than any gain is worth.
+#: Steepness of the penalty on a constraint's relative violation, s: breaking it by a tenth
+#: costs two seconds, more than any gain is worth.
 _PENALTY_S = 20.0
 #: Share of the time to 2 mm in the cost, to decide between equals at 5 mm.
 _FINE_SHARE = 0.1
@@ -102,7 +103,7 @@ class Search:
     duration_s : float
         Longest run, s.
     rest_s : float
-        A run ends when the error has been below 5 mm for so long, s. Jitter is that of the last
+        A run ends when the error has been below 5 mm for this time, s. Jitter is that of the last
         second: where it counts, the way from 5 mm to rest must have ended before.
     """
 
@@ -206,8 +207,8 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Found:
-    """A search's result.
+class Tuned:
+    """What a search found.
 
     Parameters
     ----------
@@ -242,7 +243,7 @@ def run_searches(
     generations: int,
     population: int,
     seed: int,
-) -> list[Found]:
+) -> list[Tuned]:
     """Search all of them with the same budget.
 
     Parameters
@@ -272,7 +273,7 @@ def run_searches(
         )
         for number, search in enumerate(searches)
     ]
-    found = [Found(search, []) for search in searches]
+    found = [Tuned(search, []) for search in searches]
     for generation in range(generations):
         asked = [[one.ask() for _ in range(population)] for one in optimisers]
         trials = [
@@ -297,7 +298,7 @@ def run_searches(
 
 def search_all(
     context: Context, searches: Mapping[Key, Search], cases: Sequence[Case], seed: int
-) -> dict[Key, list[Found]]:
+) -> dict[Key, list[Tuned]]:
     """Search each of them several times, from other seeds, all with the same budget.
 
     Parameters

@@ -3,165 +3,295 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
-from fvs_lab import settling_figures
+from fvs_controller_node.config import build_law, default_values
+from fvs_controller_node.ftsm import FtsmLaw
+from fvs_controller_node.settling import reaching_time_s
 from fvs_lab.context import Context
-from fvs_lab.report import Figure, Report, Table
-from fvs_lab.settling_runs import (
-    FREE_GAINS,
-    GAINS,
-    GOOD_JACOBIAN,
-    IDEAL,
-    SILENT,
-    Run,
-    groups,
-    judged,
-    law_of,
-    plans,
+from fvs_lab.experiment import OURS, PAPER, Claim, Experiment, Found, Named, Part
+from fvs_lab.figures import keys, panels
+from fvs_lab.outcome import BOUNDS_M
+from fvs_lab.results import METRICS, Cell, Metric, Results, table
+from fvs_lab.settling_bounds import (
+    DURATION_S,
+    bound_to_band_s,
+    predicted_times_s,
+    printed_sliding_time_s,
 )
-from fvs_lab.settling_verdicts import (
-    ALLOWANCE_S,
-    middle,
-    share,
-    verdicts,
-    within,
-    within_band,
-)
-from fvs_lab.trials import make_cases, run_trial
+from fvs_lab.trials import Case, Variant, make_cases
 
-NAME = "settling"
 SEED = 302
+#: A worse Jacobian does not count as good (relative Frobenius error).
+GOOD_JACOBIAN = 0.05
+#: What the bounds leave out and the arm has: a tick until the first command leaves, the drives'
+#: dead time and their lag, s.
+ALLOWANCE_S = 0.008 + 0.008 + 0.012
+#: Share of the runs that must keep a promise.
+ENOUGH = 0.95
+_PERIOD_S = 0.008
 
-_CAPTION = (
-    "Each mark is a run: the time computed before it (across) and the time measured (up). "
-    "Below the line, in the green, the ball arrived sooner than computed: a bound was kept. "
-    "Top: the corrected bounds; the one to zero is long where the exponent ends near 1. Bottom "
-    "left: the motion that the theory itself predicts, which should lie on the line. Bottom "
-    "right: the paper's formula, with the same reaching time added."
-)
+#: Limits out of the way; the largest that the controller takes.
+_FREE = {"max_joint_velocity_rad_s": 3.14, "max_joint_acceleration_rad_s2": 40.0, "damping": 1e-6}
+EVERYDAY = "everyday limits"
+#: Sets of gains by their exponents; in the last the limits break the theory's assumptions.
+GAINS: dict[str, dict[str, Any]] = {
+    "0.19 → 0.5": {
+        **_FREE, "alpha1": 1.0, "alpha2": 0.3, "alpha3": 0.45, "lambda1": 0.344, "lambda2": 0.154,
+        "switch_error_m": 0.00688, "k1": 1.63, "k2": 0.15, "k4": 0.2, "sigma": 0.82,
+    },
+    "0.375 → 0.9": {
+        **_FREE, "alpha1": 1.0, "alpha2": 1.0, "alpha3": 0.6, "lambda1": 0.6375, "lambda2": 0.2625,
+        "switch_error_m": 0.005, "k1": 1.5, "k2": 0.1, "k4": 0.2, "sigma": 0.75,
+    },
+    "fixed 0.6": {
+        **_FREE, "alpha1": 1.0, "alpha2": 0.7, "alpha3": 0.5, "exponent": "fixed",
+        "fixed_exponent": 0.6, "k1": 1.6, "k2": 0.07, "k4": 0.15, "sigma": 0.75,
+    },
+    EVERYDAY: {},
+}  # fmt: skip
+_COLOURS = dict(zip(GAINS, ("#0072B2", "#D55E00", "#009E73"), strict=False))
+
+SILENT, NOISY, ORACLE = "no noise", "1 mm noise", "no noise, true Jacobian"
+#: Not the real robot; it tells the drives' part in what is left.
+IDEAL = "no noise, ideal drives"
+_SILENT = {"rendered": False, "position_noise_m": 0.0}
+_IDEAL = {**_SILENT, "dead_time_s": 0.0, "lag_s": 0.0, "acceleration_limit_rad_s2": 1e4}
+WORLDS: dict[str, dict[str, Any]] = {
+    SILENT: _SILENT,
+    NOISY: {"position_noise_m": 0.001},
+    ORACLE: _SILENT,
+    IDEAL: _IDEAL,
+}
+_MARKS = dict(zip(WORLDS, "ox^+", strict=True))
+
+_SHOWN = METRICS | {
+    "bound_s": Metric("bound to 0, s"),
+    "band_5mm_s": Metric("bound to 5 mm, s"),
+    "predicted_5mm_s": Metric("theory's motion to 5 mm, s"),
+    "printed_sliding_s": Metric("as printed, s"),
+    "sliding_s": Metric("corrected, s"),
+}
 
 
-def run(context: Context) -> Report:
-    """Run the experiment."""
-    folder = context.folder(NAME)
-    cases = make_cases("s", context.count(60, 4), SEED)
-    planned = plans(cases, context.conditions(position_noise_m=0.001))
-    trials = [trial for plan in planned for trial in plan.trials()]
-    outcomes = iter(context.map(run_trial, trials, NAME))
-    runs = []
-    for plan in planned:
-        runs += judged(plan, [next(outcomes) for _ in plan.cases])
-    return Report(
-        name=NAME,
-        title="Settling time: the promise and the measurement",
-        question="The control law promises a longest time to the goal, computed from its gains and "
-        "the distance before anything moves. The formula in the paper is wrong; does a corrected "
-        "one hold in the closed loop?",
-        setup=_setup(runs, len(cases)),
-        figures=[Figure(settling_figures.times(runs, folder), _CAPTION)],
-        tables=[_table(runs), _printed_table(runs)],
-        verdicts=verdicts(runs),
-        data={"seed": SEED, "gains": GAINS, "cases": cases, "runs": runs},
-    )
+def law_of(gains: str) -> FtsmLaw:
+    """The control law with a set of gains."""
+    law = build_law(default_values(law="ftsm", **GAINS[gains]))
+    assert isinstance(law, FtsmLaw)
+    return law
 
 
-def _setup(runs: Sequence[Run], count: int) -> list[str]:
-    free = [run for run in runs if run.gains in FREE_GAINS and run.world != IDEAL]
-    reasons = Counter(run.excluded for run in free if run.excluded)
-    counted = len(free) - sum(reasons.values())
-    why = "; ".join(f"{number} because {reason}" for reason, number in reasons.most_common())
+def pairs(cases: list[Case]) -> list[tuple[Variant, Case]]:
+    """All gains on all starts without noise, and on a part of them in the other worlds."""
+    half = cases[: max(1, len(cases) // 2)]
+    parts = []
+    for number, gains in enumerate(_COLOURS):
+        third = cases[number :: len(_COLOURS)]
+        parts += [(gains, SILENT, cases), (gains, NOISY, half)]
+        parts += [(gains, ORACLE, third), (gains, IDEAL, third)]
+    parts.append((EVERYDAY, SILENT, half))
     return [
-        "The bound is reaching time plus sliding time of the slowest axis, from rest to zero "
-        "error: t = α1 / (α2 (1 - γ)) ln[(α2 y0^(1-γ) + α3) / (α2 y^(1-γ) + α3)], piece by piece "
-        "of the way with the exponent γ of the piece, and k4 / (k1 (2 - 2σ)) ln(1 + k1 "
-        "s0^(2-2σ) / k2) before. It assumes that no limit shapes the command, that all errors "
-        f"are below 1 m, and that the Jacobian is good (here: less than {100 * GOOD_JACOBIAN:.0f} "
-        "% wrong). It knows nothing of delay; the loop has 40 ms of camera latency, which the "
-        "controller bridges by prediction, and 28 ms of tick, dead time and lag, which it does "
-        "not.",
-        f"{count} starts and goals, 0.2 to 0.5 m apart; three sets of gains, named by their "
-        "exponents and low enough for the limits (3.14 rad/s, 40 rad/s²) to stay out of it: "
-        "α2, α3 = 0.3, 0.45; 1, 0.6; and 0.7, 0.5. All without noise, half of the starts with 1 "
-        "mm noise on the camera's measurements, a third with the true Jacobian, a third (not "
-        "counted) with ideal drives. Of "
-        f"{len(free)} runs {counted} count{', ' + why + ' do not' if reasons else ''}.",
-        "“To 5 mm” is the bound on the time until the error is below 5 mm, a sharper test than "
-        "that to zero. The “theory's motion” is no bound but the reaching law and the surface "
-        "integrated for each start.",
+        (
+            Variant(
+                {"gains": gains, "world": world},
+                "oracle" if world == ORACLE else "rbf",
+                controller_values=GAINS[gains],
+                conditions=WORLDS[world],
+            ),
+            case,
+        )
+        for gains, world, some in parts
+        for case in some
     ]
 
 
-def _table(runs: Sequence[Run]) -> Table:
-    rows = []
-    for (gains, world), found in groups(runs).items():
-        free = gains in FREE_GAINS
-        chosen = [run for run in found if not run.excluded] if free else found
-        rows.append(
-            [
-                gains,
-                world,
-                f"{len(chosen) if free and world != IDEAL else 0} of {len(found)}",
-                _seconds([run.measured_s["5 mm"] for run in chosen]),
-                _seconds([run.measured_s["2 mm"] for run in chosen]),
-                _seconds([run.bound_s for run in chosen]),
-                _seconds([run.band_bound_s["5 mm"] for run in chosen]),
-                _seconds([run.predicted_s["5 mm"] for run in chosen]),
-                _percent(share(chosen, within)),
-                _percent(share(chosen, within_band)),
-                _percent(share(chosen, lambda run: within_band(run, ALLOWANCE_S))),
-            ]
-        )
-    return Table(
-        "Medians in seconds, and the share of runs within the bounds to both 5 mm and 2 mm; runs "
-        "that break an assumption are left out. The last row breaks them on purpose: the "
-        "controller's default gains with its limits of 1 rad/s and 6 rad/s².",
-        [
-            "exponents",
-            "conditions",
-            "counted",
-            "measured to 5 mm",
-            "to 2 mm",
-            "bound to 0",
-            "bound to 5 mm",
-            "theory's motion to 5 mm",
-            "within bound to 0",
-            "within bound to 5 and 2 mm",
-            f"the same + {1e3 * ALLOWANCE_S:.0f} ms",
-        ],
-        rows,
+def judged(runs: Results, gains: str, acceleration_limit_rad_s2: float) -> Iterator[dict[str, Any]]:
+    """The rows of runs with the same gains, each beside what was promised for it.
+
+    Further columns: ``excluded``, the broken assumption; corrected bounds ``bound_s`` (to zero),
+    ``band_5mm_s``, ``band_2mm_s`` and ``sliding_s``; the theory's own motion ``predicted_5mm_s``,
+    ``predicted_2mm_s``; the paper's formula ``printed_s`` and ``printed_sliding_s``.
+    """
+    law = law_of(gains)
+    errors = np.array([row["series"]["ball_m"][0] - np.array(row["target_m"]) for row in runs])
+    predicted = predicted_times_s(errors, law.surface, law.reaching)
+    for number, (row, error) in enumerate(zip(runs, errors, strict=True)):
+        bound = law.settling_bound_s(error)
+        assert bound is not None
+        reaching = [reaching_time_s(law.surface.value(y, 0.0), law.reaching) for y in error]
+        printed = [printed_sliding_time_s(y, law.surface) for y in error.tolist()]
+        more = {
+            "excluded": exclusion(row, error, acceleration_limit_rad_s2),
+            "bound_s": bound,
+            "printed_s": max(a + b for a, b in zip(reaching, printed, strict=True)),
+            "printed_sliding_s": max(printed),
+            "sliding_s": bound - max(reaching),
+        }
+        for name, times_s in predicted.items():
+            band = name.replace(" ", "")
+            more[f"predicted_{band}_s"] = times_s[number]
+            more[f"band_{band}_s"] = bound_to_band_s(
+                error, BOUNDS_M[name], law.surface, law.reaching
+            )
+        yield {**row, **more}
+
+
+def exclusion(run: Mapping[str, Any], error_m: np.ndarray, acceleration_limit_rad_s2: float) -> str:
+    """Which assumption of the theory a recorded run breaks; empty if none.
+
+    Parameters
+    ----------
+    run : mapping
+        Its row.
+    error_m : ndarray, shape (3,)
+        Its error at the beginning, m.
+    acceleration_limit_rad_s2 : float
+        Of the drives, which follow no faster command, rad/s^2.
+    """
+    if run["limited_share"] > 0.0:
+        return "a limit of the controller shaped the command"
+    commands = run["series"]["command_rad_s"]
+    steps = np.diff(commands, axis=0, prepend=np.zeros((1, commands.shape[1])))
+    if float(np.abs(steps).max()) > acceleration_limit_rad_s2 * _PERIOD_S:
+        return f"the drives' own ramp of {acceleration_limit_rad_s2:g} rad/s² was exceeded"
+    if run["jacobian_error"] > GOOD_JACOBIAN:
+        return f"the Jacobian was more than {100 * GOOD_JACOBIAN:.0f} % wrong"
+    if float(np.abs(error_m).max()) >= 1.0:
+        return "the error was above 1 m"
+    return ""
+
+
+def measure(context: Context) -> Found:
+    """Run all gains in all worlds, and compute what was promised."""
+    cases = make_cases("s", context.count(60, 4), SEED)
+    planned = pairs(cases)
+    raw = context.run_pairs(
+        planned, "settling", duration_s=DURATION_S, stop_after_s=1.0, record=True
     )
+    rows: list[dict[str, Any]] = []
+    for (gains, world), ones in raw.groups("gains", "world").items():
+        limit = context.conditions(**WORLDS[world]).acceleration_limit_rad_s2
+        rows += judged(ones, gains, limit)
+    runs = Results(rows)
+    free = runs.those(lambda run: run["gains"] != EVERYDAY and run["world"] != IDEAL)
+    facts = {
+        "starts": len(cases),
+        "good_percent": round(100 * GOOD_JACOBIAN),
+        "free": len(free),
+        "reasons": Counter(filter(None, free.values("excluded"))).most_common(),
+        "allowance_ms": 1e3 * ALLOWANCE_S,
+    }
+    return Found(runs, facts, {"seed": SEED, "gains": GAINS, "cases": cases})
 
 
-def _printed_table(runs: Sequence[Run]) -> Table:
-    rows = []
-    for gains in FREE_GAINS:
-        found = [run for run in runs if run.gains == gains and run.world == SILENT]
-        surface = law_of(gains).surface
-        rows.append(
-            [
-                gains,
-                f"{surface.alpha2:g}, {surface.alpha3:g}",
-                _seconds([run.printed_sliding_s for run in found]),
-                _percent(share(found, lambda run: run.printed_sliding_s < 0.0)),
-                _seconds([run.sliding_s for run in found]),
-                _seconds([run.measured_s["2 mm"] for run in found]),
-            ]
-        )
-    return Table(
-        "The paper's formula (36)-(39) as printed beside the corrected one: sliding time of the "
-        "slowest axis to zero, medians in seconds. The measured time includes the reaching.",
-        ["exponents", "α2, α3", "as printed", "negative", "corrected", "measured to 2 mm"],
-        rows,
-    )
+# ---- promises kept --------------------------------------------------------------------------
+
+_Promise = Callable[[Mapping[str, Any]], bool]
 
 
-def _seconds(values: Sequence[float]) -> str:
-    seconds = middle(values)
-    return f"{seconds:.2f}" if np.isfinite(seconds) else ("never" if values else "-")
+def within(run: Mapping[str, Any]) -> bool:
+    """Whether 5 mm and 2 mm were reached within the bound to zero."""
+    return max(run["to_5mm_s"], run["to_2mm_s"]) <= run["bound_s"]
 
 
-def _percent(part: float) -> str:
-    return f"{100 * part:.0f} %"
+def within_band(run: Mapping[str, Any], allowance_s: float = 0.0) -> bool:
+    """Whether each band was reached within the bound to that band, and an allowance, s."""
+    return all(run[f"to_{band}_s"] <= run[f"band_{band}_s"] + allowance_s for band in _BANDS)
+
+
+_BANDS = ("5mm", "2mm")
+
+
+def _predicted(run: Mapping[str, Any]) -> bool:
+    time_s = run["predicted_5mm_s"]
+    return abs(run["to_5mm_s"] - time_s) <= 0.1 * time_s + ALLOWANCE_S
+
+
+def _printed_kept(run: Mapping[str, Any]) -> bool:
+    return run["printed_sliding_s"] > 0.0 and run["to_5mm_s"] <= run["printed_s"]
+
+
+def _kept(runs: Results, promise: _Promise, label: str) -> Part:
+    hits, count = sum(map(promise, runs)), len(runs)
+    share = hits / count if count else 0.0
+    text = f"{hits} of {count} ({100 * share:.1f} %), asked: {100 * ENOUGH:.0f} %"
+    return Part(label, text, share >= ENOUGH if count else None)
+
+
+def claims(found: Found) -> Iterator[Claim]:
+    """The bounds, corrected and as printed."""
+    free = found.runs.those(lambda run: run["gains"] != EVERYDAY and not run["excluded"])
+    counted = free.those(lambda run: run["world"] != IDEAL)
+    yield Claim("bound", OURS, [_kept(counted, within, "runs within it")])
+    yield Claim("band", OURS, [_kept(counted, within_band, "runs within it")])
+    yield Claim("motion", OURS, [_kept(counted, _predicted, "runs that agree")])
+    label = "runs with a positive one that was kept"
+    yield Claim("printed", PAPER, [_kept(counted, _printed_kept, label)])
+    limited = found.runs.where(gains=EVERYDAY)
+    yield Claim("limited", OURS, [_kept(limited, within_band, "runs within it")])
+
+
+# ---- tables and figure ----------------------------------------------------------------------
+
+
+def _percent(promise: _Promise) -> Cell:
+    return lambda runs: f"{100 * float(np.mean([*map(promise, runs)])):.0f} %" if len(runs) else "-"
+
+
+def tables(found: Found) -> Iterator[Named]:
+    """Measured beside promised, and the formula as printed."""
+    chosen = found.runs.those(lambda run: run["gains"] == EVERYDAY or not run["excluded"])
+    metrics = ["to_5mm_s", "to_2mm_s", "bound_s", "band_5mm_s", "predicted_5mm_s"]
+    cells: dict[str, Cell] = {
+        "runs": lambda runs: str(len(runs)),
+        "within bound to 0": _percent(within),
+        "within bound to 5 and 2 mm": _percent(within_band),
+        f"the same + {1e3 * ALLOWANCE_S:.0f} ms": _percent(
+            lambda run: within_band(run, ALLOWANCE_S)
+        ),
+    }
+    by = {"gains": "exponents", "world": "conditions"}
+    yield "promises", table(chosen, by, metrics, cells, known=_SHOWN)
+    silent = found.runs.those(lambda run: run["gains"] != EVERYDAY and run["world"] == SILENT)
+    negative: dict[str, Cell] = {"negative": _percent(lambda run: run["printed_sliding_s"] < 0.0)}
+    metrics = ["printed_sliding_s", "sliding_s", "to_2mm_s"]
+    yield "printed", table(silent, {"gains": "exponents"}, metrics, negative, known=_SHOWN)
+
+
+def figures(found: Found) -> Iterator[Named]:
+    """Measured against computed times, a panel per computation."""
+    counted = found.runs.those(lambda run: run["gains"] != EVERYDAY and not run["excluded"])
+    figure, axes = panels(2, 2, (11, 8.4), sharey=True)
+    labels = {
+        "bound_s": "corrected bound on the time to zero error, s",
+        "band_5mm_s": "corrected bound on the time to 5 mm, s",
+        "predicted_5mm_s": "the theory's own motion to 5 mm (no bound), s",
+        "printed_s": "the paper's formula as printed, s",
+    }
+    times = [time for time in counted.values("to_5mm_s") if np.isfinite(time)]
+    top = 1.15 * max(times, default=1.0)
+    for axis, (column, label) in zip(axes.flat, labels.items(), strict=True):
+        for (gains, world), runs in counted.groups("gains", "world").items():
+            look = {"marker": _MARKS[world], "color": _COLOURS[gains], "alpha": 0.6, "s": 22}
+            axis.scatter(runs.values(column), np.minimum(runs.values("to_5mm_s"), top), **look)
+        low, high = min(axis.get_xlim()[0], 0.0), max(axis.get_xlim()[1], top)
+        axis.fill_between([0.0, high], [0.0, high], color="#1f8a4c", alpha=0.08, linewidth=0.0)
+        axis.axvspan(low, 0.0, color="#c0392b", alpha=0.08, linewidth=0.0)
+        axis.set(xlim=(low, high), ylim=(0.0, top), xlabel=label)
+    for axis in axes[:, 0]:
+        axis.set_ylabel("measured settling time to 5 mm, s")
+    looks = {
+        **{f"exponent {name}": {"color": colour} for name, colour in _COLOURS.items()},
+        **{
+            world: {"color": "black", "marker": mark, "linestyle": ""}
+            for world, mark in _MARKS.items()
+        },
+    }
+    keys(figure, looks)
+    yield "settling", figure
+
+
+EXPERIMENT = Experiment("settling", measure, claims, tables, figures)

@@ -13,7 +13,7 @@ from fvs_controller_node.settling import (
     sliding_value_after,
 )
 from fvs_controller_node.surface import SlidingSurface
-from fvs_lab.trials import BOUNDS_M, seconds
+from fvs_lab.outcome import BOUNDS_M, seconds
 from fvs_tools.score import settling_time_s
 
 #: Length of a run, and as far as the theory's motion is followed, s.

@@ -6,7 +6,7 @@ import json
 import os
 import re
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,19 +15,17 @@ import numpy as np
 import yaml
 
 from fvs_lab.context import Context
-from fvs_lab.lockstep import LockStep
+from fvs_lab.experiment import OURS, Claim, Part
+from fvs_lab.outcome import BOUNDS_M, seconds
+from fvs_lab.results import number_text, span
 from fvs_lab.statistics import median
-from fvs_lab.trials import (
-    BOUNDS_M,
-    PRELUDE_S,
-    Case,
-    Trial,
-    seconds,
-    simulation_of,
-)
+from fvs_lab.trials import PRELUDE_S, Case, Trial, simulation_of
 from fvs_ros.paths import program
 from fvs_tools.score import settling_time_s
 
+#: The nodes agree if no settling time differs from lock step by more than this: an image period
+#: and a few ticks, s.
+AGREE_S = 0.05
 _TARGET_S = 3.0
 _TIMEOUT_S = 90.0
 
@@ -61,8 +59,8 @@ class SpotCheck:
     def shifts_s(self) -> list[float]:
         """How much later the nodes settle than the median lock-step run, target by target, s.
 
-        The noise is another one in every run and decides when the error is last above 5 mm; a
-        delay that lock step does not know would show in all targets.
+        The noise differs in every run and decides when the error is last above 5 mm; a delay that
+        lock step does not know would show in all targets.
         """
         columns = zip(*self.lock_step_s, strict=True)
         expected = [median([seconds(time) for time in times]).value for times in columns]
@@ -187,9 +185,7 @@ def run_chain(chain: Chain) -> list[float | None]:
     trial = chain.trial
     simulation = simulation_of(trial.conditions)
     simulation.reset(chain.start_rad, chain.seed)
-    one = LockStep(
-        simulation, trial.estimator(simulation), {"law": trial.law, **trial.controller_values}
-    )
+    one = trial.loop(simulation)
     one.run(PRELUDE_S)
     settling = []
     for target in chain.targets_m:
@@ -238,3 +234,37 @@ def scenario_of(chain: Chain, results: Path) -> Mapping[str, Any]:
             output_dir=str(results),
         ),
     }
+
+
+def domain_of(number: int) -> int:
+    """``ROS_DOMAIN_ID`` of a check's nodes: other processes' and other checks' differ."""
+    return 1 + (os.getpid() + number) % 100
+
+
+def rows(checks: Sequence[SpotCheck]) -> list[dict[str, str]]:
+    """The table's rows, one per scheme."""
+    return [
+        {
+            "scheme": one.name,
+            "lock step, range, s": ", ".join(span(ends) for ends in one.ranges_s()),
+            "nodes, s": one.problem
+            or ", ".join(number_text(seconds(time), 2) for time in one.nodes_s),
+            "shift (median), s": "" if one.problem else f"{one.shift_s():+.2f}",
+            "worst target, s": "" if one.problem else f"{one.worst_s():+.2f}",
+        }
+        for one in checks
+    ]
+
+
+def claims(checks: Sequence[SpotCheck]) -> Iterator[Claim]:
+    """The claim ``spot_check``: the nodes settle as lock step does; none without a check."""
+    if checks:
+        yield Claim("spot_check", OURS, [_part(one) for one in checks])
+
+
+def _part(one: SpotCheck) -> Part:
+    if one.problem:
+        return Part(one.name, one.problem, None)
+    worst = abs(one.worst_s())
+    text = f"{one.worst_s():+.2f} s, asked: at most {AGREE_S} s either way"
+    return Part(f"{one.name}, target that differs most", text, worst <= AGREE_S, worst / AGREE_S)

@@ -31,10 +31,10 @@ class Interval:
     high: float
     count: int = DECISIVE
 
-    def text(self, digits: int = 2) -> str:
-        """``0.62 (0.58 to 0.71)``."""
+    def text(self, digits: int = 2, factor: float = 1.0) -> str:
+        """``0.62 (0.58 to 0.71)``, in another unit by a factor."""
         value, low, high = (
-            "never" if not np.isfinite(number) else f"{number:.{digits}f}"
+            "never" if not np.isfinite(number) else f"{factor * number:.{digits}f}"
             for number in (self.value, self.low, self.high)
         )
         return f"{value} ({low} to {high})"
@@ -50,14 +50,6 @@ class Interval:
         if self.count >= DECISIVE and self.high < bound:
             return True
         return False if self.count >= DECISIVE and self.low > bound else None
-
-    def inverse(self) -> Interval:
-        """One over it, for a ratio seen from its other end."""
-
-        def one_over(value: float) -> float:
-            return float("inf") if value == 0.0 else 1.0 / value
-
-        return Interval(one_over(self.value), one_over(self.high), one_over(self.low), self.count)
 
 
 def all_hold(parts: Iterable[bool | None]) -> bool | None:
@@ -84,8 +76,8 @@ def median(values: Sequence[float], repeats: int = 1) -> Interval:
     values : sequence of float
         One per run; infinite for a run that never settled.
     repeats : int
-        How often the same cases come one after the other, each time with what another search
-        found: both cases and searches are drawn anew then.
+        How often the same cases follow one another, each time with what another search found:
+        both cases and searches are drawn anew then.
     """
     data = np.asarray(values, dtype=float)
     medians = _median(data[_resamples(data.size, repeats)])
@@ -124,14 +116,14 @@ def wilson(hits: int, count: int) -> Interval:
     Parameters
     ----------
     hits, count : int
-        So many of so many; at least one.
+        Hits, and runs; at least one run.
     """
     z = 1.959964
     share = hits / count
     middle = (share + z * z / (2 * count)) / (1 + z * z / count)
     half = z * math.sqrt(share * (1 - share) / count + (z / (2 * count)) ** 2)
     half /= 1 + z * z / count
-    # At 0 and 1 the end is the share itself, but for rounding.
+    # At 0 and 1 the end is the share itself, except for rounding.
     low = 0.0 if hits == 0 else middle - half
     high = 1.0 if hits == count else middle + half
     return Interval(share, low, high, count)

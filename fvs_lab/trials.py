@@ -10,9 +10,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from fvs_controller_node.reasons import State
-from fvs_controller_node.supervisor import Command
-from fvs_estimator_node.base import Estimator
 from fvs_lab.lockstep import (
     MODEL,
     LockStep,
@@ -20,27 +17,48 @@ from fvs_lab.lockstep import (
     load_networks,
     make_estimator,
 )
-from fvs_lab.noise import WHITE, StableNoise
+from fvs_lab.outcome import JACOBIAN_EVERY, Outcome, RunLog
 from fvs_ros.joints import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.rendering import CameraPose, camera_preset
 from fvs_sim_node.simulation import LIVE, SimConfig, Simulation
-from fvs_tools.score import jitter_rad_s, settling_time_s
+from fvs_tools.schemes import Scheme
 
 #: Middle and half widths of the box that starts and goals are drawn from, rad.
 HOME_RAD = np.array(HOME_JOINTS_RAD)
 BOX_RAD = np.array(TRAINING_BOX_RAD)
 
-#: Errors whose settling times are taken, m.
-BOUNDS_M = {"5 mm": 0.005, "2 mm": 0.002, "1 mm": 0.001}
-
 #: Time at rest before the target is given, for the controller's inputs to be fresh, s.
 PRELUDE_S = 0.4
-#: Every so many ticks the Jacobian in use is compared with the true one.
-_JACOBIAN_EVERY = 5
-#: The end of a run, over which rest is judged, s.
-REST_S = 1.0
-#: Cause of a failure: the ball came near, and left again.
-NOT_STAYED = "reached 5 mm, but did not stay"
+#: Exponent of noise without heavy tails.
+WHITE = 2.0
+#: No error of a coordinate is larger than this, m: the detection knows the size of the ball.
+_LARGEST_ERROR_M = 0.1
+
+
+@dataclass(frozen=True)
+class StableNoise:
+    """Symmetric alpha-stable errors of a ball position, by Chambers, Mallows and Stuck.
+
+    Parameters
+    ----------
+    scale_m : float
+        Standard deviation at exponent 2, m; with less, the bulk is as wide and the tails heavy.
+    exponent : float
+        Above 1, up to 2 (white, normally distributed).
+    """
+
+    scale_m: float
+    exponent: float
+
+    def __call__(self, rng: np.random.Generator) -> np.ndarray:
+        """Draw the errors of the three coordinates, cut off where no camera errs that far, m."""
+        alpha = self.exponent
+        angle = rng.uniform(-0.5 * np.pi, 0.5 * np.pi, 3)
+        waiting = rng.exponential(size=3)
+        spread = (np.cos((1.0 - alpha) * angle) / waiting) ** ((1.0 - alpha) / alpha)
+        draw = np.sin(alpha * angle) / np.cos(angle) ** (1.0 / alpha) * spread
+        error_m = self.scale_m / np.sqrt(2.0) * draw
+        return np.clip(error_m, -_LARGEST_ERROR_M, _LARGEST_ERROR_M)
 
 
 @dataclass(frozen=True)
@@ -54,7 +72,7 @@ class Conditions:
     position_noise_m : float
         Further noise on each coordinate, m.
     noise_exponent : float
-        That of :class:`~fvs_lab.noise.StableNoise`; 2 for white noise.
+        That of :class:`StableNoise`; 2 for white noise.
     depth_noise : float
         Factor on the depth camera's own noise (rendered only).
     image_rate_hz : float
@@ -134,52 +152,6 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Trial:
-    """A case, who is to master it, and under what conditions.
-
-    Parameters
-    ----------
-    case : Case
-        Start, goal and seed.
-    method, law : str
-        Estimator and control law, by their registries' names.
-    estimator_values, controller_values : mapping
-        The nodes' parameters, where they differ from the defaults.
-    conditions : Conditions
-        The world.
-    duration_s : float
-        Time from the target on, s.
-    stop_after_s : float, optional
-        End when the error has been below 5 mm for so long, s; for searches.
-    record : bool
-        Whether to keep the time series.
-    model : str
-        Trained model that the estimator begins with: a file of the ``config`` folder, or a path.
-    """
-
-    case: Case
-    method: str
-    law: str
-    estimator_values: Mapping[str, Any] = field(default_factory=dict)
-    controller_values: Mapping[str, Any] = field(default_factory=dict)
-    conditions: Conditions = field(default_factory=Conditions)
-    duration_s: float = 4.0
-    stop_after_s: float | None = None
-    record: bool = False
-    model: str = MODEL
-
-    def estimator(self, simulation: Simulation) -> Estimator:
-        """The estimator, with the model that it begins with."""
-        return make_estimator(
-            self.method,
-            simulation,
-            load_networks(self.model),
-            self.estimator_values,
-            load_chain(self.model),
-        )
-
-
-@dataclass(frozen=True)
 class Bump:
     """A blow to the camera in mid-run.
 
@@ -200,7 +172,7 @@ class Bump:
     translation_m: tuple[float, float, float]
 
     def divided(self, parts: int) -> Bump:
-        """Return that of which so many in a row are this one."""
+        """One of several equal blows that add up to this one."""
         (a, b, c), (x, y, z) = self.rotation_deg, self.translation_m
         return replace(
             self,
@@ -215,66 +187,100 @@ class Bump:
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What came of a trial; errors are of the true ball position.
+class Trial:
+    """A case, who is to master it, and under what conditions.
 
     Parameters
     ----------
-    start_distance_m : float
-        Error when the target was given, m.
-    settling_s : dict of str to (float or None)
-        Time after which the error stayed below a bound, by the bound's name; None for never.
-    final_rms_m : float
-        Error over the last second, rms, m.
-    jitter_rad_s : float
-        Change of the command from tick to tick over the last second, rms, worst joint, rad/s;
-        infinite for an arm that the supervisor held: standing still is not calm.
-    peak_joint_speed_rad_s : float
-        Largest commanded joint speed, rad/s.
-    path_ratio : float
-        Length of the ball's path over the distance.
-    limited_share : float
-        Share of the time to 5 mm (or the whole run) in which a limit shaped the command.
-    jacobian_error : float
-        Relative Frobenius error of the Jacobian that the controller used, mean until settled.
-    failure : str
-        Why it did not settle to 5 mm; empty if it did.
-    target_m : tuple of 3 float
-        The target, camera frame, m; after a bump, that of the camera where it is then.
-    said : str
-        What the controller said last in a run that failed.
-    series : dict of str to ndarray
-        ``time_s`` (n,), ``ball_m`` (n, 3), ``error_m`` (n,), ``command_rad_s`` (n, 6),
-        ``exponent`` (n, 3); empty unless recorded.
+    case : Case
+        Start, goal and seed.
+    method, law : str
+        Estimator and control law, by their registries' names.
+    estimator_values, controller_values : mapping
+        The nodes' parameters, where they differ from the defaults.
+    conditions : Conditions
+        The world.
+    duration_s : float
+        Time from the target on, s.
+    stop_after_s : float, optional
+        End when the error has been below 5 mm for this time, s; for searches.
+    record : bool
+        Whether to keep the time series.
+    model : str
+        Trained model that the estimator begins with: a file of the ``config`` folder, or a path.
+    bump : Bump, optional
+        A blow to the camera.
     """
 
-    start_distance_m: float
-    settling_s: dict[str, float | None]
-    final_rms_m: float
-    jitter_rad_s: float
-    peak_joint_speed_rad_s: float
-    path_ratio: float
-    limited_share: float
-    jacobian_error: float
-    failure: str
-    target_m: tuple[float, ...]
-    said: str = ""
-    series: dict[str, np.ndarray] = field(default_factory=dict)
+    case: Case
+    method: str
+    law: str
+    estimator_values: Mapping[str, Any] = field(default_factory=dict)
+    controller_values: Mapping[str, Any] = field(default_factory=dict)
+    conditions: Conditions = field(default_factory=Conditions)
+    duration_s: float = 4.0
+    stop_after_s: float | None = None
+    record: bool = False
+    model: str = MODEL
+    bump: Bump | None = None
 
-    @property
-    def settled_s(self) -> float:
-        """Settling time to 5 mm, s; infinite if never."""
-        return seconds(self.settling_s["5 mm"])
+    def loop(self, simulation: Simulation) -> LockStep:
+        """The whole loop in a simulation that has been reset."""
+        estimator = make_estimator(
+            self.method,
+            simulation,
+            load_networks(self.model),
+            self.estimator_values,
+            load_chain(self.model),
+        )
+        return LockStep(simulation, estimator, {"law": self.law, **self.controller_values})
 
-    def summary(self) -> dict[str, Any]:
-        """All but the time series."""
-        names = self.__dataclass_fields__.keys() - {"series"}
-        return {name: getattr(self, name) for name in sorted(names)}
 
+@dataclass(frozen=True)
+class Variant:
+    """One of those that an experiment compares.
 
-def seconds(value: float | None) -> float:
-    """A settling time as a number: infinite for never."""
-    return float("inf") if value is None else value
+    Parameters
+    ----------
+    labels : mapping
+        Columns of the tidy table that tell it from the others.
+    method, law : str
+        Estimator and control law, by their registries' names.
+    estimator_values, controller_values : mapping
+        The nodes' parameters, where they differ from the defaults.
+    conditions : mapping
+        Fields of the conditions that differ from the experiment's.
+    """
+
+    labels: Mapping[str, Any]
+    method: str = "rbf"
+    law: str = "ftsm"
+    estimator_values: Mapping[str, Any] = field(default_factory=dict)
+    controller_values: Mapping[str, Any] = field(default_factory=dict)
+    conditions: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, scheme: Scheme, **controller_values: Any) -> Variant:
+        """A scheme, labelled by its name, with further parameters of the controller."""
+        return cls(
+            {"scheme": scheme.name},
+            scheme.method,
+            scheme.law,
+            scheme.estimator_values,
+            {**scheme.controller_values, **controller_values},
+        )
+
+    def trial(self, case: Case, conditions: Conditions, **fields: Any) -> Trial:
+        """A trial of it; fields are further ones of the trial."""
+        return Trial(
+            case,
+            self.method,
+            self.law,
+            self.estimator_values,
+            self.controller_values,
+            replace(conditions, **self.conditions),
+            **fields,
+        )
 
 
 def carried_camera(turn_rad: np.ndarray) -> CameraPose:
@@ -362,7 +368,7 @@ def run_trial(trial: Trial) -> Outcome:
     return drive(trial, simulation_of(trial.conditions))
 
 
-def drive(trial: Trial, simulation: Simulation, bump: Bump | None = None) -> Outcome:
+def drive(trial: Trial, simulation: Simulation) -> Outcome:
     """Run one trial in a simulation that has been set up.
 
     Parameters
@@ -371,18 +377,14 @@ def drive(trial: Trial, simulation: Simulation, bump: Bump | None = None) -> Out
         What to run; its conditions are those that the simulation is in.
     simulation : Simulation
         It is reset; disturbances that were set stay.
-    bump : Bump, optional
-        A blow to the camera.
     """
     simulation.reset(trial.case.goal_rad)
     goal_m = simulation.world.ball_position()
     simulation.reset(trial.case.start_rad, trial.case.seed)
-    one = LockStep(
-        simulation, trial.estimator(simulation), {"law": trial.law, **trial.controller_values}
-    )
+    one = trial.loop(simulation)
     one.run(PRELUDE_S)
     target_m = _tell_target(one, goal_m)
-    log = _Log(simulation.time_s)
+    log, bump = RunLog(simulation.time_s), trial.bump
     bump_tick = None if bump is None else round(bump.time_s / one.period_s)
     for tick in range(round(trial.duration_s / one.period_s)):
         if bump is not None and tick == bump_tick:
@@ -390,7 +392,7 @@ def drive(trial: Trial, simulation: Simulation, bump: Bump | None = None) -> Out
             target_m = _tell_target(one, goal_m)
         command = one.tick()
         log.add(simulation.time_s, simulation.true_ball_position(), target_m, command)
-        if tick % _JACOBIAN_EVERY == 0:
+        if tick % JACOBIAN_EVERY == 0:
             log.add_jacobian_error(jacobian_error(one))
         if trial.stop_after_s is not None and log.rested_s() >= trial.stop_after_s:
             break
@@ -408,102 +410,10 @@ def jacobian_error(one: LockStep) -> float:
     """Relative Frobenius error of the Jacobian that the controller uses now."""
     true = one.simulation.true_jacobian(one.simulation.joints_rad)
     used = one.loop.jacobian
-    if used is None:
-        return float("nan")
-    return float(np.linalg.norm(used - true) / np.linalg.norm(true))
+    return float("nan") if used is None else float(relative_errors(used, true))
 
 
-class _Log:
-    """Collects a run and judges it."""
-
-    def __init__(self, start_s: float) -> None:
-        self._start_s = start_s
-        self._time_s: list[float] = []
-        self._ball_m: list[np.ndarray] = []
-        self._target_m: list[np.ndarray] = []
-        self._command: list[np.ndarray] = []
-        self._exponent: list[np.ndarray] = []
-        self._limited: list[bool] = []
-        self._jacobian_error: list[float] = []
-        self._below_since_s: float | None = None
-        self._last: Command | None = None
-        self._held: str = ""
-
-    def add_jacobian_error(self, error: float) -> None:
-        self._jacobian_error.append(error)
-
-    def add(self, now_s: float, ball_m: np.ndarray, target_m: np.ndarray, command: Command) -> None:
-        self._time_s.append(now_s - self._start_s)
-        self._ball_m.append(ball_m)
-        self._target_m.append(target_m)
-        self._command.append(command.velocity_rad_s)
-        output = command.output
-        self._exponent.append(np.full(3, np.nan) if output is None else output.exponent)
-        self._limited.append(bool(command.active_limit))
-        self._last = command
-        if command.state is not State.SERVOING:
-            self._held = command.reason.name.lower().replace("_", " ")
-
-    def rested_s(self) -> float:
-        """How long the error has been below 5 mm, s."""
-        now_s = self._time_s[-1]
-        if np.linalg.norm(self._ball_m[-1] - self._target_m[-1]) >= BOUNDS_M["5 mm"]:
-            self._below_since_s = None
-            return 0.0
-        if self._below_since_s is None:
-            self._below_since_s = now_s
-        return now_s - self._below_since_s
-
-    def outcome(self, record: bool) -> Outcome:
-        times, balls = np.array(self._time_s), np.array(self._ball_m)
-        commands, targets = np.array(self._command), np.array(self._target_m)
-        errors = np.linalg.norm(balls - targets, axis=1)
-        settling = {
-            name: settling_time_s(times, errors, bound_m) for name, bound_m in BOUNDS_M.items()
-        }
-        last = times > times[-1] - REST_S
-        settled = settling["5 mm"]
-        moving = times <= (times[-1] if settled is None else settled)
-        failure = "" if settled is not None else self._cause(errors)
-        steps_m = np.linalg.norm(np.diff(balls[moving], axis=0), axis=1)
-        # A bump moves the camera, not the ball.
-        steps_m[np.diff(targets[moving], axis=0).any(axis=1)] = 0.0
-        series = {}
-        if record:
-            series = {
-                "time_s": times,
-                "ball_m": balls,
-                "error_m": errors,
-                "command_rad_s": commands,
-                "exponent": np.array(self._exponent),
-            }
-        return Outcome(
-            start_distance_m=float(errors[0]),
-            settling_s=settling,
-            final_rms_m=float(np.sqrt(np.mean(errors[last] ** 2))),
-            jitter_rad_s=self._jitter(commands[last]),
-            peak_joint_speed_rad_s=float(np.abs(commands).max()),
-            path_ratio=float(steps_m.sum()) / float(errors[0]),
-            limited_share=float(np.mean(np.array(self._limited)[moving])),
-            jacobian_error=float(
-                np.mean(np.array(self._jacobian_error)[moving[::_JACOBIAN_EVERY]])
-            ),
-            failure=failure,
-            target_m=tuple(float(value) for value in targets[-1]),
-            said=self._last.text if failure and self._last is not None else "",
-            series=series,
-        )
-
-    def _jitter(self, commands: np.ndarray) -> float:
-        if self._last is None or self._last.state is not State.SERVOING:
-            return float("inf")
-        return jitter_rad_s(commands)
-
-    def _cause(self, errors: np.ndarray) -> str:
-        if self._last is not None and self._last.state is not State.SERVOING:
-            return f"held: {self._held}"
-        if errors[-125:].min() < BOUNDS_M["5 mm"]:
-            return NOT_STAYED
-        if errors[-1] < 0.9 * errors[0]:
-            return "too slow"
-        return "did not get nearer"
+def relative_errors(jacobian: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Relative Frobenius errors of one or many Jacobians, shape (..., m, n)."""
+    wrong = np.linalg.norm(jacobian - true, axis=(-2, -1))
+    return np.asarray(wrong / np.linalg.norm(true, axis=(-2, -1)))

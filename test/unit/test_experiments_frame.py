@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,10 +10,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
-from scipy.stats import bootstrap
+from scipy.stats import binomtest, bootstrap
 
-from fvs_lab import main, servo
+from fvs_lab import main, robustness, servo
 from fvs_lab.context import Context
+from fvs_lab.experiment import OURS, PAPER, Claim, Found, Part, above, below, either, share_above
+from fvs_lab.outcome import Outcome
+from fvs_lab.regimes import REGIMES, SEARCHED, search_of
 from fvs_lab.report import (
     EXPERIMENTS,
     LONG,
@@ -25,26 +29,12 @@ from fvs_lab.report import (
     write_page,
     write_report,
 )
-from fvs_lab.search import Found, Knob, Limit, Search, run_searches
-from fvs_lab.servo_terms import REGIMES, SEARCHED, search_of
+from fvs_lab.results import Results, table
+from fvs_lab.search import Knob, Limit, Search, Tuned, run_searches
 from fvs_lab.spot_check import Chain, SpotCheck, run_chain, scenario_of
-from fvs_lab.spot_check_words import spot_check_verdict
-from fvs_lab.statistics import (
-    Interval,
-    all_hold,
-    any_holds,
-    median,
-    ratio_of_medians,
-)
-from fvs_lab.trials import (
-    Case,
-    Conditions,
-    Outcome,
-    Trial,
-    carried_camera,
-    make_cases,
-    run_trial,
-)
+from fvs_lab.spot_check import claims as spot_check_claims
+from fvs_lab.statistics import Interval, median, ratio_of_medians, wilson
+from fvs_lab.trials import Case, Conditions, Trial, carried_camera, make_cases, run_trial
 from fvs_tools.demo import own_targets
 from fvs_tools.scenario import load_scenario
 from fvs_tools.score import settling_time_s
@@ -107,32 +97,86 @@ def test_runs_of_several_searches_on_the_same_cases_are_no_more_cases():
 
 
 def test_an_interval_on_both_sides_of_a_bound_decides_nothing():
-    for low, high, above in ((1.06, 1.2, True), (0.9, 1.04, False), (0.9, 1.2, None)):
+    for low, high, holds in ((1.06, 1.2, True), (0.9, 1.04, False), (0.9, 1.2, None)):
         one = Interval(0.5 * (low + high), low, high)
-        assert one.above(1.05) is above
-        assert one.below(1.05) is (None if above is None else not above)
-        assert one.inverse().below(1.0 / 1.05) is above
-    assert Interval(0.0, 0.0, 1.0).inverse().high == INF
+        assert one.above(1.05) is holds
+        assert one.below(1.05) is (None if holds is None else not holds)
     touching = Interval(1.1, 1.0, 1.2)
     assert touching.below(1.0) is touching.above(1.0) is None
-
-
-def test_few_runs_decide_nothing():
     few, enough = (ratio_of_medians([1.0] * n, [2.0] * n) for n in (5, 6))
     assert few.below(1.0) is None
     assert enough.below(1.0) is True
 
 
-def test_claims_of_several_parts():
-    for parts, all_of, any_of in (
+@pytest.mark.parametrize(("hits", "count"), [(0, 4), (3, 4), (4, 4), (495, 500)])
+def test_the_interval_of_a_share_is_that_of_scipy(hits, count):
+    one = wilson(hits, count)
+    other = binomtest(hits, count).proportion_ci(method="wilson")
+    assert (one.value, one.count) == (hits / count, count)
+    assert (one.low, one.high) == pytest.approx((other.low, other.high))
+
+
+# --- claims ---
+
+
+@pytest.mark.parametrize(
+    ("parts", "all_of", "any_of"),
+    [
         ([True, True], True, True),
         ([True, None], None, True),
         ([None, False], False, None),
         ([False, False], False, False),
-        ([], True, False),
-    ):
-        assert all_hold(parts) is all_of
-        assert any_holds(parts) is any_of
+    ],
+)
+def test_a_claim_of_several_parts_names_the_one_that_decides(parts, all_of, any_of):
+    some = [Part(str(number), "", holds, number) for number, holds in enumerate(parts)]
+    every, one = Claim("", OURS, some), Claim("", PAPER, some, any_of=True)
+    assert (every.holds, one.holds) == (all_of, any_of)
+    assert every.decisive.holds is all_of
+    assert one.decisive.holds is any_of
+    if parts == [True, True]:
+        assert (every.decisive, one.decisive) == (some[1], some[0])  # the tighter, the clearer
+    assert either("", *some).holds is any_of
+
+
+def test_a_part_says_what_was_measured_and_asked():
+    one = below("jitter", Interval(0.0012, 0.001, 0.0015), 0.002, 1e3, unit=" mrad/s")
+    assert (one.holds, one.measured) == (True, "1.20 (1.00 to 1.50) mrad/s, asked: below 2 mrad/s")
+    assert (
+        above("x", Interval(1.1, 0.9, INF), 1.0).measured == "1.10 (0.90 to never), asked: above 1"
+    )
+    share = share_above("runs", wilson(100, 100), 0.95)
+    assert (share.holds, share.measured[:10]) == (True, "100 of 100")
+
+
+# --- the tidy table ---
+
+
+def runs(scheme, times, **more):
+    return [
+        {"scheme": scheme, "case": number, "to_5mm_s": time, "settled": time < INF, **more}
+        for number, time in enumerate(times)
+    ]
+
+
+def test_the_tidy_table_groups_and_pairs():
+    found = Results([*runs("a", [1.0, 2.0, INF]), *runs("b", [2.0, 4.0, INF])])
+    schemes = found.groups("scheme")
+    assert list(schemes) == ["a", "b"]
+    assert schemes["a"].over(schemes["b"], "to_5mm_s").value == 0.5
+    assert found.share().value == pytest.approx(4 / 6)
+    assert len(found.where(scheme="a", case=1)) == 1
+    first, _ = table(found, {"scheme": "who"}, ["to_5mm_s"])
+    assert first == {"who": "a", "to 5 mm, s": "2.00 (1.00 to never)"}
+
+
+def test_searches_repeat_the_cases():
+    times = np.linspace(1.0, 2.0, 7)
+    three = Results(row for search in range(3) for row in runs("a", times, search=search))
+    once = Results(runs("b", 2.0 * times))
+    assert three.median("to_5mm_s").count == 7
+    assert three.over(once, "to_5mm_s").value == 0.5
+    assert once.over(three, "to_5mm_s").below(2.1) is True
 
 
 # --- settling ---
@@ -205,8 +249,8 @@ def test_what_was_tried_elsewhere_counts_if_it_keeps_the_limit():
     own = search.judge({"a": 1.0}, [outcome(2.0)])
     calm = search.judge({"a": 2.0}, [outcome(1.0, jitter=0.0009)])
     wild = search.judge({"a": 3.0}, [outcome(0.5, jitter=0.002)])
-    assert Found(search, [own]).best is own
-    assert Found(search, [own], [calm, wild]).best is calm
+    assert Tuned(search, [own]).best is own
+    assert Tuned(search, [own], [calm, wild]).best is calm
 
 
 def test_the_search_finds_the_gain_and_is_repeatable(tmp_path):
@@ -250,7 +294,7 @@ def test_a_trial_is_the_same_to_the_bit_whatever_ran_before():
     one = run_trial(trial)
     run_trial(Trial(second, "ukf", "mpc", conditions=EXACT, duration_s=0.5))
     again = run_trial(trial)
-    assert one.summary() == again.summary()
+    assert one.settling_s == again.settling_s
     np.testing.assert_array_equal(one.series["ball_m"], again.series["ball_m"])
     other = run_trial(
         Trial(
@@ -325,7 +369,7 @@ def test_a_report_keeps_numbers_and_the_page_keeps_pictures(tmp_path):
         ["So."],
         [Figure("one.png", "what is seen")],
         [Table("numbers", ["a"], [["1"]])],
-        [Verdict("claim", "finding", None)],
+        [Verdict("claim", "1.00 (0.90 to 1.10)", None, "ours")],
         {"array": np.array([1.0, INF, 1.0 / 3.0]), "case": Case("c", HOME, HOME, 3)},
     )
     write_report(report, folder, Origin("fvs_experiments servo --quick", "0.1", "model", True))
@@ -335,7 +379,8 @@ def test_a_report_keeps_numbers_and_the_page_keeps_pictures(tmp_path):
     page = write_page(tmp_path).read_text()
     assert "data:image/png;base64,iVBORw==" in page
     assert "Servoing &lt;fast&gt;" in page
-    assert "Undecided" in page
+    assert re.search("Undecided.*claim.*1.00 .0.90 to 1.10..*ours", page, re.DOTALL)
+    assert page.index("Undecided") < page.index("<details>") < page.index("data:image")
     assert "Quick run." in page
 
 
@@ -352,23 +397,40 @@ def test_results_are_in_order_whatever_the_number_of_processes(tmp_path):
         assert Context(tmp_path, jobs=jobs).map(abs, items, "x") == items
 
 
-# --- verdicts ---
+# --- claims of experiments ---
 
 
-def test_the_verdict_follows_the_numbers():
-    def rows(**medians):
-        return {
-            name: [outcome(s * f) for f in (0.9, 0.95, 1.0, 1.0, 1.05, 1.1)]
-            for name, s in medians.items()
-        }
+def test_servos_claims_follow_the_numbers():
+    def claim(proposed):
+        medians = {"proposed": proposed, "rbf+pid": 1.0, "ukf+mfac": 2.0, "ukf+mpc": 0.9}
+        spread = np.array([0.9, 0.95, 1.0, 1.0, 1.05, 1.1])
+        rows = [
+            row
+            for regime in REGIMES
+            for name, middle in {**medians, "oracle, sliding mode": 1.0}.items()
+            for row in runs(name, middle * spread, regime=regime.name)
+        ]
+        return next(servo.claims(Found(Results(rows), extra={"checks": []})))
 
-    regime = REGIMES[0]
-    base = {"rbf+pid": 1.0, "ukf+mfac": 2.0, "ukf+mpc": 0.9}
-    wins = servo._verdict(regime, {"limit": rows(proposed=0.4, **base)}, 6)
-    assert wins.holds is True
-    assert "ukf+mpc" in wins.finding
-    loses = servo._verdict(regime, {"limit": rows(proposed=3.0, **base)}, 6)
-    assert loses.holds is False
+    assert claim(0.4).holds is True
+    assert "ukf+mpc" in claim(0.4).decisive.label
+    assert claim(3.0).holds is False
+
+
+def test_worlds_that_only_one_masters_tell_two_schemes_apart():
+    results = Results(
+        {**row, "settled": row["scheme"] == "ukf+mpc" or row["case"] < 400}
+        for one in robustness.CONTESTANTS
+        for row in runs(one.name, [1.0] * 600)
+    )
+    assert robustness.best_of(results) == "ukf+mpc"
+    *enough, lead = robustness.claims(Found(results))
+    assert [one.given["scheme"] for one in enough if one.holds] == ["ukf+mpc"]
+    assert lead.holds
+    assert "200 of 200" in lead.decisive.measured
+    alike = Results({**row, "settled": True} for row in results)
+    *_, lead = robustness.claims(Found(alike))
+    assert lead.holds is None, "no world tells them apart"
 
 
 # --- spot check ---
@@ -428,8 +490,8 @@ def test_the_shift_of_the_nodes_is_seen_through_the_noise():
     one_early = SpotCheck("a", lock_step, [0.2, 1.1, 0.8], "")
     assert one_early.worst_s() == pytest.approx(-0.4)
     alike = SpotCheck("b", lock_step, [0.6, 1.12, 0.8], "")
-    assert [one.holds for one in spot_check_verdict([alike], "")] == [True]
-    assert [one.holds for one in spot_check_verdict([alike, one_early], "")] == [False]
+    assert [one.holds for one in spot_check_claims([alike])] == [True]
+    assert [one.holds for one in spot_check_claims([alike, one_early])] == [False]
 
 
 def test_own_targets_are_read_or_refused_in_words():
@@ -451,7 +513,7 @@ def test_all_is_without_what_takes_longer_than_all_others(tmp_path, monkeypatch)
             ran.append(name.rpartition(".")[2])
             return Report(ran[-1], "", "", [])
 
-        return SimpleNamespace(run=run)
+        return SimpleNamespace(EXPERIMENT=SimpleNamespace(run=run))
 
     stub = SimpleNamespace(import_module=experiment, util=importlib.util)
     monkeypatch.setattr(main, "importlib", stub)

@@ -134,11 +134,10 @@ def test_demo_installs_without_torch(setup_arguments):
         assert requirement_name(requirement) != "torch"
 
 
-def test_extra_all_is_the_sum_of_the_others_but_for_cluster_and_docs(setup_arguments):
+def test_extra_all_is_the_sum_of_the_others_except_docs(setup_arguments):
     extras = dict(setup_arguments["extras_require"])
     everything = extras.pop("all")
-    for name in ("cluster", "docs"):  # for who has one, and for who reads them as pages
-        del extras[name]
+    del extras["docs"]
     assert set(everything) == {item for extra in extras.values() for item in extra}
 
 

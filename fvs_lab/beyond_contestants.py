@@ -1,19 +1,18 @@
-"""Who is compared beyond the paper, in what worlds, and what is kept of it."""
+"""The schemes that are compared beyond the paper, and the worlds that they meet."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from fvs_lab.robustness_runs import Contestant
+from fvs_lab.regimes import ORACLE, ORACLES, Regime
 from fvs_lab.search import Limit
-from fvs_lab.servo_terms import ORACLE, ORACLES, Regime
-from fvs_lab.trials import Case, Conditions, Outcome, Trial, seconds
+from fvs_lab.trials import Conditions, Variant
 from fvs_tools.schemes import BEYOND, SCHEMES, Scheme
 
 PROPOSED, EXTENDED, BEST = "proposed", "extended", "best"
-#: Whoever plays the fastest motion blindly; races, too.
+#: Plays the fastest motion blindly; races, too.
 CLAIRVOYANT = "clairvoyant open loop"
 FROZEN, BEST_ORACLE = "frozen", "oracle, law of best"
 
@@ -26,40 +25,27 @@ LIMITS = {
     "max_joint_acceleration_rad_s2": ACCELERATION_RAD_S2,
 }
 
-
-def _contestant(one: Scheme, name: str = "", method: str = "") -> Contestant:
-    values = {} if method else one.estimator_values
-    return Contestant(
-        name or one.name,
-        method or one.method,
-        one.law,
-        values,
-        one.controller_values,
-        of_paper=not name and one.name in SCHEMES,
-    )
-
-
-#: Everybody, with the defaults of the nodes but for what is named here.
-CONTESTANTS: dict[str, Contestant] = {
+#: All of them, with the defaults of the nodes except for what is named here.
+CONTESTANTS: dict[str, Scheme] = {
     one.name: one
     for one in (
-        *(_contestant(scheme) for scheme in (*SCHEMES.values(), *BEYOND.values())),
-        _contestant(ORACLES[ORACLE]),
-        _contestant(SCHEMES[PROPOSED], FROZEN, "frozen"),
-        _contestant(BEYOND[BEST], BEST_ORACLE, "oracle"),
+        *SCHEMES.values(),
+        *BEYOND.values(),
+        ORACLES[ORACLE],
+        replace(SCHEMES[PROPOSED], name=FROZEN, method="frozen"),
+        replace(BEYOND[BEST], name=BEST_ORACLE, method="oracle", estimator_values={}),
     )
 }
-#: Who meets a camera that was moved, and who other worlds and moving targets.
+#: Schemes that meet a camera that was moved; other worlds and moving targets.
 SHAKEN = (BEST, EXTENDED, BEST_ORACLE, PROPOSED, FROZEN)
 FOLLOWERS = (PROPOSED, EXTENDED, BEST)
-#: Who races against the floor as the nodes' defaults have it: in the first form the paper's schemes
-#: and the oracle have neither addition nor searched gains.
+#: Racing against the floor with the nodes' defaults: the paper's schemes and the oracle have
+#: neither addition nor searched gains.
 PUBLISHED = (*SCHEMES, ORACLE)
 RACERS = (BEST, BEST_ORACLE, EXTENDED, *PUBLISHED)
 
-
-#: Laws that say how the ball is to move and leave the joints to the allocation; to the other two
-#: their own least squares of the joint speeds are what makes them.
+#: Laws that say how the ball is to move and leave the joints to the redundancy resolution; the
+#: other two have a least-squares problem of joint speeds of their own.
 ALLOCATED = ("ftsm", "proportional")
 
 
@@ -80,16 +66,16 @@ def _equipped(scheme: Scheme, how: str = "tuned") -> Scheme:
 #: The paper's laws that have the filter there, with the networks.
 _ON_NETWORKS = [Scheme(f"rbf+{law}", "rbf", law, "") for law in ("mfac", "mpc")]
 _LAWS = (BEYOND[EXTENDED], SCHEMES["rbf+pid"], *_ON_NETWORKS)
-#: Who races with all additions and searched gains: for speed alone; and each law for speed at no
-#: more jitter, rad/s, than about what extended has by its defaults. That is known two seconds after
-#: it came to 5 mm; jitter is that of the second that follows.
+#: Racing with all additions and searched gains: for speed alone; and each law for speed at no more
+#: jitter, rad/s, than about what extended has by its defaults. Jitter is taken in the second that
+#: follows two seconds within 5 mm.
 TUNED = {
     one.name: one
     for one in map(_equipped, (BEYOND[EXTENDED], *SCHEMES.values(), *_ON_NETWORKS, ORACLES[ORACLE]))
 }
 CALM = {one.name: one for one in (_equipped(law, "calm") for law in _LAWS)}
 CALM_RAD_S = 0.0002
-CALM_REGIME = Regime("calm", "", "", LIMITS, Limit("jitter_rad_s", CALM_RAD_S), 5.0, 3.0)
+CALM_REGIME = Regime("calm", "", LIMITS, Limit("jitter_rad_s", CALM_RAD_S), 5.0, 3.0)
 #: Gains of the proportional law between the two, 1/s: what it pays in jitter for speed.
 TURNED_1_S = (10.0, 14.0, 20.0)
 #: The sliding mode law, and all others with the same search; the filter knows less than networks.
@@ -99,7 +85,7 @@ OTHERS = tuple(
     for one in (*TUNED.values(), *CALM.values())
     if one.law != BEYOND[EXTENDED].law and one.method != "oracle"
 )
-#: Who races with rendered images, too, and what is behind the names of those with another model.
+#: Racing with rendered images, too, and the end of the names of those with another model.
 SEEN, MINUTES = (BEST, EXTENDED, PROPOSED, "rbf+pid"), ", a minute's model"
 
 
@@ -147,20 +133,6 @@ WORLDS = (
 )
 
 
-def trial_of(name: str, case: Case, conditions: Conditions, duration_s: float = 4.0) -> Trial:
-    """A contestant's trial, with the limits that all have."""
-    one = CONTESTANTS[name]
-    return Trial(
-        case,
-        one.method,
-        one.law,
-        one.estimator_values,
-        {**one.controller_values, **LIMITS},
-        conditions,
-        duration_s,
-    )
-
-
-def times_s(outcomes: Sequence[Outcome], bound: str = "5 mm") -> list[float]:
-    """Settling times to a bound, s; infinite for never."""
-    return [seconds(one.settling_s[bound]) for one in outcomes]
+def variant(name: str, **controller_values: Any) -> Variant:
+    """A contestant with the limits that all have, and further parameters of its controller."""
+    return Variant.of(CONTESTANTS[name], **LIMITS, **controller_values)

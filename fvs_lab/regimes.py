@@ -1,4 +1,4 @@
-"""Who competes in the servoing experiment, on what terms, and which of their gains are free."""
+"""Schemes whose gains are searched, on what terms, and which of their gains are free."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ ORACLES = {
     name: Scheme(name, "oracle", law, "")
     for name, law in ((ORACLE_SLIDING, "ftsm"), (ORACLE, "proportional"))
 }
-#: Whose gains are searched.
+#: Schemes whose gains are searched.
 SEARCHED = {**SCHEMES, **ORACLES}
-#: Who runs in a regime: the last one with the gains of the proposed scheme.
+#: Rows of a regime: the last one has the gains of the proposed scheme.
 FROZEN = "frozen networks, sliding mode"
 ROWS = (*SEARCHED, FROZEN)
 
@@ -57,8 +57,6 @@ class Regime:
     ----------
     name, title : str
         In data, and on the page.
-    says : str
-        What it means, in a sentence.
     controller_values : mapping
         Limits of the supervisor.
     limit : Limit, optional
@@ -71,7 +69,6 @@ class Regime:
 
     name: str
     title: str
-    says: str
     controller_values: Mapping[str, Any]
     limit: Limit | None
     duration_s: float
@@ -83,34 +80,18 @@ _FREE = {"max_joint_velocity_rad_s": 3.14, "max_joint_acceleration_rad_s2": 40.0
 PEAK_RAD_S = 0.8
 JITTER_RAD_S = 0.001
 
+#: As on a real arm; nothing clips the command, as in the paper's figures; calm at rest.
 REGIMES = (
-    Regime(
-        "limit",
-        "Equal joint-speed limit",
-        "every joint may turn at 1 rad/s at most (acceleration 6 rad/s^2), as on a real arm; gains "
-        "are tuned for speed alone",
-        _CLIPPED,
-        None,
-        4.0,
-    ),
+    Regime("limit", "Equal joint-speed limit", _CLIPPED, None, 4.0),
     Regime(
         "peak",
         "Equal peak speed, no limit",
-        "nothing clips the command, and gains are tuned so that in the median run the fastest "
-        f"joint reaches at most {PEAK_RAD_S} rad/s: the picture of the paper's figures",
         _FREE,
         Limit("peak_joint_speed_rad_s", PEAK_RAD_S),
         6.0,
     ),
     Regime(
-        "jitter",
-        "Equal command jitter",
-        "the limits of the first regime, and gains tuned so that at rest the command changes from "
-        f"one 8 ms tick to the next by at most {1e3 * JITTER_RAD_S:g} mrad/s rms",
-        _CLIPPED,
-        Limit("jitter_rad_s", JITTER_RAD_S),
-        5.0,
-        2.0,
+        "jitter", "Equal command jitter", _CLIPPED, Limit("jitter_rad_s", JITTER_RAD_S), 5.0, 2.0
     ),
 )
 #: What was tried for one regime counts for others of the same world: a calm candidate may be the

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from math import hypot
 from typing import Any
 
 import numpy as np
 
-from fvs_lab.noise import WHITE
-from fvs_lab.trials import Bump, Case, Conditions, make_cases, simulation_of
+from fvs_lab.results import number_text
+from fvs_lab.trials import WHITE, Bump, Case, Conditions, make_cases, simulation_of
 from fvs_sim_node.rendering import CameraPose
 from fvs_sim_node.simulation import Simulation
 
@@ -31,7 +32,7 @@ class Kind:
     seed : int
         Of all its worlds.
     ranges : mapping of str to (float, float)
-        Ranges that everything but start and target is drawn from, evenly.
+        Ranges that everything except start and target is drawn from, evenly.
     bumped_share, heavy_share : float
         Shares of the worlds in which the camera is bumped, and in which the noise has heavy tails.
     """
@@ -113,72 +114,92 @@ class World:
     conditions: Conditions
     bump: Bump | None
 
-    @property
-    def turn_deg(self) -> float:
-        """How far the camera has been carried round, degrees."""
-        return hypot(*self.conditions.camera_turn_deg)
+    def row(self) -> dict[str, float]:
+        """Columns of the tidy table: what there is of each quantity, SI units and degrees."""
+        found = {one.name: getattr(self.conditions, one.name) for one in DRAWN}
+        return {
+            "world": self.number,
+            "distance_m": self.distance_m,
+            "turn_deg": hypot(*self.conditions.camera_turn_deg),
+            "bump_deg": -1.0 if self.bump is None else hypot(*self.bump.rotation_deg),
+            **found,
+        }
 
-    @property
-    def bump_deg(self) -> float:
-        """How far a bump turns the camera, degrees; 0 without one."""
-        return 0.0 if self.bump is None else hypot(*self.bump.rotation_deg)
-
-    def words(self) -> str:
-        """Say what it is, in a sentence."""
-        one, bump = self.conditions, self.bump
-        blow = (
-            ""
-            if bump is None
-            else f", camera bumped by {self.bump_deg:.1f}° and "
-            f"{1e3 * hypot(*bump.translation_m):.0f} mm after {bump.time_s:.1f} s"
-        )
-        rest = ", ".join(
-            f"{quantity.label} {quantity.scale * getattr(one, quantity.name):.2g}{quantity.unit}"
-            for quantity in QUANTITIES
-        )
-        return (
-            f"{1e3 * self.distance_m:.0f} mm to go, camera carried round by {self.turn_deg:.1f}°"
-            f"{blow}, {rest}; noise seed {self.case.seed}"
-        )
+    def text(self) -> str:
+        """What it is, in a line."""
+        row, bump = self.row(), self.bump
+        parts = [
+            f"{one.label} {number_text(one.scale * row[one.name], 2)}{one.unit}"
+            for one in QUANTITIES
+            if row[one.name] >= 0.0 or one in DRAWN
+        ]
+        if bump is not None:
+            shift_mm = 1e3 * hypot(*bump.translation_m)
+            parts.append(f"camera shifted {shift_mm:.0f} mm at {bump.time_s:.1f} s")
+        return f"{', '.join(parts)}; noise seed {self.case.seed}"
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One of the conditions that are drawn.
+    """Something that differs from world to world.
 
     Parameters
     ----------
     name : str
-        Field of the conditions.
+        Its column.
     label, unit : str
-        In words; the unit begins with a space where there is one.
+        For readers; the unit begins with a space where there is one.
     scale : float
-        From SI units to that unit.
+        From the column's unit to that unit.
+    edges : tuple of float
+        Of the bins in figures, in that unit; the lower one belongs to the bin, the last one too.
+    names : tuple of str
+        Of the bins; by default their ends.
     """
 
     name: str
     label: str
-    unit: str = ""
-    scale: float = 1.0
+    unit: str
+    scale: float
+    edges: tuple[float, ...]
+    names: tuple[str, ...] = ()
 
     @property
     def axis(self) -> str:
-        """The label with its unit, for tables and figures."""
-        return f"{self.label},{self.unit}" if self.unit else self.label
+        """The label with its unit, for figures."""
+        return f"{self.label}, {self.unit.strip()}" if self.unit else self.label
+
+    @property
+    def bins(self) -> tuple[str, ...]:
+        """Names of the bins."""
+        return self.names or tuple(f"{low:g}-{high:g}" for low, high in pairwise(self.edges))
+
+    def bin_of(self, value: float) -> int:
+        """The bin that a value of the column belongs to."""
+        place = int(np.searchsorted(self.edges, self.scale * value, side="right")) - 1
+        return min(max(place, 0), len(self.edges) - 2)
 
 
+_BUMPS = ("none", "0-5", "5-10")
+#: Those that are fields of the conditions, drawn from a kind's ranges.
+DRAWN = (
+    Quantity("position_noise_m", "noise of positions", " mm", 1e3, (0.2, 0.8, 1.4, 2.0)),
+    Quantity("noise_exponent", "exponent of the noise", "", 1.0, (1.5, 1.65, 1.8, WHITE)),
+    Quantity("image_rate_hz", "image rate", " Hz", 1.0, (8, 15, 30, 60)),
+    Quantity("latency_s", "latency", " ms", 1e3, (0, 25, 50, 75, 100)),
+    Quantity("dropout", "images lost", " %", 1e2, (0, 5, 10, 15, 20)),
+    Quantity("focal_error", "error of the focal length", " %", 1e2, (-2, -1, 0, 1, 2)),
+    Quantity("depth_error", "error of the depths", " %", 1e2, (-2, -1, 0, 1, 2)),
+    Quantity("encoder_noise_rad", "encoder noise", " mrad", 1e3, (0, 0.1, 0.2, 0.35, 0.5)),
+    Quantity("joint_lag_s", "further drive lag", " ms", 1e3, (0, 25, 50, 75, 100)),
+    Quantity("dead_time_s", "dead time of the drives", " ms", 1e3, (8, 20, 40, 60)),
+    Quantity("drive_gain", "speed over the commanded one", "", 1.0, (0.8, 0.87, 0.94, 1.0)),
+)
 QUANTITIES = (
-    Quantity("position_noise_m", "noise of positions", " mm", 1e3),
-    Quantity("noise_exponent", "exponent of the noise"),
-    Quantity("image_rate_hz", "image rate", " Hz"),
-    Quantity("latency_s", "latency", " ms", 1e3),
-    Quantity("dropout", "images lost", " %", 1e2),
-    Quantity("focal_error", "error of the focal length", " %", 1e2),
-    Quantity("depth_error", "error of the depths", " %", 1e2),
-    Quantity("encoder_noise_rad", "encoder noise", " mrad", 1e3),
-    Quantity("joint_lag_s", "further drive lag", " ms", 1e3),
-    Quantity("dead_time_s", "dead time of the drives", " ms", 1e3),
-    Quantity("drive_gain", "speed over the commanded one"),
+    Quantity("distance_m", "distance", " m", 1.0, (0.1, 0.2, 0.3, 0.4, 0.5)),
+    Quantity("turn_deg", "camera carried round", "°", 1.0, (0.0, 10.0, 20.0, 30.0)),
+    Quantity("bump_deg", "camera bumped in mid-run", "°", 1.0, (-1.0, 0.0, 5.0, 10.0), _BUMPS),
+    *DRAWN,
 )
 
 
@@ -198,7 +219,7 @@ def draw_world(kind: Kind, number: int) -> World:
     rng = np.random.default_rng([kind.seed, number])
     amount = {name: float(rng.uniform(*range_)) for name, range_ in kind.ranges.items()}
     bumped, heavy = rng.random() < kind.bumped_share, rng.random() < kind.heavy_share
-    changes: dict[str, Any] = {one.name: amount[one.name] for one in QUANTITIES}
+    changes: dict[str, Any] = {one.name: amount[one.name] for one in DRAWN}
     drawn = Conditions(**changes)
     if not heavy:
         drawn = replace(drawn, noise_exponent=WHITE)
