@@ -11,15 +11,9 @@ import numpy as np
 
 from fvs_estimator_node.model_file import save_model
 from fvs_estimator_node.teaching import train_structured
+from fvs_lab import beyond_camera, beyond_tracking
 from fvs_lab import beyond_contestants as who
-from fvs_lab.beyond_camera import (
-    CARRIED_S,
-    REST_S,
-    STRUCK_AFTER_S,
-    draw_journeys,
-    run_journey,
-    with_slowdown,
-)
+from fvs_lab.beyond_camera import draw_journeys, run_journey, with_slowdown
 from fvs_lab.beyond_claims import claims
 from fvs_lab.beyond_minute import (
     ERRING,
@@ -33,14 +27,7 @@ from fvs_lab.beyond_minute import (
     tell,
 )
 from fvs_lab.beyond_shown import figures, tables
-from fvs_lab.beyond_tracking import (
-    RADIUS_M,
-    RATE_HZ,
-    SPEEDS_M_S,
-    Pursuit,
-    draw_paths,
-    run_pursuit,
-)
+from fvs_lab.beyond_tracking import SPEEDS_M_S, Pursuit, draw_paths, run_pursuit
 from fvs_lab.context import Context
 from fvs_lab.experiment import Experiment, Found
 from fvs_lab.floor import SPARE_M, Floor, Limits, floor_of
@@ -48,9 +35,9 @@ from fvs_lab.outcome import BOUNDS_M
 from fvs_lab.regimes import REGIMES, search_of
 from fvs_lab.results import Results
 from fvs_lab.search import SEEDS, Tuned, search_all
-from fvs_lab.spot_check import SpotCheck, domain_of, spot_check
+from fvs_lab.spot_check import SpotCheck, spot_checks
 from fvs_lab.statistics import median
-from fvs_lab.trials import Case, Conditions, Trial, Variant, make_cases, run_trial
+from fvs_lab.trials import Case, Conditions, Trial, make_cases, run_trial
 
 _NAME = "beyond"
 _PLACES_SEED, _MINUTES_SEED, _TUNING_SEED, _SCORING_SEED = 400, 401, 402, 410
@@ -116,12 +103,11 @@ def _facts(context: Context, runs: Results, floors: Sequence[Floor]) -> dict[str
         for minutes in (False, True)
     )
     return {
+        "who": who,
+        "moved": beyond_camera,
+        "tracking": beyond_tracking,
         "rendered": context.rendered,
-        "speed": who.SPEED_RAD_S,
-        "acceleration": who.ACCELERATION_RAD_S2,
-        "published": who.PUBLISHED,
         "seeds": SEEDS,
-        "calm_mrad_s": 1e3 * who.CALM_RAD_S,
         "later_ms": (min(own), max(own)),
         "taught_ms": (min(taught), max(taught)),
         "count": len(floors),
@@ -129,14 +115,7 @@ def _facts(context: Context, runs: Results, floors: Sequence[Floor]) -> dict[str
         "minutes": len(runs.where(part="minute")),
         "most_late_ms": 1e3 * MOST_LATE_S,
         "papers_method": _papers_method(context),
-        "clairvoyant": who.CLAIRVOYANT,
         "spare_mm": 1e3 * SPARE_M,
-        "rest_s": REST_S,
-        "carried_s": CARRIED_S,
-        "struck_after_s": STRUCK_AFTER_S,
-        "rate_hz": RATE_HZ,
-        "radius_cm": 100 * RADIUS_M,
-        "sigma_mm": 1e3 * who.SIGMA_M,
         "floors": {
             bound: median([one.least_s[bound] for one in floors]).text() for bound in BOUNDS_M
         },
@@ -285,28 +264,13 @@ def _pursuits(context: Context, count: int) -> Results:
 
 
 def _checks(context: Context, cases: Sequence[Case]) -> list[SpotCheck]:
-    if not context.nodes:
-        return []
-    # The nodes have a rendered camera, whatever the laboratory uses.
-    asked: list[tuple[str, str, Conditions, Variant]] = [
-        (name, words, conditions, who.variant(name))
+    trials = {
+        # The nodes have a rendered camera, whatever the laboratory uses.
+        name + words: who.variant(name).trial(cases[0], conditions)
         for words, conditions in CHECKED.items()
         for name in (who.BEST, who.EXTENDED)
-    ]
-    return [
-        spot_check(
-            context,
-            name + words,
-            one.trial(cases[0], conditions),
-            cases[:_TARGETS],
-            domain_of(number),
-            seeds=2 if context.quick else 6,
-            experiment=_NAME,
-        )
-        for number, (name, words, conditions, one) in enumerate(
-            asked[: 1 if context.quick else None]
-        )
-    ]
+    }
+    return spot_checks(context, trials, cases[:_TARGETS], _NAME)
 
 
 EXPERIMENT = Experiment(_NAME, measure, claims, tables, figures)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,7 +14,6 @@ from fvs_lab.trials import Case, Conditions, Variant, run_trial
 
 T = TypeVar("T")
 R = TypeVar("R")
-Key = TypeVar("Key")
 
 
 @dataclass(frozen=True)
@@ -93,13 +91,6 @@ class Context:
         parallel = Parallel(n_jobs=self.jobs, return_as="generator")
         done = parallel(delayed(function)(item) for item in items)
         return list(tqdm(done, desc=label, total=len(items), leave=False, disable=None))
-
-    def map_groups(
-        self, function: Callable[[T], R], groups: Mapping[Key, Sequence[T]], label: str
-    ) -> dict[Key, list[R]]:
-        """Apply a function to the items of all groups at once; the results by group."""
-        results = iter(self.map(function, chain.from_iterable(groups.values()), label))
-        return {key: [next(results) for _ in items] for key, items in groups.items()}
 
     def run(
         self,

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from fvs_lab.context import Context, Key
+from fvs_lab.context import Context
 from fvs_lab.outcome import Outcome
 from fvs_lab.trials import Case, Conditions, Trial, run_trial
 
@@ -30,6 +30,8 @@ SEEDS, _ROUNDS, _ABREAST = 3, 6, 10
 TUNING = Conditions(rendered=False, physics_rate_hz=125.0)
 
 ESTIMATOR, CONTROLLER = "estimator", "controller"
+
+Key = TypeVar("Key")
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from fvs_lab.regimes import (
 )
 from fvs_lab.results import METRICS, Results, searches, settled, span, table
 from fvs_lab.search import SEEDS, Tuned, search_all
-from fvs_lab.spot_check import SpotCheck, domain_of, spot_check
+from fvs_lab.spot_check import SpotCheck, spot_checks
 from fvs_lab.spot_check import claims as spot_check_claims
 from fvs_lab.spot_check import rows as spot_check_rows
 from fvs_lab.trials import Case, Conditions, make_cases, run_trial
@@ -104,17 +104,13 @@ def _score(
 
 
 def _checks(context: Context, found: _Searches, scoring: Sequence[Case]) -> list[SpotCheck]:
-    if not context.nodes:
-        return []
     regime = REGIMES[-1]
-    checks = []
-    for number, name in enumerate((PROPOSED,) if context.quick else (PROPOSED, "ukf+mpc")):
+    trials = {
         # The nodes have a rendered camera, whatever the laboratory uses.
-        trial = found[regime.name, name][0].trial(scoring[0], Conditions(), regime.duration_s)
-        seeds = 2 if context.quick else 6
-        domain = domain_of(number)
-        checks.append(spot_check(context, name, trial, scoring[:_SHOWN], domain, seeds))
-    return checks
+        name: found[regime.name, name][0].trial(scoring[0], Conditions(), regime.duration_s)
+        for name in (PROPOSED, "ukf+mpc")
+    }
+    return spot_checks(context, trials, scoring[:_SHOWN], "servo")
 
 
 def claims(found: Found) -> Iterator[Claim]:

@@ -98,49 +98,43 @@ class Chain:
     seed: int
 
 
-def spot_check(
-    context: Context,
-    name: str,
-    trial: Trial,
-    cases: Sequence[Case],
-    domain: int,
-    seeds: int,
-    experiment: str = "servo",
-) -> SpotCheck:
+def spot_checks(
+    context: Context, trials: Mapping[str, Trial], cases: Sequence[Case], experiment: str
+) -> list[SpotCheck]:
     """Servo from the first case's start to every case's target, in lock step and by the nodes.
 
     Parameters
     ----------
     context : Context
-        For its cores, and the folder of the scenario file and of the nodes' results.
-    name : str
-        The scheme's name, and what is unusual.
-    trial : Trial
-        Estimator, law, gains and conditions.
+        For its cores, and the folder of the scenario files and of the nodes' results.
+    trials : mapping of str to Trial
+        Estimator, law, gains and conditions by the scheme's name, and what is unusual; a quick run
+        checks the first.
     cases : sequence of Case
         The first one's start, and all targets.
-    domain : int
-        ``ROS_DOMAIN_ID`` of the nodes.
-    seeds : int
-        Number of lock-step runs.
     experiment : str
         Whose folder it is.
     """
-    simulation = simulation_of(trial.conditions)
-    targets = []
-    for case in cases:
-        simulation.reset(case.goal_rad)
-        targets.append(tuple(float(number) for number in simulation.true_ball_position()))
-    first = cases[0]
-    chains = [
-        Chain(trial, first.start_rad, tuple(targets), first.seed + number)
-        for number in range(seeds)
-    ]
-    lock_step = context.map(run_chain, chains, f"{name} in lock step")
-    print(f"   {name} through the real nodes ...", flush=True)
+    if not context.nodes:
+        return []
     folder = context.folder(experiment)
-    nodes, problem = _through_nodes(chains[0], folder, name, domain)
-    return SpotCheck(name, lock_step, nodes, problem)
+    checks = []
+    for number, name in enumerate(list(trials)[: 1 if context.quick else None]):
+        simulation = simulation_of(trials[name].conditions)
+        targets = []
+        for case in cases:
+            simulation.reset(case.goal_rad)
+            targets.append(tuple(float(part) for part in simulation.true_ball_position()))
+        chains = [
+            Chain(trials[name], cases[0].start_rad, tuple(targets), cases[0].seed + seed)
+            for seed in range(2 if context.quick else 6)
+        ]
+        lock_step = context.map(run_chain, chains, f"{name} in lock step")
+        print(f"   {name} through the real nodes ...", flush=True)
+        # Other processes' nodes and other checks' must not be heard.
+        domain = 1 + (os.getpid() + number) % 100
+        checks.append(SpotCheck(name, lock_step, *_through_nodes(chains[0], folder, name, domain)))
+    return checks
 
 
 def _through_nodes(
@@ -234,11 +228,6 @@ def scenario_of(chain: Chain, results: Path) -> Mapping[str, Any]:
             output_dir=str(results),
         ),
     }
-
-
-def domain_of(number: int) -> int:
-    """``ROS_DOMAIN_ID`` of a check's nodes: other processes' and other checks' differ."""
-    return 1 + (os.getpid() + number) % 100
 
 
 def rows(checks: Sequence[SpotCheck]) -> list[dict[str, str]]:
