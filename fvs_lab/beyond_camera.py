@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from fvs_lab.beyond_contestants import variant
+from fvs_lab.disturbances import Bump
 from fvs_lab.lockstep import LockStep
 from fvs_lab.outcome import BOUNDS_M, seconds
 from fvs_lab.results import Results
-from fvs_lab.trials import PRELUDE_S, Bump, Case, Conditions, make_cases, simulation_of
+from fvs_lab.trials import PRELUDE_S, Case, Conditions, make_cases, simulation_of
 from fvs_tools.score import settling_time_s
 
 TURN_DEG, SHIFT_M = 45.0, 0.1

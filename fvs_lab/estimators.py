@@ -32,7 +32,7 @@ SHOWN = {
 #: Those that the paper compares the proposed one with, in all their starts.
 _FILTERS = ("lkf_explored", "lkf_model", "lkf_zero", "ukf_explored", "ukf_model")
 _RLS = ("rls_explored", "rls_model")
-_RIVALS = (*_FILTERS, *_RLS)
+_OTHERS = (*_FILTERS, *_RLS)
 
 # ---- claims ---------------------------------------------------------------------------------
 
@@ -66,8 +66,8 @@ def claims(found: Found) -> Iterator[Claim]:
     turned = [world for world in worlds if world.turn_deg > 0.0]
 
     def against_best(world: World, criterion: str) -> Part:
-        rival = judge_of.best(world, criterion, _RIVALS)
-        return judge_of.part(world, "rbf", rival, criterion)
+        other = judge_of.best(world, criterion, _OTHERS)
+        return judge_of.part(world, "rbf", other, criterion)
 
     yield Claim("unmoved", PAPER, [against_best(NOISE, one) for one in ("t1_m", "t2_max_m")])
     for criterion, title in (("t1_m", "T1"), ("t2_max_m", "the largest T2")):
@@ -80,8 +80,8 @@ def claims(found: Found) -> Iterator[Claim]:
         parts.append(judge_of.part(world, worst, rls, "t1_m"))
     yield Claim("rls", PAPER, parts)
     yield Claim("ukf", PAPER, _ukf_parts(found.runs, judge_of))
-    rival = judge_of.best(CLEAN, "t1_late_m", (*_RIVALS, "lkf_fast"))
-    yield Claim("bound", PAPER, [judge_of.part(CLEAN, rival, "frozen", "t1_late_m")])
+    other = judge_of.best(CLEAN, "t1_late_m", (*_OTHERS, "lkf_fast"))
+    yield Claim("bound", PAPER, [judge_of.part(CLEAN, other, "frozen", "t1_late_m")])
     parts = [
         judge_of.part(world, "rbf", "frozen", criterion)
         for world in turned

@@ -179,7 +179,7 @@ class Job:
 
 
 def judge_all(job: Job) -> list[dict[str, Any]]:
-    """Make a recording, judge everyone on it, and return their rows."""
+    """Make a recording, judge all on it, and return their rows."""
     recording = record(job.seed, job.conditions, job.duration_s)
     tracks = {one.name: _judge_one(one, recording, job.conditions) for one in job.contestants}
     edges_s = np.linspace(0.0, job.duration_s, round(job.duration_s / _BIN_S) + 1)
@@ -229,7 +229,7 @@ def _tuning_t1_m(job: Job) -> dict[str, list[float]]:
 
 
 def _tune(context: Context, duration_s: float) -> dict[str, dict[str, Any]]:
-    """Choose everyone's free number on motions that are not scored, with the exact camera."""
+    """Choose the free number of each on motions that are not scored, with the exact camera."""
     exact = replace(context, rendered=False)
     jobs = [
         Job(NOISE, NOISE.conditions(exact, seed), seed, duration_s, SEARCHED)

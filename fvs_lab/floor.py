@@ -24,18 +24,18 @@ from fvs_tools.score import settling_time_s
 #: Guesses from which the nearest joints on the target are searched, and their spread, rad. All but
 #: one or two of them end at the same joints.
 _ATTEMPTS, _SPREAD_RAD = 8, 0.3
-#: Braking is so many pieces of steady acceleration, and the ball is looked at so many times in
-#: each: twice as many of either change the time by less than a millisecond.
+#: Pieces of steady acceleration that braking consists of, and checks of the ball in each: twice as
+#: many of either change the time by less than a millisecond.
 _PIECES, _LOOKS = 8, 4
 #: What the search leaves undone, s, and how many steps it may take; a few hundred do.
 _UNDONE_S, _MOST_STEPS = 1e-7, 2000
 #: Part of the tolerance by which the ball may be outside before a search has failed.
 _OUTSIDE = 0.01
-#: A command is the mean of the speed at so many moments; commands go on for a while at rest, s, for
-#: the drives to come to rest, too.
+#: Moments whose mean speed is a command; commands go on for a while at rest, s, for the drives to
+#: come to rest, too.
 _MOMENTS, _AT_REST_S = 20, 0.2
-#: The fastest motion touches the tolerance again while it brakes. What is played is planned for so
-#: much less, m: commands that hold for 8 ms, and the arm's physics, are not more exact than that.
+#: The fastest motion touches the tolerance again while it brakes. What is played is planned for
+#: this much less, m: commands that hold for 8 ms, and the arm's physics, are not more exact than that.
 SPARE_M = 0.0002
 
 
@@ -256,7 +256,7 @@ def play_s(
 ) -> float:
     """Settling time of commands that are played blindly on simulated drives, s.
 
-    As everybody's, the first command answers the first joint state after the target was given.
+    As for all schemes, the first command answers the first joint state after the target was given.
 
     Parameters
     ----------

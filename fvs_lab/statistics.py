@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -118,15 +117,10 @@ def wilson(hits: int, count: int) -> Interval:
     hits, count : int
         Hits, and runs; at least one run.
     """
-    z = 1.959964
-    share = hits / count
-    middle = (share + z * z / (2 * count)) / (1 + z * z / count)
-    half = z * math.sqrt(share * (1 - share) / count + (z / (2 * count)) ** 2)
-    half /= 1 + z * z / count
-    # At 0 and 1 the end is the share itself, except for rounding.
-    low = 0.0 if hits == 0 else middle - half
-    high = 1.0 if hits == count else middle + half
-    return Interval(share, low, high, count)
+    from scipy.stats import binomtest
+
+    ends = binomtest(hits, count).proportion_ci(_LEVEL, method="wilson")
+    return Interval(hits / count, float(ends.low), float(ends.high), count)
 
 
 def _resamples(count: int, repeats: int) -> np.ndarray:

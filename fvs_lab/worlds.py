@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from fvs_lab.disturbances import WHITE, Bump
 from fvs_lab.results import number_text
-from fvs_lab.trials import WHITE, Bump, Case, Conditions, make_cases, simulation_of
+from fvs_lab.trials import Case, Conditions, make_cases, simulation_of
 from fvs_sim_node.rendering import CameraPose
 from fvs_sim_node.simulation import Simulation
 

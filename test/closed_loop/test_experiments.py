@@ -27,6 +27,7 @@ from fvs_lab.beyond_camera import AT_REST, CARRIED, MOMENTS, UNDISTURBED, draw_j
 from fvs_lab.beyond_minute import ERRING, Minute, draw_places, learn, record, tell
 from fvs_lab.beyond_tracking import CIRCLE, LINE, RADIUS_M, Pursuit, draw_paths, run_pursuit
 from fvs_lab.context import Context
+from fvs_lab.disturbances import WHITE, Bump, StableNoise
 from fvs_lab.estimators_recordings import Recording, judge
 from fvs_lab.estimators_recordings import record as record_motion
 from fvs_lab.experiment import Found
@@ -39,18 +40,7 @@ from fvs_lab.report import EXPERIMENTS, Origin, write_page, write_report
 from fvs_lab.results import Results
 from fvs_lab.robustness import CONTESTANTS, contestants_called, judged, trial_in
 from fvs_lab.settling_bounds import BANDS, bound_to_band_s, predicted_times_s
-from fvs_lab.trials import (
-    WHITE,
-    Bump,
-    Case,
-    Conditions,
-    StableNoise,
-    Trial,
-    drive,
-    make_cases,
-    run_trial,
-    simulation_of,
-)
+from fvs_lab.trials import Case, Conditions, Trial, drive, make_cases, run_trial, simulation_of
 from fvs_lab.worlds import DISTANCE_M, DRAWN, EVERYDAY, HARSH, QUANTITIES, draw_world
 from fvs_ros.params import ParameterSet
 from fvs_sim_node.simulation import SimConfig, Simulation
