@@ -44,7 +44,7 @@ class Places:
 
     Parameters
     ----------
-    box_rad, workspace_rad : ndarray, shape (n, 6)
+    box_rad, workspace_rad : ndarray, shape (n, joints)
         In box M, and over the whole range of the joints where the camera sees the ball, rad.
     """
 
@@ -88,11 +88,11 @@ def draw_places(seed: int, count: int) -> Places:
         How many of each.
     """
     rng = np.random.default_rng(seed)
-    box = HOME_RAD + rng.uniform(-1.0, 1.0, (count, 6)) * BOX_RAD
+    box = HOME_RAD + rng.uniform(-1.0, 1.0, (count, HOME_RAD.size)) * BOX_RAD
     simulation = simulation_of(Conditions())
     seen: list[np.ndarray] = []
     while len(seen) < count:
-        joints = rng.uniform(-np.pi, np.pi, 6)
+        joints = rng.uniform(-np.pi, np.pi, HOME_RAD.size)
         simulation.reset(joints)
         detection = simulation.look().detection
         if detection is not None and detection.visible_fraction >= _VISIBLE:

@@ -39,7 +39,7 @@ class Path:
     ----------
     kind : str
         ``line`` or ``circle``.
-    start_rad : tuple of 6 float
+    start_rad : tuple of float
         Joints whose ball is where it begins, rad.
     origin_m, first, second : tuple of 3 float
         The beginning, m; unit vectors: a line goes along the first, a circle is in the plane of

@@ -43,7 +43,7 @@ class Recording:
         End of each step since the scored motion began, s; in the prelude not above 0.
     true_d_ball_m : ndarray, shape (n, 3)
         True ball motion of each step, camera frame, m.
-    true_jacobian : ndarray, shape (n, 3, 6)
+    true_jacobian : ndarray, shape (n, m, joints)
         True Jacobian at each step's ``joints_rad``, m/rad.
     visible_share : float
         Share of the images in which the ball was found.
@@ -79,7 +79,7 @@ class _Reference:
         self.prelude_s = _REST_S + N_JOINTS * WIGGLE_S
 
     def __call__(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
-        """Joint positions, rad, and velocities, rad/s, shape (6,) each, at a time, s."""
+        """Joint positions, rad, and velocities, rad/s, shape (joints,) each, at a time, s."""
         free_s = time_s - self.prelude_s
         if free_s >= 0.0:
             # the path's own clock starts softly, for the arm starts at rest
@@ -171,7 +171,7 @@ class Track:
         T2 = |x - x_hat|, eqs (41) and (42): x_hat is summed up of the predictions J dr, m.
     jacobian_error : ndarray, shape (n,)
         |J - J_true| / |J_true|, Frobenius norms, J before it learned from the step.
-    jacobian : ndarray, shape (n, 3, 6)
+    jacobian : ndarray, shape (n, m, joints)
         J, m/rad.
     """
 

@@ -35,7 +35,7 @@ _OUTSIDE = 0.01
 #: come to rest, too.
 _MOMENTS, _AT_REST_S = 20, 0.2
 #: The fastest motion touches the tolerance again while it brakes. What is played is planned for
-#: this much less, m: commands that hold for 8 ms, and the arm's physics, are not more exact than that.
+#: this much less, m: commands that hold for 8 ms, and the arm's physics, are no more exact.
 SPARE_M = 0.0002
 
 
@@ -88,9 +88,9 @@ class Fastest:
         Of every joint.
     time_s : float
         From rest until the ball is near the target for good, s.
-    travel_rad, speed_rad_s : ndarray, shape (6,)
+    travel_rad, speed_rad_s : ndarray, shape (joints,)
         Of the joints at that time.
-    braking_rad_s2 : ndarray, shape (pieces, 6)
+    braking_rad_s2 : ndarray, shape (pieces, joints)
         Accelerations from then on, each for ``piece_s``; then the joints are at rest.
     piece_s : float
         Length of a piece of braking, s.
@@ -104,7 +104,7 @@ class Fastest:
     piece_s: float
 
     def speeds_rad_s(self, times_s: np.ndarray) -> np.ndarray:
-        """Speeds of the joints at times, shape (n, 6), rad/s."""
+        """Speeds of the joints at times, shape (n, joints), rad/s."""
         steep, top, end = self.limits.acceleration_rad_s2, self.limits.speed_rad_s, self.speed_rad_s
         so_far = np.clip(times_s, 0.0, self.time_s)[:, None]
         ramp, left = steep * so_far, steep * (self.time_s - so_far)
@@ -120,7 +120,7 @@ class Fastest:
         return share * up + (1.0 - share) * down + braked
 
     def commands_rad_s(self, period_s: float) -> np.ndarray:
-        """The motion, and some rest, as commands that hold for a period, shape (n, 6), rad/s."""
+        """The motion and some rest as commands that hold for a period, shape (n, joints), rad/s."""
         whole_s = self.time_s + _PIECES * self.piece_s + _AT_REST_S
         count = int(np.ceil(whole_s / period_s))
         # A command may at once be what the limit allows after a period: half a one is gained.
@@ -215,7 +215,7 @@ def fastest(case: Case, limits: Limits, tolerance_m: float) -> Fastest:
 
 
 def least_travel_rad(case: Case) -> np.ndarray:
-    """Joint travels with the least largest one that put the ball on the target, rad, shape (6,).
+    """Joint travels, least in the largest, that put the ball on the target, rad, shape (joints,).
 
     By sequential quadratic programmes from several guesses; never longer than the travel to the
     joints that the target was drawn from.
@@ -223,22 +223,24 @@ def least_travel_rad(case: Case) -> np.ndarray:
     from scipy.optimize import minimize
 
     start, goal = np.array(case.start_rad), np.array(case.goal_rad)
-    target_m = ball_position(goal)
+    target_m, n = ball_position(goal), start.size
     rng = np.random.default_rng(case.seed)
     # Unknowns are the largest travel and the travels: the largest above each, either way.
-    slopes = np.hstack([np.ones((12, 1)), np.vstack([-np.eye(6), np.eye(6)])])
+    slopes = np.hstack([np.ones((2 * n, 1)), np.vstack([-np.eye(n), np.eye(n)])])
     constraints = (
         {
             "type": "eq",
             "fun": lambda z: ball_position(start + z[1:]) - target_m,
-            "jac": lambda z: np.hstack([np.zeros((3, 1)), ball_jacobian(start + z[1:])]),
+            "jac": lambda z: np.hstack(
+                [np.zeros((target_m.size, 1)), ball_jacobian(start + z[1:])]
+            ),
         },
         {"type": "ineq", "fun": lambda z: slopes @ z, "jac": lambda z: slopes},
     )
-    unit = np.eye(7)[0]
+    unit = np.eye(1 + n)[0]
     best = goal - start
     for attempt in range(_ATTEMPTS):
-        guess = goal - start + (_SPREAD_RAD * rng.normal(size=6) if attempt else 0.0)
+        guess = goal - start + (_SPREAD_RAD * rng.normal(size=n) if attempt else 0.0)
         found = minimize(
             lambda z: z[0],
             np.append(np.abs(guess).max(), guess),
@@ -264,7 +266,7 @@ def play_s(
         It is reset.
     case : Case
         Start, and goal to be judged by.
-    commands_rad_s : ndarray, shape (n, 6)
+    commands_rad_s : ndarray, shape (n, joints)
         One a joint state; the last one holds.
     tolerance_m : float
         Largest distance from the target that counts as settled, m.

@@ -84,7 +84,7 @@ class Chain:
     ----------
     trial : Trial
         Estimator, law, gains and conditions.
-    start_rad : tuple of 6 float
+    start_rad : tuple of float
         Joints at the start, rad.
     targets_m : tuple of tuple of 3 float
         The targets, camera frame, m.

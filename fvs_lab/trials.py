@@ -108,7 +108,7 @@ class Case:
     ----------
     name : str
         For tables.
-    start_rad, goal_rad : tuple of 6 float
+    start_rad, goal_rad : tuple of float
         Joints at the start, and joints whose ball position is the target, rad.
     seed : int
         Of the run's noise.
@@ -259,7 +259,7 @@ def make_cases(
     simulation = simulation_of(Conditions())
     cases: list[Case] = []
     while len(cases) < count:
-        pair = HOME_RAD + rng.uniform(-1.0, 1.0, (2, 6)) * BOX_RAD
+        pair = HOME_RAD + rng.uniform(-1.0, 1.0, (2, HOME_RAD.size)) * BOX_RAD
         balls = []
         for joints in pair:
             simulation.reset(joints)
