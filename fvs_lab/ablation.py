@@ -26,7 +26,6 @@ from fvs_lab.experiment import (
 )
 from fvs_lab.figures import keys, panels, plain_ticks
 from fvs_lab.lockstep import LockStep
-from fvs_lab.outcome import settling_columns
 from fvs_lab.results import METRICS, Metric, Results, failures, table
 from fvs_lab.trials import (
     PRELUDE_S,
@@ -36,6 +35,7 @@ from fvs_lab.trials import (
     Variant,
     make_cases,
     relative_errors,
+    settling_run,
     simulation_of,
 )
 
@@ -171,18 +171,12 @@ def run_rest(rest: Rest) -> dict[str, Any]:
     before = _estimators_error(one)
     one.run(rest.hold_s)
     after = _estimators_error(one)
-    one.set_target(home_m)
-    errors = []
-    for _ in range(round(_DURATION_S / one.period_s)):
-        one.tick()
-        errors.append(float(np.linalg.norm(simulation.true_ball_position() - home_m)))
-    times = one.period_s * np.arange(1, len(errors) + 1)
     return {
         "update": rest.name,
         "case": rest.case.name,
         "error_before": before,
         "error_after": after,
-        **settling_columns(times, np.array(errors)),
+        **settling_run(one, home_m, _DURATION_S),
     }
 
 

@@ -54,9 +54,8 @@ class _Judge:
         return self._runs[world.name, one].over(self._runs[world.name, other], criterion)
 
     def part(self, world: World, one: str, other: str, criterion: str) -> Part:
-        label = (
-            f"{criterion[:2].upper()} of {CONTESTANTS[one].label} over {CONTESTANTS[other].label}"
-        )
+        words = {"t2_max_m": "largest T2", "jacobian_error": "Jacobian error"}.get(criterion, "T1")
+        label = f"{words} of {CONTESTANTS[one].label} over {CONTESTANTS[other].label}"
         return below(f"{label}, {world.label}", self.ratio(world, one, other, criterion), 1.0)
 
 

@@ -7,7 +7,8 @@ import os
 import re
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,11 @@ import yaml
 
 from fvs_lab.context import Context
 from fvs_lab.experiment import OURS, Claim, Part
-from fvs_lab.outcome import BOUNDS_M, seconds
+from fvs_lab.outcome import seconds
 from fvs_lab.results import number_text, span
 from fvs_lab.statistics import median
-from fvs_lab.trials import PRELUDE_S, Case, Trial, simulation_of
+from fvs_lab.trials import PRELUDE_S, Case, Trial, settling_run, simulation_of
 from fvs_ros.paths import program
-from fvs_tools.score import settling_time_s
 
 #: The nodes agree if no settling time differs from lock step by more than this: an image period
 #: and a few ticks, s.
@@ -76,26 +76,8 @@ class SpotCheck:
         return max(self.shifts_s(), key=abs)
 
 
-@dataclass(frozen=True)
-class Chain:
-    """One start, several targets, one after another.
-
-    Parameters
-    ----------
-    trial : Trial
-        Estimator, law, gains and conditions.
-    start_rad : tuple of float
-        Joints at the start, rad.
-    targets_m : tuple of tuple of 3 float
-        The targets, camera frame, m.
-    seed : int
-        Of the noise.
-    """
-
-    trial: Trial
-    start_rad: tuple[float, ...]
-    targets_m: tuple[tuple[float, ...], ...]
-    seed: int
+#: Targets, camera frame, m.
+Targets = Sequence[Sequence[float]]
 
 
 def spot_checks(
@@ -124,28 +106,29 @@ def spot_checks(
         targets = []
         for case in cases:
             simulation.reset(case.goal_rad)
-            targets.append(tuple(float(part) for part in simulation.true_ball_position()))
-        chains = [
-            Chain(trials[name], cases[0].start_rad, tuple(targets), cases[0].seed + seed)
+            targets.append(simulation.true_ball_position().tolist())
+        seeded = [
+            replace(trials[name], case=replace(cases[0], seed=cases[0].seed + seed))
             for seed in range(2 if context.quick else 6)
         ]
-        lock_step = context.map(run_chain, chains, f"{name} in lock step")
+        in_lock_step = partial(run_chain, targets_m=targets)
+        lock_step = context.map(in_lock_step, seeded, f"{name} in lock step")
         print(f"   {name} through the real nodes ...", flush=True)
         # Other processes' nodes and other checks' must not be heard.
         domain = 1 + (os.getpid() + number) % 100
-        checks.append(SpotCheck(name, lock_step, *_through_nodes(chains[0], folder, name, domain)))
+        nodes = _through_nodes(seeded[0], targets, folder, name, domain)
+        checks.append(SpotCheck(name, lock_step, *nodes))
     return checks
 
 
 def _through_nodes(
-    chain: Chain, folder: Path, name: str, domain: int
+    trial: Trial, targets_m: Targets, folder: Path, name: str, domain: int
 ) -> tuple[list[float | None], str]:
     """Settling times of the real nodes, and what went wrong."""
     name = re.sub(r"\W+", "_", name)
     scenario, results = folder / f"spot_check_{name}.yaml", folder / f"spot_check_{name}"
-    scenario.write_text(
-        yaml.safe_dump(scenario_of(chain, results), sort_keys=False), encoding="utf-8"
-    )
+    content = scenario_of(trial, targets_m, results)
+    scenario.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     path = results / "results.json"
     path.unlink(missing_ok=True)
     try:
@@ -174,60 +157,61 @@ def _through_nodes(
     return [one["settling_5mm_s"] for one in scores], ""
 
 
-def run_chain(chain: Chain) -> list[float | None]:
-    """Servo to all targets in lock step; settling times to 5 mm, s."""
-    trial = chain.trial
+def run_chain(trial: Trial, targets_m: Targets) -> list[float]:
+    """Servo to one target after the other in lock step; settling times to 5 mm, s."""
     simulation = simulation_of(trial.conditions)
-    simulation.reset(chain.start_rad, chain.seed)
+    simulation.reset(trial.case.start_rad, trial.case.seed)
     one = trial.loop(simulation)
     one.run(PRELUDE_S)
-    settling = []
-    for target in chain.targets_m:
-        target_m = np.array(target)
-        one.set_target(target_m)
-        errors = []
-        for _ in range(round(_TARGET_S / one.period_s)):
-            one.tick()
-            errors.append(np.linalg.norm(simulation.true_ball_position() - target_m))
-        times = one.period_s * np.arange(1, len(errors) + 1)
-        settling.append(settling_time_s(times, np.array(errors), BOUNDS_M["5 mm"]))
-    return settling
+    return [settling_run(one, np.array(each), _TARGET_S)["to_5mm_s"] for each in targets_m]
 
 
-def scenario_of(chain: Chain, results: Path) -> Mapping[str, Any]:
-    """The chain as a scenario: the same parameters, given to the nodes."""
-    trial, conditions = chain.trial, chain.trial.conditions
+def scenario_of(trial: Trial, targets_m: Targets, results: Path) -> Mapping[str, Any]:
+    """A chain of targets as a scenario: the same parameters, given to the nodes.
+
+    Parameters
+    ----------
+    trial : Trial
+        Estimator, law, gains and conditions; start and seed of its case.
+    targets_m : sequence of sequence of float
+        Targets, camera frame, m.
+    results : Path
+        Folder for the nodes' results.
+
+    Raises
+    ------
+    ValueError
+        If the nodes cannot have such a camera.
+    """
+    conditions = trial.conditions
     if not conditions.rendered or any(conditions.camera_turn_deg[:2]):
         raise ValueError(
             "the nodes have a rendered camera, turned about its optical axis at most: about "
             "another one, the scene would be out of its sight"
         )
-
-    def parameters(**values: Any) -> dict[str, Any]:
-        return {"ros__parameters": values}
-
-    return {
-        "fvs_sim_node": parameters(
-            seed=chain.seed,
-            initial_joints_rad=list(chain.start_rad),
-            latency_s=conditions.latency_s,
-            depth_noise=conditions.depth_noise,
-            position_noise_m=conditions.position_noise_m,
-            joint_lag_s=conditions.joint_lag_s,
-            camera_rotation_deg=list(conditions.camera_turn_deg),
-        ),
-        "fvs_estimator_node": parameters(
-            method=trial.method, model_path=trial.model, **trial.estimator_values
-        ),
-        "fvs_controller_node": parameters(law=trial.law, autostart=True, **trial.controller_values),
-        "fvs_demo_node": parameters(
-            target_positions="; ".join(
-                " ".join(f"{number:.6f}" for number in target) for target in chain.targets_m
+    same = ("latency_s", "depth_noise", "position_noise_m", "joint_lag_s")
+    nodes = {
+        "fvs_sim_node": {
+            "seed": trial.case.seed,
+            "initial_joints_rad": list(trial.case.start_rad),
+            "camera_rotation_deg": list(conditions.camera_turn_deg),
+            **{name: getattr(conditions, name) for name in same},
+        },
+        "fvs_estimator_node": {
+            "method": trial.method,
+            "model_path": trial.model,
+            **trial.estimator_values,
+        },
+        "fvs_controller_node": {"law": trial.law, "autostart": True, **trial.controller_values},
+        "fvs_demo_node": {
+            "target_positions": "; ".join(
+                " ".join(f"{number:.6f}" for number in target) for target in targets_m
             ),
-            target_s=_TARGET_S,
-            output_dir=str(results),
-        ),
+            "target_s": _TARGET_S,
+            "output_dir": str(results),
+        },
     }
+    return {name: {"ros__parameters": values} for name, values in nodes.items()}
 
 
 def rows(checks: Sequence[SpotCheck]) -> list[dict[str, str]]:

@@ -17,7 +17,7 @@ from fvs_lab.lockstep import (
     load_networks,
     make_estimator,
 )
-from fvs_lab.outcome import JACOBIAN_EVERY, Outcome, RunLog
+from fvs_lab.outcome import JACOBIAN_EVERY, Outcome, RunLog, settling_columns
 from fvs_ros.joints import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.simulation import LIVE, SimConfig, Simulation
 from fvs_tools.schemes import Scheme
@@ -322,6 +322,16 @@ def _tell_target(one: LockStep, goal_m: np.ndarray) -> np.ndarray:
     target_m = one.simulation.camera.to_camera(goal_m)
     one.set_target(one.simulation.as_seen(target_m))
     return target_m
+
+
+def settling_run(one: LockStep, target_m: np.ndarray, duration_s: float) -> dict[str, float]:
+    """Give a target, camera frame, m, let time pass, and return the settling times as columns."""
+    one.set_target(target_m)
+    errors_m = []
+    for _ in range(round(duration_s / one.period_s)):
+        one.tick()
+        errors_m.append(np.linalg.norm(one.simulation.true_ball_position() - target_m))
+    return settling_columns(one.period_s * np.arange(1, len(errors_m) + 1), np.array(errors_m))
 
 
 def jacobian_error(one: LockStep) -> float:

@@ -32,7 +32,7 @@ from fvs_lab.report import (
 )
 from fvs_lab.results import Results, table
 from fvs_lab.search import Knob, Limit, Search, Tuned, run_searches
-from fvs_lab.spot_check import Chain, SpotCheck, run_chain, scenario_of
+from fvs_lab.spot_check import SpotCheck, run_chain, scenario_of
 from fvs_lab.spot_check import claims as spot_check_claims
 from fvs_lab.statistics import Interval, median, ratio_of_medians, wilson
 from fvs_lab.trials import Case, Conditions, Trial, make_cases, run_trial
@@ -426,17 +426,17 @@ def test_worlds_that_only_one_masters_tell_two_schemes_apart():
 def test_the_spot_checks_scenario_is_one(tmp_path):
     case = Case("EXP1", HOME, HOME, 4)
     trial = Trial(case, "ukf", "mpc", {"ukf.process_noise": 1e-3}, {"mpc_q": 0.1})
-    chain = Chain(trial, HOME, ((0.1, -0.2, 1.3),), 4)
+    targets_m = [(0.1, -0.2, 1.3)]
     path = tmp_path / "spot.yaml"
-    path.write_text(yaml.safe_dump(scenario_of(chain, tmp_path)))
+    path.write_text(yaml.safe_dump(scenario_of(trial, targets_m, tmp_path)))
     parameters = load_scenario(str(path)).parameters
     assert parameters["fvs_estimator_node"]["method"] == "ukf"
     assert parameters["fvs_sim_node"]["position_noise_m"] == trial.conditions.position_noise_m
     targets = own_targets(parameters["fvs_demo_node"]["target_positions"])
-    np.testing.assert_allclose(targets, chain.targets_m)
-    exact = Chain(Trial(case, "rbf", "ftsm", conditions=EXACT), HOME, chain.targets_m, 4)
+    np.testing.assert_allclose(targets, targets_m)
+    exact = replace(trial, conditions=EXACT)
     with pytest.raises(ValueError, match="rendered"):
-        scenario_of(exact, tmp_path)
+        scenario_of(exact, targets_m, tmp_path)
 
 
 def test_the_spot_check_turns_the_nodes_camera_as_its_own():
@@ -444,16 +444,14 @@ def test_the_spot_check_turns_the_nodes_camera_as_its_own():
 
     turned = Conditions(camera_turn_deg=(0.0, 0.0, 45.0))
     case = Case("EXP1", HOME, HOME, 4)
-    chain = Chain(Trial(case, "rbf", "ftsm", conditions=turned), HOME, ((0.1, -0.2, 1.3),), 4)
-    given = scenario_of(chain, Path("results"))["fvs_sim_node"]["ros__parameters"]
+    trial = Trial(case, "rbf", "ftsm", conditions=turned)
+    given = scenario_of(trial, [], Path("results"))["fvs_sim_node"]["ros__parameters"]
     with Simulation(turned.sim_config()) as own, Simulation(Conditions().sim_config()) as nodes:
         nodes.rotate_camera(np.radians(given["camera_rotation_deg"]))
         np.testing.assert_allclose(own.true_ball_position(), nodes.true_ball_position(), atol=1e-9)
-    aside = replace(
-        chain, trial=replace(chain.trial, conditions=Conditions(camera_turn_deg=(30.0, 0.0, 0.0)))
-    )
+    aside = replace(trial, conditions=Conditions(camera_turn_deg=(30.0, 0.0, 0.0)))
     with pytest.raises(ValueError, match="optical axis"):
-        scenario_of(aside, Path("results"))
+        scenario_of(aside, [], Path("results"))
 
 
 def test_the_spot_check_knows_the_fitted_chain():
@@ -462,10 +460,9 @@ def test_the_spot_check_knows_the_fitted_chain():
     (case,) = make_cases("T", 1, 11)
     with Simulation(EXACT.sim_config()) as simulation:
         simulation.reset(case.goal_rad)
-        target = tuple(simulation.true_ball_position().tolist())
+        target_m = simulation.true_ball_position()
     trial = Trial(case, "poe", "arrive", conditions=EXACT)
-    (settled_s,) = run_chain(Chain(trial, case.start_rad, (target,), case.seed))
-    assert settled_s is not None
+    (settled_s,) = run_chain(trial, [target_m])
     assert settled_s < 1.5
 
 
