@@ -39,20 +39,6 @@ ERRING: Mapping[str, Mapping[str, Any]] = {
 
 
 @dataclass(frozen=True)
-class Places:
-    """Joints at which Jacobians are compared with the true one.
-
-    Parameters
-    ----------
-    box_rad, workspace_rad : ndarray, shape (n, joints)
-        In box M, and over the whole range of the joints where the camera sees the ball, rad.
-    """
-
-    box_rad: np.ndarray
-    workspace_rad: np.ndarray
-
-
-@dataclass(frozen=True)
 class Minute:
     """A recording to learn from.
 
@@ -64,8 +50,8 @@ class Minute:
         Length of the motion, s.
     conditions : Conditions
         The world.
-    places : Places
-        Where what was learned is judged.
+    places : mapping of str to ndarray, shape (n, joints)
+        Joints at which Jacobians are judged, rad, as of :func:`draw_places`.
     papers_method : str
         How the paper's networks are trained.
     """
@@ -73,12 +59,12 @@ class Minute:
     seed: int
     duration_s: float
     conditions: Conditions
-    places: Places
+    places: Mapping[str, np.ndarray]
     papers_method: str = PAPERS_METHOD
 
 
-def draw_places(seed: int, count: int) -> Places:
-    """Draw joints of box M, and of the whole workspace that the camera sees.
+def draw_places(seed: int, count: int) -> dict[str, np.ndarray]:
+    """Draw joints of ``box`` M, and of the whole ``workspace`` that the camera sees, rad.
 
     Parameters
     ----------
@@ -97,7 +83,7 @@ def draw_places(seed: int, count: int) -> Places:
         detection = simulation.look().detection
         if detection is not None and detection.visible_fraction >= _VISIBLE:
             seen.append(joints)
-    return Places(box, np.array(seen))
+    return {"box": box, "workspace": np.array(seen)}
 
 
 def record(minute: Minute) -> tuple[DataSet, float]:
@@ -163,10 +149,7 @@ def learn(minute: Minute) -> dict[str, Any]:
         "found_late_s": taught.fit.time_offset_s,
         "late_error_s": abs(taught.fit.time_offset_s - late_s),
     }
-    for where, joints in (
-        ("box", minute.places.box_rad),
-        ("workspace", minute.places.workspace_rad),
-    ):
+    for where, joints in minute.places.items():
         true = np.array([simulation.true_jacobian(one) for one in joints])
         for who, model in (
             ("chain", taught.fit.chain),
@@ -190,7 +173,7 @@ def tell(task: tuple[str, Minute]) -> dict[str, Any]:
     plant, minute = task
     fit = fit_chain(record(minute)[0])
     simulation = simulation_of(minute.conditions)
-    joints = minute.places.box_rad
+    joints = minute.places["box"]
     metric = np.array([simulation.true_jacobian(one) for one in joints])
     # how the camera errs is linear
     seen = np.stack([simulation.as_seen(one) for one in np.eye(3)], axis=1) @ metric

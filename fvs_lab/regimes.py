@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from fvs_lab.search import ESTIMATOR, Knob, Limit, Search
+from fvs_lab.trials import Variant
 from fvs_tools.schemes import SCHEMES, Scheme
 
 PROPOSED = "proposed"
@@ -103,12 +104,9 @@ def search_of(scheme: Scheme, regime: Regime) -> Search:
     """The search for the gains of a scheme in a regime."""
     return Search(
         f"{regime.name} {scheme.name}",
-        scheme.method,
-        scheme.law,
+        Variant.of(scheme, **regime.controller_values),
         (*_LAW_KNOBS[scheme.law], *_METHOD_KNOBS.get(scheme.method, ())),
-        controller_values={**scheme.controller_values, **regime.controller_values},
-        estimator_values=scheme.estimator_values,
-        limit=regime.limit,
-        duration_s=regime.duration_s,
-        rest_s=regime.rest_s,
+        regime.limit,
+        regime.duration_s,
+        regime.rest_s,
     )

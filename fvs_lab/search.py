@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from fvs_lab.context import Context
 from fvs_lab.outcome import Outcome
-from fvs_lab.trials import Case, Conditions, Trial, run_trial
+from fvs_lab.trials import Case, Conditions, Trial, Variant, run_trial
 
 #: Steepness of the penalty on a constraint's relative violation, s: breaking it by a tenth
 #: costs two seconds, more than any gain is worth.
@@ -94,12 +94,10 @@ class Search:
     ----------
     name : str
         For progress and data.
-    method, law : str
-        Estimator and control law.
+    variant : Variant
+        Estimator, control law and what is fixed.
     knobs : tuple of Knob
         The gains that are free.
-    controller_values, estimator_values : mapping
-        What is fixed.
     limit : Limit, optional
         What the gains must keep.
     duration_s : float
@@ -110,11 +108,8 @@ class Search:
     """
 
     name: str
-    method: str
-    law: str
+    variant: Variant
     knobs: tuple[Knob, ...]
-    controller_values: Mapping[str, Any] = field(default_factory=dict)
-    estimator_values: Mapping[str, Any] = field(default_factory=dict)
     limit: Limit | None = None
     duration_s: float = 4.0
     rest_s: float = 1.0
@@ -139,16 +134,12 @@ class Search:
         for knob in self.knobs:
             if knob.name in gains:
                 turned[knob.node][knob.name] = gains[knob.name]
-        return Trial(
-            case,
-            self.method,
-            self.law,
-            estimator_values={**self.estimator_values, **turned[ESTIMATOR]},
-            controller_values={**self.controller_values, **turned[CONTROLLER]},
-            conditions=conditions,
-            duration_s=self.duration_s,
-            stop_after_s=self.rest_s,
+        variant = replace(
+            self.variant,
+            estimator_values={**self.variant.estimator_values, **turned[ESTIMATOR]},
+            controller_values={**self.variant.controller_values, **turned[CONTROLLER]},
         )
+        return variant.trial(case, conditions, duration_s=self.duration_s, stop_after_s=self.rest_s)
 
     def time_s(self, outcomes: Sequence[Outcome]) -> float:
         """Mean settling time, s: to 5 mm, with a small share of that to 2 mm.

@@ -73,7 +73,7 @@ def measure(context: Context) -> Found:
         "scoring_cases": scoring,
         "searches": [
             {"name": one.search.name, "knobs": one.search.knobs, "limit": one.search.limit,
-             "fixed": one.search.controller_values, "best": one.best, "tried": one.tried}
+             "fixed": one.search.variant.controller_values, "best": one.best, "tried": one.tried}
             for ones in found.values() for one in ones
         ],
         "spot_check": checks,

@@ -35,7 +35,7 @@ from fvs_lab.search import Knob, Limit, Search, Tuned, run_searches
 from fvs_lab.spot_check import SpotCheck, run_chain, scenario_of
 from fvs_lab.spot_check import claims as spot_check_claims
 from fvs_lab.statistics import Interval, median, ratio_of_medians, wilson
-from fvs_lab.trials import Case, Conditions, Trial, make_cases, run_trial
+from fvs_lab.trials import Case, Conditions, Trial, Variant, make_cases, run_trial
 from fvs_tools.demo import own_targets
 from fvs_tools.scenario import load_scenario
 from fvs_tools.score import settling_time_s
@@ -43,6 +43,7 @@ from fvs_tools.score import settling_time_s
 INF = float("inf")
 HOME = (0.0, -1.35, 1.6, -1.75, -1.57, 0.0)
 EXACT = Conditions(rendered=False)
+PID = Variant({}, "rbf", "proportional")
 
 
 def outcome(settled_s=0.7, jitter=0.001, peak=0.5, failure=""):
@@ -194,14 +195,14 @@ def test_knobs_cover_their_range():
     assert even.value(0.25) == 1.0
     assert log.place(1.0) == pytest.approx(0.5)
     assert even.place(1.0) == 0.25
-    search = Search("one", "rbf", "proportional", (even,))
+    search = Search("one", PID, (even,))
     assert search.at_an_edge({"gain": 3.9}) == ["gain"]
     assert search.at_an_edge({"gain": 1.0}) == []
 
 
 def test_the_cost_is_settling_time_and_breaking_a_limit_costs_more_than_it_gains():
     limit = Limit("peak_joint_speed_rad_s", 0.8)
-    search = Search("one", "rbf", "proportional", (), limit=limit, duration_s=4.0)
+    search = Search("one", PID, (), limit=limit, duration_s=4.0)
 
     def cost(*outcomes):
         return search.cost(search.judge({}, outcomes))
@@ -238,7 +239,7 @@ def test_mfac_may_be_the_proportional_law_that_it_can_be():
 
 def test_what_was_tried_elsewhere_counts_if_it_keeps_the_limit():
     limit = Limit("jitter_rad_s", 0.001)
-    search = Search("one", "rbf", "proportional", (), limit=limit)
+    search = Search("one", PID, (), limit=limit)
     own = search.judge({"a": 1.0}, [outcome(2.0)])
     calm = search.judge({"a": 2.0}, [outcome(1.0, jitter=0.0009)])
     wild = search.judge({"a": 3.0}, [outcome(0.5, jitter=0.002)])
@@ -249,7 +250,7 @@ def test_what_was_tried_elsewhere_counts_if_it_keeps_the_limit():
 def test_the_search_finds_the_gain_and_is_repeatable(tmp_path):
     """From the middle of the range, 1.7 1/s, up to where the speed limit rules."""
     knobs = (Knob("proportional_gain_1_s", 0.1, 30.0), Knob("damping", 1e-6, 1e-3))
-    search = Search("one", "rbf", "proportional", knobs, duration_s=2.0)
+    search = Search("one", PID, knobs, duration_s=2.0)
     cases = make_cases("T", 1, 5)
     context = Context(tmp_path, jobs=1, rendered=False)
     one, again = (
