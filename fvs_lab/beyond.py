@@ -21,10 +21,10 @@ from fvs_lab.beyond_minute import (
     MOST_LATE_S,
     PAPERS_METHOD,
     Minute,
+    assess,
     draw_places,
     learn,
     record,
-    tell,
 )
 from fvs_lab.beyond_shown import figures, tables
 from fvs_lab.beyond_tracking import SPEEDS_M_S, Pursuit, draw_paths, run_pursuit
@@ -67,13 +67,13 @@ def measure(context: Context) -> Found:
     cases = make_cases("B", count, _SCORING_SEED)
     found = _searched(context)
     minutes = context.map(learn, _minutes(context, max(1, count // 3)), "minutes of data")
-    told = _told(context, max(1, count // 10))
+    assessments = _assessments(context, max(1, count // 10))
     floors = context.map(partial(floor_of, limits=_LIMITS), cases, "the floor")
     races = _over_floors(_races(context, found, cases), cases, floors)
     rendered = _rendered(context, cases[: max(1, 4 * count // 15)], races)
     camera = with_slowdown(_journeys(context, count))
     runs = Results(
-        [*minutes, *told, *races, *rendered, *camera, *_worlds(context, cases),
+        [*minutes, *assessments, *races, *rendered, *camera, *_worlds(context, cases),
          *_pursuits(context, max(1, count // 20))]
     )  # fmt: skip
     checks = _checks(context, cases)
@@ -98,7 +98,7 @@ def measure(context: Context) -> Found:
 def _facts(context: Context, runs: Results, floors: Sequence[Floor]) -> dict[str, Any]:
     later = runs.where(part="rendered").groups("scheme")
     later_ms = {name: ones.median("later_s").value * 1e3 for name, ones in later.items()}
-    own, taught = (
+    own, fitted = (
         [value for name, value in later_ms.items() if name.endswith(who.MINUTES) is minutes]
         for minutes in (False, True)
     )
@@ -109,7 +109,7 @@ def _facts(context: Context, runs: Results, floors: Sequence[Floor]) -> dict[str
         "rendered": context.rendered,
         "seeds": SEEDS,
         "later_ms": (min(own), max(own)),
-        "taught_ms": (min(taught), max(taught)),
+        "minutes_ms": (min(fitted), max(fitted)),
         "count": len(floors),
         "pictured": len(later[who.BEST]),
         "minutes": len(runs.where(part="minute")),
@@ -139,13 +139,13 @@ def _papers_method(context: Context) -> str:
     return "ridge" if context.quick else PAPERS_METHOD
 
 
-def _told(context: Context, count: int) -> list[dict[str, Any]]:
+def _assessments(context: Context, count: int) -> list[dict[str, Any]]:
     tasks = [
         (plant, minute)
         for plant, changes in ERRING.items()
         for minute in _minutes(context, count, **changes)
     ]
-    return context.map(tell, tasks, "minutes of plants that err")
+    return context.map(assess, tasks, "minutes of plants that err")
 
 
 def _searched(context: Context) -> dict[str, list[Tuned]]:
@@ -217,10 +217,10 @@ def _rendered(context: Context, cases: Sequence[Case], races: Results) -> Result
     save_model(path, train_structured(record(minute)[0], seed=minute.seed).trained)
     variants = [who.variant(name) for name in who.SEEN]
     own = context.run(variants, cases, "with images")
-    taught = context.run(variants[:_JUDGED], cases, "with a minute's model", model=str(path))
+    fitted = context.run(variants[:_JUDGED], cases, "with a minute's model", model=str(path))
     raced = races.groups("scheme", "case")
     rows = []
-    for row, end in (*((row, "") for row in own), *((row, who.MINUTES) for row in taught)):
+    for row, end in (*((row, "") for row in own), *((row, who.MINUTES) for row in fitted)):
         before_s = raced[row["scheme"], row["case"]].rows[0]["to_5mm_s"]
         # Two that never settle are alike.
         later_s = 0.0 if row["to_5mm_s"] == before_s else row["to_5mm_s"] - before_s

@@ -18,7 +18,7 @@ _MINUTE = (
     ("chain", "chain_workspace", 0.015, 100, " %"),
     ("late", "late_error_s", 0.003, 1e3, " ms"),
     ("fit", "fit_s", 5.0, 1, " s"),
-    ("taught", "taught_box", 0.02, 100, " %"),
+    ("distilled", "distilled_box", 0.02, 100, " %"),
 )
 #: What the fit says of its error may be larger or smaller by this factor.
 HONEST = 2.0
@@ -42,10 +42,10 @@ def claims(found: Found) -> Iterator[Claim]:
     parts = found.runs.groups("part")
     races, worlds = parts["race"].groups("scheme"), parts["world"]
     yield from _minute(parts["minute"])
-    told = parts["told"].values("honesty")
-    honest = sum(1.0 / HONEST <= ratio <= HONEST for ratio in told)
+    honesty = parts["assessment"].values("honesty")
+    honest = sum(1.0 / HONEST <= ratio <= HONEST for ratio in honesty)
     label = f"recordings within a factor of {HONEST:g}"
-    yield Claim("honest", OURS, [share_above(label, wilson(honest, len(told)), MOST)])
+    yield Claim("honest", OURS, [share_above(label, wilson(honest, len(honesty)), MOST)])
     over = races[who.BEST].median("over_5mm")
     yield Claim("best", OURS, [below("settling to 5 mm over the floor", over, OVER_FLOOR)])
     faster = [_faster(races, who.EXTENDED, name) for name in SCHEMES]

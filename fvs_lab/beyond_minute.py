@@ -124,19 +124,19 @@ def record(minute: Minute) -> tuple[DataSet, float]:
 
 
 def learn(minute: Minute) -> dict[str, Any]:
-    """Record a minute, fit, teach and train, and compare with the true Jacobian.
+    """Record a minute, fit, distill and train, and compare with the true Jacobian.
 
     Returns
     -------
     dict
         A row: relative errors of the Jacobians (medians over the places) of the chain, of the
-        networks that it taught and of those that the paper's training makes of the same data, in
-        box M and over the workspace; ``fit_s`` of one core for chain and teaching; how late the
+        networks distilled from it and of those that the paper's training makes of the same data, in
+        box M and over the workspace; ``fit_s`` of one core for chain and distillation; how late the
         images were stamped, and what the fit says.
     """
     data, late_s = record(minute)
     began_s = time.process_time()
-    taught = train_structured(data, seed=minute.seed)
+    distilled = train_structured(data, seed=minute.seed)
     fit_s = time.process_time() - began_s
     trained = train(data, TrainingOptions(method=minute.papers_method, seed=minute.seed)).trained
     simulation = simulation_of(minute.conditions)
@@ -146,14 +146,14 @@ def learn(minute: Minute) -> dict[str, Any]:
         "images": len(data),
         "fit_s": fit_s,
         "late_s": late_s,
-        "found_late_s": taught.fit.time_offset_s,
-        "late_error_s": abs(taught.fit.time_offset_s - late_s),
+        "found_late_s": distilled.fit.time_offset_s,
+        "late_error_s": abs(distilled.fit.time_offset_s - late_s),
     }
     for where, joints in minute.places.items():
         true = np.array([simulation.true_jacobian(one) for one in joints])
         for who, model in (
-            ("chain", taught.fit.chain),
-            ("taught", taught.trained.model),
+            ("chain", distilled.fit.chain),
+            ("distilled", distilled.trained.model),
             ("paper", trained.model),
         ):
             errors = relative_errors(model.jacobian(joints), true)
@@ -161,14 +161,14 @@ def learn(minute: Minute) -> dict[str, Any]:
     return row
 
 
-def tell(task: tuple[str, Minute]) -> dict[str, Any]:
+def assess(task: tuple[str, Minute]) -> dict[str, Any]:
     """Record a minute of a plant, fit a chain, and compare its error with what the fit says.
 
     Returns
     -------
     dict
-        A row: what errs, the error ``told`` by the fit, the error ``seen`` against the Jacobian of
-        where the camera sees the ball, and the ``metric`` one of where it is; medians in box M.
+        A row: what errs, the error ``stated`` by the fit, and the errors against the Jacobian of
+        where the camera sees the ball (``seen``) and of where it is (``metric``), medians in box M.
     """
     plant, minute = task
     fit = fit_chain(record(minute)[0])
@@ -176,13 +176,17 @@ def tell(task: tuple[str, Minute]) -> dict[str, Any]:
     joints = minute.places["box"]
     metric = np.array([simulation.true_jacobian(one) for one in joints])
     # how the camera errs is linear
-    seen = np.stack([simulation.as_seen(one) for one in np.eye(3)], axis=1) @ metric
+    seen = np.stack([simulation.as_seen(one) for one in np.eye(metric.shape[1])], axis=1) @ metric
     found = fit.chain.jacobian(joints)
-    told = float(np.median(fit.jacobian_deviation(joints)))
+    stated = float(np.median(fit.jacobian_deviation(joints)))
     errors = {
         name: float(np.median(relative_errors(found, true)))
         for name, true in (("seen", seen), ("metric", metric))
     }
     return {
-        "part": "told", "plant": plant, "told": told, **errors, "honesty": told / errors["seen"]
-    }  # fmt: skip
+        "part": "assessment",
+        "plant": plant,
+        "stated": stated,
+        **errors,
+        "honesty": stated / errors["seen"],
+    }

@@ -20,7 +20,7 @@ _SHOWN = METRICS | {
     "later_s": Metric("later by, ms", 1e3, 0),
     "rms_sigma": Metric("final rms, σ"),
     "slowdown": Metric("over undisturbed"),
-    "told": Metric("the fit says, %", 100, 3),
+    "stated": Metric("the fit says, %", 100, 3),
     "seen": Metric("off from what the camera sees, %", 100, 3),
     "metric": Metric("off in metres, %", 100, 3),
     "rms_m": Metric("rms, mm", 1e3),
@@ -28,10 +28,10 @@ _SHOWN = METRICS | {
 #: Columns of a recording: header, column, factor and digits.
 _MINUTE = (
     ("images", "images", 1, 0),
-    ("fit and teaching, s of one core", "fit_s", 1, 1),
+    ("fit and distillation, s of one core", "fit_s", 1, 1),
     ("chain, box M, %", "chain_box", 100, 3),
     ("chain, workspace, %", "chain_workspace", 100, 3),
-    ("networks it taught, box M, %", "taught_box", 100, 2),
+    ("networks distilled from it, box M, %", "distilled_box", 100, 2),
     ("the paper's training, box M, %", "paper_box", 100, 2),
     ("workspace, %", "paper_workspace", 100, 0),
     ("images late by, ms", "late_s", 1e3, 1),
@@ -53,8 +53,8 @@ def tables(found: Found) -> Iterator[Named]:
         ],
     )
     honesty = {"the fit says, over what it is off": lambda runs: span(runs.values("honesty"))}
-    errors = ("told", "seen", "metric")
-    yield "told", table(parts["told"], {"plant": "what errs"}, errors, honesty, _SHOWN)
+    errors = ("stated", "seen", "metric")
+    yield "assessments", table(parts["assessment"], {"plant": "what errs"}, errors, honesty, _SHOWN)
     scheme = {"scheme": "scheme"}
     metrics = ["over_5mm", "over_clairvoyant", "over_2mm", "over_1mm", "jitter_rad_s",
                "peak_joint_speed_rad_s"]  # fmt: skip
@@ -104,7 +104,7 @@ def _minute(runs: Results):
     figure, ((axis,),) = panels(1, 1, (8.6, 3.6))
     names = {
         "chain": "best, fitted chain",
-        "taught": "extended, networks it taught",
+        "distilled": "extended, networks distilled from it",
         "paper": "proposed, the paper's training",
     }
     rows = {

@@ -24,7 +24,7 @@ from fvs_estimator_node.config import PARAMETERS
 from fvs_lab import ablation, estimators, estimators_study, main, settling, settling_bounds, tuning
 from fvs_lab import beyond_contestants as who
 from fvs_lab.beyond_camera import AT_REST, CARRIED, MOMENTS, UNDISTURBED, draw_journeys, run_journey
-from fvs_lab.beyond_minute import ERRING, Minute, draw_places, learn, record, tell
+from fvs_lab.beyond_minute import ERRING, Minute, assess, draw_places, learn, record
 from fvs_lab.beyond_tracking import CIRCLE, LINE, RADIUS_M, Pursuit, draw_paths, run_pursuit
 from fvs_lab.context import Context
 from fvs_lab.disturbances import WHITE, Bump, StableNoise
@@ -402,16 +402,16 @@ def test_images_are_stamped_late_and_the_fit_finds_out():
     assert learned["late_s"] == late_s > 0.01
     assert learned["late_error_s"] < 0.003
     assert learned["chain_box"] < 0.01 < learned["paper_box"]
-    assert learned["taught_box"] < 0.02
+    assert learned["distilled_box"] < 0.02
 
 
 @pytest.mark.parametrize("plant", ERRING)
 def test_a_fit_says_how_far_it_is_off_from_what_the_camera_sees(plant):
     conditions = replace(EXACT, **ERRING[plant])
-    row = tell((plant, Minute(3, 40.0, conditions, draw_places(1, 20))))
+    row = assess((plant, Minute(3, 40.0, conditions, draw_places(1, 20))))
     assert 0.5 < row["honesty"] < 2.0
     # in metres, a wrong scale of the camera is not told
-    assert (row["metric"] > 3.0 * row["told"]) == (plant == "depths told 0.5 % too large")
+    assert (row["metric"] > 3.0 * row["stated"]) == (plant == "depths told 0.5 % too large")
 
 
 @pytest.mark.parametrize("name", [who.BEST, who.EXTENDED])
