@@ -2,7 +2,8 @@
 
 The module of an experiment says what is run, shown and claimed; the template of the same name
 beside it has the sentences, a macro each: ``title``, ``question``, ``setup``, ``figure_NAME``,
-``table_NAME`` and ``claim_NAME``.
+``table_NAME`` and ``claim_NAME``. A new experiment is these two files and a name in
+:data:`fvs_lab.report.EXPERIMENTS`.
 """
 
 from __future__ import annotations
