@@ -1,24 +1,179 @@
-"""Is each row of the README's safety table kept? The controller without it is found out.
+"""Is each row of the README's safety table kept? A controller without it is found out.
 
-python -m bench mutants. Each mutant lacks one rule; in the scenes beside it the world of
-``fuzz_world.py`` must see its promise broken, and kept by the controller as it is.
+python -m bench mutants. Each mutant lacks one rule: it never finds a reason, does not heed a
+parameter, or has a function replaced. In the script beside it the promises of
+:mod:`bench.fuzz_promises` are seen broken, and the controller as it is keeps them.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+import functools
+import math
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
 from unittest import mock
 
-from bench.fuzz_world import BrokenPromiseError, Episode, Scene, World
-from fvs_controller_node import limiter, monitors
-from fvs_controller_node.inputs import InputMonitor
-from fvs_controller_node.monitors import FollowingMonitor
-from fvs_controller_node.progress import Progress
-from fvs_controller_node.supervisor import Supervisor
-from fvs_ros.agreement import Agreement
-from fvs_ros.history import StampGate
-from fvs_ros.limits import JointRange
+from bench import fuzz_world
+from bench.fuzz_machine import IMPATIENT, Machine
+from bench.fuzz_promises import BrokenPromiseError
+from bench.fuzz_world import BALL, FRESH_TICKS, HOME_RAD, JACOBIAN
+from fvs_controller_node.node import ControllerNode
+from fvs_controller_node.reasons import Finding, Reason
+from fvs_ros.camera import CAMERA_FRAME
+
+# ---- scripts: what happens to the controller ----------------------------------------------
+
+
+def waits_for_a_start(m: Machine) -> None:
+    m.world.run(FRESH_TICKS)
+    m.odd_target(None)
+    m.wait(40)
+    m.call("stop", 10)
+
+
+def arrives(m: Machine) -> None:
+    m.work(ticks=300)
+
+
+def inputs_fall_silent(m: Machine) -> None:
+    m.work()
+    m.silence([BALL])
+    m.silence([JACOBIAN])
+    m.wait(40)
+
+
+def stamps_freeze(m: Machine) -> None:
+    m.work()
+    m.silence(frozen=[BALL], ticks=60)
+
+
+def input_is_silent_for_long(m: Machine) -> None:
+    m.work()
+    m.change(IMPATIENT)
+    m.silence([BALL], ticks=90, steady_s=0.03)
+    m.wait(60)
+
+
+def clocks_differ(m: Machine) -> None:
+    m.work()
+    m.silence([BALL], ticks=2)
+    m.world.ros_s += 10.0
+    m.silence([BALL], ticks=8)
+    m.wait(40)
+
+
+def joint_is_not_a_number(m: Machine) -> None:
+    m.work()
+    m.odd_joints(odd={2: math.nan})
+    m.wait(20)
+
+
+def another_node_commands(m: Machine) -> None:
+    m.work()
+    m.other_commander((0.1,) * HOME_RAD.size)
+
+
+def targets_are_wrong(m: Machine) -> None:
+    m.work()
+    m.odd_target(None, "base")
+    m.odd_target((2.0, 0.0, 1.5))
+
+
+def joint_meets_its_end(m: Machine) -> None:
+    m.work(ticks=0)
+    m.call("stop", 40)
+    m.to_the_limit(0, 1, 0.1, 120)
+
+
+def jacobian_is_singular(m: Machine) -> None:
+    m.work()
+    m.estimator(smallest=0.01, ticks=40)
+
+
+def image_is_reversed(m: Machine) -> None:
+    m.change({"growth_time_s": 50.0, "max_joint_velocity_rad_s": 0.1})
+    m.work(ticks=5)
+    m.show(-1.0, 600, 0.02)
+
+
+def image_freezes(m: Machine) -> None:
+    m.work(ticks=5)
+    m.show(0.0, 150, 0.02)
+
+
+def ball_is_pushed_away(m: Machine) -> None:
+    m.work(ticks=200)
+    m.change({"max_joint_velocity_rad_s": 0.02})
+    m.push((0.25, 0.15, 0.2), 300, 0.02)
+
+
+def target_is_out_of_reach(m: Machine) -> None:
+    m.change(IMPATIENT)
+    m.work(ticks=0)
+    m.close_in((0.0,) * HOME_RAD.size)
+    m.wait(200, 0.03)
+
+
+def ball_swings(m: Machine) -> None:
+    m.work(ticks=5)
+    m.change({"max_joint_velocity_rad_s": 0.02, "growth_time_s": 50.0})
+    m.swing(0.1, 500)
+
+
+def arm_is_stuck(m: Machine) -> None:
+    m.change({"follow_time_s": 0.1})
+    m.work(ticks=0)
+    m.arm("ignores", 300)
+
+
+def program_stops_and_runs(m: Machine) -> None:
+    m.work()
+    m.robot(running=False)
+    m.robot()
+
+
+def slider_is_at_zero(m: Machine) -> None:
+    m.work()
+    m.robot(percent=0.0)
+
+
+def law_fails(m: Machine) -> None:
+    m.work()
+    m.mad_law([], [])
+
+
+# ---- mutants ------------------------------------------------------------------------------
+
+
+def lacks(*names: str) -> AbstractContextManager:
+    """The controller never finds these reasons."""
+
+    def because(self: Reason, **numbers: object) -> Finding | None:
+        return None if self.name in names else Finding(self, numbers)
+
+    return mock.patch.object(Reason, "because", because)
+
+
+def disregards(**values: Any) -> AbstractContextManager:
+    """The controller has these values, whatever it is given."""
+    dry = fuzz_world.DryController
+
+    def make(given: dict[str, Any], *rest: Any) -> fuzz_world.DryController:
+        return dry({**given, **values}, *rest)
+
+    return mock.patch.object(fuzz_world, "DryController", make)
+
+
+def takes_any_frame() -> AbstractContextManager:
+    """The controller takes every target for one in the camera's frame."""
+    on_target = ControllerNode._on_target
+
+    def take(self: ControllerNode, message: Any) -> None:
+        message.header.frame_id = CAMERA_FRAME
+        on_target(self, message)
+
+    return mock.patch.object(ControllerNode, "_on_target", take)
 
 
 class Mutant(NamedTuple):
@@ -27,120 +182,91 @@ class Mutant(NamedTuple):
     Parameters
     ----------
     promise : str
-        What the world sees broken.
-    where, name : object, str
-        The attribute that is replaced ...
-    by : object
-        ... by this.
-    scenes : str
-        When it shows: ``name/ticks/variant``, comma separated.
-    rehearsed : bool
-        Whether the arm servoes before the scenes.
+        What is seen broken.
+    make : callable
+        Makes the context in which the controller lacks the rule.
+    script : callable
+        What happens.
     """
 
     promise: str
-    where: Any
-    name: str
-    by: Any
-    scenes: str
-    rehearsed: bool = True
+    make: Callable[[], AbstractContextManager]
+    script: Callable[[Machine], None]
 
 
-def _nothing(*_arguments: Any, **_options: Any) -> None:
-    return None
+def _lacks(promise: str, script: Callable[[Machine], None], *names: str) -> Mutant:
+    return Mutant(promise, functools.partial(lacks, *names), script)
 
 
-_JUDGE = Agreement._judge
+def _disregards(promise: str, script: Callable[[Machine], None], **values: Any) -> Mutant:
+    return Mutant(promise, functools.partial(disregards, **values), script)
 
 
-def _sees_no_error(*arguments: Any) -> Any:
-    verdict = _JUDGE(*arguments)
-    return None if verdict is None else replace(verdict, error_ratio=0.0)
-
-
-_NEVER = property(lambda _self: False)
-_INIT, _GOOD, _TARGET = Supervisor.__init__, InputMonitor.good, Supervisor.target
-
-
-def _starts_by_itself(self: Supervisor, config: Any) -> None:
-    _INIT(self, config)
-    self._autostart_left = True
-
-
-def _trusts_at_once(self: InputMonitor, now_s: float) -> None:
-    _GOOD(self, now_s)
-    self._trouble = None
-
-
-def _takes_any_frame(self: Supervisor, position_m: Any, _frame: str, **options: Any) -> Any:
-    return _TARGET(self, position_m, self.config.feature_frame, **options)
-
-
-def _brakes_for_no_end(_self: JointRange, velocity: Any, *_rest: Any) -> Any:
-    return velocity, []
+def _replaces(promise: str, script: Callable[[Machine], None], where: str, by: Any) -> Mutant:
+    return Mutant(promise, functools.partial(mock.patch, where, by), script)
 
 
 _ASKED, _FRESH, _ZEROS = "moves when asked only", "fresh inputs", "zeros whatever came first"
-_TRUSTED, _TOLD = "several good messages end a trouble", "a wrong target changes nothing"
-_GROWS, _STALLS = "an error that grows is held", "an error that does not fall is held"
-_WRONG, _FROZEN = "a wrong Jacobian is held", "a frozen image is held"
-_FOLLOWS, _SINGULAR = "an arm that does not follow is held", "held near a singularity"
+_TOLD, _GROWS = "a wrong target changes nothing", "an error that grows is held"
+_WIDE = {"workspace_min_m": [-9.0] * 3, "workspace_max_m": [9.0] * 3}
 
-#: The table's rows, as they begin, and what happens without them.
-ROWS = {
-    "before everything is fresh": [
-        Mutant(_ASKED, Supervisor, "__init__", _starts_by_itself, "target/40/9", rehearsed=False),
-    ],
-    "joint states older": [
-        Mutant(_FRESH, InputMonitor, "find", _nothing, "silence/40/0"),
-        Mutant(_TRUSTED, InputMonitor, "good", _trusts_at_once, "silence/40/1, work/40/3"),
-    ],
-    "a message that is not finite": [
-        Mutant(_ZEROS, InputMonitor, "bad", _nothing, "garbage/40/7, garbage/40/9"),
-    ],
-    "held for more": [
-        Mutant(_ASKED, Supervisor, "_held_long", lambda _self, it, _dt_s: it, "abandoned/60/1"),
-    ],
-    "another node commands": [
-        Mutant(_ASKED, Supervisor, "conflicting_command", _nothing, "rival/20/0"),
-    ],
-    "messages whose stamps": [
-        Mutant(_FRESH, StampGate, "advances", lambda _self, _stamp_s: True, "frozen stamps/40/1"),
-    ],
-    "always": [
-        Mutant("velocity limit", limiter, "limit_speed", lambda v, _s: v, "work/40/11"),
-        Mutant("acceleration limit", limiter, "limit_acceleration", lambda v, *_: v, "work/40/3"),
-        Mutant("only slower", limiter, "ramp_to_zero", lambda v, _s: 1.001 * v, "silence/40/1"),
-        Mutant(
-            *("stops before its limit", JointRange, "slow_down", _brakes_for_no_end),
-            "to the limit/40/6, to the limit/40/1",
+#: The table's rows, as they begin, and the controllers without them, by name.
+ROWS: dict[str, dict[str, Mutant]] = {
+    "before everything is fresh": {
+        "starts by itself": _disregards(_ASKED, waits_for_a_start, autostart=True),
+    },
+    "joint states older": {
+        "never late": _lacks(_FRESH, inputs_fall_silent, "STALE"),
+        "trusts at once": _lacks(
+            "several good messages end a trouble", inputs_fall_silent, "RETURNING"
         ),
-    ],
-    "a target in another frame": [
-        Mutant(_TOLD, Supervisor, "target", _takes_any_frame, "target/4/2, target/5/2"),
-        Mutant(_TOLD, Supervisor, "_outside", lambda _self, _m: [], "target/4/3, target/5/3"),
-    ],
-    "the Jacobian near singular": [
-        Mutant(_SINGULAR, Supervisor, "_near_singular", _nothing, "estimator/10/7"),
-    ],
-    "the Jacobian predicting badly": [
-        Mutant(_WRONG, Agreement, "_judge", _sees_no_error, "work/5/3, wrong way/120/9"),
-    ],
-    "the error grows": [
-        Mutant(_GROWS, Progress, "growing", _NEVER, "work/40/3, long wait/60/0, push/90/9"),
-        Mutant(_STALLS, Progress, "stalled", _NEVER, "another ball/60/6, long wait/60/0"),
-        Mutant("a swing is held", Progress, "swinging", _NEVER, "work/5/3, swing/60/4"),
-    ],
-    "the image does not follow": [
-        Mutant(_FROZEN, monitors, "_LEAST_SEEN", -1.0, "another ball/60/5"),
-    ],
-    "the arm does not move": [
-        Mutant(_FOLLOWS, FollowingMonitor, "check", _nothing, "arm/59/3, long wait/60/0"),
-    ],
-    "the robot program stopped": [
-        Mutant(_ZEROS, Supervisor, "program_running", _nothing, "robot/5/0"),
-        Mutant(_ZEROS, Supervisor, "speed_scaling", _nothing, "robot/5/4"),
-    ],
+    },
+    "a message that is not finite": {
+        "takes anything": _lacks(_ZEROS, joint_is_not_a_number, "BAD_INPUT")
+    },
+    "held for more": {"resumes for ever": _lacks(_ASKED, input_is_silent_for_long, "HELD_LONG")},
+    "another node commands": {"shares": _lacks(_ASKED, another_node_commands, "RIVAL")},
+    "messages whose stamps": {
+        "counts all": _replaces(
+            _FRESH, stamps_freeze, "fvs_ros.history.StampGate.advances", lambda *_: True
+        ),
+    },
+    "always": {
+        "too fast": _disregards("velocity limit", arrives, max_joint_velocity_rad_s=1.5),
+        "too sudden": _disregards("acceleration limit", arrives, max_joint_acceleration_rad_s2=9.0),
+        "does not slow down": _replaces(
+            *("only slower", inputs_fall_silent, "fvs_controller_node.supervisor.ramp_to_zero"),
+            lambda velocity, _step: 1.001 * velocity,
+        ),
+        "no end of a range": _disregards(
+            "stops before its limit", joint_meets_its_end, joint_max_rad=[9.0] * HOME_RAD.size
+        ),
+    },
+    "a target in another frame": {
+        "any frame": Mutant(_TOLD, takes_any_frame, targets_are_wrong),
+        "any place": _disregards(_TOLD, targets_are_wrong, **_WIDE),
+    },
+    "the Jacobian near singular": {
+        "goes on": _lacks("held near a singularity", jacobian_is_singular, "NEAR_SINGULAR"),
+    },
+    "the Jacobian predicting badly": {
+        "believes it": _lacks("a wrong Jacobian is held", image_is_reversed, "PREDICTION_ERROR"),
+    },
+    "the error grows": {
+        "grows": _lacks(_GROWS, ball_is_pushed_away, "ERROR_GROWING"),
+        "stalls": _lacks("an error that does not fall is held", target_is_out_of_reach, "STALLED"),
+        "swings": _lacks("a swing is held", ball_swings, "OSCILLATING"),
+    },
+    "the image does not follow": {
+        "believes it": _lacks("a frozen image is held", image_freezes, "IMAGE_NOT_FOLLOWING"),
+    },
+    "the arm does not move": {
+        "pushes on": _lacks("an arm that does not follow is held", arm_is_stuck, "NOT_FOLLOWING"),
+    },
+    "the robot program stopped": {
+        "program": _lacks(_ZEROS, program_stops_and_runs, "PROGRAM_STOPPED"),
+        "speed slider": _lacks(_ZEROS, slider_is_at_zero, "SPEED_SCALING_ZERO"),
+    },
 }
 
 #: Rows that a process and its wires keep, not the loop: row -> the tests that guard it.
@@ -149,47 +275,46 @@ ELSEWHERE = {
     "Ctrl-C, any signal": "test/faults/test_controller_faults.py",
 }
 
+MUTANTS = {
+    f"{row}: {name}": mutant for row, mutants in ROWS.items() for name, mutant in mutants.items()
+}
+#: Every script, by name: together they meet every reason.
+SCRIPTS = {
+    one.__name__: one for one in (*(m.script for m in MUTANTS.values()), clocks_differ, law_fails)
+}
 
-def broken(mutant: Mutant, *, whole: bool = False) -> dict[str, str]:
-    """Which promises are seen broken, and how, in the mutant's scenes.
 
-    Parameters
-    ----------
-    mutant : Mutant
-        The mutant.
-    whole : bool
-        The controller with all its rules in the same scenes.
-    """
-    words = [scene.split("/") for scene in mutant.scenes.split(", ")]
-    scenes = tuple(Scene(name, int(ticks), int(variant)) for name, ticks, variant in words)
-    found: dict[str, str] = {}
-    for seed in range(3):
-        world = Episode("proportional", seed, rehearsed=mutant.rehearsed, scenes=scenes)
-        try:
-            if whole:
-                World(world).play()
-            else:
-                with mock.patch.object(mutant.where, mutant.name, mutant.by):
-                    World(world).play()
-        except BrokenPromiseError as error:
-            found[error.promise] = str(error)
-        if not whole and mutant.promise in found:
-            break
-    return found
+def play(script: Callable[[Machine], None]) -> Machine:
+    """Play a script to its end."""
+    machine = Machine()
+    machine.begin()
+    script(machine)
+    machine.teardown()
+    return machine
+
+
+def caught(mutant: Mutant) -> str:
+    """How the mutant breaks its promise in its script; empty if it keeps it."""
+    try:
+        with mutant.make():
+            play(mutant.script)
+    except BrokenPromiseError as error:
+        return str(error) if error.promise == mutant.promise else ""
+    return ""
 
 
 def main() -> None:
+    """Print a line for each mutant."""
+    for script in SCRIPTS.values():
+        play(script)
     missed = []
-    for row, mutants in ROWS.items():
-        for mutant in mutants:
-            found = broken(mutant)
-            caught = mutant.promise in found and not broken(mutant, whole=True)
-            how = found.get(mutant.promise, str(found))
-            print(f"{'caught' if caught else 'MISSED'}  {row:30s} {mutant.name:20s} {how:.90s}")
-            if not caught:
-                missed.append(f"{row} ({mutant.name})")
+    for name, mutant in MUTANTS.items():
+        how = caught(mutant)
+        print(f"{'caught' if how else 'MISSED'}  {name:48s} {how:.90s}")
+        missed += [] if how else [name]
     if missed:
         raise RuntimeError(f"{len(missed)} mutants not caught: {', '.join(missed)}")
+    print(f"{len(MUTANTS)} of {len(MUTANTS)} mutants caught")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from typing import Any
 from std_srvs.srv import Trigger
 
 from fvs_controller_node.node import ControllerNode
+from fvs_controller_node.supervisor import Command
 from fvs_ros.params import ParameterSet
 from fvs_ros.ros import FvsNode, to_status
 
@@ -96,7 +97,14 @@ class DryController(ControllerNode, DryNode):
         self, given: Mapping[str, Any], clock_s: Callable[[], float], simulated_time: bool = False
     ) -> None:
         self.given, self.clock_s, self.simulated_time = given, clock_s, simulated_time
+        #: Called after every tick: its command, the steady clock and the time step, s.
+        self.on_tick: Callable[[Command, float, float], None] = lambda *_: None
         super().__init__()
+
+    def _tick(self, now_s: float, dt_s: float) -> None:
+        super()._tick(now_s, dt_s)
+        assert self._command is not None
+        self.on_tick(self._command, now_s, dt_s)
 
     def __del__(self) -> None:
         """Nothing was opened."""
