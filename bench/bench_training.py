@@ -1,6 +1,6 @@
-"""Error of the trained Jacobian against data, method and seconds; and microseconds online.
+"""Error of the trained Jacobian against data and method, and the time that training takes.
 
-python bench/bench_training.py [--seeds N] [--quick]
+python -m bench training [--seeds N]
 
 The error is the relative Frobenius error against the analytic Jacobian on 2,000 joint vectors of
 box M that were never trained on. Positions have 1 mm of noise in each coordinate.
@@ -16,8 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "test")]
+sys.path[:0] = [str(Path(__file__).resolve().parents[1] / "test")]
 
 from ur5_dh import (  # noqa: E402
     BOX_M_RAD,
@@ -27,100 +26,69 @@ from ur5_dh import (  # noqa: E402
     uniform_in_box,
 )
 
-from fvs_estimator_node.base import MotionStep  # noqa: E402
 from fvs_estimator_node.dataset import DataSet  # noqa: E402
 from fvs_estimator_node.motion import MotionConfig, RandomMotion  # noqa: E402
-from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfEstimator, RbfModel  # noqa: E402
 from fvs_estimator_node.training import METHODS, TrainingOptions, train  # noqa: E402
 
 CAMERA_HZ, NOISE_M = 30.0, 1e-3
 
 
 def data_set(rng: np.random.Generator, joints: np.ndarray, segment: np.ndarray) -> DataSet:
-    ball = ball_and_jacobian(joints)[0] + NOISE_M * rng.standard_normal((len(joints), 3))
-    return DataSet(np.arange(len(joints)) / CAMERA_HZ, joints, ball, segment)
+    """Noisy ball positions at joints, rad, (N, 6)."""
+    ball = ball_and_jacobian(joints)[0]
+    stamps_s = np.arange(len(joints)) / CAMERA_HZ
+    return DataSet(stamps_s, joints, ball + NOISE_M * rng.standard_normal(ball.shape), segment)
 
 
 def probes(seed: int, count: int, size_rad: float) -> DataSet:
+    """Pairs of near poses all over the box."""
     rng = np.random.default_rng(seed)
     middle = uniform_in_box(rng, count)
-    half = 0.5 * rng.uniform(-size_rad, size_rad, (count, 6))
-    joints = np.stack([middle - half, middle + half], axis=1).reshape(-1, 6)
+    half = 0.5 * rng.uniform(-size_rad, size_rad, middle.shape)
+    joints = np.stack([middle - half, middle + half], axis=1).reshape(2 * count, -1)
     return data_set(rng, joints, np.repeat(np.arange(count), 2))
 
 
-def collected(seed: int, duration_s: float) -> DataSet:
+def motion(seed: int, duration_s: float) -> DataSet:
+    """What the collector records."""
     rng = np.random.default_rng(seed)
-    motion = RandomMotion(HOME_RAD, MotionConfig(duration_s, tuple(BOX_M_RAD)), rng)
-    joints, now = [], HOME_RAD.copy()
-    for k in range(round(duration_s * CAMERA_HZ)):
-        joints.append(now)
-        now = now + motion.command(k / CAMERA_HZ, now) / CAMERA_HZ
+    random_motion = RandomMotion(HOME_RAD, MotionConfig(duration_s, tuple(BOX_M_RAD)), rng)
+    joints = [HOME_RAD.copy()]
+    for k in range(round(duration_s * CAMERA_HZ) - 1):
+        joints.append(joints[-1] + random_motion.command(k / CAMERA_HZ, joints[-1]) / CAMERA_HZ)
     return data_set(rng, np.array(joints), np.zeros(len(joints), dtype=int))
 
 
 DATA: dict[str, Callable[[int], DataSet]] = {
-    "5000 probes of 0.1 rad": lambda seed: probes(seed, 5000, 0.1),
     "5000 probes of 0.2 rad": lambda seed: probes(seed, 5000, 0.2),
     "1000 probes of 0.2 rad": lambda seed: probes(seed, 1000, 0.2),
-    "motion of 60 s": lambda seed: collected(seed, 60.0),
-    "motion of 120 s": lambda seed: collected(seed, 120.0),
-    "motion of 200 s": lambda seed: collected(seed, 200.0),
-    "motion of 400 s": lambda seed: collected(seed, 400.0),
+    "motion of 120 s": lambda seed: motion(seed, 120.0),
+    "motion of 400 s": lambda seed: motion(seed, 400.0),
 }
 
 
-def table(names: list[str], seeds: int) -> None:
-    print(f"{'data':24s} {'method':8s} {'Jacobian error':>14s} {'of seeds':>15s} "
-          f"{'pair error':>11s} {'wall':>7s} {'CPU':>7s}")  # fmt: skip
-    for name in names:
-        for method in reversed(METHODS):
-            errors, pair_mm, wall, cpu = [], [], [], []
-            for seed in range(seeds):
-                data = DATA[name](seed)
-                start_wall, start_cpu = time.perf_counter(), time.process_time()
-                result = train(data, TrainingOptions(method=method))
-                wall.append(time.perf_counter() - start_wall)
-                cpu.append(time.process_time() - start_cpu)
-                errors.append(100.0 * jacobian_error(result.trained.model.jacobian))
-                pair_mm.append(1e3 * result.pair_error_m)
-            print(f"{name:24s} {method:8s} {np.median(errors):12.2f} % "
-                  f"{min(errors):5.2f} .. {max(errors):5.2f} {np.median(pair_mm):8.2f} mm "
-                  f"{np.median(wall):5.1f} s {np.median(cpu):5.1f} s", flush=True)  # fmt: skip
-
-
-def microseconds(call: Callable[[], object], times: int = 2000) -> float:
-    spent = []
-    for _ in range(times):
-        begin = time.perf_counter()
-        call()
-        spent.append(time.perf_counter() - begin)
-    return 1e6 * float(np.median(spent))
-
-
-def online(neurons: int = 50) -> None:
-    rng = np.random.default_rng(0)
-    model = RbfModel(
-        uniform_in_box(rng, 6 * neurons).reshape(6, neurons, 6),
-        np.full((6, neurons), 2.07),
-        rng.normal(size=(6, 3, neurons)),
-    )
-    joints = HOME_RAD + 0.1
-    step = MotionStep(1.0, 0.04, joints, np.full(6, 0.01), np.full(3, 0.003))
-    learning, frozen = RbfEstimator(model), FrozenRbfEstimator(model)
-    print(f"\n{neurons} neurons: jacobian {microseconds(lambda: frozen.jacobian(joints)):.1f} us, "
-          f"update {microseconds(lambda: learning.update(step)):.1f} us (median)")  # fmt: skip
-
-
-def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def main() -> None:
+    """Print a row for each data set and method: medians over the seeds."""
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--quick", action="store_true", help="two data sets only")
-    options = parser.parse_args([] if arguments is None else arguments)
-    names = ["5000 probes of 0.2 rad", "motion of 120 s"] if options.quick else list(DATA)
-    table(names, options.seeds)
-    online()
+    seeds = parser.parse_args().seeds
+    print(f"{'data':24s} {'method':8s} {'Jacobian error':>14s} {'pair error':>12s} {'wall':>9s}")
+    for name, make in DATA.items():
+        for method in reversed(METHODS):
+            rows = []
+            for seed in range(seeds):
+                data = make(seed)
+                start_s = time.perf_counter()
+                result = train(data, TrainingOptions(method=method))
+                wall_s = time.perf_counter() - start_s
+                error = jacobian_error(result.trained.model.jacobian)
+                rows.append((100.0 * error, 1e3 * result.pair_error_m, wall_s))
+            percent, pair_mm, wall_s = np.median(rows, axis=0)
+            print(
+                f"{name:24s} {method:8s} {percent:12.2f} % {pair_mm:9.2f} mm {wall_s:7.1f} s",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()
