@@ -168,6 +168,7 @@ class Rig:
         self.commands: list[Sent] = []
         self.started_s = math.inf
         self.stop_s: float | None = None  # from the last fault to the first zero
+        self.timers: list = []  # of a test
         self.wires = {topic: Wire(node, _RELAYED[topic], topic) for topic in wires}
         self._joint_map = JointMap()
         deep = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
@@ -208,10 +209,6 @@ class Rig:
         self.processes[name].kill()
         self.processes[name].wait()
         return time.time()
-
-    def last_said(self, topic: str) -> float:
-        """When a wire last said something, s, wall clock: a busy test says some things late."""
-        return time.time() - time.monotonic() + self.wires[topic].said_s[-1]
 
     def restart(self, name: str) -> None:
         """Run a node again that has ended."""
@@ -256,6 +253,8 @@ class Rig:
         """Make all wires good again."""
         for wire in self.wires.values():
             wire.calm()
+        while self.timers:
+            self.harness.node.destroy_timer(self.timers.pop())
 
     # --- what is heard ---
 
@@ -294,7 +293,11 @@ class Rig:
 
     def joints(self) -> np.ndarray:
         """Joint angles, kinematic order, rad."""
-        return self._joint_map.positions(self.states[-1].name, self.states[-1].position)
+        return self.joints_of(self.states[-1])
+
+    def joints_of(self, state: JointState) -> np.ndarray:
+        """Joint angles of a joint state, kinematic order, rad."""
+        return self._joint_map.positions(state.name, state.position)
 
     def arm_speed(self) -> float:
         """Of the fastest joint as the robot reports it, rad/s."""
@@ -320,9 +323,13 @@ class Rig:
         newest = self.text() if self.statuses else "no status"
         return f"controller, {' '.join(self.reasons()[-12:])}: {newest}"
 
-    def aim(self, target_m: tuple[float, ...] = TARGET, frame: str = CAMERA_FRAME) -> None:
-        """Publish a target, m, and wait until the controller has it."""
+    def send_target(self, target_m: tuple[float, ...], frame: str = CAMERA_FRAME) -> None:
+        """Publish a target, m."""
         self._targets.publish(ros.to_point(time.time(), frame, np.array(target_m)))
+
+    def aim(self, target_m: tuple[float, ...] = TARGET) -> None:
+        """Publish a target, m, and wait until the controller has it."""
+        self.send_target(target_m)
         wanted = [f"{v:.5g}" for v in target_m]
         self.wait(
             lambda: [self.value(f"target_{axis}_m") for axis in "xyz"] == wanted, what="the target"
