@@ -17,7 +17,7 @@ from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiAr
 
 from fvs_ros import ros
 from fvs_ros.joints import UR_JOINT_NAMES, ForeignJointsError, JointMap, JointStateError
-from fvs_ros.ros.node import _unpacked
+from fvs_ros.ros.node import _unpacked as unpacked
 
 MANY = settings(max_examples=200, derandomize=True, deadline=None)
 NUMBER, UINT32 = st.floats(width=64), st.integers(0, 2**32 - 1)
@@ -190,20 +190,20 @@ def with_dimensions(count):
     ],
 )
 def test_a_message_is_unpacked_unless_it_is_too_large(small, large):
-    assert _unpacked(type(small), serialize_message(small)) == small
+    assert unpacked(type(small), serialize_message(small)) == small
     with pytest.raises(ros.MessageError, match="expected at most"):
-        _unpacked(type(large), serialize_message(large))
+        unpacked(type(large), serialize_message(large))
 
 
 def test_an_image_is_large_but_its_text_is_not():
     image = Image(height=1000, width=1000, step=3000, data=bytes(3 * 10**6))
-    assert _unpacked(Image, image) is image
+    assert unpacked(Image, image) is image
     image.header.frame_id = "x" * 10**6
     with pytest.raises(ros.MessageError, match="frame_id"):
-        _unpacked(Image, image)
+        unpacked(Image, image)
 
 
 @MANY
 @given(kind=st.sampled_from([JointState, PointStamped, Float64MultiArray]), data=st.binary())
 def test_any_bytes_are_a_message_or_refused(kind, data):
-    assert isinstance(unless_refused(_unpacked, kind, data), (kind, type(None)))
+    assert isinstance(unless_refused(unpacked, kind, data), (kind, type(None)))

@@ -12,22 +12,22 @@ from std_srvs.srv import Trigger
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from stranger import Stranger, StrangerConfig
-from stranger_trial import draw_targets
+from unseen_robot import FRAME, UnseenRobot
 
 from fvs_ros import ros, topics
 
 TESTS = str(Path(__file__).resolve().parents[1])
-FRAME = "camera_color_optical_frame"
-#: A fifth of what the collector does by default; test/closed_loop has all of it.
+#: A fifth of what the collector does by default.
 COLLECT_S, SETTLE_S, REST_S = 24.0, 3.0, 1.0
 
 
 @pytest.mark.timeout(200)
-def test_a_strangers_robot_is_served_over_its_topics_alone(ros_test, monkeypatch):
-    seed, rate_hz = 4, 125
+def test_a_robot_never_seen_before_is_learned_and_servoed_over_its_topics_alone(
+    ros_test, monkeypatch
+):
+    seed = 4
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([TESTS, os.environ["PYTHONPATH"]]))
-    ros_test.start("stranger_node", str(seed), str(rate_hz))
+    ros_test.start("unseen_robot", str(seed), "125")
     data, model = ros_test.folder / "data.npz", ros_test.folder / "model.npz"
     collector = ros_test.start_node(
         "fvs_estimator_node.collector_node", output_path=str(data), duration_s=COLLECT_S
@@ -41,8 +41,7 @@ def test_a_strangers_robot_is_served_over_its_topics_alone(ros_test, monkeypatch
     ros_test.start_node("fvs_estimator_node.node", model_path=str(model))
     ros_test.start_node("fvs_controller_node.node")
     publisher = ros_test.publisher(PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED)
-    stranger = Stranger(StrangerConfig(seed=seed))
-    for target in draw_targets(stranger, np.random.default_rng(seed), count=2):
+    for target in UnseenRobot(seed).draw_targets(np.random.default_rng(seed), count=2):
         publisher.publish(ros.to_point(0.0, FRAME, target))
         ros_test.spin_until(
             lambda: statuses and ros.from_status(statuses[-1])["state"] in ("READY", "SERVOING"),

@@ -1,0 +1,211 @@
+"""A robot and a camera that the package has never seen: six random axes, a random view, in numpy.
+
+Nothing here is shared with the simulator: another kinematics (random screw axes), another drive,
+another camera, white noise on the ball positions. As a program it stands behind the topics that a
+real driver and a detector have, in plain rclpy: joints in the driver's (alphabetical) order with a
+gripper's among them. Without commands it stands; the last one holds for ever.
+
+usage: unseen_robot.py SEED JOINT_RATE_HZ
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from collections import deque
+
+import numpy as np
+
+#: Half width of the joints' box, rad: how far a collection may go.
+REACH_RAD = np.array([0.6, 0.5, 0.5, 0.5, 0.5, 0.5])
+NAMES = (
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+)
+FRAME = "camera_color_optical_frame"
+IMAGE_RATE_HZ, NOISE_M, LATENCY_S, LAG_S = 30.0, 0.001, 0.03, 0.02
+
+
+class Kinematics:
+    """Six revolute joints with a ball on the last link, seen from a camera.
+
+    Parameters
+    ----------
+    rng : numpy Generator
+        Decides everything.
+
+    Attributes
+    ----------
+    home_rad : ndarray, shape (6,)
+        A pose around which the ball can be moved in every direction.
+    """
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        while True:
+            self._draw(rng)
+            box = self.home_rad + REACH_RAD * rng.uniform(-1.0, 1.0, (40, 6))
+            least = [np.linalg.svd(self.jacobian(q), compute_uv=False)[-1] for q in box]
+            depth = [self.ball(q)[2] for q in box]
+            if min(least) > 0.12 and min(depth) > 0.5:
+                return
+
+    def _draw(self, rng: np.random.Generator) -> None:
+        # As on most arms: a turning base, two parallel axes, then a wrist; all of it tilted.
+        axes = np.array([[0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0]], float)
+        axes += 0.3 * rng.standard_normal((6, 3))
+        self._axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+        lengths = rng.uniform([0.1, 0.05, 0.3, 0.2, 0.08, 0.05], [0.3, 0.2, 0.5, 0.45, 0.2, 0.15])
+        offsets = np.array([[0, 0, 1], [0, 1, 0], [0.3, 0, 1], [1, 0, 0.2], [1, 0, 0], [1, 0, 0]])
+        offsets = offsets + 0.2 * rng.standard_normal((6, 3))
+        self._offsets = lengths[:, None] * offsets
+        self._tool = np.array([0.12, 0.0, 0.0]) + 0.06 * rng.standard_normal(3)
+        self.home_rad = np.array([0.0, -0.3, 1.0, 0.2, 0.8, 0.0]) + 0.4 * rng.standard_normal(6)
+        self._rotation, self._eye = np.eye(3), np.zeros(3)
+        ball = self.ball(self.home_rad)
+        # A camera somewhere about a metre and a half away, rolled as it likes.
+        away = rng.standard_normal(3)
+        away /= np.linalg.norm(away)
+        forward = -away
+        right = np.cross(forward, rng.standard_normal(3))
+        right /= np.linalg.norm(right)
+        self._rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
+        self._eye = ball + rng.uniform(1.2, 1.8) * away
+
+    def _chain(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        rotation, origin = np.eye(3), np.zeros(3)
+        axes, origins = np.empty((6, 3)), np.empty((6, 3))
+        for i, angle in enumerate(joints_rad):
+            origin = origin + rotation @ self._offsets[i]
+            axes[i], origins[i] = rotation @ self._axes[i], origin
+            rotation = rotation @ _turn(self._axes[i], angle)
+        return axes, origins, origin + rotation @ self._tool
+
+    def ball(self, joints_rad: np.ndarray) -> np.ndarray:
+        """Ball position, camera frame, m, shape (3,)."""
+        return self._rotation.T @ (self._chain(joints_rad)[2] - self._eye)
+
+    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
+        """Its derivative by the joints, m/rad, shape (3, 6)."""
+        axes, origins, ball = self._chain(joints_rad)
+        return self._rotation.T @ np.cross(axes, ball - origins).T
+
+
+def _turn(axis: np.ndarray, angle: float) -> np.ndarray:
+    """Rotation matrix about a unit axis (Rodrigues)."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+
+
+class UnseenRobot:
+    """Robot and camera in steps of a millisecond: velocities in, joints and noisy balls out.
+
+    Parameters
+    ----------
+    seed : int
+        Which robot, which camera, and which noise.
+    """
+
+    STEP_S = 0.001
+
+    def __init__(self, seed: int) -> None:
+        self._rng = np.random.default_rng([seed, 77])
+        self.kinematics = Kinematics(self._rng)
+        self.joints_rad = self.kinematics.home_rad.copy()
+        self.command_rad_s = np.zeros(self.joints_rad.size)
+        self._velocity = self.command_rad_s
+        self._steps = self._images = 0
+        self._pending: deque[tuple[float, np.ndarray]] = deque()
+
+    @property
+    def time_s(self) -> float:
+        """Time since the start, s."""
+        return self._steps * self.STEP_S
+
+    @property
+    def ball_m(self) -> np.ndarray:
+        """Where the ball truly is, camera frame, m, shape (3,)."""
+        return self.kinematics.ball(self.joints_rad)
+
+    def advance(self, until_s: float) -> list[tuple[float, np.ndarray]]:
+        """Let time pass; returns exposures, s, and noisy ball positions, m, seen meanwhile."""
+        blend = 1.0 - np.exp(-self.STEP_S / LAG_S)
+        while self.time_s < until_s:
+            self._velocity = self._velocity + blend * (self.command_rad_s - self._velocity)
+            self.joints_rad = self.joints_rad + self.STEP_S * self._velocity
+            self._steps += 1
+            if self.time_s * IMAGE_RATE_HZ >= self._images:
+                self._images += 1
+                noise = NOISE_M * self._rng.standard_normal(3)
+                self._pending.append((self.time_s, self.ball_m + noise))
+        seen = []
+        while self._pending and self._pending[0][0] + LATENCY_S <= self.time_s:
+            seen.append(self._pending.popleft())
+        return seen
+
+    def draw_targets(self, rng: np.random.Generator, count: int) -> list[np.ndarray]:
+        """Targets that the ball can be at, each within 0.3 m of the one before, m."""
+        targets = [self.ball_m]
+        while len(targets) <= count:
+            way_rad = 0.9 * REACH_RAD * rng.uniform(-1.0, 1.0, REACH_RAD.size)
+            target = self.kinematics.ball(self.kinematics.home_rad + way_rad)
+            if 0.05 < np.linalg.norm(target - targets[-1]) < 0.3:
+                targets.append(target)
+        return targets[1:]
+
+
+def main() -> None:
+    """Stand behind the topics, in real time."""
+    import rclpy
+    from builtin_interfaces.msg import Time
+    from geometry_msgs.msg import Point, PointStamped
+    from sensor_msgs.msg import JointState
+    from std_msgs.msg import Float64MultiArray, Header
+
+    robot, period_s = UnseenRobot(int(sys.argv[1])), 1.0 / float(sys.argv[2])
+    rclpy.init()
+    node = rclpy.create_node("ur_robot_driver")
+    joint_states = node.create_publisher(JointState, "joint_states", 10)
+    ball = node.create_publisher(PointStamped, "ball_position", 10)
+    truth = node.create_publisher(PointStamped, "true_ball", 10)
+    started_s, epoch_s = time.monotonic(), time.time()
+    names = sorted([*NAMES, "gripper_joint"])
+
+    def obey(message: Float64MultiArray) -> None:
+        assert len(message.data) == len(NAMES), "a real controller would be deactivated"
+        robot.command_rad_s = np.array(message.data)
+
+    node.create_subscription(Float64MultiArray, "forward_velocity_controller/commands", obey, 10)
+
+    def header(stamp_s: float) -> Header:
+        nanoseconds = round((epoch_s + stamp_s) * 1e9)
+        stamp = Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+        return Header(stamp=stamp, frame_id=FRAME)
+
+    def point(stamp_s: float, position_m: np.ndarray) -> PointStamped:
+        x, y, z = (float(value) for value in position_m)
+        return PointStamped(header=header(stamp_s), point=Point(x=x, y=y, z=z))
+
+    def step() -> None:
+        while robot.time_s + period_s <= time.monotonic() - started_s:
+            for stamp_s, position_m in robot.advance(robot.time_s + period_s):
+                ball.publish(point(stamp_s, position_m))
+            joints = dict(zip(NAMES, robot.joints_rad.tolist(), strict=True), gripper_joint=0.3)
+            positions = [joints[name] for name in names]
+            joint_states.publish(
+                JointState(header=header(robot.time_s), name=names, position=positions)
+            )
+            truth.publish(point(robot.time_s, robot.ball_m))
+
+    node.create_timer(period_s, step)
+    with contextlib.suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
+        rclpy.spin(node)
+
+
+if __name__ == "__main__":
+    main()
