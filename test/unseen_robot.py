@@ -132,10 +132,10 @@ class UnseenRobot:
         """Where the ball truly is, camera frame, m, shape (3,)."""
         return self.kinematics.ball(self.joints_rad)
 
-    def advance(self, until_s: float) -> list[tuple[float, np.ndarray]]:
+    def advance(self, duration_s: float) -> list[tuple[float, np.ndarray]]:
         """Let time pass; returns exposures, s, and noisy ball positions, m, seen meanwhile."""
         blend = 1.0 - np.exp(-self.STEP_S / LAG_S)
-        while self.time_s < until_s:
+        for _ in range(round(duration_s / self.STEP_S)):
             self._velocity = self._velocity + blend * (self.command_rad_s - self._velocity)
             self.joints_rad = self.joints_rad + self.STEP_S * self._velocity
             self._steps += 1
@@ -193,7 +193,7 @@ def main() -> None:
 
     def step() -> None:
         while robot.time_s + period_s <= time.monotonic() - started_s:
-            for stamp_s, position_m in robot.advance(robot.time_s + period_s):
+            for stamp_s, position_m in robot.advance(period_s):
                 ball.publish(point(stamp_s, position_m))
             joints = dict(zip(NAMES, robot.joints_rad.tolist(), strict=True), gripper_joint=0.3)
             positions = [joints[name] for name in names]

@@ -148,12 +148,6 @@ def assert_refused(result, *words):
 
 
 @nodes
-def test_every_declared_parameter_is_listed_and_nothing_else(services, name):
-    service = services[name]
-    assert service.names() - set(BUILT_IN) == set(service.declared)
-
-
-@nodes
 def test_every_parameter_describes_itself(services, name):
     service = services[name]
     descriptors = service.describe(service.declared)
@@ -177,8 +171,9 @@ def test_every_parameter_describes_itself(services, name):
 
 
 @nodes
-def test_every_parameter_has_its_default(services, name):
+def test_every_parameter_is_listed_with_its_default_and_nothing_else(services, name):
     service = services[name]
+    assert service.names() - set(BUILT_IN) == set(service.declared)
     values = service.get(service.declared)
     expected = {p.name: p.default for p in service.declared.values()} | PATIENCE.get(name, {})
     assert [n for n in expected if not same(values[n], expected[n])] == []
@@ -189,50 +184,33 @@ def test_a_live_parameter_changes_and_reads_back(services, name):
     service = services[name]
     changed = {n: other(p) for n, p in service.live().items()}
     before = service.get(changed)
-    refused = {n: r.reason for n, r in service.set(changed).items() if not r.successful}
-    assert refused == {}
-    values = service.get(changed)
-    assert [n for n in changed if not same(values[n], changed[n])] == []
-    assert all(result.successful for result in service.set(before).values())
-    values = service.get(before)
-    assert [n for n in before if not same(values[n], before[n])] == []
+    for values in (changed, before):
+        assert {n: r.reason for n, r in service.set(values).items() if not r.successful} == {}
+        found = service.get(values)
+        assert [n for n in values if not same(found[n], values[n])] == []
+
+
+def wrong_type(parameter):
+    return [1 if parameter.kind in (str, bool) else "one"]
 
 
 @nodes
-def test_a_parameter_that_is_not_live_is_refused(services, name):
-    service = services[name]
-    fixed = {n: other(p) for n, p in service.declared.items() if not p.live}
-    before = service.get(fixed)
-    for parameter, result in service.set(fixed).items():
-        assert_refused(result, parameter, "at start only")
-    values = service.get(fixed)
-    assert [n for n in fixed if not same(values[n], before[n])] == []
-
-
-@nodes
-def test_a_value_that_is_not_allowed_is_refused_and_the_old_one_stays(services, name):
+@pytest.mark.parametrize("wrong", [outside, wrong_type, other])
+def test_a_wrong_value_is_refused_with_a_sentence_and_the_old_one_stays(services, name, wrong):
     service = services[name]
     live = service.live()
-    before = service.get(live)
-    cases = {n: outside(p) for n, p in live.items()}
+    if wrong is other:  # right values, of parameters that are not live
+        cases = {n: [other(p)] for n, p in service.declared.items() if not p.live}
+    else:
+        cases = {n: wrong(p) for n, p in live.items()}
+    before = service.get(cases)
     for round_ in range(max(map(len, cases.values()), default=0)):
-        values = {n: wrong[round_] for n, wrong in cases.items() if len(wrong) > round_}
+        values = {n: values[round_] for n, values in cases.items() if len(values) > round_}
         for parameter, result in service.set(values).items():
-            assert_refused(result, parameter, live[parameter].expected())
-    values = service.get(live)
-    assert [n for n in live if not same(values[n], before[n])] == []
-
-
-@nodes
-def test_a_value_of_another_type_is_refused_and_the_old_one_stays(services, name):
-    service = services[name]
-    live = service.live()
-    before = service.get(live)
-    wrong = {n: 1 if p.kind in (str, bool) else "one" for n, p in live.items()}
-    for parameter, result in service.set(wrong).items():
-        assert_refused(result, parameter, live[parameter].expected())
-    values = service.get(live)
-    assert [n for n in live if not same(values[n], before[n])] == []
+            word = live[parameter].expected() if parameter in live else "at start only"
+            assert_refused(result, parameter, word)
+    found = service.get(cases)
+    assert [n for n in cases if not same(found[n], before[n])] == []
 
 
 def test_a_whole_number_is_taken_where_a_number_is_wanted(services):
