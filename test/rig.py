@@ -178,10 +178,10 @@ class Rig:
         self.states = self._listen(JointState, topics.JOINT_STATES.name)
         self.balls = self._listen(PointStamped, topics.BALL_POSITION.name)
         self.processes = {name: self.start_node(name) for name in self._parameters}
+        self.wait(lambda: self.reason() == "NO_TARGET", 60.0, "all inputs")
         self._targets = self.harness.publisher(
             PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED
         )
-        self.wait(lambda: self.reason() == "NO_TARGET", 30.0, "all inputs")
 
     def _listen(self, message_type: type, topic: str) -> list:
         """What the simulator says; through the wire's ear if there is one, for one hearing each."""

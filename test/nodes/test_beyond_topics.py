@@ -26,10 +26,10 @@ class Loop:
         self.balls = harness.collect(PointStamped, topics.BALL_POSITION.name)
         self.statuses = harness.collect(DiagnosticStatus, "fvs_controller_node/status")
         self.learned = harness.collect(DiagnosticStatus, "fvs_estimator_node/status")
-        self._target = harness.publisher(PointStamped, topics.TARGET_POSITION.name)
         harness.spin_until(
-            lambda: self.reason() == "NO_TARGET" and len(self.balls) > 5, 40.0, "inputs"
+            lambda: self.reason() == "NO_TARGET" and len(self.balls) > 5, 60.0, "inputs"
         )
+        self._target = harness.publisher(PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED)
 
     def reason(self):
         return ros.from_status(self.statuses[-1])["reason"] if self.statuses else ""
