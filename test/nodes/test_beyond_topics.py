@@ -37,8 +37,8 @@ class Loop:
     def aim(self, position_m):
         self._target.publish(ros.to_point(time.time(), CAMERA_FRAME, position_m))
 
-    def distance_m(self, position_m):
-        last = [m.point for m in self.balls[-6:]]
+    def distance_m(self, position_m, count=6):
+        last = [m.point for m in self.balls[-count:]]
         return max(math.dist((p.x, p.y, p.z), position_m) for p in last)
 
     def reach(self, position_m):
@@ -74,7 +74,7 @@ def test_a_target_on_a_circle_is_followed_and_logged_when_it_comes_to_rest(ros_t
         loop.balls.clear()
         ros_test.spin_for(1.0 / 30.0)
         if passed_s > 2.0 and loop.balls:
-            errors_m.append(loop.distance_m(at_m))
+            errors_m.append(loop.distance_m(at_m, count=1))
     # Seen 40 ms late at 0.1 m/s: what is heard of the ball is behind it by 4 to 9 mm.
     assert len(errors_m) > 20
     assert np.median(errors_m) < 0.015
