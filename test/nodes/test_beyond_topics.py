@@ -26,10 +26,15 @@ class Loop:
         self.balls = harness.collect(PointStamped, topics.BALL_POSITION.name)
         self.statuses = harness.collect(DiagnosticStatus, "fvs_controller_node/status")
         self.learned = harness.collect(DiagnosticStatus, "fvs_estimator_node/status")
-        harness.spin_until(
-            lambda: self.reason() == "NO_TARGET" and len(self.balls) > 5, 60.0, "inputs"
+        # Not latched: the controller would hear each target of a moving one twice.
+        self._target = harness.node.create_publisher(
+            PointStamped, topics.TARGET_POSITION.name, ros.QOS_RELIABLE
         )
-        self._target = harness.publisher(PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED)
+        harness.spin_until(self.ready, 60.0, "inputs")
+
+    def ready(self):
+        heard = self._target.get_subscription_count() > 0
+        return heard and self.reason() == "NO_TARGET" and len(self.balls) > 5
 
     def reason(self):
         return ros.from_status(self.statuses[-1])["reason"] if self.statuses else ""
