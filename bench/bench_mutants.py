@@ -225,7 +225,7 @@ ROWS: dict[str, dict[str, Mutant]] = {
         "takes anything": _lacks(_ZEROS, joint_is_not_a_number, "BAD_INPUT")
     },
     "held for more": {"resumes for ever": _lacks(_ASKED, input_is_silent_for_long, "HELD_LONG")},
-    "another node commands": {"shares": _lacks(_ASKED, another_node_commands, "RIVAL")},
+    "another node commands": {"shares": _lacks(_ASKED, another_node_commands, "CONFLICT")},
     "messages whose stamps": {
         "counts all": _replaces(
             _FRESH, stamps_freeze, "fvs_ros.history.StampGate.advances", lambda *_: True
@@ -235,7 +235,7 @@ ROWS: dict[str, dict[str, Mutant]] = {
         "too fast": _disregards("velocity limit", arrives, max_joint_velocity_rad_s=1.5),
         "too sudden": _disregards("acceleration limit", arrives, max_joint_acceleration_rad_s2=9.0),
         "does not slow down": _replaces(
-            *("only slower", inputs_fall_silent, "fvs_controller_node.supervisor.ramp_to_zero"),
+            *("only slower", inputs_fall_silent, "fvs_controller_node.limiter.ramp_to_zero"),
             lambda velocity, _step: 1.001 * velocity,
         ),
         "no end of a range": _disregards(

@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fvs_controller_node.progress import ProgressLimits
 from fvs_controller_node.reasons import State, Stop
+from fvs_controller_node.supervisor_config import SupervisorConfig
 
 if TYPE_CHECKING:
     from bench.fuzz_world import World
@@ -203,7 +205,7 @@ class Promises:
             astray_m = float(np.linalg.norm(world.arm_moved_m() - self._lie_from_m))
             self.keep("a frozen image is held", astray_m < least_m, astray_m)
         elif world.seen_share == -1.0 and world.values["prediction_hold"] < 1.5:
-            least_m += world.values["prediction_hold_m"]
+            least_m += SupervisorConfig.prediction_hold_m
             self.keep("a wrong Jacobian is held", self._lie_way_m < least_m, self._lie_way_m)
 
 
@@ -233,10 +235,12 @@ class Errand:
         error = ball_m - self._target_m
         error_m = float(np.linalg.norm(error))
         self._best_m = min(self._best_m, error_m)
-        up_m = max(values["growth_factor"] * self._best_m, self._best_m + values["growth_m"])
+        up_m = max(
+            ProgressLimits.growth_factor * self._best_m, self._best_m + ProgressLimits.growth_m
+        )
         self._up_s = self._up_s + dt_s if error_m > MARGIN * up_m else 0.0
         self._since_s += dt_s
-        near = error_m < MARGIN * values["stall_error_m"]
+        near = error_m < MARGIN * ProgressLimits.stall_error_m
         if near or self._best_m < 0.98 * self._mark_m:
             self._mark_m, self._since_s = self._best_m, 0.0
         self._still_s += dt_s

@@ -22,6 +22,7 @@ from bench.dry_node import DryController
 from bench.fuzz_promises import LONGEST_TICK_S, Promises
 from fvs_controller_node.config import PARAMETERS
 from fvs_controller_node.supervisor import Command
+from fvs_controller_node.supervisor_config import SupervisorConfig
 from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.joints import HOME_JOINTS_RAD, UR_JOINT_NAMES, ForeignJointsError, JointMap
@@ -215,7 +216,7 @@ class World:
             return
         late = not self.now_s - self.arrived_s[name] <= self.values[MAX_AGE[name]]
         self.good[name] = 1.0 if late or name in self.bad else self.good[name] + 1.0
-        if self.good[name] >= self.values["fresh_samples"]:
+        if self.good[name] >= SupervisorConfig.fresh_samples:
             self.good[name] = math.inf
         self.arrived_s[name] = self.now_s
         self.bad.discard(name)

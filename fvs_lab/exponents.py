@@ -88,7 +88,7 @@ def variants() -> list[Variant]:
 
 
 def _fixed(exponent: float) -> dict[str, Any]:
-    return {"exponent": "fixed", "fixed_exponent": exponent}
+    return {"lambda1": exponent, "lambda2": 0.0}
 
 
 def literal_limits() -> tuple[float, float]:

@@ -48,8 +48,8 @@ GAINS: dict[str, dict[str, Any]] = {
         "switch_error_m": 0.005, "k1": 1.5, "k2": 0.1, "k4": 0.2, "sigma": 0.75,
     },
     "fixed 0.6": {
-        **_FREE, "alpha1": 1.0, "alpha2": 0.7, "alpha3": 0.5, "exponent": "fixed",
-        "fixed_exponent": 0.6, "k1": 1.6, "k2": 0.07, "k4": 0.15, "sigma": 0.75,
+        **_FREE, "alpha1": 1.0, "alpha2": 0.7, "alpha3": 0.5, "lambda1": 0.6,
+        "lambda2": 0.0, "k1": 1.6, "k2": 0.07, "k4": 0.15, "sigma": 0.75,
     },
     EVERYDAY: {},
 }  # fmt: skip

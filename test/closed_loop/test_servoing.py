@@ -53,7 +53,7 @@ def minimum_time_s(start_rad, goal_rad):
     [
         *({"values": {"law": law}} for law in LAWS),
         {"values": EXTENDED},
-        {"values": {"exponent": "fixed", "fixed_exponent": 0.75}},
+        {"values": {"lambda1": 0.75, "lambda2": 0.0}},
         {"values": {"max_joint_acceleration_rad_s2": 2.0}},
         {"values": {"max_joint_velocity_rad_s": 2.0}},
         {"noise_m": 4e-3, "values": EXTENDED},
