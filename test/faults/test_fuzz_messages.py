@@ -17,7 +17,7 @@ from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiAr
 
 from fvs_ros import ros
 from fvs_ros.joints import UR_JOINT_NAMES, ForeignJointsError, JointMap, JointStateError
-from fvs_ros.ros.node import _unpacked as unpacked
+from fvs_ros.ros.inputs import unpacked
 
 MANY = settings(max_examples=200, derandomize=True, deadline=None)
 NUMBER, UINT32 = st.floats(width=64), st.integers(0, 2**32 - 1)
