@@ -37,9 +37,7 @@ class Film:
         self.simulation = Simulation(SimConfig(seed=1))
         self.loop = ClosedLoop.of_scheme("best", self.simulation)
         self._renderer = Renderer(self.simulation.world.client, _SIZE)
-        self._pose = pose_from_look_at(
-            np.array([0.75, -1.15, 0.95]), np.array([-0.25, -0.05, 0.35]), np.array([0.0, 0.0, 1.0])
-        )
+        self._pose = pose_from_look_at((0.75, -1.15, 0.95), (-0.25, -0.05, 0.35), (0.0, 0.0, 1.0))
         self.frames: list[np.ndarray] = []
         self._errors_mm: list[float] = []
         self._bumped_at: int | None = None
@@ -119,7 +117,10 @@ def save(frames: list[np.ndarray], path: Path) -> None:
     from PIL import Image
 
     palette = Image.fromarray(frames[-1]).quantize(_COLOURS)
-    images = [Image.fromarray(frame).quantize(palette=palette, dither=0) for frame in frames]
+    images = [
+        Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
+        for frame in frames
+    ]
     path.parent.mkdir(parents=True, exist_ok=True)
     images[0].save(
         path,
