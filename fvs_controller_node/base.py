@@ -92,7 +92,7 @@ class ControlLaw(ABC):
     #: Whether it makes use of a chain; the Jacobian then is the chain's.
     reads_chain: ClassVar[bool] = False
 
-    #: Whether it moves at the least joint speeds, whatever the parameter ``allocation`` says.
+    #: Whether it moves at the least joint speeds, whatever ``redundancy_resolution`` is.
     least_speed: ClassVar[bool] = False
 
     #: Parameters that this law adds to the node's.

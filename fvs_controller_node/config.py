@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from fvs_controller_node.allocation import LEAST_SPEED, AllocationConfig, Inverse, make_inverse
 from fvs_controller_node.anticipation import Anticipation
 from fvs_controller_node.base import ControlLaw
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.predictor import BallPredictor, PredictorConfig
+from fvs_controller_node.redundancy import LEAST_SPEED, Inverse, RedundancyConfig, make_inverse
 from fvs_controller_node.registry import LAWS, make_law
 from fvs_controller_node.supervisor import Supervisor
 from fvs_controller_node.supervisor_config import SupervisorConfig
@@ -47,7 +47,7 @@ PARAMETERS = (
     *ControllerConfig.declared(),
     *SupervisorConfig.declared(),
     *PredictorConfig.declared(),
-    *AllocationConfig.declared(),
+    *RedundancyConfig.declared(),
     *(one for law in LAWS.values() for one in law.PARAMETERS),
 )
 
@@ -91,5 +91,5 @@ def reconfigure(loop: ServoLoop, values: Mapping[str, Any]) -> None:
 
 def _follower_inverse(values: Mapping[str, Any]) -> Inverse:
     # The law pulls towards the posture already.
-    own = {"allocation": LEAST_SPEED} if LAWS[values["law"]].least_speed else {}
+    own = {"redundancy_resolution": LEAST_SPEED} if LAWS[values["law"]].least_speed else {}
     return make_inverse({**values, **own, "posture_gain_1_s": 0.0})

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from fvs_controller_node.allocation import Inverse, make_inverse
 from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.pseudo_inverse import DampedInverse
 from fvs_controller_node.reaching import ReachingLaw
+from fvs_controller_node.redundancy import Inverse, make_inverse
 from fvs_controller_node.settling import settling_times
 from fvs_controller_node.surface import SlidingSurface
 from fvs_ros.params import Parameters, parameter

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from fvs_controller_node.allocation import Inverse, make_inverse
 from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.pseudo_inverse import DampedInverse
+from fvs_controller_node.redundancy import Inverse, make_inverse
 from fvs_ros.params import Parameters, parameter
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from fvs_controller_node.arrive import ArriveLaw
 from fvs_controller_node.base import ControlLaw
 from fvs_controller_node.ftsm import FtsmLaw
 from fvs_controller_node.mfac import MfacLaw
+from fvs_controller_node.minimum_time import MinimumTimeLaw
 from fvs_controller_node.mpc import MpcLaw
 from fvs_controller_node.proportional import ProportionalLaw
 
@@ -17,7 +17,7 @@ LAWS: dict[str, type[ControlLaw]] = {
     "proportional": ProportionalLaw,
     "mfac": MfacLaw,
     "mpc": MpcLaw,
-    "arrive": ArriveLaw,
+    "minimum_time": MinimumTimeLaw,
 }
 
 

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fvs_controller_node.allocation import Inverse
 from fvs_controller_node.pseudo_inverse import DampedInverse
+from fvs_controller_node.redundancy import Inverse
 from fvs_ros.vectors import length
 
 #: Updates that make a motion, and from which on its curvature is believed; most that are kept.

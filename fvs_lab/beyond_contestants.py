@@ -54,7 +54,7 @@ def _equipped(scheme: Scheme, how: str = "tuned") -> Scheme:
 
     The camera's rotation is for the networks; a straight path is a matter of the sliding mode law.
     """
-    allocation = {"allocation": "least_speed"} if scheme.law in ALLOCATED else {}
+    allocation = {"redundancy_resolution": "least_speed"} if scheme.law in ALLOCATED else {}
     return replace(
         scheme,
         name=f"{scheme.name}, {how}",

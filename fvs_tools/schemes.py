@@ -60,12 +60,12 @@ BEYOND = _by_name(
         "ftsm",
         "The paper's networks behind a learned rotation, its law straight to the target, "
         "least joint speeds.",
-        controller_values={"allocation": "least_speed", "ftsm_path": "straight"},
+        controller_values={"redundancy_resolution": "least_speed", "ftsm_path": "straight"},
     ),
     Scheme(
         "best",
         "poe",
-        "arrive",
+        "minimum_time",
         "A serial chain fitted to a minute of motion, least largest joint travel at the limits.",
     ),
 )

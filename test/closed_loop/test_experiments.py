@@ -163,7 +163,7 @@ def test_everybody_is_known_to_the_nodes_and_has_a_colour():
         parameters.values({"method": trial.method, **trial.estimator_values})
         assert trial.controller_values["max_joint_velocity_rad_s"] == who.SPEED_RAD_S
     for scheme in searched.values():
-        least_speed = scheme.controller_values.get("allocation") == "least_speed"
+        least_speed = scheme.controller_values.get("redundancy_resolution") == "least_speed"
         assert least_speed is (scheme.law in who.ALLOCATED)
     for scheme in BEYOND.values():
         assert who.CONTESTANTS[scheme.name] == scheme

@@ -14,7 +14,7 @@ from fvs_tools.schemes import BEYOND
 CASES = pairs(3, seed=21, low_m=0.28, high_m=0.32)
 CENTRE_M = ball_and_jacobian(HOME_RAD)[0]
 SPEED_RAD_S, ACCELERATION_RAD_S2 = 1.0, 6.0
-MINIMUM_TIME = {"law": "arrive"}
+MINIMUM_TIME = {"law": "minimum_time"}
 EXTENDED = BEYOND["extended"].controller_values
 SCHEMES = {name: {**one.controller_values, "law": one.law} for name, one in BEYOND.items()}
 

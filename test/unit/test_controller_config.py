@@ -50,7 +50,7 @@ def test_every_law_is_built_by_name_and_answers(name: str):
 
 
 def test_an_unknown_law_is_refused_with_those_known():
-    with pytest.raises(ValueError, match="known are arrive, ftsm, mfac, mpc, proportional"):
+    with pytest.raises(ValueError, match="known are ftsm, mfac, minimum_time, mpc, proportional"):
         make_law("mystery", default_values())
     with pytest.raises(ParameterError, match="one of ftsm, proportional, mfac, mpc"):
         default_values(law="mystery")

@@ -462,7 +462,7 @@ def test_the_spot_check_knows_the_fitted_chain():
     with Simulation(EXACT.sim_config()) as simulation:
         simulation.reset(case.goal_rad)
         target_m = simulation.true_ball_position()
-    trial = Trial(case, "poe", "arrive", conditions=EXACT)
+    trial = Trial(case, "poe", "minimum_time", conditions=EXACT)
     (settled_s,) = run_chain(trial, [target_m])
     assert settled_s < 1.5
 

@@ -82,7 +82,7 @@ def turned(chain, degrees):
 @pytest.fixture
 def reading():
     """A loop whose law reads chains, on its way, and the chains that law was shown."""
-    cell = Cell(law="arrive")
+    cell = Cell(law="minimum_time")
     cell.jacobian = CHAIN.jacobian(HOME)
     cell.begin()
     seen, law = [], cell.loop.law
@@ -245,7 +245,9 @@ def test_a_target_is_a_new_one_unless_something_goes_along_with_it(along):
     assert told[-1] == told[-2] + 1
 
 
-@pytest.mark.parametrize("values", [{"law": "arrive"}, {"allocation": "least_speed"}, {}])
+@pytest.mark.parametrize(
+    "values", [{"law": "minimum_time"}, {"redundancy_resolution": "least_speed"}, {}]
+)
 def test_at_least_speeds_what_goes_along_with_a_target_leads_back_to_the_posture(values):
     cell = Cell(**values)
     cell.jacobian = np.hstack([np.eye(3), np.eye(3)]) * 0.5

@@ -217,14 +217,14 @@ TWO_NORM, LEAST_SPEED = "two_norm", "least_speed"
 
 
 @dataclass(frozen=True)
-class AllocationConfig(Parameters):
+class RedundancyConfig(Parameters):
     """Which of the joint velocities that move the feature as wanted."""
 
-    allocation: str = parameter(
+    redundancy_resolution: str = parameter(
         TWO_NORM,
         "Which of the joint velocities that move the feature as wanted: those with the least sum "
-        "of squares, or those whose fastest joint is slowest. The law arrive always takes the "
-        "latter.",
+        "of squares, or those whose fastest joint is slowest. The law minimum_time always takes "
+        "the latter.",
         choices=(TWO_NORM, LEAST_SPEED),
     )
     damping: float = parameter(
@@ -237,7 +237,7 @@ class AllocationConfig(Parameters):
     posture_gain_1_s: float = parameter(
         0.0,
         "Pull towards the joints of the last start that does not move the feature, with "
-        "allocation two_norm, 1/s; 0 is off.",
+        "redundancy_resolution two_norm, 1/s; 0 is off.",
         0.0,
         5.0,
         live=True,
@@ -245,14 +245,14 @@ class AllocationConfig(Parameters):
 
 
 def make_inverse(values: Mapping[str, Any]) -> Inverse:
-    """Build what ``allocation`` names, with the numbers in ``values`` (by parameter name)."""
-    config = AllocationConfig.from_values(values)
-    if config.allocation == TWO_NORM:
+    """Build what ``redundancy_resolution`` names, with the numbers in ``values``."""
+    config = RedundancyConfig.from_values(values)
+    if config.redundancy_resolution == TWO_NORM:
         return DampedInverse(config.damping, config.posture_gain_1_s)
     return least_speed_inverse(values)
 
 
 def least_speed_inverse(values: Mapping[str, Any]) -> LeastSpeedInverse:
     """Build the least largest speed with the joints' ranges in ``values``."""
-    damping = AllocationConfig.from_values(values).damping
+    damping = RedundancyConfig.from_values(values).damping
     return LeastSpeedInverse(damping, JointRange.from_values(values))

@@ -3,7 +3,7 @@
 Joints that are limited one by one are at their goal soonest where the longest travel is shortest.
 So the law first looks for the joint goal ``q``: of all joints that put the ball on the target, the
 one with the least largest travel from here. With a forward model of the chain that is a short
-sequence of least distance problems (:mod:`fvs_controller_node.allocation`), each about the goal
+sequence of least distance problems (:mod:`fvs_controller_node.redundancy`), each about the goal
 before, drawn a little to the joints that the arm was started at, and the image's offset from the
 model is kept; without one the Jacobian here has to do. A moving target takes the goal along.
 Then all joints go there in proportion. With D the travel left, the speed of the one with the
@@ -24,9 +24,9 @@ from typing import Any
 
 import numpy as np
 
-from fvs_controller_node.allocation import LeastSpeedInverse, least_speed_inverse
 from fvs_controller_node.anticipation import BRAKING_SHARE, braking_speed_within
 from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
+from fvs_controller_node.redundancy import LeastSpeedInverse, least_speed_inverse
 from fvs_ros.limits import SpeedLimits
 from fvs_ros.params import Parameters, parameter
 from fvs_ros.vectors import largest
@@ -46,25 +46,25 @@ _SEARCH_LEFT_OUT = 0.02
 
 
 @dataclass(frozen=True)
-class ArriveGains(Parameters):
+class MinimumTimeGains(Parameters):
     """Limits of the joints and the law's one gain."""
 
-    arrive_rate_1_s: float = parameter(
+    minimum_time_rate_1_s: float = parameter(
         25.0,
-        "Speed over travel of the law arrive close to the goal, 1/s: larger is quicker and makes "
-        "more of the noise.",
+        "Speed over travel of the law minimum_time close to the goal, 1/s: larger is quicker and "
+        "makes more of the noise.",
         1.0,
         100.0,
         live=True,
     )
 
 
-class ArriveLaw(ControlLaw):
+class MinimumTimeLaw(ControlLaw):
     """Least largest joint travel at the limits.
 
     Parameters
     ----------
-    gains : ArriveGains, optional
+    gains : MinimumTimeGains, optional
         The gain.
     limits : SpeedLimits, optional
         Of each joint.
@@ -74,15 +74,15 @@ class ArriveLaw(ControlLaw):
 
     reads_chain = True
     least_speed = True
-    PARAMETERS = ArriveGains.declared()
+    PARAMETERS = MinimumTimeGains.declared()
 
     def __init__(
         self,
-        gains: ArriveGains | None = None,
+        gains: MinimumTimeGains | None = None,
         limits: SpeedLimits | None = None,
         inverse: LeastSpeedInverse | None = None,
     ) -> None:
-        self._rate_1_s = (gains or ArriveGains()).arrive_rate_1_s
+        self._rate_1_s = (gains or MinimumTimeGains()).minimum_time_rate_1_s
         limits = limits or SpeedLimits()
         self._speed = limits.max_joint_velocity_rad_s
         self._acceleration = BRAKING_SHARE * limits.max_joint_acceleration_rad_s2
@@ -91,10 +91,10 @@ class ArriveLaw(ControlLaw):
         self.reset()
 
     @classmethod
-    def from_values(cls, values: Mapping[str, Any]) -> ArriveLaw:
+    def from_values(cls, values: Mapping[str, Any]) -> MinimumTimeLaw:
         """Build the law with the limits and gains in ``values``."""
         return cls(
-            ArriveGains.from_values(values),
+            MinimumTimeGains.from_values(values),
             SpeedLimits.from_values(values),
             least_speed_inverse(values),
         )

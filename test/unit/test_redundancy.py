@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from fvs_controller_node.allocation import LeastSpeedInverse, make_inverse
 from fvs_controller_node.config import default_values
 from fvs_controller_node.pseudo_inverse import DampedInverse
+from fvs_controller_node.redundancy import LeastSpeedInverse, make_inverse
 from fvs_ros.limits import JointRange
 
 RNG = np.random.default_rng(7)
@@ -159,4 +159,6 @@ def test_nothing_leads_back_to_a_posture_while_a_joint_is_at_its_end():
 
 def test_it_is_chosen_by_a_parameter():
     assert isinstance(make_inverse(default_values()), DampedInverse)
-    assert isinstance(make_inverse(default_values(allocation="least_speed")), LeastSpeedInverse)
+    assert isinstance(
+        make_inverse(default_values(redundancy_resolution="least_speed")), LeastSpeedInverse
+    )

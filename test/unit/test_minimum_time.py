@@ -7,9 +7,9 @@ import pytest
 from recordings import ur5_chain
 from ur5_dh import HOME_RAD
 
-from fvs_controller_node.allocation import LeastSpeedInverse
-from fvs_controller_node.arrive import ArriveLaw
 from fvs_controller_node.base import NO_FEED_FORWARD, ControlInput
+from fvs_controller_node.minimum_time import MinimumTimeLaw
+from fvs_controller_node.redundancy import LeastSpeedInverse
 
 DT_S = 0.008
 CHAIN = ur5_chain()
@@ -39,7 +39,7 @@ class Following:
     """The law, and drives that do as they are told; the model is exact."""
 
     def __init__(self, joints):
-        self.law, self.joints = ArriveLaw(inverse=Counting()), joints
+        self.law, self.joints = MinimumTimeLaw(inverse=Counting()), joints
         self.target, self.told, self.images = CHAIN.position(joints), 0, 0
         self.run(20)
 
