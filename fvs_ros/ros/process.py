@@ -54,13 +54,13 @@ def run(make_node: Callable[[], FvsNode], doc: str, parameters: Iterable[Paramet
         if {"-h", "--help"} & set(sys.argv):
             print(node_help(doc, parameters))
             return EXIT_OK
-        unknown = remove_ros_args(sys.argv)[1:]
-        if unknown:  # rclpy would pass over them, and the node run with other values than wanted
-            return _refused(
-                f"unknown argument {unknown[0]!r}; parameters and remaps stand "
-                "behind --ros-args, as in --ros-args -p name:=value; --help lists them"
-            )
         try:
+            unknown = remove_ros_args(sys.argv)[1:]
+            if unknown:  # rclpy would pass over them, and the node run with other values
+                return _refused(
+                    f"unknown argument {unknown[0]!r}; parameters and remaps stand "
+                    "behind --ros-args, as in --ros-args -p name:=value; --help lists them"
+                )
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         except RuntimeError as error:  # rcl's own: arguments or a parameter file it cannot read
             return _refused(str(error))

@@ -115,7 +115,8 @@ def test_a_joint_that_is_slow_near_its_limit_is_not_carried_over_it_by_a_ramp():
     world.run(FRESH_TICKS)
     # One joint as fast as it can just brake before its end, another one fast.
     velocity = np.array([0.1, 2.0, 0.0, 0.0, 0.0, 0.0])
-    world.node._loop.supervisor._velocity = world.promises.last = velocity
+    world.node._loop.supervisor._limiter.velocity_rad_s = velocity
+    world.promises.last = velocity
     world.run(400)
 
 

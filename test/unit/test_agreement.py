@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from test_supervisor import WANTED, at_rest, servoing
 
+from fvs_controller_node.monitors import _LEAST_SEEN
 from fvs_controller_node.reasons import Reason, State
-from fvs_controller_node.supervisor import _LEAST_SEEN
 from fvs_ros.agreement import Agreement, Verdict
 
 IMAGE_S = 1.0 / 30.0

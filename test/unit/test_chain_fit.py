@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import ur5_dh
 from recordings import Recording, relative_error, ur5_chain
-from stranger import REACH_RAD, Kinematics
+from unseen_robot import REACH_RAD, Kinematics
 
 from fvs_estimator_node import chain_chart
 from fvs_estimator_node.chain_chart import Chart, residuals_and_slopes
