@@ -15,9 +15,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from fvs_controller_node.reasons import State
-from fvs_lab.lockstep import LockStep, load_chain, load_networks, make_estimator
 from fvs_lab.trials import Conditions, make_cases
 from fvs_sim_node.simulation import Simulation
+from fvs_tools.closed_loop import ClosedLoop
 from fvs_tools.schemes import BEYOND, SCHEMES, Scheme
 
 TARGETS, TARGET_S = 12, 0.8
@@ -73,10 +73,7 @@ def measure(scheme: Scheme, targets: Callable) -> list[np.ndarray]:
     """Times of one scheme's estimator, controller and both at joint states in motion, s."""
     with Simulation(Conditions(rendered=False).sim_config()) as simulation:
         simulation.reset(np.array(make_cases("B", 1, 1)[0].start_rad))
-        estimator = make_estimator(
-            scheme.method, simulation, load_networks(), scheme.estimator_values, load_chain()
-        )
-        loop = LockStep(simulation, estimator, {"law": scheme.law, **scheme.controller_values})
+        loop = ClosedLoop.of_scheme(scheme, simulation)
         advance = simulation.advance = Stopwatch(simulation.advance)
         obey = simulation.command = Stopwatch(simulation.command)
         tick = loop.loop.tick = Stopwatch(loop.loop.tick)

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from math import log
 from typing import Any, NamedTuple
 
@@ -25,9 +24,8 @@ import numpy as np
 
 from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.pseudo_inverse import damped_solution
-from fvs_ros.params import Parameters, parameter
+from fvs_ros.params import Parameters, live_parameter
 
-_gain = partial(parameter, live=True)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 #: Beyond so many time constants nothing is left of the weight, in double precision.
 _TIME_CONSTANTS = 60.0
@@ -81,21 +79,23 @@ def _moment(power: int, rate: float, horizon: float) -> float:
 class MpcGains(Parameters):
     """Gains of the law; a positive q gives a singular Jacobian a finite command."""
 
-    mpc_horizon: float = _gain(10.7, "Prediction horizon H, control intervals.", 0.1, 1000.0)
-    mpc_alpha: float = _gain(
+    mpc_horizon: float = live_parameter(
+        10.7, "Prediction horizon H, control intervals.", 0.1, 1000.0
+    )
+    mpc_alpha: float = live_parameter(
         0.64, "Weight alpha of an interval over the one before; 1 weighs all alike.", 0.01, 1.0
     )
-    mpc_rho: float = _gain(
+    mpc_rho: float = live_parameter(
         1.26, "Decay of the wanted error, 1/interval; more is faster.", 1e-3, 100.0
     )
-    mpc_q: float = _gain(
+    mpc_q: float = live_parameter(
         0.07,
         "Weight q of the joint increment, m^2/rad^2; more is slower, most where the feature moves "
         "little.",
         1e-4,
         100.0,
     )
-    mpc_interval_s: float = _gain(
+    mpc_interval_s: float = live_parameter(
         0.04, "Control interval that the increment is spread over, s; less is faster.", 1e-3, 10.0
     )
 

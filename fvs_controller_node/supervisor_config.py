@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import partial
 from operator import lt
 
 from fvs_controller_node.inputs import InputSpec
@@ -11,13 +10,11 @@ from fvs_controller_node.progress import ProgressLimits
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.joints import ArmJoints
 from fvs_ros.limits import JointRange, SpeedLimits
-from fvs_ros.params import ParameterError, Parameters, parameter
+from fvs_ros.params import ParameterError, Parameters, live_parameter, parameter
 
 #: Inputs by topic name.
 JOINT_STATES, BALL, JACOBIAN = "joint_states", "ball_position", "jacobian"
 KINEMATIC_CHAIN, SPEED_SCALING = "kinematic_chain", "speed_scaling"
-
-_live = partial(parameter, live=True)
 
 
 @dataclass(frozen=True)
@@ -33,39 +30,39 @@ class SupervisorConfig(Parameters):
     speed: SpeedLimits = field(default_factory=SpeedLimits)
     joint_range: JointRange = field(default_factory=JointRange)
     progress: ProgressLimits = field(default_factory=ProgressLimits)
-    workspace_min_m: tuple[float, ...] = _live(
+    workspace_min_m: tuple[float, ...] = live_parameter(
         (-1.0, -1.0, 0.2), "Lower corner of the box that targets must be in, feature frame, m."
     )
-    workspace_max_m: tuple[float, ...] = _live(
+    workspace_max_m: tuple[float, ...] = live_parameter(
         (1.0, 1.0, 3.0), "Upper corner of the box that targets must be in, feature frame, m."
     )
-    joint_states_max_age_s: float = _live(
+    joint_states_max_age_s: float = live_parameter(
         0.1, "Older joint states are stale: the arm is held, s.", 0.01, 10.0
     )
-    ball_max_age_s: float = _live(
+    ball_max_age_s: float = live_parameter(
         0.2, "An older ball position is stale: the arm is held, s.", 0.01, 10.0
     )
-    jacobian_max_age_s: float = _live(
+    jacobian_max_age_s: float = live_parameter(
         0.2, "An older Jacobian is stale: the arm is held, s.", 0.01, 10.0
     )
-    singular_hold_m_rad: float = _live(
+    singular_hold_m_rad: float = live_parameter(
         0.03,
         "Smallest singular value of the Jacobian below which the arm is held, m/rad; it slows down "
         "from 8/3 of that on.",
         1e-5,
         10.0,
     )
-    prediction_hold: float = _live(
+    prediction_hold: float = live_parameter(
         1.2,
         "Error of the predicted motion over the motion (1 is useless) above which the arm is held "
         "after 50 mm of motion; it slows down from 2/3 of that on.",
         0.01,
         100.0,
     )
-    follow_time_s: float = _live(
+    follow_time_s: float = live_parameter(
         3.0, "Held when the arm does not move as commanded for this time, s.", 0.1, 100.0
     )
-    resume_within_s: float = _live(
+    resume_within_s: float = live_parameter(
         30.0, "An arm that was held for longer needs a new start, s.", 0.5, 1e6
     )
 

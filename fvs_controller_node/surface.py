@@ -11,12 +11,9 @@ Plain floats on purpose: for three axes numpy costs more than the arithmetic.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import partial
 from math import copysign, inf, log, tanh
 
-from fvs_ros.params import ParameterError, Parameters, parameter
-
-_gain = partial(parameter, live=True)
+from fvs_ros.params import ParameterError, Parameters, live_parameter
 
 
 @dataclass(frozen=True)
@@ -34,25 +31,25 @@ class SlidingSurface(Parameters):
         If a parameter is out of range; the text says which and why.
     """
 
-    alpha1: float = _gain(1.0, "Weight of the error's velocity in s.", 1e-3, 100.0)
-    alpha2: float = _gain(3.0, "Weight of the error in s.", 1e-3, 100.0)
-    alpha3: float = _gain(2.0, "Weight of the terminal attractor in s.", 0.0, 100.0)
-    lambda1: float = _gain(0.6375, "Middle of the adaptive exponent, eq. (29).", 0.01, 1.0)
-    lambda2: float = _gain(
+    alpha1: float = live_parameter(1.0, "Weight of the error's velocity in s.", 1e-3, 100.0)
+    alpha2: float = live_parameter(3.0, "Weight of the error in s.", 1e-3, 100.0)
+    alpha3: float = live_parameter(2.0, "Weight of the terminal attractor in s.", 0.0, 100.0)
+    lambda1: float = live_parameter(0.6375, "Middle of the adaptive exponent, eq. (29).", 0.01, 1.0)
+    lambda2: float = live_parameter(
         0.2625,
         "Half span of the exponent: lambda1 - lambda2 far from the goal, lambda1 + lambda2 near "
         "it; 0 fixes it, eq. (14).",
         0.0,
         0.5,
     )
-    switch_error_m: float = _gain(
+    switch_error_m: float = live_parameter(
         0.005,
         "Error at which the exponent switches (the paper's sqrt(Delta)), m; three to five times "
         "the measurement noise.",
         1e-5,
         0.3,
     )
-    lambda3_1_m2: float = _gain(
+    lambda3_1_m2: float = live_parameter(
         0.0,
         "Steepness of the exponent's switch, 1/m^2; 0 takes 3 / switch_error_m^2, with which the "
         "exponent at zero error is within 0.5 % of lambda1 + lambda2.",

@@ -25,7 +25,6 @@ from fvs_lab.experiment import (
     either,
 )
 from fvs_lab.figures import keys, panels, plain_ticks
-from fvs_lab.lockstep import LockStep
 from fvs_lab.results import METRICS, Metric, Results, failures, table
 from fvs_lab.trials import (
     PRELUDE_S,
@@ -38,6 +37,7 @@ from fvs_lab.trials import (
     settling_run,
     simulation_of,
 )
+from fvs_tools.closed_loop import ClosedLoop
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -180,7 +180,7 @@ def run_rest(rest: Rest) -> dict[str, Any]:
     }
 
 
-def _estimators_error(one: LockStep) -> float:
+def _estimators_error(one: ClosedLoop) -> float:
     """Relative error of the estimator's Jacobian."""
     joints = one.simulation.joints_rad
     true = one.simulation.true_jacobian(joints)

@@ -11,10 +11,10 @@ import numpy as np
 
 from fvs_lab.beyond_contestants import variant
 from fvs_lab.disturbances import Bump
-from fvs_lab.lockstep import LockStep
 from fvs_lab.outcome import BOUNDS_M, seconds
 from fvs_lab.results import Results
 from fvs_lab.trials import PRELUDE_S, Case, Conditions, make_cases, simulation_of
+from fvs_tools.closed_loop import ClosedLoop
 from fvs_tools.score import settling_time_s
 
 TURN_DEG, SHIFT_M = 45.0, 0.1
@@ -181,7 +181,7 @@ def with_slowdown(arrivals: Results) -> Results:
     return Results(rows)
 
 
-def _carry(bump: Bump, loop: LockStep) -> None:
+def _carry(bump: Bump, loop: ClosedLoop) -> None:
     """Stop the arm and carry the camera evenly to where a blow would throw it."""
     loop.loop.supervisor.stop()
     loop.run(_STOPPED_S)

@@ -20,9 +20,9 @@ from fvs_lab.estimators_recordings import (
     record,
 )
 from fvs_lab.experiment import Found
-from fvs_lab.lockstep import load_networks, make_estimator
 from fvs_lab.results import Results
 from fvs_lab.trials import Conditions, simulation_of
+from fvs_tools.closed_loop import make_estimator
 
 #: Tuning motions are numbered from here, far from any scored motion's number.
 TUNING_SEEDS = (9001, 9002, 9003)
@@ -212,7 +212,7 @@ def judge_all(job: Job) -> list[dict[str, Any]]:
 
 
 def _judge_one(one: Contestant, recording: Recording, conditions: Conditions) -> Track:
-    estimator = make_estimator(one.method, simulation_of(conditions), load_networks(), one.values)
+    estimator = make_estimator(one.method, simulation_of(conditions), one.values)
     return judge(estimator, recording, one.hears_prelude)
 
 

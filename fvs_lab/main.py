@@ -187,8 +187,8 @@ def _measure(context: Context, arguments: argparse.Namespace) -> int:
 
 
 def _origin(arguments: argparse.Namespace) -> Origin:
-    from fvs_lab.lockstep import MODEL
     from fvs_ros.paths import find_file
+    from fvs_tools.closed_loop import MODEL
 
     command = ["fvs_experiments", arguments.name]
     command += [f"--seeds {arguments.seeds}"] if arguments.seeds else []

@@ -10,16 +10,10 @@ from typing import Any
 import numpy as np
 
 from fvs_lab.disturbances import WHITE, Bump, StableNoise, carried_camera
-from fvs_lab.lockstep import (
-    MODEL,
-    LockStep,
-    load_chain,
-    load_networks,
-    make_estimator,
-)
 from fvs_lab.outcome import JACOBIAN_EVERY, Outcome, RunLog, settling_columns
 from fvs_ros.joints import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.simulation import LIVE, SimConfig, Simulation
+from fvs_tools.closed_loop import MODEL, ClosedLoop, make_estimator
 from fvs_tools.schemes import Scheme
 
 #: Middle and half widths of the box that starts and goals are drawn from, rad.
@@ -158,16 +152,10 @@ class Trial:
     model: str = MODEL
     bump: Bump | None = None
 
-    def loop(self, simulation: Simulation) -> LockStep:
+    def loop(self, simulation: Simulation) -> ClosedLoop:
         """The whole loop in a simulation that has been reset."""
-        estimator = make_estimator(
-            self.method,
-            simulation,
-            load_networks(self.model),
-            self.estimator_values,
-            load_chain(self.model),
-        )
-        return LockStep(simulation, estimator, {"law": self.law, **self.controller_values})
+        estimator = make_estimator(self.method, simulation, self.estimator_values, self.model)
+        return ClosedLoop(simulation, estimator, {"law": self.law, **self.controller_values})
 
 
 @dataclass(frozen=True)
@@ -317,14 +305,14 @@ def drive(trial: Trial, simulation: Simulation) -> Outcome:
     return log.outcome(trial.record)
 
 
-def _tell_target(one: LockStep, goal_m: np.ndarray) -> np.ndarray:
+def _tell_target(one: ClosedLoop, goal_m: np.ndarray) -> np.ndarray:
     """Tell a target as its camera sees it; where it truly is, camera frame, m."""
     target_m = one.simulation.camera.to_camera(goal_m)
     one.set_target(one.simulation.as_seen(target_m))
     return target_m
 
 
-def settling_run(one: LockStep, target_m: np.ndarray, duration_s: float) -> dict[str, float]:
+def settling_run(one: ClosedLoop, target_m: np.ndarray, duration_s: float) -> dict[str, float]:
     """Give a target, camera frame, m, let time pass, and return the settling times as columns."""
     one.set_target(target_m)
     errors_m = []
@@ -334,7 +322,7 @@ def settling_run(one: LockStep, target_m: np.ndarray, duration_s: float) -> dict
     return settling_columns(one.period_s * np.arange(1, len(errors_m) + 1), np.array(errors_m))
 
 
-def jacobian_error(one: LockStep) -> float:
+def jacobian_error(one: ClosedLoop) -> float:
     """Relative Frobenius error of the Jacobian that the controller uses now."""
     true = one.simulation.true_jacobian(one.simulation.joints_rad)
     used = one.loop.jacobian

@@ -12,6 +12,7 @@ import sys
 from array import array
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -223,6 +224,10 @@ def parameter(
     values = list(default) if isinstance(default, tuple) else default
     one = Parameter("", values, description, minimum, maximum, choices, size, live, broadcast)
     return field(default=default, metadata={_DECLARED: one})
+
+
+#: The same for one that may change while the node runs.
+live_parameter = partial(parameter, live=True)
 
 
 @dataclass(frozen=True)

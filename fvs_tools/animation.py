@@ -56,7 +56,7 @@ class Film:
         self._shoot(_DRAG_S, dragged)
         last_m = dragged(_DRAG_S)
         self._shoot(_REST_S, lambda _time_s: last_m)
-        # The target stays where it is in the room: in the moved camera's view it is elsewhere.
+        # In the moved camera's view, a target near the place where the ball is in the room.
         place_m = self.simulation.camera.rotation @ last_m + self.simulation.camera.position_m
         self.simulation.rotate_camera(np.array(_TURN_RAD))
         self.simulation.move_camera(np.array(_SHIFT_M))
@@ -85,8 +85,8 @@ class Film:
         view = self._renderer.render(self._pose)[0]
         seen = self._renderer.render(self.simulation.camera)[0]
         for place_m, colour, radius in ((self._target_m, _TARGET, 9), (self.loop.ball_m, _BALL, 2)):
-            u, v = (place_m[:2] / place_m[2] * 300.0 + [160.0, 120.0]).round().astype(int)
-            cv2.circle(seen, (int(u), int(v)), radius, colour, 2, cv2.LINE_AA)
+            u, v = _SIZE.project(place_m)
+            cv2.circle(seen, (round(float(u)), round(float(v))), radius, colour, 2, cv2.LINE_AA)
         bumped = self._bumped_at is not None
         _write(view, "the robot", (8, 18))
         _write(seen, "its camera, bumped" if bumped else "its camera", (8, 18))

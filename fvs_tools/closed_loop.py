@@ -22,6 +22,7 @@ from fvs_estimator_node.registry import create_estimator
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.paths import find_file
 from fvs_sim_node.simulation import Simulation
+from fvs_tools.schemes import Scheme
 from fvs_tools.schemes import scheme as scheme_called
 
 #: The model that comes with the package.
@@ -84,11 +85,18 @@ class ClosedLoop:
         self.period_s = 1.0 / simulation.config.joint_state_rate_hz
 
     @classmethod
-    def of_scheme(cls, name: str, simulation: Simulation | None = None) -> ClosedLoop:
-        """Close the loop with a scheme, such as ``best``, about a simulation (default: a UR5)."""
-        scheme, simulation = scheme_called(name), simulation or Simulation()
-        estimator = make_estimator(scheme.method, simulation, scheme.estimator_values)
-        return cls(simulation, estimator, {"law": scheme.law, **scheme.controller_values})
+    def of_scheme(
+        cls, scheme: Scheme | str, simulation: Simulation | None = None, **controller_values: Any
+    ) -> ClosedLoop:
+        """Close the loop with a scheme, such as ``best``, about a simulation (default: a UR5).
+
+        More parameters of the controller node may follow by name.
+        """
+        one = scheme_called(scheme) if isinstance(scheme, str) else scheme
+        simulation = simulation or Simulation()
+        estimator = make_estimator(one.method, simulation, one.estimator_values)
+        values = {"law": one.law, **one.controller_values, **controller_values}
+        return cls(simulation, estimator, values)
 
     @property
     def ball_m(self) -> np.ndarray:

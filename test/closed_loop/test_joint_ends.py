@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from fvs_lab.lockstep import LockStep, load_chain, load_networks, make_estimator
 from fvs_lab.trials import Conditions, make_cases, simulation_of
+from fvs_tools.closed_loop import ClosedLoop, make_estimator
 from fvs_tools.schemes import BEYOND
 
 EXACT = Conditions(rendered=False)
@@ -23,13 +23,8 @@ def run(scheme, start_rad, target_m, seconds, **ends_rad):
             ends[joint] = value
     simulation = simulation_of(EXACT)
     simulation.reset(start_rad, 1)
-    estimator = make_estimator(
-        scheme.method, simulation, load_networks(), scheme.estimator_values, load_chain()
-    )
     values = {"joint_min_rad": lower.tolist(), "joint_max_rad": upper.tolist()}
-    loop = LockStep(
-        simulation, estimator, {"law": scheme.law, **scheme.controller_values, **values}
-    )
+    loop = ClosedLoop.of_scheme(scheme, simulation, **values)
     loop.run(0.5)
     loop.set_target(target_m)
     commands, errors_m = [], []
@@ -70,8 +65,8 @@ def test_a_joint_brakes_before_its_end_behind_a_drive_that_lags():
         simulation.reset(goal)
         target_m = simulation.true_ball_position()
         simulation.reset(start, case.seed)
-        estimator = make_estimator("frozen", simulation, load_networks())
-        loop = LockStep(simulation, estimator, values)
+        estimator = make_estimator("frozen", simulation)
+        loop = ClosedLoop(simulation, estimator, values)
         loop.run(0.4)
         loop.set_target(target_m)
         for _ in range(250):

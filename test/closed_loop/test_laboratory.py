@@ -33,7 +33,6 @@ from fvs_lab.estimators_recordings import record as record_motion
 from fvs_lab.experiment import Found
 from fvs_lab.figures import colours_of
 from fvs_lab.floor import Limits, fastest
-from fvs_lab.lockstep import load_networks, make_estimator
 from fvs_lab.outcome import BOUNDS_M, NOT_STAYED, Outcome
 from fvs_lab.regimes import REGIMES, search_of
 from fvs_lab.report import EXPERIMENTS, Origin, write_page, write_report
@@ -44,6 +43,7 @@ from fvs_lab.trials import Case, Conditions, Trial, drive, make_cases, run_trial
 from fvs_lab.worlds import DISTANCE_M, DRAWN, EVERYDAY, HARSH, QUANTITIES, draw_world
 from fvs_ros.params import ParameterSet
 from fvs_sim_node.simulation import SimConfig, Simulation
+from fvs_tools.closed_loop import make_estimator
 from fvs_tools.schemes import BEYOND, SCHEMES
 
 INF = float("inf")
@@ -321,7 +321,7 @@ def test_a_recording_is_repeatable_and_its_truth_is_what_was_seen(clean):
 
 
 def test_the_oracle_errs_by_micrometres_without_noise(clean):
-    oracle = make_estimator("oracle", simulation_of(CLEAN), load_networks())
+    oracle = make_estimator("oracle", simulation_of(CLEAN))
     track = judge(oracle, clean, True)
     assert track.t1_m.max() < 1e-5
     assert track.jacobian_error.max() < 1e-12

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from fvs_lab.lockstep import LockStep, load_chain, load_networks, make_estimator
 from fvs_lab.trials import HOME_RAD, Conditions, jacobian_error, simulation_of
+from fvs_tools.closed_loop import ClosedLoop
 from fvs_tools.schemes import scheme
 
 TRUE_LATENCY_S = 0.1
@@ -19,10 +19,7 @@ def run(name, late_s, start_off_rad=0.15):
     simulation.reset(HOME_RAD - start_off_rad)
     target_m = simulation.true_ball_position()
     simulation.reset(HOME_RAD + start_off_rad, 1)
-    estimator = make_estimator(
-        one.method, simulation, load_networks(), one.estimator_values, load_chain()
-    )
-    loop = LockStep(simulation, estimator, {"law": one.law, **one.controller_values})
+    loop = ClosedLoop.of_scheme(one, simulation)
     advance = simulation.advance
 
     def stamped_late():

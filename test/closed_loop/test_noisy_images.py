@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fvs_lab.lockstep import LockStep, load_chain, load_networks, make_estimator
 from fvs_lab.trials import HOME_RAD, Conditions
 from fvs_sim_node.simulation import Simulation
+from fvs_tools.closed_loop import ClosedLoop
 from fvs_tools.schemes import scheme
 
 
@@ -27,10 +27,7 @@ def test_an_arm_that_is_sent_off_at_once_comes_to_rest_all_the_same(
         simulation.reset(HOME_RAD - 0.3)
         target_m = simulation.true_ball_position()
         simulation.reset(HOME_RAD + 0.2, seed)
-        estimator = make_estimator(
-            one.method, simulation, load_networks(), one.estimator_values, load_chain()
-        )
-        loop = LockStep(simulation, estimator, {"law": one.law, **one.controller_values})
+        loop = ClosedLoop.of_scheme(one, simulation)
         simulation.position_noise = lambda rng: noise_m * rng.normal(size=3)
         try:
             loop.run(0.5)

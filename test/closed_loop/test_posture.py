@@ -5,15 +5,9 @@ import pytest
 
 from fvs_controller_node.reasons import State
 from fvs_estimator_node.model_file import load_model
-from fvs_lab.lockstep import (
-    MODEL,
-    LockStep,
-    load_chain,
-    load_networks,
-    make_estimator,
-)
 from fvs_lab.trials import HOME_RAD, Conditions, simulation_of
 from fvs_ros.paths import find_file
+from fvs_tools.closed_loop import MODEL, ClosedLoop
 from fvs_tools.demo import choose_target
 from fvs_tools.schemes import scheme
 
@@ -24,10 +18,7 @@ CIRCLE_M, CIRCLE_M_S, IMAGE_S = 0.1, 0.15, 1.0 / 30.0
 def loop_of(name):
     one, simulation = scheme(name), simulation_of(Conditions(rendered=False))
     simulation.reset(HOME_RAD, 1)
-    estimator = make_estimator(
-        one.method, simulation, load_networks(), one.estimator_values, load_chain()
-    )
-    return simulation, LockStep(simulation, estimator, {"law": one.law, **one.controller_values})
+    return simulation, ClosedLoop.of_scheme(one, simulation)
 
 
 @pytest.mark.parametrize("name", ["best", "extended"])

@@ -7,9 +7,9 @@ import pytest
 
 from fvs_controller_node.reasons import State
 from fvs_estimator_node.model_file import load_model
-from fvs_lab.lockstep import LockStep, load_networks, make_estimator
 from fvs_lab.trials import jacobian_error
 from fvs_sim_node.simulation import SimConfig, Simulation
+from fvs_tools.closed_loop import ClosedLoop, make_estimator
 from fvs_tools.demo import choose_target
 from fvs_tools.score import settling_time_s
 
@@ -18,12 +18,12 @@ TICK_S = 0.008
 LIMIT_RAD_S = 1.0
 
 
-class Recorded(LockStep):
+class Recorded(ClosedLoop):
     """The loop in lock step, its commands kept."""
 
     def __init__(self, seed=0, method="rbf", **disturbances):
         simulation = Simulation(SimConfig(seed=seed, **disturbances))
-        estimator = make_estimator(method, simulation, load_networks())
+        estimator = make_estimator(method, simulation)
         super().__init__(simulation, estimator, {"max_joint_velocity_rad_s": LIMIT_RAD_S})
         self.commands = []
 
