@@ -16,12 +16,11 @@ import numpy as np
 from tqdm import tqdm
 
 from fvs_estimator_node.dataset import DataSet, load_data_set
+from fvs_estimator_node.distilling import NEURONS, TaughtModel, train_structured, with_chain
 from fvs_estimator_node.model_file import TrainedModel, save_model
-from fvs_estimator_node.teaching import NEURONS, TaughtModel, train_structured, with_chain
 from fvs_estimator_node.training import (
     METHODS,
     TrainingOptions,
-    TrainingProgress,
     TrainingResult,
     train,
 )
@@ -94,12 +93,12 @@ def _train(
         mininterval=0.2 if sys.stderr.isatty() else 10.0,
     ) as bar:
 
-        def on_progress(progress: TrainingProgress) -> bool:
+        def on_progress(iteration: int, iterations: int, error: float) -> bool:
             """Show it; True when the time is over."""
             nonlocal out_of_time
-            bar.total = progress.iterations
-            bar.update(progress.iteration - bar.n)
-            bar.set_postfix_str(f"error {100.0 * progress.validation_error:.2f} %")
+            bar.total = iterations
+            bar.update(iteration - bar.n)
+            bar.set_postfix_str(f"error {100.0 * error:.2f} %")
             passed_s = time.monotonic() - started_s
             out_of_time = arguments.max_seconds is not None and passed_s > arguments.max_seconds
             return out_of_time

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from recordings import Recording, turn, ur5_chain
 
+from fvs_estimator_node.camera import PoeEstimator, rotation_angle_rad
 from fvs_estimator_node.loop import EstimationLoop
-from fvs_estimator_node.poe import PoeEstimator
-from fvs_estimator_node.rotations import rotation_angle_rad
 from fvs_estimator_node.stamp_watch import StampWatch
 
 PERIOD_S, IDENTITY = 1.0 / 30.0, np.eye(3)
