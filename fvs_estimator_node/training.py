@@ -126,42 +126,19 @@ class TrainingResult:
     Parameters
     ----------
     trained : TrainedModel
-        Ready to be saved.
-    options : TrainingOptions
-        How it was trained.
+        Ready to be saved. Its ``errors`` hold ``pair_error_m``, the root mean square prediction
+        error between two held-out images with the noise of both, m; ``pair_error_relative``, the
+        same over the ball's motion; ``validation_error``; the chosen ``ridge``; ``iterations``;
+        images used, kept back and left out (``samples``, ``held_out_samples``, ``outliers``); and
+        ``time_offset_s``, how much later than the joints they show the images are stamped.
     networks : tuple of NetworkError
         One per joint.
-    pair_error_m : float
-        Root mean square prediction error between two held-out images, m; with the noise of both.
-    pair_error_relative : float
-        The same over the root mean square motion of the ball between the two.
-    validation_error : float
-        Relative pair error on the validation images.
-    ridge : float
-        The chosen ridge weight, relative.
-    iterations : int
-        Adam iterations done.
-    samples, held_out_samples, outliers : int
-        Images used in all, kept back, and left out.
-    time_offset_s : float
-        How much later than the joints they show the images are stamped, s; found from
-        continuous motion and corrected for. Zero if there is none.
     notes : tuple of str
         What a user should know, in words.
     """
 
     trained: TrainedModel
-    options: TrainingOptions
     networks: tuple[NetworkError, ...]
-    pair_error_m: float
-    pair_error_relative: float
-    validation_error: float
-    ridge: float
-    iterations: int
-    samples: int
-    held_out_samples: int
-    outliers: int
-    time_offset_s: float
     notes: tuple[str, ...]
 
 
@@ -235,7 +212,7 @@ class _Training:
         everything = np.flatnonzero(good)
         networks = self._judge_networks(judged, everything, held_out, pair_error)
         weights = self._solve(centres, widths, everything, (ridge,))[0]
-        result: dict[str, Any] = {
+        errors: dict[str, Any] = {
             "pair_error_m": pair_error,
             "pair_error_relative": pair_error / motion,
             "validation_error": validation_error,
@@ -245,9 +222,6 @@ class _Training:
             "held_out_samples": len(held_out),
             "outliers": outliers,
             "time_offset_s": offset_s,
-        }
-        errors = {
-            **result,
             "column_m_rad": [n.column_m_rad for n in networks],
             "column_error_m_rad": [n.error_m_rad for n in networks],
             "column_error_relative": [n.relative for n in networks],
@@ -266,13 +240,7 @@ class _Training:
                 "data": dict(self._data.provenance),
             },
         )
-        return TrainingResult(
-            trained=trained,
-            options=options,
-            networks=networks,
-            notes=self._notes(outliers, offset_s),
-            **result,
-        )
+        return TrainingResult(trained, networks, self._notes(outliers, offset_s))
 
     def _split(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Indices to fit, to choose and to judge with, in blocks of segments and time."""

@@ -160,13 +160,14 @@ def report(result: TrainingResult, seconds: float) -> str:
         if network.relative is not None:
             error = f"{100.0 * network.relative:6.2f} %"
         lines.append(f"{name:20s} {network.column_m_rad:11.3f}  {error}")
+    errors = result.trained.errors
     lines += [
         "(at held-out joints, against a smooth fit that is itself about 1 % off)",
-        f"between held-out images: {1e3 * result.pair_error_m:.2f} mm rms, "
-        f"{100.0 * result.pair_error_relative:.2f} % of the ball's motion, noise included",
+        f"between held-out images: {1e3 * errors['pair_error_m']:.2f} mm rms, "
+        f"{100.0 * errors['pair_error_relative']:.2f} % of the ball's motion, noise included",
         *_boxes(result.trained),
-        f"{result.samples} images, {result.held_out_samples} held out, {result.outliers} left out; "
-        f"{result.iterations} iterations, {seconds:.1f} s",
+        f"{errors['samples']} images, {errors['held_out_samples']} held out, "
+        f"{errors['outliers']} left out; {errors['iterations']} iterations, {seconds:.1f} s",
     ]
     return "\n".join(lines)
 

@@ -69,7 +69,7 @@ def test_the_jacobian_of_a_linear_plant_is_learned(method):
 
 
 @pytest.mark.parametrize("joints", [6, 2])
-def test_the_unscented_filter_is_the_linear_one_and_that_is_the_textbooks(joints):
+def test_the_unscented_filter_is_the_linear_one(joints):
     linear, unscented = (create_estimator(method, None, ZERO) for method in ("lkf", "ukf"))
     config = linear.config
     mean, covariance = np.zeros(18), config.initial_variance * np.eye(18)

@@ -123,8 +123,8 @@ def test_the_reported_errors_are_true_ones(ridge):
         assert network.column_m_rad == pytest.approx(column, rel=0.03, abs=5e-3)
         assert 0.7 * error < network.error_m_rad < 1.3 * error + 3e-3
     # pairs of far images: the noise of two positions and little else
-    assert np.sqrt(6.0) * NOISE_M < ridge.pair_error_m < 8.0 * NOISE_M
-    assert ridge.pair_error_relative < 0.02
+    assert np.sqrt(6.0) * NOISE_M < ridge.trained.errors["pair_error_m"] < 8.0 * NOISE_M
+    assert ridge.trained.errors["pair_error_relative"] < 0.02
 
 
 def test_the_held_out_images_have_no_say(monkeypatch):
@@ -137,12 +137,12 @@ def test_the_held_out_images_have_no_say(monkeypatch):
     place = np.empty(len(order))
     place[order] = (np.arange(len(order)) + 0.5) / len(order)
     held_out = np.repeat(place < 0.1, 2)
-    assert held_out.sum() == plain.held_out_samples
+    assert held_out.sum() == plain.trained.errors["held_out_samples"]
     ball = data.ball_m.copy()
     ball[held_out] += 0.3 * rng.standard_normal((held_out.sum(), 3))
     spoilt = train(replace(data, ball_m=ball), options)
-    assert spoilt.validation_error == plain.validation_error
-    assert spoilt.pair_error_m > 20.0 * plain.pair_error_m
+    assert spoilt.trained.errors["validation_error"] == plain.trained.errors["validation_error"]
+    assert spoilt.trained.errors["pair_error_m"] > 20.0 * plain.trained.errors["pair_error_m"]
 
 
 @pytest.mark.torch
@@ -164,9 +164,9 @@ def test_outliers_are_left_out(monkeypatch):
     spoilt = train(replace(data, ball_m=ball), RIDGE)
     monkeypatch.setattr("fvs_estimator_node.training._OUTLIER_FACTOR", 1e9)
     kept = train(replace(data, ball_m=ball), RIDGE)
-    assert 0.7 * bad.sum() <= spoilt.outliers <= bad.sum() + 5
+    assert 0.7 * bad.sum() <= spoilt.trained.errors["outliers"] <= bad.sum() + 5
     assert any("left out" in note for note in spoilt.notes)
-    assert spoilt.pair_error_m < 0.7 * kept.pair_error_m
+    assert spoilt.trained.errors["pair_error_m"] < 0.7 * kept.trained.errors["pair_error_m"]
 
 
 @pytest.mark.torch
@@ -180,7 +180,7 @@ def test_progress_is_told_and_can_end_the_training():
 
     result = train(data, replace(SHORT, neurons=10), progress)
     assert [iteration for iteration, _ in told] == [1, 2, 3]
-    assert result.iterations == 3
+    assert result.trained.errors["iterations"] == 3
     assert told[-1][1] > 0.0
 
 
@@ -230,8 +230,8 @@ def test_a_time_offset_of_the_images_is_found_and_corrected(late_s):
     t = data.stamps_s
     seen = np.stack([np.interp(t - late_s, t, joint) for joint in data.joints_rad.T], axis=1)
     punctual, late = train(data, RIDGE), train(replace(data, ball_m=measured(rng, seen)), RIDGE)
-    assert punctual.time_offset_s == pytest.approx(0.0, abs=1e-3)
-    assert late.time_offset_s == pytest.approx(late_s, abs=1e-3)
+    assert punctual.trained.errors["time_offset_s"] == pytest.approx(0.0, abs=1e-3)
+    assert late.trained.errors["time_offset_s"] == pytest.approx(late_s, abs=1e-3)
     assert any("ms" in note for note in late.notes)
     assert not any("ms" in note for note in punctual.notes)
     wrong = jacobian_error(late.trained.model.jacobian)
@@ -239,7 +239,7 @@ def test_a_time_offset_of_the_images_is_found_and_corrected(late_s):
 
 
 def test_probes_tell_no_time_offset(ridge):
-    assert ridge.time_offset_s == 0.0
+    assert ridge.trained.errors["time_offset_s"] == 0.0
 
 
 def test_without_torch_the_way_out_is_named(monkeypatch):
