@@ -199,9 +199,7 @@ class CameraPose:
         # What fades is made up for by the rotation so far: a ball that has long been going along
         # one line does not make the camera forget how it is turned.
         self._scatter = keep * self._scatter + (1.0 - keep) * self._prior_m2 * self.rotation
-        # Where the ball hardly goes, noise and a camera that is being carried would turn it.
-        if float(from_p.dot(from_p)) > _STILL_M**2:
-            self._scatter += (weight / total) * from_x[:, None] * from_p
+        self._scatter += (weight / total) * from_x[:, None] * from_p
         self._mean_p, self._mean_x = self._mean_p + from_p / total, self._mean_x + from_x / total
         self.rotation = nearest_rotation(self._scatter)
         self.translation_m = self._mean_x - self.rotation @ self._mean_p

@@ -21,7 +21,6 @@ from fvs_ros.tracker import Image, Tracker
 _MOST_LATE_S = 0.08
 #: This many of the last ball positions are paired anew once their stamps are known to be wrong.
 _LAST = 16
-_IDENTITY = np.eye(3)
 
 
 class EstimationLoop:
@@ -53,9 +52,7 @@ class EstimationLoop:
         self.learns = True
         self._tracker = Tracker()
         self._moved_m = np.zeros(0)  # of the ball by the joints, up to the last sample
-        #: The same as if no camera had ever been turned, and how it was at the last samples.
-        self._way_m = np.zeros(3)
-        self._rotations: deque[np.ndarray] = deque(maxlen=_LAST)
+        self._way_m = np.zeros(3)  # the same as if no camera had ever been turned
         self._balls: deque[tuple[float, np.ndarray]] = deque(maxlen=_LAST)  # as they came
         self._forget()
 
@@ -156,23 +153,21 @@ class EstimationLoop:
         moved_m = np.zeros_like(sample.ball_m)
         if last is None or last.run != sample.run:
             self._stamps = StampWatch()
-            self._rotations.clear()
         if last is None:
             self._tracker.restart()
         else:
             d_joints = sample.joints_rad - last.joints_rad
             step_m = self.estimator.jacobian(last.joints_rad + 0.5 * d_joints) @ d_joints
             moved_m = self._moved_m + step_m
-            self._rotations.append(self.estimator.camera_rotation)
-            self._way_m = self._way_m + self._rotations[-1].T @ step_m
+            rotation = self.estimator.camera_rotation
+            self._way_m = self._way_m + rotation.T @ step_m
         if not np.all(np.isfinite(moved_m)):
             self._last = None
             return [sample]
         self._moved_m = moved_m
         images = self._tracker.add(Image(sample.stamp_s, sample.ball_m, moved_m, sample))
-        if self._rotations:
-            turns = _IDENTITY, self._rotations[0], self._rotations[-1]
-            late_s = self._stamps.add(sample.stamp_s, sample.ball_m, self._way_m, turns)
+        if last is not None:
+            late_s = self._stamps.add(sample.stamp_s, sample.ball_m, self._way_m, rotation)
             if late_s:
                 self._correct_stamps(late_s)
                 return []

@@ -115,6 +115,19 @@ def test_a_camera_carried_while_the_ball_rests_is_known_after_a_short_way(seed, 
     assert off_deg(camera, rotation) < 10.0
 
 
+@pytest.mark.parametrize("prior", [(0.01, 1000.0), (0.14, 30.0)], ids=["chain", "networks"])
+def test_a_long_way_along_one_line_forgets_nothing(prior):
+    rng, camera, balls = (
+        np.random.default_rng(0),
+        CameraPose(*prior),
+        path(60, np.random.default_rng(1)),
+    )
+    watch(camera, balls, TURNED, np.zeros(3), rng)
+    to_and_fro = balls[-1] + np.outer(np.sin(0.1 * np.arange(3000)), [0.1, 0.0, 0.0])
+    watch(camera, to_and_fro, TURNED, np.zeros(3), rng)
+    assert off_deg(camera, TURNED) < 1.0
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e6, 1e200])
 def test_what_is_not_finite_or_too_far_teaches_nothing(bad):
     rng, camera = np.random.default_rng(0), CameraPose()
