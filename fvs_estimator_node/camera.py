@@ -35,8 +35,9 @@ _TURN_SHARE = 1.5
 _SOON = 30
 #: Standard deviation of a coordinate of a position: first guess and bounds, m.
 _NOISE_M, _LEAST_NOISE_M, _MOST_NOISE_M = 0.001, 0.0002, 0.01
-#: Share of a new squared change of the innovation in the noise.
-_NOISE_SHARE = 0.02
+#: Share of a new squared change of the innovation in the noise, and how many variances it counts
+#: for at most; at first, all changes count alike.
+_NOISE_SHARE, _NOISE_CLIP = 0.02, 9.0
 #: A ball that has gone no further since the last position that was kept is at rest, m.
 _STILL_M = 0.002
 #: No depth camera sees further, m.
@@ -105,9 +106,11 @@ class CameraPose:
     def _begin(self, rotation: np.ndarray, deviation_rad: float) -> None:
         """Forget all pairs; a rotation is known to a standard deviation."""
         self.rotation = rotation
-        self._prior_m2 = self._variance / (2.0 * deviation_rad**2)
-        #: Scatter of the pairs about their means, with the prior, m^2; their faded count.
-        self._scatter, self._weight = self._prior_m2 * rotation, 0.0
+        self._precision = 0.5 / deviation_rad**2
+        #: Prior, in variances of a position; scatter of the pairs about their means, m^2, and their
+        #: faded count.
+        self._prior = self._precision * rotation
+        self._scatter, self._weight = np.zeros((3, 3)), 0.0
         self._mean_p, self._mean_x, self._kept_at = _ORIGIN, _ORIGIN, _ORIGIN
         self._outlier: tuple[np.ndarray, np.ndarray] | None = None
         self._innovation: np.ndarray | None = None
@@ -145,12 +148,12 @@ class CameraPose:
             return False
         self._images += 1
         innovation = seen_m - (self.rotation @ model_m + self.translation_m)
-        if length(innovation) > self._disbelief_m():
-            return self._disbelieve(model_m, seen_m, length(innovation))
-        self._outlier = None
         if self._innovation is not None:
             self._learn_noise(innovation - self._innovation)
         self._innovation = innovation
+        if length(innovation) > self._disbelief_m():
+            return self._disbelieve(model_m, seen_m, length(innovation))
+        self._outlier = None
         self._learn(model_m, seen_m)
         return True
 
@@ -159,8 +162,10 @@ class CameraPose:
 
     def _learn_noise(self, change_m: np.ndarray) -> None:
         """Learn the noise from what changes between two positions: what stays is no noise."""
-        share = max(_NOISE_SHARE, 1.0 / (self._weight + 10.0))
-        self._variance += share * (float(change_m.dot(change_m)) / 6.0 - self._variance)
+        square, share = float(change_m.dot(change_m)) / 6.0, 1.0 / (self._images + 1.0)
+        if share < _NOISE_SHARE:  # a blow is no noise
+            square, share = min(square, _NOISE_CLIP * self._variance), _NOISE_SHARE
+        self._variance += share * (square - self._variance)
         self._variance = min(max(self._variance, _LEAST_NOISE_M**2), _MOST_NOISE_M**2)
 
     def _disbelieve(self, model_m: np.ndarray, seen_m: np.ndarray, distance_m: float) -> bool:
@@ -198,10 +203,10 @@ class CameraPose:
         from_p, from_x = model_m - self._mean_p, seen_m - self._mean_x
         # What fades is made up for by the rotation so far: a ball that has long been going along
         # one line does not make the camera forget how it is turned.
-        self._scatter = keep * self._scatter + (1.0 - keep) * self._prior_m2 * self.rotation
-        self._scatter += (weight / total) * from_x[:, None] * from_p
+        self._prior = keep * self._prior + (1.0 - keep) * self._precision * self.rotation
+        self._scatter = keep * self._scatter + (weight / total) * from_x[:, None] * from_p
         self._mean_p, self._mean_x = self._mean_p + from_p / total, self._mean_x + from_x / total
-        self.rotation = nearest_rotation(self._scatter)
+        self.rotation = nearest_rotation(self._scatter + self._variance * self._prior)
         self.translation_m = self._mean_x - self.rotation @ self._mean_p
 
     def status_values(self) -> dict[str, float]:
