@@ -82,7 +82,7 @@ def main() -> None:
                 result = train(data, TrainingOptions(method=method))
                 wall_s = time.perf_counter() - start_s
                 error = jacobian_error(result.trained.model.jacobian)
-                rows.append((100.0 * error, 1e3 * result.pair_error_m, wall_s))
+                rows.append((100.0 * error, 1e3 * result.trained.errors["pair_error_m"], wall_s))
             percent, pair_mm, wall_s = np.median(rows, axis=0)
             print(
                 f"{name:24s} {method:8s} {percent:12.2f} % {pair_mm:9.2f} mm {wall_s:7.1f} s",

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 
 from fvs_ros.chain import SerialChain
+from fvs_ros.params import Parameters
+
+#: What an estimator is made from.
+NETWORKS, CHAIN, NOTHING = "networks", "chain", ""
 
 
 @dataclass(frozen=True)
 class MotionStep:
-    """What the ball and the joints did between the same two exposures.
+    """Motion of the ball and of the n joints between the same two exposures.
 
     Parameters
     ----------
@@ -20,14 +25,14 @@ class MotionStep:
         Exposure time of the second image, s.
     dt_s : float
         Time between the two exposures, s, positive.
-    joints_rad : ndarray, shape (6,)
+    joints_rad : ndarray, shape (n,)
         Joint positions half way, rad: where the Jacobian that explains the step belongs.
-    d_joints_rad : ndarray, shape (6,)
+    d_joints_rad : ndarray, shape (n,)
         Joint motion, rad.
-    d_ball_m : ndarray, shape (3,)
+    d_ball_m : ndarray, shape (m,)
         Ball motion in the camera frame, m.
-    sliding_variable : ndarray, shape (3,)
-        The controller's sliding variable s, as it was last heard; zeros without a controller.
+    sliding_variable : ndarray, shape (m,), or 0
+        The controller's newest sliding variable s; 0 without a controller.
     """
 
     stamp_s: float
@@ -35,7 +40,7 @@ class MotionStep:
     joints_rad: np.ndarray
     d_joints_rad: np.ndarray
     d_ball_m: np.ndarray
-    sliding_variable: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    sliding_variable: np.ndarray | float = 0.0
 
     @property
     def start_stamp_s(self) -> float:
@@ -44,32 +49,47 @@ class MotionStep:
 
     @property
     def joint_velocity(self) -> np.ndarray:
-        """Mean joint velocity, rad/s, shape (6,)."""
+        """Mean joint velocity, rad/s, shape (n,)."""
         return self.d_joints_rad / self.dt_s
 
     @property
     def ball_velocity(self) -> np.ndarray:
-        """Mean ball velocity, m/s, shape (3,)."""
+        """Mean ball velocity, m/s, shape (m,)."""
         return self.d_ball_m / self.dt_s
 
 
 class Estimator(ABC):
-    """Estimates the 3x6 Jacobian of the ball's position with respect to the joints.
+    """Estimates the m x n Jacobian of the ball's position with respect to the joints.
 
-    An estimator is told steps and asked for Jacobians; it knows neither topics nor clocks.
+    It takes steps and answers with Jacobians; it knows neither topics nor clocks.
+
+    Attributes
+    ----------
+    updates, refused : int
+        How many inputs it learned from, and how many it could not use.
     """
 
-    #: Whether :meth:`update` can change anything.
-    learns = True
+    #: Whether :meth:`update` and :meth:`observe` can change anything.
+    learns: ClassVar[bool] = True
+    #: Its parameters; a node declares them with the method's name before each.
+    config_type: ClassVar[type[Parameters]] = Parameters
+
+    def __init__(self) -> None:
+        self.updates = self.refused = 0
+
+    @classmethod
+    def needs(cls, _config: Any) -> str:
+        """What its first argument must be with a configuration: one of the constants above."""
+        return NOTHING
 
     @property
     def problem(self) -> str:
-        """Why there is no estimate yet, in words; empty if there is one."""
+        """Why there is no estimate yet; empty if there is one."""
         return ""
 
     @property
     def remark(self) -> str:
-        """What does not fit although there is an estimate, in words; empty if all is well."""
+        """What does not fit although there is an estimate; empty if all is well."""
         return ""
 
     @property
@@ -84,42 +104,28 @@ class Estimator(ABC):
 
     @abstractmethod
     def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Estimate at given joints, m/rad.
-
-        Parameters
-        ----------
-        joints_rad : ndarray, shape (6,)
-            Joint positions, rad.
-
-        Returns
-        -------
-        ndarray, shape (3, 6)
-            A new array, the caller's to keep.
-        """
-
-    @abstractmethod
-    def update(self, step: MotionStep) -> None:
-        """Learn from one step.
-
-        A step that cannot be learned from (too little motion, something not finite) changes
-        nothing and raises nothing.
-        """
+        """Estimate at joints, rad, shape (n,): m/rad, a new array of shape (m, n)."""
 
     def observe(self, joints_rad: np.ndarray, ball_m: np.ndarray) -> None:  # noqa: B027
-        """Hear where the ball is, also at rest: called for every image, before the update.
+        """Take every image, also at rest, before the update.
 
         Parameters
         ----------
-        joints_rad : ndarray, shape (6,)
+        joints_rad : ndarray, shape (n,)
             Joints at the exposure, rad.
-        ball_m : ndarray, shape (3,)
+        ball_m : ndarray, shape (m,)
             Ball position, camera frame, m.
         """
 
-    @abstractmethod
+    def update(self, step: MotionStep) -> None:  # noqa: B027
+        """Learn from one step; what is not finite changes nothing and raises nothing."""
+
     def reset(self) -> None:
         """Forget what was learned online."""
+        self.updates = self.refused = 0
 
     def status_values(self) -> dict[str, float]:
         """Live key numbers of the method by name, with the unit in the name; finite."""
-        return {}
+        if not self.learns:
+            return {}
+        return {"updates": float(self.updates), "refused": float(self.refused)}

@@ -17,30 +17,27 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import combinations_with_replacement
-from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from fvs_estimator_node.chain_chart import N_COORDINATES, OFFSET, Chart, residuals_and_slopes
+from fvs_estimator_node.chain_path import MAX_OFFSET_S, ChainPath
+from fvs_estimator_node.chain_start import Regression, first_guess, regress, turned_about
 from fvs_estimator_node.dataset import DataSet
-from fvs_ros.chain import SerialChain, cross_matrix
+from fvs_ros.chain import SerialChain
 from fvs_ros.joints import N_JOINTS
 
 #: Fewest images that a chain is fitted to.
 MIN_SAMPLES = 200
 #: No depth camera sees further, m.
 _FARTHEST_M = 50.0
-#: Images are not looked for that are stamped later, or earlier, than this, s; ends of runs this
-#: long are left out. An offset so near to it would go on beyond it, s.
-MAX_OFFSET_S, _AT_LIMIT_S = 0.2, 1e-3
-#: A joint that moves less, a standard deviation, rad, stands still: nothing is known of it.
-STILL_RAD = 1e-3
+#: An offset this near to the longest that is looked for would go on beyond it, s.
+_AT_LIMIT_S = 1e-3
 #: Images of the search for the right start, and starts that are tried at most.
 _SEARCH_SAMPLES, _STARTS = 400, 12
-#: Offsets of the stamps that are tried before, s, and the passes of a robust regression.
-_SEARCH_OFFSETS_S, _REGRESSIONS = np.linspace(-0.18, 0.18, 13), 6
+#: Offsets of the stamps that are tried before, s, and passes of a robust median.
+_SEARCH_OFFSETS_S, _PASSES = np.linspace(-0.18, 0.18, 13), 6
 #: Above both, the second in m, something else than a chain of six revolute joints moves the ball; a
 #: camera's own systematic errors stay below.
 _MISFIT_LIMIT, _UNEXPLAINED_LIMIT_M = 1.3, 0.001
@@ -54,8 +51,6 @@ _GOOD_SHARE = 1.5
 #: So many of the weakest joints are turned about once more when all is fitted, and the evaluations
 #: that each is given: the right side needs six or so, a wrong one has no end.
 _TURNED, _TURNED_EVALUATIONS = 2, 10
-#: A joint that moves the ball less says little about its axis, m/rad.
-_WEAK_M_RAD = 0.03
 #: How far off the coordinates may be where the data do not tell, standard deviations: rad, m, m, s.
 _PRIOR = np.repeat([1.0, 1.0, 1.0, 0.1], [12, 12, 3, 1])
 #: The same for a slope of the residuals by the joints, m/rad: more than any joint moves the ball.
@@ -176,52 +171,6 @@ class ChainFit:
         return np.sqrt(square) / np.linalg.norm(jacobian, axis=(1, 2))
 
 
-@dataclass(frozen=True)
-class _Regression:
-    """Position (3,), slopes (3, 6), second derivatives (3, 6, 6) at the mean joints, m and rad.
-
-    ``distance_m`` is that of a typical image from it, if images are stamped ``offset_s`` late.
-    """
-
-    offset_s: float
-    position_m: np.ndarray
-    slopes: np.ndarray
-    bends: np.ndarray
-    distance_m: float
-
-
-class _Path:
-    """Joints at any time of each continuous run, from those at the exposures."""
-
-    def __init__(self, data: DataSet, margin_s: float) -> None:
-        from scipy.interpolate import CubicSpline
-
-        kept = []
-        self._splines: list[tuple[np.ndarray, Any]] = []
-        count = 0
-        for run in np.unique(data.segment):
-            where = np.flatnonzero(data.segment == run)
-            stamps = data.stamps_s[where]
-            inside = where[(stamps >= stamps[0] + margin_s) & (stamps <= stamps[-1] - margin_s)]
-            if len(where) < 5 or not len(inside):
-                continue
-            kept.append(inside)
-            places = np.arange(count, count + len(inside))
-            self._splines.append((places, CubicSpline(stamps, data.joints_rad[where])))
-            count += len(inside)
-        self.indices = np.concatenate(kept) if kept else np.zeros(0, int)
-        self.stamps_s = data.stamps_s[self.indices]
-
-    def joints_and_velocities(self, offset_s: float) -> tuple[np.ndarray, np.ndarray]:
-        """Joints and their velocities at the stamps minus an offset, (n, 6) each."""
-        joints = np.empty((len(self.stamps_s), N_JOINTS))
-        velocity = np.empty_like(joints)
-        for places, spline in self._splines:
-            time_s = self.stamps_s[places] - offset_s
-            joints[places], velocity[places] = spline(time_s), spline(time_s, 1)
-        return joints, velocity
-
-
 def fit_chain(
     data: DataSet,
     rng: np.random.Generator | None = None,
@@ -245,7 +194,7 @@ def fit_chain(
     """
     rng = rng if rng is not None else np.random.default_rng(0)
     say = progress or (lambda words: None)
-    path = _Path(data, MAX_OFFSET_S)
+    path = ChainPath(data)
     if len(path.indices) < MIN_SAMPLES:
         raise ChainFitError(
             f"a chain needs at least {MIN_SAMPLES} images in continuous runs of more than "
@@ -270,7 +219,7 @@ def fit_chain(
 class _Fitting:
     """One fit: the joints at any time, and the ball in the images, m, (n, 3)."""
 
-    def __init__(self, path: _Path, ball_m: np.ndarray) -> None:
+    def __init__(self, path: ChainPath, ball_m: np.ndarray) -> None:
         self._path = path
         self._ball = ball_m
         self._reference = path.joints_and_velocities(0.0)[0].mean(axis=0)
@@ -281,14 +230,15 @@ class _Fitting:
         """The best of some starts, each fitted to a part of the images."""
         some = np.sort(rng.permutation(len(self._ball))[:_SEARCH_SAMPLES])
         regression = min(
-            (self._regress(offset_s) for offset_s in _SEARCH_OFFSETS_S), key=lambda r: r.distance_m
+            (self._regress(offset_s) for offset_s in _SEARCH_OFFSETS_S),
+            key=lambda one: one.distance_m,
         )
         best: tuple[float, SerialChain, float] | None = None
         for attempt in range(_STARTS):
             if best is None or attempt % 2 == 0:
-                chain = _first_guess(regression, self._reference, rng, attempt)
+                chain = first_guess(regression, self._reference, rng, attempt)
             else:
-                chain = _turned_about(best[1], attempt // 2)
+                chain = turned_about(best[1], attempt // 2)
             values, cost = self._solve(
                 Chart(chain), regression.offset_s, some, np.eye(3), regression.distance_m, 3.0, 60
             )
@@ -300,33 +250,9 @@ class _Fitting:
         assert best is not None
         return best[1], best[2]
 
-    def _regress(self, offset_s: float) -> _Regression:
-        """Positions as a cubic function of the joints, robustly."""
-        d = self._path.joints_and_velocities(offset_s)[0] - self._reference
-        moving = np.flatnonzero(d.std(axis=0) > STILL_RAD)
-        terms = [
-            term for degree in range(4) for term in combinations_with_replacement(moving, degree)
-        ]
-        design = np.stack([np.prod(d[:, list(term)], axis=1) for term in terms], axis=1)
-        scale = np.sqrt(np.mean(design**2, axis=0))
-        design /= scale
-        weight = np.ones(len(d))
-        for _ in range(_REGRESSIONS):
-            rows = design * weight[:, None]
-            gram = rows.T @ rows + 1e-6 * len(d) * np.eye(len(terms))
-            solution = np.linalg.solve(gram, rows.T @ (self._ball * weight[:, None]))
-            distance = np.linalg.norm(self._ball - design @ solution, axis=1)
-            typical_m = max(float(np.median(distance)), 1e-6)
-            weight = np.minimum(1.0, 2.0 * typical_m / np.maximum(distance, 1e-12)) ** 0.5
-        solution = solution / scale[:, None]
-        slopes, bends = np.zeros((3, N_JOINTS)), np.zeros((3, N_JOINTS, N_JOINTS))
-        for term, value in zip(terms, solution, strict=True):
-            if len(term) == 1:
-                slopes[:, term[0]] = value
-            elif len(term) == 2:
-                i, j = term
-                bends[:, i, j] = bends[:, j, i] = value * (2.0 if i == j else 1.0)
-        return _Regression(offset_s, solution[0], slopes, bends, typical_m)
+    def _regress(self, offset_s: float) -> Regression:
+        joints = self._path.joints_and_velocities(offset_s)[0]
+        return regress(offset_s, joints, self._reference, self._ball)
 
     # ---- least squares --------------------------------------------------------------------
 
@@ -405,7 +331,7 @@ class _Fitting:
         # A wrong optimum can fit nearly as well as the right one: noise hides a weak joint's bend.
         for rank in range(_TURNED):
             turned = self._refined(
-                _turned_about(chain, rank), offset_s, whitening, _TURNED_EVALUATIONS
+                turned_about(chain, rank), offset_s, whitening, _TURNED_EVALUATIONS
             )
             if turned[2] < cost:
                 chain, offset_s, cost = turned
@@ -469,7 +395,7 @@ class _Fitting:
         np.minimum.at(nearest_m, first, apart_m)
         np.minimum.at(nearest_m, first + 1, apart_m)
         alike = np.isfinite(nearest_m)
-        for _ in range(_REGRESSIONS if alike.any() else 0):
+        for _ in range(_PASSES if alike.any() else 0):
             alike &= nearest_m <= _UNLIKE * np.median(nearest_m[alike])
         both = alike[first] & alike[first + 1]
         if np.count_nonzero(both) < _LEAST_PAIRS:
@@ -496,46 +422,6 @@ class _Fitting:
         unfitted = np.outer(found, found) - wider
         unfitted[:N_COORDINATES, :N_COORDINATES] += covariance
         return covariance, unfitted
-
-
-def _first_guess(
-    regression: _Regression,
-    reference_rad: np.ndarray,
-    rng: np.random.Generator,
-    attempt: int,
-) -> SerialChain:
-    """Axes from slopes J_i and bends ``w_i x J_j``; after the first attempt with some chance."""
-    position_m, slopes, bends = regression.position_m, regression.slopes, regression.bends
-    axes, points = np.empty((N_JOINTS, 3)), np.empty((N_JOINTS, 3))
-    lever = np.linalg.norm(slopes, axis=0)
-    for i in range(N_JOINTS):
-        column = slopes[:, i]
-        # w x J_j = bend  <=>  -[J_j]x w = bend, for all joints from i on
-        rows = -cross_matrix(slopes[:, i:].T).reshape(-1, 3)
-        wanted = bends[:, i, i:].T.reshape(-1)
-        axis = np.linalg.lstsq(rows, wanted, rcond=1e-3)[0]
-        if lever[i] > _WEAK_M_RAD:
-            axis -= column * (axis @ column) / lever[i] ** 2
-        spread = 0.0 if attempt == 0 else (0.3 if lever[i] > _WEAK_M_RAD else 3.0)
-        length = float(np.linalg.norm(axis))
-        axis = axis / length if length > 1e-6 else rng.normal(size=3)
-        axis = axis + spread * rng.normal(size=3)
-        axes[i] = axis / np.linalg.norm(axis)
-        points[i] = position_m - np.cross(column, axes[i])
-    return SerialChain(axes, points, position_m, reference_rad)
-
-
-def _turned_about(chain: SerialChain, rank: int) -> SerialChain:
-    """The chain with one axis on the ball's other side: the same slope, the opposite bend.
-
-    That is the error easily made, first with the joints that move the ball least.
-    """
-    lever_m = np.linalg.norm(chain.jacobian(chain.reference_rad), axis=0)
-    joint = np.argsort(lever_m)[rank % N_JOINTS]
-    axes, points = chain.axes.copy(), chain.points_m.copy()
-    axes[joint] *= -1.0
-    points[joint] = 2.0 * chain.ball_m - points[joint]
-    return SerialChain(axes, points, chain.ball_m, chain.reference_rad)
 
 
 def _median_length(vectors: np.ndarray) -> float:

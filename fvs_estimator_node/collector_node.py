@@ -8,11 +8,9 @@ stop.listen()
 
 import os
 import sys
-from collections.abc import Mapping
 from datetime import datetime, timezone
 from math import isfinite
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PointStamped
@@ -20,20 +18,18 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from tqdm import tqdm
 
-from fvs_estimator_node.chain_worker import ChainWorker
-from fvs_estimator_node.collecting import CollectionRun, RunConfig, State, data_set_of
-from fvs_estimator_node.collector_config import PARAMETERS
-from fvs_estimator_node.dataset import save_data_set
-from fvs_estimator_node.knowledge import Knowledge
-from fvs_estimator_node.motion import MotionConfig, RandomMotion
+from fvs_estimator_node.collecting import CollectionRun, State
+from fvs_estimator_node.collector_config import PARAMETERS, CollectorConfig
+from fvs_estimator_node.dataset import data_set_of, save_data_set
+from fvs_estimator_node.stopping import StopCriterion
 from fvs_ros import clock, ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 
 _STATUS_PERIOD_S = 0.1
 _WATCHDOG_S = 0.02
 _MIN_SAMPLES = 30
-_RIVALS_PERIOD_S = 0.25
-#: That the arm is held, or goes back, is said so seldom, s.
+_PUBLISHERS_PERIOD_S = 0.25
+#: That the arm is held, or goes back, is said this seldom, s.
 _SAID_PERIOD_S = 10.0
 
 
@@ -42,40 +38,24 @@ class CollectorNode(ros.FvsNode):
 
     def __init__(self) -> None:
         super().__init__("fvs_collector_node", PARAMETERS)
-        v = self.values
-        self._motion_config = _motion_config(v)
-        self._path = _writable(Path(v["output_path"]))
-        self._frame = v["feature_frame"]
-        self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
+        self._config = config = CollectorConfig.from_values(self.values)
+        self._path = _writable(Path(config.output_path))
+        self._names = self.values["joint_names"]
+        self._joint_map = JointMap(self._names, self.values["tf_prefix"])
         self._simulated_time = self.get_parameter("use_sim_time").value
-        config = RunConfig(
-            **{
-                name: v[name]
-                for name in (
-                    "max_joint_velocity_rad_s",
-                    "max_joint_acceleration_rad_s2",
-                    "joint_states_max_age_s",
-                    "ball_max_age_s",
-                    "give_up_s",
-                    "max_latency_s",
-                )
-            },
-            joint_names=tuple(v["joint_names"]),
-        )
-        self._worker = ChainWorker()
-        self._knowledge: Knowledge | None = None
-        if v["stop_at_error"] > 0.0:
-            self._knowledge = Knowledge(v["stop_at_error"], self._worker)
-        self._run = CollectionRun(config, self._make_motion, self._knowledge)
+        self._stop: StopCriterion | None = None
+        if config.stop_at_error > 0.0:
+            self._stop = StopCriterion(config.stop_at_error)
+        self._run = CollectionRun(config, self._names, self._stop)
         self._ticked_s = self.now_s()
         self._stamp_s: float | None = None
         self._said, self._said_s = State.WAITING, -np.inf
         self._told_trouble = False
         self._bar = tqdm(
-            total=v["duration_s"],
+            total=config.duration_s,
             desc="collecting",
             bar_format="{desc} {percentage:3.0f}%|{bar:30}| {n:.0f} of "
-            + ("at most " if self._knowledge is not None else "")
+            + ("at most " if self._stop is not None else "")
             + "{total:.0f} s{postfix}",
             mininterval=0.2 if sys.stderr.isatty() else 10.0,
         )
@@ -89,11 +69,9 @@ class CollectorNode(ros.FvsNode):
         self.watch(Float64, topics.SPEED_SCALING.name, self._on_speed_scaling, ros.QOS_NEWEST)
         self.create_timer(_WATCHDOG_S, self._watchdog, clock=self.steady_clock)
         self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
-        self.create_timer(_RIVALS_PERIOD_S, self._look_for_rivals, clock=self.steady_clock)
-
-    def _make_motion(self, start_rad: np.ndarray) -> RandomMotion:
-        rng = np.random.default_rng(self.values["seed"])
-        return RandomMotion(start_rad, self._motion_config, rng)
+        self.create_timer(
+            _PUBLISHERS_PERIOD_S, self._find_other_publishers, clock=self.steady_clock
+        )
 
     # --- inputs ---
 
@@ -116,7 +94,9 @@ class CollectorNode(ros.FvsNode):
 
     def _on_ball(self, message: PointStamped) -> None:
         try:
-            position_m = ros.from_point(message, self._frame, topics.BALL_POSITION.name)
+            position_m = ros.from_point(
+                message, self._config.feature_frame, topics.BALL_POSITION.name
+            )
         except ros.MessageError as error:
             self._run.fail(str(error))
             return
@@ -132,8 +112,8 @@ class CollectorNode(ros.FvsNode):
         else:
             self._run.speed_scaling(min(message.data, 100.0) / 100.0)
 
-    def _look_for_rivals(self) -> None:
-        self._run.rivals(self.other_publishers(topics.COMMANDS.name))
+    def _find_other_publishers(self) -> None:
+        self._run.other_publishers(self.other_publishers(topics.COMMANDS.name))
 
     # --- the tick: the only place that sends commands ---
 
@@ -167,8 +147,8 @@ class CollectorNode(ros.FvsNode):
         samples = self._run.samples
         data = data_set_of(
             samples,
-            joint_names=tuple(self.values["joint_names"]),
-            feature_frame=self._frame,
+            joint_names=tuple(self._names),
+            feature_frame=self._config.feature_frame,
             provenance={
                 "collected": datetime.now(timezone.utc).isoformat(timespec="seconds"),
                 "simulated_time": bool(self._simulated_time),
@@ -184,17 +164,16 @@ class CollectorNode(ros.FvsNode):
 
     def _known(self) -> dict[str, float]:
         """What is known of the chain so far; empty if nothing is."""
-        findings = self._knowledge.findings if self._knowledge is not None else None
+        found = self._stop.found if self._stop is not None else {}
         names = ("jacobian_deviation", "misfit", "image_offset_s")
-        found = {} if findings is None else {name: getattr(findings, name) for name in names}
-        return {name: value for name, value in found.items() if isfinite(value)}
+        return {name: found[name] for name in names if isfinite(found.get(name, np.nan))}
 
     def _show_progress(self) -> None:
-        self._bar.total = min(self.values["duration_s"], self._run.duration_s)
+        self._bar.total = min(self._config.duration_s, self._run.duration_s)
         self._bar.n = self._run.progress * self._bar.total
         words = [f"{len(self._run.samples)} positions"]
-        if self._knowledge is not None and self._knowledge.findings is not None:
-            words.append(self._knowledge.words())
+        if self._stop is not None and self._stop.words():
+            words.append(self._stop.words())
         self._bar.set_postfix_str(", ".join(words), refresh=False)
         self._bar.update(0)
 
@@ -211,32 +190,22 @@ class CollectorNode(ros.FvsNode):
             if passing:
                 self._said_s = now_s
                 tqdm.write(f"{run.state.value}: {reason}", file=sys.stderr)
-        if self._knowledge is not None and self._knowledge.trouble and not self._told_trouble:
+        if self._stop is not None and self._stop.trouble and not self._told_trouble:
             self._told_trouble = True
-            words = f"collecting for the whole duration_s: {self._knowledge.trouble}"
+            words = f"collecting for the whole duration_s: {self._stop.trouble}"
             tqdm.write(words, file=sys.stderr)
         self._show_progress()
 
     def finish(self) -> None:
         """Leave zeros on the wire; when interrupted, keep what was recorded."""
         ros.send_last_zeros(self._commands)
-        self._worker.close()
+        if self._stop is not None:
+            self._stop.close()
         if self.exit_code is None:
             self._bar.close()
             print("collecting was interrupted", file=sys.stderr)
             if len(self._run.samples) >= _MIN_SAMPLES:
                 self._write()
-
-
-def _motion_config(v: Mapping[str, Any]) -> MotionConfig:
-    return MotionConfig(
-        duration_s=v["duration_s"],
-        joint_range_rad=tuple(v["joint_range_rad"]),
-        max_joint_velocity_rad_s=v["max_joint_velocity_rad_s"],
-        max_joint_acceleration_rad_s2=v["max_joint_acceleration_rad_s2"],
-        lower_limits_rad=tuple(v["joint_min_rad"]),
-        upper_limits_rad=tuple(v["joint_max_rad"]),
-    )
 
 
 def _writable(path: Path) -> Path:

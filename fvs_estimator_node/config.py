@@ -2,53 +2,48 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from fvs_estimator_node.registry import ESTIMATORS, estimator_parameters
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.joints import JOINT_PARAMETERS
-from fvs_ros.params import Parameter
+from fvs_ros.params import Parameters, parameter
 
-#: Of the camera; the collector has it, too.
-MAX_LATENCY = Parameter(
-    "max_latency_s",
-    0.5,
-    "a ball position stamped further before the newest joint state is not paired with it, s",
-    minimum=0.01,
-    maximum=1.9,
-)
 
-PARAMETERS = (
-    Parameter(
-        "method",
+@dataclass(frozen=True)
+class CameraConfig(Parameters):
+    """What estimator and collector must know of the ball positions."""
+
+    feature_frame: str = parameter(CAMERA_FRAME, "frame of the ball positions")
+    max_latency_s: float = parameter(
+        0.5,
+        "a ball position stamped further before the newest joint state is not paired with it, s",
+        0.01,
+        1.9,
+    )
+
+
+@dataclass(frozen=True)
+class EstimatorConfig(CameraConfig):
+    """Parameters of the node; those of the methods are the estimators'."""
+
+    method: str = parameter(
         "rbf",
         "how the Jacobian is estimated; changes only while the controller does not servo",
         choices=tuple(ESTIMATORS),
         live=True,
-    ),
-    Parameter(
-        "model_path",
+    )
+    model_path: str = parameter(
         "models/ur5_front.npz",
         "file that fvs_train has written: a path, or a name within the project's config folder",
-    ),
-    *JOINT_PARAMETERS,
-    Parameter("feature_frame", CAMERA_FRAME, "frame of the ball positions"),
-    Parameter(
-        "jacobian_rate_hz", 62.5, "most Jacobians published a second", minimum=1.0, maximum=1000.0
-    ),
-    Parameter(
-        "min_step_rad",
+    )
+    jacobian_rate_hz: float = parameter(62.5, "most Jacobians published a second", 1.0, 1000.0)
+    min_step_rad: float = parameter(
         0.01,
         "joint motion (largest joint) between two images that makes a step to learn from, rad",
-        minimum=1e-4,
-        maximum=1.0,
-    ),
-    Parameter("max_step_s", 0.5, "longest step to learn from, s", minimum=0.01, maximum=10.0),
-    Parameter(
-        "max_gap_s",
-        0.25,
-        "ball positions further apart than this are never paired, s",
-        minimum=0.01,
-        maximum=10.0,
-    ),
-    MAX_LATENCY,
-    *estimator_parameters(),
-)
+        1e-4,
+        1.0,
+    )
+
+
+PARAMETERS = (*EstimatorConfig.declared(), *JOINT_PARAMETERS, *estimator_parameters())

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from fvs_estimator_node.npz_file import NpzFile, check_same, write_npz
+from fvs_estimator_node.pairing import BallSample
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.joints import N_JOINTS, UR_JOINT_NAMES
 
@@ -83,6 +84,17 @@ class DataSet:
 
     def __len__(self) -> int:
         return len(self.stamps_s)
+
+
+def data_set_of(samples: Sequence[BallSample], **particulars: Any) -> DataSet:
+    """A data set of samples; ``particulars`` are its other fields."""
+    return DataSet(
+        stamps_s=np.array([s.stamp_s for s in samples]),
+        joints_rad=np.array([s.joints_rad for s in samples]),
+        ball_m=np.array([s.ball_m for s in samples]),
+        segment=np.array([s.run for s in samples]),
+        **particulars,
+    )
 
 
 #: Offsets of the images' stamps below this are not worth a word, s.

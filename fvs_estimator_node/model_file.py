@@ -23,6 +23,11 @@ MAX_MODEL_BYTES = 64 * 2**20
 _MOST_NOTES, _LONGEST_NOTE = 20, 500
 
 
+def box_of(values: np.ndarray) -> np.ndarray:
+    """Least and greatest values, shape (2, n), of many, shape (k, n)."""
+    return np.stack([values.min(axis=0), values.max(axis=0)])
+
+
 class ModelFileError(ValueError):
     """A model file that cannot be used; the text says what was wrong and what was expected."""
 

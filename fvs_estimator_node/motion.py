@@ -1,53 +1,36 @@
 """Random joint motion for collecting data: smooth, bounded, inside a box, and all over it.
 
 Each joint goes to and fro across its range at nearly constant speed, turning softly, and no two
-joints keep time. Such a path, a billiard in six dimensions, fills its box evenly. It is followed
-in closed loop: velocity of the path plus a small gain on the distance from it. On the way it may
-change over to other speeds, and it may be told to come home early.
+joints keep time. Such a path, a billiard in n dimensions, fills its box evenly. It is followed
+in closed loop: velocity of the path plus a small gain on the distance from it.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from fvs_ros.joints import N_JOINTS, TRAINING_BOX_RAD
+from fvs_ros.joints import TRAINING_BOX_RAD, UR_POSITION_LIMITS_RAD
 from fvs_ros.limits import limit_speed
+from fvs_ros.params import Parameters, parameter
 
 #: Least speed of a joint relative to the fastest allowed, and how many sets of speeds are tried.
-_LEAST_SHARE = 0.5
-_DRAWS = 64
+_LEAST_SHARE, _DRAWS = 0.5, 64
 #: Share of the acceleration limit that a path uses, and the least sharpness of its turns: nearly a
 #: sine.
 _TURNING_SHARE, _LEAST_SHARPNESS = 0.8, 0.05
-
-#: A motion lasts as long as so many soft starts at least.
+#: A motion lasts at least this many soft starts.
 _LEAST_RAMPS = 2.5
+#: Distance kept from the joint limits, rad, and velocity per distance from the path, 1/s.
+_LIMIT_MARGIN_RAD, _POSITION_GAIN = 0.1, 2.0
+_SIZE, _LIMIT_RAD = len(TRAINING_BOX_RAD), 4.0 * math.pi
 
 
 @dataclass(frozen=True)
-class MotionConfig:
+class MotionConfig(Parameters):
     """Bounds of the motion.
-
-    Parameters
-    ----------
-    duration_s : float
-        From rest at the start pose to rest at the start pose, s.
-    joint_range_rad : tuple of float
-        How far each joint may go from its start to either side, rad; 0 keeps it still.
-    max_joint_velocity_rad_s : float
-        Speed of the fastest joint, rad/s; never exceeded by a command.
-    max_joint_acceleration_rad_s2 : float
-        Acceleration of a joint, rad/s^2; never exceeded by commands in a row.
-    lower_limits_rad, upper_limits_rad : tuple of float
-        Limits of the joints, rad; the box ends ``limit_margin_rad`` before them. A user knows
-        them as ``joint_min_rad`` and ``joint_max_rad``.
-    limit_margin_rad : float
-        Distance kept from the limits, rad.
-    position_gain : float
-        Velocity per distance from the path, 1/s.
 
     Raises
     ------
@@ -55,40 +38,43 @@ class MotionConfig:
         If values do not fit together, or the duration is too short to go and return.
     """
 
-    duration_s: float = 120.0
-    joint_range_rad: tuple[float, ...] = TRAINING_BOX_RAD
-    max_joint_velocity_rad_s: float = 0.65
-    max_joint_acceleration_rad_s2: float = 3.0
-    lower_limits_rad: tuple[float, ...] = (-2.0 * math.pi,) * N_JOINTS
-    upper_limits_rad: tuple[float, ...] = (2.0 * math.pi,) * N_JOINTS
-    limit_margin_rad: float = 0.1
-    position_gain: float = 2.0
+    duration_s: float = parameter(120.0, "how long to move and record, at most", 2.0, 7200.0)
+    joint_range_rad: tuple[float, ...] = parameter(
+        TRAINING_BOX_RAD,
+        "half width of the box of motion about the joints at the start",
+        0.0,
+        3.2,
+        size=_SIZE,
+        broadcast=True,
+    )
+    max_joint_velocity_rad_s: float = parameter(0.65, "velocity limit of each joint", 0.01, 3.15)
+    max_joint_acceleration_rad_s2: float = parameter(
+        3.0, "acceleration limit of each joint's command", 0.05, 40.0
+    )
+    joint_min_rad: tuple[float, ...] = parameter(
+        tuple(-limit for limit in UR_POSITION_LIMITS_RAD),
+        "lower ends of the joints' ranges, rad; the box of motion ends 0.1 rad before them",
+        -_LIMIT_RAD,
+        _LIMIT_RAD,
+        size=_SIZE,
+    )
+    joint_max_rad: tuple[float, ...] = parameter(
+        UR_POSITION_LIMITS_RAD,
+        "upper ends of the joints' ranges, rad; the box of motion ends 0.1 rad before them",
+        -_LIMIT_RAD,
+        _LIMIT_RAD,
+        size=_SIZE,
+    )
 
     def __post_init__(self) -> None:
-        for name in ("joint_range_rad", "lower_limits_rad", "upper_limits_rad"):
-            values = tuple(float(v) for v in getattr(self, name))
-            if len(values) != N_JOINTS or not all(math.isfinite(v) for v in values):
-                raise ValueError(f"{name} must be {N_JOINTS} finite numbers, got {list(values)}")
-            object.__setattr__(self, name, values)
-        if min(self.joint_range_rad) < 0.0 or max(self.joint_range_rad) == 0.0:
-            raise ValueError(
-                "joint_range_rad must not be negative, and one joint at least must move, got "
-                f"{list(self.joint_range_rad)}"
-            )
-        for name in (
-            "duration_s",
-            "max_joint_velocity_rad_s",
-            "max_joint_acceleration_rad_s2",
-            "position_gain",
-        ):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
-        lower, upper = np.array(self.lower_limits_rad), np.array(self.upper_limits_rad)
-        room = upper - lower - 2.0 * self.limit_margin_rad
+        super().__post_init__()
+        if max(self.joint_range_rad) == 0.0:
+            raise ValueError("joint_range_rad is 0 for all joints, expected one that moves")
+        room = np.subtract(self.joint_max_rad, self.joint_min_rad) - 2.0 * _LIMIT_MARGIN_RAD
         if not np.all(room > 0.0):
             raise ValueError(
-                f"joint_min_rad must be more than {2.0 * self.limit_margin_rad:g} rad below "
-                f"joint_max_rad, got {lower.tolist()} and {upper.tolist()}"
+                f"joint_min_rad must be more than {2.0 * _LIMIT_MARGIN_RAD:g} rad below "
+                f"joint_max_rad, got {list(self.joint_min_rad)} and {list(self.joint_max_rad)}"
             )
         widest = np.minimum(self.joint_range_rad, 0.5 * room).max()
         least_s = _LEAST_RAMPS * self.ramp_s(float(widest))
@@ -108,35 +94,29 @@ class MotionConfig:
         return 4.0 * half_rad / self.path_speed_rad_s
 
 
-@dataclass(frozen=True)
-class Course:
-    """Going to and fro for ever: joint = centre + half asin(k sin(phase + rate t)) / asin(k).
-
-    Parameters
-    ----------
-    phase_rad, rate_rad_s : ndarray, shape (6,)
-        Phases at time 0, rad, and rates, rad/s.
-    sharpness : ndarray, shape (6,)
-        k, 0 to 1: a sine near 0, straight lines with sharp turns near 1; 0 for a joint that keeps
-        still.
-    """
-
-    phase_rad: np.ndarray
-    rate_rad_s: np.ndarray
-    sharpness: np.ndarray
-
-
 class RandomMotion:
     """Joint velocities that explore a box about the start pose.
 
+    Each joint follows ``centre + half asin(k sin(phase + rate t)) / asin(k)``: a sine for a
+    sharpness k near 0, straight lines with sharp turns near 1.
+
     Parameters
     ----------
-    start_rad : ndarray, shape (6,)
+    start_rad : ndarray, shape (n,)
         Start pose, rad.
     config : MotionConfig
         Bounds.
     rng : numpy Generator
         Decides speeds and phases; equal generators give equal motions.
+
+    Attributes
+    ----------
+    box_rad : ndarray, shape (2, n)
+        Least and greatest joint positions of the path, rad.
+    duration_s : float
+        Duration, s: less than was configured after :meth:`end_early`.
+    rate_rad_s : ndarray, shape (n,)
+        Rates of the joints' phases, rad/s.
 
     Raises
     ------
@@ -148,113 +128,68 @@ class RandomMotion:
         self, start_rad: np.ndarray, config: MotionConfig, rng: np.random.Generator
     ) -> None:
         start = np.array(start_rad, dtype=float)
-        if start.shape != (N_JOINTS,) or not np.all(np.isfinite(start)):
-            raise ValueError(f"the start pose must be {N_JOINTS} finite numbers, got {start}")
-        lower = np.asarray(config.lower_limits_rad) + config.limit_margin_rad
-        upper = np.asarray(config.upper_limits_rad) - config.limit_margin_rad
-        if np.any(start < lower) or np.any(start > upper):
+        lower = np.asarray(config.joint_min_rad) + _LIMIT_MARGIN_RAD
+        upper = np.asarray(config.joint_max_rad) - _LIMIT_MARGIN_RAD
+        if start.shape != lower.shape or not np.all((start >= lower) & (start <= upper)):
             raise ValueError(
                 f"the start pose {np.round(start, 3).tolist()} is closer than "
-                f"{config.limit_margin_rad} rad to a joint limit"
+                f"{_LIMIT_MARGIN_RAD} rad to a joint limit"
             )
         reach = np.asarray(config.joint_range_rad)
         self._config = config
         self._start = start
-        self._low = np.maximum(start - reach, lower)
-        self._high = np.minimum(start + reach, upper)
-        self._half = 0.5 * (self._high - self._low)
-        self._centre = 0.5 * (self._high + self._low)
+        self.box_rad = np.stack(
+            [np.maximum(start - reach, lower), np.minimum(start + reach, upper)]
+        )
+        self._half = 0.5 * (self.box_rad[1] - self.box_rad[0])
+        self._centre = 0.5 * (self.box_rad[1] + self.box_rad[0])
         self._ramp_s = config.ramp_s(float(self._half.max()))
-        self._course = self.draw(rng)
-        self._end_s = config.duration_s
-        self._anchor = start
-        self._anchor_time_s = 0.0
+        self._draw(rng)
+        self.duration_s = config.duration_s
+        self._anchor, self._anchor_time_s = start, 0.0
         self._returning = False
         self._last: tuple[float, np.ndarray] | None = None
 
-    @property
-    def box_rad(self) -> np.ndarray:
-        """Least and greatest joint positions of the path, rad, shape (2, 6)."""
-        return np.stack([self._low, self._high])
-
-    @property
-    def duration_s(self) -> float:
-        """Duration, s: less than was configured after :meth:`end_early`."""
-        return self._end_s
-
-    @property
-    def course(self) -> Course:
-        """The course that the path follows now."""
-        return self._course
-
-    def draw(self, rng: np.random.Generator) -> Course:
-        """Draw a course of this box within these limits: speeds, then phases."""
-        config = self._config
+    def _draw(self, rng: np.random.Generator) -> None:
+        """Draw speeds, then phases."""
+        config, n = self._config, len(self._half)
         acceleration = _TURNING_SHARE * config.max_joint_acceleration_rad_s2
         # In a narrow box a joint never gets to the speed limit. Shares are of the speed it gets to,
         # and all joints turn as softly: with sharper turns the slower ones would nearly catch up.
         sine_speed = np.sqrt(acceleration * self._half / _turn_factor(_LEAST_SHARPNESS))
         top = np.minimum(config.path_speed_rad_s, sine_speed) / config.path_speed_rad_s
-        speeds = config.path_speed_rad_s * (_untimed_shares(self._half, top, rng) * top)
-        phase = rng.uniform(0.0, 2.0 * math.pi, N_JOINTS)
-        sharpness, rate = np.zeros(N_JOINTS), np.zeros(N_JOINTS)
+        speeds = config.path_speed_rad_s * (_unequal_shares(self._half, top, rng) * top)
+        self._phase_rad = rng.uniform(0.0, 2.0 * math.pi, n)
+        self._sharpness, self.rate_rad_s = np.zeros(n), np.zeros(n)
         for i in np.flatnonzero(self._half > 0.0):
             usable = acceleration if top[i] == 1.0 else 0.0
-            sharpness[i], rate[i] = _turning(self._half[i], speeds[i], usable)
-        return Course(phase, rate, sharpness)
-
-    def continued(self, course: Course, time_s: float) -> Course:
-        """Shift a course in phase so that it goes on where the path is at that time.
-
-        Position and direction of every joint agree; only the speeds differ.
-        """
-        k, before = course.sharpness, self._course
-        angle = before.phase_rad + before.rate_rad_s * time_s
-        moving = k > 0.0
-        full = np.arcsin(np.where(moving, before.sharpness, 1.0))
-        share = np.arcsin(before.sharpness * np.sin(angle)) / full
-        sine = np.sin(share * np.arcsin(k)) / np.where(moving, k, 1.0)
-        forth = np.arcsin(np.clip(sine, -1.0, 1.0))
-        phase = np.where(np.cos(angle) >= 0.0, forth, math.pi - forth)
-        return replace(course, phase_rad=phase - course.rate_rad_s * time_s)
-
-    def change_over(self, course: Course, time_s: float) -> None:
-        """Follow another course's speeds from now on, without a jump."""
-        self._course = self.continued(course, time_s)
+            self._sharpness[i], self.rate_rad_s[i] = _turning(self._half[i], speeds[i], usable)
 
     def end_early(self, time_s: float) -> None:
         """Come home from now on, as softly as at the end."""
-        self._end_s = min(self._end_s, time_s + self._ramp_s)
+        self.duration_s = min(self.duration_s, time_s + self._ramp_s)
 
-    def path(
-        self, time_s: float | np.ndarray, course: Course | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def path(self, time_s: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where the exploring path is, without its soft start and end.
 
         Parameters
         ----------
         time_s : float or ndarray, shape (...)
             Time since the start, s.
-        course : Course, optional
-            Another course than the present one.
 
         Returns
         -------
-        tuple of ndarray, shape (..., 6) each
+        tuple of ndarray, shape (..., n) each
             Position, rad, and velocity, rad/s.
         """
-        course = course if course is not None else self._course
-        rate, k = course.rate_rad_s, course.sharpness
-        phase = course.phase_rad + rate * np.asarray(time_s)[..., None]
+        rate, k = self.rate_rad_s, self._sharpness
+        phase = self._phase_rad + rate * np.asarray(time_s)[..., None]
         moving = k > 0.0
         full = np.arcsin(np.where(moving, k, 1.0))
         sine = k * np.sin(phase)
         position = self._centre + self._half * np.arcsin(sine) / full
         velocity = self._half * rate * k * np.cos(phase) / (full * np.sqrt(1.0 - sine**2))
-        return (
-            np.where(moving, position, self._start),
-            np.where(moving, velocity, 0.0),
-        )
+        return np.where(moving, position, self._start), np.where(moving, velocity, 0.0)
 
     def command(self, time_s: float, joints_rad: np.ndarray) -> np.ndarray:
         """Velocities to send now.
@@ -263,38 +198,36 @@ class RandomMotion:
         ----------
         time_s : float
             Time since the start, s; must not go back.
-        joints_rad : ndarray, shape (6,)
+        joints_rad : ndarray, shape (n,)
             Measured joint positions, rad.
 
         Returns
         -------
-        ndarray, shape (6,)
+        ndarray, shape (n,)
             Joint velocities, rad/s; zeros if the measurement is not finite.
         """
         config = self._config
         joints = np.asarray(joints_rad, dtype=float)
-        if not np.all(np.isfinite(joints)):
-            self._last = None
-            return np.zeros(N_JOINTS)
+        before_s, before = self._last or (time_s, np.zeros(len(joints)))
         reference, velocity = self._reference(time_s)
-        wanted = velocity + config.position_gain * (reference - joints)
+        wanted = velocity + _POSITION_GAIN * (reference - joints)
         wanted = limit_speed(wanted, config.max_joint_velocity_rad_s)
         # a joint beyond the box goes inward or not at all
-        wanted = np.where((joints > self._high) & (wanted > 0.0), 0.0, wanted)
-        wanted = np.where((joints < self._low) & (wanted < 0.0), 0.0, wanted)
-        before_s, before = self._last if self._last is not None else (time_s, np.zeros(N_JOINTS))
+        low, high = self.box_rad
+        outward = ((joints > high) & (wanted > 0.0)) | ((joints < low) & (wanted < 0.0))
+        wanted = np.where(outward, 0.0, wanted)
         change = config.max_joint_acceleration_rad_s2 * max(time_s - before_s, 0.0)
         command = before + np.clip(wanted - before, -change, change)
-        if not np.all(np.isfinite(command)):  # of a position that is finite but beyond all reason
+        if not (np.all(np.isfinite(joints)) and np.all(np.isfinite(command))):
             self._last = None
-            return np.zeros(N_JOINTS)
+            return np.zeros(len(joints))
         self._last = (time_s, command)
         return command.copy()
 
     def _reference(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
-        end_s = self._end_s
+        end_s = self.duration_s
         if self._returning or time_s >= end_s:
-            return self._start, np.zeros(N_JOINTS)
+            return self._start, np.zeros(len(self._start))
         position, velocity = self.path(time_s)
         leaving, leaving_rate = _soft_step((time_s - self._anchor_time_s) / self._ramp_s)
         position, velocity = (
@@ -321,18 +254,18 @@ class RandomMotion:
     def done(self, time_s: float, joints_rad: np.ndarray, tolerance_rad: float = 0.02) -> bool:
         """Whether the time is over and the arm back at its start pose."""
         near = np.abs(np.asarray(joints_rad) - self._start).max() <= tolerance_rad
-        return bool(time_s >= self._end_s and near)
+        return bool(time_s >= self.duration_s and near)
 
 
-def _untimed_shares(half_rad: np.ndarray, top: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _unequal_shares(half_rad: np.ndarray, top: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Shares of the joints' top speeds for which no two joints come close to one rhythm.
 
     Two joints of nearly one rhythm draw nearly one line instead of filling their rectangle.
     """
     moving = half_rad > 0.0
-    best_gap, best = -1.0, np.ones(N_JOINTS)
+    best_gap, best = -1.0, np.ones(len(half_rad))
     for _ in range(_DRAWS):
-        shares = rng.uniform(_LEAST_SHARE, 1.0, N_JOINTS)
+        shares = rng.uniform(_LEAST_SHARE, 1.0, len(half_rad))
         rates = np.sort((shares * top)[moving] / half_rad[moving])
         gap = float(np.diff(rates).min(initial=np.inf))
         if gap > best_gap:
@@ -351,15 +284,15 @@ def _turning(half_rad: float, speed: float, acceleration: float) -> tuple[float,
     The least sharpness where the acceleration does not allow for more.
     """
 
-    def needed(k: float) -> float:
-        return speed**2 / half_rad * _turn_factor(k)
+    def allowed(k: float) -> bool:
+        return speed**2 / half_rad * _turn_factor(k) <= acceleration
 
     low, high = _LEAST_SHARPNESS, 0.98
-    if needed(high) <= acceleration:
+    if allowed(high):
         low = high
     for _ in range(40):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if needed(middle) <= acceleration else (low, middle)
+        low, high = (middle, high) if allowed(middle) else (low, middle)
     return low, speed * math.asin(low) / (half_rad * low)
 
 

@@ -17,12 +17,12 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from fvs_estimator_node.base import Estimator
-from fvs_estimator_node.config import PARAMETERS
+from fvs_estimator_node.config import PARAMETERS, EstimatorConfig
 from fvs_estimator_node.loop import EstimationLoop
 from fvs_estimator_node.model_file import load_model
 from fvs_estimator_node.oracle import OracleEstimator
-from fvs_estimator_node.pairing import ExposureMatcher, StepPairing
-from fvs_estimator_node.registry import create_estimator, estimator_factory
+from fvs_estimator_node.pairing import StepPairing
+from fvs_estimator_node.registry import create_estimator, needs_model
 from fvs_ros import ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.paths import find_file
@@ -42,7 +42,6 @@ class EstimatorNode(ros.FvsNode):
     def __init__(self) -> None:
         super().__init__("fvs_estimator_node", PARAMETERS)
         v = self.values
-        self._frame = v["feature_frame"]
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._hears_truth = False
         self._frozen = False
@@ -72,20 +71,17 @@ class EstimatorNode(ros.FvsNode):
 
     def _use(self, v: dict[str, Any]) -> None:
         """Estimate by the method that the values name, from nothing but the model."""
-        self._estimator = self._make_estimator(v)
-        self._pairing = StepPairing(
-            v["min_step_rad"],
-            v["max_step_s"],
-            matcher=ExposureMatcher(v["max_gap_s"], max_latency_s=v["max_latency_s"]),
-        )
-        self._loop = EstimationLoop(self._estimator, self._pairing)
-        if isinstance(self._estimator, OracleEstimator) and not self._hears_truth:
+        config = EstimatorConfig.from_values(v)
+        pairing = StepPairing(config.min_step_rad, config.max_latency_s)
+        self._loop = EstimationLoop(self._make_estimator(config, v), pairing)
+        self._config = config
+        if isinstance(self._loop.estimator, OracleEstimator) and not self._hears_truth:
             self._hears_truth = True
             self.watch(Float64MultiArray, topics.TRUE_JACOBIAN.name, self._on_truth, ros.QOS_NEWEST)
 
     def on_parameters(self, values: dict[str, Any], changed: set[str]) -> None:
         """Take another method into use, but not one that would take over a moving arm."""
-        if values["method"] == self.values["method"]:
+        if values["method"] == self._config.method:
             return
         # The controller tells the sliding variable at every tick that servoes, and at no other.
         if self.monitor(topics.SLIDING_VARIABLE.name).age_s(self.now_s()) < _FRESH_S:
@@ -94,17 +90,17 @@ class EstimatorNode(ros.FvsNode):
             )
         self._use(values)
 
-    def _make_estimator(self, v: dict[str, Any]) -> Estimator:
-        if not estimator_factory(v["method"]).needs_model(v):
-            return create_estimator(v["method"], None, v)
+    def _make_estimator(self, config: EstimatorConfig, v: dict[str, Any]) -> Estimator:
+        if not needs_model(config.method, v):
+            return create_estimator(config.method, None, v)
         try:
-            path = find_file(v["model_path"])
+            path = find_file(config.model_path)
         except FileNotFoundError as error:
             raise ValueError(f"model_path: {error}; train one with fvs_train") from error
-        trained = load_model(path, v["joint_names"], self._frame)
+        trained = load_model(path, v["joint_names"], config.feature_frame)
         for note in trained.notes:
             self.tell(ros.WARN, f"{path.name}: {note}")
-        return create_estimator(v["method"], trained.model, v, trained.chain)
+        return create_estimator(config.method, trained.model, v, trained.chain)
 
     # --- inputs ---
 
@@ -126,7 +122,7 @@ class EstimatorNode(ros.FvsNode):
 
     def _on_ball(self, message: PointStamped) -> None:
         try:
-            ball_m = ros.from_point(message, self._frame, topics.BALL_POSITION.name)
+            ball_m = ros.from_point(message, self._config.feature_frame, topics.BALL_POSITION.name)
         except ros.MessageError as error:
             self._complain(str(error))
             return
@@ -134,13 +130,13 @@ class EstimatorNode(ros.FvsNode):
 
     def _on_sliding(self, message: Vector3Stamped) -> None:
         vector = np.array([message.vector.x, message.vector.y, message.vector.z])
-        self._pairing.add_sliding_variable(ros.from_stamp(message.header.stamp), vector)
+        self._loop.add_sliding_variable(ros.from_stamp(message.header.stamp), vector)
 
     def _on_truth(self, message: Float64MultiArray) -> None:
-        if not isinstance(self._estimator, OracleEstimator):
+        if not isinstance(self._loop.estimator, OracleEstimator):
             return  # no longer
         try:
-            self._estimator.tell(ros.from_jacobian(message))
+            self._loop.estimator.tell(ros.from_jacobian(message))
         except ros.MessageError as error:
             self._complain(f"{topics.TRUE_JACOBIAN.name}: {error}")
 
@@ -165,21 +161,21 @@ class EstimatorNode(ros.FvsNode):
 
     def _no_estimate(self) -> str:
         """Why there is no estimate, in words; empty if there is one."""
-        if not isinstance(self._estimator, OracleEstimator):
+        if not isinstance(self._loop.estimator, OracleEstimator):
             return self._loop.problem
         if self.monitor(topics.TRUE_JACOBIAN.name).age_s(self.now_s()) > _FRESH_S:
-            self._estimator.reset()  # what was true is not true any more
+            self._loop.estimator.reset()  # what was true is not true any more
         problem = self._loop.problem
         return problem and f"waiting for {topics.TRUE_JACOBIAN.name}: {problem}"
 
     def _publish_jacobian(self, stamp_s: float, joints: np.ndarray) -> None:
         last = self._published_stamp_s
         # Four fifths of the period: joint states come with jitter, and late is worse than often.
-        if last is not None and 0.0 <= stamp_s - last < 0.8 / self.values["jacobian_rate_hz"]:
+        if last is not None and 0.0 <= stamp_s - last < 0.8 / self._config.jacobian_rate_hz:
             return
         if self._no_estimate():
             return
-        jacobian = self._estimator.jacobian(joints)
+        jacobian = self._loop.jacobian(joints)
         if not np.all(np.isfinite(jacobian)):
             self._complain("the estimate is not finite and was not published; call ~/reset")
             return
@@ -187,8 +183,8 @@ class EstimatorNode(ros.FvsNode):
         self._jacobian.publish(ros.to_jacobian(jacobian))
 
     def _publish_chain(self) -> None:
-        """Tell the chain as the camera sees it now, if there is one."""
-        chain = self._estimator.chain
+        """Publish the chain as the camera sees it now, if there is one."""
+        chain = self._loop.chain
         if chain is None:
             return
         try:
@@ -228,7 +224,7 @@ class EstimatorNode(ros.FvsNode):
             return ros.OK, "FROZEN", "learning is frozen by ~/freeze"
         if self._paused():
             return ros.OK, "FROZEN", "the robot is paused: nothing is learned meanwhile"
-        remark, learns = self._loop.remark, self._estimator.learns
+        remark, learns = self._loop.remark, self._loop.estimator.learns
         usual = "and learning from every motion" if learns else "this method does not learn online"
         state = "LEARNING" if learns else "FROZEN"
         return ros.WARN if remark else ros.OK, state, remark or f"estimating; {usual}"
@@ -248,20 +244,15 @@ class EstimatorNode(ros.FvsNode):
     def _publish_status(self) -> None:
         now_s = self.now_s()
         level, state, reason = self._state()
-        matcher = self._pairing.matcher
         self.publish_status(
             level,
             state,
             reason,
             {
-                "method": self.values["method"],
-                "steps_learned": self._loop.steps,
+                "method": self._config.method,
                 "joint_states_age_s": now_s - self._joints_s,
                 "ball_position_age_s": self.monitor(topics.BALL_POSITION.name).age_s(now_s),
-                "ball_positions_not_paired": matcher.dropped,
-                "last_not_paired_because": matcher.last_reason,
-                "images_late_s": self._loop.late_s,
-                **self._estimator.status_values(),
+                **self._loop.status_values(),
             },
         )
 

@@ -1,112 +1,97 @@
-"""What the estimators that know nothing but the last steps share.
+"""Estimators that know nothing but the last steps: two Kalman filters, least squares, Broyden.
 
-They hold one 3x6 Jacobian and no map of the workspace: wherever the arm is, it is the Jacobian of
-the last motions, and it follows the arm as fast as the steps tell it to. They differ in how much
-of each prediction error goes into which entry.
+They hold one Jacobian and no map of the workspace: wherever the arm is, it is the Jacobian of the
+last motions. They differ in how much of each prediction error goes into which entry.
 """
 
 from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 
-from fvs_estimator_node.base import Estimator, MotionStep
-from fvs_estimator_node.rbf import N_FEATURES, RbfModel
-from fvs_ros.joints import N_JOINTS
-from fvs_ros.params import Parameter
+from fvs_estimator_node.base import NETWORKS, NOTHING, Estimator, MotionStep
+from fvs_estimator_node.rbf import RbfModel
+from fvs_ros.params import Parameters, parameter
 
-#: Where the Jacobian starts.
 FROM_MODEL, FROM_ZERO = "model", "zero"
-INITIALS = (FROM_MODEL, FROM_ZERO)
-
-_IDENTITY = np.eye(N_JOINTS)
-_NO_COVARIANCE = np.zeros((0, 0))
+#: Coordinates of a ball position, where no networks tell how many there are.
+_BALL_SIZE = 3
 
 
 @dataclass(frozen=True)
-class OnlineConfig:
-    """Settings of every online estimator.
+class OnlineConfig(Parameters):
+    """Settings of every online estimator."""
 
-    Parameters
-    ----------
-    initial : str
-        Where the Jacobian starts: ``model``, the trained networks' Jacobian at the first joints
-        that the estimator is asked at or told of; or ``zero``, which knows nothing: there is no
-        estimate until something else has moved the arm (see ``OnlineEstimator.problem``).
-    min_motion_rad : float
-        Steps in which no joint moved this far change nothing, rad.
-    """
-
-    initial: str = FROM_MODEL
-    min_motion_rad: float = 1e-3
-
-    def __post_init__(self) -> None:
-        if self.initial not in INITIALS:
-            raise ValueError(f"unknown initial {self.initial!r}; known are {', '.join(INITIALS)}")
-        self._want(self.min_motion_rad >= 0.0, "min_motion_rad", "at least 0")
-
-    def _want(self, holds: bool, name: str, wanted: str) -> None:
-        """Refuse a number that is not what was wanted, or not finite."""
-        value = getattr(self, name)
-        if not (holds and math.isfinite(value)):
-            raise ValueError(f"{name} must be finite and {wanted}, got {value}")
-
-
-Config = TypeVar("Config", bound=OnlineConfig)
-
-
-def read_config(kind: type[Config], method: str, values: Mapping[str, Any]) -> Config:
-    """Configuration from parameter values (``lkf.initial`` and so on); others are passed over."""
-    names = {field.name for field in fields(kind)}
-    given = {name: values[f"{method}.{name}"] for name in names if f"{method}.{name}" in values}
-    return kind(**given)
-
-
-def online_parameters(method: str) -> tuple[Parameter, ...]:
-    """The parameters of :class:`OnlineConfig` as a node declares them."""
-    return (
-        Parameter(
-            f"{method}.initial",
-            OnlineConfig.initial,
-            "Where the Jacobian starts: the trained networks' at the first joints, or zero; "
-            "from zero there is no estimate until something else has moved the arm.",
-            choices=INITIALS,
-        ),
-        Parameter(
-            f"{method}.min_motion_rad",
-            OnlineConfig.min_motion_rad,
-            "Steps with less joint motion than this change nothing, rad.",
-            0.0,
-            1.0,
-        ),
+    initial: str = parameter(
+        FROM_MODEL,
+        "Where the Jacobian starts: the trained networks' at the first joints, or zero; "
+        "from zero there is no estimate until something else has moved the arm.",
+        choices=(FROM_MODEL, FROM_ZERO),
     )
 
 
-def deviation_parameters(
-    method: str, initial_m_rad: float, noise_m: float
-) -> tuple[Parameter, ...]:
-    """What a method with a covariance is told about its start and its measurements."""
-    return (
-        Parameter(
-            f"{method}.initial_deviation_m_rad",
-            initial_m_rad,
-            "Standard deviation of each entry of the initial Jacobian, m/rad; about 0.5 when it "
-            "starts from zero.",
-            1e-4,
-            10.0,
-        ),
-        Parameter(
-            f"{method}.measurement_noise_m",
-            noise_m,
-            "Standard deviation of one coordinate of a ball position, m.",
-            1e-6,
-            1.0,
-        ),
+@dataclass(frozen=True)
+class BroydenConfig(OnlineConfig):
+    """Gain of Broyden's update."""
+
+    gain: float = parameter(
+        0.3,
+        "Share of a step's prediction error that is corrected; at 1 the new Jacobian explains the "
+        "step exactly, noise and all.",
+        1e-3,
+        1.9,
+    )
+
+
+@dataclass(frozen=True)
+class NoiseConfig(OnlineConfig):
+    """Settings of the methods that weigh the start against the measurements."""
+
+    initial_deviation_m_rad: float = parameter(
+        0.1,
+        "Standard deviation of each entry of the initial Jacobian, m/rad; about 0.5 when it "
+        "starts from zero.",
+        1e-4,
+        10.0,
+    )
+    measurement_noise_m: float = parameter(
+        1e-3, "Standard deviation of one coordinate of a ball position, m.", 1e-6, 1.0
+    )
+
+    @property
+    def initial_variance(self) -> float:
+        """Variance of an entry at the start, (m/rad)^2."""
+        return self.initial_deviation_m_rad**2
+
+    @property
+    def step_variance_m2(self) -> float:
+        """Variance of one coordinate of a step, the difference of two positions, m^2."""
+        return 2.0 * self.measurement_noise_m**2
+
+
+@dataclass(frozen=True)
+class KalmanConfig(NoiseConfig):
+    """Noise and start of a Kalman filter; by default 1e-4 (m/rad)^2 a step at 25 steps a second."""
+
+    process_noise: float = parameter(
+        2.5e-3,
+        "Variance that each entry gains per second of motion, (m/rad)^2/s; larger follows "
+        "faster and is noisier.",
+        0.0,
+        10.0,
+    )
+
+
+@dataclass(frozen=True)
+class RlsConfig(NoiseConfig):
+    """Memory and start of the least squares."""
+
+    forgetting: float = parameter(
+        0.98, "Weight of a step relative to that of the next; 0.98 remembers 50 steps.", 0.5, 1.0
     )
 
 
@@ -116,11 +101,9 @@ class OnlineEstimator(Estimator):
     Parameters
     ----------
     model : RbfModel, optional
-        The trained networks; needed if the Jacobian starts from them.
-    config : OnlineConfig
+        The trained networks, where the Jacobian starts unless ``config.initial`` is ``zero``.
+    config : OnlineConfig, optional
         Settings.
-    covariance : ndarray, shape (n, n), optional
-        Initial covariance of the estimate, for methods that have one, (m/rad)^2.
 
     Raises
     ------
@@ -128,103 +111,84 @@ class OnlineEstimator(Estimator):
         If the Jacobian is to start from a model and there is none.
     """
 
-    def __init__(
-        self,
-        model: RbfModel | None,
-        config: OnlineConfig,
-        covariance: np.ndarray = _NO_COVARIANCE,
-    ) -> None:
-        if config.initial == FROM_MODEL and model is None:
+    def __init__(self, model: RbfModel | None = None, config: Any = None) -> None:
+        self.config: Any = config if config is not None else self.config_type()
+        from_model = self.needs(self.config) == NETWORKS
+        if from_model and model is None:
             raise ValueError("initial is 'model', but there is no trained model; or start at zero")
-        self._model = model if config.initial == FROM_MODEL else None
-        self._min_motion_rad = config.min_motion_rad
-        self._initial_covariance = covariance
+        self._model = model if from_model else None
         self.reset()
 
-    @property
-    def updates(self) -> int:
-        """Number of steps learned from."""
-        return self._updates
+    @classmethod
+    def needs(cls, config: Any) -> str:
+        """The networks, unless the Jacobian starts from zero."""
+        return NETWORKS if config.initial == FROM_MODEL else NOTHING
 
-    @property
-    def refused(self) -> int:
-        """Number of steps that could not be used, and so changed nothing."""
-        return self._refused
+    def reset(self) -> None:
+        """Forget what was learned, the initial Jacobian and the counts."""
+        super().reset()
+        self._jacobian: np.ndarray | None = None
+        self._initial: np.ndarray | None = None
+        self._covariance: np.ndarray | None = None
 
     @property
     def covariance(self) -> np.ndarray:
         """Present covariance of the estimate, (m/rad)^2; a copy, empty without one."""
-        return self._covariance.copy()
-
-    def reset(self) -> None:
-        """Forget what was learned, the initial Jacobian and the counts."""
-        self._jacobian: np.ndarray | None = None
-        if self._model is None:
-            self._jacobian = np.zeros((N_FEATURES, N_JOINTS))
-        self._initial_jacobian = self._jacobian
-        self._covariance = self._initial_covariance
-        self._updates = 0
-        self._refused = 0
+        return np.zeros((0, 0)) if self._covariance is None else self._covariance.copy()
 
     def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Present estimate, m/rad, shape (3, 6), the same for all joints once it has begun."""
-        return self._begun(joints_rad).copy()
+        """Present estimate, m/rad, shape (m, n), the same for all joints once it has begun."""
+        return self._present(joints_rad).copy()
 
-    def _begun(self, joints_rad: np.ndarray) -> np.ndarray:
+    def _present(self, joints_rad: np.ndarray) -> np.ndarray:
         if self._jacobian is None:
-            assert self._model is not None
-            start = self._model.jacobian(joints_rad)
+            if self._model is None:
+                start = np.zeros((_BALL_SIZE, len(joints_rad)))
+            else:
+                start = self._model.jacobian(joints_rad)
             if not np.all(np.isfinite(start)):
                 return start
-            self._jacobian = self._initial_jacobian = start
+            self._jacobian = self._initial = start
         return self._jacobian
 
     def update(self, step: MotionStep) -> None:
-        """Learn from one step; too little motion or anything not finite changes nothing."""
-        if np.abs(step.d_joints_rad).max() < self._min_motion_rad:
-            return
+        """Learn from one step; what is not finite changes nothing."""
         with np.errstate(all="ignore"):
             learned = self._try(step)
         if learned is None:
-            self._refused += 1
+            self.refused += 1
             return
         self._jacobian, self._covariance = learned
-        self._updates += 1
+        self.updates += 1
 
-    def _try(self, step: MotionStep) -> tuple[np.ndarray, np.ndarray] | None:
+    def _try(self, step: MotionStep) -> tuple[np.ndarray, np.ndarray | None] | None:
         """Jacobian and covariance after a step; None if it must not be learned from."""
-        if not (
-            0.0 < step.dt_s < math.inf
-            and _is_finite(step.joints_rad)
-            and _is_finite(step.d_joints_rad)
-            and _is_finite(step.d_ball_m)
-        ):
+        told = (step.joints_rad, step.d_joints_rad, step.d_ball_m)
+        if not (0.0 < step.dt_s < math.inf and all(_is_finite(one) for one in told)):
             return None
-        before = self._begun(step.joints_rad)
+        before = self._present(step.joints_rad)
+        if self._covariance is None:
+            self._covariance = self._start(*before.shape)
         try:
-            jacobian, covariance = self._learned(
-                before, self._covariance, step.dt_s, step.d_joints_rad, step.d_ball_m
-            )
-            if covariance.size:
-                # Raises unless positive definite, so that a covariance that lost this to
-                # rounding is never kept, and the next step finds a sound one.
+            jacobian, covariance = self._learned(before, self._covariance, step)
+            if covariance is not None:
+                # Raises unless positive definite: a covariance that rounding spoilt is not kept.
                 np.linalg.cholesky(covariance)
         except np.linalg.LinAlgError:
             return None
-        if not (_is_finite(jacobian) and _is_finite(covariance)):
+        if not (_is_finite(jacobian) and (covariance is None or _is_finite(covariance))):
             return None
         return jacobian, covariance
 
+    def _start(self, _m: int, _n: int) -> np.ndarray | None:
+        """Covariance at the start, of a method that has one."""
+        return None
+
     @abstractmethod
     def _learned(
-        self,
-        jacobian: np.ndarray,
-        covariance: np.ndarray,
-        dt_s: float,
-        d_joints_rad: np.ndarray,
-        d_ball_m: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Jacobian and covariance after one finite step with motion; new arrays.
+        self, jacobian: np.ndarray, covariance: Any, step: MotionStep
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Jacobian and covariance after one finite step; new arrays.
 
         What is not finite, or raises ``LinAlgError``, is not kept.
         """
@@ -232,24 +196,124 @@ class OnlineEstimator(Estimator):
     @property
     def problem(self) -> str:
         """Why there is no estimate yet: a zero Jacobian that has seen no motion is none."""
-        if self._model is None and self._updates == 0:
+        if self._model is None and self.updates == 0:
             return "it starts from zero and has seen no motion; move the arm by other means"
         return ""
 
     def status_values(self) -> dict[str, float]:
         """Counts, the change since the start, and the deviation of an entry (rms), m/rad."""
-        change = 0.0
-        if self._jacobian is not None and self._initial_jacobian is not None:
-            change = float(np.linalg.norm(self._jacobian - self._initial_jacobian))
-        values = {
-            "updates": float(self._updates),
-            "refused": float(self._refused),
-            "jacobian_change_m_rad": change,
-        }
-        if self._covariance.size:
-            variance = float(np.trace(self._covariance)) / len(self._covariance)
+        values = super().status_values()
+        values["jacobian_change_m_rad"] = 0.0
+        if self._jacobian is not None and self._initial is not None:
+            change = float(np.linalg.norm(self._jacobian - self._initial))
+            values["jacobian_change_m_rad"] = change
+        if isinstance(self.config, NoiseConfig):
+            known = self._covariance
+            variance = self.config.initial_variance if known is None else np.diag(known).mean()
             values["entry_deviation_m_rad"] = math.sqrt(variance)
         return values
+
+
+class BroydenEstimator(OnlineEstimator):
+    """``J += gain (d_ball - J d_joints) d_joints' / (d_joints' d_joints)``.
+
+    The smallest change of J that explains a step. It has no notion of noise: the shorter a step,
+    the more of a position's noise goes into J.
+    """
+
+    config_type = BroydenConfig
+
+    def _learned(
+        self, jacobian: np.ndarray, covariance: Any, step: MotionStep
+    ) -> tuple[np.ndarray, None]:
+        moved = step.d_joints_rad
+        share = self.config.gain * moved / (moved @ moved)
+        return jacobian + np.multiply.outer(step.d_ball_m - jacobian @ moved, share), None
+
+
+class LkfEstimator(OnlineEstimator):
+    """Kalman filter with the measurement ``d_ball = (I (x) d_joints') vec(J)``, J row-major.
+
+    Initial covariance, process and measurement noise are the same for all rows of J, and each row
+    is measured by one coordinate with the same ``d_joints``. The covariance of all entries is and
+    stays ``I (x) P`` with one n x n P: one small filter, not an approximation.
+    """
+
+    config_type: ClassVar[type[Parameters]] = KalmanConfig
+
+    def _start(self, _m: int, n: int) -> np.ndarray:
+        return self.config.initial_variance * np.eye(n)
+
+    def _learned(
+        self, jacobian: np.ndarray, covariance: Any, step: MotionStep
+    ) -> tuple[np.ndarray, np.ndarray]:
+        predicted = covariance + self.config.process_noise * step.dt_s * np.eye(len(covariance))
+        return _row_update(jacobian, predicted, self.config.step_variance_m2, step)
+
+
+class UkfEstimator(OnlineEstimator):
+    """Unscented filter of the model that :class:`LkfEstimator` filters.
+
+    The measurement is linear in the entries, and there an unscented transform is exact: up to
+    rounding this *is* the linear filter, whatever the spread of the sigma points, at several times
+    its cost. It is here because visual servoing is often compared with it. Weights as in R. van
+    der Merwe, Sigma-Point Kalman Filters, 2004, with alpha 1, beta 2 and kappa 0.
+    """
+
+    config_type = KalmanConfig
+
+    def _start(self, m: int, n: int) -> np.ndarray:
+        return self.config.initial_variance * np.eye(m * n)
+
+    def _learned(
+        self, jacobian: np.ndarray, covariance: Any, step: MotionStep
+    ) -> tuple[np.ndarray, np.ndarray]:
+        m, count = len(jacobian), jacobian.size
+        variance_m2 = self.config.step_variance_m2
+        predicted = covariance + self.config.process_noise * step.dt_s * np.eye(count)
+        arms = math.sqrt(count) * np.linalg.cholesky(predicted).T
+        # The middle point has no weight in the mean, and 2 in the covariance.
+        mean_weights = np.append(0.0, np.full(2 * count, 0.5 / count))
+        weights = np.append(2.0, mean_weights[1:])[:, None]
+        points = np.concatenate([np.zeros((1, count)), arms, -arms]) + jacobian.reshape(count)
+        seen_m = points.reshape(-1, *jacobian.shape) @ step.d_joints_rad
+
+        mean, mean_m = mean_weights @ points, mean_weights @ seen_m
+        off, off_m = points - mean, seen_m - mean_m
+        weighted_m = weights * off_m
+        innovation = off_m.T @ weighted_m + variance_m2 * np.eye(m)
+        gain = np.linalg.solve(innovation, weighted_m.T @ off).T
+        after = mean + gain @ (step.d_ball_m - mean_m)
+        # The covariance of what the gain leaves of the points: P - K S K' in Joseph's form,
+        # whose terms are squares, where the difference would lose its sign to rounding.
+        left = off - off_m @ gain.T
+        spread = left.T @ (weights * left) + variance_m2 * (gain @ gain.T)
+        return after.reshape(jacobian.shape), 0.5 * (spread + spread.T)
+
+
+class RlsEstimator(LkfEstimator):
+    """Least squares over all steps, a step's weight shrinking with each that follows.
+
+    Minimises ``sum_i f^(k-i) |d_ball_i - J d_joints_i|^2 / (2 sigma^2) + f^k |J - J0|^2 / d0^2``
+    after k steps, f the forgetting factor, sigma the noise, d0 the initial deviation: the Kalman
+    filter's measurement update, between steps the covariance divided by f.
+
+    In directions without motion that division would let the covariance grow until the first
+    motion that way turned noise into a wild Jacobian. There, forgetting ends at the initial
+    deviation: larger eigenvalues are cut off.
+    """
+
+    config_type = RlsConfig
+
+    def _learned(
+        self, jacobian: np.ndarray, covariance: Any, step: MotionStep
+    ) -> tuple[np.ndarray, np.ndarray]:
+        predicted, most = covariance / self.config.forgetting, self.config.initial_variance
+        if predicted.trace() > most:  # the sum of the eigenvalues, all positive
+            variances, directions = np.linalg.eigh(predicted)
+            if variances[-1] > most:
+                predicted = (directions * np.minimum(variances, most)) @ directions.T
+        return _row_update(jacobian, predicted, self.config.step_variance_m2, step)
 
 
 def _is_finite(values: np.ndarray) -> bool:
@@ -257,37 +321,17 @@ def _is_finite(values: np.ndarray) -> bool:
     return math.isfinite(np.vdot(values, values))
 
 
-def row_update(
-    jacobian: np.ndarray,
-    covariance: np.ndarray,
-    noise_variance_m2: float,
-    d_joints_rad: np.ndarray,
-    d_ball_m: np.ndarray,
+def _row_update(
+    jacobian: np.ndarray, covariance: np.ndarray, noise_variance_m2: float, step: MotionStep
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Kalman measurement update of three rows that share one covariance.
+    """Kalman update of rows that share one covariance, (n, n), in Joseph's form.
 
-    Parameters
-    ----------
-    jacobian : ndarray, shape (3, 6)
-        Estimate before, m/rad.
-    covariance : ndarray, shape (6, 6)
-        Covariance of each row before, (m/rad)^2.
-    noise_variance_m2 : float
-        Variance of one coordinate of ``d_ball_m``, m^2.
-    d_joints_rad : ndarray, shape (6,)
-        Joint motion, rad.
-    d_ball_m : ndarray, shape (3,)
-        Ball motion, m.
-
-    Returns
-    -------
-    jacobian : ndarray, shape (3, 6)
-    covariance : ndarray, shape (6, 6)
-        After, in Joseph's form: a sum of squares, which rounding leaves positive.
+    A sum of squares, which rounding leaves positive.
     """
-    seen = covariance @ d_joints_rad
-    gain = seen / (d_joints_rad @ seen + noise_variance_m2)
-    error_m = d_ball_m - jacobian @ d_joints_rad
-    left = _IDENTITY - np.multiply.outer(gain, d_joints_rad)
+    moved = step.d_joints_rad
+    seen = covariance @ moved
+    gain = seen / (moved @ seen + noise_variance_m2)
+    error_m = step.d_ball_m - jacobian @ moved
+    left = np.eye(len(gain)) - np.multiply.outer(gain, moved)
     after = left @ covariance @ left.T + np.multiply.outer(gain * noise_variance_m2, gain)
     return jacobian + np.multiply.outer(error_m, gain), 0.5 * (after + after.T)

@@ -2,111 +2,56 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
-from fvs_estimator_node.base import Estimator
-from fvs_estimator_node.broyden import BROYDEN_PARAMETERS, BroydenConfig, BroydenEstimator
-from fvs_estimator_node.left_factor import (
-    LEFT_FACTOR_PARAMETERS,
-    LeftFactorEstimator,
-    left_factor_config,
+from fvs_estimator_node.base import CHAIN, NETWORKS, NOTHING, Estimator
+from fvs_estimator_node.camera import PoeEstimator, TurnedRbfEstimator
+from fvs_estimator_node.online import (
+    BroydenEstimator,
+    LkfEstimator,
+    OnlineConfig,
+    RlsEstimator,
+    UkfEstimator,
 )
-from fvs_estimator_node.lkf import LKF_PARAMETERS, KalmanConfig, LkfEstimator
-from fvs_estimator_node.online import FROM_MODEL, OnlineConfig, read_config
 from fvs_estimator_node.oracle import OracleEstimator
-from fvs_estimator_node.poe import POE_PARAMETERS, PoeEstimator, poe_config
-from fvs_estimator_node.rbf import (
-    RBF_PARAMETERS,
-    FrozenRbfEstimator,
-    RbfEstimator,
-    RbfModel,
-    rbf_config,
-)
-from fvs_estimator_node.rls import RLS_PARAMETERS, RlsConfig, RlsEstimator
-from fvs_estimator_node.ukf import UKF_PARAMETERS, UkfConfig, UkfEstimator
+from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfEstimator, RbfModel
 from fvs_ros.chain import SerialChain
 from fvs_ros.params import Parameter
 
-
-@dataclass(frozen=True)
-class EstimatorFactory:
-    """How an estimator is made.
-
-    Parameters
-    ----------
-    create : callable
-        Takes the trained networks (the fitted chain, if it needs that; None if it needs neither)
-        and the parameter values.
-    parameters : tuple of Parameter
-        What it can be told, to be declared by the node; names begin with the method's.
-    needs_model : callable
-        Takes the parameter values; whether it cannot do without a trained model.
-    needs_chain : bool
-        Whether what it takes is the fitted chain.
-    """
-
-    create: Callable[[Any, Mapping[str, Any]], Estimator]
-    parameters: tuple[Parameter, ...] = ()
-    needs_model: Callable[[Mapping[str, Any]], bool] = lambda values: False
-    needs_chain: bool = False
-
-
-def _networks(
-    create: Callable[[Any, Mapping[str, Any]], Estimator], parameters: tuple[Parameter, ...] = ()
-) -> EstimatorFactory:
-    return EstimatorFactory(create, parameters, lambda values: True)
-
-
-def _online(
-    method: str,
-    estimator: Callable[[Any, Any], Estimator],
-    config: type[OnlineConfig],
-    parameters: tuple[Parameter, ...],
-) -> EstimatorFactory:
-    return EstimatorFactory(
-        lambda model, values: estimator(model, read_config(config, method, values)),
-        parameters,
-        lambda values: read_config(config, method, values).initial == FROM_MODEL,
-    )
-
-
-ESTIMATORS: dict[str, EstimatorFactory] = {
-    "rbf": _networks(lambda model, values: RbfEstimator(model, rbf_config(values)), RBF_PARAMETERS),
-    "frozen": _networks(lambda model, values: FrozenRbfEstimator(model)),
-    "rbf_left": _networks(
-        lambda model, values: LeftFactorEstimator(model, left_factor_config(values)),
-        LEFT_FACTOR_PARAMETERS,
-    ),
-    "poe": EstimatorFactory(
-        lambda chain, values: PoeEstimator(chain, poe_config(values)),
-        POE_PARAMETERS,
-        lambda values: True,
-        needs_chain=True,
-    ),
-    "lkf": _online("lkf", LkfEstimator, KalmanConfig, LKF_PARAMETERS),
-    "ukf": _online("ukf", UkfEstimator, UkfConfig, UKF_PARAMETERS),
-    "rls": _online("rls", RlsEstimator, RlsConfig, RLS_PARAMETERS),
-    "broyden": _online("broyden", BroydenEstimator, BroydenConfig, BROYDEN_PARAMETERS),
-    "oracle": EstimatorFactory(lambda model, values: OracleEstimator()),
+ESTIMATORS: dict[str, type[Any]] = {
+    "rbf": RbfEstimator,
+    "frozen": FrozenRbfEstimator,
+    "rbf_left": TurnedRbfEstimator,
+    "poe": PoeEstimator,
+    "lkf": LkfEstimator,
+    "ukf": UkfEstimator,
+    "rls": RlsEstimator,
+    "broyden": BroydenEstimator,
+    "oracle": OracleEstimator,
 }
 
 
-def estimator_factory(method: str) -> EstimatorFactory:
-    """The factory of a method.
-
-    Raises
-    ------
-    ValueError
-        If the method is unknown; the text lists the known ones.
-    """
+def _kind_and_config(method: str, values: Mapping[str, Any]) -> tuple[type[Any], Any]:
     try:
-        return ESTIMATORS[method]
+        kind = ESTIMATORS[method]
     except KeyError:
         raise ValueError(
             f"unknown estimator method {method!r}; known are {', '.join(sorted(ESTIMATORS))}"
         ) from None
+    return kind, kind.config_type.from_values(values, f"{method}.")
+
+
+def needs_model(method: str, values: Mapping[str, Any]) -> bool:
+    """Whether a method cannot do without a trained model, given the parameter values.
+
+    Raises
+    ------
+    ValueError
+        If the method is unknown or a value is out of range.
+    """
+    kind, config = _kind_and_config(method, values)
+    return kind.needs(config) != NOTHING
 
 
 def create_estimator(
@@ -124,7 +69,7 @@ def create_estimator(
     model : RbfModel, optional
         The trained networks, for methods that need them.
     values : mapping, optional
-        Parameter values by name; those of other methods are passed over.
+        Parameter values by name; those of other methods are ignored.
     chain : SerialChain, optional
         The fitted chain, for methods that need it.
 
@@ -133,25 +78,25 @@ def create_estimator(
     ValueError
         If the method is unknown, lacks its model, or a value is out of range.
     """
-    factory = estimator_factory(method)
-    values = values or {}
-    if factory.needs_chain:
-        if chain is None:
-            raise ValueError(
-                f"estimator method {method} needs a fitted chain: set model_path to a file that "
-                "fvs_train --method poe has written"
-            )
-        return factory.create(chain, values)
-    if model is None and factory.needs_model(values):
-        start = f"{method}.initial"
-        without = f", or {start} to zero" if start in {p.name for p in factory.parameters} else ""
+    kind, config = _kind_and_config(method, values or {})
+    needed = kind.needs(config)
+    if needed == CHAIN and chain is None:
+        raise ValueError(
+            f"estimator method {method} needs a fitted chain: set model_path to a file that "
+            "fvs_train --method poe has written"
+        )
+    if needed == NETWORKS and model is None:
+        without = f", or {method}.initial to zero" if isinstance(config, OnlineConfig) else ""
         raise ValueError(
             f"estimator method {method} needs a trained model: set model_path to a file that "
             f"fvs_train has written{without}"
         )
-    return factory.create(model, values)
+    made: Estimator = kind({CHAIN: chain, NETWORKS: model, NOTHING: None}[needed], config)
+    return made
 
 
 def estimator_parameters() -> tuple[Parameter, ...]:
     """The parameters of all methods, in the order of the registry."""
-    return tuple(p for factory in ESTIMATORS.values() for p in factory.parameters)
+    return tuple(
+        one for name, kind in ESTIMATORS.items() for one in kind.config_type.declared(f"{name}.")
+    )

@@ -14,8 +14,6 @@ from contextlib import contextmanager
 import numpy as np
 import torch
 
-from fvs_ros.joints import N_JOINTS
-
 #: Start and end joints, rad, shape (n, 6) each, and the ball's motion between them, m, (n, 3).
 Batch = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -40,7 +38,7 @@ def refine(
     draw: Callable[[], Batch],
     quadrature: tuple[np.ndarray, np.ndarray],
     ridge: float,
-    learning_rates: tuple[float, ...],
+    learning_rate: float,
     iterations: int,
     report: Callable[[int, np.ndarray, np.ndarray], bool],
 ) -> int:
@@ -48,9 +46,9 @@ def refine(
 
     Parameters
     ----------
-    centres : ndarray, shape (6, m, 6)
+    centres : ndarray, shape (n, k, n)
         Where to begin, rad.
-    widths : ndarray, shape (6, m)
+    widths : ndarray, shape (n, k)
         Where to begin, rad.
     draw : callable
         Gives the next batch.
@@ -58,12 +56,12 @@ def refine(
         Places in [0, 1] on the line between two joint positions, and their shares.
     ridge : float
         Ridge weight, relative to the mean diagonal.
-    learning_rates : tuple of 6 float
-        Adam's first step for centres (rad) and log widths, one a network; it falls to zero.
+    learning_rate : float
+        Adam's first step for centres (rad) and log widths; it falls to zero.
     iterations : int
         How many.
     report : callable
-        Told iteration, centres and widths after each; True ends early.
+        Takes iteration, centres and widths after each; True ends early.
 
     Returns
     -------
@@ -75,14 +73,10 @@ def refine(
             torch.tensor(centres[i], dtype=torch.float64, requires_grad=True),
             torch.tensor(np.log(widths[i]), dtype=torch.float64, requires_grad=True),
         )
-        for i in range(N_JOINTS)
+        for i in range(len(widths))
     ]
     adam = torch.optim.Adam(
-        [
-            {"params": list(variables), "lr": rate}
-            for variables, rate in zip(networks, learning_rates, strict=True)
-        ],
-        betas=_BETAS,
+        [one for variables in networks for one in variables], lr=learning_rate, betas=_BETAS
     )
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, iterations)
     places, shares = quadrature

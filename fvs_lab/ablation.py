@@ -116,13 +116,12 @@ def variants() -> list[Variant]:
 NO_LEAK, ZERO_AT_REST = "no leak, learning at rest", "leak toward zero, learning at rest"
 OFFLINE_AT_REST = "leak toward the trained weights, learning at rest"
 ZERO_GATED = "leak toward zero, learning from motion only"
-_UNGATED = {"rbf.min_motion_rad": 0.0}
 _ZERO = {"rbf.k3": 0.01, "rbf.leak_target": "zero"}
 #: Parameters of the estimator by what is different.
 RESTS: Mapping[str, Mapping[str, Any]] = {
-    NO_LEAK: _UNGATED,
-    ZERO_AT_REST: {**_UNGATED, **_ZERO},
-    OFFLINE_AT_REST: {**_UNGATED, "rbf.k3": 0.01, "rbf.leak_target": "offline"},
+    NO_LEAK: {},
+    ZERO_AT_REST: _ZERO,
+    OFFLINE_AT_REST: {"rbf.k3": 0.01, "rbf.leak_target": "offline"},
     ZERO_GATED: _ZERO,
 }
 #: Time to reach the target before holding it, s.
@@ -163,8 +162,8 @@ def run_rest(rest: Rest) -> dict[str, Any]:
     simulation.reset(rest.case.start_rad, rest.case.seed)
     home_m = simulation.true_ball_position()
     one = Trial(rest.case, "rbf", "ftsm", RESTS[rest.name]).loop(simulation)
-    if "rbf.min_motion_rad" in RESTS[rest.name]:
-        one.estimation.pairing = StepPairing(min_joint_motion_rad=_ANY_MOTION_RAD)
+    if rest.name != ZERO_GATED:
+        one.estimation.pairing = StepPairing(min_step_rad=_ANY_MOTION_RAD)
     one.run(PRELUDE_S)
     one.set_target(target_m)
     one.run(_REACH_S)

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from fvs_estimator_node.distilling import train_structured
 from fvs_estimator_node.model_file import save_model
-from fvs_estimator_node.teaching import train_structured
 from fvs_lab import beyond_camera, beyond_tracking
 from fvs_lab import beyond_contestants as who
 from fvs_lab.beyond_camera import draw_journeys, run_journey, with_slowdown

@@ -12,9 +12,9 @@ import numpy as np
 
 from fvs_estimator_node.chain_fit import fit_chain
 from fvs_estimator_node.dataset import DataSet
+from fvs_estimator_node.distilling import train_structured
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.pairing import BallSample, ExposureMatcher
-from fvs_estimator_node.teaching import train_structured
 from fvs_estimator_node.training import TrainingOptions, train
 from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, relative_errors, simulation_of
 

@@ -16,12 +16,11 @@ import numpy as np
 from tqdm import tqdm
 
 from fvs_estimator_node.dataset import DataSet, load_data_set
+from fvs_estimator_node.distilling import NEURONS, TaughtModel, train_structured, with_chain
 from fvs_estimator_node.model_file import TrainedModel, save_model
-from fvs_estimator_node.teaching import NEURONS, TaughtModel, train_structured, with_chain
 from fvs_estimator_node.training import (
     METHODS,
     TrainingOptions,
-    TrainingProgress,
     TrainingResult,
     train,
 )
@@ -94,12 +93,12 @@ def _train(
         mininterval=0.2 if sys.stderr.isatty() else 10.0,
     ) as bar:
 
-        def on_progress(progress: TrainingProgress) -> bool:
+        def on_progress(iteration: int, iterations: int, error: float) -> bool:
             """Show it; True when the time is over."""
             nonlocal out_of_time
-            bar.total = progress.iterations
-            bar.update(progress.iteration - bar.n)
-            bar.set_postfix_str(f"error {100.0 * progress.validation_error:.2f} %")
+            bar.total = iterations
+            bar.update(iteration - bar.n)
+            bar.set_postfix_str(f"error {100.0 * error:.2f} %")
             passed_s = time.monotonic() - started_s
             out_of_time = arguments.max_seconds is not None and passed_s > arguments.max_seconds
             return out_of_time
@@ -161,13 +160,14 @@ def report(result: TrainingResult, seconds: float) -> str:
         if network.relative is not None:
             error = f"{100.0 * network.relative:6.2f} %"
         lines.append(f"{name:20s} {network.column_m_rad:11.3f}  {error}")
+    errors = result.trained.errors
     lines += [
         "(at held-out joints, against a smooth fit that is itself about 1 % off)",
-        f"between held-out images: {1e3 * result.pair_error_m:.2f} mm rms, "
-        f"{100.0 * result.pair_error_relative:.2f} % of the ball's motion, noise included",
+        f"between held-out images: {1e3 * errors['pair_error_m']:.2f} mm rms, "
+        f"{100.0 * errors['pair_error_relative']:.2f} % of the ball's motion, noise included",
         *_boxes(result.trained),
-        f"{result.samples} images, {result.held_out_samples} held out, {result.outliers} left out; "
-        f"{result.iterations} iterations, {seconds:.1f} s",
+        f"{errors['samples']} images, {errors['held_out_samples']} held out, "
+        f"{errors['outliers']} left out; {errors['iterations']} iterations, {seconds:.1f} s",
     ]
     return "\n".join(lines)
 

@@ -11,8 +11,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
+from fvs_estimator_node.distilling import train_structured
 from fvs_estimator_node.model_file import save_model
-from fvs_estimator_node.teaching import train_structured
 from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.joints import UR_JOINT_NAMES
@@ -120,13 +120,13 @@ def test_who_has_just_started_hears_of_the_chain_of_an_arm_at_rest(ros_test, mod
 
 def test_what_the_training_found_wrong_is_said_when_the_model_is_loaded(ros_test):
     trained = train_structured(RECORDING.data(), neurons=20).trained
-    notes = ["the ball does not move as one on a rigid chain", 7]
+    notes = ["the ball does not move on a rigid chain", 7]
     path = ros_test.folder / "doubtful.npz"
     save_model(path, replace(trained, provenance={**trained.provenance, "notes": notes}))
     MovingArm(ros_test)
     process = ros_test.start_node(MODULE, method="poe", model_path=path)
     ros_test.spin_until(lambda: "doubtful.npz: 7" in ros_test.output(process))
-    assert "doubtful.npz: the ball does not move as one" in ros_test.output(process)
+    assert "doubtful.npz: the ball does not move on" in ros_test.output(process)
 
 
 def test_without_a_chain_there_is_none_on_the_wire(ros_test, model_path):

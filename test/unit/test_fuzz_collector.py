@@ -9,8 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fvs_estimator_node.collecting import CollectionRun, RunConfig, State
-from fvs_estimator_node.motion import MotionConfig, RandomMotion
+from fvs_estimator_node.collecting import CollectionRun, State
+from fvs_estimator_node.collector_config import CollectorConfig
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of numpy, about wild numbers
 
@@ -34,17 +34,15 @@ class Cell:
     """A collection run, an arm of some kind, and the promises checked at every tick."""
 
     def __init__(self, velocity, acceleration, plant):
-        motion = MotionConfig(
+        config = CollectorConfig(
             duration_s=10.0,
             joint_range_rad=(0.1,) * 6,
             max_joint_velocity_rad_s=velocity,
             max_joint_acceleration_rad_s2=acceleration,
+            give_up_s=2.0,
         )
         self.velocity, self.acceleration, self.plant = velocity, acceleration, plant
-        self.run = CollectionRun(
-            RunConfig(velocity, acceleration, give_up_s=2.0),
-            lambda start: RandomMotion(start, motion, np.random.default_rng(0)),
-        )
+        self.run = CollectionRun(config)
         self.now_s = self.stamp_s = self.ticked_s = 5.0
         self.joints, self.last = HOME.copy(), np.zeros(6)
         self.beats = self.moving = 0

@@ -85,7 +85,7 @@ def test_a_path_at_many_times_is_that_at_each():
 @pytest.mark.parametrize("seed", range(3))
 def test_the_joints_keep_out_of_step_in_narrow_boxes_too(half_rad, seed):
     one = motion(seed, joint_range_rad=(half_rad,) * 6)
-    rates = np.sort(one.course.rate_rad_s)
+    rates = np.sort(one.rate_rad_s)
     assert np.diff(rates).min() > 0.04 * rates.mean()
     assert rates[-1] > 1.5 * rates[0]
     times = np.arange(0.0, 60.0, DT_S)
@@ -112,12 +112,12 @@ def test_the_seed_decides():
 
 def test_joint_limits_cut_the_box():
     upper = tuple(HOME + 0.2)
-    one = motion(upper_limits_rad=upper, limit_margin_rad=0.05)
+    one = motion(joint_max_rad=upper)
     joints, _ = follow(one, lag_s=0.03)
     assert np.all(joints <= HOME + 0.2)
-    np.testing.assert_allclose(one.box_rad[1], HOME + 0.15)
+    np.testing.assert_allclose(one.box_rad[1], HOME + 0.1)
     with pytest.raises(ValueError, match="closer than"):
-        motion(upper_limits_rad=tuple(HOME - 1.0))
+        motion(joint_max_rad=tuple(HOME - 1.0))
 
 
 def test_a_joint_without_range_stands_still():
@@ -143,41 +143,10 @@ def test_it_returns_when_told_and_goes_on_when_told():
     assert np.ptp(later, axis=0).min() > 0.8
 
 
-def changing(one, seed, every_s=4.0, until_s=100.0):
-    """Events that change the course over again and again."""
-    rng = np.random.default_rng(seed)
-    return [
-        (at, lambda t, _q: one.change_over(one.draw(rng), t))
-        for at in np.arange(every_s, until_s, every_s)
-    ]
-
-
-@pytest.mark.parametrize("half", [HALF, (0.05,) * 6, (0.6, 0.0, 0.5, 0.2, 0.5, 0.0)])
-def test_another_course_goes_on_in_place_and_direction(half):
-    one = motion(5, joint_range_rad=half)
-    rng = np.random.default_rng(7)
-    for t in np.linspace(1.0, 90.0, 60):
-        position, velocity = one.path(t)
-        one.change_over(one.draw(rng), t)
-        np.testing.assert_allclose(one.path(t)[0], position, atol=1e-7)
-        turning = np.minimum(np.abs(velocity), np.abs(one.path(t)[1])) < 1e-3
-        assert np.all(turning | (np.sign(velocity) == np.sign(one.path(t)[1])))
-
-
-@pytest.mark.parametrize(("seed", "lag_s"), [(0, 0.0), (1, 0.05)])
-def test_changing_over_keeps_speed_acceleration_and_box(seed, lag_s):
-    one = motion(seed, duration_s=60.0)
-    joints, commands = follow(one, 62.0, lag_s, events=changing(one, seed, until_s=58.0))
-    assert np.abs(commands).max() <= 0.65 + 1e-12
-    assert np.abs(np.diff(commands, axis=0, prepend=0.0)).max() / DT_S <= 3.0 + 1e-9
-    assert np.all(np.abs(joints - HOME) <= np.array(HALF) + 0.03)
-    assert one.done(62.0, joints[-1])
-
-
 @pytest.mark.parametrize("lag_s", [0.0, 0.05])
 def test_it_comes_home_early_when_told(lag_s):
     one = motion(1)
-    events = [*changing(one, 0, until_s=17.0), (17.0, lambda t, _q: one.end_early(t))]
+    events = [(17.0, lambda t, _q: one.end_early(t))]
     joints, commands = follow(one, 24.0, lag_s, events=events)
     assert 17.0 < one.duration_s < 22.0
     assert one.done(24.0, joints[-1])
@@ -202,15 +171,15 @@ def test_a_measurement_that_is_not_finite_stops_the_arm():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"duration_s": 1.0}, "duration_s must be at least"),
-        ({"duration_s": -1.0}, "duration_s must be positive"),
-        ({"joint_range_rad": (0.5,) * 5}, "joint_range_rad must be 6"),
-        ({"joint_range_rad": (0.0,) * 6}, "one joint at least must move"),
+        ({"duration_s": 3.0}, "duration_s must be at least"),
+        ({"duration_s": -1.0}, "duration_s must be number from 2"),
+        ({"joint_range_rad": (0.5,) * 5}, "joint_range_rad must be a list of 6"),
+        ({"joint_range_rad": (0.0,) * 6}, "expected one that moves"),
         ({"duration_s": 5.0, "max_joint_velocity_rad_s": 0.05}, "duration_s must be at least"),
-        ({"lower_limits_rad": (1.0,) * 6, "upper_limits_rad": (1.0,) * 6}, "joint_min_rad must be"),
-        ({"lower_limits_rad": (2.0,) * 6, "upper_limits_rad": (1.0,) * 6}, "joint_min_rad must be"),
-        ({"upper_limits_rad": (9.0, 9.0, 9.0, -6.2, 9.0, 9.0)}, "joint_min_rad must be more than"),
-        ({"max_joint_velocity_rad_s": 0.0}, "max_joint_velocity_rad_s must be positive"),
+        ({"joint_min_rad": (1.0,) * 6, "joint_max_rad": (1.0,) * 6}, "joint_min_rad must be"),
+        ({"joint_min_rad": (2.0,) * 6, "joint_max_rad": (1.0,) * 6}, "joint_min_rad must be"),
+        ({"joint_max_rad": (9.0, 9.0, 9.0, -6.2, 9.0, 9.0)}, "joint_min_rad must be more than"),
+        ({"max_joint_velocity_rad_s": 0.0}, "max_joint_velocity_rad_s must be number from"),
     ],
 )
 def test_what_cannot_be_is_refused(changes, words):
@@ -219,7 +188,7 @@ def test_what_cannot_be_is_refused(changes, words):
 
 
 def test_the_least_duration_is_that_of_the_box_that_is_left_between_the_joint_limits():
-    limits = {"lower_limits_rad": (-0.3,) * 6, "upper_limits_rad": (0.3,) * 6}
+    limits = {"joint_min_rad": (-0.3,) * 6, "joint_max_rad": (0.3,) * 6}
     with pytest.raises(ValueError, match=r"at least 16\.2"):
         MotionConfig(duration_s=9.0, joint_range_rad=(1.0,) * 6)
     one = motion(start=np.zeros(6), duration_s=9.0, joint_range_rad=(1.0,) * 6, **limits)

@@ -60,16 +60,16 @@ def test_a_ball_ahead_of_the_joints_waits_for_them():
 
 
 def test_waiting_is_bounded():
-    matcher = ExposureMatcher(max_waiting=3)
+    matcher = ExposureMatcher()
     matcher.add_joints(0.0, joints_at(0.0))
-    for k in range(1, 10):
+    for k in range(1, 17):
         matcher.add_ball(0.03 * k, ball_at(0.03 * k))
     assert matcher.dropped == 6
     assert "no joint state" in matcher.last_reason
 
 
 def test_a_step_needs_joint_motion_and_waits_for_it():
-    pairing = StepPairing(min_joint_motion_rad=0.05)
+    pairing = StepPairing(min_step_rad=0.05)
     steps = feed(pairing, 0.0, 2.0)
     assert all(0.05 <= np.abs(s.d_joints_rad).max() < 0.05 + 0.4 / 30 + 1e-9 for s in steps)
 
@@ -178,7 +178,7 @@ def test_a_fresh_sliding_variable_goes_into_steps_and_a_stale_one_does_not():
     pairing.add_sliding_variable(0.0, np.array([1.0, 2.0, 3.0]))
     steps = feed(pairing, 0.0, 1.0)
     np.testing.assert_array_equal(steps[0].sliding_variable, [1.0, 2.0, 3.0])
-    np.testing.assert_array_equal(steps[-1].sliding_variable, np.zeros(3))
+    assert np.all(steps[-1].sliding_variable == 0.0)
 
 
 @pytest.mark.parametrize("behind_s", [0.6, 1.0, 1.9, 3600.0])

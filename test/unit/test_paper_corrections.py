@@ -250,7 +250,7 @@ def test_a_target_that_moves_needs_its_velocity_in_16():
 def leaked(k3: float, seconds: float, target: str) -> float:
     """Relative error of a Jacobian that was exact, after a rest at one place."""
     model = a_loop().model
-    config = RbfConfig(k3=k3, leak_target=target, min_motion_rad=0.0)
+    config = RbfConfig(k3=k3, leak_target=target)
     estimator, joints = RbfEstimator(model, config), np.full(6, 0.2)
     for k in range(round(seconds * 25.0)):
         estimator.update(MotionStep(0.04 * k, 0.04, joints, np.zeros(6), np.zeros(3)))

@@ -6,8 +6,8 @@ import pytest
 from recordings import Recording, relative_error
 
 from fvs_estimator_node.dataset import DataSet, load_data_set, save_data_set
+from fvs_estimator_node.distilling import train_structured
 from fvs_estimator_node.model_file import load_model
-from fvs_estimator_node.teaching import train_structured
 from fvs_ros.joints import UR_PUBLISHED_NAMES
 from fvs_ros.stop import EXIT_FAILURE
 from fvs_tools.train import main, report_structured

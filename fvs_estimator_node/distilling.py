@@ -1,4 +1,4 @@
-"""The structured way to a model: fit a chain to the data, and let it teach the six networks.
+"""The structured way to a model: fit a chain to the data, and distil it into the networks.
 
 The chain knows the Jacobian everywhere, so that the networks learn from as many exact samples as
 wanted: a linear least-squares problem for each, of a fraction of a second.
@@ -12,12 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fvs_estimator_node.chain_fit import MAX_OFFSET_S, STILL_RAD, ChainFit, fit_chain
+from fvs_estimator_node.chain_fit import ChainFit, fit_chain
+from fvs_estimator_node.chain_path import MAX_OFFSET_S
+from fvs_estimator_node.chain_start import STILL_RAD
 from fvs_estimator_node.dataset import DataSet, late_stamps_note
-from fvs_estimator_node.model_file import TrainedModel
-from fvs_estimator_node.rbf import N_FEATURES, RbfModel, rbf_features
+from fvs_estimator_node.line_fit import ridge_path
+from fvs_estimator_node.model_file import TrainedModel, box_of
+from fvs_estimator_node.rbf import RbfModel, rbf_features
 from fvs_ros.chain import SerialChain
-from fvs_ros.joints import N_JOINTS
 
 #: Neurons of each network where nothing else is said; more cost little where samples are free.
 NEURONS = 100
@@ -91,31 +93,22 @@ def train_structured(
     fit = fit_chain(data, rng, progress)
     if progress is not None:
         progress("teaching the networks")
-    box = np.stack([data.joints_rad.min(axis=0), data.joints_rad.max(axis=0)])
+    box = box_of(data.joints_rad)
     model = teach(fit.chain, box, neurons, rng)
     places = _within(box, rng, _EXAMINATION)
     truth = fit.chain.jacobian(places)
     size = np.linalg.norm(truth, axis=(1, 2))
     error = np.linalg.norm(model.jacobian(places) - truth, axis=(1, 2)) / size
     deviation = float(np.median(fit.jacobian_deviation(places[: _EXAMINATION // 10])))
-    figures = {
-        "jacobian_deviation": deviation,
-        "teaching_error": float(np.median(error)),
-        "misfit": fit.misfit,
-        "residual_m": fit.residual_m,
-        "noise_m": fit.noise_m,
-        "ray_noise_m": fit.ray_noise_m,
-        "lateral_noise_m": fit.lateral_noise_m,
-        "time_offset_s": fit.time_offset_s,
-        "time_offset_deviation_s": fit.time_offset_deviation_s,
-        "outliers": fit.outliers,
-        "samples": fit.samples,
-    }
+    named = ("misfit", "residual_m", "noise_m", "ray_noise_m", "lateral_noise_m", "time_offset_s")
+    counted = ("time_offset_deviation_s", "outliers", "samples")
+    figures = {name: getattr(fit, name) for name in (*named, *counted)}
+    figures |= {"jacobian_deviation": deviation, "teaching_error": float(np.median(error))}
     order = rng.permutation(len(data))[:_BALL_SAMPLES]
     trained = TrainedModel(
         model=model,
         joint_box_rad=box,
-        ball_box_m=np.stack([data.ball_m.min(axis=0), data.ball_m.max(axis=0)]),
+        ball_box_m=box_of(data.ball_m),
         ball_samples_m=data.ball_m[order],
         joint_names=data.joint_names,
         feature_frame=data.feature_frame,
@@ -178,90 +171,80 @@ def _known(figures: dict[str, float]) -> dict[str, float]:
 def teach(
     chain: SerialChain, box_rad: np.ndarray, neurons: int, rng: np.random.Generator
 ) -> RbfModel:
-    """Six networks that say in a box what a chain says.
+    """Networks that say in a box what a chain says.
 
     Parameters
     ----------
     chain : SerialChain
-        The teacher.
-    box_rad : ndarray, shape (2, 6)
+        The chain.
+    box_rad : ndarray, shape (2, n)
         Least and greatest joint positions, rad.
     neurons : int
-        Neurons of each network, m.
+        Neurons of each network.
     rng : numpy Generator
-        Draws centres and lessons.
+        Draws centres and samples.
     """
+    n = box_rad.shape[1]
     half = 0.5 * (box_rad[1] - box_rad[0])
     width = max(_WIDTH_FACTOR * math.sqrt(float(np.mean(half**2))), 1e-3)
-    wide = np.stack([box_rad[0] - (_BEYOND - 1.0) * half, box_rad[1] + (_BEYOND - 1.0) * half])
+    wide = box_rad + (_BEYOND - 1.0) * np.stack([-half, half])
     joints = _within(wide, rng, _LESSON * neurons)
-    jacobian = chain.jacobian(joints)
-    centres = np.stack([_within(wide, rng, neurons) for _ in range(N_JOINTS)])
-    widths = np.full((N_JOINTS, neurons), width)
-    weights = np.empty((N_JOINTS, N_FEATURES, neurons))
-    for i in range(N_JOINTS):
-        theta = rbf_features(centres[i : i + 1], widths[i : i + 1], joints)[:, 0]
-        gram = theta.T @ theta
-        gram[np.diag_indices_from(gram)] += _RIDGE * np.trace(gram) / neurons
-        weights[i] = np.linalg.solve(gram, theta.T @ jacobian[:, :, i]).T
-    return RbfModel(centres, widths, weights)
+    columns = np.moveaxis(chain.jacobian(joints), -1, 0)
+    centres = np.stack([_within(wide, rng, neurons) for _ in range(n)])
+    widths = np.full((n, neurons), width)
+    weights = []
+    for i, column in enumerate(columns):
+        theta = rbf_features(centres[[i]], widths[[i]], joints)[:, 0]
+        weights.append(ridge_path(theta, column, (_RIDGE,))[0].T)
+    return RbfModel(centres, widths, np.stack(weights))
 
 
 def _within(box_rad: np.ndarray, rng: np.random.Generator, count: int) -> np.ndarray:
-    return rng.uniform(box_rad[0], box_rad[1], (count, N_JOINTS))
+    return rng.uniform(box_rad[0], box_rad[1], (count, box_rad.shape[1]))
 
 
 def _notes(fit: ChainFit, deviation: float, data: DataSet) -> tuple[str, ...]:
-    notes = []
-    still = [
-        name
-        for name, spread in zip(data.joint_names, data.joints_rad.std(axis=0), strict=True)
-        if spread < STILL_RAD
-    ]
-    if still:
-        them = "it" if len(still) == 1 else "them"
-        notes.append(f"{', '.join(still)} did not move in the data set: nothing is known of {them}")
-    if fit.offset_at_limit:
-        notes.append(_limit_note(fit.time_offset_s))
-    if not fit.is_chain and math.isnan(fit.misfit):
-        notes.append(
-            "whether the ball moves as one on a rigid chain of six revolute joints cannot be told: "
-            f"images are {1e3 * fit.residual_m:.1f} mm off it, and too few follow one another "
-            "closely enough to show how much of that is noise; see that joint names and signs are "
-            "right, that the camera stays and that the ball is firm on its tool, or collect with "
-            "five images a second or more"
-        )
-    elif not fit.is_chain:
-        notes.append(
-            f"the ball does not move as one on a rigid chain of six revolute joints: images are "
-            f"{1e3 * fit.residual_m:.1f} mm off it, of which noise explains "
-            f"{1e3 * fit.noise_m:.1f} mm; check that nothing moved the camera or the ball on its "
-            "tool while collecting, check joint names and signs, or train with another method"
-        )
+    spread = data.joints_rad.std(axis=0)
+    still = [name for name, one in zip(data.joint_names, spread, strict=True) if one < STILL_RAD]
     noise_m = fit.residual_m if math.isnan(fit.noise_m) else fit.noise_m
-    if noise_m > _NOTABLE_NOISE_M:
-        notes.append(
-            f"ball positions scatter by {1e3 * noise_m:.0f} mm (median), far more than a depth "
-            "camera's do; check depth, lighting and that nothing else is taken for the ball"
-        )
-    if deviation > _DOUBTFUL and not still:
-        notes.append(
-            f"the Jacobian is known to {100.0 * deviation:.1f} % only; collect longer or in a "
-            "wider box, and see that the camera is calibrated"
-        )
+    off, noise = f"{1e3 * fit.residual_m:.1f} mm", f"{1e3 * noise_m:.1f} mm"
     late = late_stamps_note(fit.time_offset_s)
-    if late and not fit.offset_at_limit:
-        notes.append(late)
-    if fit.outliers > _NOTABLE_OUTLIERS * fit.samples:
-        notes.append(f"{fit.outliers} of {fit.samples} images do not fit")
-    return tuple(notes)
-
-
-def _limit_note(offset_s: float) -> str:
-    late = offset_s > 0.0
-    mend = f"add {offset_s:.1f} to stamp_delay_s of fvs_detector_node" if late else "set the clocks"
-    return (
-        f"the images seem to be stamped {1e3 * MAX_OFFSET_S:.0f} ms {'late' if late else 'early'} "
-        "or more, and more is not looked for, so that the fit is not to be trusted; do the clocks "
-        f"of camera and robot agree (NTP)? {mend}, then collect again"
+    notes = (
+        (
+            bool(still),
+            f"{', '.join(still)} did not move in the data set: nothing is known there",
+        ),
+        (
+            fit.offset_at_limit,
+            f"the images seem to be stamped {1e3 * MAX_OFFSET_S:.0f} ms "
+            f"{'late' if fit.time_offset_s > 0.0 else 'early'} or more: do not trust this fit; "
+            "set the clocks (NTP), or add the delay to stamp_delay_s of fvs_detector_node",
+        ),
+        (
+            not fit.is_chain and math.isnan(fit.misfit),
+            "whether the ball moves on a rigid chain of revolute joints cannot be told: images are "
+            f"{off} off it; collect with five images a second or more",
+        ),
+        (
+            not fit.is_chain and not math.isnan(fit.misfit),
+            f"the ball does not move on a rigid chain of revolute joints: images are {off} off, "
+            f"noise explains {noise}; check that nothing moved the camera or the ball on its tool, "
+            "check joint names and signs, or train with another method",
+        ),
+        (
+            noise_m > _NOTABLE_NOISE_M,
+            f"ball positions scatter by {1e3 * noise_m:.0f} mm (median); check depth, lighting and "
+            "that nothing else is taken for the ball",
+        ),
+        (
+            deviation > _DOUBTFUL and not still,
+            f"the Jacobian is known to {100.0 * deviation:.1f} % only; collect longer or in a "
+            "wider box, and see that the camera is calibrated",
+        ),
+        (bool(late) and not fit.offset_at_limit, late),
+        (
+            fit.outliers > _NOTABLE_OUTLIERS * fit.samples,
+            f"{fit.outliers} of {fit.samples} images do not fit",
+        ),
     )
+    return tuple(text for holds, text in notes if holds)

@@ -1,0 +1,250 @@
+"""Models behind a camera that was moved: how it stands is learned from where the ball goes."""
+
+import numpy as np
+import pytest
+import ur5_dh
+from recordings import Recording, relative_error, turn, ur5_chain
+
+from fvs_estimator_node.base import MotionStep
+from fvs_estimator_node.camera import (
+    CameraPose,
+    PoeEstimator,
+    TurnedRbfEstimator,
+    nearest_rotation,
+    rotation_angle_rad,
+)
+from fvs_estimator_node.distilling import teach
+
+NOISE_M = 0.001
+BOX = ur5_dh.HOME_RAD + np.array([-1.0, 1.0])[:, None] * ur5_dh.BOX_M_RAD
+TURNED = turn([0.3, 0.1, 1.0], np.radians(45.0))
+
+
+@pytest.fixture(scope="module")
+def networks():
+    return teach(ur5_chain(), BOX, 60, np.random.default_rng(0))
+
+
+def path(count, rng):
+    """A ball that wanders about, 15 mm at a time, m, shape (count, 3)."""
+    direction = np.cumsum(rng.normal(size=(count, 3)), axis=0)
+    steps = 0.015 * direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    return np.array([0.0, 0.0, 1.4]) + np.cumsum(steps, axis=0)
+
+
+def watch(camera, balls, rotation, translation, rng, noise_m=NOISE_M):
+    for ball in balls:
+        camera.add(ball, rotation @ ball + translation + noise_m * rng.normal(size=3))
+
+
+def off_deg(camera, rotation):
+    return np.degrees(rotation_angle_rad(camera.rotation.T @ rotation))
+
+
+@pytest.mark.parametrize("degrees", [1.0, 20.0, 90.0, 180.0])
+def test_any_turn_and_shift_is_found_in_half_a_metre(degrees):
+    rng = np.random.default_rng(int(degrees))
+    rotation, shift = turn(rng.normal(size=3), np.radians(degrees)), 0.3 * rng.normal(size=3)
+    camera, balls = CameraPose(), path(40, rng)
+    watch(camera, balls, rotation, shift, rng)
+    assert off_deg(camera, rotation) < 1.5
+    assert camera.bumps == 1
+    seen = camera.rotation @ balls[-1] + camera.translation_m
+    np.testing.assert_allclose(seen, rotation @ balls[-1] + shift, atol=0.002)
+
+
+@pytest.mark.parametrize("noise_m", [NOISE_M, 0.006])
+def test_noise_is_learned_and_turns_no_camera_that_stands(noise_m):
+    rng, camera, off = np.random.default_rng(0), CameraPose(), []
+    balls = path(500, rng)
+    for ball in balls:
+        watch(camera, [ball], np.eye(3), np.zeros(3), rng, noise_m)
+        off.append(off_deg(camera, np.eye(3)))
+    assert max(off) < 3.0
+    assert off[-1] < 0.5
+    assert camera.noise_m == pytest.approx(noise_m, rel=0.3)
+    assert camera.bumps == 0
+
+
+@pytest.mark.parametrize("in_a_row", [1, 2, 5])
+def test_outliers_turn_nothing(in_a_row):
+    rng, camera = np.random.default_rng(in_a_row), CameraPose()
+    for i, ball in enumerate(path(400, rng)):
+        off = 0.2 * rng.normal(size=3) if i % 40 < in_a_row else np.zeros(3)
+        camera.add(ball, ball + off + NOISE_M * rng.normal(size=3))
+    assert camera.bumps == 0
+    assert off_deg(camera, np.eye(3)) < 0.6
+
+
+def test_a_bump_is_noticed_and_the_new_pose_learned():
+    rng, camera = np.random.default_rng(0), CameraPose()
+    balls, rotation, shift = path(200, rng), turn([0.0, 1.0, 0.2], 0.4), np.array([0.05, 0.1, 0.0])
+    watch(camera, balls[:100], np.eye(3), np.zeros(3), rng)
+    watch(camera, balls[100:103], rotation, shift, rng)
+    assert camera.bumps == 1
+    watch(camera, balls[103:], rotation, shift, rng)
+    assert camera.bumps == 1
+    assert off_deg(camera, rotation) < 1.0
+
+
+def test_a_camera_that_sags_slowly_is_followed():
+    rng, camera, off = np.random.default_rng(0), CameraPose(), []
+    for time_s in np.arange(1800) / 30.0:
+        swing = 0.25 * np.sin(time_s * np.array([1.5, 1.1, 0.9]) + [0.0, 1.0, 2.0])
+        rotation = turn([1.0, 1.0, 0.3], np.radians(0.2 * time_s))
+        watch(camera, [np.array([0.0, 0.0, 1.4]) + swing], rotation, np.zeros(3), rng)
+        off.append(off_deg(camera, rotation))
+    assert max(off) < 5.0
+
+
+@pytest.mark.parametrize("about_the_ball", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_camera_carried_while_the_ball_rests_is_known_after_a_short_way(seed, about_the_ball):
+    rng, camera = np.random.default_rng(seed), CameraPose()
+    balls = path(100, rng)
+    watch(camera, balls, np.eye(3), np.zeros(3), rng)
+    for done in np.linspace(0.0, 1.0, 60):
+        rotation = turn([0.2, 1.0, 0.3], np.radians(45.0) * done)
+        shift = np.array([0.1, 0.0, 0.0]) * done
+        if about_the_ball:
+            shift = balls[-1] - rotation @ balls[-1]
+        watch(camera, [balls[-1]], rotation, shift, rng)
+    assert rotation_angle_rad(camera.rotation) < np.radians(2.0)  # a ball at rest tells nothing
+    legs = np.repeat(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), 6, axis=0)
+    watch(camera, balls[-1] + 0.015 * np.cumsum(legs, axis=0), rotation, shift, rng)
+    assert off_deg(camera, rotation) < 10.0
+
+
+@pytest.mark.parametrize("prior", [(0.01, 1000.0), (0.14, 30.0)], ids=["chain", "networks"])
+def test_a_long_way_along_one_line_forgets_nothing(prior):
+    rng, camera, balls = (
+        np.random.default_rng(0),
+        CameraPose(*prior),
+        path(60, np.random.default_rng(1)),
+    )
+    watch(camera, balls, TURNED, np.zeros(3), rng)
+    to_and_fro = balls[-1] + np.outer(np.sin(0.1 * np.arange(3000)), [0.1, 0.0, 0.0])
+    watch(camera, to_and_fro, TURNED, np.zeros(3), rng)
+    assert off_deg(camera, TURNED) < 1.0
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e6, 1e200])
+def test_what_is_not_finite_or_too_far_teaches_nothing(bad):
+    rng, camera = np.random.default_rng(0), CameraPose()
+    balls = path(30, rng)
+    watch(camera, balls, np.eye(3), np.zeros(3), rng)
+    before = camera.rotation.copy(), camera.translation_m.copy(), camera.noise_m
+    with np.errstate(all="ignore"):
+        for _ in range(10):
+            assert not camera.add(balls[-1], np.array([0.0, bad, 1.0]))
+            assert not camera.add(np.array([np.nan, 0.0, 1.0]), balls[-1])
+    np.testing.assert_array_equal(camera.rotation, before[0])
+    np.testing.assert_array_equal(camera.translation_m, before[1])
+    assert (camera.noise_m, camera.bumps) == (before[2], 0)
+
+
+def test_the_nearest_rotation_is_a_rotation_and_that_of_a_rotation_itself():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        found = nearest_rotation(rng.normal(size=(3, 3)))
+        np.testing.assert_allclose(found @ found.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(found) > 0.0
+        np.testing.assert_allclose(nearest_rotation(3.0 * found), found, atol=1e-12)
+
+
+# --- the estimators ---
+
+
+def made(method, networks):
+    return PoeEstimator(ur5_chain()) if method == "poe" else TurnedRbfEstimator(networks)
+
+
+def see(estimator, chain, joints, rng):
+    """Let it see a ball on a chain at joints, rad, shape (k, n)."""
+    balls = chain.position(joints) + NOISE_M * rng.normal(size=(len(joints), 3))
+    for one, ball in zip(joints, balls, strict=True):
+        estimator.observe(one, ball)
+
+
+@pytest.mark.parametrize(("method", "within"), [("poe", 0.01), ("rbf_left", 0.12)])
+def test_the_jacobian_behind_a_turned_camera(networks, method, within):
+    estimator, rng = made(method, networks), np.random.default_rng(0)
+    seen = ur5_chain().moved(TURNED, np.array([0.1, -0.2, 0.1]))
+    joints, places = Recording().joints(np.arange(90) / 15.0), Recording().places()
+    begun = estimator.jacobian(joints[0])
+    see(estimator, seen, joints, rng)
+    learned = np.array([estimator.jacobian(q) for q in places])
+    assert np.median(relative_error(learned, seen.jacobian(places))) < within
+    values = estimator.status_values()
+    assert values["camera_turned_deg"] == pytest.approx(45.0, abs=3.0)
+    assert values["updates"] == estimator.updates > 50
+    if method == "poe":
+        np.testing.assert_allclose(
+            estimator.chain.position(places), seen.position(places), atol=0.01
+        )
+        np.testing.assert_allclose(estimator.chain.jacobian(places), learned, atol=1e-9)
+    see(estimator, seen, np.repeat(joints[-1:], 3000, axis=0), rng)  # a rest forgets nothing
+    rested = np.array([estimator.jacobian(q) for q in places])
+    assert np.median(relative_error(rested, seen.jacobian(places))) < within
+    estimator.reset()
+    assert estimator.updates == 0
+    np.testing.assert_array_equal(estimator.jacobian(joints[0]), begun)
+
+
+@pytest.mark.parametrize("method", ["poe", "rbf_left"])
+def test_a_camera_that_stands_is_hardly_turned_along_a_long_way(networks, method):
+    estimator = made(method, networks)
+    see(estimator, ur5_chain(), Recording().joints(np.arange(600) / 15.0), np.random.default_rng(0))
+    values = estimator.status_values()
+    assert values["camera_turned_deg"] < (0.5 if method == "poe" else 4.0)
+    assert values["camera_bumps"] == 0.0
+
+
+@pytest.mark.parametrize("method", ["poe", "rbf_left"])
+def test_an_observation_that_is_not_finite_teaches_nothing(networks, method):
+    estimator, joints = made(method, networks), ur5_dh.HOME_RAD
+    ball, begun = ur5_chain().position(joints) + 0.001, estimator.jacobian(joints)
+    with np.errstate(all="ignore"):
+        estimator.observe(np.full(6, np.nan), ball)
+        estimator.observe(joints, np.full(3, np.nan))
+    estimator.update(MotionStep(1.0, 0.03, joints, np.full(6, 0.01), np.zeros(3)))
+    assert (estimator.updates, estimator.refused) == (0, 2)
+    np.testing.assert_array_equal(estimator.jacobian(joints), begun)
+
+
+def told(change_joints=None, bumped_s=np.inf, seed=0):
+    """All remarks of an estimator that knows the chain, in 20 s of motion; and its bumps."""
+    recording, turned = (
+        Recording(seed=seed, seconds=20.0, outliers=0.0, late_s=0.0),
+        turn([0, 1, 0], 0.3),
+    )
+    data, estimator, remarks = recording.data(), PoeEstimator(recording.chain()), set()
+    for stamp_s, seen_rad, ball in zip(data.stamps_s, data.joints_rad, data.ball_m, strict=True):
+        joints = seen_rad.copy()
+        if change_joints is not None:
+            change_joints(joints)
+        estimator.observe(joints, turned @ ball if stamp_s > bumped_s else ball)
+        remarks.add(estimator.remark)
+    return "".join(remarks), estimator.camera.bumps
+
+
+def flip(joints):
+    joints[2] *= -1.0
+
+
+def swap(joints):
+    joints[[1, 2]] = joints[[2, 1]]
+
+
+def zero(joints):
+    joints[2] += 0.3
+
+
+@pytest.mark.parametrize("change", [flip, swap, zero])
+def test_joints_that_are_not_those_of_the_model_are_named(change):
+    assert "sign, zero, scale and name of each joint" in told(change)[0]
+
+
+@pytest.mark.parametrize("bumped_s", [np.inf, 10.0])
+def test_right_joints_and_single_bumps_are_no_cause_for_remarks(bumped_s):
+    assert told(bumped_s=bumped_s) == ("", int(bumped_s < 20.0))
