@@ -39,7 +39,7 @@ _NOTABLE_NOISE_M = 0.01
 
 
 @dataclass(frozen=True)
-class TaughtModel:
+class DistilledModel:
     """What came of a structured training.
 
     Parameters
@@ -50,7 +50,7 @@ class TaughtModel:
         The fit of the chain.
     jacobian_deviation : float
         Relative standard deviation of the chain's Jacobian in the box, median; as the camera sees.
-    teaching_error : float
+    distillation_error : float
         Relative error of the networks against the chain at fresh joints in the box, median.
     notes : tuple of str
         What a user should know, in words.
@@ -59,7 +59,7 @@ class TaughtModel:
     trained: TrainedModel
     fit: ChainFit
     jacobian_deviation: float
-    teaching_error: float
+    distillation_error: float
     notes: tuple[str, ...]
 
 
@@ -68,7 +68,7 @@ def train_structured(
     neurons: int = NEURONS,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
-) -> TaughtModel:
+) -> DistilledModel:
     """Fit a chain to a data set and teach the networks by it.
 
     Parameters
@@ -92,7 +92,7 @@ def train_structured(
     rng = np.random.default_rng(seed)
     fit = fit_chain(data, rng, progress)
     if progress is not None:
-        progress("teaching the networks")
+        progress("distilling the networks")
     box = box_of(data.joints_rad)
     model = teach(fit.chain, box, neurons, rng)
     places = _within(box, rng, _EXAMINATION)
@@ -103,7 +103,7 @@ def train_structured(
     named = ("misfit", "residual_m", "noise_m", "ray_noise_m", "lateral_noise_m", "time_offset_s")
     counted = ("time_offset_deviation_s", "outliers", "samples")
     figures = {name: getattr(fit, name) for name in (*named, *counted)}
-    figures |= {"jacobian_deviation": deviation, "teaching_error": float(np.median(error))}
+    figures |= {"jacobian_deviation": deviation, "distillation_error": float(np.median(error))}
     order = rng.permutation(len(data))[:_BALL_SAMPLES]
     trained = TrainedModel(
         model=model,
@@ -120,7 +120,7 @@ def train_structured(
         },
         chain=fit.chain,
     )
-    return TaughtModel(
+    return DistilledModel(
         trained, fit, deviation, float(np.median(error)), _notes(fit, deviation, data)
     )
 

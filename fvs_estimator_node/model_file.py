@@ -55,7 +55,7 @@ class TrainedModel:
     provenance : dict
         Where it comes from; anything that JSON can hold.
     chain : SerialChain, optional
-        The chain that the networks were taught by, for the method ``poe``.
+        The chain that the networks were distilled from, for the method ``poe``.
 
     Raises
     ------

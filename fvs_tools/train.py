@@ -16,7 +16,7 @@ import numpy as np
 from tqdm import tqdm
 
 from fvs_estimator_node.dataset import DataSet, load_data_set
-from fvs_estimator_node.distilling import NEURONS, TaughtModel, train_structured, with_chain
+from fvs_estimator_node.distilling import NEURONS, DistilledModel, train_structured, with_chain
 from fvs_estimator_node.model_file import TrainedModel, save_model
 from fvs_estimator_node.training import (
     METHODS,
@@ -75,9 +75,9 @@ def _train(
     if arguments.method == STRUCTURED:
         say = None if arguments.quiet else (lambda words: print(f"{words} ...", file=sys.stderr))
         neurons = NEURONS if arguments.neurons is None else arguments.neurons
-        taught = train_structured(data, neurons, arguments.seed, say)
-        words = report_structured(taught, time.monotonic() - started_s)
-        return taught.trained, words, list(taught.notes), False
+        distilled = train_structured(data, neurons, arguments.seed, say)
+        words = report_structured(distilled, time.monotonic() - started_s)
+        return distilled.trained, words, list(distilled.notes), False
     options = TrainingOptions(
         method=arguments.method,
         neurons=TrainingOptions.neurons if arguments.neurons is None else arguments.neurons,
@@ -172,15 +172,15 @@ def report(result: TrainingResult, seconds: float) -> str:
     return "\n".join(lines)
 
 
-def report_structured(taught: TaughtModel, seconds: float) -> str:
+def report_structured(distilled: DistilledModel, seconds: float) -> str:
     """What a user should see of a structured training."""
-    fit = taught.fit
+    fit = distilled.fit
     noise = f"noise {1e3 * fit.noise_m:.2f} mm, misfit {fit.misfit:.2f}"
     lines = [
         "",
-        f"Jacobian of the chain, in the box of the data: {100 * taught.jacobian_deviation:.3f} % "
+        f"Jacobian of the chain, in the box of the data: {100 * distilled.jacobian_deviation:.3f} % "
         "(standard deviation; the camera's scale is not observable)",
-        f"networks taught by it: {100 * taught.teaching_error:.2f} % off the chain (median)",
+        f"networks distilled from it: {100 * distilled.distillation_error:.2f} % off the chain (median)",
         # + 0.0: no negative zero
         f"images stamped late: {round(1e3 * fit.time_offset_s, 1) + 0.0:.1f} +- "
         f"{1e3 * fit.time_offset_deviation_s:.1f} ms",
@@ -188,7 +188,7 @@ def report_structured(taught: TaughtModel, seconds: float) -> str:
         f"{1e3 * fit.lateral_noise_m:.2f} mm across",
         f"distance from the chain: {1e3 * fit.residual_m:.2f} mm (median); "
         + ("noise unknown: images too far apart" if math.isnan(fit.noise_m) else noise),
-        *_boxes(taught.trained),
+        *_boxes(distilled.trained),
         f"{fit.samples} images, {fit.outliers} left out; {seconds:.1f} s",
     ]
     return "\n".join(lines)

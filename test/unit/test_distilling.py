@@ -17,7 +17,7 @@ BOX = ur5_dh.HOME_RAD + np.array([-1.0, 1.0])[:, None] * ur5_dh.BOX_M_RAD
 
 
 @pytest.fixture(scope="module")
-def taught():
+def distilled():
     """A model of a minute's motion of a camera in time, and its recording."""
     recording = Recording(late_s=0.0, outliers=0.0)
     return train_structured(recording.data()), recording
@@ -32,20 +32,20 @@ def test_the_networks_say_what_the_chain_says():
     assert error.max() < 0.15
 
 
-def test_chain_and_networks_are_those_of_the_arm(taught):
-    result, recording = taught
+def test_chain_and_networks_are_those_of_the_arm(distilled):
+    result, recording = distilled
     places = recording.places()
     true = recording.chain().jacobian(places)
     chain = result.trained.chain
     assert np.median(relative_error(chain.jacobian(places), true)) < 0.002
     assert np.median(relative_error(result.trained.model.jacobian(places), true)) < 0.02
     assert 0.0 < result.jacobian_deviation < 0.002
-    assert 0.0 < result.teaching_error < 0.02
+    assert 0.0 < result.distillation_error < 0.02
     assert result.trained.errors["jacobian_deviation"] == result.jacobian_deviation
 
 
-def test_a_camera_with_another_focal_length_than_told_makes_a_worse_model_that_says_so(taught):
-    recording = taught[1]
+def test_a_camera_with_another_focal_length_than_told_makes_a_worse_model_that_says_so(distilled):
+    recording = distilled[1]
     data = recording.data()
     scales = np.array([1.0, 1.0, 1.01])
     result = train_structured(replace(data, ball_m=data.ball_m * scales), neurons=20)
@@ -53,15 +53,15 @@ def test_a_camera_with_another_focal_length_than_told_makes_a_worse_model_that_s
     seen = np.diag(scales) @ recording.chain().jacobian(places)
     error = np.median(relative_error(result.trained.chain.jacobian(places), seen))
     assert 0.5 * error < result.jacobian_deviation < 2.0 * error
-    assert result.jacobian_deviation > 3.0 * taught[0].jacobian_deviation
+    assert result.jacobian_deviation > 3.0 * distilled[0].jacobian_deviation
 
 
-def test_a_good_model_needs_no_words(taught):
-    assert taught[0].notes == ()
+def test_a_good_model_needs_no_words(distilled):
+    assert distilled[0].notes == ()
 
 
-def test_the_boxes_are_those_of_the_data(taught):
-    result, recording = taught
+def test_the_boxes_are_those_of_the_data(distilled):
+    result, recording = distilled
     data = recording.data()
     np.testing.assert_array_equal(result.trained.joint_box_rad[0], data.joints_rad.min(axis=0))
     np.testing.assert_array_equal(result.trained.ball_box_m[1], data.ball_m.max(axis=0))
@@ -144,10 +144,10 @@ def test_images_too_far_apart_are_told(monkeypatch):
     assert "five images a second" in notes[0]
 
 
-def test_a_model_trained_otherwise_gets_no_chain_that_cannot_be_told(taught, monkeypatch):
+def test_a_model_trained_otherwise_gets_no_chain_that_cannot_be_told(distilled, monkeypatch):
     monkeypatch.setattr("fvs_estimator_node.chain_fit._STARTS", 3)
-    plain = replace(taught[0].trained, chain=None)
-    with_one, words = with_chain(plain, taught[1].data())
+    plain = replace(distilled[0].trained, chain=None)
+    with_one, words = with_chain(plain, distilled[1].data())
     assert with_one.chain is not None
     assert "fits" in words
     data = slow(Recording(seconds=80.0, late_s=0.0, outliers=0.0).data())

@@ -58,7 +58,7 @@ def test_a_chain_teaches_the_networks(tmp_path, capsys):
     assert "looking for the axes" in captured.err
     for words in (
         "Jacobian of the chain, in the box of the data: 0.",
-        "networks taught by it",
+        "networks distilled from it",
         "images stamped late: ",
         "note: the images show the joints of 50 ms before their stamps",
         "model written",
@@ -80,9 +80,9 @@ def test_a_chain_teaches_the_networks(tmp_path, capsys):
 
 
 def test_images_stamped_in_time_are_no_negative_zero_late():
-    taught = train_structured(Recording(seconds=15.0).data(), neurons=10)
-    fit = replace(taught.fit, time_offset_s=-1e-5)
-    assert "stamped late: 0.0 +-" in report_structured(replace(taught, fit=fit), 1.0)
+    distilled = train_structured(Recording(seconds=15.0).data(), neurons=10)
+    fit = replace(distilled.fit, time_offset_s=-1e-5)
+    assert "stamped late: 0.0 +-" in report_structured(replace(distilled, fit=fit), 1.0)
 
 
 def test_interrupted_it_writes_nothing_and_says_so(data_file, tmp_path, capsys, monkeypatch):
