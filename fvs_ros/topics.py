@@ -301,10 +301,8 @@ _EITHER = (Qos.LATCHED, Qos.NEWEST)
 
 _ALWAYS = (End(STATUS, _RELIABLE), End(DIAGNOSTICS, _RELIABLE))
 _ROBOT_STATE = (End(ROBOT_PROGRAM_RUNNING, _EITHER), End(SPEED_SCALING, _NEWEST))
-_PLAYED, _SIMULATED = ("play_driver_topics", True), ("simulated_time", True)
-_IMAGE_RELIABILITY = (
-    "best effort if `image_reliability` says so, or is `auto` and a publisher is best effort"
-)
+_SIMULATED = ("simulated_time", True)
+_IMAGE_RELIABILITY = "best effort if a publisher is best effort"
 _CAMERA_TOPICS = (
     "this, and the images, below `camera/camera` if that is what a camera publishes, or below what "
     "`camera_topics` says"
@@ -323,8 +321,8 @@ INTERFACES: dict[str, Interface] = {
             End(COLOR_IMAGE, _RELIABLE),
             End(DEPTH_IMAGE, _RELIABLE),
             End(CAMERA_INFO, _RELIABLE),
-            End(ROBOT_PROGRAM_RUNNING, _LATCHED, given=_PLAYED),
-            End(SPEED_SCALING, _RELIABLE, given=_PLAYED),
+            End(ROBOT_PROGRAM_RUNNING, _LATCHED),
+            End(SPEED_SCALING, _RELIABLE),
             End(_TRUE_BALL_POSITION, _RELIABLE),
             End(_TRUE_JACOBIAN, _RELIABLE),
             End(_TRUE_CAMERA_POSE, _LATCHED),
