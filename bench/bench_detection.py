@@ -19,7 +19,8 @@ from fvs_detector_node.detection import BallColour, detect_ball
 from fvs_detector_node.detector import Detector
 from fvs_detector_node.diagnosis import diagnose
 from fvs_detector_node.rectifier import Rectifier
-from fvs_detector_node.tracking import Region, WindowTracker
+from fvs_detector_node.region import Region
+from fvs_detector_node.tracking import WindowTracker
 from fvs_ros.camera import CameraModel
 from fvs_ros.ros import to_image
 from fvs_ros.ros.images import from_color, from_depth

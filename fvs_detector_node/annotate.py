@@ -50,7 +50,8 @@ def annotate(rgb: np.ndarray, sighting: Sighting, camera: Intrinsics) -> np.ndar
             f"x {x:+.3f} y {y:+.3f} z {z:.3f} m",
         )
     elif sighting.miss is not None and sighting.miss.box is not None:
-        cv2.rectangle(picture, sighting.miss.box, _REFUSED, thick)
+        box = sighting.miss.box
+        cv2.rectangle(picture, (box.u0, box.v0, box.width, box.height), _REFUSED, thick)
     # White on a darkened band: readable before anything.
     band = picture[: round((8 + 20 * len(lines)) * scale)]
     band //= 4

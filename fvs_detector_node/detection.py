@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from fvs_detector_node.region import Region
 from fvs_detector_node.sphere import MIN_PIXELS, Patch, SphereFit, fit_sphere, median, unit
 from fvs_ros.camera import Intrinsics
 from fvs_ros.params import Parameters, parameter
@@ -95,8 +96,8 @@ class Rejection:
     ----------
     cause : Cause
         What speaks against it.
-    box : tuple of int
-        Its bounding box: first pixel (u0, v0), width and height, pixels.
+    box : Region
+        Its bounding box.
     pixels : int
         Its size, pixels.
     distance_m : float
@@ -106,7 +107,7 @@ class Rejection:
     """
 
     cause: Cause
-    box: tuple[int, int, int, int]
+    box: Region
     pixels: int
     distance_m: float = float("nan")
     looks_m: float = float("nan")
@@ -192,22 +193,15 @@ def colour_mask(rgb: np.ndarray, colour: BallColour) -> np.ndarray:
 # ------------------------------------------------------------------------------- candidates
 @dataclass(frozen=True)
 class _Blob:
-    """A connected part of a mask: first pixel (u0, v0), its filled mask, (h, w), and its size."""
+    """A connected part of a mask: its bounding box, its mask in there, filled, and its size."""
 
-    u0: int
-    v0: int
+    box: Region
     filled: np.ndarray
     pixels: int
 
-    @property
-    def box(self) -> tuple[int, int, int, int]:
-        height, width = self.filled.shape
-        return (self.u0, self.v0, width, height)
-
     def depths(self, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Depth within the bounding box, m, and where the blob has one; both of its shape."""
-        height, width = self.filled.shape
-        depth = depth_m[self.v0 : self.v0 + height, self.u0 : self.u0 + width]
+        depth = depth_m[self.box.part]
         return depth, (self.filled > 0) & (depth > 0.0) & (depth < np.inf)
 
 
@@ -222,7 +216,8 @@ def _blobs(mask: np.ndarray, u0: int = 0, v0: int = 0) -> list[_Blob]:
         u, v, width, height = cv2.boundingRect(contour)
         filled = np.zeros((height, width), np.uint8)
         cv2.drawContours(filled, [contour], 0, 255, cv2.FILLED, offset=(-u, -v))
-        blobs.append(_Blob(u0 + u, v0 + v, filled, cv2.countNonZero(filled)))
+        box = Region(u0 + u, v0 + v, width, height)
+        blobs.append(_Blob(box, filled, cv2.countNonZero(filled)))
     blobs.sort(key=lambda blob: -blob.pixels)
     return blobs[:_MAX_BLOBS]
 
@@ -247,11 +242,13 @@ def _split_by_depth(
         near = values[start] - 0.25 * radius_m
         layer = left & (depth >= near) & (depth <= near + 1.75 * radius_m)
         left &= ~layer
+        if np.count_nonzero(layer) > 0.98 * blob.pixels:  # this was tried as a whole
+            break
         mask = np.zeros(depth_m.shape, np.uint8)
-        box = mask[blob.v0 :, blob.u0 :][: depth.shape[0], : depth.shape[1]]
-        box[:] = cv2.morphologyEx(255 * layer.astype(np.uint8), cv2.MORPH_CLOSE, kernel)
-        for part in _blobs(box, blob.u0, blob.v0):
-            ball = _evaluate(part, mask, depth_m, camera, radius_m)
+        part = mask[blob.box.part]
+        part[:] = cv2.morphologyEx(255 * layer.astype(np.uint8), cv2.MORPH_CLOSE, kernel)
+        for piece in _blobs(part, blob.box.u0, blob.box.v0):
+            ball = _evaluate(piece, mask, depth_m, camera, radius_m)
             if isinstance(ball, BallDetection):
                 found.append(ball)
     return found
@@ -266,8 +263,9 @@ def _evaluate(
     if np.count_nonzero(known) < MIN_PIXELS:
         return against
     # First guess of the distance: half of a disc lies within 0.7 r of its middle.
-    height, width = blob.filled.shape
-    middle = unit(camera.rays(blob.u0 + 0.5 * (width - 1), blob.v0 + 0.5 * (height - 1)))
+    box = blob.box
+    middle_px = np.array([box.u0 + 0.5 * (box.width - 1), box.v0 + 0.5 * (box.height - 1)])
+    middle = unit(camera.rays(*middle_px))
     distance_m = float(median(box_depth[known]) / middle[2]) + 0.7 * radius_m
     expected_px = _outline_area_px(middle, distance_m, radius_m, camera)
     share = blob.pixels / expected_px
@@ -279,7 +277,7 @@ def _evaluate(
     )
     if distance_m < 1.5 * radius_m or not 0.7 * MIN_VISIBLE_FRACTION < share < 1.6:
         return against
-    pad = 3 + max(0, int(2.4 * np.sqrt(expected_px / np.pi)) - min(width, height))
+    pad = 3 + max(0, int(2.4 * np.sqrt(expected_px / np.pi)) - min(box.width, box.height))
     patch, coloured = _cut_out(blob, mask, depth_m, camera, pad)
     rays = patch.rays()
     fit = fit_sphere(patch, rays, distance_m, radius_m)
@@ -299,19 +297,13 @@ def _cut_out(
     blob: _Blob, mask: np.ndarray, depth_m: np.ndarray, camera: Intrinsics, pad: int
 ) -> tuple[Patch, np.ndarray]:
     """Surroundings of a blob, and which of their pixels have the ball's colour."""
-    height, width = blob.filled.shape
-    u0, v0 = max(0, blob.u0 - pad), max(0, blob.v0 - pad)
-    u1 = min(camera.width, blob.u0 + width + pad)
-    v1 = min(camera.height, blob.v0 + height + pad)
-    inside = np.zeros((v1 - v0, u1 - u0), bool)
-    inside[blob.v0 - v0 :, blob.u0 - u0 :][:height, :width] = blob.filled > 0
-    depth = np.asarray(depth_m[v0:v1, u0:u1], dtype=float)
-    patch = Patch(
-        inside,
-        np.where((depth > 0.0) & (depth < np.inf), depth, 0.0),
-        camera.window(u0, v0, u1 - u0, v1 - v0),
-    )
-    return patch, inside | (mask[v0:v1, u0:u1] > 0)
+    box, around = blob.box, blob.box.grown(pad, camera)
+    inside = np.zeros((around.height, around.width), bool)
+    within = Region(box.u0 - around.u0, box.v0 - around.v0, box.width, box.height)
+    inside[within.part] = blob.filled > 0
+    depth = np.asarray(depth_m[around.part], dtype=float)
+    known = np.where((depth > 0.0) & (depth < np.inf), depth, 0.0)
+    return Patch(inside, known, around.view(camera)), inside | (mask[around.part] > 0)
 
 
 def _measured(

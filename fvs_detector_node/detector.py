@@ -11,7 +11,8 @@ from fvs_detector_node.detection import BallDetection, detect_ball
 from fvs_detector_node.diagnosis import Miss, diagnose
 from fvs_detector_node.gate import Gate
 from fvs_detector_node.rectifier import Rectifier
-from fvs_detector_node.tracking import Region, WindowTracker
+from fvs_detector_node.region import Region
+from fvs_detector_node.tracking import WindowTracker
 from fvs_ros.camera import CameraModel
 
 #: A lost ball is explained this often at most, s of image stamps; it takes as long as a search.

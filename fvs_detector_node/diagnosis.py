@@ -15,6 +15,7 @@ from fvs_detector_node.detection import (
     colour_mask,
     examine,
 )
+from fvs_detector_node.region import Region
 from fvs_detector_node.sphere import MIN_PIXELS
 from fvs_ros.camera import Intrinsics
 
@@ -35,13 +36,13 @@ class Miss:
         The most likely cause.
     text : str
         One sentence.
-    box : tuple of int or None
-        What it is about: first pixel (u0, v0), width and height, pixels.
+    box : Region or None
+        What it is about.
     """
 
     cause: Cause
     text: str
-    box: tuple[int, int, int, int] | None = None
+    box: Region | None = None
 
 
 def diagnose(
@@ -88,10 +89,9 @@ def _off_colour(
     relaxed: BallColour,
 ) -> Miss:
     """What to change for a ball that is found with wider limits of its colour."""
-    (u, v), reach = camera.project(ball.position_m), 0.8 * ball.radius_px
-    u0, u1 = np.clip([int(u - reach), int(u + reach) + 1], 0, camera.width).tolist()
-    v0, v1 = np.clip([int(v - reach), int(v + reach) + 1], 0, camera.height).tolist()
-    disc = np.ascontiguousarray(rgb[v0:v1, u0:u1])
+    u, v = camera.project(ball.position_m).astype(int).tolist()
+    box = Region(u, v, 1, 1).grown(int(0.8 * ball.radius_px), camera)
+    disc = np.ascontiguousarray(rgb[box.part])
     pixels = cv2.cvtColor(disc, cv2.COLOR_RGB2HSV)[colour_mask(disc, relaxed) > 0]
     # With room for the ball's shaded side.
     wanted = (0.7 * np.percentile(pixels, 5, axis=0)).astype(int)
@@ -99,7 +99,7 @@ def _off_colour(
         text = f"the ball is too dark: lower min_value to {wanted[2]}, or give more light"
     else:
         text = f"the ball is too pale: lower min_saturation to {wanted[1]}, or shorten the exposure"
-    return Miss(Cause.OFF_COLOUR, text, (u0, v0, u1 - u0, v1 - v0))
+    return Miss(Cause.OFF_COLOUR, text, box)
 
 
 def _sentence(thing: Rejection, radius_m: float) -> str:

@@ -7,9 +7,9 @@ from fvs_ros import stop
 stop.listen()
 
 import sys
-from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -30,9 +30,10 @@ from fvs_ros.ros.images import from_color, from_depth
 from fvs_ros.ros.monitor import ArrivalMonitor
 from fvs_ros.topics import CAMERA_PREFIXES
 
+T = TypeVar("T")
+
 _STATUS_PERIOD_S = 0.1
 _PUBLISHERS_PERIOD_S = 1.0
-_KEPT_INFOS = 8
 #: A change of state is logged this often at most, s; the status always has it.
 _LOG_PERIOD_S = 3.0
 
@@ -55,7 +56,7 @@ class DetectorNode(ros.FvsNode):
         self._detector = Detector(self._config)
         self._pairing: Synchroniser[_Picture] = Synchroniser(self._config.sync_tolerance_s)
         self._restarts = 0
-        self._cameras: deque[tuple[float, CameraModel]] = deque(maxlen=_KEPT_INFOS)
+        self._camera: CameraModel | None = None
         self._sighting: Sighting | None = None
         self._pairs, self._published = ArrivalMonitor(), ArrivalMonitor()
         self._problem, self._problem_s = "", -np.inf
@@ -82,8 +83,7 @@ class DetectorNode(ros.FvsNode):
             for prefix in CAMERA_PREFIXES:
                 topics = CameraTopics.of(prefix, self._config)
                 if self._publishers_of(topics.color):
-                    self._topics = topics
-                    self._cameras.clear()
+                    self._topics, self._camera = topics, None
         self._subscribe()
 
     def _publishers_of(self, topic: str) -> list[TopicEndpointInfo]:
@@ -113,29 +113,30 @@ class DetectorNode(ros.FvsNode):
         best_effort = ReliabilityPolicy.BEST_EFFORT in offered
         return ros.QOS_NEWEST if best_effort else ros.QOS_RELIABLE
 
-    def _on_camera_info(self, message: CameraInfo) -> None:
+    def _decoded(self, topic: str, decode: Callable[[Any], T], message: Any) -> T | None:
+        """What a message holds; None, and a complaint, if that cannot be used."""
         try:
-            camera = ros.from_camera_info(message)
+            return decode(message)
         except ros.MessageError as error:
-            self._complain(self._topics.info, str(error))
-            return
-        self._cameras.append((ros.from_stamp(message.header.stamp), camera))
+            self._complain(topic, str(error))
+            return None
+
+    def _on_camera_info(self, message: CameraInfo) -> None:
+        camera = self._decoded(self._topics.info, ros.from_camera_info, message)
+        self._camera = camera or self._camera
 
     def _on_color(self, message: Any) -> None:
-        try:
-            picture = _Picture(message.header, from_color(message))
-        except ros.MessageError as error:
-            self._complain(self._topics.color, str(error))
-            return
-        self._take(self._pairing.add_colour(ros.from_stamp(message.header.stamp), picture))
+        pixels = self._decoded(self._topics.color, from_color, message)
+        if pixels is not None:
+            picture = _Picture(message.header, pixels)
+            self._take(self._pairing.add_colour(ros.from_stamp(message.header.stamp), picture))
 
     def _on_depth(self, message: Any) -> None:
-        try:
-            picture = _Picture(message.header, from_depth(message, self._config.depth_unit_m))
-        except ros.MessageError as error:
-            self._complain(self._topics.depth, str(error))
-            return
-        self._take(self._pairing.add_depth(ros.from_stamp(message.header.stamp), picture))
+        unit_m = self._config.depth_unit_m
+        pixels = self._decoded(self._topics.depth, lambda one: from_depth(one, unit_m), message)
+        if pixels is not None:
+            picture = _Picture(message.header, pixels)
+            self._take(self._pairing.add_depth(ros.from_stamp(message.header.stamp), picture))
 
     # --- from a pair of images to a position ---
 
@@ -143,16 +144,13 @@ class DetectorNode(ros.FvsNode):
         if self._pairing.restarts != self._restarts:
             self._restarts = self._pairing.restarts
             self._detector.reset()
-            self._cameras.clear()
             self.get_logger().warning("the stamps of the images went back: starting anew")
         if pair is None:
             return
         start_s = self.steady_s()
         self._pairs.arrived(self.now_s())
         self._sighting = None
-        # The calibration with the image's stamp, else the newest.
-        newest = self._cameras[-1][1] if self._cameras else None
-        camera = next((one for info_s, one in self._cameras if info_s == pair.stamp_s), newest)
+        camera = self._camera
         if camera is None:
             return
         problem = mismatch(
@@ -221,7 +219,7 @@ class DetectorNode(ros.FvsNode):
             described("colour images", self._topics.color, "check the camera and camera_topics"),
             described("depth images", self._topics.depth, "set align_depth.enable:=true"),
         ]
-        if not self._cameras:
+        if self._camera is None:
             inputs.append(described("camera_info", self._topics.info, "is it remapped as well?"))
         return inputs
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from fvs_detector_node.tracking import Region
+from fvs_detector_node.region import Region
 from fvs_ros.camera import CameraModel
 
 

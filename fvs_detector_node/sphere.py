@@ -98,9 +98,9 @@ def fit_sphere(
         None if too few depths lie on a sphere.
     """
     outline, outside_m = _outline(patch)
-    own = rays[patch.inside]
+    inside = np.flatnonzero(patch.inside)
+    own, depth_m = rays.reshape(-1, 3)[inside], patch.depth_m.ravel()[inside]
     direction = unit(np.ones(len(own)) @ own)
-    depth_m = patch.depth_m[patch.inside]
     known = depth_m > 0.0
     own = own[known]
     range_m = depth_m[known] / own[:, 2]
@@ -226,7 +226,7 @@ def _refine_circle(points: np.ndarray, radius: float, start: np.ndarray, cut: fl
 
 
 def _search_circle(points: np.ndarray, radius: float, tolerance: float) -> np.ndarray | None:
-    """Centre with the most points on the circle and few outside, over pairs of points."""
+    """Centre with the most points on the circle, over pairs of points."""
     count = points.shape[1]
     chosen = points[:, np.linspace(0, count - 1, min(count, 32)).astype(int)]
     first, second = np.triu_indices(chosen.shape[1], 1)
@@ -240,8 +240,7 @@ def _search_circle(points: np.ndarray, radius: float, tolerance: float) -> np.nd
     across = np.stack([-chord[1], chord[0]]) * (height / (2.0 * half))
     centres = np.concatenate([middle + across, middle - across], axis=1)
     off = _lengths(points[:, None], centres[..., None]) - radius
-    score = np.sum(np.abs(off) < tolerance, axis=1) - 2.0 * np.sum(off > 2.0 * tolerance, axis=1)
-    return centres[:, int(np.argmax(score))]
+    return centres[:, int(np.argmax(np.sum(np.abs(off) < tolerance, axis=1)))]
 
 
 # -------------------------------------------------------------------------------- distance

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
 
 from fvs_detector_node.detection import BallDetection
+from fvs_detector_node.region import Region
 from fvs_ros.camera import Intrinsics
 
 #: Half the window, ball radii (an outline far off the axis is a fifth longer) and pixels, beside
@@ -16,41 +16,6 @@ from fvs_ros.camera import Intrinsics
 _RADII, _MARGIN_PX = 1.2, 3.0
 #: A UR5 reaches 0.85 m: its drives, 15 rad/s^2, and its joints, together 2 rad/s, give these.
 _ACCELERATION_M_S2, _SPEED_M_S = 12.0, 2.0
-
-
-@dataclass(frozen=True)
-class Region:
-    """A part of the image: first pixel (u0, v0) and size, pixels."""
-
-    u0: int
-    v0: int
-    width: int
-    height: int
-
-    @classmethod
-    def whole(cls, camera: Intrinsics) -> Region:
-        """All of a camera's image."""
-        return cls(0, 0, camera.width, camera.height)
-
-    @property
-    def part(self) -> tuple[slice, slice]:
-        """Rows and columns of the image."""
-        return np.s_[self.v0 : self.v0 + self.height, self.u0 : self.u0 + self.width]
-
-    def view(self, camera: Intrinsics) -> Intrinsics:
-        """Intrinsics of this part of a camera's image."""
-        return camera.window(self.u0, self.v0, self.width, self.height)
-
-    def cuts_off(self, ball: BallDetection, camera: Intrinsics) -> bool:
-        """Whether this part's border, but not the image's, cuts a ball off."""
-        u, v = camera.project(ball.position_m)
-        reach = ball.radius_px + 2.0
-        return bool(
-            (u - reach < self.u0 and self.u0 > 0)
-            or (v - reach < self.v0 and self.v0 > 0)
-            or (u + reach > self.u0 + self.width < camera.width)
-            or (v + reach > self.v0 + self.height < camera.height)
-        )
 
 
 class WindowTracker:
@@ -96,8 +61,10 @@ class WindowTracker:
         """
         expected = self.region(stamp_s)
         ball = None if expected is None else detect(expected)
-        if expected is not None and ball is not None and not expected.cuts_off(ball, self._camera):
-            return ball, False
+        if expected is not None and ball is not None:
+            u, v = self._camera.project(ball.position_m)
+            if not expected.cuts_off(u, v, ball.radius_px + 2.0, self._camera):
+                return ball, False
         wider = elsewhere()
         return (ball if wider is None else detect(wider)), True
 

@@ -14,7 +14,7 @@ import pybullet
 from pybullet_utils.bullet_client import BulletClient
 
 from fvs_detector_node.detection import BallColour, colour_mask
-from fvs_detector_node.tracking import Region
+from fvs_detector_node.region import Region
 from fvs_ros.camera import Intrinsics, look_at
 from fvs_ros.quaternions import quaternion_of
 
@@ -24,8 +24,8 @@ NEAR_M, FAR_M = 0.25, 4.0
 #: The renderer draws half a pixel to the right and up of the pinhole model; this takes it back.
 _SHIFT_PX = (-0.5, 0.5)
 
-#: A colour is looked for in an image this many times smaller, with a margin of its pixels.
-_COARSE, _MARGIN_PX = 4, 4
+#: A colour is looked for in an image this many times smaller, and given a margin.
+_COARSE, _MARGIN_PX = 4, 16
 
 # Depth buffer from which on nothing was drawn.
 _NOTHING = 0.999999
@@ -158,10 +158,7 @@ class Renderer:
         u, v, width, height = cv2.boundingRect(colour_mask(rgb, colour))
         if width == 0:
             return None
-        u0, v0 = max(0, (u - _MARGIN_PX) * n), max(0, (v - _MARGIN_PX) * n)
-        u1 = min(full.width, (u + width + _MARGIN_PX) * n)
-        v1 = min(full.height, (v + height + _MARGIN_PX) * n)
-        return Region(u0, v0, u1 - u0, v1 - v0)
+        return Region(u * n, v * n, width * n, height * n).grown(_MARGIN_PX, full)
 
     def _draw(self, pose: CameraPose, camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
         """Colours (H, W, 4) and the depth buffer (H, W), 1 where nothing is."""

@@ -16,7 +16,8 @@ import cv2
 import numpy as np
 
 from fvs_detector_node.detection import BallColour, BallDetection, detect_ball
-from fvs_detector_node.tracking import Region, WindowTracker
+from fvs_detector_node.region import Region
+from fvs_detector_node.tracking import WindowTracker
 from fvs_ros.camera import Intrinsics
 from fvs_sim_node.actuator import Actuator
 from fvs_sim_node.config import SimConfig
@@ -64,12 +65,9 @@ class Simulation:
 
     Attributes
     ----------
-    position_noise_m, latency_s, dropout, depth_noise, dead_time_s, joint_lag_s : float
-        Live values of those in the configuration.
-    encoder_noise_rad, focal_error, depth_error : float
-        Live, too.
-    image_rate_hz : float
-        That of the configuration; another value counts from the next reset on.
+    position_noise_m, latency_s, ... : float
+        Live values of those fields of the configuration that ``LIVE`` names; another
+        ``image_rate_hz`` or ``focal_error`` counts from the next reset on.
     speed_scaling : float
         Factor on every commanded velocity.
     position_noise : callable, optional

@@ -59,6 +59,10 @@ class World:
         self.client = BulletClient(pybullet.GUI if config.gui else pybullet.DIRECT)
         if not self.client.isConnected():
             raise RuntimeError("PyBullet could not open its window; run with gui set to false")
+        # For every step: looking them up takes as long as one of them.
+        self._set_motors = self.client.setJointMotorControlArray
+        self._get_states = self.client.getJointStates
+        self._step = self.client.stepSimulation
         self._ball_offset_m = config.ball_offset_m
         try:
             self.client.setTimeStep(1.0 / config.physics_rate_hz)
@@ -128,7 +132,8 @@ class World:
         limited = np.array([info[8] < info[9] for info in used])
         self.lower_rad = np.where(limited, [info[8] for info in used], -2 * np.pi)
         self.upper_rad = np.where(limited, [info[9] for info in used], 2 * np.pi)
-        self._efforts_nm, self.max_speed_rad_s = np.array([info[10:12] for info in used]).T
+        self._efforts_nm = [info[10] for info in used]
+        self.max_speed_rad_s = np.array([info[11] for info in used])
 
     def _prepare_joints(self) -> None:
         for joint in range(-1, self.client.getNumJoints(self._robot)):
@@ -189,7 +194,7 @@ class World:
 
     def drive(self, velocities_rad_s: np.ndarray) -> None:
         """Set the joints' speeds, rad/s, shape (n,)."""
-        self.client.setJointMotorControlArray(
+        self._set_motors(
             self._robot,
             self._joints,
             pybullet.VELOCITY_CONTROL,
@@ -199,11 +204,11 @@ class World:
 
     def step(self) -> None:
         """One step of the physics."""
-        self.client.stepSimulation()
+        self._step()
 
     def joint_states(self) -> tuple[np.ndarray, np.ndarray]:
         """Joint angles, rad, and velocities, rad/s, each of shape (n,)."""
-        states = self.client.getJointStates(self._robot, self._joints)
+        states = self._get_states(self._robot, self._joints)
         return np.array([s[0] for s in states]), np.array([s[1] for s in states])
 
     # -------------------------------------------------------------------- ball

@@ -5,7 +5,7 @@ import pytest
 from drawn_balls import RADIUS_M, VGA, draw, hide
 
 from fvs_detector_node.detection import BallColour, Cause, colour_mask, detect_ball, examine
-from fvs_detector_node.tracking import Region
+from fvs_detector_node.region import Region
 from fvs_ros.joints import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.depth_noise import add_depth_noise

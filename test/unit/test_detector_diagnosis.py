@@ -58,9 +58,9 @@ def test_no_depth_and_where(nothing):
     rgb[5:9, 5:9] = (200, 20, 20)
     miss = reason(rgb, depth)
     assert miss.cause is Cause.NO_DEPTH
-    (u0, v0, width, height), (u, v) = miss.box, VGA.project(CENTRE)
-    assert u0 < u < u0 + width
-    assert v0 < v < v0 + height
+    (u, v), box = VGA.project(CENTRE), miss.box
+    assert box.u0 < u < box.u0 + box.width
+    assert box.v0 < v < box.v0 + box.height
 
 
 @pytest.mark.parametrize("true_radius_m", [0.025, 0.06])

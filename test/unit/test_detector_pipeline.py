@@ -13,7 +13,7 @@ from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.detection import BallColour
 from fvs_detector_node.detector import Detector
 from fvs_detector_node.rectifier import Rectifier
-from fvs_detector_node.tracking import Region
+from fvs_detector_node.region import Region
 from fvs_ros.camera import CameraModel, camera_model
 
 PINHOLE = CameraModel(VGA)
