@@ -12,19 +12,21 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
+from sensor_msgs.msg import CompressedImage
 
-from fvs_detector_node.config import PARAMETERS
+from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.detection import BallColour, detect_ball
 from fvs_detector_node.detector import Detector
 from fvs_detector_node.diagnosis import diagnose
 from fvs_detector_node.rectifier import Rectifier
-from fvs_detector_node.tracking import Region, WindowTracker
-from fvs_ros import images
+from fvs_detector_node.region import Region
+from fvs_detector_node.tracking import WindowTracker
 from fvs_ros.camera import CameraModel
-from fvs_ros.params import ParameterSet
+from fvs_ros.ros import to_image
+from fvs_ros.ros.images import from_color, from_depth
+from fvs_sim_node.config import SimConfig
 from fvs_sim_node.depth_noise import add_depth_noise
 from fvs_sim_node.rendering import CAMERA_PRESETS, Renderer, camera_preset
-from fvs_sim_node.simulation import SimConfig
 from fvs_sim_node.world import World
 
 CENTRE = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
@@ -35,7 +37,7 @@ FULL_VIEW = 0.97
 def measure(config: SimConfig, poses: int, noise: float, seed: int = 0) -> np.ndarray:
     """Rows of (visible fraction, error in mm, time in ms); all NaN where nothing was published."""
     rng = np.random.default_rng(seed)
-    world = World(ball_radius_m=config.ball_radius_m, ball_offset_m=config.ball_offset_m)
+    world = World(config)
     renderer = Renderer(world.client, config.intrinsics)
     pose = camera_preset(config.camera)
     rows = np.full((poses, 3), np.nan)
@@ -57,45 +59,44 @@ def measure(config: SimConfig, poses: int, noise: float, seed: int = 0) -> np.nd
 def steps(repeats: int) -> None:
     """Print what each step of ``fvs_detector_node`` takes on one VGA image of the simulator."""
     config = SimConfig()
-    world = World(ball_radius_m=config.ball_radius_m, ball_offset_m=config.ball_offset_m)
+    world = World(config)
     world.reset(CENTRE)
     world.place_ball()
     rgb, depth = Renderer(world.client, config.intrinsics).render(camera_preset(config.camera))
     world.close()
     depth = add_depth_noise(depth, config.intrinsics.fx, np.random.default_rng(0))
     camera, radius_m = config.intrinsics, config.ball_radius_m
-    width, height = camera.width, camera.height
     found = detect_ball(rgb, depth, camera, radius_m)
     assert found is not None
     tracker = WindowTracker(camera, radius_m)
     tracker.update(0.0, found)
     window = tracker.region(0.0)
     assert window is not None
-    part = np.s_[window.v0 : window.v0 + window.height, window.u0 : window.u0 + window.width]
-    view = camera.window(window.u0, window.v0, window.width, window.height)
+    part, view = window.part, window.view(camera)
 
     lens = (-0.055, 0.066, 0.0003, 0.0007, -0.021)  # of a RealSense D455's colour camera
     rectifier = Rectifier(CameraModel(camera, "plumb_bob", lens))
-    whole = Region(0, 0, width, height)
+    whole = Region.whole(camera)
     millimetres = np.round(1e3 * depth).astype(np.uint16)
-    raw_rgb, raw_mm, raw_m = rgb.tobytes(), millimetres.tobytes(), depth.tobytes()
-    jpeg = cv2.imencode(".jpg", rgb[..., ::-1])[1].tobytes()
-    png = struct.pack("<iff", 0, 0.0, 0.0) + cv2.imencode(".png", millimetres)[1].tobytes()
-    detector = Detector(ParameterSet(PARAMETERS).values({"max_ball_speed_m_s": 100.0}))
+    raw_rgb, raw_bgr = (to_image(0.0, "", rgb, encoding) for encoding in ("rgb8", "bgr8"))
+    raw_mm, raw_m = to_image(0.0, "", millimetres, "16UC1"), to_image(0.0, "", depth, "32FC1")
+    jpeg = CompressedImage(format="jpeg", data=cv2.imencode(".jpg", rgb[..., ::-1])[1].tobytes())
+    png = CompressedImage(format="16UC1; compressedDepth png")
+    png.data = struct.pack("<iff", 0, 0.0, 0.0) + cv2.imencode(".png", millimetres)[1].tobytes()
+    detector = Detector(DetectorConfig(max_ball_speed_m_s=100.0))
     clock_s = iter(range(10**9))
 
     def one_image() -> None:
-        colour = images.decode_colour(raw_rgb, width, height, 3 * width, "rgb8")
-        metres = images.decode_depth(raw_mm, width, height, 2 * width, "16UC1")
-        detector.look(next(clock_s) / 30, colour, metres, CameraModel(camera))
+        images = from_color(raw_rgb), from_depth(raw_mm, 1e-3)
+        detector.look(next(clock_s) / 30, *images, CameraModel(camera))
 
     rows: dict[str, Callable[[], object]] = {
-        "decode rgb8": lambda: images.decode_colour(raw_rgb, width, height, 3 * width, "rgb8"),
-        "decode bgr8": lambda: images.decode_colour(raw_rgb, width, height, 3 * width, "bgr8"),
-        "decode 16UC1": lambda: images.decode_depth(raw_mm, width, height, 2 * width, "16UC1"),
-        "decode 32FC1": lambda: images.decode_depth(raw_m, width, height, 4 * width, "32FC1"),
-        "decode jpeg": lambda: images.decode_compressed_colour(jpeg, "jpeg"),
-        "decode compressedDepth": lambda: images.decode_compressed_depth(png, "16UC1"),
+        "decode rgb8": lambda: from_color(raw_rgb),
+        "decode bgr8": lambda: from_color(raw_bgr),
+        "decode 16UC1": lambda: from_depth(raw_mm, 1e-3),
+        "decode 32FC1": lambda: from_depth(raw_m, 1e-3),
+        "decode jpeg": lambda: from_color(jpeg),
+        "decode compressedDepth": lambda: from_depth(png, 1e-3),
         "rectify whole image": lambda: rectifier.cut(rgb, depth, whole),
         "rectify window": lambda: rectifier.cut(rgb, depth, window),
         "search whole image": lambda: detect_ball(rgb, depth, camera, radius_m),

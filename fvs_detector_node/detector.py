@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
-from fvs_detector_node.config import ball_colour
+from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.detection import BallDetection, detect_ball
 from fvs_detector_node.diagnosis import Miss, diagnose
 from fvs_detector_node.gate import Gate
 from fvs_detector_node.rectifier import Rectifier
-from fvs_detector_node.tracking import Region, WindowTracker
+from fvs_detector_node.region import Region
+from fvs_detector_node.tracking import WindowTracker
 from fvs_ros.camera import CameraModel
 
-#: A lost ball is explained this often at most, s of image stamps.
+#: A lost ball is explained this often at most, s of image stamps; it takes as long as a search.
 _EXPLAIN_PERIOD_S = 0.3
 
 
@@ -26,20 +25,20 @@ class Sighting:
 
     Parameters
     ----------
-    detection : BallDetection or None
+    ball : BallDetection or None
         The ball, if one is seen, believed or not.
     problem : str
-        Why nothing is to be published; empty if the detection is.
+        Why nothing is to be published; empty if the ball is.
     miss : Miss or None
         Of the explanation, if no ball is seen.
-    whole : bool
+    searched : bool
         Whether the whole image was searched.
     """
 
-    detection: BallDetection | None
+    ball: BallDetection | None
     problem: str = ""
     miss: Miss | None = None
-    whole: bool = False
+    searched: bool = False
 
 
 class Detector:
@@ -47,8 +46,8 @@ class Detector:
 
     Parameters
     ----------
-    values : mapping
-        Parameter values of the node.
+    config : DetectorConfig
+        Parameters of the node.
 
     Attributes
     ----------
@@ -56,23 +55,20 @@ class Detector:
         What judges positions.
     """
 
-    def __init__(self, values: Mapping[str, Any]) -> None:
+    def __init__(self, config: DetectorConfig) -> None:
         self._rectifier: Rectifier | None = None
-        self._radius_m = 0.0
-        self.gate = Gate(values["max_ball_speed_m_s"], values["gate_repeats"])
-        self.configure(values)
+        self._config = config
+        self.gate = Gate(config.max_ball_speed_m_s)
+        self._miss: Miss | None = None
         self.reset()
 
-    def configure(self, values: Mapping[str, Any]) -> None:
-        """Take parameter values into use; a ``ValueError`` says what is wrong with them."""
-        self._colour = ball_colour(values)
-        self._min_quality = values["min_quality"]
-        self.gate.max_speed_m_s = values["max_ball_speed_m_s"]
-        self.gate.repeats = values["gate_repeats"]
-        if values["ball_radius_m"] != self._radius_m:
-            self._radius_m = values["ball_radius_m"]
+    def configure(self, config: DetectorConfig) -> None:
+        """Take changed parameters into use."""
+        self.gate.max_speed_m_s = config.max_ball_speed_m_s
+        self._miss = None
+        if config.ball_radius_m != self._config.ball_radius_m:
             self.reset()
-        self._miss: Miss | None = None
+        self._config = config
 
     def reset(self) -> None:
         """Forget where the ball was."""
@@ -83,8 +79,8 @@ class Detector:
 
     def rectified(self, rgb: np.ndarray, depth_m: np.ndarray, camera: CameraModel) -> np.ndarray:
         """Whole colour image in which the detections' pixels are meant."""
-        rectifier = self._rectifier_of(camera)
-        return rectifier.cut(rgb, depth_m, _whole(camera))[0]
+        whole = Region.whole(camera.intrinsics)
+        return self._rectifier_of(camera).cut(rgb, depth_m, whole)[0]
 
     def look(
         self, stamp_s: float, rgb: np.ndarray, depth_m: np.ndarray, camera: CameraModel
@@ -107,26 +103,28 @@ class Detector:
         Sighting
             The ball, or why there is none.
         """
-        rectifier = self._rectifier_of(camera)
+        rectifier, view = self._rectifier_of(camera), camera.intrinsics
+        radius_m, colour = self._config.ball_radius_m, self._config.colour
+        whole = Region.whole(view)
+
+        def detect(region: Region) -> BallDetection | None:
+            images = rectifier.cut(rgb, depth_m, region)
+            return detect_ball(*images, region.view(view), radius_m, colour)
+
         if self._tracker is None:
-            self._tracker = WindowTracker(camera.intrinsics, self._radius_m)
-        window = self._tracker.region(stamp_s)
-        detection = None
-        if window is not None:
-            detection = self._search(rectifier, rgb, depth_m, window)
-            if detection is not None and window.cuts_off(detection, camera.intrinsics):
-                detection = None
-        searched_whole = detection is None
-        if searched_whole:
-            detection = self._search(rectifier, rgb, depth_m, _whole(camera))
-        if detection is None:
-            self._tracker.update(stamp_s, None)
-            miss = self._explain(stamp_s, rectifier, rgb, depth_m)
-            return Sighting(None, miss.text, miss, searched_whole)
-        problem = self._judge(stamp_s, detection)
-        # What is not believed is no place to look at next: the ball may still be where it was.
-        self._tracker.update(stamp_s, None if problem else detection)
-        return Sighting(detection, problem, None, searched_whole)
+            self._tracker = WindowTracker(view, radius_m)
+        ball, searched = self._tracker.find(stamp_s, detect, lambda: whole)
+        if ball is not None:
+            problem = self._judge(stamp_s, ball)
+            # What is not believed is no place to look at next: the ball may still be where it was.
+            self._tracker.update(stamp_s, None if problem else ball)
+            return Sighting(ball, problem, None, searched)
+        self._tracker.update(stamp_s, None)
+        due = not 0.0 <= stamp_s - self._explained_s < _EXPLAIN_PERIOD_S
+        if self._miss is None or due:
+            self._miss = diagnose(*rectifier.cut(rgb, depth_m, whole), view, radius_m, colour)
+            self._explained_s = stamp_s
+        return Sighting(None, self._miss.text, self._miss, searched)
 
     def _rectifier_of(self, camera: CameraModel) -> Rectifier:
         if self._rectifier is None or self._rectifier.camera != camera:
@@ -134,40 +132,14 @@ class Detector:
             self._tracker = None
         return self._rectifier
 
-    def _search(
-        self, rectifier: Rectifier, rgb: np.ndarray, depth_m: np.ndarray, region: Region
-    ) -> BallDetection | None:
-        view = rectifier.camera.intrinsics.window(region.u0, region.v0, region.width, region.height)
-        images = rectifier.cut(rgb, depth_m, region)
-        detection = detect_ball(*images, view, self._radius_m, self._colour)
-        if detection is None:
-            return None
-        u, v = detection.pixel
-        return replace(detection, pixel=(u + region.u0, v + region.v0))
-
-    def _judge(self, stamp_s: float, detection: BallDetection) -> str:
-        """Why a detection is not to be published; empty if it is."""
-        if detection.quality < self._min_quality:
+    def _judge(self, stamp_s: float, ball: BallDetection) -> str:
+        """Why a ball is not to be published; empty if it is."""
+        least = self._config.min_quality
+        if ball.quality < least:
             return (
-                f"the ball is seen too badly: quality {detection.quality:.2f} is below min_quality "
-                f"{self._min_quality:g}; {detection.visible_fraction:.0%} of it is visible"
+                f"the ball is seen badly, {ball.visible_fraction:.0%} of it: quality "
+                f"{ball.quality:.2f} is below min_quality {least:g}"
             )
-        if not np.all(np.isfinite(detection.position_m)):
+        if not np.all(np.isfinite(ball.position_m)):
             return "the ball's position is not finite"
-        return self.gate.check(stamp_s, detection.position_m)
-
-    def _explain(
-        self, stamp_s: float, rectifier: Rectifier, rgb: np.ndarray, depth_m: np.ndarray
-    ) -> Miss:
-        """Explain a miss; now and then only, as it takes longer than a search."""
-        due = not 0.0 <= stamp_s - self._explained_s < _EXPLAIN_PERIOD_S
-        if self._miss is None or due:
-            view = rectifier.camera.intrinsics
-            images = rectifier.cut(rgb, depth_m, _whole(rectifier.camera))
-            self._miss = diagnose(*images, view, self._radius_m, self._colour)
-            self._explained_s = stamp_s
-        return self._miss
-
-
-def _whole(camera: CameraModel) -> Region:
-    return Region(0, 0, camera.intrinsics.width, camera.intrinsics.height)
+        return self.gate.check(stamp_s, ball.position_m)

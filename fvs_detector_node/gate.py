@@ -6,6 +6,8 @@ import numpy as np
 
 #: On top of what the speed allows, for the noise of two positions, m.
 _NOISE_M = 0.01
+#: A jump is believed when it is seen this many times in a row, each near the one before.
+REPEATS = 3
 
 
 class Gate:
@@ -15,23 +17,19 @@ class Gate:
     ----------
     max_speed_m_s : float
         Fastest ball, m/s.
-    repeats : int
-        A jump is believed when it is seen this many times in a row, each near the one before.
     refused : int
         How many positions were refused.
     """
 
-    def __init__(self, max_speed_m_s: float, repeats: int) -> None:
+    def __init__(self, max_speed_m_s: float) -> None:
         self.max_speed_m_s = max_speed_m_s
-        self.repeats = repeats
         self.refused = 0
         self.reset()
 
     def reset(self) -> None:
         """Forget all positions: the next one is believed."""
-        self._accepted: tuple[float, np.ndarray] | None = None
-        self._candidate: tuple[float, np.ndarray] | None = None
-        self._seen = 0
+        self._believed: tuple[float, np.ndarray] | None = None
+        self._jumps: list[tuple[float, np.ndarray]] = []
 
     def check(self, stamp_s: float, position_m: np.ndarray) -> str:
         """Judge a position.
@@ -48,26 +46,21 @@ class Gate:
         str
             Empty if it is believed, else why not.
         """
-        if self._accepted is None or self._near(self._accepted, stamp_s, position_m):
-            self._accept(stamp_s, position_m)
-            return ""
-        again = self._candidate is not None and self._near(self._candidate, stamp_s, position_m)
-        self._seen = self._seen + 1 if again else 1
-        self._candidate = (stamp_s, position_m)
-        if self._seen >= self.repeats:
-            self._accept(stamp_s, position_m)
-            return ""
-        self.refused += 1
-        last_s, last_m = self._accepted
-        return (
-            f"a jump of {np.linalg.norm(position_m - last_m):.2f} m in {stamp_s - last_s:.3f} s is "
-            f"faster than max_ball_speed_m_s ({self.max_speed_m_s:g}): believed when seen "
-            f"{self.repeats} times in a row, now {self._seen}"
-        )
+        seen = (stamp_s, position_m)
+        if self._believed is not None and not self._near(self._believed, seen):
+            again = bool(self._jumps) and self._near(self._jumps[-1], seen)
+            self._jumps = [*self._jumps, seen] if again else [seen]
+            if len(self._jumps) < REPEATS:
+                self.refused += 1
+                last_s, last_m = self._believed
+                return (
+                    f"a jump of {np.linalg.norm(position_m - last_m):.2f} m in "
+                    f"{stamp_s - last_s:.3f} s is not believed: seen {len(self._jumps)} of "
+                    f"{REPEATS} times; raise max_ball_speed_m_s ({self.max_speed_m_s:g})?"
+                )
+        self._believed, self._jumps = seen, []
+        return ""
 
-    def _near(self, last: tuple[float, np.ndarray], stamp_s: float, position_m: np.ndarray) -> bool:
-        allowed_m = self.max_speed_m_s * max(stamp_s - last[0], 0.0) + _NOISE_M
-        return bool(np.linalg.norm(position_m - last[1]) <= allowed_m)
-
-    def _accept(self, stamp_s: float, position_m: np.ndarray) -> None:
-        self._accepted, self._candidate, self._seen = (stamp_s, position_m), None, 0
+    def _near(self, last: tuple[float, np.ndarray], seen: tuple[float, np.ndarray]) -> bool:
+        allowed_m = self.max_speed_m_s * max(seen[0] - last[0], 0.0) + _NOISE_M
+        return bool(np.linalg.norm(seen[1] - last[1]) <= allowed_m)

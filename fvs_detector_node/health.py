@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from fvs_detector_node.detector import Sighting
+from fvs_detector_node.synchroniser import Synchroniser
 
 WAITING, TRACKING, LOST, FAULT = "WAITING", "TRACKING", "LOST", "FAULT"
 
-#: An input that is silent for so long is missing, and a bad message over, s; the slowest cameras
-#: give 5 images a second.
-_MISSING_S = 1.0
-#: So many images in a row without a newer stamp are a frozen stream.
+#: An input that is silent for this long is missing, s; the slowest cameras give 5 images a second.
+MISSING_S = 1.0
+#: This many images in a row without a newer stamp are a frozen stream.
 _FROZEN_IMAGES = 5
 
 
@@ -22,71 +23,46 @@ class Input:
 
     Parameters
     ----------
+    what : str
+        What it carries.
     topic : str
         Full name.
     age_s : float
         Since its last message, s; infinite before the first.
     publishers : int
         How many there are.
+    hint : str
+        What to check where nothing comes.
     """
 
+    what: str
     topic: str
     age_s: float = math.inf
     publishers: int = 0
-
-    @property
-    def missing(self) -> bool:
-        """Whether nothing comes."""
-        return self.age_s > _MISSING_S
-
-    def silence(self) -> str:
-        """What is known about its silence, in words."""
-        if self.publishers:
-            return "somebody publishes there, but nothing arrives (image_reliability, network?)"
-        return "nobody publishes there"
+    hint: str = ""
 
 
-@dataclass(frozen=True)
-class Snapshot:
-    """What the node knows at a moment.
+def judge(
+    inputs: Iterable[Input],
+    problem: str,
+    pair_age_s: float,
+    pairing: Synchroniser,
+    sighting: Sighting | None,
+) -> tuple[str, str]:
+    """State and reason.
 
     Parameters
     ----------
-    colour, depth, info : Input
-        The three topics.
+    inputs : iterable of Input
+        The subscribed topics.
     problem : str
-        What was wrong with the last bad message.
-    problem_age_s : float
-        How long that is ago, s.
+        What is wrong with the newest messages; empty if nothing is.
     pair_age_s : float
         Since the last pair of images, s; infinite before the first.
-    offset_s : float or None
-        Depth's stamp less colour's, of the nearest two found, s.
-    tolerance_s : float
-        Largest offset of a pair, s.
-    repeats : int
-        Images in a row whose stamps did not advance.
-    calibrated : bool
-        Whether a usable camera_info has come.
+    pairing : Synchroniser
+        What pairs them.
     sighting : Sighting or None
         What the last pair gave.
-    """
-
-    colour: Input
-    depth: Input
-    info: Input
-    problem: str = ""
-    problem_age_s: float = math.inf
-    pair_age_s: float = math.inf
-    offset_s: float | None = None
-    tolerance_s: float = 0.0
-    repeats: int = 0
-    calibrated: bool = False
-    sighting: Sighting | None = None
-
-
-def judge(now: Snapshot) -> tuple[str, str]:
-    """State and reason.
 
     Returns
     -------
@@ -95,33 +71,46 @@ def judge(now: Snapshot) -> tuple[str, str]:
     reason : str
         One sentence.
     """
-    if now.problem_age_s < _MISSING_S:
-        return FAULT, now.problem
-    missing = _missing_input(now)
-    if missing:
-        return WAITING, missing
-    if now.pair_age_s > _MISSING_S:
-        return _unpaired(now)
-    if now.sighting is None:
+    if problem:
+        return FAULT, problem
+    for one in inputs:
+        if one.age_s > MISSING_S:
+            why = "no message arrives" if one.publishers else "no node publishes there"
+            return WAITING, f"no {one.what} on {one.topic}: {why}; {one.hint}"
+    if pair_age_s > MISSING_S:
+        return _unpaired(pairing)
+    if sighting is None:
         return WAITING, "waiting for the first pair of images"
-    if now.sighting.problem:
-        return LOST, now.sighting.problem
+    if sighting.problem:
+        return LOST, sighting.problem
     return TRACKING, "the ball is seen, its position is published"
 
 
+def _unpaired(pairing: Synchroniser) -> tuple[str, str]:
+    if pairing.repeats >= _FROZEN_IMAGES:
+        return FAULT, (
+            f"the image stamps do not advance, {pairing.repeats} in a row: is the camera frozen?"
+        )
+    apart = "" if pairing.offset_s is None else f" but {1e3 * pairing.offset_s:+.1f} ms apart"
+    return WAITING, (
+        f"colour and depth are not within sync_tolerance_s{apart}: start the camera with "
+        "enable_sync:=true"
+    )
+
+
 def mismatch(
-    size: tuple[int, int],
-    depth_size: tuple[int, int],
+    size: tuple[int, ...],
+    depth_size: tuple[int, ...],
     frame: str,
     depth_frame: str,
-    camera_size: tuple[int, int],
+    camera_size: tuple[int, ...],
 ) -> str:
     """Why colour, depth and calibration are not of one camera; empty if they are.
 
     Parameters
     ----------
     size, depth_size, camera_size : tuple of int
-        Width and height of colour image, depth image and calibration, pixels.
+        Height and width of colour image, depth image and calibration, pixels.
     frame, depth_frame : str
         Frames of the two images.
 
@@ -130,54 +119,20 @@ def mismatch(
     str
         One sentence.
     """
-    aligned = "start the camera with align_depth.enable:=true, and take the aligned topic"
-    if depth_size != size:
-        return (
-            f"depth is not registered to colour: {depth_size[0]}x{depth_size[1]} pixels against "
-            f"{size[0]}x{size[1]}; {aligned}"
-        )
-    if depth_frame != frame:
-        return (
-            f"depth is not registered to colour: frame {depth_frame[:60]!r} against "
-            f"{frame[:60]!r}; {aligned}"
-        )
     if camera_size != size:
-        return (
-            f"camera_info is for {camera_size[0]}x{camera_size[1]} pixels, but the colour images "
-            f"have {size[0]}x{size[1]}: is it of the same camera?"
-        )
-    return ""
-
-
-def _unpaired(now: Snapshot) -> tuple[str, str]:
-    """State and reason while images come, but no pairs."""
-    if now.repeats >= _FROZEN_IMAGES:
-        return FAULT, (
-            f"the stamps of the images do not advance, {now.repeats} in a row: is the camera "
-            "frozen, or its clock wrong?"
-        )
-    offset = "unknown" if now.offset_s is None else f"{1e3 * now.offset_s:+.1f} ms"
-    return WAITING, (
-        f"colour and depth images are never within sync_tolerance_s ({now.tolerance_s:g} s): "
-        f"the nearest depth is off by {offset}; start the camera with enable_sync:=true"
+        return f"camera_info is for {_px(camera_size)} pixels, colour images have {_px(size)}"
+    differs = ""
+    if depth_size != size:
+        differs = f"{_px(depth_size)} pixels against {_px(size)}"
+    elif depth_frame != frame:
+        differs = f"frame {depth_frame[:60]!r} against {frame[:60]!r}"
+    if not differs:
+        return ""
+    return (
+        f"depth is not registered to colour: {differs}; start the camera with "
+        "align_depth.enable:=true, and take the aligned topic"
     )
 
 
-def _missing_input(now: Snapshot) -> str:
-    """Which input does not come, and what to do; empty if all come."""
-    if now.colour.missing:
-        return (
-            f"no colour images on {now.colour.topic}: {now.colour.silence()}; is the camera "
-            "running, and are its topics called so (camera_topics)?"
-        )
-    if now.depth.missing:
-        return (
-            f"no depth images on {now.depth.topic}: {now.depth.silence()}; start the camera with "
-            "align_depth.enable:=true"
-        )
-    if not now.calibrated:
-        return (
-            f"no camera_info on {now.info.topic}: {now.info.silence()}; it belongs to the colour "
-            "images, is it remapped as well?"
-        )
-    return ""
+def _px(size: tuple[int, ...]) -> str:
+    return f"{size[1]}x{size[0]}"

@@ -7,9 +7,9 @@ from fvs_ros import stop
 stop.listen()
 
 import sys
-from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -20,15 +20,9 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
 from fvs_detector_node.annotate import annotate
-from fvs_detector_node.config import (
-    AUTO,
-    BEST_EFFORT,
-    PARAMETERS,
-    RAW,
-    CameraTopics,
-)
+from fvs_detector_node.config import PARAMETERS, RAW, CameraTopics, DetectorConfig
 from fvs_detector_node.detector import Detector, Sighting
-from fvs_detector_node.health import FAULT, TRACKING, Input, Snapshot, judge, mismatch
+from fvs_detector_node.health import FAULT, MISSING_S, TRACKING, Input, judge, mismatch
 from fvs_detector_node.synchroniser import Pair, Synchroniser
 from fvs_ros import ros, topics
 from fvs_ros.camera import CameraModel
@@ -36,13 +30,12 @@ from fvs_ros.ros.images import from_color, from_depth
 from fvs_ros.ros.inputs import ArrivalMonitor
 from fvs_ros.topics import CAMERA_PREFIXES
 
+T = TypeVar("T")
+
 _STATUS_PERIOD_S = 0.1
 _PUBLISHERS_PERIOD_S = 1.0
-_KEPT_INFOS = 8
-#: At most so often a change of state is logged, s; the status always has it.
-_TOLD_PERIOD_S = 3.0
-#: What has been silent for so long has no rate, s.
-_RATE_S = 1.0
+#: A change of state is logged this often at most, s; the status always has it.
+_LOG_PERIOD_S = 3.0
 
 
 @dataclass(frozen=True)
@@ -59,24 +52,25 @@ class DetectorNode(ros.FvsNode):
     def __init__(self) -> None:
         super().__init__("fvs_detector_node", PARAMETERS)
         cv2.setNumThreads(1)  # one small image at a time: threads only cost
-        v = self.values
-        self._detector = Detector(v)
-        self._pairing: Synchroniser[_Picture, _Picture] = Synchroniser(v["sync_tolerance_s"])
+        self._config = DetectorConfig.from_values(self.values)
+        self._detector = Detector(self._config)
+        self._pairing: Synchroniser[_Picture] = Synchroniser(self._config.sync_tolerance_s)
         self._restarts = 0
-        self._cameras: deque[tuple[float, CameraModel]] = deque(maxlen=_KEPT_INFOS)
+        self._camera: CameraModel | None = None
         self._sighting: Sighting | None = None
         self._pairs, self._published = ArrivalMonitor(), ArrivalMonitor()
         self._problem, self._problem_s = "", -np.inf
         self._latency_s = self._processing_ms = np.nan
         # A camera needs a moment to be found; a ball at the edge of being seen comes and goes.
-        self._told, self._told_s = "", self.now_s()
+        self._logged, self._logged_s = "", self.now_s()
 
         self._ball = self.create_publisher(
             PointStamped, topics.BALL_POSITION.name, ros.QOS_RELIABLE
         )
         self._annotated = self.create_publisher(Image, "~/annotated_image", ros.QOS_RELIABLE)
-        self._topics = CameraTopics.of(v["camera_topics"] or CAMERA_PREFIXES[0], v)
-        self._heard: dict[str, tuple[Any, QoSProfile]] = {}
+        prefix = self._config.camera_topics or CAMERA_PREFIXES[0]
+        self._topics = CameraTopics.of(prefix, self._config)
+        self._subscribed: dict[str, tuple[Any, QoSProfile]] = {}
         self._subscribe()
         self.create_timer(_PUBLISHERS_PERIOD_S, self._find_camera, clock=self.steady_clock)
         self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
@@ -85,12 +79,11 @@ class DetectorNode(ros.FvsNode):
 
     def _find_camera(self) -> None:
         """Look where a camera publishes, if that is left open and none does where it did."""
-        if not self.values["camera_topics"] and not self._publishers_of(self._topics.color):
+        if not self._config.camera_topics and not self._publishers_of(self._topics.color):
             for prefix in CAMERA_PREFIXES:
-                topics = CameraTopics.of(prefix, self.values)
+                topics = CameraTopics.of(prefix, self._config)
                 if self._publishers_of(topics.color):
-                    self._topics = topics
-                    self._cameras.clear()
+                    self._topics, self._camera = topics, None
         self._subscribe()
 
     def _publishers_of(self, topic: str) -> list[TopicEndpointInfo]:
@@ -98,74 +91,77 @@ class DetectorNode(ros.FvsNode):
 
     def _subscribe(self) -> None:
         """Subscribe so that messages arrive; again if topics or publishers have changed."""
-        v, topics = self.values, self._topics
-        color = Image if v["color_transport"] == RAW else CompressedImage
-        depth = Image if v["depth_transport"] == RAW else CompressedImage
+        topics = self._topics
+        color = Image if self._config.color_transport == RAW else CompressedImage
+        depth = Image if self._config.depth_transport == RAW else CompressedImage
         wanted = {
             topics.color: (color, self._on_color, self._image_qos(topics.color)),
             topics.depth: (depth, self._on_depth, self._image_qos(topics.depth)),
             topics.info: (CameraInfo, self._on_camera_info, ros.QOS_NEWEST),
         }
-        for topic, (subscription, qos) in list(self._heard.items()):
+        for topic, (subscription, qos) in list(self._subscribed.items()):
             if topic not in wanted or wanted[topic][2] is not qos:
                 self.destroy_subscription(subscription)
-                del self._heard[topic]
+                del self._subscribed[topic]
         for topic, (kind, callback, qos) in wanted.items():
-            if topic not in self._heard:
-                self._heard[topic] = (self.watch(kind, topic, callback, qos), qos)
+            if topic not in self._subscribed:
+                self._subscribed[topic] = (self.watch(kind, topic, callback, qos), qos)
 
     def _image_qos(self, topic: str) -> QoSProfile:
-        wanted = self.values["image_reliability"]
-        if wanted == AUTO:
-            offered = {p.qos_profile.reliability for p in self._publishers_of(topic)}
-            if ReliabilityPolicy.BEST_EFFORT in offered:
-                wanted = BEST_EFFORT
-        return ros.QOS_NEWEST if wanted == BEST_EFFORT else ros.QOS_RELIABLE
+        """Best effort if a publisher is, else reliable."""
+        offered = {p.qos_profile.reliability for p in self._publishers_of(topic)}
+        best_effort = ReliabilityPolicy.BEST_EFFORT in offered
+        return ros.QOS_NEWEST if best_effort else ros.QOS_RELIABLE
+
+    def _decoded(self, topic: str, decode: Callable[[Any], T], message: Any) -> T | None:
+        """What a message holds; None, and a complaint, if that cannot be used."""
+        try:
+            return decode(message)
+        except ros.MessageError as error:
+            self._complain(topic, str(error))
+            return None
 
     def _on_camera_info(self, message: CameraInfo) -> None:
-        try:
-            camera = ros.from_camera_info(message)
-        except ros.MessageError as error:
-            self._complain(self._topics.info, str(error))
-            return
-        self._cameras.append((ros.from_stamp(message.header.stamp), camera))
+        camera = self._decoded(self._topics.info, ros.from_camera_info, message)
+        self._camera = camera or self._camera
 
     def _on_color(self, message: Any) -> None:
-        try:
-            picture = _Picture(message.header, from_color(message))
-        except ros.MessageError as error:
-            self._complain(self._topics.color, str(error))
-            return
-        stamp_s = ros.from_stamp(message.header.stamp)
-        self._take(self._pairing.add_colour(stamp_s, picture))
+        pixels = self._decoded(self._topics.color, from_color, message)
+        if pixels is not None:
+            picture = _Picture(message.header, pixels)
+            self._take(self._pairing.add_colour(ros.from_stamp(message.header.stamp), picture))
 
     def _on_depth(self, message: Any) -> None:
-        try:
-            depth_m = from_depth(message, self.values["depth_unit_m"])
-        except ros.MessageError as error:
-            self._complain(self._topics.depth, str(error))
-            return
-        picture = _Picture(message.header, depth_m)
-        self._take(self._pairing.add_depth(ros.from_stamp(message.header.stamp), picture))
+        unit_m = self._config.depth_unit_m
+        pixels = self._decoded(self._topics.depth, lambda one: from_depth(one, unit_m), message)
+        if pixels is not None:
+            picture = _Picture(message.header, pixels)
+            self._take(self._pairing.add_depth(ros.from_stamp(message.header.stamp), picture))
 
     # --- from a pair of images to a position ---
 
-    def _take(self, pair: Pair[_Picture, _Picture] | None) -> None:
+    def _take(self, pair: Pair[_Picture] | None) -> None:
         if self._pairing.restarts != self._restarts:
             self._restarts = self._pairing.restarts
             self._detector.reset()
-            self._cameras.clear()
             self.get_logger().warning("the stamps of the images went back: starting anew")
         if pair is None:
             return
         start_s = self.steady_s()
-        self._pairs.arrived(start_s)
-        camera = self._camera_at(pair.stamp_s)
-        problem = "" if camera is None else self._mismatch(pair, camera)
+        self._pairs.arrived(self.now_s())
+        self._sighting = None
+        camera = self._camera
+        if camera is None:
+            return
+        problem = mismatch(
+            pair.colour.pixels.shape[:2],
+            pair.depth.pixels.shape,
+            pair.colour.header.frame_id,
+            pair.depth.header.frame_id,
+            (camera.intrinsics.height, camera.intrinsics.width),
+        )
         if problem:
             self._complain(self._topics.depth, problem)
-        if camera is None or problem:
-            self._sighting = None
             return
         rgb, depth_m = pair.colour.pixels, pair.depth.pixels
         try:
@@ -174,36 +170,19 @@ class DetectorNode(ros.FvsNode):
             if self._annotated.get_subscription_count():
                 self._publish_annotated(pair, camera, sighting)
         except Exception as error:  # whatever an image does to us, the next one may be good
-            self._sighting = None
             self._detector.reset()
             self._complain(self._topics.color, f"image not understood: {error!r:.200}")
             return
         self._sighting = sighting
         self._processing_ms = 1e3 * (self.steady_s() - start_s)
 
-    def _camera_at(self, stamp_s: float) -> CameraModel | None:
-        """Calibration of an image: that with its stamp, else the newest."""
-        same = (camera for info_s, camera in self._cameras if info_s == stamp_s)
-        return next(same, self._cameras[-1][1] if self._cameras else None)
-
-    def _mismatch(self, pair: Pair[_Picture, _Picture], camera: CameraModel) -> str:
-        colour, depth, view = pair.colour, pair.depth, camera.intrinsics
-        return mismatch(
-            (colour.pixels.shape[1], colour.pixels.shape[0]),
-            (depth.pixels.shape[1], depth.pixels.shape[0]),
-            colour.header.frame_id,
-            depth.header.frame_id,
-            (view.width, view.height),
-        )
-
     # --- outputs ---
 
-    def _publish(self, pair: Pair[_Picture, _Picture], sighting: Sighting) -> None:
-        if sighting.detection is None or sighting.problem:
+    def _publish(self, pair: Pair[_Picture], sighting: Sighting) -> None:
+        if sighting.ball is None or sighting.problem:
             return
-        position_m = sighting.detection.position_m
-        exposed_s = pair.stamp_s - self.values["stamp_delay_s"]
-        message = ros.to_point(exposed_s, pair.colour.header.frame_id, position_m)
+        exposed_s = pair.stamp_s - self._config.stamp_delay_s
+        message = ros.to_point(exposed_s, pair.colour.header.frame_id, sighting.ball.position_m)
         if exposed_s == pair.stamp_s:
             message.header.stamp = pair.colour.header.stamp  # to the nanosecond, as it came
         self._ball.publish(message)
@@ -211,18 +190,19 @@ class DetectorNode(ros.FvsNode):
         self._latency_s = self.ros_s() - exposed_s
 
     def _publish_annotated(
-        self, pair: Pair[_Picture, _Picture], camera: CameraModel, sighting: Sighting
+        self, pair: Pair[_Picture], camera: CameraModel, sighting: Sighting
     ) -> None:
         rgb = self._detector.rectified(pair.colour.pixels, pair.depth.pixels, camera)
-        frame = pair.colour.header.frame_id
-        message = ros.to_image(pair.stamp_s, frame, annotate(rgb, sighting), "rgb8")
+        picture = annotate(rgb, sighting, camera.intrinsics)
+        message = ros.to_image(pair.stamp_s, pair.colour.header.frame_id, picture, "rgb8")
         message.header.stamp = pair.colour.header.stamp
         self._annotated.publish(message)
 
     def on_parameters(self, values: dict[str, Any], changed: set[str]) -> None:
         """Take changed parameters into use at once."""
-        self._detector.configure(values)
-        self._pairing.tolerance_s = values["sync_tolerance_s"]
+        self._config = DetectorConfig.from_values(values)
+        self._detector.configure(self._config)
+        self._pairing.tolerance_s = self._config.sync_tolerance_s
 
     def _complain(self, topic: str, problem: str) -> None:
         self._problem = f"{self.resolve_topic_name(topic)}: {problem}"
@@ -230,50 +210,45 @@ class DetectorNode(ros.FvsNode):
 
     # --- status ---
 
-    def _input(self, topic: str, now_s: float) -> Input:
-        return Input(
-            self.resolve_topic_name(topic),
-            self.monitor(topic).age_s(now_s),
-            len(self._publishers_of(topic)),
-        )
+    def _inputs(self, now_s: float) -> list[Input]:
+        def described(what: str, topic: str, hint: str) -> Input:
+            age_s, count = self.monitor(topic).age_s(now_s), len(self._publishers_of(topic))
+            return Input(what, self.resolve_topic_name(topic), age_s, count, hint)
+
+        inputs = [
+            described("colour images", self._topics.color, "check the camera and camera_topics"),
+            described("depth images", self._topics.depth, "set align_depth.enable:=true"),
+        ]
+        if self._camera is None:
+            inputs.append(described("camera_info", self._topics.info, "is it remapped as well?"))
+        return inputs
 
     def _publish_status(self) -> None:
         now_s = self.now_s()
-        pairing = self._pairing
+        problem = self._problem if now_s - self._problem_s < MISSING_S else ""
+        pair_age_s = self._pairs.age_s(now_s)
         state, reason = judge(
-            Snapshot(
-                colour=self._input(self._topics.color, now_s),
-                depth=self._input(self._topics.depth, now_s),
-                info=self._input(self._topics.info, now_s),
-                problem=self._problem,
-                problem_age_s=now_s - self._problem_s,
-                pair_age_s=self._pairs.age_s(now_s),
-                offset_s=pairing.offset_s,
-                tolerance_s=pairing.tolerance_s,
-                repeats=pairing.repeats,
-                calibrated=bool(self._cameras),
-                sighting=self._sighting,
-            )
+            self._inputs(now_s), problem, pair_age_s, self._pairing, self._sighting
         )
         level = {TRACKING: ros.OK, FAULT: ros.ERROR}.get(state, ros.WARN)
-        if state != self._told and now_s - self._told_s > _TOLD_PERIOD_S:
-            self._told, self._told_s = state, now_s
+        if state != self._logged and now_s - self._logged_s > _LOG_PERIOD_S:
+            self._logged, self._logged_s = state, now_s
             self.tell(level, f"{state}: {reason}")
-        found = self._sighting.detection if self._sighting is not None else None
+        ball = self._sighting.ball if self._sighting is not None else None
         self.publish_status(
             level,
             state,
             reason,
             {
-                "quality": found and found.quality,
-                "visible_fraction": found and found.visible_fraction,
-                "residual_m": found and found.residual_m,
-                "radius_px": found and found.radius_px,
+                "quality": ball and ball.quality,
+                "visible_fraction": ball and ball.visible_fraction,
+                "residual_m": ball and ball.residual_m,
+                "radius_px": ball and ball.radius_px,
                 "latency_s": self._latency_s,
                 "color_rate_hz": _rate_hz(self.monitor(self._topics.color), now_s),
                 "paired_rate_hz": _rate_hz(self._pairs, now_s),
                 "published_rate_hz": _rate_hz(self._published, now_s),
-                "offset_s": pairing.offset_s,
+                "offset_s": self._pairing.offset_s,
                 "refused_by_gate": self._detector.gate.refused,
                 "processing_ms": self._processing_ms,
             },
@@ -281,7 +256,7 @@ class DetectorNode(ros.FvsNode):
 
 
 def _rate_hz(monitor: ArrivalMonitor, now_s: float) -> float:
-    return monitor.report(now_s)["rate_hz"] if monitor.age_s(now_s) < _RATE_S else 0.0
+    return monitor.report(now_s)["rate_hz"] if monitor.age_s(now_s) < MISSING_S else 0.0
 
 
 def main() -> int:

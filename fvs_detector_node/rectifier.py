@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from fvs_detector_node.tracking import Region
+from fvs_detector_node.region import Region
 from fvs_ros.camera import CameraModel
 
 
@@ -63,7 +63,7 @@ class Rectifier:
         depth_m : ndarray of float32, shape (h, w)
             That of the nearest pixel, as a mean of two surfaces is neither; 0 where none.
         """
-        part = np.s_[region.v0 : region.v0 + region.height, region.u0 : region.u0 + region.width]
+        part = region.part
         if self._maps is None:
             return rgb[part], depth_m[part]
         (whole, fraction), nearest = self._maps

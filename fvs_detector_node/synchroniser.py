@@ -2,79 +2,50 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-C = TypeVar("C")
-D = TypeVar("D")
 T = TypeVar("T")
 
 #: Images kept of a stream that wait for their partner.
 _KEPT = 6
-#: So many images in a row from further back than this are a clock that was set back.
+#: This many images in a row from further back than this are a clock that was set back.
 _JUMP_S, _JUMP_IMAGES = 0.5, 3
 
 
 @dataclass(frozen=True)
-class Pair(Generic[C, D]):
-    """A colour image and the depth image nearest to it.
-
-    Parameters
-    ----------
-    stamp_s, depth_stamp_s : float
-        Their exposures, s.
-    colour, depth
-        What was given with the stamps.
-    """
+class Pair(Generic[T]):
+    """A colour image with its exposure, s, and the depth image nearest to it."""
 
     stamp_s: float
-    colour: C
+    colour: T
     depth_stamp_s: float
-    depth: D
+    depth: T
 
 
 class _Stream(Generic[T]):
     """The newest images of one topic that are not paired yet, oldest first."""
 
     def __init__(self) -> None:
-        self.repeats = 0
-        self.clear()
-
-    def clear(self) -> None:
         self.images: deque[tuple[float, T]] = deque(maxlen=_KEPT)
-        self.newest_s: float | None = None
-        self.period_s = 0.0
-        self._behind: list[float] = []
+        self.newest_s = -math.inf
+        self.repeats = 0
+        self.behind = 0
 
     def add(self, stamp_s: float, image: T) -> bool:
         """Take an image in; False if it is late or a repetition."""
-        newest_s = self.newest_s
-        if newest_s is None or stamp_s > newest_s:
-            self.period_s = 0.0 if newest_s is None else stamp_s - newest_s
-            self.newest_s = stamp_s
+        if stamp_s > self.newest_s:
             self.images.append((stamp_s, image))
-            self._behind.clear()
-            self.repeats = 0
+            self.newest_s, self.repeats, self.behind = stamp_s, 0, 0
             return True
         self.repeats += 1
-        if stamp_s >= newest_s - _JUMP_S or (self._behind and stamp_s < self._behind[-1]):
-            self._behind.clear()
-        if stamp_s < newest_s - _JUMP_S and stamp_s not in self._behind:
-            self._behind.append(stamp_s)
+        self.behind = self.behind + 1 if stamp_s < self.newest_s - _JUMP_S else 0
         return False
 
-    @property
-    def jumped_back(self) -> bool:
-        """Whether the newest images go on advancing from a time well before the others."""
-        return len(self._behind) >= _JUMP_IMAGES
 
-    def drop_until(self, stamp_s: float) -> None:
-        while self.images and self.images[0][0] <= stamp_s:
-            self.images.popleft()
-
-
-class Synchroniser(Generic[C, D]):
+class Synchroniser(Generic[T]):
     """Pairs two streams; the newest wins, and no colour image is paired after a later one.
 
     Stamps may repeat, come out of order, stand still or jump; a single wrong stamp does no harm.
@@ -95,13 +66,11 @@ class Synchroniser(Generic[C, D]):
     def __init__(self, tolerance_s: float) -> None:
         self.tolerance_s = tolerance_s
         self.restarts = 0
-        self._colour: _Stream[C] = _Stream()
-        self._depth: _Stream[D] = _Stream()
         self._restart()
 
     def _restart(self) -> None:
-        self._colour.clear()
-        self._depth.clear()
+        self._colour: _Stream[T] = _Stream()
+        self._depth: _Stream[T] = _Stream()
         self.offset_s: float | None = None
 
     @property
@@ -109,39 +78,32 @@ class Synchroniser(Generic[C, D]):
         """How many images in a row, of colour or of depth, had a stamp that did not advance."""
         return max(self._colour.repeats, self._depth.repeats)
 
-    def add_colour(self, stamp_s: float, image: C) -> Pair[C, D] | None:
+    def add_colour(self, stamp_s: float, image: T) -> Pair[T] | None:
         """Take a colour image in, with its exposure, s; the pair that it completes, if any."""
-        return self._pair() if self._take(self._colour, stamp_s, image) else None
+        self._restart_if_set_back()
+        return self._pair() if self._colour.add(stamp_s, image) else None
 
-    def add_depth(self, stamp_s: float, image: D) -> Pair[C, D] | None:
+    def add_depth(self, stamp_s: float, image: T) -> Pair[T] | None:
         """Take a depth image in, with its exposure, s; the pair that it completes, if any."""
-        return self._pair() if self._take(self._depth, stamp_s, image) else None
+        self._restart_if_set_back()
+        return self._pair() if self._depth.add(stamp_s, image) else None
 
-    def _take(self, stream: _Stream[T], stamp_s: float, image: T) -> bool:
-        if stream.add(stamp_s, image):
-            return True
-        if not stream.jumped_back:
-            return False
-        self.restarts += 1
-        self._restart()
-        return stream.add(stamp_s, image)
+    def _restart_if_set_back(self) -> None:
+        if max(self._colour.behind, self._depth.behind) >= _JUMP_IMAGES:
+            self.restarts += 1
+            self._restart()
 
-    def _pair(self) -> Pair[C, D] | None:
+    def _pair(self) -> Pair[T] | None:
         """The newest colour image that has its depth image."""
-        for colour_s, colour in reversed(self._colour.images):
-            near = min(self._depth.images, key=lambda d: abs(d[0] - colour_s), default=None)
-            if near is None:
+        colours, depths = self._colour.images, self._depth.images
+        for colour_s, colour in reversed(colours):
+            if not depths:
                 return None
-            depth_s, depth = near
+            depth_s, depth = min(depths, key=lambda one: abs(one[0] - colour_s))
             self.offset_s = depth_s - colour_s
-            if abs(self.offset_s) > self.tolerance_s or self._nearer_may_come(colour_s, depth_s):
-                continue
-            self._colour.drop_until(colour_s)
-            self._depth.drop_until(depth_s)
-            return Pair(colour_s, colour, depth_s, depth)
+            if abs(self.offset_s) <= self.tolerance_s:
+                for waiting, stamp_s in ((colours, colour_s), (depths, depth_s)):
+                    while waiting and waiting[0][0] <= stamp_s:
+                        waiting.popleft()
+                return Pair(colour_s, colour, depth_s, depth)
         return None
-
-    def _nearer_may_come(self, colour_s: float, depth_s: float) -> bool:
-        """Whether the depth image after the newest may be the nearer one."""
-        is_newest = depth_s == self._depth.newest_s
-        return is_newest and 2.0 * (colour_s - depth_s) > self._depth.period_s > 0.0

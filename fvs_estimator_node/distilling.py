@@ -69,7 +69,7 @@ def train_structured(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> DistilledModel:
-    """Fit a chain to a data set and teach the networks by it.
+    """Fit a chain to a data set and distil the networks from it.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def train_structured(
     if progress is not None:
         progress("distilling the networks")
     box = box_of(data.joints_rad)
-    model = teach(fit.chain, box, neurons, rng)
+    model = distil(fit.chain, box, neurons, rng)
     places = _within(box, rng, _EXAMINATION)
     truth = fit.chain.jacobian(places)
     size = np.linalg.norm(truth, axis=(1, 2))
@@ -168,7 +168,7 @@ def _known(figures: dict[str, float]) -> dict[str, float]:
     return {name: value for name, value in figures.items() if math.isfinite(value)}
 
 
-def teach(
+def distil(
     chain: SerialChain, box_rad: np.ndarray, neurons: int, rng: np.random.Generator
 ) -> RbfModel:
     """Networks that say in a box what a chain says.

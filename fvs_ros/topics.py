@@ -149,7 +149,6 @@ _NEWEST, _RELIABLE, _LATCHED = End((Qos.NEWEST,)), End((Qos.RELIABLE,)), End((Qo
 #: Heard from a latched publisher and from one that is not.
 _EITHER = End((Qos.LATCHED, Qos.NEWEST))
 _SIMULATED = End((Qos.RELIABLE,), given=("simulated_time", True))
-_DRIVEN = ("play_driver_topics", True)
 _AT_THE_END = End((Qos.RELIABLE,), later="after the last target")
 _WHILE_WATCHED = End((Qos.NEWEST,), later="while a browser shows the page")
 
@@ -220,7 +219,7 @@ ROBOT_PROGRAM_RUNNING = Topic(
     "io_and_status_controller/robot_program_running",
     "std_msgs/msg/Bool",
     "Whether the robot obeys; optional.",
-    {SIM: End((Qos.LATCHED,), _DRIVEN)},
+    {SIM: _LATCHED},
     dict.fromkeys((ESTIMATOR, CONTROLLER, COLLECTOR), _EITHER),
     also_from=_DRIVER,
 )
@@ -228,7 +227,7 @@ SPEED_SCALING = Topic(
     "speed_scaling_state_broadcaster/speed_scaling",
     "std_msgs/msg/Float64",
     "The robot's speed slider, 0 to 100 %; optional.",
-    {SIM: End((Qos.RELIABLE,), _DRIVEN)},
+    {SIM: _RELIABLE},
     dict.fromkeys((ESTIMATOR, CONTROLLER, COLLECTOR), _NEWEST),
     also_from=_DRIVER,
 )

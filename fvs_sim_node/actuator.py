@@ -3,60 +3,26 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from fvs_ros.joints import N_JOINTS
-
-
-@dataclass(frozen=True)
-class ActuatorConfig:
-    """Constants of the drive.
-
-    Parameters
-    ----------
-    control_period_s : float
-        The drive looks at the command this often and holds it in between, s (125 Hz on a UR5).
-    dead_time_s : float
-        Time from that look to the first effect, s.
-    acceleration_limit_rad_s2 : float
-        Largest acceleration of a joint, rad/s^2.
-    lag_s : float
-        Time constant of the drive's first-order response, s.
-    velocity_limit_rad_s : float
-        Largest speed of a joint, rad/s.
-    """
-
-    control_period_s: float = 0.008
-    dead_time_s: float = 0.008
-    acceleration_limit_rad_s2: float = 15.0
-    lag_s: float = 0.012
-    velocity_limit_rad_s: float = np.pi
-
-    def __post_init__(self) -> None:
-        if self.control_period_s <= 0.0:
-            raise ValueError(f"control_period_s must be positive, got {self.control_period_s}")
-        for name in ("dead_time_s", "lag_s"):
-            if getattr(self, name) < 0.0:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
-        for name in ("acceleration_limit_rad_s2", "velocity_limit_rad_s"):
-            if getattr(self, name) <= 0.0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+from fvs_sim_node.config import SimConfig
 
 
 class Actuator:
-    """Six velocity drives in discrete time; holds the last command for ever.
+    """Velocity drives in discrete time; they hold the last command for ever.
+
+    A drive looks at its command once in a joint-state period. Periods and dead time are rounded to
+    whole steps of the physics.
 
     Parameters
     ----------
-    config : ActuatorConfig
-        Constants of the drive.
-    dt_s : float
-        Length of a step, s; the control period and the dead time are rounded to whole steps.
-    lower_rad, upper_rad : array_like, shape (6,)
+    config : SimConfig
+        Rates and constants of the drives.
+    lower_rad, upper_rad : array_like, shape (n,)
         Position limits, rad; a joint stops dead at them.
+    max_speed_rad_s : array_like, shape (n,)
+        Largest speed of each joint, rad/s.
 
     Attributes
     ----------
@@ -68,37 +34,33 @@ class Actuator:
 
     def __init__(
         self,
-        config: ActuatorConfig,
-        dt_s: float,
+        config: SimConfig,
         lower_rad: np.ndarray,
         upper_rad: np.ndarray,
+        max_speed_rad_s: np.ndarray,
     ) -> None:
-        if dt_s <= 0.0:
-            raise ValueError(f"dt_s must be positive, got {dt_s}")
-        self._dt_s = dt_s
+        self._dt_s = 1.0 / config.physics_rate_hz
         self._lower_rad = np.array(lower_rad, dtype=float)
         self._upper_rad = np.array(upper_rad, dtype=float)
-        self._period_steps = max(1, round(config.control_period_s / dt_s))
-        self._max_change = config.acceleration_limit_rad_s2 * dt_s
-        self._max_speed = config.velocity_limit_rad_s
-        self._blend = 1.0 - np.exp(-dt_s / config.lag_s) if config.lag_s > 0.0 else 1.0
+        self._max_speed_rad_s = np.array(max_speed_rad_s, dtype=float)
+        self._period_steps = round(config.physics_rate_hz / config.joint_state_rate_hz)
+        self._max_change = config.acceleration_limit_rad_s2 * self._dt_s
+        self._blend = self._share_of(config.lag_s)
         self.speed_scaling = 1.0
         self.dead_time_s = config.dead_time_s
-        self.joint_lag_s = 0.0
+        self.joint_lag_s = config.joint_lag_s
         self.reset()
 
     def reset(self) -> None:
         """Standstill, with a zero command."""
+        zeros = np.zeros(self._lower_rad.shape)
         self._step = 0
-        self._command = np.zeros(N_JOINTS)
         self._pending: deque[tuple[int, np.ndarray]] = deque()
-        self._in_effect = np.zeros(N_JOINTS)
-        self._ramped = np.zeros(N_JOINTS)
-        self._lagged = np.zeros(N_JOINTS)
-        self._velocity = np.zeros(N_JOINTS)
+        self._command = self._in_effect = zeros
+        self._ramped = self._lagged = self._velocity = zeros
 
     def command(self, velocity_rad_s: np.ndarray) -> None:
-        """Set the command that holds until the next one, rad/s, shape (6,)."""
+        """Set the command that holds until the next one, rad/s, shape (n,)."""
         self._command = np.array(velocity_rad_s, dtype=float)
 
     def step(self, positions_rad: np.ndarray) -> np.ndarray:
@@ -106,12 +68,12 @@ class Actuator:
 
         Parameters
         ----------
-        positions_rad : ndarray, shape (6,)
+        positions_rad : ndarray, shape (n,)
             Joint angles now, rad.
 
         Returns
         -------
-        ndarray, shape (6,)
+        ndarray, shape (n,)
             Velocities to hold during the step, rad/s.
         """
         if self._step % self._period_steps == 0:
@@ -121,30 +83,29 @@ class Actuator:
             self._in_effect = self._pending.popleft()[1]
         self._step += 1
 
-        limit = self._max_speed
-        wanted = _within(self._in_effect * self.speed_scaling, -limit, limit)
+        fastest = self._max_speed_rad_s
+        wanted = _within(self._in_effect * self.speed_scaling, -fastest, fastest)
         change = wanted - self._ramped
         self._ramped = self._ramped + _within(change, -self._max_change, self._max_change)
         self._lagged = self._lagged + self._blend * (self._ramped - self._lagged)
+        unstopped = self._lagged
         if self.joint_lag_s > 0.0:
-            blend = 1.0 - np.exp(-self._dt_s / self.joint_lag_s)
-            self._velocity = self._velocity + blend * (self._lagged - self._velocity)
-        else:
-            self._velocity = self._lagged
-        return self._stop_at_limits(positions_rad)
-
-    def _stop_at_limits(self, positions_rad: np.ndarray) -> np.ndarray:
+            behind = self._lagged - self._velocity
+            unstopped = self._velocity + self._share_of(self.joint_lag_s) * behind
         fastest_up = np.maximum(self._upper_rad - positions_rad, 0.0) / self._dt_s
         fastest_down = np.minimum(self._lower_rad - positions_rad, 0.0) / self._dt_s
-        velocity = _within(self._velocity, fastest_down, fastest_up)
-        stopped = velocity != self._velocity
+        self._velocity = _within(unstopped, fastest_down, fastest_up)
+        stopped = self._velocity != unstopped
         if stopped.any():
-            self._ramped = np.where(stopped, velocity, self._ramped)
-            self._lagged = np.where(stopped, velocity, self._lagged)
-            self._velocity = velocity
-        return velocity
+            self._ramped = np.where(stopped, self._velocity, self._ramped)
+            self._lagged = np.where(stopped, self._velocity, self._lagged)
+        return self._velocity
+
+    def _share_of(self, lag_s: float) -> float:
+        """Share of a first-order step response that one step of the physics brings."""
+        return float(1.0 - np.exp(-self._dt_s / lag_s)) if lag_s > 0.0 else 1.0
 
 
-def _within(values: np.ndarray, low: Any, high: Any) -> np.ndarray:
-    """Return ``np.clip(values, low, high)``, at a third of its cost for six values."""
+def _within(values: np.ndarray, low: np.ndarray | float, high: np.ndarray | float) -> np.ndarray:
+    """Return ``np.clip(values, low, high)``, at a third of its cost for a few values."""
     return np.minimum(np.maximum(values, low), high)

@@ -2,164 +2,170 @@
 
 from __future__ import annotations
 
-from fvs_ros.camera import CAMERA_FRAME
-from fvs_ros.joints import HOME_JOINTS_RAD, N_JOINTS
-from fvs_ros.params import Parameter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from fvs_ros.camera import CAMERA_FRAME, Intrinsics
+from fvs_ros.joints import HOME_JOINTS_RAD
+from fvs_ros.params import Parameters, parameter
+from fvs_sim_node.objects import TABLE, SceneObject
+
+if TYPE_CHECKING:  # it needs the physics engine
+    from fvs_sim_node.rendering import CameraPose
 
 ALPHABETICAL, KINEMATIC, SHUFFLED = "alphabetical", "kinematic", "shuffled"
 
-PARAMETERS = (
-    Parameter("seed", 0, "seed of all noise: same seed, same run", minimum=0),
-    Parameter("gui", False, "open PyBullet's window (needs a display)"),
-    Parameter(
-        "simulated_time",
+
+@dataclass(frozen=True)
+class SimConfig(Parameters):
+    """What is simulated; the fields without a description are for Python only.
+
+    Parameters
+    ----------
+    camera_pose : CameraPose, optional
+        An own pose, in place of a named one.
+    rendered : bool
+        Whether ball positions come from rendered images. If not, they are the true ones (plus
+        ``position_noise_m``), several times faster, and nothing hides the ball but the image's
+        border; full frames are then not to be had. With noise of 1 mm an arm comes to rest alike;
+        with 0.2 mm it rests 0.1 mm nearer, as the detection's own deviation stands still with it.
+    encoder_noise_rad : float
+        Standard deviation of white noise on each joint angle that is reported, rad.
+    focal_error, depth_error : float
+        By what share the reported focal length and the depths are too large.
+    objects : tuple of SceneObject
+        What else is in view.
+    """
+
+    seed: int = parameter(0, "seed of all noise: same seed, same run", 0)
+    gui: bool = parameter(False, "open PyBullet's window (needs a display)")
+    urdf_path: str = parameter("", "another robot's URDF with the six UR joints; empty: own UR5")
+    ball_link: str = parameter("", "its link that carries the ball; empty: tool0, or the last link")
+    initial_joints_rad: tuple[float, ...] = parameter(
+        HOME_JOINTS_RAD, "joints at start and after ~/reset", -6.3, 6.3, size=len(HOME_JOINTS_RAD)
+    )
+    ball_radius_m: float = parameter(0.04, "radius of the ball", 0.01, 0.2)
+    ball_offset_m: float = parameter(0.09, "ball centre beyond the flange", 0.0, 0.5)
+    physics_rate_hz: float = parameter(
+        500.0, "physics steps a second, a whole multiple of joint_state_rate_hz", 100.0, 2000.0
+    )
+    joint_state_rate_hz: float = parameter(
+        125.0, "joint states a second (500 on an e-series)", 10.0, 1000.0
+    )
+    camera: str = parameter("front", "where the camera stands", choices=("front", "overhead"))
+    image_rate_hz: float = parameter(30.0, "images a second", 1.0, 120.0)
+    image_width: int = parameter(640, "image width, pixels", 64, 1920)
+    image_height: int = parameter(480, "image height, pixels", 48, 1080)
+    focal_length_px: float = parameter(
+        0.0, "focal length, pixels; 0: a D435's, 615 for a width of 640", 0.0, 3000.0
+    )
+    dead_time_s: float = parameter(0.008, "delay from command to motion", 0.0, 0.5)
+    acceleration_limit_rad_s2: float = parameter(
+        15.0, "acceleration limit of the drives", 0.1, 1000.0
+    )
+    lag_s: float = parameter(0.012, "time constant of the drives", 0.0, 0.5)
+    latency_s: float = parameter(
+        0.04, "time from exposure to the ball position's publication", 0.0, 1.0, live=True
+    )
+    depth_noise: float = parameter(
+        1.0, "scale of the depth camera's noise; 0: none, 1: like a D435", 0.0, 10.0, live=True
+    )
+    position_noise_m: float = parameter(
+        0.0,
+        "further white noise on each coordinate of a ball position (standard deviation), m",
+        0.0,
+        0.1,
+    )
+    dropout: float = parameter(0.0, "share of images that are lost", 0.0, 1.0, live=True)
+    joint_lag_s: float = parameter(
+        0.0, "further lag of the joints behind the command", 0.0, 0.5, live=True
+    )
+    camera_pose: CameraPose | None = None
+    rendered: bool = True
+    encoder_noise_rad: float = 0.0
+    focal_error: float = 0.0
+    depth_error: float = 0.0
+    objects: tuple[SceneObject, ...] = TABLE
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        steps = self.physics_rate_hz / self.joint_state_rate_hz
+        if abs(steps - round(steps)) > 1e-9 or steps < 1.0:
+            raise ValueError(
+                f"physics_rate_hz must be a whole multiple of joint_state_rate_hz, got "
+                f"{self.physics_rate_hz} and {self.joint_state_rate_hz}"
+            )
+        if self.image_rate_hz > self.physics_rate_hz:
+            raise ValueError(
+                f"image_rate_hz {self.image_rate_hz} is above physics_rate_hz "
+                f"{self.physics_rate_hz}"
+            )
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """The camera's."""
+        width, height = self.image_width, self.image_height
+        focal = self.focal_length_px or 615.0 * width / 640.0
+        return Intrinsics(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
+
+
+@dataclass(frozen=True)
+class SimNodeConfig(Parameters):
+    """What is simulated, how it is published, and disturbances of the wire and the camera."""
+
+    simulated_time: bool = parameter(
         False,
         "publish /clock and run as fast as it goes; whoever answers joint states is waited for; "
         "the other nodes then need use_sim_time",
-    ),
-    Parameter("urdf_path", "", "another robot's URDF with the six UR joints; empty: own UR5"),
-    Parameter("ball_link", "", "its link that carries the ball; empty: tool0, or the last link"),
-    Parameter("tf_prefix", "", "put before each joint name, as a UR driver does"),
-    Parameter(
-        "initial_joints_rad",
-        list(HOME_JOINTS_RAD),
-        "joints at start and after ~/reset",
-        size=N_JOINTS,
-        minimum=-6.3,
-        maximum=6.3,
-    ),
-    Parameter("ball_radius_m", 0.04, "radius of the ball", minimum=0.01, maximum=0.2),
-    Parameter("ball_offset_m", 0.09, "ball centre beyond the flange", minimum=0.0, maximum=0.5),
-    Parameter("physics_rate_hz", 500, "physics steps a second", minimum=100, maximum=2000),
-    Parameter(
-        "joint_state_rate_hz",
-        125,
-        "joint states a second (500 on an e-series)",
-        minimum=10,
-        maximum=1000,
-    ),
-    Parameter("feature_frame", CAMERA_FRAME, "frame of ball and images"),
-    Parameter("camera", "front", "where the camera stands", choices=("front", "overhead")),
-    Parameter("image_rate_hz", 30.0, "images a second", minimum=1.0, maximum=120.0),
-    Parameter(
-        "full_frame_rate_hz",
+    )
+    tf_prefix: str = parameter("", "put before each joint name, as a UR driver does")
+    feature_frame: str = parameter(CAMERA_FRAME, "frame of ball and images")
+    full_frame_rate_hz: float = parameter(
         30.0,
         "full camera images a second, at most, beside a loop in real time; each takes a core for "
         "tens of milliseconds",
-        minimum=0.5,
-        maximum=120.0,
+        0.5,
+        120.0,
         live=True,
-    ),
-    Parameter("image_width", 640, "image width, pixels", minimum=64, maximum=1920),
-    Parameter("image_height", 480, "image height, pixels", minimum=48, maximum=1080),
-    Parameter("focal_length_px", 615.0, "focal length, pixels", minimum=50.0, maximum=3000.0),
-    Parameter(
-        "publish_ball_position",
-        True,
-        "false: images only, for a detector to find the ball in",
-    ),
-    Parameter(
-        "depth_encoding",
-        "16UC1",
-        "depth images in millimetres or in metres",
-        choices=("16UC1", "32FC1"),
-    ),
-    Parameter("dead_time_s", 0.008, "delay from command to motion", minimum=0.0, maximum=0.5),
-    Parameter(
-        "acceleration_limit_rad_s2",
-        15.0,
-        "acceleration limit of the drives",
-        minimum=0.1,
-        maximum=100.0,
-    ),
-    Parameter("drive_lag_s", 0.012, "time constant of the drives", minimum=0.0, maximum=0.5),
-    # Disturbances, live.
-    Parameter(
-        "latency_s",
-        0.04,
-        "time from exposure to the ball position's publication",
-        minimum=0.0,
-        maximum=1.0,
-        live=True,
-    ),
-    Parameter(
-        "depth_noise",
-        1.0,
-        "scale of the depth camera's noise; 0: none, 1: like a D435",
-        minimum=0.0,
-        maximum=10.0,
-        live=True,
-    ),
-    Parameter(
-        "position_noise_m",
-        0.0,
-        "further white noise on each coordinate of a ball position (standard deviation), m",
-        minimum=0.0,
-        maximum=0.1,
-    ),
-    Parameter("dropout", 0.0, "share of images that are lost", minimum=0.0, maximum=1.0, live=True),
-    Parameter(
-        "camera_covered",
-        False,
-        "a hand on the lens: black images without depth, and so no ball",
-        live=True,
-    ),
-    Parameter(
-        "joint_lag_s",
-        0.0,
-        "further lag of the joints behind the command",
-        minimum=0.0,
-        maximum=0.5,
-        live=True,
-    ),
-    Parameter(
-        "camera_rotation_deg",
-        [0.0, 0.0, 0.0],
+    )
+    publish_ball_position: bool = parameter(
+        True, "false: images only, for a detector to find the ball in"
+    )
+    camera_covered: bool = parameter(
+        False, "a hand on the lens: black images without depth, and so no ball", live=True
+    )
+    camera_rotation_deg: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0),
         "the camera bumped: turned about its own x, y, z axes from where it stood, degrees",
+        -180.0,
+        180.0,
         size=3,
-        minimum=-180.0,
-        maximum=180.0,
         live=True,
-    ),
-    Parameter(
-        "joint_state_order",
+    )
+    joint_state_order: str = parameter(
         ALPHABETICAL,
         "order of the joints in joint_states",
         choices=(ALPHABETICAL, KINEMATIC, SHUFFLED),
         live=True,
-    ),
-    Parameter(
-        "extra_joints",
-        "",
-        "further joints mixed into joint_states (a gripper's), names separated by spaces",
-    ),
-    Parameter(
-        "nan_joint",
+    )
+    extra_joints: str = parameter(
+        "", "further joints mixed into joint_states (a gripper's), names separated by spaces"
+    )
+    nan_joint: str = parameter(
         "",
         "a joint, by its name in joint_states, whose position is NaN; empty for none",
         live=True,
-    ),
-    Parameter(
-        "play_driver_topics", True, "publish robot_program_running and speed_scaling as a UR does"
-    ),
-    Parameter(
-        "program_running",
-        True,
-        "false: the robot's program is paused, the arm stands",
-        live=True,
-    ),
-    Parameter(
-        "announce_program_running",
-        True,
-        "false: nobody is told of a pause from now on; the arm just does not follow",
-        live=True,
-    ),
-    Parameter(
-        "speed_scaling_percent",
-        100.0,
-        "the driver's speed slider",
-        minimum=0.0,
-        maximum=100.0,
-        live=True,
-    ),
-)
+    )
+    program_running: bool = parameter(
+        True, "false: the robot's program is paused, the arm stands", live=True
+    )
+    announce_program_running: bool = parameter(
+        True, "false: a pause is not announced; the arm just does not follow", live=True
+    )
+    speed_scaling_percent: float = parameter(
+        100.0, "the driver's speed slider", 0.0, 100.0, live=True
+    )
+    simulation: SimConfig = field(default_factory=SimConfig)
+
+
+PARAMETERS = SimNodeConfig.declared()

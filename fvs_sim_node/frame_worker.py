@@ -1,10 +1,10 @@
 """Full camera frames from a process of its own, so that the real-time loop never waits for one.
 
 A full frame takes tens of milliseconds to draw; a robot's joint states come every eight. The
-worker has its own copy of the scene and is told where joints and camera were at an exposure. It
-draws one frame at a time and skips exposures while it is busy, as a camera with too little
-bandwidth would. Frames are handed over in shared memory: two megabytes through a pipe would make
-the loop wait for a process that gets what the loop leaves of the processor.
+worker has its own copy of the scene and draws one frame at a time; it skips exposures while it is
+busy, as a camera with too little bandwidth would. Frames are handed over in shared memory: two
+megabytes through a pipe would make the loop wait for a process that gets what the loop leaves of
+the processor.
 """
 
 from __future__ import annotations
@@ -13,59 +13,19 @@ import contextlib
 import ctypes
 import multiprocessing
 import signal
-from dataclasses import dataclass
+from dataclasses import replace
 from multiprocessing.connection import Connection
-from multiprocessing.context import SpawnContext
+from typing import Any
 
 import numpy as np
 
 from fvs_ros.background import step_back
-from fvs_ros.camera import Intrinsics
-from fvs_sim_node.depth_noise import add_depth_noise
-from fvs_sim_node.rendering import CameraPose, Renderer
-from fvs_sim_node.simulation import Frame, SimConfig, build_world
+from fvs_sim_node.config import SimConfig
+from fvs_sim_node.observation import BallObservation, Frame
+from fvs_sim_node.rendering import Renderer
+from fvs_sim_node.world import World
 
 _STOP_S = 2.0
-
-
-@dataclass(frozen=True)
-class _Exposure:
-    stamp_s: float
-    joints_rad: np.ndarray
-    camera: CameraPose
-    depth_noise: float
-    covered: bool
-
-
-class _SharedFrame:
-    """Room for one frame that two processes see.
-
-    Parameters
-    ----------
-    context : multiprocessing context
-        Of the processes.
-    intrinsics : Intrinsics
-        The full image.
-    """
-
-    def __init__(self, context: SpawnContext, intrinsics: Intrinsics) -> None:
-        self._shape = intrinsics.height, intrinsics.width
-        pixels = intrinsics.height * intrinsics.width
-        self._rgb = context.RawArray(ctypes.c_uint8, 3 * pixels)
-        self._depth_m = context.RawArray(ctypes.c_float, pixels)
-
-    def put(self, frame: Frame) -> None:
-        """Copy a frame in."""
-        room = self.view(frame.stamp_s)
-        room.rgb[:], room.depth_m[:] = frame.rgb, frame.depth_m
-
-    def view(self, stamp_s: float) -> Frame:
-        """The frame that is in, exposed at a stamp, s; not a copy."""
-        return Frame(
-            stamp_s,
-            np.ctypeslib.as_array(self._rgb).reshape(*self._shape, 3),
-            np.ctypeslib.as_array(self._depth_m).reshape(self._shape),
-        )
 
 
 class FrameWorker:
@@ -78,38 +38,30 @@ class FrameWorker:
     """
 
     def __init__(self, config: SimConfig) -> None:
+        self._config = replace(config, gui=False)
         context = multiprocessing.get_context("spawn")
+        pixels = config.image_width * config.image_height
+        self._memory = (
+            context.RawArray(ctypes.c_uint8, 3 * pixels),
+            context.RawArray(ctypes.c_float, pixels),
+        )
         self._pipe, theirs = context.Pipe()
-        self._shared = _SharedFrame(context, config.intrinsics)
         self._process = context.Process(
-            target=_work, args=(theirs, self._shared, config), daemon=True
+            target=_work, args=(theirs, self._memory, self._config), daemon=True
         )
         self._process.start()
         theirs.close()
         self._busy = False
 
-    def expose(
-        self,
-        stamp_s: float,
-        joints_rad: np.ndarray,
-        camera: CameraPose,
-        depth_noise: float,
-        covered: bool = False,
-    ) -> bool:
+    def expose(self, seen: BallObservation, depth_noise: float) -> bool:
         """Ask for a frame.
 
         Parameters
         ----------
-        stamp_s : float
-            Exposure, s.
-        joints_rad : ndarray, shape (6,)
-            Joints at the exposure, rad.
-        camera : CameraPose
-            Camera at the exposure.
+        seen : BallObservation
+            The exposure.
         depth_noise : float
             Factor on the depth camera's noise.
-        covered : bool
-            Whether the lens was covered.
 
         Returns
         -------
@@ -118,7 +70,7 @@ class FrameWorker:
         """
         if self._busy:
             return False
-        self._pipe.send(_Exposure(stamp_s, joints_rad, camera, depth_noise, covered))
+        self._pipe.send((seen, depth_noise))
         self._busy = True
         return True
 
@@ -127,7 +79,7 @@ class FrameWorker:
         if not self._busy or not self._pipe.poll():
             return None
         self._busy = False
-        return self._shared.view(self._pipe.recv())
+        return Frame(self._pipe.recv(), *_arrays(self._memory, self._config))
 
     def close(self) -> None:
         """End the process."""
@@ -138,24 +90,27 @@ class FrameWorker:
             self._process.join()
 
 
-def _work(pipe: Connection, shared: _SharedFrame, config: SimConfig) -> None:
+def _arrays(memory: tuple[Any, Any], config: SimConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Colours and depth in the shared memory; no copies."""
+    shape = (config.image_height, config.image_width)
+    rgb, depth_m = (np.ctypeslib.as_array(part) for part in memory)
+    return rgb.reshape(*shape, 3), depth_m.reshape(shape)
+
+
+def _work(pipe: Connection, memory: tuple[Any, Any], config: SimConfig) -> None:
     # Ctrl-C reaches the whole terminal group; this process ends with its pipe.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     step_back(own_session=True)
-    world = build_world(config)
+    world = World(config)
     renderer = Renderer(world.client, config.intrinsics)
     rng = np.random.default_rng(config.seed)
+    rgb, depth_m = _arrays(memory, config)
     with contextlib.suppress(EOFError, OSError):  # the other end was closed
         while True:
-            wanted: _Exposure = pipe.recv()
-            if wanted.covered:
-                frame = Frame.black(wanted.stamp_s, config.intrinsics)
-            else:
-                world.reset(wanted.joints_rad)
-                world.place_ball()
-                rgb, depth_m = renderer.render(wanted.camera)
-                depth_m = add_depth_noise(depth_m, config.intrinsics.fx, rng, wanted.depth_noise)
-                frame = Frame(wanted.stamp_s, rgb, depth_m)
-            shared.put(frame)
-            pipe.send(wanted.stamp_s)
+            seen, depth_noise = pipe.recv()
+            world.reset(seen.joints_rad)
+            world.place_ball()
+            frame = Frame.of(seen, renderer, rng, depth_noise)
+            rgb[:], depth_m[:] = frame.rgb, frame.depth_m
+            pipe.send(frame.stamp_s)
     world.close()

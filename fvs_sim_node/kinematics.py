@@ -10,38 +10,32 @@ from __future__ import annotations
 
 import numpy as np
 
-#: UR5 link lengths a_i, m (Universal Robots, "DH parameters for calculations of kinematics and
-#: dynamics"). A row is Rz(q) Tz(d) Tx(a) Rx(alpha).
-DH_A_M = (0.0, -0.425, -0.39225, 0.0, 0.0, 0.0)
-#: UR5 link offsets d_i, m.
-DH_D_M = (0.089159, 0.0, 0.0, 0.10915, 0.09465, 0.0823)
-#: UR5 link twists alpha_i, rad.
-DH_ALPHA_RAD = (np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0)
+from fvs_sim_node.ur5_urdf import DH_A_M, DH_ALPHA_RAD, DH_D_M
 
 _COS_ALPHA = np.round(np.cos(DH_ALPHA_RAD), 15)
 _SIN_ALPHA = np.round(np.sin(DH_ALPHA_RAD), 15)
 
 
 def link_frames(joints_rad: np.ndarray) -> np.ndarray:
-    """Poses of the base and of the six link frames.
+    """Poses of the base and of the link frames.
 
     Parameters
     ----------
-    joints_rad : array_like, shape (..., 6)
+    joints_rad : array_like, shape (..., n)
         Joint angles, rad, kinematic order.
 
     Returns
     -------
-    ndarray, shape (..., 7, 4, 4)
+    ndarray, shape (..., n + 1, 4, 4)
         Homogeneous transforms to the world frame; the first is the identity, the last the flange.
     """
     joints = np.asarray(joints_rad, dtype=float)
     cos, sin = np.cos(joints), np.sin(joints)
-    frames = np.zeros((*joints.shape[:-1], 7, 4, 4))
+    frames = np.zeros((*joints.shape[:-1], len(DH_A_M) + 1, 4, 4))
     frames[..., 0, :, :] = np.eye(4)
     step = np.zeros((*joints.shape[:-1], 4, 4))
     step[..., 3, 3] = 1.0
-    for i in range(6):
+    for i in range(len(DH_A_M)):
         c, s = cos[..., i], sin[..., i]
         step[..., 0, 0] = c
         step[..., 0, 1] = -s * _COS_ALPHA[i]
@@ -60,7 +54,7 @@ def link_frames(joints_rad: np.ndarray) -> np.ndarray:
 
 def flange_pose(joints_rad: np.ndarray) -> np.ndarray:
     """Pose of the flange (``tool0``), shape (..., 4, 4), world frame, lengths in m."""
-    return link_frames(joints_rad)[..., 6, :, :]
+    return link_frames(joints_rad)[..., -1, :, :]
 
 
 def ball_position(joints_rad: np.ndarray, ball_offset_m: float = 0.09) -> np.ndarray:
@@ -68,7 +62,7 @@ def ball_position(joints_rad: np.ndarray, ball_offset_m: float = 0.09) -> np.nda
 
     Parameters
     ----------
-    joints_rad : array_like, shape (..., 6)
+    joints_rad : array_like, shape (..., n)
         Joint angles, rad.
     ball_offset_m : float
         Distance of the ball's centre beyond the flange on the tool axis, m.
@@ -87,18 +81,18 @@ def ball_jacobian(joints_rad: np.ndarray, ball_offset_m: float = 0.09) -> np.nda
 
     Parameters
     ----------
-    joints_rad : array_like, shape (..., 6)
+    joints_rad : array_like, shape (..., n)
         Joint angles, rad.
     ball_offset_m : float
         Distance of the ball's centre beyond the flange on the tool axis, m.
 
     Returns
     -------
-    ndarray, shape (..., 3, 6)
+    ndarray, shape (..., 3, n)
         m/rad, world frame; column i is ``z_i x (p - o_i)``.
     """
     frames = link_frames(joints_rad)
-    ball = frames[..., 6, :3, 3] + ball_offset_m * frames[..., 6, :3, 2]
-    axes = frames[..., :6, :3, 2]
-    levers = ball[..., None, :] - frames[..., :6, :3, 3]
+    ball = frames[..., -1, :3, 3] + ball_offset_m * frames[..., -1, :3, 2]
+    axes = frames[..., :-1, :3, 2]
+    levers = ball[..., None, :] - frames[..., :-1, :3, 3]
     return np.swapaxes(np.cross(axes, levers), -1, -2)

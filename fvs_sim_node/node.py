@@ -7,23 +7,23 @@ from fvs_ros import stop
 stop.listen()
 
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped
-from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from fvs_ros import ros, topics
-from fvs_ros.joints import N_JOINTS, UR_JOINT_NAMES
-from fvs_sim_node.config import ALPHABETICAL, KINEMATIC, PARAMETERS
+from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_sim_node.config import ALPHABETICAL, KINEMATIC, PARAMETERS, SimNodeConfig
 from fvs_sim_node.frame_worker import FrameWorker
-from fvs_sim_node.simulation import BallObservation, Frame, SimConfig, SimStep, Simulation
+from fvs_sim_node.observation import BallObservation, Frame, SimStep
+from fvs_sim_node.simulation import Simulation
 from fvs_sim_node.ur5_urdf import urdf_text
 
 _STATUS_PERIOD_S = 0.1
@@ -33,11 +33,11 @@ _SPEED_SCALING_PERIOD_S = 0.1
 _FIRST_SIMULATED_S = 1.0
 #: Further behind the clock than this, simulated motion is skipped rather than made up for.
 _MAX_BEHIND_S = 0.2
-#: In simulated time, services and parameters are looked at this often.
+#: In simulated time, services and parameters are served this often.
 _BURST_S = 0.005
 #: What answers joint states, and the simulated time that may pass without a new answer, s.
 _ANSWERS = {topics.COMMANDS.name: 0.0, topics.JACOBIAN.name: 0.1}
-#: A late answer is waited for so long, s: then its node has ended, until it answers again.
+#: A late answer is waited for this long, s: then its node has ended, until it answers again.
 _PATIENCE_S = 1.0
 
 
@@ -48,96 +48,71 @@ class SimNode(ros.FvsNode):
 
     def __init__(self) -> None:
         super().__init__("fvs_sim_node", PARAMETERS)
-        v = self.values
-        self._frame = v["feature_frame"]
-        self._sim = Simulation(SimConfig.from_values(v))
+        config = self._config = SimNodeConfig.from_values(self.values)
+        self._frame = config.feature_frame
+        self._sim = Simulation(config.simulation)
         self._camera_home = self._sim.camera
-        self._shuffle = np.random.default_rng(v["seed"])
-        self._names = [v["tf_prefix"] + name for name in UR_JOINT_NAMES]
-        self._names += v["extra_joints"].split()
+        self._shuffle = np.random.default_rng(config.simulation.seed)
+        self._names = [config.tf_prefix + name for name in UR_JOINT_NAMES]
+        self._names += config.extra_joints.split()
         if len(set(self._names)) < len(self._names):
             raise ValueError(f"extra_joints: a name comes twice in {self._names}")
         self._refusal = ""
-        self._steps = 0
         self._late = 0
         self._watched = False
         self._worker: FrameWorker | None = None
         self._exposed_s = -np.inf  # the newest full frame, simulated time
+        self._announced: bool | None = None
+        self._paused_active: bool | None = None  # was the controller, when the pause began?
 
-        self._joint_states = self.create_publisher(
-            JointState, topics.JOINT_STATES.name, ros.QOS_RELIABLE
-        )
-        self._ball = self.create_publisher(
-            PointStamped, topics.BALL_POSITION.name, ros.QOS_RELIABLE
-        )
-        self._true_ball = self.create_publisher(
-            PointStamped, "~/true_ball_position", ros.QOS_RELIABLE
-        )
-        self._true_jacobian = self.create_publisher(
-            Float64MultiArray, "~/true_jacobian", ros.QOS_RELIABLE
-        )
-        self._camera_pose = self.create_publisher(
-            PoseStamped, "~/true_camera_pose", ros.QOS_LATCHED
-        )
-        self._describe(v)
-        self._color = self.create_publisher(Image, topics.COLOR_IMAGE.name, ros.QOS_LARGE)
-        self._depth = self.create_publisher(Image, topics.DEPTH_IMAGE.name, ros.QOS_LARGE)
-        self._info = self.create_publisher(CameraInfo, topics.CAMERA_INFO.name, ros.QOS_RELIABLE)
-        self._play_driver(v)
+        def publisher(message_type: type, name: str, qos: QoSProfile = ros.QOS_RELIABLE) -> Any:
+            return self.create_publisher(message_type, name, qos)
+
+        self._joint_states = publisher(JointState, topics.JOINT_STATES.name)
+        self._ball = publisher(PointStamped, topics.BALL_POSITION.name)
+        self._true_ball = publisher(PointStamped, "~/true_ball_position")
+        self._true_jacobian = publisher(Float64MultiArray, "~/true_jacobian")
+        self._camera_pose = publisher(PoseStamped, "~/true_camera_pose", ros.QOS_LATCHED)
+        self._color = publisher(Image, topics.COLOR_IMAGE.name, ros.QOS_LARGE)
+        self._depth = publisher(Image, topics.DEPTH_IMAGE.name, ros.QOS_LARGE)
+        self._info = publisher(CameraInfo, topics.CAMERA_INFO.name)
+        self._program_running = publisher(Bool, topics.ROBOT_PROGRAM_RUNNING.name, ros.QOS_LATCHED)
+        self._scaling = publisher(Float64, topics.SPEED_SCALING.name)
+        description = publisher(String, topics.ROBOT_DESCRIPTION.name, ros.QOS_LATCHED)
+        own, path = urdf_text(config.tf_prefix), config.simulation.urdf_path
+        description.publish(String(data=Path(path).read_text("utf-8") if path else own))
         self.watch(Float64MultiArray, topics.COMMANDS.name, self._on_command, ros.QOS_RELIABLE)
         self.create_service(Trigger, "~/reset", self._on_reset)
-        self.on_parameters(v, {p.name for p in self.parameter_set if p.live})
+        self.on_parameters(self.values, {p.name for p in self.parameter_set if p.live})
+        self._keep_time(config)
+        for period_s, callback in (
+            (_SUBSCRIBERS_PERIOD_S, self._look_for_subscribers),
+            (_STATUS_PERIOD_S, self._publish_status),
+            (_SPEED_SCALING_PERIOD_S, self._publish_scaling),
+        ):
+            self.create_timer(period_s, callback, clock=self.steady_clock)
 
-        self._period_s = 1.0 / v["joint_state_rate_hz"]
+    # --- time ---
+
+    def _keep_time(self, config: SimNodeConfig) -> None:
+        """Let simulated time pass."""
+        self._period_s = 1.0 / config.simulation.joint_state_rate_hz
         self._stepped_s = self.steady_s()
         self._answered_s: dict[str, float] = {}  # simulated time of the last answer on each topic
-        if v["simulated_time"]:
+        if config.simulated_time:
             self._base_s = _FIRST_SIMULATED_S
             self._clock_topic = self.create_publisher(Clock, "/clock", ros.QOS_RELIABLE)
-            self.watch(Float64MultiArray, topics.JACOBIAN.name, self._on_jacobian, ros.QOS_RELIABLE)
+            self.watch(
+                Float64MultiArray,
+                topics.JACOBIAN.name,
+                lambda _message: self._answer(topics.JACOBIAN.name),
+                ros.QOS_RELIABLE,
+            )
             self.create_timer(_BURST_S, self._step_as_fast_as_it_goes, clock=self.steady_clock)
         else:
             self._base_s = self.ros_s()
             self._ahead_s = self._base_s - self.steady_s()
             self.create_timer(self._period_s, self._step_in_real_time, clock=self.steady_clock)
-        self.create_timer(_SUBSCRIBERS_PERIOD_S, self._look_around, clock=self.steady_clock)
-        self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
-
-    def _describe(self, v: Mapping[str, Any]) -> None:
-        """Publish the robot's model, once and for all."""
-        own = not v["urdf_path"]
-        text = (
-            urdf_text(v["tf_prefix"]) if own else Path(v["urdf_path"]).read_text(encoding="utf-8")
-        )
-        self._description = self.create_publisher(
-            String, topics.ROBOT_DESCRIPTION.name, ros.QOS_LATCHED
-        )
-        self._description.publish(String(data=text))
-
-    def _tell_camera_pose(self) -> None:
-        pose = self._sim.camera.in_base_link()
-        frame = self.values["tf_prefix"] + "base_link"
-        self._camera_pose.publish(
-            ros.to_pose(self.ros_s(), frame, pose.position_m, pose.quaternion_xyzw)
-        )
-
-    def _play_driver(self, v: Mapping[str, Any]) -> None:
-        self._program_running: Publisher | None = None
-        self._announced: bool | None = None
-        self._paused_active: bool | None = None  # was the controller, when the pause began?
-        if not v["play_driver_topics"]:
-            return
-        self._program_running = self.create_publisher(
-            Bool, topics.ROBOT_PROGRAM_RUNNING.name, ros.QOS_LATCHED
-        )
-        scaling = self.create_publisher(Float64, topics.SPEED_SCALING.name, ros.QOS_RELIABLE)
-
-        def publish_scaling() -> None:
-            scaling.publish(Float64(data=float(self.values["speed_scaling_percent"])))
-
-        self.create_timer(_SPEED_SCALING_PERIOD_S, publish_scaling, clock=self.steady_clock)
-
-    # --- time ---
 
     def _step_in_real_time(self) -> None:
         behind_s = self.steady_s() + self._ahead_s - self._base_s - self._sim.time_s
@@ -169,7 +144,7 @@ class SimNode(ros.FvsNode):
         return False
 
     def _answer(self, topic: str) -> None:
-        if self.values["simulated_time"]:
+        if self._config.simulated_time:
             self._answered_s[topic] = self._simulated_s()
             self._step_as_fast_as_it_goes()
 
@@ -178,9 +153,8 @@ class SimNode(ros.FvsNode):
 
     def _step(self) -> None:
         step = self._sim.advance()
-        self._steps += 1
         stamp_s = self._base_s + step.time_s
-        if self.values["simulated_time"]:
+        if self._config.simulated_time:
             self._clock_topic.publish(Clock(clock=ros.to_stamp(stamp_s)))
         for observation in step.observations:
             self._publish_observation(observation)
@@ -200,66 +174,62 @@ class SimNode(ros.FvsNode):
 
     def _publish_joints(self, stamp_s: float, step: SimStep) -> None:
         order = np.arange(len(self._names))
-        if self.values["joint_state_order"] == ALPHABETICAL:
+        if self._config.joint_state_order == ALPHABETICAL:
             order = np.argsort(self._names)
-        elif self.values["joint_state_order"] != KINEMATIC:
+        elif self._config.joint_state_order != KINEMATIC:
             order = self._shuffle.permutation(len(self._names))
         # Extra joints stand at zero. They have a position only, and the broadcaster puts NaN where
         # a joint lacks an interface. A motor current stands in `effort`; this arm's weighs nothing.
-        extra = len(self._names) - N_JOINTS
-        positions = np.append(step.joints_rad, np.zeros(extra))
-        velocities = np.append(step.joint_velocities_rad_s, np.full(extra, np.nan))
-        currents = np.append(np.zeros(N_JOINTS), np.full(extra, np.nan))
-        if self.values["nan_joint"]:
-            positions[self._names.index(self.values["nan_joint"])] = np.nan
+        own = step.joints_rad.size
+        positions = np.zeros(len(self._names))
+        velocities, currents = np.full((2, len(self._names)), np.nan)
+        positions[:own], velocities[:own] = step.joints_rad, step.joint_velocities_rad_s
+        currents[:own] = 0.0
+        if self._config.nan_joint:
+            positions[self._names.index(self._config.nan_joint)] = np.nan
         message = ros.to_joint_state(
             stamp_s, [self._names[i] for i in order], positions[order], velocities[order]
         )
         message.effort = currents[order].tolist()
         self._joint_states.publish(message)
 
-    def _publish_observation(self, observation: BallObservation) -> None:
-        stamp_s = self._base_s + observation.stamp_s
+    def _publish_observation(self, seen: BallObservation) -> None:
+        stamp_s = self._base_s + seen.stamp_s
         if self._info.get_subscription_count():
             self._info.publish(ros.to_camera_info(stamp_s, self._frame, self._sim.intrinsics))
-        if observation.detection is not None and self.values["publish_ball_position"]:
-            position_m = observation.detection.position_m
+        if seen.detection is not None and self._config.publish_ball_position:
+            position_m = seen.detection.position_m
             self._ball.publish(ros.to_point(stamp_s, self._frame, position_m))
-        if observation.frame is not None:
-            self._publish_frame(observation.frame)
-        elif self._worker is not None and self._watched and self._frame_is_due(observation.stamp_s):
-            exposed = self._worker.expose(
-                observation.stamp_s,
-                observation.joints_rad,
-                observation.camera,
-                self._sim.depth_noise,
-                observation.covered,
-            )
-            if exposed:
-                self._exposed_s = observation.stamp_s
+        if seen.frame is not None:
+            self._publish_frame(seen.frame)
+            return
+        due = self._watched and self._frame_is_due(seen.stamp_s)
+        if self._worker is not None and due and self._worker.expose(seen, self._sim.depth_noise):
+            self._exposed_s = seen.stamp_s
 
     def _frame_is_due(self, stamp_s: float) -> bool:
         passed_s = stamp_s - self._exposed_s
         # Half an image's period of slack: exposures come at the image rate, with some jitter.
-        slack_s = 0.5 / self.values["image_rate_hz"]
-        return not 0.0 <= passed_s < 1.0 / self.values["full_frame_rate_hz"] - slack_s
+        slack_s = 0.5 / self._config.simulation.image_rate_hz
+        return not 0.0 <= passed_s < 1.0 / self._config.full_frame_rate_hz - slack_s
 
     def _publish_frame(self, frame: Frame) -> None:
         stamp_s = self._base_s + frame.stamp_s
         if self._color.get_subscription_count():
             self._color.publish(ros.to_image(stamp_s, self._frame, frame.rgb, "rgb8"))
         if self._depth.get_subscription_count():
-            depth, encoding = frame.depth_m, self.values["depth_encoding"]
-            if encoding == "16UC1":
-                depth = np.round(np.nan_to_num(depth) * 1e3).clip(0, 65535).astype(np.uint16)
-            self._depth.publish(ros.to_image(stamp_s, self._frame, depth, encoding))
+            millimetres = np.round(frame.depth_m * 1e3).clip(0, 65535).astype(np.uint16)
+            self._depth.publish(ros.to_image(stamp_s, self._frame, millimetres, "16UC1"))
 
-    def _look_around(self) -> None:
-        """Render full frames only while somebody is there."""
+    def _publish_scaling(self) -> None:
+        self._scaling.publish(Float64(data=self._config.speed_scaling_percent))
+
+    def _look_for_subscribers(self) -> None:
+        """Render full frames only while a node receives them."""
         self._watched = any(
             publisher.get_subscription_count() for publisher in (self._color, self._depth)
         )
-        if self.values["simulated_time"]:
+        if self._config.simulated_time:
             self._sim.full_frames = self._watched
         elif self._watched and self._worker is None:
             self._worker = FrameWorker(self._sim.config)
@@ -274,13 +244,9 @@ class SimNode(ros.FvsNode):
             self.get_logger().error(self._refusal, throttle_duration_sec=5.0)
         self._answer(topics.COMMANDS.name)
 
-    def _on_jacobian(self, _message: Float64MultiArray) -> None:
-        self._answer(topics.JACOBIAN.name)
-
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response):
         # The simulation begins at zero again; the stamps go on.
-        elapsed_s = self._sim.time_s
-        self._base_s += elapsed_s
+        self._base_s += self._sim.time_s
         self._sim.reset()
         self._refusal = ""
         if self._paused_active is not None:
@@ -291,21 +257,22 @@ class SimNode(ros.FvsNode):
 
     def on_parameters(self, values: dict[str, Any], changed: set[str]) -> None:
         """Take disturbances into use at once."""
-        nan_joint = values["nan_joint"]
-        if nan_joint and nan_joint not in self._names:
-            raise ValueError(f"nan_joint: there is no joint {nan_joint}, only {self._names}")
-        sim = self._sim
-        sim.covered = values["camera_covered"]
-        sim.latency_s = values["latency_s"]
-        sim.depth_noise = values["depth_noise"]
-        sim.dropout = values["dropout"]
-        sim.joint_lag_s = values["joint_lag_s"]
+        config, sim = SimNodeConfig.from_values(values), self._sim
+        if config.nan_joint and config.nan_joint not in self._names:
+            raise ValueError(f"nan_joint: there is no joint {config.nan_joint}, only {self._names}")
+        self._config = config
+        for name in ("latency_s", "depth_noise", "dropout", "joint_lag_s"):
+            setattr(sim, name, getattr(config.simulation, name))
+        sim.covered = config.camera_covered
+        sim.speed_scaling = config.speed_scaling_percent / 100.0
         if "camera_rotation_deg" in changed:
             sim.camera = self._camera_home
-            sim.rotate_camera(np.radians(values["camera_rotation_deg"]))
-            self._tell_camera_pose()
-        sim.speed_scaling = values["speed_scaling_percent"] / 100.0
-        self._play_program(values["program_running"], values["announce_program_running"])
+            sim.rotate_camera(np.radians(config.camera_rotation_deg))
+            pose, frame = sim.camera.in_base_link(), config.tf_prefix + "base_link"
+            self._camera_pose.publish(
+                ros.to_pose(self.ros_s(), frame, pose.position_m, pose.quaternion_xyzw)
+            )
+        self._play_program(config.program_running, config.announce_program_running)
 
     def _play_program(self, running: bool, announce: bool) -> None:
         """Do as a UR's driver when the robot's program stops, and when it is back.
@@ -320,9 +287,9 @@ class SimNode(ros.FvsNode):
             if self._paused_active:
                 self._sim.activate()
             self._paused_active = None
-        if self._program_running is not None and announce and running != self._announced:
+        if announce and running != self._announced:
             self._announced = running
-            self._program_running.publish(Bool(data=bool(running)))
+            self._program_running.publish(Bool(data=running))
 
     # --- status ---
 
@@ -330,7 +297,7 @@ class SimNode(ros.FvsNode):
         level, state, reason = ros.OK, "RUNNING", "simulating"
         if self._refusal:
             level, state, reason = ros.ERROR, "REFUSED", self._refusal
-        elif not self.values["program_running"]:
+        elif not self._config.program_running:
             level, state, reason = ros.WARN, "PAUSED", "program_running is false: the arm stands"
         self.publish_status(
             level,

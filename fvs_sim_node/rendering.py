@@ -11,8 +11,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import pybullet
+from pybullet_utils.bullet_client import BulletClient
 
-from fvs_detector_node.tracking import Region
+from fvs_detector_node.detection import BallColour, colour_mask
+from fvs_detector_node.region import Region
 from fvs_ros.camera import Intrinsics, look_at
 from fvs_ros.quaternions import quaternion_of
 
@@ -21,6 +23,9 @@ NEAR_M, FAR_M = 0.25, 4.0
 
 #: The renderer draws half a pixel to the right and up of the pinhole model; this takes it back.
 _SHIFT_PX = (-0.5, 0.5)
+
+#: A colour is looked for in an image this many times smaller, and given a margin.
+_COARSE, _MARGIN_PX = 4, 16
 
 # Depth buffer from which on nothing was drawn.
 _NOTHING = 0.999999
@@ -59,10 +64,6 @@ class CameraPose:
     def quaternion_xyzw(self) -> np.ndarray:
         """The rotation as a unit quaternion, shape (4,)."""
         return quaternion_of(self.rotation)
-
-    def rotated(self, rotation: np.ndarray) -> CameraPose:
-        """Turn the camera about its own centre, by a rotation given in its own frame."""
-        return CameraPose(self.position_m, self.rotation @ rotation)
 
 
 def pose_from_look_at(
@@ -104,24 +105,19 @@ class Renderer:
 
     Parameters
     ----------
-    client : int
-        PyBullet client of the world.
+    client : BulletClient
+        PyBullet's functions for the world.
     intrinsics : Intrinsics
         The full image.
     """
 
-    def __init__(self, client: int, intrinsics: Intrinsics) -> None:
+    def __init__(self, client: BulletClient, intrinsics: Intrinsics) -> None:
         self._client = client
         self.intrinsics = intrinsics
         rows = np.linspace(0.0, 1.0, intrinsics.height)[:, None]
         colours = (1.0 - rows) * np.array(_WALL_TOP_RGB) + rows * np.array(_WALL_BOTTOM_RGB)
         opaque = np.insert(np.round(colours).astype(np.uint8), 3, 255, axis=1)
         self._wall = opaque.view(np.uint32)
-
-    @property
-    def full(self) -> Region:
-        """The whole image."""
-        return Region(0, 0, self.intrinsics.width, self.intrinsics.height)
 
     def render(
         self, pose: CameraPose, region: Region | None = None
@@ -142,34 +138,31 @@ class Renderer:
         depth_m : ndarray of float32, shape (H, W)
             Depth along the optical axis, m; 0 where there is none.
         """
-        part = region or self.full
-        window = self.intrinsics.window(part.u0, part.v0, part.width, part.height)
-        colours, raw = self._draw(pose, window)
+        part = region or Region.whole(self.intrinsics)
+        colours, raw = self._draw(pose, part.view(self.intrinsics))
         nothing = raw >= _NOTHING
         scale = np.float32(1.0 / NEAR_M - 1.0 / FAR_M)
         depth = np.float32(1.0) / (np.float32(1.0 / NEAR_M) - scale * raw)
         depth[nothing] = 0.0
         # Four bytes at once, a tenth of the time that it takes by colours.
-        wall = self._wall[part.v0 : part.v0 + part.height]
+        wall = self._wall[part.part[0]]
         np.copyto(colours.view(np.uint32)[..., 0], wall, where=nothing)
         return cv2.cvtColor(colours, cv2.COLOR_RGBA2RGB), depth
 
-    def render_coarse(self, pose: CameraPose, factor: int) -> np.ndarray:
-        """Draw the colours of every ``factor``-th pixel of the image; uint8, shape (H, W, 3)."""
-        full = self.intrinsics
-        coarse = Intrinsics(
-            -(-full.width // factor),
-            -(-full.height // factor),
-            full.fx / factor,
-            full.fy / factor,
-            full.cx / factor,
-            full.cy / factor,
-        )
-        return self._draw(pose, coarse)[0][..., :3]
+    def find_colour(self, pose: CameraPose, colour: BallColour) -> Region | None:
+        """Part of the image that holds all of a colour, by a coarse drawing; None if none does."""
+        full, n = self.intrinsics, _COARSE
+        size = (-(-full.width // n), -(-full.height // n))
+        lens = (full.fx / n, full.fy / n, full.cx / n, full.cy / n)
+        rgb = self._draw(pose, Intrinsics(*size, *lens))[0][..., :3]
+        u, v, width, height = cv2.boundingRect(colour_mask(rgb, colour))
+        if width == 0:
+            return None
+        return Region(u * n, v * n, width * n, height * n).grown(_MARGIN_PX, full)
 
     def _draw(self, pose: CameraPose, camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
         """Colours (H, W, 4) and the depth buffer (H, W), 1 where nothing is."""
-        _, _, rgba, buffer, _ = pybullet.getCameraImage(
+        _, _, rgba, buffer, _ = self._client.getCameraImage(
             camera.width,
             camera.height,
             viewMatrix=_view_matrix(pose),
@@ -183,7 +176,6 @@ class Renderer:
             lightSpecularCoeff=0.08,
             renderer=pybullet.ER_TINY_RENDERER,
             flags=pybullet.ER_NO_SEGMENTATION_MASK,
-            physicsClientId=self._client,
         )
         shape = (camera.height, camera.width)
         return (

@@ -15,7 +15,14 @@ from dataclasses import dataclass
 from math import pi
 
 from fvs_ros.joints import UR_JOINT_NAMES, UR_POSITION_LIMITS_RAD
-from fvs_sim_node.kinematics import DH_A_M, DH_D_M
+
+#: UR5 link lengths a_i, m (Universal Robots, "DH parameters for calculations of kinematics and
+#: dynamics"). A row is Rz(q) Tz(d) Tx(a) Rx(alpha).
+DH_A_M = (0.0, -0.425, -0.39225, 0.0, 0.0, 0.0)
+#: UR5 link offsets d_i, m.
+DH_D_M = (0.089159, 0.0, 0.0, 0.10915, 0.09465, 0.0823)
+#: UR5 link twists alpha_i, rad.
+DH_ALPHA_RAD = (pi / 2, 0.0, 0.0, pi / 2, -pi / 2, 0.0)
 
 _HALF_PI = pi / 2.0
 
@@ -133,9 +140,9 @@ _ORIGINS = (
 )
 
 #: Velocity limit of every joint, rad/s.
-VELOCITY_LIMIT_RAD_S = pi
+_VELOCITY_LIMIT_RAD_S = pi
 #: Effort limits, N m.
-EFFORT_LIMITS_NM = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
+_EFFORT_LIMITS_NM = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
 
 
 def urdf_text(prefix: str = "") -> str:
@@ -158,7 +165,7 @@ def urdf_text(prefix: str = "") -> str:
             f'<child link="{prefix}{_LINKS[i + 1].name}"/>'
             f'<origin xyz="{_numbers(xyz)}" rpy="{_numbers(rpy)}"/><axis xyz="0 0 1"/>'
             f'<limit lower="{-UR_POSITION_LIMITS_RAD[i]!r}" upper="{UR_POSITION_LIMITS_RAD[i]!r}" '
-            f'effort="{EFFORT_LIMITS_NM[i]!r}" velocity="{VELOCITY_LIMIT_RAD_S!r}"/>'
+            f'effort="{_EFFORT_LIMITS_NM[i]!r}" velocity="{_VELOCITY_LIMIT_RAD_S!r}"/>'
             '<dynamics damping="0" friction="0"/></joint>'
         )
     parts.append(

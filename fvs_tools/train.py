@@ -122,8 +122,8 @@ def _parser() -> argparse.ArgumentParser:
         type=one_of("method", (*METHODS, STRUCTURED)),
         default=defaults.method,
         help="varpro also moves the neurons; ridge solves for the weights only, in about a second; "
-        "poe fits a chain of six revolute joints, which teaches the networks: a minute of motion "
-        "is enough (default %(default)s)",
+        "poe fits a chain of six revolute joints, from which the networks are distilled: "
+        "a minute of motion is enough (default %(default)s)",
     )
     parser.add_argument(
         "--neurons",
@@ -175,12 +175,13 @@ def report(result: TrainingResult, seconds: float) -> str:
 def report_structured(distilled: DistilledModel, seconds: float) -> str:
     """What a user should see of a structured training."""
     fit = distilled.fit
+    deviation, error = distilled.jacobian_deviation, distilled.distillation_error
     noise = f"noise {1e3 * fit.noise_m:.2f} mm, misfit {fit.misfit:.2f}"
     lines = [
         "",
-        f"Jacobian of the chain, in the box of the data: {100 * distilled.jacobian_deviation:.3f} % "
+        f"Jacobian of the chain, in the box of the data: {100 * deviation:.3f} % "
         "(standard deviation; the camera's scale is not observable)",
-        f"networks distilled from it: {100 * distilled.distillation_error:.2f} % off the chain (median)",
+        f"networks distilled from it: {100 * error:.2f} % off the chain (median)",
         # + 0.0: no negative zero
         f"images stamped late: {round(1e3 * fit.time_offset_s, 1) + 0.0:.1f} +- "
         f"{1e3 * fit.time_offset_deviation_s:.1f} ms",

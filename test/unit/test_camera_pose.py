@@ -13,7 +13,7 @@ from fvs_estimator_node.camera import (
     nearest_rotation,
     rotation_angle_rad,
 )
-from fvs_estimator_node.distilling import teach
+from fvs_estimator_node.distilling import distil
 
 NOISE_M = 0.001
 BOX = ur5_dh.HOME_RAD + np.array([-1.0, 1.0])[:, None] * ur5_dh.BOX_M_RAD
@@ -22,7 +22,7 @@ TURNED = turn([0.3, 0.1, 1.0], np.radians(45.0))
 
 @pytest.fixture(scope="module")
 def networks():
-    return teach(ur5_chain(), BOX, 60, np.random.default_rng(0))
+    return distil(ur5_chain(), BOX, 60, np.random.default_rng(0))
 
 
 def path(count, rng):

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fvs_detector_node.tracking import Region
+from fvs_detector_node.detection import BallColour
+from fvs_detector_node.region import Region
 from fvs_ros.camera import Intrinsics
+from fvs_sim_node.config import SimConfig
+from fvs_sim_node.objects import SceneObject
 from fvs_sim_node.rendering import (
     CAMERA_PRESETS,
     CameraPose,
@@ -13,7 +16,7 @@ from fvs_sim_node.rendering import (
     camera_preset,
     pose_from_look_at,
 )
-from fvs_sim_node.world import SceneObject, World
+from fvs_sim_node.world import World
 
 VGA = Intrinsics(640, 480, 615.0, 615.0, 319.5, 239.5)
 CENTRE = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
@@ -32,7 +35,7 @@ def world():
 def lone_ball():
     """A renderer of a sphere at (5, 0, 1), far from the arm."""
     sphere = SceneObject("sphere", (5.0, 0.0, 1.0), (RADIUS_M,))
-    world = World(objects=(sphere,))
+    world = World(SimConfig(objects=(sphere,)))
     yield lambda camera: Renderer(world.client, camera)
     world.close()
 
@@ -87,7 +90,7 @@ def test_window_equals_crop(world):
         for size in (96, 112, 131):
             u0, v0 = int(rng.integers(0, 640 - size)), int(rng.integers(0, 480 - size))
             rgb, depth = renderer.render(pose, Region(u0, v0, size, size))
-            part = np.s_[v0 : v0 + size, u0 : u0 + size]
+            part = Region(u0, v0, size, size).part
             np.testing.assert_array_equal(depth > 0.0, whole_depth[part] > 0.0)
             # Depth and shade are interpolated in single precision.
             np.testing.assert_allclose(depth, whole_depth[part], atol=5e-5)
@@ -100,17 +103,19 @@ def test_nothing_in_view_has_no_depth(world):
     assert not depth.any()
 
 
-def test_coarse_image_is_the_subsampled_view(world):
+def test_all_of_a_colour_is_found_and_little_else(world):
     world.reset(CENTRE)
     world.place_ball()
     renderer = Renderer(world.client, VGA)
     pose = camera_preset("front")
-    coarse = renderer.render_coarse(pose, 4)
-    assert coarse.shape == (120, 160, 3)
-    whole, _ = renderer.render(pose)
-    red = np.argwhere(coarse[..., 0] > 2.0 * coarse[..., 1])
-    red_whole = np.argwhere(whole[..., 0] > 2.0 * whole[..., 1])
-    np.testing.assert_allclose(4 * red.mean(axis=0), red_whole.mean(axis=0), atol=1.0)
+    found = renderer.find_colour(pose, BallColour())
+    red = np.argwhere(renderer.render(pose)[0][..., 0] > 2.0 * renderer.render(pose)[0][..., 1])
+    low, high = red.min(axis=0)[::-1], red.max(axis=0)[::-1]
+    assert np.all((found.u0, found.v0) <= low)
+    assert np.all((found.u0 + found.width, found.v0 + found.height) > high)
+    assert max(found.width, found.height) < np.ptp(red, axis=0).max() + 60
+    away = pose_from_look_at((-1.5, 0.0, 0.5), (-3.0, 0.0, 0.5))
+    assert renderer.find_colour(away, BallColour()) is None
 
 
 @pytest.mark.parametrize("name", sorted(CAMERA_PRESETS))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fvs_sim_node.depth_noise import DepthNoiseConfig, add_depth_noise
+from fvs_sim_node.depth_noise import add_depth_noise
 
 FX = 615.0
 
@@ -16,13 +16,15 @@ def noisy(depth, scale=1.0, seed=0):
     return add_depth_noise(depth, FX, np.random.default_rng(seed), scale)
 
 
-@pytest.mark.parametrize("depth_m", [0.6, 1.0, 2.0])
-def test_spread_grows_with_the_square_of_depth(depth_m):
-    values = noisy(flat(depth_m))
+@pytest.mark.parametrize(("depth_m", "scale"), [(0.6, 1.0), (1.0, 1.0), (2.0, 1.0), (2.0, 2.0)])
+def test_spread_grows_with_the_square_of_depth_and_comes_in_whole_millimetres(depth_m, scale):
+    values = noisy(flat(depth_m), scale)
     errors = values[values > 0] - depth_m
-    expected = np.hypot(0.08 * depth_m**2 / (FX * 0.05), 0.001 / np.sqrt(12))
+    expected = np.hypot(scale * 0.08 * depth_m**2 / (FX * 0.05), 0.001 / np.sqrt(12))
     assert np.std(errors) == pytest.approx(expected, rel=0.03)
     assert abs(np.mean(errors)) < 0.03 * expected
+    np.testing.assert_allclose(1e3 * values, np.round(1e3 * values), atol=1e-3)
+    assert np.mean(values == 0.0) == pytest.approx(0.01 * scale, abs=0.002)
 
 
 def test_neighbours_share_a_quarter_of_the_variance():
@@ -30,15 +32,6 @@ def test_neighbours_share_a_quarter_of_the_variance():
     shared = np.mean(errors[:, 1:] * errors[:, :-1]) / np.var(errors)
     # The shared part is the mean of 3 x 3, of which two neighbours have 6 of 9 in common.
     assert shared == pytest.approx(0.25 * 6 / 9, abs=0.02)
-
-
-def test_whole_millimetres():
-    millimetres = 1000.0 * noisy(flat())
-    np.testing.assert_allclose(millimetres, np.round(millimetres), atol=1e-3)
-
-
-def test_one_percent_is_lost():
-    assert np.mean(noisy(flat()) == 0.0) == pytest.approx(0.01, abs=0.002)
 
 
 @pytest.mark.parametrize(
@@ -53,30 +46,17 @@ def test_half_of_an_edge_is_lost_and_nothing_beside_it(jump_m, scale, share):
     assert np.mean(values[:, 140:149] == 0.0) < 0.02
 
 
-def test_unknown_stays_unknown():
-    depth = flat()
+def test_unknown_stays_unknown_and_none_is_negative_however_wild_the_noise():
+    depth = flat(6.0)
     depth[40:60] = 0.0
-    assert not noisy(depth)[40:60].any()
+    assert not noisy(depth, scale=10.0)[40:60].any()
+    assert noisy(depth, scale=20.0).min() == 0.0
 
 
-def test_scale_zero_is_the_ideal_camera():
+def test_scale_zero_is_the_ideal_camera_and_the_seed_decides():
     depth = np.random.default_rng(1).uniform(0.5, 2.0, (50, 50)).astype(np.float32)
     values = noisy(depth, scale=0.0)
     np.testing.assert_array_equal(values, depth)
     assert values is not depth
-
-
-def test_scale_two_doubles_the_spread():
-    values = noisy(flat(2.0), scale=2.0)
-    expected = 2 * DepthNoiseConfig().sigma_m(np.float32(2.0), FX)
-    assert np.std(values[values > 0]) == pytest.approx(expected, rel=0.03)
-
-
-def test_however_wild_the_noise_no_depth_is_negative():
-    assert noisy(flat(6.0), scale=20.0).min() == 0.0
-
-
-def test_seed_decides():
     np.testing.assert_array_equal(noisy(flat(), seed=3), noisy(flat(), seed=3))
     assert np.any(noisy(flat(), seed=3) != noisy(flat(), seed=4))
-    assert noisy(flat()).dtype == np.float32

@@ -10,7 +10,7 @@ from recordings import Recording, relative_error, turn, ur5_chain
 
 from fvs_detector_node.config import PARAMETERS
 from fvs_estimator_node.chain_fit import ChainFitError
-from fvs_estimator_node.distilling import teach, train_structured, with_chain
+from fvs_estimator_node.distilling import distil, train_structured, with_chain
 from fvs_ros.params import ParameterSet
 
 BOX = ur5_dh.HOME_RAD + np.array([-1.0, 1.0])[:, None] * ur5_dh.BOX_M_RAD
@@ -25,7 +25,7 @@ def distilled():
 
 def test_the_networks_say_what_the_chain_says():
     chain = ur5_chain()
-    model = teach(chain, BOX, 100, np.random.default_rng(0))
+    model = distil(chain, BOX, 100, np.random.default_rng(0))
     places = ur5_dh.uniform_in_box(np.random.default_rng(1), 500)
     error = relative_error(model.jacobian(places), chain.jacobian(places))
     assert np.median(error) < 0.02

@@ -7,7 +7,7 @@ import pytest
 
 from fvs_controller_node.anticipation import braking_speed_within
 from fvs_controller_node.drive_lag import DriveLag
-from fvs_sim_node.actuator import ActuatorConfig
+from fvs_sim_node.config import SimConfig
 
 DT_S = 0.008
 
@@ -71,8 +71,8 @@ def test_no_slow_motion_is_told_late_and_what_moves_a_joint_at_rest_in_half_a_se
 
 
 def test_before_any_motion_and_where_it_must_not_compare_it_takes_the_drives_for_a_urs():
-    drive = ActuatorConfig()
-    usual_s = 0.5 * drive.control_period_s + drive.dead_time_s + drive.lag_s
+    drive = SimConfig()
+    usual_s = 0.5 / drive.joint_state_rate_hz + drive.dead_time_s + drive.lag_s
     assert DriveLag().lag_s == pytest.approx(usual_s, abs=0.01)
     assert run(DriveLag(), 10, 0.0, compare=False).lag_s == DriveLag().lag_s
 

@@ -8,6 +8,7 @@ import pytest
 from fvs_detector_node.detection import BallColour, colour_mask
 from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_sim_node import kinematics
+from fvs_sim_node.config import SimConfig
 from fvs_sim_node.ur5_urdf import urdf_text
 from fvs_sim_node.world import World
 
@@ -31,12 +32,16 @@ def test_zero_pose_is_the_published_one():
     np.testing.assert_allclose(flange[:3, 2], [0.0, -1.0, 0.0], atol=1e-12)
 
 
-def test_physics_engine_agrees_with_dh_table(world):
-    for joints in random_joints(50):
-        world.reset(joints)
-        np.testing.assert_allclose(
-            world.ball_position(), kinematics.ball_position(joints), atol=1e-6
-        )
+def test_physics_engine_agrees_with_the_closed_form_in_batches_and_single(world):
+    joints = random_joints(50)
+    balls_m, jacobians = kinematics.ball_position(joints), kinematics.ball_jacobian(joints)
+    for one, ball_m, jacobian in zip(joints, balls_m, jacobians, strict=True):
+        world.reset(one)
+        np.testing.assert_allclose(world.ball_position(), ball_m, atol=1e-6)
+        np.testing.assert_allclose(world.ball_jacobian(one), jacobian, atol=1e-12)
+        np.testing.assert_allclose(kinematics.ball_jacobian(one), jacobian, atol=1e-14)
+    # The last joint does not move a ball on its axis.
+    assert np.abs(jacobians[..., -1]).max() < 1e-12
 
 
 def test_jacobian_is_the_derivative():
@@ -52,84 +57,47 @@ def test_jacobian_is_the_derivative():
         )
 
 
-def test_engine_jacobian_equals_closed_form(world):
-    for joints in random_joints(10):
-        np.testing.assert_allclose(
-            world.ball_jacobian(joints), kinematics.ball_jacobian(joints), atol=1e-7
-        )
-
-
-def test_last_joint_does_not_move_a_ball_on_its_axis():
-    assert np.abs(kinematics.ball_jacobian(random_joints(20))[..., 5]).max() < 1e-12
-
-
-def test_batches_equal_single_calls():
-    joints = random_joints(7)
-    batch = kinematics.ball_jacobian(joints, 0.1)
-    for row, single in zip(batch, joints, strict=True):
-        np.testing.assert_allclose(row, kinematics.ball_jacobian(single, 0.1), atol=1e-14)
-
-
-def test_every_link_has_an_inertial():
+def test_the_urdf_has_inertias_limits_and_nothing_of_the_balls_colour(world):
     root = ET.fromstring(urdf_text())
     assert [joint.get("name") for joint in root.iter("joint")][:6] == list(UR_JOINT_NAMES)
-    for link in root.iter("link"):
-        assert float(link.find("inertial/mass").get("value")) > 0.0
-
-
-def test_nothing_on_the_arm_has_the_balls_colour():
-    for colour in ET.fromstring(urdf_text()).iter("color"):
+    assert all(float(mass.get("value")) > 0.0 for mass in root.iter("mass"))
+    for colour in root.iter("color"):
         rgb = np.array([float(x) for x in colour.get("rgba").split()][:3])
-        for brightness in np.linspace(0.2, 1.0, 9):
-            pixel = np.round(255 * brightness * rgb).astype(np.uint8).reshape(1, 1, 3)
-            assert not colour_mask(pixel, BallColour()).any()
-
-
-def test_limits_are_read(world):
+        shades = np.round(255 * np.linspace(0.2, 1.0, 9)[:, None] * rgb).astype(np.uint8)
+        assert not colour_mask(shades[None], BallColour()).any()
     np.testing.assert_allclose(world.upper_rad, np.array([2, 2, 1, 2, 2, 2]) * np.pi)
     np.testing.assert_allclose(world.lower_rad, -world.upper_rad)
+    np.testing.assert_allclose(world.max_speed_rad_s, np.pi)
 
 
-def test_another_urdf_by_path(tmp_path):
+def test_another_urdf_by_path_beside_the_built_in_one(world, tmp_path):
     path = tmp_path / "own.urdf"
     path.write_text(urdf_text(), encoding="utf-8")
-    own = World(urdf_path=str(path), ball_link="wrist_3_link", ball_offset_m=0.1)
-    joints = random_joints(1)[0]
+    own = World(SimConfig(urdf_path=str(path), ball_link="wrist_3_link", ball_offset_m=0.1))
+    joints, others = random_joints(2)
     own.reset(joints)
+    world.reset(others)
+    expected_m = kinematics.ball_position(joints, 0.1)
+    np.testing.assert_allclose(own.ball_position(), expected_m, atol=1e-6)
     np.testing.assert_allclose(
-        own.ball_position(), kinematics.ball_position(joints, 0.1), atol=1e-6
-    )
-    np.testing.assert_allclose(
-        own.ball_jacobian(joints), kinematics.ball_jacobian(joints, 0.1), atol=1e-7
+        own.ball_jacobian(joints), kinematics.ball_jacobian(joints, 0.1), atol=1e-12
     )
     own.close()
+    own.close()
+    np.testing.assert_allclose(world.ball_position(), kinematics.ball_position(others), atol=1e-6)
 
 
 def test_bad_urdfs_are_refused_with_words(tmp_path):
-    with pytest.raises(ValueError, match="there is no file"):
-        World(urdf_path=str(tmp_path / "missing.urdf"))
-    renamed = tmp_path / "renamed.urdf"
-    renamed.write_text(urdf_text().replace("elbow_joint", "knee_joint"), encoding="utf-8")
-    with pytest.raises(ValueError, match=r"lacks the joints \['elbow_joint'\]"):
-        World(urdf_path=str(renamed))
-    broken = tmp_path / "broken.urdf"
-    broken.write_text("no xml", encoding="utf-8")
-    with pytest.raises(ValueError, match="cannot load"):
-        World(urdf_path=str(broken))
+    renamed = urdf_text().replace("elbow_joint", "knee_joint")
+    for text, said in (
+        (None, "there is no file"),
+        (renamed, r"lacks the joints \['elbow_joint'\]"),
+        ("no xml", "cannot load"),
+    ):
+        path = tmp_path / f"{said[:5]}.urdf"
+        if text is not None:
+            path.write_text(text, encoding="utf-8")
+        with pytest.raises(ValueError, match=said):
+            World(SimConfig(urdf_path=str(path)))
     with pytest.raises(ValueError, match="no link 'hand'"):
-        World(ball_link="hand")
-
-
-def test_worlds_live_side_by_side():
-    first, second = World(), World()
-    first.reset(np.full(6, 0.3))
-    second.reset(np.full(6, -0.3))
-    np.testing.assert_allclose(
-        first.ball_position(), kinematics.ball_position(np.full(6, 0.3)), atol=1e-6
-    )
-    first.close()
-    first.close()
-    np.testing.assert_allclose(
-        second.ball_position(), kinematics.ball_position(np.full(6, -0.3)), atol=1e-6
-    )
-    second.close()
+        World(SimConfig(ball_link="hand"))
