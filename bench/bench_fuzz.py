@@ -8,6 +8,7 @@ campaign: Hypothesis shrinks it to the shortest script that breaks it, and print
 
 from __future__ import annotations
 
+import functools
 import multiprocessing
 import os
 import time
@@ -28,12 +29,18 @@ SETTINGS = hypothesis.settings(
     stateful_step_count=15,
     database=None,
     deadline=None,
-    phases=[hypothesis.Phase.generate, hypothesis.Phase.shrink],
+    phases=[hypothesis.Phase.generate],
     suppress_health_check=list(hypothesis.HealthCheck),
+)
+#: Shrinking takes minutes; a test cannot wait for it.
+_SHRINKS = hypothesis.settings(
+    SETTINGS, phases=[hypothesis.Phase.generate, hypothesis.Phase.shrink]
 )
 
 
-def play(seed: int, ticks: int = CHUNK_TICKS) -> tuple[Counter[str], str]:
+def play(
+    seed: int, ticks: int = CHUNK_TICKS, settings: hypothesis.settings = SETTINGS
+) -> tuple[Counter[str], str]:
     """Play at least some ticks; returns counts by name, and what broke a promise."""
     warnings.simplefilter("ignore")  # of numpy, about the numbers that are sent here
     counts: Counter[str] = Counter()
@@ -48,7 +55,7 @@ def play(seed: int, ticks: int = CHUNK_TICKS) -> tuple[Counter[str], str]:
 
     while counts["ticks"] < ticks:
         try:
-            run_state_machine_as_test(hypothesis.seed(seed)(Counted), settings=SETTINGS)
+            run_state_machine_as_test(hypothesis.seed(seed)(Counted), settings=settings)
         except Exception:
             return counts, traceback.format_exc()
         seed += 1
@@ -62,9 +69,10 @@ def main() -> None:
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     counts: Counter[str] = Counter()
     begin_s = time.perf_counter()
+    campaign = functools.partial(play, settings=_SHRINKS)
     with multiprocessing.get_context("spawn").Pool() as pool:
         seeds = range(1000 * first, 1000 * (first + chunks), 1000)
-        for found, broken in tqdm(pool.imap_unordered(play, seeds), "fuzz", chunks):
+        for found, broken in tqdm(pool.imap_unordered(campaign, seeds), "fuzz", chunks):
             counts.update(found)
             if broken:
                 raise RuntimeError(f"a promise was broken\n{broken}")

@@ -225,7 +225,14 @@ ROWS: dict[str, dict[str, Mutant]] = {
         "takes anything": _lacks(_ZEROS, joint_is_not_a_number, "BAD_INPUT")
     },
     "held for more": {"resumes for ever": _lacks(_ASKED, input_is_silent_for_long, "HELD_LONG")},
-    "another node commands": {"shares": _lacks(_ASKED, another_node_commands, "CONFLICT")},
+    "another node commands": {
+        "shares": _replaces(
+            _ASKED,
+            another_node_commands,
+            "fvs_controller_node.supervisor.Supervisor.conflicting_command",
+            lambda *_: None,
+        )
+    },
     "messages whose stamps": {
         "counts all": _replaces(
             _FRESH, stamps_freeze, "fvs_ros.history.StampGate.advances", lambda *_: True

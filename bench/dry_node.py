@@ -6,11 +6,13 @@ from collections.abc import Callable, Mapping
 from types import SimpleNamespace
 from typing import Any
 
+from rcl_interfaces.msg import SetParametersResult
+from rclpy import Parameter
 from std_srvs.srv import Trigger
 
 from fvs_controller_node.node import ControllerNode
 from fvs_controller_node.supervisor import Command
-from fvs_ros.params import ParameterSet
+from fvs_ros.params import ParameterError, ParameterSet
 from fvs_ros.ros import FvsNode, to_status
 
 
@@ -43,6 +45,13 @@ class DryNode(FvsNode):
         self.steady_clock = None
         self.publishers_by_topic: dict[str, DryPublisher] = {}
         self.services_by_name: dict[str, Callable] = {}
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Check and set, as the node does, without rclpy's own checks in between."""
+        try:
+            return self._on_set([self._settable(given) for given in parameter_list])
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
 
     def get_parameter(self, name: str) -> Any:
         return SimpleNamespace(value=self.simulated_time if name == "use_sim_time" else None)

@@ -181,6 +181,7 @@ class Machine(RuleBasedStateMachine):
         world = self.world
         ball_m, end = world.ball(), "joint_max_rad" if side > 0 else "joint_min_rad"
         world.joints[joint] = world.values[end][joint] - side * room_rad
+        world.promises.begin_lie()  # the arm did not go there by itself
         world.push_m = world.push_m + ball_m - world.ball()
         world.run(FRESH_TICKS)
         world.send_target(world.ball() + side * 0.5 * TRUE[:, joint])
@@ -222,6 +223,7 @@ class Machine(RuleBasedStateMachine):
     def knock(self, joint: int, step_rad: float) -> None:
         """Let a joint jump."""
         self.world.joints[joint] += step_rad
+        self.world.promises.begin_lie()
         self.world.run(8)
 
     @rule(values=vector(N_JOINTS), own=st.booleans(), ticks=FEW)
@@ -260,16 +262,19 @@ class Machine(RuleBasedStateMachine):
     def push(self, step_m: Sequence[float], steps: int, steady_s: float = TICK_S) -> None:
         """Push the ball, or the camera, away: at once or steadily."""
         for _ in range(steps):
-            self.world.push_m = self.world.push_m + np.array(step_m) / steps
-            self.world.run(1, steady_s=steady_s)
+            self._push(np.array(step_m) / steps, steady_s)
 
-    @rule(size_m=st.floats(0.02, 0.3), ticks=st.integers(0, 600))
+    @rule(size_m=st.floats(0.02, 0.12), ticks=st.integers(0, 600))
     def swing(self, size_m: float, ticks: int) -> None:
         """Let the ball swing, whatever the arm does."""
-        centre_m, way_m = self.world.push_m, size_m * np.eye(N_AXES)[0]
+        way_m = size_m * np.eye(N_AXES)[0]
         for tick in range(ticks):
-            self.world.push_m = centre_m + way_m * math.sin(0.1 * tick)
-            self.world.run(1, steady_s=0.01)
+            self._push(way_m * (math.sin(0.1 * tick) - math.sin(0.1 * (tick - 1))), 0.01)
+
+    def _push(self, step_m: np.ndarray, steady_s: float) -> None:
+        self.world.push_m = self.world.push_m + step_m
+        self.world.promises.begin_lie()  # the image shows more than the arm's motion
+        self.world.run(1, steady_s=steady_s)
 
     # ---- messages and answers that should not be ---------------------------------------------
 

@@ -291,7 +291,7 @@ class World:
     def send_command(self, values: Iterable[float]) -> None:
         """Let another node command the arm."""
         values = [float(v) for v in values]
-        if values != self.promises.last.tolist():  # one's own come back, too
+        if tuple(values) not in self.node._sent:  # one's own come back, too
             self.end_session()
         self.node._on_any_command(Float64MultiArray(data=values))
 
@@ -334,7 +334,9 @@ class World:
         self.promises.begin()
         loop = self.node._loop
         before = loop.law, loop.supervisor.config, self.node.values
-        result = self.node._on_set([rclpy.Parameter(k, value=v) for k, v in values.items()])
+        result = self.node.set_parameters_atomically(
+            [rclpy.Parameter(k, value=v) for k, v in values.items()]
+        )
         if result.successful:
             self.values = {**self.values, **self.node.parameter_set.checked(values)}
             return

@@ -129,7 +129,8 @@ class Supervisor:
         self._conditioning: Conditioning | None = None
         self._singularity = SingularityWatch()
         self._leaving_s = 0.0
-        self._conflict = ("", -inf)
+        self._conflict: Finding | None = None  # with another node, and when it commanded last
+        self._conflict_s = -inf
         self._held_s = 0.0
         self._program_running: bool | None = None  # never reported
         self._speed_scaling = 100.0
@@ -327,8 +328,9 @@ class Supervisor:
         return True, "leaving the singular pose slowly; held again should it come nearer to it"
 
     def conflicting_command(self, now_s: float, name: str) -> None:
-        """Report that another node has just commanded the arm, too."""
-        self._conflict = (name, now_s)
+        """Report that another node has just commanded the arm, too; this ends the session."""
+        self._conflict, self._conflict_s = Reason.CONFLICT.because(name=name), now_s
+        self._end_session(self._conflict)
 
     def stop(self) -> tuple[bool, str]:
         """End servoing; the arm ramps to rest. It does not start again by itself."""
@@ -486,9 +488,8 @@ class Supervisor:
         findings = [monitor.find(now_s) for monitor in self._inputs.values()]
         troubles = [finding for finding in findings if finding is not None]
         bad = [finding for finding in troubles if finding.reason is Reason.BAD_INPUT]
-        name, conflict_s = self._conflict
-        if now_s - conflict_s < _CONFLICT_S:
-            bad.append(Reason.CONFLICT.because(name=name))
+        if self._conflict is not None and now_s - self._conflict_s < _CONFLICT_S:
+            bad.append(self._conflict)
         first = next(iter(bad + self._paused() + troubles), None)
         # Who waits to be asked for a target may count on the arm to start at once.
         return first or self._no_position() or self._no_target() or self._near_singular()

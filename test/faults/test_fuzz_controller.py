@@ -100,6 +100,19 @@ def test_a_pause_or_a_bad_message_stops_at_once_an_arm_that_is_coming_to_rest(tr
     bench_mutants.play(script)
 
 
+def test_another_node_that_commands_ends_a_session_that_a_bad_message_holds():
+    def script(m):
+        m.work()
+        m.odd_ball({0: np.nan}, 0.0, "camera_color_optical_frame")
+        m.other_commander((0.1,) * HOME_RAD.size, ticks=1)
+        m.show(1.0, ticks=4, steady_s=0.3)
+        m.wait(20)
+        assert m.world.reasons["BAD_INPUT"]
+        assert not m.world.promises.last.any()
+
+    bench_mutants.play(script)
+
+
 def test_a_joint_that_is_slow_near_its_limit_is_not_carried_over_it_by_a_ramp():
     machine = Machine()
     machine.begin()
