@@ -59,7 +59,7 @@ SILENT, NOISY, ORACLE = "no noise", "1 mm noise", "no noise, true Jacobian"
 #: Not the real robot; it tells the drives' part in what is left.
 IDEAL = "no noise, ideal drives"
 _SILENT = {"rendered": False, "position_noise_m": 0.0}
-_IDEAL = {**_SILENT, "dead_time_s": 0.0, "lag_s": 0.0, "acceleration_limit_rad_s2": 1e4}
+_IDEAL = {**_SILENT, "dead_time_s": 0.0, "lag_s": 0.0, "acceleration_limit_rad_s2": 1e3}
 WORLDS: dict[str, dict[str, Any]] = {
     SILENT: _SILENT,
     NOISY: {"position_noise_m": 0.001},
