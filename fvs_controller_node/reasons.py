@@ -34,25 +34,28 @@ class Reason(Enum):
 
     SERVOING = (State.SERVOING, Stop.NONE, False, "servoing, {error_mm:.1f} mm to go")
     SETTLED = (State.SERVOING, Stop.NONE, False, "on target, {error_mm:.1f} mm off")
-    READY = (State.READY, Stop.RAMP, False, "ready; call ~/start to move")
+    READY = (State.READY, Stop.RAMP, False, "ready", "call ~/start to move")
 
     MISSING = (
         State.HOLDING,
         Stop.RAMP,
         False,
-        "no {name} yet ({count} of {wanted} messages); {hint}",
+        "no {name} yet ({count} of {wanted} messages)",
+        "{hint}",
     )
     NO_TARGET = (
         State.HOLDING,
         Stop.RAMP,
         False,
-        "no target_position yet; publish one, or call ~/set_current_as_target",
+        "no target_position yet",
+        "publish one, or call ~/set_current_as_target",
     )
     STALE = (
         State.HOLDING,
         Stop.RAMP,
         False,
-        "{name} is {age_s:.2f} s old ({limit} is {limit_s:.2f} s); {hint}",
+        "{name} is {age_s:.2f} s old ({limit} is {limit_s:.2f} s)",
+        "{hint}",
     )
     RETURNING = (
         State.HOLDING,
@@ -66,109 +69,91 @@ class Reason(Enum):
         False,
         "{name} is not usable: {why}; {count} of {wanted} good ones since",
     )
-    NO_POSITION = (
-        State.HOLDING,
-        Stop.RAMP,
-        False,
-        "the ball's position now is unknown: {why}",
-    )
+    NO_POSITION = (State.HOLDING, Stop.RAMP, False, "the ball's position is unknown: {why}")
     NEAR_SINGULAR = (
         State.HOLDING,
         Stop.RAMP,
         False,
-        "the Jacobian is near singular: smallest singular value {value:.4f} m/rad, below "
-        "{limit:.4f}; call ~/start to leave slowly for another target, or the estimator's ~/reset",
+        "the Jacobian is near singular ({value:.4f} m/rad, limit {limit:.4f})",
+        "set another target and call ~/start to leave slowly, or the estimator's ~/reset",
     )
     PREDICTION_ERROR = (
         State.HOLDING,
         Stop.RAMP,
         True,
-        "the Jacobian predicts motion badly: error ratio {value:.2f}, above {limit:.2f} for "
-        "{way_mm:.0f} mm; check camera and model, call the estimator's ~/reset, then ~/start",
+        "the Jacobian predicts badly: error ratio {value:.2f} over {way_mm:.0f} mm",
+        "check camera and model, call the estimator's ~/reset",
     )
     ERROR_GROWING = (
         State.HOLDING,
         Stop.RAMP,
         True,
-        "the error grew from {best_mm:.0f} to {error_mm:.0f} mm and stayed up for "
-        "{time_s:.1f} s: the Jacobian may be wrong (camera moved?) or the target out of reach; "
-        "then call ~/start",
+        "the error grew from {best_mm:.0f} to {error_mm:.0f} mm for {time_s:.1f} s",
+        "check camera and model, and that the target is in reach",
     )
     STALLED = (
         State.HOLDING,
         Stop.RAMP,
         True,
-        "no progress for {time_s:.0f} s, {error_mm:.0f} mm from the target: it may be out of "
-        "reach, a joint at the end of its range, or the Jacobian wrong there; choose another "
-        "target, then call ~/start",
+        "no progress for {time_s:.0f} s, {error_mm:.0f} mm from the target",
+        "check its reach, the joint limits and the model, or choose another target",
     )
     OSCILLATING = (
         State.HOLDING,
         Stop.RAMP,
         True,
-        "the ball swings about its target, {way_m:.1f} m so far; check stamps (stamp_delay_s) and "
-        "gains, then call ~/start",
+        "the ball swings about its target, {way_m:.1f} m so far",
+        "check stamp_delay_s and gains",
     )
     NOT_FOLLOWING = (
         State.HOLDING,
         Stop.RAMP,
         True,
-        "the arm does not follow: {joint} was to move {commanded_rad:.2f} rad and moved "
-        "{moved_rad:.2f} rad; check that the velocity controller is active, the robot program runs "
-        "and no protective stop is on, then call ~/start",
+        "{joint} does not follow: commanded {commanded_rad:.2f} rad, moved {moved_rad:.2f} rad",
+        "check that the velocity controller is active, the robot program runs and no protective "
+        "stop is on",
     )
     IMAGE_NOT_FOLLOWING = (
         State.HOLDING,
         Stop.RAMP,
         True,
-        "the image does not follow the arm: {predicted_mm:.0f} mm predicted in {time_s:.1f} s, "
-        "{seen_mm:.0f} mm seen; check camera, detector and stamp_delay_s, then call ~/start",
+        "frozen image: {predicted_mm:.0f} mm predicted in {time_s:.1f} s, {seen_mm:.0f} mm seen",
+        "check camera, detector and stamp_delay_s",
     )
-    CONFLICT = (
-        State.HOLDING,
-        Stop.RAMP,
-        True,
-        "{name} commands the arm as well; stop it, then call ~/start",
-    )
-    HELD_LONG = (
-        State.HOLDING,
-        Stop.RAMP,
-        True,
-        "held for more than {limit_s:.0f} s; call ~/start to go on. What was said meanwhile: {why}",
-    )
+    CONFLICT = (State.HOLDING, Stop.RAMP, True, "{name} commands the arm as well", "stop it")
+    HELD_LONG = (State.HOLDING, Stop.RAMP, True, "held for more than {limit_s:.0f} s: {why}")
     PROGRAM_STOPPED = (
         State.HOLDING,
         Stop.AT_ONCE,
         True,
-        "the robot program is not running; start it on the robot, then call ~/start",
+        "the robot program is not running",
+        "start it on the robot",
     )
     SPEED_SCALING_ZERO = (
         State.HOLDING,
         Stop.AT_ONCE,
         True,
-        "the robot's speed scaling is 0 %; raise the speed slider or end the protective stop, "
-        "then call ~/start",
+        "the robot's speed scaling is 0 %",
+        "raise the speed slider or end the protective stop",
     )
-    PAUSE_OVER = (
-        State.HOLDING,
-        Stop.AT_ONCE,
-        True,
-        "the robot was paused (program stopped, or speed scaling 0 %) and is back; "
-        "call ~/start to go on",
-    )
+    PAUSE_OVER = (State.HOLDING, Stop.AT_ONCE, True, "the robot is back from a pause")
     LAW_FAULT = (
         State.FAULT,
         Stop.AT_ONCE,
         True,
-        "the control law gave no usable command: {why}; check its gains, then call ~/start",
+        "the control law gave no usable command: {why}",
+        "check its gains",
     )
-    SHUT_DOWN = (State.HOLDING, Stop.AT_ONCE, True, "the controller is shutting down")
+    SHUT_DOWN = (State.HOLDING, Stop.AT_ONCE, False, "the controller is shutting down")
 
-    def __init__(self, state: State, stop: Stop, needs_start: bool, text: str) -> None:
+    def __init__(
+        self, state: State, stop: Stop, needs_start: bool, text: str, hint: str = ""
+    ) -> None:
         self.state = state
         self.stop = stop
         self.needs_start = needs_start
-        self.text = text
+        start = "call ~/start to go on" if needs_start else ""
+        self.text = f"{text}; {', then '.join(filter(None, (hint, start)))}".removesuffix("; ")
 
     def because(self, **numbers: object) -> Finding:
         """Give the numbers of the sentence."""

@@ -142,7 +142,7 @@ def test_the_supervisor_holds_names_it_and_wants_a_start():
     cell.wanted = 2.0 * WANTED
     command = cell.until(lambda c: c.state is State.HOLDING)
     assert command.reason is Reason.IMAGE_NOT_FOLLOWING
-    assert "the image does not follow the arm: 13 mm" in command.text
+    assert "frozen image: 13 mm" in command.text
     assert "~/start" in command.text
     cell.until(at_rest)
     assert cell.run(1.0).reason is Reason.IMAGE_NOT_FOLLOWING
