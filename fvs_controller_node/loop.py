@@ -227,8 +227,8 @@ class ServoLoop:
         return {
             **self.supervisor.status_values(now_s),
             "image_latency_s": float("nan") if latency_s is None else latency_s,
-            "position_noise_m": self.predictor.tracker.fusion.noise_m,
-            "position_deviation_m": self.predictor.tracker.fusion.deviation_m,
+            "position_noise_m": self.predictor.tracker.noise_m,
+            "position_deviation_m": self.predictor.tracker.deviation_m,
             "drive_lag_s": self._drive_lag.lag_s,
             "settling_bound_without_limits_s": float("nan") if bound_s is None else bound_s,
         }

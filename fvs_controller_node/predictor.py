@@ -153,7 +153,7 @@ class BallPredictor:
         self._stamp_s = stamp_s
         self._images += 1
         for image in self.tracker.add(Image(stamp_s, position, moved)):
-            noise_m = self.tracker.fusion.noise_m
+            noise_m = self.tracker.noise_m
             self.agreement.add(image.stamp_s, image.seen_m, image.moved_m, noise_m)
 
     def predict(self) -> np.ndarray | None:

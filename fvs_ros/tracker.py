@@ -6,13 +6,28 @@ follows the arm, the sums of the believed images say (:mod:`fvs_ros.agreement`).
 
 from __future__ import annotations
 
+from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from fvs_ros.fusion import Fusion
+from fvs_ros.noise import NoiseVariance
+from fvs_ros.vectors import length
 
-#: After this many outliers in a row camera or ball is moving, even if no two of them agree.
+#: Share of the predicted motion that may be wrong: with less, a ball that goes another way than
+#: predicted is followed late; with more, its noise is not averaged in motion.
+_WRONG = 0.1
+#: The gain never falls below this: what is at rest may still drift.
+_LEAST_GAIN = 0.02
+#: Share of a new innovation in their mean, and how far that may be off, in deviations: chance gets
+#: there once in 10^5 images. One innovation counts for at most so many deviations, or a heavy
+#: tail's worst image would be taken for a ball that has gone elsewhere.
+_MEAN_SHARE, _BEHIND, _MEAN_CLIP = 0.2, 5.0, 4.0
+#: An image this far off is an outlier: in standard deviations, and m besides.
+_GATE, _GATE_M = 6.0, 0.002
+#: Two outliers in a row that are apart by less than this share of the first may agree.
+_ALIKE = 0.5
+#: After this many in a row camera or ball is moving, even if no two of them agree.
 _REPEATS = 6
 
 
@@ -23,9 +38,9 @@ class Image(NamedTuple):
     ----------
     stamp_s : float
         Exposure, s.
-    seen_m : ndarray, shape (3,)
+    seen_m : ndarray, shape (m,)
         The feature as seen, m.
-    moved_m : ndarray, shape (3,)
+    moved_m : ndarray, shape (m,)
         What the joints have moved it by then, ``sum J dr``, from any origin, m.
     source : object
         What the caller wants back with it.
@@ -38,27 +53,56 @@ class Image(NamedTuple):
 
 
 class Tracker:
-    """Where the feature is at the newest image."""
+    """Kalman filter of the feature's position, one axis like the other.
+
+    What is wrong about the estimate has two parts, ``P + w^2 |c|^2``: what is left of the noise of
+    past images, and a share w of the motion c that was predicted and not yet corrected. A Jacobian
+    that is wrong now is as wrong at the next image: its error adds up over c, where that of noise
+    would not, so that the ball may go as slowly as it likes. With the noise's variance R and the
+    gain ``K = (P + w^2 |c|^2) / (P + w^2 |c|^2 + R)``, bounded from below,
+
+        c -> (1 - K) c,    P -> (1 - K)^2 P + K^2 R.
+
+    At rest it averages the noise away; in motion it follows the images.
+    """
 
     def __init__(self) -> None:
-        self.fusion = Fusion()
+        self._noise = NoiseVariance()
         self.restart()
 
     def restart(self) -> None:
-        """Forget where the feature was; what was learned of noise and prediction stays."""
+        """Forget where the feature was; what was learned of the noise stays."""
         self._estimate: np.ndarray | None = None
         self._moved = np.zeros(0)
+        self._variance_m2 = 0.0  # P
+        self._uncorrected = np.zeros(0)  # c
+        self._mean = np.zeros(0)  # of the last innovations
         self._outliers: list[tuple[Image, np.ndarray]] = []  # and their innovations
+        self._noise.restart()
 
     @property
     def estimate_m(self) -> np.ndarray | None:
-        """The feature at the newest image, m, (3,); None before the first."""
+        """The feature at the newest image, m, (m,); None before the first."""
         return self._estimate
 
     @property
     def moved_m(self) -> np.ndarray:
-        """What the joints had moved it by then, m, (3,)."""
+        """What the joints had moved it by then, m, (m,)."""
         return self._moved
+
+    @property
+    def noise_m(self) -> float:
+        """Standard deviation of a coordinate of an image, as learned, m."""
+        return float(self._noise.variance_m2**0.5)
+
+    @property
+    def deviation_m(self) -> float:
+        """Standard deviation of a coordinate of the estimate, m."""
+        return float(self._doubt_m2() ** 0.5)
+
+    def _doubt_m2(self) -> float:
+        far = self._uncorrected
+        return self._variance_m2 + _WRONG**2 * float(far.dot(far))
 
     def add(self, image: Image) -> list[Image]:
         """Take an image.
@@ -69,29 +113,60 @@ class Tracker:
             Those that are believed now, oldest first: this one; none, for an outlier; this one and
             the outliers before it, where they turn out to be true.
         """
+        if not length(image.seen_m) < inf:  # or not a number
+            return []
         if self._estimate is None:
             return self._believe(image)
         motion = image.moved_m - self._moved
         self._moved = image.moved_m
         self._estimate = self._estimate + motion
+        self._uncorrected = self._uncorrected + motion
         innovation = image.seen_m - self._estimate
-        correction = self.fusion.correct(innovation, motion)
-        if correction is not None:
+        noise_m2, doubt_m2 = self._noise.variance_m2, self._doubt_m2()
+        off_m = (float(innovation.dot(innovation)) / len(innovation)) ** 0.5
+        if off_m <= _GATE * (doubt_m2 + noise_m2) ** 0.5 + _GATE_M:
+            gain = max(doubt_m2 / (doubt_m2 + noise_m2), _LEAST_GAIN)
+            self._variance_m2 = (1.0 - gain) ** 2 * self._variance_m2 + gain**2 * noise_m2
+            self._uncorrected = (1.0 - gain) * self._uncorrected
+            self._estimate = self._estimate + gain * innovation
             self._outliers.clear()
-            self._estimate = self._estimate + correction
+            self._noise.add(image.seen_m - image.moved_m)
+            self._look_behind(innovation, doubt_m2 + noise_m2)
             return [image]
         before = self._outliers[-1][1] if self._outliers else None
         self._outliers.append((image, innovation))
-        agreed = before is not None and self.fusion.agree(before, innovation, motion)
+        agreed = before is not None and self._agree(before, innovation, motion)
         if not agreed and len(self._outliers) < _REPEATS:
             return []
-        believed = self._believe(image)
-        self.fusion.doubt()
-        return believed
+        return self._believe(image)
+
+    def _agree(self, first_m: np.ndarray, second_m: np.ndarray, motion_m: np.ndarray) -> bool:
+        """Whether two outliers in a row, m, (m,), say the same: that camera or ball was moved.
+
+        What is wrong about single images is seldom wrong twice in one way. The motion in between
+        may be wrong altogether, for a camera that was turned.
+        """
+        apart = length(second_m - first_m)
+        noise = _GATE * 2.0**0.5 * self.noise_m
+        return apart <= min(noise + 2.0 * length(motion_m), _ALIKE * length(first_m))
 
     def _believe(self, image: Image) -> list[Image]:
         images = [outlier for outlier, _ in self._outliers] or [image]
         self._outliers = []
         self._estimate, self._moved = image.seen_m.copy(), image.moved_m
-        self.fusion.restart()
+        for one in images:
+            self._noise.add(one.seen_m - one.moved_m)
+        self._variance_m2 = self._noise.variance_m2
+        self._uncorrected = np.zeros_like(image.seen_m)
+        self._mean = np.zeros_like(image.seen_m)
         return images
+
+    def _look_behind(self, innovation_m: np.ndarray, total_m2: float) -> None:
+        """Doubt the estimate where innovations go on pointing one way, whatever the cause."""
+        norm_m = length(innovation_m)
+        heard = min(1.0, _MEAN_CLIP * total_m2**0.5 / max(norm_m, 1e-9))
+        self._mean = self._mean + _MEAN_SHARE * (heard * innovation_m - self._mean)
+        expected_m2 = total_m2 * _MEAN_SHARE / (2.0 - _MEAN_SHARE)
+        if float(self._mean.dot(self._mean)) > _BEHIND**2 * expected_m2:
+            self._variance_m2 += norm_m**2 / len(innovation_m)
+            self._mean = np.zeros_like(self._mean)

@@ -41,4 +41,4 @@ def test_an_arm_that_is_sent_off_at_once_comes_to_rest_all_the_same(
             simulation.position_noise = None
         assert np.sqrt(np.mean(np.square(errors_m))) < 0.5 * noise_m
         assert max(speeds) < 0.1
-        assert loop.loop.predictor.tracker.fusion.noise_m == pytest.approx(noise_m, rel=0.3)
+        assert loop.loop.predictor.tracker.noise_m == pytest.approx(noise_m, rel=0.3)
