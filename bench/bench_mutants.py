@@ -229,7 +229,7 @@ ROWS: dict[str, dict[str, Mutant]] = {
         "shares": _replaces(
             _ASKED,
             another_node_commands,
-            "fvs_controller_node.supervisor.Supervisor.conflicting_command",
+            "fvs_controller_node.inbox.Inbox.conflicting_command",
             lambda *_: None,
         )
     },

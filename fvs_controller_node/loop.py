@@ -12,10 +12,10 @@ import numpy as np
 from fvs_controller_node.anticipation import Anticipation
 from fvs_controller_node.base import NO_FEED_FORWARD, ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.drive_lag import DriveLag
+from fvs_controller_node.inbox import BALL, JOINT_STATES, KINEMATIC_CHAIN
 from fvs_controller_node.predictor import BallPredictor
 from fvs_controller_node.reasons import State
 from fvs_controller_node.supervisor import Command, Supervisor
-from fvs_controller_node.supervisor_config import BALL, JOINT_STATES, KINEMATIC_CHAIN
 from fvs_controller_node.target_motion import Target, TargetFollower
 from fvs_ros.chain import SerialChain
 from fvs_ros.history import StampGate, jump_of
@@ -75,19 +75,20 @@ class ServoLoop:
     def add_joints(self, now_s: float, stamp_s: float, joints_rad: np.ndarray) -> None:
         """Take a joint state: arrival on the steady clock and stamp, s; positions (n,), rad."""
         if not self._joint_stamps.advances(stamp_s):
-            self.supervisor.stuck(now_s, JOINT_STATES)
+            self.supervisor.inputs.stuck(now_s, JOINT_STATES)
             return
         jump = self._jump(stamp_s, joints_rad)
         if jump:
             self.predictor.reset()  # the ball did not move with it
-            self.supervisor.bad_input(now_s, JOINT_STATES, jump)
-        elif self.supervisor.joint_states(now_s, joints_rad):
+            self.supervisor.inputs.bad_input(now_s, JOINT_STATES, jump)
+        elif self.supervisor.inputs.add_joint_states(now_s, joints_rad):
             self._stamp_s = stamp_s
             self._joints = self._drive_lag.add(
                 stamp_s,
                 self.supervisor.velocity_rad_s,
                 np.array(joints_rad, dtype=float),
-                compare=self.supervisor.full_speed and self.supervisor.last.state is State.SERVOING,
+                compare=self.supervisor.inputs.full_speed
+                and self.supervisor.last.state is State.SERVOING,
             )
             if self._chain is not None and self._jacobian is not None:
                 self._jacobian = self._chain.jacobian(self._joints)
@@ -115,13 +116,13 @@ class ServoLoop:
     ) -> None:
         """Take a ball position: arrival on the steady clock and exposure stamp, s; (m,), m."""
         if not self._ball_stamps.advances(stamp_s):
-            self.supervisor.stuck(now_s, BALL)
-        elif self.supervisor.ball(now_s, position_m, frame):
+            self.supervisor.inputs.stuck(now_s, BALL)
+        elif self.supervisor.inputs.add_ball(now_s, position_m, frame):
             self.predictor.add_ball(stamp_s, position_m)
 
     def add_jacobian(self, now_s: float, jacobian: np.ndarray) -> None:
         """Take the estimated Jacobian, (m, n), m/rad, and its arrival; a chain's goes before it."""
-        if self.supervisor.jacobian(now_s, jacobian) and (
+        if self.supervisor.inputs.add_jacobian(now_s, jacobian) and (
             self._chain is None or self._jacobian is None
         ):
             self._jacobian = np.array(jacobian, dtype=float)
@@ -130,13 +131,13 @@ class ServoLoop:
         """Take the forward model as the camera sees it now, and its arrival."""
         if self.law.reads_chain:
             self._chain, self._chain_s = chain, now_s
-            self.supervisor.chain(now_s)
+            self.supervisor.inputs.add_chain(now_s)
 
     def bad_chain(self, now_s: float, why: str) -> None:
         """Report that a forward model came that cannot be used, and why."""
         if self.law.reads_chain:
             self._chain, self._chain_s = None, now_s
-            self.supervisor.bad_input(now_s, KINEMATIC_CHAIN, why)
+            self.supervisor.inputs.bad_input(now_s, KINEMATIC_CHAIN, why)
 
     def add_target(
         self, position_m: np.ndarray, frame: str, stamp_s: float = 0.0
@@ -159,7 +160,7 @@ class ServoLoop:
 
     def set_current_as_target(self, now_s: float) -> tuple[bool, str]:
         """Make the ball's present position the target, if it is known now."""
-        late = self.supervisor.late_input(now_s)
+        late = self.supervisor.inputs.late(now_s)
         if late is not None:
             return False, f"target refused: {late}"
         position = self.position_m
@@ -194,7 +195,7 @@ class ServoLoop:
         """
         if now_s - self._chain_s > _CHAIN_MAX_AGE_S:
             self._chain = None  # its publisher is gone, or has another method now
-            self.supervisor.no_chain()
+            self.supervisor.inputs.no_chain()
         aim = self.follower.at(self._stamp_s)
         if aim is not self._aim:
             self._aim = aim

@@ -18,9 +18,9 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import Trigger
 
 from fvs_controller_node.config import PARAMETERS, build_loop, reconfigure
+from fvs_controller_node.inbox import BALL, JACOBIAN, JOINT_STATES
 from fvs_controller_node.reasons import Reason, State
 from fvs_controller_node.supervisor import Command
-from fvs_controller_node.supervisor_config import BALL, JACOBIAN, JOINT_STATES
 from fvs_ros import clock, ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
@@ -116,10 +116,10 @@ class ControllerNode(ros.FvsNode):
         except ForeignJointsError as error:
             # Another device's joints are no fault of ours, unless ours never came.
             if np.isinf(self._joints_s):
-                supervisor.bad_input(now_s, JOINT_STATES, str(error))
+                supervisor.inputs.bad_input(now_s, JOINT_STATES, str(error))
             return
         except JointStateError as error:
-            supervisor.bad_input(now_s, JOINT_STATES, str(error))
+            supervisor.inputs.bad_input(now_s, JOINT_STATES, str(error))
             self._tick(now_s, now_s - self._ticked_s)
             return
         self._joints_s = now_s
@@ -136,7 +136,7 @@ class ControllerNode(ros.FvsNode):
         try:
             position_m = ros.from_point(message, self._frame, topics.BALL_POSITION.name)
         except ros.MessageError as error:
-            self._loop.supervisor.bad_input(now_s, BALL, str(error))
+            self._loop.supervisor.inputs.bad_input(now_s, BALL, str(error))
             return
         self._loop.add_ball(now_s, ros.from_stamp(message.header.stamp), position_m)
 
@@ -145,7 +145,7 @@ class ControllerNode(ros.FvsNode):
         try:
             self._loop.add_jacobian(now_s, ros.from_jacobian(message))
         except ros.MessageError as error:
-            self._loop.supervisor.bad_input(now_s, JACOBIAN, str(error))
+            self._loop.supervisor.inputs.bad_input(now_s, JACOBIAN, str(error))
 
     def _on_chain(self, message: Float64MultiArray) -> None:
         now_s = self.now_s()
@@ -158,7 +158,7 @@ class ControllerNode(ros.FvsNode):
         values, now_s = ros.from_status(message), self.now_s()
         supervisor = self._loop.supervisor
         idle = values.get("state") in (ESTIMATOR_WAITING, ESTIMATOR_FAULT)
-        supervisor.estimator_says(now_s, message.message if idle else "")
+        supervisor.inputs.estimator_says(now_s, message.message if idle else "")
 
     def _on_target(self, message: PointStamped) -> None:
         point, stamp = message.point, message.header.stamp
@@ -191,10 +191,10 @@ class ControllerNode(ros.FvsNode):
         return accepted, text
 
     def _on_program_running(self, message: Bool) -> None:
-        self._loop.supervisor.program_running(message.data)
+        self._loop.supervisor.inputs.add_program_running(message.data)
 
     def _on_speed_scaling(self, message: Float64) -> None:
-        self._loop.supervisor.speed_scaling(self.now_s(), message.data)
+        self._loop.supervisor.inputs.add_speed_scaling(self.now_s(), message.data)
 
     def _start(self) -> tuple[bool, str]:
         started, text = self._loop.supervisor.start(self.now_s())
@@ -302,7 +302,8 @@ class ControllerNode(ros.FvsNode):
     def _on_any_command(self, message: Float64MultiArray) -> None:
         # One's own come back, too. A rival that says what was just said here does no harm.
         if tuple(message.data) not in self._sent:
-            self._loop.supervisor.conflicting_command(self.now_s(), self._rivals or "another node")
+            rivals = self._rivals or "another node"
+            self._loop.supervisor.inputs.conflicting_command(self.now_s(), rivals)
 
     def diagnostic_values(self) -> dict[str, Any]:
         """Ticks that the watchdog made."""

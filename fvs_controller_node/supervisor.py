@@ -14,7 +14,7 @@ from math import inf, isfinite
 import numpy as np
 
 from fvs_controller_node.base import ControlOutput
-from fvs_controller_node.inputs import InputMonitor
+from fvs_controller_node.inbox import Inbox
 from fvs_controller_node.limiter import Limiter
 from fvs_controller_node.monitors import (
     FollowingMonitor,
@@ -23,17 +23,10 @@ from fvs_controller_node.monitors import (
     ProgressMonitor,
 )
 from fvs_controller_node.progress import Progress
-from fvs_controller_node.pseudo_inverse import Conditioning, DampedInverse, conditioning
+from fvs_controller_node.pseudo_inverse import DampedInverse
 from fvs_controller_node.reasons import Finding, Reason, State, Stop
 from fvs_controller_node.singularity import SingularityWatch
-from fvs_controller_node.supervisor_config import (
-    BALL,
-    JACOBIAN,
-    JOINT_STATES,
-    KINEMATIC_CHAIN,
-    SPEED_SCALING,
-    SupervisorConfig,
-)
+from fvs_controller_node.supervisor_config import SupervisorConfig
 from fvs_ros.agreement import Verdict
 from fvs_ros.vectors import all_finite, largest, length
 
@@ -43,20 +36,11 @@ MAX_TICK_S = 0.05
 #: Speed that is left just before the arm is held, as a share.
 _SLOWEST_SHARE = 0.25
 
-#: No joint position (rad), ball position (m) or Jacobian (m/rad) is larger than this.
-_LARGEST = 100.0
-
 #: Speed at which the arm leaves a singular pose on request, rad/s, and for how long at most, s.
 _LEAVE_RAD_S, _LEAVE_TIME_S = 0.1, 10.0
 
-#: Another node's command forbids motion for this time, s.
-_CONFLICT_S = 1.0
-
 #: Turns the error into the joint motion that it takes.
 _INVERSE = DampedInverse()
-
-#: Speed scaling from which the robot is at full speed, %: the driver multiplies doubles.
-_FULL_PERCENT = 99.5
 
 _PAUSES = (Reason.PROGRAM_STOPPED, Reason.SPEED_SCALING_ZERO)
 
@@ -110,10 +94,7 @@ class Supervisor:
 
     def __init__(self, config: SupervisorConfig | None = None) -> None:
         self._config = config or SupervisorConfig()
-        self._inputs = {
-            name: InputMonitor(spec, self._config.fresh_samples)
-            for name, spec in self._config.input_specs().items()
-        }
+        self.inputs = Inbox(self._config, self._end_by_event)
         joints = len(self._config.joint_names)
         self._progress = Progress(self._config.progress)
         self._following = FollowingMonitor()
@@ -125,15 +106,9 @@ class Supervisor:
         self._limiter = Limiter(joints)
         self._target: np.ndarray | None = None  # now
         self._set_target: np.ndarray | None = None  # when it was set last
-        self._jacobian: np.ndarray | None = None
-        self._conditioning: Conditioning | None = None
         self._singularity = SingularityWatch()
         self._leaving_s = 0.0
-        self._conflict: Finding | None = None  # with another node, and when it commanded last
-        self._conflict_s = -inf
         self._held_s = 0.0
-        self._program_running: bool | None = None  # never reported
-        self._speed_scaling = 100.0
         self._verdict: Verdict | None = None  # of seen and predicted motion
         self._pending = np.zeros(joints)  # motion still to come, rad
         self._started = False
@@ -143,10 +118,8 @@ class Supervisor:
         self._ticked_s = -inf
         self._position: np.ndarray | None = None  # of the ball at the last tick
         self._problem = ""  # why there is none
-        spec = self._inputs[JOINT_STATES].spec
-        missing = Reason.MISSING.because(
-            name=spec.name, count=0, wanted=self._config.fresh_samples, hint=spec.hint
-        )
+        missing = self.inputs.find(-inf)
+        assert missing is not None
         self._last = Command(self._limiter.velocity_rad_s, State.WAITING, missing, "", None)
 
     # ---- inputs ---------------------------------------------------------------------------
@@ -160,58 +133,7 @@ class Supervisor:
         self._progress.limits = config.progress
         if self._target is not None and self._outside(self._target):
             self._target = self._set_target = None
-        for name, spec in config.input_specs().items():
-            self._inputs[name].configure(spec, config.fresh_samples)
-
-    @property
-    def _features(self) -> int:
-        return len(self._config.workspace_min_m)
-
-    @property
-    def _jacobian_shape(self) -> tuple[int, int]:
-        return self._features, len(self._config.joint_names)
-
-    def joint_states(self, now_s: float, joints_rad: np.ndarray) -> bool:
-        """Tell joint positions in kinematic order; False if they cannot be used."""
-        return self._check(now_s, JOINT_STATES, joints_rad, (len(self._config.joint_names),))
-
-    def ball(self, now_s: float, position_m: np.ndarray, frame: str | None = None) -> bool:
-        """Tell a ball position (and its frame, to be checked); False if it cannot be used."""
-        if frame is not None and frame != self._config.feature_frame:
-            self.bad_input(now_s, BALL, self._wrong_frame(frame))
-            return False
-        return self._check(now_s, BALL, position_m, (self._features,))
-
-    def jacobian(self, now_s: float, jacobian: np.ndarray) -> bool:
-        """Tell the estimated Jacobian, m/rad; False if it cannot be used."""
-        if not self._check(now_s, JACOBIAN, jacobian, self._jacobian_shape):
-            return False
-        self._jacobian = np.array(jacobian, dtype=float)
-        self._conditioning = conditioning(self._jacobian)
-        return True
-
-    def stuck(self, now_s: float, name: str) -> None:
-        """Tell that a message on topic ``name`` came with a stamp that does not advance."""
-        self._inputs[name].stuck(now_s)
-
-    def late_input(self, now_s: float) -> str | None:
-        """What is wrong with an input now, in words; None when all are fresh."""
-        findings = (monitor.find(now_s) for monitor in self._inputs.values())
-        return next((finding.text for finding in findings if finding is not None), None)
-
-    def bad_input(self, now_s: float, name: str, why: str) -> None:
-        """Tell that a message on topic ``name`` could not be used, and why."""
-        if name not in self._inputs:
-            raise ValueError(f"unknown input {name!r}; known are {', '.join(self._inputs)}")
-        self._inputs[name].bad(now_s, why)
-
-    def chain(self, now_s: float) -> None:
-        """Tell that a usable forward model came."""
-        self._inputs[KINEMATIC_CHAIN].good(now_s)
-
-    def no_chain(self) -> None:
-        """Tell that no forward model comes any more: nobody misses it."""
-        self._inputs[KINEMATIC_CHAIN].forget()
+        self.inputs.configure(config)
 
     def target(
         self, position_m: np.ndarray, frame: str, *, moving: bool = False
@@ -235,11 +157,11 @@ class Supervisor:
             What was done, or why not.
         """
         if frame != self._config.feature_frame:
-            return False, "target refused: " + self._wrong_frame(frame)
+            return False, "target refused: " + self._config.wrong_frame(frame)
         target = np.array(position_m, dtype=float)
-        if target.shape != (self._features,) or not all_finite(target):
+        if target.shape != (self._config.features,) or not all_finite(target):
             return False, (
-                f"target refused: expected {self._features} finite numbers, got {position_m}"
+                f"target refused: expected {self._config.features} finite numbers, got {position_m}"
             )
         outside = self._outside(target)
         if outside:
@@ -269,27 +191,6 @@ class Supervisor:
         self._target = position_m
         return True
 
-    def program_running(self, running: bool) -> None:
-        """Tell whether the robot's program runs."""
-        self._program_running = bool(running)
-        if not running:
-            self._pause(Reason.PROGRAM_STOPPED)
-
-    def speed_scaling(self, now_s: float, percent: float) -> None:
-        """Tell the robot's speed scaling, 0 to 100 %."""
-        if not isfinite(percent):
-            self.bad_input(now_s, SPEED_SCALING, f"expected 0 to 100, got {percent}")
-            return
-        self._inputs[SPEED_SCALING].good(now_s)
-        self._speed_scaling = float(percent)
-        if self._speed_scaling <= 0.0:
-            self._pause(Reason.SPEED_SCALING_ZERO)
-
-    def estimator_says(self, now_s: float, why: str) -> None:
-        """Tell why the estimator may publish no Jacobian, in its words; empty if all is well."""
-        said = f"the estimator says: {why}" if why else ""
-        self._inputs[JACOBIAN].source_says(now_s, said)
-
     def start(self, now_s: float) -> tuple[bool, str]:
         """Begin to servo; or, while held near a singularity, let the arm leave it slowly.
 
@@ -313,8 +214,8 @@ class Supervisor:
         finding = self._objection(now_s)
         if finding is None or finding.reason is not Reason.NEAR_SINGULAR:
             return None
-        assert self._conditioning is not None
-        value, hold = self._conditioning.smallest, self._config.singular_hold_m_rad
+        assert self.inputs.conditioning is not None
+        value, hold = self.inputs.conditioning.smallest, self._config.singular_hold_m_rad
         if not self._singularity.leave(value, hold):
             return False, (
                 f"not started: the Jacobian is too singular to leave ({value:.4f} m/rad); call the "
@@ -326,11 +227,6 @@ class Supervisor:
         self._leaving_s = 0.0
         self._progress.restart()
         return True, "leaving the singular pose slowly; held again should it come nearer to it"
-
-    def conflicting_command(self, now_s: float, name: str) -> None:
-        """Report that another node has just commanded the arm, too; this ends the session."""
-        self._conflict, self._conflict_s = Reason.CONFLICT.because(name=name), now_s
-        self._end_session(self._conflict)
 
     def stop(self) -> tuple[bool, str]:
         """End servoing; the arm ramps to rest. It does not start again by itself."""
@@ -370,11 +266,6 @@ class Supervisor:
     def target_m(self) -> np.ndarray | None:
         """The target, m, or None."""
         return None if self._target is None else self._target.copy()
-
-    @property
-    def full_speed(self) -> bool:
-        """Whether the robot does what it is told at its full speed."""
-        return self._program_running is not False and self._speed_scaling >= _FULL_PERCENT
 
     @property
     def settled(self) -> bool:
@@ -448,7 +339,7 @@ class Supervisor:
     def status_values(self, now_s: float) -> dict[str, float | str]:
         """Key numbers for a status message, always the same keys in the same order."""
         nan = float("nan")
-        singular = self._conditioning
+        singular = self.inputs.conditioning
         error = self.error_m
         values: dict[str, float | str] = {
             "state": self._last.state.value,
@@ -462,11 +353,7 @@ class Supervisor:
             "condition_number": nan if singular is None else singular.condition,
             "prediction_error_ratio": self._error_ratio,
         }
-        for name in (JOINT_STATES, BALL, JACOBIAN):
-            values[f"{name}_age_s"] = self._inputs[name].age_s(now_s)
-        running = {None: "unknown", False: "false", True: "true"}
-        values["robot_program_running"] = running[self._program_running]
-        values["speed_scaling_percent"] = self._speed_scaling
+        values |= self.inputs.status_values(now_s)
         vectors = {
             "target_{}_m": self._target,
             "position_{}_m": self._position,
@@ -485,18 +372,13 @@ class Supervisor:
         """Find the first rule that forbids motion now, started or not."""
         if self._shut_down:
             return Reason.SHUT_DOWN.because()
-        findings = [monitor.find(now_s) for monitor in self._inputs.values()]
-        troubles = [finding for finding in findings if finding is not None]
-        bad = [finding for finding in troubles if finding.reason is Reason.BAD_INPUT]
-        if self._conflict is not None and now_s - self._conflict_s < _CONFLICT_S:
-            bad.append(self._conflict)
-        first = next(iter(bad + self._paused() + troubles), None)
         # Who waits to be asked for a target may count on the arm to start at once.
-        return first or self._no_position() or self._no_target() or self._near_singular()
-
-    def _paused(self) -> list[Finding]:
-        now = self._program_running is False, self._speed_scaling <= 0.0
-        return [pause.because() for pause, holds in zip(_PAUSES, now, strict=True) if holds]
+        return (
+            self.inputs.find(now_s)
+            or self._no_position()
+            or self._no_target()
+            or self._near_singular()
+        )
 
     def _no_position(self) -> Finding | None:
         if self._position is not None:
@@ -507,8 +389,8 @@ class Supervisor:
         return Reason.NO_TARGET.because() if self._target is None else None
 
     def _near_singular(self) -> Finding | None:
-        assert self._conditioning is not None
-        value = self._conditioning.smallest
+        assert self.inputs.conditioning is not None
+        value = self.inputs.conditioning.smallest
         limit = self._singularity.held_below(
             value, self._config.singular_hold_m_rad, self._config.singular_slow_m_rad
         )
@@ -518,13 +400,13 @@ class Supervisor:
 
     def _trouble_in_motion(self, dt_s: float, joints: np.ndarray) -> Finding | None:
         """Find what only shows while the arm moves; every monitor counts at every tick."""
-        assert self._jacobian is not None
+        assert self.inputs.jacobian is not None
         motion = Motion(
             dt_s,
             joints,
             self._limiter.velocity_rad_s,
-            min(self._speed_scaling, 100.0) / 100.0,
-            self._jacobian,
+            self.inputs.speed_scaling,
+            self.inputs.jacobian,
             self._verdict,
         )
         findings = [monitor.check(motion, self._config) for monitor in self._monitors]
@@ -591,16 +473,16 @@ class Supervisor:
     def _travel_rad(self) -> float:
         """Return about how far the joint that moves most has to go to the target, rad."""
         error = self.error_m
-        assert self._jacobian is not None
+        assert self.inputs.jacobian is not None
         assert error is not None
-        return largest(_INVERSE.joint_velocity(self._jacobian, error))
+        return largest(_INVERSE.joint_velocity(self.inputs.jacobian, error))
 
     def _speed_share(self) -> tuple[float, list[str]]:
         """Share of the velocity limit that the Jacobian's condition and quality leave."""
         config = self._config
         share, active = 1.0, []
-        assert self._conditioning is not None
-        value = self._conditioning.smallest
+        assert self.inputs.conditioning is not None
+        value = self.inputs.conditioning.smallest
         if value < config.singular_slow_m_rad:
             share = _ramp(value, config.singular_hold_m_rad, config.singular_slow_m_rad)
             active.append(f"near singular ({value:.3f} m/rad)")
@@ -615,7 +497,7 @@ class Supervisor:
         worse = finding is not None and finding.reason.stop is Stop.AT_ONCE
         if not self._started and self._ended is not None and not worse:
             finding = self._ended
-            if finding.reason in _PAUSES and not self._paused():
+            if finding.reason in _PAUSES and not self.inputs.pauses():
                 finding = Reason.PAUSE_OVER.because()
         if finding is None:
             finding = Reason.READY.because()
@@ -646,11 +528,11 @@ class Supervisor:
         for monitor in self._monitors:
             monitor.restart()
 
-    def _pause(self, reason: Reason) -> None:
-        """End the session for a pause of the robot, also one that something else has ended."""
-        self._end_session(reason.because())
-        if self._ended is not None and not self._shut_down:
-            self._ended = reason.because()
+    def _end_by_event(self, finding: Finding) -> None:
+        """End the session; a pause of the robot is said of one that has ended before, too."""
+        self._end_session(finding)
+        if self._ended is not None and finding.reason in _PAUSES and not self._shut_down:
+            self._ended = finding
 
     def _end_session(self, finding: Finding) -> None:
         """Stop until a new start, if it was started."""
@@ -675,23 +557,6 @@ class Supervisor:
             return None
         return self._position - self._target
 
-    def _check(self, now_s: float, name: str, values: np.ndarray, shape: tuple[int, ...]) -> bool:
-        values = np.asarray(values, dtype=float)
-        wanted = " x ".join(str(n) for n in shape)
-        if values.shape != shape:
-            self.bad_input(now_s, name, f"expected {wanted} numbers, got shape {values.shape}")
-            return False
-        if not all(-_LARGEST <= value <= _LARGEST for value in values.ravel().tolist()):
-            self.bad_input(
-                now_s,
-                name,
-                f"expected {wanted} finite numbers up to {_LARGEST:g} in metres and radians, "
-                f"got {values.tolist()}",
-            )
-            return False
-        self._inputs[name].good(now_s)
-        return True
-
     def _outside(self, target: np.ndarray) -> list[str]:
         """Say which coordinates of a target are outside the workspace box."""
         low, high = self._config.workspace_min_m, self._config.workspace_max_m
@@ -700,11 +565,6 @@ class Supervisor:
             for axis, value, lo, hi in zip("xyz", target.tolist(), low, high, strict=True)
             if not lo <= value <= hi
         ]
-
-    def _wrong_frame(self, frame: str) -> str:
-        if not frame:
-            return f"it names no frame; set header.frame_id to {self._config.feature_frame}"
-        return f"it is in frame {frame}, expected {self._config.feature_frame} (feature_frame)"
 
 
 def _ramp(value: float, at_zero: float, at_one: float) -> float:

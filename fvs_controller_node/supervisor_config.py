@@ -1,20 +1,15 @@
-"""What the supervisor goes by: limits and thresholds, and the names of its inputs."""
+"""What the supervisor goes by: limits and thresholds."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from operator import lt
 
-from fvs_controller_node.inputs import InputSpec
 from fvs_controller_node.progress import ProgressLimits
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.joints import ArmJoints
 from fvs_ros.limits import JointRange, SpeedLimits
 from fvs_ros.params import ParameterError, Parameters, live_parameter, parameter
-
-#: Inputs by topic name.
-JOINT_STATES, BALL, JACOBIAN = "joint_states", "ball_position", "jacobian"
-KINEMATIC_CHAIN, SPEED_SCALING = "kinematic_chain", "speed_scaling"
 
 
 @dataclass(frozen=True)
@@ -101,28 +96,13 @@ class SupervisorConfig(Parameters):
         """Prediction error above which the arm slows down."""
         return self.prediction_hold * 2.0 / 3.0
 
-    def input_specs(self) -> dict[str, InputSpec]:
-        """List what is expected of each input, by topic name."""
-        specs = (
-            InputSpec(
-                JOINT_STATES,
-                "is the robot driver (or simulator) running?",
-                self.joint_states_max_age_s,
-                "joint_states_max_age_s",
-            ),
-            InputSpec(
-                BALL,
-                "is the ball in view, and the detector running?",
-                self.ball_max_age_s,
-                "ball_max_age_s",
-            ),
-            InputSpec(
-                JACOBIAN,
-                "is the estimator running?",
-                self.jacobian_max_age_s,
-                "jacobian_max_age_s",
-            ),
-            InputSpec(KINEMATIC_CHAIN, "", None),
-            InputSpec(SPEED_SCALING, "", None),
-        )
-        return {spec.name: spec for spec in specs}
+    @property
+    def features(self) -> int:
+        """Length m of the feature."""
+        return len(self.workspace_min_m)
+
+    def wrong_frame(self, frame: str) -> str:
+        """Why a message in another frame than the feature's is refused."""
+        if not frame:
+            return f"it names no frame; set header.frame_id to {self.feature_frame}"
+        return f"it is in frame {frame}, expected {self.feature_frame} (feature_frame)"

@@ -119,7 +119,7 @@ class ClosedLoop:
             self.loop.add_jacobian(now_s, self.estimator.jacobian(out.joints_rad))
         if chain is not None:
             self.loop.add_chain(now_s, chain)
-        self.loop.supervisor.estimator_says(now_s, problem)
+        self.loop.supervisor.inputs.estimator_says(now_s, problem)
         self.loop.add_joints(now_s, now_s, out.joints_rad)
         command = self.loop.tick(now_s, self.period_s)
         if command.output is not None:

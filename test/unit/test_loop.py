@@ -295,7 +295,7 @@ def test_the_posture_to_come_back_to_is_that_of_the_last_start(servoing):
     servoing.joints = HOME + 0.05
     servoing.tick()
     np.testing.assert_array_equal(told[-1], HOME)
-    loop.supervisor.bad_input(servoing.now_s, "joint_states", "a hold that ends by itself")
+    loop.supervisor.inputs.bad_input(servoing.now_s, "joint_states", "a hold that ends by itself")
     for _ in range(20):
         servoing.tick()
     np.testing.assert_array_equal(told[-1], HOME)

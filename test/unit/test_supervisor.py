@@ -31,6 +31,7 @@ class Cell:
 
     def __init__(self, config: SupervisorConfig | None = None) -> None:
         self.supervisor = Supervisor(config)
+        self.inputs = self.supervisor.inputs
         self.now_s = 100.0
         self.joints = np.zeros(6)
         self.ball = TARGET + np.array([0.2, 0.0, 0.0])
@@ -49,11 +50,11 @@ class Cell:
         self.now_s += DT_S
         supervisor, now_s = self.supervisor, self.now_s
         if "joint_states" in self.talking:
-            supervisor.joint_states(now_s, self.joints)
+            supervisor.inputs.add_joint_states(now_s, self.joints)
         if "ball_position" in self.talking:
-            supervisor.ball(now_s, self.ball, FRAME)
+            supervisor.inputs.add_ball(now_s, self.ball, FRAME)
         if "jacobian" in self.talking:
-            supervisor.jacobian(now_s, self.jacobian)
+            supervisor.inputs.add_jacobian(now_s, self.jacobian)
         before = supervisor.velocity_rad_s
         command = supervisor.tick(now_s, DT_S, self.joints, self.ball, self.law)
         self.commands.append(command)
@@ -147,9 +148,9 @@ def test_autostart_starts_once():
     cell.supervisor.stop()
     assert cell.run(1.0).state is State.READY
     assert cell.supervisor.start(cell.now_s)[0]
-    cell.supervisor.program_running(False)
+    cell.supervisor.inputs.add_program_running(False)
     cell.run(0.1)
-    cell.supervisor.program_running(True)
+    cell.supervisor.inputs.add_program_running(True)
     assert cell.run(1.0).reason is Reason.PAUSE_OVER
 
 
@@ -208,7 +209,7 @@ def test_single_messages_now_and_then_do_not_resume():
     cell.talking -= {"ball_position"}
     cell.run(0.5)
     for _ in range(20):
-        cell.supervisor.ball(cell.now_s, cell.ball, FRAME)
+        cell.supervisor.inputs.add_ball(cell.now_s, cell.ball, FRAME)
         assert cell.run(0.3).state is State.HOLDING
 
 
@@ -224,16 +225,16 @@ def test_inputs_gone_before_a_start_take_readiness_away():
 
 NAN = float("nan")
 BAD = {
-    "joints_nan": lambda c: c.supervisor.joint_states(c.now_s, np.array([0, 0, NAN, 0, 0, 0])),
-    "joints_short": lambda c: c.supervisor.joint_states(c.now_s, np.zeros(5)),
-    "joints_unknown": lambda c: c.supervisor.bad_input(c.now_s, "joint_states", "lacks elbow"),
-    "ball_inf": lambda c: c.supervisor.ball(c.now_s, np.array([0, math.inf, 1]), FRAME),
-    "ball_frame": lambda c: c.supervisor.ball(c.now_s, TARGET, "world"),
-    "ball_millimetres": lambda c: c.supervisor.ball(c.now_s, 0.2e3 * TARGET, FRAME),
-    "jacobian_nan": lambda c: c.supervisor.jacobian(c.now_s, np.full((3, 6), NAN)),
-    "jacobian_size": lambda c: c.supervisor.jacobian(c.now_s, np.zeros((6, 3))),
-    "jacobian_empty": lambda c: c.supervisor.jacobian(c.now_s, np.zeros(0)),
-    "scaling_nan": lambda c: c.supervisor.speed_scaling(c.now_s, NAN),
+    "joints_nan": lambda c: c.inputs.add_joint_states(c.now_s, np.array([0, 0, NAN, 0, 0, 0])),
+    "joints_short": lambda c: c.inputs.add_joint_states(c.now_s, np.zeros(5)),
+    "joints_unknown": lambda c: c.inputs.bad_input(c.now_s, "joint_states", "lacks elbow"),
+    "ball_inf": lambda c: c.inputs.add_ball(c.now_s, np.array([0, math.inf, 1]), FRAME),
+    "ball_frame": lambda c: c.inputs.add_ball(c.now_s, TARGET, "world"),
+    "ball_millimetres": lambda c: c.inputs.add_ball(c.now_s, 0.2e3 * TARGET, FRAME),
+    "jacobian_nan": lambda c: c.inputs.add_jacobian(c.now_s, np.full((3, 6), NAN)),
+    "jacobian_size": lambda c: c.inputs.add_jacobian(c.now_s, np.zeros((6, 3))),
+    "jacobian_empty": lambda c: c.inputs.add_jacobian(c.now_s, np.zeros(0)),
+    "scaling_nan": lambda c: c.inputs.add_speed_scaling(c.now_s, NAN),
 }
 
 
@@ -258,7 +259,7 @@ def test_after_good_messages_it_goes_on_by_itself(what: str):
 
 
 def test_a_wrist_that_was_turned_ten_times_is_no_bad_input():
-    assert Supervisor().joint_states(0.0, np.full(6, 20.0 * np.pi))
+    assert Supervisor().inputs.add_joint_states(0.0, np.full(6, 20.0 * np.pi))
 
 
 def test_good_messages_between_bad_ones_do_not_recover():
@@ -281,7 +282,7 @@ def test_before_a_start_a_bad_input_only_shows(what: str):
 
 def test_an_unknown_input_name_is_a_programming_error():
     with pytest.raises(ValueError, match="known are joint_states"):
-        Supervisor().bad_input(0.0, "imu", "?")
+        Supervisor().inputs.bad_input(0.0, "imu", "?")
 
 
 # ---- always -----------------------------------------------------------------------------------
@@ -393,9 +394,9 @@ def test_no_position_is_held_with_the_reason():
     cell = servoing()
     for _ in range(50):
         cell.now_s += DT_S
-        cell.supervisor.joint_states(cell.now_s, cell.joints)
-        cell.supervisor.ball(cell.now_s, cell.ball)
-        cell.supervisor.jacobian(cell.now_s, cell.jacobian)
+        cell.supervisor.inputs.add_joint_states(cell.now_s, cell.joints)
+        cell.supervisor.inputs.add_ball(cell.now_s, cell.ball)
+        cell.supervisor.inputs.add_jacobian(cell.now_s, cell.jacobian)
         command = cell.supervisor.tick(
             cell.now_s, DT_S, cell.joints, None, cell.law, problem="clocks disagree"
         )
@@ -410,7 +411,7 @@ def test_a_strange_tick_length_moves_nothing_fast(dt_s: float):
     cell = servoing()
     before = cell.supervisor.velocity_rad_s
     cell.wanted = -WANTED
-    cell.supervisor.joint_states(cell.now_s, cell.joints)
+    cell.supervisor.inputs.add_joint_states(cell.now_s, cell.joints)
     command = cell.supervisor.tick(cell.now_s, dt_s, cell.joints, cell.ball, cell.law)
     np.testing.assert_array_equal(command.velocity_rad_s, before)
 
@@ -605,9 +606,9 @@ def test_a_ball_that_makes_a_fifth_of_its_way_does_not_follow_and_one_that_makes
 
 def pause(cell: Cell, how: str, on: bool) -> None:
     if how == "program":
-        cell.supervisor.program_running(not on)
+        cell.supervisor.inputs.add_program_running(not on)
     else:
-        cell.supervisor.speed_scaling(cell.now_s, 0.0 if on else 80.0)
+        cell.supervisor.inputs.add_speed_scaling(cell.now_s, 0.0 if on else 80.0)
 
 
 @pytest.mark.parametrize(
@@ -648,10 +649,10 @@ def test_a_pause_shorter_than_a_tick_counts(how: str):
 def test_full_speed_is_a_product_of_doubles_and_needs_no_word_on_the_program(percent, full):
     cell = servoing()
     assert cell.supervisor.status_values(cell.now_s)["robot_program_running"] == "unknown"
-    cell.supervisor.speed_scaling(cell.now_s, percent)
-    assert cell.supervisor.full_speed is full
-    cell.supervisor.program_running(False)
-    assert not cell.supervisor.full_speed
+    cell.supervisor.inputs.add_speed_scaling(cell.now_s, percent)
+    assert cell.supervisor.inputs.full_speed is full
+    cell.supervisor.inputs.add_program_running(False)
+    assert not cell.supervisor.inputs.full_speed
 
 
 @pytest.mark.parametrize("how", ["program", "scaling"])
@@ -750,7 +751,7 @@ def test_a_hold_that_lasts_needs_a_new_start():
 
 def test_another_commander_is_named_and_forbids_motion_while_it_speaks():
     cell = servoing()
-    cell.supervisor.conflicting_command(cell.now_s, "/fvs_collector_node")
+    cell.supervisor.inputs.conflicting_command(cell.now_s, "/fvs_collector_node")
     command = cell.until(at_rest)
     assert (command.state, command.reason) == (State.HOLDING, Reason.CONFLICT)
     assert "/fvs_collector_node commands the arm as well" in command.text
@@ -889,7 +890,7 @@ def test_one_dead_joint_among_others_that_move_is_found():
 def test_an_arm_that_moves_slowly_or_by_a_reduced_speed_scaling_follows(scaling, share):
     cell = servoing()
     cell.follows = False
-    cell.supervisor.speed_scaling(cell.now_s, scaling)
+    cell.supervisor.inputs.add_speed_scaling(cell.now_s, scaling)
     for _ in range(round(8.0 / DT_S)):
         cell.joints = cell.joints + share * DT_S * cell.supervisor.velocity_rad_s
         cell.ball = TARGET + 0.999 * (cell.ball - TARGET)
