@@ -235,7 +235,7 @@ ROWS: dict[str, dict[str, Mutant]] = {
     },
     "messages whose stamps": {
         "counts all": _replaces(
-            _FRESH, stamps_freeze, "fvs_ros.history.StampGate.advances", lambda *_: True
+            _FRESH, stamps_freeze, "fvs_ros.timeline.StampGate.advances", lambda *_: True
         ),
     },
     "always": {

@@ -85,7 +85,7 @@ def reconfigure(loop: ServoLoop, values: Mapping[str, Any]) -> None:
     loop.law = law
     loop.anticipation = Anticipation(config.speed.max_joint_acceleration_rad_s2)
     loop.supervisor.configure(config)
-    loop.predictor.config = PredictorConfig.from_values(values)
+    loop.predictor.configure(PredictorConfig.from_values(values))
     loop.follower.configure(values["target_feed_forward"], _follower_inverse(values))
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fvs_ros.history import JointHistory
+from fvs_ros.timeline import History
 
 #: What the lag is taken for before anything has moved, s.
 _FIRST_S = 0.03
@@ -37,7 +37,7 @@ class DriveLag:
 
     def __init__(self) -> None:
         self.lag_s, self._known = _FIRST_S, _FIRST
-        self._told = JointHistory()  # the path as commanded
+        self._told = History()  # the path as commanded
         self._constant: np.ndarray | None = None
         self._joints: np.ndarray | float = 0.0
         self._behind: np.ndarray | float = 0.0

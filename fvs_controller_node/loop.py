@@ -18,7 +18,7 @@ from fvs_controller_node.reasons import State
 from fvs_controller_node.supervisor import Command, Supervisor
 from fvs_controller_node.target_motion import Target, TargetFollower
 from fvs_ros.chain import SerialChain
-from fvs_ros.history import StampGate, jump_of
+from fvs_ros.timeline import StampGate, jump_of
 
 #: Velocity of a target that stands, m/s.
 _STANDING = np.zeros(1)

@@ -11,8 +11,8 @@ import numpy as np
 
 from fvs_dashboard.actions import CONTROLLER
 from fvs_dashboard.placement import CameraPlacement
-from fvs_ros.history import JointHistory
 from fvs_ros.status import SILENT, SILENT_S, number, vector
+from fvs_ros.timeline import History
 
 #: Length of the curves and of the ball's trail, s.
 HISTORY_S, TRAIL_S = 20.0, 6.0
@@ -121,7 +121,7 @@ class Board:
 
     def __init__(self, n_joints: int) -> None:
         self._newest: dict[str, tuple[float, Any]] = {}
-        self._joints = JointHistory()
+        self._joints = History()
         self._unlearned: tuple[float, np.ndarray] | None = None  # ball: stamp and position
         self.error_mm = Trace(HISTORY_S, 4)
         self.speed_rad_s = Trace(HISTORY_S, n_joints)

@@ -16,12 +16,11 @@ import numpy as np
 
 from fvs_estimator_node.collector_config import CollectorConfig
 from fvs_estimator_node.motion import RandomMotion
-from fvs_estimator_node.pairing import BallSample, ExposureMatcher
 from fvs_estimator_node.stopping import StopCriterion
 from fvs_ros.following import Following
-from fvs_ros.history import StampGate
 from fvs_ros.joints import LARGEST_RAD, UR_JOINT_NAMES
 from fvs_ros.limits import limit_acceleration, limit_speed, ramp_to_zero
+from fvs_ros.timeline import Sample, StampGate, Timeline
 
 #: Older joint states stop the arm, an older ball sends it back toward the start, s.
 _JOINTS_MAX_AGE_S, _BALL_MAX_AGE_S = 0.1, 0.5
@@ -65,7 +64,7 @@ class CollectionRun:
         What it is doing.
     reason : str
         Why, in words.
-    samples : list of BallSample
+    samples : list of Sample
         What was recorded.
     """
 
@@ -77,7 +76,7 @@ class CollectionRun:
     ) -> None:
         self._config, self._names, self._stop = config, tuple(joint_names), stop
         self._motion: RandomMotion | None = None
-        self._matcher = ExposureMatcher(config.max_latency_s)
+        self._matcher = Timeline(config.max_latency_s)
         self._joint_stamps, self._ball_stamps = StampGate(), StampGate()
         self._ticked_s = -np.inf
         self._joints: np.ndarray | None = None
@@ -92,7 +91,7 @@ class CollectionRun:
         self._nameless_looks = 0
         self.state = State.WAITING
         self.reason = "waiting for joint_states"
-        self.samples: list[BallSample] = []
+        self.samples: list[Sample] = []
 
     @property
     def progress(self) -> float:
@@ -153,7 +152,7 @@ class CollectionRun:
         if self.state not in (State.DONE, State.FAILED):
             self.state, self.reason = State.FAILED, reason
 
-    def _record(self, samples: list[BallSample]) -> None:
+    def _record(self, samples: list[Sample]) -> None:
         if self.state in (State.MOVING, State.RETURNING):
             self.samples.extend(samples)
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from fvs_estimator_node.npz_file import NpzFile, check_same, write_npz
-from fvs_estimator_node.pairing import BallSample
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.joints import N_JOINTS, UR_JOINT_NAMES
+from fvs_ros.timeline import Sample
 
 DATA_SET_FORMAT = "fvs_dataset"
 DATA_SET_VERSION = 1
@@ -86,7 +86,7 @@ class DataSet:
         return len(self.stamps_s)
 
 
-def data_set_of(samples: Sequence[BallSample], **particulars: Any) -> DataSet:
+def data_set_of(samples: Sequence[Sample], **particulars: Any) -> DataSet:
     """A data set of samples; ``particulars`` are its other fields."""
     return DataSet(
         stamps_s=np.array([s.stamp_s for s in samples]),

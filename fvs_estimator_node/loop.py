@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from fvs_estimator_node.base import Estimator
-from fvs_estimator_node.pairing import BallSample, StepPairing
+from fvs_estimator_node.pairing import StepPairing
 from fvs_estimator_node.stamp_watch import StampWatch
 from fvs_ros.chain import SerialChain
+from fvs_ros.timeline import Sample
 from fvs_ros.tracker import Image, Tracker
 
 #: With images that are stamped by more too late or too early, no loop comes to rest, s.
@@ -57,7 +58,7 @@ class EstimationLoop:
         self._forget()
 
     def _forget(self) -> None:
-        self._last: BallSample | None = None
+        self._last: Sample | None = None
         self.steps = 0
         self._stamps, self.late_s = StampWatch(), 0.0
         self._balls.clear()
@@ -122,7 +123,7 @@ class EstimationLoop:
 
     # --- between ---
 
-    def _learn(self, samples: list[BallSample]) -> bool:
+    def _learn(self, samples: list[Sample]) -> bool:
         believed = [one for sample in samples for one in self._believed(sample)]
         learns = self.learns and self.estimator.learns and bool(believed)
         for sample in believed:
@@ -144,7 +145,7 @@ class EstimationLoop:
         for stamp_s, ball_m in list(self._balls):
             self._learn(self.pairing.matcher.add_ball(stamp_s - self.late_s, ball_m))
 
-    def _believed(self, sample: BallSample) -> list[BallSample]:
+    def _believed(self, sample: Sample) -> list[Sample]:
         """The samples that are known now to be no outliers, oldest first."""
         last, self._last = self._last, sample
         if self.estimator.problem:

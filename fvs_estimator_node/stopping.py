@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 
 from fvs_estimator_node.dataset import data_set_of
-from fvs_estimator_node.pairing import BallSample
 from fvs_ros.paths import program
+from fvs_ros.timeline import Sample
 
 #: When a chain is fitted first, and how much later the next time at the earliest, s of motion.
 _FIRST_S, _PERIOD_S = 12.0, 4.0
@@ -69,14 +69,14 @@ class StopCriterion:
         self.enough, self.trouble = False, ""
         self.found: dict[str, Any] = {}
 
-    def look(self, time_s: float, samples: Sequence[BallSample], box_rad: np.ndarray) -> None:
+    def look(self, time_s: float, samples: Sequence[Sample], box_rad: np.ndarray) -> None:
         """Start a fit, or take its answer, if it is time; never waits.
 
         Parameters
         ----------
         time_s : float
             Time of the motion, s.
-        samples : sequence of BallSample
+        samples : sequence of Sample
             All that was recorded.
         box_rad : ndarray, shape (2, n)
             Least and greatest joints of the motion, rad.
@@ -100,7 +100,7 @@ class StopCriterion:
         self._good = self._good + 1 if good else 0
         self.enough = self._good >= _AGREEING
 
-    def _fit(self, samples: list[BallSample], box_rad: np.ndarray) -> None:
+    def _fit(self, samples: list[Sample], box_rad: np.ndarray) -> None:
         """Run the program; in a thread."""
         try:
             self._process = subprocess.Popen(

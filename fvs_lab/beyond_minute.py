@@ -14,9 +14,9 @@ from fvs_estimator_node.chain_fit import fit_chain
 from fvs_estimator_node.dataset import DataSet
 from fvs_estimator_node.distilling import train_structured
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
-from fvs_estimator_node.pairing import BallSample, ExposureMatcher
 from fvs_estimator_node.training import TrainingOptions, train
 from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, relative_errors, simulation_of
+from fvs_ros.timeline import Sample, Timeline
 
 MINUTE_S = 60.0
 #: The images of a seed are stamped late by as much as this, drawn evenly, s.
@@ -101,8 +101,8 @@ def record(minute: Minute) -> tuple[DataSet, float]:
     simulation = simulation_of(minute.conditions)
     simulation.reset(HOME_RAD, minute.seed)
     motion = RandomMotion(HOME_RAD, MotionConfig(minute.duration_s), rng)
-    matcher = ExposureMatcher()
-    samples: list[BallSample] = []
+    matcher = Timeline()
+    samples: list[Sample] = []
     joints = simulation.joints_rad
     while simulation.time_s < minute.duration_s:
         simulation.command(motion.command(simulation.time_s, joints))

@@ -16,7 +16,7 @@ from fvs_ros.vectors import length
 
 #: Share of the predicted motion that may be wrong: with less, a ball that goes another way than
 #: predicted is followed late; with more, its noise is not averaged in motion.
-_WRONG = 0.1
+_WRONG = 0.05
 #: The gain never falls below this: what is at rest may still drift.
 _LEAST_GAIN = 0.02
 #: Share of a new innovation in their mean, and how far that may be off, in deviations: chance gets

@@ -3,7 +3,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from fvs_estimator_node.pairing import ExposureMatcher, StepPairing
+from fvs_estimator_node.pairing import StepPairing
+from fvs_ros.timeline import Timeline
 
 VELOCITY = np.array([0.3, -0.2, 0.1, 0.4, 0.0, 0.05])
 JACOBIAN = np.arange(18.0).reshape(3, 6) / 10.0
@@ -60,7 +61,7 @@ def test_a_ball_ahead_of_the_joints_waits_for_them():
 
 
 def test_waiting_is_bounded():
-    matcher = ExposureMatcher()
+    matcher = Timeline()
     matcher.add_joints(0.0, joints_at(0.0))
     for k in range(1, 17):
         matcher.add_ball(0.03 * k, ball_at(0.03 * k))

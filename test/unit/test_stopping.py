@@ -8,8 +8,8 @@ import pytest
 import ur5_dh
 from recordings import Recording
 
-from fvs_estimator_node.pairing import BallSample
 from fvs_estimator_node.stopping import StopCriterion
+from fvs_ros.timeline import Sample
 
 BOX = ur5_dh.HOME_RAD + np.array([-1.0, 1.0])[:, None] * ur5_dh.BOX_M_RAD
 GOOD = '{"jacobian_deviation": 0.001, "misfit": 1.0, "image_offset_s": 0.0, "is_chain": true}'
@@ -17,7 +17,7 @@ GOOD = '{"jacobian_deviation": 0.001, "misfit": 1.0, "image_offset_s": 0.0, "is_
 
 def samples_of(data):
     columns = (data.stamps_s, data.joints_rad, data.ball_m, data.segment.tolist())
-    return [BallSample(float(t), *rest) for t, *rest in zip(*columns, strict=True)]
+    return [Sample(float(t), *rest) for t, *rest in zip(*columns, strict=True)]
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fvs_ros.history import JointHistory, StampGate, jump_of
+from fvs_ros.timeline import History, StampGate, jump_of
 
 
 def ramp(stamp_s):
@@ -9,7 +9,7 @@ def ramp(stamp_s):
 
 
 def filled(times):
-    history = JointHistory()
+    history = History()
     for t in times:
         history.add(t, ramp(t))
     return history

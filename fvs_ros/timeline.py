@@ -1,0 +1,283 @@
+"""All that is known of time: stamps, histories, and what belongs to an image's exposure.
+
+A ball position carries the stamp of its exposure. :class:`Timeline` finds the joints at that
+stamp, waiting for a later joint state if need be, and numbers continuous runs of such samples.
+Whatever breaks the flow of time (a gap, a repeated or older stamp, a clock jump, a lost ball)
+starts a new run, and nothing is ever paired across runs.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import deque
+from math import pi
+from typing import NamedTuple
+
+import numpy as np
+
+#: No joint is faster, nor a step between two joint states larger than this besides, rad/s and rad.
+_FASTEST_RAD_S, _JUMP_RAD = 1.5 * pi, 0.1
+
+#: A stamp that goes back by no more is a late message; by more, the clock jumped, s.
+MAX_BACKSTEP_S = 0.1
+
+#: A history reaches back this far; two samples further apart are not interpolated, s.
+_LENGTH_S, _MAX_INTERVAL_S = 2.0, 0.1
+
+#: Two images further apart than this belong to different runs, s.
+_MAX_GAP_S = 0.25
+
+#: Images that may wait for later joint states; the oldest gives way.
+_MAX_WAITING = 10
+
+
+def jump_of(step_rad: np.ndarray, passed_s: float) -> int | None:
+    """The joint that made an impossible step, rad, (n,), in this time, s; None if none did."""
+    joint = int(np.abs(step_rad).argmax())
+    return joint if abs(step_rad[joint]) > _JUMP_RAD + _FASTEST_RAD_S * passed_s else None
+
+
+class StampGate:
+    """Lets a message pass whose stamp is newer than the last: a frozen stream is not fresh."""
+
+    def __init__(self) -> None:
+        self._last_s: float | None = None
+
+    def advances(self, stamp_s: float) -> bool:
+        """Whether the stamp is new, s."""
+        last = self._last_s
+        if last is not None and last - MAX_BACKSTEP_S <= stamp_s <= last:
+            return False
+        self._last_s = stamp_s
+        return True
+
+
+class History:
+    """The last two seconds of joint positions, or of another vector that follows from them.
+
+    Stamps must come from one clock. A stamp that goes back by more than a tenth of a second, or
+    forward by more than the history's length, is a clock jump and starts the history anew;
+    a repeated or slightly older stamp (a duplicate, a reordered message) is passed over.
+    """
+
+    def __init__(self) -> None:
+        self._stamps: deque[float] = deque()
+        self._values: deque[np.ndarray] = deque()
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    @property
+    def newest_stamp_s(self) -> float | None:
+        """Stamp of the newest sample, s, or None when empty."""
+        return self._stamps[-1] if self._stamps else None
+
+    @property
+    def newest(self) -> np.ndarray | None:
+        """Newest value, or None when empty."""
+        return self._values[-1] if self._values else None
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._stamps.clear()
+        self._values.clear()
+
+    def add(self, stamp_s: float, value: np.ndarray) -> bool:
+        """Append a sample.
+
+        Parameters
+        ----------
+        stamp_s : float
+            Time of the sample, s.
+        value : ndarray
+            Joint positions, rad.
+
+        Returns
+        -------
+        bool
+            False if the clock jumped, so that the history was started anew.
+        """
+        jumped = False
+        if self._stamps:
+            step_s = stamp_s - self._stamps[-1]
+            if -MAX_BACKSTEP_S <= step_s <= 0.0:
+                return True
+            if step_s < 0.0 or step_s > _LENGTH_S:
+                self.clear()
+                jumped = True
+        self._stamps.append(stamp_s)
+        self._values.append(np.array(value, dtype=float))
+        while self._stamps[-1] - self._stamps[0] > _LENGTH_S:
+            self._stamps.popleft()
+            self._values.popleft()
+        return not jumped
+
+    def at(self, stamp_s: float) -> np.ndarray | None:
+        """Value at a moment, by linear interpolation.
+
+        Parameters
+        ----------
+        stamp_s : float
+            The moment, s.
+
+        Returns
+        -------
+        ndarray or None
+            None where the history does not reach, or has a gap.
+        """
+        if not self._stamps or not self._stamps[0] <= stamp_s <= self._stamps[-1]:
+            return None
+        right = bisect_right(self._stamps, stamp_s)
+        if right == len(self._stamps):
+            return self._values[-1].copy()
+        t0, t1 = self._stamps[right - 1], self._stamps[right]
+        if t1 - t0 > _MAX_INTERVAL_S:
+            return None
+        fraction = (stamp_s - t0) / (t1 - t0)
+        return (1.0 - fraction) * self._values[right - 1] + fraction * self._values[right]
+
+
+class Sample(NamedTuple):
+    """An image and the joints at its exposure.
+
+    Parameters
+    ----------
+    stamp_s : float
+        Exposure time, s.
+    joints_rad : ndarray, shape (n,)
+        Joint positions at that time, rad.
+    ball_m : ndarray, shape (m,)
+        Feature in the camera frame, m.
+    run : int
+        Number of the continuous run it belongs to.
+    """
+
+    stamp_s: float
+    joints_rad: np.ndarray
+    ball_m: np.ndarray
+    run: int
+
+
+class Timeline:
+    """Finds the joints, or another vector that follows from them, at each image's exposure.
+
+    Parameters
+    ----------
+    max_latency_s : float
+        A ball position stamped further than this before the newest joint state is not paired: no
+        camera is that slow, so the two clocks differ, s.
+
+    Attributes
+    ----------
+    dropped : int
+        Number of ball positions that could not be paired.
+    last_reason : str
+        Why the last ball position was dropped; empty if none was.
+    clock_jumps : int
+        How often one of the two clocks jumped.
+    """
+
+    def __init__(self, max_latency_s: float = 0.5) -> None:
+        self.max_latency_s = max_latency_s
+        self._history = History()
+        self._waiting: deque[tuple[float, np.ndarray]] = deque()
+        self._newest_stamp_s: float | None = None
+        self._paired_stamp_s: float | None = None
+        self._run = 0
+        self.dropped = self.clock_jumps = 0
+        self.last_reason = ""
+
+    def forget_balls(self) -> None:
+        """Forget the ball positions, keep the joint states, and start a new run."""
+        self._waiting.clear()
+        self._newest_stamp_s = None
+        self._break_run()
+
+    def reset(self) -> None:
+        """Forget all joint states and waiting ball positions, and start a new run."""
+        self._history.clear()
+        self.forget_balls()
+
+    @property
+    def newest(self) -> np.ndarray | None:
+        """Newest joints, rad, (n,); None before the first."""
+        return self._history.newest
+
+    @property
+    def newest_stamp_s(self) -> float | None:
+        """Stamp of the newest joint state, s; None before the first."""
+        return self._history.newest_stamp_s
+
+    @property
+    def seen_stamp_s(self) -> float | None:
+        """Newest exposure, paired or not, s; None before the first."""
+        return self._newest_stamp_s
+
+    def add_joints(self, stamp_s: float, joints_rad: np.ndarray) -> list[Sample]:
+        """Take a joint state, s and rad, (n,); returns the ball positions that waited for it."""
+        if not (np.isfinite(stamp_s) and np.all(np.isfinite(joints_rad))):
+            return []
+        newest, newest_s = self._history.newest, self._history.newest_stamp_s
+        passed_s = 0.0 if newest_s is None else stamp_s - newest_s
+        if passed_s > 0.0 and jump_of(joints_rad - newest, passed_s) is not None:
+            self._history.clear()
+            self._drop("the joints jumped", len(self._waiting))
+        if not self._history.add(stamp_s, joints_rad):
+            self._drop("the joint states' clock jumped", len(self._waiting))
+            self._newest_stamp_s = None
+            self.clock_jumps += 1
+        return self._pair()
+
+    def add_ball(self, stamp_s: float, ball_m: np.ndarray) -> list[Sample]:
+        """Take a ball position, exposure in s and m, (m,); returns what can be paired now."""
+        if not (np.isfinite(stamp_s) and np.all(np.isfinite(ball_m))):
+            self._drop("a ball position or its stamp is not finite")
+            return []
+        last = self._newest_stamp_s
+        if last is not None and stamp_s <= last:
+            if stamp_s >= last - MAX_BACKSTEP_S:
+                self._drop("a ball position's stamp is repeated or older than the last")
+                return []
+            self._drop("the ball positions' clock jumped back", len(self._waiting))
+            self.clock_jumps += 1
+        self._newest_stamp_s = stamp_s
+        self._waiting.append((stamp_s, np.array(ball_m, dtype=float)))
+        if len(self._waiting) > _MAX_WAITING:
+            self._waiting.popleft()
+            self._drop("no joint state came for a ball position")
+        return self._pair()
+
+    def _pair(self) -> list[Sample]:
+        samples = []
+        newest = self._history.newest_stamp_s
+        while self._waiting and newest is not None and self._waiting[0][0] <= newest:
+            stamp_s, ball_m = self._waiting.popleft()
+            if newest - stamp_s > self.max_latency_s:
+                self._drop(
+                    f"a ball position is stamped {newest - stamp_s:.2f} s before the newest joint "
+                    "state; check that both clocks agree (NTP)"
+                )
+                continue
+            joints = self._history.at(stamp_s)
+            if joints is None:
+                self._drop("the joint states have a gap at a ball position's exposure")
+                continue
+            last = self._paired_stamp_s
+            if last is not None and not 0.0 < stamp_s - last <= _MAX_GAP_S:
+                self._run += 1
+            self._paired_stamp_s = stamp_s
+            samples.append(Sample(stamp_s, joints, ball_m, self._run))
+        return samples
+
+    def _drop(self, reason: str, waiting: int | None = None) -> None:
+        """Count ball positions that are lost: one, or all that wait; start a new run."""
+        if waiting is not None:
+            self._waiting.clear()
+        self.dropped += 1 if waiting is None else waiting
+        self.last_reason = reason
+        self._break_run()
+
+    def _break_run(self) -> None:
+        if self._paired_stamp_s is not None:
+            self._run += 1
+        self._paired_stamp_s = None
