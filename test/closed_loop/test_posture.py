@@ -24,7 +24,7 @@ def loop_of(name):
 @pytest.mark.parametrize("name", ["best", "extended"])
 def test_many_targets_in_a_row_are_reached_near_the_posture_of_the_start(name):
     simulation, loop = loop_of(name)
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(2)
     candidates_m = load_model(find_file(MODEL)).ball_samples_m
     loop.run(0.4)
     away_rad = []
