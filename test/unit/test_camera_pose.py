@@ -5,12 +5,10 @@ import pytest
 import ur5_dh
 from recordings import Recording, relative_error, turn, ur5_chain
 
-from fvs_estimator_node.base import MotionStep
 from fvs_estimator_node.camera import (
     CameraPose,
     PoeEstimator,
     TurnedRbfEstimator,
-    nearest_rotation,
     rotation_angle_rad,
 )
 from fvs_estimator_node.distilling import distil
@@ -143,15 +141,6 @@ def test_what_is_not_finite_or_too_far_teaches_nothing(bad):
     assert (camera.noise_m, camera.bumps) == (before[2], 0)
 
 
-def test_the_nearest_rotation_is_a_rotation_and_that_of_a_rotation_itself():
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        found = nearest_rotation(rng.normal(size=(3, 3)))
-        np.testing.assert_allclose(found @ found.T, np.eye(3), atol=1e-12)
-        assert np.linalg.det(found) > 0.0
-        np.testing.assert_allclose(nearest_rotation(3.0 * found), found, atol=1e-12)
-
-
 # --- the estimators ---
 
 
@@ -189,27 +178,6 @@ def test_the_jacobian_behind_a_turned_camera(networks, method, within):
     estimator.reset()
     assert estimator.updates == 0
     np.testing.assert_array_equal(estimator.jacobian(joints[0]), begun)
-
-
-@pytest.mark.parametrize("method", ["poe", "rbf_left"])
-def test_a_camera_that_stands_is_hardly_turned_along_a_long_way(networks, method):
-    estimator = made(method, networks)
-    see(estimator, ur5_chain(), Recording().joints(np.arange(600) / 15.0), np.random.default_rng(0))
-    values = estimator.status_values()
-    assert values["camera_turned_deg"] < (0.5 if method == "poe" else 4.0)
-    assert values["camera_bumps"] == 0.0
-
-
-@pytest.mark.parametrize("method", ["poe", "rbf_left"])
-def test_an_observation_that_is_not_finite_teaches_nothing(networks, method):
-    estimator, joints = made(method, networks), ur5_dh.HOME_RAD
-    ball, begun = ur5_chain().position(joints) + 0.001, estimator.jacobian(joints)
-    with np.errstate(all="ignore"):
-        estimator.observe(np.full(6, np.nan), ball)
-        estimator.observe(joints, np.full(3, np.nan))
-    estimator.update(MotionStep(1.0, 0.03, joints, np.full(6, 0.01), np.zeros(3)))
-    assert (estimator.updates, estimator.refused) == (0, 2)
-    np.testing.assert_array_equal(estimator.jacobian(joints), begun)
 
 
 def told(change_joints=None, bumped_s=np.inf, seed=0):
