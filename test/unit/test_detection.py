@@ -108,23 +108,6 @@ def test_a_ball_far_away_is_found_but_not_by_a_few_pixels_of_depth():
     assert rejection.cause is Cause.NO_DEPTH
 
 
-def test_a_highlight_is_part_of_the_ball():
-    def shine(rgb, _depth):
-        rgb[206:212, 378:384] = 250
-
-    detection = find([(CENTRE, RADIUS_M)], shine)
-    assert detection.visible_fraction == pytest.approx(1.0, abs=0.02)
-    assert error_mm(detection, CENTRE) < 0.6
-
-
-def test_a_window_gives_the_same_position():
-    rgb, depth = draw([(CENTRE, RADIUS_M)])
-    whole = detect_ball(rgb, depth, VGA, RADIUS_M)
-    window = Region(320, 165, 120, 90)
-    part = detect_ball(rgb[window.part], depth[window.part], window.view(VGA), RADIUS_M)
-    np.testing.assert_allclose(part.position_m, whole.position_m, atol=1e-12)
-
-
 @pytest.mark.parametrize("other_radius_m", [0.02, 0.028, 0.056, 0.09])
 def test_a_ball_of_another_size_is_not_the_ball(other_radius_m):
     for z in (0.7, 1.2, 1.6):
@@ -187,21 +170,6 @@ def test_red_flat_things_are_not_the_ball():
         depth[red(rgb)] = 1.2
 
     assert find([(np.array([0.0, 0.0, 1.2]), RADIUS_M)], flatten) is None
-
-
-def test_what_is_not_the_ball_is_reported_with_the_cause():
-    ball, twice = (np.array([0.1, 0.0, 1.2]), RADIUS_M), (np.array([-0.2, 0.0, 1.2]), 2 * RADIUS_M)
-    detection, (rejection,) = examine(*draw([ball, twice]), VGA, RADIUS_M)
-    assert error_mm(detection, ball[0]) < 0.6
-    assert rejection.cause is Cause.WRONG_SIZE
-    assert rejection.looks_m == pytest.approx(2 * RADIUS_M, rel=0.1)
-    assert rejection.distance_m == pytest.approx(1.2, abs=0.1)
-
-
-def test_sizes_must_agree():
-    rgb, depth = draw([])
-    with pytest.raises(ValueError, match="640x480"):
-        detect_ball(rgb[:100], depth, VGA, RADIUS_M)
 
 
 def test_shade_and_hue_limits():
