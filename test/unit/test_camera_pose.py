@@ -5,6 +5,7 @@ import pytest
 import ur5_dh
 from recordings import Recording, relative_error, turn, ur5_chain
 
+from fvs_estimator_node.base import MotionStep
 from fvs_estimator_node.camera import (
     CameraPose,
     PoeEstimator,
@@ -178,6 +179,18 @@ def test_the_jacobian_behind_a_turned_camera(networks, method, within):
     estimator.reset()
     assert estimator.updates == 0
     np.testing.assert_array_equal(estimator.jacobian(joints[0]), begun)
+
+
+@pytest.mark.parametrize("method", ["poe", "rbf_left"])
+def test_an_observation_that_is_not_finite_teaches_nothing(networks, method):
+    estimator, joints = made(method, networks), ur5_dh.HOME_RAD
+    ball, begun = ur5_chain().position(joints) + 0.001, estimator.jacobian(joints)
+    with np.errstate(all="ignore"):
+        estimator.observe(np.full(6, np.nan), ball)
+        estimator.observe(joints, np.full(3, np.nan))
+    estimator.update(MotionStep(1.0, 0.03, joints, np.full(6, 0.01), np.zeros(3)))
+    assert (estimator.updates, estimator.refused) == (0, 2)
+    np.testing.assert_array_equal(estimator.jacobian(joints), begun)
 
 
 def told(change_joints=None, bumped_s=np.inf, seed=0):

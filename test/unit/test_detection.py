@@ -172,6 +172,12 @@ def test_red_flat_things_are_not_the_ball():
     assert find([(np.array([0.0, 0.0, 1.2]), RADIUS_M)], flatten) is None
 
 
+def test_sizes_must_agree():
+    rgb, depth = draw([])
+    with pytest.raises(ValueError, match="640x480"):
+        detect_ball(rgb[:100], depth, VGA, RADIUS_M)
+
+
 def test_shade_and_hue_limits():
     reds = np.array([[[200, 20, 20], [60, 6, 6], [220, 20, 60], [240, 130, 30], [200, 200, 200]]])
     mask = colour_mask(reds.astype(np.uint8), BallColour())

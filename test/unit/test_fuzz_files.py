@@ -215,6 +215,14 @@ def test_a_small_file_with_many_empty_texts(model_bytes, tmp_path):
     assert in_a_small_process(LOAD_MODEL, str(path), seconds=5).startswith("refused")
 
 
+def test_a_text_that_is_no_unicode(kind, tmp_path):
+    load, error, good = kind
+    path = tmp_path / "file.npz"
+    path.write_bytes(change(good, feature_frame=claim("<U1", (), b"\xff" * 4)))
+    with pytest.raises(error, match="feature_frame"):
+        load(path)
+
+
 def test_a_number_in_json_that_is_too_long(data_set_bytes, tmp_path):
     path = tmp_path / "file.npz"
     text = npy(np.array('{"a": ' + "1" * 5000 + "}"))
@@ -363,6 +371,11 @@ def test_odd_scenarios_are_refused(tmp_path, text):
 )
 def test_deep_scenarios_and_long_numbers_are_refused(tmp_path, text):
     assert scenario(tmp_path, text) is None
+
+
+def test_the_home_of_nobody_is_no_scenario():
+    with pytest.raises(ScenarioError, match="nosuchuser"):
+        load_scenario("~nosuchuser/x.yaml")
 
 
 LOAD_SCENARIO = """
