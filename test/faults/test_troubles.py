@@ -108,10 +108,6 @@ def set_frame(message):
     message.header.frame_id = "base_link"
 
 
-def shorten(message):
-    message.data = message.data[:17]
-
-
 def lose_rank(message):
     message.data[12:18] = message.data[6:12]
 
@@ -125,20 +121,14 @@ TROUBLES = {
     "joints fall silent": late(JOINTS, JOINTS_S, " s old", "robot driver", silent=True),
     "ball falls silent": late(BALL, LATE_S, " s old", "is the ball in view", silent=True),
     "jacobian falls silent": late(JACOBIAN, LATE_S, "is the estimator running?", silent=True),
-    "joints freeze": late(JOINTS, JOINTS_S, *FROZEN, freeze="message"),
     "joint stamps freeze": late(JOINTS, JOINTS_S, *FROZEN, freeze="stamp"),
     "ball freezes": late(BALL, LATE_S, *FROZEN, freeze="message"),
-    "ball stamps freeze": late(BALL, LATE_S, *FROZEN, freeze="stamp"),
-    "joint clock jumps ahead": apart(JOINTS, 1.0, "older"),
     "joint clock jumps back": apart(JOINTS, -3600.0, "newer"),
     "ball clock jumps back": apart(BALL, -1.0, "older"),
-    "ball clock jumps ahead": apart(BALL, 3600.0, "newer"),
-    "joint not a number": unusable(JOINTS, "not finite", spoiled(position=(2, math.nan))),
     "joint unknown": unusable(JOINTS, "lacks", spoiled(name=(2, "wrist_4_joint"))),
     "ball infinite": unusable(BALL, "not finite", set_y),
     "ball in another frame": unusable(BALL, "base_link", set_frame),
     "jacobian not a number": unusable(JACOBIAN, "not finite", spoiled(data=(7, math.nan))),
-    "jacobian too short": unusable(JACOBIAN, "17 values", shorten),
     "jacobian singular": wire(
         JACOBIAN, 0.05 + RAMP_S, "HOLDING", "NEAR_SINGULAR", "0.0000 m/rad", spoil=lose_rank
     ),
