@@ -192,24 +192,6 @@ def test_it_waits_while_another_node_commands_the_arm():
     assert not np.any(cell.commands[-1])
 
 
-def test_a_commander_without_a_name_is_waited_for_and_later_stops_the_arm():
-    cell = Cell()
-    nameless = ["a node whose name is not known yet"]
-    cell.run.other_publishers(nameless)
-    cell.advance(1.0)
-    assert cell.run.state is State.WAITING
-    assert "not known yet commands the arm as well" in cell.run.reason
-    cell.run.other_publishers([])
-    cell.advance(0.5)
-    for names in (nameless, nameless, [], nameless, nameless):
-        cell.run.other_publishers(names)
-        cell.advance(0.25)
-        assert cell.run.state is State.MOVING
-    cell.run.other_publishers(nameless)
-    assert cell.run.state is State.FAILED
-    assert "not known yet began to command the arm" in cell.run.reason
-
-
 @pytest.mark.parametrize("dt_s", [DT_S, 0.0])
 def test_a_frozen_stream_of_joint_states_stops_the_arm(dt_s):
     """The same joints and stamp again and again, in real time and in simulated time."""

@@ -125,20 +125,6 @@ def test_a_silent_controller_shows_soon(board):
     assert isnan(gone.error_m)
 
 
-def test_curves_are_in_millimetres_never_zero_and_only_of_what_is_known(board):
-    board.add_ball(0.0, 10.0, np.array([0.0, 0.1, 1.4]))
-    board.add_joints(0.0, 10.0, np.zeros(6), np.array([0.0, -1.0, 0.0, 0.0, 0.0, 0.5]))
-    board.add_joints(0.1, 10.1, np.zeros(6), np.full(6, np.nan))
-    board.add_status(0.0, controller())
-    board.add_status(1.1, controller())  # without a ball
-    np.testing.assert_allclose(board.error_mm.window(1.1)[0], [-1.1, 50.0, 30.0, 40.0, 1e-3])
-    np.testing.assert_allclose(board.speed_rad_s.window(1.1), [[-1.1, 0, 1, 0, 0, 0, 0.5]])
-    np.testing.assert_allclose(board.ratio.window(1.1), [[-1.1, 0.1]])
-    assert len(board.trail_m.window(1.1)) == 1
-    assert board.newest("ball_position", 1.1) is None  # but the trail fades later
-    assert len(board.trail_m.window(7.0)) == 0
-
-
 # --- where the camera is ---
 
 

@@ -1,7 +1,6 @@
 """From two images to a position that is believed, with and without distortion."""
 
 import dataclasses
-import itertools
 
 import cv2
 import numpy as np
@@ -11,8 +10,6 @@ from drawn_balls import RADIUS_M, VGA, draw, hide
 from fvs_detector_node.annotate import annotate
 from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.detector import Detector
-from fvs_detector_node.rectifier import Rectifier
-from fvs_detector_node.region import Region
 from fvs_ros.camera import CameraModel, camera_model
 
 PINHOLE = CameraModel(VGA)
@@ -128,27 +125,6 @@ def test_the_lens_does_not_move_the_ball(model, coefficients):
     # Without the correction it would be off.
     raw = detector().look(0.0, rgb, depth, PINHOLE)
     assert raw.ball is None or error_mm(raw, centre) > 4.0
-
-
-@pytest.mark.parametrize(("model", "coefficients"), LENSES)
-def test_a_point_of_the_scene_lands_where_the_pinhole_model_says(model, coefficients):
-    rectifier = Rectifier(camera_model(640, 480, K, model, coefficients))
-    apart = []
-    for x, y in itertools.product((-0.35, -0.2, 0.0, 0.15, 0.3), (-0.2, 0.05, 0.25)):
-        u, v = project(model, coefficients, [[x, y, 1.0]])[0]
-        depth = np.zeros((480, 640), np.float32)
-        cv2.circle(depth, (round(u), round(v)), 4, 1.0, -1)
-        rgb = np.repeat((255 * depth[..., None]).astype(np.uint8), 3, axis=2)
-        images = rectifier.cut(rgb, depth, Region(0, 0, 640, 480))
-        bright, near = (
-            np.argwhere(picture).mean(axis=0)[::-1]
-            for picture in (images[0][..., 0] > 127, images[1] > 0.5)
-        )
-        np.testing.assert_allclose(bright, VGA.project(np.array([x, y, 1.0])), atol=1.0)
-        apart.append(near - bright)
-    # Depth comes from the nearest pixel: off by less than half of one, and to no side.
-    np.testing.assert_allclose(apart, 0.0, atol=0.7)
-    np.testing.assert_allclose(np.mean(apart, axis=0), 0.0, atol=0.15)
 
 
 @pytest.mark.parametrize("model", ["plumb_bob", "rational_polynomial", "equidistant"])

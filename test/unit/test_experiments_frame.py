@@ -32,7 +32,6 @@ from fvs_lab.statistics import Interval, median, ratio_of_medians
 from fvs_lab.trials import Case, Conditions, Trial, Variant, make_cases, run_trial
 from fvs_tools.demo import own_targets
 from fvs_tools.scenario import load_scenario
-from fvs_tools.score import settling_time_s
 
 INF = float("inf")
 HOME = (0.0, -1.35, 1.6, -1.75, -1.57, 0.0)
@@ -149,15 +148,6 @@ def test_the_tidy_table_groups_and_pairs():
 
 
 # --- settling ---
-
-
-def test_settled_means_for_good():
-    times, errors = np.arange(5.0), np.array([9.0, 1.0, 9.0, 1.0, 1.0])
-    assert settling_time_s(times, errors, 5.0) == 3.0
-    assert settling_time_s(times, errors[:3], 5.0) is None
-    assert settling_time_s(times, np.zeros(5), 5.0) == 0.0
-    assert settling_time_s(times, np.array([0.0, np.nan, 0.0, 0.0, 0.0]), 5.0) == times[2]
-    assert settling_time_s(times, np.full(5, np.nan), 5.0) is None
 
 
 # --- search ---

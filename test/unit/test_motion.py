@@ -107,37 +107,6 @@ def test_joint_limits_cut_the_box():
         motion(joint_max_rad=tuple(HOME - 1.0))
 
 
-def test_it_returns_when_told_and_goes_on_when_told():
-    one = motion(2)
-    joints, commands = follow(
-        one,
-        120.0,
-        events=(
-            (20.0, lambda _t, _q: one.return_home()),
-            (28.0, one.resume),
-        ),
-    )
-    home = np.abs(joints[round(27.9 / DT_S)] - HOME).max()
-    assert home < 0.01
-    assert np.abs(commands[round(27.9 / DT_S)]).max() < 0.05
-    assert np.abs(np.diff(commands, axis=0)).max() / DT_S <= 3.0 + 1e-9
-    later = joints[round(28.0 / DT_S) : round(110.0 / DT_S)]
-    assert np.ptp(later, axis=0).min() > 0.8
-
-
-@pytest.mark.parametrize("lag_s", [0.0, 0.05])
-def test_it_comes_home_early_when_told(lag_s):
-    one = motion(1)
-    events = [(17.0, lambda t, _q: one.end_early(t))]
-    joints, commands = follow(one, 24.0, lag_s, events=events)
-    assert 17.0 < one.duration_s < 22.0
-    assert one.done(24.0, joints[-1])
-    assert not np.any(np.abs(commands[-1]) > 0.01)
-    assert np.abs(np.diff(commands, axis=0)).max() / DT_S <= 3.0 + 1e-9
-    one.end_early(119.0)
-    assert one.duration_s < 22.0
-
-
 def test_a_measurement_that_is_not_finite_stops_the_arm():
     one = motion()
     follow(one, 10.0)

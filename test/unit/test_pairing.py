@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fvs_estimator_node.pairing import StepPairing
+from fvs_estimator_node.pairing import ExposureMatcher, StepPairing
 
 VELOCITY = np.array([0.3, -0.2, 0.1, 0.4, 0.0, 0.05])
 JACOBIAN = np.arange(18.0).reshape(3, 6) / 10.0
@@ -49,6 +49,15 @@ def test_a_ball_ahead_of_the_joints_waits_for_them():
     steps = pairing.add_joints(0.06, joints_at(0.06))
     assert len(steps) == 1
     np.testing.assert_allclose(steps[0].d_joints_rad, VELOCITY * 0.05, atol=1e-12)
+
+
+def test_waiting_is_bounded():
+    matcher = ExposureMatcher()
+    matcher.add_joints(0.0, joints_at(0.0))
+    for k in range(1, 17):
+        matcher.add_ball(0.03 * k, ball_at(0.03 * k))
+    assert matcher.dropped == 6
+    assert "no joint state" in matcher.last_reason
 
 
 def test_a_still_arm_makes_no_steps_and_the_anchor_moves_on():

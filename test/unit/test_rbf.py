@@ -111,18 +111,6 @@ def test_a_capped_step_corrects_the_share_mu_of_the_error():
     np.testing.assert_allclose(after, 0.5 * before, rtol=1e-9)
 
 
-def test_a_leak_returns_to_the_offline_weights_or_to_zero():
-    model, rng = random_model(), np.random.default_rng(6)
-    quiet = {"n1": 0.0, "alpha2": 0.0, "k3": 0.5}
-    offline = RbfEstimator(model, RbfConfig(leak_target="offline", **quiet))
-    zero = RbfEstimator(model, RbfConfig(leak_target="zero", **quiet))
-    step = random_step(rng, dt_s=2.0)
-    offline.update(step)
-    zero.update(step)
-    np.testing.assert_allclose(offline.weights, model.weights)
-    np.testing.assert_allclose(zero.weights, model.weights * math.exp(-1.0))
-
-
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e308])
 def test_weights_stay_finite_whatever_comes(bad):
     model, rng = random_model(), np.random.default_rng(7)

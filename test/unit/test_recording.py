@@ -20,7 +20,7 @@ from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_sim_node.kinematics import flange_pose
 from fvs_sim_node.ur5_urdf import urdf_text
 from fvs_tools.bag import NOTES, Bag, Message, SimulatedTime
-from fvs_tools.viewing import Viewing, read_joints
+from fvs_tools.viewing import Viewing
 
 #: Bool(data=True) as it is on the wire, little endian.
 TRUE = bytes([0, 1, 0, 0, 1])
@@ -288,22 +288,6 @@ def urdf(kind, more=""):
         f'{more}</joint><ros2_control><joint name="j"><state_interface name="position"/></joint>'
         "</ros2_control></robot>"
     )
-
-
-def test_a_joint_that_slides_does_so_along_its_own_axis():
-    slid = read_joints(urdf("prismatic", '<axis xyz="2 0 0"/>'))["j"].at(0.5)
-    np.testing.assert_allclose(slid.translation_m, [1.0, 2.5, 3.0], atol=1e-12)
-    np.testing.assert_allclose(slid.rotation.as_quat(), [0.0, 0.0, 0.5**0.5, 0.5**0.5])
-
-
-def test_a_joint_that_is_unknown_floats_or_is_not_finite_is_left_out(viewing):
-    for kind, name, position in (
-        ("revolute", "other", 0.0),
-        ("revolute", "j", float("nan")),
-        ("floating", "j", 0.0),
-    ):
-        viewing.of(description(urdf(kind)))
-        assert viewing.of(joint_state(10**9, [position], [name])) is None
 
 
 @pytest.mark.parametrize(

@@ -130,13 +130,3 @@ def test_the_way_back_to_a_posture_moves_no_ball_and_costs_little_speed():
     assert np.mean(gains) > 0.1
     assert np.mean(costs) < 1.2
     assert max(costs) < 1.5
-
-
-def test_nothing_leads_back_to_a_posture_while_a_joint_is_at_its_end():
-    inverse = LeastSpeedInverse(1e-4, WIDE)
-    joints, home = np.append(3.0, np.zeros(5)), np.full(6, 1.0)
-    for jacobian, velocity in CASES:
-        np.testing.assert_array_equal(
-            inverse.joint_velocity(jacobian, velocity, joints, home),
-            inverse.joint_velocity(jacobian, velocity, joints),
-        )

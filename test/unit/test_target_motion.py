@@ -67,27 +67,6 @@ def test_updates_that_were_overtaken_on_their_way_change_nothing():
             np.testing.assert_allclose(follower.at(now_s).position_m, line(now_s), atol=1e-6)
 
 
-@pytest.mark.parametrize("odd_age_s", [0.25, None])
-@pytest.mark.parametrize("age_s", [0.05, 0.1, 0.19])
-def test_one_update_of_unknown_time_among_late_ones_is_soon_forgotten(age_s, odd_age_s):
-    follower = TargetFollower()
-    for k, now_s in enumerate(np.arange(10.0, 13.0, 1.0 / 30.0)):
-        there_s = now_s - (odd_age_s or age_s if k == 40 else age_s)
-        stamp_s = 0.0 if odd_age_s is None and k == 40 else there_s
-        if not follower.overtaken(line(there_s), stamp_s, now_s):
-            follower.update(line(there_s), stamp_s, now_s)
-        if k > 80:
-            np.testing.assert_allclose(follower.at(now_s).position_m, line(now_s), atol=1e-5)
-
-
-@pytest.mark.parametrize(("age_s", "within_m"), [(0.1, 0.002), (0.15, 0.005)])
-def test_a_circle_that_is_told_late_is_known_where_it_is_now(age_s, within_m):
-    follower = TargetFollower()
-    for now_s in np.arange(0.0, 1.0, 1.0 / 30.0):
-        follower.update(circle(now_s - age_s), now_s - age_s, now_s)
-    assert np.linalg.norm(follower.at(now_s).position_m - circle(now_s)) < within_m
-
-
 def test_without_further_updates_it_stands_where_it_was_told_last():
     motion, last_s = told(line, 0.5)
     target = motion.at(last_s + 0.3)
@@ -138,15 +117,6 @@ def test_a_small_step_after_a_while_is_a_new_target():
     assert follower.expects(START + 0.01, 1.1, 1.1)
     assert not follower.expects(START + 0.01, 3.0, 3.0)
     assert not follower.expects(START + 0.1, 1.1, 1.1)
-
-
-def test_updates_faster_than_the_joint_states_are_one_motion():
-    follower = TargetFollower()
-    for k in range(100):  # 250 Hz, on a clock that goes in steps of 8 ms
-        true_s, now_s = 0.004 * k, 0.008 * (k // 2)
-        assert follower.expects(line(true_s), 0.0, now_s) == (k > 0)
-        follower.update(line(true_s), 0.0, now_s)
-    np.testing.assert_allclose(follower.at(now_s).velocity_m_s, VELOCITY, rtol=0.05, atol=1e-3)
 
 
 def test_no_target_is_faster_than_an_arm():
