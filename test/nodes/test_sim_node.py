@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseStamped
-from rosgraph_msgs.msg import Clock
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Bool, Float64MultiArray, String
@@ -98,23 +97,6 @@ def test_images_are_rendered_for_subscribers_and_agree_with_camera_info(simulato
     assert red > 2 * max(green, blue)
     surface_m = np.frombuffer(depth.data, np.uint16).reshape(480, 640)[v, u] * 1e-3
     assert surface_m == pytest.approx(ball.z - 0.04, abs=0.02)
-
-
-def test_the_same_seed_sees_the_same_to_the_bit(ros_test):
-    def balls_after_reset(seed):
-        process = ros_test.start_node(MODULE, simulated_time=True, seed=seed)
-        balls = ros_test.collect(PointStamped, topics.BALL_POSITION.name, ros.QOS_RELIABLE)
-        clocks = ros_test.collect(Clock, "/clock")
-        ros_test.spin_until(lambda: balls and clocks)
-        assert ros_test.call(Trigger, "fvs_sim_node/reset").success
-        reset_s = ros.from_stamp(clocks[-1].clock)
-        ros_test.spin_until(lambda: ros.from_stamp(balls[-1].header.stamp) > reset_s + 2.0)
-        assert ros_test.stop(process) == 0
-        return {(m.point.x, m.point.y, m.point.z) for m in balls}
-
-    one, again, other = balls_after_reset(3), balls_after_reset(3), balls_after_reset(4)
-    assert len(one & again) > 20
-    assert not one & other
 
 
 def test_disturbances_are_live_and_refusals_are_in_words(simulator):
