@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from recordings import relative_error
-from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from fvs_estimator_node.dataset import load_data_set
@@ -115,18 +114,3 @@ def test_a_collection_that_cannot_end_well_does_not_begin(ros_test, parameters, 
     assert words in ros_test.output(collector)
     assert "Traceback" not in ros_test.output(collector)
     assert not any(np.any(m.data) for m in commands)
-
-
-def test_a_collector_without_a_ball_does_not_move_and_says_why(ros_test):
-    ros_test.start_node("fvs_sim_node.node", dropout=1.0)
-    states = ros_test.collect(JointState, topics.JOINT_STATES.name)
-    ros_test.spin_until(lambda: bool(states), what="the simulator")
-    commands = ros_test.collect(Float64MultiArray, topics.COMMANDS.name)
-    collector = ros_test.start_node(
-        "fvs_estimator_node.collector_node", give_up_s=2.0, output_path="none.npz"
-    )
-    assert ros_test.wait(collector) == 1
-    assert "the ball is not in view (never seen)" in ros_test.output(collector)
-    assert commands
-    assert not any(np.any(m.data) for m in commands)
-    assert not (ros_test.folder / "none.npz").exists()

@@ -15,7 +15,6 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from fvs_ros import ros, topics
 from fvs_ros.camera import Intrinsics
-from fvs_ros.ros.images import from_color
 
 NODE = "fvs_detector_node.node"
 QVGA = Intrinsics(320, 240, 307.5, 307.5, 159.5, 119.5)
@@ -134,6 +133,13 @@ class Watched:
             raise AssertionError(f"{error}\nthe last statuses are {last}") from error
 
 
+@pytest.fixture
+def beside(ros_module, ros_beside):
+    """A context beside a detector with default parameters that several tests share."""
+    ros_module.keep(NODE)
+    return ros_beside
+
+
 def position(message):
     return np.array([message.point.x, message.point.y, message.point.z])
 
@@ -179,10 +185,9 @@ def test_it_agrees_with_the_simulators_own_detection(ros_test):
 
 
 @pytest.mark.parametrize("qos", [ros.QOS_NEWEST, ros.QOS_RELIABLE])
-def test_images_arrive_whatever_the_publishers_reliability(ros_test, qos):
-    watched = Watched(ros_test)
-    PlayedCamera(ros_test, qos)
-    ros_test.start_node(NODE)
+def test_images_arrive_whatever_the_publishers_reliability(beside, qos):
+    watched = Watched(beside)
+    PlayedCamera(beside, qos)
     for message in watched.wait_for_balls():
         np.testing.assert_allclose(position(message), CENTRE, atol=2e-3)
         assert message.header.frame_id == FRAME
@@ -225,16 +230,6 @@ def test_a_camera_is_found_under_the_names_of_its_driver_or_of_a_parameter(
     np.testing.assert_allclose(position(watched.wait_for_balls()[-1]), CENTRE, atol=0.002)
 
 
-def test_remapped_topics_of_any_reliability_are_heard(ros_test):
-    watched = Watched(ros_test)
-    PlayedCamera(ros_test, qos=ros.QOS_NEWEST, rename=lambda topic: topic.replace("/", "_"))
-    remaps = []
-    for topic in (topics.COLOR_IMAGE.name, topics.DEPTH_IMAGE.name, topics.CAMERA_INFO.name):
-        remaps += ["-r", f"{topic}:={topic.replace('/', '_')}"]
-    ros_test.start(NODE, "--ros-args", *remaps)
-    watched.wait_for_balls()
-
-
 def test_each_missing_input_is_named_in_turn(ros_test):
     watched = Watched(ros_test)
     detector = ros_test.start_node(NODE)
@@ -265,11 +260,10 @@ def test_each_missing_input_is_named_in_turn(ros_test):
     assert ros_test.stop(detector) == 0
 
 
-def test_depth_that_is_not_registered_is_refused(ros_test):
-    watched = Watched(ros_test)
-    camera = PlayedCamera(ros_test)
+def test_depth_that_is_not_registered_is_refused(beside):
+    watched = Watched(beside)
+    camera = PlayedCamera(beside)
     camera.depth_frame = "camera_depth_optical_frame"
-    ros_test.start_node(NODE)
     watched.wait_for("FAULT", "not registered", "frame 'camera_depth_optical_frame'")
     depth_m = camera.depth_m
     camera.depth_frame, camera.depth_m = FRAME, depth_m[::2, ::2].copy()
@@ -279,28 +273,16 @@ def test_depth_that_is_not_registered_is_refused(ros_test):
     watched.wait_for("TRACKING")
 
 
-def test_parameters_are_live(ros_test):
-    watched = Watched(ros_test)
-    PlayedCamera(ros_test)
-    ros_test.start_node(NODE)
+def test_parameters_are_live(beside):
+    watched = Watched(beside)
+    PlayedCamera(beside)
     watched.wait_for("TRACKING")
-    assert set_parameter(ros_test, "min_value", 254).successful
+    assert set_parameter(beside, "min_value", 254).successful
     watched.wait_for("LOST", "too dark")
-    assert set_parameter(ros_test, "min_value", 35).successful
+    assert set_parameter(beside, "min_value", 35).successful
     watched.wait_for("TRACKING")
-    refused = set_parameter(ros_test, "color_transport", "compressed")
+    refused = set_parameter(beside, "color_transport", "compressed")
     assert not refused.successful
-
-
-def test_the_annotated_image_can_be_looked_at(ros_test):
-    camera = PlayedCamera(ros_test)
-    ros_test.start_node(NODE)
-    pictures = ros_test.collect(Image, "fvs_detector_node/annotated_image")
-    ros_test.spin_until(lambda: pictures, PATIENCE_S, "an annotated image")
-    assert (pictures[0].width, pictures[0].height, pictures[0].encoding) == (320, 240, "rgb8")
-    drawn = from_color(pictures[0])
-    u, v = np.round(QVGA.project(CENTRE)).astype(int)
-    assert drawn[v, u].tolist() != camera.rgb[v, u].tolist()
 
 
 def test_no_message_ends_it(ros_test):

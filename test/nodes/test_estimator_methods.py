@@ -35,13 +35,13 @@ class Watched:
 
 
 @pytest.mark.parametrize("method", ["lkf", "ukf", "rls", "broyden", "oracle"])
-def test_at_rest_the_jacobian_is_that_of_the_arm(ros_test, method):
-    ros_test.start_node("fvs_sim_node.node")
-    estimator = Watched(ros_test, method=method)
-    states = ros_test.collect(JointState, topics.JOINT_STATES.name)
+def test_at_rest_the_jacobian_is_that_of_the_arm(ros_module, ros_beside, method):
+    ros_module.keep("fvs_sim_node.node")
+    estimator = Watched(ros_beside, method=method)
+    states = ros_beside.collect(JointState, topics.JOINT_STATES.name)
     wanted = "FROZEN" if method == "oracle" else "LEARNING"
-    ros_test.spin_until(lambda: estimator.values().get("state") == wanted)
-    ros_test.spin_until(lambda: states and estimator.jacobians)
+    ros_beside.spin_until(lambda: estimator.values().get("state") == wanted)
+    ros_beside.spin_until(lambda: states and estimator.jacobians)
     joints = JointMap().positions(states[-1].name, states[-1].position)
     with Simulation(SimConfig()) as simulation:
         true = simulation.true_jacobian(joints)

@@ -2,19 +2,13 @@
 
 import xml.etree.ElementTree as ET
 
-import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
 from every_node import start_alone, wait_until_up
-from geometry_msgs.msg import PointStamped
 from harness import Harness
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from fvs_ros import ros, topics
-from fvs_ros.camera import CAMERA_FRAME
-from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_ros.topics import NODES
 from fvs_tools.scenario import NODE_TABLE
 from fvs_tools.security_policy import policy
@@ -173,36 +167,3 @@ def test_the_access_rules_allow_all_that_a_node_has(running, index):
     else:
         assert heard <= allowed("topic", "subscribe")
     assert {name for name, _ in services(harness, node)} == allowed("service", "reply")
-
-
-def test_the_demo_subscribes_to_images_after_its_last_target(ros_test):
-    node = start_alone(ros_test, "fvs_demo_node", "lone", targets=1, target_s=1.0)
-    wait_until_up(ros_test, [node])
-    status, ball, joints = (
-        ros_test.publisher(kind, node.resolve(topic), ros.QOS_RELIABLE)
-        for kind, topic in (
-            (DiagnosticStatus, topics.CONTROLLER_STATUS.name),
-            (PointStamped, topics.TRUE_BALL_POSITION.name),
-            (JointState, topics.JOINT_STATES.name),
-        )
-    )
-    targets = ros_test.collect(
-        PointStamped, node.resolve(topics.TARGET_POSITION.name), ros.QOS_LATCHED
-    )
-
-    def play(stamp_s):
-        status.publish(ros.to_status(ros.WARN, "", "", {"state": "WAITING", "reason": "NO_TARGET"}))
-        joints.publish(ros.to_joint_state(stamp_s, UR_JOINT_NAMES, np.zeros(6), np.zeros(6)))
-        ball.publish(ros.to_point(stamp_s, CAMERA_FRAME, np.array([0.0, 0.1, 1.4])))
-
-    def given_a_target():
-        play(1.0)
-        return bool(targets)
-
-    def past_its_time():
-        play(3.0)
-        return actual_ends(ros_test, node, False) == expected_ends(node, False, later=True)
-
-    ros_test.spin_until(given_a_target, what="the demo's target")
-    assert actual_ends(ros_test, node, False) == expected_ends(node, False)
-    ros_test.spin_until(past_its_time, what="the demo's subscriptions of images")

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
 from sensor_msgs.msg import Image
@@ -135,7 +134,7 @@ def test_nothing_in_the_current_folder_is_run_and_a_killed_launcher_leaves_nothi
     assert list(temporary.iterdir()) == []
 
 
-@pytest.mark.parametrize("delay_s", [0.15, 0.4, 1.0])
+@pytest.mark.parametrize("delay_s", [0.15, 0.8])
 def test_a_signal_at_any_moment_of_the_start_ends_all(ros_test, delay_s):
     process = ros_test.start(MODULE, "servo")
     ros_test.spin_for(delay_s)
@@ -211,14 +210,3 @@ def test_a_missing_or_foreign_model_ends_all_with_one_clear_sentence(ros_test, c
     assert re.search(rf"\[fvs_estimator_node\] cannot start: .*{words}", output)
     assert "model.npz" in output
     assert "Traceback" not in output
-
-
-def test_scenario_files_serve_ros_params_file_as_well(ros_test):
-    path = ros_test.folder / "scenario.yaml"
-    path.write_text(yaml.safe_dump({"fvs_sim_node": {"ros__parameters": {"tf_prefix": "ur_"}}}))
-    from sensor_msgs.msg import JointState
-
-    states = ros_test.collect(JointState, topics.JOINT_STATES.name)
-    ros_test.start("fvs_sim_node.node", "--ros-args", "--params-file", str(path))
-    ros_test.spin_until(lambda: bool(states))
-    assert states[-1].name[0] == "ur_elbow_joint"

@@ -202,24 +202,6 @@ def test_what_came_before_the_recorder_was_killed_is_replayed(ros_test):
     assert found.scenario == {"fvs_demo_node": {"settle_error_m": 0.02}}
 
 
-def test_a_remapped_topic_is_noted_and_replayed(ros_test):
-    process = ros_test.start_node(RECORDER, {"target_position": "goal"}, bag_dir="bag")
-    ros_test.spin_until(lambda: "recording into bag" in ros_test.output(process), what="recorder")
-    goal = ros_test.node.create_publisher(PointStamped, "goal", DEEP)
-    ball = ros_test.node.create_publisher(PointStamped, topics.BALL_POSITION.name, DEEP)
-    listened(ros_test, goal)
-    listened(ros_test, ball)
-    goal.publish(ros.to_point(1.0, "eye", np.array([0.1, 0.2, 0.9])))
-    ball.publish(ros.to_point(1.0, "eye", np.array([0.1, 0.2, 0.8])))
-    ros_test.spin_for(0.3)
-    assert ros_test.stop(process) == 0, ros_test.output(process)
-    bag = ros_test.folder / "bag"
-    assert "target_position: /goal" in metadata(bag)["custom_data"]["remaps"]
-    series = read(bag).series["target"]
-    assert series.topic == "/goal"
-    assert np.array_equal(series.values, [[0.1, 0.2, 0.9]])
-
-
 def senders(listener):
     """Who sent the datagrams that have come, each once for each: the prefix of its RTPS GUID."""
     found = Counter()

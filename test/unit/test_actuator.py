@@ -55,13 +55,6 @@ def test_default_lag_is_hold_plus_dead_time_plus_lag():
     assert late_s == pytest.approx(0.024, abs=0.003)
 
 
-def test_the_drive_looks_only_once_a_period():
-    actuator = make(**QUICK)
-    actuator.step(np.zeros(6))
-    assert not run(actuator, 3, 0.2).any()
-    np.testing.assert_allclose(run(actuator, 1), 0.2)
-
-
 def test_speed_is_limited_scaled_and_stopped():
     actuator = make()
     np.testing.assert_allclose(run(actuator, 500, 50.0)[-1], np.pi, atol=1e-6)

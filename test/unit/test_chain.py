@@ -40,18 +40,6 @@ def test_it_is_the_arm_of_the_dh_table():
     np.testing.assert_allclose(columns, jacobian, atol=1e-9)
 
 
-def test_one_joint_vector_and_many_agree_whatever_the_shape():
-    chain = random_chain()
-    joints = np.random.default_rng(1).normal(size=(4, 5, 6))
-    position, jacobian = chain.position_and_jacobian(joints)
-    assert (position.shape, jacobian.shape) == ((4, 5, 3), (4, 5, 3, 6))
-    one = joints[2, 3]
-    np.testing.assert_allclose(chain.position_and_jacobian(one)[0], position[2, 3], atol=1e-12)
-    np.testing.assert_allclose(chain.jacobian(list(one)), jacobian[2, 3], atol=1e-12)
-    np.testing.assert_allclose(chain.position(one), position[2, 3], atol=1e-12)
-    np.testing.assert_allclose(chain.position(joints), position, atol=1e-12)
-
-
 def test_a_moved_camera_sees_the_same_arm_elsewhere():
     chain, rng = random_chain(), np.random.default_rng(2)
     rotation, translation = random_rotation(rng), rng.normal(size=3)

@@ -46,7 +46,7 @@ def test_the_derivatives_are_those_of_the_residuals():
         np.testing.assert_allclose(slopes[:, :, i], numeric, atol=2e-5, err_msg=str(i))
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_minute_of_motion_is_enough(seed):
     recording = Recording(seed=seed)
     fit = fit_chain(recording.data())
@@ -80,22 +80,19 @@ def with_encoder_noise(noise_rad, data):
     return replace(data, joints_rad=data.joints_rad + noise)
 
 
-@pytest.mark.parametrize("encoder_noise_rad", [0.0, 0.0002, 0.001])
+@pytest.mark.parametrize("encoder_noise_rad", [0.0, 0.001])
 @pytest.mark.parametrize(
     "scales",
     [
         (1.0, 1.0, 1.0),
         (1.005, 1.005, 1.005),
-        (0.99, 0.99, 1.0),
-        (1.01, 1.01, 1.0),
         (0.98, 0.98, 1.0),
     ],
-    ids=["perfect", "depths", "focal length +", "focal length -", "focal length ++"],
+    ids=["perfect", "depths", "focal length"],
 )
-@pytest.mark.parametrize("seed", [0, 1])
-def test_it_says_how_good_it_is_with_a_camera_and_joints_that_err(seed, scales, encoder_noise_rad):
+def test_it_says_how_good_it_is_with_a_camera_and_joints_that_err(scales, encoder_noise_rad):
     """In the frame of the camera as it is: what servoing by it needs."""
-    recording = Recording(seed=seed)
+    recording = Recording()
     data = with_encoder_noise(encoder_noise_rad, recording.data())
     fit = fit_chain(replace(data, ball_m=data.ball_m * scales))
     places = recording.places(50)
@@ -118,12 +115,6 @@ def test_a_strangers_robot(seed):
     true = np.array([arm.jacobian(q) for q in places])
     assert np.median(relative_error(fit.chain.jacobian(places), true)) < 0.002
     assert fit.misfit < 1.1
-
-
-def test_an_axis_guessed_on_the_balls_wrong_side_is_turned_about():
-    # A quarter of a minute says little about bends; twelve random starts do not find it.
-    recording = Recording(seed=9, seconds=16.0, late_s=0.02)
-    assert error_of(fit_chain(recording.data()), recording) < 0.01
 
 
 def test_a_wrong_optimum_that_fits_nearly_as_well_is_left():
@@ -149,12 +140,6 @@ def test_a_wrong_optimum_that_fits_nearly_as_well_is_left():
     error = relative_error(fit.chain.jacobian(places), chain.jacobian(places))
     assert np.median(error) < 0.002
     assert fit.misfit < 1.05
-
-
-def test_many_short_runs_are_as_good_as_one():
-    data = Recording().data()
-    runs = replace(data, segment=np.arange(len(data)) // 40)
-    assert error_of(fit_chain(runs), Recording()) < 0.002
 
 
 def test_equal_data_give_equal_chains():
@@ -213,7 +198,6 @@ def told(data, matrix):
 
 THIRD_TOO_FAR = np.diag([1.0, 1.0, 1.2, 1.0, 1.0, 1.0])
 FIFTH_FOR_FOURTH = np.eye(6)[[0, 1, 2, 4, 3, 5]]
-THIRD_FOR_SECOND = np.eye(6)[[0, 2, 1, 3, 4, 5]]
 
 
 @pytest.mark.parametrize(
@@ -238,18 +222,6 @@ def every(step, data):
             for name in ("stamps_s", "joints_rad", "ball_m", "segment")
         },
     )
-
-
-@pytest.mark.parametrize(
-    "matrix", [np.eye(6), THIRD_FOR_SECOND], ids=["as it is", "joints 2 and 3 swapped"]
-)
-def test_images_too_far_apart_do_not_tell_a_chain(matrix, monkeypatch):
-    monkeypatch.setattr("fvs_estimator_node.chain_fit._STARTS", 3)  # none is known to be right
-    fit = fit_chain(told(every(8, Recording(seconds=80.0, outliers=0.0).data()), matrix))
-    assert np.isnan(fit.noise_m)
-    assert np.isnan(fit.misfit)
-    assert fit.unexplained_m == fit.residual_m
-    assert not fit.is_chain
 
 
 def test_a_precise_camera_needs_no_neighbours():

@@ -192,34 +192,6 @@ def test_it_waits_while_another_node_commands_the_arm():
     assert not np.any(cell.commands[-1])
 
 
-def test_a_commander_without_a_name_is_waited_for_and_later_stops_the_arm():
-    cell = Cell()
-    nameless = ["a node whose name is not known yet"]
-    cell.run.other_publishers(nameless)
-    cell.advance(1.0)
-    assert cell.run.state is State.WAITING
-    assert "not known yet commands the arm as well" in cell.run.reason
-    cell.run.other_publishers([])
-    cell.advance(0.5)
-    for names in (nameless, nameless, [], nameless, nameless):
-        cell.run.other_publishers(names)
-        cell.advance(0.25)
-        assert cell.run.state is State.MOVING
-    cell.run.other_publishers(nameless)
-    assert cell.run.state is State.FAILED
-    assert "not known yet began to command the arm" in cell.run.reason
-
-
-def test_failing_from_outside_brings_the_arm_to_rest():
-    cell = Cell()
-    cell.advance(5.0)
-    cell.run.fail("the robot program is not running")
-    cell.advance(1.0)
-    assert cell.run.ended
-    assert not np.any(cell.commands[-1])
-    assert cell.run.reason == "the robot program is not running"
-
-
 @pytest.mark.parametrize("dt_s", [DT_S, 0.0])
 def test_a_frozen_stream_of_joint_states_stops_the_arm(dt_s):
     """The same joints and stamp again and again, in real time and in simulated time."""
@@ -273,11 +245,3 @@ def test_it_comes_home_softly_when_the_chain_is_known(ball_seen):
     commands = np.array(cell.commands)
     assert np.abs(commands).max() <= VELOCITY + 1e-12
     assert np.abs(np.diff(commands, axis=0)).max() <= ACCELERATION * DT_S + 1e-12
-
-
-def test_without_answers_the_arm_moves_as_it_would_without_the_criterion():
-    cell, same = Cell(120.0, stop=KnownAfter(trouble="the process died")), Cell(120.0)
-    cell.advance(20.0)
-    same.advance(20.0)
-    np.testing.assert_array_equal(cell.commands, same.commands)
-    assert "for the whole duration: the process died" in cell.run.reason

@@ -7,36 +7,17 @@ import pytest
 
 from fvs_controller_node.base import ControlInput
 from fvs_controller_node.config import (
-    PARAMETERS,
-    build_law,
     build_loop,
     default_values,
     reconfigure,
 )
-from fvs_controller_node.ftsm import FtsmLaw, ReachingLaw
+from fvs_controller_node.ftsm import FtsmLaw
 from fvs_controller_node.proportional import ProportionalGains, ProportionalLaw
 from fvs_controller_node.pseudo_inverse import DampedInverse
 from fvs_controller_node.registry import LAWS, make_law
-from fvs_controller_node.supervisor_config import SupervisorConfig
-from fvs_controller_node.surface import SlidingSurface
-from fvs_ros.params import ParameterError, ParameterSet
+from fvs_ros.params import ParameterError
 
 JACOBIAN = np.random.default_rng(0).normal(size=(3, 6))
-
-
-def test_names_are_declared_once_and_every_default_passes():
-    ParameterSet(PARAMETERS)
-    assert all(parameter.description.endswith((".", "...")) for parameter in PARAMETERS)
-
-
-def test_defaults_build_the_defaults():
-    values = default_values()
-    assert SupervisorConfig.from_values(values) == SupervisorConfig()
-    law = build_law(values)
-    assert isinstance(law, FtsmLaw)
-    assert law.surface == SlidingSurface()
-    assert law.reaching == ReachingLaw()
-    assert law.inverse.damping == DampedInverse().damping
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -64,16 +45,6 @@ def test_the_proportional_law_closes_the_error_at_its_rate():
     np.testing.assert_array_equal(out.sliding_variable, error)  # for the update law (45)
     with pytest.raises(ValueError, match="proportional_gain"):
         ProportionalGains(0.0)
-
-
-def test_modes_of_the_sliding_mode_law():
-    fixed = build_law(default_values(lambda1=0.4, lambda2=0.0))
-    assert isinstance(fixed, FtsmLaw)
-    assert fixed.surface.exponent(0.0) == fixed.surface.exponent(0.5) == 0.4
-    literal = build_law(default_values(discretisation="literal", lambda3_1_m2=500.0))
-    assert isinstance(literal, FtsmLaw)
-    assert literal.gains.discretisation == "literal"
-    assert literal.surface.lambda3 == 500.0
 
 
 def test_the_exponent_is_fixed_and_freed_live():

@@ -82,19 +82,6 @@ def test_meshes_are_found_where_ros_is_sourced_or_installed(monkeypatch, tmp_pat
         assert len(arm.urdf.scene.geometry) == 5
 
 
-def test_a_link_whose_mesh_is_not_here_gets_a_bar_and_the_others_keep_their_shapes():
-    alone = re.sub(
-        '(<link name="upper_arm_link">.*?)(<visual>.*</visual>)(</link>)',
-        rf'\1<visual><geometry><mesh filename="{MESH}.stl"/></geometry></visual>\3',
-        urdf_text(),
-    )
-    arm = Arm(alone, UR_JOINT_NAMES)
-    names = set(arm.urdf.scene.geometry)
-    assert {name for name in names if "bar" in name} == {"upper_arm_link_bar"}
-    assert len(names) > 10
-    assert "part.stl" in arm.missing
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [

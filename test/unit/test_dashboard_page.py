@@ -8,10 +8,8 @@ import queue
 import re
 import time
 import types
-from itertools import pairwise
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 pytest.importorskip("viser", reason="viser is not installed (pip install 'viser[urdf]')")
@@ -20,15 +18,10 @@ import websockets
 from page_client import PageClient
 from viser.infra import _infra
 
-from fvs_dashboard import charts, config, guard
+from fvs_dashboard import config, guard
 from fvs_dashboard.actions import Actions
-from fvs_dashboard.board import Board, Controller
 from fvs_dashboard.page import Page, field_of_view_rad
-from fvs_dashboard.picture import Picture
-from fvs_estimator_node.model_file import load_model
 from fvs_ros.joints import UR_JOINT_NAMES
-from fvs_ros.paths import find_file
-from fvs_sim_node.rendering import camera_preset
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -133,26 +126,6 @@ def test_nothing_that_changes_its_height_is_above_start_and_stop(client):
     assert "<style>" in first[0]["content"]  # the row they stand in
 
 
-def test_the_banner_does_not_flicker_and_its_distance_is_current(page):
-    board, picture, said = Board(len(UR_JOINT_NAMES)), Picture(0.04), []
-    for tenth in range(40):  # a loop that is held ten times a second
-        state, now_s = ("SERVOING", "HOLDING")[tenth % 2], 0.1 * tenth
-        values = {"state": state, "reason": "STALE", "error_m": str(0.1 + now_s)}
-        board.add_status(now_s, Controller(values, f"{tenth}"))
-        page.update(board, picture, now_s)
-        html = page._panel._banner.content
-        assert f"{100 + 100 * tenth} mm" in html
-        said.append(re.search(r'data-state="(\w+)" title="(\w+)', html).groups())
-    assert 2 <= sum(before != after for before, after in pairwise(said)) <= 4
-
-
-def test_no_line_joins_what_is_before_and_after_a_gap():
-    nan, time_s = np.nan, np.array([0.0, 0.1, 2.1, 2.2, 2.3])
-    values = charts.since_gap(time_s, np.array([1.0, 2.0, 3.0, 4.0, 5.0]))
-    np.testing.assert_array_equal(values, [nan, nan, 3.0, 4.0, 5.0])
-    np.testing.assert_array_equal(charts.since_gap(0.1 * time_s, time_s), time_s)
-
-
 # --- what is seen first ---
 
 
@@ -165,30 +138,3 @@ def test_a_narrow_view_shows_as_much_from_side_to_side(client):
             time.sleep(0.01)
         assert client.field_of_view_rad == pytest.approx(wanted_rad)
         assert 0.6 < wanted_rad < 2.0
-
-
-#: What a window 1280, 1366, 1600 or 1920 pixels wide leaves to the arm.
-@pytest.mark.parametrize(
-    ("width", "height", "filled"),
-    [(522, 800, 0.7), (608, 768, 0.7), (842, 900, 0.7), (1170, 1080, 0.65)],
-)
-def test_the_first_look_is_filled_by_arm_ball_and_camera(page, width, height, filled):
-    first = page._server.initial_camera
-    eye, at = np.array(first.position), np.array(first.look_at)
-    forward = (at - eye) / np.linalg.norm(at - eye)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    axes = np.stack([right, np.cross(forward, right), forward], axis=1)
-
-    def view(points_m):
-        x, y, z = ((points_m - eye) @ axes).T
-        reach = z * np.tan(0.5 * field_of_view_rad(width, height))
-        return np.stack([x / reach * height / width, y / reach], axis=1)
-
-    camera = camera_preset("front").in_base_link()
-    samples = load_model(find_file("models/ur5_front.npz")).ball_samples_m
-    balls = samples @ camera.rotation.T + camera.position_m
-    foot = np.array([[0.1, 0.1, -0.2], [-0.1, -0.1, -0.2], [0.0, 0.0, 0.0]])
-    assert np.abs(view(np.vstack([foot, balls, camera.position_m[None]]))).max() < 0.97
-    work = view(np.vstack([foot, balls]))
-    assert np.ptp(work, axis=0).min() > filled  # of 2; the camera stands before it

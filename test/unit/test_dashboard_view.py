@@ -13,7 +13,6 @@ from fvs_controller_node.reasons import Reason
 from fvs_dashboard import markup
 from fvs_dashboard.actions import (
     CONTROLLER,
-    ESTIMATOR,
     RESET,
     SET_CURRENT,
     START,
@@ -25,7 +24,6 @@ from fvs_dashboard.board import Board, Controller
 from fvs_dashboard.placement import UNKNOWN
 from fvs_sim_node.kinematics import flange_pose
 from fvs_sim_node.rendering import camera_preset
-from fvs_tools.schemes import BEYOND, SCHEMES
 
 STATUS = {
     "state": "SERVOING",
@@ -114,28 +112,6 @@ def test_lamps_follow_the_controllers_ages_and_else_the_pages_own(board):
     assert alone["Robot program"].good is None
 
 
-def test_details_are_shown_while_they_are_known(board):
-    board.add_status(0.0, controller())
-    board.tell("detector", 0.0, "no red ball in the image")
-    assert markup.details_of(board, 0.5) == {
-        "Image latency": "41 ms",
-        "Drive lag": "12 ms",
-        "Active limit": "velocity",
-        "Detector": "no red ball in the image",
-    }
-    assert markup.details_of(board, 9.0) == {}
-
-
-def test_the_scheme_that_runs_is_named(board):
-    assert markup.scheme_of(board) == "unknown"
-    for scheme in (*SCHEMES.values(), *BEYOND.values()):
-        board.parameters[ESTIMATOR] = {"method": scheme.method}
-        board.parameters[CONTROLLER] = {"law": scheme.law, **scheme.controller_values}
-        assert markup.scheme_of(board) == scheme.name
-    board.parameters[CONTROLLER] = {"law": "mpc"}
-    assert markup.scheme_of(board) == "poe with mpc"
-
-
 # --- what is known, and for how long ---
 
 
@@ -147,20 +123,6 @@ def test_a_silent_controller_shows_soon(board):
     assert gone.sentence == "no word from the controller for 3 s"
     assert gone.target_m is None
     assert isnan(gone.error_m)
-
-
-def test_curves_are_in_millimetres_never_zero_and_only_of_what_is_known(board):
-    board.add_ball(0.0, 10.0, np.array([0.0, 0.1, 1.4]))
-    board.add_joints(0.0, 10.0, np.zeros(6), np.array([0.0, -1.0, 0.0, 0.0, 0.0, 0.5]))
-    board.add_joints(0.1, 10.1, np.zeros(6), np.full(6, np.nan))
-    board.add_status(0.0, controller())
-    board.add_status(1.1, controller())  # without a ball
-    np.testing.assert_allclose(board.error_mm.window(1.1)[0], [-1.1, 50.0, 30.0, 40.0, 1e-3])
-    np.testing.assert_allclose(board.speed_rad_s.window(1.1), [[-1.1, 0, 1, 0, 0, 0, 0.5]])
-    np.testing.assert_allclose(board.ratio.window(1.1), [[-1.1, 0.1]])
-    assert len(board.trail_m.window(1.1)) == 1
-    assert board.newest("ball_position", 1.1) is None  # but the trail fades later
-    assert len(board.trail_m.window(7.0)) == 0
 
 
 # --- where the camera is ---
@@ -192,14 +154,6 @@ def test_the_cameras_place_is_learned_and_learned_anew_when_it_was_moved(board):
         before = placement.pose
         placement.add(flange_pose(np.zeros(6)), np.array([0.5, 0.5, 3.0]))  # a wrong detection
         np.testing.assert_array_equal(placement.pose, before)
-
-
-def test_a_pose_that_is_told_is_taken_and_the_old_trail_forgotten(board):
-    board.add_ball(0.0, 10.0, np.array([0.0, 0.1, 1.4]))
-    board.tell_camera(np.eye(4))
-    np.testing.assert_array_equal(board.placement.pose, np.eye(4))
-    assert board.placement.note == ""
-    assert len(board.trail_m.window(0.0)) == 0
 
 
 # --- what a person does ---

@@ -1,7 +1,6 @@
 """From two images to a position that is believed, with and without distortion."""
 
 import dataclasses
-import itertools
 
 import cv2
 import numpy as np
@@ -10,10 +9,7 @@ from drawn_balls import RADIUS_M, VGA, draw, hide
 
 from fvs_detector_node.annotate import annotate
 from fvs_detector_node.config import DetectorConfig
-from fvs_detector_node.detection import BallColour
 from fvs_detector_node.detector import Detector
-from fvs_detector_node.rectifier import Rectifier
-from fvs_detector_node.region import Region
 from fvs_ros.camera import CameraModel, camera_model
 
 PINHOLE = CameraModel(VGA)
@@ -56,15 +52,6 @@ def test_a_ball_that_left_the_window_or_is_cut_by_it_is_measured_whole(shift_m):
     assert error_mm(sighting, moved) < 0.6
 
 
-def test_a_lost_ball_is_explained_and_found_again():
-    looks = detector()
-    looks.look(0.0, *ball(CENTRE), PINHOLE)
-    lost = looks.look(DT, *ball(), PINHOLE)
-    assert lost.ball is None
-    assert "out of view" in lost.problem
-    assert looks.look(2 * DT, *ball(CENTRE), PINHOLE).problem == ""
-
-
 def test_a_ball_seen_badly_is_not_for_publication():
     rgb, depth = ball(CENTRE)
     columns = np.flatnonzero((rgb[..., 0] > 2.0 * rgb[..., 1]).any(axis=0))
@@ -81,17 +68,6 @@ def test_a_jump_is_refused_then_believed():
     problems = [looks.look(DT * i, *ball(far), PINHOLE).problem for i in (1, 2, 3, 4)]
     assert ["max_ball_speed_m_s" in p for p in problems] == [True, True, False, False]
     assert looks.gate.refused == 2
-
-
-def test_live_parameters_take_effect_at_once():
-    looks, images = detector(), ball(CENTRE)
-    assert looks.look(0.0, *images, PINHOLE).problem == ""
-    looks.configure(DetectorConfig(colour=BallColour(min_value=254)))
-    assert "too dark" in looks.look(DT, *images, PINHOLE).problem
-    looks.configure(DetectorConfig())
-    assert looks.look(2 * DT, *images, PINHOLE).problem == ""
-    looks.configure(DetectorConfig(ball_radius_m=0.06))
-    assert "not 60 mm" in looks.look(3 * DT, *images, PINHOLE).problem
 
 
 # ------------------------------------------------------------------------------ distortion
@@ -149,36 +125,6 @@ def test_the_lens_does_not_move_the_ball(model, coefficients):
     # Without the correction it would be off.
     raw = detector().look(0.0, rgb, depth, PINHOLE)
     assert raw.ball is None or error_mm(raw, centre) > 4.0
-
-
-@pytest.mark.parametrize(("model", "coefficients"), LENSES)
-def test_a_point_of_the_scene_lands_where_the_pinhole_model_says(model, coefficients):
-    rectifier = Rectifier(camera_model(640, 480, K, model, coefficients))
-    apart = []
-    for x, y in itertools.product((-0.35, -0.2, 0.0, 0.15, 0.3), (-0.2, 0.05, 0.25)):
-        u, v = project(model, coefficients, [[x, y, 1.0]])[0]
-        depth = np.zeros((480, 640), np.float32)
-        cv2.circle(depth, (round(u), round(v)), 4, 1.0, -1)
-        rgb = np.repeat((255 * depth[..., None]).astype(np.uint8), 3, axis=2)
-        images = rectifier.cut(rgb, depth, Region(0, 0, 640, 480))
-        bright, near = (
-            np.argwhere(picture).mean(axis=0)[::-1]
-            for picture in (images[0][..., 0] > 127, images[1] > 0.5)
-        )
-        np.testing.assert_allclose(bright, VGA.project(np.array([x, y, 1.0])), atol=1.0)
-        apart.append(near - bright)
-    # Depth comes from the nearest pixel: off by less than half of one, and to no side.
-    np.testing.assert_allclose(apart, 0.0, atol=0.7)
-    np.testing.assert_allclose(np.mean(apart, axis=0), 0.0, atol=0.15)
-
-
-def test_a_window_is_the_crop_of_the_whole():
-    rectifier = Rectifier(camera_model(640, 480, K, *LENSES[0]))
-    images = ball(CENTRE)
-    whole = rectifier.cut(*images, Region(0, 0, 640, 480))
-    part = rectifier.cut(*images, Region(300, 150, 96, 80))
-    for a, b in zip(whole, part, strict=True):
-        np.testing.assert_array_equal(a[150:230, 300:396], b)
 
 
 @pytest.mark.parametrize("model", ["plumb_bob", "rational_polynomial", "equidistant"])

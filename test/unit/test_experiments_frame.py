@@ -1,11 +1,8 @@
 """What the laboratory stands on: statistics, knobs, reports, scenarios of the spot check."""
 
-import importlib.util
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,13 +11,10 @@ from scipy.stats import bootstrap
 
 from fvs_lab import main, robustness, servo
 from fvs_lab.context import Context
-from fvs_lab.disturbances import carried_camera
-from fvs_lab.experiment import OURS, PAPER, Claim, Found, Part, above, below, either, share_above
+from fvs_lab.experiment import OURS, PAPER, Claim, Found, Part, either
 from fvs_lab.outcome import Outcome
 from fvs_lab.regimes import REGIMES, SEARCHED, search_of
 from fvs_lab.report import (
-    EXPERIMENTS,
-    LONG,
     RESULTS,
     Figure,
     Origin,
@@ -31,14 +25,13 @@ from fvs_lab.report import (
     write_report,
 )
 from fvs_lab.results import Results, table
-from fvs_lab.search import Knob, Limit, Search, Tuned, run_searches
-from fvs_lab.spot_check import SpotCheck, run_chain, scenario_of
+from fvs_lab.search import Knob, Limit, Search, run_searches
+from fvs_lab.spot_check import SpotCheck, scenario_of
 from fvs_lab.spot_check import claims as spot_check_claims
-from fvs_lab.statistics import Interval, median, ratio_of_medians, wilson
+from fvs_lab.statistics import Interval, median, ratio_of_medians
 from fvs_lab.trials import Case, Conditions, Trial, Variant, make_cases, run_trial
 from fvs_tools.demo import own_targets
 from fvs_tools.scenario import load_scenario
-from fvs_tools.score import settling_time_s
 
 INF = float("inf")
 HOME = (0.0, -1.35, 1.6, -1.75, -1.57, 0.0)
@@ -133,16 +126,6 @@ def test_a_claim_of_several_parts_names_the_one_that_decides(parts, all_of, any_
     assert either("", *some).holds is any_of
 
 
-def test_a_part_says_what_was_measured_and_asked():
-    one = below("jitter", Interval(0.0012, 0.001, 0.0015), 0.002, 1e3, unit=" mrad/s")
-    assert (one.holds, one.measured) == (True, "1.20 (1.00 to 1.50) mrad/s, asked: below 2 mrad/s")
-    assert (
-        above("x", Interval(1.1, 0.9, INF), 1.0).measured == "1.10 (0.90 to never), asked: above 1"
-    )
-    share = share_above("runs", wilson(100, 100), 0.95)
-    assert (share.holds, share.measured[:10]) == (True, "100 of 100")
-
-
 # --- the tidy table ---
 
 
@@ -164,40 +147,10 @@ def test_the_tidy_table_groups_and_pairs():
     assert first == {"who": "a", "to 5 mm, s": "2.00 (1.00 to never)"}
 
 
-def test_searches_repeat_the_cases():
-    times = np.linspace(1.0, 2.0, 7)
-    three = Results(row for search in range(3) for row in runs("a", times, search=search))
-    once = Results(runs("b", 2.0 * times))
-    assert three.median("to_5mm_s").count == 7
-    assert three.over(once, "to_5mm_s").value == 0.5
-    assert once.over(three, "to_5mm_s").below(2.1) is True
-
-
 # --- settling ---
 
 
-def test_settled_means_for_good():
-    times, errors = np.arange(5.0), np.array([9.0, 1.0, 9.0, 1.0, 1.0])
-    assert settling_time_s(times, errors, 5.0) == 3.0
-    assert settling_time_s(times, errors[:3], 5.0) is None
-    assert settling_time_s(times, np.zeros(5), 5.0) == 0.0
-    assert settling_time_s(times, np.array([0.0, np.nan, 0.0, 0.0, 0.0]), 5.0) == times[2]
-    assert settling_time_s(times, np.full(5, np.nan), 5.0) is None
-
-
 # --- search ---
-
-
-def test_knobs_cover_their_range():
-    log = Knob("gain", 0.1, 10.0)
-    assert [log.value(p) for p in (0.0, 0.5, 1.0, 1.5)] == pytest.approx([0.1, 1.0, 10.0, 10.0])
-    even = Knob("gain", 0.0, 4.0, log=False)
-    assert even.value(0.25) == 1.0
-    assert log.place(1.0) == pytest.approx(0.5)
-    assert even.place(1.0) == 0.25
-    search = Search("one", PID, (even,))
-    assert search.at_an_edge({"gain": 3.9}) == ["gain"]
-    assert search.at_an_edge({"gain": 1.0}) == []
 
 
 def test_the_cost_is_settling_time_and_breaking_a_limit_costs_more_than_it_gains():
@@ -213,17 +166,6 @@ def test_the_cost_is_settling_time_and_breaking_a_limit_costs_more_than_it_gains
     assert calm < cost(outcome(failure="too slow"), *2 * [outcome(2.0)])
 
 
-def test_jitter_that_tuning_knows_is_that_of_rest():
-    """The way from 5 mm to the goal is no jitter: a search that stops too early takes it for it."""
-    (case,) = make_cases("T", 1, 10)
-    search = search_of(SEARCHED["rbf+pid"], REGIMES[2])
-    trial = search.trial({"proportional_gain_1_s": 4.0}, case, EXACT)
-    tuned = run_trial(trial)
-    scored = run_trial(replace(trial, stop_after_s=None))
-    assert tuned.settled_s == scored.settled_s
-    assert tuned.jitter_rad_s == pytest.approx(scored.jitter_rad_s, abs=1e-4)
-
-
 def test_mfac_may_be_the_proportional_law_that_it_can_be():
     """(48) is the proportional law of gain 1 / T, damped by lambda."""
     knobs = {
@@ -235,16 +177,6 @@ def test_mfac_may_be_the_proportional_law_that_it_can_be():
     assert interval.low <= 1.0 / gain.high
     assert interval.high >= 0.9 / gain.low
     assert knobs["mfac_lambda"].high >= knobs["damping"].high
-
-
-def test_what_was_tried_elsewhere_counts_if_it_keeps_the_limit():
-    limit = Limit("jitter_rad_s", 0.001)
-    search = Search("one", PID, (), limit=limit)
-    own = search.judge({"a": 1.0}, [outcome(2.0)])
-    calm = search.judge({"a": 2.0}, [outcome(1.0, jitter=0.0009)])
-    wild = search.judge({"a": 3.0}, [outcome(0.5, jitter=0.002)])
-    assert Tuned(search, [own]).best is own
-    assert Tuned(search, [own], [calm, wild]).best is calm
 
 
 def test_the_search_finds_the_gain_and_is_repeatable(tmp_path):
@@ -282,27 +214,6 @@ def test_every_scheme_has_the_same_budget_and_knobs_that_its_nodes_know():
 # --- trials ---
 
 
-def test_a_trial_is_the_same_to_the_bit_whatever_ran_before():
-    first, second = make_cases("T", 2, 6)
-    trial = Trial(first, "rbf", "ftsm", conditions=EXACT, duration_s=1.0, record=True)
-    one = run_trial(trial)
-    run_trial(Trial(second, "ukf", "mpc", conditions=EXACT, duration_s=0.5))
-    again = run_trial(trial)
-    assert one.settling_s == again.settling_s
-    np.testing.assert_array_equal(one.series["ball_m"], again.series["ball_m"])
-    other = run_trial(
-        Trial(
-            Case("", first.start_rad, first.goal_rad, 1),
-            "rbf",
-            "ftsm",
-            conditions=EXACT,
-            duration_s=1.0,
-            record=True,
-        )
-    )
-    assert np.any(one.series["ball_m"] != other.series["ball_m"])
-
-
 def test_failures_have_a_cause():
     (case,) = make_cases("T", 1, 7)
     slow = Trial(
@@ -334,21 +245,6 @@ def test_the_same_cases_come_of_the_same_seed_and_are_far_enough_apart():
         assert 0.19 < out.start_distance_m < 0.51
 
 
-def test_the_carried_camera_turns_the_jacobian_and_still_sees_the_scene():
-    from fvs_sim_node.simulation import Simulation
-
-    turned = Conditions(rendered=False, camera_turn_deg=(0.0, 20.0, 10.0))
-    with Simulation(EXACT.sim_config()) as home, Simulation(turned.sim_config()) as away:
-        angle = np.radians(np.linalg.norm(turned.camera_turn_deg))
-        relative = home.camera.rotation.T @ away.camera.rotation
-        assert np.arccos((np.trace(relative) - 1.0) / 2.0) == pytest.approx(angle)
-        np.testing.assert_allclose(
-            relative @ away.true_jacobian(HOME), home.true_jacobian(HOME), atol=1e-12
-        )
-        assert away.look().detection is not None
-    np.testing.assert_allclose(carried_camera(np.zeros(3)).rotation, home.camera.rotation)
-
-
 # --- reports ---
 
 
@@ -376,13 +272,6 @@ def test_a_report_keeps_numbers_and_the_page_keeps_pictures(tmp_path):
     assert re.search("Undecided.*claim.*1.00 .0.90 to 1.10..*ours", page, re.DOTALL)
     assert page.index("Undecided") < page.index("<details>") < page.index("data:image")
     assert "Quick run." in page
-
-
-def test_what_cannot_be_written_is_refused(tmp_path):
-    with pytest.raises(TypeError, match="object"):
-        write_report(
-            Report("a", "", "", [], data={"x": object()}), tmp_path, Origin("", "", "", False)
-        )
 
 
 # --- claims of experiments ---
@@ -440,33 +329,6 @@ def test_the_spot_checks_scenario_is_one(tmp_path):
         scenario_of(exact, targets_m, tmp_path)
 
 
-def test_the_spot_check_turns_the_nodes_camera_as_its_own():
-    from fvs_sim_node.simulation import Simulation
-
-    turned = Conditions(camera_turn_deg=(0.0, 0.0, 45.0))
-    case = Case("EXP1", HOME, HOME, 4)
-    trial = Trial(case, "rbf", "ftsm", conditions=turned)
-    given = scenario_of(trial, [], Path("results"))["fvs_sim_node"]["ros__parameters"]
-    with Simulation(turned.sim_config()) as own, Simulation(Conditions().sim_config()) as nodes:
-        nodes.rotate_camera(np.radians(given["camera_rotation_deg"]))
-        np.testing.assert_allclose(own.true_ball_position(), nodes.true_ball_position(), atol=1e-9)
-    aside = replace(trial, conditions=Conditions(camera_turn_deg=(30.0, 0.0, 0.0)))
-    with pytest.raises(ValueError, match="optical axis"):
-        scenario_of(aside, [], Path("results"))
-
-
-def test_the_spot_check_knows_the_fitted_chain():
-    from fvs_sim_node.simulation import Simulation
-
-    (case,) = make_cases("T", 1, 11)
-    with Simulation(EXACT.sim_config()) as simulation:
-        simulation.reset(case.goal_rad)
-        target_m = simulation.true_ball_position()
-    trial = Trial(case, "poe", "minimum_time", conditions=EXACT)
-    (settled_s,) = run_chain(trial, [target_m])
-    assert settled_s < 1.5
-
-
 def test_the_shift_of_the_nodes_is_seen_through_the_noise():
     lock_step = [[0.5, 1.0, 0.8], [0.6, 1.1, 0.8], [0.7, 1.2, 5.0]]
     assert SpotCheck("a", lock_step, [0.6, 1.1, 0.8], "").shift_s() == pytest.approx(0.0)
@@ -488,22 +350,6 @@ def test_own_targets_are_read_or_refused_in_words():
 
 
 # --- command line ---
-
-
-def test_all_is_without_what_takes_longer_than_all_others(tmp_path, monkeypatch):
-    ran = []
-
-    def experiment(name):
-        def run(context):
-            ran.append(name.rpartition(".")[2])
-            return Report(ran[-1], "", "", [])
-
-        return SimpleNamespace(EXPERIMENT=SimpleNamespace(run=run))
-
-    stub = SimpleNamespace(import_module=experiment, util=importlib.util)
-    monkeypatch.setattr(main, "importlib", stub)
-    assert main.main(["all", "--out", str(tmp_path)]) == 0
-    assert ran == [name for name in EXPERIMENTS if name not in LONG]
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ GOAL_RAD = START_RAD + [0.5, -0.3, 0.4, 0.3, -0.5, 0.2]
 CASE = Case("", tuple(START_RAD), tuple(GOAL_RAD), 1)
 TARGET_M = ball_position(GOAL_RAD)
 #: Of the race.
-CASES = make_cases("B", 20, 410)
+CASES = make_cases("B", 5, 410)
 TICK_S = 0.008
 
 
@@ -158,7 +158,7 @@ def test_linear_programmes_over_the_whole_motion_find_nothing_faster(case):
 
 
 def test_the_linear_programmes_find_what_there_is():
-    for case in CASES[:4]:
+    for case in CASES[:2]:
         assert outside_m(case, 1.01 * fastest(case, LIMITS, 0.005).time_s, 0.005) < 1e-5
 
 

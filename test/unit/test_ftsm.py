@@ -177,17 +177,3 @@ def test_every_finite_state_gives_a_finite_command(error, applied, discretisatio
     law = FtsmLaw(FtsmGains(discretisation=discretisation))
     out = law.command(ControlInput(np.array(error), JACOBIAN, np.array(applied), np.zeros(6), dt))
     assert np.all(np.isfinite(out.velocity_rad_s))
-
-
-@pytest.mark.parametrize(
-    ("wrong", "word"),
-    [({"k1": 0.0}, "k1"), ({"k2": -1.0}, "k2"), ({"k4": -1.0}, "k4"), ({"sigma": 0.5}, "sigma")],
-)
-def test_a_wrong_gain_is_refused_by_name(wrong: dict, word: str):
-    with pytest.raises(ValueError, match=word):
-        ReachingLaw(**wrong)
-
-
-def test_an_unknown_discretisation_is_refused_with_those_known():
-    with pytest.raises(ValueError, match="implicit, literal"):
-        FtsmGains(discretisation="explicit")

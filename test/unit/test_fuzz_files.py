@@ -174,14 +174,6 @@ def test_names_of_members_lead_nowhere(kind, tmp_path, name):
     assert [p for p in tmp_path.rglob("*") if p.is_file()] == [path]
 
 
-def test_an_archive_within_an_archive_is_no_array(kind, tmp_path):
-    load, error, good = kind
-    path = tmp_path / "file.npz"
-    path.write_bytes(pack([("inner.npz", good)]))
-    with pytest.raises(error, match=r"not a readable \.npz"):
-        load(path)
-
-
 def in_a_small_process(code, *arguments, megabytes=1500, seconds=20):
     """Run a piece of Python with little memory and time; what it prints."""
 

@@ -199,7 +199,7 @@ ENCODINGS = st.sampled_from(["rgb8", "bgra8", "16UC1", "32FC1"]) | st.text(max_s
 
 
 @given(st.data(), st.booleans())
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 def test_whatever_comes_is_an_image_of_its_size_or_an_error(data, fitting):
     width, height, step = data.draw(SIZES), data.draw(SIZES), data.draw(SIZES)
     if fitting:
@@ -220,7 +220,7 @@ def test_whatever_comes_is_an_image_of_its_size_or_an_error(data, fitting):
     st.integers(0, 500),
     st.sampled_from(["png", "rgb8; jpeg compressed bgr8", "16UC1; compressedDepth png", "32FC1"]),
 )
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 def test_a_damaged_file_is_an_image_or_an_error(file, flips, length, image_format):
     damaged = bytearray(file)
     for at, value in flips:

@@ -3,15 +3,10 @@ import pytest
 
 from fvs_ros.joints import (
     UR_JOINT_NAMES,
-    UR_PUBLISHED_NAMES,
     ForeignJointsError,
     JointMap,
     JointStateError,
 )
-
-
-def test_a_ur_publishes_the_elbow_first():
-    assert UR_PUBLISHED_NAMES[0] == "elbow_joint"
 
 
 def test_joints_come_out_in_kinematic_order_from_any_order_with_extra_joints():

@@ -72,12 +72,3 @@ def test_foxglove_asks_for_numbers_that_the_status_has():
     keys = set(re.findall(r'key=="(\w+)"', json.dumps(foxglove()).replace('\\"', '"')))
     assert "error_m" in keys
     assert keys <= build_loop(default_values()).status_values(0.0).keys()
-
-
-def test_every_panel_of_foxglove_is_placed_once():
-    layout = foxglove()
-    panels = layout["configById"]
-    placed = [one for one in strings(layout["layout"]) if "!" in one]
-    for panel in panels.values():
-        placed += [tab["layout"] for tab in panel.get("tabs", ())]
-    assert sorted(placed) == sorted(panels)

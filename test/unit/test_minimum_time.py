@@ -98,17 +98,3 @@ def test_the_goal_goes_along_with_a_moving_target():
     np.testing.assert_allclose((arm.joints - before) @ free, 25 * DT_S * 0.1, rtol=0.1)
     arm.run(50)
     np.testing.assert_allclose((arm.joints - before) @ free, 25 * DT_S * 0.1, rtol=0.1)
-
-
-def test_what_is_new_is_looked_for_longer_than_what_an_image_corrects():
-    arm = Following(away_from_home())
-
-    def asked(images, way_m=0.0, told=0):
-        before = Counting.asked
-        arm.target, arm.told = arm.target + [0.0, way_m, 0.0], arm.told + told
-        arm.run(4 * images)
-        return Counting.asked - before
-
-    assert asked(1, 0.005, told=1) == 8
-    assert asked(10) == 20
-    assert asked(1, 0.1) == 8  # the camera was bumped

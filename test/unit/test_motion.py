@@ -30,7 +30,7 @@ def follow(one, duration_s=None, lag_s=0.0, start=HOME, events=()):
     return np.array(all_joints), np.array(commands)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("lag_s", [0.0, 0.05])
 def test_speed_acceleration_and_box_are_kept(seed, lag_s):
     one = motion(seed)
@@ -74,13 +74,6 @@ def test_a_seed_gives_the_same_path_as_ever():
     )
 
 
-def test_a_path_at_many_times_is_that_at_each():
-    times = np.linspace(0.0, 30.0, 12).reshape(3, 4)
-    for many, one in zip(motion().path(times), motion().path(times[2, 1]), strict=True):
-        assert many.shape == (3, 4, 6)
-        np.testing.assert_array_equal(many[2, 1], one)
-
-
 @pytest.mark.parametrize("half_rad", [0.02, 0.05, 0.1, 0.15])
 @pytest.mark.parametrize("seed", range(3))
 def test_the_joints_keep_out_of_step_in_narrow_boxes_too(half_rad, seed):
@@ -104,12 +97,6 @@ def test_it_visits_every_part_of_every_pair_of_joints_evenly(seed, half):
             assert counts.min() > 0.3 * counts.mean()
 
 
-def test_the_seed_decides():
-    one = follow(motion(3), 20.0)[0]
-    np.testing.assert_array_equal(one, follow(motion(3), 20.0)[0])
-    assert np.abs(one - follow(motion(4), 20.0)[0]).max() > 0.1
-
-
 def test_joint_limits_cut_the_box():
     upper = tuple(HOME + 0.2)
     one = motion(joint_max_rad=upper)
@@ -118,48 +105,6 @@ def test_joint_limits_cut_the_box():
     np.testing.assert_allclose(one.box_rad[1], HOME + 0.1)
     with pytest.raises(ValueError, match="closer than"):
         motion(joint_max_rad=tuple(HOME - 1.0))
-
-
-def test_a_joint_without_range_stands_still():
-    _, commands = follow(motion(joint_range_rad=(0.6, 0.0, 0.5, 0.5, 0.5, 0.0)), 30.0)
-    assert np.all(commands[:, [1, 5]] == 0.0)
-
-
-def test_it_returns_when_told_and_goes_on_when_told():
-    one = motion(2)
-    joints, commands = follow(
-        one,
-        120.0,
-        events=(
-            (20.0, lambda _t, _q: one.return_home()),
-            (28.0, one.resume),
-        ),
-    )
-    home = np.abs(joints[round(27.9 / DT_S)] - HOME).max()
-    assert home < 0.01
-    assert np.abs(commands[round(27.9 / DT_S)]).max() < 0.05
-    assert np.abs(np.diff(commands, axis=0)).max() / DT_S <= 3.0 + 1e-9
-    later = joints[round(28.0 / DT_S) : round(110.0 / DT_S)]
-    assert np.ptp(later, axis=0).min() > 0.8
-
-
-@pytest.mark.parametrize("lag_s", [0.0, 0.05])
-def test_it_comes_home_early_when_told(lag_s):
-    one = motion(1)
-    events = [(17.0, lambda t, _q: one.end_early(t))]
-    joints, commands = follow(one, 24.0, lag_s, events=events)
-    assert 17.0 < one.duration_s < 22.0
-    assert one.done(24.0, joints[-1])
-    assert not np.any(np.abs(commands[-1]) > 0.01)
-    assert np.abs(np.diff(commands, axis=0)).max() / DT_S <= 3.0 + 1e-9
-    one.end_early(119.0)
-    assert one.duration_s < 22.0
-
-
-def test_told_to_end_when_it_is_coming_home_it_does_not_take_longer():
-    one = motion(1)
-    one.end_early(119.0)
-    assert one.duration_s == 120.0
 
 
 def test_a_measurement_that_is_not_finite_stops_the_arm():

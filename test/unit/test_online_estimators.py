@@ -252,14 +252,6 @@ def test_from_zero_it_needs_no_model_and_else_says_so(method):
         create_estimator(method)
 
 
-@pytest.mark.parametrize("method", ONLINE)
-def test_a_returned_jacobian_is_the_callers_to_keep(method):
-    estimator = create_estimator(method, random_model(), {})
-    estimator.jacobian(HOME)[:] = np.nan
-    estimator.covariance[:] = np.nan
-    assert np.all(np.isfinite(learn(estimator, random_steps(np.random.default_rng(15), 3))))
-
-
 # --- the registry ---
 
 

@@ -1,5 +1,3 @@
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
@@ -43,12 +41,6 @@ def test_ball_and_joint_motion_belong_to_the_same_exposures(late_s):
         np.testing.assert_allclose(step.joints_rad, middle, atol=1e-12)
 
 
-def test_consecutive_steps_touch():
-    steps = feed(StepPairing(), 0.0, 1.0)
-    for before, after in pairwise(steps):
-        assert after.start_stamp_s == pytest.approx(before.stamp_s)
-
-
 def test_a_ball_ahead_of_the_joints_waits_for_them():
     pairing = StepPairing()
     pairing.add_joints(0.0, joints_at(0.0))
@@ -67,12 +59,6 @@ def test_waiting_is_bounded():
         matcher.add_ball(0.03 * k, ball_at(0.03 * k))
     assert matcher.dropped == 6
     assert "no joint state" in matcher.last_reason
-
-
-def test_a_step_needs_joint_motion_and_waits_for_it():
-    pairing = StepPairing(min_step_rad=0.05)
-    steps = feed(pairing, 0.0, 2.0)
-    assert all(0.05 <= np.abs(s.d_joints_rad).max() < 0.05 + 0.4 / 30 + 1e-9 for s in steps)
 
 
 def test_a_still_arm_makes_no_steps_and_the_anchor_moves_on():
@@ -112,18 +98,6 @@ def test_no_step_across_a_gap_in_the_joint_states():
     assert not [s for s in steps if s.start_stamp_s < 0.6 and s.stamp_s > 0.9]
     assert not [s for s in steps if 0.6 < s.stamp_s < 0.89]
     assert pairing.matcher.dropped > 0
-
-
-@pytest.mark.parametrize("shift_s", [-0.033, 0.0])
-def test_repeated_and_older_stamps_restart_the_pairing(shift_s):
-    pairing = StepPairing()
-    feed(pairing, 0.0, 1.0)
-    pairing.add_joints(1.0, joints_at(1.0))
-    pairing.add_ball(1.0, ball_at(1.0))
-    pairing.add_joints(1.2, joints_at(1.2))
-    assert pairing.add_ball(1.0 + shift_s, ball_at(1.0) + 1.0) == []
-    pairing.add_joints(1.21, joints_at(1.21))
-    assert pairing.add_ball(1.2, ball_at(1.2)) == []
 
 
 def test_frozen_stamps_never_make_a_step():

@@ -2,7 +2,6 @@
 
 import contextlib
 import importlib.util
-import shutil
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -20,8 +19,8 @@ from scipy.spatial.transform import Rotation
 from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_sim_node.kinematics import flange_pose
 from fvs_sim_node.ur5_urdf import urdf_text
-from fvs_tools.bag import ERRORS, NOTES, Bag, Message, SimulatedTime, knows
-from fvs_tools.viewing import Viewing, read_joints
+from fvs_tools.bag import NOTES, Bag, Message, SimulatedTime
+from fvs_tools.viewing import Viewing
 
 #: Bool(data=True) as it is on the wire, little endian.
 TRUE = bytes([0, 1, 0, 0, 1])
@@ -188,21 +187,6 @@ def test_the_metadata_tells_counts_qualities_and_notes(tmp_path):
     assert offered[0]["deadline"] == {"sec": 9223372036, "nsec": 854775807}
 
 
-def test_a_folder_that_was_removed_is_one_of_the_errors(tmp_path):
-    one = bag(tmp_path)
-    one.write(Message("/running", BOOL, 1, TRUE), [profile()])
-    shutil.rmtree(tmp_path / "bag")
-    with pytest.raises(ERRORS):
-        one.close()
-    with pytest.raises(ERRORS, match="not open"):
-        one.write(Message("/running", BOOL, 1, TRUE))
-
-
-def test_only_types_that_can_be_described_are_known():
-    assert knows("visualization_msgs/msg/MarkerArray")
-    assert not knows("unknown_msgs/msg/Thing")
-
-
 # --- what a viewer needs ---
 
 
@@ -304,30 +288,6 @@ def urdf(kind, more=""):
         f'{more}</joint><ros2_control><joint name="j"><state_interface name="position"/></joint>'
         "</ros2_control></robot>"
     )
-
-
-def test_a_joint_that_slides_does_so_along_its_own_axis():
-    slid = read_joints(urdf("prismatic", '<axis xyz="2 0 0"/>'))["j"].at(0.5)
-    np.testing.assert_allclose(slid.translation_m, [1.0, 2.5, 3.0], atol=1e-12)
-    np.testing.assert_allclose(slid.rotation.as_quat(), [0.0, 0.0, 0.5**0.5, 0.5**0.5])
-
-
-def test_an_origin_turns_about_fixed_axes_one_after_the_other():
-    text = urdf("fixed").replace("0 0 1.57", "1.5707963267948966 0 1.57")
-    turned = read_joints(text)["j"].rotation.as_matrix()
-    # The child's y looks up, its z where the parent's x does.
-    np.testing.assert_allclose(turned[:, 1], [0.0, 0.0, 1.0], atol=1e-12)
-    np.testing.assert_allclose(turned[:, 2], [1.0, 0.0, 0.0], atol=1e-12)
-
-
-def test_a_joint_that_is_unknown_floats_or_is_not_finite_is_left_out(viewing):
-    for kind, name, position in (
-        ("revolute", "other", 0.0),
-        ("revolute", "j", float("nan")),
-        ("floating", "j", 0.0),
-    ):
-        viewing.of(description(urdf(kind)))
-        assert viewing.of(joint_state(10**9, [position], [name])) is None
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from fvs_controller_node.config import default_values
 from fvs_controller_node.pseudo_inverse import DampedInverse
-from fvs_controller_node.redundancy import LeastSpeedInverse, make_inverse
+from fvs_controller_node.redundancy import LeastSpeedInverse
 from fvs_ros.limits import JointRange
 
 RNG = np.random.default_rng(7)
@@ -111,20 +110,6 @@ def test_it_does_not_jump_where_a_joint_begins_to_go_towards_its_end():
         assert np.abs(np.diff(found, axis=0)).max() < 0.12 * np.abs(found).max()
 
 
-def test_nearness_holds_on_to_what_there_is():
-    jacobian, velocity = CASES[0]
-    there = np.linalg.pinv(jacobian) @ velocity + (
-        np.eye(6) - np.linalg.pinv(jacobian) @ jacobian
-    ) @ RNG.normal(size=6)
-    inverse = LeastSpeedInverse(1e-12)
-    loose = inverse.solve(jacobian, velocity, near_rad_s=there, nearness=0.05)
-    tight = inverse.solve(jacobian, velocity, near_rad_s=there, nearness=50.0)
-    np.testing.assert_allclose(tight, there, atol=0.01)
-    assert np.linalg.norm(loose - there) > 10.0 * np.linalg.norm(tight - there)
-    for found in (loose, tight):
-        np.testing.assert_allclose(jacobian @ found, velocity, atol=1e-8)
-
-
 def test_the_way_back_to_a_posture_moves_no_ball_and_costs_little_speed():
     inverse, costs, gains = LeastSpeedInverse(1e-12), [], []
     rng = np.random.default_rng(1)
@@ -145,20 +130,3 @@ def test_the_way_back_to_a_posture_moves_no_ball_and_costs_little_speed():
     assert np.mean(gains) > 0.1
     assert np.mean(costs) < 1.2
     assert max(costs) < 1.5
-
-
-def test_nothing_leads_back_to_a_posture_while_a_joint_is_at_its_end():
-    inverse = LeastSpeedInverse(1e-4, WIDE)
-    joints, home = np.append(3.0, np.zeros(5)), np.full(6, 1.0)
-    for jacobian, velocity in CASES:
-        np.testing.assert_array_equal(
-            inverse.joint_velocity(jacobian, velocity, joints, home),
-            inverse.joint_velocity(jacobian, velocity, joints),
-        )
-
-
-def test_it_is_chosen_by_a_parameter():
-    assert isinstance(make_inverse(default_values()), DampedInverse)
-    assert isinstance(
-        make_inverse(default_values(redundancy_resolution="least_speed")), LeastSpeedInverse
-    )

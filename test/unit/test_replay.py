@@ -1,9 +1,7 @@
 """What a replay shows of recordings in which everything is known."""
 
-import importlib.util
 import json
 import resource
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +22,6 @@ from replayed_bags import (
     JOINT_AGE_S,
     START_M,
     TARGET_M,
-    TYPES,
     HandmadeBag,
     long_run,
     servo,
@@ -32,14 +29,12 @@ from replayed_bags import (
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
 
-from fvs_controller_node.reasons import State
 from fvs_lab.main import main
 from fvs_lab.replay import figures, files, story
 from fvs_lab.replay.files import BagError
 from fvs_lab.replay.page import write
 from fvs_lab.replay.predictions import prediction
 from fvs_lab.replay.reading import read
-from fvs_lab.replay.recording import Series
 from fvs_lab.replay.targets import bounds_m, judged_by, targets
 from fvs_lab.style import pyplot
 from fvs_ros.status import SILENT
@@ -185,20 +180,6 @@ def test_targets_in_quick_succession_are_one_that_moves(made, read_back, tmp_pat
     assert row[:4] == ["1, moving", "300 mm", "", ""]
 
 
-def test_a_demo_s_last_sample_is_the_demo_s_own_to_the_last_digit(recording):
-    times_s = np.array([nth // 125 + (nth % 125 * 8_000_000) * 1e-9 for nth in range(2000)])
-    still = np.tile(START_M, (2000, 1))
-    demo = {"fvs_demo_node": {"target_s": 1.6}}
-    for start_s in times_s[250:1250:7]:
-        given_s = np.array([start_s])
-        series = {
-            "true_ball": Series("/true", times_s, times_s, still),
-            "target": Series("/target", given_s, given_s, TARGET_M[None]),
-        }
-        (target,) = targets(replace(recording, series=series, scenario=demo))
-        assert target.time_s[-1] >= 1.6 > target.time_s[-2], start_s
-
-
 def cut_at(recording, since_given_s):
     """The recording as a file that ends this long after the target was given, s."""
     end_s = recording.start_s + GIVEN_S + since_given_s
@@ -234,15 +215,6 @@ def test_what_a_recording_ends_too_early_for_is_not_known(
     report = sections(cut_at(recording, ends_s), tmp_path)["targets"]
     assert report.tables[0].rows[0].count("not known") == len(not_known)
     assert report.data["targets"][0]["not_known"] == target.not_known
-
-
-def test_a_demo_s_target_of_its_whole_time_is_judged_as_by_the_demo(recording):
-    demo = {"fvs_demo_node": {"target_s": 1.5}}  # below 5 mm after 1.02 s
-    (whole,) = targets(replace(recording, scenario=demo))
-    assert whole.not_known == {}
-    assert np.isfinite([whole.numbers["settling_2mm_s"], whole.numbers["jitter_rad_s"]]).all()
-    (cut,) = targets(cut_at(replace(recording, scenario=demo), 1.4))
-    assert set(cut.not_known) == {COARSE, FINE, *LAST}
 
 
 @pytest.mark.parametrize(
@@ -286,21 +258,6 @@ def test_what_is_not_finite_or_of_another_frame_is_passed_over(tmp_path, frame_k
     assert recording.series["jacobian"].values.shape[1] == JACOBIAN.size
 
 
-@pytest.mark.parametrize("speeds", [(), np.full(6, np.nan)])
-def test_joint_states_without_velocities_keep_their_positions(
-    made, read_back, speeds, monkeypatch, tmp_path, undrawn
-):
-    with_speeds = made.joints
-    monkeypatch.setattr(made, "joints", lambda *given: with_speeds(*given[:3], speeds))
-    servo(made)
-    recording = read_back()
-    assert np.isnan(recording.series["joints"].values[:, 6:]).all()
-    assert prediction(recording).t1_m.max() < 1e-4
-    assert np.isnan(targets(recording)[0].numbers["peak_joint_speed_rad_s"])
-    sections(recording, tmp_path)
-    assert "nan" not in (tmp_path / "index.md").read_text(encoding="utf-8")
-
-
 # --- timing ---
 
 
@@ -315,17 +272,6 @@ def test_rates_ages_and_latencies(recording):
     assert np.isnan(found["/jacobian"]["median_age_ms"])
     latencies = story.command_latencies(recording.series["ball"], recording.series["commands"])
     assert np.median(latencies[1]) == pytest.approx(COMMAND_AGE_S, abs=0.004)
-
-
-def test_an_image_is_late_only_where_commands_are_sent():
-    sent_s = np.concatenate([np.arange(at_s, at_s + 2.0, 0.008) for at_s in (30.0, 50.0)])
-    came_s = np.arange(0.0, 60.0, 1 / 30)
-    commands = Series("/commands", sent_s, sent_s, np.empty((len(sent_s), 0)))
-    ball = Series("/ball", came_s, came_s - 0.04, np.empty((len(came_s), 0)))
-    arrival_s, latency_s = story.command_latencies(ball, commands)
-    assert latency_s.max() <= 0.04 + 0.008 + 1e-6
-    assert arrival_s.size == pytest.approx(2 * 60, abs=2)
-    assert ((arrival_s >= 30.0) & (arrival_s < 32.0) | (arrival_s >= 50.0)).all()
 
 
 # --- the story ---
@@ -389,48 +335,6 @@ def test_warnings_and_silences_are_events_in_order(recording):
         ("fvs_controller_node", "target ref", 1),
         ("/ball_position", "silent for", 1),
     ]
-
-
-def test_beginning_and_end_of_a_long_story_are_on_the_page_and_all_in_the_numbers(
-    tmp_path, capsys, undrawn
-):
-    made = HandmadeBag(tmp_path / "bag")
-    for k in range(200):
-        state = "HOLDING" if k % 2 else "SERVOING"
-        made.status("fvs_controller_node", 0.1 * k, f"line {k}!", state=state, reason=f"R{k % 2}")
-    made.array("jacobian", 30.0, JACOBIAN)
-    made.close()
-    assert main(["replay", str(tmp_path / "bag"), "--out", str(tmp_path / "page")]) == 0
-    shown = capsys.readouterr().out
-    page = (tmp_path / "page" / "index.md").read_text(encoding="utf-8")
-    for text in (shown, page):
-        assert "HOLDING R1 100×, " in text
-        assert "line 0!" in text
-        assert "line 199!" in text
-        assert "line 100!" not in text
-    assert "141 more in results.json" in page
-    report = json.loads((tmp_path / "page" / "happened" / "results.json").read_text())
-    states = report["data"]["states"]
-    assert [one["start_s"] for one in states[:3]] == pytest.approx([0.0, 0.1, 0.2], abs=1e-3)
-    assert len(states) == 201
-
-
-def test_every_state_has_a_colour():
-    assert set(figures.STATES) == {*State.__members__, SILENT, story.ENDED}
-
-
-def test_what_is_missing_at_the_beginning_is_on_the_page(recording, tmp_path, undrawn):
-    assert len(sections(recording, tmp_path)["happened"].setup) == 3
-    late_s = recording.start_s + GIVEN_S + 0.4
-    series = dict(recording.series)
-    for key in ("commands", "ball", "true_ball"):
-        series[key] = series[key].taking(series[key].arrival_s >= late_s)
-    *_, moved, first = sections(replace(recording, series=series), tmp_path)["happened"].setup
-    assert "the first command in the bag moves the arm" in moved
-    assert "0.4" in first
-    # The target counts from its stamp all the same.
-    (target,) = targets(replace(recording, series=series))
-    assert target.numbers["settling_5mm_s"] == pytest.approx(BELOW_5_S, abs=0.009)
 
 
 # --- predictions ---
@@ -515,16 +419,6 @@ def test_a_minute_is_shown_with_its_holds_and_few_points(made, read_back, tmp_pa
     assert max(points) < 6 * 4 * 1200 * 3
 
 
-def test_a_long_curve_is_thinned_to_its_extremes():
-    time_s = np.arange(1e5)
-    values = np.sin(time_s)
-    values[777], values[5000:6000] = 9.0, np.nan
-    x, y = figures.thinned(time_s, values)
-    assert len(x) == len(y) < 3000
-    assert np.nanmax(y) == 9.0
-    assert figures.thinned(x, y) == (x, y)
-
-
 # --- bags of all kinds ---
 
 
@@ -605,49 +499,6 @@ def test_a_file_that_ends_anywhere_is_read_up_to_there(tmp_path, bag, recording,
             read(file)
 
 
-def test_a_bag_that_was_not_copied_completely_is_read_with_its_notes(tmp_path, bag, recording):
-    folder = shutil.copytree(bag, tmp_path / "bag")
-    own = file_in(folder)
-    shutil.copy(own, folder / "another.mcap")  # none of the bag
-    assert not read(folder).cut_off
-    own.write_bytes(own.read_bytes()[:-20])  # all messages, but no index
-    found = read(folder)
-    assert found.cut_off
-    assert (found.end_s, found.scenario) == (recording.end_s, recording.scenario)
-    (folder / "metadata.yaml").unlink()
-    with pytest.raises(BagError, match=r"several files .* name one: another\.mcap, run_1\.mcap"):
-        read(folder)
-
-
-def test_messages_in_disorder_and_without_chunks_are_put_in_order(tmp_path):
-    writer = pytest.importorskip("mcap.writer")
-    kind = "std_msgs/msg/Float64MultiArray"
-    layout = TYPES.types["std_msgs/msg/MultiArrayLayout"]([], 0)
-    raw = TYPES.serialize_cdr(TYPES.types[kind](layout, JACOBIAN.reshape(-1)), kind)
-    with (tmp_path / "bag.mcap").open("wb") as file:
-        made = writer.Writer(file, use_chunking=False)
-        made.start(profile="ros2")
-        definition, _ = TYPES.generate_msgdef(kind, ros_version=2)
-        schema = made.register_schema(kind, "ros2msg", definition.encode())
-        channel = made.register_channel("/jacobian", "cdr", schema)
-        for time_s in (2, 1, 4, 3):
-            made.add_message(channel, time_s * 10**9, raw, time_s * 10**9)
-    found = read(tmp_path / "bag.mcap")  # as killed: never finished
-    assert found.cut_off
-    assert np.array_equal(found.series["jacobian"].arrival_s, [1.0, 2.0, 3.0, 4.0])
-
-
-def test_what_is_missing_is_named_with_the_way_to_get_it(tmp_path, monkeypatch, capsys):
-    find = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name: None if name == "jinja2" else find(name)
-    )
-    assert main(["replay", str(tmp_path)]) == 2
-    error = capsys.readouterr().err
-    assert ".venv/bin/pip install -c constraints.txt -e '.[record,lab]'" in error
-    assert "elsewhere, pip install jinja2\n" in error
-
-
 def test_a_remapped_topic_is_found_by_its_other_name_and_the_namespace_by_itself(tmp_path):
     remaps = {"/left/target_position": "/left/goal", "/left/ball_position": "/left/cam/jacobian"}
     made = HandmadeBag(tmp_path / "bag", namespace="/left", remaps=remaps)
@@ -660,15 +511,6 @@ def test_a_remapped_topic_is_found_by_its_other_name_and_the_namespace_by_itself
     assert recording.series["target"].topic == "/left/goal"
     assert np.array_equal(recording.series["target"].values, [TARGET_M])
     assert np.array_equal(recording.series["ball"].values, [START_M])
-
-
-@pytest.mark.parametrize("text", ["[1, 2", "words", "- a", "3"])
-def test_another_tool_s_note_is_passed_over(tmp_path, monkeypatch, text):
-    monkeypatch.setattr(yaml, "safe_dump", lambda _: text)
-    made = HandmadeBag(tmp_path / "bag", remaps={}, scenario={})
-    made.point("target_position", 0.2, 0.2, TARGET_M)
-    made.close()
-    assert "target" in read(tmp_path / "bag").series
 
 
 def two_robots(folder):
@@ -730,26 +572,8 @@ def test_a_bag_that_cannot_be_read_is_one_sentence(tmp_path, capsys, make, words
     assert error.count("\n") == 1
 
 
-def test_a_namespace_that_is_not_there_is_named(tmp_path):
-    two_robots(tmp_path / "bag")
-    assert read(tmp_path / "bag", "left").namespace == "left"
-    with pytest.raises(BagError, match="'/left', '/right'"):
-        read(tmp_path / "bag", "middle")
-
-
 def test_what_a_bag_unpacks_to_is_bounded(bag):
     before = resource.getrlimit(resource.RLIMIT_DATA)
     with files.opened(files.find(bag)), pytest.raises(MemoryError):
         np.zeros(2**30)
     assert resource.getrlimit(resource.RLIMIT_DATA) == before
-
-
-@pytest.mark.parametrize("below", [False, True])
-def test_a_page_cannot_be_written_to_a_file(tmp_path, bag, capsys, below):
-    (tmp_path / "file").touch()
-    out = tmp_path / "file" / "page" if below else tmp_path / "file"
-    assert main(["replay", str(bag), "--out", str(out)]) == 2
-    assert capsys.readouterr().err == (
-        f"fvs_experiments replay: cannot write the page to {out}: it is no folder; "
-        "name another folder by --out\n"
-    )

@@ -9,7 +9,6 @@ from fvs_controller_node.registry import LAWS
 from fvs_estimator_node.registry import ESTIMATORS
 from fvs_tools.scenario import (
     MARKERS,
-    NODE_TABLE,
     RECORDER,
     ScenarioError,
     checked_remap,
@@ -24,11 +23,6 @@ CONFIG = Path(__file__).resolve().parents[2] / "config"
 @pytest.mark.parametrize("path", sorted(CONFIG.glob("*.yaml")), ids=lambda p: p.stem)
 def test_every_scenario_passes_its_declarations(path):
     assert load_scenario(path.stem).parameters == load_scenario(str(path)).parameters
-
-
-def test_every_node_of_the_table_declares_its_parameters():
-    for name, entry in NODE_TABLE.items():
-        assert list(entry.parameters()), name
 
 
 def test_overrides_go_to_the_nodes_that_have_the_parameter():
@@ -151,19 +145,6 @@ def test_recorder_and_markers_share_frame_and_time_with_the_loop(tmp_path):
     assert started == loop.to_params_yaml()
     assert yaml.safe_load(recorded.to_params_yaml())  # text within text
     assert load_scenario("demo", markers=True).nodes == [*loop.nodes, MARKERS]
-
-
-def test_parameters_of_the_recorder_can_be_given(tmp_path):
-    given = [f"{RECORDER}:feature_frame:=eye"]
-    recorded = load_scenario("servo", given, record=str(tmp_path / "bag"))
-    assert recorded.parameters[RECORDER]["feature_frame"] == "eye"
-
-
-@pytest.mark.parametrize(
-    "rule", ["a:=b", "camera/color/image_raw:=/my/image", "~/status:=/s", "fvs_sim_node:a:=b"]
-)
-def test_a_remap_rule_passes(rule):
-    assert checked_remap(rule) == rule
 
 
 @pytest.mark.parametrize(

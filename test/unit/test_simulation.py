@@ -5,9 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fvs_detector_node.detection import BallDetection
-from fvs_detector_node.tracking import WindowTracker
-from fvs_ros.camera import Intrinsics
 from fvs_sim_node import kinematics
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.rendering import CameraPose
@@ -149,20 +146,6 @@ def test_speed_scaling_joint_lag_and_dead_time_are_live(make):
             setattr(simulation, name, bad)
 
 
-@pytest.mark.parametrize(
-    "slower",
-    [
-        {"dead_time_s": 0.06},
-        {"lag_s": 0.1},
-        {"acceleration_limit_rad_s2": 2.0},
-        {"joint_lag_s": 0.1},
-    ],
-)
-def test_each_constant_of_the_drives_is_that_of_the_configuration(make, slower):
-    usual, changed = (run(make(**one), 6, np.full(6, 0.3))[-1] for one in ({}, slower))
-    assert np.all(changed.joint_velocities_rad_s < 0.6 * usual.joint_velocities_rad_s)
-
-
 # ---------------------------------------------------------------------- the ball
 @pytest.mark.parametrize("size", [(640, 480), (320, 240)])
 def test_the_ball_comes_from_the_image(make, size):
@@ -262,23 +245,6 @@ def test_full_frames_change_nothing_and_show_the_ball_where_it_is(make):
         assert other.frame.rgb[v, u, 0] > 2 * other.frame.rgb[v, u, 1]
 
 
-def test_tracker_follows_and_gives_up():
-    camera = Intrinsics(640, 480, 615.0, 615.0, 319.5, 239.5)
-    tracker = WindowTracker(camera, 0.04)
-    assert tracker.region(0.0) is None
-    ball = BallDetection(np.array([0.1, 0.0, 1.2]), 1.0, 1.0, 0.0, 20.0)
-    tracker.update(0.0, ball)
-    assert 48 <= tracker.region(0.0).width <= 80
-    step = np.array([0.02, 0.0, 0.0])
-    moved = replace(ball, position_m=ball.position_m + step)
-    tracker.update(0.1, moved)
-    ahead = tracker.region(0.2)
-    pixel = camera.project(moved.position_m + step)
-    assert ahead.u0 + ahead.width / 2 == pytest.approx(pixel[0], abs=2.0)
-    tracker.update(0.2, None)
-    assert tracker.region(0.3) is None
-
-
 # ------------------------------------------------------------------------- truth
 def test_true_jacobian_is_the_motion_of_the_true_ball(make):
     simulation = make(rendered=False)
@@ -307,18 +273,6 @@ def test_a_bump_rotates_the_view_about_the_camera(make):
     np.testing.assert_allclose(after, turned @ before, atol=1e-12)
     np.testing.assert_allclose(simulation.true_jacobian(joints), turned @ jacobian, atol=1e-12)
     np.testing.assert_allclose(simulation.look().detection.position_m, after, atol=1e-3)
-
-
-def test_moving_the_camera_shifts_the_ball_and_keeps_the_jacobian(make):
-    simulation = make(rendered=False)
-    joints = np.array(simulation.config.initial_joints_rad)
-    before, jacobian = simulation.true_ball_position(), simulation.true_jacobian(joints)
-    shift = np.array([0.05, -0.02, 0.03])
-    simulation.move_camera(shift)
-    np.testing.assert_allclose(
-        simulation.true_ball_position(), before - simulation.camera.rotation.T @ shift
-    )
-    np.testing.assert_array_equal(simulation.true_jacobian(joints), jacobian)
 
 
 def test_an_own_camera_pose_and_other_joints(make):

@@ -136,8 +136,3 @@ def test_a_camera_that_was_turned_before_is_found_behind_wrong_stamps_too():
     assert loop.late_s == pytest.approx(0.1, abs=0.025)
     off = rotation.T @ loop.estimator.camera_rotation
     assert rotation_angle_rad(off) < np.radians(3.0)
-
-
-def test_right_stamps_stay_as_they_are():
-    assert run(0.0).late_s == 0.0
-    assert run(0.0).remark == ""

@@ -101,7 +101,3 @@ def test_a_fit_that_hangs_holds_nothing_up_and_is_killed(samples):
     assert time.monotonic() - began_s < 1.0
     stop.close()
     assert answered(stop, 16.0, samples).trouble
-
-
-def test_closing_one_that_was_never_asked_does_nothing():
-    StopCriterion(0.01).close()

@@ -45,20 +45,6 @@ def test_slopes_match_finite_differences(surface: SlidingSurface, y: float):
     assert given == pytest.approx(slope, rel=1e-5)
 
 
-def test_the_derivative_of_s_along_a_motion():
-    surface = SlidingSurface()
-
-    def at(t: float) -> tuple[float, float, float]:
-        """Error, velocity and acceleration of y = 0.1 cos 3t."""
-        return 0.1 * np.cos(3 * t), -0.3 * np.sin(3 * t), -0.9 * np.cos(3 * t)
-
-    for t in np.linspace(0.01, 2.0, 101):
-        h = 1e-7
-        after, before = at(t + h), at(t - h)
-        rate = (surface.value(*after[:2]) - surface.value(*before[:2])) / (2 * h)
-        assert surface.derivative(*at(t)) == pytest.approx(rate, rel=1e-4, abs=1e-4)
-
-
 @pytest.mark.parametrize("switch_error_m", [1e-3, 5e-3, 0.05, 0.3])
 def test_psi_rises_everywhere_and_is_odd(switch_error_m: float):
     surface = SlidingSurface(switch_error_m=switch_error_m)
@@ -67,21 +53,3 @@ def test_psi_rises_everywhere_and_is_odd(switch_error_m: float):
     assert np.all(np.diff(psi) > 0.0)
     assert surface.psi(-0.01) == -surface.psi(0.01)
     assert surface.psi(0.0) == 0.0
-
-
-@pytest.mark.parametrize(
-    ("wrong", "word"),
-    [
-        ({"alpha1": 0.0}, "alpha1"),
-        ({"alpha2": -1.0}, "alpha2"),
-        ({"alpha3": float("nan")}, "alpha3"),
-        ({"lambda1": 0.2, "lambda2": 0.3}, "exponent"),
-        ({"lambda1": 0.9, "lambda2": 0.3}, "exponent"),
-        ({"lambda2": -0.1}, "lambda2"),
-        ({"switch_error_m": 0.0}, "switch_error_m"),
-        ({"lambda3_1_m2": -1.0}, "lambda3"),
-    ],
-)
-def test_a_wrong_parameter_is_refused_by_name(wrong: dict, word: str):
-    with pytest.raises(ValueError, match=word):
-        SlidingSurface(**wrong)

@@ -6,11 +6,10 @@ import pytest
 from recordings import Recording, relative_error
 
 from fvs_estimator_node.dataset import DataSet, load_data_set, save_data_set
-from fvs_estimator_node.distilling import train_structured
 from fvs_estimator_node.model_file import load_model
 from fvs_ros.joints import UR_PUBLISHED_NAMES
 from fvs_ros.stop import EXIT_FAILURE
-from fvs_tools.train import main, report_structured
+from fvs_tools.train import main
 
 
 @pytest.fixture
@@ -77,12 +76,6 @@ def test_a_chain_teaches_the_networks(tmp_path, capsys):
     assert captured.err.startswith("note: the images show the joints of 50 ms before")
     assert [f"note: {note}" for note in trained.notes] == captured.err.splitlines()
     assert model.read_bytes() == first
-
-
-def test_images_stamped_in_time_are_no_negative_zero_late():
-    distilled = train_structured(Recording(seconds=15.0).data(), neurons=10)
-    fit = replace(distilled.fit, time_offset_s=-1e-5)
-    assert "stamped late: 0.0 +-" in report_structured(replace(distilled, fit=fit), 1.0)
 
 
 def test_interrupted_it_writes_nothing_and_says_so(data_file, tmp_path, capsys, monkeypatch):
