@@ -206,6 +206,7 @@ class RbfEstimator(FrozenRbfEstimator):
 
     learns = True
     config_type = RbfConfig
+    group = "rbf"
 
     def update(self, step: MotionStep) -> None:
         """Learn from one step; what is not finite changes nothing."""

@@ -47,7 +47,7 @@ _LAW_KNOBS = {
 }
 #: Of the estimators, the filter has a number that servoing depends on: how fast it follows the arm.
 #: The networks know the whole box, and their n1 is left alone.
-_METHOD_KNOBS = {"ukf": (Knob("ukf.process_noise", 1e-5, 1e-1, ESTIMATOR),)}
+_METHOD_KNOBS = {"ukf": (Knob("online.process_noise", 1e-5, 1e-1, ESTIMATOR),)}
 
 
 @dataclass(frozen=True)

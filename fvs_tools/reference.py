@@ -17,6 +17,7 @@ from typing import Any
 
 from fvs_controller_node.reasons import Reason, State, Stop
 from fvs_controller_node.registry import LAWS
+from fvs_estimator_node.registry import ESTIMATORS
 from fvs_ros import topics
 from fvs_ros.params import Parameter
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
@@ -125,7 +126,8 @@ def _parameter_groups(node: str) -> list[tuple[str, list[Parameter]]]:
     groups: dict[str, list[Parameter]] = {"": []}
     for parameter in NODE_TABLE[node].parameters():
         prefix, dot, _ = parameter.name.rpartition(".")
-        title = f" of method `{prefix}`" if dot else ""
+        methods = [_code(name) for name, kind in ESTIMATORS.items() if kind.group == prefix]
+        title = f" of method {', '.join(methods)}" if dot else ""
         if node == "fvs_controller_node":
             title = owners.get(parameter.name, "")
         groups.setdefault(title, []).append(parameter)

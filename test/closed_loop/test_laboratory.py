@@ -372,8 +372,8 @@ def test_tuned_values_go_where_they_belong():
     chosen = {"lkf_explored": 0.5, "lkf_model": 0.25, "rbf_tuned": 2.0}
     values = {name: one.tuned(chosen).values for name, one in estimators_study.CONTESTANTS.items()}
     for name in ("lkf_explored", "ukf_explored", "lkf_zero"):
-        assert values[name][f"{name[:3]}.process_noise"] == 0.5
-    assert values["ukf_model"]["ukf.process_noise"] == 0.25
+        assert values[name]["online.process_noise"] == 0.5
+    assert values["ukf_model"]["online.process_noise"] == 0.25
     assert values["rbf_tuned"]["rbf.n1"] == 2.0
     assert "rbf.n1" not in values["rbf"]
     assert values["lkf_fast"] == estimators_study.CONTESTANTS["lkf_fast"].values

@@ -11,6 +11,7 @@ from recordings import relative_error
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from fvs_estimator_node.collecting import GIVE_UP_S
 from fvs_estimator_node.dataset import load_data_set
 from fvs_estimator_node.model_file import load_model
 from fvs_ros import ros, topics
@@ -122,10 +123,8 @@ def test_a_collector_without_a_ball_does_not_move_and_says_why(ros_test):
     states = ros_test.collect(JointState, topics.JOINT_STATES.name)
     ros_test.spin_until(lambda: bool(states), what="the simulator")
     commands = ros_test.collect(Float64MultiArray, topics.COMMANDS.name)
-    collector = ros_test.start_node(
-        "fvs_estimator_node.collector_node", give_up_s=2.0, output_path="none.npz"
-    )
-    assert ros_test.wait(collector) == 1
+    collector = ros_test.start_node("fvs_estimator_node.collector_node", output_path="none.npz")
+    assert ros_test.wait(collector, GIVE_UP_S + 20.0) == 1
     assert "the ball is not in view (never seen)" in ros_test.output(collector)
     assert commands
     assert not any(np.any(m.data) for m in commands)

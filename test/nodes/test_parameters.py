@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from every_node import PATIENCE, start_alone, wait_until_up
+from every_node import ALONE, start_alone, wait_until_up
 from harness import Harness
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
@@ -175,7 +175,7 @@ def test_every_parameter_is_listed_with_its_default_and_nothing_else(services, n
     service = services[name]
     assert service.names() - set(BUILT_IN) == set(service.declared)
     values = service.get(service.declared)
-    expected = {p.name: p.default for p in service.declared.values()} | PATIENCE.get(name, {})
+    expected = {p.name: p.default for p in service.declared.values()} | ALONE.get(name, {})
     assert [n for n in expected if not same(values[n], expected[n])] == []
 
 

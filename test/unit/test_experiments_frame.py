@@ -318,7 +318,7 @@ def test_failures_have_a_cause():
         case,
         "lkf",
         "ftsm",
-        estimator_values={"lkf.initial": "zero"},
+        estimator_values={"online.initial": "zero"},
         conditions=EXACT,
         duration_s=1.5,
     )
@@ -426,7 +426,7 @@ def test_worlds_that_only_one_masters_tell_two_schemes_apart():
 
 def test_the_spot_checks_scenario_is_one(tmp_path):
     case = Case("EXP1", HOME, HOME, 4)
-    trial = Trial(case, "ukf", "mpc", {"ukf.process_noise": 1e-3}, {"mpc_q": 0.1})
+    trial = Trial(case, "ukf", "mpc", {"online.process_noise": 1e-3}, {"mpc_q": 0.1})
     targets_m = [(0.1, -0.2, 1.3)]
     path = tmp_path / "spot.yaml"
     path.write_text(yaml.safe_dump(scenario_of(trial, targets_m, tmp_path)))
