@@ -24,8 +24,6 @@ from fvs_tools.scenario import NODE_TABLE
 UNKNOWN = "no_such_parameter"
 #: What rclpy gives every node.
 BUILT_IN = ("use_sim_time", "start_type_description_service")
-#: Values of live texts that not every text is good for.
-EXAMPLES = {"nan_joint": "elbow_joint"}
 
 TYPES = {
     bool: RosParameter.Type.BOOL,
@@ -99,8 +97,6 @@ def other(parameter):
     """Another allowed value of a parameter, near its default."""
 
     def one(value):
-        if parameter.name in EXAMPLES:
-            return EXAMPLES[parameter.name]
         if parameter.choices:
             return next(choice for choice in parameter.choices if choice != value)
         if parameter.kind is bool:
