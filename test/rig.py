@@ -162,7 +162,7 @@ class Rig:
         self._parameters = {
             SIMULATOR: {**_LIGHT, **simulator},
             ESTIMATOR: {"model_path": str(_MODEL), **estimator},
-            CONTROLLER: {**limits, "tick_rate_hz": 50.0, **controller},
+            CONTROLLER: {**limits, "joint_state_rate_hz": 50.0, **controller},
         }
         self._wired = wires
         self._changed: set[tuple[str, str]] = set()

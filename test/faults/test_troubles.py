@@ -317,7 +317,7 @@ def test_joints_never_pass_their_limits_and_the_status_names_the_one_that_is_the
 
 def test_joint_states_at_500_hz_change_nothing(make_rig):
     rig = make_rig(
-        wires=(), simulator={"joint_state_rate_hz": 500}, controller={"tick_rate_hz": 500.0}
+        wires=(), simulator={"joint_state_rate_hz": 500}, controller={"joint_state_rate_hz": 500.0}
     )
     rig.servo()
     rig.assert_settles()

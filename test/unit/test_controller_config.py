@@ -70,10 +70,10 @@ def test_modes_of_the_sliding_mode_law():
     fixed = build_law(default_values(lambda1=0.4, lambda2=0.0))
     assert isinstance(fixed, FtsmLaw)
     assert fixed.surface.exponent(0.0) == fixed.surface.exponent(0.5) == 0.4
-    literal = build_law(default_values(discretisation="literal", lambda3_1_m2=500.0))
+    literal = build_law(default_values(discretisation="literal", switch_error_m=0.1))
     assert isinstance(literal, FtsmLaw)
     assert literal.gains.discretisation == "literal"
-    assert literal.surface.lambda3 == 500.0
+    assert literal.surface.lambda3 == pytest.approx(300.0)
 
 
 def test_the_exponent_is_fixed_and_freed_live():

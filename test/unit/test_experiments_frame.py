@@ -231,7 +231,7 @@ def test_mfac_may_be_the_proportional_law_that_it_can_be():
         for name in ("rbf+pid", "ukf+mfac")
         for knob in search_of(SEARCHED[name], REGIMES[0]).knobs
     }
-    gain, interval = knobs["proportional_gain_1_s"], knobs["mfac_interval_s"]
+    gain, interval = knobs["proportional_gain_1_s"], knobs["control_interval_s"]
     assert interval.low <= 1.0 / gain.high
     assert interval.high >= 0.9 / gain.low
     assert knobs["mfac_lambda"].high >= knobs["damping"].high
