@@ -75,7 +75,7 @@ class EstimatorNode(ros.FvsNode):
     def _use(self, v: dict[str, Any]) -> None:
         """Estimate by the method that the values name, from nothing but the model."""
         config = EstimatorConfig.from_values(v)
-        pairing = StepPairing(config.min_step_rad, config.max_latency_s)
+        pairing = StepPairing(max_latency_s=config.max_latency_s)
         self._loop = EstimationLoop(self._make_estimator(config, v), pairing)
         self._config = config
         if isinstance(self._loop.estimator, OracleEstimator) and not self._hears_truth:

@@ -38,6 +38,8 @@ class SimConfig(Parameters):
         ``position_noise_m``), several times faster, and nothing hides the ball but the image's
         border; full frames are then not to be had. With noise of 1 mm an arm comes to rest alike;
         with 0.2 mm it rests 0.1 mm nearer, as the detection's own deviation stands still with it.
+    joint_lag_s : float
+        Time constant of a further lag of the joints, behind that of the drives, s.
     encoder_noise_rad : float
         Standard deviation of white noise on each joint angle that is reported, rad.
     focal_error, depth_error : float
@@ -79,13 +81,11 @@ class SimConfig(Parameters):
         0.1,
     )
     dropout: float = parameter(0.0, "share of images that are lost", 0.0, 1.0, live=True)
-    joint_lag_s: float = parameter(
-        0.0, "further lag of the joints behind the command", 0.0, 0.5, live=True
-    )
     ball_offset_m: float = 0.09
     physics_rate_hz: float = 0.0
     camera_pose: CameraPose | None = None
     rendered: bool = True
+    joint_lag_s: float = 0.0
     encoder_noise_rad: float = 0.0
     focal_error: float = 0.0
     depth_error: float = 0.0

@@ -246,7 +246,7 @@ class SimNode(ros.FvsNode):
         """Take disturbances into use at once."""
         config, sim = SimNodeConfig.from_values(values), self._sim
         self._config = config
-        for name in ("latency_s", "depth_noise", "dropout", "joint_lag_s"):
+        for name in ("latency_s", "depth_noise", "dropout"):
             setattr(sim, name, getattr(config.simulation, name))
         sim.covered = config.camera_covered
         sim.speed_scaling = config.speed_scaling_percent / 100.0
