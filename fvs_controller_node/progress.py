@@ -29,7 +29,7 @@ class ProgressLimits(Parameters):
         "Held when an error above 20 mm has not become smaller for this time, s; half of it for an "
         "arm that does not follow, a sixth for an error that grew by half and 30 mm.",
         0.1,
-        1000.0,
+        60.0,
         live=True,
     )
 
