@@ -87,16 +87,16 @@ def steps(repeats: int) -> None:
     clock_s = iter(range(10**9))
 
     def one_image() -> None:
-        images = from_color(raw_rgb), from_depth(raw_mm, 1e-3)
+        images = from_color(raw_rgb), from_depth(raw_mm)
         detector.look(next(clock_s) / 30, *images, CameraModel(camera))
 
     rows: dict[str, Callable[[], object]] = {
         "decode rgb8": lambda: from_color(raw_rgb),
         "decode bgr8": lambda: from_color(raw_bgr),
-        "decode 16UC1": lambda: from_depth(raw_mm, 1e-3),
-        "decode 32FC1": lambda: from_depth(raw_m, 1e-3),
+        "decode 16UC1": lambda: from_depth(raw_mm),
+        "decode 32FC1": lambda: from_depth(raw_m),
         "decode jpeg": lambda: from_color(jpeg),
-        "decode compressedDepth": lambda: from_depth(png, 1e-3),
+        "decode compressedDepth": lambda: from_depth(png),
         "rectify whole image": lambda: rectifier.cut(rgb, depth, whole),
         "rectify window": lambda: rectifier.cut(rgb, depth, window),
         "search whole image": lambda: detect_ball(rgb, depth, camera, radius_m),

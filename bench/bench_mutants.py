@@ -92,7 +92,7 @@ def jacobian_is_singular(m: Machine) -> None:
 
 
 def image_is_reversed(m: Machine) -> None:
-    m.change({"growth_time_s": 50.0, "max_joint_velocity_rad_s": 0.1})
+    m.change({"stall_time_s": 60.0, "max_joint_velocity_rad_s": 0.1})
     m.work(ticks=5)
     m.show(-1.0, 600, 0.02)
 
@@ -117,14 +117,13 @@ def target_is_out_of_reach(m: Machine) -> None:
 
 def ball_swings(m: Machine) -> None:
     m.work(ticks=5)
-    m.change({"max_joint_velocity_rad_s": 0.02, "growth_time_s": 50.0})
+    m.change({"max_joint_velocity_rad_s": 0.02, "stall_time_s": 60.0})
     m.swing(0.1, 500)
 
 
 def arm_is_stuck(m: Machine) -> None:
-    m.change({"follow_time_s": 0.1})
     m.work(ticks=0)
-    m.arm("ignores", 300)
+    m.arm("ignores", 600)
 
 
 def program_stops_and_runs(m: Machine) -> None:

@@ -35,7 +35,7 @@ ODD = (
 )
 ODD_NAMES = ("gripper", "", "é", "a" * 99)
 #: What would take long otherwise, made quick.
-IMPATIENT = {"resume_within_s": 0.5, "stall_time_s": 0.6, "follow_time_s": 0.1}
+IMPATIENT = {"resume_within_s": 0.5, "stall_time_s": 0.6}
 
 FEW, TICKS = st.integers(1, 9), st.integers(0, 60)
 OFTEN = st.sampled_from([True, True, True, False])

@@ -188,7 +188,7 @@ class Promises:
 
         ignored = world.plant == "ignores" and fastest >= 0.05
         self._ignored_s += dt_s if ignored else 0.0
-        ok = self._ignored_s < values["follow_time_s"] + LATE_S
+        ok = self._ignored_s < values["stall_time_s"] / 2.0 + LATE_S
         self.keep("an arm that does not follow is held", ok, self._ignored_s)
 
     def _judge_image(self, dt_s: float) -> None:
@@ -252,7 +252,7 @@ class Errand:
         elif self._still_s > 0.5:
             self._swings_m = 0.0
         broken = {
-            "an error that grows is held": self._up_s > values["growth_time_s"] + LATE_S,
+            "an error that grows is held": self._up_s > values["stall_time_s"] / 6.0 + LATE_S,
             "an error that does not fall is held": self._since_s > values["stall_time_s"] + LATE_S,
             "a swing is held": self._swings_m > MARGIN * (0.5 + 2.0 * self._first_m),
         }

@@ -29,7 +29,7 @@ class ControllerConfig(Parameters):
         choices=tuple(LAWS),
         live=True,
     )
-    tick_rate_hz: float = parameter(
+    joint_state_rate_hz: float = parameter(
         125.0,
         "Rate of the joint states; a watchdog ticks at it when none come, Hz.",
         10.0,
@@ -42,13 +42,15 @@ class ControllerConfig(Parameters):
     )
 
 
-#: Every parameter of the node; a law's own are declared in its file.
+#: Those of the laws, declared in their files, by name: some belong to more than one law.
+_OF_LAWS = {one.name: one for law in LAWS.values() for one in law.PARAMETERS}
+#: Every parameter of the node.
 PARAMETERS = (
     *ControllerConfig.declared(),
     *SupervisorConfig.declared(),
     *PredictorConfig.declared(),
     *RedundancyConfig.declared(),
-    *(one for law in LAWS.values() for one in law.PARAMETERS),
+    *_OF_LAWS.values(),
 )
 
 

@@ -20,7 +20,20 @@ from fvs_ros.params import Parameters, parameter
 
 
 @dataclass(frozen=True)
-class MfacGains(Parameters):
+class IncrementGains(Parameters):
+    """What the laws have in common that give an increment of the joints."""
+
+    control_interval_s: float = parameter(
+        0.04,
+        "Control interval that the increment is spread over, s; less is faster.",
+        1e-3,
+        10.0,
+        live=True,
+    )
+
+
+@dataclass(frozen=True)
+class MfacGains(IncrementGains):
     """Gains of the law; a positive lambda gives a singular Jacobian a finite command."""
 
     mfac_lambda: float = parameter(
@@ -29,13 +42,6 @@ class MfacGains(Parameters):
         "moves little.",
         1e-4,
         100.0,
-        live=True,
-    )
-    mfac_interval_s: float = parameter(
-        0.04,
-        "Control interval that the increment is spread over, s; less is faster.",
-        1e-3,
-        10.0,
         live=True,
     )
 
@@ -66,6 +72,6 @@ class MfacLaw(ControlLaw):
         """Return the joint velocities for this tick, before any limit."""
         error_m = control_input.error_m
         velocity = damped_solution(
-            control_input.jacobian, -error_m / self.gains.mfac_interval_s, self.gains.mfac_lambda
+            control_input.jacobian, -error_m / self.gains.control_interval_s, self.gains.mfac_lambda
         )
         return ControlOutput(velocity, np.zeros(error_m.size), np.ones(error_m.size))

@@ -23,8 +23,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
+from fvs_controller_node.mfac import IncrementGains
 from fvs_controller_node.pseudo_inverse import damped_solution
-from fvs_ros.params import Parameters, live_parameter
+from fvs_ros.params import live_parameter
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 #: Beyond so many time constants nothing is left of the weight, in double precision.
@@ -76,7 +77,7 @@ def _moment(power: int, rate: float, horizon: float) -> float:
 
 
 @dataclass(frozen=True)
-class MpcGains(Parameters):
+class MpcGains(IncrementGains):
     """Gains of the law; a positive q gives a singular Jacobian a finite command."""
 
     mpc_horizon: float = live_parameter(
@@ -95,9 +96,6 @@ class MpcGains(Parameters):
         1e-4,
         100.0,
     )
-    mpc_interval_s: float = live_parameter(
-        0.04, "Control interval that the increment is spread over, s; less is faster.", 1e-3, 10.0
-    )
 
 
 class MpcLaw(ControlLaw):
@@ -115,7 +113,7 @@ class MpcLaw(ControlLaw):
         self.gains = one = gains or MpcGains()
         self.coefficients = mpc_coefficients(one.mpc_horizon, one.mpc_alpha, one.mpc_rho)
         a, b, c = self.coefficients
-        self._gain_1_s, self._damping = (b - c) / (a * one.mpc_interval_s), one.mpc_q / a
+        self._gain_1_s, self._damping = (b - c) / (a * one.control_interval_s), one.mpc_q / a
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> MpcLaw:

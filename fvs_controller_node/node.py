@@ -58,7 +58,7 @@ class ControllerNode(ros.FvsNode):
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._loop = build_loop(v)
         self._simulated_time = self.get_parameter("use_sim_time").value
-        self._period_s = 1.0 / v["tick_rate_hz"]
+        self._period_s = 1.0 / v["joint_state_rate_hz"]
         self._ticked_s = self.now_s()
         self._joints_s = -np.inf
         self._stamp_s: float | None = None

@@ -24,18 +24,12 @@ class ProgressLimits(Parameters):
     settled_error_m: float = parameter(
         0.005, "Settled when the error stays below this for 0.3 s, m.", 1e-5, 1.0, live=True
     )
-    growth_time_s: float = parameter(
-        1.0,
-        "Held when the error stays above its best by half of that and 30 mm for this time, s.",
-        0.05,
-        100.0,
-        live=True,
-    )
     stall_time_s: float = parameter(
         6.0,
-        "Held when an error above 20 mm has not become smaller for this time, s.",
+        "Held when an error above 20 mm has not become smaller for this time, s; half of it for an "
+        "arm that does not follow, a sixth for an error that grew by half and 30 mm.",
         0.1,
-        1000.0,
+        60.0,
         live=True,
     )
 
@@ -44,6 +38,11 @@ class ProgressLimits(Parameters):
     growth_factor, growth_m = 1.5, 0.03
     #: Errors below this are never taken for a stall.
     stall_error_m = 0.02
+
+    @property
+    def growth_time_s(self) -> float:
+        """The error may be larger than it was for this time, s: that is sure sooner."""
+        return self.stall_time_s / 6.0
 
 
 #: The best error must fall by this share of itself to count as progress.

@@ -54,9 +54,6 @@ class SupervisorConfig(Parameters):
         0.01,
         100.0,
     )
-    follow_time_s: float = live_parameter(
-        3.0, "Held when the arm does not move as commanded for this time, s.", 0.1, 100.0
-    )
     resume_within_s: float = live_parameter(
         30.0, "An arm that was held for longer needs a new start, s.", 0.5, 1e6
     )
@@ -85,6 +82,11 @@ class SupervisorConfig(Parameters):
     def joint_names(self) -> tuple[str, ...]:
         """Joints in kinematic order."""
         return self.joints.joint_names
+
+    @property
+    def follow_time_s(self) -> float:
+        """The arm may fail to move as commanded for this time, s."""
+        return 0.5 * self.progress.stall_time_s
 
     @property
     def singular_slow_m_rad(self) -> float:

@@ -49,13 +49,8 @@ class SlidingSurface(Parameters):
         1e-5,
         0.3,
     )
-    lambda3_1_m2: float = live_parameter(
-        0.0,
-        "Steepness of the exponent's switch, 1/m^2; 0 takes 3 / switch_error_m^2, with which the "
-        "exponent at zero error is within 0.5 % of lambda1 + lambda2.",
-        0.0,
-        1e9,
-    )
+    #: Steepness of the exponent's switch, 1/m^2: with 3 / Delta the exponent at zero error is
+    #: within 0.5 % of lambda1 + lambda2.
     lambda3: float = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -66,8 +61,7 @@ class SlidingSurface(Parameters):
                 "the exponent must stay above 0 and at most 1: lambda1 - lambda2 is "
                 f"{low:g}, lambda1 + lambda2 is {high:g}"
             )
-        steepness = self.lambda3_1_m2 or 3.0 / self.switch_error_m**2
-        object.__setattr__(self, "lambda3", steepness)
+        object.__setattr__(self, "lambda3", 3.0 / self.switch_error_m**2)
 
     @classmethod
     def fixed(

@@ -8,8 +8,6 @@ from fvs_detector_node.detection import BallColour
 from fvs_ros import topics
 from fvs_ros.params import Parameters, parameter
 
-RAW, COMPRESSED, COMPRESSED_DEPTH = "raw", "compressed", "compressedDepth"
-
 
 @dataclass(frozen=True)
 class DetectorConfig(Parameters):
@@ -20,15 +18,10 @@ class DetectorConfig(Parameters):
         "what stands before /color/image_raw and the others; empty: camera or camera/camera, "
         "whichever is published",
     )
-    color_transport: str = parameter(
-        RAW,
-        "raw: sensor_msgs/Image; compressed: jpeg or png on the topic that ends in /compressed",
-        choices=(RAW, COMPRESSED),
-    )
-    depth_transport: str = parameter(
-        RAW,
-        "raw: sensor_msgs/Image; compressedDepth: png on the topic that ends in /compressedDepth",
-        choices=(RAW, COMPRESSED_DEPTH),
+    compressed_images: bool = parameter(
+        False,
+        "hear the topics that end in /compressed (jpeg or png) and /compressedDepth (png): for a "
+        "camera at another computer",
     )
     ball_radius_m: float = parameter(
         0.04,
@@ -51,26 +44,12 @@ class DetectorConfig(Parameters):
         100.0,
         live=True,
     )
-    sync_tolerance_s: float = parameter(
-        0.015,
-        "largest difference of the stamps of a colour and a depth image that belong together",
-        0.0,
-        1.0,
-        live=True,
-    )
     stamp_delay_s: float = parameter(
         0.0,
         "time from the exposure of an image to its stamp (negative: stamped before); the ball's "
         "stamp is put back by it; fvs_train finds it",
         -0.5,
         0.5,
-        live=True,
-    )
-    depth_unit_m: float = parameter(
-        0.001,
-        "unit of depth images of whole numbers (16UC1); 32FC1 is always in metres",
-        1e-6,
-        0.1,
         live=True,
     )
     colour: BallColour = field(default_factory=BallColour)
@@ -81,7 +60,7 @@ PARAMETERS = DetectorConfig.declared()
 
 @dataclass(frozen=True)
 class CameraTopics:
-    """Names of a camera's topics: colour and depth images, in their transports, and CameraInfo."""
+    """Names of a camera's topics: colour and depth images, raw or compressed, and CameraInfo."""
 
     color: str
     depth: str
@@ -89,12 +68,10 @@ class CameraTopics:
 
     @classmethod
     def of(cls, prefix: str, config: DetectorConfig) -> CameraTopics:
-        """The topics below a prefix, in the transports of the node's parameters."""
+        """The topics below a prefix, as the node's parameters say."""
         color, depth = topics.COLOR_IMAGE, topics.DEPTH_IMAGE
-        if config.color_transport == COMPRESSED:
-            color = topics.COLOR_IMAGE_COMPRESSED
-        if config.depth_transport == COMPRESSED_DEPTH:
-            depth = topics.DEPTH_IMAGE_COMPRESSED
+        if config.compressed_images:
+            color, depth = topics.COLOR_IMAGE_COMPRESSED, topics.DEPTH_IMAGE_COMPRESSED
         declared = topics.CAMERA_PREFIXES[0]
         return cls(
             *(

@@ -109,7 +109,7 @@ def _sentence(thing: Rejection, radius_m: float) -> str:
     if thing.cause is Cause.WRONG_SIZE:
         return (
             f"{where} looks like a ball of {1e3 * thing.looks_m:.0f} mm radius, not "
-            f"{1e3 * radius_m:.0f} mm: check ball_radius_m and depth_unit_m, is it partly hidden, "
+            f"{1e3 * radius_m:.0f} mm: check ball_radius_m, is it partly hidden, "
             f"or {_ALIGNED}"
         )
     return f"{where} is no sphere: is it the ball, or {_ALIGNED}"

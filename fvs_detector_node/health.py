@@ -93,8 +93,7 @@ def _unpaired(pairing: Synchroniser) -> tuple[str, str]:
         )
     apart = "" if pairing.offset_s is None else f" but {1e3 * pairing.offset_s:+.1f} ms apart"
     return WAITING, (
-        f"colour and depth are not within sync_tolerance_s{apart}: start the camera with "
-        "enable_sync:=true"
+        f"colour and depth are not of one moment{apart}: start the camera with enable_sync:=true"
     )
 
 

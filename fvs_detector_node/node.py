@@ -20,7 +20,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
 from fvs_detector_node.annotate import annotate
-from fvs_detector_node.config import PARAMETERS, RAW, CameraTopics, DetectorConfig
+from fvs_detector_node.config import PARAMETERS, CameraTopics, DetectorConfig
 from fvs_detector_node.detector import Detector, Sighting
 from fvs_detector_node.health import FAULT, MISSING_S, TRACKING, Input, judge, mismatch
 from fvs_detector_node.synchroniser import Pair, Synchroniser
@@ -34,6 +34,9 @@ T = TypeVar("T")
 
 _STATUS_PERIOD_S = 0.1
 _PUBLISHERS_PERIOD_S = 1.0
+#: Largest difference of the stamps of a colour and a depth image that belong together, s: a little
+#: less than half the period of 30 images a second.
+_SYNC_TOLERANCE_S = 0.015
 #: A change of state is logged this often at most, s; the status always has it.
 _LOG_PERIOD_S = 3.0
 
@@ -54,7 +57,7 @@ class DetectorNode(ros.FvsNode):
         cv2.setNumThreads(1)  # one small image at a time: threads only cost
         self._config = DetectorConfig.from_values(self.values)
         self._detector = Detector(self._config)
-        self._pairing: Synchroniser[_Picture] = Synchroniser(self._config.sync_tolerance_s)
+        self._pairing: Synchroniser[_Picture] = Synchroniser(_SYNC_TOLERANCE_S)
         self._restarts = 0
         self._camera: CameraModel | None = None
         self._sighting: Sighting | None = None
@@ -92,11 +95,10 @@ class DetectorNode(ros.FvsNode):
     def _subscribe(self) -> None:
         """Subscribe so that messages arrive; again if topics or publishers have changed."""
         topics = self._topics
-        color = Image if self._config.color_transport == RAW else CompressedImage
-        depth = Image if self._config.depth_transport == RAW else CompressedImage
+        image = CompressedImage if self._config.compressed_images else Image
         wanted = {
-            topics.color: (color, self._on_color, self._image_qos(topics.color)),
-            topics.depth: (depth, self._on_depth, self._image_qos(topics.depth)),
+            topics.color: (image, self._on_color, self._image_qos(topics.color)),
+            topics.depth: (image, self._on_depth, self._image_qos(topics.depth)),
             topics.info: (CameraInfo, self._on_camera_info, ros.QOS_NEWEST),
         }
         for topic, (subscription, qos) in list(self._subscribed.items()):
@@ -132,8 +134,7 @@ class DetectorNode(ros.FvsNode):
             self._take(self._pairing.add_colour(ros.from_stamp(message.header.stamp), picture))
 
     def _on_depth(self, message: Any) -> None:
-        unit_m = self._config.depth_unit_m
-        pixels = self._decoded(self._topics.depth, lambda one: from_depth(one, unit_m), message)
+        pixels = self._decoded(self._topics.depth, from_depth, message)
         if pixels is not None:
             picture = _Picture(message.header, pixels)
             self._take(self._pairing.add_depth(ros.from_stamp(message.header.stamp), picture))
@@ -202,7 +203,6 @@ class DetectorNode(ros.FvsNode):
         """Take changed parameters into use at once."""
         self._config = DetectorConfig.from_values(values)
         self._detector.configure(self._config)
-        self._pairing.tolerance_s = self._config.sync_tolerance_s
 
     def _complain(self, topic: str, problem: str) -> None:
         self._problem = f"{self.resolve_topic_name(topic)}: {problem}"

@@ -71,8 +71,9 @@ class Estimator(ABC):
 
     #: Whether :meth:`update` and :meth:`observe` can change anything.
     learns: ClassVar[bool] = True
-    #: Its parameters; a node declares them with the method's name before each.
+    #: Its parameters; a node declares them with the name of their group before each.
     config_type: ClassVar[type[Parameters]] = Parameters
+    group: ClassVar[str] = ""
 
     def __init__(self) -> None:
         self.updates = self.refused = 0

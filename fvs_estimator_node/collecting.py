@@ -33,6 +33,9 @@ _MAX_TICK_S = 0.05
 _FOLLOW_TIME_S, _AGAINST_TIME_S, _AGAINST_RAD = 3.0, 0.7, 0.01
 #: A publisher without a name that is found this often in a row, four times a second, ends the run.
 _NAMELESS_LOOKS = 3
+#: After this time without joint states or without the ball the run ends with an error, s: longer
+#: than a driver or a detector takes to start, shorter than a person waits.
+GIVE_UP_S = 10.0
 
 
 class State(Enum):
@@ -200,7 +203,7 @@ class CollectionRun:
         motion, over_s = self._motion, self._moved_s - self._motion.duration_s
         if over_s >= 0.0:
             self._trouble_s = None
-            if motion.done(self._moved_s, self._joints) or over_s > self._config.give_up_s:
+            if motion.done(self._moved_s, self._joints) or over_s > GIVE_UP_S:
                 self.state, self.reason = State.DONE, f"finished{self._because()}"
         elif lost:
             motion.return_home()
@@ -261,12 +264,12 @@ class CollectionRun:
         self.state, self.reason = (State.WAITING if self._motion is None else state), reason
         if self._trouble_s is None:
             self._trouble_s = now_s
-        elif now_s - self._trouble_s > self._config.give_up_s:
+        elif now_s - self._trouble_s > GIVE_UP_S:
             if self._motion is not None and self._moved_s >= self._motion.duration_s:
                 self.state = State.DONE
                 self.reason = f"finished{self._because()}, though not back at the start: {reason}"
             else:
-                self.fail(f"gave up after {self._config.give_up_s:g} s: {reason}")
+                self.fail(f"gave up after {GIVE_UP_S:g} s: {reason}")
 
     def _late_joints(self, now_s: float) -> str:
         age_s = now_s - self._joints_s

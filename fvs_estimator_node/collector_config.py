@@ -26,12 +26,6 @@ class CollectorConfig(MotionConfig, CameraConfig):
         0.5,
     )
     seed: int = parameter(0, "seed of the motion", 0)
-    give_up_s: float = parameter(
-        10.0,
-        "after this time without joint states or without the ball it ends with an error, s",
-        1.0,
-        600.0,
-    )
 
     @property
     def box_margin_rad(self) -> float:

@@ -37,13 +37,6 @@ class EstimatorConfig(CameraConfig):
         "models/ur5_front.npz",
         "file that fvs_train has written: a path, or a name within the project's config folder",
     )
-    jacobian_rate_hz: float = parameter(62.5, "most Jacobians published a second", 1.0, 1000.0)
-    min_step_rad: float = parameter(
-        0.01,
-        "joint motion (largest joint) between two images that makes a step to learn from, rad",
-        1e-4,
-        1.0,
-    )
 
 
 PARAMETERS = (*EstimatorConfig.declared(), *JOINT_PARAMETERS, *estimator_parameters())

@@ -30,6 +30,9 @@ from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
 
 _STATUS_PERIOD_S = 0.1
 _FRESH_S = 0.2
+#: Shortest time between two Jacobians: at most every second joint state of 125 Hz, every 16 ms,
+#: less a fifth, for joint states come with jitter, and late is worse than often.
+_JACOBIAN_GAP_S = 0.8 * 0.016
 #: Longest time between two chains: who has just started learns of it soon.
 _CHAIN_PERIOD_S = 0.4
 
@@ -72,7 +75,7 @@ class EstimatorNode(ros.FvsNode):
     def _use(self, v: dict[str, Any]) -> None:
         """Estimate by the method that the values name, from nothing but the model."""
         config = EstimatorConfig.from_values(v)
-        pairing = StepPairing(config.min_step_rad, config.max_latency_s)
+        pairing = StepPairing(max_latency_s=config.max_latency_s)
         self._loop = EstimationLoop(self._make_estimator(config, v), pairing)
         self._config = config
         if isinstance(self._loop.estimator, OracleEstimator) and not self._hears_truth:
@@ -170,8 +173,7 @@ class EstimatorNode(ros.FvsNode):
 
     def _publish_jacobian(self, stamp_s: float, joints: np.ndarray) -> None:
         last = self._published_stamp_s
-        # Four fifths of the period: joint states come with jitter, and late is worse than often.
-        if last is not None and 0.0 <= stamp_s - last < 0.8 / self._config.jacobian_rate_hz:
+        if last is not None and 0.0 <= stamp_s - last < _JACOBIAN_GAP_S:
             return
         if self._no_estimate():
             return

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +24,7 @@ _BALL_SIZE = 3
 
 @dataclass(frozen=True)
 class OnlineConfig(Parameters):
-    """Settings of every online estimator."""
+    """Settings of the online estimators; each reads those that it has a use for."""
 
     initial: str = parameter(
         FROM_MODEL,
@@ -32,34 +32,39 @@ class OnlineConfig(Parameters):
         "from zero there is no estimate until something else has moved the arm.",
         choices=(FROM_MODEL, FROM_ZERO),
     )
-
-
-@dataclass(frozen=True)
-class BroydenConfig(OnlineConfig):
-    """Gain of Broyden's update."""
-
-    gain: float = parameter(
-        0.3,
-        "Share of a step's prediction error that is corrected; at 1 the new Jacobian explains the "
-        "step exactly, noise and all.",
-        1e-3,
-        1.9,
-    )
-
-
-@dataclass(frozen=True)
-class NoiseConfig(OnlineConfig):
-    """Settings of the methods that weigh the start against the measurements."""
-
     initial_deviation_m_rad: float = parameter(
         0.1,
         "Standard deviation of each entry of the initial Jacobian, m/rad; about 0.5 when it "
-        "starts from zero.",
+        "starts from zero. Of lkf, ukf and rls.",
         1e-4,
         10.0,
     )
     measurement_noise_m: float = parameter(
-        1e-3, "Standard deviation of one coordinate of a ball position, m.", 1e-6, 1.0
+        1e-3,
+        "Standard deviation of one coordinate of a ball position, m. Of lkf, ukf and rls.",
+        1e-6,
+        1.0,
+    )
+    #: By default 1e-4 (m/rad)^2 a step at 25 steps a second.
+    process_noise: float = parameter(
+        2.5e-3,
+        "Variance that each entry gains per second of motion, (m/rad)^2/s; larger follows "
+        "faster and is noisier. Of lkf and ukf.",
+        0.0,
+        10.0,
+    )
+    forgetting: float = parameter(
+        0.98,
+        "Weight of a step relative to that of the next; 0.98 remembers 50 steps. Of rls.",
+        0.5,
+        1.0,
+    )
+    gain: float = parameter(
+        0.3,
+        "Share of a step's prediction error that is corrected; at 1 the new Jacobian explains the "
+        "step exactly, noise and all. Of broyden.",
+        1e-3,
+        1.9,
     )
 
     @property
@@ -71,28 +76,6 @@ class NoiseConfig(OnlineConfig):
     def step_variance_m2(self) -> float:
         """Variance of one coordinate of a step, the difference of two positions, m^2."""
         return 2.0 * self.measurement_noise_m**2
-
-
-@dataclass(frozen=True)
-class KalmanConfig(NoiseConfig):
-    """Noise and start of a Kalman filter; by default 1e-4 (m/rad)^2 a step at 25 steps a second."""
-
-    process_noise: float = parameter(
-        2.5e-3,
-        "Variance that each entry gains per second of motion, (m/rad)^2/s; larger follows "
-        "faster and is noisier.",
-        0.0,
-        10.0,
-    )
-
-
-@dataclass(frozen=True)
-class RlsConfig(NoiseConfig):
-    """Memory and start of the least squares."""
-
-    forgetting: float = parameter(
-        0.98, "Weight of a step relative to that of the next; 0.98 remembers 50 steps.", 0.5, 1.0
-    )
 
 
 class OnlineEstimator(Estimator):
@@ -111,8 +94,11 @@ class OnlineEstimator(Estimator):
         If the Jacobian is to start from a model and there is none.
     """
 
-    def __init__(self, model: RbfModel | None = None, config: Any = None) -> None:
-        self.config: Any = config if config is not None else self.config_type()
+    config_type = OnlineConfig
+    group = "online"
+
+    def __init__(self, model: RbfModel | None = None, config: OnlineConfig | None = None) -> None:
+        self.config = config if config is not None else OnlineConfig()
         from_model = self.needs(self.config) == NETWORKS
         if from_model and model is None:
             raise ValueError("initial is 'model', but there is no trained model; or start at zero")
@@ -207,10 +193,9 @@ class OnlineEstimator(Estimator):
         if self._jacobian is not None and self._initial is not None:
             change = float(np.linalg.norm(self._jacobian - self._initial))
             values["jacobian_change_m_rad"] = change
-        if isinstance(self.config, NoiseConfig):
-            known = self._covariance
-            variance = self.config.initial_variance if known is None else np.diag(known).mean()
-            values["entry_deviation_m_rad"] = math.sqrt(variance)
+        covariance = self._start(1, 1) if self._covariance is None else self._covariance
+        if covariance is not None:
+            values["entry_deviation_m_rad"] = math.sqrt(np.diag(covariance).mean())
         return values
 
 
@@ -220,8 +205,6 @@ class BroydenEstimator(OnlineEstimator):
     The smallest change of J that explains a step. It has no notion of noise: the shorter a step,
     the more of a position's noise goes into J.
     """
-
-    config_type = BroydenConfig
 
     def _learned(
         self, jacobian: np.ndarray, covariance: Any, step: MotionStep
@@ -238,8 +221,6 @@ class LkfEstimator(OnlineEstimator):
     is measured by one coordinate with the same ``d_joints``. The covariance of all entries is and
     stays ``I (x) P`` with one n x n P: one small filter, not an approximation.
     """
-
-    config_type: ClassVar[type[Parameters]] = KalmanConfig
 
     def _start(self, _m: int, n: int) -> np.ndarray:
         return self.config.initial_variance * np.eye(n)
@@ -259,8 +240,6 @@ class UkfEstimator(OnlineEstimator):
     its cost. It is here because visual servoing is often compared with it. Weights as in R. van
     der Merwe, Sigma-Point Kalman Filters, 2004, with alpha 1, beta 2 and kappa 0.
     """
-
-    config_type = KalmanConfig
 
     def _start(self, m: int, n: int) -> np.ndarray:
         return self.config.initial_variance * np.eye(m * n)
@@ -302,8 +281,6 @@ class RlsEstimator(LkfEstimator):
     motion that way turned noise into a wild Jacobian. There, forgetting ends at the initial
     deviation: larger eigenvalues are cut off.
     """
-
-    config_type = RlsConfig
 
     def _learned(
         self, jacobian: np.ndarray, covariance: Any, step: MotionStep

@@ -22,7 +22,8 @@ class StepPairing:
     Parameters
     ----------
     min_step_rad : float
-        Joint motion (of the joint that moved most) that makes a step, rad.
+        Joint motion (of the joint that moved most) that makes a step, rad; by default one that
+        moves the ball by some millimetres, more than the noise of its position.
     max_latency_s : float
         That of :class:`~fvs_ros.timeline.Timeline`, s.
 

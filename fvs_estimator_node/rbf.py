@@ -110,17 +110,16 @@ def _exponent_terms(
 class RbfConfig(Parameters):
     """Numbers of the update law (17), with the paper's symbols.
 
-    Only ``gamma * n1`` and ``gamma * alpha2`` act on the weights. ``n1`` is n3 of (45), and
+    The adaptation gain Gamma is a factor of ``n1`` and ``alpha2``. ``n1`` is n3 of (45), and
     ``alpha2`` n2 where the control law is the proportional one, which publishes the error as its s.
     """
 
-    gamma: float = parameter(1.0, "Adaptation gain Gamma on both terms.", 0.0)
     n1: float = parameter(0.3, "Gain n1 on the velocity prediction error.", 0.0)
     #: 0.005 is not noticed, 0.03 costs a seventh of the speed: far from the target it moves the
-    #: Jacobian by about ``gamma alpha2 s |theta|^2 r_dot`` a second, right or not.
+    #: Jacobian by about ``alpha2 s |theta|^2 r_dot`` a second, right or not.
     alpha2: float = parameter(
         0.005,
-        "Gain alpha2 on the sliding variable; gamma times alpha2 should stay below 0.03. Negative "
+        "Gain alpha2 on the sliding variable; it should stay below 0.03. Negative "
         "is the sign as printed in (17), against which the stability proof does not hold.",
         -10.0,
         10.0,
@@ -206,6 +205,7 @@ class RbfEstimator(FrozenRbfEstimator):
 
     learns = True
     config_type = RbfConfig
+    group = "rbf"
 
     def update(self, step: MotionStep) -> None:
         """Learn from one step; what is not finite changes nothing."""
@@ -217,10 +217,10 @@ class RbfEstimator(FrozenRbfEstimator):
             error = step.d_ball_m / step.dt_s - velocity @ columns
             regressor = velocity[:, None] * theta
             energy = step.dt_s * float(np.vdot(regressor, regressor))
-            gamma = config.gamma
-            if gamma * config.n1 * energy > config.mu:
-                gamma = config.mu / (config.n1 * energy)
-            drive = gamma * step.dt_s * (config.n1 * error + config.alpha2 * step.sliding_variable)
+            share = 1.0
+            if config.n1 * energy > config.mu:
+                share = config.mu / (config.n1 * energy)
+            drive = share * step.dt_s * (config.n1 * error + config.alpha2 * step.sliding_variable)
             weights = self._weights + drive[None, :, None] * regressor[:, None, :]
             if config.k3 > 0.0:
                 rest = 0.0 if config.leak_target == "zero" else self.model.weights

@@ -39,7 +39,7 @@ def _kind_and_config(method: str, values: Mapping[str, Any]) -> tuple[type[Any],
         raise ValueError(
             f"unknown estimator method {method!r}; known are {', '.join(sorted(ESTIMATORS))}"
         ) from None
-    return kind, kind.config_type.from_values(values, f"{method}.")
+    return kind, kind.config_type.from_values(values, f"{kind.group}.")
 
 
 def needs_model(method: str, values: Mapping[str, Any]) -> bool:
@@ -86,7 +86,7 @@ def create_estimator(
             "fvs_train --method poe has written"
         )
     if needed == NETWORKS and model is None:
-        without = f", or {method}.initial to zero" if isinstance(config, OnlineConfig) else ""
+        without = f", or {kind.group}.initial to zero" if isinstance(config, OnlineConfig) else ""
         raise ValueError(
             f"estimator method {method} needs a trained model: set model_path to a file that "
             f"fvs_train has written{without}"
@@ -96,7 +96,6 @@ def create_estimator(
 
 
 def estimator_parameters() -> tuple[Parameter, ...]:
-    """The parameters of all methods, in the order of the registry."""
-    return tuple(
-        one for name, kind in ESTIMATORS.items() for one in kind.config_type.declared(f"{name}.")
-    )
+    """The parameters of all methods, each group once, in the order of the registry."""
+    groups = {kind.group: kind.config_type for kind in ESTIMATORS.values()}
+    return tuple(one for name, kind in groups.items() for one in kind.declared(f"{name}."))

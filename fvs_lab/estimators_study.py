@@ -35,14 +35,14 @@ IGNORANCE_M_RAD = 0.5
 
 # ---- contestants ----------------------------------------------------------------------------
 
-_FILTER_GRID = ("process_noise", (1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1))
-#: Each method's one free parameter, and eight values that it is tuned over.
+_FILTER_GRID = ("online.process_noise", (1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1))
+#: Each method's one free parameter of the node, and eight values that it is tuned over.
 GRIDS: Mapping[str, tuple[str, tuple[float, ...]]] = {
-    "rbf": ("n1", (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)),
+    "rbf": ("rbf.n1", (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)),
     "lkf": _FILTER_GRID,
     "ukf": _FILTER_GRID,
-    "rls": ("forgetting", (0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98)),
-    "broyden": ("gain", (0.03, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 0.8)),
+    "rls": ("online.forgetting", (0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98)),
+    "broyden": ("online.gain", (0.03, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 0.8)),
 }
 
 
@@ -74,7 +74,7 @@ class Contestant:
     @property
     def parameter(self) -> str:
         """The node's parameter that may be tuned."""
-        return f"{self.method}.{GRIDS[self.method][0]}"
+        return GRIDS[self.method][0]
 
     def with_value(self, value: float) -> Contestant:
         """The same with another value of that parameter."""
@@ -90,9 +90,9 @@ def _started(method: str, start: str, tuned_as: str = "") -> Contestant:
     name = f"{method}_{start}"
     values: dict[str, Any] = {}
     if start != "model":
-        values[f"{method}.initial"] = "zero"
+        values["online.initial"] = "zero"
         if method != "broyden":  # which has no notion of how wrong it may be
-            values[f"{method}.initial_deviation_m_rad"] = IGNORANCE_M_RAD
+            values["online.initial_deviation_m_rad"] = IGNORANCE_M_RAD
     label = {"lkf": "LKF", "ukf": "UKF", "rls": "RLS", "broyden": "Broyden"}[method]
     words = {"explored": "explored", "model": "networks' start", "zero": "from zero"}[start]
     hears = start == "explored"

@@ -37,7 +37,7 @@ _LAW_KNOBS = {
         Knob("k4", 0.005, 0.5),
     ),
     "proportional": (Knob("proportional_gain_1_s", 0.3, 60.0), Knob("damping", 1e-6, 1e-2)),
-    "mfac": (Knob("mfac_lambda", 1e-4, 3.0), Knob("mfac_interval_s", 0.015, 3.0)),
+    "mfac": (Knob("mfac_lambda", 1e-4, 3.0), Knob("control_interval_s", 0.015, 3.0)),
     "mpc": (
         Knob("mpc_horizon", 1.5, 60.0),
         Knob("mpc_alpha", 0.3, 1.0, log=False),
@@ -47,7 +47,7 @@ _LAW_KNOBS = {
 }
 #: Of the estimators, the filter has a number that servoing depends on: how fast it follows the arm.
 #: The networks know the whole box, and their n1 is left alone.
-_METHOD_KNOBS = {"ukf": (Knob("ukf.process_noise", 1e-5, 1e-1, ESTIMATOR),)}
+_METHOD_KNOBS = {"ukf": (Knob("online.process_noise", 1e-5, 1e-1, ESTIMATOR),)}
 
 
 @dataclass(frozen=True)

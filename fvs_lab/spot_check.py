@@ -189,7 +189,7 @@ def scenario_of(trial: Trial, targets_m: Targets, results: Path) -> Mapping[str,
             "the nodes have a rendered camera, turned about its optical axis at most: about "
             "another one, the scene would be out of its sight"
         )
-    same = ("latency_s", "depth_noise", "position_noise_m", "joint_lag_s")
+    same = ("latency_s", "depth_noise", "position_noise_m")
     nodes = {
         "fvs_sim_node": {
             "seed": trial.case.seed,

@@ -249,7 +249,7 @@ COLOR_IMAGE = Topic(
     "Colour image, rgb8; drawn only while a node subscribes.",
     {SIM: _RELIABLE},
     {
-        DETECTOR: End((Qos.RELIABLE,), ("color_transport", "raw")),
+        DETECTOR: End((Qos.RELIABLE,), ("compressed_images", False)),
         DEMO: _AT_THE_END,
         DASHBOARD: _WHILE_WATCHED,
     },
@@ -261,21 +261,21 @@ DEPTH_IMAGE = Topic(
     "Depth in the colour image's pixels, 16UC1 in mm (0 is unknown) or 32FC1 in m; "
     "drawn only while a node subscribes.",
     {SIM: _RELIABLE},
-    {DETECTOR: End((Qos.RELIABLE,), ("depth_transport", "raw"))},
+    {DETECTOR: End((Qos.RELIABLE,), ("compressed_images", False))},
     also_from=_CAMERA,
 )
 COLOR_IMAGE_COMPRESSED = Topic(
     f"{COLOR_IMAGE.name}/compressed",
     "sensor_msgs/msg/CompressedImage",
     "The colour image as jpeg or png.",
-    subscribers={DETECTOR: End((Qos.RELIABLE,), ("color_transport", "compressed"))},
+    subscribers={DETECTOR: End((Qos.RELIABLE,), ("compressed_images", True))},
     also_from=_CAMERA,
 )
 DEPTH_IMAGE_COMPRESSED = Topic(
     f"{DEPTH_IMAGE.name}/compressedDepth",
     "sensor_msgs/msg/CompressedImage",
     "The depth image as png.",
-    subscribers={DETECTOR: End((Qos.RELIABLE,), ("depth_transport", "compressedDepth"))},
+    subscribers={DETECTOR: End((Qos.RELIABLE,), ("compressed_images", True))},
     also_from=_CAMERA,
 )
 CAMERA_INFO = Topic(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import ceil
 from typing import TYPE_CHECKING
 
 from fvs_ros.camera import CAMERA_FRAME, Intrinsics
@@ -13,7 +14,10 @@ from fvs_sim_node.objects import TABLE, SceneObject
 if TYPE_CHECKING:  # it needs the physics engine
     from fvs_sim_node.rendering import CameraPose
 
-ALPHABETICAL, KINEMATIC, SHUFFLED = "alphabetical", "kinematic", "shuffled"
+#: Physics steps a second, at least.
+_PHYSICS_RATE_HZ = 500.0
+#: Focal length of a D435's colour camera over the image's width.
+_FOCAL_SHARE = 615.0 / 640.0
 
 
 @dataclass(frozen=True)
@@ -22,6 +26,11 @@ class SimConfig(Parameters):
 
     Parameters
     ----------
+    ball_offset_m : float
+        Ball centre beyond the flange, m.
+    physics_rate_hz : float
+        Physics steps a second, a whole multiple of ``joint_state_rate_hz``; 0 takes the least one
+        from 500 on.
     camera_pose : CameraPose, optional
         An own pose, in place of a named one.
     rendered : bool
@@ -29,6 +38,8 @@ class SimConfig(Parameters):
         ``position_noise_m``), several times faster, and nothing hides the ball but the image's
         border; full frames are then not to be had. With noise of 1 mm an arm comes to rest alike;
         with 0.2 mm it rests 0.1 mm nearer, as the detection's own deviation stands still with it.
+    joint_lag_s : float
+        Time constant of a further lag of the joints, behind that of the drives, s.
     encoder_noise_rad : float
         Standard deviation of white noise on each joint angle that is reported, rad.
     focal_error, depth_error : float
@@ -45,10 +56,6 @@ class SimConfig(Parameters):
         HOME_JOINTS_RAD, "joints at start and after ~/reset", -6.3, 6.3, size=len(HOME_JOINTS_RAD)
     )
     ball_radius_m: float = parameter(0.04, "radius of the ball", 0.01, 0.2)
-    ball_offset_m: float = parameter(0.09, "ball centre beyond the flange", 0.0, 0.5)
-    physics_rate_hz: float = parameter(
-        500.0, "physics steps a second, a whole multiple of joint_state_rate_hz", 100.0, 2000.0
-    )
     joint_state_rate_hz: float = parameter(
         125.0, "joint states a second (500 on an e-series)", 10.0, 1000.0
     )
@@ -56,9 +63,6 @@ class SimConfig(Parameters):
     image_rate_hz: float = parameter(30.0, "images a second", 1.0, 120.0)
     image_width: int = parameter(640, "image width, pixels", 64, 1920)
     image_height: int = parameter(480, "image height, pixels", 48, 1080)
-    focal_length_px: float = parameter(
-        0.0, "focal length, pixels; 0: a D435's, 615 for a width of 640", 0.0, 3000.0
-    )
     dead_time_s: float = parameter(0.008, "delay from command to motion", 0.0, 0.5)
     acceleration_limit_rad_s2: float = parameter(
         15.0, "acceleration limit of the drives", 0.1, 1000.0
@@ -77,11 +81,11 @@ class SimConfig(Parameters):
         0.1,
     )
     dropout: float = parameter(0.0, "share of images that are lost", 0.0, 1.0, live=True)
-    joint_lag_s: float = parameter(
-        0.0, "further lag of the joints behind the command", 0.0, 0.5, live=True
-    )
+    ball_offset_m: float = 0.09
+    physics_rate_hz: float = 0.0
     camera_pose: CameraPose | None = None
     rendered: bool = True
+    joint_lag_s: float = 0.0
     encoder_noise_rad: float = 0.0
     focal_error: float = 0.0
     depth_error: float = 0.0
@@ -89,6 +93,9 @@ class SimConfig(Parameters):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if not self.physics_rate_hz:
+            least = ceil(_PHYSICS_RATE_HZ / self.joint_state_rate_hz) * self.joint_state_rate_hz
+            object.__setattr__(self, "physics_rate_hz", least)
         steps = self.physics_rate_hz / self.joint_state_rate_hz
         if abs(steps - round(steps)) > 1e-9 or steps < 1.0:
             raise ValueError(
@@ -105,7 +112,7 @@ class SimConfig(Parameters):
     def intrinsics(self) -> Intrinsics:
         """The camera's."""
         width, height = self.image_width, self.image_height
-        focal = self.focal_length_px or 615.0 * width / 640.0
+        focal = _FOCAL_SHARE * width
         return Intrinsics(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
 
 
@@ -142,25 +149,8 @@ class SimNodeConfig(Parameters):
         size=3,
         live=True,
     )
-    joint_state_order: str = parameter(
-        ALPHABETICAL,
-        "order of the joints in joint_states",
-        choices=(ALPHABETICAL, KINEMATIC, SHUFFLED),
-        live=True,
-    )
-    extra_joints: str = parameter(
-        "", "further joints mixed into joint_states (a gripper's), names separated by spaces"
-    )
-    nan_joint: str = parameter(
-        "",
-        "a joint, by its name in joint_states, whose position is NaN; empty for none",
-        live=True,
-    )
     program_running: bool = parameter(
         True, "false: the robot's program is paused, the arm stands", live=True
-    )
-    announce_program_running: bool = parameter(
-        True, "false: a pause is not announced; the arm just does not follow", live=True
     )
     speed_scaling_percent: float = parameter(
         100.0, "the driver's speed slider", 0.0, 100.0, live=True

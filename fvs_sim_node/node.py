@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 
 from fvs_ros import ros, topics
 from fvs_ros.joints import UR_JOINT_NAMES
-from fvs_sim_node.config import ALPHABETICAL, KINEMATIC, PARAMETERS, SimNodeConfig
+from fvs_sim_node.config import PARAMETERS, SimNodeConfig
 from fvs_sim_node.frame_worker import FrameWorker
 from fvs_sim_node.observation import BallObservation, Frame, SimStep
 from fvs_sim_node.simulation import Simulation
@@ -52,11 +52,8 @@ class SimNode(ros.FvsNode):
         self._frame = config.feature_frame
         self._sim = Simulation(config.simulation)
         self._camera_home = self._sim.camera
-        self._shuffle = np.random.default_rng(config.simulation.seed)
-        self._names = [config.tf_prefix + name for name in UR_JOINT_NAMES]
-        self._names += config.extra_joints.split()
-        if len(set(self._names)) < len(self._names):
-            raise ValueError(f"extra_joints: a name comes twice in {self._names}")
+        self._order = np.argsort(UR_JOINT_NAMES)  # as a UR's broadcaster sends them
+        self._names = [config.tf_prefix + UR_JOINT_NAMES[i] for i in self._order]
         self._refusal = ""
         self._late = 0
         self._watched = False
@@ -173,24 +170,14 @@ class SimNode(ros.FvsNode):
     # --- outputs ---
 
     def _publish_joints(self, stamp_s: float, step: SimStep) -> None:
-        order = np.arange(len(self._names))
-        if self._config.joint_state_order == ALPHABETICAL:
-            order = np.argsort(self._names)
-        elif self._config.joint_state_order != KINEMATIC:
-            order = self._shuffle.permutation(len(self._names))
-        # Extra joints stand at zero. They have a position only, and the broadcaster puts NaN where
-        # a joint lacks an interface. A motor current stands in `effort`; this arm's weighs nothing.
-        own = step.joints_rad.size
-        positions = np.zeros(len(self._names))
-        velocities, currents = np.full((2, len(self._names)), np.nan)
-        positions[:own], velocities[:own] = step.joints_rad, step.joint_velocities_rad_s
-        currents[:own] = 0.0
-        if self._config.nan_joint:
-            positions[self._names.index(self._config.nan_joint)] = np.nan
         message = ros.to_joint_state(
-            stamp_s, [self._names[i] for i in order], positions[order], velocities[order]
+            stamp_s,
+            self._names,
+            step.joints_rad[self._order],
+            step.joint_velocities_rad_s[self._order],
         )
-        message.effort = currents[order].tolist()
+        # A motor current stands in `effort`; this arm weighs nothing.
+        message.effort = [0.0] * len(self._names)
         self._joint_states.publish(message)
 
     def _publish_observation(self, seen: BallObservation) -> None:
@@ -258,10 +245,8 @@ class SimNode(ros.FvsNode):
     def on_parameters(self, values: dict[str, Any], changed: set[str]) -> None:
         """Take disturbances into use at once."""
         config, sim = SimNodeConfig.from_values(values), self._sim
-        if config.nan_joint and config.nan_joint not in self._names:
-            raise ValueError(f"nan_joint: there is no joint {config.nan_joint}, only {self._names}")
         self._config = config
-        for name in ("latency_s", "depth_noise", "dropout", "joint_lag_s"):
+        for name in ("latency_s", "depth_noise", "dropout"):
             setattr(sim, name, getattr(config.simulation, name))
         sim.covered = config.camera_covered
         sim.speed_scaling = config.speed_scaling_percent / 100.0
@@ -272,9 +257,9 @@ class SimNode(ros.FvsNode):
             self._camera_pose.publish(
                 ros.to_pose(self.ros_s(), frame, pose.position_m, pose.quaternion_xyzw)
             )
-        self._play_program(config.program_running, config.announce_program_running)
+        self._play_program(config.program_running)
 
-    def _play_program(self, running: bool, announce: bool) -> None:
+    def _play_program(self, running: bool) -> None:
         """Do as a UR's driver when the robot's program stops, and when it is back.
 
         The driver deactivates the velocity controller, so that its command is lost, and later
@@ -287,7 +272,7 @@ class SimNode(ros.FvsNode):
             if self._paused_active:
                 self._sim.activate()
             self._paused_active = None
-        if announce and running != self._announced:
+        if running != self._announced:
             self._announced = running
             self._program_running.publish(Bool(data=running))
 

@@ -110,7 +110,7 @@ class DemoNode(ros.FvsNode):
         self._records[-1].add_position(stamp_s, position_m)
 
     def _report(self, number: int, record: demo.TargetRecord) -> None:
-        one = demo.score(record, self._config.settle_error_m)
+        one = demo.score(record)
         text = "not settled"
         if one.settling_5mm_s is not None:
             text = f"settled after {one.settling_5mm_s:.2f} s"
@@ -123,7 +123,7 @@ class DemoNode(ros.FvsNode):
 
     def _poll(self) -> None:
         now_s = self.steady_s()
-        if not self._records and now_s - self._began_s > self._config.start_timeout_s:
+        if not self._records and now_s - self._began_s > demo.START_TIMEOUT_S:
             reason = self._reason or "no status from the controller; is it running?"
             print(f"the loop did not get ready: {self._state} {reason}", flush=True)
             self.exit_code = stop.EXIT_FAILURE
@@ -157,8 +157,7 @@ class DemoNode(ros.FvsNode):
         )
 
     def _conclude(self) -> None:
-        settle_error_m = self._config.settle_error_m
-        scores = [demo.score(record, settle_error_m) for record in self._records]
+        scores = [demo.score(record) for record in self._records]
         folder = Path(self._config.output_dir)
         image_rgb = None
         if self._image is None:
@@ -168,8 +167,8 @@ class DemoNode(ros.FvsNode):
                 self._image.height, self._image.width, 3
             )
         demo.write_results(folder, self._records, scores)
-        demo.draw(folder / "demo.png", self._records, settle_error_m, image_rgb, self._intrinsics)
-        print(f"\n{demo.table(scores, settle_error_m)}\n", flush=True)
+        demo.draw(folder / "demo.png", self._records, image_rgb, self._intrinsics)
+        print(f"\n{demo.table(scores)}\n", flush=True)
         print(f"figure: {folder / 'demo.png'}", flush=True)
         settled = all(one.settling_5mm_s is not None for one in scores)
         self.exit_code = stop.EXIT_OK if settled else stop.EXIT_FAILURE

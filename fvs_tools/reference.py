@@ -17,6 +17,7 @@ from typing import Any
 
 from fvs_controller_node.reasons import Reason, State, Stop
 from fvs_controller_node.registry import LAWS
+from fvs_estimator_node.registry import ESTIMATORS
 from fvs_ros import topics
 from fvs_ros.params import Parameter
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
@@ -121,13 +122,17 @@ def _end(node: str, topic: Topic, end: End) -> tuple[str, ...]:
 
 def _parameter_groups(node: str) -> list[tuple[str, list[Parameter]]]:
     """Parameters of all, then those of one method or one law alone."""
-    owners = {p.name: f" of law `{law}`" for law, kind in LAWS.items() for p in kind.PARAMETERS}
+    owners: dict[str, list[str]] = {}
+    for law, kind in LAWS.items():
+        for parameter in kind.PARAMETERS:
+            owners.setdefault(parameter.name, []).append(_code(law))
     groups: dict[str, list[Parameter]] = {"": []}
     for parameter in NODE_TABLE[node].parameters():
         prefix, dot, _ = parameter.name.rpartition(".")
-        title = f" of method `{prefix}`" if dot else ""
-        if node == "fvs_controller_node":
-            title = owners.get(parameter.name, "")
+        methods = [_code(name) for name, kind in ESTIMATORS.items() if kind.group == prefix]
+        title = f" of method {', '.join(methods)}" if dot else ""
+        if node == "fvs_controller_node" and parameter.name in owners:
+            title = f" of law {', '.join(owners[parameter.name])}"
         groups.setdefault(title, []).append(parameter)
     return list(groups.items())
 

@@ -12,10 +12,8 @@ from fvs_ros import topics
 from fvs_ros.topics import resolve
 from fvs_tools.scenario import NODE_TABLE
 
-#: What keeps a node running that has nobody to talk to.
-PATIENCE: dict[str, dict[str, Any]] = {
-    "fvs_collector_node": {"give_up_s": 600.0},
-    "fvs_demo_node": {"start_timeout_s": 600.0},
+#: What a node needs that runs beside others and has no one to talk to.
+ALONE: dict[str, dict[str, Any]] = {
     "fvs_dashboard": {"port": 0},
     "fvs_recorder_node": {"images": False},  # nobody shall have to draw any
 }
@@ -55,11 +53,11 @@ class LoneNode:
 
 def start_alone(harness: Harness, name: str, namespace: str, **parameters: Any) -> LoneNode:
     """Start a node in a namespace; ``wait_until_up`` before relying on it."""
-    node = LoneNode(name, namespace, {**PATIENCE.get(name, {}), **parameters})
+    node = LoneNode(name, namespace, {**ALONE.get(name, {}), **parameters})
     arguments = ["--ros-args", "-r", f"__ns:=/{namespace}"]
     for key, value in node.given.items():
         arguments += ["-p", f"{key}:={str(value).lower() if isinstance(value, bool) else value}"]
-    harness.start(NODE_TABLE[name].module, *arguments)
+    harness.start("patient_node", NODE_TABLE[name].module, *arguments)
     return node
 
 

@@ -16,7 +16,7 @@ from geometry_msgs.msg import PointStamped
 from harness import Harness
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 from wire import PREFIX, Wire
 
@@ -46,13 +46,14 @@ TARGET, OTHER_TARGET = (-0.15, 0.09, 1.58), (0.16, 0.20, 1.67)
 
 #: Slower joint states than a UR's, so that four processes do not fill two small cores, and what a
 #: test sees late is what the test made late.
-_LIGHT = {"joint_state_rate_hz": 50, "physics_rate_hz": 250}
+_LIGHT = {"joint_state_rate_hz": 50}
 
 _MODEL = Path(__file__).resolve().parents[1] / "config" / "models" / "ur5_front.npz"
 _RELAYED = {
     topics.JOINT_STATES.name: JointState,
     topics.BALL_POSITION.name: PointStamped,
     topics.JACOBIAN.name: Float64MultiArray,
+    topics.ROBOT_PROGRAM_RUNNING.name: Bool,
 }
 _DECLARED = {
     SIMULATOR: {p.name: p.default for p in SIMULATOR_PARAMETERS},
@@ -161,7 +162,7 @@ class Rig:
         self._parameters = {
             SIMULATOR: {**_LIGHT, **simulator},
             ESTIMATOR: {"model_path": str(_MODEL), **estimator},
-            CONTROLLER: {**limits, "tick_rate_hz": 50.0, **controller},
+            CONTROLLER: {**limits, "joint_state_rate_hz": 50.0, **controller},
         }
         self._wired = wires
         self._changed: set[tuple[str, str]] = set()

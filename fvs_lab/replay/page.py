@@ -13,7 +13,7 @@ from fvs_controller_node.reasons import State
 from fvs_lab.replay import figures, story
 from fvs_lab.replay.predictions import prediction
 from fvs_lab.replay.recording import Recording
-from fvs_lab.replay.targets import Target, bounds_m, judged_by, targets
+from fvs_lab.replay.targets import BOUNDS_M, Target, judged_by, targets
 from fvs_lab.report import Figure, Heading, Origin, Report, Table, write_page, write_report
 from fvs_ros.status import SILENT
 from fvs_ros.version import version
@@ -63,7 +63,7 @@ def _happened(recording: Recording, found: Sequence[Target], folder: Path) -> Re
     states = [one._asdict() for one in story.states(recording)]
     events = [one._asdict() for one in story.events(recording)]
     limits = story.limit_shares(recording)
-    figures.overview(recording, found, bounds_m(recording), folder / "overview.png")
+    figures.overview(recording, found, BOUNDS_M, folder / "overview.png")
     times = {"from, s": "{start_s:.2f}", "for, s": "{length_s:.2f}"}
     tables = _table(
         "The controller’s states and reasons.",
@@ -124,7 +124,7 @@ def _how_targets_went(recording: Recording, found: Sequence[Target]) -> str:
         return "There is no target with a ball position after it in the bag."
     times_s = [one.numbers["settling_5mm_s"] for one in found if not one.moving]
     settled_s = [one for one in times_s if one is not None and np.isfinite(one)]
-    bound_mm = 1e3 * bounds_m(recording)[0]
+    bound_mm = 1e3 * BOUNDS_M[0]
     words = f"{len(settled_s)} of {len(times_s)} targets settled within {bound_mm:g} mm"
     if settled_s:
         words += f", after {np.median(settled_s):.2f} s (median), {max(settled_s):.2f} s (longest)"
@@ -170,7 +170,7 @@ def _what_is_missing(recording: Recording, found: Sequence[Target]) -> list[str]
 
 
 def _targets(recording: Recording, found: Sequence[Target], folder: Path) -> Report:
-    ball, bounds = judged_by(recording), bounds_m(recording)
+    ball = judged_by(recording)
     if ball is None:
         setup = ["Neither the true nor the measured position of the ball is in the bag."]
     elif "true_ball" in recording.series:
@@ -179,14 +179,14 @@ def _targets(recording: Recording, found: Sequence[Target], folder: Path) -> Rep
         setup = [f"Judged by the measured position, {ball.topic}, whose noise lengthens the path."]
     drawn = []
     if found:
-        panel = figures.errors(found, [0.0] * len(found), bounds)
+        panel = figures.errors(found, [0.0] * len(found), BOUNDS_M)
         figures.panels(folder / "errors.png", [panel], "time since the target was given, s")
         figures.paths(found, folder / "paths.png")
         drawn = [
             Figure("errors.png", "Distance of the ball to each target since it was given."),
             Figure("paths.png", "The ball’s paths from their starts (dots) to the targets (+)."),
         ]
-    coarse, fine = (f"to {1e3 * one:g} mm" for one in bounds)
+    coarse, fine = (f"to {1e3 * one:g} mm" for one in BOUNDS_M)
     columns = {
         "start": ("start_distance_m", 1e3, "{:.0f} mm"),
         coarse: ("settling_5mm_s", 1.0, "{:.2f} s"),

@@ -10,9 +10,11 @@ import numpy as np
 
 from fvs_controller_node.target_motion import TargetMotion
 from fvs_lab.replay.recording import Recording, Series
-from fvs_tools.demo import FINE_ERROR_M, PARAMETERS, judge
+from fvs_tools.demo import FINE_ERROR_M, PARAMETERS, SETTLED_ERROR_M, judge
 from fvs_tools.score import jitter_rad_s
 
+#: The two bounds of settling, m: the demo's.
+BOUNDS_M = (SETTLED_ERROR_M, FINE_ERROR_M)
 _DEMO = "fvs_demo_node"
 _SETTLING = ("settling_5mm_s", "settling_2mm_s")
 #: Stamps closer than this are of one moment, s: seconds as floating point lose the last digits.
@@ -62,11 +64,6 @@ class Target:
     not_known: Mapping[str, str]
 
 
-def bounds_m(recording: Recording) -> tuple[float, float]:
-    """The two bounds of settling, m: that of the recorded demo, or its default, and a finer one."""
-    return float(recording.started(_DEMO, PARAMETERS)["settle_error_m"]), FINE_ERROR_M
-
-
 def judged_by(recording: Recording) -> Series | None:
     """The ball positions to judge by: the true ones where the bag has them."""
     return recording.series.get("true_ball") or recording.series.get("ball")
@@ -81,7 +78,6 @@ def targets(recording: Recording) -> list[Target]:
     joints = None if joints is None else joints.by_time()
     commands, time_s = recording.series.get("commands"), ball.time_s
     target_s = recording.started(_DEMO, PARAMETERS)["target_s"]
-    settle_error_m, _ = bounds_m(recording)
     of_demo = _DEMO in recording.scenario
     runs = _taken(recording, _runs(given, time_s))
     starts_s = [*(run.stamp_s[0] for run, _ in runs), np.inf]
@@ -93,7 +89,7 @@ def targets(recording: Recording) -> list[Target]:
             end_s = min(end_s, time_s[later]) if later < len(time_s) else end_s
         chosen = slice(*np.searchsorted(time_s, [start_s, np.nextafter(end_s, np.inf)]))
         if len(time_s[chosen]):
-            target = _judge(ball.taking(chosen), run, joints, commands, settle_error_m)
+            target = _judge(ball.taking(chosen), run, joints, commands)
             given_whole = bool(target.time_s[-1] >= target_s)
             replaced = bool(np.isfinite(end_s))
             if not (of_demo and given_whole):  # else the demo's own verdict
@@ -157,9 +153,7 @@ def _taken(recording: Recording, runs: Sequence[Series]) -> list[tuple[Series, f
     return found
 
 
-def _judge(
-    way: Series, run: Series, joints: Series | None, commands: Series | None, settle_error_m: float
-) -> Target:
+def _judge(way: Series, run: Series, joints: Series | None, commands: Series | None) -> Target:
     """Judge the way to one target by its ball positions; all but the target in order of time."""
     start_s, end_s = run.stamp_s[0], way.time_s[-1]
     time_s = way.time_s - start_s
@@ -170,7 +164,7 @@ def _judge(
         speeds_rad_s = joints.values[_between(joints.time_s, start_s, end_s)]
         speeds_rad_s = speeds_rad_s[:, joints.values.shape[1] // 2 :]
         speeds_rad_s = speeds_rad_s[np.isfinite(speeds_rad_s).all(axis=1)]
-    numbers: dict[str, float | None] = asdict(judge(time_s, errors_m, speeds_rad_s, settle_error_m))
+    numbers: dict[str, float | None] = asdict(judge(time_s, errors_m, speeds_rad_s))
     del numbers["slowed"]
     if not speeds_rad_s.size:
         numbers["peak_joint_speed_rad_s"] = np.nan

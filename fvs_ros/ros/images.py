@@ -17,6 +17,8 @@ from fvs_ros.ros.messages import MessageError
 
 #: Depth beyond this, or not finite, is no depth, m.
 MAX_DEPTH_M = 100.0
+#: Unit of whole-number depth, m, by REP 118.
+_DEPTH_UNIT_M = np.float32(1e-3)
 #: Largest side and number of pixels of an image that is decoded.
 MAX_SIDE_PX, MAX_PIXELS = 8192, 16_000_000
 
@@ -67,16 +69,14 @@ def from_color(message: Image | CompressedImage) -> np.ndarray:
     return pixels if conversion is None else cv2.cvtColor(pixels, conversion)
 
 
-def from_depth(message: Image | CompressedImage, unit_m: float) -> np.ndarray:
+def from_depth(message: Image | CompressedImage) -> np.ndarray:
     """Depth of an image.
 
     Parameters
     ----------
     message : Image or CompressedImage
-        ``16UC1`` or ``mono16``, in units of ``unit_m`` with 0 for none, or ``32FC1``, in metres
-        with NaN for none; or these as ``ENCODING; compressedDepth png``.
-    unit_m : float
-        Unit of whole-number depth, m.
+        ``16UC1`` or ``mono16``, in mm with 0 for none, or ``32FC1``, in m with NaN for none; or
+        these as ``ENCODING; compressedDepth png``.
 
     Returns
     -------
@@ -96,11 +96,8 @@ def from_depth(message: Image | CompressedImage, unit_m: float) -> np.ndarray:
         kind = np.dtype(order + _DEPTH_TYPES[message.encoding])
         depth = _rows(message, kind.itemsize).view(kind).reshape(message.height, message.width)
     if depth.dtype.kind == "u":
-        metres = np.multiply(depth, np.float32(unit_m), dtype=np.float32)
-        if 65535.0 * unit_m < MAX_DEPTH_M:
-            return metres
-    else:
-        metres = depth.astype(np.float32)
+        return np.multiply(depth, _DEPTH_UNIT_M, dtype=np.float32)
+    metres = depth.astype(np.float32)
     # Written so that NaN, too, is out.
     metres[~((metres > 0.0) & (metres < MAX_DEPTH_M))] = 0.0
     return metres

@@ -24,7 +24,6 @@ def test_collecting_ends_when_the_arm_is_known_and_training_finds_its_jacobian(r
         "output_path": data_path,
         # Fewer exchanges for a simulated second than a UR's.
         "joint_state_rate_hz": 50,
-        "physics_rate_hz": 250,
     }
     arguments = (word for name in given for word in ("-p", f"{name}:={given[name]}"))
     process = ros_test.start(LAUNCHER, "collect_minute", *arguments)
@@ -61,7 +60,7 @@ def children(process):
 
 
 def test_a_worker_that_is_killed_neither_stops_nor_jerks_the_arm(ros_test):
-    simulated = {"joint_state_rate_hz": 50, "physics_rate_hz": 250, "simulated_time": True}
+    simulated = {"joint_state_rate_hz": 50, "simulated_time": True}
     ros_test.start_node("fvs_sim_node.node", **simulated)
     commands = ros_test.collect(Float64MultiArray, topics.COMMANDS.name, ros.QOS_EVERY)
     statuses = ros_test.collect(DiagnosticStatus, "fvs_collector_node/status")

@@ -43,7 +43,7 @@ PATIENT = (
     "joint_states_max_age_s:=1.0",
     "ball_max_age_s:=1.0",
     "jacobian_max_age_s:=1.0",
-    "follow_time_s:=30.0",
+    "stall_time_s:=60.0",
 )
 #: By software, a larger window costs more.
 SIZE = {"width": 1000, "height": 700}

@@ -210,7 +210,7 @@ def test_late_and_early_stamps_are_put_right(ros_test, delay_s):
 def test_compressed_images(ros_test, encoding):
     watched = Watched(ros_test)
     PlayedCamera(ros_test, compressed=True, encoding=encoding)
-    ros_test.start_node(NODE, color_transport="compressed", depth_transport="compressedDepth")
+    ros_test.start_node(NODE, compressed_images=True)
     for message in watched.wait_for_balls():
         np.testing.assert_allclose(position(message), CENTRE, atol=4e-3)
 
@@ -281,7 +281,7 @@ def test_parameters_are_live(beside):
     watched.wait_for("LOST", "too dark")
     assert set_parameter(beside, "min_value", 35).successful
     watched.wait_for("TRACKING")
-    refused = set_parameter(beside, "color_transport", "compressed")
+    refused = set_parameter(beside, "compressed_images", True)
     assert not refused.successful
 
 

@@ -83,7 +83,7 @@ def test_from_zero_it_learns_without_a_model(ros_test):
         ros_test,
         method="lkf",
         model_path="not_needed.npz",
-        **{"lkf.initial": "zero", "lkf.initial_deviation_m_rad": 0.5},
+        **{"online.initial": "zero", "online.initial_deviation_m_rad": 0.5},
     )
     ros_test.spin_until(
         lambda: estimator.statuses and "has seen no motion" in estimator.statuses[-1].message

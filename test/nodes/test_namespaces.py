@@ -20,7 +20,7 @@ ROBOTS = {
     "right": ("[-0.1, -1.3, 1.5, -1.7, -1.5, 0.1]", (0.16, 0.20, 1.67)),
 }
 #: Slower joint states and images, so that two robots fit on two cores.
-SLOW = ("joint_state_rate_hz:=50", "tick_rate_hz:=50.0", "image_rate_hz:=15.0")
+SLOW = ("joint_state_rate_hz:=50", "image_rate_hz:=15.0")
 
 
 class Robot:

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from every_node import PATIENCE, start_alone, wait_until_up
+from every_node import ALONE, start_alone, wait_until_up
 from harness import Harness
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
@@ -24,8 +24,6 @@ from fvs_tools.scenario import NODE_TABLE
 UNKNOWN = "no_such_parameter"
 #: What rclpy gives every node.
 BUILT_IN = ("use_sim_time", "start_type_description_service")
-#: Values of live texts that not every text is good for.
-EXAMPLES = {"nan_joint": "elbow_joint"}
 
 TYPES = {
     bool: RosParameter.Type.BOOL,
@@ -99,8 +97,6 @@ def other(parameter):
     """Another allowed value of a parameter, near its default."""
 
     def one(value):
-        if parameter.name in EXAMPLES:
-            return EXAMPLES[parameter.name]
         if parameter.choices:
             return next(choice for choice in parameter.choices if choice != value)
         if parameter.kind is bool:
@@ -175,7 +171,7 @@ def test_every_parameter_is_listed_with_its_default_and_nothing_else(services, n
     service = services[name]
     assert service.names() - set(BUILT_IN) == set(service.declared)
     values = service.get(service.declared)
-    expected = {p.name: p.default for p in service.declared.values()} | PATIENCE.get(name, {})
+    expected = {p.name: p.default for p in service.declared.values()} | ALONE.get(name, {})
     assert [n for n in expected if not same(values[n], expected[n])] == []
 
 

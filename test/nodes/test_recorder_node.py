@@ -181,7 +181,7 @@ def test_every_message_is_recorded_once(ros_test, recorder):
 
 
 def test_what_came_before_the_recorder_was_killed_is_replayed(ros_test):
-    scenario = '"{/**/fvs_demo_node: {ros__parameters: {settle_error_m: 0.02}}}"'
+    scenario = '"{/**/fvs_demo_node: {ros__parameters: {distance_m: 0.2}}}"'
     process = ros_test.start_node(RECORDER, bag_dir="bag", scenario=scenario)
     ros_test.spin_until(lambda: "recording into bag" in ros_test.output(process), what="recorder")
     status = ros_test.collect(DiagnosticStatus, f"{NAME}/status")
@@ -199,7 +199,7 @@ def test_what_came_before_the_recorder_was_killed_is_replayed(ros_test):
     found = read(bag)
     assert found.cut_off
     assert len(found.series["ball"]) == 30
-    assert found.scenario == {"fvs_demo_node": {"settle_error_m": 0.02}}
+    assert found.scenario == {"fvs_demo_node": {"distance_m": 0.2}}
 
 
 def senders(listener):

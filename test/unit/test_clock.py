@@ -61,7 +61,7 @@ def test_late_inputs_that_come_again_and_again_are_logged_once(monkeypatch, stat
     load(monkeypatch, 6)
     now_s, told = 10.0, []
     monkeypatch.setattr(DryController, "tell", lambda _self, _level, text: told.append(text))
-    given = {"autostart": state == "HOLDING", "tick_rate_hz": 125.0}
+    given = {"autostart": state == "HOLDING", "joint_state_rate_hz": 125.0}
     node = DryController(given, lambda: now_s)
     node._on_target(ros.to_point(1.0, FRAME, BALL_M))
     holds = 0

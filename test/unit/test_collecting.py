@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fvs_estimator_node.collecting import CollectionRun, State
+from fvs_estimator_node.collecting import GIVE_UP_S, CollectionRun, State
 from fvs_estimator_node.collector_config import CollectorConfig
 from fvs_estimator_node.stopping import StopCriterion
 from fvs_ros.joints import UR_JOINT_NAMES
@@ -20,7 +20,6 @@ class Cell:
             joint_range_rad=(0.3,) * 6,
             max_joint_velocity_rad_s=VELOCITY,
             max_joint_acceleration_rad_s2=ACCELERATION,
-            give_up_s=3.0,
         )
         self.run = CollectionRun(config, stop=stop)
         self.now_s, self.joints = 0.0, HOME.copy()
@@ -94,7 +93,7 @@ def test_a_trouble_that_lasts_ends_the_run_at_rest(what):
     cell = Cell()
     cell.advance(5.0)
     setattr(cell, what, False)
-    cell.advance(5.0)
+    cell.advance(GIVE_UP_S + 2.0)
     assert cell.run.state is State.FAILED
     assert cell.run.ended
     assert "gave up" in cell.run.reason
@@ -170,7 +169,7 @@ def test_joint_states_lost_at_the_very_end_do_not_lose_the_data():
     cell.run.speed_scaling(0.01)  # and slow because it was told to be
     cell.advance(2.5)
     cell.joints_come = False
-    cell.advance(5.0)
+    cell.advance(GIVE_UP_S + 2.0)
     assert cell.run.state is State.DONE
     assert "not back at the start" in cell.run.reason
     assert len(cell.run.samples) > 0.8 * DURATION_S * 31

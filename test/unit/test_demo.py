@@ -8,6 +8,6 @@ def test_a_target_that_late_inputs_slowed_is_marked():
     for record in records:
         record.add_position(1.0, np.array([0.3, 0.0, 0.0]))
         record.add_position(3.0, np.zeros(3))
-    _, punctual, slowed = table([score(one, 0.005) for one in records], 0.005).splitlines()
+    _, punctual, slowed = table([score(one) for one in records]).splitlines()
     assert punctual.endswith("rad/s")
     assert slowed.endswith("slowed: inputs came late")

@@ -73,7 +73,7 @@ def test_wrong_size_says_which(true_radius_m):
 
 def test_what_looks_like_a_wrong_size():
     rgb, depth = the_ball()
-    assert "depth_unit_m" in reason(rgb, depth * 1e-3).text
+    assert "ball_radius_m" in reason(rgb, depth * 1e-3).text
     columns = np.flatnonzero(red(rgb).any(axis=0))
     hide(rgb, depth, np.s_[:, : columns[int(0.8 * len(columns))]])
     assert "hidden" in reason(rgb, depth).text

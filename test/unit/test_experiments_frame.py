@@ -173,7 +173,7 @@ def test_mfac_may_be_the_proportional_law_that_it_can_be():
         for name in ("rbf+pid", "ukf+mfac")
         for knob in search_of(SEARCHED[name], REGIMES[0]).knobs
     }
-    gain, interval = knobs["proportional_gain_1_s"], knobs["mfac_interval_s"]
+    gain, interval = knobs["proportional_gain_1_s"], knobs["control_interval_s"]
     assert interval.low <= 1.0 / gain.high
     assert interval.high >= 0.9 / gain.low
     assert knobs["mfac_lambda"].high >= knobs["damping"].high
@@ -229,7 +229,7 @@ def test_failures_have_a_cause():
         case,
         "lkf",
         "ftsm",
-        estimator_values={"lkf.initial": "zero"},
+        estimator_values={"online.initial": "zero"},
         conditions=EXACT,
         duration_s=1.5,
     )
@@ -315,7 +315,7 @@ def test_worlds_that_only_one_masters_tell_two_schemes_apart():
 
 def test_the_spot_checks_scenario_is_one(tmp_path):
     case = Case("EXP1", HOME, HOME, 4)
-    trial = Trial(case, "ukf", "mpc", {"ukf.process_noise": 1e-3}, {"mpc_q": 0.1})
+    trial = Trial(case, "ukf", "mpc", {"online.process_noise": 1e-3}, {"mpc_q": 0.1})
     targets_m = [(0.1, -0.2, 1.3)]
     path = tmp_path / "spot.yaml"
     path.write_text(yaml.safe_dump(scenario_of(trial, targets_m, tmp_path)))

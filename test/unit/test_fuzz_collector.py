@@ -39,7 +39,6 @@ class Cell:
             joint_range_rad=(0.1,) * 6,
             max_joint_velocity_rad_s=velocity,
             max_joint_acceleration_rad_s2=acceleration,
-            give_up_s=2.0,
         )
         self.velocity, self.acceleration, self.plant = velocity, acceleration, plant
         self.run = CollectionRun(config)
@@ -100,7 +99,7 @@ class Cell:
         rng = np.random.default_rng(seed)
         if what == "jump":
             self.stamp_s += float(rng.choice([-100.0, -0.5, -0.05, 0.5, 100.0]))
-            self.now_s += float(rng.choice([0.0, 0.2, 5.0]))
+            self.now_s += float(rng.choice([0.0, 0.2, 5.0, 15.0]))
         elif what == "fail":
             self.run.fail("told to")
         for _ in range(ticks):

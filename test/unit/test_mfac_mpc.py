@@ -36,25 +36,25 @@ def test_the_mfac_increment_minimises_its_cost(damping: float):
     # |e - J dr|^2 + lambda |dr|^2 as one least squares problem; e = x_d - x
     stacked = np.vstack([JACOBIAN, math.sqrt(damping) * np.eye(6)])
     wanted = np.linalg.lstsq(stacked, np.concatenate([-ERROR_M, np.zeros(6)]), rcond=None)[0]
-    law = MfacLaw(MfacGains(damping, mfac_interval_s=1.0))
+    law = MfacLaw(MfacGains(mfac_lambda=damping, control_interval_s=1.0))
     np.testing.assert_allclose(velocity(law), wanted, rtol=1e-10)
     printed = np.linalg.solve(damping * np.eye(6) + JACOBIAN.T @ JACOBIAN, JACOBIAN.T @ -ERROR_M)
     np.testing.assert_allclose(velocity(law), printed, rtol=1e-10)
 
 
 def test_the_mfac_velocity_is_the_increment_over_the_interval_whatever_the_tick():
-    once = velocity(MfacLaw(MfacGains(0.15, 1.0)))
-    np.testing.assert_allclose(velocity(MfacLaw(MfacGains(0.15, 0.04))), once / 0.04, rtol=1e-13)
+    once = velocity(MfacLaw(MfacGains(1.0, 0.15)))
+    np.testing.assert_allclose(velocity(MfacLaw(MfacGains(0.04, 0.15))), once / 0.04, rtol=1e-13)
     np.testing.assert_array_equal(
-        velocity(MfacLaw(MfacGains(0.15, 0.04)), dt_s=0.002),
-        velocity(MfacLaw(MfacGains(0.15, 0.04)), dt_s=0.04),
+        velocity(MfacLaw(MfacGains(0.04, 0.15)), dt_s=0.002),
+        velocity(MfacLaw(MfacGains(0.04, 0.15)), dt_s=0.04),
     )
 
 
 def test_an_mfac_direction_decays_at_its_damped_rate():
     u, w, _ = np.linalg.svd(JACOBIAN)
     for k in range(3):
-        moved = JACOBIAN @ velocity(MfacLaw(MfacGains(0.15, 0.04)), u[:, k])
+        moved = JACOBIAN @ velocity(MfacLaw(MfacGains(0.04, 0.15)), u[:, k])
         np.testing.assert_allclose(moved, -(w[k] ** 2) / (w[k] ** 2 + 0.15) / 0.04 * u[:, k])
 
 
@@ -112,7 +112,7 @@ def central_gradient(function, at: np.ndarray, h: float) -> np.ndarray:
 
 @pytest.mark.parametrize("q", [0.01, 0.07, 1.0])
 def test_the_mpc_increment_minimises_its_cost(q: float):
-    law = MpcLaw(MpcGains(mpc_q=q, mpc_interval_s=1.0))
+    law = MpcLaw(MpcGains(mpc_q=q, control_interval_s=1.0))
     u = velocity(law)
 
     def cost(v: np.ndarray) -> float:
@@ -158,7 +158,7 @@ def test_the_printed_mpc_form_misses_the_minimum_unless_q_is_a_multiple_of_the_i
 
 # --- both ---
 
-LAWS = [MfacLaw(), MpcLaw(), MfacLaw(MfacGains(1e-4)), MpcLaw(MpcGains(mpc_q=1e-4))]
+LAWS = [MfacLaw(), MpcLaw(), MfacLaw(MfacGains(mfac_lambda=1e-4)), MpcLaw(MpcGains(mpc_q=1e-4))]
 SINGULAR = [
     np.zeros((3, 6)),
     np.outer([1.0, 2.0, -1.0], np.ones(6)),
@@ -194,12 +194,11 @@ def test_every_gain_in_range_gives_a_finite_command(
         name,
         default_values(
             mfac_lambda=weight,
-            mfac_interval_s=interval,
+            control_interval_s=interval,
             mpc_horizon=horizon,
             mpc_alpha=alpha,
             mpc_rho=rho,
             mpc_q=weight,
-            mpc_interval_s=interval,
         ),
     )
     out = velocity(law, error, np.array(entries).reshape(3, 6))
@@ -221,12 +220,12 @@ def test_at_the_goal_the_command_is_zero_and_there_is_no_sliding_variable(name: 
     ("law", "gain"),
     [
         ("mfac", {"mfac_lambda": 1.0}),
-        ("mfac", {"mfac_interval_s": 0.1}),
+        ("mfac", {"control_interval_s": 0.1}),
         ("mpc", {"mpc_horizon": 3.0}),
         ("mpc", {"mpc_alpha": 0.9}),
         ("mpc", {"mpc_rho": 0.5}),
         ("mpc", {"mpc_q": 1.0}),
-        ("mpc", {"mpc_interval_s": 0.1}),
+        ("mpc", {"control_interval_s": 0.1}),
     ],
 )
 def test_every_gain_acts_live(law: str, gain: dict):

@@ -50,7 +50,7 @@ def test_features_and_columns_are_equations_8_and_9():
 @pytest.mark.parametrize("target", ["offline", "zero"])
 def test_the_update_is_equation_17_by_hand(target):
     model, rng = random_model(), np.random.default_rng(2)
-    config = RbfConfig(gamma=0.7, n1=0.4, alpha2=0.2, k3=0.05, leak_target=target, mu=1.9)
+    config = RbfConfig(n1=0.4, alpha2=0.2, k3=0.05, leak_target=target, mu=1.9)
     estimator = RbfEstimator(model, config)
     for _ in range(3):
         step = random_step(rng, sliding=True)
@@ -65,7 +65,7 @@ def test_the_update_is_equation_17_by_hand(target):
                 rest = model.weights[i, j] if target == "offline" else 0.0
                 kept = math.exp(-config.k3 * step.dt_s)
                 expected[i, j] = rest + kept * (before[i, j] - rest)
-                expected[i, j] += config.gamma * step.dt_s * v[i] * theta[i] * drive
+                expected[i, j] += step.dt_s * v[i] * theta[i] * drive
         estimator.update(step)
         np.testing.assert_allclose(estimator.weights, expected, rtol=1e-9, atol=1e-12)
 
@@ -114,7 +114,7 @@ def test_a_capped_step_corrects_the_share_mu_of_the_error():
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e308])
 def test_weights_stay_finite_whatever_comes(bad):
     model, rng = random_model(), np.random.default_rng(7)
-    estimator = RbfEstimator(model, RbfConfig(gamma=100.0, n1=100.0, mu=1.9))
+    estimator = RbfEstimator(model, RbfConfig(n1=1e4, mu=1.9))
     good = random_step(rng)
     for name in ("dt_s", "joints_rad", "d_joints_rad", "d_ball_m", "sliding_variable"):
         value = {**good.__dict__}

@@ -35,7 +35,7 @@ from fvs_lab.replay.files import BagError
 from fvs_lab.replay.page import write
 from fvs_lab.replay.predictions import prediction
 from fvs_lab.replay.reading import read
-from fvs_lab.replay.targets import bounds_m, judged_by, targets
+from fvs_lab.replay.targets import judged_by, targets
 from fvs_lab.style import pyplot
 from fvs_ros.status import SILENT
 from fvs_tools.bag import Bag, Message
@@ -424,13 +424,13 @@ def test_a_minute_is_shown_with_its_holds_and_few_points(made, read_back, tmp_pa
 
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 def test_a_folder_and_its_one_file_are_read_alike(tmp_path, storage):
-    scenario = {**DEMO, "fvs_demo_node": {"settle_error_m": 0.02, "target_s": 3.0}}
+    scenario = {**DEMO, "fvs_demo_node": {"distance_m": 0.2, "target_s": 3.0}}
     folder = tmp_path / "bag"
     made = HandmadeBag(folder, storage, scenario=scenario, remaps={"/target_position": "/goal"})
     servo(made, target="goal")
     made.close()
     whole, lone = read(folder), read(file_in(folder))
-    assert bounds_m(lone)[0] == bounds_m(whole)[0] == 0.02
+    assert lone.scenario["fvs_demo_node"]["distance_m"] == 0.2
     assert (lone.scenario, lone.version) == (whole.scenario, "0.1.0")
     assert lone.series["target"].topic == whole.series["target"].topic == "/goal"
     assert {name: len(one) for name, one in lone.topics.items()} == {

@@ -77,7 +77,7 @@ def test_latency_is_live_and_the_image_rate_from_a_reset_on(make):
 @pytest.mark.parametrize(
     ("bad", "said"),
     [
-        ({"joint_state_rate_hz": 120.0}, "whole multiple"),
+        ({"joint_state_rate_hz": 120.0, "physics_rate_hz": 500.0}, "whole multiple"),
         ({"image_rate_hz": 0.0}, "image_rate_hz"),
         ({"initial_joints_rad": (0.0,)}, "initial_joints_rad"),
         ({"dead_time_s": -0.1}, "dead_time_s"),
