@@ -190,23 +190,6 @@ def test_an_overtaken_target_is_passed_over_whether_the_newer_one_stands_or_move
     np.testing.assert_allclose(loop.supervisor.target_m, newer, atol=1e-9)
 
 
-def test_a_target_without_a_stamp_overtakes_none(servoing):
-    loop, first = servoing.loop, np.array([0.1, 0.0, 1.1])
-    assert loop.add_target(first, FRAME)[0]
-    stamp_s = servoing.now_s - 0.01
-    for _ in range(10):
-        servoing.tick()
-    accepted, text = loop.add_target(first + [0.04, 0.0, 0.0], FRAME, stamp_s)
-    assert accepted
-    assert "passed over" not in text
-    for _ in range(50):
-        servoing.tick()
-    np.testing.assert_allclose(loop.supervisor.target_m, first + [0.04, 0.0, 0.0], atol=1e-9)
-    assert loop.add_target(first + [0.04, 0.01, 0.0], FRAME, servoing.now_s)[0]
-    servoing.tick()
-    np.testing.assert_allclose(loop.supervisor.target_m, first + [0.04, 0.01, 0.0], atol=1e-9)
-
-
 def test_the_current_position_as_target_overtakes_what_was_told_of_before(servoing):
     loop = servoing.loop
     assert loop.set_current_as_target(servoing.now_s)[0]
