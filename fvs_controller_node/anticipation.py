@@ -55,7 +55,7 @@ class Anticipation:
         closing = -float(shifted.error_m @ (shifted.jacobian @ velocity))
         if closing <= 0.0:
             return output._replace(brakes=True)
-        # On this course the error is gone after so long, and the joint has gone so far.
+        # On this course the error is gone after this time, and the joint has gone that far.
         to_go_s = float(shifted.error_m @ shifted.error_m) / closing
         limit = braking_speed_within(fastest * to_go_s, self._acceleration, shifted.dt_s)
         if limit < fastest:

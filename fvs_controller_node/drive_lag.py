@@ -4,8 +4,8 @@ A drive that answers a velocity late by T is behind the commanded path by T time
 ``r_commanded - r = T u + constant``. Both sides, freed of what is slow, are compared over time.
 It does not matter whether T is dead time, lag or the age of the joint states.
 
-So the joints are known before they are measured, but for that constant. At rest it is averaged, so
-that the noise of the encoders does not become motion.
+So the joints are known before they are measured, except for that constant. At rest it is averaged,
+so that the noise of the encoders does not become motion.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class DriveLag:
 
     def __init__(self) -> None:
         self.lag_s, self._known = _FIRST_S, _FIRST
-        self._told = History()  # the path as commanded
+        self._commanded = History()  # the path as commanded
         self._constant: np.ndarray | None = None
         self._joints: np.ndarray | float = 0.0
         self._behind: np.ndarray | float = 0.0
@@ -46,15 +46,15 @@ class DriveLag:
 
     def pending_rad(self) -> np.ndarray:
         """Motion that was commanded and is still to come, rad, shape (n,) or (1,)."""
-        told, done = self._told.newest, self._done(self.lag_s)
-        if told is None or done is None:
-            return np.zeros(1) if told is None else np.zeros_like(told)
-        return told - done
+        commanded, done = self._commanded.newest, self._done(self.lag_s)
+        if commanded is None or done is None:
+            return np.zeros(1) if commanded is None else np.zeros_like(commanded)
+        return commanded - done
 
     def _done(self, late_s: float) -> np.ndarray | None:
-        """The path that had been commanded so long ago, rad, shape (n,)."""
-        newest_s = self._told.newest_stamp_s
-        return None if newest_s is None else self._told.at(newest_s - late_s)
+        """The path that had been commanded a lag ago, rad, shape (n,)."""
+        newest_s = self._commanded.newest_stamp_s
+        return None if newest_s is None else self._commanded.at(newest_s - late_s)
 
     def add(
         self,
@@ -68,27 +68,27 @@ class DriveLag:
         Parameters
         ----------
         stamp_s : float
-            Its stamp, s: the times of arrival jitter, and would feign a lag.
+            Its stamp, s: the times of arrival jitter, which would look like a lag.
         command_rad_s : ndarray, shape (n,)
             The command in force since the one before, rad/s.
         joints_rad : ndarray, shape (n,)
             Joint positions, rad.
         compare : bool
             Whether the arm goes as it is told; one with its speed slider down, or moved by somebody
-            else, does not, and would feign a lag as well.
+            else, does not, which would look like a lag as well.
 
         Returns
         -------
         ndarray, shape (n,)
             Joint positions with less noise where the arm goes as it is told, rad.
         """
-        before_s, told = self._told.newest_stamp_s, self._told.newest
+        before_s, commanded = self._commanded.newest_stamp_s, self._commanded.newest
         moved, self._joints = joints_rad - self._joints, joints_rad
-        if before_s is None or told is None:
-            self._told.add(stamp_s, np.zeros_like(joints_rad))
+        if before_s is None or commanded is None:
+            self._commanded.add(stamp_s, np.zeros_like(joints_rad))
             return joints_rad
         dt_s = stamp_s - before_s
-        went_on = self._told.add(stamp_s, told + dt_s * command_rad_s)
+        went_on = self._commanded.add(stamp_s, commanded + dt_s * command_rad_s)
         if dt_s <= 0.0 or not (went_on and compare):
             self._constant = None
             return joints_rad

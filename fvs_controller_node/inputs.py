@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from fvs_controller_node.reasons import Finding, Reason
 
-#: What a source said of itself holds for so long, s.
+#: Time for which a source's own words count, s.
 _SAID_S = 2.0
 
 

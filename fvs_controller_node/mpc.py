@@ -28,7 +28,7 @@ from fvs_controller_node.pseudo_inverse import damped_solution
 from fvs_ros.params import live_parameter
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
-#: Beyond so many time constants nothing is left of the weight, in double precision.
+#: Beyond this count of time constants nothing is left of the weight, in double precision.
 _TIME_CONSTANTS = 60.0
 
 

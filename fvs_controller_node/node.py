@@ -28,12 +28,12 @@ from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
 _STATUS_PERIOD_S = 0.1
 _LOOK_PERIOD_S = 0.5
 _NEVER_RAN = "no robot_program_running yet: start the robot program if the arm does not move"
-#: Own commands that are remembered, to tell a rival's from them.
+#: Own commands that are remembered, to tell another node's from them.
 _SENT = 64
-#: Without a joint state for so many tick periods the watchdog ticks in its place.
+#: Tick periods without a joint state after which the watchdog ticks in its place.
 _WATCHDOG_PERIODS = 2.5
-#: What passes by itself is logged so seldom, s, or when it lasts for so long, s.
-_TOLD_AGAIN_S, _LASTS_S = 10.0, 1.0
+#: Least time between two log lines of what passes by itself, s; it is logged when it lasts, s.
+_LOG_AGAIN_S, _LASTS_S = 10.0, 1.0
 _LATE = (Reason.STALE, Reason.RETURNING)
 #: A latched target is heard by both subscriptions, within this.
 _TARGET_ECHO_S = 0.5
@@ -65,16 +65,16 @@ class ControllerNode(ros.FvsNode):
         self._late = 0
         self._heard_target: tuple | None = None
         self._heard_target_s = -np.inf
-        self._untold = ""  # of a target that moves, where it was accepted last
+        self._unlogged = ""  # of a target that moves, where it was accepted last
         self._refusal = ""
-        self._rivals = ""
+        self._conflicting = ""
         self._silence = ""  # of a driver that has never said whether the robot program runs
-        self._hears_rivals = False
+        self._hears_others = False
         self._sent: deque[tuple[float, ...]] = deque(maxlen=_SENT)
         self._command: Command | None = None
         self._reason_s = -np.inf  # since when it is the reason
-        self._told: Reason | None = None
-        self._told_passing_s = -np.inf
+        self._logged: Reason | None = None
+        self._logged_passing_s = -np.inf
 
         self._commands = self.create_publisher(
             Float64MultiArray, topics.COMMANDS.name, ros.QOS_RELIABLE
@@ -172,7 +172,7 @@ class ControllerNode(ros.FvsNode):
         seldom = now_s - self._heard_target_s > _TARGET_ECHO_S
         self._heard_target, self._heard_target_s = heard, now_s
         position_m = np.array([point.x, point.y, point.z])
-        if again and not self._loop.supervisor.was_told(position_m):
+        if again and not self._loop.supervisor.was_set(position_m):
             return  # another target has been set since, which this was not meant to undo
         accepted, text = self._loop.add_target(
             position_m, message.header.frame_id, ros.from_stamp(stamp)
@@ -180,8 +180,8 @@ class ControllerNode(ros.FvsNode):
         if again:  # said again, a moving target has stopped: that is all
             return
         self._refusal = "" if accepted else text
-        self._untold = text if accepted and not seldom else ""
-        if not self._untold:  # a target on its way would fill the log
+        self._unlogged = text if accepted and not seldom else ""
+        if not self._unlogged:  # a target on its way would fill the log
             self.tell(ros.OK if accepted else ros.WARN, text)
 
     def _take_current_as_target(self) -> tuple[bool, str]:
@@ -236,7 +236,7 @@ class ControllerNode(ros.FvsNode):
         if previous is None or previous.reason is not command.reason:
             self._reason_s = now_s
             self._publish_status()
-        if command.reason is not self._told:
+        if command.reason is not self._logged:
             self._tell_reason(now_s, command)
 
     # --- outputs ---
@@ -244,10 +244,10 @@ class ControllerNode(ros.FvsNode):
     def _tell_reason(self, now_s: float, command: Command) -> None:
         passes = command.state is State.HOLDING or command.reason in _LATE
         if passes and not command.reason.needs_start:
-            if now_s < min(self._told_passing_s + _TOLD_AGAIN_S, self._reason_s + _LASTS_S):
+            if now_s < min(self._logged_passing_s + _LOG_AGAIN_S, self._reason_s + _LASTS_S):
                 return
-            self._told_passing_s = now_s
-        self._told = command.reason
+            self._logged_passing_s = now_s
+        self._logged = command.reason
         # Before a start, waiting for something is how things should be.
         level = ros.OK if command.state is State.WAITING else _LEVELS[command.state]
         self.tell(level, f"{command.state.value}: {self._words(command)}")
@@ -256,28 +256,28 @@ class ControllerNode(ros.FvsNode):
         return clock.blamed(command.text) if command.reason in _LATE else command.text
 
     def _publish_status(self) -> None:
-        if self._untold and self.now_s() - self._heard_target_s > _TARGET_ECHO_S:
-            self.tell(ros.OK, self._untold)  # it has arrived
-            self._untold = ""
+        if self._unlogged and self.now_s() - self._heard_target_s > _TARGET_ECHO_S:
+            self.tell(ros.OK, self._unlogged)  # it has arrived
+            self._unlogged = ""
         command = self._command
         if command is None:
             return
         silence = "" if command.state is State.SERVOING else self._silence
         remarks = [one for one in (self._refusal, silence) if one]
-        if self._rivals:
-            remarks.append(f"{self._rivals} publishes commands as well: stop it")
+        if self._conflicting:
+            remarks.append(f"{self._conflicting} publishes commands as well: stop it")
         words = self._words(command)
         text = f"{words} ({'; '.join(remarks)})" if remarks else words
         values = self._loop.status_values(self.now_s())
         values.pop("state", None)
         self.publish_status(
-            max(_LEVELS[command.state], ros.WARN if self._rivals else ros.OK),
+            max(_LEVELS[command.state], ros.WARN if self._conflicting else ros.OK),
             command.state.value,
             text,
             {
                 **values,
                 "late_ticks": self._late,
-                "other_commanders": self._rivals,
+                "other_commanders": self._conflicting,
                 "refused_target": self._refusal,
             },
         )
@@ -292,18 +292,20 @@ class ControllerNode(ros.FvsNode):
         unheard = not self.monitor(topics.ROBOT_PROGRAM_RUNNING.name).count
         self._silence = _NEVER_RAN if unheard and self.count_publishers(topic) else ""
         # One that is not known by name yet may be this very node.
-        self._rivals = ", ".join(n for n in self.other_publishers(topics.COMMANDS.name) if "/" in n)
-        if self._rivals and not self._hears_rivals:
-            self._hears_rivals = True
+        self._conflicting = ", ".join(
+            n for n in self.other_publishers(topics.COMMANDS.name) if "/" in n
+        )
+        if self._conflicting and not self._hears_others:
+            self._hears_others = True
             self.create_subscription(
                 Float64MultiArray, topics.COMMANDS.name, self._on_any_command, ros.QOS_RELIABLE
             )
 
     def _on_any_command(self, message: Float64MultiArray) -> None:
-        # One's own come back, too. A rival that says what was just said here does no harm.
+        # One's own come back, too. Another node that sends the same does no harm.
         if tuple(message.data) not in self._sent:
-            rivals = self._rivals or "another node"
-            self._loop.supervisor.inputs.conflicting_command(self.now_s(), rivals)
+            name = self._conflicting or "another node"
+            self._loop.supervisor.inputs.conflicting_command(self.now_s(), name)
 
     def diagnostic_values(self) -> dict[str, Any]:
         """Ticks that the watchdog made."""

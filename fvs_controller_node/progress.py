@@ -11,9 +11,9 @@ from fvs_ros.vectors import length
 
 #: Time constant of the low pass on the error norm, s.
 _SMOOTHING_S = 0.1
-#: The error has swung when it is this far from where it was, m: more than noise does. What swings
-#: no more for so long, s, has come to rest. A sustained oscillation sums up to this way, m, and to
-#: twice the way to the target besides.
+#: The error has swung when it is this far from where it was, m: more than noise does. Without a
+#: swing for this time, s, it has come to rest. A sustained oscillation sums up to this way, m, and
+#: to twice the way to the target besides.
 _SWING_M, _REST_S, _SWINGS_M = 0.01, 1.0, 0.5
 
 

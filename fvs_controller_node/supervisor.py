@@ -174,8 +174,8 @@ class Supervisor:
         self._target = self._set_target = target
         return True, "target set to ({:.3f}, {:.3f}, {:.3f}) m".format(*target.tolist())
 
-    def was_told(self, position_m: np.ndarray) -> bool:
-        """Whether a place, m, (m,), is the target that was told last."""
+    def was_set(self, position_m: np.ndarray) -> bool:
+        """Whether a place, m, (m,), is the target that was set last."""
         return self._set_target is not None and np.array_equal(position_m, self._set_target)
 
     def track(self, position_m: np.ndarray) -> bool:
@@ -418,7 +418,7 @@ class Supervisor:
         return float("nan") if self._verdict is None else self._verdict.error_ratio
 
     def _held_long(self, finding: Finding | None, dt_s: float) -> Finding | None:
-        """Let a hold of a started arm end in a needed start, once nobody expects it to go on."""
+        """Let a hold of a started arm end in a needed start, once no one expects it to go on."""
         if finding is None or not self._started:
             self._held_s = 0.0
             return finding

@@ -26,7 +26,7 @@ _DEVIATION = 0.12
 _LEAST_S = 0.25
 #: Positions nearer than this to the first of their cell are averaged, m.
 _CELL_M = _LEAST_M / 8.0
-#: So many cells are kept; beyond, the two neighbours nearest to each other become one.
+#: Cells that are kept; beyond, the two neighbours nearest to each other become one.
 _CELLS = 32
 
 
@@ -44,7 +44,7 @@ class Verdict:
         Error of the prediction over the larger one of predicted and seen motion, rms: 0 is
         perfect, 1 no better than predicting rest, 2 the opposite.
     time_s : float
-        Within so long, s.
+        Within this time, s.
     """
 
     predicted_m: float

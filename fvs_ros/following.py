@@ -9,7 +9,7 @@ import numpy as np
 #: Motions are summed with this memory, s: much longer than a drive's lag.
 _MEMORY_S = 0.5
 
-#: A joint that moves against its command is found out so many times sooner; but the small motions
+#: A joint that moves against its command is found out sooner by this factor; but the small motions
 #: about a target are often late, and so against the newest commands: from this on, rad.
 _AGAINST_WEIGHT, _AGAINST_RAD = 6.0, 0.02
 

@@ -10,7 +10,7 @@ import numpy as np
 FIRST_M, _LEAST_M, _MOST_M = 1e-3, 1e-4, 1e-2
 #: Second differences that are kept, and how many the first guess counts for.
 _WINDOW, _GUESS = 64, 4
-#: Their quartile is used, so that outliers may spoil many: so many deviations below the mean.
+#: Their quartile is used, so that outliers may spoil many: its deviations from the mean.
 _QUARTILE = -0.6745
 
 

@@ -136,7 +136,7 @@ class Parameter:
 
     def _refusal(self, value: Any) -> ParameterError:
         given = list(value) if isinstance(value, array) else value
-        words = reprlib.repr(given)  # of a stranger's value, so of limited length
+        words = reprlib.repr(given)  # of another process's value: limited in length
         meant = did_you_mean(value, self.choices) if isinstance(value, str) else ""
         return ParameterError(
             f"parameter {self.name} must be {self.expected()}, got {words}; {meant}".rstrip("; ")

@@ -20,7 +20,7 @@ _WRONG = 0.05
 #: The gain never falls below this: what is at rest may still drift.
 _LEAST_GAIN = 0.02
 #: Share of a new innovation in their mean, and how far that may be off, in deviations: chance gets
-#: there once in 10^5 images. One innovation counts for at most so many deviations, or a heavy
+#: there once in 10^5 images. One innovation counts for at most this count of deviations, or a heavy
 #: tail's worst image would be taken for a ball that has gone elsewhere.
 _MEAN_SHARE, _BEHIND, _MEAN_CLIP = 0.2, 5.0, 4.0
 #: An image this far off is an outlier: in standard deviations, and m besides.

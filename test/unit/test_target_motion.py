@@ -138,7 +138,7 @@ def test_one_odd_update_does_not_throw_the_target_about():
 
 
 @pytest.mark.parametrize("after", range(1, 5))
-def test_a_target_that_turns_back_is_no_faster_than_it_was_told(after):
+def test_a_target_that_turns_back_is_no_faster_than_it_was_set(after):
     """A parabola through a sharp corner would be more than twice as fast."""
     motion, rate_hz, speed_m_s = TargetMotion(), 30.0, 0.2
     steps = np.repeat([-1.0, 1.0], [10, after])
