@@ -310,7 +310,7 @@ class World:
     @property
     def target_m(self) -> np.ndarray | None:
         """The target in use, m, (3,), or None."""
-        return self.node._loop.supervisor.target_m
+        return self.node._loop.supervisor.goal.target_m
 
     def aim(self, way_rad: Iterable[float]) -> None:
         """Send a target that such a motion of the joints from here reaches."""

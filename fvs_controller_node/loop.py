@@ -145,13 +145,13 @@ class ServoLoop:
         """Take a target, (m,), m; one that is updated often moves.
 
         A stamp (s; 0 for now) says when it was there, on the clock of the joint states. The answer
-        is the supervisor's: see :meth:`~fvs_controller_node.supervisor.Supervisor.target`.
+        is the supervisor's: see :meth:`~fvs_controller_node.goal.Goal.set`.
         """
         own = frame == self.supervisor.config.feature_frame
         if own and self.follower.overtaken(position_m, stamp_s, self._stamp_s):
             return True, "target passed over: a newer one has come"
         moving = self.follower.expects(position_m, stamp_s, self._stamp_s)
-        accepted, text = self.supervisor.target(position_m, frame, moving=moving)
+        accepted, text = self.supervisor.goal.set(position_m, frame, moving=moving)
         if accepted:
             self._target_updates += 1
             self._target_count += not (moving and self.follower.enabled)
@@ -166,7 +166,7 @@ class ServoLoop:
         position = self.position_m
         if position is None:
             return False, "target refused: the ball's position is not known yet"
-        accepted, text = self.supervisor.target(position, self.supervisor.config.feature_frame)
+        accepted, text = self.supervisor.goal.set(position, self.supervisor.config.feature_frame)
         if accepted:
             self._target_updates += 1
             self._target_count += 1
@@ -199,7 +199,7 @@ class ServoLoop:
         aim = self.follower.at(self._stamp_s)
         if aim is not self._aim:
             self._aim = aim
-            moves = aim is not None and self.supervisor.track(aim.position_m)
+            moves = aim is not None and self.supervisor.goal.track(aim.position_m)
             self._target_m_s = aim.velocity_m_s if aim is not None and moves else _STANDING
         self._pending_rad = self._drive_lag.pending_rad()
         if self._home is None:  # what moved before this start says nothing of now
@@ -223,7 +223,7 @@ class ServoLoop:
     def status_values(self, now_s: float) -> dict[str, float | str]:
         """Return the supervisor's key numbers, the images' latency, the law's settling bound."""
         latency_s = self.predictor.latency_s
-        error_m = self.supervisor.error_m
+        error_m = self.supervisor.goal.error_m
         bound_s = None if error_m is None else self.law.settling_bound_s(error_m)
         return {
             **self.supervisor.status_values(now_s),

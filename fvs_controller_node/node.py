@@ -172,7 +172,7 @@ class ControllerNode(ros.FvsNode):
         seldom = now_s - self._heard_target_s > _TARGET_ECHO_S
         self._heard_target, self._heard_target_s = heard, now_s
         position_m = np.array([point.x, point.y, point.z])
-        if again and not self._loop.supervisor.was_set(position_m):
+        if again and not self._loop.supervisor.goal.was_set(position_m):
             return  # another target has been set since, which this was not meant to undo
         accepted, text = self._loop.add_target(
             position_m, message.header.frame_id, ros.from_stamp(stamp)

@@ -14,6 +14,7 @@ from math import inf, isfinite
 import numpy as np
 
 from fvs_controller_node.base import ControlOutput
+from fvs_controller_node.goal import Goal
 from fvs_controller_node.inbox import Inbox
 from fvs_controller_node.limiter import Limiter
 from fvs_controller_node.monitors import (
@@ -22,7 +23,6 @@ from fvs_controller_node.monitors import (
     PredictionMonitor,
     ProgressMonitor,
 )
-from fvs_controller_node.progress import Progress
 from fvs_controller_node.pseudo_inverse import DampedInverse
 from fvs_controller_node.reasons import Finding, Reason, State, Stop
 from fvs_controller_node.singularity import SingularityWatch
@@ -96,16 +96,14 @@ class Supervisor:
         self._config = config or SupervisorConfig()
         self.inputs = Inbox(self._config, self._end_by_event)
         joints = len(self._config.joint_names)
-        self._progress = Progress(self._config.progress)
+        self.goal = Goal(self._config)
         self._following = FollowingMonitor()
         self._monitors = (
             PredictionMonitor(),
-            ProgressMonitor(self._progress),
+            ProgressMonitor(self.goal.progress),
             self._following,
         )
         self._limiter = Limiter(joints)
-        self._target: np.ndarray | None = None  # now
-        self._set_target: np.ndarray | None = None  # when it was set last
         self._singularity = SingularityWatch()
         self._leaving_s = 0.0
         self._held_s = 0.0
@@ -116,8 +114,7 @@ class Supervisor:
         self._ended: Finding | None = None  # what ended the session and needs a start
         self._shut_down = False
         self._ticked_s = -inf
-        self._position: np.ndarray | None = None  # of the ball at the last tick
-        self._problem = ""  # why there is none
+        self._problem = ""  # why the ball's position is not known
         missing = self.inputs.find(-inf)
         assert missing is not None
         self._last = Command(self._limiter.velocity_rad_s, State.WAITING, missing, "", None)
@@ -127,69 +124,11 @@ class Supervisor:
     def configure(self, config: SupervisorConfig) -> None:
         """Change limits and thresholds while running.
 
-        ``autostart`` counts at creation only. A target that a new box leaves outside is dropped.
+        ``autostart`` counts at creation only.
         """
         self._config = config
-        self._progress.limits = config.progress
-        if self._target is not None and self._outside(self._target):
-            self._target = self._set_target = None
+        self.goal.configure(config)
         self.inputs.configure(config)
-
-    def target(
-        self, position_m: np.ndarray, frame: str, *, moving: bool = False
-    ) -> tuple[bool, str]:
-        """Set the target; a refused one leaves the old in place.
-
-        Parameters
-        ----------
-        position_m : ndarray, shape (m,)
-            m.
-        frame : str
-            Its frame, to be checked.
-        moving : bool
-            Whether it goes on with the last one's motion.
-
-        Returns
-        -------
-        bool
-            Whether it was accepted.
-        str
-            What was done, or why not.
-        """
-        if frame != self._config.feature_frame:
-            return False, "target refused: " + self._config.wrong_frame(frame)
-        target = np.array(position_m, dtype=float)
-        if target.shape != (self._config.features,) or not all_finite(target):
-            return False, (
-                f"target refused: expected {self._config.features} finite numbers, got {position_m}"
-            )
-        outside = self._outside(target)
-        if outside:
-            return False, (
-                f"target refused: {', '.join(outside)} (workspace_min_m and workspace_max_m, "
-                f"in {frame})"
-            )
-        if not moving:  # one on its way is no new task
-            self._progress.take_target(target)
-        self._target = self._set_target = target
-        return True, "target set to ({:.3f}, {:.3f}, {:.3f}) m".format(*target.tolist())
-
-    def was_set(self, position_m: np.ndarray) -> bool:
-        """Whether a place, m, (m,), is the target that was set last."""
-        return self._set_target is not None and np.array_equal(position_m, self._set_target)
-
-    def track(self, position_m: np.ndarray) -> bool:
-        """Tell where a target that was accepted is by now, m, (m,).
-
-        Returns
-        -------
-        bool
-            False outside the workspace: the target stays where it was.
-        """
-        if self._target is None or self._outside(position_m):
-            return False
-        self._target = position_m
-        return True
 
     def start(self, now_s: float) -> tuple[bool, str]:
         """Begin to servo; or, while held near a singularity, let the arm leave it slowly.
@@ -225,7 +164,7 @@ class Supervisor:
             self._begin()
             self._singularity.leave(value, hold)
         self._leaving_s = 0.0
-        self._progress.restart()
+        self.goal.progress.restart()
         return True, "leaving the singular pose slowly; held again should it come nearer to it"
 
     def stop(self) -> tuple[bool, str]:
@@ -261,16 +200,6 @@ class Supervisor:
     def velocity_rad_s(self) -> np.ndarray:
         """The last command, after every limit, rad/s, shape (n,)."""
         return self._limiter.velocity_rad_s.copy()
-
-    @property
-    def target_m(self) -> np.ndarray | None:
-        """The target, m, or None."""
-        return None if self._target is None else self._target.copy()
-
-    @property
-    def settled(self) -> bool:
-        """Whether the ball has been on target for a while."""
-        return self.error_m is not None and self._progress.settled
 
     @property
     def last(self) -> Command:
@@ -313,7 +242,8 @@ class Supervisor:
         dt_s = min(dt_s, MAX_TICK_S) if isfinite(dt_s) and dt_s > 0.0 else 0.0
         steady_dt_s = min(max(now_s - self._ticked_s, 0.0), MAX_TICK_S)
         self._ticked_s = now_s
-        self._see(position_m, problem, dt_s)
+        self.goal.see(position_m, dt_s, self._last.state is State.SERVOING)
+        self._problem = problem
         self._verdict = verdict
         if pending_rad is not None:
             self._pending = pending_rad
@@ -340,12 +270,12 @@ class Supervisor:
         """Key numbers for a status message, always the same keys in the same order."""
         nan = float("nan")
         singular = self.inputs.conditioning
-        error = self.error_m
+        error = self.goal.error_m
         values: dict[str, float | str] = {
             "state": self._last.state.value,
             "reason": self._last.reason.name,
             "started": str(self._started).lower(),
-            "settled": str(self.settled).lower(),
+            "settled": str(self.goal.settled).lower(),
             "error_m": nan if error is None else length(error),
             "active_limit": self._last.active_limit,
             "fastest_joint_rad_s": largest(self._limiter.velocity_rad_s),
@@ -355,8 +285,8 @@ class Supervisor:
         }
         values |= self.inputs.status_values(now_s)
         vectors = {
-            "target_{}_m": self._target,
-            "position_{}_m": self._position,
+            "target_{}_m": self.goal.target_m,
+            "position_{}_m": self.goal.position_m,
             "exponent_{}": None if self._last.output is None else self._last.output.exponent,
         }
         for name, vector in vectors.items():
@@ -381,12 +311,12 @@ class Supervisor:
         )
 
     def _no_position(self) -> Finding | None:
-        if self._position is not None:
+        if self.goal.position_m is not None:
             return None
         return Reason.NO_POSITION.because(why=self._problem or "no image is usable yet")
 
     def _no_target(self) -> Finding | None:
-        return Reason.NO_TARGET.because() if self._target is None else None
+        return Reason.NO_TARGET.because() if self.goal.target_m is None else None
 
     def _near_singular(self) -> Finding | None:
         assert self.inputs.conditioning is not None
@@ -429,7 +359,7 @@ class Supervisor:
         return Reason.HELD_LONG.because(limit_s=limit_s, why=finding.text)
 
     def _ask(self, propose: Propose, dt_s: float) -> tuple[Finding | None, ControlOutput | None]:
-        error, velocity_rad_s = self.error_m, self._limiter.velocity_rad_s
+        error, velocity_rad_s = self.goal.error_m, self._limiter.velocity_rad_s
         assert error is not None
         if dt_s <= 0.0:
             return None, ControlOutput(velocity_rad_s, 0.0 * error, np.ones_like(error))
@@ -464,15 +394,15 @@ class Supervisor:
             travel_rad=0.0 if output.brakes else self._travel_rad(),
             pending_rad=self._pending,
         )
-        reason = Reason.SETTLED if self._progress.settled else Reason.SERVOING
-        error = self.error_m
+        reason = Reason.SETTLED if self.goal.progress.settled else Reason.SERVOING
+        error = self.goal.error_m
         assert error is not None
         error_mm = 1e3 * length(error)
         return self._answer(reason.because(error_mm=error_mm), ", ".join(slowed + active), output)
 
     def _travel_rad(self) -> float:
         """Return about how far the joint that moves most has to go to the target, rad."""
-        error = self.error_m
+        error = self.goal.error_m
         assert self.inputs.jacobian is not None
         assert error is not None
         return largest(_INVERSE.joint_velocity(self.inputs.jacobian, error))
@@ -541,30 +471,6 @@ class Supervisor:
             self._autostart_left = False
             self._singularity.stay()
             self._ended = finding
-
-    def _see(self, position: np.ndarray | None, problem: str, dt_s: float) -> None:
-        usable = position is not None and all_finite(position)
-        self._position = position if usable else None
-        self._problem = problem
-        error = self.error_m
-        if error is not None:
-            self._progress.add(error, dt_s, self._last.state is State.SERVOING, self._target)
-
-    @property
-    def error_m(self) -> np.ndarray | None:
-        """Ball minus target, m, shape (m,), or None where one of them is unknown."""
-        if self._position is None or self._target is None:
-            return None
-        return self._position - self._target
-
-    def _outside(self, target: np.ndarray) -> list[str]:
-        """Say which coordinates of a target are outside the workspace box."""
-        low, high = self._config.workspace_min_m, self._config.workspace_max_m
-        return [
-            f"{axis} = {value:.3f} m is not in [{lo:g}, {hi:g}]"
-            for axis, value, lo, hi in zip("xyz", target.tolist(), low, high, strict=True)
-            if not lo <= value <= hi
-        ]
 
 
 def _ramp(value: float, at_zero: float, at_one: float) -> float:

@@ -33,7 +33,7 @@ class Cell:
     def begin(self):
         for _ in range(20):
             self.tick()
-        assert self.loop.supervisor.target(np.array([0.2, 0.1, 1.2]), FRAME)[0]
+        assert self.loop.supervisor.goal.set(np.array([0.2, 0.1, 1.2]), FRAME)[0]
         assert self.loop.supervisor.start(self.now_s)[0]
         for _ in range(20):
             command = self.tick()
@@ -131,7 +131,7 @@ def test_a_moving_target_is_tracked_and_the_watch_on_its_error_goes_on(servoing)
         assert loop.add_target(first + [0.002 * k, 0.0, 0.0], FRAME, servoing.now_s)[0]
     servoing.tick()
     # 2 mm every 8 ms is a quarter of a metre a second: by now it has gone on
-    np.testing.assert_allclose(loop.supervisor.target_m, first + [0.024, 0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(loop.supervisor.goal.target_m, first + [0.024, 0.0, 0.0], atol=1e-6)
     velocity = loop.follower.at(servoing.now_s).velocity_m_s
     np.testing.assert_allclose(velocity, [0.25, 0.0, 0.0], atol=1e-6)
     stands, text = loop.add_target(np.array([0.0, 0.0, 9.0]), FRAME, servoing.now_s)
@@ -167,10 +167,10 @@ def test_the_current_position_as_target_stands_also_while_the_target_moves(servo
         servoing.tick()
         assert loop.add_target(np.array([0.05 + 0.002 * k, 0.0, 1.0]), FRAME, servoing.now_s)[0]
     assert loop.set_current_as_target(servoing.now_s)[0]
-    here = loop.supervisor.target_m
+    here = loop.supervisor.goal.target_m
     for _ in range(40):
         command = servoing.tick()
-        np.testing.assert_array_equal(loop.supervisor.target_m, here)
+        np.testing.assert_array_equal(loop.supervisor.goal.target_m, here)
         assert command.output.feed_forward_rad_s == 0.0
 
 
@@ -187,17 +187,17 @@ def test_an_overtaken_target_is_passed_over_whether_the_newer_one_stands_or_move
     assert not loop.add_target(newer - [0.03, 0.0, 0.0], "another_frame", now_s - 0.1)[0]
     for _ in range(50):
         servoing.tick()
-    np.testing.assert_allclose(loop.supervisor.target_m, newer, atol=1e-9)
+    np.testing.assert_allclose(loop.supervisor.goal.target_m, newer, atol=1e-9)
 
 
 def test_the_current_position_as_target_overtakes_what_was_told_of_before(servoing):
     loop = servoing.loop
     assert loop.set_current_as_target(servoing.now_s)[0]
-    here = loop.supervisor.target_m
+    here = loop.supervisor.goal.target_m
     assert loop.add_target(here + [0.03, 0.0, 0.0], FRAME, servoing.now_s - 0.05)[0]
     for _ in range(50):
         servoing.tick()
-    np.testing.assert_allclose(loop.supervisor.target_m, here, atol=1e-9)
+    np.testing.assert_allclose(loop.supervisor.goal.target_m, here, atol=1e-9)
 
 
 def test_a_near_target_after_a_while_is_a_new_one(servoing):
@@ -303,4 +303,4 @@ def test_beyond_the_workspace_nobody_goes_along_with_a_target(servoing):
     assert heard  # while it was inside, the arm went along
     assert len(asked) == heard  # by now it would be outside
     assert command.output.feed_forward_rad_s == 0.0
-    assert loop.supervisor.target_m[0] <= edge_m
+    assert loop.supervisor.goal.target_m[0] <= edge_m

@@ -80,7 +80,7 @@ class Cell:
 
 def ready(config: SupervisorConfig | None = None) -> Cell:
     cell = Cell(config)
-    assert cell.supervisor.target(TARGET, FRAME)[0]
+    assert cell.supervisor.goal.set(TARGET, FRAME)[0]
     assert cell.run(0.1).state is State.READY
     return cell
 
@@ -104,7 +104,7 @@ def at_rest(command: Command) -> bool:
 @pytest.mark.parametrize("missing", ["joint_states", "ball_position", "jacobian"])
 def test_it_waits_for_every_input_and_names_the_missing_one(missing: str):
     cell = Cell()
-    cell.supervisor.target(TARGET, FRAME)
+    cell.supervisor.goal.set(TARGET, FRAME)
     cell.talking -= {missing}
     command = cell.run(0.5)
     assert (command.state, command.reason) == (State.WAITING, Reason.MISSING)
@@ -123,7 +123,7 @@ def test_it_waits_for_a_target():
     command = cell.run(0.1)
     assert (command.state, command.reason) == (State.WAITING, Reason.NO_TARGET)
     assert not cell.supervisor.start(cell.now_s)[0]
-    cell.supervisor.target(TARGET, FRAME)
+    cell.supervisor.goal.set(TARGET, FRAME)
     assert cell.run(0.1).state is State.READY
 
 
@@ -143,7 +143,7 @@ def test_it_waits_for_a_start_and_starts_softly():
 def test_autostart_starts_once():
     cell = Cell(SupervisorConfig(autostart=True))
     assert cell.run(0.1).state is State.WAITING
-    cell.supervisor.target(TARGET, FRAME)
+    cell.supervisor.goal.set(TARGET, FRAME)
     assert cell.run(0.1).state is State.SERVOING
     cell.supervisor.stop()
     assert cell.run(1.0).state is State.READY
@@ -157,7 +157,7 @@ def test_autostart_starts_once():
 def test_a_stop_before_the_autostart_prevents_it():
     cell = Cell(SupervisorConfig(autostart=True))
     cell.supervisor.stop()
-    cell.supervisor.target(TARGET, FRAME)
+    cell.supervisor.goal.set(TARGET, FRAME)
     assert cell.run(0.5).state is State.READY
 
 
@@ -335,10 +335,10 @@ def test_a_joint_near_its_limit_is_slowed_and_named():
 )
 def test_a_wrong_target_is_refused_in_words_and_the_old_one_stays(point, frame, words):
     cell = servoing()
-    accepted, why = cell.supervisor.target(np.array(point), frame)
+    accepted, why = cell.supervisor.goal.set(np.array(point), frame)
     assert not accepted
     assert all(word in why for word in words)
-    np.testing.assert_array_equal(cell.supervisor.target_m, TARGET)
+    np.testing.assert_array_equal(cell.supervisor.goal.target_m, TARGET)
     assert cell.tick().state is State.SERVOING
 
 
@@ -687,7 +687,7 @@ def test_an_error_that_grows_is_held_and_needs_a_new_start():
     # Half as much again takes 0.67 s, being seen for 1 s comes on top.
     assert 1.5 < cell.now_s - begin_s < 2.1
     assert not at_rest(command)
-    assert cell.supervisor.target(TARGET, FRAME)[0]
+    assert cell.supervisor.goal.set(TARGET, FRAME)[0]
     command = cell.run(1.0)  # a new target alone does not start it
     assert command.state is State.HOLDING
     assert at_rest(command)
@@ -698,12 +698,12 @@ def test_an_error_that_grows_is_held_and_needs_a_new_start():
 def test_noise_detours_and_new_targets_are_no_growth():
     cell = servoing()
     assert run_with_error(cell, lambda t: 0.2 * np.exp(-3 * t), 4.0).state is State.SERVOING
-    assert cell.supervisor.settled
+    assert cell.supervisor.goal.settled
     # A detour of 0.8 s, then back.
     detour = run_with_error(cell, lambda t: 0.1 if t < 0.8 else 0.0, 3.0)
     assert detour.state is State.SERVOING
-    cell.supervisor.target(TARGET + np.array([0.4, 0.0, 0.0]), FRAME)
-    assert not cell.supervisor.settled
+    cell.supervisor.goal.set(TARGET + np.array([0.4, 0.0, 0.0]), FRAME)
+    assert not cell.supervisor.goal.settled
     far = run_with_error(cell, lambda t: 0.0, 3.0)
     assert far.state is State.SERVOING
 
@@ -800,7 +800,7 @@ def test_targets_told_again_with_noise_do_not_restart_the_watch_on_growing_error
     for _ in range(round(4.0 / DT_S)):
         if cell.now_s - told_s >= every_s:
             told_s = cell.now_s
-            assert cell.supervisor.target(TARGET + 0.001 * rng.normal(size=3), FRAME)[0]
+            assert cell.supervisor.goal.set(TARGET + 0.001 * rng.normal(size=3), FRAME)[0]
         cell.ball = cell.ball + np.array([0.05 * DT_S, 0.0, 0.0])
         command = cell.tick()
     assert (command.state, command.reason) == (State.HOLDING, Reason.ERROR_GROWING)
@@ -924,7 +924,7 @@ def test_settled_means_near_for_a_while():
     cell.supervisor.start(cell.now_s)
     assert cell.run(0.1).reason is Reason.SERVOING
     assert cell.run(0.5).reason is Reason.SETTLED
-    assert cell.supervisor.settled
+    assert cell.supervisor.goal.settled
     cell.ball = TARGET + np.array([0.02, 0.0, 0.0])
     assert cell.run(0.1).reason is Reason.SERVOING
 
@@ -975,7 +975,7 @@ def test_a_box_that_shrinks_past_the_target_drops_it():
 def test_a_target_and_a_start_in_one_tick_are_fine():
     cell = Cell()
     cell.run(0.1)
-    assert cell.supervisor.target(TARGET, FRAME)[0]
+    assert cell.supervisor.goal.set(TARGET, FRAME)[0]
     assert cell.supervisor.start(cell.now_s)[0]
     assert cell.tick().state is State.SERVOING
 
@@ -1038,7 +1038,7 @@ def test_a_target_said_again_and_again_does_not_hide_a_growing_error():
     for k in range(500):
         cell.ball = cell.ball + np.array([0.002, 0.0, 0.0])
         if k % 75 == 0:
-            assert cell.supervisor.target(TARGET, FRAME)[0]
+            assert cell.supervisor.goal.set(TARGET, FRAME)[0]
         command = cell.tick()
     assert command.reason is Reason.ERROR_GROWING
     assert not command.velocity_rad_s.any()
