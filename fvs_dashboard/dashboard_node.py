@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseStamped
+from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import String
 
@@ -39,7 +40,6 @@ from fvs_ros import ros, topics
 from fvs_ros.background import step_back
 from fvs_ros.joints import JointMap, JointStateError
 from fvs_ros.paths import find_file
-from fvs_ros.quaternions import rotation_of
 from fvs_ros.ros.images import from_color
 from fvs_ros.topics import CAMERA_PREFIXES
 from fvs_tools.demo import choose_target
@@ -163,7 +163,7 @@ class DashboardNode(ros.FvsNode):
     def _on_camera_pose(self, message: PoseStamped) -> None:
         pose = np.eye(4)
         pose[:3, 3], quaternion = ros.from_pose(message, topics.TRUE_CAMERA_POSE.name)
-        pose[:3, :3] = rotation_of(quaternion)
+        pose[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
         self._board.tell_camera(pose)
 
     def _on_image(self, message: Image) -> None:

@@ -12,11 +12,11 @@ import cv2
 import numpy as np
 import pybullet
 from pybullet_utils.bullet_client import BulletClient
+from scipy.spatial.transform import Rotation
 
 from fvs_detector_node.detection import BallColour, colour_mask
 from fvs_detector_node.region import Region
 from fvs_ros.camera import Intrinsics, look_at
-from fvs_ros.quaternions import quaternion_of
 
 #: Depth range that is drawn, m. What lies beyond has no depth, as with a real camera.
 NEAR_M, FAR_M = 0.25, 4.0
@@ -63,7 +63,7 @@ class CameraPose:
     @property
     def quaternion_xyzw(self) -> np.ndarray:
         """The rotation as a unit quaternion, shape (4,)."""
-        return quaternion_of(self.rotation)
+        return Rotation.from_matrix(self.rotation).as_quat(canonical=True)
 
 
 def pose_from_look_at(
