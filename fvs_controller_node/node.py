@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PointStamped, Vector3Stamped
+from geometry_msgs.msg import PointStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import Trigger
@@ -76,27 +76,16 @@ class ControllerNode(ros.FvsNode):
         self._logged: Reason | None = None
         self._logged_passing_s = -np.inf
 
-        self._commands = self.create_publisher(
-            Float64MultiArray, topics.COMMANDS.name, ros.QOS_RELIABLE
-        )
-        self._sliding = self.create_publisher(
-            Vector3Stamped, topics.SLIDING_VARIABLE.name, ros.QOS_RELIABLE
-        )
-        self.watch(JointState, topics.JOINT_STATES.name, self._on_joint_states, ros.QOS_NEWEST)
-        self.watch(PointStamped, topics.BALL_POSITION.name, self._on_ball, ros.QOS_NEWEST)
-        self.watch(Float64MultiArray, topics.JACOBIAN.name, self._on_jacobian, ros.QOS_NEWEST)
-        self.watch(Float64MultiArray, topics.KINEMATIC_CHAIN.name, self._on_chain, ros.QOS_NEWEST)
-        self.watch(
-            DiagnosticStatus,
-            topics.ESTIMATOR_STATUS.name,
-            self._on_estimator_status,
-            ros.QOS_NEWEST,
-        )
-        self.watch(Float64, topics.SPEED_SCALING.name, self._on_speed_scaling, ros.QOS_NEWEST)
-        # Latched or not: both kinds of publisher are heard, the latched one twice.
-        for qos in (ros.QOS_LATCHED, ros.QOS_NEWEST):
-            self.watch(PointStamped, topics.TARGET_POSITION.name, self._on_target, qos)
-            self.watch(Bool, topics.ROBOT_PROGRAM_RUNNING.name, self._on_program_running, qos)
+        self._commands = self.publisher(topics.COMMANDS)
+        self._sliding = self.publisher(topics.SLIDING_VARIABLE)
+        self.subscribe(topics.JOINT_STATES, self._on_joint_states)
+        self.subscribe(topics.BALL_POSITION, self._on_ball)
+        self.subscribe(topics.JACOBIAN, self._on_jacobian)
+        self.subscribe(topics.KINEMATIC_CHAIN, self._on_chain)
+        self.subscribe(topics.ESTIMATOR_STATUS, self._on_estimator_status)
+        self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
+        self.subscribe(topics.TARGET_POSITION, self._on_target)  # a latched one is heard twice
+        self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
         self.create_service(Trigger, "~/start", self._answer(self._start))
         self.create_service(Trigger, "~/stop", self._answer(self._loop.supervisor.stop))
         self.create_service(
@@ -297,9 +286,7 @@ class ControllerNode(ros.FvsNode):
         )
         if self._conflicting and not self._hears_others:
             self._hears_others = True
-            self.create_subscription(
-                Float64MultiArray, topics.COMMANDS.name, self._on_any_command, ros.QOS_RELIABLE
-            )
+            self.subscribe(topics.COMMANDS, self._on_any_command)
 
     def _on_any_command(self, message: Float64MultiArray) -> None:
         # One's own come back, too. Another node that sends the same does no harm.

@@ -97,11 +97,11 @@ class DashboardNode(ros.FvsNode):
         self._joint_states = ros.Sampled(
             self, JointState, topics.JOINT_STATES.name, self._on_joint_states
         )
-        self.watch(PointStamped, topics.BALL_POSITION.name, self._on_ball, ros.QOS_NEWEST)
-        self.watch(DiagnosticStatus, topics.CONTROLLER_STATUS.name, self._on_status, ros.QOS_NEWEST)
-        self.watch(DiagnosticStatus, topics.DETECTOR_STATUS.name, self._on_detector, ros.QOS_NEWEST)
-        self.watch(String, topics.ROBOT_DESCRIPTION.name, self._on_description, ros.QOS_LATCHED)
-        self.watch(PoseStamped, topics.TRUE_CAMERA_POSE.name, self._on_camera_pose, ros.QOS_LATCHED)
+        self.subscribe(topics.BALL_POSITION, self._on_ball)
+        self.subscribe(topics.CONTROLLER_STATUS, self._on_status)
+        self.subscribe(topics.DETECTOR_STATUS, self._on_detector)
+        self.subscribe(topics.ROBOT_DESCRIPTION, self._on_description)
+        self.subscribe(topics.TRUE_CAMERA_POSE, self._on_camera_pose)
         self._page = _make_page(self._config, v["joint_names"], self._actions)
         self._shown_s, self._skipped = self.steady_s(), False
         self._begun: dict[str, Any] = {}  # the simulator's parameters as they were at first

@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 
 import cv2
 import numpy as np
-from geometry_msgs.msg import PointStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
@@ -67,10 +66,8 @@ class DetectorNode(ros.FvsNode):
         # A camera needs a moment to be found; a ball at the edge of being seen comes and goes.
         self._logged, self._logged_s = "", self.now_s()
 
-        self._ball = self.create_publisher(
-            PointStamped, topics.BALL_POSITION.name, ros.QOS_RELIABLE
-        )
-        self._annotated = self.create_publisher(Image, "~/annotated_image", ros.QOS_RELIABLE)
+        self._ball = self.publisher(topics.BALL_POSITION)
+        self._annotated = self.publisher(topics.ANNOTATED_IMAGE)
         prefix = self._config.camera_topics or CAMERA_PREFIXES[0]
         self._topics = CameraTopics.of(prefix, self._config)
         self._subscribed: dict[str, tuple[Any, QoSProfile]] = {}

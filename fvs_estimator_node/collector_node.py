@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from geometry_msgs.msg import PointStamped
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64, Float64MultiArray
+from std_msgs.msg import Bool, Float64
 from tqdm import tqdm
 
 from fvs_estimator_node.collecting import CollectionRun, State
@@ -59,14 +59,11 @@ class CollectorNode(ros.FvsNode):
             + "{total:.0f} s{postfix}",
             mininterval=0.2 if sys.stderr.isatty() else 10.0,
         )
-        self._commands = self.create_publisher(
-            Float64MultiArray, topics.COMMANDS.name, ros.QOS_RELIABLE
-        )
-        self.watch(JointState, topics.JOINT_STATES.name, self._on_joint_states, ros.QOS_NEWEST)
-        self.watch(PointStamped, topics.BALL_POSITION.name, self._on_ball, ros.QOS_NEWEST)
-        for qos in (ros.QOS_LATCHED, ros.QOS_NEWEST):  # latched or not
-            self.watch(Bool, topics.ROBOT_PROGRAM_RUNNING.name, self._on_program_running, qos)
-        self.watch(Float64, topics.SPEED_SCALING.name, self._on_speed_scaling, ros.QOS_NEWEST)
+        self._commands = self.publisher(topics.COMMANDS)
+        self.subscribe(topics.JOINT_STATES, self._on_joint_states)
+        self.subscribe(topics.BALL_POSITION, self._on_ball)
+        self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
+        self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
         self.create_timer(_WATCHDOG_S, self._watchdog, clock=self.steady_clock)
         self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
         self.create_timer(

@@ -54,18 +54,13 @@ class EstimatorNode(ros.FvsNode):
         self._problem_s = -np.inf
         self._published_stamp_s: float | None = None
 
-        self._jacobian = self.create_publisher(
-            Float64MultiArray, topics.JACOBIAN.name, ros.QOS_RELIABLE
-        )
-        self._chain = self.create_publisher(
-            Float64MultiArray, topics.KINEMATIC_CHAIN.name, ros.QOS_RELIABLE
-        )
-        self.watch(JointState, topics.JOINT_STATES.name, self._on_joint_states, ros.QOS_NEWEST)
-        self.watch(PointStamped, topics.BALL_POSITION.name, self._on_ball, ros.QOS_NEWEST)
-        self.watch(Vector3Stamped, topics.SLIDING_VARIABLE.name, self._on_sliding, ros.QOS_NEWEST)
-        self.watch(Float64, topics.SPEED_SCALING.name, self._on_speed_scaling, ros.QOS_NEWEST)
-        for qos in (ros.QOS_LATCHED, ros.QOS_NEWEST):  # latched or not
-            self.watch(Bool, topics.ROBOT_PROGRAM_RUNNING.name, self._on_program_running, qos)
+        self._jacobian = self.publisher(topics.JACOBIAN)
+        self._chain = self.publisher(topics.KINEMATIC_CHAIN)
+        self.subscribe(topics.JOINT_STATES, self._on_joint_states)
+        self.subscribe(topics.BALL_POSITION, self._on_ball)
+        self.subscribe(topics.SLIDING_VARIABLE, self._on_sliding)
+        self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
+        self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/freeze", self._on_freeze)
         self._use(v)
@@ -80,7 +75,7 @@ class EstimatorNode(ros.FvsNode):
         self._config = config
         if isinstance(self._loop.estimator, OracleEstimator) and not self._hears_truth:
             self._hears_truth = True
-            self.watch(Float64MultiArray, topics.TRUE_JACOBIAN.name, self._on_truth, ros.QOS_NEWEST)
+            self.subscribe(topics.TRUE_JACOBIAN, self._on_truth)
 
     def on_parameters(self, values: dict[str, Any], changed: set[str]) -> None:
         """Take another method into use, but not one that would take over a moving arm."""

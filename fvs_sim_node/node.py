@@ -11,10 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PointStamped, PoseStamped
-from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, Image, JointState
+from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
@@ -61,24 +59,20 @@ class SimNode(ros.FvsNode):
         self._exposed_s = -np.inf  # the newest full frame, simulated time
         self._announced: bool | None = None
         self._paused_active: bool | None = None  # was the controller, when the pause began?
-
-        def publisher(message_type: type, name: str, qos: QoSProfile = ros.QOS_RELIABLE) -> Any:
-            return self.create_publisher(message_type, name, qos)
-
-        self._joint_states = publisher(JointState, topics.JOINT_STATES.name)
-        self._ball = publisher(PointStamped, topics.BALL_POSITION.name)
-        self._true_ball = publisher(PointStamped, "~/true_ball_position")
-        self._true_jacobian = publisher(Float64MultiArray, "~/true_jacobian")
-        self._camera_pose = publisher(PoseStamped, "~/true_camera_pose", ros.QOS_LATCHED)
-        self._color = publisher(Image, topics.COLOR_IMAGE.name, ros.QOS_LARGE)
-        self._depth = publisher(Image, topics.DEPTH_IMAGE.name, ros.QOS_LARGE)
-        self._info = publisher(CameraInfo, topics.CAMERA_INFO.name)
-        self._program_running = publisher(Bool, topics.ROBOT_PROGRAM_RUNNING.name, ros.QOS_LATCHED)
-        self._scaling = publisher(Float64, topics.SPEED_SCALING.name)
-        description = publisher(String, topics.ROBOT_DESCRIPTION.name, ros.QOS_LATCHED)
+        self._joint_states = self.publisher(topics.JOINT_STATES)
+        self._ball = self.publisher(topics.BALL_POSITION)
+        self._true_ball = self.publisher(topics.TRUE_BALL_POSITION)
+        self._true_jacobian = self.publisher(topics.TRUE_JACOBIAN)
+        self._camera_pose = self.publisher(topics.TRUE_CAMERA_POSE)
+        self._color = self.create_publisher(Image, topics.COLOR_IMAGE.name, ros.QOS_LARGE)
+        self._depth = self.create_publisher(Image, topics.DEPTH_IMAGE.name, ros.QOS_LARGE)
+        self._info = self.publisher(topics.CAMERA_INFO)
+        self._program_running = self.publisher(topics.ROBOT_PROGRAM_RUNNING)
+        self._scaling = self.publisher(topics.SPEED_SCALING)
+        description = self.publisher(topics.ROBOT_DESCRIPTION)
         own, path = urdf_text(config.tf_prefix), config.simulation.urdf_path
         description.publish(String(data=Path(path).read_text("utf-8") if path else own))
-        self.watch(Float64MultiArray, topics.COMMANDS.name, self._on_command, ros.QOS_RELIABLE)
+        self.subscribe(topics.COMMANDS, self._on_command)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.on_parameters(self.values, {p.name for p in self.parameter_set if p.live})
         self._keep_time(config)
@@ -98,13 +92,8 @@ class SimNode(ros.FvsNode):
         self._answered_s: dict[str, float] = {}  # simulated time of the last answer on each topic
         if config.simulated_time:
             self._base_s = _FIRST_SIMULATED_S
-            self._clock_topic = self.create_publisher(Clock, "/clock", ros.QOS_RELIABLE)
-            self.watch(
-                Float64MultiArray,
-                topics.JACOBIAN.name,
-                lambda _message: self._answer(topics.JACOBIAN.name),
-                ros.QOS_RELIABLE,
-            )
+            self._clock_topic = self.publisher(topics.CLOCK)
+            self.subscribe(topics.JACOBIAN, lambda _message: self._answer(topics.JACOBIAN.name))
             self.create_timer(_BURST_S, self._step_as_fast_as_it_goes, clock=self.steady_clock)
         else:
             self._base_s = self.ros_s()

@@ -47,14 +47,10 @@ class DemoNode(ros.FvsNode):
         self._image_asked_s: float | None = None
         self._end_s = 0.0  # stamp of the end
         self._stop = self.create_client(Trigger, "fvs_controller_node/stop")
-        self._target = self.create_publisher(
-            PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED
-        )
-        self.watch(
-            DiagnosticStatus, topics.CONTROLLER_STATUS.name, self._on_status, ros.QOS_RELIABLE
-        )
+        self._target = self.publisher(topics.TARGET_POSITION)
+        self.subscribe(topics.CONTROLLER_STATUS, self._on_status)
         self.watch(PointStamped, topics.TRUE_BALL_POSITION.name, self._on_true_ball, ros.QOS_EVERY)
-        self.watch(JointState, topics.JOINT_STATES.name, self._on_joint_states, ros.QOS_NEWEST)
+        self.subscribe(topics.JOINT_STATES, self._on_joint_states)
         self.create_timer(_POLL_S, self._poll, clock=self.steady_clock)
 
     # --- inputs ---
@@ -142,10 +138,8 @@ class DemoNode(ros.FvsNode):
         """Subscribe now, not before: the simulator renders full frames for subscribers only."""
         self._image_asked_s, self._end_s = self.steady_s(), stamp_s
         self._stop.call_async(Trigger.Request())  # drawing makes the loop late
-        self.create_subscription(Image, topics.COLOR_IMAGE.name, self._on_image, ros.QOS_RELIABLE)
-        self.create_subscription(
-            CameraInfo, topics.CAMERA_INFO.name, self._on_info, ros.QOS_RELIABLE
-        )
+        self.subscribe(topics.COLOR_IMAGE, self._on_image)
+        self.subscribe(topics.CAMERA_INFO, self._on_info)
 
     def _on_image(self, message: Image) -> None:
         if ros.from_stamp(message.header.stamp) >= self._end_s:  # an old one waited somewhere

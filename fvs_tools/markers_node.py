@@ -51,11 +51,11 @@ class MarkersNode(ros.FvsNode):
         self._trail: deque[tuple[float, Point]] = deque()
         self._heard: Mapping[str, str] = {}
         self._heard_s = float("-inf")
-        self._markers = self.create_publisher(MarkerArray, topics.MARKERS.name, ros.QOS_RELIABLE)
+        self._markers = self.publisher(topics.MARKERS)
         self._transforms: Any = None
-        self.watch(PointStamped, topics.BALL_POSITION.name, self._on_ball, ros.QOS_NEWEST)
-        self.watch(DiagnosticStatus, topics.CONTROLLER_STATUS.name, self._on_status, ros.QOS_NEWEST)
-        self.watch(PoseStamped, topics.TRUE_CAMERA_POSE.name, self._on_camera_pose, ros.QOS_LATCHED)
+        self.subscribe(topics.BALL_POSITION, self._on_ball)
+        self.subscribe(topics.CONTROLLER_STATUS, self._on_status)
+        self.subscribe(topics.TRUE_CAMERA_POSE, self._on_camera_pose)
         self.create_timer(_PERIOD_S, self._show, clock=self.steady_clock)
         self.create_timer(_STATUS_S, self._publish_state, clock=self.steady_clock)
 
@@ -82,9 +82,7 @@ class MarkersNode(ros.FvsNode):
             return
         ros.from_pose(message, topics.TRUE_CAMERA_POSE.name)  # an error if it is none
         if self._transforms is None:
-            self._transforms = self.create_publisher(
-                TFMessage, topics.TF_STATIC.name, ros.QOS_LATCHED
-            )
+            self._transforms = self.publisher(topics.TF_STATIC)
         transform = TransformStamped(
             header=message.header, child_frame_id=self._config.feature_frame
         )

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping
+from importlib import import_module
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -19,6 +20,7 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
 from rclpy.subscription import Subscription
@@ -28,7 +30,8 @@ from fvs_ros.clock import LoopClock
 from fvs_ros.params import Parameter, ParameterError, ParameterSet
 from fvs_ros.ros.inputs import IMAGES, MOST_ITEMS, ArrivalMonitor, check_request, unpacked
 from fvs_ros.ros.messages import OK, WARN, MessageError, plain, to_stamp, to_status
-from fvs_ros.ros.qos import QOS_LATCHED, QOS_RELIABLE
+from fvs_ros.ros.qos import PROFILES, QOS_LATCHED
+from fvs_ros.topics import Topic
 
 _DIAGNOSTICS_PERIOD_S = 1.0
 #: The same complaint is logged once in this time.
@@ -62,6 +65,12 @@ def _descriptor(one: Parameter) -> ParameterDescriptor:
     return descriptor
 
 
+def message_class(name: str) -> type:
+    """The class of a message type such as ``sensor_msgs/msg/JointState``."""
+    module, _, kind = name.rpartition("/")
+    return getattr(import_module(module.replace("/", ".")), kind)
+
+
 class FvsNode(Node):
     """A node with declared parameters, watched inputs and diagnostics.
 
@@ -80,6 +89,7 @@ class FvsNode(Node):
 
     def __init__(self, name: str, parameters: Iterable[Parameter]) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
+        self._declared_name = name  # also where the user gives it another one
         self.parameter_set = ParameterSet(parameters)
         self.values = self._declare()
         self.add_on_set_parameters_callback(self._on_set)
@@ -88,7 +98,7 @@ class FvsNode(Node):
         self._loop_clock = LoopClock(self.ros_s if simulated else None)
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._monitors: dict[str, ArrivalMonitor] = {}
-        self._status = self.create_publisher(DiagnosticStatus, topics.STATUS.name, QOS_RELIABLE)
+        self._status = self.publisher(topics.STATUS)
         self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS.name, 10)
         self.create_timer(_DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady_clock)
         self._health: tuple[bytes, str] = (OK, "starting")
@@ -210,6 +220,18 @@ class FvsNode(Node):
             return callback(request, response)
 
         return super().create_service(srv_type, srv_name, on_request, **options)
+
+    def subscribe(self, topic: Topic, callback: Callable[[Any], None]) -> None:
+        """Watch a topic with the type and the qualities of service that are declared for it."""
+        for qos in topic.subscribers[self._declared_name].qos:
+            self.watch(message_class(topic.type), topic.name, callback, PROFILES[qos])
+
+    def publisher(self, topic: Topic) -> Publisher:
+        """Make a publisher with the type and the quality of service that are declared for it."""
+        (qos,) = topic.publishers[self._declared_name].qos
+        own = f"{self._declared_name}/"
+        name = topic.name.replace(own, "~/") if topic.name.startswith(own) else topic.name
+        return self.create_publisher(message_class(topic.type), name, PROFILES[qos])
 
     def watch(
         self, message_type: type, topic: str, callback: Callable[[Any], None], qos: QoSProfile
