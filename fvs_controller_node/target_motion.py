@@ -26,8 +26,8 @@ _LEAST, _MOST = 3, 64
 #: Highest degree of the motion that is believed.
 _PARABOLA = 2
 #: A term of a polynomial is believed where it is larger than this times what noise makes of it, in
-#: the mean of the squares of its coordinates: noise alone is one time in five.
-_SIGNIFICANT = 1.5
+#: the mean of the squares of its coordinates: noise alone is one time in a hundred.
+_SIGNIFICANT = 3.8
 #: What a polynomial leaves over may be this times the variance learned.
 _SCATTER = 2.0
 #: Least noise, m; the first guess, m, for how many updates it counts, and how many are remembered.
