@@ -31,12 +31,11 @@ from fvs_ros.limits import SpeedLimits
 from fvs_ros.params import Parameters, parameter
 from fvs_ros.vectors import largest
 
-#: Steps of the search for the goal after a new target, the last of which are repeated after each
-#: image; longest step of a joint, rad. In the first ones the goal is drawn towards the posture that
-#: the arm was started in; the others hold on to what was found, more and more: a linear programme
-#: after the other would go to and fro between two corners.
-_FIRST_STEPS, _STEPS, _LONGEST_RAD, _NEARNESS = 8, 2, 0.5, 0.2
-_HOMING_STEPS = 4
+#: Steps of the search for the goal after a new target; longest step of a joint, rad. They draw the
+#: goal towards the posture that the arm was started in. One step after each further image holds on
+#: to what was found, by this weight: one linear programme after the other would go to and fro
+#: between two corners.
+_FIRST_STEPS, _LONGEST_RAD, _NEARNESS = 4, 0.5, 0.2
 #: The goal is looked for anew, too, if it leads further than this from the target, m.
 _NEW_M = 0.02
 #: Damping of the search, m^2/rad^2: larger would leave a part of the way out.
@@ -138,14 +137,13 @@ class MinimumTimeLaw(ControlLaw):
         position, jacobian = chain.position_and_jacobian(goal)
         missing = wanted - position
         new = one.target_count != self._targets or float(np.abs(missing).max()) > _NEW_M
-        for number in range(0 if new else _FIRST_STEPS - _STEPS, _FIRST_STEPS):
+        for _ in range(_FIRST_STEPS if new else 1):
             travel = goal - joints
             way = missing + jacobian @ travel
-            if new and one.home_rad is not None and number < _HOMING_STEPS:
+            if new and one.home_rad is not None:
                 found = self._search.solve(jacobian, way, joints, home_rad=one.home_rad)
             else:
-                nearness = _NEARNESS * 2.0 ** max(0, number - 2)
-                found = self._search.solve(jacobian, way, joints, travel, nearness)
+                found = self._search.solve(jacobian, way, joints, travel, _NEARNESS)
             step = found - travel
             goal = self._within_range(
                 goal + step * min(1.0, _LONGEST_RAD / max(float(np.abs(step).max()), 1e-12))
