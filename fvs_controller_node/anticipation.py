@@ -48,16 +48,14 @@ class Anticipation:
 
     def brake(self, output: ControlOutput, shifted: ControlInput) -> ControlOutput:
         """The output, no faster than it can brake for the target."""
-        if output.brakes:
-            return output
         velocity = output.velocity_rad_s
         fastest = largest(velocity)
         closing = -float(shifted.error_m @ (shifted.jacobian @ velocity))
         if closing <= 0.0:
-            return output._replace(brakes=True)
+            return output
         # On this course the error is gone after this time, and the joint has gone that far.
         to_go_s = float(shifted.error_m @ shifted.error_m) / closing
         limit = braking_speed_within(fastest * to_go_s, self._acceleration, shifted.dt_s)
         if limit < fastest:
             velocity = (limit / fastest) * velocity
-        return output._replace(velocity_rad_s=velocity, brakes=True)
+        return output._replace(velocity_rad_s=velocity)

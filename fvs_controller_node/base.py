@@ -69,17 +69,11 @@ class ControlOutput(NamedTuple):
         sliding variable (17), the proportional law the error (45); zeros for a law without one.
     exponent : ndarray, shape (m,)
         The exponent gamma of each component; ones for a law without one.
-    brakes : bool
-        Whether the law itself brakes in time for the target; else the supervisor does.
-    feed_forward_rad_s : float
-        Speed of the fastest joint that only keeps up with a moving target, rad/s.
     """
 
     velocity_rad_s: np.ndarray
     sliding_variable: np.ndarray
     exponent: np.ndarray
-    brakes: bool = False
-    feed_forward_rad_s: float = 0.0
 
 
 class ControlLaw(ABC):
@@ -91,6 +85,9 @@ class ControlLaw(ABC):
 
     #: Whether it makes use of a chain; the Jacobian then is the chain's.
     reads_chain: ClassVar[bool] = False
+
+    #: Whether it brakes in time for the target itself; else the loop slows it down.
+    brakes: ClassVar[bool] = False
 
     #: Whether it moves at the least joint speeds, whatever ``redundancy_resolution`` is.
     least_speed: ClassVar[bool] = False

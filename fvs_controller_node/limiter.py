@@ -1,14 +1,11 @@
-"""From what a law wants to what is sent: limits of speed, acceleration, range and braking."""
+"""From what a law wants to what is sent: limits of speed, acceleration and range."""
 
 from __future__ import annotations
 
-from math import inf
-
 import numpy as np
 
-from fvs_controller_node.base import ControlOutput
 from fvs_controller_node.supervisor_config import SupervisorConfig
-from fvs_ros.limits import braking_speed, limit_acceleration, limit_speed, ramp_to_zero
+from fvs_ros.limits import limit_acceleration, limit_speed, ramp_to_zero
 
 #: From full speed the arm stops within this, s, however small the acceleration limit is.
 _STOP_S = 0.5
@@ -32,21 +29,20 @@ class Limiter:
 
     def move(
         self,
-        output: ControlOutput,
+        wanted_rad_s: np.ndarray,
         joints_rad: np.ndarray,
         dt_s: float,
         config: SupervisorConfig,
         *,
         max_speed_rad_s: float,
-        travel_rad: float,
         pending_rad: np.ndarray,
     ) -> list[str]:
-        """Find the next command for what a law wants.
+        """Find the next command towards the wanted one.
 
         Parameters
         ----------
-        output : ControlOutput
-            The law's answer.
+        wanted_rad_s : ndarray, shape (n,)
+            What the law wants, rad/s.
         joints_rad, pending_rad : ndarray, shape (n,)
             Joint positions, and motion that was commanded and is still to come, rad.
         dt_s : float
@@ -55,8 +51,6 @@ class Limiter:
             The limits.
         max_speed_rad_s : float
             No joint is faster.
-        travel_rad : float
-            About how far the joint that moves most has to go to the target.
 
         Returns
         -------
@@ -64,14 +58,10 @@ class Limiter:
             The limits that shaped the command.
         """
         acceleration = config.speed.max_joint_acceleration_rad_s2
-        braking = inf
-        if not output.brakes:
-            braking = braking_speed(travel_rad, acceleration) + output.feed_forward_rad_s
         active = []
-        wanted = np.asarray(output.velocity_rad_s, dtype=float)
-        velocity = limit_speed(wanted, min(max_speed_rad_s, braking))
-        if velocity is not wanted:
-            active.append("velocity" if max_speed_rad_s <= braking else "braking")
+        velocity = limit_speed(wanted_rad_s, max_speed_rad_s)
+        if velocity is not wanted_rad_s:
+            active.append("velocity")
         velocity, slowed = config.joint_range.slow_down(
             velocity,
             joints_rad,

@@ -259,8 +259,7 @@ class ServoLoop:
         state = self.anticipation.shift(
             state, self._pending_rad, self._drive_lag.lag_s * target_m_s
         )
-        output = self.anticipation.brake(self.law.command(state), state)
-        return output._replace(
-            velocity_rad_s=output.velocity_rad_s + feed_forward,
-            feed_forward_rad_s=float(np.abs(feed_forward).max()),
-        )
+        output = self.law.command(state)
+        if not self.law.brakes:
+            output = self.anticipation.brake(output, state)
+        return output._replace(velocity_rad_s=output.velocity_rad_s + feed_forward)

@@ -72,6 +72,7 @@ class MinimumTimeLaw(ControlLaw):
     """
 
     reads_chain = True
+    brakes = True
     least_speed = True
     PARAMETERS = MinimumTimeGains.declared()
 
@@ -118,7 +119,7 @@ class MinimumTimeLaw(ControlLaw):
         if travel > 0.0:
             velocity = left * (self._speed_for(travel, one.dt_s) / travel)
         features = one.error_m.size
-        return ControlOutput(velocity, np.zeros(features), np.ones(features), brakes=True)
+        return ControlOutput(velocity, np.zeros(features), np.ones(features))
 
     def _speed_for(self, travel_rad: float, dt_s: float) -> float:
         """Largest speed that can be braked in time, rad/s."""

@@ -23,7 +23,6 @@ from fvs_controller_node.monitors import (
     PredictionMonitor,
     ProgressMonitor,
 )
-from fvs_controller_node.pseudo_inverse import DampedInverse
 from fvs_controller_node.reasons import Finding, Reason, State, Stop
 from fvs_controller_node.singularity import SingularityWatch
 from fvs_controller_node.supervisor_config import SupervisorConfig
@@ -38,9 +37,6 @@ _SLOWEST_SHARE = 0.25
 
 #: Speed at which the arm leaves a singular pose on request, rad/s, and for how long at most, s.
 _LEAVE_RAD_S, _LEAVE_TIME_S = 0.1, 10.0
-
-#: Turns the error into the joint motion that it takes.
-_INVERSE = DampedInverse()
 
 _PAUSES = (Reason.PROGRAM_STOPPED, Reason.SPEED_SCALING_ZERO)
 
@@ -386,12 +382,11 @@ class Supervisor:
             if self._leaving_s > _LEAVE_TIME_S:
                 self._singularity.stay()
         active = self._limiter.move(
-            output,
+            np.asarray(output.velocity_rad_s, dtype=float),
             joints,
             dt_s,
             config,
             max_speed_rad_s=fast,
-            travel_rad=0.0 if output.brakes else self._travel_rad(),
             pending_rad=self._pending,
         )
         reason = Reason.SETTLED if self.goal.progress.settled else Reason.SERVOING
@@ -399,13 +394,6 @@ class Supervisor:
         assert error is not None
         error_mm = 1e3 * length(error)
         return self._answer(reason.because(error_mm=error_mm), ", ".join(slowed + active), output)
-
-    def _travel_rad(self) -> float:
-        """Return about how far the joint that moves most has to go to the target, rad."""
-        error = self.goal.error_m
-        assert self.inputs.jacobian is not None
-        assert error is not None
-        return largest(_INVERSE.joint_velocity(self.inputs.jacobian, error))
 
     def _speed_share(self) -> tuple[float, list[str]]:
         """Share of the velocity limit that the Jacobian's condition and quality leave."""
