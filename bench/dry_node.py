@@ -39,7 +39,7 @@ class DryNode(FvsNode):
     simulated_time: bool
 
     def __init__(self, name: str, parameters: Any) -> None:  # rclpy's own is left out on purpose
-        self._name = name
+        self._name = self._declared_name = name
         self.parameter_set = ParameterSet(parameters)
         self.values = self.parameter_set.values(self.given)
         self.steady_clock = None

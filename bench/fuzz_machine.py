@@ -321,7 +321,7 @@ class Machine(RuleBasedStateMachine):
         message.layout.dim = [MultiArrayDimension(size=one) for one in sizes]
         self.world.send_jacobian(message)
 
-    @rule(data=st.one_of(vector(45, 3.0), st.lists(NUMBER, max_size=45)))
+    @rule(data=st.one_of(vector(49, 3.0), st.lists(NUMBER, max_size=49)))
     def odd_chain(self, data: Sequence[float]) -> None:
         """Send any chain, or what is none."""
         self.world.send_chain(Float64MultiArray(data=data))

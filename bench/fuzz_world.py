@@ -255,7 +255,7 @@ class World:
 
     def send_jacobian(self, message: Float64MultiArray) -> None:
         """Send a Jacobian, m/rad."""
-        jacobian = _read(ros.from_jacobian, message)
+        jacobian = _read(ros.from_jacobian, message, *TRUE_JACOBIAN.shape)
         self._note(JACOBIAN, jacobian)
         usable = JACOBIAN not in self.bad and jacobian is not None
         self.singular_m_rad = np.linalg.svd(jacobian, compute_uv=False)[-1] if usable else math.inf
@@ -266,7 +266,7 @@ class World:
         if self.node._loop.law.reads_chain:
             self._chain_s = self.now_s
             self.bad.discard(CHAIN)
-            if _read(ros.from_chain, message) is None:
+            if _read(ros.from_chain, message, TRUE_JACOBIAN.shape[1]) is None:
                 self.bad.add(CHAIN)
         self.node._on_chain(message)
 

@@ -56,6 +56,7 @@ class ControllerNode(ros.FvsNode):
         v = self.values
         self._frame = v["feature_frame"]
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
+        self._shape = len(v["workspace_min_m"]), len(v["joint_names"])  # of the Jacobian
         self._loop = build_loop(v)
         self._simulated_time = self.get_parameter("use_sim_time").value
         self._period_s = 1.0 / v["joint_state_rate_hz"]
@@ -132,14 +133,14 @@ class ControllerNode(ros.FvsNode):
     def _on_jacobian(self, message: Float64MultiArray) -> None:
         now_s = self.now_s()
         try:
-            self._loop.add_jacobian(now_s, ros.from_jacobian(message))
+            self._loop.add_jacobian(now_s, ros.from_jacobian(message, *self._shape))
         except ros.MessageError as error:
             self._loop.supervisor.inputs.bad_input(now_s, JACOBIAN, str(error))
 
     def _on_chain(self, message: Float64MultiArray) -> None:
         now_s = self.now_s()
         try:
-            self._loop.add_chain(now_s, ros.from_chain(message))
+            self._loop.add_chain(now_s, ros.from_chain(message, self._shape[1]))
         except ros.MessageError as error:
             self._loop.bad_chain(now_s, str(error))
 
@@ -301,7 +302,7 @@ class ControllerNode(ros.FvsNode):
     def finish(self) -> None:
         """Leave zeros on the wire, and then say so."""
         self._loop.supervisor.shutdown()
-        ros.send_last_zeros(self._commands)
+        ros.send_last_zeros(self._commands, self._shape[1])
         self._command = self._loop.tick(self.now_s(), 0.0)
         self._publish_status()
 

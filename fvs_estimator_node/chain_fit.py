@@ -1,8 +1,8 @@
 """Fits a serial chain of revolute joints to a minute of ordinary motion.
 
-The camera sees the ball at ``x(r(t - tau)) + noise`` of an image stamped t: 27 numbers of a
-:class:`~fvs_ros.chain.SerialChain` (two for each axis' direction, two for its place, three for
-the ball) and the time ``tau`` that the images are stamped late. They are found by robust
+The camera sees the ball at ``x(r(t - tau)) + noise`` of an image stamped t: 4 n + 3 numbers of a
+:class:`~fvs_ros.chain.SerialChain` of n joints (two for each axis' direction, two for its place,
+three for the ball) and the time ``tau`` that the images are stamped late. They are found by robust
 non-linear least squares with the exact derivatives.
 
 The start comes from a cubic regression of the positions about the mean joints: there
@@ -21,12 +21,11 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from fvs_estimator_node.chain_chart import N_COORDINATES, OFFSET, Chart, residuals_and_slopes
+from fvs_estimator_node.chain_chart import OFFSET, Chart, each_coordinate, residuals_and_slopes
 from fvs_estimator_node.chain_path import MAX_OFFSET_S, ChainPath
 from fvs_estimator_node.chain_start import Regression, first_guess, regress, turned_about
 from fvs_estimator_node.dataset import DataSet
 from fvs_ros.chain import SerialChain
-from fvs_ros.joints import N_JOINTS
 
 #: Fewest images that a chain is fitted to.
 MIN_SAMPLES = 200
@@ -52,9 +51,11 @@ _GOOD_SHARE = 1.5
 #: that each is given: the right side needs six or so, a wrong one has no end.
 _TURNED, _TURNED_EVALUATIONS = 2, 10
 #: How far off the coordinates may be where the data do not tell, standard deviations: rad, m, m, s.
-_PRIOR = np.repeat([1.0, 1.0, 1.0, 0.1], [12, 12, 3, 1])
+_PRIOR = (1.0, 1.0, 1.0, 0.1)
 #: The same for a slope of the residuals by the joints, m/rad: more than any joint moves the ball.
-_SLOPE_PRIOR = np.ones(3 * N_JOINTS)
+_SLOPE_PRIOR = 1.0
+#: Typical steps of the coordinates: rad, m, m, s.
+_TYPICAL = (0.3, 0.1, 0.1, 0.05)
 #: Step of the derivatives of the Jacobian by the coordinates, rad and m.
 _STEP = 1e-4
 
@@ -87,12 +88,12 @@ class ChainFit:
         Images further than six standard deviations from the chain.
     samples : int
         Images used.
-    covariance : ndarray, shape (28, 28)
+    covariance : ndarray, shape (4 n + 4, 4 n + 4)
         Of the coordinates of :class:`~fvs_estimator_node.chain_chart.Chart` at the chain, by the
         noise; rad, m and s.
-    unfitted : ndarray, shape (46, 46)
+    unfitted : ndarray, shape (7 n + 4, 7 n + 4)
         What a constant Jacobian beside the chain would change, squared and less what noise makes
-        of it: the 28 coordinates, and that Jacobian row by row, m/rad.
+        of it: the coordinates, and that Jacobian row by row, m/rad.
     """
 
     chain: SerialChain
@@ -147,21 +148,22 @@ class ChainFit:
 
         Parameters
         ----------
-        joints_rad : ndarray, shape (n, 6)
+        joints_rad : ndarray, shape (k, n)
             Joints, rad.
 
         Returns
         -------
-        ndarray, shape (n,)
+        ndarray, shape (k,)
             Frobenius norm of the deviation over that of the Jacobian.
         """
         chart = Chart(self.chain)
         jacobian = self.chain.jacobian(joints_rad)
-        changes = np.zeros((len(joints_rad), 3 * N_JOINTS, len(self.unfitted)))
-        for place, step in enumerate(_STEP * np.eye(OFFSET)):
+        numbers = jacobian[0].size
+        changes = np.zeros((len(joints_rad), numbers, len(self.unfitted)))
+        for place, step in enumerate(_STEP * np.eye(chart.size - 1)):
             change = (chart.chain(step).jacobian(joints_rad) - jacobian) / _STEP
             changes[..., place] = change.reshape(len(joints_rad), -1)
-        changes[..., N_COORDINATES:] = np.eye(3 * N_JOINTS)
+        changes[..., chart.size :] = np.eye(numbers)
 
         def squares(moments: np.ndarray) -> np.ndarray:
             some = changes[..., : len(moments)]
@@ -208,7 +210,7 @@ def fit_chain(
     if np.linalg.norm(data.ball_m.std(axis=0)) < 1e-3:
         raise ChainFitError("the ball does not move in the data set, so there is no chain to find")
     fitting = _Fitting(path, data.ball_m[path.indices])
-    # Matrices of 28 columns: on a busy machine more threads took twenty times as long.
+    # Matrices of few columns: on a busy machine more threads took twenty times as long.
     with threadpool_limits(1):
         say("looking for the axes")
         chain, offset_s = fitting.start(rng)
@@ -277,7 +279,7 @@ class _Fitting:
         """
         from scipy.optimize import least_squares
 
-        pull = unit / _PRIOR
+        pull = unit / each_coordinate(len(chart.axes), *_PRIOR)
 
         def values_of(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             joints, velocity = self._path.joints_and_velocities(float(values[OFFSET]))
@@ -286,10 +288,10 @@ class _Fitting:
                     chart, values, joints[images], velocity[images], self._ball[images]
                 )
             except ValueError:  # no chain: a step too far, which is then made shorter
-                return np.full(3 * len(images) + N_COORDINATES, np.inf), np.empty(0)
+                return np.full(3 * len(images) + chart.size, np.inf), np.empty(0)
             white = whitening if whitening.ndim == 2 else whitening[images]
             residual = (white @ residual[..., None]).ravel()
-            slope = (white @ slope).reshape(-1, N_COORDINATES)
+            slope = (white @ slope).reshape(-1, chart.size)
             return (
                 np.concatenate([residual, pull * (values - chart.expected)]),
                 np.concatenate([slope, np.diag(pull)]),
@@ -304,9 +306,9 @@ class _Fitting:
                 cache[key] = values_of(values)
             return cache[key]
 
-        begin = np.zeros(N_COORDINATES)
+        begin = np.zeros(chart.size)
         begin[OFFSET] = offset_s
-        limit = np.full(N_COORDINATES, np.inf)
+        limit = np.full(chart.size, np.inf)
         limit[OFFSET] = MAX_OFFSET_S
         solution = least_squares(
             lambda values: cached(values)[0],
@@ -319,7 +321,7 @@ class _Fitting:
             ftol=1e-6,
             xtol=1e-7,
             gtol=1e-10,
-            x_scale=np.repeat([0.3, 0.1, 0.1, 0.05], [12, 12, 3, 1]),
+            x_scale=each_coordinate(len(chart.axes), *_TYPICAL),
         )
         return solution.x, float(solution.cost) / len(images)
 
@@ -407,20 +409,23 @@ class _Fitting:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Covariance by the noise, and what a constant Jacobian beside the chain would change."""
         joints, velocity = self._path.joints_and_velocities(offset_s)
+        chart = Chart(chain)
         residual, slope = residuals_and_slopes(
-            Chart(chain), np.zeros(N_COORDINATES), joints, velocity, self._ball
+            chart, np.zeros(chart.size), joints, velocity, self._ball
         )
         beside = np.kron(np.eye(3), (joints - joints.mean(axis=0))[:, None])
         columns = np.concatenate([slope, beside], axis=2)
         rows = (whitening @ columns)[inlier].reshape(-1, columns.shape[2])
         wanted = (whitening @ residual[..., None])[inlier].ravel()
-        known = rows.T @ rows + np.diag(np.concatenate([_PRIOR, _SLOPE_PRIOR]) ** -2)
-        covariance = np.linalg.inv(known[:N_COORDINATES, :N_COORDINATES])
+        prior = np.full(columns.shape[2], _SLOPE_PRIOR)
+        prior[: chart.size] = each_coordinate(len(chart.axes), *_PRIOR)
+        known = rows.T @ rows + np.diag(prior**-2)
+        covariance = np.linalg.inv(known[: chart.size, : chart.size])
         wider = np.linalg.inv(known)
         found = wider @ (rows.T @ wanted)
         # Noise alone makes a difference of the two fits as large as that of their covariances.
         unfitted = np.outer(found, found) - wider
-        unfitted[:N_COORDINATES, :N_COORDINATES] += covariance
+        unfitted[: chart.size, : chart.size] += covariance
         return covariance, unfitted
 
 

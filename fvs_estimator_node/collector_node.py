@@ -195,7 +195,7 @@ class CollectorNode(ros.FvsNode):
 
     def finish(self) -> None:
         """Leave zeros on the wire; when interrupted, keep what was recorded."""
-        ros.send_last_zeros(self._commands)
+        ros.send_last_zeros(self._commands, len(self._names))
         if self._stop is not None:
             self._stop.close()
         if self.exit_code is None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from fvs_estimator_node.npz_file import NpzFile, check_same, write_npz
 from fvs_ros.camera import CAMERA_FRAME
-from fvs_ros.joints import N_JOINTS, UR_JOINT_NAMES
+from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_ros.timeline import Sample
 
 DATA_SET_FORMAT = "fvs_dataset"
@@ -32,9 +32,9 @@ class DataSet:
     ----------
     stamps_s : ndarray, shape (n,)
         Exposure times, s; rising within a segment.
-    joints_rad : ndarray, shape (n, 6)
+    joints_rad : ndarray, shape (n, joints)
         Joint positions at exposure, rad.
-    ball_m : ndarray, shape (n, 3)
+    ball_m : ndarray, shape (n, m)
         Ball positions in the feature frame, m.
     segment : ndarray of int, shape (n,)
         Number of the continuous run a sample belongs to; never falls.
@@ -63,8 +63,8 @@ class DataSet:
         n = len(self.stamps_s)
         wanted = {
             "stamps_s": (n,),
-            "joints_rad": (n, N_JOINTS),
-            "ball_m": (n, 3),
+            "joints_rad": (n, len(self.joint_names)),
+            "ball_m": (n, *np.shape(self.ball_m)[1:2]),
             "segment": (n,),
         }
         for name, shape in wanted.items():
@@ -157,10 +157,10 @@ def load_data_set(
     names = content.joint_names()
     frame = content.text("feature_frame")
     check_same(DataSetError, f"{path}", names, frame, joint_names, feature_frame)
-    joints = content.numbers("joints_rad", (None, N_JOINTS), "f")
+    joints = content.numbers("joints_rad", (None, len(names)), "f")
     n = len(joints)
     stamps = content.numbers("stamps_s", (n,), "f")
-    ball = content.numbers("ball_m", (n, 3), "f")
+    ball = content.numbers("ball_m", (n, None), "f")
     segment = content.numbers("segment", (n,), "iu")
     provenance = content.json("provenance")
     try:

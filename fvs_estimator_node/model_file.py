@@ -13,8 +13,8 @@ import numpy as np
 from fvs_estimator_node.npz_file import NpzFile, check_same, write_npz
 from fvs_estimator_node.rbf import RbfModel
 from fvs_ros.camera import CAMERA_FRAME
-from fvs_ros.chain import CHAIN_SHAPES, SerialChain
-from fvs_ros.joints import N_JOINTS, UR_JOINT_NAMES
+from fvs_ros.chain import SerialChain, chain_shapes
+from fvs_ros.joints import UR_JOINT_NAMES
 
 MODEL_FORMAT = "fvs_rbf_model"
 MODEL_VERSION = 1
@@ -40,11 +40,11 @@ class TrainedModel:
     ----------
     model : RbfModel
         Centres, widths, weights.
-    joint_box_rad : ndarray, shape (2, 6)
+    joint_box_rad : ndarray, shape (2, n)
         Least and greatest joint positions trained on, rad; outside, the networks extrapolate.
-    ball_box_m : ndarray, shape (2, 3)
+    ball_box_m : ndarray, shape (2, m)
         Least and greatest ball positions trained on, m.
-    ball_samples_m : ndarray, shape (k, 3)
+    ball_samples_m : ndarray, shape (k, m)
         Some of the ball positions trained on, m: places that the arm can reach.
     joint_names : tuple of str
         The joint order.
@@ -74,7 +74,8 @@ class TrainedModel:
     chain: SerialChain | None = None
 
     def __post_init__(self) -> None:
-        for name, shape in (("joint_box_rad", (2, N_JOINTS)), ("ball_box_m", (2, 3))):
+        n, m = self.model.weights.shape[:2]
+        for name, shape in (("joint_box_rad", (2, n)), ("ball_box_m", (2, m))):
             value = np.asarray(getattr(self, name), dtype=float)
             if value.shape != shape or not np.all(np.isfinite(value)):
                 raise ModelFileError(f"{name} must be finite and of shape {shape}")
@@ -82,8 +83,8 @@ class TrainedModel:
                 raise ModelFileError(f"{name} has a least value above the greatest")
             object.__setattr__(self, name, value)
         samples = np.asarray(self.ball_samples_m, dtype=float)
-        if samples.ndim != 2 or samples.shape[1] != 3 or not np.all(np.isfinite(samples)):
-            raise ModelFileError("ball_samples_m must be finite and of shape (k, 3)")
+        if samples.ndim != 2 or samples.shape[1] != m or not np.all(np.isfinite(samples)):
+            raise ModelFileError(f"ball_samples_m must be finite and of shape (k, {m})")
         object.__setattr__(self, "ball_samples_m", samples)
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
 
@@ -100,8 +101,7 @@ def save_model(path: str | os.PathLike[str], trained: TrainedModel) -> None:
     """Write a model in one piece."""
     chain = {
         f"chain_{name}": getattr(trained.chain, name)
-        for name in CHAIN_SHAPES
-        if trained.chain is not None
+        for name in (chain_shapes(0) if trained.chain is not None else ())
     }
     write_npz(
         path,
@@ -148,21 +148,23 @@ def load_model(
     names = content.joint_names()
     frame = content.text("feature_frame")
     check_same(ModelFileError, f"{path}", names, frame, joint_names, feature_frame)
-    centres = content.numbers("centres", (N_JOINTS, None, N_JOINTS), "f")
-    m = centres.shape[1]
-    widths = content.numbers("widths", (N_JOINTS, m), "f")
-    weights = content.numbers("weights", (N_JOINTS, 3, m), "f")
+    n = len(names)
+    centres = content.numbers("centres", (n, None, n), "f")
+    neurons = centres.shape[1]
+    widths = content.numbers("widths", (n, neurons), "f")
+    weights = content.numbers("weights", (n, None, neurons), "f")
+    m = weights.shape[1]
     try:
         return TrainedModel(
             RbfModel(centres, widths, weights),
-            content.numbers("joint_box_rad", (2, N_JOINTS), "f"),
-            content.numbers("ball_box_m", (2, 3), "f"),
-            content.numbers("ball_samples_m", (None, 3), "f"),
+            content.numbers("joint_box_rad", (2, n), "f"),
+            content.numbers("ball_box_m", (2, m), "f"),
+            content.numbers("ball_samples_m", (None, m), "f"),
             names,
             frame,
             content.json("errors"),
             content.json("provenance"),
-            _chain(content),
+            _chain(content, n),
         )
     except ModelFileError as error:
         if str(error).startswith(str(content.path)):
@@ -172,10 +174,11 @@ def load_model(
         raise content.refusal(f"is not a model: {error}") from None
 
 
-def _chain(content: NpzFile) -> SerialChain | None:
+def _chain(content: NpzFile, joints: int) -> SerialChain | None:
     """The chain of a file that has all fields of one; None if it has none of them."""
-    if not any(content.has(f"chain_{name}") for name in CHAIN_SHAPES):
+    shapes = chain_shapes(joints)
+    if not any(content.has(f"chain_{name}") for name in shapes):
         return None
     return SerialChain(
-        *(content.numbers(f"chain_{name}", shape, "f") for name, shape in CHAIN_SHAPES.items())
+        *(content.numbers(f"chain_{name}", shape, "f") for name, shape in shapes.items())
     )

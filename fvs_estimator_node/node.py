@@ -24,6 +24,7 @@ from fvs_estimator_node.oracle import OracleEstimator
 from fvs_estimator_node.pairing import StepPairing
 from fvs_estimator_node.registry import create_estimator, needs_model
 from fvs_ros import ros, topics
+from fvs_ros.camera import BALL_FEATURES
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.paths import find_file
 from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
@@ -134,7 +135,8 @@ class EstimatorNode(ros.FvsNode):
         if not isinstance(self._loop.estimator, OracleEstimator):
             return  # no longer
         try:
-            self._loop.estimator.tell(ros.from_jacobian(message))
+            shape = BALL_FEATURES, len(self._joint_map.names)
+            self._loop.estimator.tell(ros.from_jacobian(message, *shape))
         except ros.MessageError as error:
             self._complain(f"{topics.TRUE_JACOBIAN.name}: {error}")
 

@@ -16,6 +16,9 @@ import numpy as np
 #: Frame of ball and target unless told otherwise: that of a RealSense's colour camera.
 CAMERA_FRAME = "camera_color_optical_frame"
 
+#: A ball is seen as x, y, z.
+BALL_FEATURES = 3
+
 
 @dataclass(frozen=True)
 class Intrinsics:

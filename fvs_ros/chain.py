@@ -2,7 +2,7 @@
 
 Product of exponentials: with axis i a line through ``q_i`` along the unit vector ``w_i``,
 
-    x(r) = E_1(r_1 - r0_1) E_2(r_2 - r0_2) ... E_6(r_6 - r0_6) x0,
+    x(r) = E_1(r_1 - r0_1) E_2(r_2 - r0_2) ... E_n(r_n - r0_n) x0,
 
 where ``E_i(angle)`` turns space about axis i. Axes and ball are those of the reference joints
 ``r0``, in the camera's frame: no other frame, and no length or angle of the robot, is needed. With
@@ -17,19 +17,14 @@ from functools import reduce
 
 import numpy as np
 
-from fvs_ros.joints import N_JOINTS
-
-#: What a chain is made of, and the shapes.
-CHAIN_SHAPES: dict[str, tuple[int, ...]] = {
-    "axes": (N_JOINTS, 3),
-    "points_m": (N_JOINTS, 3),
-    "ball_m": (3,),
-    "reference_rad": (N_JOINTS,),
-}
-
 _IDENTITY = np.eye(4)
 _LARGEST_M = 100.0
-_BACKWARD = tuple(reversed(range(N_JOINTS)))
+
+
+def chain_shapes(joints: int) -> dict[str, tuple[int, ...]]:
+    """What a chain of so many joints is made of, and the shapes."""
+    vectors = (joints, 3)
+    return {"axes": vectors, "points_m": vectors, "ball_m": (3,), "reference_rad": (joints,)}
 
 
 def cross_matrix(vectors: np.ndarray) -> np.ndarray:
@@ -43,17 +38,17 @@ def cross_matrix(vectors: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class SerialChain:
-    """Six axes and a ball.
+    """The axes of n joints and a ball.
 
     Parameters
     ----------
-    axes : ndarray, shape (6, 3)
+    axes : ndarray, shape (n, 3)
         Directions w of the axes at the reference joints, camera frame; normalised here.
-    points_m : ndarray, shape (6, 3)
+    points_m : ndarray, shape (n, 3)
         A point q of each axis, camera frame, m.
     ball_m : ndarray, shape (3,)
         The ball x0 at the reference joints, camera frame, m.
-    reference_rad : ndarray, shape (6,)
+    reference_rad : ndarray, shape (n,)
         The reference joints r0, rad.
 
     Raises
@@ -74,7 +69,7 @@ class SerialChain:
     _ball: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name, shape in CHAIN_SHAPES.items():
+        for name, shape in chain_shapes(len(np.atleast_1d(self.axes))).items():
             value = np.array(getattr(self, name), dtype=float)
             if value.shape != shape:
                 raise ValueError(f"{name} of a chain has shape {value.shape}, expected {shape}")
@@ -85,7 +80,7 @@ class SerialChain:
         if lengths.min() < 1e-6:
             raise ValueError("an axis of a chain has no direction")
         self._keep("axes", self.axes / lengths)
-        twists = np.zeros((N_JOINTS, 4, 4))
+        twists = np.zeros((len(self.axes), 4, 4))
         twists[:, :3, :3] = cross_matrix(self.axes)
         twists[:, :3, 3] = np.cross(self.points_m, self.axes)
         twists = np.ascontiguousarray(np.swapaxes(twists, 1, 2))
@@ -98,7 +93,7 @@ class SerialChain:
         object.__setattr__(self, name, value)
 
     def _turns(self, joints_rad: np.ndarray) -> np.ndarray:
-        """The turns E_i, transposed, shape (..., 6, 4, 4), at joints, rad, shape (..., 6)."""
+        """The turns E_i, transposed, shape (..., n, 4, 4), at joints, rad, shape (..., n)."""
         angle = (np.asarray(joints_rad, dtype=float) - self.reference_rad)[..., None, None]
         turns = np.sin(angle) * self._twists
         turns += (1.0 - np.cos(angle)) * self._squares
@@ -106,12 +101,12 @@ class SerialChain:
         return turns
 
     def position(self, joints_rad: np.ndarray) -> np.ndarray:
-        """The ball's position, camera frame, m, shape (..., 3), at joints, rad, shape (..., 6)."""
+        """The ball's position, camera frame, m, shape (..., 3), at joints, rad, shape (..., n)."""
         turns = self._turns(joints_rad)
         if turns.ndim == 3:
             return reduce(np.dot, turns[::-1], self._ball)[:3]
         ball = self._ball[None, :]
-        for i in _BACKWARD:
+        for i in reversed(range(len(self._twists))):
             ball = ball @ turns[..., i, :, :]
         return ball[..., 0, :3]
 
@@ -120,38 +115,39 @@ class SerialChain:
 
         Parameters
         ----------
-        joints_rad : ndarray, shape (..., 6)
+        joints_rad : ndarray, shape (..., n)
             Joint positions, rad.
 
         Returns
         -------
         position_m : ndarray, shape (..., 3)
             m.
-        jacobian : ndarray, shape (..., 3, 6)
+        jacobian : ndarray, shape (..., 3, n)
             m/rad.
         """
         turns = self._turns(joints_rad)
         # Rows: the columns of the Jacobian and, last, the ball, from the last joint to the first.
-        parts = np.empty((*turns.shape[:-3], N_JOINTS + 1, 4))
-        parts[..., N_JOINTS, :] = self._ball
+        joints = len(self._twists)
+        parts = np.empty((*turns.shape[:-3], joints + 1, 4))
+        parts[..., joints, :] = self._ball
         if parts.ndim == 2:
             self._turn_one(parts, turns)
         else:
-            for i in _BACKWARD:
+            for i in reversed(range(joints)):
                 parts[..., i + 1 :, :] = parts[..., i + 1 :, :] @ turns[..., i, :, :]
-                parts[..., i, :] = parts[..., N_JOINTS, :] @ self._twists[i]
-        return parts[..., N_JOINTS, :3], np.swapaxes(parts[..., :N_JOINTS, :3], -1, -2)
+                parts[..., i, :] = parts[..., joints, :] @ self._twists[i]
+        return parts[..., joints, :3], np.swapaxes(parts[..., :joints, :3], -1, -2)
 
     def _turn_one(self, parts: np.ndarray, turns: np.ndarray) -> None:
         """The same for one joint vector, where calls cost more than sums: in half the time."""
-        twists, ball = self._twists, parts[N_JOINTS]
-        for i in _BACKWARD:
+        twists, ball = self._twists, parts[-1]
+        for i in reversed(range(len(twists))):
             later = parts[i + 1 :]
             later[:] = later.dot(turns[i])
             ball.dot(twists[i], out=parts[i])
 
     def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
-        """The Jacobian, m/rad, shape (..., 3, 6), at joints, rad, shape (..., 6)."""
+        """The Jacobian, m/rad, shape (..., 3, n), at joints, rad, shape (..., n)."""
         return self.position_and_jacobian(joints_rad)[1]
 
     def moved(self, rotation: np.ndarray, translation_m: np.ndarray) -> SerialChain:

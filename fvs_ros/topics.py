@@ -178,17 +178,17 @@ BALL_POSITION = Topic(
 JACOBIAN = Topic(
     "jacobian",
     "std_msgs/msg/Float64MultiArray",
-    "Ball motion per joint motion at the newest joints, m/rad: 3 rows (feature) of 6 columns "
-    "(joint), row by row, joints in kinematic order.",
+    "Ball motion per joint motion at the newest joints, m/rad: 3 rows (feature), a column for each "
+    "joint, row by row, joints in kinematic order.",
     {ESTIMATOR: _RELIABLE},
     {SIM: _SIMULATED, CONTROLLER: _NEWEST},
 )
 KINEMATIC_CHAIN = Topic(
     "kinematic_chain",
     "std_msgs/msg/Float64MultiArray",
-    "The arm as the camera sees it now, if `method` is `poe`: 15 rows of x, y, z, row by row. Rows "
-    "0 to 5 are the directions of the joints' axes, 6 to 11 a point on each, m, 12 the ball, m, "
-    "all in the camera's optical frame, where the joints stand as rows 13 and 14 say, rad.",
+    "The arm as the camera sees it now, if `method` is `poe`, in the camera's optical frame: for "
+    "each joint a row of 7, the direction of its axis, a point on it, m, and the joint's reference "
+    "position, rad; last a row of the ball at the reference positions, m, and zeros.",
     {ESTIMATOR: _RELIABLE},
     {CONTROLLER: _NEWEST},
 )
@@ -210,7 +210,7 @@ SLIDING_VARIABLE = Topic(
 COMMANDS = Topic(
     "forward_velocity_controller/commands",
     "std_msgs/msg/Float64MultiArray",
-    "Six joint velocities, rad/s, in kinematic order; the robot holds the last one for ever.",
+    "A velocity for each joint, rad/s, in kinematic order; the robot holds the last one for ever.",
     {CONTROLLER: _RELIABLE, COLLECTOR: _RELIABLE},
     {SIM: _RELIABLE, CONTROLLER: End((Qos.RELIABLE,), later="another node publishing there")},
     also_to=_DRIVER,

@@ -19,13 +19,14 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from fvs_ros.camera import CameraModel, Intrinsics, camera_model
 from fvs_ros.chain import SerialChain
-from fvs_ros.joints import N_JOINTS
 from fvs_ros.vectors import length
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 _LAST_ZEROS, _LAST_ZEROS_PERIOD_S, _LAST_ZEROS_ACK_S = 5, 0.01, 0.5
 _QUATERNION_SLACK = 0.01
+#: Of a chain's message: axis, point and reference of a joint.
+_CHAIN_COLUMNS = 7
 #: Longest text that is logged, published or taken for a frame, characters.
 MOST_TEXT = 1000
 
@@ -172,72 +173,72 @@ def _from_matrix(message: Float64MultiArray, name: str, rows: int, columns: int)
 
 
 def to_jacobian(jacobian: np.ndarray) -> Float64MultiArray:
-    """``Float64MultiArray`` of a Jacobian, m/rad, shape (3, 6), row-major."""
+    """``Float64MultiArray`` of a Jacobian, m/rad, shape (m, n), row-major."""
     return _to_matrix(jacobian, "feature", "joint")
 
 
-def from_jacobian(message: Float64MultiArray) -> np.ndarray:
+def from_jacobian(message: Float64MultiArray, features: int, joints: int) -> np.ndarray:
     """Jacobian of a ``Float64MultiArray``.
 
     Returns
     -------
-    ndarray, shape (3, 6)
+    ndarray, shape (features, joints)
         m/rad, joints in kinematic order.
 
     Raises
     ------
     MessageError
-        If it is not 3x6 or not finite.
+        If it has another shape or is not finite.
     """
-    return _from_matrix(message, "jacobian", 3, N_JOINTS)
+    return _from_matrix(message, "jacobian", features, joints)
 
 
 def to_chain(chain: SerialChain) -> Float64MultiArray:
-    """``Float64MultiArray`` of a chain, shape (15, 3), row-major.
+    """``Float64MultiArray`` of a chain of n joints, shape (n + 1, 7), row-major.
 
-    Rows 0 to 5 are the axes, 6 to 11 the points on them, m, 12 the ball, m, and 13 and 14 the
-    reference joints, rad.
+    A row for each joint: the direction of its axis, a point on it, m, and the joint's reference
+    position, rad. The last row is the ball, m, and zeros.
     """
-    reference = chain.reference_rad.reshape(2, 3)
-    rows = np.concatenate([chain.axes, chain.points_m, chain.ball_m[None], reference])
-    return _to_matrix(rows, "row", "xyz")
+    rows = np.zeros((len(chain.axes) + 1, _CHAIN_COLUMNS))
+    rows[:-1] = np.hstack([chain.axes, chain.points_m, chain.reference_rad[:, None]])
+    rows[-1, :3] = chain.ball_m
+    return _to_matrix(rows, "joint", "axis_point_reference")
 
 
-def from_chain(message: Float64MultiArray) -> SerialChain:
+def from_chain(message: Float64MultiArray, joints: int) -> SerialChain:
     """Chain of a ``Float64MultiArray`` as :func:`to_chain` makes it.
 
     Raises
     ------
     MessageError
-        If it is not 15x3, not finite, or no chain.
+        If it has another shape, is not finite, or no chain.
     """
-    rows = _from_matrix(message, "kinematic_chain", 2 * N_JOINTS + 3, 3)
-    axes, points, ball, reference = np.split(rows, [N_JOINTS, 2 * N_JOINTS, 2 * N_JOINTS + 1])
+    rows = _from_matrix(message, "kinematic_chain", joints + 1, _CHAIN_COLUMNS)
     try:
-        return SerialChain(axes, points, ball[0], reference.reshape(-1))
+        return SerialChain(rows[:-1, :3], rows[:-1, 3:6], rows[-1, :3], rows[:-1, 6])
     except ValueError as error:
         raise MessageError(f"kinematic_chain is no chain: {error}") from error
 
 
 def to_command(velocity_rad_s: np.ndarray) -> Float64MultiArray:
-    """``Float64MultiArray`` of joint velocities, rad/s, shape (6,), kinematic order.
+    """``Float64MultiArray`` of joint velocities, rad/s, shape (n,), kinematic order.
 
     Raises
     ------
     MessageError
-        If they are not six finite numbers: a velocity controller would go on with its last
-        command, or be deactivated.
+        If they are not finite numbers: a velocity controller would go on with its last command, or
+        be deactivated.
     """
     velocity = np.asarray(velocity_rad_s, dtype=float)
-    if velocity.shape != (N_JOINTS,) or not np.all(np.isfinite(velocity)):
-        raise MessageError(f"a command must be {N_JOINTS} finite numbers, got {velocity}")
+    if velocity.ndim != 1 or not np.all(np.isfinite(velocity)):
+        raise MessageError(f"a command must be finite numbers, one for each joint, got {velocity}")
     return Float64MultiArray(data=velocity.tolist())
 
 
-def send_last_zeros(commands: Publisher) -> None:
+def send_last_zeros(commands: Publisher, joints: int) -> None:
     """Leave several zero commands on the wire: a velocity controller holds its last command."""
     for _ in range(_LAST_ZEROS):
-        commands.publish(to_command(np.zeros(N_JOINTS)))
+        commands.publish(to_command(np.zeros(joints)))
         time.sleep(_LAST_ZEROS_PERIOD_S)
     commands.wait_for_all_acked(Duration(seconds=_LAST_ZEROS_ACK_S))
 

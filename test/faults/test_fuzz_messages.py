@@ -39,7 +39,7 @@ def numbers(*sizes, ordinary=1.0):
 MATRIX = st.builds(
     Float64MultiArray,
     layout=st.builds(MultiArrayLayout, dim=DIMENSIONS, data_offset=UINT32),
-    data=numbers(18, 45),
+    data=numbers(18, 49),
 )
 INFO = st.builds(
     CameraInfo,
@@ -65,7 +65,7 @@ POSE = st.builds(
 
 
 def chain_arrays(message):
-    chain = ros.from_chain(message)
+    chain = ros.from_chain(message, 6)
     return chain.axes, chain.points_m, chain.ball_m, chain.reference_rad
 
 
@@ -82,7 +82,7 @@ READERS = {
         [(3,)],
     ),
     "pose": (POSE, lambda m: ros.from_pose(m, "tool_pose"), [(3,), (4,)]),
-    "jacobian": (MATRIX, lambda m: [ros.from_jacobian(m)], [(3, 6)]),
+    "jacobian": (MATRIX, lambda m: [ros.from_jacobian(m, 3, 6)], [(3, 6)]),
     "chain": (MATRIX, chain_arrays, [(6, 3), (6, 3), (3,), (6,)]),
 }
 
@@ -143,7 +143,7 @@ def test_joints_that_are_missing_or_ambiguous_are_refused(names, positions, erro
     velocity=arrays.arrays(np.float64, 6, elements=st.floats(-1e308, 1e308)),
 )
 def test_what_is_written_is_read_as_it_was(jacobian, point, sec, velocity):
-    np.testing.assert_array_equal(ros.from_jacobian(ros.to_jacobian(jacobian)), jacobian)
+    np.testing.assert_array_equal(ros.from_jacobian(ros.to_jacobian(jacobian), 3, 6), jacobian)
     assert ros.to_command(velocity).data.tolist() == velocity.tolist()
     message = ros.to_point(float(sec), "frame", np.array(point))
     np.testing.assert_array_equal([message.point.x, message.point.y, message.point.z], point)
@@ -151,9 +151,9 @@ def test_what_is_written_is_read_as_it_was(jacobian, point, sec, velocity):
 
 
 @pytest.mark.parametrize(
-    "velocity", [np.full(6, np.nan), np.array([0.0] * 5 + [np.inf]), np.zeros(5), np.zeros((2, 3))]
+    "velocity", [np.full(6, np.nan), np.array([0.0] * 5 + [np.inf]), np.zeros((2, 3))]
 )
-def test_a_command_that_is_not_six_finite_numbers_is_never_made(velocity):
+def test_a_command_that_is_not_finite_numbers_is_never_made(velocity):
     with pytest.raises(ros.MessageError):
         ros.to_command(velocity)
 

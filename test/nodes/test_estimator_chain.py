@@ -90,25 +90,27 @@ def test_chain_and_jacobian_are_those_of_the_arm_and_follow_a_turned_camera(ros_
         heard = len(jacobians)
         ros_test.spin_until(lambda: len(jacobians) > heard + 8)
         arm.moving = True
-        return relative_error(ros.from_jacobian(jacobians[-1]), arm.chain.jacobian(arm.joints))
+        return relative_error(
+            ros.from_jacobian(jacobians[-1], 3, 6), arm.chain.jacobian(arm.joints)
+        )
 
     ros_test.spin_until(lambda: chains and jacobians and told("updates") > 20.0)
-    assert error_of(ros.from_chain(chains[-1]), arm) < 0.02
+    assert error_of(ros.from_chain(chains[-1], 6), arm) < 0.02
     assert at_rest() < 0.02
 
     arm.chain = arm.chain.moved(turn([0.1, 0.3, 1.0], np.radians(45.0)), np.array([0.1, 0.0, 0.2]))
-    assert error_of(ros.from_chain(chains[-1]), arm) > 0.5
-    ros_test.spin_until(lambda: error_of(ros.from_chain(chains[-1]), arm) < 0.02)
+    assert error_of(ros.from_chain(chains[-1], 6), arm) > 0.5
+    ros_test.spin_until(lambda: error_of(ros.from_chain(chains[-1], 6), arm) < 0.02)
     assert at_rest() < 0.03
     joints = RECORDING.places(20)
-    now = ros.from_chain(chains[-1])
+    now = ros.from_chain(chains[-1], 6)
     np.testing.assert_allclose(now.position(joints), arm.chain.position(joints), atol=0.03)
     assert told("camera_turned_deg") == pytest.approx(45.0, abs=3.0)
     assert told("camera_bumps") >= 1.0
 
     arm.moving = False
     assert ros_test.call(Trigger, "fvs_estimator_node/reset").success
-    ros_test.spin_until(lambda: error_of(ros.from_chain(chains[-1]), arm) > 0.5)
+    ros_test.spin_until(lambda: error_of(ros.from_chain(chains[-1], 6), arm) > 0.5)
 
 
 def test_who_has_just_started_hears_of_the_chain_of_an_arm_at_rest(ros_test, model_path):
@@ -119,7 +121,7 @@ def test_who_has_just_started_hears_of_the_chain_of_an_arm_at_rest(ros_test, mod
     ros_test.spin_until(lambda: jacobians)
     late = ros_test.collect(Float64MultiArray, topics.KINEMATIC_CHAIN.name)
     ros_test.spin_until(lambda: len(late) > 3)
-    assert error_of(ros.from_chain(late[-1]), arm) < 0.01
+    assert error_of(ros.from_chain(late[-1], 6), arm) < 0.01
     assert [(dim.label, dim.size) for dim in late[-1].layout.dim] == [("row", 15), ("xyz", 3)]
 
 

@@ -45,7 +45,7 @@ def test_at_rest_the_jacobian_is_that_of_the_arm(ros_module, ros_beside, method)
     joints = JointMap().positions(states[-1].name, states[-1].position)
     with Simulation(SimConfig()) as simulation:
         true = simulation.true_jacobian(joints)
-    error = np.linalg.norm(ros.from_jacobian(estimator.jacobians[-1]) - true)
+    error = np.linalg.norm(ros.from_jacobian(estimator.jacobians[-1], 3, 6) - true)
     assert error < (1e-6 if method == "oracle" else 0.05) * np.linalg.norm(true)
     assert estimator.values()["method"] == method
     if method != "oracle":
@@ -66,7 +66,7 @@ def test_the_oracle_is_silent_without_a_simulator_that_tells_it(ros_test):
         0.008, lambda: truth.publish(ros.to_jacobian(robot.jacobian))
     )
     ros_test.spin_until(lambda: oracle.jacobians and oracle.values()["state"] == "FROZEN")
-    np.testing.assert_array_equal(ros.from_jacobian(oracle.jacobians[-1]), robot.jacobian)
+    np.testing.assert_array_equal(ros.from_jacobian(oracle.jacobians[-1], 3, 6), robot.jacobian)
 
     # What was true a moment ago is not handed on as if it were of now.
     teller.cancel()
@@ -94,7 +94,7 @@ def test_from_zero_it_learns_without_a_model(ros_test):
         ros_test.spin_for(0.4)
     robot.velocity = np.zeros(6)
     ros_test.spin_until(lambda: float(estimator.values()["updates"]) > 10.0)
-    error = ros.from_jacobian(estimator.jacobians[-1]) - robot.jacobian
+    error = ros.from_jacobian(estimator.jacobians[-1], 3, 6) - robot.jacobian
     assert np.linalg.norm(error) < 0.1 * np.linalg.norm(robot.jacobian)
     assert 0.0 < float(estimator.values()["entry_deviation_m_rad"]) < 0.5
 
@@ -139,6 +139,6 @@ def test_another_method_is_chosen_while_the_controller_rests_and_at_no_other_tim
     def tells_the_truth():
         truth.publish(ros.to_jacobian(robot.jacobian))
         new = estimator.jacobians[count:]
-        return new and np.array_equal(ros.from_jacobian(new[-1]), robot.jacobian)
+        return new and np.array_equal(ros.from_jacobian(new[-1], 3, 6), robot.jacobian)
 
     ros_test.spin_until(tells_the_truth, what="the true Jacobian")

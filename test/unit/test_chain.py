@@ -7,26 +7,26 @@ import pytest
 import ur5_dh
 from recordings import random_rotation, ur5_chain
 
-from fvs_ros.chain import CHAIN_SHAPES, SerialChain
+from fvs_ros.chain import SerialChain, chain_shapes
 
 
-def random_chain(seed=0):
+def random_chain(seed=0, joints=6):
     rng = np.random.default_rng(seed)
-    return SerialChain(*(rng.normal(size=shape) for shape in CHAIN_SHAPES.values()))
+    return SerialChain(*(rng.normal(size=shape) for shape in chain_shapes(joints).values()))
 
 
 def fields(chain):
-    return {name: np.array(getattr(chain, name)) for name in CHAIN_SHAPES}
+    return {name: np.array(getattr(chain, name)) for name in chain_shapes(6)}
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_the_jacobian_is_the_derivative_of_the_position(seed):
-    chain = random_chain(seed)
-    joints = np.random.default_rng(seed).uniform(-3.0, 3.0, (20, 6))
+@pytest.mark.parametrize("count", [1, 4, 6, 7])
+def test_the_jacobian_is_the_derivative_of_the_position(count):
+    chain = random_chain(count, count)
+    joints = np.random.default_rng(count).uniform(-3.0, 3.0, (20, count))
     step = 1e-6
     columns = [
         (chain.position(joints + step * unit) - chain.position(joints - step * unit)) / (2 * step)
-        for unit in np.eye(6)
+        for unit in np.eye(count)
     ]
     np.testing.assert_allclose(chain.jacobian(joints), np.stack(columns, axis=-1), atol=1e-8)
 
@@ -61,7 +61,7 @@ def test_axes_of_any_length_and_any_points_on_them_make_the_same_chain():
     np.testing.assert_allclose(same.position(joints), chain.position(joints), atol=1e-12)
 
 
-@pytest.mark.parametrize("name", CHAIN_SHAPES)
+@pytest.mark.parametrize("name", chain_shapes(6))
 def test_a_number_that_is_not_finite_or_beyond_reason_is_refused(name):
     for bad in (np.nan, np.inf, 1e9):
         values = fields(random_chain())
@@ -69,7 +69,7 @@ def test_a_number_that_is_not_finite_or_beyond_reason_is_refused(name):
         with pytest.raises(ValueError, match=f"{name} of a chain must be finite and below"):
             SerialChain(**values)
     values[name] = values[name][:-1]
-    with pytest.raises(ValueError, match=f"{name} of a chain has shape"):
+    with pytest.raises(ValueError, match="of a chain has shape"):
         SerialChain(**values)
 
 

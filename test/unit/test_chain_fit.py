@@ -29,7 +29,7 @@ def test_the_derivatives_are_those_of_the_residuals():
     chain = recording.chain()
     chart = Chart(chain)
     time_s = np.linspace(0.0, 2.0, 7)
-    values = 0.2 * rng.normal(size=chain_chart.N_COORDINATES)
+    values = 0.2 * rng.normal(size=28)
 
     def residuals(values):
         joints = recording.joints(time_s - values[chain_chart.OFFSET])
@@ -41,9 +41,27 @@ def test_the_derivatives_are_those_of_the_residuals():
     found, slopes = residuals_and_slopes(chart, values, joints, velocity, np.zeros((7, 3)))
     np.testing.assert_allclose(found, chart.chain(values).position(joints), atol=1e-12)
     step = 1e-6
-    for i, unit in enumerate(np.eye(chain_chart.N_COORDINATES)):
+    for i, unit in enumerate(np.eye(28)):
         numeric = (residuals(values + step * unit) - residuals(values - step * unit)) / (2 * step)
         np.testing.assert_allclose(slopes[:, :, i], numeric, atol=2e-5, err_msg=str(i))
+
+
+@pytest.mark.parametrize("joints", [3, 4, 7])
+def test_a_chain_of_any_number_of_joints_is_found(joints):
+    rng = np.random.default_rng(joints)
+    axes, steps = rng.normal(size=(joints, 3)), 0.15 * rng.normal(size=(joints, 3))
+    points = np.array([0.0, 0.0, 1.3]) + np.cumsum(steps, axis=0) - steps.sum(axis=0)
+    chain = SerialChain(axes, points, points[-1] + 0.1, rng.uniform(-1.0, 1.0, joints))
+    stamps_s = np.arange(0.0, 60.0, 1.0 / 30.0)
+    phases = np.outer(stamps_s, rng.uniform(0.5, 1.5, joints)) + rng.uniform(0.0, 6.0, joints)
+    path = chain.reference_rad + 0.4 * np.sin(phases)
+    seen = chain.position(path) + 0.001 * rng.normal(size=(len(path), 3))
+    names = tuple(f"joint_{i}" for i in range(joints))
+    fit = fit_chain(DataSet(stamps_s, path, seen, np.zeros(len(path), int), names))
+    error = np.median(relative_error(fit.chain.jacobian(path), chain.jacobian(path)))
+    assert error < 0.004
+    assert 0.5 < error / np.median(fit.jacobian_deviation(path)) < 2.0
+    assert fit.is_chain
 
 
 @pytest.mark.parametrize("seed", range(2))
