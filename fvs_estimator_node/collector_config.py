@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from fvs_estimator_node.config import CameraConfig
 from fvs_estimator_node.motion import MotionConfig
-from fvs_ros.joints import JOINT_PARAMETERS
-from fvs_ros.params import parameter
+from fvs_ros.joints import ArmJoints
+from fvs_ros.params import ParameterError, parameter
 
 #: A joint may be this far outside its box, or as far as it can brake within, rad.
 _BOX_MARGIN_RAD = 0.1
@@ -26,6 +26,16 @@ class CollectorConfig(MotionConfig, CameraConfig):
         0.5,
     )
     seed: int = parameter(0, "seed of the motion", 0)
+    joints: ArmJoints = field(default_factory=ArmJoints)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        names, ends = self.joints.joint_names, self.joint_min_rad
+        if len(names) != len(ends):
+            raise ParameterError(
+                f"joint_min_rad and joint_max_rad need {len(names)} numbers, one for each of "
+                f"joint_names, got {len(ends)}"
+            )
 
     @property
     def box_margin_rad(self) -> float:
@@ -34,4 +44,4 @@ class CollectorConfig(MotionConfig, CameraConfig):
         return max(_BOX_MARGIN_RAD, braking_rad)
 
 
-PARAMETERS = (*CollectorConfig.declared(), *JOINT_PARAMETERS)
+PARAMETERS = CollectorConfig.declared()

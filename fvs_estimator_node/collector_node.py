@@ -40,8 +40,8 @@ class CollectorNode(ros.FvsNode):
         super().__init__("fvs_collector_node", PARAMETERS)
         self._config = config = CollectorConfig.from_values(self.values)
         self._path = _writable(Path(config.output_path))
-        self._names = self.values["joint_names"]
-        self._joint_map = JointMap(self._names, self.values["tf_prefix"])
+        self._names = config.joints.joint_names
+        self._joint_map = JointMap(self._names, config.joints.tf_prefix)
         self._simulated_time = self.get_parameter("use_sim_time").value
         self._stop: StopCriterion | None = None
         if config.stop_at_error > 0.0:

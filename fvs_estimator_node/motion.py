@@ -25,7 +25,7 @@ _TURNING_SHARE, _LEAST_SHARPNESS = 0.8, 0.05
 _LEAST_RAMPS = 2.5
 #: Distance kept from the joint limits, rad, and velocity per distance from the path, 1/s.
 _LIMIT_MARGIN_RAD, _POSITION_GAIN = 0.1, 2.0
-_SIZE, _LIMIT_RAD = len(TRAINING_BOX_RAD), 4.0 * math.pi
+_LIMIT_RAD = 4.0 * math.pi
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,6 @@ class MotionConfig(Parameters):
         "half width of the box of motion about the joints at the start",
         0.0,
         3.2,
-        size=_SIZE,
         broadcast=True,
     )
     max_joint_velocity_rad_s: float = parameter(0.65, "velocity limit of each joint", 0.01, 3.15)
@@ -56,18 +55,24 @@ class MotionConfig(Parameters):
         "lower ends of the joints' ranges, rad; the box of motion ends 0.1 rad before them",
         -_LIMIT_RAD,
         _LIMIT_RAD,
-        size=_SIZE,
     )
     joint_max_rad: tuple[float, ...] = parameter(
         UR_POSITION_LIMITS_RAD,
         "upper ends of the joints' ranges, rad; the box of motion ends 0.1 rad before them",
         -_LIMIT_RAD,
         _LIMIT_RAD,
-        size=_SIZE,
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        joints, ranges = len(self.joint_min_rad), self.joint_range_rad
+        if len(self.joint_max_rad) != joints or len(ranges) not in (1, joints):
+            raise ValueError(
+                f"joint_range_rad must be a list of {joints} numbers, or one for all, and "
+                f"joint_max_rad of {joints}, as joint_min_rad is; got {len(ranges)} and "
+                f"{len(self.joint_max_rad)}"
+            )
+        object.__setattr__(self, "joint_range_rad", ranges * (joints // len(ranges)))
         if max(self.joint_range_rad) == 0.0:
             raise ValueError("joint_range_rad is 0 for all joints, expected one that moves")
         room = np.subtract(self.joint_max_rad, self.joint_min_rad) - 2.0 * _LIMIT_MARGIN_RAD

@@ -52,7 +52,7 @@ class Parameter:
     live : bool
         Whether it may change while the node runs.
     broadcast : bool
-        Whether a single number may stand for a list of ``size`` equal ones.
+        Whether a single number may stand for a list: it is taken for a list of one.
     """
 
     name: str
@@ -104,8 +104,8 @@ class Parameter:
             If the value has another type, size or range.
         """
         if self.is_list:
-            if self.broadcast and self.size and isinstance(value, (int, float)):
-                value = [value] * self.size
+            if self.broadcast and isinstance(value, (int, float)):
+                value = [value]
             if isinstance(value, str) or not hasattr(value, "__len__"):
                 raise self._refusal(value)
             if self.size is not None and len(value) != self.size:

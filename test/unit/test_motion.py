@@ -118,7 +118,10 @@ def test_a_measurement_that_is_not_finite_stops_the_arm():
     [
         ({"duration_s": 3.0}, "duration_s must be at least"),
         ({"duration_s": -1.0}, "duration_s must be number from 2"),
-        ({"joint_range_rad": (0.5,) * 5}, "joint_range_rad must be a list of 6"),
+        (
+            {"joint_range_rad": (0.5,) * 5},
+            "must be a list of 6 numbers, or one for all",
+        ),
         ({"joint_range_rad": (0.0,) * 6}, "expected one that moves"),
         ({"duration_s": 5.0, "max_joint_velocity_rad_s": 0.05}, "duration_s must be at least"),
         ({"joint_min_rad": (1.0,) * 6, "joint_max_rad": (1.0,) * 6}, "joint_min_rad must be"),
