@@ -14,7 +14,6 @@ from fvs_estimator_node.base import Estimator, MotionStep
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.pairing import StepPairing
 from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, relative_errors, simulation_of
-from fvs_ros.joints import N_JOINTS
 from fvs_tools.score import criteria
 
 #: Speed of the fastest joint, rad/s, and the part of the box that the motion uses.
@@ -76,7 +75,7 @@ class _Reference:
         )
         self._motion = RandomMotion(HOME_RAD, config, np.random.default_rng([seed, 1]))
         self.start_rad = self._motion.path(0.0)[0]
-        self.prelude_s = _REST_S + N_JOINTS * WIGGLE_S
+        self.prelude_s = _REST_S + len(self.start_rad) * WIGGLE_S
 
     def __call__(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
         """Joint positions, rad, and velocities, rad/s, shape (joints,) each, at a time, s."""
@@ -87,7 +86,7 @@ class _Reference:
             clock_s = 0.5 * early**2 / _SOFT_START_S + (free_s - early)
             position, velocity = self._motion.path(clock_s)
             return position, early / _SOFT_START_S * velocity
-        position, velocity = self.start_rad.copy(), np.zeros(N_JOINTS)
+        position, velocity = self.start_rad.copy(), np.zeros(len(self.start_rad))
         joint, within_s = divmod(time_s - _REST_S, WIGGLE_S)
         if joint >= 0:
             one = int(joint)

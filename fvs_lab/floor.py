@@ -16,7 +16,6 @@ import numpy as np
 
 from fvs_lab.outcome import BOUNDS_M
 from fvs_lab.trials import Case, Conditions, simulation_of
-from fvs_ros.joints import N_JOINTS
 from fvs_sim_node.kinematics import ball_jacobian, ball_position
 from fvs_sim_node.simulation import Simulation
 from fvs_tools.score import settling_time_s
@@ -125,7 +124,7 @@ class Fastest:
         count = int(np.ceil(whole_s / period_s))
         # A command may at once be what the limit allows after a period: half a one is gained.
         moments = period_s * (0.5 + (np.arange(count * _MOMENTS) + 0.5) / _MOMENTS)
-        return self.speeds_rad_s(moments).reshape(count, _MOMENTS, N_JOINTS).mean(axis=1)
+        return self.speeds_rad_s(moments).reshape(count, _MOMENTS, -1).mean(axis=1)
 
 
 def fastest(case: Case, limits: Limits, tolerance_m: float) -> Fastest:
@@ -157,10 +156,11 @@ def fastest(case: Case, limits: Limits, tolerance_m: float) -> Fastest:
     # More time than a joint needs to brake from the speed limit gains nothing.
     piece_s = min(top / steep, 0.5 * rest_s) / _PIECES
     fastest_rad_s = _PIECES * piece_s * steep
+    joints = len(travel)
     # Unknowns: time, travels, speeds, and accelerations joint by joint within each piece.
-    unit = np.eye(1 + (2 + _PIECES) * N_JOINTS)
-    travels, speeds = unit[1 : 1 + N_JOINTS], unit[1 + N_JOINTS : 1 + 2 * N_JOINTS]
-    pieces = unit[1 + 2 * N_JOINTS :].reshape(_PIECES, N_JOINTS, -1)
+    unit = np.eye(1 + (2 + _PIECES) * joints)
+    travels, speeds = unit[1 : 1 + joints], unit[1 + joints : 1 + 2 * joints]
+    pieces = unit[1 + 2 * joints :].reshape(_PIECES, joints, -1)
     looks = np.arange(_PIECES * _LOOKS + 1)[:, None] / _LOOKS
     begun = np.maximum(looks - np.arange(_PIECES), 0.0)
     done = np.minimum(begun, 1.0)
@@ -168,7 +168,7 @@ def fastest(case: Case, limits: Limits, tolerance_m: float) -> Fastest:
     paths = travels + np.multiply.outer(piece_s * looks[:, 0], speeds)
     paths = paths + np.tensordot(moved, pieces, 1)
     rest = speeds + piece_s * pieces.sum(axis=0)
-    ways, ways_rad = np.repeat([1.0, -1.0], N_JOINTS), np.vstack([travels, -travels])
+    ways, ways_rad = np.repeat([1.0, -1.0], joints), np.vstack([travels, -travels])
 
     def near(unknown: np.ndarray) -> np.ndarray:
         missing = (ball_position(start + paths @ unknown) - target_m) / tolerance_m
@@ -191,7 +191,7 @@ def fastest(case: Case, limits: Limits, tolerance_m: float) -> Fastest:
 
     found = minimize(
         lambda unknown: unknown[0],
-        np.concatenate([[rest_s], travel, np.zeros((1 + _PIECES) * N_JOINTS)]),
+        np.concatenate([[rest_s], travel, np.zeros((1 + _PIECES) * joints)]),
         jac=lambda _: unit[0],
         constraints=(
             {"type": "ineq", "fun": near, "jac": near_slopes},
@@ -200,9 +200,9 @@ def fastest(case: Case, limits: Limits, tolerance_m: float) -> Fastest:
         ),
         # No less time than it takes to reach the largest speed.
         bounds=[(_PIECES * piece_s, rest_s)]
-        + N_JOINTS * [(None, None)]
-        + N_JOINTS * [(-fastest_rad_s, fastest_rad_s)]
-        + _PIECES * N_JOINTS * [(-steep, steep)],
+        + joints * [(None, None)]
+        + joints * [(-fastest_rad_s, fastest_rad_s)]
+        + _PIECES * joints * [(-steep, steep)],
         method="SLSQP",
         options={"maxiter": _MOST_STEPS, "ftol": _UNDONE_S},
     ).x

@@ -10,8 +10,6 @@ import numpy as np
 
 from fvs_ros.params import Parameters, parameter
 
-N_JOINTS = 6
-
 #: The UR joints in kinematic order, base to flange: the order of every vector in this project.
 UR_JOINT_NAMES = (
     "shoulder_pan_joint",
