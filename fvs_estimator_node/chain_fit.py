@@ -37,7 +37,7 @@ _AT_LIMIT_S = 1e-3
 _SEARCH_SAMPLES, _STARTS = 400, 12
 #: Offsets of the stamps that are tried before, s, and passes of a robust median.
 _SEARCH_OFFSETS_S, _PASSES = np.linspace(-0.18, 0.18, 13), 6
-#: Above both, the second in m, something else than a chain of six revolute joints moves the ball; a
+#: Above both, the second in m, something else than a chain of revolute joints moves the ball; a
 #: camera's own systematic errors stay below.
 _MISFIT_LIMIT, _UNEXPLAINED_LIMIT_M = 1.3, 0.001
 #: Neighbours are images no further apart, s, and so many pairs of them make a median; an image that

@@ -159,7 +159,8 @@ def with_chain(trained: TrainedModel, data: DataSet, seed: int = 0) -> tuple[Tra
     }
     return (
         replace(trained, chain=fit.chain, errors={**trained.errors, **_known(found)}),
-        f"chain of six revolute joints: fits, Jacobian known to {100.0 * deviation:.3f} %",
+        f"chain of {len(fit.chain.axes)} revolute joints: fits, Jacobian known to "
+        f"{100.0 * deviation:.3f} %",
     )
 
 
