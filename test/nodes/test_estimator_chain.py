@@ -122,7 +122,8 @@ def test_who_has_just_started_hears_of_the_chain_of_an_arm_at_rest(ros_test, mod
     late = ros_test.collect(Float64MultiArray, topics.KINEMATIC_CHAIN.name)
     ros_test.spin_until(lambda: len(late) > 3)
     assert error_of(ros.from_chain(late[-1], 6), arm) < 0.01
-    assert [(dim.label, dim.size) for dim in late[-1].layout.dim] == [("row", 15), ("xyz", 3)]
+    shape = [(dim.label, dim.size) for dim in late[-1].layout.dim]
+    assert shape == [("joint", 7), ("axis_point_reference", 7)]
 
 
 def test_what_the_training_found_wrong_is_said_when_the_model_is_loaded(ros_test, trained):
