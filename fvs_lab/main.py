@@ -22,10 +22,9 @@ from fvs_lab.report import (
     write_report,
 )
 from fvs_ros import console
-from fvs_ros.arguments import Parser, one_of
+from fvs_ros.arguments import Parser, how_to_install, one_of
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_ros.version import version
-from fvs_tools.installing import how_to_install
 
 if TYPE_CHECKING:
     from fvs_lab.context import Context

@@ -42,17 +42,19 @@ def one_of(kind: str, known: Iterable[str]) -> Callable[[str], str]:
     return check
 
 
+def how_to_install(extras: str, packages: Iterable[str]) -> str:
+    """The commands that bring missing packages, which these extras (``a,b``) hold."""
+    return (
+        f"in a checkout with .venv, .venv/bin/pip install -c constraints.txt -e '.[{extras}]'; "
+        f"elsewhere, pip install {' '.join(packages)}"
+    )
+
+
 class Parser(argparse.ArgumentParser):
     """A parser that says which argument was probably meant.
 
-    Parameters
-    ----------
-    program : str
-        Its name.
-    doc : str
-        The docstring of the program's module: what it is for.
-    lists : mapping of str to mapping
-        Shown at the end of the help: titles, and below each names with their texts.
+    Its help shows the docstring of the program's module, and at the end lists: titles, and below
+    each names with their texts.
     """
 
     def __init__(

@@ -27,7 +27,6 @@ from fvs_tools.scenario import (
     NODE_TABLE,
     RECORDER,
     Scenario,
-    ScenarioError,
     checked_remap,
     enclave_arguments,
     load_scenario,
@@ -38,23 +37,14 @@ from fvs_tools.schemes import BEYOND, SCHEMES
 _NAMESPACE = re.compile(r"([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", re.ASCII)
 _STOP_S = 5.0
 _POLL_S = 0.05
-#: The launcher's prefix names the node already.
-_LOG_FORMAT = "[{severity}] {message}"
+_print_lock = threading.Lock()
 
 
 class _Process:
     """One running node.
 
-    Parameters
-    ----------
-    name : str
-        Its name in the table of nodes.
-    arguments : list of str
-        ROS arguments.
-    params : int
-        Descriptor of the parameter file, which it inherits.
-    terminal : tuple of int
-        Descriptors of this program's own output and error.
+    It inherits the parameter file ``params``, an open descriptor; ``terminal`` are those of this
+    program's own output and error.
     """
 
     def __init__(
@@ -71,7 +61,8 @@ class _Process:
             stdout=out,
             stderr=err,
             env={
-                "RCUTILS_CONSOLE_OUTPUT_FORMAT": _LOG_FORMAT,
+                # The launcher's prefix names the node already.
+                "RCUTILS_CONSOLE_OUTPUT_FORMAT": "[{severity}] {message}",
                 **os.environ,
                 "PYTHONUNBUFFERED": "1",
                 "PYTHONSAFEPATH": "1",  # for what the nodes start, from Python 3.11 on
@@ -84,12 +75,7 @@ class _Process:
 
     def _forward(self) -> None:
         for line in self.popen.stdout or ():
-            _print(f"[{self.name}] {line.decode('utf-8', 'replace').rstrip()}")
-
-    @property
-    def turn(self) -> int:
-        """When it is stopped: 0 first, 2 last."""
-        return 0 if self.entry.commands_arm else 2 if self.entry.observer else 1
+            _say(line.decode("utf-8", "replace").rstrip(), self.name)
 
     def ask_to_end(self) -> None:
         """Send SIGTERM, if it still runs."""
@@ -145,16 +131,16 @@ def launch(scenario: Scenario, namespace: str = "", remaps: Sequence[str] = ()) 
     ):
         params.write(scenario.to_params_yaml())
         params.flush()
+        common = ["--ros-args", "--params-file", f"/dev/fd/{params.fileno()}"]
+        if namespace.strip("/"):
+            common += ["-r", f"__ns:=/{namespace.strip('/')}"]
+        common += [word for rule in remaps for word in ("-r", rule)]
         first = None
         try:
             for name in scenario.nodes:
                 if stop.RECEIVED or first is not None:
                     break
-                arguments = ["--ros-args", "--params-file", f"/dev/fd/{params.fileno()}"]
-                if namespace.strip("/"):
-                    arguments += ["-r", f"__ns:=/{namespace.strip('/')}"]
-                arguments += [word for rule in remaps for word in ("-r", rule)]
-                arguments += enclave_arguments(name, namespace, os.environ)
+                arguments = [*common, *enclave_arguments(name, namespace, os.environ)]
                 processes.append(_Process(name, arguments, params.fileno(), terminal))
                 if name == RECORDER:
                     first = _await_bag(processes[-1], scenario)
@@ -194,22 +180,20 @@ def _first_end(processes: Sequence[_Process]) -> _Process | None:
 
 
 def _stop_all(processes: Sequence[_Process], first: _Process | None) -> int:
-    """Stop the nodes that command the arm first, and those that look on last.
+    """Stop the nodes; returns the launcher's exit code, where ``first`` ended the scenario.
 
-    The last zeros need a listener, and belong into a recording.
-
-    Returns
-    -------
-    int
-        The launcher's exit code, where ``first`` ended the scenario.
+    Those that command the arm stop first, for the last zeros need a listener and belong into a
+    recording; observers stop last.
     """
     done = first is not None and first.entry.task and first.popen.returncode == 0
     if first is not None and not done:
         _say(f"{first.end_text()}: stopping the rest")
     elif stop.RECEIVED:
         _say(f"{stop.name_of(stop.RECEIVED[0])}: stopping")
-    for turn in range(3):
-        group = [one for one in processes if one.turn == turn]
+    commanding = [one for one in processes if one.entry.commands_arm]
+    observing = [one for one in processes if one.entry.observer]
+    others = [one for one in processes if one not in (*commanding, *observing)]
+    for group in (commanding, others, observing):
         for process in group:
             process.ask_to_end()
         deadline_s = time.monotonic() + _STOP_S
@@ -224,17 +208,10 @@ def _stop_all(processes: Sequence[_Process], first: _Process | None) -> int:
     return max(first.popen.returncode, EXIT_FAILURE)
 
 
-_print_lock = threading.Lock()
-
-
-def _print(line: str) -> None:
+def _say(text: str, name: str = "fvs_launch") -> None:
     """Print a line; without a reader the nodes are watched and drained all the same."""
     with _print_lock, contextlib.suppress(OSError, ValueError):
-        print(line, flush=True)
-
-
-def _say(text: str) -> None:
-    _print(f"[fvs_launch] {text}")
+        print(f"[{name}] {text}", flush=True)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -292,17 +269,17 @@ def main(argv: list[str] | None = None) -> int:
     given = _parser().parse_args(argv)
     try:
         if not given.images and not given.record:
-            raise ScenarioError("--record-without-images needs --record")
+            raise ValueError("--record-without-images needs --record")
         scenario = load_scenario(
             given.scenario, given.param, given.scheme, given.record, given.images
         )
         remaps = [checked_remap(text) for text in given.remap]
         if not _NAMESPACE.fullmatch(given.namespace.strip("/")):
-            raise ScenarioError(
+            raise ValueError(
                 f"--namespace must be names of letters, digits and _ with / between, "
                 f"got '{given.namespace}'"
             )
-    except ScenarioError as error:
+    except ValueError as error:
         print(f"fvs_launch: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
     if "fvs_sim_node" in scenario.nodes:

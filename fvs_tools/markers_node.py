@@ -20,37 +20,32 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from fvs_ros import ros, topics
 from fvs_ros.status import number, vector
-from fvs_tools import markers
-from fvs_tools.markers import MarkersConfig
+from fvs_tools.observing import MARKERS_PARAMETERS, MarkersConfig
 
-_PERIOD_S = 0.1
-_STATUS_S = 0.5
+_PERIOD_S, _STATUS_S = 0.1, 0.5
 _TRAIL_S = 10.0
-#: What was not heard again for this time is not shown any more, s.
+#: What did not come again for this time is not shown any more, s.
 _FRESH_S = 0.5
 _LINE_M, _TEXT_M = 0.006, 0.035
 #: Red, green, blue, opacity: the target must not hide the ball.
-_BALL, _TRAIL, _TARGET, _PREDICTED, _TEXT = (
-    ColorRGBA(r=red, g=green, b=blue, a=opacity)
-    for red, green, blue, opacity in (
-        (0.85, 0.1, 0.1, 1.0),
-        (0.95, 0.75, 0.1, 0.9),
-        (0.2, 0.75, 0.35, 0.4),
-        (0.1, 0.45, 0.7, 0.9),
-        (1.0, 1.0, 1.0, 1.0),
-    )
-)
+_COLOURS = {
+    "ball": (0.85, 0.1, 0.1, 1.0),
+    "trail": (0.95, 0.75, 0.1, 0.9),
+    "target": (0.2, 0.75, 0.35, 0.4),
+    "predicted": (0.1, 0.45, 0.7, 0.9),
+    "distance": (1.0, 1.0, 1.0, 1.0),
+}
 
 
 class MarkersNode(ros.FvsNode):
     """Shows the loop in the camera's optical frame; draws only while a viewer subscribes."""
 
     def __init__(self) -> None:
-        super().__init__("fvs_markers_node", markers.PARAMETERS)
+        super().__init__("fvs_markers_node", MARKERS_PARAMETERS)
         self._config = MarkersConfig.from_values(self.values)
         self._trail: deque[tuple[float, Point]] = deque()
-        self._heard: Mapping[str, str] = {}
-        self._heard_s = float("-inf")
+        self._status_values: Mapping[str, str] = {}
+        self._status_s = float("-inf")
         self._markers = self.publisher(topics.MARKERS)
         self._transforms: Any = None
         self.subscribe(topics.BALL_POSITION, self._on_ball)
@@ -67,7 +62,7 @@ class MarkersNode(ros.FvsNode):
         self._forget()
 
     def _on_status(self, message: DiagnosticStatus) -> None:
-        self._heard, self._heard_s = ros.from_status(message), self.steady_s()
+        self._status_values, self._status_s = ros.from_status(message), self.steady_s()
 
     def _on_camera_pose(self, message: PoseStamped) -> None:
         """Publish where the camera stands, so that a viewer draws robot and ball together."""
@@ -105,46 +100,44 @@ class MarkersNode(ros.FvsNode):
         """The markers of this moment."""
         self._forget()
         now_s, size_m = self.steady_s(), 2.0 * self._config.ball_radius_m
+        points = [point for _, point in self._trail]
         found = []
         if self._trail and now_s - self._trail[-1][0] < _FRESH_S:
-            found.append(self._marker("ball", Marker.SPHERE, size_m, _BALL, self._trail[-1][1]))
-        if len(self._trail) > 1:
-            points = [point for _, point in self._trail]
-            found.append(self._marker("trail", Marker.LINE_STRIP, _LINE_M, _TRAIL, *points))
-        if now_s - self._heard_s >= _FRESH_S:
+            found.append(self._marker("ball", size_m, points[-1:]))
+        if len(points) > 1:
+            found.append(self._marker("trail", _LINE_M, points, Marker.LINE_STRIP))
+        if now_s - self._status_s >= _FRESH_S:
             return found
         target_m, predicted_m = (
-            vector(self._heard, f"{name}_{{}}_m") for name in ("target", "position")
+            vector(self._status_values, f"{name}_{{}}_m") for name in ("target", "position")
         )
         if target_m is not None:
-            above_m = target_m - [0.0, 0.75 * size_m + _TEXT_M, 0.0]  # y points down
-            text = self._marker(
-                "distance", Marker.TEXT_VIEW_FACING, _TEXT_M, _TEXT, _point(above_m)
-            )
+            above = [_point(target_m - [0.0, 0.75 * size_m + _TEXT_M, 0.0])]  # y points down
+            text = self._marker("distance", _TEXT_M, above, Marker.TEXT_VIEW_FACING)
             text.text = self._distance_text()
-            target = self._marker("target", Marker.SPHERE, size_m, _TARGET, _point(target_m))
-            found += [target, text]
+            found += [self._marker("target", size_m, [_point(target_m)]), text]
         if predicted_m is not None:
-            at = _point(predicted_m)
-            found.append(self._marker("predicted", Marker.SPHERE, 0.4 * size_m, _PREDICTED, at))
+            found.append(self._marker("predicted", 0.4 * size_m, [_point(predicted_m)]))
         return found
 
     def _distance_text(self) -> str:
-        error_m = number(self._heard, "error_m")
+        error_m = number(self._status_values, "error_m")
         distance = f"{1e3 * error_m:.1f} mm" if np.isfinite(error_m) else "no ball"
-        state = self._heard.get("state", "")
+        state = self._status_values.get("state", "")
         return distance if state in ("", "SERVOING") else f"{distance}, {state.lower()}"
 
     def _marker(
-        self, name: str, kind: int, size_m: float, colour: ColorRGBA, *points: Point
+        self, name: str, size_m: float, points: list[Point], kind: int = Marker.SPHERE
     ) -> Marker:
+        red, green, blue, opacity = _COLOURS[name]
+        colour = ColorRGBA(r=red, g=green, b=blue, a=opacity)
         marker = Marker(ns=name, type=kind, action=Marker.ADD, color=colour)
         marker.header.stamp = ros.to_stamp(self.ros_s())
         marker.header.frame_id = self._config.feature_frame
         marker.pose.orientation.w = 1.0
         marker.lifetime = Duration(seconds=_FRESH_S).to_msg()
         if kind == Marker.LINE_STRIP:
-            marker.points = list(points)
+            marker.points = points
         else:
             marker.pose.position = points[0]
         marker.scale.x = marker.scale.y = marker.scale.z = float(size_m)
@@ -167,7 +160,7 @@ def _point(position_m: np.ndarray) -> Point:
 
 def main() -> int:
     """Run ``fvs_markers_node``."""
-    return ros.run(MarkersNode, __doc__, markers.PARAMETERS)
+    return ros.run(MarkersNode, __doc__, MARKERS_PARAMETERS)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ from fvs_ros import stop
 
 stop.listen()
 
-import importlib
 import shutil
 import sys
 import time
@@ -22,8 +21,13 @@ from rclpy.subscription import Subscription
 
 from fvs_ros import ros, topics
 from fvs_ros.version import version
-from fvs_tools import recording
-from fvs_tools.recording import LARGE, RecorderConfig
+from fvs_tools import observing
+from fvs_tools.observing import LARGE, RecorderConfig, is_recorded
+
+try:
+    from fvs_tools import bag
+except ImportError:  # without rosbags: check_recording refuses
+    bag = None  # type: ignore[assignment]
 
 _LOOK_S = 0.2
 #: Fetching messages from their queues now and then costs far less than being woken by each.
@@ -41,8 +45,8 @@ _DEPTH, _DEPTH_LARGE = 4000, 60
 class _Topic:
     """A topic that is recorded.
 
-    Each kind of publisher (reliable, latched) has a subscription of its own, as one that asks for
-    less than is offered loses messages, and one that asks for more hears nothing.
+    Each kind of publisher (reliable, latched) has a subscription of its own: one that asks for
+    less than is offered loses messages, and one that asks for more receives none.
     """
 
     type: str
@@ -63,14 +67,11 @@ class RecorderNode(ros.FvsNode):
     """Looks for topics, fetches their messages, writes them."""
 
     def __init__(self) -> None:
-        super().__init__("fvs_recorder_node", recording.PARAMETERS)
+        super().__init__("fvs_recorder_node", observing.RECORDER_PARAMETERS)
         self._config = RecorderConfig.from_values(self.values)
         self._folder = Path(self._config.bag_dir).expanduser()
-        recording.check(self._folder)
-        from fvs_tools import bag, viewing
-
-        self._bags, self._tf = bag, viewing.TOPIC
-        self._viewing = viewing.Viewing(
+        observing.check_recording(self._folder)
+        self._transforms = bag.Transforms(
             self.resolve_topic_name(topics.ROBOT_DESCRIPTION.name),
             self.resolve_topic_name(topics.JOINT_STATES.name),
             self.resolve_topic_name(topics.TRUE_CAMERA_POSE.name),
@@ -85,7 +86,7 @@ class RecorderNode(ros.FvsNode):
         notes = {"fvs_ros_version": version(), "scenario": self._config.scenario}
         if remaps:
             notes["remaps"] = yaml.safe_dump(remaps)
-        # The last thing: the launcher waits for the folder, and then everything is heard.
+        # Last: the launcher waits for the folder, and by then every topic is subscribed to.
         self._bag = bag.Bag(self._folder, notes)
         self.create_timer(_LOOK_S, self._look, clock=self.steady_clock)
         self.create_timer(_FETCH_S, self._fetch, clock=self.steady_clock)
@@ -97,10 +98,7 @@ class RecorderNode(ros.FvsNode):
     def _expect(self) -> dict[str, str]:
         """Subscribe to this package's topics before a node publishes: no first message is lost.
 
-        Returns
-        -------
-        dict of str to str
-            Those that were remapped: their full names as declared, and as they are here.
+        Returns those that were remapped: their full names as declared, and as they are here.
         """
         remaps = {}
         for topic in topics.TOPICS:
@@ -110,9 +108,9 @@ class RecorderNode(ros.FvsNode):
                 name = self.resolve_topic_name(own)
                 if name != declared:
                     remaps[declared] = name
-                if recording.is_recorded(name, topic.type, self._config.images):
+                if is_recorded(name, topic.type, self._config.images):
                     for qos in end.qos:
-                        self._hear(name, topic.type, ros.PROFILES[qos])
+                        self._add(name, topic.type, ros.PROFILES[qos])
         return remaps
 
     def _look(self) -> None:
@@ -122,21 +120,24 @@ class RecorderNode(ros.FvsNode):
             if publishers == self._publisher_counts.get(topic, 0):
                 continue
             self._publisher_counts[topic] = publishers
-            if not recording.is_recorded(topic, types[0], self._config.images):
+            if not is_recorded(topic, types[0], self._config.images):
                 continue
             if len(types) > 1:
                 self.tell(ros.WARN, f"{topic} is not recorded: it has several types {types}")
-            elif not all([self._hear(topic, types[0], qos) for qos in self._offers(topic)]):
+            elif not all([self._add(topic, types[0], qos) for qos in self._offers(topic)]):
                 self.tell(ros.WARN, f"{topic} is not recorded: its type {types[0]} is not known")
 
     def _offers(self, topic: str) -> list[QoSProfile]:
         """What the topic's publishers offer."""
         return [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
 
-    def _hear(self, topic: str, message_type: str, offer: QoSProfile) -> bool:
+    def _add(self, topic: str, message_type: str, offer: QoSProfile) -> bool:
         """Subscribe to a kind of publisher; False where the type of message is not known."""
-        kind = _message_class(message_type)
-        if kind is None or not self._bags.knows(message_type):
+        try:
+            kind = ros.message_class(message_type)
+        except (ImportError, AttributeError):  # its package is not installed
+            return False
+        if not bag.knows(message_type):
             return False
         one = self._topics.setdefault(topic, _Topic(message_type))
         reliable = offer.reliability == ReliabilityPolicy.RELIABLE
@@ -169,35 +170,30 @@ class RecorderNode(ros.FvsNode):
                 for one in [message] if simulated is None else simulated.stamped(message):
                     self._write(one)
             free_mb = shutil.disk_usage(self._folder).free / 1e6
-        except self._bags.ERRORS as error:
+        except bag.ERRORS as error:
             self._give_up(str(getattr(error, "strerror", None) or error))
             return
         if free_mb < _LEAST_FREE_MB:
             self._give_up(f"only {free_mb:.0f} MB are left on the disk")
 
-    def _waiting(self) -> Iterator[Any]:
+    def _waiting(self) -> Iterator[bag.Message]:
         for name, topic in self._topics.items():
             for subscription in topic.subscriptions.values():
-                while True:
-                    with subscription.handle:
-                        taken = subscription.handle.take_message(subscription.msg_type, True)
-                    if taken is None:
-                        break
+                while (taken := ros.take(subscription)) is not None:
                     data, info = taken
                     if not topic.came_before(info["source_timestamp"], data):
-                        stamp_ns = info["received_timestamp"]
-                        yield self._bags.Message(name, topic.type, stamp_ns, data)
+                        yield bag.Message(name, topic.type, info["received_timestamp"], data)
 
-    def _write(self, message: Any) -> None:
+    def _write(self, message: bag.Message) -> None:
         is_new = message.topic not in self._bag.counts
         self._bag.write(message, self._offers(message.topic) if is_new else ())
         try:
-            transforms = self._viewing.of(message, robot=self._tf not in self._topics)
+            transforms = self._transforms.of(message, robot=bag.TF not in self._topics)
         except ValueError as error:
             self._log_refusal(f"no transforms of the robot: {error}")
             return
         if transforms is not None:
-            moving = transforms.topic == self._tf
+            moving = transforms.topic == bag.TF
             self._bag.write(transforms, [ros.QOS_RELIABLE if moving else ros.QOS_LATCHED])
 
     # --- state and end ---
@@ -208,12 +204,8 @@ class RecorderNode(ros.FvsNode):
 
     def _publish_state(self) -> None:
         counts = self._bag.counts
-        self.publish_status(
-            ros.OK,
-            "RECORDING",
-            f"recording into {self._folder}",
-            {"topics": len(counts), "messages": sum(counts.values())},
-        )
+        values = {"topics": len(counts), "messages": sum(counts.values())}
+        self.publish_status(ros.OK, "RECORDING", f"recording into {self._folder}", values)
 
     def finish(self) -> None:
         """Write what still comes, and finish the bag."""
@@ -222,11 +214,10 @@ class RecorderNode(ros.FvsNode):
             self._fetch()
             time.sleep(_FETCH_S)
         try:
-            if self._simulated_time is not None:
-                for message in self._simulated_time.rest():
-                    self._write(message)
+            for message in self._simulated_time.rest() if self._simulated_time else ():
+                self._write(message)
             self._bag.close()
-        except self._bags.ERRORS as error:
+        except bag.ERRORS as error:
             if self.exit_code is None:
                 self._give_up(str(error))
             return
@@ -234,18 +225,9 @@ class RecorderNode(ros.FvsNode):
         self.tell(ros.OK, f"{sum(counts.values())} messages of {len(counts)} topics recorded")
 
 
-def _message_class(message_type: str) -> Any:
-    """The class of a message type, or None where its package is not installed."""
-    package, kind, name = message_type.split("/")
-    try:
-        return getattr(importlib.import_module(f"{package}.{kind}"), name, None)
-    except ImportError:
-        return None
-
-
 def main() -> int:
     """Run ``fvs_recorder_node``."""
-    return ros.run(RecorderNode, __doc__, recording.PARAMETERS)
+    return ros.run(RecorderNode, __doc__, observing.RECORDER_PARAMETERS)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import argparse
 import re
 import string
 import sys
+import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,6 @@ from fvs_ros.params import Parameter
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_ros.topics import NODES, End, Node, Topic
 from fvs_tools.scenario import NODE_TABLE
-from fvs_tools.security_policy import policy
 
 PAGE, POLICY = "docs/reference.md", "config/sros2/policy.xml"
 COMMAND = "python -m fvs_tools.reference"
@@ -32,6 +32,27 @@ COMMAND = "python -m fvs_tools.reference"
 _UNIT = re.compile(r"_(?:mm|m|s|rad|m_s|rad_s|deg|hz|percent)$")
 #: A topic, service or parameter within a sentence.
 _NAME = re.compile(r"(?<![\w`/~^.*)])(~?/[a-z]\w*(?:/\w+)*|[a-z]\w*_\w+)(?![\w`/*(])")
+
+#: The enclave for a person's tools (``ros2 topic``, ``ros2 param``, RViz): sees everything, sets
+#: parameters and targets, calls services, and cannot send a joint command.
+OPERATOR = "fvs_operator"
+
+# No "--" in it: XML does not allow it in a comment.
+_POLICY_HEAD = """\
+<?xml version="1.0" encoding="UTF-8"?>
+<!--
+  Access rules of the nodes for SROS2{where}. Written by fvs_tools/reference.py from
+  fvs_ros/topics.py; docs/reference.md says how to use it.
+
+  One enclave a node, called like the node with its namespace, and one for a person's tools.
+  What is not listed is denied: above all, only two nodes may publish joint commands.
+
+  Names hold for {holds} and without remaps. Rules for another namespace:
+      python3 -m fvs_tools.reference -p policy.xml -n NAMESPACE
+  With a remap, change the name here too. A robot's driver, a camera and a detector of your own
+  need enclaves of their own; their rules are not here.
+-->
+"""
 
 _STATES = {
     State.WAITING: "Something that a start needs is missing; zeros are sent.",
@@ -224,6 +245,60 @@ def _type(name: str) -> str:
 def _link(node: str) -> str:
     short = node.removeprefix("fvs_").removesuffix("_node")
     return f"[{short}](#{node})"
+
+
+# --- access rules ---
+
+
+def policy(namespace: str = "") -> str:
+    """The SROS2 policy of nodes in a namespace: who may publish, subscribe and serve what (XML)."""
+    namespace = namespace.strip("/")
+    root = ET.Element("policy", version="0.2.0")
+    enclaves = ET.SubElement(root, "enclaves")
+    everything, services = set(topics.EVERY_NODE_PUBLISHES), set()
+    for name, node in NODES.items():
+        published = {topic.name for topic in topics.publishers(name)}
+        heard = {topic.name for topic in topics.subscribers(name)}
+        if node.hears_all:
+            heard.add("/*")
+        served = {*node.serves, *topics.EVERY_NODE_SERVES}
+        _enclave(enclaves, name, namespace, published, heard, served, node.calls)
+        everything |= {one.replace("~", name, 1) for one in published}
+        services |= {one.replace("~", name, 1) for one in served}
+    _enclave(enclaves, OPERATOR, namespace, {topics.TARGET_POSITION.name}, everything, (), services)
+    ET.indent(root)
+    where = f" in namespace /{namespace}" if namespace else ""
+    holds = f"namespace /{namespace}" if namespace else "the root namespace"
+    head = _POLICY_HEAD.format(where=where, holds=holds)
+    return head + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _enclave(
+    enclaves: ET.Element,
+    node: str,
+    namespace: str,
+    published: Iterable[str],
+    heard: Iterable[str],
+    served: Iterable[str],
+    called: Iterable[str],
+) -> None:
+    """Add the rules of one node."""
+    enclave = ET.SubElement(enclaves, "enclave", path=topics.resolve("~", node, namespace))
+    profiles = ET.SubElement(enclave, "profiles")
+    profile = ET.SubElement(profiles, "profile", ns=f"/{namespace}", node=node)
+    declared, *others = topics.CAMERA_PREFIXES  # a camera is looked for under each
+    cameras = [name.partition("/")[2] for name in heard if name.startswith(f"{declared}/")]
+    heard = {*heard, *(f"{other}/{name}" for other in others for name in cameras)}
+    for kind, verb, names in (
+        ("topic", "publish", {*published, *topics.EVERY_NODE_PUBLISHES}),
+        ("topic", "subscribe", {*heard, *topics.EVERY_NODE_SUBSCRIBES}),
+        ("service", "reply", served),
+        ("service", "request", called),
+    ):
+        if names:
+            rules = ET.SubElement(profile, f"{kind}s", {verb: "ALLOW"})
+            for name in sorted(names):
+                ET.SubElement(rules, kind).text = name
 
 
 # --- program ---

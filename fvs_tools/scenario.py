@@ -16,113 +16,82 @@ from typing import Any
 
 import yaml
 
+from fvs_ros import topics
 from fvs_ros.arguments import unknown
 from fvs_ros.params import Parameter, ParameterError, ParameterSet
 from fvs_ros.paths import find_file, share_folders
-from fvs_tools import recording, yaml_text
+from fvs_tools.observing import check_recording
 from fvs_tools.schemes import scheme
 
 ALL_NODES = "/**"
-RECORDER, MARKERS = "fvs_recorder_node", "fvs_markers_node"
+RECORDER, MARKERS = topics.RECORDER, topics.MARKERS_NODE
 _NAME = r"~?/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*"
 _REMAP = re.compile(rf"({_NAME}:)?{_NAME}:=/?{_NAME}", re.ASCII)
 #: What rclpy declares for every node.
 _EVERYWHERE = Parameter("use_sim_time", False, "follow /clock")
 #: What recorder and markers share with the loop.
 _SHARED = ("use_sim_time", "feature_frame")
+#: No YAML is larger; no refusal quotes more of it, characters.
+_MOST_YAML, _QUOTED = 2**20, 300
 
 _Sections = dict[str, dict[str, Any]]
 
 
-class ScenarioError(ValueError):
-    """A scenario that cannot be started; the text says why."""
-
-
 @dataclass(frozen=True)
 class NodeEntry:
-    """One node that a scenario may start.
+    """One node that a scenario may start."""
 
-    Parameters
-    ----------
-    module : str
-        Python module that runs it.
-    declarations : str
-        Module that holds its ``PARAMETERS``.
-    commands_arm : bool
-        Whether it sends joint commands: such a node is stopped first, while others still listen.
-    task : bool
-        Whether its end ends the scenario, its exit code being the scenario's.
-    observer : bool
-        Whether it only looks on: such a node is stopped last, and its end ends nothing, unless it
-        refuses its parameters.
-    """
-
+    #: Python module that runs it.
     module: str
+    #: Where its parameters are declared: a module and, unless it is PARAMETERS, a name in it.
     declarations: str
+    #: It sends joint commands: it is stopped first, while others still listen.
     commands_arm: bool = False
+    #: Its end ends the scenario, its exit code being the scenario's.
     task: bool = False
+    #: It only looks on: it is stopped last, and its end ends nothing, unless it refuses its
+    #: parameters.
     observer: bool = False
 
     def parameters(self) -> ParameterSet:
         """Declared parameters."""
-        return ParameterSet(importlib.import_module(self.declarations).PARAMETERS)
+        module, _, name = self.declarations.partition(":")
+        return ParameterSet(getattr(importlib.import_module(module), name or "PARAMETERS"))
 
 
 #: By the name of node and executable.
 NODE_TABLE: dict[str, NodeEntry] = {
-    "fvs_sim_node": NodeEntry("fvs_sim_node.node", "fvs_sim_node.config"),
-    "fvs_detector_node": NodeEntry("fvs_detector_node.node", "fvs_detector_node.config"),
-    "fvs_estimator_node": NodeEntry("fvs_estimator_node.node", "fvs_estimator_node.config"),
-    "fvs_controller_node": NodeEntry(
+    topics.SIM: NodeEntry("fvs_sim_node.node", "fvs_sim_node.config"),
+    topics.DETECTOR: NodeEntry("fvs_detector_node.node", "fvs_detector_node.config"),
+    topics.ESTIMATOR: NodeEntry("fvs_estimator_node.node", "fvs_estimator_node.config"),
+    topics.CONTROLLER: NodeEntry(
         "fvs_controller_node.node", "fvs_controller_node.config", commands_arm=True
     ),
-    "fvs_collector_node": NodeEntry(
+    topics.COLLECTOR: NodeEntry(
         "fvs_estimator_node.collector_node",
         "fvs_estimator_node.collector_config",
         commands_arm=True,
         task=True,
     ),
-    "fvs_demo_node": NodeEntry("fvs_tools.demo_node", "fvs_tools.demo", task=True),
-    "fvs_dashboard": NodeEntry(
+    topics.DEMO: NodeEntry("fvs_tools.demo_node", "fvs_tools.demo", task=True),
+    topics.DASHBOARD: NodeEntry(
         "fvs_dashboard.dashboard_node", "fvs_dashboard.config", observer=True
     ),
-    MARKERS: NodeEntry("fvs_tools.markers_node", "fvs_tools.markers", observer=True),
-    RECORDER: NodeEntry("fvs_tools.recorder_node", "fvs_tools.recording", observer=True),
+    MARKERS: NodeEntry(
+        "fvs_tools.markers_node", "fvs_tools.observing:MARKERS_PARAMETERS", observer=True
+    ),
+    RECORDER: NodeEntry(
+        "fvs_tools.recorder_node", "fvs_tools.observing:RECORDER_PARAMETERS", observer=True
+    ),
 }
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """Nodes to start and their parameters, checked against the declarations.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    parameters : mapping of str to mapping
-        Node name -> parameter name -> value, in the order in which the nodes start.
-
-    Raises
-    ------
-    ScenarioError
-        If there is no node, or an unknown node or parameter, or a wrong value.
-    """
+    """Nodes to start, in this order, and their parameters by name, checked."""
 
     path: Path
     parameters: Mapping[str, Mapping[str, Any]]
-
-    def __post_init__(self) -> None:
-        if not self.parameters:
-            raise ScenarioError(
-                f"scenario {self.path} names no node; known are {', '.join(NODE_TABLE)}"
-            )
-        checked = {}
-        for node, values in self.parameters.items():
-            try:
-                checked[node] = _declared(node).checked(values)
-            except ParameterError as error:
-                raise ScenarioError(f"{node} in {self.path.name}: {error}") from error
-        object.__setattr__(self, "parameters", checked)
 
     @property
     def nodes(self) -> list[str]:
@@ -163,19 +132,22 @@ def load_scenario(
 
     Raises
     ------
-    ScenarioError
+    ValueError
         If anything of it cannot be started; the text says why.
     """
     path, sections = _read(name)
     common, loop = sections.pop(ALL_NODES, {}), list(sections)
     if record:
+        check_recording(Path(record).expanduser())
         sections = {RECORDER: {}, **sections}
         sections[RECORDER].update(bag_dir=record, images=images)
     if record or markers:
         sections.setdefault(MARKERS, {})
+    if not sections:
+        raise ValueError(f"scenario {path} names no node; known are {', '.join(NODE_TABLE)}")
     for node, values in sections.items():
         if node not in NODE_TABLE:
-            raise ScenarioError(f"scenario {path}: {unknown('node', node, NODE_TABLE)}")
+            raise ValueError(f"scenario {path}: {unknown('node', node, NODE_TABLE)}")
         sections[node] = {**{n: v for n, v in common.items() if n in _declared(node)}, **values}
     if scheme_name:
         _choose_scheme(path, sections, scheme_name)
@@ -185,11 +157,12 @@ def load_scenario(
     for node in sections.keys() - loop:
         sections[node] = {**shared, **sections[node]}
     if record:
-        try:
-            recording.check(Path(record).expanduser())
-        except recording.RecordingError as error:
-            raise ScenarioError(str(error)) from error
         sections[RECORDER]["scenario"] = _params_yaml({node: sections[node] for node in loop})
+    for node, values in sections.items():
+        try:
+            sections[node] = _declared(node).checked(values)
+        except ParameterError as error:
+            raise ValueError(f"{node} in {path.name}: {error}") from error
     return Scenario(path, sections)
 
 
@@ -197,36 +170,33 @@ def _read(name: str) -> tuple[Path, _Sections]:
     """Path of a scenario, and the parameters under each of its keys."""
     try:
         path = find_file(name if Path(name).suffix else f"{name}.yaml")
-        content = yaml_text.read_file(path)
+        content = read_yaml_file(path)
     except FileNotFoundError as error:
         named = name == Path(name).stem
         text = unknown("scenario", name, scenario_names()) if named else str(error)
-        raise ScenarioError(text) from error
+        raise ValueError(text) from error
     except (OSError, ValueError, RuntimeError) as error:
-        raise ScenarioError(f"cannot read scenario {name}: {error}") from error
+        raise ValueError(f"cannot read scenario {name}: {error}") from error
     if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
-        raise ScenarioError(f"scenario {path} must map node names to ros__parameters")
+        raise ValueError(f"scenario {path} must map node names to ros__parameters")
     sections: _Sections = {}
     for key, section in content.items():
         values = section.get("ros__parameters") if isinstance(section, dict) else None
         if not isinstance(values, dict) or len(section) != 1:
-            raise ScenarioError(f"'{key}' in {path} must hold ros__parameters and nothing else")
+            raise ValueError(f"'{key}' in {path} must hold ros__parameters and nothing else")
         sections[key] = values
     return path, sections
 
 
 def _choose_scheme(path: Path, sections: _Sections, name: str) -> None:
-    try:
-        chosen = scheme(name)
-    except ValueError as error:
-        raise ScenarioError(str(error)) from error
+    chosen = scheme(name)
     wanted: _Sections = {
-        "fvs_estimator_node": {"method": chosen.method, **chosen.estimator_values},
-        "fvs_controller_node": {"law": chosen.law, **chosen.controller_values},
+        topics.ESTIMATOR: {"method": chosen.method, **chosen.estimator_values},
+        topics.CONTROLLER: {"law": chosen.law, **chosen.controller_values},
     }
     missing = [node for node in wanted if node not in sections]
     if missing:
-        raise ScenarioError(
+        raise ValueError(
             f"scheme {name} needs {' and '.join(missing)}, which {path.name} "
             f"({', '.join(sections)}) does not start"
         )
@@ -239,20 +209,18 @@ def _override(path: Path, sections: _Sections, override: str) -> None:
     key, separator, text = override.partition(":=")
     node, _, name = key.rpartition(":")
     if not separator or not name:
-        raise ScenarioError(f"'{override}' is not of the form name:=value")
+        raise ValueError(f"'{override}' is not of the form name:=value")
     if node and node not in sections:
-        raise ScenarioError(unknown(f"node of {path.name}", node, sections))
+        raise ValueError(unknown(f"node of {path.name}", node, sections))
     targets = [node] if node else [one for one in sections if name in _declared(one)]
     if not targets:
         every = {one.name for section in sections for one in _declared(section)}
         kind = f"parameter of {path.name} ({', '.join(sections)})"
-        raise ScenarioError(unknown(kind, name, sorted(every)))
+        raise ValueError(unknown(kind, name, sorted(every)))
     try:
-        value = yaml_text.read(text)
+        value = read_yaml(text)
     except ValueError as error:
-        raise ScenarioError(
-            f"'{override[: yaml_text.QUOTED]}' has a value that is no YAML: {error}"
-        ) from error
+        raise ValueError(f"'{override[:_QUOTED]}' has a value that is no YAML: {error}") from error
     for target in targets:
         sections[target][name] = value
 
@@ -282,17 +250,43 @@ def enclave_arguments(node: str, namespace: str, environment: Mapping[str, str])
     """
     if environment.get("ROS_SECURITY_ENABLE", "").lower() != "true":
         return []
-    return ["--enclave", "/".join(["", *filter(None, [namespace.strip("/")]), node])]
+    return ["--enclave", topics.resolve("~", node, namespace)]
 
 
 def checked_remap(text: str) -> str:
-    """A remap rule ``from:=to`` (or ``node:from:=to``), as ROS takes it.
-
-    Raises
-    ------
-    ScenarioError
-        If it is none.
-    """
+    """A remap rule ``from:=to`` (or ``node:from:=to``); a ``ValueError`` if it is none."""
     if not _REMAP.fullmatch(text):
-        raise ScenarioError(f"'{text}' is not of the form from_topic:=to_topic")
+        raise ValueError(f"'{text}' is not of the form from_topic:=to_topic")
     return text
+
+
+# --- YAML from untrusted files: no aliases, nothing oversized ---
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML without aliases: a few lines of them can unfold to more than any memory."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.events.AliasEvent):
+            raise yaml.YAMLError("aliases (*name) are not taken")
+        return super().compose_node(parent, index)
+
+
+def read_yaml(text: str | bytes) -> Any:
+    """What a text holds; a ``ValueError`` says in short what is wrong with it."""
+    if len(text) > _MOST_YAML:
+        raise ValueError(f"it is larger than {_MOST_YAML >> 20} MB")
+    try:
+        return _Loader(text).get_single_data()
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    except yaml.reader.ReaderError:
+        raise ValueError("it is binary, expected text") from None
+    except (yaml.YAMLError, ValueError, OverflowError) as error:
+        raise ValueError(str(error)[:_QUOTED]) from None
+
+
+def read_yaml_file(path: Path) -> Any:
+    """What a file holds; a ``ValueError`` as of :func:`read_yaml`, or an ``OSError``."""
+    with path.open("rb") as file:
+        return read_yaml(file.read(_MOST_YAML + 1))

@@ -13,8 +13,8 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.storage_mcap import McapReader
 
-from fvs_tools import yaml_text
 from fvs_tools.bag import NOTES, TYPES
+from fvs_tools.scenario import read_yaml_file
 
 _METADATA, _MCAP, _SQLITE = "metadata.yaml", ".mcap", ".db3"
 #: An MCAP file begins and ends with it.
@@ -84,7 +84,7 @@ def _yaml(path: Path) -> dict[str, Any]:
     if not path.is_file():
         return {}
     try:
-        content = yaml_text.read_file(path)
+        content = read_yaml_file(path)
     except ValueError as error:
         raise BagError(f"cannot read {path}: {' '.join(str(error).split())}") from None
     return content if isinstance(content, dict) else {}

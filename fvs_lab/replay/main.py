@@ -8,9 +8,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from fvs_ros.arguments import Parser
+from fvs_ros.arguments import Parser, how_to_install
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
-from fvs_tools.installing import how_to_install
 
 COMMAND = "fvs_experiments replay"
 _NEEDS = ("rosbags", "jinja2", "matplotlib")

@@ -30,7 +30,7 @@ from fvs_lab.replay.recording import (
 from fvs_ros import topics
 from fvs_ros.joints import JointMap, JointStateError
 from fvs_ros.status import vector
-from fvs_tools import yaml_text
+from fvs_tools.scenario import read_yaml
 
 _LOG, _PARAMETER_EVENTS = topics.EVERY_NODE_PUBLISHES
 #: From this level on a line of the log is kept: rcl's WARN.
@@ -237,7 +237,7 @@ def _namespace(names: set[str], wanted: str | None, path: Path) -> str:
 def _mapping(text: str) -> dict[str, Any]:
     """The mapping in a note; empty for another tool's."""
     try:
-        content = yaml_text.read(text)
+        content = read_yaml(text)
     except ValueError:
         return {}
     return content if isinstance(content, dict) else {}

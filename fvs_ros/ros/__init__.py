@@ -1,6 +1,6 @@
 """The one part of the ground that knows ROS: node, messages, quality of service."""
 
-from fvs_ros.ros.inputs import NeverReady, Sampled
+from fvs_ros.ros.inputs import NeverReady, Sampled, take
 from fvs_ros.ros.messages import (
     ERROR,
     OK,
@@ -26,7 +26,7 @@ from fvs_ros.ros.messages import (
     to_status,
     to_vector,
 )
-from fvs_ros.ros.node import FvsNode
+from fvs_ros.ros.node import FvsNode, message_class
 from fvs_ros.ros.process import run
 from fvs_ros.ros.qos import (
     PROFILES,
@@ -37,40 +37,3 @@ from fvs_ros.ros.qos import (
     QOS_NEWEST,
     QOS_RELIABLE,
 )
-
-__all__ = [
-    "ERROR",
-    "OK",
-    "PROFILES",
-    "QOS_EVENT",
-    "QOS_EVERY",
-    "QOS_LARGE",
-    "QOS_LATCHED",
-    "QOS_NEWEST",
-    "QOS_RELIABLE",
-    "WARN",
-    "FvsNode",
-    "MessageError",
-    "NeverReady",
-    "Sampled",
-    "from_camera_info",
-    "from_chain",
-    "from_jacobian",
-    "from_point",
-    "from_pose",
-    "from_stamp",
-    "from_status",
-    "run",
-    "send_last_zeros",
-    "to_camera_info",
-    "to_chain",
-    "to_command",
-    "to_image",
-    "to_jacobian",
-    "to_joint_state",
-    "to_point",
-    "to_pose",
-    "to_stamp",
-    "to_status",
-    "to_vector",
-]

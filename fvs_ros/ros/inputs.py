@@ -60,29 +60,22 @@ class NeverReady(CallbackGroup):
         """Never."""
         return False
 
-    def beginning_execution(self, entity: Any) -> bool:
-        """Never."""
-        return False
+    beginning_execution = can_execute
 
     def ending_execution(self, entity: Any) -> None:
         """Nothing has begun."""
+
+
+def take(subscription: Any) -> Any:
+    """The next message that waits for a subscription, and its information; None if none does."""
+    with subscription.handle:
+        return subscription.handle.take_message(subscription.msg_type, subscription.raw)
 
 
 class Sampled:
     """A topic that is looked at when it suits: its messages do not wake the process.
 
     Being woken by hundreds of messages a second costs a good part of a core.
-
-    Parameters
-    ----------
-    node : Node
-        Who looks.
-    message_type : type
-        Of the topic.
-    topic : str
-        Its name.
-    callback : callable
-        Takes a message.
     """
 
     def __init__(
@@ -95,28 +88,20 @@ class Sampled:
 
     def look(self) -> None:
         """Take the newest message, if one has come since the last look."""
-        subscription = self._subscription
-        with subscription.handle:
-            taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+        taken = take(self._subscription)
         if taken is not None:
-            subscription.callback(taken[0])
+            self._subscription.callback(taken[0])
 
     def close(self) -> None:
-        """Hear no more."""
+        """Unsubscribe."""
         self._node.destroy_subscription(self._subscription)
 
 
 class ArrivalMonitor:
-    """Remembers the last arrivals of one input on a steady clock.
+    """Remembers the last arrivals of one input on a steady clock."""
 
-    Parameters
-    ----------
-    window : int
-        Number of arrivals that rate and jitter are computed over.
-    """
-
-    def __init__(self, window: int = 100) -> None:
-        self._arrivals_s: deque[float] = deque(maxlen=window)
+    def __init__(self) -> None:
+        self._arrivals_s: deque[float] = deque(maxlen=100)
         self.count = 0
 
     def arrived(self, now_s: float) -> None:

@@ -10,8 +10,8 @@ from std_msgs.msg import Float64MultiArray
 
 from fvs_ros import ros, topics
 from fvs_ros.topics import NODES
+from fvs_tools.reference import policy
 from fvs_tools.scenario import NODE_TABLE
-from fvs_tools.security_policy import policy
 
 #: Time in which what is not declared would show.
 _SETTLE_S = 1.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from fvs_tools import launcher, recording
+from fvs_tools import launcher
 
 pytest.importorskip("rosbags")
 
@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_sim_node.kinematics import flange_pose
 from fvs_sim_node.ur5_urdf import urdf_text
-from fvs_tools.bag import NOTES, Bag, Message, SimulatedTime
-from fvs_tools.viewing import Viewing
+from fvs_tools.bag import NOTES, Bag, Message, SimulatedTime, Transforms
+from fvs_tools.observing import is_recorded
 
 #: Bool(data=True) as it is on the wire, little endian.
 TRUE = bytes([0, 1, 0, 0, 1])
@@ -53,7 +53,7 @@ def profile(reliability="RELIABLE", durability="TRANSIENT_LOCAL"):
     ],
 )
 def test_which_topics_are_recorded(topic, message_type, images, recorded):
-    assert recording.is_recorded(topic, message_type, images) is recorded
+    assert is_recorded(topic, message_type, images) is recorded
 
 
 # --- the launcher ---
@@ -234,7 +234,7 @@ def transforms(answer):
 
 @pytest.fixture
 def viewing():
-    return Viewing("/robot_description", "/joint_states", "/camera_pose", "eye")
+    return Transforms("/robot_description", "/joint_states", "/camera_pose", "eye")
 
 
 def test_the_last_static_transforms_hold_all_of_them(viewing):

@@ -10,8 +10,8 @@ from fvs_controller_node.reasons import Reason, State
 from fvs_ros import topics
 from fvs_ros.topics import NODES, resolve
 from fvs_tools import reference
+from fvs_tools.reference import OPERATOR, policy
 from fvs_tools.scenario import NODE_TABLE
-from fvs_tools.security_policy import OPERATOR, policy
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -10,7 +10,6 @@ from fvs_estimator_node.registry import ESTIMATORS
 from fvs_tools.scenario import (
     MARKERS,
     RECORDER,
-    ScenarioError,
     checked_remap,
     enclave_arguments,
     load_scenario,
@@ -51,7 +50,7 @@ def test_overrides_go_to_the_nodes_that_have_the_parameter():
     ],
 )
 def test_a_wrong_override_is_refused_in_words(override, words):
-    with pytest.raises(ScenarioError, match=words):
+    with pytest.raises(ValueError, match=words):
         load_scenario("demo", [override])
 
 
@@ -71,7 +70,7 @@ def test_a_wrong_override_is_refused_in_words(override, words):
 def test_a_file_that_is_no_scenario_is_refused_in_words(tmp_path, text, words):
     path = tmp_path / "bad.yaml"
     path.write_text(text)
-    with pytest.raises(ScenarioError, match=words):
+    with pytest.raises(ValueError, match=words):
         load_scenario(str(path))
 
 
@@ -83,7 +82,7 @@ def test_a_file_that_is_no_scenario_is_refused_in_words(tmp_path, text, words):
     ],
 )
 def test_a_scenario_that_is_not_there_is_looked_for_or_guessed(name, words):
-    with pytest.raises(ScenarioError, match=words):
+    with pytest.raises(ValueError, match=words):
         load_scenario(name)
 
 
@@ -123,7 +122,7 @@ def test_the_best_scenario_is_the_demo_with_the_best_scheme():
     ],
 )
 def test_a_scheme_that_does_not_fit_is_refused_in_words(scenario, name, words):
-    with pytest.raises(ScenarioError, match=words):
+    with pytest.raises(ValueError, match=words):
         load_scenario(scenario, scheme_name=name)
 
 
@@ -151,7 +150,7 @@ def test_recorder_and_markers_share_frame_and_time_with_the_loop(tmp_path):
     "rule", ["a", "a:=", ":=b", "a:=b;c", "a:=$(id)", "-p:=x", "a:= b", "a:=b\n"]
 )
 def test_what_is_no_remap_rule_is_refused(rule):
-    with pytest.raises(ScenarioError, match="not of the form"):
+    with pytest.raises(ValueError, match="not of the form"):
         checked_remap(rule)
 
 

@@ -1,4 +1,4 @@
-"""What a recording holds: its parameters, and which topics. ``bag.py`` writes it."""
+"""Parameters of recorder and markers, and what a recording holds. ``bag.py`` writes it."""
 
 from __future__ import annotations
 
@@ -7,9 +7,17 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from fvs_ros.arguments import how_to_install
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.params import Parameters, parameter
-from fvs_tools.installing import how_to_install
+
+
+@dataclass(frozen=True)
+class MarkersConfig(Parameters):
+    """Parameters of ``fvs_markers_node``."""
+
+    feature_frame: str = parameter(CAMERA_FRAME, "frame of ball and target")
+    ball_radius_m: float = parameter(0.04, "radius of the ball", 0.005, 0.2)
 
 
 @dataclass(frozen=True)
@@ -27,7 +35,7 @@ class RecorderConfig(Parameters):
     scenario: str = parameter("", "what was started, as YAML: kept in the bag beside the messages")
 
 
-PARAMETERS = RecorderConfig.declared()
+MARKERS_PARAMETERS, RECORDER_PARAMETERS = MarkersConfig.declared(), RecorderConfig.declared()
 
 #: What is left out without images, and waits in a shorter queue.
 LARGE = (
@@ -37,37 +45,17 @@ LARGE = (
 )
 
 
-class RecordingError(ValueError):
-    """A recording that cannot begin; the text says why."""
-
-
-def check(folder: Path) -> None:
-    """Refuse a folder that exists, and a machine without the library that writes bags.
-
-    Raises
-    ------
-    RecordingError
-        If a recording into the folder cannot begin.
-    """
+def check_recording(folder: Path) -> None:
+    """Raise a ``ValueError`` where a recording into a folder cannot begin."""
     if os.path.lexists(folder):
-        raise RecordingError(f"cannot record into {folder}: it exists already; name a new folder")
+        raise ValueError(f"cannot record into {folder}: it exists already; name a new folder")
     if importlib.util.find_spec("rosbags") is None:
-        raise RecordingError(
+        raise ValueError(
             "recording needs rosbags, which is missing: "
             f"{how_to_install('record,lab', ['rosbags'])}"
         )
 
 
 def is_recorded(topic: str, message_type: str, images: bool) -> bool:
-    """Whether a topic of the graph goes into the bag.
-
-    Parameters
-    ----------
-    topic : str
-        Its full name; hidden ones (a part that begins with ``_``) are left out.
-    message_type : str
-        Such as ``sensor_msgs/msg/Image``.
-    images : bool
-        Whether images are recorded.
-    """
+    """Whether a topic of the graph goes into the bag; hidden ones (``/_``) do not."""
     return "/_" not in topic and (images or message_type not in LARGE)
