@@ -79,10 +79,10 @@ def main() -> None:
             for seed in range(seeds):
                 data = make(seed)
                 start_s = time.perf_counter()
-                result = train(data, TrainingOptions(method=method))
+                trained = train(data, TrainingOptions(method=method))
                 wall_s = time.perf_counter() - start_s
-                error = jacobian_error(result.trained.model.jacobian)
-                rows.append((100.0 * error, 1e3 * result.trained.errors["pair_error_m"], wall_s))
+                error = jacobian_error(trained.model.jacobian)
+                rows.append((100.0 * error, 1e3 * trained.errors["pair_error_m"], wall_s))
             percent, pair_mm, wall_s = np.median(rows, axis=0)
             print(
                 f"{name:24s} {method:8s} {percent:12.2f} % {pair_mm:9.2f} mm {wall_s:7.1f} s",

@@ -2,41 +2,37 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.npz_file import NpzFile, check_same, write_npz
+from fvs_estimator_node.npz_file import NpzFile, write_npz
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_ros.timeline import Sample
+from fvs_ros.vectors import check_arrays
 
-DATA_SET_FORMAT = "fvs_dataset"
-DATA_SET_VERSION = 1
-MAX_DATA_SET_BYTES = 2**30
-
-
-class DataSetError(ValueError):
-    """A data set that cannot be used; the text says what was wrong and what was expected."""
+_FORMAT, _MAX_BYTES = "fvs_dataset", 2**30
+_SHAPES = {"stamps_s": ("k",), "joints_rad": ("k", "n"), "ball_m": ("k", "m"), "segment": ("k",)}
 
 
 @dataclass(frozen=True)
 class DataSet:
-    """Ball positions and the joints at their exposures.
+    """k ball positions and the joints at their exposures.
 
     Parameters
     ----------
-    stamps_s : ndarray, shape (n,)
+    stamps_s : ndarray, shape (k,)
         Exposure times, s; rising within a segment.
-    joints_rad : ndarray, shape (n, joints)
+    joints_rad : ndarray, shape (k, n)
         Joint positions at exposure, rad.
-    ball_m : ndarray, shape (n, m)
+    ball_m : ndarray, shape (k, m)
         Ball positions in the feature frame, m.
-    segment : ndarray of int, shape (n,)
+    segment : ndarray of int, shape (k,)
         Number of the continuous run a sample belongs to; never falls.
     joint_names : tuple of str
         Names of the columns of ``joints_rad``.
@@ -47,7 +43,7 @@ class DataSet:
 
     Raises
     ------
-    DataSetError
+    ValueError
         If shapes do not fit, something is not finite, or stamps or segments go back.
     """
 
@@ -60,76 +56,34 @@ class DataSet:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        n = len(self.stamps_s)
-        wanted = {
-            "stamps_s": (n,),
-            "joints_rad": (n, len(self.joint_names)),
-            "ball_m": (n, *np.shape(self.ball_m)[1:2]),
-            "segment": (n,),
-        }
-        for name, shape in wanted.items():
-            value = np.asarray(getattr(self, name))
-            value = value.astype(np.int64 if name == "segment" else float)
-            if value.shape != shape:
-                raise DataSetError(f"{name} has shape {value.shape}, expected {shape}")
-            if not np.all(np.isfinite(value)):
-                raise DataSetError(f"{name} holds a number that is not finite")
-            object.__setattr__(self, name, value)
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
+        check_arrays(self, _SHAPES, {"n": len(self.joint_names)})
+        with np.errstate(invalid="ignore"):
+            object.__setattr__(self, "segment", self.segment.astype(np.int64))
         if np.any(np.diff(self.segment) < 0):
-            raise DataSetError("segment numbers go back, expected runs one after the other")
+            raise ValueError("segment numbers go back, expected runs one after the other")
         same = np.diff(self.segment) == 0
         if np.any(np.diff(self.stamps_s)[same] <= 0.0):
-            raise DataSetError("stamps_s do not rise within a segment")
+            raise ValueError("stamps_s do not rise within a segment")
 
     def __len__(self) -> int:
         return len(self.stamps_s)
 
+    def runs(self) -> list[slice]:
+        """The continuous runs, one after the other."""
+        ends = [0, *(np.flatnonzero(np.diff(self.segment)) + 1).tolist(), len(self)]
+        return [slice(a, b) for a, b in pairwise(ends)]
+
 
 def data_set_of(samples: Sequence[Sample], **particulars: Any) -> DataSet:
     """A data set of samples; ``particulars`` are its other fields."""
-    return DataSet(
-        stamps_s=np.array([s.stamp_s for s in samples]),
-        joints_rad=np.array([s.joints_rad for s in samples]),
-        ball_m=np.array([s.ball_m for s in samples]),
-        segment=np.array([s.run for s in samples]),
-        **particulars,
-    )
-
-
-#: Offsets of the images' stamps below this are not worth a word, s.
-_NOTABLE_OFFSET_S = 0.003
-
-
-def late_stamps_note(offset_s: float) -> str:
-    """What to say of images that are stamped late (or early, if negative), s; empty if nothing."""
-    if abs(offset_s) <= _NOTABLE_OFFSET_S:
-        return ""
-    side = "before" if offset_s > 0.0 else "after"
-    clocks = "" if offset_s > 0.0 else " (if more than half an image's time: set the clocks, NTP)"
-    return (
-        f"the images show the joints of {1e3 * abs(offset_s):.0f} ms {side} their stamps; "
-        f"corrected here, but the loop needs it, too: add {offset_s:.3f} to stamp_delay_s of "
-        f"fvs_detector_node{clocks}"
-    )
+    stamps_s, joints_rad, ball_m, run = (np.array(column) for column in zip(*samples, strict=True))
+    return DataSet(stamps_s, joints_rad, ball_m, run, **particulars)
 
 
 def save_data_set(path: str | os.PathLike[str], data: DataSet) -> None:
     """Write a data set in one piece."""
-    write_npz(
-        path,
-        {
-            "format": np.array(DATA_SET_FORMAT),
-            "version": np.array(DATA_SET_VERSION),
-            "joint_names": np.array(data.joint_names),
-            "feature_frame": np.array(data.feature_frame),
-            "stamps_s": data.stamps_s,
-            "joints_rad": data.joints_rad,
-            "ball_m": data.ball_m,
-            "segment": data.segment,
-            "provenance": np.array(json.dumps(dict(data.provenance), sort_keys=True)),
-        },
-    )
+    write_npz(path, _FORMAT, asdict(data))
 
 
 def load_data_set(
@@ -150,20 +104,15 @@ def load_data_set(
 
     Raises
     ------
-    DataSetError
+    FileError
         If anything is not as expected; the text names the file, the fault and what was expected.
     """
-    content = NpzFile(path, DATA_SET_FORMAT, DATA_SET_VERSION, MAX_DATA_SET_BYTES, DataSetError)
-    names = content.joint_names()
-    frame = content.text("feature_frame")
-    check_same(DataSetError, f"{path}", names, frame, joint_names, feature_frame)
-    joints = content.numbers("joints_rad", (None, len(names)), "f")
-    n = len(joints)
-    stamps = content.numbers("stamps_s", (n,), "f")
-    ball = content.numbers("ball_m", (n, None), "f")
-    segment = content.numbers("segment", (n,), "iu")
-    provenance = content.json("provenance")
+    content = NpzFile(path, _FORMAT, _MAX_BYTES, joint_names, feature_frame)
+    arrays = {name: content.array(name) for name in _SHAPES}
+    names, frame = content.texts("joint_names"), content.text("feature_frame")
     try:
-        return DataSet(stamps, joints, ball, segment, names, frame, provenance)
-    except DataSetError as error:
+        return DataSet(
+            **arrays, joint_names=names, feature_frame=frame, provenance=content.json("provenance")
+        )
+    except ValueError as error:
         raise content.refusal(f"is not a data set: {error}") from None

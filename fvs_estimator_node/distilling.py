@@ -8,59 +8,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.chain_fit import ChainFit, fit_chain
-from fvs_estimator_node.chain_path import MAX_OFFSET_S
-from fvs_estimator_node.chain_start import STILL_RAD
-from fvs_estimator_node.dataset import DataSet, late_stamps_note
-from fvs_estimator_node.line_fit import ridge_path
-from fvs_estimator_node.model_file import TrainedModel, box_of
+from fvs_estimator_node.chain_fit import MAX_OFFSET_S, ChainFit, fit_chain
+from fvs_estimator_node.dataset import DataSet
+from fvs_estimator_node.model_file import TrainedModel, boxes_of
 from fvs_estimator_node.rbf import RbfModel, rbf_features
+from fvs_estimator_node.training import late_stamps_note, ridge_path, still_joints
 from fvs_ros.chain import SerialChain
 
 #: Neurons of each network where nothing else is said; more cost little where samples are free.
 NEURONS = 100
-#: Samples of a lesson for each neuron, and of the examination.
-_LESSON, _EXAMINATION = 80, 1000
-#: Width of the neurons over the box's rms half width, the share by which lessons go beyond the
-#: box, and the ridge relative to the mean diagonal: the least error of some tried.
+#: Samples of the chain for each neuron, and to judge with.
+_SAMPLES, _JUDGED = 80, 1000
+#: Width of the neurons over the box's rms half width, the box of samples over that of the data,
+#: and the ridge relative to the mean diagonal: the least error of some tried.
 _WIDTH_FACTOR, _BEYOND, _RIDGE = 4.0, 1.1, 1e-11
-#: Ball positions kept as places that the arm can reach.
-_BALL_SAMPLES = 500
-#: A Jacobian known worse than this, in the median over the box, is worth a word.
-_DOUBTFUL = 0.01
-#: Images that do not fit are not worth a word up to this share.
-_NOTABLE_OUTLIERS = 0.01
-#: Images that scatter by more, a median, m, are worth a word: no depth camera is that bad.
-_NOTABLE_NOISE_M = 0.01
-
-
-@dataclass(frozen=True)
-class DistilledModel:
-    """What came of a structured training.
-
-    Parameters
-    ----------
-    trained : TrainedModel
-        Chain and networks, ready to be saved.
-    fit : ChainFit
-        The fit of the chain.
-    jacobian_deviation : float
-        Relative standard deviation of the chain's Jacobian in the box, median; as the camera sees.
-    distillation_error : float
-        Relative error of the networks against the chain at fresh joints in the box, median.
-    notes : tuple of str
-        What a user should know, in words.
-    """
-
-    trained: TrainedModel
-    fit: ChainFit
-    jacobian_deviation: float
-    distillation_error: float
-    notes: tuple[str, ...]
+#: A user should know of a Jacobian with a larger relative deviation (median over the box), of a
+#: larger share of outliers, and of larger noise, m: no depth camera is that bad.
+_NOTABLE_DEVIATION, _NOTABLE_OUTLIERS, _NOTABLE_NOISE_M = 0.01, 0.01, 0.01
 
 
 def train_structured(
@@ -68,7 +37,7 @@ def train_structured(
     neurons: int = NEURONS,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
-) -> DistilledModel:
+) -> TrainedModel:
     """Fit a chain to a data set and distil the networks from it.
 
     Parameters
@@ -76,11 +45,18 @@ def train_structured(
     data : DataSet
         A minute of motion of all joints, or more.
     neurons : int
-        Neurons of each network, m.
+        Neurons of each network, k.
     seed : int
         Equal data, neurons and seed give equal models.
     progress : callable, optional
         Told what is being done, in words.
+
+    Returns
+    -------
+    TrainedModel
+        Chain and networks. Its ``errors`` hold the figures of the fit; ``jacobian_deviation``, the
+        relative standard deviation of the chain's Jacobian in the box as the camera sees it; and
+        ``distillation_error``, that of the networks against the chain (medians).
 
     Raises
     ------
@@ -93,35 +69,27 @@ def train_structured(
     fit = fit_chain(data, rng, progress)
     if progress is not None:
         progress("distilling the networks")
-    box = box_of(data.joints_rad)
-    model = distil(fit.chain, box, neurons, rng)
-    places = _within(box, rng, _EXAMINATION)
+    boxes = boxes_of(data.joints_rad, data.ball_m, rng)
+    model = distil(fit.chain, boxes["joint_box_rad"], neurons, rng)
+    places = _within(boxes["joint_box_rad"], rng, _JUDGED)
     truth = fit.chain.jacobian(places)
     size = np.linalg.norm(truth, axis=(1, 2))
     error = np.linalg.norm(model.jacobian(places) - truth, axis=(1, 2)) / size
-    deviation = float(np.median(fit.jacobian_deviation(places[: _EXAMINATION // 10])))
-    named = ("misfit", "residual_m", "noise_m", "ray_noise_m", "lateral_noise_m", "time_offset_s")
-    counted = ("time_offset_deviation_s", "outliers", "samples")
-    figures = {name: getattr(fit, name) for name in (*named, *counted)}
-    figures |= {"jacobian_deviation": deviation, "distillation_error": float(np.median(error))}
-    order = rng.permutation(len(data))[:_BALL_SAMPLES]
-    trained = TrainedModel(
+    figures = _figures(fit, places)
+    figures["distillation_error"] = float(np.median(error))
+    return TrainedModel(
         model=model,
-        joint_box_rad=box,
-        ball_box_m=box_of(data.ball_m),
-        ball_samples_m=data.ball_m[order],
+        **boxes,
         joint_names=data.joint_names,
         feature_frame=data.feature_frame,
-        errors=_known(figures),
+        errors=figures,
         provenance={
             "method": "poe",
             "options": {"neurons": neurons, "seed": seed},
             "data": dict(data.provenance),
+            "notes": _notes(fit, figures["jacobian_deviation"], data),
         },
         chain=fit.chain,
-    )
-    return DistilledModel(
-        trained, fit, deviation, float(np.median(error)), _notes(fit, deviation, data)
     )
 
 
@@ -144,52 +112,43 @@ def with_chain(trained: TrainedModel, data: DataSet, seed: int = 0) -> tuple[Tra
     str
         What came of it, in words.
     """
-    places = _within(trained.joint_box_rad, np.random.default_rng(seed), _EXAMINATION // 10)
+    rng = np.random.default_rng(seed)
+    places = _within(trained.joint_box_rad, rng, _JUDGED)
     try:
         fit = fit_chain(data, np.random.default_rng(seed))
-        deviation = float(np.median(fit.jacobian_deviation(places)))
+        found = _figures(fit, places)
     except ValueError as error:  # also of numpy's linear algebra
         return trained, f"no chain: {error}"
-    if not fit.is_chain or deviation > _DOUBTFUL:
+    deviation = found["jacobian_deviation"]
+    if not fit.is_chain or deviation > _NOTABLE_DEVIATION:
         return trained, f"no chain: {_notes(fit, deviation, data)[0]}"
-    found = {
-        "chain_jacobian_deviation": deviation,
-        "chain_misfit": fit.misfit,
-        "chain_time_offset_s": fit.time_offset_s,
-    }
+    chained = {f"chain_{name}": value for name, value in found.items()}
     return (
-        replace(trained, chain=fit.chain, errors={**trained.errors, **_known(found)}),
+        replace(trained, chain=fit.chain, errors={**trained.errors, **chained}),
         f"chain of {len(fit.chain.axes)} revolute joints: fits, Jacobian known to "
         f"{100.0 * deviation:.3f} %",
     )
 
 
-def _known(figures: dict[str, float]) -> dict[str, float]:
-    """Those that could be told: a model file holds no NaN."""
-    return {name: value for name, value in figures.items() if math.isfinite(value)}
+def _figures(fit: ChainFit, places: np.ndarray) -> dict[str, Any]:
+    """What a model file keeps of a fit; nothing that is not known, for it holds no NaN."""
+    names = ("misfit", "residual_m", "noise_m", "ray_noise_m", "lateral_noise_m", "time_offset_s")
+    counts = ("time_offset_deviation_s", "outliers", "samples")
+    found = {name: getattr(fit, name) for name in (*names, *counts)}
+    deviation = fit.jacobian_deviation(places[: _JUDGED // 10])
+    found["jacobian_deviation"] = float(np.median(deviation))
+    return {name: value for name, value in found.items() if math.isfinite(value)}
 
 
 def distil(
     chain: SerialChain, box_rad: np.ndarray, neurons: int, rng: np.random.Generator
 ) -> RbfModel:
-    """Networks that say in a box what a chain says.
-
-    Parameters
-    ----------
-    chain : SerialChain
-        The chain.
-    box_rad : ndarray, shape (2, n)
-        Least and greatest joint positions, rad.
-    neurons : int
-        Neurons of each network.
-    rng : numpy Generator
-        Draws centres and samples.
-    """
+    """Networks that say what a chain says in a box of joints, rad, shape (2, n)."""
     n = box_rad.shape[1]
     half = 0.5 * (box_rad[1] - box_rad[0])
     width = max(_WIDTH_FACTOR * math.sqrt(float(np.mean(half**2))), 1e-3)
     wide = box_rad + (_BEYOND - 1.0) * np.stack([-half, half])
-    joints = _within(wide, rng, _LESSON * neurons)
+    joints = _within(wide, rng, _SAMPLES * neurons)
     columns = np.moveaxis(chain.jacobian(joints), -1, 0)
     centres = np.stack([_within(wide, rng, neurons) for _ in range(n)])
     widths = np.full((n, neurons), width)
@@ -204,48 +163,44 @@ def _within(box_rad: np.ndarray, rng: np.random.Generator, count: int) -> np.nda
     return rng.uniform(box_rad[0], box_rad[1], (count, box_rad.shape[1]))
 
 
-def _notes(fit: ChainFit, deviation: float, data: DataSet) -> tuple[str, ...]:
-    spread = data.joints_rad.std(axis=0)
-    still = [name for name, one in zip(data.joint_names, spread, strict=True) if one < STILL_RAD]
-    noise_m = fit.residual_m if math.isnan(fit.noise_m) else fit.noise_m
-    off, noise = f"{1e3 * fit.residual_m:.1f} mm", f"{1e3 * noise_m:.1f} mm"
-    late = late_stamps_note(fit.time_offset_s)
-    notes = (
-        (
-            bool(still),
-            f"{', '.join(still)} did not move in the data set: nothing is known there",
-        ),
-        (
-            fit.offset_at_limit,
+def _notes(fit: ChainFit, deviation: float, data: DataSet) -> list[str]:
+    """What a user should know, in words; the most important first."""
+    unknown = math.isnan(fit.noise_m)
+    noise_m = fit.residual_m if unknown else fit.noise_m
+    off, still = f"{1e3 * fit.residual_m:.1f} mm", still_joints(data)
+    notes = []
+    if still:
+        notes.append(f"{still} did not move in the data set: nothing is known there")
+    if fit.offset_at_limit:
+        notes.append(
             f"the images seem to be stamped {1e3 * MAX_OFFSET_S:.0f} ms "
             f"{'late' if fit.time_offset_s > 0.0 else 'early'} or more: do not trust this fit; "
-            "set the clocks (NTP), or add the delay to stamp_delay_s of fvs_detector_node",
-        ),
-        (
-            not fit.is_chain and math.isnan(fit.misfit),
+            "set the clocks (NTP), or add the delay to stamp_delay_s of fvs_detector_node"
+        )
+    if not fit.is_chain and unknown:
+        notes.append(
             "whether the ball moves on a rigid chain of revolute joints cannot be told: images are "
-            f"{off} off it; collect with five images a second or more",
-        ),
-        (
-            not fit.is_chain and not math.isnan(fit.misfit),
+            f"{off} off it; collect with five images a second or more"
+        )
+    elif not fit.is_chain:
+        notes.append(
             f"the ball does not move on a rigid chain of revolute joints: images are {off} off, "
-            f"noise explains {noise}; check that nothing moved the camera or the ball on its tool, "
-            "check joint names and signs, or train with another method",
-        ),
-        (
-            noise_m > _NOTABLE_NOISE_M,
+            f"noise explains {1e3 * noise_m:.1f} mm; check that nothing moved the camera or the "
+            "ball on its tool, check joint names and signs, or train with another method"
+        )
+    if noise_m > _NOTABLE_NOISE_M:
+        notes.append(
             f"ball positions scatter by {1e3 * noise_m:.0f} mm (median); check depth, lighting and "
-            "that nothing else is taken for the ball",
-        ),
-        (
-            deviation > _DOUBTFUL and not still,
+            "that nothing else is taken for the ball"
+        )
+    if deviation > _NOTABLE_DEVIATION and not still:
+        notes.append(
             f"the Jacobian is known to {100.0 * deviation:.1f} % only; collect longer or in a "
-            "wider box, and see that the camera is calibrated",
-        ),
-        (bool(late) and not fit.offset_at_limit, late),
-        (
-            fit.outliers > _NOTABLE_OUTLIERS * fit.samples,
-            f"{fit.outliers} of {fit.samples} images do not fit",
-        ),
-    )
-    return tuple(text for holds, text in notes if holds)
+            "wider box, and see that the camera is calibrated"
+        )
+    late = late_stamps_note(fit.time_offset_s)
+    if late and not fit.offset_at_limit:
+        notes.append(late)
+    if fit.outliers > _NOTABLE_OUTLIERS * fit.samples:
+        notes.append(f"{fit.outliers} of {fit.samples} images do not fit")
+    return notes

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,26 +9,25 @@ from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.npz_file import NpzFile, check_same, write_npz
+from fvs_estimator_node.npz_file import FileError, NpzFile, write_npz
 from fvs_estimator_node.rbf import RbfModel
 from fvs_ros.camera import CAMERA_FRAME
-from fvs_ros.chain import SerialChain, chain_shapes
+from fvs_ros.chain import CHAIN_SHAPES, SerialChain
 from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_ros.vectors import check_arrays
 
-MODEL_FORMAT = "fvs_rbf_model"
-MODEL_VERSION = 1
-MAX_MODEL_BYTES = 64 * 2**20
+_FORMAT, _MAX_BYTES = "fvs_rbf_model", 64 * 2**20
+_NETWORKS = ("centres", "widths", "weights")
+_SHAPES: dict[str, tuple[int | str, ...]] = {
+    "joint_box_rad": (2, "n"),
+    "ball_box_m": (2, "m"),
+    "ball_samples_m": ("k", "m"),
+}
+_CHAIN = tuple(f"chain_{name}" for name in CHAIN_SHAPES)
 #: No more notes are passed on, nor longer ones.
 _MOST_NOTES, _LONGEST_NOTE = 20, 500
-
-
-def box_of(values: np.ndarray) -> np.ndarray:
-    """Least and greatest values, shape (2, n), of many, shape (k, n)."""
-    return np.stack([values.min(axis=0), values.max(axis=0)])
-
-
-class ModelFileError(ValueError):
-    """A model file that cannot be used; the text says what was wrong and what was expected."""
+#: Ball positions of the training that are kept.
+_BALL_SAMPLES = 500
 
 
 @dataclass(frozen=True)
@@ -55,18 +53,18 @@ class TrainedModel:
     provenance : dict
         Where it comes from; anything that JSON can hold.
     chain : SerialChain, optional
-        The chain that the networks were distilled from, for the method ``poe``.
+        The chain fitted to the same data, for the method ``poe``.
 
     Raises
     ------
-    ModelFileError
-        If a box does not fit.
+    ValueError
+        If its parts do not fit together.
     """
 
     model: RbfModel
     joint_box_rad: np.ndarray
     ball_box_m: np.ndarray
-    ball_samples_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    ball_samples_m: np.ndarray
     joint_names: tuple[str, ...] = UR_JOINT_NAMES
     feature_frame: str = CAMERA_FRAME
     errors: Mapping[str, Any] = field(default_factory=dict)
@@ -75,18 +73,18 @@ class TrainedModel:
 
     def __post_init__(self) -> None:
         n, m = self.model.weights.shape[:2]
-        for name, shape in (("joint_box_rad", (2, n)), ("ball_box_m", (2, m))):
-            value = np.asarray(getattr(self, name), dtype=float)
-            if value.shape != shape or not np.all(np.isfinite(value)):
-                raise ModelFileError(f"{name} must be finite and of shape {shape}")
-            if np.any(value[0] > value[1]):
-                raise ModelFileError(f"{name} has a least value above the greatest")
-            object.__setattr__(self, name, value)
-        samples = np.asarray(self.ball_samples_m, dtype=float)
-        if samples.ndim != 2 or samples.shape[1] != m or not np.all(np.isfinite(samples)):
-            raise ModelFileError(f"ball_samples_m must be finite and of shape (k, {m})")
-        object.__setattr__(self, "ball_samples_m", samples)
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
+        joints = n if self.chain is None else len(self.chain.axes)
+        if not len(self.joint_names) == n == joints:
+            raise ValueError(
+                f"{len(self.joint_names)} joint names, networks of {n} and a chain of {joints} "
+                "joints do not fit together"
+            )
+        check_arrays(self, _SHAPES, {"n": n, "m": m})
+        for name in ("joint_box_rad", "ball_box_m"):
+            low, high = getattr(self, name)
+            if np.any(low > high):
+                raise ValueError(f"{name} has a least value above the greatest")
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -97,30 +95,26 @@ class TrainedModel:
         return tuple(" ".join(str(note).split())[:_LONGEST_NOTE] for note in notes[:_MOST_NOTES])
 
 
+def boxes_of(
+    joints_rad: np.ndarray, ball_m: np.ndarray, rng: np.random.Generator
+) -> dict[str, Any]:
+    """What a model says of the data that it was trained on: its boxes, and some ball positions."""
+    chosen = rng.permutation(len(ball_m))[:_BALL_SAMPLES]
+    return {
+        "joint_box_rad": np.stack([joints_rad.min(axis=0), joints_rad.max(axis=0)]),
+        "ball_box_m": np.stack([ball_m.min(axis=0), ball_m.max(axis=0)]),
+        "ball_samples_m": ball_m[chosen],
+    }
+
+
 def save_model(path: str | os.PathLike[str], trained: TrainedModel) -> None:
     """Write a model in one piece."""
-    chain = {
-        f"chain_{name}": getattr(trained.chain, name)
-        for name in (chain_shapes(0) if trained.chain is not None else ())
-    }
-    write_npz(
-        path,
-        {
-            "format": np.array(MODEL_FORMAT),
-            "version": np.array(MODEL_VERSION),
-            "joint_names": np.array(trained.joint_names),
-            "feature_frame": np.array(trained.feature_frame),
-            "centres": trained.model.centres,
-            "widths": trained.model.widths,
-            "weights": trained.model.weights,
-            "joint_box_rad": trained.joint_box_rad,
-            "ball_box_m": trained.ball_box_m,
-            "ball_samples_m": trained.ball_samples_m,
-            "errors": np.array(json.dumps(dict(trained.errors), sort_keys=True)),
-            "provenance": np.array(json.dumps(dict(trained.provenance), sort_keys=True)),
-            **chain,
-        },
-    )
+    own = (*_SHAPES, "joint_names", "feature_frame", "errors", "provenance")
+    fields = {name: getattr(trained, name) for name in own}
+    fields |= {name: getattr(trained.model, name) for name in _NETWORKS}
+    if trained.chain is not None:
+        fields |= {f"chain_{name}": getattr(trained.chain, name) for name in CHAIN_SHAPES}
+    write_npz(path, _FORMAT, fields)
 
 
 def load_model(
@@ -141,44 +135,24 @@ def load_model(
 
     Raises
     ------
-    ModelFileError
+    FileError
         If anything is not as expected; the text names the file, the fault and what was expected.
     """
-    content = NpzFile(path, MODEL_FORMAT, MODEL_VERSION, MAX_MODEL_BYTES, ModelFileError)
-    names = content.joint_names()
-    frame = content.text("feature_frame")
-    check_same(ModelFileError, f"{path}", names, frame, joint_names, feature_frame)
-    n = len(names)
-    centres = content.numbers("centres", (n, None, n), "f")
-    neurons = centres.shape[1]
-    widths = content.numbers("widths", (n, neurons), "f")
-    weights = content.numbers("weights", (n, None, neurons), "f")
-    m = weights.shape[1]
+    content = NpzFile(path, _FORMAT, _MAX_BYTES, joint_names, feature_frame)
     try:
+        chain = None
+        if any(content.has(name) for name in _CHAIN):
+            chain = SerialChain(*(content.array(name) for name in _CHAIN))
         return TrainedModel(
-            RbfModel(centres, widths, weights),
-            content.numbers("joint_box_rad", (2, n), "f"),
-            content.numbers("ball_box_m", (2, m), "f"),
-            content.numbers("ball_samples_m", (None, m), "f"),
-            names,
-            frame,
-            content.json("errors"),
-            content.json("provenance"),
-            _chain(content, n),
+            RbfModel(*(content.array(name) for name in _NETWORKS)),
+            **{name: content.array(name) for name in _SHAPES},
+            joint_names=content.texts("joint_names"),
+            feature_frame=content.text("feature_frame"),
+            errors=content.json("errors"),
+            provenance=content.json("provenance"),
+            chain=chain,
         )
-    except ModelFileError as error:
-        if str(error).startswith(str(content.path)):
-            raise
-        raise content.refusal(f"is not a model: {error}") from None
+    except FileError:
+        raise
     except ValueError as error:
         raise content.refusal(f"is not a model: {error}") from None
-
-
-def _chain(content: NpzFile, joints: int) -> SerialChain | None:
-    """The chain of a file that has all fields of one; None if it has none of them."""
-    shapes = chain_shapes(joints)
-    if not any(content.has(f"chain_{name}") for name in shapes):
-        return None
-    return SerialChain(
-        *(content.numbers(f"chain_{name}", shape, "f") for name, shape in shapes.items())
-    )

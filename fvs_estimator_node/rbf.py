@@ -15,6 +15,7 @@ import numpy as np
 
 from fvs_estimator_node.base import NETWORKS, Estimator, MotionStep
 from fvs_ros.params import Parameters, parameter
+from fvs_ros.vectors import check_arrays
 
 
 @dataclass(frozen=True)
@@ -41,20 +42,9 @@ class RbfModel:
     weights: np.ndarray
 
     def __post_init__(self) -> None:
-        for name in ("centres", "widths", "weights"):
-            value = np.array(getattr(self, name), dtype=float)
-            if not np.all(np.isfinite(value)):
-                raise ValueError(f"{name} holds a number that is not finite")
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
-        shapes = self.centres.shape, self.widths.shape, self.weights.shape
-        n, k = self.widths.shape if self.widths.ndim == 2 else (0, 0)
-        m = self.weights.shape[1] if self.weights.ndim == 3 else 0
-        if min(n, k, m) < 1 or shapes != ((n, k, n), (n, k), (n, m, k)):
-            raise ValueError(
-                f"centres, widths and weights have the shapes {shapes}, expected (n, k, n), (n, k) "
-                "and (n, m, k)"
-            )
+        shapes = {"centres": ("n", "k", "n"), "widths": ("n", "k"), "weights": ("n", "m", "k")}
+        if min(check_arrays(self, shapes, {}).values()) < 1:
+            raise ValueError("the networks have no neurons")
         if self.widths.min() <= 0.0:
             raise ValueError(f"widths must be positive, the smallest is {self.widths.min():g}")
 
@@ -73,21 +63,7 @@ class RbfModel:
 
 
 def rbf_features(centres: np.ndarray, widths: np.ndarray, joints_rad: np.ndarray) -> np.ndarray:
-    """Neuron values for many joint vectors at once.
-
-    Parameters
-    ----------
-    centres : ndarray, shape (n, k, j)
-        Centres of n networks, rad.
-    widths : ndarray, shape (n, k)
-        Widths, rad.
-    joints_rad : ndarray, shape (..., j)
-        Joint positions, rad.
-
-    Returns
-    -------
-    ndarray, shape (..., n, k)
-    """
+    """Neuron values, eq (8), shape (..., n, k), of networks at joints, rad, shape (..., n)."""
     joints = np.asarray(joints_rad, dtype=float)
     offset, slope, curvature = _exponent_terms(centres, widths)
     exponent = joints.reshape(-1, joints.shape[-1]) @ slope.T

@@ -1,10 +1,13 @@
 """Offline training of the networks from a data set of ball positions and joints.
 
 The paper trains on steps between neighbouring images, ``dx = J(r) dr``: little motion, much noise.
-But the ball's position is a function of the joints, so *any* two images teach
-(:mod:`fvs_estimator_node.line_fit`), with the signal of the whole box over the noise of one
-position. Pairs drawn at random over all images also tell the networks what a single path cannot:
-that their columns belong to one function.
+But the ball's position is a function of the joints, so *any* two images a and b teach, with the
+signal of the whole box over the noise of one position:
+
+    x_b - x_a = sum_i W_i int_0^1 theta_i(r_a + t (r_b - r_a)) dt (r_b,i - r_a,i),
+
+linear in the weights, with the integral along a straight line by Gauss-Legendre quadrature. Pairs
+drawn at random also show that the columns belong to one function.
 
 ``ridge`` draws the centres from the data and solves for the weights. ``varpro`` (variable
 projection) moves centres and widths as well, by Adam, and solves for the weights inside: at their
@@ -16,46 +19,44 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.dataset import DataSet, late_stamps_note
-from fvs_estimator_node.line_fit import (
-    as_matrix,
-    as_model,
-    line_regressors,
-    quadrature,
-    relative_error,
-    ridge_path,
-)
-from fvs_estimator_node.model_file import TrainedModel, box_of
-from fvs_estimator_node.rbf import RbfModel
-from fvs_estimator_node.reference import reference_jacobian
+from fvs_estimator_node.chain_fit import MAX_OFFSET_S
+from fvs_estimator_node.dataset import DataSet
+from fvs_estimator_node.model_file import TrainedModel, boxes_of
+from fvs_estimator_node.rbf import RbfModel, rbf_features
 
 METHODS = ("varpro", "ridge")
-MIN_SAMPLES = 60
-#: Shares of the data that are kept back for the reported errors, and for choosing.
-_HELD_OUT, _VALIDATION = 0.1, 0.1
-#: Continuous motion is kept back in blocks of this length, s, not by single images.
-_BLOCK_S = 2.0
-#: Images that fit worse than this many times the median are left out, and the neighbours to each
-#: side that an image is compared with.
-_OUTLIER_FACTOR, _NEIGHBOURS = 6.0, 3
+_MIN_SAMPLES = 60
+#: Pieces that a data set is cut into, and how many are kept back to choose and to judge with each.
+_PIECES, _KEPT_BACK = 60, 6
+#: Images that fit worse than this many times the median are left out, compared with the median of
+#: this many neighbours.
+_OUTLIER_FACTOR, _NEIGHBOURS = 6.0, 7
 #: Width of all neurons at first, in standard deviations of the training joints (mean over the
 #: joints); 7 is 3.5 times the half width of an evenly filled box, over two.
 _WIDTH_FACTOR = 7.0
-#: Ridges to choose from on the validation images; one that is used before; distance of nodes, rad.
+#: Ridges to choose from on the validation images, the one used before, distance of nodes, rad.
 _RIDGES, _FIRST_RIDGE, _NODE_SPACING_RAD = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7), 1e-9, 0.8
 #: Pairs of a batch, Adam's first step for centres (rad) and log widths, and iterations between
-#: looks at the validation error. (To stop at once when it rises would be wrong: the first, large
-#: steps often make it worse for a while.)
+#: looks at the validation error, which often rises for a while after the first, large steps.
 _BATCH, _LEARNING_RATE, _CHECK_EVERY = 2048, 0.1, 20
-#: Most that the stamps of the images are searched for, s; passes, and images of a run for it.
-_MAX_OFFSET_S, _ALIGNMENTS, _SHORTEST_RUN = 0.2, 4, 30
-#: Images of the reference, and ball positions that are kept in the model.
-_REFERENCE_IMAGES, _BALL_SAMPLES = 1200, 500
+#: Passes of the search for the stamps' offset, and fewest images of a run for it.
+_ALIGNMENTS, _SHORTEST_RUN = 4, 30
+#: Images of the reference.
+_REFERENCE_IMAGES = 1200
+#: Offsets of the images' stamps below this are not worth a word, s.
+_NOTABLE_OFFSET_S = 0.003
+#: A network with a larger error is doubtful, if its joint moves the ball by this share of what the
+#: one does that moves it most.
+_DOUBTFUL, _MATTERS = 0.15, 0.2
+
+#: Centres, rad, (n, k, n), and widths, rad, (n, k).
+Neurons = tuple[np.ndarray, np.ndarray]
+#: Told the iterations done and to do and the best validation error; True ends them early.
+Progress = Callable[[int, int, float], bool]
 
 
 class TrainingError(ValueError):
@@ -92,63 +93,9 @@ class TrainingOptions:
             raise TrainingError(f"neurons must lie between 1 and 1000, got {self.neurons}")
 
 
-@dataclass(frozen=True)
-class NetworkError:
-    """How wrong one network is at held-out joints, as far as data can tell.
-
-    The yardstick is the slope of a smooth fit to the positions (see
-    :mod:`fvs_estimator_node.reference`), which in good data is itself a percent off: smaller
-    errors than that do not show.
-
-    Parameters
-    ----------
-    column_m_rad : float
-        Root mean square length of the column, m/rad.
-    error_m_rad : float
-        Root mean square length of the difference, m/rad.
-    relative : float or None
-        Error over column; None where the joint does not move the ball (its column is less than a
-        hundredth of the Jacobian).
-    """
-
-    column_m_rad: float
-    error_m_rad: float
-    relative: float | None
-
-
-@dataclass(frozen=True)
-class TrainingResult:
-    """The trained networks and everything worth knowing about the training.
-
-    The errors are those of networks that have not seen the held-out images; the weights of
-    ``trained`` are then fitted once more, to all images.
-
-    Parameters
-    ----------
-    trained : TrainedModel
-        Ready to be saved. Its ``errors`` hold ``pair_error_m``, the root mean square prediction
-        error between two held-out images with the noise of both, m; ``pair_error_relative``, the
-        same over the ball's motion; ``validation_error``; the chosen ``ridge``; ``iterations``;
-        images used, kept back and left out (``samples``, ``held_out_samples``, ``outliers``); and
-        ``time_offset_s``, how much later than the joints they show the images are stamped.
-    networks : tuple of NetworkError
-        One per joint.
-    notes : tuple of str
-        What a user should know, in words.
-    """
-
-    trained: TrainedModel
-    networks: tuple[NetworkError, ...]
-    notes: tuple[str, ...]
-
-
-#: Told the iterations done and to do and the best validation error; True ends them early.
-Progress = Callable[[int, int, float], bool]
-
-
 def train(
     data: DataSet, options: TrainingOptions | None = None, progress: Progress | None = None
-) -> TrainingResult:
+) -> TrainedModel:
     """Train the networks.
 
     Parameters
@@ -160,350 +107,394 @@ def train(
     progress : callable, optional
         Called after each iteration.
 
+    Returns
+    -------
+    TrainedModel
+        Ready to be saved. Its ``errors`` are those of networks that have not seen the held-out
+        images; the weights are then fitted once more, to all images. ``pair_error_m`` is the root
+        mean square prediction error between two held-out images with the noise of both, m;
+        ``pair_error_relative`` the same over the ball's motion; ``time_offset_s`` how much later
+        than the joints they show the images are stamped. Per network, ``column_error_relative`` is
+        None where the joint does not move the ball. Its ``notes`` are for the user.
+
     Raises
     ------
     TrainingError
         If the data cannot teach anything.
     """
     options = options if options is not None else TrainingOptions()
-    if len(data) < MIN_SAMPLES:
-        raise TrainingError(f"the data set has {len(data)} images, expected at least {MIN_SAMPLES}")
-    return _Training(data, options).run(progress)
+    pairs = _Pairs(data, np.random.default_rng(options.seed))
+    parts = _split(len(data), pairs.rng)
+    neurons = pairs.first_neurons(parts[0], options.neurons)
+    offset_s = _align(pairs, neurons, data, parts[0])
+    good = _good_images(pairs, neurons, parts[0])
+    fitting, validation, held_out = (part[good[part]] for part in parts)
+    errors: dict[str, Any] = {"iterations": 0}
+    if options.method == "varpro":
+        neurons, errors["iterations"] = _refined(
+            pairs, neurons, fitting, validation, options.iterations, progress
+        )
+    weights, ridge, errors["validation_error"] = _choose_ridge(pairs, neurons, fitting, validation)
+    judged = _model(neurons, weights)
+    errors |= _judge_pairs(pairs, judged, held_out)
+    everything = np.flatnonzero(good)
+    errors |= _judge_networks(pairs, judged, everything, held_out, errors["pair_error_m"])
+    errors |= {
+        "ridge": ridge,
+        "samples": len(everything),
+        "held_out_samples": len(held_out),
+        "outliers": int(np.count_nonzero(~good)),
+        "time_offset_s": offset_s,
+    }
+    return TrainedModel(
+        model=_model(neurons, pairs.solve(neurons, everything, (ridge,))[0]),
+        **boxes_of(pairs.joints[everything], pairs.ball[everything], pairs.rng),
+        joint_names=data.joint_names,
+        feature_frame=data.feature_frame,
+        errors=errors,
+        provenance={
+            "method": options.method,
+            "options": asdict(options),
+            "data": dict(data.provenance),
+            "notes": _notes(data, errors),
+        },
+    )
 
 
-class _Training:
-    """One training run: the data, split, and the steps of the recipe."""
+class _Pairs:
+    """Pairs of images of a data set, and the least squares over them."""
 
-    def __init__(self, data: DataSet, options: TrainingOptions) -> None:
-        self._data = data
-        self._options = options
-        self._rng = np.random.default_rng(options.seed)
-        self._joints = data.joints_rad
-        self._runs = _runs(data.segment)
-        self._ball = data.ball_m
-        spread = self._joints.std(axis=0)
+    def __init__(self, data: DataSet, rng: np.random.Generator) -> None:
+        if len(data) < _MIN_SAMPLES:
+            raise TrainingError(
+                f"the data set has {len(data)} images, expected at least {_MIN_SAMPLES}"
+            )
+        self.joints, self.ball, self.rng = data.joints_rad, data.ball_m, rng
+        spread = self.joints.std(axis=0)
         if spread.max() < 1e-3:
             raise TrainingError("the joints hardly move in the data set, so there is no Jacobian")
-        if np.linalg.norm(self._ball.std(axis=0)) < 1e-4:
+        if np.linalg.norm(self.ball.std(axis=0)) < 1e-4:
             raise TrainingError("the ball does not move in the data set, so there is no Jacobian")
-        self._scale_rad = float(np.sqrt(np.mean(spread**2)))
-        widest = float(np.ptp(self._joints, axis=0).max())
-        self._nodes = int(np.clip(math.ceil(widest / _NODE_SPACING_RAD), 2, 8))
-        self._spread = spread
+        self.width_rad = _WIDTH_FACTOR * float(np.sqrt(np.mean(spread**2)))
+        widest_rad = float(np.ptp(self.joints, axis=0).max())
+        self.nodes = int(np.clip(math.ceil(widest_rad / _NODE_SPACING_RAD), 2, 8))
 
-    def run(self, progress: Progress | None) -> TrainingResult:
-        options = self._options
-        fitting, validation, held_out = self._split()
-        centres, widths = self._initial_neurons(fitting)
-        offset_s = self._align(centres, widths, fitting)
-        good = self._good_images(centres, widths, fitting)
-        outliers = int(np.count_nonzero(~good))
-        fitting, validation, held_out = (
-            part[good[part]] for part in (fitting, validation, held_out)
-        )
-        iterations = 0
-        if options.method == "varpro":
-            centres, widths, iterations = self._variable_projection(
-                centres, widths, fitting, validation, progress
-            )
-        weights, ridge, validation_error = self._choose_ridge(centres, widths, fitting, validation)
-        judged = as_model(centres, widths, weights)
-        pair_error, motion = self._judge_pairs(judged, held_out)
-        everything = np.flatnonzero(good)
-        networks = self._judge_networks(judged, everything, held_out, pair_error)
-        weights = self._solve(centres, widths, everything, (ridge,))[0]
-        errors: dict[str, Any] = {
-            "pair_error_m": pair_error,
-            "pair_error_relative": pair_error / motion,
-            "validation_error": validation_error,
-            "ridge": ridge,
-            "iterations": iterations,
-            "samples": len(everything),
-            "held_out_samples": len(held_out),
-            "outliers": outliers,
-            "time_offset_s": offset_s,
-            "column_m_rad": [n.column_m_rad for n in networks],
-            "column_error_m_rad": [n.error_m_rad for n in networks],
-            "column_error_relative": [n.relative for n in networks],
-        }
-        trained = TrainedModel(
-            model=as_model(centres, widths, weights),
-            joint_box_rad=box_of(self._joints[everything]),
-            ball_box_m=box_of(self._ball[everything]),
-            ball_samples_m=self._ball[self._rng.permutation(everything)[:_BALL_SAMPLES]],
-            joint_names=self._data.joint_names,
-            feature_frame=self._data.feature_frame,
-            errors=errors,
-            provenance={
-                "method": options.method,
-                "options": asdict(options),
-                "data": dict(self._data.provenance),
-            },
-        )
-        return TrainingResult(trained, networks, self._notes(outliers, offset_s))
+    def first_neurons(self, images: np.ndarray, count: int) -> Neurons:
+        """Centres at joints of the data, all widths alike."""
+        n = self.joints.shape[1]
+        replace = len(images) < count
+        chosen = [self.joints[self.rng.choice(images, count, replace=replace)] for _ in range(n)]
+        return np.stack(chosen), np.full((n, count), self.width_rad)
 
-    def _split(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Indices to fit, to choose and to judge with, in blocks of segments and time."""
-        data = self._data
-        first = np.searchsorted(data.segment, data.segment, side="left")
-        # no more than a tenth of the whole in a block, however short the data set is
-        length_s = sum(data.stamps_s[run.stop - 1] - data.stamps_s[run.start] for run in self._runs)
-        block_s = min(_BLOCK_S, max(length_s / 20.0, 1e-3))
-        piece = np.floor((data.stamps_s - data.stamps_s[first]) / block_s)
-        change = (np.diff(data.segment) != 0) | (np.diff(piece) != 0)
-        block = np.concatenate([[0], np.cumsum(change)])
-        order = self._rng.permutation(block[-1] + 1)
-        rank = np.empty_like(order)
-        rank[order] = np.arange(len(order))
-        place = (rank[block] + 0.5) / len(order)
-        held_out = place < _HELD_OUT
-        validation = ~held_out & (place < _HELD_OUT + _VALIDATION)
-        parts = tuple(
-            np.flatnonzero(part) for part in (~held_out & ~validation, validation, held_out)
-        )
-        if min(len(part) for part in parts) < 6:
-            raise TrainingError(
-                f"the data set of {len(data)} images in {len(order)} pieces is too small to keep "
-                "some back; record for longer"
-            )
-        return parts[0], parts[1], parts[2]
-
-    def _initial_neurons(self, fitting: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        k, n = self._options.neurons, self._joints.shape[1]
-        chosen = [
-            self._joints[self._rng.choice(fitting, k, replace=len(fitting) < k)] for _ in range(n)
-        ]
-        widths = np.full((n, k), _WIDTH_FACTOR * self._scale_rad)
-        return np.stack(chosen), widths
-
-    def _pairs(self, images: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    def draw(self, images: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Random pairs in which every image appears about equally often."""
         rounds = max(1, math.ceil(count / len(images)))
         first = np.tile(images, rounds)
-        second = np.concatenate([self._rng.permutation(images) for _ in range(rounds)])
+        second = np.concatenate([self.rng.permutation(images) for _ in range(rounds)])
         different = np.flatnonzero(first != second)
         if len(different) > count:
-            different = self._rng.permutation(different)[:count]
+            different = self.rng.permutation(different)[:count]
         return first[different], second[different]
 
-    def _equations(
-        self, centres: np.ndarray, widths: np.ndarray, pairs: tuple[np.ndarray, np.ndarray]
+    def equations(
+        self, neurons: Neurons, first: np.ndarray, second: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        first, second = pairs
-        regressors = line_regressors(
-            centres, widths, self._joints[first], self._joints[second], self._nodes
-        )
-        return regressors, self._ball[second] - self._ball[first]
+        """Regressors, (p, n k), and the ball's motion, (p, m), of pairs."""
+        regressors = line_regressors(neurons, self.joints[first], self.joints[second], self.nodes)
+        return regressors, self.ball[second] - self.ball[first]
 
-    def _solve(
+    def solve(
         self,
-        centres: np.ndarray,
-        widths: np.ndarray,
+        neurons: Neurons,
         images: np.ndarray,
         ridges: tuple[float, ...],
         count: int | None = None,
     ) -> list[np.ndarray]:
-        if count is None:
-            count = int(np.clip(2 * len(images), 4000, 10_000))
-        regressors, motion = self._equations(centres, widths, self._pairs(images, count))
-        return ridge_path(regressors, motion, ridges)
+        """Weights, (n k, m), for each ridge."""
+        count = count or int(np.clip(2 * len(images), 4000, 10_000))
+        return ridge_path(*self.equations(neurons, *self.draw(images, count)), ridges)
 
-    def _align(self, centres: np.ndarray, widths: np.ndarray, fitting: np.ndarray) -> float:
-        """Find and undo a constant offset between the stamps of images and joints, s.
 
-        A position that lags by tau is off by -tau times the ball's velocity, in which the
-        equations are linear again. The networks can mimic a part of the lag, so tau is fitted
-        together with the weights: to the part of the velocity that the networks cannot explain.
-        """
-        stamps, m = self._data.stamps_s, self._ball.shape[1]
-        runs = [run for run in self._runs if run.stop - run.start >= _SHORTEST_RUN]
-        moving = np.zeros(len(stamps), dtype=bool)
-        joint_velocity = np.zeros_like(self._joints)
+# ---- least squares --------------------------------------------------------------------------
+
+
+def quadrature(nodes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Places in [0, 1] and their shares."""
+    places, shares = np.polynomial.legendre.leggauss(nodes)
+    return 0.5 * (places + 1.0), 0.5 * shares
+
+
+def line_regressors(neurons: Neurons, start: np.ndarray, end: np.ndarray, nodes: int) -> np.ndarray:
+    """What multiplies the weights in the ball's motion from joints to joints, rad, (p, n) each.
+
+    Integrals of theta_i along the line times the motion of joint i, network by network, (p, n k).
+    """
+    motion = end - start
+    total = np.zeros((len(start), *neurons[1].shape))
+    for place, share in zip(*quadrature(nodes), strict=True):
+        total += share * rbf_features(*neurons, start + place * motion)
+    total *= motion[:, :, None]
+    return total.reshape(len(start), -1)
+
+
+def ridge_path(
+    regressors: np.ndarray, motion: np.ndarray, ridges: tuple[float, ...]
+) -> list[np.ndarray]:
+    """Weights, shape (n k, m), for each ridge relative to the mean diagonal."""
+    gram, wanted = regressors.T @ regressors, regressors.T @ motion
+    if len(ridges) == 1:
+        gram[np.diag_indices_from(gram)] += ridges[0] * np.trace(gram) / len(gram)
+        return [np.linalg.solve(gram, wanted)]
+    values, vectors = np.linalg.eigh(gram)
+    mean, projected = float(np.mean(values)), vectors.T @ wanted
+    values = np.maximum(values, 0.0)[:, None]
+    return [vectors @ (projected / (values + ridge * mean)) for ridge in ridges]
+
+
+def _relative_error(regressors: np.ndarray, motion: np.ndarray, weights: np.ndarray) -> float:
+    return float(np.linalg.norm(regressors @ weights - motion) / np.linalg.norm(motion))
+
+
+def _model(neurons: Neurons, weights: np.ndarray) -> RbfModel:
+    """Networks of weights as they are solved for, shape (n k, m)."""
+    stacked = weights.reshape(*neurons[1].shape, -1)
+    return RbfModel(*neurons, stacked.transpose(0, 2, 1))
+
+
+# ---- the recipe -----------------------------------------------------------------------------
+
+
+def _split(images: int, rng: np.random.Generator) -> list[np.ndarray]:
+    """Indices to fit, to choose and to judge with: whole pieces of the motion."""
+    pieces = np.array_split(np.arange(images), _PIECES)
+    order = rng.permutation(_PIECES)
+    parts = order[2 * _KEPT_BACK :], order[_KEPT_BACK : 2 * _KEPT_BACK], order[:_KEPT_BACK]
+    return [np.sort(np.concatenate([pieces[i] for i in part])) for part in parts]
+
+
+def _align(pairs: _Pairs, neurons: Neurons, data: DataSet, fitting: np.ndarray) -> float:
+    """Find and undo a constant offset between the stamps of images and joints, s.
+
+    A position that lags by tau is off by -tau times the ball's velocity, in which the equations
+    are linear again. The networks can mimic a part of the lag, so tau is fitted together with the
+    weights: to the part of the velocity that the networks cannot explain.
+    """
+    stamps, recorded, m = data.stamps_s, data.joints_rad, data.ball_m.shape[1]
+    joint_velocity = np.full_like(recorded, np.nan)
+    runs = [run for run in data.runs() if run.stop - run.start >= _SHORTEST_RUN]
+    for run in runs:
+        joint_velocity[run] = np.gradient(recorded[run], stamps[run], axis=0)
+    fitting = fitting[np.isfinite(joint_velocity[fitting, 0])]
+    if len(fitting) < _MIN_SAMPLES // 2:
+        return 0.0
+    offset_s, joints = 0.0, recorded.copy()
+    weights = pairs.solve(neurons, fitting, (_FIRST_RIDGE,), 4000)[0]
+    for _ in range(_ALIGNMENTS):
+        model = _model(neurons, weights)
+        chosen = pairs.draw(fitting, 4000)
+        regressors, motion = pairs.equations(neurons, *chosen)
+        first, second = (
+            np.einsum("nki,ni->nk", model.jacobian(pairs.joints[i]), joint_velocity[i])
+            for i in chosen
+        )
+        both = np.concatenate([motion, second - first], axis=1)
+        solved = ridge_path(regressors, both, (_FIRST_RIDGE,))[0]
+        left = both - regressors @ solved
+        size = np.linalg.norm(left[:, :m], axis=1)
+        left_motion, left_change = np.split(left[size <= 3.0 * np.median(size)], [m], axis=1)
+        power = max(float(np.vdot(left_change, left_change)), 1e-12)
+        offset_s -= float(np.vdot(left_change, left_motion)) / power
+        offset_s = float(np.clip(offset_s, -MAX_OFFSET_S, MAX_OFFSET_S))
+        weights = solved[:, :m]
         for run in runs:
-            moving[run] = True
-            joint_velocity[run] = np.gradient(self._joints[run], stamps[run], axis=0)
-        if not np.all(moving[fitting]):
-            return 0.0
-        recorded, offset_s = self._joints, 0.0
-        model = as_model(
-            centres, widths, self._solve(centres, widths, fitting, (_FIRST_RIDGE,), 4000)[0]
-        )
-        for _ in range(_ALIGNMENTS):
-            ball_velocity = np.einsum("nki,ni->nk", model.jacobian(self._joints), joint_velocity)
-            pairs = self._pairs(fitting, 4000)
-            regressors, motion = self._equations(centres, widths, pairs)
-            change = ball_velocity[pairs[1]] - ball_velocity[pairs[0]]
-            both = np.concatenate([motion, change], axis=1)
-            weights = ridge_path(regressors, both, (_FIRST_RIDGE,))[0]
-            left = both - regressors @ weights
-            size = np.linalg.norm(left[:, :m], axis=1)
-            left = left[size <= 3.0 * np.median(size)]
-            left_motion, left_change = left[:, :m], left[:, m:]
-            power = float(np.vdot(left_change, left_change))
-            offset_s -= float(np.vdot(left_change, left_motion)) / max(power, 1e-12)
-            offset_s = float(np.clip(offset_s, -_MAX_OFFSET_S, _MAX_OFFSET_S))
-            model = as_model(centres, widths, weights[:, :m])
-            self._joints = recorded.copy()
-            for run in runs:
-                for i in range(recorded.shape[1]):
-                    self._joints[run, i] = np.interp(
-                        stamps[run] - offset_s, stamps[run], recorded[run, i]
-                    )
-        return offset_s
-
-    def _residual(
-        self, centres: np.ndarray, widths: np.ndarray, weights: np.ndarray, fitting: np.ndarray
-    ) -> np.ndarray:
-        """Ball positions minus those of the networks, up to a constant, m, shape (n, 3)."""
-        middle = np.broadcast_to(self._joints[fitting].mean(axis=0), self._joints.shape)
-        return self._ball - (
-            line_regressors(centres, widths, middle, self._joints, self._nodes) @ weights
-        )
-
-    def _good_images(
-        self, centres: np.ndarray, widths: np.ndarray, fitting: np.ndarray
-    ) -> np.ndarray:
-        """Which images fit to their neighbours in time.
-
-        The networks' own error changes slowly along a motion, an outlier comes and goes; so it is
-        the residual's distance from its neighbours' median that counts.
-        """
-        weights = self._solve(centres, widths, fitting, (_FIRST_RIDGE,), 5000)[0]
-        residual = self._residual(centres, widths, weights, fitting)
-        n, segment = len(residual), self._data.segment
-        shifts = [k for k in range(-_NEIGHBOURS, _NEIGHBOURS + 1) if k != 0]
-        neighbours = np.full((len(shifts), *residual.shape), np.nan)
-        for row, shift in zip(neighbours, shifts, strict=True):
-            here, there = (
-                (slice(0, n - shift), slice(shift, n))
-                if shift > 0
-                else (slice(-shift, n), slice(0, n + shift))
+            joints[run] = np.stack(
+                [np.interp(stamps[run] - offset_s, stamps[run], q) for q in recorded[run].T], 1
             )
-            same = (segment[here] == segment[there])[:, None]
-            row[here] = np.where(same, residual[there], np.nan)
-        alone = np.isnan(neighbours[:, :, 0]).all(axis=0)
-        neighbours[0, alone] = np.median(residual, axis=0)
-        distance = np.linalg.norm(residual - np.nanmedian(neighbours, axis=0), axis=1)
-        limit = _OUTLIER_FACTOR * float(np.median(distance))
-        return distance <= max(limit, 1e-9)
-
-    def _choose_ridge(
-        self,
-        centres: np.ndarray,
-        widths: np.ndarray,
-        fitting: np.ndarray,
-        validation: np.ndarray,
-    ) -> tuple[np.ndarray, float, float]:
-        """Weights with the largest ridge that is as good as the best, within half a percent."""
-        candidates = self._solve(centres, widths, fitting, _RIDGES)
-        regressors, motion = self._equations(centres, widths, self._pairs(validation, 3000))
-        scores = [relative_error(regressors, motion, weights) for weights in candidates]
-        limit = 1.005 * min(scores)
-        best = max(i for i, score in enumerate(scores) if score <= limit)
-        return candidates[best], _RIDGES[best], scores[best]
-
-    def _variable_projection(
-        self,
-        centres: np.ndarray,
-        widths: np.ndarray,
-        fitting: np.ndarray,
-        validation: np.ndarray,
-        progress: Progress | None,
-    ) -> tuple[np.ndarray, np.ndarray, int]:
-        """Adam on centres and log widths, the weights being solved for in every iteration."""
-        try:
-            from fvs_estimator_node.varpro import Batch, refine
-        except ImportError as error:
-            raise TrainingError(
-                "the method varpro needs torch: pip install torch, or use the method ridge"
-            ) from error
-        options = self._options
-        ridge = _RIDGES[2]
-        judged_on = self._pairs(validation, 3000)
-        solved_on = self._pairs(fitting, 6000)
-
-        def score(centres: np.ndarray, widths: np.ndarray) -> float:
-            weights = ridge_path(*self._equations(centres, widths, solved_on), (ridge,))[0]
-            return relative_error(*self._equations(centres, widths, judged_on), weights)
-
-        best_score, best = score(centres, widths), (centres, widths)
-
-        def draw() -> Batch:
-            first, second = self._pairs(fitting, _BATCH)
-            motion = self._ball[second] - self._ball[first]
-            return self._joints[first], self._joints[second], motion
-
-        def report(iteration: int, centres: np.ndarray, widths: np.ndarray) -> bool:
-            nonlocal best_score, best
-            if iteration % _CHECK_EVERY == 0 or iteration == options.iterations:
-                present = score(centres, widths)
-                if present < best_score:
-                    best_score, best = present, (centres.copy(), widths.copy())
-            return progress is not None and progress(iteration, options.iterations, best_score)
-
-        done = refine(
-            centres,
-            widths,
-            draw,
-            quadrature(self._nodes),
-            ridge,
-            _LEARNING_RATE,
-            options.iterations,
-            report,
-        )
-        return best[0], best[1], done
-
-    def _judge_pairs(self, model: RbfModel, held_out: np.ndarray) -> tuple[float, float]:
-        """Root mean squares of the held-out pair error and of the ball's motion, m."""
-        regressors, motion = self._equations(
-            model.centres, model.widths, self._pairs(held_out, 3000)
-        )
-        error = regressors @ as_matrix(model) - motion
-        return (
-            float(np.sqrt(np.mean(np.sum(error**2, axis=1)))),
-            float(np.sqrt(np.mean(np.sum(motion**2, axis=1)))),
-        )
-
-    def _judge_networks(
-        self, model: RbfModel, everything: np.ndarray, held_out: np.ndarray, pair_error_m: float
-    ) -> tuple[NetworkError, ...]:
-        """Differences to the reference at held-out joints."""
-        known = self._rng.permutation(everything)[:_REFERENCE_IMAGES]
-        at = self._joints[self._rng.permutation(held_out)[:_REFERENCE_IMAGES]]
-        reference = reference_jacobian(
-            self._joints[known],
-            self._ball[known],
-            at,
-            # a pair's error has the noise of two images in three coordinates
-            noise_m=max(pair_error_m / math.sqrt(2.0 * self._ball.shape[1]), 1e-5),
-            scale_rad=2.0 * _WIDTH_FACTOR * self._scale_rad,
-        )
-        columns = np.sqrt(np.mean(np.sum(reference**2, axis=1), axis=0))
-        difference = model.jacobian(at) - reference
-        errors = np.sqrt(np.mean(np.sum(difference**2, axis=1), axis=0))
-        whole = float(np.linalg.norm(columns))
-        return tuple(
-            NetworkError(float(c), float(e), float(e / c) if c > 0.01 * whole else None)
-            for c, e in zip(columns, errors, strict=True)
-        )
-
-    def _notes(self, outliers: int, offset_s: float) -> tuple[str, ...]:
-        notes = []
-        names = self._data.joint_names
-        still = [name for name, s in zip(names, self._spread, strict=True) if s < 1e-3]
-        if still:
-            notes.append(
-                f"{', '.join(still)} did not move in the data set: their columns are not learned"
-            )
-        late = late_stamps_note(offset_s)
-        if late:
-            notes.append(late)
-        if outliers:
-            notes.append(f"{outliers} of {len(self._data)} images do not fit and were left out")
-        return tuple(notes)
+        pairs.joints = joints
+    return offset_s
 
 
-def _runs(segment: np.ndarray) -> list[slice]:
-    """The continuous runs, one after the other."""
-    ends = [0, *(np.flatnonzero(np.diff(segment)) + 1).tolist(), len(segment)]
-    return [slice(a, b) for a, b in pairwise(ends)]
+def _good_images(pairs: _Pairs, neurons: Neurons, fitting: np.ndarray) -> np.ndarray:
+    """Which images fit to their neighbours in time.
+
+    The networks' own error changes slowly along a motion, an outlier comes and goes; so it is the
+    residual's distance from its neighbours' median that counts.
+    """
+    from scipy.ndimage import median_filter
+
+    weights = pairs.solve(neurons, fitting, (_FIRST_RIDGE,), 5000)[0]
+    middle = np.broadcast_to(pairs.joints[fitting].mean(axis=0), pairs.joints.shape)
+    moved = line_regressors(neurons, middle, pairs.joints, pairs.nodes) @ weights
+    residual = pairs.ball - moved
+    usual = median_filter(residual, (_NEIGHBOURS, 1), mode="nearest")
+    distance = np.linalg.norm(residual - usual, axis=1)
+    return distance <= max(_OUTLIER_FACTOR * float(np.median(distance)), 1e-9)
+
+
+def _choose_ridge(
+    pairs: _Pairs, neurons: Neurons, fitting: np.ndarray, validation: np.ndarray
+) -> tuple[np.ndarray, float, float]:
+    """Weights with the largest ridge that is as good as the best, within half a percent."""
+    candidates = pairs.solve(neurons, fitting, _RIDGES)
+    equations = pairs.equations(neurons, *pairs.draw(validation, 3000))
+    scores = [_relative_error(*equations, weights) for weights in candidates]
+    limit = 1.005 * min(scores)
+    best = max(i for i, score in enumerate(scores) if score <= limit)
+    return candidates[best], _RIDGES[best], scores[best]
+
+
+def _refined(
+    pairs: _Pairs,
+    neurons: Neurons,
+    fitting: np.ndarray,
+    validation: np.ndarray,
+    iterations: int,
+    progress: Progress | None,
+) -> tuple[Neurons, int]:
+    """Neurons moved by Adam, the weights being solved for in every iteration; iterations done."""
+    try:
+        from fvs_estimator_node.varpro import Batch, refine
+    except ImportError as error:
+        raise TrainingError(
+            "the method varpro needs torch: pip install torch, or use the method ridge"
+        ) from error
+    judged_on, solved_on = pairs.draw(validation, 3000), pairs.draw(fitting, 6000)
+
+    def score(present: Neurons) -> float:
+        weights = ridge_path(*pairs.equations(present, *solved_on), (_FIRST_RIDGE,))[0]
+        return _relative_error(*pairs.equations(present, *judged_on), weights)
+
+    best_score, best = score(neurons), neurons
+
+    def draw() -> Batch:
+        first, second = pairs.draw(fitting, _BATCH)
+        return pairs.joints[first], pairs.joints[second], pairs.ball[second] - pairs.ball[first]
+
+    def report(iteration: int, centres: np.ndarray, widths: np.ndarray) -> bool:
+        nonlocal best_score, best
+        if iteration % _CHECK_EVERY == 0 or iteration == iterations:
+            present = score((centres, widths))
+            if present < best_score:
+                best_score, best = present, (centres.copy(), widths.copy())
+        return progress is not None and progress(iteration, iterations, best_score)
+
+    done = refine(
+        neurons, draw, quadrature(pairs.nodes), _FIRST_RIDGE, _LEARNING_RATE, iterations, report
+    )
+    return best, done
+
+
+def _judge_pairs(pairs: _Pairs, model: RbfModel, held_out: np.ndarray) -> dict[str, float]:
+    """Root mean square of the held-out pair error, m and over the ball's motion."""
+    neurons = model.centres, model.widths
+    regressors, motion = pairs.equations(neurons, *pairs.draw(held_out, 3000))
+    weights = model.weights.transpose(0, 2, 1).reshape(-1, motion.shape[1])
+    error = regressors @ weights - motion
+    error_m, motion_m = (float(np.sqrt(np.mean(np.sum(one**2, axis=1)))) for one in (error, motion))
+    return {"pair_error_m": error_m, "pair_error_relative": error_m / motion_m}
+
+
+def _judge_networks(
+    pairs: _Pairs,
+    model: RbfModel,
+    everything: np.ndarray,
+    held_out: np.ndarray,
+    pair_error_m: float,
+) -> dict[str, list[Any]]:
+    """Size and error of each column at held-out joints, against :func:`reference_jacobian`."""
+    known = pairs.rng.permutation(everything)[:_REFERENCE_IMAGES]
+    at = pairs.joints[pairs.rng.permutation(held_out)[:_REFERENCE_IMAGES]]
+    # a pair's error has the noise of two images in each coordinate
+    noise_m = max(pair_error_m / math.sqrt(2.0 * pairs.ball.shape[1]), 1e-5)
+    reference = reference_jacobian(
+        pairs.joints[known], pairs.ball[known], at, noise_m, 2.0 * pairs.width_rad
+    )
+    difference = model.jacobian(at) - reference
+    columns, errors = (
+        np.sqrt(np.mean(np.sum(one**2, axis=1), axis=0)) for one in (reference, difference)
+    )
+    matters = columns > 0.01 * np.linalg.norm(columns)
+    relative = [
+        float(error / column) if matter else None
+        for error, column, matter in zip(errors, columns, matters, strict=True)
+    ]
+    return {
+        "column_m_rad": columns.tolist(),
+        "column_error_m_rad": errors.tolist(),
+        "column_error_relative": relative,
+    }
+
+
+def reference_jacobian(
+    joints_rad: np.ndarray,
+    ball_m: np.ndarray,
+    at_rad: np.ndarray,
+    noise_m: float,
+    scale_rad: float,
+    size_m: float = 4.0,
+) -> np.ndarray:
+    """A second opinion to judge by: the slope of a Gaussian process through ball positions.
+
+    Prediction errors alone do not say which network is to blame; this gives each column by itself,
+    to about a percent. Joints, rad, (k, n), and positions, m, (k, m), with a noise, m; where to
+    evaluate, rad, (p, n); over which length the positions change their character, rad, and by how
+    much, m. Returns Jacobians, m/rad, (p, m, n).
+    """
+    known, wanted = joints_rad / scale_rad, at_rad / scale_rad
+    covariance = _kernel(known, known) + 1.0  # the constant: where the ball is on the whole
+    covariance[np.diag_indices_from(covariance)] += (noise_m / size_m) ** 2
+    coefficients = np.linalg.solve(covariance, ball_m - ball_m.mean(axis=0))
+    kernel = _kernel(wanted, known)
+    level = kernel @ coefficients
+    columns = [
+        kernel @ (coefficients * known[:, [i]]) - level * wanted[:, [i]]
+        for i in range(known.shape[1])
+    ]
+    return np.stack(columns, axis=-1) * (2.0 / scale_rad)
+
+
+def _kernel(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    squares = np.sum(a * a, axis=1)[:, None] + np.sum(b * b, axis=1) - 2.0 * (a @ b.T)
+    return np.exp(-np.maximum(squares, 0.0))
+
+
+# ---- notes ----------------------------------------------------------------------------------
+
+
+def still_joints(data: DataSet) -> str:
+    """The joints that stood still in a data set, by name, of which nothing is learned."""
+    spread = data.joints_rad.std(axis=0)
+    return ", ".join(name for name, one in zip(data.joint_names, spread, strict=True) if one < 1e-3)
+
+
+def late_stamps_note(offset_s: float) -> str:
+    """What to say of images that are stamped late (or early, if negative), s; empty if nothing."""
+    if abs(offset_s) <= _NOTABLE_OFFSET_S:
+        return ""
+    side = "before" if offset_s > 0.0 else "after"
+    clocks = "" if offset_s > 0.0 else " (if more than half an image's time: set the clocks, NTP)"
+    return (
+        f"the images show the joints of {1e3 * abs(offset_s):.0f} ms {side} their stamps; "
+        f"corrected here, but the loop needs it, too: add {offset_s:.3f} to stamp_delay_s of "
+        f"fvs_detector_node{clocks}"
+    )
+
+
+def _notes(data: DataSet, errors: dict[str, Any]) -> list[str]:
+    still, outliers, columns = still_joints(data), errors["outliers"], errors["column_m_rad"]
+    relative = zip(data.joint_names, columns, errors["column_error_relative"], strict=True)
+    bad = ", ".join(
+        name
+        for name, column, error in relative
+        if error is not None and error > _DOUBTFUL and column > _MATTERS * max(columns)
+    )
+    notes = (
+        f"{still} did not move in the data set: their columns are not learned" if still else "",
+        late_stamps_note(errors["time_offset_s"]),
+        f"{outliers} of {len(data)} images do not fit and were left out" if outliers else "",
+        f"{bad}: over {100 * _DOUBTFUL:.0f} % off; collect longer or in a wider box, with one "
+        "robot and one detector publishing"
+        if bad
+        else "",
+    )
+    return [note for note in notes if note]

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 import numpy as np
 import torch
 
-#: Start and end joints, rad, shape (n, 6) each, and the ball's motion between them, m, (n, 3).
+#: Start and end joints, rad, shape (p, n) each, and the ball's motion between them, m, (p, m).
 Batch = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 _BETAS = (0.9, 0.99)
@@ -33,8 +33,7 @@ def _one_thread() -> Iterator[None]:
 
 @_one_thread()
 def refine(
-    centres: np.ndarray,
-    widths: np.ndarray,
+    neurons: tuple[np.ndarray, np.ndarray],
     draw: Callable[[], Batch],
     quadrature: tuple[np.ndarray, np.ndarray],
     ridge: float,
@@ -46,10 +45,8 @@ def refine(
 
     Parameters
     ----------
-    centres : ndarray, shape (n, k, n)
-        Where to begin, rad.
-    widths : ndarray, shape (n, k)
-        Where to begin, rad.
+    neurons : tuple of ndarray, shapes (n, k, n) and (n, k)
+        Centres and widths to begin with, rad.
     draw : callable
         Gives the next batch.
     quadrature : tuple of ndarray
@@ -68,6 +65,7 @@ def refine(
     int
         Iterations done.
     """
+    centres, widths = neurons
     networks = [
         (
             torch.tensor(centres[i], dtype=torch.float64, requires_grad=True),
@@ -110,7 +108,9 @@ def _relative_squared_error(
         integral = torch.zeros((), dtype=motion.dtype)
         for place, share in zip(places.tolist(), shares.tolist(), strict=True):
             points = start + place * joint_motion
-            squares = _squared_distances(points, centres, log_widths)
+            # (|r - u| / delta)^2 of eq. (8), shape (p, k)
+            squares = (points**2).sum(1, keepdim=True) + (centres**2).sum(1)
+            squares = (squares - 2.0 * points @ centres.T) * torch.exp(-2.0 * log_widths)
             integral = integral + share * torch.exp(-squares)
         columns.append(integral * joint_motion[:, i : i + 1])
     regressors = torch.cat(columns, dim=1)
@@ -119,11 +119,3 @@ def _relative_squared_error(
         gram += ridge * gram.trace() / len(gram) * torch.eye(len(gram), dtype=gram.dtype)
         weights = torch.linalg.solve(gram, regressors.T @ motion)
     return ((regressors @ weights - motion) ** 2).sum() / (motion**2).sum()
-
-
-def _squared_distances(
-    points: torch.Tensor, centres: torch.Tensor, log_widths: torch.Tensor
-) -> torch.Tensor:
-    """(|r - u| / delta)^2 of eq. (8), shape (n, m)."""
-    squares = (points**2).sum(1, keepdim=True) - 2.0 * points @ centres.T + (centres**2).sum(1)
-    return squares * torch.exp(-2.0 * log_widths)

@@ -214,7 +214,7 @@ def _rendered(context: Context, cases: Sequence[Case], races: Results) -> Result
     duration_s = MINUTE_S / 6 if context.quick else MINUTE_S
     minute = Minute(_MINUTES_SEED, duration_s, context.conditions(), draw_places(0, 0))
     path = context.folder(_NAME) / "minute.npz"
-    save_model(path, train_structured(record(minute)[0], seed=minute.seed).trained)
+    save_model(path, train_structured(record(minute)[0], seed=minute.seed))
     variants = [who.variant(name) for name in who.SEEN]
     own = context.run(variants, cases, "with images")
     fitted = context.run(variants[:_JUDGED], cases, "with a minute's model", model=str(path))

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fvs_estimator_node.chain_fit import fit_chain
-from fvs_estimator_node.dataset import DataSet
+from fvs_estimator_node.dataset import DataSet, data_set_of
 from fvs_estimator_node.distilling import train_structured
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.training import TrainingOptions, train
@@ -112,15 +112,7 @@ def record(minute: Minute) -> tuple[DataSet, float]:
         for seen in out.observations:
             if seen.detection is not None:
                 samples += matcher.add_ball(seen.stamp_s + late_s, seen.detection.position_m)
-    return (
-        DataSet(
-            np.array([one.stamp_s for one in samples]),
-            np.array([one.joints_rad for one in samples]),
-            np.array([one.ball_m for one in samples]),
-            np.array([one.run for one in samples]),
-        ),
-        late_s,
-    )
+    return data_set_of(samples), late_s
 
 
 def learn(minute: Minute) -> dict[str, Any]:
@@ -138,7 +130,7 @@ def learn(minute: Minute) -> dict[str, Any]:
     began_s = time.process_time()
     distilled = train_structured(data, seed=minute.seed)
     fit_s = time.process_time() - began_s
-    trained = train(data, TrainingOptions(method=minute.papers_method, seed=minute.seed)).trained
+    trained = train(data, TrainingOptions(method=minute.papers_method, seed=minute.seed))
     simulation = simulation_of(minute.conditions)
     row = {
         "part": "minute",
@@ -146,14 +138,15 @@ def learn(minute: Minute) -> dict[str, Any]:
         "images": len(data),
         "fit_s": fit_s,
         "late_s": late_s,
-        "found_late_s": distilled.fit.time_offset_s,
-        "late_error_s": abs(distilled.fit.time_offset_s - late_s),
+        "found_late_s": distilled.errors["time_offset_s"],
+        "late_error_s": abs(distilled.errors["time_offset_s"] - late_s),
     }
+    assert distilled.chain is not None
     for where, joints in minute.places.items():
         true = np.array([simulation.true_jacobian(one) for one in joints])
         for who, model in (
-            ("chain", distilled.fit.chain),
-            ("distilled", distilled.trained.model),
+            ("chain", distilled.chain),
+            ("distilled", distilled.model),
             ("paper", trained.model),
         ):
             errors = relative_errors(model.jacobian(joints), true)

@@ -17,14 +17,17 @@ from functools import reduce
 
 import numpy as np
 
+from fvs_ros.vectors import check_arrays
+
 _IDENTITY = np.eye(4)
 _LARGEST_M = 100.0
-
-
-def chain_shapes(joints: int) -> dict[str, tuple[int, ...]]:
-    """What a chain of so many joints is made of, and the shapes."""
-    vectors = (joints, 3)
-    return {"axes": vectors, "points_m": vectors, "ball_m": (3,), "reference_rad": (joints,)}
+#: What a chain of n joints is made of, and the shapes.
+CHAIN_SHAPES: dict[str, tuple[int | str, ...]] = {
+    "axes": ("n", 3),
+    "points_m": ("n", 3),
+    "ball_m": (3,),
+    "reference_rad": ("n",),
+}
 
 
 def cross_matrix(vectors: np.ndarray) -> np.ndarray:
@@ -69,13 +72,10 @@ class SerialChain:
     _ball: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name, shape in chain_shapes(len(np.atleast_1d(self.axes))).items():
-            value = np.array(getattr(self, name), dtype=float)
-            if value.shape != shape:
-                raise ValueError(f"{name} of a chain has shape {value.shape}, expected {shape}")
-            if not float(np.abs(value).max()) <= _LARGEST_M:  # false for NaN, too
-                raise ValueError(f"{name} of a chain must be finite and below {_LARGEST_M:g}")
-            self._keep(name, value)
+        check_arrays(self, CHAIN_SHAPES, {})
+        for name in CHAIN_SHAPES:
+            if np.abs(getattr(self, name)).max() > _LARGEST_M:
+                raise ValueError(f"{name} of a chain holds a number above {_LARGEST_M:g}")
         lengths = np.linalg.norm(self.axes, axis=1, keepdims=True)
         if lengths.min() < 1e-6:
             raise ValueError("an axis of a chain has no direction")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import math
 import platform
 import sys
 import time
@@ -16,23 +15,15 @@ import numpy as np
 from tqdm import tqdm
 
 from fvs_estimator_node.dataset import DataSet, load_data_set
-from fvs_estimator_node.distilling import NEURONS, DistilledModel, train_structured, with_chain
+from fvs_estimator_node.distilling import NEURONS, train_structured, with_chain
 from fvs_estimator_node.model_file import TrainedModel, save_model
-from fvs_estimator_node.training import (
-    METHODS,
-    TrainingOptions,
-    TrainingResult,
-    train,
-)
+from fvs_estimator_node.training import METHODS, TrainingOptions, train
 from fvs_ros import console
 from fvs_ros.arguments import Parser, one_of
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 
 #: The method that assumes a serial chain.
 STRUCTURED = "poe"
-#: A network with a larger error is doubtful, if its joint moves the ball by this share of what the
-#: one does that moves it most.
-_DOUBTFUL, _MATTERS = 0.15, 0.2
 
 
 @console.reader_may_leave()
@@ -42,10 +33,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         data = load_data_set(arguments.data)
         _check_output(arguments.output)
-        trained, words, notes, out_of_time = _train(data, arguments)
+        trained, words, out_of_time = _train(data, arguments)
         provenance = {
             **trained.provenance,
-            "notes": notes,  # the estimator says them again, of the model it loads
             "data_file": arguments.data.name,
             "data_sha256": hashlib.sha256(arguments.data.read_bytes()).hexdigest(),
             "stopped_by_time": out_of_time,
@@ -61,23 +51,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_FAILURE
     if not arguments.quiet:
         print(words)
-    for note in notes:
+    for note in trained.notes:  # the estimator says them again, of the model it loads
         print(f"note: {note}", file=sys.stderr if arguments.quiet else sys.stdout)
     print(f"model written to {arguments.output}")
     return EXIT_OK
 
 
-def _train(
-    data: DataSet, arguments: argparse.Namespace
-) -> tuple[TrainedModel, str, list[str], bool]:
-    """The model, its figures and notes in words, and whether time was over before the training."""
+def _train(data: DataSet, arguments: argparse.Namespace) -> tuple[TrainedModel, str, bool]:
+    """The model, its figures in words, and whether time was over before the training."""
     started_s = time.monotonic()
     if arguments.method == STRUCTURED:
         say = None if arguments.quiet else (lambda words: print(f"{words} ...", file=sys.stderr))
         neurons = NEURONS if arguments.neurons is None else arguments.neurons
-        distilled = train_structured(data, neurons, arguments.seed, say)
-        words = report_structured(distilled, time.monotonic() - started_s)
-        return distilled.trained, words, list(distilled.notes), False
+        trained = train_structured(data, neurons, arguments.seed, say)
+        return trained, report_structured(trained, time.monotonic() - started_s), False
     options = TrainingOptions(
         method=arguments.method,
         neurons=TrainingOptions.neurons if arguments.neurons is None else arguments.neurons,
@@ -103,11 +90,10 @@ def _train(
             out_of_time = arguments.max_seconds is not None and passed_s > arguments.max_seconds
             return out_of_time
 
-        result = train(data, options, on_progress)
-    words = report(result, time.monotonic() - started_s)
-    trained, chain = with_chain(result.trained, data, arguments.seed)
-    notes = [*result.notes, *_doubts(result)]
-    return trained, f"{words}\n{chain}", notes, out_of_time
+        trained = train(data, options, on_progress)
+    words = report(trained, time.monotonic() - started_s)
+    trained, chain = with_chain(trained, data, arguments.seed)
+    return trained, f"{words}\n{chain}", out_of_time
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -152,45 +138,46 @@ def _check_output(path: Path) -> None:
         raise ValueError(f"the folder {path.absolute().parent} for the model does not exist")
 
 
-def report(result: TrainingResult, seconds: float) -> str:
+def report(trained: TrainedModel, seconds: float) -> str:
     """What a user should see: errors, boxes, time."""
+    errors = trained.errors
+    columns = zip(
+        trained.joint_names, errors["column_m_rad"], errors["column_error_relative"], strict=True
+    )
     lines = ["", "network              column m/rad  error"]
-    for name, network in zip(result.trained.joint_names, result.networks, strict=True):
-        error = "does not move the ball"
-        if network.relative is not None:
-            error = f"{100.0 * network.relative:6.2f} %"
-        lines.append(f"{name:20s} {network.column_m_rad:11.3f}  {error}")
-    errors = result.trained.errors
+    for name, size, relative in columns:
+        error = "does not move the ball" if relative is None else f"{100.0 * relative:6.2f} %"
+        lines.append(f"{name:20s} {size:11.3f}  {error}")
     lines += [
         "(at held-out joints, against a smooth fit that is itself about 1 % off)",
         f"between held-out images: {1e3 * errors['pair_error_m']:.2f} mm rms, "
         f"{100.0 * errors['pair_error_relative']:.2f} % of the ball's motion, noise included",
-        *_boxes(result.trained),
+        *_boxes(trained),
         f"{errors['samples']} images, {errors['held_out_samples']} held out, "
         f"{errors['outliers']} left out; {errors['iterations']} iterations, {seconds:.1f} s",
     ]
     return "\n".join(lines)
 
 
-def report_structured(distilled: DistilledModel, seconds: float) -> str:
+def report_structured(trained: TrainedModel, seconds: float) -> str:
     """What a user should see of a structured training."""
-    fit = distilled.fit
-    deviation, error = distilled.jacobian_deviation, distilled.distillation_error
-    noise = f"noise {1e3 * fit.noise_m:.2f} mm, misfit {fit.misfit:.2f}"
+    e = trained.errors
+    noise = "noise unknown: images too far apart"
+    if "noise_m" in e:
+        noise = f"noise {1e3 * e['noise_m']:.2f} mm, misfit {e['misfit']:.2f}"
     lines = [
         "",
-        f"Jacobian of the chain, in the box of the data: {100 * deviation:.3f} % "
+        f"Jacobian of the chain, in the box of the data: {100 * e['jacobian_deviation']:.3f} % "
         "(standard deviation; the camera's scale is not observable)",
-        f"networks distilled from it: {100 * error:.2f} % off the chain (median)",
+        f"networks distilled from it: {100 * e['distillation_error']:.2f} % off the chain (median)",
         # + 0.0: no negative zero
-        f"images stamped late: {round(1e3 * fit.time_offset_s, 1) + 0.0:.1f} +- "
-        f"{1e3 * fit.time_offset_deviation_s:.1f} ms",
-        f"noise of a ball position: {1e3 * fit.ray_noise_m:.2f} mm along the line of sight, "
-        f"{1e3 * fit.lateral_noise_m:.2f} mm across",
-        f"distance from the chain: {1e3 * fit.residual_m:.2f} mm (median); "
-        + ("noise unknown: images too far apart" if math.isnan(fit.noise_m) else noise),
-        *_boxes(distilled.trained),
-        f"{fit.samples} images, {fit.outliers} left out; {seconds:.1f} s",
+        f"images stamped late: {round(1e3 * e['time_offset_s'], 1) + 0.0:.1f} +- "
+        f"{1e3 * e['time_offset_deviation_s']:.1f} ms",
+        f"noise of a ball position: {1e3 * e['ray_noise_m']:.2f} mm along the line of sight, "
+        f"{1e3 * e['lateral_noise_m']:.2f} mm across",
+        f"distance from the chain: {1e3 * e['residual_m']:.2f} mm (median); {noise}",
+        *_boxes(trained),
+        f"{e['samples']} images, {e['outliers']} left out; {seconds:.1f} s",
     ]
     return "\n".join(lines)
 
@@ -198,24 +185,6 @@ def report_structured(distilled: DistilledModel, seconds: float) -> str:
 def _boxes(trained: TrainedModel) -> list[str]:
     low, high = (", ".join(f"{v:.2f}" for v in side) for side in trained.joint_box_rad)
     return [f"joints from [{low}]", f"         to [{high}] rad"]
-
-
-def _doubts(result: TrainingResult) -> list[str]:
-    """What makes a model unfit for use, in words; empty if nothing does."""
-    largest = max(network.column_m_rad for network in result.networks)
-    bad = [
-        name
-        for name, network in zip(result.trained.joint_names, result.networks, strict=True)
-        if network.relative is not None
-        and network.relative > _DOUBTFUL
-        and network.column_m_rad > _MATTERS * largest
-    ]
-    if not bad:
-        return []
-    return [
-        f"{', '.join(bad)}: over {100 * _DOUBTFUL:.0f} % off; collect longer or in a wider box, "
-        "with one robot and one detector publishing"
-    ]
 
 
 if __name__ == "__main__":

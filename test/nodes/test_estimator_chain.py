@@ -23,7 +23,7 @@ RECORDING = Recording(seconds=20.0, outliers=0.0, late_s=0.0)
 
 @pytest.fixture(scope="module")
 def trained():
-    return train_structured(RECORDING.data(), neurons=20).trained
+    return train_structured(RECORDING.data(), neurons=20)
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,9 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fvs_estimator_node.dataset import DataSet, DataSetError, load_data_set, save_data_set
-from fvs_estimator_node.model_file import ModelFileError, load_model
+from fvs_estimator_node.dataset import DataSet, load_data_set, save_data_set
+from fvs_estimator_node.model_file import load_model
+from fvs_estimator_node.npz_file import FileError
 from fvs_tools.scenario import NODE_TABLE, load_scenario
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -52,8 +53,8 @@ def model_bytes():
 def kind(request, model_bytes, data_set_bytes):
     """What reads the file, the error it may raise, and a good file."""
     if request.param == "model":
-        return load_model, ModelFileError, model_bytes
-    return load_data_set, DataSetError, data_set_bytes
+        return load_model, FileError, model_bytes
+    return load_data_set, FileError, data_set_bytes
 
 
 def outcome(error, call, *arguments):
@@ -194,10 +195,11 @@ def in_a_small_process(code, *arguments, megabytes=1500, seconds=20):
 
 LOAD_MODEL = """
 import sys
-from fvs_estimator_node.model_file import ModelFileError, load_model
+from fvs_estimator_node.model_file import load_model
+from fvs_estimator_node.npz_file import FileError
 try:
     load_model(sys.argv[1])
-except ModelFileError as error:
+except FileError as error:
     print("refused", len(str(error)))
 """
 
@@ -227,7 +229,7 @@ def test_a_number_in_json_that_is_too_long(data_set_bytes, tmp_path):
     path = tmp_path / "file.npz"
     text = npy(np.array('{"a": ' + "1" * 5000 + "}"))
     path.write_bytes(change(data_set_bytes, provenance=text))
-    with pytest.raises(DataSetError, match="provenance"):
+    with pytest.raises(FileError, match="provenance"):
         load_data_set(path)
 
 
