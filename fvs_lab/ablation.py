@@ -4,28 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from fvs_controller_node.config import default_values
 from fvs_estimator_node.pairing import StepPairing
-from fvs_lab.context import Context
 from fvs_lab.experiment import (
     OURS,
     PAPER,
     Claim,
+    Context,
+    Drawn,
     Experiment,
     Found,
-    Named,
     Part,
+    TableOf,
     above,
     below,
     either,
 )
-from fvs_lab.figures import keys, panels, plain_ticks
-from fvs_lab.results import METRICS, Metric, Results, failures, table
+from fvs_lab.figures import grid, legend, plain_ticks
+from fvs_lab.results import METRICS, Results
 from fvs_lab.trials import (
     PRELUDE_S,
     Case,
@@ -38,9 +38,6 @@ from fvs_lab.trials import (
     simulation_of,
 )
 from fvs_tools.closed_loop import ClosedLoop
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 SEED = 303
 _DURATION_S, _QUICK_DURATION_S = 3.4, 1.6
@@ -128,28 +125,14 @@ RESTS: Mapping[str, Mapping[str, Any]] = {
 _REACH_S = 4.0
 #: Below every motion of the joints: with it the estimator learns from every image, at rest, too.
 _ANY_MOTION_RAD = 1e-12
-_REST_METRICS = METRICS | {
-    "error_before": Metric("Jacobian error before, %", 1e2, 1),
-    "error_after": Metric("after, %", 1e2, 1),
-    "to_5mm_s": Metric("next target: to 5 mm, s"),
-}
 
 
 @dataclass(frozen=True)
 class Rest:
-    """Go to a target, hold it for long, go back.
-
-    Parameters
-    ----------
-    case : Case
-        Start and goal.
-    name : str
-        A key of ``RESTS``.
-    hold_s : float
-        Time to hold, s.
-    """
+    """Go to a case's target, hold it for long, go back."""
 
     case: Case
+    #: A key of ``RESTS``.
     name: str
     hold_s: float
 
@@ -161,7 +144,7 @@ def run_rest(rest: Rest) -> dict[str, Any]:
     target_m = simulation.true_ball_position()
     simulation.reset(rest.case.start_rad, rest.case.seed)
     home_m = simulation.true_ball_position()
-    one = Trial(rest.case, "rbf", "ftsm", RESTS[rest.name]).loop(simulation)
+    one = Trial(Variant(estimator_values=RESTS[rest.name]), rest.case).loop(simulation)
     if rest.name != ZERO_GATED:
         one.estimation.pairing = StepPairing(min_step_rad=_ANY_MOTION_RAD)
     one.run(PRELUDE_S)
@@ -169,12 +152,11 @@ def run_rest(rest: Rest) -> dict[str, Any]:
     one.run(_REACH_S)
     before = _estimators_error(one)
     one.run(rest.hold_s)
-    after = _estimators_error(one)
     return {
         "update": rest.name,
         "case": rest.case.name,
         "error_before": before,
-        "error_after": after,
+        "error_after": _estimators_error(one),
         **settling_run(one, home_m, _DURATION_S),
     }
 
@@ -194,10 +176,13 @@ def measure(context: Context) -> Found:
     cases = make_cases("a", context.count(8, 1), SEED)
     duration_s = _QUICK_DURATION_S if context.quick else _DURATION_S
     hold_s = 2.0 if context.quick else 60.0
-    runs = context.run(variants(), cases, "ablation", duration_s=duration_s)
+    changes = context.run(variants(), cases, "ablation", duration_s=duration_s)
     rested = cases[: 1 if context.quick else 3]
     rests = [Rest(case, name, hold_s) for name in RESTS for case in rested]
-    rests_found = Results(context.map(run_rest, rests, "long rests"))
+    held = context.map(run_rest, rests, "long rests")
+    runs = [{"part": "change", **row} for row in changes] + [
+        {"part": "rest", **one} for one in held
+    ]
     facts = {
         "count": len(cases),
         "duration_s": duration_s,
@@ -207,13 +192,13 @@ def measure(context: Context) -> Found:
         "softer": _SOFTER,
         "turns_deg": _TURNS_DEG,
     }
-    data = {"seed": SEED, "cases": cases, "variants": variants(), "rests": rests_found.rows}
-    return Found(runs, facts, data, {"rests": rests_found})
+    data = {"seed": SEED, "cases": cases, "variants": variants()}
+    return Found(Results(runs), facts, data)
 
 
 def claims(found: Found) -> Iterator[Claim]:
     """What each part is worth."""
-    rows = found.runs.groups("change")
+    rows = found.runs.where(part="change").groups("change")
 
     def ratio(name: str, metric: str = "to_5mm_s", against: str = "", least: float = NOTABLE):
         other = against or rows[name].rows[0]["against"]
@@ -241,7 +226,7 @@ def claims(found: Found) -> Iterator[Claim]:
         ratio(name, against=BASE if gain == 0.005 else _sliding(gain)) for name, gain in printed
     ]
     yield Claim("printed_sign", OURS, signs)
-    yield from _leak_claims(found.extra["rests"])
+    yield from _leak_claims(found.runs.where(part="rest"))
 
 
 def _leak_claims(rests: Results) -> Iterator[Claim]:
@@ -260,29 +245,34 @@ def _leak_claims(rests: Results) -> Iterator[Claim]:
         yield Claim(claim, OURS, [Part(label, f"{text} {100 * most:.0f} %", holds)])
 
 
-def tables(found: Found) -> Iterator[Named]:
-    """All changes with their ratios, and the rests."""
-    rows = found.runs.groups("change")
+TABLES = (
+    TableOf(
+        "changes",
+        ("change", "against"),
+        (
+            "to_5mm_s",
+            "to_2mm_s",
+            "final_rms_m",
+            "jitter_rad_s",
+            "jacobian_error",
+            "failure:causes",
+        ),
+        where={"part": "change"},
+    ),
+    TableOf(
+        "rests",
+        ("update",),
+        ("error_before", "error_after", "to_5mm_s", "to_2mm_s"),
+        where={"part": "rest"},
+    ),
+)
 
-    def over(metric: str, ones: Results) -> str:
-        against = ones.rows[0]["against"]
-        return ones.over(rows[against], metric).text() if against else ""
 
-    metrics = ("to_5mm_s", "to_2mm_s", "final_rms_m", "jitter_rad_s", "jacobian_error")
-    cells = {
-        f"ratio, {METRICS[metric].label.partition(',')[0]}": partial(over, metric)
-        for metric in ("to_5mm_s", "to_2mm_s", "jitter_rad_s")
-    }
-    yield "changes", table(found.runs, {"change": "change"}, metrics, cells | {"failed": failures})
-    shown = ("error_before", "error_after", "to_5mm_s", "to_2mm_s")
-    yield "rests", table(found.extra["rests"], {"update": "update"}, shown, known=_REST_METRICS)
-
-
-def figures(found: Found) -> Iterator[Named]:
+def figures(found: Found) -> Iterator[Drawn]:
     """What each change does to settling time and jitter, as ratios."""
-    rows = found.runs.groups("change")
+    rows = found.runs.where(part="change").groups("change")
     shown = {name: ones for name, ones in rows.items() if name != BASE}
-    figure, (axes,) = panels(1, 2, (12, 8.5), sharey=True)
+    figure, (axes,) = grid(1, 2, (12, 8.5), sharey=True)
     for axis, metric, ticks in zip(
         axes,
         ("to_5mm_s", "jitter_rad_s"),
@@ -290,31 +280,25 @@ def figures(found: Found) -> Iterator[Named]:
         strict=True,
     ):
         for place, ones in enumerate(shown.values()):
-            _ratio_bar(axis, place, ones, rows, metric, 1.2 * ticks[-1])
+            first, most = ones.rows[0], 1.2 * ticks[-1]
+            one = ones.over(rows[first["against"]], metric)
+            value, low, high = np.minimum([one.value, one.low, one.high], most)
+            look: dict[str, Any] = {"color": _COLOURS[first["group"]]}
+            axis.plot([low, high], [place, place], alpha=0.7, **look)
+            marker = "o" if one.value < most else ">"
+            axis.plot(value, place, marker, label=first["group"], **look)
         axis.axvline(1.0, color="black", linewidth=0.8)
         plain_ticks(axis, ticks)
-        axis.set(xlabel=f"{METRICS[metric].label.partition(',')[0]}, ratio",
-                 xlim=(0.9 * ticks[0], 1.25 * ticks[-1]))  # fmt: skip
-    names = [_label(name, ones.rows[0]["against"]) for name, ones in shown.items()]
+        label = f"{METRICS[metric].label.partition(',')[0]}, ratio"
+        axis.set(xlabel=label, xlim=(0.9 * ticks[0], 1.25 * ticks[-1]))
+    names = [
+        name if (against := ones.rows[0]["against"]) == BASE else f"{name}  [over {against}]"
+        for name, ones in shown.items()
+    ]
     axes[0].set_yticks(range(len(names)), names)
     axes[0].invert_yaxis()
-    keys(figure, {name: {"color": colour, "marker": "o"} for name, colour in _COLOURS.items()})
-    yield "ablation", figure
+    legend(figure)
+    yield "ablation", figure, {}
 
 
-def _ratio_bar(
-    axis: Axes, place: int, ones: Results, rows: Mapping[str, Results], metric: str, most: float
-) -> None:
-    first = ones.rows[0]
-    one = ones.over(rows[first["against"]], metric)
-    value = np.minimum([one.value, one.low, one.high], most)
-    colour = _COLOURS[first["group"]]
-    axis.plot(value[1:], [place, place], color=colour, alpha=0.7)
-    axis.plot(value[0], place, "o" if one.value < most else ">", color=colour)
-
-
-def _label(name: str, against: str) -> str:
-    return name if against == BASE else f"{name}  [over {against}]"
-
-
-EXPERIMENT = Experiment("ablation", measure, claims, tables, figures)
+EXPERIMENT = Experiment("ablation", measure, claims, TABLES, figures)

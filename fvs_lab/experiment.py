@@ -9,55 +9,150 @@ beside it has the sentences, a macro each: ``title``, ``question``, ``setup``, `
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from importlib.resources import files
-from typing import Any
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, TypeVar
 
-from fvs_lab.context import Context
-from fvs_lab.report import Figure, Report, Table, Verdict
-from fvs_lab.results import Results
-from fvs_lab.statistics import Interval, all_hold, any_holds
-from fvs_lab.style import save
+from fvs_lab.figures import save
+from fvs_lab.outcome import Outcome
+from fvs_lab.report import Figure, Report, Table, Verdict, jinja, template_text
+from fvs_lab.results import Interval, Results, table
+from fvs_lab.trials import Case, Conditions, Variant, run_trial
 
 PAPER, OURS = "the paper's", "ours"
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+# ---- what is run ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Context:
+    """Settings of one call of ``fvs_experiments``, and how an experiment uses all cores."""
+
+    #: Folder of the page; each experiment has one of its own name in it.
+    out: Path
+    #: Number of seeded cases; each experiment has its own default.
+    seeds: int | None = None
+    #: Number of processes.
+    jobs: int = 1
+    #: Whether to do a small part of everything, to see that it works.
+    quick: bool = False
+    #: Whether ball positions come from rendered images.
+    rendered: bool = True
+    #: Whether spot checks through the real nodes are made.
+    nodes: bool = True
+    #: Number of random worlds, and who is sent through them; empty for all.
+    trials: int | None = None
+    schemes: tuple[str, ...] = ()
+
+    def folder(self, name: str) -> Path:
+        """The folder of an experiment, made if need be."""
+        path = self.out / name
+        path.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def count(self, default: int, quick: int) -> int:
+        """Number of seeded cases."""
+        if self.seeds is not None:
+            return self.seeds
+        return quick if self.quick else default
+
+    def conditions(self, **changes: Any) -> Conditions:
+        """The laboratory's standard conditions, with changes."""
+        return replace(Conditions(rendered=self.rendered), **changes)
+
+    def map(self, function: Callable[[T], R], items: Iterable[T], label: str) -> list[R]:
+        """Apply a function to all items, on all cores, with a progress bar.
+
+        The function must be importable by other processes; the results are in the items' order,
+        whatever the number of processes.
+        """
+        from joblib import Parallel, delayed
+        from tqdm import tqdm
+
+        items = list(items)
+        if not sys.stderr.isatty():
+            print(f"   {label}: {len(items)} runs ...", flush=True)
+        parallel = Parallel(n_jobs=self.jobs, return_as="generator")
+        done = parallel(delayed(function)(item) for item in items)
+        return list(tqdm(done, desc=label, total=len(items), leave=False, disable=None))
+
+    def run(
+        self,
+        variants: Iterable[Variant],
+        cases: Sequence[Case],
+        label: str,
+        measure: Callable[[Outcome], Mapping[str, Any]] | None = None,
+        **fields: Any,
+    ) -> Results:
+        """Run every variant on every case.
+
+        Parameters
+        ----------
+        variants : iterable of Variant
+            What is compared.
+        cases : sequence of Case
+            Starts and goals, the same for all.
+        label : str
+            What the progress bar says.
+        measure : callable, optional
+            Further columns of a run.
+        **fields
+            Of all trials, such as ``duration_s`` and ``record``.
+        """
+        pairs = [(variant, case) for variant in variants for case in cases]
+        return self.run_pairs(pairs, label, measure, **fields)
+
+    def run_pairs(
+        self,
+        pairs: Sequence[tuple[Variant, Case]],
+        label: str,
+        measure: Callable[[Outcome], Mapping[str, Any]] | None = None,
+        **fields: Any,
+    ) -> Results:
+        """Run variants on cases of their own; see :meth:`run`."""
+        trials = [variant.trial(case, self.conditions(), **fields) for variant, case in pairs]
+        outcomes = self.map(run_trial, trials, label)
+        return Results(
+            {
+                **outcome.row(**trial.variant.labels, case=trial.case.name),
+                **(measure(outcome) if measure else {}),
+            }
+            for outcome, trial in zip(outcomes, trials, strict=True)
+        )
+
+
+# ---- what is claimed ------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Part:
-    """One measured number that a claim stands on.
+    """One measured number that a claim stands on."""
 
-    Parameters
-    ----------
-    label : str
-        What was measured.
-    measured : str
-        The number with its interval, and what is asked of it.
-    holds : bool or None
-        Whether it is so; None if undecided.
-    margin : float
-        Of two parts that agree, the one with the larger margin decides.
-    """
-
+    #: What was measured.
     label: str
+    #: The number with its interval, and what is asked of it.
     measured: str
+    #: Whether it is so; None if undecided.
     holds: bool | None
+    #: Of two parts that agree, the one with the larger margin decides.
     margin: float = 0.0
 
 
-def below(
-    label: str, one: Interval, bound: float, factor: float = 1.0, digits: int = 2, unit: str = ""
-) -> Part:
+def below(label: str, one: Interval, bound: float, factor: float = 1.0, unit: str = "") -> Part:
     """A number whose whole interval must be below a bound."""
-    text = f"{one.text(digits, factor)}{unit}, asked: below {factor * bound:g}{unit}"
+    text = f"{one.text(2, factor)}{unit}, asked: below {factor * bound:g}{unit}"
     return Part(label, text, one.below(bound), one.high / bound)
 
 
-def above(
-    label: str, one: Interval, bound: float, factor: float = 1.0, digits: int = 2, unit: str = ""
-) -> Part:
+def above(label: str, one: Interval, bound: float) -> Part:
     """A number whose whole interval must be above a bound."""
-    text = f"{one.text(digits, factor)}{unit}, asked: above {factor * bound:g}{unit}"
+    text = f"{one.text()}, asked: above {bound:g}"
     return Part(label, text, one.above(bound), bound / max(one.low, 1e-12))
 
 
@@ -69,41 +164,41 @@ def share_above(label: str, one: Interval, bound: float) -> Part:
     return Part(label, text, one.above(bound), bound / max(one.low, 1e-12))
 
 
+def kept(label: str, hits: int, count: int, least: float) -> Part:
+    """A plain share that must be at least so large; undecided without runs."""
+    share = hits / count if count else 0.0
+    text = f"{hits} of {count} ({100 * share:.1f} %), asked: {100 * least:.0f} %"
+    return Part(label, text, share >= least if count else None)
+
+
 def either(label: str, *parts: Part) -> Part:
     """One part of several of which one is enough."""
-    holds = any_holds(part.holds for part in parts)
-    best = min((part for part in parts if part.holds is holds), key=lambda part: part.margin)
-    return Part(f"{label}, {best.label}", best.measured, holds, best.margin)
+    claim = Claim("", OURS, parts, any_of=True)
+    best = claim.decisive
+    return Part(f"{label}, {best.label}", best.measured, best.holds, best.margin)
 
 
 @dataclass(frozen=True)
 class Claim:
-    """What is claimed, by whom, and the numbers that decide.
+    """What is claimed, by whom, and the numbers that decide."""
 
-    Parameters
-    ----------
-    name : str
-        The template's macro ``claim_NAME`` states it.
-    whose : str
-        ``PAPER`` or ``OURS``.
-    parts : sequence of Part
-        All must hold, or one of them.
-    any_of : bool
-        Whether one is enough.
-    given : mapping
-        Arguments of the macro.
-    """
-
+    #: The template's macro ``claim_NAME`` states it.
     name: str
+    #: ``PAPER`` or ``OURS``.
     whose: str
+    #: All must hold, or with ``any_of`` one of them.
     parts: Sequence[Part]
     any_of: bool = False
+    #: Arguments of the macro.
     given: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def holds(self) -> bool | None:
         """Whether the claim holds; None if undecided."""
-        return (any_holds if self.any_of else all_hold)(part.holds for part in self.parts)
+        found = [part.holds for part in self.parts]
+        if self.any_of in found:
+            return self.any_of
+        return None if None in found else not self.any_of
 
     @property
     def decisive(self) -> Part:
@@ -112,57 +207,61 @@ class Claim:
         return (min if self.any_of else max)(alike, key=lambda part: part.margin)
 
 
+# ---- what is found and shown ----------------------------------------------------------------
+
+
 @dataclass(frozen=True)
 class Found:
-    """What an experiment measured.
+    """What an experiment measured."""
 
-    Parameters
-    ----------
-    runs : Results
-        The tidy table; goes to results.json without time series.
-    facts : mapping
-        Variables of the template.
-    data : mapping
-        What else goes to results.json: seeds, cases, parameters.
-    extra : mapping
-        Further results that figures, tables and claims need.
-    """
-
+    #: The tidy table; goes to results.json without time series.
     runs: Results
+    #: Variables of the template.
     facts: Mapping[str, Any] = field(default_factory=dict)
+    #: What else goes to results.json: seeds, cases, parameters.
     data: Mapping[str, Any] = field(default_factory=dict)
+    #: What else figures and claims need.
     extra: Mapping[str, Any] = field(default_factory=dict)
 
 
-#: Something by the name of its macro, with the macro's arguments where it has some.
-Named = tuple[str, Any] | tuple[str, Any, Mapping[str, Any]]
+@dataclass(frozen=True)
+class TableOf:
+    """A table that is shown: what makes its rows, and what is summed up; see :func:`table`."""
+
+    #: Its caption is the template's macro ``table_NAME``.
+    name: str
+    by: Sequence[str]
+    columns: Sequence[str]
+    #: Rows of the tidy table with these values.
+    where: Mapping[str, Any] = field(default_factory=dict)
+    #: A table for each value of this column, which is the macro's argument.
+    each: str = ""
+
+    def of(self, runs: Results, words: Words) -> Iterable[Table]:
+        """The tables; none without rows."""
+        some = runs.where(**self.where)
+        for value, ones in some.groups(self.each).items() if self.each else [("", some)]:
+            rows = table(ones, self.by, self.columns)
+            if rows:
+                caption = words(f"table_{self.name}", {self.each: value} if self.each else {})
+                yield Table(caption, list(rows[0]), [list(row.values()) for row in rows])
+
+
+#: A figure by the name of its macro, with the macro's arguments.
+Drawn = tuple[str, Any, Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """What is measured, and what is made of it.
+    """What is measured, and what is made of it."""
 
-    Parameters
-    ----------
-    name : str
-        Of its module, its template and its folder.
-    measure : callable
-        Runs everything.
-    claims : callable
-        From what was found to claims.
-    tables : callable
-        From what was found to named tables, each a list of rows, mappings from header to cell.
-    figures : callable
-        From what was found to named matplotlib figures.
-    template : str
-        Name of the template; by default the experiment's.
-    """
-
+    #: Of its module, its template and its folder.
     name: str
     measure: Callable[[Context], Found]
     claims: Callable[[Found], Iterable[Claim]]
-    tables: Callable[[Found], Iterable[Named]]
-    figures: Callable[[Found], Iterable[Named]]
+    tables: Sequence[TableOf]
+    figures: Callable[[Found], Iterable[Drawn]]
+    #: Name of the template; by default the experiment's.
     template: str = ""
 
     def run(self, context: Context) -> Report:
@@ -170,17 +269,15 @@ class Experiment:
         found = self.measure(context)
         words = Words(self.template or self.name, found.facts)
         claims = [claim for claim in self.claims(found) if claim.parts]
+        setup = re.split(r"\n\s*\n", words("setup", lines=True))
         return Report(
             name=self.name,
             title=words("title"),
             question=words("question"),
-            setup=[
-                " ".join(paragraph.split())
-                for paragraph in re.split(r"\n\s*\n", words("setup", lines=True))
-            ],
-            figures=self._figures(context, found, words),
+            setup=[" ".join(paragraph.split()) for paragraph in setup],
+            figures=[self._figure(context, words, *one) for one in self.figures(found)],
             tables=[
-                *(_table(words, *one) for one in self.tables(found)),
+                *(each for one in self.tables for each in one.of(found.runs, words)),
                 *_evidence(words, claims),
             ],
             verdicts=[
@@ -201,39 +298,21 @@ class Experiment:
             },
         )
 
-    def _figures(self, context: Context, found: Found, words: Words) -> list[Figure]:
-        figures = []
-        folder = context.folder(self.name)
-        for name, drawing, *given in self.figures(found):
-            values = given[0].values() if given else ()
-            file = re.sub(r"\W+", "_", "_".join([name, *map(str, values)])) + ".png"
-            save(drawing, folder / file)
-            figures.append(Figure(file, words(f"figure_{name}", given[0] if given else None)))
-        return figures
+    def _figure(
+        self, context: Context, words: Words, name: str, drawing: Any, given: Mapping[str, Any]
+    ) -> Figure:
+        file = re.sub(r"\W+", "_", "_".join([name, *map(str, given.values())])) + ".png"
+        save(drawing, context.folder(self.name) / file)
+        return Figure(file, words(f"figure_{name}", given))
 
 
 class Words:
-    """The sentences of an experiment, from its template.
-
-    Parameters
-    ----------
-    name : str
-        Of the template.
-    facts : mapping
-        Variables of all macros.
-    """
+    """The sentences of an experiment, from its template with the facts as variables."""
 
     def __init__(self, name: str, facts: Mapping[str, Any]) -> None:
-        from jinja2 import Environment, StrictUndefined
-
-        source = files("fvs_lab").joinpath(f"{name}.jinja").read_text("utf-8")
-        environment = Environment(
-            autoescape=False,  # the page escapes
-            undefined=StrictUndefined,
-            trim_blocks=True,
-            lstrip_blocks=True,
-        )
-        self._macros = environment.from_string(source).make_module(dict(facts))
+        environment = jinja(autoescape=False)  # the page escapes
+        source = environment.from_string(template_text(f"{name}.jinja"))
+        self._macros = source.make_module(dict(facts))
 
     def __call__(
         self, macro: str, given: Mapping[str, Any] | None = None, lines: bool = False
@@ -241,16 +320,6 @@ class Words:
         """The text of a macro, as one line unless its lines are asked for."""
         text = getattr(self._macros, macro)(**(given or {})).strip()
         return text if lines else " ".join(text.split())
-
-
-def _table(
-    words: Words,
-    name: str,
-    rows: Sequence[Mapping[str, str]],
-    given: Mapping[str, Any] | None = None,
-) -> Table:
-    header = list(rows[0]) if rows else []
-    return Table(words(f"table_{name}", given), header, [list(row.values()) for row in rows])
 
 
 def _evidence(words: Words, claims: Sequence[Claim]) -> list[Table]:

@@ -7,33 +7,35 @@ suddenly it must turn round there. Everything runs without a speed limit that wo
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from fvs_lab.context import Context
-from fvs_lab.experiment import OURS, PAPER, Claim, Experiment, Found, Named, Part, above, below
-from fvs_lab.figures import (
-    bound_line,
-    error_curve,
-    keys,
-    legend,
-    medians,
-    panels,
-    ranges,
-    shades,
+from fvs_lab.experiment import (
+    OURS,
+    PAPER,
+    Claim,
+    Context,
+    Drawn,
+    Experiment,
+    Found,
+    Part,
+    TableOf,
+    above,
+    below,
+    kept,
 )
-from fvs_lab.outcome import BOUNDS_M, Outcome
-from fvs_lab.results import METRICS, Metric, Results, number_text, table
-from fvs_lab.trials import Case, Variant, make_cases
+from fvs_lab.figures import Signal, against, errors_over_time, grid, legend, over_time, shades
+from fvs_lab.outcome import Outcome
+from fvs_lab.results import METRICS, Results, number_text
+from fvs_lab.search import FREE
+from fvs_lab.trials import Variant, make_cases
 
 SEED = 301
 EXPONENTS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.9)
 
-#: Limits out of the way; the largest that the controller takes.
-FREE = {"max_joint_velocity_rad_s": 3.14, "max_joint_acceleration_rad_s2": 40.0, "damping": 1e-6}
 SURFACE = {"alpha1": 1.0, "alpha2": 0.3, "alpha3": 0.45}
 REACHING = {"k1": 1.63, "k2": 0.067, "k4": 0.125, "sigma": 0.82}
 #: Reaching gains with which the law as printed runs at 125 Hz with the surface above.
@@ -56,55 +58,42 @@ ADAPTIVE_SCALED = f"0.375 → 0.9, faster (α2, α3 × {SCALE:g})"
 UNSTABLE = "0.5, reaching gains of the implicit form"
 
 _PERIOD_S = 0.008
-_SHOWN = METRICS | {"pace": Metric("own pace")}
-_COLOURS = {LITERAL: "#D55E00", IMPLICIT: "#0072B2"}
 
 
 def variants() -> list[Variant]:
     """All that is run; with noise fewer exponents as printed, to save time."""
-    implicit = {**FREE, **SURFACE, **REACHING}
-    literal = {**FREE, **SURFACE, **LITERAL_REACHING, "discretisation": "literal"}
+    implicit = {**FREE, "damping": 1e-6, **SURFACE, **REACHING}
+    literal = {**implicit, **LITERAL_REACHING, "discretisation": "literal"}
     faster = {name: SCALE * SURFACE[name] for name in ("alpha2", "alpha3")}
     found = []
     for world, conditions in WORLDS.items():
         values = {}
         for form, gains in ((LITERAL, literal), (IMPLICIT, implicit)):
             for one in EXPONENTS[::2] if (world, form) == (NOISY, LITERAL) else EXPONENTS:
-                values[form, f"{one:g}"] = {**gains, **_fixed(one)}
+                values[form, f"{one:g}"] = {**gains, "lambda1": one, "lambda2": 0.0}
             values[form, ADAPTIVE] = {**gains, **SMALL_TO_HALF}
         values[IMPLICIT, ADAPTIVE_LARGE] = {**implicit, **LARGE}
         values[IMPLICIT, ADAPTIVE_SCALED] = {**implicit, **LARGE, **faster}
         if world == SILENT:
-            values[LITERAL, UNSTABLE] = {**implicit, **_fixed(0.5), "discretisation": "literal"}
-        found += [
-            Variant(
-                {"world": world, "law": form, "exponent": exponent},
-                controller_values=gains,
-                conditions=conditions,
-            )
-            for (form, exponent), gains in values.items()
-        ]
+            values[LITERAL, UNSTABLE] = {**values[IMPLICIT, "0.5"], "discretisation": "literal"}
+        for (form, exponent), gains in values.items():
+            labels = {"world": world, "law": form, "exponent": exponent}
+            found.append(Variant(labels, controller_values=gains, conditions=conditions))
     return found
 
 
-def _fixed(exponent: float) -> dict[str, Any]:
-    return {"lambda1": exponent, "lambda2": 0.0}
-
-
-def literal_limits() -> tuple[float, float]:
+def literal_limits() -> dict[str, float]:
     """Largest k4 and k1 with which the law as printed is stable far from the goal.
 
     ``k4 < 2 a2 dt / (2 a1 + a2 dt)`` and ``k1 < 2 a2 / (a1 + a2 dt / 2)``, with the surface above
     and the time dt from command to command.
     """
     a1, a2 = SURFACE["alpha1"], SURFACE["alpha2"]
-    return (
-        2.0 * a2 * _PERIOD_S / (2.0 * a1 + a2 * _PERIOD_S),
-        2.0 * a2 / (a1 + 0.5 * a2 * _PERIOD_S),
-    )
+    k4 = 2.0 * a2 * _PERIOD_S / (2.0 * a1 + a2 * _PERIOD_S)
+    return {"k4_limit": k4, "k1_limit": 2.0 * a2 / (a1 + 0.5 * a2 * _PERIOD_S)}
 
 
-def _pace(_: Variant, __: Case, outcome: Outcome) -> dict[str, float]:
+def _pace(outcome: Outcome) -> dict[str, float]:
     """Settling time over the time that the way takes at the run's own top joint speed."""
     if not np.isfinite(outcome.settled_s):
         return {"pace": float("inf")}
@@ -119,12 +108,10 @@ def measure(context: Context) -> Found:
     duration_s = 1.6 if context.quick else 4.0
     cases = make_cases("e", context.count(6, 1), SEED)
     runs = context.run(variants(), cases, "exponents", _pace, duration_s=duration_s, record=True)
-    k4_limit, k1_limit = literal_limits()
     facts = {
         "count": len(cases),
         "duration_s": duration_s,
-        "k1_limit": k1_limit,
-        "k4_limit": k4_limit,
+        **literal_limits(),
         "reaching": REACHING,
         "literal": LITERAL_REACHING,
         "surface": SURFACE,
@@ -138,9 +125,9 @@ def claims(found: Found) -> Iterator[Claim]:
     def runs(world: str, law: str, exponent: str) -> Results:
         return found.runs.where(world=world, law=law, exponent=exponent)
 
-    stable = float(np.mean(runs(SILENT, LITERAL, UNSTABLE).values("settled")))
-    text = f"{100 * stable:.0f} %, asked: 95 %"
-    yield Claim("printed", PAPER, [Part("runs within 5 mm", text, stable >= 0.95)])
+    stable = runs(SILENT, LITERAL, UNSTABLE)
+    part = kept("runs within 5 mm", sum(stable.values("settled")), len(stable), 0.95)
+    yield Claim("printed", PAPER, [part])
     for name, metric in (("faster", "to_5mm_s"), ("pace", "pace")):
         chosen = [runs(SILENT, IMPLICIT, f"{one:g}").median(metric).value for one in EXPONENTS]
         text = ", ".join(
@@ -148,121 +135,128 @@ def claims(found: Found) -> Iterator[Claim]:
             for one, exponent in zip(chosen, EXPONENTS, strict=True)
         )
         rising = all(after >= before for before, after in pairwise(chosen))
-        yield Claim(name, PAPER, [Part(_SHOWN[metric].label, text, rising)])
-    small, half, adaptive = (
-        {
-            place: runs(*place, exponent)
-            for place in ((SILENT, LITERAL), (SILENT, IMPLICIT), (NOISY, IMPLICIT))
-        }
-        for exponent in ("0.1", "0.5", ADAPTIVE)
-    )
-    chatter = small[SILENT, LITERAL].over(half[SILENT, LITERAL], "jitter_rad_s")
+        yield Claim(name, PAPER, [Part(METRICS[metric].label, text, rising)])
+    jitter, time = "jitter_rad_s", "to_5mm_s"
+    printed, silent, noisy = (SILENT, LITERAL), (SILENT, IMPLICIT), (NOISY, IMPLICIT)
+    chatter = runs(*printed, "0.1").over(runs(*printed, "0.5"), jitter)
     yield Claim("chatter", PAPER, [above("jitter as printed, 0.1 over 0.5", chatter, 2.0)])
-    time = adaptive[SILENT, IMPLICIT].over(small[SILENT, IMPLICIT], "to_5mm_s")
+    quick = runs(*silent, ADAPTIVE).over(runs(*silent, "0.1"), time)
     calm = [
         below(
             f"jitter over that of 0.5, {law}, {world}",
-            one.over(half[world, law], "jitter_rad_s"),
+            runs(world, law, ADAPTIVE).over(runs(world, law, "0.5"), jitter),
             2.0,
         )
-        for (world, law), one in adaptive.items()
-        if (world, law) != (SILENT, IMPLICIT)
+        for world, law in (printed, noisy)
     ]
-    yield Claim("adaptive", PAPER, [below("settling time over that of 0.1", time, 1.2), *calm])
-    ours, paper = runs(NOISY, IMPLICIT, ADAPTIVE_SCALED), adaptive[NOISY, IMPLICIT]
+    yield Claim("adaptive", PAPER, [below("settling time over that of 0.1", quick, 1.2), *calm])
+    ours, paper = runs(*noisy, ADAPTIVE_SCALED), runs(*noisy, ADAPTIVE)
     yield Claim(
         "large",
         OURS,
         [
-            above("jitter of 0.1 → 0.5 over ours", paper.over(ours, "jitter_rad_s"), 2.0),
-            below("settling time over that of 0.1 → 0.5", ours.over(paper, "to_5mm_s"), 1.2),
+            above("jitter of 0.1 → 0.5 over ours", paper.over(ours, jitter), 2.0),
+            below("settling time over that of 0.1 → 0.5", ours.over(paper, time), 1.2),
         ],
     )
 
 
-def tables(found: Found) -> Iterator[Named]:
-    """Medians, a table per world."""
-    metrics = (
-        "to_5mm_s", "to_2mm_s", "to_1mm_s", "final_rms_m", "jitter_rad_s",
-        "peak_joint_speed_rad_s", "pace", "path_ratio", "limited_share",
-    )  # fmt: skip
-    for world, runs in found.runs.groups("world").items():
-        rows = table(runs, {"law": "law", "exponent": "exponent"}, metrics, known=_SHOWN)
-        yield "world", rows, {"world": world}
+_COLUMNS = (
+    "to_5mm_s",
+    "to_2mm_s",
+    "to_1mm_s",
+    "final_rms_m",
+    "jitter_rad_s",
+    "peak_joint_speed_rad_s",
+    "pace",
+    "path_ratio",
+    "limited_share",
+)
+TABLES = (TableOf("world", ("law", "exponent"), _COLUMNS, each="world"),)
 
 
-def figures(found: Found) -> Iterator[Named]:
+def figures(found: Found) -> Iterator[Drawn]:
     """Figures 2 and 3 of the paper, and settling and jitter over the exponent."""
-    first = found.runs.groups("world", "law", "exponent")
-    yield "exponents", _errors(first)
-    yield "adaptive", _adaptive(first)
-    yield "summary", _summary(found.runs)
+    case = found.runs.rows[0]["case"]
+    places = found.runs.where(case=case).groups("world", "law")
+    yield "exponents", _errors(places), {}
+    yield "adaptive", _adaptive(places), {}
+    yield "summary", _summary(found.runs), {}
 
 
-def _errors(groups: dict[Any, Results]):
-    figure, axes = panels(2, 2, (11, 7), sharex=True, sharey=True)
-    for row, world in zip(axes, WORLDS, strict=True):
-        for axis, law in zip(row, _COLOURS, strict=True):
-            for exponent, colour in zip(EXPONENTS, shades(len(EXPONENTS)), strict=True):
-                if runs := groups.get((world, law, f"{exponent:g}")):
-                    look = {"color": colour, "linewidth": 1.3, "label": f"{exponent:g}"}
-                    error_curve(axis, runs.rows[0]["series"], **look)
-            bound_line(axis, 1e3 * BOUNDS_M["5 mm"])
-            axis.set(title=f"{law}, {world}", ylim=(0.05, 600.0))
-        row[0].set_ylabel("distance to the goal, mm")
-    axes[1, 0].set_xlabel("time, s")
-    legend(figure, axes[0, 0], len(EXPONENTS))
+def _errors(places: Mapping[Any, Results]):
+    """One run with each fixed exponent, a panel per form and world; figure 2."""
+    looks = {
+        f"{exponent:g}": {"color": colour, "linewidth": 1.3}
+        for exponent, colour in zip(EXPONENTS, shades(len(EXPONENTS)), strict=True)
+    }
+    figure, axes = grid(2, 2, (11, 7), sharex=True, sharey=True)
+    for axis, ((world, law), runs) in zip(axes.flat, places.items(), strict=True):
+        errors_over_time(axis, runs, "exponent", looks)
+        axis.set(title=f"{law}, {world}", xlabel="time, s", ylabel="distance to the goal, mm")
+        axis.label_outer()
+    legend(figure, len(EXPONENTS))
     return figure
 
 
-def _adaptive(groups: dict[Any, Results]):
-    places = ((SILENT, LITERAL), (SILENT, IMPLICIT), (NOISY, IMPLICIT))
-    shown = {"0.1": "#D55E00", "0.5": "#009E73", ADAPTIVE: "#0072B2"}
-    figure, axes = panels(3, 3, (12, 8), sharex=True, sharey="row")
-    for (error, command, profile), (world, law) in zip(axes.T, places, strict=True):
-        for exponent, colour in shown.items():
-            series = groups[world, law, exponent].rows[0]["series"]
-            error_curve(error, series, color=colour, label=exponent)
-            joint = int(np.abs(series["command_rad_s"]).max(axis=0).argmax())
-            command.plot(series["time_s"], series["command_rad_s"][:, joint], color=colour)
-        profile.plot(series["time_s"], series["exponent"], label=["x", "y", "z"])
-        bound_line(error, 1e3 * BOUNDS_M["5 mm"])
-        error.set(title=f"{law}, {world}", ylim=(0.05, 600.0))
-        profile.set(xlabel="time, s", xlim=(0.0, 2.5), ylim=(0.0, 0.6))
-    names = ("distance to the goal, mm", "fastest joint's command, rad/s", "adaptive exponent γ")
+def _fastest_joint(row: Mapping[str, Any]) -> np.ndarray:
+    commands = row["series"]["command_rad_s"]
+    return commands[:, int(np.abs(commands).max(axis=0).argmax())]
+
+
+_ADAPTIVE_SIGNALS: tuple[Signal, ...] = (
+    ("fastest joint's command, rad/s", _fastest_joint),
+    ("adaptive exponent γ of x, y and z", lambda row: row["series"]["exponent"]),
+)
+
+
+def _adaptive(places: Mapping[Any, Results]):
+    """One run with the adaptive exponent and two fixed ones; figure 3."""
+    looks = {"0.1": {"color": "#D55E00"}, "0.5": {"color": "#009E73"}}
+    own = {ADAPTIVE: {"color": "#0072B2"}}
+    each = {ADAPTIVE: {"label": ["x", "y", "z"]}}
+    chosen = ((SILENT, LITERAL), (SILENT, IMPLICIT), (NOISY, IMPLICIT))
+    figure, axes = grid(3, 3, (12, 8), sharex=True, sharey="row")
+    command, exponent = _ADAPTIVE_SIGNALS
+    for column, place in zip(axes.T, chosen, strict=True):
+        errors_over_time(column[0], places[place], "exponent", looks | own)
+        over_time(column[1], places[place], command, "exponent", looks | own)
+        over_time(column[2], places[place], exponent, "exponent", each)
+        column[0].set_title(", ".join(reversed(place)))
+        column[2].set(xlabel="time, s", xlim=(0.0, 2.5), ylim=(0.0, 0.6))
+    names = ("distance to the goal, mm", command[0], exponent[0])
     for axis, name in zip(axes[:, 0], names, strict=True):
         axis.set_ylabel(name)
-    axes[0, 2].legend(title="exponent")
-    axes[2, 2].legend(title="axis", ncols=3)
+    legend(figure)
     return figure
 
 
 def _summary(runs: Results):
-    figure, (axes,) = panels(1, 2, (11, 4.4))
-    looks = {}
-    for (world, law), ones in runs.groups("world", "law").items():
-        fixed = Results(
-            {**row, "exponent": float(row["exponent"])}
-            for row in ones
-            if row["exponent"].replace(".", "").isdigit()
-        )
-        style = ":" if world == SILENT else "-"
-        look: dict[str, Any] = {"color": _COLOURS[law], "linestyle": style}
-        looks[f"{law}, {world}"] = look
-        medians(axes[0], fixed, "exponent", "to_5mm_s", **look)
-        medians(axes[1], fixed, "exponent", "jitter_rad_s", least=0.01, **look)
-    for exponent, place, colour in ((ADAPTIVE, 0.5, "black"), (ADAPTIVE_SCALED, 0.9, "#CC79A7")):
-        chosen = runs.where(world=NOISY, law=IMPLICIT, exponent=exponent)
-        look = {"color": colour, "marker": "*", "linestyle": ""}
-        looks[f"adaptive {exponent}"] = look
-        for axis, metric in zip(axes, ("to_5mm_s", "jitter_rad_s"), strict=True):
-            value = METRICS[metric].factor * chosen.median(metric).value
-            ranges(axis, [place], [(value, value, value)], **look, markersize=12)
-    axes[1].set_yscale("log")
-    for axis in axes:
+    """Medians over the exponent; adaptive ones as stars at their exponent near the goal."""
+    near = {ADAPTIVE: 0.5, ADAPTIVE_SCALED: 0.9}
+    rows = [
+        {
+            **row,
+            "line": f"{row['law']}, {row['world']}{', adaptive' * (row['exponent'] in near)}",
+            "near": near.get(row["exponent"]) or float(row["exponent"]),
+        }
+        for row in runs
+        if row["exponent"] not in (ADAPTIVE_LARGE, UNSTABLE)
+    ]
+    looks: dict[str, dict[str, Any]] = {
+        f"{law}, {world}": {"color": colour, "linestyle": style}
+        for law, colour in ((LITERAL, "#D55E00"), (IMPLICIT, "#0072B2"))
+        for world, style in ((SILENT, ":"), (NOISY, "-"))
+    }
+    star = {"color": "black", "marker": "*", "markersize": 12, "linestyle": ""}
+    looks[f"{IMPLICIT}, {NOISY}, adaptive"] = star
+    figure, (axes,) = grid(1, 2, (11, 4.4))
+    for axis, metric in zip(axes, ("to_5mm_s", "jitter_rad_s"), strict=True):
+        against(axis, Results(rows), "near", metric, "line", looks)
         axis.set_xlabel("exponent γ (of stars: near the goal)")
-    keys(figure, looks, 3)
+    axes[1].set_yscale("log")
+    legend(figure, 3)
     return figure
 
 
-EXPERIMENT = Experiment("exponents", measure, claims, tables, figures)
+EXPERIMENT = Experiment("exponents", measure, claims, TABLES, figures)

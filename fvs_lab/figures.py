@@ -1,26 +1,70 @@
-"""What the laboratory's figures are made of: curves, dots, and points with ranges."""
+"""The laboratory's figures: curves over time, dots by category, and bars against a quantity."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fvs_lab.results import METRICS, Metric, Results
-from fvs_lab.statistics import median
-from fvs_lab.style import COLOURS, pyplot
+from fvs_lab.results import METRICS, Metric, Results, label_of, number_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: For those that have no colour of their own in the laboratory.
+#: Okabe and Ito's palette, told apart by all readers; one colour a scheme, everywhere.
+COLOURS = {
+    "proposed": "#0072B2",
+    "rbf+pid": "#D55E00",
+    "ukf+mfac": "#009E73",
+    "ukf+mpc": "#CC79A7",
+    "rbf+mfac": "#009E73",
+    "rbf+mpc": "#CC79A7",
+    "extended": "#E69F00",
+    "best": "#7A1FA2",
+    "oracle": "#000000",
+    "frozen": "#999999",
+    "rbf": "#0072B2",
+    "lkf": "#009E73",
+    "ukf": "#56B4E9",
+    "rls": "#E69F00",
+    "broyden": "#CC79A7",
+}
+#: For those that have no colour of their own.
 _SPARE = ("#56B4E9", "#8C564B", "#999999")
 
 
-def panels(rows: int, columns: int, size: tuple[float, float], **shared: Any):
+def pyplot():
+    """Import pyplot, drawing to files."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    plt.rcParams.update(
+        {
+            "axes.grid": True,
+            "grid.alpha": 0.3,
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+            "font.size": 10,
+            "legend.frameon": False,
+            "legend.fontsize": 9,
+        }
+    )
+    return plt
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG and forget it."""
+    figure.savefig(path, dpi=120)
+    pyplot().close(figure)
+
+
+def grid(rows: int, columns: int, size: tuple[float, float], **shared: Any):
     """A figure and its axes, shape (rows, columns); the size is in inches."""
     return pyplot().subplots(
         rows, columns, figsize=size, squeeze=False, layout="constrained", **shared
@@ -47,15 +91,75 @@ def shades(count: int) -> list[Any]:
     return list(pyplot().get_cmap("viridis")(np.linspace(0.0, 0.92, count)))
 
 
-def error_curve(axis: Axes, series: Mapping[str, np.ndarray], **look: Any) -> None:
-    """Draw the error of a recorded run over time, mm, on a logarithmic axis."""
-    axis.semilogy(series["time_s"], 1e3 * np.maximum(series["error_m"], 1e-6), **look)
-
-
 def bound_line(axis: Axes, bound: float, upright: bool = False) -> None:
     """Draw a thin dotted line at a bound."""
     draw = axis.axvline if upright else axis.axhline
     draw(bound, color="black", linewidth=0.8, linestyle=":")
+
+
+def plain_ticks(axis: Axes, ticks: Sequence[float]) -> None:
+    """Logarithmic horizontal axis with these ticks as plain numbers."""
+    axis.set_xscale("log")
+    axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    axis.minorticks_off()
+
+
+def legend(figure: Figure, columns: int = 4) -> None:
+    """One legend below all panels, each label once."""
+    found: dict[str, Any] = {}
+    for axis in figure.axes:
+        handles, labels = axis.get_legend_handles_labels()
+        found = dict(zip(labels, handles, strict=True)) | found
+    figure.legend(found.values(), found, loc="outside lower center", ncols=columns)
+
+
+# ---- over time ------------------------------------------------------------------------------
+
+#: A curve of a run: label of its axis, and the numbers of its row.
+Signal = tuple[str, Callable[[Mapping[str, Any]], np.ndarray]]
+
+ERROR: Signal = (
+    "distance to the target, mm",
+    lambda row: 1e3 * np.maximum(row["series"]["error_m"], 1e-6),
+)
+
+
+def over_time(
+    axis: Axes, runs: Results, signal: Signal, by: str, looks: Mapping[Any, Mapping[str, Any]]
+) -> None:
+    """Draw a line per value of a column, the median of its runs; those without a look are left out.
+
+    Parameters
+    ----------
+    axis : Axes
+        Where to draw.
+    runs : Results
+        Recorded runs; those of a line have the same times.
+    signal : tuple of str and callable
+        What is drawn.
+    by : str
+        The column.
+    looks : mapping
+        Matplotlib's settings of each line.
+    """
+    for name, some in runs.groups(by).items():
+        if name in looks:
+            curves = np.ma.masked_invalid([signal[1](row) for row in some])
+            middle = np.ma.median(curves, axis=0).filled(np.nan)
+            time_s = some.rows[0]["series"]["time_s"]
+            axis.plot(time_s, middle, **({"label": str(name)} | dict(looks[name])))
+
+
+def errors_over_time(
+    axis: Axes, runs: Results, by: str, looks: Mapping[Any, Mapping[str, Any]]
+) -> None:
+    """Draw the error on a logarithmic axis, with the bound of 5 mm."""
+    over_time(axis, runs, ERROR, by, looks)
+    bound_line(axis, 5.0)
+    axis.set(yscale="log", ylim=(0.05, 600.0))
+
+
+# ---- by category ----------------------------------------------------------------------------
 
 
 def dots(
@@ -63,79 +167,103 @@ def dots(
 ) -> None:
     """Draw a row of dots per name, and a bar at their median; from above.
 
-    Parameters
-    ----------
-    axis : Axes
-        Where to draw.
-    rows : mapping of str to sequence of float
-        The values; what is larger than ``most`` stands there.
-    most : float
-        Largest value shown.
-    named : bool
-        Whether to write the names beside the axis.
+    What is larger than ``most`` stands there; ``named`` writes the names beside the axis.
     """
     for place, (name, values) in enumerate(rows.items()):
-        shown = [min(value, most) for value in values if np.isfinite(min(value, most))]
-        if not shown:
+        shown = np.minimum(np.array(values, dtype=float), most)
+        shown = shown[np.isfinite(shown)]
+        if not shown.size:
             continue
         look: dict[str, Any] = {"color": colour_of(name)}
-        axis.plot(shown, [place] * len(shown), "o", alpha=0.45, markersize=4, **look)
-        centre = median(shown).value
-        axis.plot([centre, centre], [place - 0.32, place + 0.32], linewidth=2.5, **look)
+        axis.plot(shown, np.full(shown.size, place), "o", alpha=0.45, markersize=4, **look)
+        axis.plot(2 * [np.median(shown)], [place - 0.32, place + 0.32], linewidth=2.5, **look)
     if named:
         axis.set_yticks(range(len(rows)), list(rows))
         axis.set_ylim(len(rows) - 0.5, -0.5)
 
 
-def ranges(
+def dots_of(
+    axis: Axes, runs: Results, by: str, metric: str, most: float = np.inf, named: bool = True
+) -> None:
+    """Draw the dots of a metric in its unit, a row per value of a column."""
+    one = METRICS[metric]
+    groups = runs.groups(by)
+    rows = {
+        number_text(name): [one.factor * value for value in some.values(metric)]
+        for name, some in groups.items()
+    }
+    dots(axis, rows, most, named)
+    axis.set_xlabel(one.label)
+
+
+# ---- against a quantity ---------------------------------------------------------------------
+
+#: From runs to a point and the ends of its bar.
+Bar = Callable[[Results], tuple[float, float, float]]
+
+
+def interval_bar(metric: str) -> Bar:
+    """Median with its 95 % interval."""
+
+    def bar(runs: Results) -> tuple[float, float, float]:
+        found = runs.median(metric)
+        return found.value, found.low, found.high
+
+    return _in_unit(bar, METRICS[metric])
+
+
+def spread_bar(metric: str) -> Bar:
+    """Median and the range of 80 % of the runs."""
+
+    def bar(runs: Results) -> tuple[float, float, float]:
+        values = runs.values(metric) or [np.nan]
+        low, middle, high = np.quantile(values, (0.1, 0.5, 0.9), method="nearest")
+        return float(middle), float(low), float(high)
+
+    return _in_unit(bar, METRICS[metric])
+
+
+def share_bar(runs: Results) -> tuple[float, float, float]:
+    """Percent of the runs that settled, with Wilson's interval."""
+    found = runs.share()
+    return 100 * found.value, 100 * found.low, 100 * found.high
+
+
+def _in_unit(bar: Bar, one: Metric) -> Bar:
+    def scaled(runs: Results) -> tuple[float, float, float]:
+        point, low, high = (one.factor * value for value in bar(runs))
+        return point, low, high
+
+    return scaled
+
+
+def bars(
     axis: Axes,
-    places: Sequence[float] | np.ndarray,
-    values: Sequence[tuple[float, float, float]] | np.ndarray,
+    groups: Mapping[Any, Results],
+    bar: Bar,
+    most: float = np.inf,
+    shift: float = 0.0,
     **look: Any,
 ) -> None:
-    """Draw points with the ends of their bars; each value is (point, low, high)."""
-    finite = np.array(values, dtype=float).reshape(-1, 3)
-    finite[~np.isfinite(finite)] = np.nan
-    point, low, high = finite.T
+    """Draw a point with its bar per group, at the group's number, or one after the other.
+
+    What is larger than ``most`` stands there; what is not finite is left out.
+    """
+    numeric = all(isinstance(key, int | float) for key in groups)
+    places = np.array(list(groups) if numeric else range(len(groups)), dtype=float) + shift
+    values = np.minimum(np.array([bar(runs) for runs in groups.values()]).reshape(-1, 3), most)
+    values[~np.isfinite(values)] = np.nan
+    point, low, high = values.T
     shown: dict[str, Any] = {"marker": "o", "markersize": 4, "elinewidth": 0.8} | look
     axis.errorbar(places, point, (point - low, high - point), **shown)
 
 
-def medians(
-    axis: Axes,
-    results: Results,
-    by: str,
-    metric: str,
-    most: float = np.inf,
-    least: float = -np.inf,
-    known: Mapping[str, Metric] = METRICS,
-    **look: Any,
+def against(
+    axis: Axes, runs: Results, x: str, metric: str, by: str, looks: Mapping[Any, Mapping[str, Any]]
 ) -> None:
-    """Draw the medians of a metric, in its unit, with intervals over the values of a column."""
-    one = known[metric]
-    groups = results.groups(by)
-    middles = [runs.median(metric) for runs in groups.values()]
-    ends = [(found.value, found.low, found.high) for found in middles]
-    ranges(axis, list(groups), np.clip(one.factor * np.array(ends), least, most), **look)
-    axis.set_ylabel(one.label)
-
-
-def plain_ticks(axis: Axes, ticks: Sequence[float], across: bool = True) -> None:
-    """Logarithmic axis with these ticks as plain numbers."""
-    name = "x" if across else "y"
-    axis.set(**{f"{name}scale": "log"})
-    labels = [f"{tick:g}" for tick in ticks]
-    (axis.set_xticks if across else axis.set_yticks)(ticks, labels)
-    axis.minorticks_off()
-
-
-def legend(figure: Figure, axis: Axes, columns: int = 4) -> None:
-    """One legend below all panels."""
-    figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=columns)
-
-
-def keys(figure: Figure, looks: Mapping[str, Mapping[str, Any]], columns: int = 4) -> None:
-    """A legend of looks rather than of what was drawn."""
-    line = pyplot().Line2D
-    handles = [line([], [], label=label, **look) for label, look in looks.items()]
-    figure.legend(handles=handles, loc="outside lower center", ncols=columns)
+    """Draw medians with intervals of a metric over a column, a line per value of another one."""
+    for name, some in runs.groups(by).items():
+        if name in looks:
+            look = {"label": str(name)} | dict(looks[name])
+            bars(axis, some.groups(x), interval_bar(metric), **look)
+    axis.set(xlabel=label_of(x), ylabel=label_of(metric))

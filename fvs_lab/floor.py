@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fvs_lab.outcome import BOUNDS_M
+from fvs_lab.outcome import BOUNDS_M, seconds
 from fvs_lab.trials import Case, Conditions, simulation_of
 from fvs_sim_node.kinematics import ball_jacobian, ball_position
 from fvs_sim_node.simulation import Simulation
@@ -40,13 +40,7 @@ SPARE_M = 0.0002
 
 @dataclass(frozen=True)
 class Limits:
-    """What every joint can do.
-
-    Parameters
-    ----------
-    speed_rad_s, acceleration_rad_s2 : float
-        Its limits.
-    """
+    """What every joint can do."""
 
     speed_rad_s: float
     acceleration_rad_s2: float
@@ -79,26 +73,16 @@ class Limits:
 
 @dataclass(frozen=True)
 class Fastest:
-    """The motion that has the ball near the target soonest.
-
-    Parameters
-    ----------
-    limits : Limits
-        Of every joint.
-    time_s : float
-        From rest until the ball is near the target for good, s.
-    travel_rad, speed_rad_s : ndarray, shape (joints,)
-        Of the joints at that time.
-    braking_rad_s2 : ndarray, shape (pieces, joints)
-        Accelerations from then on, each for ``piece_s``; then the joints are at rest.
-    piece_s : float
-        Length of a piece of braking, s.
-    """
+    """The motion that has the ball near the target soonest."""
 
     limits: Limits
+    #: From rest until the ball is near the target for good, s.
     time_s: float
+    #: Of the joints at that time, shape (joints,).
     travel_rad: np.ndarray
     speed_rad_s: np.ndarray
+    #: Accelerations from then on, each for ``piece_s``; then the joints are at rest. Shape
+    #: (pieces, joints).
     braking_rad_s2: np.ndarray
     piece_s: float
 
@@ -131,16 +115,7 @@ def fastest(case: Case, limits: Limits, tolerance_m: float) -> Fastest:
     """Find the motion that has the ball near the target soonest, by true kinematics.
 
     By sequential quadratic programmes from the motion with the least largest joint travel to the
-    target itself. Joints may turn as far as they like.
-
-    Parameters
-    ----------
-    case : Case
-        Start and goal.
-    limits : Limits
-        Of every joint.
-    tolerance_m : float
-        Largest distance from the target that counts as near, m; positive.
+    target itself. Joints may turn as far as they like; near is within the tolerance, m.
 
     Raises
     ------
@@ -256,20 +231,10 @@ def least_travel_rad(case: Case) -> np.ndarray:
 def play_s(
     simulation: Simulation, case: Case, commands_rad_s: np.ndarray, tolerance_m: float
 ) -> float:
-    """Settling time of commands that are played blindly on simulated drives, s.
+    """Settling time of commands, shape (n, joints), played blindly on simulated drives, s.
 
-    As for all schemes, the first command answers the first joint state after the target was given.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        It is reset.
-    case : Case
-        Start, and goal to be judged by.
-    commands_rad_s : ndarray, shape (n, joints)
-        One a joint state; the last one holds.
-    tolerance_m : float
-        Largest distance from the target that counts as settled, m.
+    As for all schemes, the first command answers the first joint state after the target was given;
+    the last one holds.
     """
     target_m = ball_position(np.array(case.goal_rad))
     simulation.reset(case.start_rad, case.seed)
@@ -279,23 +244,16 @@ def play_s(
         simulation.command(command)
         times_s.append(state.time_s)
         errors_m.append(np.linalg.norm(ball_position(state.joints_rad) - target_m))
-    settled = settling_time_s(np.array(times_s), np.array(errors_m), tolerance_m)
-    return float("inf") if settled is None else settled
+    return seconds(settling_time_s(np.array(times_s), np.array(errors_m), tolerance_m))
 
 
 @dataclass(frozen=True)
 class Floor:
-    """How soon a case can be over, by the bound on the error: ``5 mm``, ``2 mm``, ``1 mm``.
+    """How soon a case can be over, by the bound on the error: ``5 mm``, ``2 mm``, ``1 mm``."""
 
-    Parameters
-    ----------
-    least_s : dict of str to float
-        Least time within the joints' limits, s.
-    clairvoyant_s : dict of str to float
-        Settling time of a motion next to the fastest, played blindly on the simulated drives, s.
-    """
-
+    #: Least time within the joints' limits, s.
     least_s: dict[str, float]
+    #: Settling time of a motion next to the fastest, played blindly on the simulated drives, s.
     clairvoyant_s: dict[str, float]
 
 

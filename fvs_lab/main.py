@@ -14,20 +14,14 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fvs_lab.report import (
-    EXPERIMENTS,
-    LONG,
-    Origin,
-    write_page,
-    write_report,
-)
+from fvs_lab.report import EXPERIMENTS, LONG, Origin, write_page, write_report
 from fvs_ros import console
 from fvs_ros.arguments import Parser, how_to_install, one_of
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_ros.version import version
 
 if TYPE_CHECKING:
-    from fvs_lab.context import Context
+    from fvs_lab.experiment import Context
 
 _NEEDS = ("cmaes", "joblib", "jinja2", "matplotlib", "scipy")
 
@@ -142,7 +136,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from fvs_lab.context import Context
+    from fvs_lab.experiment import Context
     from fvs_lab.robustness import UnknownSchemeError, contestants_called, rerun
     from fvs_lab.worlds import KINDS
 
@@ -180,7 +174,7 @@ def _measure(context: Context, arguments: argparse.Namespace) -> int:
         for verdict in report.verdicts:
             print(f"   {verdict.word} ({verdict.whose}): {verdict.claim}", flush=True)
             print(f"      {verdict.finding}", flush=True)
-        page = write_page(context.out)
+        page = write_page(context.out, EXPERIMENTS)
     print(f"page: {page} ({(time.monotonic() - began_s) / 60.0:.1f} min)", flush=True)
     return EXIT_OK
 

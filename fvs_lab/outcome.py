@@ -1,7 +1,8 @@
-"""What came of a run: its record, its judgement, and its row in the tidy table."""
+"""What came of a run: its judgement, and its row in the tidy table."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,7 +14,6 @@ from fvs_tools.score import jitter_rad_s, settling_time_s
 
 #: Errors whose settling times are taken, m.
 BOUNDS_M = {"5 mm": 0.005, "2 mm": 0.002, "1 mm": 0.001}
-
 #: Ticks from one comparison of the Jacobian in use with the true one to the next.
 JACOBIAN_EVERY = 5
 #: The end of a run, over which rest is judged, s.
@@ -24,49 +24,33 @@ NOT_STAYED = "reached 5 mm, but did not stay"
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a trial; errors are of the true ball position.
+    """What came of a trial; errors are of the true ball position."""
 
-    Parameters
-    ----------
-    start_distance_m : float
-        Error when the target was given, m.
-    settling_s : dict of str to (float or None)
-        Time after which the error stayed below a bound, by the bound's name; None for never.
-    final_rms_m : float
-        Error over the last second, rms, m.
-    jitter_rad_s : float
-        Change of the command from tick to tick over the last second, rms, worst joint, rad/s;
-        infinite for an arm that the supervisor held: standing still is not calm.
-    peak_joint_speed_rad_s : float
-        Largest commanded joint speed, rad/s.
-    path_ratio : float
-        Length of the ball's path over the distance.
-    limited_share : float
-        Share of the time to 5 mm (or the whole run) in which a limit shaped the command.
-    jacobian_error : float
-        Relative Frobenius error of the Jacobian that the controller used, mean until settled.
-    failure : str
-        Why it did not settle to 5 mm; empty if it did.
-    target_m : tuple of 3 float
-        The target, camera frame, m; after a bump, that of the camera where it is then.
-    said : str
-        What the controller said last in a run that failed.
-    series : dict of str to ndarray
-        ``time_s`` (n,), ``ball_m`` (n, 3), ``error_m`` (n,), ``command_rad_s`` (n, 6),
-        ``exponent`` (n, 3); empty unless recorded.
-    """
-
+    #: Error when the target was given, m.
     start_distance_m: float
+    #: Time after which the error stayed below a bound, by the bound's name; None for never.
     settling_s: dict[str, float | None]
+    #: Error over the last second, rms, m.
     final_rms_m: float
+    #: Change of the command from tick to tick over the last second, rms, worst joint, rad/s;
+    #: infinite for an arm that the supervisor held: standing still is not calm.
     jitter_rad_s: float
+    #: Largest commanded joint speed, rad/s.
     peak_joint_speed_rad_s: float
+    #: Length of the ball's path over the distance.
     path_ratio: float
+    #: Share of the time to 5 mm (or the whole run) in which a limit shaped the command.
     limited_share: float
+    #: Relative Frobenius error of the Jacobian that the controller used, mean until settled.
     jacobian_error: float
+    #: Why it did not settle to 5 mm; empty if it did.
     failure: str
+    #: The target, camera frame, m; after a bump, that of the camera where it is then.
     target_m: tuple[float, ...]
+    #: What the controller said last in a run that failed.
     said: str = ""
+    #: ``time_s`` (n,), ``ball_m`` and ``exponent`` (n, m), ``error_m`` (n,), ``command_rad_s``
+    #: (n, joints); empty unless recorded.
     series: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
@@ -103,104 +87,71 @@ def seconds(value: float | None) -> float:
     return float("inf") if value is None else value
 
 
-class RunLog:
-    """Collects a run and judges it.
+def outcome_of(
+    times_s: np.ndarray,
+    balls_m: np.ndarray,
+    targets_m: np.ndarray,
+    commands: Sequence[Command],
+    jacobian_errors: np.ndarray,
+    record: bool,
+) -> Outcome:
+    """Judge a run of n ticks.
 
     Parameters
     ----------
-    start_s : float
-        When the target was given, s.
+    times_s : ndarray, shape (n,)
+        Since the target was given, s.
+    balls_m, targets_m : ndarray, shape (n, m)
+        Camera frame, m.
+    commands : sequence of Command
+        What was commanded.
+    jacobian_errors : ndarray
+        Of every ``JACOBIAN_EVERY``-th tick.
+    record : bool
+        Whether to keep the time series.
     """
-
-    def __init__(self, start_s: float) -> None:
-        self._start_s = start_s
-        self._time_s: list[float] = []
-        self._ball_m: list[np.ndarray] = []
-        self._target_m: list[np.ndarray] = []
-        self._command: list[np.ndarray] = []
-        self._exponent: list[np.ndarray] = []
-        self._limited: list[bool] = []
-        self._jacobian_error: list[float] = []
-        self._below_since_s: float | None = None
-        self._last: Command | None = None
-        self._held: str = ""
-
-    def add_jacobian_error(self, error: float) -> None:
-        """Add a comparison of the Jacobian in use with the true one."""
-        self._jacobian_error.append(error)
-
-    def add(self, now_s: float, ball_m: np.ndarray, target_m: np.ndarray, command: Command) -> None:
-        """Add a tick: ball and target in the camera frame, m, and what was commanded."""
-        self._time_s.append(now_s - self._start_s)
-        self._ball_m.append(ball_m)
-        self._target_m.append(target_m)
-        self._command.append(command.velocity_rad_s)
-        output = command.output
-        self._exponent.append(np.full_like(ball_m, np.nan) if output is None else output.exponent)
-        self._limited.append(bool(command.active_limit))
-        self._last = command
-        if command.state is not State.SERVOING:
-            self._held = command.reason.name.lower().replace("_", " ")
-
-    def rested_s(self) -> float:
-        """How long the error has been below 5 mm, s."""
-        now_s = self._time_s[-1]
-        if np.linalg.norm(self._ball_m[-1] - self._target_m[-1]) >= BOUNDS_M["5 mm"]:
-            self._below_since_s = None
-            return 0.0
-        if self._below_since_s is None:
-            self._below_since_s = now_s
-        return now_s - self._below_since_s
-
-    def outcome(self, record: bool) -> Outcome:
-        """Judge the run; ``record`` keeps its time series."""
-        times, balls = np.array(self._time_s), np.array(self._ball_m)
-        commands, targets = np.array(self._command), np.array(self._target_m)
-        errors = np.linalg.norm(balls - targets, axis=1)
-        settling = {
-            name: settling_time_s(times, errors, bound_m) for name, bound_m in BOUNDS_M.items()
+    errors = np.linalg.norm(balls_m - targets_m, axis=1)
+    speeds = np.array([one.velocity_rad_s for one in commands])
+    settling = {name: settling_time_s(times_s, errors, bound) for name, bound in BOUNDS_M.items()}
+    last = times_s > times_s[-1] - REST_S
+    settled = settling["5 mm"]
+    moving = times_s <= (times_s[-1] if settled is None else settled)
+    failure = "" if settled is not None else _cause(errors, commands)
+    steps_m = np.linalg.norm(np.diff(balls_m[moving], axis=0), axis=1)
+    # A bump moves the camera, not the ball.
+    steps_m[np.diff(targets_m[moving], axis=0).any(axis=1)] = 0.0
+    limited = np.array([bool(one.active_limit) for one in commands])
+    serving = commands[-1].state is State.SERVOING
+    nothing = np.full_like(balls_m[0], np.nan)
+    exponents = [nothing if one.output is None else one.output.exponent for one in commands]
+    return Outcome(
+        start_distance_m=float(errors[0]),
+        settling_s=settling,
+        final_rms_m=float(np.sqrt(np.mean(errors[last] ** 2))),
+        jitter_rad_s=jitter_rad_s(speeds[last]) if serving else float("inf"),
+        peak_joint_speed_rad_s=float(np.abs(speeds).max()),
+        path_ratio=float(steps_m.sum()) / float(errors[0]),
+        limited_share=float(np.mean(limited[moving])),
+        jacobian_error=float(np.mean(jacobian_errors[moving[::JACOBIAN_EVERY]])),
+        failure=failure,
+        target_m=tuple(float(value) for value in targets_m[-1]),
+        said=commands[-1].text if failure else "",
+        series={
+            "time_s": times_s,
+            "ball_m": balls_m,
+            "error_m": errors,
+            "command_rad_s": speeds,
+            "exponent": np.array(exponents),
         }
-        last = times > times[-1] - REST_S
-        settled = settling["5 mm"]
-        moving = times <= (times[-1] if settled is None else settled)
-        failure = "" if settled is not None else self._cause(errors)
-        steps_m = np.linalg.norm(np.diff(balls[moving], axis=0), axis=1)
-        # A bump moves the camera, not the ball.
-        steps_m[np.diff(targets[moving], axis=0).any(axis=1)] = 0.0
-        series = {}
-        if record:
-            series = {
-                "time_s": times,
-                "ball_m": balls,
-                "error_m": errors,
-                "command_rad_s": commands,
-                "exponent": np.array(self._exponent),
-            }
-        return Outcome(
-            start_distance_m=float(errors[0]),
-            settling_s=settling,
-            final_rms_m=float(np.sqrt(np.mean(errors[last] ** 2))),
-            jitter_rad_s=self._jitter(commands[last]),
-            peak_joint_speed_rad_s=float(np.abs(commands).max()),
-            path_ratio=float(steps_m.sum()) / float(errors[0]),
-            limited_share=float(np.mean(np.array(self._limited)[moving])),
-            jacobian_error=float(np.mean(np.array(self._jacobian_error)[moving[::JACOBIAN_EVERY]])),
-            failure=failure,
-            target_m=tuple(float(value) for value in targets[-1]),
-            said=self._last.text if failure and self._last is not None else "",
-            series=series,
-        )
+        if record
+        else {},
+    )
 
-    def _jitter(self, commands: np.ndarray) -> float:
-        if self._last is None or self._last.state is not State.SERVOING:
-            return float("inf")
-        return jitter_rad_s(commands)
 
-    def _cause(self, errors: np.ndarray) -> str:
-        if self._last is not None and self._last.state is not State.SERVOING:
-            return f"held: {self._held}"
-        if errors[-125:].min() < BOUNDS_M["5 mm"]:
-            return NOT_STAYED
-        if errors[-1] < 0.9 * errors[0]:
-            return "too slow"
-        return "did not get nearer"
+def _cause(errors: np.ndarray, commands: Sequence[Command]) -> str:
+    """Why a run did not settle."""
+    if commands[-1].state is not State.SERVOING:
+        return f"held: {commands[-1].reason.name.lower().replace('_', ' ')}"
+    if errors[-125:].min() < BOUNDS_M["5 mm"]:
+        return NOT_STAYED
+    return "too slow" if errors[-1] < 0.9 * errors[0] else "did not get nearer"

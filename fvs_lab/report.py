@@ -34,15 +34,7 @@ _WORDS = {True: "holds", False: "does not hold", None: "undecided"}
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture.
-
-    Parameters
-    ----------
-    file : str
-        PNG in the experiment's folder.
-    caption : str
-        What is to be seen, and what in the paper it answers to.
-    """
+    """A picture: a PNG in the experiment's folder, and what is to be seen."""
 
     file: str
     caption: str
@@ -50,17 +42,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text under a header.
-
-    Parameters
-    ----------
-    caption : str
-        What it shows.
-    header : sequence of str
-        Names of the columns.
-    rows : sequence of sequence of str
-        The cells.
-    """
+    """Rows of text under a header."""
 
     caption: str
     header: Sequence[str]
@@ -69,19 +51,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Verdict:
-    """A claim, what was measured, and whether it holds.
-
-    Parameters
-    ----------
-    claim : str
-        The claim, in words.
-    finding : str
-        The number that decides.
-    holds : bool or None
-        None where the measurement does not decide.
-    whose : str
-        Who claims it.
-    """
+    """A claim, the number that decides, whether it holds (None: undecided), and whose it is."""
 
     claim: str
     finding: str
@@ -96,23 +66,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Report:
-    """Everything that an experiment found.
-
-    Parameters
-    ----------
-    name : str
-        The experiment.
-    title : str
-        Heading on the page.
-    question : str
-        What was to be found out, for a reader without the paper.
-    setup : sequence of str
-        What was done, a paragraph each.
-    figures, tables, verdicts : sequence
-        What came of it.
-    data : mapping
-        Every number behind them, with seeds and parameters.
-    """
+    """Everything that an experiment found: words, pictures, and in ``data`` every number."""
 
     name: str
     title: str
@@ -126,24 +80,22 @@ class Report:
 
 @dataclass(frozen=True)
 class Origin:
-    """How results came about.
-
-    Parameters
-    ----------
-    command : str
-        The command line.
-    version : str
-        Of this package; empty where it is not installed.
-    model : str
-        The trained model's file name and the first digits of its SHA-256.
-    quick : bool
-        Whether only a small part was done.
-    """
+    """How results came about."""
 
     command: str
+    #: Of this package; empty where it is not installed.
     version: str
+    #: The trained model's file name and the first digits of its SHA-256.
     model: str
     quick: bool
+
+
+@dataclass(frozen=True)
+class Heading:
+    """What stands above a page that is not the experiments': its title and a paragraph."""
+
+    title: str
+    lead: str
 
 
 def write_report(report: Report, folder: Path, origin: Origin) -> Path:
@@ -155,23 +107,7 @@ def write_report(report: Report, folder: Path, origin: Origin) -> Path:
     return path
 
 
-@dataclass(frozen=True)
-class Heading:
-    """What stands above a page that is not the experiments'.
-
-    Parameters
-    ----------
-    title, lead : str
-        Its title, and a paragraph below it.
-    """
-
-    title: str
-    lead: str
-
-
-def write_page(
-    out: Path, names: Sequence[str] = EXPERIMENTS, heading: Heading | None = None
-) -> Path:
+def write_page(out: Path, names: Sequence[str], heading: Heading | None = None) -> Path:
     """Write ``index.html`` from all results in a folder, pictures included, and ``index.md``.
 
     Parameters
@@ -202,30 +138,25 @@ def write_page(
                 png = (path.parent / figure["file"]).read_bytes()
                 figure["data"] = base64.b64encode(png).decode("ascii")
             reports.append(report)
-    page = out / "index.html"
-    html = _render("page.html.jinja", reports, heading, autoescape=True)
-    page.write_text(html, encoding="utf-8")
-    text = _render("page.md.jinja", reports, heading, autoescape=False)
-    (out / "index.md").write_text(text, encoding="utf-8")
-    return page
+    # Markdown has nothing to escape, HTML has.
+    for template, escape in (("page.html.jinja", True), ("page.md.jinja", False)):
+        environment = jinja(autoescape=escape, keep_trailing_newline=True)
+        page = environment.from_string(template_text(template))
+        text = page.render(reports=reports, heading=heading)
+        (out / template.replace("page", "index").removesuffix(".jinja")).write_text(text, "utf-8")
+    return out / "index.html"
 
 
-def _render(
-    template: str,
-    reports: Sequence[Mapping[str, Any]],
-    heading: Heading | None,
-    autoescape: bool,
-) -> str:
-    from jinja2 import Environment
+def template_text(name: str) -> str:
+    """A template of this package."""
+    return files("fvs_lab").joinpath(name).read_text("utf-8")
 
-    source = files("fvs_lab").joinpath(template).read_text("utf-8")
-    environment = Environment(
-        autoescape=autoescape,  # Markdown has nothing to escape, HTML has
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    return environment.from_string(source).render(reports=reports, heading=heading)
+
+def jinja(**options: Any):
+    """Jinja's environment, in which a block's own line leaves none."""
+    from jinja2 import Environment, StrictUndefined
+
+    return Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, **options)
 
 
 def _plain(value: Any) -> Any:

@@ -1,47 +1,115 @@
-"""One tidy table: a row per run, with what was run and what came of it as columns."""
+"""One tidy table, a row per run: its medians, ratios and shares with intervals, and as text."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from fvs_lab.statistics import Interval, median, ratio_of_medians, wilson
+_RESAMPLES, _LEVEL = 2000, 0.95
+#: With fewer runs not even the whole range of the data is a 95 % interval of their median.
+DECISIVE = 6
+#: A list in a table names this many at most.
+_NAMED = 8
+
+# ---- statistics -----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Metric:
-    """How a column of numbers is shown.
+class Interval:
+    """An estimate with its 95 % interval; infinite where runs did not settle."""
+
+    value: float
+    low: float
+    high: float
+    #: Number of runs behind it; fewer than ``DECISIVE`` decide nothing.
+    count: int = DECISIVE
+
+    def text(self, digits: int = 2, factor: float = 1.0) -> str:
+        """``0.62 (0.58 to 0.71)``, in another unit by a factor."""
+        ends = (number_text(factor * one, digits) for one in (self.value, self.low, self.high))
+        return "{} ({} to {})".format(*ends)
+
+    def above(self, bound: float) -> bool | None:
+        """Whether it is above a bound: all of the interval, none of it, or undecided (None)."""
+        return self._decided(self.low > bound, self.high < bound)
+
+    def below(self, bound: float) -> bool | None:
+        """Whether it is below a bound: all of the interval, none of it, or undecided (None)."""
+        return self._decided(self.high < bound, self.low > bound)
+
+    def _decided(self, yes: bool, no: bool) -> bool | None:
+        return yes if self.count >= DECISIVE and yes != no else None
+
+
+def median(values: Sequence[float], repeats: int = 1) -> Interval:
+    """Median and its bootstrap interval (percentiles of resampled medians).
 
     Parameters
     ----------
-    label : str
-        Header of a table's column and label of an axis, with the unit.
-    factor : float
-        From the SI unit to that unit.
-    digits : int
-        After the decimal point.
+    values : sequence of float
+        One per run; infinite for a run that never settled.
+    repeats : int
+        How often the same cases follow one another, each time with what another search found:
+        both cases and searches are drawn anew then.
     """
+    data = np.asarray(values, dtype=float)
+    medians = _median(data[_resamples(data.size, repeats)])
+    return Interval(float(_median(data)), *_ends(medians), data.size // repeats)
 
-    label: str
-    factor: float = 1.0
-    digits: int = 2
+
+def ratio_of_medians(
+    numerator: Sequence[float], denominator: Sequence[float], repeats: int = 1
+) -> Interval:
+    """Ratio of two medians over the same cases in the same order, by a paired bootstrap."""
+    above, below = np.asarray(numerator, dtype=float), np.asarray(denominator, dtype=float)
+    if above.shape != below.shape:
+        raise ValueError(f"paired runs must be as many: got {above.size} and {below.size}")
+    chosen = _resamples(above.size, repeats)
+    ratios = _ratio(_median(above[chosen]), _median(below[chosen]))
+    middle = float(_ratio(_median(above), _median(below)))
+    return Interval(middle, *_ends(ratios), above.size // repeats)
 
 
-#: The columns that more than one experiment shows.
-METRICS = {
-    "to_5mm_s": Metric("to 5 mm, s"),
-    "to_2mm_s": Metric("to 2 mm, s"),
-    "to_1mm_s": Metric("to 1 mm, s"),
-    "final_rms_m": Metric("final error, mm rms", 1e3),
-    "jitter_rad_s": Metric("jitter, mrad/s", 1e3),
-    "peak_joint_speed_rad_s": Metric("peak joint speed, rad/s"),
-    "path_ratio": Metric("path / distance"),
-    "limited_share": Metric("limited, %", 1e2, 0),
-    "jacobian_error": Metric("Jacobian error, %", 1e2, 1),
-}
+def wilson(hits: int, count: int) -> Interval:
+    """A share and Wilson's 95 % interval, which holds near 0 and 1 as well."""
+    from scipy.stats import binomtest
+
+    ends = binomtest(hits, count).proportion_ci(_LEVEL, method="wilson")
+    return Interval(hits / count, float(ends.low), float(ends.high), count)
+
+
+def _resamples(count: int, repeats: int) -> np.ndarray:
+    """Numbers of runs, shape (resamples, count): drawn cases of drawn repeats."""
+    rng, cases = np.random.default_rng(0), count // repeats
+    drawn = rng.integers(0, cases, (_RESAMPLES, 1, cases))
+    again = rng.integers(0, repeats, (_RESAMPLES, repeats, 1))
+    return (cases * again + drawn).reshape(_RESAMPLES, -1)
+
+
+def _median(data: np.ndarray) -> np.ndarray:
+    """The median of the last axis; infinite if one of two middle values is."""
+    ordered, count = np.sort(data, axis=-1), data.shape[-1]
+    return 0.5 * (ordered[..., (count - 1) // 2] + ordered[..., count // 2])
+
+
+def _ratio(above: np.ndarray, below: np.ndarray) -> np.ndarray:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.asarray(above / below)
+    return np.where(np.isnan(ratio), np.inf, ratio)
+
+
+def _ends(samples: np.ndarray) -> tuple[float, float]:
+    """Percentiles that are samples: interpolation with infinity is none."""
+    ordered = np.sort(samples)
+    tail = round((1.0 - _LEVEL) / 2.0 * (ordered.size - 1))
+    return float(ordered[tail]), float(ordered[-1 - tail])
+
+
+# ---- the tidy table -------------------------------------------------------------------------
 
 
 class Results:
@@ -49,11 +117,6 @@ class Results:
 
     Settling times are infinite for runs that never settle. The column ``search``, where there is
     one, numbers searches of gains whose runs repeat the same cases.
-
-    Parameters
-    ----------
-    rows : iterable of mapping
-        The runs.
     """
 
     def __init__(self, rows: Iterable[Mapping[str, Any]]) -> None:
@@ -67,10 +130,7 @@ class Results:
 
     def where(self, **given: Any) -> Results:
         """The rows with these values."""
-        wanted = given.items()
-        return Results(
-            row for row in self.rows if all(row.get(name) == value for name, value in wanted)
-        )
+        return self.those(lambda row: all(row.get(name) == one for name, one in given.items()))
 
     def those(self, wanted: Callable[[Mapping[str, Any]], bool]) -> Results:
         """The rows that meet a condition."""
@@ -88,8 +148,8 @@ class Results:
         return {key: Results(rows) for key, rows in found.items()}
 
     def values(self, name: str) -> list[Any]:
-        """A column."""
-        return [row[name] for row in self.rows]
+        """A column, of the rows that have it."""
+        return [row[name] for row in self.rows if row.get(name) is not None]
 
     def median(self, name: str) -> Interval:
         """Median of a column with its interval."""
@@ -102,8 +162,7 @@ class Results:
         """
         longer = max(len(self), len(other))
         ones, others = (one.values(name) * (longer // max(1, len(one))) for one in (self, other))
-        searches = max(self._searches(), other._searches())
-        return ratio_of_medians(ones, others, repeats=searches)
+        return ratio_of_medians(ones, others, max(self._searches(), other._searches()))
 
     def share(self, name: str = "settled") -> Interval:
         """Share of the rows whose column is true."""
@@ -113,85 +172,78 @@ class Results:
         return max(1, len({row.get("search") for row in self.rows}))
 
 
-# ---- cells of tables ------------------------------------------------------------------------
-
-Cell = Callable[[Results], str]
+# ---- columns as text ------------------------------------------------------------------------
 
 
-def table(
-    results: Results,
-    by: Mapping[str, str],
-    metrics: Sequence[str] = (),
-    cells: Mapping[str, Cell] | None = None,
-    known: Mapping[str, Metric] = METRICS,
-) -> list[dict[str, str]]:
-    """A row per group: its names, medians with intervals, and further cells.
+@dataclass(frozen=True)
+class Metric:
+    """How a column of numbers is shown."""
 
-    Parameters
-    ----------
-    results : Results
-        The runs.
-    by : mapping of str to str
-        Columns whose values make the groups, and their headers.
-    metrics : sequence of str
-        Columns whose medians are shown.
-    cells : mapping of str to callable, optional
-        Further cells by header, each a function of the group's runs.
-    known : mapping of str to Metric
-        How metrics are shown.
-    """
-    shown = {known[name].label: middle(name, known) for name in metrics} | dict(cells or {})
-    rows = []
-    for key, runs in results.groups(*by).items():
-        names = key if len(by) > 1 else (key,)
-        row = {header: number_text(name) for header, name in zip(by.values(), names, strict=True)}
-        rows.append(row | {header: cell(runs) for header, cell in shown.items()})
-    return rows
+    #: Header of a table's column and label of an axis, with the unit.
+    label: str
+    #: From the SI unit to that unit, and digits after the decimal point.
+    factor: float = 1.0
+    digits: int = 2
 
 
-def middle(name: str, known: Mapping[str, Metric] = METRICS) -> Cell:
-    """Cell: the median of a column with its interval; ``-`` for rows without that column."""
-    one = known[name]
+#: All columns that are shown.
+METRICS = {
+    "to_5mm_s": Metric("to 5 mm, s"),
+    "to_2mm_s": Metric("to 2 mm, s"),
+    "to_1mm_s": Metric("to 1 mm, s"),
+    "final_rms_m": Metric("final error, mm rms", 1e3),
+    "jitter_rad_s": Metric("jitter, mrad/s", 1e3),
+    "peak_joint_speed_rad_s": Metric("peak joint speed, rad/s"),
+    "path_ratio": Metric("path / distance"),
+    "limited_share": Metric("limited, %", 1e2, 0),
+    "jacobian_error": Metric("Jacobian error, %", 1e2, 1),
+    "pace": Metric("own pace"),
+    # settling
+    "bound_s": Metric("bound to 0, s"),
+    "band_5mm_s": Metric("bound to 5 mm, s"),
+    "predicted_5mm_s": Metric("theory's motion to 5 mm, s"),
+    "printed_s": Metric("formula as printed, s"),
+    "printed_sliding_s": Metric("sliding as printed, s"),
+    "sliding_s": Metric("sliding, corrected, s"),
+    # estimators
+    "t1_m": Metric("T1, mm", 1e3, 3),
+    "t1_share": Metric("T1, % of motion", 1e2, 1),
+    "t1_first_m": Metric("T1 in the first second, mm", 1e3),
+    "t2_m": Metric("T2, mm", 1e3, 1),
+    "t2_final_m": Metric("T2 at the end, mm", 1e3, 1),
+    "t2_max_m": Metric("T2 at most, mm", 1e3, 1),
+    "turn_deg": Metric("camera rotated since training by, °"),
+    # rests
+    "error_before": Metric("Jacobian error before, %", 1e2, 1),
+    "error_after": Metric("after, %", 1e2, 1),
+    # beyond
+    "fit_s": Metric("fit and distillation, s of one core", 1.0, 1),
+    "chain_box": Metric("chain, box M, %", 1e2, 3),
+    "chain_workspace": Metric("chain, workspace, %", 1e2, 3),
+    "distilled_box": Metric("distilled networks, box M, %", 1e2),
+    "distilled_workspace": Metric("distilled networks, workspace, %", 1e2),
+    "paper_box": Metric("the paper's training, box M, %", 1e2),
+    "paper_workspace": Metric("the paper's training, workspace, %", 1e2, 0),
+    "late_error_s": Metric("lateness found, off by, ms", 1e3),
+    "stated": Metric("the fit says, %", 1e2, 3),
+    "seen": Metric("off from what the camera sees, %", 1e2, 3),
+    "metric": Metric("off in metres, %", 1e2, 3),
+    "honesty": Metric("the fit says, over what it is off"),
+    "over_5mm": Metric("to 5 mm over floor"),
+    "over_2mm": Metric("to 2 mm over floor"),
+    "over_1mm": Metric("to 1 mm over floor"),
+    "over_clairvoyant": Metric("over clairvoyant"),
+    "later_s": Metric("later by, ms", 1e3, 0),
+    "rms_sigma": Metric("final rms, σ"),
+    "slowdown": Metric("over undisturbed"),
+    "rms_m": Metric("distance from the target, mm rms", 1e3),
+    "speed_m_s": Metric("speed of the target, m/s"),
+}
 
-    def cell(runs: Results) -> str:
-        some = runs.those(lambda row: row.get(name) is not None)
-        return some.median(name).text(one.digits, one.factor) if len(some) else "-"
 
-    return cell
-
-
-def settled(runs: Results) -> str:
-    """Cell: how many runs settled."""
-    return f"{sum(runs.values('settled'))} of {len(runs)}"
-
-
-def failures(runs: Results) -> str:
-    """Cell: causes of failures with their counts."""
-    causes: dict[str, int] = {}
-    for cause in filter(None, runs.values("failure")):
-        causes[cause] = causes.get(cause, 0) + 1
-    ordered = sorted(causes.items(), key=lambda one: -one[1])
-    return "; ".join(f"{count} {cause}" for cause, count in ordered) or "none"
-
-
-def span(values: Sequence[float], factor: float = 1.0, digits: int = 2) -> str:
-    """Least and largest value."""
-    low, high = (number_text(factor * end, digits) for end in (min(values), max(values)))
-    return f"{low} to {high}"
-
-
-def searches(name: str) -> Cell:
-    """Cell: least and largest median of a column, search by search; empty for one search."""
-
-    def cell(runs: Results) -> str:
-        ones = [one.median(name).value for one in runs.those(_searched).groups("search").values()]
-        return span(ones) if len(ones) > 1 else ""
-
-    return cell
-
-
-def _searched(row: Mapping[str, Any]) -> bool:
-    return "search" in row
+def label_of(name: str) -> str:
+    """What readers call a column."""
+    return METRICS[name].label if name in METRICS else name.replace("_", " ")
 
 
 def number_text(value: Any, digits: int | None = None) -> str:
@@ -201,3 +253,75 @@ def number_text(value: Any, digits: int | None = None) -> str:
     if not np.isfinite(value):
         return "never" if value > 0 else "-"
     return f"{value:g}" if digits is None else f"{value:.{digits}f}"
+
+
+def span(values: Sequence[float], factor: float = 1.0, digits: int = 2) -> str:
+    """Least and largest value."""
+    low, high = (number_text(factor * end, digits) for end in (min(values), max(values)))
+    return f"{low} to {high}"
+
+
+def _searched(runs: Results, name: str, one: Metric) -> str:
+    """Least and largest median, search by search."""
+    some = runs.those(lambda row: "search" in row).groups("search").values()
+    return span([each.median(name).value for each in some], one.factor) if len(some) > 1 else ""
+
+
+def _quantile(part: float) -> Callable[[Results, str, Metric], str]:
+    """A run itself: nothing lies between a time and never."""
+    return lambda runs, name, one: number_text(
+        one.factor * float(np.quantile(runs.values(name), part, method="higher")), one.digits
+    )
+
+
+def _listed(runs: Results, name: str, _: Metric) -> str:
+    some = [number_text(one) for one in runs.values(name)]
+    return ", ".join(some[:_NAMED]) + (", ..." if len(some) > _NAMED else "")
+
+
+#: Ways to sum up a column: the words after its label, and what the cell says.
+_SUMMARIES: Mapping[str, tuple[str, Callable[[Results, str, Metric], str]]] = {
+    "median": ("", lambda runs, name, one: runs.median(name).text(one.digits, one.factor)),
+    "of": ("", lambda runs, name, _: f"{sum(map(bool, runs.values(name)))} of {len(runs)}"),
+    "share": ("", lambda runs, name, _: f"{runs.share(name).text(1, 1e2)} %"),
+    "count": ("", lambda runs, name, _: str(len(runs))),
+    "list": ("", _listed),
+    "causes": (
+        "",
+        lambda runs, name, _: "; ".join(
+            f"{count} {cause}" for cause, count in Counter(runs.values(name)).most_common() if cause
+        ),
+    ),
+    "range": (", range", lambda runs, name, one: span(runs.values(name), one.factor, one.digits)),
+    "searches": (", searches", _searched),
+    "half": (", half", _quantile(0.5)),
+    "90 %": (", 90 %", _quantile(0.9)),
+    "all": (", all", _quantile(1.0)),
+}
+
+
+def table(runs: Results, by: Sequence[str], columns: Sequence[str]) -> list[dict[str, str]]:
+    """A row per group of runs.
+
+    Parameters
+    ----------
+    runs : Results
+        The runs.
+    by : sequence of str
+        Columns whose values make the groups.
+    columns : sequence of str
+        Columns to sum up, such as ``to_5mm_s`` for its median with its interval, or after a colon
+        another summary: ``settled:of``, ``failure:causes``, ``over_5mm:all``. A cell is ``-`` where
+        no run of the group has the column.
+    """
+    rows = []
+    for key, some in runs.groups(*by).items():
+        names = key if len(by) > 1 else (key,)
+        row = {label_of(name): number_text(one) for name, one in zip(by, names, strict=True)}
+        for column in columns:
+            name, _, how = column.partition(":")
+            words, text = _SUMMARIES[how or "median"]
+            metric = METRICS.get(name, Metric(name))
+            row[label_of(name) + words] = text(some, name, metric) if some.values(name) else "-"
+        rows.append(row)
+    return rows

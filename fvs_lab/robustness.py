@@ -3,19 +3,37 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from fvs_lab.context import Context
-from fvs_lab.experiment import OURS, Claim, Experiment, Found, Named, share_above
-from fvs_lab.figures import bound_line, colours_of, error_curve, keys, panels, ranges
-from fvs_lab.outcome import BOUNDS_M, NOT_STAYED, REST_S, Outcome
-from fvs_lab.results import METRICS, Results, number_text
-from fvs_lab.statistics import Interval, wilson
-from fvs_lab.style import save
+from fvs_lab.experiment import (
+    OURS,
+    Claim,
+    Context,
+    Drawn,
+    Experiment,
+    Found,
+    TableOf,
+    share_above,
+)
+from fvs_lab.figures import (
+    Bar,
+    bars,
+    bound_line,
+    colours_of,
+    errors_over_time,
+    grid,
+    legend,
+    save,
+    share_bar,
+    spread_bar,
+)
+from fvs_lab.outcome import NOT_STAYED, REST_S, Outcome
+from fvs_lab.results import Interval, Results, label_of, wilson
+from fvs_lab.search import ORACLE, ORACLES
 from fvs_lab.trials import Trial, Variant, run_trial
 from fvs_lab.worlds import DISTANCE_M, HARSH, QUANTITIES, Kind, World, draw_world
 from fvs_ros.arguments import unknown
@@ -25,13 +43,10 @@ from fvs_tools.schemes import BEYOND, SCHEMES, Scheme
 DURATION_S = 6.0
 #: Share of the trials that a robust scheme must master.
 WANTED = 0.99
-#: Trials named in the table of failures, for each cause.
-_NAMED = 8
 
-_ORACLE = Scheme("oracle, proportional", "oracle", "proportional", "")
 #: Who competes, with the defaults of the nodes. A new one is a line.
-CONTESTANTS = (*SCHEMES.values(), _ORACLE, *BEYOND.values())
-_QUICK = ("proposed", _ORACLE.name)
+CONTESTANTS = (*SCHEMES.values(), ORACLES[ORACLE], *BEYOND.values())
+_QUICK = ("proposed", ORACLE)
 
 
 class UnknownSchemeError(ValueError):
@@ -73,7 +88,7 @@ def judged(outcome: Outcome) -> Outcome:
 def experiment_in(kind: Kind) -> Experiment:
     """The experiment in worlds of a kind."""
     return Experiment(
-        kind.name, partial(measure, kind), claims, tables, figures, template="robustness"
+        kind.name, partial(measure, kind), claims, TABLES, figures, template="robustness"
     )
 
 
@@ -104,39 +119,23 @@ def measure(kind: Kind, context: Context) -> Found:
 
 
 def rerun(context: Context, kind: Kind, number: int) -> None:
-    """Run one trial again, print a line for every contestant, and draw its error over time.
-
-    Parameters
-    ----------
-    context : Context
-        Settings.
-    kind : Kind
-        Of the worlds.
-    number : int
-        Of the trial, from 1.
-
-    Raises
-    ------
-    UnknownSchemeError
-        If there is no scheme of a wanted name.
-    """
+    """Run one trial again, print a line for every contestant, and draw its error over time."""
     contestants = contestants_called(context.schemes)
     world = draw_world(kind, number)
     print(f"   trial {number}: {world.text()}", flush=True)
     trials = [trial_in(world, one, context.rendered, record=True) for one in contestants]
-    figure, ((axis,),) = panels(1, 1, (9.0, 5.0))
+    figure, ((axis,),) = grid(1, 1, (9.0, 5.0))
     names = [one.name for one in contestants]
     outcomes = map(judged, context.map(run_trial, trials, kind.name))
+    rows, looks = [], {}
     for outcome, (name, colour) in zip(outcomes, colours_of(names).items(), strict=True):
-        text = (
-            f"failed ({outcome.failure})"
-            if outcome.failure
-            else (f"settled after {outcome.settled_s:.2f} s")
-        )
+        text = f"settled after {outcome.settled_s:.2f} s"
+        text = f"failed ({outcome.failure})" if outcome.failure else text
         print(f"   {name}: {text}, {1e3 * outcome.final_rms_m:.1f} mm rms in the last second"
               f"{outcome.said and f'; status: {outcome.said}'}", flush=True)  # fmt: skip
-        error_curve(axis, outcome.series, color=colour, label=f"{name}: {text}")
-    bound_line(axis, 1e3 * BOUNDS_M["5 mm"])
+        rows.append(outcome.row(scheme=name))
+        looks[name] = {"color": colour, "label": f"{name}: {text}"}
+    errors_over_time(axis, Results(rows), "scheme", looks)
     if world.bump is not None:
         bound_line(axis, world.bump.time_s, upright=True)
     axis.set(xlabel="time since the target was given, s", ylabel="error, mm",
@@ -150,155 +149,98 @@ def rerun(context: Context, kind: Kind, number: int) -> None:
 # ---- claims ---------------------------------------------------------------------------------
 
 
-def settled_by(runs: Results, share: float) -> float:
-    """Time by which this share of the runs had settled, s; infinite if fewer ever do."""
-    times = np.sort(runs.values("to_5mm_s"))
-    return float(times[math.ceil(share * times.size) - 1])
-
-
-def wins(ones: Results, others: Results) -> Interval | None:
+def wins(ones: Results, others: Results) -> Interval:
     """Of the worlds in which just one of two settles, the share that the first one does.
 
-    Returns
-    -------
-    Interval or None
-        None where there is no such world.
+    Without such a world nothing tells the two apart.
     """
     pairs = zip(ones.values("settled"), others.values("settled"), strict=True)
     won = [one for one, other in pairs if one != other]
-    return wilson(sum(won), len(won)) if won else None
+    return wilson(sum(won), len(won)) if won else Interval(0.5, 0.0, 1.0, 0)
 
 
 def best_of(runs: Results) -> str:
     """The competitor that settles in most worlds; of equals, the one with the shorter median."""
-    groups = {name: ones for name, ones in runs.groups("scheme").items() if name != _ORACLE.name}
+    groups = {name: ones for name, ones in runs.groups("scheme").items() if name != ORACLE}
     return min(
-        groups, key=lambda name: (-groups[name].share().value, settled_by(groups[name], 0.5))
+        groups,
+        key=lambda name: (
+            -groups[name].share().value,
+            np.quantile(groups[name].values("to_5mm_s"), 0.5, method="lower"),
+        ),
     )
 
 
 def claims(found: Found) -> Iterator[Claim]:
     """Judge every scheme, and the lead of the best one over the paper's."""
     schemes = found.runs.groups("scheme")
-    for name in sorted(schemes, key=lambda name: name == _ORACLE.name):
+    for name in sorted(schemes, key=lambda name: name == ORACLE):
         part = share_above("trials that settle", schemes[name].share(), WANTED)
         yield Claim("enough", OURS, [part], given={"scheme": name})
-    if set(schemes) == {_ORACLE.name}:
+    if set(schemes) == {ORACLE}:
         return
     best = best_of(found.runs)
-    parts = []
-    for name in SCHEMES:
-        if name in schemes and name != best:
-            share = wins(schemes[best], schemes[name])
-            label = f"of the worlds that only one of it and {name} masters"
-            # Without such a world nothing tells the two apart.
-            parts.append(share_above(label, share or Interval(0.5, 0.0, 1.0, 0), 0.5))
+    parts = [
+        share_above(
+            f"of the worlds that only one of it and {name} masters",
+            wins(schemes[best], schemes[name]),
+            0.5,
+        )
+        for name in SCHEMES
+        if name in schemes and name != best
+    ]
     yield Claim("lead", OURS, parts, given={"scheme": best})
 
 
 # ---- tables and figures ---------------------------------------------------------------------
 
-
-def _share_text(runs: Results) -> str:
-    share = runs.share()
-    return f"{100 * share.value:.1f} % ({100 * share.low:.1f} to {100 * share.high:.1f})"
-
-
-def _plain(runs: Results, metric: str) -> str:
-    one = METRICS[metric]
-    values = runs.values(metric)
-    return number_text(one.factor * float(np.median(values)), 2) if values else "-"
-
-
-def tables(found: Found) -> Iterator[Named]:
-    """Success and medians, and failures by cause."""
-    rows, failed = [], []
-    for name, runs in found.runs.groups("scheme").items():
-        good = runs.where(settled=True)
-        rows.append(
-            {
-                "scheme": name,
-                "settled": _share_text(runs),
-                "half by, s": number_text(settled_by(runs, 0.5), 2),
-                "90 % by, s": number_text(settled_by(runs, 0.9), 2),
-                "final error, mm rms": _plain(runs, "final_rms_m"),
-                "jitter, mrad/s": _plain(good, "jitter_rad_s"),
-                "path / distance": _plain(good, "path_ratio"),
-            }
-        )
-        causes = runs.where(settled=False).groups("failure")
-        for cause, ones in sorted(causes.items(), key=lambda one: -len(one[1])):
-            trials = [str(number) for number in ones.values("world")]
-            more = ", ..." if len(trials) > _NAMED else ""
-            failed.append(
-                {
-                    "scheme": name,
-                    "cause": cause,
-                    "runs": str(len(trials)),
-                    "trials": ", ".join(trials[:_NAMED]) + more,
-                }
-            )
-    none = {"scheme": "all", "cause": "none", "runs": "0", "trials": "every run settled"}
-    yield "schemes", rows
-    yield "failures", failed or [none]
+TABLES = (
+    TableOf(
+        "schemes",
+        ("scheme",),
+        ("settled:share", "to_5mm_s:half", "to_5mm_s:90 %", "final_rms_m", "failure:causes"),
+    ),
+    TableOf("settled", ("scheme",), ("jitter_rad_s", "path_ratio"), {"settled": True}),
+    TableOf("failures", ("scheme", "failure"), ("world:count", "world:list"), {"settled": False}),
+)
 
 
-#: A point and the ends of its bar.
-_Bar = tuple[float, float, float]
-
-
-def _success(runs: Results) -> _Bar:
-    share = runs.share()
-    return 100 * share.value, 100 * share.low, 100 * share.high
-
-
-def _settling(runs: Results) -> _Bar:
-    half, most = (min(settled_by(runs, share), DURATION_S) for share in (0.5, 0.9))
-    return half, half, most
-
-
-def _jitter(runs: Results) -> _Bar:
-    found = runs.where(settled=True).values("jitter_rad_s") or [np.nan]
-    low, half, high = 1e3 * np.percentile(found, (10, 50, 90), method="nearest")
-    return half, low, high
-
-
-def figures(found: Found) -> Iterator[Named]:
+def figures(found: Found) -> Iterator[Drawn]:
     """Success, settling time and jitter against each quantity that differs."""
-    yield "success", _against(found.runs, _success, "settled, %")
-    yield "settling", _against(found.runs, _settling, METRICS["to_5mm_s"].label)
-    yield "jitter", _against(found.runs, _jitter, METRICS["jitter_rad_s"].label)
+    settled = found.runs.where(settled=True)
+    yield "success", _against(found.runs, share_bar, "settled, %"), {}
+    settling = spread_bar("to_5mm_s")
+    yield "settling", _against(found.runs, settling, label_of("to_5mm_s"), DURATION_S), {}
+    jitter = spread_bar("jitter_rad_s")
+    yield "jitter", _against(settled, jitter, label_of("jitter_rad_s")), {}
 
 
-def _against(runs: Results, bar: Callable[[Results], _Bar], label: str):
+def _against(runs: Results, bar: Bar, label: str, most: float = np.inf):
     """Draw a panel per quantity: a bar for each bin and scheme."""
     varied = [one for one in QUANTITIES if len(set(runs.values(one.name))) > 1] or QUANTITIES[:1]
     columns = min(len(varied), 4)
     rows = math.ceil(len(varied) / columns)
-    figure, axes = panels(rows, columns, (3.25 * columns, 3.3 * rows), sharey=True)
+    figure, axes = grid(rows, columns, (3.25 * columns, 3.3 * rows), sharey=True)
     for axis in axes.flat[len(varied) :]:
         axis.set_visible(False)
-    schemes = runs.groups("scheme")
-    colours = colours_of(list(schemes))
+    colours = colours_of(list(runs.groups("scheme")))
     for axis, quantity in zip(axes.flat, varied, strict=False):
-        counts = dict.fromkeys(range(len(quantity.bins)), 0)
-        for number, (name, ones) in enumerate(schemes.items()):
-            bins = Results(
-                {**row, "bin": quantity.bin_of(row[quantity.name])} for row in ones
-            ).groups("bin")
-            counts |= {place: len(some) for place, some in bins.items()}
-            shift = min(0.12, 0.8 / len(schemes)) * (number - 0.5 * (len(schemes) - 1))
-            places = sorted(bins)
-            bars = [bar(bins[place]) for place in places]
-            ranges(axis, [place + shift for place in places], bars, color=colours[name])
-        names = [f"{name}\n({counts[place]})" for place, name in enumerate(quantity.bins)]
+        binned = Results({**row, "bin": quantity.bin_of(row[quantity.name])} for row in runs)
+        for number, (name, colour) in enumerate(colours.items()):
+            bins = binned.where(scheme=name).groups("bin")
+            shift = min(0.12, 0.8 / len(colours)) * (number - 0.5 * (len(colours) - 1))
+            look = {"color": colour, "label": name}
+            bars(axis, dict(sorted(bins.items())), bar, most, shift, **look)
+        counts = [
+            len(set(binned.where(bin=one).values("world"))) for one in range(len(quantity.bins))
+        ]
+        names = [f"{name}\n({count})" for name, count in zip(quantity.bins, counts, strict=True)]
         axis.set_xticks(range(len(names)), names)
         axis.set_xlabel(quantity.axis)
         axis.grid(visible=False, axis="x")
     for axis in axes[:, 0]:
         axis.set_ylabel(label)
-    looks = {name: {"color": colour, "marker": "o"} for name, colour in colours.items()}
-    keys(figure, looks, 2 * columns)
+    legend(figure, 2 * columns)
     return figure
 
 

@@ -1,20 +1,21 @@
-"""The same automatic search for every scheme: CMA-ES over its gains, equal budget, tuning cases.
+"""The same automatic search of gains for every scheme: CMA-ES, equal budget, tuning cases.
 
-Many searches run abreast: a generation of all of them is one batch of trials, so that all cores
-have work to the end.
+Many searches run side by side: a generation of all of them is one batch of trials, so that all
+cores have work to the end.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
-from fvs_lab.context import Context
+from fvs_lab.experiment import Context
 from fvs_lab.outcome import Outcome
 from fvs_lab.trials import Case, Conditions, Trial, Variant, run_trial
+from fvs_tools.schemes import SCHEMES, Scheme
 
 #: Steepness of the penalty on a constraint's relative violation, s: breaking it by a tenth
 #: costs two seconds, more than any gain is worth.
@@ -29,31 +30,20 @@ SEEDS, _ROUNDS, _ABREAST = 3, 6, 10
 #: True positions with the same noise, coarser physics: fast enough to search.
 TUNING = Conditions(rendered=False, physics_rate_hz=125.0)
 
-ESTIMATOR, CONTROLLER = "estimator", "controller"
-
 Key = TypeVar("Key")
+
+# ---- what is free, and on what terms --------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Knob:
-    """A number that the search may turn.
-
-    Parameters
-    ----------
-    name : str
-        Parameter of a node.
-    low, high : float
-        Its range.
-    node : str
-        ``controller`` or ``estimator``.
-    log : bool
-        Whether the range is divided evenly in the logarithm.
-    """
+    """A node's parameter that the search may turn, and its range."""
 
     name: str
     low: float
     high: float
-    node: str = CONTROLLER
+    of_estimator: bool = False
+    #: Whether the range is divided evenly in the logarithm.
     log: bool = True
 
     def value(self, place: float) -> float:
@@ -63,64 +53,117 @@ class Knob:
             return float(self.low * (self.high / self.low) ** place)
         return float(self.low + (self.high - self.low) * place)
 
-    def place(self, value: float) -> float:
-        """The place from 0 to 1 of a value in the range."""
-        if self.log:
-            return float(np.log(value / self.low) / np.log(self.high / self.low))
-        return (value - self.low) / (self.high - self.low)
+    def at_an_edge(self, value: float) -> bool:
+        """Whether a value is within a twentieth of an end of the range."""
+        return not self.value(0.05) <= value <= self.value(0.95)
+
+
+#: The gains of each law that the search may turn; what is fixed are units (alpha1) and what a
+#: knob already scales.
+_LAW_KNOBS = {
+    "ftsm": (
+        Knob("alpha2", 0.1, 10.0),
+        Knob("alpha3", 0.1, 20.0),
+        Knob("lambda1", 0.35, 0.7, log=False),
+        Knob("lambda2", 0.0, 0.3, log=False),
+        Knob("switch_error_m", 0.002, 0.04),
+        Knob("k4", 0.005, 0.5),
+    ),
+    "proportional": (Knob("proportional_gain_1_s", 0.3, 60.0), Knob("damping", 1e-6, 1e-2)),
+    "mfac": (Knob("mfac_lambda", 1e-4, 3.0), Knob("control_interval_s", 0.015, 3.0)),
+    "mpc": (
+        Knob("mpc_horizon", 1.5, 60.0),
+        Knob("mpc_alpha", 0.3, 1.0, log=False),
+        Knob("mpc_rho", 0.03, 10.0),
+        Knob("mpc_q", 0.0003, 3.0),
+    ),
+}
+#: Of the estimators, the filter has a number that servoing depends on: how fast it follows the arm.
+#: The networks know the whole box, and their n1 is left alone.
+_METHOD_KNOBS = {"ukf": (Knob("online.process_noise", 1e-5, 1e-1, of_estimator=True),)}
 
 
 @dataclass(frozen=True)
 class Limit:
-    """A bound that a tuned scheme must keep in the median tuning case.
+    """A bound that a tuned scheme must keep in the median tuning case."""
 
-    Parameters
-    ----------
-    quantity : str
-        Attribute of :class:`Candidate`.
-    bound : float
-        Its largest value.
-    """
-
+    #: Attribute of :class:`Candidate`, and its largest value.
     quantity: str
     bound: float
 
 
 @dataclass(frozen=True)
-class Search:
-    """What is searched.
+class Regime:
+    """What is held equal."""
 
-    Parameters
-    ----------
-    name : str
-        For progress and data.
-    variant : Variant
-        Estimator, control law and what is fixed.
-    knobs : tuple of Knob
-        The gains that are free.
-    limit : Limit, optional
-        What the gains must keep.
-    duration_s : float
-        Longest run, s.
-    rest_s : float
-        A run ends when the error has been below 5 mm for this time, s. Jitter is that of the last
-        second: where it counts, the way from 5 mm to rest must have ended before.
-    """
-
+    #: In data, and on the page.
     name: str
-    variant: Variant
-    knobs: tuple[Knob, ...]
-    limit: Limit | None = None
-    duration_s: float = 4.0
+    title: str
+    #: Limits of the supervisor, and what tuning must keep.
+    controller_values: Mapping[str, Any]
+    limit: Limit | None
+    #: Length of a run, s.
+    duration_s: float
+    #: A tuning run ends when the error has been below 5 mm for this time, s. Jitter is that of the
+    #: last second: where it counts, the way from 5 mm to rest must have ended before.
     rest_s: float = 1.0
 
-    def at_an_edge(self, gains: Mapping[str, float]) -> list[str]:
-        """Knobs that stand within a twentieth of an end of their range."""
-        return [
-            knob.name
-            for knob in self.knobs
-            if knob.name in gains and not 0.05 <= knob.place(gains[knob.name]) <= 0.95
-        ]
+
+_CLIPPED = {"max_joint_velocity_rad_s": 1.0, "max_joint_acceleration_rad_s2": 6.0}
+#: Limits out of the way; the largest that the controller takes.
+FREE = {"max_joint_velocity_rad_s": 3.14, "max_joint_acceleration_rad_s2": 40.0}
+PEAK_RAD_S, JITTER_RAD_S = 0.8, 0.001
+_PEAK = Limit("peak_joint_speed_rad_s", PEAK_RAD_S)
+_CALM = Limit("jitter_rad_s", JITTER_RAD_S)
+
+#: As on a real arm; nothing clips the command, as in the paper's figures; calm at rest.
+REGIMES = (
+    Regime("limit", "Equal joint-speed limit", _CLIPPED, None, 4.0),
+    Regime("peak", "Equal peak speed, no limit", FREE, _PEAK, 6.0),
+    Regime("jitter", "Equal command jitter", _CLIPPED, _CALM, 5.0, 2.0),
+)
+
+PROPOSED = "proposed"
+#: The paper's other schemes.
+BASELINES = tuple(name for name in SCHEMES if name != PROPOSED)
+#: Laws that are told the true Jacobian: yardsticks.
+ORACLE_SLIDING, ORACLE = "oracle, sliding mode", "oracle, proportional"
+ORACLES = {
+    name: Scheme(name, "oracle", law, "")
+    for name, law in ((ORACLE_SLIDING, "ftsm"), (ORACLE, "proportional"))
+}
+#: Schemes whose gains are searched.
+SEARCHED = {**SCHEMES, **ORACLES}
+
+# ---- a search -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Gains that were tried, and what came of them on the tuning cases."""
+
+    gains: dict[str, float]
+    #: Mean settling time as :meth:`Search.time_s` counts it, s.
+    time_s: float
+    #: Medians over the cases; the settling time is to 5 mm, infinite for never.
+    settled_s: float
+    jitter_rad_s: float
+    peak_joint_speed_rad_s: float
+
+
+@dataclass(frozen=True)
+class Search:
+    """Whose gains are searched, and on what terms."""
+
+    variant: Variant
+    knobs: tuple[Knob, ...]
+    regime: Regime
+
+    @classmethod
+    def of(cls, scheme: Scheme, regime: Regime) -> Search:
+        """The search for the gains of a scheme in a regime."""
+        knobs = (*_LAW_KNOBS[scheme.law], *_METHOD_KNOBS.get(scheme.method, ()))
+        return cls(Variant.of(scheme, **regime.controller_values), knobs, regime)
 
     def gains(self, places: Sequence[float]) -> dict[str, float]:
         """Values of the knobs at places from 0 to 1 of their ranges."""
@@ -130,91 +173,57 @@ class Search:
 
     def trial(self, gains: Mapping[str, float], case: Case, conditions: Conditions) -> Trial:
         """The trial of a case with such gains; knobs that they leave out keep their defaults."""
-        turned: dict[str, dict[str, float]] = {CONTROLLER: {}, ESTIMATOR: {}}
+        turned: tuple[dict[str, float], dict[str, float]] = ({}, {})
         for knob in self.knobs:
             if knob.name in gains:
-                turned[knob.node][knob.name] = gains[knob.name]
+                turned[knob.of_estimator][knob.name] = gains[knob.name]
         variant = replace(
             self.variant,
-            estimator_values={**self.variant.estimator_values, **turned[ESTIMATOR]},
-            controller_values={**self.variant.controller_values, **turned[CONTROLLER]},
+            controller_values={**self.variant.controller_values, **turned[False]},
+            estimator_values={**self.variant.estimator_values, **turned[True]},
         )
-        return variant.trial(case, conditions, duration_s=self.duration_s, stop_after_s=self.rest_s)
+        terms = self.regime
+        return variant.trial(
+            case, conditions, duration_s=terms.duration_s, stop_after_s=terms.rest_s
+        )
 
     def time_s(self, outcomes: Sequence[Outcome]) -> float:
         """Mean settling time, s: to 5 mm, with a small share of that to 2 mm.
 
         A run that did not settle costs its duration and as much again, by the error left.
         """
-        total = 0.0
+        total, duration_s = 0.0, self.regime.duration_s
         for one in outcomes:
             left = min(1.0, one.final_rms_m / one.start_distance_m)
-            never_s = self.duration_s * (1.0 + left)
+            never_s = duration_s * (1.0 + left)
             coarse = never_s if one.failure else one.settled_s
             fine_s = one.settling_s["2 mm"]
-            fine = self.duration_s if fine_s is None else fine_s
+            fine = duration_s if fine_s is None else fine_s
             total += (1.0 - _FINE_SHARE) * coarse + _FINE_SHARE * fine
         return total / len(outcomes)
 
     def judge(self, gains: dict[str, float], outcomes: Sequence[Outcome]) -> Candidate:
         """Sum up what came of gains on the tuning cases."""
-
-        def middle(quantity: str) -> float:
-            return float(np.median([getattr(one, quantity) for one in outcomes]))
-
-        return Candidate(
-            gains=gains,
-            time_s=self.time_s(outcomes),
-            settled_s=middle("settled_s"),
-            jitter_rad_s=middle("jitter_rad_s"),
-            peak_joint_speed_rad_s=middle("peak_joint_speed_rad_s"),
-        )
+        names = ("settled_s", "jitter_rad_s", "peak_joint_speed_rad_s")
+        middle = [float(np.median([getattr(one, name) for one in outcomes])) for name in names]
+        return Candidate(gains, self.time_s(outcomes), *middle)
 
     def cost(self, candidate: Candidate) -> float:
         """What the search makes small, s: settling time, and a penalty beyond the limit."""
-        if self.limit is None:
+        limit = self.regime.limit
+        if limit is None:
             return candidate.time_s
-        excess = getattr(candidate, self.limit.quantity) / self.limit.bound - 1.0
+        excess = getattr(candidate, limit.quantity) / limit.bound - 1.0
         return candidate.time_s + _PENALTY_S * max(0.0, excess)
 
 
 @dataclass(frozen=True)
-class Candidate:
-    """Gains that were tried, and what came of them on the tuning cases.
-
-    Parameters
-    ----------
-    gains : dict of str to float
-        Values of the knobs.
-    time_s : float
-        Mean settling time as :meth:`Search.time_s` counts it, s.
-    settled_s, jitter_rad_s, peak_joint_speed_rad_s : float
-        Medians over the cases; the settling time is to 5 mm, infinite for never.
-    """
-
-    gains: dict[str, float]
-    time_s: float
-    settled_s: float
-    jitter_rad_s: float
-    peak_joint_speed_rad_s: float
-
-
-@dataclass(frozen=True)
 class Tuned:
-    """What a search found.
-
-    Parameters
-    ----------
-    search : Search
-        What was searched.
-    tried : list of Candidate
-        All its candidates, in order.
-    others : list of Candidate
-        Candidates of other searches of the same scheme that count here as well.
-    """
+    """What a search found: all its candidates, in order."""
 
     search: Search
     tried: list[Candidate]
+    #: Candidates of other searches of the same scheme that count here as well.
     others: list[Candidate] = field(default_factory=list)
 
     @property
@@ -227,32 +236,31 @@ class Tuned:
         trial = self.search.trial(self.best.gains, case, conditions)
         return replace(trial, duration_s=duration_s, stop_after_s=None, **changes)
 
+    def summary(self) -> dict[str, Any]:
+        """What is kept of it: the best gains, those at an end of their range, and all others."""
+        gains, knobs = self.best.gains, self.search.knobs
+        return {
+            "regime": self.search.regime.name,
+            "knobs": knobs,
+            "limit": self.search.regime.limit,
+            "fixed": self.search.variant.controller_values,
+            "best": self.best,
+            "at_an_end": [one.name for one in knobs if one.at_an_edge(gains[one.name])],
+            "tried": self.tried,
+        }
+
 
 def run_searches(
     context: Context,
     searches: Sequence[Search],
     cases: Sequence[Case],
-    conditions: Conditions,
     generations: int,
     population: int,
     seed: int,
 ) -> list[Tuned]:
-    """Search all of them with the same budget.
+    """Search all of them with the same budget: generations times population candidates each.
 
-    Parameters
-    ----------
-    context : Context
-        For its cores.
-    searches : sequence of Search
-        What is searched.
-    cases : sequence of Case
-        The tuning cases.
-    conditions : Conditions
-        The world of the tuning runs.
-    generations, population : int
-        The budget: their product is the number of candidates of each search.
-    seed : int
-        Of the first search; each has another one.
+    Each search has another seed, counting from the one given.
     """
     from cmaes import CMA
 
@@ -270,34 +278,32 @@ def run_searches(
     for generation in range(generations):
         asked = [[one.ask() for _ in range(population)] for one in optimisers]
         trials = [
-            search.trial(search.gains(places), case, conditions)
+            search.trial(search.gains(places), case, TUNING)
             for search, candidates in zip(searches, asked, strict=True)
             for places in candidates
             for case in cases
         ]
-        outcomes = iter(
-            context.map(run_trial, trials, f"search, round {generation + 1} of {generations}")
-        )
+        label = f"search, round {generation + 1} of {generations}"
+        outcomes = iter(context.map(run_trial, trials, label))
         for optimiser, one, candidates in zip(optimisers, found, asked, strict=True):
-            told = []
+            costs = []
             for places in candidates:
                 results = [next(outcomes) for _ in cases]
-                candidate = one.search.judge(one.search.gains(places), results)
-                one.tried.append(candidate)
-                told.append((places, one.search.cost(candidate)))
-            optimiser.tell(told)
+                one.tried.append(one.search.judge(one.search.gains(places), results))
+                costs.append((places, one.search.cost(one.tried[-1])))
+            optimiser.tell(costs)
     return found
 
 
 def search_all(
     context: Context, searches: Mapping[Key, Search], cases: Sequence[Case], seed: int
 ) -> dict[Key, list[Tuned]]:
-    """Search each of them several times, from other seeds, all with the same budget.
+    """Search each of them several times, from other seeds; a quick one searches once, and little.
 
     Parameters
     ----------
     context : Context
-        For its cores; a quick one searches once, and little.
+        For its cores.
     searches : mapping to Search
         What is searched.
     cases : sequence of Case
@@ -309,7 +315,6 @@ def search_all(
         context,
         (1 if context.quick else SEEDS) * [*searches.values()],
         cases,
-        TUNING,
         generations=1 if context.quick else _ROUNDS,
         population=2 if context.quick else _ABREAST,
         seed=seed,

@@ -2,36 +2,59 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
-from fvs_lab import servo_figures
-from fvs_lab.context import Context
-from fvs_lab.experiment import OURS, PAPER, Claim, Experiment, Found, Named, below
-from fvs_lab.regimes import (
+import numpy as np
+
+from fvs_lab.experiment import (
+    OURS,
+    PAPER,
+    Claim,
+    Context,
+    Drawn,
+    Experiment,
+    Found,
+    TableOf,
+    below,
+)
+from fvs_lab.figures import (
+    Signal,
+    colour_of,
+    dots_of,
+    errors_over_time,
+    grid,
+    legend,
+    over_time,
+)
+from fvs_lab.results import Results
+from fvs_lab.search import (
     BASELINES,
-    FROZEN,
     JITTER_RAD_S,
     ORACLE_SLIDING,
     PEAK_RAD_S,
     PROPOSED,
     REGIMES,
-    ROWS,
-    SAME_WORLD,
     SEARCHED,
-    search_of,
+    SEEDS,
+    Search,
+    Tuned,
+    search_all,
 )
-from fvs_lab.results import METRICS, Results, searches, settled, span, table
-from fvs_lab.search import SEEDS, Tuned, search_all
-from fvs_lab.spot_check import SpotCheck, spot_checks
 from fvs_lab.spot_check import claims as spot_check_claims
-from fvs_lab.spot_check import rows as spot_check_rows
-from fvs_lab.trials import Case, Conditions, make_cases, run_trial
+from fvs_lab.spot_check import spot_checks
+from fvs_lab.trials import Case, Conditions, make_cases, run_trial, simulation_of
+from fvs_tools.schemes import SCHEMES
 
 _TUNING_SEED, _SCORING_SEED, _SEARCH_SEED = 900, 901, 7
 #: Cases that the figures show, as in the paper.
 _SHOWN = 4
+#: Rows of a regime: the last one has the gains of the proposed scheme.
+FROZEN = "frozen networks, sliding mode"
+ROWS = (*SEARCHED, FROZEN)
+_CIRCLE_S = 0.1
+_VIEW_PX = (320, 240)
 
 #: Searches by regime and scheme.
 _Searches = Mapping[tuple[str, str], Sequence[Tuned]]
@@ -43,21 +66,23 @@ def measure(context: Context) -> Found:
     conditions = Conditions(rendered=False)
     tuning = make_cases("TUNE", 1 if context.quick else 4, _TUNING_SEED)
     scoring = make_cases("EXP", context.count(60, 2), _SCORING_SEED)
-    found = search_all(
-        context,
-        {
-            (regime.name, name): search_of(scheme, regime)
-            for regime in REGIMES
-            for name, scheme in SEARCHED.items()
-        },
-        tuning,
-        _SEARCH_SEED,
-    )
-    for (regime, name), ones in found.items():
-        for other in SAME_WORLD.get(regime, ()):
-            for one, more in zip(ones, found[other, name], strict=True):
-                one.others.extend(more.tried)
-    checks = _checks(context, found, scoring)
+    searches = {
+        (regime.name, name): Search.of(scheme, regime)
+        for regime in REGIMES
+        for name, scheme in SEARCHED.items()
+    }
+    found = search_all(context, searches, tuning, _SEARCH_SEED)
+    # A calm candidate may be the fastest. Not the other way: the runs of ``limit`` end too early
+    # to know jitter at rest.
+    for name in SEARCHED:
+        for one, more in zip(found["limit", name], found["jitter", name], strict=True):
+            one.others.extend(more.tried)
+    regime = REGIMES[-1]
+    checked = {
+        # The nodes have a rendered camera, whatever the laboratory uses.
+        name: found[regime.name, name][0].trial(scoring[0], Conditions(), regime.duration_s)
+        for name in (PROPOSED, "ukf+mpc")
+    }
     facts = {
         "noise_mm": 1e3 * conditions.position_noise_m,
         "latency_ms": 1e3 * conditions.latency_s,
@@ -66,20 +91,19 @@ def measure(context: Context) -> Found:
         "seeds": SEEDS,
         "peak_rad_s": PEAK_RAD_S,
         "jitter_mrad_s": 1e3 * JITTER_RAD_S,
+        "titles": {one.name: one.title for one in REGIMES},
     }
     data = {
         "conditions": conditions,
         "tuning_cases": tuning,
         "scoring_cases": scoring,
         "searches": [
-            {"name": one.search.name, "knobs": one.search.knobs, "limit": one.search.limit,
-             "fixed": one.search.variant.controller_values, "best": one.best, "tried": one.tried}
-            for ones in found.values() for one in ones
+            {"scheme": name, **one.summary()} for (_, name), ones in found.items() for one in ones
         ],
-        "spot_check": checks,
-    }  # fmt: skip
-    extra = {"searches": found, "checks": checks, "cases": scoring[:_SHOWN]}
-    return Found(_score(context, found, scoring, conditions), facts, data, extra)
+        "spot_check": spot_checks(context, checked, scoring[:_SHOWN], "servo"),
+    }
+    runs = _score(context, found, scoring, conditions)
+    return Found(runs, facts, data, {"cases": scoring[:_SHOWN]})
 
 
 def _score(
@@ -89,34 +113,22 @@ def _score(
     labels, trials = [], []
     for regime in REGIMES:
         for row in ROWS:
-            changes = {"method": "frozen"} if row == FROZEN else {}
-            for search, tuned in enumerate(found[regime.name, PROPOSED if changes else row]):
+            for search, tuned in enumerate(found[regime.name, PROPOSED if row == FROZEN else row]):
                 for number, case in enumerate(cases):
                     labels.append(
                         {"regime": regime.name, "scheme": row, "search": search, "case": case.name}
                     )
                     record = search == 0 and number < _SHOWN
-                    trials.append(
-                        tuned.trial(case, conditions, regime.duration_s, record=record, **changes)
-                    )
+                    trial = tuned.trial(case, conditions, regime.duration_s, record=record)
+                    trials.append(trial.with_method("frozen") if row == FROZEN else trial)
     outcomes = context.map(run_trial, trials, "servoing")
     return Results(one.row(**label) for one, label in zip(outcomes, labels, strict=True))
 
 
-def _checks(context: Context, found: _Searches, scoring: Sequence[Case]) -> list[SpotCheck]:
-    regime = REGIMES[-1]
-    trials = {
-        # The nodes have a rendered camera, whatever the laboratory uses.
-        name: found[regime.name, name][0].trial(scoring[0], Conditions(), regime.duration_s)
-        for name in (PROPOSED, "ukf+mpc")
-    }
-    return spot_checks(context, trials, scoring[:_SHOWN], "servo")
-
-
 def claims(found: Found) -> Iterator[Claim]:
     """The proposed scheme against the others in each regime, and against the true Jacobian."""
-    for regime in REGIMES:
-        schemes = found.runs.where(regime=regime.name).groups("scheme")
+    regimes = [(one, found.runs.where(regime=one.name).groups("scheme")) for one in REGIMES]
+    for regime, schemes in regimes:
         parts = [
             below(
                 f"settling time over that of {name}",
@@ -126,73 +138,143 @@ def claims(found: Found) -> Iterator[Claim]:
             for name in BASELINES
         ]
         yield Claim("fastest", PAPER, parts, given={"title": regime.title})
-    schemes = found.runs.where(regime=REGIMES[0].name).groups("scheme")
+    regime, schemes = regimes[0]
     ratio = schemes[PROPOSED].over(schemes[ORACLE_SLIDING], "to_5mm_s")
     label = "settling time over that with the true Jacobian"
-    yield Claim("oracle", OURS, [below(label, ratio, 1.1)], given={"title": REGIMES[0].title})
-    yield from spot_check_claims(found.extra["checks"])
+    yield Claim("oracle", OURS, [below(label, ratio, 1.1)], given={"title": regime.title})
+    yield from spot_check_claims(found.data.get("spot_check", ()))
 
 
-def tables(found: Found) -> Iterator[Named]:
-    """Medians per regime, the gains that were found, failures, spot checks."""
-    metrics = ("to_5mm_s", "to_2mm_s", "final_rms_m", "jitter_rad_s", "peak_joint_speed_rad_s",
-               "jacobian_error")  # fmt: skip
-    cells = {
-        "to 5 mm, searches, s": searches("to_5mm_s"),
-        "settled": settled,
-        "largest joint speed, rad/s": lambda runs: (
-            f"{max(runs.values('peak_joint_speed_rad_s')):.2f}"
-        ),
-    }
-    for regime in REGIMES:
-        runs = found.runs.where(regime=regime.name)
-        rows = table(runs, {"scheme": "scheme"}, metrics, cells, METRICS)
-        yield "regime", rows, {"title": regime.title}
-    yield "gains", _gains(found.extra["searches"])
-    yield "failures", _failures(found.runs)
-    if found.extra["checks"]:
-        yield "spot_check", spot_check_rows(found.extra["checks"])
+_COLUMNS = (
+    "to_5mm_s",
+    "to_2mm_s",
+    "final_rms_m",
+    "jitter_rad_s",
+    "peak_joint_speed_rad_s",
+    "jacobian_error",
+    "to_5mm_s:searches",
+    "settled:of",
+    "failure:causes",
+)
+TABLES = (TableOf("regime", ("scheme",), _COLUMNS, each="regime"),)
+
+# ---- figures --------------------------------------------------------------------------------
+
+_LOOKS: dict[str, dict[str, Any]] = {
+    **{name: {"color": colour_of(name)} for name in SCHEMES},
+    ORACLE_SLIDING: {"color": colour_of(ORACLE_SLIDING), "linestyle": ":"},
+}
 
 
-def _gains(found: _Searches) -> list[dict[str, str]]:
-    rows = []
-    for (regime, name), ones in found.items():
-        best = [one.best.gains for one in ones]
-        gains = (f"{key} {span([one[key] for one in best], digits=4)}" for key in best[0])
-        edges = (edge for one in ones for edge in one.search.at_an_edge(one.best.gains))
-        rows.append(
-            {
-                "regime": regime,
-                "scheme": name,
-                "candidates": " + ".join(str(len(one.tried) + len(one.others)) for one in ones),
-                "gains": ", ".join(gains),
-                "at an end of their range": ", ".join(dict.fromkeys(edges)) or "-",
-            }
-        )
-    return rows
-
-
-def _failures(runs: Results) -> list[dict[str, str]]:
-    failed = runs.where(settled=False)
-    rows: list[dict[str, Any]] = [
-        {"regime": regime, "scheme": scheme, "runs": str(count), "cause": cause}
-        for (regime, scheme), ones in failed.groups("regime", "scheme").items()
-        for cause, count in Counter(ones.values("failure")).most_common()
-    ]
-    return rows or [{"regime": "all", "scheme": "all", "runs": "0", "cause": "none failed"}]
-
-
-def figures(found: Found) -> Iterator[Named]:
-    """Figures 8 to 10 of the paper, all settling times, and what the searches tried."""
+def figures(found: Found) -> Iterator[Drawn]:
+    """Figures 8 to 10 of the paper, and all settling times."""
     cases = found.extra["cases"]
-    yield "summary", servo_figures.summary(found.runs)
+    yield "summary", _summary(found.runs), {}
     for regime in REGIMES[:2]:
         first = found.runs.where(regime=regime.name, search=0)
-        yield "errors", servo_figures.errors(first, regime, cases), {"regime": regime.name}
-    first = found.runs.where(regime=REGIMES[1].name, search=0)
-    yield "views", servo_figures.views(first, cases)
-    yield "paths", servo_figures.paths(first, cases)
-    yield "trade", servo_figures.trade(found.extra["searches"], JITTER_RAD_S)
+        yield "errors", _errors(first, cases), {"regime": regime.name}
+    yield "views", _views(first, cases), {}
+    yield "paths", _paths(first, cases), {}
 
 
-EXPERIMENT = Experiment("servo", measure, claims, tables, figures)
+def _summary(runs: Results):
+    figure, (axes,) = grid(1, len(REGIMES), (15, 3.6), sharey=True)
+    for axis, regime in zip(axes, REGIMES, strict=True):
+        some = runs.where(regime=regime.name)
+        dots_of(axis, some, "scheme", "to_5mm_s", regime.duration_s, named=axis is axes[0])
+        axis.set(title=regime.title, xlim=(0.0, None))
+    return figure
+
+
+def _coordinate(number: int, row: Mapping[str, Any]) -> np.ndarray:
+    return 1e3 * row["series"]["ball_m"][:, number]
+
+
+def _errors(runs: Results, cases: Sequence[Case]):
+    """Error and coordinates against time, a column per case; figure 8."""
+    signals: list[Signal] = [
+        (f"ball {name}, mm", partial(_coordinate, number)) for number, name in enumerate("xyz")
+    ]
+    size, heights = (14, 10), {"height_ratios": [1.7, *(1 for _ in signals)]}
+    figure, axes = grid(1 + len(signals), len(cases), size, sharex=True, gridspec_kw=heights)
+    drawn = runs.those(lambda row: row["scheme"] in _LOOKS and bool(row["series"]))
+    for (top, *lower), (case, some) in zip(axes.T, drawn.groups("case").items(), strict=True):
+        errors_over_time(top, some, "scheme", _LOOKS)
+        top.set_title(case)
+        for axis, signal, target_m in zip(lower, signals, some.rows[0]["target_m"], strict=True):
+            over_time(axis, some, signal, "scheme", _LOOKS)
+            axis.axhline(1e3 * target_m, color="0.3", linestyle="--", linewidth=1)
+        lower[-1].set_xlabel("time, s")
+    # All that is drawn has settled, and some rest.
+    last_s = max((one for one in drawn.values("to_5mm_s") if np.isfinite(one)), default=np.inf)
+    end_s = max(row["series"]["time_s"][-1] for row in drawn)
+    axes[0, 0].set(xlim=(0.0, min(end_s, 1.25 * last_s + 0.3)), ylabel="error, mm")
+    for axis, (label, _) in zip(axes[1:, 0], signals, strict=True):
+        axis.set_ylabel(label)
+    legend(figure, len(_LOOKS))
+    return figure
+
+
+def _views(runs: Results, cases: Sequence[Case]):
+    """The ball's way into the camera's view of its end; figure 9."""
+    names = list(SCHEMES)
+    figure, axes = grid(len(cases), len(names), (13, 2.55 * len(cases)))
+    simulation = simulation_of(Conditions())
+    camera = simulation.intrinsics
+    for row, case in zip(axes, cases, strict=True):
+        simulation.reset(case.goal_rad)
+        simulation.full_frames = True
+        frame = simulation.look().frame
+        simulation.full_frames = False
+        assert frame is not None
+        shown = [runs.where(scheme=name, case=case.name).rows[0] for name in names]
+        trails = [camera.project(_circles(run["series"])) for run in shown]
+        u0, v0 = _corner(np.concatenate(trails), camera.width, camera.height)
+        for axis, name, run, trail in zip(row, names, shown, trails, strict=True):
+            axis.imshow(frame.rgb)
+            axis.plot(*trail.T, "o-", color="white", markersize=5.5, linewidth=2.6)
+            axis.plot(*trail.T, "o-", color=colour_of(name), markersize=4, linewidth=1.2)
+            target = camera.project(np.array(run["target_m"]))
+            axis.plot(*target, "+", color="white", markersize=13, markeredgewidth=2)
+            axis.set(xlim=(u0, u0 + _VIEW_PX[0]), ylim=(v0 + _VIEW_PX[1], v0), xticks=[], yticks=[])
+            axis.grid(visible=False)
+        row[0].set_ylabel(case.name)
+    for axis, name in zip(axes[0], names, strict=True):
+        axis.set_title(name)
+    return figure
+
+
+def _circles(series: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Ball positions a circle apart in time."""
+    step = max(1, round(_CIRCLE_S / float(np.diff(series["time_s"][:2])[0])))
+    return series["ball_m"][::step]
+
+
+def _corner(points: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Upper left corner of a view with the points in its middle, within the image."""
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    view = np.array(_VIEW_PX)
+    return np.clip(middle - 0.5 * view, 0.0, np.array([width, height]) - view)
+
+
+def _paths(runs: Results, cases: Sequence[Case]):
+    """The ball's ways in space; figure 10."""
+    figure, (axes,) = grid(1, len(cases), (13, 3.5), subplot_kw={"projection": "3d"})
+    for axis, case in zip(axes, cases, strict=True):
+        for scheme, look in _LOOKS.items():
+            run = runs.where(scheme=scheme, case=case.name).rows[0]
+            x, y, z = run["series"]["ball_m"].T
+            axis.plot(x, z, -y, label=scheme, **look)
+        axis.plot([x[0]], [z[0]], [-y[0]], "o", color="0.3", markersize=6)
+        x, y, z = run["target_m"]
+        axis.plot([x], [z], [-y], "+", color="k", markersize=12, markeredgewidth=2)
+        axis.set(title=case.name, xlabel="x, right, m", ylabel="z, away, m", zlabel="-y, up, m")
+        axis.locator_params(nbins=4)
+        axis.tick_params(labelsize=7)
+        axis.set_box_aspect(None, zoom=0.8)  # or the labels are cut off
+        axis.set_aspect("equal", adjustable="datalim")  # or a straight way looks wild
+    legend(figure, len(_LOOKS))
+    return figure
+
+
+EXPERIMENT = Experiment("servo", measure, claims, TABLES, figures)

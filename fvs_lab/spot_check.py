@@ -7,7 +7,7 @@ import os
 import re
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from fvs_lab.context import Context
-from fvs_lab.experiment import OURS, Claim, Part
+from fvs_lab.experiment import OURS, Claim, Context, Part
 from fvs_lab.outcome import seconds
-from fvs_lab.results import number_text, span
-from fvs_lab.statistics import median
+from fvs_lab.results import median
 from fvs_lab.trials import PRELUDE_S, Case, Trial, settling_run, simulation_of
 from fvs_ros.paths import program
 
@@ -28,61 +26,39 @@ from fvs_ros.paths import program
 AGREE_S = 0.05
 _TARGET_S = 3.0
 _TIMEOUT_S = 90.0
-
-
-@dataclass(frozen=True)
-class SpotCheck:
-    """Settling times to 5 mm of one scheme, target after target, s; None for never.
-
-    Parameters
-    ----------
-    name : str
-        The scheme, and what is unusual.
-    lock_step_s : sequence of sequence
-        Of the lock-step runs, a row for each seed of the noise.
-    nodes_s : sequence
-        Of the real nodes; empty if they did not run.
-    problem : str
-        Why they did not; empty if they did.
-    """
-
-    name: str
-    lock_step_s: Sequence[Sequence[float | None]]
-    nodes_s: Sequence[float | None]
-    problem: str
-
-    def ranges_s(self) -> list[tuple[float, float]]:
-        """Least and largest lock-step time of each target, s; infinite for never."""
-        columns = zip(*self.lock_step_s, strict=True)
-        return [(min(map(seconds, times)), max(map(seconds, times))) for times in columns]
-
-    def shifts_s(self) -> list[float]:
-        """How much later the nodes settle than the median lock-step run, target by target, s.
-
-        The noise differs in every run and decides when the error is last above 5 mm; a delay that
-        lock step does not know would show in all targets.
-        """
-        columns = zip(*self.lock_step_s, strict=True)
-        expected = [median([seconds(time) for time in times]).value for times in columns]
-        late = [seconds(node) - one for node, one in zip(self.nodes_s, expected, strict=True)]
-        return [one if np.isfinite(one) else float("inf") for one in late]
-
-    def shift_s(self) -> float:
-        """The median of the targets' shifts, s."""
-        return median(self.shifts_s()).value
-
-    def worst_s(self) -> float:
-        """The shift of the target that is furthest off, s."""
-        return max(self.shifts_s(), key=abs)
-
+#: Seeds of the noise in lock step.
+_SEEDS, _QUICK_SEEDS = 6, 2
 
 #: Targets, camera frame, m.
 Targets = Sequence[Sequence[float]]
 
 
+@dataclass(frozen=True)
+class SpotCheck:
+    """Settling times to 5 mm of one scheme, target after target, s; None for never."""
+
+    #: The scheme, and what is unusual.
+    scheme: str
+    #: Of the lock-step runs, a row for each seed of the noise.
+    lock_step_s: Sequence[Sequence[float | None]]
+    #: Of the real nodes; empty if they did not run, and why.
+    nodes_s: Sequence[float | None]
+    problem: str = ""
+
+    def worst_s(self) -> float:
+        """How much later the nodes settle than the median lock-step run, at the worst target, s.
+
+        The noise differs in every run and decides when the error is last above 5 mm.
+        """
+        columns = zip(*self.lock_step_s, strict=True)
+        expected = [median([seconds(time) for time in times]).value for times in columns]
+        late = [seconds(node) - one for node, one in zip(self.nodes_s, expected, strict=True)]
+        return max((one if np.isfinite(one) else float("inf") for one in late), key=abs)
+
+
 def spot_checks(
     context: Context, trials: Mapping[str, Trial], cases: Sequence[Case], experiment: str
-) -> list[SpotCheck]:
+) -> list[dict[str, Any]]:
     """Servo from the first case's start to every case's target, in lock step and by the nodes.
 
     Parameters
@@ -96,10 +72,14 @@ def spot_checks(
         The first one's start, and all targets.
     experiment : str
         Whose folder it is.
+
+    Returns
+    -------
+    list of dict
+        The fields of a :class:`SpotCheck` each.
     """
     if not context.nodes:
         return []
-    folder = context.folder(experiment)
     checks = []
     for number, name in enumerate(list(trials)[: 1 if context.quick else None]):
         simulation = simulation_of(trials[name].conditions)
@@ -109,15 +89,15 @@ def spot_checks(
             targets.append(simulation.true_ball_position().tolist())
         seeded = [
             replace(trials[name], case=replace(cases[0], seed=cases[0].seed + seed))
-            for seed in range(2 if context.quick else 6)
+            for seed in range(_QUICK_SEEDS if context.quick else _SEEDS)
         ]
         in_lock_step = partial(run_chain, targets_m=targets)
         lock_step = context.map(in_lock_step, seeded, f"{name} in lock step")
         print(f"   {name} through the real nodes ...", flush=True)
-        # Other processes' nodes and other checks' must not be heard.
+        # Other processes' nodes and other checks' must not be received.
         domain = 1 + (os.getpid() + number) % 100
-        nodes = _through_nodes(seeded[0], targets, folder, name, domain)
-        checks.append(SpotCheck(name, lock_step, *nodes))
+        nodes = _through_nodes(seeded[0], targets, context.folder(experiment), name, domain)
+        checks.append(asdict(SpotCheck(name, lock_step, *nodes)))
     return checks
 
 
@@ -131,18 +111,12 @@ def _through_nodes(
     scenario.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     path = results / "results.json"
     path.unlink(missing_ok=True)
+    # Whatever the shell says: these commands must not reach a robot of the network.
+    local = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     try:
         ended = subprocess.run(
-            [
-                *(*program("fvs_tools.launcher"), str(scenario)),
-                *("--namespace", "fvs_spot_check"),
-            ],
-            # Whatever the shell says: these commands must not reach a robot of the network.
-            env={
-                **os.environ,
-                "ROS_DOMAIN_ID": str(domain),
-                "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            },
+            [*program("fvs_tools.launcher"), str(scenario), "--namespace", "fvs_spot_check"],
+            env={**os.environ, **local},
             capture_output=True,
             text=True,
             timeout=_TIMEOUT_S,
@@ -153,8 +127,7 @@ def _through_nodes(
     if not path.is_file():
         last = (ended.stdout + ended.stderr).strip().splitlines()[-1:]
         return [], f"the nodes gave no result: {' '.join(last)}"
-    scores = json.loads(path.read_text(encoding="utf-8"))
-    return [one["settling_5mm_s"] for one in scores], ""
+    return [one["settling_5mm_s"] for one in json.loads(path.read_text(encoding="utf-8"))], ""
 
 
 def run_chain(trial: Trial, targets_m: Targets) -> list[float]:
@@ -167,29 +140,21 @@ def run_chain(trial: Trial, targets_m: Targets) -> list[float]:
 
 
 def scenario_of(trial: Trial, targets_m: Targets, results: Path) -> Mapping[str, Any]:
-    """A chain of targets as a scenario: the same parameters, given to the nodes.
-
-    Parameters
-    ----------
-    trial : Trial
-        Estimator, law, gains and conditions; start and seed of its case.
-    targets_m : sequence of sequence of float
-        Targets, camera frame, m.
-    results : Path
-        Folder for the nodes' results.
+    """A chain of targets, camera frame, m, as a scenario: the same parameters for the nodes.
 
     Raises
     ------
     ValueError
         If the nodes cannot have such a camera.
     """
-    conditions = trial.conditions
+    conditions, who = trial.conditions, trial.variant
     if not conditions.rendered or any(conditions.camera_turn_deg[:2]):
         raise ValueError(
             "the nodes have a rendered camera, turned about its optical axis at most: about "
             "another one, the scene would be out of its sight"
         )
     same = ("latency_s", "depth_noise", "position_noise_m")
+    targets = "; ".join(" ".join(f"{one:.6f}" for one in target) for target in targets_m)
     nodes = {
         "fvs_sim_node": {
             "seed": trial.case.seed,
@@ -198,15 +163,13 @@ def scenario_of(trial: Trial, targets_m: Targets, results: Path) -> Mapping[str,
             **{name: getattr(conditions, name) for name in same},
         },
         "fvs_estimator_node": {
-            "method": trial.method,
+            "method": who.method,
             "model_path": trial.model,
-            **trial.estimator_values,
+            **who.estimator_values,
         },
-        "fvs_controller_node": {"law": trial.law, "autostart": True, **trial.controller_values},
+        "fvs_controller_node": {"law": who.law, "autostart": True, **who.controller_values},
         "fvs_demo_node": {
-            "target_positions": "; ".join(
-                " ".join(f"{number:.6f}" for number in target) for target in targets_m
-            ),
+            "target_positions": targets,
             "target_s": _TARGET_S,
             "output_dir": str(results),
         },
@@ -214,30 +177,15 @@ def scenario_of(trial: Trial, targets_m: Targets, results: Path) -> Mapping[str,
     return {name: {"ros__parameters": values} for name, values in nodes.items()}
 
 
-def rows(checks: Sequence[SpotCheck]) -> list[dict[str, str]]:
-    """The table's rows, one per scheme."""
-    return [
-        {
-            "scheme": one.name,
-            "lock step, range, s": ", ".join(span(ends) for ends in one.ranges_s()),
-            "nodes, s": one.problem
-            or ", ".join(number_text(seconds(time), 2) for time in one.nodes_s),
-            "shift (median), s": "" if one.problem else f"{one.shift_s():+.2f}",
-            "worst target, s": "" if one.problem else f"{one.worst_s():+.2f}",
-        }
-        for one in checks
-    ]
-
-
-def claims(checks: Sequence[SpotCheck]) -> Iterator[Claim]:
+def claims(checks: Sequence[Mapping[str, Any]]) -> Iterator[Claim]:
     """The claim ``spot_check``: the nodes settle as lock step does; none without a check."""
-    if checks:
-        yield Claim("spot_check", OURS, [_part(one) for one in checks])
+    yield Claim("spot_check", OURS, [_part(SpotCheck(**one)) for one in checks])
 
 
 def _part(one: SpotCheck) -> Part:
     if one.problem:
-        return Part(one.name, one.problem, None)
+        return Part(one.scheme, one.problem, None)
     worst = abs(one.worst_s())
     text = f"{one.worst_s():+.2f} s, asked: at most {AGREE_S} s either way"
-    return Part(f"{one.name}, target that differs most", text, worst <= AGREE_S, worst / AGREE_S)
+    label = f"{one.scheme}, target that differs most"
+    return Part(label, text, worst <= AGREE_S, worst / AGREE_S)

@@ -1,4 +1,4 @@
-"""One servoing run and its judgement: the atom of every comparison."""
+"""One servoing run and the world it takes place in: the atom of every comparison."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
+import cv2
 import numpy as np
 
-from fvs_lab.disturbances import WHITE, Bump, StableNoise, carried_camera
-from fvs_lab.outcome import JACOBIAN_EVERY, Outcome, RunLog, settling_columns
+from fvs_controller_node.supervisor import Command
+from fvs_lab.outcome import BOUNDS_M, JACOBIAN_EVERY, Outcome, outcome_of, settling_columns
 from fvs_ros.joints import HOME_JOINTS_RAD, TRAINING_BOX_RAD
+from fvs_sim_node.rendering import CameraPose, camera_preset
 from fvs_sim_node.simulation import LIVE, SimConfig, Simulation
 from fvs_tools.closed_loop import MODEL, ClosedLoop, make_estimator
 from fvs_tools.schemes import Scheme
@@ -19,74 +21,62 @@ from fvs_tools.schemes import Scheme
 #: Middle and half widths of the box that starts and goals are drawn from, rad.
 HOME_RAD = np.array(HOME_JOINTS_RAD)
 BOX_RAD = np.array(TRAINING_BOX_RAD)
-
 #: Time at rest before the target is given, for the controller's inputs to be fresh, s.
 PRELUDE_S = 0.4
+#: Share of the ball that must be seen where a case begins and ends.
+VISIBLE = 0.9
+#: Exponent of noise without heavy tails.
+WHITE = 2.0
+#: No error of a coordinate is larger than this, m: the detection knows the size of the ball.
+_LARGEST_ERROR_M = 0.1
+#: What the camera looks at: about where the ball is at home, world frame, m.
+_SCENE_M = np.array([-0.47, -0.1, 0.33])
+
+Vector = tuple[float, float, float]
+
+# ---- the world ------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """What world a run takes place in; the same for all who are compared.
+    """What world a run takes place in; the same for all who are compared."""
 
-    Parameters
-    ----------
-    rendered : bool
-        Whether ball positions come from rendered images.
-    position_noise_m : float
-        Further noise on each coordinate, m.
-    noise_exponent : float
-        That of :class:`StableNoise`; 2 for white noise.
-    depth_noise : float
-        Factor on the depth camera's own noise (rendered only).
-    image_rate_hz : float
-        Images a second.
-    latency_s : float
-        From exposure to the ball position's release, s.
-    dropout : float
-        Share of the images that are lost.
-    focal_error, depth_error : float
-        Errors of the camera's calibration: by what share the focal length that the detection is
-        told, and the depths, are too large.
-    encoder_noise_rad : float
-        White noise on each joint angle that is told, rad.
-    dead_time_s : float
-        From a command to the drives' first answer, s.
-    joint_lag_s : float
-        Further lag of the drives, s.
-    lag_s, acceleration_limit_rad_s2 : float
-        Lag and largest acceleration of the drives themselves, s and rad/s^2.
-    drive_gain : float
-        How fast the drives go over how fast they are told to.
-    physics_rate_hz : float
-        Steps of the physics a second; fewer make a search faster.
-    camera_turn_deg : tuple of 3 float
-        Rotation vector, camera frame, degrees, by which the camera has been carried round the
-        scene since the networks were trained; it still looks at the scene.
-    """
-
+    #: Whether ball positions come from rendered images.
     rendered: bool = True
+    #: Further noise on each coordinate, m, and that of :class:`StableNoise`; 2 for white noise.
     position_noise_m: float = 0.001
     noise_exponent: float = WHITE
+    #: Factor on the depth camera's own noise (rendered only).
     depth_noise: float = 1.0
     image_rate_hz: float = 30.0
+    #: From exposure to the ball position's release, s.
     latency_s: float = 0.04
+    #: Share of the images that are lost.
     dropout: float = 0.0
+    #: By what share the focal length that the detection is told, and the depths, are too large.
     focal_error: float = 0.0
     depth_error: float = 0.0
+    #: White noise on each joint angle that is told, rad.
     encoder_noise_rad: float = 0.0
+    #: From a command to the drives' first answer, and further lag of the drives, s.
     dead_time_s: float = SimConfig.dead_time_s
     joint_lag_s: float = 0.0
+    #: Lag and largest acceleration of the drives themselves, s and rad/s^2.
     lag_s: float = SimConfig.lag_s
     acceleration_limit_rad_s2: float = SimConfig.acceleration_limit_rad_s2
+    #: Speed of the drives over the commanded one.
     drive_gain: float = 1.0
+    #: Steps of the physics a second; fewer make a search faster.
     physics_rate_hz: float = 500.0
-    camera_turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    #: Rotation vector, camera frame, degrees, by which the camera has been carried round the scene
+    #: since the networks were trained; it still looks at the scene.
+    camera_turn_deg: Vector = (0.0, 0.0, 0.0)
 
     def sim_config(self) -> SimConfig:
         """The simulation of these conditions."""
         return SimConfig(
             **{name: getattr(self, name) for name in (*LIVE, *_BUILT)},
-            camera_pose=carried_camera(np.radians(self.camera_turn_deg)),
+            camera_pose=_carried_camera(np.radians(self.camera_turn_deg)),
         )
 
 
@@ -94,115 +84,16 @@ class Conditions:
 _BUILT = ("rendered", "physics_rate_hz", "lag_s", "acceleration_limit_rad_s2")
 
 
-@dataclass(frozen=True)
-class Case:
-    """A start, a goal and the noise between them.
+def _carried_camera(turn_rad: np.ndarray) -> CameraPose:
+    """The front camera, carried round the scene by a rotation vector in its own frame, rad.
 
-    Parameters
-    ----------
-    name : str
-        For tables.
-    start_rad, goal_rad : tuple of float
-        Joints at the start, and joints whose ball position is the target, rad.
-    seed : int
-        Of the run's noise.
+    The Jacobian turns with it; the ball stays in view, which a mere turn by 30 degrees on the
+    spot would not allow.
     """
-
-    name: str
-    start_rad: tuple[float, ...]
-    goal_rad: tuple[float, ...]
-    seed: int
-
-
-@dataclass(frozen=True)
-class Trial:
-    """A case, who is to master it, and under what conditions.
-
-    Parameters
-    ----------
-    case : Case
-        Start, goal and seed.
-    method, law : str
-        Estimator and control law, by their registries' names.
-    estimator_values, controller_values : mapping
-        The nodes' parameters, where they differ from the defaults.
-    conditions : Conditions
-        The world.
-    duration_s : float
-        Time from the target on, s.
-    stop_after_s : float, optional
-        End when the error has been below 5 mm for this time, s; for searches.
-    record : bool
-        Whether to keep the time series.
-    model : str
-        Trained model that the estimator begins with: a file of the ``config`` folder, or a path.
-    bump : Bump, optional
-        A blow to the camera.
-    """
-
-    case: Case
-    method: str
-    law: str
-    estimator_values: Mapping[str, Any] = field(default_factory=dict)
-    controller_values: Mapping[str, Any] = field(default_factory=dict)
-    conditions: Conditions = field(default_factory=Conditions)
-    duration_s: float = 4.0
-    stop_after_s: float | None = None
-    record: bool = False
-    model: str = MODEL
-    bump: Bump | None = None
-
-    def loop(self, simulation: Simulation) -> ClosedLoop:
-        """The whole loop in a simulation that has been reset."""
-        estimator = make_estimator(self.method, simulation, self.estimator_values, self.model)
-        return ClosedLoop(simulation, estimator, {"law": self.law, **self.controller_values})
-
-
-@dataclass(frozen=True)
-class Variant:
-    """One of those that an experiment compares.
-
-    Parameters
-    ----------
-    labels : mapping
-        Columns of the tidy table that tell it from the others.
-    method, law : str
-        Estimator and control law, by their registries' names.
-    estimator_values, controller_values : mapping
-        The nodes' parameters, where they differ from the defaults.
-    conditions : mapping
-        Fields of the conditions that differ from the experiment's.
-    """
-
-    labels: Mapping[str, Any]
-    method: str = "rbf"
-    law: str = "ftsm"
-    estimator_values: Mapping[str, Any] = field(default_factory=dict)
-    controller_values: Mapping[str, Any] = field(default_factory=dict)
-    conditions: Mapping[str, Any] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, scheme: Scheme, **controller_values: Any) -> Variant:
-        """A scheme, labelled by its name, with further parameters of the controller."""
-        return cls(
-            {"scheme": scheme.name},
-            scheme.method,
-            scheme.law,
-            scheme.estimator_values,
-            {**scheme.controller_values, **controller_values},
-        )
-
-    def trial(self, case: Case, conditions: Conditions, **fields: Any) -> Trial:
-        """A trial of it; fields are further ones of the trial."""
-        return Trial(
-            case,
-            self.method,
-            self.law,
-            self.estimator_values,
-            self.controller_values,
-            replace(conditions, **self.conditions),
-            **fields,
-        )
+    camera = camera_preset("front")
+    local = cv2.Rodrigues(np.asarray(turn_rad, dtype=float).reshape(3, 1))[0]
+    turn = camera.rotation @ local @ camera.rotation.T
+    return CameraPose(_SCENE_M + turn @ (camera.position_m - _SCENE_M), camera.rotation @ local)
 
 
 def simulation_of(conditions: Conditions) -> Simulation:
@@ -225,6 +116,122 @@ def simulation_of(conditions: Conditions) -> Simulation:
 @lru_cache(maxsize=4)
 def _build(conditions: Conditions) -> Simulation:
     return Simulation(conditions.sim_config())
+
+
+@dataclass(frozen=True)
+class StableNoise:
+    """Symmetric alpha-stable errors of a ball position, by Chambers, Mallows and Stuck."""
+
+    #: Standard deviation at exponent 2, m; with less, the bulk is as wide and the tails heavy.
+    scale_m: float
+    #: Above 1, up to 2 (white, normally distributed).
+    exponent: float
+
+    def __call__(self, rng: np.random.Generator) -> np.ndarray:
+        """Draw the errors of the three coordinates, cut off where no camera errs that far, m."""
+        alpha = self.exponent
+        angle = rng.uniform(-0.5 * np.pi, 0.5 * np.pi, 3)
+        waiting = rng.exponential(size=3)
+        spread = (np.cos((1.0 - alpha) * angle) / waiting) ** ((1.0 - alpha) / alpha)
+        draw = np.sin(alpha * angle) / np.cos(angle) ** (1.0 / alpha) * spread
+        error_m = self.scale_m / np.sqrt(2.0) * draw
+        return np.clip(error_m, -_LARGEST_ERROR_M, _LARGEST_ERROR_M)
+
+
+@dataclass(frozen=True)
+class Bump:
+    """A blow to the camera in mid-run, after which the target is given anew in the new view."""
+
+    #: After the target was given, s.
+    time_s: float
+    #: Rotation vector about the camera's own centre, camera frame, degrees.
+    rotation_deg: Vector
+    #: In the world frame, m.
+    translation_m: Vector
+
+    def strike(self, simulation: Simulation, parts: int = 1) -> None:
+        """Move the camera, or by one of several equal parts."""
+        simulation.rotate_camera(np.radians(np.array(self.rotation_deg) / parts))
+        simulation.move_camera(np.array(self.translation_m) / parts)
+
+
+# ---- what is run ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Case:
+    """A start, and a goal whose ball position is the target, as joints, rad; seed of the noise."""
+
+    name: str
+    start_rad: tuple[float, ...]
+    goal_rad: tuple[float, ...]
+    seed: int
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One of those that an experiment compares."""
+
+    #: Columns of the tidy table that tell it from the others.
+    labels: Mapping[str, Any] = field(default_factory=dict)
+    #: Estimator and control law, by their registries' names.
+    method: str = "rbf"
+    law: str = "ftsm"
+    #: The nodes' parameters, where they differ from the defaults.
+    estimator_values: Mapping[str, Any] = field(default_factory=dict)
+    controller_values: Mapping[str, Any] = field(default_factory=dict)
+    #: Fields of the conditions that differ from the experiment's.
+    conditions: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, scheme: Scheme, **controller_values: Any) -> Variant:
+        """A scheme, labelled by its name, with further parameters of the controller."""
+        return cls(
+            {"scheme": scheme.name},
+            scheme.method,
+            scheme.law,
+            scheme.estimator_values,
+            {**scheme.controller_values, **controller_values},
+        )
+
+    def trial(self, case: Case, conditions: Conditions, **fields: Any) -> Trial:
+        """A trial of it; fields are further ones of the trial."""
+        return Trial(self, case, replace(conditions, **self.conditions), **fields)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A case, who is to master it, and under what conditions."""
+
+    variant: Variant
+    case: Case
+    conditions: Conditions = field(default_factory=Conditions)
+    #: Time from the target on, s.
+    duration_s: float = 4.0
+    #: End when the error has been below 5 mm for this time, s; for searches.
+    stop_after_s: float | None = None
+    #: Whether to keep the time series.
+    record: bool = False
+    #: Trained model that the estimator begins with: a file of the ``config`` folder, or a path.
+    model: str = MODEL
+    #: A blow to the camera.
+    bump: Bump | None = None
+
+    def with_method(self, method: str) -> Trial:
+        """The same with another estimator."""
+        return replace(self, variant=replace(self.variant, method=method))
+
+    def loop(self, simulation: Simulation) -> ClosedLoop:
+        """The whole loop in a simulation that has been reset."""
+        who = self.variant
+        estimator = make_estimator(who.method, simulation, who.estimator_values, self.model)
+        return ClosedLoop(simulation, estimator, {"law": who.law, **who.controller_values})
+
+
+def sees(simulation: Simulation) -> bool:
+    """Whether the camera sees enough of the ball."""
+    found = simulation.look().detection
+    return found is not None and found.visible_fraction >= VISIBLE
 
 
 def make_cases(
@@ -251,10 +258,9 @@ def make_cases(
         balls = []
         for joints in pair:
             simulation.reset(joints)
-            seen = simulation.look()
-            if seen.detection is None or seen.detection.visible_fraction < 0.9:
+            if not sees(simulation):
                 break
-            balls.append(seen.true_position_m)
+            balls.append(simulation.true_ball_position())
         else:
             if low_m <= float(np.linalg.norm(balls[1] - balls[0])) <= high_m:
                 start, goal = (tuple(float(angle) for angle in joints) for joints in pair)
@@ -263,50 +269,49 @@ def make_cases(
     return cases
 
 
-def run_trial(trial: Trial) -> Outcome:
-    """Run one trial.
+# ---- runs -----------------------------------------------------------------------------------
 
-    Returns
-    -------
-    Outcome
-        The same to the bit for the same trial, in whatever process.
-    """
+
+def run_trial(trial: Trial) -> Outcome:
+    """Run one trial; the same to the bit in whatever process."""
     return drive(trial, simulation_of(trial.conditions))
 
 
 def drive(trial: Trial, simulation: Simulation) -> Outcome:
-    """Run one trial in a simulation that has been set up.
-
-    Parameters
-    ----------
-    trial : Trial
-        What to run; its conditions are those that the simulation is in.
-    simulation : Simulation
-        It is reset; disturbances that were set stay.
-    """
+    """Run one trial in a simulation that has been put under its conditions."""
     simulation.reset(trial.case.goal_rad)
     goal_m = simulation.world.ball_position()
     simulation.reset(trial.case.start_rad, trial.case.seed)
     one = trial.loop(simulation)
     one.run(PRELUDE_S)
-    target_m = _tell_target(one, goal_m)
-    log, bump = RunLog(simulation.time_s), trial.bump
-    bump_tick = None if bump is None else round(bump.time_s / one.period_s)
+    target_m, start_s = _give_target(one, goal_m), simulation.time_s
+    bump_tick = -1 if trial.bump is None else round(trial.bump.time_s / one.period_s)
+    times_s: list[float] = []
+    balls_m: list[np.ndarray] = []
+    targets_m: list[np.ndarray] = []
+    commands: list[Command] = []
+    jacobian_errors: list[float] = []
+    below_since_s = np.inf
     for tick in range(round(trial.duration_s / one.period_s)):
-        if bump is not None and tick == bump_tick:
-            bump.strike(simulation)
-            target_m = _tell_target(one, goal_m)
-        command = one.tick()
-        log.add(simulation.time_s, simulation.true_ball_position(), target_m, command)
+        if trial.bump is not None and tick == bump_tick:
+            trial.bump.strike(simulation)
+            target_m = _give_target(one, goal_m)
+        commands.append(one.tick())
+        times_s.append(simulation.time_s - start_s)
+        balls_m.append(simulation.true_ball_position())
+        targets_m.append(target_m)
         if tick % JACOBIAN_EVERY == 0:
-            log.add_jacobian_error(jacobian_error(one))
-        if trial.stop_after_s is not None and log.rested_s() >= trial.stop_after_s:
+            jacobian_errors.append(jacobian_error(one))
+        near = np.linalg.norm(balls_m[-1] - target_m) < BOUNDS_M["5 mm"]
+        below_since_s = min(below_since_s, times_s[-1]) if near else np.inf
+        if trial.stop_after_s is not None and times_s[-1] - below_since_s >= trial.stop_after_s:
             break
-    return log.outcome(trial.record)
+    series = (np.array(times_s), np.array(balls_m), np.array(targets_m))
+    return outcome_of(*series, commands, np.array(jacobian_errors), trial.record)
 
 
-def _tell_target(one: ClosedLoop, goal_m: np.ndarray) -> np.ndarray:
-    """Tell a target as its camera sees it; where it truly is, camera frame, m."""
+def _give_target(one: ClosedLoop, goal_m: np.ndarray) -> np.ndarray:
+    """Give a target as its camera sees it; where it truly is, camera frame, m."""
     target_m = one.simulation.camera.to_camera(goal_m)
     one.set_target(one.simulation.as_seen(target_m))
     return target_m

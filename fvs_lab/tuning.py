@@ -6,58 +6,38 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from fvs_lab.context import Context
-from fvs_lab.experiment import OURS, Claim, Experiment, Found, Named, below
-from fvs_lab.figures import bound_line, dots, error_curve, panels, shades
-from fvs_lab.outcome import BOUNDS_M
-from fvs_lab.results import METRICS, table
+from fvs_lab.experiment import OURS, Claim, Context, Drawn, Experiment, Found, TableOf, below
+from fvs_lab.figures import dots_of, errors_over_time, grid, shades
+from fvs_lab.results import METRICS
 from fvs_lab.trials import Variant, make_cases
 
 _SEED = 501
-_METRICS = ("to_5mm_s", "jitter_rad_s", "final_rms_m")
 
 
 @dataclass(frozen=True)
 class Knob:
-    """One parameter, and what it is set to.
-
-    Parameters
-    ----------
-    name : str
-        The parameter.
-    values : tuple
-        What it is set to, in the order in which they are drawn; one of them is the default.
-    default : object
-        Its default.
-    of_estimator : bool
-        Whether it is the estimator's.
-    along : mapping of str to float
-        Other parameters, which are set to the value times a factor.
-    conditions : mapping
-        Conditions of the world that are not as usual.
-    """
+    """One parameter, and what it is set to."""
 
     name: str
-    values: tuple[Any, ...]
-    default: Any
+    #: In the order in which they are drawn; one of them is the default.
+    values: tuple[float, ...]
+    default: float
     of_estimator: bool = False
+    #: Other parameters, which are set to the value times a factor.
     along: Mapping[str, float] = field(default_factory=dict)
+    #: Conditions of the world that are not as usual.
     conditions: Mapping[str, Any] = field(default_factory=dict)
 
-    def settings(self, value: Any) -> dict[str, Any]:
+    def settings(self, value: float) -> dict[str, float]:
         """The parameters that are set for a value."""
         return {self.name: value, **{name: factor * value for name, factor in self.along.items()}}
 
-    def variant(self, value: Any) -> Variant:
+    def variant(self, value: float) -> Variant:
         """The paper's scheme with this value."""
-        settings = self.settings(value)
+        node = "estimator_values" if self.of_estimator else "controller_values"
         labels = {"parameter": self.name, "value": value, "default": value == self.default}
-        return Variant(
-            labels,
-            estimator_values=settings if self.of_estimator else {},
-            controller_values={} if self.of_estimator else settings,
-            conditions=self.conditions,
-        )
+        values: dict[str, Any] = {node: self.settings(value)}
+        return Variant(labels, conditions=self.conditions, **values)
 
 
 #: In the order in which one turns them; what to do with each is in the template.
@@ -78,6 +58,13 @@ KNOBS = (
         conditions={"camera_turn_deg": (45.0, 0.0, 0.0)},
     ),
 )
+#: What each knob is for: the claim, the knob, two of its values, and the ratio of the medians of a
+#: metric that is asked for.
+_CLAIMS = (
+    ("speed", "max_joint_velocity_rad_s", 1.0, 0.25, "to_5mm_s", 0.5),
+    ("calm", "alpha3", 1.0, 2.0, "jitter_rad_s", 0.7),
+    ("learning", "rbf.n1", 0.3, 0.0, "to_5mm_s", 0.7),
+)
 
 
 def measure(context: Context) -> Found:
@@ -91,43 +78,40 @@ def measure(context: Context) -> Found:
 
 
 def claims(found: Found) -> Iterator[Claim]:
-    """What each knob is for: ratios of medians at two of its values."""
-    for name, parameter, value, other, metric, bound in (
-        ("speed", "max_joint_velocity_rad_s", 1.0, 0.25, "to_5mm_s", 0.5),
-        ("calm", "alpha3", 1.0, 2.0, "jitter_rad_s", 0.7),
-        ("learning", "rbf.n1", 0.3, 0.0, "to_5mm_s", 0.7),
-    ):
-        runs = found.runs.where(parameter=parameter)
-        if len(runs):
-            ratio = runs.where(value=value).over(runs.where(value=other), metric)
+    """What each knob is for; none for knobs that were not turned."""
+    knobs = found.runs.groups("parameter", "value")
+    for name, parameter, value, other, metric, bound in _CLAIMS:
+        if (parameter, value) in knobs:
+            ratio = knobs[parameter, value].over(knobs[parameter, other], metric)
             label = f"{METRICS[metric].label}: {value:g} over {other:g}"
             yield Claim(name, OURS, [below(label, ratio, bound)])
 
 
-def tables(found: Found) -> Iterator[Named]:
-    """All medians."""
-    by = {"parameter": "parameter", "value": "value", "default": "default"}
-    yield "medians", table(found.runs, by, _METRICS)
+TABLES = (
+    TableOf(
+        "medians",
+        ("parameter", "value", "default"),
+        ("to_5mm_s", "jitter_rad_s", "final_rms_m"),
+    ),
+)
 
 
-def figures(found: Found) -> Iterator[Named]:
+def figures(found: Found) -> Iterator[Drawn]:
     """A picture per parameter: runs, settling time and jitter for each of its values."""
     for name, runs in found.runs.groups("parameter").items():
-        figure, ((run, *axes),) = panels(1, 3, (12.0, 3.4), width_ratios=(2.0, 1.0, 1.0))
+        figure, ((run, *axes),) = grid(1, 3, (12.0, 3.4), width_ratios=(2.0, 1.0, 1.0))
         values = runs.groups("value")
-        for (value, ones), colour in zip(values.items(), shades(len(values)), strict=True):
-            first = ones.rows[0]
-            width = 2.4 if first["default"] else 1.3
-            error_curve(run, first["series"], color=colour, linewidth=width, label=f"{value:g}")
-        bound_line(run, 1e3 * BOUNDS_M["5 mm"])
+        looks = {
+            value: {"color": colour, "linewidth": 2.4 if some.rows[0]["default"] else 1.3}
+            for (value, some), colour in zip(values.items(), shades(len(values)), strict=True)
+        }
+        errors_over_time(run, runs.where(case=runs.rows[0]["case"]), "value", looks)
         run.set(xlabel="time since the target was given, s", ylabel="true error, mm")
         run.legend(title=name)
-        for axis, metric in zip(axes, _METRICS, strict=False):
-            one = METRICS[metric]
-            dots(axis, {f"{value:g}": [one.factor * each for each in ones.values(metric)]
-                        for value, ones in values.items()})  # fmt: skip
-            axis.set(xlabel=one.label, xlim=(0.0, None))
+        for axis, metric in zip(axes, ("to_5mm_s", "jitter_rad_s"), strict=True):
+            dots_of(axis, runs, "value", metric)
+            axis.set_xlim(0.0, None)
         yield "knob", figure, {"knob": name}
 
 
-EXPERIMENT = Experiment("tuning", measure, claims, tables, figures)
+EXPERIMENT = Experiment("tuning", measure, claims, TABLES, figures)

@@ -10,37 +10,23 @@ from typing import Any
 
 import numpy as np
 
-from fvs_lab.disturbances import WHITE, Bump
 from fvs_lab.results import number_text
-from fvs_lab.trials import Case, Conditions, make_cases, simulation_of
-from fvs_sim_node.rendering import CameraPose
-from fvs_sim_node.simulation import Simulation
+from fvs_lab.trials import WHITE, Bump, Case, Conditions, Vector, make_cases, sees, simulation_of
 
 #: Least and largest distance of start and target, m.
 DISTANCE_M = (0.1, 0.5)
-#: Share of the ball that must be seen at start and target, whatever happens to the camera.
-_VISIBLE = 0.9
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of worlds.
+    """A kind of worlds."""
 
-    Parameters
-    ----------
-    name : str
-        Of the experiment.
-    seed : int
-        Of all its worlds.
-    ranges : mapping of str to (float, float)
-        Ranges that everything except start and target is drawn from, evenly.
-    bumped_share, heavy_share : float
-        Shares of the worlds in which the camera is bumped, and in which the noise has heavy tails.
-    """
-
+    #: Of the experiment, and the seed of all its worlds.
     name: str
     seed: int
+    #: Ranges that everything except start and target is drawn from, evenly.
     ranges: Mapping[str, tuple[float, float]]
+    #: Shares of the worlds in which the camera is bumped, and in which the noise has heavy tails.
     bumped_share: float = 0.0
     heavy_share: float = 0.0
 
@@ -93,24 +79,12 @@ KINDS = {kind.name: kind for kind in (EVERYDAY, HARSH)}
 
 @dataclass(frozen=True)
 class World:
-    """What all contestants meet in one trial.
+    """What all contestants meet in one trial."""
 
-    Parameters
-    ----------
-    number : int
-        Of the trial, from 1.
-    case : Case
-        Start, goal and the seed of the noise.
-    distance_m : float
-        From start to target, m.
-    conditions : Conditions
-        Camera, sensor and drives.
-    bump : Bump or None
-        A blow to the camera in mid-run.
-    """
-
+    #: Of the trial, from 1.
     number: int
     case: Case
+    #: From start to target, m.
     distance_m: float
     conditions: Conditions
     bump: Bump | None
@@ -142,27 +116,18 @@ class World:
 
 @dataclass(frozen=True)
 class Quantity:
-    """Something that differs from world to world.
+    """Something that differs from world to world."""
 
-    Parameters
-    ----------
-    name : str
-        Its column.
-    label, unit : str
-        For readers; the unit begins with a space where there is one.
-    scale : float
-        From the column's unit to that unit.
-    edges : tuple of float
-        Of the bins in figures, in that unit; the lower one belongs to the bin, the last one too.
-    names : tuple of str
-        Of the bins; by default their ends.
-    """
-
+    #: Its column.
     name: str
+    #: For readers; the unit begins with a space where there is one.
     label: str
     unit: str
+    #: From the column's unit to that unit.
     scale: float
+    #: Of the bins in figures, in that unit; the lower one belongs to the bin, the last one too.
     edges: tuple[float, ...]
+    #: Of the bins; by default their ends.
     names: tuple[str, ...] = ()
 
     @property
@@ -209,13 +174,6 @@ def draw_world(kind: Kind, number: int) -> World:
 
     How much of everything there is comes from the ranges alone; start, target and the directions
     are drawn until the ball is seen at both ends, before and after whatever happens to the camera.
-
-    Parameters
-    ----------
-    kind : Kind
-        What there is, and the seed of the whole experiment.
-    number : int
-        Of the trial.
     """
     rng = np.random.default_rng([kind.seed, number])
     amount = {name: float(rng.uniform(*range_)) for name, range_ in kind.ranges.items()}
@@ -239,16 +197,14 @@ def draw_world(kind: Kind, number: int) -> World:
             return World(number, case, distance_m, conditions, bump)
 
 
-def _direction(rng: np.random.Generator, length: float) -> tuple[float, float, float]:
+def _direction(rng: np.random.Generator, length: float) -> Vector:
     """Draw a vector of this length, any direction as likely as another."""
     vector = rng.normal(size=3)
     x, y, z = (length * vector / np.linalg.norm(vector)).tolist()
     return (x, y, z)
 
 
-def _visible_distance_m(
-    case: Case, turn_deg: tuple[float, float, float], bump: Bump | None
-) -> float | None:
+def _visible_distance_m(case: Case, turn_deg: Vector, bump: Bump | None) -> float | None:
     """Distance from start to target, m; None if the ball cannot be seen at either of them."""
     simulation = simulation_of(Conditions(camera_turn_deg=turn_deg))
     cameras = [simulation.camera]
@@ -258,13 +214,9 @@ def _visible_distance_m(
     ends = []
     for joints in (case.start_rad, case.goal_rad):
         simulation.reset(np.array(joints))
-        if not all(_sees(simulation, camera) for camera in cameras):
-            return None
+        for camera in cameras:
+            simulation.camera = camera
+            if not sees(simulation):
+                return None
         ends.append(simulation.world.ball_position())
     return float(np.linalg.norm(ends[1] - ends[0]))
-
-
-def _sees(simulation: Simulation, camera: CameraPose) -> bool:
-    simulation.camera = camera
-    detection = simulation.look().detection
-    return detection is not None and detection.visible_fraction >= _VISIBLE

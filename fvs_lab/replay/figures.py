@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from fvs_controller_node.reasons import State
+from fvs_lab.figures import pyplot, save
 from fvs_lab.replay import story
 from fvs_lab.replay.predictions import Prediction
 from fvs_lab.replay.recording import Recording
 from fvs_lab.replay.targets import Target
-from fvs_lab.style import pyplot, save
 from fvs_ros.status import SILENT
 
 STATES = {

@@ -21,25 +21,51 @@ from fvs_controller_node.settling import settling_times
 from fvs_controller_node.surface import SlidingSurface
 from fvs_estimator_node.base import Estimator, MotionStep
 from fvs_estimator_node.config import PARAMETERS
-from fvs_lab import beyond_contestants as who
+from fvs_lab import contestants as who
 from fvs_lab import main, settling, tuning
-from fvs_lab.beyond_camera import AT_REST, CARRIED, MOMENTS, UNDISTURBED, draw_journeys, run_journey
-from fvs_lab.beyond_minute import ERRING, Minute, assess, draw_places, learn, record
-from fvs_lab.beyond_tracking import CIRCLE, LINE, RADIUS_M, Pursuit, draw_paths, run_pursuit
-from fvs_lab.context import Context
-from fvs_lab.disturbances import WHITE, Bump, StableNoise
-from fvs_lab.estimators_recordings import Recording, judge
-from fvs_lab.estimators_recordings import record as record_motion
-from fvs_lab.experiment import Found
+from fvs_lab.beyond_runs import (
+    AT_REST,
+    CARRIED,
+    CIRCLE,
+    ERRING,
+    LINE,
+    MOMENTS,
+    RADIUS_M,
+    UNDISTURBED,
+    Minute,
+    Pursuit,
+    assess,
+    draw_journeys,
+    draw_paths,
+    draw_places,
+    learn,
+    record,
+    run_journey,
+    run_pursuit,
+)
+from fvs_lab.experiment import Context, Found
 from fvs_lab.figures import colours_of
 from fvs_lab.floor import Limits, fastest
-from fvs_lab.outcome import BOUNDS_M
-from fvs_lab.regimes import REGIMES, search_of
 from fvs_lab.report import EXPERIMENTS, Origin, write_page, write_report
 from fvs_lab.results import Results
 from fvs_lab.robustness import CONTESTANTS, contestants_called, judged, trial_in
-from fvs_lab.settling_bounds import BANDS, bound_to_band_s, predicted_times_s
-from fvs_lab.trials import Case, Conditions, Trial, drive, make_cases, run_trial, simulation_of
+from fvs_lab.search import REGIMES, Search
+from fvs_lab.settling import BANDS, bound_to_band_s, predicted_times_s, promises_kept
+from fvs_lab.smooth_motion import Recording, judge
+from fvs_lab.smooth_motion import record as record_motion
+from fvs_lab.trials import (
+    WHITE,
+    Bump,
+    Case,
+    Conditions,
+    StableNoise,
+    Trial,
+    Variant,
+    drive,
+    make_cases,
+    run_trial,
+    simulation_of,
+)
 from fvs_lab.worlds import DISTANCE_M, DRAWN, EVERYDAY, HARSH, QUANTITIES, draw_world
 from fvs_ros.params import ParameterSet
 from fvs_sim_node.simulation import SimConfig, Simulation
@@ -78,7 +104,7 @@ def test_a_quick_run_makes_a_complete_page(name, tmp_path):
     claims = [one.claim for one in report.verdicts]
     assert len(set(claims)) == len(claims) >= 2
     assert {one.whose for one in report.verdicts} <= {"the paper's", "ours"}
-    page = write_page(tmp_path).read_text(encoding="utf-8")
+    page = write_page(tmp_path, [name]).read_text(encoding="utf-8")
     assert f'<section id="{name}">' in page
     assert page.count("data:image/png;base64,") == len(report.figures)
     markdown = (tmp_path / "index.md").read_text(encoding="utf-8")
@@ -111,7 +137,7 @@ def test_the_same_runs_come_from_one_process_and_from_two(tmp_path):
 def test_a_bump_moves_the_camera_and_not_the_ball():
     (case,) = make_cases("t", 1, 6)
     bump = Bump(1.0, (0.0, 0.5, 0.0), (0.0, 0.03, 0.0))
-    trial = Trial(case, "oracle", "proportional", duration_s=4.0, record=True)
+    trial = Trial(Variant({}, "oracle", "proportional"), case, duration_s=4.0, record=True)
     with Simulation(SimConfig(rendered=False)) as simulation:
         camera, calm = simulation.camera, drive(trial, simulation)
         simulation.camera = camera
@@ -143,11 +169,12 @@ def test_everybody_is_known_to_the_nodes_and_has_a_colour():
     case = Case("", (0.0,) * 6, (0.1,) * 6, 0)
     trials = [who.variant(name).trial(case, EXACT) for name in who.CONTESTANTS]
     searched = {**who.TUNED, **who.CALM}
-    trials += [search_of(one, REGIMES[0]).trial({}, case, EXACT) for one in searched.values()]
+    trials += [Search.of(one, REGIMES[0]).trial({}, case, EXACT) for one in searched.values()]
     for trial in trials:
-        default_values(law=trial.law, **trial.controller_values)
-        parameters.values({"method": trial.method, **trial.estimator_values})
-        assert trial.controller_values["max_joint_velocity_rad_s"] == who.SPEED_RAD_S
+        variant = trial.variant
+        default_values(law=variant.law, **variant.controller_values)
+        parameters.values({"method": variant.method, **variant.estimator_values})
+        assert variant.controller_values["max_joint_velocity_rad_s"] == who.SPEED_RAD_S
     for scheme in searched.values():
         least_speed = scheme.controller_values.get("redundancy_resolution") == "least_speed"
         assert least_speed is (scheme.law in who.ALLOCATED)
@@ -245,7 +272,7 @@ def test_motion_band_bound_and_bound_to_zero_are_in_order(error):
     )
     predicted = predicted_times_s(error[None, :], SURFACE, REACHING)
     for band in BANDS:
-        to_band = bound_to_band_s(error, BOUNDS_M[band], SURFACE, REACHING)
+        to_band = bound_to_band_s(error, BANDS[band], SURFACE, REACHING)
         assert predicted[band][0] <= to_band + 0.002
         assert to_band <= to_zero
     assert bound_to_band_s(0.01 * error, 0.005, SURFACE, REACHING) == 0.0
@@ -257,7 +284,8 @@ def settling_claims(*runs):
         "to_5mm_s": 1.0, "to_2mm_s": 1.0, "bound_s": 2.0, "band_5mm_s": 1.2, "band_2mm_s": 1.2,
         "predicted_5mm_s": 1.0, "printed_s": -0.5, "printed_sliding_s": -0.7,
     }  # fmt: skip
-    found = Found(Results({**usual, **run} for run in runs))
+    rows = [{**usual, **run} for run in runs]
+    found = Found(Results({**row, **promises_kept(row)} for row in rows))
     return {one.name: one for one in settling.claims(found)}
 
 

@@ -1,4 +1,4 @@
-"""What the laboratory stands on: statistics, knobs, reports, scenarios of the spot check."""
+"""What the laboratory stands on: statistics, claims, tables, searches, reports, spot checks."""
 
 import json
 import re
@@ -9,27 +9,18 @@ import pytest
 import yaml
 from scipy.stats import bootstrap
 
+from fvs_controller_node.config import default_values
+from fvs_estimator_node.config import PARAMETERS
 from fvs_lab import main, robustness, servo
-from fvs_lab.context import Context
-from fvs_lab.experiment import OURS, PAPER, Claim, Found, Part, either
+from fvs_lab.experiment import OURS, PAPER, Claim, Context, Found, Part, either
 from fvs_lab.outcome import Outcome
-from fvs_lab.regimes import REGIMES, SEARCHED, search_of
-from fvs_lab.report import (
-    RESULTS,
-    Figure,
-    Origin,
-    Report,
-    Table,
-    Verdict,
-    write_page,
-    write_report,
-)
-from fvs_lab.results import Results, table
-from fvs_lab.search import Knob, Limit, Search, run_searches
-from fvs_lab.spot_check import SpotCheck, scenario_of
+from fvs_lab.report import RESULTS, Figure, Origin, Report, Table, Verdict, write_page, write_report
+from fvs_lab.results import Interval, Results, median, ratio_of_medians, table
+from fvs_lab.search import REGIMES, SEARCHED, Knob, Limit, Search, run_searches
 from fvs_lab.spot_check import claims as spot_check_claims
-from fvs_lab.statistics import Interval, median, ratio_of_medians
+from fvs_lab.spot_check import scenario_of
 from fvs_lab.trials import Case, Conditions, Trial, Variant, make_cases, run_trial
+from fvs_ros.params import ParameterSet
 from fvs_tools.demo import own_targets
 from fvs_tools.scenario import load_scenario
 
@@ -37,21 +28,6 @@ INF = float("inf")
 HOME = (0.0, -1.35, 1.6, -1.75, -1.57, 0.0)
 EXACT = Conditions(rendered=False)
 PID = Variant({}, "rbf", "proportional")
-
-
-def outcome(settled_s=0.7, jitter=0.001, peak=0.5, failure=""):
-    return Outcome(
-        start_distance_m=0.3,
-        settling_s={"5 mm": None if failure else settled_s, "2 mm": None, "1 mm": None},
-        final_rms_m=0.0005,
-        jitter_rad_s=jitter,
-        peak_joint_speed_rad_s=peak,
-        path_ratio=1.0,
-        limited_share=0.0,
-        jacobian_error=0.01,
-        failure=failure,
-        target_m=(0.0, 0.0, 1.0),
-    )
 
 
 # --- statistics ---
@@ -99,11 +75,10 @@ def test_an_interval_on_both_sides_of_a_bound_decides_nothing():
     touching = Interval(1.1, 1.0, 1.2)
     assert touching.below(1.0) is touching.above(1.0) is None
     few, enough = (ratio_of_medians([1.0] * n, [2.0] * n) for n in (5, 6))
-    assert few.below(1.0) is None
-    assert enough.below(1.0) is True
+    assert (few.below(1.0), enough.below(1.0)) == (None, True)
 
 
-# --- claims ---
+# --- claims and tables ---
 
 
 @pytest.mark.parametrize(
@@ -119,14 +94,10 @@ def test_a_claim_of_several_parts_names_the_one_that_decides(parts, all_of, any_
     some = [Part(str(number), "", holds, number) for number, holds in enumerate(parts)]
     every, one = Claim("", OURS, some), Claim("", PAPER, some, any_of=True)
     assert (every.holds, one.holds) == (all_of, any_of)
-    assert every.decisive.holds is all_of
-    assert one.decisive.holds is any_of
+    assert (every.decisive.holds, one.decisive.holds) == (all_of, any_of)
     if parts == [True, True]:
         assert (every.decisive, one.decisive) == (some[1], some[0])  # the tighter, the clearer
     assert either("", *some).holds is any_of
-
-
-# --- the tidy table ---
 
 
 def runs(scheme, times, **more):
@@ -136,26 +107,65 @@ def runs(scheme, times, **more):
     ]
 
 
-def test_the_tidy_table_groups_and_pairs():
-    found = Results([*runs("a", [1.0, 2.0, INF]), *runs("b", [2.0, 4.0, INF])])
+def test_the_tidy_table_groups_pairs_and_sums_up():
+    found = Results([*runs("a", [1.0, 2.0, INF]), *runs("b", [2.0, 4.0, INF], failure="held")])
     schemes = found.groups("scheme")
     assert list(schemes) == ["a", "b"]
     assert schemes["a"].over(schemes["b"], "to_5mm_s").value == 0.5
     assert found.share().value == pytest.approx(4 / 6)
-    assert len(found.where(scheme="a", case=1)) == 1
-    first, _ = table(found, {"scheme": "who"}, ["to_5mm_s"])
-    assert first == {"who": "a", "to 5 mm, s": "2.00 (1.00 to never)"}
+    first, second = table(found, ["scheme"], ["to_5mm_s", "settled:of", "failure:causes"])
+    assert first == {
+        "scheme": "a",
+        "to 5 mm, s": "2.00 (1.00 to never)",
+        "settled": "2 of 3",
+        "failure": "-",
+    }
+    assert second["failure"] == "3 held"
 
 
-# --- settling ---
+def test_servos_claims_follow_the_numbers():
+    def claim(proposed):
+        medians = {"proposed": proposed, "rbf+pid": 1.0, "ukf+mfac": 2.0, "ukf+mpc": 0.9}
+        spread = np.array([0.9, 0.95, 1.0, 1.0, 1.05, 1.1])
+        rows = [
+            row
+            for regime in REGIMES
+            for name, middle in {**medians, "oracle, sliding mode": 1.0}.items()
+            for row in runs(name, middle * spread, regime=regime.name)
+        ]
+        return next(servo.claims(Found(Results(rows))))
+
+    assert claim(0.4).holds is True
+    assert "ukf+mpc" in claim(0.4).decisive.label
+    assert claim(3.0).holds is False
 
 
-# --- search ---
+def test_worlds_that_only_one_masters_tell_two_schemes_apart():
+    results = Results(
+        {**row, "settled": row["scheme"] == "ukf+mpc" or row["case"] < 400}
+        for one in robustness.CONTESTANTS
+        for row in runs(one.name, [1.0] * 600)
+    )
+    assert robustness.best_of(results) == "ukf+mpc"
+    *enough, lead = robustness.claims(Found(results))
+    assert [one.given["scheme"] for one in enough if one.holds] == ["ukf+mpc"]
+    assert lead.holds
+    assert "200 of 200" in lead.decisive.measured
+    *_, lead = robustness.claims(Found(Results({**row, "settled": True} for row in results)))
+    assert lead.holds is None, "no world tells them apart"
+
+
+# --- searches ---
+
+
+def outcome(settled_s=0.7, peak=0.5, failure=""):
+    settling = {"5 mm": None if failure else settled_s, "2 mm": None, "1 mm": None}
+    return Outcome(0.3, settling, 0.0005, 0.001, peak, 1.0, 0.0, 0.01, failure, (0.0, 0.0, 1.0))
 
 
 def test_the_cost_is_settling_time_and_breaking_a_limit_costs_more_than_it_gains():
     limit = Limit("peak_joint_speed_rad_s", 0.8)
-    search = Search("one", PID, (), limit=limit, duration_s=4.0)
+    search = Search(PID, (), replace(REGIMES[0], limit=limit, duration_s=4.0))
 
     def cost(*outcomes):
         return search.cost(search.judge({}, outcomes))
@@ -171,7 +181,7 @@ def test_mfac_may_be_the_proportional_law_that_it_can_be():
     knobs = {
         knob.name: knob
         for name in ("rbf+pid", "ukf+mfac")
-        for knob in search_of(SEARCHED[name], REGIMES[0]).knobs
+        for knob in Search.of(SEARCHED[name], REGIMES[0]).knobs
     }
     gain, interval = knobs["proportional_gain_1_s"], knobs["control_interval_s"]
     assert interval.low <= 1.0 / gain.high
@@ -182,11 +192,11 @@ def test_mfac_may_be_the_proportional_law_that_it_can_be():
 def test_the_search_finds_the_gain_and_is_repeatable(tmp_path):
     """From the middle of the range, 1.7 1/s, up to where the speed limit rules."""
     knobs = (Knob("proportional_gain_1_s", 0.1, 30.0), Knob("damping", 1e-6, 1e-3))
-    search = Search("one", PID, knobs, duration_s=2.0)
+    search = Search(PID, knobs, replace(REGIMES[0], duration_s=2.0))
     cases = make_cases("T", 1, 5)
     context = Context(tmp_path, jobs=1, rendered=False)
     one, again = (
-        run_searches(context, [search], cases, EXACT, generations=3, population=4, seed=1)[0]
+        run_searches(context, [search], cases, generations=3, population=4, seed=1)[0]
         for _ in range(2)
     )
     assert one == again
@@ -195,45 +205,33 @@ def test_the_search_finds_the_gain_and_is_repeatable(tmp_path):
     assert one.best.settled_s < 1.0
 
 
-def test_every_scheme_has_the_same_budget_and_knobs_that_its_nodes_know():
-    from fvs_controller_node.config import default_values
-    from fvs_estimator_node.config import PARAMETERS
-    from fvs_ros.params import ParameterSet
-
-    estimator = ParameterSet(PARAMETERS)
+def test_every_scheme_has_knobs_that_its_nodes_know():
     for regime in REGIMES:
         for scheme in SEARCHED.values():
-            search = search_of(scheme, regime)
+            search = Search.of(scheme, regime)
             lowest = search.gains([0.0] * len(search.knobs))
-            trial = search.trial(lowest, Case("", HOME, HOME, 0), EXACT)
-            default_values(**trial.controller_values)
-            estimator.values(trial.estimator_values)
-            assert trial.controller_values.items() >= regime.controller_values.items()
+            who = search.trial(lowest, Case("", HOME, HOME, 0), EXACT).variant
+            default_values(**who.controller_values)
+            ParameterSet(PARAMETERS).values(who.estimator_values)
+            assert who.controller_values.items() >= regime.controller_values.items()
 
 
 # --- trials ---
 
 
-def test_failures_have_a_cause():
+@pytest.mark.parametrize(
+    ("variant", "causes"),
+    [
+        (
+            Variant({}, law="proportional", controller_values={"proportional_gain_1_s": 0.1}),
+            {"too slow", "did not get nearer"},
+        ),
+        (Variant({}, "lkf", estimator_values={"online.initial": "zero"}), {"held: missing"}),
+    ],
+)
+def test_failures_have_a_cause(variant, causes):
     (case,) = make_cases("T", 1, 7)
-    slow = Trial(
-        case,
-        "rbf",
-        "proportional",
-        controller_values={"proportional_gain_1_s": 0.1},
-        conditions=EXACT,
-        duration_s=1.5,
-    )
-    assert run_trial(slow).failure in ("too slow", "did not get nearer")
-    blind = Trial(
-        case,
-        "lkf",
-        "ftsm",
-        estimator_values={"online.initial": "zero"},
-        conditions=EXACT,
-        duration_s=1.5,
-    )
-    assert run_trial(blind).failure == "held: missing"  # a Jacobian of zero is none
+    assert run_trial(Trial(variant, case, EXACT, duration_s=1.5)).failure in causes
 
 
 def test_the_same_cases_come_of_the_same_seed_and_are_far_enough_apart():
@@ -241,7 +239,7 @@ def test_the_same_cases_come_of_the_same_seed_and_are_far_enough_apart():
     assert cases == make_cases("T", 3, 8)
     assert cases != make_cases("T", 3, 9)
     for case in cases:
-        out = run_trial(Trial(case, "oracle", "ftsm", conditions=EXACT, duration_s=0.1))
+        out = run_trial(Trial(Variant({}, "oracle"), case, EXACT, duration_s=0.1))
         assert 0.19 < out.start_distance_m < 0.51
 
 
@@ -266,7 +264,7 @@ def test_a_report_keeps_numbers_and_the_page_keeps_pictures(tmp_path):
     data = json.loads((folder / RESULTS).read_text())["data"]
     assert data["array"] == [1.0, None, 0.3333333]
     assert data["case"]["seed"] == 3
-    page = write_page(tmp_path).read_text()
+    page = write_page(tmp_path, ["servo"]).read_text()
     assert "data:image/png;base64,iVBORw==" in page
     assert "Servoing &lt;fast&gt;" in page
     assert re.search("Undecided.*claim.*1.00 .0.90 to 1.10..*ours", page, re.DOTALL)
@@ -274,48 +272,12 @@ def test_a_report_keeps_numbers_and_the_page_keeps_pictures(tmp_path):
     assert "Quick run." in page
 
 
-# --- claims of experiments ---
-
-
-def test_servos_claims_follow_the_numbers():
-    def claim(proposed):
-        medians = {"proposed": proposed, "rbf+pid": 1.0, "ukf+mfac": 2.0, "ukf+mpc": 0.9}
-        spread = np.array([0.9, 0.95, 1.0, 1.0, 1.05, 1.1])
-        rows = [
-            row
-            for regime in REGIMES
-            for name, middle in {**medians, "oracle, sliding mode": 1.0}.items()
-            for row in runs(name, middle * spread, regime=regime.name)
-        ]
-        return next(servo.claims(Found(Results(rows), extra={"checks": []})))
-
-    assert claim(0.4).holds is True
-    assert "ukf+mpc" in claim(0.4).decisive.label
-    assert claim(3.0).holds is False
-
-
-def test_worlds_that_only_one_masters_tell_two_schemes_apart():
-    results = Results(
-        {**row, "settled": row["scheme"] == "ukf+mpc" or row["case"] < 400}
-        for one in robustness.CONTESTANTS
-        for row in runs(one.name, [1.0] * 600)
-    )
-    assert robustness.best_of(results) == "ukf+mpc"
-    *enough, lead = robustness.claims(Found(results))
-    assert [one.given["scheme"] for one in enough if one.holds] == ["ukf+mpc"]
-    assert lead.holds
-    assert "200 of 200" in lead.decisive.measured
-    alike = Results({**row, "settled": True} for row in results)
-    *_, lead = robustness.claims(Found(alike))
-    assert lead.holds is None, "no world tells them apart"
-
-
 # --- spot check ---
 
 
 def test_the_spot_checks_scenario_is_one(tmp_path):
-    case = Case("EXP1", HOME, HOME, 4)
-    trial = Trial(case, "ukf", "mpc", {"online.process_noise": 1e-3}, {"mpc_q": 0.1})
+    variant = Variant({}, "ukf", "mpc", {"online.process_noise": 1e-3}, {"mpc_q": 0.1})
+    trial = Trial(variant, Case("EXP1", HOME, HOME, 4))
     targets_m = [(0.1, -0.2, 1.3)]
     path = tmp_path / "spot.yaml"
     path.write_text(yaml.safe_dump(scenario_of(trial, targets_m, tmp_path)))
@@ -324,21 +286,24 @@ def test_the_spot_checks_scenario_is_one(tmp_path):
     assert parameters["fvs_sim_node"]["position_noise_m"] == trial.conditions.position_noise_m
     targets = own_targets(parameters["fvs_demo_node"]["target_positions"])
     np.testing.assert_allclose(targets, targets_m)
-    exact = replace(trial, conditions=EXACT)
     with pytest.raises(ValueError, match="rendered"):
-        scenario_of(exact, targets_m, tmp_path)
+        scenario_of(replace(trial, conditions=EXACT), targets_m, tmp_path)
 
 
-def test_the_shift_of_the_nodes_is_seen_through_the_noise():
-    lock_step = [[0.5, 1.0, 0.8], [0.6, 1.1, 0.8], [0.7, 1.2, 5.0]]
-    assert SpotCheck("a", lock_step, [0.6, 1.1, 0.8], "").shift_s() == pytest.approx(0.0)
-    assert SpotCheck("a", lock_step, [0.8, 1.2, 0.9], "").shift_s() == pytest.approx(0.1)
-    assert SpotCheck("a", lock_step, [None, None, 0.8], "").shift_s() == INF
-    one_early = SpotCheck("a", lock_step, [0.2, 1.1, 0.8], "")
-    assert one_early.worst_s() == pytest.approx(-0.4)
-    alike = SpotCheck("b", lock_step, [0.6, 1.12, 0.8], "")
-    assert [one.holds for one in spot_check_claims([alike])] == [True]
-    assert [one.holds for one in spot_check_claims([alike, one_early])] == [False]
+@pytest.mark.parametrize(
+    ("nodes_s", "worst", "holds"),
+    [
+        ([0.6, 1.12, 0.8], "+0.02", True),
+        ([0.2, 1.1, 0.8], "-0.40", False),
+        ([0.6, None, 0.8], "+inf", False),
+    ],
+)
+def test_the_nodes_agree_if_every_target_takes_as_long_as_in_lock_step(nodes_s, worst, holds):
+    lock_step_s = [[0.5, 1.0, 0.8], [0.6, 1.1, 0.8], [0.7, 1.2, 5.0]]
+    check = {"scheme": "a", "lock_step_s": lock_step_s, "nodes_s": nodes_s, "problem": ""}
+    (claim,) = spot_check_claims([check])
+    assert claim.holds is holds
+    assert claim.decisive.measured.startswith(worst)
 
 
 def test_own_targets_are_read_or_refused_in_words():

@@ -29,6 +29,7 @@ from replayed_bags import (
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
 
+from fvs_lab.figures import pyplot
 from fvs_lab.main import main
 from fvs_lab.replay import figures, files, story
 from fvs_lab.replay.files import BagError
@@ -36,7 +37,6 @@ from fvs_lab.replay.page import write
 from fvs_lab.replay.predictions import prediction
 from fvs_lab.replay.reading import read
 from fvs_lab.replay.targets import judged_by, targets
-from fvs_lab.style import pyplot
 from fvs_ros.status import SILENT
 from fvs_tools.bag import Bag, Message
 

@@ -1,6 +1,6 @@
 """Recordings of the simulated arm in smooth motion, and the paper's criteria T1 and T2 on them.
 
-A recording is made once, and all estimators hear it. An estimator is always judged on a step
+A recording is made once, and all estimators get it. An estimator is always judged on a step
 before it learns from it.
 """
 
@@ -24,48 +24,28 @@ _POSITION_GAIN = 2.0
 #: At rest in the beginning, one joint's turn in the wiggling, and the motion's soft start, s.
 _REST_S, WIGGLE_S, _SOFT_START_S = 0.4, 0.8, 1.0
 #: The beginning over which the initial Jacobian is judged, s.
-FIRST_S = 1.0
-
-
-# ---- recordings -----------------------------------------------------------------------------
+_FIRST_S = 1.0
 
 
 @dataclass(frozen=True)
 class Recording:
-    """What all estimators hear, and what only the simulator knows about it.
-
-    Parameters
-    ----------
-    steps : tuple of MotionStep
-        n steps, in order.
-    time_s : ndarray, shape (n,)
-        End of each step since the scored motion began, s; in the prelude not above 0.
-    true_d_ball_m : ndarray, shape (n, 3)
-        True ball motion of each step, camera frame, m.
-    true_jacobian : ndarray, shape (n, m, joints)
-        True Jacobian at each step's ``joints_rad``, m/rad.
-    visible_share : float
-        Share of the images in which the ball was found.
-    position_error_m : float
-        Error of the ball positions, rms of the distance, m.
-    """
+    """What all estimators get, and what only the simulator knows about it: n steps."""
 
     steps: tuple[MotionStep, ...]
+    #: End of each step since the scored motion began, s; in the prelude not above 0. Shape (n,).
     time_s: np.ndarray
+    #: True ball motion of each step, camera frame, m, shape (n, m).
     true_d_ball_m: np.ndarray
+    #: True Jacobian at each step's ``joints_rad``, m/rad, shape (n, m, joints).
     true_jacobian: np.ndarray
+    #: Share of the images in which the ball was found.
     visible_share: float
+    #: Error of the ball positions, rms of the distance, m.
     position_error_m: float
 
 
 class _Reference:
-    """Where the arm is to be: at rest, each joint in turn out and back, then all of them freely.
-
-    Parameters
-    ----------
-    seed : int
-        Decides the free motion and its beginning.
-    """
+    """Where the arm is to be: at rest, each joint in turn out and back, then all of them freely."""
 
     def __init__(self, seed: int) -> None:
         config = MotionConfig(
@@ -99,16 +79,10 @@ class _Reference:
 
 
 def record(seed: int, conditions: Conditions, duration_s: float) -> Recording:
-    """Let the simulated arm move, and keep what is heard and what is true.
+    """Let the simulated arm move, and keep what is measured and what is true.
 
-    Parameters
-    ----------
-    seed : int
-        Of the motion and of the noise.
-    conditions : Conditions
-        The world.
-    duration_s : float
-        Length of the scored motion, s; the wiggling of each joint comes before it.
+    The seed is that of the motion and of the noise; the wiggling of each joint comes before the
+    scored motion of this length, s.
     """
     simulation = simulation_of(conditions)
     reference = _Reference(seed)
@@ -131,15 +105,14 @@ def record(seed: int, conditions: Conditions, duration_s: float) -> Recording:
                 squared_errors_m2.append(float(error_m @ error_m))
                 steps += pairing.add_ball(seen.stamp_s, seen.detection.position_m)
         steps += pairing.add_joints(out.time_s, joints)
+    ends_m, starts_m = (
+        np.array([truth_m[_microseconds(getattr(step, name))] for step in steps])
+        for name in ("stamp_s", "start_stamp_s")
+    )
     return Recording(
         steps=tuple(steps),
         time_s=np.array([step.stamp_s for step in steps]) - reference.prelude_s,
-        true_d_ball_m=np.array(
-            [
-                truth_m[_microseconds(step.stamp_s)] - truth_m[_microseconds(step.start_stamp_s)]
-                for step in steps
-            ]
-        ),
+        true_d_ball_m=ends_m - starts_m,
         true_jacobian=np.array([simulation.true_jacobian(step.joints_rad) for step in steps]),
         visible_share=len(squared_errors_m2) / len(truth_m),
         position_error_m=float(np.sqrt(np.mean(squared_errors_m2))),
@@ -151,39 +124,25 @@ def _microseconds(stamp_s: float) -> int:
     return round(1e6 * stamp_s)
 
 
-# ---- judgement ------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Track:
-    """How well one estimator did along the scored motion, n steps.
+    """How well one estimator did along the scored motion: n steps, shape (n,) each."""
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-        End of each step since the scored motion began, s.
-    motion_m : ndarray, shape (n,)
-        Length of each step's true ball motion, m.
-    t1_m : ndarray, shape (n,)
-        T1 = |dx - J dr|, eq (40): dx true, J before it learned from the step, m.
-    t2_m : ndarray, shape (n,)
-        T2 = |x - x_hat|, eqs (41) and (42): x_hat is summed up of the predictions J dr, m.
-    jacobian_error : ndarray, shape (n,)
-        |J - J_true| / |J_true|, Frobenius norms, J before it learned from the step.
-    jacobian : ndarray, shape (n, m, joints)
-        J, m/rad.
-    """
-
+    #: End of each step since the scored motion began, s, and its true ball motion's length, m.
     time_s: np.ndarray
     motion_m: np.ndarray
+    #: T1 = |dx - J dr|, eq (40): dx true, J before it learned from the step, m.
     t1_m: np.ndarray
+    #: T2 = |x - x_hat|, eqs (41) and (42): x_hat is summed up of the predictions J dr, m.
     t2_m: np.ndarray
+    #: |J - J_true| / |J_true|, Frobenius norms.
     jacobian_error: np.ndarray
+    #: J, m/rad, shape (n, m, joints).
     jacobian: np.ndarray
 
     def summary(self) -> dict[str, float]:
         """The run in a few numbers, by name."""
-        first = self.time_s <= FIRST_S
+        first = self.time_s <= _FIRST_S
         late = self.time_s > 0.5 * self.time_s[-1]
         return {
             "t1_m": float(self.t1_m.mean()),
@@ -195,18 +154,19 @@ class Track:
             "jacobian_error": float(self.jacobian_error.mean()),
         }
 
+    def means(self, duration_s: float, bin_s: float) -> dict[str, np.ndarray]:
+        """T1 and T2 as series of means over intervals; not a number where one is empty."""
+        from scipy.stats import binned_statistic
+
+        edges_s = np.linspace(0.0, duration_s, round(duration_s / bin_s) + 1)
+        t1_m, t2_m = binned_statistic(self.time_s, [self.t1_m, self.t2_m], bins=edges_s).statistic
+        return {"time_s": 0.5 * (edges_s[1:] + edges_s[:-1]), "t1_m": t1_m, "t2_m": t2_m}
+
 
 def judge(estimator: Estimator, recording: Recording, hears_prelude: bool) -> Track:
-    """Let an estimator predict, and then learn from, each step of a recording.
+    """Let a fresh estimator predict, and then learn from, each step of a recording.
 
-    Parameters
-    ----------
-    estimator : Estimator
-        Fresh.
-    recording : Recording
-        What it hears.
-    hears_prelude : bool
-        Whether it also learns from the steps before the scored motion.
+    ``hears_prelude``: whether it also learns from the steps before the scored motion.
     """
     scored = recording.time_s > 0.0
     jacobians = []
@@ -215,39 +175,14 @@ def judge(estimator: Estimator, recording: Recording, hears_prelude: bool) -> Tr
             jacobians.append(estimator.jacobian(step.joints_rad))
         if estimator.learns and (counts or hears_prelude):
             estimator.update(step)
-    jacobian = np.array(jacobians)
-    true_jacobian = recording.true_jacobian[scored]
-    true_m = recording.true_d_ball_m[scored]
+    jacobian, true_m = np.array(jacobians), recording.true_d_ball_m[scored]
     moved_rad = np.array([step.d_joints_rad for step in recording.steps])[scored]
-    wrong_m = true_m - np.einsum("nij,nj->ni", jacobian, moved_rad)
-    t1_m, t2_m = criteria(wrong_m)
+    t1_m, t2_m = criteria(true_m - np.einsum("nij,nj->ni", jacobian, moved_rad))
     return Track(
         time_s=recording.time_s[scored],
         motion_m=np.linalg.norm(true_m, axis=1),
         t1_m=t1_m,
         t2_m=t2_m,
-        jacobian_error=relative_errors(jacobian, true_jacobian),
+        jacobian_error=relative_errors(jacobian, recording.true_jacobian[scored]),
         jacobian=jacobian,
     )
-
-
-def binned(time_s: np.ndarray, values: np.ndarray, edges_s: np.ndarray) -> np.ndarray:
-    """Means over intervals of time, not a number where an interval is empty.
-
-    Parameters
-    ----------
-    time_s, values : ndarray, shape (n,)
-        A series, times in s.
-    edges_s : ndarray, shape (m + 1,)
-        Ends of the intervals, s; an interval has its right end.
-
-    Returns
-    -------
-    ndarray, shape (m,)
-    """
-    where = np.searchsorted(edges_s, time_s, side="left") - 1
-    inside = (where >= 0) & (where < edges_s.size - 1)
-    counts = np.bincount(where[inside], minlength=edges_s.size - 1)
-    sums = np.bincount(where[inside], weights=values[inside], minlength=edges_s.size - 1)
-    with np.errstate(invalid="ignore"):
-        return np.where(counts > 0, sums / counts, np.nan)

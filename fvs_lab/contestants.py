@@ -6,12 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from fvs_lab.regimes import ORACLE, ORACLES, Regime
-from fvs_lab.search import Limit
+from fvs_lab.search import ORACLE, ORACLES, PROPOSED, Limit, Regime
 from fvs_lab.trials import Conditions, Variant
 from fvs_tools.schemes import BEYOND, SCHEMES, Scheme
 
-PROPOSED, EXTENDED, BEST = "proposed", "extended", "best"
+EXTENDED, BEST = "extended", "best"
 #: Plays the fastest motion blindly; races, too.
 CLAIRVOYANT = "clairvoyant open loop"
 FROZEN, BEST_ORACLE = "frozen", "oracle, law of best"
@@ -91,45 +90,29 @@ SEEN, MINUTES = (BEST, EXTENDED, PROPOSED, "rbf+pid"), ", a minute's model"
 
 @dataclass(frozen=True)
 class World:
-    """Conditions in which one thing is not as usual.
-
-    Parameters
-    ----------
-    kind : str
-        What is varied.
-    label : str
-        How much of it there is.
-    changes : mapping
-        Of the conditions.
-    """
+    """Conditions in which one thing is not as usual: what, how much of it, and the fields."""
 
     kind: str
     label: str
     changes: Mapping[str, Any]
 
 
-_LATENCIES_S, _NOISES_M = (0.0, 0.05, 0.1, 0.2), (0.0002, 0.004)
-#: Further lag of the drives and their dead time, s.
-_DRIVES_S = ((0.05, 0.008), (0.05, 0.04), (0.1, 0.06))
-_ENCODERS_RAD = (0.0002, 0.001)
 USUAL = World("as usual", f"{1e3 * Conditions.latency_s:g} ms, 1 mm", {})
 WORLDS = (
     USUAL,
-    *(World("latency", f"{1e3 * one:g} ms", {"latency_s": one}) for one in _LATENCIES_S),
-    *(
-        World(
-            "drives",
-            f"{1e3 * lag_s:g}+{1e3 * dead_s:g} ms",
-            {"joint_lag_s": lag_s, "dead_time_s": dead_s},
-        )
-        for lag_s, dead_s in _DRIVES_S
-    ),
-    *(
-        World("encoders", f"{1e3 * one:g} mrad", {"encoder_noise_rad": one})
-        for one in _ENCODERS_RAD
-    ),
+    World("latency", "0 ms", {"latency_s": 0.0}),
+    World("latency", "50 ms", {"latency_s": 0.05}),
+    World("latency", "100 ms", {"latency_s": 0.1}),
+    World("latency", "200 ms", {"latency_s": 0.2}),
+    # Further lag of the drives, and their dead time.
+    World("drives", "50+8 ms", {"joint_lag_s": 0.05, "dead_time_s": 0.008}),
+    World("drives", "50+40 ms", {"joint_lag_s": 0.05, "dead_time_s": 0.04}),
+    World("drives", "100+60 ms", {"joint_lag_s": 0.1, "dead_time_s": 0.06}),
+    World("encoders", "0.2 mrad", {"encoder_noise_rad": 0.0002}),
+    World("encoders", "1 mrad", {"encoder_noise_rad": 0.001}),
     World("images", "8 Hz", {"image_rate_hz": 8.0}),
-    *(World("noise", f"{1e3 * one:g} mm", {"position_noise_m": one}) for one in _NOISES_M),
+    World("noise", "0.2 mm", {"position_noise_m": 0.0002}),
+    World("noise", "4 mm", {"position_noise_m": 0.004}),
 )
 
 
