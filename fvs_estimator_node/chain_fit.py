@@ -5,11 +5,10 @@ The camera sees the ball at ``x(r(t - tau)) + noise`` of an image stamped t: 4 n
 three for the ball) and the time ``tau`` that the images are stamped late. They are found by robust
 non-linear least squares with the exact derivatives.
 
-The start comes from a cubic regression of the positions about the mean joints: there
-``dx/dr_i = J_i`` and ``d2x/dr_i dr_j = w_i x J_j`` for j >= i, which is linear in the axes; and of
-several times ``tau`` one fits best. Joints that hardly move the ball say little about their axes;
-those are tried in several ways until the images fit as well as they fit each other, and the weakest
-once more on the ball's other side when all is fitted.
+The start comes from a cubic regression of the positions (:mod:`fvs_estimator_node.chain_start`) at
+the best of several ``tau``. A joint that hardly moves the ball says little about its axis, which
+may lie on the ball's other side: that is tried until the images fit as well as they fit each other,
+and for the weakest joints once more when all is fitted.
 """
 
 from __future__ import annotations
@@ -17,26 +16,29 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from fvs_estimator_node.chain_chart import OFFSET, Chart, each_coordinate, residuals_and_slopes
-from fvs_estimator_node.chain_path import MAX_OFFSET_S, ChainPath
-from fvs_estimator_node.chain_start import Regression, first_guess, regress, turned_about
+from fvs_estimator_node.chain_chart import OFFSET, Chart, residuals_and_slopes
+from fvs_estimator_node.chain_start import (
+    MAX_OFFSET_S,
+    PASSES,
+    Path,
+    first_guess,
+    regress,
+    turned_about,
+)
 from fvs_estimator_node.dataset import DataSet
 from fvs_ros.chain import SerialChain
 
 #: Fewest images that a chain is fitted to.
-MIN_SAMPLES = 200
+_MIN_SAMPLES = 200
 #: No depth camera sees further, m.
 _FARTHEST_M = 50.0
-#: An offset this near to the longest that is looked for would go on beyond it, s.
-_AT_LIMIT_S = 1e-3
-#: Images of the search for the right start, and starts that are tried at most.
-_SEARCH_SAMPLES, _STARTS = 400, 12
-#: Offsets of the stamps that are tried before, s, and passes of a robust median.
-_SEARCH_OFFSETS_S, _PASSES = np.linspace(-0.18, 0.18, 13), 6
+#: Images, and offsets of the stamps, of the search for the right start.
+_SEARCH_SAMPLES, _SEARCH_OFFSETS = 400, 13
 #: Above both, the second in m, something else than a chain of revolute joints moves the ball; a
 #: camera's own systematic errors stay below.
 _MISFIT_LIMIT, _UNEXPLAINED_LIMIT_M = 1.3, 0.001
@@ -50,12 +52,9 @@ _GOOD_SHARE = 1.5
 #: So many of the weakest joints are turned about once more when all is fitted, and the evaluations
 #: that each is given: the right side needs six or so, a wrong one has no end.
 _TURNED, _TURNED_EVALUATIONS = 2, 10
-#: How far off the coordinates may be where the data do not tell, standard deviations: rad, m, m, s.
-_PRIOR = (1.0, 1.0, 1.0, 0.1)
-#: The same for a slope of the residuals by the joints, m/rad: more than any joint moves the ball.
-_SLOPE_PRIOR = 1.0
-#: Typical steps of the coordinates: rad, m, m, s.
-_TYPICAL = (0.3, 0.1, 0.1, 0.05)
+#: How far off the coordinates may be where the data do not tell, standard deviations: rad, m, m/rad
+#: for turns, shifts and slopes of the residuals by the joints; s for the offset.
+_PRIOR, _OFFSET_PRIOR_S = 1.0, 0.1
 #: Step of the derivatives of the Jacobian by the coordinates, rad and m.
 _STEP = 1e-4
 
@@ -72,10 +71,9 @@ class ChainFit:
     ----------
     chain : SerialChain
         The chain.
-    time_offset_s : float
-        How late the images are stamped, s: one stamped t shows the joints at t - offset.
-    time_offset_deviation_s : float
-        Its standard deviation, s.
+    time_offset_s, time_offset_deviation_s : float
+        How late the images are stamped, s: one stamped t shows the joints at t - offset; and its
+        standard deviation, s.
     residual_m : float
         Median distance of images from the chain, m, without those that are far from both their
         neighbours.
@@ -110,34 +108,24 @@ class ChainFit:
 
     @property
     def misfit(self) -> float:
-        """Residual over noise: 1 for a serial chain, more where something else moves the ball.
-
-        NaN if the images are too far apart to tell.
-        """
+        """Residual over noise: 1 for a serial chain; NaN if the images are too far apart."""
         return self.residual_m / self.noise_m
 
     @property
     def unexplained_m(self) -> float:
-        """The part of the residual that neither the chain nor noise explains, m.
-
-        All of it if the images are too far apart to tell.
-        """
-        if math.isnan(self.noise_m):
-            return self.residual_m
-        return math.sqrt(max(self.residual_m**2 - self.noise_m**2, 0.0))
+        """The part of the residual that neither the chain nor (known) noise explains, m."""
+        noise_m = 0.0 if math.isnan(self.noise_m) else self.noise_m
+        return math.sqrt(max(self.residual_m**2 - noise_m**2, 0.0))
 
     @property
     def is_chain(self) -> bool:
-        """Whether the ball moves as one on a serial chain, as far as the noise lets one see.
-
-        Not if the images are too far apart to tell, unless all of the residual is small.
-        """
+        """Whether the ball moves as one on a serial chain, as far as the noise lets one see."""
         return self.misfit <= _MISFIT_LIMIT or self.unexplained_m <= _UNEXPLAINED_LIMIT_M
 
     @property
     def offset_at_limit(self) -> bool:
         """Whether the images may be stamped later, or earlier, than is looked for."""
-        return abs(self.time_offset_s) > MAX_OFFSET_S - _AT_LIMIT_S
+        return abs(self.time_offset_s) > 0.99 * MAX_OFFSET_S
 
     def jacobian_deviation(self, joints_rad: np.ndarray) -> np.ndarray:
         """Relative standard deviation of the Jacobian at joints where data are.
@@ -173,19 +161,13 @@ class ChainFit:
         return np.sqrt(square) / np.linalg.norm(jacobian, axis=(1, 2))
 
 
-def fit_chain(
-    data: DataSet,
-    rng: np.random.Generator | None = None,
-    progress: Callable[[str], None] | None = None,
-) -> ChainFit:
+def fit_chain(data: DataSet, progress: Callable[[str], None] | None = None) -> ChainFit:
     """Fit a chain to ball positions and joints.
 
     Parameters
     ----------
     data : DataSet
         A minute of motion of all joints, or more.
-    rng : numpy Generator, optional
-        Decides what is tried where the regression leaves an axis open; default seed 0.
     progress : callable, optional
         Told what is being done, in words.
 
@@ -194,12 +176,11 @@ def fit_chain(
     ChainFitError
         If there is too little data, or nothing fits.
     """
-    rng = rng if rng is not None else np.random.default_rng(0)
     say = progress or (lambda words: None)
-    path = ChainPath(data)
-    if len(path.indices) < MIN_SAMPLES:
+    path = Path(data)
+    if len(path.indices) < _MIN_SAMPLES:
         raise ChainFitError(
-            f"a chain needs at least {MIN_SAMPLES} images in continuous runs of more than "
+            f"a chain needs at least {_MIN_SAMPLES} images in continuous runs of more than "
             f"{2 * MAX_OFFSET_S:g} s, the data set has {len(path.indices)}"
         )
     if np.abs(data.ball_m).max() > _FARTHEST_M:
@@ -213,144 +194,80 @@ def fit_chain(
     # Matrices of few columns: on a busy machine more threads took twenty times as long.
     with threadpool_limits(1):
         say("looking for the axes")
-        chain, offset_s = fitting.start(rng)
+        found = fitting.start()
         say("fitting")
-        return fitting.finish(chain, offset_s)
+        return fitting.finish(found)
+
+
+class _Found(NamedTuple):
+    """An optimum: chain, offset of the stamps, s, and cost for an image."""
+
+    chain: SerialChain
+    offset_s: float
+    cost: float
 
 
 class _Fitting:
-    """One fit: the joints at any time, and the ball in the images, m, (n, 3)."""
+    """One fit: the joints at any time, and the ball in k images, m, (k, 3)."""
 
-    def __init__(self, path: ChainPath, ball_m: np.ndarray) -> None:
+    def __init__(self, path: Path, ball_m: np.ndarray) -> None:
         self._path = path
         self._ball = ball_m
-        self._reference = path.joints_and_velocities(0.0)[0].mean(axis=0)
+        self._sight = ball_m / np.maximum(np.linalg.norm(ball_m, axis=1, keepdims=True), 1e-9)
 
-    # ---- start ----------------------------------------------------------------------------
-
-    def start(self, rng: np.random.Generator) -> tuple[SerialChain, float]:
+    def start(self) -> _Found:
         """The best of some starts, each fitted to a part of the images."""
-        some = np.sort(rng.permutation(len(self._ball))[:_SEARCH_SAMPLES])
+        reference = self._path.joints_and_velocities(0.0)[0].mean(axis=0)
         regression = min(
-            (self._regress(offset_s) for offset_s in _SEARCH_OFFSETS_S),
+            (
+                regress(
+                    offset_s, self._path.joints_and_velocities(offset_s)[0], reference, self._ball
+                )
+                for offset_s in np.linspace(-MAX_OFFSET_S, MAX_OFFSET_S, _SEARCH_OFFSETS)
+            ),
             key=lambda one: one.distance_m,
         )
-        best: tuple[float, SerialChain, float] | None = None
-        for attempt in range(_STARTS):
-            if best is None or attempt % 2 == 0:
-                chain = first_guess(regression, self._reference, rng, attempt)
-            else:
-                chain = turned_about(best[1], attempt // 2)
-            values, cost = self._solve(
-                Chart(chain), regression.offset_s, some, np.eye(3), regression.distance_m, 3.0, 60
-            )
-            if best is None or cost < best[0]:
-                best = (cost, Chart(chain).chain(values), float(values[OFFSET]))
-            residual_m, noise_m = self._distances_m(self._residuals(best[1], best[2]))
+        count = min(_SEARCH_SAMPLES, len(self._ball))
+        some = np.linspace(0, len(self._ball) - 1, count).astype(int)
+
+        def fitted(chain: SerialChain) -> _Found:
+            begin = _Found(chain, regression.offset_s, math.inf)
+            unit = np.broadcast_to(np.eye(3) / regression.distance_m, (len(self._ball), 3, 3))
+            return self._solve(begin, unit, some, 3.0, 60)
+
+        best = fitted(first_guess(regression, reference))
+        for rank in range(2 * len(reference)):
+            residual_m, noise_m = self._distances_m(self._residuals(best))
             if residual_m < _GOOD_SHARE * noise_m:
                 break
-        assert best is not None
-        return best[1], best[2]
+            best = min(best, fitted(turned_about(best.chain, rank)), key=lambda one: one.cost)
+        return best
 
-    def _regress(self, offset_s: float) -> Regression:
-        joints = self._path.joints_and_velocities(offset_s)[0]
-        return regress(offset_s, joints, self._reference, self._ball)
-
-    # ---- least squares --------------------------------------------------------------------
-
-    def _residuals(self, chain: SerialChain, offset_s: float) -> np.ndarray:
-        return chain.position(self._path.joints_and_velocities(offset_s)[0]) - self._ball
-
-    def _solve(
-        self,
-        chart: Chart,
-        offset_s: float,
-        images: np.ndarray,
-        whitening: np.ndarray,
-        unit: float,
-        scale: float,
-        evaluations: int,
-    ) -> tuple[np.ndarray, float]:
-        """Local coordinates and offset of the robust optimum, and its cost for an image.
-
-        ``unit`` is what one standard deviation of an image is after the whitening: what the data
-        do not tell is held by the prior, not by chance. Residuals above ``scale`` of them count
-        less and less.
-        """
-        from scipy.optimize import least_squares
-
-        pull = unit / each_coordinate(len(chart.axes), *_PRIOR)
-
-        def values_of(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            joints, velocity = self._path.joints_and_velocities(float(values[OFFSET]))
-            try:
-                residual, slope = residuals_and_slopes(
-                    chart, values, joints[images], velocity[images], self._ball[images]
-                )
-            except ValueError:  # no chain: a step too far, which is then made shorter
-                return np.full(3 * len(images) + chart.size, np.inf), np.empty(0)
-            white = whitening if whitening.ndim == 2 else whitening[images]
-            residual = (white @ residual[..., None]).ravel()
-            slope = (white @ slope).reshape(-1, chart.size)
-            return (
-                np.concatenate([residual, pull * (values - chart.expected)]),
-                np.concatenate([slope, np.diag(pull)]),
-            )
-
-        cache: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
-
-        def cached(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            key = values.tobytes()
-            if key not in cache:
-                cache.clear()
-                cache[key] = values_of(values)
-            return cache[key]
-
-        begin = np.zeros(chart.size)
-        begin[OFFSET] = offset_s
-        limit = np.full(chart.size, np.inf)
-        limit[OFFSET] = MAX_OFFSET_S
-        solution = least_squares(
-            lambda values: cached(values)[0],
-            begin,
-            lambda values: cached(values)[1],
-            bounds=(-limit, limit),
-            loss="soft_l1",
-            f_scale=scale * unit,
-            max_nfev=evaluations,
-            ftol=1e-6,
-            xtol=1e-7,
-            gtol=1e-10,
-            x_scale=each_coordinate(len(chart.axes), *_TYPICAL),
-        )
-        return solution.x, float(solution.cost) / len(images)
-
-    def finish(self, chain: SerialChain, offset_s: float) -> ChainFit:
+    def finish(self, found: _Found) -> ChainFit:
         """Fit all images, each weighed by its noise along and across the line of sight."""
+        images = np.arange(len(self._ball))
         for _ in range(2):
-            whitening = self._weighing(self._residuals(chain, offset_s))
-            chain, offset_s, cost = self._refined(chain, offset_s, whitening)
+            whitening = self._whitening(self._residuals(found))
+            found = self._solve(found, whitening, images)
         # A wrong optimum can fit nearly as well as the right one: noise hides a weak joint's bend.
         for rank in range(_TURNED):
-            turned = self._refined(
-                turned_about(chain, rank), offset_s, whitening, _TURNED_EVALUATIONS
-            )
-            if turned[2] < cost:
-                chain, offset_s, cost = turned
-                whitening = self._weighing(self._residuals(chain, offset_s))
-                chain, offset_s, cost = self._refined(chain, offset_s, whitening)
+            about = found._replace(chain=turned_about(found.chain, rank))
+            turned = self._solve(about, whitening, images, evaluations=_TURNED_EVALUATIONS)
+            if turned.cost < found.cost:
+                whitening = self._whitening(self._residuals(turned))
+                found = self._solve(turned, whitening, images)
         # What is far off had a small say so far; in a long stretch, all of it pulls one way.
-        inlier = self._inliers(self._residuals(chain, offset_s))
+        inlier = self._inliers(self._residuals(found))
         if not inlier.all():
-            chain, offset_s, _ = self._refined(chain, offset_s, whitening, images=inlier)
-        residual = self._residuals(chain, offset_s)
+            found = self._solve(found, whitening, images[inlier])
+        residual = self._residuals(found)
         residual_m, noise_m = self._distances_m(residual)
-        ray_m, lateral_m = _noise_by_direction(residual, self._ball)
+        ray_m, lateral_m = self._noise_by_direction(residual)
         inlier = self._inliers(residual)
-        covariance, unfitted = self._moments(chain, offset_s, whitening, inlier)
+        covariance, unfitted = self._moments(found, whitening, inlier)
         return ChainFit(
-            chain=chain,
-            time_offset_s=offset_s,
+            chain=found.chain,
+            time_offset_s=found.offset_s,
             time_offset_deviation_s=float(np.sqrt(covariance[OFFSET, OFFSET])),
             residual_m=residual_m,
             noise_m=noise_m,
@@ -362,27 +279,99 @@ class _Fitting:
             unfitted=unfitted,
         )
 
-    def _weighing(self, residual: np.ndarray) -> np.ndarray:
-        """Matrices (n, 3, 3) that weigh each image by the noise about a chain."""
-        return _whitening(self._ball, *_noise_by_direction(residual, self._ball))
+    def _residuals(self, found: _Found) -> np.ndarray:
+        joints = self._path.joints_and_velocities(found.offset_s)[0]
+        return found.chain.position(joints) - self._ball
+
+    def _solve(
+        self,
+        begin: _Found,
+        whitening: np.ndarray,
+        images: np.ndarray,
+        scale: float = 2.0,
+        evaluations: int = 100,
+    ) -> _Found:
+        """The robust optimum for some images.
+
+        What the data do not tell is held by the prior, not by chance. Residuals above ``scale``
+        standard deviations count less and less.
+        """
+        from scipy.optimize import least_squares
+
+        chart = Chart(begin.chain)
+        deviation = np.full(chart.size, _PRIOR)
+        deviation[OFFSET] = _OFFSET_PRIOR_S
+        white = whitening[images]
+        newest: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+
+        def of(values: np.ndarray, which: int) -> np.ndarray:
+            """Residuals, or their slopes; both are computed at once."""
+            if values.tobytes() not in newest:
+                newest.clear()
+                newest[values.tobytes()] = self._whitened(chart, values, white, images, deviation)
+            return newest[values.tobytes()][which]
+
+        first = np.zeros(chart.size)
+        first[OFFSET] = begin.offset_s
+        limit = np.full(chart.size, np.inf)
+        limit[OFFSET] = MAX_OFFSET_S
+        solution = least_squares(
+            lambda values: of(values, 0),
+            np.clip(first, -0.99 * limit, 0.99 * limit),
+            lambda values: of(values, 1),
+            bounds=(-limit, limit),
+            loss="soft_l1",
+            f_scale=scale,
+            max_nfev=evaluations,
+            ftol=1e-6,
+            xtol=1e-7,
+            gtol=1e-10,
+            x_scale=deviation,
+        )
+        found = solution.x
+        return _Found(chart.chain(found), float(found[OFFSET]), float(solution.cost) / len(images))
+
+    def _whitened(
+        self,
+        chart: Chart,
+        values: np.ndarray,
+        white: np.ndarray,
+        images: np.ndarray,
+        deviation: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals of images and of the prior in standard deviations, and their slopes."""
+        joints, velocity = self._path.joints_and_velocities(float(values[OFFSET]))
+        try:
+            residual, slope = residuals_and_slopes(
+                chart, values, joints[images], velocity[images], self._ball[images]
+            )
+        except ValueError:  # no chain: a step too far, which is then made shorter
+            return np.full(3 * len(images) + chart.size, np.inf), np.empty(0)
+        rows = (white @ residual[..., None]).ravel(), (white @ slope).reshape(-1, chart.size)
+        return (
+            np.concatenate([rows[0], values / deviation]),
+            np.concatenate([rows[1], np.diag(1.0 / deviation)]),
+        )
+
+    def _noise_by_direction(self, residual: np.ndarray) -> tuple[float, float]:
+        """Standard deviations along the line of sight and across it, by medians, m."""
+        along = np.sum(residual * self._sight, axis=1)
+        across = np.linalg.norm(residual - along[:, None] * self._sight, axis=1)
+        # medians of a normal and of a Rayleigh distribution
+        ray_m = float(np.median(np.abs(along))) / 0.6745
+        lateral_m = float(np.median(across)) / 1.1774
+        return max(ray_m, 1e-6), max(lateral_m, 1e-6)
+
+    def _whitening(self, residual: np.ndarray) -> np.ndarray:
+        """Matrices (k, 3, 3) that turn a residual into standard deviations."""
+        ray_m, lateral_m = self._noise_by_direction(residual)
+        along = self._sight[:, :, None] * self._sight[:, None, :]
+        return along / ray_m + (np.eye(3) - along) / lateral_m
 
     def _inliers(self, residual: np.ndarray) -> np.ndarray:
-        """Which images are no further off than noise brings them, bool (n,)."""
-        white = (self._weighing(residual) @ residual[..., None])[..., 0]
+        """Which images are no further off than noise brings them, bool (k,)."""
+        white = (self._whitening(residual) @ residual[..., None])[..., 0]
         return np.abs(white).max(axis=1) <= _OUTLIER
-
-    def _refined(
-        self,
-        chain: SerialChain,
-        offset_s: float,
-        whitening: np.ndarray,
-        evaluations: int = 100,
-        images: np.ndarray | slice = slice(None),
-    ) -> tuple[SerialChain, float, float]:
-        """Chain and offset at the optimum of some images, or all, and its cost for an image."""
-        chart, some = Chart(chain), np.arange(len(self._ball))[images]
-        values, cost = self._solve(chart, offset_s, some, whitening, 1.0, 2.0, evaluations)
-        return chart.chain(values), float(values[OFFSET]), cost
 
     def _distances_m(self, residual: np.ndarray) -> tuple[float, float]:
         """Median length of the residuals, and what it were if all were as unlike as neighbours, m.
@@ -397,19 +386,21 @@ class _Fitting:
         np.minimum.at(nearest_m, first, apart_m)
         np.minimum.at(nearest_m, first + 1, apart_m)
         alike = np.isfinite(nearest_m)
-        for _ in range(_PASSES if alike.any() else 0):
+        for _ in range(PASSES if alike.any() else 0):
             alike &= nearest_m <= _UNLIKE * np.median(nearest_m[alike])
         both = alike[first] & alike[first + 1]
+        lengths_m = np.linalg.norm(residual, axis=1)
         if np.count_nonzero(both) < _LEAST_PAIRS:
-            return _median_length(residual), math.nan
-        return _median_length(residual[alike]), float(np.median(apart_m[both])) / math.sqrt(2.0)
+            return float(np.median(lengths_m)), math.nan
+        noise_m = float(np.median(apart_m[both])) / math.sqrt(2.0)
+        return float(np.median(lengths_m[alike])), noise_m
 
     def _moments(
-        self, chain: SerialChain, offset_s: float, whitening: np.ndarray, inlier: np.ndarray
+        self, found: _Found, whitening: np.ndarray, inlier: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Covariance by the noise, and what a constant Jacobian beside the chain would change."""
-        joints, velocity = self._path.joints_and_velocities(offset_s)
-        chart = Chart(chain)
+        joints, velocity = self._path.joints_and_velocities(found.offset_s)
+        chart = Chart(found.chain)
         residual, slope = residuals_and_slopes(
             chart, np.zeros(chart.size), joints, velocity, self._ball
         )
@@ -417,39 +408,13 @@ class _Fitting:
         columns = np.concatenate([slope, beside], axis=2)
         rows = (whitening @ columns)[inlier].reshape(-1, columns.shape[2])
         wanted = (whitening @ residual[..., None])[inlier].ravel()
-        prior = np.full(columns.shape[2], _SLOPE_PRIOR)
-        prior[: chart.size] = each_coordinate(len(chart.axes), *_PRIOR)
+        prior = np.full(columns.shape[2], _PRIOR)
+        prior[chart.size + OFFSET] = _OFFSET_PRIOR_S
         known = rows.T @ rows + np.diag(prior**-2)
         covariance = np.linalg.inv(known[: chart.size, : chart.size])
         wider = np.linalg.inv(known)
-        found = wider @ (rows.T @ wanted)
+        change = wider @ (rows.T @ wanted)
         # Noise alone makes a difference of the two fits as large as that of their covariances.
-        unfitted = np.outer(found, found) - wider
+        unfitted = np.outer(change, change) - wider
         unfitted[: chart.size, : chart.size] += covariance
         return covariance, unfitted
-
-
-def _median_length(vectors: np.ndarray) -> float:
-    return float(np.median(np.linalg.norm(vectors, axis=1)))
-
-
-def _sight(ball_m: np.ndarray) -> np.ndarray:
-    return ball_m / np.maximum(np.linalg.norm(ball_m, axis=1, keepdims=True), 1e-9)
-
-
-def _noise_by_direction(residual: np.ndarray, ball_m: np.ndarray) -> tuple[float, float]:
-    """Standard deviations along the line of sight and across it, by medians, m."""
-    sight = _sight(ball_m)
-    along = np.sum(residual * sight, axis=1)
-    across = np.linalg.norm(residual - along[:, None] * sight, axis=1)
-    # medians of a normal and of a Rayleigh distribution
-    ray_m = float(np.median(np.abs(along))) / 0.6745
-    lateral_m = float(np.median(across)) / 1.1774
-    return max(ray_m, 1e-6), max(lateral_m, 1e-6)
-
-
-def _whitening(ball_m: np.ndarray, ray_m: float, lateral_m: float) -> np.ndarray:
-    """Matrices (n, 3, 3) that turn a residual into standard deviations."""
-    sight = _sight(ball_m)
-    along = sight[:, :, None] * sight[:, None, :]
-    return along / ray_m + (np.eye(3) - along) / lateral_m

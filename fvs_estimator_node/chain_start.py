@@ -1,4 +1,4 @@
-"""Where the fit of a chain begins: axes from a cubic regression of the positions.
+"""Where the fit of a chain begins: the joints at any time, and axes from a cubic regression.
 
 About the mean joints ``dx/dr_i = J_i`` and ``d2x/dr_i dr_j = w_i x J_j`` for j >= i, which is
 linear in the axes.
@@ -8,31 +8,76 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
+from typing import Any
 
 import numpy as np
 
+from fvs_estimator_node.dataset import DataSet
 from fvs_ros.chain import SerialChain, cross_matrix
 
+#: Largest offset of the images' stamps that is looked for, either way, s; ends of runs this long
+#: are left out.
+MAX_OFFSET_S = 0.2
 #: A joint that moves less, a standard deviation, rad, stands still: nothing is known of it.
 STILL_RAD = 1e-3
-#: Passes of a robust regression.
-_PASSES = 6
+#: Passes of a robust median.
+PASSES = 6
+#: Most images that are fitted, and how many neighbours make a block of them: more change the
+#: Jacobian by less than its deviation.
+_MOST_SAMPLES, _BLOCK = 6000, 50
 #: A joint that moves the ball less says little about its axis, m/rad.
 _WEAK_M_RAD = 0.03
 
 
+class Path:
+    """Joints at any time of each continuous run, from those at the exposures.
+
+    ``indices`` are the images that are fitted, in blocks where there are too many, ``stamps_s``
+    their stamps, s, both of shape (k,).
+    """
+
+    def __init__(self, data: DataSet) -> None:
+        from scipy.interpolate import CubicSpline
+
+        stamps, self._n = data.stamps_s, data.joints_rad.shape[1]
+        inside, splines = [np.zeros(0, int)], []
+        for run in data.runs():
+            time_s = stamps[run]
+            early, late = time_s[0] + MAX_OFFSET_S, time_s[-1] - MAX_OFFSET_S
+            fitted = run.start + np.flatnonzero((time_s >= early) & (time_s <= late))
+            if len(time_s) >= 5 and len(fitted):
+                inside.append(fitted)
+                splines.append((run, CubicSpline(time_s, data.joints_rad[run])))
+        self.indices = _thinned(np.concatenate(inside))
+        self.stamps_s = stamps[self.indices]
+        self._splines: list[tuple[slice, Any]] = [
+            (slice(*np.searchsorted(self.indices, [run.start, run.stop])), spline)
+            for run, spline in splines
+        ]
+
+    def joints_and_velocities(self, offset_s: float) -> tuple[np.ndarray, np.ndarray]:
+        """Joints and their velocities at the stamps minus an offset, (k, n) each."""
+        joints, velocity = np.empty((2, len(self.stamps_s), self._n))
+        for places, spline in self._splines:
+            time_s = self.stamps_s[places] - offset_s
+            joints[places], velocity[places] = spline(time_s), spline(time_s, 1)
+        return joints, velocity
+
+
+def _thinned(indices: np.ndarray) -> np.ndarray:
+    """Blocks of neighbours, evenly spread over all, no more than are worth their time."""
+    if len(indices) <= _MOST_SAMPLES:
+        return indices
+    starts = np.linspace(0, len(indices) - _BLOCK, _MOST_SAMPLES // _BLOCK).astype(int)
+    return indices[(starts[:, None] + np.arange(_BLOCK)).ravel()]
+
+
 @dataclass(frozen=True)
 class Regression:
-    """A polynomial of the joints through the positions, about the mean joints.
+    """A polynomial of n joints through the positions, about some joints.
 
-    Parameters
-    ----------
-    offset_s : float
-        How late images are stamped by assumption, s.
-    position_m, slopes, bends : ndarray, shapes (3,), (3, n) and (3, n, n)
-        Value, first and second derivatives, m and rad.
-    distance_m : float
-        Distance of a typical image from it, m.
+    With images stamped late by an offset, s: value, first and second derivatives, m and rad,
+    shapes (3,), (3, n) and (3, n, n), and the distance of a typical image, m.
     """
 
     offset_s: float
@@ -54,7 +99,7 @@ def regress(
     scale = np.sqrt(np.mean(design**2, axis=0))
     design /= scale
     weight = np.ones(len(d))
-    for _ in range(_PASSES):
+    for _ in range(PASSES):
         rows = design * weight[:, None]
         gram = rows.T @ rows + 1e-6 * len(d) * np.eye(len(terms))
         solution = np.linalg.solve(gram, rows.T @ (ball_m * weight[:, None]))
@@ -72,32 +117,21 @@ def regress(
     return Regression(offset_s, solution[0], slopes, bends, typical_m)
 
 
-def first_guess(
-    regression: Regression,
-    reference_rad: np.ndarray,
-    rng: np.random.Generator,
-    attempt: int,
-) -> SerialChain:
-    """Axes from slopes J_i and bends ``w_i x J_j``; after the first attempt with some chance."""
-    position_m, slopes, bends = regression.position_m, regression.slopes, regression.bends
-    n = slopes.shape[1]
-    axes, points = np.empty((n, 3)), np.empty((n, 3))
-    lever = np.linalg.norm(slopes, axis=0)
-    for i in range(n):
-        column = slopes[:, i]
+def first_guess(regression: Regression, reference_rad: np.ndarray) -> SerialChain:
+    """Axes from slopes J_i and bends ``w_i x J_j``."""
+    slopes, bends = regression.slopes, regression.bends
+    axes = np.empty_like(slopes.T)
+    for i, column in enumerate(slopes.T):
         # w x J_j = bend  <=>  -[J_j]x w = bend, for all joints from i on
         rows = -cross_matrix(slopes[:, i:].T).reshape(-1, 3)
-        wanted = bends[:, i, i:].T.reshape(-1)
-        axis = np.linalg.lstsq(rows, wanted, rcond=1e-3)[0]
-        if lever[i] > _WEAK_M_RAD:
-            axis -= column * (axis @ column) / lever[i] ** 2
-        spread = 0.0 if attempt == 0 else (0.3 if lever[i] > _WEAK_M_RAD else 3.0)
+        axis = np.linalg.lstsq(rows, bends[:, i, i:].T.reshape(-1), rcond=1e-3)[0]
+        lever = float(np.linalg.norm(column))
+        if lever > _WEAK_M_RAD:
+            axis -= column * (axis @ column) / lever**2
         length = float(np.linalg.norm(axis))
-        axis = axis / length if length > 1e-6 else rng.normal(size=3)
-        axis = axis + spread * rng.normal(size=3)
-        axes[i] = axis / np.linalg.norm(axis)
-        points[i] = position_m - np.cross(column, axes[i])
-    return SerialChain(axes, points, position_m, reference_rad)
+        axes[i] = axis / length if length > 1e-6 else np.eye(3)[0]  # unknown: any
+    points = regression.position_m - np.cross(slopes.T, axes)
+    return SerialChain(axes, points, regression.position_m, reference_rad)
 
 
 def turned_about(chain: SerialChain, rank: int) -> SerialChain:

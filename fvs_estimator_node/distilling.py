@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.chain_fit import MAX_OFFSET_S, ChainFit, fit_chain
+from fvs_estimator_node.chain_fit import ChainFit, fit_chain
+from fvs_estimator_node.chain_start import MAX_OFFSET_S
 from fvs_estimator_node.dataset import DataSet
 from fvs_estimator_node.model_file import TrainedModel, boxes_of
 from fvs_estimator_node.rbf import RbfModel, rbf_features
@@ -66,7 +67,7 @@ def train_structured(
     if neurons < 1:
         raise ValueError(f"neurons must be at least 1, got {neurons}")
     rng = np.random.default_rng(seed)
-    fit = fit_chain(data, rng, progress)
+    fit = fit_chain(data, progress)
     if progress is not None:
         progress("distilling the networks")
     boxes = boxes_of(data.joints_rad, data.ball_m, rng)
@@ -112,10 +113,9 @@ def with_chain(trained: TrainedModel, data: DataSet, seed: int = 0) -> tuple[Tra
     str
         What came of it, in words.
     """
-    rng = np.random.default_rng(seed)
-    places = _within(trained.joint_box_rad, rng, _JUDGED)
+    places = _within(trained.joint_box_rad, np.random.default_rng(seed), _JUDGED)
     try:
-        fit = fit_chain(data, np.random.default_rng(seed))
+        fit = fit_chain(data)
         found = _figures(fit, places)
     except ValueError as error:  # also of numpy's linear algebra
         return trained, f"no chain: {error}"

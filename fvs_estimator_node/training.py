@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.chain_fit import MAX_OFFSET_S
+from fvs_estimator_node.chain_start import MAX_OFFSET_S, STILL_RAD
 from fvs_estimator_node.dataset import DataSet
 from fvs_estimator_node.model_file import TrainedModel, boxes_of
 from fvs_estimator_node.rbf import RbfModel, rbf_features
@@ -171,7 +171,7 @@ class _Pairs:
             )
         self.joints, self.ball, self.rng = data.joints_rad, data.ball_m, rng
         spread = self.joints.std(axis=0)
-        if spread.max() < 1e-3:
+        if spread.max() < STILL_RAD:
             raise TrainingError("the joints hardly move in the data set, so there is no Jacobian")
         if np.linalg.norm(self.ball.std(axis=0)) < 1e-4:
             raise TrainingError("the ball does not move in the data set, so there is no Jacobian")
@@ -464,7 +464,9 @@ def _kernel(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def still_joints(data: DataSet) -> str:
     """The joints that stood still in a data set, by name, of which nothing is learned."""
     spread = data.joints_rad.std(axis=0)
-    return ", ".join(name for name, one in zip(data.joint_names, spread, strict=True) if one < 1e-3)
+    return ", ".join(
+        name for name, one in zip(data.joint_names, spread, strict=True) if one < STILL_RAD
+    )
 
 
 def late_stamps_note(offset_s: float) -> str:

@@ -101,8 +101,7 @@ def slow(data):
     return replace(data, **{name: getattr(data, name)[::8] for name in names})
 
 
-def test_a_model_trained_otherwise_gets_no_chain_that_cannot_be_told(distilled, monkeypatch):
-    monkeypatch.setattr("fvs_estimator_node.chain_fit._STARTS", 3)
+def test_a_model_trained_otherwise_gets_no_chain_that_cannot_be_told(distilled):
     plain = replace(distilled[0], chain=None)
     with_one, words = with_chain(plain, distilled[1].data())
     assert with_one.chain is not None
