@@ -22,8 +22,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from bench.fuzz_world import BALL, FRESH_TICKS, INPUTS, JOINT_STATES, PLANTS, TICK_S, World
 from bench.fuzz_world import TRUE_JACOBIAN as TRUE
 from fvs_controller_node.base import ControlOutput
-from fvs_controller_node.config import PARAMETERS
-from fvs_controller_node.registry import LAWS
+from fvs_controller_node.config import LAWS, PARAMETERS
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_ros.params import Parameter

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fvs_controller_node.progress import ProgressLimits
+from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.reasons import State, Stop
-from fvs_controller_node.supervisor_config import SupervisorConfig
 
 if TYPE_CHECKING:
     from bench.fuzz_world import World
@@ -236,11 +235,11 @@ class Errand:
         error_m = float(np.linalg.norm(error))
         self._best_m = min(self._best_m, error_m)
         up_m = max(
-            ProgressLimits.growth_factor * self._best_m, self._best_m + ProgressLimits.growth_m
+            SupervisorConfig.growth_factor * self._best_m, self._best_m + SupervisorConfig.growth_m
         )
         self._up_s = self._up_s + dt_s if error_m > MARGIN * up_m else 0.0
         self._since_s += dt_s
-        near = error_m < MARGIN * ProgressLimits.stall_error_m
+        near = error_m < MARGIN * SupervisorConfig.stall_error_m
         if near or self._best_m < 0.98 * self._mark_m:
             self._mark_m, self._since_s = self._best_m, 0.0
         self._still_s += dt_s

@@ -20,9 +20,8 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray
 
 from bench.dry_node import DryController
 from bench.fuzz_promises import LONGEST_TICK_S, Promises
-from fvs_controller_node.config import PARAMETERS
+from fvs_controller_node.config import PARAMETERS, SupervisorConfig
 from fvs_controller_node.supervisor import Command
-from fvs_controller_node.supervisor_config import SupervisorConfig
 from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.joints import HOME_JOINTS_RAD, UR_JOINT_NAMES, ForeignJointsError, JointMap

@@ -1,9 +1,10 @@
-"""The interface of a control law: what it is told at a tick, and what it answers."""
+"""The interface of a control law: its input and its output at a tick."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from enum import Enum
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -11,9 +12,13 @@ import numpy as np
 from fvs_ros.chain import SerialChain
 from fvs_ros.params import Parameter
 
-#: Joint velocities for a target that stands, rad/s.
-NO_FEED_FORWARD = np.zeros(1)
-NO_FEED_FORWARD.flags.writeable = False
+
+class Change(Enum):
+    """What has changed the error since the last tick, beside the motion of joints and target."""
+
+    NOTHING = 0
+    MEASUREMENT = 1  #: an image, or an update of a moving target
+    TARGET = 2  #: another target
 
 
 class ControlInput(NamedTuple):
@@ -32,17 +37,14 @@ class ControlInput(NamedTuple):
         Joint positions, rad.
     dt_s : float
         Time since the last tick, s; positive.
+    home_rad : ndarray, shape (n,), optional
+        Joints at the last start, rad: a posture to come back to on the way.
     chain : SerialChain, optional
         Forward model of arm and feature as the camera sees them; up to a constant offset.
-    home_rad : ndarray, shape (n,), optional
-        Joints at which the arm was started, rad: a posture to come back to on the way.
-    measurement_count : int
-        Changes whenever something else than the joints' motion and the feed-forward has changed
-        ``error_m``: an image, a target.
-    target_count : int
-        Changes with every target that the feed-forward has not led to.
-    feed_forward_rad_s : ndarray, shape (n,) or (1,)
-        Joint velocities that go along with a moving target, rad/s: added to what the law answers.
+    change : Change
+        What has changed ``error_m``.
+    feed_forward_rad_s : ndarray, shape (n,), optional
+        Joint velocities that follow a moving target, rad/s: added to the law's output.
     """
 
     error_m: np.ndarray
@@ -50,23 +52,22 @@ class ControlInput(NamedTuple):
     applied_rad_s: np.ndarray
     joints_rad: np.ndarray
     dt_s: float
-    chain: SerialChain | None = None
     home_rad: np.ndarray | None = None
-    measurement_count: int = 0
-    target_count: int = 0
-    feed_forward_rad_s: np.ndarray = NO_FEED_FORWARD
+    chain: SerialChain | None = None
+    change: Change = Change.NOTHING
+    feed_forward_rad_s: np.ndarray | None = None
 
 
 class ControlOutput(NamedTuple):
-    """What a law answers.
+    """The output of a law.
 
     Parameters
     ----------
     velocity_rad_s : ndarray, shape (n,)
         Wanted joint velocities before any limit, rad/s.
     sliding_variable : ndarray, shape (m,)
-        What the law gives the estimator's update law in the place of s: a sliding mode law its
-        sliding variable (17), the proportional law the error (45); zeros for a law without one.
+        The s of the estimator's update law: a sliding mode law's sliding variable (17), the
+        proportional law's error (45); zeros for a law without one.
     exponent : ndarray, shape (m,)
         The exponent gamma of each component; ones for a law without one.
     """
@@ -75,15 +76,20 @@ class ControlOutput(NamedTuple):
     sliding_variable: np.ndarray
     exponent: np.ndarray
 
+    @classmethod
+    def plain(cls, velocity_rad_s: np.ndarray, features: int) -> ControlOutput:
+        """Joint velocities of a law without sliding variable and exponent."""
+        return cls(velocity_rad_s, np.zeros(features), np.ones(features))
+
 
 class ControlLaw(ABC):
     """Turns an error and a Jacobian into joint velocities.
 
-    A law declares its own parameters and builds itself from their values, so that a new law
-    is one file here and one line in :mod:`fvs_controller_node.registry`.
+    A law declares its own parameters and builds itself from their values: a new law is one file
+    here and one line in :mod:`fvs_controller_node.config`.
     """
 
-    #: Whether it makes use of a chain; the Jacobian then is the chain's.
+    #: Whether it uses a chain; the Jacobian then is the chain's.
     reads_chain: ClassVar[bool] = False
 
     #: Whether it brakes in time for the target itself; else the loop slows it down.

@@ -1,33 +1,39 @@
-"""The node's parameters, and the controller that is built from their values."""
+"""The node's parameters: those of the supervisor, of the loop and of the control laws."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from operator import lt
 from typing import Any
 
-from fvs_controller_node.anticipation import Anticipation
 from fvs_controller_node.base import ControlLaw
-from fvs_controller_node.loop import ServoLoop
-from fvs_controller_node.predictor import BallPredictor, PredictorConfig
-from fvs_controller_node.redundancy import LEAST_SPEED, Inverse, RedundancyConfig, make_inverse
-from fvs_controller_node.registry import LAWS, make_law
-from fvs_controller_node.supervisor import Supervisor
-from fvs_controller_node.supervisor_config import SupervisorConfig
-from fvs_controller_node.target_motion import TargetFollower
-from fvs_ros.limits import SpeedLimits
-from fvs_ros.params import Parameters, ParameterSet, parameter
+from fvs_controller_node.ftsm import FtsmLaw
+from fvs_controller_node.minimum_time import MinimumTimeLaw
+from fvs_controller_node.prediction import PredictorConfig
+from fvs_controller_node.proportional import MfacLaw, MpcLaw, ProportionalLaw
+from fvs_controller_node.redundancy import RedundancyConfig
+from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.joints import ArmJoints
+from fvs_ros.limits import JointRange, SpeedLimits
+from fvs_ros.params import ParameterError, Parameters, ParameterSet, live_parameter, parameter
+
+#: The control laws by name. A new law is one file in this folder and one line here.
+LAWS: dict[str, type[ControlLaw]] = {
+    "ftsm": FtsmLaw,
+    "proportional": ProportionalLaw,
+    "mfac": MfacLaw,
+    "mpc": MpcLaw,
+    "minimum_time": MinimumTimeLaw,
+}
 
 
 @dataclass(frozen=True)
 class ControllerConfig(Parameters):
-    """What belongs to no part of the loop."""
+    """Parameters of the loop."""
 
-    law: str = parameter(
-        "ftsm",
-        "Control law; changes only while the arm is stopped.",
-        choices=tuple(LAWS),
-        live=True,
+    law: str = live_parameter(
+        "ftsm", "Control law; changes only while the arm is stopped.", choices=tuple(LAWS)
     )
     joint_state_rate_hz: float = parameter(
         125.0,
@@ -35,11 +41,121 @@ class ControllerConfig(Parameters):
         10.0,
         1000.0,
     )
-    target_feed_forward: bool = parameter(
+    target_feed_forward: bool = live_parameter(
         True,
         "Go along with a target that is updated often; off, every target stands where it was set.",
-        live=True,
     )
+
+
+@dataclass(frozen=True)
+class SupervisorConfig(Parameters):
+    """Limits and thresholds of the supervisor."""
+
+    autostart: bool = parameter(
+        False,
+        "Start once by itself, the first time everything is ready. For simulation only.",
+    )
+    feature_frame: str = parameter(CAMERA_FRAME, "Frame of ball and target.")
+    joints: ArmJoints = field(default_factory=ArmJoints)
+    speed: SpeedLimits = field(default_factory=SpeedLimits)
+    joint_range: JointRange = field(default_factory=JointRange)
+    workspace_min_m: tuple[float, ...] = live_parameter(
+        (-1.0, -1.0, 0.2), "Lower corner of the box that targets must be in, feature frame, m."
+    )
+    workspace_max_m: tuple[float, ...] = live_parameter(
+        (1.0, 1.0, 3.0), "Upper corner of the box that targets must be in, feature frame, m."
+    )
+    joint_states_max_age_s: float = live_parameter(
+        0.1, "Older joint states are stale: the arm is held, s.", 0.01, 10.0
+    )
+    ball_max_age_s: float = live_parameter(
+        0.2, "An older ball position is stale: the arm is held, s.", 0.01, 10.0
+    )
+    jacobian_max_age_s: float = live_parameter(
+        0.2, "An older Jacobian is stale: the arm is held, s.", 0.01, 10.0
+    )
+    singular_hold_m_rad: float = live_parameter(
+        0.03,
+        "Smallest singular value of the Jacobian below which the arm is held, m/rad; it slows down "
+        "from 8/3 of that on.",
+        1e-5,
+        10.0,
+    )
+    prediction_hold: float = live_parameter(
+        1.2,
+        "Error of the predicted motion over the motion (1 is useless) above which the arm is held "
+        "after 50 mm of motion; it slows down from 2/3 of that on.",
+        0.01,
+        100.0,
+    )
+    settled_error_m: float = live_parameter(
+        0.005, "Settled when the error stays below this for 0.3 s, m.", 1e-5, 1.0
+    )
+    stall_time_s: float = live_parameter(
+        6.0,
+        "Held when an error above 20 mm has not become smaller for this time, s; half of it for an "
+        "arm that does not follow, a sixth for an error that grew by half and 30 mm.",
+        0.1,
+        60.0,
+    )
+    resume_within_s: float = live_parameter(
+        30.0, "An arm that was held for longer needs a new start, s.", 0.5, 1e6
+    )
+
+    #: Good messages in a row after which an input counts again: one could be a remainder.
+    fresh_samples = 5
+    #: Motion for which the prediction may be bad, m: an estimator that learns needs some to recover
+    #: after the camera was moved.
+    prediction_hold_m = 0.05
+    settled_time_s = 0.3
+    #: The error has grown when it is above its best by both.
+    growth_factor, growth_m = 1.5, 0.03
+    #: Errors below this are never taken for a stall.
+    stall_error_m = 0.02
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        low, high = self.workspace_min_m, self.workspace_max_m
+        if len(low) != len(high) or not all(map(lt, low, high)):
+            raise ParameterError(
+                "workspace_min_m must be a list of numbers, each below that of workspace_max_m "
+                f"{list(high)}, got {list(low)}"
+            )
+        if len(self.joint_range.joint_min_rad) != len(self.joint_names):
+            raise ParameterError(
+                f"joint_min_rad and joint_max_rad need {len(self.joint_names)} numbers, one "
+                "for each of joint_names"
+            )
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Joints in kinematic order."""
+        return self.joints.joint_names
+
+    @property
+    def features(self) -> int:
+        """Length m of the feature."""
+        return len(self.workspace_min_m)
+
+    @property
+    def follow_time_s(self) -> float:
+        """The arm may fail to move as commanded for this time, s."""
+        return 0.5 * self.stall_time_s
+
+    @property
+    def growth_time_s(self) -> float:
+        """The error may be larger than it was for this time, s."""
+        return self.stall_time_s / 6.0
+
+    @property
+    def singular_slow_m_rad(self) -> float:
+        """Smallest singular value below which the arm slows down, m/rad."""
+        return self.singular_hold_m_rad * 8.0 / 3.0
+
+    @property
+    def prediction_slow(self) -> float:
+        """Prediction error above which the arm slows down."""
+        return self.prediction_hold * 2.0 / 3.0
 
 
 #: Those of the laws, declared in their files, by name: some belong to more than one law.
@@ -59,39 +175,12 @@ def default_values(**overrides: Any) -> dict[str, Any]:
     return ParameterSet(PARAMETERS).values(overrides)
 
 
-def build_law(values: Mapping[str, Any]) -> ControlLaw:
-    """Build the control law that ``values`` name.
+def make_law(values: Mapping[str, Any]) -> ControlLaw:
+    """Build the law that ``values`` name, with the gains in them (by parameter name).
 
     Raises
     ------
     ValueError
-        If values do not fit together; the text says which. So do the other builders.
+        If a gain is out of range, or values do not fit together.
     """
-    return make_law(values["law"], values)
-
-
-def build_loop(values: Mapping[str, Any]) -> ServoLoop:
-    """Build the whole controller."""
-    return ServoLoop(
-        build_law(values),
-        BallPredictor(PredictorConfig.from_values(values)),
-        Supervisor(SupervisorConfig.from_values(values)),
-        TargetFollower(values["target_feed_forward"], _follower_inverse(values)),
-        Anticipation(SpeedLimits.from_values(values).max_joint_acceleration_rad_s2),
-    )
-
-
-def reconfigure(loop: ServoLoop, values: Mapping[str, Any]) -> None:
-    """Take over changed values in a running controller; nothing changes if one is refused."""
-    law, config = build_law(values), SupervisorConfig.from_values(values)
-    loop.law = law
-    loop.anticipation = Anticipation(config.speed.max_joint_acceleration_rad_s2)
-    loop.supervisor.configure(config)
-    loop.predictor.configure(PredictorConfig.from_values(values))
-    loop.follower.configure(values["target_feed_forward"], _follower_inverse(values))
-
-
-def _follower_inverse(values: Mapping[str, Any]) -> Inverse:
-    # The law pulls towards the posture already.
-    own = {"redundancy_resolution": LEAST_SPEED} if LAWS[values["law"]].least_speed else {}
-    return make_inverse({**values, **own, "posture_gain_1_s": 0.0})
+    return LAWS[values["law"]].from_values(values)

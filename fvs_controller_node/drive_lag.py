@@ -1,20 +1,24 @@
-"""How long the drives take to do what they are told.
+"""How long the drives take to do what they are told, and how fast one may be for it.
 
 A drive that answers a velocity late by T is behind the commanded path by T times the velocity:
 ``r_commanded - r = T u + constant``. Both sides, freed of what is slow, are compared over time.
 It does not matter whether T is dead time, lag or the age of the joint states.
 
 So the joints are known before they are measured, except for that constant. At rest it is averaged,
-so that the noise of the encoders does not become motion.
+so that the noise of the encoders does not become motion. A law that looks at the present brakes too
+late by what has been commanded and not been done yet; with that motion made, braking can be planned
+close to the acceleration limit.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from fvs_controller_node.base import ControlInput, ControlOutput
 from fvs_ros.timeline import History
+from fvs_ros.vectors import largest
 
-#: What the lag is taken for before anything has moved, s.
+#: The lag before anything has moved, s.
 _FIRST_S = 0.03
 #: No drive is slower than this; what is slower than that is no lag, s.
 _MOST_S, _SLOW_S = 0.2, 1.0
@@ -24,6 +28,8 @@ _FIRST, _MEMORY = 0.05, 20.0
 #: Time over which the constant is averaged at rest, s, and the speed from which on it is not: there
 #: a wrong lag would be worse than the encoders' noise, rad/s.
 _AVERAGED_S, _MOVING_RAD_S = 0.16, 0.02
+#: Share of the acceleration limit that braking is planned with.
+BRAKING_SHARE = 0.9
 
 
 class DriveLag:
@@ -63,7 +69,7 @@ class DriveLag:
         joints_rad: np.ndarray,
         compare: bool = True,
     ) -> np.ndarray:
-        """Tell one joint state.
+        """Take one joint state.
 
         Parameters
         ----------
@@ -74,13 +80,13 @@ class DriveLag:
         joints_rad : ndarray, shape (n,)
             Joint positions, rad.
         compare : bool
-            Whether the arm goes as it is told; one with its speed slider down, or moved by somebody
-            else, does not, which would look like a lag as well.
+            Whether the arm obeys; one with its speed slider down, or moved by somebody else, does
+            not, which would look like a lag as well.
 
         Returns
         -------
         ndarray, shape (n,)
-            Joint positions with less noise where the arm goes as it is told, rad.
+            Joint positions with less noise where the arm obeys, rad.
         """
         before_s, commanded = self._commanded.newest_stamp_s, self._commanded.newest
         moved, self._joints = joints_rad - self._joints, joints_rad
@@ -113,8 +119,32 @@ class DriveLag:
         constant = joints_rad - done
         if self._constant is None:
             self._constant = constant
-        # The faster of the command and of what it makes of the joints now.
+        # The faster of the command and of its effect on the joints now.
         speed = np.maximum(np.abs(command_rad_s), np.abs(done - before) / dt_s)
         share = np.maximum(dt_s / _AVERAGED_S, speed**2 / (speed**2 + _MOVING_RAD_S**2))
         self._constant = self._constant + np.minimum(share, 1.0) * (constant - self._constant)
         return done + self._constant
+
+
+def braking_speed_within(travel_rad: float, acceleration_rad_s2: float, dt_s: float) -> float:
+    """Largest speed from which, from the next tick on, one can brake within a travel, rad/s."""
+    step = acceleration_rad_s2 * dt_s
+    return float((step * step + 2.0 * acceleration_rad_s2 * travel_rad) ** 0.5 - step)
+
+
+def brake(
+    output: ControlOutput, present: ControlInput, max_acceleration_rad_s2: float
+) -> ControlOutput:
+    """The output, no faster than it can brake for the target."""
+    velocity, error_m = output.velocity_rad_s, present.error_m
+    fastest = largest(velocity)
+    closing = -float(error_m @ (present.jacobian @ velocity))
+    if closing <= 0.0:
+        return output
+    # On this course the error is gone after this time, and the joint has gone that far.
+    to_go_s = float(error_m @ error_m) / closing
+    acceleration = BRAKING_SHARE * max_acceleration_rad_s2
+    limit = braking_speed_within(fastest * to_go_s, acceleration, present.dt_s)
+    if limit < fastest:
+        velocity = (limit / fastest) * velocity
+    return output._replace(velocity_rad_s=velocity)

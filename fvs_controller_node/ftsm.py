@@ -18,12 +18,10 @@ from typing import Any
 import numpy as np
 
 from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
-from fvs_controller_node.pseudo_inverse import DampedInverse
-from fvs_controller_node.reaching import ReachingLaw
-from fvs_controller_node.redundancy import Inverse, make_inverse
+from fvs_controller_node.redundancy import DampedInverse, Inverse, make_inverse
 from fvs_controller_node.settling import settling_times
-from fvs_controller_node.surface import SlidingSurface
-from fvs_ros.params import Parameters, parameter
+from fvs_controller_node.surface import ReachingLaw, SlidingSurface
+from fvs_ros.params import Parameters, live_parameter
 from fvs_ros.vectors import length
 
 IMPLICIT, LITERAL = "implicit", "literal"
@@ -112,18 +110,16 @@ class FtsmGains(Parameters):
 
     surface: SlidingSurface = field(default_factory=SlidingSurface)
     reaching: ReachingLaw = field(default_factory=ReachingLaw)
-    ftsm_path: str = parameter(
+    ftsm_path: str = live_parameter(
         EACH_AXIS,
         "Each component of the error with a surface of its own, as in the paper, or one surface "
         "of the distance: straight to the target.",
         choices=(EACH_AXIS, STRAIGHT),
-        live=True,
     )
-    discretisation: str = parameter(
+    discretisation: str = live_parameter(
         IMPLICIT,
         "implicit (stable at any gain and rate) or literal (eq. (16) as printed; chatters).",
         choices=(IMPLICIT, LITERAL),
-        live=True,
     )
 
 

@@ -2,11 +2,120 @@
 
 from __future__ import annotations
 
+from math import inf
+from typing import NamedTuple
+
 import numpy as np
 
-from fvs_controller_node.progress import Progress
-from fvs_controller_node.supervisor_config import SupervisorConfig
-from fvs_ros.vectors import all_finite
+from fvs_controller_node.config import SupervisorConfig
+from fvs_controller_node.reasons import Finding, Reason
+from fvs_ros.vectors import all_finite, length
+
+#: Time constant of the low pass on the error norm, s.
+_SMOOTHING_S = 0.1
+#: The error has swung when it is this far from where it was, m: more than noise does. Without a
+#: swing for this time, s, it has come to rest. A sustained oscillation sums up to this way, m, and
+#: to twice the way to the target besides.
+_SWING_M, _REST_S, _SWINGS_M = 0.01, 1.0, 0.5
+#: The best error must fall by this share of itself to count as progress.
+_PROGRESS_SHARE = 0.03
+
+
+class _Mark(NamedTuple):
+    """An error and where the target was then: what the target has gone since is not the arm's."""
+
+    error: float | np.ndarray
+    target_m: np.ndarray | None
+
+    def gone_m(self, target_m: np.ndarray | None) -> float:
+        if target_m is None or self.target_m is None:
+            return 0.0
+        return length(target_m - self.target_m)
+
+
+class Progress:
+    """Monitors whether the error, since the start or a new target, settles, grows or swings."""
+
+    def __init__(self) -> None:
+        self._task: np.ndarray | None = None  # the target of the last restart, m
+        self.settled = False
+        self.restart()
+
+    def take_target(self, target_m: np.ndarray, config: SupervisorConfig) -> None:
+        """Begin anew for a target, m, (m,), that is another one by more than errors may grow."""
+        if self._task is None or length(target_m - self._task) > config.growth_m:
+            self._task = target_m
+            self.restart()
+
+    def restart(self) -> None:
+        """Begin anew: a start, or another target."""
+        self._smooth_m: float | None = None
+        self._up_s = self._near_s = self._since_s = 0.0
+        self._best = self._mark = _Mark(inf, None)  # least error; that at the last progress
+        self._swung: _Mark | None = None
+        self._swings_m, self._still_s, self._first_m = 0.0, 0.0, 0.0
+        self.settled = False
+
+    def add(
+        self,
+        error_m: np.ndarray,
+        dt_s: float,
+        servoing: bool,
+        config: SupervisorConfig,
+        target_m: np.ndarray | None = None,
+    ) -> None:
+        """Take the error, m, (m,), after a tick, and where the target is.
+
+        All but settling counts only while the law is in charge; then a larger error is no growth
+        as far as the target has gone since the best.
+        """
+        norm_m = length(error_m)
+        if self._smooth_m is None:
+            self._smooth_m = self._first_m = norm_m
+        self._smooth_m += (norm_m - self._smooth_m) * dt_s / (dt_s + _SMOOTHING_S)
+        smooth_m = self._smooth_m
+        self._near_s = self._near_s + dt_s if smooth_m < config.settled_error_m else 0.0
+        self.settled = self._near_s >= config.settled_time_s
+        if not servoing:
+            return  # the times stand still: a short gap in the inputs must not forgive what was
+        self._swing(error_m, dt_s, target_m)
+        best_m = float(self._best.error) + self._best.gone_m(target_m)
+        if smooth_m < best_m:
+            self._best, best_m = _Mark(smooth_m, target_m), smooth_m
+        up = smooth_m > config.growth_factor * best_m and smooth_m > best_m + config.growth_m
+        self._up_s = self._up_s + dt_s if up else 0.0
+        mark_m = float(self._mark.error) + self._mark.gone_m(target_m)
+        if best_m < (1.0 - _PROGRESS_SHARE) * mark_m:
+            self._mark, self._since_s = _Mark(best_m, target_m), 0.0
+        elif smooth_m > config.stall_error_m:
+            self._since_s += dt_s
+        else:
+            self._since_s = 0.0
+
+    def _swing(self, error_m: np.ndarray, dt_s: float, target_m: np.ndarray | None) -> None:
+        if self._swung is None:
+            self._swung = _Mark(error_m, target_m)
+        went_m = length(error_m - self._swung.error)
+        self._still_s += dt_s
+        if went_m > _SWING_M:
+            self._swings_m += max(0.0, went_m - self._swung.gone_m(target_m))
+            self._swung, self._still_s = _Mark(error_m, target_m), 0.0
+        elif self._still_s > _REST_S:
+            self._swings_m = self._first_m = 0.0
+
+    def check(self, _motion: object, config: SupervisorConfig) -> Finding | None:
+        """Find an error that grows, swings or stalls."""
+        error_mm = inf if self._smooth_m is None else 1e3 * self._smooth_m
+        if self._up_s >= config.growth_time_s:
+            best_mm = 1e3 * float(self._best.error)
+            return Reason.ERROR_GROWING.because(
+                best_mm=best_mm, error_mm=error_mm, time_s=config.growth_time_s
+            )
+        if self._swings_m > _SWINGS_M + 2.0 * self._first_m:
+            return Reason.OSCILLATING.because(way_m=self._swings_m)
+        if self._since_s >= config.stall_time_s:
+            return Reason.STALLED.because(time_s=config.stall_time_s, error_mm=error_mm)
+        return None
 
 
 class Goal:
@@ -29,7 +138,7 @@ class Goal:
 
     def __init__(self, config: SupervisorConfig) -> None:
         self._config = config
-        self.progress = Progress(config.progress)
+        self.progress = Progress()
         self.target_m: np.ndarray | None = None
         self._set_m: np.ndarray | None = None  # as it was set last
         self.position_m: np.ndarray | None = None
@@ -37,12 +146,25 @@ class Goal:
     def configure(self, config: SupervisorConfig) -> None:
         """Change the settings; a target that a new box leaves outside is dropped."""
         self._config = config
-        self.progress.limits = config.progress
         if self.target_m is not None and self._outside(self.target_m):
             self.target_m = self._set_m = None
 
+    def refusal(self, position_m: np.ndarray, frame: str) -> str:
+        """Why a target, (m,), m, is not accepted in this frame; empty if it is."""
+        expected, features = self._config.feature_frame, self._config.features
+        if not frame:
+            return f"it names no frame; set header.frame_id to {expected}"
+        if frame != expected:
+            return f"it is in frame {frame}, expected {expected} (feature_frame)"
+        if np.shape(position_m) != (features,) or not np.isfinite(position_m).all():
+            return f"expected {features} finite numbers, got {position_m}"
+        outside = self._outside(np.asarray(position_m, dtype=float))
+        if outside:
+            return f"{', '.join(outside)} (workspace_min_m and workspace_max_m, in {frame})"
+        return ""
+
     def set(self, position_m: np.ndarray, frame: str, *, moving: bool = False) -> tuple[bool, str]:
-        """Set the target; a refused one leaves the old in place.
+        """Set the target, (m,), m; a refused one leaves the old in place.
 
         Parameters
         ----------
@@ -51,7 +173,7 @@ class Goal:
         frame : str
             Its frame, to be checked.
         moving : bool
-            Whether it goes on with the last one's motion.
+            Whether it continues the last one's motion.
 
         Returns
         -------
@@ -60,23 +182,14 @@ class Goal:
         str
             What was done, or why not.
         """
-        if frame != self._config.feature_frame:
-            return False, "target refused: " + self._config.wrong_frame(frame)
+        refusal = self.refusal(position_m, frame)
+        if refusal:
+            return False, f"target refused: {refusal}"
         target = np.array(position_m, dtype=float)
-        if target.shape != (self._config.features,) or not all_finite(target):
-            return False, (
-                f"target refused: expected {self._config.features} finite numbers, got {position_m}"
-            )
-        outside = self._outside(target)
-        if outside:
-            return False, (
-                f"target refused: {', '.join(outside)} (workspace_min_m and workspace_max_m, "
-                f"in {frame})"
-            )
-        if not moving:  # one on its way is no new task
-            self.progress.take_target(target)
+        if not moving:  # a moving one is no new task
+            self.progress.take_target(target, self._config)
         self.target_m = self._set_m = target
-        return True, "target set to ({:.3f}, {:.3f}, {:.3f}) m".format(*target.tolist())
+        return True, f"target set to ({', '.join(f'{one:.3f}' for one in target)}) m"
 
     def was_set(self, position_m: np.ndarray) -> bool:
         """Whether a place, m, (m,), is the target that was set last."""
@@ -95,7 +208,7 @@ class Goal:
         self.position_m = position_m if usable else None
         error = self.error_m
         if error is not None:
-            self.progress.add(error, dt_s, servoing, self.target_m)
+            self.progress.add(error, dt_s, servoing, self._config, self.target_m)
 
     @property
     def error_m(self) -> np.ndarray | None:

@@ -1,4 +1,4 @@
-"""What came in: each message is checked once, each input watched for its age."""
+"""The inputs: each message is checked once, and each input watched for its age."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from math import inf, isfinite
 
 import numpy as np
 
-from fvs_controller_node.inputs import InputMonitor, InputSpec
-from fvs_controller_node.pseudo_inverse import Conditioning, conditioning
+from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.reasons import Finding, Reason
-from fvs_controller_node.supervisor_config import SupervisorConfig
+from fvs_controller_node.redundancy import Conditioning, conditioning
 
 #: Inputs by topic name.
 JOINT_STATES, BALL, JACOBIAN = "joint_states", "ball_position", "jacobian"
@@ -19,21 +18,96 @@ KINEMATIC_CHAIN, SPEED_SCALING = "kinematic_chain", "speed_scaling"
 #: No joint position (rad), ball position (m) or Jacobian (m/rad) is larger than this.
 _LARGEST = 100.0
 
-#: Another node's command forbids motion for this time, s.
-_CONFLICT_S = 1.0
+#: What a source says of itself counts for the first time, another node's command for the second, s.
+_SAID_S, _CONFLICT_S = 2.0, 1.0
 
 #: Speed scaling from which the robot is at full speed, %: the driver multiplies doubles.
 _FULL_PERCENT = 99.5
 
 
-def _specs(config: SupervisorConfig) -> tuple[InputSpec, ...]:
-    ages = (
-        (JOINT_STATES, "joint_states_max_age_s", "is the robot driver (or simulator) running?"),
-        (BALL, "ball_max_age_s", "is the ball in view, and the detector running?"),
-        (JACOBIAN, "jacobian_max_age_s", "is the estimator running?"),
-    )
-    needed = (InputSpec(name, hint, getattr(config, age), age) for name, age, hint in ages)
-    return (*needed, InputSpec(KINEMATIC_CHAIN, "", None), InputSpec(SPEED_SCALING, "", None))
+class InputMonitor:
+    """Arrival of one input on the steady clock.
+
+    Any trouble (never came, stale, not usable) lasts until ``fresh_samples`` good messages in
+    a row have come.
+
+    Parameters
+    ----------
+    config : SupervisorConfig
+        Ages and number of fresh samples; may be replaced.
+    name : str
+        Topic name, as the user knows it.
+    hint : str
+        What to check when it does not come.
+    limit : str
+        The parameter of its greatest age; empty for an input that may come rarely or never.
+    """
+
+    def __init__(
+        self, config: SupervisorConfig, name: str, hint: str = "", limit: str = ""
+    ) -> None:
+        self.config, self.name, self._hint, self._limit = config, name, hint, limit
+        self._last_s: float | None = None
+        self._streak = 0
+        self._trouble = Reason.MISSING if limit else None
+        self._why = ""
+        self._stuck_s = self._said_s = -inf
+        self._said = ""
+
+    def good(self, now_s: float) -> None:
+        """Count a usable message."""
+        self.find(now_s)  # a gap since the last one counts, even if no tick saw it
+        self._last_s = now_s
+        if self._trouble is not None:
+            self._streak += 1
+            if self._streak >= self.config.fresh_samples:
+                self._trouble = None
+
+    def stuck(self, now_s: float) -> None:
+        """Note a message whose stamp does not advance; it does not count."""
+        self._stuck_s = now_s
+
+    def source_says(self, now_s: float, why: str) -> None:
+        """Note why its source sends nothing, in the source's words; empty if it has no reason."""
+        self._said, self._said_s = why, now_s
+
+    def bad(self, why: str) -> None:
+        """Note a message that cannot be used."""
+        self._streak, self._trouble, self._why = 0, Reason.BAD_INPUT, why
+
+    def forget(self) -> None:
+        """Forget the trouble of an input that has ceased and need not come."""
+        self._trouble = None
+
+    def age_s(self, now_s: float) -> float:
+        """Time since the last usable message, s; infinite if there was none."""
+        return inf if self._last_s is None else max(0.0, now_s - self._last_s)
+
+    def find(self, now_s: float) -> Finding | None:
+        """Find what is wrong with this input now, if anything."""
+        age_s = self.age_s(now_s)
+        limit_s = getattr(self.config, self._limit) if self._limit else inf
+        stale = self._last_s is not None and age_s > limit_s
+        if stale:
+            self._streak = 0
+            self._trouble = self._trouble or Reason.STALE
+        if self._trouble is None:
+            return None
+        numbers = {"name": self.name, "count": self._streak, "wanted": self.config.fresh_samples}
+        if self._trouble is Reason.BAD_INPUT:
+            return Reason.BAD_INPUT.because(why=self._why, **numbers)
+        hint = self._hint
+        if self._said and now_s - self._said_s <= _SAID_S:
+            hint = self._said
+        elif now_s - self._stuck_s <= limit_s:
+            hint = "messages come, but their stamps do not advance: its source has frozen"
+        if stale:
+            return Reason.STALE.because(
+                name=self.name, age_s=age_s, limit=self._limit, limit_s=limit_s, hint=hint
+            )
+        if self._trouble is Reason.MISSING:
+            return Reason.MISSING.because(hint=hint, **numbers)
+        return Reason.RETURNING.because(**numbers)
 
 
 class Inbox:
@@ -42,9 +116,10 @@ class Inbox:
     Parameters
     ----------
     config : SupervisorConfig
-        Ages, frame and sizes that are expected.
+        Ages and sizes that are expected.
     end_session : callable
-        Told why a session must end now: a pause of the robot, another node's command.
+        Called with the reason why a session must end now: a pause of the robot, another node's
+        command.
 
     Attributes
     ----------
@@ -56,9 +131,21 @@ class Inbox:
 
     def __init__(self, config: SupervisorConfig, end_session: Callable[[Finding], None]) -> None:
         self._config, self._end_session = config, end_session
-        self._monitors = {
-            spec.name: InputMonitor(spec, config.fresh_samples) for spec in _specs(config)
-        }
+        monitors = (
+            InputMonitor(
+                config,
+                JOINT_STATES,
+                "is the robot driver (or simulator) running?",
+                "joint_states_max_age_s",
+            ),
+            InputMonitor(
+                config, BALL, "is the ball in view, and the detector running?", "ball_max_age_s"
+            ),
+            InputMonitor(config, JACOBIAN, "is the estimator running?", "jacobian_max_age_s"),
+            InputMonitor(config, KINEMATIC_CHAIN),
+            InputMonitor(config, SPEED_SCALING),
+        )
+        self._monitors = {monitor.name: monitor for monitor in monitors}
         self.jacobian: np.ndarray | None = None
         self.conditioning: Conditioning | None = None
         self._conflict: Finding | None = None  # with another node, and when it commanded last
@@ -69,8 +156,8 @@ class Inbox:
     def configure(self, config: SupervisorConfig) -> None:
         """Change what is expected while running."""
         self._config = config
-        for spec in _specs(config):
-            self._monitors[spec.name].configure(spec, config.fresh_samples)
+        for monitor in self._monitors.values():
+            monitor.config = config
 
     # ---- messages ---------------------------------------------------------------------------
 
@@ -78,11 +165,8 @@ class Inbox:
         """Take joint positions in kinematic order; False if they cannot be used."""
         return self._check(now_s, JOINT_STATES, joints_rad, (len(self._config.joint_names),))
 
-    def add_ball(self, now_s: float, position_m: np.ndarray, frame: str | None = None) -> bool:
-        """Take a ball position (and its frame, to be checked); False if it cannot be used."""
-        if frame is not None and frame != self._config.feature_frame:
-            self.bad_input(now_s, BALL, self._config.wrong_frame(frame))
-            return False
+    def add_ball(self, now_s: float, position_m: np.ndarray) -> bool:
+        """Take a ball position in the feature's frame; False if it cannot be used."""
         return self._check(now_s, BALL, position_m, (self._config.features,))
 
     def add_jacobian(self, now_s: float, jacobian: np.ndarray) -> bool:
@@ -95,22 +179,20 @@ class Inbox:
         return True
 
     def add_chain(self, now_s: float) -> None:
-        """Take note of a usable forward model."""
+        """Note a usable forward model."""
         self._monitors[KINEMATIC_CHAIN].good(now_s)
 
     def no_chain(self) -> None:
-        """Take note that no forward model comes any more: no node misses it."""
+        """Note that no forward model comes any more: it is optional."""
         self._monitors[KINEMATIC_CHAIN].forget()
 
     def stuck(self, now_s: float, name: str) -> None:
-        """Take note of a message on topic ``name`` whose stamp does not advance."""
+        """Note a message on topic ``name`` whose stamp does not advance."""
         self._monitors[name].stuck(now_s)
 
-    def bad_input(self, now_s: float, name: str, why: str) -> None:
-        """Take note of a message on topic ``name`` that cannot be used, and why."""
-        if name not in self._monitors:
-            raise ValueError(f"unknown input {name!r}; known are {', '.join(self._monitors)}")
-        self._monitors[name].bad(now_s, why)
+    def bad_input(self, name: str, why: str) -> None:
+        """Note a message on topic ``name`` that cannot be used, and why."""
+        self._monitors[name].bad(why)
 
     def estimator_says(self, now_s: float, why: str) -> None:
         """Take the estimator's words why it may publish no Jacobian; empty if all is well."""
@@ -125,14 +207,14 @@ class Inbox:
     def add_speed_scaling(self, now_s: float, percent: float) -> None:
         """Take the robot's speed scaling, 0 to 100 %."""
         if not isfinite(percent):
-            self.bad_input(now_s, SPEED_SCALING, f"expected 0 to 100, got {percent}")
+            self.bad_input(SPEED_SCALING, f"expected 0 to 100, got {percent}")
             return
         self._monitors[SPEED_SCALING].good(now_s)
         self._speed_scaling = float(percent)
         self._pause()
 
     def conflicting_command(self, now_s: float, name: str) -> None:
-        """Take note that another node has just commanded the arm, too."""
+        """Note that another node has just commanded the arm, too."""
         self._conflict, self._conflict_s = Reason.CONFLICT.because(name=name), now_s
         self._end_session(self._conflict)
 
@@ -144,34 +226,35 @@ class Inbox:
         values = np.asarray(values, dtype=float)
         wanted = " x ".join(str(n) for n in shape)
         if values.shape != shape:
-            self.bad_input(now_s, name, f"expected {wanted} numbers, got shape {values.shape}")
-            return False
-        if not all(-_LARGEST <= value <= _LARGEST for value in values.ravel().tolist()):
+            self.bad_input(name, f"expected {wanted} numbers, got shape {values.shape}")
+        elif not all(-_LARGEST <= value <= _LARGEST for value in values.ravel().tolist()):
             self.bad_input(
-                now_s,
                 name,
                 f"expected {wanted} finite numbers up to {_LARGEST:g} in metres and radians, "
                 f"got {values.tolist()}",
             )
-            return False
-        self._monitors[name].good(now_s)
-        return True
+        else:
+            self._monitors[name].good(now_s)
+            return True
+        return False
 
-    # ---- what they say ------------------------------------------------------------------------
+    # ---- what is wrong with them --------------------------------------------------------------
 
     def find(self, now_s: float) -> Finding | None:
-        """What is wrong with the inputs now, worst first."""
-        findings = [monitor.find(now_s) for monitor in self._monitors.values()]
-        troubles = [finding for finding in findings if finding is not None]
+        """Find what is wrong with the inputs now, worst first."""
+        troubles = self._troubles(now_s)
         bad = [finding for finding in troubles if finding.reason is Reason.BAD_INPUT]
         if self._conflict is not None and now_s - self._conflict_s < _CONFLICT_S:
             bad.append(self._conflict)
         return next(iter(bad + self.pauses() + troubles), None)
 
-    def late(self, now_s: float) -> str | None:
-        """What is wrong with a message's age or content now, in words; None when all are fresh."""
-        findings = (monitor.find(now_s) for monitor in self._monitors.values())
-        return next((finding.text for finding in findings if finding is not None), None)
+    def late(self, now_s: float) -> str:
+        """What is wrong with a message's age or content now; empty when all are fresh."""
+        return next((finding.text for finding in self._troubles(now_s)), "")
+
+    def _troubles(self, now_s: float) -> list[Finding]:
+        findings = [monitor.find(now_s) for monitor in self._monitors.values()]
+        return [finding for finding in findings if finding is not None]
 
     def pauses(self) -> list[Finding]:
         """What pauses the robot now."""
@@ -181,16 +264,16 @@ class Inbox:
 
     @property
     def full_speed(self) -> bool:
-        """Whether the robot does what it is told at its full speed."""
+        """Whether the robot obeys at its full speed."""
         return self._program_running is not False and self._speed_scaling >= _FULL_PERCENT
 
     @property
     def speed_scaling(self) -> float:
-        """Speed of the robot over what it is told, 0 to 1."""
+        """Speed of the robot over the commanded one, 0 to 1."""
         return min(self._speed_scaling, 100.0) / 100.0
 
     def status_values(self, now_s: float) -> dict[str, float | str]:
-        """Ages and what the robot says, always the same keys in the same order."""
+        """Ages and the robot's reports, always the same keys in the same order."""
         ages = {
             f"{n}_age_s": self._monitors[n].age_s(now_s) for n in (JOINT_STATES, BALL, JACOBIAN)
         }

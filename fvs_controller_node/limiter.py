@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fvs_controller_node.supervisor_config import SupervisorConfig
+from fvs_controller_node.config import SupervisorConfig
 from fvs_ros.limits import limit_acceleration, limit_speed, ramp_to_zero
 
 #: From full speed the arm stops within this, s, however small the acceleration limit is.
@@ -33,29 +33,13 @@ class Limiter:
         joints_rad: np.ndarray,
         dt_s: float,
         config: SupervisorConfig,
-        *,
         max_speed_rad_s: float,
         pending_rad: np.ndarray,
     ) -> list[str]:
-        """Find the next command towards the wanted one.
+        """Find the next command towards the wanted one, (n,); returns the limits that shaped it.
 
-        Parameters
-        ----------
-        wanted_rad_s : ndarray, shape (n,)
-            What the law wants, rad/s.
-        joints_rad, pending_rad : ndarray, shape (n,)
-            Joint positions, and motion that was commanded and is still to come, rad.
-        dt_s : float
-            Time since the last command, s.
-        config : SupervisorConfig
-            The limits.
-        max_speed_rad_s : float
-            No joint is faster.
-
-        Returns
-        -------
-        list of str
-            The limits that shaped the command.
+        No joint is faster than ``max_speed_rad_s``. ``pending_rad``, (n,), is motion that was
+        commanded and is still to come.
         """
         acceleration = config.speed.max_joint_acceleration_rad_s2
         active = []

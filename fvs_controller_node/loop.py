@@ -1,27 +1,28 @@
-"""The whole controller without ROS: predictor, law and supervisor, joined once.
+"""The whole controller without ROS: tracker, law and supervisor, joined once.
 
 The node hands messages in and sends what ``tick`` answers; the laboratory uses the same object.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import inf
+from typing import Any
 
 import numpy as np
 
-from fvs_controller_node.anticipation import Anticipation
-from fvs_controller_node.base import NO_FEED_FORWARD, ControlInput, ControlLaw, ControlOutput
-from fvs_controller_node.drive_lag import DriveLag
+from fvs_controller_node.base import Change, ControlInput, ControlLaw, ControlOutput
+from fvs_controller_node.config import ControllerConfig, SupervisorConfig, default_values, make_law
+from fvs_controller_node.drive_lag import DriveLag, brake
 from fvs_controller_node.inbox import BALL, JOINT_STATES, KINEMATIC_CHAIN
-from fvs_controller_node.predictor import BallPredictor
+from fvs_controller_node.prediction import BallPredictor, PredictorConfig
 from fvs_controller_node.reasons import State
+from fvs_controller_node.redundancy import LEAST_SPEED, Inverse, make_inverse
 from fvs_controller_node.supervisor import Command, Supervisor
-from fvs_controller_node.target_motion import Target, TargetFollower
+from fvs_controller_node.target_motion import TargetMotion, on_own_clock
 from fvs_ros.chain import SerialChain
 from fvs_ros.timeline import StampGate, jump_of
 
-#: Velocity of a target that stands, m/s.
-_STANDING = np.zeros(1)
 #: After a longer gap between two joint states their step is not checked, s.
 _JUMP_S = 0.5
 #: The estimator publishes the chain more often than this; an older one is not used, s.
@@ -33,62 +34,77 @@ class ServoLoop:
 
     Parameters
     ----------
+    values : mapping, optional
+        The node's parameters by name, all of them; the defaults if not given.
+
+    Raises
+    ------
+    ValueError
+        If values do not fit together; the text says which.
+
+    Attributes
+    ----------
     law : ControlLaw
         The control law.
     predictor : BallPredictor
         Predicts the ball to now.
     supervisor : Supervisor
         The one exit.
-    follower : TargetFollower
-        Keeps up with a moving target.
-    anticipation : Anticipation
-        Shows the law what will be when its command takes effect.
+    target : TargetMotion
+        Where a moving target is.
     """
 
-    def __init__(
-        self,
-        law: ControlLaw,
-        predictor: BallPredictor,
-        supervisor: Supervisor,
-        follower: TargetFollower,
-        anticipation: Anticipation,
-    ) -> None:
-        self.law = law
-        self.predictor = predictor
-        self.supervisor = supervisor
-        self.follower = follower
-        self.anticipation = anticipation
+    law: ControlLaw
+
+    def __init__(self, values: Mapping[str, Any] | None = None) -> None:
+        values = default_values() if values is None else values
+        self.supervisor = Supervisor(SupervisorConfig.from_values(values))
+        self.predictor = BallPredictor()
+        self.target = TargetMotion()
+        self.configure(values)
         self._drive_lag = DriveLag()
         self._pending_rad = self._drive_lag.pending_rad()
         self._chain: SerialChain | None = None
         self._chain_s = -inf
         self._stamp_s = 0.0
-        self._target_updates = self._target_count = 0
-        self._aim: Target | None = None  # the target that the supervisor has
-        self._target_m_s = _STANDING
+        self._change = Change.TARGET  # since the law was asked last
+        self._images = 0  # that it was asked with
+        self._target_m_s: np.ndarray | None = None  # None for a target that stands
         self._joint_stamps, self._ball_stamps = StampGate(), StampGate()
         self._joints: np.ndarray | None = None
         self._last_joints: tuple[float, np.ndarray | None] = (0.0, None)  # as they came
         self._jacobian: np.ndarray | None = None
         self._home: np.ndarray | None = None  # joints at the last start
 
+    def configure(self, values: Mapping[str, Any]) -> None:
+        """Take over changed values while running; nothing changes if one is refused."""
+        config = SupervisorConfig.from_values(values)
+        law = make_law(values)
+        self._follower = _follower_inverse(law, values)
+        self.law = law
+        self._follows = ControllerConfig.from_values(values).target_feed_forward
+        self.supervisor.configure(config)
+        self.predictor.configure(PredictorConfig.from_values(values))
+
+    # ---- inputs: arrival times on the steady clock --------------------------------------------
+
     def add_joints(self, now_s: float, stamp_s: float, joints_rad: np.ndarray) -> None:
-        """Take a joint state: arrival on the steady clock and stamp, s; positions (n,), rad."""
+        """Take a joint state: arrival and stamp, s; positions (n,), rad."""
+        inputs = self.supervisor.inputs
         if not self._joint_stamps.advances(stamp_s):
-            self.supervisor.inputs.stuck(now_s, JOINT_STATES)
+            inputs.stuck(now_s, JOINT_STATES)
             return
         jump = self._jump(stamp_s, joints_rad)
         if jump:
             self.predictor.reset()  # the ball did not move with it
-            self.supervisor.inputs.bad_input(now_s, JOINT_STATES, jump)
-        elif self.supervisor.inputs.add_joint_states(now_s, joints_rad):
+            inputs.bad_input(JOINT_STATES, jump)
+        elif inputs.add_joint_states(now_s, joints_rad):
             self._stamp_s = stamp_s
             self._joints = self._drive_lag.add(
                 stamp_s,
                 self.supervisor.velocity_rad_s,
                 np.array(joints_rad, dtype=float),
-                compare=self.supervisor.inputs.full_speed
-                and self.supervisor.last.state is State.SERVOING,
+                compare=inputs.full_speed and self.supervisor.last.state is State.SERVOING,
             )
             if self._chain is not None and self._jacobian is not None:
                 self._jacobian = self._chain.jacobian(self._joints)
@@ -111,13 +127,11 @@ class ServoLoop:
             f"{passed_s:.3f} s; do two nodes publish joint states?"
         )
 
-    def add_ball(
-        self, now_s: float, stamp_s: float, position_m: np.ndarray, frame: str | None = None
-    ) -> None:
-        """Take a ball position: arrival on the steady clock and exposure stamp, s; (m,), m."""
+    def add_ball(self, now_s: float, stamp_s: float, position_m: np.ndarray) -> None:
+        """Take a ball position in the feature's frame: arrival and exposure, s; (m,), m."""
         if not self._ball_stamps.advances(stamp_s):
             self.supervisor.inputs.stuck(now_s, BALL)
-        elif self.supervisor.inputs.add_ball(now_s, position_m, frame):
+        elif self.supervisor.inputs.add_ball(now_s, position_m):
             self.predictor.add_ball(stamp_s, position_m)
 
     def add_jacobian(self, now_s: float, jacobian: np.ndarray) -> None:
@@ -134,10 +148,12 @@ class ServoLoop:
             self.supervisor.inputs.add_chain(now_s)
 
     def bad_chain(self, now_s: float, why: str) -> None:
-        """Report that a forward model came that cannot be used, and why."""
+        """Take the arrival of a forward model that cannot be used, and why."""
         if self.law.reads_chain:
             self._chain, self._chain_s = None, now_s
-            self.supervisor.inputs.bad_input(now_s, KINEMATIC_CHAIN, why)
+            self.supervisor.inputs.bad_input(KINEMATIC_CHAIN, why)
+
+    # ---- the target ---------------------------------------------------------------------------
 
     def add_target(
         self, position_m: np.ndarray, frame: str, stamp_s: float = 0.0
@@ -147,31 +163,36 @@ class ServoLoop:
         A stamp (s; 0 for now) says when it was there, on the clock of the joint states. The answer
         is the supervisor's: see :meth:`~fvs_controller_node.goal.Goal.set`.
         """
-        own = frame == self.supervisor.config.feature_frame
-        if own and self.follower.overtaken(position_m, stamp_s, self._stamp_s):
+        goal = self.supervisor.goal
+        there_s = on_own_clock(stamp_s, self._stamp_s)
+        moving = not goal.refusal(position_m, frame) and self.target.continues(position_m, there_s)
+        if moving and self.target.overtaken(position_m, there_s):
             return True, "target passed over: a newer one has come"
-        moving = self.follower.expects(position_m, stamp_s, self._stamp_s)
-        accepted, text = self.supervisor.goal.set(position_m, frame, moving=moving)
+        accepted, text = goal.set(position_m, frame, moving=moving)
         if accepted:
-            self._target_updates += 1
-            self._target_count += not (moving and self.follower.enabled)
-            self.follower.update(position_m, stamp_s, self._stamp_s)
+            self._note(Change.MEASUREMENT if moving and self._follows else Change.TARGET)
+            self.target.update(position_m, there_s, self._stamp_s - there_s)
         return accepted, text
 
     def set_current_as_target(self, now_s: float) -> tuple[bool, str]:
         """Make the ball's present position the target, if it is known now."""
         late = self.supervisor.inputs.late(now_s)
-        if late is not None:
+        if late:
             return False, f"target refused: {late}"
         position = self.position_m
         if position is None:
             return False, "target refused: the ball's position is not known yet"
         accepted, text = self.supervisor.goal.set(position, self.supervisor.config.feature_frame)
         if accepted:
-            self._target_updates += 1
-            self._target_count += 1
-            self.follower.stand(position, self._stamp_s)
+            self._note(Change.TARGET)
+            self.target.restart(position, self._stamp_s)
         return accepted, text
+
+    def _note(self, change: Change) -> None:
+        if self._change is not Change.TARGET:
+            self._change = change
+
+    # ---- the tick -----------------------------------------------------------------------------
 
     @property
     def jacobian(self) -> np.ndarray | None:
@@ -193,18 +214,17 @@ class ServoLoop:
         dt_s : float
             Time since the last tick, s.
         """
+        supervisor = self.supervisor
         if now_s - self._chain_s > _CHAIN_MAX_AGE_S:
             self._chain = None  # its publisher is gone, or has another method now
-            self.supervisor.inputs.no_chain()
-        aim = self.follower.at(self._stamp_s)
-        if aim is not self._aim:
-            self._aim = aim
-            moves = aim is not None and self.supervisor.goal.track(aim.position_m)
-            self._target_m_s = aim.velocity_m_s if aim is not None and moves else _STANDING
+            supervisor.inputs.no_chain()
+        target = self.target.at(self._stamp_s) if self._follows else None
+        inside = target is not None and supervisor.goal.track(target.position_m)
+        self._target_m_s = target.velocity_m_s if target is not None and inside else None
         self._pending_rad = self._drive_lag.pending_rad()
         if self._home is None:  # what moved before this start says nothing of now
             self.predictor.agreement.restart()
-        command = self.supervisor.tick(
+        command = supervisor.tick(
             now_s,
             dt_s,
             self._joints,
@@ -216,9 +236,44 @@ class ServoLoop:
         )
         if command.state is not State.SERVOING:
             self.law.reset()
-        if not self.supervisor.started:
+        if not supervisor.started:
             self._home = None
         return command
+
+    def _propose(self, error_m: np.ndarray, applied: np.ndarray, dt_s: float) -> ControlOutput:
+        """Ask the law, for where arm and target will be when its command takes effect."""
+        jacobian, joints, velocity_m_s = self._jacobian, self._joints, self._target_m_s
+        assert jacobian is not None
+        assert joints is not None
+        if self._home is None:
+            self._home = joints
+        error_m = error_m + jacobian @ self._pending_rad
+        feed_forward = None
+        if velocity_m_s is not None and velocity_m_s.any():
+            error_m = error_m - self._drive_lag.lag_s * velocity_m_s
+            feed_forward = self._follower.joint_velocity(jacobian, velocity_m_s, joints, self._home)
+            applied = applied - feed_forward
+        if self.predictor.images != self._images:
+            self._note(Change.MEASUREMENT)
+        one = ControlInput(
+            error_m,
+            jacobian,
+            applied,
+            joints + self._pending_rad,
+            dt_s,
+            self._home,
+            self._chain,
+            self._change,
+            feed_forward,
+        )
+        self._change, self._images = Change.NOTHING, self.predictor.images
+        output = self.law.command(one)
+        if not self.law.brakes:
+            speed = self.supervisor.config.speed
+            output = brake(output, one, speed.max_joint_acceleration_rad_s2)
+        if feed_forward is not None:
+            output = output._replace(velocity_rad_s=output.velocity_rad_s + feed_forward)
+        return output
 
     def status_values(self, now_s: float) -> dict[str, float | str]:
         """Return the supervisor's key numbers, the images' latency, the law's settling bound."""
@@ -234,32 +289,9 @@ class ServoLoop:
             "settling_bound_without_limits_s": float("nan") if bound_s is None else bound_s,
         }
 
-    def _propose(self, error_m: np.ndarray, applied: np.ndarray, dt_s: float) -> ControlOutput:
-        assert self._jacobian is not None
-        assert self._joints is not None
-        if self._home is None:
-            self._home = self._joints
-        target_m_s, feed_forward = self._target_m_s, NO_FEED_FORWARD
-        if target_m_s.any():
-            feed_forward = self.follower.feed_forward(
-                target_m_s, self._jacobian, self._joints, self._home
-            )
-        state = ControlInput(
-            error_m,
-            self._jacobian,
-            applied - feed_forward,
-            self._joints,
-            dt_s,
-            chain=self._chain,
-            home_rad=self._home,
-            measurement_count=self.predictor.images + self._target_updates,
-            target_count=self._target_count,
-            feed_forward_rad_s=feed_forward,
-        )
-        state = self.anticipation.shift(
-            state, self._pending_rad, self._drive_lag.lag_s * target_m_s
-        )
-        output = self.law.command(state)
-        if not self.law.brakes:
-            output = self.anticipation.brake(output, state)
-        return output._replace(velocity_rad_s=output.velocity_rad_s + feed_forward)
+
+def _follower_inverse(law: ControlLaw, values: Mapping[str, Any]) -> Inverse:
+    """From a target's velocity to the joints': the law's, which pulls to the posture already."""
+    if law.least_speed:
+        values = {**values, "redundancy_resolution": LEAST_SPEED}
+    return make_inverse({**values, "posture_gain_1_s": 0.0})

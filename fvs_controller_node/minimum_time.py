@@ -13,7 +13,7 @@ longest way is the largest v that lets it brake at the acceleration limit a from
 
 which is reached from any side without overshoot, and ends in finite time but for the last
 fraction of a milliradian, where the rate keeps noise from becoming motion. The way left is that
-from where the drives will be (:mod:`fvs_controller_node.anticipation`).
+from where the drives will be (:mod:`fvs_controller_node.drive_lag`).
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from typing import Any
 
 import numpy as np
 
-from fvs_controller_node.anticipation import BRAKING_SHARE, braking_speed_within
-from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
+from fvs_controller_node.base import Change, ControlInput, ControlLaw, ControlOutput
+from fvs_controller_node.drive_lag import BRAKING_SHARE, braking_speed_within
 from fvs_controller_node.redundancy import LeastSpeedInverse, least_speed_inverse
 from fvs_ros.limits import SpeedLimits
-from fvs_ros.params import Parameters, parameter
+from fvs_ros.params import Parameters, live_parameter
 from fvs_ros.vectors import largest
 
 #: Steps of the search for the goal after a new target; longest step of a joint, rad. They draw the
@@ -48,13 +48,12 @@ _SEARCH_LEFT_OUT = 0.02
 class MinimumTimeGains(Parameters):
     """Limits of the joints and the law's one gain."""
 
-    minimum_time_rate_1_s: float = parameter(
+    minimum_time_rate_1_s: float = live_parameter(
         25.0,
         "Speed over travel of the law minimum_time close to the goal, 1/s: larger is quicker and "
         "makes more of the noise.",
         1.0,
         100.0,
-        live=True,
     )
 
 
@@ -102,24 +101,20 @@ class MinimumTimeLaw(ControlLaw):
     def reset(self) -> None:
         """Forget the goal."""
         self._goal: np.ndarray | None = None
-        self._measurements = self._targets = -1
 
     def command(self, control_input: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""
         one = control_input
-        if self._goal is not None and one.feed_forward_rad_s.any():
+        if self._goal is not None and one.feed_forward_rad_s is not None:
             self._goal = self._goal + one.dt_s * one.feed_forward_rad_s
-        new = one.measurement_count != self._measurements
-        if self._goal is None or new or one.chain is None:
+        if self._goal is None or one.change is not Change.NOTHING or one.chain is None:
             self._goal = self._find_goal(one)
-            self._measurements, self._targets = one.measurement_count, one.target_count
         left = self._goal - one.joints_rad
         travel = largest(left)
         velocity = np.zeros(left.size)
         if travel > 0.0:
             velocity = left * (self._speed_for(travel, one.dt_s) / travel)
-        features = one.error_m.size
-        return ControlOutput(velocity, np.zeros(features), np.ones(features))
+        return ControlOutput.plain(velocity, one.error_m.size)
 
     def _speed_for(self, travel_rad: float, dt_s: float) -> float:
         """Largest speed that can be braked in time, rad/s."""
@@ -134,10 +129,11 @@ class MinimumTimeLaw(ControlLaw):
                 one.jacobian, -one.error_m, joints, one.home_rad
             )
         wanted = chain.position(joints) - one.error_m
+        new = self._goal is None or one.change is Change.TARGET
         goal = joints if self._goal is None else self._goal
         position, jacobian = chain.position_and_jacobian(goal)
         missing = wanted - position
-        new = one.target_count != self._targets or float(np.abs(missing).max()) > _NEW_M
+        new = new or float(np.abs(missing).max()) > _NEW_M
         for _ in range(_FIRST_STEPS if new else 1):
             travel = goal - joints
             way = missing + jacobian @ travel

@@ -1,26 +1,35 @@
-"""Small monitors with one interface: each asks one question while the arm moves."""
+"""Small monitors with one interface: each asks one question while the arm moves.
+
+:class:`~fvs_controller_node.goal.Progress` is one more. The singularity's question is asked at
+rest, too.
+"""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from fvs_controller_node.progress import Progress
+from fvs_controller_node.config import SupervisorConfig
+from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Finding, Reason
-from fvs_controller_node.supervisor_config import SupervisorConfig
-from fvs_ros.agreement import Verdict
 from fvs_ros.following import Following
 from fvs_ros.vectors import length
 
 #: A ball that is seen to make less of its predicted way than this does not follow the arm. A camera
 #: that was turned shows all of it, in another direction; a learning Jacobian shows about all.
-_LEAST_SEEN = 0.3
+LEAST_SEEN = 0.3
+
+#: A held Jacobian is released when its smallest singular value is this far into the slow band.
+_RELEASE_SHARE = 0.3
+#: A held arm may leave slowly while the value stays above this share of what it was at the request;
+#: and not at all where it was below that share of the hold limit.
+_LEAVE_SHARE, _HOPELESS_SHARE = 0.7, 0.2
+#: The permission to leave lasts for this time, s.
+_LEAVE_TIME_S = 10.0
 
 
-@dataclass(frozen=True)
-class Motion:
+class Motion(NamedTuple):
     """What the monitors see of one tick.
 
     Parameters
@@ -47,19 +56,17 @@ class Motion:
     verdict: Verdict | None
 
 
-class Monitor(ABC):
+class Monitor(Protocol):
     """One question about the arm in motion."""
 
-    @abstractmethod
     def restart(self) -> None:
         """Begin anew: a start."""
 
-    @abstractmethod
     def check(self, motion: Motion, config: SupervisorConfig) -> Finding | None:
         """Find what is wrong at this tick, if anything; called at every tick in motion."""
 
 
-class PredictionMonitor(Monitor):
+class PredictionMonitor:
     """Whether the camera sees what the Jacobian predicts."""
 
     def __init__(self) -> None:
@@ -67,12 +74,12 @@ class PredictionMonitor(Monitor):
 
     def restart(self) -> None:
         """Begin anew: a start."""
-        self._mispredicted_m = 0.0  # how far the ball was to go meanwhile
+        self._mispredicted_m = 0.0  # predicted motion meanwhile
 
     def check(self, motion: Motion, config: SupervisorConfig) -> Finding | None:
         """Find an image that does not follow the arm, or a Jacobian that predicts badly."""
         verdict = motion.verdict
-        if verdict is not None and verdict.seen_share < _LEAST_SEEN:
+        if verdict is not None and verdict.seen_share < LEAST_SEEN:
             return Reason.IMAGE_NOT_FOLLOWING.because(
                 time_s=verdict.time_s,
                 predicted_mm=1e3 * verdict.predicted_m,
@@ -91,52 +98,13 @@ class PredictionMonitor(Monitor):
         )
 
 
-class ProgressMonitor(Monitor):
-    """Whether the error becomes smaller; :class:`Progress` counts at every tick."""
-
-    def __init__(self, progress: Progress) -> None:
-        self._progress = progress
-
-    def restart(self) -> None:
-        """Begin anew: a start."""
-        self._progress.restart()
-
-    def check(self, _motion: Motion, config: SupervisorConfig) -> Finding | None:
-        """Find an error that grows, swings or stalls."""
-        progress, error_mm = self._progress, 1e3 * self._progress.smooth_m
-        if progress.growing:
-            return Reason.ERROR_GROWING.because(
-                best_mm=1e3 * progress.best_m,
-                error_mm=error_mm,
-                time_s=config.progress.growth_time_s,
-            )
-        if progress.swinging:
-            return Reason.OSCILLATING.because(way_m=progress.swings_m, error_mm=error_mm)
-        if progress.stalled:
-            return Reason.STALLED.because(time_s=config.progress.stall_time_s, error_mm=error_mm)
-        return None
-
-
-class FollowingMonitor(Monitor):
+class FollowingMonitor(Following):
     """Whether the arm does what it is commanded."""
-
-    def __init__(self) -> None:
-        self._following = Following()
-
-    def restart(self) -> None:
-        """Begin anew: a start."""
-        self._following.restart()
-
-    def pause(self) -> None:
-        """Stand still while the arm is held."""
-        self._following.pause()
 
     def check(self, motion: Motion, config: SupervisorConfig) -> Finding | None:
         """Find a joint that does not follow its command."""
-        self._following.add(
-            motion.command_rad_s, motion.joints_rad, motion.speed_scaling, motion.dt_s
-        )
-        refusal = self._following.refusal(config.follow_time_s)
+        self.add(motion.command_rad_s, motion.joints_rad, motion.speed_scaling, motion.dt_s)
+        refusal = self.refusal(config.follow_time_s)
         if refusal is None:
             return None
         return Reason.NOT_FOLLOWING.because(
@@ -144,3 +112,47 @@ class FollowingMonitor(Monitor):
             commanded_rad=refusal.commanded_rad,
             moved_rad=refusal.moved_rad,
         )
+
+
+class SingularityMonitor:
+    """Holds the arm near a singularity, with hysteresis, and lets it leave on request.
+
+    Attributes
+    ----------
+    leaving : bool
+        Whether the arm is on its way out, on request.
+    """
+
+    def __init__(self) -> None:
+        self._held = self.leaving = False
+        self._left_s = 0.0
+        self._floor: float | None = None  # the value must stay above it while the arm leaves
+
+    def leave(self, value: float, hold: float) -> bool:
+        """Let a held arm leave, unless the value is hopeless; returns whether it may.
+
+        ``value`` is the Jacobian's smallest singular value, ``hold`` its limit, m/rad.
+        """
+        if self._floor is None:
+            self._floor = max(_LEAVE_SHARE * value, _HOPELESS_SHARE * hold)
+        self.leaving, self._left_s = value >= self._floor, 0.0
+        return self.leaving
+
+    def go_on(self, dt_s: float) -> None:
+        """Count a tick on the way out; the permission ends after ten seconds."""
+        self._left_s += dt_s
+        if self._left_s > _LEAVE_TIME_S:
+            self.leaving = False
+
+    def check(self, value: float, config: SupervisorConfig) -> Finding | None:
+        """Find a smallest singular value, m/rad, that is too small to move on."""
+        hold, slow = config.singular_hold_m_rad, config.singular_slow_m_rad
+        limit = hold + (_RELEASE_SHARE * (slow - hold) if self._held else 0.0)
+        self._held = value < limit
+        if not self._held:
+            self.leaving, self._floor = False, None
+        elif value < (self._floor or 0.0):
+            self.leaving = False
+        if self._held and not self.leaving:
+            return Reason.NEAR_SINGULAR.because(value=value, limit=limit)
+        return None

@@ -17,8 +17,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import Trigger
 
-from fvs_controller_node.config import PARAMETERS, build_loop, reconfigure
+from fvs_controller_node.config import PARAMETERS
 from fvs_controller_node.inbox import BALL, JACOBIAN, JOINT_STATES
+from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.reasons import Reason, State
 from fvs_controller_node.supervisor import Command
 from fvs_ros import clock, ros, topics
@@ -57,7 +58,7 @@ class ControllerNode(ros.FvsNode):
         self._frame = v["feature_frame"]
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._shape = len(v["workspace_min_m"]), len(v["joint_names"])  # of the Jacobian
-        self._loop = build_loop(v)
+        self._loop = ServoLoop(v)
         self._simulated_time = self.get_parameter("use_sim_time").value
         self._period_s = 1.0 / v["joint_state_rate_hz"]
         self._ticked_s = self.now_s()
@@ -106,10 +107,10 @@ class ControllerNode(ros.FvsNode):
         except ForeignJointsError as error:
             # Another device's joints are no fault of ours, unless ours never came.
             if np.isinf(self._joints_s):
-                supervisor.inputs.bad_input(now_s, JOINT_STATES, str(error))
+                supervisor.inputs.bad_input(JOINT_STATES, str(error))
             return
         except JointStateError as error:
-            supervisor.inputs.bad_input(now_s, JOINT_STATES, str(error))
+            supervisor.inputs.bad_input(JOINT_STATES, str(error))
             self._tick(now_s, now_s - self._ticked_s)
             return
         self._joints_s = now_s
@@ -126,7 +127,7 @@ class ControllerNode(ros.FvsNode):
         try:
             position_m = ros.from_point(message, self._frame, topics.BALL_POSITION.name)
         except ros.MessageError as error:
-            self._loop.supervisor.inputs.bad_input(now_s, BALL, str(error))
+            self._loop.supervisor.inputs.bad_input(BALL, str(error))
             return
         self._loop.add_ball(now_s, ros.from_stamp(message.header.stamp), position_m)
 
@@ -135,7 +136,7 @@ class ControllerNode(ros.FvsNode):
         try:
             self._loop.add_jacobian(now_s, ros.from_jacobian(message, *self._shape))
         except ros.MessageError as error:
-            self._loop.supervisor.inputs.bad_input(now_s, JACOBIAN, str(error))
+            self._loop.supervisor.inputs.bad_input(JACOBIAN, str(error))
 
     def _on_chain(self, message: Float64MultiArray) -> None:
         now_s = self.now_s()
@@ -202,7 +203,7 @@ class ControllerNode(ros.FvsNode):
         """Take changed gains and limits into use; another law only while the arm is stopped."""
         if values["law"] != self.values["law"] and self._loop.supervisor.started:
             raise ValueError("the law changes only while the arm is stopped; call ~/stop first")
-        reconfigure(self._loop, values)
+        self._loop.configure(values)
 
     # --- the tick: the only place that sends commands ---
 

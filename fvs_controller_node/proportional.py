@@ -1,36 +1,57 @@
-"""The simplest law: the feature moves straight to the target, ``rdot = -k J^+ (x - x_d)``, (46).
+"""The proportional laws: the feature moves straight to the target.
 
-The paper calls it, with RBF networks that learn by (45), the scheme "RBF+PID"; there is neither an
-integral nor a derivative in it. As corrected, (45) is ``rdot_i theta_i (n2 (x - x_d) + n3 e)``: the
-update law (17) with the error in the place of the sliding variable, n2 in that of alpha2 and n3 in
-that of n1. The law therefore gives the error as its sliding variable.
+The law (46) is ``rdot = -k J^+ (x - x_d)``. The paper calls it, with RBF networks that learn by
+(45), the scheme "RBF+PID"; there is neither an integral nor a derivative in it. As corrected, (45)
+is ``rdot_i theta_i (n2 (x - x_d) + n3 e)``: the update law (17) with the error in the place of the
+sliding variable, n2 in that of alpha2 and n3 in that of n1. So the law's sliding variable is the
+error.
+
+Model free adaptive control, (48), and model predictive control, (49) as corrected, give a joint
+increment per control interval T. With ``e = x_d - x`` the first minimises
+``|e - J dr|^2 + lambda |dr|^2``: ``dr = J' (J J' + lambda E)^-1 e``. What is adaptive is the
+Jacobian, not the law. The second finds the best constant increment u over a horizon H of intervals,
+after which the error is wanted at ``beta^t e``:
+
+    int_0^H alpha^t |(1 - beta^t) e - t J u|^2 dt + q |u|^2,    beta = exp(-rho)
+
+is least where ``(a J'J + q E) u = (b - c) J' e`` with
+
+    a = int_0^H alpha^t t^2 dt,  b = int_0^H alpha^t t dt,  c = int_0^H (alpha beta)^t t dt.
+
+Hence ``u = (b - c)/a  J' (J J' + q/a E)^-1 e``. Both are proportional laws with a damped inverse,
+computed anew at every tick, which may be shorter than the interval: gain 1/T and damping lambda,
+gain (b - c) / (a T) and damping q / a.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from math import log
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
-from fvs_controller_node.pseudo_inverse import DampedInverse
-from fvs_controller_node.redundancy import Inverse, make_inverse
-from fvs_ros.params import Parameters, parameter
+from fvs_controller_node.redundancy import DampedInverse, Inverse, damped_solution, make_inverse
+from fvs_ros.params import Parameters, live_parameter
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
+#: Beyond this count of time constants nothing is left of the weight, in double precision.
+_TIME_CONSTANTS = 60.0
 
 
 @dataclass(frozen=True)
 class ProportionalGains(Parameters):
-    """Gain of the law."""
+    """Gain of the law (46)."""
 
-    proportional_gain_1_s: float = parameter(
-        8.0, "Gain of the proportional law, 1/s.", 0.01, 100.0, live=True
+    proportional_gain_1_s: float = live_parameter(
+        8.0, "Gain of the proportional law, 1/s.", 0.01, 100.0
     )
 
 
 class ProportionalLaw(ControlLaw):
-    """Proportional control of the feature.
+    """The law (46).
 
     Parameters
     ----------
@@ -61,3 +82,127 @@ class ProportionalLaw(ControlLaw):
             one.jacobian, velocity, one.joints_rad, one.home_rad
         )
         return ControlOutput(joint_velocity, one.error_m.copy(), np.ones(one.error_m.size))
+
+
+class _IncrementLaw(ControlLaw):
+    """A proportional law with a damped inverse of its own."""
+
+    gain_1_s: float
+    damping: float
+
+    def command(self, control_input: ControlInput) -> ControlOutput:
+        """Return the joint velocities for this tick, before any limit."""
+        error_m = control_input.error_m
+        velocity = damped_solution(control_input.jacobian, -self.gain_1_s * error_m, self.damping)
+        return ControlOutput.plain(velocity, error_m.size)
+
+
+@dataclass(frozen=True)
+class IncrementGains(Parameters):
+    """The gain that both increment laws have."""
+
+    control_interval_s: float = live_parameter(
+        0.04, "Control interval that the increment is spread over, s; less is faster.", 1e-3, 10.0
+    )
+
+
+@dataclass(frozen=True)
+class MfacGains(IncrementGains):
+    """Gains of the law (48); a positive lambda gives a singular Jacobian a finite command."""
+
+    mfac_lambda: float = live_parameter(
+        0.15,
+        "Weight lambda of the joint increment, m^2/rad^2; more is slower, most where the feature "
+        "moves little.",
+        1e-4,
+        100.0,
+    )
+
+
+class MfacLaw(_IncrementLaw):
+    """The law (48), with the gains lambda and T."""
+
+    PARAMETERS = MfacGains.declared()
+
+    def __init__(self, gains: MfacGains | None = None) -> None:
+        gains = gains or MfacGains()
+        self.gain_1_s, self.damping = 1.0 / gains.control_interval_s, gains.mfac_lambda
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any]) -> MfacLaw:
+        """Build the law with the gains in ``values``."""
+        return cls(MfacGains.from_values(values))
+
+
+@dataclass(frozen=True)
+class MpcGains(IncrementGains):
+    """Gains of the law (49); a positive q gives a singular Jacobian a finite command."""
+
+    mpc_horizon: float = live_parameter(
+        10.7, "Prediction horizon H, control intervals.", 0.1, 1000.0
+    )
+    mpc_alpha: float = live_parameter(
+        0.64, "Weight alpha of an interval over the one before; 1 weighs all alike.", 0.01, 1.0
+    )
+    mpc_rho: float = live_parameter(
+        1.26, "Decay of the wanted error, 1/interval; more is faster.", 1e-3, 100.0
+    )
+    mpc_q: float = live_parameter(
+        0.07,
+        "Weight q of the joint increment, m^2/rad^2; more is slower, most where the feature moves "
+        "little.",
+        1e-4,
+        100.0,
+    )
+
+
+class MpcLaw(_IncrementLaw):
+    """The law (49) as corrected, with Q = q E, and the gains H, alpha, rho, q and T."""
+
+    PARAMETERS = MpcGains.declared()
+
+    def __init__(self, gains: MpcGains | None = None) -> None:
+        gains = gains or MpcGains()
+        self.coefficients = mpc_coefficients(gains.mpc_horizon, gains.mpc_alpha, gains.mpc_rho)
+        a, b, c = self.coefficients
+        self.gain_1_s, self.damping = (b - c) / (a * gains.control_interval_s), gains.mpc_q / a
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any]) -> MpcLaw:
+        """Build the law with the gains in ``values``."""
+        return cls(MpcGains.from_values(values))
+
+
+class MpcCoefficients(NamedTuple):
+    """The integrals a, b and c of (49)."""
+
+    a: float
+    b: float
+    c: float
+
+
+def mpc_coefficients(horizon: float, alpha: float, rho: float) -> MpcCoefficients:
+    """Integrals of (49), by quadrature; rho is -ln(beta).
+
+    The closed forms divide differences that vanish by powers of ln(alpha): at alpha = 1 they are
+    0/0, and short of it by 1e-7 not even the sign of a is right.
+
+    Examples
+    --------
+    >>> a, b, _ = mpc_coefficients(3.0, 1.0, 1.0)
+    >>> round(a, 12), round(b, 12)  # H^3/3, H^2/2
+    (9.0, 4.5)
+    """
+    rate = -log(alpha)
+    return MpcCoefficients(
+        a=_moment(2, rate, horizon),
+        b=_moment(1, rate, horizon),
+        c=_moment(1, rate + rho, horizon),
+    )
+
+
+def _moment(power: int, rate: float, horizon: float) -> float:
+    """Integral of exp(-rate t) t^power from 0 to the horizon, by Gauss-Legendre quadrature."""
+    end = horizon if rate * horizon <= _TIME_CONSTANTS else _TIME_CONSTANTS / rate
+    t = 0.5 * end * (_NODES + 1.0)
+    return 0.5 * end * float(_WEIGHTS @ (np.exp(-rate * t) * t**power))

@@ -25,6 +25,16 @@ class Stop(Enum):
     AT_ONCE = "zeros at once"
 
 
+def _holds(text: str, hint: str = "") -> tuple:
+    """A reason that passes by itself."""
+    return State.HOLDING, Stop.RAMP, False, text, hint
+
+
+def _ends(text: str, hint: str = "", stop: Stop = Stop.RAMP) -> tuple:
+    """A reason after which the arm needs a new start."""
+    return State.HOLDING, stop, True, text, hint
+
+
 class Reason(Enum):
     """Why the controller is in its state: state once started, stop, whether it needs a start.
 
@@ -36,107 +46,56 @@ class Reason(Enum):
     SETTLED = (State.SERVOING, Stop.NONE, False, "on target, {error_mm:.1f} mm off")
     READY = (State.READY, Stop.RAMP, False, "ready", "call ~/start to move")
 
-    MISSING = (
-        State.HOLDING,
-        Stop.RAMP,
-        False,
-        "no {name} yet ({count} of {wanted} messages)",
-        "{hint}",
-    )
-    NO_TARGET = (
-        State.HOLDING,
-        Stop.RAMP,
-        False,
-        "no target_position yet",
-        "publish one, or call ~/set_current_as_target",
-    )
-    STALE = (
-        State.HOLDING,
-        Stop.RAMP,
-        False,
-        "{name} is {age_s:.2f} s old ({limit} is {limit_s:.2f} s)",
-        "{hint}",
-    )
-    RETURNING = (
-        State.HOLDING,
-        Stop.RAMP,
-        False,
-        "{name} is coming back: {count} of {wanted} fresh messages",
-    )
+    MISSING = _holds("no {name} yet ({count} of {wanted} messages)", "{hint}")
+    NO_TARGET = _holds("no target_position yet", "publish one, or call ~/set_current_as_target")
+    STALE = _holds("{name} is {age_s:.2f} s old ({limit} is {limit_s:.2f} s)", "{hint}")
+    RETURNING = _holds("{name} is coming back: {count} of {wanted} fresh messages")
     BAD_INPUT = (
         State.FAULT,
         Stop.AT_ONCE,
         False,
         "{name} is not usable: {why}; {count} of {wanted} good ones since",
     )
-    NO_POSITION = (State.HOLDING, Stop.RAMP, False, "the ball's position is unknown: {why}")
-    NEAR_SINGULAR = (
-        State.HOLDING,
-        Stop.RAMP,
-        False,
+    NO_POSITION = _holds("the ball's position is unknown: {why}")
+    NEAR_SINGULAR = _holds(
         "the Jacobian is near singular ({value:.4f} m/rad, limit {limit:.4f})",
         "set another target and call ~/start to leave slowly, or the estimator's ~/reset",
     )
-    PREDICTION_ERROR = (
-        State.HOLDING,
-        Stop.RAMP,
-        True,
+    PREDICTION_ERROR = _ends(
         "the Jacobian predicts badly: error ratio {value:.2f} over {way_mm:.0f} mm",
         "check camera and model, call the estimator's ~/reset",
     )
-    ERROR_GROWING = (
-        State.HOLDING,
-        Stop.RAMP,
-        True,
+    ERROR_GROWING = _ends(
         "the error grew from {best_mm:.0f} to {error_mm:.0f} mm for {time_s:.1f} s",
         "check camera and model, and that the target is in reach",
     )
-    STALLED = (
-        State.HOLDING,
-        Stop.RAMP,
-        True,
+    STALLED = _ends(
         "no progress for {time_s:.0f} s, {error_mm:.0f} mm from the target",
         "check its reach, the joint limits and the model, or choose another target",
     )
-    OSCILLATING = (
-        State.HOLDING,
-        Stop.RAMP,
-        True,
-        "the ball swings about its target, {way_m:.1f} m so far",
-        "check stamp_delay_s and gains",
+    OSCILLATING = _ends(
+        "the ball swings about its target, {way_m:.1f} m so far", "check stamp_delay_s and gains"
     )
-    NOT_FOLLOWING = (
-        State.HOLDING,
-        Stop.RAMP,
-        True,
+    NOT_FOLLOWING = _ends(
         "{joint} does not follow: commanded {commanded_rad:.2f} rad, moved {moved_rad:.2f} rad",
         "check that the velocity controller is active, the robot program runs and no protective "
         "stop is on",
     )
-    IMAGE_NOT_FOLLOWING = (
-        State.HOLDING,
-        Stop.RAMP,
-        True,
+    IMAGE_NOT_FOLLOWING = _ends(
         "frozen image: {predicted_mm:.0f} mm predicted in {time_s:.1f} s, {seen_mm:.0f} mm seen",
         "check camera, detector and stamp_delay_s",
     )
-    CONFLICT = (State.HOLDING, Stop.RAMP, True, "{name} commands the arm as well", "stop it")
-    HELD_LONG = (State.HOLDING, Stop.RAMP, True, "held for more than {limit_s:.0f} s: {why}")
-    PROGRAM_STOPPED = (
-        State.HOLDING,
-        Stop.AT_ONCE,
-        True,
-        "the robot program is not running",
-        "start it on the robot",
+    CONFLICT = _ends("{name} commands the arm as well", "stop it")
+    HELD_LONG = _ends("held for more than {limit_s:.0f} s: {why}")
+    PROGRAM_STOPPED = _ends(
+        "the robot program is not running", "start it on the robot", Stop.AT_ONCE
     )
-    SPEED_SCALING_ZERO = (
-        State.HOLDING,
-        Stop.AT_ONCE,
-        True,
+    SPEED_SCALING_ZERO = _ends(
         "the robot's speed scaling is 0 %",
         "raise the speed slider or end the protective stop",
+        Stop.AT_ONCE,
     )
-    PAUSE_OVER = (State.HOLDING, Stop.AT_ONCE, True, "the robot is back from a pause")
+    PAUSE_OVER = _ends("the robot is back from a pause", stop=Stop.AT_ONCE)
     LAW_FAULT = (
         State.FAULT,
         Stop.AT_ONCE,
@@ -162,20 +121,12 @@ class Reason(Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """A reason and the numbers of its sentence.
-
-    Parameters
-    ----------
-    reason : Reason
-        Which row of the table.
-    numbers : mapping
-        What its sentence says, by name.
-    """
+    """A reason and, by name, the numbers of its sentence."""
 
     reason: Reason
     numbers: Mapping[str, object]
 
     @property
     def text(self) -> str:
-        """The sentence, numbers filled in: only where somebody reads it, for ticks are many."""
+        """The sentence, filled in only where it is read: ticks are many."""
         return self.reason.text.format(**self.numbers)

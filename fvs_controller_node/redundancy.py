@@ -1,20 +1,20 @@
-"""Least joint speed: the joint velocities whose fastest joint is as slow as can be.
+"""From a wanted feature velocity to joint velocities, and how well that is posed.
 
-The limit is on each joint, but the pseudo inverse makes the sum of squares small: it lets one
-joint run into the limit while others could help. Least largest speed is a linear programme; with a
-small weight on the sum of squares it has one solution that moves smoothly with the Jacobian,
+The damped pseudo inverse makes the sum of squares small, but the limit is on each joint: it lets
+one joint run into the limit while others could help. The least largest speed is a linear programme;
+with a small weight on the sum of squares it has one solution that moves smoothly with the Jacobian,
 
     minimise t^2 + eps^2 |u|^2  subject to  J u = v,  -t low_i <= u_i <= t high_i,
 
-a least distance problem of four unknowns (t, and u in the null space of J), which Lawson and
-Hanson's non-negative least squares solves (Solving Least Squares Problems, ch. 23). ``low`` and
-``high`` are 1, and fall to nothing as a joint nears that end of its range. The others then make up
-for most of what it leaves out of ``v``, as far as they can: where they cannot, because the target
-is out of their reach, they do not try with ever more speed.
+a least distance problem (t, and u in the null space of J), which Lawson and Hanson's non-negative
+least squares solves (Solving Least Squares Problems, ch. 23). ``low`` and ``high`` are 1, and fall
+to nothing as a joint nears that end of its range. The others then make up for most of what it
+leaves out of ``v``, as far as they can: where the target is out of their reach, they do not try
+with ever more speed.
 
-Nothing in this holds the three degrees of freedom that do not move the ball: from target to target
-the joints would turn away without end, beyond what the networks were trained on, until the wrist
-hides the ball. So the sum of squares may be counted from a motion ``p`` back to a posture,
+Nothing in this holds the degrees of freedom that do not move the feature: from target to target
+the joints would turn away without end, until the wrist hides the ball. So the sum of squares may be
+counted from a motion ``p`` back to a posture,
 
     minimise t^2 + eps^2 |u - p|^2,
 
@@ -27,39 +27,127 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dgeqrf, dorgqr
+from scipy.linalg.lapack import dgeqrf, dorgqr, dposv
 from scipy.optimize import nnls
 
-from fvs_controller_node.pseudo_inverse import DampedInverse, damped_solution
 from fvs_ros.limits import JointRange
-from fvs_ros.params import Parameters, parameter
+from fvs_ros.params import Parameters, live_parameter, parameter
 from fvs_ros.vectors import largest
 
+#: The pull towards the posture asks no joint for more than this, rad/s.
+POSTURE_SPEED_RAD_S = 0.2
 #: Weight of the sum of squares (eps): the fastest joint is 2 % faster than need be, at most.
 _SMOOTHING = 0.2
 #: From this part on (its inverse) of the fastest joint's speed that is left out, no speed is saved:
 #: at the edge of reach the least largest speed would jump from corner to corner.
 _CALM = 4.0
-#: Weight of the sum of squares counted from the way back to a posture. Over 120 targets in a row
-#: it takes no time: the joints stay where the Jacobian is known better.
+#: Weight of the sum of squares counted from the way back to a posture.
 _HOMING = 0.5
 #: Closer to the posture than this, way back and weight are less in proportion, rad.
 _NEAR_HOME_RAD = 0.3
 _TINY = 1e-12
 
 
+class Conditioning(NamedTuple):
+    """How far a Jacobian is from singular.
+
+    Attributes
+    ----------
+    smallest : float
+        Smallest singular value: the slowest the feature moves, in its worst direction, for a unit
+        of joint motion.
+    condition : float
+        Largest over smallest singular value; infinite when singular.
+    """
+
+    smallest: float
+    condition: float
+
+
+def conditioning(jacobian: np.ndarray) -> Conditioning:
+    """Measure smallest singular value and condition number of a Jacobian, shape (m, n).
+
+    Examples
+    --------
+    >>> conditioning(np.eye(3, 6))
+    Conditioning(smallest=1.0, condition=1.0)
+    """
+    values = np.linalg.svd(jacobian, compute_uv=False).tolist()
+    return Conditioning(values[-1], values[0] / values[-1] if values[-1] > 0.0 else float("inf"))
+
+
 @dataclass(frozen=True)
-class LeastSpeedInverse:
-    """The least largest joint speed for a ball velocity.
+class DampedInverse:
+    """The damped pseudo inverse, with an optional pull towards a posture in its null space.
+
+    ``rdot = J' (J J' + mu I)^-1 v + (I - J^+ J) gain (home - r)``
+
+    Joints beyond those that the feature needs are left to drift. The posture term brings them back
+    without moving the feature (to first order), at most ``POSTURE_SPEED_RAD_S`` a joint.
 
     Parameters
     ----------
     damping : float
-        mu, m^2/rad^2: as in :class:`~fvs_controller_node.pseudo_inverse.DampedInverse`, whose ball
-        velocity is kept.
+        mu, m^2/rad^2. It slows the direction of singular value w by w^2 / (w^2 + mu).
+    posture_gain_1_s : float
+        Gain of the pull; 0 switches it off.
+    """
+
+    damping: float = 1e-4
+    posture_gain_1_s: float = 0.0
+
+    def joint_velocity(
+        self,
+        jacobian: np.ndarray,
+        velocity: np.ndarray,
+        joints_rad: np.ndarray | None = None,
+        home_rad: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Joint velocities that move the feature as wanted.
+
+        Parameters
+        ----------
+        jacobian : ndarray, shape (m, n)
+            Estimated Jacobian, m/rad.
+        velocity : ndarray, shape (m,)
+            Wanted feature velocity, m/s.
+        joints_rad, home_rad : ndarray, shape (n,), optional
+            Present joints and the posture of the pull, rad; without either there is none.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Joint velocities, rad/s.
+        """
+        if self.posture_gain_1_s == 0.0 or joints_rad is None or home_rad is None:
+            return damped_solution(jacobian, velocity, self.damping)
+        pull = self.posture_gain_1_s * (home_rad - joints_rad)
+        pull *= min(1.0, POSTURE_SPEED_RAD_S / max(largest(pull), 1e-12))
+        return pull + damped_solution(jacobian, velocity - jacobian @ pull, self.damping)
+
+
+def damped_solution(jacobian: np.ndarray, velocity: np.ndarray, damping: float) -> np.ndarray:
+    """Find ``J' (J J' + mu I)^-1 v``, shape (n,), of a Jacobian of shape (m, n).
+
+    Straight from LAPACK: numpy's solver takes four times as long.
+    """
+    gram = jacobian @ jacobian.T
+    # Beside a huge Jacobian mu would be lost to rounding, and Cholesky's factors with it.
+    gram.flat[:: len(gram) + 1] += max(damping, 1e-14 * float(gram.trace()))
+    return jacobian.T @ dposv(gram, velocity)[1]
+
+
+@dataclass(frozen=True)
+class LeastSpeedInverse:
+    """The least largest joint speed for a feature velocity.
+
+    Parameters
+    ----------
+    damping : float
+        mu, m^2/rad^2: as in :class:`DampedInverse`, whose feature velocity is kept.
     joint_range : JointRange, optional
         Ends of the joints' ranges, to be kept away from.
     left_out : float
@@ -85,7 +173,7 @@ class LeastSpeedInverse:
         joints_rad: np.ndarray | None = None,
         home_rad: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Find joint velocities for a ball velocity: see :meth:`solve`."""
+        """Find joint velocities, (n,), rad/s, for a feature velocity: see :meth:`solve`."""
         return self.solve(jacobian, velocity_m_s, joints_rad, home_rad=home_rad)
 
     def solve(
@@ -227,20 +315,15 @@ class RedundancyConfig(Parameters):
         "the latter.",
         choices=(TWO_NORM, LEAST_SPEED),
     )
-    damping: float = parameter(
-        1e-4,
-        "Damping mu of the pseudo inverse J' (J J' + mu I)^-1, m^2/rad^2.",
-        1e-12,
-        1.0,
-        live=True,
+    damping: float = live_parameter(
+        1e-4, "Damping mu of the pseudo inverse J' (J J' + mu I)^-1, m^2/rad^2.", 1e-12, 1.0
     )
-    posture_gain_1_s: float = parameter(
+    posture_gain_1_s: float = live_parameter(
         0.0,
         "Pull towards the joints of the last start that does not move the feature, with "
         "redundancy_resolution two_norm, 1/s; 0 is off.",
         0.0,
         5.0,
-        live=True,
     )
 
 

@@ -17,8 +17,7 @@ from math import expm1, log, log1p
 
 import numpy as np
 
-from fvs_controller_node.reaching import ReachingLaw
-from fvs_controller_node.surface import SlidingSurface
+from fvs_controller_node.surface import ReachingLaw, SlidingSurface
 
 
 def constant_exponent_time_s(

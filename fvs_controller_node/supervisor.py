@@ -1,32 +1,32 @@
 """The one exit for commands: decides at every tick whether the arm may move, and how fast.
 
 Pure and deterministic: the caller passes a steady clock. Inputs are reported as events;
-``tick`` asks the monitors in order, asks the law only if none objects, limits what it says,
+``tick`` asks the monitors in order, asks the law only if none objects, limits its output,
 and always answers n finite numbers.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from math import inf, isfinite
+from typing import NamedTuple
 
 import numpy as np
 
 from fvs_controller_node.base import ControlOutput
+from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.goal import Goal
 from fvs_controller_node.inbox import Inbox
 from fvs_controller_node.limiter import Limiter
 from fvs_controller_node.monitors import (
     FollowingMonitor,
+    Monitor,
     Motion,
     PredictionMonitor,
-    ProgressMonitor,
+    SingularityMonitor,
 )
+from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Finding, Reason, State, Stop
-from fvs_controller_node.singularity import SingularityWatch
-from fvs_controller_node.supervisor_config import SupervisorConfig
-from fvs_ros.agreement import Verdict
 from fvs_ros.vectors import all_finite, largest, length
 
 #: A tick counts for at most this long, s: a late one must not make a big step.
@@ -35,8 +35,8 @@ MAX_TICK_S = 0.05
 #: Speed that is left just before the arm is held, as a share.
 _SLOWEST_SHARE = 0.25
 
-#: Speed at which the arm leaves a singular pose on request, rad/s, and for how long at most, s.
-_LEAVE_RAD_S, _LEAVE_TIME_S = 0.1, 10.0
+#: Speed at which the arm leaves a singular pose on request, rad/s.
+_LEAVE_RAD_S = 0.1
 
 _PAUSES = (Reason.PROGRAM_STOPPED, Reason.SPEED_SCALING_ZERO)
 
@@ -44,8 +44,7 @@ _PAUSES = (Reason.PROGRAM_STOPPED, Reason.SPEED_SCALING_ZERO)
 Propose = Callable[[np.ndarray, np.ndarray, float], ControlOutput]
 
 
-@dataclass(frozen=True)
-class Command:
+class Command(NamedTuple):
     """What leaves the controller at one tick.
 
     Parameters
@@ -79,6 +78,48 @@ class Command:
         return self.finding.text
 
 
+class Session:
+    """Whether the arm was asked to move, and what ended that."""
+
+    def __init__(self, autostart: bool) -> None:
+        self.started = False
+        self.starts_itself = autostart
+        self.ended: Finding | None = None  # what ended it and needs a start
+        self._held_s = 0.0
+
+    def begin(self) -> None:
+        """Start."""
+        self.started, self.starts_itself, self.ended = True, False, None
+
+    def stop(self) -> None:
+        """Stop on request."""
+        self.started, self.starts_itself, self.ended = False, False, None
+
+    def end(self, finding: Finding) -> None:
+        """End until a new start, if it was started."""
+        if self.started:
+            self.started, self.starts_itself, self.ended = False, False, finding
+
+    def interrupt(self, finding: Finding) -> None:
+        """End by an event; a pause of the robot is the reason of one that has ended before, too."""
+        self.end(finding)
+        closed = self.ended is None or self.ended.reason is Reason.SHUT_DOWN
+        if not closed and finding.reason in _PAUSES:
+            self.ended = finding
+
+    def holds(self, finding: Finding | None, dt_s: float, limit_s: float) -> Finding | None:
+        """Count a tick of a hold, if it is one; one above the limit, s, ends in a needed start."""
+        if finding is None or not self.started:
+            self._held_s = 0.0
+            return finding
+        self._held_s += dt_s
+        if self._held_s > limit_s and not finding.reason.needs_start:
+            finding = Reason.HELD_LONG.because(limit_s=limit_s, why=finding.text)
+        if finding is not None and finding.reason.needs_start:
+            self.end(finding)
+        return finding
+
+
 class Supervisor:
     """The state machine between the control law and the robot.
 
@@ -86,45 +127,49 @@ class Supervisor:
     ----------
     config : SupervisorConfig
         Limits and thresholds.
+
+    Attributes
+    ----------
+    config : SupervisorConfig
+        Those in force.
+    inputs : Inbox
+        Takes the messages.
+    goal : Goal
+        Takes the target.
+    last : Command
+        The last command with its state and reason.
     """
 
     def __init__(self, config: SupervisorConfig | None = None) -> None:
-        self._config = config or SupervisorConfig()
-        self.inputs = Inbox(self._config, self._end_by_event)
-        joints = len(self._config.joint_names)
-        self.goal = Goal(self._config)
+        self.config = config = config or SupervisorConfig()
+        self._session = Session(config.autostart)
+        self.inputs = Inbox(config, self._session.interrupt)
+        self.goal = Goal(config)
         self._following = FollowingMonitor()
-        self._monitors = (
+        self._monitors: tuple[Monitor, ...] = (
             PredictionMonitor(),
-            ProgressMonitor(self.goal.progress),
+            self.goal.progress,
             self._following,
         )
+        self._singularity = SingularityMonitor()
+        joints = len(config.joint_names)
         self._limiter = Limiter(joints)
-        self._singularity = SingularityWatch()
-        self._leaving_s = 0.0
-        self._held_s = 0.0
         self._verdict: Verdict | None = None  # of seen and predicted motion
         self._pending = np.zeros(joints)  # motion still to come, rad
-        self._started = False
-        self._autostart_left = self._config.autostart
-        self._ended: Finding | None = None  # what ended the session and needs a start
         self._shut_down = False
         self._ticked_s = -inf
         self._problem = ""  # why the ball's position is not known
         missing = self.inputs.find(-inf)
         assert missing is not None
-        self._last = Command(self._limiter.velocity_rad_s, State.WAITING, missing, "", None)
-
-    # ---- inputs ---------------------------------------------------------------------------
+        self.last = Command(self._limiter.velocity_rad_s, State.WAITING, missing, "", None)
 
     def configure(self, config: SupervisorConfig) -> None:
-        """Change limits and thresholds while running.
-
-        ``autostart`` counts at creation only.
-        """
-        self._config = config
+        """Change limits and thresholds while running; ``autostart`` counts at creation only."""
+        self.config = config
         self.goal.configure(config)
         self.inputs.configure(config)
+
+    # ---- start and stop -------------------------------------------------------------------
 
     def start(self, now_s: float) -> tuple[bool, str]:
         """Begin to servo; or, while held near a singularity, let the arm leave it slowly.
@@ -136,71 +181,61 @@ class Supervisor:
         str
             What was done, or why not.
         """
-        if self._started:
-            return self._leave(now_s) or (True, f"already started: {self._last.text}")
         finding = self._objection(now_s)
+        if finding is not None and finding.reason is Reason.NEAR_SINGULAR:
+            return self._leave()
+        if self.started:
+            return True, f"already started: {self.last.text}"
         if finding is not None:
-            return self._leave(now_s) or (False, f"not started: {finding.text}")
+            return False, f"not started: {finding.text}"
         self._begin()
         return True, "started"
 
-    def _leave(self, now_s: float) -> tuple[bool, str] | None:
-        """Let the arm leave a singular pose, if it is held there for nothing else."""
-        finding = self._objection(now_s)
-        if finding is None or finding.reason is not Reason.NEAR_SINGULAR:
-            return None
+    def _leave(self) -> tuple[bool, str]:
+        """Let the arm leave a singular pose, in which it is held for nothing else."""
         assert self.inputs.conditioning is not None
-        value, hold = self.inputs.conditioning.smallest, self._config.singular_hold_m_rad
-        if not self._singularity.leave(value, hold):
+        value = self.inputs.conditioning.smallest
+        if not self._singularity.leave(value, self.config.singular_hold_m_rad):
             return False, (
                 f"not started: the Jacobian is too singular to leave ({value:.4f} m/rad); call the "
                 "estimator's ~/reset, or move the arm by hand"
             )
-        if not self._started:
+        if not self.started:
             self._begin()
-            self._singularity.leave(value, hold)
-        self._leaving_s = 0.0
         self.goal.progress.restart()
         return True, "leaving the singular pose slowly; held again should it come nearer to it"
 
+    def _begin(self) -> None:
+        self._session.begin()
+        for monitor in self._monitors:
+            monitor.restart()
+
     def stop(self) -> tuple[bool, str]:
         """End servoing; the arm ramps to rest. It does not start again by itself."""
-        was_started = self._started
-        self._started = False
-        self._autostart_left = False
-        self._ended = None
-        self._singularity.stay()
+        was_started = self.started
+        self._session.stop()
+        self._singularity.leaving = False
         return True, "stopping" if was_started else "was not started; it will not start by itself"
 
     def shutdown(self) -> Command:
         """End for good: zeros now and for ever."""
         self._shut_down = True
-        self._started = False
-        self._ended = Reason.SHUT_DOWN.because()
+        self._session.stop()
+        self._session.ended = finding = Reason.SHUT_DOWN.because()
         self._limiter.stop()
-        return self._answer(self._ended, "", None)
-
-    # ---- what it says ---------------------------------------------------------------------
+        return self._answer(finding, "", None)
 
     @property
     def started(self) -> bool:
         """Whether the arm servoes, or will when what holds it is over."""
-        return self._started
-
-    @property
-    def config(self) -> SupervisorConfig:
-        """Limits and thresholds in force."""
-        return self._config
+        return self._session.started
 
     @property
     def velocity_rad_s(self) -> np.ndarray:
         """The last command, after every limit, rad/s, shape (n,)."""
         return self._limiter.velocity_rad_s.copy()
 
-    @property
-    def last(self) -> Command:
-        """The last command with its state and reason."""
-        return self._last
+    # ---- the tick -------------------------------------------------------------------------
 
     def tick(
         self,
@@ -218,10 +253,8 @@ class Supervisor:
 
         Parameters
         ----------
-        now_s : float
-            Steady clock, s.
-        dt_s : float
-            Time since the last tick, s.
+        now_s, dt_s : float
+            Steady clock, and time since the last tick, s.
         joints_rad : ndarray, shape (n,), or None
             Newest joint positions.
         position_m : ndarray, shape (m,), or None
@@ -238,91 +271,41 @@ class Supervisor:
         dt_s = min(dt_s, MAX_TICK_S) if isfinite(dt_s) and dt_s > 0.0 else 0.0
         steady_dt_s = min(max(now_s - self._ticked_s, 0.0), MAX_TICK_S)
         self._ticked_s = now_s
-        self.goal.see(position_m, dt_s, self._last.state is State.SERVOING)
-        self._problem = problem
-        self._verdict = verdict
+        self.goal.see(position_m, dt_s, self.last.state is State.SERVOING)
+        self._problem, self._verdict = problem, verdict
         if pending_rad is not None:
             self._pending = pending_rad
         finding = self._objection(now_s)
-        if finding is None and self._autostart_left and self._ended is None:
+        if finding is None and self._session.starts_itself:
             self._begin()
         output: ControlOutput | None = None
-        if finding is None and self._started and joints_rad is not None:
+        if finding is None and self.started and joints_rad is not None:
             finding = self._trouble_in_motion(dt_s, joints_rad)
             if finding is None:
                 finding, output = self._ask(propose, dt_s)
-        finding = self._held_long(finding, steady_dt_s)
-        if finding is not None and finding.reason.needs_start:
-            self._end_session(finding)
+        finding = self._session.holds(finding, steady_dt_s, self.config.resume_within_s)
         if output is not None and joints_rad is not None:
             return self._move(output, joints_rad, dt_s)
         self._following.pause()
         if finding is not None:
-            self._singularity.stay()  # a permission holds for one way out, not for ever
+            self._singularity.leaving = False  # a permission is for one way out, not for ever
         # Simulated time may stand still; coming to rest must not.
         return self._rest(finding, joints_rad, dt_s or steady_dt_s)
-
-    def status_values(self, now_s: float) -> dict[str, float | str]:
-        """Key numbers for a status message, always the same keys in the same order."""
-        nan = float("nan")
-        singular = self.inputs.conditioning
-        error = self.goal.error_m
-        values: dict[str, float | str] = {
-            "state": self._last.state.value,
-            "reason": self._last.reason.name,
-            "started": str(self._started).lower(),
-            "settled": str(self.goal.settled).lower(),
-            "error_m": nan if error is None else length(error),
-            "active_limit": self._last.active_limit,
-            "fastest_joint_rad_s": largest(self._limiter.velocity_rad_s),
-            "smallest_singular_value_m_rad": nan if singular is None else singular.smallest,
-            "condition_number": nan if singular is None else singular.condition,
-            "prediction_error_ratio": self._error_ratio,
-        }
-        values |= self.inputs.status_values(now_s)
-        vectors = {
-            "target_{}_m": self.goal.target_m,
-            "position_{}_m": self.goal.position_m,
-            "exponent_{}": None if self._last.output is None else self._last.output.exponent,
-        }
-        for name, vector in vectors.items():
-            for axis, value in zip(
-                "xyz", [nan] * len("xyz") if vector is None else vector, strict=True
-            ):
-                values[name.format(axis)] = float(value)
-        return values
-
-    # ---- rules: may it move? --------------------------------------------------------------
 
     def _objection(self, now_s: float) -> Finding | None:
         """Find the first rule that forbids motion now, started or not."""
         if self._shut_down:
             return Reason.SHUT_DOWN.because()
-        # Who waits to be asked for a target may count on the arm to start at once.
-        return (
-            self.inputs.find(now_s)
-            or self._no_position()
-            or self._no_target()
-            or self._near_singular()
-        )
-
-    def _no_position(self) -> Finding | None:
-        if self.goal.position_m is not None:
-            return None
-        return Reason.NO_POSITION.because(why=self._problem or "no image is usable yet")
-
-    def _no_target(self) -> Finding | None:
-        return Reason.NO_TARGET.because() if self.goal.target_m is None else None
-
-    def _near_singular(self) -> Finding | None:
+        finding = self.inputs.find(now_s)
+        if finding is not None:
+            return finding
+        # It asks for a target only where nothing else is missing.
+        if self.goal.position_m is None:
+            return Reason.NO_POSITION.because(why=self._problem or "no image is usable yet")
+        if self.goal.target_m is None:
+            return Reason.NO_TARGET.because()
         assert self.inputs.conditioning is not None
-        value = self.inputs.conditioning.smallest
-        limit = self._singularity.held_below(
-            value, self._config.singular_hold_m_rad, self._config.singular_slow_m_rad
-        )
-        if limit is None:
-            return None
-        return Reason.NEAR_SINGULAR.because(value=value, limit=limit)
+        return self._singularity.check(self.inputs.conditioning.smallest, self.config)
 
     def _trouble_in_motion(self, dt_s: float, joints: np.ndarray) -> Finding | None:
         """Find what only shows while the arm moves; every monitor counts at every tick."""
@@ -335,130 +318,106 @@ class Supervisor:
             self.inputs.jacobian,
             self._verdict,
         )
-        findings = [monitor.check(motion, self._config) for monitor in self._monitors]
+        findings = [monitor.check(motion, self.config) for monitor in self._monitors]
         return next((finding for finding in findings if finding is not None), None)
-
-    @property
-    def _error_ratio(self) -> float:
-        """Error of predicted motion over the motion; not a number while unknown."""
-        return float("nan") if self._verdict is None else self._verdict.error_ratio
-
-    def _held_long(self, finding: Finding | None, dt_s: float) -> Finding | None:
-        """Let a hold of a started arm end in a needed start, once no one expects it to go on."""
-        if finding is None or not self._started:
-            self._held_s = 0.0
-            return finding
-        self._held_s += dt_s
-        limit_s = self._config.resume_within_s
-        if self._held_s <= limit_s or finding.reason.needs_start:
-            return finding
-        return Reason.HELD_LONG.because(limit_s=limit_s, why=finding.text)
 
     def _ask(self, propose: Propose, dt_s: float) -> tuple[Finding | None, ControlOutput | None]:
         error, velocity_rad_s = self.goal.error_m, self._limiter.velocity_rad_s
         assert error is not None
         if dt_s <= 0.0:
-            return None, ControlOutput(velocity_rad_s, 0.0 * error, np.ones_like(error))
+            return None, ControlOutput.plain(velocity_rad_s, error.size)
         try:
             output = propose(error, velocity_rad_s.copy(), dt_s)
-            expected = {"command": velocity_rad_s, "sliding variable": error, "exponent": error}
-            given = (output.velocity_rad_s, output.sliding_variable, output.exponent)
-            for (name, like), value in zip(expected.items(), given, strict=True):
+            expected = ControlOutput(velocity_rad_s, error, error)
+            for name, value, like in zip(output._fields, output, expected, strict=True):
                 if np.shape(value) != like.shape or not all_finite(np.asarray(value)):
                     raise ValueError(f"its {name} is {value}")
         except Exception as error:  # whatever a law does wrong, the arm must stop
             return Reason.LAW_FAULT.because(why=f"{type(error).__name__}: {error}"), None
         return None, output
 
-    # ---- how it moves, how it rests ---------------------------------------------------------
+    # ---- how it moves, how it rests -------------------------------------------------------
 
     def _move(self, output: ControlOutput, joints: np.ndarray, dt_s: float) -> Command:
-        config = self._config
         share, slowed = self._speed_share()
-        fast = config.speed.max_joint_velocity_rad_s * share
+        fast = self.config.speed.max_joint_velocity_rad_s * share
         if self._singularity.leaving:
             fast = min(fast, _LEAVE_RAD_S)
-            self._leaving_s += dt_s
-            if self._leaving_s > _LEAVE_TIME_S:
-                self._singularity.stay()
-        active = self._limiter.move(
-            np.asarray(output.velocity_rad_s, dtype=float),
-            joints,
-            dt_s,
-            config,
-            max_speed_rad_s=fast,
-            pending_rad=self._pending,
-        )
+            self._singularity.go_on(dt_s)
+        wanted = np.asarray(output.velocity_rad_s, dtype=float)
+        active = self._limiter.move(wanted, joints, dt_s, self.config, fast, self._pending)
         reason = Reason.SETTLED if self.goal.progress.settled else Reason.SERVOING
         error = self.goal.error_m
         assert error is not None
-        error_mm = 1e3 * length(error)
-        return self._answer(reason.because(error_mm=error_mm), ", ".join(slowed + active), output)
+        finding = reason.because(error_mm=1e3 * length(error))
+        return self._answer(finding, ", ".join(slowed + active), output)
 
     def _speed_share(self) -> tuple[float, list[str]]:
         """Share of the velocity limit that the Jacobian's condition and quality leave."""
-        config = self._config
+        config = self.config
         share, active = 1.0, []
         assert self.inputs.conditioning is not None
         value = self.inputs.conditioning.smallest
         if value < config.singular_slow_m_rad:
             share = _ramp(value, config.singular_hold_m_rad, config.singular_slow_m_rad)
             active.append(f"near singular ({value:.3f} m/rad)")
-        if (ratio := self._error_ratio) > config.prediction_slow:
+        if self._verdict is not None and self._verdict.error_ratio > config.prediction_slow:
+            ratio = self._verdict.error_ratio
             share *= _ramp(ratio, config.prediction_hold, config.prediction_slow)
             active.append(f"prediction error ({ratio:.2f})")
         return max(share, _SLOWEST_SHARE), active
 
     def _rest(self, finding: Finding | None, joints: np.ndarray | None, dt_s: float) -> Command:
         """Bring the arm to rest, and say why."""
-        # What ended the session goes on being said, unless something worse is wrong now.
+        # What ended the session remains the reason, unless something worse is wrong now.
         worse = finding is not None and finding.reason.stop is Stop.AT_ONCE
-        if not self._started and self._ended is not None and not worse:
-            finding = self._ended
-            if finding.reason in _PAUSES and not self.inputs.pauses():
-                finding = Reason.PAUSE_OVER.because()
+        ended = self._session.ended
+        if ended is not None and not worse:
+            over = ended.reason in _PAUSES and not self.inputs.pauses()
+            finding = Reason.PAUSE_OVER.because() if over else ended
         if finding is None:
             finding = Reason.READY.because()
         if finding.reason.stop is Stop.AT_ONCE:
             self._limiter.stop()
             return self._answer(finding, "", None)
-        moving = self._limiter.come_to_rest(joints, dt_s, self._config, self._pending)
+        moving = self._limiter.come_to_rest(joints, dt_s, self.config, self._pending)
         return self._answer(finding, "acceleration" if moving else "", None)
 
     def _answer(self, finding: Finding, active_limit: str, output: ControlOutput | None) -> Command:
-        reason = finding.reason
-        if self._started or self._ended is not None or reason is Reason.READY:
-            state = reason.state
-        else:
-            state = State.WAITING
-        self._last = Command(
+        reason, session = finding.reason, self._session
+        asked = session.started or session.ended is not None or reason is Reason.READY
+        state = reason.state if asked else State.WAITING
+        self.last = Command(
             self._limiter.velocity_rad_s.copy(), state, finding, active_limit, output
         )
-        return self._last
+        return self.last
 
-    # ---- bookkeeping ------------------------------------------------------------------------
-
-    def _begin(self) -> None:
-        self._started = True
-        self._autostart_left = False
-        self._ended = None
-        self._singularity.stay()
-        for monitor in self._monitors:
-            monitor.restart()
-
-    def _end_by_event(self, finding: Finding) -> None:
-        """End the session; a pause of the robot is said of one that has ended before, too."""
-        self._end_session(finding)
-        if self._ended is not None and finding.reason in _PAUSES and not self._shut_down:
-            self._ended = finding
-
-    def _end_session(self, finding: Finding) -> None:
-        """Stop until a new start, if it was started."""
-        if self._started:
-            self._started = False
-            self._autostart_left = False
-            self._singularity.stay()
-            self._ended = finding
+    def status_values(self, now_s: float) -> dict[str, float | str]:
+        """Key numbers for a status message, always the same keys in the same order."""
+        nan, last = float("nan"), self.last
+        singular, error, verdict = self.inputs.conditioning, self.goal.error_m, self._verdict
+        values: dict[str, float | str] = {
+            "state": last.state.value,
+            "reason": last.reason.name,
+            "started": str(self.started).lower(),
+            "settled": str(self.goal.settled).lower(),
+            "error_m": nan if error is None else length(error),
+            "active_limit": last.active_limit,
+            "fastest_joint_rad_s": largest(self._limiter.velocity_rad_s),
+            "smallest_singular_value_m_rad": nan if singular is None else singular.smallest,
+            "condition_number": nan if singular is None else singular.condition,
+            "prediction_error_ratio": nan if verdict is None else verdict.error_ratio,
+            **self.inputs.status_values(now_s),
+        }
+        vectors = {
+            "target_{}_m": self.goal.target_m,
+            "position_{}_m": self.goal.position_m,
+            "exponent_{}": None if last.output is None else last.output.exponent,
+        }
+        for name, vector in vectors.items():
+            numbers = [nan] * len("xyz") if vector is None else vector.tolist()
+            values |= dict(zip(map(name.format, "xyz"), numbers, strict=True))
+        return values
 
 
 def _ramp(value: float, at_zero: float, at_one: float) -> float:

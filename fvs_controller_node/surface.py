@@ -1,6 +1,6 @@
-"""The fast terminal sliding surface with the adaptive exponent, one axis at a time.
+"""The fast terminal sliding surface with the adaptive exponent, and how s decays to it.
 
-``s = a1 y' + a2 y + a3 psi(y)`` with ``psi(y) = |y|^g(y) sgn y``, eq. (31), and
+One axis at a time, ``s = a1 y' + a2 y + a3 psi(y)`` with ``psi(y) = |y|^g(y) sgn y``, eq. (31), and
 ``g(y) = l1 - l2 tanh(l3 (y^2 - Delta))``, eq. (29): small far from the goal (fast), large
 near it (calm); it switches at ``|y| = sqrt(Delta)``. Errors are in metres and below 1 m: the
 exponent makes the surface depend on the unit.
@@ -108,3 +108,14 @@ class SlidingSurface(Parameters):
         _, slope = self.psi_and_slope(y)
         attractor = 0.0 if velocity == 0.0 else self.alpha3 * slope * velocity
         return self.alpha1 * acceleration + self.alpha2 * velocity + attractor
+
+
+@dataclass(frozen=True)
+class ReachingLaw(Parameters):
+    """k4 s' = -k1 s - k2 |s|^(2 sigma - 1) sgn s; the terminal term ends it in finite time."""
+
+    k1: float = live_parameter(3.0, "Linear gain of the reaching law.", 1e-3, 1e4)
+    k2: float = live_parameter(0.05, "Terminal gain of the reaching law.", 0.0, 1e4)
+    k4: float = live_parameter(0.05, "s decays with k4 / k1 seconds; 0: at once.", 0.0, 100.0)
+    # At 0.5 the command would grow without bound at s = 0.
+    sigma: float = live_parameter(0.75, "2 sigma - 1 is the reaching exponent.", 0.51, 0.99)

@@ -13,12 +13,10 @@ end is known best: it has the longest window and the fewest terms.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from fvs_controller_node.pseudo_inverse import DampedInverse
-from fvs_controller_node.redundancy import Inverse
 from fvs_ros.vectors import length
 
 #: Updates that make a motion, and most that are kept.
@@ -48,17 +46,8 @@ _INTERVALS, _FASTER = 3.0, 1.2
 _OWN_CLOCK_S = 0.2
 
 
-@dataclass(frozen=True)
-class Target:
-    """Where a target is and how it moves.
-
-    Parameters
-    ----------
-    position_m : ndarray, shape (m,)
-        m.
-    velocity_m_s : ndarray, shape (m,)
-        m/s.
-    """
+class Target(NamedTuple):
+    """Where a target is, m, (m,), and its velocity, m/s, (m,)."""
 
     position_m: np.ndarray
     velocity_m_s: np.ndarray
@@ -70,8 +59,6 @@ class TargetMotion:
     def __init__(self) -> None:
         self._updates: deque[tuple[float, np.ndarray]] = deque(maxlen=_MOST)
         self._scatter_m2 = deque([_SUPPOSED_M**2] * _SUPPOSED, maxlen=_REMEMBERED)
-        self._newest: Target | None = None  # the last update, as it came
-        self._mean: Target | None = None  # of a noisy one that stands
         self._curve: np.ndarray | None = None  # position, velocity, half the acceleration
         self._interval_s, self._fastest_m_s = 0.0, 0.0  # between updates
         self._age_s = 0.0  # of the last one when it came
@@ -79,12 +66,8 @@ class TargetMotion:
     def restart(self, position_m: np.ndarray, now_s: float = 0.0) -> None:
         """Take a target that stands; how noisy updates are stays known."""
         self._updates.clear()
-        self._take(np.array(position_m, dtype=float), now_s)
-        self._curve = self._mean = None
-
-    def _take(self, position: np.ndarray, now_s: float) -> None:
-        self._updates.append((now_s, position))
-        self._newest = Target(position, np.zeros_like(position))
+        self._updates.append((now_s, np.array(position_m, dtype=float)))
+        self._curve = None
 
     def continues(self, position_m: np.ndarray, now_s: float) -> bool:
         """Whether a position, m, (m,), at a time, s, is of a target on its way."""
@@ -107,11 +90,11 @@ class TargetMotion:
         if self.overtaken(position, now_s):
             return True
         # Joint states, whose stamps may be the clock, can be rarer than updates.
-        if now_s == self._updates[-1][0]:
+        again = now_s == self._updates[-1][0]
+        if again:
             self._updates.pop()
-            self._take(position, now_s)
-        else:
-            self._take(position, now_s)
+        self._updates.append((now_s, position))
+        if not again:
             self._learn_noise()
         self._fit(now_s)
         self._age_s = max(0.0, age_s)
@@ -138,7 +121,7 @@ class TargetMotion:
 
     def _fit(self, now_s: float) -> None:
         """Find the polynomial to go on with, and the fastest step within its window."""
-        self._curve = self._mean = None
+        self._curve = None
         if len(self._updates) < _LEAST:
             return
         times_s, places = map(np.array, zip(*self._updates, strict=True))
@@ -153,10 +136,7 @@ class TargetMotion:
                 least_doubt, curve, used = doubt, fit, window
             count = int(_LONGER * count)
         curve[0] += last
-        if len(curve) > 1:
-            self._curve = curve
-        else:
-            self._mean = Target(curve[0], np.zeros_like(last))
+        self._curve = curve
         steps_s = np.diff(since_s[used])
         self._interval_s = float(steps_s.mean())
         steps_m = np.linalg.norm(np.diff(places[used], axis=0), axis=1)
@@ -166,19 +146,19 @@ class TargetMotion:
         """The target now, s; None before the first one.
 
         After the last update it goes on for a few intervals, straight on after the first, and then
-        stands where the update was. One that stands is the same object at every call.
+        stands where the update was.
         """
         if not self._updates:
             return None
         last_s, last = self._updates[-1]
-        since_s = now_s - last_s
-        curve = self._curve
+        since_s, curve = now_s - last_s, self._curve
+        standing = Target(last, np.zeros_like(last))
         # A target stamped a little ahead of the joint states is looked back at.
         longest_s = self._age_s + min(_MAX_GAP_S, _INTERVALS * self._interval_s)
-        if not -_OWN_CLOCK_S < since_s < longest_s:
-            return self._newest
-        if curve is None:
-            return self._mean or self._newest
+        if curve is None or not -_OWN_CLOCK_S < since_s < longest_s:
+            return standing
+        if len(curve) == 1:
+            return standing._replace(position_m=curve[0])
         velocity = curve[1].copy()
         position = curve[0] + since_s * velocity
         if len(curve) > 2:
@@ -187,7 +167,7 @@ class TargetMotion:
             velocity += 2.0 * bent_s * curve[2]
         speed = length(velocity)
         if speed > _FASTEST_M_S:
-            return self._newest
+            return standing
         if speed > self._fastest_m_s:
             velocity *= self._fastest_m_s / speed
             position = last + since_s * velocity
@@ -217,63 +197,6 @@ def _polynomial(
     return curve, float((basis[-1, used] ** 2).sum()) if explained else np.inf
 
 
-class TargetFollower:
-    """Keeps up with a moving target: where it is now, and the joint motion that goes along.
-
-    Parameters
-    ----------
-    enabled : bool
-        Off: every target stands where it was set last.
-    inverse : Inverse, optional
-        From ball velocity to joint velocities.
-    """
-
-    def __init__(self, enabled: bool = True, inverse: Inverse | None = None) -> None:
-        self._motion = TargetMotion()
-        self.configure(enabled, inverse or DampedInverse())
-
-    def configure(self, enabled: bool, inverse: Inverse) -> None:
-        """Change the settings and keep the motion."""
-        self.enabled, self._inverse = enabled, inverse
-
-    def expects(self, position_m: np.ndarray, stamp_s: float, now_s: float) -> bool:
-        """Whether a target there would go on with the motion rather than be another one."""
-        return self._motion.continues(
-            np.asarray(position_m, dtype=float), _on_own_clock(stamp_s, now_s)
-        )
-
-    def overtaken(self, position_m: np.ndarray, stamp_s: float, now_s: float) -> bool:
-        """Whether a target comes after one that was there later."""
-        position = np.asarray(position_m, dtype=float)
-        return self._motion.overtaken(position, _on_own_clock(stamp_s, now_s))
-
-    def update(self, position_m: np.ndarray, stamp_s: float, now_s: float) -> None:
-        """Take a target that was there at a stamp; one from another clock counts from now, s."""
-        there_s = _on_own_clock(stamp_s, now_s)
-        self._motion.update(position_m, there_s, now_s - there_s)
-
-    def stand(self, position_m: np.ndarray, now_s: float) -> None:
-        """Take a target that stands, whatever moved before, m, (m,)."""
-        self._motion.restart(position_m, now_s)
-
-    def at(self, now_s: float) -> Target | None:
-        """The target now, s; None before the first, and while not enabled."""
-        return self._motion.at(now_s) if self.enabled else None
-
-    def feed_forward(
-        self,
-        velocity_m_s: np.ndarray,
-        jacobian: np.ndarray,
-        joints_rad: np.ndarray,
-        home_rad: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """Joint velocities that go along with a target's velocity, m/s, (m,); rad/s, shape (n,).
-
-        On the way they come back to ``home_rad``, (n,), if that costs little speed.
-        """
-        return self._inverse.joint_velocity(jacobian, velocity_m_s, joints_rad, home_rad)
-
-
-def _on_own_clock(stamp_s: float, now_s: float) -> float:
+def on_own_clock(stamp_s: float, now_s: float) -> float:
     """The stamp, or now if the stamp is of another clock, s."""
     return stamp_s if abs(stamp_s - now_s) < _OWN_CLOCK_S else now_s

@@ -9,7 +9,7 @@ from math import inf
 import numpy as np
 import viser
 
-from fvs_controller_node.registry import LAWS
+from fvs_controller_node.config import LAWS
 from fvs_dashboard import markup, picture
 from fvs_dashboard.actions import (
     BUMP,

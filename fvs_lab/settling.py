@@ -9,15 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from fvs_controller_node.config import build_law, default_values
+from fvs_controller_node.config import default_values, make_law
 from fvs_controller_node.ftsm import FtsmLaw
-from fvs_controller_node.reaching import ReachingLaw
 from fvs_controller_node.settling import (
     constant_exponent_time_s,
     reaching_time_s,
     sliding_value_after,
 )
-from fvs_controller_node.surface import SlidingSurface
+from fvs_controller_node.surface import ReachingLaw, SlidingSurface
 from fvs_lab.experiment import (
     OURS,
     PAPER,
@@ -198,7 +197,7 @@ def judged(runs: Results, gains: str, acceleration_limit_rad_s2: float) -> Itera
     ``predicted_2mm_s``; the paper's formula ``printed_s`` and ``printed_sliding_s``; and whether
     the promises were kept: ``within``, ``within_band``, ``within_allowance``, ``agrees``.
     """
-    law = build_law(default_values(law="ftsm", **GAINS[gains]))
+    law = make_law(default_values(law="ftsm", **GAINS[gains]))
     assert isinstance(law, FtsmLaw)
     errors = np.array([row["series"]["ball_m"][0] - np.array(row["target_m"]) for row in runs])
     predicted = predicted_times_s(errors, law.surface, law.reaching)

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from fvs_controller_node.config import build_loop, default_values
+from fvs_controller_node.config import default_values
+from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.supervisor import Command
 from fvs_estimator_node.base import Estimator
 from fvs_estimator_node.loop import EstimationLoop
@@ -81,7 +82,7 @@ class ClosedLoop:
         self.simulation = simulation
         self.estimator = estimator
         self.estimation = EstimationLoop(estimator)
-        self.loop = build_loop(default_values(**{"autostart": True, **(controller_values or {})}))
+        self.loop = ServoLoop(default_values(**{"autostart": True, **(controller_values or {})}))
         self.period_s = 1.0 / simulation.config.joint_state_rate_hz
 
     @classmethod
@@ -112,7 +113,7 @@ class ClosedLoop:
                 continue
             position_m = seen.detection.position_m
             self.estimation.add_ball(seen.stamp_s, position_m)
-            self.loop.add_ball(now_s, seen.stamp_s, position_m, CAMERA_FRAME)
+            self.loop.add_ball(now_s, seen.stamp_s, position_m)
         self.estimation.add_joints(now_s, out.joints_rad)
         problem, chain = self.estimation.problem, self.estimator.chain
         if not problem:

@@ -16,8 +16,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from fvs_controller_node.config import LAWS
 from fvs_controller_node.reasons import Reason, State, Stop
-from fvs_controller_node.registry import LAWS
 from fvs_estimator_node.registry import ESTIMATORS
 from fvs_ros import topics
 from fvs_ros.params import Parameter

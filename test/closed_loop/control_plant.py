@@ -22,7 +22,8 @@ from ur5_dh import (
     ball_and_jacobian,
 )
 
-from fvs_controller_node.config import build_loop, default_values
+from fvs_controller_node.config import default_values
+from fvs_controller_node.loop import ServoLoop
 from fvs_ros.chain import SerialChain
 
 TICK_S = 0.008
@@ -118,7 +119,7 @@ def servo(
     rng = np.random.default_rng(seed)
     wrong = rng.normal(size=(3, 6))
     wrong *= jacobian_error / np.linalg.norm(wrong)
-    loop = build_loop(default_values(**(values or {})))
+    loop = ServoLoop(default_values(**(values or {})))
     supervisor = loop.supervisor
     target = ball_and_jacobian(goal_rad)[0]
     assert loop.add_target(target, FRAME)[0]
@@ -144,7 +145,7 @@ def servo(
             next_image_s += IMAGE_S
         while images and images[0][0] + LATENCY_S <= t:
             stamp, seen = images.popleft()
-            loop.add_ball(t, stamp, seen, FRAME)
+            loop.add_ball(t, stamp, seen)
         estimate = jacobian + np.linalg.norm(jacobian) * wrong
         if chain is not None:
             loop.add_chain(t, chain)

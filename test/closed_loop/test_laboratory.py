@@ -16,9 +16,8 @@ pytest.importorskip("jinja2")
 from scipy.stats import levy_stable, norm
 
 from fvs_controller_node.config import default_values
-from fvs_controller_node.reaching import ReachingLaw
 from fvs_controller_node.settling import settling_times
-from fvs_controller_node.surface import SlidingSurface
+from fvs_controller_node.surface import ReachingLaw, SlidingSurface
 from fvs_estimator_node.base import Estimator, MotionStep
 from fvs_estimator_node.config import PARAMETERS
 from fvs_lab import contestants as who

@@ -8,7 +8,7 @@ from control_plant import NOISE_M, TICK_S, chain_of_the_arm, pairs, servo
 from scipy.optimize import minimize
 from ur5_dh import HOME_RAD, ball_and_jacobian
 
-from fvs_controller_node.registry import LAWS
+from fvs_controller_node.config import LAWS
 from fvs_tools.schemes import BEYOND
 
 CASES = pairs(2, seed=21, low_m=0.28, high_m=0.32)

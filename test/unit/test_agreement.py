@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from test_supervisor import WANTED, at_rest, servoing
 
-from fvs_controller_node.monitors import _LEAST_SEEN
+from fvs_controller_node.monitors import LEAST_SEEN
+from fvs_controller_node.prediction import Agreement, Verdict
 from fvs_controller_node.reasons import Reason, State
-from fvs_ros.agreement import Agreement, Verdict
+from fvs_ros.tracker import Image
 
 IMAGE_S = 1.0 / 30.0
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -21,7 +22,7 @@ def verdicts(seen_of, way_of, seconds=4.0, noise_m=0.0, seed=1):
     for k in range(round(seconds / IMAGE_S)):
         t = k * IMAGE_S
         seen = seen_of(t) + noise_m * rng.normal(size=3)
-        agreement.add(t, seen, np.asarray(way_of(t)), max(noise_m, 5e-5))
+        agreement.add(Image(t, seen, np.asarray(way_of(t))), max(noise_m, 5e-5))
         found.append((t, agreement.verdict))
     return found
 
@@ -40,7 +41,7 @@ def frozen(t):
 
 def frozen_after_s(seen_of, way_of, **how):
     found = verdicts(seen_of, way_of, **how)
-    return next((t for t, one in found if one and one.seen_share < _LEAST_SEEN), None)
+    return next((t for t, one in found if one and one.seen_share < LEAST_SEEN), None)
 
 
 @pytest.mark.parametrize(
@@ -111,7 +112,7 @@ def test_a_camera_that_is_bumped_is_neither_frozen_nor_opposite():
                 return np.array([0.3 * t if t < bumped_s else 0.21 * t + step_m, 0.1 * t, 0.0])
 
             found = [one for _, one in verdicts(seen, line(0.3), noise_m=0.002) if one]
-            assert min(one.seen_share for one in found) > _LEAST_SEEN
+            assert min(one.seen_share for one in found) > LEAST_SEEN
             assert found[-1].error_ratio < 0.6
 
 
@@ -119,10 +120,10 @@ def test_a_camera_that_is_bumped_is_neither_frozen_nor_opposite():
 def test_neither_a_gap_between_images_nor_a_clock_that_steps_back_forgives_anything(step_s):
     agreement = Agreement()
     for k in range(40):
-        agreement.add(k * IMAGE_S, np.zeros(3), np.array([0.01 * k, 0.0, 0.0]), 1e-3)
+        agreement.add(Image(k * IMAGE_S, np.zeros(3), np.array([0.01 * k, 0.0, 0.0])), 1e-3)
     assert agreement.verdict is not None
-    agreement.add(k * IMAGE_S + step_s, np.zeros(3), np.array([0.01 * k, 0.0, 0.0]), 1e-3)
-    assert agreement.verdict.seen_share < _LEAST_SEEN
+    agreement.add(Image(k * IMAGE_S + step_s, np.zeros(3), np.array([0.01 * k, 0.0, 0.0])), 1e-3)
+    assert agreement.verdict.seen_share < LEAST_SEEN
     assert 0.0 < agreement.verdict.time_s < 2.0
 
 
@@ -130,8 +131,8 @@ def test_ten_minutes_at_rest_are_remembered_in_few_cells():
     agreement, rng = Agreement(), np.random.default_rng(3)
     for k in range(18000):
         way = 0.002 * rng.normal(size=3)
-        agreement.add(k * IMAGE_S, way + 0.004 * rng.normal(size=3), way, 0.004)
-        assert agreement.verdict is None or agreement.verdict.seen_share > _LEAST_SEEN
+        agreement.add(Image(k * IMAGE_S, way + 0.004 * rng.normal(size=3), way), 0.004)
+        assert agreement.verdict is None or agreement.verdict.seen_share > LEAST_SEEN
     assert len(agreement._cells) <= 32
 
 

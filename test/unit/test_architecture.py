@@ -110,7 +110,7 @@ def test_imports_point_one_way(path):
         ("fvs_controller_node/ftsm.py", "import rclpy"),
         ("fvs_controller_node/ftsm.py", "from std_msgs.msg import Float64MultiArray"),
         ("fvs_controller_node/ftsm.py", "def f():\n    from std_srvs.srv import Trigger"),
-        ("fvs_controller_node/inputs.py", "from fvs_ros.ros import to_stamp"),
+        ("fvs_controller_node/inbox.py", "from fvs_ros.ros import to_stamp"),
         ("fvs_controller_node/node.py", "import fvs_sim_node.kinematics as kinematics"),
         ("fvs_controller_node/node.py", "from fvs_tools import launcher"),
         ("fvs_estimator_node/rbf.py", "class A:\n    def f(self):\n        import torch.nn"),

@@ -8,7 +8,7 @@ from math import isnan
 import numpy as np
 import pytest
 
-from fvs_controller_node.config import build_loop, default_values
+from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.reasons import Reason
 from fvs_dashboard import markup
 from fvs_dashboard.actions import (
@@ -56,7 +56,7 @@ def board():
 
 
 def test_every_key_that_is_read_is_one_that_the_controller_publishes():
-    assert set(STATUS) <= set(build_loop(default_values()).status_values(0.0))
+    assert set(STATUS) <= set(ServoLoop().status_values(0.0))
 
 
 # --- banner, lamps, details, scheme ---

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fvs_controller_node.anticipation import braking_speed_within
-from fvs_controller_node.drive_lag import DriveLag
+from fvs_controller_node.drive_lag import DriveLag, braking_speed_within
 from fvs_sim_node.config import SimConfig
 
 DT_S = 0.008

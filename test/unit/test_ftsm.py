@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 from fvs_controller_node.base import ControlInput
 from fvs_controller_node.ftsm import FtsmGains, FtsmLaw, ReachingLaw, next_error, next_sliding_value
-from fvs_controller_node.pseudo_inverse import DampedInverse
+from fvs_controller_node.redundancy import DampedInverse
 from fvs_controller_node.surface import SlidingSurface
 
 RNG = np.random.default_rng(3)

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from fvs_controller_node.inputs import InputMonitor, InputSpec
-
-SPEC = InputSpec("ball_position", "is the ball in view?", 0.2, "ball_max_age_s")
+from fvs_controller_node.config import SupervisorConfig
+from fvs_controller_node.inbox import InputMonitor
 
 
 def heard(times_s):
-    monitor = InputMonitor(SPEC, 5)
+    monitor = InputMonitor(
+        SupervisorConfig(), "ball_position", "is the ball in view?", "ball_max_age_s"
+    )
     for time_s in times_s:
         monitor.good(float(time_s))
     return monitor
 
 
-def test_an_input_that_is_late_is_told_with_its_limit_until_it_comes_in_time_again():
+def test_a_late_input_is_named_with_its_limit_until_five_come_in_time():
     monitor = heard([0.0, 0.25, 0.5])
     assert (
         "ball_position is 0.25 s old (ball_max_age_s is 0.20 s); is the" in monitor.find(0.75).text
@@ -28,7 +29,7 @@ def test_an_input_that_is_late_is_told_with_its_limit_until_it_comes_in_time_aga
     assert monitor.find(1.3) is None
 
 
-def test_what_the_source_says_of_itself_is_the_hint_while_it_is_new():
+def test_the_sources_own_words_are_the_hint_while_they_are_new():
     monitor = heard(np.arange(0.0, 1.0, 0.1))
     monitor.source_says(1.5, "the estimator says: waiting for ball_position")
     for now_s in (1.6, 3.2):

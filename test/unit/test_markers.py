@@ -6,7 +6,7 @@ from pathlib import Path
 
 import yaml
 
-from fvs_controller_node.config import build_loop, default_values
+from fvs_controller_node.loop import ServoLoop
 from fvs_ros import topics
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -71,4 +71,4 @@ def test_foxglove_shows_topics_that_exist():
 def test_foxglove_asks_for_numbers_that_the_status_has():
     keys = set(re.findall(r'key=="(\w+)"', json.dumps(foxglove()).replace('\\"', '"')))
     assert "error_m" in keys
-    assert keys <= build_loop(default_values()).status_values(0.0).keys()
+    assert keys <= ServoLoop().status_values(0.0).keys()

@@ -7,7 +7,7 @@ import pytest
 from recordings import ur5_chain
 from ur5_dh import HOME_RAD
 
-from fvs_controller_node.base import NO_FEED_FORWARD, ControlInput
+from fvs_controller_node.base import Change, ControlInput
 from fvs_controller_node.minimum_time import MinimumTimeLaw
 from fvs_controller_node.redundancy import LeastSpeedInverse
 
@@ -40,29 +40,32 @@ class Following:
 
     def __init__(self, joints):
         self.law, self.joints = MinimumTimeLaw(inverse=Counting()), joints
-        self.target, self.told, self.images = CHAIN.position(joints), 0, 0
+        self.target, self.change = CHAIN.position(joints), Change.TARGET
         self.run(20)
 
-    def run(self, ticks, feed_forward_rad_s=NO_FEED_FORWARD):
+    def run(self, ticks, feed_forward_rad_s=None):
         for k in range(ticks):
-            self.images += k % 4 == 0
+            if k % 4 == 0 and self.change is Change.NOTHING:
+                self.change = Change.MEASUREMENT
             told = ControlInput(
                 error_m=CHAIN.position(self.joints) - self.target,
                 jacobian=CHAIN.jacobian(self.joints),
                 applied_rad_s=np.zeros(6),
                 joints_rad=self.joints,
                 dt_s=DT_S,
-                measurement_count=self.images,
                 chain=CHAIN,
                 home_rad=HOME_RAD,
                 feed_forward_rad_s=feed_forward_rad_s,
-                target_count=self.told,
+                change=self.change,
             )
-            velocity = self.law.command(told).velocity_rad_s + feed_forward_rad_s
+            velocity = self.law.command(told).velocity_rad_s
+            if feed_forward_rad_s is not None:
+                velocity = velocity + feed_forward_rad_s
+            self.change = Change.NOTHING
             self.joints = self.joints + DT_S * velocity
 
     def go(self, way_m):
-        self.told += 1
+        self.change = Change.TARGET
         self.target = self.target + way_m
         self.run(60)
         np.testing.assert_allclose(CHAIN.position(self.joints), self.target, atol=2e-4)

@@ -16,10 +16,9 @@ from scipy.integrate import solve_ivp
 
 from fvs_controller_node.base import ControlInput
 from fvs_controller_node.proportional import ProportionalGains, ProportionalLaw
-from fvs_controller_node.pseudo_inverse import DampedInverse
-from fvs_controller_node.reaching import ReachingLaw
+from fvs_controller_node.redundancy import DampedInverse
 from fvs_controller_node.settling import constant_exponent_time_s, sliding_time_s
-from fvs_controller_node.surface import SlidingSurface
+from fvs_controller_node.surface import ReachingLaw, SlidingSurface
 from fvs_estimator_node.base import MotionStep
 from fvs_estimator_node.rbf import RbfConfig, RbfEstimator, RbfModel
 

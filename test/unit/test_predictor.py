@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fvs_controller_node.predictor import BallPredictor, PredictorConfig
+from fvs_controller_node.prediction import BallPredictor, PredictorConfig
 
 RNG = np.random.default_rng(5)
 JACOBIAN = 0.4 * RNG.normal(size=(3, 6))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fvs_controller_node.pseudo_inverse import (
+from fvs_controller_node.redundancy import (
     POSTURE_SPEED_RAD_S,
     DampedInverse,
     conditioning,

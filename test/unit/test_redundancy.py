@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from fvs_controller_node.pseudo_inverse import DampedInverse
-from fvs_controller_node.redundancy import LeastSpeedInverse
+from fvs_controller_node.redundancy import DampedInverse, LeastSpeedInverse
 from fvs_ros.limits import JointRange
 
 RNG = np.random.default_rng(7)

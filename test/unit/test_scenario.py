@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from fvs_controller_node.registry import LAWS
+from fvs_controller_node.config import LAWS
 from fvs_estimator_node.registry import ESTIMATORS
 from fvs_tools.scenario import (
     MARKERS,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fvs_controller_node.target_motion import TargetFollower, TargetMotion
+from fvs_controller_node.target_motion import TargetMotion, on_own_clock
 
 START = np.array([0.1, -0.1, 1.2])
 VELOCITY = np.array([0.2, 0.0, -0.1])
@@ -45,26 +45,26 @@ def test_a_line_is_known_to_the_bit_between_updates():
 @pytest.mark.parametrize("age_s", [0.0, 0.05, 0.1, 0.15])
 @pytest.mark.parametrize("rate_hz", [30.0, 60.0, 100.0])
 def test_updates_that_are_told_late_are_those_of_a_moving_target_all_the_same(age_s, rate_hz):
-    follower, told_s = TargetFollower(), 0.0
+    motion, told_s = TargetMotion(), 0.0
     for now_s in np.arange(0.0, 1.0, 0.008):
         if now_s >= told_s:
             told_s += 1.0 / rate_hz
-            follower.update(line(now_s - age_s), now_s - age_s, now_s)
+            motion.update(line(now_s - age_s), now_s - age_s, age_s)
         if now_s > 0.3:
-            target = follower.at(now_s)
+            target = motion.at(now_s)
             np.testing.assert_allclose(target.position_m, line(now_s), atol=1e-6)
             np.testing.assert_allclose(target.velocity_m_s, VELOCITY, atol=1e-5)
     # Silence counts from when it was told last, not from where the target was then.
-    assert not follower.at(now_s + 3.5 / rate_hz + 1.0 / rate_hz).velocity_m_s.any()
+    assert not motion.at(now_s + 3.5 / rate_hz + 1.0 / rate_hz).velocity_m_s.any()
 
 
 def test_updates_that_were_overtaken_on_their_way_change_nothing():
-    follower, rng = TargetFollower(), np.random.default_rng(3)
+    motion, rng = TargetMotion(), np.random.default_rng(3)
     for k, now_s in enumerate(np.arange(0.0, 1.0, 1.0 / 30.0)):
         there_s = now_s - rng.uniform(0.0, 0.15)
-        follower.update(line(there_s), there_s, now_s)
+        motion.update(line(there_s), there_s, now_s - there_s)
         if k > 10:
-            np.testing.assert_allclose(follower.at(now_s).position_m, line(now_s), atol=1e-6)
+            np.testing.assert_allclose(motion.at(now_s).position_m, line(now_s), atol=1e-6)
 
 
 def test_without_further_updates_it_stands_where_it_was_told_last():
@@ -92,31 +92,17 @@ def test_what_no_motion_goes_on_to_is_a_new_target(position, after_s):
     assert not target.velocity_m_s.any()
 
 
-def test_the_follower_goes_along_and_can_be_switched_off():
-    jacobian = 0.5 * np.eye(3, 6)
-    follower, off = TargetFollower(), TargetFollower(enabled=False)
-    for time_s in np.arange(0.0, 0.3, 1 / 30):
-        for one in (follower, off):
-            one.update(line(time_s), float(time_s), float(time_s) + 0.01)
-    ahead = follower.feed_forward(follower.at(0.28).velocity_m_s, jacobian, np.zeros(6))
-    np.testing.assert_allclose(jacobian @ ahead, VELOCITY, atol=1e-3)
-    assert off.at(0.28) is None
-    assert not off.feed_forward(np.zeros(3), jacobian, np.zeros(6)).any()
-
-
 def test_a_stamp_of_another_clock_counts_from_now():
-    follower = TargetFollower()
-    for time_s in np.arange(0.0, 0.3, 1 / 30):
-        follower.update(line(time_s), 1.7e9, float(time_s))
-    np.testing.assert_allclose(follower.at(0.3).velocity_m_s, VELOCITY, atol=1e-6)
+    assert on_own_clock(1.7e9, 0.3) == 0.3
+    assert on_own_clock(0.2, 0.3) == 0.2
 
 
 def test_a_small_step_after_a_while_is_a_new_target():
-    follower = TargetFollower()
-    follower.update(START, 1.0, 1.0)
-    assert follower.expects(START + 0.01, 1.1, 1.1)
-    assert not follower.expects(START + 0.01, 3.0, 3.0)
-    assert not follower.expects(START + 0.1, 1.1, 1.1)
+    motion = TargetMotion()
+    motion.update(START, 1.0)
+    assert motion.continues(START + 0.01, 1.1)
+    assert not motion.continues(START + 0.01, 3.0)
+    assert not motion.continues(START + 0.1, 1.1)
 
 
 def test_no_target_is_faster_than_an_arm():

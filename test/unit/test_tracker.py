@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fvs_controller_node.predictor import BallPredictor
+from fvs_controller_node.prediction import BallPredictor
 from fvs_ros import tracker as module
 from fvs_ros.tracker import Image, Tracker
 

@@ -1,0 +1,266 @@
+"""Where the ball is now, and whether the image follows the arm.
+
+The last image is carried forward by the joints' motion since: ``x_now = x_image +
+J (r_now - r_image)``, with the product summed over the joint states in between, ``sum J_k dr_k``:
+over a latency of a tenth of a second the arm bends the straight line by more than the camera's
+noise.
+
+What was seen, summed up, is compared with what was predicted. Both ways are kept from an anchor on,
+exposure by exposure: p, where ``sum J dr`` has the feature, and s, where it was seen. One sum of
+both answers three questions, however fast the arm goes:
+
+- the share of p that is seen, in whatever direction (the camera may have been turned): next to
+  nothing for a frozen picture, or for a red thing that is not the ball;
+- how much of the motion is predicted wrongly: a wrong Jacobian, a camera that was moved;
+- nothing at all as long as too little moved for the noise of the images.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from typing import NamedTuple
+
+import numpy as np
+
+from fvs_ros.params import Parameters, live_parameter
+from fvs_ros.timeline import Sample, Timeline
+from fvs_ros.tracker import Image, Tracker
+from fvs_ros.vectors import length
+
+#: Nothing is said before p has come this far, m: the arm may creep so far behind a frozen picture.
+_LEAST_M = 0.012
+#: ... nor before the seen share is known to this deviation ...
+_DEVIATION = 0.12
+#: ... nor sooner than this, s: with stamps that are late by less the ball starts late.
+_LEAST_S = 0.25
+#: Positions nearer than this to the first of their cell are averaged, m.
+_CELL_M = _LEAST_M / 8.0
+#: Cells that are kept; beyond, the two neighbours nearest to each other become one.
+_CELLS = 32
+
+
+class Verdict(NamedTuple):
+    """How seen and predicted motion agree.
+
+    Parameters
+    ----------
+    predicted_m : float
+        How far the feature was predicted to come, m.
+    seen_share : float
+        Share of that which was seen, in whatever direction.
+    error_ratio : float
+        Error of the prediction over the larger one of predicted and seen motion, rms: 0 is
+        perfect, 1 no better than predicting rest, 2 the opposite.
+    time_s : float
+        Within this time, s.
+    """
+
+    predicted_m: float
+    seen_share: float
+    error_ratio: float
+    time_s: float
+
+
+@dataclass
+class _Cell:
+    """Images that the joints' motion has nearly in one place: sums of what was moved and seen."""
+
+    stamp_s: float
+    anchor_m: np.ndarray
+    images: int
+    moved_m: np.ndarray
+    seen_m: np.ndarray
+
+    def add(self, images: int, moved_m: np.ndarray, seen_m: np.ndarray) -> None:
+        self.images += images
+        self.moved_m = self.moved_m + moved_m
+        self.seen_m = self.seen_m + seen_m
+
+
+class Agreement:
+    """Compares seen and predicted ways.
+
+    Attributes
+    ----------
+    verdict : Verdict or None
+        Of the last way; None while too little has moved.
+    """
+
+    def __init__(self) -> None:
+        self._newest_s = -inf
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew."""
+        self._cells: list[_Cell] = []
+        self.verdict: Verdict | None = None
+
+    def add(self, image: Image, noise_m: float) -> None:
+        """Take an image, and the standard deviation of a coordinate of images, m."""
+        stamp_s, seen_m, moved_m, _ = image
+        if stamp_s <= self._newest_s:  # the clock stepped back, which forgives nothing
+            for cell in self._cells:
+                cell.stamp_s += stamp_s - self._newest_s
+        self._newest_s = stamp_s
+        if not self._cells or length(moved_m - self._cells[-1].anchor_m) > _CELL_M:
+            self._cells.append(_Cell(stamp_s, moved_m, 1, moved_m, seen_m))
+        else:
+            self._cells[-1].add(1, moved_m, seen_m)
+        if len(self._cells) > _CELLS:
+            self._merge()
+        verdict = self._judge(0, noise_m)
+        while verdict is not None and (later := self._judge(1, noise_m)) is not None:
+            self._cells.pop(0)
+            verdict = later
+        self.verdict = verdict
+
+    def _merge(self) -> None:
+        means = np.array([cell.moved_m / cell.images for cell in self._cells])
+        first = int(np.linalg.norm(np.diff(means, axis=0), axis=1).argmin())
+        later = self._cells.pop(first + 1)
+        self._cells[first].add(later.images, later.moved_m, later.seen_m)
+        self._cells[first].anchor_m = later.anchor_m
+
+    def _judge(self, first: int, noise_m: float) -> Verdict | None:
+        """The verdict of the cells from one on; None where they do not suffice for one."""
+        cells = self._cells[first:]
+        if len(cells) < 2 or self._newest_s - cells[0].stamp_s < _LEAST_S:
+            return None
+        images = np.array([float(cell.images) for cell in cells])
+        moved = np.array([cell.moved_m for cell in cells]) / images[:, None]
+        predicted_m = float(np.linalg.norm(moved - moved[-1], axis=1).max())
+        if predicted_m < _LEAST_M:
+            return None
+        weights = images / images.sum()
+        moved -= weights @ moved
+        power = float(images @ np.square(moved).sum(axis=1))
+        if noise_m**2 > _DEVIATION**2 * power:
+            return None
+        seen = np.array([cell.seen_m for cell in cells]) / images[:, None]
+        seen -= weights @ seen
+        share = float(np.linalg.norm((seen * images[:, None]).T @ moved, "nuc")) / power
+        noise_m2 = seen.shape[1] * (len(cells) - 1) * noise_m**2
+        off = max(0.0, float(images @ np.square(seen - moved).sum(axis=1)) - noise_m2)
+        seen_power = float(images @ np.square(seen).sum(axis=1)) - noise_m2
+        ratio = (off / max(power, seen_power)) ** 0.5
+        return Verdict(predicted_m, share, ratio, self._newest_s - cells[0].stamp_s)
+
+
+@dataclass(frozen=True)
+class PredictorConfig(Parameters):
+    """Settings of the predictor."""
+
+    predictor: bool = live_parameter(
+        True, "Predict the ball from its exposure to now with the joints' motion."
+    )
+    max_latency_s: float = live_parameter(0.5, "No prediction over more than this, s.", 0.01, 1.9)
+
+
+class BallPredictor:
+    """Predicts the ball to now, and fuses images with joint motion.
+
+    The ball's motion ``sum J dr`` takes the joints' place in the timeline, so that it is known at
+    each image's exposure. Between images the estimate follows it; an image pulls it
+    (:class:`~fvs_ros.tracker.Tracker`). Clock jumps start it anew.
+
+    Parameters
+    ----------
+    config : PredictorConfig, optional
+        Settings.
+
+    Attributes
+    ----------
+    images : int
+        Number of images used so far.
+    latency_s : float or None
+        Age of the newest used image against the newest joint state then, s.
+    """
+
+    def __init__(self, config: PredictorConfig | None = None) -> None:
+        self.config = config or PredictorConfig()
+        self.images = 0
+        self.tracker, self.agreement = Tracker(), Agreement()
+        self._timeline = Timeline(self.config.max_latency_s)
+        self.reset()
+
+    def configure(self, config: PredictorConfig) -> None:
+        """Change settings while running."""
+        self.config = config
+        self._timeline.max_latency_s = config.max_latency_s
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._timeline.reset()
+        self.agreement.restart()
+        self._joints: np.ndarray | None = None
+        self._forget_ball()
+
+    def _forget_ball(self) -> None:
+        self._jumps = self._timeline.clock_jumps
+        self._stamp_s: float | None = None  # exposure that the estimate belongs to
+        self._raw: np.ndarray | None = None
+        self.latency_s: float | None = None
+        self.tracker.restart()
+
+    @property
+    def problem(self) -> str:
+        """Why there is no prediction, in words; empty if there is one, or nothing to use."""
+        newest_s, seen_s = self._timeline.newest_stamp_s, self._timeline.seen_stamp_s
+        if newest_s is None or seen_s is None:
+            return ""
+        age_s = newest_s - seen_s
+        if abs(age_s) > self.config.max_latency_s:
+            side = "older" if age_s > 0.0 else "newer"
+            lost = "is the ball in view? Else " if age_s > 0.0 else ""
+            return (
+                f"the newest ball_position is stamped {abs(age_s):.2f} s {side} than the newest "
+                f"joint_states; {lost}check that both machines' clocks agree (NTP), and "
+                "use_sim_time"
+            )
+        if self._stamp_s is None:
+            return "no ball_position has joint states around its exposure time yet"
+        return ""
+
+    def add_joints(self, stamp_s: float, joints_rad: np.ndarray, jacobian: np.ndarray) -> None:
+        """Take a joint state, s and rad, (n,), and the newest Jacobian, m/rad, (m, n).
+
+        The stamp is newer than the last, or of another clock.
+        """
+        moved = self._timeline.newest
+        if moved is None or self._joints is None:
+            moved = np.zeros(len(jacobian))
+        else:
+            moved = moved + jacobian @ (joints_rad - self._joints)
+        self._joints = np.array(joints_rad, dtype=float)
+        self._use(self._timeline.add_joints(stamp_s, moved))
+
+    def add_ball(self, stamp_s: float, position_m: np.ndarray) -> None:
+        """Take a ball position, m, (m,), and its exposure on the joint states' clock, s."""
+        self._use(self._timeline.add_ball(stamp_s, position_m))
+
+    def _use(self, samples: list[Sample]) -> None:
+        if self._timeline.clock_jumps != self._jumps:
+            self._forget_ball()
+        for stamp_s, moved, ball, _ in samples:
+            assert self._timeline.newest_stamp_s is not None
+            self.latency_s = self._timeline.newest_stamp_s - stamp_s
+            self._raw, self._stamp_s = ball, stamp_s
+            self.images += 1
+            for image in self.tracker.add(Image(stamp_s, ball, moved)):
+                self.agreement.add(image, self.tracker.noise_m)
+
+    def predict(self) -> np.ndarray | None:
+        """Predict the ball's position at the newest joint state, m, (m,).
+
+        None where there is nothing to predict from (see ``problem``).
+        """
+        newest, moved = self._timeline.newest_stamp_s, self._timeline.newest
+        estimate = self.tracker.estimate_m
+        if newest is None or moved is None or self._stamp_s is None or estimate is None:
+            return None
+        if newest - self._stamp_s > self.config.max_latency_s or self.problem:
+            return None
+        if not self.config.predictor:
+            return None if self._raw is None else self._raw.copy()
+        return estimate + moved - self.tracker.moved_m
