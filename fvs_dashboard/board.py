@@ -1,49 +1,92 @@
-"""What is known of the loop: the newest of everything, and the last seconds of some numbers."""
+"""What page and node share: what is known of the loop, and what a person wants done."""
 
 from __future__ import annotations
 
+import queue
 from collections import deque
 from collections.abc import Callable, Mapping
 from math import inf, isfinite, nan
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from fvs_dashboard.actions import CONTROLLER
-from fvs_dashboard.placement import CameraPlacement
+from fvs_ros import topics
 from fvs_ros.status import SILENT, SILENT_S, number, vector
 from fvs_ros.timeline import History
+
+CONTROLLER, ESTIMATOR, SIMULATOR = topics.CONTROLLER, topics.ESTIMATOR, topics.SIM
 
 #: Length of the curves and of the ball's trail, s.
 HISTORY_S, TRAIL_S = 20.0, 6.0
 #: How long the newest of a name is shown, s.
-_SHOWN_S = {
-    "ball_position": 0.5,
-    "controller": SILENT_S,
-    "detector": 2.0,
-    "answer": 12.0,
-    "behind": 5.0,
-}
+_SHOWN_S = {"ball_position": 0.5, "controller": SILENT_S, "detector": 2.0, "answer": 12.0}
 #: The prediction error counts only while the ball was seen within this, s.
 _JUDGED_S = 1.0
 #: A logarithmic scale has no zero, mm.
 _SMALLEST_MM, _SMALLEST_RATIO = 1e-3, 1e-4
 
 
-class Controller:
-    """The controller's last status, or its silence.
+# --- what a person wants ---
 
-    Parameters
-    ----------
-    values : mapping of str to str
-        The key numbers of the status.
-    sentence : str
-        The reason in words.
+
+class Action(NamedTuple):
+    """One press, choice or drag, and its value: a target (camera frame, m), on or off.
+
+    Its name is a service of the controller, ``target``, ``tour``, ``reset`` or ``bump``; or a node
+    and its parameter with a slash between them, to set that.
     """
 
+    name: str
+    value: Any = None
+
+    @property
+    def sets_parameter(self) -> bool:
+        """Whether it sets a parameter."""
+        return "/" in self.name
+
+
+START, STOP, SET_CURRENT = Action("start"), Action("stop"), Action("set_current_as_target")
+RESET, BUMP = Action("reset"), Action("bump")
+
+
+class Actions:
+    """The queue between the page's threads and the node's; ``wake`` is called at each action."""
+
+    def __init__(self, wake: Callable[[], None]) -> None:
+        self._queue: queue.SimpleQueue[Action] = queue.SimpleQueue()
+        self._wake = wake
+
+    def put(self, action: Action) -> None:
+        """Add an action, from any thread."""
+        self._queue.put(action)
+        self._wake()
+
+    def drain(self) -> list[Action]:
+        """All since the last call, in order; of equal names only the last.
+
+        A stop comes first, and a motion that was wanted before it is forgotten. A reset stops, too.
+        """
+        wanted: dict[str, Action] = {}
+        while not self._queue.empty():  # this is its only reader
+            action = self._queue.get_nowait()
+            if action in (STOP, RESET):
+                settings = {name: one for name, one in wanted.items() if one.sets_parameter}
+                wanted = {action.name: action, **settings}
+            else:
+                wanted.pop(action.name, None)
+                wanted[action.name] = action
+        return list(wanted.values())
+
+
+# --- what is known ---
+
+
+class Controller:
+    """The controller's last status, its key numbers and its reason in words; or its silence."""
+
     def __init__(self, values: Mapping[str, str], sentence: str) -> None:
-        self.values = values
-        self.sentence = sentence
+        self.values, self.sentence = values, sentence
         self.state = values.get("state", SILENT)
         self.reason = values.get("reason", "")
         self.silent = self.state == SILENT
@@ -63,19 +106,10 @@ class Controller:
 
 
 class Trace:
-    """The last seconds of some numbers.
-
-    Parameters
-    ----------
-    length_s : float
-        How far it reaches back, s.
-    columns : int
-        How many numbers at a time.
-    """
+    """The last seconds of some numbers, ``columns`` at a time."""
 
     def __init__(self, length_s: float, columns: int) -> None:
-        self._length_s = length_s
-        self._columns = columns
+        self._length_s, self._columns = length_s, columns
         self._rows: deque[np.ndarray] = deque()
 
     def add(self, now_s: float, values: np.ndarray) -> None:
@@ -97,63 +131,45 @@ class Trace:
 
 
 class Board:
-    """All that is known.
-
-    Parameters
-    ----------
-    n_joints : int
-        Number of joints, n.
-
-    Attributes
-    ----------
-    error_mm, speed_rad_s, ratio : Trace
-        Curves: distance to the target and its parts x, y, z, mm; n joint speeds, rad/s; one-step
-        prediction error over that of predicting rest.
-    trail_m : Trace
-        Where the ball was, camera frame, m.
-    placement : CameraPlacement
-        Where the camera stands.
-    parameters : dict
-        Parameters of the other nodes, by node; empty for one that does not run.
-    tour : bool
-        Whether the tour goes on.
-    """
+    """All that is known of the loop of ``n_joints`` joints; moments are on the steady clock, s."""
 
     def __init__(self, n_joints: int) -> None:
         self._newest: dict[str, tuple[float, Any]] = {}
         self._joints = History()
         self._unlearned: tuple[float, np.ndarray] | None = None  # ball: stamp and position
+        #: Curves: distance to the target and its parts x, y, z, mm; joint speeds, rad/s; one-step
+        #: prediction error over that of predicting rest.
         self.error_mm = Trace(HISTORY_S, 4)
         self.speed_rad_s = Trace(HISTORY_S, n_joints)
         self.ratio = Trace(HISTORY_S, 1)
+        #: Where the ball was, camera frame, m.
         self.trail_m = Trace(TRAIL_S, 3)
         self.placement = CameraPlacement()
+        #: Parameters of the other nodes, by node; empty for one that does not run.
         self.parameters: dict[str, Mapping[str, Any]] = {}
         self.tour = False
 
-    # --- what comes in ---
-
-    def tell(self, name: str, now_s: float, value: Any) -> None:
-        """Note the newest of a name, steady clock, s."""
+    def note(self, name: str, now_s: float, value: Any) -> None:
+        """Note the newest of a name."""
         self._newest[name] = now_s, value
 
     def add_joints(
         self, now_s: float, stamp_s: float, joints_rad: np.ndarray, velocity_rad_s: np.ndarray
     ) -> None:
-        """Tell joint positions and velocities, kinematic order, shape (n,)."""
-        self.tell("joint_states", now_s, joints_rad)
+        """Add joint positions and velocities, kinematic order, shape (n,)."""
+        self.note("joint_states", now_s, joints_rad)
         self._joints.add(stamp_s, joints_rad)
         self.speed_rad_s.add(now_s, np.abs(velocity_rad_s))
 
     def add_ball(self, now_s: float, stamp_s: float, position_m: np.ndarray) -> None:
-        """Tell a ball position, camera frame, m, shape (3,), and its exposure's stamp."""
-        self.tell("ball_position", now_s, position_m)
+        """Add a ball position, camera frame, m, shape (3,), and its exposure's stamp."""
+        self.note("ball_position", now_s, position_m)
         self._unlearned = stamp_s, position_m
         self.trail_m.add(now_s, position_m)
 
     def add_status(self, now_s: float, controller: Controller) -> None:
-        """Tell the controller's status."""
-        self.tell("controller", now_s, controller)
+        """Add the controller's status."""
+        self.note("controller", now_s, controller)
         if controller.target_m is not None and controller.position_m is not None:
             parts_m = [controller.error_m, *(controller.target_m - controller.position_m)]
             self.error_mm.add(now_s, np.maximum(1e3 * np.abs(parts_m), _SMALLEST_MM))
@@ -161,17 +177,17 @@ class Board:
             ratio = controller.number("prediction_error_ratio")
             self.ratio.add(now_s, np.maximum([ratio], _SMALLEST_RATIO))
 
-    def tell_camera(self, pose: np.ndarray) -> None:
-        """Tell the camera's true pose, shape (4, 4), m; the trail is forgotten: it would jump."""
-        self.placement.tell(pose)
+    def place_camera(self, pose: np.ndarray) -> None:
+        """Take the camera's true pose, shape (4, 4), m; the trail is forgotten: it would jump."""
+        self.placement.place(pose)
         self.trail_m.clear()
 
     def learn_camera(self, flange_at: Callable[[np.ndarray], np.ndarray]) -> None:
-        """Learn the camera's place from the newest ball, unless it is told.
+        """Learn the camera's place from the newest ball, unless it is known.
 
         ``flange_at`` gives the flange's pose, shape (4, 4), at joints, rad, shape (n,).
         """
-        if self.placement.told or self._unlearned is None:
+        if self.placement.true or self._unlearned is None:
             return
         stamp_s, position_m = self._unlearned
         joints = self._joints.at(stamp_s)
@@ -179,12 +195,10 @@ class Board:
             self._unlearned = None
             self.placement.add(flange_at(joints), position_m)
 
-    # --- what is known ---
-
     def newest(self, name: str, now_s: float) -> Any:
         """The newest of a name; None if there is none, or it is too old to be shown."""
-        told_s, value = self._newest.get(name, (-inf, None))
-        return value if now_s - told_s <= _SHOWN_S.get(name, inf) else None
+        since_s, value = self._newest.get(name, (-inf, None))
+        return value if now_s - since_s <= _SHOWN_S.get(name, inf) else None
 
     def age_s(self, name: str, now_s: float) -> float:
         """Age of the newest of a name, s; infinite if there is none."""
@@ -200,10 +214,103 @@ class Board:
         return value if isinstance(value, float) else nan
 
     def controller(self, now_s: float) -> Controller:
-        """The controller's last word, unless it is old."""
+        """The controller's last status, unless it is old."""
         known = self.newest("controller", now_s)
         if known is not None:
             return known
         age_s = self.age_s("controller", now_s)
         since = f" for {age_s:.0f} s" if isfinite(age_s) else "; is fvs_controller_node running?"
         return Controller({}, f"no word from the controller{since}")
+
+
+# --- where the camera stands: to draw by, never to control by ---
+
+#: Ball positions that are remembered, and the fewest that are enough.
+_MEMORY, _FEWEST = 300, 12
+#: A flange that moved less than this adds nothing: m, and as the change of its rotation.
+_STEP_M, _STEP_TURN = 0.01, 0.03
+#: Smallest singular value over the largest that determines all fifteen numbers.
+_CONDITION = 1e-3
+#: A ball further than this from where it should be is an outlier, m; after six in a row the
+#: camera was moved. A pose with a larger median error is none.
+_OUTLIER_M, _OUTLIERS = 0.05, 6
+
+UNKNOWN = "the camera's place is not known yet: it is learned while the arm moves"
+
+
+class CameraPlacement:
+    """The camera's pose in the robot's base frame: a simulator's, or learned from the motion.
+
+    With the flange at ``p``, turned by ``A``, a ball ``b`` on the flange is seen at ``x``:
+    ``Q x + u = p + A b``, where Q and u take the camera's frame to the robot's base. Multiplied by
+    ``A'`` that is linear in the fifteen numbers Q, u and b: least squares gives the ball b. The
+    rotation that best turns what was seen to where it was gives Q and u.
+    """
+
+    def __init__(self) -> None:
+        #: Whether the pose is the true one, not learned.
+        self.true = False
+        #: Shape (4, 4), m, or None.
+        self.pose: np.ndarray | None = None
+        #: A sentence about it for a person, or empty.
+        self.note = UNKNOWN
+        self._pairs: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=_MEMORY)
+        self._ball_m = np.zeros(3)  # in the flange's frame
+        self._outliers = 0
+
+    def place(self, pose: np.ndarray) -> None:
+        """Take the true pose."""
+        self.true, self.pose, self.note = True, pose, ""
+
+    def add(self, flange: np.ndarray, ball_m: np.ndarray) -> None:
+        """Learn from where flange (pose, shape (4, 4)) and ball (camera frame) were at one time."""
+        if self.pose is not None:
+            seen_m = self.pose[:3, :3] @ ball_m + self.pose[:3, 3]
+            there_m = flange[:3, :3] @ self._ball_m + flange[:3, 3]
+            self._outliers += 1
+            if np.linalg.norm(seen_m - there_m) < _OUTLIER_M:
+                self._outliers = 0
+            elif self._outliers < _OUTLIERS:
+                return
+            else:
+                self._pairs.clear()
+                self.pose, self.note = None, UNKNOWN
+        if self._pairs:
+            moved = np.abs(flange - self._pairs[-1][0])
+            if moved[:3, 3].max() < _STEP_M and moved[:3, :3].max() < _STEP_TURN:
+                return
+        self._pairs.append((flange, ball_m))
+        if len(self._pairs) >= _FEWEST:
+            self._solve()
+
+    def _solve(self) -> None:
+        """Find the camera's pose, or none while the motion does not determine it."""
+        flanges, seen_m = (np.array(part) for part in zip(*self._pairs, strict=True))
+        turns, origins_m = flanges[:, :3, :3], flanges[:, :3, 3]
+        back = turns.transpose(0, 2, 1)
+        # A' Q x + A' u - b = A' p, with Q column by column.
+        rows = np.concatenate(
+            [
+                np.einsum("nj,nik->nijk", seen_m, back).reshape(len(turns), 3, 9),
+                back,
+                np.broadcast_to(-np.eye(3), turns.shape),
+            ],
+            axis=2,
+        ).reshape(-1, 15)
+        wanted = np.einsum("nik,nk->ni", back, origins_m).reshape(-1)
+        free, _, _, sizes = np.linalg.lstsq(rows, wanted, rcond=None)
+        where_m = origins_m + turns @ free[12:]
+        rotation, _ = Rotation.align_vectors(
+            where_m - where_m.mean(axis=0), seen_m - seen_m.mean(axis=0)
+        )
+        pose = np.eye(4)
+        pose[:3, :3] = rotation.as_matrix()
+        pose[:3, 3] = where_m.mean(axis=0) - pose[:3, :3] @ seen_m.mean(axis=0)
+        off_m = np.linalg.norm(seen_m @ pose[:3, :3].T + pose[:3, 3] - where_m, axis=1)
+        error_m = np.median(off_m)
+        self.pose, self.note, self._ball_m = None, UNKNOWN, free[12:]
+        if sizes[-1] > _CONDITION * sizes[0] and error_m < _OUTLIER_M:
+            self.pose = pose
+            self.note = (
+                f"the camera's place is learned: ball and arm agree to {1e3 * error_m:.0f} mm"
+            )

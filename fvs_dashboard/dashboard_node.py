@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import String
 
-from fvs_dashboard.actions import (
+from fvs_dashboard.board import (
     BUMP,
     CONTROLLER,
     ESTIMATOR,
@@ -29,8 +29,9 @@ from fvs_dashboard.actions import (
     STOP,
     Action,
     Actions,
+    Board,
+    Controller,
 )
-from fvs_dashboard.board import Board, Controller
 from fvs_dashboard.config import PARAMETERS, VISER, DashboardConfig
 from fvs_dashboard.markup import SHOWN_BY
 from fvs_dashboard.picture import Picture
@@ -47,9 +48,6 @@ from fvs_tools.demo import choose_target
 #: Behind the loop, but not far: its buttons must work on a busy machine, too.
 _NICE = 5
 _PERIOD_S, _LOOK_PERIOD_S = 0.1, 1.0
-#: A page that is drawn this much too late says so, s.
-_LATE_S = 0.7
-_BEHIND = "this page gets too little of the processor: it is behind"
 #: After a reset the ball is seen where it has come to rest within this, s.
 _AT_REST_S = 1.0
 #: A bump turns the camera by this much about x, y and z, degrees: about x and y by little, or the
@@ -66,10 +64,11 @@ _ASKED = {
     ESTIMATOR: ("method",),
     SIMULATOR: ("depth_noise", "latency_s", _ROTATION),
 }
+_TOUR_OFF = Action("tour", False)
 
 
 class DashboardNode(ros.FvsNode):
-    """Feeds the page at a steady rate while a browser shows it; does what was said there."""
+    """Feeds the page at a steady rate while a browser shows it; does what a person does there."""
 
     def __init__(self) -> None:
         super().__init__("fvs_dashboard", PARAMETERS)
@@ -77,7 +76,7 @@ class DashboardNode(ros.FvsNode):
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._board = Board(len(self._joint_map.names))
         self._picture = Picture(self._config.ball_radius_m)
-        # Woken when something is said: to look for it thirty times a second took 3 % of a core.
+        # Woken by an action: to look for one thirty times a second took 3 % of a core.
         self._actions = Actions(self.create_guard_condition(self._act).trigger)
         self._arm: Any = None
         self._description = ""
@@ -90,6 +89,21 @@ class DashboardNode(ros.FvsNode):
         if self._config.tour and not model:
             raise ValueError("tour needs model_path: its targets are positions that a model saw")
         self._tour_due_s = -inf
+        self._begun: dict[str, Any] = {}  # the simulator's parameters as they were at first
+        self._at_rest_s = inf  # when the ball has come to rest after a reset
+        self._rng = np.random.default_rng()
+        self._subscribe()
+        self._page = _make_page(self._config, v["joint_names"], self._actions)
+        self.create_timer(_PERIOD_S, self._show, clock=self.steady_clock)
+        self.create_timer(_LOOK_PERIOD_S, self._look_around, clock=self.steady_clock)
+        print(f"page: {self._page.address}", flush=True)
+        if self._page.open_to_others:
+            self.tell(
+                ros.WARN, "anybody who reaches this page can move the arm: it asks no password"
+            )
+        step_back(_NICE)
+
+    def _subscribe(self) -> None:
         # A wish of now: a controller that is started later must not go where one was sent before.
         self._target = self.create_publisher(
             PointStamped, topics.TARGET_POSITION.name, ros.QOS_EVENT
@@ -102,19 +116,6 @@ class DashboardNode(ros.FvsNode):
         self.subscribe(topics.DETECTOR_STATUS, self._on_detector)
         self.subscribe(topics.ROBOT_DESCRIPTION, self._on_description)
         self.subscribe(topics.TRUE_CAMERA_POSE, self._on_camera_pose)
-        self._page = _make_page(self._config, v["joint_names"], self._actions)
-        self._shown_s, self._skipped = self.steady_s(), False
-        self._begun: dict[str, Any] = {}  # the simulator's parameters as they were at first
-        self._at_rest_s = inf  # when the ball has come to rest after a reset
-        self._rng = np.random.default_rng()
-        self.create_timer(_PERIOD_S, self._show, clock=self.steady_clock)
-        self.create_timer(_LOOK_PERIOD_S, self._look_around, clock=self.steady_clock)
-        print(f"page: {self._page.address}", flush=True)
-        if self._page.open_to_others:
-            self.tell(
-                ros.WARN, "anybody who reaches this page can move the arm: it asks no password"
-            )
-        step_back(_NICE)
 
     # --- inputs ---
 
@@ -141,10 +142,10 @@ class DashboardNode(ros.FvsNode):
         self._board.add_status(self.steady_s(), controller)
 
     def _on_detector(self, message: DiagnosticStatus) -> None:
-        self._board.tell("detector", self.steady_s(), message.message)
+        self._board.note("detector", self.steady_s(), message.message)
 
     def _on_description(self, message: String) -> None:
-        from fvs_dashboard.arm import Arm  # slow to import
+        from fvs_dashboard.scene import Arm  # known to be there: the page is served
 
         if message.data == self._description:
             return  # latched: it comes again whenever its publisher is found again
@@ -156,7 +157,7 @@ class DashboardNode(ros.FvsNode):
         else:
             self._page.scene.set_arm(self._arm)
             text = self._arm.missing
-        self._board.tell("arm", self.steady_s(), text)
+        self._board.note("arm", self.steady_s(), text)
         if text:
             self.tell(ros.WARN, text)
 
@@ -164,7 +165,7 @@ class DashboardNode(ros.FvsNode):
         pose = np.eye(4)
         pose[:3, 3], quaternion = ros.from_pose(message, topics.TRUE_CAMERA_POSE.name)
         pose[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
-        self._board.tell_camera(pose)
+        self._board.place_camera(pose)
 
     def _on_image(self, message: Image) -> None:
         stamp_s = ros.from_stamp(message.header.stamp)
@@ -187,16 +188,10 @@ class DashboardNode(ros.FvsNode):
         if now_s > self._at_rest_s:  # no service clears a target, but at the ball it moves nothing
             self._at_rest_s = now_s + ANSWER_S  # again, if no answer comes
             self._calls.call(f"{CONTROLLER}/{SET_CURRENT.name}", self._on_reset)
-        late = now_s - self._shown_s > _PERIOD_S + _LATE_S
-        if late:
-            self._board.tell("behind", now_s, _BEHIND)
-        # What came meanwhile is heard first, or the page would show a silent controller.
-        self._skipped = late and not self._skipped
-        self._shown_s = now_s
         watched = self._page.watched
         if watched != bool(self._cameras):
             self._look_at_images(watched)
-        if watched and not self._skipped:
+        if watched:
             self._page.update(self._board, self._picture, now_s)
 
     def _camera_names(self, topic: str) -> list[str]:
@@ -207,18 +202,14 @@ class DashboardNode(ros.FvsNode):
 
     def _look_at_images(self, wanted: bool) -> None:
         """Subscribe while a browser shows them: the simulator draws images for subscribers only."""
-        for topic in self._cameras:
-            topic.close()
-        self._cameras = []
-        if wanted:
-            self._cameras = [
-                ros.Sampled(self, kind, name, take)
-                for kind, topic, take in (
-                    (CameraInfo, topics.CAMERA_INFO, self._on_camera_info),
-                    (Image, topics.COLOR_IMAGE, self._on_image),
-                )
-                for name in self._camera_names(topic.name)
-            ]
+        while self._cameras:
+            self._cameras.pop().close()
+        for kind, topic, take in (
+            (CameraInfo, topics.CAMERA_INFO, self._on_camera_info),
+            (Image, topics.COLOR_IMAGE, self._on_image),
+        ):
+            for name in self._camera_names(topic.name) if wanted else ():
+                self._cameras.append(ros.Sampled(self, kind, name, take))
 
     def _look_around(self) -> None:
         """Ask for what is not on a topic: parameters of the others, and who publishes images."""
@@ -243,14 +234,13 @@ class DashboardNode(ros.FvsNode):
 
     def _act(self) -> None:
         for action in self._actions.drain():
-            self._board.tell("answer", self.steady_s(), "")  # that of an action before
+            self._board.note("answer", self.steady_s(), "")  # that of an action before
             self._at_rest_s = inf  # a person who wants something meanwhile means it
             self._do(action)
 
     def _do(self, action: Action) -> None:
-        takes_over = action in (STOP, RESET, SET_CURRENT, Action("tour", False))
-        if takes_over or action.name == "target":
-            self._board.tour = False
+        if action.name == "target" or action in (STOP, RESET, SET_CURRENT, _TOUR_OFF):
+            self._board.tour = False  # a person takes over
         if action == STOP:
             self._calls.stop()
         elif action == RESET:
@@ -262,7 +252,7 @@ class DashboardNode(ros.FvsNode):
             self._calls.set(f"{SIMULATOR}/{_ROTATION}", tuple(turns_deg.tolist()))
         elif action.sets_parameter:
             self._calls.set(action.name, action.value)
-        elif action == Action("tour", False):
+        elif action == _TOUR_OFF:
             pass
         elif self._board.controller(self.steady_s()).silent:
             # It would be done whenever the controller comes back, when no person expects it.
@@ -296,7 +286,7 @@ class DashboardNode(ros.FvsNode):
         self._target.publish(ros.to_point(self.ros_s(), self._config.feature_frame, position_m))
 
     def _answer(self, text: str) -> None:
-        self._board.tell("answer", self.steady_s(), text)
+        self._board.note("answer", self.steady_s(), text)
         self.tell(ros.OK, text)
 
     def _send_tour(self, now_s: float) -> None:

@@ -8,8 +8,7 @@ from html import escape
 from math import isfinite, isnan
 from typing import NamedTuple
 
-from fvs_dashboard.actions import CONTROLLER, ESTIMATOR
-from fvs_dashboard.board import Board, Controller
+from fvs_dashboard.board import CONTROLLER, ESTIMATOR, Board, Controller
 from fvs_ros.status import SILENT
 from fvs_tools.schemes import BEYOND, SCHEMES
 
@@ -107,7 +106,7 @@ def in_words(sentence: str) -> str:
 
 
 class Banner(NamedTuple):
-    """What is to be read from afar: state, title, its colour, sentence, hint."""
+    """What is to be read from afar."""
 
     state: str
     title: str
@@ -169,18 +168,10 @@ def scheme_of(board: Board) -> str:
     return " with ".join(name for name in (method, law) if isinstance(name, str)) or "unknown"
 
 
-class Lamp(NamedTuple):
-    """One thing that is well or not (None while unknown), and how it is."""
-
-    name: str
-    good: bool | None
-    text: str
-
-
-def lamps_of(board: Board, now_s: float) -> list[Lamp]:
-    """The lamps: the controller's inputs and the robot's program."""
+def lamps_of(board: Board, now_s: float) -> dict[str, tuple[bool | None, str]]:
+    """The controller's inputs and the robot's program: whether each is well, and how it is."""
     controller = board.controller(now_s)
-    lamps = []
+    lamps = {}
     for name, (label, limit) in _INPUTS.items():
         age_s = controller.number(f"{name}_age_s")
         if not isfinite(age_s):
@@ -191,7 +182,7 @@ def lamps_of(board: Board, now_s: float) -> list[Lamp]:
             text = "unknown" if controller.silent else "never"
         limit_s = board.limit(limit)
         known = isfinite(limit_s) and not controller.silent
-        lamps.append(Lamp(label, age_s <= limit_s if known else None, text))
+        lamps[label] = age_s <= limit_s if known else None, text
     percent = controller.number("speed_scaling_percent")
     running = controller.values.get("robot_program_running", "unknown")
     good, text = {"true": (percent != 0.0, "runs"), "unknown": (None, "unknown")}.get(
@@ -199,7 +190,7 @@ def lamps_of(board: Board, now_s: float) -> list[Lamp]:
     )
     if text == "runs" and isfinite(percent):
         text = f"runs, {percent:.0f} %"
-    return [*lamps, Lamp("Robot program", good, text)]
+    return {**lamps, "Robot program": (good, text)}
 
 
 def details_of(board: Board, now_s: float) -> dict[str, str]:
@@ -217,17 +208,16 @@ def details_of(board: Board, now_s: float) -> dict[str, str]:
     return details
 
 
-def inputs_html(lamps: Iterable[Lamp], details: dict[str, str]) -> str:
+def inputs_html(board: Board, now_s: float) -> str:
     """Lamps and details, two per row; a detail that is a sentence has a row of its own."""
     cells = []
-    for lamp in lamps:
-        colour, sign = _LAMPS[lamp.good]
+    for name, (good, text) in lamps_of(board, now_s).items():
+        colour, sign = _LAMPS[good]
         cells.append(
             f'<div><span class="fvs-lamp" style="background:{colour}">{sign}</span>'
-            f'<span>{escape(lamp.name)} <span class="fvs-faint">{escape(lamp.text)}</span></span>'
-            "</div>"
+            f'<span>{escape(name)} <span class="fvs-faint">{escape(text)}</span></span></div>'
         )
-    for name, text in details.items():
+    for name, text in details_of(board, now_s).items():
         row = "" if text.endswith(" ms") else "fvs-wide"
         cells.append(
             f'<div class="{row}"><span class="fvs-faint">{escape(name)}</span> {escape(text)}</div>'

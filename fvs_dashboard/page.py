@@ -1,4 +1,4 @@
-"""The page: a viser server with a 3-D view, a panel and curves."""
+"""The page: a viser server with a 3-D view, a panel to read and press, and curves."""
 
 from __future__ import annotations
 
@@ -8,19 +8,36 @@ import io
 import math
 import socket
 import threading
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
+from itertools import cycle
+from math import inf, isfinite, nan
 
+import numpy as np
 import viser
+from viser import uplot
 
-from fvs_dashboard import markup
-from fvs_dashboard.actions import Action, Actions
-from fvs_dashboard.board import Board
-from fvs_dashboard.charts import Charts
+from fvs_controller_node.config import LAWS
+from fvs_dashboard import markup, picture
+from fvs_dashboard.board import (
+    BUMP,
+    CONTROLLER,
+    ESTIMATOR,
+    HISTORY_S,
+    RESET,
+    SET_CURRENT,
+    SIMULATOR,
+    START,
+    STOP,
+    Action,
+    Actions,
+    Board,
+    Controller,
+)
 from fvs_dashboard.config import VISER, DashboardConfig
 from fvs_dashboard.guard import EVERYWHERE, LOOPBACK, own_requests_only, turns_others_away
-from fvs_dashboard.panel import Panel
-from fvs_dashboard.picture import Picture
 from fvs_dashboard.scene import LEGEND, Scene
+from fvs_estimator_node.registry import ESTIMATORS
 
 #: The left panel is drawn every third time: its curves are long and change slowly.
 _SELDOM = 3
@@ -42,19 +59,8 @@ class _Server(viser.ViserServer):
 class Page:
     """Serves the page; what a person does there goes into ``actions``.
 
-    Parameters
-    ----------
-    config : DashboardConfig
-        Address, port, the ball's radius, and whether a tour can be had.
-    joint_names : sequence of str
-        Kinematic order.
-    actions : Actions
-        Takes what a person does.
-
-    Raises
-    ------
-    ValueError
-        If the port is taken, the address is not this machine's, or other sites would be let in.
+    A ``ValueError`` says that the port is taken, that the address is not this machine's, or that
+    other sites would be let in.
     """
 
     def __init__(
@@ -114,20 +120,18 @@ class Page:
         """Whether a browser shows it."""
         return bool(self._server.get_clients())
 
-    def update(self, board: Board, picture: Picture, now_s: float) -> None:
+    def update(self, board: Board, camera: picture.Picture, now_s: float) -> None:
         """Show a moment, steady clock, s, in every browser."""
         with self._server.atomic():
-            image = picture.newest(now_s, board.controller(now_s).target_m)
+            image = camera.newest(now_s, board.controller(now_s).target_m)
             self._panel.update(board, now_s, image)
             self.scene.update(board, now_s)
-            self.scene.show_picture(picture.field_of_view, image)
+            self.scene.show_picture(camera.field_of_view, image)
             if self._shown % _SELDOM == 0:
                 self._charts.update(board, now_s)
-                lamps, details = markup.lamps_of(board, now_s), markup.details_of(board, now_s)
-                self._inputs.content = markup.inputs_html(lamps, details)
-                told = (board.newest(name, now_s) for name in ("arm", "behind"))
-                notes = filter(None, (board.placement.note, *told))
-                self._notes.content = markup.notes_html(notes)
+                self._inputs.content = markup.inputs_html(board, now_s)
+                notes = board.placement.note, board.newest("arm", now_s)
+                self._notes.content = markup.notes_html(filter(None, notes))
         self._shown += 1
 
     def close(self) -> None:
@@ -181,3 +185,239 @@ def _check_free(host: str, port: int) -> None:
 def _quiet() -> contextlib.redirect_stdout:
     """Keep viser's own words from the terminal: the node says where the page is."""
     return contextlib.redirect_stdout(io.StringIO())
+
+
+# --- the panel ---
+
+#: What a person sets is left alone for this long, s; numbers that wait for their button, longer.
+_SET_S, _TYPED_S = 4.0, 60.0
+#: The browser gets a sign of life this often, s.
+_BEAT_S = 1.0
+#: The banner keeps what it says for at least this long, s: to be read, and not to flicker.
+_STEADY_S = 1.0
+_SIGNS = (
+    ("○", picture.BALL_RGB, "ball found"),
+    ("+", picture.TARGET_RGB, "target"),
+)
+
+
+class Panel:
+    """Start, Stop, banner, target, scheme, picture and the simulator's disturbances.
+
+    What changes its height stands below all that is pressed. ``act`` takes what a person does, in
+    the page's threads.
+    """
+
+    def __init__(self, gui: viser.GuiApi, act: Callable[[Action], None], tour: bool) -> None:
+        self._gui, self._act = gui, act
+        self._held_until_s: dict[str, float] = {}
+        self._settings: dict[str, viser.GuiInputHandle] = {}
+        gui.add_html(markup.STYLE + markup.TOP_ROW)
+        self._button("Start", START, color="teal", icon=viser.Icon.PLAYER_PLAY)
+        self._button("Stop", STOP, color="red", icon=viser.Icon.PLAYER_STOP)
+        self._alive = gui.add_html("")
+        self._beat_s, self._beats = -inf, 0
+        self._banner = gui.add_html("")
+        self._shown = markup.banner_of(Controller({}, ""))
+        self._shown_s = -inf  # when it changed
+        self._answer = gui.add_html("")
+        self._add_target(tour)
+        self._scheme = gui.add_folder("Scheme")
+        with self._scheme:
+            self._sets(f"{ESTIMATOR}/method", gui.add_dropdown("Estimator", tuple(ESTIMATORS)))
+            self._sets(f"{CONTROLLER}/law", gui.add_dropdown("Law", tuple(LAWS)))
+        row = gui.add_html(markup.ROW)
+        hint = "Stops, forgets what was learned, and puts the simulation back as it began."
+        self._button("Reset everything", RESET, color="gray", hint=hint)
+        hint = "Turns the simulated camera by chance."
+        bump = self._button("Bump the camera", BUMP, color="gray", hint=hint)
+        self._picture = gui.add_image(picture.BLANK, format="jpeg", jpeg_quality=75)
+        gui.add_html(markup.legend_html(_SIGNS))
+        simulator = gui.add_folder("Simulator: disturb it", expand_by_default=False)
+        with simulator:
+            hint = "Times the depth camera's own noise."
+            noise = gui.add_slider("Depth noise (×)", 0.0, 5.0, 0.1, 1.0, hint=hint)
+            self._sets(f"{SIMULATOR}/depth_noise", noise)
+            latency = gui.add_slider("Latency (s)", 0.0, 0.2, 0.005, 0.04)
+            self._sets(f"{SIMULATOR}/latency_s", latency)
+        self._simulated = (row, bump, simulator)  # shown beside a simulator only
+        for element in self._simulated:
+            element.visible = False
+
+    def _button(self, label: str, action: Action, **look: str) -> viser.GuiButtonHandle:
+        button = self._gui.add_button(label, **look)
+
+        @button.on_click
+        async def _(_event: viser.GuiEvent) -> None:
+            if action in (SET_CURRENT, RESET):
+                self.forget_typed()
+            self._act(action)
+
+        return button
+
+    def _add_target(self, tour: bool) -> None:
+        gui = self._gui
+        with gui.add_folder("Target in the camera's frame"):
+            self._target = gui.add_vector3("x, y, z (m)", (0.0, 0.0, 0.0), step=0.001)
+            gui.add_html(markup.ROW)
+            go = gui.add_button("Go", color="blue", icon=viser.Icon.TARGET_ARROW)
+            self._button("Set current as target", SET_CURRENT, color="gray")
+            self._refusal = gui.add_html("")
+            hint = "Send it to one after another."
+            self._sets("tour", gui.add_checkbox("Tour", False, visible=tour, hint=hint))
+
+        @self._target.on_update
+        async def _(event: viser.GuiEvent) -> None:
+            if event.client is not None:
+                self._hold("target", _TYPED_S)
+
+        @go.on_click
+        async def _(_event: viser.GuiEvent) -> None:
+            x, y, z = (float(value) for value in self._target.value)
+            self._hold("target", _SET_S)  # until the controller has taken it
+            self._act(Action("target", (x, y, z)))
+
+    def _sets(self, name: str, handle: viser.GuiInputHandle) -> None:
+        """Hand on what a person sets, and show it as it is otherwise."""
+        self._settings[name] = handle
+
+        @handle.on_update
+        async def _(event: viser.GuiEvent) -> None:
+            if event.client is not None:
+                self._hold(name, _SET_S)
+                self._act(Action(name, handle.value))
+
+    def update(self, board: Board, now_s: float, new_picture: np.ndarray | None) -> None:
+        """Show a moment."""
+        if now_s - self._beat_s > _BEAT_S:
+            self._beat_s, self._beats = now_s, self._beats + 1
+            self._alive.content = markup.alive_html(self._beats)
+        controller = board.controller(now_s)
+        banner = markup.banner_of(controller)
+        if banner != self._shown and now_s - self._shown_s > _STEADY_S:
+            self._shown, self._shown_s = banner, now_s
+        self._banner.content = markup.banner_html(self._shown, controller.error_m)
+        self._answer.content = markup.line_html("answer", board.newest("answer", now_s) or "")
+        refusal = controller.values.get("refused_target", "")
+        self._refusal.content = markup.line_html("refusal", refusal)
+        if new_picture is not None:
+            self._picture.image = new_picture
+        if controller.target_m is not None and self._free("target"):
+            self._target.value = tuple(np.round(controller.target_m, 3).tolist())
+        self._scheme.label = f"Scheme: {markup.scheme_of(board)}"
+        for element in self._simulated:
+            element.visible = bool(board.parameters.get(SIMULATOR))
+        for name, handle in self._settings.items():
+            value = board.tour if name == "tour" else board.parameter(*name.split("/"))
+            if isinstance(value, type(handle.value)) and self._free(name):
+                handle.value = value
+
+    def forget_typed(self) -> None:
+        """Show the controller's target again, whatever was typed and not sent."""
+        self._held_until_s.pop("target", None)
+
+    def _hold(self, name: str, seconds: float) -> None:
+        """Leave to the person what they are setting."""
+        self._held_until_s[name] = time.monotonic() + seconds
+
+    def _free(self, name: str) -> bool:
+        """Whether no person is just setting it."""
+        return time.monotonic() > self._held_until_s.get(name, -inf)
+
+
+# --- the curves ---
+
+#: Three of them and the inputs fit a window of 768 pixels.
+_HEIGHT_PX = 118
+#: Samples that are further apart are not joined by a line, s: viser's charts know no gaps.
+_GAP_S = 1.5
+_NUDGE_S = 1e-6
+
+
+def _series(label: str, colour: str, width: float = 1.5) -> uplot.Series:
+    return uplot.Series(label=label, stroke=colour, width=width, points={"show": False})
+
+
+def _level(label: str) -> uplot.Series:
+    return uplot.Series(**_series(label, markup.GREY, 1.0), dash=(6.0, 4.0))
+
+
+def _logarithmic(least: float, most: float) -> dict:
+    # What is unknown has no logarithm: it is not to be drawn as zero.
+    return {"distr": 3, "log": 10, "range": (least, most), "clamp": "unknown"}
+
+
+class Charts:
+    """Error, joint speeds and prediction error over the last seconds."""
+
+    def __init__(self, gui: viser.GuiApi, joint_names: Sequence[str]) -> None:
+        self._gui = gui
+        self._limit_rad_s = nan
+        self._nudge_s = 0.0
+        labels = (
+            name.removesuffix("_joint").removeprefix("shoulder_").replace("_", " ")
+            for name in joint_names
+        )
+        axes = {"|x|": markup.SKY, "|y|": markup.ORANGE, "|z|": markup.PINK}
+        self._error = self._add(
+            "Distance to the target, mm",
+            _logarithmic(0.01, 1000.0),
+            _series("distance", "#F2F4F7", 2.25),
+            *(_series(name, colour, 1.0) for name, colour in axes.items()),
+        )
+        self._speed = self._add(
+            "Joint speeds and their limit, rad/s",
+            {"range": (0.0, 1.2)},
+            *(_series(*both) for both in zip(labels, cycle(markup.COLOURS[:-1]), strict=False)),
+            _level("limit"),
+        )
+        self._ratio = self._add(
+            "One-step prediction error (1: as bad as predicting rest)",
+            _logarithmic(0.001, 10.0),
+            _series("error ratio", markup.SKY, 2.0),
+            _level("as bad as none"),
+        )
+
+    def _add(self, title: str, scale: dict, *series: uplot.Series) -> viser.GuiUplotHandle:
+        nothing = np.full(2, np.nan)
+        axes = tuple(
+            uplot.Axis(
+                size=size, gap=gap, space=space, font="11px sans-serif", ticks={"show": False}
+            )
+            for size, gap, space in ((36, 4, 60.0), (46, 6, 24.0))
+        )
+        return self._gui.add_uplot(
+            (np.array([-HISTORY_S, 0.0]), *(nothing,) * len(series)),
+            (uplot.Series(label="s"), *series),
+            title=title,
+            scales={"x": {"time": False}, "y": scale},
+            axes=axes,
+            legend={"show": True, "live": False},
+            cursor={"drag": {"x": False, "y": False}},
+            height=_HEIGHT_PX,
+            padding=(8, 10, 0, 0),
+        )
+
+    def update(self, board: Board, now_s: float) -> None:
+        """Draw the newest curves."""
+        self._nudge_s = _NUDGE_S - self._nudge_s
+        limit_rad_s = board.limit("max_joint_velocity_rad_s")
+        if isfinite(limit_rad_s) and limit_rad_s != self._limit_rad_s:
+            self._limit_rad_s = limit_rad_s  # a new scale rebuilds the chart
+            scale = {"range": (0.0, 1.2 * limit_rad_s)}
+            self._speed.scales = {**self._speed.scales, "y": scale}
+        self._draw(self._error, board.error_mm.window(now_s))
+        self._draw(self._speed, board.speed_rad_s.window(now_s), limit_rad_s)
+        self._draw(self._ratio, board.ratio.window(now_s), 1.0)
+
+    def _draw(self, chart: viser.GuiUplotHandle, window: np.ndarray, *levels: float) -> None:
+        """Draw over the whole length; where nothing is known, nothing is drawn.
+
+        The browser keeps a zoom relative to the length, so that this is constant; it redraws the
+        axes only where a range changes, so that it changes by less than one sees.
+        """
+        gaps = np.flatnonzero(np.diff(window[:, 0]) > _GAP_S)
+        window[: gaps[-1] + 1 if len(gaps) else 0, 1:] = nan  # a line would cross the gap
+        lines = [np.pad(one, 1, constant_values=nan) for one in window.T[1:]]
+        times = np.concatenate(([self._nudge_s - HISTORY_S], window[:, 0], [0.0]))
+        chart.data = (times, *lines, *(np.full(len(times), level) for level in levels))

@@ -20,32 +20,18 @@ _CROSS_PX = 14
 #: How many ball positions are remembered, for images come late; one whose stamp is this near to
 #: an image's was found in it, s.
 _MEMORY, _SAME_IMAGE_S = 600, 0.02
-#: A picture that was exposed longer ago than this tells its age, s.
+#: A picture that was exposed longer ago than this says how old it is, s.
 _OLD_S = 2.0
-#: Share of the light that is left where words stand on a picture.
-_DARK = 0.35
 _LETTERS, _LINE_PX = 36, 22
-_FIELD_OF_VIEW = (0.743, 4.0 / 3.0)  # a RealSense's, until the camera tells its own
 
 
 class Picture:
-    """The newest image as it is shown.
-
-    Parameters
-    ----------
-    ball_radius_m : float
-        Radius of the ball, m.
-
-    Attributes
-    ----------
-    intrinsics : Intrinsics or None
-        Of the images; without, nothing is drawn into them.
-    waits_for : str
-        What the first picture waits for, in words.
-    """
+    """The newest image as it is shown."""
 
     def __init__(self, ball_radius_m: float) -> None:
+        #: Of the images; without, nothing is drawn into them.
         self.intrinsics: Intrinsics | None = None
+        #: What the first picture waits for, in words.
         self.waits_for = ""
         self._ball_radius_m = ball_radius_m
         self._seen: deque[tuple[float, np.ndarray]] = deque(maxlen=_MEMORY)
@@ -54,14 +40,11 @@ class Picture:
         self._words: str | None = None
 
     def add_ball(self, stamp_s: float, position_m: np.ndarray) -> None:
-        """Tell a ball position, camera frame, m, shape (3,), and its exposure's stamp."""
+        """Add a ball position, camera frame, m, shape (3,), and its exposure's stamp."""
         self._seen.append((stamp_s, position_m))
 
     def add_image(self, exposed_s: float, stamp_s: float, image_rgb: np.ndarray) -> None:
-        """Tell a camera image, uint8, shape (height, width, 3).
-
-        It was exposed at ``exposed_s`` of the steady clock, and is stamped with ``stamp_s``.
-        """
+        """Add a camera image, uint8, shape (height, width, 3), exposed then (steady clock)."""
         self._new = exposed_s, stamp_s, image_rgb
 
     @property
@@ -69,7 +52,7 @@ class Picture:
         """The camera's vertical field of view, rad, and its image's width over height."""
         camera = self.intrinsics
         if camera is None:
-            return _FIELD_OF_VIEW
+            return 0.743, 4.0 / 3.0  # a RealSense's, until the camera's own is known
         return 2.0 * atan(0.5 * camera.height / camera.fy), camera.width / camera.height
 
     def newest(self, now_s: float, target_m: np.ndarray | None) -> np.ndarray | None:
@@ -122,7 +105,7 @@ class Picture:
 
 def with_words(image_rgb: np.ndarray, words: str) -> np.ndarray:
     """A darkened copy of a picture with words in its middle, uint8."""
-    dark = (_DARK * image_rgb).astype(np.uint8)
+    dark = (0.35 * image_rgb).astype(np.uint8)
     scale = image_rgb.shape[1] / _WIDTH_PX
     font, white = cv2.FONT_HERSHEY_SIMPLEX, (255, 255, 255)
     lines = textwrap.wrap(words, _LETTERS)

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import io
+import logging
+import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import inf
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+import trimesh
 import viser
+import yourdfpy
 from viser.extras import ViserUrdf
 from viser.transforms import SO3
 
 from fvs_dashboard.board import Board
 from fvs_sim_node.objects import TABLE
-
-if TYPE_CHECKING:
-    from fvs_dashboard.arm import Arm  # a second to import, and not needed at the start
 
 _BALL, _PREDICTED, _TARGET = (213, 40, 30), (255, 214, 0), (86, 180, 233)
 #: What the colours mean in the view.
@@ -26,29 +28,16 @@ LEGEND = (
     ("●", _TARGET, "target: drag it"),
 )
 _ROD = (150, 156, 168)
-_TRAIL_OLD, _TRAIL_NEW = np.array([60, 64, 72]), np.array([255, 214, 0])
-#: A fixed number of pieces: the browser redraws the trail cheaply then.
-_PIECES = 96
-#: The target is smaller than the ball, which hides it once it is there.
-_TARGET_SHARE = 0.6
+#: Of the trail, from old to new: a fixed number, which the browser redraws cheaply.
+_TRAIL_COLOURS = np.linspace((60, 64, 72), (255, 214, 0), 97)
 #: After a drag the target stays where it was dropped, until the controller has answered, s.
 _DROPPED_S = 0.6
-_FRUSTUM_M = 0.14
-#: The table is light; the page is dark.
-_DIM = 0.45
 
 
 class Scene:
     """All that stands in the 3-D view; what the camera sees stands in the camera's frame.
 
-    Parameters
-    ----------
-    server : viser.ViserServer
-        The page's server.
-    ball_radius_m : float
-        Radius of the ball, m.
-    on_drag : callable
-        Called with the target's position, camera frame, m, while it is dragged and when let go.
+    ``on_drag`` gets the target's position, camera frame, m, while it is dragged and when let go.
     """
 
     def __init__(
@@ -68,26 +57,15 @@ class Scene:
         self._camera = scene.add_frame(
             "/base/camera", axes_length=0.08, axes_radius=0.003, origin_radius=0.004, visible=False
         )
-        self._frustum = scene.add_camera_frustum(
-            "/base/camera/view",
-            1.0,
-            1.0,
-            scale=_FRUSTUM_M,
-            thickness=0.004,
-            color=(190, 196, 208),
-            jpeg_quality=70,
-        )
-        self._trail = self._add_lines("/base/camera/trail", _trail_colours(), 3.0)
+        look = {"scale": 0.14, "thickness": 0.004, "color": (190, 196, 208), "jpeg_quality": 70}
+        self._frustum = scene.add_camera_frustum("/base/camera/view", 1.0, 1.0, **look)
+        self._trail = self._add_lines("/base/camera/trail", _joined(_TRAIL_COLOURS), 3.0)
         # How the ball is held is not known; that it is, is drawn.
         self._rod = self._add_lines("/base/camera/rod", np.full((1, 2, 3), _ROD), 5.0)
         self._ball = scene.add_icosphere("/base/camera/ball", ball_radius_m, _BALL, visible=False)
+        look = {"subdivisions": 2, "opacity": 0.3, "visible": False}
         self._predicted = scene.add_icosphere(
-            "/base/camera/predicted",
-            1.25 * ball_radius_m,
-            _PREDICTED,
-            subdivisions=2,
-            opacity=0.3,
-            visible=False,
+            "/base/camera/predicted", 1.25 * ball_radius_m, _PREDICTED, **look
         )
         self._add_target(ball_radius_m)
 
@@ -114,12 +92,10 @@ class Scene:
             "/base/table", show_axes=False, wxyz=(0.0, 0.0, 0.0, 1.0), visible=False
         )
         for number, thing in enumerate(TABLE):
-            scene.add_box(
-                f"/base/table/{number}",
-                tuple(round(255 * _DIM * part) for part in thing.rgba[:3]),
-                thing.size_m,
-                position=thing.position_m,
-            )
+            # The table is light; the page is dark.
+            colour = tuple(round(0.45 * 255 * part) for part in thing.rgba[:3])
+            name = f"/base/table/{number}"
+            scene.add_box(name, colour, thing.size_m, position=thing.position_m)
         self._under_table_m = min(one.position_m[2] - 0.5 * one.size_m[2] for one in TABLE)
 
     def _add_lines(
@@ -144,9 +120,8 @@ class Scene:
             depth_test=False,
             visible=False,
         )
-        scene.add_icosphere(
-            "/base/camera/target/ball", _TARGET_SHARE * ball_radius_m, _TARGET, opacity=0.8
-        )
+        # Smaller than the ball, which hides it once it is there.
+        scene.add_icosphere("/base/camera/target/ball", 0.6 * ball_radius_m, _TARGET, opacity=0.8)
         scene.add_label(
             "/base/camera/target/name",
             "target",
@@ -175,8 +150,8 @@ class Scene:
         joints, placement = board.newest("joint_states", now_s), board.placement
         if self._robot is not None and self._arm is not None and joints is not None:
             self._robot.update_cfg(self._arm.configuration(joints))
-        self._table.visible = placement.told
-        self._floor.position = (0.0, 0.0, self._under_table_m if placement.told else 0.0)
+        self._table.visible = placement.true
+        self._floor.position = (0.0, 0.0, self._under_table_m if placement.true else 0.0)
         camera = placement.pose
         self._camera.visible = camera is not None
         if camera is None:
@@ -215,13 +190,125 @@ def _put(node: viser.SceneNodeHandle, position_m: np.ndarray | None) -> None:
 
 def _pieces(trail_m: np.ndarray) -> np.ndarray:
     """The trail in equal parts of time, oldest first, shape (pieces, 2, 3)."""
-    where = np.linspace(0.0, len(trail_m) - 1.0, _PIECES + 1)
+    where = np.linspace(0.0, len(trail_m) - 1.0, len(_TRAIL_COLOURS))
     known = np.arange(len(trail_m))
-    points = np.stack([np.interp(where, known, column) for column in trail_m.T], axis=1)
+    return _joined(np.stack([np.interp(where, known, one) for one in trail_m.T], axis=1))
+
+
+def _joined(points: np.ndarray) -> np.ndarray:
+    """Each of some points, shape (n, 3), with the next one, shape (n - 1, 2, 3)."""
     return np.stack([points[:-1], points[1:]], axis=1)
 
 
-def _trail_colours() -> np.ndarray:
-    share = np.linspace(0.0, 1.0, _PIECES + 1)[:, None]
-    colours = (1.0 - share) * _TRAIL_OLD + share * _TRAIL_NEW
-    return np.stack([colours[:-1], colours[1:]], axis=1)
+# --- the robot's model ---
+
+_PACKAGE = "package://"
+#: Where ROS is installed, if it is: programs that sourced none find its meshes, too.
+_INSTALLED = Path("/opt/ros")
+#: How thick a bar is, m, and its colour; a link that is shorter gets none.
+_BAR_RADIUS_M, _SHORTEST_M = 0.03, 1e-3
+_BAR_COLOUR = (204, 209, 217, 255)
+
+
+class Arm:
+    """A robot read from URDF, as its driver publishes it; a ``ValueError`` if it is none.
+
+    ``names`` are its n joints in kinematic order, ``tf_prefix`` stands before its links' names.
+    """
+
+    def __init__(self, text: str, names: Sequence[str], tf_prefix: str = "") -> None:
+        self.names = tuple(names)
+        #: Its model, and a sentence about shapes that could not be had: bars stand for them.
+        self.urdf, self.missing = _load(text)
+        unknown = [name for name in names if name not in self.urdf.joint_map]
+        if unknown:
+            raise ValueError(f"robot_description has no joint {', '.join(unknown)}")
+        links = self.urdf.link_map
+        flange, base = f"{tf_prefix}tool0", f"{tf_prefix}base_link"
+        self._flange = flange if flange in links else self.urdf.joint_map[names[-1]].child
+        self._base = base if base in links else self.urdf.base_link
+        self._add_bars()
+
+    def configuration(self, joints_rad: np.ndarray) -> dict[str, float]:
+        """Joint positions by name, of positions in kinematic order, rad, shape (n,)."""
+        return {name: float(angle) for name, angle in zip(self.names, joints_rad, strict=True)}
+
+    def flange(self, joints_rad: np.ndarray) -> np.ndarray:
+        """Pose of the flange in ``base_link``, shape (4, 4), m."""
+        self.urdf.update_cfg(self.configuration(joints_rad))
+        return self.urdf.get_transform(self._flange, self._base)
+
+    @property
+    def base(self) -> np.ndarray:
+        """Pose of ``base_link`` in the model's root, shape (4, 4), m."""
+        return self.urdf.get_transform(self._base)
+
+    def _add_bars(self) -> None:
+        """Draw a bar to the next joint for each link of the arm that has no shape here."""
+        scene = self.urdf.scene
+        drawn = {scene.graph.transforms.parents[name] for name in scene.graph.nodes_geometry}
+        by_child = {joint.child: joint for joint in self.urdf.joint_map.values()}
+        first, link = self.urdf.joint_map[self.names[0]].parent, self._flange
+        while link != first and link in by_child:
+            joint = by_child[link]
+            link = joint.parent
+            end_m = np.zeros(3) if joint.origin is None else joint.origin[:3, 3]
+            if link in drawn or np.linalg.norm(end_m) < _SHORTEST_M:
+                continue
+            bar = trimesh.creation.cylinder(
+                _BAR_RADIUS_M, segment=[np.zeros(3), end_m], sections=24
+            ) + trimesh.creation.icosphere(2, 1.3 * _BAR_RADIUS_M).apply_translation(end_m)
+            bar.visual.face_colors = _BAR_COLOUR
+            name = f"{link}_bar"
+            scene.add_geometry(bar, name, geom_name=name, parent_node_name=link)
+
+
+def _load(text: str) -> tuple[yourdfpy.URDF, str]:
+    """Read a URDF with those meshes that are here, and a sentence about the others."""
+    # It warns of what every robot's URDF has, and of meshes that are not here.
+    logging.getLogger("yourdfpy").setLevel(logging.ERROR)
+    lost: list[str] = []
+
+    def find(fname: str) -> str:
+        path = _find(fname)
+        if not Path(path).is_file():
+            lost.append(fname)
+        return path
+
+    def load(meshes: bool) -> yourdfpy.URDF:
+        source = io.BytesIO(text.encode("utf-8"))
+        return yourdfpy.URDF.load(source, filename_handler=find, load_meshes=meshes)
+
+    # Whatever its XML and mesh readers raise.
+    try:
+        return load(True), _about(lost)
+    except Exception as error:
+        try:
+            return load(False), f"bars are drawn, for a mesh cannot be read: {error}"
+        except Exception:
+            raise ValueError(f"robot_description cannot be read: {error}") from error
+
+
+def _about(lost: Sequence[str]) -> str:
+    """What to say of meshes that are not here."""
+    if not lost:
+        return ""
+    text = f"{len(set(lost))} meshes are not on this computer ({lost[0]}): bars are drawn instead"
+    if not lost[0].startswith(_PACKAGE):
+        return text
+    package = lost[0].removeprefix(_PACKAGE).partition("/")[0]
+    return (
+        f"{text}; install ros-jazzy-{package.replace('_', '-')} (apt), or name the folder that "
+        f"holds share/{package} in AMENT_PREFIX_PATH, and start this again"
+    )
+
+
+def _find(fname: str) -> str:
+    """The file of a mesh that the URDF names."""
+    if not fname.startswith(_PACKAGE):
+        return fname.removeprefix("file://")
+    inside = fname.removeprefix(_PACKAGE)
+    sourced = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    prefixes = (*map(Path, filter(None, sourced)), *sorted(_INSTALLED.glob("*"), reverse=True))
+    paths = (prefix / "share" / inside for prefix in prefixes)
+    return str(next((path for path in paths if path.is_file()), inside))

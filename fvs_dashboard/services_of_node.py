@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import inf
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
 from std_srvs.srv import Trigger
 
-from fvs_dashboard.actions import CONTROLLER, ESTIMATOR, SIMULATOR
+from fvs_dashboard.board import CONTROLLER
+from fvs_ros import topics
 
 if TYPE_CHECKING:
     from fvs_ros.ros import FvsNode
 
-_CALLS: dict[str, type] = {
-    **{f"{CONTROLLER}/{name}": Trigger for name in ("start", "stop", "set_current_as_target")},
-    **{f"{node}/reset": Trigger for node in (ESTIMATOR, SIMULATOR)},
-    **{f"{node}/get_parameters": GetParameters for node in (CONTROLLER, ESTIMATOR, SIMULATOR)},
-    **{f"{node}/set_parameters": SetParameters for node in (CONTROLLER, ESTIMATOR, SIMULATOR)},
-}
 #: An answer that takes longer is not waited for, s.
 ANSWER_S = 3.0
 #: A stop is asked for this often, until it is answered, s; and after this long the person is told.
@@ -39,29 +35,27 @@ class _Request(NamedTuple):
 class Services:
     """The services of controller, estimator and simulator.
 
-    Parameters
-    ----------
-    node : FvsNode
-        Calls them.
-    tell : callable
-        Takes what a person at the page is to read.
+    ``show`` takes what a person at the page is to read.
     """
 
-    def __init__(self, node: FvsNode, tell: Callable[[str], None]) -> None:
-        self._node = node
-        self._tell = tell
-        self._clients = {name: node.create_client(kind, name) for name, kind in _CALLS.items()}
+    def __init__(self, node: FvsNode, show: Callable[[str], None]) -> None:
+        self._node, self._show = node, show
+        kinds = {"get_parameters": GetParameters, "set_parameters": SetParameters}
+        self._clients = {
+            name: node.create_client(kinds.get(name.rpartition("/")[2], Trigger), name)
+            for name in topics.NODES[topics.DASHBOARD].calls
+        }
         self._open: list[_Request] = []
         self._stopping = False
         self._stop_sent_s = self._stop_late_s = 0.0
 
     def call(self, name: str, on_answer: Callable[[Trigger.Response], None] | None = None) -> None:
-        """Call a service by node and name; its answer is told, or given to ``on_answer``."""
+        """Call a service by node and name; its answer is shown, or given to ``on_answer``."""
         if name == f"{CONTROLLER}/start":  # a start after a stop takes it back
             self._stopping = False
-        said = name.rpartition("/")[2].replace("_", " ")
-        told = on_answer or (lambda answer: self._tell(f"{said}: {answer.message}"))
-        self._request(name, Trigger.Request(), told)
+        words = name.rpartition("/")[2].replace("_", " ")
+        shown = on_answer or (lambda answer: self._show(f"{words}: {answer.message}"))
+        self._request(name, Trigger.Request(), shown)
 
     def stop(self) -> None:
         """Ask the controller to stop, again and again until it answers."""
@@ -82,12 +76,12 @@ class Services:
             on_values({})
 
     def set(self, parameter: str, value: Any) -> None:
-        """Set a parameter, named by node and name; a refusal is told."""
+        """Set a parameter, named by node and name; a refusal is shown."""
 
         def on_answer(answer: SetParameters.Response) -> None:
             for result in answer.results:
                 if not result.successful:
-                    self._tell(f"refused: {result.reason}")
+                    self._show(f"refused: {result.reason}")
 
         node, _, name = parameter.partition("/")
         plain = value if isinstance(value, (float, str)) else list(value)
@@ -100,16 +94,16 @@ class Services:
         now_s = self._node.steady_s()
         if self._stopping and now_s - self._stop_sent_s > _STOP_AGAIN_S:
             if now_s > self._stop_late_s:
-                self._stop_late_s = float("inf")  # said once
-                self._tell("stop: the controller does not answer yet; use the robot's own stop")
+                self._stop_late_s = inf  # shown once
+                self._show("stop: the controller does not answer yet; use the robot's own stop")
             self._send_stop()
         waiting = [one for one in self._open if not one.future.done()]
         self._open = [one for one in waiting if now_s - one.asked_s <= ANSWER_S]
         for one in waiting:
-            if now_s - one.asked_s > ANSWER_S:
+            if one not in self._open:
                 one.client.remove_pending_request(one.future)
                 if not one.quiet:
-                    self._tell(f"{one.name} does not answer; it may still be done, later")
+                    self._show(f"{one.name} does not answer; it may still be done, later")
 
     def _send_stop(self) -> None:
         self._stop_sent_s = self._node.steady_s()
@@ -117,7 +111,7 @@ class Services:
         def on_answer(answer: Trigger.Response) -> None:
             if self._stopping:
                 self._stopping = False
-                self._tell(f"stop: {answer.message}")
+                self._show(f"stop: {answer.message}")
 
         self._request(f"{CONTROLLER}/stop", Trigger.Request(), on_answer, quiet=True)
 
@@ -128,7 +122,7 @@ class Services:
         client = self._clients[name]
         if not client.service_is_ready():
             if not quiet:
-                self._tell(f"{name} does not answer; is {name.partition('/')[0]} running?")
+                self._show(f"{name} does not answer; is {name.partition('/')[0]} running?")
             return False
         future = client.call_async(request)
         future.add_done_callback(lambda done: on_answer(done.result()))

@@ -7,12 +7,12 @@ import re
 import numpy as np
 import pytest
 
-pytest.importorskip("yourdfpy", reason="yourdfpy is not installed (pip install 'viser[urdf]')")
+pytest.importorskip("viser", reason="viser is not installed (pip install 'viser[urdf]')")
 
 import trimesh
 
-from fvs_dashboard import arm as module
-from fvs_dashboard.arm import Arm
+from fvs_dashboard import scene as module
+from fvs_dashboard.scene import Arm
 from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_sim_node.kinematics import flange_pose
 from fvs_sim_node.ur5_urdf import urdf_text

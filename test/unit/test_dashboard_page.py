@@ -19,7 +19,7 @@ from page_client import PageClient
 from viser.infra import _infra
 
 from fvs_dashboard import config, guard
-from fvs_dashboard.actions import Actions
+from fvs_dashboard.board import Actions
 from fvs_dashboard.page import Page, field_of_view_rad
 from fvs_ros.joints import UR_JOINT_NAMES
 

@@ -11,17 +11,18 @@ import pytest
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.reasons import Reason
 from fvs_dashboard import markup
-from fvs_dashboard.actions import (
+from fvs_dashboard.board import (
     CONTROLLER,
     RESET,
     SET_CURRENT,
     START,
     STOP,
+    UNKNOWN,
     Action,
     Actions,
+    Board,
+    Controller,
 )
-from fvs_dashboard.board import Board, Controller
-from fvs_dashboard.placement import UNKNOWN
 from fvs_sim_node.kinematics import flange_pose
 from fvs_sim_node.rendering import camera_preset
 
@@ -85,13 +86,14 @@ def test_no_reason_asks_for_a_service_that_the_page_has_a_button_for(reason):
     assert "~/" not in markup.in_words(reason.text)
 
 
-def test_what_comes_from_outside_is_no_markup():
+def test_what_comes_from_outside_is_no_markup(board):
     evil = "<b>x</b>"
+    board.note("detector", 0.0, evil)
     for html in (
         markup.banner_html(markup.Banner(evil, evil, "#000", evil, evil), 0.1),
         markup.line_html("answer", evil),
         markup.notes_html([evil]),
-        markup.inputs_html([markup.Lamp(evil, True, evil)], {evil: evil}),
+        markup.inputs_html(board, 0.0),
     ):
         assert "<b>x" not in html
         assert "&lt;b&gt;x" in html
@@ -99,17 +101,17 @@ def test_what_comes_from_outside_is_no_markup():
 
 def test_lamps_follow_the_controllers_ages_and_else_the_pages_own(board):
     board.add_status(0.0, controller())
-    lamps = {lamp.name: lamp for lamp in markup.lamps_of(board, 0.0)}
-    assert [lamp.good for lamp in lamps.values()] == [True, True, False, True]
-    assert lamps["Robot program"].text == "runs, 100 %"
+    lamps = markup.lamps_of(board, 0.0)
+    assert [good for good, _ in lamps.values()] == [True, True, False, True]
+    assert lamps["Robot program"][1] == "runs, 100 %"
     for key, value in (("robot_program_running", "false"), ("speed_scaling_percent", "0")):
-        board.add_status(0.0, controller(**{key: value}))
-        assert markup.lamps_of(board, 0.0)[-1].good is False  # a robot that does not obey
+        board.add_status(0.0, controller(**{key: value}))  # a robot that does not obey
+        assert markup.lamps_of(board, 0.0)["Robot program"][0] is False
     board.add_ball(9.0, 10.0, np.ones(3))
-    alone = {lamp.name: lamp for lamp in markup.lamps_of(board, 9.03)}
-    assert alone["Ball seen"] == markup.Lamp("Ball seen", None, "30 ms ago")
-    assert alone["Joint states"] == markup.Lamp("Joint states", None, "unknown")
-    assert alone["Robot program"].good is None
+    alone = markup.lamps_of(board, 9.03)
+    assert alone["Ball seen"] == (None, "30 ms ago")
+    assert alone["Joint states"] == (None, "unknown")
+    assert alone["Robot program"][0] is None
 
 
 # --- what is known, and for how long ---
