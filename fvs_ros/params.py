@@ -19,7 +19,6 @@ import numpy as np
 
 from fvs_ros.arguments import did_you_mean, unknown
 
-_TYPES = (bool, int, float, str)
 _DECLARED = "parameter"
 _Self = TypeVar("_Self", bound="Parameters")
 
@@ -33,36 +32,24 @@ class ParameterError(ValueError):
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of a node.
+    """One parameter of a node."""
 
-    Parameters
-    ----------
-    name : str
-        Name; ends in the unit where it has one (``_s``, ``_m``, ``_rad_s``).
-    default : bool, int, float, str, or a list of one of them
-        Default value; its type is the parameter's type.
-    description : str
-        One sentence for a user.
-    minimum, maximum : float, optional
-        Inclusive range of a number, or of each number of a list.
-    choices : tuple of str
-        The only values allowed for a string, if given.
-    size : int, optional
-        Required length of a list.
-    live : bool
-        Whether it may change while the node runs.
-    broadcast : bool
-        Whether a single number may stand for a list: it is taken for a list of one.
-    """
-
+    #: Ends in the unit where it has one (``_s``, ``_m``, ``_rad_s``).
     name: str
+    #: A bool, int, float or str, or a list of one of them: the type of its values.
     default: Any
+    #: One sentence for a user.
     description: str
+    #: Inclusive range of a number, or of each number of a list.
     minimum: float | None = None
     maximum: float | None = None
+    #: The only values of a string, if given.
     choices: tuple[str, ...] = ()
+    #: Required length of a list.
     size: int | None = None
+    #: Whether it may change while the node runs.
     live: bool = False
+    #: Whether a single number is taken for a list of one.
     broadcast: bool = False
 
     @property
@@ -94,43 +81,31 @@ class Parameter:
         return text
 
     def check(self, value: Any) -> Any:
-        """The value in the parameter's type.
+        """The value in the parameter's type; a ``ParameterError`` if it has none of its values.
 
         A whole number is welcome where a number is wanted (``gain: 2`` in YAML).
-
-        Raises
-        ------
-        ParameterError
-            If the value has another type, size or range.
         """
-        if self.is_list:
-            if self.broadcast and isinstance(value, (int, float)):
-                value = [value]
-            if isinstance(value, str) or not hasattr(value, "__len__"):
-                raise self._refusal(value)
-            if self.size is not None and len(value) != self.size:
-                raise self._refusal(value)
-            return [self._check_one(element, value) for element in value]
-        return self._check_one(value, value)
+        if not self.is_list:
+            return self._check_one(value, value)
+        if self.broadcast and isinstance(value, (int, float)):
+            value = [value]
+        is_list = hasattr(value, "__len__") and not isinstance(value, str)
+        if not is_list or self.size not in (None, len(value)):
+            raise self._refusal(value)
+        return [self._check_one(element, value) for element in value]
 
     def _check_one(self, element: Any, whole: Any) -> Any:
         kind = self.kind
         if isinstance(element, np.generic):
             element = element.item()
-        if kind is float and isinstance(element, int) and not isinstance(element, bool):
-            if abs(element) > _LARGEST[int]:
-                raise self._refusal(whole)
+        if kind is float and type(element) is int and abs(element) <= _LARGEST[int]:
             element = float(element)
-        if not isinstance(element, kind) or (kind is int and isinstance(element, bool)):
-            raise self._refusal(whole)
-        if kind in (int, float):
-            if not -_LARGEST[kind] <= element <= _LARGEST[kind]:  # false for NaN, too
-                raise self._refusal(whole)
-            if self.minimum is not None and element < self.minimum:
-                raise self._refusal(whole)
-            if self.maximum is not None and element > self.maximum:
-                raise self._refusal(whole)
-        if self.choices and element not in self.choices:
+        fits = type(element) is kind  # true and false are no whole numbers
+        if fits and kind in (int, float):
+            low, high = self.minimum, self.maximum
+            fits = -_LARGEST[kind] <= element <= _LARGEST[kind]  # false for NaN, too
+            fits = fits and (low is None or element >= low) and (high is None or element <= high)
+        if not fits or (self.choices and element not in self.choices):
             raise self._refusal(whole)
         return element
 
@@ -144,25 +119,14 @@ class Parameter:
 
 
 class ParameterSet:
-    """The declared parameters of one node, by name.
-
-    Parameters
-    ----------
-    parameters : iterable of Parameter
-        The declarations.
-
-    Raises
-    ------
-    ValueError
-        If a name is declared twice or a default does not pass its own check.
-    """
+    """The declared parameters of one node, by name; each default passes its own check."""
 
     def __init__(self, parameters: Iterable[Parameter]) -> None:
         self._by_name: dict[str, Parameter] = {}
         for parameter in parameters:
             if parameter.name in self._by_name:
                 raise ValueError(f"parameter {parameter.name} is declared twice")
-            if parameter.kind not in _TYPES:
+            if parameter.kind not in (bool, int, float, str):
                 raise ValueError(f"parameter {parameter.name} has no ROS type")
             parameter.check(parameter.default)
             self._by_name[parameter.name] = parameter
@@ -174,35 +138,17 @@ class ParameterSet:
         return name in self._by_name
 
     def __getitem__(self, name: str) -> Parameter:
-        try:
-            return self._by_name[name]
-        except KeyError:
-            raise ParameterError(
-                f"unknown parameter {name}; known are {', '.join(sorted(self._by_name))}"
-            ) from None
+        if name not in self:
+            raise ParameterError(unknown("parameter", str(name), sorted(self._by_name)))
+        return self._by_name[name]
 
     def values(self, overrides: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """All values: the defaults, with checked overrides in their place.
-
-        Raises
-        ------
-        ParameterError
-            If an override is unknown or has a wrong value.
-        """
+        """All values: the defaults, with checked overrides in their place."""
         defaults = {parameter.name: parameter.default for parameter in self}
         return {**defaults, **self.checked(overrides or {})}
 
     def checked(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Given values in their parameters' types.
-
-        Raises
-        ------
-        ParameterError
-            If one is unknown or has a wrong value.
-        """
-        for name in given:
-            if name not in self:
-                raise ParameterError(unknown("parameter", str(name), sorted(self._by_name)))
+        """Given values in their parameters' types; a ``ParameterError`` if one is wrong."""
         return {name: self[name].check(value) for name, value in given.items()}
 
 

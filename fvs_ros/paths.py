@@ -27,25 +27,10 @@ def share_folders() -> list[Path]:
 
 
 def find_file(name: str, folder: str = "config") -> Path:
-    """A file given by path, or by name within the project's own folder.
+    """An existing file given by path, or by name within the project's own folder.
 
-    Parameters
-    ----------
-    name : str
-        A path; if relative and not found from the working directory, it is looked up in
-        ``folder`` of the source tree, then of each ROS prefix.
-    folder : str
-        Folder of the project.
-
-    Returns
-    -------
-    Path
-        An existing file.
-
-    Raises
-    ------
-    FileNotFoundError
-        If it is nowhere; the text lists where it was looked for.
+    A relative path that is not found from the working directory is looked up in ``folder`` of the
+    source tree, then of each ROS prefix. The ``FileNotFoundError`` lists where it was looked for.
     """
     try:
         given = Path(name).expanduser()
@@ -63,12 +48,7 @@ def find_file(name: str, folder: str = "config") -> Path:
 def program(module: str, dies_with_parent: bool = False) -> list[str]:
     """Command that runs a module as a program, in this Python.
 
-    Parameters
-    ----------
-    module : str
-        Its name.
-    dies_with_parent : bool
-        Whether it gets SIGTERM when this process ends, even if that was killed.
+    With ``dies_with_parent`` it gets SIGTERM when this process ends, even if that was killed.
     """
     first = _DIE_WITH_PARENT.format(parent=os.getpid()) if dies_with_parent else ""
     return [sys.executable, "-c", _RUN.format(module=module, first=first)]

@@ -22,77 +22,52 @@ class Qos(Enum):
 
 @dataclass(frozen=True)
 class End:
-    """How one node publishes or subscribes to a topic.
+    """How one node publishes or subscribes to a topic."""
 
-    Parameters
-    ----------
-    qos : tuple of Qos
-        One publisher or subscription each.
-    given : tuple of str and value, optional
-        Parameter of the node, and its value without which the node does without the topic.
-    later : str
-        What must have happened before, in words, if it is not there from the start on.
-    """
-
+    #: One publisher or subscription each.
     qos: tuple[Qos, ...]
+    #: Parameter of the node, and its value without which the node does without the topic.
     given: tuple[str, Any] | None = None
+    #: What must have happened before, in words, if it is not there from the start on.
     later: str = ""
 
 
 @dataclass(frozen=True, eq=False)
 class Topic:
-    """One topic.
+    """One topic."""
 
-    Parameters
-    ----------
-    name : str
-        Relative to the namespace, absolute, or ``~/`` for one of each node.
-    type : str
-        Message type, such as ``sensor_msgs/msg/JointState``.
-    description : str
-        For a user: what it holds, its unit and frame.
-    publishers, subscribers : mapping of str to End
-        By the node's name.
-    also_from, also_to : str
-        Who else publishes or hears it, outside this package.
-    """
-
+    #: Relative to the namespace, absolute, or ``~/`` for one of each node.
     name: str
+    #: Such as ``sensor_msgs/msg/JointState``.
     type: str
+    #: For a user: what it holds, its unit and frame.
     description: str
+    #: By the node's name.
     publishers: Mapping[str, End] = field(default_factory=dict)
     subscribers: Mapping[str, End] = field(default_factory=dict)
+    #: Who else publishes or hears it, outside this package.
     also_from: str = ""
     also_to: str = ""
 
 
 @dataclass(frozen=True)
 class Node:
-    """What else a node has on the wire.
+    """What else a node has on the wire."""
 
-    Parameters
-    ----------
-    does : str
-        What the node does, in a sentence.
-    serves : mapping of str to tuple of str
-        Name of a service -> its type, and what a call does.
-    calls : tuple of str
-        Services of other nodes that it calls.
-    hears_all : bool
-        Whether it subscribes to whatever is published, as reliable and latched as that is.
-    """
-
+    #: What the node does, in a sentence.
     does: str
+    #: Name of a service -> its type, and what a call does.
     serves: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    #: Services of other nodes that it calls.
     calls: tuple[str, ...] = ()
+    #: Whether it subscribes to whatever is published, as reliable and latched as that is.
     hears_all: bool = False
 
 
-SIM, DETECTOR, ESTIMATOR, CONTROLLER, COLLECTOR, DEMO, DASHBOARD, MARKERS_NODE, RECORDER = (
-    *(f"fvs_{name}_node" for name in ("sim", "detector", "estimator", "controller")),
-    *("fvs_collector_node", "fvs_demo_node", "fvs_dashboard"),
-    *("fvs_markers_node", "fvs_recorder_node"),
-)
+SIM, DETECTOR = "fvs_sim_node", "fvs_detector_node"
+ESTIMATOR, CONTROLLER = "fvs_estimator_node", "fvs_controller_node"
+COLLECTOR, DEMO, DASHBOARD = "fvs_collector_node", "fvs_demo_node", "fvs_dashboard"
+MARKERS_NODE, RECORDER = "fvs_markers_node", "fvs_recorder_node"
 _TRIGGER = "std_srvs/srv/Trigger"
 
 NODES: dict[str, Node] = {
@@ -395,21 +370,9 @@ def subscribers(node: str) -> dict[Topic, End]:
 
 
 def resolve(name: str, node: str, namespace: str = "") -> str:
-    """The full name of a topic or service.
+    """The full name of a topic or service that a node uses, where nothing is remapped.
 
-    Parameters
-    ----------
-    name : str
-        Name as declared.
-    node : str
-        The node that uses it.
-    namespace : str
-        The node's namespace, with or without slashes at its ends.
-
-    Returns
-    -------
-    str
-        As ROS resolves it where nothing is remapped.
+    The namespace may have slashes at its ends.
     """
     if name.startswith("/"):
         return name

@@ -45,49 +45,23 @@ START_TIMEOUT_S = 30.0
 
 
 def own_targets(text: str) -> np.ndarray:
-    """Read targets written as ``x y z; x y z``.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        The targets, m, camera frame; none of them for an empty text.
-
-    Raises
-    ------
-    ValueError
-        If one does not have three finite numbers.
-    """
+    """Targets written as ``x y z; x y z``, m, camera frame, shape (n, 3); none in an empty text."""
     parts = [part.split() for part in text.split(";") if part.strip()]
     try:
-        targets = np.array(parts, dtype=float).reshape(-1, 3) if parts else np.empty((0, 3))
-        given = {len(part) for part in parts} <= {3} and bool(np.isfinite(targets).all())
-    except ValueError:
-        given = False
-    if not given:
-        raise ValueError(f"target_positions must be 'x y z; ...' in m, got '{text}'")
-    return targets
+        targets = np.array([[float(x), float(y), float(z)] for x, y, z in parts]).reshape(-1, 3)
+        if np.isfinite(targets).all():
+            return targets
+    except ValueError:  # too few, too many, or no number
+        pass
+    raise ValueError(f"target_positions must be 'x y z; ...' in m, got '{text}'")
 
 
 def choose_target(
     candidates_m: np.ndarray, position_m: np.ndarray, distance_m: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """A position the ball has been at, about ``distance_m`` from where it is.
+    """A target about ``distance_m`` from where the ball is, shape (3,), m, camera frame.
 
-    Parameters
-    ----------
-    candidates_m : ndarray, shape (n, 3)
-        Positions to choose from, m, camera frame.
-    position_m : ndarray, shape (3,)
-        Where the ball is, m, camera frame.
-    distance_m : float
-        Wanted distance, m.
-    rng : numpy.random.Generator
-        Source of the choice.
-
-    Returns
-    -------
-    ndarray, shape (3,)
-        The target, m, camera frame.
+    It is one of the candidates, shape (n, 3): positions that the ball has been at.
     """
     mismatch_m = np.abs(np.linalg.norm(candidates_m - position_m, axis=1) - distance_m)
     fitting = np.flatnonzero(mismatch_m <= max(_DISTANCE_TOLERANCE_M, mismatch_m.min()))
@@ -96,20 +70,11 @@ def choose_target(
 
 @dataclass
 class TargetRecord:
-    """What happened on the way to one target.
-
-    Parameters
-    ----------
-    target_m : ndarray, shape (3,)
-        The target, m, camera frame.
-    start_s : float
-        When it was given, s.
-    slowed : bool
-        Whether inputs came late, so that the arm was held.
-    """
+    """What happened on the way to one target, camera frame, shape (3,), since it was given."""
 
     target_m: np.ndarray
     start_s: float
+    #: Whether inputs came late, so that the arm was held.
     slowed: bool = False
     time_s: list[float] = field(default_factory=list)
     position_m: list[np.ndarray] = field(default_factory=list)
@@ -156,12 +121,7 @@ def judge(
 ) -> TargetScore:
     """Judge the way to one target.
 
-    Parameters
-    ----------
-    time_s, errors_m : ndarray, shape (n,)
-        Times since the target was given, s, and distances to it, m.
-    joint_velocity_rad_s : ndarray, shape (k, joints)
-        Joint velocities on the way, rad/s.
+    Times since it was given and distances to it, shape (n,); joint velocities, shape (k, joints).
     """
     final = errors_m[time_s >= time_s[-1] - _FINAL_S]
     return TargetScore(
@@ -223,18 +183,9 @@ def draw(
     image_rgb: np.ndarray | None,
     intrinsics: Intrinsics | None,
 ) -> None:
-    """Draw the run: error against time, joint speeds, camera view with the ball's trail.
+    """Draw the run into a PNG file: error and joint speeds over time, camera view with the trail.
 
-    Parameters
-    ----------
-    path : Path
-        PNG file to write.
-    records : list of TargetRecord
-        The run.
-    image_rgb : ndarray, shape (height, width, 3), optional
-        Camera view at the end.
-    intrinsics : Intrinsics, optional
-        Its camera.
+    The view is the one at the end, shape (height, width, 3), if it came.
     """
     import matplotlib as mpl
 

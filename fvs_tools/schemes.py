@@ -11,26 +11,16 @@ from fvs_ros.arguments import unknown
 
 @dataclass(frozen=True)
 class Scheme:
-    """One pair.
+    """One pair."""
 
-    Parameters
-    ----------
-    name : str
-        The paper's name, in lower case.
-    method : str
-        The estimator's parameter ``method``.
-    law : str
-        The controller's parameter ``law``.
-    description : str
-        One sentence for a user.
-    estimator_values, controller_values : mapping
-        Further parameters of the two nodes, where they differ from the defaults.
-    """
-
+    #: The paper's name, in lower case.
     name: str
+    #: The estimator's parameter ``method``, and the controller's parameter ``law``.
     method: str
     law: str
+    #: One sentence for a user.
     description: str
+    #: Further parameters of the two nodes, where they differ from the defaults.
     estimator_values: Mapping[str, Any] = field(default_factory=dict)
     controller_values: Mapping[str, Any] = field(default_factory=dict)
 
@@ -72,13 +62,7 @@ BEYOND = _by_name(
 
 
 def scheme(name: str) -> Scheme:
-    """The scheme of a name.
-
-    Raises
-    ------
-    ValueError
-        If there is none; the text lists those known.
-    """
+    """The scheme of a name; a ``ValueError`` lists those known."""
     known = {**SCHEMES, **BEYOND}
     if name not in known:
         raise ValueError(unknown("scheme", name, known))

@@ -36,24 +36,11 @@ _JPEG = b"\xff\xd8\xff"
 
 
 def from_color(message: Image | CompressedImage) -> np.ndarray:
-    """Colours of an image.
+    """Colours of an image, uint8, shape (H, W, 3), red first; they may share its memory.
 
-    Parameters
-    ----------
-    message : Image or CompressedImage
-        ``rgb8``, ``bgr8``, ``rgba8`` or ``bgra8``; or jpeg or png, of the format ``jpeg``, ``png``
-        or ``ENCODING; jpeg compressed bgr8``. Without the last word after an encoding, red and
-        blue were exchanged before the compression.
-
-    Returns
-    -------
-    ndarray of uint8, shape (H, W, 3)
-        Red first. It may share the memory of the message.
-
-    Raises
-    ------
-    MessageError
-        If it cannot be decoded.
+    It is ``rgb8``, ``bgr8``, ``rgba8`` or ``bgra8``; or jpeg or png, of the format ``jpeg``,
+    ``png`` or ``ENCODING; jpeg compressed bgr8``. Without the last word after an encoding, red and
+    blue were exchanged before the compression.
     """
     if isinstance(message, CompressedImage):
         encoding, separator, rest = message.format.partition(";")
@@ -70,23 +57,10 @@ def from_color(message: Image | CompressedImage) -> np.ndarray:
 
 
 def from_depth(message: Image | CompressedImage) -> np.ndarray:
-    """Depth of an image.
+    """Depth of an image, m, float32, shape (H, W); 0 where there is none.
 
-    Parameters
-    ----------
-    message : Image or CompressedImage
-        ``16UC1`` or ``mono16``, in mm with 0 for none, or ``32FC1``, in m with NaN for none; or
-        these as ``ENCODING; compressedDepth png``.
-
-    Returns
-    -------
-    ndarray of float32, shape (H, W)
-        Depth, m; 0 where there is none.
-
-    Raises
-    ------
-    MessageError
-        If it cannot be decoded.
+    It is ``16UC1`` or ``mono16``, in mm with 0 for none, or ``32FC1``, in m with NaN for none; or
+    these as ``ENCODING; compressedDepth png``.
     """
     if isinstance(message, CompressedImage):
         depth = _decode_depth_file(message)

@@ -54,37 +54,29 @@ def from_stamp(stamp: Time) -> float:
     return stamp.sec + stamp.nanosec * 1e-9
 
 
+def _stamped(kind: type, stamp_s: float, frame: str) -> Any:
+    """A message with a header."""
+    message = kind()
+    message.header.stamp, message.header.frame_id = to_stamp(stamp_s), frame
+    return message
+
+
+def _set(fields: Any, names: str, values: np.ndarray) -> None:
+    for name, value in zip(names, values, strict=True):
+        setattr(fields, name, float(value))
+
+
 def to_point(stamp_s: float, frame: str, position_m: np.ndarray) -> PointStamped:
     """``PointStamped`` of a position, m, shape (3,)."""
-    message = PointStamped()
-    message.header.stamp = to_stamp(stamp_s)
-    message.header.frame_id = frame
-    x, y, z = position_m
-    message.point.x, message.point.y, message.point.z = float(x), float(y), float(z)
+    message = _stamped(PointStamped, stamp_s, frame)
+    _set(message.point, "xyz", position_m)
     return message
 
 
 def from_point(message: PointStamped, frame: str, topic: str) -> np.ndarray:
-    """Position of a ``PointStamped``.
+    """Position of a ``PointStamped``, m, shape (3,).
 
-    Parameters
-    ----------
-    message : PointStamped
-        The message.
-    frame : str
-        The only frame accepted.
-    topic : str
-        Name for the error's text.
-
-    Returns
-    -------
-    ndarray, shape (3,)
-        Position, m.
-
-    Raises
-    ------
-    MessageError
-        If it is in another frame or not finite.
+    A ``MessageError`` names the topic if it is in another frame than this, or not finite.
     """
     if message.header.frame_id != frame:
         raise MessageError(
@@ -101,29 +93,16 @@ def to_pose(
     stamp_s: float, frame: str, position_m: np.ndarray, quaternion_xyzw: np.ndarray
 ) -> PoseStamped:
     """``PoseStamped`` of a position, m, shape (3,), and a unit quaternion, shape (4,)."""
-    message = PoseStamped()
-    message.header.stamp = to_stamp(stamp_s)
-    message.header.frame_id = frame
-    at, turn = message.pose.position, message.pose.orientation
-    at.x, at.y, at.z = (float(value) for value in position_m)
-    turn.x, turn.y, turn.z, turn.w = (float(value) for value in quaternion_xyzw)
+    message = _stamped(PoseStamped, stamp_s, frame)
+    _set(message.pose.position, "xyz", position_m)
+    _set(message.pose.orientation, "xyzw", quaternion_xyzw)
     return message
 
 
 def from_pose(message: PoseStamped, topic: str) -> tuple[np.ndarray, np.ndarray]:
-    """Position and orientation of a ``PoseStamped``.
+    """Position, m, shape (3,), and unit quaternion x, y, z, w, shape (4,), of a ``PoseStamped``.
 
-    Returns
-    -------
-    ndarray, shape (3,)
-        Position, m.
-    ndarray, shape (4,)
-        Unit quaternion x, y, z, w.
-
-    Raises
-    ------
-    MessageError
-        If it is not finite, or its quaternion is far from a unit one.
+    A ``MessageError`` if it is not finite, or its quaternion is far from a unit one.
     """
     at, turn = message.pose.position, message.pose.orientation
     position = np.array([at.x, at.y, at.z])
@@ -138,11 +117,8 @@ def from_pose(message: PoseStamped, topic: str) -> tuple[np.ndarray, np.ndarray]
 
 def to_vector(stamp_s: float, frame: str, vector: np.ndarray) -> Vector3Stamped:
     """``Vector3Stamped`` of a vector, shape (3,)."""
-    message = Vector3Stamped()
-    message.header.stamp = to_stamp(stamp_s)
-    message.header.frame_id = frame
-    x, y, z = vector
-    message.vector.x, message.vector.y, message.vector.z = float(x), float(y), float(z)
+    message = _stamped(Vector3Stamped, stamp_s, frame)
+    _set(message.vector, "xyz", vector)
     return message
 
 
@@ -178,18 +154,7 @@ def to_jacobian(jacobian: np.ndarray) -> Float64MultiArray:
 
 
 def from_jacobian(message: Float64MultiArray, features: int, joints: int) -> np.ndarray:
-    """Jacobian of a ``Float64MultiArray``.
-
-    Returns
-    -------
-    ndarray, shape (features, joints)
-        m/rad, joints in kinematic order.
-
-    Raises
-    ------
-    MessageError
-        If it has another shape or is not finite.
-    """
+    """Jacobian of a message, m/rad, shape (features, joints); a ``MessageError`` if it is none."""
     return _from_matrix(message, "jacobian", features, joints)
 
 
@@ -206,13 +171,7 @@ def to_chain(chain: SerialChain) -> Float64MultiArray:
 
 
 def from_chain(message: Float64MultiArray, joints: int) -> SerialChain:
-    """Chain of a ``Float64MultiArray`` as :func:`to_chain` makes it.
-
-    Raises
-    ------
-    MessageError
-        If it has another shape, is not finite, or no chain.
-    """
+    """Chain of a message as :func:`to_chain` makes it; a ``MessageError`` if it is none."""
     rows = _from_matrix(message, "kinematic_chain", joints + 1, _CHAIN_COLUMNS)
     try:
         return SerialChain(rows[:-1, :3], rows[:-1, 3:6], rows[-1, :3], rows[:-1, 6])
@@ -223,11 +182,8 @@ def from_chain(message: Float64MultiArray, joints: int) -> SerialChain:
 def to_command(velocity_rad_s: np.ndarray) -> Float64MultiArray:
     """``Float64MultiArray`` of joint velocities, rad/s, shape (n,), kinematic order.
 
-    Raises
-    ------
-    MessageError
-        If they are not finite numbers: a velocity controller would go on with its last command, or
-        be deactivated.
+    A ``MessageError`` if they are not finite: a velocity controller would go on with its last
+    command, or be deactivated.
     """
     velocity = np.asarray(velocity_rad_s, dtype=float)
     if velocity.ndim != 1 or not np.all(np.isfinite(velocity)):
@@ -260,9 +216,7 @@ def to_joint_state(
 
 def to_image(stamp_s: float, frame: str, pixels: np.ndarray, encoding: str) -> Image:
     """``Image`` of a contiguous array, shape (height, width[, channels])."""
-    message = Image()
-    message.header.stamp = to_stamp(stamp_s)
-    message.header.frame_id = frame
+    message = _stamped(Image, stamp_s, frame)
     message.height, message.width = int(pixels.shape[0]), int(pixels.shape[1])
     message.encoding = encoding
     message.is_bigendian = sys.byteorder == "big"
@@ -274,29 +228,18 @@ def to_image(stamp_s: float, frame: str, pixels: np.ndarray, encoding: str) -> I
 
 def to_camera_info(stamp_s: float, frame: str, intrinsics: Intrinsics) -> CameraInfo:
     """``CameraInfo`` of a pinhole camera without distortion."""
-    fx, fy, cx, cy = (
-        float(value) for value in (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy)
-    )
-    message = CameraInfo()
-    message.header.stamp = to_stamp(stamp_s)
-    message.header.frame_id = frame
-    message.width, message.height = int(intrinsics.width), int(intrinsics.height)
-    message.distortion_model = "plumb_bob"
-    message.d = [0.0] * 5
-    message.k = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
-    message.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-    message.p = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+    one = intrinsics
+    matrix = np.array([[one.fx, 0.0, one.cx], [0.0, one.fy, one.cy], [0.0, 0.0, 1.0]])
+    message = _stamped(CameraInfo, stamp_s, frame)
+    message.width, message.height = int(one.width), int(one.height)
+    message.distortion_model, message.d = "plumb_bob", [0.0] * 5
+    message.k, message.r = matrix.reshape(-1), np.eye(3).reshape(-1)
+    message.p = np.hstack([matrix, np.zeros((3, 1))]).reshape(-1)
     return message
 
 
 def from_camera_info(message: CameraInfo) -> CameraModel:
-    """Calibration of a camera.
-
-    Raises
-    ------
-    MessageError
-        If it cannot be used.
-    """
+    """Calibration of a camera; a ``MessageError`` if it cannot be used."""
     roi = message.roi
     try:
         return camera_model(

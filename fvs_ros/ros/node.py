@@ -36,8 +36,6 @@ from fvs_ros.topics import Topic
 _DIAGNOSTICS_PERIOD_S = 1.0
 #: The same complaint is logged once in this time.
 _REPEAT_S = 5.0
-#: End of an open range of whole numbers.
-_LARGEST = 2**62
 _BUILT_IN_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
@@ -47,21 +45,16 @@ def _descriptor(one: Parameter) -> ParameterDescriptor:
         additional_constraints=one.expected(),
         read_only=not one.live,
     )
-    low, high = one.minimum, one.maximum
-    if one.kind is float and (low, high) != (None, None):
-        descriptor.floating_point_range = [
-            FloatingPointRange(
-                from_value=-math.inf if low is None else float(low),
-                to_value=math.inf if high is None else float(high),
-            )
-        ]
-    elif one.kind is int and (low, high) != (None, None):
-        descriptor.integer_range = [
-            IntegerRange(
-                from_value=-_LARGEST if low is None else int(low),
-                to_value=_LARGEST if high is None else int(high),
-            )
-        ]
+    if (one.minimum, one.maximum) == (None, None):
+        return descriptor
+    # The end of an open range.
+    largest = math.inf if one.kind is float else 2**62
+    low = one.kind(-largest if one.minimum is None else one.minimum)
+    high = one.kind(largest if one.maximum is None else one.maximum)
+    if one.kind is float:
+        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    else:
+        descriptor.integer_range = [IntegerRange(from_value=low, to_value=high)]
     return descriptor
 
 
@@ -74,18 +67,16 @@ def message_class(name: str) -> type:
 class FvsNode(Node):
     """A node with declared parameters, watched inputs and diagnostics.
 
-    Parameters
-    ----------
-    name : str
-        Node name.
-    parameters : iterable of Parameter
-        Its parameters; overrides that are unknown or wrong are refused.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter given at start is unknown or has a wrong value.
+    A parameter given at start that is unknown or has a wrong value is a ``ParameterError``.
     """
+
+    #: Set to end the process with this exit code.
+    exit_code: int | None = None
+
+    #: Whether subscriptions, timers and the like, once created, stay to the end. Such a node does
+    #: without wait sets, which take half of its time; the executor that does crashes where a
+    #: subscription is destroyed (ros2/rclpy#1644), and knows no callback groups.
+    keeps_subscriptions = False
 
     def __init__(self, name: str, parameters: Iterable[Parameter]) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
@@ -256,10 +247,9 @@ class FvsNode(Node):
     def other_publishers(self, topic: str) -> list[str]:
         """Full names of other nodes that publish on a topic, sorted.
 
-        A second node of this one's name is called ``another`` and the name; of a node that is
-        not fully known yet, words stand in place of the name, without a slash. For a topic that
-        this node has one publisher of. A node that was killed stays in the graph for some twenty
-        seconds.
+        For a topic that this node has one publisher of. A second node of its name is ``another``
+        and the name; a node that is not fully known yet is words without a slash. A node that was
+        killed stays in the graph for some twenty seconds.
         """
         own = self.get_fully_qualified_name()
         found = [
@@ -298,13 +288,13 @@ class FvsNode(Node):
         return {}
 
     def _publish_diagnostics(self) -> None:
-        now_s = self.now_s()
-        values: dict[str, Any] = {}
-        for topic, monitor in self._monitors.items():
-            for key, value in monitor.report(now_s).items():
-                values[f"{topic} {key}"] = value
+        now_s, (level, text) = self.now_s(), self._health
+        values = {
+            f"{topic} {key}": value
+            for topic, monitor in self._monitors.items()
+            for key, value in monitor.report(now_s).items()
+        }
         values.update(self.diagnostic_values())
-        level, text = self._health
         message = DiagnosticArray(
             status=[to_status(level, self.get_fully_qualified_name(), text, values)]
         )
@@ -312,14 +302,6 @@ class FvsNode(Node):
         self._diagnostics.publish(message)
 
     # --- life cycle ---
-
-    #: Set to end the process with this exit code.
-    exit_code: int | None = None
-
-    #: Whether subscriptions, timers and the like, once created, stay to the end. Such a node does
-    #: without wait sets, which take half of its time; the executor that does crashes where a
-    #: subscription is destroyed (ros2/rclpy#1644), and knows no callback groups.
-    keeps_subscriptions = False
 
     def finish(self) -> None:
         """Send the last messages before the process ends, whatever ended it."""

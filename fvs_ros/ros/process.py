@@ -31,21 +31,9 @@ def run(make_node: Callable[[], FvsNode], doc: str, parameters: Iterable[Paramet
     """Run one node in this process until a signal, its own wish, or an error.
 
     Signals end the spin loop, not the ROS context, so that ``finish`` can still send. A blocked
-    terminal does not hold the node: what it cannot take is dropped.
-
-    Parameters
-    ----------
-    make_node : callable
-        Builds the node after ``rclpy.init``.
-    doc : str
-        Docstring of its module, for ``--help``: name, and what it is for.
-    parameters : iterable of Parameter
-        Its parameters, for ``--help``.
-
-    Returns
-    -------
-    int
-        0 after a signal or a finished task, 1 after an error, 2 after a wrong parameter or file.
+    terminal does not hold the node: what it cannot take is dropped. ``doc``, the docstring of its
+    module, and its parameters are for ``--help``. Returns 0 after a signal or a finished task, 1
+    after an error, 2 after a wrong parameter or file.
     """
     stop.listen()
     # A first announcement that is lost costs a moment, not three seconds; read by Fast DDS alone.

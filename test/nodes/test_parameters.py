@@ -209,12 +209,6 @@ def test_a_wrong_value_is_refused_with_a_sentence_and_the_old_one_stays(services
     assert [n for n in cases if not same(found[n], before[n])] == []
 
 
-def test_a_whole_number_is_taken_where_a_number_is_wanted(services):
-    service = services["fvs_controller_node"]
-    assert service.set({"max_joint_velocity_rad_s": 1})["max_joint_velocity_rad_s"].successful
-    assert service.get(["max_joint_velocity_rad_s"])["max_joint_velocity_rad_s"] == 1.0
-
-
 @nodes
 @pytest.mark.parametrize(
     "called", [UNKNOWN, "use_sim_time", "qos_overrides.x", "declared", "", "\x1b"]
@@ -242,11 +236,3 @@ def test_a_request_that_is_too_large_is_refused_in_few_words(services, name):
             assert len(result.reason) < 200
         assert_refused(service.ask("set_parameters_atomically", *many).result, "too large")
     assert service.get(service.declared)
-
-
-@nodes
-def test_an_unknown_parameter_is_refused(services, name):
-    service = services[name]
-    result = service.set({UNKNOWN: 1.0})[UNKNOWN]
-    assert_refused(result, UNKNOWN, *service.declared)
-    assert UNKNOWN not in service.names()

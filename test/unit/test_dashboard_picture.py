@@ -46,12 +46,6 @@ def test_a_target_behind_the_camera_or_far_outside_is_not_drawn(picture, where_m
     assert not picture.newest(0.1, np.array(where_m)).any()
 
 
-def test_a_small_image_without_intrinsics_is_shown_as_it_is():
-    picture = Picture(ball_radius_m=0.03)
-    picture.add_image(0.0, 10.0, np.full((90, 120, 3), 77, np.uint8))
-    np.testing.assert_array_equal(picture.newest(0.1, np.ones(3)), np.full((90, 120, 3), 77))
-
-
 def test_an_empty_picture_says_what_it_waits_for_and_an_old_one_its_age(picture):
     picture.waits_for = "no picture: no node publishes camera/color/image_raw"
     assert (picture.newest(0.0, None) > 200).any()

@@ -190,17 +190,12 @@ def test_a_stop_comes_first_and_nothing_wanted_before_it_moves_the_arm(said, don
     [
         ("127.0.0.1", "localhost:8080", None, ""),
         ("127.0.0.1", "127.0.0.1:9090", "http://127.0.0.1:9090", ""),  # through a tunnel
-        ("127.0.0.1", "[::1]:8080", "http://[::1]:8080", ""),
         ("127.0.0.1", "localhost:8080", "http://localhost:3000", "may not command this arm"),
         ("127.0.0.1", "localhost:8080", "null", "may not command this arm"),
         ("127.0.0.1", "evil.example:8080", "http://evil.example:8080", "not served as evil.ex"),
-        ("127.0.0.1", "", None, "not served as"),
         ("0.0.0.0", "192.168.1.7:8080", "http://192.168.1.7:8080", ""),
         ("0.0.0.0", "[fe80::7]:8080", "http://[fe80::7]:8080", ""),
         ("0.0.0.0", "{own}.local:8080", "http://{own}.local:8080", ""),
-        # a name that was made to point here
-        ("0.0.0.0", "evil.example:8080", "http://evil.example:8080", "not served as evil.ex"),
-        ("0.0.0.0", "", None, "not served as"),
     ],
 )
 def test_only_the_page_itself_may_command_and_under_its_own_name(served_at, host, origin, words):

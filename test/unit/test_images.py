@@ -40,7 +40,6 @@ def depth_file(values, a=0.0, b=0.0):
     return struct.pack("<iff", 0, a, b) + file_of(values)
 
 
-# -------------------------------------------------------------------------------------- raw
 @pytest.mark.parametrize(
     ("encoding", "pixels"),
     [
@@ -106,7 +105,6 @@ def test_sizes_that_do_not_agree_are_refused(width, height, step, said):
         from_color(image(RGB.tobytes(), width, height, step, "rgb8"))
 
 
-# ------------------------------------------------------------------------------- compressed
 PICTURE = np.full((24, 32, 3), (200, 60, 10), np.uint8)
 PICTURE[:, 16:] = (20, 60, 210)
 #: Columns that a jpeg's coarse colours do not blur.
@@ -184,7 +182,6 @@ def test_bad_compressed_depth_is_a_sentence(data, image_format, said):
         from_depth(compressed(data, image_format))
 
 
-# --------------------------------------------------------------------------------- anything
 def decoded(message):
     """What both decoders make of a message, where they do not refuse it."""
     for decode in (from_color, from_depth):

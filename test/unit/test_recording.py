@@ -20,7 +20,6 @@ from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_sim_node.kinematics import flange_pose
 from fvs_sim_node.ur5_urdf import urdf_text
 from fvs_tools.bag import NOTES, Bag, Message, SimulatedTime, Transforms
-from fvs_tools.observing import is_recorded
 
 #: Bool(data=True) as it is on the wire, little endian.
 TRUE = bytes([0, 1, 0, 0, 1])
@@ -41,19 +40,6 @@ def profile(reliability="RELIABLE", durability="TRANSIENT_LOCAL"):
         liveliness_lease_duration=forever,
         avoid_ros_namespace_conventions=False,
     )
-
-
-@pytest.mark.parametrize(
-    ("topic", "message_type", "images", "recorded"),
-    [
-        ("/joint_states", "sensor_msgs/msg/JointState", False, True),
-        ("/camera/color/image_raw", "sensor_msgs/msg/Image", True, True),
-        ("/camera/color/image_raw", "sensor_msgs/msg/Image", False, False),
-        ("/arm/_action/status", "action_msgs/msg/GoalStatusArray", True, False),
-    ],
-)
-def test_which_topics_are_recorded(topic, message_type, images, recorded):
-    assert is_recorded(topic, message_type, images) is recorded
 
 
 # --- the launcher ---
@@ -132,28 +118,10 @@ def test_without_a_clock_the_systems_time_is_kept_and_memory_is_bounded():
 # --- the bag ---
 
 
-def bag(tmp_path, notes=None):
-    return Bag(tmp_path / "bag", notes or {})
-
-
-def test_another_reader_reads_the_bag(tmp_path):
-    mcap = pytest.importorskip("mcap_ros2.reader")
-    one = bag(tmp_path)
-    for number in range(50):
-        one.write(Message("/running", BOOL, 10**9 * number, TRUE), [profile()])
-    one.write(Message("/other", BOOL, 10**9, TRUE))
-    one.close()
-    messages = list(mcap.read_ros2_messages(str(tmp_path / "bag" / "bag.mcap")))
-    assert sum(m.channel.topic == "/running" for m in messages) == 50
-    assert len(messages) == 51
-    assert all(m.ros_msg.data is True for m in messages)
-    assert [m.log_time_ns for m in messages] == sorted(m.log_time_ns for m in messages)
-
-
 def test_what_was_written_is_in_the_file_before_it_is_finished(tmp_path):
     mcap = pytest.importorskip("mcap.stream_reader")
     ended = pytest.importorskip("mcap.exceptions").EndOfFile
-    one = bag(tmp_path, {"fvs_ros_version": "1.2.3"})
+    one = Bag(tmp_path / "bag", {"fvs_ros_version": "1.2.3"})
     for number in range(100):
         one.write(Message("/running", BOOL, 10**8 * number, TRUE))
     found = []
@@ -168,7 +136,7 @@ def test_what_was_written_is_in_the_file_before_it_is_finished(tmp_path):
 
 
 def test_the_metadata_tells_counts_qualities_and_notes(tmp_path):
-    one = bag(tmp_path, {"scenario": "a:\n  b: 1\n"})
+    one = Bag(tmp_path / "bag", {"scenario": "a:\n  b: 1\n"})
     both = [profile(), profile("BEST_EFFORT", "VOLATILE"), profile()]
     one.write(Message("/running", BOOL, 5, TRUE), both)
     one.close()
@@ -248,9 +216,8 @@ def test_the_last_static_transforms_hold_all_of_them(viewing):
 
 
 @pytest.mark.parametrize("prefix", ["", "left_"])
-@pytest.mark.parametrize("seed", range(3))
-def test_the_flange_is_where_the_closed_form_says(viewing, prefix, seed):
-    joints_rad = np.random.default_rng(seed).uniform(-3.0, 3.0, 6)
+def test_the_flange_is_where_the_closed_form_says(viewing, prefix):
+    joints_rad = np.random.default_rng(1).uniform(-3.0, 3.0, 6)
     found = transforms(viewing.of(description(urdf_text(prefix))))
     names = [prefix + name for name in UR_JOINT_NAMES]
     found |= transforms(viewing.of(joint_state(10**9, joints_rad, names)))
@@ -281,24 +248,20 @@ def test_a_robot_whose_links_another_node_publishes_is_left_out(viewing):
     assert list(transforms(viewing.of(camera_pose(), robot=False))) == ["eye"]
 
 
-def urdf(kind, more=""):
-    return (
-        f'<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="{kind}">'
-        f'<origin xyz="1 2 3" rpy="0 0 1.5707963267948966"/><parent link="a"/><child link="b"/>'
-        f'{more}</joint><ros2_control><joint name="j"><state_interface name="position"/></joint>'
-        "</ros2_control></robot>"
-    )
+URDF = (
+    '<robot name="r"><joint name="j" type="fixed"><origin xyz="1 2 3"/><parent link="a"/>'
+    '<child link="b"/></joint></robot>'
+)
 
 
 @pytest.mark.parametrize(
     "text",
     [
-        "",
         "no xml",
-        urdf("fixed").replace("1 2 3", "1 2"),
-        urdf("fixed").replace("1 2 3", "1 2 nan"),
-        urdf("fixed").replace("1 2 3", "1 2 x"),
-        urdf("fixed").replace('<child link="b"/>', ""),
+        URDF.replace("1 2 3", "1 2"),
+        URDF.replace("1 2 3", "1 2 nan"),
+        URDF.replace("1 2 3", "1 2 x"),
+        URDF.replace('<child link="b"/>', ""),
     ],
 )
 def test_what_is_no_robot_is_refused_in_words(viewing, text):

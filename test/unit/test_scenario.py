@@ -41,12 +41,9 @@ def test_overrides_go_to_the_nodes_that_have_the_parameter():
     ("override", "words"),
     [
         ("law=mpc", "not of the form name:=value"),
-        ("lwa:=mpc", "unknown parameter .*'lwa'; did you mean law[?] known are .*law, "),
         ("law:=ftsn", "fvs_controller_node .*law must be one of .*; did you mean ftsm[?]"),
         ("fvs_sim_node:law:=ftsm", "unknown parameter 'law'"),
-        ("fvs_smi_node:seed:=1", "unknown node .*; did you mean fvs_sim_node[?]"),
         ("fvs_recorder_node:images:=false", "unknown node of demo.yaml 'fvs_recorder_node'"),
-        ("latency_s:=-1.0", "latency_s must be number from 0 to 1"),
     ],
 )
 def test_a_wrong_override_is_refused_in_words(override, words):
@@ -62,8 +59,6 @@ def test_a_wrong_override_is_refused_in_words(override, words):
         ("fvs_sim_node: {ros__parameters: {}, more: 1}\n", "and nothing else"),
         ("some_node: {ros__parameters: {}}\n", "unknown node .* known are fvs_sim_node"),
         ("{}\n", "names no node"),
-        ("fvs_sim_node: {ros__parameters: {sead: 3}}\n", "'sead'; did you mean seed[?]"),
-        ("a: [\n", "cannot read scenario"),
         ("a: \0", "it is binary, expected text"),
     ],
 )
