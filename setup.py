@@ -42,7 +42,7 @@ setup(
     maintainer_email="maintainers@example.org",
     python_requires=">=3.10",
     packages=find_packages(include=["fvs_*"]),
-    package_data={"fvs_lab": ["*.jinja"]},
+    package_data={"fvs_lab": ["*.jinja"], "fvs_dashboard": ["*.css"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable
 from html import escape
 from math import isfinite, isnan
+from pathlib import Path
 from typing import NamedTuple
 
 from fvs_dashboard.board import CONTROLLER, ESTIMATOR, Board, Controller
@@ -58,41 +59,7 @@ _BUTTONS = {
 #: Two elements after ``ROW`` stand side by side; after ``TOP_ROW``, on top of what is scrolled.
 ROW, TOP_ROW = '<i class="fvs-row"></i>', '<i class="fvs-row fvs-top"></i>'
 #: Text is clipped, so that no button moves, whatever is said; pointing at it shows all of it.
-STYLE = f"""<style>
-div:has(> .fvs-row) + div, div:has(> .fvs-row) + div + div {{
-  display: inline-block; box-sizing: border-box; vertical-align: top; width: calc(50% - 14px);
-  padding-inline: 0 !important; margin-inline: 10px 4px !important }}
-div:has(> .fvs-row) + div + div {{ margin-inline: 4px 10px !important }}
-div:has(> .fvs-row) + div button, div:has(> .fvs-row) + div + div button {{ padding-inline: 4px }}
-div:has(> .fvs-top) + div, div:has(> .fvs-top) + div + div {{
-  position: sticky; top: 10px; z-index: 9; background: var(--mantine-color-body);
-  box-shadow: 0 -4px 0 4px var(--mantine-color-body), 0 -8px 0 4px var(--mantine-color-body) }}
-div:has(> .fvs-top) + div button, div:has(> .fvs-top) + div + div button {{
-  height: 38px; font-size: 16px; font-weight: 650 }}
-div:has(> div > div > div > .fvs-top) {{ overflow: visible !important }}
-.fvs-clip {{ overflow: hidden; display: -webkit-box; -webkit-box-orient: vertical;
-  line-height: 1.3 }}
-.fvs-small {{ margin: 0 0.75em; font-size: 0.8em; line-height: 1.3 }}
-.fvs-number {{ font-variant-numeric: tabular-nums }}
-.fvs-faint {{ opacity: 0.65 }}
-#fvs-banner, #fvs-lost {{ box-sizing: border-box; height: 9.3em; padding: 0.4em 0.8em;
-  border-radius: 6px; overflow: hidden }}
-#fvs-banner {{ margin: 0 0.75em 0.4em; color: #fff }}
-.fvs-head {{ display: flex; justify-content: space-between; align-items: baseline; gap: 0.5em;
-  font-weight: 650; font-size: 1.35em; white-space: nowrap }}
-.fvs-head > :first-child {{ flex: 1 1 0; width: 0; overflow: hidden; text-overflow: ellipsis }}
-#fvs-inputs {{ display: grid; grid-template-columns: 1fr 1fr; gap: 0.4em 0.75em;
-  margin-bottom: 0.4em }}
-#fvs-inputs > * {{ display: flex; gap: 0.5em; align-items: center; min-width: 0 }}
-#fvs-inputs .fvs-wide {{ grid-column: 1 / -1; align-items: start }}
-.fvs-lamp {{ flex-shrink: 0; width: 1.35em; height: 1.35em; line-height: 1.35em;
-  text-align: center; border-radius: 50%; color: #101214; font-weight: 700 }}
-#fvs-lost {{ position: absolute; left: 0.75em; right: 0.75em; opacity: 0; line-height: 1.3;
-  background: {VERMILLION}; color: #101214; font-weight: 650;
-  animation: 0.1s linear {LOST_S:g}s forwards }}
-@keyframes fvs-lost-0 {{ from {{ opacity: 0 }} to {{ opacity: 1 }} }}
-@keyframes fvs-lost-1 {{ from {{ opacity: 0 }} to {{ opacity: 1 }} }}
-</style>"""
+STYLE = f"<style>{Path(__file__).with_name('style.css').read_text(encoding='utf-8')}</style>"
 
 
 def in_words(sentence: str) -> str:
@@ -232,7 +199,7 @@ def alive_html(beat: int) -> str:
     """
     return (
         '<div style="position:relative;height:0;z-index:8;pointer-events:none">'
-        f'<div id="fvs-lost" style="animation-name:fvs-lost-{beat % 2}">'
+        f'<div id="fvs-lost" style="animation-name:fvs-lost-{beat % 2};animation-delay:{LOST_S}s">'
         f"No word from this page's program for {LOST_S:g} s: what stands here is old, and Stop "
         "does nothing. Use the robot's own stop. Where the program runs again, reload the page."
         "</div></div>"

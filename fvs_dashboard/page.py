@@ -123,8 +123,8 @@ class Page:
     def update(self, board: Board, camera: picture.Picture, now_s: float) -> None:
         """Show a moment, steady clock, s, in every browser."""
         with self._server.atomic():
-            image = camera.newest(now_s, board.controller(now_s).target_m)
-            self._panel.update(board, now_s, image)
+            image = camera.newest(board.controller(now_s).target_m)
+            self._panel.update(board, now_s, image, camera.words(now_s))
             self.scene.update(board, now_s)
             self.scene.show_picture(camera.field_of_view, image)
             if self._shown % _SELDOM == 0:
@@ -233,6 +233,7 @@ class Panel:
         bump = self._button("Bump the camera", BUMP, color="gray", hint=hint)
         self._picture = gui.add_image(picture.BLANK, format="jpeg", jpeg_quality=75)
         gui.add_html(markup.legend_html(_SIGNS))
+        self._words = gui.add_html("")
         simulator = gui.add_folder("Simulator: disturb it", expand_by_default=False)
         with simulator:
             hint = "Times the depth camera's own noise."
@@ -287,8 +288,8 @@ class Panel:
                 self._hold(name, _SET_S)
                 self._act(Action(name, handle.value))
 
-    def update(self, board: Board, now_s: float, new_picture: np.ndarray | None) -> None:
-        """Show a moment."""
+    def update(self, board: Board, now_s: float, image: np.ndarray | None, words: str) -> None:
+        """Show a moment, with a new picture if there is one, and words about the picture."""
         if now_s - self._beat_s > _BEAT_S:
             self._beat_s, self._beats = now_s, self._beats + 1
             self._alive.content = markup.alive_html(self._beats)
@@ -300,8 +301,9 @@ class Panel:
         self._answer.content = markup.line_html("answer", board.newest("answer", now_s) or "")
         refusal = controller.values.get("refused_target", "")
         self._refusal.content = markup.line_html("refusal", refusal)
-        if new_picture is not None:
-            self._picture.image = new_picture
+        if image is not None:
+            self._picture.image = image
+        self._words.content = markup.line_html("picture", words)
         if controller.target_m is not None and self._free("target"):
             self._target.value = tuple(np.round(controller.target_m, 3).tolist())
         self._scheme.label = f"Scheme: {markup.scheme_of(board)}"

@@ -1,8 +1,7 @@
-"""The camera's picture, small, with ball, target and words drawn in."""
+"""The camera's picture, small, with ball and target drawn in."""
 
 from __future__ import annotations
 
-import textwrap
 from collections import deque
 from math import atan, inf
 
@@ -22,7 +21,6 @@ _CROSS_PX = 14
 _MEMORY, _SAME_IMAGE_S = 600, 0.02
 #: A picture that was exposed longer ago than this says how old it is, s.
 _OLD_S = 2.0
-_LETTERS, _LINE_PX = 36, 22
 
 
 class Picture:
@@ -36,8 +34,7 @@ class Picture:
         self._ball_radius_m = ball_radius_m
         self._seen: deque[tuple[float, np.ndarray]] = deque(maxlen=_MEMORY)
         self._new: tuple[float, float, np.ndarray] | None = None
-        self._exposed_s, self._drawn = inf, BLANK
-        self._words: str | None = None
+        self._exposed_s = inf
 
     def add_ball(self, stamp_s: float, position_m: np.ndarray) -> None:
         """Add a ball position, camera frame, m, shape (3,), and its exposure's stamp."""
@@ -55,26 +52,26 @@ class Picture:
             return 0.743, 4.0 / 3.0  # a RealSense's, until the camera's own is known
         return 2.0 * atan(0.5 * camera.height / camera.fy), camera.width / camera.height
 
-    def newest(self, now_s: float, target_m: np.ndarray | None) -> np.ndarray | None:
+    def words(self, now_s: float) -> str:
+        """How old the picture is, or what it waits for; empty where it is new."""
+        if self._exposed_s == inf:
+            return self.waits_for
+        age_s = now_s - self._exposed_s
+        return f"the picture is {age_s:.0f} s old" if age_s > _OLD_S else ""
+
+    def newest(self, target_m: np.ndarray | None) -> np.ndarray | None:
         """The picture, uint8, shape (height, width, 3), if it changed since the last call.
 
         The ball is circled where the image itself shows it, at the target, camera frame, m, stands
-        a cross; words say how old the picture is, or what it waits for.
+        a cross.
         """
         new, self._new = self._new, None
-        if new is not None:
-            self._exposed_s, stamp_s, image = new
-            ball_m = min(self._seen, key=lambda one: abs(one[0] - stamp_s), default=(inf, None))
-            found = abs(ball_m[0] - stamp_s) <= _SAME_IMAGE_S
-            self._drawn = self._draw(image, ball_m[1] if found else None, target_m)
-        age_s = now_s - self._exposed_s
-        words = f"{age_s:.0f} s old" if age_s > _OLD_S else ""
-        if self._exposed_s == inf:
-            words = self.waits_for
-        if new is None and words == self._words:
+        if new is None:
             return None
-        self._words = words
-        return with_words(self._drawn, words) if words else self._drawn
+        self._exposed_s, stamp_s, image = new
+        ball_m = min(self._seen, key=lambda one: abs(one[0] - stamp_s), default=(inf, None))
+        found = abs(ball_m[0] - stamp_s) <= _SAME_IMAGE_S
+        return self._draw(image, ball_m[1] if found else None, target_m)
 
     def _draw(
         self, image: np.ndarray, ball_m: np.ndarray | None, target_m: np.ndarray | None
@@ -101,18 +98,3 @@ class Picture:
             return None
         u, v = np.round(camera.project(point_m)).astype(int).tolist()
         return (u, v) if max(abs(u), abs(v)) < 2 * camera.width else None
-
-
-def with_words(image_rgb: np.ndarray, words: str) -> np.ndarray:
-    """A darkened copy of a picture with words in its middle, uint8."""
-    dark = (0.35 * image_rgb).astype(np.uint8)
-    scale = image_rgb.shape[1] / _WIDTH_PX
-    font, white = cv2.FONT_HERSHEY_SIMPLEX, (255, 255, 255)
-    lines = textwrap.wrap(words, _LETTERS)
-    row = 0.5 * image_rgb.shape[0] - 0.5 * scale * _LINE_PX * (len(lines) - 1)
-    for line in lines:
-        (width, height), _ = cv2.getTextSize(line, font, 0.45 * scale, 1)
-        at = ((image_rgb.shape[1] - width) // 2, round(row + 0.5 * height))
-        cv2.putText(dark, line, at, font, 0.45 * scale, white, 1, cv2.LINE_AA)
-        row += scale * _LINE_PX
-    return dark

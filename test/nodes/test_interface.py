@@ -80,12 +80,10 @@ def expected_ends(node, publishing, later=False):
 
 def actual_ends(harness, node, publishing):
     """The same, as the ROS graph has it, without what rclpy gives every node."""
-    graph, where = harness.node, f"/{node.namespace}"
+    graph = harness.node
     if publishing:
-        names = graph.get_publisher_names_and_types_by_node(node.name, where)
         by_topic, ignored = graph.get_publishers_info_by_topic, topics.EVERY_NODE_PUBLISHES
     else:
-        names = graph.get_subscriber_names_and_types_by_node(node.name, where)
         by_topic, ignored = graph.get_subscriptions_info_by_topic, topics.EVERY_NODE_SUBSCRIBES
     return sorted(
         (
@@ -94,23 +92,17 @@ def actual_ends(harness, node, publishing):
             ReliabilityPolicy(info.qos_profile.reliability),
             DurabilityPolicy(info.qos_profile.durability),
         )
-        for name, _types in names
+        for name, _types in of_node(harness, node, "publisher" if publishing else "subscriber")
         if name not in ignored
         for info in by_topic(name)
-        if (info.node_name, info.node_namespace) == (node.name, where)
+        if (info.node_name, info.node_namespace) == (node.name, f"/{node.namespace}")
     )
 
 
-def services(harness, node, clients=False):
-    graph = harness.node
-    by_node = (
-        graph.get_client_names_and_types_by_node
-        if clients
-        else graph.get_service_names_and_types_by_node
-    )
-    return {
-        (name, kind) for name, kinds in by_node(node.name, f"/{node.namespace}") for kind in kinds
-    }
+def of_node(harness, node, kind):
+    """Names and types of a node's publishers, subscribers, services or clients."""
+    found = getattr(harness.node, f"get_{kind}_names_and_types_by_node")
+    return {(name, one) for name, types in found(node.name, f"/{node.namespace}") for one in types}
 
 
 def test_every_node_that_can_be_started_is_declared():
@@ -139,11 +131,11 @@ def test_a_node_serves_and_calls_exactly_the_declared(running, index):
     expected = {(node.resolve(one), kind) for one, (kind, _) in NODES[node.name].serves.items()}
 
     def found():
-        return {service for service in services(harness, node) if service[0] not in standard}
+        return {one for one in of_node(harness, node, "service") if one[0] not in standard}
 
     harness.spin_until(lambda: expected <= found(), what=f"the services of {node.full_name}")
     assert found() == expected
-    calls = {name for name, _ in services(harness, node, clients=True)}
+    calls = {name for name, _ in of_node(harness, node, "client")}
     assert calls == {node.resolve(name) for name in NODES[node.name].calls}
 
 
@@ -151,7 +143,6 @@ def test_a_node_serves_and_calls_exactly_the_declared(running, index):
 def test_the_access_rules_allow_all_that_a_node_has(running, index):
     harness, nodes = running
     node = nodes[index]
-    graph, where = harness.node, f"/{node.namespace}"
     root = ET.fromstring(policy(node.namespace).split("?>", 1)[1])
     profile = root.find(f"enclaves/enclave[@path='{node.full_name}']/profiles/profile")
 
@@ -159,11 +150,13 @@ def test_the_access_rules_allow_all_that_a_node_has(running, index):
         rules = profile.findall(f"{kind}s[@{verb}='ALLOW']/{kind}")
         return {node.resolve(rule.text) for rule in rules}
 
-    published = {n for n, _ in graph.get_publisher_names_and_types_by_node(node.name, where)}
-    heard = {n for n, _ in graph.get_subscriber_names_and_types_by_node(node.name, where)}
+    published, heard, served = (
+        {name for name, _ in of_node(harness, node, kind)}
+        for kind in ("publisher", "subscriber", "service")
+    )
     assert published <= allowed("topic", "publish")
+    assert served == allowed("service", "reply")
     if NODES[node.name].hears_all:
         assert "/*" in allowed("topic", "subscribe")
     else:
         assert heard <= allowed("topic", "subscribe")
-    assert {name for name, _ in services(harness, node)} == allowed("service", "reply")

@@ -144,13 +144,9 @@ main()
 """
 
 
-def telling(tmp_path):
-    command = [sys.executable, "-c", OPEN + TELLS, str(tmp_path / "told")]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-
-
 def test_a_program_whose_reader_has_enough_ends_as_it_would(tmp_path):
-    process = telling(tmp_path)
+    command = [sys.executable, "-c", OPEN + TELLS, str(tmp_path / "told")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdout.readline() == b"line 0\n"
     process.stdout.close()
     assert process.stderr.read() == b"and to the error\n"
@@ -162,11 +158,9 @@ def test_a_program_whose_reader_has_enough_ends_as_it_would(tmp_path):
 def test_every_program_may_be_piped_into_one_that_leaves(program):
     source, sink = os.pipe()
     os.close(source)
-    command = [sys.executable, "-m", program, "--help"]
-    buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
     done = subprocess.run(
-        command,
-        env=buffered,
+        [sys.executable, "-m", program, "--help"],
+        env={name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"},
         stdout=sink,
         stderr=subprocess.PIPE,
         text=True,

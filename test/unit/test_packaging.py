@@ -90,6 +90,7 @@ def test_every_python_folder_is_installed(setup_arguments):
     folders = {path.parent for path in ROOT.glob("fvs_*/**/*.py")}
     packages = {".".join(folder.relative_to(ROOT).parts) for folder in folders}
     assert packages == set(setup_arguments["packages"])
+    assert setup_arguments["package_data"]["fvs_dashboard"] == ["*.css"]
 
 
 @pytest.mark.parametrize("pattern", ["config/**/*.yaml", "config/**/*.npz", "launch/**/*.py"])
