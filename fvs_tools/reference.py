@@ -12,17 +12,17 @@ import re
 import string
 import sys
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from fvs_controller_node.config import LAWS
-from fvs_controller_node.reasons import Reason, State, Stop
+from fvs_controller_node.reasons import Reason
 from fvs_estimator_node.registry import ESTIMATORS
-from fvs_ros import topics
+from fvs_ros import stop, topics
 from fvs_ros.params import Parameter
-from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
-from fvs_ros.topics import NODES, End, Node, Topic
+from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
+from fvs_ros.topics import NODES, End, Topic
 from fvs_tools.scenario import NODE_TABLE
 
 PAGE, POLICY = "docs/reference.md", "config/sros2/policy.xml"
@@ -54,118 +54,76 @@ _POLICY_HEAD = """\
 -->
 """
 
-_STATES = {
-    State.WAITING: "Something that a start needs is missing; zeros are sent.",
-    State.READY: "A start would be accepted; zeros are sent.",
-    State.SERVOING: "The law moves the arm.",
-    State.HOLDING: "Held still: goes on by itself, or needs a new start, as the reason says.",
-    State.FAULT: "Something was wrong that must never be; zeros at once.",
-}
-
-_STOPS = {Stop.NONE: "goes on", Stop.RAMP: "ramps to rest", Stop.AT_ONCE: "zeros at once"}
-
-_EXIT_CODES = {
-    EXIT_OK: "done, or stopped by a signal",
-    EXIT_FAILURE: "an error, or a task that was not reached; the last lines say which",
-    EXIT_BAD_INPUT: "a wrong parameter, argument or file; nothing was started",
-}
-
 
 def page() -> str:
     """The whole of ``docs/reference.md``."""
-    template = Path(__file__).with_name("reference.md.in").read_text(encoding="utf-8")
-    codes = [(str(code), text) for code, text in _EXIT_CODES.items()]
-    return string.Template(template).substitute(
-        nodes="\n".join(f"  - [{name}](#{name})" for name in NODE_TABLE),
-        topics=_topics_table(),
-        node_sections="\n".join(_node(name, NODES[name]) for name in NODE_TABLE),
-        states=_table(("state", "meaning"), [(_code(s.value), _STATES[s]) for s in State]),
-        reasons=_reasons_table(),
-        exit_codes=_table(("code", "when"), codes),
+    from jinja2 import Environment, StrictUndefined  # not needed for a policy
+
+    environment = Environment(
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined
+    )
+    functions = (sentence, readable, plain_type, default_text, sources, sinks, only)
+    named = {one.__name__: one for one in (*functions, parameter_groups)}
+    environment.filters.update(named)
+    environment.globals.update(named)
+    template = Path(__file__).with_name("reference.md.jinja").read_text(encoding="utf-8")
+    return environment.from_string(template).render(
+        NODE_TABLE=NODE_TABLE, Reason=Reason, stop=stop, topics=topics
     )
 
 
-# --- topics and services ---
+# --- topics ---
 
 
-def _topics_table() -> str:
-    rows = []
-    for topic in topics.TOPICS:
-        sources = [_link(node) for node in topic.publishers]
-        if len(sources) == len(NODES):
-            sources = ["every node"]
-        ends = [
-            " or ".join([*sources, *filter(None, [topic.also_from])]),
-            ", ".join([*map(_link, topic.subscribers), *filter(None, [topic.also_to])]),
-        ]
-        if ends[0]:
-            name = f"{_code(topic.name)}<br>{_type(topic.type)}"
-            rows.append((name, *ends, sentence(topic.description)))
-    return _table(("topic and type", "from", "to", "holds"), rows)
+def plain_type(name: str) -> str:
+    """``sensor_msgs/JointState``, as people write it."""
+    return name.replace("/msg/", "/").replace("/srv/", "/")
 
 
-def _node(name: str, node: Node) -> str:
-    parts = [f"## {name}\n", f"{node.does}\n"]
-    for verb, ends in (
-        ("Publishes", topics.publishers(name)),
-        ("Subscribes", topics.subscribers(name)),
-    ):
-        if verb == "Subscribes" and node.hears_all:
-            parts.append("**Subscribes** to every topic that it finds.\n")
-        else:
-            rows = [_end(name, topic, end) for topic, end in ends.items()]
-            head: tuple[str, ...] = ("topic", "type", "quality of service", "only")
-            parts += [f"**{verb}**\n", _table(head, rows)]
-    if node.serves:
-        served = [(_code(one), _type(kind), does) for one, (kind, does) in node.serves.items()]
-        parts += ["**Services**\n", _table(("service", "type", "does"), served)]
-    if node.calls:
-        parts.append(f"**Calls** {', '.join(map(_code, node.calls))}.\n")
-    for title, parameters in _parameter_groups(name):
-        head = ("parameter", "default", "must be", "live", "meaning")
-        parts += [f"**Parameters{title}**\n", _table(head, map(_parameter, parameters))]
-    return "\n".join(parts)
+def sources(topic: Topic) -> str:
+    """Who publishes a topic."""
+    if len(topic.publishers) == len(NODES):
+        return "every node"
+    return " or ".join([*map(_link, topic.publishers), *filter(None, [topic.also_from])])
 
 
-def _end(node: str, topic: Topic, end: End) -> tuple[str, ...]:
-    only = [end.later] if end.later else []
+def sinks(topic: Topic) -> str:
+    """Who subscribes to a topic."""
+    return ", ".join([*map(_link, topic.subscribers), *filter(None, [topic.also_to])])
+
+
+def _link(node: str) -> str:
+    short = node.removeprefix("fvs_").removesuffix("_node")
+    return f"[{short}](#{node})"
+
+
+def only(end: End) -> str:
+    """When a node has an end of a topic, if not always."""
+    when = [end.later] if end.later else []
     if end.given is not None:
         name, value = end.given
-        assert name in NODE_TABLE[node].parameters(), f"{node} has no parameter {name}"
-        only.append(f"with {_code(f'{name}: {_value(value)}')}")
-    # Two subscriptions hear both kinds of publisher.
-    qos = " or ".join(one.value for one in end.qos)
-    return _code(topic.name), _type(topic.type), qos, "; ".join(only)
+        when.append(f"with `{name}: {_value(value)}`")
+    return "; ".join(when)
 
 
 # --- parameters ---
 
 
-def _parameter_groups(node: str) -> list[tuple[str, list[Parameter]]]:
-    """Parameters of all, then those of one method or one law alone."""
+def parameter_groups(node: str) -> dict[str, list[Parameter]]:
+    """Parameters of all, then those of one method or one law alone, by the end of their title."""
     owners: dict[str, list[str]] = {}
     for law, kind in LAWS.items():
         for parameter in kind.PARAMETERS:
-            owners.setdefault(parameter.name, []).append(_code(law))
+            owners.setdefault(parameter.name, []).append(f"`{law}`")
     groups: dict[str, list[Parameter]] = {"": []}
     for parameter in NODE_TABLE[node].parameters():
         prefix, dot, _ = parameter.name.rpartition(".")
-        methods = [_code(name) for name, kind in ESTIMATORS.items() if kind.group == prefix]
+        methods = [f"`{name}`" for name, kind in ESTIMATORS.items() if kind.group == prefix]
         title = f" of method {', '.join(methods)}" if dot else ""
-        if node == "fvs_controller_node" and parameter.name in owners:
+        if node == topics.CONTROLLER and parameter.name in owners:
             title = f" of law {', '.join(owners[parameter.name])}"
         groups.setdefault(title, []).append(parameter)
-    return list(groups.items())
-
-
-def _parameter(parameter: Parameter) -> tuple[str, ...]:
-    return (
-        _code(parameter.name),
-        _default(parameter.default),
-        parameter.expected(),
-        "live" if parameter.live else "",
-        sentence(parameter.description),
-    )
+    return groups
 
 
 def sentence(text: str) -> str:
@@ -176,18 +134,19 @@ def sentence(text: str) -> str:
         text = f"`{first[:-1]}`{text[len(first) - 1 :]}"
     elif "_" not in first and (len(first) != 1 or first == "a"):  # names and symbols stay
         text = text[:1].upper() + text[1:]
-    text = _NAME.sub(r"`\1`", text)
+    text = _NAME.sub(r"`\1`", text).replace("|", r"\|")
     return text if text.endswith((".", "!", "?")) else f"{text}."
 
 
-def _default(value: Any) -> str:
-    if isinstance(value, list):
-        # Three numbers or one text a line: a long default would widen the whole column.
-        cells = [_value(one) for one in value]
-        step = 1 if isinstance(value[0], str) else 3
-        lines = [", ".join(cells[i : i + step]) for i in range(0, len(cells), step)]
-        return "<br>".join(map(_code, lines))
-    return _code(_value(value)) if value != "" else "empty"
+def default_text(value: Any) -> str:
+    """A default value as code."""
+    if not isinstance(value, list):
+        return f"`{_value(value)}`" if value != "" else "empty"
+    # Three numbers or one text a line: a long default would widen the whole column.
+    cells = [_value(one) for one in value]
+    step = 1 if isinstance(value[0], str) else 3
+    lines = [", ".join(cells[i : i + step]) for i in range(0, len(cells), step)]
+    return "<br>".join(f"`{line}`" for line in lines)
 
 
 def _value(value: Any) -> str:
@@ -199,23 +158,6 @@ def _value(value: Any) -> str:
     return str(value)
 
 
-# --- reasons ---
-
-
-def _reasons_table() -> str:
-    rows = [
-        (
-            _code(reason.name),
-            _code(reason.state.value),
-            _STOPS[reason.stop],
-            "yes" if reason.needs_start else "",
-            sentence(readable(reason.text)),
-        )
-        for reason in Reason
-    ]
-    return _table(("reason", "state", "the arm", "needs a new start", "says"), rows)
-
-
 def readable(template: str) -> str:
     """A format string with its fields as words in italics, without their units."""
     parts = []
@@ -223,28 +165,6 @@ def readable(template: str) -> str:
         words = _UNIT.sub("", field).replace("_", " ") if field else ""
         parts.append(literal + (f"*{words}*" if words else ""))
     return "".join(parts)
-
-
-# --- Markdown ---
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    cells = ([cell.replace("|", r"\|") for cell in row] for row in rows)
-    return "".join(f"| {' | '.join(line)} |\n" for line in (head, ["---"] * len(head), *cells))
-
-
-def _code(text: str) -> str:
-    return f"`{text}`"
-
-
-def _type(name: str) -> str:
-    """``sensor_msgs/JointState``, as people write it."""
-    return name.replace("/msg/", "/").replace("/srv/", "/")
-
-
-def _link(node: str) -> str:
-    short = node.removeprefix("fvs_").removesuffix("_node")
-    return f"[{short}](#{node})"
 
 
 # --- access rules ---

@@ -58,9 +58,6 @@ def test_without_meshes_bars_are_drawn_from_joint_to_joint(monkeypatch, tmp_path
     ends = np.array([np.zeros(3), *(origin[:3, 3] for origin in origins)])
     for end in ends:
         assert np.linalg.norm(drawn - end, axis=1).min() < 0.05
-    along = ends[:-1, None] + np.linspace(0.0, 1.0, 50)[:, None] * np.diff(ends, axis=0)[:, None]
-    away = np.linalg.norm(drawn[:, None] - along.reshape(-1, 3), axis=2).min(axis=1)
-    assert away.max() < 0.06
     for words in (MESH, "install ros-jazzy-ur-description", "AMENT_PREFIX_PATH"):
         assert words in arm.missing
 
