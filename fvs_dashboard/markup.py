@@ -13,7 +13,7 @@ from fvs_dashboard.board import CONTROLLER, ESTIMATOR, Board, Controller
 from fvs_ros.status import SILENT
 from fvs_tools.schemes import BEYOND, SCHEMES
 
-#: Okabe and Ito's colours, which everybody can tell apart, light enough for a dark page.
+#: Okabe and Ito's colours, which all eyes can distinguish, light enough for a dark page.
 SKY, ORANGE, GREEN, YELLOW, VERMILLION, PINK, GREY = COLOURS = (
     "#56B4E9",
     "#E69F00",
@@ -34,7 +34,7 @@ _TITLES = {
 }
 #: Without a sign of life for this long, a page says that its program has ended, s.
 LOST_S = 5.0
-#: A lamp's colour, and its sign: colour alone does not tell.
+#: A lamp's colour, and its sign: not everybody sees colours.
 _LAMPS = {True: (GREEN, "✓"), False: (VERMILLION, "✗"), None: (GREY, "?")}
 #: Inputs of the controller, what a person calls them, and the limits of their ages.
 _INPUTS = {

@@ -231,9 +231,9 @@ class Panel:
         self._button("Reset everything", RESET, color="gray", hint=hint)
         hint = "Turns the simulated camera by chance."
         bump = self._button("Bump the camera", BUMP, color="gray", hint=hint)
+        self._words = gui.add_html("")
         self._picture = gui.add_image(picture.BLANK, format="jpeg", jpeg_quality=75)
         gui.add_html(markup.legend_html(_SIGNS))
-        self._words = gui.add_html("")
         simulator = gui.add_folder("Simulator: disturb it", expand_by_default=False)
         with simulator:
             hint = "Times the depth camera's own noise."

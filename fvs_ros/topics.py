@@ -45,7 +45,7 @@ class Topic:
     #: By the node's name.
     publishers: Mapping[str, End] = field(default_factory=dict)
     subscribers: Mapping[str, End] = field(default_factory=dict)
-    #: Who else publishes or hears it, outside this package.
+    #: Who else publishes it or subscribes to it, outside this package.
     also_from: str = ""
     also_to: str = ""
 
@@ -61,7 +61,7 @@ class Node:
     #: Services of other nodes that it calls.
     calls: tuple[str, ...] = ()
     #: Whether it subscribes to whatever is published, as reliable and latched as that is.
-    hears_all: bool = False
+    subscribes_to_all: bool = False
 
 
 SIM, DETECTOR = "fvs_sim_node", "fvs_detector_node"
@@ -117,7 +117,7 @@ NODES: dict[str, Node] = {
         ),
     ),
     MARKERS_NODE: Node("Shows ball, target and prediction in RViz and Foxglove."),
-    RECORDER: Node("Records every topic into a bag, as it is on the wire.", hears_all=True),
+    RECORDER: Node("Records every topic into a bag, as it is on the wire.", subscribes_to_all=True),
 }
 
 _NEWEST, _RELIABLE, _LATCHED = End((Qos.NEWEST,)), End((Qos.RELIABLE,)), End((Qos.LATCHED,))

@@ -283,7 +283,7 @@ def main(argv: list[str] | None = None) -> int:
         print(f"fvs_launch: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
     if "fvs_sim_node" in scenario.nodes:
-        # A simulated arm must not hear, or be heard by, the robots of a laboratory network.
+        # A simulated arm must not exchange messages with the robots of a laboratory network.
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     return launch(scenario, given.namespace, remaps)
 

@@ -178,11 +178,11 @@ def policy(namespace: str = "") -> str:
     everything, services = set(topics.EVERY_NODE_PUBLISHES), set()
     for name, node in NODES.items():
         published = {topic.name for topic in topics.publishers(name)}
-        heard = {topic.name for topic in topics.subscribers(name)}
-        if node.hears_all:
-            heard.add("/*")
+        subscribed = {topic.name for topic in topics.subscribers(name)}
+        if node.subscribes_to_all:
+            subscribed.add("/*")
         served = {*node.serves, *topics.EVERY_NODE_SERVES}
-        _enclave(enclaves, name, namespace, published, heard, served, node.calls)
+        _enclave(enclaves, name, namespace, published, subscribed, served, node.calls)
         everything |= {one.replace("~", name, 1) for one in published}
         services |= {one.replace("~", name, 1) for one in served}
     _enclave(enclaves, OPERATOR, namespace, {topics.TARGET_POSITION.name}, everything, (), services)
@@ -198,7 +198,7 @@ def _enclave(
     node: str,
     namespace: str,
     published: Iterable[str],
-    heard: Iterable[str],
+    subscribed: Iterable[str],
     served: Iterable[str],
     called: Iterable[str],
 ) -> None:
@@ -207,11 +207,11 @@ def _enclave(
     profiles = ET.SubElement(enclave, "profiles")
     profile = ET.SubElement(profiles, "profile", ns=f"/{namespace}", node=node)
     declared, *others = topics.CAMERA_PREFIXES  # a camera is looked for under each
-    cameras = [name.partition("/")[2] for name in heard if name.startswith(f"{declared}/")]
-    heard = {*heard, *(f"{other}/{name}" for other in others for name in cameras)}
+    cameras = [name.partition("/")[2] for name in subscribed if name.startswith(f"{declared}/")]
+    subscribed = {*subscribed, *(f"{other}/{name}" for other in others for name in cameras)}
     for kind, verb, names in (
         ("topic", "publish", {*published, *topics.EVERY_NODE_PUBLISHES}),
-        ("topic", "subscribe", {*heard, *topics.EVERY_NODE_SUBSCRIBES}),
+        ("topic", "subscribe", {*subscribed, *topics.EVERY_NODE_SUBSCRIBES}),
         ("service", "reply", served),
         ("service", "request", called),
     ):

@@ -79,7 +79,7 @@ def _nodes(context):
     atexit.register(Path(params_file).unlink, missing_ok=True)
     actions = []
     if _SIMULATOR in scenario.nodes and "ROS_AUTOMATIC_DISCOVERY_RANGE" not in os.environ:
-        # A simulated arm must not hear, or be heard by, the robots of a laboratory network.
+        # A simulated arm must not exchange messages with the robots of a laboratory network.
         actions.append(SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"))
     for name in scenario.nodes:
         end = None if NODE_TABLE[name].observer else Shutdown(reason=f"{name} ended")

@@ -119,7 +119,9 @@ def test_a_node_has_exactly_the_declared(running, index, publishing):
         lambda: not set(expected) - set(actual_ends(harness, node, publishing)),
         what=f"the declared topics of {node.full_name}",
     )
-    if publishing or not NODES[node.name].hears_all:  # that goes on finding those of the others
+    if (
+        publishing or not NODES[node.name].subscribes_to_all
+    ):  # that goes on finding those of the others
         assert actual_ends(harness, node, publishing) == expected
 
 
@@ -156,7 +158,7 @@ def test_the_access_rules_allow_all_that_a_node_has(running, index):
     )
     assert published <= allowed("topic", "publish")
     assert served == allowed("service", "reply")
-    if NODES[node.name].hears_all:
+    if NODES[node.name].subscribes_to_all:
         assert "/*" in allowed("topic", "subscribe")
     else:
         assert heard <= allowed("topic", "subscribe")
