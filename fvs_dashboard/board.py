@@ -227,8 +227,8 @@ class Board:
 
 #: Ball positions that are remembered, and the fewest that are enough.
 _MEMORY, _FEWEST = 300, 12
-#: A flange that moved less than this adds nothing: m, and as the change of its rotation.
-_STEP_M, _STEP_TURN = 0.01, 0.03
+#: A flange whose pose changed less than this in every number adds nothing, m and rad.
+_STEP = 0.02
 #: Smallest singular value over the largest that determines all fifteen numbers.
 _CONDITION = 1e-3
 #: A ball further than this from where it should be is an outlier, m; after six in a row the
@@ -275,10 +275,8 @@ class CameraPlacement:
             else:
                 self._pairs.clear()
                 self.pose, self.note = None, UNKNOWN
-        if self._pairs:
-            moved = np.abs(flange - self._pairs[-1][0])
-            if moved[:3, 3].max() < _STEP_M and moved[:3, :3].max() < _STEP_TURN:
-                return
+        if self._pairs and np.abs(flange - self._pairs[-1][0]).max() < _STEP:
+            return
         self._pairs.append((flange, ball_m))
         if len(self._pairs) >= _FEWEST:
             self._solve()

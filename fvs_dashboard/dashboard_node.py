@@ -1,4 +1,4 @@
-"""``fvs_dashboard``: serves a page that shows the loop at work and does what a person wants there."""
+"""``fvs_dashboard``: serves a page that shows the loop, and does what a person wants there."""
 
 from __future__ import annotations
 

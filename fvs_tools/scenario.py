@@ -116,13 +116,11 @@ def load_scenario(
     Parameters
     ----------
     name : str
-        Path of a YAML file, or the name of one in the project's ``config`` folder
-        (``demo`` or ``demo.yaml``).
+        Path of a YAML file, or the name of one in the project's ``config`` folder.
     overrides : iterable of str
-        ``name:=value`` for every node that has the parameter, or ``node:name:=value``; they win
-        over the scheme.
+        ``name:=value`` for every node that has the parameter, or ``node:name:=value``.
     scheme_name : str
-        Estimator method, control law and more by one name.
+        Estimator method, control law and more by one name; overrides win over it.
     record : str
         Folder of a bag to record into; adds the recorder, which starts first, and the markers.
     images : bool
@@ -137,14 +135,14 @@ def load_scenario(
     """
     path, sections = _read(name)
     common, loop = sections.pop(ALL_NODES, {}), list(sections)
+    if not loop:
+        raise ValueError(f"scenario {path} names no node; known are {', '.join(NODE_TABLE)}")
     if record:
         check_recording(Path(record).expanduser())
-        sections = {RECORDER: {}, **sections}
-        sections[RECORDER].update(bag_dir=record, images=images)
+        recorder = {**sections.pop(RECORDER, {}), "bag_dir": record, "images": images}
+        sections = {RECORDER: recorder, **sections}
     if record or markers:
         sections.setdefault(MARKERS, {})
-    if not sections:
-        raise ValueError(f"scenario {path} names no node; known are {', '.join(NODE_TABLE)}")
     for node, values in sections.items():
         if node not in NODE_TABLE:
             raise ValueError(f"scenario {path}: {unknown('node', node, NODE_TABLE)}")

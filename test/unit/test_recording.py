@@ -1,6 +1,5 @@
 """What goes into a bag, and the bag itself, read back by another's reader."""
 
-import contextlib
 import importlib.util
 from dataclasses import replace
 from types import SimpleNamespace
@@ -19,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_sim_node.kinematics import flange_pose
 from fvs_sim_node.ur5_urdf import urdf_text
-from fvs_tools.bag import NOTES, Bag, Message, SimulatedTime, Transforms
+from fvs_tools.bag import Bag, Message, SimulatedTime, Transforms
 
 #: Bool(data=True) as it is on the wire, little endian.
 TRUE = bytes([0, 1, 0, 0, 1])
@@ -116,23 +115,6 @@ def test_without_a_clock_the_systems_time_is_kept_and_memory_is_bounded():
 
 
 # --- the bag ---
-
-
-def test_what_was_written_is_in_the_file_before_it_is_finished(tmp_path):
-    mcap = pytest.importorskip("mcap.stream_reader")
-    ended = pytest.importorskip("mcap.exceptions").EndOfFile
-    one = Bag(tmp_path / "bag", {"fvs_ros_version": "1.2.3"})
-    for number in range(100):
-        one.write(Message("/running", BOOL, 10**8 * number, TRUE))
-    found = []
-    with (tmp_path / "bag" / "bag.mcap").open("rb") as file, contextlib.suppress(ended):
-        for record in mcap.StreamReader(file).records:
-            found.append(record)
-    assert sum(hasattr(record, "log_time") for record in found) >= 88  # all but the last second
-    notes = tmp_path / "bag" / NOTES
-    assert yaml.safe_load(notes.read_text(encoding="utf-8")) == {"fvs_ros_version": "1.2.3"}
-    one.close()
-    assert not notes.exists()
 
 
 def test_the_metadata_tells_counts_qualities_and_notes(tmp_path):
