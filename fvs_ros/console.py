@@ -18,10 +18,8 @@ import threading
 from collections.abc import Iterator
 from typing import Any
 
-_CHUNK = 65536
 #: Time for the last output to arrive.
 _LAST_OUTPUT_S = 0.5
-_COLOURS = "RCUTILS_COLORIZED_OUTPUT"
 
 
 class _Dropping(io.FileIO):
@@ -69,10 +67,9 @@ def _replaced(name: str, fd: int, tty: bool) -> Iterator[None]:
 
 @contextlib.contextmanager
 def reader_may_leave() -> Iterator[None]:
-    """Let standard output and error be closed at their other end: what is said then is dropped.
+    """Drop what is printed after the reader left: a program piped into ``head`` ends as usual.
 
-    A program that was piped into ``head`` goes on and ends as it would, without a traceback. It
-    still waits for a slow reader. Also a decorator of a program's ``main``.
+    It still waits for a slow reader. Also a decorator of a program's ``main``.
     """
     with _replaced("stdout", 1, os.isatty(1)), _replaced("stderr", 2, os.isatty(2)):
         yield
@@ -84,12 +81,8 @@ def never_blocking() -> Iterator[tuple[int, int]]:
 
     Writes that find the pipe full are dropped: 64 KiB may wait for a reader. ``isatty`` of the
     streams in :mod:`sys` and the colours of ROS's log stay as they were. Afterwards both lead
-    where they led, or nowhere if that is still blocked after half a second.
-
-    Yields
-    ------
-    tuple of int
-        Descriptors of the original output and error, for a child process.
+    where they led, or nowhere if that is still blocked after half a second. Yields descriptors of
+    the original output and error, for a child process.
     """
     for fd in range(3):
         try:
@@ -97,7 +90,7 @@ def never_blocking() -> Iterator[tuple[int, int]]:
         except OSError:  # closed: nothing else may take its number
             os.open(os.devnull, os.O_RDWR)
     if os.isatty(2):
-        os.environ.setdefault(_COLOURS, "1")
+        os.environ.setdefault("RCUTILS_COLORIZED_OUTPUT", "1")
     with _piped("stdout", 1) as out, _piped("stderr", 2) as err:
         yield out, err
 
@@ -119,7 +112,7 @@ def _piped(name: str, fd: int) -> Iterator[int]:
         os.dup2(original, fd)  # the pipe is closed, and the thread ends once all has arrived
         carrier.join(_LAST_OUTPUT_S)
         if carrier.is_alive():
-            # Nothing said from here on, a traceback even, may hold the end of the process.
+            # No later output, not even a traceback, may hold the end of the process.
             with open(os.devnull, "wb") as nowhere:
                 os.dup2(nowhere.fileno(), fd)
         else:
@@ -129,6 +122,6 @@ def _piped(name: str, fd: int) -> Iterator[int]:
 
 def _carry(source: int, original: int) -> None:
     sink = io.BufferedWriter(_Dropping(original, tty=False))
-    while chunk := os.read(source, _CHUNK):
+    while chunk := os.read(source, 65536):
         sink.write(chunk)
         sink.flush()

@@ -178,15 +178,10 @@ live_parameter = partial(parameter, live=True)
 
 @dataclass(frozen=True)
 class Parameters:
-    """A set of parameters with values, checked whenever one is made.
+    """A set of parameters with values; a wrong one is a ``ParameterError`` when it is made.
 
     A field made by :func:`parameter` is one parameter; a field whose ``default_factory`` is
     another such class holds that one's parameters, under the same names.
-
-    Raises
-    ------
-    ParameterError
-        If a value has another type, size or range than declared.
     """
 
     def __post_init__(self) -> None:

@@ -41,18 +41,10 @@ def make_estimator(
     values: Mapping[str, Any] | None = None,
     model: str = MODEL,
 ) -> Estimator:
-    """Build an estimator as its node does; the oracle asks the simulation itself.
+    """Build an estimator by its name in the registry, as its node does.
 
-    Parameters
-    ----------
-    method : str
-        A name of the estimators' registry.
-    simulation : Simulation
-        Where the oracle knows the Jacobian from.
-    values : mapping, optional
-        The node's parameters, by name, where they differ from the defaults.
-    model : str
-        Model file: a path, or a name in the project's ``config`` folder.
+    ``values`` are the node's parameters where they differ from the defaults, ``model`` is a file or
+    a name in the project's ``config`` folder. The oracle asks the simulation itself.
     """
     if method == "oracle":
         return OracleEstimator(simulation.true_jacobian)

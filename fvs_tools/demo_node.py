@@ -20,6 +20,7 @@ from fvs_ros import ros, topics
 from fvs_ros.camera import Intrinsics
 from fvs_ros.joints import JointMap
 from fvs_ros.paths import find_file
+from fvs_ros.ros.images import from_color
 from fvs_tools import demo
 
 _POLL_S = 0.1
@@ -41,7 +42,7 @@ class DemoNode(ros.FvsNode):
         self._records: list[demo.TargetRecord] = []
         self._state = self._reason = ""
         self._wants_target = False
-        self._image: Image | None = None
+        self._image_rgb: np.ndarray | None = None
         self._intrinsics: Intrinsics | None = None
         self._began_s = self.steady_s()
         self._image_asked_s: float | None = None
@@ -107,9 +108,8 @@ class DemoNode(ros.FvsNode):
 
     def _report(self, number: int, record: demo.TargetRecord) -> None:
         one = demo.score(record)
-        text = "not settled"
-        if one.settling_5mm_s is not None:
-            text = f"settled after {one.settling_5mm_s:.2f} s"
+        settled_s = one.settling_5mm_s
+        text = "not settled" if settled_s is None else f"settled after {settled_s:.2f} s"
         print(
             f"target {number} of {self._count}, "
             f"{one.start_distance_m * 1e3:.0f} mm away: {text}, "
@@ -128,7 +128,7 @@ class DemoNode(ros.FvsNode):
             print(f"the simulator has been silent for {late_s:.0f} s", flush=True)
             self.exit_code = stop.EXIT_FAILURE
         if self._image_asked_s is not None:
-            complete = self._image is not None and self._intrinsics is not None
+            complete = self._image_rgb is not None and self._intrinsics is not None
             if complete or now_s - self._image_asked_s > _IMAGE_WAIT_S:
                 self._conclude()
 
@@ -143,25 +143,18 @@ class DemoNode(ros.FvsNode):
 
     def _on_image(self, message: Image) -> None:
         if ros.from_stamp(message.header.stamp) >= self._end_s:  # an old one waited somewhere
-            self._image = message
+            self._image_rgb = from_color(message)
 
     def _on_info(self, message: CameraInfo) -> None:
-        self._intrinsics = Intrinsics(
-            message.width, message.height, message.k[0], message.k[4], message.k[2], message.k[5]
-        )
+        self._intrinsics = ros.from_camera_info(message).intrinsics
 
     def _conclude(self) -> None:
         scores = [demo.score(record) for record in self._records]
         folder = Path(self._config.output_dir)
-        image_rgb = None
-        if self._image is None:
+        if self._image_rgb is None:
             print(f"no camera image came within {_IMAGE_WAIT_S:.0f} s: the figure has none")
-        else:
-            image_rgb = np.frombuffer(self._image.data, np.uint8).reshape(
-                self._image.height, self._image.width, 3
-            )
         demo.write_results(folder, self._records, scores)
-        demo.draw(folder / "demo.png", self._records, image_rgb, self._intrinsics)
+        demo.draw(folder / "demo.png", self._records, self._image_rgb, self._intrinsics)
         print(f"\n{demo.table(scores)}\n", flush=True)
         print(f"figure: {folder / 'demo.png'}", flush=True)
         settled = all(one.settling_5mm_s is not None for one in scores)

