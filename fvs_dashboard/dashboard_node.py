@@ -48,6 +48,8 @@ from fvs_tools.demo import choose_target
 #: Behind the loop, but not far: its buttons must work on a busy machine, too.
 _NICE = 5
 _PERIOD_S, _LOOK_PERIOD_S = 0.1, 1.0
+#: A page that is drawn this much too late says so, s.
+_LATE_S = 0.7
 #: After a reset the ball is seen where it has come to rest within this, s.
 _AT_REST_S = 1.0
 #: A bump turns the camera by this much about x, y and z, degrees: about x and y by little, or the
@@ -93,6 +95,7 @@ class DashboardNode(ros.FvsNode):
         self._at_rest_s = inf  # when the ball has come to rest after a reset
         self._rng = np.random.default_rng()
         self._subscribe()
+        self._shown_s = self.steady_s()
         self._page = _make_page(self._config, v["joint_names"], self._actions)
         self.create_timer(_PERIOD_S, self._show, clock=self.steady_clock)
         self.create_timer(_LOOK_PERIOD_S, self._look_around, clock=self.steady_clock)
@@ -188,6 +191,10 @@ class DashboardNode(ros.FvsNode):
         if now_s > self._at_rest_s:  # no service clears a target, but at the ball it moves nothing
             self._at_rest_s = now_s + ANSWER_S  # again, if no answer comes
             self._calls.call(f"{CONTROLLER}/{SET_CURRENT.name}", self._on_reset)
+        if now_s - self._shown_s > _PERIOD_S + _LATE_S:
+            text = "this page gets too little of the processor: it is behind"
+            self._board.note("behind", now_s, text)
+        self._shown_s = now_s
         watched = self._page.watched
         if watched != bool(self._cameras):
             self._look_at_images(watched)

@@ -130,7 +130,8 @@ class Page:
             if self._shown % _SELDOM == 0:
                 self._charts.update(board, now_s)
                 self._inputs.content = markup.inputs_html(board, now_s)
-                notes = board.placement.note, board.newest("arm", now_s)
+                others = (board.newest(name, now_s) for name in ("arm", "behind"))
+                notes = (board.placement.note, *others)
                 self._notes.content = markup.notes_html(filter(None, notes))
         self._shown += 1
 
