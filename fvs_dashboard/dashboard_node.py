@@ -95,8 +95,8 @@ class DashboardNode(ros.FvsNode):
         self._at_rest_s = inf  # when the ball has come to rest after a reset
         self._rng = np.random.default_rng()
         self._subscribe()
-        self._shown_s = self.steady_s()
         self._page = _make_page(self._config, v["joint_names"], self._actions)
+        self._shown_s = self.steady_s()
         self.create_timer(_PERIOD_S, self._show, clock=self.steady_clock)
         self.create_timer(_LOOK_PERIOD_S, self._look_around, clock=self.steady_clock)
         print(f"page: {self._page.address}", flush=True)
