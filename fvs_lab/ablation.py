@@ -188,9 +188,6 @@ def measure(context: Context) -> Found:
         "duration_s": duration_s,
         "rests": len(rested),
         "hold_s": hold_s,
-        "notable_percent": round(100 * (NOTABLE - 1.0)),
-        "softer": _SOFTER,
-        "turns_deg": _TURNS_DEG,
     }
     data = {"seed": SEED, "cases": cases, "variants": variants()}
     return Found(Results(runs), facts, data)
@@ -301,4 +298,4 @@ def figures(found: Found) -> Iterator[Drawn]:
     yield "ablation", figure, {}
 
 
-EXPERIMENT = Experiment("ablation", measure, claims, TABLES, figures)
+EXPERIMENT = Experiment("ablation", measure, claims, TABLES, figures, globals())

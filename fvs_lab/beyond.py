@@ -18,7 +18,6 @@ from fvs_lab.beyond_runs import (
     KEPT,
     MINUTE_S,
     MOMENTS,
-    MOST_LATE_S,
     PAPERS_METHOD,
     SPEEDS_M_S,
     Minute,
@@ -135,18 +134,16 @@ def _facts(context: Context, runs: Results, floors: Sequence[Floor]) -> dict[str
         for minutes in (False, True)
     )
     return {
-        "who": who,
-        "moved": beyond_runs,
         "rendered": context.rendered,
+        "moved": beyond_runs,
         "seeds": SEEDS,
+        "spare_m": SPARE_M,
         "later_ms": (min(own), max(own)),
         "minutes_ms": (min(fitted), max(fitted)),
         "count": len(floors),
         "pictured": len(later[who.BEST]),
         "minutes": len(runs.where(part="minute")),
-        "most_late_ms": 1e3 * MOST_LATE_S,
         "papers_method": _papers_method(context),
-        "spare_mm": 1e3 * SPARE_M,
         "floors": {
             bound: median([one.least_s[bound] for one in floors]).text() for bound in BOUNDS_M
         },
@@ -556,4 +553,4 @@ def _tracking_figure(runs: Results):
     return figure
 
 
-EXPERIMENT = Experiment(_NAME, measure, claims, TABLES, figures)
+EXPERIMENT = Experiment(_NAME, measure, claims, TABLES, figures, globals())

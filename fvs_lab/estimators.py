@@ -248,6 +248,7 @@ def measure(context: Context) -> Found:
     facts = {
         "duration_s": duration_s,
         "speed_rad_s": SPEED_RAD_S,
+        "wiggle_s": WIGGLE_S,
         "paths": len(seeds),
         "rendered": context.rendered,
         "errors_mm": {
@@ -256,15 +257,8 @@ def measure(context: Context) -> Found:
         },
         "step_mm": 1e3 * float(np.median(runs.where(world="noise").values("median_step_m"))),
         "visible_percent": 100 * min(runs.values("visible_share")),
-        "wiggle_s": WIGGLE_S,
-        "ignorance_m_rad": IGNORANCE_M_RAD,
-        "values": len(GRIDS["rbf"][1]),
         "tuning": len(TUNING_SEEDS) if tuning else 0,
-        "n1": RbfConfig.n1,
-        "fast_n1": FAST_N1,
-        "fast_process_noise": FAST_PROCESS_NOISE,
         "largest_turn_deg": max(world.turn_deg for world in worlds),
-        "bin_s": _BIN_S,
         "labels": {world.name: world.label for world in worlds},
     }
     data = {"seeds": list(seeds), "tuning": tuning, "contestants": contestants, "worlds": worlds}
@@ -401,4 +395,4 @@ def figures(found: Found) -> Iterator[Drawn]:
     yield "rotation", figure, {}
 
 
-EXPERIMENT = Experiment("estimators", measure, claims, TABLES, figures)
+EXPERIMENT = Experiment("estimators", measure, claims, TABLES, figures, globals())

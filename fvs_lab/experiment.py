@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 from fvs_lab.figures import save
 from fvs_lab.outcome import Outcome
-from fvs_lab.report import Figure, Report, Table, Verdict, jinja, template_text
+from fvs_lab.report import Figure, Report, Table, Verdict, Words
 from fvs_lab.results import Interval, Results, table
 from fvs_lab.trials import Case, Conditions, Variant, run_trial
 
@@ -216,7 +216,7 @@ class Found:
 
     #: The tidy table; goes to results.json without time series.
     runs: Results
-    #: Variables of the template.
+    #: Further variables of the template.
     facts: Mapping[str, Any] = field(default_factory=dict)
     #: What else goes to results.json: seeds, cases, parameters.
     data: Mapping[str, Any] = field(default_factory=dict)
@@ -261,13 +261,15 @@ class Experiment:
     claims: Callable[[Found], Iterable[Claim]]
     tables: Sequence[TableOf]
     figures: Callable[[Found], Iterable[Drawn]]
+    #: The module's names, which are variables of the template beside what was found.
+    names: Mapping[str, Any]
     #: Name of the template; by default the experiment's.
     template: str = ""
 
     def run(self, context: Context) -> Report:
         """Measure, judge, tabulate and draw."""
         found = self.measure(context)
-        words = Words(self.template or self.name, found.facts)
+        words = Words(self.template or self.name, {**self.names, **found.facts})
         claims = [claim for claim in self.claims(found) if claim.parts]
         setup = re.split(r"\n\s*\n", words("setup", lines=True))
         return Report(
@@ -304,22 +306,6 @@ class Experiment:
         file = re.sub(r"\W+", "_", "_".join([name, *map(str, given.values())])) + ".png"
         save(drawing, context.folder(self.name) / file)
         return Figure(file, words(f"figure_{name}", given))
-
-
-class Words:
-    """The sentences of an experiment, from its template with the facts as variables."""
-
-    def __init__(self, name: str, facts: Mapping[str, Any]) -> None:
-        environment = jinja(autoescape=False)  # the page escapes
-        source = environment.from_string(template_text(f"{name}.jinja"))
-        self._macros = source.make_module(dict(facts))
-
-    def __call__(
-        self, macro: str, given: Mapping[str, Any] | None = None, lines: bool = False
-    ) -> str:
-        """The text of a macro, as one line unless its lines are asked for."""
-        text = getattr(self._macros, macro)(**(given or {})).strip()
-        return text if lines else " ".join(text.split())
 
 
 def _evidence(words: Words, claims: Sequence[Claim]) -> list[Table]:

@@ -112,9 +112,6 @@ def measure(context: Context) -> Found:
         "count": len(cases),
         "duration_s": duration_s,
         **literal_limits(),
-        "reaching": REACHING,
-        "literal": LITERAL_REACHING,
-        "surface": SURFACE,
     }
     return Found(runs, facts, {"seed": SEED, "cases": cases, "variants": variants()})
 
@@ -259,4 +256,4 @@ def _summary(runs: Results):
     return figure
 
 
-EXPERIMENT = Experiment("exponents", measure, claims, TABLES, figures)
+EXPERIMENT = Experiment("exponents", measure, claims, TABLES, figures, globals())

@@ -53,6 +53,7 @@ def pyplot():
             "font.size": 10,
             "legend.frameon": False,
             "legend.fontsize": 9,
+            "legend.markerscale": 2,
         }
     )
     return plt

@@ -32,6 +32,34 @@ _DIGITS = 7
 _WORDS = {True: "holds", False: "does not hold", None: "undecided"}
 
 
+class Words:
+    """The sentences of an experiment, from its template with the facts as variables."""
+
+    def __init__(self, name: str, facts: Mapping[str, Any]) -> None:
+        environment = _jinja(autoescape=False)  # the page escapes
+        source = environment.from_string(_template_text(f"{name}.jinja"))
+        self._macros = source.make_module(dict(facts))
+
+    def __call__(
+        self, macro: str, given: Mapping[str, Any] | None = None, lines: bool = False
+    ) -> str:
+        """The text of a macro, as one line unless its lines are asked for."""
+        text = getattr(self._macros, macro)(**(given or {})).strip()
+        return text if lines else " ".join(text.split())
+
+
+def _template_text(name: str) -> str:
+    """A template of this package."""
+    return files("fvs_lab").joinpath(name).read_text("utf-8")
+
+
+def _jinja(**options: Any):
+    """Jinja's environment, in which a block's own line leaves none."""
+    from jinja2 import Environment, StrictUndefined
+
+    return Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, **options)
+
+
 @dataclass(frozen=True)
 class Figure:
     """A picture: a PNG in the experiment's folder, and what is to be seen."""
@@ -140,23 +168,11 @@ def write_page(out: Path, names: Sequence[str], heading: Heading | None = None) 
             reports.append(report)
     # Markdown has nothing to escape, HTML has.
     for template, escape in (("page.html.jinja", True), ("page.md.jinja", False)):
-        environment = jinja(autoescape=escape, keep_trailing_newline=True)
-        page = environment.from_string(template_text(template))
+        environment = _jinja(autoescape=escape, keep_trailing_newline=True)
+        page = environment.from_string(_template_text(template))
         text = page.render(reports=reports, heading=heading)
         (out / template.replace("page", "index").removesuffix(".jinja")).write_text(text, "utf-8")
     return out / "index.html"
-
-
-def template_text(name: str) -> str:
-    """A template of this package."""
-    return files("fvs_lab").joinpath(name).read_text("utf-8")
-
-
-def jinja(**options: Any):
-    """Jinja's environment, in which a block's own line leaves none."""
-    from jinja2 import Environment, StrictUndefined
-
-    return Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, **options)
 
 
 def _plain(value: Any) -> Any:

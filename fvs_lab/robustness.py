@@ -88,7 +88,7 @@ def judged(outcome: Outcome) -> Outcome:
 def experiment_in(kind: Kind) -> Experiment:
     """The experiment in worlds of a kind."""
     return Experiment(
-        kind.name, partial(measure, kind), claims, TABLES, figures, template="robustness"
+        kind.name, partial(measure, kind), claims, TABLES, figures, globals(), template="robustness"
     )
 
 
@@ -108,11 +108,8 @@ def measure(kind: Kind, context: Context) -> Found:
         "kind": kind,
         "count": count,
         "rendered": context.rendered,
-        "contestants": [one.name for one in contestants],
         "distance_m": DISTANCE_M,
-        "duration_s": DURATION_S,
-        "rest_s": REST_S,
-        "wanted": WANTED,
+        "contestants": [one.name for one in contestants],
     }
     data = {"seed": kind.seed, "ranges": kind.ranges, "worlds": worlds, "duration_s": DURATION_S}
     return Found(runs, facts, data)

@@ -84,13 +84,11 @@ def measure(context: Context) -> Found:
         for name in (PROPOSED, "ukf+mpc")
     }
     facts = {
-        "noise_mm": 1e3 * conditions.position_noise_m,
-        "latency_ms": 1e3 * conditions.latency_s,
         "tuning": len(tuning),
         "scoring": len(scoring),
         "seeds": SEEDS,
         "peak_rad_s": PEAK_RAD_S,
-        "jitter_mrad_s": 1e3 * JITTER_RAD_S,
+        "jitter_rad_s": JITTER_RAD_S,
         "titles": {one.name: one.title for one in REGIMES},
     }
     data = {
@@ -277,4 +275,4 @@ def _paths(runs: Results, cases: Sequence[Case]):
     return figure
 
 
-EXPERIMENT = Experiment("servo", measure, claims, TABLES, figures)
+EXPERIMENT = Experiment("servo", measure, claims, TABLES, figures, globals())

@@ -268,10 +268,8 @@ def measure(context: Context) -> Found:
     free = runs.those(lambda run: run["gains"] != EVERYDAY and run["world"] != IDEAL)
     facts = {
         "starts": len(cases),
-        "good_percent": round(100 * GOOD_JACOBIAN),
         "free": len(free),
         "reasons": Counter(filter(None, free.values("excluded"))).most_common(),
-        "allowance_ms": 1e3 * ALLOWANCE_S,
     }
     return Found(runs, facts, {"seed": SEED, "gains": GAINS, "cases": cases})
 
@@ -345,4 +343,4 @@ def figures(found: Found) -> Iterator[Drawn]:
     yield "settling", figure, {}
 
 
-EXPERIMENT = Experiment("settling", measure, claims, TABLES, figures)
+EXPERIMENT = Experiment("settling", measure, claims, TABLES, figures, globals())

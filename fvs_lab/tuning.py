@@ -114,4 +114,4 @@ def figures(found: Found) -> Iterator[Drawn]:
         yield "knob", figure, {"knob": name}
 
 
-EXPERIMENT = Experiment("tuning", measure, claims, TABLES, figures)
+EXPERIMENT = Experiment("tuning", measure, claims, TABLES, figures, globals())

@@ -40,9 +40,8 @@ def main(argv: list[str]) -> int:
     missing = [name for name in _NEEDS if importlib.util.find_spec(name) is None]
     if missing:
         return _refuse(f"it needs {', '.join(missing)}: {how_to_install('record,lab', missing)}")
-    from fvs_lab.replay.files import BagError
     from fvs_lab.replay.page import shortened, write
-    from fvs_lab.replay.reading import read
+    from fvs_lab.replay.reading import BagError, read
 
     bag: Path = arguments.bag
     name, stem = bag.resolve().name, bag.resolve().stem

@@ -1,4 +1,4 @@
-"""Reading a bag: which of its topics are this package's, and what was on them.
+"""Reading a bag: which of its topics are this package's, and what was on them, as arrays.
 
 Arrivals are the bag's times of reception. Stamps are those of the messages' headers, computed as
 the nodes compute them, so that a number made of them is the nodes' own.
@@ -6,31 +6,252 @@ the nodes compute them, so that a number made of them is the nodes' own.
 
 from __future__ import annotations
 
+import contextlib
 import re
+import resource
 import struct
 from array import array
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.storage_mcap import McapReader
 
 from fvs_controller_node.config import PARAMETERS
-from fvs_lab.replay import files
-from fvs_lab.replay.files import BagError
-from fvs_lab.replay.recording import (
-    CONTROLLER,
-    TOPICS,
-    Event,
-    Recording,
-    Series,
-    Status,
-    as_started,
-)
 from fvs_ros import topics
 from fvs_ros.joints import JointMap, JointStateError
+from fvs_ros.params import Parameter, ParameterError, ParameterSet
 from fvs_ros.status import vector
-from fvs_tools.scenario import read_yaml
+from fvs_tools.bag import NOTES, TYPES
+from fvs_tools.scenario import read_yaml, read_yaml_file
+
+CONTROLLER = "fvs_controller_node"
+#: The topics that are read, by the name under which their messages are kept here.
+TOPICS = {
+    "joints": topics.JOINT_STATES.name,
+    "ball": topics.BALL_POSITION.name,
+    "true_ball": topics.TRUE_BALL_POSITION.name,
+    "target": topics.TARGET_POSITION.name,
+    "commands": topics.COMMANDS.name,
+    "jacobian": topics.JACOBIAN.name,
+    "controller": topics.CONTROLLER_STATUS.name,
+}
+
+
+@dataclass(frozen=True)
+class Series:
+    """Messages of one topic, n in order of arrival."""
+
+    #: Full name.
+    topic: str
+    #: Times of arrival, and of the headers, s, shape (n,); not a number where there is none.
+    arrival_s: np.ndarray
+    stamp_s: np.ndarray
+    #: Numbers of each message, shape (n, k); k is 0 where only the times are read.
+    values: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.arrival_s)
+
+    @cached_property
+    def time_s(self) -> np.ndarray:
+        """Stamps, and arrivals where there is none, s, shape (n,)."""
+        return np.where(np.isfinite(self.stamp_s), self.stamp_s, self.arrival_s)
+
+    def taking(self, rows: Any) -> Series:
+        """Some of the messages, by anything that indexes an array."""
+        values = self.values[rows]
+        return replace(
+            self, arrival_s=self.arrival_s[rows], stamp_s=self.stamp_s[rows], values=values
+        )
+
+    def by_time(self) -> Series:
+        """The messages in the order of ``time_s``."""
+        in_order = bool((np.diff(self.time_s) >= 0.0).all())
+        return self if in_order else self.taking(np.argsort(self.time_s, kind="stable"))
+
+
+class Status(NamedTuple):
+    """One status of the controller: arrival, s, its words, and its target, m, if it has one."""
+
+    arrival_s: float
+    state: str
+    reason: str
+    limit: str
+    text: str
+    target_m: np.ndarray | None
+
+
+class Event(NamedTuple):
+    """A warning, a changed parameter or a silence: first time, s, node or topic, and how often."""
+
+    time_s: float
+    who: str
+    text: str
+    times: int = 1
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a bag holds."""
+
+    #: Of the nodes, without slashes.
+    namespace: str
+    #: Of this package when it was recorded, and node -> parameter -> value, as started; both empty
+    #: where the bag has no notes.
+    version: str
+    scenario: Mapping[str, Mapping[str, Any]]
+    #: Whether the recorder never finished it.
+    cut_off: bool
+    #: First and last arrival, s.
+    start_s: float
+    end_s: float
+    #: All messages of each topic, by its full name, without values.
+    topics: Mapping[str, Series]
+    #: By the names of ``TOPICS``; only messages that the nodes would accept.
+    series: Mapping[str, Series]
+    #: The controller's.
+    statuses: Sequence[Status]
+    #: Warnings of the log and changes of parameters.
+    events: Sequence[Event]
+
+    def started(
+        self, node: str = CONTROLLER, parameters: Sequence[Parameter] = PARAMETERS
+    ) -> dict[str, Any]:
+        """A node's parameters as started; the defaults where the bag does not say."""
+        return as_started(self.scenario, node, parameters)
+
+
+def as_started(
+    scenario: Mapping[str, Mapping[str, Any]], node: str, parameters: Sequence[Parameter]
+) -> dict[str, Any]:
+    """A node's parameters as a scenario has them; the defaults where it does not say."""
+    declared = ParameterSet(parameters)
+    given = {key: one for key, one in scenario.get(node, {}).items() if key != "use_sim_time"}
+    try:
+        return declared.values(given)
+    except ParameterError:  # another version's
+        return declared.values()
+
+
+# ---- opening a bag --------------------------------------------------------------------------
+
+_METADATA, _MCAP, _SQLITE = "metadata.yaml", ".mcap", ".db3"
+#: An MCAP file begins and ends with it.
+_MAGIC = b"\x89MCAP0\r\n"
+#: A small file may unpack to any size: reading takes no more memory than this, bytes.
+_MOST_MEMORY = 2**32
+
+
+class BagError(ValueError):
+    """A bag that cannot be read; the text says why."""
+
+
+@dataclass(frozen=True)
+class Bag:
+    """Where a bag's messages and notes are."""
+
+    #: Its folder, or its files where the folder is incomplete.
+    paths: Sequence[Path]
+    #: Whether the recorder never finished it.
+    cut_off: bool
+    #: What the recorder noted beside the messages (``custom_data``).
+    notes: Mapping[str, str]
+
+
+def find(path: Path) -> Bag:
+    """The bag in a folder, or of one file; a ``BagError`` if there is none, or more than one."""
+    if not path.exists():
+        raise BagError(f"there is no {path}")
+    folder = path if path.is_dir() else path.parent
+    metadata: Mapping[str, Any] = {}
+    with contextlib.nullcontext() if path.is_dir() else contextlib.suppress(BagError):
+        metadata = _yaml(folder / _METADATA).get("rosbag2_bagfile_information", {})
+    listed = [folder / Path(name).name for name in metadata.get("relative_file_paths", [])]
+    if not path.is_dir():
+        metadata = metadata if path in listed else {}
+        listed = [path]
+    files = listed or [_only_file(folder)]
+    cut_off = any(map(is_cut_off, files))
+    notes = metadata.get("custom_data") or (_yaml(folder / NOTES) if not metadata else {})
+    if path.is_dir() and metadata and not cut_off:
+        files = [path]
+    elif path.is_dir() and files[0].suffix == _SQLITE:
+        cut_off = True  # without metadata it lacks what was still in the recorder's memory
+    return Bag(files, cut_off, {str(key): str(value) for key, value in notes.items()})
+
+
+def _only_file(folder: Path) -> Path:
+    """The file of a folder without metadata."""
+    files = sorted(one for one in folder.iterdir() if one.suffix in (_MCAP, _SQLITE))
+    if not files:
+        raise BagError(f"{folder} is no bag: it holds neither {_METADATA} nor an {_MCAP} file")
+    if len(files) > 1:
+        names = ", ".join(one.name for one in files)
+        raise BagError(f"{folder} holds several files without {_METADATA}, name one: {names}")
+    return files[0]
+
+
+def _yaml(path: Path) -> dict[str, Any]:
+    """The mapping in a YAML file; empty where there is no such file."""
+    if not path.is_file():
+        return {}
+    try:
+        content = read_yaml_file(path)
+    except ValueError as error:
+        raise BagError(f"cannot read {path}: {' '.join(str(error).split())}") from None
+    return content if isinstance(content, dict) else {}
+
+
+def is_cut_off(path: Path) -> bool:
+    """Whether this is an MCAP file without its end."""
+    if path.suffix != _MCAP or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        begins_well = _MAGIC.startswith(file.read(len(_MAGIC)))
+        file.seek(max(len(_MAGIC), path.stat().st_size - len(_MAGIC)))
+        return begins_well and file.read() != _MAGIC
+
+
+class _CutOffReader(McapReader):
+    """Reads an MCAP file without its end, and so without an index, from its beginning."""
+
+    def open(self) -> None:
+        """Find the topics in what is readable."""
+        self.bio = self.path.open("rb")
+        self.data_start, self.data_end = len(_MAGIC), self.path.stat().st_size
+        with contextlib.suppress(Exception):  # at the first broken record, of any kind
+            self.meta_scan()
+
+    def messages(self, connections: Any, start: Any = None, stop: Any = None) -> Any:
+        """All messages before the first broken record, as they lie in the file."""
+        with contextlib.suppress(Exception):
+            yield from self.messages_scan(connections, start, stop)
+
+
+@contextlib.contextmanager
+def opened(bag: Bag) -> Iterator[AnyReader]:
+    """A reader of all files, which raises a ``MemoryError`` above 4 GB (on Linux)."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    most = _MOST_MEMORY if soft == resource.RLIM_INFINITY else min(soft, _MOST_MEMORY)
+    resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
+    try:
+        reader = AnyReader(bag.paths, default_typestore=TYPES)
+        for path, one in zip(bag.paths, reader.readers, strict=True):
+            if isinstance(one, Reader) and is_cut_off(path):
+                one.storage = _CutOffReader(path)
+        with reader:
+            yield reader
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
+
+
+# ---- reading it -----------------------------------------------------------------------------
 
 _LOG, _PARAMETER_EVENTS = topics.EVERY_NODE_PUBLISHES
 #: From this level on a line of the log is kept: rcl's WARN.
@@ -38,15 +259,10 @@ _WARN = 30
 
 
 def read(path: Path, namespace: str | None = None) -> Recording:
-    """Read a bag.
+    """Read a bag: a folder of a rosbag2 (MCAP or SQLite), or its one file.
 
-    Parameters
-    ----------
-    path : Path
-        Folder of a rosbag2 (MCAP or SQLite), or its one file; one that was cut off is read up to
-        there.
-    namespace : str, optional
-        Of the nodes; needed where the bag holds several.
+    One that was cut off is read up to there. The namespace is that of the nodes; it is needed
+    where the bag holds several.
 
     Raises
     ------
@@ -54,8 +270,8 @@ def read(path: Path, namespace: str | None = None) -> Recording:
         If there is no bag, it is damaged, or it holds no topic of this package.
     """
     try:
-        bag = files.find(path)
-        with files.opened(bag) as reader:
+        bag = find(path)
+        with opened(bag) as reader:
             return _Reading(reader, bag, path, namespace).recording()
     except (BagError, OSError):
         raise
@@ -92,9 +308,7 @@ class _Columns:
 class _Reading:
     """One pass through a bag."""
 
-    def __init__(
-        self, reader: AnyReader, bag: files.Bag, path: Path, namespace: str | None
-    ) -> None:
+    def __init__(self, reader: AnyReader, bag: Bag, path: Path, namespace: str | None) -> None:
         self._reader, self._bag, self._path = reader, bag, path
         names = {connection.topic for connection in reader.connections}
         if not names and bag.cut_off:

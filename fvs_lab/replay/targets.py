@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from fvs_controller_node.target_motion import TargetMotion
-from fvs_lab.replay.recording import Recording, Series
+from fvs_lab.replay.reading import Recording, Series
 from fvs_tools.demo import FINE_ERROR_M, PARAMETERS, SETTLED_ERROR_M, judge
 from fvs_tools.score import jitter_rad_s
 
@@ -31,36 +31,21 @@ _SHOWN_S, _SAME_M = 0.25, 0.001
 
 @dataclass(frozen=True)
 class Target:
-    """One target, n ball positions on the way to it.
+    """One target, n ball positions on the way to it."""
 
-    Parameters
-    ----------
-    moving : bool
-        Whether it moved: then there is no settling, and its final error is that of all its time.
-    target_m : ndarray, shape (3,)
-        Where it was, at last, m.
-    given_s : float
-        When it was given, by the recorder's clock, s.
-    time_s : ndarray, shape (n,)
-        Times of the ball positions since then, s.
-    position_m : ndarray, shape (n, 3)
-        Ball positions, m.
-    errors_m : ndarray, shape (n,)
-        Their distances to the target, m.
-    numbers : mapping of str to float or None
-        The demo's judgement, ``path_m`` of the ball, and ``jitter_rad_s`` of the command over the
-        last second. A settling time is None if the ball never settled, and any is NaN if unknown.
-    not_known : mapping of str to str
-        Numbers that the record is too short for, and why.
-    """
-
+    #: Whether it moved: then there is no settling, and its final error is that of all its time.
     moving: bool
+    #: Where it was, at last, m, and when it was given, by the recorder's clock, s.
     target_m: np.ndarray
     given_s: float
+    #: Ball positions, m, shape (n, 3), times since then, s, and distances to the target, m, (n,).
     time_s: np.ndarray
     position_m: np.ndarray
     errors_m: np.ndarray
+    #: The demo's judgement, ``path_m`` of the ball, and ``jitter_rad_s`` of the command over the
+    #: last second. A settling time is None if the ball never settled, and any is NaN if unknown.
     numbers: Mapping[str, float | None]
+    #: Numbers that the record is too short for, and why.
     not_known: Mapping[str, str]
 
 

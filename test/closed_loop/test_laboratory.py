@@ -20,28 +20,9 @@ from fvs_controller_node.settling import settling_times
 from fvs_controller_node.surface import ReachingLaw, SlidingSurface
 from fvs_estimator_node.base import Estimator, MotionStep
 from fvs_estimator_node.config import PARAMETERS
+from fvs_lab import beyond_runs as runs
 from fvs_lab import contestants as who
 from fvs_lab import main, settling, tuning
-from fvs_lab.beyond_runs import (
-    AT_REST,
-    CARRIED,
-    CIRCLE,
-    ERRING,
-    LINE,
-    MOMENTS,
-    RADIUS_M,
-    UNDISTURBED,
-    Minute,
-    Pursuit,
-    assess,
-    draw_journeys,
-    draw_paths,
-    draw_places,
-    learn,
-    record,
-    run_journey,
-    run_pursuit,
-)
 from fvs_lab.experiment import Context, Found
 from fvs_lab.figures import colours_of
 from fvs_lab.floor import Limits, fastest
@@ -49,9 +30,7 @@ from fvs_lab.report import EXPERIMENTS, Origin, write_page, write_report
 from fvs_lab.results import Results
 from fvs_lab.robustness import CONTESTANTS, contestants_called, judged, trial_in
 from fvs_lab.search import REGIMES, Search
-from fvs_lab.settling import BANDS, bound_to_band_s, predicted_times_s, promises_kept
 from fvs_lab.smooth_motion import Recording, judge
-from fvs_lab.smooth_motion import record as record_motion
 from fvs_lab.trials import (
     WHITE,
     Bump,
@@ -68,17 +47,10 @@ from fvs_lab.trials import (
 from fvs_lab.worlds import DISTANCE_M, DRAWN, EVERYDAY, HARSH, QUANTITIES, draw_world
 from fvs_ros.params import ParameterSet
 from fvs_sim_node.simulation import SimConfig, Simulation
-from fvs_tools.closed_loop import make_estimator
 from fvs_tools.schemes import BEYOND, SCHEMES
 
 INF = float("inf")
 EXACT = Conditions(rendered=False)
-CLEAN = Conditions(rendered=False, position_noise_m=0.0, depth_noise=0.0)
-
-
-# ---- whole experiments ----------------------------------------------------------------------
-
-
 #: Whole runs elsewhere: servo's with nodes in test/nodes, everyday's by its own command below.
 ELSEWHERE = ("servo", "everyday")
 
@@ -98,13 +70,11 @@ def test_a_quick_run_makes_a_complete_page(name, tmp_path):
     for figure in report.figures:
         assert (folder / figure.file).stat().st_size > 10_000
     for table in report.tables:
-        assert table.rows
         assert {len(row) for row in table.rows} == {len(table.header)}
     claims = [one.claim for one in report.verdicts]
     assert len(set(claims)) == len(claims) >= 2
     assert {one.whose for one in report.verdicts} <= {"the paper's", "ours"}
     page = write_page(tmp_path, [name]).read_text(encoding="utf-8")
-    assert f'<section id="{name}">' in page
     assert page.count("data:image/png;base64,") == len(report.figures)
     markdown = (tmp_path / "index.md").read_text(encoding="utf-8")
     assert markdown.index(claims[-1]) < markdown.index("<details>")
@@ -113,21 +83,16 @@ def test_a_quick_run_makes_a_complete_page(name, tmp_path):
 # ---- runs -----------------------------------------------------------------------------------
 
 
-def small_trials():
-    """Runs by exact positions: two worlds, one of them with a bump, two schemes."""
+def test_the_same_runs_come_from_one_process_and_from_two(tmp_path):
     worlds = [draw_world(HARSH, number) for number in (1, 2)]
     worlds[1] = replace(worlds[1], bump=Bump(0.2, (0.0, 0.5, 0.0), (0.0, 0.03, 0.0)))
-    return [
+    trials = [
         replace(trial_in(world, one, rendered=False, record=True), duration_s=1.0)
         for world in worlds
         for one in (CONTESTANTS[0], CONTESTANTS[-1])
     ]
-
-
-def test_the_same_runs_come_from_one_process_and_from_two(tmp_path):
-    here = [run_trial(trial) for trial in small_trials()]
-    there = Context(tmp_path, jobs=2).map(run_trial, small_trials(), "test")
-    for one, other in zip(here, there, strict=True):
+    there = Context(tmp_path, jobs=2).map(run_trial, trials, "test")
+    for one, other in zip(map(run_trial, trials), there, strict=True):
         assert one.settling_s == other.settling_s
         for name, values in one.series.items():
             np.testing.assert_array_equal(values, other.series[name])
@@ -161,51 +126,41 @@ def test_a_heavy_tails_worst_image_does_not_throw_an_arm_at_rest_off_its_target(
 
 
 def test_everybody_is_known_to_the_nodes_and_has_a_colour():
-    parameters = ParameterSet(PARAMETERS)
     names = [one.name for one in CONTESTANTS]
     assert set(SCHEMES) < set(names)
     assert len(set(colours_of([*names, "poe", "oracle, ftsm"]).values())) == len(names) + 2
     case = Case("", (0.0,) * 6, (0.1,) * 6, 0)
-    trials = [who.variant(name).trial(case, EXACT) for name in who.CONTESTANTS]
-    searched = {**who.TUNED, **who.CALM}
-    trials += [Search.of(one, REGIMES[0]).trial({}, case, EXACT) for one in searched.values()]
-    for trial in trials:
-        variant = trial.variant
-        default_values(law=variant.law, **variant.controller_values)
-        parameters.values({"method": variant.method, **variant.estimator_values})
-        assert variant.controller_values["max_joint_velocity_rad_s"] == who.SPEED_RAD_S
-    for scheme in searched.values():
+    searched = [*who.TUNED.values(), *who.CALM.values()]
+    variants = [who.variant(name) for name in who.CONTESTANTS]
+    variants += [Search.of(one, REGIMES[0]).trial({}, case, EXACT).variant for one in searched]
+    assert all(
+        one.controller_values["max_joint_velocity_rad_s"] == who.SPEED_RAD_S for one in variants
+    )
+    variants += [knob.variant(value) for knob in tuning.KNOBS for value in knob.values]
+    for one in variants:
+        default_values(law=one.law, **one.controller_values)
+        ParameterSet(PARAMETERS).values({"method": one.method, **one.estimator_values})
+    for scheme in searched:
         least_speed = scheme.controller_values.get("redundancy_resolution") == "least_speed"
         assert least_speed is (scheme.law in who.ALLOCATED)
-    for scheme in BEYOND.values():
-        assert who.CONTESTANTS[scheme.name] == scheme
+    assert all(who.CONTESTANTS[name] == scheme for name, scheme in BEYOND.items())
 
 
 @pytest.mark.parametrize("knob", tuning.KNOBS, ids=lambda knob: knob.name)
 def test_a_knob_turns_a_parameter_about_its_default(knob):
+    defaults = ParameterSet(PARAMETERS).values({}) if knob.of_estimator else default_values()
+    settings = knob.settings(knob.default)
     assert knob.default in knob.values
-    known = ParameterSet(PARAMETERS).values if knob.of_estimator else lambda x: default_values(**x)
-    for value in knob.values:
-        settings = knob.settings(value)
-        known(settings)
-        if value == knob.default:
-            defaults = known({})
-            assert {name: defaults[name] for name in settings} == pytest.approx(settings)
+    assert {name: defaults[name] for name in settings} == pytest.approx(settings)
 
 
 # ---- random worlds --------------------------------------------------------------------------
 
 
-def test_a_world_is_a_function_of_seed_and_number():
-    world = draw_world(HARSH, 3)
-    assert draw_world(HARSH, 3) == world
-    for other in (draw_world(HARSH, 4), draw_world(replace(HARSH, seed=7), 3)):
-        assert other.case.seed != world.case.seed
-        assert other.conditions.latency_s != world.conditions.latency_s
-
-
-def test_worlds_keep_their_ranges_and_differ_in_kind():
+def test_worlds_are_functions_of_their_number_and_keep_their_ranges():
     worlds = [draw_world(HARSH, number) for number in range(1, 13)]
+    assert draw_world(HARSH, 3) == worlds[2]
+    assert draw_world(replace(HARSH, seed=7), 3).conditions != worlds[2].conditions
     for world in worlds:
         row = world.row()
         assert DISTANCE_M[0] <= row["distance_m"] <= DISTANCE_M[1]
@@ -219,18 +174,14 @@ def test_worlds_keep_their_ranges_and_differ_in_kind():
     assert 0 < sum(world.conditions.noise_exponent == WHITE for world in worlds) < len(worlds)
     usual = draw_world(EVERYDAY, 1)
     assert (usual.bump, usual.conditions.noise_exponent) == (None, WHITE)
-    assert usual.conditions.position_noise_m == 0.001
 
 
 @pytest.mark.parametrize("exponent", [1.6, WHITE])
 def test_noise_is_alpha_stable(exponent):
     noise, rng = StableNoise(0.001, exponent), np.random.default_rng(1)
     errors_m = np.concatenate([noise(rng) for _ in range(20_000)])
-    true = (
-        norm(scale=0.001)
-        if exponent == WHITE
-        else levy_stable(exponent, 0.0, scale=0.001 / np.sqrt(2.0))
-    )
+    stable = levy_stable(exponent, 0.0, scale=0.001 / np.sqrt(2.0))
+    true = norm(scale=0.001) if exponent == WHITE else stable
     for bound_m in (-0.003, -0.0005, 0.0, 0.001, 0.01):
         assert np.mean(errors_m < bound_m) == pytest.approx(true.cdf(bound_m), abs=0.006)
     assert np.abs(errors_m).max() <= 0.1
@@ -257,34 +208,30 @@ def test_a_page_names_a_command_that_makes_it(tmp_path):
     assert shlex.split(command) == [*given, "--camera", "exact"]
 
 
-# ---- settling time: formula and bounds ------------------------------------------------------
+# ---- settling time --------------------------------------------------------------------------
 
 SURFACE = SlidingSurface(alpha2=1.0, alpha3=0.6)
 REACHING = ReachingLaw(k1=1.5, k2=0.1, k4=0.2, sigma=0.75)
-ERRORS = np.array([[0.3, -0.1, 0.02], [0.05, 0.2, -0.2], [0.004, 0.001, 0.0]])
 
 
-@pytest.mark.parametrize("error", ERRORS)
+@pytest.mark.parametrize("error", [[0.3, -0.1, 0.02], [0.05, 0.2, -0.2], [0.004, 0.001, 0.0]])
 def test_motion_band_bound_and_bound_to_zero_are_in_order(error):
-    to_zero = max(
-        one.total_s for one in settling_times(error.tolist(), [0.0] * 3, SURFACE, REACHING)
-    )
-    predicted = predicted_times_s(error[None, :], SURFACE, REACHING)
-    for band in BANDS:
-        to_band = bound_to_band_s(error, BANDS[band], SURFACE, REACHING)
-        assert predicted[band][0] <= to_band + 0.002
-        assert to_band <= to_zero
-    assert bound_to_band_s(0.01 * error, 0.005, SURFACE, REACHING) == 0.0
+    axes, error = settling_times(error, [0.0] * 3, SURFACE, REACHING), np.array(error)
+    predicted = settling.predicted_times_s(error[None, :], SURFACE, REACHING)
+    for name, band_m in settling.BANDS.items():
+        to_band = settling.bound_to_band_s(error, band_m, SURFACE, REACHING)
+        assert predicted[name][0] - 0.002 <= to_band <= max(one.total_s for one in axes)
+    assert settling.bound_to_band_s(0.01 * error, 0.005, SURFACE, REACHING) == 0.0
 
 
-def settling_claims(*runs):
+def settling_claims(*given):
     usual = {
         "gains": "0.19 → 0.5", "world": settling.SILENT, "excluded": "",
         "to_5mm_s": 1.0, "to_2mm_s": 1.0, "bound_s": 2.0, "band_5mm_s": 1.2, "band_2mm_s": 1.2,
         "predicted_5mm_s": 1.0, "printed_s": -0.5, "printed_sliding_s": -0.7,
     }  # fmt: skip
-    rows = [{**usual, **run} for run in runs]
-    found = Found(Results({**row, **promises_kept(row)} for row in rows))
+    rows = [{**usual, **one} for one in given]
+    found = Found(Results({**row, **settling.promises_kept(row)} for row in rows))
     return {one.name: one for one in settling.claims(found)}
 
 
@@ -304,18 +251,6 @@ def test_settling_claims_follow_the_shares():
 
 
 # ---- estimators -----------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def clean():
-    return record_motion(3, CLEAN, 2.0)
-
-
-def test_the_oracle_errs_by_micrometres_without_noise(clean):
-    oracle = make_estimator("oracle", simulation_of(CLEAN))
-    track = judge(oracle, clean, True)
-    assert track.t1_m.max() < 1e-5
-    assert track.jacobian_error.max() < 1e-12
 
 
 class KnowsTheLastStep(Estimator):
@@ -372,58 +307,45 @@ def test_best_is_close_to_the_floor_and_the_same_when_repeated():
 
 
 def test_images_are_stamped_late_and_the_fit_finds_out():
-    minute = Minute(3, 12.0, EXACT, draw_places(1, 10), "ridge")
-    data, late_s = record(minute)
-    np.testing.assert_array_equal(data.ball_m, record(minute)[0].ball_m)
-    learned = learn(minute)
-    assert learned["late_s"] == late_s > 0.01
+    learned = runs.learn(runs.Minute(3, 12.0, EXACT, runs.draw_places(1, 10), "ridge"))
+    assert learned["late_s"] > 0.01
     assert learned["late_error_s"] < 0.003
     assert learned["chain_box"] < 0.01 < learned["paper_box"]
     assert learned["distilled_box"] < 0.02
 
 
-@pytest.mark.parametrize("plant", ERRING)
+@pytest.mark.parametrize("plant", ["nothing", "depths told 0.5 % too large"])
 def test_a_fit_says_how_far_it_is_off_from_what_the_camera_sees(plant):
-    conditions = replace(EXACT, **ERRING[plant])
-    row = assess((plant, Minute(3, 40.0, conditions, draw_places(1, 20))))
+    conditions = replace(EXACT, **runs.ERRING[plant])
+    row = runs.assess((plant, runs.Minute(3, 40.0, conditions, runs.draw_places(1, 20))))
     assert 0.5 < row["honesty"] < 2.0
-    # in metres, a wrong scale of the camera is not told
-    assert (row["metric"] > 3.0 * row["stated"]) == (plant == "depths told 0.5 % too large")
+    # a wrong scale of the camera cannot be known
+    assert (row["metric"] > 3.0 * row["stated"]) == (plant != "nothing")
 
 
 @pytest.mark.parametrize("name", [who.BEST, who.EXTENDED])
 def test_a_camera_that_moves_while_the_ball_rests_costs_little_time(name):
     before = simulation_of(EXACT).camera
-    journeys = draw_journeys(1, 7, (name,), EXACT)
-    assert [one.moment for one in journeys] == list(MOMENTS)
+    journeys = runs.draw_journeys(1, 7, (name,), EXACT)
     turn = np.array(journeys[0].bump.rotation_deg)
     assert np.linalg.norm(turn) == pytest.approx(45.0)
     assert abs(turn[2]) > 35.0, "mostly about the optical axis"
-    settled_s = {one.moment: run_journey(one)["to_5mm_s"] for one in journeys}
-    assert settled_s[AT_REST] <= 1.2 * settled_s[UNDISTURBED]
-    assert settled_s[CARRIED] <= 1.2 * settled_s[UNDISTURBED]
+    settled_s = {one.moment: runs.run_journey(one)["to_5mm_s"] for one in journeys}
+    assert list(settled_s) == list(runs.MOMENTS)
+    for moment in (runs.AT_REST, runs.CARRIED):
+        assert settled_s[moment] <= 1.2 * settled_s[runs.UNDISTURBED]
     np.testing.assert_array_equal(simulation_of(EXACT).camera.rotation, before.rotation)
-    assert run_journey(journeys[0])["to_5mm_s"] == settled_s[UNDISTURBED]
 
 
-def test_paths_begin_at_the_ball_and_keep_their_shape():
-    line, circle = draw_paths(1, 8)
-    assert (line.kind, circle.kind) == (LINE, CIRCLE)
+def test_a_path_begins_at_the_ball_and_feed_forward_keeps_up_with_it():
+    line, circle = runs.draw_paths(1, 8)
     simulation = simulation_of(Conditions())
     for path in (line, circle):
         simulation.reset(path.start_rad)
         np.testing.assert_allclose(path.at(0.0), simulation.true_ball_position(), atol=1e-9)
         step = path.at(0.1001) - path.at(0.1)
         assert np.linalg.norm(step) == pytest.approx(0.0001, rel=1e-4)
-    half = circle.at(np.pi * RADIUS_M)
-    assert np.linalg.norm(half - circle.at(0.0)) == pytest.approx(2.0 * RADIUS_M)
-    assert line.duration_s(0.3) == pytest.approx(line.length_m / 0.3)
-
-
-def test_feed_forward_is_what_keeps_up():
-    pursuit = Pursuit(who.EXTENDED, draw_paths(1, 8)[1], 0.1, True, EXACT)
-    with_it, alone = (
-        run_pursuit(replace(pursuit, feed_forward=feed_forward))["rms_m"]
-        for feed_forward in (True, False)
-    )
+    pursuit = runs.Pursuit(who.EXTENDED, circle, 0.1, True, EXACT)
+    with_it = runs.run_pursuit(pursuit)["rms_m"]
+    alone = runs.run_pursuit(replace(pursuit, feed_forward=False))["rms_m"]
     assert with_it < 0.003 < alone < 0.03

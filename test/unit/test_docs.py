@@ -35,8 +35,8 @@ def anchors(path):
 
 @cache
 def source():
-    """The code of the package, with string literals over several lines joined."""
-    files = sorted(ROOT.glob("fvs_*/**/*.py"))
+    """The package's code and templates, with string literals over several lines joined."""
+    files = [*sorted(ROOT.glob("fvs_*/**/*.py")), *sorted(ROOT.glob("fvs_*/*.jinja"))]
     return re.sub(r"\"\s*\n\s*f?\"", "", "\n".join(map(page, files)))
 
 

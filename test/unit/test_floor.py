@@ -22,11 +22,9 @@ LIMITS = Limits(1.0, 6.0)
 START_RAD = np.array(HOME_JOINTS_RAD)
 GOAL_RAD = START_RAD + [0.5, -0.3, 0.4, 0.3, -0.5, 0.2]
 CASE = Case("", tuple(START_RAD), tuple(GOAL_RAD), 1)
-TARGET_M = ball_position(GOAL_RAD)
 #: Of the race.
 CASES = make_cases("B", 5, 410)
 TICK_S = 0.008
-
 
 fastest = lru_cache(maxsize=None)(floor.fastest)
 
@@ -73,13 +71,13 @@ def test_a_larger_tolerance_is_no_slower_and_none_at_all_is_rest_on_the_target()
 
 
 def test_nobody_gets_there_with_less_travel():
-    least = np.abs(least_travel_rad(CASE)).max()
+    least, target_m = np.abs(least_travel_rad(CASE)).max(), ball_position(GOAL_RAD)
     assert least <= np.abs(GOAL_RAD - START_RAD).max()
     rng = np.random.default_rng(1)
     for _ in range(200):
         joints = START_RAD + rng.uniform(-1.0, 1.0, 6) * least
         for _ in range(20):  # onto the target, the nearest way
-            missing = TARGET_M - ball_position(joints)
+            missing = target_m - ball_position(joints)
             joints = joints + np.linalg.pinv(ball_jacobian(joints)) @ missing
         if np.linalg.norm(missing) < 1e-9:
             assert np.abs(joints - START_RAD).max() >= least - 1e-6
@@ -151,15 +149,11 @@ def outside_m(case, time_s, tolerance_m):
     return least_m
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+@pytest.mark.parametrize("case", CASES[:3], ids=lambda case: case.name)
 def test_linear_programmes_over_the_whole_motion_find_nothing_faster(case):
     time_s = fastest(case, LIMITS, 0.005).time_s
     assert outside_m(case, 0.99 * time_s, 0.005) > 1e-4
-
-
-def test_the_linear_programmes_find_what_there_is():
-    for case in CASES[:2]:
-        assert outside_m(case, 1.01 * fastest(case, LIMITS, 0.005).time_s, 0.005) < 1e-5
+    assert outside_m(case, 1.01 * time_s, 0.005) < 1e-5, "and what there is"
 
 
 def test_played_on_ideal_drives_it_is_attained():

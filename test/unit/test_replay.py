@@ -29,13 +29,13 @@ from replayed_bags import (
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
 
+from fvs_lab import figures
 from fvs_lab.figures import pyplot
 from fvs_lab.main import main
-from fvs_lab.replay import figures, files, story
-from fvs_lab.replay.files import BagError
+from fvs_lab.replay import story
 from fvs_lab.replay.page import write
-from fvs_lab.replay.predictions import prediction
-from fvs_lab.replay.reading import read
+from fvs_lab.replay.reading import BagError, find, opened, read
+from fvs_lab.replay.story import prediction
 from fvs_lab.replay.targets import judged_by, targets
 from fvs_ros.status import SILENT
 from fvs_tools.bag import Bag, Message
@@ -177,7 +177,7 @@ def test_targets_in_quick_succession_are_one_that_moves(made, read_back, tmp_pat
     assert target.moving
     assert target.errors_m[target.time_s > 3.0] == pytest.approx(0.2, abs=0.001)
     (row,) = sections(recording, tmp_path)["targets"].tables[0].rows
-    assert row[:4] == ["1, moving", "300 mm", "", ""]
+    assert row[:4] == ["1, moving", "300", "-", "-"]
 
 
 def cut_at(recording, since_given_s):
@@ -574,6 +574,6 @@ def test_a_bag_that_cannot_be_read_is_one_sentence(tmp_path, capsys, make, words
 
 def test_what_a_bag_unpacks_to_is_bounded(bag):
     before = resource.getrlimit(resource.RLIMIT_DATA)
-    with files.opened(files.find(bag)), pytest.raises(MemoryError):
+    with opened(find(bag)), pytest.raises(MemoryError):
         np.zeros(2**30)
     assert resource.getrlimit(resource.RLIMIT_DATA) == before
