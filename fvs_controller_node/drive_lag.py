@@ -69,24 +69,11 @@ class DriveLag:
         joints_rad: np.ndarray,
         compare: bool = True,
     ) -> np.ndarray:
-        """Take one joint state.
+        """Take a joint state, (n,), and the command in force since the one before, (n,).
 
-        Parameters
-        ----------
-        stamp_s : float
-            Its stamp, s: the times of arrival jitter, which would look like a lag.
-        command_rad_s : ndarray, shape (n,)
-            The command in force since the one before, rad/s.
-        joints_rad : ndarray, shape (n,)
-            Joint positions, rad.
-        compare : bool
-            Whether the arm obeys; one with its speed slider down, or moved by somebody else, does
-            not, which would look like a lag as well.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Joint positions with less noise where the arm obeys, rad.
+        Its stamp counts: times of arrival jitter, which would look like a lag. So would an arm that
+        does not obey, with its speed slider down or moved by hand: then do not ``compare``.
+        Returns the joints, (n,), rad, with less noise where the arm obeys.
         """
         before_s, commanded = self._commanded.newest_stamp_s, self._commanded.newest
         moved, self._joints = joints_rad - self._joints, joints_rad

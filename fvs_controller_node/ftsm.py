@@ -48,16 +48,7 @@ def next_sliding_value(s: float, law: ReachingLaw, dt_s: float) -> float:
 def next_error(right: float, guess: float, surface: SlidingSurface, dt_s: float) -> float:
     """Solve (a1/dt + a2) z + a3 psi(z) = right for the error z a tick later.
 
-    Parameters
-    ----------
-    right : float
-        Right side, s+ + (a1/dt) y.
-    guess : float
-        Where to begin, the present error y, m.
-    surface : SlidingSurface
-        The surface.
-    dt_s : float
-        Tick, s.
+    ``right`` is s+ + (a1/dt) y, and ``guess`` the present error y, m.
     """
     linear = surface.alpha1 / dt_s + surface.alpha2
     return _root(right, linear, surface.alpha3, surface.psi_and_slope, guess)

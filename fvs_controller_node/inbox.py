@@ -68,7 +68,7 @@ class InputMonitor:
         self._stuck_s = now_s
 
     def source_says(self, now_s: float, why: str) -> None:
-        """Note why its source sends nothing, in the source's words; empty if it has no reason."""
+        """Note why its source, the estimator, may send nothing; empty if it has no reason."""
         self._said, self._said_s = why, now_s
 
     def bad(self, why: str) -> None:
@@ -98,7 +98,7 @@ class InputMonitor:
             return Reason.BAD_INPUT.because(why=self._why, **numbers)
         hint = self._hint
         if self._said and now_s - self._said_s <= _SAID_S:
-            hint = self._said
+            hint = f"the estimator says: {self._said}"
         elif now_s - self._stuck_s <= limit_s:
             hint = "messages come, but their stamps do not advance: its source has frozen"
         if stale:
@@ -153,6 +153,10 @@ class Inbox:
         self._program_running: bool | None = None  # never reported
         self._speed_scaling = 100.0
 
+    def __getitem__(self, topic: str) -> InputMonitor:
+        """The monitor of the input on a topic."""
+        return self._monitors[topic]
+
     def configure(self, config: SupervisorConfig) -> None:
         """Change what is expected while running."""
         self._config = config
@@ -178,27 +182,6 @@ class Inbox:
         self.conditioning = conditioning(self.jacobian)
         return True
 
-    def add_chain(self, now_s: float) -> None:
-        """Note a usable forward model."""
-        self._monitors[KINEMATIC_CHAIN].good(now_s)
-
-    def no_chain(self) -> None:
-        """Note that no forward model comes any more: it is optional."""
-        self._monitors[KINEMATIC_CHAIN].forget()
-
-    def stuck(self, now_s: float, name: str) -> None:
-        """Note a message on topic ``name`` whose stamp does not advance."""
-        self._monitors[name].stuck(now_s)
-
-    def bad_input(self, name: str, why: str) -> None:
-        """Note a message on topic ``name`` that cannot be used, and why."""
-        self._monitors[name].bad(why)
-
-    def estimator_says(self, now_s: float, why: str) -> None:
-        """Take the estimator's words why it may publish no Jacobian; empty if all is well."""
-        said = f"the estimator says: {why}" if why else ""
-        self._monitors[JACOBIAN].source_says(now_s, said)
-
     def add_program_running(self, running: bool) -> None:
         """Take whether the robot's program runs."""
         self._program_running = bool(running)
@@ -207,9 +190,9 @@ class Inbox:
     def add_speed_scaling(self, now_s: float, percent: float) -> None:
         """Take the robot's speed scaling, 0 to 100 %."""
         if not isfinite(percent):
-            self.bad_input(SPEED_SCALING, f"expected 0 to 100, got {percent}")
+            self[SPEED_SCALING].bad(f"expected 0 to 100, got {percent}")
             return
-        self._monitors[SPEED_SCALING].good(now_s)
+        self[SPEED_SCALING].good(now_s)
         self._speed_scaling = float(percent)
         self._pause()
 
@@ -226,15 +209,14 @@ class Inbox:
         values = np.asarray(values, dtype=float)
         wanted = " x ".join(str(n) for n in shape)
         if values.shape != shape:
-            self.bad_input(name, f"expected {wanted} numbers, got shape {values.shape}")
+            self[name].bad(f"expected {wanted} numbers, got shape {values.shape}")
         elif not all(-_LARGEST <= value <= _LARGEST for value in values.ravel().tolist()):
-            self.bad_input(
-                name,
+            self[name].bad(
                 f"expected {wanted} finite numbers up to {_LARGEST:g} in metres and radians, "
                 f"got {values.tolist()}",
             )
         else:
-            self._monitors[name].good(now_s)
+            self[name].good(now_s)
             return True
         return False
 
@@ -274,9 +256,7 @@ class Inbox:
 
     def status_values(self, now_s: float) -> dict[str, float | str]:
         """Ages and the robot's reports, always the same keys in the same order."""
-        ages = {
-            f"{n}_age_s": self._monitors[n].age_s(now_s) for n in (JOINT_STATES, BALL, JACOBIAN)
-        }
+        ages = {f"{n}_age_s": self[n].age_s(now_s) for n in (JOINT_STATES, BALL, JACOBIAN)}
         running = {None: "unknown", False: "false", True: "true"}[self._program_running]
         return {
             **ages,

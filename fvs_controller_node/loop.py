@@ -92,12 +92,12 @@ class ServoLoop:
         """Take a joint state: arrival and stamp, s; positions (n,), rad."""
         inputs = self.supervisor.inputs
         if not self._joint_stamps.advances(stamp_s):
-            inputs.stuck(now_s, JOINT_STATES)
+            inputs[JOINT_STATES].stuck(now_s)
             return
         jump = self._jump(stamp_s, joints_rad)
         if jump:
             self.predictor.reset()  # the ball did not move with it
-            inputs.bad_input(JOINT_STATES, jump)
+            inputs[JOINT_STATES].bad(jump)
         elif inputs.add_joint_states(now_s, joints_rad):
             self._stamp_s = stamp_s
             self._joints = self._drive_lag.add(
@@ -130,7 +130,7 @@ class ServoLoop:
     def add_ball(self, now_s: float, stamp_s: float, position_m: np.ndarray) -> None:
         """Take a ball position in the feature's frame: arrival and exposure, s; (m,), m."""
         if not self._ball_stamps.advances(stamp_s):
-            self.supervisor.inputs.stuck(now_s, BALL)
+            self.supervisor.inputs[BALL].stuck(now_s)
         elif self.supervisor.inputs.add_ball(now_s, position_m):
             self.predictor.add_ball(stamp_s, position_m)
 
@@ -145,13 +145,13 @@ class ServoLoop:
         """Take the forward model as the camera sees it now, and its arrival."""
         if self.law.reads_chain:
             self._chain, self._chain_s = chain, now_s
-            self.supervisor.inputs.add_chain(now_s)
+            self.supervisor.inputs[KINEMATIC_CHAIN].good(now_s)
 
     def bad_chain(self, now_s: float, why: str) -> None:
         """Take the arrival of a forward model that cannot be used, and why."""
         if self.law.reads_chain:
             self._chain, self._chain_s = None, now_s
-            self.supervisor.inputs.bad_input(KINEMATIC_CHAIN, why)
+            self.supervisor.inputs[KINEMATIC_CHAIN].bad(why)
 
     # ---- the target ---------------------------------------------------------------------------
 
@@ -217,7 +217,7 @@ class ServoLoop:
         supervisor = self.supervisor
         if now_s - self._chain_s > _CHAIN_MAX_AGE_S:
             self._chain = None  # its publisher is gone, or has another method now
-            supervisor.inputs.no_chain()
+            supervisor.inputs[KINEMATIC_CHAIN].forget()
         target = self.target.at(self._stamp_s) if self._follows else None
         inside = target is not None and supervisor.goal.track(target.position_m)
         self._target_m_s = target.velocity_m_s if target is not None and inside else None

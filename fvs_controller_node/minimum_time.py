@@ -19,7 +19,7 @@ from where the drives will be (:mod:`fvs_controller_node.drive_lag`).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,17 +31,12 @@ from fvs_ros.limits import SpeedLimits
 from fvs_ros.params import Parameters, live_parameter
 from fvs_ros.vectors import largest
 
-#: Steps of the search for the goal after a new target; longest step of a joint, rad. They draw the
-#: goal towards the posture that the arm was started in. One step after each further image holds on
-#: to what was found, by this weight: one linear programme after the other would go to and fro
-#: between two corners.
-_FIRST_STEPS, _LONGEST_RAD, _NEARNESS = 4, 0.5, 0.2
+#: Steps of the search for the goal after a new target: they draw it towards the posture of the
+#: start. One step after each further image stays near what was found: one linear programme after
+#: the other would go to and fro between two corners.
+_FIRST_STEPS = 4
 #: The goal is looked for anew, too, if it leads further than this from the target, m.
 _NEW_M = 0.02
-#: Damping of the search, m^2/rad^2: larger would leave a part of the way out.
-_SEARCH_DAMPING = 1e-8
-#: What is left out near the end of a joint's range is made up for in the steps to come.
-_SEARCH_LEFT_OUT = 0.02
 
 
 @dataclass(frozen=True)
@@ -86,7 +81,6 @@ class MinimumTimeLaw(ControlLaw):
         self._speed = limits.max_joint_velocity_rad_s
         self._acceleration = BRAKING_SHARE * limits.max_joint_acceleration_rad_s2
         self._inverse = inverse or LeastSpeedInverse()
-        self._search = replace(self._inverse, damping=_SEARCH_DAMPING, left_out=_SEARCH_LEFT_OUT)
         self.reset()
 
     @classmethod
@@ -138,13 +132,10 @@ class MinimumTimeLaw(ControlLaw):
             travel = goal - joints
             way = missing + jacobian @ travel
             if new and one.home_rad is not None:
-                found = self._search.solve(jacobian, way, joints, home_rad=one.home_rad)
+                found = self._inverse.joint_velocity(jacobian, way, joints, one.home_rad)
             else:
-                found = self._search.solve(jacobian, way, joints, travel, _NEARNESS)
-            step = found - travel
-            goal = self._within_range(
-                goal + step * min(1.0, _LONGEST_RAD / max(float(np.abs(step).max()), 1e-12))
-            )
+                found = self._inverse.joint_velocity(jacobian, way, joints, near=travel)
+            goal = self._within_range(joints + found)
             position, jacobian = chain.position_and_jacobian(goal)
             missing = wanted - position
         return goal

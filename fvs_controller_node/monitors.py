@@ -30,30 +30,14 @@ _LEAVE_TIME_S = 10.0
 
 
 class Motion(NamedTuple):
-    """What the monitors see of one tick.
+    """What the monitors see of one tick."""
 
-    Parameters
-    ----------
-    dt_s : float
-        Time since the last tick, s.
-    joints_rad : ndarray, shape (n,)
-        Joint positions, rad.
-    command_rad_s : ndarray, shape (n,)
-        Command in force since the last tick, rad/s.
-    speed_scaling : float
-        Of the robot, 0 to 1.
-    jacobian : ndarray, shape (m, n)
-        m/rad.
-    verdict : Verdict or None
-        How seen and predicted motion agree, as far as enough moved to say.
-    """
-
-    dt_s: float
-    joints_rad: np.ndarray
-    command_rad_s: np.ndarray
-    speed_scaling: float
-    jacobian: np.ndarray
-    verdict: Verdict | None
+    dt_s: float  #: since the last tick, s
+    joints_rad: np.ndarray  #: positions, (n,)
+    command_rad_s: np.ndarray  #: in force since the last tick, (n,)
+    speed_scaling: float  #: of the robot, 0 to 1
+    jacobian: np.ndarray  #: m/rad, (m, n)
+    verdict: Verdict | None  #: None while too little moved to say
 
 
 class Monitor(Protocol):

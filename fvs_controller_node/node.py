@@ -107,10 +107,10 @@ class ControllerNode(ros.FvsNode):
         except ForeignJointsError as error:
             # Another device's joints are no fault of ours, unless ours never came.
             if np.isinf(self._joints_s):
-                supervisor.inputs.bad_input(JOINT_STATES, str(error))
+                supervisor.inputs[JOINT_STATES].bad(str(error))
             return
         except JointStateError as error:
-            supervisor.inputs.bad_input(JOINT_STATES, str(error))
+            supervisor.inputs[JOINT_STATES].bad(str(error))
             self._tick(now_s, now_s - self._ticked_s)
             return
         self._joints_s = now_s
@@ -127,7 +127,7 @@ class ControllerNode(ros.FvsNode):
         try:
             position_m = ros.from_point(message, self._frame, topics.BALL_POSITION.name)
         except ros.MessageError as error:
-            self._loop.supervisor.inputs.bad_input(BALL, str(error))
+            self._loop.supervisor.inputs[BALL].bad(str(error))
             return
         self._loop.add_ball(now_s, ros.from_stamp(message.header.stamp), position_m)
 
@@ -136,7 +136,7 @@ class ControllerNode(ros.FvsNode):
         try:
             self._loop.add_jacobian(now_s, ros.from_jacobian(message, *self._shape))
         except ros.MessageError as error:
-            self._loop.supervisor.inputs.bad_input(JACOBIAN, str(error))
+            self._loop.supervisor.inputs[JACOBIAN].bad(str(error))
 
     def _on_chain(self, message: Float64MultiArray) -> None:
         now_s = self.now_s()
@@ -149,7 +149,7 @@ class ControllerNode(ros.FvsNode):
         values, now_s = ros.from_status(message), self.now_s()
         supervisor = self._loop.supervisor
         idle = values.get("state") in (ESTIMATOR_WAITING, ESTIMATOR_FAULT)
-        supervisor.inputs.estimator_says(now_s, message.message if idle else "")
+        supervisor.inputs[JACOBIAN].source_says(now_s, message.message if idle else "")
 
     def _on_target(self, message: PointStamped) -> None:
         point, stamp = message.point, message.header.stamp

@@ -41,25 +41,14 @@ _CELLS = 32
 
 
 class Verdict(NamedTuple):
-    """How seen and predicted motion agree.
+    """How seen and predicted motion agree."""
 
-    Parameters
-    ----------
-    predicted_m : float
-        How far the feature was predicted to come, m.
-    seen_share : float
-        Share of that which was seen, in whatever direction.
-    error_ratio : float
-        Error of the prediction over the larger one of predicted and seen motion, rms: 0 is
-        perfect, 1 no better than predicting rest, 2 the opposite.
-    time_s : float
-        Within this time, s.
-    """
-
-    predicted_m: float
-    seen_share: float
+    predicted_m: float  #: how far the feature was predicted to come
+    seen_share: float  #: share of that which was seen, in whatever direction
+    #: Error of the prediction over the larger one of predicted and seen motion, rms: 0 is perfect,
+    #: 1 no better than predicting rest, 2 the opposite.
     error_ratio: float
-    time_s: float
+    time_s: float  #: within this time
 
 
 @dataclass

@@ -4,13 +4,13 @@ The damped pseudo inverse makes the sum of squares small, but the limit is on ea
 one joint run into the limit while others could help. The least largest speed is a linear programme;
 with a small weight on the sum of squares it has one solution that moves smoothly with the Jacobian,
 
-    minimise t^2 + eps^2 |u|^2  subject to  J u = v,  -t low_i <= u_i <= t high_i,
+    minimise t^2 + eps^2 |u|^2  subject to  J u = v,  |u_i| <= t,
 
 a least distance problem (t, and u in the null space of J), which Lawson and Hanson's non-negative
-least squares solves (Solving Least Squares Problems, ch. 23). ``low`` and ``high`` are 1, and fall
-to nothing as a joint nears that end of its range. The others then make up for most of what it
-leaves out of ``v``, as far as they can: where the target is out of their reach, they do not try
-with ever more speed.
+least squares solves (Solving Least Squares Problems, ch. 23). Where a joint nears that end of its
+range, it gives way to a pseudo inverse of which that joint makes only a share. The others make up
+for most of what it leaves out of ``v``, as far as they can: where the target is out of their reach,
+they do not try with ever more speed.
 
 Nothing in this holds the degrees of freedom that do not move the feature: from target to target
 the joints would turn away without end, until the wrist hides the ball. So the sum of squares may be
@@ -41,9 +41,12 @@ from fvs_ros.vectors import largest
 POSTURE_SPEED_RAD_S = 0.2
 #: Weight of the sum of squares (eps): the fastest joint is 2 % faster than need be, at most.
 _SMOOTHING = 0.2
-#: From this part on (its inverse) of the fastest joint's speed that is left out, no speed is saved:
-#: at the edge of reach the least largest speed would jump from corner to corner.
+#: From this part on (its inverse) of the fastest joint's speed that a joint near its end must leave
+#: out, no speed is saved: the least largest speed would jump from corner to corner.
 _CALM = 4.0
+#: How much of what a joint near its end leaves out is not made up for by the others (kappa), from 0
+#: to 1: more is calmer where the target is out of reach.
+_LEFT_OUT = 0.1
 #: Weight of the sum of squares counted from the way back to a posture.
 _HOMING = 0.5
 #: Closer to the posture than this, way back and weight are less in proportion, rad.
@@ -52,19 +55,10 @@ _TINY = 1e-12
 
 
 class Conditioning(NamedTuple):
-    """How far a Jacobian is from singular.
+    """How far a Jacobian is from singular."""
 
-    Attributes
-    ----------
-    smallest : float
-        Smallest singular value: the slowest the feature moves, in its worst direction, for a unit
-        of joint motion.
-    condition : float
-        Largest over smallest singular value; infinite when singular.
-    """
-
-    smallest: float
-    condition: float
+    smallest: float  #: singular value: motion in the worst direction for a unit of joint motion
+    condition: float  #: largest over smallest singular value; infinite when singular
 
 
 def conditioning(jacobian: np.ndarray) -> Conditioning:
@@ -150,14 +144,10 @@ class LeastSpeedInverse:
         mu, m^2/rad^2: as in :class:`DampedInverse`, whose feature velocity is kept.
     joint_range : JointRange, optional
         Ends of the joints' ranges, to be kept away from.
-    left_out : float
-        How much of the motion that a joint near its end leaves out is not made up for by the others
-        (kappa), from 0 to 1: more is calmer where the target is out of reach.
     """
 
     damping: float = 1e-4
     joint_range: JointRange | None = None
-    left_out: float = 0.1
 
     def __post_init__(self) -> None:
         ends = None
@@ -169,79 +159,31 @@ class LeastSpeedInverse:
     def joint_velocity(
         self,
         jacobian: np.ndarray,
-        velocity_m_s: np.ndarray,
+        velocity: np.ndarray,
         joints_rad: np.ndarray | None = None,
         home_rad: np.ndarray | None = None,
+        near: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Find joint velocities, (n,), rad/s, for a feature velocity: see :meth:`solve`."""
-        return self.solve(jacobian, velocity_m_s, joints_rad, home_rad=home_rad)
+        """Find those whose fastest joint is slowest: as :meth:`DampedInverse.joint_velocity`.
 
-    def solve(
-        self,
-        jacobian: np.ndarray,
-        velocity_m_s: np.ndarray,
-        joints_rad: np.ndarray | None = None,
-        near_rad_s: np.ndarray | None = None,
-        nearness: float = _SMOOTHING,
-        home_rad: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """Find the joint motion with the least largest part for a motion of the ball.
-
-        Parameters
-        ----------
-        jacobian : ndarray, shape (m, n)
-            m/rad.
-        velocity_m_s : ndarray, shape (m,)
-            Wanted ball velocity, m/s.
-        joints_rad : ndarray, shape (n,), optional
-            Present joints, rad; without them the ends of their ranges do not count.
-        near_rad_s : ndarray, shape (n,), optional
-            What the sum of squares is counted from; zero if not given.
-        nearness : float
-            Weight eps of the sum of squares.
-        home_rad : ndarray, shape (n,), optional
-            Posture to come back to on the way, rad; with ``joints_rad`` and without ``near_rad_s``.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Joint velocities, rad/s.
+        Without ``joints_rad`` the ends of their ranges do not count. The sum of squares may be
+        counted from ``near``, (n,), rad/s, instead of from the way back to ``home_rad``.
         """
-        least = damped_solution(jacobian, velocity_m_s, self.damping)
-        free, joints = _orthogonal_to_rows(jacobian), least.size
-        shares, spared = self._shares(joints_rad), None
-        if shares is not None:
-            share = np.where(least > 0.0, shares[:joints], shares[joints:])
-            left_out = largest((1.0 - share) * least) / max(largest(least), _TINY)
-            spared = self._sparing(jacobian, velocity_m_s, share)
-            least = spared - (free @ spared) @ free
-        if near_rad_s is not None:
-            least = least + (free @ near_rad_s) @ free
-            spared = None if spared is None else least
+        least = damped_solution(jacobian, velocity, self.damping)
+        free, shares = _orthogonal_to_rows(jacobian), self._shares(joints_rad)
+        nearness = _SMOOTHING
+        if near is not None:
+            least = least + (free @ near) @ free
         elif home_rad is not None and joints_rad is not None:
             room = 1.0 if shares is None else float(shares.min())
             homing, nearness = _homing(home_rad - joints_rad, largest(least), room)
             least = least + (free @ homing) @ free
-        scale = largest(least)
-        if not _TINY < scale < np.inf:
-            return least
-        distance = np.empty((2 + len(free), 2 * joints))
-        upward, downward = distance[:, :joints], distance[:, joints:]
-        np.multiply(free, -1.0 / nearness, out=upward[1:-1])
-        np.divide(least, scale, out=upward[-1])
-        np.negative(upward[1:], out=downward[1:])
-        distance[0] = 1.0 if shares is None else shares
-        try:
-            weights, _ = nnls(distance, _unit(len(distance)))
-        except RuntimeError:  # it did not converge
-            return least
-        rest = distance.dot(weights)
-        last = nearness * (float(rest[-1]) - 1.0)
-        if abs(last) < _TINY:
-            return least
-        found = least - rest[1:-1].dot(free) * (scale / last)
-        if spared is None:
+        found = _least_largest(least, free, nearness)
+        if shares is None:
             return found
+        share = np.where(found > 0.0, *np.split(shares, 2))
+        left_out = largest((1.0 - share) * found) / max(largest(found), _TINY)
+        spared = self._sparing(jacobian, velocity, share)
         return found + min(1.0, _CALM * left_out) * (spared - found)
 
     def _sparing(
@@ -253,7 +195,7 @@ class LeastSpeedInverse:
         kappa = 0 the other joints would make up for all that is left out, the faster the less they
         can: at the edge of their reach they would throw the ball about.
         """
-        root = np.sqrt(share + self.left_out * (1.0 - share))
+        root = np.sqrt(share + _LEFT_OUT * (1.0 - share))
         return share / root * damped_solution(jacobian * root, velocity_m_s, self.damping)
 
     def _shares(self, joints_rad: np.ndarray | None) -> np.ndarray | None:
@@ -267,6 +209,26 @@ class LeastSpeedInverse:
         ends_rad = self._ends_rad  # type: ignore[attr-defined]
         room = ends_rad - np.concatenate((joints_rad, -joints_rad))
         return np.minimum(np.maximum(room / self.joint_range.joint_limit_margin_rad, 0.0), 1.0)
+
+
+def _least_largest(least: np.ndarray, free: np.ndarray, nearness: float) -> np.ndarray:
+    """The least largest of joint velocities, (n,), plus a mix of free ones, (n - m, n)."""
+    scale, joints = largest(least), least.size
+    if not _TINY < scale < np.inf:
+        return least
+    distance = np.empty((2 + len(free), 2 * joints))
+    upward, downward = distance[:, :joints], distance[:, joints:]
+    np.multiply(free, -1.0 / nearness, out=upward[1:-1])
+    np.divide(least, scale, out=upward[-1])
+    np.negative(upward[1:], out=downward[1:])
+    distance[0] = 1.0
+    try:
+        weights, _ = nnls(distance, _unit(len(distance)))
+    except RuntimeError:  # it did not converge
+        return least
+    rest = distance.dot(weights)
+    last = nearness * (float(rest[-1]) - 1.0)
+    return least if abs(last) < _TINY else least - rest[1:-1].dot(free) * (scale / last)
 
 
 @cache

@@ -23,16 +23,9 @@ from fvs_controller_node.surface import ReachingLaw, SlidingSurface
 def constant_exponent_time_s(
     y_from: float, y_to: float, gamma: float, surface: SlidingSurface
 ) -> float:
-    """Time to slide from one error to a smaller one with a constant exponent, s.
+    """Time to slide from one error, m, to a smaller one with a constant exponent in (0, 1], s.
 
-    Parameters
-    ----------
-    y_from, y_to : float
-        Errors, m; 0 <= y_to <= y_from, and y_to > 0 if gamma = 1 or alpha3 = 0.
-    gamma : float
-        The exponent, in (0, 1].
-    surface : SlidingSurface
-        For its alphas.
+    0 <= y_to <= y_from, and y_to > 0 if gamma = 1 or alpha3 = 0.
     """
     a1, a2, a3 = surface.alpha1, surface.alpha2, surface.alpha3
     if y_from <= y_to:
@@ -102,18 +95,10 @@ def sliding_value_after(s0: float, t_s: float, law: ReachingLaw) -> float:
 
 @dataclass(frozen=True)
 class SettlingTime:
-    """Bounds of the settling time of one axis.
+    """Bounds of the settling time of one axis."""
 
-    Parameters
-    ----------
-    reaching_s : float
-        Time to reach the sliding surface, s.
-    sliding_s : float
-        Upper bound of the time to slide from there to zero, s.
-    """
-
-    reaching_s: float
-    sliding_s: float
+    reaching_s: float  #: to the sliding surface
+    sliding_s: float  #: from there to zero, upper bound
 
     @property
     def total_s(self) -> float:
@@ -132,15 +117,6 @@ def settling_times(
     While the surface is reached, |y| grows by at most the integral of |s| / a1, since
     ``a1 y' = s - a2 y - a3 psi(y)``; not at all when the axis starts from rest, where s keeps
     the sign of y and y' that of -y.
-
-    Parameters
-    ----------
-    error_m, velocity_m_s : sequence of float
-        Errors and their velocities at the beginning.
-    surface : SlidingSurface
-        The surface.
-    law : ReachingLaw
-        The reaching law.
     """
     times = []
     for y, v in zip(error_m, velocity_m_s, strict=True):

@@ -63,23 +63,11 @@ class SlidingSurface(Parameters):
             )
         object.__setattr__(self, "lambda3", 3.0 / self.switch_error_m**2)
 
-    @classmethod
-    def fixed(
-        cls, gamma: float, alpha1: float = 1.0, alpha2: float = 3.0, alpha3: float = 2.0
-    ) -> SlidingSurface:
-        """Build a surface with one exponent everywhere, eq. (14)."""
-        return cls(alpha1, alpha2, alpha3, lambda1=gamma, lambda2=0.0)
-
     def exponent(self, y: float) -> float:
         """Return the exponent g(y), eq. (29)."""
         return self.lambda1 - self.lambda2 * tanh(
             self.lambda3 * (y * y - self.switch_error_m * self.switch_error_m)
         )
-
-    def exponent_slope(self, y: float) -> float:
-        """dg/dy = -2 l2 l3 y sech^2(l3 (y^2 - Delta)), 1/m."""
-        t = tanh(self.lambda3 * (y * y - self.switch_error_m * self.switch_error_m))
-        return -2.0 * self.lambda2 * self.lambda3 * y * (1.0 - t * t)
 
     def psi(self, y: float) -> float:
         """Return the terminal attractor |y|^g(y) sgn y."""
@@ -92,7 +80,7 @@ class SlidingSurface(Parameters):
         if y == 0.0:
             return 0.0, (1.0 if self.exponent(0.0) >= 1.0 else inf)
         a = abs(y)
-        # exponent() and exponent_slope() in one, for the root finding of the implicit law.
+        # exponent() and its slope in one, for the root finding of the implicit law.
         t = tanh(self.lambda3 * (a * a - self.switch_error_m * self.switch_error_m))
         g = self.lambda1 - self.lambda2 * t
         g_slope = -2.0 * self.lambda2 * self.lambda3 * a * (1.0 - t * t)

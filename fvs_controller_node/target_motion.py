@@ -39,9 +39,8 @@ _MAX_GAP_S = 0.25
 _JUMP_M = 0.05
 #: No target that an arm could go along with is faster, m/s.
 _FASTEST_M_S = 1.0
-#: Without a further update a motion goes on for this count of intervals, and it is no faster than
-#: the fastest step by this factor: one odd update must not throw the target about.
-_INTERVALS, _FASTER = 3.0, 1.2
+#: Without a further update a motion goes on for this count of intervals.
+_INTERVALS = 3.0
 #: A stamp further than this from the joint states' is of another clock, s.
 _OWN_CLOCK_S = 0.2
 
@@ -60,7 +59,7 @@ class TargetMotion:
         self._updates: deque[tuple[float, np.ndarray]] = deque(maxlen=_MOST)
         self._scatter_m2 = deque([_SUPPOSED_M**2] * _SUPPOSED, maxlen=_REMEMBERED)
         self._curve: np.ndarray | None = None  # position, velocity, half the acceleration
-        self._interval_s, self._fastest_m_s = 0.0, 0.0  # between updates
+        self._interval_s = 0.0  # between updates
         self._age_s = 0.0  # of the last one when it came
 
     def restart(self, position_m: np.ndarray, now_s: float = 0.0) -> None:
@@ -120,7 +119,7 @@ class TargetMotion:
         self._scatter_m2.append(float(rest @ rest) / (m * (1.0 - 2.0 / (9.0 * m)) ** 3))
 
     def _fit(self, now_s: float) -> None:
-        """Find the polynomial to go on with, and the fastest step within its window."""
+        """Find the polynomial to go on with, and the updates' interval."""
         self._curve = None
         if len(self._updates) < _LEAST:
             return
@@ -133,14 +132,11 @@ class TargetMotion:
             window = slice(-count, None)
             fit, doubt = _polynomial(since_s[window], places[window], noise_m2)
             if curve is None or doubt < least_doubt:
-                least_doubt, curve, used = doubt, fit, window
+                least_doubt, curve = doubt, fit
             count = int(_LONGER * count)
         curve[0] += last
         self._curve = curve
-        steps_s = np.diff(since_s[used])
-        self._interval_s = float(steps_s.mean())
-        steps_m = np.linalg.norm(np.diff(places[used], axis=0), axis=1)
-        self._fastest_m_s = _FASTER * float((steps_m / np.maximum(steps_s, 1e-3)).max())
+        self._interval_s = float(np.diff(times_s[-_WINDOW:]).mean())
 
     def at(self, now_s: float) -> Target | None:
         """The target now, s; None before the first one.
@@ -165,13 +161,7 @@ class TargetMotion:
             bent_s = min(since_s, self._age_s + self._interval_s)
             position += bent_s * (2.0 * since_s - bent_s) * curve[2]
             velocity += 2.0 * bent_s * curve[2]
-        speed = length(velocity)
-        if speed > _FASTEST_M_S:
-            return standing
-        if speed > self._fastest_m_s:
-            velocity *= self._fastest_m_s / speed
-            position = last + since_s * velocity
-        return Target(position, velocity)
+        return standing if length(velocity) > _FASTEST_M_S else Target(position, velocity)
 
 
 def _polynomial(

@@ -25,15 +25,7 @@ _LEAST_SHARE = 0.15
 
 @dataclass(frozen=True)
 class Refusal:
-    """A joint that does not follow.
-
-    Parameters
-    ----------
-    joint : int
-        Its place in kinematic order.
-    commanded_rad, moved_rad : float
-        Motion that was asked for, and made, within the memory, rad.
-    """
+    """A joint, by its place, that does not follow: motion commanded and made in the memory."""
 
     joint: int
     commanded_rad: float
@@ -53,7 +45,7 @@ class Following:
         self.pause()
 
     def pause(self) -> None:
-        """Stand still while the arm is held: what was counted stays, what moves now is not told."""
+        """Stand still while the arm is held: what was counted stays, motion is ignored."""
         self._joints: np.ndarray | None = None
         self._pending = np.zeros(1)
         self._pending_s = 0.0
@@ -61,18 +53,9 @@ class Following:
     def add(
         self, command_rad_s: np.ndarray, joints_rad: np.ndarray, scaling: float, dt_s: float
     ) -> None:
-        """Tell one tick.
+        """Take a tick: the command since the last one, (n,), and the joints now, (n,).
 
-        Parameters
-        ----------
-        command_rad_s : ndarray, shape (n,)
-            Command in force since the last tick, rad/s.
-        joints_rad : ndarray, shape (n,)
-            Joint positions now, rad.
-        scaling : float
-            The robot's speed scaling, 0 to 1.
-        dt_s : float
-            Time since the last tick, s.
+        ``scaling`` is the robot's speed scaling, 0 to 1.
         """
         if self._joints is None:
             self._joints = joints_rad

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from fvs_controller_node.config import default_values
+from fvs_controller_node.inbox import JACOBIAN
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.supervisor import Command
 from fvs_estimator_node.base import Estimator
@@ -112,7 +113,7 @@ class ClosedLoop:
             self.loop.add_jacobian(now_s, self.estimator.jacobian(out.joints_rad))
         if chain is not None:
             self.loop.add_chain(now_s, chain)
-        self.loop.supervisor.inputs.estimator_says(now_s, problem)
+        self.loop.supervisor.inputs[JACOBIAN].source_says(now_s, problem)
         self.loop.add_joints(now_s, now_s, out.joints_rad)
         command = self.loop.tick(now_s, self.period_s)
         if command.output is not None:

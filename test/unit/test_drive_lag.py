@@ -1,12 +1,12 @@
-"""The drives' lag, found from commands and joint positions."""
+"""The drives' lag, found from commands and joint positions, and braking in time for it."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from fvs_controller_node.drive_lag import DriveLag, braking_speed_within
-from fvs_sim_node.config import SimConfig
+from fvs_controller_node.base import ControlInput, ControlOutput
+from fvs_controller_node.drive_lag import BRAKING_SHARE, DriveLag, brake, braking_speed_within
 
 DT_S = 0.008
 
@@ -58,37 +58,6 @@ def test_noise_of_encoders_is_averaged_where_the_arm_rests_and_hides_no_motion()
     assert np.abs(seen[1600:] - true[1600:]).max() < 5e-4
 
 
-def test_no_slow_motion_is_told_late_and_what_moves_a_joint_at_rest_in_half_a_second():
-    """Even where the drives answer at once, sooner than was supposed."""
-    lag, told = DriveLag(), np.zeros((300, 6))
-    told[100:160] = 0.05
-    true = DT_S * np.cumsum(told, axis=0)
-    true[200:] += 1e-3
-    seen = np.array([lag.add(k * DT_S, told[k], true[k]) for k in range(300)])
-    assert np.abs(seen - true)[:200].max() < 0.5 * 0.05 * DT_S
-    assert np.abs(seen - true)[262:].max() < 0.1 * 1e-3
-
-
-def test_before_any_motion_and_where_it_must_not_compare_it_takes_the_drives_for_a_urs():
-    drive = SimConfig()
-    usual_s = 0.5 / drive.joint_state_rate_hz + drive.dead_time_s + drive.lag_s
-    assert DriveLag().lag_s == pytest.approx(usual_s, abs=0.01)
-    assert run(DriveLag(), 10, 0.0, compare=False).lag_s == DriveLag().lag_s
-
-
-def test_commands_too_small_to_move_an_arm_teach_nothing():
-    lag = DriveLag()
-    for tick in range(round(60.0 / DT_S)):
-        command = 4e-3 * np.sin(np.pi * (tick * DT_S + np.arange(6) / 3.0))
-        lag.add(tick * DT_S, command, np.zeros(6))
-    assert lag.lag_s == pytest.approx(DriveLag().lag_s, abs=0.003)
-
-
-def test_drives_that_become_slow_are_known_soon_however_long_they_were_quick():
-    lag = run(DriveLag(), 3, 0.0, 120.0)
-    assert run(lag, 5, 0.05, 20.0, begin_s=120.0).lag_s > 0.5 * (0.024 + 0.09)
-
-
 @pytest.mark.parametrize("share", [0.0, 3.0], ids=["stalled", "pushed along"])
 def test_an_arm_that_does_not_do_what_it_is_told_is_hardly_taken_for_a_lag(share):
     """One moment counts at most like the slowest drive and at least like one without a lag."""
@@ -124,3 +93,49 @@ def test_one_can_brake_from_the_braking_speed_tick_by_tick():
             way += speed * DT_S
             speed -= 5.0 * DT_S
         assert way <= travel * (1.0 + 1e-9)
+
+
+MOST_RAD_S2 = 6.0
+JACOBIAN = np.diag([0.5, 0.8, 1.0]) @ np.eye(3, 6)
+
+
+def given(error_m, joints_rad=None):
+    joints = np.zeros(6) if joints_rad is None else joints_rad
+    return ControlInput(np.asarray(error_m), JACOBIAN, np.zeros(6), joints, DT_S)
+
+
+def wanted(velocity_rad_s):
+    return ControlOutput(np.asarray(velocity_rad_s), np.zeros(3), np.ones(3))
+
+
+@pytest.mark.parametrize("direction", [[1.0, 0.0, 0.0], [0.6, -0.5, 0.4]])
+def test_a_law_that_never_slows_down_arrives_within_the_limit_and_does_not_pass(direction):
+    error = 0.3 * np.array(direction) / np.linalg.norm(direction)
+    speeds, ahead = [], []
+    for _ in range(250):
+        course = -np.linalg.pinv(JACOBIAN) @ error
+        output = brake(wanted(course / np.abs(course).max()), given(error), MOST_RAD_S2)
+        speeds.append(np.abs(output.velocity_rad_s).max())
+        error = error + JACOBIAN @ output.velocity_rad_s * DT_S
+        ahead.append(error @ direction)
+    assert min(ahead) > -1e-9
+    assert np.linalg.norm(error) < 1e-4
+    slowing = -np.diff(speeds).min() / DT_S
+    assert 0.8 * MOST_RAD_S2 < slowing < MOST_RAD_S2
+    assert max(speeds) == pytest.approx(1.0)
+
+
+def test_a_slow_command_and_one_that_leads_away_are_left_alone():
+    slow = np.array([-0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    away = np.array([0.9, 0.0, 0.0, 0.0, 0.0, 0.0])
+    for velocity in (slow, away):
+        output = brake(wanted(velocity), given([0.3, 0.0, 0.0]), MOST_RAD_S2)
+        np.testing.assert_array_equal(output.velocity_rad_s, velocity)
+
+
+def test_the_speed_is_the_one_that_the_travel_left_allows():
+    output = brake(wanted([-1.0, 0.0, 0.0, 0.0, 0.0, 0.0]), given([0.01, 0.0, 0.0]), MOST_RAD_S2)
+    # The error of 0.01 m at 0.5 m/rad leaves 0.02 rad.
+    most = braking_speed_within(0.02, BRAKING_SHARE * MOST_RAD_S2, DT_S)
+    np.testing.assert_allclose(output.velocity_rad_s, [-most, 0, 0, 0, 0, 0])
+    assert most < 1.0

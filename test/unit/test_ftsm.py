@@ -148,24 +148,6 @@ def test_the_literal_law_chatters_where_the_implicit_one_does_not():
     assert unrest["literal"] > 0.5  # full speed to and fro
 
 
-def test_clipped_commands_do_not_wind_up():
-    law = FtsmLaw()
-    applied = np.zeros(6)
-    for _ in range(200):  # held: nothing is ever applied
-        first = law.command(ControlInput(np.full(3, 0.1), JACOBIAN, applied, np.zeros(6), DT_S))
-    again = FtsmLaw().command(ControlInput(np.full(3, 0.1), JACOBIAN, applied, np.zeros(6), DT_S))
-    np.testing.assert_array_equal(first.velocity_rad_s, again.velocity_rad_s)
-
-
-def test_at_the_goal_and_at_rest_the_command_is_zero():
-    for discretisation in ("implicit", "literal"):
-        out = FtsmLaw(FtsmGains(discretisation=discretisation)).command(
-            ControlInput(np.zeros(3), JACOBIAN, np.zeros(6), np.zeros(6), DT_S)
-        )
-        np.testing.assert_array_equal(out.velocity_rad_s, np.zeros(6))
-        np.testing.assert_array_equal(out.sliding_variable, np.zeros(3))
-
-
 @settings(max_examples=200, deadline=None)
 @given(
     error=st.lists(st.floats(-50.0, 50.0), min_size=3, max_size=3),

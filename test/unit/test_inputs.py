@@ -31,7 +31,7 @@ def test_a_late_input_is_named_with_its_limit_until_five_come_in_time():
 
 def test_the_sources_own_words_are_the_hint_while_they_are_new():
     monitor = heard(np.arange(0.0, 1.0, 0.1))
-    monitor.source_says(1.5, "the estimator says: waiting for ball_position")
+    monitor.source_says(1.5, "waiting for ball_position")
     for now_s in (1.6, 3.2):
         assert "the estimator says: waiting for ball_position" in monitor.find(now_s).text
     assert "is the ball in view?" in monitor.find(4.0).text

@@ -328,7 +328,8 @@ def test_the_bound_of_v_bounds_s_with_the_root_of_2_over_k4():
 
 
 def printed_32(surface: SlidingSurface, y: float, velocity: float, acceleration: float) -> float:
-    gamma_dot = surface.exponent_slope(y) * velocity
+    h = 1e-6 * abs(y)
+    gamma_dot = (surface.exponent(y + h) - surface.exponent(y - h)) / (2.0 * h) * velocity
     gamma, a = surface.exponent(y), abs(y)
     bracket = a ** (gamma - 1.0) * gamma + a**gamma * gamma_dot * math.log(a)
     return (

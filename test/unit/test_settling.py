@@ -35,14 +35,14 @@ def integrated_s(y0: float, y1: float, surface: SlidingSurface) -> float:
 
 @pytest.mark.parametrize("gamma", [0.2, 0.5, 0.9])
 def test_a_constant_exponent_has_a_closed_form(gamma: float):
-    surface = SlidingSurface.fixed(gamma, 1.0, 1.0, 2.0)
+    surface = SlidingSurface(1.0, 1.0, 2.0, gamma, 0.0)
     for y1 in (0.0, 0.05):
         wanted = integrated_s(0.5, y1, surface)
         assert constant_exponent_time_s(0.5, y1, gamma, surface) == pytest.approx(wanted, rel=1e-6)
 
 
 def test_an_exponent_of_one_never_arrives():
-    surface = SlidingSurface.fixed(1.0, 1.0, 1.0, 2.0)
+    surface = SlidingSurface(1.0, 1.0, 2.0, 1.0, 0.0)
     assert constant_exponent_time_s(0.5, 0.1, 1.0, surface) == pytest.approx(np.log(5.0) / 3.0)
     assert sliding_time_s(0.5, surface) == np.inf
 
@@ -95,8 +95,3 @@ def test_the_total_bounds_the_real_thing(velocity: float):
     assert run.t[-1] <= bound.total_s
     if velocity == 0.0:
         assert bound.total_s < 1.6 * run.t[-1]
-
-
-def test_errors_beyond_a_metre_are_refused():
-    with pytest.raises(ValueError, match="below 1 m"):
-        sliding_time_s(1.2, REALISTIC)

@@ -13,7 +13,6 @@ from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Reason, State
 from fvs_controller_node.supervisor import Command, Supervisor
-from fvs_ros.limits import JointRange, SpeedLimits
 
 DT_S = 0.008
 FRAME = "camera_color_optical_frame"
@@ -139,7 +138,11 @@ def test_it_waits_for_a_start_and_starts_softly():
     assert cell.tick().state is State.SERVOING
 
 
-def test_autostart_starts_once():
+def test_autostart_starts_once_and_not_after_a_stop():
+    stopped = Cell(SupervisorConfig(autostart=True))
+    stopped.supervisor.stop()
+    stopped.supervisor.goal.set(TARGET, FRAME)
+    assert stopped.run(0.5).state is State.READY
     cell = Cell(SupervisorConfig(autostart=True))
     assert cell.run(0.1).state is State.WAITING
     cell.supervisor.goal.set(TARGET, FRAME)
@@ -151,24 +154,6 @@ def test_autostart_starts_once():
     cell.run(0.1)
     cell.supervisor.inputs.add_program_running(True)
     assert cell.run(1.0).reason is Reason.PAUSE_OVER
-
-
-def test_a_stop_before_the_autostart_prevents_it():
-    cell = Cell(SupervisorConfig(autostart=True))
-    cell.supervisor.stop()
-    cell.supervisor.goal.set(TARGET, FRAME)
-    assert cell.run(0.5).state is State.READY
-
-
-def test_stop_ramps_to_rest():
-    cell = servoing()
-    assert cell.supervisor.stop() == (True, "stopping")
-    command = cell.tick()
-    assert command.state is State.READY
-    assert not at_rest(command)
-    command = cell.run(0.2)
-    assert at_rest(command)
-    assert not command.active_limit
 
 
 # ---- stale inputs ---------------------------------------------------------------------------
@@ -203,30 +188,13 @@ def test_a_gap_that_no_tick_saw_counts_too():
     assert cell.run(0.1).state is State.SERVOING
 
 
-def test_single_messages_now_and_then_do_not_resume():
-    cell = servoing()
-    cell.talking -= {"ball_position"}
-    cell.run(0.5)
-    for _ in range(20):
-        cell.supervisor.inputs.add_ball(cell.now_s, cell.ball)
-        assert cell.run(0.3).state is State.HOLDING
-
-
-def test_inputs_gone_before_a_start_take_readiness_away():
-    cell = ready()
-    cell.talking -= {"jacobian"}
-    command = cell.run(0.5)
-    assert (command.state, command.reason) == (State.WAITING, Reason.STALE)
-    assert not cell.supervisor.start(cell.now_s)[0]
-
-
 # ---- bad inputs -----------------------------------------------------------------------------
 
 NAN = float("nan")
 BAD = {
     "joints_nan": lambda c: c.inputs.add_joint_states(c.now_s, np.array([0, 0, NAN, 0, 0, 0])),
     "joints_short": lambda c: c.inputs.add_joint_states(c.now_s, np.zeros(5)),
-    "joints_unknown": lambda c: c.inputs.bad_input("joint_states", "lacks elbow"),
+    "joints_unknown": lambda c: c.inputs["joint_states"].bad("lacks elbow"),
     "ball_inf": lambda c: c.inputs.add_ball(c.now_s, np.array([0, math.inf, 1])),
     "ball_millimetres": lambda c: c.inputs.add_ball(c.now_s, 0.2e3 * TARGET),
     "jacobian_nan": lambda c: c.inputs.add_jacobian(c.now_s, np.full((3, 6), NAN)),
@@ -245,37 +213,15 @@ def test_a_bad_input_is_a_fault_with_zeros_at_once(what: str):
     assert (command.state, command.reason) == (State.FAULT, Reason.BAD_INPUT)
     assert "not usable" in command.text
     assert at_rest(command)
-
-
-@pytest.mark.parametrize("what", sorted(set(BAD) - {"scaling_nan"}))
-def test_after_good_messages_it_goes_on_by_itself(what: str):
-    cell = servoing()
-    BAD[what](cell)
+    if what == "scaling_nan":
+        return
+    cell.talking |= {"joint_states", "ball_position", "jacobian"}  # after good ones it goes on
     states = [cell.tick().state for _ in range(6)]
     assert states == [State.FAULT] * 4 + [State.SERVOING] * 2
-    assert cell.run(0.2).state is State.SERVOING
 
 
 def test_a_wrist_that_was_turned_ten_times_is_no_bad_input():
     assert Supervisor().inputs.add_joint_states(0.0, np.full(6, 20.0 * np.pi))
-
-
-def test_good_messages_between_bad_ones_do_not_recover():
-    cell = servoing()
-    for k in range(100):
-        if k % 4 == 0:
-            BAD["jacobian_nan"](cell)
-        assert cell.tick().state is State.FAULT
-
-
-@pytest.mark.parametrize("what", BAD)
-def test_before_a_start_a_bad_input_only_shows(what: str):
-    cell = ready()
-    BAD[what](cell)
-    cell.talking.clear()
-    command = cell.tick()
-    assert (command.state, command.reason) == (State.WAITING, Reason.BAD_INPUT)
-    assert not cell.supervisor.start(cell.now_s)[0]
 
 
 # ---- always -----------------------------------------------------------------------------------
@@ -324,52 +270,32 @@ def test_a_wrong_target_is_refused_in_words_and_the_old_one_stays(point, frame, 
     assert cell.tick().state is State.SERVOING
 
 
-def test_a_law_without_three_exponents_is_a_fault():
-    cell = servoing()
-    law = cell.law
-    cell.law = lambda *told: law(*told)._replace(exponent=np.ones(1))
-    assert cell.tick().reason is Reason.LAW_FAULT
-    cell.supervisor.status_values(cell.now_s)
+def _failing() -> ControlOutput:
+    raise np.linalg.LinAlgError("Singular matrix")
 
 
 @pytest.mark.parametrize(
-    "wanted", [np.full(6, NAN), np.array([0, 0, math.inf, 0, 0, 0]), np.zeros(5), None]
+    ("answer", "why"),
+    [
+        (lambda: ControlOutput.plain(np.full(6, NAN), 3), "velocity"),
+        (lambda: ControlOutput.plain(np.zeros(5), 3), "velocity"),
+        (lambda: ControlOutput(WANTED, np.full(3, math.inf), np.ones(3)), "sliding"),
+        (lambda: ControlOutput(WANTED, np.zeros(3), np.ones(1)), "exponent"),
+        (lambda: None, ""),
+        (_failing, "Singular matrix"),
+    ],
 )
-def test_a_law_that_answers_nonsense_is_a_fault_and_needs_a_start(wanted):
+def test_a_law_that_fails_is_a_fault_and_needs_a_start(answer, why: str):
     cell = servoing()
-    cell.wanted = wanted
+    law, cell.law = cell.law, lambda *_: answer()  # type: ignore[method-assign]
     command = cell.tick()
     assert (command.state, command.reason) == (State.FAULT, Reason.LAW_FAULT)
+    assert why in command.text
     assert at_rest(command)
-    cell.wanted = WANTED
+    cell.law = law  # type: ignore[method-assign]
     assert cell.run(1.0).state is State.FAULT
     assert cell.supervisor.start(cell.now_s)[0]
     assert cell.run(0.1).state is State.SERVOING
-
-
-def test_a_sliding_variable_that_is_not_finite_is_a_fault():
-    cell = servoing()
-    cell.law = lambda *_: ControlOutput(WANTED, np.full(3, NAN), np.ones(3))  # type: ignore
-    assert cell.tick().reason is Reason.LAW_FAULT
-
-
-def test_a_law_that_raises_is_a_fault():
-    cell = servoing()
-
-    def law(*_args):
-        raise np.linalg.LinAlgError("Singular matrix")
-
-    cell.law = law  # type: ignore[method-assign]
-    command = cell.tick()
-    assert command.reason is Reason.LAW_FAULT
-    assert "Singular matrix" in command.text
-
-
-def test_it_asks_for_a_target_only_when_it_knows_where_the_ball_is():
-    cell = Cell()
-    cell.run(0.1)
-    command = cell.supervisor.tick(cell.now_s + DT_S, DT_S, cell.joints, None, cell.law)
-    assert (command.state, command.reason) == (State.WAITING, Reason.NO_POSITION)
 
 
 def test_no_position_is_held_with_the_reason():
@@ -396,13 +322,6 @@ def test_a_strange_tick_length_moves_nothing_fast(dt_s: float):
     cell.supervisor.inputs.add_joint_states(cell.now_s, cell.joints)
     command = cell.supervisor.tick(cell.now_s, dt_s, cell.joints, cell.ball, cell.law)
     np.testing.assert_array_equal(command.velocity_rad_s, before)
-
-
-def test_a_late_tick_makes_no_large_step():
-    cell = ready()
-    cell.supervisor.start(cell.now_s)
-    command = cell.supervisor.tick(cell.now_s, 1.0, cell.joints, cell.ball, cell.law)
-    assert np.abs(command.velocity_rad_s).max() == pytest.approx(0.05 * 6.0)
 
 
 # ---- a bad Jacobian ---------------------------------------------------------------------------
@@ -435,14 +354,6 @@ def test_near_a_singularity_it_slows_then_holds_with_the_number():
     assert cell.run(0.1).state is State.HOLDING
     cell.jacobian = singular(0.07)
     assert cell.run(0.1).state is State.SERVOING
-
-
-def test_a_singular_jacobian_is_no_start():
-    cell = ready()
-    cell.jacobian = np.zeros((3, 6))
-    command = cell.run(0.1)
-    assert (command.state, command.reason) == (State.WAITING, Reason.NEAR_SINGULAR)
-    assert not cell.supervisor.start(cell.now_s)[0]
 
 
 def held_near_a_singularity(smallest: float = 0.02) -> Cell:
@@ -504,18 +415,6 @@ def test_the_permission_to_leave_ends_with_any_hold_and_each_further_one_gives_n
     assert not cell.run(0.5).velocity_rad_s.any()
 
 
-def test_an_arm_that_stands_near_a_singularity_may_leave_slowly_on_its_first_start():
-    cell = ready()
-    cell.jacobian = singular(0.02)
-    cell.run(0.1)
-    accepted, text = cell.supervisor.start(cell.now_s)
-    assert accepted
-    assert "slowly" in text
-    command = cell.run(0.5)
-    assert command.state is State.SERVOING
-    assert np.abs(command.velocity_rad_s).max() <= 0.1 + 1e-9
-
-
 def test_a_jacobian_that_says_nothing_is_not_left_by():
     cell = held_near_a_singularity(0.002)
     accepted, text = cell.supervisor.start(cell.now_s)
@@ -566,14 +465,6 @@ def test_a_wrong_jacobian_may_mislead_the_ball_by_so_far_at_any_speed(speed):
         assert cell.supervisor.start(cell.now_s)[0]
 
 
-def test_an_estimator_that_mends_itself_is_not_held():
-    cell = servoing()
-    for ratio in 2 * (1.5, 1.4, 1.3, 1.1, 0.9, 0.3):
-        predicting(cell, ratio)
-        assert cell.run(0.05).state is State.SERVOING
-    assert cell.run(0.1).active_limit == ""
-
-
 @pytest.mark.parametrize(("seen", "reason"), [(0.2, "IMAGE_NOT_FOLLOWING"), (0.5, "SERVOING")])
 def test_a_ball_that_makes_a_fifth_of_its_way_does_not_follow_and_one_that_makes_half_does(
     seen, reason
@@ -615,35 +506,6 @@ def test_a_paused_robot_gets_zeros_at_once_and_needs_a_new_start(how: str, reaso
     assert at_rest(command)
     assert cell.supervisor.start(cell.now_s)[0]
     np.testing.assert_allclose(cell.run(0.2).velocity_rad_s, WANTED)
-
-
-@pytest.mark.parametrize("how", ["program", "scaling"])
-def test_a_pause_shorter_than_a_tick_counts(how: str):
-    cell = servoing()
-    pause(cell, how, True)
-    pause(cell, how, False)
-    command = cell.tick()
-    assert command.reason is Reason.PAUSE_OVER
-    assert at_rest(command)
-
-
-@pytest.mark.parametrize(("percent", "full"), [(99.0, False), (99.5, True), (100.0, True)])
-def test_full_speed_is_a_product_of_doubles_and_needs_no_word_on_the_program(percent, full):
-    cell = servoing()
-    assert cell.supervisor.status_values(cell.now_s)["robot_program_running"] == "unknown"
-    cell.supervisor.inputs.add_speed_scaling(cell.now_s, percent)
-    assert cell.supervisor.inputs.full_speed is full
-    cell.supervisor.inputs.add_program_running(False)
-    assert not cell.supervisor.inputs.full_speed
-
-
-@pytest.mark.parametrize("how", ["program", "scaling"])
-def test_a_robot_paused_before_the_start_is_not_ready(how: str):
-    cell = ready(SupervisorConfig())
-    pause(cell, how, True)
-    assert cell.tick().state is State.WAITING
-    pause(cell, how, False)
-    assert cell.tick().state is State.READY
 
 
 # ---- progress ---------------------------------------------------------------------------------
@@ -769,12 +631,6 @@ def test_noise_a_slow_sway_and_one_overshoot_are_no_oscillation():
     assert swing(servoing(), 0.1, 1.0, 0.7).state is State.SERVOING
 
 
-def test_an_arm_that_is_pushed_now_and_then_does_not_oscillate():
-    cell = servoing()
-    pushed = run_with_error(cell, lambda t: 0.1 if t % 2.5 < 0.8 else 0.0, 25.0)
-    assert pushed.state is State.SERVOING
-
-
 @pytest.mark.parametrize("every_s", [0.25, 0.9])
 def test_targets_told_again_with_noise_do_not_restart_the_watch_on_growing_errors(every_s: float):
     cell, rng = servoing(), np.random.default_rng(1)
@@ -788,82 +644,30 @@ def test_targets_told_again_with_noise_do_not_restart_the_watch_on_growing_error
     assert (command.state, command.reason) == (State.HOLDING, Reason.ERROR_GROWING)
 
 
-def test_a_stop_is_no_harsher_where_a_joint_finds_itself_at_its_end():
-    cell = servoing(SupervisorConfig(joint_range=JointRange((-6.2,) * 6, (0.3, *(6.2,) * 5))))
-    cell.joints[0] = 0.299
-    cell.supervisor.stop()
-    assert not at_rest(cell.tick())  # each tick is watched for its step
-
-
-@pytest.mark.parametrize("limit_rad_s2", [0.1, 6.0])
-def test_a_stop_from_full_speed_takes_half_a_second_at_most(limit_rad_s2: float):
+@pytest.mark.parametrize(
+    ("follows", "within_s", "joint"),
+    [
+        (np.zeros(6), 4.0, "shoulder_pan_joint"),
+        (-np.ones(6), 1.2, "shoulder_pan_joint"),
+        (np.array([1.0, 1.0, 0.0, 1.0, 1.0, 1.0]), 4.0, "elbow_joint"),
+    ],
+    ids=["stuck", "inverted", "one joint stuck"],
+)
+def test_an_arm_that_does_not_move_as_told_is_held_and_the_joint_is_named(follows, within_s, joint):
     cell = servoing()
-    cell.supervisor.configure(
-        SupervisorConfig(speed=SpeedLimits(max_joint_acceleration_rad_s2=limit_rad_s2))
-    )
-    cell.supervisor.stop()
-    assert at_rest(cell.run(0.5))
-
-
-def test_slow_progress_and_rest_near_the_target_are_no_stall():
-    cell = servoing()
-    assert run_with_error(cell, lambda t: 0.2 - 0.01 * t, 19.0).state is State.SERVOING
-    assert run_with_error(cell, lambda t: 0.015, 15.0).state is State.SERVOING
-
-
-@pytest.mark.parametrize(("share_in_6_s", "reason"), [(0.05, "SERVOING"), (0.02, "STALLED")])
-def test_a_thirtieth_of_the_error_in_six_seconds_is_progress(share_in_6_s, reason):
-    cell = servoing()
-    command = run_with_error(cell, lambda t: 0.2 * (1.0 - share_in_6_s) ** (t / 6.0), 10.0)
-    assert command.reason is Reason[reason]
-
-
-def test_a_small_error_that_grows_is_held_before_it_is_large():
-    cell = servoing()
-    assert run_with_error(cell, lambda t: 0.01 + 0.02 * t, 3.5).reason is Reason.ERROR_GROWING
-
-
-def test_an_arm_that_does_not_move_as_told_is_held_and_the_joint_is_named():
-    cell = servoing()
-    cell.follows = False
-    since_s = cell.now_s
-    command = cell.until(lambda c: c.state is State.HOLDING)
+    cell.follows, since_s, state = False, cell.now_s, State.SERVOING
+    while state is State.SERVOING:
+        cell.joints = cell.joints + follows * DT_S * cell.supervisor.velocity_rad_s
+        state = cell.tick().state
+        assert cell.now_s - since_s < within_s
+    command = cell.commands[-1]
     assert command.reason is Reason.NOT_FOLLOWING
-    assert 3.0 < cell.now_s - since_s < 4.0
-    assert "shoulder_pan_joint" in command.text
-    assert "velocity controller is active" in command.text
+    assert joint in command.text
     cell.until(at_rest)
     cell.follows = True
     assert cell.run(1.0).reason is Reason.NOT_FOLLOWING
     assert cell.supervisor.start(cell.now_s)[0]
-    assert cell.run(5.0).state is State.SERVOING
-
-
-def test_an_arm_that_moves_against_its_command_is_held_much_sooner():
-    cell = servoing()
-    cell.follows = False
-    since_s = cell.now_s
-    while cell.now_s - since_s < 2.0:
-        cell.joints = cell.joints - DT_S * cell.supervisor.velocity_rad_s
-        command = cell.tick()
-        if command.state is State.HOLDING:
-            break
-    assert command.reason is Reason.NOT_FOLLOWING
-    assert cell.now_s - since_s < 1.2
-
-
-def test_one_dead_joint_among_others_that_move_is_found():
-    cell = servoing()
-    cell.follows = False
-    for _ in range(round(5.0 / DT_S)):
-        step = DT_S * cell.supervisor.velocity_rad_s
-        step[2] = 0.0
-        cell.joints = cell.joints + step
-        command = cell.tick()
-        if command.state is State.HOLDING:
-            break
-    assert command.reason is Reason.NOT_FOLLOWING
-    assert "elbow_joint" in command.text
+    assert cell.run(3.0).state is State.SERVOING
 
 
 @pytest.mark.parametrize(
@@ -877,27 +681,6 @@ def test_an_arm_that_moves_slowly_or_by_a_reduced_speed_scaling_follows(scaling,
         cell.joints = cell.joints + share * DT_S * cell.supervisor.velocity_rad_s
         cell.ball = TARGET + 0.999 * (cell.ball - TARGET)
         assert cell.tick().state is State.SERVOING
-
-
-def test_an_arm_that_is_jogged_while_it_is_held_is_not_blamed_for_it():
-    cell = servoing()
-    cell.talking -= {"ball_position"}
-    cell.run(0.5)
-    cell.joints = cell.joints - np.sign(WANTED)
-    cell.talking |= {"ball_position"}
-    cell.run(0.1)
-    for _ in range(round(3.0 / DT_S)):
-        assert cell.tick().state is State.SERVOING
-
-
-def test_noise_of_half_the_settling_limit_does_not_unsettle():
-    cell = servoing()
-    cell.ball = TARGET
-    cell.run(2.0)
-    rng = np.random.default_rng(0)
-    for _ in range(500):
-        cell.ball = TARGET + 0.0025 * rng.normal(size=3)
-        assert cell.tick().reason is Reason.SETTLED
 
 
 def test_settled_means_near_for_a_while():
@@ -937,35 +720,12 @@ def test_the_status_has_the_same_keys_always():
     assert values["target_z_m"] == 1.0
 
 
-def test_a_start_without_a_position_is_refused():
-    cell = ready()
-    cell.supervisor.tick(cell.now_s, DT_S, cell.joints, None, cell.law, problem="clocks disagree")
-    assert cell.supervisor.last.state is State.WAITING
-    accepted, why = cell.supervisor.start(cell.now_s)
-    assert not accepted
-    assert "clocks disagree" in why
-
-
 def test_a_box_that_shrinks_past_the_target_drops_it():
     cell = servoing()
     cell.supervisor.configure(SupervisorConfig(workspace_max_m=(1.0, 1.0, 0.9)))
     command = cell.run(0.3)
     assert (command.state, command.reason) == (State.HOLDING, Reason.NO_TARGET)
     assert at_rest(command)
-
-
-def test_a_target_and_a_start_in_one_tick_are_fine():
-    cell = Cell()
-    cell.run(0.1)
-    assert cell.supervisor.goal.set(TARGET, FRAME)[0]
-    assert cell.supervisor.start(cell.now_s)[0]
-    assert cell.tick().state is State.SERVOING
-
-
-def test_limits_may_change_while_it_runs():
-    cell = servoing()
-    cell.supervisor.configure(SupervisorConfig(speed=SpeedLimits(0.1)))
-    assert np.abs(cell.run(0.3).velocity_rad_s).max() == pytest.approx(0.1)
 
 
 def test_every_reason_can_be_said():
@@ -993,14 +753,6 @@ def test_a_config_that_makes_no_sense_is_refused(wrong: dict):
         SupervisorConfig(**wrong)
 
 
-def test_other_configs_are_fine():
-    config = SupervisorConfig(
-        joint_range=JointRange((-1.0,) * 6, (1.0,) * 6, 0.1),
-        settled_error_m=0.001,
-    )
-    assert Supervisor(config).config is config
-
-
 def test_a_stop_comes_to_rest_though_simulated_time_stands_still():
     cell = ready()
     cell.supervisor.start(cell.now_s)
@@ -1013,14 +765,3 @@ def test_a_stop_comes_to_rest_though_simulated_time_stands_still():
             cell.now_s, 0.0, cell.joints, cell.ball, lambda *_: pytest.fail("asked the law")
         )
     assert not np.any(command.velocity_rad_s)
-
-
-def test_a_target_said_again_and_again_does_not_hide_a_growing_error():
-    cell = servoing()
-    for k in range(500):
-        cell.ball = cell.ball + np.array([0.002, 0.0, 0.0])
-        if k % 75 == 0:
-            assert cell.supervisor.goal.set(TARGET, FRAME)[0]
-        command = cell.tick()
-    assert command.reason is Reason.ERROR_GROWING
-    assert not command.velocity_rad_s.any()
