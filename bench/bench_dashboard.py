@@ -41,7 +41,7 @@ from fvs_tools.demo import choose_target  # noqa: E402
 from fvs_tools.scenario import load_scenario  # noqa: E402
 
 DASHBOARD = "fvs_dashboard.dashboard_node"
-PICTURES_HZ = load_scenario("dashboard").parameters["fvs_sim_node"]["full_frame_rate_hz"]
+PICTURES_HZ = load_scenario("dashboard")["fvs_sim_node"]["full_frame_rate_hz"]
 PERIOD_S, BLOCK_S, SETTLE_S, TARGET_S = 0.008, 8.0, 2.0, 3.0
 _CLIENT = "import sys, time, page_client as p; p.PageClient(sys.argv[1]); time.sleep(600.0)"
 CONDITIONS = ("no page", "page, nobody looks", "page, a client looks")

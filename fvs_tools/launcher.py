@@ -30,6 +30,7 @@ from fvs_tools.scenario import (
     checked_remap,
     enclave_arguments,
     load_scenario,
+    params_yaml,
     scenario_names,
 )
 from fvs_tools.schemes import BEYOND, SCHEMES
@@ -110,8 +111,8 @@ def launch(scenario: Scenario, namespace: str = "", remaps: Sequence[str] = ()) 
 
     Parameters
     ----------
-    scenario : Scenario
-        What to start.
+    scenario : dict of str to dict
+        Nodes to start, in this order, and their parameters by name.
     namespace : str
         ROS namespace of all nodes, or empty.
     remaps : sequence of str
@@ -129,7 +130,7 @@ def launch(scenario: Scenario, namespace: str = "", remaps: Sequence[str] = ()) 
         tempfile.TemporaryFile("w+", encoding="utf-8") as params,
         console.never_blocking() as terminal,
     ):
-        params.write(scenario.to_params_yaml())
+        params.write(params_yaml(scenario))
         params.flush()
         common = ["--ros-args", "--params-file", f"/dev/fd/{params.fileno()}"]
         if namespace.strip("/"):
@@ -137,7 +138,7 @@ def launch(scenario: Scenario, namespace: str = "", remaps: Sequence[str] = ()) 
         common += [word for rule in remaps for word in ("-r", rule)]
         first = None
         try:
-            for name in scenario.nodes:
+            for name in scenario:
                 if stop.RECEIVED or first is not None:
                     break
                 arguments = [*common, *enclave_arguments(name, namespace, os.environ)]
@@ -154,7 +155,7 @@ def launch(scenario: Scenario, namespace: str = "", remaps: Sequence[str] = ()) 
 
 def _await_bag(recorder: _Process, scenario: Scenario) -> _Process | None:
     """Have the recorder listen before the others speak; return it if it ended without a bag."""
-    folder = Path(scenario.parameters[RECORDER]["bag_dir"]).expanduser()
+    folder = Path(scenario[RECORDER]["bag_dir"]).expanduser()
     end_s = time.monotonic() + _STOP_S
     while not (stop.RECEIVED or folder.exists()) and time.monotonic() < end_s:
         if recorder.popen.poll() is not None:
@@ -282,7 +283,7 @@ def main(argv: list[str] | None = None) -> int:
     except ValueError as error:
         print(f"fvs_launch: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
-    if "fvs_sim_node" in scenario.nodes:
+    if "fvs_sim_node" in scenario:
         # A simulated arm must not exchange messages with the robots of a laboratory network.
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     return launch(scenario, given.namespace, remaps)

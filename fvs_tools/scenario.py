@@ -34,7 +34,8 @@ _SHARED = ("use_sim_time", "feature_frame")
 #: No YAML is larger; no refusal quotes more of it, characters.
 _MOST_YAML, _QUOTED = 2**20, 300
 
-_Sections = dict[str, dict[str, Any]]
+#: Parameters by name, by the name of their node.
+Scenario = dict[str, dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -86,23 +87,6 @@ NODE_TABLE: dict[str, NodeEntry] = {
 }
 
 
-@dataclass(frozen=True)
-class Scenario:
-    """Nodes to start, in this order, and their parameters by name, checked."""
-
-    path: Path
-    parameters: Mapping[str, Mapping[str, Any]]
-
-    @property
-    def nodes(self) -> list[str]:
-        """Names of the nodes, in the order in which they start."""
-        return list(self.parameters)
-
-    def to_params_yaml(self) -> str:
-        """ROS parameter file that holds in any namespace."""
-        return _params_yaml(self.parameters)
-
-
 def load_scenario(
     name: str,
     overrides: Iterable[str] = (),
@@ -111,7 +95,7 @@ def load_scenario(
     images: bool = True,
     markers: bool = False,
 ) -> Scenario:
-    """Read and check a scenario, changed and extended as a command line asks.
+    """The nodes to start, in this order, and their parameters by name, as a command line asks.
 
     Parameters
     ----------
@@ -155,16 +139,16 @@ def load_scenario(
     for node in sections.keys() - loop:
         sections[node] = {**shared, **sections[node]}
     if record:
-        sections[RECORDER]["scenario"] = _params_yaml({node: sections[node] for node in loop})
+        sections[RECORDER]["scenario"] = params_yaml({node: sections[node] for node in loop})
     for node, values in sections.items():
         try:
             sections[node] = _declared(node).checked(values)
         except ParameterError as error:
             raise ValueError(f"{node} in {path.name}: {error}") from error
-    return Scenario(path, sections)
+    return sections
 
 
-def _read(name: str) -> tuple[Path, _Sections]:
+def _read(name: str) -> tuple[Path, Scenario]:
     """Path of a scenario, and the parameters under each of its keys."""
     try:
         path = find_file(name if Path(name).suffix else f"{name}.yaml")
@@ -177,7 +161,7 @@ def _read(name: str) -> tuple[Path, _Sections]:
         raise ValueError(f"cannot read scenario {name}: {error}") from error
     if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
         raise ValueError(f"scenario {path} must map node names to ros__parameters")
-    sections: _Sections = {}
+    sections: Scenario = {}
     for key, section in content.items():
         values = section.get("ros__parameters") if isinstance(section, dict) else None
         if not isinstance(values, dict) or len(section) != 1:
@@ -186,9 +170,9 @@ def _read(name: str) -> tuple[Path, _Sections]:
     return path, sections
 
 
-def _choose_scheme(path: Path, sections: _Sections, name: str) -> None:
+def _choose_scheme(path: Path, sections: Scenario, name: str) -> None:
     chosen = scheme(name)
-    wanted: _Sections = {
+    wanted: Scenario = {
         topics.ESTIMATOR: {"method": chosen.method, **chosen.estimator_values},
         topics.CONTROLLER: {"law": chosen.law, **chosen.controller_values},
     }
@@ -202,7 +186,7 @@ def _choose_scheme(path: Path, sections: _Sections, name: str) -> None:
         sections[node].update(values)
 
 
-def _override(path: Path, sections: _Sections, override: str) -> None:
+def _override(path: Path, sections: Scenario, override: str) -> None:
     """Put one ``name:=value`` or ``node:name:=value`` in."""
     key, separator, text = override.partition(":=")
     node, _, name = key.rpartition(":")
@@ -227,7 +211,8 @@ def _declared(node: str) -> ParameterSet:
     return ParameterSet([*NODE_TABLE[node].parameters(), _EVERYWHERE])
 
 
-def _params_yaml(parameters: Mapping[str, Mapping[str, Any]]) -> str:
+def params_yaml(parameters: Scenario) -> str:
+    """ROS parameter file that holds in any namespace."""
     content = {f"/**/{node}": {"ros__parameters": dict(v)} for node, v in parameters.items()}
     return yaml.safe_dump(content, sort_keys=False)
 

@@ -23,6 +23,7 @@ from fvs_tools.scenario import (
     checked_remap,
     enclave_arguments,
     load_scenario,
+    params_yaml,
 )
 
 _SIMULATOR = "fvs_sim_node"
@@ -42,11 +43,11 @@ _ARGUMENTS = (
 
 def _viewer(scenario, **common):
     """RViz, and for a simulated robot the publisher of its links; a real one's driver has it."""
-    prefix = next((v["tf_prefix"] for v in scenario.parameters.values() if "tf_prefix" in v), "")
+    prefix = next((v["tf_prefix"] for v in scenario.values() if "tf_prefix" in v), "")
     rviz = ["-d", str(find_file("fvs.rviz")), "-f", f"{prefix}base_link"]
     actions = [Node(package="rviz2", executable="rviz2", arguments=rviz, **common)]
-    if _SIMULATOR in scenario.nodes:
-        values = scenario.parameters[_SIMULATOR]
+    if _SIMULATOR in scenario:
+        values = scenario[_SIMULATOR]
         path = values.get("urdf_path")
         text = Path(path).read_text(encoding="utf-8") if path else urdf_text(prefix)
         parameters = {
@@ -75,13 +76,13 @@ def _nodes(context):
     common = {"namespace": given["namespace"], "remappings": remaps}
     handle, params_file = tempfile.mkstemp(prefix="fvs_launch_", suffix=".yaml")
     with os.fdopen(handle, "w", encoding="utf-8") as file:
-        file.write(scenario.to_params_yaml())
+        file.write(params_yaml(scenario))
     atexit.register(Path(params_file).unlink, missing_ok=True)
     actions = []
-    if _SIMULATOR in scenario.nodes and "ROS_AUTOMATIC_DISCOVERY_RANGE" not in os.environ:
+    if _SIMULATOR in scenario and "ROS_AUTOMATIC_DISCOVERY_RANGE" not in os.environ:
         # A simulated arm must not exchange messages with the robots of a laboratory network.
         actions.append(SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"))
-    for name in scenario.nodes:
+    for name in scenario:
         end = None if NODE_TABLE[name].observer else Shutdown(reason=f"{name} ended")
         actions.append(
             Node(

@@ -281,7 +281,7 @@ def test_the_spot_checks_scenario_is_one(tmp_path):
     targets_m = [(0.1, -0.2, 1.3)]
     path = tmp_path / "spot.yaml"
     path.write_text(yaml.safe_dump(scenario_of(trial, targets_m, tmp_path)))
-    parameters = load_scenario(str(path)).parameters
+    parameters = load_scenario(str(path))
     assert parameters["fvs_estimator_node"]["method"] == "ukf"
     assert parameters["fvs_sim_node"]["position_noise_m"] == trial.conditions.position_noise_m
     targets = own_targets(parameters["fvs_demo_node"]["target_positions"])

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from fvs_estimator_node.dataset import DataSet, load_data_set, save_data_set
 from fvs_estimator_node.model_file import load_model
 from fvs_estimator_node.npz_file import FileError
-from fvs_tools.scenario import NODE_TABLE, load_scenario
+from fvs_tools.scenario import NODE_TABLE, load_scenario, params_yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 FEW = settings(
@@ -293,9 +293,9 @@ def test_any_value_of_any_parameter_is_checked(tmp_path, data):
     read_back = scenario(tmp_path, yaml.safe_dump(content))
     if read_back is not None:
         declared = NODE_TABLE[node].parameters()
-        for name, value in read_back.parameters[node].items():
+        for name, value in read_back[node].items():
             assert declared[name].check(value) == value
-        yaml.safe_load(read_back.to_params_yaml())
+        yaml.safe_load(params_yaml(read_back))
 
 
 @FEW

@@ -13,6 +13,7 @@ from fvs_tools.scenario import (
     checked_remap,
     enclave_arguments,
     load_scenario,
+    params_yaml,
 )
 from fvs_tools.schemes import BEYOND, SCHEMES, scheme
 
@@ -21,14 +22,14 @@ CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 @pytest.mark.parametrize("path", sorted(CONFIG.glob("*.yaml")), ids=lambda p: p.stem)
 def test_every_scenario_passes_its_declarations(path):
-    assert load_scenario(path.stem).parameters == load_scenario(str(path)).parameters
+    assert load_scenario(path.stem) == load_scenario(str(path))
 
 
 def test_overrides_go_to_the_nodes_that_have_the_parameter():
     values = load_scenario(
         "demo",
         ["method:=frozen", "law:=proportional", "fvs_sim_node:seed:=7", "model_path:=other.npz"],
-    ).parameters
+    )
     assert values["fvs_estimator_node"]["method"] == "frozen"
     assert values["fvs_controller_node"]["law"] == "proportional"
     assert values["fvs_sim_node"]["seed"] == 7
@@ -83,8 +84,8 @@ def test_a_scenario_that_is_not_there_is_looked_for_or_guessed(name, words):
 
 def test_wildcard_parameters_reach_every_node_and_the_file_holds_in_any_namespace():
     scenario = load_scenario("collect")
-    assert all(values["use_sim_time"] for values in scenario.parameters.values())
-    content = yaml.safe_load(scenario.to_params_yaml())
+    assert all(values["use_sim_time"] for values in scenario.values())
+    content = yaml.safe_load(params_yaml(scenario))
     assert set(content) == {"/**/fvs_sim_node", "/**/fvs_collector_node"}
 
 
@@ -95,18 +96,18 @@ def test_a_scheme_sets_method_and_law_and_an_override_wins(name):
     assert one.description.endswith(".")
     assert one.law in LAWS
     assert one.method in ESTIMATORS
-    parameters = load_scenario("demo", scheme_name=name).parameters
+    parameters = load_scenario("demo", scheme_name=name)
     assert parameters["fvs_estimator_node"]["method"] == one.method
     assert parameters["fvs_controller_node"]["law"] == one.law
     assert one.controller_values.items() <= parameters["fvs_controller_node"].items()
-    other = load_scenario("demo", ["law:=mfac"], name).parameters
+    other = load_scenario("demo", ["law:=mfac"], name)
     assert other["fvs_controller_node"]["law"] == "mfac"
     assert other["fvs_estimator_node"]["method"] == one.method
 
 
 def test_the_best_scenario_is_the_demo_with_the_best_scheme():
     wanted = load_scenario("demo", ["output_dir:=out/best"], "best")
-    assert load_scenario("best").parameters == wanted.parameters
+    assert load_scenario("best") == wanted
 
 
 @pytest.mark.parametrize(
@@ -125,10 +126,10 @@ def test_recorder_and_markers_share_frame_and_time_with_the_loop(tmp_path):
     overrides = ["use_sim_time:=true", "fvs_controller_node:feature_frame:=eye", "law:=mfac"]
     loop = load_scenario("demo", overrides)
     recorded = load_scenario("demo", overrides, record=str(tmp_path / "bag"), images=False)
-    assert recorded.nodes == [RECORDER, *loop.nodes, MARKERS]
+    assert list(recorded) == [RECORDER, *loop, MARKERS]
     shared = {"use_sim_time": True, "feature_frame": "eye"}
-    assert recorded.parameters[MARKERS] == shared
-    values = recorded.parameters[RECORDER]
+    assert recorded[MARKERS] == shared
+    values = recorded[RECORDER]
     started = values["scenario"]
     assert values == {
         **shared,
@@ -136,9 +137,9 @@ def test_recorder_and_markers_share_frame_and_time_with_the_loop(tmp_path):
         "images": False,
         "scenario": started,
     }
-    assert started == loop.to_params_yaml()
-    assert yaml.safe_load(recorded.to_params_yaml())  # text within text
-    assert load_scenario("demo", markers=True).nodes == [*loop.nodes, MARKERS]
+    assert started == params_yaml(loop)
+    assert yaml.safe_load(params_yaml(recorded))  # text within text
+    assert list(load_scenario("demo", markers=True)) == [*loop, MARKERS]
 
 
 @pytest.mark.parametrize(
@@ -159,9 +160,9 @@ def test_nodes_get_their_enclave_only_where_security_is_on():
 @pytest.mark.parametrize("name", ["ur5_real", "ur5_real_collect"])
 def test_a_scenario_for_a_real_robot_is_slow_and_starts_nothing_by_itself(name):
     scenario = load_scenario(name)
-    assert "fvs_sim_node" not in scenario.nodes
-    assert "fvs_detector_node" in scenario.nodes
-    for node, values in scenario.parameters.items():
+    assert "fvs_sim_node" not in scenario
+    assert "fvs_detector_node" in scenario
+    for node, values in scenario.items():
         assert values.get("max_joint_velocity_rad_s", 0.0) <= 0.15, node
         assert values.get("max_joint_acceleration_rad_s2", 0.0) <= 0.5, node
         assert not values.get("autostart", False)
