@@ -1,18 +1,33 @@
-"""What every estimator of the Jacobian offers, and the step it learns from."""
+"""What every estimator of the Jacobian offers, the step it learns from, and the true Jacobian."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
+from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.chain import SerialChain
-from fvs_ros.params import Parameters
+from fvs_ros.params import Parameters, parameter
 
 #: What an estimator is made from.
 NETWORKS, CHAIN, NOTHING = "networks", "chain", ""
+
+
+@dataclass(frozen=True)
+class FeatureConfig(Parameters):
+    """What estimator and collector must know of the ball positions."""
+
+    feature_frame: str = parameter(CAMERA_FRAME, "frame of the ball positions")
+    max_latency_s: float = parameter(
+        0.5,
+        "a ball position stamped further before the newest joint state is not paired with it, s",
+        0.01,
+        1.9,
+    )
 
 
 @dataclass(frozen=True)
@@ -94,11 +109,6 @@ class Estimator(ABC):
         return ""
 
     @property
-    def camera_rotation(self) -> np.ndarray:
-        """How the camera has been turned since the training, (3, 3), as far as that is learned."""
-        return np.eye(3)
-
-    @property
     def chain(self) -> SerialChain | None:
         """The serial chain as the camera sees it now; None from an estimator that has none."""
         return None
@@ -107,8 +117,10 @@ class Estimator(ABC):
     def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
         """Estimate at joints, rad, shape (n,): m/rad, a new array of shape (m, n)."""
 
-    def observe(self, joints_rad: np.ndarray, ball_m: np.ndarray) -> None:  # noqa: B027
-        """Take every image, also at rest, before the update.
+    def observe(  # noqa: B027
+        self, joints_rad: np.ndarray, ball_m: np.ndarray, noise_m: float
+    ) -> None:
+        """Take every image that is no outlier, also at rest, before the update.
 
         Parameters
         ----------
@@ -116,6 +128,8 @@ class Estimator(ABC):
             Joints at the exposure, rad.
         ball_m : ndarray, shape (m,)
             Ball position, camera frame, m.
+        noise_m : float
+            Standard deviation of a coordinate of it, as learned so far, m.
         """
 
     def update(self, step: MotionStep) -> None:  # noqa: B027
@@ -130,3 +144,49 @@ class Estimator(ABC):
         if not self.learns:
             return {}
         return {"updates": float(self.updates), "refused": float(self.refused)}
+
+
+class OracleEstimator(Estimator):
+    """The true Jacobian, which only a simulator knows: the yardstick of all estimates.
+
+    Parameters
+    ----------
+    true_jacobian : callable, optional
+        Joints, rad, shape (n,), to the true Jacobian, m/rad, shape (m, n). Without it the Jacobian
+        is the newest of :meth:`tell`, at any joints.
+    """
+
+    learns = False
+
+    def __init__(
+        self,
+        true_jacobian: Callable[[np.ndarray], np.ndarray] | None = None,
+        _config: object = None,
+    ) -> None:
+        super().__init__()
+        self._true_jacobian = true_jacobian
+        self._told: np.ndarray | None = None
+
+    @property
+    def problem(self) -> str:
+        """Why there is no estimate; empty if there is one."""
+        if self._true_jacobian is not None or self._told is not None:
+            return ""
+        return "only a simulator knows the true Jacobian, and none tells it"
+
+    def tell(self, jacobian: np.ndarray) -> None:
+        """Take the present true Jacobian, m/rad, shape (m, n), finite."""
+        self._told = np.array(jacobian, dtype=float)
+
+    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
+        """The true Jacobian, m/rad, shape (m, n); ValueError if it is not known."""
+        if self._true_jacobian is not None:
+            return np.array(self._true_jacobian(joints_rad), dtype=float)
+        if self._told is None:
+            raise ValueError(self.problem)
+        return self._told.copy()
+
+    def reset(self) -> None:
+        """Forget what was told."""
+        super().reset()
+        self._told = None

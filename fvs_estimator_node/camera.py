@@ -9,12 +9,13 @@ translation t, and ``J = R J_model``. A fitted chain knows p. Networks know only
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections import deque
 from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.base import CHAIN, Estimator
+from fvs_estimator_node.base import CHAIN, NETWORKS, Estimator
 from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfModel
 from fvs_ros.chain import SerialChain
 from fvs_ros.vectors import length
@@ -24,24 +25,13 @@ _IDENTITY.flags.writeable = _ORIGIN.flags.writeable = False
 #: Prior deviation of the rotation, rad, and positions after which an old one's weight has decayed
 #: by 63 %: with the positions of a chain, and with those summed from networks.
 _CHAIN, _NETWORKS = (0.01, 1000.0), (0.14, 30.0)
-#: Standard deviation of the rotation after a bump, at most, rad.
-_BUMPED_RAD = 0.7
-#: A position is not believed if it is further off than this and six deviations of the noise, m;
-#: two such in a row, as far from each other as predicted, are a bump.
-_BUMP_M, _BUMP_DEVIATIONS = 0.01, 6.0
-#: How far a bumped camera may have been turned over how far that moved the ball in its view.
-_TURN_SHARE = 1.5
-#: A bump within this many positions of the last one belongs to it.
-_SOON = 30
-#: Standard deviation of a coordinate of a position: first guess and bounds, m.
-_NOISE_M, _LEAST_NOISE_M, _MOST_NOISE_M = 0.001, 0.0002, 0.01
-#: Share of a new squared change of the innovation in the noise, and how many variances it counts
-#: for at most; at first, all changes count alike.
-_NOISE_SHARE, _NOISE_CLIP = 0.02, 9.0
+#: A position that is further off than this, m, and six deviations of the noise is a bump.
+_BUMP_M = 0.01
+#: Prior deviation of the rotation after a bump at most, and after one that follows another within
+#: this many positions: then the first did not show all of the turn, rad.
+_BUMPED_RAD, _SOON = 0.7, 20
 #: A ball that has gone no further since the last position that was kept is at rest, m.
 _STILL_M = 0.002
-#: No depth camera sees further, m.
-_FARTHEST_M = 20.0
 #: This many bumps within this many images (10 s of them) are no accidents.
 _MANY_BUMPS, _MANY_IMAGES = 8, 300
 
@@ -66,12 +56,8 @@ class CameraPose:
     """Rotation R and translation t of ``x = R p + t``, position by position.
 
     The best rotation is known in closed form (Kabsch), however far the camera was turned; what is
-    known before enters as a matrix Fisher distribution about the rotation so far.
-
-    A bump shows as positions that no noise explains. What was learned of the old pose is then
-    dropped. How far the ball jumped says how far the camera may have been turned, unless it jumps
-    again soon: then the camera is being carried, or was turned about the ball, and the rotation
-    from before is doubted as much as ever.
+    known before enters as a matrix Fisher distribution about the rotation so far. A bump shows as
+    a position that no noise explains; what was learned of the old pose is then dropped.
 
     Parameters
     ----------
@@ -95,12 +81,9 @@ class CameraPose:
 
     def reset(self) -> None:
         """Take the camera to stand where it stood."""
-        self._variance = _NOISE_M**2
         self.translation_m = _ORIGIN
         self.bumps = self._images = 0
         self._bumped_at: deque[int] = deque(maxlen=_MANY_BUMPS)
-        #: Positions since the last bump, and the rotation from before the first one of a series.
-        self._since_bump, self._before_bump = _SOON, _IDENTITY
         self._begin(_IDENTITY, self._deviation_rad)
 
     def _begin(self, rotation: np.ndarray, deviation_rad: float) -> None:
@@ -112,18 +95,6 @@ class CameraPose:
         self._prior = self._precision * rotation
         self._scatter, self._weight = np.zeros((3, 3)), 0.0
         self._mean_p, self._mean_x, self._kept_at = _ORIGIN, _ORIGIN, _ORIGIN
-        self._outlier: tuple[np.ndarray, np.ndarray] | None = None
-        self._innovation: np.ndarray | None = None
-
-    @property
-    def angle_rad(self) -> float:
-        """Angle of the rotation, rad."""
-        return rotation_angle_rad(self.rotation)
-
-    @property
-    def noise_m(self) -> float:
-        """Standard deviation of one coordinate of a position, as far as seen, m."""
-        return math.sqrt(self._variance)
 
     @property
     def remark(self) -> str:
@@ -136,63 +107,25 @@ class CameraPose:
             "being carried? If not, check sign, zero, scale and name of each joint"
         )
 
-    def add(self, model_m: np.ndarray, seen_m: np.ndarray) -> bool:
+    def add(self, model_m: np.ndarray, seen_m: np.ndarray, noise_m: float) -> bool:
         """Take where the model has the ball and where the image has it, m, (3,) each.
 
-        Returns
-        -------
-        bool
-            Whether it was learned from: not what is not finite, too far, or not believed yet.
+        Whether it was learned from: not what is not finite.
         """
-        if not (math.isfinite(length(model_m)) and length(seen_m) < _FARTHEST_M):
+        off_m = length(seen_m - (self.rotation @ model_m + self.translation_m))
+        if not off_m < math.inf:
             return False
         self._images += 1
-        innovation = seen_m - (self.rotation @ model_m + self.translation_m)
-        if self._innovation is not None:
-            self._learn_noise(innovation - self._innovation)
-        self._innovation = innovation
-        if length(innovation) > self._disbelief_m():
-            return self._disbelieve(model_m, seen_m, length(innovation))
-        self._outlier = None
-        self._learn(model_m, seen_m)
-        return True
-
-    def _disbelief_m(self) -> float:
-        return _BUMP_M + _BUMP_DEVIATIONS * self.noise_m
-
-    def _learn_noise(self, change_m: np.ndarray) -> None:
-        """Learn the noise from what changes between two positions: what stays is no noise."""
-        square, share = float(change_m.dot(change_m)) / 6.0, 1.0 / (self._images + 1.0)
-        if share < _NOISE_SHARE:  # a blow is no noise
-            square, share = min(square, _NOISE_CLIP * self._variance), _NOISE_SHARE
-        self._variance += share * (square - self._variance)
-        self._variance = min(max(self._variance, _LEAST_NOISE_M**2), _MOST_NOISE_M**2)
-
-    def _disbelieve(self, model_m: np.ndarray, seen_m: np.ndarray, distance_m: float) -> bool:
-        """Keep a pair that does not fit; with one before that fits it, it is a bump."""
-        before, self._outlier = self._outlier, (model_m, seen_m)
-        if before is None:
-            return False
-        # However the camera was moved: in between the ball went as far as predicted.
-        off_m = abs(length(seen_m - before[1]) - length(model_m - before[0]))
-        if off_m > self._disbelief_m():
-            return False
-        doubt_rad = _BUMPED_RAD
-        if self._since_bump >= _SOON:
-            self._before_bump = self.rotation
-            # A turn moves the ball by angle times distance, less where it is about the ball.
-            turned_rad = _TURN_SHARE * distance_m / max(length(seen_m), 1e-3)
-            doubt_rad = min(max(turned_rad, self._deviation_rad), _BUMPED_RAD)
-        self.bumps += 1
-        self._bumped_at.append(self._images)
-        self._since_bump = 0
-        self._begin(self._before_bump, doubt_rad)
-        self._learn(*before)
-        self._learn(model_m, seen_m)
-        return True
-
-    def _learn(self, model_m: np.ndarray, seen_m: np.ndarray) -> None:
-        self._since_bump += 1
+        deviation_rad = self._turn_deviation_rad(noise_m)
+        reach_m = length(model_m - self._mean_p) if self._weight else 0.0
+        if off_m > _BUMP_M + 6.0 * math.hypot(noise_m, deviation_rad * reach_m):
+            self.bumps += 1
+            self._bumped_at.append(self._images)
+            # A turn moves the ball by angle times distance, but not where it is about the ball.
+            turned_rad = off_m / max(length(seen_m), 1e-3)
+            doubt_rad = math.hypot(deviation_rad, turned_rad, self._deviation_rad)
+            again = 0.0 < self._weight < _SOON
+            self._begin(self.rotation, _BUMPED_RAD if again else min(doubt_rad, _BUMPED_RAD))
         # At rest there is nothing new to remember, and so nothing to forget.
         gone = model_m - self._kept_at
         keep = 1.0
@@ -206,31 +139,23 @@ class CameraPose:
         self._prior = keep * self._prior + (1.0 - keep) * self._precision * self.rotation
         self._scatter = keep * self._scatter + (weight / total) * from_x[:, None] * from_p
         self._mean_p, self._mean_x = self._mean_p + from_p / total, self._mean_x + from_x / total
-        self.rotation = nearest_rotation(self._scatter + self._variance * self._prior)
+        self.rotation = nearest_rotation(self._scatter + noise_m**2 * self._prior)
         self.translation_m = self._mean_x - self.rotation @ self._mean_p
+        return True
 
-    def status_values(self) -> dict[str, float]:
-        """How far the camera has been turned, how often it was bumped, and the noise."""
-        return {
-            "camera_turned_deg": math.degrees(self.angle_rad),
-            "camera_bumps": float(self.bumps),
-            "position_noise_m": self.noise_m,
-        }
+    def _turn_deviation_rad(self, noise_m: float) -> float:
+        """Standard deviation of the rotation, by the prior and the pairs since the last bump."""
+        learned_m2 = max(float(np.vdot(self.rotation, self._scatter)), 0.0)
+        return noise_m / math.sqrt(2.0 * self._precision * noise_m**2 + learned_m2 + 1e-12)
 
 
 class _BehindCamera(Estimator):
     """A model whose Jacobian is turned by the camera's rotation."""
 
-    learns = True
-
-    def __init__(self, deviation_rad: float, memory: float) -> None:
+    def __init__(self, model: Any, deviation_rad: float, memory: float) -> None:
         super().__init__()
+        self._model = model
         self.camera = CameraPose(deviation_rad, memory)
-
-    @property
-    def camera_rotation(self) -> np.ndarray:
-        """How the camera has been turned since the training, (3, 3)."""
-        return self.camera.rotation
 
     @property
     def remark(self) -> str:
@@ -242,15 +167,28 @@ class _BehindCamera(Estimator):
         super().reset()
         self.camera.reset()
 
-    def _learn(self, model_m: np.ndarray, ball_m: np.ndarray) -> None:
-        if self.camera.add(model_m, ball_m):
+    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
+        """Estimate at given joints, m/rad, shape (3, n)."""
+        return self.camera.rotation @ self._model.jacobian(joints_rad)
+
+    def observe(self, joints_rad: np.ndarray, ball_m: np.ndarray, noise_m: float) -> None:
+        """Learn the camera's pose from where the ball is."""
+        if np.all(np.isfinite(joints_rad)) and self.camera.add(
+            self._position(joints_rad, ball_m), ball_m, noise_m
+        ):
             self.updates += 1
         else:
             self.refused += 1
 
+    @abstractmethod
+    def _position(self, joints_rad: np.ndarray, ball_m: np.ndarray) -> np.ndarray:
+        """Where the model has the ball, m, (3,)."""
+
     def status_values(self) -> dict[str, float]:
-        """Counts and what is known of the camera."""
-        return {**super().status_values(), **self.camera.status_values()}
+        """Counts, how far the camera has been turned, and how often it was bumped."""
+        turned_deg = math.degrees(rotation_angle_rad(self.camera.rotation))
+        camera = {"camera_turned_deg": turned_deg, "camera_bumps": float(self.camera.bumps)}
+        return {**super().status_values(), **camera}
 
 
 class PoeEstimator(_BehindCamera):
@@ -260,13 +198,10 @@ class PoeEstimator(_BehindCamera):
     ----------
     chain : SerialChain
         The fitted chain.
-    config : optional
-        Not used: it has no parameters.
     """
 
-    def __init__(self, chain: SerialChain, config: Any = None) -> None:
-        super().__init__(*_CHAIN)
-        self._fitted = chain
+    def __init__(self, chain: SerialChain, _config: Any = None) -> None:
+        super().__init__(chain, *_CHAIN)
 
     @classmethod
     def needs(cls, _config: Any) -> str:
@@ -276,18 +211,12 @@ class PoeEstimator(_BehindCamera):
     @property
     def chain(self) -> SerialChain:
         """The chain as the camera sees it now."""
-        return self._fitted.moved(self.camera.rotation, self.camera.translation_m)
+        moved: SerialChain = self._model.moved(self.camera.rotation, self.camera.translation_m)
+        return moved
 
-    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Estimate at given joints, m/rad, shape (3, n)."""
-        return self.camera.rotation @ self._fitted.jacobian(joints_rad)
-
-    def observe(self, joints_rad: np.ndarray, ball_m: np.ndarray) -> None:
-        """Learn the camera's pose from where the ball is."""
-        if np.all(np.isfinite(joints_rad)):
-            self._learn(self._fitted.position(joints_rad), ball_m)
-        else:
-            self.refused += 1
+    def _position(self, joints_rad: np.ndarray, _ball_m: np.ndarray) -> np.ndarray:
+        position: np.ndarray = self._model.position(joints_rad)
+        return position
 
 
 class TurnedRbfEstimator(_BehindCamera):
@@ -297,37 +226,28 @@ class TurnedRbfEstimator(_BehindCamera):
     ----------
     model : RbfModel
         The trained networks.
-    config : optional
-        Not used: it has no parameters.
     """
 
-    def __init__(self, model: RbfModel, config: Any = None) -> None:
-        super().__init__(*_NETWORKS)
-        self._networks = FrozenRbfEstimator(model)
+    def __init__(self, model: RbfModel, _config: Any = None) -> None:
+        super().__init__(FrozenRbfEstimator(model), *_NETWORKS)
         self._joints: np.ndarray | None = None
-        self._model_m = _ORIGIN
+        self._sum_m = _ORIGIN
 
-    needs = FrozenRbfEstimator.needs
+    @classmethod
+    def needs(cls, _config: Any) -> str:
+        """The networks."""
+        return NETWORKS
 
     def reset(self) -> None:
         """Take the camera to stand where it stood at the training."""
         super().reset()
         self._joints = None
 
-    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Estimate at given joints, m/rad, shape (3, n)."""
-        return self.camera.rotation @ self._networks.jacobian(joints_rad)
-
-    def observe(self, joints_rad: np.ndarray, ball_m: np.ndarray) -> None:
-        """Learn the camera's pose from how the ball goes."""
-        if not np.all(np.isfinite(joints_rad)):
-            self.refused += 1
-            return
+    def _position(self, joints_rad: np.ndarray, ball_m: np.ndarray) -> np.ndarray:
         if self._joints is None:
-            self._model_m = ball_m
+            self._sum_m = ball_m
         else:
             step = joints_rad - self._joints
-            jacobian = self._networks.jacobian(self._joints + 0.5 * step)
-            self._model_m = self._model_m + jacobian @ step
+            self._sum_m = self._sum_m + self._model.jacobian(self._joints + 0.5 * step) @ step
         self._joints = joints_rad
-        self._learn(self._model_m, ball_m)
+        return self._sum_m

@@ -9,17 +9,19 @@ its command ends the run.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from enum import Enum
 from math import isfinite
 
 import numpy as np
 
-from fvs_estimator_node.collector_config import CollectorConfig
-from fvs_estimator_node.motion import RandomMotion
+from fvs_estimator_node.base import FeatureConfig
+from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.stopping import StopCriterion
 from fvs_ros.following import Following
-from fvs_ros.joints import LARGEST_RAD, UR_JOINT_NAMES
-from fvs_ros.limits import limit_acceleration, limit_speed, ramp_to_zero
+from fvs_ros.joints import LARGEST_RAD, UR_JOINT_NAMES, ArmJoints
+from fvs_ros.limits import limit_acceleration, ramp_to_zero
+from fvs_ros.params import ParameterError, parameter
 from fvs_ros.timeline import Sample, StampGate, Timeline
 
 #: Older joint states stop the arm, an older ball sends it back toward the start, s.
@@ -31,11 +33,47 @@ _MAX_TICK_S = 0.05
 #: The arm may fail to move as commanded for this long, s. Motion against the command counts six
 #: times, and ends the run after the second time already: 0.12 s.
 _FOLLOW_TIME_S, _AGAINST_TIME_S, _AGAINST_RAD = 3.0, 0.7, 0.01
+#: A joint may be this far outside its box, or as far as it can brake within, rad.
+_BOX_MARGIN_RAD = 0.1
 #: A publisher without a name that is found this often in a row, four times a second, ends the run.
 _NAMELESS_LOOKS = 3
 #: After this time without joint states or without the ball the run ends with an error, s: longer
 #: than a driver or a detector takes to start, shorter than a person waits.
 GIVE_UP_S = 10.0
+
+
+@dataclass(frozen=True)
+class CollectorConfig(MotionConfig, FeatureConfig):
+    """What is recorded, how the arm moves, and what ends it."""
+
+    output_path: str = parameter("out/collect/dataset.npz", "data set file to write")
+    stop_at_error: float = parameter(
+        0.0,
+        "relative standard deviation of the Jacobian in the box of motion at which collecting ends "
+        "early (0.002 is a good value for `fvs_train --method poe`); 0 is off",
+        0.0,
+        0.5,
+    )
+    seed: int = parameter(0, "seed of the motion", 0)
+    joints: ArmJoints = field(default_factory=ArmJoints)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        names, ends = self.joints.joint_names, self.joint_min_rad
+        if len(names) != len(ends):
+            raise ParameterError(
+                f"joint_min_rad and joint_max_rad need {len(names)} numbers, one for each of "
+                f"joint_names, got {len(ends)}"
+            )
+
+    @property
+    def box_margin_rad(self) -> float:
+        """A joint further than this outside the motion's box ends the run, rad."""
+        braking_rad = 0.5 * self.max_joint_velocity_rad_s**2 / self.max_joint_acceleration_rad_s2
+        return max(_BOX_MARGIN_RAD, braking_rad)
+
+
+PARAMETERS = CollectorConfig.declared()
 
 
 class State(Enum):
@@ -47,6 +85,9 @@ class State(Enum):
     HOLDING = "HOLDING"
     DONE = "DONE"
     FAILED = "FAILED"
+
+
+_OVER = (State.DONE, State.FAILED)
 
 
 class CollectionRun:
@@ -79,7 +120,7 @@ class CollectionRun:
     ) -> None:
         self._config, self._names, self._stop = config, tuple(joint_names), stop
         self._motion: RandomMotion | None = None
-        self._matcher = Timeline(config.max_latency_s)
+        self._timeline = Timeline(config.max_latency_s)
         self._joint_stamps, self._ball_stamps = StampGate(), StampGate()
         self._ticked_s = -np.inf
         self._joints: np.ndarray | None = None
@@ -109,7 +150,7 @@ class CollectionRun:
     @property
     def ended(self) -> bool:
         """Whether the run is over and the arm at rest."""
-        return self.state in (State.DONE, State.FAILED) and not np.any(self._velocity)
+        return self.state in _OVER and not np.any(self._velocity)
 
     def joint_states(self, now_s: float, stamp_s: float, joints_rad: np.ndarray) -> None:
         """Take joint positions: arrival on the steady clock and stamp, s; (n,), rad."""
@@ -119,7 +160,7 @@ class CollectionRun:
         if self._joint_stamps.advances(stamp_s):
             self._joints_s = now_s
             self._joints = joints_rad
-        self._record(self._matcher.add_joints(stamp_s, joints_rad))
+        self._record(self._timeline.add_joints(stamp_s, joints_rad))
 
     def ball(self, now_s: float, stamp_s: float, position_m: np.ndarray) -> None:
         """Take a ball position: arrival on the steady clock and exposure stamp, s; (m,), m."""
@@ -129,7 +170,7 @@ class CollectionRun:
             self._balls_seen = 0
         self._balls_seen += 1
         self._ball_s = now_s
-        self._record(self._matcher.add_ball(stamp_s, position_m))
+        self._record(self._timeline.add_ball(stamp_s, position_m))
 
     def speed_scaling(self, share: float) -> None:
         """Take the robot's speed scaling, 0 to 1."""
@@ -152,7 +193,7 @@ class CollectionRun:
 
     def fail(self, reason: str) -> None:
         """End the run: the arm ramps to rest, what was recorded stays."""
-        if self.state not in (State.DONE, State.FAILED):
+        if self.state not in _OVER:
             self.state, self.reason = State.FAILED, reason
 
     def _record(self, samples: list[Sample]) -> None:
@@ -164,56 +205,57 @@ class CollectionRun:
         dt_s = min(dt_s, _MAX_TICK_S) if isfinite(dt_s) and dt_s > 0.0 else 0.0
         steady_dt_s = min(max(now_s - self._ticked_s, 0.0), _MAX_TICK_S)
         self._ticked_s = now_s
-        if self.state not in (State.DONE, State.FAILED):
-            self._decide(now_s, dt_s)
-        config = self._config
-        step = config.max_joint_acceleration_rad_s2 * dt_s
-        wanted = self._wanted()
+        wanted = None
+        if self.state not in _OVER:
+            wanted = self._decide(now_s, dt_s)
+        step = self._config.max_joint_acceleration_rad_s2 * dt_s
         if wanted is None or not np.all(np.isfinite(wanted)):
             # Simulated time may stand still; coming to rest must not.
-            step = step or config.max_joint_acceleration_rad_s2 * steady_dt_s
+            step = step or self._config.max_joint_acceleration_rad_s2 * steady_dt_s
             self._velocity = ramp_to_zero(self._velocity, step)
         else:
-            wanted = limit_speed(wanted, config.max_joint_velocity_rad_s)
             self._velocity = limit_acceleration(wanted, self._velocity, step)
         return self._velocity.copy()
 
-    def _decide(self, now_s: float, dt_s: float) -> None:
-        late = self._late_joints(now_s)
+    def _decide(self, now_s: float, dt_s: float) -> np.ndarray | None:
+        """What to do; the velocities wanted, rad/s, or None to come to rest."""
+        late, joints = self._late_joints(now_s), self._joints
         lost = self._lost_ball(now_s)
         others = f"{self._others} commands the arm as well; stop it first" if self._others else ""
         if late:
             self._following.restart()
-        if late or ((lost or others) and self._motion is None):
+        if late or joints is None or ((lost or others) and self._motion is None):
             self._wait(now_s, State.HOLDING, late or lost or others)
-            return
-        assert self._joints is not None
-        self._watch_box()
-        self._watch_following(dt_s)
-        if self.state is State.FAILED:
-            return
-        if self._motion is None:
+            return None
+        self._watch_box(joints)
+        self._watch_following(joints, dt_s)
+        if self.state is not State.FAILED and self._motion is None:
             try:
                 rng = np.random.default_rng(self._config.seed)
-                self._motion = RandomMotion(self._joints, self._config, rng)
+                self._motion = RandomMotion(joints, self._config, rng)
             except ValueError as error:
                 self.fail(str(error))
-                return
+        motion = self._motion
+        if self.state is State.FAILED or motion is None:
+            return None
         self._moved_s += dt_s
-        motion, over_s = self._motion, self._moved_s - self._motion.duration_s
+        over_s = self._moved_s - motion.duration_s
         if over_s >= 0.0:
             self._trouble_s = None
-            if motion.done(self._moved_s, self._joints) or over_s > GIVE_UP_S:
+            if motion.done(self._moved_s, joints) or over_s > GIVE_UP_S:
                 self.state, self.reason = State.DONE, f"finished{self._because()}"
+                return None
         elif lost:
             motion.return_home()
             self._wait(now_s, State.RETURNING, lost)
         else:
             self._trouble_s = None
-            motion.resume(self._moved_s, self._joints)
+            motion.resume(self._moved_s, joints)
             self.state, self.reason = State.MOVING, "moving and recording"
             if self._stop is not None:
                 self._consider_stop(self._stop, motion)
+        moves = self.state in (State.MOVING, State.RETURNING)
+        return motion.command(self._moved_s, joints) if moves else None
 
     def _consider_stop(self, stop: StopCriterion, motion: RandomMotion) -> None:
         stop.look(self._moved_s, self.samples, motion.box_rad)
@@ -228,24 +270,21 @@ class CollectionRun:
         stop = self._stop
         return f": {stop.words()}" if stop is not None and stop.enough else ""
 
-    def _watch_box(self) -> None:
+    def _watch_box(self, joints: np.ndarray) -> None:
         if self._motion is None:
             return
-        assert self._joints is not None
         low, high = self._motion.box_rad
-        outside = np.maximum(low - self._joints, self._joints - high)
+        outside = np.maximum(low - joints, joints - high)
         joint = int(outside.argmax())
         if outside[joint] > self._config.box_margin_rad:
             self.fail(
-                f"{self._names[joint]} left its box: it is at "
-                f"{self._joints[joint]:.2f} rad, the box is {low[joint]:.2f} to "
-                f"{high[joint]:.2f} rad; check that the arm does what it is told and nothing else "
-                "moves it"
+                f"{self._names[joint]} left its box: it is at {joints[joint]:.2f} rad, the box is "
+                f"{low[joint]:.2f} to {high[joint]:.2f} rad; check that the arm does what it is "
+                "told and nothing else moves it"
             )
 
-    def _watch_following(self, dt_s: float) -> None:
-        assert self._joints is not None
-        self._following.add(self._velocity, self._joints, self._speed_scaling, dt_s)
+    def _watch_following(self, joints: np.ndarray, dt_s: float) -> None:
+        self._following.add(self._velocity, joints, self._speed_scaling, dt_s)
         refusal = self._following.refusal(_AGAINST_TIME_S)
         if refusal is None:
             return
@@ -284,10 +323,3 @@ class CollectionRun:
             return ""
         heard = "never seen" if np.isinf(age_s) else f"last seen {age_s:.1f} s ago"
         return f"the ball is not in view ({heard})"
-
-    def _wanted(self) -> np.ndarray | None:
-        if self._joints is None or self._motion is None:
-            return None
-        if self.state in (State.MOVING, State.RETURNING):
-            return self._motion.command(self._moved_s, self._joints)
-        return None

@@ -18,8 +18,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64
 from tqdm import tqdm
 
-from fvs_estimator_node.collecting import CollectionRun, State
-from fvs_estimator_node.collector_config import PARAMETERS, CollectorConfig
+from fvs_estimator_node.collecting import PARAMETERS, CollectionRun, CollectorConfig, State
 from fvs_estimator_node.dataset import data_set_of, save_data_set
 from fvs_estimator_node.stopping import StopCriterion
 from fvs_ros import clock, ros, topics
@@ -196,8 +195,6 @@ class CollectorNode(ros.FvsNode):
     def finish(self) -> None:
         """Leave zeros on the wire; when interrupted, keep what was recorded."""
         ros.send_last_zeros(self._commands, len(self._names))
-        if self._stop is not None:
-            self._stop.close()
         if self.exit_code is None:
             self._bar.close()
             print("collecting was interrupted", file=sys.stderr)

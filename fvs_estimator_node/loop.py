@@ -1,7 +1,6 @@
-"""The whole estimator without ROS: pairing, tracker and method, joined once.
+"""The whole estimator without ROS: timeline, tracker, steps and method, joined once.
 
-The node hands messages in and publishes what the estimator says; the laboratory uses the same
-object.
+The node hands messages in and publishes what comes out; the laboratory uses the same object.
 """
 
 from __future__ import annotations
@@ -11,23 +10,101 @@ from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.base import Estimator
-from fvs_estimator_node.pairing import StepPairing
+from fvs_estimator_node.base import Estimator, MotionStep
 from fvs_estimator_node.stamp_watch import StampWatch
 from fvs_ros.chain import SerialChain
-from fvs_ros.timeline import Sample
+from fvs_ros.timeline import Sample, Timeline
 from fvs_ros.tracker import Image, Tracker
 
+#: A longer step is not learned from (a slow arm drifts), and an older sliding variable counts as
+#: zero, s.
+_MAX_STEP_S, _MAX_SLIDING_AGE_S = 0.5, 0.2
 #: With images that are stamped by more too late or too early, no loop comes to rest, s.
 _MOST_LATE_S = 0.08
 #: This many of the last ball positions are paired anew once their stamps are known to be wrong.
 _LAST = 16
 
 
+class StepPairing:
+    """Makes motion steps of joint states and ball positions.
+
+    A step ends at the first sample whose joints have moved enough since the anchor, and the next
+    begins there. If that takes too long the anchor moves on.
+
+    Parameters
+    ----------
+    min_step_rad : float
+        Joint motion (of the joint that moved most) that makes a step, rad; by default one that
+        moves the ball by some millimetres, more than the noise of its position.
+    max_latency_s : float
+        That of :class:`~fvs_ros.timeline.Timeline`, s.
+
+    Attributes
+    ----------
+    timeline : ~fvs_ros.timeline.Timeline
+        The source of samples, with its counters.
+    """
+
+    def __init__(self, min_step_rad: float = 0.01, max_latency_s: float = 0.5) -> None:
+        self.timeline = Timeline(max_latency_s)
+        self._min_step_rad = min_step_rad
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all inputs."""
+        self.timeline.reset()
+        self._anchor: Sample | None = None
+        self._sliding: tuple[float, np.ndarray] | None = None
+
+    def add_joints(self, stamp_s: float, joints_rad: np.ndarray) -> list[MotionStep]:
+        """Take a joint state; returns the steps it completes."""
+        return self._steps(self.timeline.add_joints(stamp_s, joints_rad))
+
+    def add_ball(self, stamp_s: float, ball_m: np.ndarray) -> list[MotionStep]:
+        """Take a ball position; returns the steps it completes."""
+        return self._steps(self.timeline.add_ball(stamp_s, ball_m))
+
+    def add_sliding_variable(self, stamp_s: float, sliding_variable: np.ndarray) -> None:
+        """Take the controller's sliding variable, (m,); the newest goes into coming steps."""
+        value = np.array(sliding_variable, dtype=float)
+        if np.all(np.isfinite(value)) and np.isfinite(stamp_s):
+            self._sliding = (stamp_s, value)
+
+    def _steps(self, samples: list[Sample]) -> list[MotionStep]:
+        steps = [self.step(sample) for sample in samples]
+        return [step for step in steps if step is not None]
+
+    def step(self, sample: Sample) -> MotionStep | None:
+        """The step that a sample completes, if it does."""
+        anchor = self._anchor
+        if (
+            anchor is None
+            or sample.run != anchor.run
+            or sample.stamp_s - anchor.stamp_s > _MAX_STEP_S
+        ):
+            self._anchor = sample
+            return None
+        d_joints = sample.joints_rad - anchor.joints_rad
+        if np.abs(d_joints).max() < self._min_step_rad:
+            return None
+        self._anchor = sample
+        sliding: np.ndarray | float = 0.0
+        if self._sliding and abs(sample.stamp_s - self._sliding[0]) <= _MAX_SLIDING_AGE_S:
+            sliding = self._sliding[1]
+        return MotionStep(
+            stamp_s=sample.stamp_s,
+            dt_s=sample.stamp_s - anchor.stamp_s,
+            joints_rad=anchor.joints_rad + 0.5 * d_joints,
+            d_joints_rad=d_joints,
+            d_ball_m=sample.ball_m - anchor.ball_m,
+            sliding_variable=sliding,
+        )
+
+
 class EstimationLoop:
     """Joint states and ball positions in; Jacobian, chain and status out.
 
-    An outlier teaches nothing, as it does not move the controller. Stamps that are found to be
+    An outlier is not learned from, as it does not move the controller. Stamps that are found to be
     late or early are corrected before anything is paired.
 
     Parameters
@@ -53,7 +130,6 @@ class EstimationLoop:
         self.learns = True
         self._tracker = Tracker()
         self._moved_m = np.zeros(0)  # of the ball by the joints, up to the last sample
-        self._way_m = np.zeros(3)  # the same as if no camera had ever been turned
         self._balls: deque[tuple[float, np.ndarray]] = deque(maxlen=_LAST)  # as they came
         self._forget()
 
@@ -73,12 +149,12 @@ class EstimationLoop:
 
     def add_joints(self, stamp_s: float, joints_rad: np.ndarray) -> bool:
         """Take a joint state, s and rad, (n,); whether the estimator learned from it."""
-        return self._learn(self.pairing.matcher.add_joints(stamp_s, joints_rad))
+        return self._learn(self.pairing.timeline.add_joints(stamp_s, joints_rad))
 
     def add_ball(self, stamp_s: float, ball_m: np.ndarray) -> bool:
         """Take a ball position, exposure in s and m, (m,); whether the estimator learned."""
         self._balls.append((stamp_s, ball_m))
-        return self._learn(self.pairing.matcher.add_ball(stamp_s - self.late_s, ball_m))
+        return self._learn(self.pairing.timeline.add_ball(stamp_s - self.late_s, ball_m))
 
     def add_sliding_variable(self, stamp_s: float, sliding_variable: np.ndarray) -> None:
         """Take the controller's sliding variable, s and m, (m,)."""
@@ -115,61 +191,59 @@ class EstimationLoop:
         """Live key numbers of pairing and method."""
         return {
             "steps_learned": self.steps,
-            "ball_positions_not_paired": self.pairing.matcher.dropped,
-            "last_not_paired_because": self.pairing.matcher.last_reason,
+            "ball_positions_not_paired": self.pairing.timeline.dropped,
+            "last_not_paired_because": self.pairing.timeline.last_reason,
             "images_late_s": self.late_s,
+            "position_noise_m": self._tracker.noise_m,
             **self.estimator.status_values(),
         }
 
     # --- between ---
 
     def _learn(self, samples: list[Sample]) -> bool:
-        believed = [one for sample in samples for one in self._believed(sample)]
-        learns = self.learns and self.estimator.learns and bool(believed)
-        for sample in believed:
+        accepted = [one for sample in samples for one in self._accepted(sample)]
+        learns = self.learns and self.estimator.learns and bool(accepted)
+        for sample in accepted:
             step = self.pairing.step(sample)
             if not learns:
                 continue
-            self.estimator.observe(sample.joints_rad, sample.ball_m)
+            self.estimator.observe(sample.joints_rad, sample.ball_m, self._tracker.noise_m)
             if step is not None:
                 self.estimator.update(step)
                 self.steps += 1
         return learns
+
+    def _accepted(self, sample: Sample) -> list[Sample]:
+        """The samples that are known now to be no outliers, oldest first."""
+        last, self._last = self._last, sample
+        if self.estimator.problem:
+            self._last = None  # no prediction to judge by
+            return [sample]
+        if last is None or last.run != sample.run:
+            self._stamps = StampWatch()
+        if last is None:
+            self._tracker.restart()
+            moved_m = np.zeros_like(sample.ball_m)
+        else:
+            d_joints = sample.joints_rad - last.joints_rad
+            jacobian = self.estimator.jacobian(last.joints_rad + 0.5 * d_joints)
+            moved_m = self._moved_m + jacobian @ d_joints
+        if not np.all(np.isfinite(moved_m)):
+            self._last = None
+            return [sample]
+        self._moved_m = moved_m
+        images = self._tracker.add(Image(sample.stamp_s, sample.ball_m, moved_m, sample))
+        late_s = self._stamps.add(sample.stamp_s, sample.ball_m, moved_m)
+        if late_s:
+            self._correct_stamps(late_s)
+            return []
+        return [image.source for image in images]
 
     def _correct_stamps(self, late_s: float) -> None:
         """Pair the last ball positions anew: what was learned came from wrong pairs."""
         self.late_s += late_s
         self._stamps = StampWatch()
         self.estimator.reset()
-        self.pairing.matcher.forget_balls()
+        self.pairing.timeline.forget_balls()
         for stamp_s, ball_m in list(self._balls):
-            self._learn(self.pairing.matcher.add_ball(stamp_s - self.late_s, ball_m))
-
-    def _believed(self, sample: Sample) -> list[Sample]:
-        """The samples that are known now to be no outliers, oldest first."""
-        last, self._last = self._last, sample
-        if self.estimator.problem:
-            self._last = None  # no prediction to judge by
-            return [sample]
-        moved_m = np.zeros_like(sample.ball_m)
-        if last is None or last.run != sample.run:
-            self._stamps = StampWatch()
-        if last is None:
-            self._tracker.restart()
-        else:
-            d_joints = sample.joints_rad - last.joints_rad
-            step_m = self.estimator.jacobian(last.joints_rad + 0.5 * d_joints) @ d_joints
-            moved_m = self._moved_m + step_m
-            rotation = self.estimator.camera_rotation
-            self._way_m = self._way_m + rotation.T @ step_m
-        if not np.all(np.isfinite(moved_m)):
-            self._last = None
-            return [sample]
-        self._moved_m = moved_m
-        images = self._tracker.add(Image(sample.stamp_s, sample.ball_m, moved_m, sample))
-        if last is not None:
-            late_s = self._stamps.add(sample.stamp_s, sample.ball_m, self._way_m, rotation)
-            if late_s:
-                self._correct_stamps(late_s)
-                return []
-        return [image.source for image in images]
+            self._learn(self.pairing.timeline.add_ball(stamp_s - self.late_s, ball_m))

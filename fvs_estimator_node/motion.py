@@ -18,13 +18,14 @@ from fvs_ros.params import Parameters, parameter
 
 #: Least speed of a joint relative to the fastest allowed, and how many sets of speeds are tried.
 _LEAST_SHARE, _DRAWS = 0.5, 64
-#: Share of the acceleration limit that a path uses, and the least sharpness of its turns: nearly a
-#: sine.
-_TURNING_SHARE, _LEAST_SHARPNESS = 0.8, 0.05
+#: Share of the acceleration limit that a path uses, and the least and the greatest sharpness of its
+#: turns: from nearly a sine to nearly a corner.
+_TURNING_SHARE, _SHARPNESS = 0.8, (0.05, 0.98)
 #: A motion lasts at least this many soft starts.
 _LEAST_RAMPS = 2.5
-#: Distance kept from the joint limits, rad, and velocity per distance from the path, 1/s.
-_LIMIT_MARGIN_RAD, _POSITION_GAIN = 0.1, 2.0
+#: Distance kept from the joint limits, rad, velocity per distance from the path, 1/s, and what
+#: counts as back at the start, rad.
+_LIMIT_MARGIN_RAD, _POSITION_GAIN, _HOME_RAD = 0.1, 2.0, 0.02
 _LIMIT_RAD = 4.0 * math.pi
 
 
@@ -141,8 +142,7 @@ class RandomMotion:
                 f"{_LIMIT_MARGIN_RAD} rad to a joint limit"
             )
         reach = np.asarray(config.joint_range_rad)
-        self._config = config
-        self._start = start
+        self._config, self._start = config, start
         self.box_rad = np.stack(
             [np.maximum(start - reach, lower), np.minimum(start + reach, upper)]
         )
@@ -153,22 +153,25 @@ class RandomMotion:
         self.duration_s = config.duration_s
         self._anchor, self._anchor_time_s = start, 0.0
         self._returning = False
-        self._last: tuple[float, np.ndarray] | None = None
 
     def _draw(self, rng: np.random.Generator) -> None:
         """Draw speeds, then phases."""
-        config, n = self._config, len(self._half)
+        half, config = self._half, self._config
         acceleration = _TURNING_SHARE * config.max_joint_acceleration_rad_s2
         # In a narrow box a joint never gets to the speed limit. Shares are of the speed it gets to,
         # and all joints turn as softly: with sharper turns the slower ones would nearly catch up.
-        sine_speed = np.sqrt(acceleration * self._half / _turn_factor(_LEAST_SHARPNESS))
-        top = np.minimum(config.path_speed_rad_s, sine_speed) / config.path_speed_rad_s
-        speeds = config.path_speed_rad_s * (_unequal_shares(self._half, top, rng) * top)
-        self._phase_rad = rng.uniform(0.0, 2.0 * math.pi, n)
-        self._sharpness, self.rate_rad_s = np.zeros(n), np.zeros(n)
-        for i in np.flatnonzero(self._half > 0.0):
-            usable = acceleration if top[i] == 1.0 else 0.0
-            self._sharpness[i], self.rate_rad_s[i] = _turning(self._half[i], speeds[i], usable)
+        sine_speed = np.sqrt(acceleration * half / _turn_factor(_SHARPNESS[0]))
+        top = np.minimum(config.path_speed_rad_s, sine_speed)
+        speed = top * _unequal_shares(half, top, rng)
+        self._phase_rad = rng.uniform(0.0, 2.0 * math.pi, len(half))
+        least, most = (np.full(len(half), one) for one in _SHARPNESS)
+        most = np.where(top == config.path_speed_rad_s, most, least)
+        for _ in range(50):  # bisection
+            middle = 0.5 * (least + most)
+            allowed = speed**2 * _turn_factor(middle) <= acceleration * half
+            least, most = np.where(allowed, middle, least), np.where(allowed, most, middle)
+        self._sharpness = k = least
+        self.rate_rad_s = speed * np.arcsin(k) / (np.where(half > 0.0, half, np.inf) * k)
 
     def end_early(self, time_s: float) -> None:
         """Come home from now on, as softly as at the end."""
@@ -187,63 +190,36 @@ class RandomMotion:
         tuple of ndarray, shape (..., n) each
             Position, rad, and velocity, rad/s.
         """
-        rate, k = self.rate_rad_s, self._sharpness
+        rate, k, full = self.rate_rad_s, self._sharpness, np.arcsin(self._sharpness)
         phase = self._phase_rad + rate * np.asarray(time_s)[..., None]
-        moving = k > 0.0
-        full = np.arcsin(np.where(moving, k, 1.0))
         sine = k * np.sin(phase)
         position = self._centre + self._half * np.arcsin(sine) / full
         velocity = self._half * rate * k * np.cos(phase) / (full * np.sqrt(1.0 - sine**2))
-        return np.where(moving, position, self._start), np.where(moving, velocity, 0.0)
+        return position, velocity
 
     def command(self, time_s: float, joints_rad: np.ndarray) -> np.ndarray:
-        """Velocities to send now.
+        """Velocities to follow the motion, rad/s, (n,), within the speed limit.
 
-        Parameters
-        ----------
-        time_s : float
-            Time since the start, s; must not go back.
-        joints_rad : ndarray, shape (n,)
-            Measured joint positions, rad.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Joint velocities, rad/s; zeros if the measurement is not finite.
+        At a time since the start, s, and measured joint positions, rad, (n,).
         """
-        config = self._config
-        joints = np.asarray(joints_rad, dtype=float)
-        before_s, before = self._last or (time_s, np.zeros(len(joints)))
         reference, velocity = self._reference(time_s)
-        wanted = velocity + _POSITION_GAIN * (reference - joints)
-        wanted = limit_speed(wanted, config.max_joint_velocity_rad_s)
-        # a joint beyond the box goes inward or not at all
-        low, high = self.box_rad
-        outward = ((joints > high) & (wanted > 0.0)) | ((joints < low) & (wanted < 0.0))
-        wanted = np.where(outward, 0.0, wanted)
-        change = config.max_joint_acceleration_rad_s2 * max(time_s - before_s, 0.0)
-        command = before + np.clip(wanted - before, -change, change)
-        if not (np.all(np.isfinite(joints)) and np.all(np.isfinite(command))):
-            self._last = None
-            return np.zeros(len(joints))
-        self._last = (time_s, command)
-        return command.copy()
+        wanted = velocity + _POSITION_GAIN * (reference - joints_rad)
+        return limit_speed(wanted, self._config.max_joint_velocity_rad_s)
 
     def _reference(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
-        end_s = self.duration_s
+        end_s, position, velocity = self.duration_s, self._start, np.zeros(len(self._start))
         if self._returning or time_s >= end_s:
-            return self._start, np.zeros(len(self._start))
+            return position, velocity
         position, velocity = self.path(time_s)
-        leaving, leaving_rate = _soft_step((time_s - self._anchor_time_s) / self._ramp_s)
-        position, velocity = (
-            self._anchor + leaving * (position - self._anchor),
-            leaving * velocity + leaving_rate / self._ramp_s * (position - self._anchor),
-        )
-        coming, coming_rate = _soft_step((end_s - time_s) / self._ramp_s)
-        return (
-            self._start + coming * (position - self._start),
-            coming * velocity - coming_rate / self._ramp_s * (position - self._start),
-        )
+        for home, from_s, direction in (
+            (self._anchor, time_s - self._anchor_time_s, 1.0),
+            (self._start, end_s - time_s, -1.0),
+        ):
+            share, slope = _soft_step(from_s / self._ramp_s)
+            off = position - home
+            velocity = share * velocity + direction * slope / self._ramp_s * off
+            position = home + share * off
+        return position, velocity
 
     def return_home(self) -> None:
         """Turn back to the start pose, for instance because the ball is out of sight."""
@@ -256,9 +232,9 @@ class RandomMotion:
             self._anchor = np.array(joints_rad, dtype=float)
             self._anchor_time_s = time_s
 
-    def done(self, time_s: float, joints_rad: np.ndarray, tolerance_rad: float = 0.02) -> bool:
+    def done(self, time_s: float, joints_rad: np.ndarray) -> bool:
         """Whether the time is over and the arm back at its start pose."""
-        near = np.abs(np.asarray(joints_rad) - self._start).max() <= tolerance_rad
+        near = np.abs(np.asarray(joints_rad) - self._start).max() <= _HOME_RAD
         return bool(time_s >= self.duration_s and near)
 
 
@@ -268,37 +244,14 @@ def _unequal_shares(half_rad: np.ndarray, top: np.ndarray, rng: np.random.Genera
     Two joints of nearly one rhythm draw nearly one line instead of filling their rectangle.
     """
     moving = half_rad > 0.0
-    best_gap, best = -1.0, np.ones(len(half_rad))
-    for _ in range(_DRAWS):
-        shares = rng.uniform(_LEAST_SHARE, 1.0, len(half_rad))
-        rates = np.sort((shares * top)[moving] / half_rad[moving])
-        gap = float(np.diff(rates).min(initial=np.inf))
-        if gap > best_gap:
-            best_gap, best = gap, shares
-    return best
+    shares = rng.uniform(_LEAST_SHARE, 1.0, (_DRAWS, len(half_rad)))
+    rates = np.sort((shares * top)[:, moving] / half_rad[moving], axis=1)
+    return shares[np.diff(rates, axis=1).min(axis=1, initial=np.inf).argmax()]
 
 
-def _turn_factor(k: float) -> float:
+def _turn_factor(k: np.ndarray | float) -> np.ndarray:
     """Greatest acceleration of asin(k sin phase) times half width over the speed squared."""
-    return math.asin(k) / (k * math.sqrt(1.0 - k * k))
-
-
-def _turning(half_rad: float, speed: float, acceleration: float) -> tuple[float, float]:
-    """Sharpness k and rate (rad/s) of asin(k sin phase) of a speed, within an acceleration.
-
-    The least sharpness where the acceleration does not allow for more.
-    """
-
-    def allowed(k: float) -> bool:
-        return speed**2 / half_rad * _turn_factor(k) <= acceleration
-
-    low, high = _LEAST_SHARPNESS, 0.98
-    if allowed(high):
-        low = high
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if allowed(middle) else (low, middle)
-    return low, speed * math.asin(low) / (half_rad * low)
+    return np.arcsin(k) / (k * np.sqrt(1.0 - k * k))
 
 
 def _soft_step(fraction: float) -> tuple[float, float]:

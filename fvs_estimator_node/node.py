@@ -16,13 +16,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from fvs_estimator_node.base import Estimator
-from fvs_estimator_node.config import PARAMETERS, EstimatorConfig
-from fvs_estimator_node.loop import EstimationLoop
+from fvs_estimator_node.base import Estimator, OracleEstimator
+from fvs_estimator_node.loop import EstimationLoop, StepPairing
 from fvs_estimator_node.model_file import load_model
-from fvs_estimator_node.oracle import OracleEstimator
-from fvs_estimator_node.pairing import StepPairing
-from fvs_estimator_node.registry import create_estimator, needs_model
+from fvs_estimator_node.registry import PARAMETERS, EstimatorConfig, create_estimator, needs_model
 from fvs_ros import ros, topics
 from fvs_ros.camera import BALL_FEATURES
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError

@@ -1,11 +1,19 @@
-"""The estimators by name. A new one is one file and one line here."""
+"""The estimators by name, and the parameters of their node. A new one is one file and one line."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
-from fvs_estimator_node.base import CHAIN, NETWORKS, NOTHING, Estimator
+from fvs_estimator_node.base import (
+    CHAIN,
+    NETWORKS,
+    NOTHING,
+    Estimator,
+    FeatureConfig,
+    OracleEstimator,
+)
 from fvs_estimator_node.camera import PoeEstimator, TurnedRbfEstimator
 from fvs_estimator_node.online import (
     BroydenEstimator,
@@ -14,10 +22,10 @@ from fvs_estimator_node.online import (
     RlsEstimator,
     UkfEstimator,
 )
-from fvs_estimator_node.oracle import OracleEstimator
 from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfEstimator, RbfModel
 from fvs_ros.chain import SerialChain
-from fvs_ros.params import Parameter
+from fvs_ros.joints import JOINT_PARAMETERS
+from fvs_ros.params import Parameter, parameter
 
 ESTIMATORS: dict[str, type[Any]] = {
     "rbf": RbfEstimator,
@@ -32,6 +40,22 @@ ESTIMATORS: dict[str, type[Any]] = {
 }
 
 
+@dataclass(frozen=True)
+class EstimatorConfig(FeatureConfig):
+    """Parameters of the node; those of the methods are the estimators'."""
+
+    method: str = parameter(
+        "rbf",
+        "how the Jacobian is estimated; changes only while the controller does not servo",
+        choices=tuple(ESTIMATORS),
+        live=True,
+    )
+    model_path: str = parameter(
+        "models/ur5_front.npz",
+        "file that fvs_train has written: a path, or a name within the project's config folder",
+    )
+
+
 def _kind_and_config(method: str, values: Mapping[str, Any]) -> tuple[type[Any], Any]:
     try:
         kind = ESTIMATORS[method]
@@ -43,13 +67,7 @@ def _kind_and_config(method: str, values: Mapping[str, Any]) -> tuple[type[Any],
 
 
 def needs_model(method: str, values: Mapping[str, Any]) -> bool:
-    """Whether a method cannot do without a trained model, given the parameter values.
-
-    Raises
-    ------
-    ValueError
-        If the method is unknown or a value is out of range.
-    """
+    """Whether a method cannot do without a trained model, given the parameter values."""
     kind, config = _kind_and_config(method, values)
     return kind.needs(config) != NOTHING
 
@@ -99,3 +117,6 @@ def estimator_parameters() -> tuple[Parameter, ...]:
     """The parameters of all methods, each group once, in the order of the registry."""
     groups = {kind.group: kind.config_type for kind in ESTIMATORS.values()}
     return tuple(one for name, kind in groups.items() for one in kind.declared(f"{name}."))
+
+
+PARAMETERS = (*EstimatorConfig.declared(), *JOINT_PARAMETERS, *estimator_parameters())

@@ -1,17 +1,15 @@
 """Ends a collection early, once a chain fitted to it knows the Jacobian well enough. No ROS.
 
 A fit takes a second and would hold the 125 Hz commands up, so each runs in a process of its own
-(this module as a program): a data set in on its standard input, a line of JSON out. Whatever
-becomes of it, the collection goes on.
+(this module as a program): arrays in on its standard input, a line of JSON out. Whatever becomes
+of it, the collection goes on.
 """
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
 import os
-import signal
 import subprocess
 import sys
 import threading
@@ -21,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.dataset import data_set_of
 from fvs_ros.paths import program
 from fvs_ros.timeline import Sample
 
@@ -31,10 +28,8 @@ _FIRST_S, _PERIOD_S = 12.0, 4.0
 _AGREEING = 2
 #: Joints in the box at which the Jacobian's deviation is evaluated.
 _PLACES = 100
-#: A longer fit hangs; its own timer ends it, s.
-_LONGEST_S = 120
-#: What of a data set is given to it.
-_FIELDS = ("stamps_s", "joints_rad", "ball_m", "segment")
+#: A longer fit hangs and is ended, s.
+_LONGEST_S = 120.0
 _COMMAND = program("fvs_estimator_node.stopping")
 
 
@@ -60,11 +55,9 @@ class StopCriterion:
     """
 
     def __init__(self, stop_at_error: float, command: Sequence[str] = _COMMAND) -> None:
-        self._stop_at_error = stop_at_error
-        self._command = tuple(command)
+        self._stop_at_error, self._command = stop_at_error, tuple(command)
         self._next_s, self._good = _FIRST_S, 0
         self._thread: threading.Thread | None = None
-        self._process: subprocess.Popen[bytes] | None = None
         self._answer: dict[str, Any] = {}
         self.enough, self.trouble = False, ""
         self.found: dict[str, Any] = {}
@@ -72,14 +65,7 @@ class StopCriterion:
     def look(self, time_s: float, samples: Sequence[Sample], box_rad: np.ndarray) -> None:
         """Start a fit, or take its answer, if it is time; never waits.
 
-        Parameters
-        ----------
-        time_s : float
-            Time of the motion, s.
-        samples : sequence of Sample
-            All that was recorded.
-        box_rad : ndarray, shape (2, n)
-            Least and greatest joints of the motion, rad.
+        Of the time of the motion, s, all that was recorded, and the box of motion, rad, (2, n).
         """
         if self.enough or self.trouble:
             return
@@ -90,44 +76,33 @@ class StopCriterion:
                 self._thread = threading.Thread(target=self._fit, args=given, daemon=True)
                 self._thread.start()
         elif not self._thread.is_alive():
-            self._thread = None
-            self._take(self._answer)
-
-    def _take(self, answer: dict[str, Any]) -> None:
-        self.trouble = answer.pop("trouble", "")
-        self.found = answer or self.found
-        good = answer.get("is_chain") and answer["jacobian_deviation"] < self._stop_at_error
-        self._good = self._good + 1 if good else 0
-        self.enough = self._good >= _AGREEING
+            self._thread, answer = None, self._answer
+            self.trouble = answer.pop("trouble", "")
+            self.found = answer or self.found
+            good = answer.get("is_chain") and answer["jacobian_deviation"] < self._stop_at_error
+            self._good = self._good + 1 if good else 0
+            self.enough = self._good >= _AGREEING
 
     def _fit(self, samples: list[Sample], box_rad: np.ndarray) -> None:
         """Run the program; in a thread."""
+        content = io.BytesIO()
+        np.savez(content, box_rad, *map(np.array, zip(*samples, strict=True)))
         try:
-            self._process = subprocess.Popen(
+            done = subprocess.run(
                 self._command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
+                input=content.getvalue(),
+                capture_output=True,
+                timeout=_LONGEST_S,
+                check=False,
                 start_new_session=True,  # Ctrl-C is the collector's affair
                 env={**os.environ, "OMP_NUM_THREADS": "1"},
             )
-            data = data_set_of(samples)
-            arrays = {name: getattr(data, name) for name in _FIELDS}
-            content = io.BytesIO()
-            np.savez(content, box_rad=box_rad, **arrays)
-            said, complaint = self._process.communicate(content.getvalue())
-            if self._process.returncode != 0:
-                last = complaint.decode(errors="replace").strip().rpartition("\n")[2]
-                raise RuntimeError(f"exit code {self._process.returncode} {last}".strip())
-            self._answer = dict(json.loads(said.splitlines()[-1]))
+            if done.returncode != 0:
+                last = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
+                raise RuntimeError(f"exit code {done.returncode} {last}".strip())
+            self._answer = dict(json.loads(done.stdout.splitlines()[-1]))
         except Exception as error:  # whatever it is, the collector says it and goes on
             self._answer = {"trouble": f"the chain fit failed: {error}"}
-
-    def close(self) -> None:
-        """Kill a fit that is running."""
-        if self._process is not None:
-            with contextlib.suppress(OSError):
-                self._process.kill()
 
     def words(self) -> str:
         """What is known; empty if nothing is."""
@@ -139,18 +114,16 @@ class StopCriterion:
         return words
 
 
-def examine(content: dict[str, Any]) -> dict[str, Any]:
-    """Fit a chain to a data set's arrays and say how well it is known in ``box_rad``.
-
-    Empty where no chain can be fitted yet.
-    """
+def _examine(box_rad: np.ndarray, *columns: Any) -> dict[str, Any]:
+    """How well a chain is known in a box by the four columns of samples; empty if not yet."""
     from fvs_estimator_node.chain_fit import fit_chain
     from fvs_estimator_node.dataset import DataSet
 
-    low, high = content["box_rad"]
+    low, high = box_rad
+    names = tuple(f"joint {i}" for i in range(len(low)))
     places = np.random.default_rng(0).uniform(low, high, (_PLACES, len(low)))
     try:
-        fit = fit_chain(DataSet(**{name: content[name] for name in _FIELDS}))
+        fit = fit_chain(DataSet(*columns, names))
         deviation = float(np.median(fit.jacobian_deviation(places)))
     except ValueError:  # no chain yet, or numbers too bad for linear algebra
         return {}
@@ -162,12 +135,7 @@ def examine(content: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def main() -> None:
-    """Fit a chain to the data set on standard input; the last line of output is the answer."""
-    signal.alarm(_LONGEST_S)
-    os.nice(10)  # the commands come first where there are too few cores
-    print(json.dumps(examine(dict(np.load(io.BytesIO(sys.stdin.buffer.read()))))))
-
-
 if __name__ == "__main__":
-    main()
+    os.nice(10)  # the commands come first where there are too few cores
+    arrays = np.load(io.BytesIO(sys.stdin.buffer.read()))
+    print(json.dumps(_examine(*(arrays[name] for name in arrays.files))))

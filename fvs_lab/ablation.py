@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fvs_controller_node.config import default_values
-from fvs_estimator_node.pairing import StepPairing
+from fvs_estimator_node.loop import StepPairing
 from fvs_lab.experiment import (
     OURS,
     PAPER,

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fvs_estimator_node.base import Estimator, MotionStep
+from fvs_estimator_node.loop import StepPairing
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
-from fvs_estimator_node.pairing import StepPairing
 from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, relative_errors, simulation_of
 from fvs_tools.score import criteria
 

@@ -16,10 +16,9 @@ from fvs_controller_node.config import default_values
 from fvs_controller_node.inbox import JACOBIAN
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.supervisor import Command
-from fvs_estimator_node.base import Estimator
+from fvs_estimator_node.base import Estimator, OracleEstimator
 from fvs_estimator_node.loop import EstimationLoop
 from fvs_estimator_node.model_file import TrainedModel, load_model
-from fvs_estimator_node.oracle import OracleEstimator
 from fvs_estimator_node.registry import create_estimator
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.paths import find_file
@@ -117,7 +116,7 @@ class ClosedLoop:
         self.loop.add_joints(now_s, now_s, out.joints_rad)
         command = self.loop.tick(now_s, self.period_s)
         if command.output is not None:
-            self.estimation.pairing.add_sliding_variable(now_s, command.output.sliding_variable)
+            self.estimation.add_sliding_variable(now_s, command.output.sliding_variable)
         refusal = self.simulation.command(command.velocity_rad_s)
         assert refusal is None, refusal
         return command

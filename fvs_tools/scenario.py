@@ -64,13 +64,13 @@ class NodeEntry:
 NODE_TABLE: dict[str, NodeEntry] = {
     topics.SIM: NodeEntry("fvs_sim_node.node", "fvs_sim_node.config"),
     topics.DETECTOR: NodeEntry("fvs_detector_node.node", "fvs_detector_node.config"),
-    topics.ESTIMATOR: NodeEntry("fvs_estimator_node.node", "fvs_estimator_node.config"),
+    topics.ESTIMATOR: NodeEntry("fvs_estimator_node.node", "fvs_estimator_node.registry"),
     topics.CONTROLLER: NodeEntry(
         "fvs_controller_node.node", "fvs_controller_node.config", commands_arm=True
     ),
     topics.COLLECTOR: NodeEntry(
         "fvs_estimator_node.collector_node",
-        "fvs_estimator_node.collector_config",
+        "fvs_estimator_node.collecting",
         commands_arm=True,
         task=True,
     ),

@@ -19,7 +19,7 @@ from fvs_controller_node.config import default_values
 from fvs_controller_node.settling import settling_times
 from fvs_controller_node.surface import ReachingLaw, SlidingSurface
 from fvs_estimator_node.base import Estimator, MotionStep
-from fvs_estimator_node.config import PARAMETERS
+from fvs_estimator_node.registry import PARAMETERS
 from fvs_lab import beyond_runs as runs
 from fvs_lab import contestants as who
 from fvs_lab import main, settling, tuning

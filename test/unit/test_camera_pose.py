@@ -33,7 +33,7 @@ def path(count, rng):
 
 def watch(camera, balls, rotation, translation, rng, noise_m=NOISE_M):
     for ball in balls:
-        camera.add(ball, rotation @ ball + translation + noise_m * rng.normal(size=3))
+        camera.add(ball, rotation @ ball + translation + noise_m * rng.normal(size=3), noise_m)
 
 
 def off_deg(camera, rotation):
@@ -53,7 +53,7 @@ def test_any_turn_and_shift_is_found_in_half_a_metre(degrees):
 
 
 @pytest.mark.parametrize("noise_m", [NOISE_M, 0.006])
-def test_noise_is_learned_and_turns_no_camera_that_stands(noise_m):
+def test_noise_turns_no_camera_that_stands(noise_m):
     rng, camera, off = np.random.default_rng(0), CameraPose(), []
     balls = path(500, rng)
     for ball in balls:
@@ -61,18 +61,7 @@ def test_noise_is_learned_and_turns_no_camera_that_stands(noise_m):
         off.append(off_deg(camera, np.eye(3)))
     assert max(off) < 3.0
     assert off[-1] < 0.5
-    assert camera.noise_m == pytest.approx(noise_m, rel=0.3)
     assert camera.bumps == 0
-
-
-@pytest.mark.parametrize("in_a_row", [1, 2, 5])
-def test_outliers_turn_nothing(in_a_row):
-    rng, camera = np.random.default_rng(in_a_row), CameraPose()
-    for i, ball in enumerate(path(400, rng)):
-        off = 0.2 * rng.normal(size=3) if i % 40 < in_a_row else np.zeros(3)
-        camera.add(ball, ball + off + NOISE_M * rng.normal(size=3))
-    assert camera.bumps == 0
-    assert off_deg(camera, np.eye(3)) < 0.6
 
 
 def test_a_bump_is_noticed_and_the_new_pose_learned():
@@ -127,19 +116,19 @@ def test_a_long_way_along_one_line_forgets_nothing(prior):
     assert off_deg(camera, TURNED) < 1.0
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e6, 1e200])
-def test_what_is_not_finite_or_too_far_teaches_nothing(bad):
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_what_is_not_finite_teaches_nothing(bad):
     rng, camera = np.random.default_rng(0), CameraPose()
     balls = path(30, rng)
     watch(camera, balls, np.eye(3), np.zeros(3), rng)
-    before = camera.rotation.copy(), camera.translation_m.copy(), camera.noise_m
+    before = camera.rotation.copy(), camera.translation_m.copy()
     with np.errstate(all="ignore"):
         for _ in range(10):
-            assert not camera.add(balls[-1], np.array([0.0, bad, 1.0]))
-            assert not camera.add(np.array([np.nan, 0.0, 1.0]), balls[-1])
+            assert not camera.add(balls[-1], np.array([0.0, bad, 1.0]), NOISE_M)
+            assert not camera.add(np.array([bad, 0.0, 1.0]), balls[-1], NOISE_M)
     np.testing.assert_array_equal(camera.rotation, before[0])
     np.testing.assert_array_equal(camera.translation_m, before[1])
-    assert (camera.noise_m, camera.bumps) == (before[2], 0)
+    assert camera.bumps == 0
 
 
 # --- the estimators ---
@@ -153,7 +142,7 @@ def see(estimator, chain, joints, rng):
     """Let it see a ball on a chain at joints, rad, shape (k, n)."""
     balls = chain.position(joints) + NOISE_M * rng.normal(size=(len(joints), 3))
     for one, ball in zip(joints, balls, strict=True):
-        estimator.observe(one, ball)
+        estimator.observe(one, ball, NOISE_M)
 
 
 @pytest.mark.parametrize(("method", "within"), [("poe", 0.01), ("rbf_left", 0.12)])
@@ -186,8 +175,8 @@ def test_an_observation_that_is_not_finite_teaches_nothing(networks, method):
     estimator, joints = made(method, networks), ur5_dh.HOME_RAD
     ball, begun = ur5_chain().position(joints) + 0.001, estimator.jacobian(joints)
     with np.errstate(all="ignore"):
-        estimator.observe(np.full(6, np.nan), ball)
-        estimator.observe(joints, np.full(3, np.nan))
+        estimator.observe(np.full(6, np.nan), ball, NOISE_M)
+        estimator.observe(joints, np.full(3, np.nan), NOISE_M)
     estimator.update(MotionStep(1.0, 0.03, joints, np.full(6, 0.01), np.zeros(3)))
     assert (estimator.updates, estimator.refused) == (0, 2)
     np.testing.assert_array_equal(estimator.jacobian(joints), begun)
@@ -204,7 +193,7 @@ def told(change_joints=None, bumped_s=np.inf, seed=0):
         joints = seen_rad.copy()
         if change_joints is not None:
             change_joints(joints)
-        estimator.observe(joints, turned @ ball if stamp_s > bumped_s else ball)
+        estimator.observe(joints, turned @ ball if stamp_s > bumped_s else ball, NOISE_M)
         remarks.add(estimator.remark)
     return "".join(remarks), estimator.camera.bumps
 

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from fvs_estimator_node.collecting import GIVE_UP_S, CollectionRun, State
-from fvs_estimator_node.collector_config import CollectorConfig
+from fvs_estimator_node.collecting import GIVE_UP_S, CollectionRun, CollectorConfig, State
 from fvs_estimator_node.stopping import StopCriterion
 from fvs_ros.joints import UR_JOINT_NAMES
 

@@ -36,7 +36,7 @@ class Told(Estimator):
     def jacobian(self, joints_rad):
         return JACOBIAN
 
-    def observe(self, joints_rad, ball_m):
+    def observe(self, joints_rad, ball_m, noise_m):
         self.balls.append(ball_m - JACOBIAN @ joints_rad)
 
     def update(self, step):

@@ -10,7 +10,7 @@ import yaml
 from scipy.stats import bootstrap
 
 from fvs_controller_node.config import default_values
-from fvs_estimator_node.config import PARAMETERS
+from fvs_estimator_node.registry import PARAMETERS
 from fvs_lab import main, robustness, servo
 from fvs_lab.experiment import OURS, PAPER, Claim, Context, Found, Part, either
 from fvs_lab.outcome import Outcome

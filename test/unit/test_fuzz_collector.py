@@ -9,8 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fvs_estimator_node.collecting import CollectionRun, State
-from fvs_estimator_node.collector_config import CollectorConfig
+from fvs_estimator_node.collecting import CollectionRun, CollectorConfig, State
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of numpy, about wild numbers
 

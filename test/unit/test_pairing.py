@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fvs_estimator_node.pairing import StepPairing
+from fvs_estimator_node.loop import StepPairing
 from fvs_ros.timeline import Timeline
 
 VELOCITY = np.array([0.3, -0.2, 0.1, 0.4, 0.0, 0.05])
@@ -97,7 +97,7 @@ def test_no_step_across_a_gap_in_the_joint_states():
             steps += pairing.add_ball(t, ball_at(t))
     assert not [s for s in steps if s.start_stamp_s < 0.6 and s.stamp_s > 0.9]
     assert not [s for s in steps if 0.6 < s.stamp_s < 0.89]
-    assert pairing.matcher.dropped > 0
+    assert pairing.timeline.dropped > 0
 
 
 def test_frozen_stamps_never_make_a_step():
@@ -166,5 +166,5 @@ def test_images_of_a_clock_that_is_behind_make_no_step_and_it_says_so(behind_s):
         if k % 4 == 0:
             steps += pairing.add_ball(t - behind_s, ball_at(t))
     assert steps == []
-    assert pairing.matcher.dropped > 100
-    assert "clocks agree" in pairing.matcher.last_reason
+    assert pairing.timeline.dropped > 100
+    assert "clocks agree" in pairing.timeline.last_reason
