@@ -15,11 +15,10 @@ import numpy as np
 
 from fvs_estimator_node.base import NETWORKS, NOTHING, Estimator, MotionStep
 from fvs_estimator_node.rbf import RbfModel
+from fvs_ros.camera import BALL_FEATURES
 from fvs_ros.params import Parameters, parameter
 
 FROM_MODEL, FROM_ZERO = "model", "zero"
-#: Coordinates of a ball position, where no networks tell how many there are.
-_BALL_SIZE = 3
 
 
 @dataclass(frozen=True)
@@ -87,11 +86,6 @@ class OnlineEstimator(Estimator):
         The trained networks, where the Jacobian starts unless ``config.initial`` is ``zero``.
     config : OnlineConfig, optional
         Settings.
-
-    Raises
-    ------
-    ValueError
-        If the Jacobian is to start from a model and there is none.
     """
 
     config_type = OnlineConfig
@@ -99,10 +93,7 @@ class OnlineEstimator(Estimator):
 
     def __init__(self, model: RbfModel | None = None, config: OnlineConfig | None = None) -> None:
         self.config = config if config is not None else OnlineConfig()
-        from_model = self.needs(self.config) == NETWORKS
-        if from_model and model is None:
-            raise ValueError("initial is 'model', but there is no trained model; or start at zero")
-        self._model = model if from_model else None
+        self._model = model if self.needs(self.config) == NETWORKS else None
         self.reset()
 
     @classmethod
@@ -115,12 +106,7 @@ class OnlineEstimator(Estimator):
         super().reset()
         self._jacobian: np.ndarray | None = None
         self._initial: np.ndarray | None = None
-        self._covariance: np.ndarray | None = None
-
-    @property
-    def covariance(self) -> np.ndarray:
-        """Present covariance of the estimate, (m/rad)^2; a copy, empty without one."""
-        return np.zeros((0, 0)) if self._covariance is None else self._covariance.copy()
+        self.covariance = np.zeros((0, 0))  # of the estimate, (m/rad)^2; empty without one
 
     def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
         """Present estimate, m/rad, shape (m, n), the same for all joints once it has begun."""
@@ -129,12 +115,13 @@ class OnlineEstimator(Estimator):
     def _present(self, joints_rad: np.ndarray) -> np.ndarray:
         if self._jacobian is None:
             if self._model is None:
-                start = np.zeros((_BALL_SIZE, len(joints_rad)))
+                start = np.zeros((BALL_FEATURES, len(joints_rad)))
             else:
                 start = self._model.jacobian(joints_rad)
             if not np.all(np.isfinite(start)):
                 return start
             self._jacobian = self._initial = start
+            self.covariance = self.config.initial_variance * np.eye(self._entries(*start.shape))
         return self._jacobian
 
     def update(self, step: MotionStep) -> None:
@@ -144,36 +131,31 @@ class OnlineEstimator(Estimator):
         if learned is None:
             self.refused += 1
             return
-        self._jacobian, self._covariance = learned
+        self._jacobian, self.covariance = learned
         self.updates += 1
 
-    def _try(self, step: MotionStep) -> tuple[np.ndarray, np.ndarray | None] | None:
+    def _try(self, step: MotionStep) -> tuple[np.ndarray, np.ndarray] | None:
         """Jacobian and covariance after a step; None if it must not be learned from."""
         told = (step.joints_rad, step.d_joints_rad, step.d_ball_m)
         if not (0.0 < step.dt_s < math.inf and all(_is_finite(one) for one in told)):
             return None
         before = self._present(step.joints_rad)
-        if self._covariance is None:
-            self._covariance = self._start(*before.shape)
         try:
-            jacobian, covariance = self._learned(before, self._covariance, step)
-            if covariance is not None:
-                # Raises unless positive definite: a covariance that rounding spoilt is not kept.
-                np.linalg.cholesky(covariance)
+            jacobian, covariance = self._learned(before, self.covariance, step)
+            # Raises unless positive definite: a covariance that rounding spoilt is not kept.
+            np.linalg.cholesky(covariance)
         except np.linalg.LinAlgError:
             return None
-        if not (_is_finite(jacobian) and (covariance is None or _is_finite(covariance))):
-            return None
-        return jacobian, covariance
+        return (jacobian, covariance) if _is_finite(jacobian) and _is_finite(covariance) else None
 
-    def _start(self, _m: int, _n: int) -> np.ndarray | None:
-        """Covariance at the start, of a method that has one."""
-        return None
+    def _entries(self, _m: int, _n: int) -> int:
+        """Size of the covariance of an m x n Jacobian."""
+        return 0
 
     @abstractmethod
     def _learned(
-        self, jacobian: np.ndarray, covariance: Any, step: MotionStep
-    ) -> tuple[np.ndarray, np.ndarray | None]:
+        self, jacobian: np.ndarray, covariance: np.ndarray, step: MotionStep
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Jacobian and covariance after one finite step; new arrays.
 
         What is not finite, or raises ``LinAlgError``, is not kept.
@@ -193,9 +175,10 @@ class OnlineEstimator(Estimator):
         if self._jacobian is not None and self._initial is not None:
             change = float(np.linalg.norm(self._jacobian - self._initial))
             values["jacobian_change_m_rad"] = change
-        covariance = self._start(1, 1) if self._covariance is None else self._covariance
-        if covariance is not None:
-            values["entry_deviation_m_rad"] = math.sqrt(np.diag(covariance).mean())
+        if self._entries(1, 1):
+            variances = np.diag(self.covariance)
+            known = variances.mean() if variances.size else self.config.initial_variance
+            values["entry_deviation_m_rad"] = math.sqrt(known)
         return values
 
 
@@ -207,11 +190,11 @@ class BroydenEstimator(OnlineEstimator):
     """
 
     def _learned(
-        self, jacobian: np.ndarray, covariance: Any, step: MotionStep
-    ) -> tuple[np.ndarray, None]:
+        self, jacobian: np.ndarray, covariance: np.ndarray, step: MotionStep
+    ) -> tuple[np.ndarray, np.ndarray]:
         moved = step.d_joints_rad
         share = self.config.gain * moved / (moved @ moved)
-        return jacobian + np.multiply.outer(step.d_ball_m - jacobian @ moved, share), None
+        return jacobian + np.multiply.outer(step.d_ball_m - jacobian @ moved, share), covariance
 
 
 class LkfEstimator(OnlineEstimator):
@@ -222,11 +205,11 @@ class LkfEstimator(OnlineEstimator):
     stays ``I (x) P`` with one n x n P: one small filter, not an approximation.
     """
 
-    def _start(self, _m: int, n: int) -> np.ndarray:
-        return self.config.initial_variance * np.eye(n)
+    def _entries(self, _m: int, n: int) -> int:
+        return n
 
     def _learned(
-        self, jacobian: np.ndarray, covariance: Any, step: MotionStep
+        self, jacobian: np.ndarray, covariance: np.ndarray, step: MotionStep
     ) -> tuple[np.ndarray, np.ndarray]:
         predicted = covariance + self.config.process_noise * step.dt_s * np.eye(len(covariance))
         return _row_update(jacobian, predicted, self.config.step_variance_m2, step)
@@ -241,11 +224,11 @@ class UkfEstimator(OnlineEstimator):
     der Merwe, Sigma-Point Kalman Filters, 2004, with alpha 1, beta 2 and kappa 0.
     """
 
-    def _start(self, m: int, n: int) -> np.ndarray:
-        return self.config.initial_variance * np.eye(m * n)
+    def _entries(self, m: int, n: int) -> int:
+        return m * n
 
     def _learned(
-        self, jacobian: np.ndarray, covariance: Any, step: MotionStep
+        self, jacobian: np.ndarray, covariance: np.ndarray, step: MotionStep
     ) -> tuple[np.ndarray, np.ndarray]:
         m, count = len(jacobian), jacobian.size
         variance_m2 = self.config.step_variance_m2
@@ -283,7 +266,7 @@ class RlsEstimator(LkfEstimator):
     """
 
     def _learned(
-        self, jacobian: np.ndarray, covariance: Any, step: MotionStep
+        self, jacobian: np.ndarray, covariance: np.ndarray, step: MotionStep
     ) -> tuple[np.ndarray, np.ndarray]:
         predicted, most = covariance / self.config.forgetting, self.config.initial_variance
         if predicted.trace() > most:  # the sum of the eigenvalues, all positive

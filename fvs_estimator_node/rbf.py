@@ -187,10 +187,10 @@ class RbfEstimator(FrozenRbfEstimator):
         """Learn from one step; what is not finite changes nothing."""
         config = self.config
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            velocity = step.d_joints_rad / step.dt_s
+            velocity = step.joint_velocity
             theta = self._evaluate(step.joints_rad)
             columns = np.matmul(self._weights, theta[:, :, None])[:, :, 0]
-            error = step.d_ball_m / step.dt_s - velocity @ columns
+            error = step.ball_velocity - velocity @ columns
             regressor = velocity[:, None] * theta
             energy = step.dt_s * float(np.vdot(regressor, regressor))
             share = 1.0

@@ -114,8 +114,10 @@ class StopCriterion:
         return words
 
 
-def _examine(box_rad: np.ndarray, *columns: Any) -> dict[str, Any]:
-    """How well a chain is known in a box by the four columns of samples; empty if not yet."""
+def _examine(
+    box_rad: np.ndarray, stamp_s: np.ndarray, joints_rad: np.ndarray, ball_m: np.ndarray, run: Any
+) -> dict[str, Any]:
+    """How well a chain is known in a box by the columns of samples; empty if not yet."""
     from fvs_estimator_node.chain_fit import fit_chain
     from fvs_estimator_node.dataset import DataSet
 
@@ -123,7 +125,7 @@ def _examine(box_rad: np.ndarray, *columns: Any) -> dict[str, Any]:
     names = tuple(f"joint {i}" for i in range(len(low)))
     places = np.random.default_rng(0).uniform(low, high, (_PLACES, len(low)))
     try:
-        fit = fit_chain(DataSet(*columns, names))
+        fit = fit_chain(DataSet(stamp_s, joints_rad, ball_m, run, names))
         deviation = float(np.median(fit.jacobian_deviation(places)))
     except ValueError:  # no chain yet, or numbers too bad for linear algebra
         return {}
