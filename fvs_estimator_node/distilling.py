@@ -18,16 +18,16 @@ from fvs_estimator_node.chain_start import MAX_OFFSET_S
 from fvs_estimator_node.dataset import DataSet
 from fvs_estimator_node.model_file import TrainedModel, boxes_of
 from fvs_estimator_node.rbf import RbfModel, rbf_features
-from fvs_estimator_node.training import late_stamps_note, ridge_path, still_joints
+from fvs_estimator_node.training import late_stamps_note, ridge_weights, still_joints
 from fvs_ros.chain import SerialChain
 
 #: Neurons of each network where nothing else is said; more cost little where samples are free.
 NEURONS = 100
 #: Samples of the chain for each neuron, and to judge with.
 _SAMPLES, _JUDGED = 80, 1000
-#: Width of the neurons over the box's rms half width, the box of samples over that of the data,
-#: and the ridge relative to the mean diagonal: the least error of some tried.
-_WIDTH_FACTOR, _BEYOND, _RIDGE = 4.0, 1.1, 1e-11
+#: Width of the neurons over the box's rms half width, and the box of samples over that of the
+#: data: the least error of some tried.
+_WIDTH_FACTOR, _BEYOND = 4.0, 1.1
 #: A user should know of a Jacobian with a larger relative deviation (median over the box), of a
 #: larger share of outliers, and of larger noise, m: no depth camera is that bad.
 _NOTABLE_DEVIATION, _NOTABLE_OUTLIERS, _NOTABLE_NOISE_M = 0.01, 0.01, 0.01
@@ -155,7 +155,7 @@ def distil(
     weights = []
     for i, column in enumerate(columns):
         theta = rbf_features(centres[[i]], widths[[i]], joints)[:, 0]
-        weights.append(ridge_path(theta, column, (_RIDGE,))[0].T)
+        weights.append(ridge_weights(theta, column).T)
     return RbfModel(centres, widths, np.stack(weights))
 
 

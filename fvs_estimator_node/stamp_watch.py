@@ -23,8 +23,6 @@ _KEEP = 29.0 / 30.0
 _TIMES, _WORSE_M = 3.0, 0.02
 #: Share of the last positions' squared way that a lag may leave unexplained.
 _OFF_SHARE = 0.1
-#: Where predicted lengths vary by less, one lag is as good as another, m.
-_VARIES_M = 0.02
 #: A ball that went this much further in one image than predicted for any was bumped, or is seen in
 #: a wrong place: it would count at other times for other lags, m.
 _JUMP_M = 0.01
@@ -59,8 +57,6 @@ class StampWatch:
         if _lengths(seen, 1).max() > _lengths(predicted, 1).max() + _JUMP_M:
             return 0.0
         went_m, saw_m = _lengths(predicted, _SPAN), _lengths(seen, _SPAN)
-        if np.ptp(went_m) < _VARIES_M:
-            return 0.0
         off_m = np.concatenate([saw_m[:0:-1] - went_m[0], saw_m[0] - went_m])
         self._left_m2 = _KEEP * self._left_m2 + off_m**2
         best = int(self._left_m2.argmin())

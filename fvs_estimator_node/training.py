@@ -38,8 +38,10 @@ _OUTLIER_FACTOR, _NEIGHBOURS = 6.0, 7
 #: Width of all neurons at first, in standard deviations of the training joints (mean over the
 #: joints); 7 is 3.5 times the half width of an evenly filled box, over two.
 _WIDTH_FACTOR = 7.0
-#: Ridges to choose from on the validation images, the one used before, distance of nodes, rad.
-_RIDGES, _FIRST_RIDGE, _NODE_SPACING_RAD = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7), 1e-9, 0.8
+#: Ridge relative to the mean diagonal: a hundred times more or less changes the error by a tenth.
+RIDGE = 1e-10
+#: Distance of the nodes of a line, rad.
+_NODE_SPACING_RAD = 0.8
 #: Pairs of a batch, Adam's first step for centres (rad) and log widths, and iterations between
 #: looks at the validation error, which often rises for a while after the first, large steps.
 _BATCH, _LEARNING_RATE, _CHECK_EVERY = 2048, 0.1, 20
@@ -134,20 +136,18 @@ def train(
         neurons, errors["iterations"] = _refined(
             pairs, neurons, fitting, validation, options.iterations, progress
         )
-    weights, ridge, errors["validation_error"] = _choose_ridge(pairs, neurons, fitting, validation)
-    judged = _model(neurons, weights)
+    judged = _model(neurons, pairs.solve(neurons, fitting))
     errors |= _judge_pairs(pairs, judged, held_out)
     everything = np.flatnonzero(good)
     errors |= _judge_networks(pairs, judged, everything, held_out, errors["pair_error_m"])
     errors |= {
-        "ridge": ridge,
         "samples": len(everything),
         "held_out_samples": len(held_out),
         "outliers": int(np.count_nonzero(~good)),
         "time_offset_s": offset_s,
     }
     return TrainedModel(
-        model=_model(neurons, pairs.solve(neurons, everything, (ridge,))[0]),
+        model=_model(neurons, pairs.solve(neurons, everything)),
         **boxes_of(pairs.joints[everything], pairs.ball[everything], pairs.rng),
         joint_names=data.joint_names,
         feature_frame=data.feature_frame,
@@ -203,16 +203,10 @@ class _Pairs:
         regressors = line_regressors(neurons, self.joints[first], self.joints[second], self.nodes)
         return regressors, self.ball[second] - self.ball[first]
 
-    def solve(
-        self,
-        neurons: Neurons,
-        images: np.ndarray,
-        ridges: tuple[float, ...],
-        count: int | None = None,
-    ) -> list[np.ndarray]:
-        """Weights, (n k, m), for each ridge."""
-        count = count or int(np.clip(2 * len(images), 4000, 10_000))
-        return ridge_path(*self.equations(neurons, *self.draw(images, count)), ridges)
+    def solve(self, neurons: Neurons, images: np.ndarray) -> np.ndarray:
+        """The weights, (n k, m), that fit some images best."""
+        count = int(np.clip(2 * len(images), 4000, 10_000))
+        return ridge_weights(*self.equations(neurons, *self.draw(images, count)))
 
 
 # ---- least squares --------------------------------------------------------------------------
@@ -237,18 +231,11 @@ def line_regressors(neurons: Neurons, start: np.ndarray, end: np.ndarray, nodes:
     return total.reshape(len(start), -1)
 
 
-def ridge_path(
-    regressors: np.ndarray, motion: np.ndarray, ridges: tuple[float, ...]
-) -> list[np.ndarray]:
-    """Weights, shape (n k, m), for each ridge relative to the mean diagonal."""
-    gram, wanted = regressors.T @ regressors, regressors.T @ motion
-    if len(ridges) == 1:
-        gram[np.diag_indices_from(gram)] += ridges[0] * np.trace(gram) / len(gram)
-        return [np.linalg.solve(gram, wanted)]
-    values, vectors = np.linalg.eigh(gram)
-    mean, projected = float(np.mean(values)), vectors.T @ wanted
-    values = np.maximum(values, 0.0)[:, None]
-    return [vectors @ (projected / (values + ridge * mean)) for ridge in ridges]
+def ridge_weights(regressors: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """Weights, shape (n k, m), by a ridge relative to the mean diagonal."""
+    gram = regressors.T @ regressors
+    gram[np.diag_indices_from(gram)] += RIDGE * np.trace(gram) / len(gram)
+    return np.linalg.solve(gram, regressors.T @ motion)
 
 
 def _relative_error(regressors: np.ndarray, motion: np.ndarray, weights: np.ndarray) -> float:
@@ -288,7 +275,7 @@ def _align(pairs: _Pairs, neurons: Neurons, data: DataSet, fitting: np.ndarray) 
     if len(fitting) < _MIN_SAMPLES // 2:
         return 0.0
     offset_s, joints = 0.0, recorded.copy()
-    weights = pairs.solve(neurons, fitting, (_FIRST_RIDGE,), 4000)[0]
+    weights = pairs.solve(neurons, fitting)
     for _ in range(_ALIGNMENTS):
         model = _model(neurons, weights)
         chosen = pairs.draw(fitting, 4000)
@@ -298,7 +285,7 @@ def _align(pairs: _Pairs, neurons: Neurons, data: DataSet, fitting: np.ndarray) 
             for i in chosen
         )
         both = np.concatenate([motion, second - first], axis=1)
-        solved = ridge_path(regressors, both, (_FIRST_RIDGE,))[0]
+        solved = ridge_weights(regressors, both)
         left = both - regressors @ solved
         size = np.linalg.norm(left[:, :m], axis=1)
         left_motion, left_change = np.split(left[size <= 3.0 * np.median(size)], [m], axis=1)
@@ -322,25 +309,13 @@ def _good_images(pairs: _Pairs, neurons: Neurons, fitting: np.ndarray) -> np.nda
     """
     from scipy.ndimage import median_filter
 
-    weights = pairs.solve(neurons, fitting, (_FIRST_RIDGE,), 5000)[0]
+    weights = pairs.solve(neurons, fitting)
     middle = np.broadcast_to(pairs.joints[fitting].mean(axis=0), pairs.joints.shape)
     moved = line_regressors(neurons, middle, pairs.joints, pairs.nodes) @ weights
     residual = pairs.ball - moved
     usual = median_filter(residual, (_NEIGHBOURS, 1), mode="nearest")
     distance = np.linalg.norm(residual - usual, axis=1)
     return distance <= max(_OUTLIER_FACTOR * float(np.median(distance)), 1e-9)
-
-
-def _choose_ridge(
-    pairs: _Pairs, neurons: Neurons, fitting: np.ndarray, validation: np.ndarray
-) -> tuple[np.ndarray, float, float]:
-    """Weights with the largest ridge that is as good as the best, within half a percent."""
-    candidates = pairs.solve(neurons, fitting, _RIDGES)
-    equations = pairs.equations(neurons, *pairs.draw(validation, 3000))
-    scores = [_relative_error(*equations, weights) for weights in candidates]
-    limit = 1.005 * min(scores)
-    best = max(i for i, score in enumerate(scores) if score <= limit)
-    return candidates[best], _RIDGES[best], scores[best]
 
 
 def _refined(
@@ -361,7 +336,7 @@ def _refined(
     judged_on, solved_on = pairs.draw(validation, 3000), pairs.draw(fitting, 6000)
 
     def score(present: Neurons) -> float:
-        weights = ridge_path(*pairs.equations(present, *solved_on), (_FIRST_RIDGE,))[0]
+        weights = ridge_weights(*pairs.equations(present, *solved_on))
         return _relative_error(*pairs.equations(present, *judged_on), weights)
 
     best_score, best = score(neurons), neurons
@@ -378,9 +353,7 @@ def _refined(
                 best_score, best = present, (centres.copy(), widths.copy())
         return progress is not None and progress(iteration, iterations, best_score)
 
-    done = refine(
-        neurons, draw, quadrature(pairs.nodes), _FIRST_RIDGE, _LEARNING_RATE, iterations, report
-    )
+    done = refine(neurons, draw, quadrature(pairs.nodes), RIDGE, _LEARNING_RATE, iterations, report)
     return best, done
 
 
