@@ -39,12 +39,8 @@ _MANY_BUMPS, _MANY_IMAGES = 8, 300
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     """The rotation R of the largest ``tr(R' M)``, shape (3, 3)."""
     left, _, right = np.linalg.svd(matrix)
-    rotation = left @ right
-    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
-    if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0.0:  # a reflection
-        left[:, 2] *= -1.0
-        rotation = left @ right
-    return rotation
+    left[:, 2] *= np.linalg.det(left @ right)  # -1 of a reflection
+    return np.asarray(left @ right)
 
 
 def rotation_angle_rad(rotation: np.ndarray) -> float:

@@ -35,8 +35,6 @@ from fvs_ros.chain import SerialChain
 
 #: Fewest images that a chain is fitted to.
 _MIN_SAMPLES = 200
-#: No depth camera sees further, m.
-_FARTHEST_M = 50.0
 #: Images, and offsets of the stamps, of the search for the right start.
 _SEARCH_SAMPLES, _SEARCH_OFFSETS = 400, 13
 #: Above both, the second in m, something else than a chain of revolute joints moves the ball; a
@@ -182,11 +180,6 @@ def fit_chain(data: DataSet, progress: Callable[[str], None] | None = None) -> C
         raise ChainFitError(
             f"a chain needs at least {_MIN_SAMPLES} images in continuous runs of more than "
             f"{2 * MAX_OFFSET_S:g} s, the data set has {len(path.indices)}"
-        )
-    if np.abs(data.ball_m).max() > _FARTHEST_M:
-        raise ChainFitError(
-            f"the ball is up to {np.abs(data.ball_m).max():.0f} m away in the data set; positions "
-            "must be in metres"
         )
     if np.linalg.norm(data.ball_m.std(axis=0)) < 1e-3:
         raise ChainFitError("the ball does not move in the data set, so there is no chain to find")

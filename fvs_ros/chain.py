@@ -75,7 +75,7 @@ class SerialChain:
         check_arrays(self, CHAIN_SHAPES, {})
         for name in CHAIN_SHAPES:
             if np.abs(getattr(self, name)).max() > _LARGEST_M:
-                raise ValueError(f"{name} of a chain holds a number above {_LARGEST_M:g}")
+                raise ValueError(f"{name} of a chain holds a number above {_LARGEST_M:g} m")
         lengths = np.linalg.norm(self.axes, axis=1, keepdims=True)
         if lengths.min() < 1e-6:
             raise ValueError("an axis of a chain has no direction")

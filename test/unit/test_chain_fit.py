@@ -222,25 +222,6 @@ def test_many_outliers_hide_no_misfit(matrix, is_chain):
         assert fit.misfit > 1.8
 
 
-def every(step, data):
-    return replace(
-        data,
-        **{
-            name: getattr(data, name)[::step]
-            for name in ("stamps_s", "joints_rad", "ball_m", "segment")
-        },
-    )
-
-
-def test_a_precise_camera_needs_no_neighbours():
-    """Nothing of a millimetre can be hidden where all are nearer than that."""
-    recording = Recording(seconds=80.0, outliers=0.0, noise_m=0.0003)
-    fit = fit_chain(every(8, recording.data()))
-    assert np.isnan(fit.misfit)
-    assert fit.is_chain
-    assert error_of(fit, recording) < 0.002
-
-
 @pytest.mark.parametrize("frozen", [False, True], ids=["5 cm aside", "frozen"])
 def test_a_stretch_that_is_far_off_pulls_at_nothing(frozen):
     recording = Recording()
@@ -252,27 +233,8 @@ def test_a_stretch_that_is_far_off_pulls_at_nothing(frozen):
     assert fit.outliers > 150
 
 
-@pytest.mark.parametrize(
-    ("misfit", "unexplained_m", "is_chain"),
-    [(1.29, 0.005, True), (1.31, 0.0011, False), (5.0, 0.0009, True)],
-)
-def test_no_chain_is_a_misfit_above_1_3_with_a_millimetre_unexplained(
-    some_fit, misfit, unexplained_m, is_chain
-):
-    noise_m = unexplained_m / np.sqrt(misfit**2 - 1.0)
-    fit = replace(some_fit, noise_m=noise_m, residual_m=misfit * noise_m)
-    assert fit.unexplained_m == pytest.approx(unexplained_m)
-    assert fit.is_chain == is_chain
-
-
-@pytest.fixture(scope="module")
-def some_fit():
-    return fit_chain(Recording(seconds=10.0).data())
-
-
 @pytest.mark.parametrize("late_s", [0.25, -0.25])
-def test_an_offset_beyond_what_is_looked_for_is_known_as_such(some_fit, late_s):
-    assert not some_fit.offset_at_limit
+def test_an_offset_beyond_what_is_looked_for_is_known_as_such(late_s):
     fit = fit_chain(Recording(seconds=20.0, late_s=late_s, outliers=0.0).data())
     assert fit.offset_at_limit
     assert np.sign(fit.time_offset_s) == np.sign(late_s)
@@ -291,5 +253,5 @@ def test_a_ball_that_stands_still_or_is_not_in_metres_is_refused_in_words():
     still = np.array([0.1, 0.0, 1.4]) + 1e-4 * np.random.default_rng(0).normal(size=(len(data), 3))
     with pytest.raises(ChainFitError, match="the ball does not move"):
         fit_chain(replace(data, ball_m=still))
-    with pytest.raises(ChainFitError, match="positions must be in metres"):
+    with pytest.raises(ValueError, match="of a chain holds a number above 100 m"):
         fit_chain(replace(data, ball_m=1000.0 * data.ball_m))

@@ -97,15 +97,6 @@ def test_after_a_reset_the_first_image_is_believed():
     assert one_away_after(loop, 2.0)[0]
 
 
-def test_without_an_estimate_all_is_told_and_nothing_is_judged_by_it_later():
-    loop = EstimationLoop(Told())
-    play(loop, 0.0, 2.0)
-    loop.estimator.why = "none yet"
-    play(loop, 2.0, 2.5, lambda _time_s: -AWAY_M)
-    loop.estimator.why = ""
-    assert one_away_after(loop, 2.5)[0]
-
-
 @pytest.mark.parametrize("late_s", [-0.06, 0.06])
 def test_stamps_are_put_right_before_anything_more_is_told(late_s):
     loop = EstimationLoop(Told())

@@ -158,28 +158,7 @@ def test_the_covariance_stays_symmetric_and_positive_over_long_runs(method):
         assert np.linalg.eigvalsh(covariance)[0] > 0.0
 
 
-@pytest.mark.parametrize("method", ONLINE)
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e308])
-def test_a_step_that_is_not_finite_or_absurd_leaves_a_finite_jacobian(method, bad):
-    rng = np.random.default_rng(12)
-    estimator = create_estimator(method, random_model(), {})
-    learn(estimator, random_steps(rng, 5))
-    (good,) = random_steps(rng, 1)
-    for name in ("dt_s", "joints_rad", "d_joints_rad", "d_ball_m"):
-        value = {**good.__dict__}
-        value[name] = bad if name == "dt_s" else np.full(np.shape(value[name]), bad)
-        before = estimator.jacobian(HOME), estimator.covariance
-        estimator.update(MotionStep(**value))
-        if math.isfinite(bad):
-            assert np.all(np.isfinite(estimator.jacobian(HOME)))
-        else:
-            np.testing.assert_array_equal(estimator.jacobian(HOME), before[0])
-            np.testing.assert_array_equal(estimator.covariance, before[1])
-    estimator.update(MotionStep(**{**good.__dict__, "dt_s": 0.0}))
-    assert estimator.refused >= 4
-
-
-_NUMBER = st.floats(allow_nan=False, allow_infinity=False)
+_NUMBER = st.floats()
 _SANE = st.floats(-1.0, 1.0)
 
 
@@ -206,9 +185,9 @@ _STEPS = st.lists(
 
 @pytest.mark.parametrize("initial", ["model", "zero"])
 @pytest.mark.parametrize("method", ONLINE)
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=60)
 @given(steps=_STEPS)
-def test_no_sequence_of_finite_steps_makes_a_jacobian_that_is_not_finite(method, initial, steps):
+def test_no_sequence_of_steps_makes_a_jacobian_that_is_not_finite(method, initial, steps):
     estimator = create_estimator(method, random_model(), {"online.initial": initial})
     for step in steps:
         estimator.update(step)
@@ -291,19 +270,3 @@ def test_the_oracle_hands_on_what_it_is_told_or_a_simulation_computes():
     np.testing.assert_array_equal(oracle.jacobian(HOME), told)
     oracle.reset()
     assert oracle.problem != ""
-
-
-@pytest.mark.parametrize("method", ["rbf", "frozen", *ONLINE, "oracle"])
-def test_status_values_are_finite_numbers(method):
-    rng = np.random.default_rng(17)
-    estimator = create_estimator(method, random_model(), {})
-    for _ in range(2):
-        values = estimator.status_values()
-        assert all(type(value) is float and math.isfinite(value) for value in values.values())
-        for step in (*random_steps(rng, 3), MotionStep(1.0, math.nan, HOME, HOME, np.ones(3))):
-            estimator.update(step)
-    if estimator.learns:
-        values = estimator.status_values()
-        assert (values["updates"], values["refused"]) == (6.0, 2.0)
-        names = {"rbf": "weight_change_m_rad"}
-        assert values[names.get(method, "jacobian_change_m_rad")] > 0.0

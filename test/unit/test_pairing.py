@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from fvs_estimator_node.loop import StepPairing
-from fvs_ros.timeline import Timeline
 
 VELOCITY = np.array([0.3, -0.2, 0.1, 0.4, 0.0, 0.05])
 JACOBIAN = np.arange(18.0).reshape(3, 6) / 10.0
@@ -29,7 +28,7 @@ def feed(pairing, start, stop, camera_hz=30.0, joint_hz=125.0, late_s=0.0):
     return steps
 
 
-@pytest.mark.parametrize("late_s", [0.0, 0.05, 0.2])
+@pytest.mark.parametrize("late_s", [0.0, 0.2])
 def test_ball_and_joint_motion_belong_to_the_same_exposures(late_s):
     steps = feed(StepPairing(), 0.0, 2.0, late_s=late_s)
     assert len(steps) > 40
@@ -39,26 +38,6 @@ def test_ball_and_joint_motion_belong_to_the_same_exposures(late_s):
         np.testing.assert_allclose(step.ball_velocity, JACOBIAN @ VELOCITY, atol=1e-9)
         middle = joints_at(step.stamp_s - step.dt_s / 2)
         np.testing.assert_allclose(step.joints_rad, middle, atol=1e-12)
-
-
-def test_a_ball_ahead_of_the_joints_waits_for_them():
-    pairing = StepPairing()
-    pairing.add_joints(0.0, joints_at(0.0))
-    assert pairing.add_ball(0.001, ball_at(0.001)) == []
-    assert pairing.add_ball(0.051, ball_at(0.051)) == []
-    assert pairing.add_joints(0.008, joints_at(0.008)) == []
-    steps = pairing.add_joints(0.06, joints_at(0.06))
-    assert len(steps) == 1
-    np.testing.assert_allclose(steps[0].d_joints_rad, VELOCITY * 0.05, atol=1e-12)
-
-
-def test_waiting_is_bounded():
-    matcher = Timeline()
-    matcher.add_joints(0.0, joints_at(0.0))
-    for k in range(1, 17):
-        matcher.add_ball(0.03 * k, ball_at(0.03 * k))
-    assert matcher.dropped == 6
-    assert "no joint state" in matcher.last_reason
 
 
 def test_a_still_arm_makes_no_steps_and_the_anchor_moves_on():
@@ -74,30 +53,20 @@ def test_a_still_arm_makes_no_steps_and_the_anchor_moves_on():
     assert all(s.dt_s <= 0.5 for s in steps)
 
 
-def test_no_step_across_a_lost_ball():
-    pairing = StepPairing()
-    steps = []
-    for k in range(200):
+def test_no_step_across_a_lost_ball_a_gap_of_the_joint_states_or_their_jump():
+    pairing, steps = StepPairing(), []
+    for k in range(500):
         t = 0.01 * k
-        steps += pairing.add_joints(t, joints_at(t))
+        if not 160 <= k < 190:
+            steps += pairing.add_joints(t, joints_at(t) + (k >= 300))
         if k % 3 == 0 and not 60 <= k < 100:
             steps += pairing.add_ball(t, ball_at(t))
-    assert steps
-    assert not [s for s in steps if s.start_stamp_s < 0.61 and s.stamp_s > 0.99]
-
-
-def test_no_step_across_a_gap_in_the_joint_states():
-    pairing = StepPairing()
-    steps = []
-    for k in range(200):
-        t = 0.01 * k
-        if not 60 <= k < 90:
-            steps += pairing.add_joints(t, joints_at(t))
-        if k % 3 == 0:
-            steps += pairing.add_ball(t, ball_at(t))
-    assert not [s for s in steps if s.start_stamp_s < 0.6 and s.stamp_s > 0.9]
-    assert not [s for s in steps if 0.6 < s.stamp_s < 0.89]
+    assert len(steps) > 50
     assert pairing.timeline.dropped > 0
+    for start_s, end_s in ((0.61, 0.99), (1.6, 1.89), (2.99, 3.0)):
+        assert not [s for s in steps if s.start_stamp_s < start_s and s.stamp_s > end_s]
+    for step in steps:
+        np.testing.assert_allclose(step.joint_velocity, VELOCITY, atol=1e-9)
 
 
 def test_frozen_stamps_never_make_a_step():
@@ -122,21 +91,6 @@ def test_no_step_across_a_clock_jump_and_recovery_after_it(jump_s):
     assert all(s.dt_s <= 0.5 and s.start_stamp_s >= 201.0 + jump_s for s in steps)
 
 
-def test_no_step_across_a_jump_of_the_joints():
-    pairing = StepPairing()
-    for k in range(60):
-        pairing.add_joints(0.01 * k, joints_at(0.01 * k) + (k >= 30))
-        for step in pairing.add_ball(0.01 * k, ball_at(0.01 * k)):
-            np.testing.assert_allclose(step.joint_velocity, VELOCITY, atol=1e-9)
-
-
-def test_one_ball_stamp_from_the_future_does_not_stop_the_pairing():
-    pairing = StepPairing()
-    feed(pairing, 0.0, 0.5)
-    pairing.add_ball(1e6, ball_at(0.5))
-    assert len(feed(pairing, 0.52, 1.5)) > 20
-
-
 def test_not_finite_input_makes_no_step():
     pairing = StepPairing()
     feed(pairing, 0.0, 0.5)
@@ -156,7 +110,7 @@ def test_a_fresh_sliding_variable_goes_into_steps_and_a_stale_one_does_not():
     assert np.all(steps[-1].sliding_variable == 0.0)
 
 
-@pytest.mark.parametrize("behind_s", [0.6, 1.0, 1.9, 3600.0])
+@pytest.mark.parametrize("behind_s", [0.6, 3600.0])
 def test_images_of_a_clock_that_is_behind_make_no_step_and_it_says_so(behind_s):
     pairing = StepPairing()
     steps = []

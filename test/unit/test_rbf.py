@@ -5,7 +5,6 @@ import pytest
 
 from fvs_estimator_node.base import MotionStep
 from fvs_estimator_node.rbf import RbfConfig, RbfEstimator, RbfModel
-from fvs_estimator_node.registry import create_estimator
 
 NEURONS = 7
 
@@ -126,20 +125,6 @@ def test_weights_stay_finite_whatever_comes(bad):
         estimator.update(MotionStep(**value))
         assert np.all(np.isfinite(estimator.weights))
     assert estimator.refused > 0
-
-
-def test_reset_forgets_and_frozen_never_learns():
-    model, rng = random_model(), np.random.default_rng(8)
-    estimator, frozen = create_estimator("rbf", model), create_estimator("frozen", model)
-    r = rng.uniform(-1.0, 1.0, 6)
-    for _ in range(20):
-        step = random_step(rng)
-        estimator.update(step)
-        frozen.update(step)
-    assert np.abs(estimator.jacobian(r) - model.jacobian(r)).max() > 1e-4
-    np.testing.assert_allclose(frozen.jacobian(r), model.jacobian(r), rtol=1e-12)
-    estimator.reset()
-    np.testing.assert_allclose(estimator.jacobian(r), model.jacobian(r), rtol=1e-12)
 
 
 def test_a_model_of_wrong_shape_or_not_finite_is_refused():
