@@ -110,6 +110,8 @@ class CollectionRun:
         Why, in words.
     samples : list of Sample
         What was recorded.
+    stop : StopCriterion
+        What ends the motion early.
     """
 
     def __init__(
@@ -118,7 +120,8 @@ class CollectionRun:
         joint_names: Sequence[str] = UR_JOINT_NAMES,
         stop: StopCriterion | None = None,
     ) -> None:
-        self._config, self._names, self._stop = config, tuple(joint_names), stop
+        self._config, self._names = config, tuple(joint_names)
+        self.stop = stop if stop is not None else StopCriterion(config.stop_at_error)
         self._motion: RandomMotion | None = None
         self._timeline = Timeline(config.max_latency_s)
         self._joint_stamps, self._ball_stamps = StampGate(), StampGate()
@@ -252,12 +255,12 @@ class CollectionRun:
             self._trouble_s = None
             motion.resume(self._moved_s, joints)
             self.state, self.reason = State.MOVING, "moving and recording"
-            if self._stop is not None:
-                self._consider_stop(self._stop, motion)
+            self._consider_stop(motion)
         moves = self.state in (State.MOVING, State.RETURNING)
         return motion.command(self._moved_s, joints) if moves else None
 
-    def _consider_stop(self, stop: StopCriterion, motion: RandomMotion) -> None:
+    def _consider_stop(self, motion: RandomMotion) -> None:
+        stop = self.stop
         stop.look(self._moved_s, self.samples, motion.box_rad)
         if stop.enough:
             motion.end_early(self._moved_s)
@@ -267,8 +270,7 @@ class CollectionRun:
 
     def _because(self) -> str:
         """Why the motion ended early, in words; empty if it did not."""
-        stop = self._stop
-        return f": {stop.words()}" if stop is not None and stop.enough else ""
+        return f": {self.stop.words()}" if self.stop.enough else ""
 
     def _watch_box(self, joints: np.ndarray) -> None:
         if self._motion is None:

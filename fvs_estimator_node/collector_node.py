@@ -20,7 +20,6 @@ from tqdm import tqdm
 
 from fvs_estimator_node.collecting import PARAMETERS, CollectionRun, CollectorConfig, State
 from fvs_estimator_node.dataset import data_set_of, save_data_set
-from fvs_estimator_node.stopping import StopCriterion
 from fvs_ros import clock, ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 
@@ -28,8 +27,6 @@ _STATUS_PERIOD_S = 0.1
 _WATCHDOG_S = 0.02
 _MIN_SAMPLES = 30
 _PUBLISHERS_PERIOD_S = 0.25
-#: That the arm is held, or goes back, is said this seldom, s.
-_SAID_PERIOD_S = 10.0
 
 
 class CollectorNode(ros.FvsNode):
@@ -42,19 +39,14 @@ class CollectorNode(ros.FvsNode):
         self._names = config.joints.joint_names
         self._joint_map = JointMap(self._names, config.joints.tf_prefix)
         self._simulated_time = self.get_parameter("use_sim_time").value
-        self._stop: StopCriterion | None = None
-        if config.stop_at_error > 0.0:
-            self._stop = StopCriterion(config.stop_at_error)
-        self._run = CollectionRun(config, self._names, self._stop)
+        self._run = CollectionRun(config, self._names)
         self._ticked_s = self.now_s()
         self._stamp_s: float | None = None
-        self._said, self._said_s = State.WAITING, -np.inf
-        self._told_trouble = False
         self._bar = tqdm(
             total=config.duration_s,
             desc="collecting",
             bar_format="{desc} {percentage:3.0f}%|{bar:30}| {n:.0f} of "
-            + ("at most " if self._stop is not None else "")
+            + ("at most " if config.stop_at_error > 0.0 else "")
             + "{total:.0f} s{postfix}",
             mininterval=0.2 if sys.stderr.isatty() else 10.0,
         )
@@ -160,37 +152,29 @@ class CollectorNode(ros.FvsNode):
 
     def _known(self) -> dict[str, float]:
         """What is known of the chain so far; empty if nothing is."""
-        found = self._stop.found if self._stop is not None else {}
+        found = self._run.stop.found
         names = ("jacobian_deviation", "misfit", "image_offset_s")
         return {name: found[name] for name in names if isfinite(found.get(name, np.nan))}
 
     def _show_progress(self) -> None:
         self._bar.total = min(self._config.duration_s, self._run.duration_s)
         self._bar.n = self._run.progress * self._bar.total
-        words = [f"{len(self._run.samples)} positions"]
-        if self._stop is not None and self._stop.words():
-            words.append(self._stop.words())
-        self._bar.set_postfix_str(", ".join(words), refresh=False)
+        stop, reason = self._run.stop, self._reason()
+        usual = self._run.state is State.MOVING and not stop.trouble
+        words = (f"{len(self._run.samples)} positions", stop.words(), "" if usual else reason)
+        self._bar.set_postfix_str(", ".join(filter(None, words)), refresh=False)
         self._bar.update(0)
 
     def _publish_status(self) -> None:
         run = self._run
         level = {State.FAILED: ros.ERROR, State.MOVING: ros.OK, State.DONE: ros.OK}
         values = {"progress": run.progress, "positions": len(run.samples), **self._known()}
-        reason = clock.blamed(run.reason) if run.state is State.HOLDING else run.reason
-        self.publish_status(level.get(run.state, ros.WARN), run.state.value, reason, values)
-        passing = run.state in (State.HOLDING, State.RETURNING, State.WAITING)
-        now_s = self.now_s()
-        if run.state is not self._said and now_s - self._said_s > _SAID_PERIOD_S * passing:
-            self._said = run.state
-            if passing:
-                self._said_s = now_s
-                tqdm.write(f"{run.state.value}: {reason}", file=sys.stderr)
-        if self._stop is not None and self._stop.trouble and not self._told_trouble:
-            self._told_trouble = True
-            words = f"collecting for the whole duration_s: {self._stop.trouble}"
-            tqdm.write(words, file=sys.stderr)
+        self.publish_status(level.get(run.state, ros.WARN), run.state.value, self._reason(), values)
         self._show_progress()
+
+    def _reason(self) -> str:
+        run = self._run
+        return clock.blamed(run.reason) if run.state is State.HOLDING else run.reason
 
     def finish(self) -> None:
         """Leave zeros on the wire; when interrupted, keep what was recorded."""

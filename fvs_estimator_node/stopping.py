@@ -39,7 +39,7 @@ class StopCriterion:
     Parameters
     ----------
     stop_at_error : float
-        Relative standard deviation of the Jacobian that is good enough.
+        Relative standard deviation of the Jacobian that is good enough; 0 fits nothing.
     command : sequence of str
         The program that fits.
 
@@ -67,7 +67,7 @@ class StopCriterion:
 
         Of the time of the motion, s, all that was recorded, and the box of motion, rad, (2, n).
         """
-        if self.enough or self.trouble:
+        if self.enough or self.trouble or self._stop_at_error <= 0.0:
             return
         if self._thread is None:
             if time_s >= self._next_s and samples:

@@ -83,7 +83,6 @@ def test_a_worker_that_is_killed_neither_stops_nor_jerks_the_arm(ros_test):
     assert np.abs(sent).max(axis=1).min() > 0.05
     assert np.abs(np.diff(sent, axis=0)).max() < 3.0 * 0.05 + 1e-9
     assert children(collector) == []
-    assert ros_test.output(collector).count("collecting for the whole duration_s") == 1
     assert ros_test.stop(collector) == 0
 
 
