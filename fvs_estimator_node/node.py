@@ -31,8 +31,6 @@ _FRESH_S = 0.2
 #: Shortest time between two Jacobians: at most every second joint state of 125 Hz, every 16 ms,
 #: less a fifth, for joint states come with jitter, and late is worse than often.
 _JACOBIAN_GAP_S = 0.8 * 0.016
-#: Longest time between two chains: who has just started learns of it soon.
-_CHAIN_PERIOD_S = 0.4
 
 
 class EstimatorNode(ros.FvsNode):
@@ -63,7 +61,6 @@ class EstimatorNode(ros.FvsNode):
         self.create_service(SetBool, "~/freeze", self._on_freeze)
         self._use(v)
         self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
-        self.create_timer(_CHAIN_PERIOD_S, self._publish_chain, clock=self.steady_clock)
 
     def _use(self, v: dict[str, Any]) -> None:
         """Estimate by the method that the values name, from nothing but the model."""
@@ -238,6 +235,7 @@ class EstimatorNode(ros.FvsNode):
         return ""
 
     def _publish_status(self) -> None:
+        self._publish_chain()  # a node that has just started learns of it soon
         now_s = self.now_s()
         level, state, reason = self._state()
         self.publish_status(

@@ -134,9 +134,7 @@ class FrozenRbfEstimator(Estimator):
         self.config: Any = config if config is not None else self.config_type()
         self.model = model
         self._offset, self._slope, self._curvature = _exponent_terms(model.centres, model.widths)
-        self._theta = np.empty(self._offset.size)
-        self._scratch = np.empty(self._offset.size)
-        self._theta_by_network = self._theta.reshape(model.widths.shape)
+        self._theta, self._scratch = np.empty((2, self._offset.size))
         self.reset()
 
     @classmethod
@@ -157,7 +155,7 @@ class FrozenRbfEstimator(Estimator):
         np.multiply(self._curvature, np.dot(joints_rad, joints_rad), out=self._scratch)
         theta += self._scratch
         np.exp(theta, out=theta)
-        return self._theta_by_network
+        return theta.reshape(self.model.widths.shape)
 
     def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
         """Estimate at given joints, m/rad, shape (m, n)."""

@@ -114,10 +114,8 @@ def train(
     TrainedModel
         Ready to be saved. Its ``errors`` are those of networks that have not seen the held-out
         images; the weights are then fitted once more, to all images. ``pair_error_m`` is the root
-        mean square prediction error between two held-out images with the noise of both, m;
-        ``pair_error_relative`` the same over the ball's motion; ``time_offset_s`` how much later
-        than the joints they show the images are stamped. Per network, ``column_error_relative`` is
-        None where the joint does not move the ball. Its ``notes`` are for the user.
+        mean square prediction error between two of those images, with the noise of both, m. A
+        column's relative error is None where the joint does not move the ball.
 
     Raises
     ------
@@ -131,7 +129,8 @@ def train(
     offset_s = _align(pairs, neurons, data, parts[0])
     good = _good_images(pairs, neurons, parts[0])
     fitting, validation, held_out = (part[good[part]] for part in parts)
-    errors: dict[str, Any] = {"iterations": 0}
+    outliers = int(np.count_nonzero(~good))
+    errors: dict[str, Any] = {"iterations": 0, "time_offset_s": offset_s, "outliers": outliers}
     if options.method == "varpro":
         neurons, errors["iterations"] = _refined(
             pairs, neurons, fitting, validation, options.iterations, progress
@@ -140,12 +139,7 @@ def train(
     errors |= _judge_pairs(pairs, judged, held_out)
     everything = np.flatnonzero(good)
     errors |= _judge_networks(pairs, judged, everything, held_out, errors["pair_error_m"])
-    errors |= {
-        "samples": len(everything),
-        "held_out_samples": len(held_out),
-        "outliers": int(np.count_nonzero(~good)),
-        "time_offset_s": offset_s,
-    }
+    errors |= {"samples": len(everything), "held_out_samples": len(held_out)}
     return TrainedModel(
         model=_model(neurons, pairs.solve(neurons, everything)),
         **boxes_of(pairs.joints[everything], pairs.ball[everything], pairs.rng),

@@ -43,27 +43,10 @@ def refine(
 ) -> int:
     """Move centres and widths by Adam so that the networks predict the ball's motion better.
 
-    Parameters
-    ----------
-    neurons : tuple of ndarray, shapes (n, k, n) and (n, k)
-        Centres and widths to begin with, rad.
-    draw : callable
-        Gives the next batch.
-    quadrature : tuple of ndarray
-        Places in [0, 1] on the line between two joint positions, and their shares.
-    ridge : float
-        Ridge weight, relative to the mean diagonal.
-    learning_rate : float
-        Adam's first step for centres (rad) and log widths; it falls to zero.
-    iterations : int
-        How many.
-    report : callable
-        Takes iteration, centres and widths after each; True ends early.
-
-    Returns
-    -------
-    int
-        Iterations done.
+    Of centres, (n, k, n), and widths, (n, k), to begin with, rad; the next batch; places in [0, 1]
+    on the line between two joint positions and their shares; the ridge relative to the mean
+    diagonal; Adam's first step for centres (rad) and log widths, which falls to zero. ``report``
+    takes iteration, centres and widths after each iteration and may end them; returns how many.
     """
     centres, widths = neurons
     networks = [
