@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fvs_estimator_node.pairing import StepPairing
+from fvs_estimator_node.loop import StepPairing
 from fvs_lab.replay.reading import CONTROLLER, Event, Recording, Series
 from fvs_ros.status import SILENT, SILENT_S
 from fvs_tools.score import criteria
