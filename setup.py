@@ -55,6 +55,7 @@ setup(
                 "config/quick_discovery.xml",
             ],
         ),
+        (f"share/{PACKAGE}/config/robots", sorted(glob("config/robots/*.urdf"))),
         (f"share/{PACKAGE}/config/models", sorted(glob("config/models/*.npz"))),
         (f"share/{PACKAGE}/config/sros2", ["config/sros2/policy.xml"]),
         (f"share/{PACKAGE}/launch", sorted(glob("launch/*.py"))),

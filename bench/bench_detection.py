@@ -24,10 +24,9 @@ from fvs_detector_node.tracking import WindowTracker
 from fvs_ros.camera import CameraModel
 from fvs_ros.ros import to_image
 from fvs_ros.ros.images import from_color, from_depth
+from fvs_sim_node.camera import CAMERAS, add_depth_noise
 from fvs_sim_node.config import SimConfig
-from fvs_sim_node.depth_noise import add_depth_noise
-from fvs_sim_node.rendering import CAMERA_PRESETS, Renderer, camera_preset
-from fvs_sim_node.world import World
+from fvs_sim_node.world import Renderer, World
 
 CENTRE = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
 HALF_BOX = np.array([0.6, 0.5, 0.5, 0.5, 0.5, 0.5])
@@ -39,7 +38,7 @@ def measure(config: SimConfig, poses: int, noise: float, seed: int = 0) -> np.nd
     rng = np.random.default_rng(seed)
     world = World(config)
     renderer = Renderer(world.client, config.intrinsics)
-    pose = camera_preset(config.camera)
+    pose = CAMERAS[config.camera]
     rows = np.full((poses, 3), np.nan)
     for i in range(poses):
         world.reset(CENTRE + HALF_BOX * rng.uniform(-1.0, 1.0, 6))
@@ -62,7 +61,7 @@ def steps(repeats: int) -> None:
     world = World(config)
     world.reset(CENTRE)
     world.place_ball()
-    rgb, depth = Renderer(world.client, config.intrinsics).render(camera_preset(config.camera))
+    rgb, depth = Renderer(world.client, config.intrinsics).render(CAMERAS[config.camera])
     world.close()
     depth = add_depth_noise(depth, config.intrinsics.fx, np.random.default_rng(0))
     camera, radius_m = config.intrinsics, config.ball_radius_m
@@ -124,7 +123,7 @@ def main() -> None:
         f"{'camera':<10}{'image':<9}{'noise':<7}{'published':<11}"
         f"{'full view':<32}{'partly hidden':<32}{'ms':<5}"
     )
-    for camera in sorted(CAMERA_PRESETS, key=lambda name: name != "front"):
+    for camera in sorted(CAMERAS, key=lambda name: name != "front"):
         for width, height in ((640, 480), (320, 240)):
             config = SimConfig(camera=camera, image_width=width, image_height=height)
             for noise in (0.0, 1.0):

@@ -25,8 +25,8 @@ from std_msgs.msg import Float64MultiArray  # noqa: E402
 
 from fvs_ros import ros, topics  # noqa: E402
 from fvs_ros.joints import UR_JOINT_NAMES, UR_PUBLISHED_NAMES  # noqa: E402
-from fvs_sim_node.kinematics import ball_position  # noqa: E402
-from fvs_sim_node.rendering import camera_preset  # noqa: E402
+from fvs_sim_node.camera import CAMERAS  # noqa: E402
+from fvs_sim_node.world import World  # noqa: E402
 
 ROUNDS, PERIOD_S, IMAGE_EVERY, TARGET_EVERY, STARTS = 800, 0.008, 4, 100, 3
 
@@ -93,7 +93,7 @@ def control_loop(folder: Path) -> tuple[str, str]:
         statuses = harness.collect(DiagnosticStatus, "fvs_controller_node/status")
         joints_rad = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
         published = [UR_JOINT_NAMES.index(name) for name in UR_PUBLISHED_NAMES]
-        camera = camera_preset("front")
+        camera, ball_position = CAMERAS["front"], World().chain.position
         home = camera.to_camera(ball_position(joints_rad))
         frame = "camera_color_optical_frame"
 

@@ -18,7 +18,7 @@ from viser.extras import ViserUrdf
 from viser.transforms import SO3
 
 from fvs_dashboard.board import Board
-from fvs_sim_node.objects import TABLE
+from fvs_sim_node.config import TABLE
 
 _BALL, _PREDICTED, _TARGET = (213, 40, 30), (255, 214, 0), (86, 180, 233)
 #: What the colours mean in the view.

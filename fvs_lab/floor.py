@@ -11,12 +11,13 @@ how it brakes afterwards.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from fvs_lab.outcome import BOUNDS_M, seconds
 from fvs_lab.trials import Case, Conditions, simulation_of
-from fvs_sim_node.kinematics import ball_jacobian, ball_position
+from fvs_ros.chain import SerialChain
 from fvs_sim_node.simulation import Simulation
 from fvs_tools.score import settling_time_s
 
@@ -109,6 +110,22 @@ class Fastest:
         # A command may at once be what the limit allows after a period: half a one is gained.
         moments = period_s * (0.5 + (np.arange(count * _MOMENTS) + 0.5) / _MOMENTS)
         return self.speeds_rad_s(moments).reshape(count, _MOMENTS, -1).mean(axis=1)
+
+
+@lru_cache(maxsize=1)
+def _arm() -> SerialChain:
+    """The simulated arm's true kinematics, world frame."""
+    return simulation_of(Conditions()).world.chain
+
+
+def ball_position(joints_rad: np.ndarray) -> np.ndarray:
+    """Where the ball truly is, world frame, m, shape (..., 3)."""
+    return _arm().position(joints_rad)
+
+
+def ball_jacobian(joints_rad: np.ndarray) -> np.ndarray:
+    """Its true Jacobian, m/rad, shape (..., 3, n)."""
+    return _arm().jacobian(joints_rad)
 
 
 def fastest(case: Case, limits: Limits, tolerance_m: float) -> Fastest:

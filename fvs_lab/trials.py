@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from typing import Any
 
@@ -13,8 +13,8 @@ import numpy as np
 from fvs_controller_node.supervisor import Command
 from fvs_lab.outcome import BOUNDS_M, JACOBIAN_EVERY, Outcome, outcome_of, settling_columns
 from fvs_ros.joints import HOME_JOINTS_RAD, TRAINING_BOX_RAD
-from fvs_sim_node.rendering import CameraPose, camera_preset
-from fvs_sim_node.simulation import LIVE, SimConfig, Simulation
+from fvs_sim_node.camera import CAMERAS, CameraPose
+from fvs_sim_node.simulation import SimConfig, Simulation
 from fvs_tools.closed_loop import MODEL, ClosedLoop, make_estimator
 from fvs_tools.schemes import Scheme
 
@@ -74,14 +74,12 @@ class Conditions:
 
     def sim_config(self) -> SimConfig:
         """The simulation of these conditions."""
+        alike = {one.name for one in fields(self)} & {one.name for one in fields(SimConfig)}
         return SimConfig(
-            **{name: getattr(self, name) for name in (*LIVE, *_BUILT)},
+            **{name: getattr(self, name) for name in alike},
+            speed_scaling_percent=100.0 * self.drive_gain,
             camera_pose=_carried_camera(np.radians(self.camera_turn_deg)),
         )
-
-
-#: Fields of the conditions that a simulation is built with; the others are set on it.
-_BUILT = ("rendered", "physics_rate_hz", "lag_s", "acceleration_limit_rad_s2")
 
 
 def _carried_camera(turn_rad: np.ndarray) -> CameraPose:
@@ -90,7 +88,7 @@ def _carried_camera(turn_rad: np.ndarray) -> CameraPose:
     The Jacobian turns with it; the ball stays in view, which a mere turn by 30 degrees on the
     spot would not allow.
     """
-    camera = camera_preset("front")
+    camera = CAMERAS["front"]
     local = cv2.Rodrigues(np.asarray(turn_rad, dtype=float).reshape(3, 1))[0]
     turn = camera.rotation @ local @ camera.rotation.T
     return CameraPose(_SCENE_M + turn @ (camera.position_m - _SCENE_M), camera.rotation @ local)
@@ -98,13 +96,8 @@ def _carried_camera(turn_rad: np.ndarray) -> CameraPose:
 
 def simulation_of(conditions: Conditions) -> Simulation:
     """The process's simulation, put under these conditions; to be reset before use."""
-    simulation = _build(Conditions(**{name: getattr(conditions, name) for name in _BUILT}))
-    config = conditions.sim_config()
-    for name in LIVE:
-        setattr(simulation, name, getattr(config, name))
-    assert config.camera_pose is not None
-    simulation.camera = config.camera_pose
-    simulation.speed_scaling = conditions.drive_gain
+    simulation = _build(conditions.physics_rate_hz)
+    simulation.configure(conditions.sim_config())
     simulation.position_noise = (
         None
         if conditions.noise_exponent == WHITE
@@ -114,8 +107,8 @@ def simulation_of(conditions: Conditions) -> Simulation:
 
 
 @lru_cache(maxsize=4)
-def _build(conditions: Conditions) -> Simulation:
-    return Simulation(conditions.sim_config())
+def _build(physics_rate_hz: float) -> Simulation:
+    return Simulation(Conditions(physics_rate_hz=physics_rate_hz).sim_config())
 
 
 @dataclass(frozen=True)
@@ -151,8 +144,8 @@ class Bump:
 
     def strike(self, simulation: Simulation, parts: int = 1) -> None:
         """Move the camera, or by one of several equal parts."""
-        simulation.rotate_camera(np.radians(np.array(self.rotation_deg) / parts))
-        simulation.move_camera(np.array(self.translation_m) / parts)
+        turned = simulation.camera.turned(np.radians(np.array(self.rotation_deg) / parts))
+        simulation.camera = turned.moved(np.array(self.translation_m) / parts)
 
 
 # ---- what is run ----------------------------------------------------------------------------

@@ -18,18 +18,11 @@ class Actuator:
     Parameters
     ----------
     config : SimConfig
-        Rates and constants of the drives.
+        Rates and constants of the drives; another one, set later, counts at once except its rates.
     lower_rad, upper_rad : array_like, shape (n,)
         Position limits, rad; a joint stops dead at them.
     max_speed_rad_s : array_like, shape (n,)
         Largest speed of each joint, rad/s.
-
-    Attributes
-    ----------
-    speed_scaling : float
-        Factor on every command, 0 to 1, as set on a UR's teach pendant.
-    dead_time_s, joint_lag_s : float
-        Dead time, and time constant of a further first-order lag, s; 0 for none.
     """
 
     def __init__(
@@ -44,11 +37,7 @@ class Actuator:
         self._upper_rad = np.array(upper_rad, dtype=float)
         self._max_speed_rad_s = np.array(max_speed_rad_s, dtype=float)
         self._period_steps = round(config.physics_rate_hz / config.joint_state_rate_hz)
-        self._max_change = config.acceleration_limit_rad_s2 * self._dt_s
-        self._blend = self._share_of(config.lag_s)
-        self.speed_scaling = 1.0
-        self.dead_time_s = config.dead_time_s
-        self.joint_lag_s = config.joint_lag_s
+        self.config = config
         self.reset()
 
     def reset(self) -> None:
@@ -76,22 +65,24 @@ class Actuator:
         ndarray, shape (n,)
             Velocities to hold during the step, rad/s.
         """
+        config = self.config
         if self._step % self._period_steps == 0:
-            dead_steps = round(self.dead_time_s / self._dt_s)
+            dead_steps = round(config.dead_time_s / self._dt_s)
             self._pending.append((self._step + dead_steps, self._command))
         while self._pending and self._pending[0][0] <= self._step:
             self._in_effect = self._pending.popleft()[1]
         self._step += 1
 
         fastest = self._max_speed_rad_s
-        wanted = _within(self._in_effect * self.speed_scaling, -fastest, fastest)
-        change = wanted - self._ramped
-        self._ramped = self._ramped + _within(change, -self._max_change, self._max_change)
-        self._lagged = self._lagged + self._blend * (self._ramped - self._lagged)
+        scaling = config.speed_scaling_percent / 100.0
+        wanted = _within(self._in_effect * scaling, -fastest, fastest)
+        change, most = wanted - self._ramped, config.acceleration_limit_rad_s2 * self._dt_s
+        self._ramped = self._ramped + _within(change, -most, most)
+        self._lagged = self._lagged + self._share_of(config.lag_s) * (self._ramped - self._lagged)
         unstopped = self._lagged
-        if self.joint_lag_s > 0.0:
+        if config.joint_lag_s > 0.0:
             behind = self._lagged - self._velocity
-            unstopped = self._velocity + self._share_of(self.joint_lag_s) * behind
+            unstopped = self._velocity + self._share_of(config.joint_lag_s) * behind
         fastest_up = np.maximum(self._upper_rad - positions_rad, 0.0) / self._dt_s
         fastest_down = np.minimum(self._lower_rad - positions_rad, 0.0) / self._dt_s
         self._velocity = _within(unstopped, fastest_down, fastest_up)

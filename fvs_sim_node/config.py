@@ -4,20 +4,45 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import ceil
-from typing import TYPE_CHECKING
+
+import numpy as np
 
 from fvs_ros.camera import CAMERA_FRAME, Intrinsics
 from fvs_ros.joints import HOME_JOINTS_RAD
-from fvs_ros.params import Parameters, parameter
-from fvs_sim_node.objects import TABLE, SceneObject
-
-if TYPE_CHECKING:  # it needs the physics engine
-    from fvs_sim_node.rendering import CameraPose
+from fvs_ros.params import Parameters, live_parameter, parameter
+from fvs_sim_node.camera import CAMERAS, CameraPose
 
 #: Physics steps a second, at least.
 _PHYSICS_RATE_HZ = 500.0
 #: Focal length of a D435's colour camera over the image's width.
 _FOCAL_SHARE = 615.0 / 640.0
+BALL_RGBA = (0.86, 0.07, 0.06, 1.0)
+
+
+@dataclass(frozen=True)
+class SceneObject:
+    """A sphere or a box that only the camera sees.
+
+    Parameters
+    ----------
+    position_m : tuple of float
+        Centre, world frame, m.
+    size_m : tuple of float
+        Radius of a sphere (one number), or edge lengths of a box (three), m.
+    rgba : tuple of float
+        Colour, 0 to 1.
+    """
+
+    position_m: tuple[float, float, float]
+    size_m: tuple[float, ...]
+    rgba: tuple[float, float, float, float] = BALL_RGBA
+
+
+#: A table of light wood, low enough for the ball to pass over, and a foot for the arm.
+TABLE = (
+    SceneObject((-0.30, 0.0, -0.22), (1.40, 1.20, 0.04), (0.87, 0.80, 0.68, 1.0)),
+    SceneObject((0.0, 0.0, -0.10), (0.20, 0.20, 0.20), (0.45, 0.50, 0.56, 1.0)),
+)
 
 
 @dataclass(frozen=True)
@@ -50,16 +75,16 @@ class SimConfig(Parameters):
 
     seed: int = parameter(0, "seed of all noise: same seed, same run", 0)
     gui: bool = parameter(False, "open PyBullet's window (needs a display)")
-    urdf_path: str = parameter("", "another robot's URDF with the six UR joints; empty: own UR5")
+    urdf_path: str = parameter("", "URDF of another robot; empty: the UR5")
     ball_link: str = parameter("", "its link that carries the ball; empty: tool0, or the last link")
     initial_joints_rad: tuple[float, ...] = parameter(
-        HOME_JOINTS_RAD, "joints at start and after ~/reset", -6.3, 6.3, size=len(HOME_JOINTS_RAD)
+        HOME_JOINTS_RAD, "joints at start and after ~/reset", -6.3, 6.3
     )
     ball_radius_m: float = parameter(0.04, "radius of the ball", 0.01, 0.2)
     joint_state_rate_hz: float = parameter(
         125.0, "joint states a second (500 on an e-series)", 10.0, 1000.0
     )
-    camera: str = parameter("front", "where the camera stands", choices=("front", "overhead"))
+    camera: str = parameter("front", "where the camera stands", choices=tuple(CAMERAS))
     image_rate_hz: float = parameter(30.0, "images a second", 1.0, 120.0)
     image_width: int = parameter(640, "image width, pixels", 64, 1920)
     image_height: int = parameter(480, "image height, pixels", 48, 1080)
@@ -68,11 +93,11 @@ class SimConfig(Parameters):
         15.0, "acceleration limit of the drives", 0.1, 1000.0
     )
     lag_s: float = parameter(0.012, "time constant of the drives", 0.0, 0.5)
-    latency_s: float = parameter(
-        0.04, "time from exposure to the ball position's publication", 0.0, 1.0, live=True
+    latency_s: float = live_parameter(
+        0.04, "time from exposure to the ball position's publication", 0.0, 1.0
     )
-    depth_noise: float = parameter(
-        1.0, "scale of the depth camera's noise; 0: none, 1: like a D435", 0.0, 10.0, live=True
+    depth_noise: float = live_parameter(
+        1.0, "scale of the depth camera's noise; 0: none, 1: like a D435", 0.0, 10.0
     )
     position_noise_m: float = parameter(
         0.0,
@@ -80,7 +105,18 @@ class SimConfig(Parameters):
         0.0,
         0.1,
     )
-    dropout: float = parameter(0.0, "share of images that are lost", 0.0, 1.0, live=True)
+    dropout: float = live_parameter(0.0, "share of images that are lost", 0.0, 1.0)
+    camera_covered: bool = live_parameter(
+        False, "a hand on the lens: black images without depth, and so no ball"
+    )
+    camera_rotation_deg: tuple[float, ...] = live_parameter(
+        (0.0, 0.0, 0.0),
+        "the camera bumped: turned about its own x, y, z axes from where it stood, degrees",
+        -180.0,
+        180.0,
+        size=3,
+    )
+    speed_scaling_percent: float = live_parameter(100.0, "the driver's speed slider", 0.0, 100.0)
     ball_offset_m: float = 0.09
     physics_rate_hz: float = 0.0
     camera_pose: CameraPose | None = None
@@ -107,6 +143,12 @@ class SimConfig(Parameters):
                 f"image_rate_hz {self.image_rate_hz} is above physics_rate_hz "
                 f"{self.physics_rate_hz}"
             )
+
+    @property
+    def camera_view(self) -> CameraPose:
+        """Where the camera is."""
+        home = self.camera_pose or CAMERAS[self.camera]
+        return home.turned(np.radians(self.camera_rotation_deg))
 
     @property
     def intrinsics(self) -> Intrinsics:
@@ -138,22 +180,8 @@ class SimNodeConfig(Parameters):
     publish_ball_position: bool = parameter(
         True, "false: images only, for a detector to find the ball in"
     )
-    camera_covered: bool = parameter(
-        False, "a hand on the lens: black images without depth, and so no ball", live=True
-    )
-    camera_rotation_deg: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0),
-        "the camera bumped: turned about its own x, y, z axes from where it stood, degrees",
-        -180.0,
-        180.0,
-        size=3,
-        live=True,
-    )
     program_running: bool = parameter(
         True, "false: the robot's program is paused, the arm stands", live=True
-    )
-    speed_scaling_percent: float = parameter(
-        100.0, "the driver's speed slider", 0.0, 100.0, live=True
     )
     simulation: SimConfig = field(default_factory=SimConfig)
 

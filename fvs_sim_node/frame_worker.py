@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 from fvs_ros.background import step_back
+from fvs_sim_node.camera import Frame
 from fvs_sim_node.config import SimConfig
-from fvs_sim_node.observation import BallObservation, Frame
-from fvs_sim_node.rendering import Renderer
-from fvs_sim_node.world import World
+from fvs_sim_node.simulation import BallObservation, photograph
+from fvs_sim_node.world import Renderer, World
 
 _STOP_S = 2.0
 
@@ -110,7 +110,7 @@ def _work(pipe: Connection, memory: tuple[Any, Any], config: SimConfig) -> None:
             seen, depth_noise = pipe.recv()
             world.reset(seen.joints_rad)
             world.place_ball()
-            frame = Frame.of(seen, renderer, rng, depth_noise)
+            frame = photograph(seen, renderer, rng, depth_noise)
             rgb[:], depth_m[:] = frame.rgb, frame.depth_m
             pipe.send(frame.stamp_s)
     world.close()

@@ -7,7 +7,6 @@ from fvs_ros import stop
 stop.listen()
 
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,16 +16,13 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from fvs_ros import ros, topics
-from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_sim_node.camera import Frame
 from fvs_sim_node.config import PARAMETERS, SimNodeConfig
 from fvs_sim_node.frame_worker import FrameWorker
-from fvs_sim_node.observation import BallObservation, Frame, SimStep
-from fvs_sim_node.simulation import Simulation
-from fvs_sim_node.ur5_urdf import urdf_text
+from fvs_sim_node.robot import robot_description
+from fvs_sim_node.simulation import BallObservation, SimStep, Simulation
 
 _STATUS_PERIOD_S = 0.1
-_SUBSCRIBERS_PERIOD_S = 0.1
-_SPEED_SCALING_PERIOD_S = 0.1
 #: In simulated time the first stamp is this, since zero means "no time" to ROS.
 _FIRST_SIMULATED_S = 1.0
 #: Further behind the clock than this, simulated motion is skipped rather than made up for.
@@ -49,9 +45,9 @@ class SimNode(ros.FvsNode):
         config = self._config = SimNodeConfig.from_values(self.values)
         self._frame = config.feature_frame
         self._sim = Simulation(config.simulation)
-        self._camera_home = self._sim.camera
-        self._order = np.argsort(UR_JOINT_NAMES)  # as a UR's broadcaster sends them
-        self._names = [config.tf_prefix + UR_JOINT_NAMES[i] for i in self._order]
+        names = self._sim.world.joint_names
+        self._order = np.argsort(names)  # as a UR's broadcaster sends them
+        self._names = [config.tf_prefix + names[i] for i in self._order]
         self._refusal = ""
         self._late = 0
         self._watched = False
@@ -70,18 +66,13 @@ class SimNode(ros.FvsNode):
         self._program_running = self.publisher(topics.ROBOT_PROGRAM_RUNNING)
         self._scaling = self.publisher(topics.SPEED_SCALING)
         description = self.publisher(topics.ROBOT_DESCRIPTION)
-        own, path = urdf_text(config.tf_prefix), config.simulation.urdf_path
-        description.publish(String(data=Path(path).read_text("utf-8") if path else own))
+        robot = robot_description(config.simulation.urdf_path, config.tf_prefix)
+        description.publish(String(data=robot))
         self.subscribe(topics.COMMANDS, self._on_command)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.on_parameters(self.values, {p.name for p in self.parameter_set if p.live})
         self._keep_time(config)
-        for period_s, callback in (
-            (_SUBSCRIBERS_PERIOD_S, self._look_for_subscribers),
-            (_STATUS_PERIOD_S, self._publish_status),
-            (_SPEED_SCALING_PERIOD_S, self._publish_scaling),
-        ):
-            self.create_timer(period_s, callback, clock=self.steady_clock)
+        self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
 
     # --- time ---
 
@@ -180,7 +171,8 @@ class SimNode(ros.FvsNode):
             self._publish_frame(seen.frame)
             return
         due = self._watched and self._frame_is_due(seen.stamp_s)
-        if self._worker is not None and due and self._worker.expose(seen, self._sim.depth_noise):
+        noise = self._sim.config.depth_noise
+        if self._worker is not None and due and self._worker.expose(seen, noise):
             self._exposed_s = seen.stamp_s
 
     def _frame_is_due(self, stamp_s: float) -> bool:
@@ -196,9 +188,6 @@ class SimNode(ros.FvsNode):
         if self._depth.get_subscription_count():
             millimetres = np.round(frame.depth_m * 1e3).clip(0, 65535).astype(np.uint16)
             self._depth.publish(ros.to_image(stamp_s, self._frame, millimetres, "16UC1"))
-
-    def _publish_scaling(self) -> None:
-        self._scaling.publish(Float64(data=self._config.speed_scaling_percent))
 
     def _look_for_subscribers(self) -> None:
         """Render full frames only while a node receives them."""
@@ -233,16 +222,10 @@ class SimNode(ros.FvsNode):
 
     def on_parameters(self, values: dict[str, Any], changed: set[str]) -> None:
         """Take disturbances into use at once."""
-        config, sim = SimNodeConfig.from_values(values), self._sim
-        self._config = config
-        for name in ("latency_s", "depth_noise", "dropout"):
-            setattr(sim, name, getattr(config.simulation, name))
-        sim.covered = config.camera_covered
-        sim.speed_scaling = config.speed_scaling_percent / 100.0
+        config = self._config = SimNodeConfig.from_values(values)
+        self._sim.configure(config.simulation)
         if "camera_rotation_deg" in changed:
-            sim.camera = self._camera_home
-            sim.rotate_camera(np.radians(config.camera_rotation_deg))
-            pose, frame = sim.camera.in_base_link(), config.tf_prefix + "base_link"
+            pose, frame = self._sim.camera.in_base_link(), config.tf_prefix + "base_link"
             self._camera_pose.publish(
                 ros.to_pose(self.ros_s(), frame, pose.position_m, pose.quaternion_xyzw)
             )
@@ -268,6 +251,8 @@ class SimNode(ros.FvsNode):
     # --- status ---
 
     def _publish_status(self) -> None:
+        self._look_for_subscribers()
+        self._scaling.publish(Float64(data=self._config.simulation.speed_scaling_percent))
         level, state, reason = ros.OK, "RUNNING", "simulating"
         if self._refusal:
             level, state, reason = ros.ERROR, "REFUSED", self._refusal

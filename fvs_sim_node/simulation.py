@@ -6,11 +6,9 @@ seed and commands give the same results to the bit.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -20,39 +18,72 @@ from fvs_detector_node.region import Region
 from fvs_detector_node.tracking import WindowTracker
 from fvs_ros.camera import Intrinsics
 from fvs_sim_node.actuator import Actuator
+from fvs_sim_node.camera import CameraPose, Frame, add_depth_noise
 from fvs_sim_node.config import SimConfig
-from fvs_sim_node.depth_noise import add_depth_noise
-from fvs_sim_node.observation import BallObservation, Frame, SimStep
-from fvs_sim_node.rendering import CameraPose, Renderer, camera_preset
-from fvs_sim_node.world import World
-
-#: Fields of the configuration that are attributes of the simulation, too, and may be changed there.
-LIVE = (
-    "position_noise_m",
-    "latency_s",
-    "dropout",
-    "depth_noise",
-    "image_rate_hz",
-    "joint_lag_s",
-    "dead_time_s",
-    "encoder_noise_rad",
-    "focal_error",
-    "depth_error",
-)
+from fvs_sim_node.world import Renderer, World
 
 
-def _of_the_drives(name: str, largest: float = math.inf) -> Any:
-    """An attribute of the drives that is one of the simulation, too."""
+@dataclass(frozen=True)
+class BallObservation:
+    """What one image gave.
 
-    def value_of(simulation: Simulation) -> float:
-        return getattr(simulation._actuator, name)
+    Parameters
+    ----------
+    stamp_s : float
+        Exposure, s.
+    detection : BallDetection or None
+        The ball as detected in the image; None if it was not seen.
+    true_position_m : ndarray, shape (3,)
+        Where it was, camera frame, m. For evaluation only.
+    joints_rad : ndarray, shape (n,)
+        Joint angles at the exposure, rad.
+    camera : CameraPose
+        Where the camera was.
+    covered : bool
+        Whether the lens was covered.
+    frame : Frame or None
+        The image, if full frames are wanted.
+    """
 
-    def change(simulation: Simulation, value: float) -> None:
-        if not 0.0 <= value <= largest:
-            raise ValueError(f"{name} must be 0 to {largest:g}, got {value}")
-        setattr(simulation._actuator, name, float(value))
+    stamp_s: float
+    detection: BallDetection | None
+    true_position_m: np.ndarray
+    joints_rad: np.ndarray
+    camera: CameraPose
+    covered: bool = False
+    frame: Frame | None = None
 
-    return property(value_of, change)
+
+@dataclass(frozen=True)
+class SimStep:
+    """The world after one joint-state period.
+
+    Parameters
+    ----------
+    time_s : float
+        Simulated time, s.
+    joints_rad, joint_velocities_rad_s : ndarray, shape (n,)
+        Joint angles, as the encoders report them, and velocities now, kinematic order.
+    observations : tuple of BallObservation
+        Those that were released during this period.
+    """
+
+    time_s: float
+    joints_rad: np.ndarray
+    joint_velocities_rad_s: np.ndarray
+    observations: tuple[BallObservation, ...]
+
+
+def photograph(
+    seen: BallObservation, renderer: Renderer, rng: np.random.Generator, depth_noise: float
+) -> Frame:
+    """Draw the full image of an exposure; the world must be as it was then."""
+    camera = renderer.intrinsics
+    if seen.covered:
+        shape = (camera.height, camera.width)
+        return Frame(seen.stamp_s, np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32))
+    rgb, depth_m = renderer.render(seen.camera)
+    return Frame(seen.stamp_s, rgb, add_depth_noise(depth_m, camera.fx, rng, depth_noise))
 
 
 class Simulation:
@@ -65,52 +96,39 @@ class Simulation:
 
     Attributes
     ----------
-    position_noise_m, latency_s, ... : float
-        Live values of those fields of the configuration that ``LIVE`` names; another
-        ``image_rate_hz`` or ``focal_error`` counts from the next reset on.
-    speed_scaling : float
-        Factor on every commanded velocity.
     position_noise : callable, optional
         Draws the error of a ball position, m, shape (3,), from the run's random generator, in
         place of the white noise of the configuration.
     full_frames : bool
         Whether to draw whole images, too, and hand them out; slower.
-    covered : bool
-        Whether the lens is covered: images are black, and no ball is seen.
     camera : CameraPose
         Where the camera is now.
     """
 
-    position_noise_m: float
-    latency_s: float
-    dropout: float
-    depth_noise: float
-    image_rate_hz: float
-    encoder_noise_rad: float
-    focal_error: float
-    depth_error: float
-    dead_time_s = _of_the_drives("dead_time_s")
-    joint_lag_s = _of_the_drives("joint_lag_s")
-    speed_scaling = _of_the_drives("speed_scaling", 1.0)
-
     def __init__(self, config: SimConfig | None = None) -> None:
         cv2.setNumThreads(1)  # one small image at a time: threads only cost
-        self.config = config or SimConfig()
-        cfg = self.config
-        self.intrinsics = cfg.intrinsics
-        self.world = World(cfg)
+        config = config or SimConfig()
+        self.intrinsics = config.intrinsics
+        self.world = World(config)
         self._renderer = Renderer(self.world.client, self.intrinsics)
         self._actuator = Actuator(
-            cfg, self.world.lower_rad, self.world.upper_rad, self.world.max_speed_rad_s
+            config, self.world.lower_rad, self.world.upper_rad, self.world.max_speed_rad_s
         )
-        self._steps_per_period = round(cfg.physics_rate_hz / cfg.joint_state_rate_hz)
-        self.camera = cfg.camera_pose or camera_preset(cfg.camera)
-        for name in LIVE:
-            setattr(self, name, getattr(cfg, name))
+        self._steps_per_period = round(config.physics_rate_hz / config.joint_state_rate_hz)
         self.position_noise: Callable[[np.random.Generator], np.ndarray] | None = None
         self.full_frames = False
-        self.covered = False
+        self.configure(config)
         self.reset()
+
+    def configure(self, config: SimConfig) -> None:
+        """Take another configuration into use.
+
+        Drives, noise, losses, latency and the camera's pose and cover change at once; the image
+        rate, ``focal_error``, seed and initial joints from the next reset on. The robot, the scene
+        and the other rates are those of the first configuration.
+        """
+        self.config = self._actuator.config = config
+        self.camera = config.camera_view
 
     def close(self) -> None:
         """Free the physics engine."""
@@ -136,9 +154,7 @@ class Simulation:
     def reset(
         self, joints_rad: Sequence[float] | np.ndarray | None = None, seed: int | None = None
     ) -> None:
-        """Start again at time 0 with the seed's noise, at rest.
-
-        Disturbances that were set (camera, latency, noise, losses, lag, scaling, cover) stay.
+        """Start again at time 0 with the seed's noise, at rest; the camera stays where it is.
 
         Parameters
         ----------
@@ -147,13 +163,12 @@ class Simulation:
         seed : int, optional
             Seed of this run's noise and lost images; default that of the configuration.
         """
-        joints = np.array(
-            self.config.initial_joints_rad if joints_rad is None else joints_rad, dtype=float
-        )
+        config = self.config
+        joints = np.array(config.initial_joints_rad if joints_rad is None else joints_rad, float)
         if joints.shape != self.world.lower_rad.shape or not np.isfinite(joints).all():
             count = len(self.world.lower_rad)
-            raise ValueError(f"reset needs {count} finite joint angles, got {joints_rad}")
-        seeds = np.random.SeedSequence(self.config.seed if seed is None else seed).spawn(4)
+            raise ValueError(f"the arm needs {count} finite joint angles, got {joints.tolist()}")
+        seeds = np.random.SeedSequence(config.seed if seed is None else seed).spawn(4)
         self._noise_rng, self._loss_rng, self._encoder_rng, self._frame_rng = map(
             np.random.default_rng, seeds
         )
@@ -161,7 +176,7 @@ class Simulation:
         self._image_count = 0
         self._active = True
         self._pending: deque[tuple[float, BallObservation]] = deque()
-        self._tracker = WindowTracker(self._reported_intrinsics, self.config.ball_radius_m)
+        self._tracker = WindowTracker(self._reported_intrinsics, config.ball_radius_m)
         self._actuator.reset()
         self.world.reset(joints)
         self._joints, self._velocities = self.world.joint_states()
@@ -233,21 +248,24 @@ class Simulation:
         released = []
         while self._pending and self._pending[0][0] <= now_s + 1e-9:
             released.append(self._pending.popleft()[1])
-        noise = self._encoder_rng.normal(scale=self.encoder_noise_rad, size=self._joints.size)
+        deviation_rad = self.config.encoder_noise_rad
+        noise = self._encoder_rng.normal(scale=deviation_rad, size=self._joints.size)
         return SimStep(now_s, self._joints + noise, self._velocities.copy(), tuple(released))
 
     # --------------------------------------------------------------------- eyes
     def _expose_if_due(self) -> None:
-        every = self.config.physics_rate_hz / self.image_rate_hz
+        config = self.config
+        every = config.physics_rate_hz / config.image_rate_hz
         if self._step < int(np.floor(self._image_count * every + 0.5)):
             return
         self._image_count += 1
-        if self._loss_rng.random() >= self.dropout:
-            self._pending.append((self.time_s + self.latency_s, self.look()))
+        if self._loss_rng.random() >= config.dropout:
+            self._pending.append((self.time_s + config.latency_s, self.look()))
 
     def look(self) -> BallObservation:
         """Expose an image now; nothing is released for it."""
-        if self.config.rendered:
+        config = self.config
+        if config.rendered:
             self.world.place_ball()
         detection = self._detect()
         if detection is not None:
@@ -258,28 +276,29 @@ class Simulation:
             self.true_ball_position(),
             self.joints_rad,
             self.camera,
-            self.covered,
+            config.camera_covered,
         )
         if not self.full_frames:
             return seen
-        frame = Frame.of(seen, self._renderer, self._frame_rng, self.depth_noise)
+        frame = photograph(seen, self._renderer, self._frame_rng, config.depth_noise)
         return replace(seen, frame=frame)
 
     def _detect(self) -> BallDetection | None:
         """The ball in an image now, without ``position_noise_m``."""
-        if self.covered:
+        config = self.config
+        if config.camera_covered:
             self._tracker.update(self.time_s, None)
             return None
-        if not self.config.rendered:
+        if not config.rendered:
             return self._know()
-        camera, radius_m = self._reported_intrinsics, self.config.ball_radius_m
+        camera = self._reported_intrinsics
 
         def detect(region: Region) -> BallDetection | None:
             rgb, depth_m = self._renderer.render(self.camera, region)
             fx, rng = self.intrinsics.fx, self._noise_rng
-            depth_m = add_depth_noise(depth_m, fx, rng, self.depth_noise)
-            depth_m = depth_m * np.float32(1.0 + self.depth_error)
-            return detect_ball(rgb, depth_m, region.view(camera), radius_m)
+            depth_m = add_depth_noise(depth_m, fx, rng, config.depth_noise)
+            depth_m = depth_m * np.float32(1.0 + config.depth_error)
+            return detect_ball(rgb, depth_m, region.view(camera), config.ball_radius_m)
 
         def elsewhere() -> Region | None:
             return self._renderer.find_colour(self.camera, BallColour())
@@ -290,27 +309,27 @@ class Simulation:
 
     def _know(self) -> BallDetection | None:
         """Stand in for an image: the true position, as if detected without a flaw."""
-        position = self.true_ball_position()
-        if position[2] < 2.0 * self.config.ball_radius_m:
+        position, radius_m = self.true_ball_position(), self.config.ball_radius_m
+        if position[2] < 2.0 * radius_m:
             return None
         u, v = self.intrinsics.project(position)
         if not (0.0 <= u < self.intrinsics.width and 0.0 <= v < self.intrinsics.height):
             return None
-        radius_px = self.config.ball_radius_m * self.intrinsics.fx / position[2]
+        radius_px = radius_m * self.intrinsics.fx / position[2]
         return BallDetection(self.as_seen(position), 1.0, 1.0, 0.0, float(radius_px))
 
     def _blurred(self, position_m: np.ndarray) -> np.ndarray:
         if self.position_noise is not None:
             return position_m + self.position_noise(self._noise_rng)
-        if self.position_noise_m == 0.0:
+        deviation_m = self.config.position_noise_m
+        if deviation_m == 0.0:
             return position_m
-        noise = self._noise_rng.normal(scale=self.position_noise_m, size=position_m.size)
-        return position_m + noise
+        return position_m + self._noise_rng.normal(scale=deviation_m, size=position_m.size)
 
     @property
     def _reported_intrinsics(self) -> Intrinsics:
         """What the detection takes for the camera's."""
-        one, scale = self.intrinsics, 1.0 + self.focal_error
+        one, scale = self.intrinsics, 1.0 + self.config.focal_error
         return replace(one, fx=scale * one.fx, fy=scale * one.fy)
 
     # -------------------------------------------------------------------- truth
@@ -320,8 +339,9 @@ class Simulation:
         A ball in a rendered image is up to 2 mm from there (at 2 %): it looks larger or smaller
         than its distance says.
         """
-        x, y, z = (1.0 + self.depth_error) * position_m
-        return np.array([x / (1.0 + self.focal_error), y / (1.0 + self.focal_error), z])
+        focal = 1.0 + self.config.focal_error
+        x, y, z = (1.0 + self.config.depth_error) * position_m
+        return np.array([x / focal, y / focal, z])
 
     def true_ball_position(self) -> np.ndarray:
         """Where the ball is now, camera frame, m, shape (3,). For evaluation only."""
@@ -337,20 +357,3 @@ class Simulation:
         """
         jacobian = self.world.ball_jacobian(np.asarray(joints_rad, dtype=float))
         return self.camera.rotation.T @ jacobian
-
-    # ------------------------------------------------------------- disturbances
-    def rotate_camera(self, rotation_rad: Sequence[float] | np.ndarray) -> None:
-        """Bump the camera: turn it about its own centre.
-
-        Parameters
-        ----------
-        rotation_rad : array_like, shape (3,)
-            Rotation vector in the camera frame: axis times angle, rad.
-        """
-        turn = cv2.Rodrigues(np.asarray(rotation_rad, dtype=float))[0]
-        self.camera = CameraPose(self.camera.position_m, self.camera.rotation @ turn)
-
-    def move_camera(self, translation_m: Sequence[float] | np.ndarray) -> None:
-        """Move the camera by a vector in the world frame, m, shape (3,)."""
-        position = self.camera.position_m + np.asarray(translation_m, dtype=float)
-        self.camera = CameraPose(position, self.camera.rotation)

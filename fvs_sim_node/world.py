@@ -1,29 +1,46 @@
-"""The PyBullet world: the arm, its ball, a table, and any other objects.
+"""The PyBullet world: the arm, its ball, other objects, and their picture.
 
-Only this module and :mod:`fvs_sim_node.rendering` call the physics engine. Every world is its
-own client, so that many of them live side by side in one process.
+Only this module calls the physics engine. Every world is its own client, so that many of them live
+side by side in one process.
 """
 
 from __future__ import annotations
 
 import os
-import tempfile
-from pathlib import Path
+from functools import cached_property
+from typing import Any
 
+import cv2
 import numpy as np
 import pybullet
 from pybullet_utils.bullet_client import BulletClient
+from scipy.spatial import ConvexHull
 
-from fvs_ros.joints import UR_JOINT_NAMES
-from fvs_sim_node.config import SimConfig
-from fvs_sim_node.icosphere import icosphere
-from fvs_sim_node.objects import BALL_RGBA, SceneObject
-from fvs_sim_node.ur5_urdf import urdf_text
+from fvs_detector_node.detection import BallColour, colour_mask
+from fvs_detector_node.region import Region
+from fvs_ros.camera import Intrinsics
+from fvs_ros.chain import SerialChain
+from fvs_sim_node.camera import CameraPose
+from fvs_sim_node.config import BALL_RGBA, SceneObject, SimConfig
+from fvs_sim_node.robot import urdf_file
 
 _HALF_TURN = (0.0, 0.0, 1.0, 0.0)
-_ROD_RGBA = (0.27, 0.30, 0.34, 1.0)
-_ROD_RADIUS_M = 0.007
-_NOWHERE = (0.0, 0.0, 0.0)
+_ROD_RGBA, _ROD_RADIUS_M = (0.27, 0.30, 0.34, 1.0), 0.007
+#: The faces of the ball's mesh lie so far inside its corners, by share of the radius.
+_FACES_INSIDE = 0.0027
+
+#: Depth range that is drawn, m. What lies beyond has no depth, as with a real camera.
+_NEAR_M, _FAR_M = 0.25, 4.0
+#: The renderer draws half a pixel to the right and up of the pinhole model; this takes it back.
+_SHIFT_PX = (-0.5, 0.5)
+#: A colour is looked for in an image this many times smaller, and given a margin.
+_COARSE, _MARGIN_PX = 4, 16
+# Depth buffer from which on nothing was drawn.
+_NOTHING = 0.999999
+_LIGHT = (-0.6, -0.5, 1.0)
+# OpenGL cameras look along -z with y up.
+_OPTICAL_TO_GL = np.diag([1.0, -1.0, -1.0])
+_WALL_TOP_RGB, _WALL_BOTTOM_RGB = (214, 224, 234), (244, 246, 247)
 
 
 class World:
@@ -42,13 +59,15 @@ class World:
     ----------
     client : BulletClient
         PyBullet's functions for this world.
+    joint_names : tuple of str
+        The moving joints from the root to the ball's link, in this order.
     lower_rad, upper_rad, max_speed_rad_s : ndarray, shape (n,)
         Limits of the joints.
 
     Raises
     ------
     ValueError
-        If the URDF cannot be loaded or lacks a joint or the link; the text says which.
+        If the URDF cannot be loaded, or lacks the link or joints that move it.
     """
 
     def __init__(self, config: SimConfig | None = None) -> None:
@@ -62,18 +81,20 @@ class World:
         # For every step: looking them up takes as long as one of them.
         self._set_motors = self.client.setJointMotorControlArray
         self._get_states = self.client.getJointStates
-        self._step = self.client.stepSimulation
+        self.step = self.client.stepSimulation
         self._ball_offset_m = config.ball_offset_m
         try:
             self.client.setTimeStep(1.0 / config.physics_rate_hz)
             self.client.setGravity(0.0, 0.0, 0.0)
             self._robot = self._load_robot(config.urdf_path)
-            self._find_joints_and_link(config.urdf_path, config.ball_link)
-            self._prepare_joints()
+            self._find_joints(config.ball_link)
+            self._prepare_links()
             for thing in config.objects:
                 self.add_object(thing)
             self._ball = self._body(self._sphere(config.ball_radius_m, BALL_RGBA))
             self._rod = self._add_rod()
+            self.reset(np.zeros(len(self._joints)))
+            self._zero_ball_m = self.ball_position()
             self.place_ball()
         except BaseException:
             self.close()
@@ -86,44 +107,37 @@ class World:
 
     # ---------------------------------------------------------------- building
     def _load_robot(self, urdf_path: str) -> int:
-        if urdf_path and not Path(urdf_path).is_file():
-            raise ValueError(f"urdf_path: there is no file {urdf_path}")
-        with tempfile.TemporaryDirectory(prefix="fvs_ur5_") as folder:
-            path = Path(urdf_path) if urdf_path else Path(folder) / "ur5.urdf"
-            if not urdf_path:
-                path.write_text(urdf_text(), encoding="utf-8")
-            try:
-                return self.client.loadURDF(
-                    str(path),
-                    baseOrientation=_HALF_TURN,
-                    useFixedBase=True,
-                    flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
-                )
-            except pybullet.error as error:
-                raise ValueError(
-                    f"urdf_path: PyBullet cannot load {path} ({error}); it needs a plain URDF "
-                    "whose mesh files are found relative to it"
-                ) from None
+        path = urdf_file(urdf_path)
+        try:
+            return self.client.loadURDF(
+                str(path),
+                baseOrientation=_HALF_TURN,
+                useFixedBase=True,
+                flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+            )
+        except pybullet.error as error:
+            raise ValueError(
+                f"urdf_path: PyBullet cannot load {path} ({error}); it needs a plain URDF "
+                "whose mesh files are found relative to it"
+            ) from None
 
-    def _find_joints_and_link(self, urdf_path: str, ball_link: str) -> None:
+    def _find_joints(self, ball_link: str) -> None:
+        """Follow the joints from the ball's link to the root."""
         count = self.client.getNumJoints(self._robot)
         infos = [self.client.getJointInfo(self._robot, index) for index in range(count)]
-        joints = {info[1].decode(): info for info in infos}
         links = {info[12].decode(): info[0] for info in infos}
-        what = urdf_path or "the built-in UR5"
-        missing = [name for name in UR_JOINT_NAMES if name not in joints]
-        if missing:
-            raise ValueError(
-                f"urdf_path: {what} lacks the joints {missing}; it has {sorted(joints)}. A UR5 "
-                "model with the joint names of ur_description is needed"
-            )
-        fixed = [name for name in UR_JOINT_NAMES if joints[name][3] < 0]
-        if fixed:
-            raise ValueError(f"urdf_path: {what} has fixed joints {fixed}; they must move")
         if ball_link and ball_link not in links:
-            raise ValueError(f"ball_link: {what} has no link {ball_link!r}; it has {list(links)}")
-        self._link = links[ball_link or ("tool0" if "tool0" in links else list(links)[-1])]
-        used = [joints[name] for name in UR_JOINT_NAMES]
+            raise ValueError(f"ball_link: there is no link {ball_link!r}; there are {list(links)}")
+        self._link = links[ball_link] if ball_link else links.get("tool0", count - 1)
+        path: list[tuple] = []
+        link = self._link
+        while link >= 0:
+            path.insert(0, infos[link])
+            link = infos[link][16]
+        used = [info for info in path if info[3] >= 0]
+        if not used:
+            raise ValueError("urdf_path: no moving joint carries the ball's link")
+        self.joint_names = tuple(info[1].decode() for info in used)
         self._joints = [info[0] for info in used]
         moving = [info[0] for info in infos if info[3] >= 0]
         #: Their places among all joints that move.
@@ -135,36 +149,31 @@ class World:
         self._efforts_nm = [info[10] for info in used]
         self.max_speed_rad_s = np.array([info[11] for info in used])
 
-    def _prepare_joints(self) -> None:
-        for joint in range(-1, self.client.getNumJoints(self._robot)):
+    def _prepare_links(self) -> None:
+        for link in range(-1, self.client.getNumJoints(self._robot)):
             self.client.changeDynamics(
-                self._robot, joint, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0
+                self._robot, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0
             )
             # A UR may touch itself in a pose that is of no use here, but must not push the table.
-            self.client.setCollisionFilterGroupMask(self._robot, joint, 0, 0)
-        self.reset(np.zeros(len(self._joints)))
+            self.client.setCollisionFilterGroupMask(self._robot, link, 0, 0)
 
     def add_object(self, thing: SceneObject) -> int:
         """Put a thing into view; returns its body number."""
-        if thing.kind == "sphere":
+        if len(thing.size_m) == 1:
             shape = self._sphere(thing.size_m[0], thing.rgba)
-        elif thing.kind == "box":
-            shape = self.client.createVisualShape(
-                pybullet.GEOM_BOX,
-                halfExtents=[0.5 * edge for edge in thing.size_m],
-                rgbaColor=thing.rgba,
-            )
         else:
-            raise ValueError(f"unknown kind of object {thing.kind!r}; known are box, sphere")
+            half_m = [0.5 * edge for edge in thing.size_m]
+            shape = self.client.createVisualShape(
+                pybullet.GEOM_BOX, halfExtents=half_m, rgbaColor=thing.rgba
+            )
         return self._body(shape, thing.position_m)
 
     def _sphere(self, radius_m: float, rgba: tuple[float, ...]) -> int:
-        # A <sphere> is drawn 5 % too small. The mesh's flat faces lie 0.27 % inside its corners.
-        vertices, triangles = icosphere(3)
-        radius_m *= 1.0027
+        # A <sphere> is drawn 5 % too small.
+        vertices, triangles = _unit_sphere()
         return self.client.createVisualShape(
             pybullet.GEOM_MESH,
-            vertices=(vertices * radius_m).tolist(),
+            vertices=(vertices * radius_m * (1.0 + _FACES_INSIDE)).tolist(),
             indices=triangles.ravel().tolist(),
             normals=vertices.tolist(),
             rgbaColor=rgba,
@@ -180,7 +189,7 @@ class World:
         )
         return self._body(shape)
 
-    def _body(self, shape: int, position_m: tuple[float, float, float] = _NOWHERE) -> int:
+    def _body(self, shape: int, position_m: tuple[float, ...] = (0.0, 0.0, 0.0)) -> int:
         return self.client.createMultiBody(
             baseMass=0.0, baseVisualShapeIndex=shape, basePosition=position_m
         )
@@ -201,10 +210,6 @@ class World:
             targetVelocities=velocities_rad_s,
             forces=self._efforts_nm,
         )
-
-    def step(self) -> None:
-        """One step of the physics."""
-        self._step()
 
     def joint_states(self) -> tuple[np.ndarray, np.ndarray]:
         """Joint angles, rad, and velocities, rad/s, each of shape (n,)."""
@@ -233,16 +238,28 @@ class World:
         ndarray, shape (3, n)
             m/rad, world frame.
         """
+        return self._jacobians(joints_rad)[0]
+
+    def _jacobians(self, joints_rad: np.ndarray) -> list[np.ndarray]:
+        """Of the ball's position and of the link's rotation, each of shape (3, n)."""
         # PyBullet wants the point along the axes of the link's inertia, and answers in the base's.
         ball_m = np.array([0.0, 0.0, self._ball_offset_m])
         point = _matrix(self._link_state()[3]).T @ ball_m
         zeros = [0.0] * self._moving
         angles = np.zeros(self._moving)
         angles[self._columns] = joints_rad
-        linear, _ = self.client.calculateJacobian(
+        found = self.client.calculateJacobian(
             self._robot, self._link, point.tolist(), angles.tolist(), zeros, zeros
         )
-        return _matrix(_HALF_TURN) @ np.array(linear)[:, self._columns]
+        return [_matrix(_HALF_TURN) @ np.array(one)[:, self._columns] for one in found]
+
+    @cached_property
+    def chain(self) -> SerialChain:
+        """The arm's axes and its ball, world frame: the truth, for many joint angles at once."""
+        zeros = np.zeros(len(self._joints))
+        linear, axes = (one.T for one in self._jacobians(zeros))
+        points_m = self._zero_ball_m + np.cross(axes, linear)
+        return SerialChain(axes, points_m, self._zero_ball_m, zeros)
 
     def place_ball(self) -> None:
         """Move the visible ball and its rod to where the link is now; call before rendering."""
@@ -251,5 +268,134 @@ class World:
         self.client.resetBasePositionAndOrientation(self._ball, self.ball_position(), state[5])
 
 
-def _matrix(quaternion_xyzw: tuple[float, ...]) -> np.ndarray:
+class Renderer:
+    """Draws one world as one pinhole camera sees it, by PyBullet's software renderer.
+
+    A part of the image is drawn with an off-axis frustum and equals the crop of the full image, so
+    that a small window around the ball costs a small part of a full image.
+
+    Parameters
+    ----------
+    client : BulletClient
+        PyBullet's functions for the world.
+    intrinsics : Intrinsics
+        The full image.
+    """
+
+    def __init__(self, client: BulletClient, intrinsics: Intrinsics) -> None:
+        self._client = client
+        self.intrinsics = intrinsics
+        rows = np.linspace(0.0, 1.0, intrinsics.height)[:, None]
+        colours = (1.0 - rows) * np.array(_WALL_TOP_RGB) + rows * np.array(_WALL_BOTTOM_RGB)
+        opaque = np.insert(np.round(colours).astype(np.uint8), 3, 255, axis=1)
+        self._wall = opaque.view(np.uint32)
+
+    def render(
+        self, pose: CameraPose, region: Region | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Draw the image, or a part of it.
+
+        Parameters
+        ----------
+        pose : CameraPose
+            Where the camera is.
+        region : Region, optional
+            The part to draw; default the whole image.
+
+        Returns
+        -------
+        rgb : ndarray of uint8, shape (H, W, 3)
+            Colours.
+        depth_m : ndarray of float32, shape (H, W)
+            Depth along the optical axis, m; 0 where there is none.
+        """
+        part = region or Region.whole(self.intrinsics)
+        colours, raw = self._draw(pose, part.view(self.intrinsics))
+        nothing = raw >= _NOTHING
+        scale = np.float32(1.0 / _NEAR_M - 1.0 / _FAR_M)
+        depth = np.float32(1.0) / (np.float32(1.0 / _NEAR_M) - scale * raw)
+        depth[nothing] = 0.0
+        # Four bytes at once, a tenth of the time that it takes by colours.
+        wall = self._wall[part.part[0]]
+        np.copyto(colours.view(np.uint32)[..., 0], wall, where=nothing)
+        return cv2.cvtColor(colours, cv2.COLOR_RGBA2RGB), depth
+
+    def find_colour(self, pose: CameraPose, colour: BallColour) -> Region | None:
+        """Part of the image that holds all of a colour, by a coarse drawing; None if none does."""
+        full, n = self.intrinsics, _COARSE
+        size = (-(-full.width // n), -(-full.height // n))
+        lens = (full.fx / n, full.fy / n, full.cx / n, full.cy / n)
+        rgb = self._draw(pose, Intrinsics(*size, *lens))[0][..., :3]
+        u, v, width, height = cv2.boundingRect(colour_mask(rgb, colour))
+        if width == 0:
+            return None
+        return Region(u * n, v * n, width * n, height * n).grown(_MARGIN_PX, full)
+
+    def _draw(self, pose: CameraPose, camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
+        """Colours (H, W, 4) and the depth buffer (H, W), 1 where nothing is."""
+        _, _, rgba, buffer, _ = self._client.getCameraImage(
+            camera.width,
+            camera.height,
+            viewMatrix=_view_matrix(pose),
+            projectionMatrix=_projection_matrix(camera),
+            lightDirection=_LIGHT,
+            lightColor=(1.0, 1.0, 1.0),
+            lightDistance=3.0,
+            shadow=0,
+            lightAmbientCoeff=0.62,
+            lightDiffuseCoeff=0.42,
+            lightSpecularCoeff=0.08,
+            renderer=pybullet.ER_TINY_RENDERER,
+            flags=pybullet.ER_NO_SEGMENTATION_MASK,
+        )
+        shape = (camera.height, camera.width)
+        return (
+            np.reshape(np.asarray(rgba, dtype=np.uint8), (*shape, 4)),
+            np.reshape(np.asarray(buffer, dtype=np.float32), shape),
+        )
+
+
+def _matrix(quaternion_xyzw: Any) -> np.ndarray:
     return np.reshape(pybullet.getMatrixFromQuaternion(quaternion_xyzw), (3, 3))
+
+
+def _unit_sphere() -> tuple[np.ndarray, np.ndarray]:
+    """Corners (V, 3) and triangles (1280, 3) of an icosahedron whose faces are cut in four thrice.
+
+    The triangles are counter-clockwise seen from outside.
+    """
+    golden = (1.0 + 5.0**0.5) / 2.0
+    corners = np.array([(0.0, a, b * golden) for a in (-1.0, 1.0) for b in (-1.0, 1.0)])
+    points = np.vstack([np.roll(corners, shift, axis=1) for shift in range(3)])
+    for _ in range(3):
+        points /= np.linalg.norm(points, axis=1, keepdims=True)
+        faces = ConvexHull(points).simplices
+        edges = np.sort(np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+        points = np.vstack([points, points[np.unique(edges, axis=0)].mean(axis=1)])
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    triangles = ConvexHull(points).simplices
+    a, b, c = np.moveaxis(points[triangles], 1, 0)
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a) < 0.0
+    triangles[inward] = triangles[inward][:, ::-1]
+    return points, triangles
+
+
+def _view_matrix(pose: CameraPose) -> list[float]:
+    rotation = _OPTICAL_TO_GL @ pose.rotation.T
+    view = np.eye(4)
+    view[:3, :3] = rotation
+    view[:3, 3] = -rotation @ pose.position_m
+    return view.T.ravel().tolist()
+
+
+def _projection_matrix(camera: Intrinsics) -> list[float]:
+    du, dv = _SHIFT_PX
+    projection = np.zeros((4, 4))
+    projection[0, 0] = 2.0 * camera.fx / camera.width
+    projection[0, 2] = 1.0 - 2.0 * (camera.cx + 0.5 + du) / camera.width
+    projection[1, 1] = 2.0 * camera.fy / camera.height
+    projection[1, 2] = 2.0 * (camera.cy + 0.5 + dv) / camera.height - 1.0
+    projection[2, 2] = -(_FAR_M + _NEAR_M) / (_FAR_M - _NEAR_M)
+    projection[2, 3] = -2.0 * _FAR_M * _NEAR_M / (_FAR_M - _NEAR_M)
+    projection[3, 2] = -1.0
+    return projection.T.ravel().tolist()

@@ -14,8 +14,9 @@ import numpy as np
 
 from fvs_ros.arguments import Parser
 from fvs_ros.camera import Intrinsics
-from fvs_sim_node.rendering import Renderer, pose_from_look_at
+from fvs_sim_node.camera import CameraPose
 from fvs_sim_node.simulation import SimConfig, Simulation
+from fvs_sim_node.world import Renderer
 from fvs_tools.closed_loop import ClosedLoop
 
 _SIZE = Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0)
@@ -37,7 +38,7 @@ class Film:
         self.simulation = Simulation(SimConfig(seed=1))
         self.loop = ClosedLoop.of_scheme("best", self.simulation)
         self._renderer = Renderer(self.simulation.world.client, _SIZE)
-        self._pose = pose_from_look_at((0.75, -1.15, 0.95), (-0.25, -0.05, 0.35), (0.0, 0.0, 1.0))
+        self._pose = CameraPose.looking((0.75, -1.15, 0.95), (-0.25, -0.05, 0.35))
         self.frames: list[np.ndarray] = []
         self._errors_mm: list[float] = []
         self._bumped_at: int | None = None
@@ -58,8 +59,8 @@ class Film:
         self._shoot(_REST_S, lambda _time_s: last_m)
         # In the moved camera's view, a target near the place where the ball is in the room.
         place_m = self.simulation.camera.rotation @ last_m + self.simulation.camera.position_m
-        self.simulation.rotate_camera(np.array(_TURN_RAD))
-        self.simulation.move_camera(np.array(_SHIFT_M))
+        turned = self.simulation.camera.turned(np.array(_TURN_RAD))
+        self.simulation.camera = turned.moved(np.array(_SHIFT_M))
         self._bumped_at = len(self._errors_mm)
         goal_m = self.simulation.camera.to_camera(place_m) + [-0.1, 0.05, 0.0]
         self._shoot(_AFTER_S, lambda _time_s: goal_m)

@@ -17,7 +17,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from fvs_ros.paths import find_file
-from fvs_sim_node.ur5_urdf import urdf_text
+from fvs_sim_node.robot import robot_description
 from fvs_tools.scenario import (
     NODE_TABLE,
     checked_remap,
@@ -48,8 +48,7 @@ def _viewer(scenario, **common):
     actions = [Node(package="rviz2", executable="rviz2", arguments=rviz, **common)]
     if _SIMULATOR in scenario:
         values = scenario[_SIMULATOR]
-        path = values.get("urdf_path")
-        text = Path(path).read_text(encoding="utf-8") if path else urdf_text(prefix)
+        text = robot_description(values.get("urdf_path", ""), prefix)
         parameters = {
             "robot_description": ParameterValue(text, value_type=str),
             "use_sim_time": values.get("use_sim_time", False),

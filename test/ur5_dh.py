@@ -53,6 +53,18 @@ def axes_origins_ball(joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     return np.stack(axes, axis=-2), np.stack(origins, axis=-2), ball
 
 
+def flange_pose(joints_rad: np.ndarray) -> np.ndarray:
+    """Pose of the flange in the base, lengths in m, shape (4, 4)."""
+    pose = np.eye(4)
+    for q, d, a, alpha in zip(joints_rad, DH_D, DH_A, DH_ALPHA, strict=True):
+        turn, twist = np.eye(4), np.eye(4)
+        turn[:2, :2] = [[np.cos(q), -np.sin(q)], [np.sin(q), np.cos(q)]]
+        twist[1:3, 1:3] = [[np.cos(alpha), -np.sin(alpha)], [np.sin(alpha), np.cos(alpha)]]
+        turn[2, 3], twist[0, 3] = d, a
+        pose = pose @ turn @ twist
+    return pose
+
+
 def ball_and_jacobian(
     joints_rad: np.ndarray,
     camera_from_base: np.ndarray = CAMERA_FROM_BASE,

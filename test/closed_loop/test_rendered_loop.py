@@ -1,5 +1,6 @@
 """The whole loop in lock step, without ROS: rendered camera, learning estimator, controller."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -101,7 +102,7 @@ def test_learning_pays_when_the_camera_is_bumped(lock_step):
     errors = {}
     for method in ("frozen", "rbf"):
         one, rng = lock_step(method=method), np.random.default_rng(2)
-        one.simulation.rotate_camera(np.radians([0.0, 0.0, 40.0]))
+        one.simulation.camera = one.simulation.camera.turned(np.radians([0.0, 0.0, 40.0]))
         one.run(0.5)
         for _ in range(2):
             one.servo_to(next_target(one, rng, 0.2), 2.5)
@@ -113,11 +114,11 @@ def test_a_lost_ball_holds_the_arm_and_is_found_again(lock_step):
     one, rng = lock_step(), np.random.default_rng(4)
     target_m = next_target(one, rng)
     one.servo_to(target_m, 0.3)
-    one.simulation.dropout = 1.0
+    one.simulation.configure(replace(one.simulation.config, dropout=1.0))
     one.run(0.6)
     assert one.loop.supervisor.last.state is State.HOLDING
     assert not np.any(one.commands[-1])
-    one.simulation.dropout = 0.0
+    one.simulation.configure(replace(one.simulation.config, dropout=0.0))
     errors = np.linalg.norm(one.run(2.0) - target_m, axis=1)
     assert one.loop.supervisor.last.state is State.SERVOING
     assert errors[-1] < 0.005

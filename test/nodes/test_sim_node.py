@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Bool, Float64MultiArray, String
 from std_srvs.srv import Trigger
+from ur5_dh import axes_origins_ball
 
 from fvs_ros import ros, topics
 from fvs_ros.joints import UR_JOINT_NAMES, UR_PUBLISHED_NAMES, JointMap
 from fvs_sim_node.config import PARAMETERS
-from fvs_sim_node.kinematics import ball_position
 
 MODULE = "fvs_sim_node.node"
 
@@ -137,7 +137,7 @@ def test_a_viewer_learns_of_robot_and_camera_whenever_it_comes(ros_test):
         return Rotation.from_quat(quaternion).apply(ball) + position
 
     joints_rad = JointMap(tf_prefix="left_").positions(states[-1].name, states[-1].position)
-    world = ball_position(joints_rad)
+    world = axes_origins_ball(joints_rad)[2]
     np.testing.assert_allclose(in_base_link(), world * [-1.0, -1.0, 1.0], atol=1e-4)
     assert set_parameter(ros_test, "camera_rotation_deg", [0.0, 20.0, 0.0]).successful
     ros_test.spin_until(lambda: len(poses) > 1)

@@ -7,6 +7,7 @@ from math import isnan
 
 import numpy as np
 import pytest
+from ur5_dh import flange_pose
 
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.reasons import Reason
@@ -23,8 +24,7 @@ from fvs_dashboard.board import (
     Board,
     Controller,
 )
-from fvs_sim_node.kinematics import flange_pose
-from fvs_sim_node.rendering import camera_preset
+from fvs_sim_node.camera import CAMERAS
 
 STATUS = {
     "state": "SERVOING",
@@ -140,7 +140,7 @@ def test_the_cameras_place_is_learned_and_learned_anew_when_it_was_moved(board):
     placement, rng = board.placement, np.random.default_rng(1)
     board.learn_camera(lambda joints: flange_at(joints[0]))
     assert placement.note == UNKNOWN
-    for camera, from_s in ((camera_preset("front"), 0.0), (camera_preset("overhead"), 20.0)):
+    for camera, from_s in ((CAMERAS["front"], 0.0), (CAMERAS["overhead"], 20.0)):
         for now_s in from_s + 0.008 * np.arange(2500):
             board.add_joints(now_s, now_s, np.full(6, now_s), np.zeros(6))
             if round(now_s / 0.008) % 4:

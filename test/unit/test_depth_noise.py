@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fvs_sim_node.depth_noise import add_depth_noise
+from fvs_sim_node.camera import add_depth_noise
 
 FX = 615.0
 

@@ -7,11 +7,9 @@ from drawn_balls import RADIUS_M, VGA, draw, hide
 from fvs_detector_node.detection import BallColour, Cause, colour_mask, detect_ball, examine
 from fvs_detector_node.region import Region
 from fvs_ros.joints import HOME_JOINTS_RAD, TRAINING_BOX_RAD
-from fvs_sim_node.config import SimConfig
-from fvs_sim_node.depth_noise import add_depth_noise
-from fvs_sim_node.objects import TABLE, SceneObject
-from fvs_sim_node.rendering import Renderer, camera_preset, pose_from_look_at
-from fvs_sim_node.world import World
+from fvs_sim_node.camera import CAMERAS, CameraPose, add_depth_noise
+from fvs_sim_node.config import TABLE, SceneObject, SimConfig
+from fvs_sim_node.world import Renderer, World
 
 CENTRE = np.array([0.1, -0.05, 1.0])
 
@@ -165,7 +163,7 @@ def poses_in_box(world, rng, count):
     for _ in range(count):
         world.reset(np.add(HOME_JOINTS_RAD, TRAINING_BOX_RAD * rng.uniform(-1.0, 1.0, 6)))
         world.place_ball()
-        yield camera_preset("front").to_camera(world.ball_position())
+        yield CAMERAS["front"].to_camera(world.ball_position())
 
 
 @pytest.mark.parametrize(("noise", "full_mm", "part_mm"), [(0.0, 0.7, 1.0), (1.0, 1.5, 3.0)])
@@ -176,7 +174,7 @@ def test_accuracy_over_random_poses(noise, full_mm, part_mm):
         # The part of the image around the ball, for speed.
         u0, v0 = np.clip(VGA.project(truth_m) - 80, 0, [480, 320]).astype(int).tolist()
         window = Region(u0, v0, 160, 160)
-        rgb, depth = renderer.render(camera_preset("front"), window)
+        rgb, depth = renderer.render(CAMERAS["front"], window)
         depth = add_depth_noise(depth, VGA.fx, rng, noise)
         detection = detect_ball(rgb, depth, window.view(VGA), RADIUS_M)
         if detection is not None:
@@ -197,10 +195,10 @@ def distractors(rng, shift_m):
         return tuple(np.array([x + shift_m, y, z]) + rng.uniform(-0.12, 0.12, 3))
 
     return (
-        SceneObject("box", place(-0.6, 0.35, 0.15), (0.06, 0.06, 0.06)),
-        SceneObject("sphere", place(-0.2, -0.5, 0.45), (0.09,)),
-        SceneObject("sphere", place(-0.75, -0.3, 0.2), (0.025,)),
-        SceneObject("box", place(-0.3, -0.6, 0.1), (0.3, 0.02, 0.2)),
+        SceneObject(place(-0.6, 0.35, 0.15), (0.06, 0.06, 0.06)),
+        SceneObject(place(-0.2, -0.5, 0.45), (0.09,)),
+        SceneObject(place(-0.75, -0.3, 0.2), (0.025,)),
+        SceneObject(place(-0.3, -0.6, 0.1), (0.3, 0.02, 0.2)),
     )
 
 
@@ -210,7 +208,7 @@ def test_other_red_things_do_not_win():
         world = World(SimConfig(objects=TABLE + distractors(rng, 0.0)))
         renderer = Renderer(world.client, VGA)
         for truth_m in poses_in_box(world, rng, 8):
-            rgb, depth = renderer.render(camera_preset("front"))
+            rgb, depth = renderer.render(CAMERAS["front"])
             detection = detect_ball(rgb, add_depth_noise(depth, VGA.fx, rng), VGA, RADIUS_M)
             if detection is not None:
                 errors_mm.append(error_mm(detection, truth_m))
@@ -225,7 +223,7 @@ def test_other_red_things_alone_are_not_the_ball():
         world = World(SimConfig(objects=distractors(rng, 5.0)))
         renderer = Renderer(world.client, VGA)
         for eye in ((3.4, 1.1, 1.0), (3.3, -0.4, 0.9), (5.0, 1.1, 0.8)):
-            rgb, depth = renderer.render(pose_from_look_at(eye, (4.5, -0.2, 0.2)))
+            rgb, depth = renderer.render(CameraPose.looking(eye, (4.5, -0.2, 0.2)))
             assert colour_mask(rgb, BallColour()).any()
             assert detect_ball(rgb, add_depth_noise(depth, VGA.fx, rng), VGA, RADIUS_M) is None
         world.close()

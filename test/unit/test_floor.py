@@ -11,11 +11,10 @@ from scipy.optimize import linprog
 pytest.importorskip("pybullet")
 
 from fvs_lab import floor
-from fvs_lab.floor import Limits, floor_of, least_travel_rad, play_s
+from fvs_lab.floor import Limits, ball_jacobian, ball_position, floor_of, least_travel_rad, play_s
 from fvs_lab.outcome import BOUNDS_M
 from fvs_lab.trials import Case, make_cases
 from fvs_ros.joints import HOME_JOINTS_RAD
-from fvs_sim_node.kinematics import ball_jacobian, ball_position
 from fvs_sim_node.simulation import SimConfig, Simulation
 
 LIMITS = Limits(1.0, 6.0)

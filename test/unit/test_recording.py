@@ -14,10 +14,10 @@ pytest.importorskip("rosbags")
 
 from replayed_bags import TYPES
 from scipy.spatial.transform import Rotation
+from ur5_dh import flange_pose
 
 from fvs_ros.joints import UR_JOINT_NAMES
-from fvs_sim_node.kinematics import flange_pose
-from fvs_sim_node.ur5_urdf import urdf_text
+from fvs_sim_node.robot import robot_description
 from fvs_tools.bag import Bag, Message, SimulatedTime, Transforms
 
 #: Bool(data=True) as it is on the wire, little endian.
@@ -194,13 +194,13 @@ def test_the_last_static_transforms_hold_all_of_them(viewing):
     assert (parent, child) == ("base_link", "eye")
     np.testing.assert_allclose(matrix[:3, 3], [1.0, 2.0, 3.0])
     np.testing.assert_allclose(np.diag(matrix)[:3], [-1.0, 1.0, -1.0])
-    assert list(transforms(viewing.of(description(urdf_text())))) == ["tool0", "eye"]
+    assert list(transforms(viewing.of(description(robot_description())))) == ["tool0", "eye"]
 
 
 @pytest.mark.parametrize("prefix", ["", "left_"])
 def test_the_flange_is_where_the_closed_form_says(viewing, prefix):
     joints_rad = np.random.default_rng(1).uniform(-3.0, 3.0, 6)
-    found = transforms(viewing.of(description(urdf_text(prefix))))
+    found = transforms(viewing.of(description(robot_description(tf_prefix=prefix))))
     names = [prefix + name for name in UR_JOINT_NAMES]
     found |= transforms(viewing.of(joint_state(10**9, joints_rad, names)))
     frame, place = f"{prefix}tool0", np.eye(4)
@@ -215,7 +215,7 @@ def test_the_flange_is_where_the_closed_form_says(viewing, prefix):
 
 def test_links_that_move_are_told_30_times_a_second(viewing):
     assert viewing.of(joint_state(0)) is None  # the robot is not known yet
-    viewing.of(description(urdf_text()))
+    viewing.of(description(robot_description()))
     answers = [viewing.of(joint_state(10**9 + 2_000_000 * step)) for step in range(501)]
     found = [one for one in answers if one is not None]
     assert 28 <= len(found) <= 31
@@ -225,7 +225,7 @@ def test_links_that_move_are_told_30_times_a_second(viewing):
 
 
 def test_a_robot_whose_links_another_node_publishes_is_left_out(viewing):
-    assert viewing.of(description(urdf_text()), robot=False) is None
+    assert viewing.of(description(robot_description()), robot=False) is None
     assert viewing.of(joint_state(10**9), robot=False) is None
     assert list(transforms(viewing.of(camera_pose(), robot=False))) == ["eye"]
 

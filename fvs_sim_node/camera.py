@@ -1,0 +1,149 @@
+"""The simulated depth camera: where it stands, what it gives, and its noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+# About z, as `base` and `base_link` of a UR differ.
+_HALF_TURN = np.diag([-1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class CameraPose:
+    """Where the camera is: ``p_world = rotation @ p_camera + position_m``.
+
+    Parameters
+    ----------
+    position_m : ndarray, shape (3,)
+        Camera centre, world frame, m.
+    rotation : ndarray, shape (3, 3)
+        Axes of the optical frame (x right, y down, z forward) as columns, world frame.
+    """
+
+    position_m: np.ndarray
+    rotation: np.ndarray
+
+    @classmethod
+    def looking(cls, eye_m: tuple[float, ...], target_m: tuple[float, ...]) -> CameraPose:
+        """At ``eye_m``, upright, with ``target_m`` in the middle of the image; world frame, m."""
+        eye, forward = np.array(eye_m), np.subtract(target_m, eye_m)
+        right = np.cross(forward, (0.0, 0.0, 1.0))
+        z_axis, x_axis = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
+        return cls(eye, np.stack([x_axis, np.cross(z_axis, x_axis), z_axis], axis=1))
+
+    def turned(self, rotation_rad: np.ndarray) -> CameraPose:
+        """The same turned about its centre by a rotation vector of its frame, rad, shape (3,)."""
+        turn = cv2.Rodrigues(np.asarray(rotation_rad, dtype=float))[0]
+        return CameraPose(self.position_m, self.rotation @ turn)
+
+    def moved(self, translation_m: np.ndarray) -> CameraPose:
+        """The same moved by a vector of the world frame, m, shape (3,)."""
+        return CameraPose(self.position_m + translation_m, self.rotation)
+
+    def to_camera(self, point_world_m: np.ndarray) -> np.ndarray:
+        """Points, shape (..., 3), m, from the world frame into the camera's."""
+        return (np.asarray(point_world_m) - self.position_m) @ self.rotation
+
+    def in_base_link(self) -> CameraPose:
+        """The same seen from ROS's ``base_link``, which is the world turned by half a turn."""
+        return CameraPose(_HALF_TURN @ self.position_m, _HALF_TURN @ self.rotation)
+
+    @property
+    def quaternion_xyzw(self) -> np.ndarray:
+        """The rotation as a unit quaternion, shape (4,)."""
+        return Rotation.from_matrix(self.rotation).as_quat(canonical=True)
+
+
+#: Named camera poses. ``front`` stands in front of the arm and to its side, from where the wrist
+#: hardly ever hides the ball. ``overhead`` hangs above the arm and looks down, as in the paper; the
+#: wrist hides the ball more often.
+CAMERAS = {
+    "front": CameraPose.looking((-1.3, 1.0, 0.85), (-0.47, -0.1, 0.33)),
+    "overhead": CameraPose.looking((-1.2, 0.4, 1.8), (-0.47, -0.1, 0.33)),
+}
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A full image with its noisy depth.
+
+    Parameters
+    ----------
+    stamp_s : float
+        Exposure, s.
+    rgb : ndarray of uint8, shape (H, W, 3)
+        Colours.
+    depth_m : ndarray of float32, shape (H, W)
+        Depth along the optical axis, m; 0 where there is none.
+    """
+
+    stamp_s: float
+    rgb: np.ndarray
+    depth_m: np.ndarray
+
+
+# ---- noise of a stereo depth camera (Intel RealSense D435) -------------------------------------
+# The spread follows Intel's tuning guide for the D400 family: subpixel * z^2 / (f * baseline).
+
+#: Standard deviation of the disparity, pixels, and distance between the two imagers, m.
+_SUBPIXEL_PX, _BASELINE_M = 0.08, 0.05
+#: Part of the variance that neighbouring pixels share.
+_CORRELATED = 0.25
+#: Depth is reported in steps of this size, m.
+_STEP_M = 0.001
+#: Probabilities that a pixel has no depth: anywhere, and where the depth within its 3 x 3
+#: neighbourhood spans more than a jump, m.
+_DROPOUT, _EDGE_LOSS, _EDGE_JUMP_M = 0.01, 0.5, 0.05
+
+
+def add_depth_noise(
+    depth_m: np.ndarray, fx: float, rng: np.random.Generator, scale: float = 1.0
+) -> np.ndarray:
+    """Turn a depth image into what a real camera would report.
+
+    Parameters
+    ----------
+    depth_m : ndarray of float32, shape (H, W)
+        Ideal depth along z, m; 0 where there is none.
+    fx : float
+        Focal length, pixels.
+    rng : numpy.random.Generator
+        Source of the noise.
+    scale : float
+        Factor on the spread and on the probabilities of loss; 0 gives a plain copy.
+
+    Returns
+    -------
+    ndarray of float32, shape (H, W)
+        Noisy depth, m; 0 where there is none.
+    """
+    depth = np.array(depth_m, dtype=np.float32)
+    if scale <= 0.0:
+        return depth
+    lost = depth <= 0.0
+    kernel = np.ones((3, 3), np.uint8)
+    edge = cv2.dilate(depth, kernel) - cv2.erode(depth, kernel) > _EDGE_JUMP_M
+
+    noise = rng.standard_normal(depth.shape, dtype=np.float32)
+    noise *= np.float32(np.sqrt(1.0 - _CORRELATED))
+    # The mean of 3 x 3 unit normals has a standard deviation of 1/3.
+    shared = cv2.blur(rng.standard_normal(depth.shape, dtype=np.float32), (3, 3))
+    shared *= np.float32(3.0 * np.sqrt(_CORRELATED))
+    noise += shared
+    noise *= np.float32(_SUBPIXEL_PX / (fx * _BASELINE_M)) * np.square(depth)
+    noise *= np.float32(scale)
+    depth += noise
+    depth *= np.float32(1.0 / _STEP_M)
+    np.rint(depth, out=depth)
+    depth *= np.float32(_STEP_M)
+
+    luck = rng.random(depth.shape, dtype=np.float32)
+    lost |= luck < np.float32(scale * _DROPOUT)
+    lost |= edge & (luck < np.float32(scale * _EDGE_LOSS))
+    lost |= depth < 0.0
+    depth[lost] = 0.0
+    return depth

@@ -1,0 +1,30 @@
+"""The URDF of the robot that is simulated."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from fvs_ros.paths import find_file
+
+#: Where a link or joint is named in a URDF.
+_NAMED = re.compile(r'(<(?:link|joint|parent|child|mimic)\b[^>]*?\b(?:name|link|joint)=")')
+
+
+def urdf_file(urdf_path: str = "") -> Path:
+    """The file of a robot; of the UR5 that comes with the package, if none is named.
+
+    Raises
+    ------
+    ValueError
+        If there is no such file.
+    """
+    path = Path(urdf_path) if urdf_path else find_file("robots/ur5.urdf")
+    if not path.is_file():
+        raise ValueError(f"urdf_path: there is no file {urdf_path}")
+    return path
+
+
+def robot_description(urdf_path: str = "", tf_prefix: str = "") -> str:
+    """The text of a robot's URDF, with a prefix before each joint and link, as UR's driver does."""
+    return _NAMED.sub(rf"\g<1>{tf_prefix}", urdf_file(urdf_path).read_text("utf-8"))

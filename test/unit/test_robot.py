@@ -1,0 +1,96 @@
+"""The simulated arm: published kinematics, and any URDF."""
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pybullet_data
+import pytest
+from ur5_dh import axes_origins_ball, flange_pose
+
+from fvs_detector_node.detection import BallColour, colour_mask
+from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_sim_node.config import SimConfig
+from fvs_sim_node.robot import robot_description
+from fvs_sim_node.simulation import Simulation
+from fvs_sim_node.world import World
+
+
+@pytest.fixture(scope="module")
+def world():
+    world = World()
+    yield world
+    world.close()
+
+
+def test_physics_engine_and_chain_agree_with_the_published_kinematics(world):
+    # All joints at zero: stretched out along -x, flange facing -y.
+    expected = [-0.425 - 0.39225, -0.10915 - 0.0823, 0.089159 - 0.09465]
+    np.testing.assert_allclose(flange_pose(np.zeros(6))[:3, 3], expected, atol=1e-12)
+    joints = np.random.default_rng(0).uniform(-3.0, 3.0, (50, 6))
+    axes, origins, balls_m = axes_origins_ball(joints)
+    jacobians = np.swapaxes(np.cross(axes, balls_m[:, None] - origins), -1, -2)
+    np.testing.assert_allclose(world.chain.position(joints), balls_m, atol=1e-6)
+    np.testing.assert_allclose(world.chain.jacobian(joints), jacobians, atol=1e-12)
+    for one, ball_m, jacobian in zip(joints, balls_m, jacobians, strict=True):
+        world.reset(one)
+        np.testing.assert_allclose(world.ball_position(), ball_m, atol=1e-6)
+        np.testing.assert_allclose(world.ball_jacobian(one), jacobian, atol=1e-12)
+
+
+def test_the_ur5_has_inertias_limits_and_nothing_of_the_balls_colour(world):
+    root = ET.fromstring(robot_description())
+    assert world.joint_names == UR_JOINT_NAMES
+    assert all(float(mass.get("value")) > 0.0 for mass in root.iter("mass"))
+    for colour in root.iter("color"):
+        rgb = np.array([float(x) for x in colour.get("rgba").split()][:3])
+        shades = np.round(255 * np.linspace(0.2, 1.0, 9)[:, None] * rgb).astype(np.uint8)
+        assert not colour_mask(shades[None], BallColour()).any()
+    np.testing.assert_allclose(world.upper_rad, np.array([2, 2, 1, 2, 2, 2]) * np.pi)
+    np.testing.assert_allclose(world.lower_rad, -world.upper_rad)
+    np.testing.assert_allclose(world.max_speed_rad_s, np.pi)
+
+
+def test_a_prefix_stands_before_each_joint_and_link_of_any_robot(tmp_path):
+    path = tmp_path / "own.urdf"
+    path.write_text(robot_description(), encoding="utf-8")
+    root = ET.fromstring(robot_description(str(path), "left_"))
+    names = [one.get("name") for tag in ("link", "joint") for one in root.findall(tag)]
+    names += [one.get("link") for tag in ("parent", "child") for one in root.iter(tag)]
+    assert len(names) == 29
+    assert all(name.startswith("left_") for name in names)
+
+
+def test_an_arm_of_seven_joints_is_simulated_from_its_urdf_alone():
+    path = Path(pybullet_data.getDataPath()) / "kuka_iiwa" / "model.urdf"
+    joints = (0.1, 0.5, 0.0, -1.2, 0.2, 0.8, 0.1)
+    config = SimConfig(urdf_path=str(path), ball_link="lbr_iiwa_link_7", initial_joints_rad=joints)
+    with Simulation(config) as simulation:
+        velocity = 0.1 * np.ones(7)
+        assert simulation.command(velocity) is None
+        for _ in range(50):
+            step = simulation.advance()
+        np.testing.assert_allclose(step.joint_velocities_rad_s, velocity, atol=1e-3)
+        before_m, before = simulation.true_ball_position(), step.joints_rad
+        step = simulation.advance()
+        moved_m = simulation.true_jacobian(before) @ (step.joints_rad - before)
+        np.testing.assert_allclose(simulation.true_ball_position() - before_m, moved_m, atol=1e-6)
+        assert "6 values" in simulation.command(np.zeros(6))
+
+
+def test_bad_urdfs_are_refused_with_words(tmp_path):
+    nothing_moves = robot_description().replace('type="revolute"', 'type="fixed"')
+    for text, said in (
+        (None, "there is no file"),
+        (nothing_moves, "no moving joint"),
+        ("no xml", "cannot load"),
+    ):
+        path = tmp_path / f"{said[:5]}.urdf"
+        if text is not None:
+            path.write_text(text, encoding="utf-8")
+        with pytest.raises(ValueError, match=said):
+            World(SimConfig(urdf_path=str(path)))
+    with pytest.raises(ValueError, match="no link 'hand'"):
+        World(SimConfig(ball_link="hand"))
+    with pytest.raises(ValueError, match="6 finite joint angles"):
+        Simulation(SimConfig(initial_joints_rad=(0.0,)))
