@@ -16,10 +16,8 @@ from sensor_msgs.msg import CompressedImage
 
 from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.detection import BallColour, detect_ball
-from fvs_detector_node.detector import Detector
-from fvs_detector_node.diagnosis import diagnose
-from fvs_detector_node.rectifier import Rectifier
-from fvs_detector_node.region import Region
+from fvs_detector_node.detector import Detector, diagnose
+from fvs_detector_node.images import Rectifier, Region
 from fvs_detector_node.tracking import WindowTracker
 from fvs_ros.camera import CameraModel
 from fvs_ros.ros import to_image

@@ -20,7 +20,7 @@ class DetectorConfig(Parameters):
     )
     compressed_images: bool = parameter(
         False,
-        "hear the topics that end in /compressed (jpeg or png) and /compressedDepth (png): for a "
+        "subscribe to the topics that end in /compressed (jpeg or png) and /compressedDepth (png): for a "
         "camera at another computer",
     )
     ball_radius_m: float = parameter(
@@ -39,7 +39,7 @@ class DetectorConfig(Parameters):
     )
     max_ball_speed_m_s: float = parameter(
         3.0,
-        "a position that the ball could reach only faster than this is not believed at once",
+        "a position that the ball could reach only faster than this is accepted at its third sight",
         0.01,
         100.0,
         live=True,

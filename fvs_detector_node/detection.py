@@ -9,12 +9,12 @@ ball is searched again in layers of depth, as it may join the ball with another 
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from fvs_detector_node.region import Region
+from fvs_detector_node.images import Region
 from fvs_detector_node.sphere import MIN_PIXELS, Patch, SphereFit, fit_sphere, median, unit
 from fvs_ros.camera import Intrinsics
 from fvs_ros.params import Parameters, parameter
@@ -26,10 +26,7 @@ MIN_VISIBLE_FRACTION = 0.25
 _MAX_BLOBS = 16
 _MAX_LAYERS = 4
 _MIN_ON_OUTLINE = 0.6
-_MIN_ARC = 0.2
 _MAX_RESIDUAL_RADII = 0.1
-#: What looks this much larger or smaller than the ball, in radii, is of another size.
-_SAME_SIZE = 0.15
 
 
 @dataclass(frozen=True)
@@ -84,33 +81,29 @@ class Cause(enum.IntEnum):
     OUT_OF_VIEW = 1
     OFF_COLOUR = 2
     NO_DEPTH = 3
-    WRONG_SIZE = 4
-    WRONG_SHAPE = 5
+    OTHER_THING = 4
 
 
 @dataclass(frozen=True)
-class Rejection:
-    """A thing of the ball's colour that is not taken for the ball.
+class Miss:
+    """Why no ball is seen, or why a thing of its colour is not taken for it.
 
     Parameters
     ----------
     cause : Cause
-        What speaks against it.
-    box : Region
-        Its bounding box.
+        The most likely one.
+    text : str
+        One sentence with what to do about it.
+    box : Region, optional
+        Bounding box of the thing.
     pixels : int
         Its size, pixels.
-    distance_m : float
-        Distance that its centre would have, m; NaN without depth.
-    looks_m : float
-        Radius of a ball that looks as large at this distance, m; NaN without depth.
     """
 
     cause: Cause
-    box: Region
-    pixels: int
-    distance_m: float = float("nan")
-    looks_m: float = float("nan")
+    text: str
+    box: Region | None = None
+    pixels: int = 0
 
 
 def detect_ball(
@@ -154,7 +147,7 @@ def examine(
     camera: Intrinsics,
     radius_m: float,
     colour: BallColour | None = None,
-) -> tuple[BallDetection | None, list[Rejection]]:
+) -> tuple[BallDetection | None, list[Miss]]:
     """Find the ball as :func:`detect_ball` does, and what else has its colour, largest first."""
     size = (camera.height, camera.width)
     if rgb.shape != (*size, 3) or depth_m.shape != size:
@@ -164,7 +157,7 @@ def examine(
         )
     mask = colour_mask(rgb, colour or BallColour())
     found: list[BallDetection] = []
-    rejections = []
+    others: list[Miss] = []
     for blob in _blobs(mask):
         seen = _evaluate(blob, mask, depth_m, camera, radius_m)
         if isinstance(seen, BallDetection):
@@ -173,8 +166,8 @@ def examine(
         parts = _split_by_depth(blob, depth_m, camera, radius_m)
         found += parts
         if not parts:
-            rejections.append(seen)
-    return max(found, key=lambda ball: ball.quality, default=None), rejections
+            others.append(seen)
+    return max(found, key=lambda ball: ball.quality, default=None), others
 
 
 def colour_mask(rgb: np.ndarray, colour: BallColour) -> np.ndarray:
@@ -256,27 +249,29 @@ def _split_by_depth(
 
 def _evaluate(
     blob: _Blob, mask: np.ndarray, depth_m: np.ndarray, camera: Intrinsics, radius_m: float
-) -> BallDetection | Rejection:
-    """Fit the ball to a blob, or tell what speaks against it."""
+) -> BallDetection | Miss:
+    """Fit the ball to a blob, or say what speaks against it."""
     box_depth, known = blob.depths(depth_m)
-    against = Rejection(Cause.NO_DEPTH, blob.box, blob.pixels)
-    if np.count_nonzero(known) < MIN_PIXELS:
-        return against
-    # First guess of the distance: half of a disc lies within 0.7 r of its middle.
     box = blob.box
+    if np.count_nonzero(known) < MIN_PIXELS:
+        text = "the ball's colour is there, but no depth: too near, too far or reflective?"
+        return Miss(Cause.NO_DEPTH, text, box, blob.pixels)
+    # First guess of the distance: half of a disc lies within 0.7 r of its middle.
     middle_px = np.array([box.u0 + 0.5 * (box.width - 1), box.v0 + 0.5 * (box.height - 1)])
     middle = unit(camera.rays(*middle_px))
     distance_m = float(median(box_depth[known]) / middle[2]) + 0.7 * radius_m
     expected_px = _outline_area_px(middle, distance_m, radius_m, camera)
     share = blob.pixels / expected_px
-    against = replace(
-        against,
-        cause=Cause.WRONG_SIZE,
-        distance_m=distance_m,
-        looks_m=radius_m * float(np.sqrt(share)),
+    other = Miss(
+        Cause.OTHER_THING,
+        f"a thing of the ball's colour, {distance_m:.2f} m away, is as large as a ball of "
+        f"{1e3 * radius_m * np.sqrt(share):.0f} mm radius, and no ball of {1e3 * radius_m:.0f} mm: "
+        "check ball_radius_m, uncover the ball, align depth to colour (align_depth.enable:=true)",
+        box,
+        blob.pixels,
     )
     if distance_m < 1.5 * radius_m or not 0.7 * MIN_VISIBLE_FRACTION < share < 1.6:
-        return against
+        return other
     pad = 3 + max(0, int(2.4 * np.sqrt(expected_px / np.pi)) - min(box.width, box.height))
     patch, coloured = _cut_out(blob, mask, depth_m, camera, pad)
     rays = patch.rays()
@@ -284,13 +279,11 @@ def _evaluate(
     if (
         fit is None
         or fit.on_outline < _MIN_ON_OUTLINE
-        or fit.arc < _MIN_ARC
         or fit.residual_m > _MAX_RESIDUAL_RADII * radius_m
     ):
-        alike = abs(against.looks_m / radius_m - 1.0) < _SAME_SIZE
-        return replace(against, cause=Cause.WRONG_SHAPE) if alike else against
+        return other
     ball = _measured(patch, coloured, rays, fit, radius_m)
-    return against if ball.visible_fraction < MIN_VISIBLE_FRACTION else ball
+    return other if ball.visible_fraction < MIN_VISIBLE_FRACTION else ball
 
 
 def _cut_out(

@@ -1,22 +1,33 @@
-"""From a colour and a depth image to a position that is believed: no ROS, no clock."""
+"""From a colour and a depth image to an accepted position, or why not: no ROS, no clock."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import textwrap
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from fvs_detector_node.config import DetectorConfig
-from fvs_detector_node.detection import BallDetection, detect_ball
-from fvs_detector_node.diagnosis import Miss, diagnose
-from fvs_detector_node.gate import Gate
-from fvs_detector_node.rectifier import Rectifier
-from fvs_detector_node.region import Region
-from fvs_detector_node.tracking import WindowTracker
-from fvs_ros.camera import CameraModel
+from fvs_detector_node.detection import (
+    BallColour,
+    BallDetection,
+    Cause,
+    Miss,
+    colour_mask,
+    detect_ball,
+    examine,
+)
+from fvs_detector_node.images import Rectifier, Region
+from fvs_detector_node.sphere import MIN_PIXELS
+from fvs_detector_node.tracking import Gate, WindowTracker
+from fvs_ros.camera import CameraModel, Intrinsics
 
 #: A lost ball is explained this often at most, s of image stamps; it takes as long as a search.
 _EXPLAIN_PERIOD_S = 0.3
+#: Below these the hue of a pixel is mere noise.
+_LEAST_SATURATION, _LEAST_VALUE = 40, 12
+_FOUND_RGB, _REFUSED_RGB, _TEXT_RGB = (60, 230, 60), (255, 170, 0), (255, 255, 255)
 
 
 @dataclass(frozen=True)
@@ -26,23 +37,20 @@ class Sighting:
     Parameters
     ----------
     ball : BallDetection or None
-        The ball, if one is seen, believed or not.
+        The ball, if one is seen, accepted or not.
     problem : str
         Why nothing is to be published; empty if the ball is.
-    miss : Miss or None
-        Of the explanation, if no ball is seen.
-    searched : bool
-        Whether the whole image was searched.
+    box : Region or None
+        What the problem is about, if no ball is seen.
     """
 
     ball: BallDetection | None
     problem: str = ""
-    miss: Miss | None = None
-    searched: bool = False
+    box: Region | None = None
 
 
 class Detector:
-    """Looks for the ball where it will be, else everywhere; believes no jumps.
+    """Looks for the ball where it will be, else everywhere; accepts no jumps.
 
     Parameters
     ----------
@@ -113,18 +121,17 @@ class Detector:
 
         if self._tracker is None:
             self._tracker = WindowTracker(view, radius_m)
-        ball, searched = self._tracker.find(stamp_s, detect, lambda: whole)
+        ball = self._tracker.find(stamp_s, detect, lambda: whole)
         if ball is not None:
             problem = self._judge(stamp_s, ball)
-            # What is not believed is no place to look at next: the ball may still be where it was.
+            # What is refused is no place to look at next: the ball may still be where it was.
             self._tracker.update(stamp_s, None if problem else ball)
-            return Sighting(ball, problem, None, searched)
+            return Sighting(ball, problem)
         self._tracker.update(stamp_s, None)
-        due = not 0.0 <= stamp_s - self._explained_s < _EXPLAIN_PERIOD_S
-        if self._miss is None or due:
+        if self._miss is None or not 0.0 <= stamp_s - self._explained_s < _EXPLAIN_PERIOD_S:
             self._miss = diagnose(*rectifier.cut(rgb, depth_m, whole), view, radius_m, colour)
             self._explained_s = stamp_s
-        return Sighting(None, self._miss.text, self._miss, searched)
+        return Sighting(None, self._miss.text, self._miss.box)
 
     def _rectifier_of(self, camera: CameraModel) -> Rectifier:
         if self._rectifier is None or self._rectifier.camera != camera:
@@ -135,11 +142,96 @@ class Detector:
     def _judge(self, stamp_s: float, ball: BallDetection) -> str:
         """Why a ball is not to be published; empty if it is."""
         least = self._config.min_quality
-        if ball.quality < least:
+        if not ball.quality >= least:
             return (
-                f"the ball is seen badly, {ball.visible_fraction:.0%} of it: quality "
-                f"{ball.quality:.2f} is below min_quality {least:g}"
+                f"quality {ball.quality:.2f} of the ball, {ball.visible_fraction:.0%} of it "
+                f"visible, is below min_quality {least:g}"
             )
-        if not np.all(np.isfinite(ball.position_m)):
-            return "the ball's position is not finite"
         return self.gate.check(stamp_s, ball.position_m)
+
+
+def diagnose(
+    rgb: np.ndarray, depth_m: np.ndarray, camera: Intrinsics, radius_m: float, colour: BallColour
+) -> Miss:
+    """Find the most likely reason why no ball was found, in up to three times a search's time.
+
+    Parameters are those of :func:`~fvs_detector_node.detection.detect_ball`.
+    """
+    _, others = examine(rgb, depth_m, camera, radius_m, colour)
+    # A speck of noise is no answer while a whole ball may be standing in the dark.
+    if all(one.pixels < 2 * MIN_PIXELS for one in others):
+        relaxed = replace(
+            colour,
+            min_saturation=min(_LEAST_SATURATION, colour.min_saturation),
+            min_value=min(_LEAST_VALUE, colour.min_value),
+        )
+        ball, _ = examine(rgb, depth_m, camera, radius_m, relaxed)
+        if ball is not None:
+            return _off_colour(rgb, ball, camera, colour, relaxed)
+    if not others:
+        text = "nothing in view has the ball's colour: is it out of view, or hue wrong?"
+        return Miss(Cause.OUT_OF_VIEW, text)
+    return max(others, key=lambda one: (one.cause, one.pixels))
+
+
+def _off_colour(
+    rgb: np.ndarray,
+    ball: BallDetection,
+    camera: Intrinsics,
+    colour: BallColour,
+    relaxed: BallColour,
+) -> Miss:
+    """What to change for a ball that is found with wider limits of its colour."""
+    u, v = camera.project(ball.position_m).astype(int).tolist()
+    box = Region(u, v, 1, 1).grown(int(0.8 * ball.radius_px), camera)
+    disc = np.ascontiguousarray(rgb[box.part])
+    pixels = cv2.cvtColor(disc, cv2.COLOR_RGB2HSV)[colour_mask(disc, relaxed) > 0]
+    # With room for the ball's shaded side.
+    wanted = (0.7 * np.percentile(pixels, 5, axis=0)).astype(int)
+    if np.median(pixels[:, 2]) < colour.min_value:
+        text = f"the ball is too dark: lower min_value to {wanted[2]}, or give more light"
+    else:
+        text = f"the ball is too pale: lower min_saturation to {wanted[1]}, or shorten the exposure"
+    return Miss(Cause.OFF_COLOUR, text, box)
+
+
+def annotate(rgb: np.ndarray, sighting: Sighting, camera: Intrinsics) -> np.ndarray:
+    """Draw the ball's outline, centre and quality, or why it is not seen.
+
+    Parameters
+    ----------
+    rgb : ndarray of uint8, shape (H, W, 3)
+        Colour image without distortion; it is not changed.
+    sighting : Sighting
+        What was found in it.
+    camera : Intrinsics
+        Of the image.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        A copy with the drawing.
+    """
+    picture = np.array(rgb)
+    scale = max(picture.shape[1] / 640.0, 0.4)
+    thick = max(1, round(1.5 * scale))
+    lines = textwrap.wrap(sighting.problem, 66)
+    ball, box = sighting.ball, sighting.box
+    if ball is not None:
+        colour = _REFUSED_RGB if sighting.problem else _FOUND_RGB
+        # Sixteenths of a pixel: the drawing moves with the ball, not in steps.
+        centre = np.round(16.0 * camera.project(ball.position_m)).astype(int).tolist()
+        cv2.circle(picture, centre, round(16 * ball.radius_px), colour, thick, cv2.LINE_AA, 4)
+        cv2.circle(picture, centre, 16 * thick, colour, cv2.FILLED, cv2.LINE_AA, 4)
+        x, y, z = ball.position_m
+        seen = f"quality {ball.quality:.2f}  visible {ball.visible_fraction:.0%}  "
+        lines.insert(0, f"{seen}x {x:+.3f} y {y:+.3f} z {z:.3f} m")
+    elif box is not None:
+        cv2.rectangle(picture, (box.u0, box.v0, box.width, box.height), _REFUSED_RGB, thick)
+    # White on a darkened band: readable before anything.
+    picture[: round((8 + 20 * len(lines)) * scale)] //= 4
+    for row, line in enumerate(lines):
+        at = (round(10 * scale), round((20 + 20 * row) * scale))
+        font = cv2.FONT_HERSHEY_SIMPLEX
+        cv2.putText(picture, line, at, font, 0.5 * scale, _TEXT_RGB, thick, cv2.LINE_AA)
+    return picture

@@ -18,11 +18,9 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
-from fvs_detector_node.annotate import annotate
 from fvs_detector_node.config import PARAMETERS, CameraTopics, DetectorConfig
-from fvs_detector_node.detector import Detector, Sighting
-from fvs_detector_node.health import FAULT, MISSING_S, TRACKING, Input, judge, mismatch
-from fvs_detector_node.synchroniser import Pair, Synchroniser
+from fvs_detector_node.detector import Detector, Sighting, annotate
+from fvs_detector_node.pairing import Pair, Pairing
 from fvs_ros import ros, topics
 from fvs_ros.camera import CameraModel
 from fvs_ros.ros.images import from_color, from_depth
@@ -31,13 +29,20 @@ from fvs_ros.topics import CAMERA_PREFIXES
 
 T = TypeVar("T")
 
+WAITING, TRACKING, LOST, FAULT = "WAITING", "TRACKING", "LOST", "FAULT"
 _STATUS_PERIOD_S = 0.1
 _PUBLISHERS_PERIOD_S = 1.0
 #: Largest difference of the stamps of a colour and a depth image that belong together, s: a little
 #: less than half the period of 30 images a second.
 _SYNC_TOLERANCE_S = 0.015
+#: What the status holds of a detected ball.
+_MEASURED = ("quality", "visible_fraction", "residual_m", "radius_px")
 #: A change of state is logged this often at most, s; the status always has it.
 _LOG_PERIOD_S = 3.0
+#: An input that is silent for this long is missing, s; the slowest cameras give 5 images a second.
+_MISSING_S = 1.0
+#: This many images in a row without a newer stamp are a frozen stream.
+_FROZEN_IMAGES = 5
 
 
 @dataclass(frozen=True)
@@ -56,7 +61,7 @@ class DetectorNode(ros.FvsNode):
         cv2.setNumThreads(1)  # one small image at a time: threads only cost
         self._config = DetectorConfig.from_values(self.values)
         self._detector = Detector(self._config)
-        self._pairing: Synchroniser[_Picture] = Synchroniser(_SYNC_TOLERANCE_S)
+        self._pairing = Pairing(_SYNC_TOLERANCE_S)
         self._restarts = 0
         self._camera: CameraModel | None = None
         self._sighting: Sighting | None = None
@@ -125,20 +130,20 @@ class DetectorNode(ros.FvsNode):
         self._camera = camera or self._camera
 
     def _on_color(self, message: Any) -> None:
-        pixels = self._decoded(self._topics.color, from_color, message)
-        if pixels is not None:
-            picture = _Picture(message.header, pixels)
-            self._take(self._pairing.add_colour(ros.from_stamp(message.header.stamp), picture))
+        self._add("colour", message, self._decoded(self._topics.color, from_color, message))
 
     def _on_depth(self, message: Any) -> None:
-        pixels = self._decoded(self._topics.depth, from_depth, message)
+        self._add("depth", message, self._decoded(self._topics.depth, from_depth, message))
+
+    def _add(self, kind: str, message: Any, pixels: np.ndarray | None) -> None:
         if pixels is not None:
-            picture = _Picture(message.header, pixels)
-            self._take(self._pairing.add_depth(ros.from_stamp(message.header.stamp), picture))
+            header = message.header
+            pair = self._pairing.add(kind, ros.from_stamp(header.stamp), _Picture(header, pixels))
+            self._take(pair)
 
     # --- from a pair of images to a position ---
 
-    def _take(self, pair: Pair[_Picture] | None) -> None:
+    def _take(self, pair: Pair | None) -> None:
         if self._pairing.restarts != self._restarts:
             self._restarts = self._pairing.restarts
             self._detector.reset()
@@ -151,13 +156,7 @@ class DetectorNode(ros.FvsNode):
         camera = self._camera
         if camera is None:
             return
-        problem = mismatch(
-            pair.colour.pixels.shape[:2],
-            pair.depth.pixels.shape,
-            pair.colour.header.frame_id,
-            pair.depth.header.frame_id,
-            (camera.intrinsics.height, camera.intrinsics.width),
-        )
+        problem = _mismatch(pair, camera)
         if problem:
             self._complain(self._topics.depth, problem)
             return
@@ -176,7 +175,7 @@ class DetectorNode(ros.FvsNode):
 
     # --- outputs ---
 
-    def _publish(self, pair: Pair[_Picture], sighting: Sighting) -> None:
+    def _publish(self, pair: Pair, sighting: Sighting) -> None:
         if sighting.ball is None or sighting.problem:
             return
         exposed_s = pair.stamp_s - self._config.stamp_delay_s
@@ -187,9 +186,7 @@ class DetectorNode(ros.FvsNode):
         self._published.arrived(self.now_s())
         self._latency_s = self.ros_s() - exposed_s
 
-    def _publish_annotated(
-        self, pair: Pair[_Picture], camera: CameraModel, sighting: Sighting
-    ) -> None:
+    def _publish_annotated(self, pair: Pair, camera: CameraModel, sighting: Sighting) -> None:
         rgb = self._detector.rectified(pair.colour.pixels, pair.depth.pixels, camera)
         picture = annotate(rgb, sighting, camera.intrinsics)
         message = ros.to_image(pair.stamp_s, pair.colour.header.frame_id, picture, "rgb8")
@@ -207,26 +204,47 @@ class DetectorNode(ros.FvsNode):
 
     # --- status ---
 
-    def _inputs(self, now_s: float) -> list[Input]:
-        def described(what: str, topic: str, hint: str) -> Input:
-            age_s, count = self.monitor(topic).age_s(now_s), len(self._publishers_of(topic))
-            return Input(what, self.resolve_topic_name(topic), age_s, count, hint)
-
-        inputs = [
-            described("colour images", self._topics.color, "check the camera and camera_topics"),
-            described("depth images", self._topics.depth, "set align_depth.enable:=true"),
+    def _missing_input(self, now_s: float) -> str:
+        """Which subscribed topic is silent, and what to check; empty if none is."""
+        wanted = [
+            ("colour images", self._topics.color, "check the camera and camera_topics"),
+            ("depth images", self._topics.depth, "set align_depth.enable:=true"),
         ]
         if self._camera is None:
-            inputs.append(described("camera_info", self._topics.info, "is it remapped as well?"))
-        return inputs
+            wanted.append(("camera_info", self._topics.info, "is it remapped as well?"))
+        for what, topic, hint in wanted:
+            if self.monitor(topic).age_s(now_s) > _MISSING_S:
+                published = bool(self._publishers_of(topic))
+                why = "no message arrives" if published else "no node publishes there"
+                return f"no {what} on {self.resolve_topic_name(topic)}: {why}; {hint}"
+        return ""
+
+    def _judge(self, now_s: float) -> tuple[str, str]:
+        """State, and one sentence that says what to do."""
+        if now_s - self._problem_s < _MISSING_S:
+            return FAULT, self._problem
+        missing = self._missing_input(now_s)
+        if missing:
+            return WAITING, missing
+        if self._pairs.age_s(now_s) > _MISSING_S:
+            return self._unpaired()
+        if self._sighting is None:
+            return WAITING, "waiting for the first pair of images"
+        if self._sighting.problem:
+            return LOST, self._sighting.problem
+        return TRACKING, "the ball is seen, its position is published"
+
+    def _unpaired(self) -> tuple[str, str]:
+        repeats, offset_s = self._pairing.repeats, self._pairing.offset_s
+        if repeats >= _FROZEN_IMAGES:
+            return FAULT, f"image stamps do not advance, {repeats} in a row: is the camera frozen?"
+        apart = "" if offset_s is None else f", {1e3 * offset_s:+.1f} ms"
+        hint = "start the camera with enable_sync:=true"
+        return WAITING, f"colour and depth differ in time{apart}: {hint}"
 
     def _publish_status(self) -> None:
         now_s = self.now_s()
-        problem = self._problem if now_s - self._problem_s < MISSING_S else ""
-        pair_age_s = self._pairs.age_s(now_s)
-        state, reason = judge(
-            self._inputs(now_s), problem, pair_age_s, self._pairing, self._sighting
-        )
+        state, reason = self._judge(now_s)
         level = {TRACKING: ros.OK, FAULT: ros.ERROR}.get(state, ros.WARN)
         if state != self._logged and now_s - self._logged_s > _LOG_PERIOD_S:
             self._logged, self._logged_s = state, now_s
@@ -237,10 +255,7 @@ class DetectorNode(ros.FvsNode):
             state,
             reason,
             {
-                "quality": ball and ball.quality,
-                "visible_fraction": ball and ball.visible_fraction,
-                "residual_m": ball and ball.residual_m,
-                "radius_px": ball and ball.radius_px,
+                **{key: ball and getattr(ball, key) for key in _MEASURED},
                 "latency_s": self._latency_s,
                 "color_rate_hz": _rate_hz(self.monitor(self._topics.color), now_s),
                 "paired_rate_hz": _rate_hz(self._pairs, now_s),
@@ -252,8 +267,32 @@ class DetectorNode(ros.FvsNode):
         )
 
 
+def _mismatch(pair: Pair, camera: CameraModel) -> str:
+    """Why colour, depth and calibration are not of one camera; empty if they are."""
+    size, depth_size = pair.colour.pixels.shape[:2], pair.depth.pixels.shape
+    frame, depth_frame = pair.colour.header.frame_id, pair.depth.header.frame_id
+    calibrated = (camera.intrinsics.height, camera.intrinsics.width)
+    if calibrated != size:
+        return f"camera_info is for {_px(calibrated)} pixels, colour images have {_px(size)}"
+    differs = ""
+    if depth_size != size:
+        differs = f"{_px(depth_size)} pixels against {_px(size)}"
+    elif depth_frame != frame:
+        differs = f"frame {depth_frame[:60]!r} against {frame[:60]!r}"
+    if not differs:
+        return ""
+    return (
+        f"depth is not registered to colour: {differs}; start the camera with "
+        "align_depth.enable:=true, and take the aligned topic"
+    )
+
+
+def _px(size: tuple[int, ...]) -> str:
+    return f"{size[1]}x{size[0]}"
+
+
 def _rate_hz(monitor: ArrivalMonitor, now_s: float) -> float:
-    return monitor.report(now_s)["rate_hz"] if monitor.age_s(now_s) < MISSING_S else 0.0
+    return monitor.report(now_s)["rate_hz"] if monitor.age_s(now_s) < _MISSING_S else 0.0
 
 
 def main() -> int:

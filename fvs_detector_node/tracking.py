@@ -1,4 +1,4 @@
-"""Where in the image to look for the ball next."""
+"""Where in the image to look for the ball next, and whether a position is accepted."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from math import ceil
 import numpy as np
 
 from fvs_detector_node.detection import BallDetection
-from fvs_detector_node.region import Region
+from fvs_detector_node.images import Region
 from fvs_ros.camera import Intrinsics
 
 #: Half the window, ball radii (an outline far off the axis is a fifth longer) and pixels, beside
@@ -16,6 +16,9 @@ from fvs_ros.camera import Intrinsics
 _RADII, _MARGIN_PX = 1.2, 3.0
 #: A UR5 reaches 0.85 m: its drives, 15 rad/s^2, and its joints, together 2 rad/s, give these.
 _ACCELERATION_M_S2, _SPEED_M_S = 12.0, 2.0
+#: A jump is accepted when it is seen this many times in a row, each near the one before; noise of
+#: two positions, m.
+_REPEATS, _NOISE_M = 3, 0.01
 
 
 class WindowTracker:
@@ -40,7 +43,7 @@ class WindowTracker:
         stamp_s: float,
         detect: Callable[[Region], BallDetection | None],
         elsewhere: Callable[[], Region | None],
-    ) -> tuple[BallDetection | None, bool]:
+    ) -> BallDetection | None:
         """Find the ball in an image.
 
         Parameters
@@ -54,19 +57,17 @@ class WindowTracker:
 
         Returns
         -------
-        ball : BallDetection or None
+        BallDetection or None
             The ball.
-        searched : bool
-            Whether it was not where it was expected.
         """
         expected = self.region(stamp_s)
         ball = None if expected is None else detect(expected)
         if expected is not None and ball is not None:
             u, v = self._camera.project(ball.position_m)
             if not expected.cuts_off(u, v, ball.radius_px + 2.0, self._camera):
-                return ball, False
+                return ball
         wider = elsewhere()
-        return (ball if wider is None else detect(wider)), True
+        return ball if wider is None else detect(wider)
 
     def update(self, stamp_s: float, ball: BallDetection | None) -> None:
         """Take in what was seen at a time, s."""
@@ -98,3 +99,46 @@ class WindowTracker:
         u0 = min(max(round(u - size / 2), 0), camera.width - size)
         v0 = min(max(round(v - size / 2), 0), camera.height - size)
         return Region(u0, v0, size, size)
+
+
+class Gate:
+    """Refuses jumps that are seen only now and then.
+
+    Attributes
+    ----------
+    max_speed_m_s : float
+        Fastest ball, m/s.
+    refused : int
+        How many positions were refused.
+    """
+
+    def __init__(self, max_speed_m_s: float) -> None:
+        self.max_speed_m_s = max_speed_m_s
+        self.refused = 0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all positions: the next one is accepted."""
+        self._accepted: tuple[float, np.ndarray] | None = None
+        self._jump: tuple[float, np.ndarray] | None = None
+        self._jumps = 0
+
+    def check(self, stamp_s: float, position_m: np.ndarray) -> str:
+        """Why a position, camera frame, m, (3,), is refused; empty if it is accepted."""
+        if self._accepted is not None and not self._near(self._accepted, stamp_s, position_m):
+            again = self._jump is not None and self._near(self._jump, stamp_s, position_m)
+            self._jump, self._jumps = (stamp_s, position_m), self._jumps + 1 if again else 1
+            if self._jumps < _REPEATS:
+                self.refused += 1
+                last_s, last_m = self._accepted
+                return (
+                    f"jump of {np.linalg.norm(position_m - last_m):.2f} m in "
+                    f"{stamp_s - last_s:.3f} s refused, seen {self._jumps} of {_REPEATS} times; "
+                    f"raise max_ball_speed_m_s ({self.max_speed_m_s:g})?"
+                )
+        self._accepted, self._jump = (stamp_s, position_m), None
+        return ""
+
+    def _near(self, last: tuple[float, np.ndarray], stamp_s: float, now_m: np.ndarray) -> bool:
+        allowed_m = self.max_speed_m_s * max(stamp_s - last[0], 0.0) + _NOISE_M
+        return bool(np.linalg.norm(now_m - last[1]) <= allowed_m)

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from fvs_detector_node.detection import BallColour, BallDetection, detect_ball
-from fvs_detector_node.region import Region
+from fvs_detector_node.images import Region
 from fvs_detector_node.tracking import WindowTracker
 from fvs_ros.camera import Intrinsics
 from fvs_sim_node.actuator import Actuator
@@ -303,7 +303,7 @@ class Simulation:
         def elsewhere() -> Region | None:
             return self._renderer.find_colour(self.camera, BallColour())
 
-        detection, _ = self._tracker.find(self.time_s, detect, elsewhere)
+        detection = self._tracker.find(self.time_s, detect, elsewhere)
         self._tracker.update(self.time_s, detection)
         return detection
 

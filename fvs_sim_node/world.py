@@ -17,7 +17,7 @@ from pybullet_utils.bullet_client import BulletClient
 from scipy.spatial import ConvexHull
 
 from fvs_detector_node.detection import BallColour, colour_mask
-from fvs_detector_node.region import Region
+from fvs_detector_node.images import Region
 from fvs_ros.camera import Intrinsics
 from fvs_ros.chain import SerialChain
 from fvs_sim_node.camera import CameraPose

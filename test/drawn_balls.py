@@ -27,6 +27,11 @@ def draw(spheres, camera=VGA, wall_m=2.0):
     return rgb, depth
 
 
+def red(rgb):
+    """Which pixels are a drawn ball's."""
+    return rgb[..., 0] > 2.0 * rgb[..., 1]
+
+
 def hide(rgb, depth, part, depth_m=0.8):
     """Hold a grey card before a part of the image."""
     rgb[part] = (120, 125, 130)

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fvs_detector_node.detection import BallColour
-from fvs_detector_node.region import Region
+from fvs_detector_node.images import Region
 from fvs_ros.camera import Intrinsics
 from fvs_sim_node.camera import CAMERAS, CameraPose
 from fvs_sim_node.config import SceneObject, SimConfig

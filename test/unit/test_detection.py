@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from drawn_balls import RADIUS_M, VGA, draw, hide
+from drawn_balls import RADIUS_M, VGA, draw, hide, red
 
 from fvs_detector_node.detection import BallColour, Cause, colour_mask, detect_ball, examine
-from fvs_detector_node.region import Region
+from fvs_detector_node.images import Region
 from fvs_ros.joints import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.camera import CAMERAS, CameraPose, add_depth_noise
 from fvs_sim_node.config import TABLE, SceneObject, SimConfig
@@ -24,10 +24,6 @@ def find(spheres, spoil=None, **scene):
 
 def error_mm(detection, centre):
     return 1e3 * np.linalg.norm(detection.position_m - centre)
-
-
-def red(rgb):
-    return rgb[..., 0] > 2.0 * rgb[..., 1]
 
 
 def test_an_ideal_ball_is_exact_anywhere_in_the_image():

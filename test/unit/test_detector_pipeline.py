@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from drawn_balls import RADIUS_M, VGA, draw, hide
 
-from fvs_detector_node.annotate import annotate
 from fvs_detector_node.config import DetectorConfig
-from fvs_detector_node.detector import Detector
+from fvs_detector_node.detector import Detector, annotate
 from fvs_ros.camera import CameraModel, camera_model
 
 PINHOLE = CameraModel(VGA)
@@ -37,7 +36,6 @@ def test_a_ball_that_moves_is_found_in_a_window_at_the_same_place_as_in_the_whol
         images = ball(CENTRE + [0.02 * i, 0.01 * i, 0.0])
         sighting = follows.look(DT * i, *images, PINHOLE)
         assert sighting.problem == ""
-        assert sighting.searched == (i == 0)
         fresh = detector().look(0.0, *images, PINHOLE)
         np.testing.assert_allclose(sighting.ball.position_m, fresh.ball.position_m, atol=1e-9)
 
@@ -120,7 +118,6 @@ def test_the_lens_does_not_move_the_ball(model, coefficients):
     whole = looks.look(0.0, rgb, depth, camera)
     assert error_mm(whole, centre) < 1.5
     window = looks.look(DT, rgb, depth, camera)
-    assert not window.searched
     assert error_mm(window, centre) < 1.5
     # Without the correction it would be off.
     raw = detector().look(0.0, rgb, depth, PINHOLE)

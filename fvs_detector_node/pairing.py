@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
-from typing import Generic, TypeVar
-
-T = TypeVar("T")
+from typing import Any, NamedTuple
 
 #: Images kept of a stream that wait for their partner.
 _KEPT = 6
@@ -15,26 +12,23 @@ _KEPT = 6
 _JUMP_S, _JUMP_IMAGES = 0.5, 3
 
 
-@dataclass(frozen=True)
-class Pair(Generic[T]):
+class Pair(NamedTuple):
     """A colour image with its exposure, s, and the depth image nearest to it."""
 
     stamp_s: float
-    colour: T
-    depth_stamp_s: float
-    depth: T
+    colour: Any
+    depth: Any
 
 
-class _Stream(Generic[T]):
+class _Stream:
     """The newest images of one topic that are not paired yet, oldest first."""
 
     def __init__(self) -> None:
-        self.images: deque[tuple[float, T]] = deque(maxlen=_KEPT)
+        self.images: deque[tuple[float, Any]] = deque(maxlen=_KEPT)
         self.newest_s = -math.inf
-        self.repeats = 0
-        self.behind = 0
+        self.repeats = self.behind = 0
 
-    def add(self, stamp_s: float, image: T) -> bool:
+    def add(self, stamp_s: float, image: Any) -> bool:
         """Take an image in; False if it is late or a repetition."""
         if stamp_s > self.newest_s:
             self.images.append((stamp_s, image))
@@ -45,7 +39,7 @@ class _Stream(Generic[T]):
         return False
 
 
-class Synchroniser(Generic[T]):
+class Pairing:
     """Pairs two streams; the newest wins, and no colour image is paired after a later one.
 
     Stamps may repeat, come out of order, stand still or jump; a single wrong stamp does no harm.
@@ -64,13 +58,13 @@ class Synchroniser(Generic[T]):
     """
 
     def __init__(self, tolerance_s: float) -> None:
-        self.tolerance_s = tolerance_s
-        self.restarts = 0
+        self._tolerance_s = tolerance_s
+        self.restarts = -1
         self._restart()
 
     def _restart(self) -> None:
-        self._colour: _Stream[T] = _Stream()
-        self._depth: _Stream[T] = _Stream()
+        self.restarts += 1
+        self._colour, self._depth = _Stream(), _Stream()
         self.offset_s: float | None = None
 
     @property
@@ -78,22 +72,14 @@ class Synchroniser(Generic[T]):
         """How many images in a row, of colour or of depth, had a stamp that did not advance."""
         return max(self._colour.repeats, self._depth.repeats)
 
-    def add_colour(self, stamp_s: float, image: T) -> Pair[T] | None:
-        """Take a colour image in, with its exposure, s; the pair that it completes, if any."""
-        self._restart_if_set_back()
-        return self._pair() if self._colour.add(stamp_s, image) else None
-
-    def add_depth(self, stamp_s: float, image: T) -> Pair[T] | None:
-        """Take a depth image in, with its exposure, s; the pair that it completes, if any."""
-        self._restart_if_set_back()
-        return self._pair() if self._depth.add(stamp_s, image) else None
-
-    def _restart_if_set_back(self) -> None:
+    def add(self, kind: str, stamp_s: float, image: Any) -> Pair | None:
+        """Take in an image of ``colour`` or ``depth`` with its exposure, s; the pair, if any."""
         if max(self._colour.behind, self._depth.behind) >= _JUMP_IMAGES:
-            self.restarts += 1
             self._restart()
+        stream = self._colour if kind == "colour" else self._depth
+        return self._pair() if stream.add(stamp_s, image) else None
 
-    def _pair(self) -> Pair[T] | None:
+    def _pair(self) -> Pair | None:
         """The newest colour image that has its depth image."""
         colours, depths = self._colour.images, self._depth.images
         for colour_s, colour in reversed(colours):
@@ -101,9 +87,9 @@ class Synchroniser(Generic[T]):
                 return None
             depth_s, depth = min(depths, key=lambda one: abs(one[0] - colour_s))
             self.offset_s = depth_s - colour_s
-            if abs(self.offset_s) <= self.tolerance_s:
+            if abs(self.offset_s) <= self._tolerance_s:
                 for waiting, stamp_s in ((colours, colour_s), (depths, depth_s)):
                     while waiting and waiting[0][0] <= stamp_s:
                         waiting.popleft()
-                return Pair(colour_s, colour, depth_s, depth)
+                return Pair(colour_s, colour, depth)
         return None

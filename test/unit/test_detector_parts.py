@@ -1,0 +1,118 @@
+"""Pairing by stamps, and the gate against jumps: whatever comes in whatever order."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fvs_detector_node.pairing import Pairing
+from fvs_detector_node.tracking import Gate
+
+DT = 1 / 30
+HERE, THERE = np.array([0.0, 0.0, 1.2]), np.array([0.5, 0.0, 1.2])
+
+
+# --------------------------------------------------------------------------------- pairing
+def feed(pairing, events):
+    """Pairs as (colour, depth) stamps, ms, of events like ('colour', ms) and ('depth', ms)."""
+    pairs = [pairing.add(kind, stamp_ms / 1000, stamp_ms) for kind, stamp_ms in events]
+    return [(pair.colour, pair.depth) for pair in pairs if pair is not None]
+
+
+def frames(*numbers, offset_ms=0):
+    """Colour and depth of 30 Hz frames."""
+    for n in numbers:
+        yield "colour", 100 * n // 3
+        yield "depth", 100 * n // 3 + offset_ms
+
+
+def test_the_nearest_within_the_tolerance_is_taken_and_an_offset_beyond_it_is_reported():
+    assert feed(Pairing(0.015), frames(*range(5))) == [(t, t) for t in (0, 33, 66, 100, 133)]
+    assert feed(Pairing(0.015), [("depth", 88), ("depth", 104), ("colour", 100)]) == [(100, 104)]
+    pairing = Pairing(0.005)
+    assert feed(pairing, frames(1, 2, 3, 4, offset_ms=9)) == []
+    assert pairing.offset_s == pytest.approx(0.009)
+
+
+def test_repeated_late_and_lost_images_pair_nothing():
+    pairing = Pairing(0.015)
+    assert len(feed(pairing, frames(10, 11))) == 2
+    assert feed(pairing, frames(11, 11, 10, 9, 11)) == []
+    assert pairing.repeats > 0
+    assert feed(pairing, frames(12)) == [(400, 400)]
+    assert pairing.repeats == 0
+    lossy = [event for event in frames(13, 14, 15) if event != ("depth", 466)]
+    assert [colour for colour, _ in feed(pairing, lossy)] == [433, 500]
+
+
+def test_a_clock_set_back_starts_anew_and_one_wrong_stamp_does_not():
+    pairing = Pairing(0.015)
+    feed(pairing, frames(300, 301))
+    assert feed(pairing, [("colour", 5), ("depth", 5), ("colour", 5), ("depth", 5)]) == []
+    assert pairing.restarts == 0
+    assert feed(pairing, frames(302)) == [(10066, 10066)]
+    feed(pairing, [("colour", 10**9), ("depth", 10**9)])
+    found = feed(pairing, frames(*range(303, 313)))
+    assert found[-1][0] == 10400
+    assert len(found) >= 5
+    assert feed(pairing, frames(*range(1, 10)))[-1] == (300, 300)
+    assert pairing.restarts >= 2
+
+
+STAMPS_MS = st.integers(-50, 400) | st.sampled_from([-(10**9), 10**9, 10**6])
+
+
+@given(st.lists(st.tuples(st.sampled_from(["colour", "depth"]), STAMPS_MS), max_size=120))
+@settings(max_examples=200, deadline=None)
+def test_pairs_advance_and_keep_the_tolerance_whatever_comes(events):
+    pairing = Pairing(0.015)
+    last_s, restarts = float("-inf"), 0
+    for kind, stamp_ms in events:
+        pair = pairing.add(kind, stamp_ms / 1000, stamp_ms)
+        if pairing.restarts != restarts:
+            last_s, restarts = float("-inf"), pairing.restarts
+        if pair is not None:
+            assert abs(pair.depth - pair.colour) <= 15
+            assert pair.stamp_s > last_s
+            last_s = pair.stamp_s
+    found = feed(pairing, frames(*range(10**8, 10**8 + 30)))
+    assert len(found) >= 20
+
+
+# ------------------------------------------------------------------------------------ gate
+def accepted(gate, positions, start=0):
+    return [gate.check((start + i) * DT, p) == "" for i, p in enumerate(positions)]
+
+
+def test_one_wrong_thing_is_refused_with_the_numbers_and_a_ball_that_moved_is_accepted():
+    gate = Gate(3.0)
+    assert accepted(gate, [HERE, THERE, HERE, THERE, THERE, THERE, HERE]) == [
+        True, False, True, False, False, True, False,
+    ]  # fmt: skip
+    assert gate.refused == 4
+    text = Gate(3.0)
+    text.check(0.0, HERE)
+    said = text.check(DT, THERE)
+    assert "0.50 m in 0.033 s" in said
+    assert "max_ball_speed_m_s (3)" in said
+
+
+def test_after_a_while_unseen_or_a_reset_the_ball_may_be_elsewhere():
+    gate = Gate(3.0)
+    assert gate.check(0.0, HERE) == gate.check(0.2, THERE) == ""
+    gate.reset()
+    assert gate.check(0.2 + DT, HERE) == ""
+
+
+def test_noise_is_no_jump_however_slow_the_ball_must_be_and_a_decimetre_is():
+    gate, rng = Gate(0.02), np.random.default_rng(0)
+    assert all(accepted(gate, HERE + 0.002 * rng.normal(size=(100, 3))))
+    assert gate.check(100 * DT, HERE + [0.06, 0.0, 0.0])
+
+
+@given(st.lists(st.tuples(st.floats(-2, 2), st.floats(-2, 2), st.floats(0.3, 3)), max_size=40))
+@settings(max_examples=100, deadline=None)
+def test_a_ball_that_stands_still_in_the_end_is_always_accepted(places):
+    gate = Gate(3.0)
+    accepted(gate, [np.array(p) for p in places])
+    assert accepted(gate, [HERE] * 6, start=len(places))[3:] == [True] * 3
