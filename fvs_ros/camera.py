@@ -97,7 +97,6 @@ DISTORTION_MODELS = {
     "rational_polynomial": (0, 8, 12, 14),
     "equidistant": (4,),
 }
-
 _MAX_COEFFICIENT = 1000.0
 
 
@@ -118,6 +117,22 @@ class CameraModel:
     intrinsics: Intrinsics
     model: str = "plumb_bob"
     coefficients: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        model, count = self.model, len(self.coefficients)
+        if model not in DISTORTION_MODELS:
+            known = ", ".join(DISTORTION_MODELS)
+            raise ValueError(f"camera_info has distortion model {model[:40]!r}; known are {known}")
+        if count not in DISTORTION_MODELS[model]:
+            expected = " or ".join(map(str, DISTORTION_MODELS[model]))
+            raise ValueError(
+                f"camera_info has {count} coefficients for {model}, expected {expected}"
+            )
+        if not all(abs(value) <= _MAX_COEFFICIENT for value in self.coefficients):
+            raise ValueError(
+                f"camera_info has a distortion coefficient that is not finite, or above "
+                f"{_MAX_COEFFICIENT:g}"
+            )
 
     @property
     def distorts(self) -> bool:
@@ -163,25 +178,8 @@ def camera_model(
     ValueError
         If it cannot be used; the text says why.
     """
-    if k[0] == 0.0:
-        raise ValueError("camera_info has K[0] = 0: the camera is not calibrated")
-    fx, skew, cx, zero, fy, cy, *last = (float(value) for value in k)
-    if not np.all(np.isfinite(k)) or not np.all(np.isfinite(coefficients)):
-        raise ValueError("camera_info holds a value that is not finite")
-    if any(abs(value) > _MAX_COEFFICIENT for value in coefficients):
-        raise ValueError(f"camera_info has a distortion coefficient above {_MAX_COEFFICIENT:g}")
-    if skew != 0.0 or zero != 0.0 or last != [0.0, 0.0, 1.0]:
-        raise ValueError(f"camera_info has K = {list(k)}, expected [fx 0 cx 0 fy cy 0 0 1]")
-    if not 0.05 * width < fx < 100.0 * width or not 0.05 * height < fy < 100.0 * height:
-        raise ValueError(
-            f"camera_info has focal lengths {fx:g} and {fy:g} px, which do not fit an image of "
-            f"{width}x{height}"
-        )
-    if not -width < cx < 2.0 * width or not -height < cy < 2.0 * height:
-        raise ValueError(
-            f"camera_info has its principal point at ({cx:g}, {cy:g}), far out of the image of "
-            f"{width}x{height}"
-        )
+    _check_matrix(width, height, k)
+    fx, fy, cx, cy = (float(k[i]) for i in (0, 4, 2, 5))
     if max(binning) > 1:
         raise ValueError("camera_info has binning, which is not supported: switch it off")
     if any(roi):
@@ -193,44 +191,21 @@ def camera_model(
     intrinsics = Intrinsics(width, height, fx, fy, cx, cy)
     if not model and not any(coefficients):
         return CameraModel(intrinsics)
-    if model not in DISTORTION_MODELS:
-        raise ValueError(
-            f"camera_info has distortion model {model[:40]!r}; known are "
-            f"{', '.join(DISTORTION_MODELS)}"
-        )
-    if len(coefficients) not in DISTORTION_MODELS[model]:
-        raise ValueError(
-            f"camera_info has {len(coefficients)} coefficients for {model}, expected "
-            f"{' or '.join(map(str, DISTORTION_MODELS[model]))}"
-        )
     return CameraModel(intrinsics, model, tuple(float(value) for value in coefficients))
 
 
-def look_at(eye_m: np.ndarray, target_m: np.ndarray, up: np.ndarray | None = None) -> np.ndarray:
-    """Rotation of an optical frame at ``eye_m`` that looks at ``target_m``.
-
-    Parameters
-    ----------
-    eye_m, target_m : array_like, shape (3,)
-        Camera centre and a point on its optical axis, m, world frame.
-    up : array_like, shape (3,), optional
-        Direction that is up in the image, world frame; default +z.
-
-    Returns
-    -------
-    ndarray, shape (3, 3)
-        ``R`` with ``p_world = R @ p_camera + eye``.
-
-    Raises
-    ------
-    ValueError
-        If eye and target coincide, or the view is along ``up``.
-    """
-    forward = np.asarray(target_m, dtype=float) - np.asarray(eye_m, dtype=float)
-    up_vector = np.array([0.0, 0.0, 1.0]) if up is None else np.asarray(up, dtype=float)
-    right = np.cross(forward, up_vector)
-    if np.linalg.norm(forward) < 1e-9 or np.linalg.norm(right) < 1e-9:
-        raise ValueError(f"camera at {eye_m} cannot look at {target_m} with up {up_vector}")
-    z_axis = forward / np.linalg.norm(forward)
-    x_axis = right / np.linalg.norm(right)
-    return np.stack([x_axis, np.cross(z_axis, x_axis), z_axis], axis=1)
+def _check_matrix(width: int, height: int, k: Sequence[float]) -> None:
+    fx, skew, cx, zero, fy, cy, *last = k
+    size = f"an image of {width}x{height}"
+    if fx == 0.0:
+        raise ValueError("camera_info has K[0] = 0: the camera is not calibrated")
+    if skew != 0.0 or zero != 0.0 or list(last) != [0.0, 0.0, 1.0]:
+        raise ValueError(f"camera_info has K = {list(k)}, expected [fx 0 cx 0 fy cy 0 0 1]")
+    if not 0.05 * width < fx < 100.0 * width or not 0.05 * height < fy < 100.0 * height:
+        raise ValueError(
+            f"camera_info has focal lengths {fx:g} and {fy:g} px, which do not fit {size}"
+        )
+    if not -width < cx < 2.0 * width or not -height < cy < 2.0 * height:
+        raise ValueError(
+            f"camera_info has its principal point at ({cx:g}, {cy:g}), far out of {size}"
+        )

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fvs_ros.camera import Intrinsics, look_at
+from fvs_ros.camera import Intrinsics
 
 CAMERA = Intrinsics(640, 480, 615.0, 610.0, 319.5, 239.5)
 
@@ -19,17 +19,6 @@ def test_a_window_sees_the_same_point_at_shifted_pixels():
     assert (window.width, window.height) == (96, 96)
 
 
-def test_look_at_is_a_rotation_with_the_target_on_the_axis_and_up_upwards():
-    eye, target = np.array([1.5, 0.35, 1.3]), np.array([0.2, -0.1, 0.4])
-    rotation = look_at(eye, target)
-    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(rotation) == pytest.approx(1.0)
-    in_camera = rotation.T @ (target - eye)
-    np.testing.assert_allclose(in_camera[:2], 0.0, atol=1e-12)
-    assert in_camera[2] > 0.0
-    assert (rotation.T @ np.array([0.0, 0.0, 1.0]))[1] < 0.0  # world up is image up (-y)
-
-
 def test_bad_cameras_are_refused():
     with pytest.raises(ValueError, match="positive"):
         Intrinsics(640, 480, 0.0, 600.0, 320.0, 240.0)
@@ -37,5 +26,3 @@ def test_bad_cameras_are_refused():
         Intrinsics(640, 480, 600.0, 600.0, float("nan"), 240.0)
     with pytest.raises(ValueError, match="size"):
         Intrinsics(0, 480, 600.0, 600.0, 320.0, 240.0)
-    with pytest.raises(ValueError, match="cannot look"):
-        look_at([0, 0, 1], [0, 0, 0])
