@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import os
 import re
 import shutil
 import subprocess
@@ -23,22 +22,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from geometry_msgs.msg import PointStamped
+from harness import Harness
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "test")]
-os.environ["PYTHONPATH"] = os.pathsep.join((str(ROOT), str(ROOT / "test")))
-os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-
-from geometry_msgs.msg import PointStamped  # noqa: E402
-from harness import Harness  # noqa: E402
-from std_msgs.msg import Float64MultiArray  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
-
-from fvs_estimator_node.model_file import load_model  # noqa: E402
-from fvs_ros import ros, topics  # noqa: E402
-from fvs_ros.paths import find_file  # noqa: E402
-from fvs_tools.demo import choose_target  # noqa: E402
-from fvs_tools.scenario import load_scenario  # noqa: E402
+from fvs_estimator_node.model_file import load_model
+from fvs_ros import ros, topics
+from fvs_ros.paths import find_file
+from fvs_tools.demo import choose_target
+from fvs_tools.scenario import load_scenario
 
 DASHBOARD = "fvs_dashboard.dashboard_node"
 PICTURES_HZ = load_scenario("dashboard")["fvs_sim_node"]["full_frame_rate_hz"]
@@ -189,7 +182,3 @@ def report(results: dict[str, list[np.ndarray]]) -> None:
             f"{v:6.2f} (x{r:4.2f})" for v, r in zip(np.median(values, axis=0), ratios, strict=True)
         )
         print(f"{condition:22}  {cells}")
-
-
-if __name__ == "__main__":
-    main()

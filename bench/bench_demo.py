@@ -1,6 +1,6 @@
 """The demo again and again, in real time over DDS, each run with its own seed.
 
-Run ``python -m bench demo`` from the repository root; FVS_BENCH_RUNS sets how many (5).
+``python -m bench demo``; FVS_BENCH_RUNS sets how many runs (5).
 """
 
 from __future__ import annotations
@@ -12,19 +12,15 @@ import sys
 import tempfile
 from pathlib import Path
 
-import numpy as np
-
-ROOT = Path(__file__).resolve().parents[1]
-RUNS = int(os.environ.get("FVS_BENCH_RUNS", "5"))
+from bench import ROOT
+from bench.timing import spread
 
 
 def run_demo(seed: int, folder: Path) -> list[dict]:
     """Scores of one run's targets."""
+    given = ("-p", f"seed:={seed}", "-p", f"output_dir:={folder}")
     subprocess.run(
-        [
-            *(sys.executable, "-m", "fvs_tools.launcher", "demo"),
-            *("-p", f"seed:={seed}", "-p", f"output_dir:={folder}"),
-        ],
+        (sys.executable, "-m", "fvs_tools.launcher", "demo", *given),
         cwd=ROOT,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -33,23 +29,18 @@ def run_demo(seed: int, folder: Path) -> list[dict]:
     return json.loads((folder / "results.json").read_text(encoding="utf-8"))
 
 
-def spread(values: list[float], unit: str) -> str:
-    return f"{np.median(values):6.2f} {unit} median {max(values):8.2f} {unit} at most"
-
-
 def main() -> None:
+    runs = int(os.environ.get("FVS_BENCH_RUNS", "5"))
     with tempfile.TemporaryDirectory() as name:
-        targets = [t for seed in range(1, RUNS + 1) for t in run_demo(seed, Path(name) / str(seed))]
-    settled = [t for t in targets if t["settling_5mm_s"] is not None]
-    fine = [t["settling_2mm_s"] for t in targets if t["settling_2mm_s"] is not None]
-    print(f"{RUNS} runs, {len(targets)} targets, {len(settled)} settled")
-    print(f"start distance     {spread([1e3 * t['start_distance_m'] for t in targets], 'mm')}")
-    print(f"settling to 5 mm   {spread([t['settling_5mm_s'] for t in settled], 's')}")
-    print(f"settling to 2 mm   {spread(fine, 's')}   ({len(fine)} of {len(targets)})")
-    print(f"final true error   {spread([1e3 * t['final_rms_m'] for t in targets], 'mm')} (rms)")
-    peak = [t["peak_joint_speed_rad_s"] for t in targets]
-    print(f"peak joint speed   {spread(peak, 'rad/s')}")
-
-
-if __name__ == "__main__":
-    main()
+        targets = [t for seed in range(1, runs + 1) for t in run_demo(seed, Path(name) / str(seed))]
+    settled = sum(target["settling_5mm_s"] is not None for target in targets)
+    print(f"{runs} runs, {len(targets)} targets, {settled} settled")
+    for name, key, scale, unit in (
+        ("start distance", "start_distance_m", 1e3, "mm"),
+        ("settling to 5 mm", "settling_5mm_s", 1.0, "s"),
+        ("settling to 2 mm", "settling_2mm_s", 1.0, "s"),
+        ("final true error (rms)", "final_rms_m", 1e3, "mm"),
+        ("peak joint speed", "peak_joint_speed_rad_s", 1.0, "rad/s"),
+    ):
+        values = [scale * target[key] for target in targets if target[key] is not None]
+        print(f"{name:24}{spread(values, unit, 100.0)}")

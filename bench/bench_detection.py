@@ -1,33 +1,32 @@
 """Accuracy of the ball detection over random poses, and what each step of the detector takes.
 
-Run ``python bench/bench_detection.py [poses]`` from the repository root.
+``python -m bench detection``; FVS_BENCH_POSES sets how many poses (500).
 """
 
 from __future__ import annotations
 
+import os
 import struct
-import sys
-import time
 from collections.abc import Callable
 
 import cv2
 import numpy as np
 from sensor_msgs.msg import CompressedImage
 
+from bench.timing import cpu_s
 from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.detection import BallColour, detect_ball
 from fvs_detector_node.detector import Detector, diagnose
 from fvs_detector_node.images import Rectifier, Region
 from fvs_detector_node.tracking import WindowTracker
 from fvs_ros.camera import CameraModel
+from fvs_ros.joints import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_ros.ros import to_image
 from fvs_ros.ros.images import from_color, from_depth
 from fvs_sim_node.camera import CAMERAS, add_depth_noise
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.world import Renderer, World
 
-CENTRE = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
-HALF_BOX = np.array([0.6, 0.5, 0.5, 0.5, 0.5, 0.5])
 FULL_VIEW = 0.97
 
 
@@ -39,13 +38,13 @@ def measure(config: SimConfig, poses: int, noise: float, seed: int = 0) -> np.nd
     pose = CAMERAS[config.camera]
     rows = np.full((poses, 3), np.nan)
     for i in range(poses):
-        world.reset(CENTRE + HALF_BOX * rng.uniform(-1.0, 1.0, 6))
+        world.reset(np.add(HOME_JOINTS_RAD, TRAINING_BOX_RAD * rng.uniform(-1.0, 1.0, 6)))
         world.place_ball()
         rgb, depth = renderer.render(pose)
         depth = add_depth_noise(depth, config.intrinsics.fx, rng, noise)
-        start = time.process_time()
-        detection = detect_ball(rgb, depth, config.intrinsics, config.ball_radius_m)
-        elapsed_ms = 1e3 * (time.process_time() - start)
+        images = rgb, depth, config.intrinsics, config.ball_radius_m
+        detection = detect_ball(*images)
+        elapsed_ms = 1e3 * cpu_s(lambda images=images: detect_ball(*images))[0]
         if detection is not None:
             error_m = detection.position_m - pose.to_camera(world.ball_position())
             rows[i] = detection.visible_fraction, 1e3 * np.linalg.norm(error_m), elapsed_ms
@@ -57,7 +56,7 @@ def steps(repeats: int) -> None:
     """Print what each step of ``fvs_detector_node`` takes on one VGA image of the simulator."""
     config = SimConfig()
     world = World(config)
-    world.reset(CENTRE)
+    world.reset(HOME_JOINTS_RAD)
     world.place_ball()
     rgb, depth = Renderer(world.client, config.intrinsics).render(CAMERAS[config.camera])
     world.close()
@@ -103,19 +102,14 @@ def steps(repeats: int) -> None:
     }
     print(f"one step on VGA, {repeats} times, one thread; ms of CPU, median / 90 %")
     for name, step in rows.items():
-        took_ms = []
-        for _ in range(repeats):
-            start = time.process_time()
-            step()
-            took_ms.append(1e3 * (time.process_time() - start))
-        median, most = np.percentile(took_ms, (50, 90))
+        median, most = np.percentile(1e3 * np.array(cpu_s(step, repeats)), (50, 90))
         print(f"{name:<26}{median:6.2f} / {most:.2f}", flush=True)
 
 
 def main() -> None:
     cv2.setNumThreads(1)
     steps(200)
-    poses = int(sys.argv[1]) if len(sys.argv) > 1 else 500
+    poses = int(os.environ.get("FVS_BENCH_POSES", "500"))
     print(f"{poses} poses in box M; error in mm, rms / median / largest; full frames, one thread")
     print(
         f"{'camera':<10}{'image':<9}{'noise':<7}{'published':<11}"
@@ -142,7 +136,3 @@ def _summary(errors_mm: np.ndarray) -> str:
         return "none"
     rms = np.sqrt(np.mean(np.square(errors_mm)))
     return f"{rms:.2f} / {np.median(errors_mm):.2f} / {errors_mm.max():.2f} (n = {len(errors_mm)})"
-
-
-if __name__ == "__main__":
-    main()

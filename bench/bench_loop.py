@@ -1,39 +1,33 @@
 """How long the loop over DDS takes, beside a bare loop of three processes, and how long to start.
 
-Run ``python bench/bench_loop.py`` from the repository root.
+``python -m bench loop``
 """
 
 from __future__ import annotations
 
-import os
-import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PointStamped
+from harness import Harness
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "test")]
-os.environ["PYTHONPATH"] = str(ROOT)
-os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-
-from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
-from geometry_msgs.msg import PointStamped  # noqa: E402
-from harness import Harness  # noqa: E402
-from std_msgs.msg import Float64MultiArray  # noqa: E402
-
-from fvs_ros import ros, topics  # noqa: E402
-from fvs_ros.joints import UR_JOINT_NAMES, UR_PUBLISHED_NAMES  # noqa: E402
-from fvs_sim_node.camera import CAMERAS  # noqa: E402
-from fvs_sim_node.world import World  # noqa: E402
+from bench.timing import spread
+from fvs_ros import ros, topics
+from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.joints import HOME_JOINTS_RAD, UR_JOINT_NAMES
+from fvs_sim_node.camera import CAMERAS
+from fvs_sim_node.world import World
 
 ROUNDS, PERIOD_S, IMAGE_EVERY, TARGET_EVERY, STARTS = 800, 0.008, 4, 100, 3
 
 
-def quantiles(samples_s: list[float]) -> str:
-    p50, p99 = np.percentile(np.array(samples_s) * 1e3, [50, 99])
-    return f"{p50:7.2f} ms p50 {p99:8.2f} ms p99   ({len(samples_s)} samples)"
+def in_ms(samples_s: list[float]) -> str:
+    return spread(1e3 * np.array(samples_s), "ms")
 
 
 def rounds(harness: Harness, send, received: list[float]) -> list[tuple[int, float]]:
@@ -64,7 +58,7 @@ def bare_loop(folder: Path) -> str:
         publisher = harness.publisher(Float64MultiArray, "bench_a")
         message = Float64MultiArray(data=[0.1] * 18)
         harness.spin_until(lambda: publisher.publish(message) or bool(received), what="the relays")
-        return quantiles(
+        return in_ms(
             [t for _, t in rounds(harness, lambda k: publisher.publish(message), received)]
         )
     finally:
@@ -78,24 +72,20 @@ def control_loop(folder: Path) -> tuple[str, str]:
         harness.start_node("fvs_estimator_node.node")
         harness.start_node("fvs_controller_node.node", autostart=True)
         received: list[float] = []
-        velocity_rad_s = np.zeros(6)
+        velocity_rad_s = np.zeros(len(HOME_JOINTS_RAD))
 
         def on_command(message: Float64MultiArray) -> None:
             received.append(time.monotonic())
             velocity_rad_s[:] = message.data
 
         harness.node.create_subscription(Float64MultiArray, topics.COMMANDS.name, on_command, 1)
-        from sensor_msgs.msg import JointState
-
         joint_states = harness.publisher(JointState, topics.JOINT_STATES.name)
         balls = harness.publisher(PointStamped, topics.BALL_POSITION.name)
         targets = harness.publisher(PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED)
         statuses = harness.collect(DiagnosticStatus, "fvs_controller_node/status")
-        joints_rad = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
-        published = [UR_JOINT_NAMES.index(name) for name in UR_PUBLISHED_NAMES]
+        joints_rad = np.array(HOME_JOINTS_RAD)
         camera, ball_position = CAMERAS["front"], World().chain.position
         home = camera.to_camera(ball_position(joints_rad))
-        frame = "camera_color_optical_frame"
 
         def send(k: int) -> None:
             """Be an arm that moves as told, and never arrives for long."""
@@ -103,13 +93,12 @@ def control_loop(folder: Path) -> tuple[str, str]:
             joints_rad[:] += PERIOD_S * velocity_rad_s
             if k % TARGET_EVERY == 0:
                 side = 0.1 if k % (2 * TARGET_EVERY) else -0.1
-                targets.publish(ros.to_point(now_s, frame, home + (side, 0.0, 0.5 * side)))
+                targets.publish(ros.to_point(now_s, CAMERA_FRAME, home + (side, 0.0, 0.5 * side)))
             if k % IMAGE_EVERY == 0:
                 seen = camera.to_camera(ball_position(joints_rad))
-                balls.publish(ros.to_point(now_s, frame, seen))
-            positions, velocities = joints_rad[published], velocity_rad_s[published]
+                balls.publish(ros.to_point(now_s, CAMERA_FRAME, seen))
             joint_states.publish(
-                ros.to_joint_state(now_s, UR_PUBLISHED_NAMES, positions, velocities)
+                ros.to_joint_state(now_s, UR_JOINT_NAMES, joints_rad, velocity_rad_s)
             )
 
         rounds(harness, send, received)
@@ -118,7 +107,7 @@ def control_loop(folder: Path) -> tuple[str, str]:
             raise RuntimeError(f"the controller is {state}: {statuses[-1].message}")
         spent = rounds(harness, send, received)
         images = [t for k, t in spent if k % IMAGE_EVERY == 0]
-        return quantiles([t for _, t in spent]), quantiles(images)
+        return in_ms([t for _, t in spent]), in_ms(images)
     finally:
         harness.close()
 
@@ -132,7 +121,7 @@ def start_up(folder: Path) -> float:
             PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED
         )
         point = np.array([0.05, 0.2, 1.45])
-        targets.publish(ros.to_point(1.0, "camera_color_optical_frame", point))
+        targets.publish(ros.to_point(1.0, CAMERA_FRAME, point))
         begin = time.monotonic()
         harness.start("fvs_tools.launcher", "servo")
         harness.spin_until(lambda: bool(commands) and bool(np.any(commands[-1].data)), 60.0)
@@ -150,7 +139,3 @@ def main() -> None:
         print(f"image stamp to command           {images}", flush=True)
         starts = [start_up(folder) for _ in range(STARTS)]
         print(f"launcher to a moving arm         {np.median(starts):7.2f} s median of {STARTS}")
-
-
-if __name__ == "__main__":
-    main()

@@ -104,7 +104,3 @@ def main() -> None:
             cells = [f"{median:6.0f} ({most:5.0f})" for median, most in times_us]
             print(f"{scheme.name:22s}" + "".join(f"{cell:>17s}" for cell in cells), flush=True)
     print("us, median (99th percentile)")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,6 @@
 """How many times faster than real time the simulator runs on one core.
 
-Run ``taskset -c 0 python bench/bench_simulator.py`` from the repository root.
+``taskset -c 0 python -m bench simulator``
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 
+from fvs_ros.joints import TRAINING_BOX_RAD
 from fvs_sim_node.simulation import SimConfig, Simulation
 
 
@@ -17,7 +18,7 @@ def measure(config: SimConfig, simulated_s: float = 20.0, full_frames: bool = Fa
     with Simulation(config) as simulation:
         simulation.full_frames = full_frames
         # Sines of these amplitudes keep the joints inside the box.
-        amplitude = np.array([0.6, 0.5, 0.5, 0.5, 0.5, 0.5])
+        amplitude = np.array(TRAINING_BOX_RAD)
         rate = 2 * np.pi * np.array([0.11, 0.13, 0.17, 0.19, 0.23, 0.29])
         periods = round(simulated_s * config.joint_state_rate_hz)
         errors, images = [], 0
@@ -49,7 +50,3 @@ def main() -> None:
     print("physics at 500 Hz, joint states at 125 Hz, rendered and detected images")
     for name, (config, full_frames) in cases.items():
         print(f"{name:<30}{measure(config, full_frames=full_frames)}", flush=True)
-
-
-if __name__ == "__main__":
-    main()

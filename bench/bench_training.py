@@ -9,16 +9,11 @@ box M that were never trained on. Positions have 1 mm of noise in each coordinat
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
-
-sys.path[:0] = [str(Path(__file__).resolve().parents[1] / "test")]
-
-from ur5_dh import (  # noqa: E402
+from ur5_dh import (
     BOX_M_RAD,
     HOME_RAD,
     ball_and_jacobian,
@@ -26,9 +21,9 @@ from ur5_dh import (  # noqa: E402
     uniform_in_box,
 )
 
-from fvs_estimator_node.dataset import DataSet  # noqa: E402
-from fvs_estimator_node.motion import MotionConfig, RandomMotion  # noqa: E402
-from fvs_estimator_node.training import METHODS, TrainingOptions, train  # noqa: E402
+from fvs_estimator_node.dataset import DataSet
+from fvs_estimator_node.motion import MotionConfig, RandomMotion
+from fvs_estimator_node.training import METHODS, TrainingOptions, train
 
 CAMERA_HZ, NOISE_M = 30.0, 1e-3
 
@@ -88,7 +83,3 @@ def main() -> None:
                 f"{name:24s} {method:8s} {percent:12.2f} % {pair_mm:9.2f} mm {wall_s:7.1f} s",
                 flush=True,
             )
-
-
-if __name__ == "__main__":
-    main()

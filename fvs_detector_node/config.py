@@ -20,8 +20,8 @@ class DetectorConfig(Parameters):
     )
     compressed_images: bool = parameter(
         False,
-        "subscribe to the topics ending in /compressed (jpeg or png) and /compressedDepth (png): for "
-        "a camera at another computer",
+        "subscribe to the topics that end in /compressed (jpeg or png) and /compressedDepth (png), "
+        "for a camera at another computer",
     )
     ball_radius_m: float = parameter(
         0.04,

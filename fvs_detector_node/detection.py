@@ -26,6 +26,7 @@ MIN_VISIBLE_FRACTION = 0.25
 _MAX_BLOBS = 16
 _MAX_LAYERS = 4
 _MIN_ON_OUTLINE = 0.6
+_MIN_ARC = 0.2
 _MAX_RESIDUAL_RADII = 0.1
 
 
@@ -279,6 +280,7 @@ def _evaluate(
     if (
         fit is None
         or fit.on_outline < _MIN_ON_OUTLINE
+        or fit.arc < _MIN_ARC
         or fit.residual_m > _MAX_RESIDUAL_RADII * radius_m
     ):
         return other

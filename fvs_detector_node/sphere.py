@@ -60,6 +60,8 @@ class SphereFit:
         Distance of the centre, m.
     on_outline : float
         Part of the candidate's outline that lies on the sphere's.
+    arc : float
+        Part of the sphere's outline that is seen.
     residual_m : float
         Systematic departure of the surface from the sphere, rms, m.
     pixel_rad : float
@@ -69,6 +71,7 @@ class SphereFit:
     direction: np.ndarray
     distance_m: float
     on_outline: float
+    arc: float
     residual_m: float
     pixel_rad: float
 
@@ -106,7 +109,7 @@ def fit_sphere(
         before_m = distance_m
         # What a nearer thing cuts off is not the sphere's outline.
         free = outline[outside_m >= distance_m * direction[2] - 0.5 * radius_m]
-        direction, on_outline = _fit_direction(
+        direction, on_outline, arc = _fit_direction(
             free, direction, distance_m, radius_m, pixel_rad=pixel_rad, search=turn == 0
         )
         surface = _distances(own, range_m, direction, radius_m)
@@ -117,7 +120,7 @@ def fit_sphere(
         if turn > 0 and abs(distance_m - before_m) < 2e-4:
             break
     residual_m = _systematic(distances_m - distance_m, shape)
-    return SphereFit(direction, distance_m, on_outline, residual_m, pixel_rad)
+    return SphereFit(direction, distance_m, on_outline, arc, residual_m, pixel_rad)
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
@@ -168,10 +171,10 @@ def _fit_direction(
     *,
     pixel_rad: float,
     search: bool,
-) -> tuple[np.ndarray, float]:
-    """Axis of the cone of known opening through an outline, and the share of it that agrees."""
+) -> tuple[np.ndarray, float, float]:
+    """Axis of the cone of known opening through an outline, with the parts of both that agree."""
     if len(rays) < 6:
-        return direction, 0.0
+        return direction, 0.0, 0.0
     x, y, z = direction
     axes = np.array([[z, 0.0, -x], [-x * y, x * x + z * z, -y * z]])
     axes /= np.sqrt(x * x + z * z)
@@ -187,7 +190,9 @@ def _fit_direction(
         if start is not None:
             centre = _refine_circle(points, radius, start, 1.5 * tolerance)
             off = np.abs(_lengths(points, centre) - radius)
-    return unit(direction + centre @ axes), float(np.mean(off < tolerance))
+    on = int(np.count_nonzero(off < tolerance))
+    # A circle of radius n pixels crosses from pixel to pixel 8 n times.
+    return unit(direction + centre @ axes), on / len(off), on * pixel_rad / (8.0 * radius)
 
 
 def _lengths(points: np.ndarray, origin: np.ndarray) -> np.ndarray:
