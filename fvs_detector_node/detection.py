@@ -87,24 +87,12 @@ class Cause(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Miss:
-    """Why no ball is seen, or why a thing of its colour is not taken for it.
-
-    Parameters
-    ----------
-    cause : Cause
-        The most likely one.
-    text : str
-        One sentence with what to do about it.
-    box : Region, optional
-        Bounding box of the thing.
-    pixels : int
-        Its size, pixels.
-    """
+    """Why no ball is seen, or why a thing of its colour is not taken for it."""
 
     cause: Cause
-    text: str
-    box: Region | None = None
-    pixels: int = 0
+    text: str  # one sentence with what to do about it
+    box: Region | None = None  # around the thing
+    pixels: int = 0  # of the thing
 
 
 def detect_ball(

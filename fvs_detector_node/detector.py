@@ -32,21 +32,11 @@ _FOUND_RGB, _REFUSED_RGB, _TEXT_RGB = (60, 230, 60), (255, 170, 0), (255, 255, 2
 
 @dataclass(frozen=True)
 class Sighting:
-    """What one pair of images gave.
+    """What one pair of images gave."""
 
-    Parameters
-    ----------
-    ball : BallDetection or None
-        The ball, if one is seen, accepted or not.
-    problem : str
-        Why nothing is to be published; empty if the ball is.
-    box : Region or None
-        What the problem is about, if no ball is seen.
-    """
-
-    ball: BallDetection | None
-    problem: str = ""
-    box: Region | None = None
+    ball: BallDetection | None  # accepted or not
+    problem: str = ""  # why nothing is to be published; empty if the ball is
+    box: Region | None = None  # what the problem is about, if no ball is seen
 
 
 class Detector:
@@ -196,22 +186,7 @@ def _off_colour(
 
 
 def annotate(rgb: np.ndarray, sighting: Sighting, camera: Intrinsics) -> np.ndarray:
-    """Draw the ball's outline, centre and quality, or why it is not seen.
-
-    Parameters
-    ----------
-    rgb : ndarray of uint8, shape (H, W, 3)
-        Colour image without distortion; it is not changed.
-    sighting : Sighting
-        What was found in it.
-    camera : Intrinsics
-        Of the image.
-
-    Returns
-    -------
-    ndarray of uint8, shape (H, W, 3)
-        A copy with the drawing.
-    """
+    """A copy of an image, without distortion, with the ball's outline or why it is not seen."""
     picture = np.array(rgb)
     scale = max(picture.shape[1] / 640.0, 0.4)
     thick = max(1, round(1.5 * scale))

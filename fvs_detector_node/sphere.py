@@ -21,21 +21,11 @@ MIN_PIXELS = 20
 
 @dataclass(frozen=True)
 class Patch:
-    """A part of the image with a candidate in it.
+    """A part of the image with a candidate in it; its arrays have the shape (h, w)."""
 
-    Parameters
-    ----------
-    inside : ndarray of bool, shape (h, w)
-        Pixels of the candidate.
-    depth_m : ndarray, shape (h, w)
-        Depth, m; 0 where unknown.
-    view : Intrinsics
-        Of this part.
-    """
-
-    inside: np.ndarray
-    depth_m: np.ndarray
-    view: Intrinsics
+    inside: np.ndarray  # bool: the pixels of the candidate
+    depth_m: np.ndarray  # 0 where unknown
+    view: Intrinsics  # of this part
 
     def rays(self) -> np.ndarray:
         """Unit rays through all pixels, shape (h, w, 3)."""
@@ -50,52 +40,22 @@ class Patch:
 
 @dataclass(frozen=True)
 class SphereFit:
-    """A sphere fitted to a candidate.
+    """A sphere fitted to a candidate."""
 
-    Parameters
-    ----------
-    direction : ndarray, shape (3,)
-        Unit vector to the centre.
-    distance_m : float
-        Distance of the centre, m.
-    on_outline : float
-        Part of the candidate's outline that lies on the sphere's.
-    arc : float
-        Part of the sphere's outline that is seen.
-    residual_m : float
-        Systematic departure of the surface from the sphere, rms, m.
-    pixel_rad : float
-        Angle of a pixel there, rad.
-    """
-
-    direction: np.ndarray
-    distance_m: float
-    on_outline: float
-    arc: float
-    residual_m: float
-    pixel_rad: float
+    direction: np.ndarray  # unit vector to the centre, (3,)
+    distance_m: float  # of the centre
+    on_outline: float  # share of the candidate's outline that lies on the sphere's
+    arc: float  # share of the sphere's outline that is seen
+    residual_m: float  # systematic departure of the surface from the sphere, rms
+    pixel_rad: float  # angle of a pixel there
 
 
 def fit_sphere(
     patch: Patch, rays: np.ndarray, distance_m: float, radius_m: float
 ) -> SphereFit | None:
-    """Fit direction and distance of the centre in turns.
+    """Fit direction and distance of the centre in turns, from a first guess of the distance.
 
-    Parameters
-    ----------
-    patch : Patch
-        The candidate.
-    rays : ndarray, shape (h, w, 3)
-        Unit rays through the patch's pixels.
-    distance_m : float
-        First guess of the distance of the centre, m.
-    radius_m : float
-        Radius of the sphere, m.
-
-    Returns
-    -------
-    SphereFit or None
-        None if too few depths lie on a sphere.
+    ``rays``, shape (h, w, 3), are those of the patch. None if too few depths lie on a sphere.
     """
     outline, outside_m = _outline(patch)
     inside = np.flatnonzero(patch.inside)
@@ -139,12 +99,7 @@ def median(values: np.ndarray) -> float:
 def _outline(patch: Patch) -> tuple[np.ndarray, np.ndarray]:
     """Outline halfway between neighbouring pixels inside and outside; none at the border.
 
-    Returns
-    -------
-    rays : ndarray, shape (N, 3)
-        Unit rays through it.
-    outside_m : ndarray, shape (N,)
-        Nearest depth just outside, m, or infinite.
+    Unit rays through it, (N, 3), and the nearest depth just outside, m, (N,), or infinite.
     """
     inside = patch.inside
     # Depth is often lost at an edge: take the nearest thing within two pixels.

@@ -69,21 +69,11 @@ CAMERAS = {
 
 @dataclass(frozen=True)
 class Frame:
-    """A full image with its noisy depth.
+    """A full image with its noisy depth."""
 
-    Parameters
-    ----------
-    stamp_s : float
-        Exposure, s.
-    rgb : ndarray of uint8, shape (H, W, 3)
-        Colours.
-    depth_m : ndarray of float32, shape (H, W)
-        Depth along the optical axis, m; 0 where there is none.
-    """
-
-    stamp_s: float
-    rgb: np.ndarray
-    depth_m: np.ndarray
+    stamp_s: float  # exposure
+    rgb: np.ndarray  # uint8, (H, W, 3)
+    depth_m: np.ndarray  # float32, (H, W): along the optical axis; 0 where there is none
 
 
 # ---- noise of a stereo depth camera (Intel RealSense D435) -------------------------------------

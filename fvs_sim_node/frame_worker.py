@@ -54,20 +54,7 @@ class FrameWorker:
         self._busy = False
 
     def expose(self, seen: BallObservation, depth_noise: float) -> bool:
-        """Ask for a frame.
-
-        Parameters
-        ----------
-        seen : BallObservation
-            The exposure.
-        depth_noise : float
-            Factor on the depth camera's noise.
-
-        Returns
-        -------
-        bool
-            False if the worker is still busy with another frame: this one is skipped.
-        """
+        """Ask for a frame; False if the worker is still busy with another: this one is skipped."""
         if self._busy:
             return False
         self._pipe.send((seen, depth_noise))

@@ -213,7 +213,6 @@ def test_a_covered_camera_publishes_black_images_and_no_ball(ros_test):
 @pytest.mark.parametrize(
     ("parameters", "words"),
     [
-        ({"camera": "below"}, "camera must be one of front, overhead"),
         ({"sead": 3}, "unknown parameter 'sead'; did you mean seed?"),
         ({"urdf_path": "/nowhere.urdf"}, "/nowhere.urdf"),
         ({"gui": True}, "gui needs a display"),
