@@ -93,7 +93,9 @@ def test_every_python_folder_is_installed(setup_arguments):
     assert setup_arguments["package_data"]["fvs_dashboard"] == ["*.css"]
 
 
-@pytest.mark.parametrize("pattern", ["config/**/*.yaml", "config/**/*.npz", "launch/**/*.py"])
+@pytest.mark.parametrize(
+    "pattern", ["config/**/*.yaml", "config/**/*.npz", "config/**/*.urdf", "launch/**/*.py"]
+)
 def test_shared_files_are_installed_where_they_lie(setup_arguments, pattern):
     installed = {
         f"{target}/{Path(file).name}"
