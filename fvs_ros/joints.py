@@ -25,10 +25,6 @@ UR_JOINT_NAMES = (
 HOME_JOINTS_RAD = (0.0, -1.35, 1.6, -1.75, -1.57, 0.0)
 TRAINING_BOX_RAD = (0.6, 0.5, 0.5, 0.5, 0.5, 0.5)
 
-#: The order in which a UR's ``joint_state_broadcaster`` publishes on ROS 2 Jazzy.
-UR_PUBLISHED_NAMES = tuple(sorted(UR_JOINT_NAMES))
-
-
 #: A UR turns each joint by so much to either side, rad, the elbow less; kinematic order.
 UR_POSITION_LIMITS_RAD = (2 * pi, 2 * pi, pi, 2 * pi, 2 * pi, 2 * pi)
 

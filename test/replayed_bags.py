@@ -11,7 +11,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from fvs_ros.camera import CAMERA_FRAME
-from fvs_ros.joints import UR_JOINT_NAMES, UR_PUBLISHED_NAMES
+from fvs_ros.joints import UR_JOINT_NAMES
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 #: When every recording here begins, s.
@@ -89,7 +89,7 @@ class HandmadeBag:
 
     def joints(self, at_s: float, stamp_s: float, angles_rad: Any, speeds_rad_s: Any) -> None:
         """As a UR's driver does: in alphabetical order; without speeds if there are none."""
-        order = [UR_JOINT_NAMES.index(name) for name in UR_PUBLISHED_NAMES]
+        order = [UR_JOINT_NAMES.index(name) for name in sorted(UR_JOINT_NAMES)]
         values = [
             np.asarray(one, dtype=float)[order if len(one) else []]
             for one in (angles_rad, speeds_rad_s)
@@ -99,7 +99,7 @@ class HandmadeBag:
             "sensor_msgs/msg/JointState",
             at_s,
             self.header(stamp_s),
-            list(UR_PUBLISHED_NAMES),
+            sorted(UR_JOINT_NAMES),
             *values,
             np.zeros(6),
         )
