@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from fvs_detector_node.detection import BallColour
 from fvs_ros import topics
@@ -58,8 +59,7 @@ class DetectorConfig(Parameters):
 PARAMETERS = DetectorConfig.declared()
 
 
-@dataclass(frozen=True)
-class CameraTopics:
+class CameraTopics(NamedTuple):
     """Names of a camera's topics: colour and depth images, raw or compressed, and CameraInfo."""
 
     color: str
@@ -67,15 +67,11 @@ class CameraTopics:
     info: str
 
     @classmethod
-    def of(cls, prefix: str, config: DetectorConfig) -> CameraTopics:
-        """The topics below a prefix, as the node's parameters say."""
-        color, depth = topics.COLOR_IMAGE, topics.DEPTH_IMAGE
-        if config.compressed_images:
-            color, depth = topics.COLOR_IMAGE_COMPRESSED, topics.DEPTH_IMAGE_COMPRESSED
-        declared = topics.CAMERA_PREFIXES[0]
-        return cls(
-            *(
-                prefix.rstrip("/") + topic.name.removeprefix(declared)
-                for topic in (color, depth, topics.CAMERA_INFO)
-            )
-        )
+    def below(cls, prefix: str, compressed: bool) -> CameraTopics:
+        """The topics below a prefix, in place of the declared one."""
+        images = topics.COLOR_IMAGE, topics.DEPTH_IMAGE
+        if compressed:
+            images = topics.COLOR_IMAGE_COMPRESSED, topics.DEPTH_IMAGE_COMPRESSED
+        names = (one.name.removeprefix(topics.CAMERA_PREFIXES[0]) for one in images)
+        info = topics.CAMERA_INFO.name.removeprefix(topics.CAMERA_PREFIXES[0])
+        return cls(*(prefix.rstrip("/") + name for name in (*names, info)))

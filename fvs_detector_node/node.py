@@ -74,7 +74,7 @@ class DetectorNode(ros.FvsNode):
         self._ball = self.publisher(topics.BALL_POSITION)
         self._annotated = self.publisher(topics.ANNOTATED_IMAGE)
         prefix = self._config.camera_topics or CAMERA_PREFIXES[0]
-        self._topics = CameraTopics.of(prefix, self._config)
+        self._topics = CameraTopics.below(prefix, self._config.compressed_images)
         self._subscribed: dict[str, tuple[Any, QoSProfile]] = {}
         self._subscribe()
         self.create_timer(_PUBLISHERS_PERIOD_S, self._find_camera, clock=self.steady_clock)
@@ -86,7 +86,7 @@ class DetectorNode(ros.FvsNode):
         """Look where a camera publishes, if that is left open and none does where it did."""
         if not self._config.camera_topics and not self._publishers_of(self._topics.color):
             for prefix in CAMERA_PREFIXES:
-                topics = CameraTopics.of(prefix, self._config)
+                topics = CameraTopics.below(prefix, self._config.compressed_images)
                 if self._publishers_of(topics.color):
                     self._topics, self._camera = topics, None
         self._subscribe()

@@ -104,6 +104,9 @@ class WindowTracker:
 class Gate:
     """Refuses jumps that are seen only now and then.
 
+    The controller refuses one wrong position, but follows two that agree; a wrong red thing is
+    often seen twice.
+
     Attributes
     ----------
     max_speed_m_s : float
