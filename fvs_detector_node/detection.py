@@ -9,7 +9,7 @@ ball is searched again in layers of depth, as it may join the ball with another 
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -144,17 +144,14 @@ def examine(
             f"intrinsics are for {size[1]}x{size[0]} pixels, but the colour image has shape "
             f"{rgb.shape} and the depth image {depth_m.shape}"
         )
-    mask = colour_mask(rgb, colour or BallColour())
+    scene = _Scene(colour_mask(rgb, colour or BallColour()), depth_m, camera, radius_m)
     found: list[BallDetection] = []
     others: list[Miss] = []
-    for blob in _blobs(mask):
-        seen = _evaluate(blob, mask, depth_m, camera, radius_m)
-        if isinstance(seen, BallDetection):
-            found.append(seen)
-            continue
-        parts = _split_by_depth(blob, depth_m, camera, radius_m)
+    for blob in _blobs(scene.mask):
+        seen = _evaluate(blob, scene)
+        parts = [seen] if isinstance(seen, BallDetection) else _split_by_depth(blob, scene)
         found += parts
-        if not parts:
+        if not parts and isinstance(seen, Miss):
             others.append(seen)
     return max(found, key=lambda ball: ball.quality, default=None), others
 
@@ -173,6 +170,16 @@ def colour_mask(rgb: np.ndarray, colour: BallColour) -> np.ndarray:
 
 
 # ------------------------------------------------------------------------------- candidates
+@dataclass(frozen=True)
+class _Scene:
+    """An image and what is looked for in it."""
+
+    mask: np.ndarray  # of the ball's colour, 0 or 255, (H, W)
+    depth_m: np.ndarray
+    camera: Intrinsics
+    radius_m: float
+
+
 @dataclass(frozen=True)
 class _Blob:
     """A connected part of a mask: its bounding box, its mask in there, filled, and its size."""
@@ -204,15 +211,13 @@ def _blobs(mask: np.ndarray, u0: int = 0, v0: int = 0) -> list[_Blob]:
     return blobs[:_MAX_BLOBS]
 
 
-def _split_by_depth(
-    blob: _Blob, depth_m: np.ndarray, camera: Intrinsics, radius_m: float
-) -> list[BallDetection]:
+def _split_by_depth(blob: _Blob, scene: _Scene) -> list[BallDetection]:
     """Look for the ball in a blob that joins it with other things of its colour.
 
     The layer of a ball's depth that holds most pixels comes first, then that of what is left.
     """
-    depth, left = blob.depths(depth_m)
-    found = []
+    depth, left = blob.depths(scene.depth_m)
+    radius_m, found = scene.radius_m, []
     # Depth is often lost at an edge: close what that breaks out of the outline.
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
     for _ in range(_MAX_LAYERS):
@@ -226,22 +231,20 @@ def _split_by_depth(
         left &= ~layer
         if np.count_nonzero(layer) > 0.98 * blob.pixels:  # this was tried as a whole
             break
-        mask = np.zeros(depth_m.shape, np.uint8)
+        mask = np.zeros_like(scene.mask)
         part = mask[blob.box.part]
         part[:] = cv2.morphologyEx(255 * layer.astype(np.uint8), cv2.MORPH_CLOSE, kernel)
         for piece in _blobs(part, blob.box.u0, blob.box.v0):
-            ball = _evaluate(piece, mask, depth_m, camera, radius_m)
+            ball = _evaluate(piece, replace(scene, mask=mask))
             if isinstance(ball, BallDetection):
                 found.append(ball)
     return found
 
 
-def _evaluate(
-    blob: _Blob, mask: np.ndarray, depth_m: np.ndarray, camera: Intrinsics, radius_m: float
-) -> BallDetection | Miss:
+def _evaluate(blob: _Blob, scene: _Scene) -> BallDetection | Miss:
     """Fit the ball to a blob, or say what speaks against it."""
-    box_depth, known = blob.depths(depth_m)
-    box = blob.box
+    box_depth, known = blob.depths(scene.depth_m)
+    box, camera, radius_m = blob.box, scene.camera, scene.radius_m
     if np.count_nonzero(known) < MIN_PIXELS:
         text = "the ball's colour is there, but no depth: too near, too far or reflective?"
         return Miss(Cause.NO_DEPTH, text, box, blob.pixels)
@@ -262,7 +265,7 @@ def _evaluate(
     if distance_m < 1.5 * radius_m or not 0.7 * MIN_VISIBLE_FRACTION < share < 1.6:
         return other
     pad = 3 + max(0, int(2.4 * np.sqrt(expected_px / np.pi)) - min(box.width, box.height))
-    patch, coloured = _cut_out(blob, mask, depth_m, camera, pad)
+    patch, coloured = _cut_out(blob, scene, pad)
     rays = patch.rays()
     fit = fit_sphere(patch, rays, distance_m, radius_m)
     if (
@@ -276,17 +279,16 @@ def _evaluate(
     return other if ball.visible_fraction < MIN_VISIBLE_FRACTION else ball
 
 
-def _cut_out(
-    blob: _Blob, mask: np.ndarray, depth_m: np.ndarray, camera: Intrinsics, pad: int
-) -> tuple[Patch, np.ndarray]:
+def _cut_out(blob: _Blob, scene: _Scene, pad: int) -> tuple[Patch, np.ndarray]:
     """Surroundings of a blob, and which of their pixels have the ball's colour."""
-    box, around = blob.box, blob.box.grown(pad, camera)
+    box, around = blob.box, blob.box.grown(pad, scene.camera)
     inside = np.zeros((around.height, around.width), bool)
     within = Region(box.u0 - around.u0, box.v0 - around.v0, box.width, box.height)
     inside[within.part] = blob.filled > 0
-    depth = np.asarray(depth_m[around.part], dtype=float)
+    depth = np.asarray(scene.depth_m[around.part], dtype=float)
     known = np.where((depth > 0.0) & (depth < np.inf), depth, 0.0)
-    return Patch(inside, known, around.view(camera)), inside | (mask[around.part] > 0)
+    coloured = inside | (scene.mask[around.part] > 0)
+    return Patch(inside, known, around.view(scene.camera)), coloured
 
 
 def _measured(
