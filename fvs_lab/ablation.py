@@ -10,6 +10,7 @@ import numpy as np
 
 from fvs_controller_node.config import default_values
 from fvs_estimator_node.loop import StepPairing
+from fvs_lab import figures as draw
 from fvs_lab.experiment import (
     OURS,
     PAPER,
@@ -24,7 +25,6 @@ from fvs_lab.experiment import (
     below,
     either,
 )
-from fvs_lab.figures import grid, legend, plain_ticks
 from fvs_lab.results import METRICS, Results
 from fvs_lab.trials import (
     PRELUDE_S,
@@ -269,7 +269,7 @@ def figures(found: Found) -> Iterator[Drawn]:
     """What each change does to settling time and jitter, as ratios."""
     rows = found.runs.where(part="change").groups("change")
     shown = {name: ones for name, ones in rows.items() if name != BASE}
-    figure, (axes,) = grid(1, 2, (12, 8.5), sharey=True)
+    figure, (axes,) = draw.grid(1, 2, (12, 8.5), sharey=True)
     for axis, metric, ticks in zip(
         axes,
         ("to_5mm_s", "jitter_rad_s"),
@@ -285,7 +285,7 @@ def figures(found: Found) -> Iterator[Drawn]:
             marker = "o" if one.value < most else ">"
             axis.plot(value, place, marker, label=first["group"], **look)
         axis.axvline(1.0, color="black", linewidth=0.8)
-        plain_ticks(axis, ticks)
+        draw.plain_ticks(axis, ticks)
         label = f"{METRICS[metric].label.partition(',')[0]}, ratio"
         axis.set(xlabel=label, xlim=(0.9 * ticks[0], 1.25 * ticks[-1]))
     names = [
@@ -294,7 +294,7 @@ def figures(found: Found) -> Iterator[Drawn]:
     ]
     axes[0].set_yticks(range(len(names)), names)
     axes[0].invert_yaxis()
-    legend(figure)
+    draw.legend(figure)
     yield "ablation", figure, {}
 
 

@@ -13,6 +13,7 @@ from fvs_estimator_node.distilling import train_structured
 from fvs_estimator_node.model_file import save_model
 from fvs_lab import beyond_runs
 from fvs_lab import contestants as who
+from fvs_lab import figures as draw
 from fvs_lab.beyond_runs import (
     ERRING,
     KEPT,
@@ -44,18 +45,6 @@ from fvs_lab.experiment import (
     TableOf,
     below,
     share_above,
-)
-from fvs_lab.figures import (
-    against,
-    bars,
-    bound_line,
-    colour_of,
-    dots,
-    dots_of,
-    grid,
-    legend,
-    plain_ticks,
-    spread_bar,
 )
 from fvs_lab.floor import SPARE_M, Floor, Limits, floor_of
 from fvs_lab.outcome import BOUNDS_M
@@ -490,66 +479,66 @@ def figures(found: Found) -> Iterator[Drawn]:
 
 
 def _minute_figure(runs: Results):
-    figure, ((axis,),) = grid(1, 1, (8.6, 3.6))
+    figure, ((axis,),) = draw.grid(1, 1, (8.6, 3.6))
     columns = [f"{who}_{where}" for who in ("chain", "distilled", "paper")
                for where in ("box", "workspace")]  # fmt: skip
-    dots(axis, {label_of(one): [100 * value for value in runs.values(one)] for one in columns})
+    draw.dots(axis, {label_of(one): [100 * value for value in runs.values(one)] for one in columns})
     axis.set(xscale="log", xlabel="error of the Jacobian, median over joints, %")
     return figure
 
 
 def _races_figure(runs: Results):
-    figure, (axes,) = grid(1, 3, (14.0, 6.0), sharey=True)
+    figure, (axes,) = draw.grid(1, 3, (14.0, 6.0), sharey=True)
     for axis, column in zip(axes, ("over_5mm", "over_2mm"), strict=False):
-        dots_of(axis, runs, "scheme", column, _SLOWEST_FLOORS, named=axis is axes[0])
+        draw.dots_of(axis, runs, "scheme", column, _SLOWEST_FLOORS, named=axis is axes[0])
         axis.axvline(1.0, color="black", linewidth=0.8)
-        plain_ticks(axis, (1, 1.5, 2, 3, 5, 8))
-    dots_of(axes[2], runs, "scheme", "jitter_rad_s", named=False)
-    plain_ticks(axes[2], (0.1, 0.2, 0.5, 1, 2, 5, 10))
+        draw.plain_ticks(axis, (1, 1.5, 2, 3, 5, 8))
+    draw.dots_of(axes[2], runs, "scheme", "jitter_rad_s", named=False)
+    draw.plain_ticks(axes[2], (0.1, 0.2, 0.5, 1, 2, 5, 10))
     return figure
 
 
 def _camera_figure(runs: Results):
-    figure, (axes,) = grid(1, len(MOMENTS) - 1, (13.5, 3.8), sharey=True)
+    figure, (axes,) = draw.grid(1, len(MOMENTS) - 1, (13.5, 3.8), sharey=True)
     for axis, moment in zip(axes, MOMENTS[1:], strict=True):
         some = runs.where(moment=moment)
-        dots_of(axis, some, "scheme", "slowdown", _SLOWEST_RATIO, named=axis is axes[0])
-        bound_line(axis, KEPT, upright=True)
+        draw.dots_of(axis, some, "scheme", "slowdown", _SLOWEST_RATIO, named=axis is axes[0])
+        draw.bound_line(axis, KEPT, upright=True)
         axis.set_title(moment)
         axis.set_xlim(right=_SLOWEST_RATIO + 0.1)
     return figure
 
 
 def _worlds_figure(runs: Results):
-    figure, axes = grid(2, 1, (12.5, 5.4), sharex=True)
+    figure, axes = draw.grid(2, 1, (12.5, 5.4), sharex=True)
     drawn = (("to_5mm_s", _SLOWEST_S), ("final_rms_m", np.inf))
     for axis, (metric, most) in zip(axes.flat, drawn, strict=True):
         for number, (name, some) in enumerate(runs.groups("scheme").items()):
-            look = {"color": colour_of(name), "linestyle": "", "label": name}
+            look = {"color": draw.colour_of(name), "linestyle": "", "label": name}
             places, shift = some.groups("kind", "label"), 0.22 * (number - 1)
-            bars(axis, places, spread_bar(metric), most, shift, **look)
+            draw.bars(axis, places, draw.spread_bar(metric), most, shift, **look)
         axis.set_ylabel(METRICS[metric].label)
     axes[1, 0].set_yscale("log")
     names = ["\n".join(key) for key in runs.groups("kind", "label")]
     axes[1, 0].set_xticks(range(len(names)), names)
-    legend(figure, 3)
+    draw.legend(figure, 3)
     return figure
 
 
 def _tracking_figure(runs: Results):
     looks: dict[str, dict[str, Any]] = {}
     for name in who.FOLLOWERS:
-        looks[name] = {"color": colour_of(name)}
-        looks[f"{name}, alone"] = {"color": colour_of(name), "linestyle": ":", "marker": "x"}
+        looks[name] = {"color": draw.colour_of(name)}
+        looks[f"{name}, alone"] = {"color": draw.colour_of(name), "linestyle": ":", "marker": "x"}
     lines = Results(
         {**row, "line": row["scheme"] + ("" if row["feed_forward"] else ", alone")} for row in runs
     )
     paths = lines.groups("path")
-    figure, (axes,) = grid(1, len(paths), (10.5, 4.0), sharey=True)
+    figure, (axes,) = draw.grid(1, len(paths), (10.5, 4.0), sharey=True)
     for axis, (kind, some) in zip(axes, paths.items(), strict=True):
-        against(axis, some, "speed_m_s", "rms_m", "line", looks)
+        draw.against(axis, some, "speed_m_s", "rms_m", "line", looks)
         axis.set(yscale="log", title=kind)
-    legend(figure, 6)
+    draw.legend(figure, 6)
     return figure
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from fvs_estimator_node.rbf import RbfConfig
+from fvs_lab import figures as draw
 from fvs_lab.experiment import (
     OURS,
     PAPER,
@@ -22,7 +23,6 @@ from fvs_lab.experiment import (
     TableOf,
     below,
 )
-from fvs_lab.figures import COLOURS, Signal, against, grid, legend, over_time
 from fvs_lab.results import Results
 from fvs_lab.smooth_motion import SPEED_RAD_S, WIGGLE_S, Recording, Track, judge, record
 from fvs_lab.trials import Conditions, simulation_of
@@ -364,13 +364,13 @@ _LOOKS = {
     CONTESTANTS[name].label: {
         "linestyle": style,
         "linewidth": width,
-        "color": COLOURS[CONTESTANTS[name].method],
+        "color": draw.COLOURS[CONTESTANTS[name].method],
         # The UKF broad and pale, behind the LKF's.
         "alpha": 0.45 if CONTESTANTS[name].method == "ukf" else 1.0,
     }
     for name, (style, width) in _LINES.items()
 }
-_SIGNALS: dict[str, Signal] = {
+_SIGNALS: dict[str, draw.Signal] = {
     "t1": ("T1, mm", lambda row: 1e3 * row["series"]["t1_m"]),
     "t2": ("T2, mm", lambda row: 1e3 * row["series"]["t2_m"]),
 }
@@ -379,19 +379,19 @@ _SIGNALS: dict[str, Signal] = {
 def figures(found: Found) -> Iterator[Drawn]:
     """Figures 6 and 7 of the paper, and T1 and the Jacobian's error against the rotation."""
     for name, signal in _SIGNALS.items():
-        figure, (axes,) = grid(1, len(DRAWN), (12.5, 5.6), sharey=True)
+        figure, (axes,) = draw.grid(1, len(DRAWN), (12.5, 5.6), sharey=True)
         for axis, world in zip(axes, DRAWN, strict=True):
-            over_time(axis, found.runs.where(world=world.name), signal, "estimator", _LOOKS)
+            draw.over_time(axis, found.runs.where(world=world.name), signal, "estimator", _LOOKS)
             axis.set(title=world.label, xlabel="time, s", yscale="log")
         axes[0].set_ylabel(signal[0])
-        legend(figure)
+        draw.legend(figure)
         yield name, figure, {}
-    figure, (axes,) = grid(1, 2, (12.5, 5.6))
+    figure, (axes,) = draw.grid(1, 2, (12.5, 5.6))
     noisy = found.runs.those(lambda row: row["world"] != CLEAN.name)
     for axis, metric in zip(axes, ("t1_m", "jacobian_error"), strict=True):
-        against(axis, noisy, "turn_deg", metric, "estimator", _LOOKS)
+        draw.against(axis, noisy, "turn_deg", metric, "estimator", _LOOKS)
         axis.set_yscale("log")
-    legend(figure)
+    draw.legend(figure)
     yield "rotation", figure, {}
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from fvs_lab import figures as draw
 from fvs_lab.experiment import (
     OURS,
     PAPER,
@@ -27,7 +28,6 @@ from fvs_lab.experiment import (
     below,
     kept,
 )
-from fvs_lab.figures import Signal, against, errors_over_time, grid, legend, over_time, shades
 from fvs_lab.outcome import Outcome
 from fvs_lab.results import METRICS, Results, number_text
 from fvs_lab.search import FREE
@@ -185,14 +185,14 @@ def _errors(places: Mapping[Any, Results]):
     """One run with each fixed exponent, a panel per form and world; figure 2."""
     looks = {
         f"{exponent:g}": {"color": colour, "linewidth": 1.3}
-        for exponent, colour in zip(EXPONENTS, shades(len(EXPONENTS)), strict=True)
+        for exponent, colour in zip(EXPONENTS, draw.shades(len(EXPONENTS)), strict=True)
     }
-    figure, axes = grid(2, 2, (11, 7), sharex=True, sharey=True)
+    figure, axes = draw.grid(2, 2, (11, 7), sharex=True, sharey=True)
     for axis, ((world, law), runs) in zip(axes.flat, places.items(), strict=True):
-        errors_over_time(axis, runs, "exponent", looks)
+        draw.errors_over_time(axis, runs, "exponent", looks)
         axis.set(title=f"{law}, {world}", xlabel="time, s", ylabel="distance to the goal, mm")
         axis.label_outer()
-    legend(figure, len(EXPONENTS))
+    draw.legend(figure, len(EXPONENTS))
     return figure
 
 
@@ -201,7 +201,7 @@ def _fastest_joint(row: Mapping[str, Any]) -> np.ndarray:
     return commands[:, int(np.abs(commands).max(axis=0).argmax())]
 
 
-_ADAPTIVE_SIGNALS: tuple[Signal, ...] = (
+_ADAPTIVE_SIGNALS: tuple[draw.Signal, ...] = (
     ("fastest joint's command, rad/s", _fastest_joint),
     ("adaptive exponent γ of x, y and z", lambda row: row["series"]["exponent"]),
 )
@@ -213,18 +213,18 @@ def _adaptive(places: Mapping[Any, Results]):
     own = {ADAPTIVE: {"color": "#0072B2"}}
     each = {ADAPTIVE: {"label": ["x", "y", "z"]}}
     chosen = ((SILENT, LITERAL), (SILENT, IMPLICIT), (NOISY, IMPLICIT))
-    figure, axes = grid(3, 3, (12, 8), sharex=True, sharey="row")
+    figure, axes = draw.grid(3, 3, (12, 8), sharex=True, sharey="row")
     command, exponent = _ADAPTIVE_SIGNALS
     for column, place in zip(axes.T, chosen, strict=True):
-        errors_over_time(column[0], places[place], "exponent", looks | own)
-        over_time(column[1], places[place], command, "exponent", looks | own)
-        over_time(column[2], places[place], exponent, "exponent", each)
+        draw.errors_over_time(column[0], places[place], "exponent", looks | own)
+        draw.over_time(column[1], places[place], command, "exponent", looks | own)
+        draw.over_time(column[2], places[place], exponent, "exponent", each)
         column[0].set_title(", ".join(reversed(place)))
         column[2].set(xlabel="time, s", xlim=(0.0, 2.5), ylim=(0.0, 0.6))
     names = ("distance to the goal, mm", command[0], exponent[0])
     for axis, name in zip(axes[:, 0], names, strict=True):
         axis.set_ylabel(name)
-    legend(figure)
+    draw.legend(figure)
     return figure
 
 
@@ -247,12 +247,12 @@ def _summary(runs: Results):
     }
     star = {"color": "black", "marker": "*", "markersize": 12, "linestyle": ""}
     looks[f"{IMPLICIT}, {NOISY}, adaptive"] = star
-    figure, (axes,) = grid(1, 2, (11, 4.4))
+    figure, (axes,) = draw.grid(1, 2, (11, 4.4))
     for axis, metric in zip(axes, ("to_5mm_s", "jitter_rad_s"), strict=True):
-        against(axis, Results(rows), "near", metric, "line", looks)
+        draw.against(axis, Results(rows), "near", metric, "line", looks)
         axis.set_xlabel("exponent γ (of stars: near the goal)")
     axes[1].set_yscale("log")
-    legend(figure, 3)
+    draw.legend(figure, 3)
     return figure
 
 

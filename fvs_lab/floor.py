@@ -149,16 +149,7 @@ def fastest(case: Case, limits: Limits, tolerance_m: float) -> Fastest:
     piece_s = min(top / steep, 0.5 * rest_s) / _PIECES
     fastest_rad_s = _PIECES * piece_s * steep
     joints = len(travel)
-    # Unknowns: time, travels, speeds, and accelerations joint by joint within each piece.
-    unit = np.eye(1 + (2 + _PIECES) * joints)
-    travels, speeds = unit[1 : 1 + joints], unit[1 + joints : 1 + 2 * joints]
-    pieces = unit[1 + 2 * joints :].reshape(_PIECES, joints, -1)
-    looks = np.arange(_PIECES * _LOOKS + 1)[:, None] / _LOOKS
-    begun = np.maximum(looks - np.arange(_PIECES), 0.0)
-    done = np.minimum(begun, 1.0)
-    moved = piece_s**2 * done * (begun - 0.5 * done)
-    paths = travels + np.multiply.outer(piece_s * looks[:, 0], speeds)
-    paths = paths + np.tensordot(moved, pieces, 1)
+    unit, travels, speeds, pieces, paths = _unknowns(joints, piece_s)
     rest = speeds + piece_s * pieces.sum(axis=0)
     ways, ways_rad = np.repeat([1.0, -1.0], joints), np.vstack([travels, -travels])
 
@@ -204,6 +195,23 @@ def fastest(case: Case, limits: Limits, tolerance_m: float) -> Fastest:
     return Fastest(
         limits, limits.least_s(travels @ found, end), travels @ found, end, pieces @ found, piece_s
     )
+
+
+def _unknowns(joints: int, piece_s: float) -> tuple[np.ndarray, ...]:
+    """Matrices that take quantities out of the vector of unknowns.
+
+    The unknowns are time, travels, speeds, and accelerations joint by joint within each piece; the
+    last matrix gives the joints' travel at each look while they brake.
+    """
+    unit = np.eye(1 + (2 + _PIECES) * joints)
+    travels, speeds = unit[1 : 1 + joints], unit[1 + joints : 1 + 2 * joints]
+    pieces = unit[1 + 2 * joints :].reshape(_PIECES, joints, -1)
+    looks = np.arange(_PIECES * _LOOKS + 1)[:, None] / _LOOKS
+    begun = np.maximum(looks - np.arange(_PIECES), 0.0)
+    done = np.minimum(begun, 1.0)
+    moved = piece_s**2 * done * (begun - 0.5 * done)
+    paths = travels + np.multiply.outer(piece_s * looks[:, 0], speeds)
+    return unit, travels, speeds, pieces, paths + np.tensordot(moved, pieces, 1)
 
 
 def least_travel_rad(case: Case) -> np.ndarray:

@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from fvs_lab import figures as draw
 from fvs_lab.experiment import (
     OURS,
     Claim,
@@ -18,18 +19,6 @@ from fvs_lab.experiment import (
     Found,
     TableOf,
     share_above,
-)
-from fvs_lab.figures import (
-    Bar,
-    bars,
-    bound_line,
-    colours_of,
-    errors_over_time,
-    grid,
-    legend,
-    save,
-    share_bar,
-    spread_bar,
 )
 from fvs_lab.outcome import NOT_STAYED, REST_S, Outcome
 from fvs_lab.results import Interval, Results, label_of, wilson
@@ -43,6 +32,8 @@ from fvs_tools.schemes import BEYOND, SCHEMES, Scheme
 DURATION_S = 6.0
 #: Share of the trials that a robust scheme must master.
 WANTED = 0.99
+#: Parts of a quantity's range that figures tell apart.
+_BINS = 3
 
 #: Who competes, with the defaults of the nodes. A new one is a line.
 CONTESTANTS = (*SCHEMES.values(), ORACLES[ORACLE], *BEYOND.values())
@@ -121,25 +112,25 @@ def rerun(context: Context, kind: Kind, number: int) -> None:
     world = draw_world(kind, number)
     print(f"   trial {number}: {world.text()}", flush=True)
     trials = [trial_in(world, one, context.rendered, record=True) for one in contestants]
-    figure, ((axis,),) = grid(1, 1, (9.0, 5.0))
+    figure, ((axis,),) = draw.grid(1, 1, (9.0, 5.0))
     names = [one.name for one in contestants]
     outcomes = map(judged, context.map(run_trial, trials, kind.name))
     rows, looks = [], {}
-    for outcome, (name, colour) in zip(outcomes, colours_of(names).items(), strict=True):
+    for outcome, (name, colour) in zip(outcomes, draw.colours_of(names).items(), strict=True):
         text = f"settled after {outcome.settled_s:.2f} s"
         text = f"failed ({outcome.failure})" if outcome.failure else text
         print(f"   {name}: {text}, {1e3 * outcome.final_rms_m:.1f} mm rms in the last second"
               f"{outcome.said and f'; status: {outcome.said}'}", flush=True)  # fmt: skip
         rows.append(outcome.row(scheme=name))
         looks[name] = {"color": colour, "label": f"{name}: {text}"}
-    errors_over_time(axis, Results(rows), "scheme", looks)
+    draw.errors_over_time(axis, Results(rows), "scheme", looks)
     if world.bump is not None:
-        bound_line(axis, world.bump.time_s, upright=True)
+        draw.bound_line(axis, world.bump.time_s, upright=True)
     axis.set(xlabel="time since the target was given, s", ylabel="error, mm",
              title=f"Trial {number}")  # fmt: skip
     axis.legend()
     path = context.folder(kind.name) / f"trial_{number}.png"
-    save(figure, path)
+    draw.save(figure, path)
     print(f"picture: {path}", flush=True)
 
 
@@ -205,39 +196,37 @@ TABLES = (
 def figures(found: Found) -> Iterator[Drawn]:
     """Success, settling time and jitter against each quantity that differs."""
     settled = found.runs.where(settled=True)
-    yield "success", _against(found.runs, share_bar, "settled, %"), {}
-    settling = spread_bar("to_5mm_s")
+    yield "success", _against(found.runs, draw.share_bar, "settled, %"), {}
+    settling = draw.spread_bar("to_5mm_s")
     yield "settling", _against(found.runs, settling, label_of("to_5mm_s"), DURATION_S), {}
-    jitter = spread_bar("jitter_rad_s")
+    jitter = draw.spread_bar("jitter_rad_s")
     yield "jitter", _against(settled, jitter, label_of("jitter_rad_s")), {}
 
 
-def _against(runs: Results, bar: Bar, label: str, most: float = np.inf):
-    """Draw a panel per quantity: a bar for each bin and scheme."""
+def _against(runs: Results, bar: draw.Bar, label: str, most: float = np.inf):
+    """Draw a panel per quantity: a bar for each third of its range and each scheme."""
     varied = [one for one in QUANTITIES if len(set(runs.values(one.name))) > 1] or QUANTITIES[:1]
     columns = min(len(varied), 4)
     rows = math.ceil(len(varied) / columns)
-    figure, axes = grid(rows, columns, (3.25 * columns, 3.3 * rows), sharey=True)
+    figure, axes = draw.grid(rows, columns, (3.25 * columns, 3.3 * rows), sharey=True)
     for axis in axes.flat[len(varied) :]:
         axis.set_visible(False)
-    colours = colours_of(list(runs.groups("scheme")))
-    for axis, quantity in zip(axes.flat, varied, strict=False):
-        binned = Results({**row, "bin": quantity.bin_of(row[quantity.name])} for row in runs)
+    colours = draw.colours_of(list(runs.groups("scheme")))
+    for axis, one in zip(axes.flat, varied, strict=False):
+        values = one.scale * np.array(runs.values(one.name))
+        edges = np.linspace(values.min(), values.max(), _BINS + 1)
+        middles = 0.5 * (edges[1:] + edges[:-1])
+        places = middles[np.clip(np.searchsorted(edges, values) - 1, 0, _BINS - 1)]
+        binned = Results({**row, "at": float(at)} for row, at in zip(runs, places, strict=True))
+        apart = (edges[1] - edges[0]) * min(0.12, 0.8 / len(colours))
         for number, (name, colour) in enumerate(colours.items()):
-            bins = binned.where(scheme=name).groups("bin")
-            shift = min(0.12, 0.8 / len(colours)) * (number - 0.5 * (len(colours) - 1))
-            look = {"color": colour, "label": name}
-            bars(axis, dict(sorted(bins.items())), bar, most, shift, **look)
-        counts = [
-            len(set(binned.where(bin=one).values("world"))) for one in range(len(quantity.bins))
-        ]
-        names = [f"{name}\n({count})" for name, count in zip(quantity.bins, counts, strict=True)]
-        axis.set_xticks(range(len(names)), names)
-        axis.set_xlabel(quantity.axis)
-        axis.grid(visible=False, axis="x")
+            shift = apart * (number - 0.5 * (len(colours) - 1))
+            bins = dict(sorted(binned.where(scheme=name).groups("at").items()))
+            draw.bars(axis, bins, bar, most, shift, color=colour, label=name)
+        axis.set_xlabel(", ".join(filter(None, [one.label, one.unit.strip()])))
     for axis in axes[:, 0]:
         axis.set_ylabel(label)
-    legend(figure, 2 * columns)
+    draw.legend(figure, 2 * columns)
     return figure
 
 

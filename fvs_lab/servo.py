@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from fvs_lab import figures as draw
 from fvs_lab.experiment import (
     OURS,
     PAPER,
@@ -18,15 +19,6 @@ from fvs_lab.experiment import (
     Found,
     TableOf,
     below,
-)
-from fvs_lab.figures import (
-    Signal,
-    colour_of,
-    dots_of,
-    errors_over_time,
-    grid,
-    legend,
-    over_time,
 )
 from fvs_lab.results import Results
 from fvs_lab.search import (
@@ -159,8 +151,8 @@ TABLES = (TableOf("regime", ("scheme",), _COLUMNS, each="regime"),)
 # ---- figures --------------------------------------------------------------------------------
 
 _LOOKS: dict[str, dict[str, Any]] = {
-    **{name: {"color": colour_of(name)} for name in SCHEMES},
-    ORACLE_SLIDING: {"color": colour_of(ORACLE_SLIDING), "linestyle": ":"},
+    **{name: {"color": draw.colour_of(name)} for name in SCHEMES},
+    ORACLE_SLIDING: {"color": draw.colour_of(ORACLE_SLIDING), "linestyle": ":"},
 }
 
 
@@ -176,10 +168,10 @@ def figures(found: Found) -> Iterator[Drawn]:
 
 
 def _summary(runs: Results):
-    figure, (axes,) = grid(1, len(REGIMES), (15, 3.6), sharey=True)
+    figure, (axes,) = draw.grid(1, len(REGIMES), (15, 3.6), sharey=True)
     for axis, regime in zip(axes, REGIMES, strict=True):
         some = runs.where(regime=regime.name)
-        dots_of(axis, some, "scheme", "to_5mm_s", regime.duration_s, named=axis is axes[0])
+        draw.dots_of(axis, some, "scheme", "to_5mm_s", regime.duration_s, named=axis is axes[0])
         axis.set(title=regime.title, xlim=(0.0, None))
     return figure
 
@@ -190,17 +182,17 @@ def _coordinate(number: int, row: Mapping[str, Any]) -> np.ndarray:
 
 def _errors(runs: Results, cases: Sequence[Case]):
     """Error and coordinates against time, a column per case; figure 8."""
-    signals: list[Signal] = [
+    signals: list[draw.Signal] = [
         (f"ball {name}, mm", partial(_coordinate, number)) for number, name in enumerate("xyz")
     ]
     size, heights = (14, 10), {"height_ratios": [1.7, *(1 for _ in signals)]}
-    figure, axes = grid(1 + len(signals), len(cases), size, sharex=True, gridspec_kw=heights)
+    figure, axes = draw.grid(1 + len(signals), len(cases), size, sharex=True, gridspec_kw=heights)
     drawn = runs.those(lambda row: row["scheme"] in _LOOKS and bool(row["series"]))
     for (top, *lower), (case, some) in zip(axes.T, drawn.groups("case").items(), strict=True):
-        errors_over_time(top, some, "scheme", _LOOKS)
+        draw.errors_over_time(top, some, "scheme", _LOOKS)
         top.set_title(case)
         for axis, signal, target_m in zip(lower, signals, some.rows[0]["target_m"], strict=True):
-            over_time(axis, some, signal, "scheme", _LOOKS)
+            draw.over_time(axis, some, signal, "scheme", _LOOKS)
             axis.axhline(1e3 * target_m, color="0.3", linestyle="--", linewidth=1)
         lower[-1].set_xlabel("time, s")
     # All that is drawn has settled, and some rest.
@@ -209,14 +201,14 @@ def _errors(runs: Results, cases: Sequence[Case]):
     axes[0, 0].set(xlim=(0.0, min(end_s, 1.25 * last_s + 0.3)), ylabel="error, mm")
     for axis, (label, _) in zip(axes[1:, 0], signals, strict=True):
         axis.set_ylabel(label)
-    legend(figure, len(_LOOKS))
+    draw.legend(figure, len(_LOOKS))
     return figure
 
 
 def _views(runs: Results, cases: Sequence[Case]):
     """The ball's way into the camera's view of its end; figure 9."""
     names = list(SCHEMES)
-    figure, axes = grid(len(cases), len(names), (13, 2.55 * len(cases)))
+    figure, axes = draw.grid(len(cases), len(names), (13, 2.55 * len(cases)))
     simulation = simulation_of(Conditions())
     camera = simulation.intrinsics
     for row, case in zip(axes, cases, strict=True):
@@ -231,7 +223,7 @@ def _views(runs: Results, cases: Sequence[Case]):
         for axis, name, run, trail in zip(row, names, shown, trails, strict=True):
             axis.imshow(frame.rgb)
             axis.plot(*trail.T, "o-", color="white", markersize=5.5, linewidth=2.6)
-            axis.plot(*trail.T, "o-", color=colour_of(name), markersize=4, linewidth=1.2)
+            axis.plot(*trail.T, "o-", color=draw.colour_of(name), markersize=4, linewidth=1.2)
             target = camera.project(np.array(run["target_m"]))
             axis.plot(*target, "+", color="white", markersize=13, markeredgewidth=2)
             axis.set(xlim=(u0, u0 + _VIEW_PX[0]), ylim=(v0 + _VIEW_PX[1], v0), xticks=[], yticks=[])
@@ -257,7 +249,7 @@ def _corner(points: np.ndarray, width: int, height: int) -> np.ndarray:
 
 def _paths(runs: Results, cases: Sequence[Case]):
     """The ball's ways in space; figure 10."""
-    figure, (axes,) = grid(1, len(cases), (13, 3.5), subplot_kw={"projection": "3d"})
+    figure, (axes,) = draw.grid(1, len(cases), (13, 3.5), subplot_kw={"projection": "3d"})
     for axis, case in zip(axes, cases, strict=True):
         for scheme, look in _LOOKS.items():
             run = runs.where(scheme=scheme, case=case.name).rows[0]
@@ -271,7 +263,7 @@ def _paths(runs: Results, cases: Sequence[Case]):
         axis.tick_params(labelsize=7)
         axis.set_box_aspect(None, zoom=0.8)  # or the labels are cut off
         axis.set_aspect("equal", adjustable="datalim")  # or a straight way looks wild
-    legend(figure, len(_LOOKS))
+    draw.legend(figure, len(_LOOKS))
     return figure
 
 

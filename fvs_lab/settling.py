@@ -17,6 +17,7 @@ from fvs_controller_node.settling import (
     sliding_value_after,
 )
 from fvs_controller_node.surface import ReachingLaw, SlidingSurface
+from fvs_lab import figures as draw
 from fvs_lab.experiment import (
     OURS,
     PAPER,
@@ -28,7 +29,6 @@ from fvs_lab.experiment import (
     TableOf,
     kept,
 )
-from fvs_lab.figures import grid, legend
 from fvs_lab.outcome import BOUNDS_M, seconds
 from fvs_lab.results import Results, label_of
 from fvs_lab.search import FREE
@@ -324,7 +324,7 @@ TABLES = (
 def figures(found: Found) -> Iterator[Drawn]:
     """Measured against computed times, a panel per computation."""
     counted = _counted(found.runs)
-    figure, axes = grid(2, 2, (11, 8.4), sharey=True)
+    figure, axes = draw.grid(2, 2, (11, 8.4), sharey=True)
     times = [time for time in counted.values("to_5mm_s") if np.isfinite(time)]
     top = 1.15 * max(times, default=1.0)
     computed = ("bound_s", "band_5mm_s", "predicted_5mm_s", "printed_s")
@@ -339,7 +339,7 @@ def figures(found: Found) -> Iterator[Drawn]:
         axis.set(xlim=(low, high), ylim=(0.0, top), xlabel=label_of(column))
     for axis in axes[:, 0]:
         axis.set_ylabel("measured settling time to 5 mm, s")
-    legend(figure)
+    draw.legend(figure)
     yield "settling", figure, {}
 
 

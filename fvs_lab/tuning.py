@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from fvs_lab import figures as draw
 from fvs_lab.experiment import OURS, Claim, Context, Drawn, Experiment, Found, TableOf, below
-from fvs_lab.figures import dots_of, errors_over_time, grid, shades
 from fvs_lab.results import METRICS
 from fvs_lab.trials import Variant, make_cases
 
@@ -99,17 +99,17 @@ TABLES = (
 def figures(found: Found) -> Iterator[Drawn]:
     """A picture per parameter: runs, settling time and jitter for each of its values."""
     for name, runs in found.runs.groups("parameter").items():
-        figure, ((run, *axes),) = grid(1, 3, (12.0, 3.4), width_ratios=(2.0, 1.0, 1.0))
+        figure, ((run, *axes),) = draw.grid(1, 3, (12.0, 3.4), width_ratios=(2.0, 1.0, 1.0))
         values = runs.groups("value")
         looks = {
             value: {"color": colour, "linewidth": 2.4 if some.rows[0]["default"] else 1.3}
-            for (value, some), colour in zip(values.items(), shades(len(values)), strict=True)
+            for (value, some), colour in zip(values.items(), draw.shades(len(values)), strict=True)
         }
-        errors_over_time(run, runs.where(case=runs.rows[0]["case"]), "value", looks)
+        draw.errors_over_time(run, runs.where(case=runs.rows[0]["case"]), "value", looks)
         run.set(xlabel="time since the target was given, s", ylabel="true error, mm")
         run.legend(title=name)
         for axis, metric in zip(axes, ("to_5mm_s", "jitter_rad_s"), strict=True):
-            dots_of(axis, runs, "value", metric)
+            draw.dots_of(axis, runs, "value", metric)
             axis.set_xlim(0.0, None)
         yield "knob", figure, {"knob": name}
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from math import hypot
 from typing import Any
 
@@ -96,7 +95,7 @@ class World:
             "world": self.number,
             "distance_m": self.distance_m,
             "turn_deg": hypot(*self.conditions.camera_turn_deg),
-            "bump_deg": -1.0 if self.bump is None else hypot(*self.bump.rotation_deg),
+            "bump_deg": 0.0 if self.bump is None else hypot(*self.bump.rotation_deg),
             **found,
         }
 
@@ -106,7 +105,7 @@ class World:
         parts = [
             f"{one.label} {number_text(one.scale * row[one.name], 2)}{one.unit}"
             for one in QUANTITIES
-            if row[one.name] >= 0.0 or one in DRAWN
+            if bump is not None or one.name != "bump_deg"
         ]
         if bump is not None:
             shift_mm = 1e3 * hypot(*bump.translation_m)
@@ -122,49 +121,29 @@ class Quantity:
     name: str
     #: For readers; the unit begins with a space where there is one.
     label: str
-    unit: str
+    unit: str = ""
     #: From the column's unit to that unit.
-    scale: float
-    #: Of the bins in figures, in that unit; the lower one belongs to the bin, the last one too.
-    edges: tuple[float, ...]
-    #: Of the bins; by default their ends.
-    names: tuple[str, ...] = ()
-
-    @property
-    def axis(self) -> str:
-        """The label with its unit, for figures."""
-        return f"{self.label}, {self.unit.strip()}" if self.unit else self.label
-
-    @property
-    def bins(self) -> tuple[str, ...]:
-        """Names of the bins."""
-        return self.names or tuple(f"{low:g}-{high:g}" for low, high in pairwise(self.edges))
-
-    def bin_of(self, value: float) -> int:
-        """The bin that a value of the column belongs to."""
-        place = int(np.searchsorted(self.edges, self.scale * value, side="right")) - 1
-        return min(max(place, 0), len(self.edges) - 2)
+    scale: float = 1.0
 
 
-_BUMPS = ("none", "0-5", "5-10")
 #: Those that are fields of the conditions, drawn from a kind's ranges.
 DRAWN = (
-    Quantity("position_noise_m", "noise of positions", " mm", 1e3, (0.2, 0.8, 1.4, 2.0)),
-    Quantity("noise_exponent", "exponent of the noise", "", 1.0, (1.5, 1.65, 1.8, WHITE)),
-    Quantity("image_rate_hz", "image rate", " Hz", 1.0, (8, 15, 30, 60)),
-    Quantity("latency_s", "latency", " ms", 1e3, (0, 25, 50, 75, 100)),
-    Quantity("dropout", "images lost", " %", 1e2, (0, 5, 10, 15, 20)),
-    Quantity("focal_error", "error of the focal length", " %", 1e2, (-2, -1, 0, 1, 2)),
-    Quantity("depth_error", "error of the depths", " %", 1e2, (-2, -1, 0, 1, 2)),
-    Quantity("encoder_noise_rad", "encoder noise", " mrad", 1e3, (0, 0.1, 0.2, 0.35, 0.5)),
-    Quantity("joint_lag_s", "further drive lag", " ms", 1e3, (0, 25, 50, 75, 100)),
-    Quantity("dead_time_s", "dead time of the drives", " ms", 1e3, (8, 20, 40, 60)),
-    Quantity("drive_gain", "speed over the commanded one", "", 1.0, (0.8, 0.87, 0.94, 1.0)),
+    Quantity("position_noise_m", "noise of positions", " mm", 1e3),
+    Quantity("noise_exponent", "exponent of the noise"),
+    Quantity("image_rate_hz", "image rate", " Hz"),
+    Quantity("latency_s", "latency", " ms", 1e3),
+    Quantity("dropout", "images lost", " %", 1e2),
+    Quantity("focal_error", "error of the focal length", " %", 1e2),
+    Quantity("depth_error", "error of the depths", " %", 1e2),
+    Quantity("encoder_noise_rad", "encoder noise", " mrad", 1e3),
+    Quantity("joint_lag_s", "further drive lag", " ms", 1e3),
+    Quantity("dead_time_s", "dead time of the drives", " ms", 1e3),
+    Quantity("drive_gain", "speed over the commanded one"),
 )
 QUANTITIES = (
-    Quantity("distance_m", "distance", " m", 1.0, (0.1, 0.2, 0.3, 0.4, 0.5)),
-    Quantity("turn_deg", "camera carried round", "°", 1.0, (0.0, 10.0, 20.0, 30.0)),
-    Quantity("bump_deg", "camera bumped in mid-run", "°", 1.0, (-1.0, 0.0, 5.0, 10.0), _BUMPS),
+    Quantity("distance_m", "distance", " m"),
+    Quantity("turn_deg", "camera carried round", "°"),
+    Quantity("bump_deg", "camera bumped in mid-run", "°"),
     *DRAWN,
 )
 
