@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -86,17 +86,14 @@ class Estimator(ABC):
 
     #: Whether :meth:`update` and :meth:`observe` can change anything.
     learns: ClassVar[bool] = True
+    #: What its first argument is: one of the constants above.
+    made_from: ClassVar[str] = NOTHING
     #: Its parameters; a node declares them with the name of their group before each.
     config_type: ClassVar[type[Parameters]] = Parameters
     group: ClassVar[str] = ""
 
     def __init__(self) -> None:
         self.updates = self.refused = 0
-
-    @classmethod
-    def needs(cls, _config: Any) -> str:
-        """What its first argument must be with a configuration: one of the constants above."""
-        return NOTHING
 
     @property
     def problem(self) -> str:

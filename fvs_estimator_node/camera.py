@@ -196,13 +196,10 @@ class PoeEstimator(_BehindCamera):
         The fitted chain.
     """
 
+    made_from = CHAIN
+
     def __init__(self, chain: SerialChain, _config: Any = None) -> None:
         super().__init__(chain, *_CHAIN)
-
-    @classmethod
-    def needs(cls, _config: Any) -> str:
-        """The fitted chain."""
-        return CHAIN
 
     @property
     def chain(self) -> SerialChain:
@@ -224,15 +221,12 @@ class TurnedRbfEstimator(_BehindCamera):
         The trained networks.
     """
 
+    made_from = NETWORKS
+
     def __init__(self, model: RbfModel, _config: Any = None) -> None:
         super().__init__(FrozenRbfEstimator(model), *_NETWORKS)
         self._joints: np.ndarray | None = None
         self._sum_m = _ORIGIN
-
-    @classmethod
-    def needs(cls, _config: Any) -> str:
-        """The networks."""
-        return NETWORKS
 
     def reset(self) -> None:
         """Take the camera to stand where it stood at the training."""

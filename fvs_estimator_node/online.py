@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.base import NETWORKS, NOTHING, Estimator, MotionStep
+from fvs_estimator_node.base import NETWORKS, Estimator, MotionStep
 from fvs_estimator_node.rbf import RbfModel
 from fvs_ros.camera import BALL_FEATURES
 from fvs_ros.params import Parameters, parameter
@@ -90,16 +89,12 @@ class OnlineEstimator(Estimator):
 
     config_type = OnlineConfig
     group = "online"
+    made_from = NETWORKS
 
     def __init__(self, model: RbfModel | None = None, config: OnlineConfig | None = None) -> None:
         self.config = config if config is not None else OnlineConfig()
-        self._model = model if self.needs(self.config) == NETWORKS else None
+        self._model = model if self.config.initial == FROM_MODEL else None
         self.reset()
-
-    @classmethod
-    def needs(cls, config: Any) -> str:
-        """The networks, unless the Jacobian starts from zero."""
-        return NETWORKS if config.initial == FROM_MODEL else NOTHING
 
     def reset(self) -> None:
         """Forget what was learned, the initial Jacobian and the counts."""

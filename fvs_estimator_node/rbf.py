@@ -129,6 +129,7 @@ class FrozenRbfEstimator(Estimator):
     """
 
     learns = False
+    made_from = NETWORKS
 
     def __init__(self, model: RbfModel, config: Any = None) -> None:
         self.config: Any = config if config is not None else self.config_type()
@@ -136,11 +137,6 @@ class FrozenRbfEstimator(Estimator):
         self._offset, self._slope, self._curvature = _exponent_terms(model.centres, model.widths)
         self._theta, self._scratch = np.empty((2, self._offset.size))
         self.reset()
-
-    @classmethod
-    def needs(cls, _config: Any) -> str:
-        """The networks."""
-        return NETWORKS
 
     @property
     def weights(self) -> np.ndarray:

@@ -16,6 +16,7 @@ from fvs_estimator_node.base import (
 )
 from fvs_estimator_node.camera import PoeEstimator, TurnedRbfEstimator
 from fvs_estimator_node.online import (
+    FROM_ZERO,
     BroydenEstimator,
     LkfEstimator,
     OnlineConfig,
@@ -66,10 +67,15 @@ def _kind_and_config(method: str, values: Mapping[str, Any]) -> tuple[type[Any],
     return kind, kind.config_type.from_values(values, f"{kind.group}.")
 
 
+def _needed(kind: type[Any], config: Any) -> str:
+    """What an estimator is made from, or nothing if its Jacobian starts from zero."""
+    starts_from_zero = isinstance(config, OnlineConfig) and config.initial == FROM_ZERO
+    return NOTHING if starts_from_zero else str(kind.made_from)
+
+
 def needs_model(method: str, values: Mapping[str, Any]) -> bool:
     """Whether a method cannot do without a trained model, given the parameter values."""
-    kind, config = _kind_and_config(method, values)
-    return kind.needs(config) != NOTHING
+    return _needed(*_kind_and_config(method, values)) != NOTHING
 
 
 def create_estimator(
@@ -97,7 +103,7 @@ def create_estimator(
         If the method is unknown, lacks its model, or a value is out of range.
     """
     kind, config = _kind_and_config(method, values or {})
-    needed = kind.needs(config)
+    needed = _needed(kind, config)
     if needed == CHAIN and chain is None:
         raise ValueError(
             f"estimator method {method} needs a fitted chain: set model_path to a file that "

@@ -101,7 +101,7 @@ def test_chain_and_jacobian_are_those_of_the_arm_and_follow_a_turned_camera(ros_
     arm.chain = arm.chain.moved(turn([0.1, 0.3, 1.0], np.radians(45.0)), np.array([0.1, 0.0, 0.2]))
     assert error_of(ros.from_chain(chains[-1], 6), arm) > 0.5
     ros_test.spin_until(lambda: error_of(ros.from_chain(chains[-1], 6), arm) < 0.02)
-    assert at_rest() < 0.03
+    assert at_rest() < 0.05
     joints = RECORDING.places(20)
     now = ros.from_chain(chains[-1], 6)
     np.testing.assert_allclose(now.position(joints), arm.chain.position(joints), atol=0.03)

@@ -158,8 +158,8 @@ def test_a_wrong_optimum_that_fits_nearly_as_well_is_left():
     assert fit.misfit < 1.05
 
 
-@pytest.mark.parametrize("still", [0, 3])
-def test_a_joint_that_stood_still_spoils_no_other(still):
+def test_a_joint_that_stood_still_spoils_no_other():
+    still = 3
     reach = list(ur5_dh.BOX_M_RAD)
     reach[still] = 0.0
     recording = Recording(reach_rad=tuple(reach))
@@ -231,13 +231,6 @@ def test_a_stretch_that_is_far_off_pulls_at_nothing(frozen):
     fit = fit_chain(replace(data, ball_m=ball))
     assert error_of(fit, recording) < 0.001
     assert fit.outliers > 150
-
-
-@pytest.mark.parametrize("late_s", [0.25, -0.25])
-def test_an_offset_beyond_what_is_looked_for_is_known_as_such(late_s):
-    fit = fit_chain(Recording(seconds=20.0, late_s=late_s, outliers=0.0).data())
-    assert fit.offset_at_limit
-    assert np.sign(fit.time_offset_s) == np.sign(late_s)
 
 
 def test_too_little_is_refused_in_words():
