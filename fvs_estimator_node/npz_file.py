@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -117,7 +118,12 @@ class NpzFile:
         if count > _MAX_ELEMENTS or dtype.itemsize == 0 or size > member.file_size:
             raise self.refusal(f"holds {member.filename} that claims to be larger than it is")
         with archive.open(member) as stream:
-            return np.lib.format.read_array(stream, allow_pickle=False)
+            array = np.lib.format.read_array(stream, allow_pickle=False)
+        if dtype.kind == "U":
+            codes = np.frombuffer(array.tobytes(), np.dtype("u4").newbyteorder(dtype.byteorder))
+            if codes.max(initial=0) > sys.maxunicode:
+                raise self.refusal(f"holds {member.filename} with characters that do not exist")
+        return array
 
     def has(self, name: str) -> bool:
         """Whether there is a field of this name."""
@@ -135,10 +141,7 @@ class NpzFile:
         value = self.array(name)
         if value.ndim != dimensions or value.dtype.kind != "U":
             raise self.refusal(f"has a field {name!r} that is not a text or a list of texts")
-        try:
-            return tuple(str(element) for element in value.reshape(-1))
-        except (SystemError, ValueError):  # code points that do not exist
-            raise self.refusal(f"has a field {name!r} with characters that do not exist") from None
+        return tuple(str(element) for element in value.reshape(-1))
 
     def text(self, name: str) -> str:
         """A text."""

@@ -217,11 +217,12 @@ def test_a_small_file_with_many_empty_texts(model_bytes, tmp_path):
     assert in_a_small_process(LOAD_MODEL, str(path), seconds=5).startswith("refused")
 
 
-def test_a_text_that_is_no_unicode(kind, tmp_path):
+@pytest.mark.parametrize("member", ["feature_frame", "version"])
+def test_a_text_that_is_no_unicode(kind, tmp_path, member):
     load, error, good = kind
     path = tmp_path / "file.npz"
-    path.write_bytes(change(good, feature_frame=claim("<U1", (), b"\xff" * 4)))
-    with pytest.raises(error, match="feature_frame"):
+    path.write_bytes(change(good, **{member: claim("<U1", (), b"\xff" * 4)}))
+    with pytest.raises(error, match=member):
         load(path)
 
 
