@@ -282,7 +282,9 @@ class Supervisor:
         if finding is None and self.started and joints_rad is not None:
             finding = self._trouble_in_motion(dt_s, joints_rad)
             if finding is None:
-                finding, output = self._ask(propose, dt_s)
+                error_m = self.goal.error_m
+                assert error_m is not None
+                finding, output = _ask(propose, error_m, self.velocity_rad_s, dt_s)
         finding = self._session.holds(finding, steady_dt_s, self.config.resume_within_s)
         if output is not None and joints_rad is not None:
             return self._move(output, joints_rad, dt_s)
@@ -321,25 +323,12 @@ class Supervisor:
         findings = [monitor.check(motion, self.config) for monitor in self._monitors]
         return next((finding for finding in findings if finding is not None), None)
 
-    def _ask(self, propose: Propose, dt_s: float) -> tuple[Finding | None, ControlOutput | None]:
-        error, velocity_rad_s = self.goal.error_m, self._limiter.velocity_rad_s
-        assert error is not None
-        if dt_s <= 0.0:
-            return None, ControlOutput.plain(velocity_rad_s, error.size)
-        try:
-            output = propose(error, velocity_rad_s.copy(), dt_s)
-            expected = ControlOutput(velocity_rad_s, error, error)
-            for name, value, like in zip(output._fields, output, expected, strict=True):
-                if np.shape(value) != like.shape or not all_finite(np.asarray(value)):
-                    raise ValueError(f"its {name} is {value}")
-        except Exception as error:  # whatever a law does wrong, the arm must stop
-            return Reason.LAW_FAULT.because(why=f"{type(error).__name__}: {error}"), None
-        return None, output
-
     # ---- how it moves, how it rests -------------------------------------------------------
 
     def _move(self, output: ControlOutput, joints: np.ndarray, dt_s: float) -> Command:
-        share, slowed = self._speed_share()
+        assert self.inputs.conditioning is not None
+        ratio = 0.0 if self._verdict is None else self._verdict.error_ratio
+        share, slowed = _speed_share(self.inputs.conditioning.smallest, ratio, self.config)
         fast = self.config.speed.max_joint_velocity_rad_s * share
         if self._singularity.leaving:
             fast = min(fast, _LEAVE_RAD_S)
@@ -351,21 +340,6 @@ class Supervisor:
         assert error is not None
         finding = reason.because(error_mm=1e3 * length(error))
         return self._answer(finding, ", ".join(slowed + active), output)
-
-    def _speed_share(self) -> tuple[float, list[str]]:
-        """Share of the velocity limit that the Jacobian's condition and quality leave."""
-        config = self.config
-        share, active = 1.0, []
-        assert self.inputs.conditioning is not None
-        value = self.inputs.conditioning.smallest
-        if value < config.singular_slow_m_rad:
-            share = _ramp(value, config.singular_hold_m_rad, config.singular_slow_m_rad)
-            active.append(f"near singular ({value:.3f} m/rad)")
-        if self._verdict is not None and self._verdict.error_ratio > config.prediction_slow:
-            ratio = self._verdict.error_ratio
-            share *= _ramp(ratio, config.prediction_hold, config.prediction_slow)
-            active.append(f"prediction error ({ratio:.2f})")
-        return max(share, _SLOWEST_SHARE), active
 
     def _rest(self, finding: Finding | None, joints: np.ndarray | None, dt_s: float) -> Command:
         """Bring the arm to rest, and say why."""
@@ -418,6 +392,37 @@ class Supervisor:
             numbers = [nan] * len("xyz") if vector is None else vector.tolist()
             values |= dict(zip(map(name.format, "xyz"), numbers, strict=True))
         return values
+
+
+def _ask(
+    propose: Propose, error_m: np.ndarray, velocity_rad_s: np.ndarray, dt_s: float
+) -> tuple[Finding | None, ControlOutput | None]:
+    """Ask the law, and check its output; a tick without a length goes on as before."""
+    if dt_s <= 0.0:
+        return None, ControlOutput.plain(velocity_rad_s, error_m.size)
+    expected = ControlOutput(velocity_rad_s, error_m, error_m)
+    try:
+        output = propose(error_m, velocity_rad_s, dt_s)
+        for name, value, like in zip(output._fields, output, expected, strict=True):
+            if np.shape(value) != like.shape or not all_finite(np.asarray(value)):
+                raise ValueError(f"its {name} is {value}")
+    except Exception as error:  # whatever a law does wrong, the arm must stop
+        return Reason.LAW_FAULT.because(why=f"{type(error).__name__}: {error}"), None
+    return None, output
+
+
+def _speed_share(
+    smallest_m_rad: float, error_ratio: float, config: SupervisorConfig
+) -> tuple[float, list[str]]:
+    """Share of the velocity limit that the Jacobian's condition and quality leave."""
+    share, active = 1.0, []
+    if smallest_m_rad < config.singular_slow_m_rad:
+        share = _ramp(smallest_m_rad, config.singular_hold_m_rad, config.singular_slow_m_rad)
+        active.append(f"near singular ({smallest_m_rad:.3f} m/rad)")
+    if error_ratio > config.prediction_slow:
+        share *= _ramp(error_ratio, config.prediction_hold, config.prediction_slow)
+        active.append(f"prediction error ({error_ratio:.2f})")
+    return max(share, _SLOWEST_SHARE), active
 
 
 def _ramp(value: float, at_zero: float, at_one: float) -> float:
