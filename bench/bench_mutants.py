@@ -278,7 +278,7 @@ ROWS: dict[str, dict[str, Mutant]] = {
 #: Rows that a process and its wires keep, not the loop: row -> the tests that guard it.
 ELSEWHERE = {
     "a message above": "test/faults/test_fuzz_messages.py",
-    "Ctrl-C, any signal": "test/faults/test_controller_faults.py",
+    "Ctrl-C, any signal": "test/faults/test_hostile_terminal.py",
 }
 
 MUTANTS = {

@@ -77,6 +77,17 @@ def _clear_shared_memory() -> None:
             path.unlink(missing_ok=True)
 
 
+def ros_arguments(remaps: Mapping[str, str] | None = None, **parameters: Any) -> list[str]:
+    """Arguments that give a node other names and parameters."""
+    arguments = ["--ros-args"]
+    for name, other in (remaps or {}).items():
+        arguments += ["-r", f"{name}:={other}"]
+    for name, value in parameters.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        arguments += ["-p", f"{name}:={text}"]
+    return arguments
+
+
 class Harness:
     """A ROS context of its own, and the node processes of one test.
 
@@ -141,13 +152,7 @@ class Harness:
         self, module: str, remaps: Mapping[str, str] | None = None, **parameters: Any
     ) -> subprocess.Popen:
         """Run a node with parameters and remaps of names."""
-        arguments = ["--ros-args"]
-        for name, other in (remaps or {}).items():
-            arguments += ["-r", f"{name}:={other}"]
-        for name, value in parameters.items():
-            text = str(value).lower() if isinstance(value, bool) else str(value)
-            arguments += ["-p", f"{name}:={text}"]
-        return self.start(module, *arguments)
+        return self.start(module, *ros_arguments(remaps, **parameters))
 
     def keep(self, module: str, **parameters: Any) -> subprocess.Popen:
         """The process of a node, from an earlier test if it still runs."""
@@ -285,22 +290,20 @@ class PlayedRobot:
         node = harness.node
         qos = ros.QOS_RELIABLE
         self._publishers = {
-            topics.JOINT_STATES.name: node.create_publisher(
-                JointState, topics.JOINT_STATES.name, qos
-            ),
-            topics.BALL_POSITION.name: node.create_publisher(
-                PointStamped, topics.BALL_POSITION.name, qos
-            ),
-            topics.JACOBIAN.name: node.create_publisher(
-                Float64MultiArray, topics.JACOBIAN.name, qos
-            ),
+            topic.name: node.create_publisher(kind, topic.name, qos)
+            for kind, topic in (
+                (JointState, topics.JOINT_STATES),
+                (PointStamped, topics.BALL_POSITION),
+                (Float64MultiArray, topics.JACOBIAN),
+            )
         }
         node.create_subscription(Float64MultiArray, topics.COMMANDS.name, self._on_command, qos)
         self._last_s = time.monotonic()
         node.create_timer(0.008, self._step)
         node.create_timer(1 / 30, self._look)
 
-    def _now_s(self) -> float:
+    def now_s(self) -> float:
+        """ROS time, s."""
         return self.harness.node.get_clock().now().nanoseconds * 1e-9
 
     def _send(self, topic: str, message: Any) -> None:
@@ -319,7 +322,7 @@ class PlayedRobot:
         self.ball = self.ball + self.jacobian @ moved
         order = np.argsort(UR_JOINT_NAMES)
         names = [UR_JOINT_NAMES[i] for i in order]
-        stamp_s = self._now_s()
+        stamp_s = self.now_s()
         self._send(
             topics.JOINT_STATES.name,
             ros.to_joint_state(stamp_s, names, self.joints[order], self.velocity[order]),
@@ -327,7 +330,7 @@ class PlayedRobot:
         self._send(topics.JACOBIAN.name, ros.to_jacobian(self.jacobian))
 
     def _look(self) -> None:
-        self._send(topics.BALL_POSITION.name, ros.to_point(self._now_s(), self.FRAME, self.ball))
+        self._send(topics.BALL_POSITION.name, ros.to_point(self.now_s(), self.FRAME, self.ball))
 
     def meet_controller(self) -> None:
         """Wait until the controller hears this robot, and the robot the controller."""
@@ -344,7 +347,7 @@ class PlayedRobot:
     def give_target(self, publisher: Any, offset_m: tuple[float, float, float]) -> np.ndarray:
         """Publish a target at an offset from the ball; returns it."""
         target = self.ball + np.array(offset_m)
-        publisher.publish(ros.to_point(self._now_s(), self.FRAME, target))
+        publisher.publish(ros.to_point(self.now_s(), self.FRAME, target))
         return target
 
     def speed(self) -> float:

@@ -1,7 +1,7 @@
 """A robot and a camera that the package has never seen: six random axes, a random view, in numpy.
 
-Nothing here is shared with the simulator: another kinematics (random screw axes), another drive,
-another camera, white noise on the ball positions. As a program it stands behind the topics that a
+Nothing here is shared with the simulator: another arm (random axes), another drive, another camera,
+white noise on the ball positions. As a program it stands behind the topics that a
 real driver and a detector have, in plain rclpy: joints in the driver's (alphabetical) order with a
 gripper's among them. Without commands it stands; the last one holds for ever.
 
@@ -17,6 +17,8 @@ from collections import deque
 
 import numpy as np
 
+from fvs_ros.chain import SerialChain
+
 #: Half width of the joints' box, rad: how far a collection may go.
 REACH_RAD = np.array([0.6, 0.5, 0.5, 0.5, 0.5, 0.5])
 NAMES = (
@@ -31,75 +33,32 @@ FRAME = "camera_color_optical_frame"
 IMAGE_RATE_HZ, NOISE_M, LATENCY_S, LAG_S = 30.0, 0.001, 0.03, 0.02
 
 
-class Kinematics:
-    """Six revolute joints with a ball on the last link, seen from a camera.
+def draw_arm(rng: np.random.Generator) -> SerialChain:
+    """Six revolute axes with a ball on the last link, before a camera.
 
-    Parameters
-    ----------
-    rng : numpy Generator
-        Decides everything.
-
-    Attributes
-    ----------
-    home_rad : ndarray, shape (6,)
-        A pose around which the ball can be moved in every direction.
+    Around its reference joints the ball can be moved in every direction, and stays in view.
     """
-
-    def __init__(self, rng: np.random.Generator) -> None:
-        while True:
-            self._draw(rng)
-            box = self.home_rad + REACH_RAD * rng.uniform(-1.0, 1.0, (40, 6))
-            least = [np.linalg.svd(self.jacobian(q), compute_uv=False)[-1] for q in box]
-            depth = [self.ball(q)[2] for q in box]
-            if min(least) > 0.12 and min(depth) > 0.5:
-                return
-
-    def _draw(self, rng: np.random.Generator) -> None:
+    while True:
         # As on most arms: a turning base, two parallel axes, then a wrist; all of it tilted.
         axes = np.array([[0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0]], float)
         axes += 0.3 * rng.standard_normal((6, 3))
-        self._axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
         lengths = rng.uniform([0.1, 0.05, 0.3, 0.2, 0.08, 0.05], [0.3, 0.2, 0.5, 0.45, 0.2, 0.15])
-        offsets = np.array([[0, 0, 1], [0, 1, 0], [0.3, 0, 1], [1, 0, 0.2], [1, 0, 0], [1, 0, 0]])
-        offsets = offsets + 0.2 * rng.standard_normal((6, 3))
-        self._offsets = lengths[:, None] * offsets
-        self._tool = np.array([0.12, 0.0, 0.0]) + 0.06 * rng.standard_normal(3)
-        self.home_rad = np.array([0.0, -0.3, 1.0, 0.2, 0.8, 0.0]) + 0.4 * rng.standard_normal(6)
-        self._rotation, self._eye = np.eye(3), np.zeros(3)
-        ball = self.ball(self.home_rad)
-        # A camera somewhere about a metre and a half away, rolled as it likes.
-        away = rng.standard_normal(3)
-        away /= np.linalg.norm(away)
-        forward = -away
-        right = np.cross(forward, rng.standard_normal(3))
+        ways = np.array([[0, 0, 1], [0, 1, 0], [0.3, 0, 1], [1, 0, 0.2], [1, 0, 0], [1, 0, 0]])
+        points = np.cumsum(lengths[:, None] * (ways + 0.2 * rng.standard_normal((6, 3))), axis=0)
+        ball = points[-1] + [0.12, 0.0, 0.0] + 0.06 * rng.standard_normal(3)
+        # A camera about a metre and a half away, turned and rolled as it likes.
+        forward, across = rng.standard_normal((2, 3))
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, across)
         right /= np.linalg.norm(right)
-        self._rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
-        self._eye = ball + rng.uniform(1.2, 1.8) * away
-
-    def _chain(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        rotation, origin = np.eye(3), np.zeros(3)
-        axes, origins = np.empty((6, 3)), np.empty((6, 3))
-        for i, angle in enumerate(joints_rad):
-            origin = origin + rotation @ self._offsets[i]
-            axes[i], origins[i] = rotation @ self._axes[i], origin
-            rotation = rotation @ _turn(self._axes[i], angle)
-        return axes, origins, origin + rotation @ self._tool
-
-    def ball(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Ball position, camera frame, m, shape (3,)."""
-        return self._rotation.T @ (self._chain(joints_rad)[2] - self._eye)
-
-    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Its derivative by the joints, m/rad, shape (3, 6)."""
-        axes, origins, ball = self._chain(joints_rad)
-        return self._rotation.T @ np.cross(axes, ball - origins).T
-
-
-def _turn(axis: np.ndarray, angle: float) -> np.ndarray:
-    """Rotation matrix about a unit axis (Rodrigues)."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+        camera = np.stack([right, np.cross(forward, right), forward])
+        eye = ball - rng.uniform(1.2, 1.8) * forward
+        home = rng.uniform(-1.0, 1.0, 6)
+        arm = SerialChain(axes @ camera.T, (points - eye) @ camera.T, camera @ (ball - eye), home)
+        box = home + REACH_RAD * rng.uniform(-1.0, 1.0, (40, 6))
+        least = np.linalg.svd(arm.jacobian(box), compute_uv=False)[:, -1]
+        if least.min() > 0.12 and arm.position(box)[:, 2].min() > 0.5:
+            return arm
 
 
 class UnseenRobot:
@@ -115,8 +74,8 @@ class UnseenRobot:
 
     def __init__(self, seed: int) -> None:
         self._rng = np.random.default_rng([seed, 77])
-        self.kinematics = Kinematics(self._rng)
-        self.joints_rad = self.kinematics.home_rad.copy()
+        self.arm = draw_arm(self._rng)
+        self.joints_rad = self.arm.reference_rad.copy()
         self.command_rad_s = np.zeros(self.joints_rad.size)
         self._velocity = self.command_rad_s
         self._steps = self._images = 0
@@ -130,7 +89,7 @@ class UnseenRobot:
     @property
     def ball_m(self) -> np.ndarray:
         """Where the ball truly is, camera frame, m, shape (3,)."""
-        return self.kinematics.ball(self.joints_rad)
+        return self.arm.position(self.joints_rad)
 
     def advance(self, duration_s: float) -> list[tuple[float, np.ndarray]]:
         """Let time pass; returns exposures, s, and noisy ball positions, m, seen meanwhile."""
@@ -153,7 +112,7 @@ class UnseenRobot:
         targets = [self.ball_m]
         while len(targets) <= count:
             way_rad = 0.9 * REACH_RAD * rng.uniform(-1.0, 1.0, REACH_RAD.size)
-            target = self.kinematics.ball(self.kinematics.home_rad + way_rad)
+            target = self.arm.position(self.arm.reference_rad + way_rad)
             if 0.05 < np.linalg.norm(target - targets[-1]) < 0.3:
                 targets.append(target)
         return targets[1:]

@@ -1,4 +1,4 @@
-"""Rigs for the fault campaign: one for all tests of a module, or one with settings of its own."""
+"""A rig for the fault campaign, which the tests of a module share."""
 
 import pytest
 
@@ -11,11 +11,10 @@ class _Shelf:
         self._rig = None
 
     def take(self):
-        """A rig at home: the last one if it still goes, else a new one."""
+        """A rig at rest: the last one if it still goes, else a new one."""
         if self._rig is not None:
             try:
-                assert self._rig.complete()
-                self._rig.rewind()
+                self._rig.renew()
             except AssertionError:
                 self.clear()
         if self._rig is None:
@@ -40,28 +39,10 @@ def _shelf(tmp_path_factory):
 
 @pytest.fixture
 def rig(_shelf):
-    """The whole robot, at home; afterwards every command of the test is looked at."""
+    """The whole robot at rest; afterwards every command of the test is looked at."""
+    from rig import assert_sound
+
     rig = _shelf.take()
     yield rig
-    if rig.stop_s is not None:
-        print(f"zero {1e3 * rig.stop_s:.0f} ms after the fault")  # pytest -rP shows it
-    rig.assert_sound()
-
-
-@pytest.fixture
-def make_rig(_shelf, tmp_path):
-    """As ``rig``, with settings of one's own."""
-    from rig import Rig
-
-    _shelf.clear()  # two at a time would only slow each other down
-    rigs = []
-
-    def make(**settings):
-        rigs.append(Rig(tmp_path, **settings))
-        return rigs[-1]
-
-    yield make
-    for rig in rigs:
-        rig.close()
-    for rig in rigs:
-        rig.assert_sound()
+    print(f"zero {1e3 * rig.stop_s:.0f} ms after the fault")  # pytest -rP shows it
+    assert_sound(rig.commands, rig.started_s)

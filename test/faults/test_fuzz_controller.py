@@ -23,7 +23,7 @@ README = Path(__file__).resolve().parents[2] / "README.md"
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of numpy, about odd numbers
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_no_promise_is_broken_whatever_happens(seed):
     counts, broken = bench_fuzz.play(1000 * seed, ticks=8_000)
     assert not broken, broken
@@ -32,7 +32,7 @@ def test_no_promise_is_broken_whatever_happens(seed):
 
 def test_nothing_but_a_start_starts_it(monkeypatch):
     monkeypatch.setattr(World, "start", lambda _self: None)
-    _, broken = bench_fuzz.play(0, ticks=8_000)
+    _, broken = bench_fuzz.play(0, ticks=4_000)
     assert not broken, broken
 
 

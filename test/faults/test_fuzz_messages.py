@@ -16,7 +16,7 @@ from sensor_msgs.msg import CameraInfo, Image, JointState, RegionOfInterest
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout, String
 
 from fvs_ros import ros
-from fvs_ros.joints import UR_JOINT_NAMES, ForeignJointsError, JointMap, JointStateError
+from fvs_ros.joints import UR_JOINT_NAMES, JointMap, JointStateError
 from fvs_ros.ros.inputs import unpacked
 
 MANY = settings(max_examples=200, derandomize=True, deadline=None)
@@ -119,20 +119,6 @@ def test_a_camera_info_is_a_camera_or_refused_in_words(message):
         sizes = [v for v in vars(camera.intrinsics).values() if isinstance(v, (int, float))]
         assert all(map(math.isfinite, sizes))
         assert min(camera.intrinsics.fx, camera.intrinsics.fy) > 0.0
-
-
-@pytest.mark.parametrize(
-    ("names", "positions", "error"),
-    [
-        ((*UR_JOINT_NAMES, UR_JOINT_NAMES[0]), 7, JointStateError),  # ambiguous
-        (UR_JOINT_NAMES[1:], 5, JointStateError),
-        (UR_JOINT_NAMES, 5, JointStateError),
-        (("gripper",), 1, ForeignJointsError),
-    ],
-)
-def test_joints_that_are_missing_or_ambiguous_are_refused(names, positions, error):
-    with pytest.raises(error):
-        JointMap(UR_JOINT_NAMES).positions(names, [0.0] * positions)
 
 
 @MANY

@@ -1,5 +1,6 @@
 """A terminal that blocks, hangs up or suspends: the arm stands, or goes on being commanded."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -62,9 +63,21 @@ def assert_zeros_last(bench):
     assert not np.any(last)
 
 
-def test_a_blocked_terminal_holds_neither_the_zeros_nor_the_end(deaf):
-    bench = Bench(deaf)
+@contextlib.contextmanager
+def handling(number, handler):
+    """This process's own handling of a signal, which the processes that it starts inherit."""
+    before = signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        signal.signal(number, before)
+
+
+def test_a_blocked_terminal_under_nohup_holds_neither_the_zeros_nor_the_end(deaf):
+    with handling(signal.SIGHUP, signal.SIG_IGN):
+        bench = Bench(deaf)
     bench.servo()
+    bench.process.send_signal(signal.SIGHUP)  # ignored, and stays so
     for _ in range(2):  # back and forth: each change is a line in the log
         bench.robot.silent.add(topics.JACOBIAN.name)
         bench.assert_stops(time.monotonic() + 0.2)
@@ -75,39 +88,19 @@ def test_a_blocked_terminal_holds_neither_the_zeros_nor_the_end(deaf):
     assert_zeros_last(bench)
 
 
-@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGABRT])
-def test_any_signal_that_ends_leaves_zeros_on_the_wire(ros_test, number):
-    before = signal.signal(number, signal.SIG_DFL)  # the tests themselves may run under nohup
-    try:
+def test_what_would_suspend_does_not_and_a_hangup_leaves_zeros_on_the_wire(ros_test):
+    with handling(signal.SIGHUP, signal.SIG_DFL):  # the tests themselves may run under nohup
         bench = Bench(ros_test)
-    finally:
-        signal.signal(number, before)
-    bench.servo()
-    assert ros_test.stop(bench.process, number) == 0
-    assert_zeros_last(bench)
-    bench.wait(lambda: bench.reason() == "SHUT_DOWN", 2.0, "the last word")
-
-
-def test_what_would_suspend_does_not(ros_test):
-    bench = Bench(ros_test)
     bench.servo()
     for number in (signal.SIGTSTP, signal.SIGTTOU, signal.SIGTTIN):
         bench.process.send_signal(number)
         count = len(bench.robot.commands)
         ros_test.spin_until(lambda n=count: len(bench.robot.commands) > n + 20, 2.0, "commands")
-    bench.robot.silent.add(topics.BALL_POSITION.name)
-    bench.assert_stops(time.monotonic() + 0.2)
-
-
-def test_a_hangup_that_is_ignored_stays_so(ros_test):
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as under nohup; children inherit it
-    try:
-        bench = Bench(ros_test)
-    finally:
-        signal.signal(signal.SIGHUP, before)
-    bench.process.send_signal(signal.SIGHUP)
-    bench.assert_keeps_sending_zeros()
-    assert bench.process.poll() is None
+    bench.robot.give_target(bench.target, (-0.3, 0.2, 0.1))
+    bench.wait(bench.robot.moving, what="motion")
+    assert ros_test.stop(bench.process, signal.SIGHUP) == 0
+    assert_zeros_last(bench)
+    bench.wait(lambda: bench.reason() == "SHUT_DOWN", 2.0, "the last word")
 
 
 @pytest.mark.parametrize("terminal", ["deaf", "left"])

@@ -53,9 +53,26 @@ class Loop:
         )
 
 
-@pytest.mark.parametrize("scheme", ["best", "extended"])
-def test_a_camera_that_was_turned_far_needs_no_new_training(ros_test, scheme):
-    loop = Loop(ros_test, scheme)
+def test_a_moving_target_is_followed_and_a_turned_camera_needs_no_new_training(ros_test):
+    loop = Loop(ros_test, "best")
+    loop.reach(START)
+    began_s, errors_m = time.monotonic(), []
+    while (passed_s := time.monotonic() - began_s) < 3.0:
+        angle = SPEED_M_S / RADIUS_M * passed_s
+        at_m = START + RADIUS_M * np.array([math.cos(angle) - 1.0, math.sin(angle), 0.0])
+        loop.aim(at_m)
+        loop.balls.clear()
+        ros_test.spin_for(1.0 / 30.0)
+        if passed_s > 1.5 and loop.balls:
+            errors_m.append(loop.distance_m(at_m, count=1))
+    # Seen 40 ms late at 0.1 m/s: what is heard of the ball is behind it by 4 to 9 mm.
+    assert len(errors_m) > 15
+    assert np.median(errors_m) < 0.015
+    assert loop.reason() in ("SERVOING", "SETTLED")
+    where = "target set to ({:.3f}, {:.3f}, {:.3f}) m".format(*at_m)
+    ros_test.spin_until(lambda: where in ros_test.output(loop.process), 3.0, "a line on its rest")
+    assert ros_test.output(loop.process).count("target set to") <= 4  # of a hundred
+
     loop.reach(START)
     ros_test.set_parameters("fvs_sim_node", camera_rotation_deg=[0.0, 0.0, TURN_DEG])
     c, s = math.cos(math.radians(TURN_DEG)), math.sin(math.radians(TURN_DEG))
@@ -66,24 +83,3 @@ def test_a_camera_that_was_turned_far_needs_no_new_training(ros_test, scheme):
     # Frozen networks would get there as well, in the end.
     found_deg = ros.from_status(loop.learned[-1])["camera_turned_deg"]
     assert float(found_deg) == pytest.approx(TURN_DEG, abs=3.0)
-
-
-def test_a_target_on_a_circle_is_followed_and_logged_when_it_comes_to_rest(ros_test):
-    loop = Loop(ros_test, "best")
-    loop.reach(START)
-    began_s, errors_m = time.monotonic(), []
-    while (passed_s := time.monotonic() - began_s) < 4.0:
-        angle = SPEED_M_S / RADIUS_M * passed_s
-        at_m = START + RADIUS_M * np.array([math.cos(angle) - 1.0, math.sin(angle), 0.0])
-        loop.aim(at_m)
-        loop.balls.clear()
-        ros_test.spin_for(1.0 / 30.0)
-        if passed_s > 2.0 and loop.balls:
-            errors_m.append(loop.distance_m(at_m, count=1))
-    # Seen 40 ms late at 0.1 m/s: what is heard of the ball is behind it by 4 to 9 mm.
-    assert len(errors_m) > 20
-    assert np.median(errors_m) < 0.015
-    assert loop.reason() in ("SERVOING", "SETTLED")
-    where = "target set to ({:.3f}, {:.3f}, {:.3f}) m".format(*at_m)
-    ros_test.spin_until(lambda: where in ros_test.output(loop.process), 3.0, "a line on its rest")
-    assert ros_test.output(loop.process).count("target set to") <= 4  # of a hundred

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 import signal
+import subprocess
+import sys
 import time
 import urllib.request
 
@@ -22,7 +25,7 @@ from page_client import PageClient
 
 from fvs_ros import ros, topics
 from fvs_ros.camera import Intrinsics
-from fvs_ros.joints import HOME_JOINTS_RAD, UR_JOINT_NAMES
+from fvs_ros.joints import HOME_JOINTS_RAD, JointMap
 
 DASHBOARD = "fvs_dashboard.dashboard_node"
 CONTROLLER = "fvs_controller_node.node"
@@ -94,35 +97,22 @@ def start(harness, page):
     assert states(page) == "SERVOING", page.text()
 
 
-def test_the_page_is_served_and_says_where(ros_test):
+def test_the_page_is_served_and_says_where_and_ends_though_a_browser_looks(ros_test, pages):
     process = ros_test.start_node(DASHBOARD, port=0)
     address = address_of(ros_test, process)
+    pages(address)
     with urllib.request.urlopen(address, timeout=10) as answer:
         assert answer.status == 200
         assert b"<html" in answer.read().lower()
     assert ros_test.output(process).strip() == f"page: {address}"  # nothing else at a start
     began_s = time.monotonic()
-    assert ros_test.stop(process) == 0
-    assert time.monotonic() - began_s < 3.0
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["-p", "port:=9000"], "unknown argument '-p'"),
-        (["--ros-args", "--params-file", "/none.yaml"], "cannot start:"),
-        (["--ros-args", "-p", "host:=203.0.113.1"], "the page cannot be served at 203.0.113.1"),
-    ],
-)
-def test_what_cannot_be_served_is_refused_in_a_sentence(ros_test, arguments, words):
-    process = ros_test.start(DASHBOARD, *arguments)
-    assert ros_test.wait(process) == 2
-    assert words in ros_test.output(process)
+    assert ros_test.stop(process, signal.SIGINT) == 0
+    assert time.monotonic() - began_s < 4.0
     assert "Traceback" not in ros_test.output(process)
 
 
 def test_the_arm_goes_where_the_page_says_and_stops_at_a_press(loop):
-    harness, robot, _, process, page = loop
+    harness, robot, _, _, page = loop
     targets = harness.collect(PointStamped, topics.TARGET_POSITION.name, ros.QOS_RELIABLE)
     start(harness, page)
     target = np.round(robot.ball + [0.1, -0.05, 0.05], 3)
@@ -143,10 +133,6 @@ def test_the_arm_goes_where_the_page_says_and_stops_at_a_press(loop):
     harness.spin_until(robot.standing, what="zeros")
     assert not any(robot.commands[-1][1].data)
     wait_for_state(harness, page, "READY")
-    began_s = time.monotonic()
-    assert harness.stop(process, signal.SIGINT) == 0  # though a browser looks
-    assert time.monotonic() - began_s < 4.0
-    assert "Traceback" not in harness.output(process)
 
 
 def test_what_the_controller_refuses_stands_on_the_page(loop):
@@ -196,6 +182,25 @@ def test_a_controller_that_is_gone_shows_and_a_later_one_waits_for_a_target(ros_
     assert reason() == "NO_TARGET"
 
 
+def test_a_stop_is_heard_while_others_want_the_processor(loop):
+    harness, robot, _, _, page = loop
+    start(harness, page)
+    busy = [
+        subprocess.Popen([sys.executable, "-c", "while True: pass"], start_new_session=True)
+        for _ in range(os.cpu_count() or 1)
+    ]
+    try:
+        harness.spin_for(2.0)
+        set_target(harness, page, robot.ball + np.array([0.15, -0.05, 0.05]))
+        harness.spin_until(robot.moving, what="the arm to move")
+        page.press("Stop")
+        harness.spin_until(robot.standing, 1.5, "zeros")
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+
+
 def test_a_stop_is_repeated_until_it_is_answered(loop):
     harness, _, controller, process, page = loop
     start(harness, page)
@@ -208,11 +213,11 @@ def test_a_stop_is_repeated_until_it_is_answered(loop):
     harness.spin_until(lambda: "stop: stopping" in harness.output(process), what="the answer")
 
 
-@pytest.mark.parametrize("prefix", ["camera", "camera/camera"])
-def test_images_are_asked_for_only_while_a_browser_looks(loop, pages, prefix):
+def test_images_are_asked_for_only_while_a_browser_looks(loop, pages):
     harness, _, _, process, page = loop
+    # Under the names of realsense2_camera.
     image_topic, info_topic = (
-        topic.name.replace("camera", prefix, 1)
+        topic.name.replace("camera", "camera/camera", 1)
         for topic in (topics.COLOR_IMAGE, topics.CAMERA_INFO)
     )
     images = harness.node.create_publisher(Image, image_topic, ros.QOS_RELIABLE)
@@ -236,65 +241,57 @@ def test_images_are_asked_for_only_while_a_browser_looks(loop, pages, prefix):
     harness.spin_until(lambda: images.get_subscription_count() == 1, what="a subscription again")
 
 
-def test_the_simulator_is_disturbed_and_reset_from_the_page(ros_test, pages):
+def test_a_tour_of_a_simulated_arm_that_is_disturbed_and_reset_from_the_page(ros_test, pages):
+    model = {"model_path": "models/ur5_front.npz"}
     simulator = ros_test.start_node("fvs_sim_node.node")
-    process = ros_test.start_node(DASHBOARD, port=0)
+    ros_test.start_node("fvs_estimator_node.node", **model)
+    ros_test.start_node(CONTROLLER, autostart=True)
+    process = ros_test.start_node(DASHBOARD, port=0, tour=True, **model)
     page = pages(address_of(ros_test, process))
+    joint_states = ros_test.collect(JointState, topics.JOINT_STATES.name)
 
-    def visible(label):
-        return page.elements[page.find(label)].get("visible") is True
+    def away_rad():
+        last = joint_states[-1]
+        joints = JointMap().positions(last.name, last.position)
+        return np.abs(joints - HOME_JOINTS_RAD).max()
 
-    ros_test.spin_until(lambda: visible("Bump the camera"), 20.0, "the simulator")
-    ros_test.spin_until(lambda: "/base/camera" in page.nodes, what="the camera")
+    def wait(condition, what, timeout_s=20.0):
+        ros_test.spin_until(condition, timeout_s, what, page.text)
+
+    # The tour loses the ball: the simulated arm is put back, and it goes on.
+    wait(lambda: joint_states and away_rad() > 0.2, "the tour to begin", 30.0)
+    ros_test.set_parameters("fvs_sim_node", camera_covered=True)
+    wait_for_state(ros_test, page, "HOLDING")
+    wait(lambda: away_rad() < 1e-3, "the arm where it began")
+    wait(lambda: "the tour saw no ball any more" in page.text(), "why")
+    ros_test.set_parameters("fvs_sim_node", camera_covered=False)
+    wait(lambda: away_rad() > 0.2, "the tour to go on")
+    assert page.value("Tour")
+    targets = ros_test.collect(PointStamped, topics.TARGET_POSITION.name, ros.QOS_RELIABLE)
+    page.press("Stop")
+    wait_for_state(ros_test, page, "READY")
+    wait(lambda: not page.value("Tour"), "the end of the tour")
+    assert not targets
+
+    # The simulator is disturbed, and reset.
     page.press("Bump the camera")
     page.set("Depth noise (×)", 2.5)
-
     wanted = GetParameters.Request(names=["depth_noise", "camera_rotation_deg"])
 
     def told():
         noise, turns = ros_test.call(GetParameters, "fvs_sim_node/get_parameters", wanted).values
         return noise.double_value, any(turns.double_array_value)
 
-    ros_test.spin_until(lambda: told() == (2.5, True), what="the disturbances")
+    wait(lambda: told() == (2.5, True), "the disturbances")
     page.set("Depth noise (×)", 50.0)
-    ros_test.spin_until(
-        lambda: "refused: parameter depth_noise must be" in page.text(), what="the refusal"
-    )
+    wait(lambda: "refused: parameter depth_noise must be" in page.text(), "the refusal")
     page.press("Reset everything")
-    ros_test.spin_until(lambda: told() == (1.0, False), what="the simulator as it began")
+    wait(lambda: told() == (1.0, False) and away_rad() < 1e-3, "the simulator as it began")
+    wait(lambda: "everything reset; target set to" in page.text(), "the end")
+    wait_for_state(ros_test, page, "READY")
     simulator.send_signal(signal.SIGSTOP)
     try:
         page.press("Reset everything")
-        ros_test.spin_until(lambda: "fvs_sim_node/reset does not answer" in page.text(), what="it")
+        wait(lambda: "fvs_sim_node/reset does not answer" in page.text(), "it")
     finally:
         simulator.send_signal(signal.SIGCONT)
-
-
-def test_a_tour_that_loses_the_ball_puts_the_simulated_arm_back_and_goes_on(ros_test, pages):
-    ros_test.start_node("fvs_sim_node.node")
-    ros_test.start_node("fvs_estimator_node.node", model_path="models/ur5_front.npz")
-    ros_test.start_node(CONTROLLER, autostart=True)
-    process = ros_test.start_node(DASHBOARD, port=0, tour=True, model_path="models/ur5_front.npz")
-    page = pages(address_of(ros_test, process))
-    states = ros_test.collect(JointState, topics.JOINT_STATES.name)
-    home = np.array(HOME_JOINTS_RAD)
-
-    def away_rad():
-        joints = dict(zip(states[-1].name, states[-1].position, strict=True))
-        return np.abs([joints[name] for name in UR_JOINT_NAMES] - home).max()
-
-    ros_test.spin_until(lambda: states and away_rad() > 0.2, 30.0, "the tour to begin")
-    ros_test.set_parameters("fvs_sim_node", camera_covered=True)
-    wait_for_state(ros_test, page, "HOLDING")
-    ros_test.spin_until(lambda: away_rad() < 1e-3, 20.0, "the arm where it began", page.text)
-    ros_test.spin_until(
-        lambda: "the tour saw no ball any more" in page.text(), 5.0, "why", page.text
-    )
-    ros_test.set_parameters("fvs_sim_node", camera_covered=False)
-    ros_test.spin_until(lambda: away_rad() > 0.2, 20.0, "the tour to go on", page.text)
-    page.press("Stop")
-    ros_test.spin_until(lambda: not page.value("Tour"), what="the end of the tour")
-    page.press("Reset everything")
-    ros_test.spin_until(lambda: away_rad() < 1e-3, 5.0, "the arm where it began", page.text)
-    ros_test.spin_until(lambda: "everything reset; target set to" in page.text(), 10.0, "the end")
-    wait_for_state(ros_test, page, "READY")

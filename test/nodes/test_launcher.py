@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
+from harness import ros_arguments
 from sensor_msgs.msg import Image
 from std_msgs.msg import Float64MultiArray
 
@@ -52,16 +53,11 @@ def alive(pid):
     return True
 
 
-@pytest.mark.parametrize(
-    "scheme",
-    [[], ["--scheme", "ukf+mpc", "-p", "method:=lkf"]],
-    ids=["the paper's own scheme", "any estimator with any law"],
-)
-def test_the_demo_settles_every_target(ros_test, scheme):
+def test_the_demo_settles_every_target(ros_test):
     simulated = ["-p", "use_sim_time:=true", "-p", "simulated_time:=true"]
     short = ["-p", "targets:=2", "-p", "target_s:=3.0", "-p", "fvs_demo_node:seed:=5"]
     statuses = ros_test.collect(DiagnosticStatus, topics.CONTROLLER_STATUS.name, ros.QOS_EVERY)
-    process = ros_test.start(MODULE, "demo", *simulated, *short, *scheme)
+    process = ros_test.start(MODULE, "demo", *simulated, *short)
     assert ros_test.wait(process, 90.0) == 0, ros_test.output(process)
     # The arm is stopped before the figure is drawn, and so not held meanwhile.
     states = [ros.from_status(status)["state"] for status in statuses]
@@ -80,8 +76,7 @@ def test_the_demo_settles_every_target(ros_test, scheme):
     assert "to 5 mm" in ros_test.output(process)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_in_motion_ends_all_with_zeros_last(ros_test, number):
+def test_ctrl_c_in_motion_ends_all_with_zeros_last(ros_test):
     commands = ros_test.collect(Float64MultiArray, topics.COMMANDS.name)
     target = ros_test.node.create_publisher(
         PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED
@@ -97,7 +92,7 @@ def test_a_signal_in_motion_ends_all_with_zeros_last(ros_test, number):
     )
     nodes = children(process)
     assert len(nodes) == 3
-    assert ros_test.stop(process, number) == 0, ros_test.output(process)
+    assert ros_test.stop(process, signal.SIGINT) == 0, ros_test.output(process)
     ros_test.spin_for(0.2)
     assert not np.any([m.data for m in commands[-3:]])
     assert not any(alive(pid) for pid in nodes)
@@ -197,16 +192,42 @@ def test_every_executable_says_what_it_is_for():
         assert wanted[name] in text
 
 
-@pytest.mark.parametrize(
-    ("content", "words"), [(None, "no file"), (b"not a model", "model")], ids=["no", "foreign"]
-)
-def test_a_missing_or_foreign_model_ends_all_with_one_clear_sentence(ros_test, content, words):
+def test_a_foreign_model_ends_all_with_one_clear_sentence(ros_test):
     path = ros_test.folder / "model.npz"
-    if content is not None:
-        path.write_bytes(content)
+    path.write_bytes(b"not a model")
     process = ros_test.start(MODULE, "servo", "-p", f"model_path:={path}")
     assert ros_test.wait(process) == 2
     output = ros_test.output(process)
-    assert re.search(rf"\[fvs_estimator_node\] cannot start: .*{words}", output)
+    assert re.search(r"\[fvs_estimator_node\] cannot start: .*model", output)
     assert "model.npz" in output
     assert "Traceback" not in output
+
+
+#: Module, arguments, and words of the refusal.
+REFUSED = [
+    ("fvs_sim_node.node", {"gui": True}, "gui needs a display"),
+    ("fvs_sim_node.node", {"urdf_path": "/nowhere.urdf"}, "/nowhere.urdf"),
+    ("fvs_estimator_node.node", {"model_path": "nowhere.npz"}, "model_path"),
+    ("fvs_estimator_node.node", {"feature_frame": "other_frame"}, "other_frame"),
+    ("fvs_controller_node.node", {"lambda1": 0.2, "lambda2": 0.3}, "lambda"),
+    ("fvs_controller_node.node", {"alpha_1": 1.0}, "'alpha_1'; did you mean alpha1?"),
+    ("fvs_estimator_node.collector_node", {"output_path": "/proc/nowhere/x.npz"}, "output_path"),
+    ("fvs_dashboard.dashboard_node", {"host": "203.0.113.1"}, "cannot be served at 203.0.113.1"),
+    ("fvs_dashboard.dashboard_node", ["-p", "port:=9000"], "unknown argument '-p'"),
+    ("fvs_dashboard.dashboard_node", ["--ros-args", "-p", "foo"], "cannot start:"),
+]
+
+
+def test_a_node_that_cannot_do_as_told_says_so_in_a_sentence_and_ends(ros_test, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    commands = ros_test.collect(Float64MultiArray, topics.COMMANDS.name)
+    started = []
+    for module, given, words in REFUSED:
+        arguments = given if isinstance(given, list) else ros_arguments(**given)
+        started.append((ros_test.start(module, *arguments), words))
+    for process, words in started:
+        assert ros_test.wait(process, 60.0) == 2
+        assert words in ros_test.output(process)
+        assert "Traceback" not in ros_test.output(process)
+    assert not any(np.any(m.data) for m in commands)

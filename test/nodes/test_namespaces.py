@@ -1,23 +1,25 @@
-"""Two robots side by side on one host, and nodes under other names: nothing crosses over."""
+"""Two robots side by side on one host, of different schemes: nothing crosses over."""
 
 import math
 
 import numpy as np
-import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
 from std_msgs.msg import Float64MultiArray
-from std_srvs.srv import Trigger
 
 from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME
 
 #: What no robot has for itself: /diagnostics is absolute by custom, the others are ROS's own.
 SHARED = {"/diagnostics", "/rosout", "/parameter_events"}
-#: Start and target of each robot.
+#: Start and target of each robot, and its scheme: any estimator with any law.
 ROBOTS = {
-    "left": ("[0.2, -1.4, 1.6, -1.75, -1.57, 0.0]", (-0.15, 0.09, 1.58)),
-    "right": ("[-0.1, -1.3, 1.5, -1.7, -1.5, 0.1]", (0.16, 0.20, 1.67)),
+    "left": ("[0.2, -1.4, 1.6, -1.75, -1.57, 0.0]", (-0.15, 0.09, 1.58), ("--scheme", "extended")),
+    "right": (
+        "[-0.1, -1.3, 1.5, -1.7, -1.5, 0.1]",
+        (0.16, 0.20, 1.67),
+        ("--scheme", "ukf+mpc", "-p", "method:=lkf"),
+    ),
 }
 #: Slower joint states and images, so that two robots fit on two cores.
 SLOW = ("joint_state_rate_hz:=50", "image_rate_hz:=15.0")
@@ -27,9 +29,9 @@ class Robot:
     """One of the two, as the test hears it."""
 
     def __init__(self, harness, name):
-        start, self.goal = ROBOTS[name]
+        start, self.goal, scheme = ROBOTS[name]
         given = [f"initial_joints_rad:={start}", *SLOW]
-        arguments = [word for one in given for word in ("-p", one)]
+        arguments = [*scheme, *(word for one in given for word in ("-p", one))]
         self.process = harness.start("fvs_tools.launcher", "servo", "--namespace", name, *arguments)
         self.commands = harness.collect(Float64MultiArray, f"{name}/{topics.COMMANDS.name}")
         self.balls = harness.collect(PointStamped, f"{name}/{topics.BALL_POSITION.name}")
@@ -77,28 +79,3 @@ def test_two_robots_side_by_side_each_reach_their_own_target(ros_test):
         assert {namespace for namespace, _ in others} <= {f"/{side}"}, name
     for robot in robots:
         assert ros_test.stop(robot.process) == 0
-
-
-@pytest.mark.parametrize(
-    ("module", "service"),
-    [
-        ("fvs_sim_node", "reset"),
-        ("fvs_estimator_node", "reset"),
-        ("fvs_controller_node", "stop"),
-    ],
-)
-def test_a_node_takes_another_name_a_namespace_and_remaps(ros_test, module, service):
-    remaps = {"__ns": "/cell", "__node": "other", "joint_states": "arm/joint_states"}
-    process = ros_test.start_node(f"{module}.node", remaps=remaps)
-    statuses = ros_test.collect(DiagnosticStatus, "/cell/other/status")
-    ros_test.spin_until(lambda: bool(statuses), what="a status under the new name")
-    assert statuses[-1].name == "/cell/other"
-
-    def names():
-        return {name for name, _ in ros_test.node.get_topic_names_and_types()}
-
-    ros_test.spin_until(lambda: "/cell/arm/joint_states" in names(), what="the remapped topic")
-    assert {n for n in names() if not n.startswith("/cell/")} <= SHARED
-    assert not any(name.endswith("/joint_states") for name in names() - {"/cell/arm/joint_states"})
-    assert ros_test.call(Trigger, f"/cell/other/{service}").success
-    assert ros_test.stop(process) == 0

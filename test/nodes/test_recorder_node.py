@@ -218,16 +218,16 @@ def test_who_starts_later_is_told_soon_that_a_node_is_there(ros_test, monkeypatc
         # Where the domain's thirty-first process on this machine would listen for such words.
         listener.bind(("127.0.0.1", 7400 + 250 * ros_test.domain + 10 + 2 * 30))
         listener.setblocking(False)
-        ros_test.spin_for(1.0)
+        ros_test.spin_for(0.5)
         others = set(senders(listener))  # this test's own node
         statuses = ros_test.collect(DiagnosticStatus, topics.CONTROLLER_STATUS.name)
         ros_test.start_node("fvs_controller_node.node")
         ros_test.spin_until(lambda: bool(statuses), what="the controller")
         ros_test.spin_for(1.0)
         senders(listener)  # at its very start everybody says so often
-        ros_test.spin_for(3.0)
+        ros_test.spin_for(1.5)
         (words,) = (n for who, n in senders(listener).items() if who not in others)
-    assert words > 5
+    assert words > 2
 
 
 def test_a_recorder_that_gives_up_does_not_stop_the_arm(ros_test):

@@ -56,26 +56,25 @@ def test_it_publishes_what_a_ur_and_a_detector_publish(simulator):
     assert 0.0 < np.linalg.norm(ball - truth) < 0.01
 
 
-def test_it_obeys_a_command_in_kinematic_order_and_holds_it(ros_test):
-    ros_test.start_node(MODULE, simulated_time=True)
-    states = ros_test.collect(JointState, topics.JOINT_STATES.name)
-    commands = ros_test.publisher(Float64MultiArray, topics.COMMANDS.name)
-    ros_test.spin_until(lambda: len(states) > 0)
+def test_it_obeys_a_command_in_kinematic_order_and_holds_it(simulator):
+    states = simulator.collect(JointState, topics.JOINT_STATES.name)
+    commands = simulator.publisher(Float64MultiArray, topics.COMMANDS.name)
+    simulator.spin_until(lambda: len(states) > 0)
     start = positions(states[-1])
     commands.publish(Float64MultiArray(data=[0.0, 0.0, 0.2, 0.0, 0.0, 0.0]))
-    ros_test.spin_until(lambda: abs(positions(states[-1]) - start).max() > 0.1)
+    simulator.spin_until(lambda: abs(positions(states[-1]) - start).max() > 0.1)
     moved = positions(states[-1]) - start
     assert UR_JOINT_NAMES[int(np.argmax(np.abs(moved)))] == "elbow_joint"
     assert np.abs(np.delete(moved, 2)).max() < 1e-3
     # Not finite: dropped, the old velocity goes on.
     commands.publish(Float64MultiArray(data=[float("nan")] * 6))
     here = positions(states[-1])
-    ros_test.spin_until(lambda: positions(states[-1])[2] - here[2] > 0.1)
+    simulator.spin_until(lambda: positions(states[-1])[2] - here[2] > 0.1)
     # Another size: the controller is deactivated, the arm stands until a reset.
     commands.publish(Float64MultiArray(data=[0.1] * 5))
-    ros_test.spin_until(lambda: abs(states[-1].velocity[0]) < 1e-3, what="the arm to stand")
-    assert ros_test.call(Trigger, "fvs_sim_node/reset").success
-    ros_test.spin_until(lambda: np.abs(positions(states[-1]) - start).max() < 1e-3)
+    simulator.spin_until(lambda: abs(states[-1].velocity[0]) < 1e-3, what="the arm to stand")
+    assert simulator.call(Trigger, "fvs_sim_node/reset").success
+    simulator.spin_until(lambda: np.abs(positions(states[-1]) - start).max() < 1e-3)
 
 
 def test_images_are_rendered_for_subscribers_and_agree_with_camera_info(simulator):
@@ -190,20 +189,3 @@ def test_a_controller_that_a_bad_command_deactivated_stays_so_after_a_pause(simu
     commands.publish(Float64MultiArray(data=[0.2, 0.0, 0.0, 0.0, 0.0, 0.0]))
     simulator.spin_until(lambda: "inactive" in statuses[-1].message, what="the refusal")
     assert fastest(states[-1]) < 1e-3
-
-
-@pytest.mark.parametrize(
-    ("parameters", "words"),
-    [
-        ({"sead": 3}, "unknown parameter 'sead'; did you mean seed?"),
-        ({"urdf_path": "/nowhere.urdf"}, "/nowhere.urdf"),
-        ({"gui": True}, "gui needs a display"),
-    ],
-)
-def test_a_wrong_parameter_is_one_clear_sentence(ros_test, monkeypatch, parameters, words):
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    process = ros_test.start_node(MODULE, **parameters)
-    assert ros_test.wait(process) == 2
-    assert words in ros_test.output(process)
-    assert "Traceback" not in ros_test.output(process)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import ur5_dh
 from recordings import Recording, relative_error, ur5_chain
-from unseen_robot import REACH_RAD, Kinematics
+from unseen_robot import REACH_RAD, draw_arm
 
 from fvs_estimator_node import chain_chart
 from fvs_estimator_node.chain_chart import Chart, residuals_and_slopes
@@ -120,15 +120,15 @@ def test_it_says_how_good_it_is_with_a_camera_and_joints_that_err(scales, encode
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_robot_of_unknown_make(seed):
-    arm = Kinematics(np.random.default_rng([seed, 77]))
+    arm = draw_arm(np.random.default_rng([seed, 77]))
     rng = np.random.default_rng(seed)
-    motion = RandomMotion(arm.home_rad, MotionConfig(), rng)
+    motion = RandomMotion(arm.reference_rad, MotionConfig(), rng)
     stamps = np.arange(1200) / 30.0
     joints = np.array([motion.path(t)[0] for t in stamps])
-    ball = np.array([arm.ball(q) for q in joints]) + 0.001 * rng.normal(size=(1200, 3))
+    ball = arm.position(joints) + 0.001 * rng.normal(size=(1200, 3))
     fit = fit_chain(DataSet(stamps, joints, ball, np.zeros(1200, dtype=int)))
-    places = arm.home_rad + REACH_RAD * rng.uniform(-1.0, 1.0, (50, 6))
-    true = np.array([arm.jacobian(q) for q in places])
+    places = arm.reference_rad + REACH_RAD * rng.uniform(-1.0, 1.0, (50, 6))
+    true = arm.jacobian(places)
     assert np.median(relative_error(fit.chain.jacobian(places), true)) < 0.002
     assert fit.misfit < 1.1
 

@@ -30,6 +30,7 @@ def test_a_value_that_is_not_finite_in_a_foreign_joint_does_no_harm():
     [
         (["finger"], [0.0], ForeignJointsError, "none of the wanted"),
         (UR_JOINT_NAMES[:5], [0.0] * 5, JointStateError, "lacks .*wrist_3_joint"),
+        ((*UR_JOINT_NAMES, UR_JOINT_NAMES[0]), [0.0] * 7, JointStateError, "shoulder_pan"),
         (UR_JOINT_NAMES, [0.0] * 5, JointStateError, "5 positions for 6 names"),
         (UR_JOINT_NAMES, [0.0] * 5 + [np.nan], JointStateError, "not finite for .*wrist_3"),
         (UR_JOINT_NAMES, [np.inf] + [0.0] * 5, JointStateError, "not finite for .*shoulder_pan"),
