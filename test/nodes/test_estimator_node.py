@@ -240,7 +240,7 @@ def test_chain_and_jacobian_follow_a_turned_camera_and_whoever_comes_late_hears_
     assert arm.error_of(estimator.chain()) > 0.5
     estimator.wait(lambda: arm.error_of(estimator.chain()) < 0.02)
     arm.moving = False
-    assert relative_error(estimator.jacobian(), arm.chain.jacobian(arm.joints)) < 0.03
+    assert relative_error(estimator.jacobian(), arm.chain.jacobian(arm.joints)) < 0.05
     places = RECORDING.places(20)
     found, true = (chain.position(places) for chain in (estimator.chain(), arm.chain))
     np.testing.assert_allclose(found, true, atol=0.03)
