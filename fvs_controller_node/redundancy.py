@@ -49,7 +49,7 @@ _CALM = 4.0
 _LEFT_OUT = 0.1
 #: Weight of the sum of squares counted from the way back to a posture.
 _HOMING = 0.5
-#: Closer to the posture than this, way back and weight are less in proportion, rad.
+#: Closer to the posture than this, the way back is slower in proportion, rad.
 _NEAR_HOME_RAD = 0.3
 _TINY = 1e-12
 
@@ -176,8 +176,8 @@ class LeastSpeedInverse:
             least = least + (free @ near) @ free
         elif home_rad is not None and joints_rad is not None:
             room = 1.0 if shares is None else float(shares.min())
-            homing, nearness = _homing(home_rad - joints_rad, largest(least), room)
-            least = least + (free @ homing) @ free
+            homing = _homing(home_rad - joints_rad, largest(least), room)
+            least, nearness = least + (free @ homing) @ free, _HOMING
         found = _least_largest(least, free, nearness)
         if shares is None:
             return found
@@ -237,15 +237,14 @@ def _unit(length: int) -> np.ndarray:
     return np.eye(length)[-1]
 
 
-def _homing(away_rad: np.ndarray, speed: float, room: float) -> tuple[np.ndarray, float]:
-    """The way back to a posture, and the weight it has.
+def _homing(away_rad: np.ndarray, speed: float, room: float) -> np.ndarray:
+    """The way back to a posture, as fast as the wanted motion and slower near the posture.
 
-    Nothing where the arm is there, nor where a joint is at its end: the others have enough to do.
+    Nothing where a joint is at its end: the others have enough to do.
     """
     furthest_rad = largest(away_rad)
     share = room * min(1.0, furthest_rad / _NEAR_HOME_RAD)
-    near = away_rad * (share * speed / max(furthest_rad, _TINY))
-    return near, _SMOOTHING + share * (_HOMING - _SMOOTHING)
+    return away_rad * (share * speed / max(furthest_rad, _TINY))
 
 
 Inverse = DampedInverse | LeastSpeedInverse
