@@ -67,7 +67,7 @@ class FrameWorker:
         return Frame(self._pipe.recv(), *_arrays(self._memory, self._config))
 
     def close(self) -> None:
-        """Kill the process: it has nothing to save, and at its priority an orderly end takes long."""
+        """Kill the process: it has nothing to save, and with its priority would end late."""
         self._pipe.close()
         self._process.kill()
 

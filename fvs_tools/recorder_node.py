@@ -71,12 +71,7 @@ class RecorderNode(ros.FvsNode):
         self._config = RecorderConfig.from_values(self.values)
         self._folder = Path(self._config.bag_dir).expanduser()
         observing.check_recording(self._folder)
-        self._transforms = bag.Transforms(
-            self.resolve_topic_name(topics.ROBOT_DESCRIPTION.name),
-            self.resolve_topic_name(topics.JOINT_STATES.name),
-            self.resolve_topic_name(topics.TRUE_CAMERA_POSE.name),
-            self._config.feature_frame,
-        )
+        self._camera_pose = self.resolve_topic_name(topics.TRUE_CAMERA_POSE.name)
         self._group = ros.NeverReady()
         self._topics: dict[str, _Topic] = {}
         self._publisher_counts: dict[str, int] = {}
@@ -187,14 +182,13 @@ class RecorderNode(ros.FvsNode):
     def _write(self, message: bag.Message) -> None:
         is_new = message.topic not in self._bag.counts
         self._bag.write(message, self._offers(message.topic) if is_new else ())
-        try:
-            transforms = self._transforms.of(message, robot=bag.TF not in self._topics)
-        except ValueError as error:
-            self._log_refusal(f"no transforms of the robot: {error}")
-            return
-        if transforms is not None:
-            moving = transforms.topic == bag.TF
-            self._bag.write(transforms, [ros.QOS_RELIABLE if moving else ros.QOS_LATCHED])
+        if message.topic == self._camera_pose:  # a viewer looks for it there
+            try:
+                mount = bag.camera_mount(message, self._config.feature_frame)
+            except ValueError as error:
+                self._log_refusal(str(error))
+            else:
+                self._bag.write(mount, [ros.QOS_LATCHED])
 
     # --- state and end ---
 
