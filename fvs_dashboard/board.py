@@ -231,15 +231,16 @@ class Board:
 
 # --- where the camera stands: to draw by, never to control by ---
 
-#: Ball positions that are remembered, and the fewest that are enough.
+#: Positions of the ball that are remembered, and the fewest that are enough.
 _MEMORY, _FEWEST = 300, 12
 #: A flange whose pose changed less than this in every number adds nothing, m and rad.
 _STEP = 0.02
-#: Smallest singular value over the largest that determines all fifteen numbers.
-_CONDITION = 1e-3
-#: A ball further than this from where it should be is an outlier, m; after six in a row the
-#: camera was moved. A pose with a larger median error is none.
-_OUTLIER_M, _OUTLIERS = 0.05, 6
+#: The second largest extent (rms) of the ball's way that determines the camera's rotation, m.
+_LEAST_EXTENT_M = 0.03
+#: A pose with a larger median error is none, m: the camera was moved.
+_LARGEST_ERROR_M = 0.05
+#: A position that is further off counts for little, m: it is weighted down pass by pass.
+_OUTLIER_M, _PASSES = 0.01, 3
 
 UNKNOWN = "the camera's place is not known yet: it is learned while the arm moves"
 
@@ -247,10 +248,8 @@ UNKNOWN = "the camera's place is not known yet: it is learned while the arm move
 class CameraPlacement:
     """The camera's pose in the robot's base frame: a simulator's, or learned from the motion.
 
-    With the flange at ``p``, turned by ``A``, a ball ``b`` on the flange is seen at ``x``:
-    ``Q x + u = p + A b``, where Q and u take the camera's frame to the robot's base. Multiplied by
-    ``A'`` that is linear in the fifteen numbers Q, u and b: least squares gives the ball b. The
-    rotation that best turns what was seen to where it was gives Q and u.
+    Ball positions in the camera's frame are laid onto those that the arm's joints give. Where the
+    flange holds the ball follows in turn from the pose; it is refined with every position.
     """
 
     def __init__(self) -> None:
@@ -262,7 +261,6 @@ class CameraPlacement:
         self.note = UNKNOWN
         self._pairs: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=_MEMORY)
         self._ball_m = np.zeros(3)  # in the flange's frame
-        self._outliers = 0
 
     def place(self, pose: np.ndarray) -> None:
         """Take the true pose."""
@@ -270,51 +268,32 @@ class CameraPlacement:
 
     def add(self, flange: np.ndarray, ball_m: np.ndarray) -> None:
         """Learn from where flange (pose, shape (4, 4)) and ball (camera frame) were at one time."""
-        if self.pose is not None:
-            seen_m = self.pose[:3, :3] @ ball_m + self.pose[:3, 3]
-            there_m = flange[:3, :3] @ self._ball_m + flange[:3, 3]
-            self._outliers += 1
-            if np.linalg.norm(seen_m - there_m) < _OUTLIER_M:
-                self._outliers = 0
-            elif self._outliers < _OUTLIERS:
-                return
-            else:
-                self._pairs.clear()
-                self.pose, self.note = None, UNKNOWN
         if self._pairs and np.abs(flange - self._pairs[-1][0]).max() < _STEP:
             return
         self._pairs.append((flange, ball_m))
-        if len(self._pairs) >= _FEWEST:
-            self._solve()
-
-    def _solve(self) -> None:
-        """Find the camera's pose, or none while the motion does not determine it."""
+        self.pose, self.note = None, UNKNOWN
+        if len(self._pairs) < _FEWEST:
+            return
         flanges, seen_m = (np.array(part) for part in zip(*self._pairs, strict=True))
         turns, origins_m = flanges[:, :3, :3], flanges[:, :3, 3]
-        back = turns.transpose(0, 2, 1)
-        # A' Q x + A' u - b = A' p, with Q column by column.
-        rows = np.concatenate(
-            [
-                np.einsum("nj,nik->nijk", seen_m, back).reshape(len(turns), 3, 9),
-                back,
-                np.broadcast_to(-np.eye(3), turns.shape),
-            ],
-            axis=2,
-        ).reshape(-1, 15)
-        wanted = np.einsum("nik,nk->ni", back, origins_m).reshape(-1)
-        free, _, _, sizes = np.linalg.lstsq(rows, wanted, rcond=None)
-        where_m = origins_m + turns @ free[12:]
-        rotation, _ = Rotation.align_vectors(
-            where_m - where_m.mean(axis=0), seen_m - seen_m.mean(axis=0)
-        )
-        pose = np.eye(4)
-        pose[:3, :3] = rotation.as_matrix()
-        pose[:3, 3] = where_m.mean(axis=0) - pose[:3, :3] @ seen_m.mean(axis=0)
-        off_m = np.linalg.norm(seen_m @ pose[:3, :3].T + pose[:3, 3] - where_m, axis=1)
-        error_m = np.median(off_m)
-        self.pose, self.note, self._ball_m = None, UNKNOWN, free[12:]
-        if sizes[-1] > _CONDITION * sizes[0] and error_m < _OUTLIER_M:
-            self.pose = pose
+        weights = np.ones(len(seen_m))
+        for _ in range(_PASSES):
+            there_m = origins_m + turns @ self._ball_m
+            middle_m, seen_middle_m = np.average([there_m, seen_m], axis=1, weights=weights)
+            rotation, _ = Rotation.align_vectors(
+                there_m - middle_m, seen_m - seen_middle_m, weights
+            )
+            placed_m = rotation.apply(seen_m - seen_middle_m) + middle_m
+            ball_m = np.einsum("nji,nj->ni", turns, placed_m - origins_m)
+            self._ball_m = np.average(ball_m, axis=0, weights=weights)
+            errors_m = np.linalg.norm(placed_m - there_m, axis=1)
+            weights = 1.0 / (_OUTLIER_M**2 + errors_m**2)
+        extent_m = np.linalg.svd(there_m - middle_m, compute_uv=False) / len(there_m) ** 0.5
+        error_m = np.median(errors_m)
+        if extent_m[1] > _LEAST_EXTENT_M and error_m < _LARGEST_ERROR_M:
+            self.pose = np.eye(4)
+            self.pose[:3, :3] = rotation.as_matrix()
+            self.pose[:3, 3] = middle_m - rotation.apply(seen_middle_m)
             self.note = (
                 f"the camera's place is learned: ball and arm agree to {1e3 * error_m:.0f} mm"
             )

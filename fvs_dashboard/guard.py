@@ -26,9 +26,7 @@ _CHECK_S = 10.0
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 #: What stands for every address that this host has.
 EVERYWHERE = frozenset({"0.0.0.0", "::", ""})
-#: What a browser says a request is for (``Sec-Fetch-Dest``) that is not the page by itself.
-_FRAMES = frozenset({"iframe", "frame", "fencedframe", "embed", "object"})
-#: The same said to the browser, in today's words and in those of old.
+#: No other page may hold this one in a frame, in today's words and in those of old browsers.
 _UNFRAMED = {"Content-Security-Policy": "frame-ancestors 'none'", "X-Frame-Options": "DENY"}
 
 
@@ -53,8 +51,6 @@ def objection(headers: Mapping[str, str], served_at: str) -> str:
         return f"the page is not served as {host}; it is as {' or '.join(sorted(names))}"
     if origin is not None and urlsplit(origin).netloc != host:
         return f"{origin} may not command this arm"
-    if headers.get("Sec-Fetch-Dest") in _FRAMES:
-        return "the page is not shown in a frame of another; open it by itself"
     return ""
 
 

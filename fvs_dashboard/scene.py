@@ -11,7 +11,6 @@ from math import inf
 from pathlib import Path
 
 import numpy as np
-import trimesh
 import viser
 import yourdfpy
 from viser.extras import ViserUrdf
@@ -27,7 +26,7 @@ LEGEND = (
     ("◉", _PREDICTED, "where it is now"),
     ("●", _TARGET, "target: drag it"),
 )
-_ROD = (150, 156, 168)
+_ROD, _BAR = (150, 156, 168), (204, 209, 217)
 #: Of the trail, from old to new: a fixed number, which the browser redraws cheaply.
 _TRAIL_COLOURS = np.linspace((60, 64, 72), (255, 214, 0), 97)
 #: After a drag the target stays where it was dropped, until the controller has answered, s.
@@ -67,6 +66,7 @@ class Scene:
         self._predicted = scene.add_icosphere(
             "/base/camera/predicted", 1.25 * ball_radius_m, _PREDICTED, **look
         )
+        self._bars: viser.LineSegmentsHandle | None = None  # in place of missing meshes
         self._add_target(ball_radius_m)
 
     def _add_surroundings(self) -> None:
@@ -144,12 +144,18 @@ class Scene:
             self._server.scene.remove_by_name("/robot/visual")  # and all that hangs on it
         self._arm, self._robot = arm, ViserUrdf(self._server, arm.urdf, root_node_name="/robot")
         _place(self._base, arm.base)
+        if self._bars is not None:
+            self._bars.remove()
+        colours = np.full((len(arm.names) + 1, 2, 3), _BAR)
+        self._bars = self._add_lines("/base/bars", colours, 12.0) if arm.missing else None
 
     def update(self, board: Board, now_s: float) -> None:
         """Show a moment."""
         joints, placement = board.newest("joint_states", now_s), board.placement
         if self._robot is not None and self._arm is not None and joints is not None:
             self._robot.update_cfg(self._arm.configuration(joints))
+            if self._bars is not None:
+                self._bars.points, self._bars.visible = self._arm.bars(joints), True
         self._table.visible = placement.true
         self._floor.position = (0.0, 0.0, self._under_table_m if placement.true else 0.0)
         camera = placement.pose
@@ -205,9 +211,6 @@ def _joined(points: np.ndarray) -> np.ndarray:
 _PACKAGE = "package://"
 #: Where ROS is installed, if it is: programs that sourced none find its meshes, too.
 _INSTALLED = Path("/opt/ros")
-#: How thick a bar is, m, and its colour; a link that is shorter gets none.
-_BAR_RADIUS_M, _SHORTEST_M = 0.03, 1e-3
-_BAR_COLOUR = (204, 209, 217, 255)
 
 
 class Arm:
@@ -218,7 +221,7 @@ class Arm:
 
     def __init__(self, text: str, names: Sequence[str], tf_prefix: str = "") -> None:
         self.names = tuple(names)
-        #: Its model, and a sentence about shapes that could not be had: bars stand for them.
+        #: Its model, and a sentence on why it has no meshes: then bars stand for its links.
         self.urdf, self.missing = _load(text)
         unknown = [name for name in names if name not in self.urdf.joint_map]
         if unknown:
@@ -227,7 +230,6 @@ class Arm:
         flange, base = f"{tf_prefix}tool0", f"{tf_prefix}base_link"
         self._flange = flange if flange in links else self.urdf.joint_map[names[-1]].child
         self._base = base if base in links else self.urdf.base_link
-        self._add_bars()
 
     def configuration(self, joints_rad: np.ndarray) -> dict[str, float]:
         """Joint positions by name, of positions in kinematic order, rad, shape (n,)."""
@@ -238,50 +240,31 @@ class Arm:
         self.urdf.update_cfg(self.configuration(joints_rad))
         return self.urdf.get_transform(self._flange, self._base)
 
+    def bars(self, joints_rad: np.ndarray) -> np.ndarray:
+        """Bars from base to joint to joint to flange, in ``base_link``, m, shape (n + 1, 2, 3)."""
+        self.urdf.update_cfg(self.configuration(joints_rad))
+        links = [self.urdf.joint_map[name].child for name in self.names]
+        poses = [self.urdf.get_transform(link, self._base) for link in (*links, self._flange)]
+        return _joined(np.array([np.zeros(3), *(pose[:3, 3] for pose in poses)]))
+
     @property
     def base(self) -> np.ndarray:
         """Pose of ``base_link`` in the model's root, shape (4, 4), m."""
         return self.urdf.get_transform(self._base)
 
-    def _add_bars(self) -> None:
-        """Draw a bar to the next joint for each link of the arm that has no shape here."""
-        scene = self.urdf.scene
-        drawn = {scene.graph.transforms.parents[name] for name in scene.graph.nodes_geometry}
-        by_child = {joint.child: joint for joint in self.urdf.joint_map.values()}
-        first, link = self.urdf.joint_map[self.names[0]].parent, self._flange
-        while link != first and link in by_child:
-            joint = by_child[link]
-            link = joint.parent
-            end_m = np.zeros(3) if joint.origin is None else joint.origin[:3, 3]
-            if link in drawn or np.linalg.norm(end_m) < _SHORTEST_M:
-                continue
-            bar = trimesh.creation.cylinder(
-                _BAR_RADIUS_M, segment=[np.zeros(3), end_m], sections=24
-            ) + trimesh.creation.icosphere(2, 1.3 * _BAR_RADIUS_M).apply_translation(end_m)
-            bar.visual.face_colors = _BAR_COLOUR
-            name = f"{link}_bar"
-            scene.add_geometry(bar, name, geom_name=name, parent_node_name=link)
-
 
 def _load(text: str) -> tuple[yourdfpy.URDF, str]:
-    """Read a URDF with those meshes that are here, and a sentence about the others."""
-    # It warns of what every robot's URDF has, and of meshes that are not here.
+    """Read a URDF, without meshes if one is not here; then a sentence says why."""
+    # It warns of what every robot's URDF has.
     logging.getLogger("yourdfpy").setLevel(logging.ERROR)
-    lost: list[str] = []
-
-    def find(fname: str) -> str:
-        path = _find(fname)
-        if not Path(path).is_file():
-            lost.append(fname)
-        return path
 
     def load(meshes: bool) -> yourdfpy.URDF:
         source = io.BytesIO(text.encode("utf-8"))
-        return yourdfpy.URDF.load(source, filename_handler=find, load_meshes=meshes)
+        return yourdfpy.URDF.load(source, filename_handler=_find, load_meshes=meshes)
 
     # Whatever its XML and mesh readers raise.
     try:
-        return load(True), _about(lost)
+        return load(True), ""
     except Exception as error:
         try:
             return load(False), f"bars are drawn, for a mesh cannot be read: {error}"
@@ -289,26 +272,18 @@ def _load(text: str) -> tuple[yourdfpy.URDF, str]:
             raise ValueError(f"robot_description cannot be read: {error}") from error
 
 
-def _about(lost: Sequence[str]) -> str:
-    """What to say of meshes that are not here."""
-    if not lost:
-        return ""
-    text = f"{len(set(lost))} meshes are not on this computer ({lost[0]}): bars are drawn instead"
-    if not lost[0].startswith(_PACKAGE):
-        return text
-    package = lost[0].removeprefix(_PACKAGE).partition("/")[0]
-    return (
-        f"{text}; install ros-jazzy-{package.replace('_', '-')} (apt), or name the folder that "
-        f"holds share/{package} in AMENT_PREFIX_PATH, and start this again"
-    )
-
-
 def _find(fname: str) -> str:
-    """The file of a mesh that the URDF names."""
-    if not fname.startswith(_PACKAGE):
-        return fname.removeprefix("file://")
+    """The file of a mesh that the URDF names; a ``FileNotFoundError`` says how to get it."""
     inside = fname.removeprefix(_PACKAGE)
+    if inside == fname:
+        return fname.removeprefix("file://")
     sourced = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     prefixes = (*map(Path, filter(None, sourced)), *sorted(_INSTALLED.glob("*"), reverse=True))
-    paths = (prefix / "share" / inside for prefix in prefixes)
-    return str(next((path for path in paths if path.is_file()), inside))
+    for path in (prefix / "share" / inside for prefix in prefixes):
+        if path.is_file():
+            return str(path)
+    package = inside.partition("/")[0]
+    raise FileNotFoundError(
+        f"{fname} is not on this computer; install ros-jazzy-{package.replace('_', '-')} (apt), "
+        f"or name the folder that holds share/{package} in AMENT_PREFIX_PATH, and start this again"
+    )

@@ -153,9 +153,8 @@ def test_the_cameras_place_is_learned_and_learned_anew_when_it_was_moved(board):
         np.testing.assert_allclose(placement.pose[:3, 3], camera.position_m, atol=0.02)
         np.testing.assert_allclose(placement.pose[:3, :3], camera.rotation, atol=0.02)
         assert "learned" in placement.note
-        before = placement.pose
         placement.add(flange_pose(np.zeros(6)), np.array([0.5, 0.5, 3.0]))  # a wrong detection
-        np.testing.assert_array_equal(placement.pose, before)
+        np.testing.assert_allclose(placement.pose[:3, 3], camera.position_m, atol=0.02)
 
 
 # --- what a person does ---
