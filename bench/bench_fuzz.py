@@ -2,30 +2,49 @@
 
 python -m bench fuzz; FVS_BENCH_CYCLES is the number of ticks, FVS_BENCH_SEED the first seed.
 
-Every core plays episodes of :class:`bench.fuzz_machine.Machine`. The first broken promise ends the
-campaign: Hypothesis shrinks it to the shortest script that breaks it, and prints that.
+Each rule of :class:`Machine` is one thing that happens to a :class:`~bench.fuzz_world.World`;
+Hypothesis draws their order and numbers, on every core. The first broken promise ends the campaign:
+Hypothesis shrinks it to the shortest script that breaks it, and prints that.
 """
 
 from __future__ import annotations
 
 import functools
+import math
 import multiprocessing
 import os
+import sys
 import time
 import traceback
 import warnings
 from collections import Counter
+from unittest import mock
 
 import hypothesis
-from hypothesis.stateful import run_state_machine_as_test
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from hypothesis import strategies as st
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    rule,
+    run_state_machine_as_test,
+)
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from tqdm import tqdm
 
-from bench.fuzz_machine import Machine
+from bench.fuzz_promises import Promises
+from bench.fuzz_world import BALL, FRESH_TICKS, JOINT_STATES, MAX_AGE, PLANTS, TICK_S, World
+from bench.fuzz_world import TRUE_JACOBIAN as TRUE
+from fvs_controller_node.base import ControlOutput
+from fvs_controller_node.config import LAWS, PARAMETERS
 from fvs_controller_node.reasons import Reason
+from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.joints import UR_JOINT_NAMES
 
-TICKS, CHUNK_TICKS, EPISODES = 1_000_000, 20_000, 20
+CHUNK_TICKS = 20_000
 SETTINGS = hypothesis.settings(
-    max_examples=EPISODES,
+    max_examples=20,
     stateful_step_count=15,
     database=None,
     deadline=None,
@@ -37,16 +56,308 @@ _SHRINKS = hypothesis.settings(
     SETTINGS, phases=[hypothesis.Phase.generate, hypothesis.Phase.shrink]
 )
 
+N_AXES, N_JOINTS = TRUE.shape
+ODD = (
+    *(math.nan, math.inf, -math.inf, 1e308, -1e300, 5e-324, -5e-324, 0.0, -0.0, 1e-300),
+    *(1e9, 100.0, 100.00001, -100.0, math.pi, 1e-9),
+)
+#: What would take long otherwise, made quick.
+IMPATIENT = {"resume_within_s": 0.5, "stall_time_s": 0.6}
 
-def play(
-    seed: int, ticks: int = CHUNK_TICKS, settings: hypothesis.settings = SETTINGS
-) -> tuple[Counter[str], str]:
+TICKS = st.integers(0, 60)
+OFTEN = st.sampled_from([True, True, True, False])
+JOINT = st.integers(0, N_JOINTS - 1)
+NUMBER = st.one_of(st.sampled_from(ODD), st.floats())
+FRAME = st.sampled_from([CAMERA_FRAME] * 3 + ["", "base", "\0", " " + CAMERA_FRAME, "x" * 999])
+#: Of a tick on the steady clock, s; of a stamp beside its clock, s.
+STEADY_S = st.sampled_from([TICK_S] * 4 + [0.0, 1e-9, 0.002, 0.012, 0.03, 0.07, 0.3, 5.0, 1e6])
+STAMP_S = st.sampled_from([TICK_S, 0.0, 0.05, -0.05, 0.5, -0.5, -5.0, 3600.0, -(2.0**31), 4e9])
+WORDS = st.sampled_from(["unknown", "", "nan", "-1", "1e999", "0x10", "1_0", "\0", "9" * 5000])
+NAMES = st.sampled_from([*UR_JOINT_NAMES, "gripper", "", "é", "a" * 99])
+
+
+def vector(size, largest=1.0):
+    """Draw numbers of either sign, up to some size."""
+    return st.lists(st.floats(-largest, largest), min_size=size, max_size=size)
+
+
+def odd_at(places):
+    """Draw which numbers of a message become odd: index -> number."""
+    return st.dictionaries(st.integers(0, places - 1), NUMBER, max_size=2)
+
+
+def value_of(parameter):
+    """Draw a value in the range of a parameter, of any magnitude."""
+    if parameter.choices:
+        return st.sampled_from(parameter.choices)
+    if parameter.kind is bool:
+        return st.booleans()
+    low = -10.0 if parameter.minimum is None else parameter.minimum
+    high = 1e3 if parameter.maximum is None else parameter.maximum
+    if parameter.kind is int:
+        return st.integers(int(low), int(min(high, low + 20)))
+    number = st.one_of(st.floats(low, high), st.sampled_from((low, high)))
+    if low >= 0.0:
+        exponents = st.floats(math.log10(max(low, 1e-6 * high)), math.log10(high))
+        number = st.one_of(number, exponents.map(lambda e: min(high, max(low, 10.0**e))))
+    if not parameter.is_list:
+        return number
+    size = len(parameter.default)
+    near = vector(size, 0.5).map(lambda by: np.add(parameter.default, by).tolist())
+    return st.one_of(near, st.lists(number, min_size=size, max_size=size))
+
+
+LIVE = st.sampled_from([parameter for parameter in PARAMETERS if parameter.live])
+CHANGES = st.one_of(
+    st.sampled_from([{name: value} for name, value in IMPATIENT.items()]),
+    st.lists(LIVE.flatmap(lambda p: st.tuples(st.just(p.name), value_of(p))), max_size=3).map(dict),
+    st.builds(lambda p, value: {p.name: value}, LIVE, st.sampled_from((*ODD, "nonsense"))),
+)
+
+
+class Machine(RuleBasedStateMachine):
+    """One controller and what happens to it; called by hand, the rules are a script."""
+
+    @initialize(
+        law=st.sampled_from(sorted(LAWS)),
+        autostart=st.sampled_from([False, False, False, True]),
+        simulated_time=st.booleans(),
+        epoch_s=st.sampled_from([1000.0, 0.0, 1.7e9, 2147483600.0]),
+        at_work=OFTEN,
+    )
+    def begin(self, law="proportional", autostart=False, at_work=False, **times):
+        """Make the world, of the plainest law by default, at rest or at work."""
+        self.world = World({"law": law, "autostart": autostart}, **times)
+        Promises(self.world)
+        if at_work:
+            self.work()
+
+    def teardown(self):
+        """Shut down, unless something is wrong already."""
+        if sys.exc_info()[0] is None and hasattr(self, "world"):
+            self.world.shut_down()
+
+    # ---- the operator -----------------------------------------------------------------------
+
+    @rule(way_rad=vector(N_JOINTS, 0.6), ticks=TICKS, mend=OFTEN)
+    def work(self, way_rad=(0.3,) * N_JOINTS, ticks=25, mend=True):
+        """Do all that servoing needs, mend what is broken, and go where these joints lead."""
+        if mend:
+            self.robot(True, 100.0, 0)
+            self.show(1.0)
+            self.world.plant, self.world.estimate = "obeys", TRUE
+        self.world.run(FRESH_TICKS)
+        self.world.send_target(self.world.ball() + TRUE @ way_rad)
+        self.world.start()
+        self.world.run(ticks)
+
+    work_again = work  # twice as often as anything else: most of the time the arm should move
+
+    @rule(ticks=TICKS, steady_s=STEADY_S, ros_s=st.one_of(st.none(), STAMP_S))
+    def wait(self, ticks, steady_s=TICK_S, ros_s=None):
+        """Let time pass, by clocks that run, crawl, stand or jump, together or apart."""
+        self.world.run(ticks, steady_s=steady_s, ros_s=ros_s)
+
+    @rule(name=st.sampled_from(["start", "stop", "set_current_as_target"]), ticks=TICKS)
+    def call(self, name, ticks=0):
+        """Call a service."""
+        own = {"start": self.world.start, "stop": self.world.stop}
+        own.get(name, lambda: self.world.node.call(f"~/{name}"))()
+        self.world.run(ticks)
+
+    @rule(target_m=st.lists(NUMBER, min_size=N_AXES, max_size=N_AXES), frame=FRAME)
+    def odd_target(self, target_m, frame=CAMERA_FRAME):
+        """Send any target, in any frame."""
+        self.world.send_target(self.world.ball() if target_m is None else target_m, frame)
+        self.world.run(3)
+
+    @rule(step_m=vector(N_AXES, 0.02), count=st.integers(1, 40), every=st.integers(1, 9))
+    def moving_target(self, step_m, count, every):
+        """Send a target again and again on its way."""
+        at_m = self.world.ball()
+        for _ in range(count):
+            at_m = at_m + step_m
+            self.world.send_target(at_m)
+            self.world.run(every)
+
+    @rule(changes=CHANGES, ticks=TICKS)
+    def change(self, changes, ticks=0):
+        """Change live parameters in mid-motion."""
+        self.world.set(changes)
+        self.world.run(ticks)
+
+    @rule(room_rad=st.lists(st.floats(-0.05, 0.3), min_size=N_JOINTS, max_size=N_JOINTS))
+    def close_in(self, room_rad):
+        """Let the ends of the joints' ranges close in on where the arm is."""
+        low = self.world.joints - room_rad
+        high = np.maximum(self.world.joints + room_rad, low + 0.002)
+        self.change({"joint_min_rad": low.tolist(), "joint_max_rad": high.tolist()}, 10)
+
+    @rule(joint=JOINT, side=st.sampled_from([-1, 1]), room_rad=st.floats(0.0, 0.3), ticks=TICKS)
+    def to_the_limit(self, joint, side, room_rad, ticks):
+        """Put the arm near an end of its range, with a target beyond."""
+        world = self.world
+        ball_m, end = world.ball(), "joint_max_rad" if side > 0 else "joint_min_rad"
+        world.joints[joint] = world.values[end][joint] - side * room_rad
+        self._push(ball_m - world.ball())
+        world.run(FRESH_TICKS)
+        world.send_target(world.ball() + side * 0.5 * TRUE[:, joint])
+        world.start()
+        world.run(ticks)
+
+    # ---- robot, camera, estimator -----------------------------------------------------------
+
+    @rule(
+        silent=st.sets(st.sampled_from(list(MAX_AGE))),
+        frozen=st.sets(st.sampled_from((JOINT_STATES, BALL))),
+        ticks=TICKS,
+        steady_s=STEADY_S,
+    )
+    def silence(self, silent=(), frozen=(), ticks=40, steady_s=TICK_S):
+        """Let inputs fall silent, or repeat their stamps."""
+        self.world.run(ticks, silent=silent, frozen=frozen, steady_s=steady_s)
+
+    @rule(running=OFTEN, percent=st.sampled_from([100.0] * 9 + [30.0, -1.0, *ODD]), ticks=TICKS)
+    def robot(self, running=True, percent=100.0, ticks=5):
+        """Let the robot's program stop or run, and turn its speed slider."""
+        self.world.send_program(running)
+        self.world.send_scaling(percent)
+        self.world.run(ticks)
+
+    @rule(plant=st.sampled_from(sorted(PLANTS)), ticks=TICKS)
+    def arm(self, plant, ticks):
+        """Let the drives answer in another way."""
+        self.world.plant = plant
+        self.world.run(ticks)
+
+    @rule(joint=JOINT, step_rad=st.floats(-0.5, 0.5))
+    def knock(self, joint, step_rad):
+        """Let a joint jump."""
+        self.world.joints[joint] += step_rad
+        self.world.new_image = True
+        self.world.run(8)
+
+    @rule(values=vector(N_JOINTS), own=st.booleans(), ticks=st.integers(1, 9))
+    def other_commander(self, values, own=False, ticks=9):
+        """Let another node command the arm, or one's own commands come back."""
+        for _ in range(ticks):
+            self.world.send_command(self.world.last if own else values)
+            self.world.run(1)
+
+    @rule(
+        signs=st.sampled_from([(1, 1, 1), (-1, -1, -1), (1, -1, 1)]),
+        scale=st.sampled_from([1.0, 1.0, 0.3, 8.0, 1e3]),
+        smallest=st.sampled_from([None, 0.0, 0.02, 0.04, 0.06]),
+        noise=st.one_of(st.just(0.0), vector(TRUE.size)),
+        ticks=TICKS,
+    )
+    def estimator(self, signs=1, scale=1.0, smallest=None, noise=0.0, ticks=20):
+        """Let the estimator err: in sign, scale, smallest singular value, or anyhow."""
+        u, s, vt = np.linalg.svd(TRUE, full_matrices=False)
+        s[-1] = s[-1] if smallest is None else smallest
+        erring = scale * (u * s) @ vt + np.resize(noise, TRUE.shape)
+        self.world.estimate = np.resize(signs, (N_AXES, 1)) * erring
+        self.world.run(ticks)
+
+    @rule(share=st.sampled_from([1.0, 0.0, -1.0, 0.1, 0.5, 2.0]), ticks=TICKS, steady_s=STEADY_S)
+    def show(self, share, ticks=0, steady_s=TICK_S):
+        """From where the ball is, let the camera show this share of its motion; 0: it is frozen."""
+        ball_m, self.world.seen_share = self.world.ball(), share
+        self._push(ball_m - self.world.ball())
+        self.world.run(ticks, steady_s=steady_s)
+
+    @rule(step_m=vector(N_AXES, 0.3), steps=st.integers(1, 100), steady_s=STEADY_S)
+    def push(self, step_m, steps, steady_s=TICK_S):
+        """Push the ball, or the camera, away: at once or steadily."""
+        for _ in range(steps):
+            self._push(np.array(step_m) / steps)
+            self.world.run(1, steady_s=steady_s)
+
+    @rule(size_m=st.floats(0.02, 0.12), ticks=st.integers(0, 600))
+    def swing(self, size_m, ticks):
+        """Let the ball swing, whatever the arm does."""
+        for tick in range(ticks):
+            by_m = size_m * (math.sin(0.1 * tick) - math.sin(0.1 * (tick - 1)))
+            self._push(by_m * np.eye(N_AXES)[0])
+            self.world.run(1, steady_s=0.01)
+
+    def _push(self, step_m):
+        self.world.push_m = self.world.push_m + step_m
+        self.world.new_image = True  # the image shows more than the arm's motion
+
+    # ---- messages and answers that should not be ---------------------------------------------
+
+    @rule(
+        names=st.one_of(st.permutations(UR_JOINT_NAMES), st.lists(NAMES, max_size=9)),
+        odd=odd_at(9),
+        more=st.integers(-1, 1),
+        late_s=STAMP_S,
+    )
+    def odd_joints(self, names=UR_JOINT_NAMES, odd=None, more=0, late_s=0.0):
+        """Send joint states with names, positions or stamps that are odd."""
+        known = dict(zip(UR_JOINT_NAMES, self.world.joints.tolist(), strict=True))
+        positions = [known.get(name, 0.5) for name in (*names, "")][: len(names) + more]
+        for index, value in (odd or {}).items():
+            positions[index : index + 1] = [value] if index < len(positions) else []
+        self.world.send_joints(positions, self.world.ros_s - late_s, names)
+
+    @rule(odd=odd_at(N_AXES), late_s=STAMP_S, frame=FRAME)
+    def odd_ball(self, odd, late_s=0.0, frame=CAMERA_FRAME):
+        """Send a ball position with numbers, stamp or frame that are odd."""
+        ball_m = self.world.ball().copy()
+        ball_m[list(odd)] = list(odd.values())
+        self.world.send_ball(ball_m, self.world.ros_s - late_s, frame)
+
+    @rule(
+        odd=odd_at(TRUE.size),
+        size=st.sampled_from([TRUE.size, TRUE.size, 0, 1, 17, 19, 36]),
+        sizes=st.sampled_from([[], TRUE.shape, TRUE.shape[::-1], [18], [2**32 - 1] * 2]),
+    )
+    def odd_jacobian(self, odd, size, sizes):
+        """Send a Jacobian with numbers or dimensions that are odd."""
+        data = self.world.estimate.ravel().copy()
+        data[list(odd)] = list(odd.values())
+        message = Float64MultiArray(data=np.resize(data, size).tolist())
+        message.layout.dim = [MultiArrayDimension(size=one) for one in sizes]
+        self.world.send_jacobian(message)
+
+    @rule(data=st.one_of(vector(49, 3.0), st.lists(NUMBER, max_size=49)))
+    def odd_chain(self, data):
+        """Send any chain, or what is none."""
+        self.world.send_chain(Float64MultiArray(data=data))
+
+    @rule(key=WORDS, value=WORDS, message=WORDS)
+    def odd_status(self, key, value, message):
+        """Let the estimator say anything."""
+        pairs = [KeyValue(key=key, value=value), KeyValue(key="state", value="WAITING")]
+        self.world.node._on_estimator_status(DiagnosticStatus(values=pairs, message=message))
+
+    @rule(velocity=st.lists(NUMBER, max_size=N_JOINTS), sliding=st.lists(NUMBER, max_size=N_AXES))
+    def mad_law(self, velocity=(), sliding=()):
+        """Let the law answer anything, or fail."""
+        answer = ControlOutput(np.array(velocity), np.array(sliding), np.ones(N_AXES))
+        error = None if velocity else ZeroDivisionError("a law's own mistake")
+        law = type(self.world.node._loop.law)
+        with mock.patch.object(law, "command", side_effect=error, return_value=answer):
+            self.world.run(3)
+
+    @rule(dt_s=st.sampled_from((*ODD, -1.0, 10.0)))
+    def odd_tick(self, dt_s):
+        """Tick with a time step that no clock gives."""
+        self.world.node._tick(self.world.now_s, dt_s)
+        self.world.run(1)
+
+
+# ---- the campaign ---------------------------------------------------------------------------
+
+
+def play(seed, ticks=CHUNK_TICKS, settings=SETTINGS):
     """Play at least some ticks; returns counts by name, and what broke a promise."""
     warnings.simplefilter("ignore")  # of numpy, about the numbers that are sent here
-    counts: Counter[str] = Counter()
+    counts = Counter()
 
     class Counted(Machine):
-        def teardown(self) -> None:
+        def teardown(self):
             super().teardown()
             if hasattr(self, "world"):
                 counts.update(self.world.reasons)
@@ -62,12 +373,12 @@ def play(
     return counts, ""
 
 
-def main() -> None:
+def main():
     """Play on all cores, and print what was reached."""
-    chunks = -(-int(os.environ.get("FVS_BENCH_CYCLES", TICKS)) // CHUNK_TICKS)
+    chunks = -(-int(os.environ.get("FVS_BENCH_CYCLES", "1000000")) // CHUNK_TICKS)
     first = int(os.environ.get("FVS_BENCH_SEED", "0"))
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    counts: Counter[str] = Counter()
+    counts = Counter()
     begin_s = time.perf_counter()
     campaign = functools.partial(play, settings=_SHRINKS)
     with multiprocessing.get_context("spawn").Pool() as pool:
@@ -86,7 +397,3 @@ def main() -> None:
     unreached = [reason.name for reason in Reason if not counts[reason.name]]
     print(f"reasons never reached: {', '.join(unreached) or 'none'}")
     print("every promise was kept")
-
-
-if __name__ == "__main__":
-    main()

@@ -9,27 +9,23 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any
 
 import numpy as np
 import rclpy
-from geometry_msgs.msg import PointStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 
 from bench.dry_node import DryController
-from bench.fuzz_promises import LONGEST_TICK_S, Promises
 from fvs_controller_node.config import PARAMETERS, SupervisorConfig
-from fvs_controller_node.supervisor import Command
 from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.joints import HOME_JOINTS_RAD, UR_JOINT_NAMES, ForeignJointsError, JointMap
 from fvs_ros.params import ParameterSet
 
 TICK_S = 0.008
+#: A tick counts for at most this, s.
+LONGEST_TICK_S = 0.05
 FRESH_TICKS = 26  # until every input counts again
-IMAGE_EVERY, JACOBIAN_EVERY, STATUS_EVERY, LATENCY_TICKS = 4, 2, 25, 4
 HOME_RAD = np.array(HOME_JOINTS_RAD)
 HOME_BALL_M = np.array([0.0, 0.0, 1.2])
 TRUE_JACOBIAN = np.array(
@@ -39,14 +35,8 @@ TRUE_JACOBIAN = np.array(
         [0.10, -0.25, 0.35, 0.15, -0.02, 0.0],
     ]
 )
-#: No number in an input is larger (rad, m, m/rad); no joint moves faster, rad/s, or steps further,
-#: rad; an older stamp is a late message, an even older one another clock, s.
-LARGEST, FASTEST_RAD_S, STEP_RAD, BACKSTEP_S = 100.0, 1.5 * math.pi, 0.1, 0.1
-#: A gap after which joints may be anywhere, s; silence after which a chain is forgotten, s.
-GAP_S, CHAIN_S = 0.5, 1.5
 JOINT_STATES, BALL, JACOBIAN = "joint_states", "ball_position", "jacobian"
-INPUTS = (JOINT_STATES, BALL, JACOBIAN)
-CHAIN, SPEED_SCALING = "kinematic_chain", "speed_scaling"
+#: The input's limit of age, by input.
 MAX_AGE = {
     JOINT_STATES: "joint_states_max_age_s",
     BALL: "ball_max_age_s",
@@ -54,7 +44,7 @@ MAX_AGE = {
 }
 
 #: How the drives answer: (wanted speed, present speed, rad/s, dt, s) -> next speed, rad/s.
-PLANTS: dict[str, Callable[[np.ndarray, np.ndarray, float], np.ndarray]] = {
+PLANTS = {
     "obeys": lambda wanted, _drive, _dt_s: wanted,
     "lags": lambda wanted, drive, dt_s: drive + (wanted - drive) * min(1.0, dt_s / 0.035),
     "creeps": lambda wanted, _drive, _dt_s: 0.2 * wanted,
@@ -64,33 +54,36 @@ PLANTS: dict[str, Callable[[np.ndarray, np.ndarray, float], np.ndarray]] = {
 }
 
 
+class BrokenPromiseError(AssertionError):
+    """The controller did what it must never do: the promise, and the values that show it."""
+
+    def __init__(self, promise, *how):
+        super().__init__(f"{promise}: {', '.join(map(str, how))}")
+        self.promise = promise
+
+
+def keep(promise, kept, *how):
+    """Raise unless a promise was kept; ``how`` are the values that show it."""
+    if not kept:
+        raise BrokenPromiseError(promise, *how)
+
+
 class World:
     """A controller node, an arm, a ball, an estimator and an operator.
 
-    Parameters
-    ----------
-    given : mapping
-        Parameters of the node that are not at their defaults.
-    simulated_time : bool
-        Whether the node takes its time steps from stamps.
-    epoch_s : float
-        Where the stamps begin, s.
+    ``given`` are parameters of the node that are not at their defaults; with ``simulated_time`` it
+    takes its time steps from the stamps, which begin at ``epoch_s``.
     """
 
-    def __init__(
-        self,
-        given: Mapping[str, Any] | None = None,
-        simulated_time: bool = False,
-        epoch_s: float = 1000.0,
-    ) -> None:
+    def __init__(self, given=None, simulated_time=False, epoch_s=1000.0):
         given = given or {}
         self.values = ParameterSet(PARAMETERS).values(given)
         self.now_s, self.ros_s = 100.0, epoch_s
         self.node = DryController(given, lambda: self.now_s, simulated_time)
-        self.node.on_tick = self._judge
-        commands = self.node.publishers_by_topic[topics.COMMANDS.name]
-        commands.heard = lambda data: self.wire.append(np.array(data))
-        self.wire: list[np.ndarray] = []  # commands since the last tick
+        self.node.on_tick = self._on_tick
+        self.wire = self.node.published[topics.COMMANDS.name]  # commands since the last tick
+        self.judge = lambda command, now_s, dt_s: None
+        self.last = self.before = np.zeros(HOME_RAD.size)  # the last two commands, rad/s
         # the arm, the camera, the estimator
         self.plant = "obeys"
         self.joints = HOME_RAD.copy()
@@ -98,57 +91,47 @@ class World:
         self.push_m = np.zeros(HOME_BALL_M.size)  # what moved the ball beside the arm
         self.seen_share = 1.0  # of the ball's motion, that the camera shows
         self.estimate = TRUE_JACOBIAN
-        self._images: deque[tuple[float, np.ndarray]] = deque(maxlen=LATENCY_TICKS + 1)
+        self._images = deque(maxlen=5)  # the camera's latency is four ticks
         self._beats = 0
         # the account: what a good controller knows
         self.session, self._autostart_left = False, self.values["autostart"]
         self.asked_s = -math.inf  # when ~/start was called last
         self.program_runs, self.scaling = True, 100.0
-        self.arrived_s = dict.fromkeys(INPUTS, -math.inf)
-        self.good = dict.fromkeys(INPUTS, 0.0)  # messages since the last trouble; inf: trusted
-        self.bad: set[str] = set()
-        self.stamps_s: dict[str, float] = {}
+        self.arrived_s = dict.fromkeys(MAX_AGE, -math.inf)
+        self.good = dict.fromkeys(MAX_AGE, 0.0)  # messages since the last trouble; inf: trusted
+        self.bad = set()
+        self.stamps_s = {}
         self._chain_s = -math.inf
-        self._heard_joints: np.ndarray | None = None
+        self._heard_joints = None
         self.singular_m_rad = math.inf
-        self.promises = Promises(self)
-        self.reasons: Counter[str] = Counter()
+        #: Whether a task began (a start, a change), and whether the image or the arm was moved.
+        self.new_task = self.new_image = True
+        self.reasons = Counter()
         self.moving_ticks = 0
 
-    def _judge(self, command: Command, now_s: float, dt_s: float) -> None:
+    def _on_tick(self, command, now_s, dt_s):
+        self.before, self.last = self.last, command.velocity_rad_s
         self.reasons[command.reason.name] += 1
-        self.moving_ticks += bool(command.velocity_rad_s.any())
-        if now_s - self._chain_s > CHAIN_S:
-            self.bad.discard(CHAIN)
-        self.promises.judge(command, now_s, dt_s)
+        self.moving_ticks += bool(self.last.any())
+        if now_s - self._chain_s > 1.5:  # a chain is forgotten
+            self.bad.discard("kinematic_chain")
+        self.judge(command, now_s, dt_s)
         self.wire.clear()
 
-    def end_session(self) -> None:
+    def end_session(self):
         """From here on a motion needs a start."""
         if self.session:
             self.session = self._autostart_left = False
 
-    def take_session(self) -> bool:
+    def take_session(self):
         """Whether the arm may move: it was started, or starts once by itself."""
         if not self.session and self._autostart_left:
             self.session, self._autostart_left = True, False
         return self.session
 
-    def age_limits_s(self) -> dict[str, float]:
-        """Age from which each input is late, s."""
-        return {name: self.values[limit] for name, limit in MAX_AGE.items()}
-
     # ---- time -----------------------------------------------------------------------------
 
-    def run(
-        self,
-        ticks: int,
-        *,
-        silent: Iterable[str] = (),
-        frozen: Iterable[str] = (),
-        steady_s: float = TICK_S,
-        ros_s: float | None = None,
-    ) -> None:
+    def run(self, ticks, *, silent=(), frozen=(), steady_s=TICK_S, ros_s=None):
         """Let time pass, with every message except ``silent`` and fresh stamps except ``frozen``.
 
         A tick takes ``steady_s`` on the steady clock and ``ros_s`` on that of the stamps.
@@ -157,60 +140,46 @@ class World:
             self._beats += 1
             self.now_s += steady_s
             self.ros_s += steady_s if ros_s is None else ros_s
-            self._move(steady_s)
-            if BALL not in silent and self._beats % IMAGE_EVERY == 0:
+            self._move(min(steady_s, LONGEST_TICK_S))
+            if BALL not in silent and self._beats % 4 == 0:
                 stamp_s, ball = self._images[0]
                 self.send_ball(ball, self.stamps_s.get(BALL, 0.0) if BALL in frozen else stamp_s)
-            if JACOBIAN not in silent and self._beats % JACOBIAN_EVERY == 0:
+            if JACOBIAN not in silent and self._beats % 2 == 0:
                 self.send_jacobian(ros.to_jacobian(self.estimate))
             if JOINT_STATES in silent:
                 self.node._watchdog()
             else:
                 last_s = self.stamps_s.get(JOINT_STATES, 0.0)
                 self.send_joints(self.joints, last_s if JOINT_STATES in frozen else self.ros_s)
-            if self._beats % STATUS_EVERY == 0:
+            if self._beats % 25 == 0:
                 self.node._publish_status()
 
-    def _move(self, dt_s: float) -> None:
+    def _move(self, dt_s):
         """Let the arm do what it does with the last command."""
-        dt_s = min(dt_s, LONGEST_TICK_S)
-        wanted = min(max(self.scaling, 0.0), 100.0) / 100.0 * self.promises.last
+        wanted = min(max(self.scaling, 0.0), 100.0) / 100.0 * self.last
         self.drive = PLANTS[self.plant](wanted, self.drive, dt_s)
         self.joints = self.joints + self.drive * dt_s
         self._images.append((self.ros_s, self.ball()))
 
-    @property
-    def known_joints(self) -> np.ndarray | None:
-        """Joints as the controller knows them, its encoders' noise averaged, rad, or None."""
-        return self.node._loop._joints
-
-    @property
-    def estimate_is_wrong(self) -> bool:
-        """Whether the estimator's Jacobian is not that of the arm."""
-        return self.estimate is not TRUE_JACOBIAN
-
-    def arm_speed_m_s(self) -> float:
-        """How fast the arm carries the ball, m/s."""
-        return float(np.linalg.norm(TRUE_JACOBIAN @ self.drive))
-
-    def arm_moved_m(self) -> np.ndarray:
+    def arm_moved_m(self):
         """How far the arm has carried the ball from home, m."""
         return TRUE_JACOBIAN @ (self.joints - HOME_RAD)
 
-    def ball(self) -> np.ndarray:
+    def ball(self):
         """Where the camera sees the ball, m."""
         return HOME_BALL_M + self.seen_share * self.arm_moved_m() + self.push_m
 
     # ---- inputs, each entered into the account on its way ---------------------------------
 
-    def _note(self, name: str, value: np.ndarray | None, stamp_s: float | None = None) -> None:
+    def _note(self, name, value, stamp_s=None):
         """Count a message; ``value`` is None where it cannot be read."""
         last_s = self.stamps_s.get(name)
         if value is not None and stamp_s is not None:
-            if last_s is not None and last_s - BACKSTEP_S <= stamp_s <= last_s:
+            # An older stamp is a late message, a much older one another clock.
+            if last_s is not None and last_s - 0.1 <= stamp_s <= last_s:
                 return
             self.stamps_s[name] = stamp_s
-        if value is None or not np.all(np.abs(value) <= LARGEST):
+        if value is None or not np.all(np.abs(value) <= 100.0):
             self.bad.add(name)
             return
         late = not self.now_s - self.arrived_s[name] <= self.values[MAX_AGE[name]]
@@ -220,9 +189,7 @@ class World:
         self.arrived_s[name] = self.now_s
         self.bad.discard(name)
 
-    def send_joints(
-        self, joints_rad: Iterable[float], stamp_s: float, names: Iterable[str] = UR_JOINT_NAMES
-    ) -> None:
+    def send_joints(self, joints_rad, stamp_s, names=UR_JOINT_NAMES):
         """Send a joint state; the node ticks."""
         message = JointState(name=list(names), position=[float(q) for q in joints_rad])
         message.header.stamp = ros.to_stamp(stamp_s)
@@ -239,20 +206,21 @@ class World:
             if self.stamps_s[JOINT_STATES] == stamp_s != before_s:
                 self._heard_joints = joints
                 passed_s = math.inf if before_s is None else stamp_s - before_s
-                if before is not None and 0.0 < passed_s < GAP_S:
-                    step_rad = float(np.abs(joints - before).max())
-                    if step_rad > STEP_RAD + FASTEST_RAD_S * passed_s:
+                # No joint steps further, unless it was not seen for long.
+                if before is not None and 0.0 < passed_s < 0.5:
+                    fastest_rad = 0.1 + 1.5 * math.pi * passed_s
+                    if np.abs(joints - before).max() > fastest_rad:
                         self.bad.add(JOINT_STATES)
         self.node._on_joint_states(message)
 
-    def send_ball(self, ball_m: Iterable[float], stamp_s: float, frame: str = CAMERA_FRAME) -> None:
-        """Send a ball position, m, (3,)."""
+    def send_ball(self, ball_m, stamp_s, frame=CAMERA_FRAME):
+        """Send a ball position, m."""
         message = ros.to_point(stamp_s, frame, ball_m)
         value = _read(ros.from_point, message, CAMERA_FRAME, BALL)
         self._note(BALL, value, ros.from_stamp(message.header.stamp))
         self.node._on_ball(message)
 
-    def send_jacobian(self, message: Float64MultiArray) -> None:
+    def send_jacobian(self, message):
         """Send a Jacobian, m/rad."""
         jacobian = _read(ros.from_jacobian, message, *TRUE_JACOBIAN.shape)
         self._note(JACOBIAN, jacobian)
@@ -260,34 +228,34 @@ class World:
         self.singular_m_rad = np.linalg.svd(jacobian, compute_uv=False)[-1] if usable else math.inf
         self.node._on_jacobian(message)
 
-    def send_chain(self, message: Float64MultiArray) -> None:
+    def send_chain(self, message):
         """Send a kinematic chain; it counts while the law reads chains, until it is forgotten."""
         if self.node._loop.law.reads_chain:
             self._chain_s = self.now_s
-            self.bad.discard(CHAIN)
+            self.bad.discard("kinematic_chain")
             if _read(ros.from_chain, message, TRUE_JACOBIAN.shape[1]) is None:
-                self.bad.add(CHAIN)
+                self.bad.add("kinematic_chain")
         self.node._on_chain(message)
 
-    def send_program(self, running: bool) -> None:
+    def send_program(self, running):
         """Say whether the robot's program runs."""
         self.program_runs = running
         if not running:
             self.end_session()
         self.node._on_program_running(Bool(data=running))
 
-    def send_scaling(self, percent: float) -> None:
+    def send_scaling(self, percent):
         """Say the robot's speed scaling, %."""
+        self.bad.discard("speed_scaling")
         if math.isfinite(percent):
             self.scaling = percent
-            self.bad.discard(SPEED_SCALING)
             if percent <= 0.0:
                 self.end_session()
         else:
-            self.bad.add(SPEED_SCALING)
+            self.bad.add("speed_scaling")
         self.node._on_speed_scaling(Float64(data=percent))
 
-    def send_command(self, values: Iterable[float]) -> None:
+    def send_command(self, values):
         """Let another node command the arm."""
         values = [float(v) for v in values]
         if tuple(values) not in self.node._sent:  # one's own come back, too
@@ -296,41 +264,36 @@ class World:
 
     # ---- the operator -------------------------------------------------------------------------
 
-    def send_target(self, target_m: Iterable[float], frame: str = CAMERA_FRAME) -> None:
-        """Send a target, m, (3,)."""
+    def send_target(self, target_m, frame=CAMERA_FRAME):
+        """Send a target, m."""
         target_m = np.array(list(target_m))
         before = self.target_m
         self.node._on_target(ros.to_point(self.ros_s, frame, target_m))
         low, high = (np.array(self.values[f"workspace_{end}_m"]) for end in ("min", "max"))
         allowed = frame == CAMERA_FRAME and np.all((low <= target_m) & (target_m <= high))
         same = np.array_equal(before, self.target_m)
-        self.promises.keep("a wrong target changes nothing", allowed or same, target_m, frame)
+        keep("a wrong target changes nothing", allowed or same, target_m, frame)
 
     @property
-    def target_m(self) -> np.ndarray | None:
-        """The target in use, m, (3,), or None."""
+    def target_m(self):
+        """The target in use, m, or None."""
         return self.node._loop.supervisor.goal.target_m
 
-    def aim(self, way_rad: Iterable[float]) -> None:
-        """Send a target that such a motion of the joints from here reaches."""
-        self.send_target(self.ball() + TRUE_JACOBIAN @ np.array(list(way_rad)))
-
-    def start(self) -> None:
+    def start(self):
         """Call ``~/start``."""
         done, text = self.node.call("~/start")
         self.session |= done
-        self.asked_s = self.now_s
-        self.promises.begin()
-        self.promises.keep("says why", bool(text), "~/start")
+        self.asked_s, self.new_task = self.now_s, True
+        keep("says why", bool(text), "~/start")
 
-    def stop(self) -> None:
+    def stop(self):
         """Call ``~/stop``."""
         self.node.call("~/stop")
         self.session = self._autostart_left = False
 
-    def set(self, values: Mapping[str, Any]) -> None:
+    def set(self, values):
         """Set live parameters; a refusal must change nothing."""
-        self.promises.begin()
+        self.new_task = True
         loop = self.node._loop
         before = loop.law, loop.supervisor.config, self.node.values
         result = self.node.set_parameters_atomically(
@@ -340,19 +303,19 @@ class World:
             self.values = {**self.values, **self.node.parameter_set.checked(values)}
             return
         same = before == (loop.law, loop.supervisor.config, self.node.values)
-        self.promises.keep("a refusal changes nothing", same, values)
-        self.promises.keep("says why", bool(result.reason), values)
+        keep("a refusal changes nothing", same, values)
+        keep("says why", bool(result.reason), values)
 
-    def shut_down(self) -> None:
+    def shut_down(self):
         """End the node: zeros, whatever comes after."""
         self.node._loop.supervisor.shutdown()
         self.end_session()
         self.bad.add("the end")
-        self.promises.last = np.zeros_like(self.promises.last)
+        self.last = np.zeros_like(self.last)
         self.run(3)
 
 
-def _read(parse: Callable, message: PointStamped | Float64MultiArray, *rest: str) -> Any:
+def _read(parse, message, *rest):
     """What a message says, or None."""
     try:
         return parse(message, *rest)

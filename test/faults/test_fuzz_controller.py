@@ -14,9 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench import bench_fuzz, bench_mutants
-from bench.bench_mutants import MUTANTS, ROWS, SCRIPTS
-from bench.fuzz_machine import Machine
-from bench.fuzz_world import BALL, FRESH_TICKS, HOME_RAD, World
+from bench.bench_fuzz import Machine
+from bench.bench_mutants import MUTANTS, ROWS, SCRIPTS, do
+from bench.fuzz_promises import Promises
+from bench.fuzz_world import BALL, FRESH_TICKS, HOME_RAD, TRUE_JACOBIAN, World
 from fvs_controller_node.reasons import Reason
 
 README = Path(__file__).resolve().parents[2] / "README.md"
@@ -44,11 +45,12 @@ def test_nothing_but_a_start_starts_it(monkeypatch):
 )
 def test_an_arm_that_obeys_never_passes_the_ends_of_its_range(start, plant, way):
     world = World()
+    Promises(world)
     lower, upper = (np.array(world.values[f"joint_{end}_rad"]) for end in ("min", "max"))
     world.joints, world.plant = np.clip(start, lower, upper), plant
     world.push_m = -world.arm_moved_m()
     world.run(FRESH_TICKS)
-    world.aim(way)
+    world.send_target(world.ball() + TRUE_JACOBIAN @ way)
     world.start()
     for _ in range(100):
         world.run(1)
@@ -81,36 +83,27 @@ def test_every_row_of_the_safety_table_is_promised():
 @pytest.mark.parametrize(
     "trouble",
     [
-        lambda m: m.robot(running=False),
-        lambda m: m.robot(percent=0.0),
-        lambda m: m.odd_joints(odd={0: np.nan}),
-        lambda m: m.odd_ball({1: np.inf}, 0.0, "camera_color_optical_frame"),
+        do("robot", running=False),
+        do("robot", percent=0.0),
+        do("odd_joints", odd={0: np.nan}),
+        do("odd_ball", {1: np.inf}),
     ],
     ids=["program", "speed slider", "joints", "ball"],
 )
 def test_a_pause_or_a_bad_message_stops_at_once_an_arm_that_is_coming_to_rest(trouble):
-    def script(m):
-        m.work()
-        m.silence([BALL], ticks=32)
-        assert m.world.promises.last.any()
-        assert m.world.reasons["STALE"]
-        trouble(m)
-        m.wait(3)
-
-    bench_mutants.play(script)
+    machine = bench_mutants.play([do("work"), do("silence", [BALL], ticks=32)], end=False)
+    assert machine.world.last.any()
+    assert machine.world.reasons["STALE"]
+    trouble(machine)
+    machine.wait(3)
 
 
 def test_another_node_that_commands_ends_a_session_that_a_bad_message_holds():
-    def script(m):
-        m.work()
-        m.odd_ball({0: np.nan}, 0.0, "camera_color_optical_frame")
-        m.other_commander((0.1,) * HOME_RAD.size, ticks=1)
-        m.show(1.0, ticks=4, steady_s=0.3)
-        m.wait(20)
-        assert m.world.reasons["BAD_INPUT"]
-        assert not m.world.promises.last.any()
-
-    bench_mutants.play(script)
+    other = do("other_commander", (0.1,) * HOME_RAD.size, ticks=1)
+    script = [do("work"), do("odd_ball", {0: np.nan}), other, do("show", 1.0, 4, 0.3)]
+    world = bench_mutants.play([*script, do("wait", 20)]).world
+    assert world.reasons["BAD_INPUT"]
+    assert not world.last.any()
 
 
 def test_a_joint_that_is_slow_near_its_limit_is_not_carried_over_it_by_a_ramp():
@@ -129,7 +122,7 @@ def test_a_joint_that_is_slow_near_its_limit_is_not_carried_over_it_by_a_ramp():
     # One joint as fast as it can just brake before its end, another one fast.
     velocity = np.array([0.1, 2.0, 0.0, 0.0, 0.0, 0.0])
     world.node._loop.supervisor._limiter.velocity_rad_s = velocity
-    world.promises.last = velocity
+    world.last = velocity
     world.run(400)
 
 
@@ -138,8 +131,8 @@ def test_a_limit_that_is_lowered_in_motion_is_reached_by_braking_with_all_it_has
     machine.begin()
     machine.work(0.5 * np.sign(HOME_RAD) + 0.3, ticks=40)
     world = machine.world
-    fastest = np.abs(world.promises.last).max()
+    fastest = np.abs(world.last).max()
     assert fastest > 0.5
     machine.change({"max_joint_velocity_rad_s": 0.05})
     world.run(int(np.ceil((fastest - 0.05) / (6.0 * 0.008))))
-    assert np.abs(world.promises.last).max() <= 0.05
+    assert np.abs(world.last).max() <= 0.05
