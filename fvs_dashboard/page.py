@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import io
-import math
 import socket
 import threading
 import time
@@ -43,9 +42,8 @@ from fvs_estimator_node.registry import ESTIMATORS
 _SELDOM = 3
 _STOP_S = 0.8
 _LEFT_PX, _RIGHT_PX = 400, 350
-#: The first look: its field of view from top to bottom, rad, and the least width over height at
-#: which arm, ball and camera are in it.
-_FIELD_RAD, _LEAST_ASPECT = 0.7, 0.78
+#: The first look's field of view from top to bottom, rad.
+_FIELD_RAD = 0.8
 
 
 class _Server(viser.ViserServer):
@@ -97,7 +95,6 @@ class Page:
         server.initial_camera.position = (2.9, -1.05, 1.4)
         server.initial_camera.look_at = (0.6, -0.3, 0.42)
         server.initial_camera.fov = _FIELD_RAD
-        server.on_client_connect(_fit)
         self._shown = 0
 
     def _dragged(self, target_m: tuple[float, float, float]) -> None:
@@ -145,23 +142,6 @@ class Page:
         thread = threading.Thread(target=stop, daemon=True)
         thread.start()
         thread.join(_STOP_S)
-
-
-def field_of_view_rad(width: int, height: int) -> float:
-    """The field of view from top to bottom, for a size in px: narrow ones see as much."""
-    # Panels may leave nothing of a small window.
-    wider = max(1.0, _LEAST_ASPECT * height / max(width, 0.2 * height, 1))
-    return 2.0 * math.atan(wider * math.tan(0.5 * _FIELD_RAD))
-
-
-async def _fit(client: viser.ClientHandle) -> None:
-    """Keep the field of view right for the width that a browser leaves to the arm."""
-
-    async def fit(camera: viser.CameraHandle) -> None:
-        camera.fov = field_of_view_rad(camera.image_width, camera.image_height)
-
-    client.camera.on_update(fit)
-    await fit(client.camera)
 
 
 def _check_free(host: str, port: int) -> None:

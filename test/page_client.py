@@ -35,8 +35,6 @@ class PageClient:
         Position of every node of the 3-D view that has been given one.
     drawn : dict
         Properties of every node of the 3-D view, by its name.
-    field_of_view_rad : float
-        Of the 3-D view, from top to bottom, as the page wants it.
     counts : Counter
         Messages received, by type.
     """
@@ -45,7 +43,6 @@ class PageClient:
         self.elements: dict[str, dict[str, Any]] = {}
         self.nodes: dict[str, Any] = {}
         self.drawn: dict[str, dict[str, Any]] = {}
-        self.field_of_view_rad = 1.0
         self.counts: Counter[str] = Counter()
         self.bytes = 0
         self._complete = threading.Event()
@@ -59,24 +56,20 @@ class PageClient:
         self._thread = threading.Thread(target=self._receive, daemon=True)
         self._thread.start()
         # A browser counts from its first camera on.
-        self.look(800, 600)
-        if not self._complete.wait(_COMPLETE_S):
-            raise TimeoutError(f"the page was not complete within {_COMPLETE_S} s")
-
-    def look(self, width: int, height: int) -> None:
-        """Tell the size of the 3-D view, px, as a browser does whenever it changes."""
         self._send(
             type="ViewerCameraMessage",
             wxyz=(1.0, 0.0, 0.0, 0.0),
             position=(3.0, 3.0, 3.0),
-            fov=self.field_of_view_rad,
+            fov=1.0,
             near=0.01,
             far=1000.0,
-            image_height=height,
-            image_width=width,
+            image_height=600,
+            image_width=800,
             look_at=(0.0, 0.0, 0.0),
             up_direction=(0.0, 0.0, 1.0),
         )
+        if not self._complete.wait(_COMPLETE_S):
+            raise TimeoutError(f"the page was not complete within {_COMPLETE_S} s")
 
     def _send(self, **message: Any) -> None:
         self._socket.send(msgspec.msgpack.encode(message))
@@ -102,8 +95,6 @@ class PageClient:
             self._complete.set()
         if kind == "GuiUpdateMessage":
             self.elements.setdefault(message["uuid"], {}).update(message["updates"])
-        elif kind == "SetCameraFovMessage":
-            self.field_of_view_rad = message["fov"]
         elif kind == "SetPositionMessage":
             self.nodes[message["name"]] = message["position"]
         elif "props" in message and "uuid" in message:
@@ -158,10 +149,6 @@ class PageClient:
                 owner="",
             )
         self._send(type="TransformControlsDragEndMessage", name=_TARGET_NODE, owner="")
-
-    def ask_for_a_tunnel(self) -> None:
-        """Ask for a public address of the page."""
-        self._send(type="ShareUrlRequest")
 
     def close(self, timeout_s: float = 5.0) -> None:
         """Close the browser's window."""
