@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import Counter
 from typing import Any
 
 import msgspec
@@ -31,20 +30,10 @@ class PageClient:
     ----------
     elements : dict
         The panel's elements by id: their properties, and their value as ``value``.
-    nodes : dict
-        Position of every node of the 3-D view that has been given one.
-    drawn : dict
-        Properties of every node of the 3-D view, by its name.
-    counts : Counter
-        Messages received, by type.
     """
 
     def __init__(self, address: str, **headers: str) -> None:
         self.elements: dict[str, dict[str, Any]] = {}
-        self.nodes: dict[str, Any] = {}
-        self.drawn: dict[str, dict[str, Any]] = {}
-        self.counts: Counter[str] = Counter()
-        self.bytes = 0
         self._complete = threading.Event()
         self._socket = connect(
             address.replace("http", "ws", 1),
@@ -79,7 +68,6 @@ class PageClient:
         try:
             for raw in self._socket:
                 assert isinstance(raw, bytes)
-                self.bytes += len(raw)
                 size = int.from_bytes(raw[:8], "little")
                 end = 16 + int.from_bytes(raw[8:16], "little")
                 plain = decompressor.decompress(raw[16:end], max_output_size=size)
@@ -90,18 +78,13 @@ class PageClient:
 
     def _take(self, message: dict[str, Any]) -> None:
         kind = message["type"]
-        self.counts[kind] += 1
         if kind == "ReplayDoneMessage":
             self._complete.set()
         if kind == "GuiUpdateMessage":
             self.elements.setdefault(message["uuid"], {}).update(message["updates"])
-        elif kind == "SetPositionMessage":
-            self.nodes[message["name"]] = message["position"]
         elif "props" in message and "uuid" in message:
             element = {**message["props"], "value": message.get("value")}
             self.elements[message["uuid"]] = element
-        elif "props" in message and "name" in message:
-            self.drawn[message["name"]] = message["props"]
 
     # --- what is seen ---
 

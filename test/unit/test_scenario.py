@@ -5,8 +5,6 @@ from pathlib import Path
 import pytest
 import yaml
 
-from fvs_controller_node.config import LAWS
-from fvs_estimator_node.registry import ESTIMATORS
 from fvs_tools.scenario import (
     MARKERS,
     RECORDER,
@@ -15,7 +13,7 @@ from fvs_tools.scenario import (
     load_scenario,
     params_yaml,
 )
-from fvs_tools.schemes import BEYOND, SCHEMES, scheme
+from fvs_tools.schemes import BEYOND, SCHEMES
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
@@ -39,17 +37,21 @@ def test_overrides_go_to_the_nodes_that_have_the_parameter():
 
 
 @pytest.mark.parametrize(
-    ("override", "words"),
+    ("name", "overrides", "scheme_name", "words"),
     [
-        ("law=mpc", "not of the form name:=value"),
-        ("law:=ftsn", "fvs_controller_node .*law must be one of .*; did you mean ftsm[?]"),
-        ("fvs_sim_node:law:=ftsm", "unknown parameter 'law'"),
-        ("fvs_recorder_node:images:=false", "unknown node of demo.yaml 'fvs_recorder_node'"),
+        ("demo", ["law=mpc"], "", "not of the form name:=value"),
+        ("demo", ["law:=ftsn"], "", "fvs_controller_node .*law must be .*; did you mean ftsm[?]"),
+        ("demo", ["fvs_sim_node:law:=ftsm"], "", "unknown parameter 'law'"),
+        ("demo", ["fvs_recorder_node:images:=false"], "", "unknown node of demo.yaml"),
+        ("demo", [], "pid", r"did you mean rbf\+pid\? known are proposed, rbf\+pid"),
+        ("collect", [], "proposed", "needs fvs_estimator_node and fvs_controller_node, which coll"),
+        ("nowhere.yaml", [], "", r"no file nowhere\.yaml; looked in .*config"),
+        ("dmeo", [], "", r"did you mean demo\? known are .*, servo, ur5_real"),
     ],
 )
-def test_a_wrong_override_is_refused_in_words(override, words):
+def test_a_wrong_command_line_is_refused_in_words(name, overrides, scheme_name, words):
     with pytest.raises(ValueError, match=words):
-        load_scenario("demo", [override])
+        load_scenario(name, overrides, scheme_name)
 
 
 @pytest.mark.parametrize(
@@ -70,18 +72,6 @@ def test_a_file_that_is_no_scenario_is_refused_in_words(tmp_path, text, words):
         load_scenario(str(path))
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("nowhere.yaml", r"no file nowhere\.yaml; looked in .*config"),
-        ("dmeo", r"did you mean demo\? known are .*, servo, ur5_real"),
-    ],
-)
-def test_a_scenario_that_is_not_there_is_looked_for_or_guessed(name, words):
-    with pytest.raises(ValueError, match=words):
-        load_scenario(name)
-
-
 def test_wildcard_parameters_reach_every_node_and_the_file_holds_in_any_namespace():
     scenario = load_scenario("collect")
     assert all(values["use_sim_time"] for values in scenario.values())
@@ -89,37 +79,19 @@ def test_wildcard_parameters_reach_every_node_and_the_file_holds_in_any_namespac
     assert set(content) == {"/**/fvs_sim_node", "/**/fvs_collector_node"}
 
 
-@pytest.mark.parametrize("name", [*SCHEMES, *BEYOND])
-def test_a_scheme_sets_method_and_law_and_an_override_wins(name):
-    one = scheme(name)
-    assert one.name == name
-    assert one.description.endswith(".")
-    assert one.law in LAWS
-    assert one.method in ESTIMATORS
-    parameters = load_scenario("demo", scheme_name=name)
+@pytest.mark.parametrize("one", [*SCHEMES.values(), *BEYOND.values()], ids=lambda one: one.name)
+def test_a_scheme_sets_method_and_law_and_an_override_wins(one):
+    parameters = load_scenario("demo", scheme_name=one.name)
     assert parameters["fvs_estimator_node"]["method"] == one.method
     assert parameters["fvs_controller_node"]["law"] == one.law
     assert one.controller_values.items() <= parameters["fvs_controller_node"].items()
-    other = load_scenario("demo", ["law:=mfac"], name)
+    other = load_scenario("demo", ["law:=mfac"], one.name)
     assert other["fvs_controller_node"]["law"] == "mfac"
     assert other["fvs_estimator_node"]["method"] == one.method
 
 
 def test_the_best_scenario_is_the_demo_with_the_best_scheme():
-    wanted = load_scenario("demo", ["output_dir:=out/best"], "best")
-    assert load_scenario("best") == wanted
-
-
-@pytest.mark.parametrize(
-    ("scenario", "name", "words"),
-    [
-        ("demo", "pid", r"did you mean rbf\+pid\? known are proposed, rbf\+pid"),
-        ("collect", "proposed", r"needs fvs_estimator_node and fvs_controller_node, which collect"),
-    ],
-)
-def test_a_scheme_that_does_not_fit_is_refused_in_words(scenario, name, words):
-    with pytest.raises(ValueError, match=words):
-        load_scenario(scenario, scheme_name=name)
+    assert load_scenario("best") == load_scenario("demo", ["output_dir:=out/best"], "best")
 
 
 def test_recorder_and_markers_share_frame_and_time_with_the_loop(tmp_path):
@@ -129,15 +101,8 @@ def test_recorder_and_markers_share_frame_and_time_with_the_loop(tmp_path):
     assert list(recorded) == [RECORDER, *loop, MARKERS]
     shared = {"use_sim_time": True, "feature_frame": "eye"}
     assert recorded[MARKERS] == shared
-    values = recorded[RECORDER]
-    started = values["scenario"]
-    assert values == {
-        **shared,
-        "bag_dir": str(tmp_path / "bag"),
-        "images": False,
-        "scenario": started,
-    }
-    assert started == params_yaml(loop)
+    own = {"bag_dir": str(tmp_path / "bag"), "images": False, "scenario": params_yaml(loop)}
+    assert recorded[RECORDER] == {**shared, **own}
     assert yaml.safe_load(params_yaml(recorded))  # text within text
     assert list(load_scenario("demo", markers=True)) == [*loop, MARKERS]
 
