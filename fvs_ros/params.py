@@ -69,7 +69,7 @@ class Parameter:
         if self.is_list:
             text = f"a list of {text}s" if self.size is None else f"a list of {self.size} {text}s"
             if self.broadcast:
-                text += ", or one for all,"
+                text += " (or one for all)"
         if self.choices:
             text = "one of " + ", ".join(self.choices)
         if self.minimum is not None and self.maximum is not None:
