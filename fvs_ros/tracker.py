@@ -30,8 +30,8 @@ _ALIKE = 0.5
 #: After this many in a row camera or ball is moving, even if no two of them agree.
 _REPEATS = 6
 
-#: Standard deviation of a coordinate before anything is known, and its bounds, m.
-_FIRST_M, _LEAST_M, _MOST_M = 1e-3, 1e-4, 1e-2
+#: Bounds of the standard deviation of a coordinate, m; it is taken for the largest at first.
+_LEAST_M, _MOST_M = 1e-4, 1e-2
 #: Second differences that are kept, and how many the first guess counts for.
 _WINDOW, _GUESS = 64, 4
 #: Their quartile is used, so that outliers may spoil many: its deviations from the mean.
@@ -68,7 +68,7 @@ class NoiseVariance:
     """
 
     def __init__(self) -> None:
-        self.variance_m2 = _FIRST_M**2
+        self.variance_m2 = _MOST_M**2
         self._squares_m2: deque[float] = deque(maxlen=_WINDOW)
         self._residual: np.ndarray | None = None
         self._change: np.ndarray | None = None

@@ -55,14 +55,14 @@ def test_positions_wait_for_the_joint_state_after_their_exposure():
 
 
 def standing(positions: list[np.ndarray]) -> list[np.ndarray]:
-    """Predictions at rest after each of some positions, 10 ms apart."""
+    """Predictions at rest after each of some positions, once the noise is known."""
     predictor, found = BallPredictor(), []
     predictor.add_joints(0.0, np.zeros(6), JACOBIAN)
     predictor.add_joints(0.09, np.zeros(6), JACOBIAN)
-    for k, position in enumerate(positions):
-        predictor.add_ball(0.01 * k, position)
+    for k, position in enumerate([*[ORIGIN] * 8, *positions]):
+        predictor.add_ball(0.005 * k, position)
         found.append(newest(predictor))
-    return found
+    return found[8:]
 
 
 def test_an_outlier_is_passed_over_and_what_two_say_alike_or_six_in_a_row_is_believed():
