@@ -10,33 +10,10 @@ import numpy as np
 
 from fvs_controller_node.config import default_values
 from fvs_estimator_node.loop import StepPairing
+from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
-from fvs_lab.experiment import (
-    OURS,
-    PAPER,
-    Claim,
-    Context,
-    Drawn,
-    Experiment,
-    Found,
-    Part,
-    TableOf,
-    above,
-    below,
-    either,
-)
+from fvs_lab import trials
 from fvs_lab.results import METRICS, Results
-from fvs_lab.trials import (
-    PRELUDE_S,
-    Case,
-    Conditions,
-    Trial,
-    Variant,
-    make_cases,
-    relative_errors,
-    settling_run,
-    simulation_of,
-)
 from fvs_tools.closed_loop import ClosedLoop
 
 SEED = 303
@@ -72,11 +49,11 @@ def _latency(latency_ms: int) -> str:
     return BASE if latency_ms == next(iter(_SOFTER)) else f"{latency_ms} ms latency"
 
 
-def variants() -> list[Variant]:
+def variants() -> list[trials.Variant]:
     """All rows: what is changed, its group, and the row that it is compared with."""
 
-    def one(name: str, group: str, against: str = BASE, **changes: Any) -> Variant:
-        return Variant({"change": name, "group": group, "against": against}, **changes)
+    def one(name: str, group: str, against: str = BASE, **changes: Any) -> trials.Variant:
+        return trials.Variant({"change": name, "group": group, "against": against}, **changes)
 
     law, update, images, camera = _COLOURS
     high = {"rbf.n1": 30.0}
@@ -131,7 +108,7 @@ _ANY_MOTION_RAD = 1e-12
 class Rest:
     """Go to a case's target, hold it for long, go back."""
 
-    case: Case
+    case: trials.Case
     #: A key of ``RESTS``.
     name: str
     hold_s: float
@@ -139,15 +116,17 @@ class Rest:
 
 def run_rest(rest: Rest) -> dict[str, Any]:
     """Run one long rest, with the exact camera and 1 mm noise: a minute of images takes long."""
-    simulation = simulation_of(Conditions(rendered=False))
+    simulation = trials.simulation_of(trials.Conditions(rendered=False))
     simulation.reset(rest.case.goal_rad)
     target_m = simulation.true_ball_position()
     simulation.reset(rest.case.start_rad, rest.case.seed)
     home_m = simulation.true_ball_position()
-    one = Trial(Variant(estimator_values=RESTS[rest.name]), rest.case).loop(simulation)
+    one = trials.Trial(trials.Variant(estimator_values=RESTS[rest.name]), rest.case).loop(
+        simulation
+    )
     if rest.name != ZERO_GATED:
         one.estimation.pairing = StepPairing(min_step_rad=_ANY_MOTION_RAD)
-    one.run(PRELUDE_S)
+    one.run(trials.PRELUDE_S)
     one.set_target(target_m)
     one.run(_REACH_S)
     before = _estimators_error(one)
@@ -157,7 +136,7 @@ def run_rest(rest: Rest) -> dict[str, Any]:
         "case": rest.case.name,
         "error_before": before,
         "error_after": _estimators_error(one),
-        **settling_run(one, home_m, _DURATION_S),
+        **trials.settling_run(one, home_m, _DURATION_S),
     }
 
 
@@ -165,15 +144,15 @@ def _estimators_error(one: ClosedLoop) -> float:
     """Relative error of the estimator's Jacobian."""
     joints = one.simulation.joints_rad
     true = one.simulation.true_jacobian(joints)
-    return float(relative_errors(one.estimator.jacobian(joints), true))
+    return float(trials.relative_errors(one.estimator.jacobian(joints), true))
 
 
 # ---- the experiment -------------------------------------------------------------------------
 
 
-def measure(context: Context) -> Found:
+def measure(context: lab.Context) -> lab.Found:
     """Run every change and the long rests."""
-    cases = make_cases("a", context.count(8, 1), SEED)
+    cases = trials.make_cases("a", context.count(8, 1), SEED)
     duration_s = _QUICK_DURATION_S if context.quick else _DURATION_S
     hold_s = 2.0 if context.quick else 60.0
     changes = context.run(variants(), cases, "ablation", duration_s=duration_s)
@@ -190,43 +169,47 @@ def measure(context: Context) -> Found:
         "hold_s": hold_s,
     }
     data = {"seed": SEED, "cases": cases, "variants": variants()}
-    return Found(Results(runs), facts, data)
+    return lab.Found(Results(runs), facts, data)
 
 
-def claims(found: Found) -> Iterator[Claim]:
+def claims(found: lab.Found) -> Iterator[lab.Claim]:
     """What each part is worth."""
     rows = found.runs.where(part="change").groups("change")
 
     def ratio(name: str, metric: str = "to_5mm_s", against: str = "", least: float = NOTABLE):
         other = against or rows[name].rows[0]["against"]
         words = f"{name} over {other}: {METRICS[metric].label.partition(',')[0]}"
-        return above(words, rows[name].over(rows[other], metric), least)
+        return lab.above(words, rows[name].over(rows[other], metric), least)
 
-    def slower(name: str) -> list[Part]:
+    def slower(name: str) -> list[lab.Part]:
         return [ratio(name), ratio(name, "to_2mm_s")]
 
     blind = [f"{latency_ms} ms, no prediction, softer gains" for latency_ms in _SOFTER]
     turned = [f"{turn_deg}°, {FROZEN}" for turn_deg in _TURNS_DEG]
     printed = [(_sliding(-gain), gain) for gain in (0.005, 0.03, 0.1)]
     oracle = rows[BASE].over(rows[ORACLE], "to_5mm_s")
-    yield Claim("implicit", OURS, [*slower(LITERAL), ratio(LITERAL, "jitter_rad_s")], any_of=True)
+    yield lab.Claim(
+        "implicit", lab.OURS, [*slower(LITERAL), ratio(LITERAL, "jitter_rad_s")], any_of=True
+    )
     same = [ratio(LITERAL_SAME, "to_2mm_s"), ratio(LITERAL_SAME, "jitter_rad_s", least=2.0)]
-    yield Claim("same_gains", OURS, same, any_of=True)
-    yield Claim("prediction", OURS, [ratio(name) for name in blind])
-    yield Claim("update", PAPER, slower(FROZEN), any_of=True)
-    yield Claim("turned", PAPER, [either(name, *slower(name)) for name in turned])
-    yield Claim("oracle", OURS, [below("settling time over that with it", oracle, SAME)])
+    yield lab.Claim("same_gains", lab.OURS, same, any_of=True)
+    yield lab.Claim("prediction", lab.OURS, [ratio(name) for name in blind])
+    yield lab.Claim("update", lab.PAPER, slower(FROZEN), any_of=True)
+    yield lab.Claim("turned", lab.PAPER, [lab.either(name, *slower(name)) for name in turned])
+    yield lab.Claim(
+        "oracle", lab.OURS, [lab.below("settling time over that with it", oracle, SAME)]
+    )
     wrong = ratio(UNCAPPED, "jacobian_error", least=2.0)
-    yield Claim("cap", OURS, [ratio(UNCAPPED), wrong], any_of=True)
-    yield Claim("sliding", PAPER, [ratio(_sliding(0.0))])
+    yield lab.Claim("cap", lab.OURS, [ratio(UNCAPPED), wrong], any_of=True)
+    yield lab.Claim("sliding", lab.PAPER, [ratio(_sliding(0.0))])
     signs = [
         ratio(name, against=BASE if gain == 0.005 else _sliding(gain)) for name, gain in printed
     ]
-    yield Claim("printed_sign", OURS, signs)
+    yield lab.Claim("printed_sign", lab.OURS, signs)
     yield from _leak_claims(found.runs.where(part="rest"))
 
 
-def _leak_claims(rests: Results) -> Iterator[Claim]:
+def _leak_claims(rests: Results) -> Iterator[lab.Claim]:
     after = {
         name: float(np.median(ones.values("error_after")))
         for name, ones in rests.groups("update").items()
@@ -239,11 +222,11 @@ def _leak_claims(rests: Results) -> Iterator[Claim]:
         text = f"{100 * after[name]:.1f} % (without a leak {100 * none:.1f} %), asked: {wanted}"
         holds = (after[name] > most) is (wanted == "above")
         label = "error of the Jacobian after the rest"
-        yield Claim(claim, OURS, [Part(label, f"{text} {100 * most:.0f} %", holds)])
+        yield lab.Claim(claim, lab.OURS, [lab.Part(label, f"{text} {100 * most:.0f} %", holds)])
 
 
 TABLES = (
-    TableOf(
+    lab.TableOf(
         "changes",
         ("change", "against"),
         (
@@ -256,7 +239,7 @@ TABLES = (
         ),
         where={"part": "change"},
     ),
-    TableOf(
+    lab.TableOf(
         "rests",
         ("update",),
         ("error_before", "error_after", "to_5mm_s", "to_2mm_s"),
@@ -265,7 +248,7 @@ TABLES = (
 )
 
 
-def figures(found: Found) -> Iterator[Drawn]:
+def figures(found: lab.Found) -> Iterator[lab.Drawn]:
     """What each change does to settling time and jitter, as ratios."""
     rows = found.runs.where(part="change").groups("change")
     shown = {name: ones for name, ones in rows.items() if name != BASE}
@@ -298,4 +281,4 @@ def figures(found: Found) -> Iterator[Drawn]:
     yield "ablation", figure, {}
 
 
-EXPERIMENT = Experiment("ablation", measure, claims, TABLES, figures, globals())
+EXPERIMENT = lab.Experiment("ablation", measure, claims, TABLES, figures, globals())

@@ -10,19 +10,8 @@ from typing import Any
 import numpy as np
 
 from fvs_estimator_node.rbf import RbfConfig
+from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
-from fvs_lab.experiment import (
-    OURS,
-    PAPER,
-    Claim,
-    Context,
-    Drawn,
-    Experiment,
-    Found,
-    Part,
-    TableOf,
-    below,
-)
 from fvs_lab.results import Results
 from fvs_lab.smooth_motion import SPEED_RAD_S, WIGGLE_S, Recording, Track, judge, record
 from fvs_lab.trials import Conditions, simulation_of
@@ -138,7 +127,7 @@ class World:
     #: Angle by which the camera was carried round the scene, degrees.
     turn_deg: float = 0.0
 
-    def conditions(self, context: Context, seed: int) -> Conditions:
+    def conditions(self, context: lab.Context, seed: int) -> Conditions:
         """The laboratory's conditions in this world; the axis of the rotation is the seed's."""
         axis = np.random.default_rng([seed, 2]).normal(size=3)
         axis *= self.turn_deg / np.linalg.norm(axis)
@@ -208,7 +197,7 @@ def _tuning_t1_m(job: Job) -> dict[str, list[float]]:
     }
 
 
-def _tune(context: Context, duration_s: float) -> dict[str, dict[str, Any]]:
+def _tune(context: lab.Context, duration_s: float) -> dict[str, dict[str, Any]]:
     """Choose the free number of each on motions that are not scored, with the exact camera."""
     exact = replace(context, rendered=False)
     jobs = [
@@ -227,7 +216,7 @@ def _tune(context: Context, duration_s: float) -> dict[str, dict[str, Any]]:
     return tuning
 
 
-def measure(context: Context) -> Found:
+def measure(context: lab.Context) -> lab.Found:
     """Record, tune and judge."""
     duration_s = 8.0 if context.quick else 20.0
     seeds = range(1, context.count(default=6, quick=1) + 1)
@@ -262,7 +251,7 @@ def measure(context: Context) -> Found:
         "labels": {world.name: world.label for world in worlds},
     }
     data = {"seeds": list(seeds), "tuning": tuning, "contestants": contestants, "worlds": worlds}
-    return Found(runs, facts, data)
+    return lab.Found(runs, facts, data)
 
 
 # ---- claims ---------------------------------------------------------------------------------
@@ -281,54 +270,56 @@ class _Judge:
         # Those that are equal except for rounding stay in their order.
         return min(names, key=lambda name: float(f"{self.middle(world, name, criterion):.9g}"))
 
-    def part(self, world: World, one: str, other: str, criterion: str) -> Part:
+    def part(self, world: World, one: str, other: str, criterion: str) -> lab.Part:
         words = {"t2_max_m": "largest T2", "jacobian_error": "Jacobian error"}.get(criterion, "T1")
         label = f"{words} of {CONTESTANTS[one].label} over {CONTESTANTS[other].label}"
         ratio = self._runs[world.name, one].over(self._runs[world.name, other], criterion)
-        return below(f"{label}, {world.label}", ratio, 1.0)
+        return lab.below(f"{label}, {world.label}", ratio, 1.0)
 
 
-def claims(found: Found) -> Iterator[Claim]:
+def claims(found: lab.Found) -> Iterator[lab.Claim]:
     """The paper's claims on the estimators."""
     judge_of = _Judge(found.runs)
     turned = [world for world in found.data["worlds"] if world.turn_deg > 0.0]
 
-    def against_best(world: World, criterion: str) -> Part:
+    def against_best(world: World, criterion: str) -> lab.Part:
         return judge_of.part(world, "rbf", judge_of.best(world, criterion, _OTHERS), criterion)
 
-    yield Claim("unmoved", PAPER, [against_best(NOISE, one) for one in ("t1_m", "t2_max_m")])
+    yield lab.Claim(
+        "unmoved", lab.PAPER, [against_best(NOISE, one) for one in ("t1_m", "t2_max_m")]
+    )
     for criterion, title in (("t1_m", "T1"), ("t2_max_m", "the largest T2")):
         parts = [against_best(world, criterion) for world in turned]
-        yield Claim("rotated", PAPER, parts, given={"criterion": title})
+        yield lab.Claim("rotated", lab.PAPER, parts, given={"criterion": title})
     parts = []
     for world in (NOISE, *turned):
         rls, other = (judge_of.best(world, "t1_m", names) for names in (_RLS, _FILTERS))
         worst = max((other, "rbf"), key=lambda name: judge_of.middle(world, name, "t1_m"))
         parts.append(judge_of.part(world, worst, rls, "t1_m"))
-    yield Claim("rls", PAPER, parts)
-    yield Claim("ukf", PAPER, _ukf_parts(found.runs, judge_of))
+    yield lab.Claim("rls", lab.PAPER, parts)
+    yield lab.Claim("ukf", lab.PAPER, _ukf_parts(found.runs, judge_of))
     other = judge_of.best(CLEAN, "t1_late_m", (*_OTHERS, "lkf_fast"))
-    yield Claim("bound", PAPER, [judge_of.part(CLEAN, other, "frozen", "t1_late_m")])
+    yield lab.Claim("bound", lab.PAPER, [judge_of.part(CLEAN, other, "frozen", "t1_late_m")])
     parts = [
         judge_of.part(world, "rbf", "frozen", criterion)
         for world in turned
         for criterion in ("t1_m", "jacobian_error")
     ]
-    yield Claim("update", PAPER, parts)
-    yield Claim("cost", OURS, [judge_of.part(NOISE, "rbf", "frozen", "t1_m")])
-    yield Claim("proof", PAPER, [_proof_part(judge_of, found.runs, (NOISE, *turned))])
+    yield lab.Claim("update", lab.PAPER, parts)
+    yield lab.Claim("cost", lab.OURS, [judge_of.part(NOISE, "rbf", "frozen", "t1_m")])
+    yield lab.Claim("proof", lab.PAPER, [_proof_part(judge_of, found.runs, (NOISE, *turned))])
 
 
-def _ukf_parts(runs: Results, judge_of: _Judge) -> list[Part]:
+def _ukf_parts(runs: Results, judge_of: _Judge) -> list[lab.Part]:
     difference = max(runs.values("lkf_difference_m_rad"))
     if difference < _SAME_M_RAD:
         text = f"{difference:.1g} m/rad: they are the same filter"
-        return [Part("largest difference of any entry of their Jacobians", text, False)]
+        return [lab.Part("largest difference of any entry of their Jacobians", text, False)]
     starts = ("explored", "model")
     return [judge_of.part(NOISE, f"ukf_{start}", f"lkf_{start}", "t1_m") for start in starts]
 
 
-def _proof_part(judge_of: _Judge, runs: Results, worlds: Sequence[World]) -> Part:
+def _proof_part(judge_of: _Judge, runs: Results, worlds: Sequence[World]) -> lab.Part:
     """Pairs that T1 ranks wrongly: without one of two filters that are the same, and the oracle."""
     names = runs.those(lambda row: row["method"] not in ("ukf", "oracle")).groups("name")
     pairs = [(world, *pair) for world in worlds for pair in combinations(names, 2)]
@@ -340,13 +331,13 @@ def _proof_part(judge_of: _Judge, runs: Results, worlds: Sequence[World]) -> Par
         )
         wrong += t1_m * error < 0.0
     label = "pairs of estimators of which the one with the smaller T1 has the worse Jacobian"
-    return Part(label, f"{wrong} of {len(pairs)}, asked: none", wrong == 0)
+    return lab.Part(label, f"{wrong} of {len(pairs)}, asked: none", wrong == 0)
 
 
 # ---- tables and figures ---------------------------------------------------------------------
 
 _COLUMNS = ("t1_m", "t1_share", "t1_first_m", "t2_final_m", "t2_max_m", "jacobian_error")
-TABLES = (TableOf("world", ("estimator",), _COLUMNS, each="world"),)
+TABLES = (lab.TableOf("world", ("estimator",), _COLUMNS, each="world"),)
 
 #: Estimators that are drawn, with style and width (points) of the line.
 _LINES = {
@@ -376,8 +367,8 @@ _SIGNALS: dict[str, draw.Signal] = {
 }
 
 
-def figures(found: Found) -> Iterator[Drawn]:
-    """Figures 6 and 7 of the paper, and T1 and the Jacobian's error against the rotation."""
+def figures(found: lab.Found) -> Iterator[lab.Drawn]:
+    """Figures 6 and 7 of the paper."""
     for name, signal in _SIGNALS.items():
         figure, (axes,) = draw.grid(1, len(DRAWN), (12.5, 5.6), sharey=True)
         for axis, world in zip(axes, DRAWN, strict=True):
@@ -386,13 +377,6 @@ def figures(found: Found) -> Iterator[Drawn]:
         axes[0].set_ylabel(signal[0])
         draw.legend(figure)
         yield name, figure, {}
-    figure, (axes,) = draw.grid(1, 2, (12.5, 5.6))
-    noisy = found.runs.those(lambda row: row["world"] != CLEAN.name)
-    for axis, metric in zip(axes, ("t1_m", "jacobian_error"), strict=True):
-        draw.against(axis, noisy, "turn_deg", metric, "estimator", _LOOKS)
-        axis.set_yscale("log")
-    draw.legend(figure)
-    yield "rotation", figure, {}
 
 
-EXPERIMENT = Experiment("estimators", measure, claims, TABLES, figures, globals())
+EXPERIMENT = lab.Experiment("estimators", measure, claims, TABLES, figures, globals())

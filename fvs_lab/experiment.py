@@ -92,18 +92,8 @@ class Context:
     ) -> Results:
         """Run every variant on every case.
 
-        Parameters
-        ----------
-        variants : iterable of Variant
-            What is compared.
-        cases : sequence of Case
-            Starts and goals, the same for all.
-        label : str
-            What the progress bar says.
-        measure : callable, optional
-            Further columns of a run.
-        **fields
-            Of all trials, such as ``duration_s`` and ``record``.
+        ``measure`` gives further columns of a run; fields are those of all trials, such as
+        ``duration_s`` and ``record``.
         """
         pairs = [(variant, case) for variant in variants for case in cases]
         return self.run_pairs(pairs, label, measure, **fields)

@@ -13,21 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
-from fvs_lab.experiment import (
-    OURS,
-    PAPER,
-    Claim,
-    Context,
-    Drawn,
-    Experiment,
-    Found,
-    Part,
-    TableOf,
-    above,
-    below,
-    kept,
-)
 from fvs_lab.outcome import Outcome
 from fvs_lab.results import METRICS, Results, number_text
 from fvs_lab.search import FREE
@@ -103,7 +90,7 @@ def _pace(outcome: Outcome) -> dict[str, float]:
     return {"pace": outcome.settled_s * float(speeds.max()) / travel_rad}
 
 
-def measure(context: Context) -> Found:
+def measure(context: lab.Context) -> lab.Found:
     """Run both forms of the law with all exponents, with and without noise."""
     duration_s = 1.6 if context.quick else 4.0
     cases = make_cases("e", context.count(6, 1), SEED)
@@ -113,18 +100,18 @@ def measure(context: Context) -> Found:
         "duration_s": duration_s,
         **literal_limits(),
     }
-    return Found(runs, facts, {"seed": SEED, "cases": cases, "variants": variants()})
+    return lab.Found(runs, facts, {"seed": SEED, "cases": cases, "variants": variants()})
 
 
-def claims(found: Found) -> Iterator[Claim]:
+def claims(found: lab.Found) -> Iterator[lab.Claim]:
     """The paper's claims on the exponent, and ours."""
 
     def runs(world: str, law: str, exponent: str) -> Results:
         return found.runs.where(world=world, law=law, exponent=exponent)
 
     stable = runs(SILENT, LITERAL, UNSTABLE)
-    part = kept("runs within 5 mm", sum(stable.values("settled")), len(stable), 0.95)
-    yield Claim("printed", PAPER, [part])
+    part = lab.kept("runs within 5 mm", sum(stable.values("settled")), len(stable), 0.95)
+    yield lab.Claim("printed", lab.PAPER, [part])
     for name, metric in (("faster", "to_5mm_s"), ("pace", "pace")):
         chosen = [runs(SILENT, IMPLICIT, f"{one:g}").median(metric).value for one in EXPONENTS]
         text = ", ".join(
@@ -132,28 +119,32 @@ def claims(found: Found) -> Iterator[Claim]:
             for one, exponent in zip(chosen, EXPONENTS, strict=True)
         )
         rising = all(after >= before for before, after in pairwise(chosen))
-        yield Claim(name, PAPER, [Part(METRICS[metric].label, text, rising)])
+        yield lab.Claim(name, lab.PAPER, [lab.Part(METRICS[metric].label, text, rising)])
     jitter, time = "jitter_rad_s", "to_5mm_s"
     printed, silent, noisy = (SILENT, LITERAL), (SILENT, IMPLICIT), (NOISY, IMPLICIT)
     chatter = runs(*printed, "0.1").over(runs(*printed, "0.5"), jitter)
-    yield Claim("chatter", PAPER, [above("jitter as printed, 0.1 over 0.5", chatter, 2.0)])
+    yield lab.Claim(
+        "chatter", lab.PAPER, [lab.above("jitter as printed, 0.1 over 0.5", chatter, 2.0)]
+    )
     quick = runs(*silent, ADAPTIVE).over(runs(*silent, "0.1"), time)
     calm = [
-        below(
+        lab.below(
             f"jitter over that of 0.5, {law}, {world}",
             runs(world, law, ADAPTIVE).over(runs(world, law, "0.5"), jitter),
             2.0,
         )
         for world, law in (printed, noisy)
     ]
-    yield Claim("adaptive", PAPER, [below("settling time over that of 0.1", quick, 1.2), *calm])
+    yield lab.Claim(
+        "adaptive", lab.PAPER, [lab.below("settling time over that of 0.1", quick, 1.2), *calm]
+    )
     ours, paper = runs(*noisy, ADAPTIVE_SCALED), runs(*noisy, ADAPTIVE)
-    yield Claim(
+    yield lab.Claim(
         "large",
-        OURS,
+        lab.OURS,
         [
-            above("jitter of 0.1 → 0.5 over ours", paper.over(ours, jitter), 2.0),
-            below("settling time over that of 0.1 → 0.5", ours.over(paper, time), 1.2),
+            lab.above("jitter of 0.1 → 0.5 over ours", paper.over(ours, jitter), 2.0),
+            lab.below("settling time over that of 0.1 → 0.5", ours.over(paper, time), 1.2),
         ],
     )
 
@@ -169,16 +160,15 @@ _COLUMNS = (
     "path_ratio",
     "limited_share",
 )
-TABLES = (TableOf("world", ("law", "exponent"), _COLUMNS, each="world"),)
+TABLES = (lab.TableOf("world", ("law", "exponent"), _COLUMNS, each="world"),)
 
 
-def figures(found: Found) -> Iterator[Drawn]:
-    """Figures 2 and 3 of the paper, and settling and jitter over the exponent."""
+def figures(found: lab.Found) -> Iterator[lab.Drawn]:
+    """Figures 2 and 3 of the paper, a panel each."""
     case = found.runs.rows[0]["case"]
     places = found.runs.where(case=case).groups("world", "law")
     yield "exponents", _errors(places), {}
     yield "adaptive", _adaptive(places), {}
-    yield "summary", _summary(found.runs), {}
 
 
 def _errors(places: Mapping[Any, Results]):
@@ -228,32 +218,4 @@ def _adaptive(places: Mapping[Any, Results]):
     return figure
 
 
-def _summary(runs: Results):
-    """Medians over the exponent; adaptive ones as stars at their exponent near the goal."""
-    near = {ADAPTIVE: 0.5, ADAPTIVE_SCALED: 0.9}
-    rows = [
-        {
-            **row,
-            "line": f"{row['law']}, {row['world']}{', adaptive' * (row['exponent'] in near)}",
-            "near": near.get(row["exponent"]) or float(row["exponent"]),
-        }
-        for row in runs
-        if row["exponent"] not in (ADAPTIVE_LARGE, UNSTABLE)
-    ]
-    looks: dict[str, dict[str, Any]] = {
-        f"{law}, {world}": {"color": colour, "linestyle": style}
-        for law, colour in ((LITERAL, "#D55E00"), (IMPLICIT, "#0072B2"))
-        for world, style in ((SILENT, ":"), (NOISY, "-"))
-    }
-    star = {"color": "black", "marker": "*", "markersize": 12, "linestyle": ""}
-    looks[f"{IMPLICIT}, {NOISY}, adaptive"] = star
-    figure, (axes,) = draw.grid(1, 2, (11, 4.4))
-    for axis, metric in zip(axes, ("to_5mm_s", "jitter_rad_s"), strict=True):
-        draw.against(axis, Results(rows), "near", metric, "line", looks)
-        axis.set_xlabel("exponent γ (of stars: near the goal)")
-    axes[1].set_yscale("log")
-    draw.legend(figure, 3)
-    return figure
-
-
-EXPERIMENT = Experiment("exponents", measure, claims, TABLES, figures, globals())
+EXPERIMENT = lab.Experiment("exponents", measure, claims, TABLES, figures, globals())

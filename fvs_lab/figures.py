@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fvs_lab.results import METRICS, Metric, Results, label_of, number_text
+from fvs_lab.results import METRICS, Results, number_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -128,20 +128,9 @@ ERROR: Signal = (
 def over_time(
     axis: Axes, runs: Results, signal: Signal, by: str, looks: Mapping[Any, Mapping[str, Any]]
 ) -> None:
-    """Draw a line per value of a column, the median of its runs; those without a look are left out.
+    """Draw a line per value of a column: the median of its runs, which have the same times.
 
-    Parameters
-    ----------
-    axis : Axes
-        Where to draw.
-    runs : Results
-        Recorded runs; those of a line have the same times.
-    signal : tuple of str and callable
-        What is drawn.
-    by : str
-        The column.
-    looks : mapping
-        Matplotlib's settings of each line.
+    Those without a look (matplotlib's settings of a line) are left out.
     """
     for name, some in runs.groups(by).items():
         if name in looks:
@@ -163,108 +152,32 @@ def errors_over_time(
 # ---- by category ----------------------------------------------------------------------------
 
 
-def dots(
-    axis: Axes, rows: Mapping[str, Sequence[float]], most: float = np.inf, named: bool = True
-) -> None:
-    """Draw a row of dots per name, and a bar at their median; from above.
-
-    What is larger than ``most`` stands there; ``named`` writes the names beside the axis.
-    """
-    for place, (name, values) in enumerate(rows.items()):
-        shown = np.minimum(np.array(values, dtype=float), most)
-        shown = shown[np.isfinite(shown)]
-        if not shown.size:
-            continue
-        look: dict[str, Any] = {"color": colour_of(name)}
-        axis.plot(shown, np.full(shown.size, place), "o", alpha=0.45, markersize=4, **look)
-        axis.plot(2 * [np.median(shown)], [place - 0.32, place + 0.32], linewidth=2.5, **look)
-    if named:
-        axis.set_yticks(range(len(rows)), list(rows))
-        axis.set_ylim(len(rows) - 0.5, -0.5)
-
-
 def dots_of(
     axis: Axes, runs: Results, by: str, metric: str, most: float = np.inf, named: bool = True
 ) -> None:
-    """Draw the dots of a metric in its unit, a row per value of a column."""
-    one = METRICS[metric]
-    groups = runs.groups(by)
-    rows = {
-        number_text(name): [one.factor * value for value in some.values(metric)]
-        for name, some in groups.items()
-    }
-    dots(axis, rows, most, named)
+    """Draw a row of dots per value of a column, with a bar at their median; from above.
+
+    What is larger than ``most`` stands there; ``named`` writes the values beside the axis.
+    """
+    one, groups = METRICS[metric], runs.groups(by)
+    names = [number_text(value) for value in groups]
+    for place, (name, some) in enumerate(zip(names, groups.values(), strict=True)):
+        shown = np.minimum(one.factor * np.array(some.values(metric), dtype=float), most)
+        shown = shown[np.isfinite(shown)]
+        if shown.size:
+            look: dict[str, Any] = {"color": colour_of(name)}
+            axis.plot(shown, np.full(shown.size, place), "o", alpha=0.45, markersize=4, **look)
+            axis.plot(2 * [np.median(shown)], [place - 0.32, place + 0.32], linewidth=2.5, **look)
+    if named:
+        axis.set_yticks(range(len(names)), names)
+        axis.set_ylim(len(names) - 0.5, -0.5)
     axis.set_xlabel(one.label)
 
 
-# ---- against a quantity ---------------------------------------------------------------------
-
-#: From runs to a point and the ends of its bar.
-Bar = Callable[[Results], tuple[float, float, float]]
-
-
-def interval_bar(metric: str) -> Bar:
-    """Median with its 95 % interval."""
-
-    def bar(runs: Results) -> tuple[float, float, float]:
-        found = runs.median(metric)
-        return found.value, found.low, found.high
-
-    return _in_unit(bar, METRICS[metric])
-
-
-def spread_bar(metric: str) -> Bar:
-    """Median and the range of 80 % of the runs."""
-
-    def bar(runs: Results) -> tuple[float, float, float]:
-        values = runs.values(metric) or [np.nan]
-        low, middle, high = np.quantile(values, (0.1, 0.5, 0.9), method="nearest")
-        return float(middle), float(low), float(high)
-
-    return _in_unit(bar, METRICS[metric])
-
-
-def share_bar(runs: Results) -> tuple[float, float, float]:
-    """Percent of the runs that settled, with Wilson's interval."""
-    found = runs.share()
-    return 100 * found.value, 100 * found.low, 100 * found.high
-
-
-def _in_unit(bar: Bar, one: Metric) -> Bar:
-    def scaled(runs: Results) -> tuple[float, float, float]:
-        point, low, high = (one.factor * value for value in bar(runs))
-        return point, low, high
-
-    return scaled
-
-
-def bars(
-    axis: Axes,
-    groups: Mapping[Any, Results],
-    bar: Bar,
-    most: float = np.inf,
-    shift: float = 0.0,
-    **look: Any,
-) -> None:
-    """Draw a point with its bar per group, at the group's number, or one after the other.
-
-    What is larger than ``most`` stands there; what is not finite is left out.
-    """
-    numeric = all(isinstance(key, int | float) for key in groups)
-    places = np.array(list(groups) if numeric else range(len(groups)), dtype=float) + shift
-    values = np.minimum(np.array([bar(runs) for runs in groups.values()]).reshape(-1, 3), most)
-    values[~np.isfinite(values)] = np.nan
-    point, low, high = values.T
+def shares(axis: Axes, groups: Mapping[float, Results], shift: float, **look: Any) -> None:
+    """Draw percent of the runs that settled, with Wilson's interval, at each group's number."""
+    found = [runs.share() for runs in groups.values()]
+    point, low, high = 100.0 * np.array([[one.value, one.low, one.high] for one in found]).T
+    places = np.array(list(groups)) + shift
     shown: dict[str, Any] = {"marker": "o", "markersize": 4, "elinewidth": 0.8} | look
     axis.errorbar(places, point, (point - low, high - point), **shown)
-
-
-def against(
-    axis: Axes, runs: Results, x: str, metric: str, by: str, looks: Mapping[Any, Mapping[str, Any]]
-) -> None:
-    """Draw medians with intervals of a metric over a column, a line per value of another one."""
-    for name, some in runs.groups(by).items():
-        if name in looks:
-            look = {"label": str(name)} | dict(looks[name])
-            bars(axis, some.groups(x), interval_bar(metric), **look)
-    axis.set(xlabel=label_of(x), ylabel=label_of(metric))

@@ -97,18 +97,9 @@ def outcome_of(
 ) -> Outcome:
     """Judge a run of n ticks.
 
-    Parameters
-    ----------
-    times_s : ndarray, shape (n,)
-        Since the target was given, s.
-    balls_m, targets_m : ndarray, shape (n, m)
-        Camera frame, m.
-    commands : sequence of Command
-        What was commanded.
-    jacobian_errors : ndarray
-        Of every ``JACOBIAN_EVERY``-th tick.
-    record : bool
-        Whether to keep the time series.
+    Times since the target was given, s, shape (n,); balls and targets in the camera frame, m,
+    shape (n, m); errors of the Jacobian of every ``JACOBIAN_EVERY``-th tick. ``record`` keeps the
+    time series.
     """
     errors = np.linalg.norm(balls_m - targets_m, axis=1)
     speeds = np.array([one.velocity_rad_s for one in commands])

@@ -136,21 +136,10 @@ def write_report(report: Report, folder: Path, origin: Origin) -> Path:
 
 
 def write_page(out: Path, names: Sequence[str], heading: Heading | None = None) -> Path:
-    """Write ``index.html`` from all results in a folder, pictures included, and ``index.md``.
+    """Write ``index.html`` from all results in a folder, pictures included; return its path.
 
-    Parameters
-    ----------
-    out : Path
-        Folder with a folder for each experiment that was run.
-    names : sequence of str
-        The folders, in the order of the page.
-    heading : Heading, optional
-        By default the experiments'.
-
-    Returns
-    -------
-    Path
-        The page. The Markdown beside it has the same words and tables, and links to the pictures.
+    The names are those of the experiments' folders, in the order of the page. The Markdown beside
+    it has the same words and tables, and links to the pictures.
     """
     reports = []
     for name in names:

@@ -48,13 +48,8 @@ class Interval:
 def median(values: Sequence[float], repeats: int = 1) -> Interval:
     """Median and its bootstrap interval (percentiles of resampled medians).
 
-    Parameters
-    ----------
-    values : sequence of float
-        One per run; infinite for a run that never settled.
-    repeats : int
-        How often the same cases follow one another, each time with what another search found:
-        both cases and searches are drawn anew then.
+    Infinite values are runs that never settled. ``repeats`` is how often the same cases follow one
+    another, each time with what another search found: cases and searches are drawn anew then.
     """
     data = np.asarray(values, dtype=float)
     medians = _median(data[_resamples(data.size, repeats)])
@@ -203,8 +198,6 @@ METRICS = {
     "band_5mm_s": Metric("bound to 5 mm, s"),
     "predicted_5mm_s": Metric("theory's motion to 5 mm, s"),
     "printed_s": Metric("formula as printed, s"),
-    "printed_sliding_s": Metric("sliding as printed, s"),
-    "sliding_s": Metric("sliding, corrected, s"),
     # estimators
     "t1_m": Metric("T1, mm", 1e3, 3),
     "t1_share": Metric("T1, % of motion", 1e2, 1),
@@ -222,8 +215,6 @@ METRICS = {
     "chain_workspace": Metric("chain, workspace, %", 1e2, 3),
     "distilled_box": Metric("distilled networks, box M, %", 1e2),
     "distilled_workspace": Metric("distilled networks, workspace, %", 1e2),
-    "paper_box": Metric("the paper's training, box M, %", 1e2),
-    "paper_workspace": Metric("the paper's training, workspace, %", 1e2, 0),
     "late_error_s": Metric("lateness found, off by, ms", 1e3),
     "stated": Metric("the fit says, %", 1e2, 3),
     "seen": Metric("off from what the camera sees, %", 1e2, 3),
@@ -301,18 +292,10 @@ _SUMMARIES: Mapping[str, tuple[str, Callable[[Results, str, Metric], str]]] = {
 
 
 def table(runs: Results, by: Sequence[str], columns: Sequence[str]) -> list[dict[str, str]]:
-    """A row per group of runs.
+    """A row per group of runs with the same values in some columns.
 
-    Parameters
-    ----------
-    runs : Results
-        The runs.
-    by : sequence of str
-        Columns whose values make the groups.
-    columns : sequence of str
-        Columns to sum up, such as ``to_5mm_s`` for its median with its interval, or after a colon
-        another summary: ``settled:of``, ``failure:causes``, ``over_5mm:all``. A cell is ``-`` where
-        no run of the group has the column.
+    Columns are summed up by their median with its interval, or by what stands after a colon, as in
+    ``settled:of`` and ``failure:causes``. A cell is ``-`` where no run has the column.
     """
     rows = []
     for key, some in runs.groups(*by).items():

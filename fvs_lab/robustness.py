@@ -9,19 +9,10 @@ from functools import partial
 
 import numpy as np
 
+from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
-from fvs_lab.experiment import (
-    OURS,
-    Claim,
-    Context,
-    Drawn,
-    Experiment,
-    Found,
-    TableOf,
-    share_above,
-)
 from fvs_lab.outcome import NOT_STAYED, REST_S, Outcome
-from fvs_lab.results import Interval, Results, label_of, wilson
+from fvs_lab.results import Interval, Results, wilson
 from fvs_lab.search import ORACLE, ORACLES
 from fvs_lab.trials import Trial, Variant, run_trial
 from fvs_lab.worlds import DISTANCE_M, HARSH, QUANTITIES, Kind, World, draw_world
@@ -76,14 +67,14 @@ def judged(outcome: Outcome) -> Outcome:
     )
 
 
-def experiment_in(kind: Kind) -> Experiment:
+def experiment_in(kind: Kind) -> lab.Experiment:
     """The experiment in worlds of a kind."""
-    return Experiment(
+    return lab.Experiment(
         kind.name, partial(measure, kind), claims, TABLES, figures, globals(), template="robustness"
     )
 
 
-def measure(kind: Kind, context: Context) -> Found:
+def measure(kind: Kind, context: lab.Context) -> lab.Found:
     """Draw worlds of a kind, and run every scheme in all of them."""
     contestants = contestants_called(context.schemes or (_QUICK if context.quick else ()))
     count = context.trials or context.count(500, 4)
@@ -103,10 +94,10 @@ def measure(kind: Kind, context: Context) -> Found:
         "contestants": [one.name for one in contestants],
     }
     data = {"seed": kind.seed, "ranges": kind.ranges, "worlds": worlds, "duration_s": DURATION_S}
-    return Found(runs, facts, data)
+    return lab.Found(runs, facts, data)
 
 
-def rerun(context: Context, kind: Kind, number: int) -> None:
+def rerun(context: lab.Context, kind: Kind, number: int) -> None:
     """Run one trial again, print a line for every contestant, and draw its error over time."""
     contestants = contestants_called(context.schemes)
     world = draw_world(kind, number)
@@ -159,17 +150,17 @@ def best_of(runs: Results) -> str:
     )
 
 
-def claims(found: Found) -> Iterator[Claim]:
+def claims(found: lab.Found) -> Iterator[lab.Claim]:
     """Judge every scheme, and the lead of the best one over the paper's."""
     schemes = found.runs.groups("scheme")
     for name in sorted(schemes, key=lambda name: name == ORACLE):
-        part = share_above("trials that settle", schemes[name].share(), WANTED)
-        yield Claim("enough", OURS, [part], given={"scheme": name})
+        part = lab.share_above("trials that settle", schemes[name].share(), WANTED)
+        yield lab.Claim("enough", lab.OURS, [part], given={"scheme": name})
     if set(schemes) == {ORACLE}:
         return
     best = best_of(found.runs)
     parts = [
-        share_above(
+        lab.share_above(
             f"of the worlds that only one of it and {name} masters",
             wins(schemes[best], schemes[name]),
             0.5,
@@ -177,34 +168,27 @@ def claims(found: Found) -> Iterator[Claim]:
         for name in SCHEMES
         if name in schemes and name != best
     ]
-    yield Claim("lead", OURS, parts, given={"scheme": best})
+    yield lab.Claim("lead", lab.OURS, parts, given={"scheme": best})
 
 
 # ---- tables and figures ---------------------------------------------------------------------
 
 TABLES = (
-    TableOf(
+    lab.TableOf(
         "schemes",
         ("scheme",),
         ("settled:share", "to_5mm_s:half", "to_5mm_s:90 %", "final_rms_m", "failure:causes"),
     ),
-    TableOf("settled", ("scheme",), ("jitter_rad_s", "path_ratio"), {"settled": True}),
-    TableOf("failures", ("scheme", "failure"), ("world:count", "world:list"), {"settled": False}),
+    lab.TableOf("settled", ("scheme",), ("jitter_rad_s", "path_ratio"), {"settled": True}),
+    lab.TableOf(
+        "failures", ("scheme", "failure"), ("world:count", "world:list"), {"settled": False}
+    ),
 )
 
 
-def figures(found: Found) -> Iterator[Drawn]:
-    """Success, settling time and jitter against each quantity that differs."""
-    settled = found.runs.where(settled=True)
-    yield "success", _against(found.runs, draw.share_bar, "settled, %"), {}
-    settling = draw.spread_bar("to_5mm_s")
-    yield "settling", _against(found.runs, settling, label_of("to_5mm_s"), DURATION_S), {}
-    jitter = draw.spread_bar("jitter_rad_s")
-    yield "jitter", _against(settled, jitter, label_of("jitter_rad_s")), {}
-
-
-def _against(runs: Results, bar: draw.Bar, label: str, most: float = np.inf):
-    """Draw a panel per quantity: a bar for each third of its range and each scheme."""
+def figures(found: lab.Found) -> Iterator[lab.Drawn]:
+    """A panel per quantity: success in each third of its range, for each scheme."""
+    runs = found.runs
     varied = [one for one in QUANTITIES if len(set(runs.values(one.name))) > 1] or QUANTITIES[:1]
     columns = min(len(varied), 4)
     rows = math.ceil(len(varied) / columns)
@@ -222,12 +206,12 @@ def _against(runs: Results, bar: draw.Bar, label: str, most: float = np.inf):
         for number, (name, colour) in enumerate(colours.items()):
             shift = apart * (number - 0.5 * (len(colours) - 1))
             bins = dict(sorted(binned.where(scheme=name).groups("at").items()))
-            draw.bars(axis, bins, bar, most, shift, color=colour, label=name)
+            draw.shares(axis, bins, shift, color=colour, label=name)
         axis.set_xlabel(", ".join(filter(None, [one.label, one.unit.strip()])))
     for axis in axes[:, 0]:
-        axis.set_ylabel(label)
+        axis.set_ylabel("settled, %")
     draw.legend(figure, 2 * columns)
-    return figure
+    yield "success", figure, {}
 
 
 EXPERIMENT = experiment_in(HARSH)

@@ -53,10 +53,6 @@ class Knob:
             return float(self.low * (self.high / self.low) ** place)
         return float(self.low + (self.high - self.low) * place)
 
-    def at_an_edge(self, value: float) -> bool:
-        """Whether a value is within a twentieth of an end of the range."""
-        return not self.value(0.05) <= value <= self.value(0.95)
-
 
 #: The gains of each law that the search may turn; what is fixed are units (alpha1) and what a
 #: knob already scales.
@@ -237,15 +233,12 @@ class Tuned:
         return replace(trial, duration_s=duration_s, stop_after_s=None, **changes)
 
     def summary(self) -> dict[str, Any]:
-        """What is kept of it: the best gains, those at an end of their range, and all others."""
-        gains, knobs = self.best.gains, self.search.knobs
+        """What is kept of it: terms and ranges, the best gains, and all that were tried."""
         return {
-            "regime": self.search.regime.name,
-            "knobs": knobs,
-            "limit": self.search.regime.limit,
+            "regime": self.search.regime,
+            "knobs": self.search.knobs,
             "fixed": self.search.variant.controller_values,
             "best": self.best,
-            "at_an_end": [one.name for one in knobs if one.at_an_edge(gains[one.name])],
             "tried": self.tried,
         }
 
@@ -298,19 +291,7 @@ def run_searches(
 def search_all(
     context: Context, searches: Mapping[Key, Search], cases: Sequence[Case], seed: int
 ) -> dict[Key, list[Tuned]]:
-    """Search each of them several times, from other seeds; a quick one searches once, and little.
-
-    Parameters
-    ----------
-    context : Context
-        For its cores.
-    searches : mapping to Search
-        What is searched.
-    cases : sequence of Case
-        The tuning cases.
-    seed : int
-        Of the first search; each has another one.
-    """
+    """Search each of them from several seeds; a quick run searches once, and little."""
     found = run_searches(
         context,
         (1 if context.quick else SEEDS) * [*searches.values()],

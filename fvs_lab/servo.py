@@ -8,32 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
-from fvs_lab.experiment import (
-    OURS,
-    PAPER,
-    Claim,
-    Context,
-    Drawn,
-    Experiment,
-    Found,
-    TableOf,
-    below,
-)
+from fvs_lab import search
 from fvs_lab.results import Results
-from fvs_lab.search import (
-    BASELINES,
-    JITTER_RAD_S,
-    ORACLE_SLIDING,
-    PEAK_RAD_S,
-    PROPOSED,
-    REGIMES,
-    SEARCHED,
-    SEEDS,
-    Search,
-    Tuned,
-    search_all,
-)
 from fvs_lab.spot_check import claims as spot_check_claims
 from fvs_lab.spot_check import spot_checks
 from fvs_lab.trials import Case, Conditions, make_cases, run_trial, simulation_of
@@ -44,44 +22,44 @@ _TUNING_SEED, _SCORING_SEED, _SEARCH_SEED = 900, 901, 7
 _SHOWN = 4
 #: Rows of a regime: the last one has the gains of the proposed scheme.
 FROZEN = "frozen networks, sliding mode"
-ROWS = (*SEARCHED, FROZEN)
+ROWS = (*search.SEARCHED, FROZEN)
 _CIRCLE_S = 0.1
 _VIEW_PX = (320, 240)
 
 #: Searches by regime and scheme.
-_Searches = Mapping[tuple[str, str], Sequence[Tuned]]
+_Searches = Mapping[tuple[str, str], Sequence[search.Tuned]]
 
 
-def measure(context: Context) -> Found:
+def measure(context: lab.Context) -> lab.Found:
     """Tune and score."""
     # Rendered images change no settling time, at two to three times the cost: see page beyond.
     conditions = Conditions(rendered=False)
     tuning = make_cases("TUNE", 1 if context.quick else 4, _TUNING_SEED)
     scoring = make_cases("EXP", context.count(60, 2), _SCORING_SEED)
     searches = {
-        (regime.name, name): Search.of(scheme, regime)
-        for regime in REGIMES
-        for name, scheme in SEARCHED.items()
+        (regime.name, name): search.Search.of(scheme, regime)
+        for regime in search.REGIMES
+        for name, scheme in search.SEARCHED.items()
     }
-    found = search_all(context, searches, tuning, _SEARCH_SEED)
+    found = search.search_all(context, searches, tuning, _SEARCH_SEED)
     # A calm candidate may be the fastest. Not the other way: the runs of ``limit`` end too early
     # to know jitter at rest.
-    for name in SEARCHED:
+    for name in search.SEARCHED:
         for one, more in zip(found["limit", name], found["jitter", name], strict=True):
             one.others.extend(more.tried)
-    regime = REGIMES[-1]
+    regime = search.REGIMES[-1]
     checked = {
         # The nodes have a rendered camera, whatever the laboratory uses.
         name: found[regime.name, name][0].trial(scoring[0], Conditions(), regime.duration_s)
-        for name in (PROPOSED, "ukf+mpc")
+        for name in (search.PROPOSED, "ukf+mpc")
     }
     facts = {
         "tuning": len(tuning),
         "scoring": len(scoring),
-        "seeds": SEEDS,
-        "peak_rad_s": PEAK_RAD_S,
-        "jitter_rad_s": JITTER_RAD_S,
-        "titles": {one.name: one.title for one in REGIMES},
+        "seeds": search.SEEDS,
+        "peak_rad_s": search.PEAK_RAD_S,
+        "jitter_rad_s": search.JITTER_RAD_S,
+        "titles": {one.name: one.title for one in search.REGIMES},
     }
     data = {
         "conditions": conditions,
@@ -93,45 +71,49 @@ def measure(context: Context) -> Found:
         "spot_check": spot_checks(context, checked, scoring[:_SHOWN], "servo"),
     }
     runs = _score(context, found, scoring, conditions)
-    return Found(runs, facts, data, {"cases": scoring[:_SHOWN]})
+    return lab.Found(runs, facts, data, {"cases": scoring[:_SHOWN]})
 
 
 def _score(
-    context: Context, found: _Searches, cases: Sequence[Case], conditions: Conditions
+    context: lab.Context, found: _Searches, cases: Sequence[Case], conditions: Conditions
 ) -> Results:
     """Run every row of every regime on all cases, search by search."""
     labels, trials = [], []
-    for regime in REGIMES:
+    for regime in search.REGIMES:
         for row in ROWS:
-            for search, tuned in enumerate(found[regime.name, PROPOSED if row == FROZEN else row]):
+            for which, tuned in enumerate(
+                found[regime.name, search.PROPOSED if row == FROZEN else row]
+            ):
                 for number, case in enumerate(cases):
                     labels.append(
-                        {"regime": regime.name, "scheme": row, "search": search, "case": case.name}
+                        {"regime": regime.name, "scheme": row, "search": which, "case": case.name}
                     )
-                    record = search == 0 and number < _SHOWN
+                    record = which == 0 and number < _SHOWN
                     trial = tuned.trial(case, conditions, regime.duration_s, record=record)
                     trials.append(trial.with_method("frozen") if row == FROZEN else trial)
     outcomes = context.map(run_trial, trials, "servoing")
     return Results(one.row(**label) for one, label in zip(outcomes, labels, strict=True))
 
 
-def claims(found: Found) -> Iterator[Claim]:
+def claims(found: lab.Found) -> Iterator[lab.Claim]:
     """The proposed scheme against the others in each regime, and against the true Jacobian."""
-    regimes = [(one, found.runs.where(regime=one.name).groups("scheme")) for one in REGIMES]
+    regimes = [(one, found.runs.where(regime=one.name).groups("scheme")) for one in search.REGIMES]
     for regime, schemes in regimes:
         parts = [
-            below(
+            lab.below(
                 f"settling time over that of {name}",
-                schemes[PROPOSED].over(schemes[name], "to_5mm_s"),
+                schemes[search.PROPOSED].over(schemes[name], "to_5mm_s"),
                 1.0,
             )
-            for name in BASELINES
+            for name in search.BASELINES
         ]
-        yield Claim("fastest", PAPER, parts, given={"title": regime.title})
+        yield lab.Claim("fastest", lab.PAPER, parts, given={"title": regime.title})
     regime, schemes = regimes[0]
-    ratio = schemes[PROPOSED].over(schemes[ORACLE_SLIDING], "to_5mm_s")
+    ratio = schemes[search.PROPOSED].over(schemes[search.ORACLE_SLIDING], "to_5mm_s")
     label = "settling time over that with the true Jacobian"
-    yield Claim("oracle", OURS, [below(label, ratio, 1.1)], given={"title": regime.title})
+    yield lab.Claim(
+        "oracle", lab.OURS, [lab.below(label, ratio, 1.1)], given={"title": regime.title}
+    )
     yield from spot_check_claims(found.data.get("spot_check", ()))
 
 
@@ -146,21 +128,21 @@ _COLUMNS = (
     "settled:of",
     "failure:causes",
 )
-TABLES = (TableOf("regime", ("scheme",), _COLUMNS, each="regime"),)
+TABLES = (lab.TableOf("regime", ("scheme",), _COLUMNS, each="regime"),)
 
 # ---- figures --------------------------------------------------------------------------------
 
 _LOOKS: dict[str, dict[str, Any]] = {
     **{name: {"color": draw.colour_of(name)} for name in SCHEMES},
-    ORACLE_SLIDING: {"color": draw.colour_of(ORACLE_SLIDING), "linestyle": ":"},
+    search.ORACLE_SLIDING: {"color": draw.colour_of(search.ORACLE_SLIDING), "linestyle": ":"},
 }
 
 
-def figures(found: Found) -> Iterator[Drawn]:
+def figures(found: lab.Found) -> Iterator[lab.Drawn]:
     """Figures 8 to 10 of the paper, and all settling times."""
     cases = found.extra["cases"]
     yield "summary", _summary(found.runs), {}
-    for regime in REGIMES[:2]:
+    for regime in search.REGIMES[:2]:
         first = found.runs.where(regime=regime.name, search=0)
         yield "errors", _errors(first, cases), {"regime": regime.name}
     yield "views", _views(first, cases), {}
@@ -168,8 +150,8 @@ def figures(found: Found) -> Iterator[Drawn]:
 
 
 def _summary(runs: Results):
-    figure, (axes,) = draw.grid(1, len(REGIMES), (15, 3.6), sharey=True)
-    for axis, regime in zip(axes, REGIMES, strict=True):
+    figure, (axes,) = draw.grid(1, len(search.REGIMES), (15, 3.6), sharey=True)
+    for axis, regime in zip(axes, search.REGIMES, strict=True):
         some = runs.where(regime=regime.name)
         draw.dots_of(axis, some, "scheme", "to_5mm_s", regime.duration_s, named=axis is axes[0])
         axis.set(title=regime.title, xlim=(0.0, None))
@@ -267,4 +249,4 @@ def _paths(runs: Results, cases: Sequence[Case]):
     return figure
 
 
-EXPERIMENT = Experiment("servo", measure, claims, TABLES, figures, globals())
+EXPERIMENT = lab.Experiment("servo", measure, claims, TABLES, figures, globals())

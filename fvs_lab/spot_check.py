@@ -7,7 +7,7 @@ import os
 import re
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -58,25 +58,11 @@ class SpotCheck:
 
 def spot_checks(
     context: Context, trials: Mapping[str, Trial], cases: Sequence[Case], experiment: str
-) -> list[dict[str, Any]]:
+) -> list[SpotCheck]:
     """Servo from the first case's start to every case's target, in lock step and by the nodes.
 
-    Parameters
-    ----------
-    context : Context
-        For its cores, and the folder of the scenario files and of the nodes' results.
-    trials : mapping of str to Trial
-        Estimator, law, gains and conditions by the scheme's name, and what is unusual; a quick run
-        checks the first.
-    cases : sequence of Case
-        The first one's start, and all targets.
-    experiment : str
-        Whose folder it is.
-
-    Returns
-    -------
-    list of dict
-        The fields of a :class:`SpotCheck` each.
+    The trials have names for readers; a quick run checks the first. Scenario files and the nodes'
+    results go to the experiment's folder.
     """
     if not context.nodes:
         return []
@@ -97,7 +83,7 @@ def spot_checks(
         # Other processes' nodes and other checks' must not be received.
         domain = 1 + (os.getpid() + number) % 100
         nodes = _through_nodes(seeded[0], targets, context.folder(experiment), name, domain)
-        checks.append(asdict(SpotCheck(name, lock_step, *nodes)))
+        checks.append(SpotCheck(name, lock_step, *nodes))
     return checks
 
 
@@ -177,9 +163,9 @@ def scenario_of(trial: Trial, targets_m: Targets, results: Path) -> Mapping[str,
     return {name: {"ros__parameters": values} for name, values in nodes.items()}
 
 
-def claims(checks: Sequence[Mapping[str, Any]]) -> Iterator[Claim]:
+def claims(checks: Sequence[SpotCheck]) -> Iterator[Claim]:
     """The claim ``spot_check``: the nodes settle as lock step does; none without a check."""
-    yield Claim("spot_check", OURS, [_part(SpotCheck(**one)) for one in checks])
+    yield Claim("spot_check", OURS, [_part(one) for one in checks])
 
 
 def _part(one: SpotCheck) -> Part:

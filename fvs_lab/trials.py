@@ -61,9 +61,6 @@ class Conditions:
     #: From a command to the drives' first answer, and further lag of the drives, s.
     dead_time_s: float = SimConfig.dead_time_s
     joint_lag_s: float = 0.0
-    #: Lag and largest acceleration of the drives themselves, s and rad/s^2.
-    lag_s: float = SimConfig.lag_s
-    acceleration_limit_rad_s2: float = SimConfig.acceleration_limit_rad_s2
     #: Speed of the drives over the commanded one.
     drive_gain: float = 1.0
     #: Steps of the physics a second; fewer make a search faster.
@@ -230,18 +227,9 @@ def sees(simulation: Simulation) -> bool:
 def make_cases(
     label: str, count: int, seed: int, low_m: float = 0.2, high_m: float = 0.5
 ) -> list[Case]:
-    """Draw starts and goals whose balls are visible and some way apart.
+    """Draw starts and goals whose balls are visible and this far apart, m.
 
-    Parameters
-    ----------
-    label : str
-        Beginning of their names.
-    count : int
-        How many.
-    seed : int
-        Of the draw, and of the cases' own seeds.
-    low_m, high_m : float
-        Least and largest distance of start and target, m.
+    The label begins their names; the seed is that of the draw and of the cases' own seeds.
     """
     rng = np.random.default_rng(seed)
     simulation = simulation_of(Conditions())
@@ -277,6 +265,12 @@ def drive(trial: Trial, simulation: Simulation) -> Outcome:
     simulation.reset(trial.case.start_rad, trial.case.seed)
     one = trial.loop(simulation)
     one.run(PRELUDE_S)
+    return go(trial, one, goal_m)
+
+
+def go(trial: Trial, one: ClosedLoop, goal_m: np.ndarray) -> Outcome:
+    """Give a loop that runs a target, world frame, m, and let the time of a trial pass."""
+    simulation = one.simulation
     target_m, start_s = _give_target(one, goal_m), simulation.time_s
     bump_tick = -1 if trial.bump is None else round(trial.bump.time_s / one.period_s)
     times_s: list[float] = []

@@ -10,7 +10,7 @@ import numpy as np
 from fvs_controller_node.reasons import State
 from fvs_lab.figures import grid, legend, pyplot, shades
 from fvs_lab.replay import story
-from fvs_lab.replay.reading import Recording, Series
+from fvs_lab.replay.reading import Recording
 from fvs_lab.replay.targets import BOUNDS_M, Target
 from fvs_ros.status import SILENT
 
@@ -36,7 +36,7 @@ def overview(recording: Recording, targets: Sequence[Target]):
     figure, axes = grid(4, 1, (12, 9), sharex=True, gridspec_kw=heights)
     (states, error, measured, commanded) = axes[:, 0]
     _draw_states(states, recording)
-    _draw_errors(error, targets, [one.given_s - recording.start_s for one in targets])
+    _draw_errors(error, targets, recording.start_s)
     _draw_velocities(measured, recording, "joints", "measured")
     _draw_velocities(commanded, recording, "commands", "commanded")
     end_s = recording.end_s - recording.start_s
@@ -61,13 +61,13 @@ def _draw_states(axis: Any, recording: Recording) -> None:
     axis.legend(handles, seen, loc="upper left", bbox_to_anchor=(1.0, 1.2))
 
 
-def _draw_errors(axis: Any, targets: Sequence[Target], starts_s: Sequence[float]) -> None:
+def _draw_errors(axis: Any, targets: Sequence[Target], begun_s: float) -> None:
     """The distance to each target, each curve from its time, and the bounds of settling."""
     colours = shades(len(targets))
-    for number, (one, start_s) in enumerate(zip(targets, starts_s, strict=True)):
+    for number, one in enumerate(targets):
         error_mm = np.maximum(1e3 * one.errors_m, 0.01)
         look = {"color": colours[number], "label": f"target {number + 1}"}
-        _curve(axis, start_s + one.time_s, error_mm, **look)
+        _curve(axis, one.given_s - begun_s + one.time_s, error_mm, **look)
     for bound_m in BOUNDS_M:
         _level(axis, 1e3 * bound_m, f"{1e3 * bound_m:g} mm")
     axis.set(yscale="log", ylabel="distance to the\ntarget, mm")
@@ -87,14 +87,6 @@ def _draw_velocities(axis: Any, recording: Recording, key: str, words: str) -> N
     _beside(axis)
 
 
-def errors(targets: Sequence[Target]):
-    """Draw the distance to each target since it was given."""
-    figure, ((axis,),) = grid(1, 1, (12, 3.2))
-    _draw_errors(axis, targets, [0.0] * len(targets))
-    axis.set_xlabel("time since the target was given, s")
-    return figure
-
-
 def paths(targets: Sequence[Target]):
     """The ball's paths, as the camera sees them and from above."""
     figure, (axes,) = grid(1, 2, (12, 5.5))
@@ -111,33 +103,6 @@ def paths(targets: Sequence[Target]):
     axes[0].set_title("as the camera sees it")
     axes[0].invert_yaxis()  # the camera's y points down
     axes[1].set_title("from above")
-    return figure
-
-
-def ages(recording: Recording):
-    """How old and how regular the inputs were."""
-    series, started = recording.series, recording.started()
-    figure, ((age,), (gap,)) = grid(2, 1, (12, 6.4), sharex=True)
-    held: dict[float, list[str]] = {}
-    for key, parameter in story.INPUTS.items():
-        if key in series:
-            one: Series = recording.topics[series[key].topic]
-            time_s, name = one.arrival_s - recording.start_s, one.topic.rpartition("/")[2]
-            ages_ms = 1e3 * (one.arrival_s - one.stamp_s)
-            if np.isfinite(ages_ms).any():
-                _points(age, time_s, ages_ms, f"{name}: stamp to arrival")
-            _points(gap, time_s[1:], np.maximum(1e3 * np.diff(time_s), 0.5), name)
-            held.setdefault(1e3 * started[parameter], []).append(name)
-    if {"ball", "commands"} <= series.keys():
-        arrival_s, latency_s = story.command_latencies(series["ball"], series["commands"])
-        words = "image to the first command after it"
-        _points(age, arrival_s - recording.start_s, 1e3 * latency_s, words)
-    for age_ms, names in held.items():
-        _level(gap, age_ms, f"longer holds the arm: {', '.join(names)}")
-    age.set_ylabel("age, ms")
-    gap.set(yscale="log", ylabel="since the last\nmessage, ms")
-    gap.set_xlabel("time since the recording began, s")
-    legend(figure)
     return figure
 
 

@@ -183,11 +183,7 @@ class _Page:
             }
             for one in self._targets
         ]
-        drawn = (
-            {"errors": drawings.errors(self._targets), "paths": drawings.paths(self._targets)}
-            if self._targets
-            else {}
-        )
+        drawn = {"paths": drawings.paths(self._targets)} if self._targets else {}
         ball = judged_by(self._recording)
         judged = {"judged_by": None if ball is None else ball.topic, "targets": data}
         return self._report("targets", {"targets": rows}, drawn, judged)
@@ -205,9 +201,7 @@ class _Page:
             "age, 99 %, ms": "p99_age_ms",
         }
         rows = [{title: _rounded(one[name]) for title, name in columns.items()} for one in found]
-        return self._report(
-            "timing", {"timing": rows}, {"ages": drawings.ages(self._recording)}, {"topics": found}
-        )
+        return self._report("timing", {"timing": rows}, {}, {"topics": found})
 
     def prediction(self) -> Report:
         """T1 and T2 of the recorded Jacobian."""

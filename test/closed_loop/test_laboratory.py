@@ -23,18 +23,14 @@ from fvs_estimator_node.registry import PARAMETERS
 from fvs_lab import beyond_runs as runs
 from fvs_lab import contestants as who
 from fvs_lab import main, settling, tuning
-from fvs_lab.experiment import Context, Found
-from fvs_lab.figures import colours_of
+from fvs_lab.experiment import Context
 from fvs_lab.floor import Limits, fastest
 from fvs_lab.report import EXPERIMENTS, Origin, write_page, write_report
-from fvs_lab.results import Results
 from fvs_lab.robustness import CONTESTANTS, contestants_called, judged, trial_in
-from fvs_lab.search import REGIMES, Search
 from fvs_lab.smooth_motion import Recording, judge
 from fvs_lab.trials import (
     WHITE,
     Bump,
-    Case,
     Conditions,
     StableNoise,
     Trial,
@@ -47,7 +43,6 @@ from fvs_lab.trials import (
 from fvs_lab.worlds import DISTANCE_M, DRAWN, EVERYDAY, HARSH, draw_world
 from fvs_ros.params import ParameterSet
 from fvs_sim_node.simulation import SimConfig, Simulation
-from fvs_tools.schemes import BEYOND, SCHEMES
 
 INF = float("inf")
 EXACT = Conditions(rendered=False)
@@ -122,27 +117,6 @@ def test_a_bump_moves_the_camera_and_not_the_ball():
 def test_a_heavy_tails_worst_image_does_not_throw_an_arm_at_rest_off_its_target(number):
     (best,) = contestants_called(["best"])
     assert not judged(run_trial(trial_in(draw_world(HARSH, number), best, rendered=False))).failure
-
-
-def test_everybody_is_known_to_the_nodes_and_has_a_colour():
-    names = [one.name for one in CONTESTANTS]
-    assert set(SCHEMES) < set(names)
-    assert len(set(colours_of([*names, "poe", "oracle, ftsm"]).values())) == len(names) + 2
-    case = Case("", (0.0,) * 6, (0.1,) * 6, 0)
-    searched = [*who.TUNED.values(), *who.CALM.values()]
-    variants = [who.variant(name) for name in who.CONTESTANTS]
-    variants += [Search.of(one, REGIMES[0]).trial({}, case, EXACT).variant for one in searched]
-    assert all(
-        one.controller_values["max_joint_velocity_rad_s"] == who.SPEED_RAD_S for one in variants
-    )
-    variants += [knob.variant(value) for knob in tuning.KNOBS for value in knob.values]
-    for one in variants:
-        default_values(law=one.law, **one.controller_values)
-        ParameterSet(PARAMETERS).values({"method": one.method, **one.estimator_values})
-    for scheme in searched:
-        least_speed = scheme.controller_values.get("redundancy_resolution") == "least_speed"
-        assert least_speed is (scheme.law in who.ALLOCATED)
-    assert all(who.CONTESTANTS[name] == scheme for name, scheme in BEYOND.items())
 
 
 @pytest.mark.parametrize("knob", tuning.KNOBS, ids=lambda knob: knob.name)
@@ -222,32 +196,6 @@ def test_motion_band_bound_and_bound_to_zero_are_in_order(error):
     assert settling.bound_to_band_s(0.01 * error, 0.005, SURFACE, REACHING) == 0.0
 
 
-def settling_claims(*given):
-    usual = {
-        "gains": "0.19 → 0.5", "world": settling.SILENT, "excluded": "",
-        "to_5mm_s": 1.0, "to_2mm_s": 1.0, "bound_s": 2.0, "band_5mm_s": 1.2, "band_2mm_s": 1.2,
-        "predicted_5mm_s": 1.0, "printed_s": -0.5, "printed_sliding_s": -0.7,
-    }  # fmt: skip
-    rows = [{**usual, **one} for one in given]
-    found = Found(Results({**row, **settling.promises_kept(row)} for row in rows))
-    return {one.name: one for one in settling.claims(found)}
-
-
-def test_settling_claims_follow_the_shares():
-    good = settling_claims(*20 * [{}])
-    assert [good[name].holds for name in ("bound", "band", "motion")] == [True] * 3
-    assert good["printed"].holds is False
-    late = settling_claims(*18 * [{}], *2 * [{"to_5mm_s": INF}])["bound"]
-    assert late.holds is False
-    assert "18 of 20 (90.0 %)" in late.decisive.measured
-    kept = settling_claims(*20 * [{"printed_s": 5.0, "printed_sliding_s": 4.0}])
-    assert kept["printed"].holds is True
-    # Runs outside the assumptions do not count.
-    excluded = 20 * [{"to_5mm_s": INF, "excluded": "a limit shaped the command"}]
-    assert "5 of 5" in settling_claims(*5 * [{}], *excluded)["bound"].decisive.measured
-    assert settling_claims(*excluded)["bound"].holds is None
-
-
 # ---- estimators -----------------------------------------------------------------------------
 
 
@@ -302,14 +250,6 @@ def test_best_is_close_to_the_floor_and_the_same_when_repeated():
     assert one == again
     least_s = fastest(case, Limits(who.SPEED_RAD_S, who.ACCELERATION_RAD_S2), 0.005).time_s
     assert least_s < one.settled_s < 1.2 * least_s
-
-
-def test_images_are_stamped_late_and_the_fit_finds_out():
-    learned = runs.learn(runs.Minute(3, 12.0, EXACT, runs.draw_places(1, 10), "ridge"))
-    assert learned["late_s"] > 0.01
-    assert learned["late_error_s"] < 0.003
-    assert learned["chain_box"] < 0.01 < learned["paper_box"]
-    assert learned["distilled_box"] < 0.02
 
 
 @pytest.mark.parametrize("plant", ["nothing", "depths told 0.5 % too large"])

@@ -23,7 +23,6 @@ from replayed_bags import (
     START_M,
     TARGET_M,
     HandmadeBag,
-    long_run,
     servo,
 )
 from rosbags.highlevel import AnyReader
@@ -355,19 +354,6 @@ def test_the_true_jacobian_predicts_without_error_and_a_wrong_one_is_off_by_its_
     assert prediction(replace(recording, series=wrong)) is None
 
 
-def test_a_jacobian_that_came_after_the_image_predicts_nothing_of_it(recording):
-    ball, jacobian = recording.series["ball"], recording.series["jacobian"]
-    quick = replace(ball, arrival_s=ball.stamp_s - 0.03)
-    time_s = prediction(recording).time_s[5]
-    learned = jacobian.arrival_s > time_s - 0.03
-    values = np.where(learned[:, None], 10.0, 1.0) * jacobian.values
-    series = {**recording.series, "ball": quick, "jacobian": replace(jacobian, values=values)}
-    found = prediction(replace(recording, series=series))
-    assert found.time_s[5] == time_s
-    assert found.t1_m[5] < 1e-4
-    assert found.t1_m[6] > 1e-3
-
-
 # --- the page ---
 
 
@@ -383,10 +369,7 @@ def test_the_page_opens_with_what_matters_and_has_all_sections(bag, tmp_path, ca
     assert "Uncalibrated visual servoing, measured side by side" not in html
     results = json.loads((tmp_path / "targets" / "results.json").read_text())
     assert results["data"]["targets"][0]["given_s"] == pytest.approx(GIVEN_S, abs=0.01)
-    for figure in (
-        "happened/overview", "targets/errors", "targets/paths", "timing/ages",
-        "prediction/predictions",
-    ):  # fmt: skip
+    for figure in ("happened/overview", "targets/paths", "prediction/predictions"):
         assert (tmp_path / f"{figure}.png").stat().st_size > 10_000
     assert "nan" not in (tmp_path / "index.md").read_text(encoding="utf-8")
 
@@ -399,24 +382,6 @@ def test_a_page_without_targets_says_what_is_missing(made, read_back, tmp_path, 
     assert found["targets"].setup == [
         "Neither the true nor the measured position of the ball is in the bag."
     ]
-
-
-def test_a_minute_is_shown_with_its_holds_and_few_points(made, read_back, tmp_path, monkeypatch):
-    long_run(made, 51.0)
-    recording = read_back()
-    points = []
-
-    def count(figure, path):
-        path.touch()
-        lines = [line for axis in figure.axes for line in axis.lines]
-        points.append(sum(len(line.get_xdata()) for line in lines))
-        pyplot().close(figure)
-
-    monkeypatch.setattr(figures, "save", count)
-    setup = sections(recording, tmp_path)["happened"].setup
-    assert setup[1].startswith("10 of 11 targets settled")
-    assert setup[2].startswith("Held: HOLDING STALE 1×, 1.0 s")
-    assert max(points) < 6 * 4 * 1200 * 3
 
 
 # --- bags of all kinds ---
@@ -443,16 +408,6 @@ def test_a_folder_and_its_one_file_are_read_alike(tmp_path, storage):
     assert found.cut_off == (storage is StoragePlugin.SQLITE3)
 
 
-def killed(folder, whole, **notes):
-    """What a recorder leaves that is killed when it has heard nearly all of another bag."""
-    bag = Bag(folder, notes)
-    with AnyReader([whole]) as reader:
-        end_ns = reader.end_time - 300_000_000
-        for connection, time_ns, raw in reader.messages(stop=end_ns):
-            bag.write(Message(connection.topic, connection.msgtype, time_ns, raw))
-    return folder
-
-
 def is_beginning_of(one, other):
     """Whether a recording holds what another one does, up to some moment."""
     for topic, series in one.topics.items():
@@ -462,22 +417,15 @@ def is_beginning_of(one, other):
     return one.start_s == other.start_s
 
 
-def test_a_bag_whose_recorder_was_killed_is_replayed(tmp_path, bag, recording, capsys, undrawn):
+def killed(folder, whole):
+    """What a recorder leaves that is killed when it has received nearly all of another bag."""
     scenario = yaml.safe_dump({f"/{node}": {"ros__parameters": one} for node, one in DEMO.items()})
-    folder = killed(tmp_path / "bag", bag, scenario=scenario, fvs_ros_version="1.2.3")
-    for path in (folder, file_in(folder)):
-        found = read(path)
-        assert found.cut_off
-        assert is_beginning_of(found, recording)
-        assert recording.end_s - 1.4 < found.end_s < recording.end_s - 0.3
-        assert (found.scenario, found.version) == (recording.scenario, "1.2.3")
-        assert (
-            targets(found)[0].numbers["settling_2mm_s"]
-            == targets(recording)[0].numbers["settling_2mm_s"]
-        )
-    assert not recording.cut_off
-    assert main(["replay", str(folder), "--out", str(tmp_path / "page")]) == 0
-    assert "The bag was cut off" in capsys.readouterr().out
+    bag = Bag(folder, {"scenario": scenario, "fvs_ros_version": "1.2.3"})
+    with AnyReader([whole]) as reader:
+        end_ns = reader.end_time - 300_000_000
+        for connection, time_ns, raw in reader.messages(stop=end_ns):
+            bag.write(Message(connection.topic, connection.msgtype, time_ns, raw))
+    return folder
 
 
 @pytest.mark.parametrize("tail", [b"", bytes(5000)], ids=["short", "zeros"])
@@ -489,6 +437,7 @@ def test_a_file_that_ends_anywhere_is_read_up_to_there(tmp_path, bag, recording,
         file.write_bytes(content[:size] + tail)
         found = read(file)
         assert found.cut_off
+        assert (found.scenario, found.version) == (recording.scenario, "1.2.3")
         assert is_beginning_of(found, recording)
         ends_s.append(found.end_s)
     assert ends_s == sorted(ends_s)
@@ -499,53 +448,10 @@ def test_a_file_that_ends_anywhere_is_read_up_to_there(tmp_path, bag, recording,
             read(file)
 
 
-def test_a_remapped_topic_is_found_by_its_other_name_and_the_namespace_by_itself(tmp_path):
-    remaps = {"/left/target_position": "/left/goal", "/left/ball_position": "/left/cam/jacobian"}
-    made = HandmadeBag(tmp_path / "bag", namespace="/left", remaps=remaps)
-    made.array("jacobian", 0.0, JACOBIAN)
-    made.point("cam/jacobian", 0.1, 0.1, START_M)
-    made.point("goal", 0.2, 0.2, TARGET_M)
-    made.close()
-    recording = read(tmp_path / "bag")
-    assert recording.namespace == "left"
-    assert recording.series["target"].topic == "/left/goal"
-    assert np.array_equal(recording.series["target"].values, [TARGET_M])
-    assert np.array_equal(recording.series["ball"].values, [START_M])
-
-
 def two_robots(folder):
     made = HandmadeBag(folder)
     made.array("left/jacobian", 0.0, JACOBIAN)
     made.array("right/jacobian", 0.0, JACOBIAN)
-    made.close()
-
-
-def garbled(folder):
-    content = bytearray(file_in(simple(folder)).read_bytes())
-    content[2000:4000] = bytes(2000)
-    file_in(folder).write_bytes(bytes(content))
-
-
-def strange_metadata(folder):
-    (simple(folder) / "metadata.yaml").write_text("[1, 2", encoding="utf-8")
-
-
-def unfolding_metadata(folder):
-    rows = ["a0: &a0 [x, x]"]
-    rows += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 7)]
-    path = simple(folder) / "metadata.yaml"
-    text = path.read_text().split("  custom_data:")[0]
-    path.write_text("\n    ".join([f"{text}  custom_data:", *rows]))
-
-
-def large_metadata(folder):
-    with (simple(folder) / "metadata.yaml").open("r+b") as file:
-        file.truncate(2**32)  # sparse: it takes no room on the disk
-
-
-def foreign(folder):
-    made = HandmadeBag(folder)
-    made.array("weather", 0.0, [1.0])
     made.close()
 
 
@@ -554,12 +460,7 @@ def foreign(folder):
     [
         (lambda folder: None, "there is no"),
         (Path.mkdir, "neither metadata.yaml nor an .mcap file"),
-        (garbled, "cannot read"),
-        (strange_metadata, "cannot read"),
-        (unfolding_metadata, "aliases (*name) are not taken"),
-        (large_metadata, "it is larger than 1 MB"),
         (lambda folder: folder.write_text("not a bag"), "cannot read"),
-        (foreign, "it has /weather"),
         (lambda folder: HandmadeBag(folder).close(), "no messages"),
         (two_robots, "name one by --namespace: '/left', '/right'"),
     ],
