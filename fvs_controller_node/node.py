@@ -26,7 +26,6 @@ from fvs_ros import clock, ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
 
-_STATUS_PERIOD_S = 0.1
 _LOOK_PERIOD_S = 0.5
 _NEVER_RAN = "no robot_program_running yet: start the robot program if the arm does not move"
 #: Own commands that are remembered, to tell another node's from them.
@@ -94,7 +93,7 @@ class ControllerNode(ros.FvsNode):
             Trigger, "~/set_current_as_target", self._answer(self._take_current_as_target)
         )
         self.create_timer(self._period_s, self._watchdog, clock=self.steady_clock)
-        self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
+        self.create_timer(ros.STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
         self.create_timer(_LOOK_PERIOD_S, self._look_around, clock=self.steady_clock)
 
     # --- inputs ---

@@ -22,13 +22,6 @@ from fvs_ros.params import Parameters, parameter
 #: No ball is reported where less of it is visible.
 MIN_VISIBLE_FRACTION = 0.25
 
-#: Largest candidates that are looked at: bounds the time that a noisy image takes.
-_MAX_BLOBS = 16
-_MAX_LAYERS = 4
-_MIN_ON_OUTLINE = 0.6
-_MIN_ARC = 0.2
-_MAX_RESIDUAL_RADII = 0.1
-
 
 @dataclass(frozen=True)
 class BallColour(Parameters):
@@ -208,7 +201,7 @@ def _blobs(mask: np.ndarray, u0: int = 0, v0: int = 0) -> list[_Blob]:
         box = Region(u0 + u, v0 + v, width, height)
         blobs.append(_Blob(box, filled, cv2.countNonZero(filled)))
     blobs.sort(key=lambda blob: -blob.pixels)
-    return blobs[:_MAX_BLOBS]
+    return blobs[:16]  # bounds the time that a noisy image takes
 
 
 def _split_by_depth(blob: _Blob, scene: _Scene) -> list[BallDetection]:
@@ -220,7 +213,7 @@ def _split_by_depth(blob: _Blob, scene: _Scene) -> list[BallDetection]:
     radius_m, found = scene.radius_m, []
     # Depth is often lost at an edge: close what that breaks out of the outline.
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
-    for _ in range(_MAX_LAYERS):
+    for _ in range(4):
         values = np.sort(depth[left])
         if len(values) < MIN_PIXELS:
             break
@@ -268,12 +261,7 @@ def _evaluate(blob: _Blob, scene: _Scene) -> BallDetection | Miss:
     patch, coloured = _cut_out(blob, scene, pad)
     rays = patch.rays()
     fit = fit_sphere(patch, rays, distance_m, radius_m)
-    if (
-        fit is None
-        or fit.on_outline < _MIN_ON_OUTLINE
-        or fit.arc < _MIN_ARC
-        or fit.residual_m > _MAX_RESIDUAL_RADII * radius_m
-    ):
+    if fit is None or fit.on_outline < 0.6 or fit.arc < 0.2 or fit.residual_m > 0.1 * radius_m:
         return other
     ball = _measured(patch, coloured, rays, fit, radius_m)
     return other if ball.visible_fraction < MIN_VISIBLE_FRACTION else ball

@@ -23,12 +23,6 @@ from fvs_detector_node.sphere import MIN_PIXELS
 from fvs_detector_node.tracking import Gate, WindowTracker
 from fvs_ros.camera import CameraModel, Intrinsics
 
-#: A lost ball is explained this often at most, s of image stamps; it takes as long as a search.
-_EXPLAIN_PERIOD_S = 0.3
-#: Below these the hue of a pixel is mere noise.
-_LEAST_SATURATION, _LEAST_VALUE = 40, 12
-_FOUND_RGB, _REFUSED_RGB, _TEXT_RGB = (60, 230, 60), (255, 170, 0), (255, 255, 255)
-
 
 @dataclass(frozen=True)
 class Sighting:
@@ -118,7 +112,8 @@ class Detector:
             self._tracker.update(stamp_s, None if problem else ball)
             return Sighting(ball, problem)
         self._tracker.update(stamp_s, None)
-        if self._miss is None or not 0.0 <= stamp_s - self._explained_s < _EXPLAIN_PERIOD_S:
+        # Not each time: an explanation takes as long as a search.
+        if self._miss is None or not 0.0 <= stamp_s - self._explained_s < 0.3:
             self._miss = diagnose(*rectifier.cut(rgb, depth_m, whole), view, radius_m, colour)
             self._explained_s = stamp_s
         return Sighting(None, self._miss.text, self._miss.box)
@@ -152,8 +147,9 @@ def diagnose(
     if all(one.pixels < 2 * MIN_PIXELS for one in others):
         relaxed = replace(
             colour,
-            min_saturation=min(_LEAST_SATURATION, colour.min_saturation),
-            min_value=min(_LEAST_VALUE, colour.min_value),
+            # Below these the hue of a pixel is mere noise.
+            min_saturation=min(40, colour.min_saturation),
+            min_value=min(12, colour.min_value),
         )
         ball, _ = examine(rgb, depth_m, camera, radius_m, relaxed)
         if ball is not None:
@@ -192,8 +188,9 @@ def annotate(rgb: np.ndarray, sighting: Sighting, camera: Intrinsics) -> np.ndar
     thick = max(1, round(1.5 * scale))
     lines = textwrap.wrap(sighting.problem, 66)
     ball, box = sighting.ball, sighting.box
+    refused_rgb = (255, 170, 0)
     if ball is not None:
-        colour = _REFUSED_RGB if sighting.problem else _FOUND_RGB
+        colour = refused_rgb if sighting.problem else (60, 230, 60)
         # Sixteenths of a pixel: the drawing moves with the ball, not in steps.
         centre = np.round(16.0 * camera.project(ball.position_m)).astype(int).tolist()
         cv2.circle(picture, centre, round(16 * ball.radius_px), colour, thick, cv2.LINE_AA, 4)
@@ -202,11 +199,11 @@ def annotate(rgb: np.ndarray, sighting: Sighting, camera: Intrinsics) -> np.ndar
         seen = f"quality {ball.quality:.2f}  visible {ball.visible_fraction:.0%}  "
         lines.insert(0, f"{seen}x {x:+.3f} y {y:+.3f} z {z:.3f} m")
     elif box is not None:
-        cv2.rectangle(picture, (box.u0, box.v0, box.width, box.height), _REFUSED_RGB, thick)
+        cv2.rectangle(picture, (box.u0, box.v0, box.width, box.height), refused_rgb, thick)
     # White on a darkened band: readable before anything.
     picture[: round((8 + 20 * len(lines)) * scale)] //= 4
     for row, line in enumerate(lines):
         at = (round(10 * scale), round((20 + 20 * row) * scale))
         font = cv2.FONT_HERSHEY_SIMPLEX
-        cv2.putText(picture, line, at, font, 0.5 * scale, _TEXT_RGB, thick, cv2.LINE_AA)
+        cv2.putText(picture, line, at, font, 0.5 * scale, (255, 255, 255), thick, cv2.LINE_AA)
     return picture

@@ -30,19 +30,10 @@ from fvs_ros.topics import CAMERA_PREFIXES
 T = TypeVar("T")
 
 WAITING, TRACKING, LOST, FAULT = "WAITING", "TRACKING", "LOST", "FAULT"
-_STATUS_PERIOD_S = 0.1
-_PUBLISHERS_PERIOD_S = 1.0
-#: Largest difference of the stamps of a colour and a depth image that belong together, s: a little
-#: less than half the period of 30 images a second.
-_SYNC_TOLERANCE_S = 0.015
 #: What the status holds of a detected ball.
 _MEASURED = ("quality", "visible_fraction", "residual_m", "radius_px")
-#: A change of state is logged this often at most, s; the status always has it.
-_LOG_PERIOD_S = 3.0
 #: An input that is silent for this long is missing, s; the slowest cameras give 5 images a second.
 _MISSING_S = 1.0
-#: This many images in a row without a newer stamp are a frozen stream.
-_FROZEN_IMAGES = 5
 
 
 @dataclass(frozen=True)
@@ -61,7 +52,8 @@ class DetectorNode(ros.FvsNode):
         cv2.setNumThreads(1)  # one small image at a time: threads only cost
         self._config = DetectorConfig.from_values(self.values)
         self._detector = Detector(self._config)
-        self._pairing = Pairing(_SYNC_TOLERANCE_S)
+        # A little less than half the period of 30 images a second.
+        self._pairing = Pairing(tolerance_s=0.015)
         self._restarts = 0
         self._camera: CameraModel | None = None
         self._sighting: Sighting | None = None
@@ -77,8 +69,8 @@ class DetectorNode(ros.FvsNode):
         self._topics = CameraTopics.below(prefix, self._config.compressed_images)
         self._subscribed: dict[str, tuple[Any, QoSProfile]] = {}
         self._subscribe()
-        self.create_timer(_PUBLISHERS_PERIOD_S, self._find_camera, clock=self.steady_clock)
-        self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
+        self.create_timer(1.0, self._find_camera, clock=self.steady_clock)
+        self.create_timer(ros.STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
 
     # --- inputs ---
 
@@ -236,7 +228,7 @@ class DetectorNode(ros.FvsNode):
 
     def _unpaired(self) -> tuple[str, str]:
         repeats, offset_s = self._pairing.repeats, self._pairing.offset_s
-        if repeats >= _FROZEN_IMAGES:
+        if repeats >= 5:
             return FAULT, f"image stamps do not advance, {repeats} in a row: is the camera frozen?"
         apart = "" if offset_s is None else f", {1e3 * offset_s:+.1f} ms"
         hint = "start the camera with enable_sync:=true"
@@ -246,7 +238,8 @@ class DetectorNode(ros.FvsNode):
         now_s = self.now_s()
         state, reason = self._judge(now_s)
         level = {TRACKING: ros.OK, FAULT: ros.ERROR}.get(state, ros.WARN)
-        if state != self._logged and now_s - self._logged_s > _LOG_PERIOD_S:
+        # The status has each change of state, the log none that comes and goes.
+        if state != self._logged and now_s - self._logged_s > 3.0:
             self._logged, self._logged_s = state, now_s
             self.tell(level, f"{state}: {reason}")
         ball = self._sighting.ball if self._sighting is not None else None

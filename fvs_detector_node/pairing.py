@@ -6,11 +6,6 @@ import math
 from collections import deque
 from typing import Any, NamedTuple
 
-#: Images kept of a stream that wait for their partner.
-_KEPT = 6
-#: This many images in a row from further back than this are a clock that was set back.
-_JUMP_S, _JUMP_IMAGES = 0.5, 3
-
 
 class Pair(NamedTuple):
     """A colour image with its exposure, s, and the depth image nearest to it."""
@@ -24,7 +19,7 @@ class _Stream:
     """The newest images of one topic that are not paired yet, oldest first."""
 
     def __init__(self) -> None:
-        self.images: deque[tuple[float, Any]] = deque(maxlen=_KEPT)
+        self.images: deque[tuple[float, Any]] = deque(maxlen=6)
         self.newest_s = -math.inf
         self.repeats = self.behind = 0
 
@@ -35,7 +30,7 @@ class _Stream:
             self.newest_s, self.repeats, self.behind = stamp_s, 0, 0
             return True
         self.repeats += 1
-        self.behind = self.behind + 1 if stamp_s < self.newest_s - _JUMP_S else 0
+        self.behind = self.behind + 1 if stamp_s < self.newest_s - 0.5 else 0
         return False
 
 
@@ -74,7 +69,8 @@ class Pairing:
 
     def add(self, kind: str, stamp_s: float, image: Any) -> Pair | None:
         """Take in an image of ``colour`` or ``depth`` with its exposure, s; the pair, if any."""
-        if max(self._colour.behind, self._depth.behind) >= _JUMP_IMAGES:
+        # Three in a row from far back: the clock was set back.
+        if max(self._colour.behind, self._depth.behind) >= 3:
             self._restart()
         stream = self._colour if kind == "colour" else self._depth
         return self._pair() if stream.add(stamp_s, image) else None

@@ -23,7 +23,6 @@ from fvs_estimator_node.dataset import data_set_of, save_data_set
 from fvs_ros import clock, ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 
-_STATUS_PERIOD_S = 0.1
 _WATCHDOG_S = 0.02
 _MIN_SAMPLES = 30
 _PUBLISHERS_PERIOD_S = 0.25
@@ -56,7 +55,7 @@ class CollectorNode(ros.FvsNode):
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
         self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
         self.create_timer(_WATCHDOG_S, self._watchdog, clock=self.steady_clock)
-        self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
+        self.create_timer(ros.STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
         self.create_timer(
             _PUBLISHERS_PERIOD_S, self._find_other_publishers, clock=self.steady_clock
         )

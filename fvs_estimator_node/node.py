@@ -26,7 +26,6 @@ from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.paths import find_file
 from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
 
-_STATUS_PERIOD_S = 0.1
 _FRESH_S = 0.2
 #: Shortest time between two Jacobians: at most every second joint state of 125 Hz, every 16 ms,
 #: less a fifth, for joint states come with jitter, and late is worse than often.
@@ -60,7 +59,7 @@ class EstimatorNode(ros.FvsNode):
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/freeze", self._on_freeze)
         self._use(v)
-        self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
+        self.create_timer(ros.STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
 
     def _use(self, v: dict[str, Any]) -> None:
         """Estimate by the method that the values name, from nothing but the model."""

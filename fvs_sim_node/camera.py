@@ -81,10 +81,6 @@ class Frame:
 
 #: Standard deviation of the disparity, pixels, and distance between the two imagers, m.
 _SUBPIXEL_PX, _BASELINE_M = 0.08, 0.05
-#: Part of the variance that neighbouring pixels share.
-_CORRELATED = 0.25
-#: Depth is reported in steps of this size, m.
-_STEP_M = 0.001
 #: Probabilities that a pixel has no depth: anywhere, and where the depth within its 3 x 3
 #: neighbourhood spans more than a jump, m.
 _DROPOUT, _EDGE_LOSS, _EDGE_JUMP_M = 0.01, 0.5, 0.05
@@ -119,17 +115,18 @@ def add_depth_noise(
     edge = cv2.dilate(depth, kernel) - cv2.erode(depth, kernel) > _EDGE_JUMP_M
 
     noise = rng.standard_normal(depth.shape, dtype=np.float32)
-    noise *= np.float32(np.sqrt(1.0 - _CORRELATED))
-    # The mean of 3 x 3 unit normals has a standard deviation of 1/3.
+    # Neighbouring pixels share a quarter of the variance. The mean of 3 x 3 unit normals has a
+    # standard deviation of 1/3.
+    noise *= np.float32(np.sqrt(0.75))
     shared = cv2.blur(rng.standard_normal(depth.shape, dtype=np.float32), (3, 3))
-    shared *= np.float32(3.0 * np.sqrt(_CORRELATED))
+    shared *= np.float32(1.5)
     noise += shared
     noise *= np.float32(_SUBPIXEL_PX / (fx * _BASELINE_M)) * np.square(depth)
     noise *= np.float32(scale)
     depth += noise
-    depth *= np.float32(1.0 / _STEP_M)
+    depth *= np.float32(1e3)  # it comes in whole millimetres
     np.rint(depth, out=depth)
-    depth *= np.float32(_STEP_M)
+    depth *= np.float32(1e-3)
 
     luck = rng.random(depth.shape, dtype=np.float32)
     lost |= luck < np.float32(scale * _DROPOUT)

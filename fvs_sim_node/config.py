@@ -12,10 +12,6 @@ from fvs_ros.joints import HOME_JOINTS_RAD
 from fvs_ros.params import Parameters, live_parameter, parameter
 from fvs_sim_node.camera import CAMERAS, CameraPose
 
-#: Physics steps a second, at least.
-_PHYSICS_RATE_HZ = 500.0
-#: Focal length of a D435's colour camera over the image's width.
-_FOCAL_SHARE = 615.0 / 640.0
 BALL_RGBA = (0.86, 0.07, 0.06, 1.0)
 
 
@@ -130,7 +126,7 @@ class SimConfig(Parameters):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.physics_rate_hz:
-            least = ceil(_PHYSICS_RATE_HZ / self.joint_state_rate_hz) * self.joint_state_rate_hz
+            least = ceil(500.0 / self.joint_state_rate_hz) * self.joint_state_rate_hz
             object.__setattr__(self, "physics_rate_hz", least)
         steps = self.physics_rate_hz / self.joint_state_rate_hz
         if abs(steps - round(steps)) > 1e-9 or steps < 1.0:
@@ -154,7 +150,7 @@ class SimConfig(Parameters):
     def intrinsics(self) -> Intrinsics:
         """The camera's."""
         width, height = self.image_width, self.image_height
-        focal = _FOCAL_SHARE * width
+        focal = 615.0 / 640.0 * width  # of a D435's colour camera
         return Intrinsics(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
 
 

@@ -22,17 +22,10 @@ from fvs_sim_node.frame_worker import FrameWorker
 from fvs_sim_node.robot import robot_description
 from fvs_sim_node.simulation import BallObservation, SimStep, Simulation
 
-_STATUS_PERIOD_S = 0.1
-#: In simulated time the first stamp is this, since zero means "no time" to ROS.
-_FIRST_SIMULATED_S = 1.0
-#: Further behind the clock than this, simulated motion is skipped rather than made up for.
-_MAX_BEHIND_S = 0.2
 #: In simulated time, services and parameters are served this often.
 _BURST_S = 0.005
 #: What answers joint states, and the simulated time that may pass without a new answer, s.
 _ANSWERS = {topics.COMMANDS.name: 0.0, topics.JACOBIAN.name: 0.1}
-#: A late answer is waited for this long, s: then its node has ended, until it answers again.
-_PATIENCE_S = 1.0
 
 
 class SimNode(ros.FvsNode):
@@ -72,7 +65,7 @@ class SimNode(ros.FvsNode):
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.on_parameters(self.values, {p.name for p in self.parameter_set if p.live})
         self._keep_time(config)
-        self.create_timer(_STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
+        self.create_timer(ros.STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
 
     # --- time ---
 
@@ -82,7 +75,7 @@ class SimNode(ros.FvsNode):
         self._stepped_s = self.steady_s()
         self._answered_s: dict[str, float] = {}  # simulated time of the last answer on each topic
         if config.simulated_time:
-            self._base_s = _FIRST_SIMULATED_S
+            self._base_s = 1.0  # zero means "no time" to ROS
             self._clock_topic = self.publisher(topics.CLOCK)
             self.subscribe(topics.JACOBIAN, lambda _message: self._answer(topics.JACOBIAN.name))
             self.create_timer(_BURST_S, self._step_as_fast_as_it_goes, clock=self.steady_clock)
@@ -93,7 +86,7 @@ class SimNode(ros.FvsNode):
 
     def _step_in_real_time(self) -> None:
         behind_s = self.steady_s() + self._ahead_s - self._base_s - self._sim.time_s
-        if behind_s > _MAX_BEHIND_S:
+        if behind_s > 0.2:  # this motion is skipped rather than made up for
             self._late += 1
             self._base_s += behind_s
             behind_s = 0.0
@@ -113,7 +106,8 @@ class SimNode(ros.FvsNode):
             for topic, answered_s in self._answered_s.items()
             if self._simulated_s() - answered_s > _ANSWERS[topic]
         ]
-        if late and self.steady_s() - self._stepped_s < _PATIENCE_S:
+        # After a second its node has ended, until it answers again.
+        if late and self.steady_s() - self._stepped_s < 1.0:
             return True
         for topic in late:
             del self._answered_s[topic]

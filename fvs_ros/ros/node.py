@@ -33,6 +33,8 @@ from fvs_ros.ros.messages import OK, WARN, MessageError, plain, to_stamp, to_sta
 from fvs_ros.ros.qos import PROFILES, QOS_LATCHED
 from fvs_ros.topics import Topic
 
+#: Of every node's ``~/status``, s.
+STATUS_PERIOD_S = 0.1
 _DIAGNOSTICS_PERIOD_S = 1.0
 #: The same complaint is logged once in this time.
 _REPEAT_S = 5.0
