@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import io
 import socket
 import threading
@@ -153,13 +152,9 @@ def _check_free(host: str, port: int) -> None:
             trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             trial.bind(address)
     except OSError as error:
-        if error.errno != errno.EADDRINUSE:
-            raise ValueError(
-                f"the page cannot be served at {host}, port {port}: {error}"
-            ) from error
         raise ValueError(
-            f"port {port} of {host} is taken; stop what is served there, or choose another one "
-            "(-p port:=0 takes any; after --ros-args, if fvs_dashboard is called by itself)"
+            f"the page cannot be served at {host}, port {port}: {error}; -p port:=0 takes any "
+            "free port (after --ros-args, if fvs_dashboard is called by itself)"
         ) from error
 
 

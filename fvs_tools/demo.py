@@ -29,7 +29,7 @@ class DemoConfig(Parameters):
     distance_m: float = parameter(0.3, "wanted distance from one target to the next", 0.05, 1.0)
     target_s: float = parameter(4.0, "time given to each target", 1.0, 60.0)
     feature_frame: str = parameter(CAMERA_FRAME, "frame of ball and target")
-    output_dir: str = parameter("out/demo", "folder for the log, the results and the figure")
+    output_dir: str = parameter("out/demo", "folder for the results and the figure")
 
 
 PARAMETERS = DemoConfig.declared()
@@ -155,26 +155,13 @@ def table(scores: list[TargetScore]) -> str:
 
 
 def write_results(folder: Path, records: list[TargetRecord], scores: list[TargetScore]) -> None:
-    """Write ``results.json`` (scores) and ``log.csv`` (true position and error over time)."""
+    """Write ``results.json``."""
     folder.mkdir(parents=True, exist_ok=True)
     content = [
         {"target_m": record.target_m.tolist(), **asdict(one)}
         for record, one in zip(records, scores, strict=True)
     ]
     (folder / "results.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    rows = [
-        np.column_stack(
-            [np.full(len(one.time_s), number), one.time_s, one.position_m, one.errors_m()]
-        )
-        for number, one in enumerate(records, start=1)
-    ]
-    np.savetxt(
-        folder / "log.csv",
-        np.concatenate(rows),
-        fmt="%d,%.4f,%.6f,%.6f,%.6f,%.6f",
-        header="target,time_s,true_x_m,true_y_m,true_z_m,error_m",
-        comments="",
-    )
 
 
 def draw(
