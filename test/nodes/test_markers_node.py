@@ -1,11 +1,9 @@
 """The markers as a viewer gets them."""
 
-import importlib.util
-
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PointStamped, PoseStamped
+from geometry_msgs.msg import PointStamped
 from visualization_msgs.msg import Marker, MarkerArray
 
 from fvs_ros import ros, topics
@@ -66,14 +64,3 @@ def test_what_is_not_known_any_more_is_not_shown(viewer):
     assert found["distance"].text == "no ball, holding"
     viewer({"ball", "trail"})
     viewer({"trail"}, ball_m=None)
-
-
-@pytest.mark.skipif(importlib.util.find_spec("tf2_msgs") is not None, reason="tf2_msgs is there")
-def test_without_tf2_msgs_the_node_says_so_and_goes_on(ros_test):
-    process = ros_test.start_node(MODULE)
-    pose = ros_test.publisher(PoseStamped, topics.TRUE_CAMERA_POSE.name, ros.QOS_LATCHED)
-    pose.publish(ros.to_pose(1.0, "base_link", np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])))
-    ros_test.spin_until(
-        lambda: "tf2_msgs is not installed" in ros_test.output(process), what="a line"
-    )
-    assert process.poll() is None

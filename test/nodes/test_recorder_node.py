@@ -1,9 +1,7 @@
 """The recorder with real nodes: nothing is lost, zeros come last, and a replay judges the same."""
 
-import contextlib
 import json
 import shutil
-import socket
 import subprocess
 import sys
 from collections import Counter
@@ -185,34 +183,6 @@ def test_what_came_before_the_recorder_was_killed_is_replayed(ros_test):
     assert found.cut_off
     assert len(found.series["ball"]) == 30
     assert found.scenario == {"fvs_demo_node": {"distance_m": 0.2}}
-
-
-def senders(listener):
-    """Who sent the datagrams that have come, each once for each: the prefix of its RTPS GUID."""
-    found = Counter()
-    with contextlib.suppress(BlockingIOError):
-        while True:
-            found[listener.recv(65536)[8:20]] += 1
-    return found
-
-
-def test_who_starts_later_is_told_soon_that_a_node_is_there(ros_test, monkeypatch):
-    """Fast DDS by itself says so once in three seconds; what is sent until then is lost."""
-    monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
-        # Where the domain's thirty-first process on this machine would listen for such words.
-        listener.bind(("127.0.0.1", 7400 + 250 * ros_test.domain + 10 + 2 * 30))
-        listener.setblocking(False)
-        ros_test.spin_for(0.5)
-        others = set(senders(listener))  # this test's own node
-        statuses = ros_test.collect(DiagnosticStatus, topics.CONTROLLER_STATUS.name)
-        ros_test.start_node("fvs_controller_node.node")
-        ros_test.spin_until(lambda: bool(statuses), what="the controller")
-        ros_test.spin_for(1.0)
-        senders(listener)  # at its very start everybody says so often
-        ros_test.spin_for(1.5)
-        (words,) = (n for who, n in senders(listener).items() if who not in others)
-    assert words > 2
 
 
 def test_a_recorder_that_gives_up_does_not_stop_the_arm(ros_test):
