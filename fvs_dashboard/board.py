@@ -15,8 +15,6 @@ from fvs_ros import topics
 from fvs_ros.status import SILENT, SILENT_S, number, vector
 from fvs_ros.timeline import History
 
-CONTROLLER, ESTIMATOR, SIMULATOR = topics.CONTROLLER, topics.ESTIMATOR, topics.SIM
-
 #: Length of the curves and of the ball's trail, s.
 HISTORY_S, TRAIL_S = 20.0, 6.0
 #: How long the newest of a name is shown, s.
@@ -216,7 +214,7 @@ class Board:
 
     def limit(self, name: str) -> float:
         """A limit of the controller; NaN while it is not known."""
-        value = self.parameter(CONTROLLER, name)
+        value = self.parameter(topics.CONTROLLER, name)
         return value if isinstance(value, float) else nan
 
     def controller(self, now_s: float) -> Controller:

@@ -19,19 +19,8 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import String
 
-from fvs_dashboard.board import (
-    BUMP,
-    CONTROLLER,
-    ESTIMATOR,
-    RESET,
-    SET_CURRENT,
-    SIMULATOR,
-    STOP,
-    Action,
-    Actions,
-    Board,
-    Controller,
-)
+from fvs_dashboard import board
+from fvs_dashboard.board import Action, Actions, Board, Controller
 from fvs_dashboard.config import PARAMETERS, VISER, DashboardConfig
 from fvs_dashboard.markup import SHOWN_BY
 from fvs_dashboard.picture import Picture
@@ -62,9 +51,9 @@ _TARGET_S, _TOUR_M = 5.0, 0.3
 #: that holds wants a new start.
 _LOST_S = 8.0
 _ASKED = {
-    CONTROLLER: SHOWN_BY,
-    ESTIMATOR: ("method",),
-    SIMULATOR: ("depth_noise", "latency_s", _ROTATION),
+    topics.CONTROLLER: SHOWN_BY,
+    topics.ESTIMATOR: ("method",),
+    topics.SIM: ("depth_noise", "latency_s", _ROTATION),
 }
 _TOUR_OFF = Action("tour", False)
 
@@ -190,7 +179,7 @@ class DashboardNode(ros.FvsNode):
         self._send_tour(now_s)
         if now_s > self._at_rest_s:  # no service clears a target, but at the ball it moves nothing
             self._at_rest_s = now_s + ANSWER_S  # again, if no answer comes
-            self._calls.call(f"{CONTROLLER}/{SET_CURRENT.name}", self._on_reset)
+            self._calls.call(f"{topics.CONTROLLER}/{board.SET_CURRENT.name}", self._on_reset)
         if now_s - self._shown_s > _PERIOD_S + _LATE_S:
             text = "this page gets too little of the processor: it is behind"
             self._board.note("behind", now_s, text)
@@ -234,7 +223,7 @@ class DashboardNode(ros.FvsNode):
 
     def _on_values(self, node: str, values: dict[str, Any]) -> None:
         self._board.parameters[node] = values
-        if node == SIMULATOR and not self._begun:
+        if node == topics.SIM and not self._begun:
             self._begun = values
 
     # --- what is done ---
@@ -246,39 +235,44 @@ class DashboardNode(ros.FvsNode):
             self._do(action)
 
     def _do(self, action: Action) -> None:
-        if action.name == "target" or action in (STOP, RESET, SET_CURRENT, _TOUR_OFF):
+        if action.name == "target" or action in (
+            board.STOP,
+            board.RESET,
+            board.SET_CURRENT,
+            _TOUR_OFF,
+        ):
             self._board.tour = False  # a person takes over
-        if action == STOP:
+        if action == board.STOP:
             self._calls.stop()
-        elif action == RESET:
+        elif action == board.RESET:
             self._reset()
-        elif action == BUMP:
+        elif action == board.BUMP:
             turns_deg = self._rng.uniform(_LEAST_BUMP_DEG, _LARGEST_BUMP_DEG)
             turns_deg *= self._rng.choice((-1.0, 1.0), 3)
             turns_deg += self._begun.get(_ROTATION, np.zeros(3))
-            self._calls.set(f"{SIMULATOR}/{_ROTATION}", tuple(turns_deg.tolist()))
+            self._calls.set(f"{topics.SIM}/{_ROTATION}", tuple(turns_deg.tolist()))
         elif action.sets_parameter:
             self._calls.set(action.name, action.value)
         elif action == _TOUR_OFF:
             pass
         elif self._board.controller(self.steady_s()).silent:
             # It would be done whenever the controller comes back, when no person expects it.
-            self._answer(f"not done: the controller is silent; is {CONTROLLER} running?")
+            self._answer(f"not done: the controller is silent; is {topics.CONTROLLER} running?")
         elif action.name == "target":
             self._send_target(np.array(action.value))
         elif action.name == "tour":
             self._board.tour, self._tour_due_s = True, -inf
         else:
-            self._calls.call(f"{CONTROLLER}/{action.name}")
+            self._calls.call(f"{topics.CONTROLLER}/{action.name}")
 
     def _reset(self) -> None:
         """Stop, forget what was learned, and put the simulation back as it began."""
         self._calls.stop()
-        if self._board.parameters.get(SIMULATOR):
+        if self._board.parameters.get(topics.SIM):
             for name, value in self._begun.items():
-                self._calls.set(f"{SIMULATOR}/{name}", value)
-            self._calls.call(f"{SIMULATOR}/reset")
-        self._calls.call(f"{ESTIMATOR}/reset")
+                self._calls.set(f"{topics.SIM}/{name}", value)
+            self._calls.call(f"{topics.SIM}/reset")
+        self._calls.call(f"{topics.ESTIMATOR}/reset")
         self._at_rest_s = self.steady_s() + _AT_REST_S
 
     def _on_reset(self, answer: Any) -> None:
@@ -305,7 +299,7 @@ class DashboardNode(ros.FvsNode):
         if _LOST_S < unseen_s < inf and self.count_publishers(topics.TRUE_CAMERA_POSE.name):
             self._tour_due_s = now_s + _LOST_S
             self._calls.call(
-                f"{SIMULATOR}/reset",
+                f"{topics.SIM}/reset",
                 lambda answer: self._answer(f"the tour saw no ball any more: {answer.message}"),
             )
         elif ball_m is not None and self._board.controller(now_s).goes_to_targets:

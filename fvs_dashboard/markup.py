@@ -9,7 +9,8 @@ from math import isfinite, isnan
 from pathlib import Path
 from typing import NamedTuple
 
-from fvs_dashboard.board import CONTROLLER, ESTIMATOR, Board, Controller
+from fvs_dashboard.board import Board, Controller
+from fvs_ros import topics
 from fvs_ros.status import SILENT
 from fvs_tools.schemes import BEYOND, SCHEMES
 
@@ -125,11 +126,12 @@ def line_html(name: str, text: str) -> str:
 
 def scheme_of(board: Board) -> str:
     """The name of the scheme that runs; of a pair without a name, the pair."""
-    method, law = board.parameter(ESTIMATOR, "method"), board.parameter(CONTROLLER, "law")
+    method = board.parameter(topics.ESTIMATOR, "method")
+    law = board.parameter(topics.CONTROLLER, "law")
     for one in (*SCHEMES.values(), *BEYOND.values()):
         further = one.controller_values.items()
         if (one.method, one.law) == (method, law) and all(
-            board.parameter(CONTROLLER, name) == value for name, value in further
+            board.parameter(topics.CONTROLLER, name) == value for name, value in further
         ):
             return one.name
     return " with ".join(name for name in (method, law) if isinstance(name, str)) or "unknown"

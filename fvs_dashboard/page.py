@@ -19,12 +19,9 @@ from fvs_controller_node.config import LAWS
 from fvs_dashboard import markup, picture
 from fvs_dashboard.board import (
     BUMP,
-    CONTROLLER,
-    ESTIMATOR,
     HISTORY_S,
     RESET,
     SET_CURRENT,
-    SIMULATOR,
     START,
     STOP,
     Action,
@@ -36,6 +33,7 @@ from fvs_dashboard.config import VISER, DashboardConfig
 from fvs_dashboard.guard import EVERYWHERE, LOOPBACK, own_requests_only, turns_others_away
 from fvs_dashboard.scene import LEGEND, Scene
 from fvs_estimator_node.registry import ESTIMATORS
+from fvs_ros import topics
 
 #: The left panel is drawn every third time: its curves are long and change slowly.
 _SELDOM = 3
@@ -200,8 +198,9 @@ class Panel:
         self._add_target(tour)
         self._scheme = gui.add_folder("Scheme")
         with self._scheme:
-            self._sets(f"{ESTIMATOR}/method", gui.add_dropdown("Estimator", tuple(ESTIMATORS)))
-            self._sets(f"{CONTROLLER}/law", gui.add_dropdown("Law", tuple(LAWS)))
+            estimator = gui.add_dropdown("Estimator", tuple(ESTIMATORS))
+            self._sets(f"{topics.ESTIMATOR}/method", estimator)
+            self._sets(f"{topics.CONTROLLER}/law", gui.add_dropdown("Law", tuple(LAWS)))
         row = gui.add_html(markup.ROW)
         hint = "Stops, forgets what was learned, and puts the simulation back as it began."
         self._button("Reset everything", RESET, color="gray", hint=hint)
@@ -214,9 +213,9 @@ class Panel:
         with simulator:
             hint = "Times the depth camera's own noise."
             noise = gui.add_slider("Depth noise (×)", 0.0, 5.0, 0.1, 1.0, hint=hint)
-            self._sets(f"{SIMULATOR}/depth_noise", noise)
+            self._sets(f"{topics.SIM}/depth_noise", noise)
             latency = gui.add_slider("Latency (s)", 0.0, 0.2, 0.005, 0.04)
-            self._sets(f"{SIMULATOR}/latency_s", latency)
+            self._sets(f"{topics.SIM}/latency_s", latency)
         self._simulated = (row, bump, simulator)  # shown beside a simulator only
         for element in self._simulated:
             element.visible = False
@@ -284,7 +283,7 @@ class Panel:
             self._target.value = tuple(np.round(controller.target_m, 3).tolist())
         self._scheme.label = f"Scheme: {markup.scheme_of(board)}"
         for element in self._simulated:
-            element.visible = bool(board.parameters.get(SIMULATOR))
+            element.visible = bool(board.parameters.get(topics.SIM))
         for name, handle in self._settings.items():
             value = board.tour if name == "tour" else board.parameter(*name.split("/"))
             if isinstance(value, type(handle.value)) and self._free(name):

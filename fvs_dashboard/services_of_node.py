@@ -10,7 +10,6 @@ from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
 from std_srvs.srv import Trigger
 
-from fvs_dashboard.board import CONTROLLER
 from fvs_ros import topics
 
 if TYPE_CHECKING:
@@ -51,7 +50,7 @@ class Services:
 
     def call(self, name: str, on_answer: Callable[[Trigger.Response], None] | None = None) -> None:
         """Call a service by node and name; its answer is shown, or given to ``on_answer``."""
-        if name == f"{CONTROLLER}/start":  # a start after a stop takes it back
+        if name == f"{topics.CONTROLLER}/start":  # a start after a stop takes it back
             self._stopping = False
         words = name.rpartition("/")[2].replace("_", " ")
         shown = on_answer or (lambda answer: self._show(f"{words}: {answer.message}"))
@@ -113,7 +112,7 @@ class Services:
                 self._stopping = False
                 self._show(f"stop: {answer.message}")
 
-        self._request(f"{CONTROLLER}/stop", Trigger.Request(), on_answer, quiet=True)
+        self._request(f"{topics.CONTROLLER}/stop", Trigger.Request(), on_answer, quiet=True)
 
     def _request(
         self, name: str, request: Any, on_answer: Callable[[Any], None], quiet: bool = False

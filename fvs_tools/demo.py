@@ -11,7 +11,7 @@ import numpy as np
 from fvs_ros.camera import CAMERA_FRAME, Intrinsics
 from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_ros.params import Parameters, parameter
-from fvs_tools.score import settling_time_s
+from fvs_tools.score import FINE_ERROR_M, SETTLED_ERROR_M, TargetScore, judge
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,6 @@ PARAMETERS = DemoConfig.declared()
 
 #: A target further than this from the wanted distance is not chosen while a nearer one exists.
 _DISTANCE_TOLERANCE_M = 0.02
-_FINAL_S = 1.0
-#: True errors below which a target counts as settled, and as settled finely, m: the 5 mm of the
-#: controller's own ``settled_error_m``, and what the depth camera's noise just allows.
-SETTLED_ERROR_M, FINE_ERROR_M = 0.005, 0.002
 #: Longest wait for the loop to be ready, s: of a busy machine that starts all nodes.
 START_TIMEOUT_S = 30.0
 
@@ -96,42 +92,12 @@ class TargetRecord:
         return np.linalg.norm(np.array(self.position_m) - self.target_m, axis=1)
 
 
-@dataclass(frozen=True)
-class TargetScore:
-    """One row of the demo's table; a settling time is None where it was not reached."""
-
-    start_distance_m: float
-    settling_5mm_s: float | None
-    settling_2mm_s: float | None
-    final_rms_m: float
-    peak_joint_speed_rad_s: float
-    slowed: bool
-
-
 def score(record: TargetRecord) -> TargetScore:
     """Judge one target by the true ball position."""
     judged = judge(
         np.array(record.time_s), record.errors_m(), np.array(record.joint_velocity_rad_s)
     )
     return replace(judged, slowed=record.slowed)
-
-
-def judge(
-    time_s: np.ndarray, errors_m: np.ndarray, joint_velocity_rad_s: np.ndarray
-) -> TargetScore:
-    """Judge the way to one target.
-
-    Times since it was given and distances to it, shape (n,); joint velocities, shape (k, joints).
-    """
-    final = errors_m[time_s >= time_s[-1] - _FINAL_S]
-    return TargetScore(
-        start_distance_m=float(errors_m[0]),
-        settling_5mm_s=settling_time_s(time_s, errors_m, SETTLED_ERROR_M),
-        settling_2mm_s=settling_time_s(time_s, errors_m, FINE_ERROR_M),
-        final_rms_m=float(np.sqrt(np.mean(final**2))),
-        peak_joint_speed_rad_s=float(np.max(np.abs(joint_velocity_rad_s), initial=0.0)),
-        slowed=False,
-    )
 
 
 def table(scores: list[TargetScore]) -> str:

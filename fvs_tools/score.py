@@ -2,7 +2,44 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+
+#: The final error is that of the last second, s.
+FINAL_S = 1.0
+#: True errors below which a target counts as settled, and as settled finely, m: the 5 mm of the
+#: controller's own ``settled_error_m``, and what the depth camera's noise just allows.
+SETTLED_ERROR_M, FINE_ERROR_M = 0.005, 0.002
+
+
+@dataclass(frozen=True)
+class TargetScore:
+    """One row of the demo's table; a settling time is None where it was not reached."""
+
+    start_distance_m: float
+    settling_5mm_s: float | None
+    settling_2mm_s: float | None
+    final_rms_m: float
+    peak_joint_speed_rad_s: float
+    slowed: bool = False
+
+
+def judge(
+    time_s: np.ndarray, errors_m: np.ndarray, joint_velocity_rad_s: np.ndarray
+) -> TargetScore:
+    """Judge the way to one target.
+
+    Times since it was given and distances to it, shape (n,); joint velocities, shape (k, joints).
+    """
+    final = errors_m[time_s >= time_s[-1] - FINAL_S]
+    return TargetScore(
+        start_distance_m=float(errors_m[0]),
+        settling_5mm_s=settling_time_s(time_s, errors_m, SETTLED_ERROR_M),
+        settling_2mm_s=settling_time_s(time_s, errors_m, FINE_ERROR_M),
+        final_rms_m=float(np.sqrt(np.mean(final**2))),
+        peak_joint_speed_rad_s=float(np.max(np.abs(joint_velocity_rad_s), initial=0.0)),
+    )
 
 
 def settling_time_s(times_s: np.ndarray, errors_m: np.ndarray, bound_m: float) -> float | None:

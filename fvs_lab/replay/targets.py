@@ -10,8 +10,8 @@ import numpy as np
 
 from fvs_controller_node.target_motion import TargetMotion
 from fvs_lab.replay.reading import Recording, Series
-from fvs_tools.demo import FINE_ERROR_M, PARAMETERS, SETTLED_ERROR_M, judge
-from fvs_tools.score import jitter_rad_s
+from fvs_tools.demo import PARAMETERS
+from fvs_tools.score import FINAL_S, FINE_ERROR_M, SETTLED_ERROR_M, jitter_rad_s, judge
 
 #: The two bounds of settling, m: the demo's.
 BOUNDS_M = (SETTLED_ERROR_M, FINE_ERROR_M)
@@ -23,8 +23,6 @@ _SAME_MOMENT_S = 1e-6
 _SAME_CLOCK_S = 5.0
 #: Without a ball position for this long after a target, its start distance is not known, s.
 _LATE_S = 0.1
-#: The ball is at a target once it stayed there for this long, s.
-_FINAL_S = 1.0
 #: From this long after a target's arrival on the status shows it, with these digits, s and m.
 _SHOWN_S, _SAME_M = 0.25, 0.001
 
@@ -157,7 +155,7 @@ def _judge(way: Series, run: Series, joints: Series | None, commands: Series | N
     numbers["jitter_rad_s"] = np.nan
     if commands is not None:
         came_s = way.arrival_s[-1]
-        last = commands.values[_between(commands.arrival_s, came_s - _FINAL_S, came_s)]
+        last = commands.values[_between(commands.arrival_s, came_s - FINAL_S, came_s)]
         numbers["jitter_rad_s"] = jitter_rad_s(last) if len(last) > 1 else np.nan
     moving = len(run) > 1
     if moving:
@@ -185,9 +183,9 @@ def _without_guesses(target: Target, cut: str, never: bool) -> Target:
     not_known = dict(target.not_known)
     for name in () if target.moving else _SETTLING:
         settled_s = target.numbers[name]
-        if not (never if settled_s is None else last_s - settled_s >= _FINAL_S):
+        if not (never if settled_s is None else last_s - settled_s >= FINAL_S):
             not_known[name] = cut
-    if last_s < _FINAL_S or _SETTLING[0] in not_known:
+    if last_s < FINAL_S or _SETTLING[0] in not_known:
         not_known |= {"final_rms_m": cut, "jitter_rad_s": cut}
     numbers = {**target.numbers, **dict.fromkeys(not_known, np.nan)}
     return replace(target, numbers=numbers, not_known=not_known)

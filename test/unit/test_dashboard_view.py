@@ -12,7 +12,6 @@ from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.reasons import Reason
 from fvs_dashboard import markup
 from fvs_dashboard.board import (
-    CONTROLLER,
     RESET,
     SET_CURRENT,
     START,
@@ -23,6 +22,7 @@ from fvs_dashboard.board import (
     Board,
     Controller,
 )
+from fvs_ros import topics
 from fvs_sim_node.camera import CAMERAS
 
 STATUS = {
@@ -51,7 +51,7 @@ def controller(sentence="", **changed):
 def board():
     board = Board(n_joints=6)
     limits_s = {"ball_max_age_s": 0.2, "joint_states_max_age_s": 0.1, "jacobian_max_age_s": 0.2}
-    board.parameters[CONTROLLER] = limits_s
+    board.parameters[topics.CONTROLLER] = limits_s
     return board
 
 
