@@ -16,12 +16,6 @@ def at_20_ms(*speeds):
 RAMP = at_20_ms(*(min(VELOCITY, k * STEP_RAD_S) for k in range(8)))
 
 
-def test_a_ramp_that_stops_at_once_or_leaves_late_is_sound():
-    assert_sound([*RAMP, Sent(1.16, (0.0,) * 6)], 0.5)
-    late = [Sent(max(c.sent_s, 1.12), c.values) for c in RAMP[4:]]
-    assert_sound(RAMP[:4] + late, 0.5)
-
-
 @pytest.mark.parametrize(
     ("commands", "started_s"),
     [

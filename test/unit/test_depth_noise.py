@@ -27,13 +27,6 @@ def test_spread_grows_with_the_square_of_depth_and_comes_in_whole_millimetres(de
     assert np.mean(values == 0.0) == pytest.approx(0.01 * scale, abs=0.002)
 
 
-def test_neighbours_share_a_quarter_of_the_variance():
-    errors = np.where((values := noisy(flat(2.0))) > 0, values - 2.0, 0.0)
-    shared = np.mean(errors[:, 1:] * errors[:, :-1]) / np.var(errors)
-    # The shared part is the mean of 3 x 3, of which two neighbours have 6 of 9 in common.
-    assert shared == pytest.approx(0.25 * 6 / 9, abs=0.02)
-
-
 @pytest.mark.parametrize(
     ("jump_m", "scale", "share"),
     [(1.0, 1.0, 0.5), (0.1, 1.0, 0.5), (0.03, 1.0, 0.01), (1, 0.4, 0.2)],
@@ -46,17 +39,13 @@ def test_half_of_an_edge_is_lost_and_nothing_beside_it(jump_m, scale, share):
     assert np.mean(values[:, 140:149] == 0.0) < 0.02
 
 
-def test_unknown_stays_unknown_and_none_is_negative_however_wild_the_noise():
-    depth = flat(6.0)
-    depth[40:60] = 0.0
-    assert not noisy(depth, scale=10.0)[40:60].any()
-    assert noisy(depth, scale=20.0).min() == 0.0
-
-
 def test_scale_zero_is_the_ideal_camera_and_the_seed_decides():
     depth = np.random.default_rng(1).uniform(0.5, 2.0, (50, 50)).astype(np.float32)
     values = noisy(depth, scale=0.0)
     np.testing.assert_array_equal(values, depth)
     assert values is not depth
+    depth[40:] = 0.0
+    wild = noisy(depth, scale=20.0)
+    assert wild.min() == 0.0 == wild[40:].max()
     np.testing.assert_array_equal(noisy(flat(), seed=3), noisy(flat(), seed=3))
     assert np.any(noisy(flat(), seed=3) != noisy(flat(), seed=4))

@@ -27,12 +27,6 @@ def the_ball():
     return draw([(CENTRE, RADIUS_M)])
 
 
-def test_out_of_view():
-    miss = reason(*draw([]))
-    assert miss.cause is Cause.OUT_OF_VIEW
-    assert "out of view" in miss.text
-
-
 @pytest.mark.parametrize("name", ["min_value", "min_saturation"])
 def test_what_is_said_of_a_ball_too_dark_or_too_pale_helps(name):
     rgb, depth = the_ball()
@@ -87,6 +81,9 @@ def test_another_thing_is_described_with_all_that_may_make_a_ball_look_so(pictur
     assert miss.cause is Cause.OTHER_THING
     for hint in ("ball_radius_m", "uncover", "align_depth.enable:=true"):
         assert hint in miss.text
+    miss = reason(*draw([]))
+    assert miss.cause is Cause.OUT_OF_VIEW
+    assert "out of view" in miss.text
 
 
 @pytest.mark.parametrize("true_radius_m", [0.025, 0.06])

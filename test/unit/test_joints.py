@@ -11,18 +11,12 @@ from fvs_ros.joints import (
 
 def test_joints_come_out_in_kinematic_order_from_any_order_with_extra_joints():
     rng = np.random.default_rng(1)
-    wanted = dict(zip(UR_JOINT_NAMES, range(6), strict=True)) | {"gripper": 99}
+    wanted = dict(zip(UR_JOINT_NAMES, range(6), strict=True)) | {"gripper": np.nan}
     joint_map = JointMap()
     for _ in range(20):
         names = list(rng.permutation(list(wanted)))
         positions = joint_map.positions(names, [float(wanted[n]) for n in names])
         np.testing.assert_array_equal(positions, np.arange(6.0))
-
-
-def test_a_value_that_is_not_finite_in_a_foreign_joint_does_no_harm():
-    names = [*UR_JOINT_NAMES, "gripper"]
-    positions = JointMap().positions(names, [0.0] * 6 + [float("nan")])
-    assert np.all(np.isfinite(positions))
 
 
 @pytest.mark.parametrize(
