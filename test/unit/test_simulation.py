@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fvs_ros.joints import HOME_JOINTS_RAD
 from fvs_sim_node.camera import CameraPose
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.frame_worker import FrameWorker
@@ -194,31 +195,22 @@ def test_full_frames_of_a_covered_camera_are_black_here_and_from_the_worker():
 
 
 # ------------------------------------------------------------------------- truth
-def test_a_bump_rotates_the_view_about_the_camera(make):
-    simulation = make(depth_noise=0.0)
-    before, camera = simulation.true_ball_position(), simulation.camera
-    joints = np.array(simulation.config.initial_joints_rad)
-    jacobian = simulation.true_jacobian(joints)
-    change(simulation, camera_rotation_deg=(0.0, 0.0, 10.0))
-    np.testing.assert_array_equal(simulation.camera.position_m, camera.position_m)
-    after = simulation.true_ball_position()
-    c, s = np.cos(np.deg2rad(10.0)), np.sin(np.deg2rad(10.0))
-    turned = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    np.testing.assert_allclose(after, turned @ before, atol=1e-12)
-    np.testing.assert_allclose(simulation.true_jacobian(joints), turned @ jacobian, atol=1e-12)
-    np.testing.assert_allclose(simulation.look().detection.position_m, after, atol=1e-3)
-
-
-def test_an_own_camera_pose_and_other_joints(make):
-    rotation = np.diag([1.0, -1.0, -1.0])
-    simulation = make(camera_pose=CameraPose(np.array([-0.5, -0.1, 2.0]), rotation))
-    joints = np.array([0.2, -1.2, 1.5, -1.6, -1.4, 0.1])
+def test_an_own_camera_that_is_bumped_turns_about_itself(make):
+    pose = CameraPose.looking((-1.4, 0.9, 0.8), (-0.4, -0.1, 0.3))
+    simulation = make(camera_pose=pose, depth_noise=0.0)
+    joints = np.add(HOME_JOINTS_RAD, 0.1)
     simulation.reset(joints)
     assert simulation.time_s == 0.0
-    ball = simulation.world.chain.position(joints)
-    np.testing.assert_allclose(
-        simulation.true_ball_position(), rotation @ (ball - [-0.5, -0.1, 2.0]), atol=1e-6
-    )
+    chain = simulation.world.chain
+    for turned_deg in (0.0, 10.0):
+        change(simulation, camera_rotation_deg=(0.0, 0.0, turned_deg))
+        c, s = np.cos(np.deg2rad(turned_deg)), np.sin(np.deg2rad(turned_deg))
+        view = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ pose.rotation.T
+        ball_m = view @ (chain.position(joints) - pose.position_m)
+        np.testing.assert_allclose(simulation.true_ball_position(), ball_m, atol=1e-6)
+        jacobian = view @ chain.jacobian(joints)
+        np.testing.assert_allclose(simulation.true_jacobian(joints), jacobian, atol=1e-6)
+        np.testing.assert_allclose(simulation.look().detection.position_m, ball_m, atol=1e-3)
     with pytest.raises(ValueError, match="6 finite"):
         simulation.reset([0.0, np.nan, 0.0, 0.0, 0.0, 0.0])
 
