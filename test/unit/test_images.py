@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from sensor_msgs.msg import CompressedImage, Image
 
 from fvs_ros.ros import MessageError, images
-from fvs_ros.ros.images import MAX_PIXELS, from_color, from_depth
+from fvs_ros.ros.images import from_color, from_depth
 
 RGB = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
 MILLIMETRES = np.array([[0, 1, 256], [1000, 4660, 65535]], dtype=np.uint16)
@@ -125,12 +125,9 @@ PNG, DEPTH = "rgb8; png compressed bgr8", "16UC1; compressedDepth png"
     [
         (from_color, b"GIF89a" + b"\0" * 50, PNG, "neither"),
         (from_color, file_of(PICTURE)[:20], PNG, "cut off"),
-        (from_color, file_of(PICTURE, ".jpg")[:30], PNG, "cut off"),
         (from_color, file_of(PICTURE)[:60], PNG, "does not decode"),
         (from_color, claim_size(file_of(PICTURE), 60_000, 60_000), PNG, "too large"),
-        (from_color, claim_size(file_of(PICTURE), 8000, 1 + MAX_PIXELS // 8000), PNG, "too large"),
         (from_color, claim_size(file_of(PICTURE), 0, 5), PNG, "no pixels"),
-        (from_depth, depth_file(MILLIMETRES), "rgb8; compressedDepth png", "16UC1"),
         (from_depth, depth_file(MILLIMETRES), "16UC1; compressedDepth rvl", "png"),
         (from_depth, b"\0" * 12, DEPTH, "too few"),
         (from_depth, depth_file(PICTURE), DEPTH, "16 bits"),
@@ -151,20 +148,15 @@ def decoded(message):
             continue
 
 
-SIZES = st.integers(0, 40) | st.integers(0, 2**32 - 1)
-ENCODINGS = st.sampled_from(["rgb8", "bgra8", "16UC1", "32FC1"]) | st.text(max_size=10)
-
-
 @given(st.data(), st.booleans())
 @settings(max_examples=150, deadline=None)
 def test_whatever_comes_is_an_image_of_its_size_or_an_error(data, fitting):
-    width, height, step = data.draw(SIZES), data.draw(SIZES), data.draw(SIZES)
-    if fitting:
-        width, height, step = width % 40, height % 40, step % 200
+    sizes = st.integers(0, 40) | st.integers(0, 40 if fitting else 2**32 - 1)
+    width, height, step = data.draw(sizes), data.draw(sizes), data.draw(sizes)
     length = step * height if fitting else data.draw(st.integers(0, 5000))
     raw = data.draw(st.binary(min_size=1, max_size=64)) * (length // 64 + 1)
-    big = data.draw(st.booleans())
-    message = image(raw[:length], width, height, step, data.draw(ENCODINGS), big)
+    encoding = data.draw(st.sampled_from(["rgb8", "bgra8", "16UC1", "32FC1", "x"]))
+    message = image(raw[:length], width, height, step, encoding, data.draw(st.booleans()))
     for pixels in decoded(message):
         assert pixels.shape[:2] == (height, width)
         assert np.isfinite(pixels).all()
