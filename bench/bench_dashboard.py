@@ -1,6 +1,6 @@
 """What the page costs the loop: latency and jitter without it, with it, and while it is looked at.
 
-python bench/bench_dashboard.py [--rounds N] [--browser]
+python -m bench dashboard [--rounds N] [--browser]
 
 The real loop (simulator, estimator, controller) goes from target to target all the time; beside it
 stand, in turn, nothing, a page that nobody looks at, and a page with a client. The client is a
@@ -18,7 +18,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -33,9 +32,6 @@ from fvs_ros.paths import find_file
 from fvs_tools.demo import choose_target
 from fvs_tools.scenario import load_scenario
 
-DASHBOARD = "fvs_dashboard.dashboard_node"
-PICTURES_HZ = load_scenario("dashboard")["fvs_sim_node"]["full_frame_rate_hz"]
-PERIOD_S, BLOCK_S, SETTLE_S, TARGET_S = 0.008, 8.0, 2.0, 3.0
 _CLIENT = "import sys, time, page_client as p; p.PageClient(sys.argv[1]); time.sleep(600.0)"
 CONDITIONS = ("no page", "page, nobody looks", "page, a client looks")
 
@@ -43,86 +39,72 @@ CONDITIONS = ("no page", "page, nobody looks", "page, a client looks")
 class Watch:
     """Hears the loop: when commands came, and how old the newest image was then."""
 
-    def __init__(self, harness: Harness) -> None:
+    def __init__(self, harness):
         self._harness = harness
         self._rng = np.random.default_rng(0)
         self._candidates = load_model(find_file("models/ur5_front.npz")).ball_samples_m
-        self._targets = harness.node.create_publisher(
+        node = harness.node
+        self._targets = node.create_publisher(
             PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED
         )
-        self._ball: PointStamped | None = None
-        self._fresh = False
-        self.commands: list[tuple[float, bool]] = []
-        self.latency_s: list[float] = []
-        node = harness.node
-        node.create_subscription(
-            PointStamped, topics.BALL_POSITION.name, self._on_ball, ros.QOS_NEWEST
-        )
+        self._balls = harness.collect(PointStamped, topics.BALL_POSITION.name)
+        self.commands_s, self._latency_s, self._seen = [], [], 0
         node.create_subscription(
             Float64MultiArray, topics.COMMANDS.name, self._on_command, ros.QOS_RELIABLE
         )
 
-    def _on_ball(self, message: PointStamped) -> None:
-        self._ball, self._fresh = message, True
+    def _on_command(self, _message):
+        self.commands_s.append(time.monotonic())
+        if len(self._balls) > self._seen:
+            self._seen = len(self._balls)
+            self._latency_s.append(time.time() - ros.from_stamp(self._balls[-1].header.stamp))
 
-    def _on_command(self, message: Float64MultiArray) -> None:
-        self.commands.append((time.monotonic(), any(message.data)))
-        if self._fresh and self._ball is not None:
-            self._fresh = False
-            self.latency_s.append(time.time() - ros.from_stamp(self._ball.header.stamp))
+    def ready(self):
+        return bool(self._balls) and len(self.commands_s) > 50
 
-    def ready(self) -> bool:
-        return self._ball is not None and len(self.commands) > 50
-
-    def measure(self) -> tuple[np.ndarray, np.ndarray]:
-        """Image stamp to command, s, and how much later than 8 ms the next command came, s."""
+    def measure(self):
+        """Medians and 99th percentiles, ms: image stamp to command, and a command off its 8 ms."""
         # After some hundred targets the wrist may hide the ball, and the arm stands.
         self._harness.call(Trigger, "fvs_sim_node/reset")
-        self._run(SETTLE_S)
-        self.commands.clear()
-        self.latency_s.clear()
-        self._run(BLOCK_S)
-        intervals = np.diff([at for at, _ in self.commands])
-        return np.array(self.latency_s), np.abs(intervals - PERIOD_S)
+        self._run(2.0)
+        self.commands_s.clear()
+        self._latency_s.clear()
+        self._run(8.0)
+        off_s = np.abs(np.diff(self.commands_s) - 0.008)
+        return 1e3 * np.ravel([np.percentile(one, [50, 99]) for one in (self._latency_s, off_s)])
 
-    def _run(self, seconds: float) -> None:
+    def _run(self, seconds):
         end_s, next_s = time.monotonic() + seconds, 0.0
         while time.monotonic() < end_s:
-            if time.monotonic() > next_s and self._ball is not None:
-                point = self._ball.point
-                ball = np.array([point.x, point.y, point.z])
-                target = choose_target(self._candidates, ball, 0.3, self._rng)
-                now_s = self._harness.node.get_clock().now().nanoseconds * 1e-9
-                frame = self._ball.header.frame_id
-                self._targets.publish(ros.to_point(now_s, frame, target))
-                next_s = time.monotonic() + TARGET_S
+            if time.monotonic() > next_s:
+                ball = self._balls[-1]
+                position_m = ros.from_point(ball, ball.header.frame_id, topics.BALL_POSITION.name)
+                target_m = choose_target(self._candidates, position_m, 0.3, self._rng)
+                self._targets.publish(ros.to_point(time.time(), ball.header.frame_id, target_m))
+                next_s = time.monotonic() + 3.0
             self._harness.executor.spin_once(timeout_sec=0.02)
 
 
 @contextlib.contextmanager
-def beside(harness: Harness, condition: str, browser: bool) -> Iterator[None]:
+def beside(harness, condition, browser):
     """What stands beside the loop."""
     if condition == CONDITIONS[0]:
         yield
         return
-    process = harness.start_node(DASHBOARD, port=0)
+    process = harness.start_node("fvs_dashboard.dashboard_node", port=0)
 
-    def address() -> re.Match | None:
-        return re.search(r"page: (http://\S+)", harness.output(process))
+    def address():
+        return re.findall(r"page: (http://\S+)", harness.output(process))
 
-    harness.spin_until(lambda: address() is not None, 60.0, "the page")
-    found = address()
-    assert found is not None
-    with contextlib.ExitStack() as stack:
-        if condition == CONDITIONS[2]:
-            looks = chromium(found[1]) if browser else client(found[1])
-            stack.enter_context(looks)
+    harness.spin_until(address, 60.0, "the page")
+    looks = (chromium if browser else client)(address()[0])
+    with looks if condition == CONDITIONS[2] else contextlib.nullcontext():
         yield
     harness.stop(process)
 
 
 @contextlib.contextmanager
-def client(address: str) -> Iterator[None]:
+def client(address):
     # In a process of its own, as a browser is: its reading must not hold up the watch.
     looks = subprocess.Popen([sys.executable, "-c", _CLIENT, address])
     yield
@@ -131,7 +113,7 @@ def client(address: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def chromium(address: str) -> Iterator[None]:
+def chromium(address):
     from playwright.sync_api import sync_playwright
 
     flags = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
@@ -144,41 +126,32 @@ def chromium(address: str) -> Iterator[None]:
         window.close()
 
 
-def main() -> None:
+def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=6)
     parser.add_argument("--browser", action="store_true")
     arguments = parser.parse_args()
     print("client: " + ("headless chromium" if arguments.browser else "websocket, draws nothing"))
-    results: dict[str, list[np.ndarray]] = {condition: [] for condition in CONDITIONS}
+    pictures_hz = load_scenario("dashboard")["fvs_sim_node"]["full_frame_rate_hz"]
+    results = {condition: [] for condition in CONDITIONS}
     with tempfile.TemporaryDirectory() as name:
         harness = Harness(Path(name))
         try:
-            harness.start("fvs_tools.launcher", "servo", "-p", f"full_frame_rate_hz:={PICTURES_HZ}")
+            harness.start("fvs_tools.launcher", "servo", "-p", f"full_frame_rate_hz:={pictures_hz}")
             watch = Watch(harness)
             harness.spin_until(watch.ready, 60.0, "the loop")
             for _ in range(arguments.rounds):
                 for condition in CONDITIONS:
                     with beside(harness, condition, arguments.browser):
-                        latency_s, off_s = watch.measure()
-                    numbers = np.concatenate(
-                        [np.percentile(one, [50, 99]) for one in (latency_s, off_s)]
-                    )
-                    results[condition].append(1e3 * numbers)
+                        results[condition].append(watch.measure())
         finally:
             harness.close()
-    report(results)
-
-
-def report(results: dict[str, list[np.ndarray]]) -> None:
-    """Medians over the rounds, and the median ratio to the block without a page before it."""
+    # Medians over the rounds, and the median ratio to the block without a page before it.
     print(f"{'':22}  image stamp to command, ms        commands off 8 ms, ms")
     print(f"{'':22}      p50            p99            p50            p99")
-    without = np.array(results[CONDITIONS[0]])
     for condition, rows in results.items():
-        values = np.array(rows)
-        ratios = np.median(values / without, axis=0)
+        ratios = np.median(np.divide(rows, results[CONDITIONS[0]]), axis=0)
         cells = "  ".join(
-            f"{v:6.2f} (x{r:4.2f})" for v, r in zip(np.median(values, axis=0), ratios, strict=True)
+            f"{v:6.2f} (x{r:4.2f})" for v, r in zip(np.median(rows, axis=0), ratios, strict=True)
         )
         print(f"{condition:22}  {cells}")

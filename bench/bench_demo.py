@@ -16,7 +16,7 @@ from bench import ROOT
 from bench.timing import spread
 
 
-def run_demo(seed: int, folder: Path) -> list[dict]:
+def run_demo(seed, folder):
     """Scores of one run's targets."""
     given = ("-p", f"seed:={seed}", "-p", f"output_dir:={folder}")
     subprocess.run(
@@ -29,7 +29,7 @@ def run_demo(seed: int, folder: Path) -> list[dict]:
     return json.loads((folder / "results.json").read_text(encoding="utf-8"))
 
 
-def main() -> None:
+def main():
     runs = int(os.environ.get("FVS_BENCH_RUNS", "5"))
     with tempfile.TemporaryDirectory() as name:
         targets = [t for seed in range(1, runs + 1) for t in run_demo(seed, Path(name) / str(seed))]

@@ -1,4 +1,4 @@
-"""Accuracy of the ball detection over random poses, and what each step of the detector takes.
+"""Accuracy of the ball detection over random poses, and what the detector takes of a core.
 
 ``python -m bench detection``; FVS_BENCH_POSES sets how many poses (500).
 """
@@ -6,19 +6,15 @@
 from __future__ import annotations
 
 import os
-import struct
-from collections.abc import Callable
+from itertools import count
 
 import cv2
 import numpy as np
-from sensor_msgs.msg import CompressedImage
 
-from bench.timing import cpu_s
+from bench.timing import cpu_s, spread
 from fvs_detector_node.config import DetectorConfig
-from fvs_detector_node.detection import BallColour, detect_ball
-from fvs_detector_node.detector import Detector, diagnose
-from fvs_detector_node.images import Rectifier, Region
-from fvs_detector_node.tracking import WindowTracker
+from fvs_detector_node.detection import detect_ball
+from fvs_detector_node.detector import Detector
 from fvs_ros.camera import CameraModel
 from fvs_ros.joints import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_ros.ros import to_image
@@ -27,10 +23,8 @@ from fvs_sim_node.camera import CAMERAS, add_depth_noise
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.world import Renderer, World
 
-FULL_VIEW = 0.97
 
-
-def measure(config: SimConfig, poses: int, noise: float, seed: int = 0) -> np.ndarray:
+def measure(config, poses, noise, seed=0):
     """Rows of (visible fraction, error in mm, time in ms); all NaN where nothing was published."""
     rng = np.random.default_rng(seed)
     world = World(config)
@@ -38,7 +32,9 @@ def measure(config: SimConfig, poses: int, noise: float, seed: int = 0) -> np.nd
     pose = CAMERAS[config.camera]
     rows = np.full((poses, 3), np.nan)
     for i in range(poses):
-        world.reset(np.add(HOME_JOINTS_RAD, TRAINING_BOX_RAD * rng.uniform(-1.0, 1.0, 6)))
+        world.reset(
+            np.add(HOME_JOINTS_RAD, TRAINING_BOX_RAD * rng.uniform(-1.0, 1.0, len(HOME_JOINTS_RAD)))
+        )
         world.place_ball()
         rgb, depth = renderer.render(pose)
         depth = add_depth_noise(depth, config.intrinsics.fx, rng, noise)
@@ -52,63 +48,30 @@ def measure(config: SimConfig, poses: int, noise: float, seed: int = 0) -> np.nd
     return rows
 
 
-def steps(repeats: int) -> None:
-    """Print what each step of ``fvs_detector_node`` takes on one VGA image of the simulator."""
+def one_image(repeats):
+    """Print what a VGA image of the simulator costs: decode colours and depth, track the ball."""
     config = SimConfig()
     world = World(config)
     world.reset(HOME_JOINTS_RAD)
     world.place_ball()
-    rgb, depth = Renderer(world.client, config.intrinsics).render(CAMERAS[config.camera])
+    rgb, depth_m = Renderer(world.client, config.intrinsics).render(CAMERAS[config.camera])
     world.close()
-    depth = add_depth_noise(depth, config.intrinsics.fx, np.random.default_rng(0))
-    camera, radius_m = config.intrinsics, config.ball_radius_m
-    found = detect_ball(rgb, depth, camera, radius_m)
-    assert found is not None
-    tracker = WindowTracker(camera, radius_m)
-    tracker.update(0.0, found)
-    window = tracker.region(0.0)
-    assert window is not None
-    part, view = window.part, window.view(camera)
-
-    lens = (-0.055, 0.066, 0.0003, 0.0007, -0.021)  # of a RealSense D455's colour camera
-    rectifier = Rectifier(CameraModel(camera, "plumb_bob", lens))
-    whole = Region.whole(camera)
-    millimetres = np.round(1e3 * depth).astype(np.uint16)
-    raw_rgb, raw_bgr = (to_image(0.0, "", rgb, encoding) for encoding in ("rgb8", "bgr8"))
-    raw_mm, raw_m = to_image(0.0, "", millimetres, "16UC1"), to_image(0.0, "", depth, "32FC1")
-    jpeg = CompressedImage(format="jpeg", data=cv2.imencode(".jpg", rgb[..., ::-1])[1].tobytes())
-    png = CompressedImage(format="16UC1; compressedDepth png")
-    png.data = struct.pack("<iff", 0, 0.0, 0.0) + cv2.imencode(".png", millimetres)[1].tobytes()
-    detector = Detector(DetectorConfig(max_ball_speed_m_s=100.0))
-    clock_s = iter(range(10**9))
-
-    def one_image() -> None:
-        images = from_color(raw_rgb), from_depth(raw_mm)
-        detector.look(next(clock_s) / 30, *images, CameraModel(camera))
-
-    rows: dict[str, Callable[[], object]] = {
-        "decode rgb8": lambda: from_color(raw_rgb),
-        "decode bgr8": lambda: from_color(raw_bgr),
-        "decode 16UC1": lambda: from_depth(raw_mm),
-        "decode 32FC1": lambda: from_depth(raw_m),
-        "decode jpeg": lambda: from_color(jpeg),
-        "decode compressedDepth": lambda: from_depth(png),
-        "rectify whole image": lambda: rectifier.cut(rgb, depth, whole),
-        "rectify window": lambda: rectifier.cut(rgb, depth, window),
-        "search whole image": lambda: detect_ball(rgb, depth, camera, radius_m),
-        "search window": lambda: detect_ball(rgb[part], depth[part], view, radius_m),
-        "explain a lost ball": lambda: diagnose(rgb, depth, camera, 0.07, BallColour()),
-        "one image, raw, tracked": one_image,
-    }
-    print(f"one step on VGA, {repeats} times, one thread; ms of CPU, median / 90 %")
-    for name, step in rows.items():
-        median, most = np.percentile(1e3 * np.array(cpu_s(step, repeats)), (50, 90))
-        print(f"{name:<26}{median:6.2f} / {most:.2f}", flush=True)
+    depth_m = add_depth_noise(depth_m, config.intrinsics.fx, np.random.default_rng(0))
+    color = to_image(0.0, "", rgb, "rgb8")
+    depth = to_image(0.0, "", np.round(1e3 * depth_m).astype(np.uint16), "16UC1")
+    detector, frame, camera = Detector(DetectorConfig()), count(), CameraModel(config.intrinsics)
+    spent_s = cpu_s(
+        lambda: detector.look(next(frame) / 30, from_color(color), from_depth(depth), camera),
+        repeats,
+    )
+    print(
+        f"decode and track, VGA, one thread: {spread(1e3 * np.array(spent_s), 'ms of CPU', 90.0)}"
+    )
 
 
-def main() -> None:
+def main():
     cv2.setNumThreads(1)
-    steps(200)
+    one_image(200)
     poses = int(os.environ.get("FVS_BENCH_POSES", "500"))
     print(f"{poses} poses in box M; error in mm, rms / median / largest; full frames, one thread")
     print(
@@ -121,7 +84,7 @@ def main() -> None:
             for noise in (0.0, 1.0):
                 rows = measure(config, poses, noise)
                 seen = rows[~np.isnan(rows[:, 0])]
-                full = seen[:, 0] > FULL_VIEW
+                full = seen[:, 0] > 0.97
                 cells = [_summary(seen[part, 1]) for part in (full, ~full)]
                 print(
                     f"{camera:<10}{f'{width}x{height}':<9}{noise:<7.1f}"
@@ -131,7 +94,7 @@ def main() -> None:
                 )
 
 
-def _summary(errors_mm: np.ndarray) -> str:
+def _summary(errors_mm):
     if not len(errors_mm):
         return "none"
     rms = np.sqrt(np.mean(np.square(errors_mm)))

@@ -23,18 +23,18 @@ from fvs_ros.joints import HOME_JOINTS_RAD, UR_JOINT_NAMES
 from fvs_sim_node.camera import CAMERAS
 from fvs_sim_node.world import World
 
-ROUNDS, PERIOD_S, IMAGE_EVERY, TARGET_EVERY, STARTS = 800, 0.008, 4, 100, 3
+PERIOD_S, IMAGE_EVERY, TARGET_EVERY = 0.008, 4, 100
 
 
-def in_ms(samples_s: list[float]) -> str:
+def in_ms(samples_s):
     return spread(1e3 * np.array(samples_s), "ms")
 
 
-def rounds(harness: Harness, send, received: list[float]) -> list[tuple[int, float]]:
+def rounds(harness, send, received):
     """Send every period; the time to the first answer of each round that got one."""
     spent = []
     next_s = time.monotonic()
-    for k in range(ROUNDS):
+    for k in range(800):
         received.clear()
         begin = time.monotonic()
         send(k)
@@ -46,35 +46,34 @@ def rounds(harness: Harness, send, received: list[float]) -> list[tuple[int, flo
     return spent
 
 
-def bare_loop(folder: Path) -> str:
+def bare_loop(folder):
     harness = Harness(folder)
     try:
         harness.start("bench.relay_node", "bench_a", "bench_b")
         harness.start("bench.relay_node", "bench_b", "bench_c")
-        received: list[float] = []
+        received = []
         harness.node.create_subscription(
             Float64MultiArray, "bench_c", lambda _m: received.append(time.monotonic()), 1
         )
         publisher = harness.publisher(Float64MultiArray, "bench_a")
         message = Float64MultiArray(data=[0.1] * 18)
         harness.spin_until(lambda: publisher.publish(message) or bool(received), what="the relays")
-        return in_ms(
-            [t for _, t in rounds(harness, lambda k: publisher.publish(message), received)]
-        )
+        spent = rounds(harness, lambda k: publisher.publish(message), received)
+        return in_ms([t for _, t in spent])
     finally:
         harness.close()
 
 
-def control_loop(folder: Path) -> tuple[str, str]:
+def control_loop(folder):
     """Joint state to command; image stamp to command, with the estimator learning beside."""
     harness = Harness(folder)
     try:
         harness.start_node("fvs_estimator_node.node")
         harness.start_node("fvs_controller_node.node", autostart=True)
-        received: list[float] = []
+        received = []
         velocity_rad_s = np.zeros(len(HOME_JOINTS_RAD))
 
-        def on_command(message: Float64MultiArray) -> None:
+        def on_command(message):
             received.append(time.monotonic())
             velocity_rad_s[:] = message.data
 
@@ -87,7 +86,7 @@ def control_loop(folder: Path) -> tuple[str, str]:
         camera, ball_position = CAMERAS["front"], World().chain.position
         home = camera.to_camera(ball_position(joints_rad))
 
-        def send(k: int) -> None:
+        def send(k):
             """Be an arm that moves as told, and never arrives for long."""
             now_s = harness.node.get_clock().now().nanoseconds * 1e-9
             joints_rad[:] += PERIOD_S * velocity_rad_s
@@ -112,7 +111,7 @@ def control_loop(folder: Path) -> tuple[str, str]:
         harness.close()
 
 
-def start_up(folder: Path) -> float:
+def start_up(folder):
     """From the launcher's start to the first command that moves the arm, s."""
     harness = Harness(folder)
     try:
@@ -120,8 +119,7 @@ def start_up(folder: Path) -> float:
         targets = harness.node.create_publisher(
             PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED
         )
-        point = np.array([0.05, 0.2, 1.45])
-        targets.publish(ros.to_point(1.0, CAMERA_FRAME, point))
+        targets.publish(ros.to_point(1.0, CAMERA_FRAME, np.array([0.05, 0.2, 1.45])))
         begin = time.monotonic()
         harness.start("fvs_tools.launcher", "servo")
         harness.spin_until(lambda: bool(commands) and bool(np.any(commands[-1].data)), 60.0)
@@ -130,12 +128,14 @@ def start_up(folder: Path) -> float:
         harness.close()
 
 
-def main() -> None:
+def main():
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         print(f"bare loop of three processes     {bare_loop(folder)}", flush=True)
         joints, images = control_loop(folder)
         print(f"joint state to command           {joints}")
         print(f"image stamp to command           {images}", flush=True)
-        starts = [start_up(folder) for _ in range(STARTS)]
-        print(f"launcher to a moving arm         {np.median(starts):7.2f} s median of {STARTS}")
+        starts = [start_up(folder) for _ in range(3)]
+        print(
+            f"launcher to a moving arm         {np.median(starts):7.2f} s median of {len(starts)}"
+        )

@@ -10,7 +10,6 @@ about, learning from images included.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -18,26 +17,16 @@ from fvs_controller_node.reasons import State
 from fvs_lab.trials import Conditions, make_cases
 from fvs_sim_node.simulation import Simulation
 from fvs_tools.closed_loop import ClosedLoop
-from fvs_tools.schemes import BEYOND, SCHEMES, Scheme
+from fvs_tools.schemes import BEYOND, SCHEMES
 
 TARGETS, TARGET_S = 12, 0.8
-RADIUS_M, SPEED_M_S, SENT_HZ = 0.1, 0.15, 30.0
-#: Slower commands are rest, when there is less to do, rad/s.
-MOVING_RAD_S = 0.05
 
 
 class Stopwatch:
-    """Adds up the time of calls of a function until it is read.
+    """Adds up the time of calls of a function until it is read."""
 
-    Parameters
-    ----------
-    call : callable
-        The function.
-    """
-
-    def __init__(self, call: Callable) -> None:
-        self._call = call
-        self._spent_s = 0.0
+    def __init__(self, call):
+        self._call, self._spent_s = call, 0.0
 
     def __call__(self, *given, **named):
         begin = time.perf_counter()
@@ -46,30 +35,30 @@ class Stopwatch:
         finally:
             self._spent_s += time.perf_counter() - begin
 
-    def read(self) -> float:
+    def read(self):
         """Time since the last reading, s."""
         spent_s, self._spent_s = self._spent_s, 0.0
         return spent_s
 
 
-def hops(start_m: np.ndarray, period_s: float) -> Iterator[np.ndarray | None]:
-    """Targets, m, (3,), one after the other; None at a joint state that no target comes with."""
+def hops(start_m, period_s):
+    """Targets, m, one after the other; None at a joint state that no target comes with."""
     rng = np.random.default_rng(0)
     for _ in range(TARGETS):
-        yield start_m + rng.uniform(-0.1, 0.1, 3)
+        yield start_m + rng.uniform(-0.1, 0.1, start_m.size)
         yield from [None] * (round(TARGET_S / period_s) - 1)
 
 
-def circle(start_m: np.ndarray, period_s: float) -> Iterator[np.ndarray | None]:
-    """A target that goes round, m, (3,), for the same time; None in between."""
-    every = round(1.0 / (SENT_HZ * period_s))
+def circle(start_m, period_s):
+    """A target that goes round with 0.15 m/s for the same time, m; None in between."""
+    radius_m, every = 0.1, round(1.0 / (30.0 * period_s))
     for k in range(round(TARGETS * TARGET_S / period_s)):
-        angle = SPEED_M_S / RADIUS_M * k * period_s
-        way_m = RADIUS_M * np.array([np.cos(angle) - 1.0, 0.0, np.sin(angle)])
+        angle = 0.15 / radius_m * k * period_s
+        way_m = radius_m * np.array([np.cos(angle) - 1.0, 0.0, np.sin(angle)])
         yield None if k % every else start_m + way_m
 
 
-def measure(scheme: Scheme, targets: Callable) -> list[np.ndarray]:
+def measure(scheme, targets):
     """Times of one scheme's estimator, controller and both at joint states in motion, s."""
     with Simulation(Conditions(rendered=False).sim_config()) as simulation:
         simulation.reset(np.array(make_cases("B", 1, 1)[0].start_rad))
@@ -86,14 +75,13 @@ def measure(scheme: Scheme, targets: Callable) -> list[np.ndarray]:
             command = loop.tick()
             all_s = time.perf_counter() - begin_s - advance.read() - obey.read()
             tick_s = tick.read()
-            if command.state is State.SERVOING and (
-                np.abs(command.velocity_rad_s).max() > MOVING_RAD_S
-            ):
+            # Slower commands are rest, when there is less to do.
+            if command.state is State.SERVOING and np.abs(command.velocity_rad_s).max() > 0.05:
                 rows.append((all_s - tick_s, tick_s, all_s))
-    return list(np.array(rows).T)
+    return np.transpose(rows)
 
 
-def main() -> None:
+def main():
     """Print a row for each scheme: medians and 99th percentiles."""
     for what, targets in (("from target to target", hops), ("behind a circling one", circle)):
         print(

@@ -13,7 +13,7 @@ from fvs_ros.joints import TRAINING_BOX_RAD
 from fvs_sim_node.simulation import SimConfig, Simulation
 
 
-def measure(config: SimConfig, simulated_s: float = 20.0, full_frames: bool = False) -> str:
+def measure(config, simulated_s=20.0, full_frames=False):
     """Speed, share of images with a ball, and error, over smooth motion inside box M."""
     with Simulation(config) as simulation:
         simulation.full_frames = full_frames
@@ -38,7 +38,7 @@ def measure(config: SimConfig, simulated_s: float = 20.0, full_frames: bool = Fa
     )
 
 
-def main() -> None:
+def main():
     cases = {
         "VGA, 30 Hz (default)": (SimConfig(), False),
         "VGA, 60 Hz": (SimConfig(image_rate_hz=60.0), False),

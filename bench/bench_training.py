@@ -10,16 +10,9 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
 
 import numpy as np
-from ur5_dh import (
-    BOX_M_RAD,
-    HOME_RAD,
-    ball_and_jacobian,
-    jacobian_error,
-    uniform_in_box,
-)
+from ur5_dh import BOX_M_RAD, HOME_RAD, ball_and_jacobian, jacobian_error, uniform_in_box
 
 from fvs_estimator_node.dataset import DataSet
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
@@ -28,14 +21,14 @@ from fvs_estimator_node.training import METHODS, TrainingOptions, train
 CAMERA_HZ, NOISE_M = 30.0, 1e-3
 
 
-def data_set(rng: np.random.Generator, joints: np.ndarray, segment: np.ndarray) -> DataSet:
+def data_set(rng, joints, segment):
     """Noisy ball positions at joints, rad, (N, 6)."""
     ball = ball_and_jacobian(joints)[0]
     stamps_s = np.arange(len(joints)) / CAMERA_HZ
     return DataSet(stamps_s, joints, ball + NOISE_M * rng.standard_normal(ball.shape), segment)
 
 
-def probes(seed: int, count: int, size_rad: float) -> DataSet:
+def probes(seed, count, size_rad):
     """Pairs of near poses all over the box."""
     rng = np.random.default_rng(seed)
     middle = uniform_in_box(rng, count)
@@ -44,7 +37,7 @@ def probes(seed: int, count: int, size_rad: float) -> DataSet:
     return data_set(rng, joints, np.repeat(np.arange(count), 2))
 
 
-def motion(seed: int, duration_s: float) -> DataSet:
+def motion(seed, duration_s):
     """What the collector records."""
     rng = np.random.default_rng(seed)
     random_motion = RandomMotion(HOME_RAD, MotionConfig(duration_s, tuple(BOX_M_RAD)), rng)
@@ -54,7 +47,7 @@ def motion(seed: int, duration_s: float) -> DataSet:
     return data_set(rng, np.array(joints), np.zeros(len(joints), dtype=int))
 
 
-DATA: dict[str, Callable[[int], DataSet]] = {
+DATA = {
     "5000 probes of 0.2 rad": lambda seed: probes(seed, 5000, 0.2),
     "1000 probes of 0.2 rad": lambda seed: probes(seed, 1000, 0.2),
     "motion of 120 s": lambda seed: motion(seed, 120.0),
@@ -62,7 +55,7 @@ DATA: dict[str, Callable[[int], DataSet]] = {
 }
 
 
-def main() -> None:
+def main():
     """Print a row for each data set and method: medians over the seeds."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=1)

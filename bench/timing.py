@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
 
 import numpy as np
 
 
-def cpu_s(call: Callable[[], object], repeats: int = 1) -> list[float]:
+def cpu_s(call, repeats=1):
     """CPU time of each of several calls, s."""
     spent = []
     for _ in range(repeats):
@@ -18,7 +17,7 @@ def cpu_s(call: Callable[[], object], repeats: int = 1) -> list[float]:
     return spent
 
 
-def spread(values: Sequence[float] | np.ndarray, unit: str, percent: float = 99.0) -> str:
+def spread(values, unit, percent=99.0):
     """Median, and what this percentage stays below (100: the largest)."""
     median, most = np.percentile(values, (50.0, percent))
     name = "at most" if percent == 100.0 else f"at {percent:g} %"
