@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 from fvs_lab.report import EXPERIMENTS, LONG, Origin, write_page, write_report
 from fvs_ros import console
 from fvs_ros.arguments import Parser, how_to_install, one_of
+from fvs_ros.paths import version
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
-from fvs_ros.version import version
 
 if TYPE_CHECKING:
     from fvs_lab.experiment import Context

@@ -1,9 +1,10 @@
-"""Where the project's own files lie (beside the source or in a ROS share), and its programs."""
+"""The project's own files (beside the source or in a ROS share), programs and version."""
 
 from __future__ import annotations
 
 import os
 import sys
+from importlib import metadata
 from pathlib import Path
 
 PACKAGE = "fvs_ros"
@@ -52,3 +53,11 @@ def program(module: str, dies_with_parent: bool = False) -> list[str]:
     """
     first = _DIE_WITH_PARENT.format(parent=os.getpid()) if dies_with_parent else ""
     return [sys.executable, "-c", _RUN.format(module=module, first=first)]
+
+
+def version() -> str:
+    """Version of this package; empty where it is not installed."""
+    try:
+        return metadata.version(PACKAGE)
+    except metadata.PackageNotFoundError:
+        return ""

@@ -20,7 +20,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.subscription import Subscription
 
 from fvs_ros import ros, topics
-from fvs_ros.version import version
+from fvs_ros.paths import version
 from fvs_tools import observing
 from fvs_tools.observing import LARGE, RecorderConfig, is_recorded
 

@@ -16,8 +16,8 @@ from fvs_lab.replay.reading import Recording
 from fvs_lab.replay.targets import BOUNDS_M, Target, judged_by, targets
 from fvs_lab.report import Figure, Heading, Origin, Report, Table, Words, write_page, write_report
 from fvs_lab.results import Results, table
+from fvs_ros.paths import version
 from fvs_ros.status import SILENT
-from fvs_ros.version import version
 
 #: A table has at most this number of rows: most from its beginning, some of its end.
 _ROWS, _LAST_ROWS = 60, 20

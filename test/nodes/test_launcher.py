@@ -154,10 +154,7 @@ def test_a_node_that_dies_brings_all_down_and_is_named(ros_test):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["nowhere"], "unknown scenario 'nowhere'; known are best, "),
         (["servo", "--shceme", "best"], "did you mean --scheme?"),
-        (["servo", "--scheme", "pid"], "unknown scheme"),
-        (["servo", "-p", "lawn:=ftsm"], "did you mean law?"),
         (["servo", "-p", "law:=["], "no YAML"),
         (["servo", "-p", "use_sim_time:=3"], "use_sim_time must be true or false"),
         (["servo", "--namespace", "a b"], "--namespace must be"),
