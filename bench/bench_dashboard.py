@@ -134,18 +134,14 @@ def main():
     print("client: " + ("headless chromium" if arguments.browser else "websocket, draws nothing"))
     pictures_hz = load_scenario("dashboard")["fvs_sim_node"]["full_frame_rate_hz"]
     results = {condition: [] for condition in CONDITIONS}
-    with tempfile.TemporaryDirectory() as name:
-        harness = Harness(Path(name))
-        try:
-            harness.start("fvs_tools.launcher", "servo", "-p", f"full_frame_rate_hz:={pictures_hz}")
-            watch = Watch(harness)
-            harness.spin_until(watch.ready, 60.0, "the loop")
-            for _ in range(arguments.rounds):
-                for condition in CONDITIONS:
-                    with beside(harness, condition, arguments.browser):
-                        results[condition].append(watch.measure())
-        finally:
-            harness.close()
+    with tempfile.TemporaryDirectory() as name, contextlib.closing(Harness(Path(name))) as harness:
+        harness.start("fvs_tools.launcher", "servo", "-p", f"full_frame_rate_hz:={pictures_hz}")
+        watch = Watch(harness)
+        harness.spin_until(watch.ready, 60.0, "the loop")
+        for _ in range(arguments.rounds):
+            for condition in CONDITIONS:
+                with beside(harness, condition, arguments.browser):
+                    results[condition].append(watch.measure())
     # Medians over the rounds, and the median ratio to the block without a page before it.
     print(f"{'':22}  image stamp to command, ms        commands off 8 ms, ms")
     print(f"{'':22}      p50            p99            p50            p99")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import tempfile
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -26,10 +27,6 @@ from fvs_sim_node.world import World
 PERIOD_S, IMAGE_EVERY, TARGET_EVERY = 0.008, 4, 100
 
 
-def in_ms(samples_s):
-    return spread(1e3 * np.array(samples_s), "ms")
-
-
 def rounds(harness, send, received):
     """Send every period; the time to the first answer of each round that got one."""
     spent = []
@@ -47,8 +44,7 @@ def rounds(harness, send, received):
 
 
 def bare_loop(folder):
-    harness = Harness(folder)
-    try:
+    with closing(Harness(folder)) as harness:
         harness.start("bench.relay_node", "bench_a", "bench_b")
         harness.start("bench.relay_node", "bench_b", "bench_c")
         received = []
@@ -59,15 +55,12 @@ def bare_loop(folder):
         message = Float64MultiArray(data=[0.1] * 18)
         harness.spin_until(lambda: publisher.publish(message) or bool(received), what="the relays")
         spent = rounds(harness, lambda k: publisher.publish(message), received)
-        return in_ms([t for _, t in spent])
-    finally:
-        harness.close()
+        return spread([1e3 * t for _, t in spent], "ms")
 
 
 def control_loop(folder):
     """Joint state to command; image stamp to command, with the estimator learning beside."""
-    harness = Harness(folder)
-    try:
+    with closing(Harness(folder)) as harness:
         harness.start_node("fvs_estimator_node.node")
         harness.start_node("fvs_controller_node.node", autostart=True)
         received = []
@@ -105,16 +98,13 @@ def control_loop(folder):
         if state != "SERVOING":
             raise RuntimeError(f"the controller is {state}: {statuses[-1].message}")
         spent = rounds(harness, send, received)
-        images = [t for k, t in spent if k % IMAGE_EVERY == 0]
-        return in_ms([t for _, t in spent]), in_ms(images)
-    finally:
-        harness.close()
+        images = [1e3 * t for k, t in spent if k % IMAGE_EVERY == 0]
+        return spread([1e3 * t for _, t in spent], "ms"), spread(images, "ms")
 
 
 def start_up(folder):
     """From the launcher's start to the first command that moves the arm, s."""
-    harness = Harness(folder)
-    try:
+    with closing(Harness(folder)) as harness:
         commands = harness.collect(Float64MultiArray, topics.COMMANDS.name)
         targets = harness.node.create_publisher(
             PointStamped, topics.TARGET_POSITION.name, ros.QOS_LATCHED
@@ -124,8 +114,6 @@ def start_up(folder):
         harness.start("fvs_tools.launcher", "servo")
         harness.spin_until(lambda: bool(commands) and bool(np.any(commands[-1].data)), 60.0)
         return time.monotonic() - begin
-    finally:
-        harness.close()
 
 
 def main():
