@@ -37,28 +37,17 @@ def constant_exponent_time_s(
     return a1 / (a2 * p) * log((a2 * y_from**p + a3) / (a2 * y_to**p + a3))
 
 
-def sliding_time_s(y0: float, surface: SlidingSurface) -> float:
-    """Time to slide from ``y0`` to zero, with the exponent switched at sqrt(Delta); s.
-
-    The corrected (36)-(39): the exponent is taken constant on either side of the switch, its
-    value far away and its value at zero.
-    """
-    y0 = _checked(y0)
-    switch = min(y0, surface.switch_error_m)
-    return constant_exponent_time_s(
-        y0, switch, surface.lambda1 - surface.lambda2, surface
-    ) + constant_exponent_time_s(switch, 0.0, surface.exponent(0.0), surface)
-
-
 def sliding_time_bounds_s(
     y0: float, surface: SlidingSurface, pieces: int = 64
 ) -> tuple[float, float]:
     """Lower and upper bound of the time to slide from ``y0`` to zero, s.
 
-    Unlike ``sliding_time_s`` these are bounds: the exponent falls with the error, and below 1 m
-    a larger exponent is slower, so on each piece its two end values enclose the time.
+    The exponent falls with the error, and below 1 m a larger exponent is slower, so on each piece
+    its two end values enclose the time.
     """
-    y0 = _checked(y0)
+    y0 = abs(y0)
+    if not y0 < 1.0:
+        raise ValueError(f"the paper's surface is made for errors below 1 m, got {y0} m")
     edges = [0.0, *np.geomspace(1e-3 * surface.switch_error_m, 1.0, pieces).tolist()]
     edges = [edge for edge in edges if edge < y0] + [y0]
     lower = upper = 0.0
@@ -127,10 +116,3 @@ def settling_times(
             worst += abs(s) * min(reaching, law.k4 / law.k1) / surface.alpha1
         times.append(SettlingTime(reaching, sliding_time_bounds_s(worst, surface)[1]))
     return times
-
-
-def _checked(y0: float) -> float:
-    y0 = abs(y0)
-    if not y0 < 1.0:
-        raise ValueError(f"the paper's surface is made for errors below 1 m, got {y0} m")
-    return y0

@@ -4,11 +4,9 @@ from functools import partial
 
 import numpy as np
 import pytest
-from test_supervisor import WANTED, at_rest, servoing
 
 from fvs_controller_node.monitors import LEAST_SEEN
-from fvs_controller_node.prediction import Agreement, Verdict
-from fvs_controller_node.reasons import Reason, State
+from fvs_controller_node.prediction import Agreement
 from fvs_ros.tracker import Image
 
 IMAGE_S = 1.0 / 30.0
@@ -66,15 +64,6 @@ def test_a_ball_that_moves_otherwise_than_predicted_still_moves(turn, share):
             assert frozen_after_s(seen, way, noise_m=0.003, seed=seed) is None
 
 
-@pytest.mark.parametrize("rate_hz", [0.2, 1.0, 3.0])
-def test_to_and_fro_is_moving(rate_hz):
-    def swing(t):
-        return np.array([0.0, 0.06 * np.sin(2.0 * np.pi * rate_hz * t), 0.0])
-
-    assert frozen_after_s(swing, swing, noise_m=0.004) is None
-    assert frozen_after_s(frozen, swing, noise_m=0.004) < 1.2
-
-
 @pytest.mark.parametrize(
     ("factor", "ratio"), [(1.0, 0.0), (0.7, 0.3), (1.4, 0.29), (0.0, 1.0), (-1.0, 2.0), (-2.0, 1.5)]
 )
@@ -106,19 +95,3 @@ def test_neither_a_gap_between_images_nor_a_clock_that_steps_back_forgives_anyth
     agreement.add(Image(k * IMAGE_S + step_s, np.zeros(3), np.array([0.01 * k, 0.0, 0.0])), 1e-3)
     assert agreement.verdict.seen_share < LEAST_SEEN
     assert 0.0 < agreement.verdict.time_s < 2.0
-
-
-def test_the_supervisor_holds_names_it_and_wants_a_start():
-    cell = servoing()
-    tick, frozen_verdict = cell.supervisor.tick, Verdict(0.013, 0.05, 1.0, 0.4)
-    cell.supervisor.tick = lambda *given: tick(*given, verdict=frozen_verdict)
-    cell.wanted = 2.0 * WANTED
-    command = cell.until(lambda c: c.state is State.HOLDING)
-    assert command.reason is Reason.IMAGE_NOT_FOLLOWING
-    assert "frozen image: 13 mm" in command.text
-    assert "~/start" in command.text
-    cell.until(at_rest)
-    assert cell.run(1.0).reason is Reason.IMAGE_NOT_FOLLOWING
-    cell.supervisor.tick = tick
-    assert cell.supervisor.start(cell.now_s)[0]
-    assert cell.run(0.2).state is State.SERVOING

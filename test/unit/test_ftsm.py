@@ -146,16 +146,3 @@ def test_the_literal_law_chatters_where_the_implicit_one_does_not():
         unrest[discretisation] = np.abs(np.diff(speeds[-100:], axis=0)).mean()
     assert unrest["implicit"] < 1e-6
     assert unrest["literal"] > 0.5  # full speed to and fro
-
-
-@settings(max_examples=200, deadline=None)
-@given(
-    error=st.lists(st.floats(-50.0, 50.0), min_size=3, max_size=3),
-    applied=st.lists(st.floats(-4.0, 4.0), min_size=6, max_size=6),
-    discretisation=st.sampled_from(["implicit", "literal"]),
-    dt=st.floats(1e-5, 0.1),
-)
-def test_every_finite_state_gives_a_finite_command(error, applied, discretisation, dt):
-    law = FtsmLaw(FtsmGains(discretisation=discretisation))
-    out = law.command(ControlInput(np.array(error), JACOBIAN, np.array(applied), np.zeros(6), dt))
-    assert np.all(np.isfinite(out.velocity_rad_s))

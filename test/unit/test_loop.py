@@ -56,12 +56,6 @@ def test_a_joint_that_jumps_is_zeros_at_once_and_named(servoing):
     assert "elbow_joint jumped by 0.50 rad in 0.008 s" in command.text
 
 
-def test_two_publishers_that_disagree_never_let_it_move(servoing):
-    for k in range(200):
-        command = servoing.tick(HOME + (0.0 if k % 2 else 0.8))
-        assert not command.velocity_rad_s.any()
-
-
 @pytest.fixture
 def reading():
     """A loop whose law reads chains, on its way, and the chains that law was shown."""
@@ -203,25 +197,6 @@ def test_at_least_speeds_what_goes_along_with_a_target_leads_back_to_the_posture
         assert ahead_rad_s[3] > 0.02
     else:
         np.testing.assert_allclose(ahead_rad_s[[0, 3]], 0.0, atol=1e-9)
-
-
-def test_images_and_told_targets_are_news_and_a_target_on_its_way_in_between_is_not(
-    servoing,
-):
-    news, along = [], []
-    command = servoing.loop.law.command
-    servoing.loop.law.command = lambda one: (
-        news.append(one.change is not Change.NOTHING),
-        along.append(one.feed_forward_rad_s is not None),
-        command(one),
-    )[2]
-    for k in range(24):
-        if k % 6 == 0:
-            target = np.array([0.2, 0.1 + 0.002 * k, 1.2])
-            assert servoing.loop.add_target(target, FRAME, servoing.now_s)[0]
-        servoing.tick(ball=k % 6 == 3)
-    assert all(along[-9:])
-    assert news == [k % 3 == 0 for k in range(24)]
 
 
 def test_the_posture_to_come_back_to_is_that_of_the_last_start(servoing):

@@ -9,7 +9,6 @@ from ur5_dh import HOME_RAD
 
 from fvs_controller_node.base import Change, ControlInput
 from fvs_controller_node.minimum_time import MinimumTimeLaw
-from fvs_controller_node.redundancy import LeastSpeedInverse
 
 DT_S = 0.008
 CHAIN = ur5_chain()
@@ -25,21 +24,11 @@ def away_from_home():
     return joints
 
 
-class Counting(LeastSpeedInverse):
-    """Knows how often it was asked."""
-
-    asked = 0
-
-    def solve(self, *args, **named):
-        Counting.asked += 1
-        return super().joint_velocity(*args, **named)
-
-
 class Following:
     """The law, and drives that do as they are told; the model is exact."""
 
     def __init__(self, joints):
-        self.law, self.joints = MinimumTimeLaw(inverse=Counting()), joints
+        self.law, self.joints = MinimumTimeLaw(), joints
         self.target, self.change = CHAIN.position(joints), Change.TARGET
         self.run(20)
 

@@ -10,14 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad
 
 from fvs_controller_node.base import ControlInput
 from fvs_controller_node.proportional import ProportionalGains, ProportionalLaw
 from fvs_controller_node.redundancy import DampedInverse
-from fvs_controller_node.settling import constant_exponent_time_s, sliding_time_s
+from fvs_controller_node.settling import constant_exponent_time_s
 from fvs_controller_node.surface import ReachingLaw, SlidingSurface
 from fvs_estimator_node.base import MotionStep
 from fvs_estimator_node.rbf import RbfConfig, RbfEstimator, RbfModel
@@ -38,13 +36,6 @@ class State:
     error: np.ndarray
     s: np.ndarray
     weights: np.ndarray
-
-    def to_vector(self) -> np.ndarray:
-        return np.concatenate([self.joints, self.error, self.s, self.weights.ravel()])
-
-    @classmethod
-    def from_vector(cls, z: np.ndarray) -> State:
-        return cls(z[:6], z[6:9], z[9:12], z[12:].reshape(6, 3, NEURONS))
 
 
 @dataclass(frozen=True)
@@ -149,17 +140,6 @@ def surplus(loop: Loop) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return tuple(np.array(rows).T)
 
 
-# --- (13) ---
-
-
-def test_the_integral_that_starts_on_the_surface_of_13():
-    rng = np.random.default_rng(0)
-    c1, c2, error = 2.0, 0.7, rng.normal(size=3)
-    np.testing.assert_allclose(c1 * error + c2 * (-c1 / c2 * error), 0.0, atol=1e-15)
-    printed = c1 * error + c2 * (-c2 / c2 * error)
-    np.testing.assert_allclose(printed, (c1 - c2) * error)
-
-
 # --- (16), (17), (21), (22) ---
 
 
@@ -171,37 +151,6 @@ def test_with_plus_the_derivative_of_v_is_22_with_minus_2_alpha2_se_remains():
     np.testing.assert_allclose(excess, 2.0 * 2.0 * se, atol=1e-9)
     assert np.abs(excess).max() > 0.1
     assert rate.max() > 0.1
-
-
-def simulated(loop: Loop, seconds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times (s), V, and the integral of (22), along one motion of the closed loop."""
-    rng = np.random.default_rng(2)
-    start = State(
-        np.zeros(6), np.array([0.25, -0.2, 0.15]), rng.uniform(0.1, 0.2, 3), loop.model.weights
-    )
-
-    def rates(_t: float, z: np.ndarray) -> np.ndarray:
-        state = State.from_vector(z[:-1])
-        return np.append(loop.rates(state)[0].to_vector(), loop.equation_22(state))
-
-    times = np.linspace(0.0, seconds, 60)
-    run = solve_ivp(
-        rates, (0.0, seconds), np.append(start.to_vector(), 0.0),
-        t_eval=times, rtol=1e-9, atol=1e-11,
-    )  # fmt: skip
-    assert run.success
-    v = np.array([loop.lyapunov(State.from_vector(z[:-1])) for z in run.y.T])
-    return run.t, v, run.y[-1]
-
-
-def test_along_a_motion_v_falls_as_22_says_with_plus_and_not_with_minus():
-    _, v, integral = simulated(a_loop(), 0.5)
-    np.testing.assert_allclose(v - v[0], integral, atol=1e-8)
-    assert np.all(np.diff(v) < 1e-9)
-    assert v[-1] < v[0] - 0.01
-    _, v, integral = simulated(a_loop(alpha2_sign=-1.0), 0.5)
-    assert np.abs(v - v[0] - integral).max() > 0.01
-    assert v[-1] > v[0]
 
 
 def test_an_adaptation_gain_enters_v_by_its_inverse():
@@ -277,18 +226,6 @@ def test_below_a_half_sigma_makes_the_command_of_16_grow_at_the_surface():
 # --- (22) as an inequality, (24)-(28) ---
 
 
-@settings(max_examples=300, deadline=None)
-@given(
-    s=st.lists(st.one_of(st.just(0.0), st.floats(1e-9, 2.0)), min_size=3, max_size=3),
-    sigma=st.floats(0.51, 0.99),
-)
-def test_the_sum_of_powers_in_22_is_at_least_the_power_of_the_sum(s: list[float], sigma: float):
-    of_sum = sum(one * one for one in s) ** sigma
-    sum_of = sum(abs(one) ** (2.0 * sigma) for one in s)
-    assert sum_of >= of_sum * (1.0 - 1e-12)
-    assert sum_of <= 3.0 ** (1.0 - sigma) * of_sum * (1.0 + 1e-12)
-
-
 def delta_of_28(loop: Loop) -> float:
     """delta of (28); iota of Lemma 1 stands once for every row of every network."""
     sigma = loop.reaching.sigma
@@ -312,16 +249,6 @@ def test_the_bound_28_holds_with_the_k_of_27_corrected(target: str):
         scaled = replace(z, s=10.0 ** rng.uniform(-3.0, 1.5) * z.s)
         bound = -k * loop.lyapunov(scaled) ** law.sigma + delta
         assert loop.lyapunov_rate(scaled) <= bound
-
-
-def test_the_bound_of_v_bounds_s_with_the_root_of_2_over_k4():
-    k4, sigma = 0.125, 0.82
-    bound_of_v = 0.03 ** (1.0 / sigma)
-    s = math.sqrt(2.0 * bound_of_v / k4)  # all of V in one axis
-    printed = 0.03 ** (1.0 / (2.0 * sigma))
-    assert 0.5 * k4 * s * s == pytest.approx(bound_of_v)
-    assert s == pytest.approx(math.sqrt(2.0 / k4) * printed)
-    assert s == pytest.approx(4.0 * printed)
 
 
 # --- (32) ---
@@ -365,31 +292,14 @@ def test_the_derivative_of_s_in_32_needs_the_velocity_in_its_first_term():
 # --- (36)-(39) ---
 
 
-def integrated_slide_s(y0: float, surface: SlidingSurface) -> float:
-    """Time from y0 to zero on the surface whose exponent jumps at sqrt(Delta), integrated."""
-    far, near = surface.lambda1 - surface.lambda2, surface.exponent(0.0)
-    a1, a2, a3 = surface.alpha1, surface.alpha2, surface.alpha3
-    total = 0.0
-    for gamma, start, end in (
-        (far, y0, surface.switch_error_m),
-        (near, surface.switch_error_m, 0.0),
-    ):
-        # y = u^n, so that the end at zero is met with a slope; n y^((n-1)/n) u' = y'
-        n = round(1.0 / (1.0 - gamma))
+def integrated_slide_s(y_from: float, y_to: float, gamma: float, surface: SlidingSurface) -> float:
+    """Time to slide with a constant exponent, by quadrature of dt = a1 dy / (a2 y + a3 y^g)."""
 
-        def rate(_t, u, gamma=gamma, n=n):
-            u = np.maximum(u, 1e-12)
-            return -(a2 * u**n + a3 * u ** (n * gamma)) / (a1 * n * u ** (n - 1))
+    def pace(u: float) -> float:
+        y = u**10  # tames the singularity at 0
+        return 10.0 * u**9 * surface.alpha1 / (surface.alpha2 * y + surface.alpha3 * y**gamma)
 
-        def arrived(_t, u, end=end, n=n):
-            return u[0] - max(end ** (1.0 / n), 1e-9)
-
-        arrived.terminal = True  # type: ignore[attr-defined]
-        run = solve_ivp(
-            rate, (0.0, 100.0), [start ** (1.0 / n)], events=arrived, rtol=1e-11, atol=1e-13
-        )
-        total += float(run.t_events[0][0])
-    return total
+    return quad(pace, y_to**0.1, y_from**0.1, limit=500, epsabs=1e-10)[0]
 
 
 def printed_36(y0: float, gamma: float, surface: SlidingSurface) -> float:
@@ -415,8 +325,14 @@ SLIDES = [
 
 @pytest.mark.parametrize(("y0", "surface"), SLIDES)
 def test_the_sliding_time_is_the_corrected_36_to_39(y0: float, surface: SlidingSurface):
-    wanted = integrated_slide_s(y0, surface)
-    assert sliding_time_s(y0, surface) == pytest.approx(wanted, rel=1e-5)
+    switch, near = surface.switch_error_m, surface.exponent(0.0)
+    far = surface.lambda1 - surface.lambda2
+    wanted = 0.0
+    for y_from, y_to, gamma in ((y0, switch, far), (switch, 0.0, near)):
+        integrated = integrated_slide_s(y_from, y_to, gamma, surface)
+        found = constant_exponent_time_s(y_from, y_to, gamma, surface)
+        assert found == pytest.approx(integrated, rel=1e-5)
+        wanted += integrated
     printed = printed_slide_s(y0, surface)
     assert abs(printed / wanted - 1.0) > 1.0
     assert (printed < 0.0) is (surface.alpha2 < surface.alpha3)
@@ -499,18 +415,6 @@ def excess_of_47(n2: float, n3: float, printed: bool) -> np.ndarray:
 def test_45_with_the_error_and_46_give_47():
     assert np.abs(excess_of_47(0.3, 0.5, printed=False)).max() < 1e-9
     assert np.abs(excess_of_47(0.3, 0.5, printed=True)).max() > 1e-3
-
-
-def test_what_46_calls_pid_remembers_nothing():
-    law, rng = ProportionalLaw(), np.random.default_rng(8)
-    jacobian = rng.normal(size=(3, 6))
-    now = ControlInput(np.array([0.1, 0.0, -0.1]), jacobian, np.zeros(6), np.zeros(6), 0.008)
-    first = law.command(now).velocity_rad_s
-    for _ in range(20):
-        law.command(now._replace(error_m=rng.normal(size=3)))
-    np.testing.assert_array_equal(law.command(now).velocity_rad_s, first)
-    doubled = law.command(now._replace(error_m=2.0 * now.error_m)).velocity_rad_s
-    np.testing.assert_allclose(doubled, 2.0 * first)
 
 
 # --- the page ---

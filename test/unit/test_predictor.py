@@ -42,18 +42,6 @@ def test_it_carries_an_old_image_to_the_newest_joints():
     assert predictor.problem == ""
 
 
-def test_positions_wait_for_the_joint_state_after_their_exposure():
-    predictor = BallPredictor()
-    feed(predictor, 0.0, 1.0)
-    for stamp_s in (1.01, 1.02, 1.03, 1.04, 1.05):
-        predictor.add_ball(stamp_s, ball(stamp_s))
-    assert predictor.predict() is None
-    assert "no ball_position" in predictor.problem
-    feed(predictor, 1.0, 1.1)
-    assert predictor.images == 5
-    np.testing.assert_allclose(newest(predictor), ball(1.096), atol=5e-5)
-
-
 def standing(positions: list[np.ndarray]) -> list[np.ndarray]:
     """Predictions at rest after each of some positions, once the noise is known."""
     predictor, found = BallPredictor(), []
@@ -92,16 +80,6 @@ def test_a_clock_jump_starts_it_anew(jump_s: float):
     assert predictor.predict() is None
     predictor.add_ball(1.05 + jump_s, ball(1.05))
     np.testing.assert_allclose(newest(predictor), ball(1.096), atol=5e-5)
-
-
-def test_a_gap_in_the_joint_states_drops_the_image_inside_it():
-    predictor = BallPredictor()
-    feed(predictor, 0.0, 0.5)
-    predictor.add_ball(0.4, ball(0.4))
-    feed(predictor, 0.7, 0.8)
-    before = newest(predictor)
-    predictor.add_ball(0.6, ball(0.6) + 0.01)
-    np.testing.assert_array_equal(newest(predictor), before)
 
 
 @pytest.mark.parametrize(("offset_s", "word"), [(5.0, "newer"), (-5.0, "older")])

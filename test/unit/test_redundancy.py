@@ -7,10 +7,8 @@ import pytest
 from scipy.optimize import linprog
 
 from fvs_controller_node.redundancy import (
-    POSTURE_SPEED_RAD_S,
     DampedInverse,
     LeastSpeedInverse,
-    conditioning,
 )
 from fvs_ros.limits import JointRange
 
@@ -41,15 +39,6 @@ def test_the_ball_moves_as_wanted_and_the_fastest_joint_is_as_slow_as_can_be(jac
     np.testing.assert_allclose(jacobian @ found, velocity, atol=1e-8)
     least = least_largest(jacobian, velocity)
     assert least - 1e-9 <= np.abs(found).max() < 1.03 * least
-
-
-def test_it_keeps_the_damped_velocity_of_the_pseudo_inverse():
-    for jacobian, velocity in CASES:
-        weak = jacobian * np.array([[1.0], [1.0], [0.01]])
-        two_norm = DampedInverse(1e-3).joint_velocity(weak, velocity)
-        found = LeastSpeedInverse(1e-3).joint_velocity(weak, velocity)
-        np.testing.assert_allclose(weak @ found, weak @ two_norm, atol=1e-9)
-        assert np.abs(found).max() <= np.abs(two_norm).max() * (1.0 + 1e-9)
 
 
 @pytest.mark.parametrize(
@@ -126,34 +115,12 @@ def test_the_way_back_to_a_posture_moves_no_ball_and_costs_little_speed():
 VELOCITY = np.array([0.1, -0.2, 0.05])
 
 
-def test_with_little_damping_it_is_the_pseudo_inverse():
-    for _ in range(20):
-        jacobian = RNG.normal(size=(3, 6))
-        got = DampedInverse(damping=1e-12).joint_velocity(jacobian, VELOCITY)
-        np.testing.assert_allclose(got, np.linalg.pinv(jacobian) @ VELOCITY, rtol=1e-7, atol=1e-9)
-
-
 def test_damping_slows_each_direction_by_its_singular_value():
     jacobian, mu = RNG.normal(size=(3, 6)), 0.01
     u, w, vt = np.linalg.svd(jacobian, full_matrices=False)
     wanted = vt.T @ (w / (w**2 + mu) * (u.T @ VELOCITY))
     got = DampedInverse(damping=mu).joint_velocity(jacobian, VELOCITY)
     np.testing.assert_allclose(got, wanted, atol=1e-12)
-
-
-@pytest.mark.parametrize("jacobian", [np.zeros((3, 6)), np.ones((3, 6)), np.eye(3, 6) * 1e-9])
-def test_a_singular_jacobian_gives_finite_bounded_speeds(jacobian: np.ndarray):
-    got = DampedInverse(damping=1e-4).joint_velocity(jacobian, VELOCITY)
-    assert np.all(np.isfinite(got))
-    assert np.abs(got).max() <= np.linalg.norm(VELOCITY) / (2 * 1e-4**0.5)
-
-
-def test_conditioning():
-    jacobian = RNG.normal(size=(3, 6))
-    w = np.linalg.svd(jacobian, compute_uv=False)
-    assert conditioning(jacobian).smallest == pytest.approx(w[2])
-    assert conditioning(jacobian).condition == pytest.approx(np.linalg.cond(jacobian))
-    assert conditioning(np.zeros((3, 6))).condition == np.inf
 
 
 def test_the_posture_term_moves_the_joints_and_not_the_ball():
@@ -164,9 +131,3 @@ def test_the_posture_term_moves_the_joints_and_not_the_ball():
     pulled = DampedInverse(1e-9, 1.0).joint_velocity(jacobian, VELOCITY, joints, home)
     np.testing.assert_allclose(jacobian @ pulled, jacobian @ plain, atol=1e-7)
     assert (pulled - plain) @ (home - joints) > 0.0
-
-
-def test_the_posture_pull_is_slow_however_far_the_posture():
-    inverse = DampedInverse(1e-9, 5.0)
-    got = inverse.joint_velocity(RNG.normal(size=(3, 6)), np.zeros(3), np.zeros(6), np.full(6, 3.0))
-    assert np.linalg.norm(got) <= np.sqrt(6) * POSTURE_SPEED_RAD_S
