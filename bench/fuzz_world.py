@@ -230,7 +230,7 @@ class World:
 
     def send_chain(self, message):
         """Send a kinematic chain; it counts while the law reads chains, until it is forgotten."""
-        if self.node._loop.law.reads_chain:
+        if self.node._loop.law.plans:
             self._chain_s = self.now_s
             self.bad.discard("kinematic_chain")
             if _read(ros.from_chain, message, TRUE_JACOBIAN.shape[1]) is None:

@@ -22,58 +22,37 @@ class Change(Enum):
 
 
 class ControlInput(NamedTuple):
-    """What a law knows at one tick, of m features and n joints.
+    """What a law knows at one tick, of m features and n joints."""
 
-    Parameters
-    ----------
-    error_m : ndarray, shape (m,)
-        Feature, predicted to now, minus its target; camera frame, m.
-    jacobian : ndarray, shape (m, n)
-        Estimated Jacobian at the present joints, m/rad.
-    applied_rad_s : ndarray, shape (n,)
-        Joint velocities actually sent at the last tick, after every limit, less the feed-forward,
-        rad/s.
-    joints_rad : ndarray, shape (n,)
-        Joint positions, rad.
-    dt_s : float
-        Time since the last tick, s; positive.
-    home_rad : ndarray, shape (n,), optional
-        Joints at the last start, rad: a posture to come back to on the way.
-    chain : SerialChain, optional
-        Forward model of arm and feature as the camera sees them; up to a constant offset.
-    change : Change
-        What has changed ``error_m``.
-    feed_forward_rad_s : ndarray, shape (n,), optional
-        Joint velocities that follow a moving target, rad/s: added to the law's output.
-    """
-
+    #: Feature, predicted to now, minus its target; camera frame, m, (m,).
     error_m: np.ndarray
+    #: Estimated at the present joints, m/rad, (m, n).
     jacobian: np.ndarray
+    #: Actually sent at the last tick, after every limit, less the feed-forward, (n,).
     applied_rad_s: np.ndarray
+    #: Joint positions, (n,).
     joints_rad: np.ndarray
+    #: Time since the last tick; positive.
     dt_s: float
+    #: Joints at the last start, (n,): a posture to come back to on the way.
     home_rad: np.ndarray | None = None
+    #: Forward model of arm and feature as the camera sees them; up to a constant offset.
     chain: SerialChain | None = None
+    #: What has changed ``error_m``.
     change: Change = Change.NOTHING
+    #: Joint velocities that follow a moving target, (n,): added to the law's output.
     feed_forward_rad_s: np.ndarray | None = None
 
 
 class ControlOutput(NamedTuple):
-    """The output of a law.
+    """The output of a law."""
 
-    Parameters
-    ----------
-    velocity_rad_s : ndarray, shape (n,)
-        Wanted joint velocities before any limit, rad/s.
-    sliding_variable : ndarray, shape (m,)
-        The s of the estimator's update law: a sliding mode law's sliding variable (17), the
-        proportional law's error (45); zeros for a law without one.
-    exponent : ndarray, shape (m,)
-        The exponent gamma of each component; ones for a law without one.
-    """
-
+    #: Wanted joint velocities before any limit, (n,).
     velocity_rad_s: np.ndarray
+    #: The s of the estimator's update law, (m,): a sliding mode law's sliding variable (17), the
+    #: proportional law's error (45); zeros for a law without one.
     sliding_variable: np.ndarray
+    #: The exponent gamma of each component, (m,); ones for a law without one.
     exponent: np.ndarray
 
     @classmethod
@@ -89,14 +68,9 @@ class ControlLaw(ABC):
     here and one line in :mod:`fvs_controller_node.config`.
     """
 
-    #: Whether it uses a chain; the Jacobian then is the chain's.
-    reads_chain: ClassVar[bool] = False
-
-    #: Whether it brakes in time for the target itself; else the loop slows it down.
-    brakes: ClassVar[bool] = False
-
-    #: Whether it moves at the least joint speeds, whatever ``redundancy_resolution`` is.
-    least_speed: ClassVar[bool] = False
+    #: Whether it plans the joints' way itself: from a chain (the Jacobian then is the chain's), at
+    #: least joint speeds whatever ``redundancy_resolution`` is, and braking in time for the target.
+    plans: ClassVar[bool] = False
 
     #: Parameters that this law adds to the node's.
     PARAMETERS: ClassVar[tuple[Parameter, ...]] = ()

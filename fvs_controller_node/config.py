@@ -138,6 +138,12 @@ class SupervisorConfig(Parameters):
         return len(self.workspace_min_m)
 
     @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the feature's components."""
+        m = self.features
+        return tuple("xyz") if m == 3 else tuple(str(number) for number in range(1, m + 1))
+
+    @property
     def follow_time_s(self) -> float:
         """The arm may fail to move as commanded for this time, s."""
         return 0.5 * self.stall_time_s

@@ -18,8 +18,6 @@ from fvs_controller_node.base import ControlInput, ControlOutput
 from fvs_ros.timeline import History
 from fvs_ros.vectors import largest
 
-#: The lag before anything has moved, s.
-_FIRST_S = 0.03
 #: No drive is slower than this; what is slower than that is no lag, s.
 _MOST_S, _SLOW_S = 0.2, 1.0
 #: The first guess counts like so much motion, and all that was seen like no more than that: the
@@ -42,7 +40,7 @@ class DriveLag:
     """
 
     def __init__(self) -> None:
-        self.lag_s, self._known = _FIRST_S, _FIRST
+        self.lag_s, self._known = 0.03, _FIRST  # before anything has moved
         self._commanded = History()  # the path as commanded
         self._constant: np.ndarray | None = None
         self._joints: np.ndarray | float = 0.0

@@ -11,14 +11,10 @@ from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.reasons import Finding, Reason
 from fvs_ros.vectors import all_finite, length
 
-#: Time constant of the low pass on the error norm, s.
-_SMOOTHING_S = 0.1
 #: The error has swung when it is this far from where it was, m: more than noise does. Without a
 #: swing for this time, s, it has come to rest. A sustained oscillation sums up to this way, m, and
 #: to twice the way to the target besides.
 _SWING_M, _REST_S, _SWINGS_M = 0.01, 1.0, 0.5
-#: The best error must fall by this share of itself to count as progress.
-_PROGRESS_SHARE = 0.03
 
 
 class _Mark(NamedTuple):
@@ -72,7 +68,7 @@ class Progress:
         norm_m = length(error_m)
         if self._smooth_m is None:
             self._smooth_m = self._first_m = norm_m
-        self._smooth_m += (norm_m - self._smooth_m) * dt_s / (dt_s + _SMOOTHING_S)
+        self._smooth_m += (norm_m - self._smooth_m) * dt_s / (dt_s + 0.1)  # s
         smooth_m = self._smooth_m
         self._near_s = self._near_s + dt_s if smooth_m < config.settled_error_m else 0.0
         self.settled = self._near_s >= config.settled_time_s
@@ -85,7 +81,7 @@ class Progress:
         up = smooth_m > config.growth_factor * best_m and smooth_m > best_m + config.growth_m
         self._up_s = self._up_s + dt_s if up else 0.0
         mark_m = float(self._mark.error) + self._mark.gone_m(target_m)
-        if best_m < (1.0 - _PROGRESS_SHARE) * mark_m:
+        if best_m < 0.97 * mark_m:  # progress
             self._mark, self._since_s = _Mark(best_m, target_m), 0.0
         elif smooth_m > config.stall_error_m:
             self._since_s += dt_s
@@ -227,6 +223,8 @@ class Goal:
         low, high = self._config.workspace_min_m, self._config.workspace_max_m
         return [
             f"{axis} = {value:.3f} m is not in [{lo:g}, {hi:g}]"
-            for axis, value, lo, hi in zip("xyz", target.tolist(), low, high, strict=True)
+            for axis, value, lo, hi in zip(
+                self._config.axes, target.tolist(), low, high, strict=True
+            )
             if not lo <= value <= hi
         ]

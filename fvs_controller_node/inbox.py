@@ -18,12 +18,6 @@ KINEMATIC_CHAIN, SPEED_SCALING = "kinematic_chain", "speed_scaling"
 #: No joint position (rad), ball position (m) or Jacobian (m/rad) is larger than this.
 _LARGEST = 100.0
 
-#: What a source says of itself counts for the first time, another node's command for the second, s.
-_SAID_S, _CONFLICT_S = 2.0, 1.0
-
-#: Speed scaling from which the robot is at full speed, %: the driver multiplies doubles.
-_FULL_PERCENT = 99.5
-
 
 class InputMonitor:
     """Arrival of one input on the steady clock.
@@ -97,7 +91,7 @@ class InputMonitor:
         if self._trouble is Reason.BAD_INPUT:
             return Reason.BAD_INPUT.because(why=self._why, **numbers)
         hint = self._hint
-        if self._said and now_s - self._said_s <= _SAID_S:
+        if self._said and now_s - self._said_s <= 2.0:
             hint = f"the estimator says: {self._said}"
         elif now_s - self._stuck_s <= limit_s:
             hint = "messages come, but their stamps do not advance: its source has frozen"
@@ -226,7 +220,7 @@ class Inbox:
         """Find what is wrong with the inputs now, worst first."""
         troubles = self._troubles(now_s)
         bad = [finding for finding in troubles if finding.reason is Reason.BAD_INPUT]
-        if self._conflict is not None and now_s - self._conflict_s < _CONFLICT_S:
+        if self._conflict is not None and now_s - self._conflict_s < 1.0:
             bad.append(self._conflict)
         return next(iter(bad + self.pauses() + troubles), None)
 
@@ -247,7 +241,8 @@ class Inbox:
     @property
     def full_speed(self) -> bool:
         """Whether the robot obeys at its full speed."""
-        return self._program_running is not False and self._speed_scaling >= _FULL_PERCENT
+        # Not 100: the driver multiplies doubles.
+        return self._program_running is not False and self._speed_scaling >= 99.5
 
     @property
     def speed_scaling(self) -> float:

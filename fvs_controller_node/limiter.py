@@ -7,9 +7,6 @@ import numpy as np
 from fvs_controller_node.config import SupervisorConfig
 from fvs_ros.limits import limit_acceleration, limit_speed, ramp_to_zero
 
-#: From full speed the arm stops within this, s, however small the acceleration limit is.
-_STOP_S = 0.5
-
 
 class Limiter:
     """Remembers the last command and finds the next one within the limits.
@@ -72,7 +69,8 @@ class Limiter:
         last, speed = self.velocity_rad_s, config.speed
         if not last.any():
             return False
-        limit = max(speed.max_joint_acceleration_rad_s2, speed.max_joint_velocity_rad_s / _STOP_S)
+        # From full speed it stops within 0.5 s, however small the acceleration limit is.
+        limit = max(speed.max_joint_acceleration_rad_s2, speed.max_joint_velocity_rad_s / 0.5)
         step = limit * dt_s
         velocity = ramp_to_zero(last, step)
         if joints_rad is not None:

@@ -23,11 +23,6 @@ from fvs_controller_node.target_motion import TargetMotion, on_own_clock
 from fvs_ros.chain import SerialChain
 from fvs_ros.timeline import StampGate, jump_of
 
-#: After a longer gap between two joint states their step is not checked, s.
-_JUMP_S = 0.5
-#: The estimator publishes the chain more often than this; an older one is not used, s.
-_CHAIN_MAX_AGE_S = 1.5
-
 
 class ServoLoop:
     """Data goes through once: joints, ball and Jacobian in; one command out.
@@ -116,7 +111,7 @@ class ServoLoop:
         before_s, before = self._last_joints
         self._last_joints = (stamp_s, joints_rad)
         passed_s = stamp_s - before_s
-        if before is None or before.shape != joints_rad.shape or not 0.0 < passed_s < _JUMP_S:
+        if before is None or before.shape != joints_rad.shape or not 0.0 < passed_s < 0.5:
             return ""
         moved = joints_rad - before
         joint = jump_of(moved, passed_s)
@@ -143,13 +138,13 @@ class ServoLoop:
 
     def add_chain(self, now_s: float, chain: SerialChain) -> None:
         """Take the forward model as the camera sees it now, and its arrival."""
-        if self.law.reads_chain:
+        if self.law.plans:
             self._chain, self._chain_s = chain, now_s
             self.supervisor.inputs[KINEMATIC_CHAIN].good(now_s)
 
     def bad_chain(self, now_s: float, why: str) -> None:
         """Take the arrival of a forward model that cannot be used, and why."""
-        if self.law.reads_chain:
+        if self.law.plans:
             self._chain, self._chain_s = None, now_s
             self.supervisor.inputs[KINEMATIC_CHAIN].bad(why)
 
@@ -215,7 +210,7 @@ class ServoLoop:
             Time since the last tick, s.
         """
         supervisor = self.supervisor
-        if now_s - self._chain_s > _CHAIN_MAX_AGE_S:
+        if now_s - self._chain_s > 1.5:
             self._chain = None  # its publisher is gone, or has another method now
             supervisor.inputs[KINEMATIC_CHAIN].forget()
         target = self.target.at(self._stamp_s) if self._follows else None
@@ -268,7 +263,7 @@ class ServoLoop:
         )
         self._change, self._images = Change.NOTHING, self.predictor.images
         output = self.law.command(one)
-        if not self.law.brakes:
+        if not self.law.plans:
             speed = self.supervisor.config.speed
             output = brake(output, one, speed.max_joint_acceleration_rad_s2)
         if feed_forward is not None:
@@ -292,6 +287,6 @@ class ServoLoop:
 
 def _follower_inverse(law: ControlLaw, values: Mapping[str, Any]) -> Inverse:
     """From a target's velocity to the joints': the law's, which pulls to the posture already."""
-    if law.least_speed:
+    if law.plans:
         values = {**values, "redundancy_resolution": LEAST_SPEED}
     return make_inverse({**values, "posture_gain_1_s": 0.0})

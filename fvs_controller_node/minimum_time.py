@@ -31,13 +31,6 @@ from fvs_ros.limits import SpeedLimits
 from fvs_ros.params import Parameters, live_parameter
 from fvs_ros.vectors import largest
 
-#: Steps of the search for the goal after a new target: they draw it towards the posture of the
-#: start. One step after each further image stays near what was found: one linear programme after
-#: the other would go to and fro between two corners.
-_FIRST_STEPS = 4
-#: The goal is looked for anew, too, if it leads further than this from the target, m.
-_NEW_M = 0.02
-
 
 @dataclass(frozen=True)
 class MinimumTimeGains(Parameters):
@@ -65,9 +58,7 @@ class MinimumTimeLaw(ControlLaw):
         Solves for the least largest joint motion.
     """
 
-    reads_chain = True
-    brakes = True
-    least_speed = True
+    plans = True
     PARAMETERS = MinimumTimeGains.declared()
 
     def __init__(
@@ -127,8 +118,11 @@ class MinimumTimeLaw(ControlLaw):
         goal = joints if self._goal is None else self._goal
         position, jacobian = chain.position_and_jacobian(goal)
         missing = wanted - position
-        new = new or float(np.abs(missing).max()) > _NEW_M
-        for _ in range(_FIRST_STEPS if new else 1):
+        new = new or largest(missing) > 0.02
+        # The steps after a new target draw the goal towards the posture of the start. One step
+        # after each further image stays near what was found: one linear programme after the other
+        # would go to and fro between two corners.
+        for _ in range(4 if new else 1):
             travel = goal - joints
             way = missing + jacobian @ travel
             if new and one.home_rad is not None:

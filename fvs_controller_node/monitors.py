@@ -25,8 +25,6 @@ _RELEASE_SHARE = 0.3
 #: A held arm may leave slowly while the value stays above this share of what it was at the request;
 #: and not at all where it was below that share of the hold limit.
 _LEAVE_SHARE, _HOPELESS_SHARE = 0.7, 0.2
-#: The permission to leave lasts for this time, s.
-_LEAVE_TIME_S = 10.0
 
 
 class Motion(NamedTuple):
@@ -125,7 +123,7 @@ class SingularityMonitor:
     def go_on(self, dt_s: float) -> None:
         """Count a tick on the way out; the permission ends after ten seconds."""
         self._left_s += dt_s
-        if self._left_s > _LEAVE_TIME_S:
+        if self._left_s > 10.0:
             self.leaving = False
 
     def check(self, value: float, config: SupervisorConfig) -> Finding | None:

@@ -26,14 +26,7 @@ from fvs_ros import clock, ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
 
-_LOOK_PERIOD_S = 0.5
 _NEVER_RAN = "no robot_program_running yet: start the robot program if the arm does not move"
-#: Own commands that are remembered, to tell another node's from them.
-_SENT = 64
-#: Tick periods without a joint state after which the watchdog ticks in its place.
-_WATCHDOG_PERIODS = 2.5
-#: Least time between two log lines of what passes by itself, s; it is logged when it lasts, s.
-_LOG_AGAIN_S, _LASTS_S = 10.0, 1.0
 _LATE = (Reason.STALE, Reason.RETURNING)
 #: A latched target is heard by both subscriptions, within this.
 _TARGET_ECHO_S = 0.5
@@ -66,14 +59,12 @@ class ControllerNode(ros.FvsNode):
         self._late = 0
         self._heard_target: tuple | None = None
         self._heard_target_s = -np.inf
-        self._unlogged = ""  # of a target that moves, where it was accepted last
         self._refusal = ""
         self._conflicting = ""
         self._silence = ""  # of a driver that has never said whether the robot program runs
         self._hears_others = False
-        self._sent: deque[tuple[float, ...]] = deque(maxlen=_SENT)
+        self._sent: deque[tuple[float, ...]] = deque(maxlen=64)  # own commands
         self._command: Command | None = None
-        self._reason_s = -np.inf  # since when it is the reason
         self._logged: Reason | None = None
         self._logged_passing_s = -np.inf
 
@@ -94,7 +85,7 @@ class ControllerNode(ros.FvsNode):
         )
         self.create_timer(self._period_s, self._watchdog, clock=self.steady_clock)
         self.create_timer(ros.STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
-        self.create_timer(_LOOK_PERIOD_S, self._look_around, clock=self.steady_clock)
+        self.create_timer(0.5, self._look_around, clock=self.steady_clock)
 
     # --- inputs ---
 
@@ -156,10 +147,8 @@ class ControllerNode(ros.FvsNode):
         now_s = self.now_s()
         # Latched samples come twice, and once more whenever the publisher is found again. Without a
         # stamp, as `ros2 topic pub` sends it, only the quick echo is told from a new wish.
-        stamped = bool(stamp.sec or stamp.nanosec)
-        echo = stamped or now_s - self._heard_target_s < _TARGET_ECHO_S
-        again = heard == self._heard_target and echo
-        seldom = now_s - self._heard_target_s > _TARGET_ECHO_S
+        stamped, soon = any(heard[3:5]), now_s - self._heard_target_s < _TARGET_ECHO_S
+        again = heard == self._heard_target and (stamped or soon)
         self._heard_target, self._heard_target_s = heard, now_s
         position_m = np.array([point.x, point.y, point.z])
         if again and not self._loop.supervisor.goal.was_set(position_m):
@@ -170,8 +159,7 @@ class ControllerNode(ros.FvsNode):
         if again:  # said again, a moving target has stopped: that is all
             return
         self._refusal = "" if accepted else text
-        self._unlogged = text if accepted and not seldom else ""
-        if not self._unlogged:  # a target on its way would fill the log
+        if not (accepted and soon):  # a target on its way would fill the log
             self.tell(ros.OK if accepted else ros.WARN, text)
 
     def _take_current_as_target(self) -> tuple[bool, str]:
@@ -208,7 +196,7 @@ class ControllerNode(ros.FvsNode):
 
     def _watchdog(self) -> None:
         now_s = self.now_s()
-        if now_s - self._ticked_s > _WATCHDOG_PERIODS * self._period_s:
+        if now_s - self._ticked_s > 2.5 * self._period_s:
             self._late += 1
             self._tick(now_s, now_s - self._ticked_s)
 
@@ -224,7 +212,6 @@ class ControllerNode(ros.FvsNode):
             )
         previous, self._command = self._command, command
         if previous is None or previous.reason is not command.reason:
-            self._reason_s = now_s
             self._publish_status()
         if command.reason is not self._logged:
             self._tell_reason(now_s, command)
@@ -234,7 +221,7 @@ class ControllerNode(ros.FvsNode):
     def _tell_reason(self, now_s: float, command: Command) -> None:
         passes = command.state is State.HOLDING or command.reason in _LATE
         if passes and not command.reason.needs_start:
-            if now_s < min(self._logged_passing_s + _LOG_AGAIN_S, self._reason_s + _LASTS_S):
+            if now_s < self._logged_passing_s + 10.0:  # what passes by itself would fill the log
                 return
             self._logged_passing_s = now_s
         self._logged = command.reason
@@ -246,9 +233,6 @@ class ControllerNode(ros.FvsNode):
         return clock.blamed(command.text) if command.reason in _LATE else command.text
 
     def _publish_status(self) -> None:
-        if self._unlogged and self.now_s() - self._heard_target_s > _TARGET_ECHO_S:
-            self.tell(ros.OK, self._unlogged)  # it has arrived
-            self._unlogged = ""
         command = self._command
         if command is None:
             return

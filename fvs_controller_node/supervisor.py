@@ -32,12 +32,6 @@ from fvs_ros.vectors import all_finite, largest, length
 #: A tick counts for at most this long, s: a late one must not make a big step.
 MAX_TICK_S = 0.05
 
-#: Speed that is left just before the arm is held, as a share.
-_SLOWEST_SHARE = 0.25
-
-#: Speed at which the arm leaves a singular pose on request, rad/s.
-_LEAVE_RAD_S = 0.1
-
 _PAUSES = (Reason.PROGRAM_STOPPED, Reason.SPEED_SCALING_ZERO)
 
 #: Asks the law: (error (m,) m, last command (n,) rad/s, dt s) -> its output.
@@ -45,27 +39,13 @@ Propose = Callable[[np.ndarray, np.ndarray, float], ControlOutput]
 
 
 class Command(NamedTuple):
-    """What leaves the controller at one tick.
+    """What leaves the controller at one tick."""
 
-    Parameters
-    ----------
-    velocity_rad_s : ndarray, shape (n,)
-        Joint velocities in kinematic order, rad/s; always finite.
-    state : State
-        The supervisor's state.
-    finding : Finding
-        Why.
-    active_limit : str
-        Limits that shaped the command, comma separated; empty if none did.
-    output : ControlOutput or None
-        The law's answer; None when it was not asked.
-    """
-
-    velocity_rad_s: np.ndarray
+    velocity_rad_s: np.ndarray  #: joint velocities, (n,), in kinematic order; always finite
     state: State
-    finding: Finding
-    active_limit: str
-    output: ControlOutput | None
+    finding: Finding  #: why
+    active_limit: str  #: limits that shaped the command, comma separated; empty if none did
+    output: ControlOutput | None  #: the law's answer; None when it was not asked
 
     @property
     def reason(self) -> Reason:
@@ -331,7 +311,7 @@ class Supervisor:
         share, slowed = _speed_share(self.inputs.conditioning.smallest, ratio, self.config)
         fast = self.config.speed.max_joint_velocity_rad_s * share
         if self._singularity.leaving:
-            fast = min(fast, _LEAVE_RAD_S)
+            fast = min(fast, 0.1)
             self._singularity.go_on(dt_s)
         wanted = np.asarray(output.velocity_rad_s, dtype=float)
         active = self._limiter.move(wanted, joints, dt_s, self.config, fast, self._pending)
@@ -389,8 +369,8 @@ class Supervisor:
             "exponent_{}": None if last.output is None else last.output.exponent,
         }
         for name, vector in vectors.items():
-            numbers = [nan] * len("xyz") if vector is None else vector.tolist()
-            values |= dict(zip(map(name.format, "xyz"), numbers, strict=True))
+            for place, axis in enumerate(self.config.axes):
+                values[name.format(axis)] = nan if vector is None else float(vector[place])
         return values
 
 
@@ -422,7 +402,7 @@ def _speed_share(
     if error_ratio > config.prediction_slow:
         share *= _ramp(error_ratio, config.prediction_hold, config.prediction_slow)
         active.append(f"prediction error ({error_ratio:.2f})")
-    return max(share, _SLOWEST_SHARE), active
+    return max(share, 0.25), active  # that is left just before the arm is held
 
 
 def _ramp(value: float, at_zero: float, at_one: float) -> float:

@@ -21,8 +21,6 @@ from fvs_ros.vectors import length
 
 #: Updates that make a motion, and most that are kept.
 _LEAST, _MOST = 3, 64
-#: Highest degree of the motion that is believed.
-_PARABOLA = 2
 #: A term of a polynomial is believed where it is larger than this times what noise makes of it, in
 #: the mean of the squares of its coordinates: noise alone is one time in a hundred.
 _SIGNIFICANT = 3.8
@@ -35,12 +33,6 @@ _LEAST_NOISE_M, _SUPPOSED_M, _SUPPOSED, _REMEMBERED = 5e-6, 2e-3, 4, 200
 _WINDOW_S, _WINDOW, _LONGER = 0.15, 5, 1.6
 #: Updates further apart than this are two targets, s.
 _MAX_GAP_S = 0.25
-#: No target goes further than this between two updates: it is another one, m.
-_JUMP_M = 0.05
-#: No target that an arm could go along with is faster, m/s.
-_FASTEST_M_S = 1.0
-#: Without a further update a motion goes on for this count of intervals.
-_INTERVALS = 3.0
 #: A stamp further than this from the joint states' is of another clock, s.
 _OWN_CLOCK_S = 0.2
 
@@ -74,7 +66,7 @@ class TargetMotion:
             return False
         last_s, last = self._updates[-1]
         soon = -_OWN_CLOCK_S < now_s - last_s < _MAX_GAP_S
-        return soon and length(position_m - last) < _JUMP_M
+        return soon and length(position_m - last) < 0.05  # further off it is another target
 
     def overtaken(self, position_m: np.ndarray, now_s: float) -> bool:
         """Whether an update, m, (m,), of a time, s, comes after a newer one of the same way."""
@@ -150,7 +142,7 @@ class TargetMotion:
         since_s, curve = now_s - last_s, self._curve
         standing = Target(last, np.zeros_like(last))
         # A target stamped a little ahead of the joint states is looked back at.
-        longest_s = self._age_s + min(_MAX_GAP_S, _INTERVALS * self._interval_s)
+        longest_s = self._age_s + min(_MAX_GAP_S, 3.0 * self._interval_s)
         if curve is None or not -_OWN_CLOCK_S < since_s < longest_s:
             return standing
         if len(curve) == 1:
@@ -161,7 +153,8 @@ class TargetMotion:
             bent_s = min(since_s, self._age_s + self._interval_s)
             position += bent_s * (2.0 * since_s - bent_s) * curve[2]
             velocity += 2.0 * bent_s * curve[2]
-        return standing if length(velocity) > _FASTEST_M_S else Target(position, velocity)
+        # No arm could go along with one that is faster than 1 m/s.
+        return standing if length(velocity) > 1.0 else Target(position, velocity)
 
 
 def _polynomial(
@@ -172,7 +165,7 @@ def _polynomial(
     Where none leaves over no more than noise, the highest and an infinite variance.
     """
     count = len(times_s)
-    most = min(_PARABOLA + 1, count - 1)
+    most = min(3, count - 1)  # a parabola
     basis, factor = np.linalg.qr(np.vander(times_s, min(most + 1, count), increasing=True))
     parts = basis.T @ places_m
     # The parts are of orthonormal polynomials: where there is only noise, each has its variance.

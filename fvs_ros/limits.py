@@ -12,13 +12,6 @@ from fvs_ros.joints import UR_POSITION_LIMITS_RAD
 from fvs_ros.params import ParameterError, Parameters, parameter
 from fvs_ros.vectors import largest
 
-#: Share of the acceleration limit that braking is planned with; the rest is for the robot's lag.
-_BRAKING_SHARE = 0.6
-
-#: A joint nears its limit at no more than this times the distance, 1/s: with the robot's lag of
-#: 35 ms a faster approach would pass it.
-_APPROACH_RATE_1_S = 5.0
-
 
 def limit_speed(velocity: np.ndarray, max_speed: float) -> np.ndarray:
     """Scale the command as a whole so that no joint is faster than ``max_speed``."""
@@ -31,7 +24,8 @@ def limit_speed(velocity: np.ndarray, max_speed: float) -> np.ndarray:
 
 def braking_speed(travel_rad: float, max_acceleration: float) -> float:
     """Find the speed from which a joint can brake within ``travel_rad``, rad/s."""
-    return (2.0 * _BRAKING_SHARE * max_acceleration * travel_rad) ** 0.5
+    # With 0.6 of the limit: the rest is for the robot's lag.
+    return (2.0 * 0.6 * max_acceleration * travel_rad) ** 0.5
 
 
 def limit_acceleration(velocity: np.ndarray, last: np.ndarray, max_step: float) -> np.ndarray:
@@ -161,7 +155,8 @@ class JointRange(Parameters):
         """
         slowed: list[int] = []
         values = velocity.tolist()
-        slope = min(max_speed / self.joint_limit_margin_rad, _APPROACH_RATE_1_S)
+        # With the robot's lag of 35 ms a faster approach than 5 times the distance would pass it.
+        slope = min(max_speed / self.joint_limit_margin_rad, 5.0)
         both = zip(values, joints.tolist(), pending_rad.tolist(), strict=True)
         for i, (v, q, ahead) in enumerate(both):
             room = self.joint_max_rad[i] - q if v > 0.0 else q - self.joint_min_rad[i]

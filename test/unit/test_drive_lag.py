@@ -58,20 +58,6 @@ def test_noise_of_encoders_is_averaged_where_the_arm_rests_and_hides_no_motion()
     assert np.abs(seen[1600:] - true[1600:]).max() < 5e-4
 
 
-@pytest.mark.parametrize("set_to_s", [-10.0, 10.0])
-def test_what_is_pending_is_what_was_told_within_the_lag_and_a_clock_that_is_set_is_none(set_to_s):
-    lag = DriveLag()
-    assert not lag.pending_rad().any()
-    for tick, speed in enumerate((0.0, 0.0, 1.0, 2.0, 3.0, 4.0)):
-        lag.add(tick * DT_S, np.full(6, speed), np.zeros(6), compare=False)
-    np.testing.assert_allclose(
-        lag.pending_rad(), (4.0 + 3.0 + 2.0) * DT_S + 1.0 * (lag.lag_s - 3 * DT_S)
-    )
-    lag.add(set_to_s, np.full(6, 4.0), np.zeros(6))
-    assert not lag.pending_rad().any()
-    assert lag.lag_s == DriveLag().lag_s
-
-
 def test_one_can_brake_from_the_braking_speed_tick_by_tick():
     for travel in (1e-4, 1e-2, 0.3):
         speed = braking_speed_within(travel, 5.0, DT_S)

@@ -17,18 +17,6 @@ def heard(times_s):
     return monitor
 
 
-def test_a_late_input_is_named_with_its_limit_until_five_come_in_time():
-    monitor = heard([0.0, 0.25, 0.5])
-    assert (
-        "ball_position is 0.25 s old (ball_max_age_s is 0.20 s); is the" in monitor.find(0.75).text
-    )
-    for count, time_s in enumerate((0.8, 0.9, 1.0, 1.1), 1):
-        monitor.good(time_s)
-        assert f"{count} of 5" in monitor.find(time_s + 0.01).text
-    monitor.good(1.2)
-    assert monitor.find(1.3) is None
-
-
 def test_the_sources_own_words_are_the_hint_while_they_are_new():
     monitor = heard(np.arange(0.0, 1.0, 0.1))
     monitor.source_says(1.5, "waiting for ball_position")

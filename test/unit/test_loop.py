@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from fvs_controller_node.base import Change
 from fvs_controller_node.config import default_values
 from fvs_controller_node.loop import ServoLoop
-from fvs_controller_node.reasons import Reason, State
+from fvs_controller_node.reasons import Reason
 from fvs_ros.chain import SerialChain
 
 HOME = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
@@ -111,26 +110,6 @@ def test_a_moving_target_is_tracked_and_the_watch_on_its_error_goes_on(servoing)
     np.testing.assert_allclose(velocity, [0.25, 0.0, 0.0], atol=1e-6)
 
 
-@pytest.mark.parametrize("noise_m", [0.0, 0.0015])
-def test_a_target_that_is_told_again_and_again_hides_no_wrong_motion(servoing, noise_m):
-    rng = np.random.default_rng(1)
-    loop, target = servoing.loop, np.array([0.0, 0.0, 1.1])
-    for k in range(round(6.0 / DT_S)):
-        if k % 4 == 0:
-            loop.add_target(target + noise_m * rng.normal(size=3), FRAME, servoing.now_s)
-        loop.add_jacobian(servoing.now_s, JACOBIAN)
-        servoing.now_s += DT_S
-        loop.add_joints(servoing.now_s, servoing.now_s, servoing.joints)
-        ball = np.array([0.0, 0.0, 1.0 - 0.1 * k * DT_S])
-        loop.add_ball(servoing.now_s, servoing.now_s - 0.02, ball)
-        command = loop.tick(servoing.now_s, DT_S)
-        servoing.joints = servoing.joints + DT_S * command.velocity_rad_s
-        if command.state is State.HOLDING:
-            break
-    assert command.reason.needs_start
-    assert k * DT_S < 2.0
-
-
 def test_the_current_position_as_target_stands_also_while_the_target_moves(servoing):
     loop = servoing.loop
     for k in range(12):
@@ -157,46 +136,6 @@ def test_an_overtaken_target_is_passed_over_whether_the_newer_one_stands_or_move
     for _ in range(50):
         servoing.tick()
     np.testing.assert_allclose(loop.supervisor.goal.target_m, newer, atol=1e-9)
-
-
-@pytest.mark.parametrize("along", [True, False])
-def test_a_target_is_a_new_one_unless_something_goes_along_with_it(along):
-    cell, told = Cell(target_feed_forward=along), []
-    cell.begin()
-    command = cell.loop.law.command
-    cell.loop.law.command = lambda one: (told.append(one.change), command(one))[1]
-    for k in range(5):
-        target = np.array([0.1 + 0.002 * k, 0.0, 1.1])
-        assert cell.loop.add_target(target, FRAME, cell.now_s)[0]
-        cell.tick()
-    assert told.count(Change.TARGET) == (1 if along else 5)
-    assert cell.loop.set_current_as_target(cell.now_s)[0]
-    cell.tick()
-    assert told[-1] is Change.TARGET
-
-
-@pytest.mark.parametrize(
-    "values", [{"law": "minimum_time"}, {"redundancy_resolution": "least_speed"}, {}]
-)
-def test_at_least_speeds_what_goes_along_with_a_target_leads_back_to_the_posture(values):
-    cell = Cell(**values)
-    cell.jacobian = np.hstack([np.eye(3), np.eye(3)]) * 0.5
-    cell.begin()
-    told = []
-    command = cell.loop.law.command
-    cell.loop.law.command = lambda one: (told.append(one), command(one))[1]
-    cell.joints = HOME + [0.05, 0.0, 0.0, -0.05, 0.0, 0.0]  # does not move the ball
-    for k in range(12):
-        cell.tick()
-        target = np.array([0.2, 0.1 + 0.002 * k, 1.2])
-        assert cell.loop.add_target(target, FRAME, cell.now_s)[0]
-    ahead_rad_s = told[-1].feed_forward_rad_s
-    np.testing.assert_allclose(cell.loop.jacobian @ ahead_rad_s, [0.0, 0.25, 0.0], atol=1e-3)
-    if values:
-        assert ahead_rad_s[0] < -0.02
-        assert ahead_rad_s[3] > 0.02
-    else:
-        np.testing.assert_allclose(ahead_rad_s[[0, 3]], 0.0, atol=1e-9)
 
 
 def test_the_posture_to_come_back_to_is_that_of_the_last_start(servoing):

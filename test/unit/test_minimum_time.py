@@ -74,13 +74,6 @@ def test_near_and_far_targets_lead_back_to_the_posture_of_the_start(way_m):
     assert arm.away_rad < 0.8 * before_rad
 
 
-def test_at_a_target_that_stands_nothing_leads_anywhere():
-    joints = away_from_home()
-    arm = Following(joints)
-    arm.run(500)
-    np.testing.assert_allclose(arm.joints, joints, atol=1e-4)
-
-
 def test_the_goal_goes_along_with_a_moving_target():
     """What leads along is not undone, wherever it takes the joints that do not move the ball."""
     arm = Following(away_from_home())
