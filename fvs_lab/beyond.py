@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.distilling import train_structured
-from fvs_estimator_node.model_file import save_model
 from fvs_lab import beyond_runs as moved
 from fvs_lab import contestants as who
 from fvs_lab import experiment as lab
@@ -31,11 +29,9 @@ _JOURNEYS_SEED, _PATHS_SEED, _SEARCH_SEED = 505, 405, 8
 _EXACT = {"rendered": False}
 #: Searched gains are for speed alone, within the limits that all have.
 _REGIME = REGIMES[0]
-#: All of it on one core of a desktop computer, minutes.
-_ALL_MIN = 140.0
+#: Contestants that are judged by moved cameras, the first ones.
+_JUDGED = 2
 _LIMITS = Limits(who.SPEED_RAD_S, who.ACCELERATION_RAD_S2)
-#: Targets of the spot check, and contestants that are judged by moved cameras, the first ones.
-_TARGETS, _JUDGED = 4, 2
 #: Worlds of the spot check by the words behind the scheme's name.
 CHECKED = {
     "": Conditions(),
@@ -47,8 +43,8 @@ CHECKED = {
 def measure(context: lab.Context) -> lab.Found:
     """Measure all parts; each row's ``part`` says of which one it is."""
     count = context.count(60, 1)
-    if not context.quick:
-        print(f"   about {_ALL_MIN * count / 60 / context.jobs:.0f} minutes", flush=True)
+    if not context.quick:  # 140 minutes on one core of a desktop computer
+        print(f"   about {140 * count / 60 / context.jobs:.0f} minutes", flush=True)
     cases = make_cases("B", count, _SCORING_SEED)
     found = _searched(context)
     minutes = context.map(moved.learn, _minutes(context, max(1, count // 3)), "minutes of data")
@@ -79,25 +75,20 @@ def measure(context: lab.Context) -> lab.Found:
         "worlds_visited": who.WORLDS,
         "searches": {name: [one.summary() for one in ones] for name, ones in found.items()},
         "floors": floors,
-        "spot_check": spot_checks(context, checked, cases[:_TARGETS], _NAME),
+        "spot_check": spot_checks(context, checked, cases[:4], _NAME),
     }
     return lab.Found(runs, _facts(context, runs, floors), data)
 
 
 def _facts(context: lab.Context, runs: Results, floors: Sequence[Floor]) -> dict[str, Any]:
     later = runs.where(part="rendered").groups("scheme")
-    later_ms = {name: ones.median("later_s").value * 1e3 for name, ones in later.items()}
-    own, fitted = (
-        [value for name, value in later_ms.items() if name.endswith(who.MINUTES) is minutes]
-        for minutes in (False, True)
-    )
+    later_ms = [1e3 * ones.median("later_s").value for ones in later.values()]
     return {
         "rendered": context.rendered,
         "moved": moved,
         "seeds": SEEDS,
         "spare_m": SPARE_M,
-        "later_ms": (min(own), max(own)),
-        "minutes_ms": (min(fitted), max(fitted)),
+        "later_ms": (min(later_ms), max(later_ms)),
         "count": len(floors),
         "pictured": len(later[who.BEST]),
         "minutes": len(runs.where(part="minute")),
@@ -180,22 +171,16 @@ def _over_floors(races: Results, cases: Sequence[Case], floors: Sequence[Floor])
 
 
 def _rendered(context: lab.Context, cases: Sequence[Case], races: Results) -> Results:
-    """With rendered images, and with a model fitted to a minute in place of the shipped one."""
-    duration_s = moved.MINUTE_S / 6 if context.quick else moved.MINUTE_S
-    minute = moved.Minute(_MINUTES_SEED, duration_s, context.conditions(), moved.draw_places(0, 0))
-    path = context.folder(_NAME) / "minute.npz"
-    save_model(path, train_structured(moved.record(minute)[0], seed=minute.seed))
-    variants = [who.variant(name) for name in who.SEEN]
-    own = context.run(variants, cases, "with images")
-    fitted = context.run(variants[:_JUDGED], cases, "with a minute's model", model=str(path))
+    """With rendered images: how much later than in the race, and the rest error over the noise."""
+    own = context.run([who.variant(name) for name in who.SEEN], cases, "with images")
     raced = races.groups("scheme", "case")
     rows = []
-    for row, end in (*((row, "") for row in own), *((row, who.MINUTES) for row in fitted)):
+    for row in own:
         before_s = raced[row["scheme"], row["case"]].rows[0]["to_5mm_s"]
         # Two that never settle are alike.
         later_s = 0.0 if row["to_5mm_s"] == before_s else row["to_5mm_s"] - before_s
-        labels = {"part": "rendered", "scheme": row["scheme"] + end, "later_s": later_s}
-        rows.append({**row, **labels, "rms_sigma": row["final_rms_m"] / who.SIGMA_M})
+        sigma = row["final_rms_m"] / who.SIGMA_M
+        rows.append({**row, "part": "rendered", "later_s": later_s, "rms_sigma": sigma})
     return Results(rows)
 
 
@@ -249,19 +234,8 @@ _MINUTE = {
 }
 #: What the fit says of its error may be larger or smaller by this factor.
 HONEST = 2.0
-#: Settling time over the physical floor.
-OVER_FLOOR = 1.15
-#: Share of the cases in which a camera that was moved must not cost the pace.
-KEPT_SHARE = 0.95
-#: True error at rest over the sensor's noise, and settling time over that without latency.
-REST_SIGMA, SLOWED = 0.4, 1.1
-#: Noise of a real robot's encoders, the jitter that it may make, rad/s; and the settling time over
-#: that without it.
-ENCODERS, CALM_ENOUGH_RAD_S, AS_SOON = "0.2 mrad", 0.002, 1.05
 #: Share of the cases that must settle in each of the other worlds, and of honest fits.
 MOST = 0.9
-#: Speed at which tracking is judged, m/s, and what feed-forward must leave of the error.
-TRACKING_M_S, LEFT = 0.1, 1.0 / 3.0
 
 
 def claims(found: lab.Found) -> Iterator[lab.Claim]:
@@ -277,9 +251,7 @@ def claims(found: lab.Found) -> Iterator[lab.Claim]:
         "honest", lab.OURS, [lab.share_above(label, wilson(honest, len(honesty)), MOST)]
     )
     over = races[who.BEST].median("over_5mm")
-    yield lab.Claim(
-        "best", lab.OURS, [lab.below("settling to 5 mm over the floor", over, OVER_FLOOR)]
-    )
+    yield lab.Claim("best", lab.OURS, [lab.below("settling to 5 mm over the floor", over, 1.15)])
     yield lab.Claim("extended", lab.OURS, [_faster(races, who.EXTENDED, name) for name in SCHEMES])
     for sliding, terms in (
         (who.SLIDING, "for speed alone"),
@@ -292,11 +264,11 @@ def claims(found: lab.Found) -> Iterator[lab.Claim]:
     for moment in moved.MOMENTS[1:]:
         for name in (who.BEST, who.EXTENDED):
             share = parts["camera"].where(moment=moment, scheme=name).share("kept")
-            part = lab.share_above("cases that keep the pace", share, KEPT_SHARE)
+            part = lab.share_above("cases that keep the pace", share, 0.95)
             yield lab.Claim("camera", lab.OURS, [part], given={"scheme": name, "moment": moment})
     pictured = parts["rendered"].groups("scheme")
     rest = [
-        lab.below(f"{name}: rms over σ", pictured[name].median("rms_sigma"), REST_SIGMA)
+        lab.below(f"{name}: rms over σ", pictured[name].median("rms_sigma"), 0.4)
         for name in (who.EXTENDED, who.BEST)
     ]
     yield lab.Claim("rest", lab.OURS, rest)
@@ -340,7 +312,7 @@ def _world_claims(worlds: Results) -> Iterator[lab.Claim]:
             lab.below(
                 f"settling time at {label} over that without",
                 visited[name, "latency", label].over(visited[name, "latency", without], "to_5mm_s"),
-                SLOWED,
+                1.1,
             )
             for label in latencies
             if (name, "latency", label) in visited
@@ -351,12 +323,12 @@ def _world_claims(worlds: Results) -> Iterator[lab.Claim]:
         for (kind, label, scheme), runs in worlds.groups("kind", "label", "scheme").items()
     ]
     yield lab.Claim("worlds", lab.OURS, shares)
-    shaken = visited.get((who.BEST, "encoders", ENCODERS))
+    shaken = visited.get((who.BEST, "encoders", "0.2 mrad"))
     if shaken:
         usual = visited[who.BEST, who.USUAL.kind, who.USUAL.label]
         parts = [
-            lab.below("jitter", shaken.median("jitter_rad_s"), CALM_ENOUGH_RAD_S, 1e3, " mrad/s"),
-            lab.below("settling time over that without", shaken.over(usual, "to_5mm_s"), AS_SOON),
+            lab.below("jitter", shaken.median("jitter_rad_s"), 0.002, 1e3, " mrad/s"),
+            lab.below("settling time over that without", shaken.over(usual, "to_5mm_s"), 1.05),
         ]
         yield lab.Claim("encoders", lab.OURS, parts)
 
@@ -365,11 +337,11 @@ def _tracking(runs: Results) -> list[lab.Part]:
     found = []
     for name in who.FOLLOWERS:
         with_it, alone = (
-            runs.where(scheme=name, speed_m_s=TRACKING_M_S, feed_forward=feed_forward)
+            runs.where(scheme=name, speed_m_s=0.1, feed_forward=feed_forward)
             for feed_forward in (True, False)
         )
         found.append(
-            lab.below(f"{name}: error over that alone", with_it.over(alone, "rms_m"), LEFT)
+            lab.below(f"{name}: error over that alone", with_it.over(alone, "rms_m"), 1.0 / 3.0)
         )
     return found
 
@@ -434,8 +406,6 @@ TABLES = (
         {"part": "tracking"},
     ),
 )
-#: What is slower than this, or never settles, stands here.
-_SLOWEST = 8.0
 
 
 def figures(found: lab.Found) -> Iterator[lab.Drawn]:
@@ -443,7 +413,7 @@ def figures(found: lab.Found) -> Iterator[lab.Drawn]:
     runs = found.runs.where(part="race")
     figure, (axes,) = draw.grid(1, 3, (14.0, 6.0), sharey=True)
     for axis, column in zip(axes, ("over_5mm", "over_2mm"), strict=False):
-        draw.dots_of(axis, runs, "scheme", column, _SLOWEST, named=axis is axes[0])
+        draw.dots_of(axis, runs, "scheme", column, 8.0, named=axis is axes[0])
         axis.axvline(1.0, color="black", linewidth=0.8)
         draw.plain_ticks(axis, (1, 1.5, 2, 3, 5, 8))
     draw.dots_of(axes[2], runs, "scheme", "jitter_rad_s", named=False)

@@ -142,15 +142,10 @@ def assess(task: tuple[str, Minute]) -> dict[str, Any]:
 
 # ---- moved cameras --------------------------------------------------------------------------
 
-TURN_DEG, SHIFT_M = 45.0, 0.1
-#: How far the axis of the turn is off the optical axis, a standard deviation of each part.
-_TILT = 0.1
 #: In motion the blow comes this time after the target, s.
 STRUCK_AFTER_S = 0.3
-#: How long the camera is carried, and how long the arm stands before and after, s.
-CARRIED_S, _STOPPED_S = 2.0, 0.5
-#: To the first target; at rest there after a blow; from the second target on, s.
-_FIRST_S, REST_S, SECOND_S = 1.6, 1.0, 3.5
+#: How long the camera is carried, and how long the arm rests at the first target after a blow, s.
+CARRIED_S, REST_S = 2.0, 1.0
 #: A run after a blow to the camera keeps its pace if it takes no longer than this ratio.
 KEPT = 1.2
 
@@ -181,9 +176,10 @@ def draw_journeys(
     pairs: list[tuple[trials.Case, trials.Bump]] = []
     while len(pairs) < count:
         case = trials.make_cases(f"C{len(pairs) + 1}-", 1, int(rng.integers(2**31)))[0]
-        axis = np.append(_TILT * rng.normal(size=2), rng.choice([-1.0, 1.0]))
+        # About the optical axis, but for a tenth.
+        axis = np.append(0.1 * rng.normal(size=2), rng.choice([-1.0, 1.0]))
         shift = rng.normal(size=3)
-        bump = trials.Bump(STRUCK_AFTER_S, _vector(axis, TURN_DEG), _vector(shift, SHIFT_M))
+        bump = trials.Bump(STRUCK_AFTER_S, _vector(axis, 45.0), _vector(shift, 0.1))
         if _seen_after(bump, case):
             pairs.append((case, bump))
     return [
@@ -220,11 +216,11 @@ def run_journey(journey: Journey) -> dict[str, Any]:
     first_m = simulation.world.ball_position()
     simulation.reset(case.goal_rad, case.seed)
     second_m = simulation.world.ball_position()
-    trial = variant(journey.name).trial(case, journey.conditions, duration_s=SECOND_S)
+    trial = variant(journey.name).trial(case, journey.conditions, duration_s=3.5)
     loop = trial.loop(simulation)
     loop.run(trials.PRELUDE_S)
     loop.set_target(simulation.camera.to_camera(first_m))
-    loop.run(_FIRST_S)
+    loop.run(1.6)
     if moment == AT_REST:
         bump.strike(simulation)
     elif moment == CARRIED:
@@ -242,12 +238,12 @@ def run_journey(journey: Journey) -> dict[str, Any]:
 def _carry(bump: trials.Bump, loop: ClosedLoop) -> None:
     """Stop the arm and carry the camera evenly to where a blow would throw it."""
     loop.loop.supervisor.stop()
-    loop.run(_STOPPED_S)
+    loop.run(0.5)
     ticks = round(CARRIED_S / loop.period_s)
     for _ in range(ticks):
         bump.strike(loop.simulation, ticks)
         loop.tick()
-    loop.run(_STOPPED_S)
+    loop.run(0.5)
 
 
 def with_slowdown(arrivals: Results) -> Results:
@@ -273,8 +269,6 @@ def with_slowdown(arrivals: Results) -> Results:
 LINE, CIRCLE = "line", "circle"
 RADIUS_M = 0.08
 SPEEDS_M_S = (0.02, 0.05, 0.1, 0.2, 0.3)
-#: Least and largest distance of a line's ends, m.
-_LINE_M = (0.45, 0.6)
 #: Longest run, and its beginning, which does not count, by kind, s.
 LONGEST_S = {LINE: 3.0, CIRCLE: 4.0}
 START_S = {LINE: 0.8, CIRCLE: 1.5}
@@ -328,7 +322,7 @@ def draw_paths(count: int, seed: int) -> list[Path]:
         return simulation.true_ball_position()
 
     paths = []
-    for case in trials.make_cases("L", count, seed, *_LINE_M):
+    for case in trials.make_cases("L", count, seed, low_m=0.45, high_m=0.6):
         start_m, goal_m = ball_m(case.start_rad), ball_m(case.goal_rad)
         length_m = float(np.linalg.norm(goal_m - start_m))
         along = (goal_m - start_m) / length_m

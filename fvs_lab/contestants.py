@@ -84,8 +84,8 @@ OTHERS = tuple(
     for one in (*TUNED.values(), *CALM.values())
     if one.law != BEYOND[EXTENDED].law and one.method != "oracle"
 )
-#: Racing with rendered images, too, and the end of the names of those with another model.
-SEEN, MINUTES = (BEST, EXTENDED, PROPOSED, "rbf+pid"), ", a minute's model"
+#: Racing with rendered images, too.
+SEEN = (BEST, EXTENDED, PROPOSED, "rbf+pid")
 
 
 @dataclass(frozen=True)

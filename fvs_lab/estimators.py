@@ -25,8 +25,6 @@ _BIN_S = 0.5
 FAST_N1, FAST_PROCESS_NOISE = 3.0, 10.0
 #: Standard deviation of an entry of a Jacobian that begins at zero, m/rad.
 IGNORANCE_M_RAD = 0.5
-#: Two filters that differ by less than this are one, m/rad.
-_SAME_M_RAD = 1e-9
 
 # ---- contestants ----------------------------------------------------------------------------
 
@@ -312,7 +310,7 @@ def claims(found: lab.Found) -> Iterator[lab.Claim]:
 
 def _ukf_parts(runs: Results, judge_of: _Judge) -> list[lab.Part]:
     difference = max(runs.values("lkf_difference_m_rad"))
-    if difference < _SAME_M_RAD:
+    if difference < 1e-9:  # one filter
         text = f"{difference:.1g} m/rad: they are the same filter"
         return [lab.Part("largest difference of any entry of their Jacobians", text, False)]
     starts = ("explored", "model")

@@ -210,8 +210,6 @@ class Found:
     facts: Mapping[str, Any] = field(default_factory=dict)
     #: What else goes to results.json: seeds, cases, parameters.
     data: Mapping[str, Any] = field(default_factory=dict)
-    #: What else figures and claims need.
-    extra: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

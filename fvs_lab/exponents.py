@@ -39,7 +39,7 @@ WORLDS: dict[str, dict[str, Any]] = {
 }
 SILENT, NOISY = WORLDS
 IMPLICIT, LITERAL = "implicit", "as printed"
-ADAPTIVE, ADAPTIVE_LARGE = "0.1 → 0.5", "0.375 → 0.9"
+ADAPTIVE = "0.1 → 0.5"
 ADAPTIVE_SCALED = f"0.375 → 0.9, faster (α2, α3 × {SCALE:g})"
 #: The law as printed with the reaching gains of the implicit form.
 UNSTABLE = "0.5, reaching gains of the implicit form"
@@ -59,7 +59,6 @@ def variants() -> list[Variant]:
             for one in EXPONENTS[::2] if (world, form) == (NOISY, LITERAL) else EXPONENTS:
                 values[form, f"{one:g}"] = {**gains, "lambda1": one, "lambda2": 0.0}
             values[form, ADAPTIVE] = {**gains, **SMALL_TO_HALF}
-        values[IMPLICIT, ADAPTIVE_LARGE] = {**implicit, **LARGE}
         values[IMPLICIT, ADAPTIVE_SCALED] = {**implicit, **LARGE, **faster}
         if world == SILENT:
             values[LITERAL, UNSTABLE] = {**values[IMPLICIT, "0.5"], "discretisation": "literal"}

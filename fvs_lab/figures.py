@@ -33,8 +33,6 @@ COLOURS = {
     "rls": "#E69F00",
     "broyden": "#CC79A7",
 }
-#: For those that have no colour of their own.
-_SPARE = ("#56B4E9", "#8C564B", "#999999")
 
 
 def pyplot():
@@ -75,16 +73,6 @@ def grid(rows: int, columns: int, size: tuple[float, float], **shared: Any):
 def colour_of(name: str) -> str:
     """The laboratory's colour of a scheme: ``best`` and ``best, tuned`` have the same."""
     return COLOURS.get(re.split("[, ]", name)[0], COLOURS["frozen"])
-
-
-def colours_of(names: Sequence[str]) -> dict[str, str]:
-    """A colour of its own for each, the laboratory's where there is one."""
-    colours: dict[str, str] = {}
-    spare = iter(_SPARE * len(names))
-    for name in names:
-        own = COLOURS.get(name.split(",")[0])
-        colours[name] = own if own and own not in colours.values() else next(spare)
-    return colours
 
 
 def shades(count: int) -> list[Any]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -21,19 +22,9 @@ from fvs_ros.chain import SerialChain
 from fvs_sim_node.simulation import Simulation
 from fvs_tools.score import settling_time_s
 
-#: Guesses from which the nearest joints on the target are searched, and their spread, rad. All but
-#: one or two of them end at the same joints.
-_ATTEMPTS, _SPREAD_RAD = 8, 0.3
 #: Pieces of steady acceleration that braking consists of, and checks of the ball in each: twice as
 #: many of either change the time by less than a millisecond.
 _PIECES, _LOOKS = 8, 4
-#: What the search leaves undone, s, and how many steps it may take; a few hundred do.
-_UNDONE_S, _MOST_STEPS = 1e-7, 2000
-#: Part of the tolerance by which the ball may be outside before a search has failed.
-_OUTSIDE = 0.01
-#: Moments whose mean speed is a command; commands go on for a while at rest, s, for the drives to
-#: come to rest, too.
-_MOMENTS, _AT_REST_S = 20, 0.2
 #: The fastest motion touches the tolerance again while it brakes. What is played is planned for
 #: this much less, m: commands that hold for 8 ms, and the arm's physics, are no more exact.
 SPARE_M = 0.0002
@@ -105,11 +96,11 @@ class Fastest:
 
     def commands_rad_s(self, period_s: float) -> np.ndarray:
         """The motion and some rest as commands that hold for a period, shape (n, joints), rad/s."""
-        whole_s = self.time_s + _PIECES * self.piece_s + _AT_REST_S
+        whole_s = self.time_s + _PIECES * self.piece_s + 0.2  # for the drives to come to rest, too
         count = int(np.ceil(whole_s / period_s))
         # A command may at once be what the limit allows after a period: half a one is gained.
-        moments = period_s * (0.5 + (np.arange(count * _MOMENTS) + 0.5) / _MOMENTS)
-        return self.speeds_rad_s(moments).reshape(count, _MOMENTS, -1).mean(axis=1)
+        moments = period_s * (0.5 + (np.arange(count * 20) + 0.5) / 20)
+        return self.speeds_rad_s(moments).reshape(count, 20, -1).mean(axis=1)
 
 
 @lru_cache(maxsize=1)
@@ -141,7 +132,6 @@ def fastest(case: Case, limits: Limits, tolerance_m: float) -> Fastest:
     """
     from scipy.optimize import minimize
 
-    start, target_m = np.array(case.start_rad), ball_position(np.array(case.goal_rad))
     travel = least_travel_rad(case)
     rest_s = limits.rest_s(float(np.abs(travel).max()))
     steep, top = limits.acceleration_rad_s2, limits.speed_rad_s
@@ -153,14 +143,7 @@ def fastest(case: Case, limits: Limits, tolerance_m: float) -> Fastest:
     rest = speeds + piece_s * pieces.sum(axis=0)
     ways, ways_rad = np.repeat([1.0, -1.0], joints), np.vstack([travels, -travels])
 
-    def near(unknown: np.ndarray) -> np.ndarray:
-        missing = (ball_position(start + paths @ unknown) - target_m) / tolerance_m
-        return 1.0 - np.sum(missing**2, axis=1)
-
-    def near_slopes(unknown: np.ndarray) -> np.ndarray:
-        joints = start + paths @ unknown
-        missing = (ball_position(joints) - target_m) / tolerance_m**2
-        return -2.0 * np.einsum("kx,kxj,kjn->kn", missing, ball_jacobian(joints), paths)
+    near = _near(case, paths, tolerance_m)
 
     def reached(unknown: np.ndarray) -> np.ndarray:
         return limits.furthest(ways * np.tile(speeds @ unknown, 2), unknown[0])[0] - (
@@ -177,7 +160,7 @@ def fastest(case: Case, limits: Limits, tolerance_m: float) -> Fastest:
         np.concatenate([[rest_s], travel, np.zeros((1 + _PIECES) * joints)]),
         jac=lambda _: unit[0],
         constraints=(
-            {"type": "ineq", "fun": near, "jac": near_slopes},
+            near,
             {"type": "ineq", "fun": reached, "jac": reached_slopes},
             {"type": "eq", "fun": lambda unknown: rest @ unknown, "jac": lambda _: rest},
         ),
@@ -187,14 +170,30 @@ def fastest(case: Case, limits: Limits, tolerance_m: float) -> Fastest:
         + joints * [(-fastest_rad_s, fastest_rad_s)]
         + _PIECES * joints * [(-steep, steep)],
         method="SLSQP",
-        options={"maxiter": _MOST_STEPS, "ftol": _UNDONE_S},
+        options={"maxiter": 2000, "ftol": 1e-7},
     ).x
-    if near(found).min() < -2.0 * _OUTSIDE:  # of squared distances
+    if near["fun"](found).min() < -0.02:  # outside by a hundredth of the tolerance
         raise RuntimeError(f"no fastest motion found for case {case.name}")
     end = speeds @ found
     return Fastest(
         limits, limits.least_s(travels @ found, end), travels @ found, end, pieces @ found, piece_s
     )
+
+
+def _near(case: Case, paths: np.ndarray, tolerance_m: float) -> dict[str, Any]:
+    """The constraint that the ball is within the tolerance at each look, and its slopes."""
+    start, target_m = np.array(case.start_rad), ball_position(np.array(case.goal_rad))
+
+    def near(unknown: np.ndarray) -> np.ndarray:
+        missing = (ball_position(start + paths @ unknown) - target_m) / tolerance_m
+        return 1.0 - np.sum(missing**2, axis=1)
+
+    def slopes(unknown: np.ndarray) -> np.ndarray:
+        joints = start + paths @ unknown
+        missing = (ball_position(joints) - target_m) / tolerance_m**2
+        return -2.0 * np.einsum("kx,kxj,kjn->kn", missing, ball_jacobian(joints), paths)
+
+    return {"type": "ineq", "fun": near, "jac": slopes}
 
 
 def _unknowns(joints: int, piece_s: float) -> tuple[np.ndarray, ...]:
@@ -239,8 +238,8 @@ def least_travel_rad(case: Case) -> np.ndarray:
     )
     unit = np.eye(1 + n)[0]
     best = goal - start
-    for attempt in range(_ATTEMPTS):
-        guess = goal - start + (_SPREAD_RAD * rng.normal(size=n) if attempt else 0.0)
+    for attempt in range(8):  # all but one or two of them end at the same joints
+        guess = goal - start + (0.3 * rng.normal(size=n) if attempt else 0.0)
         found = minimize(
             lambda z: z[0],
             np.append(np.abs(guess).max(), guess),

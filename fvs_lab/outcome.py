@@ -69,14 +69,6 @@ class Outcome:
         return {**labels, "settled": not self.failure, **to, **values}
 
 
-def settling_columns(times_s: np.ndarray, errors_m: np.ndarray) -> dict[str, float]:
-    """Settling times to all bounds as columns of the tidy table, s; infinite for never."""
-    return {
-        _column(name): seconds(settling_time_s(times_s, errors_m, bound_m))
-        for name, bound_m in BOUNDS_M.items()
-    }
-
-
 def _column(bound: str) -> str:
     """``to_5mm_s`` for ``5 mm``."""
     return f"to_{bound.replace(' ', '')}_s"

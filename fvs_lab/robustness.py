@@ -23,8 +23,6 @@ from fvs_tools.schemes import BEYOND, SCHEMES, Scheme
 DURATION_S = 6.0
 #: Share of the trials that a robust scheme must master.
 WANTED = 0.99
-#: Parts of a quantity's range that figures tell apart.
-_BINS = 3
 
 #: Who competes, with the defaults of the nodes. A new one is a line.
 CONTESTANTS = (*SCHEMES.values(), ORACLES[ORACLE], *BEYOND.values())
@@ -104,16 +102,16 @@ def rerun(context: lab.Context, kind: Kind, number: int) -> None:
     print(f"   trial {number}: {world.text()}", flush=True)
     trials = [trial_in(world, one, context.rendered, record=True) for one in contestants]
     figure, ((axis,),) = draw.grid(1, 1, (9.0, 5.0))
-    names = [one.name for one in contestants]
     outcomes = map(judged, context.map(run_trial, trials, kind.name))
     rows, looks = [], {}
-    for outcome, (name, colour) in zip(outcomes, draw.colours_of(names).items(), strict=True):
+    for outcome, one in zip(outcomes, contestants, strict=True):
+        name = one.name
         text = f"settled after {outcome.settled_s:.2f} s"
         text = f"failed ({outcome.failure})" if outcome.failure else text
         print(f"   {name}: {text}, {1e3 * outcome.final_rms_m:.1f} mm rms in the last second"
               f"{outcome.said and f'; status: {outcome.said}'}", flush=True)  # fmt: skip
         rows.append(outcome.row(scheme=name))
-        looks[name] = {"color": colour, "label": f"{name}: {text}"}
+        looks[name] = {"color": draw.colour_of(name), "label": f"{name}: {text}"}
     draw.errors_over_time(axis, Results(rows), "scheme", looks)
     if world.bump is not None:
         draw.bound_line(axis, world.bump.time_s, upright=True)
@@ -195,18 +193,18 @@ def figures(found: lab.Found) -> Iterator[lab.Drawn]:
     figure, axes = draw.grid(rows, columns, (3.25 * columns, 3.3 * rows), sharey=True)
     for axis in axes.flat[len(varied) :]:
         axis.set_visible(False)
-    colours = draw.colours_of(list(runs.groups("scheme")))
+    names = list(runs.groups("scheme"))
     for axis, one in zip(axes.flat, varied, strict=False):
         values = one.scale * np.array(runs.values(one.name))
-        edges = np.linspace(values.min(), values.max(), _BINS + 1)
+        edges = np.linspace(values.min(), values.max(), 4)
         middles = 0.5 * (edges[1:] + edges[:-1])
-        places = middles[np.clip(np.searchsorted(edges, values) - 1, 0, _BINS - 1)]
+        places = middles[np.clip(np.searchsorted(edges, values) - 1, 0, 2)]
         binned = Results({**row, "at": float(at)} for row, at in zip(runs, places, strict=True))
-        apart = (edges[1] - edges[0]) * min(0.12, 0.8 / len(colours))
-        for number, (name, colour) in enumerate(colours.items()):
-            shift = apart * (number - 0.5 * (len(colours) - 1))
+        apart = (edges[1] - edges[0]) * min(0.12, 0.8 / len(names))
+        for number, name in enumerate(names):
+            shift = apart * (number - 0.5 * (len(names) - 1))
             bins = dict(sorted(binned.where(scheme=name).groups("at").items()))
-            draw.shares(axis, bins, shift, color=colour, label=name)
+            draw.shares(axis, bins, shift, color=draw.colour_of(name), label=name)
         axis.set_xlabel(", ".join(filter(None, [one.label, one.unit.strip()])))
     for axis in axes[:, 0]:
         axis.set_ylabel("settled, %")

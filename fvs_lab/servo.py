@@ -71,7 +71,7 @@ def measure(context: lab.Context) -> lab.Found:
         "spot_check": spot_checks(context, checked, scoring[:_SHOWN], "servo"),
     }
     runs = _score(context, found, scoring, conditions)
-    return lab.Found(runs, facts, data, {"cases": scoring[:_SHOWN]})
+    return lab.Found(runs, facts, data)
 
 
 def _score(
@@ -140,7 +140,7 @@ _LOOKS: dict[str, dict[str, Any]] = {
 
 def figures(found: lab.Found) -> Iterator[lab.Drawn]:
     """Figures 8 to 10 of the paper, and all settling times."""
-    cases = found.extra["cases"]
+    cases = found.data["scoring_cases"][:_SHOWN]
     yield "summary", _summary(found.runs), {}
     for regime in search.REGIMES[:2]:
         first = found.runs.where(regime=regime.name, search=0)

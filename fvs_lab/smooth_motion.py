@@ -16,15 +16,10 @@ from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, relative_errors, simulation_of
 from fvs_tools.score import criteria
 
-#: Speed of the fastest joint, rad/s, and the part of the box that the motion uses.
+#: Speed of the fastest joint, rad/s.
 SPEED_RAD_S = 0.4
-_BOX_SHARE = 0.9
-#: Velocity per distance from the path, 1/s.
-_POSITION_GAIN = 2.0
 #: At rest in the beginning, one joint's turn in the wiggling, and the motion's soft start, s.
 _REST_S, WIGGLE_S, _SOFT_START_S = 0.4, 0.8, 1.0
-#: The beginning over which the initial Jacobian is judged, s.
-_FIRST_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -50,7 +45,7 @@ class _Reference:
     def __init__(self, seed: int) -> None:
         config = MotionConfig(
             duration_s=3600.0,  # its end, which is slow, is never reached
-            joint_range_rad=tuple(_BOX_SHARE * BOX_RAD),
+            joint_range_rad=tuple(0.9 * BOX_RAD),
             max_joint_velocity_rad_s=SPEED_RAD_S,
         )
         self._motion = RandomMotion(HOME_RAD, config, np.random.default_rng([seed, 1]))
@@ -95,7 +90,7 @@ def record(seed: int, conditions: Conditions, duration_s: float) -> Recording:
     squared_errors_m2: list[float] = []
     for _ in range(round((reference.prelude_s + duration_s) / period_s)):
         position, velocity = reference(simulation.time_s)
-        simulation.command(velocity + _POSITION_GAIN * (position - joints))
+        simulation.command(velocity + 2.0 * (position - joints))
         out = simulation.advance()
         joints = out.joints_rad
         for seen in out.observations:
@@ -142,7 +137,7 @@ class Track:
 
     def summary(self) -> dict[str, float]:
         """The run in a few numbers, by name."""
-        first = self.time_s <= _FIRST_S
+        first = self.time_s <= 1.0
         late = self.time_s > 0.5 * self.time_s[-1]
         return {
             "t1_m": float(self.t1_m.mean()),

@@ -11,12 +11,13 @@ import cv2
 import numpy as np
 
 from fvs_controller_node.supervisor import Command
-from fvs_lab.outcome import BOUNDS_M, JACOBIAN_EVERY, Outcome, outcome_of, settling_columns
+from fvs_lab.outcome import BOUNDS_M, JACOBIAN_EVERY, Outcome, outcome_of, seconds
 from fvs_ros.joints import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.camera import CAMERAS, CameraPose
 from fvs_sim_node.simulation import SimConfig, Simulation
-from fvs_tools.closed_loop import MODEL, ClosedLoop, make_estimator
+from fvs_tools.closed_loop import ClosedLoop, make_estimator
 from fvs_tools.schemes import Scheme
+from fvs_tools.score import settling_time_s
 
 #: Middle and half widths of the box that starts and goals are drawn from, rad.
 HOME_RAD = np.array(HOME_JOINTS_RAD)
@@ -202,8 +203,6 @@ class Trial:
     stop_after_s: float | None = None
     #: Whether to keep the time series.
     record: bool = False
-    #: Trained model that the estimator begins with: a file of the ``config`` folder, or a path.
-    model: str = MODEL
     #: A blow to the camera.
     bump: Bump | None = None
 
@@ -214,7 +213,7 @@ class Trial:
     def loop(self, simulation: Simulation) -> ClosedLoop:
         """The whole loop in a simulation that has been reset."""
         who = self.variant
-        estimator = make_estimator(who.method, simulation, who.estimator_values, self.model)
+        estimator = make_estimator(who.method, simulation, who.estimator_values)
         return ClosedLoop(simulation, estimator, {"law": who.law, **who.controller_values})
 
 
@@ -304,14 +303,15 @@ def _give_target(one: ClosedLoop, goal_m: np.ndarray) -> np.ndarray:
     return target_m
 
 
-def settling_run(one: ClosedLoop, target_m: np.ndarray, duration_s: float) -> dict[str, float]:
-    """Give a target, camera frame, m, let time pass, and return the settling times as columns."""
+def settling_run(one: ClosedLoop, target_m: np.ndarray, duration_s: float) -> float:
+    """Give a target, camera frame, m, and let time pass; the settling time to 5 mm, s."""
     one.set_target(target_m)
     errors_m = []
     for _ in range(round(duration_s / one.period_s)):
         one.tick()
         errors_m.append(np.linalg.norm(one.simulation.true_ball_position() - target_m))
-    return settling_columns(one.period_s * np.arange(1, len(errors_m) + 1), np.array(errors_m))
+    times_s = one.period_s * np.arange(1, len(errors_m) + 1)
+    return seconds(settling_time_s(times_s, np.array(errors_m), BOUNDS_M["5 mm"]))
 
 
 def jacobian_error(one: ClosedLoop) -> float:

@@ -19,20 +19,9 @@ BEGIN_S = 1_700_000_000.0
 
 
 class HandmadeBag:
-    """Writes messages of this project's topics.
+    """Writes messages of this project's topics, all in a namespace with a slash before it.
 
-    Parameters
-    ----------
-    folder : Path
-        Of the bag.
-    storage : StoragePlugin
-        MCAP or SQLITE3.
-    namespace : str
-        Of all topics, with a slash before it.
-    scenario : dict, optional
-        Node -> parameters, kept in the bag.
-    remaps : dict of str to str, optional
-        Full names of topics as declared -> as they are, kept in the bag.
+    The bag keeps a scenario (node -> parameters) and remaps (names of topics, declared -> real).
     """
 
     def __init__(

@@ -20,8 +20,6 @@ from fvs_tools.score import criteria
 SERVOING, SETTLED, SHUT_DOWN = "SERVOING", "SETTLED", "SHUT_DOWN"
 #: The state after the last status of a controller that was stopped in order.
 ENDED = "ENDED"
-#: When everything is stopped, the joint states end this long after the controller at most, s.
-_ENDING_S = 5.0
 #: Inputs of the controller, and the parameter with the age from which on it holds the arm.
 INPUTS = {
     "joints": "joint_states_max_age_s",
@@ -66,7 +64,7 @@ def _ended_in_order(recording: Recording) -> bool:
         return True
     if commands is None or joints is None or commands.values[-1].any():
         return False
-    return bool(joints.arrival_s[-1] - last.arrival_s < _ENDING_S)
+    return bool(joints.arrival_s[-1] - last.arrival_s < 5.0)
 
 
 def merged(spells: Iterable[Spell], *fields: str) -> list[Spell]:

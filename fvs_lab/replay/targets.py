@@ -19,12 +19,6 @@ _DEMO = "fvs_demo_node"
 _SETTLING = ("settling_5mm_s", "settling_2mm_s")
 #: Stamps closer than this are of one moment, s: seconds as floating point lose the last digits.
 _SAME_MOMENT_S = 1e-6
-#: A target's stamp further from its arrival is by another clock; nearer, it may be latched, s.
-_SAME_CLOCK_S = 5.0
-#: Without a ball position for this long after a target, its start distance is not known, s.
-_LATE_S = 0.1
-#: From this long after a target's arrival on the status shows it, with these digits, s and m.
-_SHOWN_S, _SAME_M = 0.25, 0.001
 
 
 @dataclass(frozen=True)
@@ -100,7 +94,8 @@ def _runs(given: Series, ball_s: np.ndarray) -> list[Series]:
 
 def _given_s(given: Series, ball_s: np.ndarray) -> np.ndarray:
     """When targets were given, by the clock of the ball positions in order, s, shape (n,)."""
-    own_clock = np.abs(given.arrival_s - given.stamp_s) < _SAME_CLOCK_S
+    # Within 5 s a target may be latched; beyond, its stamp is by another clock.
+    own_clock = np.abs(given.arrival_s - given.stamp_s) < 5.0
     given_s = np.where(own_clock, given.stamp_s, given.arrival_s)
     # The demo stamps a target with the position that it saw, in simulated time, too.
     near = np.searchsorted(ball_s, given.stamp_s - _SAME_MOMENT_S).clip(max=len(ball_s) - 1)
@@ -122,10 +117,11 @@ def _taken(recording: Recording, runs: Sequence[Series]) -> list[tuple[Series, f
         """Each target, the times of the statuses in its time, and whether these show it."""
         arrivals_s = [*(run.arrival_s[0] for run in runs), np.inf]
         for run, end_s in zip(runs, arrivals_s[1:], strict=True):
-            first, last = np.searchsorted(shown_s, [run.arrival_s[0] + _SHOWN_S, end_s])
+            # The status shows a target 0.25 s after it came, with three digits.
+            first, last = np.searchsorted(shown_s, [run.arrival_s[0] + 0.25, end_s])
             those = slice(first, last if len(run) == 1 else first)
             off_m = np.abs(shown_m[those] - run.values[0]).max(axis=1)
-            yield run, shown_s[those], off_m < _SAME_M
+            yield run, shown_s[those], off_m < 0.001
 
     taken = [run for run, times_s, same in seen(runs) if same.any() or not times_s.size]
     found = []
@@ -162,7 +158,7 @@ def _judge(way: Series, run: Series, joints: Series | None, commands: Series | N
         numbers |= dict.fromkeys(_SETTLING, np.nan)
         numbers["final_rms_m"] = float(np.sqrt(np.mean(errors_m**2)))
     not_known = {}
-    if time_s[0] > _LATE_S:
+    if time_s[0] > 0.1:
         numbers["start_distance_m"] = np.nan
         not_known["start_distance_m"] = "the recording begins later"
     given_s, target_m = float(way.arrival_s[0] - time_s[0]), run.values[-1]

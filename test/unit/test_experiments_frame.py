@@ -164,21 +164,6 @@ def test_the_search_finds_the_gain_and_is_repeatable(tmp_path):
 # --- trials ---
 
 
-@pytest.mark.parametrize(
-    ("variant", "causes"),
-    [
-        (
-            Variant({}, law="proportional", controller_values={"proportional_gain_1_s": 0.1}),
-            {"too slow", "did not get nearer"},
-        ),
-        (Variant({}, "lkf", estimator_values={"online.initial": "zero"}), {"held: missing"}),
-    ],
-)
-def test_failures_have_a_cause(variant, causes):
-    (case,) = make_cases("T", 1, 7)
-    assert run_trial(Trial(variant, case, EXACT, duration_s=1.5)).failure in causes
-
-
 def test_the_same_cases_come_of_the_same_seed_and_are_far_enough_apart():
     cases = make_cases("T", 3, 8)
     assert cases == make_cases("T", 3, 8)
@@ -195,26 +180,17 @@ def test_a_report_keeps_numbers_and_the_page_keeps_pictures(tmp_path):
     folder = tmp_path / "servo"
     folder.mkdir()
     (folder / "one.png").write_bytes(b"\x89PNG")
-    report = Report(
-        "servo",
-        "Servoing <fast>",
-        "Why?",
-        ["So."],
-        [Figure("one.png", "what is seen")],
-        [Table("numbers", ["a"], [["1"]])],
-        [Verdict("claim", "1.00 (0.90 to 1.10)", None, "ours")],
-        {"array": np.array([1.0, INF, 1.0 / 3.0]), "case": Case("c", HOME, HOME, 3)},
-    )
+    data = {"array": np.array([1.0, INF, 1.0 / 3.0]), "case": Case("c", HOME, HOME, 3)}
+    figure, one = Figure("one.png", "what is seen"), Table("numbers", ["a"], [["1"]])
+    verdict = Verdict("claim", "1.00 (0.90 to 1.10)", None, "ours")
+    report = Report("servo", "Servoing <fast>", "Why?", ["So."], [figure], [one], [verdict], data)
     write_report(report, folder, Origin("fvs_experiments servo --quick", "0.1", "model", True))
     data = json.loads((folder / RESULTS).read_text())["data"]
-    assert data["array"] == [1.0, None, 0.3333333]
-    assert data["case"]["seed"] == 3
+    assert (data["array"], data["case"]["seed"]) == ([1.0, None, 0.3333333], 3)
     page = write_page(tmp_path, ["servo"]).read_text()
-    assert "data:image/png;base64,iVBORw==" in page
-    assert "Servoing &lt;fast&gt;" in page
     assert re.search("Undecided.*claim.*1.00 .0.90 to 1.10..*ours", page, re.DOTALL)
-    assert page.index("Undecided") < page.index("<details>") < page.index("data:image")
-    assert "Quick run." in page
+    for words in ("data:image/png;base64,iVBORw==", "Servoing &lt;fast&gt;", "Quick run."):
+        assert words in page
 
 
 # --- spot check ---

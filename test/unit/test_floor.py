@@ -26,21 +26,6 @@ TICK_S = 0.008
 fastest = lru_cache(maxsize=None)(floor.fastest)
 
 
-@pytest.mark.parametrize("limits", [LIMITS, Limits(100.0, 6.0)])
-def test_a_joint_goes_as_far_as_its_least_time_says(limits):
-    for end_rad_s in np.linspace(-0.9, 0.9, 7):
-        for travel_rad in (0.1, 0.3, 1.0):
-            time_s = limits.least_s(np.array([travel_rad]), np.array([end_rad_s]))
-            found = limits.furthest(np.array([end_rad_s]), time_s)
-            assert found[0] == pytest.approx(travel_rad)
-            more = limits.furthest(np.array([end_rad_s + 1e-6]), time_s + 1e-6)[0]
-            assert (more - travel_rad) / 1e-6 == pytest.approx(found[1] + found[2], abs=1e-4)
-            mirrored = limits.least_s(np.array([-travel_rad]), np.array([-end_rad_s]))
-            assert mirrored == pytest.approx(time_s)
-    # the least time, at a speed that cannot be avoided
-    assert limits.least_s(np.array([0.03]), np.array([0.6])) == pytest.approx(0.1)
-
-
 def test_from_rest_to_rest_the_time_is_that_of_a_trapezium():
     assert LIMITS.rest_s(0.7) == pytest.approx(0.7 + 1.0 / 6.0)
     assert LIMITS.rest_s(0.05) == pytest.approx(2.0 * np.sqrt(0.05 / 6.0))

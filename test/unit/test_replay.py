@@ -166,19 +166,6 @@ def test_a_recorder_s_clock_need_not_be_that_of_the_stamps(recording):
     assert target.given_s == pytest.approx(expected.given_s)
 
 
-def test_targets_in_quick_succession_are_one_that_moves(made, read_back, tmp_path, undrawn):
-    servo(made)
-    for step in range(1, 40):
-        time_s = GIVEN_S + 0.1 * step
-        made.point("target_position", time_s, time_s, TARGET_M + [0, 0.01 * min(step, 20), 0])
-    recording = read_back()
-    (target,) = targets(recording)
-    assert target.moving
-    assert target.errors_m[target.time_s > 3.0] == pytest.approx(0.2, abs=0.001)
-    (row,) = sections(recording, tmp_path)["targets"].tables[0].rows
-    assert row[:4] == ["1, moving", "300", "-", "-"]
-
-
 def cut_at(recording, since_given_s):
     """The recording as a file that ends this long after the target was given, s."""
     end_s = recording.start_s + GIVEN_S + since_given_s
@@ -214,16 +201,6 @@ def test_what_a_recording_ends_too_early_for_is_not_known(
     report = sections(cut_at(recording, ends_s), tmp_path)["targets"]
     assert report.tables[0].rows[0].count("not known") == len(not_known)
     assert report.data["targets"][0]["not_known"] == target.not_known
-
-
-@pytest.mark.parametrize(
-    ("after_s", "not_known"), [(0.9, set(LAST)), (1.3, {COARSE, FINE, *LAST}), (2.5, set())]
-)
-def test_another_target_leaves_unknown_whether_the_ball_stayed(made, read_back, after_s, not_known):
-    servo(made)
-    made.point("target_position", GIVEN_S + after_s, GIVEN_S + after_s, START_M)
-    first, _ = targets(read_back())
-    assert first.not_known == dict.fromkeys(not_known, "another target came")
 
 
 @pytest.mark.parametrize(("lasts_s", "known"), [(3.0, False), (5.0, True)])
@@ -274,16 +251,6 @@ def test_rates_ages_and_latencies(recording):
 
 
 # --- the story ---
-
-
-def test_states_follow_one_another_with_their_first_sentence(recording):
-    waiting, servoing = story.states(recording)
-    assert (waiting.state, waiting.reason) == ("WAITING", "NO_TARGET")
-    assert (servoing.state, servoing.text) == ("SERVOING", "servoing, 300.0 mm to go")
-    assert servoing.start_s == pytest.approx(GIVEN_S)
-    assert servoing.start_s + servoing.length_s == pytest.approx(
-        recording.end_s - recording.start_s
-    )
 
 
 @pytest.mark.parametrize(
