@@ -15,8 +15,6 @@ from fvs_lab import trials
 from fvs_lab.results import METRICS, Results
 from fvs_tools.closed_loop import ClosedLoop
 
-SEED = 303
-
 BASE = "as it comes"
 LITERAL, LITERAL_SAME = "as printed, its own gains", "as printed, same gains"
 CAPPED, UNCAPPED = "gain 100 times as high, capped", "gain 100 times as high, cap off"
@@ -24,8 +22,6 @@ FROZEN, ORACLE = "no online update", "true Jacobian"
 #: Reaching gains of the law as printed: of 24 combinations of k1 (0.3 to 3), k2 (0.01, 0.05) and
 #: k4 (0 to 0.008) below its stability limits the one that was soonest within 2 mm, on other cases.
 _LITERAL = {"discretisation": "literal", "k1": 2.0, "k2": 0.01, "k4": 0.003}
-#: Gains of the sliding term: none, and beside the default; negative for the printed sign.
-_TERMS = (0.0, 0.03, 0.1, -0.005, -0.03, -0.1)
 #: Latencies, ms, and the factors on alpha2 and alpha3 with which the law is soonest within 5 mm
 #: without prediction, of 0.5, 0.35, 0.25 and 0.15, on other cases.
 _SOFTER = {40: 0.35, 80: 0.25, 120: 0.15}
@@ -54,6 +50,8 @@ def variants() -> list[trials.Variant]:
         return trials.Variant({"change": name, "group": group, "against": against}, **changes)
 
     law, update, images, camera = _COLOURS
+    # No sliding term, and gains beside the default; negative for the printed sign.
+    terms = (0.0, 0.03, 0.1, -0.005, -0.03, -0.1)
     high = {"rbf.n1": 30.0}
     found = [
         one(BASE, "", ""),
@@ -61,7 +59,7 @@ def variants() -> list[trials.Variant]:
         one(LITERAL_SAME, law, controller_values={"discretisation": "literal"}),
         one(FROZEN, update, method="frozen"),
         one(ORACLE, update, method="oracle"),
-        *(one(_sliding(gain), update, estimator_values={"rbf.alpha2": gain}) for gain in _TERMS),
+        *(one(_sliding(gain), update, estimator_values={"rbf.alpha2": gain}) for gain in terms),
         one(CAPPED, update, estimator_values=high),
         one(UNCAPPED, update, CAPPED, estimator_values={**high, "rbf.mu": 1.9}),
     ]
@@ -131,7 +129,7 @@ def _estimators_error(one: ClosedLoop) -> float:
 
 def measure(context: lab.Context) -> lab.Found:
     """Run every change and the long rests."""
-    cases = trials.make_cases("a", context.count(8, 1), SEED)
+    cases = trials.make_cases("a", context.count(8, 1), 303)
     duration_s = 1.6 if context.quick else 3.4
     hold_s = 2.0 if context.quick else 60.0
     changes = context.run(variants(), cases, "ablation", duration_s=duration_s)
@@ -147,7 +145,7 @@ def measure(context: lab.Context) -> lab.Found:
         "rests": len(rested),
         "hold_s": hold_s,
     }
-    data = {"seed": SEED, "cases": cases, "variants": variants()}
+    data = {"cases": cases, "variants": variants()}
     return lab.Found(Results(runs), facts, data)
 
 
@@ -167,22 +165,20 @@ def claims(found: lab.Found) -> Iterator[lab.Claim]:
     turned = [f"{turn_deg}°, {FROZEN}" for turn_deg in _TURNS_DEG]
     printed = [(_sliding(-gain), gain) for gain in (0.005, 0.03, 0.1)]
     oracle = rows[BASE].over(rows[ORACLE], "to_5mm_s")
-    yield lab.Claim(
-        "implicit", lab.OURS, [*slower(LITERAL), ratio(LITERAL, "jitter_rad_s")], any_of=True
-    )
+    yield lab.ours("implicit", *slower(LITERAL), ratio(LITERAL, "jitter_rad_s"), any_of=True)
     same = [ratio(LITERAL_SAME, "to_2mm_s"), ratio(LITERAL_SAME, "jitter_rad_s", least=2.0)]
-    yield lab.Claim("same_gains", lab.OURS, same, any_of=True)
-    yield lab.Claim("prediction", lab.OURS, [ratio(name) for name in blind])
-    yield lab.Claim("update", lab.PAPER, slower(FROZEN), any_of=True)
-    yield lab.Claim("turned", lab.PAPER, [lab.either(name, *slower(name)) for name in turned])
-    yield lab.Claim("oracle", lab.OURS, [lab.below("settling time over that with it", oracle, 1.1)])
+    yield lab.ours("same_gains", *same, any_of=True)
+    yield lab.ours("prediction", *(ratio(name) for name in blind))
+    yield lab.papers("update", *slower(FROZEN), any_of=True)
+    yield lab.papers("turned", *(lab.either(name, *slower(name)) for name in turned))
+    yield lab.ours("oracle", lab.below("settling time over that with it", oracle, 1.1))
     wrong = ratio(UNCAPPED, "jacobian_error", least=2.0)
-    yield lab.Claim("cap", lab.OURS, [ratio(UNCAPPED), wrong], any_of=True)
-    yield lab.Claim("sliding", lab.PAPER, [ratio(_sliding(0.0))])
+    yield lab.ours("cap", ratio(UNCAPPED), wrong, any_of=True)
+    yield lab.papers("sliding", ratio(_sliding(0.0)))
     signs = [
         ratio(name, against=BASE if gain == 0.005 else _sliding(gain)) for name, gain in printed
     ]
-    yield lab.Claim("printed_sign", lab.OURS, signs)
+    yield lab.ours("printed_sign", *signs)
     yield from _leak_claims(found.runs.where(part="rest"))
 
 
@@ -199,7 +195,7 @@ def _leak_claims(rests: Results) -> Iterator[lab.Claim]:
         text = f"{100 * after[name]:.1f} % (without a leak {100 * none:.1f} %), asked: {wanted}"
         holds = (after[name] > most) is (wanted == "above")
         label = "error of the Jacobian after the rest"
-        yield lab.Claim(claim, lab.OURS, [lab.Part(label, f"{text} {100 * most:.0f} %", holds)])
+        yield lab.ours(claim, lab.Part(label, f"{text} {100 * most:.0f} %", holds))
 
 
 TABLES = (

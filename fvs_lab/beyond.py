@@ -23,8 +23,6 @@ from fvs_lab.trials import Case, Conditions, make_cases, run_trial
 from fvs_tools.schemes import SCHEMES
 
 _NAME = "beyond"
-_PLACES_SEED, _MINUTES_SEED, _TUNING_SEED, _SCORING_SEED = 400, 401, 402, 410
-_JOURNEYS_SEED, _PATHS_SEED, _SEARCH_SEED = 505, 405, 8
 #: Races and other worlds have no picture: a camera that knows the ball, with the same noise.
 _EXACT = {"rendered": False}
 #: Searched gains are for speed alone, within the limits that all have.
@@ -45,7 +43,7 @@ def measure(context: lab.Context) -> lab.Found:
     count = context.count(60, 1)
     if not context.quick:  # 140 minutes on one core of a desktop computer
         print(f"   about {140 * count / 60 / context.jobs:.0f} minutes", flush=True)
-    cases = make_cases("B", count, _SCORING_SEED)
+    cases = make_cases("B", count, 410)
     found = _searched(context)
     minutes = context.map(moved.learn, _minutes(context, max(1, count // 3)), "minutes of data")
     plants = [
@@ -103,22 +101,19 @@ def _facts(context: lab.Context, runs: Results, floors: Sequence[Floor]) -> dict
 
 def _minutes(context: lab.Context, count: int, **changes: Any) -> list[moved.Minute]:
     duration_s = moved.MINUTE_S / 6 if context.quick else moved.MINUTE_S
-    places = moved.draw_places(_PLACES_SEED, 20 if context.quick else 200)
+    places = moved.draw_places(400, 20 if context.quick else 200)
     conditions = context.conditions(**changes)
-    return [
-        moved.Minute(_MINUTES_SEED + number, duration_s, conditions, places)
-        for number in range(count)
-    ]
+    return [moved.Minute(401 + number, duration_s, conditions, places) for number in range(count)]
 
 
 def _searched(context: lab.Context) -> dict[str, list[Tuned]]:
     """The gains of all schemes with all additions, from several searches."""
-    cases = make_cases("T", 1 if context.quick else 4, _TUNING_SEED)
+    cases = make_cases("T", 1 if context.quick else 4, 402)
     searches = {name: Search.of(one, _REGIME) for name, one in who.TUNED.items()}
     searches |= {name: Search.of(one, who.CALM_REGIME) for name, one in who.CALM.items()}
     if context.quick:
         searches = {name: searches[name] for name in (who.SLIDING, who.OTHERS[0])}
-    return search_all(context, searches, cases, _SEARCH_SEED)
+    return search_all(context, searches, cases, seed=8)
 
 
 def _races(
@@ -192,9 +187,7 @@ def _journeys(context: lab.Context, count: int) -> Results:
     journeys = [
         journey
         for names, share in parts.items()
-        for journey in moved.draw_journeys(
-            max(1, share), _JOURNEYS_SEED, names, context.conditions()
-        )
+        for journey in moved.draw_journeys(max(1, share), 505, names, context.conditions())
     ]
     return Results(context.map(moved.run_journey, journeys, "moved cameras"))
 
@@ -215,7 +208,7 @@ def _worlds(context: lab.Context, cases: Sequence[Case]) -> Results:
 def _pursuits(context: lab.Context, count: int) -> Results:
     pursuits = [
         moved.Pursuit(name, path, speed_m_s, feed_forward, context.conditions())
-        for path in moved.draw_paths(count, _PATHS_SEED)[: 1 if context.quick else None]
+        for path in moved.draw_paths(count, 405)[: 1 if context.quick else None]
         for speed_m_s in (moved.SPEEDS_M_S[2:3] if context.quick else moved.SPEEDS_M_S)
         for feed_forward in (True, False)
         for name in who.FOLLOWERS
@@ -243,37 +236,35 @@ def claims(found: lab.Found) -> Iterator[lab.Claim]:
     parts = found.runs.groups("part")
     races, worlds = parts["race"].groups("scheme"), parts["world"]
     for claim, columns in _MINUTE.items():
-        yield lab.Claim(claim, lab.OURS, [_largest(parts["minute"], *column) for column in columns])
+        yield lab.ours(claim, *(_largest(parts["minute"], *column) for column in columns))
     honesty = parts["assessment"].values("honesty")
     honest = sum(1.0 / HONEST <= ratio <= HONEST for ratio in honesty)
     label = f"recordings within a factor of {HONEST:g}"
-    yield lab.Claim(
-        "honest", lab.OURS, [lab.share_above(label, wilson(honest, len(honesty)), MOST)]
-    )
+    yield lab.ours("honest", lab.share_above(label, wilson(honest, len(honesty)), MOST))
     over = races[who.BEST].median("over_5mm")
-    yield lab.Claim("best", lab.OURS, [lab.below("settling to 5 mm over the floor", over, 1.15)])
-    yield lab.Claim("extended", lab.OURS, [_faster(races, who.EXTENDED, name) for name in SCHEMES])
+    yield lab.ours("best", lab.below("settling to 5 mm over the floor", over, 1.15))
+    yield lab.ours("extended", *(_faster(races, who.EXTENDED, name) for name in SCHEMES))
     for sliding, terms in (
         (who.SLIDING, "for speed alone"),
         (who.SLIDING_CALM, f"for at most {1e3 * who.CALM_RAD_S:g} mrad/s of jitter"),
     ):
-        yield lab.Claim("law", lab.PAPER, _law(races, sliding), given={"terms": terms})
+        yield lab.papers("law", *_law(races, sliding), terms=terms)
     tuned = [(f"{name}, tuned", name) for name in SCHEMES]
     means = [_faster(races, one, name) for one, name in tuned if one in races]
-    yield lab.Claim("means", lab.OURS, means)
+    yield lab.ours("means", *means)
     for moment in moved.MOMENTS[1:]:
         for name in (who.BEST, who.EXTENDED):
             share = parts["camera"].where(moment=moment, scheme=name).share("kept")
             part = lab.share_above("cases that keep the pace", share, 0.95)
-            yield lab.Claim("camera", lab.OURS, [part], given={"scheme": name, "moment": moment})
+            yield lab.ours("camera", part, scheme=name, moment=moment)
     pictured = parts["rendered"].groups("scheme")
     rest = [
         lab.below(f"{name}: rms over σ", pictured[name].median("rms_sigma"), 0.4)
         for name in (who.EXTENDED, who.BEST)
     ]
-    yield lab.Claim("rest", lab.OURS, rest)
+    yield lab.ours("rest", *rest)
     yield from _world_claims(worlds)
-    yield lab.Claim("tracking", lab.OURS, _tracking(parts["tracking"]))
+    yield lab.ours("tracking", *_tracking(parts["tracking"]))
     yield from spot_check_claims(found.data["spot_check"])
 
 
@@ -317,12 +308,12 @@ def _world_claims(worlds: Results) -> Iterator[lab.Claim]:
             for label in latencies
             if (name, "latency", label) in visited
         ]
-        yield lab.Claim("latency", lab.OURS, parts, given={"scheme": name})
+        yield lab.ours("latency", *parts, scheme=name)
     shares = [
         lab.share_above(f"{scheme}, {kind} {label}: runs that settle", runs.share(), MOST)
         for (kind, label, scheme), runs in worlds.groups("kind", "label", "scheme").items()
     ]
-    yield lab.Claim("worlds", lab.OURS, shares)
+    yield lab.ours("worlds", *shares)
     shaken = visited.get((who.BEST, "encoders", "0.2 mrad"))
     if shaken:
         usual = visited[who.BEST, who.USUAL.kind, who.USUAL.label]
@@ -330,7 +321,7 @@ def _world_claims(worlds: Results) -> Iterator[lab.Claim]:
             lab.below("jitter", shaken.median("jitter_rad_s"), 0.002, 1e3, " mrad/s"),
             lab.below("settling time over that without", shaken.over(usual, "to_5mm_s"), 1.05),
         ]
-        yield lab.Claim("encoders", lab.OURS, parts)
+        yield lab.ours("encoders", *parts)
 
 
 def _tracking(runs: Results) -> list[lab.Part]:

@@ -146,8 +146,6 @@ def assess(task: tuple[str, Minute]) -> dict[str, Any]:
 STRUCK_AFTER_S = 0.3
 #: How long the camera is carried, and how long the arm rests at the first target after a blow, s.
 CARRIED_S, REST_S = 2.0, 1.0
-#: A run after a blow to the camera keeps its pace if it takes no longer than this ratio.
-KEPT = 1.2
 
 UNDISTURBED, AT_REST, IN_MOTION = "undisturbed", "between two targets", "in mid-motion"
 CARRIED = f"within {CARRIED_S:g} s while the arm is stopped"
@@ -251,7 +249,7 @@ def with_slowdown(arrivals: Results) -> Results:
 
     From the last target on: in mid-motion that is the second one given anew, which is compared
     with what was left of the undisturbed run. Infinite where nothing was left, or the undisturbed
-    run never settled. ``kept``: whether it is at most ``KEPT``.
+    run never settled. ``kept``: whether it is at most 1.2.
     """
     calm = arrivals.where(moment=UNDISTURBED).groups("scheme", "case")
     rows = []
@@ -260,7 +258,7 @@ def with_slowdown(arrivals: Results) -> Results:
         left_s = calm[row["scheme"], row["case"]].rows[0]["to_5mm_s"] - before_s
         comparable = 0.0 < left_s < math.inf
         slowdown = (row["to_5mm_s"] - before_s) / left_s if comparable else math.inf
-        rows.append({**row, "slowdown": slowdown, "kept": slowdown <= KEPT})
+        rows.append({**row, "slowdown": slowdown, "kept": slowdown <= 1.2})
     return Results(rows)
 
 

@@ -283,29 +283,27 @@ def claims(found: lab.Found) -> Iterator[lab.Claim]:
     def against_best(world: World, criterion: str) -> lab.Part:
         return judge_of.part(world, "rbf", judge_of.best(world, criterion, _OTHERS), criterion)
 
-    yield lab.Claim(
-        "unmoved", lab.PAPER, [against_best(NOISE, one) for one in ("t1_m", "t2_max_m")]
-    )
+    yield lab.papers("unmoved", *(against_best(NOISE, one) for one in ("t1_m", "t2_max_m")))
     for criterion, title in (("t1_m", "T1"), ("t2_max_m", "the largest T2")):
         parts = [against_best(world, criterion) for world in turned]
-        yield lab.Claim("rotated", lab.PAPER, parts, given={"criterion": title})
+        yield lab.papers("rotated", *parts, criterion=title)
     parts = []
     for world in (NOISE, *turned):
         rls, other = (judge_of.best(world, "t1_m", names) for names in (_RLS, _FILTERS))
         worst = max((other, "rbf"), key=lambda name: judge_of.middle(world, name, "t1_m"))
         parts.append(judge_of.part(world, worst, rls, "t1_m"))
-    yield lab.Claim("rls", lab.PAPER, parts)
-    yield lab.Claim("ukf", lab.PAPER, _ukf_parts(found.runs, judge_of))
+    yield lab.papers("rls", *parts)
+    yield lab.papers("ukf", *_ukf_parts(found.runs, judge_of))
     other = judge_of.best(CLEAN, "t1_late_m", (*_OTHERS, "lkf_fast"))
-    yield lab.Claim("bound", lab.PAPER, [judge_of.part(CLEAN, other, "frozen", "t1_late_m")])
+    yield lab.papers("bound", judge_of.part(CLEAN, other, "frozen", "t1_late_m"))
     parts = [
         judge_of.part(world, "rbf", "frozen", criterion)
         for world in turned
         for criterion in ("t1_m", "jacobian_error")
     ]
-    yield lab.Claim("update", lab.PAPER, parts)
-    yield lab.Claim("cost", lab.OURS, [judge_of.part(NOISE, "rbf", "frozen", "t1_m")])
-    yield lab.Claim("proof", lab.PAPER, [_proof_part(judge_of, found.runs, (NOISE, *turned))])
+    yield lab.papers("update", *parts)
+    yield lab.ours("cost", judge_of.part(NOISE, "rbf", "frozen", "t1_m"))
+    yield lab.papers("proof", _proof_part(judge_of, found.runs, (NOISE, *turned)))
 
 
 def _ukf_parts(runs: Results, judge_of: _Judge) -> list[lab.Part]:

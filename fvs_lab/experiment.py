@@ -197,6 +197,16 @@ class Claim:
         return (min if self.any_of else max)(alike, key=lambda part: part.margin)
 
 
+def ours(name: str, *parts: Part, any_of: bool = False, **given: Any) -> Claim:
+    """A claim of this project."""
+    return Claim(name, OURS, parts, any_of, given)
+
+
+def papers(name: str, *parts: Part, any_of: bool = False, **given: Any) -> Claim:
+    """A claim of the paper."""
+    return Claim(name, PAPER, parts, any_of, given)
+
+
 # ---- what is found and shown ----------------------------------------------------------------
 
 

@@ -20,7 +20,6 @@ from fvs_lab.results import METRICS, Results, number_text
 from fvs_lab.search import FREE
 from fvs_lab.trials import Variant, make_cases
 
-SEED = 301
 EXPONENTS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.9)
 
 SURFACE = {"alpha1": 1.0, "alpha2": 0.3, "alpha3": 0.45}
@@ -92,14 +91,14 @@ def _pace(outcome: Outcome) -> dict[str, float]:
 def measure(context: lab.Context) -> lab.Found:
     """Run both forms of the law with all exponents, with and without noise."""
     duration_s = 1.6 if context.quick else 4.0
-    cases = make_cases("e", context.count(6, 1), SEED)
+    cases = make_cases("e", context.count(6, 1), 301)
     runs = context.run(variants(), cases, "exponents", _pace, duration_s=duration_s, record=True)
     facts = {
         "count": len(cases),
         "duration_s": duration_s,
         **literal_limits(),
     }
-    return lab.Found(runs, facts, {"seed": SEED, "cases": cases, "variants": variants()})
+    return lab.Found(runs, facts, {"cases": cases, "variants": variants()})
 
 
 def claims(found: lab.Found) -> Iterator[lab.Claim]:
@@ -110,7 +109,7 @@ def claims(found: lab.Found) -> Iterator[lab.Claim]:
 
     stable = runs(SILENT, LITERAL, UNSTABLE)
     part = lab.kept("runs within 5 mm", sum(stable.values("settled")), len(stable), 0.95)
-    yield lab.Claim("printed", lab.PAPER, [part])
+    yield lab.papers("printed", part)
     for name, metric in (("faster", "to_5mm_s"), ("pace", "pace")):
         chosen = [runs(SILENT, IMPLICIT, f"{one:g}").median(metric).value for one in EXPONENTS]
         text = ", ".join(
@@ -118,13 +117,11 @@ def claims(found: lab.Found) -> Iterator[lab.Claim]:
             for one, exponent in zip(chosen, EXPONENTS, strict=True)
         )
         rising = all(after >= before for before, after in pairwise(chosen))
-        yield lab.Claim(name, lab.PAPER, [lab.Part(METRICS[metric].label, text, rising)])
+        yield lab.papers(name, lab.Part(METRICS[metric].label, text, rising))
     jitter, time = "jitter_rad_s", "to_5mm_s"
     printed, silent, noisy = (SILENT, LITERAL), (SILENT, IMPLICIT), (NOISY, IMPLICIT)
     chatter = runs(*printed, "0.1").over(runs(*printed, "0.5"), jitter)
-    yield lab.Claim(
-        "chatter", lab.PAPER, [lab.above("jitter as printed, 0.1 over 0.5", chatter, 2.0)]
-    )
+    yield lab.papers("chatter", lab.above("jitter as printed, 0.1 over 0.5", chatter, 2.0))
     quick = runs(*silent, ADAPTIVE).over(runs(*silent, "0.1"), time)
     calm = [
         lab.below(
@@ -134,17 +131,13 @@ def claims(found: lab.Found) -> Iterator[lab.Claim]:
         )
         for world, law in (printed, noisy)
     ]
-    yield lab.Claim(
-        "adaptive", lab.PAPER, [lab.below("settling time over that of 0.1", quick, 1.2), *calm]
-    )
+    yield lab.papers("adaptive", lab.below("settling time over that of 0.1", quick, 1.2), *calm)
     ours, paper = runs(*noisy, ADAPTIVE_SCALED), runs(*noisy, ADAPTIVE)
-    yield lab.Claim(
+    calmer, slower = paper.over(ours, jitter), ours.over(paper, time)
+    yield lab.ours(
         "large",
-        lab.OURS,
-        [
-            lab.above("jitter of 0.1 → 0.5 over ours", paper.over(ours, jitter), 2.0),
-            lab.below("settling time over that of 0.1 → 0.5", ours.over(paper, time), 1.2),
-        ],
+        lab.above("jitter of 0.1 → 0.5 over ours", calmer, 2.0),
+        lab.below("settling time over that of 0.1 → 0.5", slower, 1.2),
     )
 
 

@@ -124,11 +124,6 @@ def fastest(case: Case, limits: Limits, tolerance_m: float) -> Fastest:
 
     By sequential quadratic programmes from the motion with the least largest joint travel to the
     target itself. Joints may turn as far as they like; near is within the tolerance, m.
-
-    Raises
-    ------
-    RuntimeError
-        If nothing was found.
     """
     from scipy.optimize import minimize
 

@@ -28,7 +28,6 @@ EXPERIMENTS = (
 )
 #: Those that are run by their own name only: they take longer than all others together.
 LONG = ("everyday", "robustness")
-_DIGITS = 7
 _WORDS = {True: "holds", False: "does not hold", None: "undecided"}
 
 
@@ -175,7 +174,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(one) for one in value]
     if isinstance(value, float):
-        return float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None
+        return float(f"{value:.7g}") if np.isfinite(value) else None
     if value is None or isinstance(value, bool | int | str):
         return value
     raise TypeError(f"{type(value).__name__} cannot be written to {RESULTS}")

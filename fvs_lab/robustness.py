@@ -153,7 +153,7 @@ def claims(found: lab.Found) -> Iterator[lab.Claim]:
     schemes = found.runs.groups("scheme")
     for name in sorted(schemes, key=lambda name: name == ORACLE):
         part = lab.share_above("trials that settle", schemes[name].share(), WANTED)
-        yield lab.Claim("enough", lab.OURS, [part], given={"scheme": name})
+        yield lab.ours("enough", part, scheme=name)
     if set(schemes) == {ORACLE}:
         return
     best = best_of(found.runs)
@@ -166,7 +166,7 @@ def claims(found: lab.Found) -> Iterator[lab.Claim]:
         for name in SCHEMES
         if name in schemes and name != best
     ]
-    yield lab.Claim("lead", lab.OURS, parts, given={"scheme": best})
+    yield lab.ours("lead", *parts, scheme=best)
 
 
 # ---- tables and figures ---------------------------------------------------------------------

@@ -17,13 +17,11 @@ from fvs_lab.spot_check import spot_checks
 from fvs_lab.trials import Case, Conditions, make_cases, run_trial, simulation_of
 from fvs_tools.schemes import SCHEMES
 
-_TUNING_SEED, _SCORING_SEED, _SEARCH_SEED = 900, 901, 7
 #: Cases that the figures show, as in the paper.
 _SHOWN = 4
 #: Rows of a regime: the last one has the gains of the proposed scheme.
 FROZEN = "frozen networks, sliding mode"
 ROWS = (*search.SEARCHED, FROZEN)
-_CIRCLE_S = 0.1
 _VIEW_PX = (320, 240)
 
 #: Searches by regime and scheme.
@@ -34,14 +32,14 @@ def measure(context: lab.Context) -> lab.Found:
     """Tune and score."""
     # Rendered images change no settling time, at two to three times the cost: see page beyond.
     conditions = Conditions(rendered=False)
-    tuning = make_cases("TUNE", 1 if context.quick else 4, _TUNING_SEED)
-    scoring = make_cases("EXP", context.count(60, 2), _SCORING_SEED)
+    tuning = make_cases("TUNE", 1 if context.quick else 4, 900)
+    scoring = make_cases("EXP", context.count(60, 2), 901)
     searches = {
         (regime.name, name): search.Search.of(scheme, regime)
         for regime in search.REGIMES
         for name, scheme in search.SEARCHED.items()
     }
-    found = search.search_all(context, searches, tuning, _SEARCH_SEED)
+    found = search.search_all(context, searches, tuning, seed=7)
     # A calm candidate may be the fastest. Not the other way: the runs of ``limit`` end too early
     # to know jitter at rest.
     for name in search.SEARCHED:
@@ -107,13 +105,11 @@ def claims(found: lab.Found) -> Iterator[lab.Claim]:
             )
             for name in search.BASELINES
         ]
-        yield lab.Claim("fastest", lab.PAPER, parts, given={"title": regime.title})
+        yield lab.papers("fastest", *parts, title=regime.title)
     regime, schemes = regimes[0]
     ratio = schemes[search.PROPOSED].over(schemes[search.ORACLE_SLIDING], "to_5mm_s")
     label = "settling time over that with the true Jacobian"
-    yield lab.Claim(
-        "oracle", lab.OURS, [lab.below(label, ratio, 1.1)], given={"title": regime.title}
-    )
+    yield lab.ours("oracle", lab.below(label, ratio, 1.1), title=regime.title)
     yield from spot_check_claims(found.data.get("spot_check", ()))
 
 
@@ -139,23 +135,13 @@ _LOOKS: dict[str, dict[str, Any]] = {
 
 
 def figures(found: lab.Found) -> Iterator[lab.Drawn]:
-    """Figures 8 to 10 of the paper, and all settling times."""
+    """Figures 8 to 10 of the paper."""
     cases = found.data["scoring_cases"][:_SHOWN]
-    yield "summary", _summary(found.runs), {}
     for regime in search.REGIMES[:2]:
         first = found.runs.where(regime=regime.name, search=0)
         yield "errors", _errors(first, cases), {"regime": regime.name}
     yield "views", _views(first, cases), {}
     yield "paths", _paths(first, cases), {}
-
-
-def _summary(runs: Results):
-    figure, (axes,) = draw.grid(1, len(search.REGIMES), (15, 3.6), sharey=True)
-    for axis, regime in zip(axes, search.REGIMES, strict=True):
-        some = runs.where(regime=regime.name)
-        draw.dots_of(axis, some, "scheme", "to_5mm_s", regime.duration_s, named=axis is axes[0])
-        axis.set(title=regime.title, xlim=(0.0, None))
-    return figure
 
 
 def _coordinate(number: int, row: Mapping[str, Any]) -> np.ndarray:
@@ -217,8 +203,8 @@ def _views(runs: Results, cases: Sequence[Case]):
 
 
 def _circles(series: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Ball positions a circle apart in time."""
-    step = max(1, round(_CIRCLE_S / float(np.diff(series["time_s"][:2])[0])))
+    """Ball positions a tenth of a second apart."""
+    step = max(1, round(0.1 / float(np.diff(series["time_s"][:2])[0])))
     return series["ball_m"][::step]
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from fvs_lab.experiment import OURS, Claim, Context, Part
+from fvs_lab.experiment import Claim, Context, Part, ours
 from fvs_lab.outcome import seconds
 from fvs_lab.results import median
 from fvs_lab.trials import PRELUDE_S, Case, Trial, settling_run, simulation_of
@@ -152,7 +152,7 @@ def scenario_of(trial: Trial, targets_m: Targets, results: Path) -> Mapping[str,
 
 def claims(checks: Sequence[SpotCheck]) -> Iterator[Claim]:
     """The claim ``spot_check``: the nodes settle as lock step does; none without a check."""
-    yield Claim("spot_check", OURS, [_part(one) for one in checks])
+    yield ours("spot_check", *(_part(one) for one in checks))
 
 
 def _part(one: SpotCheck) -> Part:

@@ -24,8 +24,6 @@ HOME_RAD = np.array(HOME_JOINTS_RAD)
 BOX_RAD = np.array(TRAINING_BOX_RAD)
 #: Time at rest before the target is given, for the controller's inputs to be fresh, s.
 PRELUDE_S = 0.4
-#: Share of the ball that must be seen where a case begins and ends.
-VISIBLE = 0.9
 #: Exponent of noise without heavy tails.
 WHITE = 2.0
 #: No error of a coordinate is larger than this, m: the detection knows the size of the ball.
@@ -220,7 +218,7 @@ class Trial:
 def sees(simulation: Simulation) -> bool:
     """Whether the camera sees enough of the ball."""
     found = simulation.look().detection
-    return found is not None and found.visible_fraction >= VISIBLE
+    return found is not None and found.visible_fraction >= 0.9
 
 
 def make_cases(

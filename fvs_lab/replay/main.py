@@ -13,8 +13,6 @@ from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
 
 COMMAND = "fvs_experiments replay"
 _NEEDS = ("rosbags", "jinja2", "matplotlib")
-#: A table in the terminal has at most this number of rows: most from its beginning, and its end.
-_ROWS, _LAST_ROWS = 25, 8
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -61,7 +59,7 @@ def main(argv: list[str]) -> int:
     for report in reports[:2]:  # what happened, and the targets
         print("\n".join(report.setup))
         for table in report.tables[:2]:
-            rows = shortened(table.rows, _ROWS, _LAST_ROWS, "on the page")
+            rows = shortened(table.rows, 25, 8, "on the page")
             print(f"\n{_text([table.header, *rows])}\n")
     print(f"page: {page}")
     return EXIT_OK

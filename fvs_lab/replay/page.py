@@ -19,8 +19,6 @@ from fvs_lab.results import Results, table
 from fvs_ros.paths import version
 from fvs_ros.status import SILENT
 
-#: A table has at most this number of rows: most from its beginning, some of its end.
-_ROWS, _LAST_ROWS = 60, 20
 _STOPPED = (State.HOLDING.name, State.FAULT.name, SILENT)
 
 
@@ -61,7 +59,7 @@ class _Page:
         ]
         latency_s = np.empty(0)
         if {"ball", "commands"} <= series.keys():
-            latency_s = story.command_latencies(series["ball"], series["commands"])[1]
+            latency_s = story.command_latencies(series["ball"], series["commands"])
         return {
             "recording": recording,
             "started": recording.started(),
@@ -93,7 +91,7 @@ class _Page:
         for caption, records in tables.items():
             rows = table(Results(records), list(records[0]), ()) if records else []
             cells = [list(row.values()) for row in rows]
-            short = shortened(cells, _ROWS, _LAST_ROWS, "in results.json")
+            short = shortened(cells, 60, 20, "in results.json")
             if rows:
                 found.append(Table(self.words(f"table_{caption}"), list(rows[0]), short))
         setup = self.words(f"{name}_setup", lines=True).splitlines()
@@ -112,33 +110,24 @@ class _Page:
     def happened(self) -> Report:
         """States, limits, warnings."""
         events, limits = story.events(self._recording), story.limit_shares(self._recording)
-        states = [
-            {
-                "from, s": round(one.start_s, 2),
-                "for, s": round(one.length_s, 2),
-                "state": one.state,
-                "reason": one.reason,
-                "status": one.text,
-            }
-            for one in self._states
-        ]
-        warnings = [
-            {
-                "first at, s": round(one.time_s, 2),
-                "who": one.who,
-                "what": one.text,
-                "times": one.times,
-            }
-            for one in events
-        ]
-        shares = [
-            {
-                "limit": one["limit"],
-                "for, s": round(one["time_s"], 2),
-                "of the time on the way, %": _rounded(100 * one["way"]),
-            }
-            for one in limits
-        ]
+        tables = {
+            "states": _rows(
+                self._states,
+                {"from, s": "start_s", "for, s": "length_s"},
+                {"state": "state", "reason": "reason", "status": "text"},
+            ),
+            "events": _rows(
+                events, {"first at, s": "time_s"}, {"who": "who", "what": "text", "times": "times"}
+            ),
+            "limits": [
+                {
+                    "limit": one["limit"],
+                    "for, s": round(one["time_s"], 2),
+                    "of the time on the way, %": _rounded(100 * one["way"]),
+                }
+                for one in limits
+            ],
+        }
         data = {
             "cut_off": self._recording.cut_off,
             "scenario": self._recording.scenario,
@@ -146,7 +135,6 @@ class _Page:
             "limits": limits,
             "events": [one._asdict() for one in events],
         }
-        tables = {"states": states, "events": warnings, "limits": shares}
         return self._report(
             "happened",
             tables,
@@ -216,6 +204,17 @@ def _cell(target: Target, name: str, factor: float, digits: int) -> Any:
     if name in target.not_known:
         return "not known"
     return "never" if value is None else f"{factor * value:.{digits}f}".replace("nan", "-")
+
+
+def _rows(
+    records: Sequence[Any], times: Mapping[str, str], words: Mapping[str, str]
+) -> list[dict[str, Any]]:
+    """Rows of attributes by the columns' titles: first times, s, then anything."""
+    return [
+        {title: round(getattr(one, name), 2) for title, name in times.items()}
+        | {title: getattr(one, name) for title, name in words.items()}
+        for one in records
+    ]
 
 
 def _rounded(value: Any) -> Any:

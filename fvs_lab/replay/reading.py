@@ -254,20 +254,14 @@ def opened(bag: Bag) -> Iterator[AnyReader]:
 # ---- reading it -----------------------------------------------------------------------------
 
 _LOG, _PARAMETER_EVENTS = topics.EVERY_NODE_PUBLISHES
-#: From this level on a line of the log is kept: rcl's WARN.
-_WARN = 30
 
 
 def read(path: Path, namespace: str | None = None) -> Recording:
     """Read a bag: a folder of a rosbag2 (MCAP or SQLite), or its one file.
 
     One that was cut off is read up to there. The namespace is that of the nodes; it is needed
-    where the bag holds several.
-
-    Raises
-    ------
-    BagError
-        If there is no bag, it is damaged, or it holds no topic of this package.
+    where the bag holds several. A ``BagError`` says that there is no bag, that it is damaged, or
+    that it holds no topic of this package.
     """
     try:
         bag = find(path)
@@ -382,7 +376,7 @@ class _Reading:
                 if key not in self._columns:
                     self._columns[key] = _Columns()
                 self._columns[key].add(arrival_s, stamp_s, numbers)
-        elif topic == _LOG and message.level >= _WARN:
+        elif topic == _LOG and message.level >= 30:  # rcl's WARN
             self._events.append(Event(arrival_s, message.name, message.msg))
         elif topic == _PARAMETER_EVENTS:
             node = message.node.lstrip("/")

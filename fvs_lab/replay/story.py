@@ -164,30 +164,19 @@ def rhythms(recording: Recording) -> list[dict[str, Any]]:
     return found
 
 
-def command_latencies(ball: Series, commands: Series) -> tuple[np.ndarray, np.ndarray]:
-    """From an image's exposure to the first command after its ball position came.
+def command_latencies(ball: Series, commands: Series) -> np.ndarray:
+    """Time, s, from an image's exposure to the first command after its ball position came.
 
     Images from before the first command, or between commands that are more than a second apart,
     are left out: no controller was there to answer.
-
-    Returns
-    -------
-    arrival_s : ndarray, shape (n,)
-        When the position came, s.
-    latency_s : ndarray, shape (n,)
-        Age of the image when that command came, s.
     """
     following = np.searchsorted(commands.arrival_s, ball.arrival_s)
     apart_s = np.diff(commands.arrival_s, prepend=-np.inf, append=np.inf)[following]
     answered = (apart_s <= SILENT_S) & np.isfinite(ball.stamp_s)
-    came_s = commands.arrival_s[following[answered]]
-    return ball.arrival_s[answered], came_s - ball.stamp_s[answered]
+    return commands.arrival_s[following[answered]] - ball.stamp_s[answered]
 
 
 # --- predictions ---
-
-#: A Jacobian older than this predicts nothing, s.
-_OLD_S = 0.3
 
 
 @dataclass(frozen=True)
@@ -237,7 +226,8 @@ def prediction(recording: Recording) -> Prediction | None:
     image_s = ball.arrival_s[np.searchsorted(ball.time_s, end_s)]
     wanted_s = np.minimum(middle_s, image_s)
     newest = np.searchsorted(jacobian.arrival_s, wanted_s) - 1
-    usable = (newest >= 0) & (wanted_s - jacobian.arrival_s[newest] <= _OLD_S)
+    # An old Jacobian predicts nothing.
+    usable = (newest >= 0) & (wanted_s - jacobian.arrival_s[newest] <= 0.3)
     usable &= np.isfinite(motion_m).all(axis=1)
     if not usable.any():
         return None
@@ -251,10 +241,7 @@ def prediction(recording: Recording) -> Prediction | None:
 def _steps(joints: Series, ball: Series) -> tuple[np.ndarray, ...]:
     """The steps that the estimator makes of the same messages in the same order, n of them.
 
-    Returns
-    -------
-    tuple of ndarray
-        End and duration, s, shape (n,), joint motion, rad, and ball motion, m, shape (n, k).
+    End and duration, s, shape (n,), joint motion, rad, and ball motion, m, shape (n, k).
     """
     pairing = StepPairing()
     count = joints.values.shape[1] // 2
