@@ -19,7 +19,7 @@ from fvs_lab.results import DECISIVE, Results, median, wilson
 from fvs_lab.search import REGIMES, SEEDS, Search, Tuned, search_all
 from fvs_lab.spot_check import claims as spot_check_claims
 from fvs_lab.spot_check import spot_checks
-from fvs_lab.trials import Case, Conditions, make_cases, run_trial
+from fvs_lab.trials import Case, Conditions, make_cases
 from fvs_tools.schemes import SCHEMES
 
 _NAME = "beyond"
@@ -131,12 +131,12 @@ def _races(
     for gain_1_s in () if context.quick else who.TURNED_1_S:
         calm = partial(turned.trial, {"proportional_gain_1_s": gain_1_s})
         racers.append(({"scheme": f"rbf+pid, {gain_1_s:g}/s"}, calm))
-    labels = [{**label, "case": case.name} for label, _ in racers for case in cases]
-    trials = [trial(case, conditions=exact) for _, trial in racers for case in cases]
-    outcomes = context.map(run_trial, trials, "against the floor")
-    return Results(
-        outcome.row(part="race", **label) for outcome, label in zip(outcomes, labels, strict=True)
-    )
+    runs = [
+        ({"part": "race", **label, "case": case.name}, trial(case, conditions=exact))
+        for label, trial in racers
+        for case in cases
+    ]
+    return context.score(runs, "against the floor")
 
 
 def _over_floors(races: Results, cases: Sequence[Case], floors: Sequence[Floor]) -> Results:

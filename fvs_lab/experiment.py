@@ -19,7 +19,7 @@ from fvs_lab.figures import save
 from fvs_lab.outcome import Outcome
 from fvs_lab.report import Figure, Report, Table, Verdict, Words
 from fvs_lab.results import Interval, Results, table
-from fvs_lab.trials import Case, Conditions, Variant, run_trial
+from fvs_lab.trials import Case, Conditions, Trial, Variant, run_trial
 
 PAPER, OURS = "the paper's", "ours"
 
@@ -95,25 +95,27 @@ class Context:
         ``measure`` gives further columns of a run; fields are those of all trials, such as
         ``duration_s`` and ``record``.
         """
-        pairs = [(variant, case) for variant in variants for case in cases]
-        return self.run_pairs(pairs, label, measure, **fields)
+        runs = [
+            (
+                {**variant.labels, "case": case.name},
+                variant.trial(case, self.conditions(), **fields),
+            )
+            for variant in variants
+            for case in cases
+        ]
+        return self.score(runs, label, measure)
 
-    def run_pairs(
+    def score(
         self,
-        pairs: Sequence[tuple[Variant, Case]],
+        runs: Sequence[tuple[Mapping[str, Any], Trial]],
         label: str,
         measure: Callable[[Outcome], Mapping[str, Any]] | None = None,
-        **fields: Any,
     ) -> Results:
-        """Run variants on cases of their own; see :meth:`run`."""
-        trials = [variant.trial(case, self.conditions(), **fields) for variant, case in pairs]
-        outcomes = self.map(run_trial, trials, label)
+        """Run trials, each with the columns that tell it from the others; see :meth:`run`."""
+        outcomes = self.map(run_trial, [trial for _, trial in runs], label)
         return Results(
-            {
-                **outcome.row(**trial.variant.labels, case=trial.case.name),
-                **(measure(outcome) if measure else {}),
-            }
-            for outcome, trial in zip(outcomes, trials, strict=True)
+            outcome.row(**columns) | dict(measure(outcome) if measure else {})
+            for outcome, (columns, _) in zip(outcomes, runs, strict=True)
         )
 
 

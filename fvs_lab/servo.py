@@ -14,7 +14,7 @@ from fvs_lab import search
 from fvs_lab.results import Results
 from fvs_lab.spot_check import claims as spot_check_claims
 from fvs_lab.spot_check import spot_checks
-from fvs_lab.trials import Case, Conditions, make_cases, run_trial, simulation_of
+from fvs_lab.trials import Case, Conditions, make_cases, simulation_of
 from fvs_tools.schemes import SCHEMES
 
 #: Cases that the figures show, as in the paper.
@@ -76,21 +76,18 @@ def _score(
     context: lab.Context, found: _Searches, cases: Sequence[Case], conditions: Conditions
 ) -> Results:
     """Run every row of every regime on all cases, search by search."""
-    labels, trials = [], []
+    runs = []
     for regime in search.REGIMES:
         for row in ROWS:
-            for which, tuned in enumerate(
-                found[regime.name, search.PROPOSED if row == FROZEN else row]
-            ):
+            searches = found[regime.name, search.PROPOSED if row == FROZEN else row]
+            for which, tuned in enumerate(searches):
                 for number, case in enumerate(cases):
-                    labels.append(
-                        {"regime": regime.name, "scheme": row, "search": which, "case": case.name}
-                    )
                     record = which == 0 and number < _SHOWN
                     trial = tuned.trial(case, conditions, regime.duration_s, record=record)
-                    trials.append(trial.with_method("frozen") if row == FROZEN else trial)
-    outcomes = context.map(run_trial, trials, "servoing")
-    return Results(one.row(**label) for one, label in zip(outcomes, labels, strict=True))
+                    labels = {"regime": regime.name, "scheme": row, "search": which}
+                    trial = trial.with_method("frozen") if row == FROZEN else trial
+                    runs.append(({**labels, "case": case.name}, trial))
+    return context.score(runs, "servoing")
 
 
 def claims(found: lab.Found) -> Iterator[lab.Claim]:

@@ -22,7 +22,7 @@ from fvs_lab import figures as draw
 from fvs_lab.outcome import BOUNDS_M, seconds
 from fvs_lab.results import Results, label_of
 from fvs_lab.search import FREE
-from fvs_lab.trials import Case, Variant, make_cases
+from fvs_lab.trials import Case, Trial, Variant, make_cases
 from fvs_sim_node.simulation import SimConfig
 from fvs_tools.score import settling_time_s
 
@@ -146,7 +146,7 @@ def predicted_times_s(
 # ---- runs -----------------------------------------------------------------------------------
 
 
-def pairs(cases: list[Case]) -> list[tuple[Variant, Case]]:
+def planned(context: lab.Context, cases: list[Case]) -> list[tuple[dict[str, str], Trial]]:
     """All gains on all starts without noise, and on a part of them in the other worlds."""
     half = cases[: max(1, len(cases) // 2)]
     parts = []
@@ -154,19 +154,15 @@ def pairs(cases: list[Case]) -> list[tuple[Variant, Case]]:
         third = cases[number :: len(_COLOURS)]
         parts += [(gains, SILENT, cases), (gains, NOISY, half), (gains, ORACLE, third)]
     parts.append((EVERYDAY, SILENT, half))
-    return [
-        (
-            Variant(
-                {"gains": gains, "world": world},
-                "oracle" if world == ORACLE else "rbf",
-                controller_values=GAINS[gains],
-                conditions=WORLDS[world],
-            ),
-            case,
-        )
-        for gains, world, some in parts
-        for case in some
-    ]
+    fields = {"duration_s": DURATION_S, "stop_after_s": 1.0, "record": True}
+    runs = []
+    for gains, world, some in parts:
+        method = "oracle" if world == ORACLE else "rbf"
+        one = Variant(method=method, controller_values=GAINS[gains], conditions=WORLDS[world])
+        for case in some:
+            columns = {"gains": gains, "world": world, "case": case.name}
+            runs.append((columns, one.trial(case, context.conditions(), **fields)))
+    return runs
 
 
 def judged(runs: Results, gains: str) -> Iterator[dict[str, Any]]:
@@ -229,10 +225,7 @@ def exclusion(run: Mapping[str, Any], error_m: np.ndarray) -> str:
 def measure(context: lab.Context) -> lab.Found:
     """Run all gains in all worlds, and compute what was promised."""
     cases = make_cases("s", context.count(60, 4), 302)
-    planned = pairs(cases)
-    raw = context.run_pairs(
-        planned, "settling", duration_s=DURATION_S, stop_after_s=1.0, record=True
-    )
+    raw = context.score(planned(context, cases), "settling")
     rows: list[dict[str, Any]] = []
     for gains, ones in raw.groups("gains").items():
         for row in judged(ones, gains):

@@ -138,11 +138,8 @@ def test_the_cost_is_settling_time_and_breaking_a_limit_costs_more_than_it_gains
     limit = Limit("peak_joint_speed_rad_s", 0.8)
     search = Search(PID, (), replace(REGIMES[0], limit=limit, duration_s=4.0))
     calm = Candidate({}, time_s=2.0, settled_s=2.0, jitter_rad_s=0.0, peak_joint_speed_rad_s=0.79)
-    assert (
-        search.cost(calm)
-        == 2.0
-        < search.cost(replace(calm, time_s=0.5, peak_joint_speed_rad_s=0.9))
-    )
+    hasty = replace(calm, time_s=0.5, peak_joint_speed_rad_s=0.9)
+    assert search.cost(calm) == 2.0 < search.cost(hasty)
 
 
 def test_the_search_finds_the_gain_and_is_repeatable(tmp_path):
