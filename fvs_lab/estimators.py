@@ -164,13 +164,11 @@ def judge_all(job: Job) -> list[dict[str, Any]]:
         track = tracks[one.name]
         row = {
             "world": job.world.name,
-            "turn_deg": job.world.turn_deg,
             "name": one.name,
             "estimator": one.label,
             "method": one.method,
             "case": job.seed,
             **track.summary(),
-            "steps": track.time_s.size,
             "median_step_m": float(np.median(track.motion_m)),
             "visible_share": recording.visible_share,
             "position_error_rms_m": recording.position_error_m,

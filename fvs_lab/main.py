@@ -137,7 +137,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _run(arguments: argparse.Namespace) -> int:
     from fvs_lab.experiment import Context
-    from fvs_lab.robustness import UnknownSchemeError, contestants_called, rerun
+    from fvs_lab.robustness import contestants_called, rerun
     from fvs_lab.worlds import KINDS
 
     context = Context(
@@ -151,15 +151,14 @@ def _run(arguments: argparse.Namespace) -> int:
         schemes=tuple(arguments.scheme),
     )
     try:
-        if arguments.name in LONG:
-            contestants_called(context.schemes)
-        if arguments.trial:
-            rerun(context, KINDS[arguments.name], arguments.trial)
-            return EXIT_OK
-        return _measure(context, arguments)
-    except UnknownSchemeError as error:
+        contestants_called(context.schemes)
+    except ValueError as error:
         print(f"fvs_experiments: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
+    if arguments.trial:
+        rerun(context, KINDS[arguments.name], arguments.trial)
+        return EXIT_OK
+    return _measure(context, arguments)
 
 
 def _measure(context: Context, arguments: argparse.Namespace) -> int:

@@ -205,7 +205,6 @@ METRICS = {
     "t2_m": Metric("T2, mm", 1e3, 1),
     "t2_final_m": Metric("T2 at the end, mm", 1e3, 1),
     "t2_max_m": Metric("T2 at most, mm", 1e3, 1),
-    "turn_deg": Metric("camera rotated since training by, °"),
     # rests
     "error_before": Metric("Jacobian error before, %", 1e2, 1),
     "error_after": Metric("after, %", 1e2, 1),
@@ -214,7 +213,6 @@ METRICS = {
     "chain_box": Metric("chain, box M, %", 1e2, 3),
     "chain_workspace": Metric("chain, workspace, %", 1e2, 3),
     "distilled_box": Metric("distilled networks, box M, %", 1e2),
-    "distilled_workspace": Metric("distilled networks, workspace, %", 1e2),
     "late_error_s": Metric("lateness found, off by, ms", 1e3),
     "stated": Metric("the fit says, %", 1e2, 3),
     "seen": Metric("off from what the camera sees, %", 1e2, 3),

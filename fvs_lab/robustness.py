@@ -29,22 +29,12 @@ CONTESTANTS = (*SCHEMES.values(), ORACLES[ORACLE], *BEYOND.values())
 _QUICK = ("proposed", ORACLE)
 
 
-class UnknownSchemeError(ValueError):
-    """A scheme that does not exist; the text lists those known."""
-
-
 def contestants_called(names: Sequence[str]) -> list[Scheme]:
-    """The contestants of these names, or all without any.
-
-    Raises
-    ------
-    UnknownSchemeError
-        If there is none of a name.
-    """
+    """The contestants of these names, or all without any; a ``ValueError`` lists those known."""
     known = {one.name: one for one in CONTESTANTS}
     for name in names:
         if name not in known:
-            raise UnknownSchemeError(unknown("scheme", name, map(repr, known)))
+            raise ValueError(unknown("scheme", name, map(repr, known)))
     return [one for one in CONTESTANTS if not names or one.name in names]
 
 
