@@ -8,7 +8,7 @@ non-linear least squares with the exact derivatives.
 The start comes from a cubic regression of the positions (:mod:`fvs_estimator_node.chain_start`) at
 the best of several ``tau``. A joint that hardly moves the ball says little about its axis, which
 may lie on the ball's other side: that is tried until the images fit as well as they fit each other,
-and for the weakest joints once more when all is fitted.
+and for the weakest joint once more when all is fitted.
 """
 
 from __future__ import annotations
@@ -47,9 +47,6 @@ _NEAR_S, _LEAST_PAIRS, _UNLIKE = 0.25, 50, 6.0
 _OUTLIER = 6.0
 #: A start is right if its residual is below so many times that of the images themselves.
 _GOOD_SHARE = 1.5
-#: So many of the weakest joints are turned about once more when all is fitted, and the evaluations
-#: that each is given: the right side needs six or so, a wrong one has no end.
-_TURNED, _TURNED_EVALUATIONS = 2, 10
 #: How far off the coordinates may be where the data do not tell, standard deviations: rad, m, m/rad
 #: for turns, shifts and slopes of the residuals by the joints; s for the offset.
 _PRIOR, _OFFSET_PRIOR_S = 1.0, 0.1
@@ -243,12 +240,12 @@ class _Fitting:
             whitening = self._whitening(self._residuals(found))
             found = self._solve(found, whitening, images)
         # A wrong optimum can fit nearly as well as the right one: noise hides a weak joint's bend.
-        for rank in range(_TURNED):
-            about = found._replace(chain=turned_about(found.chain, rank))
-            turned = self._solve(about, whitening, images, evaluations=_TURNED_EVALUATIONS)
-            if turned.cost < found.cost:
-                whitening = self._whitening(self._residuals(turned))
-                found = self._solve(turned, whitening, images)
+        # The right side is found in six evaluations or so, a wrong one has no end.
+        about = found._replace(chain=turned_about(found.chain, 0))
+        turned = self._solve(about, whitening, images, evaluations=10)
+        if turned.cost < found.cost:
+            whitening = self._whitening(self._residuals(turned))
+            found = self._solve(turned, whitening, images)
         # What is far off had a small say so far; in a long stretch, all of it pulls one way.
         inlier = self._inliers(self._residuals(found))
         if not inlier.all():

@@ -26,8 +26,6 @@ from fvs_ros.timeline import Sample, StampGate, Timeline
 
 #: Older joint states stop the arm, an older ball sends it back toward the start, s.
 _JOINTS_MAX_AGE_S, _BALL_MAX_AGE_S = 0.1, 0.5
-#: The ball counts as seen again after this many positions.
-_FRESH_BALLS = 5
 #: A tick counts for at most this long, s: a late one must not make a big step.
 _MAX_TICK_S = 0.05
 #: The arm may fail to move as commanded for this long, s. Motion against the command counts six
@@ -35,8 +33,6 @@ _MAX_TICK_S = 0.05
 _FOLLOW_TIME_S, _AGAINST_TIME_S, _AGAINST_RAD = 3.0, 0.7, 0.01
 #: A joint may be this far outside its box, or as far as it can brake within, rad.
 _BOX_MARGIN_RAD = 0.1
-#: A publisher without a name that is found this often in a row, four times a second, ends the run.
-_NAMELESS_LOOKS = 3
 #: After this time without joint states or without the ball the run ends with an error, s: longer
 #: than a driver or a detector takes to start, shorter than a person waits.
 GIVE_UP_S = 10.0
@@ -128,14 +124,12 @@ class CollectionRun:
         self._ticked_s = -np.inf
         self._joints: np.ndarray | None = None
         self._joints_s = self._ball_s = -np.inf
-        self._balls_seen = 0
         self._velocity = np.zeros(len(self._names))
         self._following = Following()
         self._speed_scaling = 1.0
         self._moved_s = 0.0
         self._trouble_s: float | None = None
         self._others = ""
-        self._nameless_looks = 0
         self.state = State.WAITING
         self.reason = "waiting for joint_states"
         self.samples: list[Sample] = []
@@ -167,13 +161,9 @@ class CollectionRun:
 
     def ball(self, now_s: float, stamp_s: float, position_m: np.ndarray) -> None:
         """Take a ball position: arrival on the steady clock and exposure stamp, s; (m,), m."""
-        if not self._ball_stamps.advances(stamp_s):
-            return
-        if now_s - self._ball_s > _BALL_MAX_AGE_S:
-            self._balls_seen = 0
-        self._balls_seen += 1
-        self._ball_s = now_s
-        self._record(self._timeline.add_ball(stamp_s, position_m))
+        if self._ball_stamps.advances(stamp_s):
+            self._ball_s = now_s
+            self._record(self._timeline.add_ball(stamp_s, position_m))
 
     def speed_scaling(self, share: float) -> None:
         """Take the robot's speed scaling, 0 to 1."""
@@ -182,14 +172,10 @@ class CollectionRun:
     def other_publishers(self, names: Sequence[str]) -> None:
         """Take the names of the other nodes that publish joint commands.
 
-        Nothing starts while there is one. A moving arm is stopped at once for a full name, which
-        has a slash; for a node not known by name yet, a moment later, so that the name is told.
+        Nothing starts while there is one, and a moving arm is stopped.
         """
         self._others = ", ".join(names)
-        named = any("/" in name for name in names)
-        self._nameless_looks = self._nameless_looks + 1 if names and not named else 0
-        sure = named or self._nameless_looks >= _NAMELESS_LOOKS
-        if sure and self._motion is not None:
+        if names and self._motion is not None:
             self.fail(
                 f"{self._others} began to command the arm as well; stop it, then collect again"
             )
@@ -306,11 +292,7 @@ class CollectionRun:
         if self._trouble_s is None:
             self._trouble_s = now_s
         elif now_s - self._trouble_s > GIVE_UP_S:
-            if self._motion is not None and self._moved_s >= self._motion.duration_s:
-                self.state = State.DONE
-                self.reason = f"finished{self._because()}, though not back at the start: {reason}"
-            else:
-                self.fail(f"gave up after {GIVE_UP_S:g} s: {reason}")
+            self.fail(f"gave up after {GIVE_UP_S:g} s: {reason}")
 
     def _late_joints(self, now_s: float) -> str:
         age_s = now_s - self._joints_s
@@ -321,7 +303,7 @@ class CollectionRun:
 
     def _lost_ball(self, now_s: float) -> str:
         age_s = now_s - self._ball_s
-        if age_s <= _BALL_MAX_AGE_S and self._balls_seen >= _FRESH_BALLS:
+        if age_s <= _BALL_MAX_AGE_S:
             return ""
         heard = "never seen" if np.isinf(age_s) else f"last seen {age_s:.1f} s ago"
         return f"the ball is not in view ({heard})"

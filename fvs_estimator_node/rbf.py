@@ -195,7 +195,7 @@ class RbfEstimator(FrozenRbfEstimator):
             if config.k3 > 0.0:
                 rest = 0.0 if config.leak_target == "zero" else self.model.weights
                 weights -= -math.expm1(-config.k3 * step.dt_s) * (self._weights - rest)
-        if not (step.dt_s > 0.0 and np.all(np.isfinite(weights))):
+        if not (step.dt_s > 0.0 and math.isfinite(np.vdot(weights, weights))):
             self.refused += 1
             return
         self._weights = weights

@@ -10,9 +10,10 @@ from __future__ import annotations
 import io
 import json
 import os
+import signal
 import subprocess
 import sys
-import threading
+import tempfile
 from collections.abc import Sequence
 from math import isnan
 from typing import Any
@@ -24,12 +25,6 @@ from fvs_ros.timeline import Sample
 
 #: When a chain is fitted first, and how much later the next time at the earliest, s of motion.
 _FIRST_S, _PERIOD_S = 12.0, 4.0
-#: This many fits in a row have to agree that it is enough.
-_AGREEING = 2
-#: Joints in the box at which the Jacobian's deviation is evaluated.
-_PLACES = 100
-#: A longer fit hangs and is ended, s.
-_LONGEST_S = 120.0
 _COMMAND = program("fvs_estimator_node.stopping")
 
 
@@ -46,7 +41,7 @@ class StopCriterion:
     Attributes
     ----------
     enough : bool
-        Whether the chain is known well enough.
+        Whether two fits in a row know the chain well enough.
     trouble : str
         Why there will be no more fits; empty if all is well.
     found : dict
@@ -57,8 +52,7 @@ class StopCriterion:
     def __init__(self, stop_at_error: float, command: Sequence[str] = _COMMAND) -> None:
         self._stop_at_error, self._command = stop_at_error, tuple(command)
         self._next_s, self._good = _FIRST_S, 0
-        self._thread: threading.Thread | None = None
-        self._answer: dict[str, Any] = {}
+        self._fit: subprocess.Popen[bytes] | None = None
         self.enough, self.trouble = False, ""
         self.found: dict[str, Any] = {}
 
@@ -69,40 +63,37 @@ class StopCriterion:
         """
         if self.enough or self.trouble or self._stop_at_error <= 0.0:
             return
-        if self._thread is None:
-            if time_s >= self._next_s and samples:
-                self._next_s = time_s + _PERIOD_S
-                given = list(samples), box_rad
-                self._thread = threading.Thread(target=self._fit, args=given, daemon=True)
-                self._thread.start()
-        elif not self._thread.is_alive():
-            self._thread, answer = None, self._answer
-            self.trouble = answer.pop("trouble", "")
-            self.found = answer or self.found
-            good = answer.get("is_chain") and answer["jacobian_deviation"] < self._stop_at_error
-            self._good = self._good + 1 if good else 0
-            self.enough = self._good >= _AGREEING
-
-    def _fit(self, samples: list[Sample], box_rad: np.ndarray) -> None:
-        """Run the program; in a thread."""
-        content = io.BytesIO()
-        np.savez(content, box_rad, *map(np.array, zip(*samples, strict=True)))
         try:
-            done = subprocess.run(
+            if self._fit is None and time_s >= self._next_s and samples:
+                self._next_s, self._fit = time_s + _PERIOD_S, self._begin(samples, box_rad)
+            elif self._fit is not None and self._fit.poll() is not None:
+                ended, self._fit = self._fit, None
+                self._take(*ended.communicate(), ended.returncode)
+        except Exception as error:  # whatever it is, the collector says it and goes on
+            self.trouble = f"the chain fit failed: {error}"
+
+    def _begin(self, samples: Sequence[Sample], box_rad: np.ndarray) -> subprocess.Popen[bytes]:
+        with tempfile.TemporaryFile() as content:
+            np.savez(content, box_rad, *map(np.array, zip(*samples, strict=True)))
+            content.seek(0)
+            return subprocess.Popen(
                 self._command,
-                input=content.getvalue(),
-                capture_output=True,
-                timeout=_LONGEST_S,
-                check=False,
+                stdin=content,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
                 start_new_session=True,  # Ctrl-C is the collector's affair
                 env={**os.environ, "OMP_NUM_THREADS": "1"},
             )
-            if done.returncode != 0:
-                last = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
-                raise RuntimeError(f"exit code {done.returncode} {last}".strip())
-            self._answer = dict(json.loads(done.stdout.splitlines()[-1]))
-        except Exception as error:  # whatever it is, the collector says it and goes on
-            self._answer = {"trouble": f"the chain fit failed: {error}"}
+
+    def _take(self, out: bytes, complaint: bytes, exit_code: int) -> None:
+        if exit_code != 0:
+            last = complaint.decode(errors="replace").strip().rpartition("\n")[2]
+            raise RuntimeError(f"exit code {exit_code} {last}".strip())
+        answer = dict(json.loads(out.splitlines()[-1]))
+        self.found = answer or self.found
+        good = answer.get("is_chain") and answer["jacobian_deviation"] < self._stop_at_error
+        self._good = self._good + 1 if good else 0
+        self.enough = self._good >= 2
 
     def words(self) -> str:
         """What is known; empty if nothing is."""
@@ -121,9 +112,8 @@ def _examine(
     from fvs_estimator_node.chain_fit import fit_chain
     from fvs_estimator_node.dataset import DataSet
 
-    low, high = box_rad
-    names = tuple(f"joint {i}" for i in range(len(low)))
-    places = np.random.default_rng(0).uniform(low, high, (_PLACES, len(low)))
+    names = tuple(f"joint {i}" for i in range(box_rad.shape[1]))
+    places = np.random.default_rng(0).uniform(box_rad[0], box_rad[1], (100, len(names)))
     try:
         fit = fit_chain(DataSet(stamp_s, joints_rad, ball_m, run, names))
         deviation = float(np.median(fit.jacobian_deviation(places)))
@@ -139,5 +129,6 @@ def _examine(
 
 if __name__ == "__main__":
     os.nice(10)  # the commands come first where there are too few cores
+    signal.alarm(120)  # a longer fit hangs, and ends itself
     arrays = np.load(io.BytesIO(sys.stdin.buffer.read()))
     print(json.dumps(_examine(*(arrays[name] for name in arrays.files))))

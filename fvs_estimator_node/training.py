@@ -47,13 +47,10 @@ _NODE_SPACING_RAD = 0.8
 _BATCH, _LEARNING_RATE, _CHECK_EVERY = 2048, 0.1, 20
 #: Passes of the search for the stamps' offset, and fewest images of a run for it.
 _ALIGNMENTS, _SHORTEST_RUN = 4, 30
-#: Images of the reference.
-_REFERENCE_IMAGES = 1200
 #: Offsets of the images' stamps below this are not worth a word, s.
 _NOTABLE_OFFSET_S = 0.003
-#: A network with a larger error is doubtful, if its joint moves the ball by this share of what the
-#: one does that moves it most.
-_DOUBTFUL, _MATTERS = 0.15, 0.2
+#: Networks that miss a larger share of the ball's motion are doubtful.
+_DOUBTFUL = 0.15
 
 #: Centres, rad, (n, k, n), and widths, rad, (n, k).
 Neurons = tuple[np.ndarray, np.ndarray]
@@ -114,8 +111,7 @@ def train(
     TrainedModel
         Ready to be saved. Its ``errors`` are those of networks that have not seen the held-out
         images; the weights are then fitted once more, to all images. ``pair_error_m`` is the root
-        mean square prediction error between two of those images, with the noise of both, m. A
-        column's relative error is None where the joint does not move the ball.
+        mean square prediction error between two of those images, with the noise of both, m.
 
     Raises
     ------
@@ -138,7 +134,6 @@ def train(
     judged = _model(neurons, pairs.solve(neurons, fitting))
     errors |= _judge_pairs(pairs, judged, held_out)
     everything = np.flatnonzero(good)
-    errors |= _judge_networks(pairs, judged, everything, held_out, errors["pair_error_m"])
     errors |= {"samples": len(everything), "held_out_samples": len(held_out)}
     return TrainedModel(
         model=_model(neurons, pairs.solve(neurons, everything)),
@@ -361,70 +356,6 @@ def _judge_pairs(pairs: _Pairs, model: RbfModel, held_out: np.ndarray) -> dict[s
     return {"pair_error_m": error_m, "pair_error_relative": error_m / motion_m}
 
 
-def _judge_networks(
-    pairs: _Pairs,
-    model: RbfModel,
-    everything: np.ndarray,
-    held_out: np.ndarray,
-    pair_error_m: float,
-) -> dict[str, list[Any]]:
-    """Size and error of each column at held-out joints, against :func:`reference_jacobian`."""
-    known = pairs.rng.permutation(everything)[:_REFERENCE_IMAGES]
-    at = pairs.joints[pairs.rng.permutation(held_out)[:_REFERENCE_IMAGES]]
-    # a pair's error has the noise of two images in each coordinate
-    noise_m = max(pair_error_m / math.sqrt(2.0 * pairs.ball.shape[1]), 1e-5)
-    reference = reference_jacobian(
-        pairs.joints[known], pairs.ball[known], at, noise_m, 2.0 * pairs.width_rad
-    )
-    difference = model.jacobian(at) - reference
-    columns, errors = (
-        np.sqrt(np.mean(np.sum(one**2, axis=1), axis=0)) for one in (reference, difference)
-    )
-    matters = columns > 0.01 * np.linalg.norm(columns)
-    relative = [
-        float(error / column) if matter else None
-        for error, column, matter in zip(errors, columns, matters, strict=True)
-    ]
-    return {
-        "column_m_rad": columns.tolist(),
-        "column_error_m_rad": errors.tolist(),
-        "column_error_relative": relative,
-    }
-
-
-def reference_jacobian(
-    joints_rad: np.ndarray,
-    ball_m: np.ndarray,
-    at_rad: np.ndarray,
-    noise_m: float,
-    scale_rad: float,
-    size_m: float = 4.0,
-) -> np.ndarray:
-    """A second opinion to judge by: the slope of a Gaussian process through ball positions.
-
-    Prediction errors alone do not say which network is to blame; this gives each column by itself,
-    to about a percent. Joints, rad, (k, n), and positions, m, (k, m), with a noise, m; where to
-    evaluate, rad, (p, n); over which length the positions change their character, rad, and by how
-    much, m. Returns Jacobians, m/rad, (p, m, n).
-    """
-    known, wanted = joints_rad / scale_rad, at_rad / scale_rad
-    covariance = _kernel(known, known) + 1.0  # the constant: where the ball is on the whole
-    covariance[np.diag_indices_from(covariance)] += (noise_m / size_m) ** 2
-    coefficients = np.linalg.solve(covariance, ball_m - ball_m.mean(axis=0))
-    kernel = _kernel(wanted, known)
-    level = kernel @ coefficients
-    columns = [
-        kernel @ (coefficients * known[:, [i]]) - level * wanted[:, [i]]
-        for i in range(known.shape[1])
-    ]
-    return np.stack(columns, axis=-1) * (2.0 / scale_rad)
-
-
-def _kernel(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    squares = np.sum(a * a, axis=1)[:, None] + np.sum(b * b, axis=1) - 2.0 * (a @ b.T)
-    return np.exp(-np.maximum(squares, 0.0))
-
-
 # ---- notes ----------------------------------------------------------------------------------
 
 
@@ -450,20 +381,14 @@ def late_stamps_note(offset_s: float) -> str:
 
 
 def _notes(data: DataSet, errors: dict[str, Any]) -> list[str]:
-    still, outliers, columns = still_joints(data), errors["outliers"], errors["column_m_rad"]
-    relative = zip(data.joint_names, columns, errors["column_error_relative"], strict=True)
-    bad = ", ".join(
-        name
-        for name, column, error in relative
-        if error is not None and error > _DOUBTFUL and column > _MATTERS * max(columns)
-    )
+    still, outliers, missed = still_joints(data), errors["outliers"], errors["pair_error_relative"]
     notes = (
         f"{still} did not move in the data set: their columns are not learned" if still else "",
         late_stamps_note(errors["time_offset_s"]),
         f"{outliers} of {len(data)} images do not fit and were left out" if outliers else "",
-        f"{bad}: over {100 * _DOUBTFUL:.0f} % off; collect longer or in a wider box, with one "
-        "robot and one detector publishing"
-        if bad
+        f"the networks miss {100.0 * missed:.0f} % of the ball's motion; collect longer or in a "
+        "wider box, with one robot and one detector publishing"
+        if missed > _DOUBTFUL
         else "",
     )
     return [note for note in notes if note]

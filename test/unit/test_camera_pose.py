@@ -136,7 +136,8 @@ def test_the_jacobian_behind_a_turned_camera(networks, method, within):
             estimator.chain.position(places), seen.position(places), atol=0.01
         )
         np.testing.assert_allclose(estimator.chain.jacobian(places), learned, atol=1e-9)
-    see(estimator, seen, np.repeat(joints[-1:], 3000, axis=0), rng)  # a rest forgets nothing
+    # A rest forgets nothing, though encoders are noisy.
+    see(estimator, seen, joints[-1] + 1e-4 * rng.normal(size=(3000, 6)), rng)
     rested = np.array([estimator.jacobian(q) for q in places])
     assert np.median(relative_error(rested, seen.jacobian(places))) < within
     estimator.reset()

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 import ur5_dh
 from recordings import Recording, relative_error, ur5_chain
-from unseen_robot import REACH_RAD, draw_arm
 
 from fvs_estimator_node import chain_chart
 from fvs_estimator_node.chain_chart import Chart, residuals_and_slopes
 from fvs_estimator_node.chain_fit import ChainFitError, fit_chain
 from fvs_estimator_node.dataset import DataSet
-from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_ros.chain import SerialChain
 
 
@@ -118,21 +116,6 @@ def test_it_says_how_good_it_is_with_a_camera_and_joints_that_err(scales, encode
     assert 0.5 * error < told < 2.0 * error
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_a_robot_of_unknown_make(seed):
-    arm = draw_arm(np.random.default_rng([seed, 77]))
-    rng = np.random.default_rng(seed)
-    motion = RandomMotion(arm.reference_rad, MotionConfig(), rng)
-    stamps = np.arange(1200) / 30.0
-    joints = np.array([motion.path(t)[0] for t in stamps])
-    ball = arm.position(joints) + 0.001 * rng.normal(size=(1200, 3))
-    fit = fit_chain(DataSet(stamps, joints, ball, np.zeros(1200, dtype=int)))
-    places = arm.reference_rad + REACH_RAD * rng.uniform(-1.0, 1.0, (50, 6))
-    true = arm.jacobian(places)
-    assert np.median(relative_error(fit.chain.jacobian(places), true)) < 0.002
-    assert fit.misfit < 1.1
-
-
 def test_a_wrong_optimum_that_fits_nearly_as_well_is_left():
     """Depth noise hides the bend of the last axis, 3 cm from the ball: misfit 1.1 reversed."""
     rng = np.random.default_rng(5)
@@ -195,31 +178,8 @@ def misnamed(recording):
 
 @pytest.mark.parametrize("spoilt", [prismatic, swinging, misnamed])
 def test_what_is_no_chain_of_six_revolute_joints_shows(spoilt):
-    fit = fit_chain(spoilt(Recording(seconds=13.0, late_s=0.0)))
+    fit = fit_chain(spoilt(Recording(seconds=20.0, late_s=0.0, outliers=0.2)))
     assert fit.misfit > 2.0
-
-
-def told(data, matrix):
-    """The joints told otherwise than they are: by a matrix, (6, 6)."""
-    return replace(data, joints_rad=data.joints_rad @ np.asarray(matrix).T)
-
-
-THIRD_TOO_FAR = np.diag([1.0, 1.0, 1.2, 1.0, 1.0, 1.0])
-FIFTH_FOR_FOURTH = np.eye(6)[[0, 1, 2, 4, 3, 5]]
-
-
-@pytest.mark.parametrize(
-    ("matrix", "is_chain"),
-    [(np.eye(6), True), (THIRD_TOO_FAR, False), (FIFTH_FOR_FOURTH, False)],
-    ids=["as it is", "joint 3 times 1.2", "joints 4 and 5 swapped"],
-)
-def test_many_outliers_hide_no_misfit(matrix, is_chain):
-    fit = fit_chain(told(Recording(seconds=40.0, outliers=0.3).data(), matrix))
-    assert fit.is_chain == is_chain
-    if is_chain:
-        assert fit.misfit == pytest.approx(1.0, abs=0.1)
-    else:
-        assert fit.misfit > 1.8
 
 
 @pytest.mark.parametrize("frozen", [False, True], ids=["5 cm aside", "frozen"])

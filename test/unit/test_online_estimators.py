@@ -145,19 +145,6 @@ def test_least_squares_do_not_wind_up_where_nothing_moves():
     assert np.abs(after - before).max() < 0.1
 
 
-@pytest.mark.parametrize("method", ["lkf", "ukf", "rls"])
-def test_the_covariance_stays_symmetric_and_positive_over_long_runs(method):
-    rng = np.random.default_rng(11)
-    for noise in ({}, {"online.measurement_noise_m": 1e-6}):
-        estimator = create_estimator(method, None, {**ZERO, **noise})
-        learn(estimator, random_steps(rng, 1500))
-        learn(estimator, random_steps(rng, 1500, joints=1))
-        assert estimator.refused == 0
-        covariance = estimator.covariance
-        np.testing.assert_array_equal(covariance, covariance.T)
-        assert np.linalg.eigvalsh(covariance)[0] > 0.0
-
-
 _NUMBER = st.floats()
 _SANE = st.floats(-1.0, 1.0)
 
@@ -184,7 +171,7 @@ _STEPS = st.lists(
 
 
 @pytest.mark.parametrize("initial", ["model", "zero"])
-@pytest.mark.parametrize("method", ONLINE)
+@pytest.mark.parametrize("method", [*ONLINE, "rbf"])
 @settings(deadline=None, max_examples=60)
 @given(steps=_STEPS)
 def test_no_sequence_of_steps_makes_a_jacobian_that_is_not_finite(method, initial, steps):
@@ -192,7 +179,7 @@ def test_no_sequence_of_steps_makes_a_jacobian_that_is_not_finite(method, initia
     for step in steps:
         estimator.update(step)
         assert np.all(np.isfinite(estimator.jacobian(HOME)))
-        if estimator.covariance.size:
+        if method != "rbf" and estimator.covariance.size:
             np.linalg.cholesky(estimator.covariance)
     assert all(math.isfinite(value) for value in estimator.status_values().values())
 
@@ -247,15 +234,6 @@ def test_every_declared_parameter_reaches_its_estimator_and_no_other():
                     assert getattr(made.config, name) == value
     with pytest.raises(ValueError, match=r"forgetting must be number from 0\.5 to 1"):
         create_estimator("rls", None, {**ZERO, "online.forgetting": 2.0})
-
-
-def test_the_registry_lists_all_methods():
-    assert {"rbf", "frozen", "rbf_left", "poe", *ONLINE, "oracle"} == set(ESTIMATORS)
-    with pytest.raises(ValueError, match="unknown estimator method 'kalman'; known are broyden"):
-        create_estimator("kalman")
-    for method, words in (("rbf", "needs a trained model"), ("poe", "needs a fitted chain")):
-        with pytest.raises(ValueError, match=words):
-            create_estimator(method)
 
 
 def test_the_oracle_hands_on_what_it_is_told_or_a_simulation_computes():

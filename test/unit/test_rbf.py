@@ -108,34 +108,3 @@ def test_a_capped_step_corrects_the_share_mu_of_the_error():
     estimator.update(step)
     after = step.d_ball_m - estimator.jacobian(step.joints_rad) @ step.d_joints_rad
     np.testing.assert_allclose(after, 0.5 * before, rtol=1e-9)
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e308])
-def test_weights_stay_finite_whatever_comes(bad):
-    model, rng = random_model(), np.random.default_rng(7)
-    estimator = RbfEstimator(model, RbfConfig(n1=1e4, mu=1.9))
-    good = random_step(rng)
-    for name in ("dt_s", "joints_rad", "d_joints_rad", "d_ball_m", "sliding_variable"):
-        value = {**good.__dict__}
-        value[name] = bad if name == "dt_s" else np.full(np.shape(value[name]), bad)
-        estimator.update(MotionStep(**value))
-        assert np.all(np.isfinite(estimator.weights)), name
-    for dt_s in (0.0, -0.04):
-        value = {**good.__dict__, "dt_s": dt_s}
-        estimator.update(MotionStep(**value))
-        assert np.all(np.isfinite(estimator.weights))
-    assert estimator.refused > 0
-
-
-def test_a_model_of_wrong_shape_or_not_finite_is_refused():
-    good = random_model()
-    for name, value in (
-        ("centres", good.centres[:5]),
-        ("widths", good.widths[:, :3]),
-        ("weights", good.weights[:5]),
-        ("weights", np.full_like(good.weights, np.nan)),
-        ("widths", -good.widths),
-    ):
-        parts = {"centres": good.centres, "widths": good.widths, "weights": good.weights}
-        with pytest.raises(ValueError, match=r"shape|finite|positive"):
-            RbfModel(**{**parts, name: value})

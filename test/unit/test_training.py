@@ -11,9 +11,7 @@ from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.training import (
     TrainingError,
     TrainingOptions,
-    _split,
     line_regressors,
-    reference_jacobian,
     train,
 )
 
@@ -92,14 +90,7 @@ def test_two_minutes_of_the_collectors_motion_suffice():
     assert jacobian_error(result.model.jacobian) < 0.02
 
 
-def test_the_reported_errors_are_true_ones(ridge):
-    joints = uniform_in_box(np.random.default_rng(9), 2000)
-    true = ball_and_jacobian(joints)[1]
-    off = ridge.model.jacobian(joints) - true
-    column, error = (np.sqrt(np.mean(np.sum(one**2, axis=1), axis=0)) for one in (true, off))
-    np.testing.assert_allclose(ridge.errors["column_m_rad"], column, rtol=0.03, atol=5e-3)
-    told = np.array(ridge.errors["column_error_m_rad"])
-    assert np.all((0.7 * error < told) & (told < 1.3 * error + 3e-3))
+def test_the_reported_error_is_that_of_the_noise(ridge):
     # pairs of far images: the noise of two positions and little else
     assert np.sqrt(6.0) * NOISE_M < ridge.errors["pair_error_m"] < 8.0 * NOISE_M
     assert ridge.errors["pair_error_relative"] < 0.02
@@ -129,20 +120,6 @@ def test_outliers_are_left_out(monkeypatch):
     assert spoilt.errors["pair_error_m"] < 0.7 * kept.errors["pair_error_m"]
 
 
-def test_the_held_out_images_have_no_say(monkeypatch):
-    # their ball positions are nonsense; the reported error says so, the choice does not notice
-    monkeypatch.setattr("fvs_estimator_node.training._OUTLIER_FACTOR", 1e9)
-    data = probes(600)
-    plain = train(data, RIDGE)
-    held_out = _split(len(data), np.random.default_rng(0))[2]  # the seed's first draw
-    assert len(held_out) == plain.errors["held_out_samples"]
-    ball = data.ball_m.copy()
-    ball[held_out] += 0.3 * np.random.default_rng(0).standard_normal((len(held_out), 3))
-    spoilt = train(replace(data, ball_m=ball), RIDGE)
-    assert spoilt.errors["time_offset_s"] == plain.errors["time_offset_s"]
-    assert spoilt.errors["pair_error_m"] > 20.0 * plain.errors["pair_error_m"]
-
-
 def test_data_that_cannot_teach_is_refused():
     data = probes(400)
     n = len(data)
@@ -154,14 +131,6 @@ def test_data_that_cannot_teach_is_refused():
         train(replace(data, ball_m=np.ones((n, 3))), RIDGE)
     with pytest.raises(TrainingError, match="unknown training method"):
         TrainingOptions(method="magic")
-
-
-def test_the_reference_is_the_slope_of_the_positions():
-    rng = np.random.default_rng(0)
-    joints, at = uniform_in_box(rng, 800), uniform_in_box(rng, 50)
-    found = reference_jacobian(joints, ball_and_jacobian(joints)[0], at, 1e-5, 4.0)
-    true = ball_and_jacobian(at)[1]
-    assert np.linalg.norm(found - true) < 0.01 * np.linalg.norm(true)
 
 
 @pytest.mark.parametrize("late_s", [0.04, -0.02])
