@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from fvs_ros.camera import CAMERA_FRAME, Intrinsics
-from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_ros.params import Parameters, parameter
 from fvs_tools.score import FINE_ERROR_M, SETTLED_ERROR_M, TargetScore, judge
 
@@ -133,6 +133,7 @@ def write_results(folder: Path, records: list[TargetRecord], scores: list[Target
 def draw(
     path: Path,
     records: list[TargetRecord],
+    joint_names: Sequence[str],
     image_rgb: np.ndarray | None,
     intrinsics: Intrinsics | None,
 ) -> None:
@@ -170,7 +171,7 @@ def draw(
     axes["error"].axhline(SETTLED_ERROR_M * 1e3, color="0.4", linestyle="--", linewidth=1)
     times_s = np.concatenate([np.add(r.joint_time_s, r.start_s - origin_s) for r in records])
     speeds = np.concatenate([r.joint_velocity_rad_s for r in records])
-    axes["speed"].plot(times_s, speeds, linewidth=1, label=UR_JOINT_NAMES)
+    axes["speed"].plot(times_s, speeds, linewidth=1, label=list(joint_names))
     axes["error"].set(ylabel="true error (mm)", title="Distance of the ball to its target")
     axes["speed"].set(xlabel="time (s)", ylabel="joint speed (rad/s)", title="Joint speeds")
     view.set_title("Camera view at the end, trail of the ball, targets (+)")

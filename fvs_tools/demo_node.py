@@ -154,7 +154,8 @@ class DemoNode(ros.FvsNode):
         if self._image_rgb is None:
             print(f"no camera image came within {_IMAGE_WAIT_S:.0f} s: the figure has none")
         demo.write_results(folder, self._records, scores)
-        demo.draw(folder / "demo.png", self._records, self._image_rgb, self._intrinsics)
+        names, view = self._joint_map.names, (self._image_rgb, self._intrinsics)
+        demo.draw(folder / "demo.png", self._records, names, *view)
         print(f"\n{demo.table(scores)}\n", flush=True)
         print(f"figure: {folder / 'demo.png'}", flush=True)
         settled = all(one.settling_5mm_s is not None for one in scores)
