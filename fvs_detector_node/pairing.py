@@ -19,7 +19,7 @@ class _Stream:
     """The newest images of one topic that are not paired yet, oldest first."""
 
     def __init__(self) -> None:
-        self.images: deque[tuple[float, Any]] = deque(maxlen=6)
+        self.images: deque[tuple[float, Any]] = deque(maxlen=6)  # 0.2 s at 30 Hz
         self.newest_s = -math.inf
         self.repeats = self.behind = 0
 
@@ -30,6 +30,7 @@ class _Stream:
             self.newest_s, self.repeats, self.behind = stamp_s, 0, 0
             return True
         self.repeats += 1
+        # Streams deliver out of order by less than half a second.
         self.behind = self.behind + 1 if stamp_s < self.newest_s - 0.5 else 0
         return False
 

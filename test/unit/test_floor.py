@@ -5,6 +5,8 @@ from itertools import cycle
 
 import numpy as np
 import pytest
+from scipy import sparse
+from scipy.optimize import linprog
 
 pytest.importorskip("pybullet")
 
@@ -76,6 +78,58 @@ def test_the_fastest_motion_keeps_the_limits_and_stays_near(case, tolerance_m):
     after = times_s[1:] >= found.time_s
     assert errors_m[after].max() < 1.03 * tolerance_m
     assert errors_m[~after].min() > 0.97 * tolerance_m  # and not near any sooner
+
+
+def outside_m(case, time_s, tolerance_m):
+    """How far outside the tolerance the ball must be from a time on, at least, m.
+
+    Another way to the same: all speeds of all ticks in one linear programme after the other.
+    """
+    # Of some ticks those that fit both into the time and into that from rest to full speed.
+    ticks = min(range(26, 46), key=lambda one: abs((one / (6.0 * time_s) + 0.5) % 1.0 - 0.5))
+    tick_s = time_s / ticks
+    count = ticks + round(1.0 / (6.0 * tick_s))  # the ticks until rest
+    start_rad, target_m = np.array(case.start_rad), ball_position(np.array(case.goal_rad))
+    # Position at ticks: speeds are linear in between.
+    sums = tick_s * (np.tri(count + 1, count, -1) - 0.5 * np.eye(count + 1, count, -1))
+    ramp = np.clip(6.0 * tick_s * np.arange(1, count + 1), 0.0, 1.0)
+    travel = least_travel_rad(case)
+    speeds = np.outer(np.minimum(ramp, ramp[::-1]), travel)
+    speeds *= np.abs(travel).max() / np.abs(sums[-1] @ speeds).max()
+    change = sparse.diags([np.ones(6 * count), -np.ones(6 * count - 6)], [0, -6])
+    change = sparse.hstack([change, sparse.csr_matrix((6 * count, 1))])
+    ends = [(-1.0, 1.0)] * (6 * count - 6) + [(0.0, 0.0)] * 6 + [(None, None)]
+    rows, bounds = [change, -change], [np.full(12 * count, 6.0 * tick_s)]
+    least_m = np.inf
+    for _ in range(8):
+        joints = start_rad + sums[ticks:] @ speeds
+        missing, slopes = ball_position(joints) - target_m, ball_jacobian(joints)
+        least_m = min(least_m, np.linalg.norm(missing, axis=1).max() - tolerance_m)
+        if least_m < 0.0:
+            break
+        # Where the ball is outside, in that direction it must be less so; other directions stay.
+        for away in (missing, *np.eye(3)[:, None], *-np.eye(3)[:, None]):
+            unit = np.broadcast_to(away / np.linalg.norm(away, axis=1)[:, None], missing.shape)
+            along = np.einsum("kx,kxj->kj", unit, slopes)
+            row = np.einsum("kt,kj->ktj", sums[ticks:], along).reshape(len(unit), -1)
+            rows.append(sparse.csr_matrix(np.hstack([row, -np.ones((len(unit), 1))])))
+            bounds.append(tolerance_m - np.sum(unit * missing, axis=1) + row @ speeds.ravel())
+        found = linprog(
+            np.eye(6 * count + 1)[-1],
+            sparse.vstack(rows),
+            np.concatenate(bounds),
+            bounds=ends,
+            method="highs",
+        )
+        speeds = found.x[:-1].reshape(count, 6)
+    return least_m
+
+
+@pytest.mark.parametrize("case", CASES[:3], ids=lambda case: case.name)
+def test_linear_programmes_over_the_whole_motion_find_nothing_faster(case):
+    time_s = fastest(case, LIMITS, 0.005).time_s
+    assert outside_m(case, 0.99 * time_s, 0.005) > 1e-4
+    assert outside_m(case, 1.02 * time_s, 0.005) < 1e-5  # they do find what there is
 
 
 def test_played_on_ideal_drives_it_is_attained():
