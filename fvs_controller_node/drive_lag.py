@@ -31,13 +31,7 @@ BRAKING_SHARE = 0.9
 
 
 class DriveLag:
-    """Estimates the lag of the drives from commands and joint positions.
-
-    Attributes
-    ----------
-    lag_s : float
-        The lag, s.
-    """
+    """Estimates the lag of the drives, ``lag_s``, from commands and joint positions."""
 
     def __init__(self) -> None:
         self.lag_s, self._known = 0.03, _FIRST  # before anything has moved

@@ -115,29 +115,14 @@ class Progress:
 
 
 class Goal:
-    """Takes targets inside the workspace only, and follows the error to them.
-
-    Parameters
-    ----------
-    config : SupervisorConfig
-        Frame, workspace, and the limits of progress.
-
-    Attributes
-    ----------
-    target_m : ndarray, shape (m,), or None
-        Where the target is now, m.
-    position_m : ndarray, shape (m,), or None
-        Where the ball is now, m.
-    progress : Progress
-        How the error went since the start, or since another target.
-    """
+    """Takes targets inside the workspace only, and follows the error to them."""
 
     def __init__(self, config: SupervisorConfig) -> None:
         self._config = config
-        self.progress = Progress()
-        self.target_m: np.ndarray | None = None
+        self.progress = Progress()  #: of the error since the start, or since another target
+        self.target_m: np.ndarray | None = None  #: where the target is now, (m,)
         self._set_m: np.ndarray | None = None  # as it was set last
-        self.position_m: np.ndarray | None = None
+        self.position_m: np.ndarray | None = None  #: where the ball is now, (m,)
 
     def configure(self, config: SupervisorConfig) -> None:
         """Change the settings; a target that a new box leaves outside is dropped."""
@@ -162,21 +147,8 @@ class Goal:
     def set(self, position_m: np.ndarray, frame: str, *, moving: bool = False) -> tuple[bool, str]:
         """Set the target, (m,), m; a refused one leaves the old in place.
 
-        Parameters
-        ----------
-        position_m : ndarray, shape (m,)
-            m.
-        frame : str
-            Its frame, to be checked.
-        moving : bool
-            Whether it continues the last one's motion.
-
-        Returns
-        -------
-        bool
-            Whether it was accepted.
-        str
-            What was done, or why not.
+        A ``moving`` one continues the last one's motion. Returns whether it was accepted, and what
+        was done, or why not.
         """
         refusal = self.refusal(position_m, frame)
         if refusal:

@@ -23,18 +23,8 @@ class InputMonitor:
     """Arrival of one input on the steady clock.
 
     Any trouble (never came, stale, not usable) lasts until ``fresh_samples`` good messages in
-    a row have come.
-
-    Parameters
-    ----------
-    config : SupervisorConfig
-        Ages and number of fresh samples; may be replaced.
-    name : str
-        Topic name, as the user knows it.
-    hint : str
-        What to check when it does not come.
-    limit : str
-        The parameter of its greatest age; empty for an input that may come rarely or never.
+    a row have come. ``hint`` says what to check when it does not come. ``limit`` is the parameter
+    of its greatest age; empty for an input that may come rarely or never.
     """
 
     def __init__(
@@ -107,20 +97,8 @@ class InputMonitor:
 class Inbox:
     """All inputs of the supervisor.
 
-    Parameters
-    ----------
-    config : SupervisorConfig
-        Ages and sizes that are expected.
-    end_session : callable
-        Called with the reason why a session must end now: a pause of the robot, another node's
-        command.
-
-    Attributes
-    ----------
-    jacobian : ndarray, shape (m, n), or None
-        The newest one, m/rad.
-    conditioning : Conditioning or None
-        Its singular values.
+    ``end_session`` is called with the reason why a session must end now: a pause of the robot,
+    another node's command.
     """
 
     def __init__(self, config: SupervisorConfig, end_session: Callable[[Finding], None]) -> None:
@@ -140,8 +118,8 @@ class Inbox:
             InputMonitor(config, SPEED_SCALING),
         )
         self._monitors = {monitor.name: monitor for monitor in monitors}
-        self.jacobian: np.ndarray | None = None
-        self.conditioning: Conditioning | None = None
+        self.jacobian: np.ndarray | None = None  #: the newest one, m/rad, (m, n)
+        self.conditioning: Conditioning | None = None  #: its singular values
         self._conflict: Finding | None = None  # with another node, and when it commanded last
         self._conflict_s = -inf
         self._program_running: bool | None = None  # never reported

@@ -9,16 +9,10 @@ from fvs_ros.limits import limit_acceleration, limit_speed, ramp_to_zero
 
 
 class Limiter:
-    """Remembers the last command and finds the next one within the limits.
-
-    Attributes
-    ----------
-    velocity_rad_s : ndarray, shape (n,)
-        The last command, rad/s.
-    """
+    """Remembers the last command and finds the next one within the limits."""
 
     def __init__(self, joints: int) -> None:
-        self.velocity_rad_s = np.zeros(joints)
+        self.velocity_rad_s = np.zeros(joints)  #: the last command, (n,)
 
     def stop(self) -> None:
         """Zeros at once."""

@@ -97,16 +97,11 @@ class FollowingMonitor(Following):
 
 
 class SingularityMonitor:
-    """Holds the arm near a singularity, with hysteresis, and lets it leave on request.
-
-    Attributes
-    ----------
-    leaving : bool
-        Whether the arm is on its way out, on request.
-    """
+    """Holds the arm near a singularity, with hysteresis, and lets it leave on request."""
 
     def __init__(self) -> None:
-        self._held = self.leaving = False
+        self._held = False
+        self.leaving = False  #: whether the arm is on its way out, on request
         self._left_s = 0.0
         self._floor: float | None = None  # the value must stay above it while the arm leaves
 

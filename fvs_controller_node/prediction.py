@@ -68,13 +68,7 @@ class _Cell:
 
 
 class Agreement:
-    """Compares seen and predicted ways.
-
-    Attributes
-    ----------
-    verdict : Verdict or None
-        Of the last way; None while too little has moved.
-    """
+    """Compares seen and predicted ways; ``verdict`` is None while too little has moved."""
 
     def __init__(self) -> None:
         self._newest_s = -inf

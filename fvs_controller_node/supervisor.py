@@ -103,21 +103,8 @@ class Session:
 class Supervisor:
     """The state machine between the control law and the robot.
 
-    Parameters
-    ----------
-    config : SupervisorConfig
-        Limits and thresholds.
-
-    Attributes
-    ----------
-    config : SupervisorConfig
-        Those in force.
-    inputs : Inbox
-        Takes the messages.
-    goal : Goal
-        Takes the target.
-    last : Command
-        The last command with its state and reason.
+    ``inputs`` takes the messages, ``goal`` the target; ``last`` is the last command with its state
+    and reason.
     """
 
     def __init__(self, config: SupervisorConfig | None = None) -> None:
