@@ -37,13 +37,13 @@ class ControllerConfig(Parameters):
     )
     joint_state_rate_hz: float = parameter(
         125.0,
-        "Rate of the joint states; a watchdog ticks at it when none come, Hz.",
+        "Rate of the joint states, Hz; a watchdog ticks at it when none arrive.",
         10.0,
         1000.0,
     )
     target_feed_forward: bool = live_parameter(
         True,
-        "Go along with a target that is updated often; off, every target stands where it was set.",
+        "Follow a target that is updated often by feed-forward; off, every target is fixed.",
     )
 
 
@@ -66,25 +66,25 @@ class SupervisorConfig(Parameters):
         (1.0, 1.0, 3.0), "Upper corner of the box that targets must be in, feature frame, m."
     )
     joint_states_max_age_s: float = live_parameter(
-        0.1, "Older joint states are stale: the arm is held, s.", 0.01, 10.0
+        0.1, "Age above which joint states are stale and the arm is held, s.", 0.01, 10.0
     )
     ball_max_age_s: float = live_parameter(
-        0.2, "An older ball position is stale: the arm is held, s.", 0.01, 10.0
+        0.2, "Age above which a ball position is stale and the arm is held, s.", 0.01, 10.0
     )
     jacobian_max_age_s: float = live_parameter(
-        0.2, "An older Jacobian is stale: the arm is held, s.", 0.01, 10.0
+        0.2, "Age above which the Jacobian is stale and the arm is held, s.", 0.01, 10.0
     )
     singular_hold_m_rad: float = live_parameter(
         0.03,
         "Smallest singular value of the Jacobian below which the arm is held, m/rad; it slows down "
-        "from 8/3 of that on.",
+        "below 8/3 of that.",
         1e-5,
         10.0,
     )
     prediction_hold: float = live_parameter(
         1.2,
-        "Error of the predicted motion over the motion (1 is useless) above which the arm is held "
-        "after 50 mm of motion; it slows down from 2/3 of that on.",
+        "Ratio of prediction error to motion (1: useless) above which the arm is held after 50 mm "
+        "of motion; it slows down above 2/3 of that.",
         0.01,
         100.0,
     )
@@ -93,13 +93,13 @@ class SupervisorConfig(Parameters):
     )
     stall_time_s: float = live_parameter(
         6.0,
-        "Held when an error above 20 mm has not become smaller for this time, s; half of it for an "
-        "arm that does not follow, a sixth for an error that grew by half and 30 mm.",
+        "Time without progress, at an error above 20 mm, after which the arm is held, s; half of "
+        "it if the arm does not follow, a sixth if the error grew by half and by 30 mm.",
         0.1,
         60.0,
     )
     resume_within_s: float = live_parameter(
-        30.0, "An arm that was held for longer needs a new start, s.", 0.5, 1e6
+        30.0, "Longest hold after which the arm resumes without a new start, s.", 0.5, 1e6
     )
 
     #: Good messages in a row after which an input counts again: one could be a remainder.

@@ -162,7 +162,7 @@ class ServoLoop:
         there_s = on_own_clock(stamp_s, self._stamp_s)
         moving = not goal.refusal(position_m, frame) and self.target.continues(position_m, there_s)
         if moving and self.target.overtaken(position_m, there_s):
-            return True, "target passed over: a newer one has come"
+            return True, "target ignored: a newer one has arrived"
         accepted, text = goal.set(position_m, frame, moving=moving)
         if accepted:
             self._note(Change.MEASUREMENT if moving and self._follows else Change.TARGET)

@@ -38,8 +38,8 @@ class MinimumTimeGains(Parameters):
 
     minimum_time_rate_1_s: float = live_parameter(
         25.0,
-        "Speed over travel of the law minimum_time close to the goal, 1/s: larger is quicker and "
-        "makes more of the noise.",
+        "Speed over travel of the law minimum_time close to the goal, 1/s: larger is faster and "
+        "amplifies noise.",
         1.0,
         100.0,
     )

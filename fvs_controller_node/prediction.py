@@ -137,7 +137,7 @@ class PredictorConfig(Parameters):
     predictor: bool = live_parameter(
         True, "Predict the ball from its exposure to now with the joints' motion."
     )
-    max_latency_s: float = live_parameter(0.5, "No prediction over more than this, s.", 0.01, 1.9)
+    max_latency_s: float = live_parameter(0.5, "Longest time to predict over, s.", 0.01, 1.9)
 
 
 class BallPredictor:

@@ -20,7 +20,7 @@ class State(Enum):
 class Stop(Enum):
     """How the arm comes to rest."""
 
-    NONE = "goes on"
+    NONE = "continues"
     RAMP = "ramps to zero within the acceleration limit"
     AT_ONCE = "zeros at once"
 
@@ -49,17 +49,17 @@ class Reason(Enum):
     MISSING = _holds("no {name} yet ({count} of {wanted} messages)", "{hint}")
     NO_TARGET = _holds("no target_position yet", "publish one, or call ~/set_current_as_target")
     STALE = _holds("{name} is {age_s:.2f} s old ({limit} is {limit_s:.2f} s)", "{hint}")
-    RETURNING = _holds("{name} is coming back: {count} of {wanted} fresh messages")
+    RETURNING = _holds("{name} resumes: {count} of {wanted} fresh messages")
     BAD_INPUT = (
         State.FAULT,
         Stop.AT_ONCE,
         False,
-        "{name} is not usable: {why}; {count} of {wanted} good ones since",
+        "{name} is not usable: {why}; {count} of {wanted} good messages since",
     )
     NO_POSITION = _holds("the ball's position is unknown: {why}")
     NEAR_SINGULAR = _holds(
         "the Jacobian is near singular ({value:.4f} m/rad, limit {limit:.4f})",
-        "set another target and call ~/start to leave slowly, or the estimator's ~/reset",
+        "call ~/start to leave slowly towards another target, or the estimator's ~/reset",
     )
     PREDICTION_ERROR = _ends(
         "the Jacobian predicts badly: error ratio {value:.2f} over {way_mm:.0f} mm",
@@ -67,14 +67,15 @@ class Reason(Enum):
     )
     ERROR_GROWING = _ends(
         "the error grew from {best_mm:.0f} to {error_mm:.0f} mm for {time_s:.1f} s",
-        "check camera and model, and that the target is in reach",
+        "check camera, model and reach of the target",
     )
     STALLED = _ends(
         "no progress for {time_s:.0f} s, {error_mm:.0f} mm from the target",
-        "check its reach, the joint limits and the model, or choose another target",
+        "choose a target in reach, or check joint limits and model",
     )
     OSCILLATING = _ends(
-        "the ball swings about its target, {way_m:.1f} m so far", "check stamp_delay_s and gains"
+        "the ball oscillates about its target: {way_m:.1f} m so far",
+        "check stamp_delay_s and gains",
     )
     NOT_FOLLOWING = _ends(
         "{joint} does not follow: commanded {commanded_rad:.2f} rad, moved {moved_rad:.2f} rad",
@@ -95,12 +96,12 @@ class Reason(Enum):
         "raise the speed slider or end the protective stop",
         Stop.AT_ONCE,
     )
-    PAUSE_OVER = _ends("the robot is back from a pause", stop=Stop.AT_ONCE)
+    PAUSE_OVER = _ends("the robot has resumed from a pause", stop=Stop.AT_ONCE)
     LAW_FAULT = (
         State.FAULT,
         Stop.AT_ONCE,
         True,
-        "the control law gave no usable command: {why}",
+        "the control law gave an invalid command: {why}",
         "check its gains",
     )
     SHUT_DOWN = (State.HOLDING, Stop.AT_ONCE, False, "the controller is shutting down")
@@ -111,7 +112,7 @@ class Reason(Enum):
         self.state = state
         self.stop = stop
         self.needs_start = needs_start
-        start = "call ~/start to go on" if needs_start else ""
+        start = "call ~/start to continue" if needs_start else ""
         self.text = f"{text}; {', then '.join(filter(None, (hint, start)))}".removesuffix("; ")
 
     def because(self, **numbers: object) -> Finding:

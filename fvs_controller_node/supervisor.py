@@ -170,7 +170,7 @@ class Supervisor:
         if not self.started:
             self._begin()
         self.goal.progress.restart()
-        return True, "leaving the singular pose slowly; held again should it come nearer to it"
+        return True, "leaving the singular pose slowly; the arm is held if it gets closer"
 
     def _begin(self) -> None:
         self._session.begin()

@@ -18,7 +18,7 @@ class DashboardConfig(Parameters):
 
     host: str = parameter(
         "127.0.0.1",
-        "address the page is served at; 0.0.0.0 lets anybody who reaches it move the arm",
+        "address of the page; 0.0.0.0 lets anybody who reaches it move the arm",
     )
     port: int = parameter(8080, "port of the page; 0 takes any free one", 0, 65535)
     feature_frame: str = parameter(CAMERA_FRAME, "frame of ball and target")
@@ -26,11 +26,9 @@ class DashboardConfig(Parameters):
     camera_topics: str = parameter(
         "", "what stands before /color/image_raw; empty: camera or camera/camera"
     )
-    tour: bool = parameter(
-        False, "send the ball to one target after another until a person takes over"
-    )
+    tour: bool = parameter(False, "send the ball from target to target until a user takes over")
     model_path: str = parameter(
-        "", "trained model: the tour's targets are positions it saw; without one there is no tour"
+        "", "trained model; the tour's targets come from its training data; empty: no tour"
     )
 
 

@@ -16,39 +16,39 @@ class DetectorConfig(Parameters):
 
     camera_topics: str = parameter(
         "",
-        "what stands before /color/image_raw and the others; empty: camera or camera/camera, "
-        "whichever is published",
+        "prefix of the camera's topics, before /color/image_raw and the others; empty: camera or "
+        "camera/camera, whichever is published",
     )
     compressed_images: bool = parameter(
         False,
         "subscribe to the topics that end in /compressed (jpeg or png) and /compressedDepth (png), "
-        "for a camera at another computer",
+        "for a camera on another computer",
     )
     ball_radius_m: float = parameter(
         0.04,
-        "radius of the ball; measure it, since a wrong one spoils the distance",
+        "radius of the ball; measure it: a wrong one falsifies the distance",
         0.005,
         0.5,
         live=True,
     )
     min_quality: float = parameter(
         0.3,
-        "a ball seen worse than this is not published; 1: whole and a perfect sphere",
+        "quality below which a ball is not published; 1: fully visible and a perfect sphere",
         0.0,
         1.0,
         live=True,
     )
     max_ball_speed_m_s: float = parameter(
         3.0,
-        "a position that the ball could reach only faster than this is accepted at its third sight",
+        "a jump that needs a higher speed is accepted only at its third sighting",
         0.01,
         100.0,
         live=True,
     )
     stamp_delay_s: float = parameter(
         0.0,
-        "time from the exposure of an image to its stamp (negative: stamped before); the ball's "
-        "stamp is put back by it; fvs_train finds it",
+        "time from exposure to stamp of an image (negative: stamped early), subtracted from the "
+        "ball's stamp; fvs_train estimates it",
         -0.5,
         0.5,
         live=True,

@@ -249,8 +249,8 @@ def _evaluate(blob: _Blob, scene: _Scene) -> BallDetection | Miss:
     share = blob.pixels / expected_px
     other = Miss(
         Cause.OTHER_THING,
-        f"a thing of the ball's colour, {distance_m:.2f} m away, is as large as a ball of "
-        f"{1e3 * radius_m * np.sqrt(share):.0f} mm radius, and no ball of {1e3 * radius_m:.0f} mm: "
+        f"an object of the ball's colour, {distance_m:.2f} m away, is as large as a ball of "
+        f"{1e3 * radius_m * np.sqrt(share):.0f} mm radius, not a ball of {1e3 * radius_m:.0f} mm: "
         "check ball_radius_m, uncover the ball, align depth to colour (align_depth.enable:=true)",
         box,
         blob.pixels,

@@ -24,7 +24,7 @@ class FeatureConfig(Parameters):
     feature_frame: str = parameter(CAMERA_FRAME, "frame of the ball positions")
     max_latency_s: float = parameter(
         0.5,
-        "a ball position stamped further before the newest joint state is not paired with it, s",
+        "a ball position stamped further behind the newest joint state is not used, s",
         0.01,
         1.9,
     )

@@ -282,9 +282,9 @@ class CollectionRun:
             self.fail(f"{name} moves against its command; check joint_names and the joint's sign")
         elif self._following.refusal(_FOLLOW_TIME_S) is not None:
             self.fail(
-                f"the arm does not follow: {name} was to move {refusal.commanded_rad:.2f} rad and "
-                f"moved {refusal.moved_rad:.2f} rad; check that the velocity controller is active, "
-                "the robot program runs and no protective stop is on"
+                f"the arm does not follow: {name} was commanded {refusal.commanded_rad:.2f} rad "
+                f"and moved {refusal.moved_rad:.2f} rad; check that the velocity controller is "
+                "active, the robot program runs and no protective stop is on"
             )
 
     def _wait(self, now_s: float, state: State, reason: str) -> None:

@@ -215,7 +215,7 @@ class EstimatorNode(ros.FvsNode):
         if self._frozen:
             return ros.OK, "FROZEN", "learning is frozen by ~/freeze"
         if self._paused():
-            return ros.OK, "FROZEN", "the robot is paused: nothing is learned meanwhile"
+            return ros.OK, "FROZEN", "the robot is paused: learning stops until it resumes"
         remark, learns = self._loop.remark, self._loop.estimator.learns
         usual = "and learning from every motion" if learns else "this method does not learn online"
         state = "LEARNING" if learns else "FROZEN"

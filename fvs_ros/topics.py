@@ -72,8 +72,8 @@ _TRIGGER = "std_srvs/srv/Trigger"
 
 NODES: dict[str, Node] = {
     SIM: Node(
-        "Simulates a UR5, a ball on its flange and a fixed depth camera, and speaks as the "
-        "drivers of the real ones do.",
+        "Simulates a UR5 with a ball on its flange and a fixed depth camera, behind the topics of "
+        "the real drivers.",
         {"~/reset": (_TRIGGER, "Puts the arm back to `initial_joints_rad`.")},
     ),
     DETECTOR: Node("Finds the ball in the colour and depth images of an RGB-D camera."),
@@ -81,7 +81,7 @@ NODES: dict[str, Node] = {
         "Estimates the hand-eye Jacobian and, if its method learns, corrects it with every motion.",
         {
             "~/reset": (_TRIGGER, "Forgets what was learned online."),
-            "~/freeze": ("std_srvs/srv/SetBool", "Stops the learning, or lets it go on."),
+            "~/freeze": ("std_srvs/srv/SetBool", "Stops the learning, or resumes it."),
         },
     ),
     CONTROLLER: Node(
@@ -103,8 +103,8 @@ NODES: dict[str, Node] = {
         calls=(f"{CONTROLLER}/stop",),
     ),
     DASHBOARD: Node(
-        "Serves a page for a browser: shows the arm, the camera's picture and how well it goes, "
-        "and hands on targets, start, stop, and which estimator and law shall run.",
+        "Serves a page for a browser: shows the arm, the camera image and the progress, and "
+        "forwards targets, start, stop, and the choice of estimator and law.",
         calls=(
             *(f"{CONTROLLER}/{name}" for name in ("start", "stop", "set_current_as_target")),
             *(
@@ -117,7 +117,7 @@ NODES: dict[str, Node] = {
         ),
     ),
     MARKERS_NODE: Node("Shows ball, target and prediction in RViz and Foxglove."),
-    RECORDER: Node("Records every topic into a bag, as it is on the wire.", subscribes_to_all=True),
+    RECORDER: Node("Records every topic into a bag, as sent.", subscribes_to_all=True),
 }
 
 _NEWEST, _RELIABLE, _LATCHED = End((Qos.NEWEST,)), End((Qos.RELIABLE,)), End((Qos.LATCHED,))
@@ -135,7 +135,7 @@ _VIEWERS = "RViz, Foxglove"
 JOINT_STATES = Topic(
     "joint_states",
     "sensor_msgs/msg/JointState",
-    "Joint angles, rad, in any order; extra joints are passed over.",
+    "Joint angles, rad, in any order; extra joints are ignored.",
     {SIM: _RELIABLE},
     dict.fromkeys((ESTIMATOR, CONTROLLER, COLLECTOR, DEMO, DASHBOARD), _NEWEST),
     also_from=_DRIVER,
@@ -170,7 +170,7 @@ KINEMATIC_CHAIN = Topic(
 TARGET_POSITION = Topic(
     "target_position",
     "geometry_msgs/msg/PointStamped",
-    "Where the ball shall go, m, in the frame of the ball position; latched or not.",
+    "The desired ball position, m, in the frame of `ball_position`; latched or not.",
     {DEMO: _LATCHED, DASHBOARD: _LATCHED},
     {CONTROLLER: _EITHER},
     also_from="you",
@@ -264,14 +264,14 @@ CAMERA_INFO = Topic(
 STATUS = Topic(
     "~/status",
     "diagnostic_msgs/msg/DiagnosticStatus",
-    "State, reason in words, and key numbers, 10 times a second.",
+    "State, reason in words, and key numbers, 10 times per second.",
     dict.fromkeys(NODES, _RELIABLE),
     also_to=_TOOLS,
 )
 DIAGNOSTICS = Topic(
     "/diagnostics",
     "diagnostic_msgs/msg/DiagnosticArray",
-    "State, and age, rate and jitter of every input, once a second.",
+    "State, and age, rate and jitter of every input, once per second.",
     dict.fromkeys(NODES, _RELIABLE),
     also_to=_TOOLS,
 )
@@ -293,14 +293,14 @@ MARKERS = Topic(
 TF_STATIC = Topic(
     "/tf_static",
     "tf2_msgs/msg/TFMessage",
-    "Where the simulated camera stands, from `base_link`: to look at.",
+    "Pose of the simulated camera in `base_link`: for viewing.",
     {MARKERS_NODE: End((Qos.LATCHED,), later="beside the simulator, with `tf2_msgs` installed")},
     also_to=_VIEWERS,
 )
 TRUE_BALL_POSITION = Topic(
     f"{SIM}/true_ball_position",
     "geometry_msgs/msg/PointStamped",
-    "Where the ball really is, m, in the camera's optical frame: to judge by, never to control by.",
+    "True ball position, m, in the camera's optical frame: for scoring, never for control.",
     {SIM: _RELIABLE},
     {DEMO: _RELIABLE},
     also_to=_TOOLS,
@@ -316,8 +316,8 @@ TRUE_JACOBIAN = Topic(
 TRUE_CAMERA_POSE = Topic(
     f"{SIM}/true_camera_pose",
     "geometry_msgs/msg/PoseStamped",
-    "Where the camera's optical frame really is, in the robot's `base_link`: to look at, never to "
-    "control by.",
+    "True pose of the camera's optical frame in the robot's `base_link`: for viewing, never for "
+    "control.",
     {SIM: _LATCHED},
     {DASHBOARD: _LATCHED, MARKERS_NODE: _LATCHED},
     also_to=_TOOLS,

@@ -78,10 +78,10 @@ class SimConfig(Parameters):
     )
     ball_radius_m: float = parameter(0.04, "radius of the ball", 0.01, 0.2)
     joint_state_rate_hz: float = parameter(
-        125.0, "joint states a second (500 on an e-series)", 10.0, 1000.0
+        125.0, "joint states per second (500 on an e-series)", 10.0, 1000.0
     )
     camera: str = parameter("front", "where the camera stands", choices=tuple(CAMERAS))
-    image_rate_hz: float = parameter(30.0, "images a second", 1.0, 120.0)
+    image_rate_hz: float = parameter(30.0, "images per second", 1.0, 120.0)
     image_width: int = parameter(640, "image width, pixels", 64, 1920)
     image_height: int = parameter(480, "image height, pixels", 48, 1080)
     dead_time_s: float = parameter(0.008, "delay from command to motion", 0.0, 0.5)
@@ -103,11 +103,11 @@ class SimConfig(Parameters):
     )
     dropout: float = live_parameter(0.0, "share of images that are lost", 0.0, 1.0)
     camera_covered: bool = live_parameter(
-        False, "a hand on the lens: black images without depth, and so no ball"
+        False, "cover the lens: black images without depth, so no ball"
     )
     camera_rotation_deg: tuple[float, ...] = live_parameter(
         (0.0, 0.0, 0.0),
-        "the camera bumped: turned about its own x, y, z axes from where it stood, degrees",
+        "rotation of a bumped camera about its own x, y, z axes, degrees",
         -180.0,
         180.0,
         size=3,
@@ -160,15 +160,15 @@ class SimNodeConfig(Parameters):
 
     simulated_time: bool = parameter(
         False,
-        "publish /clock and run as fast as it goes; whoever answers joint states is waited for; "
-        "the other nodes then need use_sim_time",
+        "publish /clock, run as fast as possible and wait for the answers to joint states; the "
+        "other nodes then need use_sim_time",
     )
     tf_prefix: str = parameter("", "put before each joint name, as a UR driver does")
     feature_frame: str = parameter(CAMERA_FRAME, "frame of ball and images")
     full_frame_rate_hz: float = parameter(
         30.0,
-        "full camera images a second, at most, beside a loop in real time; each takes a core for "
-        "tens of milliseconds",
+        "most full camera images per second in real time; each takes a core for tens of "
+        "milliseconds",
         0.5,
         120.0,
         live=True,

@@ -19,7 +19,7 @@ class DemoConfig(Parameters):
     """Parameters of ``fvs_demo_node``."""
 
     model_path: str = parameter(
-        "models/ur5_front.npz", "trained model: targets are positions it saw"
+        "models/ur5_front.npz", "trained model; targets are positions from its training data"
     )
     targets: int = parameter(4, "number of targets", 1, 100)
     target_positions: str = parameter(

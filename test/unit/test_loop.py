@@ -131,7 +131,7 @@ def test_an_overtaken_target_is_passed_over_whether_the_newer_one_stands_or_move
     assert loop.add_target(newer, FRAME, now_s)[0]
     accepted, text = loop.add_target(newer - [0.03, 0.0, 0.0], FRAME, now_s - 0.1)
     assert accepted
-    assert text == "target passed over: a newer one has come"
+    assert text == "target ignored: a newer one has arrived"
     assert not loop.add_target(newer - [0.03, 0.0, 0.0], "another_frame", now_s - 0.1)[0]
     for _ in range(50):
         servoing.tick()

@@ -200,7 +200,7 @@ ROWS = {
     "velocity nan": law(lambda: ControlOutput.plain(NAN * WANTED, 3), "velocity"),
     "velocity short": law(lambda: ControlOutput.plain(WANTED[1:], 3), "velocity"),
     "exponent short": law(lambda: ControlOutput(WANTED, TARGET, np.ones(1)), "exponent"),
-    "no answer": law(lambda: None, "no usable"),
+    "no answer": law(lambda: None, "invalid command"),
     "exception": law(_fail, "Singular matrix"),
     "program stops": paused(lambda c: c.inputs.add_program_running(False), Reason.PROGRAM_STOPPED),
     "slider at zero": paused(
