@@ -84,8 +84,15 @@ def test_images_are_rendered_for_subscribers_and_agree_with_camera_info(simulato
     colours = simulator.collect(Image, topics.COLOR_IMAGE.name, ros.QOS_RELIABLE)
     depths = simulator.collect(Image, topics.DEPTH_IMAGE.name, ros.QOS_RELIABLE)
     balls = simulator.collect(PointStamped, topics.BALL_POSITION.name)
-    simulator.spin_until(lambda: len(colours) > 2 and len(depths) > 2 and infos and len(balls) > 2)
-    colour, depth = colours[-1], depths[-1]
+    shown = []
+
+    def looked():
+        stamps = [one.header.stamp for one in infos]
+        shown[:] = [one for one in colours if one.header.stamp in stamps]
+        return len(shown) > 2 and len(depths) > 2 and len(balls) > 2
+
+    simulator.spin_until(looked, what="images with their camera_info")
+    colour, depth = shown[-1], depths[-1]
     info = next(one for one in infos if one.header.stamp == colour.header.stamp)
     assert (colour.encoding, depth.encoding) == ("rgb8", "16UC1")
     assert (colour.width, colour.height) == (info.width, info.height) == (640, 480)
