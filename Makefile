@@ -38,7 +38,7 @@ dashboard: $(VENV)/.installed-dashboard log-dir ## the same arm, watched and dri
 	@$(BIN)/fvs_launch config/dashboard.yaml $(ARGS)
 
 test: $(VENV)/.installed-all log-dir ## all tests
-	@echo "== tests: about eleven minutes on two cores"
+	@echo "== tests: about six minutes on two cores"
 	@ROS_PYTHON_CHECK_FIELDS=1 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST \
 		$(BIN)/python -m pytest -n 2 $(ARGS)
 
