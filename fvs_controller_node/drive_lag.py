@@ -1,4 +1,4 @@
-"""How long the drives take to do what they are told, and how fast one may be for it.
+"""Lag of the drives, and the speed from which the arm can still brake in spite of it.
 
 A drive that answers a velocity late by T is behind the commanded path by T times the velocity:
 ``r_commanded - r = T u + constant``. Both sides, freed of what is slow, are compared over time.
@@ -120,7 +120,7 @@ def brake(
     closing = -float(error_m @ (present.jacobian @ velocity))
     if closing <= 0.0:
         return output
-    # On this course the error is gone after this time, and the joint has gone that far.
+    # At this velocity the error is gone after this time.
     to_go_s = float(error_m @ error_m) / closing
     acceleration = BRAKING_SHARE * max_acceleration_rad_s2
     limit = braking_speed_within(fastest * to_go_s, acceleration, present.dt_s)

@@ -62,8 +62,8 @@ class Progress:
     ) -> None:
         """Take the error, m, (m,), after a tick, and where the target is.
 
-        All but settling counts only while the law is in charge; then a larger error is no growth
-        as far as the target has gone since the best.
+        The timers of growth, stall and swing run only while servoing; the target's own motion is
+        no growth.
         """
         norm_m = length(error_m)
         if self._smooth_m is None:

@@ -35,8 +35,8 @@ class InputMonitor:
         self._streak = 0
         self._trouble = Reason.MISSING if limit else None
         self._why = ""
-        self._stuck_s = self._said_s = -inf
-        self._said = ""
+        self._stuck_s = self._source_s = -inf
+        self._source_status = ""
 
     def good(self, now_s: float) -> None:
         """Count a usable message."""
@@ -51,9 +51,9 @@ class InputMonitor:
         """Note a message whose stamp does not advance; it does not count."""
         self._stuck_s = now_s
 
-    def source_says(self, now_s: float, why: str) -> None:
+    def set_source_status(self, now_s: float, why: str) -> None:
         """Note why its source, the estimator, may send nothing; empty if it has no reason."""
-        self._said, self._said_s = why, now_s
+        self._source_status, self._source_s = why, now_s
 
     def bad(self, why: str) -> None:
         """Note a message that cannot be used."""
@@ -81,8 +81,8 @@ class InputMonitor:
         if self._trouble is Reason.BAD_INPUT:
             return Reason.BAD_INPUT.because(why=self._why, **numbers)
         hint = self._hint
-        if self._said and now_s - self._said_s <= 2.0:
-            hint = f"the estimator says: {self._said}"
+        if self._source_status and now_s - self._source_s <= 2.0:
+            hint = f"the estimator says: {self._source_status}"
         elif now_s - self._stuck_s <= limit_s:
             hint = "messages come, but their stamps do not advance: its source has frozen"
         if stale:

@@ -23,6 +23,9 @@ from fvs_controller_node.target_motion import TargetMotion, on_own_clock
 from fvs_ros.chain import SerialChain
 from fvs_ros.timeline import StampGate, jump_of
 
+#: The estimator publishes the chain more often than this; an older one is not used, s.
+_CHAIN_MAX_AGE_S = 1.5
+
 
 class ServoLoop:
     """Data goes through once: joints, ball and Jacobian in; one command out.
@@ -210,7 +213,7 @@ class ServoLoop:
             Time since the last tick, s.
         """
         supervisor = self.supervisor
-        if now_s - self._chain_s > 1.5:
+        if now_s - self._chain_s > _CHAIN_MAX_AGE_S:
             self._chain = None  # its publisher is gone, or has another method now
             supervisor.inputs[KINEMATIC_CHAIN].forget()
         target = self.target.at(self._stamp_s) if self._follows else None

@@ -1,4 +1,4 @@
-"""Arriving: along the way with the least largest joint travel, as fast as speed limits allow.
+"""Minimum-time law: the joints move along the least largest travel at the limits of speed.
 
 Joints that are limited one by one are at their goal soonest where the longest travel is shortest.
 So the law first looks for the joint goal ``q``: of all joints that put the ball on the target, the
@@ -30,6 +30,9 @@ from fvs_controller_node.redundancy import LeastSpeedInverse, least_speed_invers
 from fvs_ros.limits import SpeedLimits
 from fvs_ros.params import Parameters, live_parameter
 from fvs_ros.vectors import largest
+
+#: A goal that puts the ball further off than this is searched anew, m.
+_JUMP_M = 0.02
 
 
 @dataclass(frozen=True)
@@ -118,7 +121,7 @@ class MinimumTimeLaw(ControlLaw):
         goal = joints if self._goal is None else self._goal
         position, jacobian = chain.position_and_jacobian(goal)
         missing = wanted - position
-        new = new or largest(missing) > 0.02
+        new = new or largest(missing) > _JUMP_M
         # The steps after a new target draw the goal towards the posture of the start. One step
         # after each further image stays near what was found: one linear programme after the other
         # would go to and fro between two corners.

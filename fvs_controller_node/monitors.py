@@ -86,13 +86,13 @@ class FollowingMonitor(Following):
     def check(self, motion: Motion, config: SupervisorConfig) -> Finding | None:
         """Find a joint that does not follow its command."""
         self.add(motion.command_rad_s, motion.joints_rad, motion.speed_scaling, motion.dt_s)
-        refusal = self.refusal(config.follow_time_s)
-        if refusal is None:
+        fault = self.fault(config.follow_time_s)
+        if fault is None:
             return None
         return Reason.NOT_FOLLOWING.because(
-            joint=config.joint_names[refusal.joint],
-            commanded_rad=refusal.commanded_rad,
-            moved_rad=refusal.moved_rad,
+            joint=config.joint_names[fault.joint],
+            commanded_rad=fault.commanded_rad,
+            moved_rad=fault.moved_rad,
         )
 
 

@@ -139,7 +139,7 @@ class ControllerNode(ros.FvsNode):
         values, now_s = ros.from_status(message), self.now_s()
         supervisor = self._loop.supervisor
         idle = values.get("state") in (ESTIMATOR_WAITING, ESTIMATOR_FAULT)
-        supervisor.inputs[JACOBIAN].source_says(now_s, message.message if idle else "")
+        supervisor.inputs[JACOBIAN].set_source_status(now_s, message.message if idle else "")
 
     def _on_target(self, message: PointStamped) -> None:
         point, stamp = message.point, message.header.stamp

@@ -28,11 +28,11 @@ from fvs_ros.timeline import Sample, Timeline
 from fvs_ros.tracker import Image, Tracker
 from fvs_ros.vectors import length
 
-#: Nothing is said before p has come this far, m: the arm may creep so far behind a frozen picture.
+#: No verdict below this predicted motion, m: so far the arm moves behind a frozen picture.
 _LEAST_M = 0.012
-#: ... nor before the seen share is known to this deviation ...
+#: No verdict before the measured share is known to this standard deviation.
 _DEVIATION = 0.12
-#: ... nor sooner than this, s: with stamps that are late by less the ball starts late.
+#: No verdict before this time, s: stamps that are late by less look like a late start.
 _LEAST_S = 0.25
 #: Positions nearer than this to the first of their cell are averaged, m.
 _CELL_M = _LEAST_M / 8.0

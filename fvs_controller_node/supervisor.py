@@ -32,6 +32,12 @@ from fvs_ros.vectors import all_finite, largest, length
 #: A tick counts for at most this long, s: a late one must not make a big step.
 MAX_TICK_S = 0.05
 
+#: Speed at which the arm may leave a singular pose, rad/s.
+_LEAVING_RAD_S = 0.1
+
+#: Share of the speed limit that is left just before the arm is held.
+_LEAST_SHARE = 0.25
+
 _PAUSES = (Reason.PROGRAM_STOPPED, Reason.SPEED_SCALING_ZERO)
 
 #: Asks the law: (error (m,) m, last command (n,) rad/s, dt s) -> its output.
@@ -298,7 +304,7 @@ class Supervisor:
         share, slowed = _speed_share(self.inputs.conditioning.smallest, ratio, self.config)
         fast = self.config.speed.max_joint_velocity_rad_s * share
         if self._singularity.leaving:
-            fast = min(fast, 0.1)
+            fast = min(fast, _LEAVING_RAD_S)
             self._singularity.go_on(dt_s)
         wanted = np.asarray(output.velocity_rad_s, dtype=float)
         active = self._limiter.move(wanted, joints, dt_s, self.config, fast, self._pending)
@@ -389,7 +395,7 @@ def _speed_share(
     if error_ratio > config.prediction_slow:
         share *= _ramp(error_ratio, config.prediction_hold, config.prediction_slow)
         active.append(f"prediction error ({error_ratio:.2f})")
-    return max(share, 0.25), active  # that is left just before the arm is held
+    return max(share, _LEAST_SHARE), active
 
 
 def _ramp(value: float, at_zero: float, at_one: float) -> float:

@@ -150,7 +150,7 @@ class OracleEstimator(Estimator):
     ----------
     true_jacobian : callable, optional
         Joints, rad, shape (n,), to the true Jacobian, m/rad, shape (m, n). Without it the Jacobian
-        is the newest of :meth:`tell`, at any joints.
+        is the newest of :meth:`set_true_jacobian`, at any joints.
     """
 
     learns = False
@@ -162,28 +162,28 @@ class OracleEstimator(Estimator):
     ) -> None:
         super().__init__()
         self._true_jacobian = true_jacobian
-        self._told: np.ndarray | None = None
+        self._published: np.ndarray | None = None
 
     @property
     def problem(self) -> str:
         """Why there is no estimate; empty if there is one."""
-        if self._true_jacobian is not None or self._told is not None:
+        if self._true_jacobian is not None or self._published is not None:
             return ""
-        return "only a simulator knows the true Jacobian, and none tells it"
+        return "no true Jacobian yet; only a simulator publishes it"
 
-    def tell(self, jacobian: np.ndarray) -> None:
+    def set_true_jacobian(self, jacobian: np.ndarray) -> None:
         """Take the present true Jacobian, m/rad, shape (m, n), finite."""
-        self._told = np.array(jacobian, dtype=float)
+        self._published = np.array(jacobian, dtype=float)
 
     def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
         """The true Jacobian, m/rad, shape (m, n); ValueError if it is not known."""
         if self._true_jacobian is not None:
             return np.array(self._true_jacobian(joints_rad), dtype=float)
-        if self._told is None:
+        if self._published is None:
             raise ValueError(self.problem)
-        return self._told.copy()
+        return self._published.copy()
 
     def reset(self) -> None:
-        """Forget what was told."""
+        """Forget what was published."""
         super().reset()
-        self._told = None
+        self._published = None

@@ -273,17 +273,17 @@ class CollectionRun:
 
     def _watch_following(self, joints: np.ndarray, dt_s: float) -> None:
         self._following.add(self._velocity, joints, self._speed_scaling, dt_s)
-        refusal = self._following.refusal(_AGAINST_TIME_S)
-        if refusal is None:
+        fault = self._following.fault(_AGAINST_TIME_S)
+        if fault is None:
             return
-        name = self._names[refusal.joint]
-        along_rad = refusal.moved_rad * np.sign(refusal.commanded_rad)
+        name = self._names[fault.joint]
+        along_rad = fault.moved_rad * np.sign(fault.commanded_rad)
         if along_rad < -_AGAINST_RAD:
             self.fail(f"{name} moves against its command; check joint_names and the joint's sign")
-        elif self._following.refusal(_FOLLOW_TIME_S) is not None:
+        elif self._following.fault(_FOLLOW_TIME_S) is not None:
             self.fail(
-                f"the arm does not follow: {name} was commanded {refusal.commanded_rad:.2f} rad "
-                f"and moved {refusal.moved_rad:.2f} rad; check that the velocity controller is "
+                f"the arm does not follow: {name} was commanded {fault.commanded_rad:.2f} rad "
+                f"and moved {fault.moved_rad:.2f} rad; check that the velocity controller is "
                 "active, the robot program runs and no protective stop is on"
             )
 

@@ -129,7 +129,7 @@ class EstimatorNode(ros.FvsNode):
             return  # no longer
         try:
             shape = BALL_FEATURES, len(self._joint_map.names)
-            self._loop.estimator.tell(ros.from_jacobian(message, *shape))
+            self._loop.estimator.set_true_jacobian(ros.from_jacobian(message, *shape))
         except ros.MessageError as error:
             self._complain(f"{topics.TRUE_JACOBIAN.name}: {error}")
 

@@ -1,4 +1,4 @@
-"""Whether the images are stamped late or early: the ball then goes as predicted, but not when.
+"""Finds a constant time offset of the image stamps from the lengths of the ball's steps.
 
 However a camera stands, it does not change how far the ball goes. So lengths tell stamps from
 turns: with predicted positions p, seen ones x and a lag of n images,

@@ -1,4 +1,4 @@
-"""Does the arm do what it is told? Commanded against measured motion of each joint."""
+"""Whether each joint follows its command: commanded against measured motion."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 #: Motions are summed with this memory, s: much longer than a drive's lag.
 _MEMORY_S = 0.5
 
-#: A joint that moves against its command is found out sooner by this factor; but the small motions
-#: about a target are often late, and so against the newest commands: from this on, rad.
+#: A joint that moves against its command is found sooner by this factor. Small motions about a
+#: target are often late, and so against the newest commands: it counts from this motion on, rad.
 _AGAINST_WEIGHT, _AGAINST_RAD = 6.0, 0.02
 
-#: They are compared this often, s; a tick only adds up.
+#: Interval of the comparison, s.
 _LOOK_S = 0.04
 
-#: Less commanded motion than this within the memory says nothing, rad.
+#: Least commanded motion within the memory that is judged, rad.
 _LEAST_COMMANDED_RAD = 0.004
 
 #: A joint follows if it makes this share of the motion that command and speed scaling ask for.
@@ -24,7 +24,7 @@ _LEAST_SHARE = 0.15
 
 
 @dataclass(frozen=True)
-class Refusal:
+class TrackingFault:
     """A joint, by its place, that does not follow: motion commanded and made in the memory."""
 
     joint: int
@@ -79,9 +79,9 @@ class Following:
         weight = np.where(against, _AGAINST_WEIGHT, 1.0)
         self._off_s = np.where(judged & follows, 0.0, self._off_s + passed_s * weight * judged)
 
-    def refusal(self, time_s: float) -> Refusal | None:
+    def fault(self, time_s: float) -> TrackingFault | None:
         """Name the joint that has not followed for ``time_s``; None if all do."""
         joint = int(self._off_s.argmax())
         if self._off_s[joint] < time_s or self._off_s[joint] <= 0.0:
             return None
-        return Refusal(joint, float(self._commanded[joint]), float(self._moved[joint]))
+        return TrackingFault(joint, float(self._commanded[joint]), float(self._moved[joint]))

@@ -16,7 +16,7 @@ from fvs_ros.vectors import length
 
 #: Share of the predicted motion that may be wrong: with less, a ball that goes another way than
 #: predicted is followed late; with more, its noise is not averaged in motion.
-_WRONG = 0.05
+_MODEL_ERROR_SHARE = 0.05
 #: The gain never falls below this: what is at rest may still drift.
 _LEAST_GAIN = 0.02
 #: Share of a new innovation in their mean, and how far that may be off, in deviations: chance gets
@@ -143,11 +143,11 @@ class Tracker:
     @property
     def deviation_m(self) -> float:
         """Standard deviation of a coordinate of the estimate, m."""
-        return float(self._doubt_m2() ** 0.5)
+        return float(self._prediction_variance_m2() ** 0.5)
 
-    def _doubt_m2(self) -> float:
+    def _prediction_variance_m2(self) -> float:
         far = self._uncorrected
-        return self._variance_m2 + _WRONG**2 * float(far.dot(far))
+        return self._variance_m2 + _MODEL_ERROR_SHARE**2 * float(far.dot(far))
 
     def add(self, image: Image) -> list[Image]:
         """Take an image.
@@ -155,35 +155,35 @@ class Tracker:
         Returns
         -------
         list of Image
-            Those that are believed now, oldest first: this one; none, for an outlier; this one and
+            Those that are accepted now, oldest first: this one; none, for an outlier; this one and
             the outliers before it, where they turn out to be true.
         """
         if not length(image.seen_m) < inf:  # or not a number
             return []
         if self._estimate is None:
-            return self._believe(image)
+            return self._reinitialise(image)
         motion = image.moved_m - self._moved
         self._moved = image.moved_m
         self._estimate = self._estimate + motion
         self._uncorrected = self._uncorrected + motion
         innovation = image.seen_m - self._estimate
-        noise_m2, doubt_m2 = self._noise.variance_m2, self._doubt_m2()
+        noise_m2, predicted_m2 = self._noise.variance_m2, self._prediction_variance_m2()
         off_m = (float(innovation.dot(innovation)) / len(innovation)) ** 0.5
-        if off_m <= _GATE * (doubt_m2 + noise_m2) ** 0.5 + _GATE_M:
-            gain = max(doubt_m2 / (doubt_m2 + noise_m2), _LEAST_GAIN)
+        if off_m <= _GATE * (predicted_m2 + noise_m2) ** 0.5 + _GATE_M:
+            gain = max(predicted_m2 / (predicted_m2 + noise_m2), _LEAST_GAIN)
             self._variance_m2 = (1.0 - gain) ** 2 * self._variance_m2 + gain**2 * noise_m2
             self._uncorrected = (1.0 - gain) * self._uncorrected
             self._estimate = self._estimate + gain * innovation
             self._outliers.clear()
             self._noise.add(image.seen_m - image.moved_m)
-            self._look_behind(innovation, doubt_m2 + noise_m2)
+            self._inflate_on_bias(innovation, predicted_m2 + noise_m2)
             return [image]
         before = self._outliers[-1][1] if self._outliers else None
         self._outliers.append((image, innovation))
         agreed = before is not None and self._agree(before, innovation, motion)
         if not agreed and len(self._outliers) < _REPEATS:
             return []
-        return self._believe(image)
+        return self._reinitialise(image)
 
     def _agree(self, first_m: np.ndarray, second_m: np.ndarray, motion_m: np.ndarray) -> bool:
         """Whether two outliers in a row, m, (m,), say the same: that camera or ball was moved.
@@ -195,7 +195,7 @@ class Tracker:
         noise = _GATE * 2.0**0.5 * self.noise_m
         return apart <= min(noise + 2.0 * length(motion_m), _ALIKE * length(first_m))
 
-    def _believe(self, image: Image) -> list[Image]:
+    def _reinitialise(self, image: Image) -> list[Image]:
         images = [outlier for outlier, _ in self._outliers] or [image]
         self._outliers = []
         self._estimate, self._moved = image.seen_m.copy(), image.moved_m
@@ -206,8 +206,8 @@ class Tracker:
         self._mean = np.zeros_like(image.seen_m)
         return images
 
-    def _look_behind(self, innovation_m: np.ndarray, total_m2: float) -> None:
-        """Doubt the estimate where innovations go on pointing one way, whatever the cause."""
+    def _inflate_on_bias(self, innovation_m: np.ndarray, total_m2: float) -> None:
+        """Inflate the variance when innovations keep one direction, whatever the cause."""
         norm_m = length(innovation_m)
         heard = min(1.0, _MEAN_CLIP * total_m2**0.5 / max(norm_m, 1e-9))
         self._mean = self._mean + _MEAN_SHARE * (heard * innovation_m - self._mean)

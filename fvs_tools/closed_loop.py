@@ -112,7 +112,7 @@ class ClosedLoop:
             self.loop.add_jacobian(now_s, self.estimator.jacobian(out.joints_rad))
         if chain is not None:
             self.loop.add_chain(now_s, chain)
-        self.loop.supervisor.inputs[JACOBIAN].source_says(now_s, problem)
+        self.loop.supervisor.inputs[JACOBIAN].set_source_status(now_s, problem)
         self.loop.add_joints(now_s, now_s, out.joints_rad)
         command = self.loop.tick(now_s, self.period_s)
         if command.output is not None:

@@ -19,11 +19,11 @@ def heard(times_s):
 
 def test_the_sources_own_words_are_the_hint_while_they_are_new():
     monitor = heard(np.arange(0.0, 1.0, 0.1))
-    monitor.source_says(1.5, "waiting for ball_position")
+    monitor.set_source_status(1.5, "waiting for ball_position")
     for now_s in (1.6, 3.2):
         assert "the estimator says: waiting for ball_position" in monitor.find(now_s).text
     assert "is the ball in view?" in monitor.find(4.0).text
-    monitor.source_says(4.0, "")
+    monitor.set_source_status(4.0, "")
     assert "is the ball in view?" in monitor.find(4.1).text
 
 

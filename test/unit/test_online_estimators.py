@@ -243,7 +243,7 @@ def test_the_oracle_hands_on_what_it_is_told_or_a_simulation_computes():
     np.testing.assert_array_equal(knows.jacobian(HOME + 1.0)[0], HOME + 1.0)
     oracle, told = create_estimator("oracle"), np.arange(18.0).reshape(3, 6)
     assert "only a simulator" in oracle.problem
-    oracle.tell(told)
+    oracle.set_true_jacobian(told)
     assert oracle.problem == ""
     np.testing.assert_array_equal(oracle.jacobian(HOME), told)
     oracle.reset()
