@@ -104,6 +104,8 @@ class ReachingLaw(Parameters):
 
     k1: float = live_parameter(3.0, "Linear gain of the reaching law.", 1e-3, 1e4)
     k2: float = live_parameter(0.05, "Terminal gain of the reaching law.", 0.0, 1e4)
-    k4: float = live_parameter(0.05, "s decays with k4 / k1 seconds; 0: at once.", 0.0, 100.0)
+    k4: float = live_parameter(
+        0.05, "k4 / k1 is the time constant of s, s; 0: immediate.", 0.0, 100.0
+    )
     # At 0.5 the command would grow without bound at s = 0.
     sigma: float = live_parameter(0.75, "2 sigma - 1 is the reaching exponent.", 0.51, 0.99)

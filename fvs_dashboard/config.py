@@ -24,7 +24,7 @@ class DashboardConfig(Parameters):
     feature_frame: str = parameter(CAMERA_FRAME, "frame of ball and target")
     ball_radius_m: float = parameter(0.04, "radius of the ball, as it is drawn", 0.001, 0.2)
     camera_topics: str = parameter(
-        "", "what stands before /color/image_raw; empty: camera or camera/camera"
+        "", "prefix of the camera's topics, before /color/image_raw; empty: camera or camera/camera"
     )
     tour: bool = parameter(False, "send the ball from target to target until a user takes over")
     model_path: str = parameter(

@@ -108,7 +108,7 @@ class RbfConfig(Parameters):
     )
     mu: float = parameter(
         0.5,
-        "Largest part of the prediction error that one step may correct; below 2 it is stable.",
+        "Largest share of the prediction error that one step may correct; stable below 2.",
         1e-3,
         1.9,
     )

@@ -39,7 +39,7 @@ class ArmJoints(Parameters):
     joint_names: tuple[str, ...] = parameter(
         UR_JOINT_NAMES, "The joints in kinematic order, base to flange, without tf_prefix."
     )
-    tf_prefix: str = parameter("", "What the robot's driver puts before each joint name.")
+    tf_prefix: str = parameter("", "Prefix of the joint names: that of the robot's driver.")
 
 
 JOINT_PARAMETERS = ArmJoints.declared()

@@ -163,7 +163,7 @@ class SimNodeConfig(Parameters):
         "publish /clock, run as fast as possible and wait for the answers to joint states; the "
         "other nodes then need use_sim_time",
     )
-    tf_prefix: str = parameter("", "put before each joint name, as a UR driver does")
+    tf_prefix: str = parameter("", "prefix of the joint names, like a UR driver's")
     feature_frame: str = parameter(CAMERA_FRAME, "frame of ball and images")
     full_frame_rate_hz: float = parameter(
         30.0,

@@ -23,7 +23,7 @@ class DemoConfig(Parameters):
     )
     targets: int = parameter(4, "number of targets", 1, 100)
     target_positions: str = parameter(
-        "", "own targets in place of chosen ones, m: 'x y z; x y z; ...'; empty chooses"
+        "", "targets, m: 'x y z; x y z; ...'; empty: chosen by the seed"
     )
     seed: int = parameter(0, "seed of the choice of targets", 0)
     distance_m: float = parameter(0.3, "wanted distance from one target to the next", 0.05, 1.0)

@@ -238,7 +238,7 @@ def _parser() -> argparse.ArgumentParser:
         "--scheme",
         default="",
         metavar="NAME",
-        help="estimator method and control law by one name; -p wins over it",
+        help="estimator method and control law by one name; -p overrides it",
     )
     parser.add_argument("--namespace", default="", help="ROS namespace of all nodes")
     parser.add_argument(
@@ -247,13 +247,13 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="FROM:=TO",
-        help="give a topic or service another name, in all nodes (repeatable)",
+        help="rename a topic or service in all nodes (repeatable)",
     )
     parser.add_argument(
         "--record",
         default="",
         metavar="DIR",
-        help="record all topics, and markers to look at, into a new bag; docs/recording.md",
+        help="record all topics and viewer markers into a new bag; docs/recording.md",
     )
     parser.add_argument(
         "--record-without-images",

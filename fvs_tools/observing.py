@@ -29,10 +29,10 @@ class RecorderConfig(Parameters):
         "folder of the bag, which must not exist yet: metadata.yaml and one .mcap file",
     )
     images: bool = parameter(
-        True, "whether images are recorded; simulator and detector draw them only for a listener"
+        True, "whether images are recorded; simulator and detector draw them only for a subscriber"
     )
     feature_frame: str = parameter(CAMERA_FRAME, "frame of ball and images")
-    scenario: str = parameter("", "what was started, as YAML: kept in the bag beside the messages")
+    scenario: str = parameter("", "scenario that runs, as YAML, stored in the bag")
 
 
 MARKERS_PARAMETERS, RECORDER_PARAMETERS = MarkersConfig.declared(), RecorderConfig.declared()

@@ -48,7 +48,7 @@ BEYOND = _by_name(
         "extended",
         "rbf_left",
         "ftsm",
-        "The paper's networks behind a learned rotation, its law straight to the target, "
+        "The paper's networks with camera rotation correction, its law straight to the target, "
         "least joint speeds.",
         controller_values={"redundancy_resolution": "least_speed", "ftsm_path": "straight"},
     ),
