@@ -1,7 +1,7 @@
 """One collection run: when the arm may move, where it goes, and what is recorded. No ROS.
 
-The collector moves the arm without a controller behind it, so it has a guard of its own, with the
-same limits: nothing moves before joints and ball are seen, a late input stops the arm, a ball out
+The collector moves the arm without a controller behind it, so it has a guard of its own:
+nothing moves before joints and ball are seen, a late input stops the arm, a ball out
 of view sends it back toward where it started, and a joint that leaves its box or moves against
 its command ends the run.
 """
