@@ -9,7 +9,6 @@ import numpy as np
 
 from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.reasons import Finding, Reason
-from fvs_controller_node.redundancy import Conditioning, conditioning
 
 #: Inputs by topic name.
 JOINT_STATES, BALL, JACOBIAN = "joint_states", "ball_position", "jacobian"
@@ -119,7 +118,7 @@ class Inbox:
         )
         self._monitors = {monitor.name: monitor for monitor in monitors}
         self.jacobian: np.ndarray | None = None  #: the newest one, m/rad, (m, n)
-        self.conditioning: Conditioning | None = None  #: its singular values
+        self.smallest_m_rad: float | None = None  #: its smallest singular value
         self._conflict: Finding | None = None  # with another node, and when it commanded last
         self._conflict_s = -inf
         self._program_running: bool | None = None  # never reported
@@ -151,7 +150,7 @@ class Inbox:
         if not self._check(now_s, JACOBIAN, jacobian, shape):
             return False
         self.jacobian = np.array(jacobian, dtype=float)
-        self.conditioning = conditioning(self.jacobian)
+        self.smallest_m_rad = float(np.linalg.svd(self.jacobian, compute_uv=False)[-1])
         return True
 
     def add_program_running(self, running: bool) -> None:

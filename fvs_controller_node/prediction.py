@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fvs_ros.params import Parameters, live_parameter
-from fvs_ros.timeline import Sample, Timeline
+from fvs_ros.timeline import MAX_LATENCY_S, Sample, Timeline
 from fvs_ros.tracker import Image, Tracker
 from fvs_ros.vectors import length
 
@@ -137,7 +137,6 @@ class PredictorConfig(Parameters):
     predictor: bool = live_parameter(
         True, "Predict the ball from its exposure to now with the joints' motion."
     )
-    max_latency_s: float = live_parameter(0.5, "Longest time to predict over, s.", 0.01, 1.9)
 
 
 class BallPredictor:
@@ -164,13 +163,12 @@ class BallPredictor:
         self.config = config or PredictorConfig()
         self.images = 0
         self.tracker, self.agreement = Tracker(), Agreement()
-        self._timeline = Timeline(self.config.max_latency_s)
+        self._timeline = Timeline()
         self.reset()
 
     def configure(self, config: PredictorConfig) -> None:
         """Change settings while running."""
         self.config = config
-        self._timeline.max_latency_s = config.max_latency_s
 
     def reset(self) -> None:
         """Forget everything."""
@@ -193,7 +191,7 @@ class BallPredictor:
         if newest_s is None or seen_s is None:
             return ""
         age_s = newest_s - seen_s
-        if abs(age_s) > self.config.max_latency_s:
+        if abs(age_s) > MAX_LATENCY_S:
             side = "older" if age_s > 0.0 else "newer"
             lost = "is the ball in view? Else " if age_s > 0.0 else ""
             return (
@@ -242,7 +240,7 @@ class BallPredictor:
         estimate = self.tracker.estimate_m
         if newest is None or moved is None or self._stamp_s is None or estimate is None:
             return None
-        if newest - self._stamp_s > self.config.max_latency_s or self.problem:
+        if newest - self._stamp_s > MAX_LATENCY_S or self.problem:
             return None
         if not self.config.predictor:
             return None if self._raw is None else self._raw.copy()

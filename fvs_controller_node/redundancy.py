@@ -27,7 +27,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.linalg.lapack import dgeqrf, dorgqr, dposv
@@ -52,25 +52,6 @@ _HOMING = 0.5
 #: Closer to the posture than this, the way back is slower in proportion, rad.
 _NEAR_HOME_RAD = 0.3
 _TINY = 1e-12
-
-
-class Conditioning(NamedTuple):
-    """How far a Jacobian is from singular."""
-
-    smallest: float  #: singular value: motion in the worst direction for a unit of joint motion
-    condition: float  #: largest over smallest singular value; infinite when singular
-
-
-def conditioning(jacobian: np.ndarray) -> Conditioning:
-    """Measure smallest singular value and condition number of a Jacobian, shape (m, n).
-
-    Examples
-    --------
-    >>> conditioning(np.eye(3, 6))
-    Conditioning(smallest=1.0, condition=1.0)
-    """
-    values = np.linalg.svd(jacobian, compute_uv=False).tolist()
-    return Conditioning(values[-1], values[0] / values[-1] if values[-1] > 0.0 else float("inf"))
 
 
 @dataclass(frozen=True)

@@ -166,8 +166,8 @@ class Supervisor:
 
     def _leave(self) -> tuple[bool, str]:
         """Let the arm leave a singular pose, in which it is held for nothing else."""
-        assert self.inputs.conditioning is not None
-        value = self.inputs.conditioning.smallest
+        value = self.inputs.smallest_m_rad
+        assert value is not None
         if not self._singularity.leave(value, self.config.singular_hold_m_rad):
             return False, (
                 f"not started: the Jacobian is too singular to leave ({value:.4f} m/rad); call the "
@@ -279,8 +279,8 @@ class Supervisor:
             return Reason.NO_POSITION.because(why=self._problem or "no image is usable yet")
         if self.goal.target_m is None:
             return Reason.NO_TARGET.because()
-        assert self.inputs.conditioning is not None
-        return self._singularity.check(self.inputs.conditioning.smallest, self.config)
+        assert self.inputs.smallest_m_rad is not None
+        return self._singularity.check(self.inputs.smallest_m_rad, self.config)
 
     def _trouble_in_motion(self, dt_s: float, joints: np.ndarray) -> Finding | None:
         """Find what only shows while the arm moves; every monitor counts at every tick."""
@@ -299,9 +299,9 @@ class Supervisor:
     # ---- how it moves, how it rests -------------------------------------------------------
 
     def _move(self, output: ControlOutput, joints: np.ndarray, dt_s: float) -> Command:
-        assert self.inputs.conditioning is not None
+        assert self.inputs.smallest_m_rad is not None
         ratio = 0.0 if self._verdict is None else self._verdict.error_ratio
-        share, slowed = _speed_share(self.inputs.conditioning.smallest, ratio, self.config)
+        share, slowed = _speed_share(self.inputs.smallest_m_rad, ratio, self.config)
         fast = self.config.speed.max_joint_velocity_rad_s * share
         if self._singularity.leaving:
             fast = min(fast, _LEAVING_RAD_S)
@@ -342,7 +342,7 @@ class Supervisor:
     def status_values(self, now_s: float) -> dict[str, float | str]:
         """Key numbers for a status message, always the same keys in the same order."""
         nan, last = float("nan"), self.last
-        singular, error, verdict = self.inputs.conditioning, self.goal.error_m, self._verdict
+        singular, error, verdict = self.inputs.smallest_m_rad, self.goal.error_m, self._verdict
         values: dict[str, float | str] = {
             "state": last.state.value,
             "reason": last.reason.name,
@@ -351,8 +351,7 @@ class Supervisor:
             "error_m": nan if error is None else length(error),
             "active_limit": last.active_limit,
             "fastest_joint_rad_s": largest(self._limiter.velocity_rad_s),
-            "smallest_singular_value_m_rad": nan if singular is None else singular.smallest,
-            "condition_number": nan if singular is None else singular.condition,
+            "smallest_singular_value_m_rad": nan if singular is None else singular,
             "prediction_error_ratio": nan if verdict is None else verdict.error_ratio,
             **self.inputs.status_values(now_s),
         }

@@ -22,12 +22,6 @@ class FeatureConfig(Parameters):
     """What estimator and collector must know of the ball positions."""
 
     feature_frame: str = parameter(CAMERA_FRAME, "frame of the ball positions")
-    max_latency_s: float = parameter(
-        0.5,
-        "a ball position stamped further behind the newest joint state is not used, s",
-        0.01,
-        1.9,
-    )
 
 
 @dataclass(frozen=True)

@@ -119,7 +119,7 @@ class CollectionRun:
         self._config, self._names = config, tuple(joint_names)
         self.stop = stop if stop is not None else StopCriterion(config.stop_at_error)
         self._motion: RandomMotion | None = None
-        self._timeline = Timeline(config.max_latency_s)
+        self._timeline = Timeline()
         self._joint_stamps, self._ball_stamps = StampGate(), StampGate()
         self._ticked_s = -np.inf
         self._joints: np.ndarray | None = None

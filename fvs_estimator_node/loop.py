@@ -36,8 +36,6 @@ class StepPairing:
     min_step_rad : float
         Joint motion (of the joint that moved most) that makes a step, rad; by default one that
         moves the ball by some millimetres, more than the noise of its position.
-    max_latency_s : float
-        That of :class:`~fvs_ros.timeline.Timeline`, s.
 
     Attributes
     ----------
@@ -45,8 +43,8 @@ class StepPairing:
         The source of samples, with its counters.
     """
 
-    def __init__(self, min_step_rad: float = 0.01, max_latency_s: float = 0.5) -> None:
-        self.timeline = Timeline(max_latency_s)
+    def __init__(self, min_step_rad: float = 0.01) -> None:
+        self.timeline = Timeline()
         self._min_step_rad = min_step_rad
         self.reset()
 

@@ -17,7 +17,7 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from fvs_estimator_node.base import Estimator, OracleEstimator
-from fvs_estimator_node.loop import EstimationLoop, StepPairing
+from fvs_estimator_node.loop import EstimationLoop
 from fvs_estimator_node.model_file import load_model
 from fvs_estimator_node.registry import PARAMETERS, EstimatorConfig, create_estimator, needs_model
 from fvs_ros import ros, topics
@@ -64,8 +64,7 @@ class EstimatorNode(ros.FvsNode):
     def _use(self, v: dict[str, Any]) -> None:
         """Estimate by the method that the values name, from nothing but the model."""
         config = EstimatorConfig.from_values(v)
-        pairing = StepPairing(max_latency_s=config.max_latency_s)
-        self._loop = EstimationLoop(self._make_estimator(config, v), pairing)
+        self._loop = EstimationLoop(self._make_estimator(config, v))
         self._config = config
         if isinstance(self._loop.estimator, OracleEstimator) and not self._hears_truth:
             self._hears_truth = True

@@ -29,6 +29,9 @@ _MAX_GAP_S = 0.25
 
 #: Images that may wait for later joint states; the oldest gives way.
 _MAX_WAITING = 10
+#: A ball position stamped further before the newest joint state is not paired: no camera is that
+#: slow, so the two clocks differ, s.
+MAX_LATENCY_S = 0.5
 
 
 def jump_of(step_rad: np.ndarray, passed_s: float) -> int | None:
@@ -161,12 +164,6 @@ class Sample(NamedTuple):
 class Timeline:
     """Finds the joints, or another vector that follows from them, at each image's exposure.
 
-    Parameters
-    ----------
-    max_latency_s : float
-        A ball position stamped further than this before the newest joint state is not paired: no
-        camera is that slow, so the two clocks differ, s.
-
     Attributes
     ----------
     dropped : int
@@ -177,8 +174,7 @@ class Timeline:
         How often one of the two clocks jumped.
     """
 
-    def __init__(self, max_latency_s: float = 0.5) -> None:
-        self.max_latency_s = max_latency_s
+    def __init__(self) -> None:
         self._history = History()
         self._waiting: deque[tuple[float, np.ndarray]] = deque()
         self._newest_stamp_s: float | None = None
@@ -252,7 +248,7 @@ class Timeline:
         newest = self._history.newest_stamp_s
         while self._waiting and newest is not None and self._waiting[0][0] <= newest:
             stamp_s, ball_m = self._waiting.popleft()
-            if newest - stamp_s > self.max_latency_s:
+            if newest - stamp_s > MAX_LATENCY_S:
                 self._drop(
                     f"a ball position is stamped {newest - stamp_s:.2f} s before the newest joint "
                     "state; check that both clocks agree (NTP)"
