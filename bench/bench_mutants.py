@@ -132,7 +132,7 @@ _TARGET = "a wrong target changes nothing"
 
 #: The table's rows, as they begin, and the controllers without them, by name.
 ROWS = {
-    "before everything is fresh": {
+    "until every input is fresh": {
         "starts by itself": Mutant(disregards(autostart=True), "waits for a start", _ASKED)
     },
     "joint states older": {
@@ -141,7 +141,7 @@ ROWS = {
             lacks("RETURNING"), "inputs fall silent", "several good messages end a trouble"
         ),
     },
-    "a message that is not finite": {
+    "a message with a non-finite value": {
         "takes anything": Mutant(lacks("BAD_INPUT"), "a joint is not a number", _ZEROS)
     },
     "held for more": {
