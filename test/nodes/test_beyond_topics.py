@@ -44,7 +44,8 @@ class Loop:
 
     def distance_m(self, position_m, count=6):
         last = [m.point for m in self.balls[-count:]]
-        return max(math.dist((p.x, p.y, p.z), position_m) for p in last)
+        distances_m = (math.dist((p.x, p.y, p.z), position_m) for p in last)
+        return max(distances_m, default=math.inf)
 
     def reach(self, position_m):
         self.aim(position_m)
