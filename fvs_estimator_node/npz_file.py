@@ -24,25 +24,10 @@ class FileError(ValueError):
 
 
 class NpzFile:
-    """The content of one file of any origin.
+    """The content of one file of any origin, checked for its kind, size, joints and frame.
 
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    kind : str
-        What its field ``format`` must say.
-    max_bytes : int
-        Largest uncompressed size.
-    joint_names : sequence of str, optional
-        The joint order it must have; None takes any.
-    feature_frame : str, optional
-        The frame it must have; None takes any.
-
-    Raises
-    ------
-    FileError
-        If it is none, or not as expected.
+    ``joint_names`` and ``feature_frame`` of None take any. Raises FileError if it is none, or not
+    as expected.
     """
 
     def __init__(

@@ -29,6 +29,7 @@ _MAX_GAP_S = 0.25
 
 #: Images that may wait for later joint states; the oldest gives way.
 _MAX_WAITING = 10
+
 #: A ball position stamped further before the newest joint state is not paired: no camera is that
 #: slow, so the two clocks differ, s.
 MAX_LATENCY_S = 0.5
