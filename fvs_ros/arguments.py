@@ -1,4 +1,4 @@
-"""Arguments of programs and nodes: their help, and what was probably meant by a wrong name."""
+"""Arguments of programs and nodes: help, and suggestions for misspelt names."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ if TYPE_CHECKING:
     from fvs_ros.params import Parameter
 
 _WIDTH, _COLUMN = 100, 22
-#: No more of a wrong name is compared or repeated, characters.
+#: Longest part of a wrong name that is compared or repeated, characters.
 _QUOTED = 60
 
 
 def unknown(kind: str, given: str, known: Iterable[str]) -> str:
-    """Words for a name that is not among those known: the nearest of them, and all."""
+    """Refusal of an unknown name, with the nearest known one and all of them."""
     names = list(known)
     meant = did_you_mean(given, names)
     return f"unknown {kind} '{given[:_QUOTED]}'; {meant}known are {', '.join(names)}"
 
 
 def did_you_mean(given: str, known: Iterable[str]) -> str:
-    """A question with the nearest of the known names; empty if none is near."""
+    """Suggest the nearest known name; empty if none is near."""
     near = difflib.get_close_matches(given[:_QUOTED], list(known), n=1)
     return f"did you mean {near[0]}? " if near else ""
 
@@ -43,7 +43,7 @@ def one_of(kind: str, known: Iterable[str]) -> Callable[[str], str]:
 
 
 def how_to_install(extras: str, packages: Iterable[str]) -> str:
-    """The commands that bring missing packages, which these extras (``a,b``) hold."""
+    """Commands that install missing packages, which these extras (``a,b``) contain."""
     return (
         f"in a checkout with .venv, .venv/bin/pip install -c constraints.txt -e '.[{extras}]'; "
         f"elsewhere, pip install {' '.join(packages)}"
@@ -51,7 +51,7 @@ def how_to_install(extras: str, packages: Iterable[str]) -> str:
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that says which argument was probably meant.
+    """A parser that suggests the argument that was probably meant.
 
     Its help shows the docstring of the program's module, and at the end lists: titles, and below
     each names with their texts.

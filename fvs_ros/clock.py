@@ -1,4 +1,4 @@
-"""Time as a control loop ages by it."""
+"""The control loop's clock, for ages and time-outs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-#: Simulated time that stands still for longer has ended or is paused, s: more than the simulator
+#: Simulated time that stands still for longer has ended or is paused, s. Longer than the simulator
 #: waits for an answer.
 _STILL_S = 2.0
 #: Simulated time that advances by more at once has jumped, s.
@@ -29,15 +29,15 @@ def blamed(lateness: str) -> str:
 class LoopClock:
     """Seconds for ages and time-outs; they never jump and never go back.
 
-    Real ones, or simulated ones where there is simulated time: then a busy machine makes nothing
-    late. If that stands still, real time goes on in its place.
+    In simulated time a busy machine makes nothing late. If simulated time stops, real time
+    replaces it.
 
     Parameters
     ----------
     simulated_s : callable, optional
-        Tells simulated time, s; without it, time is real.
+        Returns simulated time, s; without it, time is real.
     steady_s : callable
-        Tells real time, s.
+        Returns real time, s.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class LoopClock:
         self._stamp_s = 0.0
 
     def now_s(self) -> float:
-        """Seconds since some moment."""
+        """Seconds since an arbitrary start."""
         steady_s = self._steady_s()
         if self._simulated_s is None:
             return steady_s

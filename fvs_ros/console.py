@@ -1,11 +1,11 @@
-"""Standard output and error that never make their writer wait.
+"""Standard output and error that never block their writer.
 
-A terminal that is held (Ctrl-S), an ssh that stalls or a pipe that is not read blocks every write,
-and with it the control loop that only wanted to log a line. So each of the two goes into a pipe of
-our own that does not block; a thread carries it on. What does not fit is dropped.
+A stopped terminal (Ctrl-S), a stalled ssh or an unread pipe blocks every write, and with it a
+control loop that logs a line. So each stream goes into a non-blocking pipe, which a thread
+forwards; what does not fit is dropped.
 
-A program that only prints results may wait; but a reader that leaves, as ``head`` does, is no
-reason to fail.
+A program that only prints results may block, but must not fail when its reader leaves, as ``head``
+does.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ import threading
 from collections.abc import Iterator
 from typing import Any
 
-#: Time for the last output to arrive.
+#: Longest wait for the last output, s.
 _LAST_OUTPUT_S = 0.5
 
 
 class _Dropping(io.FileIO):
-    """Writes what its descriptor takes; drops what it does not take now, or never again."""
+    """Writes what its descriptor accepts; drops the rest."""
 
     def __init__(self, fd: int, tty: bool) -> None:
         super().__init__(fd, "w", closefd=False)
@@ -41,7 +41,7 @@ class _Dropping(io.FileIO):
 
 @contextlib.contextmanager
 def _replaced(name: str, fd: int, tty: bool) -> Iterator[None]:
-    """Have a stream of :mod:`sys` drop instead of raising, if it writes to this descriptor."""
+    """Make a stream of :mod:`sys` drop instead of raise, if it writes to this descriptor."""
     before = getattr(sys, name)
     try:
         before.flush()
@@ -81,8 +81,8 @@ def never_blocking() -> Iterator[tuple[int, int]]:
 
     Writes that find the pipe full are dropped: 64 KiB may wait for a reader. ``isatty`` of the
     streams in :mod:`sys` and the colours of ROS's log stay as they were. Afterwards both lead
-    where they led, or nowhere if that is still blocked after half a second. Yields descriptors of
-    the original output and error, for a child process.
+    to their original targets, or nowhere if those are still blocked after half a second. Yields
+    descriptors of the original output and error, for a child process.
     """
     for fd in range(3):
         try:
@@ -97,7 +97,7 @@ def never_blocking() -> Iterator[tuple[int, int]]:
 
 @contextlib.contextmanager
 def _piped(name: str, fd: int) -> Iterator[int]:
-    """Lead a descriptor through a pipe; yields another descriptor of where it led before."""
+    """Redirect a descriptor through a pipe; yields a descriptor of its original target."""
     original = os.dup(fd)
     source, sink = os.pipe()
     os.set_blocking(sink, False)

@@ -9,8 +9,8 @@ import numpy as np
 #: Motions are summed with this memory, s: much longer than a drive's lag.
 _MEMORY_S = 0.5
 
-#: A joint that moves against its command is found sooner by this factor. Small motions about a
-#: target are often late, and so against the newest commands: it counts from this motion on, rad.
+#: A joint that moves against its command is found sooner by this factor; from this motion on, rad,
+#: since small motions about a target lag and so often oppose the newest command.
 _AGAINST_WEIGHT, _AGAINST_RAD = 6.0, 0.02
 
 #: Interval of the comparison, s.
@@ -33,7 +33,7 @@ class TrackingFault:
 
 
 class Following:
-    """Compares commands with joint states; both fade with a memory of half a second."""
+    """Compares commands with joint states, over a fading memory of half a second."""
 
     def __init__(self) -> None:
         self.restart()
@@ -45,7 +45,7 @@ class Following:
         self.pause()
 
     def pause(self) -> None:
-        """Stand still while the arm is held: what was counted stays, motion is ignored."""
+        """Ignore motion while the arm is held; keep what was counted."""
         self._joints: np.ndarray | None = None
         self._pending = np.zeros(1)
         self._pending_s = 0.0

@@ -1,4 +1,4 @@
-"""Limits on a joint velocity command; each takes n numbers, rad/s, and gives n."""
+"""Limits on a joint velocity command of n numbers, rad/s."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def braking_speed(travel_rad: float, max_acceleration: float) -> float:
 def limit_acceleration(velocity: np.ndarray, last: np.ndarray, max_step: float) -> np.ndarray:
     """Find the command nearest to ``velocity`` whose step from ``last`` is at most ``max_step``.
 
-    Where a shorter command of the same direction is within reach, the longest such one; else
-    each joint goes as far as it may.
+    If a shorter command in the same direction is within reach, the longest such one; otherwise
+    each joint changes as far as allowed.
 
     Parameters
     ----------
@@ -89,9 +89,9 @@ class SpeedLimits(Parameters):
 class JointRange(Parameters):
     """Slows joints down near the ends of their range.
 
-    A joint may move towards an end at most at ``max_speed * distance / margin``, nor faster
-    than it can brake (``braking_speed``); away from it, as it likes. Each joint
-    is slowed alone, so that the others go on and the arm slides along the limit.
+    A joint moves towards an end at most at ``max_speed * distance / margin``, and never faster than
+    it can brake (``braking_speed``); away from the end it is free. Each joint is slowed alone, so
+    the others continue and the arm slides along the limit.
 
     The joints of the two lists are those of ``joint_names``.
     """
@@ -143,8 +143,8 @@ class JointRange(Parameters):
     ) -> tuple[np.ndarray, list[int]]:
         """Slow down every joint that nears an end of its range.
 
-        Motion that is still to come, ``pending_rad``, takes room where it goes towards the end; it
-        makes none where it leads away.
+        Pending motion, ``pending_rad``, reduces the room if it goes towards the end; it adds none
+        if it goes away.
 
         Returns
         -------

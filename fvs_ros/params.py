@@ -83,7 +83,7 @@ class Parameter:
     def check(self, value: Any) -> Any:
         """The value in the parameter's type; a ``ParameterError`` if it has none of its values.
 
-        A whole number is welcome where a number is wanted (``gain: 2`` in YAML).
+        An int is accepted for a float (``gain: 2`` in YAML).
         """
         if not self.is_list:
             return self._check_one(value, value)
@@ -172,13 +172,13 @@ def parameter(
     return field(default=default, metadata={_DECLARED: one})
 
 
-#: The same for one that may change while the node runs.
+#: A parameter that may change while the node runs.
 live_parameter = partial(parameter, live=True)
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """A set of parameters with values; a wrong one is a ``ParameterError`` when it is made.
+    """Parameters with values; a wrong value raises a ``ParameterError`` at construction.
 
     A field made by :func:`parameter` is one parameter; a field whose ``default_factory`` is
     another such class holds that one's parameters, under the same names.

@@ -1,4 +1,4 @@
-"""The project's own files (beside the source or in a ROS share), programs and version."""
+"""The package's files (in the source tree or a ROS share), programs and version."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading the key numbers of a status, which are text on the wire."""
+"""Parses the key numbers of a status, which are text in the message."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from math import nan
 
 import numpy as np
 
-#: A status older than this is no word from its node, s.
+#: A status older than this counts as none, s.
 SILENT_S = 1.0
-#: The state of a controller from which there is no word.
+#: State of a controller that publishes no status.
 SILENT = "SILENT"
 #: States in which an estimator may publish no Jacobian; if it does not, the reason says why.
 ESTIMATOR_WAITING, ESTIMATOR_FAULT = "WAITING", "FAULT"
 
 
 def number(values: Mapping[str, str], key: str) -> float:
-    """A number of a status; not a number where it is missing or unknown."""
+    """A number of a status; NaN where it is missing or unknown."""
     try:
         return float(values.get(key, "nan"))
     except ValueError:  # "unknown", or empty

@@ -1,4 +1,4 @@
-"""All that is known of time: stamps, histories, and what belongs to an image's exposure.
+"""Time stamps: recent joint states, and the joints at an image's exposure.
 
 A ball position carries the stamp of its exposure. :class:`Timeline` finds the joints at that
 stamp, waiting for a later joint state if need be, and numbers continuous runs of such samples.
@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: No joint is faster, nor a step between two joint states larger than this besides, rad/s and rad.
+#: Fastest joint, rad/s, and slack of a step between two joint states, rad: more is a jump.
 _FASTEST_RAD_S, _JUMP_RAD = 1.5 * pi, 0.1
 
 #: A stamp that goes back by no more is a late message; by more, the clock jumped, s.
@@ -61,7 +61,7 @@ class History:
 
     Stamps must come from one clock. A stamp that goes back by more than a tenth of a second, or
     forward by more than the history's length, is a clock jump and starts the history anew;
-    a repeated or slightly older stamp (a duplicate, a reordered message) is passed over.
+    a repeated or slightly older stamp (a duplicate, a reordered message) is ignored.
     """
 
     def __init__(self) -> None:
@@ -82,7 +82,7 @@ class History:
         return self._values[-1] if self._values else None
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Forget all samples."""
         self._stamps.clear()
         self._values.clear()
 

@@ -13,7 +13,7 @@ from typing import Any
 
 
 class Qos(Enum):
-    """How messages travel, in words for a user."""
+    """Quality of service, in words for a user."""
 
     NEWEST = "best effort"
     RELIABLE = "reliable"
@@ -26,9 +26,9 @@ class End:
 
     #: One publisher or subscription each.
     qos: tuple[Qos, ...]
-    #: Parameter of the node, and its value without which the node does without the topic.
+    #: The node uses the topic only if this parameter has this value.
     given: tuple[str, Any] | None = None
-    #: What must have happened before, in words, if it is not there from the start on.
+    #: When it appears, in words, if not at the start.
     later: str = ""
 
 
@@ -52,7 +52,7 @@ class Topic:
 
 @dataclass(frozen=True)
 class Node:
-    """What else a node has on the wire."""
+    """Services and description of a node."""
 
     #: What the node does, in a sentence.
     does: str
@@ -121,7 +121,7 @@ NODES: dict[str, Node] = {
 }
 
 _NEWEST, _RELIABLE, _LATCHED = End((Qos.NEWEST,)), End((Qos.RELIABLE,)), End((Qos.LATCHED,))
-#: Heard from a latched publisher and from one that is not.
+#: Receives from latched publishers and from others.
 _EITHER = End((Qos.LATCHED, Qos.NEWEST))
 _SIMULATED = End((Qos.RELIABLE,), given=("simulated_time", True))
 _AT_THE_END = End((Qos.RELIABLE,), later="after the last target")
@@ -215,7 +215,7 @@ ROBOT_DESCRIPTION = Topic(
     also_from=_DRIVER,
     also_to=_TOOLS,
 )
-#: Below which names cameras publish: the declared one, and that of a RealSense's driver.
+#: Name prefixes of camera topics: the declared one, and that of the RealSense driver.
 CAMERA_PREFIXES = ("camera", "camera/camera")
 
 COLOR_IMAGE = Topic(

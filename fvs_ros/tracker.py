@@ -1,7 +1,7 @@
-"""Where the feature is, by image and prediction, and which images are outliers.
+"""Tracks the feature from images and predicted motion, and finds outliers.
 
-One filter and one innovation (seen minus predicted) serve every method and law; whether the image
-follows the arm, the sums of the believed images say (:mod:`fvs_controller_node.prediction`).
+One filter and one innovation (seen minus predicted) serve every method and law. Whether the image
+follows the arm is judged from the accepted images (:mod:`fvs_controller_node.prediction`).
 """
 
 from __future__ import annotations
@@ -14,27 +14,27 @@ import numpy as np
 
 from fvs_ros.vectors import length
 
-#: Share of the predicted motion that may be wrong: with less, a ball that goes another way than
-#: predicted is followed late; with more, its noise is not averaged in motion.
+#: Share of the predicted motion that may be wrong. Smaller: a ball that moves differently from the
+#: prediction is followed late. Larger: noise is not averaged in motion.
 _MODEL_ERROR_SHARE = 0.05
 #: The gain never falls below this: what is at rest may still drift.
 _LEAST_GAIN = 0.02
-#: Share of a new innovation in their mean, and how far that may be off, in deviations: chance gets
-#: there once in 10^5 images. One innovation counts for at most this count of deviations, or a heavy
-#: tail's worst image would be taken for a ball that has gone elsewhere.
+#: Weight of a new innovation in their mean; the mean's bound, in deviations (exceeded by chance
+#: once in 10^5 images); and the bound of one innovation, in deviations. Without the last, the worst
+#: image of heavy-tailed noise looks like a ball that has moved.
 _MEAN_SHARE, _BEHIND, _MEAN_CLIP = 0.2, 5.0, 4.0
-#: An image this far off is an outlier: in standard deviations, and m besides.
+#: An image further off is an outlier: in standard deviations, plus m.
 _GATE, _GATE_M = 6.0, 0.002
-#: Two outliers in a row that are apart by less than this share of the first may agree.
+#: Two outliers in a row agree only if they differ by less than this share of the first.
 _ALIKE = 0.5
-#: After this many in a row camera or ball is moving, even if no two of them agree.
+#: After this count in a row the camera or ball moves, even if no two of them agree.
 _REPEATS = 6
 
 #: Bounds of the standard deviation of a coordinate, m; it is taken for the largest at first.
 _LEAST_M, _MOST_M = 1e-4, 1e-2
-#: Second differences that are kept, and how many the first guess counts for.
+#: Count of second differences kept, and the weight of the initial guess among them.
 _WINDOW, _GUESS = 64, 4
-#: Their quartile is used, so that outliers may spoil many: its deviations from the mean.
+#: The lower quartile is used, which outliers hardly change: its z-score.
 _QUARTILE = -0.6745
 
 
@@ -74,7 +74,7 @@ class NoiseVariance:
         self._change: np.ndarray | None = None
 
     def restart(self) -> None:
-        """The next residual does not follow on the last one; what was learned stays."""
+        """Begin a new run of residuals; the learned variance stays."""
         self._residual = self._change = None
 
     def add(self, residual_m: np.ndarray) -> None:
@@ -100,11 +100,11 @@ class NoiseVariance:
 class Tracker:
     """Kalman filter of the feature's position, one axis like the other.
 
-    What is wrong about the estimate has two parts, ``P + w^2 |c|^2``: what is left of the noise of
-    past images, and a share w of the motion c that was predicted and not yet corrected. A Jacobian
-    that is wrong now is as wrong at the next image: its error adds up over c, where that of noise
-    would not, so that the ball may go as slowly as it likes. With the noise's variance R and the
-    gain ``K = (P + w^2 |c|^2) / (P + w^2 |c|^2 + R)``, bounded from below,
+    The variance of the estimate has two parts, ``P + w^2 |c|^2``: the remaining noise of past
+    images, and a share w of the predicted motion c that no image has corrected yet. A wrong
+    Jacobian is as wrong at the next image, so its error grows with c at any speed of the ball;
+    noise does not. With the noise variance R and the gain
+    ``K = (P + w^2 |c|^2) / (P + w^2 |c|^2 + R)``, bounded from below,
 
         c -> (1 - K) c,    P -> (1 - K)^2 P + K^2 R.
 
@@ -116,7 +116,7 @@ class Tracker:
         self.restart()
 
     def restart(self) -> None:
-        """Forget where the feature was; what was learned of the noise stays."""
+        """Forget the position; the learned noise stays."""
         self._estimate: np.ndarray | None = None
         self._moved = np.zeros(0)
         self._variance_m2 = 0.0  # P
@@ -186,10 +186,10 @@ class Tracker:
         return self._reinitialise(image)
 
     def _agree(self, first_m: np.ndarray, second_m: np.ndarray, motion_m: np.ndarray) -> bool:
-        """Whether two outliers in a row, m, (m,), say the same: that camera or ball was moved.
+        """Whether two outliers in a row, m, (m,), agree: the camera or ball was moved.
 
-        What is wrong about single images is seldom wrong twice in one way. The motion in between
-        may be wrong altogether, for a camera that was turned.
+        Detection errors seldom repeat. The predicted motion in between may be entirely wrong after
+        a turn of the camera.
         """
         apart = length(second_m - first_m)
         noise = _GATE * 2.0**0.5 * self.noise_m

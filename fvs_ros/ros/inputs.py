@@ -1,4 +1,4 @@
-"""What comes from others: bounded in size, fetched when it suits, counted."""
+"""Messages of other nodes: bounded in size, read on demand, counted."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ IMAGES = (Image, CompressedImage)
 
 
 def unpacked(message_type: type, data: Any) -> Any:
-    """The message in what a topic brought, bytes or an image; a ``MessageError`` if it is none."""
+    """The message in received bytes, or the image; a ``MessageError`` if it is none."""
     if message_type in IMAGES:
         size, most, what = len(data.header.frame_id), MOST_TEXT, "its frame_id"
     else:
@@ -54,7 +54,7 @@ def check_request(request: Any) -> None:
 
 
 class NeverReady(CallbackGroup):
-    """Subscriptions that the executor leaves alone: their messages are fetched."""
+    """Subscriptions that the executor ignores: their messages are read on demand."""
 
     def can_execute(self, entity: Any) -> bool:
         """Never."""
@@ -67,15 +67,15 @@ class NeverReady(CallbackGroup):
 
 
 def take(subscription: Any) -> Any:
-    """The next message that waits for a subscription, and its information; None if none does."""
+    """The next waiting message of a subscription, and its information; None if there is none."""
     with subscription.handle:
         return subscription.handle.take_message(subscription.msg_type, subscription.raw)
 
 
 class Sampled:
-    """A topic that is looked at when it suits: its messages do not wake the process.
+    """A topic that is read on demand: its messages do not wake the process.
 
-    Being woken by hundreds of messages a second costs a good part of a core.
+    Hundreds of wake-ups per second cost a good part of a core.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class Sampled:
         )
 
     def look(self) -> None:
-        """Take the newest message, if one has come since the last look."""
+        """Take the newest message, if one has arrived since the last look."""
         taken = take(self._subscription)
         if taken is not None:
             self._subscription.callback(taken[0])
@@ -98,14 +98,14 @@ class Sampled:
 
 
 class ArrivalMonitor:
-    """Remembers the last arrivals of one input on a steady clock."""
+    """Statistics of one input's last arrivals on a steady clock."""
 
     def __init__(self) -> None:
         self._arrivals_s: deque[float] = deque(maxlen=100)
         self.count = 0
 
     def arrived(self, now_s: float) -> None:
-        """Note an arrival at a moment of the steady clock, s."""
+        """Count an arrival, s on the steady clock."""
         self._arrivals_s.append(now_s)
         self.count += 1
 

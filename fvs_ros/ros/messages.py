@@ -1,4 +1,4 @@
-"""Messages to numpy and back: what cannot be used is a ``MessageError`` with words."""
+"""Messages to numpy and back; an unusable message raises a ``MessageError``."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class MessageError(ValueError):
 
 
 def plain(text: str) -> str:
-    """A text as it may be logged and published: printable, and not too long."""
+    """A text fit to log and publish: printable, and at most ``MOST_TEXT`` long."""
     return "".join(c if c.isprintable() else " " for c in text[:MOST_TEXT])
 
 
@@ -182,7 +182,7 @@ def from_chain(message: Float64MultiArray, joints: int) -> SerialChain:
 def to_command(velocity_rad_s: np.ndarray) -> Float64MultiArray:
     """``Float64MultiArray`` of joint velocities, rad/s, shape (n,), kinematic order.
 
-    A ``MessageError`` if they are not finite: a velocity controller would go on with its last
+    A ``MessageError`` if they are not finite: a velocity controller would continue its last
     command, or be deactivated.
     """
     velocity = np.asarray(velocity_rad_s, dtype=float)
@@ -192,7 +192,7 @@ def to_command(velocity_rad_s: np.ndarray) -> Float64MultiArray:
 
 
 def send_last_zeros(commands: Publisher, joints: int) -> None:
-    """Leave several zero commands on the wire: a velocity controller holds its last command."""
+    """Send several zero commands: a velocity controller holds its last command."""
     for _ in range(_LAST_ZEROS):
         commands.publish(to_command(np.zeros(joints)))
         time.sleep(_LAST_ZEROS_PERIOD_S)

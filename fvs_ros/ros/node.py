@@ -1,4 +1,4 @@
-"""What every node stands on: checked parameters, bounded inputs, diagnostics, an orderly end."""
+"""Base of every node: checked parameters, bounded inputs, diagnostics, clean shutdown."""
 
 from __future__ import annotations
 
@@ -75,9 +75,9 @@ class FvsNode(Node):
     #: Set to end the process with this exit code.
     exit_code: int | None = None
 
-    #: Whether subscriptions, timers and the like, once created, stay to the end. Such a node does
-    #: without wait sets, which take half of its time; the executor that does crashes where a
-    #: subscription is destroyed (ros2/rclpy#1644), and knows no callback groups.
+    #: Whether subscriptions and timers, once created, stay to the end. Such a node runs on the
+    #: events executor, in half the CPU time; that one crashes when a subscription is destroyed
+    #: (ros2/rclpy#1644) and does not support callback groups.
     keeps_subscriptions = False
 
     def __init__(self, name: str, parameters: Iterable[Parameter]) -> None:
@@ -111,8 +111,8 @@ class FvsNode(Node):
             )
         return values
 
-    # rclpy refuses wrong names, types and ranges before any callback, in words of its own that
-    # name neither the parameter nor what was expected. So these look first.
+    # rclpy refuses wrong names, types and ranges before any callback, with texts that name neither
+    # the parameter nor what was expected. So these check first.
 
     def set_parameters(self, parameter_list: list[rclpy.Parameter]) -> list[SetParametersResult]:
         """Set parameters one by one; refusals say what was expected, and 1 is taken for 1.0."""
@@ -189,7 +189,7 @@ class FvsNode(Node):
             topic,
             callback if raw else on_data,
             qos_profile,
-            # From its bytes an image takes four times as long to unpack.
+            # An image from raw bytes takes four times as long to deserialize.
             raw=raw or msg_type not in IMAGES,
             **options,
         )
@@ -236,7 +236,7 @@ class FvsNode(Node):
             monitor.arrived(self.now_s())
             callback(message)
 
-        # What is watched latched is watched volatile, too: no publisher is to be warned of.
+        # A latched subscription has a volatile one beside it: no warning about publishers.
         events = SubscriptionEventCallbacks(use_default_callbacks=qos is not QOS_LATCHED)
         return self.create_subscription(
             message_type, topic, on_message, qos, event_callbacks=events
@@ -249,9 +249,9 @@ class FvsNode(Node):
     def other_publishers(self, topic: str) -> list[str]:
         """Full names of other nodes that publish on a topic, sorted.
 
-        For a topic that this node has one publisher of. A second node of its name is ``another``
-        and the name; a node that is not fully known yet is words without a slash. A node that was
-        killed stays in the graph for some twenty seconds.
+        For a topic on which this node has one publisher. A second node with its name is listed as
+        ``another`` and the name; a node whose name DDS does not know yet as words without a slash.
+        A killed node stays in the graph for about twenty seconds.
         """
         own = self.get_fully_qualified_name()
         found = [
@@ -274,7 +274,7 @@ class FvsNode(Node):
     def tell(self, level: bytes, text: str) -> None:
         """Log with the severity of a diagnostic level."""
         text = plain(text)
-        # One line each: rclpy holds a call site to its first severity.
+        # One line each: rclpy allows a call site one severity.
         if level == OK:
             self.get_logger().info(text)
         elif level == WARN:
@@ -306,4 +306,4 @@ class FvsNode(Node):
     # --- life cycle ---
 
     def finish(self) -> None:
-        """Send the last messages before the process ends, whatever ended it."""
+        """Send the last messages before the process ends, whatever the cause."""

@@ -1,4 +1,4 @@
-"""One node as a process: its executor, its help, its orderly end."""
+"""One node as a process: its executor, help and clean shutdown."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def run(make_node: Callable[[], FvsNode], doc: str, parameters: Iterable[Paramet
     """Run one node in this process until a signal, its own wish, or an error.
 
     Signals end the spin loop, not the ROS context, so that ``finish`` can still send. A blocked
-    terminal does not hold the node: what it cannot take is dropped. ``doc``, the docstring of its
-    module, and its parameters are for ``--help``. Returns 0 after a signal or a finished task, 1
+    terminal does not block the node: its output is dropped. ``doc``, the docstring of its module,
+    and its parameters are for ``--help``. Returns 0 after a signal or a finished task, 1
     after an error, 2 after a wrong parameter or file.
     """
     stop.listen()
-    # A first announcement that is lost costs a moment, not three seconds; read by Fast DDS alone.
+    # A lost first announcement costs a moment, not three seconds; only Fast DDS reads this.
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(find_file("quick_discovery.xml")))
     with console.never_blocking():
         if {"-h", "--help"} & set(sys.argv):
@@ -44,7 +44,7 @@ def run(make_node: Callable[[], FvsNode], doc: str, parameters: Iterable[Paramet
             return EXIT_OK
         try:
             unknown = remove_ros_args(sys.argv)[1:]
-            if unknown:  # rclpy would pass over them, and the node run with other values
+            if unknown:  # rclpy ignores them, and the node would run with other values
                 return _refused(
                     f"unknown argument {unknown[0]!r}; parameters and remaps stand "
                     "behind --ros-args, as in --ros-args -p name:=value; --help lists them"

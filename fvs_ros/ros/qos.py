@@ -1,4 +1,4 @@
-"""How messages travel: the quality of service of every topic of the package."""
+"""Quality of service of every topic of the package."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ def _qos(reliability: ReliabilityPolicy, durability: DurabilityPolicy) -> QoSPro
 QOS_NEWEST = _qos(ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)
 QOS_RELIABLE = _qos(ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
 QOS_LATCHED = _qos(ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
-#: Of a declared topic.
+#: Profile of each declared quality.
 PROFILES = {Qos.NEWEST: QOS_NEWEST, Qos.RELIABLE: QOS_RELIABLE, Qos.LATCHED: QOS_LATCHED}
-#: Heard for certain by nodes that are there, and not by those that come later.
+#: Reaches every node that is present, and none that starts later.
 QOS_EVENT = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=1,
@@ -28,11 +28,11 @@ QOS_EVENT = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
     lifespan=Duration(seconds=1.0),
 )
-#: For a record: nothing is lost while its keeper is busy for a moment, and nothing is old.
+#: For recordings: a recorder that is busy for a moment loses nothing.
 QOS_EVERY = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=25, reliability=ReliabilityPolicy.RELIABLE
 )
-#: For images: one may be still on its way when the next one is there.
+#: For images: one may still be in transit when the next is published.
 QOS_LARGE = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=5, reliability=ReliabilityPolicy.RELIABLE
 )
