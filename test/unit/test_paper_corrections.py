@@ -10,12 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
 
 from fvs_controller_node.base import ControlInput
 from fvs_controller_node.proportional import ProportionalGains, ProportionalLaw
 from fvs_controller_node.redundancy import DampedInverse
-from fvs_controller_node.settling import constant_exponent_time_s
 from fvs_controller_node.surface import ReachingLaw, SlidingSurface
 from fvs_estimator_node.base import MotionStep
 from fvs_estimator_node.rbf import RbfConfig, RbfEstimator, RbfModel
@@ -287,65 +285,6 @@ def test_the_derivative_of_s_in_32_needs_the_velocity_in_its_first_term():
     right, printed = errors_of_32()
     assert right < 1e-5
     assert printed > 0.3
-
-
-# --- (36)-(39) ---
-
-
-def integrated_slide_s(y_from: float, y_to: float, gamma: float, surface: SlidingSurface) -> float:
-    """Time to slide with a constant exponent, by quadrature of dt = a1 dy / (a2 y + a3 y^g)."""
-
-    def pace(u: float) -> float:
-        y = u**10  # tames the singularity at 0
-        return 10.0 * u**9 * surface.alpha1 / (surface.alpha2 * y + surface.alpha3 * y**gamma)
-
-    return quad(pace, y_to**0.1, y_from**0.1, limit=500, epsabs=1e-10)[0]
-
-
-def printed_36(y0: float, gamma: float, surface: SlidingSurface) -> float:
-    """The right side of (36), (37) and (39)."""
-    a1, a2, a3 = surface.alpha1, surface.alpha2, surface.alpha3
-    power = y0 ** (gamma - 1.0)
-    return a1 * math.log(power / (power + a2 / a3)) / ((gamma - 1.0) * (a2 - a3))
-
-
-def printed_slide_s(y0: float, surface: SlidingSurface) -> float:
-    """(36) plus (37)."""
-    switch = surface.switch_error_m
-    far, near = surface.lambda1 - surface.lambda2, surface.exponent(0.0)
-    return printed_36(y0, far, surface) + printed_36(switch, near, surface)
-
-
-SLIDES = [
-    (0.3, SlidingSurface(1.0, 3.0, 2.0)),
-    (0.3, SlidingSurface(1.0, 2.0, 1.3)),
-    (0.25, SlidingSurface(1.0, 0.3, 0.45, 0.344, 0.154, 4.74e-5**0.5)),
-]
-
-
-@pytest.mark.parametrize(("y0", "surface"), SLIDES)
-def test_the_sliding_time_is_the_corrected_36_to_39(y0: float, surface: SlidingSurface):
-    switch, near = surface.switch_error_m, surface.exponent(0.0)
-    far = surface.lambda1 - surface.lambda2
-    wanted = 0.0
-    for y_from, y_to, gamma in ((y0, switch, far), (switch, 0.0, near)):
-        integrated = integrated_slide_s(y_from, y_to, gamma, surface)
-        found = constant_exponent_time_s(y_from, y_to, gamma, surface)
-        assert found == pytest.approx(integrated, rel=1e-5)
-        wanted += integrated
-    printed = printed_slide_s(y0, surface)
-    assert abs(printed / wanted - 1.0) > 1.0
-    assert (printed < 0.0) is (surface.alpha2 < surface.alpha3)
-
-
-def test_36_runs_to_zero_even_with_its_denominator_corrected():
-    y0, surface = SLIDES[0]
-    far = surface.lambda1 - surface.lambda2
-    a2, a3 = surface.alpha2, surface.alpha3
-    repaired = printed_36(y0, far, surface) * (a2 - a3) / a2
-    assert repaired == pytest.approx(constant_exponent_time_s(y0, 0.0, far, surface))
-    to_switch = constant_exponent_time_s(y0, surface.switch_error_m, far, surface)
-    assert repaired > 1.04 * to_switch
 
 
 # --- section 4.1, (40)-(42) ---

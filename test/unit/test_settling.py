@@ -1,6 +1,8 @@
-"""Settling times in closed form against integration of the differential equations."""
+"""Settling times, (36) to (39) corrected, against integration of the differential equations."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import pytest
@@ -20,24 +22,57 @@ REALISTIC = SlidingSurface()
 PAPER = SlidingSurface(1.0, 0.3, 0.45, 0.344, 0.154, 4.74e-5**0.5)
 
 
-def integrated_s(y0: float, y1: float, surface: SlidingSurface) -> float:
-    """Time on the surface, by quadrature of dt = a1 dy / (a2 y + a3 psi(y))."""
+def integrated_s(y_from: float, y_to: float, surface: SlidingSurface, gamma=None) -> float:
+    """Time on the surface, with a constant exponent if given: by quadrature of
+    dt = a1 dy / (a2 y + a3 psi(y))."""
 
     def pace(u: float) -> float:
         y = u**10  # tames the singularity at 0
-        return 10 * u**9 * surface.alpha1 / (surface.alpha2 * y + surface.alpha3 * surface.psi(y))
+        psi = surface.psi(y) if gamma is None else y**gamma
+        return 10.0 * u**9 * surface.alpha1 / (surface.alpha2 * y + surface.alpha3 * psi)
 
-    switch = surface.switch_error_m**0.1
-    points = [switch] if y1**0.1 < switch < y0**0.1 else None
-    return quad(pace, y1**0.1, y0**0.1, points=points, limit=500, epsabs=1e-10)[0]
+    ends = y_to**0.1, y_from**0.1
+    points = [p for p in [surface.switch_error_m**0.1] if gamma is None and ends[0] < p < ends[1]]
+    return quad(pace, *ends, points=points or None, limit=500, epsabs=1e-10)[0]
 
 
-@pytest.mark.parametrize("gamma", [0.2, 0.5, 0.9])
-def test_a_constant_exponent_has_a_closed_form(gamma: float):
-    surface = SlidingSurface(1.0, 1.0, 2.0, gamma, 0.0)
-    for y1 in (0.0, 0.05):
-        wanted = integrated_s(0.5, y1, surface)
-        assert constant_exponent_time_s(0.5, y1, gamma, surface) == pytest.approx(wanted, rel=1e-6)
+def printed_36(y0: float, gamma: float, surface: SlidingSurface) -> float:
+    """The right side of (36), (37) and (39)."""
+    a1, a2, a3 = surface.alpha1, surface.alpha2, surface.alpha3
+    power = y0 ** (gamma - 1.0)
+    return a1 * math.log(power / (power + a2 / a3)) / ((gamma - 1.0) * (a2 - a3))
+
+
+SLIDES = [
+    (0.3, SlidingSurface(1.0, 3.0, 2.0)),
+    (0.3, SlidingSurface(1.0, 2.0, 1.3)),
+    (0.25, PAPER),
+]
+
+
+@pytest.mark.parametrize(("y0", "surface"), SLIDES)
+def test_the_sliding_time_is_the_corrected_36_to_39(y0: float, surface: SlidingSurface):
+    switch, near = surface.switch_error_m, surface.exponent(0.0)
+    far = surface.lambda1 - surface.lambda2
+    wanted = 0.0
+    for y_from, y_to, gamma in ((y0, switch, far), (switch, 0.0, near)):
+        integrated = integrated_s(y_from, y_to, surface, gamma)
+        found = constant_exponent_time_s(y_from, y_to, gamma, surface)
+        assert found == pytest.approx(integrated, rel=1e-5)
+        wanted += integrated
+    printed = printed_36(y0, far, surface) + printed_36(switch, near, surface)
+    assert abs(printed / wanted - 1.0) > 1.0
+    assert (printed < 0.0) is (surface.alpha2 < surface.alpha3)
+
+
+def test_36_runs_to_zero_even_with_its_denominator_corrected():
+    y0, surface = SLIDES[0]
+    far = surface.lambda1 - surface.lambda2
+    a2, a3 = surface.alpha2, surface.alpha3
+    repaired = printed_36(y0, far, surface) * (a2 - a3) / a2
+    assert repaired == pytest.approx(constant_exponent_time_s(y0, 0.0, far, surface))
+    to_switch = constant_exponent_time_s(y0, surface.switch_error_m, far, surface)
+    assert repaired > 1.04 * to_switch
 
 
 @pytest.mark.parametrize("surface", [REALISTIC, PAPER])
