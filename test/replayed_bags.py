@@ -19,20 +19,15 @@ BEGIN_S = 1_700_000_000.0
 
 
 class HandmadeBag:
-    """Writes messages of this project's topics, all in a namespace with a slash before it.
-
-    The bag keeps a scenario (node -> parameters) and remaps (names of topics, declared -> real).
-    """
+    """Messages of this project's topics, a scenario (node -> parameters), and remaps of topics."""
 
     def __init__(
         self,
         folder: Path,
         storage: StoragePlugin = StoragePlugin.MCAP,
-        namespace: str = "",
         scenario: dict[str, Any] | None = None,
         remaps: dict[str, str] | None = None,
     ) -> None:
-        self._namespace = namespace
         self._writer = Writer(folder, version=9, storage_plugin=storage)
         if scenario is not None:
             content = {
@@ -52,7 +47,7 @@ class HandmadeBag:
         """A message that arrives at a time, s since the beginning."""
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(
-                f"{self._namespace}/{topic}", kind, typestore=TYPES
+                f"/{topic}", kind, typestore=TYPES
             )
         raw = TYPES.serialize_cdr(TYPES.types[kind](*fields), kind)
         stamp_ns = round((BEGIN_S + at_s) * 1e9)
@@ -102,15 +97,12 @@ class HandmadeBag:
         pair = TYPES.types["diagnostic_msgs/msg/KeyValue"]
         pairs = [pair(key, str(value)) for key, value in values.items()]
         kind = "diagnostic_msgs/msg/DiagnosticStatus"
-        name = f"{self._namespace}/{node}"
-        self.write(f"{node}/status", kind, at_s, 0, name, text, "", pairs)
+        self.write(f"{node}/status", kind, at_s, 0, f"/{node}", text, "", pairs)
 
     def log(self, at_s: float, who: str, text: str, level: int = 30) -> None:
         stamp = TYPES.types["builtin_interfaces/msg/Time"](0, 0)
         kind = "rcl_interfaces/msg/Log"
-        namespace, self._namespace = self._namespace, ""
         self.write("rosout", kind, at_s, stamp, level, who, text, "", "", 0)
-        self._namespace = namespace
 
 
 #: Ball motion per joint motion in :func:`servo`, m/rad.

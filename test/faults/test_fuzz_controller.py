@@ -106,26 +106,6 @@ def test_another_node_that_commands_ends_a_session_that_a_bad_message_holds():
     assert not world.last.any()
 
 
-def test_a_joint_that_is_slow_near_its_limit_is_not_carried_over_it_by_a_ramp():
-    machine = Machine()
-    machine.begin()
-    machine.change(
-        {
-            "max_joint_velocity_rad_s": 2.0,
-            "max_joint_acceleration_rad_s2": 0.5,
-            "joint_limit_margin_rad": 0.01,
-        }
-    )
-    world = machine.world
-    world.joints[0] = world.values["joint_max_rad"][0] - 0.02
-    world.run(FRESH_TICKS)
-    # One joint as fast as it can just brake before its end, another one fast.
-    velocity = np.array([0.1, 2.0, 0.0, 0.0, 0.0, 0.0])
-    world.node._loop.supervisor._limiter.velocity_rad_s = velocity
-    world.last = velocity
-    world.run(400)
-
-
 def test_a_limit_that_is_lowered_in_motion_is_reached_by_braking_with_all_it_has():
     machine = Machine()
     machine.begin()

@@ -4,7 +4,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseStamped
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, JointState
@@ -180,19 +179,3 @@ def test_a_pause_is_announced_once_and_a_controller_that_comes_back_stands(simul
     commands.publish(Float64MultiArray(data=[0.3, 0.0, 0.0, 0.0, 0.0, 0.0]))
     simulator.spin_until(lambda: fastest(states[-1]) > 0.29, what="motion")
     assert [m.data for m in running] == [True, False, True]
-
-
-def test_a_controller_that_a_bad_command_deactivated_stays_so_after_a_pause(simulator):
-    states = simulator.collect(JointState, topics.JOINT_STATES.name)
-    statuses = simulator.collect(DiagnosticStatus, "fvs_sim_node/status")
-    commands = simulator.publisher(Float64MultiArray, topics.COMMANDS.name)
-    simulator.spin_until(lambda: bool(states))
-    commands.publish(Float64MultiArray(data=[0.2] * 5))
-    simulator.spin_until(
-        lambda: statuses and "deactivated" in statuses[-1].message, what="the refusal"
-    )
-    for running in (False, True):
-        assert set_parameter(simulator, "program_running", running).successful
-    commands.publish(Float64MultiArray(data=[0.2, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    simulator.spin_until(lambda: "inactive" in statuses[-1].message, what="the refusal")
-    assert fastest(states[-1]) < 1e-3

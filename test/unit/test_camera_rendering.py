@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from drawn_balls import RADIUS_M, VGA, draw, red
 
-from fvs_detector_node.detection import BallColour
 from fvs_detector_node.images import Region
 from fvs_ros.camera import Intrinsics
 from fvs_ros.joints import HOME_JOINTS_RAD, TRAINING_BOX_RAD
@@ -75,22 +74,6 @@ def test_window_equals_crop(world):
             # Depth and shade are interpolated in single precision.
             np.testing.assert_allclose(depth, whole_depth[part], atol=5e-5)
             assert np.abs(rgb.astype(int) - whole_rgb[part]).max() <= 1
-
-
-def test_all_of_a_colour_is_found_and_little_else(world):
-    world.reset(CENTRE)
-    world.place_ball()
-    renderer = Renderer(world.client, VGA)
-    pose = CAMERAS["front"]
-    found = renderer.find_colour(pose, BallColour())
-    pixels = np.argwhere(red(renderer.render(pose)[0]))
-    low, high = pixels.min(axis=0)[::-1], pixels.max(axis=0)[::-1]
-    assert np.all((found.u0, found.v0) <= low)
-    assert np.all((found.u0 + found.width, found.v0 + found.height) > high)
-    assert max(found.width, found.height) < np.ptp(pixels, axis=0).max() + 60
-    away = CameraPose.looking((-1.5, 0.0, 0.5), (-3.0, 0.0, 0.5))
-    assert renderer.find_colour(away, BallColour()) is None
-    assert not renderer.render(away)[1].any()
 
 
 @pytest.mark.parametrize("name", sorted(CAMERAS))

@@ -74,21 +74,6 @@ def test_a_minute_of_motion_is_enough():
     assert fit.outliers == pytest.approx(0.02 * fit.samples, rel=0.5)
 
 
-@pytest.mark.parametrize(
-    "recording",
-    [
-        Recording(seed=2, seconds=20.0, late_s=0.0),
-        Recording(seed=3, noise_m=0.005, late_s=-0.03),
-        Recording(seed=4, reach_rad=(0.2,) * 6),
-    ],
-    ids=["short", "noisy", "narrow"],
-)
-def test_it_knows_how_well_the_jacobian_is_known(recording):
-    fit = fit_chain(recording.data())
-    told = float(np.median(fit.jacobian_deviation(recording.places(50))))
-    assert told / 3.0 < error_of(fit, recording) < 3.0 * told
-
-
 def with_encoder_noise(noise_rad, data):
     noise = noise_rad * np.random.default_rng(0).normal(size=data.joints_rad.shape)
     return replace(data, joints_rad=data.joints_rad + noise)

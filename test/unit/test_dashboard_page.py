@@ -35,13 +35,6 @@ def page():
     page.close()
 
 
-@pytest.fixture
-def client(page):
-    client = PageClient(page.address)
-    yield client
-    client.close()
-
-
 # --- who is let in ---
 
 
@@ -90,10 +83,3 @@ def test_the_versions_of_viser_are_the_same_everywhere():
 
 
 # --- what stands where ---
-
-
-def test_nothing_that_changes_its_height_is_above_start_and_stop(client):
-    panel = [one for one in client.elements.values() if one.get("order") is not None]
-    first = sorted(panel, key=lambda one: one["order"])[:3]
-    assert [one.get("label") for one in first[1:]] == ["Start", "Stop"]
-    assert "<style>" in first[0]["content"]  # the row they stand in

@@ -9,7 +9,6 @@ import pytest
 from ur5_dh import flange_pose
 
 from fvs_controller_node.loop import ServoLoop
-from fvs_controller_node.reasons import Reason
 from fvs_dashboard import markup
 from fvs_dashboard.board import (
     RESET,
@@ -60,27 +59,6 @@ def test_every_key_that_is_read_is_one_that_the_controller_publishes():
 
 
 # --- banner, lamps, details, scheme ---
-
-
-REFUSED = "target refused: z = 9 m"
-
-
-@pytest.mark.parametrize(
-    ("reason", "text", "sentence", "hint"),
-    [
-        ("SERVOING", f"servoing, 50.0 mm to go ({REFUSED})", "", ""),
-        ("SETTLED", "on target, 0.1 mm off (x publishes: stop it)", "x publishes: stop it", ""),
-        ("READY", "ready; call ~/start to move", "ready", "press Start to move"),
-        ("STALE", "ball is 0.3 s old; is it seen?", "ball is 0.3 s old", "is it seen?"),
-    ],
-)
-def test_the_banner_says_each_thing_once(reason, text, sentence, hint):
-    shown = markup.banner_of(controller(text, reason=reason, refused_target=REFUSED))
-    assert (shown.sentence, shown.hint) == (sentence, hint)
-
-
-def test_no_reason_asks_for_a_service_that_the_page_has_a_button_for():
-    assert not [one for one in Reason if "~/" in markup.in_words(one.text)]
 
 
 def test_what_comes_from_outside_is_no_markup(board):

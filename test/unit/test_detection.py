@@ -7,8 +7,7 @@ from drawn_balls import RADIUS_M, VGA, draw, hide, red
 from fvs_detector_node.detection import BallColour, colour_mask, detect_ball
 from fvs_detector_node.images import Region
 from fvs_ros.joints import HOME_JOINTS_RAD, TRAINING_BOX_RAD
-from fvs_sim_node.camera import CAMERAS, CameraPose, add_depth_noise
-from fvs_sim_node.config import TABLE, SceneObject, SimConfig
+from fvs_sim_node.camera import CAMERAS, add_depth_noise
 from fvs_sim_node.world import Renderer, World
 
 CENTRE = np.array([0.1, -0.05, 1.0])
@@ -149,41 +148,3 @@ def test_accuracy_over_random_poses(noise, full_mm, part_mm):
     assert np.sqrt(np.mean(np.square(results[full, 1]))) < full_mm
     assert np.sqrt(np.mean(np.square(results[~full, 1]))) < part_mm
     assert results[:, 1].max() < 10.0
-
-
-def distractors(rng, shift_m):
-    """A cube, a bigger ball behind, a smaller ball and a plate, all red, around the work area."""
-
-    def place(x, y, z):
-        return tuple(np.array([x + shift_m, y, z]) + rng.uniform(-0.12, 0.12, 3))
-
-    return (
-        SceneObject(place(-0.6, 0.35, 0.15), (0.06, 0.06, 0.06)),
-        SceneObject(place(-0.2, -0.5, 0.45), (0.09,)),
-        SceneObject(place(-0.75, -0.3, 0.2), (0.025,)),
-        SceneObject(place(-0.3, -0.6, 0.1), (0.3, 0.02, 0.2)),
-    )
-
-
-@pytest.mark.parametrize("shift_m", [0.0, 5.0])
-def test_other_red_things_do_not_win_and_are_not_the_ball_when_alone(shift_m):
-    rng, errors_mm = np.random.default_rng(21), []
-    views = [CAMERAS["front"]]
-    if shift_m:
-        eyes = ((3.4, 1.1, 1.0), (3.3, -0.4, 0.9), (5.0, 1.1, 0.8))
-        views = [CameraPose.looking(eye, (4.5, -0.2, 0.2)) for eye in eyes]
-    for _ in range(3):
-        world = World(SimConfig(objects=TABLE + distractors(rng, shift_m)))
-        renderer = Renderer(world.client, VGA)
-        for truth_m in poses_in_box(world, rng, 8 // len(views)):
-            for view in views:
-                rgb, depth = renderer.render(view)
-                assert colour_mask(rgb, BallColour()).any()
-                ball = detect_ball(rgb, add_depth_noise(depth, VGA.fx, rng), VGA, RADIUS_M)
-                errors_mm += [] if ball is None else [error_mm(ball, truth_m)]
-        world.close()
-    if shift_m:
-        assert not errors_mm
-    else:
-        assert len(errors_mm) >= 22
-        assert max(errors_mm) < 15.0

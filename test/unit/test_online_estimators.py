@@ -234,17 +234,3 @@ def test_every_declared_parameter_reaches_its_estimator_and_no_other():
                     assert getattr(made.config, name) == value
     with pytest.raises(ValueError, match=r"forgetting must be number from 0\.5 to 1"):
         create_estimator("rls", None, {**ZERO, "online.forgetting": 2.0})
-
-
-def test_the_oracle_hands_on_what_it_is_told_or_a_simulation_computes():
-    knows = ESTIMATORS["oracle"](lambda joints: np.outer([1.0, 2.0, 3.0], joints))
-    assert knows.problem == ""
-    assert not knows.learns
-    np.testing.assert_array_equal(knows.jacobian(HOME + 1.0)[0], HOME + 1.0)
-    oracle, told = create_estimator("oracle"), np.arange(18.0).reshape(3, 6)
-    assert "only a simulator" in oracle.problem
-    oracle.set_true_jacobian(told)
-    assert oracle.problem == ""
-    np.testing.assert_array_equal(oracle.jacobian(HOME), told)
-    oracle.reset()
-    assert oracle.problem != ""

@@ -4,7 +4,6 @@ import importlib.util
 from dataclasses import replace
 
 import pytest
-import yaml
 
 from fvs_tools import launcher
 
@@ -12,29 +11,9 @@ pytest.importorskip("rosbags")
 
 from replayed_bags import TYPES
 
-from fvs_ros import ros
-from fvs_tools.bag import Bag, Message, SimulatedTime, camera_mount
-
-#: Bool(data=True) as it is on the wire, little endian.
-TRUE = bytes([0, 1, 0, 0, 1])
-BOOL = "std_msgs/msg/Bool"
-
+from fvs_tools.bag import Message, SimulatedTime
 
 # --- the launcher ---
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["servo", "--record", "."], "it exists already"),
-        (["servo", "--record-without-images"], "needs --record"),
-    ],
-)
-def test_a_wrong_recording_starts_nothing(capsys, arguments, words):
-    assert launcher.main(arguments) == 2
-    error = capsys.readouterr().err
-    assert words in error
-    assert error.count("\n") == 1
 
 
 def test_without_rosbags_nothing_is_started(tmp_path, monkeypatch, capsys):
@@ -100,39 +79,3 @@ def test_without_a_clock_the_systems_time_is_kept_and_memory_is_bounded():
 
 
 # --- the bag ---
-
-
-def test_the_metadata_tells_counts_qualities_and_notes(tmp_path):
-    one = Bag(tmp_path / "bag", {"scenario": "a:\n  b: 1\n"})
-    profiles = [ros.QOS_LATCHED, ros.QOS_NEWEST, ros.QOS_LATCHED]
-    one.write(Message("/running", BOOL, 5, TRUE), profiles)
-    one.close()
-    text = (tmp_path / "bag" / "metadata.yaml").read_text(encoding="utf-8")
-    metadata = yaml.safe_load(text)["rosbag2_bagfile_information"]
-    assert metadata["custom_data"] == {"scenario": "a:\n  b: 1\n"}
-    assert (metadata["version"], metadata["storage_identifier"]) == (9, "mcap")
-    (topic,) = metadata["topics_with_message_count"]
-    assert topic["message_count"] == 1
-    offered = topic["topic_metadata"]["offered_qos_profiles"]
-    assert [(qos["reliability"], qos["durability"]) for qos in offered] == [
-        ("reliable", "transient_local"),
-        ("best_effort", "volatile"),
-    ]
-
-
-def test_a_viewer_finds_the_cameras_frame_where_the_camera_is():
-    kinds = TYPES.types
-    header = kinds["std_msgs/msg/Header"](time_of(1), "base_link")
-    pose = kinds["geometry_msgs/msg/Pose"](
-        kinds["geometry_msgs/msg/Point"](1.0, 2.0, 3.0),
-        kinds["geometry_msgs/msg/Quaternion"](0.0, 1.0, 0.0, 0.0),
-    )
-    kind = "geometry_msgs/msg/PoseStamped"
-    mount = camera_mount(message("/camera_pose", 1, kind, header, pose), "eye")
-    (one,) = TYPES.deserialize_cdr(mount.data, mount.message_type).transforms
-    assert (mount.topic, mount.stamp_ns) == ("/tf_static", 1)
-    assert (one.header.frame_id, one.child_frame_id) == ("base_link", "eye")
-    place = one.transform.translation
-    assert (place.x, place.y, place.z, one.transform.rotation.y) == (1.0, 2.0, 3.0, 1.0)
-    with pytest.raises(ValueError, match="/camera_pose is malformed"):
-        camera_mount(Message("/camera_pose", kind, 0, b"\0\1\0\0"), "eye")

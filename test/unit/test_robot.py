@@ -51,16 +51,6 @@ def test_the_ur5_has_inertias_limits_and_nothing_of_the_balls_colour(world):
     np.testing.assert_allclose(world.max_speed_rad_s, np.pi)
 
 
-def test_a_prefix_stands_before_each_joint_and_link_of_any_robot(tmp_path):
-    path = tmp_path / "own.urdf"
-    path.write_text(robot_description(), encoding="utf-8")
-    root = ET.fromstring(robot_description(str(path), "left_"))
-    names = [one.get("name") for tag in ("link", "joint") for one in root.findall(tag)]
-    names += [one.get("link") for tag in ("parent", "child") for one in root.iter(tag)]
-    assert len(names) == 29
-    assert all(name.startswith("left_") for name in names)
-
-
 def test_an_arm_of_seven_joints_is_simulated_from_its_urdf_alone():
     path = Path(pybullet_data.getDataPath()) / "kuka_iiwa" / "model.urdf"
     joints = (0.1, 0.5, 0.0, -1.2, 0.2, 0.8, 0.1)

@@ -157,19 +157,6 @@ def test_a_ball_out_of_view_or_behind_a_hand_is_lost_and_found_again(make, rende
         simulation.configure(before)
 
 
-def test_full_frames_change_nothing_and_show_the_ball_where_it_is(make):
-    plain, watched = make(), make()
-    watched.full_frames = True
-    for one, other in zip(
-        *(observations(drive_waves(simulation, 60)) for simulation in (plain, watched)), strict=True
-    ):
-        np.testing.assert_array_equal(one.detection.position_m, other.detection.position_m)
-        assert one.frame is None
-        assert other.frame.stamp_s == other.stamp_s
-        u, v = np.round(watched.intrinsics.project(other.true_position_m)).astype(int)
-        assert other.frame.rgb[v, u, 0] > 2 * other.frame.rgb[v, u, 1]
-
-
 def test_full_frames_of_a_covered_camera_are_black_here_and_from_the_worker(make):
     simulation, worker = make(), FrameWorker(SimConfig())
     simulation.full_frames = True

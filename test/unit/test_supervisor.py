@@ -187,18 +187,14 @@ ROWS = {
     "ball stale": stale("ball_position", 0.2),
     "jacobian stale": stale("jacobian", 0.2),
     "joints nan": bad(lambda inbox: inbox.add_joint_states(0.0, np.full(6, NAN))),
-    "joints short": bad(lambda inbox: inbox.add_joint_states(0.0, np.zeros(5))),
-    "ball infinite": bad(lambda inbox: inbox.add_ball(0.0, np.full(3, math.inf))),
     "ball in mm": bad(lambda inbox: inbox.add_ball(0.0, 200.0 * TARGET)),
     "jacobian nan": bad(lambda inbox: inbox.add_jacobian(0.0, NAN * JACOBIAN)),
-    "jacobian turned": bad(lambda inbox: inbox.add_jacobian(0.0, JACOBIAN.T)),
     "scaling nan": bad(lambda inbox: inbox.add_speed_scaling(0.0, NAN)),
     "no position": Row(changed(located=False), AT_ONCE, Reason.NO_POSITION, "disagree", *HEALS),
     "singular": Row(
         changed(jacobian=singular(0.02)), AT_ONCE, Reason.NEAR_SINGULAR, "0.0200", *HEALS
     ),
     "velocity nan": law(lambda: ControlOutput.plain(NAN * WANTED, 3), "velocity"),
-    "velocity short": law(lambda: ControlOutput.plain(WANTED[1:], 3), "velocity"),
     "exponent short": law(lambda: ControlOutput(WANTED, TARGET, np.ones(1)), "exponent"),
     "no answer": law(lambda: None, "invalid command"),
     "exception": law(_fail, "Singular matrix"),
@@ -362,14 +358,6 @@ def test_a_wrong_target_is_refused_and_the_old_one_stays(point, frame, words):
     assert cell.tick().state is State.SERVOING
 
 
-def test_a_box_that_shrinks_past_the_target_drops_it():
-    cell = servoing()
-    cell.supervisor.configure(SupervisorConfig(workspace_max_m=(1.0, 1.0, 0.9)))
-    command = cell.run(0.3)
-    assert (command.state, command.reason) == (State.HOLDING, Reason.NO_TARGET)
-    assert at_rest(command)
-
-
 def test_settled_means_near_for_a_while_and_the_status_gives_numbers():
     cell = servoing()
     fresh = Supervisor().status_values(0.0)
@@ -380,11 +368,13 @@ def test_settled_means_near_for_a_while_and_the_status_gives_numbers():
     assert values["error_m"] == pytest.approx(0.2)
     assert values["smallest_singular_value_m_rad"] == pytest.approx(0.5)
     assert values["target_z_m"] == 1.0
-    cell.ball_at = lambda _t: TARGET + [0.004, 0.0, 0.0]
-    assert cell.run(0.3).reason is Reason.SERVOING
-    assert cell.run(0.7).reason is Reason.SETTLED
-    cell.ball_at = lambda _t: TARGET + [0.02, 0.0, 0.0]
-    assert cell.run(0.1).reason is Reason.SERVOING
+    for off_m, seconds, reason in (
+        (4e-3, 0.3, "SERVOING"),
+        (4e-3, 0.7, "SETTLED"),
+        (0.02, 0.1, "SERVOING"),
+    ):
+        cell.ball_at = lambda _t, off_m=off_m: TARGET + [off_m, 0.0, 0.0]
+        assert cell.run(seconds).reason is Reason[reason]
 
 
 # ---- how fast -----------------------------------------------------------------------------------
@@ -404,14 +394,6 @@ def test_the_velocity_limit_scales_the_whole_vector_and_a_joint_near_its_end_is_
     assert command.active_limit == "range of shoulder_pan_joint"
     cell.joints = -cell.joints
     np.testing.assert_allclose(cell.run(0.2).velocity_rad_s, WANTED)  # away from it
-
-
-@pytest.mark.parametrize("dt_s", [0.0, -1.0, NAN, math.inf])
-def test_a_strange_tick_length_moves_nothing_fast(dt_s: float):
-    cell = servoing()
-    before, cell.wanted = cell.supervisor.velocity_rad_s, -WANTED
-    command = cell.supervisor.tick(cell.now_s, dt_s, cell.joints, TARGET, cell.propose)
-    np.testing.assert_array_equal(command.velocity_rad_s, before)
 
 
 def test_near_a_singularity_it_slows_down_and_a_hold_has_hysteresis():
@@ -443,29 +425,18 @@ def test_a_new_start_leaves_a_singular_pose_slowly_and_then_goes_on():
     assert cell.fastest() == pytest.approx(0.5)
 
 
-def test_the_permission_to_leave_ends_nearer_to_it_after_ten_seconds_and_with_another_hold():
-    cell = held_near_a_singularity()
-    for _ in range(2):
-        assert cell.start()
-        cell.ball_at = lambda _t, far=0.2 * 0.5**_: TARGET + [far, 0.0, 0.0]
-        assert cell.run(5.0).state is State.SERVOING
-        cell.ball_at = lambda _t, far=0.1 * 0.5**_: TARGET + [far, 0.0, 0.0]
-        assert cell.run(4.5).state is State.SERVOING
-        cell.until(Reason.NEAR_SINGULAR, 1.0)
+def test_the_permission_to_leave_ends_nearer_to_it_and_after_ten_seconds():
     cell = held_near_a_singularity()
     assert cell.start()
-    cell.run(0.2)
-    cell.talking -= {"ball_position"}
-    cell.run(0.5)
-    cell.talking = set(INPUTS)
-    assert cell.run(0.5).reason is Reason.NEAR_SINGULAR
+    ball(lambda t: 0.2 * math.exp(-0.2 * t))(cell)
+    assert cell.run(9.5).state is State.SERVOING
+    cell.until(Reason.NEAR_SINGULAR, 1.0)
     assert cell.start()
     cell.jacobian = singular(0.016)
     assert cell.run(0.2).state is State.SERVOING
     cell.jacobian = singular(0.012)
     cell.until(Reason.NEAR_SINGULAR)
     assert not cell.start()
-    assert at_rest(cell.run(0.5))
     hopeless = held_near_a_singularity(0.002)
     assert "too singular to leave" in hopeless.supervisor.start(hopeless.now_s)[1]
     assert at_rest(hopeless.run(1.0))

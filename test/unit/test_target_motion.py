@@ -28,13 +28,6 @@ def told(path, until_s, rate_hz=30.0):
     return motion, float(times_s[-1])
 
 
-def test_a_line_is_known_to_the_bit_between_updates():
-    motion, last_s = told(line, 0.5)
-    target = motion.at(last_s + 0.02)
-    np.testing.assert_allclose(target.position_m, line(last_s + 0.02), atol=1e-9)
-    np.testing.assert_allclose(target.velocity_m_s, VELOCITY, atol=1e-7)
-
-
 @pytest.mark.parametrize("age_s", [0.0, 0.05, 0.1, 0.15])
 @pytest.mark.parametrize("rate_hz", [30.0, 60.0, 100.0])
 def test_updates_that_are_told_late_are_those_of_a_moving_target_all_the_same(age_s, rate_hz):

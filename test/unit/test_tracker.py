@@ -19,23 +19,6 @@ def follow(tracker, images, motions):
     return np.array(found[1:])
 
 
-class FixedShare:
-    """Believes a fixed share of each image: what the filter must not be worse than."""
-
-    def __init__(self, gain):
-        self.gain = gain
-
-    def restart(self):
-        self.estimate_m = None
-
-    def add(self, image):
-        if self.estimate_m is None:
-            self.estimate_m, self.moved_m = image.seen_m, image.moved_m
-        predicted_m = self.estimate_m + image.moved_m - self.moved_m
-        self.estimate_m = predicted_m + self.gain * (image.seen_m - predicted_m)
-        self.moved_m = image.moved_m
-
-
 @pytest.mark.parametrize("sigma_m", [2e-4, 1e-3, 4e-3])
 def test_at_rest_it_learns_the_noise_and_averages_it_away(sigma_m):
     rng = np.random.default_rng(1)
@@ -46,32 +29,6 @@ def test_at_rest_it_learns_the_noise_and_averages_it_away(sigma_m):
     assert tracker.noise_m == pytest.approx(sigma_m, rel=0.25)
     error = np.sqrt(np.mean((estimates[60:] - truth) ** 2))
     assert error < 0.2 * sigma_m
-
-
-def moving(wrong, sigma_m, rng, n=300):
-    """Positions on a wide circle, images of them, and motions predicted with a relative error."""
-    angle = np.linspace(0.0, 6.0, n)
-    truth = 0.5 * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
-    motions = np.diff(truth, axis=0, prepend=truth[:1]) @ (
-        np.eye(3) + wrong * rng.normal(size=(3, 3))
-    )
-    return truth, truth + sigma_m * rng.normal(size=(n, 3)), motions
-
-
-GAINS = (0.1, 0.3, 0.6, 1.0)
-
-
-def rms_m(tracker, truth, images, motions, first=0):
-    return np.sqrt(np.mean((follow(tracker, images, motions) - truth[1:])[first:] ** 2))
-
-
-@pytest.mark.parametrize("sigma_m", [2e-4, 1e-3, 4e-3])
-@pytest.mark.parametrize("wrong", [0.05, 0.3])
-def test_in_motion_it_is_little_worse_than_the_best_fixed_share(wrong, sigma_m):
-    rng = np.random.default_rng(3)
-    paths = moving(wrong, sigma_m, rng)
-    best = min(rms_m(FixedShare(gain), *paths, first=100) for gain in GAINS)
-    assert rms_m(Tracker(), *paths, first=100) < 1.7 * best
 
 
 def at_rest(images, truth):

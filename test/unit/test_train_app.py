@@ -40,13 +40,6 @@ def test_it_trains_reports_and_writes(data_file, tmp_path, capsys):
     assert 0.0 < trained.errors["pair_error_relative"] < 0.05
 
 
-def test_ridge_is_deterministic(data_file, tmp_path):
-    for name in ("a", "b"):
-        arguments = ["--method", "ridge", "--neurons", "12", "--quiet"]
-        assert main([str(data_file), "-o", str(tmp_path / name), *arguments]) == 0
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-
-
 def test_a_chain_teaches_the_networks(tmp_path, capsys):
     data, model = tmp_path / "data.npz", tmp_path / "model.npz"
     recording = Recording(seconds=15.0, late_s=0.05, outliers=0.0)
@@ -123,10 +116,3 @@ def test_bad_input_is_one_sentence_and_code_2(data_file, tmp_path, capsys):
     assert "expected at least" in refused([data_file, "-o", model], capsys)
     assert "a chain needs at least 200 images" in refused(structured, capsys)
     assert not model.exists()
-
-
-def test_an_unknown_method_is_a_usage_error(data_file, capsys):
-    with pytest.raises(SystemExit) as caught:
-        main([str(data_file), "-o", "model.npz", "--method", "magic"])
-    assert caught.value.code == 2
-    assert "varpro" in capsys.readouterr().err
