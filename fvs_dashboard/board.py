@@ -18,13 +18,7 @@ from fvs_ros.timeline import History
 #: Length of the curves and of the ball's trail, s.
 HISTORY_S, TRAIL_S = 20.0, 6.0
 #: How long the newest of a name is shown, s.
-_SHOWN_S = {
-    "ball_position": 0.5,
-    "controller": SILENT_S,
-    "detector": 2.0,
-    "answer": 12.0,
-    "behind": 5.0,
-}
+_SHOWN_S = {"ball_position": 0.5, "controller": SILENT_S, "detector": 2.0, "answer": 12.0}
 #: The prediction error counts only while the ball was seen within this, s.
 _JUDGED_S = 1.0
 #: A logarithmic scale has no zero, mm.

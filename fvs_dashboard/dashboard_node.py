@@ -37,8 +37,6 @@ from fvs_tools.demo import choose_target
 #: Behind the loop, but not far: its buttons must work on a busy machine, too.
 _NICE = 5
 _PERIOD_S, _LOOK_PERIOD_S = 0.1, 1.0
-#: A page that is drawn this much too late says so, s.
-_LATE_S = 0.7
 #: After a reset the ball is seen where it has come to rest within this, s.
 _AT_REST_S = 1.0
 #: A bump turns the camera by this much about x, y and z, degrees: about x and y by little, or the
@@ -47,9 +45,6 @@ _LEAST_BUMP_DEG, _LARGEST_BUMP_DEG = (1.0, 1.0, 15.0), (4.0, 4.0, 25.0)
 _ROTATION = "camera_rotation_deg"
 #: The tour gives each target this time, s; it goes this far, m.
 _TARGET_S, _TOUR_M = 5.0, 0.3
-#: After this long without a ball the arm itself is taken to hide it, s: well before a controller
-#: that holds wants a new start.
-_LOST_S = 8.0
 _ASKED = {
     topics.CONTROLLER: SHOWN_BY,
     topics.ESTIMATOR: ("method",),
@@ -85,7 +80,6 @@ class DashboardNode(ros.FvsNode):
         self._rng = np.random.default_rng()
         self._subscribe()
         self._page = _make_page(self._config, v["joint_names"], self._actions)
-        self._shown_s = self.steady_s()
         self.create_timer(_PERIOD_S, self._show, clock=self.steady_clock)
         self.create_timer(_LOOK_PERIOD_S, self._look_around, clock=self.steady_clock)
         print(f"page: {self._page.address}", flush=True)
@@ -180,10 +174,6 @@ class DashboardNode(ros.FvsNode):
         if now_s > self._at_rest_s:  # no service clears a target, but at the ball it moves nothing
             self._at_rest_s = now_s + ANSWER_S  # again, if no answer comes
             self._calls.call(f"{topics.CONTROLLER}/{board.SET_CURRENT.name}", self._on_reset)
-        if now_s - self._shown_s > _PERIOD_S + _LATE_S:
-            text = "this page gets too little of the processor: it is behind"
-            self._board.note("behind", now_s, text)
-        self._shown_s = now_s
         watched = self._page.watched
         if watched != bool(self._cameras):
             self._look_at_images(watched)
@@ -291,18 +281,11 @@ class DashboardNode(ros.FvsNode):
         self.tell(ros.OK, text)
 
     def _send_tour(self, now_s: float) -> None:
-        """Send the next target when it is due; where the arm hides the ball, reset a simulator."""
+        """Send the next target when it is due."""
         if self._candidates_m is None or not self._board.tour or now_s < self._tour_due_s:
             return
-        unseen_s = self._board.age_s("ball_position", now_s)
         ball_m = self._board.newest("ball_position", now_s)
-        if _LOST_S < unseen_s < inf and self.count_publishers(topics.TRUE_CAMERA_POSE.name):
-            self._tour_due_s = now_s + _LOST_S
-            self._calls.call(
-                f"{topics.SIM}/reset",
-                lambda answer: self._answer(f"the tour saw no ball any more: {answer.message}"),
-            )
-        elif ball_m is not None and self._board.controller(now_s).goes_to_targets:
+        if ball_m is not None and self._board.controller(now_s).goes_to_targets:
             self._tour_due_s = now_s + _TARGET_S
             self._send_target(choose_target(self._candidates_m, ball_m, _TOUR_M, self._rng))
 

@@ -7,49 +7,27 @@ from collections.abc import Iterable
 from html import escape
 from math import isfinite, isnan
 from pathlib import Path
-from typing import NamedTuple
 
 from fvs_dashboard.board import Board, Controller
-from fvs_ros import topics
 from fvs_ros.status import SILENT
-from fvs_tools.schemes import BEYOND, SCHEMES
 
 #: Okabe and Ito's colours, which all eyes can distinguish, light enough for a dark page.
-SKY, ORANGE, GREEN, YELLOW, VERMILLION, PINK, GREY = COLOURS = (
-    "#56B4E9",
-    "#E69F00",
-    "#1FBF92",
-    "#F0E442",
-    "#E8702A",
-    "#CC79A7",
-    "#8A8F98",
-)
-#: What each state is called, and its colour behind white letters.
-_TITLES = {
-    "SERVOING": ("Moving to target", "#009E73"),
-    "READY": ("Ready", "#0072B2"),
-    "WAITING": ("Waiting", "#6B7280"),
-    "HOLDING": ("Held", "#B87A00"),
-    "FAULT": ("Fault", "#D55E00"),
-    SILENT: ("No controller", "#6B7280"),
-}
+COLOURS = ("#56B4E9", "#E69F00", "#1FBF92", "#F0E442", "#E8702A", "#CC79A7")
+GREY = "#8A8F98"
+#: What a state is called, if not by its name; ``style.css`` has its colour.
+_TITLES = {"SERVOING": "Moving to target", "HOLDING": "Held", SILENT: "No controller"}
 #: Without a sign of life for this long, a page says that its program has ended, s.
 LOST_S = 5.0
-#: A lamp's colour, and its sign: not everybody sees colours.
-_LAMPS = {True: (GREEN, "✓"), False: (VERMILLION, "✗"), None: (GREY, "?")}
+#: A lamp's style, and its sign: not everybody sees colours.
+_LAMPS = {True: ("good", "✓"), False: ("bad", "✗"), None: ("", "?")}
 #: Inputs of the controller, what a person calls them, and the limits of their ages.
 _INPUTS = {
     "ball_position": ("Ball seen", "ball_max_age_s"),
     "joint_states": ("Joint states", "joint_states_max_age_s"),
     "jacobian": ("Jacobian", "jacobian_max_age_s"),
 }
-#: Parameters of the controller that the page reads: limits, and what a scheme is.
-SHOWN_BY = (
-    "law",
-    "max_joint_velocity_rad_s",
-    *(limit for _, limit in _INPUTS.values()),
-    *sorted({name for one in BEYOND.values() for name in one.controller_values}),
-)
+#: Parameters of the controller that the page reads.
+SHOWN_BY = ("law", "max_joint_velocity_rad_s", *(limit for _, limit in _INPUTS.values()))
 #: Services that nodes ask for, and the buttons that call them.
 _BUTTONS = {
     "start": "Start",
@@ -73,27 +51,6 @@ def in_words(sentence: str) -> str:
     )
 
 
-class Banner(NamedTuple):
-    """What is to be read from afar."""
-
-    state: str
-    title: str
-    colour: str
-    sentence: str
-    hint: str
-
-
-def banner_of(controller: Controller) -> Banner:
-    """The banner of a controller; a refused target stands beside its numbers instead."""
-    title, colour = _TITLES.get(controller.state, (controller.state.capitalize(), GREY))
-    words = controller.sentence.replace(f" ({controller.values.get('refused_target')})", "")
-    sentence, _, hint = words.partition("; ")
-    if controller.reason in ("SERVOING", "SETTLED"):  # title and distance say all but a remark
-        sentence, hint = words.partition(" (")[2].removesuffix(")"), ""
-        title = "On target" if controller.reason == "SETTLED" else title
-    return Banner(controller.state, title, colour, in_words(sentence), in_words(hint))
-
-
 def distance(error_m: float) -> str:
     """A distance as text in mm, two decimals below 10 mm."""
     if isnan(error_m):
@@ -102,14 +59,23 @@ def distance(error_m: float) -> str:
     return f"{error_mm:.2f} mm" if error_mm < 10.0 else f"{error_mm:.0f} mm"
 
 
-def banner_html(banner: Banner, error_m: float) -> str:
-    """The banner, of one height whatever it says, and the distance to go."""
-    sentence, hint = escape(banner.sentence), escape(banner.hint)
+def banner_html(controller: Controller) -> str:
+    """What is to be read from afar: state, reason and distance, of one height whatever it says.
+
+    A refused target stands beside its numbers instead.
+    """
+    title = _TITLES.get(controller.state, controller.state.capitalize())
+    words = controller.sentence.replace(f" ({controller.values.get('refused_target')})", "")
+    sentence, _, hint = words.partition("; ")
+    if controller.reason in ("SERVOING", "SETTLED"):  # title and distance say all but a remark
+        sentence, hint = words.partition(" (")[2].removesuffix(")"), ""
+        title = "On target" if controller.reason == "SETTLED" else title
+    sentence, hint = escape(in_words(sentence)), escape(in_words(hint))
     return (
-        f'<div id="fvs-banner" data-state="{escape(banner.state)}" title="{sentence}. {hint}" '
-        f'style="background:{banner.colour}"><div class="fvs-head">'
-        f"<span>{escape(banner.title)}</span>"
-        f'<span id="fvs-error" class="fvs-number">{distance(error_m)}</span></div>'
+        f'<div id="fvs-banner" data-state="{escape(controller.state)}" '
+        f'title="{sentence}. {hint}"><div class="fvs-head">'
+        f"<span>{escape(title)}</span>"
+        f'<span id="fvs-error" class="fvs-number">{distance(controller.error_m)}</span></div>'
         f'<div class="fvs-clip" style="-webkit-line-clamp:5"><span id="fvs-sentence">{sentence}'
         f'</span><div id="fvs-hint" style="opacity:0.85">{hint}</div></div></div>'
     )
@@ -122,19 +88,6 @@ def line_html(name: str, text: str) -> str:
         f'<div class="fvs-small" title="{text}" style="height:2.6em">'
         f'<div id="fvs-{name}" class="fvs-clip" style="-webkit-line-clamp:2">{text}</div></div>'
     )
-
-
-def scheme_of(board: Board) -> str:
-    """The name of the scheme that runs; of a pair without a name, the pair."""
-    method = board.parameter(topics.ESTIMATOR, "method")
-    law = board.parameter(topics.CONTROLLER, "law")
-    for one in (*SCHEMES.values(), *BEYOND.values()):
-        further = one.controller_values.items()
-        if (one.method, one.law) == (method, law) and all(
-            board.parameter(topics.CONTROLLER, name) == value for name, value in further
-        ):
-            return one.name
-    return " with ".join(name for name in (method, law) if isinstance(name, str)) or "unknown"
 
 
 def lamps_of(board: Board, now_s: float) -> dict[str, tuple[bool | None, str]]:
@@ -181,9 +134,9 @@ def inputs_html(board: Board, now_s: float) -> str:
     """Lamps and details, two per row; a detail that is a sentence has a row of its own."""
     cells = []
     for name, (good, text) in lamps_of(board, now_s).items():
-        colour, sign = _LAMPS[good]
+        style, sign = _LAMPS[good]
         cells.append(
-            f'<div><span class="fvs-lamp" style="background:{colour}">{sign}</span>'
+            f'<div><span class="fvs-lamp {style}">{sign}</span>'
             f'<span>{escape(name)} <span class="fvs-faint">{escape(text)}</span></span></div>'
         )
     for name, text in details_of(board, now_s).items():

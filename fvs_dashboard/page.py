@@ -27,7 +27,6 @@ from fvs_dashboard.board import (
     Action,
     Actions,
     Board,
-    Controller,
 )
 from fvs_dashboard.config import VISER, DashboardConfig
 from fvs_dashboard.guard import EVERYWHERE, LOOPBACK, own_requests_only, turns_others_away
@@ -124,8 +123,7 @@ class Page:
             if self._shown % _SELDOM == 0:
                 self._charts.update(board, now_s)
                 self._inputs.content = markup.inputs_html(board, now_s)
-                others = (board.newest(name, now_s) for name in ("arm", "behind"))
-                notes = (board.placement.note, *others)
+                notes = (board.placement.note, board.newest("arm", now_s))
                 self._notes.content = markup.notes_html(filter(None, notes))
         self._shown += 1
 
@@ -167,8 +165,6 @@ def _quiet() -> contextlib.redirect_stdout:
 _SET_S, _TYPED_S = 4.0, 60.0
 #: The browser gets a sign of life this often, s.
 _BEAT_S = 1.0
-#: The banner keeps what it says for at least this long, s: to be read, and not to flicker.
-_STEADY_S = 1.0
 _SIGNS = (
     ("○", picture.BALL_RGB, "ball found"),
     ("+", picture.TARGET_RGB, "target"),
@@ -192,12 +188,9 @@ class Panel:
         self._alive = gui.add_html("")
         self._beat_s, self._beats = -inf, 0
         self._banner = gui.add_html("")
-        self._shown = markup.banner_of(Controller({}, ""))
-        self._shown_s = -inf  # when it changed
         self._answer = gui.add_html("")
         self._add_target(tour)
-        self._scheme = gui.add_folder("Scheme")
-        with self._scheme:
+        with gui.add_folder("Scheme"):
             estimator = gui.add_dropdown("Estimator", tuple(ESTIMATORS))
             self._sets(f"{topics.ESTIMATOR}/method", estimator)
             self._sets(f"{topics.CONTROLLER}/law", gui.add_dropdown("Law", tuple(LAWS)))
@@ -269,10 +262,7 @@ class Panel:
             self._beat_s, self._beats = now_s, self._beats + 1
             self._alive.content = markup.alive_html(self._beats)
         controller = board.controller(now_s)
-        banner = markup.banner_of(controller)
-        if banner != self._shown and now_s - self._shown_s > _STEADY_S:
-            self._shown, self._shown_s = banner, now_s
-        self._banner.content = markup.banner_html(self._shown, controller.error_m)
+        self._banner.content = markup.banner_html(controller)
         self._answer.content = markup.line_html("answer", board.newest("answer", now_s) or "")
         refusal = controller.values.get("refused_target", "")
         self._refusal.content = markup.line_html("refusal", refusal)
@@ -281,7 +271,6 @@ class Panel:
         self._words.content = markup.line_html("picture", words)
         if controller.target_m is not None and self._free("target"):
             self._target.value = tuple(np.round(controller.target_m, 3).tolist())
-        self._scheme.label = f"Scheme: {markup.scheme_of(board)}"
         for element in self._simulated:
             element.visible = bool(board.parameters.get(topics.SIM))
         for name, handle in self._settings.items():
@@ -335,23 +324,22 @@ class Charts:
             name.removesuffix("_joint").removeprefix("shoulder_").replace("_", " ")
             for name in joint_names
         )
-        axes = {"|x|": markup.SKY, "|y|": markup.ORANGE, "|z|": markup.PINK}
         self._error = self._add(
             "Distance to the target, mm",
             _logarithmic(0.01, 1000.0),
             _series("distance", "#F2F4F7", 2.25),
-            *(_series(name, colour, 1.0) for name, colour in axes.items()),
+            *(_series(f"|{axis}|", markup.COLOURS[i], 1.0) for i, axis in enumerate("xyz")),
         )
         self._speed = self._add(
             "Joint speeds and their limit, rad/s",
             {"range": (0.0, 1.2)},
-            *(_series(*both) for both in zip(labels, cycle(markup.COLOURS[:-1]), strict=False)),
+            *(_series(*both) for both in zip(labels, cycle(markup.COLOURS), strict=False)),
             _level("limit"),
         )
         self._ratio = self._add(
             "One-step prediction error (1: as bad as predicting rest)",
             _logarithmic(0.001, 10.0),
-            _series("error ratio", markup.SKY, 2.0),
+            _series("error ratio", markup.COLOURS[0], 2.0),
             _level("as bad as none"),
         )
 

@@ -16,19 +16,19 @@ import yourdfpy
 from viser.extras import ViserUrdf
 from viser.transforms import SO3
 
+from fvs_dashboard import picture
 from fvs_dashboard.board import Board
-from fvs_sim_node.config import TABLE
 
-_BALL, _PREDICTED, _TARGET = (213, 40, 30), (255, 214, 0), (86, 180, 233)
+_BALL, _PREDICTED, _TARGET = (213, 40, 30), picture.BALL_RGB, picture.TARGET_RGB
 #: What the colours mean in the view.
 LEGEND = (
     ("●", _BALL, "ball seen"),
     ("◉", _PREDICTED, "where it is now"),
     ("●", _TARGET, "target: drag it"),
 )
-_ROD, _BAR = (150, 156, 168), (204, 209, 217)
+_BAR = (204, 209, 217)
 #: Of the trail, from old to new: a fixed number, which the browser redraws cheaply.
-_TRAIL_COLOURS = np.linspace((60, 64, 72), (255, 214, 0), 97)
+_TRAIL_COLOURS = np.linspace((60, 64, 72), _PREDICTED, 97)
 #: After a drag the target stays where it was dropped, until the controller has answered, s.
 _DROPPED_S = 0.6
 
@@ -59,8 +59,6 @@ class Scene:
         look = {"scale": 0.14, "thickness": 0.004, "color": (190, 196, 208), "jpeg_quality": 70}
         self._frustum = scene.add_camera_frustum("/base/camera/view", 1.0, 1.0, **look)
         self._trail = self._add_lines("/base/camera/trail", _joined(_TRAIL_COLOURS), 3.0)
-        # How the ball is held is not known; that it is, is drawn.
-        self._rod = self._add_lines("/base/camera/rod", np.full((1, 2, 3), _ROD), 5.0)
         self._ball = scene.add_icosphere("/base/camera/ball", ball_radius_m, _BALL, visible=False)
         look = {"subdivisions": 2, "opacity": 0.3, "visible": False}
         self._predicted = scene.add_icosphere(
@@ -70,33 +68,12 @@ class Scene:
         self._add_target(ball_radius_m)
 
     def _add_surroundings(self) -> None:
-        """Light, floor, and what the simulated camera sees around the arm."""
         scene = self._server.scene
         # No environment and no shadows: where no graphics card draws, they cost a core or more.
         scene.configure_environment_map(hdri=None)
         scene.configure_default_lights(enabled=True, cast_shadow=False)
         scene.add_light_hemisphere("/sky", ground_color=(110, 112, 120), intensity=1.2)
-        self._floor = scene.add_grid(
-            "/floor",
-            width=3.0,
-            height=3.0,
-            cell_size=0.1,
-            cell_color=(52, 56, 64),
-            section_size=0.5,
-            section_color=(84, 90, 102),
-            shadow_opacity=0.0,
-        )
         self._base = scene.add_frame("/base", show_axes=False)
-        # The simulator's world is ROS's base_link, turned by half a turn.
-        self._table = scene.add_frame(
-            "/base/table", show_axes=False, wxyz=(0.0, 0.0, 0.0, 1.0), visible=False
-        )
-        for number, thing in enumerate(TABLE):
-            # The table is light; the page is dark.
-            colour = tuple(round(0.45 * 255 * part) for part in thing.rgba[:3])
-            name = f"/base/table/{number}"
-            scene.add_box(name, colour, thing.size_m, position=thing.position_m)
-        self._under_table_m = min(one.position_m[2] - 0.5 * one.size_m[2] for one in TABLE)
 
     def _add_lines(
         self, name: str, colours: np.ndarray, thickness: float
@@ -122,13 +99,6 @@ class Scene:
         )
         # Smaller than the ball, which hides it once it is there.
         scene.add_icosphere("/base/camera/target/ball", 0.6 * ball_radius_m, _TARGET, opacity=0.8)
-        scene.add_label(
-            "/base/camera/target/name",
-            "target",
-            position=(0.0, -0.07, 0.0),
-            anchor="bottom-center",
-            font_screen_scale=0.8,
-        )
 
         @self._target.on_update
         async def _(event: viser.TransformControlsEvent) -> None:
@@ -151,14 +121,12 @@ class Scene:
 
     def update(self, board: Board, now_s: float) -> None:
         """Show a moment."""
-        joints, placement = board.newest("joint_states", now_s), board.placement
+        joints = board.newest("joint_states", now_s)
         if self._robot is not None and self._arm is not None and joints is not None:
             self._robot.update_cfg(self._arm.configuration(joints))
             if self._bars is not None:
                 self._bars.points, self._bars.visible = self._arm.bars(joints), True
-        self._table.visible = placement.true
-        self._floor.position = (0.0, 0.0, self._under_table_m if placement.true else 0.0)
-        camera = placement.pose
+        camera = board.placement.pose
         self._camera.visible = camera is not None
         if camera is None:
             return
@@ -168,10 +136,6 @@ class Scene:
         _put(self._predicted, controller.position_m)
         if time.monotonic() - self._held_s > _DROPPED_S:
             _put(self._target, controller.target_m)
-        self._rod.visible = self._arm is not None and joints is not None and ball_m is not None
-        if self._arm is not None and joints is not None and ball_m is not None:
-            flange_m = self._arm.flange(joints)[:3, 3]
-            self._rod.points = np.array([[(flange_m - camera[:3, 3]) @ camera[:3, :3], ball_m]])
         trail_m = board.trail_m.window(now_s)[:, 1:]
         self._trail.visible = len(trail_m) > 1
         if len(trail_m) > 1:

@@ -8,24 +8,13 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-# About z, as `base` and `base_link` of a UR differ.
-_HALF_TURN = np.diag([-1.0, -1.0, 1.0])
-
 
 @dataclass(frozen=True)
 class CameraPose:
-    """Where the camera is: ``p_world = rotation @ p_camera + position_m``.
+    """Where the camera is: ``p_world = rotation @ p_camera + position_m``."""
 
-    Parameters
-    ----------
-    position_m : ndarray, shape (3,)
-        Camera centre, world frame, m.
-    rotation : ndarray, shape (3, 3)
-        Axes of the optical frame (x right, y down, z forward) as columns, world frame.
-    """
-
-    position_m: np.ndarray
-    rotation: np.ndarray
+    position_m: np.ndarray  # of its centre, world frame, (3,)
+    rotation: np.ndarray  # columns: axes of the optical frame (x right, y down, z forward), (3, 3)
 
     @classmethod
     def looking(cls, eye_m: tuple[float, ...], target_m: tuple[float, ...]) -> CameraPose:
@@ -48,14 +37,11 @@ class CameraPose:
         """Points, shape (..., 3), m, from the world frame into the camera's."""
         return (np.asarray(point_world_m) - self.position_m) @ self.rotation
 
-    def in_base_link(self) -> CameraPose:
-        """The same seen from ROS's ``base_link``, which is the world turned by half a turn."""
-        return CameraPose(_HALF_TURN @ self.position_m, _HALF_TURN @ self.rotation)
-
-    @property
-    def quaternion_xyzw(self) -> np.ndarray:
-        """The rotation as a unit quaternion, shape (4,)."""
-        return Rotation.from_matrix(self.rotation).as_quat(canonical=True)
+    def in_base_link(self) -> tuple[np.ndarray, np.ndarray]:
+        """Position and unit quaternion (x, y, z, w) in ROS's ``base_link``: half a turn about z."""
+        half_turn = Rotation.from_euler("z", np.pi)
+        turn = half_turn * Rotation.from_matrix(self.rotation)
+        return half_turn.apply(self.position_m), turn.as_quat(canonical=True)
 
 
 #: Named camera poses. ``front`` stands in front of the arm and to its side, from where the wrist
@@ -89,23 +75,10 @@ _DROPOUT, _EDGE_LOSS, _EDGE_JUMP_M = 0.01, 0.5, 0.05
 def add_depth_noise(
     depth_m: np.ndarray, fx: float, rng: np.random.Generator, scale: float = 1.0
 ) -> np.ndarray:
-    """Turn a depth image into what a real camera would report.
+    """What a real camera would report of a depth image along z, m; 0 where there is none.
 
-    Parameters
-    ----------
-    depth_m : ndarray of float32, shape (H, W)
-        Ideal depth along z, m; 0 where there is none.
-    fx : float
-        Focal length, pixels.
-    rng : numpy.random.Generator
-        Source of the noise.
-    scale : float
-        Factor on the spread and on the probabilities of loss; 0 gives a plain copy.
-
-    Returns
-    -------
-    ndarray of float32, shape (H, W)
-        Noisy depth, m; 0 where there is none.
+    ``fx`` is the focal length, pixels; ``scale`` is a factor on the spread and on the
+    probabilities of loss, 0 gives a plain copy.
     """
     depth = np.array(depth_m, dtype=np.float32)
     if scale <= 0.0:

@@ -17,20 +17,10 @@ BALL_RGBA = (0.86, 0.07, 0.06, 1.0)
 
 @dataclass(frozen=True)
 class SceneObject:
-    """A sphere or a box that only the camera sees.
+    """A sphere or a box that only the camera sees."""
 
-    Parameters
-    ----------
-    position_m : tuple of float
-        Centre, world frame, m.
-    size_m : tuple of float
-        Radius of a sphere (one number), or edge lengths of a box (three), m.
-    rgba : tuple of float
-        Colour, 0 to 1.
-    """
-
-    position_m: tuple[float, float, float]
-    size_m: tuple[float, ...]
+    position_m: tuple[float, float, float]  # centre, world frame
+    size_m: tuple[float, ...]  # radius of a sphere, or three edge lengths of a box
     rgba: tuple[float, float, float, float] = BALL_RGBA
 
 
@@ -43,31 +33,7 @@ TABLE = (
 
 @dataclass(frozen=True)
 class SimConfig(Parameters):
-    """What is simulated; the fields without a description are for Python only.
-
-    Parameters
-    ----------
-    ball_offset_m : float
-        Ball centre beyond the flange, m.
-    physics_rate_hz : float
-        Physics steps a second, a whole multiple of ``joint_state_rate_hz``; 0 takes the least one
-        from 500 on.
-    camera_pose : CameraPose, optional
-        An own pose, in place of a named one.
-    rendered : bool
-        Whether ball positions come from rendered images. If not, they are the true ones (plus
-        ``position_noise_m``), several times faster, and nothing hides the ball but the image's
-        border; full frames are then not to be had. With noise of 1 mm an arm comes to rest alike;
-        with 0.2 mm it rests 0.1 mm nearer, as the detection's own deviation stands still with it.
-    joint_lag_s : float
-        Time constant of a further lag of the joints, behind that of the drives, s.
-    encoder_noise_rad : float
-        Standard deviation of white noise on each joint angle that is reported, rad.
-    focal_error, depth_error : float
-        By what share the reported focal length and the depths are too large.
-    objects : tuple of SceneObject
-        What else is in view.
-    """
+    """What is simulated; the fields without a description are for Python only."""
 
     seed: int = parameter(0, "seed of all noise: same seed, same run", 0)
     gui: bool = parameter(False, "open PyBullet's window (needs a display)")
@@ -113,12 +79,21 @@ class SimConfig(Parameters):
         size=3,
     )
     speed_scaling_percent: float = live_parameter(100.0, "the driver's speed slider", 0.0, 100.0)
+    #: Ball centre beyond the flange.
     ball_offset_m: float = 0.09
+    #: A whole multiple of ``joint_state_rate_hz``; 0 takes the least one from 500 on.
     physics_rate_hz: float = 0.0
+    #: In place of a named one.
     camera_pose: CameraPose | None = None
+    #: Whether ball positions come from rendered images; else they are the true ones (plus
+    #: ``position_noise_m``), several times faster, nothing hides the ball, and there are no full
+    #: frames. With noise of 0.2 mm an arm rests 0.1 mm nearer than with images.
     rendered: bool = True
+    #: A further lag of the joints, behind that of the drives.
     joint_lag_s: float = 0.0
+    #: Standard deviation of white noise on each joint angle that is reported.
     encoder_noise_rad: float = 0.0
+    #: By what share the reported focal length and the depths are too large.
     focal_error: float = 0.0
     depth_error: float = 0.0
     objects: tuple[SceneObject, ...] = TABLE

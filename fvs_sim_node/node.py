@@ -219,10 +219,9 @@ class SimNode(ros.FvsNode):
         config = self._config = SimNodeConfig.from_values(values)
         self._sim.configure(config.simulation)
         if "camera_rotation_deg" in changed:
-            pose, frame = self._sim.camera.in_base_link(), config.tf_prefix + "base_link"
-            self._camera_pose.publish(
-                ros.to_pose(self.ros_s(), frame, pose.position_m, pose.quaternion_xyzw)
-            )
+            frame = config.tf_prefix + "base_link"
+            pose = self._sim.camera.in_base_link()
+            self._camera_pose.publish(ros.to_pose(self.ros_s(), frame, *pose))
         self._play_program(config.program_running)
 
     def _play_program(self, running: bool) -> None:

@@ -25,53 +25,25 @@ from fvs_sim_node.world import Renderer, World
 
 @dataclass(frozen=True)
 class BallObservation:
-    """What one image gave.
+    """What one image gave; the truth in it is for evaluation only."""
 
-    Parameters
-    ----------
-    stamp_s : float
-        Exposure, s.
-    detection : BallDetection or None
-        The ball as detected in the image; None if it was not seen.
-    true_position_m : ndarray, shape (3,)
-        Where it was, camera frame, m. For evaluation only.
-    joints_rad : ndarray, shape (n,)
-        Joint angles at the exposure, rad.
-    camera : CameraPose
-        Where the camera was.
-    covered : bool
-        Whether the lens was covered.
-    frame : Frame or None
-        The image, if full frames are wanted.
-    """
-
-    stamp_s: float
-    detection: BallDetection | None
-    true_position_m: np.ndarray
-    joints_rad: np.ndarray
+    stamp_s: float  # exposure
+    detection: BallDetection | None  # None if no ball was seen
+    true_position_m: np.ndarray  # of the ball, camera frame, (3,)
+    joints_rad: np.ndarray  # at the exposure, (n,)
     camera: CameraPose
-    covered: bool = False
-    frame: Frame | None = None
+    covered: bool = False  # whether the lens was
+    frame: Frame | None = None  # the image, if full frames are wanted
 
 
 @dataclass(frozen=True)
 class SimStep:
-    """The world after one joint-state period.
-
-    Parameters
-    ----------
-    time_s : float
-        Simulated time, s.
-    joints_rad, joint_velocities_rad_s : ndarray, shape (n,)
-        Joint angles, as the encoders report them, and velocities now, kinematic order.
-    observations : tuple of BallObservation
-        Those that were released during this period.
-    """
+    """The world after one joint-state period; joints in kinematic order, shape (n,)."""
 
     time_s: float
-    joints_rad: np.ndarray
+    joints_rad: np.ndarray  # as the encoders report them
     joint_velocities_rad_s: np.ndarray
-    observations: tuple[BallObservation, ...]
+    observations: tuple[BallObservation, ...]  # those that were released during this period
 
 
 def photograph(
@@ -229,13 +201,7 @@ class Simulation:
         self._active = True
 
     def advance(self) -> SimStep:
-        """Advance by one joint-state period.
-
-        Returns
-        -------
-        SimStep
-            Joint state at its end, and the observations released in it.
-        """
+        """Advance by one joint-state period."""
         if self._step == 0:
             self._expose_if_due()
         for _ in range(self._steps_per_period):

@@ -214,18 +214,7 @@ class World:
         return np.array(state[4]) + self._ball_offset_m * _matrix(state[5])[:, 2]
 
     def ball_jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Jacobian of the ball's position at any joint angles, from the loaded model.
-
-        Parameters
-        ----------
-        joints_rad : array_like, shape (n,)
-            Joint angles, rad.
-
-        Returns
-        -------
-        ndarray, shape (3, n)
-            m/rad, world frame.
-        """
+        """Of the ball, m/rad, world frame, shape (3, n), at joint angles, rad, shape (n,)."""
         return self._jacobians(joints_rad)[0]
 
     def _jacobians(self, joints_rad: np.ndarray) -> list[np.ndarray]:
@@ -284,19 +273,8 @@ class Renderer:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Draw the image, or a part of it.
 
-        Parameters
-        ----------
-        pose : CameraPose
-            Where the camera is.
-        region : Region, optional
-            The part to draw; default the whole image.
-
-        Returns
-        -------
-        rgb : ndarray of uint8, shape (H, W, 3)
-            Colours.
-        depth_m : ndarray of float32, shape (H, W)
-            Depth along the optical axis, m; 0 where there is none.
+        Colours, uint8, (H, W, 3), and depth along the optical axis, float32, (H, W), m; 0 where
+        there is none.
         """
         part = region or Region.whole(self.intrinsics)
         colours, raw = self._draw(pose, part.view(self.intrinsics))

@@ -65,7 +65,7 @@ def test_what_comes_from_outside_is_no_markup(board):
     evil = "<b>x</b>"
     board.note("detector", 0.0, evil)
     for html in (
-        markup.banner_html(markup.Banner(evil, evil, "#000", evil, evil), 0.1),
+        markup.banner_html(controller(f"{evil}; {evil}", state=evil, reason="")),
         markup.line_html("answer", evil),
         markup.notes_html([evil]),
         markup.inputs_html(board, 0.0),
