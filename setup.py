@@ -7,7 +7,12 @@ from setuptools import find_packages, setup
 PACKAGE = "fvs_ros"
 
 EXTRAS = {
-    "ros": ["ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "ros-jazzy-common-interfaces"],
+    "ros": [
+        "ros-jazzy-rclpy",
+        "ros-jazzy-rmw-fastrtps-cpp",
+        "ros-jazzy-common-interfaces",
+        "jinja2",
+    ],
     "camera": ["opencv-python-headless"],
     "sim": ["pybullet", "opencv-python-headless", "matplotlib"],
     "train": ["torch"],
@@ -42,7 +47,7 @@ setup(
     maintainer_email="maintainers@example.org",
     python_requires=">=3.10",
     packages=find_packages(include=["fvs_*"]),
-    package_data={"fvs_lab": ["*.jinja"], "fvs_dashboard": ["*.css"]},
+    package_data={"fvs_lab": ["*.jinja"], "fvs_tools": ["*.jinja"], "fvs_dashboard": ["*.css"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),

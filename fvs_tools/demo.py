@@ -40,18 +40,6 @@ _DISTANCE_TOLERANCE_M = 0.02
 START_TIMEOUT_S = 30.0
 
 
-def own_targets(text: str) -> np.ndarray:
-    """Targets written as ``x y z; x y z``, m, camera frame, shape (n, 3); none in an empty text."""
-    parts = [part.split() for part in text.split(";") if part.strip()]
-    try:
-        targets = np.array([[float(x), float(y), float(z)] for x, y, z in parts]).reshape(-1, 3)
-        if np.isfinite(targets).all():
-            return targets
-    except ValueError:  # too few, too many, or no number
-        pass
-    raise ValueError(f"target_positions must be 'x y z; ...' in m, got '{text}'")
-
-
 def choose_target(
     candidates_m: np.ndarray, position_m: np.ndarray, distance_m: float, rng: np.random.Generator
 ) -> np.ndarray:
@@ -72,31 +60,20 @@ class TargetRecord:
     start_s: float
     #: Whether inputs came late, so that the arm was held.
     slowed: bool = False
-    time_s: list[float] = field(default_factory=list)
-    position_m: list[np.ndarray] = field(default_factory=list)
-    joint_time_s: list[float] = field(default_factory=list)
-    joint_velocity_rad_s: list[np.ndarray] = field(default_factory=list)
+    #: Moments, s, and true ball positions, m.
+    balls: list[tuple[float, np.ndarray]] = field(default_factory=list)
+    #: Moments, s, and joint velocities, rad/s.
+    joints: list[tuple[float, np.ndarray]] = field(default_factory=list)
 
-    def add_position(self, stamp_s: float, position_m: np.ndarray) -> None:
-        """Note the true ball position at a moment."""
-        self.time_s.append(stamp_s - self.start_s)
-        self.position_m.append(position_m)
-
-    def add_joint_velocity(self, stamp_s: float, velocity_rad_s: np.ndarray) -> None:
-        """Note the joint velocities at a moment."""
-        self.joint_time_s.append(stamp_s - self.start_s)
-        self.joint_velocity_rad_s.append(velocity_rad_s)
-
-    def errors_m(self) -> np.ndarray:
-        """Distances to the target, m."""
-        return np.linalg.norm(np.array(self.position_m) - self.target_m, axis=1)
+    def errors_m(self) -> tuple[np.ndarray, np.ndarray]:
+        """Moments, s, and distances to the target, m."""
+        time_s, position_m = (np.array(part) for part in zip(*self.balls, strict=True))
+        return time_s, np.linalg.norm(position_m - self.target_m, axis=1)
 
 
 def score(record: TargetRecord) -> TargetScore:
     """Judge one target by the true ball position."""
-    judged = judge(
-        np.array(record.time_s), record.errors_m(), np.array(record.joint_velocity_rad_s)
-    )
+    judged = judge(*record.errors_m(), np.array([velocity for _, velocity in record.joints]))
     return replace(judged, slowed=record.slowed)
 
 
@@ -159,19 +136,19 @@ def draw(
     if image_rgb is not None:
         view.imshow(image_rgb)
     for number, (record, colour) in enumerate(zip(records, colours, strict=True), start=1):
-        errors_mm = 1e3 * record.errors_m()
-        axes["error"].semilogy(record.time_s, errors_mm, color=colour, label=f"target {number}")
+        time_s, errors_m = record.errors_m()
+        axes["error"].semilogy(time_s, 1e3 * errors_m, color=colour, label=f"target {number}")
         axes["speed"].axvline(record.start_s - origin_s, color=colour, linewidth=1.5, alpha=0.7)
         if intrinsics is not None:
-            view.plot(*intrinsics.project(np.array(record.position_m)).T, color=colour)
+            trail_m = np.array([position_m for _, position_m in record.balls])
+            view.plot(*intrinsics.project(trail_m).T, color=colour)
             at = intrinsics.project(record.target_m)
             view.plot(*at, "+", color="white", markersize=15, markeredgewidth=4)
             view.plot(*at, "+", color=colour, markersize=14, markeredgewidth=2)
             view.set(xlim=(0, intrinsics.width), ylim=(intrinsics.height, 0))
     axes["error"].axhline(SETTLED_ERROR_M * 1e3, color="0.4", linestyle="--", linewidth=1)
-    times_s = np.concatenate([np.add(r.joint_time_s, r.start_s - origin_s) for r in records])
-    speeds = np.concatenate([r.joint_velocity_rad_s for r in records])
-    axes["speed"].plot(times_s, speeds, linewidth=1, label=list(joint_names))
+    moments = [(r.start_s - origin_s + t_s, speeds) for r in records for t_s, speeds in r.joints]
+    axes["speed"].plot(*zip(*moments, strict=True), linewidth=1, label=list(joint_names))
     axes["error"].set(ylabel="true error (mm)", title="Distance of the ball to its target")
     axes["speed"].set(xlabel="time (s)", ylabel="joint speed (rad/s)", title="Joint speeds")
     view.set_title("Camera view at the end, trail of the ball, targets (+)")

@@ -35,7 +35,8 @@ class DemoNode(ros.FvsNode):
         super().__init__("fvs_demo_node", demo.PARAMETERS)
         self._config = demo.DemoConfig.from_values(self.values)
         self._candidates_m = load_model(find_file(self._config.model_path)).ball_samples_m
-        self._own_m = demo.own_targets(self._config.target_positions)
+        numbers = self._config.target_positions.replace(";", " ").split()
+        self._own_m = np.array(numbers, dtype=float).reshape(-1, 3)
         self._count = len(self._own_m) or self._config.targets
         self._rng = np.random.default_rng(self._config.seed)
         self._joint_map = JointMap()
@@ -70,7 +71,9 @@ class DemoNode(ros.FvsNode):
     def _on_joint_states(self, message: JointState) -> None:
         if self._records and self._image_asked_s is None:
             velocity = self._joint_map.positions(message.name, message.velocity)
-            self._records[-1].add_joint_velocity(ros.from_stamp(message.header.stamp), velocity)
+            record = self._records[-1]
+            moment_s = ros.from_stamp(message.header.stamp) - record.start_s
+            record.joints.append((moment_s, velocity))
 
     def _on_true_ball(self, message: PointStamped) -> None:
         if self._image_asked_s is not None:
@@ -85,8 +88,8 @@ class DemoNode(ros.FvsNode):
                 self._next_target(stamp_s, position_m)
             return
         record = self._records[-1]
-        record.add_position(stamp_s, position_m)
-        if record.time_s[-1] >= self._config.target_s:
+        record.balls.append((stamp_s - record.start_s, position_m))
+        if record.balls[-1][0] >= self._config.target_s:
             self._report(len(self._records), record)
             if len(self._records) < self._count:
                 self._next_target(stamp_s, position_m)
@@ -103,8 +106,7 @@ class DemoNode(ros.FvsNode):
                 self._candidates_m, position_m, self._config.distance_m, self._rng
             )
         self._target.publish(ros.to_point(stamp_s, self._config.feature_frame, target_m))
-        self._records.append(demo.TargetRecord(target_m, stamp_s))
-        self._records[-1].add_position(stamp_s, position_m)
+        self._records.append(demo.TargetRecord(target_m, stamp_s, balls=[(0.0, position_m)]))
 
     def _report(self, number: int, record: demo.TargetRecord) -> None:
         one = demo.score(record)

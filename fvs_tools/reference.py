@@ -11,10 +11,11 @@ import argparse
 import re
 import string
 import sys
-import xml.etree.ElementTree as ET
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from fvs_controller_node.config import LAWS
 from fvs_controller_node.reasons import Reason
@@ -37,39 +38,27 @@ _NAME = re.compile(r"(?<![\w`/~^.*)])(~?/[a-z]\w*(?:/\w+)*|[a-z]\w*_\w+)(?![\w`/
 #: parameters and targets, calls services, and cannot send a joint command.
 OPERATOR = "fvs_operator"
 
-# No "--" in it: XML does not allow it in a comment.
-_POLICY_HEAD = """\
-<?xml version="1.0" encoding="UTF-8"?>
-<!--
-  Access rules of the nodes for SROS2{where}. Written by fvs_tools/reference.py from
-  fvs_ros/topics.py; docs/reference.md says how to use it.
-
-  One enclave a node, called like the node with its namespace, and one for a person's tools.
-  What is not listed is denied: above all, only two nodes may publish joint commands.
-
-  Names hold for {holds} and without remaps. Rules for another namespace:
-      python3 -m fvs_tools.reference -p policy.xml -n NAMESPACE
-  With a remap, change the name here too. A robot's driver, a camera and a detector of your own
-  need enclaves of their own; their rules are not here.
--->
-"""
-
 
 def page() -> str:
     """The whole of ``docs/reference.md``."""
-    from jinja2 import Environment, StrictUndefined  # not needed for a policy
-
-    environment = Environment(
-        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined
-    )
     functions = (sentence, readable, plain_type, default_text, sources, sinks, only)
     named = {one.__name__: one for one in (*functions, parameter_groups)}
-    environment.filters.update(named)
-    environment.globals.update(named)
-    template = Path(__file__).with_name("reference.md.jinja").read_text(encoding="utf-8")
-    return environment.from_string(template).render(
-        NODE_TABLE=NODE_TABLE, Reason=Reason, stop=stop, topics=topics
+    return _rendered(
+        "reference.md.jinja", named, NODE_TABLE=NODE_TABLE, Reason=Reason, stop=stop, topics=topics
     )
+
+
+def _rendered(template: str, functions: Mapping[str, Callable], **values: Any) -> str:
+    """A template of this folder, in which functions are filters, too."""
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=StrictUndefined,
+    )
+    environment.filters.update(functions)
+    return environment.get_template(template).render(**functions, **values)
 
 
 # --- topics ---
@@ -172,53 +161,37 @@ def readable(template: str) -> str:
 
 def policy(namespace: str = "") -> str:
     """The SROS2 policy of nodes in a namespace: who may publish, subscribe and serve what (XML)."""
-    namespace = namespace.strip("/")
-    root = ET.Element("policy", version="0.2.0")
-    enclaves = ET.SubElement(root, "enclaves")
-    everything, services = set(topics.EVERY_NODE_PUBLISHES), set()
+    enclaves, everything, services = {}, set(topics.EVERY_NODE_PUBLISHES), set()
     for name, node in NODES.items():
         published = {topic.name for topic in topics.publishers(name)}
         subscribed = {topic.name for topic in topics.subscribers(name)}
         if node.subscribes_to_all:
             subscribed.add("/*")
         served = {*node.serves, *topics.EVERY_NODE_SERVES}
-        _enclave(enclaves, name, namespace, published, subscribed, served, node.calls)
+        enclaves[name] = _rules(published, subscribed, served, node.calls)
         everything |= {one.replace("~", name, 1) for one in published}
         services |= {one.replace("~", name, 1) for one in served}
-    _enclave(enclaves, OPERATOR, namespace, {topics.TARGET_POSITION.name}, everything, (), services)
-    ET.indent(root)
-    where = f" in namespace /{namespace}" if namespace else ""
-    holds = f"namespace /{namespace}" if namespace else "the root namespace"
-    head = _POLICY_HEAD.format(where=where, holds=holds)
-    return head + ET.tostring(root, encoding="unicode") + "\n"
+    enclaves[OPERATOR] = _rules({topics.TARGET_POSITION.name}, everything, (), services)
+    names = {"resolve": topics.resolve}
+    return _rendered("policy.xml.jinja", names, enclaves=enclaves, namespace=namespace.strip("/"))
 
 
-def _enclave(
-    enclaves: ET.Element,
-    node: str,
-    namespace: str,
+def _rules(
     published: Iterable[str],
     subscribed: Iterable[str],
     served: Iterable[str],
     called: Iterable[str],
-) -> None:
-    """Add the rules of one node."""
-    enclave = ET.SubElement(enclaves, "enclave", path=topics.resolve("~", node, namespace))
-    profiles = ET.SubElement(enclave, "profiles")
-    profile = ET.SubElement(profiles, "profile", ns=f"/{namespace}", node=node)
+) -> dict[tuple[str, str], Iterable[str]]:
+    """What one node may do: names by kind and verb."""
     declared, *others = topics.CAMERA_PREFIXES  # a camera is looked for under each
     cameras = [name.partition("/")[2] for name in subscribed if name.startswith(f"{declared}/")]
-    subscribed = {*subscribed, *(f"{other}/{name}" for other in others for name in cameras)}
-    for kind, verb, names in (
-        ("topic", "publish", {*published, *topics.EVERY_NODE_PUBLISHES}),
-        ("topic", "subscribe", {*subscribed, *topics.EVERY_NODE_SUBSCRIBES}),
-        ("service", "reply", served),
-        ("service", "request", called),
-    ):
-        if names:
-            rules = ET.SubElement(profile, f"{kind}s", {verb: "ALLOW"})
-            for name in sorted(names):
-                ET.SubElement(rules, kind).text = name
+    cameras = [f"{other}/{name}" for other in others for name in cameras]
+    return {
+        ("topic", "publish"): {*published, *topics.EVERY_NODE_PUBLISHES},
+        ("topic", "subscribe"): {*subscribed, *cameras, *topics.EVERY_NODE_SUBSCRIBES},
+        ("service", "reply"): served,
+        ("service", "request"): called,
+    }
 
 
 # --- program ---
