@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from fvs_estimator_node.collecting import GIVE_UP_S, CollectionRun, CollectorConfig, State
 from fvs_estimator_node.stopping import StopCriterion
-from fvs_ros.joints import UR_JOINT_NAMES
 
 HOME = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
 DT_S, LONGEST_S, DURATION_S = 0.008, 0.05, 20.0
@@ -174,39 +173,34 @@ def test_lost_input_stops_or_turns_the_arm_until_it_is_back_or_ends_the_run(what
     assert not np.any(cell.last)
 
 
-def test_an_arm_that_does_not_move_as_commanded_ends_the_run_and_says_so():
-    cell = Cell(signs=0.0)
-    assert cell.advance(6.0) is State.FAILED
-    assert "does not follow" in cell.run.reason
-    assert "velocity controller is active" in cell.run.reason
-
-
-@pytest.mark.parametrize("joint", [0, 3, 5])
-def test_a_joint_that_runs_opposite_to_its_command_ends_the_run_before_it_gets_far(joint):
+@pytest.mark.parametrize(
+    ("joint", "sign", "words"),
+    [(3, -1.0, "wrist_1_joint moves against its command"), (slice(6), 0.0, "does not follow")],
+)
+def test_an_arm_that_does_not_follow_ends_the_run_before_it_gets_far(joint, sign, words):
     signs = np.ones(6)
-    signs[joint] = -1.0
+    signs[joint] = sign
     cell = Cell(signs=signs)
     assert cell.advance(10.0) is State.FAILED
-    assert f"{UR_JOINT_NAMES[joint]} moves against its command" in cell.run.reason
-    assert abs(cell.joints[joint] - HOME[joint]) < 0.1
+    assert words in cell.run.reason
+    assert np.abs(cell.joints - HOME)[joint].max() < 0.1
     assert cell.run.ended
 
 
 @pytest.mark.parametrize("state", [State.MOVING, State.RETURNING, State.HOLDING])
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_joint_outside_its_box_ends_the_run_at_once(state, side):
+def test_a_joint_outside_its_box_ends_the_run_at_once(state):
     cell = Cell()
     cell.advance(5.0)
     cell.ball_seen = state is not State.RETURNING
     cell.joints_come = state is not State.HOLDING
     assert cell.advance(0.7) is state
     cell.joints_come = True
-    cell.joints[2] = HOME[2] + side * 0.39
+    cell.joints[2] = HOME[2] + 0.39
     assert cell.advance(DT_S) is not State.FAILED
-    cell.joints[2] = HOME[2] + side * 0.41
+    cell.joints[2] = HOME[2] + 0.41
     assert cell.advance(DT_S) is State.FAILED
     assert "elbow_joint left its box" in cell.run.reason
-    assert f"is at {HOME[2] + side * 0.41:.2f} rad, the box is 1.30 to 1.90 rad" in cell.run.reason
+    assert "is at 2.01 rad, the box is 1.30 to 1.90 rad" in cell.run.reason
     cell.advance(1.0)
     assert cell.run.ended
 
@@ -220,14 +214,6 @@ def test_it_waits_while_another_node_commands_the_arm():
     assert cell.advance(0.5) is State.MOVING
     cell.run.other_publishers(["/fvs_controller_node"])
     assert cell.advance(1.0) is State.FAILED
-
-
-@pytest.mark.parametrize("dt_s", [DT_S, 0.0])
-def test_a_frozen_stream_of_joint_states_stops_the_arm_in_simulated_time_too(dt_s):
-    cell = Cell()
-    cell.advance(5.0)
-    assert cell.advance(0.8, stamp_s=0.0, dt_s=dt_s) is State.HOLDING
-    assert not np.any(cell.last)
 
 
 class KnownAfter(StopCriterion):

@@ -115,16 +115,13 @@ def test_fields_that_are_not_as_declared_are_refused(kind, written):
     infinite.flat[3] = np.inf
     for changes, words in (
         ({"version": np.array(99)}, "version 99, this program reads version 1"),
-        ({"version": np.array("1")}, "version '1', this program"),
         ({"format": np.array("fvs_other")}, "is of format 'fvs_other', expected 'fvs_"),
         ({kind[3]: None}, f"lacks the field '{kind[3]}'"),
         ({kind[3]: np.zeros((3, 3, 3))}, f"{kind[3]} has shape"),
-        ({kind[4]: np.zeros((2, 5))}, f"{kind[4]} has shape"),
         ({kind[4]: np.array("text")}, f"{kind[4]} holds something that is not a number"),
         ({kind[4]: infinite}, f"{kind[4]} holds a number that is not finite"),
         ({"joint_names": np.array(["a", "a"])}, "expected different names"),
         ({"joint_names": np.array(["a", "b"])}, "has shape|do not fit together"),
-        ({"provenance": np.array("{")}, "not a JSON object"),
         ({"provenance": np.array("[1]")}, "not a JSON object"),
         ({"feature_frame": np.array(3)}, "'feature_frame' that is not a text"),
     ):
@@ -133,8 +130,8 @@ def test_fields_that_are_not_as_declared_are_refused(kind, written):
         refused(kind, written, words)
 
 
-ZERO_AXIS, FAR = ur5_chain().axes.copy(), ur5_chain().points_m.copy()
-ZERO_AXIS[2], FAR[0] = 0.0, 1e6
+ZERO_AXIS = ur5_chain().axes.copy()
+ZERO_AXIS[2] = 0.0
 
 
 @pytest.mark.parametrize(
@@ -145,9 +142,7 @@ ZERO_AXIS[2], FAR[0] = 0.0, 1e6
         ("model", {"widths": -np.ones((6, 4))}, "widths must be positive"),
         ("model", {"joint_box_rad": np.array([[1.0] * 6, [-1.0] * 6])}, "least value above"),
         ("model", {"chain_ball_m": None}, "lacks the field 'chain_ball_m'"),
-        ("model", {"chain_axes": np.ones((5, 3))}, "has shape"),
         ("model", {"chain_axes": ZERO_AXIS}, "an axis of a chain has no direction"),
-        ("model", {"chain_points_m": FAR}, "points_m of a chain holds a number above 100"),
     ],
 )
 def test_what_cannot_be_is_refused(tmp_path, name, changes, words):
@@ -183,9 +178,3 @@ def test_writing_is_all_or_nothing(kind, written, monkeypatch):
         kind[0](written, kind[2]())
     assert written.read_bytes() == before
     assert os.listdir(written.parent) == [written.name]
-
-
-def test_equal_content_makes_equal_files(kind, tmp_path):
-    kind[0](tmp_path / "a.npz", kind[2]())
-    kind[0](tmp_path / "b.npz", kind[2]())
-    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()

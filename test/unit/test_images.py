@@ -35,16 +35,11 @@ def depth_file(values, a=0.0, b=0.0):
 
 
 @pytest.mark.parametrize("padding", [0, 5])
-@pytest.mark.parametrize(
-    ("encoding", "pixels"),
-    [
-        ("rgb8", RGB),
-        ("bgr8", RGB[..., ::-1]),
-        ("rgba8", np.dstack([RGB, np.full((2, 3), 9, np.uint8)])),
-        ("bgra8", np.dstack([RGB[..., ::-1], np.full((2, 3), 9, np.uint8)])),
-    ],
-)
-def test_colours_come_out_red_first(encoding, pixels, padding):
+@pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "rgba8", "bgra8"])
+def test_colours_come_out_red_first(encoding, padding):
+    pixels = RGB[..., ::-1] if "bgr" in encoding else RGB
+    if "a8" in encoding:
+        pixels = np.dstack([pixels, np.full((2, 3), 9, np.uint8)])
     data = b"".join(row.tobytes() + b"\xee" * padding for row in pixels)
     # Some drivers leave out the padding of the last row.
     for rows in (data, data[: len(data) - padding]):
@@ -71,8 +66,6 @@ def test_depth_comes_out_in_metres_and_what_is_none_is_zero(order):
         (from_depth, 3, 2, 9, "x" * 10_000, "16UC1, mono16, 32FC1"),
         (from_color, 3, 2, 8, "rgb8", "too few"),
         (from_color, 3, 3, 9, "rgb8", "expected 27"),
-        (from_color, 3, 1, 9, "rgb8", "expected 9"),
-        (from_color, 0, 2, 9, "rgb8", "no pixels"),
         (from_color, 2**32 - 1, 2**32 - 1, 2**32 - 1, "rgb8", "too large"),
     ],
 )
@@ -124,12 +117,9 @@ PNG, DEPTH = "rgb8; png compressed bgr8", "16UC1; compressedDepth png"
     ("decode", "data", "image_format", "said"),
     [
         (from_color, b"GIF89a" + b"\0" * 50, PNG, "neither"),
-        (from_color, file_of(PICTURE)[:20], PNG, "cut off"),
         (from_color, file_of(PICTURE)[:60], PNG, "does not decode"),
         (from_color, claim_size(file_of(PICTURE), 60_000, 60_000), PNG, "too large"),
-        (from_color, claim_size(file_of(PICTURE), 0, 5), PNG, "no pixels"),
         (from_depth, depth_file(MILLIMETRES), "16UC1; compressedDepth rvl", "png"),
-        (from_depth, b"\0" * 12, DEPTH, "too few"),
         (from_depth, depth_file(PICTURE), DEPTH, "16 bits"),
         (from_depth, depth_file(MILLIMETRES, np.nan, 0), "32FC1; compressedDepth png", "nan"),
     ],

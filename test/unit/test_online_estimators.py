@@ -11,9 +11,7 @@ from fvs_estimator_node.base import MotionStep
 from fvs_estimator_node.online import BroydenEstimator, OnlineConfig, RlsEstimator
 from fvs_estimator_node.rbf import RbfModel
 from fvs_estimator_node.registry import (
-    ESTIMATORS,
     create_estimator,
-    estimator_parameters,
     needs_model,
 )
 
@@ -218,19 +216,3 @@ def test_from_zero_it_needs_no_model_and_else_says_so(method):
     assert needs_model(method, {})
     with pytest.raises(ValueError, match=f"{method} needs a trained model.*online.initial to"):
         create_estimator(method)
-
-
-# --- the registry ---
-
-
-def test_every_declared_parameter_reaches_its_estimator_and_no_other():
-    for one in estimator_parameters():
-        group, _, name = one.name.partition(".")
-        for method in (method for method, kind in ESTIMATORS.items() if kind.group == group):
-            for value in (one.minimum, one.maximum, *one.choices):
-                if value is not None:
-                    values = {one.name: value, f"x.{name}": "no"}
-                    made = create_estimator(method, random_model(), values)
-                    assert getattr(made.config, name) == value
-    with pytest.raises(ValueError, match=r"forgetting must be number from 0\.5 to 1"):
-        create_estimator("rls", None, {**ZERO, "online.forgetting": 2.0})
