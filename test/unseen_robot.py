@@ -2,7 +2,7 @@
 
 Nothing here is shared with the simulator: another arm (random axes), another drive, another camera,
 white noise on the ball positions. As a program it stands behind the topics that a
-real driver and a detector have, in plain rclpy: joints in the driver's (alphabetical) order with a
+real driver and a detector have: joints in the driver's (alphabetical) order with a
 gripper's among them. Without commands it stands; the last one holds for ever.
 
 usage: unseen_robot.py SEED JOINT_RATE_HZ
@@ -18,17 +18,10 @@ from collections import deque
 import numpy as np
 
 from fvs_ros.chain import SerialChain
+from fvs_ros.joints import UR_JOINT_NAMES as NAMES
 
 #: Half width of the joints' box, rad: how far a collection may go.
 REACH_RAD = np.array([0.6, 0.5, 0.5, 0.5, 0.5, 0.5])
-NAMES = (
-    "shoulder_pan_joint",
-    "shoulder_lift_joint",
-    "elbow_joint",
-    "wrist_1_joint",
-    "wrist_2_joint",
-    "wrist_3_joint",
-)
 FRAME = "camera_color_optical_frame"
 IMAGE_RATE_HZ, NOISE_M, LATENCY_S, LAG_S = 30.0, 0.001, 0.03, 0.02
 
@@ -121,10 +114,11 @@ class UnseenRobot:
 def main() -> None:
     """Stand behind the topics, in real time."""
     import rclpy
-    from builtin_interfaces.msg import Time
-    from geometry_msgs.msg import Point, PointStamped
+    from geometry_msgs.msg import PointStamped
     from sensor_msgs.msg import JointState
-    from std_msgs.msg import Float64MultiArray, Header
+    from std_msgs.msg import Float64MultiArray
+
+    from fvs_ros import ros
 
     robot, period_s = UnseenRobot(int(sys.argv[1])), 1.0 / float(sys.argv[2])
     rclpy.init()
@@ -141,25 +135,15 @@ def main() -> None:
 
     node.create_subscription(Float64MultiArray, "forward_velocity_controller/commands", obey, 10)
 
-    def header(stamp_s: float) -> Header:
-        nanoseconds = round((epoch_s + stamp_s) * 1e9)
-        stamp = Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
-        return Header(stamp=stamp, frame_id=FRAME)
-
-    def point(stamp_s: float, position_m: np.ndarray) -> PointStamped:
-        x, y, z = (float(value) for value in position_m)
-        return PointStamped(header=header(stamp_s), point=Point(x=x, y=y, z=z))
-
     def step() -> None:
         while robot.time_s + period_s <= time.monotonic() - started_s:
             for stamp_s, position_m in robot.advance(period_s):
-                ball.publish(point(stamp_s, position_m))
+                ball.publish(ros.to_point(epoch_s + stamp_s, FRAME, position_m))
+            now_s = epoch_s + robot.time_s
             joints = dict(zip(NAMES, robot.joints_rad.tolist(), strict=True), gripper_joint=0.3)
-            positions = [joints[name] for name in names]
-            joint_states.publish(
-                JointState(header=header(robot.time_s), name=names, position=positions)
-            )
-            truth.publish(point(robot.time_s, robot.ball_m))
+            positions = np.array([joints[name] for name in names])
+            joint_states.publish(ros.to_joint_state(now_s, names, positions, np.zeros(0)))
+            truth.publish(ros.to_point(now_s, FRAME, robot.ball_m))
 
     node.create_timer(period_s, step)
     with contextlib.suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):

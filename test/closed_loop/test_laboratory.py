@@ -15,14 +15,13 @@ pytest.importorskip("jinja2")
 
 from scipy.stats import levy_stable, norm
 
-from fvs_controller_node.config import default_values
 from fvs_controller_node.settling import settling_times
 from fvs_controller_node.surface import ReachingLaw, SlidingSurface
-from fvs_estimator_node.base import Estimator, MotionStep
-from fvs_estimator_node.registry import PARAMETERS
+from fvs_estimator_node.base import MotionStep
+from fvs_estimator_node.registry import create_estimator
 from fvs_lab import beyond_runs as runs
 from fvs_lab import contestants as who
-from fvs_lab import main, settling, tuning
+from fvs_lab import main, settling
 from fvs_lab.experiment import Context
 from fvs_lab.floor import Limits, fastest
 from fvs_lab.report import EXPERIMENTS, Origin, write_page, write_report
@@ -41,7 +40,6 @@ from fvs_lab.trials import (
     simulation_of,
 )
 from fvs_lab.worlds import DISTANCE_M, DRAWN, EVERYDAY, HARSH, draw_world
-from fvs_ros.params import ParameterSet
 from fvs_sim_node.simulation import SimConfig, Simulation
 
 EXACT = Conditions(rendered=False)
@@ -118,14 +116,6 @@ def test_a_heavy_tails_worst_image_does_not_throw_an_arm_at_rest_off_its_target(
     assert not judged(run_trial(trial_in(draw_world(HARSH, number), best, rendered=False))).failure
 
 
-@pytest.mark.parametrize("knob", tuning.KNOBS, ids=lambda knob: knob.name)
-def test_a_knob_turns_a_parameter_about_its_default(knob):
-    defaults = ParameterSet(PARAMETERS).values({}) if knob.of_estimator else default_values()
-    settings = knob.settings(knob.default)
-    assert knob.default in knob.values
-    assert {name: defaults[name] for name in settings} == pytest.approx(settings)
-
-
 # ---- random worlds --------------------------------------------------------------------------
 
 
@@ -195,38 +185,17 @@ def test_motion_band_bound_and_bound_to_zero_are_in_order(error):
 # ---- estimators -----------------------------------------------------------------------------
 
 
-class KnowsTheLastStep(Estimator):
-    """Explains each step exactly, once it has seen it."""
-
-    def __init__(self):
-        self.reset()
-
-    def jacobian(self, joints_rad):
-        return self.learned.copy()
-
-    def update(self, step):
-        moved = step.d_joints_rad
-        self.learned = np.outer(step.d_ball_m, moved) / (moved @ moved)
-
-    def reset(self):
-        self.learned = np.zeros((3, 6))
-
-
-def made_up(balls_m):
-    """Each step moves joint 1 by 0.1 rad; one step each 0.1 s."""
-    moved = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
-    times = 0.1 + 0.1 * np.arange(len(balls_m))
+def test_an_estimator_is_judged_before_it_learns_and_errors_add_up():
+    """With its full gain Broyden's update explains the last of three steps of joint 1 exactly."""
+    balls_m = np.array([[0.01, 0.0, 0.0], [0.0, 0.02, 0.0], [0.0, 0.02, 0.0]])
+    times, moved = 0.1 * np.arange(1.0, 4.0), 0.1 * np.eye(6)[0]
     steps = tuple(
-        MotionStep(float(t), 0.1, np.zeros(6), moved, np.asarray(ball, dtype=float))
+        MotionStep(float(t), 0.1, np.zeros(6), moved, ball)
         for t, ball in zip(times, balls_m, strict=True)
     )
-    true = np.ones((len(steps), 3, 6))
-    return Recording(steps, times, np.array(balls_m, dtype=float), true, 1.0, 0.0)
-
-
-def test_an_estimator_is_judged_before_it_learns_and_errors_add_up():
-    balls_m = [[0.01, 0.0, 0.0], [0.0, 0.02, 0.0], [0.0, 0.02, 0.0]]
-    track = judge(KnowsTheLastStep(), made_up(balls_m), True)
+    broyden = create_estimator("broyden", None, {"online.initial": "zero", "online.gain": 1.0})
+    recording = Recording(steps, times, balls_m, np.ones((3, 3, 6)), 1.0, 0.0)
+    track = judge(broyden, recording, True)
     np.testing.assert_allclose(track.t1_m, [0.01, np.hypot(0.01, 0.02), 0.0], atol=1e-15)
     # the errors (10, 0), (-10, 20) and (0, 0) mm, summed up
     np.testing.assert_allclose(track.t2_m, [0.01, 0.02, 0.02], atol=1e-15)

@@ -81,7 +81,7 @@ def wait_for_state(harness, page, state):
     harness.spin_until(lambda: states(page) == state, 15.0, f"{state} on the page", page.text)
 
 
-def set_target(harness, page, position):
+def set_target(page, position):
     page.set(TARGET, tuple(float(value) for value in position))
     page.press("Go")
 
@@ -127,7 +127,7 @@ def test_the_arm_goes_where_the_page_says_and_stops_at_a_press(loop):
     page.drag_target(halfway, there)
     harness.spin_until(robot.moving, what="the arm to move again")
     harness.spin_until(lambda: np.linalg.norm(robot.ball - there) < 0.005, what="the ball there")
-    set_target(harness, page, target)
+    set_target(page, target)
     harness.spin_until(robot.moving, what="the arm to move once more")
     page.press("Stop")
     harness.spin_until(robot.standing, what="zeros")
@@ -141,7 +141,7 @@ def test_what_the_controller_refuses_stands_on_the_page(loop):
     def stands(name, words):
         return re.search(f'id="fvs-{name}"[^>]*>[^<]*{words}', page.text()) is not None
 
-    set_target(harness, page, (0.0, 0.0, 9.0))
+    set_target(page, (0.0, 0.0, 9.0))
     harness.spin_until(lambda: stands("refusal", "refused: z"), 10.0, "the refusal", page.text)
     start(harness, page)
     harness.spin_until(lambda: page.value("Law") == "ftsm", what="the law that runs")
@@ -163,7 +163,7 @@ def test_what_the_controller_refuses_stands_on_the_page(loop):
 
 def test_a_controller_that_is_gone_shows_and_a_later_one_waits_for_a_target(ros_module, loop):
     harness, _, controller, process, page = loop
-    set_target(harness, page, (0.0, 0.1, 1.4))
+    set_target(page, (0.0, 0.1, 1.4))
     wait_for_state(harness, page, "READY")
     harness.stop(controller)
     wait_for_state(harness, page, "SILENT")
@@ -195,7 +195,7 @@ def test_a_stop_is_heard_while_others_want_the_processor(loop):
     ]
     try:
         harness.spin_for(2.0)
-        set_target(harness, page, robot.ball + np.array([0.15, -0.05, 0.05]))
+        set_target(page, robot.ball + np.array([0.15, -0.05, 0.05]))
         harness.spin_until(robot.moving, what="the arm to move")
         page.press("Stop")
         harness.spin_until(robot.standing, 1.5, "zeros")

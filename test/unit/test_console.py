@@ -1,8 +1,6 @@
 """Standard output and error that never wait, in processes of their own."""
 
-import fcntl
 import os
-import pty
 import subprocess
 import sys
 
@@ -51,28 +49,6 @@ with console.never_blocking():
 """)
     assert done.returncode == 1
     assert done.stderr.endswith("KeyError: 'the crash'\n")
-
-
-@pytest.mark.parametrize("terminal", [True, False])
-def test_a_terminal_stays_one_and_is_left_as_it_was(terminal):
-    ours, theirs = pty.openpty() if terminal else os.pipe()
-    flags = fcntl.fcntl(theirs, fcntl.F_GETFL)
-    environment = {k: v for k, v in os.environ.items() if k != "RCUTILS_COLORIZED_OUTPUT"}
-    done = run(
-        """
-with console.never_blocking():
-    assert not os.isatty(2) and not sys.stdout.isatty()
-    print(sys.stderr.isatty(), os.environ.get("RCUTILS_COLORIZED_OUTPUT"), file=sys.stderr)
-""",
-        stdout=subprocess.DEVNULL,
-        stderr=theirs,
-        env=environment,
-    )
-    assert os.read(ours, 4096).split() == ([b"True", b"1"] if terminal else [b"False", b"None"])
-    assert fcntl.fcntl(theirs, fcntl.F_GETFL) == flags
-    os.close(ours)
-    os.close(theirs)
-    assert done.returncode == 0
 
 
 @pytest.mark.parametrize("program", ["fvs_lab.main", "fvs_tools.launcher", "fvs_tools.train"])

@@ -44,12 +44,3 @@ def test_ball_and_target_are_drawn_where_the_image_itself_shows_them(picture):
 def test_a_target_behind_the_camera_or_far_outside_is_not_drawn(picture, where_m):
     picture.add_image(0.0, 10.0, BLACK)
     assert not picture.newest(np.array(where_m)).any()
-
-
-def test_an_empty_picture_says_what_it_waits_for_and_an_old_one_its_age(picture):
-    picture.waits_for = "no picture: no node publishes camera/color/image_raw"
-    assert picture.words(0.0) == picture.waits_for
-    picture.add_image(0.2, 10.0, BLACK)
-    assert picture.newest(None) is not None
-    assert picture.newest(None) is None  # unchanged
-    assert [picture.words(now_s) for now_s in (2.0, 3.2)] == ["", "the picture is 3 s old"]

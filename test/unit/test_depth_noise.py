@@ -37,15 +37,3 @@ def test_half_of_an_edge_is_lost_and_nothing_beside_it(jump_m, scale, share):
     values = noisy(depth, scale)
     assert np.mean(values[:, 149:151] == 0.0) == pytest.approx(share, abs=0.06)
     assert np.mean(values[:, 140:149] == 0.0) < 0.02
-
-
-def test_scale_zero_is_the_ideal_camera_and_the_seed_decides():
-    depth = np.random.default_rng(1).uniform(0.5, 2.0, (50, 50)).astype(np.float32)
-    values = noisy(depth, scale=0.0)
-    np.testing.assert_array_equal(values, depth)
-    assert values is not depth
-    depth[40:] = 0.0
-    wild = noisy(depth, scale=20.0)
-    assert wild.min() == 0.0 == wild[40:].max()
-    np.testing.assert_array_equal(noisy(flat(), seed=3), noisy(flat(), seed=3))
-    assert np.any(noisy(flat(), seed=3) != noisy(flat(), seed=4))

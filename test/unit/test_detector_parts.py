@@ -1,7 +1,6 @@
 """Pairing by stamps, and the gate against jumps: whatever comes in whatever order."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -24,25 +23,6 @@ def frames(*numbers, offset_ms=0):
     for n in numbers:
         yield "colour", 100 * n // 3
         yield "depth", 100 * n // 3 + offset_ms
-
-
-def test_the_nearest_within_the_tolerance_is_taken_and_an_offset_beyond_it_is_reported():
-    assert feed(Pairing(0.015), frames(*range(5))) == [(t, t) for t in (0, 33, 66, 100, 133)]
-    assert feed(Pairing(0.015), [("depth", 88), ("depth", 104), ("colour", 100)]) == [(100, 104)]
-    pairing = Pairing(0.005)
-    assert feed(pairing, frames(1, 2, 3, 4, offset_ms=9)) == []
-    assert pairing.offset_s == pytest.approx(0.009)
-
-
-def test_repeated_late_and_lost_images_pair_nothing():
-    pairing = Pairing(0.015)
-    assert len(feed(pairing, frames(10, 11))) == 2
-    assert feed(pairing, frames(11, 11, 10, 9, 11)) == []
-    assert pairing.repeats > 0
-    assert feed(pairing, frames(12)) == [(400, 400)]
-    assert pairing.repeats == 0
-    lossy = [event for event in frames(13, 14, 15) if event != ("depth", 466)]
-    assert [colour for colour, _ in feed(pairing, lossy)] == [433, 500]
 
 
 STAMPS_MS = st.integers(-50, 400) | st.sampled_from([-(10**9), 10**9, 10**6])

@@ -68,17 +68,10 @@ def test_a_camera_that_was_moved_meanwhile_is_named_first():
     assert 0 < note.index("moved the camera") < note.index("joint names")
 
 
-@pytest.mark.parametrize(
-    ("late_s", "words"),
-    [
-        (0.25, ("200 ms late or more", "stamp_delay_s")),
-        (-0.25, ("200 ms early or more", "NTP")),
-    ],
-)
-def test_more_delay_than_is_looked_for_is_named_first(late_s, words):
+@pytest.mark.parametrize("late_s", [0.25, -0.25])
+def test_more_delay_than_is_looked_for_is_named_first(late_s):
     notes = notes_of(Recording(seconds=20.0, late_s=late_s, outliers=0.0))
-    for one in words:
-        assert one in notes[0]
+    assert f"200 ms {'late' if late_s > 0.0 else 'early'} or more" in notes[0]
     assert not any("corrected here" in note for note in notes)
 
 

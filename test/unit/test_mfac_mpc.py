@@ -142,6 +142,3 @@ def test_the_printed_mpc_form_misses_the_minimum_unless_q_is_a_multiple_of_the_i
         assert mpc_cost(printed, error, JACOBIAN, weight) > 1.02 * least
     right, printed = both(0.07 * np.eye(6))
     np.testing.assert_allclose(printed, right, rtol=1e-10)
-
-
-# --- both ---

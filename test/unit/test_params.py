@@ -1,9 +1,7 @@
-from dataclasses import dataclass, field
-
 import numpy as np
 import pytest
 
-from fvs_ros.params import Parameter, ParameterError, Parameters, ParameterSet, parameter
+from fvs_ros.params import Parameter, ParameterError, ParameterSet
 
 GAIN = Parameter("gain", 1.0, "A gain.", minimum=0.0, maximum=10.0)
 BOX = Parameter("box", [0.1] * 3, "A box.", minimum=0.0, broadcast=True)
@@ -38,32 +36,3 @@ def test_a_set_knows_its_names():
         parameters.values({"gian": 3})
     with pytest.raises(ValueError, match="declared twice"):
         ParameterSet([GAIN, GAIN])
-
-
-@dataclass(frozen=True)
-class Limits(Parameters):
-    speed_rad_s: float = parameter(1.0, "Fastest.", 0.01, 3.0, live=True)
-    box_m: tuple[float, ...] = parameter((0.1, 0.2), "A box.", 0.0, size=2)
-
-
-@dataclass(frozen=True)
-class Whole(Parameters):
-    law: str = parameter("ftsm", "A law.", choices=("ftsm", "mpc"))
-    limits: Limits = field(default_factory=Limits)
-    inner: int = 3  # no parameter
-
-
-def test_a_dataclass_declares_its_fields_and_those_of_its_parts():
-    declared = {one.name: one for one in Whole.declared("arm.")}
-    assert list(declared) == ["arm.law", "arm.speed_rad_s", "arm.box_m"]
-    assert declared["arm.box_m"].default == [0.1, 0.2]
-    assert (declared["arm.speed_rad_s"].live, declared["arm.law"].live) == (True, False)
-    ParameterSet(declared.values())
-
-
-def test_a_dataclass_is_made_of_values_and_checks_them():
-    made = Whole.from_values({"arm.law": "mpc", "arm.box_m": [1, 2], "other": 7}, "arm.")
-    assert made == Whole("mpc", Limits(box_m=(1.0, 2.0)))
-    for wrong in ({"speed_rad_s": 4.0}, {"box_m": [1.0]}, {"law": "pid"}):
-        with pytest.raises(ParameterError, match=next(iter(wrong))):
-            Whole.from_values(wrong)

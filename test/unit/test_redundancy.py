@@ -96,13 +96,3 @@ def test_damping_slows_each_direction_by_its_singular_value():
     wanted = vt.T @ (w / (w**2 + mu) * (u.T @ VELOCITY))
     got = DampedInverse(damping=mu).joint_velocity(jacobian, VELOCITY)
     np.testing.assert_allclose(got, wanted, atol=1e-12)
-
-
-def test_the_posture_term_moves_the_joints_and_not_the_ball():
-    jacobian = RNG.normal(size=(3, 6))
-    home = np.array([0.3, -1.0, 1.0, -1.0, -1.5, 0.2])
-    joints = home + 0.05 * RNG.normal(size=6)
-    plain = DampedInverse(1e-9).joint_velocity(jacobian, VELOCITY, joints, home)
-    pulled = DampedInverse(1e-9, 1.0).joint_velocity(jacobian, VELOCITY, joints, home)
-    np.testing.assert_allclose(jacobian @ pulled, jacobian @ plain, atol=1e-7)
-    assert (pulled - plain) @ (home - joints) > 0.0

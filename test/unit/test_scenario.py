@@ -40,13 +40,10 @@ def test_overrides_go_to_the_nodes_that_have_the_parameter():
     ("name", "overrides", "scheme_name", "words"),
     [
         ("demo", ["law=mpc"], "", "not of the form name:=value"),
-        ("demo", ["law:=ftsn"], "", "fvs_controller_node .*law must be .*; did you mean ftsm[?]"),
         ("demo", ["fvs_sim_node:law:=ftsm"], "", "unknown parameter 'law'"),
-        ("demo", ["fvs_recorder_node:images:=false"], "", "unknown node of demo.yaml"),
         ("demo", [], "pid", r"did you mean rbf\+pid\? known are proposed, rbf\+pid"),
         ("collect", [], "proposed", "needs fvs_estimator_node and fvs_controller_node, which coll"),
         ("nowhere.yaml", [], "", r"no file nowhere\.yaml; looked in .*config"),
-        ("dmeo", [], "", r"did you mean demo\? known are .*, servo, ur5_real"),
     ],
 )
 def test_a_wrong_command_line_is_refused_in_words(name, overrides, scheme_name, words):
@@ -58,11 +55,8 @@ def test_a_wrong_command_line_is_refused_in_words(name, overrides, scheme_name, 
     ("text", "words"),
     [
         ("- a\n- b\n", "must map node names"),
-        ("fvs_sim_node: 3\n", "must hold ros__parameters"),
         ("fvs_sim_node: {ros__parameters: {}, more: 1}\n", "and nothing else"),
         ("some_node: {ros__parameters: {}}\n", "unknown node .* known are fvs_sim_node"),
-        ("{}\n", "names no node"),
-        ("a: \0", "it is binary, expected text"),
     ],
 )
 def test_a_file_that_is_no_scenario_is_refused_in_words(tmp_path, text, words):
@@ -107,9 +101,7 @@ def test_recorder_and_markers_share_frame_and_time_with_the_loop(tmp_path):
     assert list(load_scenario("demo", markers=True)) == [*loop, MARKERS]
 
 
-@pytest.mark.parametrize(
-    "rule", ["a", "a:=", ":=b", "a:=b;c", "a:=$(id)", "-p:=x", "a:= b", "a:=b\n"]
-)
+@pytest.mark.parametrize("rule", ["a", "a:=", ":=b", "a:=$(id)", "-p:=x", "a:=b\n"])
 def test_what_is_no_remap_rule_is_refused(rule):
     with pytest.raises(ValueError, match="not of the form"):
         checked_remap(rule)

@@ -7,7 +7,6 @@ from recordings import Recording, relative_error
 
 from fvs_estimator_node.dataset import DataSet, load_data_set, save_data_set
 from fvs_estimator_node.model_file import load_model
-from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_ros.stop import EXIT_FAILURE
 from fvs_tools.train import main
 
@@ -82,37 +81,42 @@ def test_interrupted_it_writes_nothing_and_says_so(data_file, tmp_path, capsys, 
     assert not model.exists()
 
 
-def refused(arguments, capsys):
-    assert main([str(a) for a in arguments]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    lines = captured.err.strip().splitlines()
-    assert len(lines) == 1
-    assert lines[0].startswith("fvs_train: ")
-    return lines[0]
+def changed(path, change):
+    """A data set changed in place."""
+    save_data_set(path, change(load_data_set(path)))
+    return path
 
 
-def test_bad_input_is_one_sentence_and_code_2(data_file, tmp_path, capsys):
-    model = tmp_path / "model.npz"
-    assert "does not exist" in refused([tmp_path / "no.npz", "-o", model], capsys)
-    (tmp_path / "text.npz").write_text("hello")
-    assert "not a readable" in refused([tmp_path / "text.npz", "-o", model], capsys)
-    assert "neurons must" in refused([data_file, "-o", model, "--neurons", "0"], capsys)
-    structured = [data_file, "-o", model, "--method", "poe"]
-    assert "neurons must" in refused([*structured, "--neurons", "0"], capsys)
-    assert "folder" in refused([data_file, "-o", tmp_path / "no" / "model.npz"], capsys)
-    assert "is a folder" in refused([data_file, "-o", tmp_path], capsys)
-    data = load_data_set(data_file)
-    save_data_set(data_file, replace(data, joint_names=tuple(sorted(UR_JOINT_NAMES))))
-    assert "joint order" in refused([data_file, "-o", model], capsys)
-    few = replace(
-        data,
-        stamps_s=data.stamps_s[:20],
-        joints_rad=data.joints_rad[:20],
-        ball_m=data.ball_m[:20],
-        segment=data.segment[:20],
-    )
-    save_data_set(data_file, few)
-    assert "expected at least" in refused([data_file, "-o", model], capsys)
-    assert "a chain needs at least 200 images" in refused(structured, capsys)
+def first_20(data):
+    names = ("stamps_s", "joints_rad", "ball_m", "segment")
+    return replace(data, **{name: getattr(data, name)[:20] for name in names})
+
+
+@pytest.mark.parametrize(
+    ("data_of", "options", "words"),
+    [
+        (lambda path: path.parent / "no.npz", (), "does not exist"),
+        (lambda path: path, ("--neurons", "0"), "neurons must"),
+        (lambda path: path, ("--method", "poe", "--neurons", "0"), "neurons must"),
+        (lambda path: path, ("-o", "/nowhere/model.npz"), "folder"),
+        (
+            lambda path: changed(
+                path, lambda data: replace(data, joint_names=tuple(sorted(data.joint_names)))
+            ),
+            (),
+            "joint order",
+        ),
+        (lambda path: changed(path, first_20), (), "expected at least"),
+        (lambda path: changed(path, first_20), ("--method", "poe"), "at least 200 images"),
+    ],
+    ids=range(7),
+)
+def test_bad_input_is_one_sentence_and_code_2(data_file, capsys, data_of, options, words):
+    model = data_file.parent / "model.npz"
+    assert main([str(data_of(data_file)), "-o", str(model), *options]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("fvs_train: ")
+    assert said.err.count("\n") == 1
+    assert words in said.err
     assert not model.exists()

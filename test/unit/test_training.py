@@ -1,9 +1,15 @@
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from ur5_dh import (
+    BOX_M_RAD,
+    HOME_RAD,
+    ball_and_jacobian,
+    jacobian_error,
+    uniform_in_box,
+)
 
 from fvs_estimator_node.dataset import DataSet
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
@@ -11,16 +17,6 @@ from fvs_estimator_node.training import (
     TrainingError,
     TrainingOptions,
     train,
-)
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from ur5_dh import (
-    BOX_M_RAD,
-    HOME_RAD,
-    ball_and_jacobian,
-    jacobian_error,
-    uniform_in_box,
 )
 
 NOISE_M = 1e-3
