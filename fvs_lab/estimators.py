@@ -17,25 +17,22 @@ from fvs_lab.smooth_motion import SPEED_RAD_S, WIGGLE_S, Recording, Track, judge
 from fvs_lab.trials import Conditions, simulation_of
 from fvs_tools.closed_loop import make_estimator
 
-#: Tuning motions are numbered from here, far from any scored motion's number.
-TUNING_SEEDS = (9001, 9002, 9003)
 #: Length of one point of a curve against time, s.
 _BIN_S = 0.5
-#: A faster update than the default, and a filter that hardly believes in noise, for comparison.
-FAST_N1, FAST_PROCESS_NOISE = 3.0, 10.0
+#: A filter that hardly believes in noise, for comparison.
+FAST_PROCESS_NOISE = 10.0
 #: Standard deviation of an entry of a Jacobian that begins at zero, m/rad.
 IGNORANCE_M_RAD = 0.5
 
 # ---- contestants ----------------------------------------------------------------------------
 
-_FILTER_GRID = ("online.process_noise", (1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1))
-#: Each method's one free parameter of the node, and eight values that it is tuned over.
-GRIDS: Mapping[str, tuple[str, tuple[float, ...]]] = {
-    "rbf": ("rbf.n1", (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)),
-    "lkf": _FILTER_GRID,
-    "ukf": _FILTER_GRID,
-    "rls": ("online.forgetting", (0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98)),
-    "broyden": ("online.gain", (0.03, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 0.8)),
+#: Each method's one free parameter of the node, by the start: of eight values the one with the
+#: least median T1 on three other paths, with 1 mm of noise and an exact camera.
+TUNED: Mapping[str, tuple[str, Mapping[str, float]]] = {
+    "lkf": ("online.process_noise", {"explored": 0.01, "model": 0.01, "zero": 0.01}),
+    "ukf": ("online.process_noise", {"explored": 0.01, "model": 0.01}),
+    "rls": ("online.forgetting", {"explored": 0.85, "model": 0.7}),
+    "broyden": ("online.gain", {"explored": 0.3, "model": 0.3}),
 }
 
 
@@ -46,17 +43,11 @@ class Contestant:
     #: In the data, and for readers.
     name: str
     label: str
-    #: By the estimators' registry's name, and parameters of the node that are not tuned.
+    #: By the estimators' registry's name, and parameters of the node.
     method: str
     values: Mapping[str, Any] = field(default_factory=dict)
-    #: The contestant whose tuned value it takes, itself or another; empty for none.
-    tuned_as: str = ""
     #: Whether it learns from the wiggling before the scored motion.
     hears_prelude: bool = True
-
-    def with_value(self, value: float) -> Contestant:
-        """The same with another value of the parameter that may be tuned."""
-        return replace(self, values={**self.values, GRIDS[self.method][0]: value})
 
     def judged(self, recording: Recording, conditions: Conditions) -> Track:
         """How well it does on a recording."""
@@ -68,43 +59,35 @@ _LABELS = {"lkf": "LKF", "ukf": "UKF", "rls": "RLS", "broyden": "Broyden"}
 _STARTS = {"explored": "explored", "model": "networks' start", "zero": "from zero"}
 
 
-def _started(method: str, start: str, tuned_as: str = "") -> Contestant:
-    """A method with one of three starts; tuned by itself unless another's value is named."""
-    values: dict[str, Any] = {}
+def _started(method: str, start: str) -> Contestant:
+    """A method with one of three starts."""
+    parameter, tuned = TUNED[method]
+    values: dict[str, Any] = {parameter: tuned[start]}
     if start != "model":
         values["online.initial"] = "zero"
         if method != "broyden":  # which has no notion of how wrong it may be
             values["online.initial_deviation_m_rad"] = IGNORANCE_M_RAD
-    name, label = f"{method}_{start}", f"{_LABELS[method]}, {_STARTS[start]}"
-    return Contestant(name, label, method, values, tuned_as or name, start == "explored")
+    label = f"{_LABELS[method]}, {_STARTS[start]}"
+    return Contestant(f"{method}_{start}", label, method, values, start == "explored")
 
 
 _EXPLORED = _started("lkf", "explored")
-_FAST_LABEL = f"LKF, explored, process noise {FAST_PROCESS_NOISE:g}"
-_FAST = replace(_EXPLORED, name="lkf_fast", label=_FAST_LABEL, tuned_as="")
-#: All of them, by name; a UKF takes the LKF's tuned value, for they are one filter.
+#: All of them, by name.
 CONTESTANTS = {
     one.name: one
     for one in (
         Contestant("rbf", f"proposed, n1 = {RbfConfig.n1:g}", "rbf"),
-        Contestant("rbf_fast", f"proposed, n1 = {FAST_N1:g}", "rbf", {"rbf.n1": FAST_N1}),
-        Contestant("rbf_tuned", "proposed, n1 tuned", "rbf", tuned_as="rbf_tuned"),
         Contestant("frozen", "networks, frozen", "frozen"),
-        _EXPLORED,
-        _started("ukf", "explored", "lkf_explored"),
-        _started("lkf", "model"),
-        _started("ukf", "model", "lkf_model"),
-        _started("lkf", "zero", "lkf_explored"),
-        _FAST.with_value(FAST_PROCESS_NOISE),
-        _started("rls", "explored"),
-        _started("rls", "model"),
-        _started("broyden", "explored"),
-        _started("broyden", "model"),
+        *(_started(method, start) for method, (_, starts) in TUNED.items() for start in starts),
+        replace(
+            _EXPLORED,
+            name="lkf_fast",
+            label=f"LKF, explored, process noise {FAST_PROCESS_NOISE:g}",
+            values={**_EXPLORED.values, "online.process_noise": FAST_PROCESS_NOISE},
+        ),
         Contestant("oracle", "true Jacobian (oracle)", "oracle"),
     )
 }
-#: Those that have a search of their own.
-SEARCHED = tuple(one for one in CONTESTANTS.values() if one.tuned_as == one.name)
 #: Those that the paper compares the proposed one with, in all their starts.
 _FILTERS = ("lkf_explored", "lkf_model", "lkf_zero", "ukf_explored", "ukf_model")
 _RLS = ("rls_explored", "rls_model")
@@ -144,87 +127,40 @@ DRAWN = (CLEAN, NOISE, _turned(20.0))
 _WORLDS = (CLEAN, NOISE, *map(_turned, (10.0, 20.0, 30.0)))
 
 
-@dataclass(frozen=True)
-class Job:
-    """One recording and those who are judged on it."""
-
-    world: World
-    conditions: Conditions
-    seed: int
-    duration_s: float
-    contestants: tuple[Contestant, ...]
-
-
-def judge_all(job: Job) -> list[dict[str, Any]]:
-    """Make a recording, judge all on it, and return their rows."""
-    recording = record(job.seed, job.conditions, job.duration_s)
-    tracks = {one.name: one.judged(recording, job.conditions) for one in job.contestants}
+def judge_all(job: tuple[World, Conditions, int, float]) -> list[dict[str, Any]]:
+    """Make a recording (world, its conditions, seed, length in s), and judge all on it."""
+    world, conditions, seed, duration_s = job
+    recording = record(seed, conditions, duration_s)
+    tracks = {one.name: one.judged(recording, conditions) for one in CONTESTANTS.values()}
     rows = []
-    for one in job.contestants:
+    for one in CONTESTANTS.values():
         track = tracks[one.name]
         row = {
-            "world": job.world.name,
+            "world": world.name,
             "name": one.name,
             "estimator": one.label,
             "method": one.method,
-            "case": job.seed,
+            "case": seed,
             **track.summary(),
             "median_step_m": float(np.median(track.motion_m)),
             "visible_share": recording.visible_share,
             "position_error_rms_m": recording.position_error_m,
-            "series": track.means(job.duration_s, _BIN_S),
+            "series": track.means(duration_s, _BIN_S),
         }
-        twin = tracks.get(one.name.replace("ukf", "lkf"))
-        if one.method == "ukf" and twin is not None:
+        if one.method == "ukf":
+            twin = tracks[one.name.replace("ukf", "lkf")]
             row["lkf_difference_m_rad"] = float(np.abs(track.jacobian - twin.jacobian).max())
         rows.append(row)
     return rows
 
 
-def _tuning_t1_m(job: Job) -> dict[str, list[float]]:
-    """T1, m, of each value of each contestant's grid, on one tuning motion."""
-    recording = record(job.seed, job.conditions, job.duration_s)
-    return {
-        one.name: [
-            one.with_value(value).judged(recording, job.conditions).summary()["t1_m"]
-            for value in GRIDS[one.method][1]
-        ]
-        for one in job.contestants
-    }
-
-
-def _tune(context: lab.Context, duration_s: float) -> dict[str, dict[str, Any]]:
-    """Choose the free number of each on motions that are not scored, with the exact camera."""
-    exact = replace(context, rendered=False)
-    jobs = [
-        Job(NOISE, NOISE.conditions(exact, seed), seed, duration_s, SEARCHED)
-        for seed in TUNING_SEEDS
-    ]
-    results = context.map(_tuning_t1_m, jobs, "estimators: tuning")
-    tuning = {}
-    for one in SEARCHED:
-        parameter, values = GRIDS[one.method]
-        t1_m = np.median([result[one.name] for result in results], axis=0)
-        chosen = values[int(np.argmin(t1_m))]
-        tuning[one.name] = {
-            "parameter": parameter, "values": values, "t1_m": t1_m, "chosen": chosen
-        }  # fmt: skip
-    return tuning
-
-
 def measure(context: lab.Context) -> lab.Found:
-    """Record, tune and judge."""
+    """Record and judge."""
     duration_s = 8.0 if context.quick else 20.0
     seeds = range(1, context.count(default=6, quick=1) + 1)
     worlds = DRAWN if context.quick else _WORLDS
-    tuning = {} if context.quick else _tune(context, duration_s)
-    contestants = tuple(
-        one.with_value(tuning[one.tuned_as]["chosen"]) if one.tuned_as in tuning else one
-        for one in CONTESTANTS.values()
-        if one.name != "rbf_tuned" or tuning  # untuned, it would only be the first one again
-    )
     jobs = [
-        Job(world, world.conditions(context, seed), seed, duration_s, contestants)
+        (world, world.conditions(context, seed), seed, duration_s)
         for world in worlds
         for seed in seeds
     ]
@@ -242,11 +178,10 @@ def measure(context: lab.Context) -> lab.Found:
         },
         "step_mm": 1e3 * float(np.median(runs.where(world="noise").values("median_step_m"))),
         "visible_percent": 100 * min(runs.values("visible_share")),
-        "tuning": len(TUNING_SEEDS) if tuning else 0,
         "largest_turn_deg": max(world.turn_deg for world in worlds),
         "labels": {world.name: world.label for world in worlds},
     }
-    data = {"seeds": list(seeds), "tuning": tuning, "contestants": contestants, "worlds": worlds}
+    data = {"seeds": list(seeds), "contestants": CONTESTANTS, "worlds": worlds}
     return lab.Found(runs, facts, data)
 
 
@@ -336,7 +271,6 @@ TABLES = (lab.TableOf("world", ("estimator",), _COLUMNS, each="world"),)
 #: Estimators that are drawn, with style and width (points) of the line.
 _LINES = {
     "rbf": ("-", 2.6),
-    "rbf_fast": ("--", 1.6),
     "frozen": ("-", 2.2),
     "lkf_explored": ("-", 1.6),
     "ukf_explored": ("-", 6.0),
