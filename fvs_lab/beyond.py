@@ -45,21 +45,13 @@ def measure(context: lab.Context) -> lab.Found:
         print(f"   about {140 * count / 60 / context.jobs:.0f} minutes", flush=True)
     cases = make_cases("B", count, 410)
     found = _searched(context)
-    minutes = context.map(moved.learn, _minutes(context, max(1, count // 3)), "minutes of data")
-    plants = [
-        (plant, minute)
-        for plant, changes in moved.ERRING.items()
-        for minute in _minutes(context, max(1, count // 10), **changes)
-    ]
-    assessments = context.map(moved.assess, plants, "minutes of plants that err")
+    minutes = _minutes(context, count)
     floors = context.map(partial(floor_of, limits=_LIMITS), cases, "the floor")
     races = _over_floors(_races(context, found, cases), cases, floors)
     rendered = _rendered(context, cases[: max(1, 4 * count // 15)], races)
     camera = moved.with_slowdown(_journeys(context, count))
-    runs = Results(
-        [*minutes, *assessments, *races, *rendered, *camera, *_worlds(context, cases),
-         *_pursuits(context, max(1, count // 20))]
-    )  # fmt: skip
+    followed = _pursuits(context, max(1, count // 20))
+    runs = Results([*minutes, *races, *rendered, *camera, *_worlds(context, cases), *followed])
     # The nodes have a rendered camera, whatever the laboratory uses.
     checked = {
         name + words: who.variant(name).trial(cases[0], conditions)
@@ -89,7 +81,7 @@ def _facts(context: lab.Context, runs: Results, floors: Sequence[Floor]) -> dict
         "later_ms": (min(later_ms), max(later_ms)),
         "count": len(floors),
         "pictured": len(later[who.BEST]),
-        "minutes": len(runs.where(part="minute")),
+        "minutes": len(runs.where(part="minute", plant=moved.USUAL)),
         "floors": {
             bound: median([one.least_s[bound] for one in floors]).text() for bound in BOUNDS_M
         },
@@ -99,11 +91,16 @@ def _facts(context: lab.Context, runs: Results, floors: Sequence[Floor]) -> dict
 # ---- runs -----------------------------------------------------------------------------------
 
 
-def _minutes(context: lab.Context, count: int, **changes: Any) -> list[moved.Minute]:
+def _minutes(context: lab.Context, count: int) -> list[dict[str, Any]]:
+    """Recordings of the plant as it is, and fewer of each plant that errs."""
     duration_s = moved.MINUTE_S / 6 if context.quick else moved.MINUTE_S
+    recordings = [
+        (plant, 401 + number, duration_s, context.conditions(**changes))
+        for plant, changes in moved.ERRING.items()
+        for number in range(max(1, count // (3 if plant == moved.USUAL else 10)))
+    ]
     places = moved.draw_places(400, 20 if context.quick else 200)
-    conditions = context.conditions(**changes)
-    return [moved.Minute(401 + number, duration_s, conditions, places) for number in range(count)]
+    return context.map(partial(moved.learn, places=places), recordings, "minutes of data")
 
 
 def _searched(context: lab.Context) -> dict[str, list[Tuned]]:
@@ -184,12 +181,12 @@ def _journeys(context: lab.Context, count: int) -> Results:
     parts = {who.SHAKEN[:_JUDGED]: 37 * count // 30, who.SHAKEN[_JUDGED:]: count // 6}
     if context.quick:
         parts = {who.SHAKEN[:_JUDGED]: 1}
-    journeys = [
-        journey
+    runs = [
+        (labels, replace(trial, conditions=context.conditions()))
         for names, share in parts.items()
-        for journey in moved.draw_journeys(max(1, share), 505, names, context.conditions())
+        for labels, trial in moved.journeys(max(1, share), 505, names)
     ]
-    return Results(context.map(moved.run_journey, journeys, "moved cameras"))
+    return context.score(runs, "moved cameras")
 
 
 def _worlds(context: lab.Context, cases: Sequence[Case]) -> Results:
@@ -205,15 +202,13 @@ def _worlds(context: lab.Context, cases: Sequence[Case]) -> Results:
     return context.run(variants, cases, "other worlds")
 
 
-def _pursuits(context: lab.Context, count: int) -> Results:
-    pursuits = [
-        moved.Pursuit(name, path, speed_m_s, feed_forward, context.conditions())
-        for path in moved.draw_paths(count, 405)[: 1 if context.quick else None]
-        for speed_m_s in (moved.SPEEDS_M_S[2:3] if context.quick else moved.SPEEDS_M_S)
-        for feed_forward in (True, False)
-        for name in who.FOLLOWERS
+def _pursuits(context: lab.Context, count: int) -> Iterator[dict[str, Any]]:
+    speeds_m_s = moved.SPEEDS_M_S[2:3] if context.quick else moved.SPEEDS_M_S
+    runs = [
+        (labels, replace(trial, conditions=context.conditions()))
+        for labels, trial in moved.pursuits(count, 405, speeds_m_s, who.FOLLOWERS)
     ]
-    return Results(context.map(moved.run_pursuit, pursuits, "moving targets"))
+    return map(moved.tracking_error, context.score(runs, "moving targets"))
 
 
 # ---- claims ---------------------------------------------------------------------------------
@@ -236,8 +231,9 @@ def claims(found: lab.Found) -> Iterator[lab.Claim]:
     parts = found.runs.groups("part")
     races, worlds = parts["race"].groups("scheme"), parts["world"]
     for claim, columns in _MINUTE.items():
-        yield lab.ours(claim, *(_largest(parts["minute"], *column) for column in columns))
-    honesty = parts["assessment"].values("honesty")
+        usual = parts["minute"].where(plant=moved.USUAL)
+        yield lab.ours(claim, *(_largest(usual, *column) for column in columns))
+    honesty = parts["minute"].values("honesty")
     honest = sum(1.0 / HONEST <= ratio <= HONEST for ratio in honesty)
     label = f"recordings within a factor of {HONEST:g}"
     yield lab.ours("honest", lab.share_above(label, wilson(honest, len(honesty)), MOST))
@@ -350,13 +346,13 @@ TABLES = (
             "distilled_box:range",
             "late_error_s:range",
         ),
-        {"part": "minute"},
+        {"part": "minute", "plant": moved.USUAL},
     ),
     lab.TableOf(
         "assessments",
         ("plant",),
-        ("stated", "seen", "metric", "honesty:range"),
-        {"part": "assessment"},
+        ("stated", "seen", "chain_box", "honesty:range"),
+        {"part": "minute"},
     ),
     lab.TableOf(
         "races",

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from fvs_controller_node.reasons import State
 from fvs_estimator_node.chain_fit import fit_chain
 from fvs_estimator_node.dataset import DataSet, data_set_of
 from fvs_estimator_node.distilling import train_structured
@@ -29,27 +29,15 @@ MOST_LATE_S = 0.1
 
 #: What may err in a plant, and how its conditions differ: the calibration by as much as that of a
 #: depth camera off the shelf, encoders and drives far worse than a UR's.
+USUAL = "nothing"
 ERRING: Mapping[str, Mapping[str, Any]] = {
-    "nothing": {},
+    USUAL: {},
     "focal length told 1 % too long": {"focal_error": 0.01},
     "focal length told 1 % too short": {"focal_error": -0.01},
     "depths told 0.5 % too large": {"depth_error": 0.005},
     "0.2 mrad of noise on the joints": {"encoder_noise_rad": 0.0002},
     "drives that lag by 100 ms": {"joint_lag_s": 0.1},
 }
-
-
-@dataclass(frozen=True)
-class Minute:
-    """A recording to learn from."""
-
-    #: Of the motion, the noise and the lateness.
-    seed: int
-    #: Length of the motion, s.
-    duration_s: float
-    conditions: trials.Conditions
-    #: Joints at which Jacobians are judged, rad, as of :func:`draw_places`.
-    places: Mapping[str, np.ndarray]
 
 
 def draw_places(seed: int, count: int) -> dict[str, np.ndarray]:
@@ -66,17 +54,20 @@ def draw_places(seed: int, count: int) -> dict[str, np.ndarray]:
     return {"box": box, "workspace": np.array(seen)}
 
 
-def record(minute: Minute) -> tuple[DataSet, float]:
-    """Let the simulated arm move and record as the collector does; how late the images are, s."""
-    rng = np.random.default_rng([minute.seed, 1])
+def record(seed: int, duration_s: float, conditions: trials.Conditions) -> tuple[DataSet, float]:
+    """Let the simulated arm move and record as the collector does; how late the images are, s.
+
+    The seed is that of the motion, the noise and the lateness.
+    """
+    rng = np.random.default_rng([seed, 1])
     late_s = float(rng.uniform(0.0, MOST_LATE_S))
-    simulation = trials.simulation_of(minute.conditions)
-    simulation.reset(trials.HOME_RAD, minute.seed)
-    motion = RandomMotion(trials.HOME_RAD, MotionConfig(minute.duration_s), rng)
+    simulation = trials.simulation_of(conditions)
+    simulation.reset(trials.HOME_RAD, seed)
+    motion = RandomMotion(trials.HOME_RAD, MotionConfig(duration_s), rng)
     matcher = Timeline()
     samples: list[Sample] = []
     joints = simulation.joints_rad
-    while simulation.time_s < minute.duration_s:
+    while simulation.time_s < duration_s:
         simulation.command(motion.command(simulation.time_s, joints))
         out = simulation.advance()
         joints = out.joints_rad
@@ -87,57 +78,49 @@ def record(minute: Minute) -> tuple[DataSet, float]:
     return data_set_of(samples), late_s
 
 
-def learn(minute: Minute) -> dict[str, Any]:
-    """Record a minute, fit and distill, and compare with the true Jacobian.
+def learn(
+    task: tuple[str, int, float, trials.Conditions], places: Mapping[str, np.ndarray]
+) -> dict[str, Any]:
+    """Record a plant (its name, seed, duration, s, and conditions), fit, distil and compare.
 
-    A row: relative errors of the Jacobians (medians over the places) of the chain and of the
-    networks distilled from it; ``fit_s`` of one core; how late the images were stamped, and what
-    the fit says.
+    A row: relative errors of the Jacobians of the chain and of the networks distilled from it,
+    medians over the places of :func:`draw_places`; ``fit_s`` of one core; how late the images were
+    stamped and found to be. In box M also the error ``stated`` by the fit, and that against the
+    Jacobian of where the camera sees the ball (``seen``); ``chain_box`` is that of where it is.
     """
-    data, late_s = record(minute)
+    plant, seed, duration_s, conditions = task
+    data, late_s = record(seed, duration_s, conditions)
     began_s = time.process_time()
-    distilled = train_structured(data, seed=minute.seed)
+    distilled = train_structured(data, seed=seed)
     fit_s = time.process_time() - began_s
-    simulation = trials.simulation_of(minute.conditions)
-    row = {
+    assert distilled.chain is not None
+    simulation = trials.simulation_of(conditions)
+    true = {
+        where: np.array([simulation.true_jacobian(one) for one in joints])
+        for where, joints in places.items()
+    }
+    # how the camera errs is linear
+    errs = np.stack([simulation.as_seen(one) for one in np.eye(true["box"].shape[1])], axis=1)
+    stated = float(np.median(fit_chain(data).jacobian_deviation(places["box"])))
+
+    def off(model: Any, where: str, seen: np.ndarray) -> float:
+        return float(np.median(trials.relative_errors(model.jacobian(places[where]), seen)))
+
+    seen = off(distilled.chain, "box", errs @ true["box"])
+    return {
         "part": "minute",
-        "seed": minute.seed,
+        "plant": plant,
+        "seed": seed,
         "images": len(data),
         "fit_s": fit_s,
-        "late_s": late_s,
-        "found_late_s": distilled.errors["time_offset_s"],
         "late_error_s": abs(distilled.errors["time_offset_s"] - late_s),
+        "chain_box": off(distilled.chain, "box", true["box"]),
+        "chain_workspace": off(distilled.chain, "workspace", true["workspace"]),
+        "distilled_box": off(distilled.model, "box", true["box"]),
+        "stated": stated,
+        "seen": seen,
+        "honesty": stated / seen,
     }
-    assert distilled.chain is not None
-    for where, joints in minute.places.items():
-        true = np.array([simulation.true_jacobian(one) for one in joints])
-        for who, model in (("chain", distilled.chain), ("distilled", distilled.model)):
-            errors = trials.relative_errors(model.jacobian(joints), true)
-            row[f"{who}_{where}"] = float(np.median(errors))
-    return row
-
-
-def assess(task: tuple[str, Minute]) -> dict[str, Any]:
-    """Record a minute of a plant, fit a chain, and compare its error with what the fit says.
-
-    A row: what errs, the error ``stated`` by the fit, and the errors against the Jacobian of where
-    the camera sees the ball (``seen``) and of where it is (``metric``), medians in box M.
-    """
-    plant, minute = task
-    fit = fit_chain(record(minute)[0])
-    simulation = trials.simulation_of(minute.conditions)
-    joints = minute.places["box"]
-    metric = np.array([simulation.true_jacobian(one) for one in joints])
-    # how the camera errs is linear
-    seen = np.stack([simulation.as_seen(one) for one in np.eye(metric.shape[1])], axis=1) @ metric
-    found = fit.chain.jacobian(joints)
-    errors = {
-        "stated": float(np.median(fit.jacobian_deviation(joints))),
-        "seen": float(np.median(trials.relative_errors(found, seen))),
-        "metric": float(np.median(trials.relative_errors(found, metric))),
-    }
-    honesty = errors["stated"] / errors["seen"]
-    return {"part": "assessment", "plant": plant, **errors, "honesty": honesty}
 
 
 # ---- moved cameras --------------------------------------------------------------------------
@@ -153,39 +136,41 @@ CARRIED = f"within {CARRIED_S:g} s while the arm is stopped"
 MOMENTS = (UNDISTURBED, AT_REST, CARRIED, IN_MOTION)
 
 
-@dataclass(frozen=True)
-class Journey:
-    """From the goal of a case to its start, a rest, and back, with a blow to the camera."""
-
-    #: The contestant, and the two ends.
-    name: str
-    case: trials.Case
-    #: How the camera moves (its time does not count), and when, one of ``MOMENTS``.
-    bump: trials.Bump
-    moment: str
-    conditions: trials.Conditions
+#: A run of an experiment: the columns that tell it from the others, and the trial.
+Run = tuple[Mapping[str, Any], trials.Trial]
 
 
-def draw_journeys(
-    count: int, seed: int, names: Sequence[str], conditions: trials.Conditions
-) -> list[Journey]:
-    """Draw cases and blows after which the ball is still seen; for each all moments and names."""
+def journeys(count: int, seed: int, names: Sequence[str]) -> Iterator[Run]:
+    """From the goal of a case to its start, a rest, and back, with a blow to the camera.
+
+    Cases and blows are drawn so that the ball is still seen after the blow; each has all moments
+    and all contestants. Settling times count from the second target on.
+    """
     rng = np.random.default_rng(seed)
-    pairs: list[tuple[trials.Case, trials.Bump]] = []
-    while len(pairs) < count:
-        case = trials.make_cases(f"C{len(pairs) + 1}-", 1, int(rng.integers(2**31)))[0]
+    drawn = 0
+    while drawn < count:
+        case = trials.make_cases(f"C{drawn + 1}-", 1, int(rng.integers(2**31)))[0]
         # About the optical axis, but for a tenth.
         axis = np.append(0.1 * rng.normal(size=2), rng.choice([-1.0, 1.0]))
         shift = rng.normal(size=3)
         bump = trials.Bump(STRUCK_AFTER_S, _vector(axis, 45.0), _vector(shift, 0.1))
-        if _seen_after(bump, case):
-            pairs.append((case, bump))
-    return [
-        Journey(name, case, bump, moment, conditions)
-        for case, bump in pairs
-        for moment in MOMENTS
-        for name in names
-    ]
+        if not _seen_after(bump, case):
+            continue
+        drawn += 1
+        simulation = trials.simulation_of(trials.Conditions())
+        simulation.reset(case.start_rad)
+        first_m = simulation.world.ball_position()
+        for moment in MOMENTS:
+            trial = trials.Trial(
+                trials.Variant(),
+                replace(case, start_rad=case.goal_rad),
+                duration_s=3.5,
+                bump=bump if moment == IN_MOTION else None,
+                before=partial(_visit, first_m, bump, moment),
+            )
+            for name in names:
+                labels = {"part": "camera", "scheme": name, "moment": moment, "case": case.name}
+                yield labels, replace(trial, variant=variant(name))
 
 
 def _vector(direction: np.ndarray, length: float) -> trials.Vector:
@@ -205,32 +190,19 @@ def _seen_after(bump: trials.Bump, case: trials.Case) -> bool:
     return True
 
 
-def run_journey(journey: Journey) -> dict[str, Any]:
-    """Run one journey; a row, whose ``to_5mm_s`` counts from the second target on."""
-    bump, moment, case = journey.bump, journey.moment, journey.case
-    row = {"part": "camera", "scheme": journey.name, "moment": moment, "case": case.name}
-    simulation = trials.simulation_of(journey.conditions)
-    simulation.reset(case.start_rad)
-    first_m = simulation.world.ball_position()
-    simulation.reset(case.goal_rad, case.seed)
-    second_m = simulation.world.ball_position()
-    trial = variant(journey.name).trial(case, journey.conditions, duration_s=3.5)
-    loop = trial.loop(simulation)
-    loop.run(trials.PRELUDE_S)
-    loop.set_target(simulation.camera.to_camera(first_m))
-    loop.run(1.6)
+def _visit(first_m: np.ndarray, bump: trials.Bump, moment: str, one: ClosedLoop) -> None:
+    """Go to a first target, world frame, m, and rest there; the camera moves at its moment."""
+    trials.give_target(one, first_m)
+    one.run(1.6)
     if moment == AT_REST:
-        bump.strike(simulation)
+        bump.strike(one.simulation)
     elif moment == CARRIED:
-        _carry(bump, loop)
+        _carry(bump, one)
     if moment in (AT_REST, CARRIED):
-        loop.set_target(simulation.camera.to_camera(first_m))
-    if moment == CARRIED and not loop.loop.supervisor.start(simulation.time_s)[0]:
-        # The ball was lost on the way to the first target, as undisturbed.
-        return {**row, "to_5mm_s": math.inf}
-    loop.run(REST_S)
-    struck = replace(trial, bump=bump if moment == IN_MOTION else None)
-    return {**row, "to_5mm_s": trials.go(struck, loop, second_m).settled_s}
+        trials.give_target(one, first_m)
+    if moment == CARRIED:
+        one.loop.supervisor.start(one.simulation.time_s)
+    one.run(REST_S)
 
 
 def _carry(bump: trials.Bump, loop: ClosedLoop) -> None:
@@ -270,48 +242,26 @@ SPEEDS_M_S = (0.02, 0.05, 0.1, 0.2, 0.3)
 #: Longest run, and its beginning, which does not count, by kind, s.
 LONGEST_S = {LINE: 3.0, CIRCLE: 4.0}
 START_S = {LINE: 0.8, CIRCLE: 1.5}
-#: The target is given as often as a camera would, Hz.
-RATE_HZ = 30.0
 
 
-@dataclass(frozen=True)
-class Path:
-    """Where a target goes, camera frame."""
-
-    #: ``line`` or ``circle``, and joints whose ball is where it begins, rad.
-    kind: str
-    start_rad: tuple[float, ...]
-    #: The beginning, m; unit vectors: a line goes along the first, a circle is in the plane of both
-    #: and begins along the second.
-    origin_m: np.ndarray
-    first: np.ndarray
-    second: np.ndarray
-    #: After which a line ends, m; seed of the noise.
-    length_m: float
-    seed: int
-
-    def at(self, way_m: float) -> np.ndarray:
-        """The target after a length of its way, m."""
-        if self.kind == LINE:
-            return self.origin_m + way_m * self.first
-        angle = way_m / RADIUS_M
-        turned = (np.cos(angle) - 1.0) * self.first + np.sin(angle) * self.second
-        return self.origin_m + RADIUS_M * turned
+def on_line(start_m: np.ndarray, along: np.ndarray, way_m: float) -> np.ndarray:
+    """The target after a length of its way along a unit vector, m."""
+    return start_m + way_m * along
 
 
-@dataclass(frozen=True)
-class Pursuit:
-    """A target to be followed by a contestant, with or without feed-forward of its motion."""
-
-    name: str
-    path: Path
-    speed_m_s: float
-    feed_forward: bool
-    conditions: trials.Conditions
+def on_circle(start_m: np.ndarray, plane: np.ndarray, way_m: float) -> np.ndarray:
+    """The target after a length of its way round, m; it begins along the second unit vector."""
+    angle = way_m / RADIUS_M
+    return start_m + RADIUS_M * ((np.cos(angle) - 1.0) * plane[0] + np.sin(angle) * plane[1])
 
 
-def draw_paths(count: int, seed: int) -> list[Path]:
-    """Draw lines between places in box M, and as many circles in any plane about home."""
+def pursuits(
+    count: int, seed: int, speeds_m_s: Sequence[float], names: Sequence[str]
+) -> Iterator[Run]:
+    """Targets on lines between places in box M, and on as many circles in any plane about home.
+
+    Each has all speeds, all contestants, and feed-forward of the target's motion or none.
+    """
     rng = np.random.default_rng(seed)
     simulation = trials.simulation_of(trials.Conditions())
 
@@ -319,48 +269,41 @@ def draw_paths(count: int, seed: int) -> list[Path]:
         simulation.reset(joints_rad)
         return simulation.true_ball_position()
 
-    paths = []
-    for case in trials.make_cases("L", count, seed, low_m=0.45, high_m=0.6):
-        start_m, goal_m = ball_m(case.start_rad), ball_m(case.goal_rad)
-        length_m = float(np.linalg.norm(goal_m - start_m))
-        along = (goal_m - start_m) / length_m
-        paths.append(Path(LINE, case.start_rad, start_m, along, along, length_m, case.seed))
     home = tuple(trials.HOME_RAD.tolist())
-    for line in paths[:count]:
-        first, second = np.linalg.qr(rng.normal(size=(len(line.first), 2)))[0].T
-        paths.append(Path(CIRCLE, home, ball_m(home), first, second, math.inf, line.seed))
-    return paths
+    lines, circles = [], []
+    for case in trials.make_cases("L", count, seed, low_m=0.45, high_m=0.6):
+        start_m = ball_m(case.start_rad)
+        way_m = ball_m(case.goal_rad) - start_m
+        length_m = float(np.linalg.norm(way_m))
+        line = partial(on_line, start_m, way_m / length_m)
+        lines.append((LINE, case, line, length_m))
+        plane = np.linalg.qr(rng.normal(size=(way_m.size, 2)))[0].T
+        circle = partial(on_circle, ball_m(home), plane)
+        circles.append((CIRCLE, replace(case, start_rad=home), circle, math.inf))
+    for kind, case, path, length_m in (*lines, *circles):
+        for speed_m_s in speeds_m_s:
+            duration_s = min(LONGEST_S[kind], length_m / speed_m_s)
+            trial = trials.Trial(
+                trials.Variant(),
+                case,
+                duration_s=duration_s,
+                record=True,
+                path=(path, speed_m_s),
+            )
+            for feed_forward in (True, False):
+                for name in names:
+                    labels = {"part": "tracking", "scheme": name, "path": kind, "seed": case.seed}
+                    labels |= {"speed_m_s": speed_m_s, "feed_forward": feed_forward}
+                    who = variant(name, target_feed_forward=feed_forward)
+                    yield labels, replace(trial, variant=who)
 
 
-def run_pursuit(pursuit: Pursuit) -> dict[str, Any]:
-    """Follow one target; ``rms_m`` of the row is the ball's distance from it after the start, m.
+def tracking_error(row: Mapping[str, Any]) -> dict[str, Any]:
+    """The row of a pursuit with ``rms_m``, the ball's distance from the target after the start, m.
 
     It is infinite for an arm that the supervisor held.
     """
-    path, speed_m_s = pursuit.path, pursuit.speed_m_s
-    simulation = trials.simulation_of(pursuit.conditions)
-    simulation.reset(path.start_rad, path.seed)
-    one = variant(pursuit.name, target_feed_forward=pursuit.feed_forward)
-    case = trials.Case("", path.start_rad, path.start_rad, path.seed)
-    loop = one.trial(case, pursuit.conditions).loop(simulation)
-    loop.run(trials.PRELUDE_S)
-    errors_m, next_s, held = [], 0.0, False
-    duration_s = min(LONGEST_S[path.kind], path.length_m / speed_m_s)
-    for tick in range(round(duration_s / loop.period_s)):
-        now_s = tick * loop.period_s
-        if now_s >= next_s:
-            loop.set_target(path.at(speed_m_s * now_s))
-            next_s += 1.0 / RATE_HZ
-        held = loop.tick().state is not State.SERVOING
-        if now_s >= START_S[path.kind]:
-            target_m = path.at(speed_m_s * (now_s + loop.period_s))
-            errors_m.append(simulation.true_ball_position() - target_m)
-    return {
-        "part": "tracking",
-        "scheme": pursuit.name,
-        "path": path.kind,
-        "seed": path.seed,
-        "speed_m_s": speed_m_s,
-        "feed_forward": pursuit.feed_forward,
-        "rms_m": math.inf if held else float(np.sqrt(np.mean(np.sum(np.square(errors_m), axis=1)))),
-    }
+    counted = row["series"]["time_s"] > START_S[row["path"]] + 1e-9
+    rms_m = float(np.sqrt(np.mean(row["series"]["error_m"][counted] ** 2)))
+    held = row["jitter_rad_s"] == math.inf
+    return {**row, "rms_m": math.inf if held else rms_m}

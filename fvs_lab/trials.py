@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from typing import Any
@@ -24,6 +24,8 @@ HOME_RAD = np.array(HOME_JOINTS_RAD)
 BOX_RAD = np.array(TRAINING_BOX_RAD)
 #: Time at rest before the target is given, for the controller's inputs to be fresh, s.
 PRELUDE_S = 0.4
+#: A target that moves is given as often as a camera would, Hz.
+TARGET_RATE_HZ = 30.0
 #: Exponent of noise without heavy tails.
 WHITE = 2.0
 #: No error of a coordinate is larger than this, m: the detection knows the size of the ball.
@@ -203,6 +205,11 @@ class Trial:
     record: bool = False
     #: A blow to the camera.
     bump: Bump | None = None
+    #: What happens before the target is given.
+    before: Callable[[ClosedLoop], None] | None = None
+    #: Of a target that moves instead: where it is, camera frame, m, after a length of its way, m,
+    #: and its speed, m/s.
+    path: tuple[Callable[[float], np.ndarray], float] | None = None
 
     def with_method(self, method: str) -> Trial:
         """The same with another estimator."""
@@ -262,13 +269,10 @@ def drive(trial: Trial, simulation: Simulation) -> Outcome:
     simulation.reset(trial.case.start_rad, trial.case.seed)
     one = trial.loop(simulation)
     one.run(PRELUDE_S)
-    return go(trial, one, goal_m)
-
-
-def go(trial: Trial, one: ClosedLoop, goal_m: np.ndarray) -> Outcome:
-    """Give a loop that runs a target, world frame, m, and let the time of a trial pass."""
-    simulation = one.simulation
-    target_m, start_s = _give_target(one, goal_m), simulation.time_s
+    if trial.before is not None:
+        trial.before(one)
+    target_m = np.empty(0) if trial.path else give_target(one, goal_m)
+    start_s, next_s = simulation.time_s, 0.0
     bump_tick = -1 if trial.bump is None else round(trial.bump.time_s / one.period_s)
     times_s: list[float] = []
     balls_m: list[np.ndarray] = []
@@ -279,7 +283,13 @@ def go(trial: Trial, one: ClosedLoop, goal_m: np.ndarray) -> Outcome:
     for tick in range(round(trial.duration_s / one.period_s)):
         if trial.bump is not None and tick == bump_tick:
             trial.bump.strike(simulation)
-            target_m = _give_target(one, goal_m)
+            target_m = give_target(one, goal_m)
+        if trial.path is not None:
+            (path, speed_m_s), now_s = trial.path, tick * one.period_s
+            if now_s >= next_s:
+                one.set_target(path(speed_m_s * now_s))
+                next_s += 1.0 / TARGET_RATE_HZ
+            target_m = path(speed_m_s * (now_s + one.period_s))
         commands.append(one.tick())
         times_s.append(simulation.time_s - start_s)
         balls_m.append(simulation.true_ball_position())
@@ -294,8 +304,8 @@ def go(trial: Trial, one: ClosedLoop, goal_m: np.ndarray) -> Outcome:
     return outcome_of(*series, commands, np.array(jacobian_errors), trial.record)
 
 
-def _give_target(one: ClosedLoop, goal_m: np.ndarray) -> np.ndarray:
-    """Give a target as its camera sees it; where it truly is, camera frame, m."""
+def give_target(one: ClosedLoop, goal_m: np.ndarray) -> np.ndarray:
+    """Give a target, world frame, as its camera sees it; where it truly is, camera frame, m."""
     target_m = one.simulation.camera.to_camera(goal_m)
     one.set_target(one.simulation.as_seen(target_m))
     return target_m
