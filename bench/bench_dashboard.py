@@ -1,6 +1,6 @@
 """What the page costs the loop: latency and jitter without it, with it, and while it is looked at.
 
-python -m bench dashboard [--rounds N] [--browser]
+python -m bench dashboard [--browser]
 
 The real loop (simulator, estimator, controller) goes from target to target all the time; beside it
 stand, in turn, nothing, a page that nobody looks at, and a page with a client. The client is a
@@ -33,6 +33,7 @@ from fvs_tools.demo import choose_target
 from fvs_tools.scenario import load_scenario
 
 _CLIENT = "import sys, time, page_client as p; p.PageClient(sys.argv[1]); time.sleep(600.0)"
+ROUNDS = 6
 CONDITIONS = ("no page", "page, nobody looks", "page, a client looks")
 
 
@@ -128,7 +129,6 @@ def chromium(address):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rounds", type=int, default=6)
     parser.add_argument("--browser", action="store_true")
     arguments = parser.parse_args()
     print("client: " + ("headless chromium" if arguments.browser else "websocket, draws nothing"))
@@ -138,7 +138,7 @@ def main():
         harness.start("fvs_tools.launcher", "servo", "-p", f"full_frame_rate_hz:={pictures_hz}")
         watch = Watch(harness)
         harness.spin_until(watch.ready, 60.0, "the loop")
-        for _ in range(arguments.rounds):
+        for _ in range(ROUNDS):
             for condition in CONDITIONS:
                 with beside(harness, condition, arguments.browser):
                     results[condition].append(watch.measure())

@@ -1,20 +1,8 @@
-"""Times of calls, and how they are printed."""
+"""How times are printed."""
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
-
-
-def cpu_s(call, repeats=1):
-    """CPU time of each of several calls, s."""
-    spent = []
-    for _ in range(repeats):
-        begin_s = time.process_time()
-        call()
-        spent.append(time.process_time() - begin_s)
-    return spent
 
 
 def spread(values, unit, percent=99.0):

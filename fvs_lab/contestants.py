@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from fvs_lab.search import ORACLE, ORACLES, PROPOSED, Limit, Regime
+from fvs_lab.search import ORACLE, ORACLES, PROPOSED, Regime
 from fvs_lab.trials import Conditions, Variant
 from fvs_tools.schemes import BEYOND, SCHEMES, Scheme
 
@@ -74,7 +74,7 @@ TUNED = {
 }
 CALM = {one.name: one for one in (_equipped(law, "calm") for law in _LAWS)}
 CALM_RAD_S = 0.0002
-CALM_REGIME = Regime("calm", "", LIMITS, Limit("jitter_rad_s", CALM_RAD_S), 5.0, 3.0)
+CALM_REGIME = Regime("calm", "", LIMITS, 5.0, ("jitter_rad_s", CALM_RAD_S), 3.0)
 #: Gains of the proportional law between the two, 1/s: what it pays in jitter for speed.
 TURNED_1_S = (10.0, 14.0, 20.0)
 #: The sliding mode law, and all others with the same search; the filter knows less than networks.

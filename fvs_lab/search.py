@@ -40,7 +40,6 @@ class Knob:
 
     def value(self, place: float) -> float:
         """The value at a place from 0 to 1 of the range."""
-        place = min(1.0, max(0.0, place))
         if self.log:
             return float(self.low * (self.high / self.low) ** place)
         return float(self.low + (self.high - self.low) * place)
@@ -72,26 +71,18 @@ _METHOD_KNOBS = {"ukf": (Knob("online.process_noise", 1e-5, 1e-1, of_estimator=T
 
 
 @dataclass(frozen=True)
-class Limit:
-    """A bound that a tuned scheme must keep in the median tuning case."""
-
-    #: Attribute of :class:`Candidate`, and its largest value.
-    quantity: str
-    bound: float
-
-
-@dataclass(frozen=True)
 class Regime:
     """What is held equal."""
 
     #: In data, and on the page.
     name: str
     title: str
-    #: Limits of the supervisor, and what tuning must keep.
+    #: Limits of the supervisor.
     controller_values: Mapping[str, Any]
-    limit: Limit | None
     #: Length of a run, s.
     duration_s: float
+    #: What tuning must keep in the median case: attribute of :class:`Candidate`, largest value.
+    limit: tuple[str, float] | None = None
     #: A tuning run ends when the error has been below 5 mm for this time, s. Jitter is that of the
     #: last second: where it counts, the way from 5 mm to rest must have ended before.
     rest_s: float = 1.0
@@ -101,14 +92,12 @@ _CLIPPED = {"max_joint_velocity_rad_s": 1.0, "max_joint_acceleration_rad_s2": 6.
 #: Limits out of the way; the largest that the controller takes.
 FREE = {"max_joint_velocity_rad_s": 3.14, "max_joint_acceleration_rad_s2": 40.0}
 PEAK_RAD_S, JITTER_RAD_S = 0.8, 0.001
-_PEAK = Limit("peak_joint_speed_rad_s", PEAK_RAD_S)
-_CALM = Limit("jitter_rad_s", JITTER_RAD_S)
 
 #: As on a real arm; nothing clips the command, as in the paper's figures; calm at rest.
 REGIMES = (
-    Regime("limit", "Equal joint-speed limit", _CLIPPED, None, 4.0),
-    Regime("peak", "Equal peak speed, no limit", FREE, _PEAK, 6.0),
-    Regime("jitter", "Equal command jitter", _CLIPPED, _CALM, 5.0, 2.0),
+    Regime("limit", "Equal joint-speed limit", _CLIPPED, 4.0),
+    Regime("peak", "Equal peak speed, no limit", FREE, 6.0, ("peak_joint_speed_rad_s", PEAK_RAD_S)),
+    Regime("jitter", "Equal command jitter", _CLIPPED, 5.0, ("jitter_rad_s", JITTER_RAD_S), 2.0),
 )
 
 PROPOSED = "proposed"
@@ -120,9 +109,6 @@ ORACLES = {
     name: Scheme(name, "oracle", law, "")
     for name, law in ((ORACLE_SLIDING, "ftsm"), (ORACLE, "proportional"))
 }
-#: Schemes whose gains are searched.
-SEARCHED = {**SCHEMES, **ORACLES}
-
 # ---- a search -------------------------------------------------------------------------------
 
 
@@ -131,7 +117,7 @@ class Candidate:
     """Gains that were tried, and what came of them on the tuning cases."""
 
     gains: dict[str, float]
-    #: Mean settling time as :meth:`Search.time_s` counts it, s.
+    #: Mean settling time as :meth:`Search.judge` counts it, s.
     time_s: float
     #: Medians over the cases; the settling time is to 5 mm, infinite for never.
     settled_s: float
@@ -175,33 +161,28 @@ class Search:
             case, conditions, duration_s=terms.duration_s, stop_after_s=terms.rest_s
         )
 
-    def time_s(self, outcomes: Sequence[Outcome]) -> float:
-        """Mean settling time, s: to 5 mm, with a small share of that to 2 mm.
+    def judge(self, gains: dict[str, float], outcomes: Sequence[Outcome]) -> Candidate:
+        """Sum up what came of gains on the tuning cases.
 
-        A run that did not settle costs its duration and as much again, by the error left.
+        Mean settling time to 5 mm, with a small share of that to 2 mm. A run that did not settle
+        costs its duration and as much again, by the error left.
         """
-        total, duration_s = 0.0, self.regime.duration_s
+        times_s, duration_s = [], self.regime.duration_s
         for one in outcomes:
             left = min(1.0, one.final_rms_m / one.start_distance_m)
-            never_s = duration_s * (1.0 + left)
-            coarse = never_s if one.failure else one.settled_s
+            coarse_s = duration_s * (1.0 + left) if one.failure else one.settled_s
             fine_s = one.settling_s["2 mm"]
-            fine = duration_s if fine_s is None else fine_s
-            total += 0.9 * coarse + 0.1 * fine
-        return total / len(outcomes)
-
-    def judge(self, gains: dict[str, float], outcomes: Sequence[Outcome]) -> Candidate:
-        """Sum up what came of gains on the tuning cases."""
+            times_s.append(0.9 * coarse_s + 0.1 * (duration_s if fine_s is None else fine_s))
         names = ("settled_s", "jitter_rad_s", "peak_joint_speed_rad_s")
         middle = [float(np.median([getattr(one, name) for one in outcomes])) for name in names]
-        return Candidate(gains, self.time_s(outcomes), *middle)
+        return Candidate(gains, sum(times_s) / len(times_s), *middle)
 
     def cost(self, candidate: Candidate) -> float:
         """What the search makes small, s: settling time, and a penalty beyond the limit."""
-        limit = self.regime.limit
-        if limit is None:
+        if self.regime.limit is None:
             return candidate.time_s
-        excess = getattr(candidate, limit.quantity) / limit.bound - 1.0
+        quantity, bound = self.regime.limit
+        excess = getattr(candidate, quantity) / bound - 1.0
         # Breaking it by a tenth costs two seconds, more than any gain is worth.
         return candidate.time_s + 20.0 * max(0.0, excess)
 
@@ -236,61 +217,53 @@ class Tuned:
         }
 
 
-def run_searches(
+def search_all(
     context: Context,
-    searches: Sequence[Search],
+    searches: Mapping[Key, Search],
     cases: Sequence[Case],
-    generations: int,
-    population: int,
     seed: int,
-) -> list[Tuned]:
-    """Search all of them with the same budget: generations times population candidates each.
+    generations: int = 6,
+    population: int = 10,
+) -> dict[Key, list[Tuned]]:
+    """Search each of them several times, with the same budget; a quick run searches once, little.
 
-    Each search has another seed, counting from the one given.
+    The budget is generations times population candidates. Each search has another seed, counting
+    from the one given.
     """
     from cmaes import CMA
 
+    repeats = 1 if context.quick else SEEDS
+    if context.quick:
+        generations, population = 1, 2
+    found = [Tuned(search, []) for search in repeats * [*searches.values()]]
     optimisers = [
         CMA(
-            mean=np.full(len(search.knobs), 0.5),
+            mean=np.full(len(one.search.knobs), 0.5),
             sigma=0.3,
-            bounds=np.tile([0.0, 1.0], (len(search.knobs), 1)),
+            bounds=np.tile([0.0, 1.0], (len(one.search.knobs), 1)),
             population_size=population,
             seed=seed + number,
         )
-        for number, search in enumerate(searches)
+        for number, one in enumerate(found)
     ]
-    found = [Tuned(search, []) for search in searches]
     for generation in range(generations):
         asked = [[one.ask() for _ in range(population)] for one in optimisers]
+        gains = [
+            [one.search.gains(places) for places in candidates]
+            for one, candidates in zip(found, asked, strict=True)
+        ]
         trials = [
-            search.trial(search.gains(places), case, TUNING)
-            for search, candidates in zip(searches, asked, strict=True)
-            for places in candidates
+            one.search.trial(values, case, TUNING)
+            for one, candidates in zip(found, gains, strict=True)
+            for values in candidates
             for case in cases
         ]
         label = f"search, round {generation + 1} of {generations}"
         outcomes = iter(context.map(run_trial, trials, label))
-        for optimiser, one, candidates in zip(optimisers, found, asked, strict=True):
-            costs = []
-            for places in candidates:
-                results = [next(outcomes) for _ in cases]
-                one.tried.append(one.search.judge(one.search.gains(places), results))
-                costs.append((places, one.search.cost(one.tried[-1])))
-            optimiser.tell(costs)
-    return found
-
-
-def search_all(
-    context: Context, searches: Mapping[Key, Search], cases: Sequence[Case], seed: int
-) -> dict[Key, list[Tuned]]:
-    """Search each of them from several seeds; a quick run searches once, and little."""
-    found = run_searches(
-        context,
-        (1 if context.quick else SEEDS) * [*searches.values()],
-        cases,
-        generations=1 if context.quick else 6,
-        population=2 if context.quick else 10,
-        seed=seed,
-    )
+        for optimiser, one, places, candidates in zip(optimisers, found, asked, gains, strict=True):
+            judged = [
+                one.search.judge(values, [next(outcomes) for _ in cases]) for values in candidates
+            ]
+            one.tried.extend(judged)
+            optimiser.tell(list(zip(places, map(one.search.cost, judged), strict=True)))
     return {key: found[place :: len(searches)] for place, key in enumerate(searches)}
