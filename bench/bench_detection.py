@@ -45,8 +45,8 @@ def accuracy(poses, noise):
     offsets_rad = np.array(TRAINING_BOX_RAD) * rng.uniform(-1, 1, (poses, len(TRAINING_BOX_RAD)))
     errors_mm = []
     for rgb, depth_m, ball_m in images(offsets_rad):
-        depth_m = add_depth_noise(depth_m, CONFIG.intrinsics.fx, rng, noise)
-        found = detect_ball(rgb, depth_m, CONFIG.intrinsics, CONFIG.ball_radius_m)
+        measured_m = add_depth_noise(depth_m, CONFIG.intrinsics.fx, rng, noise)
+        found = detect_ball(rgb, measured_m, CONFIG.intrinsics, CONFIG.ball_radius_m)
         if found is not None and found.visible_fraction > 0.97:
             errors_mm.append(1e3 * np.linalg.norm(found.position_m - ball_m))
     return np.array(errors_mm)

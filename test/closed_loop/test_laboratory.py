@@ -215,23 +215,19 @@ def test_best_is_close_to_the_floor_and_the_same_when_repeated():
 
 def test_a_camera_that_moves_while_the_ball_rests_costs_little_time():
     before = simulation_of(EXACT).camera
-    journeys = runs.draw_journeys(1, 7, (who.BEST,), EXACT)
-    turn = np.array(journeys[0].bump.rotation_deg)
-    assert np.linalg.norm(turn) == pytest.approx(45.0)
-    assert abs(turn[2]) > 35.0, "mostly about the optical axis"
-    settled_s = {one.moment: runs.run_journey(one)["to_5mm_s"] for one in journeys}
+    settled_s = {}
+    for labels, trial in runs.journeys(1, 7, (who.BEST,)):
+        settled_s[labels["moment"]] = run_trial(replace(trial, conditions=EXACT)).settled_s
     assert list(settled_s) == list(runs.MOMENTS)
     for moment in (runs.AT_REST, runs.CARRIED):
         assert settled_s[moment] <= 1.2 * settled_s[runs.UNDISTURBED]
     np.testing.assert_array_equal(simulation_of(EXACT).camera.rotation, before.rotation)
 
 
-def test_a_path_begins_at_the_ball_and_feed_forward_keeps_up_with_it():
-    _, circle = runs.draw_paths(1, 8)
-    simulation = simulation_of(Conditions())
-    simulation.reset(circle.start_rad)
-    np.testing.assert_allclose(circle.at(0.0), simulation.true_ball_position(), atol=1e-9)
-    pursuit = runs.Pursuit(who.EXTENDED, circle, 0.1, True, EXACT)
-    with_it = runs.run_pursuit(pursuit)["rms_m"]
-    alone = runs.run_pursuit(replace(pursuit, feed_forward=False))["rms_m"]
+def test_feed_forward_keeps_up_with_a_target_that_goes_round():
+    with_it, alone = (
+        runs.tracking_error(run_trial(replace(trial, conditions=EXACT)).row(**labels))["rms_m"]
+        for labels, trial in runs.pursuits(1, 8, (0.1,), (who.EXTENDED,))
+        if labels["path"] == runs.CIRCLE
+    )
     assert with_it < 0.003 < alone < 0.03

@@ -12,7 +12,7 @@ from fvs_lab import main
 from fvs_lab.experiment import OURS, PAPER, Claim, Context, Part, either
 from fvs_lab.report import RESULTS, Figure, Origin, Report, Table, Verdict, write_page, write_report
 from fvs_lab.results import Interval, median, ratio_of_medians
-from fvs_lab.search import REGIMES, Knob, Search, run_searches
+from fvs_lab.search import REGIMES, Knob, Search, search_all
 from fvs_lab.spot_check import SpotCheck
 from fvs_lab.spot_check import claims as spot_check_claims
 from fvs_lab.trials import Case, Variant, make_cases
@@ -102,7 +102,7 @@ def test_the_search_finds_the_gain_and_is_repeatable(tmp_path):
     cases = make_cases("T", 1, 5)
     context = Context(tmp_path, jobs=1, rendered=False)
     one, again = (
-        run_searches(context, [search], cases, generations=3, population=4, seed=1)[0]
+        search_all(context, {"pid": search}, cases, seed=1, generations=3, population=4)["pid"][0]
         for _ in range(2)
     )
     assert one == again
