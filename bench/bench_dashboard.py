@@ -26,7 +26,7 @@ from harness import Harness
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
-from fvs_estimator_node.model_file import load_model
+from fvs_estimator_node.files import load_model
 from fvs_ros import ros, topics
 from fvs_ros.paths import find_file
 from fvs_tools.demo import choose_target

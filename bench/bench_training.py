@@ -13,7 +13,7 @@ import time
 import numpy as np
 from ur5_dh import BOX_M_RAD, HOME_RAD, ball_and_jacobian, jacobian_error, uniform_in_box
 
-from fvs_estimator_node.dataset import DataSet
+from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.training import METHODS, TrainingOptions, train
 

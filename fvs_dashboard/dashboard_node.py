@@ -25,7 +25,7 @@ from fvs_dashboard.config import PARAMETERS, VISER, DashboardConfig
 from fvs_dashboard.markup import SHOWN_BY
 from fvs_dashboard.picture import Picture
 from fvs_dashboard.services_of_node import ANSWER_S, Services
-from fvs_estimator_node.model_file import load_model
+from fvs_estimator_node.files import load_model
 from fvs_ros import ros, topics
 from fvs_ros.background import step_back
 from fvs_ros.joints import JointMap, JointStateError

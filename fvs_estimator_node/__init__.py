@@ -1,1 +1,1 @@
-"""Estimators of the 3x6 hand-eye Jacobian, their offline training and data collection."""
+"""Estimators of the hand-eye Jacobian, their offline training and data collection."""

@@ -30,7 +30,7 @@ from fvs_estimator_node.chain_start import (
     regress,
     turned_about,
 )
-from fvs_estimator_node.dataset import DataSet
+from fvs_estimator_node.files import DataSet
 from fvs_ros.chain import SerialChain
 
 #: Fewest images that a chain is fitted to.

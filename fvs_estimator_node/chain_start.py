@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.dataset import DataSet
+from fvs_estimator_node.files import DataSet
 from fvs_ros.chain import SerialChain, cross_matrix
 
 #: Largest offset of the images' stamps that is looked for, either way, s; ends of runs this long

@@ -19,7 +19,7 @@ from std_msgs.msg import Bool, Float64
 from tqdm import tqdm
 
 from fvs_estimator_node.collecting import PARAMETERS, CollectionRun, CollectorConfig, State
-from fvs_estimator_node.dataset import data_set_of, save_data_set
+from fvs_estimator_node.files import data_set_of, save_data_set
 from fvs_ros import clock, ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 

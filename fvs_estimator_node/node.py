@@ -17,8 +17,8 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from fvs_estimator_node.base import Estimator, OracleEstimator
+from fvs_estimator_node.files import load_model
 from fvs_estimator_node.loop import EstimationLoop
-from fvs_estimator_node.model_file import load_model
 from fvs_estimator_node.registry import PARAMETERS, EstimatorConfig, create_estimator, needs_model
 from fvs_ros import ros, topics
 from fvs_ros.camera import BALL_FEATURES

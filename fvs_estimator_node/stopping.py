@@ -110,7 +110,7 @@ def _examine(
 ) -> dict[str, Any]:
     """How well a chain is known in a box by the columns of samples; empty if not yet."""
     from fvs_estimator_node.chain_fit import fit_chain
-    from fvs_estimator_node.dataset import DataSet
+    from fvs_estimator_node.files import DataSet
 
     names = tuple(f"joint {i}" for i in range(box_rad.shape[1]))
     places = np.random.default_rng(0).uniform(box_rad[0], box_rad[1], (100, len(names)))

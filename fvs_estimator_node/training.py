@@ -1,17 +1,9 @@
-"""Offline training of the networks from a data set of ball positions and joints.
+"""Offline training: from ball positions and joints to a chain, and to networks.
 
-The paper trains on steps between neighbouring images, ``dx = J(r) dr``: little motion, much noise.
-But the ball's position is a function of the joints, so *any* two images a and b teach, with the
-signal of the whole box over the noise of one position:
-
-    x_b - x_a = sum_i W_i int_0^1 theta_i(r_a + t (r_b - r_a)) dt (r_b,i - r_a,i),
-
-linear in the weights, with the integral along a straight line by Gauss-Legendre quadrature. Pairs
-drawn at random also show that the columns belong to one function.
-
-``ridge`` draws the centres from the data and solves for the weights. ``varpro`` (variable
-projection) moves centres and widths as well, by Adam, and solves for the weights inside: at their
-optimum the gradient is the one with the weights held fixed.
+A chain of revolute joints is fitted to every data set. ``poe`` distils the networks from it: the
+chain knows the Jacobian everywhere, so that they learn from as many exact samples as wanted.
+``ridge`` and ``varpro`` assume no chain and fit networks to pairs of images; they take from the
+chain how late the images are stamped, and keep it if it fits.
 """
 
 from __future__ import annotations
@@ -23,43 +15,25 @@ from typing import Any
 
 import numpy as np
 
+from fvs_estimator_node.chain_fit import ChainFit, fit_chain
 from fvs_estimator_node.chain_start import MAX_OFFSET_S, STILL_RAD
-from fvs_estimator_node.dataset import DataSet
-from fvs_estimator_node.model_file import TrainedModel, boxes_of
+from fvs_estimator_node.files import DataSet, TrainedModel, boxes_of
+from fvs_estimator_node.pairs import Pairs, Progress, TrainingError, ridge_weights
 from fvs_estimator_node.rbf import RbfModel, rbf_features
+from fvs_ros.chain import SerialChain
 
-METHODS = ("varpro", "ridge")
-_MIN_SAMPLES = 60
-#: Pieces that a data set is cut into, and how many are kept back to choose and to judge with each.
-_PIECES, _KEPT_BACK = 60, 6
-#: Images that fit worse than this many times the median are left out, compared with the median of
-#: this many neighbours.
-_OUTLIER_FACTOR, _NEIGHBOURS = 6.0, 7
-#: Width of all neurons at first, in standard deviations of the training joints (mean over the
-#: joints); 7 is 3.5 times the half width of an evenly filled box, over two.
-_WIDTH_FACTOR = 7.0
-#: Ridge relative to the mean diagonal: a hundred times more or less changes the error by a tenth.
-RIDGE = 1e-10
-#: Distance of the nodes of a line, rad.
-_NODE_SPACING_RAD = 0.8
-#: Pairs of a batch, Adam's first step for centres (rad) and log widths, and iterations between
-#: looks at the validation error, which often rises for a while after the first, large steps.
-_BATCH, _LEARNING_RATE, _CHECK_EVERY = 2048, 0.1, 20
-#: Passes of the search for the stamps' offset, and fewest images of a run for it.
-_ALIGNMENTS, _SHORTEST_RUN = 4, 30
-#: Offsets of the images' stamps below this are not worth a word, s.
-_NOTABLE_OFFSET_S = 0.003
-#: Networks that miss a larger share of the ball's motion are doubtful.
-_DOUBTFUL = 0.15
-
-#: Centres, rad, (n, k, n), and widths, rad, (n, k).
-Neurons = tuple[np.ndarray, np.ndarray]
-#: Told the iterations done and to do and the best validation error; True ends them early.
-Progress = Callable[[int, int, float], bool]
-
-
-class TrainingError(ValueError):
-    """Data or options that nothing can be trained with; the text says why."""
+#: Each method with its usual number of neurons, which cost little where samples are free.
+METHODS = {"varpro": 50, "ridge": 50, "poe": 100}
+#: Samples of the chain for each neuron, and to judge with.
+_SAMPLES, _JUDGED = 80, 1000
+#: Width of the neurons over the box's rms half width, and the box of samples over that of the
+#: data: the least error of some tried.
+_WIDTH_FACTOR, _BEYOND = 4.0, 1.1
+#: A user should know of a Jacobian with a larger relative deviation (median over the box), of a
+#: larger share of outliers, of larger noise, m (no depth camera is that bad), of a larger offset of
+#: the stamps, s, and of networks that miss a larger share of the ball's motion.
+_NOTABLE_DEVIATION, _NOTABLE_OUTLIERS, _NOTABLE_NOISE_M = 0.01, 0.01, 0.01
+_NOTABLE_OFFSET_S, _NOTABLE_ERROR = 0.003, 0.15
 
 
 @dataclass(frozen=True)
@@ -69,9 +43,9 @@ class TrainingOptions:
     Parameters
     ----------
     method : str
-        ``varpro`` or ``ridge``.
-    neurons : int
-        Neurons of each network.
+        One of ``METHODS``.
+    neurons : int, optional
+        Neurons of each network; by default as many as is usual for the method.
     seed : int
         Seed of everything random: equal data, options and seed give equal networks.
     iterations : int
@@ -79,7 +53,7 @@ class TrainingOptions:
     """
 
     method: str = "varpro"
-    neurons: int = 50
+    neurons: int | None = None
     seed: int = 0
     iterations: int = 300
 
@@ -88,56 +62,76 @@ class TrainingOptions:
             raise TrainingError(
                 f"unknown training method {self.method!r}; known are {', '.join(METHODS)}"
             )
-        if not 1 <= self.neurons <= 1000:
-            raise TrainingError(f"neurons must lie between 1 and 1000, got {self.neurons}")
+        if not 1 <= self.count <= 1000:
+            raise TrainingError(f"neurons must lie between 1 and 1000, got {self.count}")
+
+    @property
+    def count(self) -> int:
+        """Neurons of each network."""
+        return METHODS[self.method] if self.neurons is None else self.neurons
 
 
 def train(
-    data: DataSet, options: TrainingOptions | None = None, progress: Progress | None = None
+    data: DataSet,
+    options: TrainingOptions | None = None,
+    progress: Progress | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> TrainedModel:
-    """Train the networks.
+    """Train the networks, and fit a chain.
 
     Parameters
     ----------
     data : DataSet
-        Ball positions and joints.
+        A minute of motion of all joints, or more.
     options : TrainingOptions, optional
         How.
     progress : callable, optional
-        Called after each iteration.
+        Called after each iteration of ``varpro``.
+    say : callable, optional
+        Told what is being done, in words.
 
     Returns
     -------
     TrainedModel
-        Ready to be saved. Its ``errors`` are those of networks that have not seen the held-out
-        images; the weights are then fitted once more, to all images. ``pair_error_m`` is the root
-        mean square prediction error between two of those images, with the noise of both, m.
+        Ready to be saved. ``errors`` hold the figures of the chain's fit; ``jacobian_deviation``,
+        the relative standard deviation of the chain's Jacobian in the box as the camera sees it;
+        ``distillation_error``, that of the networks against the chain (medians); and of networks
+        from pairs ``pair_error_m``, the root mean square error between two held-out images, with
+        the noise of both, m.
 
     Raises
     ------
-    TrainingError
-        If the data cannot teach anything.
+    ValueError
+        If the data cannot teach anything (TrainingError), or ``poe`` finds no chain.
     """
     options = options if options is not None else TrainingOptions()
-    pairs = _Pairs(data, np.random.default_rng(options.seed))
-    parts = _split(len(data), pairs.rng)
-    neurons = pairs.first_neurons(parts[0], options.neurons)
-    offset_s = _align(pairs, neurons, data, parts[0])
-    good = _good_images(pairs, neurons, parts[0])
-    fitting, validation, held_out = (part[good[part]] for part in parts)
-    outliers = int(np.count_nonzero(~good))
-    errors: dict[str, Any] = {"iterations": 0, "time_offset_s": offset_s, "outliers": outliers}
-    if options.method == "varpro":
-        neurons, errors["iterations"] = _refined(
-            pairs, neurons, fitting, validation, options.iterations, progress
-        )
-    judged = _model(neurons, pairs.solve(neurons, fitting))
-    errors |= _judge_pairs(pairs, judged, held_out)
-    everything = np.flatnonzero(good)
-    errors |= {"samples": len(everything), "held_out_samples": len(held_out)}
+    rng, fit, why = np.random.default_rng(options.seed), None, ""
+    pairs = None if options.method == "poe" else Pairs(data.joints_rad, data.ball_m, rng)
+    try:
+        fit = fit_chain(data, say)
+    except ValueError as error:  # also of numpy's linear algebra
+        if pairs is None:
+            raise
+        why = str(error)
+    if say is not None:
+        say("training the networks")
+    errors: dict[str, Any] = {}
+    if pairs is not None:
+        pairs.joints = _joints_seen(data, fit.time_offset_s if fit is not None else 0.0)
+        iterations = options.iterations if options.method == "varpro" else 0
+        model, good, errors = pairs.train(options.count, iterations, progress)
+        boxes = boxes_of(pairs.joints[good], data.ball_m[good], rng)
+    elif fit is not None:
+        boxes = boxes_of(data.joints_rad, data.ball_m, rng)
+        model = distil(fit.chain, boxes["joint_box_rad"], options.count, rng)
+    faults: list[str] = []
+    if fit is not None:
+        errors = {**_figures(fit, model, _within(boxes["joint_box_rad"], rng, _JUDGED)), **errors}
+        faults = _chain_faults(fit, errors["jacobian_deviation"])
+        why = faults[0] if faults and pairs is not None else ""
     return TrainedModel(
-        model=_model(neurons, pairs.solve(neurons, everything)),
-        **boxes_of(pairs.joints[everything], pairs.ball[everything], pairs.rng),
+        model=model,
+        **boxes,
         joint_names=data.joint_names,
         feature_frame=data.feature_frame,
         errors=errors,
@@ -145,250 +139,117 @@ def train(
             "method": options.method,
             "options": asdict(options),
             "data": dict(data.provenance),
-            "notes": _notes(data, errors),
+            "no_chain": why,
+            "notes": _notes(data, errors, faults if pairs is None else []),
         },
+        chain=fit.chain if fit is not None and not why else None,
     )
 
 
-class _Pairs:
-    """Pairs of images of a data set, and the least squares over them."""
-
-    def __init__(self, data: DataSet, rng: np.random.Generator) -> None:
-        if len(data) < _MIN_SAMPLES:
-            raise TrainingError(
-                f"the data set has {len(data)} images, expected at least {_MIN_SAMPLES}"
-            )
-        self.joints, self.ball, self.rng = data.joints_rad, data.ball_m, rng
-        spread = self.joints.std(axis=0)
-        if spread.max() < STILL_RAD:
-            raise TrainingError("the joints hardly move in the data set, so there is no Jacobian")
-        if np.linalg.norm(self.ball.std(axis=0)) < 1e-4:
-            raise TrainingError("the ball does not move in the data set, so there is no Jacobian")
-        self.width_rad = _WIDTH_FACTOR * float(np.sqrt(np.mean(spread**2)))
-        widest_rad = float(np.ptp(self.joints, axis=0).max())
-        self.nodes = int(np.clip(math.ceil(widest_rad / _NODE_SPACING_RAD), 2, 8))
-
-    def first_neurons(self, images: np.ndarray, count: int) -> Neurons:
-        """Centres at joints of the data, all widths alike."""
-        n = self.joints.shape[1]
-        replace = len(images) < count
-        chosen = [self.joints[self.rng.choice(images, count, replace=replace)] for _ in range(n)]
-        return np.stack(chosen), np.full((n, count), self.width_rad)
-
-    def draw(self, images: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Random pairs in which every image appears about equally often."""
-        rounds = max(1, math.ceil(count / len(images)))
-        first = np.tile(images, rounds)
-        second = np.concatenate([self.rng.permutation(images) for _ in range(rounds)])
-        different = np.flatnonzero(first != second)
-        if len(different) > count:
-            different = self.rng.permutation(different)[:count]
-        return first[different], second[different]
-
-    def equations(
-        self, neurons: Neurons, first: np.ndarray, second: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Regressors, (p, n k), and the ball's motion, (p, m), of pairs."""
-        regressors = line_regressors(neurons, self.joints[first], self.joints[second], self.nodes)
-        return regressors, self.ball[second] - self.ball[first]
-
-    def solve(self, neurons: Neurons, images: np.ndarray) -> np.ndarray:
-        """The weights, (n k, m), that fit some images best."""
-        count = int(np.clip(2 * len(images), 4000, 10_000))
-        return ridge_weights(*self.equations(neurons, *self.draw(images, count)))
+def distil(
+    chain: SerialChain, box_rad: np.ndarray, neurons: int, rng: np.random.Generator
+) -> RbfModel:
+    """Networks that say what a chain says in a box of joints, rad, shape (2, n)."""
+    n = box_rad.shape[1]
+    half = 0.5 * (box_rad[1] - box_rad[0])
+    width = max(_WIDTH_FACTOR * math.sqrt(float(np.mean(half**2))), 1e-3)
+    wide = box_rad + (_BEYOND - 1.0) * np.stack([-half, half])
+    joints = _within(wide, rng, _SAMPLES * neurons)
+    columns = np.moveaxis(chain.jacobian(joints), -1, 0)
+    centres = np.stack([_within(wide, rng, neurons) for _ in range(n)])
+    widths = np.full((n, neurons), width)
+    weights = []
+    for i, column in enumerate(columns):
+        theta = rbf_features(centres[[i]], widths[[i]], joints)[:, 0]
+        weights.append(ridge_weights(theta, column).T)
+    return RbfModel(centres, widths, np.stack(weights))
 
 
-# ---- least squares --------------------------------------------------------------------------
+def _within(box_rad: np.ndarray, rng: np.random.Generator, count: int) -> np.ndarray:
+    return rng.uniform(box_rad[0], box_rad[1], (count, box_rad.shape[1]))
 
 
-def quadrature(nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Places in [0, 1] and their shares."""
-    places, shares = np.polynomial.legendre.leggauss(nodes)
-    return 0.5 * (places + 1.0), 0.5 * shares
+def _joints_seen(data: DataSet, offset_s: float) -> np.ndarray:
+    """The joints that the images show, rad, (k, n), if these are stamped late by an offset, s."""
+    joints = data.joints_rad.copy()
+    for run in data.runs():
+        time_s = data.stamps_s[run]
+        for of_joint, recorded in zip(joints[run].T, data.joints_rad[run].T, strict=True):
+            of_joint[:] = np.interp(time_s - offset_s, time_s, recorded)
+    return joints
 
 
-def line_regressors(neurons: Neurons, start: np.ndarray, end: np.ndarray, nodes: int) -> np.ndarray:
-    """What multiplies the weights in the ball's motion from joints to joints, rad, (p, n) each.
-
-    Integrals of theta_i along the line times the motion of joint i, network by network, (p, n k).
-    """
-    motion = end - start
-    total = np.zeros((len(start), *neurons[1].shape))
-    for place, share in zip(*quadrature(nodes), strict=True):
-        total += share * rbf_features(*neurons, start + place * motion)
-    total *= motion[:, :, None]
-    return total.reshape(len(start), -1)
+# ---- what a user should know ----------------------------------------------------------------
 
 
-def ridge_weights(regressors: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """Weights, shape (n k, m), by a ridge relative to the mean diagonal."""
-    gram = regressors.T @ regressors
-    gram[np.diag_indices_from(gram)] += RIDGE * np.trace(gram) / len(gram)
-    return np.linalg.solve(gram, regressors.T @ motion)
+def _figures(fit: ChainFit, model: RbfModel, places: np.ndarray) -> dict[str, Any]:
+    """What a model file keeps of a fit; nothing that is not known, for it holds no NaN."""
+    truth = fit.chain.jacobian(places)
+    error = np.linalg.norm(model.jacobian(places) - truth, axis=(1, 2))
+    names = ("misfit", "residual_m", "noise_m", "ray_noise_m", "lateral_noise_m", "time_offset_s")
+    counts = ("time_offset_deviation_s", "outliers", "samples")
+    found = {name: getattr(fit, name) for name in (*names, *counts)}
+    deviation = fit.jacobian_deviation(places[: _JUDGED // 10])
+    found["jacobian_deviation"] = float(np.median(deviation))
+    found["distillation_error"] = float(np.median(error / np.linalg.norm(truth, axis=(1, 2))))
+    return {name: value for name, value in found.items() if math.isfinite(value)}
 
 
-def _relative_error(regressors: np.ndarray, motion: np.ndarray, weights: np.ndarray) -> float:
-    return float(np.linalg.norm(regressors @ weights - motion) / np.linalg.norm(motion))
-
-
-def _model(neurons: Neurons, weights: np.ndarray) -> RbfModel:
-    """Networks of weights as they are solved for, shape (n k, m)."""
-    stacked = weights.reshape(*neurons[1].shape, -1)
-    return RbfModel(*neurons, stacked.transpose(0, 2, 1))
-
-
-# ---- the recipe -----------------------------------------------------------------------------
-
-
-def _split(images: int, rng: np.random.Generator) -> list[np.ndarray]:
-    """Indices to fit, to choose and to judge with: whole pieces of the motion."""
-    pieces = np.array_split(np.arange(images), _PIECES)
-    order = rng.permutation(_PIECES)
-    parts = order[2 * _KEPT_BACK :], order[_KEPT_BACK : 2 * _KEPT_BACK], order[:_KEPT_BACK]
-    return [np.sort(np.concatenate([pieces[i] for i in part])) for part in parts]
-
-
-def _align(pairs: _Pairs, neurons: Neurons, data: DataSet, fitting: np.ndarray) -> float:
-    """Find and undo a constant offset between the stamps of images and joints, s.
-
-    A position that lags by tau is off by -tau times the ball's velocity, in which the equations
-    are linear again. The networks can mimic a part of the lag, so tau is fitted together with the
-    weights: to the part of the velocity that the networks cannot explain.
-    """
-    stamps, recorded, m = data.stamps_s, data.joints_rad, data.ball_m.shape[1]
-    joint_velocity = np.full_like(recorded, np.nan)
-    runs = [run for run in data.runs() if run.stop - run.start >= _SHORTEST_RUN]
-    for run in runs:
-        joint_velocity[run] = np.gradient(recorded[run], stamps[run], axis=0)
-    fitting = fitting[np.isfinite(joint_velocity[fitting, 0])]
-    if len(fitting) < _MIN_SAMPLES // 2:
-        return 0.0
-    offset_s, joints = 0.0, recorded.copy()
-    weights = pairs.solve(neurons, fitting)
-    for _ in range(_ALIGNMENTS):
-        model = _model(neurons, weights)
-        chosen = pairs.draw(fitting, 4000)
-        regressors, motion = pairs.equations(neurons, *chosen)
-        first, second = (
-            np.einsum("nki,ni->nk", model.jacobian(pairs.joints[i]), joint_velocity[i])
-            for i in chosen
-        )
-        both = np.concatenate([motion, second - first], axis=1)
-        solved = ridge_weights(regressors, both)
-        left = both - regressors @ solved
-        size = np.linalg.norm(left[:, :m], axis=1)
-        left_motion, left_change = np.split(left[size <= 3.0 * np.median(size)], [m], axis=1)
-        power = max(float(np.vdot(left_change, left_change)), 1e-12)
-        offset_s -= float(np.vdot(left_change, left_motion)) / power
-        offset_s = float(np.clip(offset_s, -MAX_OFFSET_S, MAX_OFFSET_S))
-        weights = solved[:, :m]
-        for run in runs:
-            joints[run] = np.stack(
-                [np.interp(stamps[run] - offset_s, stamps[run], q) for q in recorded[run].T], 1
-            )
-        pairs.joints = joints
-    return offset_s
-
-
-def _good_images(pairs: _Pairs, neurons: Neurons, fitting: np.ndarray) -> np.ndarray:
-    """Which images fit to their neighbours in time.
-
-    The networks' own error changes slowly along a motion, an outlier comes and goes; so it is the
-    residual's distance from its neighbours' median that counts.
-    """
-    from scipy.ndimage import median_filter
-
-    weights = pairs.solve(neurons, fitting)
-    middle = np.broadcast_to(pairs.joints[fitting].mean(axis=0), pairs.joints.shape)
-    moved = line_regressors(neurons, middle, pairs.joints, pairs.nodes) @ weights
-    residual = pairs.ball - moved
-    usual = median_filter(residual, (_NEIGHBOURS, 1), mode="nearest")
-    distance = np.linalg.norm(residual - usual, axis=1)
-    return distance <= max(_OUTLIER_FACTOR * float(np.median(distance)), 1e-9)
-
-
-def _refined(
-    pairs: _Pairs,
-    neurons: Neurons,
-    fitting: np.ndarray,
-    validation: np.ndarray,
-    iterations: int,
-    progress: Progress | None,
-) -> tuple[Neurons, int]:
-    """Neurons moved by Adam, the weights being solved for in every iteration; iterations done."""
-    try:
-        from fvs_estimator_node.varpro import Batch, refine
-    except ImportError as error:
-        raise TrainingError(
-            "the method varpro needs torch: pip install torch, or use the method ridge"
-        ) from error
-    judged_on, solved_on = pairs.draw(validation, 3000), pairs.draw(fitting, 6000)
-
-    def score(present: Neurons) -> float:
-        weights = ridge_weights(*pairs.equations(present, *solved_on))
-        return _relative_error(*pairs.equations(present, *judged_on), weights)
-
-    best_score, best = score(neurons), neurons
-
-    def draw() -> Batch:
-        first, second = pairs.draw(fitting, _BATCH)
-        return pairs.joints[first], pairs.joints[second], pairs.ball[second] - pairs.ball[first]
-
-    def report(iteration: int, centres: np.ndarray, widths: np.ndarray) -> bool:
-        nonlocal best_score, best
-        if iteration % _CHECK_EVERY == 0 or iteration == iterations:
-            present = score((centres, widths))
-            if present < best_score:
-                best_score, best = present, (centres.copy(), widths.copy())
-        return progress is not None and progress(iteration, iterations, best_score)
-
-    done = refine(neurons, draw, quadrature(pairs.nodes), RIDGE, _LEARNING_RATE, iterations, report)
-    return best, done
-
-
-def _judge_pairs(pairs: _Pairs, model: RbfModel, held_out: np.ndarray) -> dict[str, float]:
-    """Root mean square of the held-out pair error, m and over the ball's motion."""
-    neurons = model.centres, model.widths
-    regressors, motion = pairs.equations(neurons, *pairs.draw(held_out, 3000))
-    weights = model.weights.transpose(0, 2, 1).reshape(-1, motion.shape[1])
-    error = regressors @ weights - motion
-    error_m, motion_m = (float(np.sqrt(np.mean(np.sum(one**2, axis=1)))) for one in (error, motion))
-    return {"pair_error_m": error_m, "pair_error_relative": error_m / motion_m}
-
-
-# ---- notes ----------------------------------------------------------------------------------
-
-
-def still_joints(data: DataSet) -> str:
-    """The joints that stood still in a data set, by name, of which nothing is learned."""
-    spread = data.joints_rad.std(axis=0)
-    return ", ".join(
-        name for name, one in zip(data.joint_names, spread, strict=True) if one < STILL_RAD
-    )
-
-
-def late_stamps_note(offset_s: float) -> str:
-    """What to say of images that are stamped late (or early, if negative), s; empty if nothing."""
-    if abs(offset_s) <= _NOTABLE_OFFSET_S:
-        return ""
-    side = "before" if offset_s > 0.0 else "after"
-    clocks = "" if offset_s > 0.0 else " (if more than half an image's time: set the clocks, NTP)"
-    return (
-        f"the images show the joints of {1e3 * abs(offset_s):.0f} ms {side} their stamps; "
-        f"corrected here, but the loop needs it, too: add {offset_s:.3f} to stamp_delay_s of "
-        f"fvs_detector_node{clocks}"
-    )
-
-
-def _notes(data: DataSet, errors: dict[str, Any]) -> list[str]:
-    still, outliers, missed = still_joints(data), errors["outliers"], errors["pair_error_relative"]
-    notes = (
-        f"{still} did not move in the data set: their columns are not learned" if still else "",
-        late_stamps_note(errors["time_offset_s"]),
-        f"{outliers} of {len(data)} images do not fit and were left out" if outliers else "",
-        f"the networks miss {100.0 * missed:.0f} % of the ball's motion; collect longer or in a "
-        "wider box, with one robot and one detector publishing"
-        if missed > _DOUBTFUL
+def _chain_faults(fit: ChainFit, deviation: float) -> list[str]:
+    """Why a chain is not to be trusted, in words; the most important first."""
+    unknown, off = math.isnan(fit.noise_m), f"{1e3 * fit.residual_m:.1f} mm"
+    faults = (
+        f"the images seem to be stamped {1e3 * MAX_OFFSET_S:.0f} ms "
+        f"{'late' if fit.time_offset_s > 0.0 else 'early'} or more: do not trust this fit; "
+        "set the clocks (NTP), or add the delay to stamp_delay_s of fvs_detector_node"
+        if fit.offset_at_limit
+        else "",
+        "whether the ball moves on a rigid chain of revolute joints cannot be told: images are "
+        f"{off} off it; collect with five images a second or more"
+        if unknown and not fit.is_chain
+        else "",
+        f"the ball does not move on a rigid chain of revolute joints: images are {off} off, "
+        f"noise explains {1e3 * fit.noise_m:.1f} mm; check that nothing moved the camera or the "
+        "ball on its tool, check joint names and signs, or train with another method"
+        if not unknown and not fit.is_chain
+        else "",
+        f"the Jacobian is known to {100.0 * deviation:.1f} % only; collect longer or in a "
+        "wider box, and see that the camera is calibrated"
+        if deviation > _NOTABLE_DEVIATION
         else "",
     )
-    return [note for note in notes if note]
+    return [fault for fault in faults if fault]
+
+
+def _notes(data: DataSet, errors: dict[str, Any], faults: list[str]) -> list[str]:
+    """What a user should know, in words; the most important first."""
+    still = ", ".join(
+        name
+        for name, spread in zip(data.joint_names, data.joints_rad.std(axis=0), strict=True)
+        if spread < STILL_RAD
+    )
+    if still:
+        faults = [f"{still} did not move in the data set: nothing is known there"]
+    offset_s, missed = errors.get("time_offset_s", 0.0), errors.get("pair_error_relative", 0.0)
+    noise_m = errors.get("noise_m", errors.get("residual_m", 0.0))
+    late = f"{1e3 * abs(offset_s):.0f} ms {'before' if offset_s > 0.0 else 'after'} their stamps"
+    clocks = "" if offset_s > 0.0 else " (if more than half an image's time: set the clocks, NTP)"
+    outliers, samples = errors["outliers"], errors["samples"]
+    notes = (
+        f"ball positions scatter by {1e3 * noise_m:.0f} mm (median); check depth, lighting and "
+        "that nothing else is taken for the ball"
+        if noise_m > _NOTABLE_NOISE_M
+        else "",
+        f"the images show the joints of {late}; corrected here, but the loop needs it, too: add "
+        f"{offset_s:.3f} to stamp_delay_s of fvs_detector_node{clocks}"
+        if _NOTABLE_OFFSET_S < abs(offset_s) < 0.99 * MAX_OFFSET_S
+        else "",
+        f"{outliers} of {samples} images do not fit and were left out"
+        if outliers > _NOTABLE_OUTLIERS * samples
+        else "",
+        f"the networks miss {100.0 * missed:.0f} % of the ball's motion; collect longer or in a "
+        "wider box, with one robot and one detector publishing"
+        if missed > _NOTABLE_ERROR
+        else "",
+    )
+    return faults + [note for note in notes if note]

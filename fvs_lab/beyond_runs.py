@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from fvs_estimator_node.chain_fit import fit_chain
-from fvs_estimator_node.dataset import DataSet, data_set_of
-from fvs_estimator_node.distilling import train_structured
+from fvs_estimator_node.files import DataSet, data_set_of
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
+from fvs_estimator_node.training import TrainingOptions, train
 from fvs_lab import trials
 from fvs_lab.contestants import variant
 from fvs_lab.results import Results
@@ -91,7 +91,7 @@ def learn(
     plant, seed, duration_s, conditions = task
     data, late_s = record(seed, duration_s, conditions)
     began_s = time.process_time()
-    distilled = train_structured(data, seed=seed)
+    distilled = train(data, TrainingOptions("poe", seed=seed))
     fit_s = time.process_time() - began_s
     assert distilled.chain is not None
     simulation = trials.simulation_of(conditions)

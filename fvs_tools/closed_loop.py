@@ -17,8 +17,8 @@ from fvs_controller_node.inbox import JACOBIAN
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.supervisor import Command
 from fvs_estimator_node.base import Estimator, OracleEstimator
+from fvs_estimator_node.files import TrainedModel, load_model
 from fvs_estimator_node.loop import EstimationLoop
-from fvs_estimator_node.model_file import TrainedModel, load_model
 from fvs_estimator_node.registry import create_estimator
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.paths import find_file

@@ -15,7 +15,7 @@ from geometry_msgs.msg import PointStamped
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_srvs.srv import Trigger
 
-from fvs_estimator_node.model_file import load_model
+from fvs_estimator_node.files import load_model
 from fvs_ros import ros, topics
 from fvs_ros.camera import Intrinsics
 from fvs_ros.joints import JointMap

@@ -14,16 +14,11 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from fvs_estimator_node.dataset import DataSet, load_data_set
-from fvs_estimator_node.distilling import NEURONS, train_structured, with_chain
-from fvs_estimator_node.model_file import TrainedModel, save_model
+from fvs_estimator_node.files import DataSet, TrainedModel, load_data_set, save_model
 from fvs_estimator_node.training import METHODS, TrainingOptions, train
 from fvs_ros import console
 from fvs_ros.arguments import Parser, one_of
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
-
-#: The method that assumes a serial chain.
-STRUCTURED = "poe"
 
 
 @console.reader_may_leave()
@@ -33,7 +28,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         data = load_data_set(arguments.data)
         _check_output(arguments.output)
-        trained, words, out_of_time = _train(data, arguments)
+        trained, out_of_time = _train(data, arguments)
         provenance = {
             **trained.provenance,
             "data_file": arguments.data.name,
@@ -50,27 +45,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("fvs_train: interrupted, no model was written", file=sys.stderr)
         return EXIT_FAILURE
     if not arguments.quiet:
-        print(words)
+        print(report(trained))
     for note in trained.notes:  # the estimator says them again, of the model it loads
         print(f"note: {note}", file=sys.stderr if arguments.quiet else sys.stdout)
     print(f"model written to {arguments.output}")
     return EXIT_OK
 
 
-def _train(data: DataSet, arguments: argparse.Namespace) -> tuple[TrainedModel, str, bool]:
-    """The model, its figures in words, and whether time was over before the training."""
-    started_s = time.monotonic()
-    if arguments.method == STRUCTURED:
-        say = None if arguments.quiet else (lambda words: print(f"{words} ...", file=sys.stderr))
-        neurons = NEURONS if arguments.neurons is None else arguments.neurons
-        trained = train_structured(data, neurons, arguments.seed, say)
-        return trained, report_structured(trained, time.monotonic() - started_s), False
-    options = TrainingOptions(
-        method=arguments.method,
-        neurons=TrainingOptions.neurons if arguments.neurons is None else arguments.neurons,
-        seed=arguments.seed,
-    )
-    out_of_time = False
+def _train(data: DataSet, arguments: argparse.Namespace) -> tuple[TrainedModel, bool]:
+    """The model, and whether time was over before the training."""
+    options = TrainingOptions(arguments.method, arguments.neurons, arguments.seed)
+    say = None if arguments.quiet else (lambda words: print(f"{words} ...", file=sys.stderr))
+    started_s, out_of_time = time.monotonic(), False
     with tqdm(
         desc="training",
         unit="it",
@@ -90,10 +76,7 @@ def _train(data: DataSet, arguments: argparse.Namespace) -> tuple[TrainedModel, 
             out_of_time = arguments.max_seconds is not None and passed_s > arguments.max_seconds
             return out_of_time
 
-        trained = train(data, options, on_progress)
-    words = report(trained, time.monotonic() - started_s)
-    trained, chain = with_chain(trained, data, arguments.seed)
-    return trained, f"{words}\n{chain}", out_of_time
+        return train(data, options, on_progress, say), out_of_time
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -105,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--method",
-        type=one_of("method", (*METHODS, STRUCTURED)),
+        type=one_of("method", tuple(METHODS)),
         default=defaults.method,
         help="varpro also moves the neurons; ridge solves for the weights only, in about a second; "
         "poe fits a chain of revolute joints, from which the networks are distilled: "
@@ -115,7 +98,7 @@ def _parser() -> argparse.ArgumentParser:
         "--neurons",
         type=int,
         default=None,
-        help=f"per network (default {defaults.neurons}, with poe {NEURONS})",
+        help=f"per network (default {METHODS['varpro']}, with poe {METHODS['poe']})",
     )
     parser.add_argument(
         "--seed", type=int, default=defaults.seed, help="equal seeds give equal models (default 0)"
@@ -138,46 +121,38 @@ def _check_output(path: Path) -> None:
         raise ValueError(f"the folder {path.absolute().parent} for the model does not exist")
 
 
-def report(trained: TrainedModel, seconds: float) -> str:
-    """What a user should see: errors, box, time."""
-    errors = trained.errors
-    lines = [
-        "",
-        f"between held-out images: {1e3 * errors['pair_error_m']:.2f} mm rms, "
-        f"{100.0 * errors['pair_error_relative']:.2f} % of the ball's motion, noise included",
-        *_boxes(trained),
-        f"{errors['samples']} images, {errors['held_out_samples']} held out, "
-        f"{errors['outliers']} left out; {errors['iterations']} iterations, {seconds:.1f} s",
-    ]
-    return "\n".join(lines)
-
-
-def report_structured(trained: TrainedModel, seconds: float) -> str:
-    """What a user should see of a structured training."""
-    e = trained.errors
-    noise = "noise unknown: images too far apart"
-    if "noise_m" in e:
-        noise = f"noise {1e3 * e['noise_m']:.2f} mm, misfit {e['misfit']:.2f}"
-    lines = [
-        "",
-        f"Jacobian of the chain, in the box of the data: {100 * e['jacobian_deviation']:.3f} % "
-        "(standard deviation; the camera's scale is not observable)",
-        f"networks distilled from it: {100 * e['distillation_error']:.2f} % off the chain (median)",
-        # + 0.0: no negative zero
-        f"images stamped late: {round(1e3 * e['time_offset_s'], 1) + 0.0:.1f} +- "
-        f"{1e3 * e['time_offset_deviation_s']:.1f} ms",
-        f"noise of a ball position: {1e3 * e['ray_noise_m']:.2f} mm along the line of sight, "
-        f"{1e3 * e['lateral_noise_m']:.2f} mm across",
-        f"distance from the chain: {1e3 * e['residual_m']:.2f} mm (median); {noise}",
-        *_boxes(trained),
-        f"{e['samples']} images, {e['outliers']} left out; {seconds:.1f} s",
-    ]
-    return "\n".join(lines)
-
-
-def _boxes(trained: TrainedModel) -> list[str]:
+def report(trained: TrainedModel) -> str:
+    """What a user should see: errors, what is known of the chain, box."""
+    e, lines = trained.errors, [""]
+    if "pair_error_m" in e:
+        lines.append(
+            f"between held-out images: {1e3 * e['pair_error_m']:.2f} mm rms, "
+            f"{100.0 * e['pair_error_relative']:.2f} % of the ball's motion, noise included"
+        )
+    if trained.chain is None:
+        lines.append(f"no chain: {trained.provenance['no_chain']}")
+    else:
+        noise = "noise unknown: images too far apart"
+        if "noise_m" in e:
+            noise = f"noise {1e3 * e['noise_m']:.2f} mm, misfit {e['misfit']:.2f}"
+        lines += [
+            f"Jacobian of the chain, in the box of the data: {100 * e['jacobian_deviation']:.3f} % "
+            "(standard deviation; the camera's scale is not observable)",
+            f"networks: {100 * e['distillation_error']:.2f} % off the chain (median)",
+            # + 0.0: no negative zero
+            f"images stamped late: {round(1e3 * e['time_offset_s'], 1) + 0.0:.1f} +- "
+            f"{1e3 * e['time_offset_deviation_s']:.1f} ms",
+            f"noise of a ball position: {1e3 * e['ray_noise_m']:.2f} mm along the line of sight, "
+            f"{1e3 * e['lateral_noise_m']:.2f} mm across",
+            f"distance from the chain: {1e3 * e['residual_m']:.2f} mm (median); {noise}",
+        ]
     low, high = (", ".join(f"{v:.2f}" for v in side) for side in trained.joint_box_rad)
-    return [f"joints from [{low}]", f"         to [{high}] rad"]
+    lines += [
+        f"joints from [{low}]",
+        f"         to [{high}] rad",
+        f"{e['samples']} images, {e['outliers']} left out",
+    ]
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":

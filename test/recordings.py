@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import ur5_dh
 
-from fvs_estimator_node.dataset import DataSet
+from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_ros.chain import SerialChain
+from fvs_ros.joints import UR_JOINT_NAMES
 
 _RATE_HZ = 30.0
 
@@ -96,7 +97,8 @@ class Recording:
         ball = ball + self.noise_m * rng.normal(size=ball.shape)
         bad = rng.random(len(ball)) < self.outliers
         ball[bad] += 0.03 * rng.normal(size=(int(bad.sum()), 3))
-        return DataSet(stamps, self.joints(stamps), ball, np.zeros(len(stamps), dtype=int))
+        run = np.zeros(len(stamps), dtype=int)
+        return DataSet(stamps, self.joints(stamps), ball, run, UR_JOINT_NAMES)
 
     def places(self, count: int = 200) -> np.ndarray:
         """Joints anywhere in the box, rad, shape (count, 6)."""

@@ -7,7 +7,7 @@ import pytest
 from lock_step import EXACT, ball_at, loop_from, run
 
 from fvs_controller_node.reasons import Reason, State
-from fvs_estimator_node.model_file import load_model
+from fvs_estimator_node.files import load_model
 from fvs_lab.trials import HOME_RAD, jacobian_error, make_cases, simulation_of
 from fvs_ros.chain import SerialChain
 from fvs_ros.paths import find_file

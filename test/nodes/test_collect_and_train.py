@@ -9,8 +9,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from recordings import relative_error
 from std_msgs.msg import Float64MultiArray
 
-from fvs_estimator_node.dataset import load_data_set
-from fvs_estimator_node.model_file import load_model
+from fvs_estimator_node.files import load_data_set, load_model
 from fvs_ros import ros, topics
 from fvs_sim_node.simulation import SimConfig, Simulation
 

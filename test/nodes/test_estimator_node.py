@@ -11,7 +11,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from fvs_estimator_node.model_file import load_model, save_model
+from fvs_estimator_node.files import load_model, save_model
 from fvs_ros import ros, topics
 from fvs_ros.joints import JointMap
 from fvs_ros.paths import find_file

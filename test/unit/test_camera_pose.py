@@ -11,7 +11,7 @@ from fvs_estimator_node.camera import (
     TurnedRbfEstimator,
     rotation_angle_rad,
 )
-from fvs_estimator_node.distilling import distil
+from fvs_estimator_node.training import distil
 
 NOISE_M = 0.001
 BOX = ur5_dh.HOME_RAD + np.array([-1.0, 1.0])[:, None] * ur5_dh.BOX_M_RAD

@@ -10,7 +10,7 @@ from recordings import Recording, relative_error, ur5_chain
 from fvs_estimator_node import chain_chart
 from fvs_estimator_node.chain_chart import Chart, residuals_and_slopes
 from fvs_estimator_node.chain_fit import fit_chain
-from fvs_estimator_node.dataset import DataSet
+from fvs_estimator_node.files import DataSet
 from fvs_ros.chain import SerialChain
 
 

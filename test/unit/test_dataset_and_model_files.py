@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 from recordings import ur5_chain
 
-from fvs_estimator_node.dataset import DataSet, load_data_set, save_data_set
-from fvs_estimator_node.model_file import TrainedModel, load_model, save_model
-from fvs_estimator_node.npz_file import FileError
+from fvs_estimator_node.files import (
+    DataSet,
+    FileError,
+    TrainedModel,
+    load_data_set,
+    load_model,
+    save_data_set,
+    save_model,
+)
 from fvs_estimator_node.rbf import RbfModel
 from fvs_ros.chain import CHAIN_SHAPES
 from fvs_ros.joints import UR_JOINT_NAMES
@@ -30,6 +36,7 @@ def some_model():
         np.array([[-1.0] * 6, [1.0] * 6]),
         np.array([[-1.0] * 3, [1.0] * 3]),
         rng.normal(size=(5, 3)),
+        UR_JOINT_NAMES,
         errors={"pair_error_relative": 0.01},
         provenance={"method": "ridge"},
         chain=ur5_chain(),

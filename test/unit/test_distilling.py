@@ -9,15 +9,17 @@ import ur5_dh
 from recordings import Recording, relative_error, turn
 
 from fvs_detector_node.config import PARAMETERS
-from fvs_estimator_node.distilling import train_structured, with_chain
+from fvs_estimator_node.training import TrainingOptions, train
 from fvs_ros.params import ParameterSet
+
+FEW = TrainingOptions("poe", neurons=20)
 
 
 @pytest.fixture(scope="module")
 def distilled():
     """A model of a minute's motion of a camera in time, and its recording."""
     recording = Recording(late_s=0.0, outliers=0.0)
-    return train_structured(recording.data()), recording
+    return train(recording.data(), TrainingOptions("poe")), recording
 
 
 def test_chain_and_networks_are_those_of_the_arm(distilled):
@@ -33,7 +35,7 @@ def test_chain_and_networks_are_those_of_the_arm(distilled):
 
 
 def notes_of(recording, change=lambda data: data):
-    return train_structured(change(recording.data()), neurons=20).notes
+    return train(change(recording.data()), FEW).notes
 
 
 def test_a_late_camera_and_many_outliers_are_told():
@@ -82,14 +84,11 @@ def slow(data):
 
 
 def test_a_model_trained_otherwise_gets_no_chain_that_cannot_be_told(distilled):
-    plain = replace(distilled[0], chain=None)
-    with_one, words = with_chain(plain, distilled[1].data())
-    assert with_one.chain is not None
-    assert "fits" in words
-    data = slow(Recording(seconds=80.0, late_s=0.0, outliers=0.0).data())
-    without, words = with_chain(plain, data)
+    ridge = TrainingOptions("ridge", neurons=20)
+    assert train(distilled[1].data(), ridge).chain is not None
+    without = train(slow(Recording(seconds=80.0, late_s=0.0, outliers=0.0).data()), ridge)
     assert without.chain is None
-    assert words.startswith("no chain: whether the ball moves")
+    assert without.provenance["no_chain"].startswith("whether the ball moves")
 
 
 def test_a_cameras_own_systematic_errors_are_no_alarm():

@@ -16,9 +16,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fvs_estimator_node.dataset import DataSet, load_data_set, save_data_set
-from fvs_estimator_node.model_file import load_model
-from fvs_estimator_node.npz_file import FileError
+from fvs_estimator_node.files import DataSet, FileError, load_data_set, load_model, save_data_set
 from fvs_tools.scenario import NODE_TABLE, load_scenario, params_yaml
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -138,7 +136,7 @@ def test_members_of_any_type_shape_and_content(kind, tmp_path, data):
 
 LOAD = """
 import sys
-from fvs_estimator_node.model_file import load_model
+from fvs_estimator_node.files import load_model
 from fvs_tools.scenario import load_scenario
 try:
     (load_model if sys.argv[1].endswith("npz") else load_scenario)(sys.argv[1])

@@ -11,13 +11,10 @@ from ur5_dh import (
     uniform_in_box,
 )
 
-from fvs_estimator_node.dataset import DataSet
+from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
-from fvs_estimator_node.training import (
-    TrainingError,
-    TrainingOptions,
-    train,
-)
+from fvs_estimator_node.pairs import TrainingError
+from fvs_estimator_node.training import TrainingOptions, train
 
 NOISE_M = 1e-3
 RIDGE = TrainingOptions(method="ridge")
@@ -91,7 +88,7 @@ def test_outliers_are_left_out(monkeypatch):
     bad = rng.random(len(data)) < 0.02
     ball[bad] += 0.1 * rng.standard_normal((bad.sum(), 3))
     spoilt = train(replace(data, ball_m=ball), RIDGE)
-    monkeypatch.setattr("fvs_estimator_node.training._OUTLIER_FACTOR", 1e9)
+    monkeypatch.setattr("fvs_estimator_node.pairs._OUTLIER_FACTOR", 1e9)
     kept = train(replace(data, ball_m=ball), RIDGE)
     assert 0.7 * bad.sum() <= spoilt.errors["outliers"] <= bad.sum() + 5
     assert any("left out" in note for note in spoilt.notes)

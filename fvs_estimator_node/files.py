@@ -1,0 +1,380 @@
+"""Data sets and trained models, and their ``.npz`` files: no pickles, nothing oversized."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import sys
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from fvs_estimator_node.rbf import RbfModel
+from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.chain import CHAIN_SHAPES, SerialChain
+from fvs_ros.timeline import Sample
+from fvs_ros.vectors import check_arrays
+
+_VERSION = 1
+#: Two hours at 200 Hz stay below it; a larger file is nothing of ours.
+_MAX_BYTES = 2**28
+#: Longest error sentence, and most notes of a model and longest of them: a file may hold anything.
+_LONGEST_ERROR, _MOST_NOTES, _LONGEST_NOTE = 800, 20, 500
+#: Ball positions of the training that are kept.
+_BALL_SAMPLES = 500
+
+_DATA_SET = {"stamps_s": ("k",), "joints_rad": ("k", "n"), "ball_m": ("k", "m"), "segment": ("k",)}
+_MODEL: dict[str, tuple[int | str, ...]] = {
+    "joint_box_rad": (2, "n"),
+    "ball_box_m": (2, "m"),
+    "ball_samples_m": ("k", "m"),
+}
+_NETWORKS = ("centres", "widths", "weights")
+_CHAIN = {f"chain_{name}": name for name in CHAIN_SHAPES}
+
+
+class FileError(ValueError):
+    """A file that cannot be used; one sentence with its path, what is wrong, what was expected."""
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """k ball positions and the joints at their exposures.
+
+    Parameters
+    ----------
+    stamps_s : ndarray, shape (k,)
+        Exposure times, s; rising within a segment.
+    joints_rad : ndarray, shape (k, n)
+        Joint positions at exposure, rad.
+    ball_m : ndarray, shape (k, m)
+        Ball positions in the feature frame, m.
+    segment : ndarray of int, shape (k,)
+        Number of the continuous run a sample belongs to; never falls.
+    joint_names : tuple of str, optional
+        Names of the columns of ``joints_rad``; by default ``joint_1``, ``joint_2``, ...
+    feature_frame : str
+        Frame of the ball positions.
+    provenance : dict
+        Where it comes from; anything that JSON can hold.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit, something is not finite, or stamps or segments go back.
+    """
+
+    stamps_s: np.ndarray
+    joints_rad: np.ndarray
+    ball_m: np.ndarray
+    segment: np.ndarray
+    joint_names: tuple[str, ...] = ()
+    feature_frame: str = CAMERA_FRAME
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        n = check_arrays(self, _DATA_SET, {})["n"]
+        names = tuple(self.joint_names) or tuple(f"joint_{i + 1}" for i in range(n))
+        if len(names) != n:
+            raise ValueError(f"{len(names)} joint names and {n} joints do not fit together")
+        object.__setattr__(self, "joint_names", names)
+        with np.errstate(invalid="ignore"):
+            object.__setattr__(self, "segment", self.segment.astype(np.int64))
+        if np.any(np.diff(self.segment) < 0):
+            raise ValueError("segment numbers go back, expected runs one after the other")
+        same = np.diff(self.segment) == 0
+        if np.any(np.diff(self.stamps_s)[same] <= 0.0):
+            raise ValueError("stamps_s do not rise within a segment")
+
+    def __len__(self) -> int:
+        return len(self.stamps_s)
+
+    def runs(self) -> list[slice]:
+        """The continuous runs, one after the other."""
+        ends = [0, *(np.flatnonzero(np.diff(self.segment)) + 1).tolist(), len(self)]
+        return [slice(a, b) for a, b in pairwise(ends)]
+
+
+def data_set_of(samples: Sequence[Sample], **particulars: Any) -> DataSet:
+    """A data set of samples; ``particulars`` are its other fields."""
+    stamps_s, joints_rad, ball_m, run = (np.array(column) for column in zip(*samples, strict=True))
+    return DataSet(stamps_s, joints_rad, ball_m, run, **particulars)
+
+
+@dataclass(frozen=True)
+class TrainedModel:
+    """The networks and what one must know to use them.
+
+    Parameters
+    ----------
+    model : RbfModel
+        Centres, widths, weights.
+    joint_box_rad : ndarray, shape (2, n)
+        Least and greatest joint positions trained on, rad; outside, the networks extrapolate.
+    ball_box_m : ndarray, shape (2, m)
+        Least and greatest ball positions trained on, m.
+    ball_samples_m : ndarray, shape (k, m)
+        Some of the ball positions trained on, m: places that the arm can reach.
+    joint_names : tuple of str
+        The joint order.
+    feature_frame : str
+        Frame of the ball positions.
+    errors : dict
+        Error figures of the training, name to number.
+    provenance : dict
+        Where it comes from; anything that JSON can hold.
+    chain : SerialChain, optional
+        The chain fitted to the same data, for the method ``poe``.
+
+    Raises
+    ------
+    ValueError
+        If its parts do not fit together.
+    """
+
+    model: RbfModel
+    joint_box_rad: np.ndarray
+    ball_box_m: np.ndarray
+    ball_samples_m: np.ndarray
+    joint_names: tuple[str, ...]
+    feature_frame: str = CAMERA_FRAME
+    errors: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    chain: SerialChain | None = None
+
+    def __post_init__(self) -> None:
+        n, m = self.model.weights.shape[:2]
+        object.__setattr__(self, "joint_names", tuple(self.joint_names))
+        joints = n if self.chain is None else len(self.chain.axes)
+        if not len(self.joint_names) == n == joints:
+            raise ValueError(
+                f"{len(self.joint_names)} joint names, networks of {n} and a chain of {joints} "
+                "joints do not fit together"
+            )
+        check_arrays(self, _MODEL, {"n": n, "m": m})
+        for name in ("joint_box_rad", "ball_box_m"):
+            low, high = getattr(self, name)
+            if np.any(low > high):
+                raise ValueError(f"{name} has a least value above the greatest")
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the training found that a user of the model should know, a sentence each."""
+        notes = self.provenance.get("notes", ())
+        if not isinstance(notes, (list, tuple)):
+            return ()
+        return tuple(" ".join(str(note).split())[:_LONGEST_NOTE] for note in notes[:_MOST_NOTES])
+
+
+def boxes_of(
+    joints_rad: np.ndarray, ball_m: np.ndarray, rng: np.random.Generator
+) -> dict[str, Any]:
+    """What a model says of the data that it was trained on: its boxes, and some ball positions."""
+    return {
+        "joint_box_rad": np.stack([joints_rad.min(axis=0), joints_rad.max(axis=0)]),
+        "ball_box_m": np.stack([ball_m.min(axis=0), ball_m.max(axis=0)]),
+        "ball_samples_m": ball_m[rng.permutation(len(ball_m))[:_BALL_SAMPLES]],
+    }
+
+
+# ---- writing and reading --------------------------------------------------------------------
+
+
+def save_data_set(path: str | os.PathLike[str], data: DataSet) -> None:
+    """Write a data set in one piece."""
+    _write(path, "fvs_dataset", vars(data))
+
+
+def save_model(path: str | os.PathLike[str], trained: TrainedModel) -> None:
+    """Write a model in one piece."""
+    fields = {**vars(trained), **vars(trained.model)}
+    del fields["model"]
+    chain = fields.pop("chain")
+    if chain is not None:
+        fields |= {stored: getattr(chain, name) for stored, name in _CHAIN.items()}
+    _write(path, "fvs_rbf_model", fields)
+
+
+def load_data_set(
+    path: str | os.PathLike[str],
+    joint_names: Sequence[str] | None = None,
+    feature_frame: str | None = None,
+) -> DataSet:
+    """Read and check a data set.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    joint_names : sequence of str, optional
+        The joint order it must have; None takes any.
+    feature_frame : str, optional
+        The frame it must have; None takes any.
+
+    Raises
+    ------
+    FileError
+        If anything is not as expected; the text names the file, the fault and what was expected.
+    """
+
+    def build(content: _Content) -> DataSet:
+        return DataSet(
+            **{name: content[name] for name in _DATA_SET},
+            **content.common,
+            provenance=content.json("provenance"),
+        )
+
+    return _read(path, "fvs_dataset", joint_names, feature_frame, build)
+
+
+def load_model(
+    path: str | os.PathLike[str],
+    joint_names: Sequence[str] | None = None,
+    feature_frame: str | None = None,
+) -> TrainedModel:
+    """Read and check a model; parameters and errors are those of :func:`load_data_set`."""
+
+    def build(content: _Content) -> TrainedModel:
+        chain = None
+        if any(name in content for name in _CHAIN):
+            chain = SerialChain(*(content[name] for name in _CHAIN))
+        return TrainedModel(
+            RbfModel(*(content[name] for name in _NETWORKS)),
+            **{name: content[name] for name in _MODEL},
+            **content.common,
+            errors=content.json("errors"),
+            provenance=content.json("provenance"),
+            chain=chain,
+        )
+
+    return _read(path, "fvs_rbf_model", joint_names, feature_frame, build)
+
+
+def _write(path: str | os.PathLike[str], kind: str, fields: Mapping[str, Any]) -> None:
+    """Write arrays, texts and JSON: either the old file is there or the whole new one."""
+    target = Path(path)
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    arrays: dict[str, Any] = {
+        name: json.dumps(dict(value), sort_keys=True) if isinstance(value, Mapping) else value
+        for name, value in {"format": kind, "version": _VERSION, **fields}.items()
+    }
+    try:
+        with temporary.open("wb") as stream:
+            np.savez_compressed(stream, **arrays)
+            stream.flush()
+            os.fsync(stream.fileno())
+        temporary.replace(target)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+_T = TypeVar("_T")
+
+
+def _read(
+    path: str | os.PathLike[str],
+    kind: str,
+    joint_names: Sequence[str] | None,
+    feature_frame: str | None,
+    build: Callable[[_Content], _T],
+) -> _T:
+    """What is built of a file's content, once it is of the right kind, joints and frame."""
+    try:
+        content = _Content(_arrays(Path(path)))
+        content.check(kind, joint_names, feature_frame)
+        return build(content)
+    except FileNotFoundError:
+        words = "does not exist"
+    except OSError as error:
+        words = f"cannot be read: {error.strerror or error}"
+    except ValueError as error:
+        words = str(error)
+    raise FileError(f"{path}: {words[:_LONGEST_ERROR]}")
+
+
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of a file by name; nothing is believed that a header claims."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            total = sum(member.file_size for member in members)
+            if total <= _MAX_BYTES:
+                arrays = {m.filename: _array(m.filename, archive.read(m)) for m in members}
+                return {name.removesuffix(".npy"): array for name, array in arrays.items()}
+    except OSError:
+        raise
+    except Exception as error:  # those of zipfile, zlib, lzma and numpy have no common base
+        reason = str(error) or type(error).__name__
+        raise ValueError(f"not a readable .npz file ({reason})") from None
+    raise ValueError(f"holds {total >> 20} MB, expected at most {_MAX_BYTES >> 20} MB")
+
+
+def _array(name: str, content: bytes) -> np.ndarray:
+    """The array of a member, of numbers or text, in no more memory than the member has."""
+    stream, form = io.BytesIO(content), np.lib.format
+    first = form.read_magic(stream) == (1, 0)
+    header = form.read_array_header_1_0 if first else form.read_array_header_2_0
+    shape, by_columns, dtype = header(stream)
+    if dtype.kind not in "biufU":
+        raise ValueError(f"{name} is of type {dtype}, expected numbers or text")
+    flat = np.frombuffer(content[stream.tell() :], dtype)
+    if dtype.kind == "U":
+        codes = flat.view(np.dtype("u4").newbyteorder(dtype.byteorder))
+        if codes.max(initial=0) > sys.maxunicode:
+            raise ValueError(f"{name} has characters that do not exist")
+    return flat.reshape(shape, order="F" if by_columns else "C")
+
+
+class _Content(dict[str, Any]):
+    """The arrays of a file, with checks in words (ValueError)."""
+
+    def __missing__(self, name: str) -> Any:
+        found = ", ".join(sorted(self)[:12]) or "nothing"
+        raise ValueError(f"lacks the field {name!r}; it holds {found}")
+
+    def check(
+        self, kind: str, joint_names: Sequence[str] | None, feature_frame: str | None
+    ) -> None:
+        """Check format, version, joints and frame; None takes any."""
+        if self.text("format") != kind:
+            raise ValueError(f"is of format {self.text('format')!r}, expected {kind!r}")
+        version = self["version"].tolist()
+        if version != _VERSION:
+            raise ValueError(f"{kind} version {version!r}, this program reads version {_VERSION}")
+        names, frame = self.texts("joint_names"), self.text("feature_frame")
+        if not names or len(set(names)) != len(names):
+            raise ValueError(f"names the joints {list(names)}, expected different names")
+        if joint_names is not None and names != tuple(joint_names):
+            raise ValueError(f"joint order {list(names)}, expected {list(joint_names)}")
+        if feature_frame is not None and frame != feature_frame:
+            raise ValueError(f"ball positions in the frame {frame!r}, expected {feature_frame!r}")
+        self.common: dict[str, Any] = {"joint_names": names, "feature_frame": frame}
+
+    def texts(self, name: str, dimensions: int = 1) -> tuple[str, ...]:
+        """A list of texts, or a single one without dimensions."""
+        value = self[name]
+        if value.ndim != dimensions or value.dtype.kind != "U":
+            raise ValueError(f"has a field {name!r} that is not a text or a list of texts")
+        return tuple(value.reshape(-1).tolist())
+
+    def text(self, name: str) -> str:
+        """A text."""
+        return self.texts(name, 0)[0]
+
+    def json(self, name: str) -> dict[str, Any]:
+        """A text that holds a JSON object."""
+        text = self.text(name)
+        try:
+            value = json.loads(text)
+        except (ValueError, RecursionError):  # no JSON, numbers without end, brackets without end
+            value = None
+        if not isinstance(value, dict):
+            raise ValueError(f"has a field {name!r} that is not a JSON object")
+        return value
