@@ -9,12 +9,16 @@ import numpy as np
 
 from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.reasons import Finding, Reason
-from fvs_ros.vectors import all_finite, length
+from fvs_controller_node.target_motion import TargetMotion, Update
+from fvs_ros.vectors import length
 
 #: The error has swung when it is this far from where it was, m: more than noise does. Without a
 #: swing for this time, s, it has come to rest. A sustained oscillation sums up to this way, m, and
 #: to twice the way to the target besides.
 _SWING_M, _REST_S, _SWINGS_M = 0.01, 1.0, 0.5
+
+#: The error is averaged over this time, s; it has made progress when it is below this share.
+_SMOOTH_S, _PROGRESS = 0.1, 0.97
 
 
 class _Mark(NamedTuple):
@@ -68,7 +72,7 @@ class Progress:
         norm_m = length(error_m)
         if self._smooth_m is None:
             self._smooth_m = self._first_m = norm_m
-        self._smooth_m += (norm_m - self._smooth_m) * dt_s / (dt_s + 0.1)  # s
+        self._smooth_m += (norm_m - self._smooth_m) * dt_s / (dt_s + _SMOOTH_S)
         smooth_m = self._smooth_m
         self._near_s = self._near_s + dt_s if smooth_m < config.settled_error_m else 0.0
         self.settled = self._near_s >= config.settled_time_s
@@ -81,7 +85,7 @@ class Progress:
         up = smooth_m > config.growth_factor * best_m and smooth_m > best_m + config.growth_m
         self._up_s = self._up_s + dt_s if up else 0.0
         mark_m = float(self._mark.error) + self._mark.gone_m(target_m)
-        if best_m < 0.97 * mark_m:  # progress
+        if best_m < _PROGRESS * mark_m:
             self._mark, self._since_s = _Mark(best_m, target_m), 0.0
         elif smooth_m > config.stall_error_m:
             self._since_s += dt_s
@@ -120,17 +124,20 @@ class Goal:
     def __init__(self, config: SupervisorConfig) -> None:
         self._config = config
         self.progress = Progress()  #: of the error since the start, or since another target
+        self.motion = TargetMotion()  #: of the target
+        self.moving = False  #: whether the target that was set last continues a motion
         self.target_m: np.ndarray | None = None  #: where the target is now, (m,)
-        self._set_m: np.ndarray | None = None  # as it was set last
+        self.velocity_m_s: np.ndarray | None = None  #: the target's, (m,); None unless it moves
         self.position_m: np.ndarray | None = None  #: where the ball is now, (m,)
 
     def configure(self, config: SupervisorConfig) -> None:
         """Change the settings; a target that a new box leaves outside is dropped."""
         self._config = config
         if self.target_m is not None and self._outside(self.target_m):
-            self.target_m = self._set_m = None
+            self.target_m = None
+            self.motion.restart()
 
-    def refusal(self, position_m: np.ndarray, frame: str) -> str:
+    def _refusal(self, position_m: np.ndarray, frame: str) -> str:
         """Why a target, (m,), m, is not accepted in this frame; empty if it is."""
         expected, features = self._config.feature_frame, self._config.features
         if not frame:
@@ -144,36 +151,44 @@ class Goal:
             return f"{', '.join(outside)} (workspace_min_m and workspace_max_m, in {frame})"
         return ""
 
-    def set(self, position_m: np.ndarray, frame: str, *, moving: bool = False) -> tuple[bool, str]:
+    def set(
+        self, position_m: np.ndarray, frame: str, there_s: float = -inf, age_s: float = 0.0
+    ) -> tuple[bool, str]:
         """Set the target, (m,), m; a refused one leaves the old in place.
 
-        A ``moving`` one continues the last one's motion. Returns whether it was accepted, and what
-        was done, or why not.
+        One that was there soon after the last one, ``there_s`` on the joint states' clock, moves;
+        without a time it stands. ``age_s`` is that of its message. Returns whether it was accepted,
+        and what was done, or why not.
         """
-        refusal = self.refusal(position_m, frame)
+        refusal = self._refusal(position_m, frame)
         if refusal:
             return False, f"target refused: {refusal}"
         target = np.array(position_m, dtype=float)
-        if not moving:  # a moving one is no new task
+        update = self.motion.update(target, there_s, age_s)
+        if update is Update.OVERTAKEN:
+            return True, "target ignored: a newer one has arrived"
+        self.moving = update is Update.CONTINUED
+        if not self.moving:  # a moving one is no new task
             self.progress.take_target(target, self._config)
-        self.target_m = self._set_m = target
+        self.target_m = target
         return True, f"target set to ({', '.join(f'{one:.3f}' for one in target)}) m"
 
     def was_set(self, position_m: np.ndarray) -> bool:
         """Whether a place, m, (m,), is the target that was set last."""
-        return self._set_m is not None and np.array_equal(position_m, self._set_m)
+        last_m = self.motion.last_m
+        return last_m is not None and np.array_equal(position_m, last_m)
 
-    def track(self, position_m: np.ndarray) -> bool:
-        """Take where the target is by now, m, (m,); False outside the workspace: it stays."""
-        if self.target_m is None or self._outside(position_m):
-            return False
-        self.target_m = position_m
-        return True
+    def track(self, now_s: float) -> None:
+        """Find where a moving target is now, s; outside the workspace it stays where it was."""
+        now = self.motion.at(now_s)
+        if now is None or self._outside(now.position_m):
+            self.velocity_m_s = None
+        else:
+            self.target_m, self.velocity_m_s = now
 
     def see(self, position_m: np.ndarray | None, dt_s: float, servoing: bool) -> None:
         """Take where the ball is after a tick, m, (m,); None where it is not known."""
-        usable = position_m is not None and all_finite(position_m)
-        self.position_m = position_m if usable else None
+        self.position_m = position_m
         error = self.error_m
         if error is not None:
             self.progress.add(error, dt_s, servoing, self._config, self.target_m)

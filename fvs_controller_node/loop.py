@@ -19,7 +19,7 @@ from fvs_controller_node.prediction import BallPredictor, PredictorConfig
 from fvs_controller_node.reasons import State
 from fvs_controller_node.redundancy import LEAST_SPEED, Inverse, make_inverse
 from fvs_controller_node.supervisor import Command, Supervisor
-from fvs_controller_node.target_motion import TargetMotion, on_own_clock
+from fvs_controller_node.target_motion import on_own_clock
 from fvs_ros.chain import SerialChain
 from fvs_ros.timeline import StampGate, jump_of
 
@@ -48,8 +48,6 @@ class ServoLoop:
         Predicts the ball to now.
     supervisor : Supervisor
         The one exit.
-    target : TargetMotion
-        Where a moving target is.
     """
 
     law: ControlLaw
@@ -58,7 +56,6 @@ class ServoLoop:
         values = default_values() if values is None else values
         self.supervisor = Supervisor(SupervisorConfig.from_values(values))
         self.predictor = BallPredictor()
-        self.target = TargetMotion()
         self.configure(values)
         self._drive_lag = DriveLag()
         self._pending_rad = self._drive_lag.pending_rad()
@@ -67,7 +64,6 @@ class ServoLoop:
         self._stamp_s = 0.0
         self._change = Change.TARGET  # since the law was asked last
         self._images = 0  # that it was asked with
-        self._target_m_s: np.ndarray | None = None  # None for a target that stands
         self._joint_stamps, self._ball_stamps = StampGate(), StampGate()
         self._joints: np.ndarray | None = None
         self._last_joints: tuple[float, np.ndarray | None] = (0.0, None)  # as they came
@@ -161,16 +157,8 @@ class ServoLoop:
         A stamp (s; 0 for now) says when it was there, on the clock of the joint states. The answer
         is the supervisor's: see :meth:`~fvs_controller_node.goal.Goal.set`.
         """
-        goal = self.supervisor.goal
         there_s = on_own_clock(stamp_s, self._stamp_s)
-        moving = not goal.refusal(position_m, frame) and self.target.continues(position_m, there_s)
-        if moving and self.target.overtaken(position_m, there_s):
-            return True, "target ignored: a newer one has arrived"
-        accepted, text = goal.set(position_m, frame, moving=moving)
-        if accepted:
-            self._note(Change.MEASUREMENT if moving and self._follows else Change.TARGET)
-            self.target.update(position_m, there_s, self._stamp_s - there_s)
-        return accepted, text
+        return self._set_target(position_m, frame, there_s, self._stamp_s - there_s)
 
     def set_current_as_target(self, now_s: float) -> tuple[bool, str]:
         """Make the ball's present position the target, if it is known now."""
@@ -180,10 +168,13 @@ class ServoLoop:
         position = self.position_m
         if position is None:
             return False, "target refused: the ball's position is not known yet"
-        accepted, text = self.supervisor.goal.set(position, self.supervisor.config.feature_frame)
+        return self._set_target(position, self.supervisor.config.feature_frame)
+
+    def _set_target(self, *target: Any) -> tuple[bool, str]:
+        goal = self.supervisor.goal
+        accepted, text = goal.set(*target)
         if accepted:
-            self._note(Change.TARGET)
-            self.target.restart(position, self._stamp_s)
+            self._note(Change.MEASUREMENT if goal.moving and self._follows else Change.TARGET)
         return accepted, text
 
     def _note(self, change: Change) -> None:
@@ -216,9 +207,8 @@ class ServoLoop:
         if now_s - self._chain_s > _CHAIN_MAX_AGE_S:
             self._chain = None  # its publisher is gone, or has another method now
             supervisor.inputs[KINEMATIC_CHAIN].forget()
-        target = self.target.at(self._stamp_s) if self._follows else None
-        inside = target is not None and supervisor.goal.track(target.position_m)
-        self._target_m_s = target.velocity_m_s if target is not None and inside else None
+        if self._follows:
+            supervisor.goal.track(self._stamp_s)
         self._pending_rad = self._drive_lag.pending_rad()
         if self._home is None:  # what moved before this start says nothing of now
             self.predictor.agreement.restart()
@@ -240,7 +230,8 @@ class ServoLoop:
 
     def _propose(self, error_m: np.ndarray, applied: np.ndarray, dt_s: float) -> ControlOutput:
         """Ask the law, for where arm and target will be when its command takes effect."""
-        jacobian, joints, velocity_m_s = self._jacobian, self._joints, self._target_m_s
+        jacobian, joints = self._jacobian, self._joints
+        velocity_m_s = self.supervisor.goal.velocity_m_s if self._follows else None
         assert jacobian is not None
         assert joints is not None
         if self._home is None:

@@ -13,6 +13,8 @@ end is known best: it has the longest window and the fewest terms.
 from __future__ import annotations
 
 from collections import deque
+from enum import Enum
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -31,10 +33,20 @@ _LEAST_NOISE_M, _SUPPOSED_M, _SUPPOSED, _REMEMBERED = 5e-6, 2e-3, 4, 200
 #: Shortest window, s and updates, and the ratio of the next longer one: a longer one is calmer, a
 #: shorter one quicker at corners.
 _WINDOW_S, _WINDOW, _LONGER = 0.15, 5, 1.6
-#: Updates further apart than this are two targets, s.
-_MAX_GAP_S = 0.25
+#: Updates further apart than this, s or m, are two targets.
+_MAX_GAP_S, _JUMP_M = 0.25, 0.05
+#: No arm could follow a target that is faster, m/s.
+_FASTEST_M_S = 1.0
 #: A stamp further than this from the joint states' is of another clock, s.
 _OWN_CLOCK_S = 0.2
+
+
+class Update(Enum):
+    """What an update of the position is."""
+
+    NEW = "another target"
+    CONTINUED = "the motion goes on"
+    OVERTAKEN = "older than the last one of the same motion"
 
 
 class Target(NamedTuple):
@@ -42,6 +54,11 @@ class Target(NamedTuple):
 
     position_m: np.ndarray
     velocity_m_s: np.ndarray
+
+
+def continues(step_m: np.ndarray, passed_s: float) -> bool:
+    """Whether a target that made this step, m, (m,), in this time, s, is on its way."""
+    return -_OWN_CLOCK_S < passed_s < _MAX_GAP_S and length(step_m) < _JUMP_M
 
 
 class TargetMotion:
@@ -54,34 +71,31 @@ class TargetMotion:
         self._interval_s = 0.0  # between updates
         self._age_s = 0.0  # of the last one when it came
 
-    def restart(self, position_m: np.ndarray, now_s: float = 0.0) -> None:
-        """Take a target that stands; how noisy updates are stays known."""
+    def restart(self) -> None:
+        """Forget the target; how noisy updates are stays known."""
         self._updates.clear()
-        self._updates.append((now_s, np.array(position_m, dtype=float)))
         self._curve = None
 
-    def continues(self, position_m: np.ndarray, now_s: float) -> bool:
-        """Whether a position, m, (m,), at a time, s, is of a target on its way."""
-        if not self._updates:
-            return False
-        last_s, last = self._updates[-1]
-        soon = -_OWN_CLOCK_S < now_s - last_s < _MAX_GAP_S
-        return soon and length(position_m - last) < 0.05  # further off it is another target
+    @property
+    def last_m(self) -> np.ndarray | None:
+        """Where it was at the last update, m, (m,); None before the first."""
+        return self._updates[-1][1] if self._updates else None
 
-    def overtaken(self, position_m: np.ndarray, now_s: float) -> bool:
-        """Whether an update, m, (m,), of a time, s, comes after a newer one of the same way."""
-        return self.continues(position_m, now_s) and now_s < self._updates[-1][0]
+    def update(self, position_m: np.ndarray, now_s: float = -inf, age_s: float = 0.0) -> Update:
+        """Take where it was, m, (m,), at a time, s, and the message's age, s.
 
-    def update(self, position_m: np.ndarray, now_s: float, age_s: float = 0.0) -> bool:
-        """Take where it was at a time, s, and the message's age, s; whether the motion goes on."""
+        At the time minus infinity it stands there, whatever came before.
+        """
         position = np.array(position_m, dtype=float)
-        if not self.continues(position, now_s):
-            self.restart(position, now_s)
-            return False
-        if self.overtaken(position, now_s):
-            return True
+        last_s, last = self._updates[-1] if self._updates else (-inf, position)
+        if now_s == -inf or not continues(position - last, now_s - last_s):
+            self.restart()
+            self._updates.append((now_s, position))
+            return Update.NEW
+        if now_s < last_s:
+            return Update.OVERTAKEN
         # Joint states, whose stamps may be the clock, can be rarer than updates.
-        again = now_s == self._updates[-1][0]
+        again = now_s == last_s
         if again:
             self._updates.pop()
         self._updates.append((now_s, position))
@@ -89,7 +103,7 @@ class TargetMotion:
             self._learn_noise()
         self._fit(now_s)
         self._age_s = max(0.0, age_s)
-        return True
+        return Update.CONTINUED
 
     @property
     def noise_m(self) -> float:
@@ -153,8 +167,7 @@ class TargetMotion:
             bent_s = min(since_s, self._age_s + self._interval_s)
             position += bent_s * (2.0 * since_s - bent_s) * curve[2]
             velocity += 2.0 * bent_s * curve[2]
-        # No arm could go along with one that is faster than 1 m/s.
-        return standing if length(velocity) > 1.0 else Target(position, velocity)
+        return standing if length(velocity) > _FASTEST_M_S else Target(position, velocity)
 
 
 def _polynomial(

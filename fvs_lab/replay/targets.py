@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from fvs_controller_node.target_motion import TargetMotion
+from fvs_controller_node.target_motion import continues
 from fvs_lab.replay.reading import Recording, Series
 from fvs_tools.demo import PARAMETERS
 from fvs_tools.score import FINAL_S, FINE_ERROR_M, SETTLED_ERROR_M, jitter_rad_s, judge
@@ -84,12 +84,9 @@ def _runs(given: Series, ball_s: np.ndarray) -> list[Series]:
     repeated = np.append(False, (np.diff(given.values, axis=0) == 0.0).all(axis=1))
     given = given.taking(~repeated)
     given = replace(given, stamp_s=_given_s(given, ball_s))
-    motion, starts = TargetMotion(), []
-    for index, (position_m, time_s) in enumerate(zip(given.values, given.stamp_s, strict=True)):
-        if not motion.continues(position_m, time_s):
-            starts.append(index)
-        motion.restart(position_m, time_s)
-    return [given.taking(slice(*ends)) for ends in pairwise([*starts, len(given)])]
+    steps = zip(np.diff(given.values, axis=0), np.diff(given.stamp_s), strict=True)
+    starts = [index for index, step in enumerate(steps, 1) if not continues(*step)]
+    return [given.taking(slice(*ends)) for ends in pairwise([0, *starts, len(given)])]
 
 
 def _given_s(given: Series, ball_s: np.ndarray) -> np.ndarray:

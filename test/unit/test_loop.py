@@ -83,7 +83,7 @@ def test_a_moving_target_is_extrapolated_until_it_is_set_to_the_current_position
     # 2 mm every 8 ms is a quarter of a metre a second: by now it has gone on
     np.testing.assert_allclose(servoing.target_m, TARGET + [0.024, 0.0, 0.0], atol=1e-6)
     assert not servoing.target(np.array([0.0, 0.0, 9.0]))
-    velocity = servoing.loop.target.at(servoing.now_s).velocity_m_s
+    velocity = servoing.loop.supervisor.goal.motion.at(servoing.now_s).velocity_m_s
     np.testing.assert_allclose(velocity, [0.25, 0.0, 0.0], atol=1e-6)
     assert servoing.loop.set_current_as_target(servoing.now_s)[0]
     here = servoing.target_m

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fvs_controller_node.target_motion import TargetMotion, on_own_clock
+from fvs_controller_node.target_motion import TargetMotion, Update, on_own_clock
 
 START = np.array([0.1, -0.1, 1.2])
 VELOCITY = np.array([0.2, 0.0, -0.1])
@@ -56,7 +56,7 @@ def test_updates_that_are_told_late_are_those_of_a_moving_target_all_the_same(ag
 )
 def test_what_no_motion_goes_on_to_is_a_new_target(position, after_s):
     motion, last_s = told(lambda t: START, 0.5)
-    assert not motion.update(position, last_s + after_s)
+    assert motion.update(position, last_s + after_s) is Update.NEW
     target = motion.at(last_s + after_s + 0.01)
     np.testing.assert_array_equal(target.position_m, position)
     assert not target.velocity_m_s.any()
