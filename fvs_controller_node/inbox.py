@@ -117,8 +117,6 @@ class Inbox:
             InputMonitor(config, SPEED_SCALING),
         )
         self._monitors = {monitor.name: monitor for monitor in monitors}
-        self.jacobian: np.ndarray | None = None  #: the newest one, m/rad, (m, n)
-        self.smallest_m_rad: float | None = None  #: its smallest singular value
         self._conflict: Finding | None = None  # with another node, and when it commanded last
         self._conflict_s = -inf
         self._program_running: bool | None = None  # never reported
@@ -147,11 +145,7 @@ class Inbox:
     def add_jacobian(self, now_s: float, jacobian: np.ndarray) -> bool:
         """Take the estimated Jacobian, m/rad; False if it cannot be used."""
         shape = self._config.features, len(self._config.joint_names)
-        if not self._check(now_s, JACOBIAN, jacobian, shape):
-            return False
-        self.jacobian = np.array(jacobian, dtype=float)
-        self.smallest_m_rad = float(np.linalg.svd(self.jacobian, compute_uv=False)[-1])
-        return True
+        return self._check(now_s, JACOBIAN, jacobian, shape)
 
     def add_program_running(self, running: bool) -> None:
         """Take whether the robot's program runs."""

@@ -100,7 +100,7 @@ class ServoLoop:
                 np.array(joints_rad, dtype=float),
                 compare=inputs.full_speed and self.supervisor.last.state is State.SERVOING,
             )
-            if self._chain is not None and self._jacobian is not None:
+            if self._chain is not None:
                 self._jacobian = self._chain.jacobian(self._joints)
             if self._jacobian is not None:
                 self.predictor.add_joints(stamp_s, self._joints, self._jacobian)
@@ -130,9 +130,7 @@ class ServoLoop:
 
     def add_jacobian(self, now_s: float, jacobian: np.ndarray) -> None:
         """Take the estimated Jacobian, (m, n), m/rad, and its arrival; a chain's goes before it."""
-        if self.supervisor.inputs.add_jacobian(now_s, jacobian) and (
-            self._chain is None or self._jacobian is None
-        ):
+        if self.supervisor.inputs.add_jacobian(now_s, jacobian) and self._chain is None:
             self._jacobian = np.array(jacobian, dtype=float)
 
     def add_chain(self, now_s: float, chain: SerialChain) -> None:
@@ -217,6 +215,7 @@ class ServoLoop:
             dt_s,
             self._joints,
             self.position_m,
+            self._jacobian,
             self._propose,
             pending_rad=self._pending_rad,
             problem=self.predictor.problem,
@@ -275,6 +274,7 @@ class ServoLoop:
             "position_noise_m": self.predictor.tracker.noise_m,
             "position_deviation_m": self.predictor.tracker.deviation_m,
             "drive_lag_s": self._drive_lag.lag_s,
+            "kinematic_chain_age_s": inf if self._chain is None else now_s - self._chain_s,
             "settling_bound_without_limits_s": float("nan") if bound_s is None else bound_s,
         }
 

@@ -89,14 +89,13 @@ class Reason(Enum):
     CONFLICT = _ends("{name} commands the arm as well", "stop it")
     HELD_LONG = _ends("held for more than {limit_s:.0f} s: {why}")
     PROGRAM_STOPPED = _ends(
-        "the robot program is not running", "start it on the robot", Stop.AT_ONCE
+        "the robot program stopped", "start it on the robot", Stop.AT_ONCE
     )
     SPEED_SCALING_ZERO = _ends(
-        "the robot's speed scaling is 0 %",
+        "the robot's speed scaling went to 0 %",
         "raise the speed slider or end the protective stop",
         Stop.AT_ONCE,
     )
-    PAUSE_OVER = _ends("the robot has resumed from a pause", stop=Stop.AT_ONCE)
     LAW_FAULT = (
         State.FAULT,
         Stop.AT_ONCE,

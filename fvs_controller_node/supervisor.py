@@ -38,8 +38,6 @@ _LEAVING_RAD_S = 0.1
 #: Share of the speed limit that is left just before the arm is held.
 _LEAST_SHARE = 0.25
 
-_PAUSES = (Reason.PROGRAM_STOPPED, Reason.SPEED_SCALING_ZERO)
-
 #: Asks the law: (error (m,) m, last command (n,) rad/s, dt s) -> its output.
 Propose = Callable[[np.ndarray, np.ndarray, float], ControlOutput]
 
@@ -64,48 +62,6 @@ class Command(NamedTuple):
         return self.finding.text
 
 
-class Session:
-    """Whether the arm was asked to move, and what ended that."""
-
-    def __init__(self, autostart: bool) -> None:
-        self.started = False
-        self.starts_itself = autostart
-        self.ended: Finding | None = None  # what ended it and needs a start
-        self._held_s = 0.0
-
-    def begin(self) -> None:
-        """Start."""
-        self.started, self.starts_itself, self.ended = True, False, None
-
-    def stop(self) -> None:
-        """Stop on request."""
-        self.started, self.starts_itself, self.ended = False, False, None
-
-    def end(self, finding: Finding) -> None:
-        """End until a new start, if it was started."""
-        if self.started:
-            self.started, self.starts_itself, self.ended = False, False, finding
-
-    def interrupt(self, finding: Finding) -> None:
-        """End by an event; a pause of the robot is the reason of one that has ended before, too."""
-        self.end(finding)
-        closed = self.ended is None or self.ended.reason is Reason.SHUT_DOWN
-        if not closed and finding.reason in _PAUSES:
-            self.ended = finding
-
-    def holds(self, finding: Finding | None, dt_s: float, limit_s: float) -> Finding | None:
-        """Count a tick of a hold, if it is one; one above the limit, s, ends in a needed start."""
-        if finding is None or not self.started:
-            self._held_s = 0.0
-            return finding
-        self._held_s += dt_s
-        if self._held_s > limit_s and not finding.reason.needs_start:
-            finding = Reason.HELD_LONG.because(limit_s=limit_s, why=finding.text)
-        if finding is not None and finding.reason.needs_start:
-            self.end(finding)
-        return finding
-
-
 class Supervisor:
     """The state machine between the control law and the robot.
 
@@ -115,8 +71,12 @@ class Supervisor:
 
     def __init__(self, config: SupervisorConfig | None = None) -> None:
         self.config = config = config or SupervisorConfig()
-        self._session = Session(config.autostart)
-        self.inputs = Inbox(config, self._session.interrupt)
+        #: Whether the arm servoes, or will when what holds it is over.
+        self.started = False
+        self._starts_itself = config.autostart
+        self._ended: Finding | None = None  # what ended the session and needs a start
+        self._held_s = 0.0
+        self.inputs = Inbox(config, self._end)
         self.goal = Goal(config)
         self._following = FollowingMonitor()
         self._monitors: tuple[Monitor, ...] = (
@@ -127,6 +87,8 @@ class Supervisor:
         self._singularity = SingularityMonitor()
         joints = len(config.joint_names)
         self._limiter = Limiter(joints)
+        self._jacobian: np.ndarray | None = None  # m/rad, (m, n)
+        self._smallest_m_rad = inf  # its smallest singular value
         self._verdict: Verdict | None = None  # of seen and predicted motion
         self._pending = np.zeros(joints)  # motion still to come, rad
         self._shut_down = False
@@ -166,8 +128,7 @@ class Supervisor:
 
     def _leave(self) -> tuple[bool, str]:
         """Let the arm leave a singular pose, in which it is held for nothing else."""
-        value = self.inputs.smallest_m_rad
-        assert value is not None
+        value = self._smallest_m_rad
         if not self._singularity.leave(value, self.config.singular_hold_m_rad):
             return False, (
                 f"not started: the Jacobian is too singular to leave ({value:.4f} m/rad); call the "
@@ -179,29 +140,29 @@ class Supervisor:
         return True, "leaving the singular pose slowly; the arm is held if it gets closer"
 
     def _begin(self) -> None:
-        self._session.begin()
+        self.started, self._starts_itself, self._ended = True, False, None
         for monitor in self._monitors:
             monitor.restart()
+
+    def _end(self, finding: Finding) -> None:
+        """End the session, if there is one, until a new start."""
+        if self.started:
+            self.started, self._ended = False, finding
 
     def stop(self) -> tuple[bool, str]:
         """End servoing; the arm ramps to rest. It does not start again by itself."""
         was_started = self.started
-        self._session.stop()
+        self.started, self._starts_itself, self._ended = False, False, None
         self._singularity.leaving = False
         return True, "stopping" if was_started else "was not started; it will not start by itself"
 
     def shutdown(self) -> Command:
         """End for good: zeros now and for ever."""
+        self.stop()
         self._shut_down = True
-        self._session.stop()
-        self._session.ended = finding = Reason.SHUT_DOWN.because()
+        self._ended = finding = Reason.SHUT_DOWN.because()
         self._limiter.stop()
         return self._answer(finding, "", None)
-
-    @property
-    def started(self) -> bool:
-        """Whether the arm servoes, or will when what holds it is over."""
-        return self._session.started
 
     @property
     def velocity_rad_s(self) -> np.ndarray:
@@ -216,6 +177,7 @@ class Supervisor:
         dt_s: float,
         joints_rad: np.ndarray | None,
         position_m: np.ndarray | None,
+        jacobian: np.ndarray | None,
         propose: Propose,
         *,
         pending_rad: np.ndarray | None = None,
@@ -232,6 +194,8 @@ class Supervisor:
             Newest joint positions.
         position_m : ndarray, shape (m,), or None
             Ball position predicted to now, m.
+        jacobian : ndarray, shape (m, n), or None
+            That of the law, m/rad.
         propose : callable
             Asks the law; called only if the arm may move.
         pending_rad : ndarray, shape (n,), optional
@@ -246,10 +210,13 @@ class Supervisor:
         self._ticked_s = now_s
         self.goal.see(position_m, dt_s, self.last.state is State.SERVOING)
         self._problem, self._verdict = problem, verdict
+        if jacobian is not None and jacobian is not self._jacobian:
+            self._jacobian = jacobian
+            self._smallest_m_rad = float(np.linalg.svd(jacobian, compute_uv=False)[-1])
         if pending_rad is not None:
             self._pending = pending_rad
         finding = self._objection(now_s)
-        if finding is None and self._session.starts_itself:
+        if finding is None and self._starts_itself:
             self._begin()
         output: ControlOutput | None = None
         if finding is None and self.started and joints_rad is not None:
@@ -258,7 +225,7 @@ class Supervisor:
                 error_m = self.goal.error_m
                 assert error_m is not None
                 finding, output = _ask(propose, error_m, self.velocity_rad_s, dt_s)
-        finding = self._session.holds(finding, steady_dt_s, self.config.resume_within_s)
+        finding = self._held(finding, steady_dt_s)
         if output is not None and joints_rad is not None:
             return self._move(output, joints_rad, dt_s)
         self._following.pause()
@@ -279,29 +246,34 @@ class Supervisor:
             return Reason.NO_POSITION.because(why=self._problem or "no image is usable yet")
         if self.goal.target_m is None:
             return Reason.NO_TARGET.because()
-        assert self.inputs.smallest_m_rad is not None
-        return self._singularity.check(self.inputs.smallest_m_rad, self.config)
+        return self._singularity.check(self._smallest_m_rad, self.config)
 
     def _trouble_in_motion(self, dt_s: float, joints: np.ndarray) -> Finding | None:
         """Find what only shows while the arm moves; every monitor counts at every tick."""
-        assert self.inputs.jacobian is not None
-        motion = Motion(
-            dt_s,
-            joints,
-            self._limiter.velocity_rad_s,
-            self.inputs.speed_scaling,
-            self.inputs.jacobian,
-            self._verdict,
-        )
+        assert self._jacobian is not None
+        command, scaling = self._limiter.velocity_rad_s, self.inputs.speed_scaling
+        motion = Motion(dt_s, joints, command, scaling, self._jacobian, self._verdict)
         findings = [monitor.check(motion, self.config) for monitor in self._monitors]
         return next((finding for finding in findings if finding is not None), None)
+
+    def _held(self, finding: Finding | None, dt_s: float) -> Finding | None:
+        """Count a tick of a hold, if it is one: a long one ends in a needed start."""
+        if finding is None or not self.started:
+            self._held_s = 0.0
+            return finding
+        self._held_s += dt_s
+        limit_s = self.config.resume_within_s
+        if self._held_s > limit_s and not finding.reason.needs_start:
+            finding = Reason.HELD_LONG.because(limit_s=limit_s, why=finding.text)
+        if finding.reason.needs_start:
+            self._end(finding)
+        return finding
 
     # ---- how it moves, how it rests -------------------------------------------------------
 
     def _move(self, output: ControlOutput, joints: np.ndarray, dt_s: float) -> Command:
-        assert self.inputs.smallest_m_rad is not None
         ratio = 0.0 if self._verdict is None else self._verdict.error_ratio
-        share, slowed = _speed_share(self.inputs.smallest_m_rad, ratio, self.config)
+        share, slowed = _speed_share(self._smallest_m_rad, ratio, self.config)
         fast = self.config.speed.max_joint_velocity_rad_s * share
         if self._singularity.leaving:
             fast = min(fast, _LEAVING_RAD_S)
@@ -318,12 +290,9 @@ class Supervisor:
         """Bring the arm to rest, and say why."""
         # What ended the session remains the reason, unless something worse is wrong now.
         worse = finding is not None and finding.reason.stop is Stop.AT_ONCE
-        ended = self._session.ended
-        if ended is not None and not worse:
-            over = ended.reason in _PAUSES and not self.inputs.pauses()
-            finding = Reason.PAUSE_OVER.because() if over else ended
-        if finding is None:
-            finding = Reason.READY.because()
+        if self._ended is not None and not worse:
+            finding = self._ended
+        finding = finding or Reason.READY.because()
         if finding.reason.stop is Stop.AT_ONCE:
             self._limiter.stop()
             return self._answer(finding, "", None)
@@ -331,8 +300,8 @@ class Supervisor:
         return self._answer(finding, "acceleration" if moving else "", None)
 
     def _answer(self, finding: Finding, active_limit: str, output: ControlOutput | None) -> Command:
-        reason, session = finding.reason, self._session
-        asked = session.started or session.ended is not None or reason is Reason.READY
+        reason = finding.reason
+        asked = self.started or self._ended is not None or reason is Reason.READY
         state = reason.state if asked else State.WAITING
         self.last = Command(
             self._limiter.velocity_rad_s.copy(), state, finding, active_limit, output
@@ -342,7 +311,7 @@ class Supervisor:
     def status_values(self, now_s: float) -> dict[str, float | str]:
         """Key numbers for a status message, always the same keys in the same order."""
         nan, last = float("nan"), self.last
-        singular, error, verdict = self.inputs.smallest_m_rad, self.goal.error_m, self._verdict
+        error, verdict = self.goal.error_m, self._verdict
         values: dict[str, float | str] = {
             "state": last.state.value,
             "reason": last.reason.name,
@@ -351,7 +320,7 @@ class Supervisor:
             "error_m": nan if error is None else length(error),
             "active_limit": last.active_limit,
             "fastest_joint_rad_s": largest(self._limiter.velocity_rad_s),
-            "smallest_singular_value_m_rad": nan if singular is None else singular,
+            "smallest_singular_value_m_rad": nan if self._jacobian is None else self._smallest_m_rad,
             "prediction_error_ratio": nan if verdict is None else verdict.error_ratio,
             **self.inputs.status_values(now_s),
         }

@@ -219,9 +219,9 @@ def test_a_program_that_stops_stops_arm_and_learning_and_refuses_a_start(rig):
     learned = rig.estimator("steps_learned")
     refusal = rig.harness.call(Trigger, f"{CONTROLLER}/start")
     assert not refusal.success
-    assert "program is not running" in refusal.message
+    assert "the robot program stopped" in refusal.message
     rig.set(SIMULATOR, program_running=True)
-    rig.assert_says("HOLDING", "PAUSE_OVER", "call ~/start")
+    rig.assert_says("HOLDING", "PROGRAM_STOPPED", "call ~/start")
     rig.assert_stands()
     assert rig.estimator("steps_learned") == learned
     rig.start()

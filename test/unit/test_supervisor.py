@@ -73,7 +73,7 @@ class Cell:
             self.inputs.add_jacobian(now_s, self.jacobian)
         before = supervisor.velocity_rad_s
         command = supervisor.tick(
-            now_s, DT_S, self.joints, ball if self.located else None, self.propose,
+            now_s, DT_S, self.joints, ball if self.located else None, self.jacobian, self.propose,
             problem="clocks disagree", verdict=self.verdict,
         )  # fmt: skip
         self.commands.append(command)
@@ -252,7 +252,7 @@ def test_what_forbids_motion_stops_the_arm_and_says_why(row: Row):
             assert State.SERVOING not in states[:4]
         return
     command = cell.run(1.0)
-    assert command.reason is (Reason.PAUSE_OVER if paused else row.reason)
+    assert command.reason is row.reason
     assert at_rest(command)
     assert not cell.asked
     assert "~/start" in command.text
@@ -305,7 +305,7 @@ def test_a_stop_comes_to_rest_though_simulated_time_stands_still_and_a_shutdown_
     cell.supervisor.stop()
     for _ in range(100):
         cell.now_s += DT_S
-        command = cell.supervisor.tick(cell.now_s, 0.0, cell.joints, TARGET, pytest.fail)
+        command = cell.supervisor.tick(cell.now_s, 0.0, cell.joints, TARGET, JACOBIAN, pytest.fail)
     assert at_rest(command)
     cell = servoing()
     command = cell.supervisor.shutdown()
