@@ -167,9 +167,7 @@ ROWS = {
             disregards(max_joint_acceleration_rad_s2=9.0), "arrives", "acceleration limit"
         ),
         "does not slow down": Mutant(
-            mock.patch(
-                "fvs_controller_node.limiter.ramp_to_zero", lambda velocity, _step: 1.001 * velocity
-            ),
+            mock.patch("fvs_ros.limits.ramp_to_zero", lambda velocity, _step: 1.001 * velocity),
             "inputs fall silent",
             "only slower",
         ),

@@ -9,8 +9,9 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from fvs_controller_node.redundancy import make_inverse
 from fvs_ros.chain import SerialChain
-from fvs_ros.params import Parameter
+from fvs_ros.params import Parameters
 
 
 class Change(Enum):
@@ -64,8 +65,14 @@ class ControlOutput(NamedTuple):
 class ControlLaw(ABC):
     """Turns an error and a Jacobian into joint velocities.
 
-    A law declares its own parameters and builds itself from their values: a new law is one file
-    here and one line in :mod:`fvs_controller_node.config`.
+    A new law is one file here and one line in :mod:`fvs_controller_node.config`.
+
+    Parameters
+    ----------
+    gains : Parameters, optional
+        The law's parameters, a ``Gains``.
+    inverse : Inverse, optional
+        From feature velocity to joint velocities.
     """
 
     #: Whether it plans the joints' way itself: from a chain (the Jacobian then is the chain's), at
@@ -73,12 +80,16 @@ class ControlLaw(ABC):
     plans: ClassVar[bool] = False
 
     #: Parameters that this law adds to the node's.
-    PARAMETERS: ClassVar[tuple[Parameter, ...]] = ()
+    Gains: ClassVar[type[Parameters]] = Parameters
+
+    def __init__(self, gains: Any = None, inverse: Any = None) -> None:
+        self.gains: Any = gains or self.Gains()
+        self.inverse: Any = inverse or make_inverse({}, least_speed=self.plans)
 
     @classmethod
-    @abstractmethod
     def from_values(cls, values: Mapping[str, Any]) -> ControlLaw:
         """Build the law with the gains in ``values`` (by parameter name)."""
+        return cls(cls.Gains.from_values(values), make_inverse(values, least_speed=cls.plans))
 
     @abstractmethod
     def command(self, control_input: ControlInput) -> ControlOutput:

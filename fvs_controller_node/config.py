@@ -10,7 +10,6 @@ from typing import Any
 from fvs_controller_node.base import ControlLaw
 from fvs_controller_node.ftsm import FtsmLaw
 from fvs_controller_node.minimum_time import MinimumTimeLaw
-from fvs_controller_node.prediction import PredictorConfig
 from fvs_controller_node.proportional import MfacLaw, MpcLaw, ProportionalLaw
 from fvs_controller_node.redundancy import RedundancyConfig
 from fvs_ros.camera import CAMERA_FRAME
@@ -164,16 +163,10 @@ class SupervisorConfig(Parameters):
         return self.prediction_hold * 2.0 / 3.0
 
 
-#: Those of the laws, declared in their files, by name: some belong to more than one law.
-_OF_LAWS = {one.name: one for law in LAWS.values() for one in law.PARAMETERS}
-#: Every parameter of the node.
-PARAMETERS = (
-    *ControllerConfig.declared(),
-    *SupervisorConfig.declared(),
-    *PredictorConfig.declared(),
-    *RedundancyConfig.declared(),
-    *_OF_LAWS.values(),
-)
+_KINDS: list[type[Parameters]] = [ControllerConfig, SupervisorConfig, RedundancyConfig]
+_KINDS += [law.Gains for law in LAWS.values()]
+#: Every parameter of the node, once: some belong to more than one law.
+PARAMETERS = tuple({one.name: one for kind in _KINDS for one in kind.declared()}.values())
 
 
 def default_values(**overrides: Any) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from fvs_controller_node.base import ControlInput, ControlOutput
+from fvs_ros.limits import BRAKING_SHARE, braking_speed
 from fvs_ros.timeline import History
 from fvs_ros.vectors import largest
 
@@ -26,8 +27,6 @@ _FIRST, _MEMORY = 0.05, 20.0
 #: Time over which the constant is averaged at rest, s, and the speed from which on it is not: there
 #: a wrong lag would be worse than the encoders' noise, rad/s.
 _AVERAGED_S, _MOVING_RAD_S = 0.16, 0.02
-#: Share of the acceleration limit that braking is planned with.
-BRAKING_SHARE = 0.9
 
 
 class DriveLag:
@@ -105,12 +104,6 @@ class DriveLag:
         return done + self._constant
 
 
-def braking_speed_within(travel_rad: float, acceleration_rad_s2: float, dt_s: float) -> float:
-    """Largest speed from which, from the next tick on, one can brake within a travel, rad/s."""
-    step = acceleration_rad_s2 * dt_s
-    return float((step * step + 2.0 * acceleration_rad_s2 * travel_rad) ** 0.5 - step)
-
-
 def brake(
     output: ControlOutput, present: ControlInput, max_acceleration_rad_s2: float
 ) -> ControlOutput:
@@ -123,7 +116,7 @@ def brake(
     # At this velocity the error is gone after this time.
     to_go_s = float(error_m @ error_m) / closing
     acceleration = BRAKING_SHARE * max_acceleration_rad_s2
-    limit = braking_speed_within(fastest * to_go_s, acceleration, present.dt_s)
+    limit = braking_speed(fastest * to_go_s, acceleration, present.dt_s)
     if limit < fastest:
         velocity = (limit / fastest) * velocity
     return output._replace(velocity_rad_s=velocity)

@@ -10,15 +10,13 @@ and chatters where the exponent switches. It is here for the paper's figures.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import copysign
-from typing import Any
 
 import numpy as np
 
 from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
-from fvs_controller_node.redundancy import DampedInverse, Inverse, make_inverse
 from fvs_controller_node.settling import settling_times
 from fvs_controller_node.surface import ReachingLaw, SlidingSurface
 from fvs_ros.params import Parameters, live_parameter
@@ -115,28 +113,11 @@ class FtsmGains(Parameters):
 
 
 class FtsmLaw(ControlLaw):
-    """Adaptive fast terminal sliding mode control.
+    """Adaptive fast terminal sliding mode control."""
 
-    Parameters
-    ----------
-    gains : FtsmGains, optional
-        Sliding surface, reaching law, path and discretisation.
-    inverse : Inverse, optional
-        From feature velocity to joint velocities.
-    """
-
-    PARAMETERS = FtsmGains.declared()
-
-    def __init__(self, gains: FtsmGains | None = None, inverse: Inverse | None = None) -> None:
-        self.gains = gains = gains or FtsmGains()
-        self.surface, self.reaching = gains.surface, gains.reaching
-        self.inverse: Inverse = inverse or DampedInverse()
-        self._last_velocity: list[float] | None = None
-
-    @classmethod
-    def from_values(cls, values: Mapping[str, Any]) -> FtsmLaw:
-        """Build the law with the gains in ``values``."""
-        return cls(FtsmGains.from_values(values), make_inverse(values))
+    Gains = FtsmGains
+    gains: FtsmGains
+    _last_velocity: list[float] | None = None
 
     def reset(self) -> None:
         """Forget the last velocity (only the literal form remembers one)."""
@@ -148,7 +129,7 @@ class FtsmLaw(ControlLaw):
         errors = [_toward(error_m)[0]] if straight else error_m.tolist()
         if gains.discretisation == LITERAL or max(map(abs, errors)) >= 1.0:
             return None
-        times = settling_times(errors, [0.0] * len(errors), self.surface, self.reaching)
+        times = settling_times(errors, [0.0] * len(errors), gains.surface, gains.reaching)
         return max(one.total_s for one in times)
 
     def command(self, control_input: ControlInput) -> ControlOutput:
@@ -160,11 +141,11 @@ class FtsmLaw(ControlLaw):
             distance_m, axis = _toward(one.error_m)
             (along,), (s,) = solve([distance_m], [float(axis @ velocity_m_s)], one.dt_s)
             wanted, sliding = along * axis, s * axis
-            exponent = np.full(axis.size, self.surface.exponent(distance_m))
+            exponent = np.full(axis.size, gains.surface.exponent(distance_m))
         else:
             errors = one.error_m.tolist()
             wanted, sliding = map(np.array, solve(errors, velocity_m_s.tolist(), one.dt_s))
-            exponent = np.array([self.surface.exponent(y) for y in errors])
+            exponent = np.array([gains.surface.exponent(y) for y in errors])
         return ControlOutput(
             self.inverse.joint_velocity(one.jacobian, wanted, one.joints_rad, one.home_rad),
             sliding,
@@ -174,7 +155,7 @@ class FtsmLaw(ControlLaw):
     def _implicit(
         self, errors: list[float], velocities: list[float], dt_s: float
     ) -> tuple[list[float], list[float]]:
-        surface, reaching = self.surface, self.reaching
+        surface, reaching = self.gains.surface, self.gains.reaching
         wanted, sliding = [], []
         for y, v in zip(errors, velocities, strict=True):
             s = surface.value(y, v)
@@ -187,7 +168,7 @@ class FtsmLaw(ControlLaw):
     def _literal(
         self, errors: list[float], velocities: list[float], dt_s: float
     ) -> tuple[list[float], list[float]]:
-        surface, reaching = self.surface, self.reaching
+        surface, reaching = self.gains.surface, self.gains.reaching
         m = 2.0 * reaching.sigma - 1.0
         before = self._last_velocity or velocities
         wanted, sliding = [], []

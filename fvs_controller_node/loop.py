@@ -15,9 +15,9 @@ from fvs_controller_node.base import Change, ControlInput, ControlLaw, ControlOu
 from fvs_controller_node.config import ControllerConfig, SupervisorConfig, default_values, make_law
 from fvs_controller_node.drive_lag import DriveLag, brake
 from fvs_controller_node.inbox import BALL, JOINT_STATES, KINEMATIC_CHAIN
-from fvs_controller_node.prediction import BallPredictor, PredictorConfig
+from fvs_controller_node.prediction import BallPredictor
 from fvs_controller_node.reasons import State
-from fvs_controller_node.redundancy import LEAST_SPEED, Inverse, make_inverse
+from fvs_controller_node.redundancy import make_inverse
 from fvs_controller_node.supervisor import Command, Supervisor
 from fvs_controller_node.target_motion import on_own_clock
 from fvs_ros.chain import SerialChain
@@ -74,11 +74,10 @@ class ServoLoop:
         """Take over changed values while running; nothing changes if one is refused."""
         config = SupervisorConfig.from_values(values)
         law = make_law(values)
-        self._follower = _follower_inverse(law, values)
+        self._follower = make_inverse(values, least_speed=law.plans)
         self.law = law
         self._follows = ControllerConfig.from_values(values).target_feed_forward
         self.supervisor.configure(config)
-        self.predictor.configure(PredictorConfig.from_values(values))
 
     # ---- inputs: arrival times on the steady clock --------------------------------------------
 
@@ -277,10 +276,3 @@ class ServoLoop:
             "kinematic_chain_age_s": inf if self._chain is None else now_s - self._chain_s,
             "settling_bound_without_limits_s": float("nan") if bound_s is None else bound_s,
         }
-
-
-def _follower_inverse(law: ControlLaw, values: Mapping[str, Any]) -> Inverse:
-    """From a target's velocity to the joints': the law's, which pulls to the posture already."""
-    if law.plans:
-        values = {**values, "redundancy_resolution": LEAST_SPEED}
-    return make_inverse({**values, "posture_gain_1_s": 0.0})

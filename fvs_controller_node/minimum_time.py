@@ -18,16 +18,13 @@ from where the drives will be (:mod:`fvs_controller_node.drive_lag`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from fvs_controller_node.base import Change, ControlInput, ControlLaw, ControlOutput
-from fvs_controller_node.drive_lag import BRAKING_SHARE, braking_speed_within
-from fvs_controller_node.redundancy import LeastSpeedInverse, least_speed_inverse
-from fvs_ros.limits import SpeedLimits
+from fvs_controller_node.redundancy import LeastSpeedInverse
+from fvs_ros.limits import BRAKING_SHARE, SpeedLimits, braking_speed
 from fvs_ros.params import Parameters, live_parameter
 from fvs_ros.vectors import largest
 
@@ -46,49 +43,21 @@ class MinimumTimeGains(Parameters):
         1.0,
         100.0,
     )
+    speed: SpeedLimits = field(default_factory=SpeedLimits)
 
 
 class MinimumTimeLaw(ControlLaw):
-    """Least largest joint travel at the limits.
-
-    Parameters
-    ----------
-    gains : MinimumTimeGains, optional
-        The gain.
-    limits : SpeedLimits, optional
-        Of each joint.
-    inverse : LeastSpeedInverse, optional
-        Solves for the least largest joint motion.
-    """
+    """Least largest joint travel at the limits."""
 
     plans = True
-    PARAMETERS = MinimumTimeGains.declared()
-
-    def __init__(
-        self,
-        gains: MinimumTimeGains | None = None,
-        limits: SpeedLimits | None = None,
-        inverse: LeastSpeedInverse | None = None,
-    ) -> None:
-        self._rate_1_s = (gains or MinimumTimeGains()).minimum_time_rate_1_s
-        limits = limits or SpeedLimits()
-        self._speed = limits.max_joint_velocity_rad_s
-        self._acceleration = BRAKING_SHARE * limits.max_joint_acceleration_rad_s2
-        self._inverse = inverse or LeastSpeedInverse()
-        self.reset()
-
-    @classmethod
-    def from_values(cls, values: Mapping[str, Any]) -> MinimumTimeLaw:
-        """Build the law with the limits and gains in ``values``."""
-        return cls(
-            MinimumTimeGains.from_values(values),
-            SpeedLimits.from_values(values),
-            least_speed_inverse(values),
-        )
+    Gains = MinimumTimeGains
+    gains: MinimumTimeGains
+    inverse: LeastSpeedInverse
+    _goal: np.ndarray | None = None
 
     def reset(self) -> None:
         """Forget the goal."""
-        self._goal: np.ndarray | None = None
+        self._goal = None
 
     def command(self, control_input: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""
@@ -106,14 +75,16 @@ class MinimumTimeLaw(ControlLaw):
 
     def _speed_for(self, travel_rad: float, dt_s: float) -> float:
         """Largest speed that can be braked in time, rad/s."""
-        braking = braking_speed_within(travel_rad, self._acceleration, dt_s)
-        return min(self._speed, self._rate_1_s * travel_rad, braking)
+        speed, rate_1_s = self.gains.speed, self.gains.minimum_time_rate_1_s
+        acceleration = BRAKING_SHARE * speed.max_joint_acceleration_rad_s2
+        braking = braking_speed(travel_rad, acceleration, dt_s)
+        return min(speed.max_joint_velocity_rad_s, rate_1_s * travel_rad, braking)
 
     def _find_goal(self, one: ControlInput) -> np.ndarray:
         """Joints with the ball on the target and the least largest travel, rad, shape (n,)."""
         joints, chain = one.joints_rad, one.chain
         if chain is None:
-            return joints + self._inverse.joint_velocity(
+            return joints + self.inverse.joint_velocity(
                 one.jacobian, -one.error_m, joints, one.home_rad
             )
         wanted = chain.position(joints) - one.error_m
@@ -129,9 +100,9 @@ class MinimumTimeLaw(ControlLaw):
             travel = goal - joints
             way = missing + jacobian @ travel
             if new and one.home_rad is not None:
-                found = self._inverse.joint_velocity(jacobian, way, joints, one.home_rad)
+                found = self.inverse.joint_velocity(jacobian, way, joints, one.home_rad)
             else:
-                found = self._inverse.joint_velocity(jacobian, way, joints, near=travel)
+                found = self.inverse.joint_velocity(jacobian, way, joints, near=travel)
             goal = self._within_range(joints + found)
             position, jacobian = chain.position_and_jacobian(goal)
             missing = wanted - position
@@ -139,5 +110,5 @@ class MinimumTimeLaw(ControlLaw):
 
     def _within_range(self, joints: np.ndarray) -> np.ndarray:
         """The joints, none beyond the ends of its range, rad."""
-        ends = self._inverse.joint_range
+        ends = self.inverse.joint_range
         return joints if ends is None else np.clip(joints, ends.joint_min_rad, ends.joint_max_rad)

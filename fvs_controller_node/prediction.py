@@ -23,8 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fvs_ros.params import Parameters, live_parameter
-from fvs_ros.timeline import MAX_LATENCY_S, Sample, Timeline
+from fvs_ros.timeline import MAX_LATENCY_S, History, Sample, Timeline
 from fvs_ros.tracker import Image, Tracker
 from fvs_ros.vectors import length
 
@@ -130,57 +129,33 @@ class Agreement:
         return Verdict(predicted_m, share, ratio, self._newest_s - cells[0].stamp_s)
 
 
-@dataclass(frozen=True)
-class PredictorConfig(Parameters):
-    """Settings of the predictor."""
-
-    predictor: bool = live_parameter(
-        True, "Predict the ball from its exposure to now with the joints' motion."
-    )
-
-
 class BallPredictor:
     """Predicts the ball to now, and fuses images with joint motion.
 
-    The ball's motion ``sum J dr`` takes the joints' place in the timeline, so that it is known at
-    each image's exposure. Between images the estimate follows it; an image pulls it
+    The ball's motion ``sum J dr`` is kept as long as the joints, so that it is known at each
+    image's exposure. Between images the estimate follows it; an image pulls it
     (:class:`~fvs_ros.tracker.Tracker`). Clock jumps start it anew.
-
-    Parameters
-    ----------
-    config : PredictorConfig, optional
-        Settings.
-
-    Attributes
-    ----------
-    images : int
-        Number of images used so far.
-    latency_s : float or None
-        Age of the newest used image against the newest joint state then, s.
     """
 
-    def __init__(self, config: PredictorConfig | None = None) -> None:
-        self.config = config or PredictorConfig()
-        self.images = 0
+    def __init__(self) -> None:
+        self.images = 0  #: number of images used so far
         self.tracker, self.agreement = Tracker(), Agreement()
         self._timeline = Timeline()
+        self._moved = History()  # of the ball by the joints, m
         self.reset()
-
-    def configure(self, config: PredictorConfig) -> None:
-        """Change settings while running."""
-        self.config = config
 
     def reset(self) -> None:
         """Forget everything."""
         self._timeline.reset()
+        self._moved.clear()
         self.agreement.restart()
-        self._joints: np.ndarray | None = None
         self._forget_ball()
 
     def _forget_ball(self) -> None:
         self._jumps = self._timeline.clock_jumps
         self._stamp_s: float | None = None  # exposure that the estimate belongs to
-        self._raw: np.ndarray | None = None
+        self.image_m: np.ndarray | None = None  #: the ball in the newest image, m, (m,)
+        #: Age of the newest image against the newest joint state then, s.
         self.latency_s: float | None = None
         self.tracker.restart()
 
@@ -208,13 +183,13 @@ class BallPredictor:
 
         The stamp is newer than the last, or of another clock.
         """
-        moved = self._timeline.newest
-        if moved is None or self._joints is None:
+        before, moved = self._timeline.newest, self._moved.newest
+        if before is None or moved is None:
             moved = np.zeros(len(jacobian))
         else:
-            moved = moved + jacobian @ (joints_rad - self._joints)
-        self._joints = np.array(joints_rad, dtype=float)
-        self._use(self._timeline.add_joints(stamp_s, moved))
+            moved = moved + jacobian @ (joints_rad - before)
+        self._moved.add(stamp_s, moved)
+        self._use(self._timeline.add_joints(stamp_s, joints_rad))
 
     def add_ball(self, stamp_s: float, position_m: np.ndarray) -> None:
         """Take a ball position, m, (m,), and its exposure on the joint states' clock, s."""
@@ -223,10 +198,12 @@ class BallPredictor:
     def _use(self, samples: list[Sample]) -> None:
         if self._timeline.clock_jumps != self._jumps:
             self._forget_ball()
-        for stamp_s, moved, ball, _ in samples:
+        for stamp_s, _, ball, _ in samples:
+            moved = self._moved.at(stamp_s)
             assert self._timeline.newest_stamp_s is not None
+            assert moved is not None  # where the joints are known, this is
             self.latency_s = self._timeline.newest_stamp_s - stamp_s
-            self._raw, self._stamp_s = ball, stamp_s
+            self.image_m, self._stamp_s = ball, stamp_s
             self.images += 1
             for image in self.tracker.add(Image(stamp_s, ball, moved)):
                 self.agreement.add(image, self.tracker.noise_m)
@@ -236,12 +213,10 @@ class BallPredictor:
 
         None where there is nothing to predict from (see ``problem``).
         """
-        newest, moved = self._timeline.newest_stamp_s, self._timeline.newest
+        newest, moved = self._timeline.newest_stamp_s, self._moved.newest
         estimate = self.tracker.estimate_m
         if newest is None or moved is None or self._stamp_s is None or estimate is None:
             return None
         if newest - self._stamp_s > MAX_LATENCY_S or self.problem:
             return None
-        if not self.config.predictor:
-            return None if self._raw is None else self._raw.copy()
         return estimate + moved - self.tracker.moved_m

@@ -25,15 +25,16 @@ gain (b - c) / (a T) and damping q / a.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from abc import abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from math import log
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
-from fvs_controller_node.redundancy import DampedInverse, Inverse, damped_solution, make_inverse
+from fvs_controller_node.redundancy import damped_solution
 from fvs_ros.params import Parameters, live_parameter
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
@@ -51,28 +52,9 @@ class ProportionalGains(Parameters):
 
 
 class ProportionalLaw(ControlLaw):
-    """The law (46).
+    """The law (46)."""
 
-    Parameters
-    ----------
-    gains : ProportionalGains, optional
-        The gain k.
-    inverse : Inverse, optional
-        From feature velocity to joint velocities.
-    """
-
-    PARAMETERS = ProportionalGains.declared()
-
-    def __init__(
-        self, gains: ProportionalGains | None = None, inverse: Inverse | None = None
-    ) -> None:
-        self.gains = gains or ProportionalGains()
-        self.inverse: Inverse = inverse or DampedInverse()
-
-    @classmethod
-    def from_values(cls, values: Mapping[str, Any]) -> ProportionalLaw:
-        """Build the law with the gain in ``values``."""
-        return cls(ProportionalGains.from_values(values), make_inverse(values))
+    Gains = ProportionalGains
 
     def command(self, control_input: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""
@@ -85,15 +67,18 @@ class ProportionalLaw(ControlLaw):
 
 
 class _IncrementLaw(ControlLaw):
-    """A proportional law with a damped inverse of its own."""
+    """A proportional law with a gain and a damped inverse of its own."""
 
-    gain_1_s: float
-    damping: float
+    @property
+    @abstractmethod
+    def numbers(self) -> tuple[float, float]:
+        """Gain, 1/s, and damping, m^2/rad^2."""
 
     def command(self, control_input: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""
         error_m = control_input.error_m
-        velocity = damped_solution(control_input.jacobian, -self.gain_1_s * error_m, self.damping)
+        gain_1_s, damping = self.numbers
+        velocity = damped_solution(control_input.jacobian, -gain_1_s * error_m, damping)
         return ControlOutput.plain(velocity, error_m.size)
 
 
@@ -122,16 +107,13 @@ class MfacGains(IncrementGains):
 class MfacLaw(_IncrementLaw):
     """The law (48), with the gains lambda and T."""
 
-    PARAMETERS = MfacGains.declared()
+    Gains = MfacGains
+    gains: MfacGains
 
-    def __init__(self, gains: MfacGains | None = None) -> None:
-        gains = gains or MfacGains()
-        self.gain_1_s, self.damping = 1.0 / gains.control_interval_s, gains.mfac_lambda
-
-    @classmethod
-    def from_values(cls, values: Mapping[str, Any]) -> MfacLaw:
-        """Build the law with the gains in ``values``."""
-        return cls(MfacGains.from_values(values))
+    @cached_property
+    def numbers(self) -> tuple[float, float]:
+        """Gain and damping."""
+        return 1.0 / self.gains.control_interval_s, self.gains.mfac_lambda
 
 
 @dataclass(frozen=True)
@@ -159,18 +141,15 @@ class MpcGains(IncrementGains):
 class MpcLaw(_IncrementLaw):
     """The law (49) as corrected, with Q = q E, and the gains H, alpha, rho, q and T."""
 
-    PARAMETERS = MpcGains.declared()
+    Gains = MpcGains
+    gains: MpcGains
 
-    def __init__(self, gains: MpcGains | None = None) -> None:
-        gains = gains or MpcGains()
-        self.coefficients = mpc_coefficients(gains.mpc_horizon, gains.mpc_alpha, gains.mpc_rho)
-        a, b, c = self.coefficients
-        self.gain_1_s, self.damping = (b - c) / (a * gains.control_interval_s), gains.mpc_q / a
-
-    @classmethod
-    def from_values(cls, values: Mapping[str, Any]) -> MpcLaw:
-        """Build the law with the gains in ``values``."""
-        return cls(MpcGains.from_values(values))
+    @cached_property
+    def numbers(self) -> tuple[float, float]:
+        """Gain and damping."""
+        gains = self.gains
+        a, b, c = mpc_coefficients(gains.mpc_horizon, gains.mpc_alpha, gains.mpc_rho)
+        return (b - c) / (a * gains.control_interval_s), gains.mpc_q / a
 
 
 class MpcCoefficients(NamedTuple):

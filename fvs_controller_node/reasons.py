@@ -88,9 +88,7 @@ class Reason(Enum):
     )
     CONFLICT = _ends("{name} commands the arm as well", "stop it")
     HELD_LONG = _ends("held for more than {limit_s:.0f} s: {why}")
-    PROGRAM_STOPPED = _ends(
-        "the robot program stopped", "start it on the robot", Stop.AT_ONCE
-    )
+    PROGRAM_STOPPED = _ends("the robot program stopped", "start it on the robot", Stop.AT_ONCE)
     SPEED_SCALING_ZERO = _ends(
         "the robot's speed scaling went to 0 %",
         "raise the speed slider or end the protective stop",

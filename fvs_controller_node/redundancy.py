@@ -37,8 +37,6 @@ from fvs_ros.limits import JointRange
 from fvs_ros.params import Parameters, live_parameter, parameter
 from fvs_ros.vectors import largest
 
-#: The pull towards the posture asks no joint for more than this, rad/s.
-POSTURE_SPEED_RAD_S = 0.2
 #: Weight of the sum of squares (eps): the fastest joint is 2 % faster than need be, at most.
 _SMOOTHING = 0.2
 #: From this part on (its inverse) of the fastest joint's speed that a joint near its end must leave
@@ -56,23 +54,15 @@ _TINY = 1e-12
 
 @dataclass(frozen=True)
 class DampedInverse:
-    """The damped pseudo inverse, with an optional pull towards a posture in its null space.
-
-    ``rdot = J' (J J' + mu I)^-1 v + (I - J^+ J) gain (home - r)``
-
-    Joints beyond those that the feature needs are left to drift. The posture term brings them back
-    without moving the feature (to first order), at most ``POSTURE_SPEED_RAD_S`` a joint.
+    """The damped pseudo inverse ``rdot = J' (J J' + mu I)^-1 v``.
 
     Parameters
     ----------
     damping : float
         mu, m^2/rad^2. It slows the direction of singular value w by w^2 / (w^2 + mu).
-    posture_gain_1_s : float
-        Gain of the pull; 0 switches it off.
     """
 
     damping: float = 1e-4
-    posture_gain_1_s: float = 0.0
 
     def joint_velocity(
         self,
@@ -90,18 +80,14 @@ class DampedInverse:
         velocity : ndarray, shape (m,)
             Wanted feature velocity, m/s.
         joints_rad, home_rad : ndarray, shape (n,), optional
-            Present joints and the posture of the pull, rad; without either there is none.
+            Present joints and a posture to come back to, rad; this inverse uses neither.
 
         Returns
         -------
         ndarray, shape (n,)
             Joint velocities, rad/s.
         """
-        if self.posture_gain_1_s == 0.0 or joints_rad is None or home_rad is None:
-            return damped_solution(jacobian, velocity, self.damping)
-        pull = self.posture_gain_1_s * (home_rad - joints_rad)
-        pull *= min(1.0, POSTURE_SPEED_RAD_S / max(largest(pull), 1e-12))
-        return pull + damped_solution(jacobian, velocity - jacobian @ pull, self.damping)
+        return damped_solution(jacobian, velocity, self.damping)
 
 
 def damped_solution(jacobian: np.ndarray, velocity: np.ndarray, damping: float) -> np.ndarray:
@@ -260,24 +246,11 @@ class RedundancyConfig(Parameters):
     damping: float = live_parameter(
         1e-4, "Damping mu of the pseudo inverse J' (J J' + mu I)^-1, m^2/rad^2.", 1e-12, 1.0
     )
-    posture_gain_1_s: float = live_parameter(
-        0.0,
-        "Pull towards the joints of the last start that does not move the feature, with "
-        "redundancy_resolution two_norm, 1/s; 0 is off.",
-        0.0,
-        5.0,
-    )
 
 
-def make_inverse(values: Mapping[str, Any]) -> Inverse:
-    """Build what ``redundancy_resolution`` names, with the numbers in ``values``."""
+def make_inverse(values: Mapping[str, Any], *, least_speed: bool = False) -> Inverse:
+    """Build what ``redundancy_resolution`` names, or the least speed, with the numbers given."""
     config = RedundancyConfig.from_values(values)
-    if config.redundancy_resolution == TWO_NORM:
-        return DampedInverse(config.damping, config.posture_gain_1_s)
-    return least_speed_inverse(values)
-
-
-def least_speed_inverse(values: Mapping[str, Any]) -> LeastSpeedInverse:
-    """Build the least largest speed with the joints' ranges in ``values``."""
-    damping = RedundancyConfig.from_values(values).damping
-    return LeastSpeedInverse(damping, JointRange.from_values(values))
+    if least_speed or config.redundancy_resolution == LEAST_SPEED:
+        return LeastSpeedInverse(config.damping, JointRange.from_values(values))
+    return DampedInverse(config.damping)

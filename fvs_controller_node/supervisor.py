@@ -17,7 +17,6 @@ from fvs_controller_node.base import ControlOutput
 from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.goal import Goal
 from fvs_controller_node.inbox import Inbox
-from fvs_controller_node.limiter import Limiter
 from fvs_controller_node.monitors import (
     FollowingMonitor,
     Monitor,
@@ -27,6 +26,7 @@ from fvs_controller_node.monitors import (
 )
 from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Finding, Reason, State, Stop
+from fvs_ros.limits import brake_to_rest, limit_acceleration, limit_speed
 from fvs_ros.vectors import all_finite, largest, length
 
 #: A tick counts for at most this long, s: a late one must not make a big step.
@@ -86,7 +86,7 @@ class Supervisor:
         )
         self._singularity = SingularityMonitor()
         joints = len(config.joint_names)
-        self._limiter = Limiter(joints)
+        self._velocity = np.zeros(joints)  # the last command, rad/s
         self._jacobian: np.ndarray | None = None  # m/rad, (m, n)
         self._smallest_m_rad = inf  # its smallest singular value
         self._verdict: Verdict | None = None  # of seen and predicted motion
@@ -96,7 +96,7 @@ class Supervisor:
         self._problem = ""  # why the ball's position is not known
         missing = self.inputs.find(-inf)
         assert missing is not None
-        self.last = Command(self._limiter.velocity_rad_s, State.WAITING, missing, "", None)
+        self.last = Command(self._velocity, State.WAITING, missing, "", None)
 
     def configure(self, config: SupervisorConfig) -> None:
         """Change limits and thresholds while running; ``autostart`` counts at creation only."""
@@ -160,14 +160,13 @@ class Supervisor:
         """End for good: zeros now and for ever."""
         self.stop()
         self._shut_down = True
-        self._ended = finding = Reason.SHUT_DOWN.because()
-        self._limiter.stop()
-        return self._answer(finding, "", None)
+        self._ended = Reason.SHUT_DOWN.because()
+        return self._rest(self._ended, None, 0.0)
 
     @property
     def velocity_rad_s(self) -> np.ndarray:
         """The last command, after every limit, rad/s, shape (n,)."""
-        return self._limiter.velocity_rad_s.copy()
+        return self._velocity.copy()
 
     # ---- the tick -------------------------------------------------------------------------
 
@@ -251,8 +250,8 @@ class Supervisor:
     def _trouble_in_motion(self, dt_s: float, joints: np.ndarray) -> Finding | None:
         """Find what only shows while the arm moves; every monitor counts at every tick."""
         assert self._jacobian is not None
-        command, scaling = self._limiter.velocity_rad_s, self.inputs.speed_scaling
-        motion = Motion(dt_s, joints, command, scaling, self._jacobian, self._verdict)
+        scaling = self.inputs.speed_scaling
+        motion = Motion(dt_s, joints, self._velocity, scaling, self._jacobian, self._verdict)
         findings = [monitor.check(motion, self.config) for monitor in self._monitors]
         return next((finding for finding in findings if finding is not None), None)
 
@@ -273,18 +272,30 @@ class Supervisor:
 
     def _move(self, output: ControlOutput, joints: np.ndarray, dt_s: float) -> Command:
         ratio = 0.0 if self._verdict is None else self._verdict.error_ratio
-        share, slowed = _speed_share(self._smallest_m_rad, ratio, self.config)
-        fast = self.config.speed.max_joint_velocity_rad_s * share
+        share, active = _speed_share(self._smallest_m_rad, ratio, self.config)
+        speed, names = self.config.speed, self.config.joint_names
+        fast = speed.max_joint_velocity_rad_s * share
         if self._singularity.leaving:
             fast = min(fast, _LEAVING_RAD_S)
             self._singularity.go_on(dt_s)
         wanted = np.asarray(output.velocity_rad_s, dtype=float)
-        active = self._limiter.move(wanted, joints, dt_s, self.config, fast, self._pending)
+        velocity = limit_speed(wanted, fast)
+        if velocity is not wanted:
+            active.append("velocity")
+        most, acceleration = speed.max_joint_velocity_rad_s, speed.max_joint_acceleration_rad_s2
+        allowed, slowed = self.config.joint_range.slow_down(
+            velocity, joints, most, acceleration, dt_s, self._pending
+        )
+        active += [f"range of {names[joint]}" for joint in slowed]
+        velocity = limit_acceleration(allowed, self._velocity, acceleration * dt_s)
+        if velocity is not allowed:
+            active.append("acceleration")
+        self._velocity = velocity
         reason = Reason.SETTLED if self.goal.progress.settled else Reason.SERVOING
         error = self.goal.error_m
         assert error is not None
         finding = reason.because(error_mm=1e3 * length(error))
-        return self._answer(finding, ", ".join(slowed + active), output)
+        return self._answer(finding, ", ".join(active), output)
 
     def _rest(self, finding: Finding | None, joints: np.ndarray | None, dt_s: float) -> Command:
         """Bring the arm to rest, and say why."""
@@ -293,25 +304,27 @@ class Supervisor:
         if self._ended is not None and not worse:
             finding = self._ended
         finding = finding or Reason.READY.because()
-        if finding.reason.stop is Stop.AT_ONCE:
-            self._limiter.stop()
+        last, config = self._velocity, self.config
+        if finding.reason.stop is Stop.AT_ONCE or not last.any():
+            self._velocity = np.zeros_like(last)
             return self._answer(finding, "", None)
-        moving = self._limiter.come_to_rest(joints, dt_s, self.config, self._pending)
-        return self._answer(finding, "acceleration" if moving else "", None)
+        self._velocity = brake_to_rest(
+            last, joints, dt_s, config.speed, config.joint_range, self._pending
+        )
+        return self._answer(finding, "acceleration", None)
 
     def _answer(self, finding: Finding, active_limit: str, output: ControlOutput | None) -> Command:
         reason = finding.reason
         asked = self.started or self._ended is not None or reason is Reason.READY
         state = reason.state if asked else State.WAITING
-        self.last = Command(
-            self._limiter.velocity_rad_s.copy(), state, finding, active_limit, output
-        )
+        self.last = Command(self.velocity_rad_s, state, finding, active_limit, output)
         return self.last
 
     def status_values(self, now_s: float) -> dict[str, float | str]:
         """Key numbers for a status message, always the same keys in the same order."""
         nan, last = float("nan"), self.last
         error, verdict = self.goal.error_m, self._verdict
+        singular = nan if self._jacobian is None else self._smallest_m_rad
         values: dict[str, float | str] = {
             "state": last.state.value,
             "reason": last.reason.name,
@@ -319,8 +332,8 @@ class Supervisor:
             "settled": str(self.goal.settled).lower(),
             "error_m": nan if error is None else length(error),
             "active_limit": last.active_limit,
-            "fastest_joint_rad_s": largest(self._limiter.velocity_rad_s),
-            "smallest_singular_value_m_rad": nan if self._jacobian is None else self._smallest_m_rad,
+            "fastest_joint_rad_s": largest(self._velocity),
+            "smallest_singular_value_m_rad": singular,
             "prediction_error_ratio": nan if verdict is None else verdict.error_ratio,
             **self.inputs.status_values(now_s),
         }

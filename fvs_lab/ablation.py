@@ -65,14 +65,14 @@ def variants() -> list[trials.Variant]:
     ]
     gains = default_values(law="ftsm")
     for latency_ms, factor in _SOFTER.items():
-        name, blind = _latency(latency_ms), {"predictor": False}
+        name = _latency(latency_ms)
         late: dict[str, Any] = {"conditions": {"latency_s": 1e-3 * latency_ms}}
         if name != BASE:
             found.append(one(name, images, **late))
         softer = {gain: factor * gains[gain] for gain in ("alpha2", "alpha3")}
         for words, values in (("", {}), (", softer gains", softer)):
             row = f"{latency_ms} ms, no prediction{words}"
-            found.append(one(row, images, name, controller_values={**blind, **values}, **late))
+            found.append(one(row, images, name, controller_values=values, predicts=False, **late))
     for turn_deg in _TURNS_DEG:
         name = f"camera carried round by {turn_deg}°"
         turned: dict[str, Any] = {"conditions": {"camera_turn_deg": (0.0, float(turn_deg), 0.0)}}

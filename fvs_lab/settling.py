@@ -174,13 +174,14 @@ def judged(runs: Results, gains: str) -> Iterator[dict[str, Any]]:
     """
     law = make_law(default_values(law="ftsm", **GAINS[gains]))
     assert isinstance(law, FtsmLaw)
+    surface, reaching_law = law.gains.surface, law.gains.reaching
     errors = np.array([row["series"]["ball_m"][0] - np.array(row["target_m"]) for row in runs])
-    predicted = predicted_times_s(errors, law.surface, law.reaching)
+    predicted = predicted_times_s(errors, surface, reaching_law)
     for number, (row, error) in enumerate(zip(runs, errors, strict=True)):
         bound = law.settling_bound_s(error)
         assert bound is not None
-        reaching = [reaching_time_s(law.surface.value(y, 0.0), law.reaching) for y in error]
-        printed = [printed_sliding_time_s(y, law.surface) for y in error.tolist()]
+        reaching = [reaching_time_s(surface.value(y, 0.0), reaching_law) for y in error]
+        printed = [printed_sliding_time_s(y, surface) for y in error.tolist()]
         more = {
             "predicted_5mm_s": predicted[number],
             "excluded": exclusion(row, error),
@@ -189,7 +190,7 @@ def judged(runs: Results, gains: str) -> Iterator[dict[str, Any]]:
             "printed_sliding_s": max(printed),
         }
         for name, band_m in BANDS.items():
-            more[f"band_{name}_s"] = bound_to_band_s(error, band_m, law.surface, law.reaching)
+            more[f"band_{name}_s"] = bound_to_band_s(error, band_m, surface, reaching_law)
         yield {**row, **more, **promises_kept({**row, **more})}
 
 

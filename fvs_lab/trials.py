@@ -10,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from fvs_controller_node.prediction import BallPredictor
 from fvs_controller_node.supervisor import Command
 from fvs_lab.outcome import BOUNDS_M, JACOBIAN_EVERY, Outcome, outcome_of, seconds
 from fvs_ros.joints import HOME_JOINTS_RAD, TRAINING_BOX_RAD
@@ -159,6 +160,14 @@ class Case:
     seed: int
 
 
+class LastImage(BallPredictor):
+    """Takes the ball of the last image for where it is now."""
+
+    def predict(self) -> np.ndarray | None:
+        """Find the ball's position in the last image, m, (m,)."""
+        return None if super().predict() is None else self.image_m
+
+
 @dataclass(frozen=True)
 class Variant:
     """One of those that an experiment compares."""
@@ -171,6 +180,8 @@ class Variant:
     #: The nodes' parameters, where they differ from the defaults.
     estimator_values: Mapping[str, Any] = field(default_factory=dict)
     controller_values: Mapping[str, Any] = field(default_factory=dict)
+    #: Whether the ball is predicted from its exposure to now; else the last image counts.
+    predicts: bool = True
     #: Fields of the conditions that differ from the experiment's.
     conditions: Mapping[str, Any] = field(default_factory=dict)
 
@@ -219,7 +230,10 @@ class Trial:
         """The whole loop in a simulation that has been reset."""
         who = self.variant
         estimator = make_estimator(who.method, simulation, who.estimator_values)
-        return ClosedLoop(simulation, estimator, {"law": who.law, **who.controller_values})
+        one = ClosedLoop(simulation, estimator, {"law": who.law, **who.controller_values})
+        if not who.predicts:
+            one.loop.predictor = LastImage()
+        return one
 
 
 def sees(simulation: Simulation) -> bool:

@@ -12,6 +12,11 @@ from fvs_ros.joints import UR_POSITION_LIMITS_RAD
 from fvs_ros.params import ParameterError, Parameters, parameter
 from fvs_ros.vectors import largest
 
+#: Shares of the acceleration limit that braking is planned with: for a target, and for the end of
+#: a joint's range. With 0.9 a joint passed its end by up to 90 mrad (3 rad/s, a lag of 90 ms) while
+#: the drives' lag was not known yet; with 0.6 by 0.2 mrad.
+BRAKING_SHARE, _RANGE_SHARE = 0.9, 0.6
+
 
 def limit_speed(velocity: np.ndarray, max_speed: float) -> np.ndarray:
     """Scale the command as a whole so that no joint is faster than ``max_speed``."""
@@ -22,10 +27,10 @@ def limit_speed(velocity: np.ndarray, max_speed: float) -> np.ndarray:
     return np.clip(velocity * (max_speed / fastest), -max_speed, max_speed)
 
 
-def braking_speed(travel_rad: float, max_acceleration: float) -> float:
-    """Find the speed from which a joint can brake within ``travel_rad``, rad/s."""
-    # With 0.6 of the limit: the rest is for the robot's lag.
-    return (2.0 * 0.6 * max_acceleration * travel_rad) ** 0.5
+def braking_speed(travel_rad: float, acceleration: float, dt_s: float) -> float:
+    """Find the speed from which, from the next tick on, one can brake in a travel, rad/s."""
+    step = acceleration * dt_s
+    return float((step * step + 2.0 * acceleration * travel_rad) ** 0.5 - step)
 
 
 def limit_acceleration(velocity: np.ndarray, last: np.ndarray, max_step: float) -> np.ndarray:
@@ -139,6 +144,7 @@ class JointRange(Parameters):
         joints: np.ndarray,
         max_speed: float,
         max_acceleration: float,
+        dt_s: float,
         pending_rad: np.ndarray,
     ) -> tuple[np.ndarray, list[int]]:
         """Slow down every joint that nears an end of its range.
@@ -155,14 +161,36 @@ class JointRange(Parameters):
         """
         slowed: list[int] = []
         values = velocity.tolist()
+        acceleration = _RANGE_SHARE * max_acceleration
         # With the robot's lag of 35 ms a faster approach than 5 times the distance would pass it.
         slope = min(max_speed / self.joint_limit_margin_rad, 5.0)
         both = zip(values, joints.tolist(), pending_rad.tolist(), strict=True)
         for i, (v, q, ahead) in enumerate(both):
             room = self.joint_max_rad[i] - q if v > 0.0 else q - self.joint_min_rad[i]
             room = max(0.0, room - max(0.0, ahead if v > 0.0 else -ahead))
-            cap = min(slope * room, braking_speed(room, max_acceleration))
+            cap = min(slope * room, braking_speed(room, acceleration, dt_s))
             if abs(v) > cap:
                 values[i] = cap if v > 0.0 else -cap
                 slowed.append(i)
         return (np.array(values), slowed) if slowed else (velocity, slowed)
+
+
+def brake_to_rest(
+    last: np.ndarray,
+    joints: np.ndarray | None,
+    dt_s: float,
+    speed: SpeedLimits,
+    joint_range: JointRange,
+    pending_rad: np.ndarray,
+) -> np.ndarray:
+    """Find the next command, (n,), rad/s, on the way to rest from the last one."""
+    # From full speed it stops within 0.5 s, however small the acceleration limit is.
+    fast = speed.max_joint_velocity_rad_s
+    acceleration = max(speed.max_joint_acceleration_rad_s2, fast / 0.5)
+    step = acceleration * dt_s
+    velocity = ramp_to_zero(last, step)
+    if joints is None:
+        return velocity
+    # The ramp is as long as the fastest joint's; one that nears its limit brakes harder.
+    velocity, _ = joint_range.slow_down(velocity, joints, fast, acceleration, dt_s, pending_rad)
+    return np.clip(velocity, last - step, last + step)

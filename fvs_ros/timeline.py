@@ -163,7 +163,7 @@ class Sample(NamedTuple):
 
 
 class Timeline:
-    """Finds the joints, or another vector that follows from them, at each image's exposure.
+    """Finds the joints at each image's exposure.
 
     Attributes
     ----------

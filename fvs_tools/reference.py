@@ -102,7 +102,7 @@ def parameter_groups(node: str) -> dict[str, list[Parameter]]:
     """Parameters of all, then those of one method or one law alone, by the end of their title."""
     owners: dict[str, list[str]] = {}
     for law, kind in LAWS.items():
-        for parameter in kind.PARAMETERS:
+        for parameter in kind.Gains.declared():
             owners.setdefault(parameter.name, []).append(f"`{law}`")
     groups: dict[str, list[Parameter]] = {"": []}
     for parameter in NODE_TABLE[node].parameters():

@@ -62,5 +62,5 @@ def test_values_that_do_not_fit_together_change_nothing():
     assert loop.supervisor.config is config
     loop.configure(default_values(alpha2=1.0, max_joint_velocity_rad_s=0.2))
     assert isinstance(loop.law, FtsmLaw)
-    assert loop.law.surface.alpha2 == 1.0
+    assert loop.law.gains.surface.alpha2 == 1.0
     assert loop.supervisor.config.speed.max_joint_velocity_rad_s == 0.2

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fvs_controller_node.base import ControlInput, ControlOutput
-from fvs_controller_node.drive_lag import DriveLag, brake, braking_speed_within
+from fvs_controller_node.drive_lag import DriveLag, brake
 
 DT_S = 0.008
 
@@ -56,16 +56,6 @@ def test_noise_of_encoders_is_averaged_where_the_arm_rests_and_hides_no_motion()
     assert np.std((seen - true)[500:1250]) < 1.2 * 2e-4 * np.sqrt(0.05 / 1.95)
     assert np.abs(seen[1260:1500] - true[1260:1500]).max() < 5 * 2e-4
     assert np.abs(seen[1600:] - true[1600:]).max() < 5e-4
-
-
-def test_one_can_brake_from_the_braking_speed_tick_by_tick():
-    for travel in (1e-4, 1e-2, 0.3):
-        speed = braking_speed_within(travel, 5.0, DT_S)
-        way = 0.0
-        while speed > 0.0:
-            way += speed * DT_S
-            speed -= 5.0 * DT_S
-        assert way <= travel * (1.0 + 1e-9)
 
 
 MOST_RAD_S2 = 6.0

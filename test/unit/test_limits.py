@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from fvs_ros.limits import (
     JointRange,
+    braking_speed,
     limit_acceleration,
     limit_speed,
     ramp_to_zero,
@@ -52,7 +53,7 @@ def test_the_ramp_keeps_its_direction_and_ends_at_exactly_zero(last, step):
 
 @given(velocity=SIX, joints=st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6).map(np.array))
 def test_only_motion_towards_a_near_limit_is_slowed(velocity, joints):
-    got, slowed = RANGE.slow_down(velocity, joints, 1.0, 6.0, np.zeros(6))
+    got, slowed = RANGE.slow_down(velocity, joints, 1.0, 6.0, 0.008, np.zeros(6))
     for i in range(6):
         room = (2.0 - joints[i]) if velocity[i] > 0.0 else (joints[i] + 2.0)
         assert abs(got[i]) <= abs(velocity[i])
@@ -72,13 +73,24 @@ def test_a_joint_driven_at_its_limit_stops_there_within_the_acceleration_limit(s
     position, last = np.zeros(6), np.zeros(6)
     on_the_way = [np.zeros(6)] * 4
     for _ in range(2000):
-        wanted, _ = RANGE.slow_down(np.full(6, speed), position, speed, acceleration, np.zeros(6))
+        wanted, _ = RANGE.slow_down(
+            np.full(6, speed), position, speed, acceleration, dt, np.zeros(6)
+        )
         command = limit_acceleration(wanted, last, acceleration * dt)
         on_the_way.append(command)
         position = position + on_the_way.pop(0) * dt
         last = command
         assert position.max() < 2.0
     assert position.max() > 1.98
+
+
+def test_one_can_brake_from_the_braking_speed_tick_by_tick():
+    for travel in (1e-4, 1e-2, 0.3):
+        speed, way = braking_speed(travel, 6.0, 0.008), 0.0
+        while speed > 0.0:
+            way += speed * 0.008
+            speed -= 6.0 * 0.008
+        assert way <= travel
 
 
 def test_a_range_upside_down_is_refused():

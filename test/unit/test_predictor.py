@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fvs_controller_node.prediction import BallPredictor, PredictorConfig
+from fvs_controller_node.prediction import BallPredictor
 
 RNG = np.random.default_rng(5)
 JACOBIAN = 0.4 * RNG.normal(size=(3, 6))
@@ -61,14 +61,6 @@ def test_an_outlier_is_passed_over_and_what_two_say_alike_or_six_in_a_row_is_bel
     unlike = standing([ORIGIN, ORIGIN, *(ORIGIN + k * away + (-1) ** k * other for k in range(6))])
     np.testing.assert_allclose(unlike[6], ORIGIN)
     np.testing.assert_allclose(unlike[7], ORIGIN + 5.0 * away - other)
-
-
-def test_off_it_gives_the_last_image():
-    predictor = BallPredictor(PredictorConfig(predictor=False))
-    feed(predictor, 0.0, 1.0)
-    predictor.add_ball(0.5, ball(0.5))
-    predictor.add_ball(0.9, ball(0.9))
-    np.testing.assert_array_equal(newest(predictor), ball(0.9))
 
 
 @pytest.mark.parametrize("jump_s", [-100.0, 1000.0])
