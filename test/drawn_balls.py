@@ -1,7 +1,5 @@
 """Pictures of red balls, cast ray by ray, and so exact."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from fvs_ros.camera import Intrinsics

@@ -1,7 +1,5 @@
 """A browser of few words: speaks the page's protocol over a websocket, without drawing anything."""
 
-from __future__ import annotations
-
 import threading
 import time
 from typing import Any

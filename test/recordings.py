@@ -1,7 +1,5 @@
 """Recordings of a UR5's random motion by a camera somewhere, in numpy, for tests."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bags made by hand, without ROS: what a robot did in them is known exactly."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The whole robot on wires: real simulator, estimator and controller, and a record of commands."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import time

@@ -8,8 +8,6 @@ gripper's among them. Without commands it stands; the last one holds for ever.
 usage: unseen_robot.py SEED JOINT_RATE_HZ
 """
 
-from __future__ import annotations
-
 import contextlib
 import sys
 import time

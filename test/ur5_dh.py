@@ -1,7 +1,5 @@
 """A UR5 with a ball on its end, in numpy, for tests: written without a look at the simulator."""
 
-from __future__ import annotations
-
 import numpy as np
 
 DH_D = np.array([0.089159, 0.0, 0.0, 0.10915, 0.09465, 0.0823])

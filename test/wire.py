@@ -1,7 +1,5 @@
 """A bad network between two nodes: a relay that loses, delays, repeats and spoils messages."""
 
-from __future__ import annotations
-
 import random
 import time
 from collections import deque

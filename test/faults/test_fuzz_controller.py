@@ -4,8 +4,6 @@ World and promises are those of ``bench/``; ``make bench ARGS=fuzz`` plays a mil
 tests play fewer.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Any message at all: finite arrays of the right shape, or the one error that callers expect."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Trouble while the arm moves to and fro: it stops in time, says why, and goes on as promised."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The page beside a real controller: it shows, it drives, and it does no harm."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

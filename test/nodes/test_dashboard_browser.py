@@ -1,7 +1,5 @@
 """The page in a real browser, of a real loop: what a person sees there, and does."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -325,12 +325,6 @@ def test_a_wrong_value_is_refused_with_a_sentence_and_the_old_one_stays(node):
     assert different(node.get(before), before) == []
 
 
-def test_a_whole_number_is_taken_where_a_number_is_wanted(running):
-    node = next(one for one in running if one.name == "fvs_controller_node")
-    assert node.set({"max_joint_velocity_rad_s": 1})["max_joint_velocity_rad_s"].successful
-    assert node.get(["max_joint_velocity_rad_s"])["max_joint_velocity_rad_s"] == 1.0
-
-
 def test_a_malformed_request_is_refused_and_ends_nothing(node):
     for name in (next(iter(node.declared)), "no_such_parameter", "use_sim_time", "qos_overrides.x",
                  "", "\x1b"):  # fmt: skip

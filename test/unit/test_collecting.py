@@ -1,7 +1,5 @@
 """Whatever a collection run meets: commands within limits, none unasked, and reasons in words."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The controller's parameters, and what is built from them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

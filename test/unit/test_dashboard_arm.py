@@ -1,7 +1,5 @@
 """The robot's model as a driver publishes it."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page as it is served, without ROS: who is let in, and what stands where."""
 
-from __future__ import annotations
-
 import re
 import types
 import urllib.request

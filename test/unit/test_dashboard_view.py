@@ -1,7 +1,5 @@
 """What the page says of the loop, where the camera is, and what a person wants, without viser."""
 
-from __future__ import annotations
-
 import socket
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The sliding-mode law: its two scalar equations, and the loop closed over an exact plant."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

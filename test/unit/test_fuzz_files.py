@@ -1,7 +1,5 @@
 """Models, data sets and scenarios from strangers: used, or refused in words; nothing else."""
 
-from __future__ import annotations
-
 import io
 import resource
 import subprocess

@@ -1,7 +1,5 @@
 """The launcher hands names and values on as they are: no shell ever reads them."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

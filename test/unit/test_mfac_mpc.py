@@ -1,7 +1,5 @@
 """The compared laws (48) and (49): each is the minimiser of its cost, and always finite."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

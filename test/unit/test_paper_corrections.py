@@ -1,8 +1,6 @@
 """The corrections of docs/corrections.md, each by numbers: the corrected form holds, the printed
 one does not. Equation numbers are the paper's."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The ball predicted to now: exact on a linear plant, waiting, fusing, and surviving mishaps."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The damped pseudo inverse against numpy's, the least largest speed against a linear programme."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import linprog

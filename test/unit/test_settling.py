@@ -1,7 +1,5 @@
 """Settling times, (36) to (39) corrected, against integration of the differential equations."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -8,7 +8,6 @@ import pytest
 from fvs_ros.joints import HOME_JOINTS_RAD
 from fvs_sim_node.camera import CameraPose
 from fvs_sim_node.config import SimConfig
-from fvs_sim_node.frame_worker import FrameWorker
 from fvs_sim_node.simulation import Simulation
 
 PERIOD_S = 0.008
@@ -129,19 +128,6 @@ def test_encoder_noise_is_white_on_what_is_reported_and_moves_no_joint(make):
     np.testing.assert_array_equal(noisy.joints_rad, quiet.joints_rad)
 
 
-@pytest.mark.parametrize(("focal", "depth"), [(0.05, 0.0), (0.0, 0.05), (0.1, 0.1)])
-def test_an_error_of_the_calibration_is_alike_in_an_image_and_without(make, focal, depth):
-    errors = {"focal_error": focal, "depth_error": depth}
-    drawn, known = make(depth_noise=0.0, **errors), make(rendered=False, **errors)
-    for by_image, by_truth in zip(
-        *(observations(drive_waves(one, 60)) for one in (drawn, known)), strict=True
-    ):
-        seen_m, true_m = by_image.detection.position_m, by_image.true_position_m
-        np.testing.assert_array_equal(by_truth.detection.position_m, known.as_seen(true_m))
-        # Of 1.5 m; the ball looks larger or smaller than it is reported to be, too.
-        np.testing.assert_allclose(seen_m, known.as_seen(true_m), atol=4e-3)
-
-
 @pytest.mark.parametrize("rendered", [True, False])
 def test_a_ball_out_of_view_or_behind_a_hand_is_lost_and_found_again(make, rendered):
     simulation = make(rendered=rendered)
@@ -155,21 +141,6 @@ def test_a_ball_out_of_view_or_behind_a_hand_is_lost_and_found_again(make, rende
         change(simulation, **lost)
         assert simulation.look().detection is None
         simulation.configure(before)
-
-
-def test_full_frames_of_a_covered_camera_are_black_here_and_from_the_worker(make):
-    simulation, worker = make(), FrameWorker(SimConfig())
-    simulation.full_frames = True
-    for covered in (True, False):
-        change(simulation, camera_covered=covered)
-        seen = simulation.look()
-        assert worker.expose(seen, 1.0)
-        assert not worker.expose(seen, 1.0)
-        assert worker._pipe.poll(60.0)
-        for frame in (seen.frame, worker.finished()):
-            assert frame.rgb.shape == (480, 640, 3)
-            assert frame.rgb.any() == frame.depth_m.any() != covered
-    worker.close()
 
 
 # ------------------------------------------------------------------------- truth

@@ -1,7 +1,5 @@
 """Every row of the safety table, as a story told to the supervisor."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -288,18 +286,6 @@ def test_it_waits_for_every_input_and_for_a_start_and_starts_softly(missing: str
     np.testing.assert_allclose(cell.run(0.2).velocity_rad_s, WANTED)
 
 
-def test_autostart_starts_once_and_not_after_a_stop():
-    for stopped in (True, False):
-        cell = Cell(SupervisorConfig(autostart=True))
-        if stopped:
-            cell.supervisor.stop()
-        assert cell.run(0.1).state is State.WAITING
-        cell.goal.set(TARGET, FRAME)
-        assert cell.run(0.1).state is (State.READY if stopped else State.SERVOING)
-    cell.supervisor.stop()
-    assert cell.run(1.0).state is State.READY
-
-
 def test_a_stop_comes_to_rest_though_simulated_time_stands_still_and_a_shutdown_at_once():
     cell = servoing()
     cell.supervisor.stop()
@@ -313,19 +299,6 @@ def test_a_stop_comes_to_rest_though_simulated_time_stands_still_and_a_shutdown_
     assert command.reason is Reason.SHUT_DOWN
     assert not cell.start()
     assert at_rest(cell.run(0.5))
-
-
-def test_a_hold_that_lasts_needs_a_new_start():
-    cell = servoing()
-    cell.talking -= {"ball_position"}
-    assert cell.run(29.0).reason is Reason.STALE
-    command = cell.run(2.0)
-    assert command.reason is Reason.HELD_LONG
-    assert "ball_position" in command.text
-    cell.heal()
-    assert at_rest(cell.run(1.0))
-    assert cell.start()
-    assert cell.run(0.5).state is State.SERVOING
 
 
 def test_a_gap_that_no_tick_saw_counts_too():

@@ -1,7 +1,5 @@
 """The sliding surface: (29) and its limits, (31), and (32) against finite differences."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

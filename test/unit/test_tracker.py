@@ -1,7 +1,5 @@
 """How much of an image is believed, and which ones are outliers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
