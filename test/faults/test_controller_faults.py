@@ -5,7 +5,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
 from harness import PlayedRobot
-from std_msgs.msg import Bool, Float64MultiArray, MultiArrayDimension
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from std_srvs.srv import Trigger
 
 from fvs_ros import ros, topics
@@ -105,22 +105,6 @@ def test_another_nodes_commands_hold_the_arm_and_the_node_is_named(bench):
     bench.harness.node.destroy_publisher(rival)
     bench.wait(lambda: "publishes commands as well" not in bench.text(), what="it to be gone")
     bench.assert_keeps_sending_zeros()
-
-
-def test_a_program_that_never_ran_is_told_before_the_start_and_in_its_answer(bench):
-    bench.robot.give_target(bench.target, FAR)
-    bench.wait(lambda: bench.state() == "READY", what="READY")
-    bench.harness.spin_for(0.6)
-    assert "robot_program_running" not in bench.text()  # there is no such topic
-    driver = bench.harness.publisher(Bool, topics.ROBOT_PROGRAM_RUNNING.name, ros.QOS_LATCHED)
-    bench.wait(lambda: "start the robot program" in bench.text(), what="a word on the program")
-    started = bench.harness.call(Trigger, "fvs_controller_node/start")
-    assert started.success
-    assert "start the robot program" in started.message
-    bench.wait(bench.robot.moving, what="motion of a robot that obeys all the same")
-    driver.publish(Bool(data=True))
-    assert bench.harness.call(Trigger, "fvs_controller_node/stop").success
-    bench.wait(lambda: bench.text() == "ready; call ~/start to move", what="no word more")
 
 
 def test_a_second_controller_of_the_same_name_is_noticed(bench):

@@ -178,19 +178,6 @@ def test_depth_that_is_not_registered_is_refused(watched):
     watched.wait_for("TRACKING")
 
 
-def test_parameters_are_live(watched):
-    def set_parameter(name, value):
-        return watched.harness.set_parameters("fvs_detector_node", **{name: value})[0].successful
-
-    PlayedCamera(watched.harness)
-    watched.wait_for("TRACKING")
-    assert set_parameter("min_value", 254)
-    watched.wait_for("LOST", "too dark")
-    assert set_parameter("min_value", 35)
-    watched.wait_for("TRACKING")
-    assert not set_parameter("compressed_images", True)
-
-
 @pytest.mark.parametrize(
     ("prefix", "parameters"),
     [

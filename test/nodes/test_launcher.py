@@ -182,17 +182,6 @@ def test_every_executable_says_what_it_is_for():
         assert wanted[name] in text
 
 
-def test_a_foreign_model_ends_all_with_one_clear_sentence(ros_test):
-    path = ros_test.folder / "model.npz"
-    path.write_bytes(b"not a model")
-    process = ros_test.start(MODULE, "servo", "-p", f"model_path:={path}")
-    assert ros_test.wait(process) == 2
-    output = ros_test.output(process)
-    assert re.search(r"\[fvs_estimator_node\] cannot start: .*model", output)
-    assert "model.npz" in output
-    assert "Traceback" not in output
-
-
 #: Module, arguments, and words of the refusal.
 REFUSED = [
     ("fvs_sim_node.node", {"gui": True}, "gui needs a display"),

@@ -1,9 +1,5 @@
-import os
-from pathlib import Path
-
 import pytest
 
-from fvs_ros import clock
 from fvs_ros.clock import LoopClock
 
 
@@ -35,15 +31,3 @@ def test_real_time_goes_on_where_the_simulated_one_has_ended():
     assert times.passed_s(5.0) == 3.0
     assert times.passed_s(0.02) == 0.02
     assert times.passed_s(0.1, 0.008) == 0.008
-
-
-def load(monkeypatch, running):
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _pid: {0, 1})
-    monkeypatch.setattr(Path, "read_text", lambda _path: f"1.0 1.0 1.0 {running}/300 77\n")
-
-
-def test_a_late_input_is_the_computers_fault_only_if_that_is_busy(monkeypatch):
-    load(monkeypatch, 3)
-    assert clock.blamed("joint_states is late") == "joint_states is late"
-    load(monkeypatch, 6)
-    assert clock.blamed("joint_states is late").startswith("this computer is too busy: joint")

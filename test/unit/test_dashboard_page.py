@@ -78,6 +78,3 @@ def test_the_versions_of_viser_are_the_same_everywhere():
         assert set(found) == {bounds}, name
     constraints = (ROOT / "constraints.txt").read_text(encoding="utf-8")
     assert re.findall(r"^viser(.*)$", constraints, re.M) == [bounds]
-
-
-# --- what stands where ---

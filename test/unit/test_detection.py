@@ -76,14 +76,6 @@ def test_no_depth_or_that_of_something_else_does_not_move_the_ball(share, factor
     assert error_mm(find([(CENTRE, RADIUS_M)], spoil), CENTRE) < 0.6
 
 
-def test_a_ball_far_away_is_found_but_not_by_a_few_pixels_of_depth():
-    centre = np.array([0.3, -0.2, 4.5])
-    rgb, depth = draw([(centre, RADIUS_M)], wall_m=9.0)
-    assert error_mm(detect_ball(rgb, depth, VGA, RADIUS_M), centre) < 10.0
-    depth[np.random.default_rng(1).random(depth.shape) < 0.85] = 0.0
-    assert detect_ball(rgb, depth, VGA, RADIUS_M) is None
-
-
 @pytest.mark.parametrize(
     ("share", "found"), [(0.5, False), (0.7, False), (0.95, True), (1.05, True), (1.4, False)]
 )

@@ -77,20 +77,6 @@ def test_more_delay_than_is_looked_for_is_named_first(late_s):
     assert not any("corrected here" in note for note in notes)
 
 
-def slow(data):
-    """A camera of 3.75 images a second."""
-    names = ("stamps_s", "joints_rad", "ball_m", "segment")
-    return replace(data, **{name: getattr(data, name)[::8] for name in names})
-
-
-def test_a_model_trained_otherwise_gets_no_chain_that_cannot_be_told(distilled):
-    ridge = TrainingOptions("ridge", neurons=20)
-    assert train(distilled[1].data(), ridge).chain is not None
-    without = train(slow(Recording(seconds=80.0, late_s=0.0, outliers=0.0).data()), ridge)
-    assert without.chain is None
-    assert without.provenance["no_chain"].startswith("whether the ball moves")
-
-
 def test_a_cameras_own_systematic_errors_are_no_alarm():
     def uneven(data):
         return replace(data, ball_m=data.ball_m + 0.0005 * np.sin(20.0 * data.ball_m[:, [1, 2, 0]]))

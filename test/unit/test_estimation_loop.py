@@ -90,13 +90,6 @@ def test_a_gap_makes_no_outlier_true():
     assert not away.any()
 
 
-def test_after_a_reset_the_first_image_is_believed():
-    loop = EstimationLoop(Told())
-    play(loop, 0.0, 2.0)
-    loop.reset()
-    assert one_away_after(loop, 2.0)[0]
-
-
 @pytest.mark.parametrize("late_s", [-0.06, 0.06])
 def test_stamps_are_put_right_before_anything_more_is_told(late_s):
     loop = EstimationLoop(Told())

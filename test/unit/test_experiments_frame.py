@@ -2,24 +2,21 @@
 
 import json
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import bootstrap
 
 from fvs_lab import main
-from fvs_lab.experiment import OURS, PAPER, Claim, Context, Part, either
+from fvs_lab.experiment import OURS, PAPER, Claim, Part, either
 from fvs_lab.report import RESULTS, Figure, Origin, Report, Table, Verdict, write_page, write_report
 from fvs_lab.results import Interval, median, ratio_of_medians
-from fvs_lab.search import REGIMES, Knob, Search, search_all
 from fvs_lab.spot_check import SpotCheck
 from fvs_lab.spot_check import claims as spot_check_claims
-from fvs_lab.trials import Case, Variant, make_cases
+from fvs_lab.trials import Case
 
 INF = float("inf")
 HOME = (0.0, -1.35, 1.6, -1.75, -1.57, 0.0)
-PID = Variant({}, "rbf", "proportional")
 
 
 # --- statistics ---
@@ -90,28 +87,6 @@ def test_a_claim_of_several_parts_names_the_one_that_decides(parts, all_of, any_
     if parts == [True, True]:
         assert (every.decisive, one.decisive) == (some[1], some[0])  # the tighter, the clearer
     assert either("", *some).holds is any_of
-
-
-# --- searches ---
-
-
-def test_the_search_finds_the_gain_and_is_repeatable(tmp_path):
-    """From the middle of the range, 1.7 1/s, up to where the speed limit rules."""
-    knobs = (Knob("proportional_gain_1_s", 0.1, 30.0), Knob("damping", 1e-6, 1e-3))
-    search = Search(PID, knobs, replace(REGIMES[0], duration_s=2.0))
-    cases = make_cases("T", 1, 5)
-    context = Context(tmp_path, jobs=1, rendered=False)
-    one, again = (
-        search_all(context, {"pid": search}, cases, seed=1, generations=3, population=4)["pid"][0]
-        for _ in range(2)
-    )
-    assert one == again
-    assert len(one.tried) == 12
-    assert one.best.gains["proportional_gain_1_s"] > 4.0
-    assert one.best.settled_s < 1.0
-
-
-# --- trials ---
 
 
 # --- reports ---

@@ -105,30 +105,6 @@ def test_compressed_depth():
     np.testing.assert_allclose(depth, [[0.5, 9.0, 0.0]], rtol=2e-3)
 
 
-def claim_size(data, width, height):
-    """A png whose head claims another size."""
-    return data[:16] + struct.pack(">II", width, height) + data[24:]
-
-
-PNG, DEPTH = "rgb8; png compressed bgr8", "16UC1; compressedDepth png"
-
-
-@pytest.mark.parametrize(
-    ("decode", "data", "image_format", "said"),
-    [
-        (from_color, b"GIF89a" + b"\0" * 50, PNG, "neither"),
-        (from_color, file_of(PICTURE)[:60], PNG, "does not decode"),
-        (from_color, claim_size(file_of(PICTURE), 60_000, 60_000), PNG, "too large"),
-        (from_depth, depth_file(MILLIMETRES), "16UC1; compressedDepth rvl", "png"),
-        (from_depth, depth_file(PICTURE), DEPTH, "16 bits"),
-        (from_depth, depth_file(MILLIMETRES, np.nan, 0), "32FC1; compressedDepth png", "nan"),
-    ],
-)
-def test_a_bad_file_is_a_sentence(decode, data, image_format, said):
-    with pytest.raises(MessageError, match=said):
-        decode(compressed(data, image_format))
-
-
 def decoded(message):
     """What both decoders make of a message, where they do not refuse it."""
     for decode in (from_color, from_depth):

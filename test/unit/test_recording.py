@@ -76,6 +76,3 @@ def test_without_a_clock_the_systems_time_is_kept_and_memory_is_bounded():
     assert [one.stamp_ns for one in time.rest()] == [1, 2]
     large = bytes(10 * 2**20)
     assert len(stamps(SimulatedTime(), *(at(number, large) for number in range(20)))) >= 7
-
-
-# --- the bag ---

@@ -32,7 +32,6 @@ from fvs_lab.replay import story
 from fvs_lab.replay.reading import BagError, find, opened, read
 from fvs_lab.replay.story import prediction
 from fvs_lab.replay.targets import judged_by, targets
-from fvs_ros.status import SILENT
 from fvs_tools.bag import Bag, Message
 
 DEMO = {
@@ -110,18 +109,6 @@ def test_a_repeated_target_is_the_same_and_a_new_one_is_another(made, read_back)
     assert COARSE in second.not_known
 
 
-def test_a_refused_target_is_none_and_one_set_by_a_service_ends_the_one_before(made, read_back):
-    servo(made)
-    made.point("target_position", 2.0, None, [5.0, 5.0, 5.0])  # refused: the first goes on
-    for number in range(round(10 * GIVEN_S), round(10 * END_S)):
-        shown_m = TARGET_M if number < 40 else START_M
-        words = {f"target_{axis}_m": one for axis, one in zip("xyz", shown_m, strict=True)}
-        made.status("fvs_controller_node", 0.1 * number + 0.01, "servoing", **words)
-    (target,) = targets(read_back())
-    np.testing.assert_allclose(target.target_m, TARGET_M)
-    assert target.time_s[-1] == pytest.approx(4.0 - GIVEN_S, abs=0.05)
-
-
 def cut_at(recording, since_given_s):
     """The recording as a file that ends this long after the target was given, s."""
     end_s = recording.start_s + GIVEN_S + since_given_s
@@ -189,31 +176,6 @@ def test_rates_ages_and_latencies(recording):
 
 
 # --- the story ---
-
-
-@pytest.mark.parametrize(
-    ("joints_end_s", "last_command", "last_reason", "state"),
-    [
-        (2.0, 0.0, "SERVOING", story.ENDED),  # everything was stopped
-        (11.0, 0.1, "SHUT_DOWN", story.ENDED),  # the controller was, and its robot goes on
-        (11.0, 0.0, "SERVOING", SILENT),
-        (2.0, 1e-4, "SERVOING", SILENT),  # killed
-    ],
-)
-def test_a_controller_that_stops_was_ended_or_is_silent(
-    made, read_back, joints_end_s, last_command, last_reason, state
-):
-    servo(made)
-    made.status("fvs_controller_node", END_S + 0.02, "", state="HOLDING", reason=last_reason)
-    made.array(COMMANDS, END_S + 0.05, np.full(6, last_command))
-    made.joints(END_S + joints_end_s, END_S + joints_end_s, np.zeros(6), np.zeros(6))
-    made.log(END_S + 12.0, "fvs_recorder_node", "goes on", level=20)
-    recording = read_back()
-    last = story.states(recording)[-1]
-    assert last.state == state
-    assert last.start_s + last.length_s == pytest.approx(recording.end_s - recording.start_s)
-    silences = [one for one in story.events(recording) if one.who == "fvs_controller_node"]
-    assert len(silences) == (state == SILENT)
 
 
 def test_warnings_and_silences_are_events_in_order(recording):
