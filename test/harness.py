@@ -88,6 +88,12 @@ def ros_arguments(remaps: Mapping[str, str] | None = None, **parameters: Any) ->
     return arguments
 
 
+def children(process: subprocess.Popen) -> list[int]:
+    """Processes that a process has started and that have not ended."""
+    tasks = Path(f"/proc/{process.pid}/task").glob("*/children")
+    return [int(pid) for task in tasks for pid in task.read_text().split()]
+
+
 class Harness:
     """A ROS context of its own, and the node processes of one test.
 

@@ -116,16 +116,3 @@ def test_feed_forward_follows_a_moving_target_and_leaves_the_noise_of_a_still_on
     )
     assert off_m < min(most_m, share * alone_m)
     assert step < step_share * alone_step
-
-
-def test_a_target_dragged_faster_than_the_arm_is_reached_when_it_stops():
-    slow = {"max_joint_velocity_rad_s": 0.1, "max_joint_acceleration_rad_s2": 1.0}
-    loop = loop_from("proposed", HOME_RAD, **slow)
-    start_m = loop.ball_m
-    for tick in range(60):
-        target_m = start_m + np.array([0.1, 0.05, 0.0]) * (tick / 30.0)
-        loop.set_target(target_m)
-        loop.run(1.0 / 30.0)
-    assert np.linalg.norm(loop.ball_m - target_m) > 0.05
-    loop.run(6.0)
-    assert np.linalg.norm(loop.ball_m - target_m) < 0.005

@@ -2,10 +2,10 @@
 
 import os
 import signal
-from pathlib import Path
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
+from harness import children
 from recordings import relative_error
 from std_msgs.msg import Float64MultiArray
 
@@ -49,12 +49,6 @@ def test_collecting_ends_when_the_arm_is_known_and_training_finds_its_jacobian(r
         true = np.array([simulation.true_jacobian(joints) for joints in places])
     assert np.median(relative_error(trained.chain.jacobian(places), true)) < 0.01
     assert np.median(relative_error(trained.model.jacobian(places), true)) < 0.03
-
-
-def children(process):
-    """Processes that a process has started and that have not ended."""
-    tasks = Path(f"/proc/{process.pid}/task").glob("*/children")
-    return [int(pid) for task in tasks for pid in task.read_text().split()]
 
 
 def test_a_killed_worker_neither_stops_nor_jerks_the_arm_and_ctrl_c_leaves_zeros(ros_test):

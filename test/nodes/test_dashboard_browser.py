@@ -59,7 +59,6 @@ LOOK = """() => {
     const names = ["Stop", "Go", "Set current as target", "Reset everything", "Bump the camera"];
     return {state: banner.dataset.state, said: text("sentence") + text("hint"),
             error: text("error"), answer: text("answer"), refusal: text("refusal"),
-            stop: box(button("Stop")).map(Math.round),
             places: [banner, ...names.map(button)].map(box).join(" ")};
 }"""
 #: Whether the page says that its program has ended.

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
-from harness import ros_arguments
+from harness import children, ros_arguments
 from sensor_msgs.msg import Image
 from std_msgs.msg import Float64MultiArray
 
@@ -27,17 +27,6 @@ EXECUTABLES = dict(
         (Path(__file__).resolve().parents[2] / "setup.py").read_text(encoding="utf-8"),
     )
 )
-
-
-def children(process):
-    """Processes that a process has started and that still run."""
-    out = subprocess.run(
-        ["ps", "--ppid", str(process.pid), "-o", "pid="],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    return [int(pid) for pid in out.stdout.split()]
 
 
 def command_line(pid):

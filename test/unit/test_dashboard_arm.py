@@ -71,16 +71,3 @@ def test_meshes_are_found_where_ros_is_sourced_or_installed(monkeypatch, tmp_pat
         assert len(arm.urdf.scene.geometry) == of_meshes(ending).count("<mesh")
     else:  # what it holds is no such mesh
         assert "a mesh cannot be read" in arm.missing
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("no xml", "cannot be read"),
-        ("", "cannot be read"),
-        ('<robot name="r"><link name="a"/></robot>', "has no joint shoulder_pan_joint"),
-    ],
-)
-def test_what_is_no_robot_is_refused(text, words):
-    with pytest.raises(ValueError, match=words):
-        Arm(text, UR_JOINT_NAMES)

@@ -1,7 +1,6 @@
 """Data sets and models: what is written comes back; anything else is refused in one sentence."""
 
 import os
-import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -102,17 +101,6 @@ def test_a_model_comes_back_as_it_was(tmp_path, has_chain):
     for name in CHAIN_SHAPES if has_chain else ():
         wanted = getattr(ur5_chain(), name)
         np.testing.assert_allclose(getattr(back.chain, name), wanted, rtol=0.0, atol=1e-15)
-
-
-def test_other_files_are_refused(kind, tmp_path):
-    refused(kind, tmp_path / "none.npz", "does not exist")
-    refused(kind, tmp_path, "cannot be read: Is a directory")
-    other = tmp_path / "text.npz"
-    other.write_text("hello")
-    refused(kind, other, r"not a readable \.npz")
-    with zipfile.ZipFile(tmp_path / "zip.npz", "w") as archive:
-        archive.writestr("readme.txt", "hello")
-    refused(kind, tmp_path / "zip.npz", r"not a readable \.npz")
 
 
 def test_fields_that_are_not_as_declared_are_refused(kind, written):

@@ -64,20 +64,6 @@ def test_time_rates_and_latency(make):
         assert latency_s - 1e-9 <= min(ages) <= max(ages) < latency_s + PERIOD_S + 1e-9
 
 
-@pytest.mark.parametrize(
-    ("bad", "said"),
-    [
-        ({"joint_state_rate_hz": 120.0, "physics_rate_hz": 500.0}, "whole multiple"),
-        ({"image_rate_hz": 0.0}, "image_rate_hz"),
-        ({"dead_time_s": -0.1}, "dead_time_s"),
-        ({"camera": "side"}, "front, overhead"),
-    ],
-)
-def test_what_cannot_be_simulated_is_refused_by_name(bad, said):
-    with pytest.raises(ValueError, match=said):
-        SimConfig(**bad)
-
-
 # ---------------------------------------------------------------------- commands
 def test_what_may_change_changes_at_once(make):
     simulation = make(rendered=False, speed_scaling_percent=50.0)
