@@ -17,7 +17,7 @@ from math import copysign
 import numpy as np
 
 from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
-from fvs_controller_node.settling import settling_times
+from fvs_controller_node.settling import settling_time_s
 from fvs_controller_node.surface import ReachingLaw, SlidingSurface
 from fvs_ros.params import Parameters, live_parameter
 from fvs_ros.vectors import length
@@ -129,8 +129,7 @@ class FtsmLaw(ControlLaw):
         errors = [_toward(error_m)[0]] if straight else error_m.tolist()
         if gains.discretisation == LITERAL or max(map(abs, errors)) >= 1.0:
             return None
-        times = settling_times(errors, [0.0] * len(errors), gains.surface, gains.reaching)
-        return max(one.total_s for one in times)
+        return max(settling_time_s(y0, gains.surface, gains.reaching) for y0 in errors)
 
     def command(self, control_input: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""

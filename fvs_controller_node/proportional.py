@@ -32,14 +32,11 @@ from math import log
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import hyp1f1
 
 from fvs_controller_node.base import ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.redundancy import damped_solution
 from fvs_ros.params import Parameters, live_parameter
-
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
-#: Beyond this count of time constants nothing is left of the weight, in double precision.
-_TIME_CONSTANTS = 60.0
 
 
 @dataclass(frozen=True)
@@ -161,9 +158,9 @@ class MpcCoefficients(NamedTuple):
 
 
 def mpc_coefficients(horizon: float, alpha: float, rho: float) -> MpcCoefficients:
-    """Integrals of (49), by quadrature; rho is -ln(beta).
+    """Integrals of (49); rho is -ln(beta).
 
-    The closed forms divide differences that vanish by powers of ln(alpha): at alpha = 1 they are
+    The elementary forms divide differences that vanish by powers of ln(alpha): at alpha = 1 they are
     0/0, and short of it by 1e-7 not even the sign of a is right.
 
     Examples
@@ -181,7 +178,6 @@ def mpc_coefficients(horizon: float, alpha: float, rho: float) -> MpcCoefficient
 
 
 def _moment(power: int, rate: float, horizon: float) -> float:
-    """Integral of exp(-rate t) t^power from 0 to the horizon, by Gauss-Legendre quadrature."""
-    end = horizon if rate * horizon <= _TIME_CONSTANTS else _TIME_CONSTANTS / rate
-    t = 0.5 * end * (_NODES + 1.0)
-    return 0.5 * end * float(_WEIGHTS @ (np.exp(-rate * t) * t**power))
+    """Integral of exp(-rate t) t^power from 0 to the horizon, by Kummer's function."""
+    series = hyp1f1(power + 1, power + 2, -rate * horizon)
+    return float(series) * horizon ** (power + 1) / (power + 1)

@@ -10,12 +10,9 @@ Nothing here knows of speed limits: a limited arm takes at least distance / spee
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
-from math import expm1, log, log1p
+from math import copysign, expm1, inf, log, log1p
 
-import numpy as np
+from scipy.integrate import quad
 
 from fvs_controller_node.surface import ReachingLaw, SlidingSurface
 
@@ -32,29 +29,30 @@ def constant_exponent_time_s(
         return 0.0
     if gamma == 1.0 or a3 == 0.0:
         rate = (a2 + a3 if gamma == 1.0 else a2) / a1
-        return float("inf") if y_to == 0.0 else log(y_from / y_to) / rate
+        return inf if y_to == 0.0 else log(y_from / y_to) / rate
     p = 1.0 - gamma
     return a1 / (a2 * p) * log((a2 * y_from**p + a3) / (a2 * y_to**p + a3))
 
 
-def sliding_time_bounds_s(
-    y0: float, surface: SlidingSurface, pieces: int = 64
-) -> tuple[float, float]:
-    """Lower and upper bound of the time to slide from ``y0`` to zero, s.
+def sliding_time_s(y0: float, surface: SlidingSurface) -> float:
+    """Time to slide from an error, m, to zero, s; infinite where it only gets closer.
 
-    The exponent falls with the error, and below 1 m a larger exponent is slower, so on each piece
-    its two end values enclose the time.
+    By quadrature of dt = a1 dy / (a2 y + a3 y^g(y)) over z = y^(1 - g(0)), which is regular at 0.
     """
     y0 = abs(y0)
     if not y0 < 1.0:
         raise ValueError(f"the paper's surface is made for errors below 1 m, got {y0} m")
-    edges = [0.0, *np.geomspace(1e-3 * surface.switch_error_m, 1.0, pieces).tolist()]
-    edges = [edge for edge in edges if edge < y0] + [y0]
-    lower = upper = 0.0
-    for near, far in pairwise(edges):
-        lower += constant_exponent_time_s(far, near, surface.exponent(far), surface)
-        upper += constant_exponent_time_s(far, near, surface.exponent(near), surface)
-    return lower, upper
+    near = surface.exponent(0.0)
+    p = 1.0 - near
+    if y0 == 0.0 or p <= 0.0 or surface.alpha3 == 0.0:
+        return 0.0 if y0 == 0.0 else inf
+
+    def pace(z: float) -> float:
+        y = z ** (1.0 / p)
+        attractor = surface.alpha3 * y ** (surface.exponent(y) - near)
+        return surface.alpha1 / (p * (surface.alpha2 * z + attractor))
+
+    return float(quad(pace, 0.0, y0**p, points=[surface.switch_error_m**p])[0])
 
 
 def reaching_time_s(s0: float, law: ReachingLaw) -> float:
@@ -65,7 +63,7 @@ def reaching_time_s(s0: float, law: ReachingLaw) -> float:
     if s0 == 0.0 or law.k4 == 0.0:
         return 0.0
     if law.k2 == 0.0:
-        return float("inf")
+        return inf
     p = 2.0 - 2.0 * law.sigma
     return law.k4 / (law.k1 * p) * log1p(law.k1 * abs(s0) ** p / law.k2)
 
@@ -79,40 +77,13 @@ def sliding_value_after(s0: float, t_s: float, law: ReachingLaw) -> float:
     # u = |s|^p is linear: u' = -p (k1 u + k2) / k4.
     u0 = abs(s0) ** p
     u = u0 + (u0 + law.k2 / law.k1) * expm1(-rate * t_s)
-    return float(np.sign(s0)) * max(0.0, u) ** (1.0 / p)
+    return copysign(max(0.0, u) ** (1.0 / p), s0)
 
 
-@dataclass(frozen=True)
-class SettlingTime:
-    """Bounds of the settling time of one axis."""
+def settling_time_s(y0: float, surface: SlidingSurface, law: ReachingLaw) -> float:
+    """Bound of an axis' time from rest at an error, m, to zero without speed limits, s.
 
-    reaching_s: float  #: to the sliding surface
-    sliding_s: float  #: from there to zero, upper bound
-
-    @property
-    def total_s(self) -> float:
-        """Upper bound of both, s."""
-        return self.reaching_s + self.sliding_s
-
-
-def settling_times(
-    error_m: Sequence[float],
-    velocity_m_s: Sequence[float],
-    surface: SlidingSurface,
-    law: ReachingLaw,
-) -> list[SettlingTime]:
-    """Bounds of the settling time, axis by axis, without speed limits.
-
-    While the surface is reached, |y| grows by at most the integral of |s| / a1, since
-    ``a1 y' = s - a2 y - a3 psi(y)``; not at all when the axis starts from rest, where s keeps
-    the sign of y and y' that of -y.
+    Until the surface is reached the error does not grow: from rest s keeps the sign of y, and y'
+    that of -y.
     """
-    times = []
-    for y, v in zip(error_m, velocity_m_s, strict=True):
-        s = surface.value(y, v)
-        reaching = reaching_time_s(s, law)
-        worst = abs(y)
-        if v != 0.0 and abs(s) > 0.0:
-            worst += abs(s) * min(reaching, law.k4 / law.k1) / surface.alpha1
-        times.append(SettlingTime(reaching, sliding_time_bounds_s(worst, surface)[1]))
-    return times
+    return reaching_time_s(surface.value(y0, 0.0), law) + sliding_time_s(y0, surface)

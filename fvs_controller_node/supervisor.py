@@ -264,7 +264,7 @@ class Supervisor:
         limit_s = self.config.resume_within_s
         if self._held_s > limit_s and not finding.reason.needs_start:
             finding = Reason.HELD_LONG.because(limit_s=limit_s, why=finding.text)
-        if finding.reason.needs_start:
+        if finding is not None and finding.reason.needs_start:
             self._end(finding)
         return finding
 
