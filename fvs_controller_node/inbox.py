@@ -16,6 +16,8 @@ KINEMATIC_CHAIN, SPEED_SCALING = "kinematic_chain", "speed_scaling"
 
 #: No joint position (rad), ball position (m) or Jacobian (m/rad) is larger than this.
 _LARGEST = 100.0
+#: A source's status is one of now up to this age, and a conflict lasts so long after a command, s.
+_STATUS_MAX_AGE_S, _CONFLICT_S = 2.0, 1.0
 
 
 class InputMonitor:
@@ -80,7 +82,7 @@ class InputMonitor:
         if self._trouble is Reason.BAD_INPUT:
             return Reason.BAD_INPUT.because(why=self._why, **numbers)
         hint = self._hint
-        if self._source_status and now_s - self._source_s <= 2.0:
+        if self._source_status and now_s - self._source_s <= _STATUS_MAX_AGE_S:
             hint = f"the estimator says: {self._source_status}"
         elif now_s - self._stuck_s <= limit_s:
             hint = "messages come, but their stamps do not advance: its source has frozen"
@@ -191,7 +193,7 @@ class Inbox:
         """Find what is wrong with the inputs now, worst first."""
         troubles = self._troubles(now_s)
         bad = [finding for finding in troubles if finding.reason is Reason.BAD_INPUT]
-        if self._conflict is not None and now_s - self._conflict_s < 1.0:
+        if self._conflict is not None and now_s - self._conflict_s < _CONFLICT_S:
             bad.append(self._conflict)
         return next(iter(bad + self.pauses() + troubles), None)
 

@@ -18,13 +18,15 @@ from fvs_controller_node.inbox import BALL, JOINT_STATES, KINEMATIC_CHAIN
 from fvs_controller_node.prediction import BallPredictor
 from fvs_controller_node.reasons import State
 from fvs_controller_node.redundancy import make_inverse
-from fvs_controller_node.supervisor import Command, Supervisor
+from fvs_controller_node.supervisor import Command, Present, Supervisor
 from fvs_controller_node.target_motion import on_own_clock
 from fvs_ros.chain import SerialChain
 from fvs_ros.timeline import StampGate, jump_of
 
 #: The estimator publishes the chain more often than this; an older one is not used, s.
 _CHAIN_MAX_AGE_S = 1.5
+#: After this time without joint states, s, a joint may be anywhere.
+_UNSEEN_S = 0.5
 
 
 class ServoLoop:
@@ -109,7 +111,7 @@ class ServoLoop:
         before_s, before = self._last_joints
         self._last_joints = (stamp_s, joints_rad)
         passed_s = stamp_s - before_s
-        if before is None or before.shape != joints_rad.shape or not 0.0 < passed_s < 0.5:
+        if before is None or before.shape != joints_rad.shape or not 0.0 < passed_s < _UNSEEN_S:
             return ""
         moved = joints_rad - before
         joint = jump_of(moved, passed_s)
@@ -209,17 +211,15 @@ class ServoLoop:
         self._pending_rad = self._drive_lag.pending_rad()
         if self._home is None:  # what moved before this start says nothing of now
             self.predictor.agreement.restart()
-        command = supervisor.tick(
-            now_s,
-            dt_s,
+        present = Present(
             self._joints,
             self.position_m,
             self._jacobian,
-            self._propose,
-            pending_rad=self._pending_rad,
-            problem=self.predictor.problem,
-            verdict=self.predictor.agreement.verdict,
+            self._pending_rad,
+            self.predictor.problem,
+            self.predictor.agreement.verdict,
         )
+        command = supervisor.tick(now_s, dt_s, present, self._propose)
         if command.state is not State.SERVOING:
             self.law.reset()
         if not supervisor.started:

@@ -1,12 +1,12 @@
-"""Small monitors with one interface: each asks one question while the arm moves.
+"""Small monitors: each asks one question while the arm moves.
 
-:class:`~fvs_controller_node.goal.Progress` is one more. The singularity's question is asked at
-rest, too.
+They restart with the arm and ``check`` every tick in motion, as does
+:class:`~fvs_controller_node.goal.Progress`. The singularity's question is asked at rest, too.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,8 @@ _RELEASE_SHARE = 0.3
 #: A held arm may leave slowly while the value stays above this share of what it was at the request;
 #: and not at all where it was below that share of the hold limit.
 _LEAVE_SHARE, _HOPELESS_SHARE = 0.7, 0.2
+#: Longest way out, s.
+_LEAVE_S = 10.0
 
 
 class Motion(NamedTuple):
@@ -36,16 +38,6 @@ class Motion(NamedTuple):
     speed_scaling: float  #: of the robot, 0 to 1
     jacobian: np.ndarray  #: m/rad, (m, n)
     verdict: Verdict | None  #: None while too little moved to say
-
-
-class Monitor(Protocol):
-    """One question about the arm in motion."""
-
-    def restart(self) -> None:
-        """Begin anew: a start."""
-
-    def check(self, motion: Motion, config: SupervisorConfig) -> Finding | None:
-        """Find what is wrong at this tick, if anything; called at every tick in motion."""
 
 
 class PredictionMonitor:
@@ -116,9 +108,9 @@ class SingularityMonitor:
         return self.leaving
 
     def go_on(self, dt_s: float) -> None:
-        """Count a tick on the way out; the permission ends after ten seconds."""
+        """Count a tick on the way out; the permission ends after some time."""
         self._left_s += dt_s
-        if self._left_s > 10.0:
+        if self._left_s > _LEAVE_S:
             self.leaving = False
 
     def check(self, value: float, config: SupervisorConfig) -> Finding | None:

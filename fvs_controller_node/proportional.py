@@ -160,8 +160,8 @@ class MpcCoefficients(NamedTuple):
 def mpc_coefficients(horizon: float, alpha: float, rho: float) -> MpcCoefficients:
     """Integrals of (49); rho is -ln(beta).
 
-    The elementary forms divide differences that vanish by powers of ln(alpha): at alpha = 1 they are
-    0/0, and short of it by 1e-7 not even the sign of a is right.
+    The elementary forms divide differences that vanish by powers of ln(alpha): at alpha = 1 they
+    are 0/0, and short of it by 1e-7 not even the sign of a is right.
 
     Examples
     --------

@@ -54,14 +54,9 @@ _TINY = 1e-12
 
 @dataclass(frozen=True)
 class DampedInverse:
-    """The damped pseudo inverse ``rdot = J' (J J' + mu I)^-1 v``.
+    """The damped pseudo inverse ``rdot = J' (J J' + mu I)^-1 v``."""
 
-    Parameters
-    ----------
-    damping : float
-        mu, m^2/rad^2. It slows the direction of singular value w by w^2 / (w^2 + mu).
-    """
-
+    #: mu, m^2/rad^2. It slows the direction of singular value w by w^2 / (w^2 + mu).
     damping: float = 1e-4
 
     def joint_velocity(
@@ -71,21 +66,9 @@ class DampedInverse:
         joints_rad: np.ndarray | None = None,
         home_rad: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Joint velocities that move the feature as wanted.
+        """Joint velocities, (n,), rad/s, that move the feature as wanted, (m,), m/s.
 
-        Parameters
-        ----------
-        jacobian : ndarray, shape (m, n)
-            Estimated Jacobian, m/rad.
-        velocity : ndarray, shape (m,)
-            Wanted feature velocity, m/s.
-        joints_rad, home_rad : ndarray, shape (n,), optional
-            Present joints and a posture to come back to, rad; this inverse uses neither.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Joint velocities, rad/s.
+        The joints and a posture to come back to, (n,), rad, are for the least speed only.
         """
         return damped_solution(jacobian, velocity, self.damping)
 
@@ -103,25 +86,13 @@ def damped_solution(jacobian: np.ndarray, velocity: np.ndarray, damping: float) 
 
 @dataclass(frozen=True)
 class LeastSpeedInverse:
-    """The least largest joint speed for a feature velocity.
+    """The least largest joint speed for the feature velocity of :class:`DampedInverse`.
 
-    Parameters
-    ----------
-    damping : float
-        mu, m^2/rad^2: as in :class:`DampedInverse`, whose feature velocity is kept.
-    joint_range : JointRange, optional
-        Ends of the joints' ranges, to be kept away from.
+    Joints keep away from the ends of their ranges, where these are given.
     """
 
     damping: float = 1e-4
     joint_range: JointRange | None = None
-
-    def __post_init__(self) -> None:
-        ends = None
-        if self.joint_range is not None:
-            lower_rad = np.asarray(self.joint_range.joint_min_rad)
-            ends = np.concatenate([self.joint_range.joint_max_rad, -lower_rad])
-        object.__setattr__(self, "_ends_rad", ends)
 
     def joint_velocity(
         self,
@@ -173,9 +144,9 @@ class LeastSpeedInverse:
             or not self.joint_range.near_end(joints_rad)
         ):
             return None
-        ends_rad = self._ends_rad  # type: ignore[attr-defined]
-        room = ends_rad - np.concatenate((joints_rad, -joints_rad))
-        return np.minimum(np.maximum(room / self.joint_range.joint_limit_margin_rad, 0.0), 1.0)
+        ends = self.joint_range
+        room = ends.joint_max_rad - joints_rad, joints_rad - ends.joint_min_rad
+        return np.clip(np.concatenate(room) / ends.joint_limit_margin_rad, 0.0, 1.0)
 
 
 def _least_largest(least: np.ndarray, free: np.ndarray, nearness: float) -> np.ndarray:

@@ -19,7 +19,6 @@ from fvs_controller_node.goal import Goal
 from fvs_controller_node.inbox import Inbox
 from fvs_controller_node.monitors import (
     FollowingMonitor,
-    Monitor,
     Motion,
     PredictionMonitor,
     SingularityMonitor,
@@ -40,6 +39,17 @@ _LEAST_SHARE = 0.25
 
 #: Asks the law: (error (m,) m, last command (n,) rad/s, dt s) -> its output.
 Propose = Callable[[np.ndarray, np.ndarray, float], ControlOutput]
+
+
+class Present(NamedTuple):
+    """What is known at a tick of m features and n joints."""
+
+    joints_rad: np.ndarray | None  #: newest positions, (n,)
+    position_m: np.ndarray | None  #: of the ball, predicted to now, (m,)
+    jacobian: np.ndarray | None  #: that of the law, m/rad, (m, n)
+    pending_rad: np.ndarray  #: motion that was commanded and is still to come, (n,)
+    problem: str = ""  #: why there is no position
+    verdict: Verdict | None = None  #: on seen and predicted motion; None while too little moved
 
 
 class Command(NamedTuple):
@@ -79,21 +89,14 @@ class Supervisor:
         self.inputs = Inbox(config, self._end)
         self.goal = Goal(config)
         self._following = FollowingMonitor()
-        self._monitors: tuple[Monitor, ...] = (
-            PredictionMonitor(),
-            self.goal.progress,
-            self._following,
-        )
+        self._monitors = PredictionMonitor(), self.goal.progress, self._following
         self._singularity = SingularityMonitor()
         joints = len(config.joint_names)
         self._velocity = np.zeros(joints)  # the last command, rad/s
-        self._jacobian: np.ndarray | None = None  # m/rad, (m, n)
-        self._smallest_m_rad = inf  # its smallest singular value
-        self._verdict: Verdict | None = None  # of seen and predicted motion
-        self._pending = np.zeros(joints)  # motion still to come, rad
+        self._present = Present(None, None, None, np.zeros(joints))
+        self._smallest_m_rad = inf  # smallest singular value of its Jacobian
         self._shut_down = False
         self._ticked_s = -inf
-        self._problem = ""  # why the ball's position is not known
         missing = self.inputs.find(-inf)
         assert missing is not None
         self.last = Command(self._velocity, State.WAITING, missing, "", None)
@@ -170,50 +173,19 @@ class Supervisor:
 
     # ---- the tick -------------------------------------------------------------------------
 
-    def tick(
-        self,
-        now_s: float,
-        dt_s: float,
-        joints_rad: np.ndarray | None,
-        position_m: np.ndarray | None,
-        jacobian: np.ndarray | None,
-        propose: Propose,
-        *,
-        pending_rad: np.ndarray | None = None,
-        problem: str = "",
-        verdict: Verdict | None = None,
-    ) -> Command:
-        """Decide on the command for this tick.
+    def tick(self, now_s: float, dt_s: float, present: Present, propose: Propose) -> Command:
+        """Decide on the command: steady clock, and time since the last tick, s.
 
-        Parameters
-        ----------
-        now_s, dt_s : float
-            Steady clock, and time since the last tick, s.
-        joints_rad : ndarray, shape (n,), or None
-            Newest joint positions.
-        position_m : ndarray, shape (m,), or None
-            Ball position predicted to now, m.
-        jacobian : ndarray, shape (m, n), or None
-            That of the law, m/rad.
-        propose : callable
-            Asks the law; called only if the arm may move.
-        pending_rad : ndarray, shape (n,), optional
-            Joint motion that was commanded and is still to come.
-        problem : str
-            Why there is no position, if there is none.
-        verdict : Verdict, optional
-            How seen and predicted motion agree, as far as enough moved to say.
+        The law is asked only if the arm may move.
         """
         dt_s = min(dt_s, MAX_TICK_S) if isfinite(dt_s) and dt_s > 0.0 else 0.0
         steady_dt_s = min(max(now_s - self._ticked_s, 0.0), MAX_TICK_S)
         self._ticked_s = now_s
-        self.goal.see(position_m, dt_s, self.last.state is State.SERVOING)
-        self._problem, self._verdict = problem, verdict
-        if jacobian is not None and jacobian is not self._jacobian:
-            self._jacobian = jacobian
+        before, self._present = self._present, present
+        joints_rad, jacobian = present.joints_rad, present.jacobian
+        self.goal.see(present.position_m, dt_s, self.last.state is State.SERVOING)
+        if jacobian is not None and jacobian is not before.jacobian:
             self._smallest_m_rad = float(np.linalg.svd(jacobian, compute_uv=False)[-1])
-        if pending_rad is not None:
-            self._pending = pending_rad
         finding = self._objection(now_s)
         if finding is None and self._starts_itself:
             self._begin()
@@ -242,16 +214,16 @@ class Supervisor:
             return finding
         # It asks for a target only where nothing else is missing.
         if self.goal.position_m is None:
-            return Reason.NO_POSITION.because(why=self._problem or "no image is usable yet")
+            return Reason.NO_POSITION.because(why=self._present.problem or "no image is usable yet")
         if self.goal.target_m is None:
             return Reason.NO_TARGET.because()
         return self._singularity.check(self._smallest_m_rad, self.config)
 
     def _trouble_in_motion(self, dt_s: float, joints: np.ndarray) -> Finding | None:
         """Find what only shows while the arm moves; every monitor counts at every tick."""
-        assert self._jacobian is not None
-        scaling = self.inputs.speed_scaling
-        motion = Motion(dt_s, joints, self._velocity, scaling, self._jacobian, self._verdict)
+        present, scaling = self._present, self.inputs.speed_scaling
+        assert present.jacobian is not None
+        motion = Motion(dt_s, joints, self._velocity, scaling, present.jacobian, present.verdict)
         findings = [monitor.check(motion, self.config) for monitor in self._monitors]
         return next((finding for finding in findings if finding is not None), None)
 
@@ -271,7 +243,8 @@ class Supervisor:
     # ---- how it moves, how it rests -------------------------------------------------------
 
     def _move(self, output: ControlOutput, joints: np.ndarray, dt_s: float) -> Command:
-        ratio = 0.0 if self._verdict is None else self._verdict.error_ratio
+        verdict = self._present.verdict
+        ratio = 0.0 if verdict is None else verdict.error_ratio
         share, active = _speed_share(self._smallest_m_rad, ratio, self.config)
         speed, names = self.config.speed, self.config.joint_names
         fast = speed.max_joint_velocity_rad_s * share
@@ -284,7 +257,7 @@ class Supervisor:
             active.append("velocity")
         most, acceleration = speed.max_joint_velocity_rad_s, speed.max_joint_acceleration_rad_s2
         allowed, slowed = self.config.joint_range.slow_down(
-            velocity, joints, most, acceleration, dt_s, self._pending
+            velocity, joints, most, acceleration, dt_s, self._present.pending_rad
         )
         active += [f"range of {names[joint]}" for joint in slowed]
         velocity = limit_acceleration(allowed, self._velocity, acceleration * dt_s)
@@ -309,7 +282,7 @@ class Supervisor:
             self._velocity = np.zeros_like(last)
             return self._answer(finding, "", None)
         self._velocity = brake_to_rest(
-            last, joints, dt_s, config.speed, config.joint_range, self._pending
+            last, joints, dt_s, config.speed, config.joint_range, self._present.pending_rad
         )
         return self._answer(finding, "acceleration", None)
 
@@ -323,8 +296,8 @@ class Supervisor:
     def status_values(self, now_s: float) -> dict[str, float | str]:
         """Key numbers for a status message, always the same keys in the same order."""
         nan, last = float("nan"), self.last
-        error, verdict = self.goal.error_m, self._verdict
-        singular = nan if self._jacobian is None else self._smallest_m_rad
+        error, verdict = self.goal.error_m, self._present.verdict
+        singular = nan if self._present.jacobian is None else self._smallest_m_rad
         values: dict[str, float | str] = {
             "state": last.state.value,
             "reason": last.reason.name,

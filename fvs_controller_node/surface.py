@@ -11,7 +11,7 @@ Plain floats on purpose: for three axes numpy costs more than the arithmetic.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import copysign, inf, log, tanh
+from math import inf, log, tanh
 
 from fvs_ros.params import ParameterError, Parameters, live_parameter
 
@@ -71,9 +71,7 @@ class SlidingSurface(Parameters):
 
     def psi(self, y: float) -> float:
         """Return the terminal attractor |y|^g(y) sgn y."""
-        if y == 0.0:
-            return 0.0
-        return copysign(float(abs(y) ** self.exponent(y)), y)
+        return self.psi_and_slope(y)[0]
 
     def psi_and_slope(self, y: float) -> tuple[float, float]:
         """psi(y) and dpsi/dy, eq. (32) with its missing terms; infinite slope at 0 if g < 1."""

@@ -12,7 +12,7 @@ from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.inbox import Inbox
 from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Reason, State
-from fvs_controller_node.supervisor import Command, Supervisor
+from fvs_controller_node.supervisor import Command, Present, Supervisor
 
 DT_S = 0.008
 FRAME = "camera_color_optical_frame"
@@ -70,10 +70,11 @@ class Cell:
         if "jacobian" in self.talking:
             self.inputs.add_jacobian(now_s, self.jacobian)
         before = supervisor.velocity_rad_s
-        command = supervisor.tick(
-            now_s, DT_S, self.joints, ball if self.located else None, self.jacobian, self.propose,
-            problem="clocks disagree", verdict=self.verdict,
-        )  # fmt: skip
+        place = ball if self.located else None
+        present = Present(
+            self.joints, place, self.jacobian, np.zeros(6), "clocks disagree", self.verdict
+        )
+        command = supervisor.tick(now_s, DT_S, present, self.propose)
         self.commands.append(command)
         self.joints = self.joints + self.follows * DT_S * command.velocity_rad_s
         step = np.abs(command.velocity_rad_s - before).max()
@@ -291,7 +292,8 @@ def test_a_stop_comes_to_rest_though_simulated_time_stands_still_and_a_shutdown_
     cell.supervisor.stop()
     for _ in range(100):
         cell.now_s += DT_S
-        command = cell.supervisor.tick(cell.now_s, 0.0, cell.joints, TARGET, JACOBIAN, pytest.fail)
+        present = Present(cell.joints, TARGET, JACOBIAN, np.zeros(6))
+        command = cell.supervisor.tick(cell.now_s, 0.0, present, pytest.fail)
     assert at_rest(command)
     cell = servoing()
     command = cell.supervisor.shutdown()
