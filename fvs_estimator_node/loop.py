@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from fvs_estimator_node.base import Estimator, MotionStep
-from fvs_estimator_node.stamp_watch import StampWatch
 from fvs_ros.chain import SerialChain
 from fvs_ros.timeline import Sample, Timeline
 from fvs_ros.tracker import Image, Tracker
@@ -23,6 +22,16 @@ _MAX_STEP_S, _MAX_SLIDING_AGE_S = 0.5, 0.2
 _MOST_LATE_S = 0.08
 #: This many of the last ball positions are paired anew once their stamps are known to be wrong.
 _LAST = 16
+#: Largest lag that is looked for, images each way, and the images over which lengths are compared.
+_MOST, _SPAN = 12, 3
+#: Share of the past that is kept at each image: it decays by 63 % in 30.
+_KEEP = 29.0 / 30.0
+#: A lag counts if none leaves this many times as much, and a root sum square this much larger, m;
+#: and if it leaves no larger share of the last positions' squared way.
+_TIMES, _WORSE_M, _OFF_SHARE = 3.0, 0.02, 0.1
+#: A ball that went this much further in one image than predicted for any was bumped, or is seen in
+#: a wrong place: it would count at other times for other lags, m.
+_JUMP_M = 0.01
 
 
 class StepPairing:
@@ -97,6 +106,53 @@ class StepPairing:
             d_ball_m=sample.ball_m - anchor.ball_m,
             sliding_variable=sliding,
         )
+
+
+class StampWatch:
+    """Finds how many images the stamps are behind the joints, from the lengths of the ball's steps.
+
+    However a camera stands, it does not change how far the ball goes. So lengths tell stamps from
+    turns: with predicted positions p, seen ones x and a lag of n images,
+    ``|x(k) - x(k - m)| = |p(k - n) - p(k - n - m)|`` for one n and every k. Each n is judged by
+    what it leaves of that. While the ball goes evenly, or rests, one n is as good as another, and
+    nothing is decided. A camera that is being carried changes lengths, too; so a lag counts only
+    where the ball went the way that it was to go.
+    """
+
+    def __init__(self) -> None:
+        self._kept: deque[tuple[float, np.ndarray, np.ndarray]] = deque(maxlen=_MOST + _SPAN + 1)
+        self._left_m2 = np.zeros(2 * _MOST + 1)
+
+    def add(self, stamp_s: float, seen_m: np.ndarray, predicted_m: np.ndarray) -> float:
+        """Take the next pair: its time, s, and the ball in the image and by the joints, m, (m,).
+
+        The latter from any origin. Returns how late the stamps are, s; negative for early ones, 0
+        where nothing says so.
+        """
+        self._kept.appendleft((stamp_s, seen_m, predicted_m))
+        if len(self._kept) < _MOST + _SPAN + 1:
+            return 0.0
+        stamps_s, seen, predicted = (np.array(one) for one in zip(*self._kept, strict=True))
+        if _lengths(seen, 1).max() > _lengths(predicted, 1).max() + _JUMP_M:
+            return 0.0
+        went_m, saw_m = _lengths(predicted, _SPAN), _lengths(seen, _SPAN)
+        off_m = np.concatenate([saw_m[:0:-1] - went_m[0], saw_m[0] - went_m])
+        self._left_m2 = _KEEP * self._left_m2 + off_m**2
+        lag = int(self._left_m2.argmin()) - _MOST
+        least_m2, now_m2 = self._left_m2.min(), self._left_m2[_MOST]
+        if lag == 0 or now_m2 < _TIMES * least_m2 or now_m2 - least_m2 < _WORSE_M**2:
+            return 0.0
+        went, saw = predicted[max(lag, 0) :], seen[max(-lag, 0) :]
+        went, saw = (one[: len(seen) - abs(lag)] for one in (went, saw))
+        went, saw = went - went.mean(axis=0), saw - saw.mean(axis=0)
+        if np.square(saw - went).sum() > _OFF_SHARE * np.square(saw).sum():
+            return 0.0
+        return lag * float(np.median(-np.diff(stamps_s)))
+
+
+def _lengths(positions: np.ndarray, span: int) -> np.ndarray:
+    """How far the ball went in a span of images that ended 0, 1, ... images ago, m."""
+    return np.asarray(np.linalg.norm(positions[:-span] - positions[span:], axis=1))
 
 
 class EstimationLoop:

@@ -15,7 +15,6 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
-from math import isnan
 from typing import Any
 
 import numpy as np
@@ -31,22 +30,9 @@ _COMMAND = program("fvs_estimator_node.stopping")
 class StopCriterion:
     """Fits chains to what was collected so far, one after the other, without waiting for them.
 
-    Parameters
-    ----------
-    stop_at_error : float
-        Relative standard deviation of the Jacobian that is good enough; 0 fits nothing.
-    command : sequence of str
-        The program that fits.
-
-    Attributes
-    ----------
-    enough : bool
-        Whether two fits in a row know the chain well enough.
-    trouble : str
-        Why there will be no more fits; empty if all is well.
-    found : dict
-        The newest fit's ``jacobian_deviation``, ``misfit``, ``image_offset_s``, ``is_chain``;
-        empty before.
+    ``stop_at_error`` is the relative standard deviation of the Jacobian that is good enough; 0 fits
+    nothing. ``enough`` says whether two fits in a row know the chain so well, ``trouble`` why there
+    will be no more fits, and ``found`` holds the newest fit's figures.
     """
 
     def __init__(self, stop_at_error: float, command: Sequence[str] = _COMMAND) -> None:
@@ -65,30 +51,26 @@ class StopCriterion:
             return
         try:
             if self._fit is None and time_s >= self._next_s and samples:
-                self._next_s, self._fit = time_s + _PERIOD_S, self._begin(samples, box_rad)
+                self._next_s = time_s + _PERIOD_S
+                with tempfile.TemporaryFile() as content:
+                    np.savez(content, box_rad, *map(np.array, zip(*samples, strict=True)))
+                    content.seek(0)
+                    self._fit = subprocess.Popen(
+                        self._command,
+                        stdin=content,
+                        stdout=subprocess.PIPE,
+                        stderr=subprocess.PIPE,
+                        start_new_session=True,  # Ctrl-C is the collector's affair
+                    )
             elif self._fit is not None and self._fit.poll() is not None:
                 ended, self._fit = self._fit, None
                 self._take(*ended.communicate(), ended.returncode)
         except Exception as error:  # whatever it is, the collector says it and goes on
             self.trouble = f"the chain fit failed: {error}"
 
-    def _begin(self, samples: Sequence[Sample], box_rad: np.ndarray) -> subprocess.Popen[bytes]:
-        with tempfile.TemporaryFile() as content:
-            np.savez(content, box_rad, *map(np.array, zip(*samples, strict=True)))
-            content.seek(0)
-            return subprocess.Popen(
-                self._command,
-                stdin=content,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                start_new_session=True,  # Ctrl-C is the collector's affair
-                env={**os.environ, "OMP_NUM_THREADS": "1"},
-            )
-
     def _take(self, out: bytes, complaint: bytes, exit_code: int) -> None:
         if exit_code != 0:
-            last = complaint.decode(errors="replace").strip().rpartition("\n")[2]
-            raise RuntimeError(f"exit code {exit_code} {last}".strip())
+            raise RuntimeError(f"exit code {exit_code} {complaint[-200:].decode(errors='replace')}")
         answer = dict(json.loads(out.splitlines()[-1]))
         self.found = answer or self.found
         good = answer.get("is_chain") and answer["jacobian_deviation"] < self._stop_at_error
@@ -97,34 +79,23 @@ class StopCriterion:
 
     def words(self) -> str:
         """What is known; empty if nothing is."""
-        if not self.found:
-            return ""
-        words = f"Jacobian known to {100.0 * self.found['jacobian_deviation']:.2g} %"
-        if isnan(self.found["misfit"]) and not self.found["is_chain"]:
-            words += " if this is a serial chain: too few images a second to tell"
-        return words
+        percent = 100.0 * self.found.get("jacobian_deviation", 0.0)
+        return f"Jacobian known to {percent:.2g} %" if self.found else ""
 
 
-def _examine(
-    box_rad: np.ndarray, stamp_s: np.ndarray, joints_rad: np.ndarray, ball_m: np.ndarray, run: Any
-) -> dict[str, Any]:
+def _examine(box_rad: np.ndarray, *columns: np.ndarray) -> dict[str, Any]:
     """How well a chain is known in a box by the columns of samples; empty if not yet."""
     from fvs_estimator_node.chain_fit import fit_chain
     from fvs_estimator_node.files import DataSet
 
-    names = tuple(f"joint {i}" for i in range(box_rad.shape[1]))
-    places = np.random.default_rng(0).uniform(box_rad[0], box_rad[1], (100, len(names)))
+    places = np.random.default_rng(0).uniform(*box_rad, (100, box_rad.shape[1]))
     try:
-        fit = fit_chain(DataSet(stamp_s, joints_rad, ball_m, run, names))
+        fit = fit_chain(DataSet(*columns))
         deviation = float(np.median(fit.jacobian_deviation(places)))
     except ValueError:  # no chain yet, or numbers too bad for linear algebra
         return {}
-    return {
-        "jacobian_deviation": deviation,
-        "misfit": fit.misfit,
-        "image_offset_s": fit.time_offset_s,
-        "is_chain": bool(fit.is_chain),
-    }
+    found = {"jacobian_deviation": deviation, "misfit": fit.misfit, "is_chain": fit.is_chain}
+    return {**found, "image_offset_s": fit.time_offset_s}
 
 
 if __name__ == "__main__":

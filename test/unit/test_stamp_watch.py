@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from recordings import turn
 
-from fvs_estimator_node.stamp_watch import StampWatch
+from fvs_estimator_node.loop import StampWatch
 
 PERIOD_S, IDENTITY = 1.0 / 30.0, np.eye(3)
 
