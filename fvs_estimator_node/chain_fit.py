@@ -16,15 +16,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
 from fvs_estimator_node.chain_chart import OFFSET, Chart, residuals_and_slopes
 from fvs_estimator_node.chain_start import (
     MAX_OFFSET_S,
-    PASSES,
     Path,
     first_guess,
     regress,
@@ -40,9 +41,8 @@ _SEARCH_SAMPLES, _SEARCH_OFFSETS = 400, 13
 #: Above both, the second in m, something else than a chain of revolute joints moves the ball; a
 #: camera's own systematic errors stay below.
 _MISFIT_LIMIT, _UNEXPLAINED_LIMIT_M = 1.3, 0.001
-#: Neighbours are images no further apart, s, and so many pairs of them make a median; an image that
-#: is unlike both its neighbours by so many times what is usual is an outlier.
-_NEAR_S, _LEAST_PAIRS, _UNLIKE = 0.25, 50, 6.0
+#: Neighbours are images no further apart, s, and so many pairs of them make a median.
+_NEAR_S, _LEAST_PAIRS = 0.25, 50
 #: Images further than so many standard deviations from the chain are left out.
 _OUTLIER = 6.0
 #: A start is right if its residual is below so many times that of the images themselves.
@@ -70,8 +70,7 @@ class ChainFit:
         How late the images are stamped, s: one stamped t shows the joints at t - offset; and its
         standard deviation, s.
     residual_m : float
-        Median distance of images from the chain, m, without those that are far from both their
-        neighbours.
+        Median distance of images from the chain, m.
     noise_m : float
         The part of it that is noise: what changes from one image to the next, m; NaN if the images
         are too far apart to tell.
@@ -107,15 +106,11 @@ class ChainFit:
         return self.residual_m / self.noise_m
 
     @property
-    def unexplained_m(self) -> float:
-        """The part of the residual that neither the chain nor (known) noise explains, m."""
-        noise_m = 0.0 if math.isnan(self.noise_m) else self.noise_m
-        return math.sqrt(max(self.residual_m**2 - noise_m**2, 0.0))
-
-    @property
     def is_chain(self) -> bool:
         """Whether the ball moves as one on a serial chain, as far as the noise lets one see."""
-        return self.misfit <= _MISFIT_LIMIT or self.unexplained_m <= _UNEXPLAINED_LIMIT_M
+        noise_m = 0.0 if math.isnan(self.noise_m) else self.noise_m
+        unexplained_m2 = self.residual_m**2 - noise_m**2
+        return self.misfit <= _MISFIT_LIMIT or unexplained_m2 <= _UNEXPLAINED_LIMIT_M**2
 
     @property
     def offset_at_limit(self) -> bool:
@@ -236,9 +231,8 @@ class _Fitting:
     def finish(self, found: _Found) -> ChainFit:
         """Fit all images, each weighed by its noise along and across the line of sight."""
         images = np.arange(len(self._ball))
-        for _ in range(2):
-            whitening = self._whitening(self._residuals(found))
-            found = self._solve(found, whitening, images)
+        whitening = self._whitening(self._residuals(found))
+        found = self._solve(found, whitening, images)
         # A wrong optimum can fit nearly as well as the right one: noise hides a weak joint's bend.
         # The right side is found in six evaluations or so, a wrong one has no end.
         about = found._replace(chain=turned_about(found.chain, 0))
@@ -286,29 +280,36 @@ class _Fitting:
         What the data do not tell is held by the prior, not by chance. Residuals above ``scale``
         standard deviations count less and less.
         """
-        from scipy.optimize import least_squares
-
         chart = Chart(begin.chain)
         deviation = np.full(chart.size, _PRIOR)
         deviation[OFFSET] = _OFFSET_PRIOR_S
         white = whitening[images]
-        newest: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
 
-        def of(values: np.ndarray, which: int) -> np.ndarray:
-            """Residuals, or their slopes; both are computed at once."""
-            if values.tobytes() not in newest:
-                newest.clear()
-                newest[values.tobytes()] = self._whitened(chart, values, white, images, deviation)
-            return newest[values.tobytes()][which]
+        @lru_cache(maxsize=1)
+        def both(content: bytes) -> tuple[np.ndarray, np.ndarray]:
+            """Residuals of images and of the prior in standard deviations, and their slopes."""
+            values = np.frombuffer(content)
+            joints, velocity = self._path.joints_and_velocities(float(values[OFFSET]))
+            try:
+                residual, slope = residuals_and_slopes(
+                    chart, values, joints[images], velocity[images], self._ball[images]
+                )
+            except ValueError:  # no chain: a step too far, which is then made shorter
+                return np.full(3 * len(images) + chart.size, np.inf), np.empty(0)
+            slopes = (white @ slope).reshape(-1, chart.size)
+            return (
+                np.append(white @ residual[..., None], values / deviation),
+                np.concatenate([slopes, np.diag(1.0 / deviation)]),
+            )
 
         first = np.zeros(chart.size)
         first[OFFSET] = begin.offset_s
         limit = np.full(chart.size, np.inf)
         limit[OFFSET] = MAX_OFFSET_S
         solution = least_squares(
-            lambda values: of(values, 0),
+            lambda values: both(values.tobytes())[0],
             np.clip(first, -0.99 * limit, 0.99 * limit),
-            lambda values: of(values, 1),
+            lambda values: both(values.tobytes())[1],
             bounds=(-limit, limit),
             loss="soft_l1",
             f_scale=scale,
@@ -320,28 +321,6 @@ class _Fitting:
         )
         found = solution.x
         return _Found(chart.chain(found), float(found[OFFSET]), float(solution.cost) / len(images))
-
-    def _whitened(
-        self,
-        chart: Chart,
-        values: np.ndarray,
-        white: np.ndarray,
-        images: np.ndarray,
-        deviation: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals of images and of the prior in standard deviations, and their slopes."""
-        joints, velocity = self._path.joints_and_velocities(float(values[OFFSET]))
-        try:
-            residual, slope = residuals_and_slopes(
-                chart, values, joints[images], velocity[images], self._ball[images]
-            )
-        except ValueError:  # no chain: a step too far, which is then made shorter
-            return np.full(3 * len(images) + chart.size, np.inf), np.empty(0)
-        rows = (white @ residual[..., None]).ravel(), (white @ slope).reshape(-1, chart.size)
-        return (
-            np.concatenate([rows[0], values / deviation]),
-            np.concatenate([rows[1], np.diag(1.0 / deviation)]),
-        )
 
     def _noise_by_direction(self, residual: np.ndarray) -> tuple[float, float]:
         """Standard deviations along the line of sight and across it, by medians, m."""
@@ -366,24 +345,15 @@ class _Fitting:
     def _distances_m(self, residual: np.ndarray) -> tuple[float, float]:
         """Median length of the residuals, and what it were if all were as unlike as neighbours, m.
 
-        Both of the same images: outliers, which are unlike both their neighbours, count for
-        neither. The second is NaN where there are too few neighbours.
+        The second is NaN where there are too few neighbours.
         """
         passed_s = np.diff(self._path.stamps_s)
-        first = np.flatnonzero((passed_s > 0.0) & (passed_s < _NEAR_S))
-        apart_m = np.linalg.norm(residual[first + 1] - residual[first], axis=1)
-        nearest_m = np.full(len(residual), np.inf)
-        np.minimum.at(nearest_m, first, apart_m)
-        np.minimum.at(nearest_m, first + 1, apart_m)
-        alike = np.isfinite(nearest_m)
-        for _ in range(PASSES if alike.any() else 0):
-            alike &= nearest_m <= _UNLIKE * np.median(nearest_m[alike])
-        both = alike[first] & alike[first + 1]
-        lengths_m = np.linalg.norm(residual, axis=1)
-        if np.count_nonzero(both) < _LEAST_PAIRS:
-            return float(np.median(lengths_m)), math.nan
-        noise_m = float(np.median(apart_m[both])) / math.sqrt(2.0)
-        return float(np.median(lengths_m[alike])), noise_m
+        apart_m = np.linalg.norm(np.diff(residual, axis=0), axis=1)
+        apart_m = apart_m[(passed_s > 0.0) & (passed_s < _NEAR_S)]
+        noise_m = math.nan
+        if len(apart_m) >= _LEAST_PAIRS:
+            noise_m = float(np.median(apart_m)) / math.sqrt(2.0)
+        return float(np.median(np.linalg.norm(residual, axis=1))), noise_m
 
     def _moments(
         self, found: _Found, whitening: np.ndarray, inlier: np.ndarray

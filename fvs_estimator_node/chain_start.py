@@ -11,6 +11,7 @@ from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from fvs_estimator_node.files import DataSet
 from fvs_ros.chain import SerialChain, cross_matrix
@@ -20,13 +21,11 @@ from fvs_ros.chain import SerialChain, cross_matrix
 MAX_OFFSET_S = 0.2
 #: A joint that moves less, a standard deviation, rad, stands still: nothing is known of it.
 STILL_RAD = 1e-3
-#: Passes of a robust median.
-PASSES = 6
+#: Passes of the robust regression.
+_PASSES = 6
 #: Most images that are fitted, and how many neighbours make a block of them: more change the
 #: Jacobian by less than its deviation.
 _MOST_SAMPLES, _BLOCK = 6000, 50
-#: A joint that moves the ball less says little about its axis, m/rad.
-_WEAK_M_RAD = 0.03
 
 
 class Path:
@@ -37,8 +36,6 @@ class Path:
     """
 
     def __init__(self, data: DataSet) -> None:
-        from scipy.interpolate import CubicSpline
-
         stamps, self._n = data.stamps_s, data.joints_rad.shape[1]
         inside, splines = [np.zeros(0, int)], []
         for run in data.runs():
@@ -99,7 +96,7 @@ def regress(
     scale = np.sqrt(np.mean(design**2, axis=0))
     design /= scale
     weight = np.ones(len(d))
-    for _ in range(PASSES):
+    for _ in range(_PASSES):
         rows = design * weight[:, None]
         gram = rows.T @ rows + 1e-6 * len(d) * np.eye(len(terms))
         solution = np.linalg.solve(gram, rows.T @ (ball_m * weight[:, None]))
@@ -121,13 +118,10 @@ def first_guess(regression: Regression, reference_rad: np.ndarray) -> SerialChai
     """Axes from slopes J_i and bends ``w_i x J_j``."""
     slopes, bends = regression.slopes, regression.bends
     axes = np.empty_like(slopes.T)
-    for i, column in enumerate(slopes.T):
+    for i in range(len(axes)):
         # w x J_j = bend  <=>  -[J_j]x w = bend, for all joints from i on
         rows = -cross_matrix(slopes[:, i:].T).reshape(-1, 3)
         axis = np.linalg.lstsq(rows, bends[:, i, i:].T.reshape(-1), rcond=1e-3)[0]
-        lever = float(np.linalg.norm(column))
-        if lever > _WEAK_M_RAD:
-            axis -= column * (axis @ column) / lever**2
         length = float(np.linalg.norm(axis))
         axes[i] = axis / length if length > 1e-6 else np.eye(3)[0]  # unknown: any
     points = regression.position_m - np.cross(slopes.T, axes)

@@ -83,7 +83,7 @@ class StopCriterion:
         return f"Jacobian known to {percent:.2g} %" if self.found else ""
 
 
-def _examine(box_rad: np.ndarray, *columns: np.ndarray) -> dict[str, Any]:
+def _examine(box_rad: np.ndarray, *columns: Any) -> dict[str, Any]:
     """How well a chain is known in a box by the columns of samples; empty if not yet."""
     from fvs_estimator_node.chain_fit import fit_chain
     from fvs_estimator_node.files import DataSet
