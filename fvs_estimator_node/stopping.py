@@ -88,7 +88,7 @@ def _examine(box_rad: np.ndarray, *columns: Any) -> dict[str, Any]:
     from fvs_estimator_node.chain_fit import fit_chain
     from fvs_estimator_node.files import DataSet
 
-    places = np.random.default_rng(0).uniform(*box_rad, (100, box_rad.shape[1]))
+    places = np.random.default_rng(0).uniform(box_rad[0], box_rad[1], (100, box_rad.shape[1]))
     try:
         fit = fit_chain(DataSet(*columns))
         deviation = float(np.median(fit.jacobian_deviation(places)))
