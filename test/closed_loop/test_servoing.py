@@ -71,17 +71,6 @@ def test_a_frozen_image_with_fresh_stamps_is_found_before_the_arm_goes_far(name)
     assert later_m.max() < 1.2 * errors_m[0]
 
 
-def test_a_jacobian_of_the_wrong_sign_is_held_before_the_ball_goes_far():
-    loop, *_ = servo("proposed", 0.0)
-    add_jacobian = loop.loop.add_jacobian
-    loop.loop.add_jacobian = lambda now_s, jacobian: add_jacobian(now_s, -jacobian)
-    loop.run(0.1)
-    commands, errors_m = run(loop, loop.ball_m + [0.0, 0.2, 0.1], 2.0)
-    assert loop.loop.supervisor.last.reason is Reason.PREDICTION_ERROR
-    assert not commands[-1].any()
-    assert errors_m.max() < 0.6
-
-
 def follow(name, speed_m_s, noise_m, feed_forward):
     """Rms distance from a target on a circle, m, and of the command's step, rad/s, after 1.5 s."""
     rng, radius_m = np.random.default_rng(7), 0.08

@@ -108,12 +108,10 @@ def test_imports_point_one_way(path):
     ("path", "source"),
     [
         ("fvs_controller_node/ftsm.py", "def f():\n    from std_srvs.srv import Trigger"),
-        ("fvs_controller_node/inbox.py", "from fvs_ros.ros import to_stamp"),
         ("fvs_controller_node/node.py", "from fvs_tools import launcher"),
         ("fvs_estimator_node/node.py", "if True:\n    import pybullet"),
         ("fvs_tools/train.py", "import torch"),
         ("fvs_ros/limits.py", "import scipy.optimize"),
-        ("fvs_ros/camera.py", "from . import ros"),
         ("fvs_detector_node/annotate.py", "from fvs_sim_node.world import Renderer"),
         ("fvs_ros/ros/__init__.py", "from fvs_ros.ros import images"),
     ],

@@ -9,21 +9,20 @@ from fvs_controller_node.drive_lag import DriveLag, brake
 DT_S = 0.008
 
 
-def run(lag, delay_ticks, time_constant_s, seconds=6.0, *, begin_s=0.0, fastest=1.0, compare=True):
+def run(lag, delay_ticks, time_constant_s):
     """Let drives with dead time and a first-order lag follow moves to and fro."""
     rng = np.random.default_rng(1)
     joints, speed = np.zeros(6), np.zeros(6)
     waiting = [np.zeros(6)] * delay_ticks
     command = np.zeros(6)
     share = 1.0 - np.exp(-DT_S / time_constant_s) if time_constant_s else 1.0
-    for tick in range(round(seconds / DT_S)):
+    for tick in range(round(6.0 / DT_S)):
         if tick % 60 == 0:
-            goal = rng.uniform(-fastest, fastest, 6)
+            goal = rng.uniform(-1.0, 1.0, 6)
         waiting.append(command)
         speed = speed + share * (waiting.pop(0) - speed)
         joints = joints + DT_S * speed
-        # where it begins, joints may have been moved by something else
-        lag.add(begin_s + tick * DT_S, command, joints, compare=compare and tick > 0)
+        lag.add(tick * DT_S, command, joints, compare=tick > 0)
         command = command + np.clip(goal - command, -0.05, 0.05)
     return lag
 

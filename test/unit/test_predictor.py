@@ -61,27 +61,6 @@ def test_an_outlier_is_passed_over_and_what_two_say_alike_or_six_in_a_row_is_bel
     np.testing.assert_allclose(unlike[7], ORIGIN + 5.0 * away - other)
 
 
-@pytest.mark.parametrize("jump_s", [-100.0, 1000.0])
-def test_a_clock_jump_starts_it_anew(jump_s: float):
-    predictor = BallPredictor()
-    feed(predictor, 0.0, 1.0)
-    predictor.add_ball(0.9, ball(0.9))
-    feed(predictor, 1.0, 1.1, offset_s=jump_s)
-    assert predictor.predict() is None
-    predictor.add_ball(1.05 + jump_s, ball(1.05))
-    np.testing.assert_allclose(newest(predictor), ball(1.096), atol=5e-5)
-
-
-@pytest.mark.parametrize(("offset_s", "word"), [(5.0, "newer"), (-5.0, "older")])
-def test_clocks_that_disagree_are_named(offset_s: float, word: str):
-    predictor = BallPredictor()
-    feed(predictor, 10.0, 11.0)
-    predictor.add_ball(10.9 + offset_s, ball(10.9))
-    assert predictor.predict() is None
-    assert word in predictor.problem
-    assert "clock" in predictor.problem
-
-
 def test_over_a_long_latency_it_follows_the_bend_of_the_path():
     """On a circle of 0.5 m; a straight line from the newest Jacobian is 7 mm off."""
     predictor = BallPredictor()

@@ -68,11 +68,3 @@ def test_simulated_time_is_that_of_the_last_clock_or_the_first():
     assert stamps(time, clock(7, 5)) == [7_000_000_005] * 3
     assert stamps(time, at(3), clock(8, 0), at(4)) == [7_000_000_005, 8 * 10**9, 8 * 10**9]
     assert time.rest() == []
-
-
-def test_without_a_clock_the_systems_time_is_kept_and_memory_is_bounded():
-    time = SimulatedTime()
-    assert stamps(time, at(1), at(2)) == []
-    assert [one.stamp_ns for one in time.rest()] == [1, 2]
-    large = bytes(10 * 2**20)
-    assert len(stamps(SimulatedTime(), *(at(number, large) for number in range(20)))) >= 7
