@@ -266,15 +266,7 @@ class Harness:
 
 
 class PlayedRobot:
-    """Plays robot, detector and estimator towards a controller: a linear plant x' = J r'.
-
-    Attributes
-    ----------
-    silent : set of str
-        Topics that are not published for now.
-    spoil : dict
-        Topic -> function that changes a message before it is sent.
-    """
+    """Plays robot, detector and estimator towards a controller: a linear plant x' = J r'."""
 
     FRAME = "camera_color_optical_frame"
 
@@ -290,7 +282,8 @@ class PlayedRobot:
         self.joints = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
         self.ball = np.array([0.0, 0.1, 1.4])
         self.velocity = np.zeros(6)
-        self.silent: set[str] = set()
+        self.silent: set[str] = set()  # topics that are not published for now
+        #: Topic -> function that changes a message before it is sent.
         self.spoil: dict[str, Callable[[Any], Any]] = {}
         self.commands: list[tuple[float, Float64MultiArray]] = []
         node = harness.node

@@ -15,22 +15,10 @@ _TARGET_NODE = "/base/camera/target"
 
 
 class PageClient:
-    """Looks at a page and presses its buttons.
+    """Looks at a page and presses its buttons."""
 
-    Parameters
-    ----------
-    address : str
-        Of the page, as ``http://...``.
-    **headers : str
-        More headers of its request, such as ``Origin``.
-
-    Attributes
-    ----------
-    elements : dict
-        The panel's elements by id: their properties, and their value as ``value``.
-    """
-
-    def __init__(self, address: str, **headers: str) -> None:
+    def __init__(self, address: str) -> None:
+        #: The panel's elements by id: their properties, and their value as ``value``.
         self.elements: dict[str, dict[str, Any]] = {}
         self._complete = threading.Event()
         self._socket = connect(
@@ -38,7 +26,6 @@ class PageClient:
             subprotocols=[f"viser-v{viser.__version__}"],  # type: ignore[list-item]
             compression=None,
             max_size=None,
-            additional_headers=headers,
         )
         self._thread = threading.Thread(target=self._receive, daemon=True)
         self._thread.start()

@@ -52,29 +52,14 @@ def seen_from_anywhere(rng: np.random.Generator) -> SerialChain:
 
 @dataclass(frozen=True)
 class Recording:
-    """What a camera records.
+    """What a camera records of random motion."""
 
-    Parameters
-    ----------
-    seed : int
-        Which camera, motion and noise.
-    seconds : float
-        Duration, s.
-    noise_m : float
-        Standard deviation of each coordinate, m.
-    outliers : float
-        Share of positions that are 30 mm off, a standard deviation of each coordinate.
-    late_s : float
-        How late the images are stamped, s.
-    reach_rad : tuple of float
-        Half width of the box of each joint, rad; 0 keeps it still.
-    """
-
-    seed: int = 0
+    seed: int = 0  # of camera, motion and noise
     seconds: float = 60.0
-    noise_m: float = 0.001
-    outliers: float = 0.02
-    late_s: float = 0.08
+    noise_m: float = 0.001  # standard deviation of each coordinate
+    outliers: float = 0.02  # share of positions that are 30 mm off, a standard deviation
+    late_s: float = 0.08  # of the images' stamps
+    #: Half widths of the joints' box; 0 keeps a joint still.
     reach_rad: tuple[float, ...] = tuple(ur5_dh.BOX_M_RAD)
 
     def chain(self) -> SerialChain:

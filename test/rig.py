@@ -297,3 +297,46 @@ class Rig:
 
         self.wait(there, 15.0, "the ball within 5 mm")
         self.wait(lambda: self.reason() == "SETTLED", what="SETTLED")
+
+
+class Launched:
+    """The nodes of the scenario ``servo``, perhaps in a namespace, as a test hears them."""
+
+    def __init__(self, harness: Harness, *arguments: str, namespace: str = "") -> None:
+        where = f"{namespace}/" if namespace else ""
+        named = ("--namespace", namespace) if namespace else ()
+        self.harness = harness
+        self.process = harness.start("fvs_tools.launcher", "servo", *named, *arguments)
+        self.commands = harness.collect(Float64MultiArray, where + topics.COMMANDS.name)
+        self.balls = harness.collect(PointStamped, where + topics.BALL_POSITION.name)
+        self.statuses = harness.collect(DiagnosticStatus, f"{where}{CONTROLLER}/status")
+        # Not latched: the controller would hear each target of a moving one twice.
+        self._targets = harness.node.create_publisher(
+            PointStamped, where + topics.TARGET_POSITION.name, ros.QOS_RELIABLE
+        )
+        harness.spin_until(self.waits_for_a_target, 60.0, "all inputs")
+
+    def waits_for_a_target(self) -> bool:
+        """Whether nothing but a target is missing."""
+        heard = self._targets.get_subscription_count() > 0
+        return heard and self.reason() == "NO_TARGET" and len(self.balls) > 5
+
+    def reason(self) -> str:
+        """Why the controller is in its state."""
+        return ros.from_status(self.statuses[-1])["reason"] if self.statuses else ""
+
+    def aim(self, position_m: np.ndarray) -> None:
+        """Publish a target, m."""
+        self._targets.publish(ros.to_point(time.time(), CAMERA_FRAME, position_m))
+
+    def distance_m(self, position_m: np.ndarray, count: int = 6) -> float:
+        """How far the last balls were away at most, m."""
+        last = [m.point for m in self.balls[-count:]]
+        return max((math.dist((p.x, p.y, p.z), position_m) for p in last), default=math.inf)
+
+    def reach(self, position_m: np.ndarray) -> None:
+        """Have the ball brought to a target, m."""
+        self.aim(position_m)
+        self.harness.spin_until(
+            lambda: self.distance_m(position_m) < 0.005, 30.0, "the ball there", self.reason
+        )

@@ -53,13 +53,7 @@ def draw_arm(rng: np.random.Generator) -> SerialChain:
 
 
 class UnseenRobot:
-    """Robot and camera in steps of a millisecond: velocities in, joints and noisy balls out.
-
-    Parameters
-    ----------
-    seed : int
-        Which robot, which camera, and which noise.
-    """
+    """Robot and camera in steps of a millisecond: velocities in, joints and noisy balls out."""
 
     STEP_S = 0.001
 

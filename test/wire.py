@@ -17,20 +17,9 @@ PREFIX = "wire/"
 class Wire:
     """Relays one topic, and does to each message what its attributes say.
 
-    Attributes
-    ----------
-    silent : bool
-        Nothing comes through.
-    loss, repeat, swap : float
-        Probability that a message is lost, is said twice, is said after its follower.
-    delay_s : float
-        Further time under way, s.
-    shift_s : float
-        Added to the stamps, s: the sender's clock jumped.
-    freeze : str
-        Empty; ``stamp``: new contents with the last stamp; ``message``: the last message again.
-    spoil : callable or None
-        Changes a message in place.
+    ``loss``, ``repeat`` and ``swap`` are probabilities: a message is lost, is said twice, is said
+    after its follower. ``shift_s`` is added to the stamps: the sender's clock jumped. ``freeze``
+    sends new contents with the last ``stamp``, or the last ``message`` again.
     """
 
     def __init__(self, node: Any, message_type: type, topic: str) -> None:

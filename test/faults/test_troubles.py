@@ -23,24 +23,12 @@ JOINTS_S, LATE_S = 0.1, 0.2
 
 @dataclass(frozen=True)
 class Trouble:
-    """Something that goes wrong.
-
-    Parameters
-    ----------
-    begin, end : callable
-        What is done to a :class:`~rig.Rig`, and how it is mended.
-    within_s : float
-        From there to rest, s.
-    says : tuple of str
-        State, reason, and words of the status.
-    needs_start : bool
-        Whether the arm goes on after ``~/start`` only.
-    """
+    """What is done to a rig, how it is mended, and what the arm does and says meanwhile."""
 
     begin: Callable[[Rig], object]
     end: Callable[[Rig], object]
-    within_s: float
-    says: tuple[str, ...]
+    within_s: float  # to rest
+    says: tuple[str, ...]  # state, reason, and words of the status
     needs_start: bool = False
 
 

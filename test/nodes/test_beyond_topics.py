@@ -6,10 +6,9 @@ import time
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PointStamped
+from rig import Launched
 
 from fvs_ros import ros, topics
-from fvs_ros.camera import CAMERA_FRAME
 
 START = np.array([0.0, 0.15, 1.45])
 GOAL = np.array([-0.1, 0.05, 1.55])
@@ -17,45 +16,9 @@ TURN_DEG = 45.0
 RADIUS_M, SPEED_M_S = 0.08, 0.1
 
 
-class Loop:
-    """The nodes of the scenario ``servo`` with a scheme, as the test hears them."""
-
-    def __init__(self, harness, scheme):
-        self.harness = harness
-        self.process = harness.start("fvs_tools.launcher", "servo", "--scheme", scheme)
-        self.balls = harness.collect(PointStamped, topics.BALL_POSITION.name)
-        self.statuses = harness.collect(DiagnosticStatus, "fvs_controller_node/status")
-        self.learned = harness.collect(DiagnosticStatus, "fvs_estimator_node/status")
-        # Not latched: the controller would hear each target of a moving one twice.
-        self._target = harness.node.create_publisher(
-            PointStamped, topics.TARGET_POSITION.name, ros.QOS_RELIABLE
-        )
-        harness.spin_until(self.ready, 60.0, "inputs")
-
-    def ready(self):
-        heard = self._target.get_subscription_count() > 0
-        return heard and self.reason() == "NO_TARGET" and len(self.balls) > 5
-
-    def reason(self):
-        return ros.from_status(self.statuses[-1])["reason"] if self.statuses else ""
-
-    def aim(self, position_m):
-        self._target.publish(ros.to_point(time.time(), CAMERA_FRAME, position_m))
-
-    def distance_m(self, position_m, count=6):
-        last = [m.point for m in self.balls[-count:]]
-        distances_m = (math.dist((p.x, p.y, p.z), position_m) for p in last)
-        return max(distances_m, default=math.inf)
-
-    def reach(self, position_m):
-        self.aim(position_m)
-        self.harness.spin_until(
-            lambda: self.distance_m(position_m) < 0.005, 20.0, "the ball there", self.reason
-        )
-
-
 def test_a_moving_target_is_followed_and_a_turned_camera_needs_no_new_training(ros_test):
-    loop = Loop(ros_test, "best")
+    loop = Launched(ros_test, "--scheme", "best")
+    learned = ros_test.collect(DiagnosticStatus, topics.ESTIMATOR_STATUS.name)
     loop.reach(START)
     began_s, errors_m = time.monotonic(), []
     while (passed_s := time.monotonic() - began_s) < 3.0:
@@ -80,5 +43,5 @@ def test_a_moving_target_is_followed_and_a_turned_camera_needs_no_new_training(r
     loop.reach(turned @ GOAL)
     loop.reach(turned @ START)
     # Frozen networks would get there as well, in the end.
-    found_deg = ros.from_status(loop.learned[-1])["camera_turned_deg"]
+    found_deg = ros.from_status(learned[-1])["camera_turned_deg"]
     assert float(found_deg) == pytest.approx(TURN_DEG, abs=3.0)

@@ -20,18 +20,9 @@ PATIENCE_S = 40.0
 
 
 class PlayedCamera:
-    """Publishes drawn pictures, each topic as its `messages` make it.
+    """Publishes what is in view, ``rgb`` and ``depth_m``, unless it is None.
 
-    Attributes
-    ----------
-    rgb, depth_m : ndarray
-        What is in view; none is published while it is None.
-    depth_frame : str
-        Frame of the depth image.
-    period_s : float
-        By how much the stamps advance from picture to picture.
-    depth_late_s : float
-        Stamp of depth less that of colour.
+    Stamps advance by ``period_s``; those of depth are late by ``depth_late_s``.
     """
 
     def __init__(self, harness, qos=ros.QOS_RELIABLE, compressed=False, prefix="camera"):

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from fvs_controller_node.base import ControlOutput
-from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.inbox import Inbox
 from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Reason, State
@@ -28,8 +27,8 @@ WANTED = np.array([0.5, -0.4, 0.3, 0.0, 0.1, -0.2])
 class Cell:
     """A supervisor with all its inputs at 125 Hz, on its way; tests change what it gets."""
 
-    def __init__(self, config: SupervisorConfig | None = None) -> None:
-        self.supervisor = Supervisor(config)
+    def __init__(self) -> None:
+        self.supervisor = Supervisor()
         self.inputs, self.goal = self.supervisor.inputs, self.supervisor.goal
         self.now_s, self.since_s = 100.0, 0.0
         self.commands: list[Command] = []
@@ -105,8 +104,8 @@ def at_rest(command: Command) -> bool:
     return not command.velocity_rad_s.any()
 
 
-def servoing(config: SupervisorConfig | None = None) -> Cell:
-    cell = Cell(config)
+def servoing() -> Cell:
+    cell = Cell()
     assert cell.goal.set(TARGET, FRAME)[0]
     assert cell.run(0.1).state is State.READY
     assert cell.start()
