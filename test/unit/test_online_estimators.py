@@ -12,7 +12,6 @@ from fvs_estimator_node.online import BroydenEstimator, OnlineConfig, RlsEstimat
 from fvs_estimator_node.rbf import RbfModel
 from fvs_estimator_node.registry import (
     create_estimator,
-    needs_model,
 )
 
 ONLINE = ("lkf", "ukf", "rls", "broyden")
@@ -202,17 +201,3 @@ def test_it_starts_from_the_model_at_the_first_joints_and_reset_starts_again(met
     asked.reset()
     assert (asked.updates, asked.refused, asked.covariance.size) == (0, 0, 0)
     np.testing.assert_allclose(asked.jacobian(later), model.jacobian(later))
-
-
-@pytest.mark.parametrize("method", ONLINE)
-def test_from_zero_it_needs_no_model_and_else_says_so(method):
-    assert not needs_model(method, ZERO)
-    estimator = create_estimator(method, None, ZERO)
-    np.testing.assert_array_equal(estimator.jacobian(HOME), np.zeros((3, 6)))
-    assert "has seen no motion" in estimator.problem
-    learned = learn(estimator, random_steps(np.random.default_rng(14), 20))
-    assert np.linalg.norm(learned) > 0.01
-    assert estimator.problem == ""
-    assert needs_model(method, {})
-    with pytest.raises(ValueError, match=f"{method} needs a trained model.*online.initial to"):
-        create_estimator(method)
