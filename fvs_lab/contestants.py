@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from fvs_lab.search import ORACLE, ORACLES, PROPOSED, Regime
+from fvs_lab.search import CLIPPED, ORACLE, ORACLES, PROPOSED, Regime
 from fvs_lab.trials import Conditions, Variant
 from fvs_tools.schemes import BEYOND, SCHEMES, Scheme
 
@@ -17,12 +17,8 @@ FROZEN, BEST_ORACLE = "frozen", "oracle, law of best"
 
 #: White noise on each coordinate of the sensor, m.
 SIGMA_M = Conditions.position_noise_m
-#: Speed and acceleration limit of every joint, rad/s and rad/s^2; the nodes' defaults.
-SPEED_RAD_S, ACCELERATION_RAD_S2 = 1.0, 6.0
-LIMITS = {
-    "max_joint_velocity_rad_s": SPEED_RAD_S,
-    "max_joint_acceleration_rad_s2": ACCELERATION_RAD_S2,
-}
+#: Speed and acceleration limit of every joint, rad/s and rad/s^2.
+SPEED_RAD_S, ACCELERATION_RAD_S2 = CLIPPED.values()
 
 #: All of them, with the defaults of the nodes except for what is named here.
 CONTESTANTS: dict[str, Scheme] = {
@@ -74,7 +70,7 @@ TUNED = {
 }
 CALM = {one.name: one for one in (_equipped(law, "calm") for law in _LAWS)}
 CALM_RAD_S = 0.0002
-CALM_REGIME = Regime("calm", "", LIMITS, 5.0, ("jitter_rad_s", CALM_RAD_S), 3.0)
+CALM_REGIME = Regime("calm", "", CLIPPED, 5.0, ("jitter_rad_s", CALM_RAD_S), 3.0)
 #: Gains of the proportional law between the two, 1/s: what it pays in jitter for speed.
 TURNED_1_S = (10.0, 14.0, 20.0)
 #: The sliding mode law, and all others with the same search; the filter knows less than networks.
@@ -118,4 +114,4 @@ WORLDS = (
 
 def variant(name: str, **controller_values: Any) -> Variant:
     """A contestant with the limits that all have, and further parameters of its controller."""
-    return Variant.of(CONTESTANTS[name], **LIMITS, **controller_values)
+    return Variant.of(CONTESTANTS[name], **CLIPPED, **controller_values)

@@ -122,12 +122,12 @@ def ball_jacobian(joints_rad: np.ndarray) -> np.ndarray:
 def fastest(case: Case, limits: Limits, tolerance_m: float) -> Fastest:
     """Find the motion that has the ball near the target soonest, by true kinematics.
 
-    By sequential quadratic programmes from the motion with the least largest joint travel to the
-    target itself. Joints may turn as far as they like; near is within the tolerance, m.
+    By a sequential quadratic programme from the motion to the joints that the target was drawn
+    from. Joints may turn as far as they like; near is within the tolerance, m.
     """
     from scipy.optimize import minimize
 
-    travel = least_travel_rad(case)
+    travel = np.array(case.goal_rad) - np.array(case.start_rad)
     rest_s = limits.rest_s(float(np.abs(travel).max()))
     steep, top = limits.acceleration_rad_s2, limits.speed_rad_s
     # More time than a joint needs to brake from the speed limit gains nothing.
@@ -206,45 +206,6 @@ def _unknowns(joints: int, piece_s: float) -> tuple[np.ndarray, ...]:
     moved = piece_s**2 * done * (begun - 0.5 * done)
     paths = travels + np.multiply.outer(piece_s * looks[:, 0], speeds)
     return unit, travels, speeds, pieces, paths + np.tensordot(moved, pieces, 1)
-
-
-def least_travel_rad(case: Case) -> np.ndarray:
-    """Joint travels, least in the largest, that put the ball on the target, rad, shape (joints,).
-
-    By sequential quadratic programmes from several guesses; never longer than the travel to the
-    joints that the target was drawn from.
-    """
-    from scipy.optimize import minimize
-
-    start, goal = np.array(case.start_rad), np.array(case.goal_rad)
-    target_m, n = ball_position(goal), start.size
-    rng = np.random.default_rng(case.seed)
-    # Unknowns are the largest travel and the travels: the largest above each, either way.
-    slopes = np.hstack([np.ones((2 * n, 1)), np.vstack([-np.eye(n), np.eye(n)])])
-    constraints = (
-        {
-            "type": "eq",
-            "fun": lambda z: ball_position(start + z[1:]) - target_m,
-            "jac": lambda z: np.hstack(
-                [np.zeros((target_m.size, 1)), ball_jacobian(start + z[1:])]
-            ),
-        },
-        {"type": "ineq", "fun": lambda z: slopes @ z, "jac": lambda z: slopes},
-    )
-    unit = np.eye(1 + n)[0]
-    best = goal - start
-    for attempt in range(8):  # all but one or two of them end at the same joints
-        guess = goal - start + (0.3 * rng.normal(size=n) if attempt else 0.0)
-        found = minimize(
-            lambda z: z[0],
-            np.append(np.abs(guess).max(), guess),
-            jac=lambda z: unit,
-            constraints=constraints,
-            method="SLSQP",
-        )
-        if found.success and np.abs(found.x[1:]).max() < np.abs(best).max():
-            best = found.x[1:]
-    return best
 
 
 def play_s(

@@ -10,7 +10,6 @@ import json
 import os
 import sys
 import time
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +20,7 @@ from fvs_ros.paths import version
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 
 if TYPE_CHECKING:
-    from fvs_lab.experiment import Context
+    from fvs_lab.experiment import Context, Experiment
 
 _NEEDS = ("cmaes", "joblib", "jinja2", "matplotlib", "scipy")
 
@@ -31,7 +30,7 @@ def _parser() -> argparse.ArgumentParser:
         "fvs_experiments",
         __doc__,
         {
-            "experiments": {name: _about(name) for name in EXPERIMENTS},
+            "experiments": EXPERIMENTS,
             "instead of an experiment": {"replay BAG": "look at a recording"},
         },
     )
@@ -82,20 +81,10 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _about(name: str) -> str:
-    """The first line of an experiment's docstring; to import it takes long."""
-    source = files("fvs_lab").joinpath(f"{name}.py")
-    return source.read_text(encoding="utf-8").split('"""')[1].splitlines()[0]
-
-
 def _positive(text: str) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        value = 0
-    if value < 1:
+    if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"expected a whole number from 1, got {text!r}")
-    return value
+    return int(text)
 
 
 @console.reader_may_leave()
@@ -161,6 +150,15 @@ def _run(arguments: argparse.Namespace) -> int:
     return _measure(context, arguments)
 
 
+def experiment_called(name: str) -> Experiment:
+    """The experiment of a name; only its own module is imported."""
+    if name in LONG:
+        from fvs_lab.robustness import EXPERIMENTS as LONG_ONES
+
+        return LONG_ONES[name]
+    return importlib.import_module(f"fvs_lab.{name}").EXPERIMENT
+
+
 def _measure(context: Context, arguments: argparse.Namespace) -> int:
     most = [name for name in EXPERIMENTS if name not in LONG]
     names = most if arguments.name == "all" else [arguments.name]
@@ -168,7 +166,7 @@ def _measure(context: Context, arguments: argparse.Namespace) -> int:
     for number, name in enumerate(names, start=1):
         folder = context.folder(name)
         print(f"== {name} ({number} of {len(names)})", flush=True)
-        report = importlib.import_module(f"fvs_lab.{name}").EXPERIMENT.run(context)
+        report = experiment_called(name).run(context)
         write_report(report, folder, _origin(arguments))
         for verdict in report.verdicts:
             print(f"   {verdict.word} ({verdict.whose}): {verdict.claim}", flush=True)

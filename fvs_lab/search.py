@@ -88,16 +88,17 @@ class Regime:
     rest_s: float = 1.0
 
 
-_CLIPPED = {"max_joint_velocity_rad_s": 1.0, "max_joint_acceleration_rad_s2": 6.0}
+#: Limits as on a real arm, the nodes' defaults.
+CLIPPED = {"max_joint_velocity_rad_s": 1.0, "max_joint_acceleration_rad_s2": 6.0}
 #: Limits out of the way; the largest that the controller takes.
 FREE = {"max_joint_velocity_rad_s": 3.14, "max_joint_acceleration_rad_s2": 40.0}
 PEAK_RAD_S, JITTER_RAD_S = 0.8, 0.001
 
 #: As on a real arm; nothing clips the command, as in the paper's figures; calm at rest.
 REGIMES = (
-    Regime("limit", "Equal joint-speed limit", _CLIPPED, 4.0),
+    Regime("limit", "Equal joint-speed limit", CLIPPED, 4.0),
     Regime("peak", "Equal peak speed, no limit", FREE, 6.0, ("peak_joint_speed_rad_s", PEAK_RAD_S)),
-    Regime("jitter", "Equal command jitter", _CLIPPED, 5.0, ("jitter_rad_s", JITTER_RAD_S), 2.0),
+    Regime("jitter", "Equal command jitter", CLIPPED, 5.0, ("jitter_rad_s", JITTER_RAD_S), 2.0),
 )
 
 PROPOSED = "proposed"

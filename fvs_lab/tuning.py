@@ -30,13 +30,6 @@ class Knob:
         """The parameters that are set for a value."""
         return {self.name: value, **{name: factor * value for name, factor in self.along.items()}}
 
-    def variant(self, value: float) -> Variant:
-        """The paper's scheme with this value."""
-        node = "estimator_values" if self.of_estimator else "controller_values"
-        labels = {"parameter": self.name, "value": value, "default": value == self.default}
-        values: dict[str, Any] = {node: self.settings(value)}
-        return Variant(labels, conditions=self.conditions, **values)
-
 
 #: In the order in which one turns them; what to do with each is in the template.
 KNOBS = (
@@ -69,7 +62,16 @@ def measure(context: Context) -> Found:
     """Turn one knob after the other, in the same cases."""
     cases = make_cases("U", context.count(4, 1), 501)
     knobs = KNOBS[:2] if context.quick else KNOBS
-    variants = [knob.variant(value) for knob in knobs for value in knob.values]
+    variants = [
+        Variant(
+            {"parameter": knob.name, "value": value, "default": value == knob.default},
+            conditions=knob.conditions,
+            estimator_values=knob.settings(value) if knob.of_estimator else {},
+            controller_values={} if knob.of_estimator else knob.settings(value),
+        )
+        for knob in knobs
+        for value in knob.values
+    ]
     runs = context.run(variants, cases, "tuning", record=True)
     facts = {"count": len(cases), "knobs": [knob.name for knob in knobs]}
     return Found(runs, facts, {"knobs": knobs, "cases": cases})

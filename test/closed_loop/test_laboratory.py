@@ -4,7 +4,6 @@ import json
 import re
 import shlex
 from dataclasses import replace
-from importlib import import_module
 
 import numpy as np
 import pytest
@@ -48,7 +47,7 @@ def test_a_quick_run_makes_a_complete_page(name, tmp_path):
     context = Context(
         tmp_path, seeds=1, jobs=1, quick=True, rendered=False, nodes=False, trials=trials
     )
-    report = import_module(f"fvs_lab.{name}").EXPERIMENT.run(context)
+    report = main.experiment_called(name).run(context)
     folder = context.folder(name)
     path = write_report(report, folder, Origin("", "", "", True))
     assert json.loads(path.read_text(encoding="utf-8"))["data"]["runs"]

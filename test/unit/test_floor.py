@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 pytest.importorskip("pybullet")
 
 from fvs_lab import floor
-from fvs_lab.floor import Limits, ball_jacobian, ball_position, floor_of, least_travel_rad, play_s
+from fvs_lab.floor import Limits, ball_jacobian, ball_position, floor_of, play_s
 from fvs_lab.outcome import BOUNDS_M
 from fvs_lab.trials import Case, make_cases
 from fvs_ros.joints import HOME_JOINTS_RAD
@@ -80,7 +80,7 @@ def outside_m(case, time_s, tolerance_m):
     # Position at ticks: speeds are linear in between.
     sums = tick_s * (np.tri(count + 1, count, -1) - 0.5 * np.eye(count + 1, count, -1))
     ramp = np.clip(6.0 * tick_s * np.arange(1, count + 1), 0.0, 1.0)
-    travel = least_travel_rad(case)
+    travel = fastest(case, LIMITS, tolerance_m).travel_rad
     speeds = np.outer(np.minimum(ramp, ramp[::-1]), travel)
     speeds *= np.abs(travel).max() / np.abs(sums[-1] @ speeds).max()
     change = sparse.diags([np.ones(6 * count), -np.ones(6 * count - 6)], [0, -6])
