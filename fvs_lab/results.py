@@ -216,7 +216,6 @@ METRICS = {
     "late_error_s": Metric("lateness found, off by, ms", 1e3),
     "stated": Metric("the fit says, %", 1e2, 3),
     "seen": Metric("off from what the camera sees, %", 1e2, 3),
-    "metric": Metric("off in metres, %", 1e2, 3),
     "honesty": Metric("the fit says, over what it is off"),
     "over_5mm": Metric("to 5 mm over floor"),
     "over_2mm": Metric("to 2 mm over floor"),

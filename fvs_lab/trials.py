@@ -222,10 +222,6 @@ class Trial:
     #: and its speed, m/s.
     path: tuple[Callable[[float], np.ndarray], float] | None = None
 
-    def with_method(self, method: str) -> Trial:
-        """The same with another estimator."""
-        return replace(self, variant=replace(self.variant, method=method))
-
     def loop(self, simulation: Simulation) -> ClosedLoop:
         """The whole loop in a simulation that has been reset."""
         who = self.variant
