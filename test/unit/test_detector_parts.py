@@ -67,11 +67,3 @@ def test_noise_is_no_jump_however_slow_the_ball_must_be_and_a_decimetre_is():
     gate, rng = Gate(0.02), np.random.default_rng(0)
     assert all(accepted(gate, HERE + 0.002 * rng.normal(size=(100, 3))))
     assert gate.check(100 * DT, HERE + [0.06, 0.0, 0.0])
-
-
-@given(st.lists(st.tuples(st.floats(-2, 2), st.floats(-2, 2), st.floats(0.3, 3)), max_size=40))
-@settings(max_examples=100, deadline=None)
-def test_a_ball_that_stands_still_in_the_end_is_always_accepted(places):
-    gate = Gate(3.0)
-    accepted(gate, [np.array(p) for p in places])
-    assert accepted(gate, [HERE] * 6, start=len(places))[3:] == [True] * 3
