@@ -14,7 +14,7 @@ from fvs_ros.chain import SerialChain
 from fvs_ros.params import Parameters, parameter
 
 #: What an estimator is made from.
-NETWORKS, CHAIN, NOTHING = "networks", "chain", ""
+NETWORKS, CHAIN = "a trained model", "a fitted chain"
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,8 @@ class Estimator(ABC):
 
     #: Whether :meth:`update` and :meth:`observe` can change anything.
     learns: ClassVar[bool] = True
-    #: What its first argument is: one of the constants above.
-    made_from: ClassVar[str] = NOTHING
+    #: What its first argument is, if it needs one: one of the constants above.
+    made_from: ClassVar[str] = ""
     #: Its parameters; a node declares them with the name of their group before each.
     config_type: ClassVar[type[Parameters]] = Parameters
     group: ClassVar[str] = ""
@@ -140,11 +140,8 @@ class Estimator(ABC):
 class OracleEstimator(Estimator):
     """The true Jacobian, which only a simulator knows: the yardstick of all estimates.
 
-    Parameters
-    ----------
-    true_jacobian : callable, optional
-        Joints, rad, shape (n,), to the true Jacobian, m/rad, shape (m, n). Without it the Jacobian
-        is the newest of :meth:`set_true_jacobian`, at any joints.
+    ``true_jacobian`` takes joints, rad, (n,), to the true Jacobian, m/rad, (m, n). Without it the
+    Jacobian is the newest of :meth:`set_true_jacobian`, at any joints.
     """
 
     learns = False

@@ -19,7 +19,7 @@ from fvs_estimator_node.base import FeatureConfig
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.stopping import StopCriterion
 from fvs_ros.following import Following
-from fvs_ros.joints import LARGEST_RAD, UR_JOINT_NAMES, ArmJoints
+from fvs_ros.joints import LARGEST_RAD, ArmJoints
 from fvs_ros.limits import limit_acceleration, ramp_to_zero
 from fvs_ros.params import ParameterError, parameter
 from fvs_ros.timeline import Sample, StampGate, Timeline
@@ -89,34 +89,12 @@ _OVER = (State.DONE, State.FAILED)
 class CollectionRun:
     """Moves the joints and records the ball.
 
-    Parameters
-    ----------
-    config : CollectorConfig
-        Bounds and limits.
-    joint_names : sequence of str
-        For the reasons only.
-    stop : StopCriterion, optional
-        Ends the motion early.
-
-    Attributes
-    ----------
-    state : State
-        What it is doing.
-    reason : str
-        Why, in words.
-    samples : list of Sample
-        What was recorded.
-    stop : StopCriterion
-        What ends the motion early.
+    ``state`` is what it is doing, ``reason`` why, in words, ``samples`` what was recorded, and
+    ``stop`` what ends the motion early.
     """
 
-    def __init__(
-        self,
-        config: CollectorConfig,
-        joint_names: Sequence[str] = UR_JOINT_NAMES,
-        stop: StopCriterion | None = None,
-    ) -> None:
-        self._config, self._names = config, tuple(joint_names)
+    def __init__(self, config: CollectorConfig, stop: StopCriterion | None = None) -> None:
+        self._config, self._names = config, config.joints.joint_names
         self.stop = stop if stop is not None else StopCriterion(config.stop_at_error)
         self._motion: RandomMotion | None = None
         self._timeline = Timeline()
@@ -176,9 +154,7 @@ class CollectionRun:
         """
         self._others = ", ".join(names)
         if names and self._motion is not None:
-            self.fail(
-                f"{self._others} began to command the arm as well; stop it, then collect again"
-            )
+            self.fail(f"{self._others} commands the arm as well; stop it, then collect again")
 
     def fail(self, reason: str) -> None:
         """End the run: the arm ramps to rest, what was recorded stays."""
@@ -194,38 +170,37 @@ class CollectionRun:
         dt_s = min(dt_s, _MAX_TICK_S) if isfinite(dt_s) and dt_s > 0.0 else 0.0
         steady_dt_s = min(max(now_s - self._ticked_s, 0.0), _MAX_TICK_S)
         self._ticked_s = now_s
-        wanted = None
-        if self.state not in _OVER:
-            wanted = self._decide(now_s, dt_s)
-        step = self._config.max_joint_acceleration_rad_s2 * dt_s
+        wanted = None if self.state in _OVER else self._decide(now_s, dt_s)
+        acceleration = self._config.max_joint_acceleration_rad_s2
         if wanted is None or not np.all(np.isfinite(wanted)):
             # Simulated time may stand still; coming to rest must not.
-            step = step or self._config.max_joint_acceleration_rad_s2 * steady_dt_s
-            self._velocity = ramp_to_zero(self._velocity, step)
+            self._velocity = ramp_to_zero(self._velocity, acceleration * (dt_s or steady_dt_s))
         else:
-            self._velocity = limit_acceleration(wanted, self._velocity, step)
+            self._velocity = limit_acceleration(wanted, self._velocity, acceleration * dt_s)
         return self._velocity.copy()
 
     def _decide(self, now_s: float, dt_s: float) -> np.ndarray | None:
         """What to do; the velocities wanted, rad/s, or None to come to rest."""
-        late, joints = self._late_joints(now_s), self._joints
-        lost = self._lost_ball(now_s)
+        late = _late("no joint_states", now_s - self._joints_s, _JOINTS_MAX_AGE_S)
+        lost = _late("the ball is not in view", now_s - self._ball_s, _BALL_MAX_AGE_S)
+        joints = self._joints
         others = f"{self._others} commands the arm as well; stop it first" if self._others else ""
         if late:
             self._following.restart()
         if late or joints is None or ((lost or others) and self._motion is None):
             self._wait(now_s, State.HOLDING, late or lost or others)
             return None
-        self._watch_box(joints)
-        self._watch_following(joints, dt_s)
-        if self.state is not State.FAILED and self._motion is None:
+        if self._motion is None:
             try:
                 rng = np.random.default_rng(self._config.seed)
                 self._motion = RandomMotion(joints, self._config, rng)
             except ValueError as error:
                 self.fail(str(error))
+                return None
         motion = self._motion
-        if self.state is State.FAILED or motion is None:
+        self._watch_box(joints, motion.box_rad)
+        self._watch_following(joints, dt_s)
+        if self.state is State.FAILED:
             return None
         self._moved_s += dt_s
         over_s = self._moved_s - motion.duration_s
@@ -241,27 +216,21 @@ class CollectionRun:
             self._trouble_s = None
             motion.resume(self._moved_s, joints)
             self.state, self.reason = State.MOVING, "moving and recording"
-            self._consider_stop(motion)
+            self.stop.look(self._moved_s, self.samples, motion.box_rad)
+            if self.stop.enough:
+                motion.end_early(self._moved_s)
+                self.reason = f"coming home{self._because()}"
+            elif self.stop.trouble:
+                self.reason += f" for the whole duration: {self.stop.trouble}"
         moves = self.state in (State.MOVING, State.RETURNING)
         return motion.command(self._moved_s, joints) if moves else None
-
-    def _consider_stop(self, motion: RandomMotion) -> None:
-        stop = self.stop
-        stop.look(self._moved_s, self.samples, motion.box_rad)
-        if stop.enough:
-            motion.end_early(self._moved_s)
-            self.reason = f"coming home{self._because()}"
-        elif stop.trouble:
-            self.reason += f" for the whole duration: {stop.trouble}"
 
     def _because(self) -> str:
         """Why the motion ended early, in words; empty if it did not."""
         return f": {self.stop.words()}" if self.stop.enough else ""
 
-    def _watch_box(self, joints: np.ndarray) -> None:
-        if self._motion is None:
-            return
-        low, high = self._motion.box_rad
+    def _watch_box(self, joints: np.ndarray, box_rad: np.ndarray) -> None:
+        low, high = box_rad
         outside = np.maximum(low - joints, joints - high)
         joint = int(outside.argmax())
         if outside[joint] > self._config.box_margin_rad:
@@ -294,16 +263,8 @@ class CollectionRun:
         elif now_s - self._trouble_s > GIVE_UP_S:
             self.fail(f"gave up after {GIVE_UP_S:g} s: {reason}")
 
-    def _late_joints(self, now_s: float) -> str:
-        age_s = now_s - self._joints_s
-        if age_s <= _JOINTS_MAX_AGE_S:
-            return ""
-        heard = "none heard yet" if np.isinf(age_s) else f"the last is {age_s:.2f} s old"
-        return f"no joint_states ({heard}); is the robot driver running?"
 
-    def _lost_ball(self, now_s: float) -> str:
-        age_s = now_s - self._ball_s
-        if age_s <= _BALL_MAX_AGE_S:
-            return ""
-        heard = "never seen" if np.isinf(age_s) else f"last seen {age_s:.1f} s ago"
-        return f"the ball is not in view ({heard})"
+def _late(what: str, age_s: float, most_s: float) -> str:
+    """Words on an input that is late, of an age, s; empty if it is not."""
+    when = "none so far" if np.isinf(age_s) else f"last {age_s:.1f} s ago"
+    return f"{what} ({when})" if age_s > most_s else ""

@@ -38,15 +38,13 @@ class CollectorNode(ros.FvsNode):
         self._names = config.joints.joint_names
         self._joint_map = JointMap(self._names, config.joints.tf_prefix)
         self._simulated_time = self.get_parameter("use_sim_time").value
-        self._run = CollectionRun(config, self._names)
+        self._run = CollectionRun(config)
         self._ticked_s = self.now_s()
         self._stamp_s: float | None = None
         self._bar = tqdm(
             total=config.duration_s,
             desc="collecting",
-            bar_format="{desc} {percentage:3.0f}%|{bar:30}| {n:.0f} of "
-            + ("at most " if config.stop_at_error > 0.0 else "")
-            + "{total:.0f} s{postfix}",
+            bar_format="{desc} {percentage:3.0f}%|{bar:30}| {n:.0f} of {total:.0f} s{postfix}",
             mininterval=0.2 if sys.stderr.isatty() else 10.0,
         )
         self._commands = self.publisher(topics.COMMANDS)
@@ -158,9 +156,7 @@ class CollectorNode(ros.FvsNode):
     def _show_progress(self) -> None:
         self._bar.total = min(self._config.duration_s, self._run.duration_s)
         self._bar.n = self._run.progress * self._bar.total
-        stop, reason = self._run.stop, self._reason()
-        usual = self._run.state is State.MOVING and not stop.trouble
-        words = (f"{len(self._run.samples)} positions", stop.words(), "" if usual else reason)
+        words = (f"{len(self._run.samples)} positions", self._run.stop.words(), self._reason())
         self._bar.set_postfix_str(", ".join(filter(None, words)), refresh=False)
         self._bar.update(0)
 

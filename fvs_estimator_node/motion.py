@@ -76,14 +76,7 @@ class MotionConfig(Parameters):
         object.__setattr__(self, "joint_range_rad", ranges * (joints // len(ranges)))
         if max(self.joint_range_rad) == 0.0:
             raise ValueError("joint_range_rad is 0 for all joints, expected one that moves")
-        room = np.subtract(self.joint_max_rad, self.joint_min_rad) - 2.0 * _LIMIT_MARGIN_RAD
-        if not np.all(room > 0.0):
-            raise ValueError(
-                f"joint_min_rad must be more than {2.0 * _LIMIT_MARGIN_RAD:g} rad below "
-                f"joint_max_rad, got {list(self.joint_min_rad)} and {list(self.joint_max_rad)}"
-            )
-        widest = np.minimum(self.joint_range_rad, 0.5 * room).max()
-        least_s = _LEAST_RAMPS * self.ramp_s(float(widest))
+        least_s = _LEAST_RAMPS * self.ramp_s(max(self.joint_range_rad))
         if self.duration_s < least_s:
             raise ValueError(
                 f"duration_s must be at least {least_s:.1f} to go and return within "
@@ -101,33 +94,16 @@ class MotionConfig(Parameters):
 
 
 class RandomMotion:
-    """Joint velocities that explore a box about the start pose.
+    """Joint velocities that explore a box about the start pose, rad, (n,).
 
     Each joint follows ``centre + half asin(k sin(phase + rate t)) / asin(k)``: a sine for a
-    sharpness k near 0, straight lines with sharp turns near 1.
+    sharpness k near 0, straight lines with sharp turns near 1. (With sines a recording of two
+    minutes taught networks a third worse.) Equal generators give equal motions; a start pose
+    outside the joint limits raises ValueError.
 
-    Parameters
-    ----------
-    start_rad : ndarray, shape (n,)
-        Start pose, rad.
-    config : MotionConfig
-        Bounds.
-    rng : numpy Generator
-        Decides speeds and phases; equal generators give equal motions.
-
-    Attributes
-    ----------
-    box_rad : ndarray, shape (2, n)
-        Least and greatest joint positions of the path, rad.
-    duration_s : float
-        Duration, s: less than was configured after :meth:`end_early`.
-    rate_rad_s : ndarray, shape (n,)
-        Rates of the joints' phases, rad/s.
-
-    Raises
-    ------
-    ValueError
-        If the start pose is outside the joint limits.
+    ``box_rad`` holds the least and greatest joint positions of the path, (2, n), ``duration_s`` its
+    duration, less than configured after :meth:`end_early`, and ``rate_rad_s`` the rates of the
+    joints' phases, (n,).
     """
 
     def __init__(
@@ -180,15 +156,7 @@ class RandomMotion:
     def path(self, time_s: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where the exploring path is, without its soft start and end.
 
-        Parameters
-        ----------
-        time_s : float or ndarray, shape (...)
-            Time since the start, s.
-
-        Returns
-        -------
-        tuple of ndarray, shape (..., n) each
-            Position, rad, and velocity, rad/s.
+        At times since the start, s, (...): positions, rad, and velocities, rad/s, (..., n) each.
         """
         rate, k, full = self.rate_rad_s, self._sharpness, np.arcsin(self._sharpness)
         phase = self._phase_rad + rate * np.asarray(time_s)[..., None]

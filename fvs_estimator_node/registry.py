@@ -6,20 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from fvs_estimator_node.base import (
-    CHAIN,
-    NETWORKS,
-    NOTHING,
-    Estimator,
-    FeatureConfig,
-    OracleEstimator,
-)
+from fvs_estimator_node.base import CHAIN, NETWORKS, Estimator, FeatureConfig, OracleEstimator
 from fvs_estimator_node.camera import PoeEstimator, TurnedRbfEstimator
 from fvs_estimator_node.online import (
     FROM_ZERO,
     BroydenEstimator,
     LkfEstimator,
-    OnlineConfig,
     RlsEstimator,
     UkfEstimator,
 )
@@ -58,24 +50,17 @@ class EstimatorConfig(FeatureConfig):
 
 
 def _kind_and_config(method: str, values: Mapping[str, Any]) -> tuple[type[Any], Any]:
-    try:
-        kind = ESTIMATORS[method]
-    except KeyError:
-        raise ValueError(
-            f"unknown estimator method {method!r}; known are {', '.join(sorted(ESTIMATORS))}"
-        ) from None
+    if method not in ESTIMATORS:
+        known = ", ".join(sorted(ESTIMATORS))
+        raise ValueError(f"unknown estimator method {method!r}; known are {known}")
+    kind = ESTIMATORS[method]
     return kind, kind.config_type.from_values(values, f"{kind.group}.")
-
-
-def _needed(kind: type[Any], config: Any) -> str:
-    """What an estimator is made from, or nothing if its Jacobian starts from zero."""
-    starts_from_zero = isinstance(config, OnlineConfig) and config.initial == FROM_ZERO
-    return NOTHING if starts_from_zero else str(kind.made_from)
 
 
 def needs_model(method: str, values: Mapping[str, Any]) -> bool:
     """Whether a method cannot do without a trained model, given the parameter values."""
-    return _needed(*_kind_and_config(method, values)) != NOTHING
+    kind, config = _kind_and_config(method, values)
+    return bool(kind.made_from) and getattr(config, "initial", "") != FROM_ZERO
 
 
 def create_estimator(
@@ -103,19 +88,14 @@ def create_estimator(
         If the method is unknown, lacks its model, or a value is out of range.
     """
     kind, config = _kind_and_config(method, values or {})
-    needed = _needed(kind, config)
-    if needed == CHAIN and chain is None:
+    source = {CHAIN: chain, NETWORKS: model}.get(kind.made_from)
+    if source is None and needs_model(method, values or {}):
+        by = "fvs_train --method poe" if kind.made_from == CHAIN else "fvs_train"
         raise ValueError(
-            f"estimator method {method} needs a fitted chain: set model_path to a file that "
-            "fvs_train --method poe has written"
+            f"estimator method {method} needs {kind.made_from}: set model_path to a file that "
+            f"{by} has written"
         )
-    if needed == NETWORKS and model is None:
-        without = f", or {kind.group}.initial to zero" if isinstance(config, OnlineConfig) else ""
-        raise ValueError(
-            f"estimator method {method} needs a trained model: set model_path to a file that "
-            f"fvs_train has written{without}"
-        )
-    made: Estimator = kind({CHAIN: chain, NETWORKS: model, NOTHING: None}[needed], config)
+    made: Estimator = kind(source, config)
     return made
 
 
