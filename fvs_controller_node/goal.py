@@ -103,7 +103,7 @@ class Progress:
         elif self._still_s > _REST_S:
             self._swings_m = self._first_m = 0.0
 
-    def check(self, _motion: object, config: SupervisorConfig) -> Finding | None:
+    def check(self, config: SupervisorConfig) -> Finding | None:
         """Find an error that grows, swings or stalls."""
         error_mm = inf if self._smooth_m is None else 1e3 * self._smooth_m
         if self._up_s >= config.growth_time_s:

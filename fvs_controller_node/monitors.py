@@ -1,12 +1,10 @@
-"""Small monitors: each asks one question while the arm moves.
+"""Small monitors: each asks one question at every tick in motion.
 
-They restart with the arm and ``check`` every tick in motion, as does
-:class:`~fvs_controller_node.goal.Progress`. The singularity's question is asked at rest, too.
+:class:`~fvs_controller_node.goal.Progress` is one more. The singularity's question is asked at
+rest, too.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +12,6 @@ from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Finding, Reason
 from fvs_ros.following import Following
-from fvs_ros.vectors import length
 
 #: A ball that is seen to make less of its predicted way than this does not follow the arm. A camera
 #: that was turned shows all of it, in another direction; a learning Jacobian shows about all.
@@ -29,17 +26,6 @@ _LEAVE_SHARE, _HOPELESS_SHARE = 0.7, 0.2
 _LEAVE_S = 10.0
 
 
-class Motion(NamedTuple):
-    """What the monitors see of one tick."""
-
-    dt_s: float  #: since the last tick, s
-    joints_rad: np.ndarray  #: positions, (n,)
-    command_rad_s: np.ndarray  #: in force since the last tick, (n,)
-    speed_scaling: float  #: of the robot, 0 to 1
-    jacobian: np.ndarray  #: m/rad, (m, n)
-    verdict: Verdict | None  #: None while too little moved to say
-
-
 class PredictionMonitor:
     """Whether the camera sees what the Jacobian predicts."""
 
@@ -50,9 +36,13 @@ class PredictionMonitor:
         """Begin anew: a start."""
         self._mispredicted_m = 0.0  # predicted motion meanwhile
 
-    def check(self, motion: Motion, config: SupervisorConfig) -> Finding | None:
-        """Find an image that does not follow the arm, or a Jacobian that predicts badly."""
-        verdict = motion.verdict
+    def check(
+        self, verdict: Verdict | None, moved_m: float, config: SupervisorConfig
+    ) -> Finding | None:
+        """Find an image that does not follow the arm, or a Jacobian that predicts badly.
+
+        ``moved_m`` is the predicted motion of the ball since the last tick.
+        """
         if verdict is not None and verdict.seen_share < LEAST_SEEN:
             return Reason.IMAGE_NOT_FOLLOWING.because(
                 time_s=verdict.time_s,
@@ -62,7 +52,7 @@ class PredictionMonitor:
         if verdict is None or verdict.error_ratio <= config.prediction_hold:
             self._mispredicted_m = 0.0
             return None
-        self._mispredicted_m += motion.dt_s * length(motion.jacobian @ motion.command_rad_s)
+        self._mispredicted_m += moved_m
         if self._mispredicted_m < config.prediction_hold_m:
             return None
         return Reason.PREDICTION_ERROR.because(
@@ -75,9 +65,16 @@ class PredictionMonitor:
 class FollowingMonitor(Following):
     """Whether the arm does what it is commanded."""
 
-    def check(self, motion: Motion, config: SupervisorConfig) -> Finding | None:
-        """Find a joint that does not follow its command."""
-        self.add(motion.command_rad_s, motion.joints_rad, motion.speed_scaling, motion.dt_s)
+    def check(
+        self,
+        command_rad_s: np.ndarray,
+        joints_rad: np.ndarray,
+        speed_scaling: float,
+        dt_s: float,
+        config: SupervisorConfig,
+    ) -> Finding | None:
+        """Find a joint that does not follow the command in force since the last tick, (n,)."""
+        self.add(command_rad_s, joints_rad, speed_scaling, dt_s)
         fault = self.fault(config.follow_time_s)
         if fault is None:
             return None

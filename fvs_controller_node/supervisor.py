@@ -17,12 +17,7 @@ from fvs_controller_node.base import ControlOutput
 from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.goal import Goal
 from fvs_controller_node.inbox import Inbox
-from fvs_controller_node.monitors import (
-    FollowingMonitor,
-    Motion,
-    PredictionMonitor,
-    SingularityMonitor,
-)
+from fvs_controller_node.monitors import FollowingMonitor, PredictionMonitor, SingularityMonitor
 from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Finding, Reason, State, Stop
 from fvs_ros.limits import brake_to_rest, limit_acceleration, limit_speed
@@ -88,8 +83,7 @@ class Supervisor:
         self._held_s = 0.0
         self.inputs = Inbox(config, self._end)
         self.goal = Goal(config)
-        self._following = FollowingMonitor()
-        self._monitors = PredictionMonitor(), self.goal.progress, self._following
+        self._prediction, self._following = PredictionMonitor(), FollowingMonitor()
         self._singularity = SingularityMonitor()
         joints = len(config.joint_names)
         self._velocity = np.zeros(joints)  # the last command, rad/s
@@ -144,7 +138,7 @@ class Supervisor:
 
     def _begin(self) -> None:
         self.started, self._starts_itself, self._ended = True, False, None
-        for monitor in self._monitors:
+        for monitor in (self._prediction, self.goal.progress, self._following):
             monitor.restart()
 
     def _end(self, finding: Finding) -> None:
@@ -221,10 +215,14 @@ class Supervisor:
 
     def _trouble_in_motion(self, dt_s: float, joints: np.ndarray) -> Finding | None:
         """Find what only shows while the arm moves; every monitor counts at every tick."""
-        present, scaling = self._present, self.inputs.speed_scaling
-        assert present.jacobian is not None
-        motion = Motion(dt_s, joints, self._velocity, scaling, present.jacobian, present.verdict)
-        findings = [monitor.check(motion, self.config) for monitor in self._monitors]
+        config, velocity, scaling = self.config, self._velocity, self.inputs.speed_scaling
+        assert self._present.jacobian is not None
+        moved_m = dt_s * length(self._present.jacobian @ velocity)
+        findings = (
+            self._prediction.check(self._present.verdict, moved_m, config),
+            self.goal.progress.check(config),
+            self._following.check(velocity, joints, scaling, dt_s, config),
+        )
         return next((finding for finding in findings if finding is not None), None)
 
     def _held(self, finding: Finding | None, dt_s: float) -> Finding | None:
