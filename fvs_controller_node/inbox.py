@@ -136,18 +136,23 @@ class Inbox:
 
     # ---- messages ---------------------------------------------------------------------------
 
-    def add_joint_states(self, now_s: float, joints_rad: np.ndarray) -> bool:
-        """Take joint positions in kinematic order; False if they cannot be used."""
-        return self._check(now_s, JOINT_STATES, joints_rad, (len(self._config.joint_names),))
-
-    def add_ball(self, now_s: float, position_m: np.ndarray) -> bool:
-        """Take a ball position in the feature's frame; False if it cannot be used."""
-        return self._check(now_s, BALL, position_m, (self._config.features,))
-
-    def add_jacobian(self, now_s: float, jacobian: np.ndarray) -> bool:
-        """Take the estimated Jacobian, m/rad; False if it cannot be used."""
-        shape = self._config.features, len(self._config.joint_names)
-        return self._check(now_s, JACOBIAN, jacobian, shape)
+    def add(self, name: str, now_s: float, values: np.ndarray) -> bool:
+        """Take joint states, (n,), rad, ball, (m,), m, or Jacobian, (m, n); False if unusable."""
+        values = np.asarray(values, dtype=float)
+        n, m = len(self._config.joint_names), self._config.features
+        shape = {JOINT_STATES: (n,), BALL: (m,), JACOBIAN: (m, n)}[name]
+        wanted = " x ".join(str(length) for length in shape)
+        if values.shape != shape:
+            self[name].bad(f"expected {wanted} numbers, got shape {values.shape}")
+        elif not all(-_LARGEST <= value <= _LARGEST for value in values.ravel().tolist()):
+            self[name].bad(
+                f"expected {wanted} finite numbers up to {_LARGEST:g} in metres and radians, "
+                f"got {values.tolist()}",
+            )
+        else:
+            self[name].good(now_s)
+            return True
+        return False
 
     def add_program_running(self, running: bool) -> None:
         """Take whether the robot's program runs."""
@@ -171,21 +176,6 @@ class Inbox:
     def _pause(self) -> None:
         for pause in self.pauses():
             self._end_session(pause)
-
-    def _check(self, now_s: float, name: str, values: np.ndarray, shape: tuple[int, ...]) -> bool:
-        values = np.asarray(values, dtype=float)
-        wanted = " x ".join(str(n) for n in shape)
-        if values.shape != shape:
-            self[name].bad(f"expected {wanted} numbers, got shape {values.shape}")
-        elif not all(-_LARGEST <= value <= _LARGEST for value in values.ravel().tolist()):
-            self[name].bad(
-                f"expected {wanted} finite numbers up to {_LARGEST:g} in metres and radians, "
-                f"got {values.tolist()}",
-            )
-        else:
-            self[name].good(now_s)
-            return True
-        return False
 
     # ---- what is wrong with them --------------------------------------------------------------
 

@@ -14,7 +14,7 @@ import numpy as np
 from fvs_controller_node.base import Change, ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.config import ControllerConfig, SupervisorConfig, default_values, make_law
 from fvs_controller_node.drive_lag import DriveLag, brake
-from fvs_controller_node.inbox import BALL, JOINT_STATES, KINEMATIC_CHAIN
+from fvs_controller_node.inbox import BALL, JACOBIAN, JOINT_STATES, KINEMATIC_CHAIN
 from fvs_controller_node.prediction import BallPredictor
 from fvs_controller_node.reasons import State
 from fvs_controller_node.redundancy import make_inverse
@@ -93,7 +93,7 @@ class ServoLoop:
         if jump:
             self.predictor.reset()  # the ball did not move with it
             inputs[JOINT_STATES].bad(jump)
-        elif inputs.add_joint_states(now_s, joints_rad):
+        elif inputs.add(JOINT_STATES, now_s, joints_rad):
             self._stamp_s = stamp_s
             self._joints = self._drive_lag.add(
                 stamp_s,
@@ -126,12 +126,12 @@ class ServoLoop:
         """Take a ball position in the feature's frame: arrival and exposure, s; (m,), m."""
         if not self._ball_stamps.advances(stamp_s):
             self.supervisor.inputs[BALL].stuck(now_s)
-        elif self.supervisor.inputs.add_ball(now_s, position_m):
+        elif self.supervisor.inputs.add(BALL, now_s, position_m):
             self.predictor.add_ball(stamp_s, position_m)
 
     def add_jacobian(self, now_s: float, jacobian: np.ndarray) -> None:
         """Take the estimated Jacobian, (m, n), m/rad, and its arrival; a chain's goes before it."""
-        if self.supervisor.inputs.add_jacobian(now_s, jacobian) and self._chain is None:
+        if self.supervisor.inputs.add(JACOBIAN, now_s, jacobian) and self._chain is None:
             self._jacobian = np.array(jacobian, dtype=float)
 
     def add_chain(self, now_s: float, chain: SerialChain) -> None:

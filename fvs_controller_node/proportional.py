@@ -1,26 +1,16 @@
 """The proportional laws: the feature moves straight to the target.
 
-The law (46) is ``rdot = -k J^+ (x - x_d)``. The paper calls it, with RBF networks that learn by
-(45), the scheme "RBF+PID"; there is neither an integral nor a derivative in it. As corrected, (45)
-is ``rdot_i theta_i (n2 (x - x_d) + n3 e)``: the update law (17) with the error in the place of the
-sliding variable, n2 in that of alpha2 and n3 in that of n1. So the law's sliding variable is the
-error.
+The law (46) is ``rdot = -k J^+ (x - x_d)``. For the estimator's update law its sliding variable is
+the error, as (45) is corrected in docs/corrections.md.
 
-Model free adaptive control, (48), and model predictive control, (49) as corrected, give a joint
-increment per control interval T. With ``e = x_d - x`` the first minimises
-``|e - J dr|^2 + lambda |dr|^2``: ``dr = J' (J J' + lambda E)^-1 e``. What is adaptive is the
-Jacobian, not the law. The second finds the best constant increment u over a horizon H of intervals,
-after which the error is wanted at ``beta^t e``:
-
-    int_0^H alpha^t |(1 - beta^t) e - t J u|^2 dt + q |u|^2,    beta = exp(-rho)
-
-is least where ``(a J'J + q E) u = (b - c) J' e`` with
+Model free adaptive control, (48), and model predictive control, (49) as corrected there, give a
+joint increment per control interval T. With ``e = x_d - x`` they are ``J' (J J' + lambda E)^-1 e``
+and ``(b - c)/a J' (J J' + q/a E)^-1 e``, where
 
     a = int_0^H alpha^t t^2 dt,  b = int_0^H alpha^t t dt,  c = int_0^H (alpha beta)^t t dt.
 
-Hence ``u = (b - c)/a  J' (J J' + q/a E)^-1 e``. Both are proportional laws with a damped inverse,
-computed anew at every tick, which may be shorter than the interval: gain 1/T and damping lambda,
-gain (b - c) / (a T) and damping q / a.
+Both are computed anew at every tick, which may be shorter than the interval: proportional laws with
+gain 1/T and damping lambda, gain (b - c) / (a T) and damping q / a.
 """
 
 from __future__ import annotations
@@ -29,7 +19,6 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 from math import log
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import hyp1f1
@@ -149,16 +138,8 @@ class MpcLaw(_IncrementLaw):
         return (b - c) / (a * gains.control_interval_s), gains.mpc_q / a
 
 
-class MpcCoefficients(NamedTuple):
-    """The integrals a, b and c of (49)."""
-
-    a: float
-    b: float
-    c: float
-
-
-def mpc_coefficients(horizon: float, alpha: float, rho: float) -> MpcCoefficients:
-    """Integrals of (49); rho is -ln(beta).
+def mpc_coefficients(horizon: float, alpha: float, rho: float) -> tuple[float, float, float]:
+    """Integrals a, b and c of (49); rho is -ln(beta).
 
     The elementary forms divide differences that vanish by powers of ln(alpha): at alpha = 1 they
     are 0/0, and short of it by 1e-7 not even the sign of a is right.
@@ -170,11 +151,9 @@ def mpc_coefficients(horizon: float, alpha: float, rho: float) -> MpcCoefficient
     (9.0, 4.5)
     """
     rate = -log(alpha)
-    return MpcCoefficients(
-        a=_moment(2, rate, horizon),
-        b=_moment(1, rate, horizon),
-        c=_moment(1, rate + rho, horizon),
-    )
+    moments = (2, rate), (1, rate), (1, rate + rho)
+    a, b, c = (_moment(power, decay, horizon) for power, decay in moments)
+    return a, b, c
 
 
 def _moment(power: int, rate: float, horizon: float) -> float:

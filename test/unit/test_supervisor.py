@@ -63,11 +63,11 @@ class Cell:
         self.now_s += DT_S
         supervisor, now_s, ball = self.supervisor, self.now_s, self.ball_at(self.age_s)
         if "joint_states" in self.talking:
-            self.inputs.add_joint_states(now_s, self.joints)
+            self.inputs.add("joint_states", now_s, self.joints)
         if "ball_position" in self.talking:
-            self.inputs.add_ball(now_s, ball)
+            self.inputs.add("ball_position", now_s, ball)
         if "jacobian" in self.talking:
-            self.inputs.add_jacobian(now_s, self.jacobian)
+            self.inputs.add("jacobian", now_s, self.jacobian)
         before = supervisor.velocity_rad_s
         place = ball if self.located else None
         present = Present(
@@ -184,9 +184,9 @@ ROWS = {
     "joints stale": stale("joint_states", 0.1),
     "ball stale": stale("ball_position", 0.2),
     "jacobian stale": stale("jacobian", 0.2),
-    "joints nan": bad(lambda inbox: inbox.add_joint_states(0.0, np.full(6, NAN))),
-    "ball in mm": bad(lambda inbox: inbox.add_ball(0.0, 200.0 * TARGET)),
-    "jacobian nan": bad(lambda inbox: inbox.add_jacobian(0.0, NAN * JACOBIAN)),
+    "joints nan": bad(lambda inbox: inbox.add("joint_states", 0.0, np.full(6, NAN))),
+    "ball in mm": bad(lambda inbox: inbox.add("ball_position", 0.0, 200.0 * TARGET)),
+    "jacobian nan": bad(lambda inbox: inbox.add("jacobian", 0.0, NAN * JACOBIAN)),
     "scaling nan": bad(lambda inbox: inbox.add_speed_scaling(0.0, NAN)),
     "no position": Row(changed(located=False), AT_ONCE, Reason.NO_POSITION, "disagree", *HEALS),
     "singular": Row(
