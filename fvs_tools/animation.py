@@ -20,15 +20,11 @@ from fvs_sim_node.world import Renderer
 from fvs_tools.closed_loop import ClosedLoop
 
 _SIZE = Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0)
-_STRIP_PX, _MARGIN_PX = 90, 6
-_FRAMES_HZ, _UPDATES_HZ = 12.5, 25.0
-_DRAG_S, _REST_S, _AFTER_S = 4.0, 1.2, 2.4
-#: The camera is turned about its optical axis and moved, rad and m.
-_TURN_RAD, _SHIFT_M = (0.0, 0.0, 0.5), (0.04, 0.03, 0.0)
-_MOST_MM = 100.0
+#: Below the two pictures: the curve of the distance, up to this many mm.
+_STRIP_PX, _MOST_MM = 90, 100.0
+#: Targets a second; every second one is a frame of the film.
+_RATE_HZ = 25.0
 _TARGET, _BALL, _INK = (30, 160, 60), (200, 40, 40), (40, 40, 40)
-#: Colours of the file.
-_COLOURS = 128
 
 
 class Film:
@@ -42,71 +38,55 @@ class Film:
         self.frames: list[np.ndarray] = []
         self._errors_mm: list[float] = []
         self._bumped_at: int | None = None
-        self._target_m = self.loop.ball_m
 
     def run(self) -> None:
         """Drag a target, rest, bump the camera, recover."""
         self.loop.run(0.5)
-        start_m = self.loop.ball_m
-
-        def dragged(time_s: float) -> np.ndarray:
-            share = time_s / _DRAG_S
-            angle = 2.0 * np.pi * share * (2.0 - share)  # slows down towards the end
-            return start_m + [0.11 * np.sin(angle), 0.11 * (1.0 - np.cos(angle)), 0.04 * share]
-
-        self._shoot(_DRAG_S, dragged)
-        last_m = dragged(_DRAG_S)
-        self._shoot(_REST_S, lambda _time_s: last_m)
+        share = np.linspace(0.0, 1.0, 100)
+        angle = 2.0 * np.pi * share * (2.0 - share)  # slows down towards the end
+        circle_m = 0.11 * np.stack([np.sin(angle), 1.0 - np.cos(angle), 0.36 * share], axis=1)
+        dragged_m = self.loop.ball_m + circle_m
+        self._follow(dragged_m)
+        self._follow(dragged_m[[-1] * 30])
         # In the moved camera's view, a target near the place where the ball is in the room.
-        place_m = self.simulation.camera.rotation @ last_m + self.simulation.camera.position_m
-        turned = self.simulation.camera.turned(np.array(_TURN_RAD))
-        self.simulation.camera = turned.moved(np.array(_SHIFT_M))
+        camera = self.simulation.camera
+        place_m = camera.rotation @ dragged_m[-1] + camera.position_m
+        moved = camera.turned(np.array([0.0, 0.0, 0.5])).moved(np.array([0.04, 0.03, 0.0]))
+        self.simulation.camera = moved
         self._bumped_at = len(self._errors_mm)
-        goal_m = self.simulation.camera.to_camera(place_m) + [-0.1, 0.05, 0.0]
-        self._shoot(_AFTER_S, lambda _time_s: goal_m)
+        self._follow(np.tile(moved.to_camera(place_m) + [-0.1, 0.05, 0.0], (60, 1)))
 
-    def _shoot(self, seconds: float, target_at) -> None:
-        period_s = self.loop.period_s
-        ticks, update = round(seconds / period_s), round(1.0 / _UPDATES_HZ / period_s)
-        shot = round(1.0 / _FRAMES_HZ / period_s)
-        last: np.ndarray | None = None
-        for tick in range(ticks):
-            if tick % update == 0:
-                self._target_m = target_at(tick * period_s)
-                if last is None or not np.array_equal(last, self._target_m):
-                    self.loop.set_target(self._target_m)
-                last = self._target_m
-            self.loop.tick()
-            if tick % shot == 0:
-                error_m = np.linalg.norm(self.loop.ball_m - self._target_m)
-                self._errors_mm.append(1e3 * float(error_m))
-                self.frames.append(self._draw())
+    def _follow(self, targets_m: np.ndarray) -> None:
+        """Give targets, camera frame, shape (n, 3), one after the other, and draw."""
+        last_m: np.ndarray | None = None
+        for number, target_m in enumerate(targets_m):
+            if last_m is None or not np.array_equal(last_m, target_m):
+                self.loop.set_target(target_m)
+            last_m = target_m
+            self.loop.run(1.0 / _RATE_HZ)
+            if number % 2 == 0:
+                self._errors_mm.append(1e3 * float(np.linalg.norm(self.loop.ball_m - target_m)))
+                self.frames.append(self._draw(target_m))
 
-    def _draw(self) -> np.ndarray:
+    def _draw(self, target_m: np.ndarray) -> np.ndarray:
         view = self._renderer.render(self._pose)[0]
         seen = self._renderer.render(self.simulation.camera)[0]
-        for place_m, colour, radius in ((self._target_m, _TARGET, 9), (self.loop.ball_m, _BALL, 2)):
-            u, v = _SIZE.project(place_m)
-            cv2.circle(seen, (round(float(u)), round(float(v))), radius, colour, 2, cv2.LINE_AA)
-        bumped = self._bumped_at is not None
+        for place_m, colour, radius in ((target_m, _TARGET, 9), (self.loop.ball_m, _BALL, 2)):
+            at = np.round(_SIZE.project(place_m)).astype(int).tolist()
+            cv2.circle(seen, at, radius, colour, 2, cv2.LINE_AA)
         _write(view, "the robot", (8, 18))
-        _write(seen, "its camera, bumped" if bumped else "its camera", (8, 18))
-        return np.vstack([np.hstack([view, seen]), self._strip()])
-
-    def _strip(self) -> np.ndarray:
+        _write(seen, "its camera" if self._bumped_at is None else "its camera, bumped", (8, 18))
         strip = np.full((_STRIP_PX, 2 * _SIZE.width, 3), 255, np.uint8)
-        count = round((_DRAG_S + _REST_S + _AFTER_S) * _FRAMES_HZ)
-        across = np.linspace(_MARGIN_PX, 2 * _SIZE.width - _MARGIN_PX, count)
-        height = _STRIP_PX - 2 * _MARGIN_PX
-        up = np.minimum(np.array(self._errors_mm) / _MOST_MM, 1.0) * height
-        points = np.stack([across[: len(up)], _STRIP_PX - _MARGIN_PX - up], axis=1)
+        u = np.linspace(6, 2 * _SIZE.width - 6, 95)  # of all frames
+        up = np.minimum(np.array(self._errors_mm) / _MOST_MM, 1.0)
+        points = np.stack([u[: len(up)], _STRIP_PX - 6 - (_STRIP_PX - 12) * up], axis=1)
         cv2.polylines(strip, [points.round().astype(np.int32)], False, _BALL, 2, cv2.LINE_AA)
         if self._bumped_at is not None:
-            u = round(float(across[self._bumped_at]))
-            cv2.line(strip, (u, 0), (u, _STRIP_PX), _INK, 1)
-            _write(strip, "camera bumped", (u + 4, 16))
+            at_u = round(u[self._bumped_at])
+            cv2.line(strip, (at_u, 0), (at_u, _STRIP_PX), _INK, 1)
+            _write(strip, "camera bumped", (at_u + 4, 16))
         _write(strip, f"distance to the target: {self._errors_mm[-1]:.0f} mm", (8, 16))
-        return strip
+        return np.vstack([np.hstack([view, seen]), strip])
 
 
 def _write(image: np.ndarray, text: str, at: tuple[int, int]) -> None:
@@ -117,20 +97,14 @@ def save(frames: list[np.ndarray], path: Path) -> None:
     """Write frames, uint8, (H, W, 3), as a GIF that repeats."""
     from PIL import Image
 
-    palette = Image.fromarray(frames[-1]).quantize(_COLOURS)
+    palette = Image.fromarray(frames[-1]).quantize(128)  # colours
     images = [
         Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
         for frame in frames
     ]
     path.parent.mkdir(parents=True, exist_ok=True)
-    images[0].save(
-        path,
-        save_all=True,
-        append_images=images[1:],
-        duration=round(1e3 / _FRAMES_HZ),
-        loop=0,
-        optimize=True,
-    )
+    look = {"duration": round(2e3 / _RATE_HZ), "loop": 0, "optimize": True}
+    images[0].save(path, save_all=True, append_images=images[1:], **look)
 
 
 def main(argv: list[str] | None = None) -> int:
