@@ -15,12 +15,9 @@ import cv2
 import numpy as np
 
 from fvs_detector_node.images import Region
-from fvs_detector_node.sphere import MIN_PIXELS, Patch, SphereFit, fit_sphere, median, unit
+from fvs_detector_node.sphere import ACCEPT, Patch, SphereFit, fit_sphere, median, unit
 from fvs_ros.camera import Intrinsics
 from fvs_ros.params import Parameters, parameter
-
-#: No ball is reported where less of it is visible.
-MIN_VISIBLE_FRACTION = 0.25
 
 
 @dataclass(frozen=True)
@@ -46,27 +43,13 @@ class BallColour(Parameters):
 
 @dataclass(frozen=True)
 class BallDetection:
-    """A ball that was seen.
+    """A ball that was seen."""
 
-    Parameters
-    ----------
-    position_m : ndarray, shape (3,)
-        Centre, camera optical frame, m.
-    quality : float
-        0 to 1: visible fraction, times how well the outline and the surface fit a sphere.
-    visible_fraction : float
-        Visible part of the ball's outline area; what the image border cuts off is not visible.
-    residual_m : float
-        Systematic departure of the measured surface from the sphere, rms, m.
-    radius_px : float
-        Radius of a circle of the outline's area, pixels.
-    """
-
-    position_m: np.ndarray
-    quality: float
-    visible_fraction: float
-    residual_m: float
-    radius_px: float
+    position_m: np.ndarray  # centre, camera optical frame, (3,)
+    quality: float  # 0 to 1: visible fraction, times how well outline and surface fit a sphere
+    visible_fraction: float  # of the outline's area; what the image border cuts off is not visible
+    residual_m: float  # systematic departure of the measured surface from the sphere, rms
+    radius_px: float  # of a circle of the outline's area
 
 
 class Cause(enum.IntEnum):
@@ -193,7 +176,7 @@ def _blobs(mask: np.ndarray, u0: int = 0, v0: int = 0) -> list[_Blob]:
     blobs = []
     for contour in contours:
         # The area within the pixel centres of the border; half the border is missing.
-        if cv2.contourArea(contour) + 0.5 * len(contour) < MIN_PIXELS:
+        if cv2.contourArea(contour) + 0.5 * len(contour) < ACCEPT.pixels:
             continue
         u, v, width, height = cv2.boundingRect(contour)
         filled = np.zeros((height, width), np.uint8)
@@ -215,7 +198,7 @@ def _split_by_depth(blob: _Blob, scene: _Scene) -> list[BallDetection]:
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
     for _ in range(4):  # layers; with two, one ball in forty is missed
         values = np.sort(depth[left])
-        if len(values) < MIN_PIXELS:
+        if len(values) < ACCEPT.pixels:
             break
         ends = np.searchsorted(values, values + 1.5 * radius_m, side="right")
         start = int(np.argmax(ends - np.arange(len(values))))
@@ -238,7 +221,7 @@ def _evaluate(blob: _Blob, scene: _Scene) -> BallDetection | Miss:
     """Fit the ball to a blob, or say what speaks against it."""
     box_depth, known = blob.depths(scene.depth_m)
     box, camera, radius_m = blob.box, scene.camera, scene.radius_m
-    if np.count_nonzero(known) < MIN_PIXELS:
+    if np.count_nonzero(known) < ACCEPT.pixels:
         text = "the ball's colour is there, but no depth: too near, too far or reflective?"
         return Miss(Cause.NO_DEPTH, text, box, blob.pixels)
     # First guess of the distance: half of a disc lies within 0.7 r of its middle.
@@ -255,17 +238,22 @@ def _evaluate(blob: _Blob, scene: _Scene) -> BallDetection | Miss:
         box,
         blob.pixels,
     )
-    if distance_m < 1.5 * radius_m or not 0.7 * MIN_VISIBLE_FRACTION < share < 1.6:
+    nearest_m = ACCEPT.nearest_radii * radius_m
+    if distance_m < nearest_m or not ACCEPT.least_area < share < ACCEPT.most_area:
         return other
     pad = 3 + max(0, int(2.4 * np.sqrt(expected_px / np.pi)) - min(box.width, box.height))
     patch, coloured = _cut_out(blob, scene, pad)
     rays = patch.rays()
     fit = fit_sphere(patch, rays, distance_m, radius_m)
-    # Looser bounds find some balls more, and ghosts in other red things.
-    if fit is None or fit.on_outline < 0.6 or fit.arc < 0.2 or fit.residual_m > 0.1 * radius_m:
+    if (
+        fit is None
+        or fit.on_outline < ACCEPT.on_outline
+        or fit.arc < ACCEPT.arc
+        or fit.residual_m > ACCEPT.residual_radii * radius_m
+    ):
         return other
     ball = _measured(patch, coloured, rays, fit, radius_m)
-    return other if ball.visible_fraction < MIN_VISIBLE_FRACTION else ball
+    return other if ball.visible_fraction < ACCEPT.visible_fraction else ball
 
 
 def _cut_out(blob: _Blob, scene: _Scene, pad: int) -> tuple[Patch, np.ndarray]:

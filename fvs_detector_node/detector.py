@@ -19,7 +19,7 @@ from fvs_detector_node.detection import (
     examine,
 )
 from fvs_detector_node.images import Rectifier, Region
-from fvs_detector_node.sphere import MIN_PIXELS
+from fvs_detector_node.sphere import ACCEPT
 from fvs_detector_node.tracking import Gate, WindowTracker
 from fvs_ros.camera import CameraModel, Intrinsics
 
@@ -34,18 +34,7 @@ class Sighting:
 
 
 class Detector:
-    """Looks for the ball where it will be, else everywhere; accepts no jumps.
-
-    Parameters
-    ----------
-    config : DetectorConfig
-        Parameters of the node.
-
-    Attributes
-    ----------
-    gate : Gate
-        What judges positions.
-    """
+    """Looks for the ball where it will be, else everywhere; its ``gate`` accepts no jumps."""
 
     def __init__(self, config: DetectorConfig) -> None:
         self._rectifier: Rectifier | None = None
@@ -77,23 +66,9 @@ class Detector:
     def look(
         self, stamp_s: float, rgb: np.ndarray, depth_m: np.ndarray, camera: CameraModel
     ) -> Sighting:
-        """Look for the ball.
+        """Look for the ball in a colour image and the depth aligned to it, as :func:`detect_ball`.
 
-        Parameters
-        ----------
-        stamp_s : float
-            Exposure, s; later than those before, unless after :meth:`reset`.
-        rgb : ndarray of uint8, shape (H, W, 3)
-            Colour image, red first.
-        depth_m : ndarray of float32, shape (H, W)
-            Depth, aligned to it, m; 0 where there is none.
-        camera : CameraModel
-            Of both.
-
-        Returns
-        -------
-        Sighting
-            The ball, or why there is none.
+        Each exposure is later than those before, unless after :meth:`reset`.
         """
         rectifier, view = self._rectifier_of(camera), camera.intrinsics
         radius_m, colour = self._config.ball_radius_m, self._config.colour
@@ -144,7 +119,7 @@ def diagnose(
     """
     _, others = examine(rgb, depth_m, camera, radius_m, colour)
     # A speck of noise is no answer while a whole ball may be standing in the dark.
-    if all(one.pixels < 2 * MIN_PIXELS for one in others):
+    if all(one.pixels < 2 * ACCEPT.pixels for one in others):
         relaxed = replace(
             colour,
             # Below these the hue of a pixel is mere noise.

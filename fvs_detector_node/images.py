@@ -78,23 +78,10 @@ class Rectifier:
     def cut(
         self, rgb: np.ndarray, depth_m: np.ndarray, region: Region
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Part of the images without distortion.
+        """A part of the whole images, uint8 (H, W, 3) and m (H, W), without distortion.
 
-        Parameters
-        ----------
-        rgb : ndarray of uint8, shape (H, W, 3)
-            Whole colour image as the camera gave it.
-        depth_m : ndarray of float32, shape (H, W)
-            Whole depth image.
-        region : Region
-            The part, in the image without distortion.
-
-        Returns
-        -------
-        rgb : ndarray of uint8, shape (h, w, 3)
-            Interpolated; black where the camera did not see.
-        depth_m : ndarray of float32, shape (h, w)
-            That of the nearest pixel, as a mean of two surfaces is neither; 0 where none.
+        Colours are interpolated, black where the camera did not see. Depth is the nearest pixel's,
+        as a mean of two surfaces is neither; 0 where there is none.
         """
         part = region.part
         if self._maps is None:

@@ -39,28 +39,19 @@ class Pairing:
     """Pairs two streams; the newest wins, and no colour image is paired after a later one.
 
     Stamps may repeat, come out of order, stand still or jump; a single wrong stamp does no harm.
-
-    Parameters
-    ----------
-    tolerance_s : float
-        Largest difference of the two stamps, s.
-
-    Attributes
-    ----------
-    restarts : int
-        How often the clock was set back: what was paired before then is of another time.
-    offset_s : float or None
-        Depth's stamp less colour's, of the nearest that were compared last, s.
+    ``tolerance_s`` is the largest difference of the two stamps.
     """
 
     def __init__(self, tolerance_s: float) -> None:
         self._tolerance_s = tolerance_s
+        #: How often the clock was set back: what was paired before then is of another time.
         self.restarts = -1
         self._restart()
 
     def _restart(self) -> None:
         self.restarts += 1
         self._colour, self._depth = _Stream(), _Stream()
+        #: Depth's stamp less colour's, of the nearest that were compared last.
         self.offset_s: float | None = None
 
     @property

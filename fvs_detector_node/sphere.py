@@ -15,8 +15,40 @@ import numpy as np
 
 from fvs_ros.camera import Intrinsics
 
-#: Fewer pixels than this, or fewer of them with a depth, say nothing.
-MIN_PIXELS = 20
+
+@dataclass(frozen=True)
+class Acceptance:
+    """What a candidate must have to be the ball.
+
+    Looser bounds find some balls more, and in other red things 6 to 21 ghosts instead of one.
+    """
+
+    #: Fewest pixels, and fewest of them with a depth: fewer say nothing of a shape.
+    pixels: int = 20
+    #: Least part of the ball that is to be seen.
+    visible_fraction: float = 0.25
+    #: The candidate's area over the ball's, before the distance is fitted: bounds with room for a
+    #: first guess that is a quarter off.
+    least_area: float = 0.7 * 0.25
+    most_area: float = 1.6
+    #: Nearest centre, radii: at one the camera touches the ball.
+    nearest_radii: float = 1.5
+    #: Least share of the candidate's outline that lies on the sphere's; others cut off the rest.
+    on_outline: float = 0.6
+    #: Least share of the sphere's outline that is seen: a shorter arc fits any corner.
+    arc: float = 0.2
+    #: Most rms departure of its surface from the sphere, radii: a flat disc has 0.24.
+    residual_radii: float = 0.1
+    #: Points of an outline are on a circle within so much of its radius; at least 1.2 pixels.
+    circle: float = 0.05
+    circle_px: float = 1.2
+    #: Where less of the outline is on the first circle, other circles are tried.
+    sure_outline: float = 0.85
+    #: Depths further off than so many standard deviations are not the ball's.
+    deviations: float = 3.0
+
+
+ACCEPT = Acceptance()
 
 
 @dataclass(frozen=True)
@@ -136,11 +168,11 @@ def _fit_direction(
     seen = np.vstack([axes, direction]) @ rays.T
     points = seen[:2] / seen[2]
     radius = radius_m / np.sqrt(distance_m**2 - radius_m**2)
-    tolerance = max(1.2 * pixel_rad, 0.05 * radius)
+    tolerance = max(ACCEPT.circle_px * pixel_rad, ACCEPT.circle * radius)
 
     centre = _refine_circle(points, radius, np.zeros(2), 2.5 * tolerance)
     off = np.abs(_lengths(points, centre) - radius)
-    if search and np.count_nonzero(off < tolerance) < 0.85 * len(off):
+    if search and np.count_nonzero(off < tolerance) < ACCEPT.sure_outline * len(off):
         start = _search_circle(points, radius, tolerance)
         if start is not None:
             centre = _refine_circle(points, radius, start, 1.5 * tolerance)
@@ -210,13 +242,14 @@ def _distances(
     cos = rays @ direction
     sideways2 = np.square(range_m) * np.maximum(0.0, 1.0 - np.square(cos))
     central = np.flatnonzero(sideways2 < radius_m**2)
-    if len(central) < MIN_PIXELS:
+    if len(central) < ACCEPT.pixels:
         return None
     values = range_m[central] * cos[central] + np.sqrt(radius_m**2 - sideways2[central])
     off = np.abs(values - median(values))
-    near = off < 3.0 * max(1.4826 * median(off), 0.001)
+    # 1.4826 times the median is a normal deviation; depth comes in whole millimetres.
+    near = off < ACCEPT.deviations * max(1.4826 * median(off), 0.001)
     central, values = central[near], values[near]
-    if len(central) < MIN_PIXELS:
+    if len(central) < ACCEPT.pixels:
         return None
     return values, np.vstack([rays[central, :2].T, sideways2[central]])
 

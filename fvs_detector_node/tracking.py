@@ -24,12 +24,7 @@ _REPEATS, _NOISE_M = 3, 0.01
 class WindowTracker:
     """Looks for the ball where it will be if it goes on as it went, else everywhere.
 
-    Parameters
-    ----------
-    camera : Intrinsics
-        The full image.
-    radius_m : float
-        Radius of the ball, m.
+    ``camera`` is of the full image.
     """
 
     def __init__(self, camera: Intrinsics, radius_m: float) -> None:
@@ -44,21 +39,10 @@ class WindowTracker:
         detect: Callable[[Region], BallDetection | None],
         elsewhere: Callable[[], Region | None],
     ) -> BallDetection | None:
-        """Find the ball in an image.
+        """Find the ball in an image, exposed at a stamp.
 
-        Parameters
-        ----------
-        stamp_s : float
-            Exposure, s.
-        detect : callable
-            Finds the ball in a part of the image.
-        elsewhere : callable
-            Part of the image to search if the ball is not where it was expected; None for no part.
-
-        Returns
-        -------
-        BallDetection or None
-            The ball.
+        ``detect`` finds it in a part of the image; ``elsewhere`` gives the part to search, if any,
+        where it is not seen as expected.
         """
         expected = self.region(stamp_s)
         ball = None if expected is None else detect(expected)
@@ -106,18 +90,11 @@ class Gate:
 
     The controller refuses one wrong position, but follows two that agree; a wrong red thing is
     often seen twice.
-
-    Attributes
-    ----------
-    max_speed_m_s : float
-        Fastest ball, m/s.
-    refused : int
-        How many positions were refused.
     """
 
     def __init__(self, max_speed_m_s: float) -> None:
         self.max_speed_m_s = max_speed_m_s
-        self.refused = 0
+        self.refused = 0  # positions
         self.reset()
 
     def reset(self) -> None:
