@@ -13,16 +13,8 @@ class Actuator:
     """Velocity drives in discrete time; they hold the last command for ever.
 
     A drive looks at its command once in a joint-state period. Periods and dead time are rounded to
-    whole steps of the physics.
-
-    Parameters
-    ----------
-    config : SimConfig
-        Rates and constants of the drives; another one, set later, counts at once except its rates.
-    lower_rad, upper_rad : array_like, shape (n,)
-        Position limits, rad; a joint stops dead at them.
-    max_speed_rad_s : array_like, shape (n,)
-        Largest speed of each joint, rad/s.
+    whole steps of the physics. Another ``config``, set later, counts at once except its rates. A
+    joint stops dead at its limits, shape (n,).
     """
 
     def __init__(
@@ -53,18 +45,7 @@ class Actuator:
         self._command = np.array(velocity_rad_s, dtype=float)
 
     def step(self, positions_rad: np.ndarray) -> np.ndarray:
-        """Joint velocities for the next step.
-
-        Parameters
-        ----------
-        positions_rad : ndarray, shape (n,)
-            Joint angles now, rad.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Velocities to hold during the step, rad/s.
-        """
+        """Velocities to hold during the next step, rad/s, from joint angles now, rad; both (n,)."""
         config = self.config
         if self._step % self._period_steps == 0:
             dead_steps = round(config.dead_time_s / self._dt_s)

@@ -27,13 +27,7 @@ from fvs_sim_node.world import Renderer, World
 
 
 class FrameWorker:
-    """Draws frames of a simulated scene beside the simulation.
-
-    Parameters
-    ----------
-    config : SimConfig
-        The scene; its seed also seeds the frames' depth noise.
-    """
+    """Draws frames of a simulated scene beside the simulation; the seed is that of its noise."""
 
     def __init__(self, config: SimConfig) -> None:
         self._config = replace(config, gui=False)

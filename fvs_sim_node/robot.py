@@ -12,13 +12,7 @@ _NAMED = re.compile(r'(<(?:link|joint|parent|child|mimic)\b[^>]*?\b(?:name|link|
 
 
 def urdf_file(urdf_path: str = "") -> Path:
-    """The file of a robot; of the UR5 that comes with the package, if none is named.
-
-    Raises
-    ------
-    ValueError
-        If there is no such file.
-    """
+    """The file of a robot, or of the package's UR5; a ``ValueError`` if there is none."""
     path = Path(urdf_path) if urdf_path else find_file("robots/ur5.urdf")
     if not path.is_file():
         raise ValueError(f"urdf_path: there is no file {urdf_path}")

@@ -36,26 +36,10 @@ class World:
 
     The world frame is the robot's Denavit-Hartenberg ``base`` frame, for which the root of the
     URDF (ROS's ``base_link``) is turned by half a turn about z. Gravity is off, since a UR's
-    controller compensates it.
+    controller compensates it. ``client`` has PyBullet's functions for this world; ``joint_names``
+    are the moving joints from the root to the ball's link, with their limits, shape (n,).
 
-    Parameters
-    ----------
-    config : SimConfig, optional
-        Robot, ball, objects and step.
-
-    Attributes
-    ----------
-    client : BulletClient
-        PyBullet's functions for this world.
-    joint_names : tuple of str
-        The moving joints from the root to the ball's link, in this order.
-    lower_rad, upper_rad, max_speed_rad_s : ndarray, shape (n,)
-        Limits of the joints.
-
-    Raises
-    ------
-    ValueError
-        If the URDF cannot be loaded, or lacks the link or joints that move it.
+    A ``ValueError`` says that the URDF cannot be loaded, or lacks the link or joints that move it.
     """
 
     def __init__(self, config: SimConfig | None = None) -> None:
@@ -250,13 +234,6 @@ class Renderer:
 
     A part of the image is drawn with an off-axis frustum and equals the crop of the full image, so
     that a small window around the ball costs a small part of a full image.
-
-    Parameters
-    ----------
-    client : BulletClient
-        PyBullet's functions for the world.
-    intrinsics : Intrinsics
-        The full image.
     """
 
     def __init__(self, client: BulletClient, intrinsics: Intrinsics) -> None:

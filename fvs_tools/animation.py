@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -103,7 +104,7 @@ def save(frames: list[np.ndarray], path: Path) -> None:
         for frame in frames
     ]
     path.parent.mkdir(parents=True, exist_ok=True)
-    look = {"duration": round(2e3 / _RATE_HZ), "loop": 0, "optimize": True}
+    look: dict[str, Any] = {"duration": round(2e3 / _RATE_HZ), "loop": 0, "optimize": True}
     images[0].save(path, save_all=True, append_images=images[1:], **look)
 
 

@@ -12,21 +12,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import yaml
-from rosbags.interfaces import (
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
-from rosbags.rosbag2 import (
-    CompressionFormat,
-    CompressionMode,
-    StoragePlugin,
-    Writer,
-    WriterError,
-)
+from rosbags import interfaces
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
@@ -92,14 +79,9 @@ class SimulatedTime:
 
 
 class Bag:
-    """Writes one bag; a topic is in it from its first message on.
+    """Writes one bag in a new folder; a topic is in it from its first message on.
 
-    Parameters
-    ----------
-    folder : Path
-        Made here; an ``OSError`` if it cannot be.
-    notes : mapping of str to str
-        What travels beside the messages, as ``custom_data``.
+    ``notes`` travel beside the messages, as ``custom_data``.
     """
 
     def __init__(self, folder: Path, notes: Mapping[str, str]) -> None:
@@ -147,23 +129,17 @@ class Bag:
         self._notes.unlink(missing_ok=True)
 
 
-def _bag_qos(profile: Any) -> Qos:
+def _bag_qos(profile: Any) -> interfaces.Qos:
     """What a publisher offers, as a bag holds it; of a ``QoSProfile``, read by its names."""
 
-    def time(duration: Any) -> QosTime:
-        return QosTime(*divmod(duration.nanoseconds, 10**9))
+    def converted(name: str, value: Any) -> Any:
+        if hasattr(value, "nanoseconds"):
+            return interfaces.QosTime(*divmod(value.nanoseconds, 10**9))
+        kind = getattr(interfaces, f"Qos{name.capitalize()}", None)
+        return value if kind is None else kind[value.name]
 
-    return Qos(
-        history=QosHistory[profile.history.name],
-        depth=profile.depth,
-        reliability=QosReliability[profile.reliability.name],
-        durability=QosDurability[profile.durability.name],
-        deadline=time(profile.deadline),
-        lifespan=time(profile.lifespan),
-        liveliness=QosLiveliness[profile.liveliness.name],
-        liveliness_lease_duration=time(profile.liveliness_lease_duration),
-        avoid_ros_namespace_conventions=bool(profile.avoid_ros_namespace_conventions),
-    )
+    fields = interfaces.Qos._fields
+    return interfaces.Qos(*(converted(name, getattr(profile, name)) for name in fields))
 
 
 # --- what a viewer needs ---

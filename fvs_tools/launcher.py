@@ -107,22 +107,10 @@ class _Process:
 
 
 def launch(scenario: Scenario, namespace: str = "", remaps: Sequence[str] = ()) -> int:
-    """Start all nodes, wait for the first end or a signal, stop all.
+    """Start all nodes in order, wait for the first end or a signal, stop all.
 
-    Parameters
-    ----------
-    scenario : dict of str to dict
-        Nodes to start, in this order, and their parameters by name.
-    namespace : str
-        ROS namespace of all nodes, or empty.
-    remaps : sequence of str
-        Rules ``from:=to`` for all nodes.
-
-    Returns
-    -------
-    int
-        0 when ended by a signal or a task that succeeded; else the exit code of the node
-        that ended it.
+    Returns 0 when ended by a signal or a task that succeeded; else the exit code of the node that
+    ended it. ``remaps`` are rules ``from:=to`` for all nodes.
     """
     processes: list[_Process] = []
     with (
@@ -144,7 +132,7 @@ def launch(scenario: Scenario, namespace: str = "", remaps: Sequence[str] = ()) 
                 arguments = [*common, *enclave_arguments(name, namespace, os.environ)]
                 processes.append(_Process(name, arguments, params.fileno(), terminal))
                 if name == RECORDER:
-                    first = _await_bag(processes[-1], scenario)
+                    first = _await_bag(processes[-1], scenario[name]["bag_dir"])
             if first is None:
                 _say(f"started {', '.join(one.name for one in processes)}")
                 first = _first_end(processes)
@@ -153,9 +141,9 @@ def launch(scenario: Scenario, namespace: str = "", remaps: Sequence[str] = ()) 
     return code
 
 
-def _await_bag(recorder: _Process, scenario: Scenario) -> _Process | None:
+def _await_bag(recorder: _Process, bag_dir: str) -> _Process | None:
     """Have the recorder listen before the others speak; return it if it ended without a bag."""
-    folder = Path(scenario[RECORDER]["bag_dir"]).expanduser()
+    folder = Path(bag_dir).expanduser()
     end_s = time.monotonic() + _STOP_S
     while not (stop.RECEIVED or folder.exists()) and time.monotonic() < end_s:
         if recorder.popen.poll() is not None:

@@ -42,14 +42,10 @@ Scenario = dict[str, dict[str, Any]]
 class NodeEntry:
     """One node that a scenario may start."""
 
-    #: Python module that runs it.
-    module: str
-    #: Where its parameters are declared: a module and, unless it is PARAMETERS, a name in it.
-    declarations: str
-    #: It sends joint commands: it is stopped first, while others still listen.
-    commands_arm: bool = False
-    #: Its end ends the scenario, its exit code being the scenario's.
-    task: bool = False
+    module: str  # that runs it
+    declarations: str  # of its parameters: a module and, unless it is PARAMETERS, a name in it
+    commands_arm: bool = False  # it is stopped first, while others still listen
+    task: bool = False  # its end ends the scenario, its exit code being the scenario's
     #: It only looks on: it is stopped last, and its end ends nothing, unless it refuses its
     #: parameters.
     observer: bool = False
@@ -97,25 +93,11 @@ def load_scenario(
 ) -> Scenario:
     """The nodes to start, in this order, and their parameters by name, as a command line asks.
 
-    Parameters
-    ----------
-    name : str
-        Path of a YAML file, or the name of one in the project's ``config`` folder.
-    overrides : iterable of str
-        ``name:=value`` for every node that has the parameter, or ``node:name:=value``.
-    scheme_name : str
-        Estimator method, control law and more by one name; overrides win over it.
-    record : str
-        Folder of a bag to record into; adds the recorder, which starts first, and the markers.
-    images : bool
-        Whether images are recorded.
-    markers : bool
-        Whether to add the node that shows the loop in RViz and Foxglove.
+    ``name`` is a path, or the name of a scenario in ``config``. ``overrides`` are ``name:=value``
+    for every node that has the parameter, or ``node:name:=value``; they win over the scheme.
+    ``record`` is the folder of a bag; it adds the recorder, which starts first, and the markers.
 
-    Raises
-    ------
-    ValueError
-        If anything of it cannot be started; the text says why.
+    A ``ValueError`` says what cannot be started.
     """
     path, sections = _read(name)
     common, loop = sections.pop(ALL_NODES, {}), list(sections)
