@@ -1,32 +1,24 @@
 """Start a scenario's nodes: ``ros2 launch fvs_ros fvs.launch.py scenario:=demo``.
 
-The same scenario files and the same table of nodes as ``fvs_launch``. When any node ends that does
-not just look on, all end. Stop it by Ctrl-C (SIGINT); SIGTERM to ``ros2 launch`` would leave the
-nodes running.
+It runs ``fvs_launch``, which starts, watches and stops the nodes, and ends when it ends. However
+``ros2 launch`` ends, ``fvs_launch`` gets a signal and has the arm stopped.
 """
 
-import atexit
 import os
-import tempfile
-from pathlib import Path
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable, Shutdown
-from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
-
-from fvs_ros.paths import find_file
-from fvs_sim_node.robot import robot_description
-from fvs_tools.scenario import (
-    NODE_TABLE,
-    checked_remap,
-    enclave_arguments,
-    load_scenario,
-    params_yaml,
+from launch.actions import (
+    DeclareLaunchArgument,
+    ExecuteProcess,
+    OpaqueFunction,
+    SetEnvironmentVariable,
+    Shutdown,
 )
+from launch.substitutions import LaunchConfiguration
 
-_SIMULATOR = "fvs_sim_node"
+from fvs_ros.paths import find_file, program
+from fvs_sim_node.robot import robot_description
+from fvs_tools.scenario import MARKERS, load_scenario
 
 #: Name, default, description.
 _ARGUMENTS = (
@@ -39,63 +31,58 @@ _ARGUMENTS = (
     ("record", "", "records all topics into a bag in this folder, which must not exist"),
     ("record_images", "true", "false leaves the images out of the bag"),
 )
+#: fvs_launch gives commanding nodes, others and observers 5 s each, and takes any signal, s.
+_TERM_S, _KILL_S = "1", "20"
 
 
-def _viewer(scenario, **common):
-    """RViz, and for a simulated robot the publisher of its links; a real one's driver has it."""
+def _viewer(given):
+    """RViz and markers, and a simulated robot's links; a real one's driver publishes them."""
+    from launch_ros.actions import Node
+    from launch_ros.parameter_descriptions import ParameterValue
+
+    remaps = [tuple(rule.split(":=")) for rule in given["remap"].split()]
+    common = {"namespace": given["namespace"], "remappings": remaps}
+    scenario = load_scenario(
+        given["scenario"], given["param"].split(), given["scheme"], markers=True
+    )
     prefix = next((v["tf_prefix"] for v in scenario.values() if "tf_prefix" in v), "")
     rviz = ["-d", str(find_file("fvs.rviz")), "-f", f"{prefix}base_link"]
     actions = [Node(package="rviz2", executable="rviz2", arguments=rviz, **common)]
-    if _SIMULATOR in scenario:
-        values = scenario[_SIMULATOR]
+    if not given["record"]:  # a recording has them anyway
+        values = [scenario[MARKERS]] if scenario[MARKERS] else []
+        actions.append(Node(package="fvs_ros", executable=MARKERS, parameters=values, **common))
+    if "fvs_sim_node" in scenario:
+        values = scenario["fvs_sim_node"]
         text = robot_description(values.get("urdf_path", ""), prefix)
         parameters = {
             "robot_description": ParameterValue(text, value_type=str),
             "use_sim_time": values.get("use_sim_time", False),
         }
-        publisher = "robot_state_publisher"
-        actions.append(
-            Node(package=publisher, executable=publisher, parameters=[parameters], **common)
-        )
+        name = "robot_state_publisher"
+        actions.append(Node(package=name, executable=name, parameters=[parameters], **common))
+        # A simulated arm must not exchange messages with the robots of a laboratory network.
+        local = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        actions.insert(0, SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", local))
     return actions
 
 
 def _nodes(context):
     given = {name: LaunchConfiguration(name).perform(context) for name, *_ in _ARGUMENTS}
-    rviz = given["rviz"] == "true"
-    scenario = load_scenario(
-        given["scenario"],
-        given["param"].split(),
-        given["scheme"],
-        given["record"],
-        images=given["record_images"] == "true",
-        markers=rviz,
+    words = [given["scenario"]]
+    words += [f"--{name}={given[name]}" for name in ("scheme", "namespace", "record")]
+    for name in ("param", "remap"):
+        words += [f"--{name}={one}" for one in given[name].split()]
+    if given["record"] and given["record_images"] == "false":
+        words.append("--record-without-images")
+    loop = ExecuteProcess(
+        name="fvs_launch",
+        cmd=[*program("fvs_tools.launcher", dies_with_parent=True), *words],
+        output="screen",
+        sigterm_timeout=_TERM_S,
+        sigkill_timeout=_KILL_S,
+        on_exit=Shutdown(reason="fvs_launch ended"),
     )
-    remaps = [tuple(checked_remap(rule).split(":=")) for rule in given["remap"].split()]
-    common = {"namespace": given["namespace"], "remappings": remaps}
-    handle, params_file = tempfile.mkstemp(prefix="fvs_launch_", suffix=".yaml")
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        file.write(params_yaml(scenario))
-    atexit.register(Path(params_file).unlink, missing_ok=True)
-    actions = []
-    if _SIMULATOR in scenario and "ROS_AUTOMATIC_DISCOVERY_RANGE" not in os.environ:
-        # A simulated arm must not exchange messages with the robots of a laboratory network.
-        actions.append(SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"))
-    for name in scenario:
-        end = None if NODE_TABLE[name].observer else Shutdown(reason=f"{name} ended")
-        actions.append(
-            Node(
-                package="fvs_ros",
-                executable=name,
-                ros_arguments=enclave_arguments(name, given["namespace"], os.environ),
-                parameters=[params_file],
-                output="screen",
-                emulate_tty=True,
-                on_exit=end,
-                **common,
-            )
-        )
-    return [*actions, *(_viewer(scenario, **common) if rviz else [])]
+    return [loop, *(_viewer(given) if given["rviz"] == "true" else [])]
 
 
 def generate_launch_description() -> LaunchDescription:
