@@ -38,11 +38,6 @@ class Action(NamedTuple):
     name: str
     value: Any = None
 
-    @property
-    def sets_parameter(self) -> bool:
-        """Whether it sets a parameter."""
-        return "/" in self.name
-
 
 START, STOP, SET_CURRENT = Action("start"), Action("stop"), Action("set_current_as_target")
 RESET, BUMP = Action("reset"), Action("bump")
@@ -69,7 +64,7 @@ class Actions:
         while not self._queue.empty():  # this is its only reader
             action = self._queue.get_nowait()
             if action in (STOP, RESET):
-                settings = {name: one for name, one in wanted.items() if one.sets_parameter}
+                settings = {name: one for name, one in wanted.items() if "/" in name}
                 wanted = {action.name: action, **settings}
             else:
                 wanted.pop(action.name, None)
@@ -96,11 +91,6 @@ class Controller:
     def number(self, key: str) -> float:
         """A key number; NaN while unknown."""
         return number(self.values, key)
-
-    @property
-    def goes_to_targets(self) -> bool:
-        """Whether a target sent now would be gone to."""
-        return self.state == "SERVOING" or self.reason == "NO_TARGET"
 
 
 class Trace:

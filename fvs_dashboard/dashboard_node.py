@@ -39,9 +39,9 @@ _NICE = 5
 _PERIOD_S, _LOOK_PERIOD_S = 0.1, 1.0
 #: After a reset the ball is seen where it has come to rest within this, s.
 _AT_REST_S = 1.0
-#: A bump turns the camera by this much about x, y and z, degrees: about x and y by little, or the
-#: ball is out of view.
-_LEAST_BUMP_DEG, _LARGEST_BUMP_DEG = (1.0, 1.0, 15.0), (4.0, 4.0, 25.0)
+#: A bump turns the camera by up to this much about x, y and z, degrees: about x and y by little, or
+#: the ball is out of view.
+_BUMP_DEG = (4.0, 4.0, 25.0)
 _ROTATION = "camera_rotation_deg"
 #: The tour gives each target this time, s; it goes this far, m.
 _TARGET_S, _TOUR_M = 5.0, 0.3
@@ -237,11 +237,10 @@ class DashboardNode(ros.FvsNode):
         elif action == board.RESET:
             self._reset()
         elif action == board.BUMP:
-            turns_deg = self._rng.uniform(_LEAST_BUMP_DEG, _LARGEST_BUMP_DEG)
-            turns_deg *= self._rng.choice((-1.0, 1.0), 3)
+            turns_deg = np.multiply(_BUMP_DEG, self._rng.uniform(-1.0, 1.0, 3))
             turns_deg += self._begun.get(_ROTATION, np.zeros(3))
             self._calls.set(f"{topics.SIM}/{_ROTATION}", tuple(turns_deg.tolist()))
-        elif action.sets_parameter:
+        elif "/" in action.name:
             self._calls.set(action.name, action.value)
         elif action == _TOUR_OFF:
             pass
@@ -285,7 +284,9 @@ class DashboardNode(ros.FvsNode):
         if self._candidates_m is None or not self._board.tour or now_s < self._tour_due_s:
             return
         ball_m = self._board.newest("ball_position", now_s)
-        if ball_m is not None and self._board.controller(now_s).goes_to_targets:
+        controller = self._board.controller(now_s)
+        ready = controller.state == "SERVOING" or controller.reason == "NO_TARGET"
+        if ball_m is not None and ready:
             self._tour_due_s = now_s + _TARGET_S
             self._send_target(choose_target(self._candidates_m, ball_m, _TOUR_M, self._rng))
 

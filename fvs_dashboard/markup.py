@@ -115,8 +115,15 @@ def lamps_of(board: Board, now_s: float) -> dict[str, tuple[bool | None, str]]:
     return {**lamps, "Robot program": (good, text)}
 
 
-def details_of(board: Board, now_s: float) -> dict[str, str]:
-    """Further numbers by name; unknown ones are left out."""
+def inputs_html(board: Board, now_s: float) -> str:
+    """Lamps and details, two per row; a detail that is a sentence has a row of its own."""
+    cells = []
+    for name, (good, text) in lamps_of(board, now_s).items():
+        style, sign = _LAMPS[good]
+        cells.append(
+            f'<div><span class="fvs-lamp {style}">{sign}</span>'
+            f'<span>{escape(name)} <span class="fvs-faint">{escape(text)}</span></span></div>'
+        )
     controller = board.controller(now_s)
     details = {
         name: f"{1e3 * controller.number(key):.0f} ms"
@@ -127,19 +134,7 @@ def details_of(board: Board, now_s: float) -> dict[str, str]:
         details["Active limit"] = controller.values.get("active_limit") or "none"
     if detector := board.newest("detector", now_s):
         details["Detector"] = detector
-    return details
-
-
-def inputs_html(board: Board, now_s: float) -> str:
-    """Lamps and details, two per row; a detail that is a sentence has a row of its own."""
-    cells = []
-    for name, (good, text) in lamps_of(board, now_s).items():
-        style, sign = _LAMPS[good]
-        cells.append(
-            f'<div><span class="fvs-lamp {style}">{sign}</span>'
-            f'<span>{escape(name)} <span class="fvs-faint">{escape(text)}</span></span></div>'
-        )
-    for name, text in details_of(board, now_s).items():
+    for name, text in details.items():
         row = "" if text.endswith(" ms") else "fvs-wide"
         cells.append(
             f'<div class="{row}"><span class="fvs-faint">{escape(name)}</span> {escape(text)}</div>'

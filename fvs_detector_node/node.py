@@ -8,8 +8,7 @@ stop.listen()
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -36,8 +35,7 @@ _MEASURED = ("quality", "visible_fraction", "residual_m", "radius_px")
 _MISSING_S = 1.0
 
 
-@dataclass(frozen=True)
-class _Picture:
+class _Picture(NamedTuple):
     """A decoded image with the header of its message."""
 
     header: Header

@@ -234,9 +234,7 @@ class SimNode(ros.FvsNode):
             self._paused_active = self._sim.active
             self._sim.deactivate()
         elif running and self._paused_active is not None:
-            if self._paused_active:
-                self._sim.activate()
-            self._paused_active = None
+            self._sim.active, self._paused_active = self._paused_active, None
         if running != self._announced:
             self._announced = running
             self._program_running.publish(Bool(data=running))

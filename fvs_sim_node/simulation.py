@@ -75,6 +75,8 @@ class Simulation:
         Whether to draw whole images, too, and hand them out; slower.
     camera : CameraPose
         Where the camera is now.
+    active : bool
+        Whether the velocity controller takes commands.
     """
 
     def __init__(self, config: SimConfig | None = None) -> None:
@@ -146,7 +148,7 @@ class Simulation:
         )
         self._step = 0
         self._image_count = 0
-        self._active = True
+        self.active = True
         self._pending: deque[tuple[float, BallObservation]] = deque()
         self._tracker = WindowTracker(self._reported_intrinsics, config.ball_radius_m)
         self._actuator.reset()
@@ -168,10 +170,10 @@ class Simulation:
         str or None
             None if it was taken, else why not. As with ros2_controllers' ``jazzy`` branch, a
             value that is not finite drops the whole message, and a wrong number of values
-            deactivates the controller: the arm stops until :meth:`activate`.
+            deactivates the controller: the arm stops until ``active`` is set.
         """
         velocity = np.asarray(velocity_rad_s, dtype=float).ravel()
-        if not self._active:
+        if not self.active:
             return "the velocity controller is inactive and takes no command; activate it first"
         if velocity.size == 0:
             return "an empty command was ignored; the last one goes on"
@@ -186,19 +188,10 @@ class Simulation:
         self._actuator.command(velocity)
         return None
 
-    @property
-    def active(self) -> bool:
-        """Whether the velocity controller takes commands."""
-        return self._active
-
     def deactivate(self) -> None:
         """Deactivate the velocity controller: its command is gone, and it takes none."""
-        self._active = False
+        self.active = False
         self._actuator.command(np.zeros(self._joints.size))
-
-    def activate(self) -> None:
-        """Activate the velocity controller again, at a zero command."""
-        self._active = True
 
     def advance(self) -> SimStep:
         """Advance by one joint-state period."""
