@@ -188,38 +188,25 @@ class _BehindCamera(Estimator):
 
 
 class PoeEstimator(_BehindCamera):
-    """A fitted chain (a product of exponentials) behind a camera that may have been moved.
-
-    Parameters
-    ----------
-    chain : SerialChain
-        The fitted chain.
-    """
+    """A fitted chain (a product of exponentials) behind a camera that may have been moved."""
 
     made_from = CHAIN
 
     def __init__(self, chain: SerialChain, _config: Any = None) -> None:
         super().__init__(chain, *_CHAIN)
+        self._fitted = chain
 
     @property
     def chain(self) -> SerialChain:
         """The chain as the camera sees it now."""
-        moved: SerialChain = self._model.moved(self.camera.rotation, self.camera.translation_m)
-        return moved
+        return self._fitted.moved(self.camera.rotation, self.camera.translation_m)
 
     def _position(self, joints_rad: np.ndarray, _ball_m: np.ndarray) -> np.ndarray:
-        position: np.ndarray = self._model.position(joints_rad)
-        return position
+        return self._fitted.position(joints_rad)
 
 
 class TurnedRbfEstimator(_BehindCamera):
-    """The networks as they were trained, behind a camera that may have been turned.
-
-    Parameters
-    ----------
-    model : RbfModel
-        The trained networks.
-    """
+    """The networks as they were trained, behind a camera that may have been turned."""
 
     made_from = NETWORKS
 

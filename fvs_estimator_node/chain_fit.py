@@ -142,12 +142,9 @@ class ChainFit:
             change = (chart.chain(step).jacobian(joints_rad) - jacobian) / _STEP
             changes[..., place] = change.reshape(len(joints_rad), -1)
         changes[..., chart.size :] = np.eye(numbers)
-
-        def squares(moments: np.ndarray) -> np.ndarray:
-            some = changes[..., : len(moments)]
-            return np.sum(some @ moments * some, axis=(1, 2))
-
-        square = squares(self.covariance) + np.maximum(squares(self.unfitted), 0.0)
+        some = changes[..., : chart.size]
+        noise = np.sum(some @ self.covariance * some, axis=(1, 2))
+        square = noise + np.maximum(np.sum(changes @ self.unfitted * changes, axis=(1, 2)), 0.0)
         return np.sqrt(square) / np.linalg.norm(jacobian, axis=(1, 2))
 
 

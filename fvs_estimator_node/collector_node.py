@@ -117,19 +117,17 @@ class CollectorNode(ros.FvsNode):
     def _conclude(self) -> None:
         self._show_progress()
         self._bar.close()
-        run = self._run
-        failed = run.state is State.FAILED
+        failed = self._run.state is State.FAILED
         if failed:
-            print(f"collecting failed: {clock.blamed(run.reason)}", file=sys.stderr)
-        if len(run.samples) < _MIN_SAMPLES:
-            print(f"{len(run.samples)} positions are too few to be written", file=sys.stderr)
-            failed = True
-        else:
-            self._write()
-        self.exit_code = stop.EXIT_FAILURE if failed else stop.EXIT_OK
+            print(f"collecting failed: {clock.blamed(self._run.reason)}", file=sys.stderr)
+        self.exit_code = stop.EXIT_OK if self._write() and not failed else stop.EXIT_FAILURE
 
-    def _write(self) -> None:
+    def _write(self) -> bool:
+        """Write what was recorded; False if it is too little."""
         samples = self._run.samples
+        if len(samples) < _MIN_SAMPLES:
+            print(f"{len(samples)} positions are too few to be written", file=sys.stderr)
+            return False
         data = data_set_of(
             samples,
             joint_names=tuple(self._names),
@@ -144,6 +142,7 @@ class CollectorNode(ros.FvsNode):
         )
         save_data_set(self._path, data)
         print(f"{len(samples)} ball positions written to {self._path}", flush=True)
+        return True
 
     # --- status ---
 
@@ -177,8 +176,7 @@ class CollectorNode(ros.FvsNode):
         if self.exit_code is None:
             self._bar.close()
             print("collecting was interrupted", file=sys.stderr)
-            if len(self._run.samples) >= _MIN_SAMPLES:
-                self._write()
+            self._write()
 
 
 def _writable(path: Path) -> Path:

@@ -99,10 +99,10 @@ def create_estimator(
     return made
 
 
-def estimator_parameters() -> tuple[Parameter, ...]:
-    """The parameters of all methods, each group once, in the order of the registry."""
-    groups = {kind.group: kind.config_type for kind in ESTIMATORS.values()}
-    return tuple(one for name, kind in groups.items() for one in kind.declared(f"{name}."))
-
-
-PARAMETERS = (*EstimatorConfig.declared(), *JOINT_PARAMETERS, *estimator_parameters())
+#: Parameters of the methods, each group once, in the order of the registry.
+_GROUPS = {kind.group: kind.config_type for kind in ESTIMATORS.values()}
+PARAMETERS: tuple[Parameter, ...] = (
+    *EstimatorConfig.declared(),
+    *JOINT_PARAMETERS,
+    *(one for name, kind in _GROUPS.items() for one in kind.declared(f"{name}.")),
+)
