@@ -30,7 +30,7 @@ def test_two_robots_side_by_side_each_reach_their_own_target(ros_test):
     ]  # fmt: skip
     left.reach(np.array(TARGETS[0]))
     assert not any(np.any(m.data) for m in right.commands)
-    assert right.waits_for_a_target()
+    assert "target set to" not in ros_test.output(right.process)
     right.reach(np.array(TARGETS[1]))
     assert left.distance_m(TARGETS[0]) < 0.005
     node = ros_test.node
