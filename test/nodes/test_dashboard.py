@@ -269,6 +269,8 @@ def test_a_tour_of_a_simulated_arm_that_is_disturbed_and_reset_from_the_page(ros
     assert not targets
 
     # The simulator is disturbed, and reset.
+    bump = page.elements[page.find("Bump the camera")]
+    wait(lambda: bump["visible"], "the simulator's parameters")
     page.press("Bump the camera")
     page.set("Depth noise (×)", 2.5)
     wanted = GetParameters.Request(names=["depth_noise", "camera_rotation_deg"])
