@@ -74,12 +74,11 @@ class ServoLoop:
 
     def configure(self, values: Mapping[str, Any]) -> None:
         """Take over changed values while running; nothing changes if one is refused."""
-        config = SupervisorConfig.from_values(values)
         law = make_law(values)
-        self._follower = make_inverse(values, least_speed=law.plans)
-        self.law = law
-        self._follows = ControllerConfig.from_values(values).target_feed_forward
-        self.supervisor.configure(config)
+        follower = make_inverse(values, least_speed=law.plans)
+        follows = ControllerConfig.from_values(values).target_feed_forward
+        self.supervisor.configure(SupervisorConfig.from_values(values))
+        self.law, self._follower, self._follows = law, follower, follows
 
     # ---- inputs: arrival times on the steady clock --------------------------------------------
 

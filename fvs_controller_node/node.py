@@ -28,6 +28,8 @@ from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
 
 _NEVER_RAN = "no robot_program_running yet: start the robot program if the arm does not move"
 _LATE = (Reason.STALE, Reason.RETURNING)
+#: Inputs that come and go are logged once in this time, or they would fill the log, s.
+_REPEAT_S = 10.0
 #: A latched target is heard by both subscriptions, within this.
 _TARGET_ECHO_S = 0.5
 _LEVELS = {
@@ -196,7 +198,7 @@ class ControllerNode(ros.FvsNode):
 
     def _watchdog(self) -> None:
         now_s = self.now_s()
-        if now_s - self._ticked_s > 2.5 * self._period_s:
+        if now_s - self._ticked_s > 2.5 * self._period_s:  # a joint state is missing, not only late
             self._late += 1
             self._tick(now_s, now_s - self._ticked_s)
 
@@ -221,7 +223,7 @@ class ControllerNode(ros.FvsNode):
     def _tell_reason(self, now_s: float, command: Command) -> None:
         passes = command.state is State.HOLDING or command.reason in _LATE
         if passes and not command.reason.needs_start:
-            if now_s < self._logged_passing_s + 10.0:  # what passes by itself would fill the log
+            if now_s < self._logged_passing_s + _REPEAT_S:
                 return
             self._logged_passing_s = now_s
         self._logged = command.reason

@@ -21,6 +21,7 @@ from fvs_controller_node.monitors import FollowingMonitor, PredictionMonitor, Si
 from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Finding, Reason, State, Stop
 from fvs_ros.limits import brake_to_rest, limit_acceleration, limit_speed
+from fvs_ros.params import ParameterError
 from fvs_ros.vectors import all_finite, largest, length
 
 #: A tick counts for at most this long, s: a late one must not make a big step.
@@ -96,7 +97,18 @@ class Supervisor:
         self.last = Command(self._velocity, State.WAITING, missing, "", None)
 
     def configure(self, config: SupervisorConfig) -> None:
-        """Change limits and thresholds while running; ``autostart`` counts at creation only."""
+        """Change limits and thresholds while running; ``autostart`` counts at creation only.
+
+        Raises
+        ------
+        ParameterError
+            If the workspace has another dimension than before.
+        """
+        if config.features != self.config.features:
+            raise ParameterError(
+                f"workspace_min_m and workspace_max_m need {self.config.features} numbers each, "
+                f"got {config.features}"
+            )
         self.config = config
         self.goal.configure(config)
         self.inputs.configure(config)

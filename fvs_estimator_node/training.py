@@ -84,20 +84,19 @@ def train(
     data : DataSet
         A minute of motion of all joints, or more.
     options : TrainingOptions, optional
-        How.
+        Method, size and seed.
     progress : callable, optional
         Called after each iteration of ``varpro``.
     say : callable, optional
-        Told what is being done, in words.
+        Called with a sentence at each step.
 
     Returns
     -------
     TrainedModel
-        Ready to be saved. ``errors`` hold the figures of the chain's fit; ``jacobian_deviation``,
-        the relative standard deviation of the chain's Jacobian in the box as the camera sees it;
-        ``distillation_error``, that of the networks against the chain (medians); and of networks
-        from pairs ``pair_error_m``, the root mean square error between two held-out images, with
-        the noise of both, m.
+        With ``errors``: the figures of the chain's fit; ``jacobian_deviation``, the relative
+        standard deviation of its Jacobian in the box (median); ``distillation_error``, the
+        networks' relative error against the chain (median); and for networks from pairs
+        ``pair_error_m``, the rms error between two held-out images, with the noise of both, m.
 
     Raises
     ------
@@ -129,20 +128,22 @@ def train(
         errors = {**_figures(fit, model, _within(boxes["joint_box_rad"], rng, _JUDGED)), **errors}
         faults = _chain_faults(fit, errors["jacobian_deviation"])
         why = faults[0] if faults and pairs is not None else ""
+    provenance = {
+        "method": options.method,
+        "options": asdict(options),
+        "data": dict(data.provenance),
+        "no_chain": why,
+        "notes": _notes(data, errors, faults if pairs is None else []),
+    }
+    chain = fit.chain if fit is not None and not why else None
     return TrainedModel(
         model=model,
         **boxes,
         joint_names=data.joint_names,
         feature_frame=data.feature_frame,
         errors=errors,
-        provenance={
-            "method": options.method,
-            "options": asdict(options),
-            "data": dict(data.provenance),
-            "no_chain": why,
-            "notes": _notes(data, errors, faults if pairs is None else []),
-        },
-        chain=fit.chain if fit is not None and not why else None,
+        provenance=provenance,
+        chain=chain,
     )
 
 
