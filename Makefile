@@ -85,7 +85,7 @@ clean: ## remove .venv, build products and caches; out/ stays
 log-dir:
 	@mkdir -p "$$ROS_LOG_DIR"
 
-# What is installed: one stamp a set of extras. A larger set stamps the smaller ones it holds.
+# What is installed: one stamp per set of extras. A larger set stamps the smaller ones it holds.
 
 $(VENV)/.installed-demo: EXTRAS := ros,sim,record
 $(VENV)/.installed-model: EXTRAS := ros,sim,record,train

@@ -3,7 +3,7 @@
 python -m bench dashboard [--browser]
 
 The real loop (simulator, estimator, controller) goes from target to target all the time; beside it
-stand, in turn, nothing, a page that nobody looks at, and a page with a client. The client is a
+stand, in turn, nothing, an unwatched page, and a page with a client. The client is a
 websocket that reads all that a browser would, or, with --browser, a headless chromium, which draws
 by software on the same cores. Times are taken by a fourth process that hears the topics.
 """
@@ -34,7 +34,7 @@ from fvs_tools.scenario import load_scenario
 
 _CLIENT = "import sys, time, page_client as p; p.PageClient(sys.argv[1]); time.sleep(600.0)"
 ROUNDS = 6
-CONDITIONS = ("no page", "page, nobody looks", "page, a client looks")
+CONDITIONS = ("no page", "page, unwatched", "page, watched")
 
 
 class Watch:

@@ -11,7 +11,7 @@ longest way is the largest v that lets it brake at the acceleration limit a from
 
     v = min(limit, rate D, sqrt((a dt)^2 + 2 a D) - a dt),
 
-which is reached from any side without overshoot, and ends in finite time but for the last
+which is reached from any side without overshoot, and ends in finite time except for the last
 fraction of a milliradian, where the rate keeps noise from becoming motion. The way left is that
 from where the drives will be (:mod:`fvs_controller_node.drive_lag`).
 """

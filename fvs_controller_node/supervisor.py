@@ -20,12 +20,9 @@ from fvs_controller_node.inbox import Inbox
 from fvs_controller_node.monitors import FollowingMonitor, PredictionMonitor, SingularityMonitor
 from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Finding, Reason, State, Stop
-from fvs_ros.limits import brake_to_rest, limit_acceleration, limit_speed
+from fvs_ros.limits import MAX_TICK_S, brake_to_rest, limit_acceleration, limit_speed
 from fvs_ros.params import ParameterError
 from fvs_ros.vectors import all_finite, largest, length
-
-#: A tick counts for at most this long, s: a late one must not make a big step.
-MAX_TICK_S = 0.05
 
 #: Speed at which the arm may leave a singular pose, rad/s.
 _LEAVING_RAD_S = 0.1

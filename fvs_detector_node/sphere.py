@@ -44,7 +44,7 @@ class Acceptance:
     circle_px: float = 1.2
     #: Where less of the outline is on the first circle, other circles are tried.
     sure_outline: float = 0.85
-    #: Depths further off than so many standard deviations are not the ball's.
+    #: Depths further off than this count of standard deviations are not the ball's.
     deviations: float = 3.0
 
 

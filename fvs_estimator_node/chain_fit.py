@@ -41,11 +41,11 @@ _SEARCH_SAMPLES, _SEARCH_OFFSETS = 400, 13
 #: Above both, the second in m, something else than a chain of revolute joints moves the ball; a
 #: camera's own systematic errors stay below.
 _MISFIT_LIMIT, _UNEXPLAINED_LIMIT_M = 1.3, 0.001
-#: Neighbours are images no further apart, s, and so many pairs of them make a median.
+#: Largest interval of neighbouring images, s, and the least count of pairs for a median.
 _NEAR_S, _LEAST_PAIRS = 0.25, 50
-#: Images further than so many standard deviations from the chain are left out.
+#: Images further from the chain than this count of standard deviations are left out.
 _OUTLIER = 6.0
-#: A start is right if its residual is below so many times that of the images themselves.
+#: A start is right if its residual is below this multiple of the images' own.
 _GOOD_SHARE = 1.5
 #: How far off the coordinates may be where the data do not tell, standard deviations: rad, m, m/rad
 #: for turns, shifts and slopes of the residuals by the joints; s for the offset.

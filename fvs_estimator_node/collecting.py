@@ -20,14 +20,12 @@ from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.stopping import StopCriterion
 from fvs_ros.following import Following
 from fvs_ros.joints import LARGEST_RAD, ArmJoints
-from fvs_ros.limits import limit_acceleration, ramp_to_zero
+from fvs_ros.limits import MAX_TICK_S, limit_acceleration, ramp_to_zero
 from fvs_ros.params import ParameterError, parameter
 from fvs_ros.timeline import Sample, StampGate, Timeline
 
 #: Older joint states stop the arm, an older ball sends it back toward the start, s.
 _JOINTS_MAX_AGE_S, _BALL_MAX_AGE_S = 0.1, 0.5
-#: A tick counts for at most this long, s: a late one must not make a big step.
-_MAX_TICK_S = 0.05
 #: The arm may fail to move as commanded for this long, s. Motion against the command counts six
 #: times, and ends the run after the second time already: 0.12 s.
 _FOLLOW_TIME_S, _AGAINST_TIME_S, _AGAINST_RAD = 3.0, 0.7, 0.01
@@ -167,8 +165,8 @@ class CollectionRun:
 
     def tick(self, now_s: float, dt_s: float) -> np.ndarray:
         """Joint velocities for this tick, rad/s, shape (n,); always finite and within limits."""
-        dt_s = min(dt_s, _MAX_TICK_S) if isfinite(dt_s) and dt_s > 0.0 else 0.0
-        steady_dt_s = min(max(now_s - self._ticked_s, 0.0), _MAX_TICK_S)
+        dt_s = min(dt_s, MAX_TICK_S) if isfinite(dt_s) and dt_s > 0.0 else 0.0
+        steady_dt_s = min(max(now_s - self._ticked_s, 0.0), MAX_TICK_S)
         self._ticked_s = now_s
         wanted = None if self.state in _OVER else self._decide(now_s, dt_s)
         acceleration = self._config.max_joint_acceleration_rad_s2
@@ -236,8 +234,7 @@ class CollectionRun:
         if outside[joint] > self._config.box_margin_rad:
             self.fail(
                 f"{self._names[joint]} left its box: it is at {joints[joint]:.2f} rad, the box is "
-                f"{low[joint]:.2f} to {high[joint]:.2f} rad; check that the arm does what it is "
-                "told and nothing else moves it"
+                f"{low[joint]:.2f} to {high[joint]:.2f} rad; check that no other node moves the arm"
             )
 
     def _watch_following(self, joints: np.ndarray, dt_s: float) -> None:

@@ -1,7 +1,7 @@
 """Networks from pairs of images: the least squares behind the methods ``ridge`` and ``varpro``.
 
 The paper trains on steps between neighbouring images, ``dx = J(r) dr``: little motion, much noise.
-But the ball's position is a function of the joints, so *any* two images a and b teach, with the
+But the ball's position is a function of the joints, so *any* two images a and b count, with the
 signal of the whole box over the noise of one position:
 
     x_b - x_a = sum_i W_i int_0^1 theta_i(r_a + t (r_b - r_a)) dt (r_b,i - r_a,i),
@@ -55,7 +55,7 @@ class TrainingError(ValueError):
 class Pairs:
     """Pairs of k images, joints, rad, (k, n), and ball, m, (k, m), and the least squares on them.
 
-    Raises TrainingError if they cannot teach anything.
+    Raises TrainingError if they determine nothing.
     """
 
     def __init__(

@@ -101,7 +101,7 @@ def train(
     Raises
     ------
     ValueError
-        If the data cannot teach anything (TrainingError), or ``poe`` finds no chain.
+        If the data determine nothing (TrainingError), or ``poe`` finds no chain.
     """
     options = options if options is not None else TrainingOptions()
     rng, fit, why = np.random.default_rng(options.seed), None, ""

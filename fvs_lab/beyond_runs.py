@@ -32,9 +32,9 @@ MOST_LATE_S = 0.1
 USUAL = "nothing"
 ERRING: Mapping[str, Mapping[str, Any]] = {
     USUAL: {},
-    "focal length told 1 % too long": {"focal_error": 0.01},
-    "focal length told 1 % too short": {"focal_error": -0.01},
-    "depths told 0.5 % too large": {"depth_error": 0.005},
+    "focal length stated 1 % too long": {"focal_error": 0.01},
+    "focal length stated 1 % too short": {"focal_error": -0.01},
+    "depths stated 0.5 % too large": {"depth_error": 0.005},
     "0.2 mrad of noise on the joints": {"encoder_noise_rad": 0.0002},
     "drives that lag by 100 ms": {"joint_lag_s": 0.1},
 }
@@ -150,7 +150,7 @@ def journeys(count: int, seed: int, names: Sequence[str]) -> Iterator[Run]:
     drawn = 0
     while drawn < count:
         case = trials.make_cases(f"C{drawn + 1}-", 1, int(rng.integers(2**31)))[0]
-        # About the optical axis, but for a tenth.
+        # About the optical axis, except for a tenth.
         axis = np.append(0.1 * rng.normal(size=2), rng.choice([-1.0, 1.0]))
         shift = rng.normal(size=3)
         bump = trials.Bump(STRUCK_AFTER_S, _vector(axis, 45.0), _vector(shift, 0.1))

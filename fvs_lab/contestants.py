@@ -41,7 +41,7 @@ RACERS = (BEST, BEST_ORACLE, EXTENDED, *PUBLISHED)
 
 #: Laws that say how the ball is to move and leave the joints to the redundancy resolution; the
 #: other two have a least-squares problem of joint speeds of their own.
-ALLOCATED = ("ftsm", "proportional")
+RESOLVING = ("ftsm", "proportional")
 
 
 def _equipped(scheme: Scheme, how: str = "tuned") -> Scheme:
@@ -49,12 +49,12 @@ def _equipped(scheme: Scheme, how: str = "tuned") -> Scheme:
 
     The camera's rotation is for the networks; a straight path is a matter of the sliding mode law.
     """
-    allocation = {"redundancy_resolution": "least_speed"} if scheme.law in ALLOCATED else {}
+    redundancy = {"redundancy_resolution": "least_speed"} if scheme.law in RESOLVING else {}
     return replace(
         scheme,
         name=f"{scheme.name}, {how}",
         method={"rbf": "rbf_left"}.get(scheme.method, scheme.method),
-        controller_values={**scheme.controller_values, **allocation},
+        controller_values={**scheme.controller_values, **redundancy},
     )
 
 

@@ -10,14 +10,12 @@ import numpy as np
 
 from fvs_controller_node.reasons import State
 from fvs_controller_node.supervisor import Command
-from fvs_tools.score import jitter_rad_s, settling_time_s
+from fvs_tools.score import FINAL_S, FINE_ERROR_M, SETTLED_ERROR_M, jitter_rad_s, settling_time_s
 
 #: Errors whose settling times are taken, m.
-BOUNDS_M = {"5 mm": 0.005, "2 mm": 0.002, "1 mm": 0.001}
+BOUNDS_M = {"5 mm": SETTLED_ERROR_M, "2 mm": FINE_ERROR_M, "1 mm": 0.001}
 #: Ticks from one comparison of the Jacobian in use with the true one to the next.
 JACOBIAN_EVERY = 5
-#: The end of a run, over which rest is judged, s.
-REST_S = 1.0
 #: Cause of a failure: the ball came near, and left again.
 NOT_STAYED = "reached 5 mm, but did not stay"
 
@@ -96,7 +94,7 @@ def outcome_of(
     errors = np.linalg.norm(balls_m - targets_m, axis=1)
     speeds = np.array([one.velocity_rad_s for one in commands])
     settling = {name: settling_time_s(times_s, errors, bound) for name, bound in BOUNDS_M.items()}
-    last = times_s > times_s[-1] - REST_S
+    last = times_s > times_s[-1] - FINAL_S
     settled = settling["5 mm"]
     moving = times_s <= (times_s[-1] if settled is None else settled)
     failure = "" if settled is not None else _cause(errors, commands)

@@ -11,13 +11,14 @@ import numpy as np
 
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
-from fvs_lab.outcome import NOT_STAYED, REST_S, Outcome
+from fvs_lab.outcome import NOT_STAYED, Outcome
 from fvs_lab.results import Interval, Results, wilson
 from fvs_lab.search import ORACLE, ORACLES
 from fvs_lab.trials import Trial, Variant, run_trial
 from fvs_lab.worlds import DISTANCE_M, KINDS, QUANTITIES, Kind, World, draw_world
 from fvs_ros.arguments import unknown
 from fvs_tools.schemes import BEYOND, SCHEMES, Scheme
+from fvs_tools.score import FINAL_S
 
 #: Length of a trial from the target on, s; of this the last second must be within 5 mm.
 DURATION_S = 6.0
@@ -48,7 +49,7 @@ def trial_in(world: World, scheme: Scheme, rendered: bool, record: bool = False)
 
 def judged(outcome: Outcome) -> Outcome:
     """Call it a failure, too, if the ball came to stay only within the last second."""
-    if outcome.failure or outcome.settled_s <= DURATION_S - REST_S:
+    if outcome.failure or outcome.settled_s <= DURATION_S - FINAL_S:
         return outcome
     return replace(
         outcome, failure=NOT_STAYED, settling_s={name: None for name in outcome.settling_s}

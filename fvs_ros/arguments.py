@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import argparse
 import difflib
-import json
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from fvs_ros.params import Parameter
+from typing import Any
 
 _WIDTH, _COLUMN = 100, 22
 #: Longest part of a wrong name that is compared or repeated, characters.
@@ -63,7 +59,7 @@ class Parser(argparse.ArgumentParser):
         super().__init__(
             program,
             description=doc.replace("`", ""),
-            epilog="\n\n".join(_listing(title, texts) for title, texts in (lists or {}).items()),
+            epilog="\n\n".join(listing(title, texts) for title, texts in (lists or {}).items()),
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
 
@@ -75,22 +71,8 @@ class Parser(argparse.ArgumentParser):
         return found
 
 
-def node_help(doc: str, parameters: Iterable[Parameter]) -> str:
-    """Help of a node: what it is for, and its parameters with defaults and ranges."""
-    name = doc.split("`")[2]
-    texts = {}
-    for one in parameters:
-        when = ", also while it runs" if one.live else ""
-        default = f"{one.name}:={json.dumps(one.default)}"
-        texts[default] = f"{one.description.rstrip('.')} ({one.expected()}{when})"
-    return (
-        f"{doc.replace('`', '')}\n\n"
-        f"usage: {name} --ros-args [-p NAME:=VALUE ...] [-r FROM:=TO ...] [--params-file FILE]\n\n"
-        f"{_listing('parameters and their defaults', texts)}"
-    )
-
-
-def _listing(title: str, texts: Mapping[str, str]) -> str:
+def listing(title: str, texts: Mapping[str, str]) -> str:
+    """Names with their texts in two columns, under a title."""
     lines = [f"{title}:"]
     for name, text in texts.items():
         first = f"  {name} ".ljust(_COLUMN)

@@ -12,6 +12,8 @@ from fvs_ros.joints import UR_POSITION_LIMITS_RAD
 from fvs_ros.params import ParameterError, Parameters, parameter
 from fvs_ros.vectors import largest
 
+#: A tick counts for at most this long, s: a late one must not make a big step.
+MAX_TICK_S = 0.05
 #: Shares of the acceleration limit that braking is planned with: for a target, and for the end of
 #: a joint's range. With 0.9 a joint passed its end by up to 90 mrad (3 rad/s, a lag of 90 ms) while
 #: the drives' lag was not known yet; with 0.6 by 0.2 mrad.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from collections.abc import Callable, Iterable
@@ -13,7 +14,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from fvs_ros import console, stop
-from fvs_ros.arguments import node_help
+from fvs_ros.arguments import listing
 from fvs_ros.params import Parameter
 from fvs_ros.paths import find_file
 from fvs_ros.ros.node import FvsNode
@@ -40,7 +41,7 @@ def run(make_node: Callable[[], FvsNode], doc: str, parameters: Iterable[Paramet
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(find_file("quick_discovery.xml")))
     with console.never_blocking():
         if {"-h", "--help"} & set(sys.argv):
-            print(node_help(doc, parameters))
+            print(_help(doc, parameters))
             return EXIT_OK
         try:
             unknown = remove_ros_args(sys.argv)[1:]
@@ -60,6 +61,21 @@ def run(make_node: Callable[[], FvsNode], doc: str, parameters: Iterable[Paramet
             return _spin(node)
         finally:
             rclpy.try_shutdown()
+
+
+def _help(doc: str, parameters: Iterable[Parameter]) -> str:
+    """Help of a node: what it is for, and its parameters with defaults and ranges."""
+    name = doc.split("`")[2]
+    texts = {}
+    for one in parameters:
+        when = ", also while it runs" if one.live else ""
+        default = f"{one.name}:={json.dumps(one.default)}"
+        texts[default] = f"{one.description.rstrip('.')} ({one.expected()}{when})"
+    return (
+        f"{doc.replace('`', '')}\n\n"
+        f"usage: {name} --ros-args [-p NAME:=VALUE ...] [-r FROM:=TO ...] [--params-file FILE]\n\n"
+        f"{listing('parameters and their defaults', texts)}"
+    )
 
 
 def _spin(node: FvsNode) -> int:

@@ -93,16 +93,16 @@ def test_a_target_is_heard_again_but_not_the_same_message_twice(bench):
 
 def test_another_nodes_commands_hold_the_arm_and_the_node_is_named(bench):
     bench.servo()
-    rival = bench.harness.node.create_publisher(
+    conflicting = bench.harness.node.create_publisher(
         Float64MultiArray, topics.COMMANDS.name, ros.QOS_RELIABLE
     )
     timer = bench.harness.node.create_timer(
-        0.02, lambda: rival.publish(ros.to_command(np.full(6, 0.01)))
+        0.02, lambda: conflicting.publish(ros.to_command(np.full(6, 0.01)))
     )
     bench.wait(lambda: bench.reason() == "CONFLICT", what="CONFLICT")
     assert "/test_node commands the arm as well" in bench.text()
     timer.cancel()
-    bench.harness.node.destroy_publisher(rival)
+    bench.harness.node.destroy_publisher(conflicting)
     bench.wait(lambda: "publishes commands as well" not in bench.text(), what="it to be gone")
     bench.assert_keeps_sending_zeros()
 

@@ -38,7 +38,7 @@ def starts_on(harness, monkeypatch, sink):
 
 @pytest.fixture
 def deaf(ros_test, monkeypatch):
-    """A harness whose processes write into a pipe that is full and that nobody reads."""
+    """A harness whose processes write into a full pipe that no process reads."""
     source, sink = full_pipe()
     starts_on(ros_test, monkeypatch, sink)
     yield ros_test

@@ -58,9 +58,9 @@ class Cell:
         self.joints = self.joints + self.signs * command * (dt_s or steady_s)
 
     def is_news(self, name, stamp_s):
-        news = stamp_s > self.newest[name] or stamp_s < self.newest[name] - 0.1
-        self.newest[name] = stamp_s if news else self.newest[name]
-        return news
+        fresh = stamp_s > self.newest[name] or stamp_s < self.newest[name] - 0.1
+        self.newest[name] = stamp_s if fresh else self.newest[name]
+        return fresh
 
     def take_joints(self, joints, stamp_s):
         self.joints_s = self.now_s if self.is_news("joints", stamp_s) else self.joints_s

@@ -57,7 +57,7 @@ def play(loop, start_s, end_s, off=lambda time_s: 0.0, late_s=0.0):
             image += 1
 
 
-def test_outliers_are_told_to_nobody():
+def test_nothing_learns_from_outliers():
     loop, rng = EstimationLoop(Told()), np.random.default_rng(1)
     play(loop, 0.0, 20.0, lambda _time_s: 0.1 * rng.normal(size=3) * (rng.random() < 0.15))
     off_m = np.linalg.norm(loop.estimator.balls, axis=1)

@@ -1,4 +1,4 @@
-"""The floor: the least time after which the ball is near the target for good, nobody beats it."""
+"""The floor: no motion brings the ball near its target for good in less time."""
 
 from functools import lru_cache
 from itertools import cycle

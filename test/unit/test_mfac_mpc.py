@@ -90,7 +90,7 @@ def mpc_cost(u, error, jacobian, weight, *, horizon=10.7, alpha=0.64, rho=1.26) 
 
 
 def central_gradient(function, at: np.ndarray, h: float) -> np.ndarray:
-    """Exact for a quadratic but for rounding."""
+    """Exact for a quadratic, except for rounding."""
     return np.array(
         [(function(at + h * one) - function(at - h * one)) / (2.0 * h) for one in np.eye(len(at))]
     )
