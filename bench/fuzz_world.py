@@ -103,7 +103,6 @@ class World:
         self.stamps_s = {}
         self._chain_s = -math.inf
         self._heard_joints = None
-        self.singular_m_rad = math.inf
         #: Whether a task began (a start, a change), and whether the image or the arm was moved.
         self.new_task = self.new_image = True
         self.reasons = Counter()
@@ -222,19 +221,21 @@ class World:
 
     def send_jacobian(self, message):
         """Send a Jacobian, m/rad."""
-        jacobian = _read(ros.from_jacobian, message, *TRUE_JACOBIAN.shape)
-        self._note(JACOBIAN, jacobian)
-        usable = JACOBIAN not in self.bad and jacobian is not None
-        self.singular_m_rad = np.linalg.svd(jacobian, compute_uv=False)[-1] if usable else math.inf
+        self._note(JACOBIAN, _read(ros.from_jacobian, message, *TRUE_JACOBIAN.shape))
         self.node._on_jacobian(message)
 
+    @property
+    def singular_m_rad(self):
+        """Smallest singular value of the Jacobian in use, m/rad."""
+        jacobian = self.node._loop.jacobian
+        return math.inf if jacobian is None else np.linalg.svd(jacobian, compute_uv=False)[-1]
+
     def send_chain(self, message):
-        """Send a kinematic chain; it counts while the law reads chains, until it is forgotten."""
-        if self.node._loop.law.plans:
-            self._chain_s = self.now_s
-            self.bad.discard("kinematic_chain")
-            if _read(ros.from_chain, message, TRUE_JACOBIAN.shape[1]) is None:
-                self.bad.add("kinematic_chain")
+        """Send a kinematic chain; it counts until it is forgotten."""
+        self._chain_s = self.now_s
+        self.bad.discard("kinematic_chain")
+        if _read(ros.from_chain, message, TRUE_JACOBIAN.shape[1]) is None:
+            self.bad.add("kinematic_chain")
         self.node._on_chain(message)
 
     def send_program(self, running):

@@ -75,8 +75,8 @@ class ControlLaw(ABC):
         From feature velocity to joint velocities.
     """
 
-    #: Whether it plans the joints' way itself: from a chain (the Jacobian then is the chain's), at
-    #: least joint speeds whatever ``redundancy_resolution`` is, and braking in time for the target.
+    #: Whether it plans the joints' path itself: from a chain where there is one, at least joint
+    #: speeds whatever ``redundancy_resolution`` is, and braking in time for the target.
     plans: ClassVar[bool] = False
 
     #: Parameters that this law adds to the node's.

@@ -135,15 +135,13 @@ class ServoLoop:
 
     def add_chain(self, now_s: float, chain: SerialChain) -> None:
         """Take the forward model as the camera sees it now, and its arrival."""
-        if self.law.plans:
-            self._chain, self._chain_s = chain, now_s
-            self.supervisor.inputs[KINEMATIC_CHAIN].good(now_s)
+        self._chain, self._chain_s = chain, now_s
+        self.supervisor.inputs[KINEMATIC_CHAIN].good(now_s)
 
     def bad_chain(self, now_s: float, why: str) -> None:
         """Take the arrival of a forward model that cannot be used, and why."""
-        if self.law.plans:
-            self._chain, self._chain_s = None, now_s
-            self.supervisor.inputs[KINEMATIC_CHAIN].bad(why)
+        self._chain, self._chain_s = None, now_s
+        self.supervisor.inputs[KINEMATIC_CHAIN].bad(why)
 
     # ---- the target ---------------------------------------------------------------------------
 
