@@ -15,7 +15,7 @@ from fvs_ros.params import Parameters
 
 
 class Change(Enum):
-    """What has changed the error since the last tick, beside the motion of joints and target."""
+    """What changed the error since the last tick, apart from joint and target motion."""
 
     NOTHING = 0
     MEASUREMENT = 1  #: an image, or an update of a moving target
@@ -23,19 +23,19 @@ class Change(Enum):
 
 
 class ControlInput(NamedTuple):
-    """What a law knows at one tick, of m features and n joints."""
+    """The input of a law at one tick, for m features and n joints."""
 
     #: Feature, predicted to now, minus its target; camera frame, m, (m,).
     error_m: np.ndarray
     #: Estimated at the present joints, m/rad, (m, n).
     jacobian: np.ndarray
-    #: Actually sent at the last tick, after every limit, less the feed-forward, (n,).
+    #: Command sent at the last tick, after every limit, without the feed-forward, (n,).
     applied_rad_s: np.ndarray
     #: Joint positions, (n,).
     joints_rad: np.ndarray
     #: Time since the last tick; positive.
     dt_s: float
-    #: Joints at the last start, (n,): a posture to come back to on the way.
+    #: Joints at the last start, (n,): the posture that redundancy resolution returns to.
     home_rad: np.ndarray | None = None
     #: Forward model of arm and feature as the camera sees them; up to a constant offset.
     chain: SerialChain | None = None
@@ -50,8 +50,8 @@ class ControlOutput(NamedTuple):
 
     #: Wanted joint velocities before any limit, (n,).
     velocity_rad_s: np.ndarray
-    #: The s of the estimator's update law, (m,): a sliding mode law's sliding variable (17), the
-    #: proportional law's error (45); zeros for a law without one.
+    #: The s of the estimator's update law, (m,): the sliding variable in (17), the error in (45)
+    #: for the proportional law; zeros for a law without one.
     sliding_variable: np.ndarray
     #: The exponent gamma of each component, (m,); ones for a law without one.
     exponent: np.ndarray

@@ -36,13 +36,13 @@ class ControllerConfig(Parameters):
     )
     joint_state_rate_hz: float = parameter(
         125.0,
-        "Rate of the joint states, Hz; a watchdog ticks at it when none arrive.",
+        "Rate of the joint states, Hz; without them a watchdog ticks at this rate.",
         10.0,
         1000.0,
     )
     target_feed_forward: bool = live_parameter(
         True,
-        "Follow a target that is updated often by feed-forward; off, every target is fixed.",
+        "Feed-forward for targets that are updated often; off, every target is fixed.",
     )
 
 
@@ -52,7 +52,7 @@ class SupervisorConfig(Parameters):
 
     autostart: bool = parameter(
         False,
-        "Start once by itself, the first time everything is ready. For simulation only.",
+        "Start without ~/start as soon as all inputs are ready, once. For simulation only.",
     )
     feature_frame: str = parameter(CAMERA_FRAME, "Frame of ball and target.")
     joints: ArmJoints = field(default_factory=ArmJoints)
@@ -75,8 +75,8 @@ class SupervisorConfig(Parameters):
     )
     singular_hold_m_rad: float = live_parameter(
         0.03,
-        "Smallest singular value of the Jacobian below which the arm is held, m/rad; it slows down "
-        "below 8/3 of that.",
+        "Smallest singular value below which the arm is held, m/rad; it slows down below 8/3 of "
+        "that.",
         1e-5,
         10.0,
     )
@@ -92,8 +92,8 @@ class SupervisorConfig(Parameters):
     )
     stall_time_s: float = live_parameter(
         6.0,
-        "Time without progress, at an error above 20 mm, after which the arm is held, s; half of "
-        "it if the arm does not follow, a sixth if the error grew by half and by 30 mm.",
+        "Time without progress, at an error above 20 mm, after which the arm is held, s. Half of "
+        "it applies to an arm that does not follow, a sixth to an error grown by 50 % and 30 mm.",
         0.1,
         60.0,
     )
@@ -101,10 +101,10 @@ class SupervisorConfig(Parameters):
         30.0, "Longest hold after which the arm resumes without a new start, s.", 0.5, 1e6
     )
 
-    #: Good messages in a row after which an input counts again: one could be a remainder.
+    #: Consecutive good messages after which an input is valid again: a single one may be left over.
     fresh_samples = 5
-    #: Motion for which the prediction may be bad, m: an estimator that learns needs some to recover
-    #: after the camera was moved.
+    #: Motion allowed with a bad prediction, m: a learning estimator needs some to recover after the
+    #: camera was moved.
     prediction_hold_m = 0.05
     settled_time_s = 0.3
     #: The error has grown when it is above its best by both.
@@ -144,12 +144,12 @@ class SupervisorConfig(Parameters):
 
     @property
     def follow_time_s(self) -> float:
-        """The arm may fail to move as commanded for this time, s."""
+        """Time that the arm may deviate from its commands, s."""
         return 0.5 * self.stall_time_s
 
     @property
     def growth_time_s(self) -> float:
-        """The error may be larger than it was for this time, s."""
+        """Time that the error may stay grown, s."""
         return self.stall_time_s / 6.0
 
     @property

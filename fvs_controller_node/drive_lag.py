@@ -1,12 +1,12 @@
-"""Lag of the drives, and the speed from which the arm can still brake in spite of it.
+"""Lag of the drives, and the largest speed from which the arm can still brake despite it.
 
-A drive that answers a velocity late by T is behind the commanded path by T times the velocity:
-``r_commanded - r = T u + constant``. Both sides, freed of what is slow, are compared over time.
-It does not matter whether T is dead time, lag or the age of the joint states.
+A drive with lag T trails the commanded path by T times the velocity:
+``r_commanded - r = T u + constant``. T is fitted to both sides after high-pass filtering. It may be
+dead time, first-order lag or the age of the joint states.
 
-So the joints are known before they are measured, except for that constant. At rest it is averaged,
-so that the noise of the encoders does not become motion. A law that looks at the present brakes too
-late by what has been commanded and not been done yet; with that motion made, braking can be planned
+The lag predicts the joints before they are measured, except for that constant. The constant is
+averaged at rest, which keeps encoder noise out of the motion. A law that ignores the pending motion
+(commanded, not yet executed) brakes too late. With the pending motion added, braking can be planned
 close to the acceleration limit.
 """
 
@@ -19,13 +19,12 @@ from fvs_ros.limits import BRAKING_SHARE, braking_speed
 from fvs_ros.timeline import History
 from fvs_ros.vectors import largest
 
-#: No drive is slower than this; what is slower than that is no lag, s.
+#: Largest lag, and time constant of the high-pass filter: slower differences are no lag, s.
 _MOST_S, _SLOW_S = 0.2, 1.0
-#: The first guess counts like so much motion, and all that was seen like no more than that: the
-#: square of the speed over time, rad^2/s.
+#: Weight of the first guess, and largest weight of all data: integrals of squared speed, rad^2/s.
 _FIRST, _MEMORY = 0.05, 20.0
-#: Time over which the constant is averaged at rest, s, and the speed from which on it is not: there
-#: a wrong lag would be worse than the encoders' noise, rad/s.
+#: Averaging time of the constant at rest, s, and the speed that ends averaging, rad/s: above it a
+#: wrong lag would do more harm than encoder noise.
 _AVERAGED_S, _MOVING_RAD_S = 0.16, 0.02
 
 
@@ -60,10 +59,10 @@ class DriveLag:
         joints_rad: np.ndarray,
         compare: bool = True,
     ) -> np.ndarray:
-        """Take a joint state, (n,), and the command in force since the one before, (n,).
+        """Take a joint state, (n,), and the command in force since the previous one, (n,).
 
-        Its stamp counts: times of arrival jitter, which would look like a lag. So would an arm that
-        does not obey, with its speed slider down or moved by hand: then do not ``compare``.
+        Its stamp is used, because jitter of arrival times would look like a lag. An arm that does
+        not obey (speed slider down, moved by hand) would too: then pass ``compare=False``.
         Returns the joints, (n,), rad, with less noise where the arm obeys.
         """
         before_s, commanded = self._commanded.newest_stamp_s, self._commanded.newest
@@ -82,7 +81,7 @@ class DriveLag:
         self._slow_command = self._slow_command + share * (command_rad_s - self._slow_command)
         behind, command = self._behind - self._slow_behind, command_rad_s - self._slow_command
         power = float(command @ command) * dt_s
-        # However long a stall was: no more than the slowest drive would be behind.
+        # Bounds the effect of a stall, however long: no drive lags by more than _MOST_S.
         late = min(max(float(behind @ command) * dt_s, 0.0), _MOST_S * power)
         self._known = min(self._known + power, _MEMORY)
         self.lag_s += (late - power * self.lag_s) / self._known
@@ -107,7 +106,7 @@ class DriveLag:
 def brake(
     output: ControlOutput, present: ControlInput, max_acceleration_rad_s2: float
 ) -> ControlOutput:
-    """The output, no faster than it can brake for the target."""
+    """Limit the output to a speed from which the arm can brake at the target."""
     velocity, error_m = output.velocity_rad_s, present.error_m
     fastest = largest(velocity)
     closing = -float(error_m @ (present.jacobian @ velocity))

@@ -101,8 +101,8 @@ class FtsmGains(Parameters):
     reaching: ReachingLaw = field(default_factory=ReachingLaw)
     ftsm_path: str = live_parameter(
         EACH_AXIS,
-        "Each component of the error with a surface of its own, as in the paper, or one surface "
-        "of the distance: straight to the target.",
+        "each_axis (one surface per error component, as in the paper) or straight (one surface "
+        "for the distance, a straight path to the target).",
         choices=(EACH_AXIS, STRAIGHT),
     )
     discretisation: str = live_parameter(
@@ -113,7 +113,7 @@ class FtsmGains(Parameters):
 
 
 class FtsmLaw(ControlLaw):
-    """Adaptive fast terminal sliding mode control."""
+    """Adaptive fast terminal sliding mode control, implicit or literal."""
 
     Gains = FtsmGains
     gains: FtsmGains

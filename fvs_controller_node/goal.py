@@ -1,4 +1,4 @@
-"""The target in force, where the ball is, and how the error between them goes."""
+"""The target in force, the ball's position, and the progress of the error between them."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from fvs_controller_node.reasons import Finding, Reason
 from fvs_controller_node.target_motion import TargetMotion, Update
 from fvs_ros.vectors import length
 
-#: The error has swung when it is this far from where it was, m: more than noise does. Without a
-#: swing for this time, s, it has come to rest. A sustained oscillation sums up to this way, m, and
-#: to twice the way to the target besides.
+#: A swing is a change of the error by this, m, above noise. Without one for this time, s, the error
+#: has come to rest. An oscillation is sustained when its swings sum to this path, m, plus twice the
+#: initial distance to the target.
 _SWING_M, _REST_S, _SWINGS_M = 0.01, 1.0, 0.5
 
-#: The error is averaged over this time, s; it has made progress when it is below this share.
+#: Averaging time of the error, s; progress is a best error below this share of the last mark.
 _SMOOTH_S, _PROGRESS = 0.1, 0.97
 
 
 class _Mark(NamedTuple):
-    """An error and where the target was then: what the target has gone since is not the arm's."""
+    """An error with the target at that time; later target motion is not blamed on the arm."""
 
     error: float | np.ndarray
     target_m: np.ndarray | None
@@ -42,7 +42,7 @@ class Progress:
         self.restart()
 
     def take_target(self, target_m: np.ndarray, config: SupervisorConfig) -> None:
-        """Begin anew for a target, m, (m,), that is another one by more than errors may grow."""
+        """Restart if the target, m, (m,), moved more than ``growth_m`` since the last restart."""
         if self._task is None or length(target_m - self._task) > config.growth_m:
             self._task = target_m
             self.restart()
@@ -64,10 +64,10 @@ class Progress:
         config: SupervisorConfig,
         target_m: np.ndarray | None = None,
     ) -> None:
-        """Take the error, m, (m,), after a tick, and where the target is.
+        """Take the error, m, (m,), after a tick, and the target's position.
 
-        The timers of growth, stall and swing run only while servoing; the target's own motion is
-        no growth.
+        The timers of growth, stall and swing run only while servoing. The target's own motion does
+        not count as growth.
         """
         norm_m = length(error_m)
         if self._smooth_m is None:
@@ -77,7 +77,7 @@ class Progress:
         self._near_s = self._near_s + dt_s if smooth_m < config.settled_error_m else 0.0
         self.settled = self._near_s >= config.settled_time_s
         if not servoing:
-            return  # the times stand still: a short gap in the inputs must not forgive what was
+            return  # the timers pause: a short gap in the inputs must not reset them
         self._swing(error_m, dt_s, target_m)
         best_m = float(self._best.error) + self._best.gone_m(target_m)
         if smooth_m < best_m:
@@ -119,7 +119,7 @@ class Progress:
 
 
 class Goal:
-    """Takes targets inside the workspace only, and follows the error to them."""
+    """Holds the target, which must be inside the workspace, and monitors the error to it."""
 
     def __init__(self, config: SupervisorConfig) -> None:
         self._config = config
@@ -156,9 +156,9 @@ class Goal:
     ) -> tuple[bool, str]:
         """Set the target, (m,), m; a refused one leaves the old in place.
 
-        One that was there soon after the last one, ``there_s`` on the joint states' clock, moves;
-        without a time it stands. ``age_s`` is that of its message. Returns whether it was accepted,
-        and what was done, or why not.
+        ``there_s`` is its time on the joint states' clock, s; a target soon after the last one is
+        a moving one. Without a time it is fixed. ``age_s`` is the age of its message. Returns
+        whether it was accepted, and a text with the result or the reason for the refusal.
         """
         refusal = self._refusal(position_m, frame)
         if refusal:
@@ -179,7 +179,7 @@ class Goal:
         return last_m is not None and np.array_equal(position_m, last_m)
 
     def track(self, now_s: float) -> None:
-        """Find where a moving target is now, s; outside the workspace it stays where it was."""
+        """Update a moving target to now, s; outside the workspace it stays at its last position."""
         now = self.motion.at(now_s)
         if now is None or self._outside(now.position_m):
             self.velocity_m_s = None
@@ -187,7 +187,7 @@ class Goal:
             self.target_m, self.velocity_m_s = now
 
     def see(self, position_m: np.ndarray | None, dt_s: float, servoing: bool) -> None:
-        """Take where the ball is after a tick, m, (m,); None where it is not known."""
+        """Take the ball's position after a tick, m, (m,); None if it is unknown."""
         self.position_m = position_m
         error = self.error_m
         if error is not None:

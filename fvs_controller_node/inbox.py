@@ -16,16 +16,16 @@ KINEMATIC_CHAIN, SPEED_SCALING = "kinematic_chain", "speed_scaling"
 
 #: No joint position (rad), ball position (m) or Jacobian (m/rad) is larger than this.
 _LARGEST = 100.0
-#: A source's status is one of now up to this age, and a conflict lasts so long after a command, s.
+#: Largest age of a source's status, and duration of a conflict after the foreign command, s.
 _STATUS_MAX_AGE_S, _CONFLICT_S = 2.0, 1.0
 
 
 class InputMonitor:
-    """Arrival of one input on the steady clock.
+    """Monitors the arrival of one input on the steady clock.
 
-    Any trouble (never came, stale, not usable) lasts until ``fresh_samples`` good messages in
-    a row have come. ``hint`` says what to check when it does not come. ``limit`` is the parameter
-    of its greatest age; empty for an input that may come rarely or never.
+    A fault (missing, stale, unusable) lasts until ``fresh_samples`` consecutive good messages.
+    ``hint`` names what to check while messages are missing. ``limit`` names the parameter with
+    the largest age; it is empty for an input that may come rarely or never.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class InputMonitor:
         self._stuck_s = now_s
 
     def set_source_status(self, now_s: float, why: str) -> None:
-        """Note why its source, the estimator, may send nothing; empty if it has no reason."""
+        """Store the estimator's reason for sending nothing; empty without one."""
         self._source_status, self._source_s = why, now_s
 
     def bad(self, why: str) -> None:
@@ -61,7 +61,7 @@ class InputMonitor:
         self._streak, self._trouble, self._why = 0, Reason.BAD_INPUT, why
 
     def forget(self) -> None:
-        """Forget the trouble of an input that has ceased and need not come."""
+        """Clear the fault of an optional input that has ended."""
         self._trouble = None
 
     def age_s(self, now_s: float) -> float:
@@ -188,7 +188,7 @@ class Inbox:
         return next(iter(bad + self.pauses() + troubles), None)
 
     def late(self, now_s: float) -> str:
-        """What is wrong with a message's age or content now; empty when all are fresh."""
+        """The first fault in age or content of the messages; empty if all are fresh."""
         return next((finding.text for finding in self._troubles(now_s)), "")
 
     def _troubles(self, now_s: float) -> list[Finding]:

@@ -1,6 +1,6 @@
-"""The whole controller without ROS: tracker, law and supervisor, joined once.
+"""The whole controller without ROS: tracker, law and supervisor in one object.
 
-The node hands messages in and sends what ``tick`` answers; the laboratory uses the same object.
+The node passes messages in and sends the result of ``tick``; the laboratory uses the same object.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _UNSEEN_S = 0.5
 
 
 class ServoLoop:
-    """Data goes through once: joints, ball and Jacobian in; one command out.
+    """One pass per tick: joints, ball and Jacobian in; one command out.
 
     Parameters
     ----------
@@ -64,8 +64,8 @@ class ServoLoop:
         self._chain: SerialChain | None = None
         self._chain_s = -inf
         self._stamp_s = 0.0
-        self._change = Change.TARGET  # since the law was asked last
-        self._images = 0  # that it was asked with
+        self._change = Change.TARGET  # since the last call of the law
+        self._images = 0  # number of images at that call
         self._joint_stamps, self._ball_stamps = StampGate(), StampGate()
         self._joints: np.ndarray | None = None
         self._last_joints: tuple[float, np.ndarray | None] = (0.0, None)  # as they came
@@ -106,7 +106,7 @@ class ServoLoop:
                 self.predictor.add_joints(stamp_s, self._joints, self._jacobian)
 
     def _jump(self, stamp_s: float, joints_rad: np.ndarray) -> str:
-        """Say what is impossible about a joint state after the last one; empty if nothing is."""
+        """Describe an impossible jump since the last joint state; empty without one."""
         before_s, before = self._last_joints
         self._last_joints = (stamp_s, joints_rad)
         passed_s = stamp_s - before_s
@@ -129,7 +129,7 @@ class ServoLoop:
             self.predictor.add_ball(stamp_s, position_m)
 
     def add_jacobian(self, now_s: float, jacobian: np.ndarray) -> None:
-        """Take the estimated Jacobian, (m, n), m/rad, and its arrival; a chain's goes before it."""
+        """Take the estimated Jacobian, (m, n), m/rad, and its arrival; a chain's takes priority."""
         if self.supervisor.inputs.add(JACOBIAN, now_s, jacobian) and self._chain is None:
             self._jacobian = np.array(jacobian, dtype=float)
 
@@ -206,7 +206,7 @@ class ServoLoop:
         if self._follows:
             supervisor.goal.track(self._stamp_s)
         self._pending_rad = self._drive_lag.pending_rad()
-        if self._home is None:  # what moved before this start says nothing of now
+        if self._home is None:  # motion before this start must not count
             self.predictor.agreement.restart()
         present = Present(
             self._joints,
@@ -224,7 +224,7 @@ class ServoLoop:
         return command
 
     def _propose(self, error_m: np.ndarray, applied: np.ndarray, dt_s: float) -> ControlOutput:
-        """Ask the law, for where arm and target will be when its command takes effect."""
+        """Ask the law, with arm and target predicted to when its command takes effect."""
         jacobian, joints = self._jacobian, self._joints
         velocity_m_s = self.supervisor.goal.velocity_m_s if self._follows else None
         assert jacobian is not None

@@ -28,7 +28,7 @@ from fvs_ros.limits import BRAKING_SHARE, SpeedLimits, braking_speed
 from fvs_ros.params import Parameters, live_parameter
 from fvs_ros.vectors import largest
 
-#: A goal that puts the ball further off than this is searched anew, m.
+#: The goal is searched again, with all steps, if it misses the target by more than this, m.
 _JUMP_M = 0.02
 
 
@@ -93,9 +93,9 @@ class MinimumTimeLaw(ControlLaw):
         position, jacobian = chain.position_and_jacobian(goal)
         missing = wanted - position
         new = new or largest(missing) > _JUMP_M
-        # The steps after a new target draw the goal towards the posture of the start. One step
-        # after each further image stays near what was found: one linear programme after the other
-        # would go to and fro between two corners.
+        # After a new target the steps draw the goal toward the start posture. After each further
+        # image one step stays near the last goal: repeated linear programmes would alternate
+        # between two corners.
         for _ in range(4 if new else 1):
             travel = goal - joints
             way = missing + jacobian @ travel

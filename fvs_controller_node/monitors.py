@@ -1,7 +1,6 @@
-"""Small monitors: each asks one question at every tick in motion.
+"""Small monitors, each of which checks one condition at every tick in motion.
 
-:class:`~fvs_controller_node.goal.Progress` is one more. The singularity's question is asked at
-rest, too.
+:class:`~fvs_controller_node.goal.Progress` is another one. The singularity is checked at rest, too.
 """
 
 from __future__ import annotations
@@ -13,14 +12,14 @@ from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Finding, Reason
 from fvs_ros.following import Following
 
-#: A ball that is seen to make less of its predicted way than this does not follow the arm. A camera
-#: that was turned shows all of it, in another direction; a learning Jacobian shows about all.
+#: Least measured share of the predicted motion of an image that follows the arm. A turned camera
+#: shows all of it, in another direction; with a Jacobian that still learns, about all of it shows.
 LEAST_SEEN = 0.3
 
 #: A held Jacobian is released when its smallest singular value is this far into the slow band.
 _RELEASE_SHARE = 0.3
-#: A held arm may leave slowly while the value stays above this share of what it was at the request;
-#: and not at all where it was below that share of the hold limit.
+#: A held arm may leave slowly while the singular value stays above this share of its value at the
+#: request, and above this share of the hold limit.
 _LEAVE_SHARE, _HOPELESS_SHARE = 0.7, 0.2
 #: Longest way out, s.
 _LEAVE_S = 10.0
@@ -111,7 +110,7 @@ class SingularityMonitor:
             self.leaving = False
 
     def check(self, value: float, config: SupervisorConfig) -> Finding | None:
-        """Find a smallest singular value, m/rad, that is too small to move on."""
+        """Hold the arm where the smallest singular value, m/rad, is too small for motion."""
         hold, slow = config.singular_hold_m_rad, config.singular_slow_m_rad
         limit = hold + (_RELEASE_SHARE * (slow - hold) if self._held else 0.0)
         self._held = value < limit

@@ -30,7 +30,7 @@ _NEVER_RAN = "no robot_program_running yet: start the robot program if the arm d
 _LATE = (Reason.STALE, Reason.RETURNING)
 #: Inputs that come and go are logged once in this time, or they would fill the log, s.
 _REPEAT_S = 10.0
-#: A latched target is heard by both subscriptions, within this.
+#: A latched target reaches both subscriptions within this time, s.
 _TARGET_ECHO_S = 0.5
 _LEVELS = {
     State.SERVOING: ros.OK,
@@ -97,7 +97,7 @@ class ControllerNode(ros.FvsNode):
         try:
             joints = self._joint_map.positions(message.name, message.position)
         except ForeignJointsError as error:
-            # Another device's joints are no fault of ours, unless ours never came.
+            # Joint states of another device are an error only while ours have never arrived.
             if np.isinf(self._joints_s):
                 supervisor.inputs[JOINT_STATES].bad(str(error))
             return
@@ -147,21 +147,21 @@ class ControllerNode(ros.FvsNode):
         point, stamp = message.point, message.header.stamp
         heard = (point.x, point.y, point.z, stamp.sec, stamp.nanosec, message.header.frame_id)
         now_s = self.now_s()
-        # Latched samples come twice, and once more whenever the publisher is found again. Without a
-        # stamp, as `ros2 topic pub` sends it, only the quick echo is told from a new wish.
+        # Latched samples arrive twice, and again whenever the publisher is rediscovered. Without a
+        # stamp (`ros2 topic pub`) only an immediate echo counts as a repetition.
         stamped, soon = any(heard[3:5]), now_s - self._heard_target_s < _TARGET_ECHO_S
         again = heard == self._heard_target and (stamped or soon)
         self._heard_target, self._heard_target_s = heard, now_s
         position_m = np.array([point.x, point.y, point.z])
         if again and not self._loop.supervisor.goal.was_set(position_m):
-            return  # another target has been set since, which this was not meant to undo
+            return  # a newer target is in force: a repetition must not undo it
         accepted, text = self._loop.add_target(
             position_m, message.header.frame_id, ros.from_stamp(stamp)
         )
-        if again:  # said again, a moving target has stopped: that is all
+        if again:  # a repetition only means that a moving target has stopped
             return
         self._refusal = "" if accepted else text
-        if not (accepted and soon):  # a target on its way would fill the log
+        if not (accepted and soon):  # a moving target would flood the log
             self.tell(ros.OK if accepted else ros.WARN, text)
 
     def _take_current_as_target(self) -> tuple[bool, str]:
@@ -227,7 +227,7 @@ class ControllerNode(ros.FvsNode):
                 return
             self._logged_passing_s = now_s
         self._logged = command.reason
-        # Before a start, waiting for something is how things should be.
+        # Before a start, waiting is normal.
         level = ros.OK if command.state is State.WAITING else _LEVELS[command.state]
         self.tell(level, f"{command.state.value}: {self._words(command)}")
 
@@ -259,10 +259,10 @@ class ControllerNode(ros.FvsNode):
         )
 
     def _look_around(self) -> None:
-        """Listen to the commands once others publish there: a killed node may just be listed.
+        """Subscribe to the commands once another node publishes them (a killed one may be listed).
 
-        A UR's driver publishes ``robot_program_running`` on change only: never, before the first
-        program ran. Other drivers say nothing although the robot obeys.
+        A UR driver publishes ``robot_program_running`` on change only, so never before the first
+        program ran. Other drivers never publish it although the robot obeys.
         """
         topic = self.resolve_topic_name(topics.ROBOT_PROGRAM_RUNNING.name)
         unheard = not self.monitor(topics.ROBOT_PROGRAM_RUNNING.name).count
@@ -276,7 +276,7 @@ class ControllerNode(ros.FvsNode):
             self.subscribe(topics.COMMANDS, self._on_any_command)
 
     def _on_any_command(self, message: Float64MultiArray) -> None:
-        # One's own come back, too. Another node that sends the same does no harm.
+        # Own commands are received, too. The same command from another node does no harm.
         if tuple(message.data) not in self._sent:
             name = self._conflicting or "another node"
             self._loop.supervisor.inputs.conflicting_command(self.now_s(), name)
@@ -286,7 +286,7 @@ class ControllerNode(ros.FvsNode):
         return {"late_ticks": self._late}
 
     def finish(self) -> None:
-        """Leave zeros on the wire, and then say so."""
+        """Send zeros last, then publish the final status."""
         self._loop.supervisor.shutdown()
         ros.send_last_zeros(self._commands, self._shape[1])
         self._command = self._loop.tick(self.now_s(), 0.0)

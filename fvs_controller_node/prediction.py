@@ -1,18 +1,17 @@
-"""Where the ball is now, and whether the image follows the arm.
+"""Predicts the ball to now, and checks whether the image follows the arm.
 
-The last image is carried forward by the joints' motion since: ``x_now = x_image +
-J (r_now - r_image)``, with the product summed over the joint states in between, ``sum J_k dr_k``:
-over a latency of a tenth of a second the arm bends the straight line by more than the camera's
-noise.
+The last image is carried forward by the joint motion since: ``x_now = x_image +
+J (r_now - r_image)``. The product is summed over the joint states in between, ``sum J_k dr_k``:
+within a latency of 0.1 s the ball's path curves by more than the camera's noise.
 
-What was seen, summed up, is compared with what was predicted. Both ways are kept from an anchor on,
-exposure by exposure: p, where ``sum J dr`` has the feature, and s, where it was seen. One sum of
-both answers three questions, however fast the arm goes:
+Measured motion is compared with predicted motion. From an anchor on, both paths are recorded at
+every exposure: p, predicted by ``sum J dr``, and s, measured. One sum over both gives, at any speed
+of the arm:
 
-- the share of p that is seen, in whatever direction (the camera may have been turned): next to
-  nothing for a frozen picture, or for a red thing that is not the ball;
-- how much of the motion is predicted wrongly: a wrong Jacobian, a camera that was moved;
-- nothing at all as long as too little moved for the noise of the images.
+- the share of p that is measured, in any direction (the camera may have been turned): almost zero
+  for a frozen image, or for a red object other than the ball;
+- the error of the predicted motion: a wrong Jacobian, a moved camera;
+- no verdict while the motion is too small for the noise of the images.
 """
 
 from __future__ import annotations
@@ -27,23 +26,23 @@ from fvs_ros.timeline import MAX_LATENCY_S, History, Sample, Timeline
 from fvs_ros.tracker import Image, Tracker
 from fvs_ros.vectors import length
 
-#: No verdict below this predicted motion, m: so far the arm moves behind a frozen picture.
+#: No verdict below this predicted motion, m: the arm moves this far before a frozen image shows.
 _LEAST_M = 0.012
 #: No verdict before the measured share is known to this standard deviation.
 _DEVIATION = 0.12
-#: No verdict before this time, s: stamps that are late by less look like a late start.
+#: No verdict before this time, s: a smaller stamp delay looks like a late start of the motion.
 _LEAST_S = 0.25
 #: Positions nearer than this to the first of their cell are averaged, m.
 _CELL_M = _LEAST_M / 8.0
-#: Cells that are kept; beyond, the two neighbours nearest to each other become one.
+#: Largest number of cells; beyond it the two closest neighbours are merged.
 _CELLS = 32
 
 
 class Verdict(NamedTuple):
     """How seen and predicted motion agree."""
 
-    predicted_m: float  #: how far the feature was predicted to come
-    seen_share: float  #: share of that which was seen, in whatever direction
+    predicted_m: float  #: predicted motion of the feature
+    seen_share: float  #: measured share of it, in any direction
     #: Error of the prediction over the larger one of predicted and seen motion, rms: 0 is perfect,
     #: 1 no better than predicting rest, 2 the opposite.
     error_ratio: float
@@ -52,7 +51,7 @@ class Verdict(NamedTuple):
 
 @dataclass
 class _Cell:
-    """Images that the joints' motion has nearly in one place: sums of what was moved and seen."""
+    """Images with nearly the same predicted position: sums of predicted and seen positions."""
 
     stamp_s: float
     anchor_m: np.ndarray
@@ -67,7 +66,7 @@ class _Cell:
 
 
 class Agreement:
-    """Compares seen and predicted ways; ``verdict`` is None while too little has moved."""
+    """Compares seen and predicted motion; ``verdict`` is None while the motion is too small."""
 
     def __init__(self) -> None:
         self._newest_s = -inf
@@ -81,7 +80,7 @@ class Agreement:
     def add(self, image: Image, noise_m: float) -> None:
         """Take an image, and the standard deviation of a coordinate of images, m."""
         stamp_s, seen_m, moved_m, _ = image
-        if stamp_s <= self._newest_s:  # the clock stepped back, which forgives nothing
+        if stamp_s <= self._newest_s:  # the clock stepped back: the cells remain valid
             for cell in self._cells:
                 cell.stamp_s += stamp_s - self._newest_s
         self._newest_s = stamp_s
@@ -132,9 +131,9 @@ class Agreement:
 class BallPredictor:
     """Predicts the ball to now, and fuses images with joint motion.
 
-    The ball's motion ``sum J dr`` is kept as long as the joints, so that it is known at each
-    image's exposure. Between images the estimate follows it; an image pulls it
-    (:class:`~fvs_ros.tracker.Tracker`). Clock jumps start it anew.
+    The history of the ball's motion ``sum J dr`` is as long as that of the joints, so that it
+    covers each image's exposure. Between images the estimate follows this motion; each image
+    corrects it (:class:`~fvs_ros.tracker.Tracker`). A clock jump resets the estimate.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Every state of the controller and every reason for one, in words for the person beside it."""
+"""Every state of the controller and every reason for one, with its text for the operator."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class State(Enum):
     READY = "READY"  #: zeros; a start would be accepted
     SERVOING = "SERVOING"  #: the law moves the arm
     HOLDING = "HOLDING"  #: started, but held still
-    FAULT = "FAULT"  #: zeros at once: something was wrong that must never be
+    FAULT = "FAULT"  #: zeros at once: an input or the law's command is invalid
 
 
 class Stop(Enum):
@@ -59,19 +59,19 @@ class Reason(Enum):
     NO_POSITION = _holds("the ball's position is unknown: {why}")
     NEAR_SINGULAR = _holds(
         "the Jacobian is near singular ({value:.4f} m/rad, limit {limit:.4f})",
-        "call ~/start to leave slowly towards another target, or the estimator's ~/reset",
+        "call ~/start to move slowly to another target, or call the estimator's ~/reset",
     )
     PREDICTION_ERROR = _ends(
         "the Jacobian predicts badly: error ratio {value:.2f} over {way_mm:.0f} mm",
         "check camera and model, call the estimator's ~/reset",
     )
     ERROR_GROWING = _ends(
-        "the error grew from {best_mm:.0f} to {error_mm:.0f} mm for {time_s:.1f} s",
-        "check camera, model and reach of the target",
+        "the error has grown for {time_s:.1f} s: {best_mm:.0f} to {error_mm:.0f} mm",
+        "check camera and model, or choose a reachable target",
     )
     STALLED = _ends(
         "no progress for {time_s:.0f} s, {error_mm:.0f} mm from the target",
-        "choose a target in reach, or check joint limits and model",
+        "choose a reachable target, or check joint limits and model",
     )
     OSCILLATING = _ends(
         "the ball oscillates about its target: {way_m:.1f} m so far",
@@ -126,5 +126,5 @@ class Finding:
 
     @property
     def text(self) -> str:
-        """The sentence, filled in only where it is read: ticks are many."""
+        """The sentence, formatted only when it is read, not at every tick."""
         return self.reason.text.format(**self.numbers)

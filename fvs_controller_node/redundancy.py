@@ -1,25 +1,25 @@
-"""From a wanted feature velocity to joint velocities, and how well that is posed.
+"""Redundancy resolution: from a wanted feature velocity to joint velocities.
 
-The damped pseudo inverse makes the sum of squares small, but the limit is on each joint: it lets
-one joint run into the limit while others could help. The least largest speed is a linear programme;
-with a small weight on the sum of squares it has one solution that moves smoothly with the Jacobian,
+The damped pseudo inverse minimises the sum of squares, but each joint has its own limit: one joint
+may saturate while others could help. Minimising the largest speed is a linear programme. A small
+weight on the sum of squares makes its solution unique and smooth in the Jacobian,
 
     minimise t^2 + eps^2 |u|^2  subject to  J u = v,  |u_i| <= t,
 
 a least distance problem (t, and u in the null space of J), which Lawson and Hanson's non-negative
-least squares solves (Solving Least Squares Problems, ch. 23). Where a joint nears that end of its
-range, it gives way to a pseudo inverse of which that joint makes only a share. The others make up
-for most of what it leaves out of ``v``, as far as they can: where the target is out of their reach,
-they do not try with ever more speed.
+least squares solves (Solving Least Squares Problems, ch. 23). Where a joint nears an end of its
+range, the solution blends into a pseudo inverse that uses only a share of that joint. The other
+joints compensate for most of what it leaves out of ``v``. If the target is out of their reach, they
+do not speed up without bound.
 
-Nothing in this holds the degrees of freedom that do not move the feature: from target to target
-the joints would turn away without end, until the wrist hides the ball. So the sum of squares may be
-counted from a motion ``p`` back to a posture,
+None of this holds the null space of the feature. From target to target the joints would drift until
+the wrist hides the ball. So the sum of squares may be measured from a motion ``p`` back to a
+posture,
 
-    minimise t^2 + eps^2 |u - p|^2,
+    minimise t^2 + eps^2 |u - p|^2.
 
-as fast as the wanted motion, and slower near the posture: it costs hardly any speed, and at rest
-there is none.
+``p`` is as fast as the wanted motion and slower near the posture. It costs hardly any speed, and is
+zero at rest.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ from fvs_ros.vectors import largest
 
 #: Weight of the sum of squares (eps): the fastest joint is 2 % faster than need be, at most.
 _SMOOTHING = 0.2
-#: From this part on (its inverse) of the fastest joint's speed that a joint near its end must leave
-#: out, no speed is saved: the least largest speed would jump from corner to corner.
+#: Blend gain toward the shared pseudo inverse, per part of the fastest speed that a joint near its
+#: end leaves out. Without it the least largest speed would jump from corner to corner.
 _CALM = 4.0
-#: How much of what a joint near its end leaves out is not made up for by the others (kappa), from 0
-#: to 1: more is calmer where the target is out of reach.
+#: Part of the left-out motion that the other joints do not compensate (kappa), 0 to 1: more is
+#: calmer where the target is out of reach.
 _LEFT_OUT = 0.1
 #: Weight of the sum of squares counted from the way back to a posture.
 _HOMING = 0.5
@@ -79,7 +79,7 @@ def damped_solution(jacobian: np.ndarray, velocity: np.ndarray, damping: float) 
     Straight from LAPACK: numpy's solver takes four times as long.
     """
     gram = jacobian @ jacobian.T
-    # Beside a huge Jacobian mu would be lost to rounding, and Cholesky's factors with it.
+    # With a huge Jacobian mu would be lost to rounding, and the Cholesky factors would fail.
     gram.flat[:: len(gram) + 1] += max(damping, 1e-14 * float(gram.trace()))
     return jacobian.T @ dposv(gram, velocity)[1]
 
@@ -127,11 +127,11 @@ class LeastSpeedInverse:
     def _sparing(
         self, jacobian: np.ndarray, velocity_m_s: np.ndarray, share: np.ndarray
     ) -> np.ndarray:
-        """Joint velocities of which each joint makes only a share, (n,).
+        """Joint velocities in which each joint contributes only its share, (n,).
 
         With W the shares and ``D = W + kappa (I - W)`` it is ``W J' (J D J' + mu I)^-1 v``. With
-        kappa = 0 the other joints would make up for all that is left out, the faster the less they
-        can: at the edge of their reach they would throw the ball about.
+        kappa = 0 the other joints would compensate for everything left out, with excessive speed at
+        the edge of their reach.
         """
         root = np.sqrt(share + _LEFT_OUT * (1.0 - share))
         return share / root * damped_solution(jacobian * root, velocity_m_s, self.damping)
@@ -205,13 +205,12 @@ TWO_NORM, LEAST_SPEED = "two_norm", "least_speed"
 
 @dataclass(frozen=True)
 class RedundancyConfig(Parameters):
-    """Which of the joint velocities that move the feature as wanted."""
+    """Redundancy resolution and damping."""
 
     redundancy_resolution: str = parameter(
         TWO_NORM,
-        "Which of the joint velocities that move the feature as wanted: those with the least sum "
-        "of squares, or those whose fastest joint is slowest. The law minimum_time always takes "
-        "the latter.",
+        "Redundancy resolution: two_norm minimises the sum of squared joint velocities, "
+        "least_speed the largest one. The law minimum_time always uses least_speed.",
         choices=(TWO_NORM, LEAST_SPEED),
     )
     damping: float = live_parameter(

@@ -1,11 +1,11 @@
-"""How long it takes: reaching the sliding surface, and sliding to the goal; eqs. (36)-(39).
+"""Settling time: reaching the sliding surface, and sliding to the goal; eqs. (36)-(39).
 
 The paper's (36)-(39) have a wrong denominator (they give negative times for a2 < a3). With a
 constant exponent g, ``a1 y' + a2 y + a3 y^g = 0`` takes from y0 down to yf
 
     t = a1 / (a2 (1 - g)) ln[(a2 y0^(1-g) + a3) / (a2 yf^(1-g) + a3)].
 
-Nothing here knows of speed limits: a limited arm takes at least distance / speed longer.
+Speed limits are ignored: a limited arm takes longer.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The one exit for commands: decides at every tick whether the arm may move, and how fast.
+"""The only exit for commands: decides at every tick whether the arm may move, and how fast.
 
-Pure and deterministic: the caller passes a steady clock. Inputs are reported as events;
-``tick`` asks the monitors in order, asks the law only if none objects, limits its output,
-and always answers n finite numbers.
+It is pure and deterministic: the caller passes a steady clock. Inputs arrive as events. ``tick``
+runs the monitors in order, calls the law only if none objects, limits its output, and always
+returns n finite numbers.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Propose = Callable[[np.ndarray, np.ndarray, float], ControlOutput]
 
 
 class Present(NamedTuple):
-    """What is known at a tick of m features and n joints."""
+    """The controller's data at a tick, for m features and n joints."""
 
     joints_rad: np.ndarray | None  #: newest positions, (n,)
     position_m: np.ndarray | None  #: of the ball, predicted to now, (m,)
@@ -74,7 +74,7 @@ class Supervisor:
 
     def __init__(self, config: SupervisorConfig | None = None) -> None:
         self.config = config = config or SupervisorConfig()
-        #: Whether the arm servoes, or will when what holds it is over.
+        #: Whether the arm servoes, or will once the present hold is over.
         self.started = False
         self._starts_itself = config.autostart
         self._ended: Finding | None = None  # what ended the session and needs a start
@@ -133,7 +133,7 @@ class Supervisor:
         return True, "started"
 
     def _leave(self) -> tuple[bool, str]:
-        """Let the arm leave a singular pose, in which it is held for nothing else."""
+        """Let the arm leave a singular pose that is the only reason for its hold."""
         value = self._smallest_m_rad
         if not self._singularity.leave(value, self.config.singular_hold_m_rad):
             return False, (
@@ -163,7 +163,7 @@ class Supervisor:
         return True, "stopping" if was_started else "was not started; it will not start by itself"
 
     def shutdown(self) -> Command:
-        """End for good: zeros now and for ever."""
+        """End permanently: zeros from now on."""
         self.stop()
         self._shut_down = True
         self._ended = Reason.SHUT_DOWN.because()
@@ -204,7 +204,7 @@ class Supervisor:
             return self._move(output, joints_rad, dt_s)
         self._following.pause()
         if finding is not None:
-            self._singularity.leaving = False  # a permission is for one way out, not for ever
+            self._singularity.leaving = False  # the permission is for one exit only
         # Simulated time may stand still; coming to rest must not.
         return self._rest(finding, joints_rad, dt_s or steady_dt_s)
 
@@ -215,7 +215,7 @@ class Supervisor:
         finding = self.inputs.find(now_s)
         if finding is not None:
             return finding
-        # It asks for a target only where nothing else is missing.
+        # The target is checked last: it is requested only if nothing else is missing.
         if self.goal.position_m is None:
             return Reason.NO_POSITION.because(why=self._present.problem or "no image is usable yet")
         if self.goal.target_m is None:
@@ -223,7 +223,7 @@ class Supervisor:
         return self._singularity.check(self._smallest_m_rad, self.config)
 
     def _trouble_in_motion(self, dt_s: float, joints: np.ndarray) -> Finding | None:
-        """Find what only shows while the arm moves; every monitor counts at every tick."""
+        """Check the monitors that apply in motion; every one of them runs at every tick."""
         config, velocity, scaling = self.config, self._velocity, self.inputs.speed_scaling
         assert self._present.jacobian is not None
         moved_m = dt_s * length(self._present.jacobian @ velocity)
@@ -235,7 +235,7 @@ class Supervisor:
         return next((finding for finding in findings if finding is not None), None)
 
     def _held(self, finding: Finding | None, dt_s: float) -> Finding | None:
-        """Count a tick of a hold, if it is one: a long one ends in a needed start."""
+        """Count the time of a hold; a long one requires a new start."""
         if finding is None or not self.started:
             self._held_s = 0.0
             return finding
@@ -331,7 +331,7 @@ class Supervisor:
 def _ask(
     propose: Propose, error_m: np.ndarray, velocity_rad_s: np.ndarray, dt_s: float
 ) -> tuple[Finding | None, ControlOutput | None]:
-    """Ask the law, and check its output; a tick without a length goes on as before."""
+    """Call the law and check its output; a tick of zero length repeats the last command."""
     if dt_s <= 0.0:
         return None, ControlOutput.plain(velocity_rad_s, error_m.size)
     expected = ControlOutput(velocity_rad_s, error_m, error_m)

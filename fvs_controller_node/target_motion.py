@@ -1,13 +1,13 @@
-"""How a target moves, from the updates of its position.
+"""Motion of the target, estimated from the updates of its position.
 
-A target that is updated often is a moving one. A curve through its last updates gives its velocity
-and where it is now, so that the loop need not wait for an error. A target that is set once, or
-seldom, or that jumps, stands where it was set.
+A target with frequent updates is a moving one. A curve through the last updates gives its velocity
+and its position now, so that the loop acts before an error builds up. A target that is set once or
+rarely, or that jumps, is fixed.
 
-A measured target is noisy, and no arm shall go along with noise. What no parabola through four
-updates explains is noise: its variance is known from many of them. Of the constants, lines and
-parabolas through the last updates that leave over no more than that noise, the one counts whose
-end is known best: it has the longest window and the fewest terms.
+Measured targets are noisy, and the arm must not follow the noise. Its variance is learned from what
+parabolas through four updates leave unexplained. The candidates are constants, lines and parabolas
+over several windows whose residual is within that noise. The one with the smallest variance at its
+end is used: it has the longest window and the fewest terms.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ import numpy as np
 
 from fvs_ros.vectors import length
 
-#: Updates that make a motion, and most that are kept.
+#: Least number of updates for a motion, and largest number kept.
 _LEAST, _MOST = 3, 64
-#: A term of a polynomial is believed where it is larger than this times what noise makes of it, in
-#: the mean of the squares of its coordinates: noise alone is one time in a hundred.
+#: A polynomial term is significant above this multiple of the noise variance (mean square over the
+#: coordinates): noise alone exceeds it once in a hundred times.
 _SIGNIFICANT = 3.8
-#: What a polynomial leaves over may be this times the variance learned.
+#: Largest residual variance of a polynomial over the learned noise variance.
 _SCATTER = 2.0
 #: Least noise, m; the first guess, m, for how many updates it counts, and how many are remembered.
 _LEAST_NOISE_M, _SUPPOSED_M, _SUPPOSED, _REMEMBERED = 5e-6, 2e-3, 4, 200
@@ -42,7 +42,7 @@ _OWN_CLOCK_S = 0.2
 
 
 class Update(Enum):
-    """What an update of the position is."""
+    """Kinds of position updates."""
 
     NEW = "another target"
     CONTINUED = "the motion goes on"
@@ -72,7 +72,7 @@ class TargetMotion:
         self._age_s = 0.0  # of the last one when it came
 
     def restart(self) -> None:
-        """Forget the target; how noisy updates are stays known."""
+        """Forget the target, but keep the learned noise."""
         self._updates.clear()
         self._curve = None
 
@@ -82,9 +82,9 @@ class TargetMotion:
         return self._updates[-1][1] if self._updates else None
 
     def update(self, position_m: np.ndarray, now_s: float = -inf, age_s: float = 0.0) -> Update:
-        """Take where it was, m, (m,), at a time, s, and the message's age, s.
+        """Take an update: position, m, (m,), its time, s, and the message's age, s.
 
-        At the time minus infinity it stands there, whatever came before.
+        A time of minus infinity sets a fixed target.
         """
         position = np.array(position_m, dtype=float)
         last_s, last = self._updates[-1] if self._updates else (-inf, position)
@@ -108,11 +108,11 @@ class TargetMotion:
     @property
     def noise_m(self) -> float:
         """Noise of the updates, standard deviation of each coordinate, m."""
-        # Corners and odd updates are no noise: the median does without them.
+        # The median ignores corners and outliers, which are no noise.
         return max(_LEAST_NOISE_M, float(np.median(self._scatter_m2)) ** 0.5)
 
     def _learn_noise(self) -> None:
-        """Take what no parabola through the last four updates explains for noise."""
+        """Learn the noise from the residual of a parabola through the last four updates."""
         if len(self._updates) < 4:
             return
         times_s, positions = zip(*list(self._updates)[-4:], strict=True)
@@ -131,7 +131,7 @@ class TargetMotion:
             return
         times_s, places = map(np.array, zip(*self._updates, strict=True))
         since_s, last = times_s - now_s, self._updates[-1][1]
-        places = places - last  # the mean of what is always the same is that, to the bit
+        places = places - last  # identical updates then average to exactly the same position
         least_doubt, curve, noise_m2 = np.inf, None, self.noise_m**2
         count = max(_WINDOW, int(np.sum(since_s >= -_WINDOW_S)))
         while curve is None or count < _LONGER * len(since_s):
@@ -145,17 +145,17 @@ class TargetMotion:
         self._interval_s = float(np.diff(times_s[-_WINDOW:]).mean())
 
     def at(self, now_s: float) -> Target | None:
-        """The target now, s; None before the first one.
+        """Extrapolate the target to now, s; None before the first update.
 
-        After the last update it goes on for a few intervals, straight on after the first, and then
-        stands where the update was.
+        After the last update it continues for a few intervals, without curvature after the first
+        one. Then it is fixed at the last update.
         """
         if not self._updates:
             return None
         last_s, last = self._updates[-1]
         since_s, curve = now_s - last_s, self._curve
         standing = Target(last, np.zeros_like(last))
-        # A target stamped a little ahead of the joint states is looked back at.
+        # A target stamped slightly ahead of the joint states is interpolated backwards.
         longest_s = self._age_s + min(_MAX_GAP_S, 3.0 * self._interval_s)
         if curve is None or not -_OWN_CLOCK_S < since_s < longest_s:
             return standing
@@ -173,9 +173,9 @@ class TargetMotion:
 def _polynomial(
     times_s: np.ndarray, places_m: np.ndarray, noise_m2: float
 ) -> tuple[np.ndarray, float]:
-    """Coefficients of the simplest polynomial, (terms, m), and the variance of its end over noise.
+    """Coefficients of the simplest polynomial, (terms, m), and its end's variance over the noise.
 
-    Where none leaves over no more than noise, the highest and an infinite variance.
+    If no polynomial fits within the noise: the highest one, and an infinite variance.
     """
     count = len(times_s)
     most = min(3, count - 1)  # a parabola

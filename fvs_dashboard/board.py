@@ -1,4 +1,4 @@
-"""What page and node share: what is known of the loop, and what a person wants done."""
+"""State shared by page and node: the data of the loop, and the user's actions."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from fvs_ros.timeline import History
 
 #: Length of the curves and of the ball's trail, s.
 HISTORY_S, TRAIL_S = 20.0, 6.0
-#: How long the newest of a name is shown, s.
+#: Display time of the newest value by name, s.
 _SHOWN_S = {"ball_position": 0.5, "controller": SILENT_S, "detector": 2.0, "answer": 12.0}
-#: The prediction error counts only while the ball was seen within this, s.
+#: Largest age of the ball position for the curve of the prediction error, s.
 _JUDGED_S = 1.0
-#: A logarithmic scale has no zero, mm.
+#: Least values on the logarithmic scales: error, mm, and ratio.
 _SMALLEST_MM, _SMALLEST_RATIO = 1e-3, 1e-4
 
 
@@ -29,10 +29,10 @@ _SMALLEST_MM, _SMALLEST_RATIO = 1e-3, 1e-4
 
 
 class Action(NamedTuple):
-    """One press, choice or drag, and its value: a target (camera frame, m), on or off.
+    """One user action with its value: a target (camera frame, m), on or off, or a setting.
 
-    Its name is a service of the controller, ``target``, ``tour``, ``reset`` or ``bump``; or a node
-    and its parameter with a slash between them, to set that.
+    The name is a service of the controller, ``target``, ``tour``, ``reset`` or ``bump``, or
+    ``node/parameter`` to set a parameter.
     """
 
     name: str
@@ -56,9 +56,9 @@ class Actions:
         self._wake()
 
     def drain(self) -> list[Action]:
-        """All since the last call, in order; of equal names only the last.
+        """All actions since the last call, in order; only the last one of each name.
 
-        A stop comes first, and a motion that was wanted before it is forgotten. A reset stops, too.
+        A stop comes first and discards earlier motions. A reset is a stop, too.
         """
         wanted: dict[str, Action] = {}
         while not self._queue.empty():  # this is its only reader
@@ -76,7 +76,7 @@ class Actions:
 
 
 class Controller:
-    """The controller's last status, its key numbers and its reason in words; or its silence."""
+    """The controller's last status: key numbers and reason in words, or its silence."""
 
     def __init__(self, values: Mapping[str, str], sentence: str) -> None:
         self.values, self.sentence = values, sentence
@@ -119,7 +119,7 @@ class Trace:
 
 
 class Board:
-    """All that is known of the loop of ``n_joints`` joints; moments are on the steady clock, s."""
+    """The data of a loop with ``n_joints`` joints; times are on the steady clock, s."""
 
     def __init__(self, n_joints: int) -> None:
         self._newest: dict[str, tuple[float, Any]] = {}
@@ -138,7 +138,7 @@ class Board:
         self.tour = False
 
     def note(self, name: str, now_s: float, value: Any) -> None:
-        """Note the newest of a name."""
+        """Store the newest value of a name."""
         self._newest[name] = now_s, value
 
     def add_joints(
@@ -166,7 +166,7 @@ class Board:
             self.ratio.add(now_s, np.maximum([ratio], _SMALLEST_RATIO))
 
     def place_camera(self, pose: np.ndarray) -> None:
-        """Take the camera's true pose, shape (4, 4), m; the trail is forgotten: it would jump."""
+        """Take the camera's true pose, (4, 4), m; clears the trail, which would jump."""
         self.placement.place(pose)
         self.trail_m.clear()
 
@@ -184,7 +184,7 @@ class Board:
             self.placement.add(flange_at(joints), position_m)
 
     def newest(self, name: str, now_s: float) -> Any:
-        """The newest of a name; None if there is none, or it is too old to be shown."""
+        """The newest value of a name; None if there is none or it is too old."""
         since_s, value = self._newest.get(name, (-inf, None))
         return value if now_s - since_s <= _SHOWN_S.get(name, inf) else None
 
@@ -215,13 +215,13 @@ class Board:
 
 #: Positions of the ball that are remembered, and the fewest that are enough.
 _MEMORY, _FEWEST = 300, 12
-#: A flange whose pose changed less than this in every number adds nothing, m and rad.
+#: Least change of the flange's pose, in any entry, for a new pair; m, or 1 in the rotation matrix.
 _STEP = 0.02
-#: The second largest extent (rms) of the ball's way that determines the camera's rotation, m.
+#: Least second extent (rms) of the ball's path that determines the camera's rotation, m.
 _LEAST_EXTENT_M = 0.03
-#: A pose with a larger median error is none, m: the camera was moved.
+#: A pose with a larger median error is discarded, m: the camera was moved.
 _LARGEST_ERROR_M = 0.05
-#: A position that is further off counts for little, m: it is weighted down pass by pass.
+#: Error above which a position is weighted down, m, and number of passes.
 _OUTLIER_M, _PASSES = 0.01, 3
 
 UNKNOWN = "the camera's place is not known yet: it is learned while the arm moves"
@@ -230,8 +230,8 @@ UNKNOWN = "the camera's place is not known yet: it is learned while the arm move
 class CameraPlacement:
     """The camera's pose in the robot's base frame: a simulator's, or learned from the motion.
 
-    Ball positions in the camera's frame are laid onto those that the arm's joints give. Where the
-    flange holds the ball follows in turn from the pose; it is refined with every position.
+    Ball positions in the camera frame are aligned with those from the arm's joints. The ball's
+    place on the flange follows from the pose in turn, and is refined with every position.
     """
 
     def __init__(self) -> None:
@@ -239,7 +239,7 @@ class CameraPlacement:
         self.true = False
         #: Shape (4, 4), m, or None.
         self.pose: np.ndarray | None = None
-        #: A sentence about it for a person, or empty.
+        #: A sentence about the pose for the user, or empty.
         self.note = UNKNOWN
         self._pairs: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=_MEMORY)
         self._ball_m = np.zeros(3)  # in the flange's frame
@@ -249,7 +249,7 @@ class CameraPlacement:
         self.true, self.pose, self.note = True, pose, ""
 
     def add(self, flange: np.ndarray, ball_m: np.ndarray) -> None:
-        """Learn from where flange (pose, shape (4, 4)) and ball (camera frame) were at one time."""
+        """Learn from the flange's pose, (4, 4), and the ball, camera frame, at the same time."""
         if self._pairs and np.abs(flange - self._pairs[-1][0]).max() < _STEP:
             return
         self._pairs.append((flange, ball_m))

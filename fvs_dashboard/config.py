@@ -14,11 +14,11 @@ VISER = "viser[urdf]>=1.1,<1.2"
 
 @dataclass(frozen=True)
 class DashboardConfig(Parameters):
-    """What the page needs to know beyond the joints' names."""
+    """Parameters of the page, apart from the joint names."""
 
     host: str = parameter(
         "127.0.0.1",
-        "address of the page; 0.0.0.0 lets anybody who reaches it move the arm",
+        "address of the page; with 0.0.0.0 everyone on the network can move the arm",
     )
     port: int = parameter(8080, "port of the page; 0 takes any free one", 0, 65535)
     feature_frame: str = parameter(CAMERA_FRAME, "frame of ball and target")
@@ -26,7 +26,7 @@ class DashboardConfig(Parameters):
     camera_topics: str = parameter(
         "", "prefix of the camera's topics, before /color/image_raw; empty: camera or camera/camera"
     )
-    tour: bool = parameter(False, "send the ball from target to target until a user takes over")
+    tour: bool = parameter(False, "send the ball through random targets until a user takes over")
     model_path: str = parameter(
         "", "trained model; the tour's targets come from its training data; empty: no tour"
     )

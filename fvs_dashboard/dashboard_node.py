@@ -1,4 +1,4 @@
-"""``fvs_dashboard``: serves a page that shows the loop, and does what a person wants there."""
+"""``fvs_dashboard``: serves a page that shows and operates the loop."""
 
 from __future__ import annotations
 
@@ -34,16 +34,15 @@ from fvs_ros.ros.images import from_color
 from fvs_ros.topics import CAMERA_PREFIXES
 from fvs_tools.demo import choose_target
 
-#: Behind the loop, but not far: its buttons must work on a busy machine, too.
+#: Slightly lower priority than the loop: the buttons must work on a busy machine, too.
 _NICE = 5
 _PERIOD_S, _LOOK_PERIOD_S = 0.1, 1.0
-#: After a reset the ball is seen where it has come to rest within this, s.
+#: Time after a reset until the ball rests and is seen there, s.
 _AT_REST_S = 1.0
-#: A bump turns the camera by up to this much about x, y and z, degrees: about x and y by little, or
-#: the ball is out of view.
+#: Largest rotation of a bump about x, y and z, degrees; larger ones about x and y lose the ball.
 _BUMP_DEG = (4.0, 4.0, 25.0)
 _ROTATION = "camera_rotation_deg"
-#: The tour gives each target this time, s; it goes this far, m.
+#: Time for each target of the tour, s, and distance between targets, m.
 _TARGET_S, _TOUR_M = 5.0, 0.3
 _ASKED = {
     topics.CONTROLLER: SHOWN_BY,
@@ -54,7 +53,7 @@ _TOUR_OFF = Action("tour", False)
 
 
 class DashboardNode(ros.FvsNode):
-    """Feeds the page at a steady rate while a browser shows it; does what a person does there."""
+    """Updates the page at a steady rate while a browser shows it, and executes user actions."""
 
     def __init__(self) -> None:
         super().__init__("fvs_dashboard", PARAMETERS)
@@ -62,7 +61,7 @@ class DashboardNode(ros.FvsNode):
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._board = Board(len(self._joint_map.names))
         self._picture = Picture(self._config.ball_radius_m)
-        # Woken by an action: to look for one thirty times a second took 3 % of a core.
+        # Actions trigger a callback: polling at 30 Hz took 3 % of a core.
         self._actions = Actions(self.create_guard_condition(self._act).trigger)
         self._arm: Any = None
         self._description = ""
@@ -90,7 +89,7 @@ class DashboardNode(ros.FvsNode):
         step_back(_NICE)
 
     def _subscribe(self) -> None:
-        # A wish of now: a controller that is started later must not go where one was sent before.
+        # Not latched: a controller that starts later must not move to an old target.
         self._target = self.create_publisher(
             PointStamped, topics.TARGET_POSITION.name, ros.QOS_EVENT
         )
@@ -109,7 +108,7 @@ class DashboardNode(ros.FvsNode):
         try:
             joints = self._joint_map.positions(message.name, message.position)
         except JointStateError:
-            return  # the controller says what is wrong with it
+            return  # the controller reports the problem
         try:
             velocity = self._joint_map.positions(message.name, message.velocity)
         except JointStateError:
@@ -131,10 +130,10 @@ class DashboardNode(ros.FvsNode):
         self._board.note("detector", self.steady_s(), message.message)
 
     def _on_description(self, message: String) -> None:
-        from fvs_dashboard.scene import Arm  # known to be there: the page is served
+        from fvs_dashboard.scene import Arm  # viser is installed, since the page is served
 
         if message.data == self._description:
-            return  # latched: it comes again whenever its publisher is found again
+            return  # a latched message repeats whenever its publisher is rediscovered
         self._description = message.data
         try:
             self._arm = Arm(message.data, self._joint_map.names, self.values["tf_prefix"])
@@ -171,7 +170,7 @@ class DashboardNode(ros.FvsNode):
         if self._arm is not None:
             self._board.learn_camera(self._arm.flange)
         self._send_tour(now_s)
-        if now_s > self._at_rest_s:  # no service clears a target, but at the ball it moves nothing
+        if now_s > self._at_rest_s:  # no service clears a target; one at the ball moves nothing
             self._at_rest_s = now_s + ANSWER_S  # again, if no answer comes
             self._calls.call(f"{topics.CONTROLLER}/{board.SET_CURRENT.name}", self._on_reset)
         watched = self._page.watched
@@ -181,7 +180,7 @@ class DashboardNode(ros.FvsNode):
             self._page.update(self._board, self._picture, now_s)
 
     def _camera_names(self, topic: str) -> list[str]:
-        """What a topic of the camera may be called, for drivers differ."""
+        """The possible names of a camera topic, which depend on the driver."""
         given = self._config.camera_topics
         prefixes = (given,) if given else CAMERA_PREFIXES
         return [topic.replace(CAMERA_PREFIXES[0], prefix, 1) for prefix in prefixes]
@@ -198,7 +197,7 @@ class DashboardNode(ros.FvsNode):
                 self._cameras.append(ros.Sampled(self, kind, name, take))
 
     def _look_around(self) -> None:
-        """Ask for what is not on a topic: parameters of the others, and who publishes images."""
+        """Query what has no topic: parameters of the other nodes, and publishers of images."""
         if not self._page.watched:
             return
         names = self._camera_names(topics.COLOR_IMAGE.name)
@@ -220,8 +219,8 @@ class DashboardNode(ros.FvsNode):
 
     def _act(self) -> None:
         for action in self._actions.drain():
-            self._board.note("answer", self.steady_s(), "")  # that of an action before
-            self._at_rest_s = inf  # a person who wants something meanwhile means it
+            self._board.note("answer", self.steady_s(), "")  # clears the previous answer
+            self._at_rest_s = inf  # a new action cancels the pending part of a reset
             self._do(action)
 
     def _do(self, action: Action) -> None:
@@ -245,7 +244,7 @@ class DashboardNode(ros.FvsNode):
         elif action == _TOUR_OFF:
             pass
         elif self._board.controller(self.steady_s()).silent:
-            # It would be done whenever the controller comes back, when no person expects it.
+            # Otherwise it would be executed when the controller returns, unexpectedly.
             self._answer(f"not done: the controller is silent; is {topics.CONTROLLER} running?")
         elif action.name == "target":
             self._send_target(np.array(action.value))
@@ -255,7 +254,7 @@ class DashboardNode(ros.FvsNode):
             self._calls.call(f"{topics.CONTROLLER}/{action.name}")
 
     def _reset(self) -> None:
-        """Stop, forget what was learned, and put the simulation back as it began."""
+        """Stop, reset the estimator, and restore the initial simulation."""
         self._calls.stop()
         if self._board.parameters.get(topics.SIM):
             for name, value in self._begun.items():
@@ -296,7 +295,7 @@ class DashboardNode(ros.FvsNode):
 
 
 def _make_page(config: DashboardConfig, joint_names: Sequence[str], actions: Actions) -> Any:
-    """Serve the page; a ``ValueError`` says why that cannot be."""
+    """Serve the page; a ``ValueError`` explains why it cannot be served."""
     try:
         from fvs_dashboard.page import Page
     except ImportError as error:

@@ -1,9 +1,9 @@
-"""Who may open the page's websocket: the page itself, not whatever else a browser has open.
+"""Access check of the page's websocket: only the page itself may open it, no other web site.
 
-A browser lets any web site connect to this host, and a press of a button is a message. The page
-commands an arm, so that a request must come from the page it serves (``Origin``), and under a name
-that is this host's (``Host``; another one's name may be made to point here). No other page may hold
-it in a frame, where a click that is meant for that one would press a button of this one.
+A browser lets any web site connect to this host, and a button is only a message. The page commands
+an arm, so a request must come from this page (``Origin``), under a name of this host (``Host``; a
+foreign name can be made to resolve to it). No other page may embed it in a frame, where a click on
+that page could press a button of this one.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ _CHECK_S = 10.0
 
 #: Addresses that only this host reaches, and its names for them.
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
-#: What stands for every address that this host has.
+#: Wildcards for every address of this host.
 EVERYWHERE = frozenset({"0.0.0.0", "::", ""})
-#: No other page may hold this one in a frame, in today's words and in those of old browsers.
+#: Headers that forbid other pages to embed this one, for present and old browsers.
 _UNFRAMED = {"Content-Security-Policy": "frame-ancestors 'none'", "X-Frame-Options": "DENY"}
 
 
 @functools.cache  # a look-up of the host's full name may take seconds
 def own_names(host: str) -> frozenset[str]:
-    """Names under which a page that is served at a host may be asked for, besides addresses.
+    """Names, besides addresses, that a request to a page served at a host may use.
 
-    A name that is not this host's may have been made to point here by others.
+    Other names are refused, because anyone can make their name resolve to this host.
     """
     if host not in EVERYWHERE:
         return LOOPBACK | {host.lower()}
@@ -43,10 +43,10 @@ def own_names(host: str) -> frozenset[str]:
 
 
 def objection(headers: Mapping[str, str], served_at: str) -> str:
-    """Why a request with these headers to a page that is served at a host is refused, or empty."""
+    """Why a request with these headers to a page served at a host is refused; empty if not."""
     host, origin = headers.get("Host", ""), headers.get("Origin")
     name, names = urlsplit(f"//{host}").hostname or "", own_names(served_at)
-    # Served everywhere, any address will do: none can be made to point here.
+    # Served on all addresses, any address is valid: unlike a name it cannot be forged.
     if name not in names and not (served_at in EVERYWHERE and _is_address(name)):
         return f"the page is not served as {host}; it is as {' or '.join(sorted(names))}"
     if origin is not None and urlsplit(origin).netloc != host:
@@ -64,9 +64,9 @@ def _is_address(name: str) -> bool:
 
 @contextlib.contextmanager
 def own_requests_only(host: str) -> Iterator[None]:
-    """Have a server that is started meanwhile at a host refuse all others' requests.
+    """While active, servers started at a host refuse requests from other sites.
 
-    viser has no setting for that: its server is given the check where it asks for one.
+    viser has no setting for it, so this patches the function that starts its websocket server.
     """
     serve = server.serve
 
@@ -94,7 +94,7 @@ def own_requests_only(host: str) -> Iterator[None]:
 def turns_others_away(host: str, port: int) -> bool:
     """Whether the server at a host and port refuses the websocket to a page of another site.
 
-    Asked for from outside, for a later viser may start its server in a way that takes no check.
+    It sends a real request, because a later viser may start its server without the check.
     """
     connection = http.client.HTTPConnection(host, port, timeout=_CHECK_S)
     headers = {

@@ -1,4 +1,4 @@
-"""The parts of the page that are plain HTML, and what they say."""
+"""The parts of the page that are plain HTML, and their texts."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from pathlib import Path
 from fvs_dashboard.board import Board, Controller
 from fvs_ros.status import SILENT
 
-#: Okabe and Ito's colours, which all eyes can distinguish, light enough for a dark page.
+#: Okabe and Ito's colour-blind-safe palette, light enough for a dark page.
 COLOURS = ("#56B4E9", "#E69F00", "#1FBF92", "#F0E442", "#E8702A", "#CC79A7")
 GREY = "#8A8F98"
-#: What a state is called, if not by its name; ``style.css`` has its colour.
+#: Titles of states that differ from their names; ``style.css`` has the colours.
 _TITLES = {"SERVOING": "Moving to target", "HOLDING": "Held", SILENT: "No controller"}
-#: Without a sign of life for this long, a page says that its program has ended, s.
+#: Time without a heartbeat after which the page reports that its program has ended, s.
 LOST_S = 5.0
-#: A lamp's style, and its sign: not everybody sees colours.
+#: A lamp's style and its sign, which works without colours.
 _LAMPS = {True: ("good", "✓"), False: ("bad", "✗"), None: ("", "?")}
 #: Inputs of the controller, what a person calls them, and the limits of their ages.
 _INPUTS = {
@@ -35,9 +35,9 @@ _BUTTONS = {
     "set_current_as_target": "Set current as target",
     "reset": "Reset everything",
 }
-#: Two elements after ``ROW`` stand side by side; after ``TOP_ROW``, on top of what is scrolled.
+#: Two elements after ``ROW`` are side by side; after ``TOP_ROW`` they also stay above scrolling.
 ROW, TOP_ROW = '<i class="fvs-row"></i>', '<i class="fvs-row fvs-top"></i>'
-#: Text is clipped, so that no button moves, whatever is said; pointing at it shows all of it.
+#: Long text is clipped, so that no button moves; hovering shows all of it.
 STYLE = f"<style>{Path(__file__).with_name('style.css').read_text(encoding='utf-8')}</style>"
 
 
@@ -60,9 +60,9 @@ def distance(error_m: float) -> str:
 
 
 def banner_html(controller: Controller) -> str:
-    """What is to be read from afar: state, reason and distance, of one height whatever it says.
+    """The banner, readable from a distance: state, reason and error, with a fixed height.
 
-    A refused target stands beside its numbers instead.
+    A refused target is shown beside its numbers instead.
     """
     title = _TITLES.get(controller.state, controller.state.capitalize())
     words = controller.sentence.replace(f" ({controller.values.get('refused_target')})", "")
@@ -82,7 +82,7 @@ def banner_html(controller: Controller) -> str:
 
 
 def line_html(name: str, text: str) -> str:
-    """A text that takes two lines, whether there is something to say or not."""
+    """A text with a fixed height of two lines, even if empty."""
     text = escape(in_words(text))
     return (
         f'<div class="fvs-small" title="{text}" style="height:2.6em">'
@@ -91,7 +91,7 @@ def line_html(name: str, text: str) -> str:
 
 
 def lamps_of(board: Board, now_s: float) -> dict[str, tuple[bool | None, str]]:
-    """The controller's inputs and the robot's program: whether each is well, and how it is."""
+    """Lamp and text for each of the controller's inputs and the robot program."""
     controller = board.controller(now_s)
     lamps = {}
     for name, (label, limit) in _INPUTS.items():
@@ -143,9 +143,10 @@ def inputs_html(board: Board, now_s: float) -> str:
 
 
 def alive_html(beat: int) -> str:
-    """A warning that covers the banner where no further beat comes: the program has ended.
+    """A warning that covers the banner without further heartbeats: the program has ended.
 
-    Only the browser itself can show it then. Each beat names another animation, which restarts it.
+    It is a CSS animation, because only the browser still runs then. Each beat restarts it under
+    another name.
     """
     return (
         '<div style="position:relative;height:0;z-index:8;pointer-events:none">'

@@ -1,4 +1,4 @@
-"""The page: a viser server with a 3-D view, a panel to read and press, and curves."""
+"""The page: a viser server with a 3-D view, a control panel, and curves."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _FIELD_RAD = 0.8
 
 
 class _Server(viser.ViserServer):
-    """viser's server, which stays on this host: any browser could ask for a public tunnel to it."""
+    """viser's server without its public tunnel, which any browser could request."""
 
     def request_share_url(self, verbose: bool = True) -> str | None:
         """Refuse."""
@@ -51,10 +51,10 @@ class _Server(viser.ViserServer):
 
 
 class Page:
-    """Serves the page; what a person does there goes into ``actions``.
+    """Serves the page; user actions go into ``actions``.
 
-    A ``ValueError`` says that the port is taken, that the address is not this machine's, or that
-    other sites would be let in.
+    Raises ``ValueError`` if the port is taken, if the address is not this machine's, or if other
+    sites would have access.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class Page:
         curves.dock_left()
         curves.set_width(_LEFT_PX)
         self.scene = Scene(server, config.ball_radius_m, self._dragged)
-        # From behind the simulator's camera: what one sees and its picture are the same way round.
+        # Behind the simulator's camera, so that view and picture have the same orientation.
         server.initial_camera.position = (2.9, -1.05, 1.4)
         server.initial_camera.look_at = (0.6, -0.3, 0.42)
         server.initial_camera.fov = _FIELD_RAD
@@ -161,9 +161,9 @@ def _quiet() -> contextlib.redirect_stdout:
 
 # --- the panel ---
 
-#: What a person sets is left alone for this long, s; numbers that wait for their button, longer.
+#: Time that a user's input is not overwritten, s; longer for numbers that need a button press.
 _SET_S, _TYPED_S = 4.0, 60.0
-#: The browser gets a sign of life this often, s.
+#: Period of the heartbeat to the browser, s.
 _BEAT_S = 1.0
 _SIGNS = (
     ("○", picture.BALL_RGB, "ball found"),
@@ -174,8 +174,8 @@ _SIGNS = (
 class Panel:
     """Start, Stop, banner, target, scheme, picture and the simulator's disturbances.
 
-    What changes its height stands below all that is pressed. ``act`` takes what a person does, in
-    the page's threads.
+    Elements of variable height are below all buttons. ``act`` takes user actions, in the page's
+    threads.
     """
 
     def __init__(self, gui: viser.GuiApi, act: Callable[[Action], None], tour: bool) -> None:
@@ -247,7 +247,7 @@ class Panel:
             self._act(Action("target", (x, y, z)))
 
     def _sets(self, name: str, handle: viser.GuiInputHandle) -> None:
-        """Hand on what a person sets, and show it as it is otherwise."""
+        """Forward the user's settings, and otherwise show the present value."""
         self._settings[name] = handle
 
         @handle.on_update
@@ -279,15 +279,15 @@ class Panel:
                 handle.value = value
 
     def forget_typed(self) -> None:
-        """Show the controller's target again, whatever was typed and not sent."""
+        """Show the controller's target again, and discard an unsent one."""
         self._held_until_s.pop("target", None)
 
     def _hold(self, name: str, seconds: float) -> None:
-        """Leave to the person what they are setting."""
+        """Do not overwrite a setting for some seconds, while the user edits it."""
         self._held_until_s[name] = time.monotonic() + seconds
 
     def _free(self, name: str) -> bool:
-        """Whether no person is just setting it."""
+        """Whether the user is not editing the setting."""
         return time.monotonic() > self._held_until_s.get(name, -inf)
 
 
@@ -309,7 +309,7 @@ def _level(label: str) -> uplot.Series:
 
 
 def _logarithmic(least: float, most: float) -> dict:
-    # What is unknown has no logarithm: it is not to be drawn as zero.
+    # Values without a logarithm are left out, not drawn as zero.
     return {"distr": 3, "log": 10, "range": (least, most), "clamp": "unknown"}
 
 
@@ -376,10 +376,10 @@ class Charts:
         self._draw(self._ratio, board.ratio.window(now_s), 1.0)
 
     def _draw(self, chart: viser.GuiUplotHandle, window: np.ndarray, *levels: float) -> None:
-        """Draw over the whole length; where nothing is known, nothing is drawn.
+        """Draw over the whole time span; unknown parts stay empty.
 
-        The browser keeps a zoom relative to the length, so that this is constant; it redraws the
-        axes only where a range changes, so that it changes by less than one sees.
+        The browser keeps the zoom relative to the span, so the span is constant. It redraws the
+        axes only if the range changes, so the range changes by an invisible amount.
         """
         gaps = np.flatnonzero(np.diff(window[:, 0]) > _GAP_S)
         window[: gaps[-1] + 1 if len(gaps) else 0, 1:] = nan  # a line would cross the gap

@@ -13,13 +13,13 @@ from fvs_ros.camera import Intrinsics
 BALL_RGB, TARGET_RGB = (255, 214, 0), (86, 180, 233)
 _WIDTH_PX = 320
 BLANK = np.full((240, _WIDTH_PX, 3), 90, np.uint8)
-#: Nearer to the camera's plane than this nothing is drawn, m.
+#: Least depth of points that are drawn, m.
 _NEAREST_M = 0.05
 _CROSS_PX = 14
-#: How many ball positions are remembered, for images come late; one whose stamp is this near to
-#: an image's was found in it, s.
+#: Number of stored ball positions, because images arrive late, and largest difference of stamps
+#: between a ball position and its image, s.
 _MEMORY, _SAME_IMAGE_S = 600, 0.02
-#: A picture that was exposed longer ago than this says how old it is, s.
+#: Age above which a picture shows its age, s.
 _OLD_S = 2.0
 
 
@@ -29,7 +29,7 @@ class Picture:
     def __init__(self, ball_radius_m: float) -> None:
         #: Of the images; without, nothing is drawn into them.
         self.intrinsics: Intrinsics | None = None
-        #: What the first picture waits for, in words.
+        #: Reason why there is no picture yet, in words.
         self.waits_for = ""
         self._ball_radius_m = ball_radius_m
         self._seen: deque[tuple[float, np.ndarray]] = deque(maxlen=_MEMORY)
@@ -53,7 +53,7 @@ class Picture:
         return 2.0 * atan(0.5 * camera.height / camera.fy), camera.width / camera.height
 
     def words(self, now_s: float) -> str:
-        """How old the picture is, or what it waits for; empty where it is new."""
+        """The age of an old picture, or why there is none; empty for a new one."""
         if self._exposed_s == inf:
             return self.waits_for
         age_s = now_s - self._exposed_s
@@ -62,8 +62,7 @@ class Picture:
     def newest(self, target_m: np.ndarray | None) -> np.ndarray | None:
         """The picture, uint8, shape (height, width, 3), if it changed since the last call.
 
-        The ball is circled where the image itself shows it, at the target, camera frame, m, stands
-        a cross.
+        A circle marks the ball found in this very image, a cross the target (camera frame, m).
         """
         new, self._new = self._new, None
         if new is None:

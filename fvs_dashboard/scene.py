@@ -34,7 +34,7 @@ _DROPPED_S = 0.6
 
 
 class Scene:
-    """All that stands in the 3-D view; what the camera sees stands in the camera's frame.
+    """The content of the 3-D view; the camera's measurements are shown in its frame.
 
     ``on_drag`` gets the target's position, camera frame, m, while it is dragged and when let go.
     """
@@ -69,7 +69,7 @@ class Scene:
 
     def _add_surroundings(self) -> None:
         scene = self._server.scene
-        # No environment and no shadows: where no graphics card draws, they cost a core or more.
+        # No environment and no shadows: without a graphics card they cost a core or more.
         scene.configure_environment_map(hdri=None)
         scene.configure_default_lights(enabled=True, cast_shadow=False)
         scene.add_light_hemisphere("/sky", ground_color=(110, 112, 120), intensity=1.2)
@@ -219,14 +219,14 @@ class Arm:
 
 def _load(text: str) -> tuple[yourdfpy.URDF, str]:
     """Read a URDF, without meshes if one is not here; then a sentence says why."""
-    # It warns of what every robot's URDF has.
+    # Its warnings apply to every robot's URDF.
     logging.getLogger("yourdfpy").setLevel(logging.ERROR)
 
     def load(meshes: bool) -> yourdfpy.URDF:
         source = io.BytesIO(text.encode("utf-8"))
         return yourdfpy.URDF.load(source, filename_handler=_find, load_meshes=meshes)
 
-    # Whatever its XML and mesh readers raise.
+    # Its XML and mesh readers raise various exceptions.
     try:
         return load(True), ""
     except Exception as error:

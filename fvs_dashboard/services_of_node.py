@@ -1,4 +1,4 @@
-"""Calls of the page's node to the others, none of which waits for ever."""
+"""Service calls of the page's node to the other nodes, all with a timeout."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from fvs_ros import topics
 if TYPE_CHECKING:
     from fvs_ros.ros import FvsNode
 
-#: An answer that takes longer is not waited for, s.
+#: Timeout of a service call, s.
 ANSWER_S = 3.0
-#: A stop is asked for this often, until it is answered, s; and after this long the person is told.
+#: Period of repeated stop requests until an answer, and time until the user is warned, s.
 _STOP_AGAIN_S, _STOP_LATE_S = 0.3, 0.5
 
 
 class _Request(NamedTuple):
-    """A request that is not answered yet; a quiet one is not a person's."""
+    """A pending request; a quiet one does not come from the user."""
 
     name: str
     asked_s: float
@@ -34,7 +34,7 @@ class _Request(NamedTuple):
 class Services:
     """The services of controller, estimator and simulator.
 
-    ``show`` takes what a person at the page is to read.
+    ``show`` displays a text to the user.
     """
 
     def __init__(self, node: FvsNode, show: Callable[[str], None]) -> None:
@@ -50,7 +50,7 @@ class Services:
 
     def call(self, name: str, on_answer: Callable[[Trigger.Response], None] | None = None) -> None:
         """Call a service by node and name; its answer is shown, or given to ``on_answer``."""
-        if name == f"{topics.CONTROLLER}/start":  # a start after a stop takes it back
+        if name == f"{topics.CONTROLLER}/start":  # a start cancels a pending stop
             self._stopping = False
         words = name.rpartition("/")[2].replace("_", " ")
         shown = on_answer or (lambda answer: self._show(f"{words}: {answer.message}"))
@@ -64,7 +64,7 @@ class Services:
     def ask(
         self, node: str, names: tuple[str, ...], on_values: Callable[[dict[str, Any]], None]
     ) -> None:
-        """Ask for parameters; those that a node has come as plain values, none if it is gone."""
+        """Get parameters: plain values of those that the node has, none if it does not run."""
 
         def on_answer(answer: GetParameters.Response) -> None:
             values = [parameter_value_to_python(value) for value in answer.values]
@@ -89,7 +89,7 @@ class Services:
         self._request(f"{node}/set_parameters", request, on_answer)
 
     def look_after(self) -> None:
-        """Repeat a stop that is not answered, and give up what waits too long."""
+        """Repeat an unanswered stop, and drop requests after the timeout."""
         now_s = self._node.steady_s()
         if self._stopping and now_s - self._stop_sent_s > _STOP_AGAIN_S:
             if now_s > self._stop_late_s:
@@ -117,7 +117,7 @@ class Services:
     def _request(
         self, name: str, request: Any, on_answer: Callable[[Any], None], quiet: bool = False
     ) -> bool:
-        """Send a request; whether there is a node that would answer."""
+        """Send a request; returns whether a node provides the service."""
         client = self._clients[name]
         if not client.service_is_ready():
             if not quiet:

@@ -12,7 +12,7 @@ from fvs_ros.params import Parameters, parameter
 
 @dataclass(frozen=True)
 class DetectorConfig(Parameters):
-    """What the node takes for the ball, and where its images come from."""
+    """Parameters of the ball and of the image topics."""
 
     camera_topics: str = parameter(
         "",
@@ -26,21 +26,21 @@ class DetectorConfig(Parameters):
     )
     ball_radius_m: float = parameter(
         0.04,
-        "radius of the ball; measure it: a wrong one falsifies the distance",
+        "radius of the ball; measure it: a wrong radius gives a wrong distance",
         0.005,
         0.5,
         live=True,
     )
     min_quality: float = parameter(
         0.3,
-        "quality below which a ball is not published; 1: fully visible and a perfect sphere",
+        "quality below which a ball is not published; 1: a fully visible, perfect sphere",
         0.0,
         1.0,
         live=True,
     )
     max_ball_speed_m_s: float = parameter(
         3.0,
-        "a jump that needs a higher speed is accepted only at its third sighting",
+        "a position that implies a higher speed is accepted only when seen three times in a row",
         0.01,
         100.0,
         live=True,

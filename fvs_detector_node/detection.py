@@ -1,9 +1,9 @@
-"""Where a ball of known colour and radius is, from one colour image and its depth.
+"""Detection of a ball of known colour and radius in one colour image and its depth.
 
 Every connected part of the image in the ball's colour is a candidate. :mod:`.sphere` fits a sphere
 of the known radius to it, the direction by its outline and the distance by its depth. A candidate
-must have the size, outline and bulge of the ball; the best one wins. A candidate that is not the
-ball is searched again in layers of depth, as it may join the ball with another thing.
+must have the size, outline and bulge of the ball; the best one wins. A rejected candidate is
+searched again in layers of depth, because it may merge the ball with another object.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from fvs_ros.params import Parameters, parameter
 
 @dataclass(frozen=True)
 class BallColour(Parameters):
-    """What counts as the ball's colour, in OpenCV's HSV units."""
+    """Range of the ball's colour, in OpenCV's HSV units."""
 
     hue: int = parameter(
         0,
@@ -53,7 +53,7 @@ class BallDetection:
 
 
 class Cause(enum.IntEnum):
-    """Why no ball is seen; of several things, the one with the largest cause is most like it."""
+    """Why no ball is seen; of several objects, the one with the largest cause is most ball-like."""
 
     OUT_OF_VIEW = 1
     OFF_COLOUR = 2
@@ -63,7 +63,7 @@ class Cause(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Miss:
-    """Why no ball is seen, or why a thing of its colour is not taken for it."""
+    """Why no ball is seen, or why an object of its colour is rejected."""
 
     cause: Cause
     text: str  # one sentence with what to do about it
@@ -113,7 +113,7 @@ def examine(
     radius_m: float,
     colour: BallColour | None = None,
 ) -> tuple[BallDetection | None, list[Miss]]:
-    """Find the ball as :func:`detect_ball` does, and what else has its colour, largest first."""
+    """Find the ball as :func:`detect_ball`, and the other objects of its colour, largest first."""
     size = (camera.height, camera.width)
     if rgb.shape != (*size, 3) or depth_m.shape != size:
         raise ValueError(
@@ -188,15 +188,16 @@ def _blobs(mask: np.ndarray, u0: int = 0, v0: int = 0) -> list[_Blob]:
 
 
 def _split_by_depth(blob: _Blob, scene: _Scene) -> list[BallDetection]:
-    """Look for the ball in a blob that joins it with other things of its colour.
+    """Look for the ball in a blob that merges it with other objects of its colour.
 
-    The layer of a ball's depth that holds most pixels comes first, then that of what is left.
+    The first layer, as deep as a ball, is the one with most pixels. The next ones are searched in
+    the remaining pixels.
     """
     depth, left = blob.depths(scene.depth_m)
     radius_m, found = scene.radius_m, []
-    # Depth is often lost at an edge: close what that breaks out of the outline.
+    # Depth is often lost at edges: close the resulting gaps in the outline.
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
-    for _ in range(4):  # layers; with two, one ball in forty is missed
+    for _ in range(4):  # layers; with only two, one ball in forty is missed
         values = np.sort(depth[left])
         if len(values) < ACCEPT.pixels:
             break
@@ -205,7 +206,7 @@ def _split_by_depth(blob: _Blob, scene: _Scene) -> list[BallDetection]:
         near = values[start] - 0.25 * radius_m
         layer = left & (depth >= near) & (depth <= near + 1.75 * radius_m)
         left &= ~layer
-        if np.count_nonzero(layer) > 0.98 * blob.pixels:  # this was tried as a whole
+        if np.count_nonzero(layer) > 0.98 * blob.pixels:  # the whole blob was tried before
             break
         mask = np.zeros_like(scene.mask)
         part = mask[blob.box.part]
@@ -218,7 +219,7 @@ def _split_by_depth(blob: _Blob, scene: _Scene) -> list[BallDetection]:
 
 
 def _evaluate(blob: _Blob, scene: _Scene) -> BallDetection | Miss:
-    """Fit the ball to a blob, or say what speaks against it."""
+    """Fit the ball to a blob, or return the reason for its rejection."""
     box_depth, known = blob.depths(scene.depth_m)
     box, camera, radius_m = blob.box, scene.camera, scene.radius_m
     if np.count_nonzero(known) < ACCEPT.pixels:
@@ -271,13 +272,13 @@ def _cut_out(blob: _Blob, scene: _Scene, pad: int) -> tuple[Patch, np.ndarray]:
 def _measured(
     patch: Patch, coloured: np.ndarray, rays: np.ndarray, fit: SphereFit, radius_m: float
 ) -> BallDetection:
-    """The fitted ball, with how much of it is to be seen."""
+    """The fitted ball, with its visible fraction."""
     expected_px = _outline_area_px(fit.direction, fit.distance_m, radius_m, patch.view)
     # Angles from the axis are compared by their cosines: d cos = -sin d angle.
     cone_cos = np.sqrt(1.0 - (radius_m / fit.distance_m) ** 2)
     pixel_cos = fit.pixel_rad * radius_m / fit.distance_m
     on_ball = rays @ fit.direction >= cone_cos - 0.5 * pixel_cos
-    # What is far before or behind it is another thing.
+    # Pixels far in front of or behind it belong to another object.
     apart = np.abs(patch.depth_m - fit.distance_m * fit.direction[2]) > 2.0 * radius_m
     visible = coloured & on_ball & ~(apart & (patch.depth_m > 0.0))
     fraction = min(1.0, float(np.count_nonzero(visible) / expected_px))
@@ -294,7 +295,7 @@ def _measured(
 def _outline_area_px(
     direction: np.ndarray, distance_m: float, radius_m: float, camera: Intrinsics
 ) -> float:
-    """Area of the image of a whole sphere, pixels: an ellipse, the cut of a cone by a plane."""
+    """Image area of a whole sphere, pixels: an ellipse, where the image plane cuts its cone."""
     sin2 = min((radius_m / distance_m) ** 2, 0.9)
     cos2_axis = max(direction[2] ** 2, sin2 + 0.05)
     ellipse = np.pi * sin2 * np.sqrt(1.0 - sin2) / (cos2_axis - sin2) ** 1.5

@@ -1,4 +1,4 @@
-"""From a colour and a depth image to an accepted position, or why not: no ROS, no clock."""
+"""Detection from a colour and a depth image, with plausibility checks; no ROS, no clock."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from fvs_ros.camera import CameraModel, Intrinsics
 
 @dataclass(frozen=True)
 class Sighting:
-    """What one pair of images gave."""
+    """The result of one pair of images."""
 
     ball: BallDetection | None  # accepted or not
-    problem: str = ""  # why nothing is to be published; empty if the ball is
+    problem: str = ""  # why no ball is published; empty if it is
     box: Region | None = None  # what the problem is about, if no ball is seen
 
 
 class Detector:
-    """Looks for the ball where it will be, else everywhere; its ``gate`` accepts no jumps."""
+    """Looks for the ball at its predicted place, else everywhere; its ``gate`` refuses jumps."""
 
     def __init__(self, config: DetectorConfig) -> None:
         self._rectifier: Rectifier | None = None
@@ -59,7 +59,7 @@ class Detector:
         self._explained_s = -np.inf
 
     def rectified(self, rgb: np.ndarray, depth_m: np.ndarray, camera: CameraModel) -> np.ndarray:
-        """Whole colour image in which the detections' pixels are meant."""
+        """The whole colour image that the detections' pixel coordinates refer to."""
         whole = Region.whole(camera.intrinsics)
         return self._rectifier_of(camera).cut(rgb, depth_m, whole)[0]
 
@@ -83,11 +83,11 @@ class Detector:
         ball = self._tracker.find(stamp_s, detect, lambda: whole)
         if ball is not None:
             problem = self._judge(stamp_s, ball)
-            # What is refused is no place to look at next: the ball may still be where it was.
+            # A refused position must not move the window: the ball may still be where it was.
             self._tracker.update(stamp_s, None if problem else ball)
             return Sighting(ball, problem)
         self._tracker.update(stamp_s, None)
-        # Not each time: an explanation takes as long as a search.
+        # Limited in rate, because a diagnosis takes longer than a search.
         if self._miss is None or not 0.0 <= stamp_s - self._explained_s < 0.3:
             self._miss = diagnose(*rectifier.cut(rgb, depth_m, whole), view, radius_m, colour)
             self._explained_s = stamp_s
@@ -118,11 +118,11 @@ def diagnose(
     Parameters are those of :func:`~fvs_detector_node.detection.detect_ball`.
     """
     _, others = examine(rgb, depth_m, camera, radius_m, colour)
-    # A speck of noise is no answer while a whole ball may be standing in the dark.
+    # A speck of noise is no explanation: there may be a whole ball in the dark.
     if all(one.pixels < 2 * ACCEPT.pixels for one in others):
         relaxed = replace(
             colour,
-            # Below these the hue of a pixel is mere noise.
+            # Below these limits the hue of a pixel is only noise.
             min_saturation=min(40, colour.min_saturation),
             min_value=min(12, colour.min_value),
         )
@@ -142,7 +142,7 @@ def _off_colour(
     colour: BallColour,
     relaxed: BallColour,
 ) -> Miss:
-    """What to change for a ball that is found with wider limits of its colour."""
+    """Suggest parameters for a ball that is found with wider limits of its colour."""
     u, v = camera.project(ball.position_m).astype(int).tolist()
     box = Region(u, v, 1, 1).grown(int(0.8 * ball.radius_px), camera)
     disc = np.ascontiguousarray(rgb[box.part])
@@ -166,7 +166,7 @@ def annotate(rgb: np.ndarray, sighting: Sighting, camera: Intrinsics) -> np.ndar
     refused_rgb = (255, 170, 0)
     if ball is not None:
         colour = refused_rgb if sighting.problem else (60, 230, 60)
-        # Sixteenths of a pixel: the drawing moves with the ball, not in steps.
+        # Subpixel coordinates (sixteenths): the drawing moves smoothly.
         centre = np.round(16.0 * camera.project(ball.position_m)).astype(int).tolist()
         cv2.circle(picture, centre, round(16 * ball.radius_px), colour, thick, cv2.LINE_AA, 4)
         cv2.circle(picture, centre, 16 * thick, colour, cv2.FILLED, cv2.LINE_AA, 4)

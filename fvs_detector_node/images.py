@@ -51,7 +51,7 @@ class Region:
 
 
 class Rectifier:
-    """Takes the distortion out of a camera's images, or of parts of them; the intrinsics stay."""
+    """Removes the distortion from a camera's images or parts of them, with the same intrinsics."""
 
     def __init__(self, camera: CameraModel) -> None:
         self.camera = camera
@@ -80,8 +80,8 @@ class Rectifier:
     ) -> tuple[np.ndarray, np.ndarray]:
         """A part of the whole images, uint8 (H, W, 3) and m (H, W), without distortion.
 
-        Colours are interpolated, black where the camera did not see. Depth is the nearest pixel's,
-        as a mean of two surfaces is neither; 0 where there is none.
+        Colours are interpolated, and black outside the camera's view. Depth is that of the nearest
+        pixel, because a mean of two surfaces lies on neither; 0 where there is none.
         """
         part = region.part
         if self._maps is None:

@@ -31,7 +31,7 @@ T = TypeVar("T")
 WAITING, TRACKING, LOST, FAULT = "WAITING", "TRACKING", "LOST", "FAULT"
 #: What the status holds of a detected ball.
 _MEASURED = ("quality", "visible_fraction", "residual_m", "radius_px")
-#: An input that is silent for this long is missing, s; the slowest cameras give 5 images a second.
+#: Time without messages after which an input is missing, s; the slowest cameras have 5 Hz.
 _MISSING_S = 1.0
 
 
@@ -43,11 +43,11 @@ class _Picture(NamedTuple):
 
 
 class DetectorNode(ros.FvsNode):
-    """Publishes where the ball is whenever it is well seen."""
+    """Publishes the ball's position from every image pair with a good detection."""
 
     def __init__(self) -> None:
         super().__init__("fvs_detector_node", PARAMETERS)
-        cv2.setNumThreads(1)  # one small image at a time: threads only cost
+        cv2.setNumThreads(1)  # threads have no benefit for one small image at a time
         self._config = DetectorConfig.from_values(self.values)
         self._detector = Detector(self._config)
         # A little less than half the period of 30 images a second.
@@ -58,7 +58,7 @@ class DetectorNode(ros.FvsNode):
         self._pairs, self._published = ArrivalMonitor(), ArrivalMonitor()
         self._problem, self._problem_s = "", -np.inf
         self._latency_s = self._processing_ms = np.nan
-        # A camera needs a moment to be found; a ball at the edge of being seen comes and goes.
+        # Log delay: discovery of a camera takes a moment, and a barely visible ball flickers.
         self._logged, self._logged_s = "", self.now_s()
 
         self._ball = self.publisher(topics.BALL_POSITION)
@@ -73,7 +73,7 @@ class DetectorNode(ros.FvsNode):
     # --- inputs ---
 
     def _find_camera(self) -> None:
-        """Look where a camera publishes, if that is left open and none does where it did."""
+        """Search the usual prefixes if none is set and the present one has no publisher."""
         if not self._config.camera_topics and not self._publishers_of(self._topics.color):
             for prefix in CAMERA_PREFIXES:
                 topics = CameraTopics.below(prefix, self._config.compressed_images)
@@ -85,7 +85,7 @@ class DetectorNode(ros.FvsNode):
         return self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
 
     def _subscribe(self) -> None:
-        """Subscribe so that messages arrive; again if topics or publishers have changed."""
+        """Subscribe with a QoS that matches the publishers; again when topics or QoS change."""
         topics = self._topics
         image = CompressedImage if self._config.compressed_images else Image
         wanted = {
@@ -108,7 +108,7 @@ class DetectorNode(ros.FvsNode):
         return ros.QOS_NEWEST if best_effort else ros.QOS_RELIABLE
 
     def _decoded(self, topic: str, decode: Callable[[Any], T], message: Any) -> T | None:
-        """What a message holds; None, and a complaint, if that cannot be used."""
+        """Decode a message; None, and a logged problem, if it cannot be used."""
         try:
             return decode(message)
         except ros.MessageError as error:
@@ -156,7 +156,7 @@ class DetectorNode(ros.FvsNode):
             self._publish(pair, sighting)
             if self._annotated.get_subscription_count():
                 self._publish_annotated(pair, camera, sighting)
-        except Exception as error:  # whatever an image does to us, the next one may be good
+        except Exception as error:  # a bad image must not stop the node
             self._detector.reset()
             self._complain(self._topics.color, f"image not understood: {error!r:.200}")
             return
@@ -210,7 +210,7 @@ class DetectorNode(ros.FvsNode):
         return ""
 
     def _judge(self, now_s: float) -> tuple[str, str]:
-        """State, and one sentence that says what to do."""
+        """State, and one sentence with the remedy."""
         if now_s - self._problem_s < _MISSING_S:
             return FAULT, self._problem
         missing = self._missing_input(now_s)
@@ -236,7 +236,7 @@ class DetectorNode(ros.FvsNode):
         now_s = self.now_s()
         state, reason = self._judge(now_s)
         level = {TRACKING: ros.OK, FAULT: ros.ERROR}.get(state, ros.WARN)
-        # The status has each change of state, the log none that comes and goes.
+        # The status shows every change of state, the log only lasting ones.
         if state != self._logged and now_s - self._logged_s > 3.0:
             self._logged, self._logged_s = state, now_s
             self.tell(level, f"{state}: {reason}")

@@ -38,20 +38,20 @@ class _Stream:
 class Pairing:
     """Pairs two streams; the newest wins, and no colour image is paired after a later one.
 
-    Stamps may repeat, come out of order, stand still or jump; a single wrong stamp does no harm.
+    Stamps may repeat, arrive out of order, freeze or jump; a single wrong stamp has no effect.
     ``tolerance_s`` is the largest difference of the two stamps.
     """
 
     def __init__(self, tolerance_s: float) -> None:
         self._tolerance_s = tolerance_s
-        #: How often the clock was set back: what was paired before then is of another time.
+        #: How often the clock was set back; earlier pairs have another time base.
         self.restarts = -1
         self._restart()
 
     def _restart(self) -> None:
         self.restarts += 1
         self._colour, self._depth = _Stream(), _Stream()
-        #: Depth's stamp less colour's, of the nearest that were compared last.
+        #: Stamp of depth minus colour for the closest images in the last comparison.
         self.offset_s: float | None = None
 
     @property
@@ -61,7 +61,7 @@ class Pairing:
 
     def add(self, kind: str, stamp_s: float, image: Any) -> Pair | None:
         """Take in an image of ``colour`` or ``depth`` with its exposure, s; the pair, if any."""
-        # Three in a row from far back: the clock was set back.
+        # Three consecutive old stamps mean that the clock was set back.
         if max(self._colour.behind, self._depth.behind) >= 3:
             self._restart()
         stream = self._colour if kind == "colour" else self._depth

@@ -1,9 +1,9 @@
 """Fit of a sphere of known radius to a part of an image: direction by outline, distance by depth.
 
-Seen from the camera, a sphere's outline lies on a cone about the direction of its centre, and the
-known radius fixes the cone's opening. In the plane at unit distance across a first guess of that
-direction the outline is nearly a circle of known radius. An arc of it suffices where the sphere is
-partly hidden.
+The outline of a sphere lies on a cone about the direction to its centre. The known radius and the
+distance fix the cone's opening. In the plane at unit distance, normal to a first guess of that
+direction, the outline is almost a circle of known radius. An arc suffices if the sphere is partly
+hidden.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from fvs_ros.camera import Intrinsics
 
 @dataclass(frozen=True)
 class Acceptance:
-    """What a candidate must have to be the ball.
+    """Acceptance bounds for a candidate.
 
-    Looser bounds find some balls more, and in other red things 6 to 21 ghosts instead of one.
+    Looser bounds find a few more balls, but 6 to 21 false ones in other red objects instead of one.
     """
 
-    #: Fewest pixels, and fewest of them with a depth: fewer say nothing of a shape.
+    #: Least number of pixels, and of pixels with depth: fewer do not show a shape.
     pixels: int = 20
     #: Least part of the ball that is to be seen.
     visible_fraction: float = 0.25
-    #: The candidate's area over the ball's, before the distance is fitted: bounds with room for a
-    #: first guess that is a quarter off.
+    #: Bounds of the candidate's area over the ball's, before the distance is fitted. They allow for
+    #: a first guess that is 25 % off.
     least_area: float = 0.7 * 0.25
     most_area: float = 1.6
     #: Nearest centre, radii: at one the camera touches the ball.
@@ -37,12 +37,12 @@ class Acceptance:
     on_outline: float = 0.6
     #: Least share of the sphere's outline that is seen: a shorter arc fits any corner.
     arc: float = 0.2
-    #: Most rms departure of its surface from the sphere, radii: a flat disc has 0.24.
+    #: Largest rms deviation of its surface from the sphere, radii: a flat disc has 0.24.
     residual_radii: float = 0.1
-    #: Points of an outline are on a circle within so much of its radius; at least 1.2 pixels.
+    #: Tolerance of outline points on a circle, as a share of its radius; at least 1.2 pixels.
     circle: float = 0.05
     circle_px: float = 1.2
-    #: Where less of the outline is on the first circle, other circles are tried.
+    #: Share of the outline on the first circle below which other circles are tried.
     sure_outline: float = 0.85
     #: Depths further off than this count of standard deviations are not the ball's.
     deviations: float = 3.0
@@ -85,7 +85,7 @@ class SphereFit:
 def fit_sphere(
     patch: Patch, rays: np.ndarray, distance_m: float, radius_m: float
 ) -> SphereFit | None:
-    """Fit direction and distance of the centre in turns, from a first guess of the distance.
+    """Fit direction and distance of the centre alternately, from a first guess of the distance.
 
     ``rays``, shape (h, w, 3), are those of the patch. None if too few depths lie on a sphere.
     """
@@ -99,7 +99,7 @@ def fit_sphere(
     pixel_rad = float(direction[2] / np.sqrt(patch.view.fx * patch.view.fy))
     for turn in range(3):
         before_m = distance_m
-        # What a nearer thing cuts off is not the sphere's outline.
+        # An edge against a nearer object is not the sphere's outline.
         free = outline[outside_m >= distance_m * direction[2] - 0.5 * radius_m]
         direction, on_outline, arc = _fit_direction(
             free, direction, distance_m, radius_m, pixel_rad=pixel_rad, search=turn == 0
@@ -159,7 +159,7 @@ def _fit_direction(
     pixel_rad: float,
     search: bool,
 ) -> tuple[np.ndarray, float, float]:
-    """Axis of the cone of known opening through an outline, with the parts of both that agree."""
+    """Axis of the cone of known opening through an outline, and the shares of both that match."""
     if len(rays) < 6:
         return direction, 0.0, 0.0
     x, y, z = direction
@@ -191,7 +191,7 @@ def _refine_circle(points: np.ndarray, radius: float, start: np.ndarray, cut: fl
     """Centre of a circle of known radius through points, (2, N); those off by ``cut`` are out."""
     u, v = points
     x, y = start
-    # A little damping: an arc alone says little along its own direction.
+    # Some damping: an arc hardly determines the centre along its own direction.
     damping = 1e-3 * len(u)
     for _ in range(8):
         du, dv = u - x, v - y
@@ -237,7 +237,7 @@ def _distances(
     """The centre's distance by each point of the surface, m, (N,), and where they are, (3, N).
 
     A pixel at range R along a ray at an angle b to the centre sees the sphere if the centre is at
-    R cos b + sqrt(r^2 - R^2 sin^2 b). The median throws out what is not the ball.
+    R cos b + sqrt(r^2 - R^2 sin^2 b). The median rejects pixels of other objects.
     """
     cos = rays @ direction
     sideways2 = np.square(range_m) * np.maximum(0.0, 1.0 - np.square(cos))
@@ -255,7 +255,7 @@ def _distances(
 
 
 def _systematic(off_m: np.ndarray, shape: np.ndarray) -> float:
-    """Rms of what a tilt or a wrong bulge explains, less what noise alone would, m."""
+    """Rms deviation explained by a tilt or a wrong bulge, minus the part due to noise, m."""
     count = len(off_m)
     shape = shape - shape.mean(axis=1, keepdims=True)
     shape /= np.abs(shape).max(axis=1, keepdims=True) + 1e-12

@@ -1,4 +1,4 @@
-"""Where in the image to look for the ball next, and whether a position is accepted."""
+"""Tracking: the image window for the next search, and the gate for positions."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from fvs_detector_node.detection import BallDetection
 from fvs_detector_node.images import Region
 from fvs_ros.camera import Intrinsics
 
-#: Half the window, ball radii (an outline far off the axis is a fifth longer) and pixels, beside
-#: the way that the ball may have left its course. A ball that is cut off is searched for.
+#: Half window size, in ball radii (an outline far off the axis is a fifth longer) and pixels; the
+#: possible deviation from the predicted path is added. A ball that is cut off starts a full search.
 _RADII, _MARGIN_PX = 1.2, 3.0
-#: A UR5 reaches 0.85 m: its drives, 15 rad/s^2, and its joints, together 2 rad/s, give these.
+#: Largest acceleration and speed of a UR5's ball, from its reach of 0.85 m, its drives' 15 rad/s^2,
+#: and 2 rad/s of all joints together.
 _ACCELERATION_M_S2, _SPEED_M_S = 12.0, 2.0
-#: A jump is accepted when it is seen this many times in a row, each near the one before; noise of
-#: two positions, m.
+#: Number of consecutive consistent sightings that confirm a jump, and noise of two positions, m.
 _REPEATS, _NOISE_M = 3, 0.01
 
 
 class WindowTracker:
-    """Looks for the ball where it will be if it goes on as it went, else everywhere.
+    """Looks for the ball where constant velocity predicts it, else everywhere.
 
     ``camera`` is of the full image.
     """
@@ -41,8 +41,8 @@ class WindowTracker:
     ) -> BallDetection | None:
         """Find the ball in an image, exposed at a stamp.
 
-        ``detect`` finds it in a part of the image; ``elsewhere`` gives the part to search, if any,
-        where it is not seen as expected.
+        ``detect`` searches a part of the image. ``elsewhere`` gives the part to search, if any,
+        when the ball is not in the expected one.
         """
         expected = self.region(stamp_s)
         ball = None if expected is None else detect(expected)
@@ -54,7 +54,7 @@ class WindowTracker:
         return ball if wider is None else detect(wider)
 
     def update(self, stamp_s: float, ball: BallDetection | None) -> None:
-        """Take in what was seen at a time, s."""
+        """Take the detection at a time, s; None if there is none."""
         if ball is None:
             self._last = None
             return
@@ -86,10 +86,10 @@ class WindowTracker:
 
 
 class Gate:
-    """Refuses jumps that are seen only now and then.
+    """Refuses jumps without enough consecutive sightings.
 
-    The controller refuses one wrong position, but follows two that agree; a wrong red thing is
-    often seen twice.
+    The controller rejects one wrong position but follows two that agree, and a false detection
+    often occurs twice.
     """
 
     def __init__(self, max_speed_m_s: float) -> None:

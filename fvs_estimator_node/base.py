@@ -1,4 +1,4 @@
-"""What every estimator of the Jacobian offers, the step it learns from, and the true Jacobian."""
+"""The interface of Jacobian estimators, the motion step they learn from, and the oracle."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NETWORKS, CHAIN = "a trained model", "a fitted chain"
 
 @dataclass(frozen=True)
 class FeatureConfig(Parameters):
-    """What estimator and collector must know of the ball positions."""
+    """Parameters of the ball positions, shared by estimator and collector."""
 
     feature_frame: str = parameter(CAMERA_FRAME, "frame of the ball positions")
 
@@ -35,7 +35,7 @@ class MotionStep:
     dt_s : float
         Time between the two exposures, s, positive.
     joints_rad : ndarray, shape (n,)
-        Joint positions half way, rad: where the Jacobian that explains the step belongs.
+        Joint positions at the middle of the step, rad, where its Jacobian applies.
     d_joints_rad : ndarray, shape (n,)
         Joint motion, rad.
     d_ball_m : ndarray, shape (m,)
@@ -96,7 +96,7 @@ class Estimator(ABC):
 
     @property
     def remark(self) -> str:
-        """What does not fit although there is an estimate; empty if all is well."""
+        """A warning about the present estimate; empty without one."""
         return ""
 
     @property
@@ -124,7 +124,7 @@ class Estimator(ABC):
         """
 
     def update(self, step: MotionStep) -> None:  # noqa: B027
-        """Learn from one step; what is not finite changes nothing and raises nothing."""
+        """Learn from one step; a step that is not finite is ignored without an exception."""
 
     def reset(self) -> None:
         """Forget what was learned online."""
@@ -138,7 +138,7 @@ class Estimator(ABC):
 
 
 class OracleEstimator(Estimator):
-    """The true Jacobian, which only a simulator knows: the yardstick of all estimates.
+    """The true Jacobian of the simulator: the reference for all estimates.
 
     ``true_jacobian`` takes joints, rad, (n,), to the true Jacobian, m/rad, (m, n). Without it the
     Jacobian is the newest of :meth:`set_true_jacobian`, at any joints.

@@ -1,9 +1,9 @@
-"""Models behind a camera that may have been moved since the training.
+"""Models with a camera that may have been moved since the training.
 
-The model says where the ball is, ``p``, in the frame of the camera that it was trained with; the
-image says where it is, ``x``. Until the camera moves, ``x = R p + t`` with one rotation R and one
-translation t, and ``J = R J_model``. A fitted chain knows p. Networks know only its steps
-``J_rbf dr``: there p is their sum, which drifts, so that old positions count for less.
+The model predicts the ball, ``p``, in the camera frame of the training; the image measures it,
+``x``, in the present one. Between camera moves ``x = R p + t`` with constant rotation R and
+translation t, and ``J = R J_model``. A fitted chain gives p. Networks give only its steps
+``J_rbf dr``; their sum drifts, so older positions have less weight.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from fvs_ros.vectors import length
 
 _IDENTITY, _ORIGIN = np.eye(3), np.zeros(3)
 _IDENTITY.flags.writeable = _ORIGIN.flags.writeable = False
-#: Prior deviation of the rotation, rad, and positions after which an old one's weight has decayed
-#: by 63 %: with the positions of a chain, and with those summed from networks.
+#: Prior deviation of the rotation, rad, and memory (positions until a weight has decayed by 63 %),
+#: for the positions of a chain and for those summed from networks.
 _CHAIN, _NETWORKS = (0.01, 1000.0), (0.14, 30.0)
-#: A position that is further off than this, m, and six deviations of the noise is a bump.
+#: A position off by more than this, m, plus six standard deviations of the noise is a bump.
 _BUMP_M = 0.01
-#: Prior deviation of the rotation after a bump at most, and after one that follows another within
-#: this many positions: then the first did not show all of the turn, rad.
+#: Largest prior deviation of the rotation after a bump, rad. It applies to a bump that follows
+#: another within this number of positions: the first one did not show all of the rotation.
 _BUMPED_RAD, _SOON = 0.7, 20
-#: A ball that has gone no further since the last position that was kept is at rest, m.
+#: A ball within this distance of the last stored position is at rest, m.
 _STILL_M = 0.002
-#: This many bumps within this many images (10 s of them) are no accidents.
+#: This number of bumps within this number of images (about 10 s) raises a warning.
 _MANY_BUMPS, _MANY_IMAGES = 8, 300
 
 
@@ -51,9 +51,9 @@ def rotation_angle_rad(rotation: np.ndarray) -> float:
 class CameraPose:
     """Rotation R and translation t of ``x = R p + t``, position by position.
 
-    The best rotation is known in closed form (Kabsch), however far the camera was turned; what is
-    known before enters as a matrix Fisher distribution about the rotation so far. A bump shows as
-    a position that no noise explains; what was learned of the old pose is then dropped.
+    The best rotation has a closed form (Kabsch), for any angle. The prior is a matrix Fisher
+    distribution about the present rotation. A bump shows as a position beyond the noise; all pairs
+    of the old pose are then dropped.
 
     Parameters
     ----------
@@ -76,14 +76,14 @@ class CameraPose:
         self.reset()
 
     def reset(self) -> None:
-        """Take the camera to stand where it stood."""
+        """Assume the camera pose of the training."""
         self.translation_m = _ORIGIN
         self.bumps = self._images = 0
         self._bumped_at: deque[int] = deque(maxlen=_MANY_BUMPS)
         self._begin(_IDENTITY, self._deviation_rad)
 
     def _begin(self, rotation: np.ndarray, deviation_rad: float) -> None:
-        """Forget all pairs; a rotation is known to a standard deviation."""
+        """Forget all pairs; start from a rotation with this standard deviation."""
         self.rotation = rotation
         self._precision = 0.5 / deviation_rad**2
         #: Prior, in variances of a position; scatter of the pairs about their means, m^2, and their
@@ -94,7 +94,7 @@ class CameraPose:
 
     @property
     def remark(self) -> str:
-        """That the camera seems to move again and again; empty if not."""
+        """A warning if the camera seems to move repeatedly; empty if not."""
         at = self._bumped_at
         if len(at) < _MANY_BUMPS or self._images - at[0] >= _MANY_IMAGES:
             return ""
@@ -104,9 +104,9 @@ class CameraPose:
         )
 
     def add(self, model_m: np.ndarray, seen_m: np.ndarray, noise_m: float) -> bool:
-        """Take where the model has the ball and where the image has it, m, (3,) each.
+        """Take the ball's position by the model and by the image, m, (3,) each.
 
-        Whether it was learned from: not what is not finite.
+        Returns whether it was learned from; a pair that is not finite is refused.
         """
         off_m = length(seen_m - (self.rotation @ model_m + self.translation_m))
         if not off_m < math.inf:
@@ -117,12 +117,12 @@ class CameraPose:
         if off_m > _BUMP_M + 6.0 * math.hypot(noise_m, deviation_rad * reach_m):
             self.bumps += 1
             self._bumped_at.append(self._images)
-            # A turn moves the ball by angle times distance, but not where it is about the ball.
+            # A rotation moves the ball by angle times distance, but not if it is about the ball.
             turned_rad = off_m / max(length(seen_m), 1e-3)
             doubt_rad = math.hypot(deviation_rad, turned_rad, self._deviation_rad)
             again = 0.0 < self._weight < _SOON
             self._begin(self.rotation, _BUMPED_RAD if again else min(doubt_rad, _BUMPED_RAD))
-        # At rest there is nothing new to remember, and so nothing to forget.
+        # At rest no weight decays, because no new information arrives.
         gone = model_m - self._kept_at
         keep = 1.0
         if float(gone.dot(gone)) > _STILL_M**2:
@@ -130,8 +130,8 @@ class CameraPose:
         weight = min(keep * self._weight, self._memory)
         self._weight = total = weight + 1.0
         from_p, from_x = model_m - self._mean_p, seen_m - self._mean_x
-        # What fades is made up for by the rotation so far: a ball that has long been going along
-        # one line does not make the camera forget how it is turned.
+        # The present rotation replaces the weight that decays: long motion along one line must not
+        # erase the rotation about that line.
         self._prior = keep * self._prior + (1.0 - keep) * self._precision * self.rotation
         self._scatter = keep * self._scatter + (weight / total) * from_x[:, None] * from_p
         self._mean_p, self._mean_x = self._mean_p + from_p / total, self._mean_x + from_x / total

@@ -1,7 +1,8 @@
-"""Local coordinates of serial chains, and what the ball's position does when they change.
+"""Local coordinates of serial chains, and the derivatives of the ball's position by them.
 
-Two for each of n axes turn it, two shift it, three move the ball; the last is how late the images
-are stamped. Only what changes an axis counts: neither its length nor a shift along itself.
+Each of the n axes has two coordinates that turn it and two that shift it. Three more move the ball,
+and the last is the stamp offset of the images. An axis' length and a shift along itself have no
+coordinate, because they do not change the chain.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ class Chart:
         first = np.cross(axes, helper)
         first /= np.linalg.norm(first, axis=1, keepdims=True)
         self.basis = np.stack([first, np.cross(axes, first)], axis=1)
-        # Of all points of an axis the one next to the ball: the chart's numbers stay small.
+        # The point of each axis that is closest to the ball keeps the coordinates small.
         out = chain.points_m - chain.ball_m
         self._points = chain.points_m - axes * np.sum(out * axes, axis=1, keepdims=True)
         self._axes, self._ball, self._reference = axes, chain.ball_m, chain.reference_rad
@@ -45,7 +46,7 @@ class Chart:
         return self._axes + self._along(values[self.turns])
 
     def chain(self, values: np.ndarray) -> SerialChain:
-        """The chain at coordinates; ValueError if they lead beyond all reason."""
+        """The chain at coordinates; ValueError if it would not be a valid chain."""
         points = self._points + self._along(values[self.shifts])
         ball = self._ball + values[self.of_ball]
         return SerialChain(self.directions(values), points, ball, self._reference)

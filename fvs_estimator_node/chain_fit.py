@@ -1,14 +1,14 @@
 """Fits a serial chain of revolute joints to a minute of ordinary motion.
 
-The camera sees the ball at ``x(r(t - tau)) + noise`` of an image stamped t: 4 n + 3 numbers of a
-:class:`~fvs_ros.chain.SerialChain` of n joints (two for each axis' direction, two for its place,
-three for the ball) and the time ``tau`` that the images are stamped late. They are found by robust
-non-linear least squares with the exact derivatives.
+The model of an image stamped t is ``x(r(t - tau)) + noise``. Its unknowns are the 4 n + 3 numbers
+of a :class:`~fvs_ros.chain.SerialChain` of n joints (two for each axis' direction, two for its
+place, three for the ball) and the stamp offset ``tau``. They are found by robust non-linear least
+squares with exact derivatives.
 
 The start comes from a cubic regression of the positions (:mod:`fvs_estimator_node.chain_start`) at
-the best of several ``tau``. A joint that hardly moves the ball says little about its axis, which
-may lie on the ball's other side: that is tried until the images fit as well as they fit each other,
-and for the weakest joint once more when all is fitted.
+the best of several ``tau``. A joint that hardly moves the ball determines its axis poorly: the axis
+may be found on the wrong side of the ball. So the other side is tried, until the residual is near
+the images' noise, and once more for the weakest joint after the full fit.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from fvs_ros.chain import SerialChain
 _MIN_SAMPLES = 200
 #: Images, and offsets of the stamps, of the search for the right start.
 _SEARCH_SAMPLES, _SEARCH_OFFSETS = 400, 13
-#: Above both, the second in m, something else than a chain of revolute joints moves the ball; a
+#: Above both limits, the second in m, a chain of revolute joints does not explain the motion. A
 #: camera's own systematic errors stay below.
 _MISFIT_LIMIT, _UNEXPLAINED_LIMIT_M = 1.3, 0.001
 #: Largest interval of neighbouring images, s, and the least count of pairs for a median.
@@ -47,7 +47,7 @@ _NEAR_S, _LEAST_PAIRS = 0.25, 50
 _OUTLIER = 6.0
 #: A start is right if its residual is below this multiple of the images' own.
 _GOOD_SHARE = 1.5
-#: How far off the coordinates may be where the data do not tell, standard deviations: rad, m, m/rad
+#: Prior standard deviations, which hold coordinates that the data do not determine: rad, m, m/rad
 #: for turns, shifts and slopes of the residuals by the joints; s for the offset.
 _PRIOR, _OFFSET_PRIOR_S = 1.0, 0.1
 #: Step of the derivatives of the Jacobian by the coordinates, rad and m.
@@ -72,8 +72,8 @@ class ChainFit:
     residual_m : float
         Median distance of images from the chain, m.
     noise_m : float
-        The part of it that is noise: what changes from one image to the next, m; NaN if the images
-        are too far apart to tell.
+        Its noise part, which changes from one image to the next, m; NaN if the images are too far
+        apart.
     ray_noise_m, lateral_noise_m : float
         Standard deviation of a position along the line of sight, and across it (each of two), m.
     outliers : int
@@ -84,8 +84,8 @@ class ChainFit:
         Of the coordinates of :class:`~fvs_estimator_node.chain_chart.Chart` at the chain, by the
         noise; rad, m and s.
     unfitted : ndarray, shape (7 n + 4, 7 n + 4)
-        What a constant Jacobian beside the chain would change, squared and less what noise makes
-        of it: the coordinates, and that Jacobian row by row, m/rad.
+        Squared changes by an additional constant Jacobian in the fit, less those by noise: of the
+        coordinates, and of that Jacobian row by row, m/rad.
     """
 
     chain: SerialChain
@@ -107,22 +107,22 @@ class ChainFit:
 
     @property
     def is_chain(self) -> bool:
-        """Whether the ball moves as one on a serial chain, as far as the noise lets one see."""
+        """Whether the ball moves as on a serial chain, to within the noise."""
         noise_m = 0.0 if math.isnan(self.noise_m) else self.noise_m
         unexplained_m2 = self.residual_m**2 - noise_m**2
         return self.misfit <= _MISFIT_LIMIT or unexplained_m2 <= _UNEXPLAINED_LIMIT_M**2
 
     @property
     def offset_at_limit(self) -> bool:
-        """Whether the images may be stamped later, or earlier, than is looked for."""
+        """Whether the stamp offset is at the limit of the search."""
         return abs(self.time_offset_s) > 0.99 * MAX_OFFSET_S
 
     def jacobian_deviation(self, joints_rad: np.ndarray) -> np.ndarray:
         """Relative standard deviation of the Jacobian at joints where data are.
 
-        Of the noise and, in the mean over the data, of what no chain explains: a camera whose
-        focal length is told wrongly makes the ball's path another one than a chain's. A wrong
-        scale of the camera makes all of a chain larger, and is not seen.
+        It covers the noise and the systematic error that no chain explains (mean over the data): a
+        wrong focal length distorts the ball's path. A wrong scale of the camera is invisible,
+        because it only scales the chain.
 
         Parameters
         ----------
@@ -156,7 +156,7 @@ def fit_chain(data: DataSet, progress: Callable[[str], None] | None = None) -> C
     data : DataSet
         A minute of motion of all joints, or more.
     progress : callable, optional
-        Told what is being done, in words.
+        Called with a text at each stage.
 
     Raises
     ------
@@ -230,14 +230,14 @@ class _Fitting:
         images = np.arange(len(self._ball))
         whitening = self._whitening(self._residuals(found))
         found = self._solve(found, whitening, images)
-        # A wrong optimum can fit nearly as well as the right one: noise hides a weak joint's bend.
-        # The right side is found in six evaluations or so, a wrong one has no end.
+        # A wrong optimum can fit almost as well, since noise hides the curvature of a weak joint.
+        # The right side converges in about six evaluations, a wrong one does not.
         about = found._replace(chain=turned_about(found.chain, 0))
         turned = self._solve(about, whitening, images, evaluations=10)
         if turned.cost < found.cost:
             whitening = self._whitening(self._residuals(turned))
             found = self._solve(turned, whitening, images)
-        # What is far off had a small say so far; in a long stretch, all of it pulls one way.
+        # Outliers had a small weight so far, but a long run of them would still bias the fit.
         inlier = self._inliers(self._residuals(found))
         if not inlier.all():
             found = self._solve(found, whitening, images[inlier])
@@ -274,8 +274,8 @@ class _Fitting:
     ) -> _Found:
         """The robust optimum for some images.
 
-        What the data do not tell is held by the prior, not by chance. Residuals above ``scale``
-        standard deviations count less and less.
+        The prior holds coordinates that the data do not determine. Residuals above ``scale``
+        standard deviations have a decreasing weight.
         """
         chart = Chart(begin.chain)
         deviation = np.full(chart.size, _PRIOR)
@@ -335,14 +335,14 @@ class _Fitting:
         return along / ray_m + (np.eye(3) - along) / lateral_m
 
     def _inliers(self, residual: np.ndarray) -> np.ndarray:
-        """Which images are no further off than noise brings them, bool (k,)."""
+        """Which images are within the noise, bool (k,)."""
         white = (self._whitening(residual) @ residual[..., None])[..., 0]
         return np.abs(white).max(axis=1) <= _OUTLIER
 
     def _distances_m(self, residual: np.ndarray) -> tuple[float, float]:
-        """Median length of the residuals, and what it were if all were as unlike as neighbours, m.
+        """Median length of the residuals, and of their noise part, m.
 
-        The second is NaN where there are too few neighbours.
+        The noise is estimated from differences of neighbours; NaN if there are too few of them.
         """
         passed_s = np.diff(self._path.stamps_s)
         apart_m = np.linalg.norm(np.diff(residual, axis=0), axis=1)

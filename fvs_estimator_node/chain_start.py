@@ -16,15 +16,14 @@ from scipy.interpolate import CubicSpline
 from fvs_estimator_node.files import DataSet
 from fvs_ros.chain import SerialChain, cross_matrix
 
-#: Largest offset of the images' stamps that is looked for, either way, s; ends of runs this long
-#: are left out.
+#: Largest stamp offset in the search, late or early, s; the ends of each run are cut by it.
 MAX_OFFSET_S = 0.2
-#: A joint that moves less, a standard deviation, rad, stands still: nothing is known of it.
+#: A joint with a smaller standard deviation, rad, is at rest: its axis is unknown.
 STILL_RAD = 1e-3
 #: Passes of the robust regression.
 _PASSES = 6
-#: Most images that are fitted, and how many neighbours make a block of them: more change the
-#: Jacobian by less than its deviation.
+#: Largest number of images in a fit, and size of the blocks they are taken in: more images change
+#: the Jacobian by less than its deviation.
 _MOST_SAMPLES, _BLOCK = 6000, 50
 
 
@@ -131,7 +130,8 @@ def first_guess(regression: Regression, reference_rad: np.ndarray) -> SerialChai
 def turned_about(chain: SerialChain, rank: int) -> SerialChain:
     """The chain with one axis on the ball's other side: the same slope, the opposite bend.
 
-    That is the error easily made, first with the joints that move the ball least.
+    This error is likely, most of all for the joints that move the ball least. ``rank`` counts from
+    those.
     """
     lever_m = np.linalg.norm(chain.jacobian(chain.reference_rad), axis=0)
     joint = np.argsort(lever_m)[rank % len(lever_m)]

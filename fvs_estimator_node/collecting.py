@@ -1,9 +1,8 @@
 """One collection run: when the arm may move, where it goes, and what is recorded. No ROS.
 
-The collector moves the arm without a controller behind it, so it has a guard of its own:
-nothing moves before joints and ball are seen, a late input stops the arm, a ball out
-of view sends it back toward where it started, and a joint that leaves its box or moves against
-its command ends the run.
+The collector commands the arm without the controller, so it has its own guard. Nothing moves before
+joints and ball have arrived. Late joint states stop the arm. A ball out of view sends it back to
+its start. A joint that leaves its box or moves against its command ends the run.
 """
 
 from __future__ import annotations
@@ -24,15 +23,15 @@ from fvs_ros.limits import MAX_TICK_S, limit_acceleration, ramp_to_zero
 from fvs_ros.params import ParameterError, parameter
 from fvs_ros.timeline import Sample, StampGate, Timeline
 
-#: Older joint states stop the arm, an older ball sends it back toward the start, s.
+#: Largest age of joint states before the arm stops, and of the ball before it turns back, s.
 _JOINTS_MAX_AGE_S, _BALL_MAX_AGE_S = 0.1, 0.5
-#: The arm may fail to move as commanded for this long, s. Motion against the command counts six
-#: times, and ends the run after the second time already: 0.12 s.
+#: Time that the arm may deviate from its commands, s. Motion against the command counts six times
+#: and ends the run after the second time (0.12 s).
 _FOLLOW_TIME_S, _AGAINST_TIME_S, _AGAINST_RAD = 3.0, 0.7, 0.01
 #: A joint may be this far outside its box, or as far as it can brake within, rad.
 _BOX_MARGIN_RAD = 0.1
-#: After this time without joint states or without the ball the run ends with an error, s: longer
-#: than a driver or a detector takes to start, shorter than a person waits.
+#: Time without joint states or ball after which the run ends with an error, s. Drivers and
+#: detectors start sooner.
 GIVE_UP_S = 10.0
 
 
@@ -43,8 +42,8 @@ class CollectorConfig(MotionConfig, FeatureConfig):
     output_path: str = parameter("out/collect/dataset.npz", "data set file to write")
     stop_at_error: float = parameter(
         0.0,
-        "relative standard deviation of the Jacobian in the box of motion at which collecting ends "
-        "early (0.002 is a good value for `fvs_train --method poe`); 0 is off",
+        "relative standard deviation of the Jacobian in the motion box that ends collecting early "
+        "(0.002 is a good value for `fvs_train --method poe`); 0 is off",
         0.0,
         0.5,
     )
@@ -87,8 +86,8 @@ _OVER = (State.DONE, State.FAILED)
 class CollectionRun:
     """Moves the joints and records the ball.
 
-    ``state`` is what it is doing, ``reason`` why, in words, ``samples`` what was recorded, and
-    ``stop`` what ends the motion early.
+    ``reason`` explains the ``state`` in words, ``samples`` holds the recording, and ``stop`` is the
+    criterion that ends the motion early.
     """
 
     def __init__(self, config: CollectorConfig, stop: StopCriterion | None = None) -> None:
@@ -117,7 +116,7 @@ class CollectionRun:
 
     @property
     def duration_s(self) -> float:
-        """How long the motion takes as far as is known, s; infinite before it begins."""
+        """Duration of the motion as known now, s; infinite before it begins."""
         return np.inf if self._motion is None else self._motion.duration_s
 
     @property
@@ -178,7 +177,7 @@ class CollectionRun:
         return self._velocity.copy()
 
     def _decide(self, now_s: float, dt_s: float) -> np.ndarray | None:
-        """What to do; the velocities wanted, rad/s, or None to come to rest."""
+        """Advance the state machine; returns wanted velocities, rad/s, or None to come to rest."""
         late = _late("no joint_states", now_s - self._joints_s, _JOINTS_MAX_AGE_S)
         lost = _late("the ball is not in view", now_s - self._ball_s, _BALL_MAX_AGE_S)
         joints = self._joints
@@ -262,6 +261,6 @@ class CollectionRun:
 
 
 def _late(what: str, age_s: float, most_s: float) -> str:
-    """Words on an input that is late, of an age, s; empty if it is not."""
+    """Text about an input of an age, s, if it is late; empty if not."""
     when = "none so far" if np.isinf(age_s) else f"last {age_s:.1f} s ago"
     return f"{what} ({when})" if age_s > most_s else ""

@@ -65,7 +65,7 @@ class CollectorNode(ros.FvsNode):
         try:
             joints = self._joint_map.positions(message.name, message.position)
         except ForeignJointsError:
-            return  # another device's; if ours do not come, the run says so
+            return  # another device's joints; the run reports it if ours never arrive
         except JointStateError as error:
             self._run.fail(str(error))
             return
@@ -147,7 +147,7 @@ class CollectorNode(ros.FvsNode):
     # --- status ---
 
     def _known(self) -> dict[str, float]:
-        """What is known of the chain so far; empty if nothing is."""
+        """Figures of the newest chain fit; empty before the first."""
         found = self._run.stop.found
         names = ("jacobian_deviation", "misfit", "image_offset_s")
         return {name: found[name] for name in names if isfinite(found.get(name, np.nan))}
@@ -171,7 +171,7 @@ class CollectorNode(ros.FvsNode):
         return clock.blamed(run.reason) if run.state is State.HOLDING else run.reason
 
     def finish(self) -> None:
-        """Leave zeros on the wire; when interrupted, keep what was recorded."""
+        """Send zeros last; when interrupted, save the recording."""
         ros.send_last_zeros(self._commands, len(self._names))
         if self.exit_code is None:
             self._bar.close()
@@ -180,7 +180,7 @@ class CollectorNode(ros.FvsNode):
 
 
 def _writable(path: Path) -> Path:
-    """The path, its folder made: better now than after minutes of motion."""
+    """The path, with its folder created now, so that errors show before minutes of motion."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_dir():

@@ -22,7 +22,7 @@ from fvs_ros.timeline import Sample
 from fvs_ros.vectors import check_arrays
 
 _VERSION = 1
-#: Two hours at 200 Hz stay below it; a larger file is nothing of ours.
+#: Two hours at 200 Hz stay below this; a larger file is refused.
 _MAX_BYTES = 2**28
 #: Longest error sentence, and most notes of a model and longest of them: a file may hold anything.
 _LONGEST_ERROR, _MOST_NOTES, _LONGEST_NOTE = 800, 20, 500
@@ -109,7 +109,7 @@ def data_set_of(samples: Sequence[Sample], **particulars: Any) -> DataSet:
 
 @dataclass(frozen=True)
 class TrainedModel:
-    """The networks and what one must know to use them.
+    """The networks, with the data needed to use them.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ class TrainedModel:
 def boxes_of(
     joints_rad: np.ndarray, ball_m: np.ndarray, rng: np.random.Generator
 ) -> dict[str, Any]:
-    """What a model says of the data that it was trained on: its boxes, and some ball positions."""
+    """A model's description of its training data: the boxes, and some ball positions."""
     return {
         "joint_box_rad": np.stack([joints_rad.min(axis=0), joints_rad.max(axis=0)]),
         "ball_box_m": np.stack([ball_m.min(axis=0), ball_m.max(axis=0)]),
@@ -257,7 +257,7 @@ def load_model(
 
 
 def _write(path: str | os.PathLike[str], kind: str, fields: Mapping[str, Any]) -> None:
-    """Write arrays, texts and JSON: either the old file is there or the whole new one."""
+    """Write arrays, texts and JSON atomically."""
     target = Path(path)
     temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     arrays: dict[str, Any] = {
@@ -285,7 +285,7 @@ def _read(
     feature_frame: str | None,
     build: Callable[[_Content], _T],
 ) -> _T:
-    """What is built of a file's content, once it is of the right kind, joints and frame."""
+    """Check a file's kind, joints and frame, and build an object from its content."""
     try:
         content = _Content(_arrays(Path(path)))
         content.check(kind, joint_names, feature_frame)
@@ -300,7 +300,7 @@ def _read(
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of a file by name; nothing is believed that a header claims."""
+    """The arrays of a file by name, without trust in its headers."""
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()

@@ -1,6 +1,6 @@
-"""The whole estimator without ROS: timeline, tracker, steps and method, joined once.
+"""The whole estimator without ROS: timeline, tracker, steps and method in one object.
 
-The node hands messages in and publishes what comes out; the laboratory uses the same object.
+The node passes messages in and publishes the results; the laboratory uses the same object.
 """
 
 from __future__ import annotations
@@ -15,36 +15,36 @@ from fvs_ros.chain import SerialChain
 from fvs_ros.timeline import Sample, Timeline
 from fvs_ros.tracker import Image, Tracker
 
-#: A longer step is not learned from (a slow arm drifts), and an older sliding variable counts as
-#: zero, s.
+#: Longest step that is learned from (slow arms drift), and largest age of a sliding variable before
+#: it counts as zero, s.
 _MAX_STEP_S, _MAX_SLIDING_AGE_S = 0.5, 0.2
-#: With images that are stamped by more too late or too early, no loop comes to rest, s.
+#: Stamp error, late or early, above which the control loop does not come to rest, s.
 _MOST_LATE_S = 0.08
-#: This many of the last ball positions are paired anew once their stamps are known to be wrong.
+#: Number of recent ball positions that are paired again after a stamp correction.
 _LAST = 16
-#: Largest lag that is looked for, images each way, and the images over which lengths are compared.
+#: Largest lag in the search, images each way, and span over which lengths are compared, images.
 _MOST, _SPAN = 12, 3
 #: Share of the past that is kept at each image: it decays by 63 % in 30.
 _KEEP = 29.0 / 30.0
-#: A lag counts if none leaves this many times as much, and a root sum square this much larger, m;
-#: and if it leaves no larger share of the last positions' squared way.
+#: A lag counts if the residual without it is this many times larger, and larger by this root sum
+#: square, m; and if its own residual is below this share of the last positions' squared motion.
 _TIMES, _WORSE_M, _OFF_SHARE = 3.0, 0.02, 0.1
-#: A ball that went this much further in one image than predicted for any was bumped, or is seen in
-#: a wrong place: it would count at other times for other lags, m.
+#: A step of the ball that exceeds every predicted one by this, m, is a bump or a false detection.
+#: It would bias each lag at another time.
 _JUMP_M = 0.01
 
 
 class StepPairing:
-    """Makes motion steps of joint states and ball positions.
+    """Builds motion steps from joint states and ball positions.
 
     A step ends at the first sample whose joints have moved enough since the anchor, and the next
-    begins there. If that takes too long the anchor moves on.
+    one begins there. After a timeout the anchor moves to the newest sample.
 
     Parameters
     ----------
     min_step_rad : float
-        Joint motion (of the joint that moved most) that makes a step, rad; by default one that
-        moves the ball by some millimetres, more than the noise of its position.
+        Least motion of the fastest joint in a step, rad. By default it moves the ball by some
+        millimetres, more than the noise of its position.
 
     Attributes
     ----------
@@ -109,14 +109,14 @@ class StepPairing:
 
 
 class StampWatch:
-    """Finds how many images the stamps are behind the joints, from the lengths of the ball's steps.
+    """Estimates the lag of the stamps behind the joints, in images, from lengths of ball motion.
 
-    However a camera stands, it does not change how far the ball goes. So lengths tell stamps from
-    turns: with predicted positions p, seen ones x and a lag of n images,
-    ``|x(k) - x(k - m)| = |p(k - n) - p(k - n - m)|`` for one n and every k. Each n is judged by
-    what it leaves of that. While the ball goes evenly, or rests, one n is as good as another, and
-    nothing is decided. A camera that is being carried changes lengths, too; so a lag counts only
-    where the ball went the way that it was to go.
+    A camera's pose does not change how far the ball moves, so lengths separate stamp errors from
+    camera rotations. With predicted positions p, seen ones x and a lag of n images,
+    ``|x(k) - x(k - m)| = |p(k - n) - p(k - n - m)|`` for one n and every k. Each n is rated by its
+    residual. At rest or at constant speed all n fit equally, and no lag is found. A camera that is
+    being carried changes lengths, too; so a lag counts only if the ball also moved in the predicted
+    direction.
     """
 
     def __init__(self) -> None:
@@ -124,10 +124,10 @@ class StampWatch:
         self._left_m2 = np.zeros(2 * _MOST + 1)
 
     def add(self, stamp_s: float, seen_m: np.ndarray, predicted_m: np.ndarray) -> float:
-        """Take the next pair: its time, s, and the ball in the image and by the joints, m, (m,).
+        """Take the next pair: its time, s, and the ball's seen and predicted position, m, (m,).
 
-        The latter from any origin. Returns how late the stamps are, s; negative for early ones, 0
-        where nothing says so.
+        The prediction may have any origin. Returns the delay of the stamps, s: negative for early
+        ones, 0 without evidence.
         """
         self._kept.appendleft((stamp_s, seen_m, predicted_m))
         if len(self._kept) < _MOST + _SPAN + 1:
@@ -151,22 +151,22 @@ class StampWatch:
 
 
 def _lengths(positions: np.ndarray, span: int) -> np.ndarray:
-    """How far the ball went in a span of images that ended 0, 1, ... images ago, m."""
+    """Length of the ball's motion over a span of images that ended 0, 1, ... images ago, m."""
     return np.asarray(np.linalg.norm(positions[:-span] - positions[span:], axis=1))
 
 
 class EstimationLoop:
     """Joint states and ball positions in; Jacobian, chain and status out.
 
-    An outlier is not learned from, as it does not move the controller. Stamps that are found to be
-    late or early are corrected before anything is paired.
+    Outliers are ignored, as in the controller. Stamp errors, once found, are corrected before
+    images and joints are paired.
 
     Parameters
     ----------
     estimator : Estimator
-        Learns and is asked.
+        Learns from the samples and estimates the Jacobian.
     pairing : StepPairing, optional
-        Makes steps of the messages.
+        Builds steps from the messages.
 
     Attributes
     ----------
@@ -202,7 +202,7 @@ class EstimationLoop:
     # --- inputs ---
 
     def add_joints(self, stamp_s: float, joints_rad: np.ndarray) -> bool:
-        """Take a joint state, s and rad, (n,); whether the estimator learned from it."""
+        """Take a joint state, s and rad, (n,). Returns whether the estimator learned from it."""
         return self._learn(self.pairing.timeline.add_joints(stamp_s, joints_rad))
 
     def add_ball(self, stamp_s: float, ball_m: np.ndarray) -> bool:
@@ -268,7 +268,7 @@ class EstimationLoop:
         return learns
 
     def _accepted(self, sample: Sample) -> list[Sample]:
-        """The samples that are known now to be no outliers, oldest first."""
+        """The samples that are now confirmed as inliers, oldest first."""
         last, self._last = self._last, sample
         if self.estimator.problem:
             self._last = None  # no prediction to judge by
@@ -294,7 +294,7 @@ class EstimationLoop:
         return [image.source for image in images]
 
     def _correct_stamps(self, late_s: float) -> None:
-        """Pair the last ball positions anew: what was learned came from wrong pairs."""
+        """Reset the estimator and pair the last ball positions again, with corrected stamps."""
         self.late_s += late_s
         self._stamps = StampWatch()
         self.estimator.reset()

@@ -1,8 +1,8 @@
 """Random joint motion for collecting data: smooth, bounded, inside a box, and all over it.
 
-Each joint goes to and fro across its range at nearly constant speed, turning softly, and no two
-joints keep time. Such a path, a billiard in n dimensions, fills its box evenly. It is followed
-in closed loop: velocity of the path plus a small gain on the distance from it.
+Each joint oscillates across its range at nearly constant speed with soft turns, and no two joints
+have the same frequency. Such a path, a billiard in n dimensions, fills its box evenly. The arm
+follows it in closed loop: path velocity plus a small gain on the deviation.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ _LEAST_SHARE, _DRAWS = 0.5, 64
 _TURNING_SHARE, _SHARPNESS = 0.8, (0.05, 0.98)
 #: A motion lasts at least this many soft starts.
 _LEAST_RAMPS = 2.5
-#: Distance kept from the joint limits, rad, velocity per distance from the path, 1/s, and what
-#: counts as back at the start, rad.
+#: Distance to the joint limits, rad, position gain, 1/s, and tolerance of the return to the start,
+#: rad.
 _LIMIT_MARGIN_RAD, _POSITION_GAIN, _HOME_RAD = 0.1, 2.0, 0.02
 _LIMIT_RAD = 4.0 * math.pi
 
@@ -39,7 +39,7 @@ class MotionConfig(Parameters):
         If values do not fit together, or the duration is too short to go and return.
     """
 
-    duration_s: float = parameter(120.0, "how long to move and record, at most", 2.0, 7200.0)
+    duration_s: float = parameter(120.0, "largest duration of motion and recording", 2.0, 7200.0)
     joint_range_rad: tuple[float, ...] = parameter(
         TRAINING_BOX_RAD,
         "half width of the box of motion about the joints at the start",
@@ -97,8 +97,8 @@ class RandomMotion:
     """Joint velocities that explore a box about the start pose, rad, (n,).
 
     Each joint follows ``centre + half asin(k sin(phase + rate t)) / asin(k)``: a sine for a
-    sharpness k near 0, straight lines with sharp turns near 1. (With sines a recording of two
-    minutes taught networks a third worse.) Equal generators give equal motions; a start pose
+    sharpness k near 0, straight lines with sharp turns near 1. (With sines, networks from a
+    two-minute recording had a third more error.) Equal generators give equal motions; a start pose
     outside the joint limits raises ValueError.
 
     ``box_rad`` holds the least and greatest joint positions of the path, (2, n), ``duration_s`` its
@@ -134,8 +134,9 @@ class RandomMotion:
         """Draw speeds, then phases."""
         half, config = self._half, self._config
         acceleration = _TURNING_SHARE * config.max_joint_acceleration_rad_s2
-        # In a narrow box a joint never gets to the speed limit. Shares are of the speed it gets to,
-        # and all joints turn as softly: with sharper turns the slower ones would nearly catch up.
+        # In a narrow box a joint cannot reach the speed limit, so the shares refer to its reachable
+        # speed. All joints turn equally softly; with sharper turns slow joints would almost catch
+        # up.
         sine_speed = np.sqrt(acceleration * half / _turn_factor(_SHARPNESS[0]))
         top = np.minimum(config.path_speed_rad_s, sine_speed)
         speed = top * _unequal_shares(half, top, rng)
@@ -150,7 +151,7 @@ class RandomMotion:
         self.rate_rad_s = speed * np.arcsin(k) / (np.where(half > 0.0, half, np.inf) * k)
 
     def end_early(self, time_s: float) -> None:
-        """Come home from now on, as softly as at the end."""
+        """Return home from now on, as softly as at the regular end."""
         self.duration_s = min(self.duration_s, time_s + self._ramp_s)
 
     def path(self, time_s: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -27,8 +27,8 @@ from fvs_ros.paths import find_file
 from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
 
 _FRESH_S = 0.2
-#: Shortest time between two Jacobians: at most every second joint state of 125 Hz, every 16 ms,
-#: less a fifth, for joint states come with jitter, and late is worse than often.
+#: Shortest time between two Jacobians, s: every second joint state at 125 Hz (16 ms), less a fifth
+#: for jitter.
 _JACOBIAN_GAP_S = 0.8 * 0.016
 
 
@@ -62,7 +62,7 @@ class EstimatorNode(ros.FvsNode):
         self.create_timer(ros.STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
 
     def _use(self, v: dict[str, Any]) -> None:
-        """Estimate by the method that the values name, from nothing but the model."""
+        """Start the method that the values name, from the trained model alone."""
         config = EstimatorConfig.from_values(v)
         self._loop = EstimationLoop(self._make_estimator(config, v))
         self._config = config
@@ -71,10 +71,10 @@ class EstimatorNode(ros.FvsNode):
             self.subscribe(topics.TRUE_JACOBIAN, self._on_truth)
 
     def on_parameters(self, values: dict[str, Any], changed: set[str]) -> None:
-        """Take another method into use, but not one that would take over a moving arm."""
+        """Switch the method, but not while the controller servoes."""
         if values["method"] == self._config.method:
             return
-        # The controller tells the sliding variable at every tick that servoes, and at no other.
+        # The controller publishes the sliding variable only while it servoes, at every tick.
         if self.monitor(topics.SLIDING_VARIABLE.name).age_s(self.now_s()) < _FRESH_S:
             raise ValueError(
                 "the method changes only while the controller does not servo; call its ~/stop first"
@@ -99,7 +99,7 @@ class EstimatorNode(ros.FvsNode):
         try:
             joints = self._joint_map.positions(message.name, message.position)
         except ForeignJointsError as error:
-            # Another device's joints are no fault of ours, unless ours never came.
+            # Joint states of another device are an error only while ours have never arrived.
             if np.isinf(self._joints_s):
                 self._complain(str(error))
             return
@@ -139,7 +139,7 @@ class EstimatorNode(ros.FvsNode):
         self._program_running = message.data
 
     def _paused(self) -> bool:
-        """Whether the robot is paused: what moves it now is not the command."""
+        """Whether the robot is paused, so that it does not follow the commands."""
         return not self._program_running or not self._speed_scaling > 0.0
 
     def _learn(
@@ -156,7 +156,7 @@ class EstimatorNode(ros.FvsNode):
         if not isinstance(self._loop.estimator, OracleEstimator):
             return self._loop.problem
         if self.monitor(topics.TRUE_JACOBIAN.name).age_s(self.now_s()) > _FRESH_S:
-            self._loop.estimator.reset()  # what was true is not true any more
+            self._loop.estimator.reset()  # the last true Jacobian is outdated
         problem = self._loop.problem
         return problem and f"waiting for {topics.TRUE_JACOBIAN.name}: {problem}"
 

@@ -1,7 +1,7 @@
-"""Estimators that know nothing but the last steps: two Kalman filters, least squares, Broyden.
+"""Estimators that use only the last steps: two Kalman filters, least squares, Broyden.
 
-They hold one Jacobian and no map of the workspace: wherever the arm is, it is the Jacobian of the
-last motions. They differ in how much of each prediction error goes into which entry.
+Each holds one Jacobian, fitted to the last motions, and no map of the workspace. They differ in how
+they distribute a prediction error over its entries.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ FROM_MODEL, FROM_ZERO = "model", "zero"
 
 @dataclass(frozen=True)
 class OnlineConfig(Parameters):
-    """Settings of the online estimators; each reads those that it has a use for."""
+    """Settings of the online estimators; each reads those that it needs."""
 
     initial: str = parameter(
         FROM_MODEL,
@@ -33,34 +33,34 @@ class OnlineConfig(Parameters):
     initial_deviation_m_rad: float = parameter(
         0.1,
         "Standard deviation of each entry of the initial Jacobian, m/rad; about 0.5 when it "
-        "starts from zero. Of lkf, ukf and rls.",
+        "starts from zero. For lkf, ukf and rls.",
         1e-4,
         10.0,
     )
     measurement_noise_m: float = parameter(
         1e-3,
-        "Standard deviation of one coordinate of a ball position, m. Of lkf, ukf and rls.",
+        "Standard deviation of one coordinate of a ball position, m. For lkf, ukf and rls.",
         1e-6,
         1.0,
     )
     #: By default 1e-4 (m/rad)^2 a step at 25 steps a second.
     process_noise: float = parameter(
         2.5e-3,
-        "Variance that each entry gains per second of motion, (m/rad)^2/s; larger follows "
-        "faster and is noisier. Of lkf and ukf.",
+        "Variance that each entry gains per second of motion, (m/rad)^2/s; larger adapts "
+        "faster and is noisier. For lkf and ukf.",
         0.0,
         10.0,
     )
     forgetting: float = parameter(
         0.98,
-        "Weight of a step relative to that of the next; 0.98 remembers 50 steps. Of rls.",
+        "Weight of a step relative to that of the next; 0.98 remembers 50 steps. For rls.",
         0.5,
         1.0,
     )
     gain: float = parameter(
         0.3,
-        "Share of a step's prediction error that is corrected; at 1 the new Jacobian explains the "
-        "step exactly, noise and all. Of broyden.",
+        "Share of a step's prediction error that is corrected; at 1 the new Jacobian fits the "
+        "step exactly, including its noise. For broyden.",
         1e-3,
         1.9,
     )
@@ -77,7 +77,7 @@ class OnlineConfig(Parameters):
 
 
 class OnlineEstimator(Estimator):
-    """One Jacobian, learned from steps alone; a method adds how.
+    """One Jacobian, learned from steps alone; subclasses add the update.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ class OnlineEstimator(Estimator):
         before = self._present(step.joints_rad)
         try:
             jacobian, covariance = self._learned(before, self.covariance, step)
-            # Raises unless positive definite: a covariance that rounding spoilt is not kept.
+            # Raises unless positive definite, to discard a covariance with rounding errors.
             np.linalg.cholesky(covariance)
         except np.linalg.LinAlgError:
             return None
@@ -180,8 +180,8 @@ class OnlineEstimator(Estimator):
 class BroydenEstimator(OnlineEstimator):
     """``J += gain (d_ball - J d_joints) d_joints' / (d_joints' d_joints)``.
 
-    The smallest change of J that explains a step. It has no notion of noise: the shorter a step,
-    the more of a position's noise goes into J.
+    The smallest change of J that explains a step. It has no noise model: the shorter a step, the
+    more position noise enters J.
     """
 
     def _learned(
@@ -272,7 +272,7 @@ class RlsEstimator(LkfEstimator):
 
 
 def _is_finite(values: np.ndarray) -> bool:
-    """Whether all values and the sum of their squares are finite: one fast question."""
+    """Whether all values and the sum of their squares are finite, in one fast check."""
     return math.isfinite(np.vdot(values, values))
 
 

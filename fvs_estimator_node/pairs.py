@@ -7,7 +7,7 @@ signal of the whole box over the noise of one position:
     x_b - x_a = sum_i W_i int_0^1 theta_i(r_a + t (r_b - r_a)) dt (r_b,i - r_a,i),
 
 linear in the weights, with the integral along a straight line by Gauss-Legendre quadrature. Pairs
-drawn at random also show that the columns belong to one function.
+drawn at random also force the columns to belong to one function.
 
 ``ridge`` draws the centres from the data and solves for the weights. ``varpro`` (variable
 projection) moves centres and widths as well, by Adam, and solves for the weights inside: at their
@@ -26,10 +26,10 @@ from scipy.ndimage import median_filter
 from fvs_estimator_node.rbf import RbfModel, rbf_features
 
 _MIN_SAMPLES = 60
-#: Pieces that a data set is cut into, and how many are kept back to choose and to judge with each.
+#: Pieces of a data set, and number of pieces held out for validation and for test, each.
 _PIECES, _KEPT_BACK = 60, 6
-#: Images that fit worse than this many times the median are left out, compared with the median of
-#: this many neighbours.
+#: An outlier's residual deviates from the median of its neighbours by more than this multiple of
+#: the median deviation; number of neighbours.
 _OUTLIER_FACTOR, _NEIGHBOURS = 6.0, 7
 #: Width of all neurons at first, in standard deviations of the training joints (mean over the
 #: joints); 7 is 3.5 times the half width of an evenly filled box, over two.
@@ -44,7 +44,7 @@ _BATCH, _LEARNING_RATE, _CHECK_EVERY = 2048, 0.1, 20
 
 #: Centres, rad, (n, k, n), and widths, rad, (n, k).
 Neurons = tuple[np.ndarray, np.ndarray]
-#: Told the iterations done and to do and the best validation error; True ends them early.
+#: Called with iterations done, iterations planned and best validation error; True ends early.
 Progress = Callable[[int, int, float], bool]
 
 
@@ -78,10 +78,10 @@ class Pairs:
     def train(
         self, count: int, iterations: int, progress: Progress | None
     ) -> tuple[RbfModel, np.ndarray, dict[str, Any]]:
-        """Networks of that many neurons, refined in so many iterations (0: the ridge alone).
+        """Train networks of ``neurons`` neurons, refined in ``iterations`` (0: the ridge alone).
 
-        Also which images are good, (k,), and the errors of networks that have not seen the held-out
-        images; the weights are then fitted once more, to all good ones.
+        Also returns which images are inliers, (k,), and the errors on held-out images. The weights
+        are finally fitted to all inliers.
         """
         parts = self._split()
         neurons = self._first_neurons(parts[0], count)
@@ -146,8 +146,8 @@ class Pairs:
     def _good_images(self, neurons: Neurons, fitting: np.ndarray) -> np.ndarray:
         """Which images fit to their neighbours in time, bool (k,).
 
-        The networks' own error changes slowly along a motion, an outlier comes and goes; so it is
-        the residual's distance from its neighbours' median that counts.
+        The networks' own error changes slowly along a motion, an outlier is short. So the test uses
+        the distance of the residual from its neighbours' median.
         """
         weights = self._solve(neurons, fitting)
         middle = np.broadcast_to(self.joints[fitting].mean(axis=0), self.joints.shape)
@@ -209,7 +209,7 @@ def quadrature(nodes: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def line_regressors(neurons: Neurons, start: np.ndarray, end: np.ndarray, nodes: int) -> np.ndarray:
-    """What multiplies the weights in the ball's motion from joints to joints, rad, (p, n) each.
+    """Regressors of the weights for ball motion between joints ``start`` and ``end``, rad, (p, n).
 
     Integrals of theta_i along the line times the motion of joint i, network by network, (p, n k).
     """

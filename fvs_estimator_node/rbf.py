@@ -91,12 +91,12 @@ class RbfConfig(Parameters):
     """
 
     n1: float = parameter(0.3, "Gain n1 on the velocity prediction error.", 0.0)
-    #: 0.005 is not noticed, 0.03 costs a seventh of the speed: far from the target it moves the
-    #: Jacobian by about ``alpha2 s |theta|^2 r_dot`` a second, right or not.
+    #: 0.005 has no visible effect, 0.03 costs a seventh of the speed. Far from the target the term
+    #: moves the Jacobian by about ``alpha2 s |theta|^2 r_dot`` per second, even if it is right.
     alpha2: float = parameter(
         0.005,
-        "Gain alpha2 on the sliding variable; it should stay below 0.03. Negative "
-        "is the sign as printed in (17), against which the stability proof does not hold.",
+        "Gain alpha2 on the sliding variable; it should stay below 0.03. Negative values give "
+        "the sign printed in (17), for which the stability proof does not hold.",
         -10.0,
         10.0,
     )
@@ -170,7 +170,7 @@ class RbfEstimator(FrozenRbfEstimator):
     With e = x_dot - J r_dot, the weights of feature j of network i change by
     ``Gamma r_dot_i theta_i (n1 e_j + alpha2 s_j) - k3 (W_ij - W0_ij)``, integrated over the step:
     the leak exactly, the rest with Gamma reduced where ``Gamma n1 dt sum_i r_dot_i^2 |theta_i|^2``
-    would exceed ``mu``. (Any positive Gamma keeps the proof; a step that overshoots does not.)
+    would exceed ``mu``. (The proof holds for any positive Gamma, but not for an overshooting step.)
     """
 
     learns = True

@@ -1,8 +1,8 @@
-"""Ends a collection early, once a chain fitted to it knows the Jacobian well enough. No ROS.
+"""Ends a collection early, once a fitted chain determines the Jacobian well enough. No ROS.
 
-A fit takes a second and would hold the 125 Hz commands up, so each runs in a process of its own
-(this module as a program): arrays in on its standard input, a line of JSON out. Whatever becomes
-of it, the collection goes on.
+A fit takes a second and would delay the 125 Hz commands. So each one runs in its own process (this
+module as a program): arrays in on standard input, a line of JSON out. If it fails, the collection
+continues.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 from fvs_ros.paths import program
 from fvs_ros.timeline import Sample
 
-#: When a chain is fitted first, and how much later the next time at the earliest, s of motion.
+#: Time of the first fit, and least time to the next one, s of motion.
 _FIRST_S, _PERIOD_S = 12.0, 4.0
 _COMMAND = program("fvs_estimator_node.stopping")
 
@@ -31,8 +31,8 @@ class StopCriterion:
     """Fits chains to what was collected so far, one after the other, without waiting for them.
 
     ``stop_at_error`` is the relative standard deviation of the Jacobian that is good enough; 0 fits
-    nothing. ``enough`` says whether two fits in a row know the chain so well, ``trouble`` why there
-    will be no more fits, and ``found`` holds the newest fit's figures.
+    nothing. ``enough`` is whether two consecutive fits reached it, ``trouble`` explains why fitting
+    has ended, and ``found`` holds the newest fit's figures.
     """
 
     def __init__(self, stop_at_error: float, command: Sequence[str] = _COMMAND) -> None:
@@ -43,9 +43,9 @@ class StopCriterion:
         self.found: dict[str, Any] = {}
 
     def look(self, time_s: float, samples: Sequence[Sample], box_rad: np.ndarray) -> None:
-        """Start a fit, or take its answer, if it is time; never waits.
+        """Start a fit, or take its answer, if it is due; never waits.
 
-        Of the time of the motion, s, all that was recorded, and the box of motion, rad, (2, n).
+        Takes the time of the motion, s, all samples so far, and the motion box, rad, (2, n).
         """
         if self.enough or self.trouble or self._stop_at_error <= 0.0:
             return
@@ -65,7 +65,7 @@ class StopCriterion:
             elif self._fit is not None and self._fit.poll() is not None:
                 ended, self._fit = self._fit, None
                 self._take(*ended.communicate(), ended.returncode)
-        except Exception as error:  # whatever it is, the collector says it and goes on
+        except Exception as error:  # the collector reports any failure and continues
             self.trouble = f"the chain fit failed: {error}"
 
     def _take(self, out: bytes, complaint: bytes, exit_code: int) -> None:
@@ -84,7 +84,7 @@ class StopCriterion:
 
 
 def _examine(box_rad: np.ndarray, *columns: Any) -> dict[str, Any]:
-    """How well a chain is known in a box by the columns of samples; empty if not yet."""
+    """Fit a chain to the columns of samples; its accuracy in a box, empty if not known yet."""
     from fvs_estimator_node.chain_fit import fit_chain
     from fvs_estimator_node.files import DataSet
 

@@ -29,9 +29,9 @@ _SAMPLES, _JUDGED = 80, 1000
 #: Width of the neurons over the box's rms half width, and the box of samples over that of the
 #: data: the least error of some tried.
 _WIDTH_FACTOR, _BEYOND = 4.0, 1.1
-#: A user should know of a Jacobian with a larger relative deviation (median over the box), of a
-#: larger share of outliers, of larger noise, m (no depth camera is that bad), of a larger offset of
-#: the stamps, s, and of networks that miss a larger share of the ball's motion.
+#: Limits above which a note is shown: relative deviation of the Jacobian (median over the box),
+#: share of outliers, noise, m (no depth camera is that bad), offset of the stamps, s, and share of
+#: the ball's motion that the networks miss.
 _NOTABLE_DEVIATION, _NOTABLE_OUTLIERS, _NOTABLE_NOISE_M = 0.01, 0.01, 0.01
 _NOTABLE_OFFSET_S, _NOTABLE_ERROR = 0.003, 0.15
 
@@ -150,7 +150,7 @@ def train(
 def distil(
     chain: SerialChain, box_rad: np.ndarray, neurons: int, rng: np.random.Generator
 ) -> RbfModel:
-    """Networks that say what a chain says in a box of joints, rad, shape (2, n)."""
+    """Networks distilled from a chain in a box of joints, rad, shape (2, n)."""
     n = box_rad.shape[1]
     half = 0.5 * (box_rad[1] - box_rad[0])
     width = max(_WIDTH_FACTOR * math.sqrt(float(np.mean(half**2))), 1e-3)
@@ -171,7 +171,7 @@ def _within(box_rad: np.ndarray, rng: np.random.Generator, count: int) -> np.nda
 
 
 def _joints_seen(data: DataSet, offset_s: float) -> np.ndarray:
-    """The joints that the images show, rad, (k, n), if these are stamped late by an offset, s."""
+    """Joints at the true exposures, rad, (k, n), for images stamped late by an offset, s."""
     joints = data.joints_rad.copy()
     for run in data.runs():
         time_s = data.stamps_s[run]
@@ -184,7 +184,7 @@ def _joints_seen(data: DataSet, offset_s: float) -> np.ndarray:
 
 
 def _figures(fit: ChainFit, model: RbfModel, places: np.ndarray) -> dict[str, Any]:
-    """What a model file keeps of a fit; nothing that is not known, for it holds no NaN."""
+    """Figures of a fit for the model file, without unknown ones (a model file holds no NaN)."""
     truth = fit.chain.jacobian(places)
     error = np.linalg.norm(model.jacobian(places) - truth, axis=(1, 2))
     names = ("misfit", "residual_m", "noise_m", "ray_noise_m", "lateral_noise_m", "time_offset_s")

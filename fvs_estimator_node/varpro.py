@@ -43,10 +43,10 @@ def refine(
 ) -> int:
     """Move centres and widths by Adam so that the networks predict the ball's motion better.
 
-    Of centres, (n, k, n), and widths, (n, k), to begin with, rad; the next batch; places in [0, 1]
-    on the line between two joint positions and their shares; the ridge relative to the mean
-    diagonal; Adam's first step for centres (rad) and log widths, which falls to zero. ``report``
-    takes iteration, centres and widths after each iteration and may end them; returns how many.
+    Takes initial centres, (n, k, n), and widths, (n, k), rad; a function that draws the next batch;
+    quadrature nodes in [0, 1] between two joint positions, and their weights; the ridge relative to
+    the mean diagonal; Adam's first step for centres (rad) and log widths, which decays to zero.
+    ``report`` takes iteration, centres and widths and may end early. Returns the iterations done.
     """
     centres, widths = neurons
     networks = [

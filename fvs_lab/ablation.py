@@ -1,4 +1,4 @@
-"""One change at a time: what each part of the proposed scheme is worth."""
+"""Ablation: the effect of each part of the proposed scheme, one change at a time."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ BASE = "as it comes"
 LITERAL, LITERAL_SAME = "as printed, its own gains", "as printed, same gains"
 CAPPED, UNCAPPED = "gain 100 times as high, capped", "gain 100 times as high, cap off"
 FROZEN, ORACLE = "no online update", "true Jacobian"
-#: Reaching gains of the law as printed: of 24 combinations of k1 (0.3 to 3), k2 (0.01, 0.05) and
-#: k4 (0 to 0.008) below its stability limits the one that was soonest within 2 mm, on other cases.
+#: Reaching gains of the law as printed: the fastest to 2 mm, on other cases, of 24 combinations of
+#: k1 (0.3 to 3), k2 (0.01, 0.05) and k4 (0 to 0.008) below its stability limits.
 _LITERAL = {"discretisation": "literal", "k1": 2.0, "k2": 0.01, "k4": 0.003}
-#: Latencies, ms, and the factors on alpha2 and alpha3 with which the law is soonest within 5 mm
-#: without prediction, of 0.5, 0.35, 0.25 and 0.15, on other cases.
+#: Factor on alpha2 and alpha3 by latency, ms: of 0.5, 0.35, 0.25 and 0.15 the fastest to 5 mm
+#: without prediction, on other cases.
 _SOFTER = {40: 0.35, 80: 0.25, 120: 0.15}
 _TURNS_DEG = (20, 45)
-#: Changes smaller than this say nothing.
+#: Ratios below this are not significant.
 NOTABLE = 1.05
 
 _COLOURS = {"control law": "#0072B2", "Jacobian": "#D55E00", "images": "#009E73",
@@ -93,9 +93,10 @@ RESTS: Mapping[str, Mapping[str, Any]] = {
 
 
 def run_rest(task: tuple[str, trials.Case, float]) -> dict[str, Any]:
-    """Go to a case's target and hold it, s, with the exact camera: a minute of images takes long.
+    """Go to a case's target and hold it for a time, s, with the exact camera (images take long).
 
-    The estimator learns from every image, at rest, too. A row: its error before and after.
+    The estimator learns from every image, even at rest. Returns a row with its error before and
+    after the rest.
     """
     name, case, hold_s = task
     simulation = trials.simulation_of(trials.Conditions(rendered=False))

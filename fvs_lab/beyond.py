@@ -1,4 +1,4 @@
-"""What the additions to the paper are worth: a minute of data, least time, moved cameras."""
+"""Effect of the additions to the paper: a minute of data, least time, moved cameras."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from fvs_lab.trials import Case, Conditions, make_cases
 from fvs_tools.schemes import SCHEMES
 
 _NAME = "beyond"
-#: Races and other worlds have no picture: a camera that knows the ball, with the same noise.
+#: Races and other worlds use exact ball positions with the camera's noise, without rendering.
 _EXACT = {"rendered": False}
 #: Searched gains are for speed alone, within the limits that all have.
 _REGIME = REGIMES[0]
 #: Contestants that are judged by moved cameras, the first ones.
 _JUDGED = 2
 _LIMITS = Limits(who.SPEED_RAD_S, who.ACCELERATION_RAD_S2)
-#: Worlds of the spot check by the words behind the scheme's name.
+#: Worlds of the spot check, by the label after the scheme's name.
 CHECKED = {
     "": Conditions(),
     ", 200 ms of latency": Conditions(latency_s=0.2),
@@ -39,7 +39,7 @@ CHECKED = {
 
 
 def measure(context: lab.Context) -> lab.Found:
-    """Measure all parts; each row's ``part`` says of which one it is."""
+    """Measure all parts; each row names its ``part``."""
     count = context.count(60, 1)
     if not context.quick:  # 140 minutes on one core of a desktop computer
         print(f"   about {140 * count / 60 / context.jobs:.0f} minutes", flush=True)
@@ -92,7 +92,7 @@ def _facts(context: lab.Context, runs: Results, floors: Sequence[Floor]) -> dict
 
 
 def _minutes(context: lab.Context, count: int) -> list[dict[str, Any]]:
-    """Recordings of the plant as it is, and fewer of each plant that errs."""
+    """Recordings of the nominal plant, and fewer of each plant with an error."""
     duration_s = moved.MINUTE_S / 6 if context.quick else moved.MINUTE_S
     recordings = [
         (plant, 401 + number, duration_s, context.conditions(**changes))
@@ -163,13 +163,13 @@ def _over_floors(races: Results, cases: Sequence[Case], floors: Sequence[Floor])
 
 
 def _rendered(context: lab.Context, cases: Sequence[Case], races: Results) -> Results:
-    """With rendered images: how much later than in the race, and the rest error over the noise."""
+    """Runs with rendered images: delay against the race, and rest error over the noise."""
     own = context.run([who.variant(name) for name in who.SEEN], cases, "with images")
     raced = races.groups("scheme", "case")
     rows = []
     for row in own:
         before_s = raced[row["scheme"], row["case"]].rows[0]["to_5mm_s"]
-        # Two that never settle are alike.
+        # Two runs that never settle have no delay (inf - inf is NaN).
         later_s = 0.0 if row["to_5mm_s"] == before_s else row["to_5mm_s"] - before_s
         sigma = row["final_rms_m"] / who.SIGMA_M
         rows.append({**row, "part": "rendered", "later_s": later_s, "rms_sigma": sigma})
@@ -177,7 +177,7 @@ def _rendered(context: lab.Context, cases: Sequence[Case], races: Results) -> Re
 
 
 def _journeys(context: lab.Context, count: int) -> Results:
-    """Enough journeys to tell their share from 95 %; fewer for the schemes beside them."""
+    """Enough journeys to decide against a share of 95 %; fewer for the other schemes."""
     parts = {who.SHAKEN[:_JUDGED]: 37 * count // 30, who.SHAKEN[_JUDGED:]: count // 6}
     if context.quick:
         parts = {who.SHAKEN[:_JUDGED]: 1}
@@ -213,14 +213,14 @@ def _pursuits(context: lab.Context, count: int) -> Iterator[dict[str, Any]]:
 
 # ---- claims ---------------------------------------------------------------------------------
 
-#: What a minute of data must be good for: claim, column, its largest value, factor and unit.
+#: Requirements on a minute of data: claim, column, largest value, factor and unit.
 _MINUTE = {
     "chain": (("chain_box", 0.005, 100, " %"), ("chain_workspace", 0.015, 100, " %")),
     "late": (("late_error_s", 0.003, 1e3, " ms"),),
     "fit": (("fit_s", 5.0, 1, " s"),),
     "distilled": (("distilled_box", 0.02, 100, " %"),),
 }
-#: What the fit says of its error may be larger or smaller by this factor.
+#: The error stated by the fit may be wrong by this factor, either way.
 HONEST = 2.0
 #: Share of the cases that must settle in each of the other worlds, and of honest fits.
 MOST = 0.9

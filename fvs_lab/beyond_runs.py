@@ -24,11 +24,11 @@ from fvs_tools.closed_loop import ClosedLoop
 # ---- a minute of motion ---------------------------------------------------------------------
 
 MINUTE_S = 60.0
-#: The images of a seed are stamped late by as much as this, drawn evenly, s.
+#: Largest stamp delay of a recording's images, drawn uniformly by its seed, s.
 MOST_LATE_S = 0.1
 
-#: What may err in a plant, and how its conditions differ: the calibration by as much as that of a
-#: depth camera off the shelf, encoders and drives far worse than a UR's.
+#: Plant errors and their conditions: the calibration error of an off-the-shelf depth camera, and
+#: encoders and drives much worse than a UR's.
 USUAL = "nothing"
 ERRING: Mapping[str, Mapping[str, Any]] = {
     USUAL: {},
@@ -55,9 +55,9 @@ def draw_places(seed: int, count: int) -> dict[str, np.ndarray]:
 
 
 def record(seed: int, duration_s: float, conditions: trials.Conditions) -> tuple[DataSet, float]:
-    """Let the simulated arm move and record as the collector does; how late the images are, s.
+    """Record the simulated arm as the collector does; also returns the stamp delay, s.
 
-    The seed is that of the motion, the noise and the lateness.
+    The seed determines the motion, the noise and the delay.
     """
     rng = np.random.default_rng([seed, 1])
     late_s = float(rng.uniform(0.0, MOST_LATE_S))
@@ -83,10 +83,10 @@ def learn(
 ) -> dict[str, Any]:
     """Record a plant (its name, seed, duration, s, and conditions), fit, distil and compare.
 
-    A row: relative errors of the Jacobians of the chain and of the networks distilled from it,
-    medians over the places of :func:`draw_places`; ``fit_s`` of one core; how late the images were
-    stamped and found to be. In box M also the error ``stated`` by the fit, and that against the
-    Jacobian of where the camera sees the ball (``seen``); ``chain_box`` is that of where it is.
+    Returns a row: relative errors of the Jacobians of the chain and of the distilled networks,
+    medians over the places of :func:`draw_places`; ``fit_s`` on one core; true and estimated stamp
+    delay. For box M also the error ``stated`` by the fit, and the error against the Jacobian of
+    the position that the camera reports (``seen``); ``chain_box`` is against the true one.
     """
     plant, seed, duration_s, conditions = task
     data, late_s = record(seed, duration_s, conditions)
@@ -99,7 +99,7 @@ def learn(
         where: np.array([simulation.true_jacobian(one) for one in joints])
         for where, joints in places.items()
     }
-    # how the camera errs is linear
+    # the camera's systematic error is linear
     errs = np.stack([simulation.as_seen(one) for one in np.eye(true["box"].shape[1])], axis=1)
     stated = float(np.median(fit_chain(data).jacobian_deviation(places["box"])))
 
@@ -125,7 +125,7 @@ def learn(
 
 # ---- moved cameras --------------------------------------------------------------------------
 
-#: In motion the blow comes this time after the target, s.
+#: Time from the target to the blow in motion, s.
 STRUCK_AFTER_S = 0.3
 #: How long the camera is carried, and how long the arm rests at the first target after a blow, s.
 CARRIED_S, REST_S = 2.0, 1.0
@@ -219,9 +219,9 @@ def _carry(bump: trials.Bump, loop: ClosedLoop) -> None:
 def with_slowdown(arrivals: Results) -> Results:
     """Rows with ``slowdown``: settling time over that of the undisturbed run of the same case.
 
-    From the last target on: in mid-motion that is the second one given anew, which is compared
-    with what was left of the undisturbed run. Infinite where nothing was left, or the undisturbed
-    run never settled. ``kept``: whether it is at most 1.2.
+    Settling times count from the last target. After a blow in motion that is the second target
+    given again, compared with the remaining time of the undisturbed run. Infinite if no time
+    remained, or if the undisturbed run never settled. ``kept`` is whether it is at most 1.2.
     """
     calm = arrivals.where(moment=UNDISTURBED).groups("scheme", "case")
     rows = []

@@ -39,8 +39,8 @@ FOLLOWERS = (PROPOSED, EXTENDED, BEST)
 PUBLISHED = (*SCHEMES, ORACLE)
 RACERS = (BEST, BEST_ORACLE, EXTENDED, *PUBLISHED)
 
-#: Laws that say how the ball is to move and leave the joints to the redundancy resolution; the
-#: other two have a least-squares problem of joint speeds of their own.
+#: Laws that command a ball velocity and leave the joints to the redundancy resolution; the other
+#: two solve their own least-squares problem of joint speeds.
 RESOLVING = ("ftsm", "proportional")
 
 
@@ -61,9 +61,9 @@ def _equipped(scheme: Scheme, how: str = "tuned") -> Scheme:
 #: The paper's laws that have the filter there, with the networks.
 _ON_NETWORKS = [Scheme(f"rbf+{law}", "rbf", law, "") for law in ("mfac", "mpc")]
 _LAWS = (BEYOND[EXTENDED], SCHEMES["rbf+pid"], *_ON_NETWORKS)
-#: Racing with all additions and searched gains: for speed alone; and each law for speed at no more
-#: jitter, rad/s, than about what extended has by its defaults. Jitter is taken in the second that
-#: follows two seconds within 5 mm.
+#: Races with all additions and searched gains: for speed alone, and for speed with a jitter limit,
+#: rad/s, of about extended's jitter with its defaults. Jitter is measured in the second after two
+#: seconds within 5 mm.
 TUNED = {
     one.name: one
     for one in map(_equipped, (BEYOND[EXTENDED], *SCHEMES.values(), *_ON_NETWORKS, ORACLES[ORACLE]))
@@ -71,9 +71,9 @@ TUNED = {
 CALM = {one.name: one for one in (_equipped(law, "calm") for law in _LAWS)}
 CALM_RAD_S = 0.0002
 CALM_REGIME = Regime("calm", "", CLIPPED, 5.0, ("jitter_rad_s", CALM_RAD_S), 3.0)
-#: Gains of the proportional law between the two, 1/s: what it pays in jitter for speed.
+#: Gains of the proportional law between the two, 1/s: its trade of jitter for speed.
 TURNED_1_S = (10.0, 14.0, 20.0)
-#: The sliding mode law, and all others with the same search; the filter knows less than networks.
+#: The sliding mode law in each search, and the other laws with the same searches.
 SLIDING, SLIDING_CALM = next(iter(TUNED)), next(iter(CALM))
 OTHERS = tuple(
     one.name
@@ -86,7 +86,7 @@ SEEN = (BEST, EXTENDED, PROPOSED, "rbf+pid")
 
 @dataclass(frozen=True)
 class World:
-    """Conditions in which one thing is not as usual: what, how much of it, and the fields."""
+    """Conditions with one deviation: its name, its size, and the fields that differ."""
 
     kind: str
     label: str

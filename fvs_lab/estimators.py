@@ -26,8 +26,8 @@ IGNORANCE_M_RAD = 0.5
 
 # ---- contestants ----------------------------------------------------------------------------
 
-#: Each method's one free parameter of the node, by the start: of eight values the one with the
-#: least median T1 on three other paths, with 1 mm of noise and an exact camera.
+#: The free parameter of each method by its start: of eight values the one with the least median T1
+#: on three other paths, with 1 mm of noise and an exact camera.
 TUNED: Mapping[str, tuple[str, Mapping[str, float]]] = {
     "lkf": ("online.process_noise", {"explored": 0.01, "model": 0.01, "zero": 0.01}),
     "ukf": ("online.process_noise", {"explored": 0.01, "model": 0.01}),
@@ -65,7 +65,7 @@ def _started(method: str, start: str) -> Contestant:
     values: dict[str, Any] = {parameter: tuned[start]}
     if start != "model":
         values["online.initial"] = "zero"
-        if method != "broyden":  # which has no notion of how wrong it may be
+        if method != "broyden":  # Broyden has no covariance
             values["online.initial_deviation_m_rad"] = IGNORANCE_M_RAD
     label = f"{_LABELS[method]}, {_STARTS[start]}"
     return Contestant(f"{method}_{start}", label, method, values, start == "explored")
@@ -243,7 +243,7 @@ def claims(found: lab.Found) -> Iterator[lab.Claim]:
 
 
 def _proof_part(judge_of: _Judge, runs: Results, worlds: Sequence[World]) -> lab.Part:
-    """Pairs that T1 ranks wrongly: without one of two filters that are the same, and the oracle."""
+    """Pairs that T1 ranks wrongly, without the oracle and one of two identical filters."""
     names = runs.those(lambda row: row["method"] not in ("ukf", "oracle")).groups("name")
     pairs = [(world, *pair) for world in worlds for pair in combinations(names, 2)]
     wrong = 0

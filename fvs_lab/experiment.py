@@ -40,13 +40,13 @@ class Context:
     seeds: int | None = None
     #: Number of processes.
     jobs: int = 1
-    #: Whether to do a small part of everything, to see that it works.
+    #: Whether to run a small part of everything, as a smoke test.
     quick: bool = False
     #: Whether ball positions come from rendered images.
     rendered: bool = True
     #: Whether spot checks through the real nodes are made.
     nodes: bool = True
-    #: Number of random worlds, and who is sent through them; empty for all.
+    #: Number of random worlds, and the schemes that run in them; empty for all.
     trials: int | None = None
     schemes: tuple[str, ...] = ()
 
@@ -130,7 +130,7 @@ class Part:
     label: str
     #: The number with its interval, and what is asked of it.
     measured: str
-    #: Whether it is so; None if undecided.
+    #: Whether the part holds; None if undecided.
     holds: bool | None
     #: Of two parts that agree, the one with the larger margin decides.
     margin: float = 0.0
@@ -157,14 +157,14 @@ def share_above(label: str, one: Interval, bound: float) -> Part:
 
 
 def kept(label: str, hits: int, count: int, least: float) -> Part:
-    """A plain share that must be at least so large; undecided without runs."""
+    """A plain share (no interval) that must reach ``least``; undecided without runs."""
     share = hits / count if count else 0.0
     text = f"{hits} of {count} ({100 * share:.1f} %), asked: {100 * least:.0f} %"
     return Part(label, text, share >= least if count else None)
 
 
 def either(label: str, *parts: Part) -> Part:
-    """One part of several of which one is enough."""
+    """Combine parts of which at least one must hold."""
     claim = Claim("", OURS, parts, any_of=True)
     best = claim.decisive
     return Part(f"{label}, {best.label}", best.measured, best.holds, best.margin)
@@ -172,7 +172,7 @@ def either(label: str, *parts: Part) -> Part:
 
 @dataclass(frozen=True)
 class Claim:
-    """What is claimed, by whom, and the numbers that decide."""
+    """A claim, its author, and the numbers that decide it."""
 
     #: The template's macro ``claim_NAME`` states it.
     name: str
@@ -226,7 +226,10 @@ class Found:
 
 @dataclass(frozen=True)
 class TableOf:
-    """A table that is shown: what makes its rows, and what is summed up; see :func:`table`."""
+    """Declaration of a table: the columns that group its rows, and those to summarise.
+
+    See :func:`table`.
+    """
 
     #: Its caption is the template's macro ``table_NAME``.
     name: str
@@ -253,7 +256,7 @@ Drawn = tuple[str, Any, Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Experiment:
-    """What is measured, and what is made of it."""
+    """An experiment: its measurement, claims, tables and figures."""
 
     #: Of its module, its template and its folder.
     name: str
@@ -309,7 +312,7 @@ class Experiment:
 
 
 def _evidence(words: Words, claims: Sequence[Claim]) -> list[Table]:
-    """All parts of the claims that stand on more than one number."""
+    """All parts of the claims that depend on more than one number."""
     word = {True: "yes", False: "no", None: "undecided"}
     rows = [
         [words(f"claim_{claim.name}", claim.given), part.label, part.measured, word[part.holds]]

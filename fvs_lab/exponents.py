@@ -1,8 +1,8 @@
 """The exponent of the sliding surface: how fast, how calm; figures 2 and 3 of the paper.
 
 The surface ``s = a1 y' + a2 y + a3 |y|^g sgn y`` (14) makes an axis move at about
-``a2 |y| + a3 |y|^g``: the smaller g, the longer the speed holds up near the goal, and the more
-suddenly it must turn round there. Everything runs without a speed limit that would hide this.
+``a2 |y| + a3 |y|^g``: the smaller g, the longer it keeps its speed near the goal, and the more
+abruptly it reverses there. All runs are without a speed limit, which would hide this.
 """
 
 from __future__ import annotations

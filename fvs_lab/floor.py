@@ -1,11 +1,10 @@
-"""The least time after which the ball is near the target for good, joints being limited.
+"""The least time until the ball stays near the target, within the joints' limits.
 
-Found by sequential quadratic programming from one start; braking lasts no longer than the joints
-need from full speed. The arm need not have stopped by then: it is enough that the ball is within
-the tolerance and can be kept there while the joints brake. Up to that moment joints are
-independent, and each can reach whatever lies between its quickest motions either way, which are
-known in closed form. So the unknowns are the moment, the travel and speed of each joint then, and
-how it brakes afterwards.
+It is found by sequential quadratic programming from one start. The arm may still move at that
+time: the ball only has to be within the tolerance and stay there while the joints brake. Braking
+lasts no longer than from full speed. Before that time the joints are independent, and each reaches
+any state between its fastest motions in both directions, which have a closed form. So the unknowns
+are the time, the travel and speed of each joint at that time, and its braking afterwards.
 """
 
 from __future__ import annotations
@@ -22,11 +21,11 @@ from fvs_ros.chain import SerialChain
 from fvs_sim_node.simulation import Simulation
 from fvs_tools.score import settling_time_s
 
-#: Pieces of steady acceleration that braking consists of, and checks of the ball in each: twice as
-#: many of either change the time by less than a millisecond.
+#: Pieces of constant acceleration during braking, and checks of the ball in each: twice as many of
+#: either change the time by less than a millisecond.
 _PIECES, _LOOKS = 8, 4
-#: The fastest motion touches the tolerance again while it brakes. What is played is planned for
-#: this much less, m: commands that hold for 8 ms, and the arm's physics, are no more exact.
+#: Margin to the tolerance of a motion that is played, m: the fastest motion touches the tolerance
+#: again while it brakes, and commands that hold for 8 ms follow it only this accurately.
 SPARE_M = 0.0002
 
 
@@ -98,7 +97,7 @@ class Fastest:
         """The motion and some rest as commands that hold for a period, shape (n, joints), rad/s."""
         whole_s = self.time_s + _PIECES * self.piece_s + 0.2  # for the drives to come to rest, too
         count = int(np.ceil(whole_s / period_s))
-        # A command may at once be what the limit allows after a period: half a one is gained.
+        # A command may jump to what the limit allows after one period, so half a period is gained.
         moments = period_s * (0.5 + (np.arange(count * 20) + 0.5) / 20)
         return self.speeds_rad_s(moments).reshape(count, 20, -1).mean(axis=1)
 
@@ -229,7 +228,7 @@ def play_s(
 
 @dataclass(frozen=True)
 class Floor:
-    """How soon a case can be over, by the bound on the error: ``5 mm``, ``2 mm``, ``1 mm``."""
+    """Least settling times of a case by the error bound: ``5 mm``, ``2 mm``, ``1 mm``."""
 
     #: Least time within the joints' limits, s.
     least_s: dict[str, float]
@@ -238,7 +237,7 @@ class Floor:
 
 
 def floor_of(case: Case, limits: Limits) -> Floor:
-    """Compute how soon a case can be over, and play it."""
+    """Compute the least settling times of a case, and play the motions."""
     simulation = simulation_of(Conditions(rendered=False))
     period_s = 1.0 / simulation.config.joint_state_rate_hz
     least_s, clairvoyant_s = {}, {}

@@ -53,7 +53,7 @@ def _parser() -> argparse.ArgumentParser:
         "--out", type=Path, default=Path("out/experiments"), help="folder (default: %(default)s)"
     )
     parser.add_argument(
-        "--quick", action="store_true", help="a small part of everything, to see that it works"
+        "--quick", action="store_true", help="run a small part of everything, as a smoke test"
     )
     parser.add_argument(
         "--camera",
@@ -89,7 +89,7 @@ def _positive(text: str) -> int:
 
 @console.reader_may_leave()
 def main(argv: list[str] | None = None) -> int:
-    """Run ``fvs_experiments``; the exit code says how it went."""
+    """Run ``fvs_experiments``; returns the exit code."""
     given = sys.argv[1:] if argv is None else argv
     if given[:1] == ["replay"]:
         from fvs_lab.replay.main import main as replay

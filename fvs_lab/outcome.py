@@ -1,4 +1,4 @@
-"""What came of a run: its judgement, and its row in the tidy table."""
+"""The outcome of a run: its figures, and its row in the tidy table."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from fvs_controller_node.reasons import State
 from fvs_controller_node.supervisor import Command
 from fvs_tools.score import FINAL_S, FINE_ERROR_M, SETTLED_ERROR_M, jitter_rad_s, settling_time_s
 
-#: Errors whose settling times are taken, m.
+#: Error bounds of the settling times, m.
 BOUNDS_M = {"5 mm": SETTLED_ERROR_M, "2 mm": FINE_ERROR_M, "1 mm": 0.001}
-#: Ticks from one comparison of the Jacobian in use with the true one to the next.
+#: Ticks between comparisons of the Jacobian in use with the true one.
 JACOBIAN_EVERY = 5
 #: Cause of a failure: the ball came near, and left again.
 NOT_STAYED = "reached 5 mm, but did not stay"
@@ -22,7 +22,7 @@ NOT_STAYED = "reached 5 mm, but did not stay"
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a trial; errors are of the true ball position."""
+    """The outcome of a trial; errors are those of the true ball position."""
 
     #: Error when the target was given, m.
     start_distance_m: float
@@ -31,7 +31,7 @@ class Outcome:
     #: Error over the last second, rms, m.
     final_rms_m: float
     #: Change of the command from tick to tick over the last second, rms, worst joint, rad/s;
-    #: infinite for an arm that the supervisor held: standing still is not calm.
+    #: infinite for an arm that the supervisor held, since its rest is no merit of the law.
     jitter_rad_s: float
     #: Largest commanded joint speed, rad/s.
     peak_joint_speed_rad_s: float
@@ -43,9 +43,9 @@ class Outcome:
     jacobian_error: float
     #: Why it did not settle to 5 mm; empty if it did.
     failure: str
-    #: The target, camera frame, m; after a bump, that of the camera where it is then.
+    #: The target, camera frame, m; after a bump, in the frame of the moved camera.
     target_m: tuple[float, ...]
-    #: What the controller said last in a run that failed.
+    #: The controller's last status text in a run that failed.
     said: str = ""
     #: ``time_s`` (n,), ``ball_m`` and ``exponent`` (n, m), ``error_m`` (n,), ``command_rad_s``
     #: (n, joints); empty unless recorded.
@@ -59,7 +59,7 @@ class Outcome:
     def row(self, **labels: Any) -> dict[str, Any]:
         """A row of the tidy table: labels, then ``settled``, ``to_5mm_s`` and all fields.
 
-        Settling times are infinite for never.
+        A settling time that was never reached is infinite.
         """
         values = {name: getattr(self, name) for name in self.__dataclass_fields__}
         times = values.pop("settling_s")

@@ -1,4 +1,4 @@
-"""What an experiment found, as a file of numbers and as a part of the page."""
+"""An experiment's results, as a file of numbers and as a part of the page."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ class Report:
 
 @dataclass(frozen=True)
 class Origin:
-    """How results came about."""
+    """Provenance of the results."""
 
     command: str
     #: Of this package; empty where it is not installed.

@@ -48,8 +48,8 @@ class Interval:
 def median(values: Sequence[float], repeats: int = 1) -> Interval:
     """Median and its bootstrap interval (percentiles of resampled medians).
 
-    Infinite values are runs that never settled. ``repeats`` is how often the same cases follow one
-    another, each time with what another search found: cases and searches are drawn anew then.
+    Infinite values are runs that never settled. ``repeats`` is the number of searches whose runs
+    of the same cases follow one another; the bootstrap then resamples both cases and searches.
     """
     data = np.asarray(values, dtype=float)
     medians = _median(data[_resamples(data.size, repeats)])

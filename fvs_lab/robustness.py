@@ -20,12 +20,12 @@ from fvs_ros.arguments import unknown
 from fvs_tools.schemes import BEYOND, SCHEMES, Scheme
 from fvs_tools.score import FINAL_S
 
-#: Length of a trial from the target on, s; of this the last second must be within 5 mm.
+#: Length of a trial after the target is given, s; the last second must be within 5 mm.
 DURATION_S = 6.0
-#: Share of the trials that a robust scheme must master.
+#: Share of the trials in which a robust scheme must settle.
 WANTED = 0.99
 
-#: Who competes, with the defaults of the nodes. A new one is a line.
+#: The contestants, with the defaults of the nodes. A new one is one line.
 CONTESTANTS = (*SCHEMES.values(), ORACLES[ORACLE], *BEYOND.values())
 _QUICK = ("proposed", ORACLE)
 
@@ -48,7 +48,7 @@ def trial_in(world: World, scheme: Scheme, rendered: bool, record: bool = False)
 
 
 def judged(outcome: Outcome) -> Outcome:
-    """Call it a failure, too, if the ball came to stay only within the last second."""
+    """Also count as failure a ball that settled only within the last second."""
     if outcome.failure or outcome.settled_s <= DURATION_S - FINAL_S:
         return outcome
     return replace(
@@ -111,9 +111,9 @@ def rerun(context: lab.Context, kind: Kind, number: int) -> None:
 
 
 def wins(ones: Results, others: Results) -> Interval:
-    """Of the worlds in which just one of two settles, the share that the first one does.
+    """Share of the first one's wins among the worlds in which exactly one of two settles.
 
-    Without such a world nothing tells the two apart.
+    Without such a world the two cannot be compared.
     """
     pairs = zip(ones.values("settled"), others.values("settled"), strict=True)
     won = [one for one, other in pairs if one != other]

@@ -17,7 +17,7 @@ from fvs_lab.outcome import Outcome
 from fvs_lab.trials import Case, Conditions, Trial, Variant, run_trial
 from fvs_tools.schemes import SCHEMES, Scheme
 
-#: Searches of each scheme, each from a seed of its own: their spread is what chance is worth.
+#: Searches of each scheme, each with its own seed; their spread shows the effect of chance.
 SEEDS = 3
 #: True positions with the same noise, coarser physics: fast enough to search.
 TUNING = Conditions(rendered=False, physics_rate_hz=125.0)
@@ -65,14 +65,14 @@ _LAW_KNOBS = {
         Knob("mpc_q", 0.0003, 3.0),
     ),
 }
-#: Of the estimators, the filter has a number that servoing depends on: how fast it follows the arm.
-#: The networks know the whole box, and their n1 is left alone.
+#: Of the estimators, only the filter has a parameter that servoing depends on: its process noise.
+#: The networks cover the whole box, so their n1 stays fixed.
 _METHOD_KNOBS = {"ukf": (Knob("online.process_noise", 1e-5, 1e-1, of_estimator=True),)}
 
 
 @dataclass(frozen=True)
 class Regime:
-    """What is held equal."""
+    """The conditions that are equal for all schemes."""
 
     #: In data, and on the page.
     name: str
@@ -115,7 +115,7 @@ ORACLES = {
 
 @dataclass(frozen=True)
 class Candidate:
-    """Gains that were tried, and what came of them on the tuning cases."""
+    """Gains that were tried, and their results on the tuning cases."""
 
     gains: dict[str, float]
     #: Mean settling time as :meth:`Search.judge` counts it, s.
@@ -128,7 +128,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Search:
-    """Whose gains are searched, and on what terms."""
+    """The search for the gains of one scheme in one regime."""
 
     variant: Variant
     knobs: tuple[Knob, ...]
@@ -163,10 +163,10 @@ class Search:
         )
 
     def judge(self, gains: dict[str, float], outcomes: Sequence[Outcome]) -> Candidate:
-        """Sum up what came of gains on the tuning cases.
+        """Summarise the results of gains on the tuning cases.
 
-        Mean settling time to 5 mm, with a small share of that to 2 mm. A run that did not settle
-        costs its duration and as much again, by the error left.
+        The cost is the mean settling time to 5 mm, with a small share of that to 2 mm. A run that
+        did not settle costs its duration plus up to the same again, by the remaining error.
         """
         times_s, duration_s = [], self.regime.duration_s
         for one in outcomes:
@@ -179,12 +179,12 @@ class Search:
         return Candidate(gains, sum(times_s) / len(times_s), *middle)
 
     def cost(self, candidate: Candidate) -> float:
-        """What the search makes small, s: settling time, and a penalty beyond the limit."""
+        """The search's objective, s: settling time, and a penalty beyond the limit."""
         if self.regime.limit is None:
             return candidate.time_s
         quantity, bound = self.regime.limit
         excess = getattr(candidate, quantity) / bound - 1.0
-        # Breaking it by a tenth costs two seconds, more than any gain is worth.
+        # Exceeding the limit by a tenth costs two seconds, more than any gain can save.
         return candidate.time_s + 20.0 * max(0.0, excess)
 
 
@@ -208,7 +208,7 @@ class Tuned:
         return replace(trial, duration_s=duration_s, stop_after_s=None, **changes)
 
     def summary(self) -> dict[str, Any]:
-        """What is kept of it: terms and ranges, the best gains, and all that were tried."""
+        """The stored record: regime and ranges, the best gains, and all candidates."""
         return {
             "regime": self.search.regime,
             "knobs": self.search.knobs,
@@ -226,7 +226,7 @@ def search_all(
     generations: int = 6,
     population: int = 10,
 ) -> dict[Key, list[Tuned]]:
-    """Search each of them several times, with the same budget; a quick run searches once, little.
+    """Search each of them several times with the same budget; a quick run does one small search.
 
     The budget is generations times population candidates. Each search has another seed, counting
     from the one given.

@@ -37,8 +37,8 @@ def measure(context: lab.Context) -> lab.Found:
         if regime is search.REGIMES[0] or scheme.name in SCHEMES
     }
     found = search.search_all(context, searches, tuning, seed=7)
-    # A calm candidate may be the fastest. Not the other way: the runs of ``limit`` end too early
-    # to know jitter at rest.
+    # A calm candidate may be the fastest. The reverse does not hold: runs of ``limit`` end too
+    # early to measure jitter at rest.
     for name in SCHEMES:
         for one, more in zip(found["limit", name], found["jitter", name], strict=True):
             one.others.extend(more.tried)

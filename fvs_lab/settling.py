@@ -1,4 +1,4 @@
-"""Does the settling time keep its promise? Measured against the bounds (36)-(39) of the paper."""
+"""Measured settling times against the bounds (36)-(39) of the paper."""
 
 from __future__ import annotations
 
@@ -32,8 +32,7 @@ DURATION_S = 6.0
 BANDS = {"5mm": BOUNDS_M["5 mm"], "2mm": BOUNDS_M["2 mm"]}
 #: A worse Jacobian does not count as good (relative Frobenius error).
 GOOD_JACOBIAN = 0.05
-#: What the bounds leave out and the arm has: a tick until the first command leaves, the drives'
-#: dead time and their lag, s.
+#: Delays that the bounds ignore, s: a tick until the first command, the drives' dead time and lag.
 ALLOWANCE_S = 0.008 + 0.008 + 0.012
 #: Step of integration, s.
 _STEP_S = 0.002
@@ -96,8 +95,8 @@ def bound_to_band_s(
 ) -> float:
     """Bound of the time until the error's norm is within a band, from rest, s.
 
-    As the bound to zero: no axis moves until it has reached its surface; from there each slides
-    with the larger of the exponents of a small piece of the way.
+    As in the bound to zero, no axis moves until it has reached its surface. From there each slides
+    with the larger exponent of each small piece of its path.
     """
     times, errors = [], []
     for y0 in np.abs(error_m).tolist():
@@ -113,7 +112,7 @@ def bound_to_band_s(
     instants = np.unique(np.concatenate([[0.0], *times]))
     squared = np.zeros(instants.size)
     for axis_times, edges in zip(times, errors, strict=True):
-        # The last edge that was passed for sure; before the surface is reached, the first.
+        # The last edge that was certainly passed; before reaching the surface, the first.
         passed = np.searchsorted(axis_times, instants, side="right") - 1
         squared += edges[np.maximum(passed, 0)] ** 2
     inside = np.flatnonzero(squared <= band_m**2)

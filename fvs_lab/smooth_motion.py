@@ -24,7 +24,7 @@ _REST_S, WIGGLE_S, _SOFT_START_S = 0.4, 0.8, 1.0
 
 @dataclass(frozen=True)
 class Recording:
-    """What all estimators get, and what only the simulator knows about it: n steps."""
+    """The n steps that all estimators get, with the simulator's ground truth."""
 
     steps: tuple[MotionStep, ...]
     #: End of each step since the scored motion began, s; in the prelude not above 0. Shape (n,).
@@ -74,10 +74,10 @@ class _Reference:
 
 
 def record(seed: int, conditions: Conditions, duration_s: float) -> Recording:
-    """Let the simulated arm move, and keep what is measured and what is true.
+    """Move the simulated arm, and record measurements and ground truth.
 
-    The seed is that of the motion and of the noise; the wiggling of each joint comes before the
-    scored motion of this length, s.
+    The seed determines motion and noise. Each joint wiggles in turn before the scored motion of
+    this length, s.
     """
     simulation = simulation_of(conditions)
     reference = _Reference(seed)

@@ -78,7 +78,7 @@ def spot_checks(
         in_lock_step = partial(run_chain, targets_m=targets)
         lock_step = context.map(in_lock_step, seeded, f"{name} in lock step")
         print(f"   {name} through the real nodes ...", flush=True)
-        # Other processes' nodes and other checks' must not be received.
+        # Isolates this check from nodes of other processes and checks.
         domain = 1 + (os.getpid() + number) % 100
         nodes = _through_nodes(seeded[0], targets, context.folder(experiment), name, domain)
         checks.append(SpotCheck(name, lock_step, *nodes))
@@ -95,7 +95,7 @@ def _through_nodes(
     scenario.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     path = results / "results.json"
     path.unlink(missing_ok=True)
-    # Whatever the shell says: these commands must not reach a robot of the network.
+    # Overrides the shell's environment: these commands must not reach a robot on the network.
     local = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     try:
         ended = subprocess.run(

@@ -29,7 +29,7 @@ PRELUDE_S = 0.4
 TARGET_RATE_HZ = 30.0
 #: Exponent of noise without heavy tails.
 WHITE = 2.0
-#: No error of a coordinate is larger than this, m: the detection knows the size of the ball.
+#: Largest error of a coordinate, m: the detection knows the size of the ball.
 _LARGEST_ERROR_M = 0.1
 #: What the camera looks at: about where the ball is at home, world frame, m.
 _SCENE_M = np.array([-0.47, -0.1, 0.33])
@@ -41,7 +41,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Conditions:
-    """What world a run takes place in; the same for all who are compared."""
+    """The world of a run, the same for all variants in a comparison."""
 
     #: Whether ball positions come from rendered images.
     rendered: bool = True
@@ -55,10 +55,10 @@ class Conditions:
     latency_s: float = 0.04
     #: Share of the images that are lost.
     dropout: float = 0.0
-    #: By what share the focal length that the detection is told, and the depths, are too large.
+    #: Relative error, positive for too large, of the reported focal length and of the depths.
     focal_error: float = 0.0
     depth_error: float = 0.0
-    #: White noise on each joint angle that is told, rad.
+    #: White noise on each reported joint angle, rad.
     encoder_noise_rad: float = 0.0
     #: From a command to the drives' first answer, and further lag of the drives, s.
     dead_time_s: float = SimConfig.dead_time_s
@@ -84,8 +84,8 @@ class Conditions:
 def _carried_camera(turn_rad: np.ndarray) -> CameraPose:
     """The front camera, carried round the scene by a rotation vector in its own frame, rad.
 
-    The Jacobian turns with it; the ball stays in view, which a mere turn by 30 degrees on the
-    spot would not allow.
+    The Jacobian turns with it. The ball stays in view; a rotation by 30 degrees on the spot would
+    lose it.
     """
     camera = CAMERAS["front"]
     local = cv2.Rodrigues(np.asarray(turn_rad, dtype=float).reshape(3, 1))[0]
@@ -120,7 +120,7 @@ class StableNoise:
     exponent: float
 
     def __call__(self, rng: np.random.Generator) -> np.ndarray:
-        """Draw the errors of the three coordinates, cut off where no camera errs that far, m."""
+        """Draw the errors of the three coordinates, m, cut off at the largest plausible error."""
         alpha = self.exponent
         angle = rng.uniform(-0.5 * np.pi, 0.5 * np.pi, 3)
         waiting = rng.exponential(size=3)
@@ -161,7 +161,7 @@ class Case:
 
 
 class LastImage(BallPredictor):
-    """Takes the ball of the last image for where it is now."""
+    """Uses the ball of the last image as its present position."""
 
     def predict(self) -> np.ndarray | None:
         """Find the ball's position in the last image, m, (m,)."""
@@ -170,7 +170,7 @@ class LastImage(BallPredictor):
 
 @dataclass(frozen=True)
 class Variant:
-    """One of those that an experiment compares."""
+    """One candidate in the comparison of an experiment."""
 
     #: Columns of the tidy table that tell it from the others.
     labels: Mapping[str, Any] = field(default_factory=dict)
@@ -203,7 +203,7 @@ class Variant:
 
 @dataclass(frozen=True)
 class Trial:
-    """A case, who is to master it, and under what conditions."""
+    """A case, the variant to run in it, and the conditions."""
 
     variant: Variant
     case: Case
@@ -218,8 +218,8 @@ class Trial:
     bump: Bump | None = None
     #: What happens before the target is given.
     before: Callable[[ClosedLoop], None] | None = None
-    #: Of a target that moves instead: where it is, camera frame, m, after a length of its way, m,
-    #: and its speed, m/s.
+    #: For a moving target: its position, camera frame, m, as a function of the path length, m, and
+    #: its speed, m/s.
     path: tuple[Callable[[float], np.ndarray], float] | None = None
 
     def loop(self, simulation: Simulation) -> ClosedLoop:
@@ -315,7 +315,7 @@ def drive(trial: Trial, simulation: Simulation) -> Outcome:
 
 
 def give_target(one: ClosedLoop, goal_m: np.ndarray) -> np.ndarray:
-    """Give a target, world frame, as its camera sees it; where it truly is, camera frame, m."""
+    """Give a target, world frame, as the camera sees it; returns the true one, camera frame, m."""
     target_m = one.simulation.camera.to_camera(goal_m)
     one.set_target(one.simulation.as_seen(target_m))
     return target_m

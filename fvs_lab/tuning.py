@@ -1,4 +1,4 @@
-"""What the parameters do that one tunes first, one at a time."""
+"""Effect of the parameters that one tunes first, one at a time."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ KNOBS = (
         conditions={"camera_turn_deg": (45.0, 0.0, 0.0)},
     ),
 )
-#: What each knob is for: the claim, the knob, two of its values, and the ratio of the medians of a
-#: metric that is asked for.
+#: Claims on the knobs: claim, knob, two of its values, metric, and the required ratio of the
+#: metric's medians.
 _CLAIMS = (
     ("speed", "max_joint_velocity_rad_s", 1.0, 0.25, "to_5mm_s", 0.5),
     ("calm", "alpha3", 1.0, 2.0, "jitter_rad_s", 0.7),

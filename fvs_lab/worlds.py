@@ -30,7 +30,7 @@ class Kind:
     heavy_share: float = 0.0
 
 
-#: Everything that may go wrong does so at once.
+#: Every disturbance at the same time.
 HARSH = Kind(
     "robustness",
     304,
@@ -78,7 +78,7 @@ KINDS = {kind.name: kind for kind in (EVERYDAY, HARSH)}
 
 @dataclass(frozen=True)
 class World:
-    """What all contestants meet in one trial."""
+    """The conditions and the case of one trial, the same for all contestants."""
 
     #: Of the trial, from 1.
     number: int
@@ -100,7 +100,7 @@ class World:
         }
 
     def text(self) -> str:
-        """What it is, in a line."""
+        """A one-line description."""
         row, bump = self.row(), self.bump
         parts = [
             f"{one.label} {number_text(one.scale * row[one.name], 2)}{one.unit}"
@@ -151,8 +151,8 @@ QUANTITIES = (
 def draw_world(kind: Kind, number: int) -> World:
     """Draw the world of a trial.
 
-    How much of everything there is comes from the ranges alone; start, target and the directions
-    are drawn until the ball is seen at both ends, before and after whatever happens to the camera.
+    All magnitudes come from the ranges alone. Start, target and directions are drawn again until
+    the ball is visible at both ends, before and after any bump of the camera.
     """
     rng = np.random.default_rng([kind.seed, number])
     amount = {name: float(rng.uniform(*range_)) for name, range_ in kind.ranges.items()}

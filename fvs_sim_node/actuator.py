@@ -1,4 +1,4 @@
-"""What lies between a velocity command and the joints of a UR: delay, ramps, lag, stops."""
+"""Model of a UR's drives, from velocity command to joint motion: delay, ramps, lag, stops."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from fvs_sim_node.config import SimConfig
 
 
 class Actuator:
-    """Velocity drives in discrete time; they hold the last command for ever.
+    """Velocity drives in discrete time; they hold the last command indefinitely.
 
-    A drive looks at its command once in a joint-state period. Periods and dead time are rounded to
-    whole steps of the physics. Another ``config``, set later, counts at once except its rates. A
-    joint stops dead at its limits, shape (n,).
+    A drive samples its command once per joint-state period. Periods and dead time are rounded to
+    whole physics steps. A later ``config`` applies at once, except for its rates. A joint stops
+    instantly at its limits, shape (n,).
     """
 
     def __init__(

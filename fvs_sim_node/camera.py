@@ -1,4 +1,4 @@
-"""The simulated depth camera: where it stands, what it gives, and its noise."""
+"""The simulated depth camera: pose, images and noise."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ class CameraPose:
         return half_turn.apply(self.position_m), turn.as_quat(canonical=True)
 
 
-#: Named camera poses. ``front`` stands in front of the arm and to its side, from where the wrist
-#: hardly ever hides the ball. ``overhead`` hangs above the arm and looks down, as in the paper; the
-#: wrist hides the ball more often.
+#: Named camera poses. ``front`` is in front of the arm and to its side, where the wrist rarely
+#: hides the ball. ``overhead`` looks down from above the arm, as in the paper; there the wrist
+#: hides the ball more often.
 CAMERAS = {
     "front": CameraPose.looking((-1.3, 1.0, 0.85), (-0.47, -0.1, 0.33)),
     "overhead": CameraPose.looking((-1.2, 0.4, 1.8), (-0.47, -0.1, 0.33)),
@@ -75,7 +75,7 @@ _DROPOUT, _EDGE_LOSS, _EDGE_JUMP_M = 0.01, 0.5, 0.05
 def add_depth_noise(
     depth_m: np.ndarray, fx: float, rng: np.random.Generator, scale: float = 1.0
 ) -> np.ndarray:
-    """What a real camera would report of a depth image along z, m; 0 where there is none.
+    """Add a real camera's noise to a depth image along z, m; 0 where there is none.
 
     ``fx`` is the focal length, pixels; ``scale`` is a factor on the spread and on the
     probabilities of loss, 0 gives a plain copy.

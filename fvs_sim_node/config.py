@@ -33,12 +33,12 @@ TABLE = (
 
 @dataclass(frozen=True)
 class SimConfig(Parameters):
-    """What is simulated; the fields without a description are for Python only."""
+    """Parameters of the simulation; fields without a description are for Python only."""
 
     seed: int = parameter(0, "seed of all noise: same seed, same run", 0)
     gui: bool = parameter(False, "open PyBullet's window (needs a display)")
     urdf_path: str = parameter("", "URDF of another robot; empty: the UR5")
-    ball_link: str = parameter("", "its link that carries the ball; empty: tool0, or the last link")
+    ball_link: str = parameter("", "link that carries the ball; empty: tool0, or the last link")
     initial_joints_rad: tuple[float, ...] = parameter(
         HOME_JOINTS_RAD, "joints at start and after ~/reset", -6.3, 6.3
     )
@@ -46,7 +46,7 @@ class SimConfig(Parameters):
     joint_state_rate_hz: float = parameter(
         125.0, "joint states per second (500 on an e-series)", 10.0, 1000.0
     )
-    camera: str = parameter("front", "where the camera stands", choices=tuple(CAMERAS))
+    camera: str = parameter("front", "named pose of the camera", choices=tuple(CAMERAS))
     image_rate_hz: float = parameter(30.0, "images per second", 1.0, 120.0)
     image_width: int = parameter(640, "image width, pixels", 64, 1920)
     image_height: int = parameter(480, "image height, pixels", 48, 1080)
@@ -83,17 +83,17 @@ class SimConfig(Parameters):
     ball_offset_m: float = 0.09
     #: A whole multiple of ``joint_state_rate_hz``; 0 takes the least one from 500 on.
     physics_rate_hz: float = 0.0
-    #: In place of a named one.
+    #: Camera pose in place of a named one.
     camera_pose: CameraPose | None = None
-    #: Whether ball positions come from rendered images; else they are the true ones (plus
-    #: ``position_noise_m``), several times faster, nothing hides the ball, and there are no full
-    #: frames. With noise of 0.2 mm an arm rests 0.1 mm nearer than with images.
+    #: Whether ball positions come from rendered images. Otherwise they are the true ones (plus
+    #: ``position_noise_m``): several times faster, without occlusion and without full frames. With
+    #: 0.2 mm of noise the final error is 0.1 mm smaller than with images.
     rendered: bool = True
     #: A further lag of the joints, behind that of the drives.
     joint_lag_s: float = 0.0
     #: Standard deviation of white noise on each joint angle that is reported.
     encoder_noise_rad: float = 0.0
-    #: By what share the reported focal length and the depths are too large.
+    #: Relative error, positive for too large, of the reported focal length and of the depths.
     focal_error: float = 0.0
     depth_error: float = 0.0
     objects: tuple[SceneObject, ...] = TABLE
@@ -131,28 +131,28 @@ class SimConfig(Parameters):
 
 @dataclass(frozen=True)
 class SimNodeConfig(Parameters):
-    """What is simulated, how it is published, and disturbances of the wire and the camera."""
+    """Parameters of the node: simulation, publication, and disturbances."""
 
     simulated_time: bool = parameter(
         False,
-        "publish /clock, run as fast as possible and wait for the answers to joint states; the "
+        "publish /clock, run as fast as possible and wait for the responses to joint states; the "
         "other nodes then need use_sim_time",
     )
     tf_prefix: str = parameter("", "prefix of the joint names, like a UR driver's")
     feature_frame: str = parameter(CAMERA_FRAME, "frame of ball and images")
     full_frame_rate_hz: float = parameter(
         30.0,
-        "most full camera images per second in real time; each takes a core for tens of "
+        "largest rate of full camera images in real time, Hz; each one occupies a core for tens of "
         "milliseconds",
         0.5,
         120.0,
         live=True,
     )
     publish_ball_position: bool = parameter(
-        True, "false: images only, for a detector to find the ball in"
+        True, "publish the ball position; false: images only, for a detector"
     )
     program_running: bool = parameter(
-        True, "false: the robot's program is paused, the arm stands", live=True
+        True, "whether the robot program runs; false: it is paused and the arm stops", live=True
     )
     simulation: SimConfig = field(default_factory=SimConfig)
 

@@ -1,10 +1,9 @@
-"""Full camera frames from a process of its own, so that the real-time loop never waits for one.
+"""Renders full camera frames in a separate process, so that the real-time loop never waits.
 
-A full frame takes tens of milliseconds to draw; a robot's joint states come every eight. The
-worker has its own copy of the scene and draws one frame at a time; it skips exposures while it is
-busy, as a camera with too little bandwidth would. Frames are handed over in shared memory: two
-megabytes through a pipe would make the loop wait for a process that gets what the loop leaves of
-the processor.
+A full frame takes tens of milliseconds to draw, while joint states are due every eight. The worker
+has its own copy of the scene and draws one frame at a time. While busy it skips exposures, like a
+camera with too little bandwidth. Frames pass through shared memory: a pipe for two megabytes would
+make the loop wait for this process, which has a lower priority.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from fvs_sim_node.world import Renderer, World
 
 
 class FrameWorker:
-    """Draws frames of a simulated scene beside the simulation; the seed is that of its noise."""
+    """Draws frames of a simulated scene in parallel; ``config.seed`` seeds the image noise."""
 
     def __init__(self, config: SimConfig) -> None:
         self._config = replace(config, gui=False)
@@ -46,7 +45,7 @@ class FrameWorker:
         self._busy = False
 
     def expose(self, seen: BallObservation, depth_noise: float) -> bool:
-        """Ask for a frame; False if the worker is still busy with another: this one is skipped."""
+        """Request a frame; False if it is skipped, because the worker is still busy."""
         if self._busy:
             return False
         self._pipe.send((seen, depth_noise))
@@ -61,7 +60,7 @@ class FrameWorker:
         return Frame(self._pipe.recv(), *_arrays(self._memory, self._config))
 
     def close(self) -> None:
-        """Kill the process: it has nothing to save, and with its priority would end late."""
+        """Kill the process: it has nothing to save, and its low priority would delay its end."""
         self._pipe.close()
         self._process.kill()
 

@@ -1,4 +1,4 @@
-"""``fvs_sim_node``: the simulated UR5 and its depth camera behind the topics of the real ones."""
+"""``fvs_sim_node``: a simulated UR5 and depth camera with the topics of the real ones."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from fvs_sim_node.simulation import BallObservation, SimStep, Simulation
 
 #: In simulated time, services and parameters are served this often.
 _BURST_S = 0.005
-#: What answers joint states, and the simulated time that may pass without a new answer, s.
+#: Topics of the responses to joint states, and largest simulated time without a new one, s.
 _ANSWERS = {topics.COMMANDS.name: 0.0, topics.JACOBIAN.name: 0.1}
 
 
@@ -86,7 +86,7 @@ class SimNode(ros.FvsNode):
 
     def _step_in_real_time(self) -> None:
         behind_s = self.steady_s() + self._ahead_s - self._base_s - self._sim.time_s
-        if behind_s > 0.2:  # this motion is skipped rather than made up for
+        if behind_s > 0.2:  # skip this time rather than catch up
             self._late += 1
             self._base_s += behind_s
             behind_s = 0.0
@@ -100,13 +100,13 @@ class SimNode(ros.FvsNode):
             self._step()
 
     def _waits(self) -> bool:
-        """Whether a node that answers joint states has yet to answer, however slow the machine."""
+        """Whether a response to the joint states is pending, at any speed of the machine."""
         late = [
             topic
             for topic, answered_s in self._answered_s.items()
             if self._simulated_s() - answered_s > _ANSWERS[topic]
         ]
-        # After a second its node has ended, until it answers again.
+        # After a second without a response its node counts as ended, until it responds again.
         if late and self.steady_s() - self._stepped_s < 1.0:
             return True
         for topic in late:
@@ -136,7 +136,7 @@ class SimNode(ros.FvsNode):
             self._true_jacobian.publish(ros.to_jacobian(self._sim.true_jacobian(step.joints_rad)))
         self._publish_joints(stamp_s, step)
         self._stepped_s = self.steady_s()
-        # After the joint states, which are waited for.
+        # Frames come after the joint states, which other nodes wait for.
         frame = None if self._worker is None else self._worker.finished()
         if frame is not None:
             self._publish_frame(frame)
@@ -150,7 +150,7 @@ class SimNode(ros.FvsNode):
             step.joints_rad[self._order],
             step.joint_velocities_rad_s[self._order],
         )
-        # A motor current stands in `effort`; this arm weighs nothing.
+        # A UR reports motor currents in `effort`; this arm has no gravity load.
         message.effort = [0.0] * len(self._names)
         self._joint_states.publish(message)
 
@@ -196,7 +196,7 @@ class SimNode(ros.FvsNode):
     # --- inputs ---
 
     def _on_command(self, message: Float64MultiArray) -> None:
-        # While the program is paused the controller is inactive: commands go nowhere, in silence.
+        # While the program is paused the velocity controller is inactive and ignores commands.
         if self._paused_active is None:
             self._refusal = self._sim.command(np.array(message.data, dtype=float)) or ""
         if self._refusal:
@@ -225,10 +225,10 @@ class SimNode(ros.FvsNode):
         self._play_program(config.program_running)
 
     def _play_program(self, running: bool) -> None:
-        """Do as a UR's driver when the robot's program stops, and when it is back.
+        """Mimic a UR driver when the robot program stops and when it resumes.
 
-        The driver deactivates the velocity controller, so that its command is lost, and later
-        activates it by itself; but not one that a bad command had deactivated before.
+        The driver deactivates the velocity controller, whose command is lost, and later reactivates
+        it, unless a bad command had deactivated it before.
         """
         if not running and self._paused_active is None:
             self._paused_active = self._sim.active
@@ -261,7 +261,7 @@ class SimNode(ros.FvsNode):
         )
 
     def diagnostic_values(self) -> dict[str, Any]:
-        """Steps that came late or went unanswered."""
+        """Count of steps that were late or had no response."""
         return {"late_ticks": self._late}
 
     def finish(self) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from fvs_ros.paths import find_file
 
-#: Where a link or joint is named in a URDF.
+#: Matches the name of a link or joint in a URDF.
 _NAMED = re.compile(r'(<(?:link|joint|parent|child|mimic)\b[^>]*?\b(?:name|link|joint)=")')
 
 

@@ -1,7 +1,7 @@
 """The simulated robot and camera in lock step: commands in, joint states and ball positions out.
 
-No clock and no ROS: time passes only in :meth:`Simulation.advance`, and the same configuration,
-seed and commands give the same results to the bit.
+It uses no clock and no ROS: time passes only in :meth:`Simulation.advance`. The same configuration,
+seed and commands give bit-identical results.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from fvs_sim_node.world import Renderer, World
 
 @dataclass(frozen=True)
 class BallObservation:
-    """What one image gave; the truth in it is for evaluation only."""
+    """The result of one image; its true values are for evaluation only."""
 
     stamp_s: float  # exposure
     detection: BallDetection | None  # None if no ball was seen
@@ -49,7 +49,7 @@ class SimStep:
 def photograph(
     seen: BallObservation, renderer: Renderer, rng: np.random.Generator, depth_noise: float
 ) -> Frame:
-    """Draw the full image of an exposure; the world must be as it was then."""
+    """Draw the full image of an exposure; the world must still be in the state of that time."""
     camera = renderer.intrinsics
     if seen.covered:
         shape = (camera.height, camera.width)
@@ -72,7 +72,7 @@ class Simulation:
         Draws the error of a ball position, m, shape (3,), from the run's random generator, in
         place of the white noise of the configuration.
     full_frames : bool
-        Whether to draw whole images, too, and hand them out; slower.
+        Whether observations include full images; slower.
     camera : CameraPose
         Where the camera is now.
     active : bool
@@ -267,7 +267,7 @@ class Simulation:
         return detection
 
     def _know(self) -> BallDetection | None:
-        """Stand in for an image: the true position, as if detected without a flaw."""
+        """Replace an image: the true position, as a perfect detection."""
         position, radius_m = self.true_ball_position(), self.config.ball_radius_m
         if position[2] < 2.0 * radius_m:
             return None
@@ -287,16 +287,16 @@ class Simulation:
 
     @property
     def _reported_intrinsics(self) -> Intrinsics:
-        """What the detection takes for the camera's."""
+        """The intrinsics that the detection uses, with ``focal_error``."""
         one, scale = self.intrinsics, 1.0 + self.config.focal_error
         return replace(one, fx=scale * one.fx, fy=scale * one.fy)
 
     # -------------------------------------------------------------------- truth
     def as_seen(self, position_m: np.ndarray) -> np.ndarray:
-        """Where a camera with these errors sees what is at a position of its frame, m, (3,).
+        """The position that a camera with these errors reports for a true one, m, (3,).
 
-        A ball in a rendered image is up to 2 mm from there (at 2 %): it looks larger or smaller
-        than its distance says.
+        For a ball in a rendered image this is accurate to 2 mm (at 2 %), because the ball's size in
+        the image does not match its distance.
         """
         focal = 1.0 + self.config.focal_error
         x, y, z = (1.0 + self.config.depth_error) * position_m

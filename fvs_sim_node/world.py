@@ -1,7 +1,7 @@
-"""The PyBullet world: the arm, its ball, other objects, and their picture.
+"""The PyBullet world: the arm, its ball, other objects, and the renderer.
 
-Only this module calls the physics engine. Every world is its own client, so that many of them live
-side by side in one process.
+Only this module calls the physics engine. Every world is its own client, so that one process can
+hold several.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ class World:
     def __init__(self, config: SimConfig | None = None) -> None:
         config = config or SimConfig()
         if config.gui and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-            # PyBullet would end the whole process, without a word of its own.
+            # PyBullet would end the whole process without a message.
             raise ValueError("gui needs a display, and DISPLAY is not set; run with gui false")
         self.client = BulletClient(pybullet.GUI if config.gui else pybullet.DIRECT)
         if not self.client.isConnected():
             raise RuntimeError("PyBullet could not open its window; run with gui set to false")
-        # For every step: looking them up takes as long as one of them.
+        # Cached for every step: the attribute lookup takes as long as a call.
         self._set_motors = self.client.setJointMotorControlArray
         self._get_states = self.client.getJointStates
         self.step = self.client.stepSimulation
@@ -126,7 +126,7 @@ class World:
             self.client.changeDynamics(
                 self._robot, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0
             )
-            # A UR may touch itself in a pose that is of no use here, but must not push the table.
+            # Without collisions: neither self-contact nor the table may push the arm.
             self.client.setCollisionFilterGroupMask(self._robot, link, 0, 0)
 
     def add_object(self, thing: SceneObject) -> int:
@@ -203,7 +203,7 @@ class World:
 
     def _jacobians(self, joints_rad: np.ndarray) -> list[np.ndarray]:
         """Of the ball's position and of the link's rotation, each of shape (3, n)."""
-        # PyBullet wants the point along the axes of the link's inertia, and answers in the base's.
+        # PyBullet takes the point along the link's inertial axes; the result is in the base frame.
         ball_m = np.array([0.0, 0.0, self._ball_offset_m])
         point = _matrix(self._link_state()[3]).T @ ball_m
         zeros = [0.0] * self._moving
@@ -223,7 +223,7 @@ class World:
         return SerialChain(axes, points_m, self._zero_ball_m, zeros)
 
     def place_ball(self) -> None:
-        """Move the visible ball and its rod to where the link is now; call before rendering."""
+        """Move the visible ball and its rod to the link's present pose; call before rendering."""
         state = self._link_state()
         self.client.resetBasePositionAndOrientation(self._rod, state[4], state[5])
         self.client.resetBasePositionAndOrientation(self._ball, self.ball_position(), state[5])
@@ -259,7 +259,7 @@ class Renderer:
         scale = np.float32(1.0 / _NEAR_M - 1.0 / _FAR_M)
         depth = np.float32(1.0) / (np.float32(1.0 / _NEAR_M) - scale * raw)
         depth[nothing] = 0.0
-        # Four bytes at once, a tenth of the time that it takes by colours.
+        # Filling four bytes at once takes a tenth of the time of filling colour by colour.
         wall = self._wall[part.part[0]]
         np.copyto(colours.view(np.uint32)[..., 0], wall, where=nothing)
         return cv2.cvtColor(colours, cv2.COLOR_RGBA2RGB), depth
@@ -267,7 +267,7 @@ class Renderer:
     def find_colour(self, pose: CameraPose, colour: BallColour) -> Region | None:
         """Part of the image that holds all of a colour; None if none does.
 
-        A drawing of a quarter of the size: an eighth of the time of a search in the whole image.
+        It searches an image of a quarter of the size, in an eighth of the time of a full search.
         """
         full, n = self.intrinsics, 4
         size = (-(-full.width // n), -(-full.height // n))
@@ -279,7 +279,7 @@ class Renderer:
         return Region(u * n, v * n, width * n, height * n).grown(4 * n, full)
 
     def _draw(self, pose: CameraPose, camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
-        """Colours (H, W, 4) and the depth buffer (H, W), 1 where nothing is."""
+        """Colours (H, W, 4) and the depth buffer (H, W), 1 for the background."""
         _, _, rgba, buffer, _ = self._client.getCameraImage(
             camera.width,
             camera.height,
@@ -336,7 +336,7 @@ def _view_matrix(pose: CameraPose) -> list[float]:
 
 
 def _projection_matrix(camera: Intrinsics) -> list[float]:
-    # The renderer draws half a pixel to the right and up of the pinhole model: taken back here.
+    # Corrects the renderer's offset of half a pixel right and up from the pinhole model.
     projection = np.zeros((4, 4))
     projection[0, 0] = 2.0 * camera.fx / camera.width
     projection[0, 2] = 1.0 - 2.0 * camera.cx / camera.width

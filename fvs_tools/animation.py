@@ -1,7 +1,7 @@
 """``python -m fvs_tools.animation FILE.gif``: the loop at work, as a short animation.
 
 A target is dragged and the arm follows; then the camera is turned and moved, and the arm recovers.
-What is drawn is a run of the simulated loop: rendered images, real detection, no ROS.
+It shows a run of the simulated loop: rendered images, real detection, no ROS.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Film:
         dragged_m = self.loop.ball_m + circle_m
         self._follow(dragged_m)
         self._follow(dragged_m[[-1] * 30])
-        # In the moved camera's view, a target near the place where the ball is in the room.
+        # A target near the ball's true place, in the frame of the moved camera.
         camera = self.simulation.camera
         place_m = camera.rotation @ dragged_m[-1] + camera.position_m
         moved = camera.turned(np.array([0.0, 0.0, 0.5])).moved(np.array([0.04, 0.03, 0.0]))

@@ -1,7 +1,7 @@
-"""A rosbag2 that is being written: messages as they were on the wire, in an MCAP file.
+"""Writer of a rosbag2: serialised messages in an MCAP file.
 
-Any ROS 2 from Jazzy on reads it (``ros2 bag info``, ``ros2 bag play``), and so do Foxglove,
-PlotJuggler and ``fvs_experiments replay``.
+ROS 2 Jazzy and later read it (``ros2 bag info``, ``ros2 bag play``), as do Foxglove, PlotJuggler
+and ``fvs_experiments replay``.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from rosbags.typesys import Stores, get_typestore
 _VERSION: Final = 9
 #: The types of messages that a bag of Jazzy may hold.
 TYPES = get_typestore(Stores.ROS2_JAZZY)
-#: Holds the notes until ``metadata.yaml`` does: a recorder that is killed leaves it.
+#: Holds the notes until ``metadata.yaml`` is written; a killed recorder leaves it behind.
 NOTES: Final = "notes.yaml"
-#: A recorder that is killed loses this much of the recording's own time, ns.
+#: Length of a chunk in recording time, ns: a killed recorder loses at most this.
 _CHUNK_NS: Final = 10**9
-#: Messages that wait for a first /clock take this much memory at most, bytes.
+#: Largest memory for messages that wait for the first /clock, bytes.
 _HELD_BYTES: Final = 64 * 2**20
 #: What writing into a bag may raise.
 ERRORS: Final = (OSError, WriterError)
@@ -49,10 +49,10 @@ def knows(message_type: str) -> bool:
 
 
 class SimulatedTime:
-    """Gives messages the simulated time of their arrival, by the ``/clock`` messages among them.
+    """Restamps messages with the simulated time of their arrival, from ``/clock``.
 
-    Messages from before the first ``/clock`` wait for it and get its time. Where none comes, all
-    keep the system's time.
+    Messages before the first ``/clock`` wait for it and get its time. Without any ``/clock`` all
+    keep the system time.
     """
 
     def __init__(self) -> None:
@@ -71,7 +71,7 @@ class SimulatedTime:
         return [] if waits else self.rest()
 
     def rest(self) -> list[Message]:
-        """What still waits, at the end, or because too much does."""
+        """Release the waiting messages, at the end or at the memory limit."""
         released, self._held = self._held, []
         if self._now_ns is None:
             return released
@@ -79,9 +79,9 @@ class SimulatedTime:
 
 
 class Bag:
-    """Writes one bag in a new folder; a topic is in it from its first message on.
+    """Writes one bag in a new folder; a topic is added with its first message.
 
-    ``notes`` travel beside the messages, as ``custom_data``.
+    ``notes`` are stored in the metadata, as ``custom_data``.
     """
 
     def __init__(self, folder: Path, notes: Mapping[str, str]) -> None:
@@ -119,7 +119,7 @@ class Bag:
             storage.bio.flush()
 
     def close(self) -> None:
-        """Finish the file and write ``metadata.yaml``; where that fails, the messages stay."""
+        """Finish the file and write ``metadata.yaml``; if that fails, the messages remain."""
         try:
             self._writer.close()
         except ERRORS:
@@ -130,7 +130,7 @@ class Bag:
 
 
 def _bag_qos(profile: Any) -> interfaces.Qos:
-    """What a publisher offers, as a bag holds it; of a ``QoSProfile``, read by its names."""
+    """Convert a publisher's ``QoSProfile`` to the bag's format, by the names of its policies."""
 
     def converted(name: str, value: Any) -> Any:
         if hasattr(value, "nanoseconds"):

@@ -1,7 +1,7 @@
 """The whole loop without ROS: simulated arm and camera, estimator and controller in lock step.
 
-The same objects as in the nodes, joined as the topics join them, one joint state after the other:
-a run is a function of its configuration and seed, to the bit.
+It connects the same objects as the nodes, and steps them one joint state at a time. A run is a
+bit-exact function of its configuration and seed.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class ClosedLoop:
     simulation : Simulation
         Freshly reset.
     estimator : Estimator
-        Learns and is asked for the Jacobian.
+        Learns and gives the Jacobian.
     controller_values : mapping, optional
         The controller node's parameters, where they differ from the defaults; ``autostart`` is on.
     """
@@ -81,9 +81,9 @@ class ClosedLoop:
     def of_scheme(
         cls, scheme: Scheme | str, simulation: Simulation | None = None, **controller_values: Any
     ) -> ClosedLoop:
-        """Close the loop with a scheme, such as ``best``, about a simulation (default: a UR5).
+        """Build the loop with a scheme, such as ``best``, and a simulation (default: a UR5).
 
-        More parameters of the controller node may follow by name.
+        Further keyword arguments are parameters of the controller node.
         """
         one = scheme_called(scheme) if isinstance(scheme, str) else scheme
         simulation = simulation or Simulation()
@@ -97,7 +97,7 @@ class ClosedLoop:
         return self.simulation.true_ball_position()
 
     def tick(self) -> Command:
-        """Let one joint-state period pass and answer it; returns the command that was sent."""
+        """Advance by one joint-state period and tick the controller; returns its command."""
         out = self.simulation.advance()
         now_s = out.time_s
         for seen in out.observations:

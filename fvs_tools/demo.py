@@ -1,4 +1,4 @@
-"""The demo's task and its judgement: targets one after another, scored by the true position."""
+"""The demo's task and its scores: a sequence of targets, scored by the true ball position."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ class DemoConfig(Parameters):
 
 PARAMETERS = DemoConfig.declared()
 
-#: A target further than this from the wanted distance is not chosen while a nearer one exists.
+#: Candidates within this of the wanted distance are equally good; otherwise the nearest is taken.
 _DISTANCE_TOLERANCE_M = 0.02
-#: Longest wait for the loop to be ready, s: of a busy machine that starts all nodes.
+#: Longest wait for the loop to be ready, s: all nodes may start on a busy machine.
 START_TIMEOUT_S = 30.0
 
 
@@ -54,11 +54,11 @@ def choose_target(
 
 @dataclass
 class TargetRecord:
-    """What happened on the way to one target, camera frame, shape (3,), since it was given."""
+    """Record of the motion to one target, camera frame, shape (3,), since it was given."""
 
     target_m: np.ndarray
     start_s: float
-    #: Whether inputs came late, so that the arm was held.
+    #: Whether late inputs held the arm.
     slowed: bool = False
     #: Moments, s, and true ball positions, m.
     balls: list[tuple[float, np.ndarray]] = field(default_factory=list)
@@ -72,7 +72,7 @@ class TargetRecord:
 
 
 def score(record: TargetRecord) -> TargetScore:
-    """Judge one target by the true ball position."""
+    """Score one target by the true ball position."""
     judged = judge(*record.errors_m(), np.array([velocity for _, velocity in record.joints]))
     return replace(judged, slowed=record.slowed)
 

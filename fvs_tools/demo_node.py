@@ -1,4 +1,4 @@
-"""``fvs_demo_node``: gives the controller targets, watches the true ball, prints and draws it."""
+"""``fvs_demo_node``: sends targets to the controller, and scores and plots the true ball."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class DemoNode(ros.FvsNode):
             message, self._config.feature_frame, topics.TRUE_BALL_POSITION.name
         )
         if not self._records:
-            # The controller waits for a target alone: the loop is up, the first one may come.
+            # The controller lacks only a target: the loop is ready for the first one.
             if self._wants_target:
                 self._next_target(stamp_s, position_m)
             return
@@ -144,7 +144,7 @@ class DemoNode(ros.FvsNode):
         self.subscribe(topics.CAMERA_INFO, self._on_info)
 
     def _on_image(self, message: Image) -> None:
-        if ros.from_stamp(message.header.stamp) >= self._end_s:  # an old one waited somewhere
+        if ros.from_stamp(message.header.stamp) >= self._end_s:  # skips older, queued images
             self._image_rgb = from_color(message)
 
     def _on_info(self, message: CameraInfo) -> None:

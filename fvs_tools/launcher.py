@@ -1,4 +1,4 @@
-"""``fvs_launch``: start a scenario's nodes, watch over them, and bring all down cleanly."""
+"""``fvs_launch``: start a scenario's nodes, monitor them, and stop all cleanly."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ _print_lock = threading.Lock()
 class _Process:
     """One running node.
 
-    It inherits the parameter file ``params``, an open descriptor; ``terminal`` are those of this
-    program's own output and error.
+    It inherits the open file descriptor ``params`` of its parameters. ``terminal`` holds the
+    descriptors of this program's output and error.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class _Process:
     ) -> None:
         self.name, self.entry = name, NODE_TABLE[name]
         self._asked = False
-        # A task speaks to the user itself (tables, a progress bar); others are prefixed.
+        # A task prints to the terminal itself (tables, a progress bar); other output is prefixed.
         out, err = terminal if self.entry.task else (subprocess.PIPE, subprocess.STDOUT)
         self.popen = subprocess.Popen(
             [*program(self.entry.module, dies_with_parent=True), *arguments],
@@ -66,9 +66,9 @@ class _Process:
                 "RCUTILS_CONSOLE_OUTPUT_FORMAT": "[{severity}] {message}",
                 **os.environ,
                 "PYTHONUNBUFFERED": "1",
-                "PYTHONSAFEPATH": "1",  # for what the nodes start, from Python 3.11 on
+                "PYTHONSAFEPATH": "1",  # for child processes of the nodes, Python 3.11 and later
             },
-            # Ctrl-C reaches the launcher alone, which stops the nodes in the right order.
+            # Ctrl-C reaches only the launcher, which stops the nodes in the right order.
             start_new_session=True,
         )
         self._reader = threading.Thread(target=self._forward, daemon=True)
@@ -85,7 +85,7 @@ class _Process:
             self.popen.terminate()
 
     def await_end(self, deadline_s: float) -> None:
-        """Wait for its end and its last words; kill it at a moment of the steady clock."""
+        """Wait for its end and remaining output; kill it at a deadline on the steady clock."""
         try:
             self.popen.wait(max(0.0, deadline_s - time.monotonic()))
         except subprocess.TimeoutExpired:
@@ -95,7 +95,7 @@ class _Process:
         self._reader.join(_STOP_S)
 
     def ended_well(self) -> bool:
-        """Whether it ended by itself with 0, or as asked (before its handlers stood, by signal)."""
+        """Whether it ended with 0, or by the requested signal before its handlers were set."""
         code = self.popen.returncode
         return code == 0 or (self._asked and code == -signal.SIGTERM)
 
@@ -114,7 +114,7 @@ def launch(scenario: Scenario, namespace: str = "", remaps: Sequence[str] = ()) 
     """
     processes: list[_Process] = []
     with (
-        # It has no name: whatever ends this program, nothing of it is left.
+        # An unnamed file leaves nothing behind, however this program ends.
         tempfile.TemporaryFile("w+", encoding="utf-8") as params,
         console.never_blocking() as terminal,
     ):
@@ -142,7 +142,7 @@ def launch(scenario: Scenario, namespace: str = "", remaps: Sequence[str] = ()) 
 
 
 def _await_bag(recorder: _Process, bag_dir: str) -> _Process | None:
-    """Have the recorder listen before the others speak; return it if it ended without a bag."""
+    """Wait until the recorder is subscribed; returns it if it ended without a bag."""
     folder = Path(bag_dir).expanduser()
     end_s = time.monotonic() + _STOP_S
     while not (stop.RECEIVED or folder.exists()) and time.monotonic() < end_s:
@@ -158,7 +158,7 @@ def _first_end(processes: Sequence[_Process]) -> _Process | None:
     while not stop.RECEIVED:
         for process in running[:]:
             code = process.popen.poll()
-            # An observer that refuses its parameters was wanted and will never be there.
+            # An observer that refuses its parameters ends the scenario; other ends are tolerated.
             if code is not None and (not process.entry.observer or code == EXIT_BAD_INPUT):
                 return process
             if code is not None:
@@ -171,8 +171,8 @@ def _first_end(processes: Sequence[_Process]) -> _Process | None:
 def _stop_all(processes: Sequence[_Process], first: _Process | None) -> int:
     """Stop the nodes; returns the launcher's exit code, where ``first`` ended the scenario.
 
-    Those that command the arm stop first, for the last zeros need a listener and belong into a
-    recording; observers stop last.
+    Nodes that command the arm stop first, so that their last zeros are received and recorded.
+    Observers stop last.
     """
     done = first is not None and first.entry.task and first.popen.returncode == 0
     if first is not None and not done:
@@ -198,7 +198,7 @@ def _stop_all(processes: Sequence[_Process], first: _Process | None) -> int:
 
 
 def _say(text: str, name: str = "fvs_launch") -> None:
-    """Print a line; without a reader the nodes are watched and drained all the same."""
+    """Print a line; a closed standard output does not stop the monitoring of the nodes."""
     with _print_lock, contextlib.suppress(OSError, ValueError):
         print(f"[{name}] {text}", flush=True)
 
@@ -226,7 +226,7 @@ def _parser() -> argparse.ArgumentParser:
         "--scheme",
         default="",
         metavar="NAME",
-        help="estimator method and control law by one name; -p overrides it",
+        help="named pair of estimator method and control law; -p overrides it",
     )
     parser.add_argument("--namespace", default="", help="ROS namespace of all nodes")
     parser.add_argument(
@@ -247,14 +247,14 @@ def _parser() -> argparse.ArgumentParser:
         "--record-without-images",
         dest="images",
         action="store_false",
-        help="with --record: leave out the images, which are most of a bag",
+        help="with --record: leave out the images, the largest part of a bag",
     )
     return parser
 
 
 @console.reader_may_leave()
 def main(argv: list[str] | None = None) -> int:
-    """Run ``fvs_launch``; the exit code says how it went."""
+    """Run ``fvs_launch``; returns the exit code."""
     given = _parser().parse_args(argv)
     try:
         if not given.images and not given.record:

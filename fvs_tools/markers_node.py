@@ -24,7 +24,7 @@ from fvs_tools.observing import MARKERS_PARAMETERS, MarkersConfig
 
 _PERIOD_S, _STATUS_S = 0.1, 0.5
 _TRAIL_S = 10.0
-#: What did not come again for this time is not shown any more, s.
+#: Time without updates after which a marker disappears, s.
 _FRESH_S = 0.5
 _LINE_M, _TEXT_M = 0.006, 0.035
 #: Red, green, blue, opacity: the target must not hide the ball.
@@ -65,7 +65,7 @@ class MarkersNode(ros.FvsNode):
         self._status_values, self._status_s = ros.from_status(message), self.steady_s()
 
     def _on_camera_pose(self, message: PoseStamped) -> None:
-        """Publish where the camera stands, so that a viewer draws robot and ball together."""
+        """Publish the camera pose as a transform, so that viewers show robot and ball together."""
         try:
             from tf2_msgs.msg import TFMessage
         except ImportError:

@@ -29,15 +29,15 @@ class RecorderConfig(Parameters):
         "folder of the bag, which must not exist yet: metadata.yaml and one .mcap file",
     )
     images: bool = parameter(
-        True, "whether images are recorded; simulator and detector draw them only for a subscriber"
+        True, "record images; simulator and detector draw them only for a subscriber"
     )
     feature_frame: str = parameter(CAMERA_FRAME, "frame of ball and images")
-    scenario: str = parameter("", "scenario that runs, as YAML, stored in the bag")
+    scenario: str = parameter("", "running scenario as YAML, stored in the bag")
 
 
 MARKERS_PARAMETERS, RECORDER_PARAMETERS = MarkersConfig.declared(), RecorderConfig.declared()
 
-#: What is left out without images, and waits in a shorter queue.
+#: Topics that are left out without images, and that have a shorter queue.
 LARGE = (
     "sensor_msgs/msg/Image",
     "sensor_msgs/msg/CompressedImage",

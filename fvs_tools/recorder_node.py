@@ -1,4 +1,4 @@
-"""``fvs_recorder_node``: writes every topic that it finds into a bag, as it comes."""
+"""``fvs_recorder_node``: records every topic that it finds into a bag, unchanged."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ except ImportError:  # without rosbags: check_recording refuses
     bag = None  # type: ignore[assignment]
 
 _LOOK_S = 0.2
-#: Fetching messages from their queues now and then costs far less than being woken by each.
+#: Polling period of the message queues, s: polling costs far less than a callback per message.
 _FETCH_S = 0.05
 _STATUS_S = 0.5
-#: A controller that is stopped together with the recorder still sends its last zeros.
+#: Recording time after a stop, s: a controller stopped at the same time still sends zeros.
 _LAST_MESSAGES_S = 0.5
-#: The recording ends, complete, when its disk has less space left, MB.
+#: Free disk space below which the recording ends cleanly, MB.
 _LEAST_FREE_MB = 200
-#: Messages of a topic that may wait in its queue, and how many of a large one.
+#: Queue length of a topic, and of a topic with large messages.
 _DEPTH, _DEPTH_LARGE = 4000, 60
 
 
@@ -45,13 +45,13 @@ _DEPTH, _DEPTH_LARGE = 4000, 60
 class _Topic:
     """A topic that is recorded.
 
-    Each kind of publisher (reliable, latched) has a subscription of its own: one that asks for
-    less than is offered loses messages, and one that asks for more receives none.
+    Each QoS of a publisher (reliable, latched) has its own subscription: one that requests less
+    than is offered loses messages, and one that requests more receives none.
     """
 
     type: str
     subscriptions: dict[tuple[Any, Any], Subscription] = field(default_factory=dict)
-    #: Newest messages, to know those that came twice, over two subscriptions.
+    #: Newest messages, to detect duplicates from two subscriptions.
     recent: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=1000))
 
     def came_before(self, sent_ns: int, data: bytes) -> bool:
@@ -81,7 +81,7 @@ class RecorderNode(ros.FvsNode):
         notes = {"fvs_ros_version": version(), "scenario": self._config.scenario}
         if remaps:
             notes["remaps"] = yaml.safe_dump(remaps)
-        # Last: the launcher waits for the folder, and by then every topic is subscribed to.
+        # Created last: the launcher waits for the folder as a sign that all topics are subscribed.
         self._bag = bag.Bag(self._folder, notes)
         self.create_timer(_LOOK_S, self._look, clock=self.steady_clock)
         self.create_timer(_FETCH_S, self._fetch, clock=self.steady_clock)
@@ -109,7 +109,7 @@ class RecorderNode(ros.FvsNode):
         return remaps
 
     def _look(self) -> None:
-        """Subscribe to what is new on the graph."""
+        """Subscribe to new topics and publishers on the graph."""
         for topic, types in self.get_topic_names_and_types():
             publishers = self.count_publishers(topic)
             if publishers == self._publisher_counts.get(topic, 0):
@@ -202,7 +202,7 @@ class RecorderNode(ros.FvsNode):
         self.publish_status(ros.OK, "RECORDING", f"recording into {self._folder}", values)
 
     def finish(self) -> None:
-        """Write what still comes, and finish the bag."""
+        """Record the last messages, and finish the bag."""
         end_s = self.steady_s() + _LAST_MESSAGES_S
         while self.exit_code is None and self.steady_s() < end_s:
             self._fetch()

@@ -34,8 +34,8 @@ _UNIT = re.compile(r"_(?:mm|m|s|rad|m_s|rad_s|deg|hz|percent)$")
 #: A topic, service or parameter within a sentence.
 _NAME = re.compile(r"(?<![\w`/~^.*)])(~?/[a-z]\w*(?:/\w+)*|[a-z]\w*_\w+)(?![\w`/*(])")
 
-#: The enclave for a person's tools (``ros2 topic``, ``ros2 param``, RViz): sees everything, sets
-#: parameters and targets, calls services, and cannot send a joint command.
+#: The enclave for an operator's tools (``ros2 topic``, ``ros2 param``, RViz). It may read
+#: everything, set parameters and targets and call services, but not send joint commands.
 OPERATOR = "fvs_operator"
 
 
@@ -70,14 +70,14 @@ def plain_type(name: str) -> str:
 
 
 def sources(topic: Topic) -> str:
-    """Who publishes a topic."""
+    """The publishers of a topic."""
     if len(topic.publishers) == len(NODES):
         return "every node"
     return " or ".join([*map(_link, topic.publishers), *filter(None, [topic.also_from])])
 
 
 def sinks(topic: Topic) -> str:
-    """Who subscribes to a topic."""
+    """The subscribers of a topic."""
     return ", ".join([*map(_link, topic.subscribers), *filter(None, [topic.also_to])])
 
 
@@ -87,7 +87,7 @@ def _link(node: str) -> str:
 
 
 def only(end: End) -> str:
-    """When a node has an end of a topic, if not always."""
+    """The condition under which a node has this end of a topic; empty if always."""
     when = [end.later] if end.later else []
     if end.given is not None:
         name, value = end.given
@@ -131,7 +131,7 @@ def default_text(value: Any) -> str:
     """A default value as code."""
     if not isinstance(value, list):
         return f"`{_value(value)}`" if value != "" else "empty"
-    # Three numbers or one text a line: a long default would widen the whole column.
+    # Three numbers or one text per line: a long default would widen the whole column.
     cells = [_value(one) for one in value]
     step = 1 if isinstance(value[0], str) else 3
     lines = [", ".join(cells[i : i + step]) for i in range(0, len(cells), step)]

@@ -31,7 +31,7 @@ _REMAP = re.compile(rf"({_NAME}:)?{_NAME}:=/?{_NAME}", re.ASCII)
 _EVERYWHERE = Parameter("use_sim_time", False, "follow /clock")
 #: What recorder and markers share with the loop.
 _SHARED = ("use_sim_time", "feature_frame")
-#: No YAML is larger; no refusal quotes more of it, characters.
+#: Largest YAML, and longest quotation of it in an error, characters.
 _MOST_YAML, _QUOTED = 2**20, 300
 
 #: Parameters by name, by the name of their node.
@@ -46,8 +46,8 @@ class NodeEntry:
     declarations: str  # of its parameters: a module and, unless it is PARAMETERS, a name in it
     commands_arm: bool = False  # it is stopped first, while others still listen
     task: bool = False  # its end ends the scenario, its exit code being the scenario's
-    #: It only looks on: it is stopped last, and its end ends nothing, unless it refuses its
-    #: parameters.
+    #: A passive node: it is stopped last, and its end does not end the scenario, unless it refuses
+    #: its parameters.
     observer: bool = False
 
     def parameters(self) -> ParameterSet:
@@ -91,7 +91,7 @@ def load_scenario(
     images: bool = True,
     markers: bool = False,
 ) -> Scenario:
-    """The nodes to start, in this order, and their parameters by name, as a command line asks.
+    """The nodes to start, in this order, and their parameters, for a command line.
 
     ``name`` is a path, or the name of a scenario in ``config``. ``overrides`` are ``name:=value``
     for every node that has the parameter, or ``node:name:=value``; they win over the scheme.
@@ -229,7 +229,7 @@ def checked_remap(text: str) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML without aliases: a few lines of them can unfold to more than any memory."""
+    """YAML without aliases: a few lines of them can expand beyond any memory."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.events.AliasEvent):
@@ -238,7 +238,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def read_yaml(text: str | bytes) -> Any:
-    """What a text holds; a ``ValueError`` says in short what is wrong with it."""
+    """The content of a YAML text; a ``ValueError`` explains briefly what is wrong."""
     if len(text) > _MOST_YAML:
         raise ValueError(f"it is larger than {_MOST_YAML >> 20} MB")
     try:
@@ -252,6 +252,6 @@ def read_yaml(text: str | bytes) -> Any:
 
 
 def read_yaml_file(path: Path) -> Any:
-    """What a file holds; a ``ValueError`` as of :func:`read_yaml`, or an ``OSError``."""
+    """The content of a YAML file; raises as :func:`read_yaml`, or an ``OSError``."""
     with path.open("rb") as file:
         return read_yaml(file.read(_MOST_YAML + 1))

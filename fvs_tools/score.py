@@ -1,4 +1,4 @@
-"""How runs are judged, the same in the demo, in the laboratory and of a recording."""
+"""Scores of runs, the same for demo, laboratory and recordings."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 
 #: The final error is that of the last second, s.
 FINAL_S = 1.0
-#: True errors below which a target counts as settled, and as settled finely, m: the 5 mm of the
-#: controller's own ``settled_error_m``, and what the depth camera's noise just allows.
+#: True errors below which a target counts as settled, and as finely settled, m: the controller's
+#: ``settled_error_m``, and the limit of the depth camera's noise.
 SETTLED_ERROR_M, FINE_ERROR_M = 0.005, 0.002
 
 
@@ -43,7 +43,7 @@ def judge(
 
 
 def settling_time_s(times_s: np.ndarray, errors_m: np.ndarray, bound_m: float) -> float | None:
-    """When the error, shape (n,), went below a bound for good; None if the record ends above it."""
+    """Time when the error, (n,), last fell below a bound; None if the record ends above it."""
     above = np.flatnonzero(~(errors_m < bound_m))  # an unknown error is not below
     if above.size == 0:
         return float(times_s[0])

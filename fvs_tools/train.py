@@ -46,14 +46,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_FAILURE
     if not arguments.quiet:
         print(report(trained))
-    for note in trained.notes:  # the estimator says them again, of the model it loads
+    for note in trained.notes:  # the estimator repeats them for the model that it loads
         print(f"note: {note}", file=sys.stderr if arguments.quiet else sys.stdout)
     print(f"model written to {arguments.output}")
     return EXIT_OK
 
 
 def _train(data: DataSet, arguments: argparse.Namespace) -> tuple[TrainedModel, bool]:
-    """The model, and whether time was over before the training."""
+    """Train; returns the model, and whether the time limit ended the training early."""
     options = TrainingOptions(arguments.method, arguments.neurons, arguments.seed)
     say = None if arguments.quiet else (lambda words: print(f"{words} ...", file=sys.stderr))
     started_s, out_of_time = time.monotonic(), False
@@ -114,7 +114,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _check_output(path: Path) -> None:
-    """Find out before the training, not after it, that the model cannot be written."""
+    """Check before the training that the model can be written."""
     if path.is_dir():
         raise ValueError(f"{path} is a folder, expected the name of a model file to write")
     if not path.absolute().parent.is_dir():
@@ -122,7 +122,7 @@ def _check_output(path: Path) -> None:
 
 
 def report(trained: TrainedModel) -> str:
-    """What a user should see: errors, what is known of the chain, box."""
+    """The printed summary: errors, chain fit, box."""
     e, lines = trained.errors, [""]
     if "pair_error_m" in e:
         lines.append(
