@@ -192,6 +192,7 @@ class EstimationLoop:
         self.steps = 0
         self._stamps, self.late_s = StampWatch(), 0.0
         self._balls.clear()
+        self._accepted: list[Sample] = []  # and not learned from yet
 
     def reset(self) -> None:
         """Forget what was learned online, and all inputs."""
@@ -255,7 +256,12 @@ class EstimationLoop:
     # --- between ---
 
     def _learn(self, samples: list[Sample]) -> bool:
-        accepted = [one for sample in samples for one in self._accepted(sample)]
+        self._accepted += [one for sample in samples for one in self._judge(sample)]
+        # The first image shows that the camera was moved since the training, if its noise is known.
+        judged = self._tracker.knows_noise or bool(self.estimator.problem)
+        if not judged and len(self._accepted) < _LAST:
+            return False
+        accepted, self._accepted = self._accepted, []
         learns = self.learns and self.estimator.learns and bool(accepted)
         for sample in accepted:
             step = self.pairing.step(sample)
@@ -267,7 +273,7 @@ class EstimationLoop:
                 self.steps += 1
         return learns
 
-    def _accepted(self, sample: Sample) -> list[Sample]:
+    def _judge(self, sample: Sample) -> list[Sample]:
         """The samples that are now confirmed as inliers, oldest first."""
         last, self._last = self._last, sample
         if self.estimator.problem:

@@ -73,6 +73,11 @@ class NoiseVariance:
         self._residual: np.ndarray | None = None
         self._change: np.ndarray | None = None
 
+    @property
+    def known(self) -> bool:
+        """Whether the lower quartile is that of residuals, not of the initial guess."""
+        return len(self._squares_m2) >= _GUESS + 2
+
     def restart(self) -> None:
         """Begin a new run of residuals; the learned variance stays."""
         self._residual = self._change = None
@@ -139,6 +144,11 @@ class Tracker:
     def noise_m(self) -> float:
         """Standard deviation of a coordinate of an image, as learned, m."""
         return float(self._noise.variance_m2**0.5)
+
+    @property
+    def knows_noise(self) -> bool:
+        """Whether images alone determine ``noise_m``, not its initial guess."""
+        return self._noise.known
 
     @property
     def deviation_m(self) -> float:

@@ -211,7 +211,9 @@ ROWS = {
     ),
     "wrong jacobian": Row(changed(verdict=WRONG), (0.1, 0.6), Reason.PREDICTION_ERROR, "1.50"),
     # Half as much again takes 0.67 s, being seen for 1 s comes on top.
-    "error grows": Row(ball(lambda t: 0.2 + 0.15 * t), (1.5, 2.1), Reason.ERROR_GROWING, "has grown"),
+    "error grows": Row(
+        ball(lambda t: 0.2 + 0.15 * t), (1.5, 2.1), Reason.ERROR_GROWING, "has grown"
+    ),
     "no progress": Row(
         ball(lambda t: 0.05 + 0.15 * math.exp(-t)), (8.0, 14.0), Reason.STALLED, "50 mm"
     ),
