@@ -256,7 +256,8 @@ class EstimationLoop:
     # --- between ---
 
     def _learn(self, samples: list[Sample]) -> bool:
-        self._accepted += [one for sample in samples for one in self._judge(sample)]
+        accepted = [one for sample in samples for one in self._judge(sample)]
+        self._accepted += accepted  # only now: to judge may correct stamps, which learns, too
         # The first image shows that the camera was moved since the training, if its noise is known.
         judged = self._tracker.knows_noise or bool(self.estimator.problem)
         if not judged and len(self._accepted) < _LAST:

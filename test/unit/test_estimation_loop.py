@@ -99,6 +99,7 @@ def test_stamps_are_put_right_before_anything_more_is_told(late_s):
     estimator = loop.estimator
     assert estimator.resets == 1
     assert loop.late_s == pytest.approx(late_s, abs=0.02)
+    assert min(step.dt_s for step in estimator.steps) > 0.0  # nothing is learned twice
     # What was heard last is told anew, by the right pairs.
     assert len(estimator.balls) > 6.0 / IMAGE_S + 2.0
     off_m = np.linalg.norm(estimator.balls, axis=1)
