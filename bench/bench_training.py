@@ -37,7 +37,9 @@ def probes(rng, count=5000, size_rad=0.2):
 
 def motion(rng, duration_s=120.0):
     """What the collector records."""
-    random_motion = RandomMotion(HOME_RAD, MotionConfig(duration_s, tuple(BOX_M_RAD)), rng)
+    random_motion = RandomMotion(
+        HOME_RAD, MotionConfig(duration_s=duration_s, joint_range_rad=tuple(BOX_M_RAD)), rng
+    )
     joints = [HOME_RAD.copy()]
     for k in range(round(duration_s * CAMERA_HZ) - 1):
         joints.append(joints[-1] + random_motion.command(k / CAMERA_HZ, joints[-1]) / CAMERA_HZ)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from operator import lt
 from typing import Any
 
@@ -13,8 +13,7 @@ from fvs_controller_node.minimum_time import MinimumTimeLaw
 from fvs_controller_node.proportional import MfacLaw, MpcLaw, ProportionalLaw
 from fvs_controller_node.redundancy import RedundancyConfig
 from fvs_ros.camera import CAMERA_FRAME
-from fvs_ros.joints import ArmJoints
-from fvs_ros.limits import JointRange, SpeedLimits
+from fvs_ros.limits import JointLimits
 from fvs_ros.params import ParameterError, Parameters, ParameterSet, live_parameter, parameter
 
 #: The control laws by name. A new law is one file in this folder and one line here.
@@ -47,7 +46,7 @@ class ControllerConfig(Parameters):
 
 
 @dataclass(frozen=True)
-class SupervisorConfig(Parameters):
+class SupervisorConfig(JointLimits):
     """Limits and thresholds of the supervisor."""
 
     autostart: bool = parameter(
@@ -55,9 +54,6 @@ class SupervisorConfig(Parameters):
         "Start without ~/start as soon as all inputs are ready, once. For simulation only.",
     )
     feature_frame: str = parameter(CAMERA_FRAME, "Frame of ball and target.")
-    joints: ArmJoints = field(default_factory=ArmJoints)
-    speed: SpeedLimits = field(default_factory=SpeedLimits)
-    joint_range: JointRange = field(default_factory=JointRange)
     workspace_min_m: tuple[float, ...] = live_parameter(
         (-1.0, -1.0, 0.2), "Lower corner of the box that targets must be in, feature frame, m."
     )
@@ -120,16 +116,6 @@ class SupervisorConfig(Parameters):
                 "workspace_min_m must be a list of numbers, each below that of workspace_max_m "
                 f"{list(high)}, got {list(low)}"
             )
-        if len(self.joint_range.joint_min_rad) != len(self.joint_names):
-            raise ParameterError(
-                f"joint_min_rad and joint_max_rad need {len(self.joint_names)} numbers, one "
-                "for each of joint_names"
-            )
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Joints in kinematic order."""
-        return self.joints.joint_names
 
     @property
     def features(self) -> int:

@@ -253,8 +253,8 @@ class ServoLoop:
         self._change, self._images = Change.NOTHING, self.predictor.images
         output = self.law.command(one)
         if not self.law.plans:
-            speed = self.supervisor.config.speed
-            output = brake(output, one, speed.max_joint_acceleration_rad_s2)
+            limit = self.supervisor.config.max_joint_acceleration_rad_s2
+            output = brake(output, one, limit)
         if feed_forward is not None:
             output = output._replace(velocity_rad_s=output.velocity_rad_s + feed_forward)
         return output

@@ -18,14 +18,14 @@ from where the drives will be (:mod:`fvs_controller_node.drive_lag`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from fvs_controller_node.base import Change, ControlInput, ControlLaw, ControlOutput
 from fvs_controller_node.redundancy import LeastSpeedInverse
-from fvs_ros.limits import BRAKING_SHARE, SpeedLimits, braking_speed
-from fvs_ros.params import Parameters, live_parameter
+from fvs_ros.limits import BRAKING_SHARE, JointLimits, braking_speed
+from fvs_ros.params import live_parameter
 from fvs_ros.vectors import largest
 
 #: The goal is searched again, with all steps, if it misses the target by more than this, m.
@@ -33,7 +33,7 @@ _JUMP_M = 0.02
 
 
 @dataclass(frozen=True)
-class MinimumTimeGains(Parameters):
+class MinimumTimeGains(JointLimits):
     """Limits of the joints and the law's one gain."""
 
     minimum_time_rate_1_s: float = live_parameter(
@@ -43,7 +43,6 @@ class MinimumTimeGains(Parameters):
         1.0,
         100.0,
     )
-    speed: SpeedLimits = field(default_factory=SpeedLimits)
 
 
 class MinimumTimeLaw(ControlLaw):
@@ -75,10 +74,11 @@ class MinimumTimeLaw(ControlLaw):
 
     def _speed_for(self, travel_rad: float, dt_s: float) -> float:
         """Largest speed that can be braked in time, rad/s."""
-        speed, rate_1_s = self.gains.speed, self.gains.minimum_time_rate_1_s
-        acceleration = BRAKING_SHARE * speed.max_joint_acceleration_rad_s2
+        gains = self.gains
+        acceleration = BRAKING_SHARE * gains.max_joint_acceleration_rad_s2
         braking = braking_speed(travel_rad, acceleration, dt_s)
-        return min(speed.max_joint_velocity_rad_s, rate_1_s * travel_rad, braking)
+        near = gains.minimum_time_rate_1_s * travel_rad
+        return min(gains.max_joint_velocity_rad_s, near, braking)
 
     def _find_goal(self, one: ControlInput) -> np.ndarray:
         """Joints with the ball on the target and the least largest travel, rad, shape (n,)."""
@@ -103,12 +103,7 @@ class MinimumTimeLaw(ControlLaw):
                 found = self.inverse.joint_velocity(jacobian, way, joints, one.home_rad)
             else:
                 found = self.inverse.joint_velocity(jacobian, way, joints, near=travel)
-            goal = self._within_range(joints + found)
+            goal = np.clip(joints + found, self.gains.joint_min_rad, self.gains.joint_max_rad)
             position, jacobian = chain.position_and_jacobian(goal)
             missing = wanted - position
         return goal
-
-    def _within_range(self, joints: np.ndarray) -> np.ndarray:
-        """The joints, none beyond the ends of its range, rad."""
-        ends = self.inverse.joint_range
-        return joints if ends is None else np.clip(joints, ends.joint_min_rad, ends.joint_max_rad)

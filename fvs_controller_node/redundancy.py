@@ -33,7 +33,7 @@ import numpy as np
 from scipy.linalg.lapack import dgeqrf, dorgqr, dposv
 from scipy.optimize import nnls
 
-from fvs_ros.limits import JointRange
+from fvs_ros.limits import JointLimits
 from fvs_ros.params import Parameters, live_parameter, parameter
 from fvs_ros.vectors import largest
 
@@ -92,7 +92,7 @@ class LeastSpeedInverse:
     """
 
     damping: float = 1e-4
-    joint_range: JointRange | None = None
+    limits: JointLimits | None = None
 
     def joint_velocity(
         self,
@@ -138,13 +138,9 @@ class LeastSpeedInverse:
 
     def _shares(self, joints_rad: np.ndarray | None) -> np.ndarray | None:
         """Upward, then downward shares of the joints' speeds, (2 n,); None where all are 1."""
-        if (
-            self.joint_range is None
-            or joints_rad is None
-            or not self.joint_range.near_end(joints_rad)
-        ):
+        ends = self.limits
+        if ends is None or joints_rad is None or not ends.near_end(joints_rad):
             return None
-        ends = self.joint_range
         room = ends.joint_max_rad - joints_rad, joints_rad - ends.joint_min_rad
         return np.clip(np.concatenate(room) / ends.joint_limit_margin_rad, 0.0, 1.0)
 
@@ -222,5 +218,5 @@ def make_inverse(values: Mapping[str, Any], *, least_speed: bool = False) -> Inv
     """Build what ``redundancy_resolution`` names, or the least speed, with the numbers given."""
     config = RedundancyConfig.from_values(values)
     if least_speed or config.redundancy_resolution == LEAST_SPEED:
-        return LeastSpeedInverse(config.damping, JointRange.from_values(values))
+        return LeastSpeedInverse(config.damping, JointLimits.from_values(values))
     return DampedInverse(config.damping)

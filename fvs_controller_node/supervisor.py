@@ -20,7 +20,7 @@ from fvs_controller_node.inbox import Inbox
 from fvs_controller_node.monitors import FollowingMonitor, PredictionMonitor, SingularityMonitor
 from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Finding, Reason, State, Stop
-from fvs_ros.limits import MAX_TICK_S, brake_to_rest, limit_acceleration, limit_speed
+from fvs_ros.limits import MAX_TICK_S, limit_acceleration, limit_speed
 from fvs_ros.params import ParameterError
 from fvs_ros.vectors import all_finite, largest, length
 
@@ -252,9 +252,9 @@ class Supervisor:
     def _move(self, output: ControlOutput, joints: np.ndarray, dt_s: float) -> Command:
         verdict = self._present.verdict
         ratio = 0.0 if verdict is None else verdict.error_ratio
-        share, active = _speed_share(self._smallest_m_rad, ratio, self.config)
-        speed, names = self.config.speed, self.config.joint_names
-        fast = speed.max_joint_velocity_rad_s * share
+        config = self.config
+        share, active = _speed_share(self._smallest_m_rad, ratio, config)
+        fast = config.max_joint_velocity_rad_s * share
         if self._singularity.leaving:
             fast = min(fast, _LEAVING_RAD_S)
             self._singularity.go_on(dt_s)
@@ -262,11 +262,9 @@ class Supervisor:
         velocity = limit_speed(wanted, fast)
         if velocity is not wanted:
             active.append("velocity")
-        most, acceleration = speed.max_joint_velocity_rad_s, speed.max_joint_acceleration_rad_s2
-        allowed, slowed = self.config.joint_range.slow_down(
-            velocity, joints, most, acceleration, dt_s, self._present.pending_rad
-        )
-        active += [f"range of {names[joint]}" for joint in slowed]
+        acceleration, pending_rad = config.max_joint_acceleration_rad_s2, self._present.pending_rad
+        allowed, slowed = config.slow_down(velocity, joints, acceleration, dt_s, pending_rad)
+        active += [f"range of {config.joint_names[joint]}" for joint in slowed]
         velocity = limit_acceleration(allowed, self._velocity, acceleration * dt_s)
         if velocity is not allowed:
             active.append("acceleration")
@@ -284,13 +282,11 @@ class Supervisor:
         if self._ended is not None and not worse:
             finding = self._ended
         finding = finding or Reason.READY.because()
-        last, config = self._velocity, self.config
+        last = self._velocity
         if finding.reason.stop is Stop.AT_ONCE or not last.any():
             self._velocity = np.zeros_like(last)
             return self._answer(finding, "", None)
-        self._velocity = brake_to_rest(
-            last, joints, dt_s, config.speed, config.joint_range, self._present.pending_rad
-        )
+        self._velocity = self.config.brake_to_rest(last, joints, dt_s, self._present.pending_rad)
         return self._answer(finding, "acceleration", None)
 
     def _answer(self, finding: Finding, active_limit: str, output: ControlOutput | None) -> Command:

@@ -8,7 +8,7 @@ its start. A joint that leaves its box or moves against its command ends the run
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from enum import Enum
 from math import isfinite
 
@@ -18,9 +18,9 @@ from fvs_estimator_node.base import FeatureConfig
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.stopping import StopCriterion
 from fvs_ros.following import Following
-from fvs_ros.joints import LARGEST_RAD, ArmJoints
+from fvs_ros.joints import LARGEST_RAD
 from fvs_ros.limits import MAX_TICK_S, limit_acceleration, ramp_to_zero
-from fvs_ros.params import ParameterError, parameter
+from fvs_ros.params import parameter
 from fvs_ros.timeline import Sample, StampGate, Timeline
 
 #: Largest age of joint states before the arm stops, and of the ball before it turns back, s.
@@ -48,16 +48,6 @@ class CollectorConfig(MotionConfig, FeatureConfig):
         0.5,
     )
     seed: int = parameter(0, "seed of the motion", 0)
-    joints: ArmJoints = field(default_factory=ArmJoints)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        names, ends = self.joints.joint_names, self.joint_min_rad
-        if len(names) != len(ends):
-            raise ParameterError(
-                f"joint_min_rad and joint_max_rad need {len(names)} numbers, one for each of "
-                f"joint_names, got {len(ends)}"
-            )
 
     @property
     def box_margin_rad(self) -> float:
@@ -66,7 +56,8 @@ class CollectorConfig(MotionConfig, FeatureConfig):
         return max(_BOX_MARGIN_RAD, braking_rad)
 
 
-PARAMETERS = CollectorConfig.declared()
+#: A run keeps the values that it began with.
+PARAMETERS = tuple(replace(one, live=False) for one in CollectorConfig.declared())
 
 
 class State(Enum):
@@ -91,7 +82,7 @@ class CollectionRun:
     """
 
     def __init__(self, config: CollectorConfig, stop: StopCriterion | None = None) -> None:
-        self._config, self._names = config, config.joints.joint_names
+        self._config, self._names = config, config.joint_names
         self.stop = stop if stop is not None else StopCriterion(config.stop_at_error)
         self._motion: RandomMotion | None = None
         self._timeline = Timeline()

@@ -35,8 +35,8 @@ class CollectorNode(ros.FvsNode):
         super().__init__("fvs_collector_node", PARAMETERS)
         self._config = config = CollectorConfig.from_values(self.values)
         self._path = _writable(Path(config.output_path))
-        self._names = config.joints.joint_names
-        self._joint_map = JointMap(self._names, config.joints.tf_prefix)
+        self._names = config.joint_names
+        self._joint_map = JointMap(self._names, config.tf_prefix)
         self._simulated_time = self.get_parameter("use_sim_time").value
         self._run = CollectionRun(config)
         self._ticked_s = self.now_s()

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fvs_ros.joints import TRAINING_BOX_RAD, UR_POSITION_LIMITS_RAD
-from fvs_ros.limits import limit_speed
-from fvs_ros.params import Parameters, parameter
+from fvs_ros.joints import TRAINING_BOX_RAD
+from fvs_ros.limits import JointLimits, limit_speed
+from fvs_ros.params import another_default, parameter
 
 #: Least speed of a joint relative to the fastest allowed, and how many sets of speeds are tried.
 _LEAST_SHARE, _DRAWS = 0.5, 64
@@ -23,14 +23,12 @@ _LEAST_SHARE, _DRAWS = 0.5, 64
 _TURNING_SHARE, _SHARPNESS = 0.8, (0.05, 0.98)
 #: A motion lasts at least this many soft starts.
 _LEAST_RAMPS = 2.5
-#: Distance to the joint limits, rad, position gain, 1/s, and tolerance of the return to the start,
-#: rad.
-_LIMIT_MARGIN_RAD, _POSITION_GAIN, _HOME_RAD = 0.1, 2.0, 0.02
-_LIMIT_RAD = 4.0 * math.pi
+#: Position gain, 1/s, and tolerance of the return to the start, rad.
+_POSITION_GAIN, _HOME_RAD = 2.0, 0.02
 
 
 @dataclass(frozen=True)
-class MotionConfig(Parameters):
+class MotionConfig(JointLimits):
     """Bounds of the motion.
 
     Raises
@@ -47,31 +45,18 @@ class MotionConfig(Parameters):
         3.2,
         broadcast=True,
     )
-    max_joint_velocity_rad_s: float = parameter(0.65, "velocity limit of each joint", 0.01, 3.15)
-    max_joint_acceleration_rad_s2: float = parameter(
-        3.0, "acceleration limit of each joint's command", 0.05, 40.0
-    )
-    joint_min_rad: tuple[float, ...] = parameter(
-        tuple(-limit for limit in UR_POSITION_LIMITS_RAD),
-        "lower ends of the joints' ranges, rad; the box of motion ends 0.1 rad before them",
-        -_LIMIT_RAD,
-        _LIMIT_RAD,
-    )
-    joint_max_rad: tuple[float, ...] = parameter(
-        UR_POSITION_LIMITS_RAD,
-        "upper ends of the joints' ranges, rad; the box of motion ends 0.1 rad before them",
-        -_LIMIT_RAD,
-        _LIMIT_RAD,
+    max_joint_velocity_rad_s: float = another_default(JointLimits, "max_joint_velocity_rad_s", 0.65)
+    max_joint_acceleration_rad_s2: float = another_default(
+        JointLimits, "max_joint_acceleration_rad_s2", 3.0
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        joints, ranges = len(self.joint_min_rad), self.joint_range_rad
-        if len(self.joint_max_rad) != joints or len(ranges) not in (1, joints):
+        joints, ranges = len(self.joint_names), self.joint_range_rad
+        if len(ranges) not in (1, joints):
             raise ValueError(
-                f"joint_range_rad must be a list of {joints} numbers, or one for all, and "
-                f"joint_max_rad of {joints}, as joint_min_rad is; got {len(ranges)} and "
-                f"{len(self.joint_max_rad)}"
+                f"joint_range_rad must be a list of {joints} numbers, one for each of joint_names, "
+                f"or one for all; got {len(ranges)}"
             )
         object.__setattr__(self, "joint_range_rad", ranges * (joints // len(ranges)))
         if max(self.joint_range_rad) == 0.0:
@@ -110,12 +95,13 @@ class RandomMotion:
         self, start_rad: np.ndarray, config: MotionConfig, rng: np.random.Generator
     ) -> None:
         start = np.array(start_rad, dtype=float)
-        lower = np.asarray(config.joint_min_rad) + _LIMIT_MARGIN_RAD
-        upper = np.asarray(config.joint_max_rad) - _LIMIT_MARGIN_RAD
+        margin_rad = config.joint_limit_margin_rad
+        lower = np.asarray(config.joint_min_rad) + margin_rad
+        upper = np.asarray(config.joint_max_rad) - margin_rad
         if start.shape != lower.shape or not np.all((start >= lower) & (start <= upper)):
             raise ValueError(
                 f"the start pose {np.round(start, 3).tolist()} is closer than "
-                f"{_LIMIT_MARGIN_RAD} rad to a joint limit"
+                f"{margin_rad:g} rad (joint_limit_margin_rad) to a joint limit"
             )
         reach = np.asarray(config.joint_range_rad)
         self._config, self._start = config, start

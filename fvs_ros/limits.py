@@ -8,8 +8,8 @@ from operator import lt
 
 import numpy as np
 
-from fvs_ros.joints import UR_POSITION_LIMITS_RAD
-from fvs_ros.params import ParameterError, Parameters, parameter
+from fvs_ros.joints import UR_POSITION_LIMITS_RAD, ArmJoints
+from fvs_ros.params import ParameterError, live_parameter
 from fvs_ros.vectors import largest
 
 #: A tick counts for at most this long, s: a late one must not make a big step.
@@ -77,61 +77,47 @@ def ramp_to_zero(last: np.ndarray, max_step: float) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class SpeedLimits(Parameters):
-    """Limits of every joint's command."""
+class JointLimits(ArmJoints):
+    """Limits of the arm's joints: of position, one of each joint, and of every joint's command.
 
-    max_joint_velocity_rad_s: float = parameter(
-        1.0,
-        "Velocity limit of every joint, rad/s; the whole command is scaled.",
-        0.01,
-        pi,
-        live=True,
-    )
-    max_joint_acceleration_rad_s2: float = parameter(
-        6.0, "Acceleration limit of every joint's command, rad/s^2.", 0.1, 40.0, live=True
-    )
-
-
-@dataclass(frozen=True)
-class JointRange(Parameters):
-    """Slows joints down near the ends of their range.
-
-    A joint moves towards an end at most at ``max_speed * distance / margin``, and never faster than
-    it can brake (``braking_speed``); away from the end it is free. Each joint is slowed alone, so
-    the others continue and the arm slides along the limit.
-
-    The joints of the two lists are those of ``joint_names``.
+    A joint moves towards an end of its range at most at the velocity limit times its share of the
+    margin, and never faster than it can brake (``braking_speed``); away from the end it is free.
+    Each joint is slowed alone, so the others continue and the arm slides along the limit.
     """
 
-    joint_min_rad: tuple[float, ...] = parameter(
+    max_joint_velocity_rad_s: float = live_parameter(
+        1.0, "Velocity limit of every joint, rad/s; the whole command is scaled.", 0.01, pi
+    )
+    max_joint_acceleration_rad_s2: float = live_parameter(
+        6.0, "Acceleration limit of every joint's command, rad/s^2.", 0.05, 40.0
+    )
+    joint_min_rad: tuple[float, ...] = live_parameter(
         tuple(-limit for limit in UR_POSITION_LIMITS_RAD),
-        "Lower ends of the joints' ranges, rad.",
+        "Lower ends of the joints' ranges, rad, in the order of joint_names.",
         -4.0 * pi,
         4.0 * pi,
-        live=True,
     )
-    joint_max_rad: tuple[float, ...] = parameter(
+    joint_max_rad: tuple[float, ...] = live_parameter(
         UR_POSITION_LIMITS_RAD,
-        "Upper ends of the joints' ranges, rad.",
+        "Upper ends of the joints' ranges, rad, in the order of joint_names.",
         -4.0 * pi,
         4.0 * pi,
-        live=True,
     )
-    joint_limit_margin_rad: float = parameter(
+    joint_limit_margin_rad: float = live_parameter(
         0.2,
-        "Distance from the end of its range at which a joint begins to slow down, rad.",
+        "Distance from the end of its range at which a joint begins to slow down, rad; a data set "
+        "is collected outside of it.",
         0.01,
         2.0,
-        live=True,
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        lower, upper = self.joint_min_rad, self.joint_max_rad
-        if len(lower) != len(upper) or not all(map(lt, lower, upper)):
+        lower, upper, joints = self.joint_min_rad, self.joint_max_rad, len(self.joint_names)
+        if not len(lower) == len(upper) == joints or not all(map(lt, lower, upper)):
             raise ParameterError(
-                "joint_min_rad must be a list of numbers, each below that of joint_max_rad "
-                f"{list(upper)}, got {list(lower)}"
+                f"joint_min_rad and joint_max_rad need {joints} numbers, one for each of "
+                f"joint_names, each minimum below its maximum; got {list(lower)} and {list(upper)}"
             )
 
     def near_end(self, joints_rad: np.ndarray) -> bool:
@@ -144,7 +130,6 @@ class JointRange(Parameters):
         self,
         velocity: np.ndarray,
         joints: np.ndarray,
-        max_speed: float,
         max_acceleration: float,
         dt_s: float,
         pending_rad: np.ndarray,
@@ -165,7 +150,7 @@ class JointRange(Parameters):
         values = velocity.tolist()
         acceleration = _RANGE_SHARE * max_acceleration
         # With the robot's lag of 35 ms a faster approach than 5 times the distance would pass it.
-        slope = min(max_speed / self.joint_limit_margin_rad, 5.0)
+        slope = min(self.max_joint_velocity_rad_s / self.joint_limit_margin_rad, 5.0)
         both = zip(values, joints.tolist(), pending_rad.tolist(), strict=True)
         for i, (v, q, ahead) in enumerate(both):
             room = self.joint_max_rad[i] - q if v > 0.0 else q - self.joint_min_rad[i]
@@ -176,23 +161,20 @@ class JointRange(Parameters):
                 slowed.append(i)
         return (np.array(values), slowed) if slowed else (velocity, slowed)
 
-
-def brake_to_rest(
-    last: np.ndarray,
-    joints: np.ndarray | None,
-    dt_s: float,
-    speed: SpeedLimits,
-    joint_range: JointRange,
-    pending_rad: np.ndarray,
-) -> np.ndarray:
-    """Find the next command, (n,), rad/s, on the way to rest from the last one."""
-    # From full speed it stops within 0.5 s, however small the acceleration limit is.
-    fast = speed.max_joint_velocity_rad_s
-    acceleration = max(speed.max_joint_acceleration_rad_s2, fast / 0.5)
-    step = acceleration * dt_s
-    velocity = ramp_to_zero(last, step)
-    if joints is None:
-        return velocity
-    # The ramp is as long as the fastest joint's; one that nears its limit brakes harder.
-    velocity, _ = joint_range.slow_down(velocity, joints, fast, acceleration, dt_s, pending_rad)
-    return np.clip(velocity, last - step, last + step)
+    def brake_to_rest(
+        self,
+        last: np.ndarray,
+        joints: np.ndarray | None,
+        dt_s: float,
+        pending_rad: np.ndarray,
+    ) -> np.ndarray:
+        """Find the next command, (n,), rad/s, on the way to rest from the last one."""
+        # From full speed it stops within 0.5 s, however small the acceleration limit is.
+        acceleration = max(self.max_joint_acceleration_rad_s2, self.max_joint_velocity_rad_s / 0.5)
+        step = acceleration * dt_s
+        velocity = ramp_to_zero(last, step)
+        if joints is None:
+            return velocity
+        # The ramp is as long as the fastest joint's; one that nears its limit brakes harder.
+        velocity, _ = self.slow_down(velocity, joints, acceleration, dt_s, pending_rad)
+        return np.clip(velocity, last - step, last + step)

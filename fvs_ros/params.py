@@ -172,6 +172,12 @@ def parameter(
     return field(default=default, metadata={_DECLARED: one})
 
 
+def another_default(owner: type[Parameters], name: str, default: Any) -> Any:
+    """A field that takes over a parameter of a base class with another default."""
+    (one,) = (one for one in _own(owner) if one.name == name)
+    return field(default=default, metadata={_DECLARED: replace(one, default=default)})
+
+
 #: A parameter that may change while the node runs.
 live_parameter = partial(parameter, live=True)
 

@@ -63,4 +63,4 @@ def test_values_that_do_not_fit_together_change_nothing():
     loop.configure(default_values(alpha2=1.0, max_joint_velocity_rad_s=0.2))
     assert isinstance(loop.law, FtsmLaw)
     assert loop.law.gains.surface.alpha2 == 1.0
-    assert loop.supervisor.config.speed.max_joint_velocity_rad_s == 0.2
+    assert loop.supervisor.config.max_joint_velocity_rad_s == 0.2

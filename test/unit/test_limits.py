@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fvs_ros.limits import (
-    JointRange,
+    JointLimits,
     braking_speed,
     limit_acceleration,
     limit_speed,
@@ -13,7 +13,7 @@ from fvs_ros.limits import (
 )
 
 SIX = st.lists(st.floats(-10.0, 10.0), min_size=6, max_size=6).map(np.array)
-RANGE = JointRange((-2.0,) * 6, (2.0,) * 6, joint_limit_margin_rad=0.2)
+RANGE = JointLimits(joint_min_rad=(-2.0,) * 6, joint_max_rad=(2.0,) * 6)
 
 
 def parallel(a: np.ndarray, b: np.ndarray) -> bool:
@@ -50,7 +50,7 @@ def test_the_ramp_keeps_its_direction_and_ends_at_exactly_zero(last, step):
 
 @given(velocity=SIX, joints=st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6).map(np.array))
 def test_only_motion_towards_a_near_limit_is_slowed(velocity, joints):
-    got, slowed = RANGE.slow_down(velocity, joints, 1.0, 6.0, 0.008, np.zeros(6))
+    got, slowed = RANGE.slow_down(velocity, joints, 6.0, 0.008, np.zeros(6))
     for i in range(6):
         room = (2.0 - joints[i]) if velocity[i] > 0.0 else (joints[i] + 2.0)
         assert abs(got[i]) <= abs(velocity[i])

@@ -52,10 +52,9 @@ def test_it_visits_every_part_of_every_pair_of_joints_evenly(seed, half):
 
 
 def test_joint_limits_cut_the_box():
-    upper = tuple(HOME + 0.2)
-    one = motion(joint_max_rad=upper)
+    one = motion(joint_max_rad=tuple(HOME + 0.3))
     joints, _ = follow(one, lag_s=0.03)
-    assert np.all(joints <= HOME + 0.2)
-    np.testing.assert_allclose(one.box_rad[1], HOME + 0.1)
+    assert np.all(joints <= HOME + 0.3)
+    np.testing.assert_allclose(one.box_rad[1], HOME + 0.1)  # joint_limit_margin_rad below
     with pytest.raises(ValueError, match="closer than"):
         motion(joint_max_rad=tuple(HOME - 1.0))

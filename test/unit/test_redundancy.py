@@ -8,11 +8,11 @@ from fvs_controller_node.redundancy import (
     DampedInverse,
     LeastSpeedInverse,
 )
-from fvs_ros.limits import JointRange
+from fvs_ros.limits import JointLimits
 
 RNG = np.random.default_rng(7)
 CASES = [(RNG.normal(size=(3, 6)), RNG.normal(size=3)) for _ in range(40)]
-WIDE = JointRange((-3.0,) * 6, (3.0,) * 6, 0.5)
+WIDE = JointLimits(joint_min_rad=(-3.0,) * 6, joint_max_rad=(3.0,) * 6, joint_limit_margin_rad=0.5)
 
 
 def least_largest(jacobian, velocity):

@@ -38,7 +38,9 @@ def probes(count, seed=0, size_rad=0.2):
 def smooth(duration_s, seed=0):
     """What the collector would record at 30 Hz."""
     rng = np.random.default_rng(seed)
-    motion = RandomMotion(HOME_RAD, MotionConfig(duration_s, tuple(BOX_M_RAD)), rng)
+    motion = RandomMotion(
+        HOME_RAD, MotionConfig(duration_s=duration_s, joint_range_rad=tuple(BOX_M_RAD)), rng
+    )
     stamps = np.arange(0.0, duration_s, 1.0 / 30.0)
     joints, now = [], HOME_RAD.copy()
     for t in stamps:
