@@ -25,6 +25,7 @@ EXTRAS = {
         "pytest-timeout",
         "pytest-rerunfailures",
         "pytest-xdist",
+        "coverage",
         "hypothesis",
         "filterpy",
         "mcap-ros2-support",

@@ -190,6 +190,8 @@ def _orthogonal_to_rows(jacobian: np.ndarray) -> np.ndarray:
     By QR factors straight from LAPACK: numpy's wrapper takes five times as long.
     """
     m, n = jacobian.shape
+    if m >= n:
+        return np.empty((0, n))
     factors, scales, _, _ = dgeqrf(jacobian.T)
     q, padded = np.zeros((n, n), order="F"), np.zeros(n)
     q[:, :m], padded[:m] = factors, scales

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fvs_controller_node.config import default_values
+from fvs_controller_node.config import LAWS, default_values
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.reasons import Reason
 from fvs_ros.chain import SerialChain
@@ -123,3 +123,33 @@ def test_beyond_the_workspace_the_arm_does_not_follow_a_target(servoing):
     assert servoing.given[-2].feed_forward_rad_s is not None  # while it was inside
     assert servoing.given[-1].feed_forward_rad_s is None  # by now it would be outside
     assert servoing.target_m[0] <= edge_m
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize(("features", "joints"), [(1, 1), (2, 6), (3, 2), (3, 7), (6, 7), (8, 6)])
+def test_every_law_drives_any_number_of_features_with_any_number_of_joints(law, features, joints):
+    loop = ServoLoop(
+        default_values(
+            law=law,
+            redundancy_resolution="least_speed",
+            autostart=True,
+            joint_names=[f"joint_{i}" for i in range(joints)],
+            joint_min_rad=[-3.0] * joints,
+            joint_max_rad=[3.0] * joints,
+            workspace_min_m=[-9.0] * features,
+            workspace_max_m=[9.0] * features,
+        )
+    )
+    rng = np.random.default_rng(features + joints)
+    jacobian, moved = rng.normal(size=(features, joints)), np.zeros(joints)
+    target = jacobian @ rng.uniform(-0.2, 0.2, joints)
+    for tick in range(400):
+        now_s = DT_S * tick
+        if tick % 4 == 0:
+            loop.add_ball(now_s, now_s, jacobian @ moved)
+        loop.add_jacobian(now_s, jacobian)
+        loop.add_joints(now_s, now_s, moved)
+        if tick == 40:
+            loop.add_target(target, FRAME, now_s)
+        moved = moved + DT_S * loop.tick(now_s, DT_S).velocity_rad_s
+    np.testing.assert_allclose(jacobian @ moved, target, atol=0.005)
