@@ -138,7 +138,7 @@ _GROWS, _STALLED = "an error that grows is held", "an error that does not fall i
 _FROZEN, _STUCK = "a frozen image is held", "an arm that does not follow is held"
 _FAR = [9.0] * N_JOINTS
 _NO_LIMIT = {"workspace_min_m": [-9.0] * N_AXES, "workspace_max_m": [9.0] * N_AXES}
-_STAMPS = mock.patch("fvs_ros.timeline.StampGate.advances", return_value=True)
+_STAMPS = mock.patch("fvs_controller_node.loop.repeats", return_value=False)
 _SHARED = mock.patch("fvs_controller_node.inbox.Inbox.conflicting_command")
 _RAMP = mock.patch("fvs_ros.limits.ramp_to_zero", lambda velocity, _: 1.001 * velocity)
 

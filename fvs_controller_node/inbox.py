@@ -9,13 +9,12 @@ import numpy as np
 
 from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.reasons import Finding, Reason
+from fvs_ros.vectors import LARGEST, plausible
 
 #: Inputs by topic name.
 JOINT_STATES, BALL, JACOBIAN = "joint_states", "ball_position", "jacobian"
 KINEMATIC_CHAIN, SPEED_SCALING = "kinematic_chain", "speed_scaling"
 
-#: No joint position (rad), ball position (m) or Jacobian (m/rad) is larger than this.
-_LARGEST = 100.0
 #: Largest age of a source's status, and duration of a conflict after the foreign command, s.
 _STATUS_MAX_AGE_S, _CONFLICT_S = 2.0, 1.0
 
@@ -144,9 +143,9 @@ class Inbox:
         wanted = " x ".join(str(length) for length in shape)
         if values.shape != shape:
             self[name].bad(f"expected {wanted} numbers, got shape {values.shape}")
-        elif not all(-_LARGEST <= value <= _LARGEST for value in values.ravel().tolist()):
+        elif not plausible(values):
             self[name].bad(
-                f"expected {wanted} finite numbers up to {_LARGEST:g} in metres and radians, "
+                f"expected {wanted} finite numbers up to {LARGEST:g} in metres and radians, "
                 f"got {values.tolist()}",
             )
         else:

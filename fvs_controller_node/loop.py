@@ -21,12 +21,10 @@ from fvs_controller_node.redundancy import make_inverse
 from fvs_controller_node.supervisor import Command, Present, Supervisor
 from fvs_controller_node.target_motion import on_own_clock
 from fvs_ros.chain import SerialChain
-from fvs_ros.timeline import StampGate, jump_of
+from fvs_ros.timeline import jump_of, repeats
 
 #: The estimator publishes the chain more often than this; an older one is not used, s.
 _CHAIN_MAX_AGE_S = 1.5
-#: After this time without joint states, s, a joint may be anywhere.
-_UNSEEN_S = 0.5
 
 
 class ServoLoop:
@@ -66,9 +64,9 @@ class ServoLoop:
         self._stamp_s = 0.0
         self._change = Change.TARGET  # since the last call of the law
         self._images = 0  # number of images at that call
-        self._joint_stamps, self._ball_stamps = StampGate(), StampGate()
+        self._ball_stamp_s: float | None = None
         self._joints: np.ndarray | None = None
-        self._last_joints: tuple[float, np.ndarray | None] = (0.0, None)  # as they came
+        self._last_joints: tuple[float, np.ndarray] | tuple[None, None] = None, None  # as they came
         self._jacobian: np.ndarray | None = None
         self._home: np.ndarray | None = None  # joints at the last start
 
@@ -85,7 +83,7 @@ class ServoLoop:
     def add_joints(self, now_s: float, stamp_s: float, joints_rad: np.ndarray) -> None:
         """Take a joint state: arrival and stamp, s; positions (n,), rad."""
         inputs = self.supervisor.inputs
-        if not self._joint_stamps.advances(stamp_s):
+        if repeats(stamp_s, self._last_joints[0]):
             inputs[JOINT_STATES].stuck(now_s)
             return
         jump = self._jump(stamp_s, joints_rad)
@@ -109,10 +107,9 @@ class ServoLoop:
         """Describe an impossible jump since the last joint state; empty without one."""
         before_s, before = self._last_joints
         self._last_joints = (stamp_s, joints_rad)
-        passed_s = stamp_s - before_s
-        if before is None or before.shape != joints_rad.shape or not 0.0 < passed_s < _UNSEEN_S:
+        if before_s is None or before is None or before.shape != joints_rad.shape:
             return ""
-        moved = joints_rad - before
+        moved, passed_s = joints_rad - before, stamp_s - before_s
         joint = jump_of(moved, passed_s)
         if joint is None:
             return ""
@@ -123,9 +120,11 @@ class ServoLoop:
 
     def add_ball(self, now_s: float, stamp_s: float, position_m: np.ndarray) -> None:
         """Take a ball position in the feature's frame: arrival and exposure, s; (m,), m."""
-        if not self._ball_stamps.advances(stamp_s):
+        if repeats(stamp_s, self._ball_stamp_s):
             self.supervisor.inputs[BALL].stuck(now_s)
-        elif self.supervisor.inputs.add(BALL, now_s, position_m):
+            return
+        self._ball_stamp_s = stamp_s
+        if self.supervisor.inputs.add(BALL, now_s, position_m):
             self.predictor.add_ball(stamp_s, position_m)
 
     def add_jacobian(self, now_s: float, jacobian: np.ndarray) -> None:

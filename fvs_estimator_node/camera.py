@@ -103,14 +103,9 @@ class CameraPose:
             "being carried? If not, check sign, zero, scale and name of each joint"
         )
 
-    def add(self, model_m: np.ndarray, seen_m: np.ndarray, noise_m: float) -> bool:
-        """Take the ball's position by the model and by the image, m, (3,) each.
-
-        Returns whether it was learned from; a pair that is not finite is refused.
-        """
+    def add(self, model_m: np.ndarray, seen_m: np.ndarray, noise_m: float) -> None:
+        """Take the ball's position by the model and by the image, m, (3,) each."""
         off_m = length(seen_m - (self.rotation @ model_m + self.translation_m))
-        if not off_m < math.inf:
-            return False
         self._images += 1
         deviation_rad = self._turn_deviation_rad(noise_m)
         reach_m = length(model_m - self._mean_p) if self._weight else 0.0
@@ -137,7 +132,6 @@ class CameraPose:
         self._mean_p, self._mean_x = self._mean_p + from_p / total, self._mean_x + from_x / total
         self.rotation = nearest_rotation(self._scatter + noise_m**2 * self._prior)
         self.translation_m = self._mean_x - self.rotation @ self._mean_p
-        return True
 
     def _turn_deviation_rad(self, noise_m: float) -> float:
         """Standard deviation of the rotation, by the prior and the pairs since the last bump."""
@@ -169,12 +163,8 @@ class _BehindCamera(Estimator):
 
     def observe(self, joints_rad: np.ndarray, ball_m: np.ndarray, noise_m: float) -> None:
         """Learn the camera's pose from where the ball is."""
-        if np.all(np.isfinite(joints_rad)) and self.camera.add(
-            self._position(joints_rad, ball_m), ball_m, noise_m
-        ):
-            self.updates += 1
-        else:
-            self.refused += 1
+        self.camera.add(self._position(joints_rad, ball_m), ball_m, noise_m)
+        self.updates += 1
 
     @abstractmethod
     def _position(self, joints_rad: np.ndarray, ball_m: np.ndarray) -> np.ndarray:

@@ -18,10 +18,9 @@ from fvs_estimator_node.base import FeatureConfig
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.stopping import StopCriterion
 from fvs_ros.following import Following
-from fvs_ros.joints import LARGEST_RAD
 from fvs_ros.limits import MAX_TICK_S, limit_acceleration, ramp_to_zero
 from fvs_ros.params import parameter
-from fvs_ros.timeline import Sample, StampGate, Timeline
+from fvs_ros.timeline import Sample, Timeline, repeats
 
 #: Largest age of joint states before the arm stops, and of the ball before it turns back, s.
 _JOINTS_MAX_AGE_S, _BALL_MAX_AGE_S = 0.1, 0.5
@@ -86,7 +85,6 @@ class CollectionRun:
         self.stop = stop if stop is not None else StopCriterion(config.stop_at_error)
         self._motion: RandomMotion | None = None
         self._timeline = Timeline()
-        self._joint_stamps, self._ball_stamps = StampGate(), StampGate()
         self._ticked_s = -np.inf
         self._joints: np.ndarray | None = None
         self._joints_s = self._ball_s = -np.inf
@@ -117,17 +115,14 @@ class CollectionRun:
 
     def joint_states(self, now_s: float, stamp_s: float, joints_rad: np.ndarray) -> None:
         """Take joint positions: arrival on the steady clock and stamp, s; (n,), rad."""
-        if not float(np.abs(joints_rad).max()) <= LARGEST_RAD:  # false for NaN, too
-            self.fail(f"joint_states holds {joints_rad.tolist()}: no joint is turned that far")
-            return
-        if self._joint_stamps.advances(stamp_s):
+        if not repeats(stamp_s, self._timeline.newest_stamp_s):
             self._joints_s = now_s
             self._joints = joints_rad
         self._record(self._timeline.add_joints(stamp_s, joints_rad))
 
     def ball(self, now_s: float, stamp_s: float, position_m: np.ndarray) -> None:
         """Take a ball position: arrival on the steady clock and exposure stamp, s; (m,), m."""
-        if self._ball_stamps.advances(stamp_s):
+        if not repeats(stamp_s, self._timeline.seen_stamp_s):
             self._ball_s = now_s
             self._record(self._timeline.add_ball(stamp_s, position_m))
 

@@ -289,9 +289,6 @@ class EstimationLoop:
             d_joints = sample.joints_rad - last.joints_rad
             jacobian = self.estimator.jacobian(last.joints_rad + 0.5 * d_joints)
             moved_m = self._moved_m + jacobian @ d_joints
-        if not np.all(np.isfinite(moved_m)):
-            self._last = None
-            return [sample]
         self._moved_m = moved_m
         images = self._tracker.add(Image(sample.stamp_s, sample.ball_m, moved_m, sample))
         late_s = self._stamps.add(sample.stamp_s, sample.ball_m, moved_m)

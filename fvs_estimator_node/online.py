@@ -120,7 +120,7 @@ class OnlineEstimator(Estimator):
         return self._jacobian
 
     def update(self, step: MotionStep) -> None:
-        """Learn from one step; what is not finite changes nothing."""
+        """Learn from one step; what would not be finite changes nothing."""
         with np.errstate(all="ignore"):
             learned = self._try(step)
         if learned is None:
@@ -131,10 +131,9 @@ class OnlineEstimator(Estimator):
 
     def _try(self, step: MotionStep) -> tuple[np.ndarray, np.ndarray] | None:
         """Jacobian and covariance after a step; None if it must not be learned from."""
-        told = (step.joints_rad, step.d_joints_rad, step.d_ball_m)
-        if not (0.0 < step.dt_s < math.inf and all(_is_finite(one) for one in told)):
-            return None
         before = self._present(step.joints_rad)
+        if self._jacobian is None:  # the networks give no number there
+            return None
         try:
             jacobian, covariance = self._learned(before, self.covariance, step)
             # Raises unless positive definite, to discard a covariance with rounding errors.
@@ -151,7 +150,7 @@ class OnlineEstimator(Estimator):
     def _learned(
         self, jacobian: np.ndarray, covariance: np.ndarray, step: MotionStep
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Jacobian and covariance after one finite step; new arrays.
+        """Jacobian and covariance after one step; new arrays.
 
         What is not finite, or raises ``LinAlgError``, is not kept.
         """

@@ -17,10 +17,9 @@ from functools import reduce
 
 import numpy as np
 
-from fvs_ros.vectors import check_arrays
+from fvs_ros.vectors import LARGEST, check_arrays, plausible
 
 _IDENTITY = np.eye(4)
-_LARGEST_M = 100.0
 #: What a chain of n joints is made of, and the shapes.
 CHAIN_SHAPES: dict[str, tuple[int | str, ...]] = {
     "axes": ("n", 3),
@@ -73,8 +72,8 @@ class SerialChain:
     def __post_init__(self) -> None:
         check_arrays(self, CHAIN_SHAPES, {})
         for name in CHAIN_SHAPES:
-            if np.abs(getattr(self, name)).max() > _LARGEST_M:
-                raise ValueError(f"{name} of a chain holds a number above {_LARGEST_M:g} m")
+            if not plausible(getattr(self, name)):
+                raise ValueError(f"{name} of a chain holds a number above {LARGEST:g} m")
         lengths = np.linalg.norm(self.axes, axis=1, keepdims=True)
         if lengths.min() < 1e-6:
             raise ValueError("an axis of a chain has no direction")

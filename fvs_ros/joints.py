@@ -9,6 +9,7 @@ from math import pi
 import numpy as np
 
 from fvs_ros.params import Parameters, parameter
+from fvs_ros.vectors import plausible
 
 #: The UR joints in kinematic order, base to flange: the order of every vector in this project.
 UR_JOINT_NAMES = (
@@ -27,9 +28,6 @@ TRAINING_BOX_RAD = (0.6, 0.5, 0.5, 0.5, 0.5, 0.5)
 
 #: A UR turns each joint by so much to either side, rad, the elbow less; kinematic order.
 UR_POSITION_LIMITS_RAD = (2 * pi, 2 * pi, pi, 2 * pi, 2 * pi, 2 * pi)
-
-#: No joint is turned further than this, rad: a position beyond is a mistake of whoever sent it.
-LARGEST_RAD = 100.0
 
 
 @dataclass(frozen=True)
@@ -91,14 +89,14 @@ class JointMap:
         Returns
         -------
         ndarray, shape (n,)
-            Angles, rad, kinematic order; finite.
+            Angles, rad, kinematic order; finite and plausible.
 
         Raises
         ------
         ForeignJointsError
             If the message holds none of the wanted joints.
         JointStateError
-            If some joints are missing, sizes differ, or an angle is not finite.
+            If some joints are missing, sizes differ, or an angle is not finite or implausible.
         """
         key = tuple(names)
         if key != self._cached_for:
@@ -117,7 +115,7 @@ class JointMap:
         if len(values) != len(key):
             raise JointStateError(f"joint_states has {len(values)} positions for {len(key)} names")
         positions = np.array([values[i] for i in self._indices], dtype=float)
-        if not np.all(np.isfinite(positions)):
-            bad = [n for n, p in zip(self.names, positions, strict=True) if not np.isfinite(p)]
-            raise JointStateError(f"joint_states has a position that is not finite for {bad}")
+        if not plausible(positions):
+            bad = [n for n, p in zip(self.names, positions, strict=True) if not plausible(p)]
+            raise JointStateError(f"joint_states has a position too large or not finite for {bad}")
         return positions

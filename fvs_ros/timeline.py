@@ -15,6 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fvs_ros.vectors import plausible
+
 #: Fastest joint, rad/s, and slack of a step between two joint states, rad: more is a jump.
 _FASTEST_RAD_S, _JUMP_RAD = 1.5 * pi, 0.1
 
@@ -36,24 +38,18 @@ MAX_LATENCY_S = 0.5
 
 
 def jump_of(step_rad: np.ndarray, passed_s: float) -> int | None:
-    """The joint that made an impossible step, rad, (n,), in this time, s; None if none did."""
+    """The joint that made an impossible step, rad, (n,), in this time, s; None if none did.
+
+    A time that is not positive is that of two clocks, and says nothing.
+    """
     joint = int(np.abs(step_rad).argmax())
-    return joint if abs(step_rad[joint]) > _JUMP_RAD + _FASTEST_RAD_S * passed_s else None
+    possible_rad = _JUMP_RAD + _FASTEST_RAD_S * passed_s
+    return joint if passed_s > 0.0 and abs(step_rad[joint]) > possible_rad else None
 
 
-class StampGate:
-    """Lets a message pass whose stamp is newer than the last: a frozen stream is not fresh."""
-
-    def __init__(self) -> None:
-        self._last_s: float | None = None
-
-    def advances(self, stamp_s: float) -> bool:
-        """Whether the stamp is new, s."""
-        last = self._last_s
-        if last is not None and last - MAX_BACKSTEP_S <= stamp_s <= last:
-            return False
-        self._last_s = stamp_s
-        return True
+def repeats(stamp_s: float, last_s: float | None) -> bool:
+    """Whether a stamp, s, is that of the last message, or slightly older: it is no fresh one."""
+    return last_s is not None and last_s - MAX_BACKSTEP_S <= stamp_s <= last_s
 
 
 class History:
@@ -101,14 +97,11 @@ class History:
         bool
             False if the clock jumped, so that the history was started anew.
         """
-        jumped = False
-        if self._stamps:
-            step_s = stamp_s - self._stamps[-1]
-            if -MAX_BACKSTEP_S <= step_s <= 0.0:
-                return True
-            if step_s < 0.0 or step_s > _LENGTH_S:
-                self.clear()
-                jumped = True
+        if repeats(stamp_s, self.newest_stamp_s):
+            return True
+        jumped = bool(self._stamps) and not 0.0 < stamp_s - self._stamps[-1] <= _LENGTH_S
+        if jumped:
+            self.clear()
         self._stamps.append(stamp_s)
         self._values.append(np.array(value, dtype=float))
         while self._stamps[-1] - self._stamps[0] > _LENGTH_S:
@@ -212,11 +205,10 @@ class Timeline:
 
     def add_joints(self, stamp_s: float, joints_rad: np.ndarray) -> list[Sample]:
         """Take a joint state, s and rad, (n,); returns the ball positions that waited for it."""
-        if not (np.isfinite(stamp_s) and np.all(np.isfinite(joints_rad))):
+        if not (np.isfinite(stamp_s) and plausible(joints_rad)):
             return []
         newest, newest_s = self._history.newest, self._history.newest_stamp_s
-        passed_s = 0.0 if newest_s is None else stamp_s - newest_s
-        if passed_s > 0.0 and jump_of(joints_rad - newest, passed_s) is not None:
+        if newest_s is not None and jump_of(joints_rad - newest, stamp_s - newest_s) is not None:
             self._history.clear()
             self._drop("the joints jumped", len(self._waiting))
         if not self._history.add(stamp_s, joints_rad):
@@ -227,14 +219,14 @@ class Timeline:
 
     def add_ball(self, stamp_s: float, ball_m: np.ndarray) -> list[Sample]:
         """Take a ball position, exposure in s and m, (m,); returns what can be paired now."""
-        if not (np.isfinite(stamp_s) and np.all(np.isfinite(ball_m))):
-            self._drop("a ball position or its stamp is not finite")
+        if not (np.isfinite(stamp_s) and plausible(ball_m)):
+            self._drop("a ball position or its stamp is not finite, or too far")
             return []
         last = self._newest_stamp_s
-        if last is not None and stamp_s <= last:
-            if stamp_s >= last - MAX_BACKSTEP_S:
-                self._drop("a ball position's stamp is repeated or older than the last")
-                return []
+        if repeats(stamp_s, last):
+            self._drop("a ball position's stamp is repeated or older than the last")
+            return []
+        if last is not None and stamp_s < last:
             self._drop("the ball positions' clock jumped back", len(self._waiting))
             self.clock_jumps += 1
         self._newest_stamp_s = stamp_s

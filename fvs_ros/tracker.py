@@ -7,7 +7,6 @@ follows the arm is judged from the accepted images (:mod:`fvs_controller_node.pr
 from __future__ import annotations
 
 from collections import deque
-from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -168,8 +167,6 @@ class Tracker:
             Those that are accepted now, oldest first: this one; none, for an outlier; this one and
             the outliers before it, where they turn out to be true.
         """
-        if not length(image.seen_m) < inf:  # or not a number
-            return []
         if self._estimate is None:
             return self._reinitialise(image)
         motion = image.moved_m - self._moved

@@ -8,6 +8,10 @@ from typing import Any
 
 import numpy as np
 
+#: No joint position, rad, no coordinate of a position, m, and no entry of a Jacobian, m/rad, that a
+#: message may hold is larger: it would be a mistake of whoever sent it.
+LARGEST = 100.0
+
 
 def length(vector: np.ndarray) -> float:
     """Euclidean norm of a vector, shape (n,)."""
@@ -22,6 +26,11 @@ def largest(values: np.ndarray) -> float:
 def all_finite(values: np.ndarray) -> bool:
     """Whether none of some numbers, shape (n,), is infinite or NaN."""
     return all(map(isfinite, values.tolist()))
+
+
+def plausible(values: np.ndarray) -> bool:
+    """Whether no number of an array is NaN or larger than ``LARGEST``."""
+    return all(-LARGEST <= value <= LARGEST for value in values.ravel().tolist())
 
 
 def check_arrays(

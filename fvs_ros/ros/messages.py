@@ -19,7 +19,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from fvs_ros.camera import CameraModel, Intrinsics, camera_model
 from fvs_ros.chain import SerialChain
-from fvs_ros.vectors import length
+from fvs_ros.vectors import length, plausible
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
@@ -76,7 +76,7 @@ def to_point(stamp_s: float, frame: str, position_m: np.ndarray) -> PointStamped
 def from_point(message: PointStamped, frame: str, topic: str) -> np.ndarray:
     """Position of a ``PointStamped``, m, shape (3,).
 
-    A ``MessageError`` names the topic if it is in another frame than this, or not finite.
+    A ``MessageError`` names the topic if it is in another frame than this, or no position.
     """
     if message.header.frame_id != frame:
         raise MessageError(
@@ -84,8 +84,8 @@ def from_point(message: PointStamped, frame: str, topic: str) -> np.ndarray:
             "(parameter feature_frame)"
         )
     position = np.array([message.point.x, message.point.y, message.point.z], dtype=float)
-    if not np.all(np.isfinite(position)):
-        raise MessageError(f"{topic} is not finite: {position.tolist()}")
+    if not plausible(position):
+        raise MessageError(f"{topic} is not finite, or too far: {position.tolist()}")
     return position
 
 
