@@ -34,8 +34,8 @@ _DEVIATION = 0.12
 _LEAST_S = 0.25
 #: Positions nearer than this to the first of their cell are averaged, m.
 _CELL_M = _LEAST_M / 8.0
-#: Largest number of cells; beyond it the two closest neighbours are merged.
-_CELLS = 32
+#: Largest number of cells.
+_CELLS = 64
 
 
 class Verdict(NamedTuple):
@@ -59,8 +59,8 @@ class _Cell:
     moved_m: np.ndarray
     seen_m: np.ndarray
 
-    def add(self, images: int, moved_m: np.ndarray, seen_m: np.ndarray) -> None:
-        self.images += images
+    def add(self, moved_m: np.ndarray, seen_m: np.ndarray) -> None:
+        self.images += 1
         self.moved_m = self.moved_m + moved_m
         self.seen_m = self.seen_m + seen_m
 
@@ -87,21 +87,13 @@ class Agreement:
         if not self._cells or length(moved_m - self._cells[-1].anchor_m) > _CELL_M:
             self._cells.append(_Cell(stamp_s, moved_m, 1, moved_m, seen_m))
         else:
-            self._cells[-1].add(1, moved_m, seen_m)
-        if len(self._cells) > _CELLS:
-            self._merge()
+            self._cells[-1].add(moved_m, seen_m)
+        del self._cells[:-_CELLS]
         verdict = self._judge(0, noise_m)
         while verdict is not None and (later := self._judge(1, noise_m)) is not None:
             self._cells.pop(0)
             verdict = later
         self.verdict = verdict
-
-    def _merge(self) -> None:
-        means = np.array([cell.moved_m / cell.images for cell in self._cells])
-        first = int(np.linalg.norm(np.diff(means, axis=0), axis=1).argmin())
-        later = self._cells.pop(first + 1)
-        self._cells[first].add(later.images, later.moved_m, later.seen_m)
-        self._cells[first].anchor_m = later.anchor_m
 
     def _judge(self, first: int, noise_m: float) -> Verdict | None:
         """The verdict of the cells from one on; None where they do not suffice for one."""

@@ -63,23 +63,15 @@ class StepPairing:
         self._anchor: Sample | None = None
         self._sliding: tuple[float, np.ndarray] | None = None
 
-    def add_joints(self, stamp_s: float, joints_rad: np.ndarray) -> list[MotionStep]:
-        """Take a joint state; returns the steps it completes."""
-        return self._steps(self.timeline.add_joints(stamp_s, joints_rad))
-
-    def add_ball(self, stamp_s: float, ball_m: np.ndarray) -> list[MotionStep]:
-        """Take a ball position; returns the steps it completes."""
-        return self._steps(self.timeline.add_ball(stamp_s, ball_m))
-
     def add_sliding_variable(self, stamp_s: float, sliding_variable: np.ndarray) -> None:
         """Take the controller's sliding variable, (m,); the newest goes into coming steps."""
         value = np.array(sliding_variable, dtype=float)
         if np.all(np.isfinite(value)) and np.isfinite(stamp_s):
             self._sliding = (stamp_s, value)
 
-    def _steps(self, samples: list[Sample]) -> list[MotionStep]:
-        steps = [self.step(sample) for sample in samples]
-        return [step for step in steps if step is not None]
+    def steps(self, samples: list[Sample]) -> list[MotionStep]:
+        """The steps that samples complete."""
+        return [step for step in map(self.step, samples) if step is not None]
 
     def step(self, sample: Sample) -> MotionStep | None:
         """The step that a sample completes, if it does."""

@@ -83,6 +83,7 @@ def record(seed: int, conditions: Conditions, duration_s: float) -> Recording:
     reference = _Reference(seed)
     simulation.reset(reference.start_rad, seed)
     pairing = StepPairing()
+    timeline = pairing.timeline
     period_s = 1.0 / simulation.config.joint_state_rate_hz
     joints = simulation.joints_rad
     steps: list[MotionStep] = []
@@ -98,8 +99,9 @@ def record(seed: int, conditions: Conditions, duration_s: float) -> Recording:
             if seen.detection is not None:
                 error_m = seen.detection.position_m - seen.true_position_m
                 squared_errors_m2.append(float(error_m @ error_m))
-                steps += pairing.add_ball(seen.stamp_s, seen.detection.position_m)
-        steps += pairing.add_joints(out.time_s, joints)
+                samples = timeline.add_ball(seen.stamp_s, seen.detection.position_m)
+                steps += pairing.steps(samples)
+        steps += pairing.steps(timeline.add_joints(out.time_s, joints))
     ends_m, starts_m = (
         np.array([truth_m[_microseconds(getattr(step, name))] for step in steps])
         for name in ("stamp_s", "start_stamp_s")

@@ -24,8 +24,6 @@ _LEAST_GAIN = 0.02
 _MEAN_SHARE, _BEHIND, _MEAN_CLIP = 0.2, 5.0, 4.0
 #: An image further off is an outlier: in standard deviations, plus m.
 _GATE, _GATE_M = 6.0, 0.002
-#: Two outliers in a row agree only if they differ by less than this share of the first.
-_ALIKE = 0.5
 #: After this count in a row the camera or ball moves, even if no two of them agree.
 _REPEATS = 6
 
@@ -199,8 +197,7 @@ class Tracker:
         a turn of the camera.
         """
         apart = length(second_m - first_m)
-        noise = _GATE * 2.0**0.5 * self.noise_m
-        return apart <= min(noise + 2.0 * length(motion_m), _ALIKE * length(first_m))
+        return apart <= _GATE * 2.0**0.5 * self.noise_m + 2.0 * length(motion_m)
 
     def _reinitialise(self, image: Image) -> list[Image]:
         images = [outlier for outlier, _ in self._outliers] or [image]

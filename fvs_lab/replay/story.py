@@ -244,6 +244,7 @@ def _steps(joints: Series, ball: Series) -> tuple[np.ndarray, ...]:
     End and duration, s, shape (n,), joint motion, rad, and ball motion, m, shape (n, k).
     """
     pairing = StepPairing()
+    timeline = pairing.timeline
     count = joints.values.shape[1] // 2
     width = 2 + count + ball.values.shape[1]
     rows = array("d")
@@ -251,10 +252,10 @@ def _steps(joints: Series, ball: Series) -> tuple[np.ndarray, ...]:
     for index in np.argsort(arrivals_s, kind="stable"):
         image = index - len(joints)
         if image < 0:
-            found = pairing.add_joints(joints.time_s[index], joints.values[index, :count])
+            found = timeline.add_joints(joints.time_s[index], joints.values[index, :count])
         else:
-            found = pairing.add_ball(ball.time_s[image], ball.values[image])
-        for step in found:
+            found = timeline.add_ball(ball.time_s[image], ball.values[image])
+        for step in pairing.steps(found):
             rows.extend((step.stamp_s, step.dt_s, *step.d_joints_rad, *step.d_ball_m))
     steps = np.frombuffer(rows).reshape(-1, width) if rows else np.empty((0, width))
     return steps[:, 0], steps[:, 1], steps[:, 2 : 2 + count], steps[:, 2 + count :]

@@ -16,9 +16,9 @@ def feed(pairing, start, stop, late_s=0.0, ahead_s=0.0, stamp=lambda t: t, joint
     steps = []
     for _, kind, t in sorted(events):
         if kind == 0:
-            steps += pairing.add_joints(t + ahead_s, VELOCITY * t)
+            steps += pairing.steps(pairing.timeline.add_joints(t + ahead_s, VELOCITY * t))
         else:
-            steps += pairing.add_ball(stamp(t), JACOBIAN @ VELOCITY * t)
+            steps += pairing.steps(pairing.timeline.add_ball(stamp(t), JACOBIAN @ VELOCITY * t))
     return steps
 
 
@@ -37,9 +37,11 @@ def test_ball_and_joint_motion_belong_to_the_same_exposures(late_s):
 def test_no_step_across_a_rest_a_gap_a_jump_of_the_joints_or_of_the_clock():
     pairing = StepPairing()
     feed(pairing, 0.0, 1.0)
-    assert pairing.add_ball(1.01, np.array([np.nan, 0.0, 1.0])) == []
-    assert pairing.add_joints(1.02, np.full(6, np.inf)) == []
-    rested = [pairing.add_joints(t, VELOCITY) for t in np.arange(1.0, 3.0, 0.008)]
+    assert pairing.timeline.add_ball(1.01, np.array([np.nan, 0.0, 1.0])) == []
+    assert pairing.timeline.add_joints(1.02, np.full(6, np.inf)) == []
+    rested = [
+        pairing.steps(pairing.timeline.add_joints(t, VELOCITY)) for t in np.arange(1.0, 3.0, 0.008)
+    ]
     steps = feed(pairing, 3.0, 5.0, joints=lambda t: not 3.6 < t < 3.9)
     steps += feed(pairing, 5.0, 6.0, ahead_s=-100.0, stamp=lambda t: t - 100.0)
     assert not any(rested)
