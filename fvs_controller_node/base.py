@@ -71,7 +71,7 @@ class ControlLaw(ABC):
     ----------
     gains : Parameters, optional
         The law's parameters, a ``Gains``.
-    inverse : Inverse, optional
+    inverse : DampedInverse, optional
         From feature velocity to joint velocities.
     """
 

@@ -28,9 +28,6 @@ EACH_AXIS, STRAIGHT = "each_axis", "straight"
 _NEWTON_ITERATIONS, _MAX_ITERATIONS = 12, 80
 _TOLERANCE, _TINY_M = 1e-14, 1e-12
 
-#: The literal law divides by the error where the exponent is below 1; it never gets smaller.
-_LITERAL_ERROR_FLOOR_M = 1e-9
-
 
 def next_sliding_value(s: float, law: ReachingLaw, dt_s: float) -> float:
     """Solve (k4/dt + k1) p + k2 p^m = (k4/dt) |s| for p = |s+|, a tick later."""
@@ -173,7 +170,8 @@ class FtsmLaw(ControlLaw):
         wanted, sliding = [], []
         for y, v, v_before in zip(errors, velocities, before, strict=True):
             s = surface.value(y, v)
-            floored = copysign(max(abs(y), _LITERAL_ERROR_FLOOR_M), y)
+            # It divides by the error where the exponent is below 1.
+            floored = copysign(max(abs(y), _TINY_M), y)
             s_dot = surface.derivative(floored, v, (v - v_before) / dt_s)
             pull = reaching.k1 * s + reaching.k2 * copysign(abs(s) ** m, s) + reaching.k4 * s_dot
             wanted.append(v - pull / surface.alpha2)

@@ -28,8 +28,6 @@ from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
 
 _NEVER_RAN = "no robot_program_running yet: start the robot program if the arm does not move"
 _LATE = (Reason.STALE, Reason.RETURNING)
-#: Inputs that come and go are logged once in this time, or they would fill the log, s.
-_REPEAT_S = 10.0
 #: A latched target reaches both subscriptions within this time, s.
 _TARGET_ECHO_S = 0.5
 _LEVELS = {
@@ -223,7 +221,7 @@ class ControllerNode(ros.FvsNode):
     def _tell_reason(self, now_s: float, command: Command) -> None:
         passes = command.state is State.HOLDING or command.reason in _LATE
         if passes and not command.reason.needs_start:
-            if now_s < self._logged_passing_s + _REPEAT_S:
+            if now_s < self._logged_passing_s + ros.REPEAT_S:
                 return
             self._logged_passing_s = now_s
         self._logged = command.reason

@@ -15,7 +15,6 @@ gain 1/T and damping lambda, gain (b - c) / (a T) and damping q / a.
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 from math import log
@@ -55,15 +54,10 @@ class ProportionalLaw(ControlLaw):
 class _IncrementLaw(ControlLaw):
     """A proportional law with a gain and a damped inverse of its own."""
 
-    @property
-    @abstractmethod
-    def numbers(self) -> tuple[float, float]:
-        """Gain, 1/s, and damping, m^2/rad^2."""
-
     def command(self, control_input: ControlInput) -> ControlOutput:
         """Return the joint velocities for this tick, before any limit."""
         error_m = control_input.error_m
-        gain_1_s, damping = self.numbers
+        gain_1_s, damping = self.gains.gain_and_damping
         velocity = damped_solution(control_input.jacobian, -gain_1_s * error_m, damping)
         return ControlOutput.plain(velocity, error_m.size)
 
@@ -89,17 +83,16 @@ class MfacGains(IncrementGains):
         100.0,
     )
 
+    @property
+    def gain_and_damping(self) -> tuple[float, float]:
+        """Gain, 1/s, and damping, m^2/rad^2."""
+        return 1.0 / self.control_interval_s, self.mfac_lambda
+
 
 class MfacLaw(_IncrementLaw):
     """The law (48), with the gains lambda and T."""
 
     Gains = MfacGains
-    gains: MfacGains
-
-    @cached_property
-    def numbers(self) -> tuple[float, float]:
-        """Gain and damping."""
-        return 1.0 / self.gains.control_interval_s, self.gains.mfac_lambda
 
 
 @dataclass(frozen=True)
@@ -123,19 +116,17 @@ class MpcGains(IncrementGains):
         100.0,
     )
 
+    @cached_property
+    def gain_and_damping(self) -> tuple[float, float]:
+        """Gain, 1/s, and damping, m^2/rad^2."""
+        a, b, c = mpc_coefficients(self.mpc_horizon, self.mpc_alpha, self.mpc_rho)
+        return (b - c) / (a * self.control_interval_s), self.mpc_q / a
+
 
 class MpcLaw(_IncrementLaw):
     """The law (49) as corrected, with Q = q E, and the gains H, alpha, rho, q and T."""
 
     Gains = MpcGains
-    gains: MpcGains
-
-    @cached_property
-    def numbers(self) -> tuple[float, float]:
-        """Gain and damping."""
-        gains = self.gains
-        a, b, c = mpc_coefficients(gains.mpc_horizon, gains.mpc_alpha, gains.mpc_rho)
-        return (b - c) / (a * gains.control_interval_s), gains.mpc_q / a
 
 
 def mpc_coefficients(horizon: float, alpha: float, rho: float) -> tuple[float, float, float]:

@@ -85,13 +85,12 @@ def damped_solution(jacobian: np.ndarray, velocity: np.ndarray, damping: float) 
 
 
 @dataclass(frozen=True)
-class LeastSpeedInverse:
+class LeastSpeedInverse(DampedInverse):
     """The least largest joint speed for the feature velocity of :class:`DampedInverse`.
 
     Joints keep away from the ends of their ranges, where these are given.
     """
 
-    damping: float = 1e-4
     limits: JointLimits | None = None
 
     def joint_velocity(
@@ -181,9 +180,6 @@ def _homing(away_rad: np.ndarray, speed: float, room: float) -> np.ndarray:
     return away_rad * (share * speed / max(furthest_rad, _TINY))
 
 
-Inverse = DampedInverse | LeastSpeedInverse
-
-
 def _orthogonal_to_rows(jacobian: np.ndarray) -> np.ndarray:
     """Orthonormal rows, (n - m, n), orthogonal to those of an (m, n) Jacobian of any rank.
 
@@ -216,7 +212,7 @@ class RedundancyConfig(Parameters):
     )
 
 
-def make_inverse(values: Mapping[str, Any], *, least_speed: bool = False) -> Inverse:
+def make_inverse(values: Mapping[str, Any], *, least_speed: bool = False) -> DampedInverse:
     """Build what ``redundancy_resolution`` names, or the least speed, with the numbers given."""
     config = RedundancyConfig.from_values(values)
     if least_speed or config.redundancy_resolution == LEAST_SPEED:

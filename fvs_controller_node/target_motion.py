@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fvs_ros.timeline import MAX_GAP_S
 from fvs_ros.vectors import length
 
 #: Least number of updates for a motion, and largest number kept.
@@ -33,8 +34,8 @@ _LEAST_NOISE_M, _SUPPOSED_M, _SUPPOSED, _REMEMBERED = 5e-6, 2e-3, 4, 200
 #: Shortest window, s and updates, and the ratio of the next longer one: a longer one is calmer, a
 #: shorter one quicker at corners.
 _WINDOW_S, _WINDOW, _LONGER = 0.15, 5, 1.6
-#: Updates further apart than this, s or m, are two targets.
-_MAX_GAP_S, _JUMP_M = 0.25, 0.05
+#: Updates further apart than this, m, are two targets.
+_JUMP_M = 0.05
 #: No arm could follow a target that is faster, m/s.
 _FASTEST_M_S = 1.0
 #: A stamp further than this from the joint states' is of another clock, s.
@@ -58,7 +59,7 @@ class Target(NamedTuple):
 
 def continues(step_m: np.ndarray, passed_s: float) -> bool:
     """Whether a target that made this step, m, (m,), in this time, s, is on its way."""
-    return -_OWN_CLOCK_S < passed_s < _MAX_GAP_S and length(step_m) < _JUMP_M
+    return -_OWN_CLOCK_S < passed_s < MAX_GAP_S and length(step_m) < _JUMP_M
 
 
 class TargetMotion:
@@ -156,7 +157,7 @@ class TargetMotion:
         since_s, curve = now_s - last_s, self._curve
         standing = Target(last, np.zeros_like(last))
         # A target stamped slightly ahead of the joint states is interpolated backwards.
-        longest_s = self._age_s + min(_MAX_GAP_S, 3.0 * self._interval_s)
+        longest_s = self._age_s + min(MAX_GAP_S, 3.0 * self._interval_s)
         if curve is None or not -_OWN_CLOCK_S < since_s < longest_s:
             return standing
         if len(curve) == 1:

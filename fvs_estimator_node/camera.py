@@ -18,14 +18,13 @@ import numpy as np
 from fvs_estimator_node.base import CHAIN, NETWORKS, Estimator
 from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfModel
 from fvs_ros.chain import SerialChain
+from fvs_ros.tracker import OUTLIER
 from fvs_ros.vectors import length
 
-_IDENTITY, _ORIGIN = np.eye(3), np.zeros(3)
-_IDENTITY.flags.writeable = _ORIGIN.flags.writeable = False
 #: Prior deviation of the rotation, rad, and memory (positions until a weight has decayed by 63 %),
 #: for the positions of a chain and for those summed from networks.
 _CHAIN, _NETWORKS = (0.01, 1000.0), (0.14, 30.0)
-#: A position off by more than this, m, plus six standard deviations of the noise is a bump.
+#: A position off by more than this, m, beyond the noise is a bump.
 _BUMP_M = 0.01
 #: Largest prior deviation of the rotation after a bump, rad. It applies to a bump that follows
 #: another within this number of positions: the first one did not show all of the rotation.
@@ -77,10 +76,10 @@ class CameraPose:
 
     def reset(self) -> None:
         """Assume the camera pose of the training."""
-        self.translation_m = _ORIGIN
+        self.translation_m = np.zeros(3)
         self.bumps = self._images = 0
         self._bumped_at: deque[int] = deque(maxlen=_MANY_BUMPS)
-        self._begin(_IDENTITY, self._deviation_rad)
+        self._begin(np.eye(3), self._deviation_rad)
 
     def _begin(self, rotation: np.ndarray, deviation_rad: float) -> None:
         """Forget all pairs; start from a rotation with this standard deviation."""
@@ -90,7 +89,7 @@ class CameraPose:
         #: faded count.
         self._prior = self._precision * rotation
         self._scatter, self._weight = np.zeros((3, 3)), 0.0
-        self._mean_p, self._mean_x, self._kept_at = _ORIGIN, _ORIGIN, _ORIGIN
+        self._mean_p, self._mean_x, self._kept_at = np.zeros((3, 3))
 
     @property
     def remark(self) -> str:
@@ -109,7 +108,7 @@ class CameraPose:
         self._images += 1
         deviation_rad = self._turn_deviation_rad(noise_m)
         reach_m = length(model_m - self._mean_p) if self._weight else 0.0
-        if off_m > _BUMP_M + 6.0 * math.hypot(noise_m, deviation_rad * reach_m):
+        if off_m > _BUMP_M + OUTLIER * math.hypot(noise_m, deviation_rad * reach_m):
             self.bumps += 1
             self._bumped_at.append(self._images)
             # A rotation moves the ball by angle times distance, but not if it is about the ball.
@@ -203,7 +202,7 @@ class TurnedRbfEstimator(_BehindCamera):
     def __init__(self, model: RbfModel, _config: Any = None) -> None:
         super().__init__(FrozenRbfEstimator(model), *_NETWORKS)
         self._joints: np.ndarray | None = None
-        self._sum_m = _ORIGIN
+        self._sum_m = np.zeros(3)
 
     def reset(self) -> None:
         """Take the camera to stand where it stood at the training."""

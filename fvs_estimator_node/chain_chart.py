@@ -11,8 +11,6 @@ import numpy as np
 
 from fvs_ros.chain import SerialChain, cross_matrix
 
-#: Directions in which an axis is turned and shifted.
-_ACROSS = 2
 #: Place of the offset of the stamps among the coordinates: the last.
 OFFSET = -1
 
@@ -33,13 +31,13 @@ class Chart:
         out = chain.points_m - chain.ball_m
         self._points = chain.points_m - axes * np.sum(out * axes, axis=1, keepdims=True)
         self._axes, self._ball, self._reference = axes, chain.ball_m, chain.reference_rad
-        count = _ACROSS * len(axes)
+        count = self.basis.size // 3
         self.turns, self.shifts = slice(count), slice(count, 2 * count)
         self.of_ball = slice(2 * count, 2 * count + 3)
         self.size = 2 * count + 4
 
     def _along(self, values: np.ndarray) -> np.ndarray:
-        return np.einsum("ij,ijk->ik", values.reshape(-1, _ACROSS), self.basis)
+        return np.einsum("ij,ijk->ik", values.reshape(self.basis.shape[:2]), self.basis)
 
     def directions(self, values: np.ndarray) -> np.ndarray:
         """The axes before they are normalised, (n, 3)."""
@@ -84,7 +82,7 @@ def residuals_and_slopes(
         turned = np.stack(
             [after_turn[i] @ one - _turned(turn, before_turn[i] @ one) for one in about], axis=-1
         )
-        at = slice(_ACROSS * i, _ACROSS * (i + 1))
+        at = slice(len(basis) * i, len(basis) * (i + 1))
         slope[:, :, chart.turns][:, :, at] = frame @ turned
         slope[:, :, chart.shifts][:, :, at] = frame @ (basis.T - turn @ basis.T)
         velocity += _turned(frame, after_turn[i] @ k[i].T) * velocity_rad_s[:, i, None]

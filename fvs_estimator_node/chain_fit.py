@@ -33,6 +33,8 @@ from fvs_estimator_node.chain_start import (
 )
 from fvs_estimator_node.files import DataSet
 from fvs_ros.chain import SerialChain
+from fvs_ros.timeline import MAX_GAP_S
+from fvs_ros.tracker import OUTLIER
 
 #: Fewest images that a chain is fitted to.
 _MIN_SAMPLES = 200
@@ -41,10 +43,8 @@ _SEARCH_SAMPLES, _SEARCH_OFFSETS = 400, 13
 #: Above both limits, the second in m, a chain of revolute joints does not explain the motion. A
 #: camera's own systematic errors stay below.
 _MISFIT_LIMIT, _UNEXPLAINED_LIMIT_M = 1.3, 0.001
-#: Largest interval of neighbouring images, s, and the least count of pairs for a median.
-_NEAR_S, _LEAST_PAIRS = 0.25, 50
-#: Images further from the chain than this count of standard deviations are left out.
-_OUTLIER = 6.0
+#: Least count of pairs of neighbouring images for a median.
+_LEAST_PAIRS = 50
 #: A start is right if its residual is below this multiple of the images' own.
 _GOOD_SHARE = 1.5
 #: Prior standard deviations, which hold coordinates that the data do not determine: rad, m, m/rad
@@ -337,7 +337,7 @@ class _Fitting:
     def _inliers(self, residual: np.ndarray) -> np.ndarray:
         """Which images are within the noise, bool (k,)."""
         white = (self._whitening(residual) @ residual[..., None])[..., 0]
-        return np.abs(white).max(axis=1) <= _OUTLIER
+        return np.abs(white).max(axis=1) <= OUTLIER
 
     def _distances_m(self, residual: np.ndarray) -> tuple[float, float]:
         """Median length of the residuals, and of their noise part, m.
@@ -346,7 +346,7 @@ class _Fitting:
         """
         passed_s = np.diff(self._path.stamps_s)
         apart_m = np.linalg.norm(np.diff(residual, axis=0), axis=1)
-        apart_m = apart_m[(passed_s > 0.0) & (passed_s < _NEAR_S)]
+        apart_m = apart_m[(passed_s > 0.0) & (passed_s < MAX_GAP_S)]
         noise_m = math.nan
         if len(apart_m) >= _LEAST_PAIRS:
             noise_m = float(np.median(apart_m)) / math.sqrt(2.0)

@@ -15,9 +15,9 @@ from fvs_ros.chain import SerialChain
 from fvs_ros.timeline import Sample, Timeline
 from fvs_ros.tracker import Image, Tracker
 
-#: Longest step that is learned from (slow arms drift), and largest age of a sliding variable before
-#: it counts as zero, s.
-_MAX_STEP_S, _MAX_SLIDING_AGE_S = 0.5, 0.2
+#: Longest step that is learned from (slow arms drift), and largest age of an input, s; an older
+#: sliding variable counts as zero.
+_MAX_STEP_S, FRESH_S = 0.5, 0.2
 #: Stamp error, late or early, above which the control loop does not come to rest, s.
 _MOST_LATE_S = 0.08
 #: Number of recent ball positions that are paired again after a stamp correction.
@@ -88,7 +88,7 @@ class StepPairing:
             return None
         self._anchor = sample
         sliding: np.ndarray | float = 0.0
-        if self._sliding and abs(sample.stamp_s - self._sliding[0]) <= _MAX_SLIDING_AGE_S:
+        if self._sliding and abs(sample.stamp_s - self._sliding[0]) <= FRESH_S:
             sliding = self._sliding[1]
         return MotionStep(
             stamp_s=sample.stamp_s,
@@ -251,7 +251,7 @@ class EstimationLoop:
         accepted = [one for sample in samples for one in self._judge(sample)]
         self._accepted += accepted  # only now: to judge may correct stamps, which learns, too
         # The first image shows that the camera was moved since the training, if its noise is known.
-        judged = self._tracker.knows_noise or bool(self.estimator.problem)
+        judged = self._tracker.noise.known or bool(self.estimator.problem)
         if not judged and len(self._accepted) < _LAST:
             return False
         accepted, self._accepted = self._accepted, []

@@ -18,7 +18,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from fvs_estimator_node.base import Estimator, OracleEstimator
 from fvs_estimator_node.files import load_model
-from fvs_estimator_node.loop import EstimationLoop
+from fvs_estimator_node.loop import FRESH_S, EstimationLoop
 from fvs_estimator_node.registry import PARAMETERS, EstimatorConfig, create_estimator, needs_model
 from fvs_ros import ros, topics
 from fvs_ros.camera import BALL_FEATURES
@@ -26,7 +26,6 @@ from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.paths import find_file
 from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
 
-_FRESH_S = 0.2
 #: Shortest time between two Jacobians, s: every second joint state at 125 Hz (16 ms), less a fifth
 #: for jitter.
 _JACOBIAN_GAP_S = 0.8 * 0.016
@@ -75,7 +74,7 @@ class EstimatorNode(ros.FvsNode):
         if values["method"] == self._config.method:
             return
         # The controller publishes the sliding variable only while it servoes, at every tick.
-        if self.monitor(topics.SLIDING_VARIABLE.name).age_s(self.now_s()) < _FRESH_S:
+        if self.monitor(topics.SLIDING_VARIABLE.name).age_s(self.now_s()) < FRESH_S:
             raise ValueError(
                 "the method changes only while the controller does not servo; call its ~/stop first"
             )
@@ -155,7 +154,7 @@ class EstimatorNode(ros.FvsNode):
         """Why there is no estimate, in words; empty if there is one."""
         if not isinstance(self._loop.estimator, OracleEstimator):
             return self._loop.problem
-        if self.monitor(topics.TRUE_JACOBIAN.name).age_s(self.now_s()) > _FRESH_S:
+        if self.monitor(topics.TRUE_JACOBIAN.name).age_s(self.now_s()) > FRESH_S:
             self._loop.estimator.reset()  # the last true Jacobian is outdated
         problem = self._loop.problem
         return problem and f"waiting for {topics.TRUE_JACOBIAN.name}: {problem}"
@@ -201,7 +200,7 @@ class EstimatorNode(ros.FvsNode):
 
     def _complain(self, problem: str) -> None:
         self._problem, self._problem_s = problem, self.now_s()
-        self.get_logger().warning(problem, throttle_duration_sec=5.0)
+        self.log_refusal(problem)
 
     def _state(self) -> tuple[bytes, str, str]:
         """Level, state and reason in words."""
@@ -227,7 +226,7 @@ class EstimatorNode(ros.FvsNode):
             topics.BALL_POSITION.name: self.monitor(topics.BALL_POSITION.name).age_s(now_s),
         }
         for topic, age_s in ages_s.items():
-            if age_s > _FRESH_S:
+            if age_s > FRESH_S:
                 heard = "none heard yet" if np.isinf(age_s) else f"the last is {age_s:.1f} s old"
                 return f"waiting for {topic}: {heard}"
         return ""

@@ -104,47 +104,48 @@ def train(
         If the data determine nothing (TrainingError), or ``poe`` finds no chain.
     """
     options = options if options is not None else TrainingOptions()
-    rng, fit, why = np.random.default_rng(options.seed), None, ""
+    rng = np.random.default_rng(options.seed)
     pairs = None if options.method == "poe" else Pairs(data.joints_rad, data.ball_m, rng)
-    try:
-        fit = fit_chain(data, say)
-    except ValueError as error:  # also of numpy's linear algebra
-        if pairs is None:
-            raise
-        why = str(error)
+    fit, why = _fitted(data, say, needed=pairs is None)
     if say is not None:
         say("training the networks")
-    errors: dict[str, Any] = {}
     if pairs is not None:
         pairs.joints = _joints_seen(data, fit.time_offset_s if fit is not None else 0.0)
         iterations = options.iterations if options.method == "varpro" else 0
         model, good, errors = pairs.train(options.count, iterations, progress)
         boxes = boxes_of(pairs.joints[good], data.ball_m[good], rng)
-    elif fit is not None:
-        boxes = boxes_of(data.joints_rad, data.ball_m, rng)
+    else:
+        assert fit is not None
+        boxes, errors = boxes_of(data.joints_rad, data.ball_m, rng), {}
         model = distil(fit.chain, boxes["joint_box_rad"], options.count, rng)
     faults: list[str] = []
     if fit is not None:
         errors = {**_figures(fit, model, _within(boxes["joint_box_rad"], rng, _JUDGED)), **errors}
         faults = _chain_faults(fit, errors["jacobian_deviation"])
         why = faults[0] if faults and pairs is not None else ""
-    provenance = {
-        "method": options.method,
-        "options": asdict(options),
-        "data": dict(data.provenance),
-        "no_chain": why,
-        "notes": _notes(data, errors, faults if pairs is None else []),
-    }
-    chain = fit.chain if fit is not None and not why else None
+    notes = _notes(data, errors, faults if pairs is None else [])
+    came_from = {"method": options.method, "options": asdict(options), "no_chain": why}
     return TrainedModel(
-        model=model,
+        model,
         **boxes,
         joint_names=data.joint_names,
         feature_frame=data.feature_frame,
         errors=errors,
-        provenance=provenance,
-        chain=chain,
+        provenance={**came_from, "data": dict(data.provenance), "notes": notes},
+        chain=fit.chain if fit is not None and not why else None,
     )
+
+
+def _fitted(
+    data: DataSet, say: Callable[[str], None] | None, needed: bool
+) -> tuple[ChainFit | None, str]:
+    """The chain's fit, or why there is none; a ``ValueError`` if one is needed."""
+    try:
+        return fit_chain(data, say), ""
+    except ValueError as error:  # also of numpy's linear algebra
+        if needed:
+            raise
+        return None, str(error)
 
 
 def distil(

@@ -19,7 +19,6 @@ import numpy as np
 
 from fvs_ros.vectors import LARGEST, check_arrays, plausible
 
-_IDENTITY = np.eye(4)
 #: What a chain of n joints is made of, and the shapes.
 CHAIN_SHAPES: dict[str, tuple[int | str, ...]] = {
     "axes": ("n", 3),
@@ -95,7 +94,7 @@ class SerialChain:
         angle = (np.asarray(joints_rad, dtype=float) - self.reference_rad)[..., None, None]
         turns = np.sin(angle) * self._twists
         turns += (1.0 - np.cos(angle)) * self._squares
-        turns += _IDENTITY
+        turns += np.eye(4)
         return turns
 
     def position(self, joints_rad: np.ndarray) -> np.ndarray:

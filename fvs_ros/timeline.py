@@ -26,8 +26,8 @@ MAX_BACKSTEP_S = 0.1
 #: A history reaches back this far; two samples further apart are not interpolated, s.
 _LENGTH_S, _MAX_INTERVAL_S = 2.0, 0.1
 
-#: Two images further apart than this belong to different runs, s.
-_MAX_GAP_S = 0.25
+#: Two images, or updates of a target, further apart than this do not belong together, s.
+MAX_GAP_S = 0.25
 
 #: Images that may wait for later joint states; the oldest gives way.
 _MAX_WAITING = 10
@@ -252,7 +252,7 @@ class Timeline:
                 self._drop("the joint states have a gap at a ball position's exposure")
                 continue
             last = self._paired_stamp_s
-            if last is not None and not 0.0 < stamp_s - last <= _MAX_GAP_S:
+            if last is not None and not 0.0 < stamp_s - last <= MAX_GAP_S:
                 self._run += 1
             self._paired_stamp_s = stamp_s
             samples.append(Sample(stamp_s, joints, ball_m, self._run))

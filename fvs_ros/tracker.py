@@ -23,7 +23,7 @@ _LEAST_GAIN = 0.02
 #: image of heavy-tailed noise looks like a ball that has moved.
 _MEAN_SHARE, _BEHIND, _MEAN_CLIP = 0.2, 5.0, 4.0
 #: An image further off is an outlier: in standard deviations, plus m.
-_GATE, _GATE_M = 6.0, 0.002
+OUTLIER, _GATE_M = 6.0, 0.002
 #: After this count in a row the camera or ball moves, even if no two of them agree.
 _REPEATS = 6
 
@@ -114,38 +114,25 @@ class Tracker:
     """
 
     def __init__(self) -> None:
-        self._noise = NoiseVariance()
+        self.noise = NoiseVariance()
         self.restart()
 
     def restart(self) -> None:
         """Forget the position; the learned noise stays."""
-        self._estimate: np.ndarray | None = None
-        self._moved = np.zeros(0)
+        #: The feature at the newest image, m, (m,); None before the first.
+        self.estimate_m: np.ndarray | None = None
+        #: What the joints had moved it by then, m, (m,).
+        self.moved_m = np.zeros(0)
         self._variance_m2 = 0.0  # P
         self._uncorrected = np.zeros(0)  # c
         self._mean = np.zeros(0)  # of the last innovations
         self._outliers: list[tuple[Image, np.ndarray]] = []  # and their innovations
-        self._noise.restart()
-
-    @property
-    def estimate_m(self) -> np.ndarray | None:
-        """The feature at the newest image, m, (m,); None before the first."""
-        return self._estimate
-
-    @property
-    def moved_m(self) -> np.ndarray:
-        """What the joints had moved it by then, m, (m,)."""
-        return self._moved
+        self.noise.restart()
 
     @property
     def noise_m(self) -> float:
         """Standard deviation of a coordinate of an image, as learned, m."""
-        return float(self._noise.variance_m2**0.5)
-
-    @property
-    def knows_noise(self) -> bool:
-        """Whether images alone determine ``noise_m``, not its initial guess."""
-        return self._noise.known
+        return float(self.noise.variance_m2**0.5)
 
     @property
     def deviation_m(self) -> float:
@@ -165,22 +152,22 @@ class Tracker:
             Those that are accepted now, oldest first: this one; none, for an outlier; this one and
             the outliers before it, where they turn out to be true.
         """
-        if self._estimate is None:
+        if self.estimate_m is None:
             return self._reinitialise(image)
-        motion = image.moved_m - self._moved
-        self._moved = image.moved_m
-        self._estimate = self._estimate + motion
+        motion = image.moved_m - self.moved_m
+        self.moved_m = image.moved_m
+        self.estimate_m = self.estimate_m + motion
         self._uncorrected = self._uncorrected + motion
-        innovation = image.seen_m - self._estimate
-        noise_m2, predicted_m2 = self._noise.variance_m2, self._prediction_variance_m2()
+        innovation = image.seen_m - self.estimate_m
+        noise_m2, predicted_m2 = self.noise.variance_m2, self._prediction_variance_m2()
         off_m = (float(innovation.dot(innovation)) / len(innovation)) ** 0.5
-        if off_m <= _GATE * (predicted_m2 + noise_m2) ** 0.5 + _GATE_M:
+        if off_m <= OUTLIER * (predicted_m2 + noise_m2) ** 0.5 + _GATE_M:
             gain = max(predicted_m2 / (predicted_m2 + noise_m2), _LEAST_GAIN)
             self._variance_m2 = (1.0 - gain) ** 2 * self._variance_m2 + gain**2 * noise_m2
             self._uncorrected = (1.0 - gain) * self._uncorrected
-            self._estimate = self._estimate + gain * innovation
+            self.estimate_m = self.estimate_m + gain * innovation
             self._outliers.clear()
-            self._noise.add(image.seen_m - image.moved_m)
+            self.noise.add(image.seen_m - image.moved_m)
             self._inflate_on_bias(innovation, predicted_m2 + noise_m2)
             return [image]
         before = self._outliers[-1][1] if self._outliers else None
@@ -197,15 +184,15 @@ class Tracker:
         a turn of the camera.
         """
         apart = length(second_m - first_m)
-        return apart <= _GATE * 2.0**0.5 * self.noise_m + 2.0 * length(motion_m)
+        return apart <= OUTLIER * 2.0**0.5 * self.noise_m + 2.0 * length(motion_m)
 
     def _reinitialise(self, image: Image) -> list[Image]:
         images = [outlier for outlier, _ in self._outliers] or [image]
         self._outliers = []
-        self._estimate, self._moved = image.seen_m.copy(), image.moved_m
+        self.estimate_m, self.moved_m = image.seen_m.copy(), image.moved_m
         for one in images:
-            self._noise.add(one.seen_m - one.moved_m)
-        self._variance_m2 = self._noise.variance_m2
+            self.noise.add(one.seen_m - one.moved_m)
+        self._variance_m2 = self.noise.variance_m2
         self._uncorrected = np.zeros_like(image.seen_m)
         self._mean = np.zeros_like(image.seen_m)
         return images

@@ -186,7 +186,7 @@ class RecorderNode(ros.FvsNode):
             try:
                 mount = bag.camera_mount(message, self._config.feature_frame)
             except ValueError as error:
-                self._log_refusal(str(error))
+                self.log_refusal(str(error))
             else:
                 self._bag.write(mount, [ros.QOS_LATCHED])
 

@@ -26,7 +26,7 @@ from fvs_ros.ros.messages import (
     to_status,
     to_vector,
 )
-from fvs_ros.ros.node import STATUS_PERIOD_S, FvsNode, message_class
+from fvs_ros.ros.node import REPEAT_S, STATUS_PERIOD_S, FvsNode, message_class
 from fvs_ros.ros.process import run
 from fvs_ros.ros.qos import (
     PROFILES,

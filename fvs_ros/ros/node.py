@@ -36,8 +36,8 @@ from fvs_ros.topics import Topic
 #: Of every node's ``~/status``, s.
 STATUS_PERIOD_S = 0.1
 _DIAGNOSTICS_PERIOD_S = 1.0
-#: The same complaint is logged once in this time.
-_REPEAT_S = 5.0
+#: What comes again and again is logged once in this time, or it would fill the log, s.
+REPEAT_S = 5.0
 _BUILT_IN_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
@@ -182,7 +182,7 @@ class FvsNode(Node):
             try:
                 callback(unpacked(msg_type, data))
             except MessageError as error:
-                self._log_refusal(f"{topic}: a message was dropped: {error}")
+                self.log_refusal(f"{topic}: a message was dropped: {error}")
 
         return super().create_subscription(
             msg_type,
@@ -208,7 +208,7 @@ class FvsNode(Node):
                     response.results = [refusal] * len(request.parameters[:MOST_ITEMS])
                 elif isinstance(response, SetParametersAtomically.Response):
                     response.result = refusal
-                self._log_refusal(f"{srv_name}: a request was refused: {error}")
+                self.log_refusal(f"{srv_name}: a request was refused: {error}")
                 return response
             return callback(request, response)
 
@@ -282,8 +282,9 @@ class FvsNode(Node):
         else:
             self.get_logger().error(text)
 
-    def _log_refusal(self, text: str) -> None:
-        self.get_logger().warning(plain(text), throttle_duration_sec=_REPEAT_S)
+    def log_refusal(self, text: str) -> None:
+        """Log why a message or a request cannot be used, not too often."""
+        self.get_logger().warning(plain(text), throttle_duration_sec=REPEAT_S)
 
     def diagnostic_values(self) -> dict[str, Any]:
         """More key numbers for ``/diagnostics``."""
