@@ -52,22 +52,15 @@ class HandmadeBag:
         self._writer.write(self._connections[topic], stamp_ns, raw)
 
     @staticmethod
-    def header(stamp_s: float | None, frame: str = CAMERA_FRAME) -> Any:
+    def header(stamp_s: float | None) -> Any:
         time_ns = 0 if stamp_s is None else round((BEGIN_S + stamp_s) * 1e9)
         stamp = TYPES.types["builtin_interfaces/msg/Time"](*divmod(time_ns, 10**9))
-        return TYPES.types["std_msgs/msg/Header"](stamp, frame)
+        return TYPES.types["std_msgs/msg/Header"](stamp, CAMERA_FRAME)
 
-    def point(
-        self,
-        topic: str,
-        at_s: float,
-        stamp_s: float | None,
-        position_m: Any,
-        frame: str = CAMERA_FRAME,
-    ) -> None:
+    def point(self, topic: str, at_s: float, stamp_s: float | None, position_m: Any) -> None:
         point = TYPES.types["geometry_msgs/msg/Point"](*(float(one) for one in position_m))
         kind = "geometry_msgs/msg/PointStamped"
-        self.write(topic, kind, at_s, self.header(stamp_s, frame), point)
+        self.write(topic, kind, at_s, self.header(stamp_s), point)
 
     def joints(self, at_s: float, stamp_s: float, angles_rad: Any, speeds_rad_s: Any) -> None:
         """As a UR's driver does: in alphabetical order; without speeds if there are none."""

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from fvs_controller_node.reasons import State
-from fvs_lab.figures import grid, legend, pyplot, shades
+from fvs_lab.figures import grid, legend, shades
 from fvs_lab.replay import story
-from fvs_lab.replay.reading import Recording
+from fvs_lab.replay.reading import Recording, Status
 from fvs_lab.replay.targets import BOUNDS_M, Target
 from fvs_ros.status import SILENT
 
@@ -21,12 +21,11 @@ _COLOURS = {
     State.HOLDING.name: "#e69f00",
     State.FAULT.name: "#c0392b",
     SILENT: "#555555",
-    story.ENDED: "#ffffff",
 }
 _LIMIT = "#7a6fb0"
 #: A curve of many more points than this is drawn by the least and largest of each pixel.
 _PIXELS = 1200
-#: More curves than this are not told apart by a legend.
+#: More targets than this are not told apart by a legend.
 _NAMED = 8
 
 
@@ -35,56 +34,50 @@ def overview(recording: Recording, targets: Sequence[Target]):
     heights = {"height_ratios": [0.7, 1.5, 1.5, 1.5]}
     figure, axes = grid(4, 1, (12, 9), sharex=True, gridspec_kw=heights)
     (states, error, measured, commanded) = axes[:, 0]
-    _draw_states(states, recording)
+    _draw_states(states, story.statuses(recording))
     _draw_errors(error, targets, recording.start_s)
     _draw_velocities(measured, recording, "joints", "measured")
     _draw_velocities(commanded, recording, "commands", "commanded")
     end_s = recording.end_s - recording.start_s
     commanded.set(xlabel="time since the recording began, s", xlim=(0.0, end_s))
+    legend(figure, 7)
     return figure
 
 
-def _draw_states(axis: Any, recording: Recording) -> None:
-    spells = story.statuses(recording)
-    limits = [one for one in story.merged(spells, "limit") if one.limit]
-    # The short ones last, so that a long neighbour's edge does not cover them.
-    states = sorted(story.merged(spells, "state"), key=lambda one: -one.length_s)
-    colours = [_COLOURS.get(one.state, "#ffd7f0") for one in states]
-    for row, some, shades_ in ((1, states, colours), (0, limits, [_LIMIT] * len(limits))):
-        spans = [(one.start_s, one.length_s) for one in some]
-        axis.broken_barh(spans, (row - 0.4, 0.8), facecolors=shades_, edgecolors=shades_)
+def _draw_states(axis: Any, statuses: Sequence[Status]) -> None:
+    spans = [(one.start_s, one.length_s) for one in story.merged(statuses, "limit") if one.limit]
+    axis.broken_barh(spans, (-0.4, 0.8), facecolors=_LIMIT, edgecolors=_LIMIT)
+    states = story.merged(statuses, "state")
+    # Rare ones last, so that a long neighbour's edge does not cover them.
+    for state, _, _ in story.totals(states, "state"):
+        spans = [(one.start_s, one.length_s) for one in states if one.state == state]
+        colour = _COLOURS.get(state, "#ffd7f0")
+        axis.broken_barh(spans, (0.6, 0.8), facecolors=colour, edgecolors=colour, label=state)
     axis.set(ylim=(-0.6, 1.6), yticks=[0, 1], yticklabels=["a limit is active", "controller"])
     axis.grid(visible=False)
-    seen = dict(zip((one.state for one in states), colours, strict=True))
-    patch = pyplot().Rectangle
-    handles = [patch((0, 0), 1, 1, fc=colour, ec="#888888") for colour in seen.values()]
-    axis.legend(handles, seen, loc="upper left", bbox_to_anchor=(1.0, 1.2))
 
 
 def _draw_errors(axis: Any, targets: Sequence[Target], begun_s: float) -> None:
     """The distance to each target, each curve from its time, and the bounds of settling."""
-    colours = shades(len(targets))
-    for number, one in enumerate(targets):
+    named = len(targets) <= _NAMED
+    for number, (one, colour) in enumerate(zip(targets, shades(len(targets)), strict=True)):
         error_mm = np.maximum(1e3 * one.errors_m, 0.01)
-        look = {"color": colours[number], "label": f"target {number + 1}"}
+        look = {"color": colour, "label": f"target {number + 1}" if named else None}
         _curve(axis, one.given_s - begun_s + one.time_s, error_mm, **look)
-    for bound_m in BOUNDS_M:
+    for bound_m in BOUNDS_M.values():
         _level(axis, 1e3 * bound_m, f"{1e3 * bound_m:g} mm")
     axis.set(yscale="log", ylabel="distance to the\ntarget, mm")
-    _beside(axis)
 
 
 def _draw_velocities(axis: Any, recording: Recording, key: str, words: str) -> None:
-    started, series = recording.started(), recording.series.get(key)
+    started, series = recording.started, recording.series.get(key)
     names = [name.removesuffix("_joint") for name in started["joint_names"]]
     axis.set_ylabel(f"{words} joint\nvelocities, rad/s")
-    if series is None or not np.isfinite(series.values[:, -len(names) :]).any():
-        return
-    for name, column in zip(names, series.values[:, -len(names) :].T, strict=True):
-        _curve(axis, series.arrival_s - recording.start_s, column, label=name)
+    if series is not None:
+        for name, column in zip(names, series.values[:, -len(names) :].T, strict=True):
+            _curve(axis, series.arrival_s - recording.start_s, column, label=name)
     for sign, text in ((1.0, "limit"), (-1.0, "")):
         _level(axis, sign * started["max_joint_velocity_rad_s"], text)
-    _beside(axis)
 
 
 def paths(targets: Sequence[Target]):
@@ -111,7 +104,7 @@ def steps(found: story.Prediction):
     figure, ((each,), (summed,)) = grid(2, 1, (12, 6.4), sharex=True)
     time_s = found.time_s - found.time_s[0]
     for values_m, words in ((found.motion_m, "motion of the ball"), (found.t1_m, "T1")):
-        _points(each, time_s, np.maximum(1e3 * values_m, 0.01), words)
+        _curve(each, time_s, np.maximum(1e3 * values_m, 0.01), ".", label=words)
     _curve(summed, time_s, 1e3 * found.t2_m, label="T2: all errors summed up")
     each.set(yscale="log", ylabel="each step, mm")
     summed.set(ylabel="sum, mm", xlabel="time since the first step, s")
@@ -128,18 +121,7 @@ def _curve(axis: Any, x: np.ndarray, y: np.ndarray, style: str = "-", **look: An
     axis.plot(x, y, style, linewidth=1.1, markersize=2.5, **look)
 
 
-def _points(axis: Any, x: np.ndarray, y: np.ndarray, label: str) -> None:
-    _curve(axis, x, y, ".", label=label)
-
-
 def _level(axis: Any, level: float, name: str) -> None:
     """Draw a dashed line at a bound, with its name."""
     axis.axhline(level, color="black", linewidth=0.9, linestyle="--")
     axis.text(0.004, level, name, transform=axis.get_yaxis_transform(), va="bottom", size=8)
-
-
-def _beside(axis: Any) -> None:
-    """A legend beside the panel, unless it would have too many lines."""
-    handles, labels = axis.get_legend_handles_labels()
-    if 0 < len(labels) <= _NAMED:
-        axis.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.0, 1.0))

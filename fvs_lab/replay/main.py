@@ -38,7 +38,7 @@ def main(argv: list[str]) -> int:
     missing = [name for name in _NEEDS if importlib.util.find_spec(name) is None]
     if missing:
         return _refuse(f"it needs {', '.join(missing)}: {how_to_install('record,lab', missing)}")
-    from fvs_lab.replay.page import shortened, write
+    from fvs_lab.replay.page import write
     from fvs_lab.replay.reading import BagError, read
 
     bag: Path = arguments.bag
@@ -48,19 +48,14 @@ def main(argv: list[str]) -> int:
         recording = read(bag, arguments.namespace)
     except BagError as error:
         return _refuse(str(error))
-    except OSError as error:
-        return _refuse(f"cannot read {bag}: {error.strerror}")
     try:
         reports, page = write(recording, name, f"{COMMAND} {bag}", out)
     except OSError as error:
-        no_folder = isinstance(error, FileExistsError | NotADirectoryError)
-        why = "it is no folder" if no_folder else error.strerror
-        return _refuse(f"cannot write the page to {out}: {why}; name another folder by --out")
+        return _refuse(f"cannot write to {out}: {error.strerror}; name another folder by --out")
     for report in reports[:2]:  # what happened, and the targets
         print("\n".join(report.setup))
-        for table in report.tables[:2]:
-            rows = shortened(table.rows, 25, 8, "on the page")
-            print(f"\n{_text([table.header, *rows])}\n")
+        for table in report.tables:
+            print(f"\n{_text([table.header, *table.rows])}\n")
     print(f"page: {page}")
     return EXIT_OK
 

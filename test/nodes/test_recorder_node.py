@@ -20,6 +20,7 @@ from fvs_tools.scenario import RECORDER as NAME
 
 pytest.importorskip("rosbags")
 
+from fvs_lab.outcome import seconds
 from fvs_lab.replay.reading import read
 from fvs_lab.replay.targets import targets
 
@@ -91,8 +92,8 @@ def test_a_replay_judges_a_demo_as_the_demo_did(ros_test):
     for one, other in zip(replayed, live, strict=True):
         assert one.target_m == pytest.approx(other["target_m"], abs=0.0)
         assert one.numbers["start_distance_m"] == other["start_distance_m"]
-        assert one.numbers["settling_5mm_s"] == other["settling_5mm_s"]
-        assert one.numbers["settling_2mm_s"] == other["settling_2mm_s"]
+        assert one.numbers["settling_5mm_s"] == seconds(other["settling_5mm_s"])
+        assert one.numbers["settling_2mm_s"] == seconds(other["settling_2mm_s"])
         assert one.numbers["final_rms_m"] == other["final_rms_m"]
         assert one.numbers["peak_joint_speed_rad_s"] == pytest.approx(
             other["peak_joint_speed_rad_s"], rel=0.02

@@ -1,6 +1,5 @@
 """What a replay shows of recordings in which everything is known."""
 
-import resource
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,7 +28,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 from fvs_lab.main import main
 from fvs_lab.replay import story
-from fvs_lab.replay.reading import BagError, find, opened, read
+from fvs_lab.replay.reading import BagError, Status, read
 from fvs_lab.replay.story import prediction
 from fvs_lab.replay.targets import judged_by, targets
 from fvs_tools.bag import Bag, Message
@@ -39,7 +38,7 @@ DEMO = {
     "fvs_estimator_node": {"method": "rbf", "model_path": "models/ur5_front.npz"},
 }
 COMMANDS = "forward_velocity_controller/commands"
-COARSE, FINE, LAST = "settling_5mm_s", "settling_2mm_s", ("final_rms_m", "jitter_rad_s")
+UNKNOWN = {"settling_5mm_s", "settling_2mm_s", "final_rms_m", "jitter_rad_s"}
 #: When the ball in the handmade bag comes below 5 and 2 mm, s after the target.
 BELOW_5_S, BELOW_2_S = np.log(60) / DECAY_1_S, np.log(150) / DECAY_1_S
 
@@ -106,7 +105,18 @@ def test_a_repeated_target_is_the_same_and_a_new_one_is_another(made, read_back)
     assert first.time_s[-1] <= 2.0 + 1e-6
     assert second.given_s == pytest.approx(BEGIN_S + 3.0)
     assert second.numbers["start_distance_m"] == pytest.approx(0.3, abs=0.001)
-    assert COARSE in second.not_known
+    assert np.isnan(second.numbers["settling_5mm_s"])
+
+
+@pytest.mark.parametrize("passed_s", [0.0, 2.0], ids=["refused", "replaced by a service"])
+def test_the_controller_s_status_shows_which_target_it_has(recording, passed_s):
+    given_s = recording.start_s + GIVEN_S
+    statuses = [
+        Status(time_s, "SERVOING", "", "", "", TARGET_M if time_s < given_s + passed_s else START_M)
+        for time_s in np.arange(given_s, recording.end_s, 0.1)
+    ]
+    found = targets(replace(recording, statuses=statuses))
+    assert [one.time_s[-1] for one in found] == [pytest.approx(passed_s, abs=0.11)] * bool(passed_s)
 
 
 def cut_at(recording, since_given_s):
@@ -119,38 +129,29 @@ def cut_at(recording, since_given_s):
 
 
 @pytest.mark.parametrize(
-    ("ends_s", "not_known"),
-    [
-        (0.9, {COARSE, FINE, *LAST}),  # on its way: no "never"
-        (BELOW_5_S + 0.05, {COARSE, FINE, *LAST}),  # just crossing
-        (BELOW_5_S + 1.05, {FINE}),
-        (BELOW_2_S + 1.05, set()),
-    ],
+    ("ends_s", "known"),
+    [(0.9, False), (BELOW_5_S + 1.05, False), (BELOW_2_S + 1.05, True)],
+    ids=["on its way", "not within 2 mm for a second", "settled"],
 )
-def test_what_a_recording_ends_too_early_for_is_not_known(recording, ends_s, not_known):
-    (whole,) = targets(recording)
-    assert whole.not_known == {}
-    (target,) = targets(cut_at(recording, ends_s))
-    assert target.not_known == dict.fromkeys(not_known, "the recording ends")
-    assert {name for name in (COARSE, FINE, *LAST) if np.isnan(target.numbers[name])} == not_known
-    for name in {COARSE, FINE} - not_known:
-        assert target.numbers[name] == whole.numbers[name]
+def test_what_a_recording_ends_too_early_for_is_not_known(recording, ends_s, known):
+    (whole,), (target,) = targets(recording), targets(cut_at(recording, ends_s))
+    unknown = {name for name, value in target.numbers.items() if np.isnan(value)}
+    assert unknown == (set() if known else UNKNOWN)
+    if known:
+        assert target.numbers["settling_2mm_s"] == whole.numbers["settling_2mm_s"]
 
 
 # --- messages that the nodes would have refused, or that lack something ---
 
 
-def test_what_is_not_finite_or_of_another_frame_is_passed_over(tmp_path):
-    made = HandmadeBag(tmp_path / "bag", scenario=DEMO)
+def test_what_is_not_finite_or_of_another_size_is_passed_over(made, read_back):
     servo(made, true=False)
     made.point("ball_position", 2.0, 1.99, [np.nan, 0.0, 1.0])
     made.point("target_position", 3.0, 2.99, [0.0, np.inf, 1.0])
     made.array("jacobian", 2.0, np.full((3, 6), np.nan))
     made.array("jacobian", 2.0, np.ones(5))
     made.array(COMMANDS, 2.0, [np.inf] * 6)
-    made.point("target_position", 2.5, 2.49, [9.0, 9.0, 9.0], frame="base_link")
-    made.close()
-    recording = read(tmp_path / "bag")
+    recording = read_back()
     assert len(recording.series["ball"]) == round(END_S * 30)
     assert len(recording.topics["/ball_position"]) == round(END_S * 30) + 1
     assert len(recording.series["target"]) == 1
@@ -319,10 +320,3 @@ def test_a_bag_that_cannot_be_read_is_one_sentence(tmp_path, capsys, make, words
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1
-
-
-def test_what_a_bag_unpacks_to_is_bounded(bag):
-    before = resource.getrlimit(resource.RLIMIT_DATA)
-    with opened(find(bag)), pytest.raises(MemoryError):
-        np.zeros(2**30)
-    assert resource.getrlimit(resource.RLIMIT_DATA) == before
