@@ -23,6 +23,10 @@ from fvs_controller_node.target_motion import on_own_clock
 from fvs_ros.chain import SerialChain
 from fvs_ros.timeline import jump_of, repeats
 
+#: The estimator publishes the chain more often than this; an older one is not used, and a bad one
+#: holds the arm for as long, s.
+_CHAIN_MAX_AGE_S = 1.5
+
 
 class ServoLoop:
     """One pass per tick: joints, ball and Jacobian in; one command out.
@@ -196,7 +200,7 @@ class ServoLoop:
             Time since the last tick, s.
         """
         supervisor = self.supervisor
-        if now_s - self._chain_s > supervisor.config.jacobian_max_age_s:
+        if now_s - self._chain_s > _CHAIN_MAX_AGE_S:
             self._chain = None  # its publisher is gone, or has another method now
             supervisor.inputs[KINEMATIC_CHAIN].forget()
         if self._follows:
