@@ -49,6 +49,17 @@ class ControllerConfig(Parameters):
 class SupervisorConfig(JointLimits):
     """Limits and thresholds of the supervisor."""
 
+    #: Consecutive good messages after which an input is valid again: a single one may be left over.
+    fresh_samples = 5
+    #: Motion allowed with a bad prediction, m: a learning estimator needs some to recover after the
+    #: camera was moved.
+    prediction_hold_m = 0.05
+    settled_time_s = 0.3
+    #: The error has grown when it is above its best by both.
+    growth_factor, growth_m = 1.5, 0.03
+    #: Errors below this are never taken for a stall.
+    stall_error_m = 0.02
+
     autostart: bool = parameter(
         False,
         "Start without ~/start as soon as all inputs are ready, once. For simulation only.",
@@ -78,35 +89,25 @@ class SupervisorConfig(JointLimits):
     )
     prediction_hold: float = live_parameter(
         1.2,
-        "Ratio of prediction error to motion (1: useless) above which the arm is held after 50 mm "
-        "of motion; it slows down above 2/3 of that.",
+        "Ratio of prediction error to motion (1: useless) above which the arm is held after "
+        f"{1e3 * prediction_hold_m:g} mm of motion; it slows down above 2/3 of that.",
         0.01,
         100.0,
     )
     settled_error_m: float = live_parameter(
-        0.005, "Settled when the error stays below this for 0.3 s, m.", 1e-5, 1.0
+        0.005, f"Settled when the error stays below this for {settled_time_s:g} s, m.", 1e-5, 1.0
     )
     stall_time_s: float = live_parameter(
         6.0,
-        "Time without progress, at an error above 20 mm, after which the arm is held, s. Half of "
-        "it applies to an arm that does not follow, a sixth to an error grown by 50 % and 30 mm.",
+        f"Time without progress, at an error above {1e3 * stall_error_m:g} mm, after which the arm "
+        "is held, s. Half of it applies to an arm that does not follow, a sixth to an error grown "
+        f"by {100.0 * (growth_factor - 1.0):g} % and {1e3 * growth_m:g} mm.",
         0.1,
         60.0,
     )
     resume_within_s: float = live_parameter(
         30.0, "Longest hold after which the arm resumes without a new start, s.", 0.5, 1e6
     )
-
-    #: Consecutive good messages after which an input is valid again: a single one may be left over.
-    fresh_samples = 5
-    #: Motion allowed with a bad prediction, m: a learning estimator needs some to recover after the
-    #: camera was moved.
-    prediction_hold_m = 0.05
-    settled_time_s = 0.3
-    #: The error has grown when it is above its best by both.
-    growth_factor, growth_m = 1.5, 0.03
-    #: Errors below this are never taken for a stall.
-    stall_error_m = 0.02
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -153,7 +153,7 @@ class BallPredictor:
     @property
     def problem(self) -> str:
         """Why there is no prediction, in words; empty if there is one, or nothing to use."""
-        newest_s, seen_s = self._timeline.newest_stamp_s, self._timeline.seen_stamp_s
+        newest_s, seen_s = self._timeline.joints.newest_stamp_s, self._timeline.seen_stamp_s
         if newest_s is None or seen_s is None:
             return ""
         age_s = newest_s - seen_s
@@ -174,7 +174,7 @@ class BallPredictor:
 
         The stamp is newer than the last, or of another clock.
         """
-        before, moved = self._timeline.newest, self._moved.newest
+        before, moved = self._timeline.joints.newest, self._moved.newest
         if before is None or moved is None:
             moved = np.zeros(len(jacobian))
         else:
@@ -190,10 +190,10 @@ class BallPredictor:
         if self._timeline.clock_jumps != self._jumps:
             self._forget_ball()
         for stamp_s, _, ball, _ in samples:
-            moved = self._moved.at(stamp_s)
-            assert self._timeline.newest_stamp_s is not None
+            moved, newest_s = self._moved.at(stamp_s), self._timeline.joints.newest_stamp_s
+            assert newest_s is not None
             assert moved is not None  # where the joints are known, this is
-            self.latency_s = self._timeline.newest_stamp_s - stamp_s
+            self.latency_s = newest_s - stamp_s
             self.image_m, self._stamp_s = ball, stamp_s
             self.images += 1
             for image in self.tracker.add(Image(stamp_s, ball, moved)):
@@ -204,7 +204,7 @@ class BallPredictor:
 
         None where there is nothing to predict from (see ``problem``).
         """
-        newest, moved = self._timeline.newest_stamp_s, self._moved.newest
+        newest, moved = self._timeline.joints.newest_stamp_s, self._moved.newest
         estimate = self.tracker.estimate_m
         if newest is None or moved is None or self._stamp_s is None or estimate is None:
             return None

@@ -115,7 +115,7 @@ class CollectionRun:
 
     def joint_states(self, now_s: float, stamp_s: float, joints_rad: np.ndarray) -> None:
         """Take joint positions: arrival on the steady clock and stamp, s; (n,), rad."""
-        if not repeats(stamp_s, self._timeline.newest_stamp_s):
+        if not repeats(stamp_s, self._timeline.joints.newest_stamp_s):
             self._joints_s = now_s
             self._joints = joints_rad
         self._record(self._timeline.add_joints(stamp_s, joints_rad))

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from fvs_estimator_node.base import Estimator, MotionStep
-from fvs_ros.chain import SerialChain
 from fvs_ros.timeline import Sample, Timeline
 from fvs_ros.tracker import Image, Tracker
 
@@ -208,15 +207,6 @@ class EstimationLoop:
         self.pairing.add_sliding_variable(stamp_s, sliding_variable)
 
     # --- outputs ---
-
-    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
-        """The present estimate at joints, rad, (n,): m/rad, (m, n)."""
-        return self.estimator.jacobian(joints_rad)
-
-    @property
-    def chain(self) -> SerialChain | None:
-        """The serial chain as the camera sees it now, if the method has one."""
-        return self.estimator.chain
 
     @property
     def remark(self) -> str:

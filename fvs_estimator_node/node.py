@@ -165,7 +165,7 @@ class EstimatorNode(ros.FvsNode):
             return
         if self._no_estimate():
             return
-        jacobian = self._loop.jacobian(joints)
+        jacobian = self._loop.estimator.jacobian(joints)
         if not np.all(np.isfinite(jacobian)):
             self._complain("the estimate is not finite and was not published; call ~/reset")
             return
@@ -174,7 +174,7 @@ class EstimatorNode(ros.FvsNode):
 
     def _publish_chain(self) -> None:
         """Publish the chain as the camera sees it now, if there is one."""
-        chain = self._loop.chain
+        chain = self._loop.estimator.chain
         if chain is None:
             return
         try:

@@ -64,9 +64,6 @@ class History:
         self._stamps: deque[float] = deque()
         self._values: deque[np.ndarray] = deque()
 
-    def __len__(self) -> int:
-        return len(self._stamps)
-
     @property
     def newest_stamp_s(self) -> float | None:
         """Stamp of the newest sample, s, or None when empty."""
@@ -160,6 +157,10 @@ class Timeline:
 
     Attributes
     ----------
+    joints : History
+        Of the joint positions, rad, (n,).
+    seen_stamp_s : float or None
+        Newest exposure, paired or not, s; None before the first.
     dropped : int
         Number of ball positions that could not be paired.
     last_reason : str
@@ -169,9 +170,9 @@ class Timeline:
     """
 
     def __init__(self) -> None:
-        self._history = History()
+        self.joints = History()
         self._waiting: deque[tuple[float, np.ndarray]] = deque()
-        self._newest_stamp_s: float | None = None
+        self.seen_stamp_s: float | None = None
         self._paired_stamp_s: float | None = None
         self._run = 0
         self.dropped = self.clock_jumps = 0
@@ -180,40 +181,25 @@ class Timeline:
     def forget_balls(self) -> None:
         """Forget the ball positions, keep the joint states, and start a new run."""
         self._waiting.clear()
-        self._newest_stamp_s = None
+        self.seen_stamp_s = None
         self._break_run()
 
     def reset(self) -> None:
         """Forget all joint states and waiting ball positions, and start a new run."""
-        self._history.clear()
+        self.joints.clear()
         self.forget_balls()
-
-    @property
-    def newest(self) -> np.ndarray | None:
-        """Newest joints, rad, (n,); None before the first."""
-        return self._history.newest
-
-    @property
-    def newest_stamp_s(self) -> float | None:
-        """Stamp of the newest joint state, s; None before the first."""
-        return self._history.newest_stamp_s
-
-    @property
-    def seen_stamp_s(self) -> float | None:
-        """Newest exposure, paired or not, s; None before the first."""
-        return self._newest_stamp_s
 
     def add_joints(self, stamp_s: float, joints_rad: np.ndarray) -> list[Sample]:
         """Take a joint state, s and rad, (n,); returns the ball positions that waited for it."""
         if not (np.isfinite(stamp_s) and plausible(joints_rad)):
             return []
-        newest, newest_s = self._history.newest, self._history.newest_stamp_s
+        newest, newest_s = self.joints.newest, self.joints.newest_stamp_s
         if newest_s is not None and jump_of(joints_rad - newest, stamp_s - newest_s) is not None:
-            self._history.clear()
+            self.joints.clear()
             self._drop("the joints jumped", len(self._waiting))
-        if not self._history.add(stamp_s, joints_rad):
+        if not self.joints.add(stamp_s, joints_rad):
             self._drop("the joint states' clock jumped", len(self._waiting))
-            self._newest_stamp_s = None
+            self.seen_stamp_s = None
             self.clock_jumps += 1
         return self._pair()
 
@@ -222,14 +208,14 @@ class Timeline:
         if not (np.isfinite(stamp_s) and plausible(ball_m)):
             self._drop("a ball position or its stamp is not finite, or too far")
             return []
-        last = self._newest_stamp_s
+        last = self.seen_stamp_s
         if repeats(stamp_s, last):
             self._drop("a ball position's stamp is repeated or older than the last")
             return []
         if last is not None and stamp_s < last:
             self._drop("the ball positions' clock jumped back", len(self._waiting))
             self.clock_jumps += 1
-        self._newest_stamp_s = stamp_s
+        self.seen_stamp_s = stamp_s
         self._waiting.append((stamp_s, np.array(ball_m, dtype=float)))
         if len(self._waiting) > _MAX_WAITING:
             self._waiting.popleft()
@@ -238,7 +224,7 @@ class Timeline:
 
     def _pair(self) -> list[Sample]:
         samples = []
-        newest = self._history.newest_stamp_s
+        newest = self.joints.newest_stamp_s
         while self._waiting and newest is not None and self._waiting[0][0] <= newest:
             stamp_s, ball_m = self._waiting.popleft()
             if newest - stamp_s > MAX_LATENCY_S:
@@ -247,7 +233,7 @@ class Timeline:
                     "state; check that both clocks agree (NTP)"
                 )
                 continue
-            joints = self._history.at(stamp_s)
+            joints = self.joints.at(stamp_s)
             if joints is None:
                 self._drop("the joint states have a gap at a ball position's exposure")
                 continue
