@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -133,7 +134,7 @@ def measure(context: lab.Context) -> lab.Found:
     cases = trials.make_cases("a", context.count(8, 1), 303)
     duration_s = 1.6 if context.quick else 3.4
     hold_s = 2.0 if context.quick else 60.0
-    changes = context.run(variants(), cases, "ablation", duration_s=duration_s)
+    changes = context.run(product(variants(), cases), "ablation", duration_s=duration_s)
     rested = cases[: 1 if context.quick else 3]
     rests = [(name, case, hold_s) for name in RESTS for case in rested]
     held = context.map(run_rest, rests, "long rests")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -49,7 +50,7 @@ def measure(context: lab.Context) -> lab.Found:
     floors = context.map(partial(floor_of, limits=_LIMITS), cases, "the floor")
     races = _over_floors(_races(context, found, cases), cases, floors)
     rendered = _rendered(context, cases[: max(1, 4 * count // 15)], races)
-    camera = moved.with_slowdown(_journeys(context, count))
+    camera = _journeys(context, count)
     followed = _pursuits(context, max(1, count // 20))
     runs = Results([*minutes, *races, *rendered, *camera, *_worlds(context, cases), *followed])
     # The nodes have a rendered camera, whatever the laboratory uses.
@@ -150,30 +151,30 @@ def _over_floors(races: Results, cases: Sequence[Case], floors: Sequence[Floor])
         }
         for name, floor in by_case.items()
     ]
-    rows = []
-    for row in (*played, *races):
+
+    def over(row: Mapping[str, Any]) -> dict[str, float]:
         floor = by_case[row["case"]]
-        over = {
+        found = {
             f"over_{column}": row[f"to_{column}_s"] / floor.least_s[bound]
             for bound, column in columns.items()
         }
-        late = row["to_5mm_s"] / floor.clairvoyant_s["5 mm"]
-        rows.append({**row, **over, "over_clairvoyant": late})
-    return Results(rows)
+        return found | {"over_clairvoyant": row["to_5mm_s"] / floor.clairvoyant_s["5 mm"]}
+
+    return Results([*played, *races]).adding(over)
 
 
 def _rendered(context: lab.Context, cases: Sequence[Case], races: Results) -> Results:
     """Runs with rendered images: delay against the race, and rest error over the noise."""
-    own = context.run([who.variant(name) for name in who.SEEN], cases, "with images")
     raced = races.groups("scheme", "case")
-    rows = []
-    for row in own:
+
+    def compared(row: Mapping[str, Any]) -> dict[str, Any]:
         before_s = raced[row["scheme"], row["case"]].rows[0]["to_5mm_s"]
         # Two runs that never settle have no delay (inf - inf is NaN).
         later_s = 0.0 if row["to_5mm_s"] == before_s else row["to_5mm_s"] - before_s
         sigma = row["final_rms_m"] / who.SIGMA_M
-        rows.append({**row, "part": "rendered", "later_s": later_s, "rms_sigma": sigma})
-    return Results(rows)
+        return {"part": "rendered", "later_s": later_s, "rms_sigma": sigma}
+
+    return context.run(product(map(who.variant, who.SEEN), cases), "with images").adding(compared)
 
 
 def _journeys(context: lab.Context, count: int) -> Results:
@@ -182,11 +183,9 @@ def _journeys(context: lab.Context, count: int) -> Results:
     if context.quick:
         parts = {who.SHAKEN[:_JUDGED]: 1}
     runs = [
-        (labels, replace(trial, conditions=context.conditions()))
-        for names, share in parts.items()
-        for labels, trial in moved.journeys(max(1, share), 505, names)
+        run for names, share in parts.items() for run in moved.journeys(max(1, share), 505, names)
     ]
-    return context.score(runs, "moved cameras")
+    return moved.with_slowdown(_scored(context, runs, "moved cameras"))
 
 
 def _worlds(context: lab.Context, cases: Sequence[Case]) -> Results:
@@ -199,16 +198,19 @@ def _worlds(context: lab.Context, cases: Sequence[Case]) -> Results:
         for world in who.WORLDS[: 1 if context.quick else None]
         for name in who.FOLLOWERS
     ]
-    return context.run(variants, cases, "other worlds")
+    return context.run(product(variants, cases), "other worlds")
 
 
-def _pursuits(context: lab.Context, count: int) -> Iterator[dict[str, Any]]:
+def _pursuits(context: lab.Context, count: int) -> Results:
     speeds_m_s = moved.SPEEDS_M_S[2:3] if context.quick else moved.SPEEDS_M_S
-    runs = [
-        (labels, replace(trial, conditions=context.conditions()))
-        for labels, trial in moved.pursuits(count, 405, speeds_m_s, who.FOLLOWERS)
-    ]
-    return map(moved.tracking_error, context.score(runs, "moving targets"))
+    runs = moved.pursuits(count, 405, speeds_m_s, who.FOLLOWERS)
+    return _scored(context, runs, "moving targets").adding(moved.tracking_error)
+
+
+def _scored(context: lab.Context, runs: Iterable[moved.Run], label: str) -> Results:
+    """Run trials under the call's conditions."""
+    conditions = context.conditions()
+    return context.score([(name, replace(one, conditions=conditions)) for name, one in runs], label)
 
 
 # ---- claims ---------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -161,16 +162,16 @@ def journeys(count: int, seed: int, names: Sequence[str]) -> Iterator[Run]:
         simulation.reset(case.start_rad)
         first_m = simulation.world.ball_position()
         for moment in MOMENTS:
-            trial = trials.Trial(
-                trials.Variant(),
-                replace(case, start_rad=case.goal_rad),
-                duration_s=3.5,
-                bump=bump if moment == IN_MOTION else None,
-                before=partial(_visit, first_m, bump, moment),
-            )
             for name in names:
                 labels = {"part": "camera", "scheme": name, "moment": moment, "case": case.name}
-                yield labels, replace(trial, variant=variant(name))
+                trial = trials.Trial(
+                    variant(name),
+                    replace(case, start_rad=case.goal_rad),
+                    duration_s=3.5,
+                    bump=bump if moment == IN_MOTION else None,
+                    before=partial(_visit, first_m, bump, moment),
+                )
+                yield labels, trial
 
 
 def _vector(direction: np.ndarray, length: float) -> trials.Vector:
@@ -182,8 +183,8 @@ def _seen_after(bump: trials.Bump, case: trials.Case) -> bool:
     """Whether the struck camera sees the ball at both ends and between them."""
     simulation = trials.simulation_of(trials.Conditions())
     bump.strike(simulation)
-    between = 0.5 * (np.array(case.start_rad) + np.array(case.goal_rad))
-    for joints in (case.start_rad, case.goal_rad, between):
+    ends = np.array([case.start_rad, case.goal_rad])
+    for joints in (*ends, ends.mean(axis=0)):
         simulation.reset(joints)
         if not trials.sees(simulation):
             return False
@@ -224,14 +225,15 @@ def with_slowdown(arrivals: Results) -> Results:
     remained, or if the undisturbed run never settled. ``kept`` is whether it is at most 1.2.
     """
     calm = arrivals.where(moment=UNDISTURBED).groups("scheme", "case")
-    rows = []
-    for row in arrivals:
+
+    def slowdown(row: Mapping[str, Any]) -> dict[str, Any]:
         before_s = STRUCK_AFTER_S if row["moment"] == IN_MOTION else 0.0
         left_s = calm[row["scheme"], row["case"]].rows[0]["to_5mm_s"] - before_s
         comparable = 0.0 < left_s < math.inf
-        slowdown = (row["to_5mm_s"] - before_s) / left_s if comparable else math.inf
-        rows.append({**row, "slowdown": slowdown, "kept": slowdown <= 1.2})
-    return Results(rows)
+        ratio = (row["to_5mm_s"] - before_s) / left_s if comparable else math.inf
+        return {"slowdown": ratio, "kept": ratio <= 1.2}
+
+    return arrivals.adding(slowdown)
 
 
 # ---- moving targets -------------------------------------------------------------------------
@@ -280,30 +282,27 @@ def pursuits(
         plane = np.linalg.qr(rng.normal(size=(way_m.size, 2)))[0].T
         circle = partial(on_circle, ball_m(home), plane)
         circles.append((CIRCLE, replace(case, start_rad=home), circle, math.inf))
-    for kind, case, path, length_m in (*lines, *circles):
-        for speed_m_s in speeds_m_s:
-            duration_s = min(LONGEST_S[kind], length_m / speed_m_s)
-            trial = trials.Trial(
-                trials.Variant(),
-                case,
-                duration_s=duration_s,
-                record=True,
-                path=(path, speed_m_s),
-            )
-            for feed_forward in (True, False):
-                for name in names:
-                    labels = {"part": "tracking", "scheme": name, "path": kind, "seed": case.seed}
-                    labels |= {"speed_m_s": speed_m_s, "feed_forward": feed_forward}
-                    who = variant(name, target_feed_forward=feed_forward)
-                    yield labels, replace(trial, variant=who)
+    for (kind, case, path, length_m), speed_m_s, feed_forward, name in product(
+        (*lines, *circles), speeds_m_s, (True, False), names
+    ):
+        labels = {"part": "tracking", "scheme": name, "path": kind, "seed": case.seed}
+        labels |= {"speed_m_s": speed_m_s, "feed_forward": feed_forward}
+        trial = trials.Trial(
+            variant(name, target_feed_forward=feed_forward),
+            case,
+            duration_s=min(LONGEST_S[kind], length_m / speed_m_s),
+            record=True,
+            path=(path, speed_m_s),
+        )
+        yield labels, trial
 
 
-def tracking_error(row: Mapping[str, Any]) -> dict[str, Any]:
-    """The row of a pursuit with ``rms_m``, the ball's distance from the target after the start, m.
+def tracking_error(row: Mapping[str, Any]) -> dict[str, float]:
+    """Of a pursuit's row: ``rms_m``, the ball's distance from the target after the start, m.
 
     It is infinite for an arm that the supervisor held.
     """
     counted = row["series"]["time_s"] > START_S[row["path"]] + 1e-9
     rms_m = float(np.sqrt(np.mean(row["series"]["error_m"][counted] ** 2)))
     held = row["jitter_rad_s"] == math.inf
-    return {**row, "rms_m": math.inf if held else rms_m}
+    return {"rms_m": math.inf if held else rms_m}

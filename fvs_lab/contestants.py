@@ -85,7 +85,7 @@ SEEN = (BEST, EXTENDED, PROPOSED, "rbf+pid")
 
 
 @dataclass(frozen=True)
-class World:
+class Deviation:
     """Conditions with one deviation: its name, its size, and the fields that differ."""
 
     kind: str
@@ -93,22 +93,22 @@ class World:
     changes: Mapping[str, Any]
 
 
-USUAL = World("as usual", f"{1e3 * Conditions.latency_s:g} ms, 1 mm", {})
+USUAL = Deviation("as usual", f"{1e3 * Conditions.latency_s:g} ms, 1 mm", {})
 WORLDS = (
     USUAL,
-    World("latency", "0 ms", {"latency_s": 0.0}),
-    World("latency", "50 ms", {"latency_s": 0.05}),
-    World("latency", "100 ms", {"latency_s": 0.1}),
-    World("latency", "200 ms", {"latency_s": 0.2}),
+    Deviation("latency", "0 ms", {"latency_s": 0.0}),
+    Deviation("latency", "50 ms", {"latency_s": 0.05}),
+    Deviation("latency", "100 ms", {"latency_s": 0.1}),
+    Deviation("latency", "200 ms", {"latency_s": 0.2}),
     # Further lag of the drives, and their dead time.
-    World("drives", "50+8 ms", {"joint_lag_s": 0.05, "dead_time_s": 0.008}),
-    World("drives", "50+40 ms", {"joint_lag_s": 0.05, "dead_time_s": 0.04}),
-    World("drives", "100+60 ms", {"joint_lag_s": 0.1, "dead_time_s": 0.06}),
-    World("encoders", "0.2 mrad", {"encoder_noise_rad": 0.0002}),
-    World("encoders", "1 mrad", {"encoder_noise_rad": 0.001}),
-    World("images", "8 Hz", {"image_rate_hz": 8.0}),
-    World("noise", "0.2 mm", {"position_noise_m": 0.0002}),
-    World("noise", "4 mm", {"position_noise_m": 0.004}),
+    Deviation("drives", "50+8 ms", {"joint_lag_s": 0.05, "dead_time_s": 0.008}),
+    Deviation("drives", "50+40 ms", {"joint_lag_s": 0.05, "dead_time_s": 0.04}),
+    Deviation("drives", "100+60 ms", {"joint_lag_s": 0.1, "dead_time_s": 0.06}),
+    Deviation("encoders", "0.2 mrad", {"encoder_noise_rad": 0.0002}),
+    Deviation("encoders", "1 mrad", {"encoder_noise_rad": 0.001}),
+    Deviation("images", "8 Hz", {"image_rate_hz": 8.0}),
+    Deviation("noise", "0.2 mm", {"position_noise_m": 0.0002}),
+    Deviation("noise", "4 mm", {"position_noise_m": 0.004}),
 )
 
 

@@ -13,7 +13,7 @@ from fvs_estimator_node.rbf import RbfConfig
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
 from fvs_lab.results import Results
-from fvs_lab.smooth_motion import SPEED_RAD_S, WIGGLE_S, Recording, Track, judge, record
+from fvs_lab.smooth_motion import SPEED_RAD_S, WIGGLE_S, judge, record
 from fvs_lab.trials import Conditions, simulation_of
 from fvs_tools.closed_loop import make_estimator
 
@@ -49,11 +49,6 @@ class Contestant:
     #: Whether it learns from the wiggling before the scored motion.
     hears_prelude: bool = True
 
-    def judged(self, recording: Recording, conditions: Conditions) -> Track:
-        """How well it does on a recording."""
-        estimator = make_estimator(self.method, simulation_of(conditions), self.values)
-        return judge(estimator, recording, self.hears_prelude)
-
 
 _LABELS = {"lkf": "LKF", "ukf": "UKF", "rls": "RLS", "broyden": "Broyden"}
 _STARTS = {"explored": "explored", "model": "networks' start", "zero": "from zero"}
@@ -73,7 +68,7 @@ def _started(method: str, start: str) -> Contestant:
 
 _EXPLORED = _started("lkf", "explored")
 #: All of them, by name.
-CONTESTANTS = {
+ESTIMATORS = {
     one.name: one
     for one in (
         Contestant("rbf", f"proposed, n1 = {RbfConfig.n1:g}", "rbf"),
@@ -97,7 +92,7 @@ _OTHERS = (*_FILTERS, *_RLS)
 
 
 @dataclass(frozen=True)
-class World:
+class Disturbance:
     """A condition that is compared."""
 
     #: In the data, and for readers.
@@ -116,25 +111,25 @@ class World:
         return turned if self.noisy else replace(turned, position_noise_m=0.0, depth_noise=0.0)
 
 
-def _turned(turn_deg: float) -> World:
+def _turned(turn_deg: float) -> Disturbance:
     label = f"1 mm noise, camera rotated by {turn_deg:g}°"
-    return World(f"turned_{turn_deg:g}", label, turn_deg=turn_deg)
+    return Disturbance(f"turned_{turn_deg:g}", label, turn_deg=turn_deg)
 
 
-CLEAN, NOISE = World("clean", "no noise", noisy=False), World("noise", "1 mm noise")
-#: Worlds that are drawn against time, which are also those of a quick run.
+CLEAN, NOISE = Disturbance("clean", "no noise", noisy=False), Disturbance("noise", "1 mm noise")
+#: Disturbances that are drawn against time, which are also those of a quick run.
 DRAWN = (CLEAN, NOISE, _turned(20.0))
 _WORLDS = (CLEAN, NOISE, *map(_turned, (10.0, 20.0, 30.0)))
 
 
-def judge_all(job: tuple[World, Conditions, int, float]) -> list[dict[str, Any]]:
+def judge_all(job: tuple[Disturbance, Conditions, int, float]) -> list[dict[str, Any]]:
     """Make a recording (world, its conditions, seed, length in s), and judge all on it."""
     world, conditions, seed, duration_s = job
     recording = record(seed, conditions, duration_s)
-    tracks = {one.name: one.judged(recording, conditions) for one in CONTESTANTS.values()}
-    rows = []
-    for one in CONTESTANTS.values():
-        track = tracks[one.name]
+    rows, tracks = [], {}
+    for one in ESTIMATORS.values():
+        estimator = make_estimator(one.method, simulation_of(conditions), one.values)
+        track = tracks[one.name] = judge(estimator, recording, one.hears_prelude)
         row = {
             "world": world.name,
             "name": one.name,
@@ -181,40 +176,43 @@ def measure(context: lab.Context) -> lab.Found:
         "largest_turn_deg": max(world.turn_deg for world in worlds),
         "labels": {world.name: world.label for world in worlds},
     }
-    data = {"seeds": list(seeds), "contestants": CONTESTANTS, "worlds": worlds}
+    data = {"seeds": list(seeds), "contestants": ESTIMATORS, "worlds": worlds}
     return lab.Found(runs, facts, data)
 
 
 # ---- claims ---------------------------------------------------------------------------------
 
 
-class _Judge:
-    """Compares contestants in a world by the medians of a criterion."""
+#: Words for the criteria.
+_CRITERIA = {"t1_m": "T1", "t1_late_m": "T1", "t2_max_m": "largest T2",
+             "jacobian_error": "Jacobian error"}  # fmt: skip
+#: Runs by world and estimator.
+Groups = Mapping[tuple[str, str], Results]
 
-    def __init__(self, runs: Results) -> None:
-        self._runs = runs.groups("world", "name")
 
-    def middle(self, world: World, name: str, criterion: str) -> float:
-        return self._runs[world.name, name].median(criterion).value
+def _best(runs: Groups, world: Disturbance, criterion: str, names: Sequence[str]) -> str:
+    """The estimator with the least median."""
 
-    def best(self, world: World, criterion: str, names: Sequence[str]) -> str:
-        # Those that are equal except for rounding stay in their order.
-        return min(names, key=lambda name: float(f"{self.middle(world, name, criterion):.9g}"))
+    def rounded(name: str) -> float:  # those that are equal but for rounding stay in their order
+        return float(f"{runs[world.name, name].median(criterion).value:.9g}")
 
-    def part(self, world: World, one: str, other: str, criterion: str) -> lab.Part:
-        words = {"t2_max_m": "largest T2", "jacobian_error": "Jacobian error"}.get(criterion, "T1")
-        label = f"{words} of {CONTESTANTS[one].label} over {CONTESTANTS[other].label}"
-        ratio = self._runs[world.name, one].over(self._runs[world.name, other], criterion)
-        return lab.below(f"{label}, {world.label}", ratio, 1.0)
+    return min(names, key=rounded)
+
+
+def _below(runs: Groups, world: Disturbance, one: str, other: str, criterion: str) -> lab.Part:
+    """Whether an estimator's median is below that of another."""
+    names = f"{ESTIMATORS[one].label} over {ESTIMATORS[other].label}"
+    ratio = runs[world.name, one].over(runs[world.name, other], criterion)
+    return lab.below(f"{_CRITERIA[criterion]} of {names}, {world.label}", ratio, 1.0)
 
 
 def claims(found: lab.Found) -> Iterator[lab.Claim]:
     """The paper's claims on the estimators."""
-    judge_of = _Judge(found.runs)
+    runs = found.runs.groups("world", "name")
     turned = [world for world in found.data["worlds"] if world.turn_deg > 0.0]
 
-    def against_best(world: World, criterion: str) -> lab.Part:
-        return judge_of.part(world, "rbf", judge_of.best(world, criterion, _OTHERS), criterion)
+    def against_best(world: Disturbance, criterion: str) -> lab.Part:
+        return _below(runs, world, "rbf", _best(runs, world, criterion, _OTHERS), criterion)
 
     yield lab.papers("unmoved", *(against_best(NOISE, one) for one in ("t1_m", "t2_max_m")))
     for criterion, title in (("t1_m", "T1"), ("t2_max_m", "the largest T2")):
@@ -222,39 +220,38 @@ def claims(found: lab.Found) -> Iterator[lab.Claim]:
         yield lab.papers("rotated", *parts, criterion=title)
     parts = []
     for world in (NOISE, *turned):
-        rls, other = (judge_of.best(world, "t1_m", names) for names in (_RLS, _FILTERS))
-        worst = max((other, "rbf"), key=lambda name: judge_of.middle(world, name, "t1_m"))
-        parts.append(judge_of.part(world, worst, rls, "t1_m"))
+        rls, other = (_best(runs, world, "t1_m", names) for names in (_RLS, _FILTERS))
+        worst = max((other, "rbf"), key=lambda name: runs[world.name, name].median("t1_m").value)
+        parts.append(_below(runs, world, worst, rls, "t1_m"))
     yield lab.papers("rls", *parts)
     difference = max(found.runs.values("lkf_difference_m_rad"))
     label = "largest difference of any entry of their Jacobians"
     text = f"{difference:.1g} m/rad, asked: above rounding, 1e-9"
     yield lab.papers("ukf", lab.Part(label, text, None if difference > 1e-9 else False))
-    other = judge_of.best(CLEAN, "t1_late_m", (*_OTHERS, "lkf_fast"))
-    yield lab.papers("bound", judge_of.part(CLEAN, other, "frozen", "t1_late_m"))
+    other = _best(runs, CLEAN, "t1_late_m", (*_OTHERS, "lkf_fast"))
+    yield lab.papers("bound", _below(runs, CLEAN, other, "frozen", "t1_late_m"))
     parts = [
-        judge_of.part(world, "rbf", "frozen", criterion)
+        _below(runs, world, "rbf", "frozen", criterion)
         for world in turned
         for criterion in ("t1_m", "jacobian_error")
     ]
     yield lab.papers("update", *parts)
-    yield lab.ours("cost", judge_of.part(NOISE, "rbf", "frozen", "t1_m"))
-    yield lab.papers("proof", _proof_part(judge_of, found.runs, (NOISE, *turned)))
+    yield lab.ours("cost", _below(runs, NOISE, "rbf", "frozen", "t1_m"))
+    yield lab.papers("proof", _proof_part(found.runs, (NOISE, *turned)))
 
 
-def _proof_part(judge_of: _Judge, runs: Results, worlds: Sequence[World]) -> lab.Part:
+def _proof_part(runs: Results, worlds: Sequence[Disturbance]) -> lab.Part:
     """Pairs that T1 ranks wrongly, without the oracle and one of two identical filters."""
-    names = runs.those(lambda row: row["method"] not in ("ukf", "oracle")).groups("name")
-    pairs = [(world, *pair) for world in worlds for pair in combinations(names, 2)]
-    wrong = 0
-    for world, one, other in pairs:
-        t1_m, error = (
-            judge_of.middle(world, one, name) - judge_of.middle(world, other, name)
-            for name in ("t1_m", "jacobian_error")
-        )
-        wrong += t1_m * error < 0.0
+    ranked = runs.those(lambda row: row["method"] not in ("ukf", "oracle"))
+    count = wrong = 0
+    for world in worlds:
+        ones = ranked.where(world=world.name).groups("name").values()
+        medians = [[one.median(name).value for name in ("t1_m", "jacobian_error")] for one in ones]
+        for one, other in combinations(medians, 2):
+            count += 1
+            wrong += (one[0] - other[0]) * (one[1] - other[1]) < 0.0
     label = "pairs of estimators of which the one with the smaller T1 has the worse Jacobian"
-    return lab.Part(label, f"{wrong} of {len(pairs)}, asked: none", wrong == 0)
+    return lab.Part(label, f"{wrong} of {count}, asked: none", wrong == 0)
 
 
 # ---- tables and figures ---------------------------------------------------------------------
@@ -274,12 +271,12 @@ _LINES = {
     "broyden_explored": ("-", 1.6),
 }
 _LOOKS = {
-    CONTESTANTS[name].label: {
+    ESTIMATORS[name].label: {
         "linestyle": style,
         "linewidth": width,
-        "color": draw.COLOURS[CONTESTANTS[name].method],
+        "color": draw.COLOURS[ESTIMATORS[name].method],
         # The UKF broad and pale, behind the LKF's.
-        "alpha": 0.45 if CONTESTANTS[name].method == "ukf" else 1.0,
+        "alpha": 0.45 if ESTIMATORS[name].method == "ukf" else 1.0,
     }
     for name, (style, width) in _LINES.items()
 }

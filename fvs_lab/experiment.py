@@ -84,26 +84,22 @@ class Context:
 
     def run(
         self,
-        variants: Iterable[Variant],
-        cases: Sequence[Case],
+        runs: Iterable[tuple[Variant, Case]],
         label: str,
         measure: Callable[[Outcome], Mapping[str, Any]] | None = None,
         **fields: Any,
     ) -> Results:
-        """Run every variant on every case.
+        """Run variants on cases.
 
         ``measure`` gives further columns of a run; fields are those of all trials, such as
         ``duration_s`` and ``record``.
         """
-        runs = [
-            (
-                {**variant.labels, "case": case.name},
-                variant.trial(case, self.conditions(), **fields),
-            )
-            for variant in variants
-            for case in cases
+        conditions = self.conditions()
+        trials = [
+            ({**one.labels, "case": case.name}, one.trial(case, conditions, **fields))
+            for one, case in runs
         ]
-        return self.score(runs, label, measure)
+        return self.score(trials, label, measure)
 
     def score(
         self,

@@ -8,7 +8,7 @@ abruptly it reverses there. All runs are without a speed limit, which would hide
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -92,7 +92,9 @@ def measure(context: lab.Context) -> lab.Found:
     """Run both forms of the law with all exponents, with and without noise."""
     duration_s = 1.6 if context.quick else 4.0
     cases = make_cases("e", context.count(6, 1), 301)
-    runs = context.run(variants(), cases, "exponents", _pace, duration_s=duration_s, record=True)
+    runs = context.run(
+        product(variants(), cases), "exponents", _pace, duration_s=duration_s, record=True
+    )
     facts = {
         "count": len(cases),
         "duration_s": duration_s,

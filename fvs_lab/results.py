@@ -131,6 +131,10 @@ class Results:
         """The rows that meet a condition."""
         return Results(row for row in self.rows if wanted(row))
 
+    def adding(self, columns: Callable[[Mapping[str, Any]], Mapping[str, Any]]) -> Results:
+        """The rows with further columns, which follow from those that they have."""
+        return Results({**row, **columns(row)} for row in self.rows)
+
     def groups(self, *names: str) -> dict[Any, Results]:
         """The rows by the values of some columns, in order of appearance.
 
@@ -213,10 +217,10 @@ METRICS = {
     "chain_box": Metric("chain, box M, %", 1e2, 3),
     "chain_workspace": Metric("chain, workspace, %", 1e2, 3),
     "distilled_box": Metric("distilled networks, box M, %", 1e2),
-    "late_error_s": Metric("lateness found, off by, ms", 1e3),
-    "stated": Metric("the fit says, %", 1e2, 3),
-    "seen": Metric("off from what the camera sees, %", 1e2, 3),
-    "honesty": Metric("the fit says, over what it is off"),
+    "late_error_s": Metric("error of the stamp delay, ms", 1e3),
+    "stated": Metric("stated by the fit, %", 1e2, 3),
+    "seen": Metric("actual, as the camera sees, %", 1e2, 3),
+    "honesty": Metric("stated over actual error"),
     "over_5mm": Metric("to 5 mm over floor"),
     "over_2mm": Metric("to 2 mm over floor"),
     "over_1mm": Metric("to 1 mm over floor"),

@@ -26,17 +26,17 @@ DURATION_S = 6.0
 WANTED = 0.99
 
 #: The contestants, with the defaults of the nodes. A new one is one line.
-CONTESTANTS = (*SCHEMES.values(), ORACLES[ORACLE], *BEYOND.values())
+COMPARED = (*SCHEMES.values(), ORACLES[ORACLE], *BEYOND.values())
 _QUICK = ("proposed", ORACLE)
 
 
 def contestants_called(names: Sequence[str]) -> list[Scheme]:
     """The contestants of these names, or all without any; a ``ValueError`` lists those known."""
-    known = {one.name: one for one in CONTESTANTS}
+    known = {one.name: one for one in COMPARED}
     for name in names:
         if name not in known:
             raise ValueError(unknown("scheme", name, map(repr, known)))
-    return [one for one in CONTESTANTS if not names or one.name in names]
+    return [one for one in COMPARED if not names or one.name in names]
 
 
 def trial_in(world: World, scheme: Scheme, rendered: bool, record: bool = False) -> Trial:

@@ -28,7 +28,7 @@ Key = TypeVar("Key")
 
 
 @dataclass(frozen=True)
-class Knob:
+class Gain:
     """A node's parameter that the search may turn, and its range."""
 
     name: str
@@ -45,29 +45,29 @@ class Knob:
         return float(self.low + (self.high - self.low) * place)
 
 
-#: The gains of each law that the search may turn; what is fixed are units (alpha1) and what a
-#: knob already scales.
-_LAW_KNOBS = {
+#: The gains of each law that the search may turn; what is fixed are units (alpha1) and what
+#: another gain already scales.
+_LAW_GAINS = {
     "ftsm": (
-        Knob("alpha2", 0.1, 10.0),
-        Knob("alpha3", 0.1, 20.0),
-        Knob("lambda1", 0.35, 0.7, log=False),
-        Knob("lambda2", 0.0, 0.3, log=False),
-        Knob("switch_error_m", 0.002, 0.04),
-        Knob("k4", 0.005, 0.5),
+        Gain("alpha2", 0.1, 10.0),
+        Gain("alpha3", 0.1, 20.0),
+        Gain("lambda1", 0.35, 0.7, log=False),
+        Gain("lambda2", 0.0, 0.3, log=False),
+        Gain("switch_error_m", 0.002, 0.04),
+        Gain("k4", 0.005, 0.5),
     ),
-    "proportional": (Knob("proportional_gain_1_s", 0.3, 60.0), Knob("damping", 1e-6, 1e-2)),
-    "mfac": (Knob("mfac_lambda", 1e-4, 3.0), Knob("control_interval_s", 0.015, 3.0)),
+    "proportional": (Gain("proportional_gain_1_s", 0.3, 60.0), Gain("damping", 1e-6, 1e-2)),
+    "mfac": (Gain("mfac_lambda", 1e-4, 3.0), Gain("control_interval_s", 0.015, 3.0)),
     "mpc": (
-        Knob("mpc_horizon", 1.5, 60.0),
-        Knob("mpc_alpha", 0.3, 1.0, log=False),
-        Knob("mpc_rho", 0.03, 10.0),
-        Knob("mpc_q", 0.0003, 3.0),
+        Gain("mpc_horizon", 1.5, 60.0),
+        Gain("mpc_alpha", 0.3, 1.0, log=False),
+        Gain("mpc_rho", 0.03, 10.0),
+        Gain("mpc_q", 0.0003, 3.0),
     ),
 }
 #: Of the estimators, only the filter has a parameter that servoing depends on: its process noise.
 #: The networks cover the whole box, so their n1 stays fixed.
-_METHOD_KNOBS = {"ukf": (Knob("online.process_noise", 1e-5, 1e-1, of_estimator=True),)}
+_METHOD_GAINS = {"ukf": (Gain("online.process_noise", 1e-5, 1e-1, of_estimator=True),)}
 
 
 @dataclass(frozen=True)
@@ -131,27 +131,25 @@ class Search:
     """The search for the gains of one scheme in one regime."""
 
     variant: Variant
-    knobs: tuple[Knob, ...]
+    free: tuple[Gain, ...]
     regime: Regime
 
     @classmethod
     def of(cls, scheme: Scheme, regime: Regime) -> Search:
         """The search for the gains of a scheme in a regime."""
-        knobs = (*_LAW_KNOBS[scheme.law], *_METHOD_KNOBS.get(scheme.method, ()))
-        return cls(Variant.of(scheme, **regime.controller_values), knobs, regime)
+        free = (*_LAW_GAINS[scheme.law], *_METHOD_GAINS.get(scheme.method, ()))
+        return cls(Variant.of(scheme, **regime.controller_values), free, regime)
 
     def gains(self, places: Sequence[float]) -> dict[str, float]:
-        """Values of the knobs at places from 0 to 1 of their ranges."""
-        return {
-            knob.name: knob.value(place) for knob, place in zip(self.knobs, places, strict=True)
-        }
+        """Values of the free gains at places from 0 to 1 of their ranges."""
+        return {gain.name: gain.value(place) for gain, place in zip(self.free, places, strict=True)}
 
     def trial(self, gains: Mapping[str, float], case: Case, conditions: Conditions) -> Trial:
-        """The trial of a case with such gains; knobs that they leave out keep their defaults."""
+        """The trial of a case with such gains; those that are left out keep their defaults."""
         turned: tuple[dict[str, float], dict[str, float]] = ({}, {})
-        for knob in self.knobs:
-            if knob.name in gains:
-                turned[knob.of_estimator][knob.name] = gains[knob.name]
+        for one in self.free:
+            if one.name in gains:
+                turned[one.of_estimator][one.name] = gains[one.name]
         variant = replace(
             self.variant,
             controller_values={**self.variant.controller_values, **turned[False]},
@@ -211,7 +209,7 @@ class Tuned:
         """The stored record: regime and ranges, the best gains, and all candidates."""
         return {
             "regime": self.search.regime,
-            "knobs": self.search.knobs,
+            "knobs": self.search.free,
             "fixed": self.search.variant.controller_values,
             "best": self.best,
             "tried": self.tried,
@@ -239,9 +237,9 @@ def search_all(
     found = [Tuned(search, []) for search in repeats * [*searches.values()]]
     optimisers = [
         CMA(
-            mean=np.full(len(one.search.knobs), 0.5),
+            mean=np.full(len(one.search.free), 0.5),
             sigma=0.3,
-            bounds=np.tile([0.0, 1.0], (len(one.search.knobs), 1)),
+            bounds=np.tile([0.0, 1.0], (len(one.search.free), 1)),
             population_size=population,
             seed=seed + number,
         )

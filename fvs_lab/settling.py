@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 from math import inf, log
 from typing import Any
 
@@ -22,7 +23,7 @@ from fvs_lab import figures as draw
 from fvs_lab.outcome import BOUNDS_M, seconds
 from fvs_lab.results import Results, label_of
 from fvs_lab.search import FREE
-from fvs_lab.trials import Case, Trial, Variant, make_cases
+from fvs_lab.trials import Case, Variant, make_cases
 from fvs_sim_node.simulation import SimConfig
 from fvs_tools.score import settling_time_s
 
@@ -145,23 +146,21 @@ def predicted_times_s(
 # ---- runs -----------------------------------------------------------------------------------
 
 
-def planned(context: lab.Context, cases: list[Case]) -> list[tuple[dict[str, str], Trial]]:
+def planned(cases: Sequence[Case]) -> Iterator[tuple[Variant, Case]]:
     """All gains on all starts without noise, and on a part of them in the other worlds."""
     half = cases[: max(1, len(cases) // 2)]
     parts = []
     for number, gains in enumerate(_COLOURS):
         third = cases[number :: len(_COLOURS)]
         parts += [(gains, SILENT, cases), (gains, NOISY, half), (gains, ORACLE, third)]
-    parts.append((EVERYDAY, SILENT, half))
-    fields = {"duration_s": DURATION_S, "stop_after_s": 1.0, "record": True}
-    runs = []
-    for gains, world, some in parts:
-        method = "oracle" if world == ORACLE else "rbf"
-        one = Variant(method=method, controller_values=GAINS[gains], conditions=WORLDS[world])
-        for case in some:
-            columns = {"gains": gains, "world": world, "case": case.name}
-            runs.append((columns, one.trial(case, context.conditions(), **fields)))
-    return runs
+    for gains, world, some in (*parts, (EVERYDAY, SILENT, half)):
+        variant = Variant(
+            {"gains": gains, "world": world},
+            method="oracle" if world == ORACLE else "rbf",
+            controller_values=GAINS[gains],
+            conditions=WORLDS[world],
+        )
+        yield from product([variant], some)
 
 
 def judged(runs: Results, gains: str) -> Iterator[dict[str, Any]]:
@@ -169,40 +168,39 @@ def judged(runs: Results, gains: str) -> Iterator[dict[str, Any]]:
 
     Further columns: ``excluded``, the broken assumption; corrected bounds ``bound_s`` (to zero),
     ``band_5mm_s`` and ``band_2mm_s``; the theory's own motion ``predicted_5mm_s``; the paper's
-    formula ``printed_s`` and ``printed_sliding_s``; and those of :func:`promises_kept`.
+    formula ``printed_s`` and ``printed_sliding_s``; and the promises that were kept: to zero
+    (``within``), to both bands, the theory's motion (``agrees``), as printed.
     """
     law = make_law(default_values(law="ftsm", **GAINS[gains]))
     assert isinstance(law, FtsmLaw)
     surface, reaching_law = law.gains.surface, law.gains.reaching
     errors = np.array([row["series"]["ball_m"][0] - np.array(row["target_m"]) for row in runs])
     predicted = predicted_times_s(errors, surface, reaching_law)
-    for number, (row, error) in enumerate(zip(runs, errors, strict=True)):
-        bound = law.settling_bound_s(error)
-        assert bound is not None
+    for row, error, predicted_s in zip(runs, errors, predicted, strict=True):
+        bound_s = law.settling_bound_s(error)
+        assert bound_s is not None
         reaching = [reaching_time_s(surface.value(y, 0.0), reaching_law) for y in error]
         printed = [printed_sliding_time_s(y, surface) for y in error.tolist()]
-        more = {
-            "predicted_5mm_s": predicted[number],
-            "excluded": exclusion(row, error),
-            "bound_s": bound,
-            "printed_s": max(a + b for a, b in zip(reaching, printed, strict=True)),
-            "printed_sliding_s": max(printed),
+        printed_s = max(a + b for a, b in zip(reaching, printed, strict=True))
+        bands_s = {
+            name: bound_to_band_s(error, band_m, surface, reaching_law)
+            for name, band_m in BANDS.items()
         }
-        for name, band_m in BANDS.items():
-            more[f"band_{name}_s"] = bound_to_band_s(error, band_m, surface, reaching_law)
-        yield {**row, **more, **promises_kept({**row, **more})}
-
-
-def promises_kept(run: Mapping[str, Any]) -> dict[str, bool]:
-    """Which promises a run kept: to zero, to both bands, the theory's motion, as printed."""
-    predicted_s = run["predicted_5mm_s"]
-    off_s = abs(run["to_5mm_s"] - predicted_s)
-    return {
-        "within": max(run["to_5mm_s"], run["to_2mm_s"]) <= run["bound_s"],
-        "within_band": all(run[f"to_{one}_s"] <= run[f"band_{one}_s"] for one in BANDS),
-        "agrees": off_s <= 0.1 * predicted_s + ALLOWANCE_S,
-        "printed_kept": run["printed_sliding_s"] > 0.0 and run["to_5mm_s"] <= run["printed_s"],
-    }
+        excluded, to_5mm_s = exclusion(row, error), row["to_5mm_s"]
+        yield {
+            **row,
+            "predicted_5mm_s": predicted_s,
+            "excluded": excluded,
+            "bound_s": bound_s,
+            "printed_s": printed_s,
+            "printed_sliding_s": max(printed),
+            **{f"band_{name}_s": band_s for name, band_s in bands_s.items()},
+            "within": max(to_5mm_s, row["to_2mm_s"]) <= bound_s,
+            "within_band": all(row[f"to_{one}_s"] <= band_s for one, band_s in bands_s.items()),
+            "agrees": abs(to_5mm_s - predicted_s) <= 0.1 * predicted_s + ALLOWANCE_S,
+            "printed_kept": max(printed) > 0.0 and to_5mm_s <= printed_s,
+            "counts": gains == EVERYDAY or not excluded,
+        }
 
 
 def exclusion(run: Mapping[str, Any], error_m: np.ndarray) -> str:
@@ -225,13 +223,12 @@ def exclusion(run: Mapping[str, Any], error_m: np.ndarray) -> str:
 def measure(context: lab.Context) -> lab.Found:
     """Run all gains in all worlds, and compute what was promised."""
     cases = make_cases("s", context.count(60, 4), 302)
-    raw = context.score(planned(context, cases), "settling")
-    rows: list[dict[str, Any]] = []
-    for gains, ones in raw.groups("gains").items():
-        for row in judged(ones, gains):
-            rows.append({**row, "counts": gains == EVERYDAY or not row["excluded"]})
-    runs = Results(rows)
-    free = runs.those(lambda run: run["gains"] != EVERYDAY)
+    raw = context.run(
+        planned(cases), "settling", duration_s=DURATION_S, stop_after_s=1.0, record=True
+    )
+    groups = raw.groups("gains").items()
+    runs = Results(row for gains, ones in groups for row in judged(ones, gains))
+    free = _free(runs)
     facts = {
         "starts": len(cases),
         "free": len(free),
@@ -240,26 +237,27 @@ def measure(context: lab.Context) -> lab.Found:
     return lab.Found(runs, facts, {"gains": GAINS, "cases": cases})
 
 
+def _free(runs: Results) -> Results:
+    """Runs whose gains stay clear of the limits."""
+    return runs.those(lambda run: run["gains"] != EVERYDAY)
+
+
 # ---- what is claimed and shown --------------------------------------------------------------
-
-
-def _counted(runs: Results) -> Results:
-    """Runs within the theory's assumptions."""
-    return runs.those(lambda run: run["gains"] != EVERYDAY and not run["excluded"])
 
 
 def claims(found: lab.Found) -> Iterator[lab.Claim]:
     """The bounds, corrected and as printed."""
-    counted = _counted(found.runs)
-    limited = found.runs.where(gains=EVERYDAY)
-    for name, whose, runs, promise, label in (
-        ("bound", lab.OURS, counted, "within", "runs within it"),
-        ("band", lab.OURS, counted, "within_band", "runs within it"),
-        ("motion", lab.OURS, counted, "agrees", "runs that agree"),
-        ("printed", lab.PAPER, counted, "printed_kept", "runs with a positive one that was kept"),
-        ("limited", lab.OURS, limited, "within_band", "runs within it"),
-    ):
-        yield lab.Claim(name, whose, [lab.kept(label, sum(runs.values(promise)), len(runs), 0.95)])
+    counted = _free(found.runs.where(counts=True))
+
+    def kept(runs: Results, promise: str, label: str = "runs within it") -> lab.Part:
+        return lab.kept(label, sum(runs.values(promise)), len(runs), 0.95)
+
+    yield lab.ours("bound", kept(counted, "within"))
+    yield lab.ours("band", kept(counted, "within_band"))
+    yield lab.ours("motion", kept(counted, "agrees", "runs that agree"))
+    positive = "runs with a positive one that was kept"
+    yield lab.papers("printed", kept(counted, "printed_kept", positive))
+    yield lab.ours("limited", kept(found.runs.where(gains=EVERYDAY), "within_band"))
 
 
 TABLES = (
@@ -282,7 +280,7 @@ TABLES = (
 
 def figures(found: lab.Found) -> Iterator[lab.Drawn]:
     """Measured against computed times, a panel per computation."""
-    counted = _counted(found.runs)
+    counted = _free(found.runs.where(counts=True))
     figure, axes = draw.grid(2, 2, (11, 8.4), sharey=True)
     times = [time for time in counted.values("to_5mm_s") if np.isfinite(time)]
     top = 1.15 * max(times, default=1.0)

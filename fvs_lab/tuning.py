@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import product
 from typing import Any
 
 from fvs_lab import figures as draw
@@ -72,7 +73,7 @@ def measure(context: Context) -> Found:
         for knob in knobs
         for value in knob.values
     ]
-    runs = context.run(variants, cases, "tuning", record=True)
+    runs = context.run(product(variants, cases), "tuning", record=True)
     facts = {"count": len(cases), "knobs": [knob.name for knob in knobs]}
     return Found(runs, facts, {"knobs": knobs, "cases": cases})
 

@@ -24,7 +24,7 @@ from fvs_lab import main, settling
 from fvs_lab.experiment import Context
 from fvs_lab.floor import Limits, fastest
 from fvs_lab.report import EXPERIMENTS, Origin, write_page, write_report
-from fvs_lab.robustness import CONTESTANTS, contestants_called, judged, trial_in
+from fvs_lab.robustness import COMPARED, contestants_called, judged, trial_in
 from fvs_lab.smooth_motion import Recording, judge
 from fvs_lab.trials import (
     WHITE,
@@ -75,7 +75,7 @@ def test_the_same_runs_come_from_one_process_and_from_two(tmp_path):
     trials = [
         replace(trial_in(world, one, rendered=False, record=True), duration_s=1.0)
         for world in worlds
-        for one in (CONTESTANTS[0], CONTESTANTS[-1])
+        for one in (COMPARED[0], COMPARED[-1])
     ]
     there = Context(tmp_path, jobs=2).map(run_trial, trials, "test")
     for one, other in zip(map(run_trial, trials), there, strict=True):
