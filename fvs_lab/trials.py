@@ -32,7 +32,7 @@ WHITE = 2.0
 #: Largest error of a coordinate, m: the detection knows the size of the ball.
 _LARGEST_ERROR_M = 0.1
 #: What the camera looks at: about where the ball is at home, world frame, m.
-_SCENE_M = np.array([-0.47, -0.1, 0.33])
+_SCENE_M = np.array([0.47, 0.1, 0.33])
 
 Vector = tuple[float, float, float]
 

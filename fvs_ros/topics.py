@@ -293,7 +293,7 @@ MARKERS = Topic(
 TF_STATIC = Topic(
     "/tf_static",
     "tf2_msgs/msg/TFMessage",
-    "Pose of the simulated camera in `base_link`: for viewing.",
+    "Pose of the simulated camera in the robot's root link: for viewing.",
     {MARKERS_NODE: End((Qos.LATCHED,), later="beside the simulator, with `tf2_msgs` installed")},
     also_to=_VIEWERS,
 )
@@ -316,7 +316,7 @@ TRUE_JACOBIAN = Topic(
 TRUE_CAMERA_POSE = Topic(
     f"{SIM}/true_camera_pose",
     "geometry_msgs/msg/PoseStamped",
-    "True pose of the camera's optical frame in the robot's `base_link`: for viewing, never for "
+    "True pose of the camera's optical frame in the robot's root link: for viewing, never for "
     "control.",
     {SIM: _LATCHED},
     {DASHBOARD: _LATCHED, MARKERS_NODE: _LATCHED},

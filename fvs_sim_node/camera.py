@@ -37,19 +37,18 @@ class CameraPose:
         """Points, shape (..., 3), m, from the world frame into the camera's."""
         return (np.asarray(point_world_m) - self.position_m) @ self.rotation
 
-    def in_base_link(self) -> tuple[np.ndarray, np.ndarray]:
-        """Position and unit quaternion (x, y, z, w) in ROS's ``base_link``: half a turn about z."""
-        half_turn = Rotation.from_euler("z", np.pi)
-        turn = half_turn * Rotation.from_matrix(self.rotation)
-        return half_turn.apply(self.position_m), turn.as_quat(canonical=True)
+    @property
+    def quaternion(self) -> np.ndarray:
+        """``rotation`` as a unit quaternion (x, y, z, w)."""
+        return Rotation.from_matrix(self.rotation).as_quat(canonical=True)
 
 
 #: Named camera poses. ``front`` is in front of the arm and to its side, where the wrist rarely
 #: hides the ball. ``overhead`` looks down from above the arm, as in the paper; there the wrist
 #: hides the ball more often.
 CAMERAS = {
-    "front": CameraPose.looking((-1.3, 1.0, 0.85), (-0.47, -0.1, 0.33)),
-    "overhead": CameraPose.looking((-1.2, 0.4, 1.8), (-0.47, -0.1, 0.33)),
+    "front": CameraPose.looking((1.3, -1.0, 0.85), (0.47, 0.1, 0.33)),
+    "overhead": CameraPose.looking((1.2, -0.4, 1.8), (0.47, 0.1, 0.33)),
 }
 
 

@@ -26,7 +26,7 @@ class SceneObject:
 
 #: A table of light wood, low enough for the ball to pass over, and a foot for the arm.
 TABLE = (
-    SceneObject((-0.30, 0.0, -0.22), (1.40, 1.20, 0.04), (0.87, 0.80, 0.68, 1.0)),
+    SceneObject((0.30, 0.0, -0.22), (1.40, 1.20, 0.04), (0.87, 0.80, 0.68, 1.0)),
     SceneObject((0.0, 0.0, -0.10), (0.20, 0.20, 0.20), (0.45, 0.50, 0.56, 1.0)),
 )
 

@@ -219,9 +219,9 @@ class SimNode(ros.FvsNode):
         config = self._config = SimNodeConfig.from_values(values)
         self._sim.configure(config.simulation)
         if "camera_rotation_deg" in changed:
-            frame = config.tf_prefix + "base_link"
-            pose = self._sim.camera.in_base_link()
-            self._camera_pose.publish(ros.to_pose(self.ros_s(), frame, *pose))
+            frame, camera = config.tf_prefix + self._sim.world.root_link, self._sim.camera
+            pose = ros.to_pose(self.ros_s(), frame, camera.position_m, camera.quaternion)
+            self._camera_pose.publish(pose)
         self._play_program(config.program_running)
 
     def _play_program(self, running: bool) -> None:

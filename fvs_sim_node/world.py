@@ -24,7 +24,6 @@ from fvs_sim_node.camera import CameraPose
 from fvs_sim_node.config import BALL_RGBA, SceneObject, SimConfig
 from fvs_sim_node.robot import urdf_file
 
-_HALF_TURN = (0.0, 0.0, 1.0, 0.0)
 #: Depth range that is drawn, m. What lies beyond has no depth, as with a real camera.
 _NEAR_M, _FAR_M = 0.25, 4.0
 # OpenGL cameras look along -z with y up.
@@ -34,8 +33,7 @@ _OPTICAL_TO_GL = np.diag([1.0, -1.0, -1.0])
 class World:
     """An arm with driven joints and a ball on its end.
 
-    The world frame is the robot's Denavit-Hartenberg ``base`` frame, for which the root of the
-    URDF (ROS's ``base_link``) is turned by half a turn about z. Gravity is off, since a UR's
+    The world frame is that of the URDF's root link, ``root_link``. Gravity is off, since an arm's
     controller compensates it. ``client`` has PyBullet's functions for this world; ``joint_names``
     are the moving joints from the root to the ball's link, with their limits, shape (n,).
 
@@ -59,6 +57,7 @@ class World:
             self.client.setTimeStep(1.0 / config.physics_rate_hz)
             self.client.setGravity(0.0, 0.0, 0.0)
             self._robot = self._load_robot(config.urdf_path)
+            self.root_link = self.client.getBodyInfo(self._robot)[0].decode()
             self._find_joints(config.ball_link)
             self._prepare_links()
             for thing in config.objects:
@@ -83,7 +82,6 @@ class World:
         try:
             return self.client.loadURDF(
                 str(path),
-                baseOrientation=_HALF_TURN,
                 useFixedBase=True,
                 flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
             )
@@ -203,7 +201,7 @@ class World:
 
     def _jacobians(self, joints_rad: np.ndarray) -> list[np.ndarray]:
         """Of the ball's position and of the link's rotation, each of shape (3, n)."""
-        # PyBullet takes the point along the link's inertial axes; the result is in the base frame.
+        # PyBullet takes the point along the link's inertial axes.
         ball_m = np.array([0.0, 0.0, self._ball_offset_m])
         point = _matrix(self._link_state()[3]).T @ ball_m
         zeros = [0.0] * self._moving
@@ -212,7 +210,7 @@ class World:
         found = self.client.calculateJacobian(
             self._robot, self._link, point.tolist(), angles.tolist(), zeros, zeros
         )
-        return [_matrix(_HALF_TURN) @ np.array(one)[:, self._columns] for one in found]
+        return [np.array(one)[:, self._columns] for one in found]
 
     @cached_property
     def chain(self) -> SerialChain:
@@ -285,7 +283,7 @@ class Renderer:
             camera.height,
             viewMatrix=_view_matrix(pose),
             projectionMatrix=_projection_matrix(camera),
-            lightDirection=(-0.6, -0.5, 1.0),
+            lightDirection=(0.6, 0.5, 1.0),
             lightColor=(1.0, 1.0, 1.0),
             lightDistance=3.0,
             shadow=0,

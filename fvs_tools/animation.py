@@ -35,7 +35,7 @@ class Film:
         self.simulation = Simulation(SimConfig(seed=1))
         self.loop = ClosedLoop.of_scheme("best", self.simulation)
         self._renderer = Renderer(self.simulation.world.client, _SIZE)
-        self._pose = CameraPose.looking((0.75, -1.15, 0.95), (-0.25, -0.05, 0.35))
+        self._pose = CameraPose.looking((-0.75, 1.15, 0.95), (0.25, 0.05, 0.35))
         self.frames: list[np.ndarray] = []
         self._errors_mm: list[float] = []
         self._bumped_at: int | None = None

@@ -30,6 +30,9 @@ def test_physics_engine_and_chain_agree_with_the_published_kinematics(world):
     joints = np.random.default_rng(0).uniform(-3.0, 3.0, (50, 6))
     axes, origins, balls_m = axes_origins_ball(joints)
     jacobians = np.swapaxes(np.cross(axes, balls_m[:, None] - origins), -1, -2)
+    # The URDF's root, base_link, is the closed form's base turned half about z.
+    half_turn = np.diag([-1.0, -1.0, 1.0])
+    balls_m, jacobians = balls_m @ half_turn, half_turn @ jacobians
     np.testing.assert_allclose(world.chain.position(joints), balls_m, atol=1e-6)
     np.testing.assert_allclose(world.chain.jacobian(joints), jacobians, atol=1e-12)
     for one, ball_m, jacobian in zip(joints, balls_m, jacobians, strict=True):

@@ -131,7 +131,7 @@ def test_a_ball_out_of_view_or_behind_a_hand_is_lost_and_found_again(make, rende
 
 # ------------------------------------------------------------------------- truth
 def test_an_own_camera_that_is_bumped_turns_about_itself(make):
-    pose = CameraPose.looking((-1.4, 0.9, 0.8), (-0.4, -0.1, 0.3))
+    pose = CameraPose.looking((1.4, -0.9, 0.8), (0.4, 0.1, 0.3))
     simulation = make(camera_pose=pose, depth_noise=0.0)
     joints = np.add(HOME_JOINTS_RAD, 0.1)
     simulation.reset(joints)
