@@ -36,7 +36,8 @@ class Parameter:
 
     #: Ends in the unit where it has one (``_s``, ``_m``, ``_rad_s``).
     name: str
-    #: A bool, int, float or str, or a list of one of them: the type of its values.
+    #: A bool, int, float or str, or a list of one of them: the type of its values. An empty list is
+    #: one of floats.
     default: Any
     #: One sentence for a user.
     description: str
@@ -60,6 +61,8 @@ class Parameter:
     @property
     def kind(self) -> Any:
         """Type of the value, or of a list's elements."""
+        if self.default == []:
+            return float
         return type(self.default[0]) if self.is_list else type(self.default)
 
     def expected(self) -> str:

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from math import ceil
 
-import numpy as np
-
 from fvs_ros.camera import CAMERA_FRAME, Intrinsics
-from fvs_ros.joints import HOME_JOINTS_RAD
 from fvs_ros.params import Parameters, live_parameter, parameter
 from fvs_sim_node.camera import CAMERAS, CameraPose
+from fvs_sim_node.robot import ROBOTS
 
 BALL_RGBA = (0.86, 0.07, 0.06, 1.0)
 
@@ -37,10 +35,16 @@ class SimConfig(Parameters):
 
     seed: int = parameter(0, "seed of all noise: same seed, same run", 0)
     gui: bool = parameter(False, "open PyBullet's window (needs a display)")
-    urdf_path: str = parameter("", "URDF of another robot; empty: the UR5")
-    ball_link: str = parameter("", "link that carries the ball; empty: tool0, or the last link")
+    robot: str = parameter("ur5", "which known robot", choices=tuple(ROBOTS))
+    urdf_path: str = parameter("", "URDF of any other robot")
+    ball_link: str = parameter(
+        "", "link that carries the ball; empty: the known robot's, else tool0, else the last link"
+    )
     initial_joints_rad: tuple[float, ...] = parameter(
-        HOME_JOINTS_RAD, "joints at start and after ~/reset", -6.3, 6.3
+        (),
+        "joints at start and after ~/reset; empty: where the ball moves most readily every way",
+        -6.3,
+        6.3,
     )
     ball_radius_m: float = parameter(0.04, "radius of the ball", 0.01, 0.2)
     joint_state_rate_hz: float = parameter(
@@ -114,12 +118,6 @@ class SimConfig(Parameters):
                 f"image_rate_hz {self.image_rate_hz} is above physics_rate_hz "
                 f"{self.physics_rate_hz}"
             )
-
-    @property
-    def camera_view(self) -> CameraPose:
-        """Where the camera is."""
-        home = self.camera_pose or CAMERAS[self.camera]
-        return home.turned(np.radians(self.camera_rotation_deg))
 
     @property
     def intrinsics(self) -> Intrinsics:

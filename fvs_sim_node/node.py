@@ -1,4 +1,4 @@
-"""``fvs_sim_node``: a simulated UR5 and depth camera with the topics of the real ones."""
+"""``fvs_sim_node``: a simulated arm and depth camera with the topics of the real ones."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fvs_ros import ros, topics
 from fvs_sim_node.camera import Frame
 from fvs_sim_node.config import PARAMETERS, SimNodeConfig
 from fvs_sim_node.frame_worker import FrameWorker
-from fvs_sim_node.robot import robot_description
+from fvs_sim_node.robot import robot_description, robot_of
 from fvs_sim_node.simulation import BallObservation, SimStep, Simulation
 
 #: In simulated time, services and parameters are served this often.
@@ -59,8 +59,9 @@ class SimNode(ros.FvsNode):
         self._program_running = self.publisher(topics.ROBOT_PROGRAM_RUNNING)
         self._scaling = self.publisher(topics.SPEED_SCALING)
         description = self.publisher(topics.ROBOT_DESCRIPTION)
-        robot = robot_description(config.simulation.urdf_path, config.tf_prefix)
-        description.publish(String(data=robot))
+        which = config.simulation
+        robot = robot_of(which.robot, which.urdf_path, which.ball_link)
+        description.publish(String(data=robot_description(robot, config.tf_prefix)))
         self.subscribe(topics.COMMANDS, self._on_command)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.on_parameters(self.values, {p.name for p in self.parameter_set if p.live})

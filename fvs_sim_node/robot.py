@@ -1,24 +1,99 @@
-"""The URDF of the robot that is simulated."""
+"""Robots that can be simulated: where their URDFs are, and what these say of the joints."""
 
 from __future__ import annotations
 
 import re
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from fvs_ros.joints import HOME_JOINTS_RAD
 from fvs_ros.paths import find_file
+from fvs_sim_node.camera import CAMERAS, CameraPose
 
 #: Matches the name of a link or joint in a URDF.
 _NAMED = re.compile(r'(<(?:link|joint|parent|child|mimic)\b[^>]*?\b(?:name|link|joint)=")')
+_MESH = re.compile(r'(<mesh\b[^>]*?\bfilename=")([^"]+)')
+#: Packages that ship URDFs, and the folder of their files below the site-packages.
+_PACKAGES = {
+    "example-robot-data": "cmeel.prefix/share/example-robot-data/robots",
+    "pybullet_data": "pybullet_data",
+    "rtb-data": "rtbdata/xacro",
+}
 
 
-def urdf_file(urdf_path: str = "") -> Path:
-    """The file of a robot, or of the package's UR5; a ``ValueError`` if there is none."""
-    path = Path(urdf_path) if urdf_path else find_file("robots/ur5.urdf")
-    if not path.is_file():
-        raise ValueError(f"urdf_path: there is no file {urdf_path}")
-    return path
+@dataclass(frozen=True)
+class Robot:
+    """A robot's URDF, and what no URDF tells; where that is empty, the simulator finds it."""
+
+    #: A file in config/, or ``PACKAGE/path`` of one in an installed package.
+    urdf: str
+    #: Link that carries the ball; empty: ``tool0``, or the last link.
+    ball_link: str = ""
+    home_rad: tuple[float, ...] = ()
+    cameras: Mapping[str, CameraPose] = field(default_factory=dict)
+
+    def file(self) -> Path:
+        """The URDF; a ``ValueError`` says which package to install."""
+        package, _, inside = self.urdf.partition("/")
+        if package not in _PACKAGES:
+            return find_file(self.urdf)
+        for folder in sys.path:
+            path = Path(folder, _PACKAGES[package], inside)
+            if path.is_file():
+                return path
+        raise ValueError(f"robot: {inside} is not installed; run pip install {package}")
 
 
-def robot_description(urdf_path: str = "", tf_prefix: str = "") -> str:
-    """The text of a robot's URDF, with a prefix before each joint and link, as UR's driver does."""
-    return _NAMED.sub(rf"\g<1>{tf_prefix}", urdf_file(urdf_path).read_text("utf-8"))
+def _example(path: str, ball_link: str) -> Robot:
+    return Robot(f"example-robot-data/{path}", ball_link)
+
+
+#: By the value of the parameter ``robot``.
+ROBOTS = {
+    "ur5": Robot("robots/ur5.urdf", "tool0", HOME_JOINTS_RAD, CAMERAS),
+    "ur3": _example("ur_description/urdf/ur3_robot.urdf", "tool0"),
+    "ur10": _example("ur_description/urdf/ur10_robot.urdf", "tool0"),
+    "panda": _example("panda_description/urdf/panda.urdf", "panda_hand_tcp"),
+    "xarm7": _example("xarm_description/urdf/xarm7.urdf", "link_eef"),
+    "jaco": _example("kinova_description/robots/kinova.urdf", "j2s6s200_end_effector"),
+    "so101": _example("so_arm_description/urdf/so101.urdf", "gripper_frame_link"),
+    "iiwa": Robot("pybullet_data/kuka_iiwa/model.urdf", "lbr_iiwa_link_7"),
+    # The coloured one has red parts.
+    "al5d": Robot("rtb-data/lynxmotion_al5d_description/urdf/al5d_robot.urdf", "link4"),
+    "xarm6": Robot("pybullet_data/xarm/xarm6_robot_white.urdf", "link6"),
+}
+
+
+def robot_of(name: str, urdf_path: str = "", ball_link: str = "") -> Robot:
+    """The robot that the simulator's parameters name."""
+    if urdf_path:
+        if not Path(urdf_path).is_file():
+            raise ValueError(f"urdf_path: there is no file {urdf_path}")
+        return Robot(urdf_path, ball_link)
+    known = ROBOTS[name or "ur5"]
+    return replace(known, ball_link=ball_link) if ball_link else known
+
+
+def robot_description(robot: Robot, tf_prefix: str = "") -> str:
+    """The text of its URDF: mesh files absolute, and a prefix before each joint and link."""
+    path = robot.file()
+
+    def absolute(match: re.Match[str]) -> str:
+        found = _mesh_file(match[2], path)
+        return f"{match[1]}file://{found}" if found else match[0]
+
+    text = _MESH.sub(absolute, path.read_text("utf-8"))
+    return _NAMED.sub(rf"\g<1>{tf_prefix}", text)
+
+
+def _mesh_file(name: str, urdf: Path) -> Path | None:
+    """What ``package://PACKAGE/path`` or a relative path in a URDF means, if it is here."""
+    inside = name.removeprefix("package://")
+    shorter = inside.partition("/")[2]
+    for folder in urdf.resolve().parents:
+        for path in (folder / inside, folder / shorter):
+            if path.is_file():
+                return path
+    return None

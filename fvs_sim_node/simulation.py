@@ -91,6 +91,7 @@ class Simulation:
         self._steps_per_period = round(config.physics_rate_hz / config.joint_state_rate_hz)
         self.position_noise: Callable[[np.random.Generator], np.ndarray] | None = None
         self.full_frames = False
+        self._named: tuple[str, CameraPose] | None = None  # the named camera that is in use
         self.configure(config)
         self.reset()
 
@@ -102,7 +103,10 @@ class Simulation:
         and the other rates are those of the first configuration.
         """
         self.config = self._actuator.config = config
-        self.camera = config.camera_view
+        if self._named is None or self._named[0] != config.camera:
+            self._named = config.camera, self.world.camera(config.camera, self.intrinsics)
+        home = config.camera_pose or self._named[1]
+        self.camera = home.turned(np.radians(config.camera_rotation_deg))
 
     def close(self) -> None:
         """Free the physics engine."""
@@ -138,7 +142,10 @@ class Simulation:
             Seed of this run's noise and lost images; default that of the configuration.
         """
         config = self.config
-        joints = np.array(config.initial_joints_rad if joints_rad is None else joints_rad, float)
+        if joints_rad is None:
+            given = config.initial_joints_rad
+            joints_rad = given if len(given) else self.world.home_rad
+        joints = np.array(joints_rad, dtype=float)
         if joints.shape != self.world.lower_rad.shape or not np.isfinite(joints).all():
             count = len(self.world.lower_rad)
             raise ValueError(f"the arm needs {count} finite joint angles, got {joints.tolist()}")

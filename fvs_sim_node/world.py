@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -20,12 +21,16 @@ from fvs_detector_node.detection import BallColour, colour_mask
 from fvs_detector_node.images import Region
 from fvs_ros.camera import Intrinsics
 from fvs_ros.chain import SerialChain
+from fvs_ros.urdf import UrdfJoint, moving_chain, read_joints
 from fvs_sim_node.camera import CameraPose
 from fvs_sim_node.config import BALL_RGBA, SceneObject, SimConfig
-from fvs_sim_node.robot import urdf_file
+from fvs_sim_node.placement import Placement
+from fvs_sim_node.robot import robot_of
 
 #: Depth range that is drawn, m. What lies beyond has no depth, as with a real camera.
 _NEAR_M, _FAR_M = 0.25, 4.0
+#: Effort of a joint whose URDF states none.
+_STRONG_NM = 100.0
 # OpenGL cameras look along -z with y up.
 _OPTICAL_TO_GL = np.diag([1.0, -1.0, -1.0])
 
@@ -52,13 +57,16 @@ class World:
         self._set_motors = self.client.setJointMotorControlArray
         self._get_states = self.client.getJointStates
         self.step = self.client.stepSimulation
-        self._ball_offset_m = config.ball_offset_m
+        self._ball_offset_m, self._ball_radius_m = config.ball_offset_m, config.ball_radius_m
         try:
             self.client.setTimeStep(1.0 / config.physics_rate_hz)
             self.client.setGravity(0.0, 0.0, 0.0)
-            self._robot = self._load_robot(config.urdf_path)
+            self._known = robot_of(config.robot, config.urdf_path, config.ball_link)
+            path = self._known.file()
+            link, joints = moving_chain(read_joints(path.read_text("utf-8")), self._known.ball_link)
+            self._robot = self._load_robot(path)
             self.root_link = self.client.getBodyInfo(self._robot)[0].decode()
-            self._find_joints(config.ball_link)
+            self._find_joints(joints, link)
             self._prepare_links()
             for thing in config.objects:
                 self.add_object(thing)
@@ -77,13 +85,10 @@ class World:
             self.client.disconnect()
 
     # ---------------------------------------------------------------- building
-    def _load_robot(self, urdf_path: str) -> int:
-        path = urdf_file(urdf_path)
+    def _load_robot(self, path: Path) -> int:
         try:
             return self.client.loadURDF(
-                str(path),
-                useFixedBase=True,
-                flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+                str(path), useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE
             )
         except pybullet.error as error:
             raise ValueError(
@@ -91,41 +96,36 @@ class World:
                 "whose mesh files are found relative to it"
             ) from None
 
-    def _find_joints(self, ball_link: str) -> None:
-        """Follow the joints from the ball's link to the root."""
+    def _find_joints(self, joints: list[UrdfJoint], link: str) -> None:
+        """Find the joints from the root to the ball's link among PyBullet's."""
         count = self.client.getNumJoints(self._robot)
         infos = [self.client.getJointInfo(self._robot, index) for index in range(count)]
-        links = {info[12].decode(): info[0] for info in infos}
-        if ball_link and ball_link not in links:
-            raise ValueError(f"ball_link: there is no link {ball_link!r}; there are {list(links)}")
-        self._link = links[ball_link] if ball_link else links.get("tool0", count - 1)
-        path: list[tuple] = []
-        link = self._link
-        while link >= 0:
-            path.insert(0, infos[link])
-            link = infos[link][16]
-        used = [info for info in path if info[3] >= 0]
-        if not used:
-            raise ValueError("urdf_path: no moving joint carries the ball's link")
-        self.joint_names = tuple(info[1].decode() for info in used)
-        self._joints = [info[0] for info in used]
+        places = {info[1].decode(): info[0] for info in infos}
         moving = [info[0] for info in infos if info[3] >= 0]
+        self._link = next(info[0] for info in infos if info[12].decode() == link)
+        self.joint_names = tuple(one.name for one in joints)
+        self._joints = [places[name] for name in self.joint_names]
         #: Their places among all joints that move.
         self._columns = [moving.index(joint) for joint in self._joints]
         self._moving = len(moving)
-        limited = np.array([info[8] < info[9] for info in used])
-        self.lower_rad = np.where(limited, [info[8] for info in used], -2 * np.pi)
-        self.upper_rad = np.where(limited, [info[9] for info in used], 2 * np.pi)
-        self._efforts_nm = [info[10] for info in used]
-        self.max_speed_rad_s = np.array([info[11] for info in used])
+        # A UR turns no joint further, and neither do others in here.
+        self.lower_rad = np.maximum([one.lower for one in joints], -2.0 * np.pi)
+        self.upper_rad = np.minimum([one.upper for one in joints], 2.0 * np.pi)
+        self.max_speed_rad_s = np.array([one.velocity for one in joints])
+        self._efforts_nm = [infos[joint][10] or _STRONG_NM for joint in self._joints]
 
     def _prepare_links(self) -> None:
         for link in range(-1, self.client.getNumJoints(self._robot)):
             self.client.changeDynamics(
                 self._robot, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0
             )
-            # Without collisions: neither self-contact nor the table may push the arm.
-            self.client.setCollisionFilterGroupMask(self._robot, link, 0, 0)
+
+        self._collide(False)
+
+    def _collide(self, whether: bool) -> None:
+        """Without collisions neither self-contact nor the table pushes the arm."""
+        for link in range(-1, self.client.getNumJoints(self._robot)):
+            self.client.setCollisionFilterGroupMask(self._robot, link, int(whether), -int(whether))
 
     def add_object(self, thing: SceneObject) -> int:
         """Put a thing into view; returns its body number."""
@@ -219,6 +219,40 @@ class World:
         linear, axes = (one.T for one in self._jacobians(zeros))
         points_m = self._zero_ball_m + np.cross(axes, linear)
         return SerialChain(axes, points_m, self._zero_ball_m, zeros)
+
+    # --------------------------------------------------- where to begin, and from where to watch
+    @cached_property
+    def _placement(self) -> Placement:
+        return Placement(self.chain, self.lower_rad, self.upper_rad)
+
+    @cached_property
+    def home_rad(self) -> np.ndarray:
+        """The joints to begin with, rad, shape (n,)."""
+        known = self._known.home_rad
+        return np.array(known) if known else self._placement.home()
+
+    def camera(self, name: str, intrinsics: Intrinsics) -> CameraPose:
+        """A named camera's pose; the arm may have moved afterwards."""
+        if name in self._known.cameras:
+            return self._known.cameras[name]
+        self._collide(True)
+        try:
+            return self._placement.camera(name, self.home_rad, intrinsics, self._hidden)
+        finally:
+            self._collide(False)
+
+    def _hidden(self, joints_rad: np.ndarray, poses: list[CameraPose]) -> np.ndarray:
+        """Shares of the ball that the arm hides from poses at some joints, by five rays each."""
+        self.reset(joints_rad)
+        self.client.performCollisionDetection()
+        ball_m, shares = self.ball_position(), np.empty(len(poses))
+        for index, pose in enumerate(poses):
+            across = 0.8 * self._ball_radius_m * pose.rotation[:, :2].T
+            ends = ball_m + np.vstack([np.zeros(3), across, -across])
+            starts = np.tile(pose.position_m, (len(ends), 1))
+            hits = self.client.rayTestBatch(starts.tolist(), ends.tolist())
+            shares[index] = np.mean([hit[0] >= 0 for hit in hits])
+        return shares
 
     def place_ball(self) -> None:
         """Move the visible ball and its rod to the link's present pose; call before rendering."""

@@ -17,7 +17,7 @@ from launch.actions import (
 from launch.substitutions import LaunchConfiguration
 
 from fvs_ros.paths import find_file, program
-from fvs_sim_node.robot import robot_description
+from fvs_sim_node.robot import robot_description, robot_of
 from fvs_tools.scenario import MARKERS, load_scenario
 
 #: Name, default, description.
@@ -53,7 +53,8 @@ def _viewer(given):
         actions.append(Node(package="fvs_ros", executable=MARKERS, parameters=values, **common))
     if "fvs_sim_node" in scenario:
         values = scenario["fvs_sim_node"]
-        text = robot_description(values.get("urdf_path", ""), prefix)
+        which = [values.get(name, "") for name in ("robot", "urdf_path", "ball_link")]
+        text = robot_description(robot_of(*which), prefix)
         parameters = {
             "robot_description": ParameterValue(text, value_type=str),
             "use_sim_time": values.get("use_sim_time", False),

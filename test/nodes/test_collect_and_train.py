@@ -11,6 +11,7 @@ from std_msgs.msg import Float64MultiArray
 
 from fvs_estimator_node.files import load_data_set, load_model
 from fvs_ros import ros, topics
+from fvs_ros.joints import HOME_JOINTS_RAD
 from fvs_sim_node.simulation import SimConfig, Simulation
 
 LAUNCHER = "fvs_tools.launcher"
@@ -32,7 +33,7 @@ def test_collecting_ends_when_the_arm_is_known_and_training_finds_its_jacobian(r
     known = data.provenance["known"]
     assert known["jacobian_deviation"] < 0.002
     assert known["misfit"] < 1.3
-    home = np.array(SimConfig().initial_joints_rad)
+    home = np.array(HOME_JOINTS_RAD)
     assert np.abs(data.joints_rad[-1] - home).max() < 0.1
     assert np.all(np.abs(data.joints_rad - home) < np.array([0.6, 0.5, 0.5, 0.5, 0.5, 0.5]) + 0.03)
     speeds = np.diff(data.joints_rad, axis=0) / np.diff(data.stamps_s)[:, None]

@@ -13,8 +13,9 @@ from ur5_dh import flange_pose
 from fvs_dashboard import scene as module
 from fvs_dashboard.scene import Arm
 from fvs_ros.joints import UR_JOINT_NAMES
-from fvs_sim_node.robot import robot_description
+from fvs_sim_node.robot import ROBOTS, robot_description
 
+UR5 = ROBOTS["ur5"]
 JOINTS = np.array([0.3, -1.35, 1.6, -1.75, -1.57, 0.4])
 #: ``base_link`` is the closed form's base, turned by half a turn.
 FLANGE = np.diag([-1.0, -1.0, 1.0, 1.0]) @ flange_pose(JOINTS)
@@ -28,15 +29,15 @@ MESH = "package://ur_description/meshes/ur5/visual/part"
 def of_meshes(ending):
     """The UR5 with nothing but meshes."""
     shape = f'<geometry><mesh filename="{MESH}.{ending}"/></geometry>'
-    return re.sub("<geometry>.*?</geometry>", shape, robot_description(), flags=re.DOTALL)
+    return re.sub("<geometry>.*?</geometry>", shape, robot_description(UR5), flags=re.DOTALL)
 
 
 @pytest.mark.parametrize(
     ("text", "prefix", "base_m"),
     [
-        (robot_description(), "", [0.0, 0.0, 0.0]),
-        (robot_description(tf_prefix="left_"), "left_", [0.0, 0.0, 0.0]),
-        (robot_description().replace("</robot>", ON_A_TABLE), "", [0.5, 0.0, 0.8]),
+        (robot_description(UR5), "", [0.0, 0.0, 0.0]),
+        (robot_description(UR5, "left_"), "left_", [0.0, 0.0, 0.0]),
+        (robot_description(UR5).replace("</robot>", ON_A_TABLE), "", [0.5, 0.0, 0.8]),
     ],
 )
 def test_base_and_flange_are_where_the_closed_form_says(text, prefix, base_m):

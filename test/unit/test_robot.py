@@ -11,9 +11,11 @@ from ur5_dh import axes_origins_ball, flange_pose
 from fvs_detector_node.detection import BallColour, colour_mask
 from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_sim_node.config import SimConfig
-from fvs_sim_node.robot import robot_description
+from fvs_sim_node.robot import ROBOTS, robot_description
 from fvs_sim_node.simulation import Simulation
 from fvs_sim_node.world import World
+
+UR5 = ROBOTS["ur5"]
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +44,7 @@ def test_physics_engine_and_chain_agree_with_the_published_kinematics(world):
 
 
 def test_the_ur5_has_inertias_limits_and_nothing_of_the_balls_colour(world):
-    root = ET.fromstring(robot_description())
+    root = ET.fromstring(robot_description(UR5))
     assert world.joint_names == UR_JOINT_NAMES
     assert all(float(mass.get("value")) > 0.0 for mass in root.iter("mass"))
     for colour in root.iter("color"):
@@ -74,8 +76,8 @@ def test_an_arm_of_seven_joints_is_simulated_from_its_urdf_alone():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (robot_description().replace('type="revolute"', 'type="fixed"'), "no moving joint"),
-        ("no xml", "cannot load"),
+        (robot_description(UR5).replace('type="revolute"', 'type="fixed"'), "no moving joint"),
+        ("no xml", "no XML"),
     ],
     ids=["fixed", "no xml"],
 )

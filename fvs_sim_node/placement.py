@@ -1,0 +1,100 @@
+"""A posture to begin in and a camera to watch from, for an arm of which only the URDF is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from fvs_ros.camera import Intrinsics
+from fvs_ros.chain import SerialChain
+from fvs_sim_node.camera import CameraPose
+
+#: Half width of the box of motion about the posture, rad, and the most of a joint's range, as for
+#: the UR5 whose training box it is.
+_BOX_RAD, _OF_RANGE = 0.5, 0.4
+#: Draws of postures, how many of the best are looked at in their boxes, and draws in a box.
+_DRAWS, _BEST, _IN_BOX = 3000, 60, 64
+#: Elevations of a camera above the ball, rad, and its directions around it, by its name.
+_ELEVATIONS_RAD, _AZIMUTHS = {"front": (0.35, 0.7), "overhead": (1.2,)}, 12
+#: Distances that are tried, m, and the share of the image that stays empty at each edge.
+_DISTANCES_M, _EDGE = np.geomspace(0.4, 4.0, 50), 0.1
+#: A depth camera sees nothing that is closer, m.
+_LEAST_DEPTH_M = 0.3
+#: A camera that is a metre closer may see this share less.
+_CLOSER = 0.02
+
+
+class Placement:
+    """Posture, box of motion, and cameras of an arm.
+
+    Parameters
+    ----------
+    chain : SerialChain
+        The arm and its ball in the world frame.
+    lower, upper : ndarray, shape (n,)
+        Ends of the joints' ranges, rad; infinite for none.
+    """
+
+    def __init__(self, chain: SerialChain, lower: np.ndarray, upper: np.ndarray) -> None:
+        self._chain, self._rng = chain, np.random.default_rng(0)
+        self._lower, self._upper = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)
+
+    def home(self) -> np.ndarray:
+        """The posture about which the ball moves most readily in every direction, rad, (n,).
+
+        There the smallest singular value of the Jacobian is largest, for a ball above the base. The
+        box of motion about it lies within the joints' ranges.
+        """
+        width = self._upper - self._lower
+        box = np.minimum(_BOX_RAD, 0.5 * _OF_RANGE * width)
+        spread = self._rng.uniform(-1.0, 1.0, (_DRAWS, len(width)))
+        drawn = 0.5 * (self._upper + self._lower) + spread * (0.5 * width - box)
+        inside = box * self._rng.uniform(-1.0, 1.0, (_IN_BOX, len(width)))
+        best = drawn[np.argsort(-self._readiness(drawn))[:_BEST]]
+        worst = [np.quantile(self._readiness(one + inside), 0.05) for one in best]
+        return best[int(np.argmax(worst))]
+
+    def _readiness(self, joints_rad: np.ndarray) -> np.ndarray:
+        ball_m, jacobian = self._chain.position_and_jacobian(joints_rad)
+        least = np.linalg.svd(jacobian, compute_uv=False)[..., -1]
+        return np.where(ball_m[..., 2] > 0.0, least, 0.0)
+
+    def camera(
+        self,
+        name: str,
+        home_rad: np.ndarray,
+        intrinsics: Intrinsics,
+        hidden: Callable[[np.ndarray, list[CameraPose]], np.ndarray],
+    ) -> CameraPose:
+        """The camera that has the ball in view, all over the box of motion, and least hidden.
+
+        ``hidden`` tells for joints, (n,), from which poses the arm hides the ball.
+        """
+        width = np.minimum(_BOX_RAD, 0.5 * _OF_RANGE * (self._upper - self._lower))
+        joints = home_rad + width * self._rng.uniform(-1.0, 1.0, (_IN_BOX, len(home_rad)))
+        balls_m = self._chain.position(joints)
+        middle_m = 0.5 * (balls_m.max(axis=0) + balls_m.min(axis=0))
+        towards = np.arctan2(middle_m[1], middle_m[0])
+        poses = [
+            self._closest(middle_m, towards + azimuth, elevation, balls_m, intrinsics)
+            for elevation in _ELEVATIONS_RAD[name]
+            for azimuth in np.linspace(0.0, 2.0 * np.pi, _AZIMUTHS, endpoint=False)
+        ]
+        share = np.mean([hidden(one, poses) for one in joints], axis=0)
+        far_m = [np.linalg.norm(pose.position_m - middle_m) for pose in poses]
+        return poses[int(np.argmin(share + _CLOSER * np.array(far_m)))]
+
+    def _closest(self, middle_m, azimuth, elevation, balls_m, intrinsics) -> CameraPose:
+        """The closest pose in a direction with all ball positions, (k, 3), m, in view."""
+        up, out = np.sin(elevation), np.cos(elevation)
+        direction = np.array([np.cos(azimuth) * out, np.sin(azimuth) * out, up])
+        size = np.array([intrinsics.width, intrinsics.height])
+        for distance_m in _DISTANCES_M:
+            pose = CameraPose.looking(tuple(middle_m + distance_m * direction), tuple(middle_m))
+            seen_m = pose.to_camera(balls_m)
+            if seen_m[:, 2].min() > _LEAST_DEPTH_M:
+                place = intrinsics.project(seen_m) / size
+                if place.min() > _EDGE and place.max() < 1.0 - _EDGE:
+                    break
+        return pose
