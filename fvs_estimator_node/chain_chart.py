@@ -1,8 +1,8 @@
 """Local coordinates of serial chains, and the derivatives of the ball's position by them.
 
-Each of the n axes has two coordinates that turn it and two that shift it. Three more move the ball,
-and the last is the stamp offset of the images. An axis' length and a shift along itself have no
-coordinate, because they do not change the chain.
+Each of the n axes has two coordinates that turn it and two that shift it; the latter do not move a
+prismatic joint. Three more move the ball, and the last is the stamp offset of the images. An axis'
+length and a shift along itself have no coordinate, because they do not change the chain.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ class Chart:
         out = chain.points_m - chain.ball_m
         self._points = chain.points_m - axes * np.sum(out * axes, axis=1, keepdims=True)
         self._axes, self._ball, self._reference = axes, chain.ball_m, chain.reference_rad
+        self._prismatic = chain.prismatic
         count = self.basis.size // 3
         self.turns, self.shifts = slice(count), slice(count, 2 * count)
         self.of_ball = slice(2 * count, 2 * count + 3)
@@ -47,7 +48,7 @@ class Chart:
         """The chain at coordinates; ValueError if it would not be a valid chain."""
         points = self._points + self._along(values[self.shifts])
         ball = self._ball + values[self.of_ball]
-        return SerialChain(self.directions(values), points, ball, self._reference)
+        return SerialChain(self.directions(values), points, ball, self._reference, self._prismatic)
 
 
 def residuals_and_slopes(
@@ -60,18 +61,21 @@ def residuals_and_slopes(
     """Chain minus images, m, (k, 3), and the derivatives by the coordinates, (k, 3, size).
 
     Of k images: joints, rad, and their velocities, rad/s, (k, n), and the ball, m, (k, 3). Turning
-    an axis about w_b through its point q takes ``E u`` to ``w_b x E u - E (w_b x u)``, u from q.
+    an axis about w_b through its point q takes ``E u`` to ``w_b x E u - E (w_b x u)``, u from q; a
+    shift of it along w takes ``u + a w`` to ``a w_b x w``.
     """
     chain, lengths = chart.chain(values), np.linalg.norm(chart.directions(values), axis=1)
     axes, joints = chain.axes, joints_rad.shape[1]
-    angles = (joints_rad - chain.reference_rad)[..., None, None]
+    travel = joints_rad - chain.reference_rad
+    angles = np.where(chain.prismatic, 0.0, travel)[..., None, None]
+    shifts = np.where(chain.prismatic, travel, 0.0)[..., None] * axes
     k = cross_matrix(axes)
     turns = np.eye(3) + np.sin(angles) * k + (1.0 - np.cos(angles)) * (k @ k)
     point = np.broadcast_to(chain.ball_m, ball_m.shape)
     before_turn, after_turn = (np.empty((joints, *ball_m.shape)) for _ in range(2))
     for i in reversed(range(joints)):
         before_turn[i] = point - chain.points_m[i]
-        after_turn[i] = _turned(turns[:, i], before_turn[i])
+        after_turn[i] = _turned(turns[:, i], before_turn[i]) + shifts[:, i]
         point = chain.points_m[i] + after_turn[i]
     slope = np.empty((*ball_m.shape, chart.size))
     frame = np.broadcast_to(np.eye(3), (len(ball_m), 3, 3))
@@ -85,7 +89,9 @@ def residuals_and_slopes(
         at = slice(len(basis) * i, len(basis) * (i + 1))
         slope[:, :, chart.turns][:, :, at] = frame @ turned
         slope[:, :, chart.shifts][:, :, at] = frame @ (basis.T - turn @ basis.T)
-        velocity += _turned(frame, after_turn[i] @ k[i].T) * velocity_rad_s[:, i, None]
+        moves = axes[i] if chain.prismatic[i] else after_turn[i] @ k[i].T
+        moves = velocity_rad_s[:, i, None] * moves
+        velocity += _turned(frame, moves)
         frame = frame @ turn
     slope[:, :, chart.of_ball] = frame
     slope[:, :, OFFSET] = -velocity

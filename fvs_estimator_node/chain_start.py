@@ -20,6 +20,9 @@ from fvs_ros.chain import SerialChain, cross_matrix
 MAX_OFFSET_S = 0.2
 #: A joint with a smaller standard deviation, rad, is at rest: its axis is unknown.
 STILL_RAD = 1e-3
+#: A joint is prismatic if it shifts the ball by this share of its own travel or more, and turns the
+#: slopes of the joints behind it by less than this share of its travel in rad.
+_SHIFTS, _TURNS = (0.9, 1.1), 0.3
 #: Passes of the robust regression.
 _PASSES = 6
 #: Largest number of images in a fit, and size of the blocks they are taken in: more images change
@@ -114,17 +117,23 @@ def regress(
 
 
 def first_guess(regression: Regression, reference_rad: np.ndarray) -> SerialChain:
-    """Axes from slopes J_i and bends ``w_i x J_j``."""
+    """Axes from slopes J_i and bends ``w_i x J_j``.
+
+    A prismatic joint has a slope of length 1 and no bends.
+    """
     slopes, bends = regression.slopes, regression.bends
-    axes = np.empty_like(slopes.T)
+    axes, prismatic = np.empty_like(slopes.T), np.zeros(slopes.shape[1])
     for i in range(len(axes)):
         # w x J_j = bend  <=>  -[J_j]x w = bend, for all joints from i on
         rows = -cross_matrix(slopes[:, i:].T).reshape(-1, 3)
         axis = np.linalg.lstsq(rows, bends[:, i, i:].T.reshape(-1), rcond=1e-3)[0]
         length = float(np.linalg.norm(axis))
         axes[i] = axis / length if length > 1e-6 else np.eye(3)[0]  # unknown: any
+        shift = float(np.linalg.norm(slopes[:, i]))
+        if length < _TURNS and _SHIFTS[0] < shift < _SHIFTS[1]:
+            axes[i], prismatic[i] = slopes[:, i], 1.0
     points = regression.position_m - np.cross(slopes.T, axes)
-    return SerialChain(axes, points, regression.position_m, reference_rad)
+    return SerialChain(axes, points, regression.position_m, reference_rad, prismatic)
 
 
 def turned_about(chain: SerialChain, rank: int) -> SerialChain:
@@ -134,8 +143,9 @@ def turned_about(chain: SerialChain, rank: int) -> SerialChain:
     those.
     """
     lever_m = np.linalg.norm(chain.jacobian(chain.reference_rad), axis=0)
+    lever_m[chain.prismatic > 0.0] = np.inf  # it has no other side
     joint = np.argsort(lever_m)[rank % len(lever_m)]
     axes, points = chain.axes.copy(), chain.points_m.copy()
     axes[joint] *= -1.0
     points[joint] = 2.0 * chain.ball_m - points[joint]
-    return SerialChain(axes, points, chain.ball_m, chain.reference_rad)
+    return SerialChain(axes, points, chain.ball_m, chain.reference_rad, chain.prismatic)

@@ -1,13 +1,13 @@
-"""A serial chain of revolute joints that carries the ball, seen from the camera.
+"""A serial chain of revolute and prismatic joints that carries the ball, seen from the camera.
 
 Product of exponentials: with axis i a line through ``q_i`` along the unit vector ``w_i``,
 
     x(r) = E_1(r_1 - r0_1) E_2(r_2 - r0_2) ... E_n(r_n - r0_n) x0,
 
-where ``E_i(angle)`` turns space about axis i. Axes and ball are those of the reference joints
-``r0``, in the camera's frame: no other frame, and no length or angle of the robot, is needed. With
-``T_i``, the derivative of ``E_i`` at 0, column i of the Jacobian is the same product with ``T_i``
-put in before ``E_i``.
+where ``E_i(angle)`` turns space about axis i, or shifts it along axis i if joint i is prismatic and
+r_i a length. Axes and ball are those of the reference joints ``r0``, in the camera's frame: no
+other frame, and no length or angle of the robot, is needed. With ``T_i``, the derivative of ``E_i``
+at 0, column i of the Jacobian is the same product with ``T_i`` put in before ``E_i``.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ CHAIN_SHAPES: dict[str, tuple[int | str, ...]] = {
     "points_m": ("n", 3),
     "ball_m": (3,),
     "reference_rad": ("n",),
+    "prismatic": ("n",),
 }
 
 
@@ -50,7 +51,9 @@ class SerialChain:
     ball_m : ndarray, shape (3,)
         The ball x0 at the reference joints, camera frame, m.
     reference_rad : ndarray, shape (n,)
-        The reference joints r0, rad.
+        The reference joints r0, rad, of prismatic ones m.
+    prismatic : ndarray, shape (n,), optional
+        1 for each prismatic joint, 0 for the others; by default all are revolute.
 
     Raises
     ------
@@ -62,13 +65,17 @@ class SerialChain:
     points_m: np.ndarray
     ball_m: np.ndarray
     reference_rad: np.ndarray
-    #: T_i and T_i^2, with ``E_i(a) = 1 + sin(a) T_i + (1 - cos(a)) T_i^2``; all transposed, for
-    #: points in rows.
+    prismatic: np.ndarray = None  # type: ignore[assignment]
+    #: T_i and T_i^2, with ``E_i(a) = 1 + sin(a) T_i + (1 - cos(a)) T_i^2``, or ``1 + a T_i`` of a
+    #: prismatic joint, whose T_i^2 is zero; all transposed, for points in rows.
     _twists: np.ndarray = field(init=False, repr=False)
     _squares: np.ndarray = field(init=False, repr=False)
     _ball: np.ndarray = field(init=False, repr=False)
+    _shifts: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        if self.prismatic is None:
+            object.__setattr__(self, "prismatic", np.zeros(len(self.reference_rad)))
         check_arrays(self, CHAIN_SHAPES, {})
         for name in CHAIN_SHAPES:
             if not plausible(getattr(self, name)):
@@ -78,8 +85,10 @@ class SerialChain:
             raise ValueError("an axis of a chain has no direction")
         self._keep("axes", self.axes / lengths)
         twists = np.zeros((len(self.axes), 4, 4))
+        self._keep("_shifts", np.flatnonzero(self.prismatic))
         twists[:, :3, :3] = cross_matrix(self.axes)
         twists[:, :3, 3] = np.cross(self.points_m, self.axes)
+        twists[self._shifts, :3, :3], twists[self._shifts, :3, 3] = 0.0, self.axes[self._shifts]
         twists = np.ascontiguousarray(np.swapaxes(twists, 1, 2))
         self._keep("_twists", twists)
         self._keep("_squares", twists @ twists)
@@ -92,7 +101,10 @@ class SerialChain:
     def _turns(self, joints_rad: np.ndarray) -> np.ndarray:
         """The turns E_i, transposed, shape (..., n, 4, 4), at joints, rad, shape (..., n)."""
         angle = (np.asarray(joints_rad, dtype=float) - self.reference_rad)[..., None, None]
-        turns = np.sin(angle) * self._twists
+        sine = np.sin(angle)
+        if self._shifts.size:
+            sine[..., self._shifts, :, :] = angle[..., self._shifts, :, :]
+        turns = sine * self._twists
         turns += (1.0 - np.cos(angle)) * self._squares
         turns += np.eye(4)
         return turns
@@ -162,4 +174,5 @@ class SerialChain:
             self.points_m @ rotation.T + translation_m,
             rotation @ self.ball_m + translation_m,
             self.reference_rad,
+            self.prismatic,
         )

@@ -12,7 +12,7 @@ from fvs_sim_node.camera import CameraPose
 
 #: Half width of the box of motion about the posture, rad, and the most of a joint's range, as for
 #: the UR5 whose training box it is.
-_BOX_RAD, _OF_RANGE = 0.5, 0.4
+_BOX_RAD, _OF_RANGE = 0.5, 0.5
 #: Draws of postures, how many of the best are looked at in their boxes, and draws in a box.
 _DRAWS, _BEST, _IN_BOX = 3000, 60, 64
 #: Elevations of a camera above the ball, rad, and its directions around it, by its name.

@@ -61,6 +61,7 @@ ROBOTS = {
     "so101": _example("so_arm_description/urdf/so101.urdf", "gripper_frame_link"),
     "iiwa": Robot("pybullet_data/kuka_iiwa/model.urdf", "lbr_iiwa_link_7"),
     # The coloured one has red parts.
+    "scara": Robot("robots/scara.urdf", "tool0"),
     "al5d": Robot("rtb-data/lynxmotion_al5d_description/urdf/al5d_robot.urdf", "link4"),
     "xarm6": Robot("pybullet_data/xarm/xarm6_robot_white.urdf", "link6"),
 }

@@ -29,8 +29,8 @@ from fvs_sim_node.robot import robot_of
 
 #: Depth range that is drawn, m. What lies beyond has no depth, as with a real camera.
 _NEAR_M, _FAR_M = 0.25, 4.0
-#: Effort of a joint whose URDF states none.
-_STRONG_NM = 100.0
+#: Effort of a joint, and radius of gyration of a link, whose URDF states none.
+_STRONG_NM, _GYRATION_M = 100.0, 0.05
 # OpenGL cameras look along -z with y up.
 _OPTICAL_TO_GL = np.diag([1.0, -1.0, -1.0])
 
@@ -112,6 +112,7 @@ class World:
         self.lower_rad = np.maximum([one.lower for one in joints], -2.0 * np.pi)
         self.upper_rad = np.minimum([one.upper for one in joints], 2.0 * np.pi)
         self.max_speed_rad_s = np.array([one.velocity for one in joints])
+        self._prismatic = np.array([one.kind == "prismatic" for one in joints], dtype=float)
         self._efforts_nm = [infos[joint][10] or _STRONG_NM for joint in self._joints]
 
     def _prepare_links(self) -> None:
@@ -119,6 +120,10 @@ class World:
             self.client.changeDynamics(
                 self._robot, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0
             )
+            mass, _, inertia, *_ = self.client.getDynamicsInfo(self._robot, link)
+            if min(inertia) <= 0.0:  # many URDFs state none, and then some joints cannot be moved
+                inertia = [max(mass, 0.1) * _GYRATION_M**2] * 3
+                self.client.changeDynamics(self._robot, link, localInertiaDiagonal=inertia)
 
         self._collide(False)
 
@@ -218,7 +223,8 @@ class World:
         zeros = np.zeros(len(self._joints))
         linear, axes = (one.T for one in self._jacobians(zeros))
         points_m = self._zero_ball_m + np.cross(axes, linear)
-        return SerialChain(axes, points_m, self._zero_ball_m, zeros)
+        axes = np.where(self._prismatic[:, None], linear, axes)
+        return SerialChain(axes, points_m, self._zero_ball_m, zeros, self._prismatic)
 
     # --------------------------------------------------- where to begin, and from where to watch
     @cached_property

@@ -25,8 +25,8 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 
 _LAST_ZEROS, _LAST_ZEROS_PERIOD_S, _LAST_ZEROS_ACK_S = 5, 0.01, 0.5
 _QUATERNION_SLACK = 0.01
-#: Of a chain's message: axis, point and reference of a joint.
-_CHAIN_COLUMNS = 7
+#: Of a chain's message: axis, point and reference of a joint, and whether it is prismatic.
+_CHAIN_COLUMNS = 8
 #: Longest text that is logged, published or taken for a frame, characters.
 MOST_TEXT = 1000
 
@@ -159,13 +159,14 @@ def from_jacobian(message: Float64MultiArray, features: int, joints: int) -> np.
 
 
 def to_chain(chain: SerialChain) -> Float64MultiArray:
-    """``Float64MultiArray`` of a chain of n joints, shape (n + 1, 7), row-major.
+    """``Float64MultiArray`` of a chain of n joints, shape (n + 1, 8), row-major.
 
-    A row for each joint: the direction of its axis, a point on it, m, and the joint's reference
-    position, rad. The last row is the ball, m, and zeros.
+    A row for each joint: the direction of its axis, a point on it, m, the joint's reference
+    position, rad (m), and 1 if it is prismatic. The last row is the ball, m, and zeros.
     """
     rows = np.zeros((len(chain.axes) + 1, _CHAIN_COLUMNS))
-    rows[:-1] = np.hstack([chain.axes, chain.points_m, chain.reference_rad[:, None]])
+    joint = np.column_stack([chain.reference_rad, chain.prismatic])
+    rows[:-1] = np.hstack([chain.axes, chain.points_m, joint])
     rows[-1, :3] = chain.ball_m
     return _to_matrix(rows, "joint", "axis_point_reference")
 
@@ -174,7 +175,7 @@ def from_chain(message: Float64MultiArray, joints: int) -> SerialChain:
     """Chain of a message as :func:`to_chain` makes it; a ``MessageError`` if it is none."""
     rows = _from_matrix(message, "kinematic_chain", joints + 1, _CHAIN_COLUMNS)
     try:
-        return SerialChain(rows[:-1, :3], rows[:-1, 3:6], rows[-1, :3], rows[:-1, 6])
+        return SerialChain(rows[:-1, :3], rows[:-1, 3:6], rows[-1, :3], *rows[:-1, 6:].T)
     except ValueError as error:
         raise MessageError(f"kinematic_chain is no chain: {error}") from error
 
