@@ -8,7 +8,8 @@ squares with exact derivatives.
 The start comes from a cubic regression of the positions (:mod:`fvs_estimator_node.chain_start`) at
 the best of several ``tau``. A joint that hardly moves the ball determines its axis poorly: the axis
 may be found on the wrong side of the ball. So the other side is tried, until the residual is near
-the images' noise, and once more for the weakest joint after the full fit.
+the images' noise, and once more for the weakest joint after the full fit. A joint that moves the
+ball by its own travel may be prismatic: then it turns the motion of no joint behind it.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ from fvs_estimator_node.chain_start import (
     MAX_OFFSET_S,
     Path,
     first_guess,
+    other_starts,
     regress,
-    turned_about,
 )
 from fvs_estimator_node.files import DataSet
 from fvs_ros.chain import SerialChain
@@ -222,7 +223,8 @@ class _Fitting:
             residual_m, noise_m = self._distances_m(self._residuals(best))
             if residual_m < _GOOD_SHARE * noise_m:
                 break
-            best = min(best, fitted(turned_about(best.chain, rank)), key=lambda one: one.cost)
+            others = map(fitted, other_starts(best.chain, rank))
+            best = min((best, *others), key=lambda one: one.cost)
         return best
 
     def finish(self, found: _Found) -> ChainFit:
@@ -232,11 +234,12 @@ class _Fitting:
         found = self._solve(found, whitening, images)
         # A wrong optimum can fit almost as well, since noise hides the curvature of a weak joint.
         # The right side converges in about six evaluations, a wrong one does not.
-        about = found._replace(chain=turned_about(found.chain, 0))
-        turned = self._solve(about, whitening, images, evaluations=10)
-        if turned.cost < found.cost:
-            whitening = self._whitening(self._residuals(turned))
-            found = self._solve(turned, whitening, images)
+        for other in other_starts(found.chain, 0):
+            about = found._replace(chain=other)
+            turned = self._solve(about, whitening, images, evaluations=10)
+            if turned.cost < found.cost:
+                whitening = self._whitening(self._residuals(turned))
+                found = self._solve(turned, whitening, images)
         # Outliers had a small weight so far, but a long run of them would still bias the fit.
         inlier = self._inliers(self._residuals(found))
         if not inlier.all():

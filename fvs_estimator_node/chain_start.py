@@ -6,7 +6,8 @@ linear in the axes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
 from typing import Any
 
@@ -20,9 +21,9 @@ from fvs_ros.chain import SerialChain, cross_matrix
 MAX_OFFSET_S = 0.2
 #: A joint with a smaller standard deviation, rad, is at rest: its axis is unknown.
 STILL_RAD = 1e-3
-#: A joint is prismatic if it shifts the ball by this share of its own travel or more, and turns the
-#: slopes of the joints behind it by less than this share of its travel in rad.
-_SHIFTS, _TURNS = (0.9, 1.1), 0.3
+#: A prismatic joint moves the ball by its own travel, within this share, and turns the slopes of
+#: the joints from it on by less than this per unit of travel, rad.
+_SHIFTS, _TURNS = 0.1, 0.3
 #: Passes of the robust regression.
 _PASSES = 6
 #: Largest number of images in a fit, and size of the blocks they are taken in: more images change
@@ -130,22 +131,28 @@ def first_guess(regression: Regression, reference_rad: np.ndarray) -> SerialChai
         length = float(np.linalg.norm(axis))
         axes[i] = axis / length if length > 1e-6 else np.eye(3)[0]  # unknown: any
         shift = float(np.linalg.norm(slopes[:, i]))
-        if length < _TURNS and _SHIFTS[0] < shift < _SHIFTS[1]:
+        if length < _TURNS and abs(shift - 1.0) < _SHIFTS:
             axes[i], prismatic[i] = slopes[:, i], 1.0
     points = regression.position_m - np.cross(slopes.T, axes)
     return SerialChain(axes, points, regression.position_m, reference_rad, prismatic)
 
 
-def turned_about(chain: SerialChain, rank: int) -> SerialChain:
-    """The chain with one axis on the ball's other side: the same slope, the opposite bend.
+def other_starts(chain: SerialChain, rank: int) -> Iterator[SerialChain]:
+    """The chain with one axis mistaken in the likely ways; ``rank`` counts from weak joints.
 
-    This error is likely, most of all for the joints that move the ball least. ``rank`` counts from
-    those.
+    The axis lies on the ball's other side: the same slope, the opposite bend. Or the joint is
+    prismatic: the same slope, no bend.
     """
-    lever_m = np.linalg.norm(chain.jacobian(chain.reference_rad), axis=0)
-    lever_m[chain.prismatic > 0.0] = np.inf  # it has no other side
-    joint = np.argsort(lever_m)[rank % len(lever_m)]
+    slopes = chain.jacobian(chain.reference_rad)
+    moves_m = np.linalg.norm(slopes, axis=0)
+    joint = np.argsort(moves_m)[rank % len(moves_m)]
+    if chain.prismatic[joint]:
+        return
     axes, points = chain.axes.copy(), chain.points_m.copy()
     axes[joint] *= -1.0
     points[joint] = 2.0 * chain.ball_m - points[joint]
-    return SerialChain(axes, points, chain.ball_m, chain.reference_rad, chain.prismatic)
+    yield replace(chain, axes=axes, points_m=points)
+    if abs(moves_m[joint] - 1.0) < _SHIFTS:
+        axes, prismatic = chain.axes.copy(), chain.prismatic.copy()
+        axes[joint], prismatic[joint] = slopes[:, joint], 1.0
+        yield replace(chain, axes=axes, prismatic=prismatic)

@@ -11,7 +11,8 @@ from fvs_ros.chain import CHAIN_SHAPES, SerialChain
 def random_chain(seed=0, joints=6):
     rng = np.random.default_rng(seed)
     shapes = ([joints if side == "n" else side for side in one] for one in CHAIN_SHAPES.values())
-    return SerialChain(*(rng.normal(size=shape) for shape in shapes))
+    *numbers, prismatic = (rng.normal(size=shape) for shape in shapes)
+    return SerialChain(*numbers, prismatic > 0.5)
 
 
 def fields(chain):

@@ -21,10 +21,11 @@ def error_of(fit, recording):
     return float(np.median(relative_error(fit.chain.jacobian(places), true)))
 
 
-def test_the_derivatives_are_those_of_the_residuals():
+@pytest.mark.parametrize("prismatic", [0, 1])
+def test_the_derivatives_are_those_of_the_residuals(prismatic):
     rng = np.random.default_rng(0)
     recording = Recording(seconds=2.0)
-    chain = recording.chain()
+    chain = replace(recording.chain(), prismatic=prismatic * np.array([0, 0, 1, 0, 1, 0]))
     chart = Chart(chain)
     time_s = np.linspace(0.0, 2.0, 7)
     values = 0.2 * rng.normal(size=28)
@@ -44,12 +45,13 @@ def test_the_derivatives_are_those_of_the_residuals():
         np.testing.assert_allclose(slopes[:, :, i], numeric, atol=2e-5, err_msg=str(i))
 
 
-@pytest.mark.parametrize("joints", [4, 7])
-def test_a_chain_of_any_number_of_joints_is_found(joints):
+@pytest.mark.parametrize(("joints", "prismatic"), [(4, []), (7, []), (4, [2]), (6, [0, 3])])
+def test_a_chain_of_any_joints_is_found(joints, prismatic):
     rng = np.random.default_rng(joints)
     axes, steps = rng.normal(size=(joints, 3)), 0.15 * rng.normal(size=(joints, 3))
     points = np.array([0.0, 0.0, 1.3]) + np.cumsum(steps, axis=0) - steps.sum(axis=0)
-    chain = SerialChain(axes, points, points[-1] + 0.1, rng.uniform(-1.0, 1.0, joints))
+    slides = np.isin(np.arange(joints), prismatic)
+    chain = SerialChain(axes, points, points[-1] + 0.1, rng.uniform(-1.0, 1.0, joints), slides)
     stamps_s = np.arange(0.0, 60.0, 1.0 / 30.0)
     phases = np.outer(stamps_s, rng.uniform(0.5, 1.5, joints)) + rng.uniform(0.0, 6.0, joints)
     path = chain.reference_rad + 0.4 * np.sin(phases)
@@ -58,6 +60,7 @@ def test_a_chain_of_any_number_of_joints_is_found(joints):
     fit = fit_chain(DataSet(stamps_s, path, seen, np.zeros(len(path), int), names))
     error = np.median(relative_error(fit.chain.jacobian(path), chain.jacobian(path)))
     assert error < 0.004
+    np.testing.assert_array_equal(fit.chain.prismatic, slides)
     assert 0.5 < error / np.median(fit.jacobian_deviation(path)) < 2.0
     assert fit.is_chain
 
@@ -139,8 +142,8 @@ def test_a_joint_that_stood_still_spoils_no_other():
     assert np.median(fit.jacobian_deviation(places[:20])) > 0.3
 
 
-def prismatic(recording):
-    """The third joint pushes instead of turning."""
+def pushing(recording):
+    """The third joint pushes by 0.4 m for each rad that it states."""
     data = recording.data()
     joints = data.joints_rad.copy()
     joints[:, 2] = ur5_dh.HOME_RAD[2]
@@ -161,8 +164,8 @@ def misnamed(recording):
     return replace(data, joints_rad=data.joints_rad[:, [1, 0, 2, 3, 4, 5]])
 
 
-@pytest.mark.parametrize("spoilt", [prismatic, swinging, misnamed])
-def test_what_is_no_chain_of_six_revolute_joints_shows(spoilt):
+@pytest.mark.parametrize("spoilt", [pushing, swinging, misnamed])
+def test_what_is_no_chain_shows(spoilt):
     fit = fit_chain(spoilt(Recording(seconds=20.0, late_s=0.0, outliers=0.2)))
     assert fit.misfit > 2.0
 
