@@ -129,8 +129,10 @@ def sentence(text: str) -> str:
 
 def default_text(value: Any) -> str:
     """A default value as code."""
+    if value in ("", []):
+        return "empty"
     if not isinstance(value, list):
-        return f"`{_value(value)}`" if value != "" else "empty"
+        return f"`{_value(value)}`"
     # Three numbers or one text per line: a long default would widen the whole column.
     cells = [_value(one) for one in value]
     step = 1 if isinstance(value[0], str) else 3

@@ -88,7 +88,7 @@ def outside_m(case, time_s, tolerance_m):
     ends = [(-1.0, 1.0)] * (6 * count - 6) + [(0.0, 0.0)] * 6 + [(None, None)]
     rows, bounds = [change, -change], [np.full(12 * count, 6.0 * tick_s)]
     least_m = np.inf
-    for _ in range(8):
+    for _ in range(20):
         joints = start_rad + sums[ticks:] @ speeds
         missing, slopes = ball_position(joints) - target_m, ball_jacobian(joints)
         least_m = min(least_m, np.linalg.norm(missing, axis=1).max() - tolerance_m)
