@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PointStamped, Vector3Stamped
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from fvs_estimator_node.base import Estimator, OracleEstimator
@@ -42,6 +42,7 @@ class EstimatorNode(ros.FvsNode):
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._hears_truth = False
         self._frozen = False
+        self._program_running, self._speed_scaling = True, 100.0
         self._joints_s = -np.inf
         self._problem = ""
         self._problem_s = -np.inf
@@ -52,6 +53,8 @@ class EstimatorNode(ros.FvsNode):
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
         self.subscribe(topics.BALL_POSITION, self._on_ball)
         self.subscribe(topics.SLIDING_VARIABLE, self._on_sliding)
+        self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
+        self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/freeze", self._on_freeze)
         self._use(v)
@@ -128,10 +131,20 @@ class EstimatorNode(ros.FvsNode):
         except ros.MessageError as error:
             self._complain(f"{topics.TRUE_JACOBIAN.name}: {error}")
 
+    def _on_speed_scaling(self, message: Float64) -> None:
+        self._speed_scaling = message.data
+
+    def _on_program_running(self, message: Bool) -> None:
+        self._program_running = message.data
+
+    def _paused(self) -> bool:
+        """Whether the robot is paused, so that it does not follow the commands."""
+        return not self._program_running or not self._speed_scaling > 0.0
+
     def _learn(
         self, take: Callable[[float, np.ndarray], bool], stamp_s: float, values: np.ndarray
     ) -> None:
-        self._loop.learns = not self._frozen
+        self._loop.learns = not (self._frozen or self._paused())
         if take(stamp_s, values):
             self._publish_chain()
 
@@ -199,6 +212,8 @@ class EstimatorNode(ros.FvsNode):
             return ros.WARN, ESTIMATOR_WAITING, waiting
         if self._frozen:
             return ros.OK, "FROZEN", "learning is frozen by ~/freeze"
+        if self._paused():
+            return ros.OK, "FROZEN", "the robot is paused: learning stops until it resumes"
         remark, learns = self._loop.remark, self._loop.estimator.learns
         usual = "and learning from every motion" if learns else "this method does not learn online"
         state = "LEARNING" if learns else "FROZEN"

@@ -195,7 +195,7 @@ ROBOT_PROGRAM_RUNNING = Topic(
     "std_msgs/msg/Bool",
     "Whether the robot obeys; optional.",
     {SIM: _LATCHED},
-    dict.fromkeys((CONTROLLER, COLLECTOR), _EITHER),
+    dict.fromkeys((ESTIMATOR, CONTROLLER, COLLECTOR), _EITHER),
     also_from=_DRIVER,
 )
 SPEED_SCALING = Topic(
@@ -203,7 +203,7 @@ SPEED_SCALING = Topic(
     "std_msgs/msg/Float64",
     "The robot's speed slider, 0 to 100 %; optional.",
     {SIM: _RELIABLE},
-    dict.fromkeys((CONTROLLER, COLLECTOR), _NEWEST),
+    dict.fromkeys((ESTIMATOR, CONTROLLER, COLLECTOR), _NEWEST),
     also_from=_DRIVER,
 )
 ROBOT_DESCRIPTION = Topic(
