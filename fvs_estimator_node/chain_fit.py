@@ -1,4 +1,4 @@
-"""Fits a serial chain of revolute joints to a minute of ordinary motion.
+"""Fits a serial chain to a minute of ordinary motion.
 
 The model of an image stamped t is ``x(r(t - tau)) + noise``. Its unknowns are the 4 n + 3 numbers
 of a :class:`~fvs_ros.chain.SerialChain` of n joints (two for each axis' direction, two for its
@@ -41,8 +41,8 @@ from fvs_ros.tracker import OUTLIER
 _MIN_SAMPLES = 200
 #: Images, and offsets of the stamps, of the search for the right start.
 _SEARCH_SAMPLES, _SEARCH_OFFSETS = 400, 13
-#: Above both limits, the second in m, a chain of revolute joints does not explain the motion. A
-#: camera's own systematic errors stay below.
+#: Above both limits, the second in m, a chain does not explain the motion. A camera's
+#: own systematic errors stay below.
 _MISFIT_LIMIT, _UNEXPLAINED_LIMIT_M = 1.3, 0.001
 #: Least count of pairs of neighbouring images for a median.
 _LEAST_PAIRS = 50

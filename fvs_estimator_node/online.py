@@ -82,7 +82,8 @@ class OnlineEstimator(Estimator):
     Parameters
     ----------
     model : RbfModel, optional
-        The trained networks, where the Jacobian starts unless ``config.initial`` is ``zero``.
+        The trained networks, where the Jacobian starts; where ``config.initial`` is ``zero``, only
+        their features count. Without them the feature is a ball's position.
     config : OnlineConfig, optional
         Settings.
     """
@@ -93,7 +94,7 @@ class OnlineEstimator(Estimator):
 
     def __init__(self, model: RbfModel | None = None, config: OnlineConfig | None = None) -> None:
         self.config = config if config is not None else OnlineConfig()
-        self._model = model if self.config.initial == FROM_MODEL else None
+        self._model = model
         self.reset()
 
     def reset(self) -> None:
@@ -109,10 +110,11 @@ class OnlineEstimator(Estimator):
 
     def _present(self, joints_rad: np.ndarray) -> np.ndarray:
         if self._jacobian is None:
-            if self._model is None:
-                start = np.zeros((BALL_FEATURES, len(joints_rad)))
-            else:
+            start = np.zeros((BALL_FEATURES, len(joints_rad)))
+            if self._model is not None:
                 start = self._model.jacobian(joints_rad)
+            if self.config.initial == FROM_ZERO:
+                start = np.zeros_like(start)
             if not np.all(np.isfinite(start)):
                 return start
             self._jacobian = self._initial = start

@@ -1,6 +1,6 @@
 """Offline training: from ball positions and joints to a chain, and to networks.
 
-A chain of revolute joints is fitted to every data set. ``poe`` distils the networks from it: the
+A serial chain is fitted to every data set. ``poe`` distils the networks from it: the
 chain knows the Jacobian everywhere, so that they learn from as many exact samples as wanted.
 ``ridge`` and ``varpro`` assume no chain and fit networks to pairs of images; they take from the
 chain how late the images are stamped, and keep it if it fits.
@@ -105,25 +105,15 @@ def train(
     """
     options = options if options is not None else TrainingOptions()
     rng = np.random.default_rng(options.seed)
-    pairs = None if options.method == "poe" else Pairs(data.joints_rad, data.ball_m, rng)
-    fit, why = _fitted(data, say, needed=pairs is None)
-    if say is not None:
-        say("training the networks")
-    if pairs is not None:
-        pairs.joints = _joints_seen(data, fit.time_offset_s if fit is not None else 0.0)
-        iterations = options.iterations if options.method == "varpro" else 0
-        model, good, errors = pairs.train(options.count, iterations, progress)
-        boxes = boxes_of(pairs.joints[good], data.ball_m[good], rng)
-    else:
-        assert fit is not None
-        boxes, errors = boxes_of(data.joints_rad, data.ball_m, rng), {}
-        model = distil(fit.chain, boxes["joint_box_rad"], options.count, rng)
+    poe = options.method == "poe"
+    fit, why = _fitted(data, say, needed=poe)
+    model, boxes, errors = _networks(data, fit, options, rng, progress, say)
     faults: list[str] = []
     if fit is not None:
         errors = {**_figures(fit, model, _within(boxes["joint_box_rad"], rng, _JUDGED)), **errors}
         faults = _chain_faults(fit, errors["jacobian_deviation"])
-        why = faults[0] if faults and pairs is not None else ""
-    notes = _notes(data, errors, faults if pairs is None else [])
+        why = faults[0] if faults and not poe else ""
+    notes = _notes(data, errors, faults if poe else [])
     came_from = {"method": options.method, "options": asdict(options), "no_chain": why}
     return TrainedModel(
         model,
@@ -146,6 +136,29 @@ def _fitted(
         if needed:
             raise
         return None, str(error)
+
+
+def _networks(
+    data: DataSet,
+    fit: ChainFit | None,
+    options: TrainingOptions,
+    rng: np.random.Generator,
+    progress: Progress | None,
+    say: Callable[[str], None] | None,
+) -> tuple[RbfModel, dict[str, Any], dict[str, Any]]:
+    """The networks, the boxes that they were trained in, and the figures of their training."""
+    poe = options.method == "poe"
+    pairs = None if poe else Pairs(data.joints_rad, data.ball_m, rng)
+    if say is not None:
+        say("training the networks")
+    if pairs is None:
+        assert fit is not None
+        boxes = boxes_of(data.joints_rad, data.ball_m, rng)
+        return distil(fit.chain, boxes["joint_box_rad"], options.count, rng), boxes, {}
+    pairs.joints = _joints_seen(data, fit.time_offset_s if fit is not None else 0.0)
+    iterations = options.iterations if options.method == "varpro" else 0
+    model, good, errors = pairs.train(options.count, iterations, progress)
+    return model, boxes_of(pairs.joints[good], data.ball_m[good], rng), errors
 
 
 def distil(
@@ -206,11 +219,11 @@ def _chain_faults(fit: ChainFit, deviation: float) -> list[str]:
         "set the clocks (NTP), or add the delay to stamp_delay_s of fvs_detector_node"
         if fit.offset_at_limit
         else "",
-        "whether the ball moves on a rigid chain of revolute joints cannot be told: images are "
+        "whether the ball moves on a rigid chain cannot be told: images are "
         f"{off} off it; collect with five images a second or more"
         if unknown and not fit.is_chain
         else "",
-        f"the ball does not move on a rigid chain of revolute joints: images are {off} off, "
+        f"the ball does not move on a rigid chain: images are {off} off, "
         f"noise explains {1e3 * fit.noise_m:.1f} mm; check that nothing moved the camera or the "
         "ball on its tool, check joint names and signs, or train with another method"
         if not unknown and not fit.is_chain

@@ -13,9 +13,12 @@ from typing import Any
 #: the ground imports nothing from above.
 _FACE = {
     "ClosedLoop": "fvs_tools.closed_loop",
+    "ControlInput": "fvs_controller_node.base",
     "ControlLaw": "fvs_controller_node.base",
+    "ControlOutput": "fvs_controller_node.base",
     "EstimationLoop": "fvs_estimator_node.loop",
     "Estimator": "fvs_estimator_node.base",
+    "MotionStep": "fvs_estimator_node.base",
     "ServoLoop": "fvs_controller_node.loop",
     "SimConfig": "fvs_sim_node.simulation",
     "Simulation": "fvs_sim_node.simulation",

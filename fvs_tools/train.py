@@ -91,7 +91,7 @@ def _parser() -> argparse.ArgumentParser:
         type=one_of("method", tuple(METHODS)),
         default=defaults.method,
         help="varpro also moves the neurons; ridge solves for the weights only, in about a second; "
-        "poe fits a chain of revolute joints, from which the networks are distilled: "
+        "poe fits a serial chain, from which the networks are distilled: "
         "a minute of motion is enough (default %(default)s)",
     )
     parser.add_argument(

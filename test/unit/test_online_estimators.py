@@ -201,3 +201,13 @@ def test_it_starts_from_the_model_at_the_first_joints_and_reset_starts_again(met
     asked.reset()
     assert (asked.updates, asked.refused, asked.covariance.size) == (0, 0, 0)
     np.testing.assert_allclose(asked.jacobian(later), model.jacobian(later))
+
+
+@pytest.mark.parametrize("method", ONLINE)
+@pytest.mark.parametrize("m", [2, 4])
+def test_a_start_from_zero_has_the_features_of_the_networks(method, m):
+    networks = RbfModel(np.zeros((6, 1, 6)), np.ones((6, 1)), np.ones((6, m, 1)))
+    estimator = create_estimator(method, networks, ZERO)
+    np.testing.assert_array_equal(estimator.jacobian(HOME), np.zeros((m, 6)))
+    estimator.update(MotionStep(1.0, 0.03, HOME, 0.01 * np.eye(6)[0], np.full(m, 0.002)))
+    assert estimator.updates == 1
