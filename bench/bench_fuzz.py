@@ -102,9 +102,11 @@ def value_of(parameter):
         number = st.one_of(number, exponents.map(lambda e: min(high, max(low, 10.0**e))))
     if not parameter.is_list:
         return number
-    size = len(parameter.default)
-    near = vector(size, 0.5).map(lambda by: np.add(parameter.default, by).tolist())
-    return st.one_of(near, st.lists(number, min_size=size, max_size=size))
+    size = len(parameter.default) or N_JOINTS
+    numbers = st.lists(number, min_size=size, max_size=size)
+    if not parameter.default:  # of the joints
+        return numbers | st.just([])
+    return numbers | vector(size, 0.5).map(lambda by: np.add(parameter.default, by).tolist())
 
 
 LIVE = st.sampled_from([parameter for parameter in PARAMETERS if parameter.live])
@@ -193,12 +195,18 @@ class Machine(RuleBasedStateMachine):
         high = np.maximum(self.world.joints + room_rad, low + 0.002)
         self.change({"joint_min_rad": low.tolist(), "joint_max_rad": high.tolist()}, 10)
 
+    @rule(fast=st.lists(st.floats(0.02, 3.0), min_size=N_JOINTS, max_size=N_JOINTS), ticks=TICKS)
+    def slow_joints(self, fast, ticks):
+        """Let single joints be slower than the others."""
+        self.change({"joint_velocity_limits_rad_s": fast}, ticks)
+
     @rule(joint=JOINT, side=st.sampled_from([-1, 1]), room_rad=st.floats(0.0, 0.3), ticks=TICKS)
     def to_the_limit(self, joint, side, room_rad, ticks):
         """Put the arm near an end of its range, with a target beyond."""
         world = self.world
-        ball_m, end = world.ball(), "joint_max_rad" if side > 0 else "joint_min_rad"
-        world.joints[joint] = world.values[end][joint] - side * room_rad
+        ball_m, limits = world.ball(), world.limits
+        end_rad = limits.upper_rad if side > 0 else limits.lower_rad
+        world.joints[joint] = end_rad[joint] - side * room_rad
         self._push(ball_m - world.ball())
         world.run(FRESH_TICKS)
         world.send_target(world.ball() + side * 0.5 * TRUE[:, joint])

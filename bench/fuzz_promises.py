@@ -85,7 +85,9 @@ class Promises:
     # ---- every command --------------------------------------------------------------------
 
     def _judge_limits(self, command, brake_rad_s2, step_rad_s, fast_rad_s):
-        world, v, last, reason = self._world, self._world.last, self._world.before, command.reason
+        # In units of the joints' shares, in which all have the same limits.
+        world, share, reason = self._world, self._world.limits.share, command.reason
+        v, last = world.last / share, world.before / share
         fastest, before = np.abs(v).max(), np.abs(last).max()
         # A limit that is lowered in motion is reached by braking with all there is.
         ok = fastest <= fast_rad_s or fastest <= before - step_rad_s + ROUNDING
@@ -101,8 +103,8 @@ class Promises:
         if joints_rad is None or not v.any():
             return
         # No joint goes outward faster than it can brake, unless it brakes already.
-        ends = np.where(v > 0.0, world.values["joint_max_rad"], world.values["joint_min_rad"])
-        room = np.maximum(0.0, np.sign(v) * (ends - joints_rad))
+        ends = np.where(v > 0.0, world.limits.upper_rad, world.limits.lower_rad)
+        room = np.maximum(0.0, np.sign(v) * (ends - joints_rad)) / share
         in_time = np.abs(v) <= np.sqrt(2.0 * brake_rad_s2 * room) + ROUNDING
         braking = (v * last > 0.0) & (np.abs(v) <= np.abs(last) - step_rad_s + ROUNDING)
         keep("stops before its limit", np.all(in_time | braking), v, last, room, reason.name)

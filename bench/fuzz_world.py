@@ -20,6 +20,7 @@ from fvs_controller_node.config import PARAMETERS, SupervisorConfig
 from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.joints import HOME_JOINTS_RAD, UR_JOINT_NAMES, ForeignJointsError, JointMap
+from fvs_ros.limits import JointLimits
 from fvs_ros.params import ParameterSet
 
 TICK_S = 0.008
@@ -78,6 +79,7 @@ class World:
     def __init__(self, given=None, simulated_time=False, epoch_s=1000.0):
         given = given or {}
         self.values = ParameterSet(PARAMETERS).values(given)
+        self.limits = JointLimits.from_values(self.values)
         self.now_s, self.ros_s = 100.0, epoch_s
         self.node = DryController(given, lambda: self.now_s, simulated_time)
         self.node.on_tick = self._on_tick
@@ -302,6 +304,7 @@ class World:
         )
         if result.successful:
             self.values = {**self.values, **self.node.parameter_set.checked(values)}
+            self.limits = JointLimits.from_values(self.values)
             return
         same = before == (loop.law, loop.supervisor.config, self.node.values)
         keep("a refusal changes nothing", same, values)

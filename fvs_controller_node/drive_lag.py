@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from fvs_controller_node.base import ControlInput, ControlOutput
-from fvs_ros.limits import BRAKING_SHARE, braking_speed
+from fvs_ros.limits import BRAKING_SHARE, JointLimits, braking_speed
 from fvs_ros.timeline import History
 from fvs_ros.vectors import largest
 
@@ -103,18 +103,16 @@ class DriveLag:
         return done + self._constant
 
 
-def brake(
-    output: ControlOutput, present: ControlInput, max_acceleration_rad_s2: float
-) -> ControlOutput:
+def brake(output: ControlOutput, present: ControlInput, limits: JointLimits) -> ControlOutput:
     """Limit the output to a speed from which the arm can brake at the target."""
     velocity, error_m = output.velocity_rad_s, present.error_m
-    fastest = largest(velocity)
+    fastest = largest(velocity / limits.share)
     closing = -float(error_m @ (present.jacobian @ velocity))
     if closing <= 0.0:
         return output
     # At this velocity the error is gone after this time.
     to_go_s = float(error_m @ error_m) / closing
-    acceleration = BRAKING_SHARE * max_acceleration_rad_s2
+    acceleration = BRAKING_SHARE * limits.max_joint_acceleration_rad_s2
     limit = braking_speed(fastest * to_go_s, acceleration, present.dt_s)
     if limit < fastest:
         velocity = (limit / fastest) * velocity

@@ -14,6 +14,7 @@ from fvs_ros.vectors import LARGEST, plausible
 #: Inputs by topic name.
 JOINT_STATES, BALL, JACOBIAN = "joint_states", "ball_position", "jacobian"
 KINEMATIC_CHAIN, SPEED_SCALING = "kinematic_chain", "speed_scaling"
+ROBOT_DESCRIPTION = "robot_description"
 
 #: Largest age of a source's status, and duration of a conflict after the foreign command, s.
 _STATUS_MAX_AGE_S, _CONFLICT_S = 2.0, 1.0
@@ -116,6 +117,7 @@ class Inbox:
             InputMonitor(config, JACOBIAN, "is the estimator running?", "jacobian_max_age_s"),
             InputMonitor(config, KINEMATIC_CHAIN),
             InputMonitor(config, SPEED_SCALING),
+            InputMonitor(config, ROBOT_DESCRIPTION),
         )
         self._monitors = {monitor.name: monitor for monitor in monitors}
         self._conflict: Finding | None = None  # with another node, and when it commanded last

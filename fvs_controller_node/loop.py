@@ -253,8 +253,7 @@ class ServoLoop:
         self._change, self._images = Change.NOTHING, self.predictor.images
         output = self.law.command(one)
         if not self.law.plans:
-            limit = self.supervisor.config.max_joint_acceleration_rad_s2
-            output = brake(output, one, limit)
+            output = brake(output, one, self.supervisor.config)
         if feed_forward is not None:
             output = output._replace(velocity_rad_s=output.velocity_rad_s + feed_forward)
         return output

@@ -66,7 +66,7 @@ class MinimumTimeLaw(ControlLaw):
         if self._goal is None or one.change is not Change.NOTHING or one.chain is None:
             self._goal = self._find_goal(one)
         left = self._goal - one.joints_rad
-        travel = largest(left)
+        travel = largest(left / self.gains.share)
         velocity = np.zeros(left.size)
         if travel > 0.0:
             velocity = left * (self._speed_for(travel, one.dt_s) / travel)
@@ -103,7 +103,7 @@ class MinimumTimeLaw(ControlLaw):
                 found = self.inverse.joint_velocity(jacobian, way, joints, one.home_rad)
             else:
                 found = self.inverse.joint_velocity(jacobian, way, joints, near=travel)
-            goal = np.clip(joints + found, self.gains.joint_min_rad, self.gains.joint_max_rad)
+            goal = np.clip(joints + found, self.gains.lower_rad, self.gains.upper_rad)
             position, jacobian = chain.position_and_jacobian(goal)
             missing = wanted - position
         return goal

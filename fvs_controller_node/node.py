@@ -18,7 +18,7 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import Trigger
 
 from fvs_controller_node.config import PARAMETERS
-from fvs_controller_node.inbox import BALL, JACOBIAN, JOINT_STATES
+from fvs_controller_node.inbox import BALL, JACOBIAN, JOINT_STATES, ROBOT_DESCRIPTION
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.reasons import Reason, State
 from fvs_controller_node.supervisor import Command
@@ -27,6 +27,10 @@ from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
 
 _NEVER_RAN = "no robot_program_running yet: start the robot program if the arm does not move"
+_NO_RANGES = (
+    "the joints' ranges are unknown: set joint_min_rad and joint_max_rad, or publish "
+    "robot_description"
+)
 _LATE = (Reason.STALE, Reason.RETURNING)
 #: A latched target reaches both subscriptions within this time, s.
 _TARGET_ECHO_S = 0.5
@@ -78,6 +82,8 @@ class ControllerNode(ros.FvsNode):
         self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
         self.subscribe(topics.TARGET_POSITION, self._on_target)  # a latched one is heard twice
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
+        description = self._loop.supervisor.inputs[ROBOT_DESCRIPTION]
+        self.read_limits(self._take_limits, description.bad)
         self.create_service(Trigger, "~/start", self._answer(self._start))
         self.create_service(Trigger, "~/stop", self._answer(self._loop.supervisor.stop))
         self.create_service(
@@ -168,6 +174,10 @@ class ControllerNode(ros.FvsNode):
             self._refusal = ""
         return accepted, text
 
+    def _take_limits(self, values: dict[str, Any]) -> None:
+        self._loop.configure(values)
+        self._loop.supervisor.inputs[ROBOT_DESCRIPTION].forget()
+
     def _on_program_running(self, message: Bool) -> None:
         self._loop.supervisor.inputs.add_program_running(message.data)
 
@@ -190,7 +200,7 @@ class ControllerNode(ros.FvsNode):
         """Take changed gains and limits into use; another law only while the arm is stopped."""
         if values["law"] != self.values["law"] and self._loop.supervisor.started:
             raise ValueError("the law changes only while the arm is stopped; call ~/stop first")
-        self._loop.configure(values)
+        self._loop.configure(self.with_limits(values))
 
     # --- the tick: the only place that sends commands ---
 
@@ -237,7 +247,8 @@ class ControllerNode(ros.FvsNode):
         if command is None:
             return
         silence = "" if command.state is State.SERVOING else self._silence
-        remarks = [one for one in (self._refusal, silence) if one]
+        ranges = "" if self._loop.supervisor.config.ranges_known else _NO_RANGES
+        remarks = [one for one in (self._refusal, silence, ranges) if one]
         if self._conflicting:
             remarks.append(f"{self._conflicting} publishes commands as well: stop it")
         words = self._words(command)

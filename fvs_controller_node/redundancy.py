@@ -106,22 +106,25 @@ class LeastSpeedInverse(DampedInverse):
         Without ``joints_rad`` the ends of their ranges do not count. The sum of squares may be
         counted from ``near``, (n,), rad/s, instead of from the way back to ``home_rad``.
         """
+        # In units of the joints' shares, in which all of them are equally fast.
+        unit = 1.0 if self.limits is None else self.limits.share
+        jacobian = jacobian * unit
         least = damped_solution(jacobian, velocity, self.damping)
         free, shares = _orthogonal_to_rows(jacobian), self._shares(joints_rad)
         nearness = _SMOOTHING
         if near is not None:
-            least = least + (free @ near) @ free
+            least = least + (free @ (near / unit)) @ free
         elif home_rad is not None and joints_rad is not None:
             room = 1.0 if shares is None else float(shares.min())
-            homing = _homing(home_rad - joints_rad, largest(least), room)
+            homing = _homing((home_rad - joints_rad) / unit, largest(least), room)
             least, nearness = least + (free @ homing) @ free, _HOMING
         found = _least_largest(least, free, nearness)
         if shares is None:
-            return found
+            return unit * found
         share = np.where(found > 0.0, *np.split(shares, 2))
         left_out = largest((1.0 - share) * found) / max(largest(found), _TINY)
         spared = self._sparing(jacobian, velocity, share)
-        return found + min(1.0, _CALM * left_out) * (spared - found)
+        return unit * (found + min(1.0, _CALM * left_out) * (spared - found))
 
     def _sparing(
         self, jacobian: np.ndarray, velocity_m_s: np.ndarray, share: np.ndarray
@@ -140,8 +143,8 @@ class LeastSpeedInverse(DampedInverse):
         ends = self.limits
         if ends is None or joints_rad is None or not ends.near_end(joints_rad):
             return None
-        room = ends.joint_max_rad - joints_rad, joints_rad - ends.joint_min_rad
-        return np.clip(np.concatenate(room) / ends.joint_limit_margin_rad, 0.0, 1.0)
+        room = ends.upper_rad - joints_rad, joints_rad - ends.lower_rad
+        return np.clip(np.concatenate(room / ends.margin_rad), 0.0, 1.0)
 
 
 def _least_largest(least: np.ndarray, free: np.ndarray, nearness: float) -> np.ndarray:

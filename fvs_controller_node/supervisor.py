@@ -259,13 +259,14 @@ class Supervisor:
             fast = min(fast, _LEAVING_RAD_S)
             self._singularity.go_on(dt_s)
         wanted = np.asarray(output.velocity_rad_s, dtype=float)
-        velocity = limit_speed(wanted, fast)
+        velocity = limit_speed(wanted, fast, config.share)
         if velocity is not wanted:
             active.append("velocity")
         acceleration, pending_rad = config.max_joint_acceleration_rad_s2, self._present.pending_rad
         allowed, slowed = config.slow_down(velocity, joints, acceleration, dt_s, pending_rad)
         active += [f"range of {config.joint_names[joint]}" for joint in slowed]
-        velocity = limit_acceleration(allowed, self._velocity, acceleration * dt_s)
+        most = acceleration * dt_s * config.share
+        velocity = limit_acceleration(allowed, self._velocity, most)
         if velocity is not allowed:
             active.append("acceleration")
         self._velocity = velocity

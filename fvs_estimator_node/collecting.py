@@ -126,6 +126,11 @@ class CollectionRun:
             self._ball_s = now_s
             self._record(self._timeline.add_ball(stamp_s, position_m))
 
+    def configure(self, config: CollectorConfig) -> None:
+        """Take limits that are known only now; a motion keeps those that it began with."""
+        if self._motion is None:
+            self._config = config
+
     def speed_scaling(self, share: float) -> None:
         """Take the robot's speed scaling, 0 to 1."""
         self._speed_scaling = share
@@ -154,12 +159,13 @@ class CollectionRun:
         steady_dt_s = min(max(now_s - self._ticked_s, 0.0), MAX_TICK_S)
         self._ticked_s = now_s
         wanted = None if self.state in _OVER else self._decide(now_s, dt_s)
-        acceleration = self._config.max_joint_acceleration_rad_s2
+        acceleration, share = self._config.max_joint_acceleration_rad_s2, self._config.share
         if wanted is None or not np.all(np.isfinite(wanted)):
             # Simulated time may stand still; coming to rest must not.
-            self._velocity = ramp_to_zero(self._velocity, acceleration * (dt_s or steady_dt_s))
+            step = acceleration * (dt_s or steady_dt_s)
+            self._velocity = ramp_to_zero(self._velocity, step, share)
         else:
-            self._velocity = limit_acceleration(wanted, self._velocity, acceleration * dt_s)
+            self._velocity = limit_acceleration(wanted, self._velocity, acceleration * dt_s * share)
         return self._velocity.copy()
 
     def _decide(self, now_s: float, dt_s: float) -> np.ndarray | None:

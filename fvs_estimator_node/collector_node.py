@@ -11,6 +11,7 @@ import sys
 from datetime import datetime, timezone
 from math import isfinite
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PointStamped
@@ -52,6 +53,7 @@ class CollectorNode(ros.FvsNode):
         self.subscribe(topics.BALL_POSITION, self._on_ball)
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
         self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
+        self.read_limits(self._take_limits, self._run.fail)
         self.create_timer(_WATCHDOG_S, self._watchdog, clock=self.steady_clock)
         self.create_timer(ros.STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
         self.create_timer(
@@ -96,6 +98,9 @@ class CollectorNode(ros.FvsNode):
             self._run.fail(f"the robot's speed scaling is {message.data:g} %, not above 0")
         else:
             self._run.speed_scaling(min(message.data, 100.0) / 100.0)
+
+    def _take_limits(self, values: dict[str, Any]) -> None:
+        self._run.configure(CollectorConfig.from_values(values))
 
     def _find_other_publishers(self) -> None:
         self._run.other_publishers(self.other_publishers(topics.COMMANDS.name))

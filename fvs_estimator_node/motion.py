@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fvs_ros.joints import TRAINING_BOX_RAD
 from fvs_ros.limits import JointLimits, limit_speed
 from fvs_ros.params import another_default, parameter
 
@@ -39,7 +38,7 @@ class MotionConfig(JointLimits):
 
     duration_s: float = parameter(120.0, "largest duration of motion and recording", 2.0, 7200.0)
     joint_range_rad: tuple[float, ...] = parameter(
-        TRAINING_BOX_RAD,
+        (0.5,),
         "half width of the box of motion about the joints at the start",
         0.0,
         3.2,
@@ -95,20 +94,21 @@ class RandomMotion:
         self, start_rad: np.ndarray, config: MotionConfig, rng: np.random.Generator
     ) -> None:
         start = np.array(start_rad, dtype=float)
-        margin_rad = config.joint_limit_margin_rad
-        lower = np.asarray(config.joint_min_rad) + margin_rad
-        upper = np.asarray(config.joint_max_rad) - margin_rad
+        lower = config.lower_rad + config.margin_rad
+        upper = config.upper_rad - config.margin_rad
         if start.shape != lower.shape or not np.all((start >= lower) & (start <= upper)):
             raise ValueError(
                 f"the start pose {np.round(start, 3).tolist()} is closer than "
-                f"{margin_rad:g} rad (joint_limit_margin_rad) to a joint limit"
+                f"{config.joint_limit_margin_rad:g} rad (joint_limit_margin_rad) to a joint limit"
             )
         reach = np.asarray(config.joint_range_rad)
         self._config, self._start = config, start
         self.box_rad = np.stack(
             [np.maximum(start - reach, lower), np.minimum(start + reach, upper)]
         )
-        self._half = 0.5 * (self.box_rad[1] - self.box_rad[0])
+        # The path is made in units of the joints' shares, in which all are equally fast.
+        self._unit = config.share
+        self._half = 0.5 * (self.box_rad[1] - self.box_rad[0]) / self._unit
         self._centre = 0.5 * (self.box_rad[1] + self.box_rad[0])
         self._ramp_s = config.ramp_s(float(self._half.max()))
         self._draw(rng)
@@ -148,8 +148,9 @@ class RandomMotion:
         rate, k, full = self.rate_rad_s, self._sharpness, np.arcsin(self._sharpness)
         phase = self._phase_rad + rate * np.asarray(time_s)[..., None]
         sine = k * np.sin(phase)
-        position = self._centre + self._half * np.arcsin(sine) / full
-        velocity = self._half * rate * k * np.cos(phase) / (full * np.sqrt(1.0 - sine**2))
+        half = self._unit * self._half
+        position = self._centre + half * np.arcsin(sine) / full
+        velocity = half * rate * k * np.cos(phase) / (full * np.sqrt(1.0 - sine**2))
         return position, velocity
 
     def command(self, time_s: float, joints_rad: np.ndarray) -> np.ndarray:
@@ -159,7 +160,7 @@ class RandomMotion:
         """
         reference, velocity = self._reference(time_s)
         wanted = velocity + _POSITION_GAIN * (reference - joints_rad)
-        return limit_speed(wanted, self._config.max_joint_velocity_rad_s)
+        return limit_speed(wanted, self._config.max_joint_velocity_rad_s, self._unit)
 
     def _reference(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
         end_s, position, velocity = self.duration_s, self._start, np.zeros(len(self._start))

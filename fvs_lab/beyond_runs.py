@@ -64,7 +64,8 @@ def record(seed: int, duration_s: float, conditions: trials.Conditions) -> tuple
     late_s = float(rng.uniform(0.0, MOST_LATE_S))
     simulation = trials.simulation_of(conditions)
     simulation.reset(trials.HOME_RAD, seed)
-    motion = RandomMotion(trials.HOME_RAD, MotionConfig(duration_s=duration_s), rng)
+    config = MotionConfig(duration_s=duration_s, joint_range_rad=tuple(trials.BOX_RAD))
+    motion = RandomMotion(trials.HOME_RAD, config, rng)
     matcher = Timeline()
     samples: list[Sample] = []
     joints = simulation.joints_rad

@@ -1,16 +1,26 @@
-"""Limits on a joint velocity command of n numbers, rad/s."""
+"""Limits on a joint velocity command of n numbers, rad/s.
+
+Joints differ in how fast they may be. A joint's *share* is its own velocity limit over that of the
+whole arm, at most 1. Its acceleration limit and its margin are that share of the arm's, so that in
+units of their shares all joints are alike: what is limited is the largest ``|v_i| / share_i``. For
+a prismatic joint read m for rad.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from math import pi
 from operator import lt
+from typing import Any
 
 import numpy as np
 
-from fvs_ros.joints import UR_POSITION_LIMITS_RAD, ArmJoints
+from fvs_ros.joints import UR_JOINT_NAMES, UR_POSITION_LIMITS_RAD, ArmJoints
 from fvs_ros.params import ParameterError, live_parameter
-from fvs_ros.vectors import largest
+from fvs_ros.urdf import UrdfJoint
+from fvs_ros.vectors import LARGEST, largest
 
 #: A tick counts for at most this long, s: a late one must not make a big step.
 MAX_TICK_S = 0.05
@@ -20,13 +30,16 @@ MAX_TICK_S = 0.05
 BRAKING_SHARE, _RANGE_SHARE = 0.9, 0.6
 
 
-def limit_speed(velocity: np.ndarray, max_speed: float) -> np.ndarray:
-    """Scale the command as a whole so that no joint is faster than ``max_speed``."""
-    fastest = largest(velocity)
+def limit_speed(
+    velocity: np.ndarray, max_speed: float, share: np.ndarray | float = 1.0
+) -> np.ndarray:
+    """Scale the command as a whole so that no joint is faster than its share of ``max_speed``."""
+    fastest = largest(velocity / share)
     if fastest <= max_speed:
         return velocity
     # The product of the two can pass the limit by the last bit.
-    return np.clip(velocity * (max_speed / fastest), -max_speed, max_speed)
+    most = max_speed * share
+    return np.clip(velocity * (max_speed / fastest), -most, most)
 
 
 def braking_speed(travel_rad: float, acceleration: float, dt_s: float) -> float:
@@ -35,7 +48,9 @@ def braking_speed(travel_rad: float, acceleration: float, dt_s: float) -> float:
     return float((step * step + 2.0 * acceleration * travel_rad) ** 0.5 - step)
 
 
-def limit_acceleration(velocity: np.ndarray, last: np.ndarray, max_step: float) -> np.ndarray:
+def limit_acceleration(
+    velocity: np.ndarray, last: np.ndarray, max_step: np.ndarray | float
+) -> np.ndarray:
     """Find the command nearest to ``velocity`` whose step from ``last`` is at most ``max_step``.
 
     If a shorter command in the same direction is within reach, the longest such one; otherwise
@@ -45,15 +60,15 @@ def limit_acceleration(velocity: np.ndarray, last: np.ndarray, max_step: float) 
     ----------
     velocity, last : ndarray, shape (n,)
         Wanted command and the one before, rad/s.
-    max_step : float
-        Largest change of any joint, rad/s.
+    max_step : float, or ndarray, shape (n,)
+        Largest change of any joint, or of each, rad/s.
 
     Returns
     -------
     ndarray, shape (n,)
         Never further than ``max_step`` from ``last`` in any joint.
     """
-    if largest(velocity - last) <= max_step:
+    if (abs(velocity - last) <= max_step).all():
         return velocity
     low, high = last - max_step, last + max_step
     scale, lowest = 1.0, 0.0
@@ -68,17 +83,23 @@ def limit_acceleration(velocity: np.ndarray, last: np.ndarray, max_step: float) 
     return np.minimum(np.maximum(wanted, low), high)
 
 
-def ramp_to_zero(last: np.ndarray, max_step: float) -> np.ndarray:
-    """Take one step to rest: the last command, its fastest joint slower by ``max_step``."""
-    fastest = largest(last)
+def ramp_to_zero(last: np.ndarray, max_step: float, share: np.ndarray | float = 1.0) -> np.ndarray:
+    """Take one step to rest: the last command, no joint slower by more than its share of a step."""
+    fastest = largest(last / share)
     if fastest <= max_step:
         return np.zeros_like(last)
     return last * (1.0 - max_step / fastest)
 
 
+#: A joint position or speed that is no limit: none that a message may hold is larger.
+UNLIMITED = LARGEST
+#: Parameters that ``robot_description`` gives where they are empty.
+FROM_DESCRIPTION = ("joint_min_rad", "joint_max_rad", "joint_velocity_limits_rad_s")
+
+
 @dataclass(frozen=True)
 class JointLimits(ArmJoints):
-    """Limits of the arm's joints: of position, one of each joint, and of every joint's command.
+    """Limits of the arm's joints: of position, and of every joint's command.
 
     A joint moves towards an end of its range at most at the velocity limit times its share of the
     margin, and never faster than it can brake (``braking_speed``); away from the end it is free.
@@ -89,19 +110,28 @@ class JointLimits(ArmJoints):
         1.0, "Velocity limit of every joint, rad/s; the whole command is scaled.", 0.01, pi
     )
     max_joint_acceleration_rad_s2: float = live_parameter(
-        6.0, "Acceleration limit of every joint's command, rad/s^2.", 0.05, 40.0
+        6.0,
+        "Acceleration limit of every joint's command, rad/s^2; of a joint with a lower velocity "
+        "limit in proportion.",
+        0.05,
+        40.0,
+    )
+    joint_velocity_limits_rad_s: tuple[float, ...] = live_parameter(
+        (),
+        "Velocity limits of single joints below max_joint_velocity_rad_s, rad/s (m/s), in the "
+        "order of joint_names; empty: those of robot_description.",
+        1e-3,
+        UNLIMITED,
     )
     joint_min_rad: tuple[float, ...] = live_parameter(
-        tuple(-limit for limit in UR_POSITION_LIMITS_RAD),
-        "Lower ends of the joints' ranges, rad, in the order of joint_names.",
-        -4.0 * pi,
-        4.0 * pi,
+        (),
+        "Lower ends of the joints' ranges, rad (m), in the order of joint_names; empty: those of "
+        "robot_description, or a UR's.",
+        -UNLIMITED,
+        UNLIMITED,
     )
     joint_max_rad: tuple[float, ...] = live_parameter(
-        UR_POSITION_LIMITS_RAD,
-        "Upper ends of the joints' ranges, rad, in the order of joint_names.",
-        -4.0 * pi,
-        4.0 * pi,
+        (), "Upper ends, as joint_min_rad.", -UNLIMITED, UNLIMITED
     )
     joint_limit_margin_rad: float = live_parameter(
         0.2,
@@ -113,18 +143,69 @@ class JointLimits(ArmJoints):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        lower, upper, joints = self.joint_min_rad, self.joint_max_rad, len(self.joint_names)
-        if not len(lower) == len(upper) == joints or not all(map(lt, lower, upper)):
+        joints = len(self.joint_names)
+        for name in FROM_DESCRIPTION:
+            given = getattr(self, name)
+            if len(given) not in (0, joints):
+                raise ParameterError(
+                    f"{name} needs {joints} numbers, one for each of joint_names; got {list(given)}"
+                )
+        if not all(map(lt, self.lower_rad, self.upper_rad)):
             raise ParameterError(
-                f"joint_min_rad and joint_max_rad need {joints} numbers, one for each of "
-                f"joint_names, each minimum below its maximum; got {list(lower)} and {list(upper)}"
+                "each of joint_min_rad must be below that of joint_max_rad; "
+                f"got {self.lower_rad.tolist()} and {self.upper_rad.tolist()}"
             )
+
+    @property
+    def ranges_known(self) -> bool:
+        """Whether the joints' ranges are given, or those of a UR."""
+        return bool(self.joint_min_rad and self.joint_max_rad) or self._is_ur
+
+    @property
+    def _is_ur(self) -> bool:
+        return self.joint_names == UR_JOINT_NAMES
+
+    def _given_or(self, given: tuple[float, ...], else_: float) -> np.ndarray:
+        return np.array(given or np.full(len(self.joint_names), else_))
+
+    @cached_property
+    def lower_rad(self) -> np.ndarray:
+        """Lower ends of the joints' ranges, rad, (n,)."""
+        ur = tuple(-end for end in UR_POSITION_LIMITS_RAD) if self._is_ur else ()
+        return self._given_or(self.joint_min_rad or ur, -UNLIMITED)
+
+    @cached_property
+    def upper_rad(self) -> np.ndarray:
+        """Upper ends of the joints' ranges, rad, (n,)."""
+        ur = UR_POSITION_LIMITS_RAD if self._is_ur else ()
+        return self._given_or(self.joint_max_rad or ur, UNLIMITED)
+
+    @cached_property
+    def share(self) -> np.ndarray:
+        """Each joint's velocity limit over that of the arm, at most 1, (n,)."""
+        own = self._given_or(self.joint_velocity_limits_rad_s, UNLIMITED)
+        return np.minimum(1.0, own / self.max_joint_velocity_rad_s)
+
+    @cached_property
+    def margin_rad(self) -> np.ndarray:
+        """Distance from the end at which each joint begins to slow down, rad, (n,)."""
+        return self.joint_limit_margin_rad * self.share
+
+    @cached_property
+    def _joints(self) -> list[tuple[float, float, float]]:
+        return list(
+            zip(self.lower_rad.tolist(), self.upper_rad.tolist(), self.share.tolist(), strict=True)
+        )
+
+    @cached_property
+    def _inside(self) -> list[tuple[float, float]]:
+        lower, upper = self.lower_rad + self.margin_rad, self.upper_rad - self.margin_rad
+        return list(zip(lower.tolist(), upper.tolist(), strict=True))
 
     def near_end(self, joints_rad: np.ndarray) -> bool:
         """Whether a joint, (n,), rad, is within the margin of an end of its range, or beyond."""
-        margin = self.joint_limit_margin_rad
-        ranges = zip(joints_rad.tolist(), self.joint_min_rad, self.joint_max_rad, strict=True)
-        return any(not low + margin <= joint <= high - margin for joint, low, high in ranges)
+        both = zip(joints_rad.tolist(), self._inside, strict=True)
+        return any(not low <= joint <= high for joint, (low, high) in both)
 
     def slow_down(
         self,
@@ -151,11 +232,11 @@ class JointLimits(ArmJoints):
         acceleration = _RANGE_SHARE * max_acceleration
         # With the robot's lag of 35 ms a faster approach than 5 times the distance would pass it.
         slope = min(self.max_joint_velocity_rad_s / self.joint_limit_margin_rad, 5.0)
-        both = zip(values, joints.tolist(), pending_rad.tolist(), strict=True)
-        for i, (v, q, ahead) in enumerate(both):
-            room = self.joint_max_rad[i] - q if v > 0.0 else q - self.joint_min_rad[i]
-            room = max(0.0, room - max(0.0, ahead if v > 0.0 else -ahead))
-            cap = min(slope * room, braking_speed(room, acceleration, dt_s))
+        each = zip(values, joints.tolist(), pending_rad.tolist(), self._joints, strict=True)
+        for i, (v, q, ahead, (lower, upper, share)) in enumerate(each):
+            room = upper - q if v > 0.0 else q - lower
+            room = max(0.0, room - max(0.0, ahead if v > 0.0 else -ahead)) / share
+            cap = share * min(slope * room, braking_speed(room, acceleration, dt_s))
             if abs(v) > cap:
                 values[i] = cap if v > 0.0 else -cap
                 slowed.append(i)
@@ -172,9 +253,28 @@ class JointLimits(ArmJoints):
         # From full speed it stops within 0.5 s, however small the acceleration limit is.
         acceleration = max(self.max_joint_acceleration_rad_s2, self.max_joint_velocity_rad_s / 0.5)
         step = acceleration * dt_s
-        velocity = ramp_to_zero(last, step)
+        velocity = ramp_to_zero(last, step, self.share)
         if joints is None:
             return velocity
         # The ramp is as long as the fastest joint's; one that nears its limit brakes harder.
         velocity, _ = self.slow_down(velocity, joints, acceleration, dt_s, pending_rad)
-        return np.clip(velocity, last - step, last + step)
+        most = step * self.share
+        return np.clip(velocity, last - most, last + most)
+
+
+def described(values: Mapping[str, Any], urdf: Mapping[str, UrdfJoint]) -> dict[str, Any]:
+    """Parameter values, those limits that are not given taken from a URDF's joints.
+
+    A ``ParameterError`` says which of ``joint_names`` does not move in the URDF.
+    """
+    joints = []
+    for name in (values["tf_prefix"] + name for name in values["joint_names"]):
+        if name not in urdf or not urdf[name].moves:
+            raise ParameterError(f"robot_description has no moving joint {name}")
+        joints.append(urdf[name])
+    limits = [
+        (max(-UNLIMITED, one.lower), min(UNLIMITED, one.upper), min(UNLIMITED, one.velocity))
+        for one in joints
+    ]
+    found = zip(FROM_DESCRIPTION, map(list, zip(*limits, strict=True)), strict=True)
+    return {**values, **{name: value for name, value in found if not values[name]}}

@@ -72,8 +72,8 @@ _TRIGGER = "std_srvs/srv/Trigger"
 
 NODES: dict[str, Node] = {
     SIM: Node(
-        "Simulates a UR5 with a ball on its flange and a fixed depth camera, behind the topics of "
-        "the real drivers.",
+        "Simulates an arm with a ball on its last link and a fixed depth camera, behind the topics "
+        "of the real drivers.",
         {"~/reset": (_TRIGGER, "Puts the arm back to `initial_joints_rad`.")},
     ),
     DETECTOR: Node("Finds the ball in the colour and depth images of an RGB-D camera."),
@@ -162,8 +162,9 @@ KINEMATIC_CHAIN = Topic(
     "kinematic_chain",
     "std_msgs/msg/Float64MultiArray",
     "The arm as the camera sees it now, if `method` is `poe`, in the camera's optical frame: for "
-    "each joint a row of 7, the direction of its axis, a point on it, m, and the joint's reference "
-    "position, rad; last a row of the ball at the reference positions, m, and zeros.",
+    "each joint a row of 8, the direction of its axis, a point on it, m, the joint's reference "
+    "position, rad (m), and 1 if it is prismatic; last a row of the ball at the reference "
+    "positions, m, and zeros.",
     {ESTIMATOR: _RELIABLE},
     {CONTROLLER: _NEWEST},
 )
@@ -209,9 +210,9 @@ SPEED_SCALING = Topic(
 ROBOT_DESCRIPTION = Topic(
     "robot_description",
     "std_msgs/msg/String",
-    "The robot as URDF: what a viewer draws.",
+    "The robot as URDF: limits of the joints, and what a viewer draws; optional.",
     {SIM: _LATCHED},
-    {DASHBOARD: _LATCHED},
+    dict.fromkeys((CONTROLLER, COLLECTOR, DASHBOARD), _LATCHED),
     also_from=_DRIVER,
     also_to=_TOOLS,
 )

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from fvs_ros.joints import HOME_JOINTS_RAD
 from fvs_ros.paths import find_file
+from fvs_ros.urdf import UrdfJoint, moving_chain, read_joints
 from fvs_sim_node.camera import CAMERAS, CameraPose
 
 #: Matches the name of a link or joint in a URDF.
@@ -75,6 +76,18 @@ def robot_of(name: str, urdf_path: str = "", ball_link: str = "") -> Robot:
         return Robot(urdf_path, ball_link)
     known = ROBOTS[name or "ur5"]
     return replace(known, ball_link=ball_link) if ball_link else known
+
+
+def moving_joints(robot: Robot) -> tuple[str, list[UrdfJoint]]:
+    """The link of its ball, and the joints that move it, base to ball.
+
+    A ``ValueError`` says which file is no URDF of such a robot, and why.
+    """
+    path = robot.file()
+    try:
+        return moving_chain(read_joints(path.read_text("utf-8")), robot.ball_link)
+    except (ValueError, OSError) as error:
+        raise ValueError(f"{path}: {error}") from error
 
 
 def robot_description(robot: Robot, tf_prefix: str = "") -> str:

@@ -21,11 +21,11 @@ from fvs_detector_node.detection import BallColour, colour_mask
 from fvs_detector_node.images import Region
 from fvs_ros.camera import Intrinsics
 from fvs_ros.chain import SerialChain
-from fvs_ros.urdf import UrdfJoint, moving_chain, read_joints
+from fvs_ros.urdf import UrdfJoint
 from fvs_sim_node.camera import CameraPose
 from fvs_sim_node.config import BALL_RGBA, SceneObject, SimConfig
 from fvs_sim_node.placement import Placement
-from fvs_sim_node.robot import robot_of
+from fvs_sim_node.robot import moving_joints, robot_of
 
 #: Depth range that is drawn, m. What lies beyond has no depth, as with a real camera.
 _NEAR_M, _FAR_M = 0.25, 4.0
@@ -62,9 +62,8 @@ class World:
             self.client.setTimeStep(1.0 / config.physics_rate_hz)
             self.client.setGravity(0.0, 0.0, 0.0)
             self._known = robot_of(config.robot, config.urdf_path, config.ball_link)
-            path = self._known.file()
-            link, joints = moving_chain(read_joints(path.read_text("utf-8")), self._known.ball_link)
-            self._robot = self._load_robot(path)
+            link, joints = moving_joints(self._known)
+            self._robot = self._load_robot(self._known.file())
             self.root_link = self.client.getBodyInfo(self._robot)[0].decode()
             self._find_joints(joints, link)
             self._prepare_links()

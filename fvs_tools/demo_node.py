@@ -34,12 +34,13 @@ class DemoNode(ros.FvsNode):
     def __init__(self) -> None:
         super().__init__("fvs_demo_node", demo.PARAMETERS)
         self._config = demo.DemoConfig.from_values(self.values)
-        self._candidates_m = load_model(find_file(self._config.model_path)).ball_samples_m
+        trained = load_model(find_file(self._config.model_path))
+        self._candidates_m, names = trained.ball_samples_m, trained.joint_names
         numbers = self._config.target_positions.replace(";", " ").split()
         self._own_m = np.array(numbers, dtype=float).reshape(-1, 3)
         self._count = len(self._own_m) or self._config.targets
         self._rng = np.random.default_rng(self._config.seed)
-        self._joint_map = JointMap()
+        self._joint_map = JointMap(names)
         self._records: list[demo.TargetRecord] = []
         self._state = self._reason = ""
         self._wants_target = False

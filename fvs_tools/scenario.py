@@ -20,6 +20,7 @@ from fvs_ros import topics
 from fvs_ros.arguments import unknown
 from fvs_ros.params import Parameter, ParameterError, ParameterSet
 from fvs_ros.paths import find_file, share_folders
+from fvs_sim_node.robot import moving_joints, robot_of
 from fvs_tools.observing import check_recording
 from fvs_tools.schemes import scheme
 
@@ -127,7 +128,19 @@ def load_scenario(
             sections[node] = _declared(node).checked(values)
         except ParameterError as error:
             raise ValueError(f"{node} in {path.name}: {error}") from error
+    _name_joints(sections)
     return sections
+
+
+def _name_joints(sections: Scenario) -> None:
+    """Tell the nodes which joints the simulated arm has, where it is no UR5."""
+    which = sections.get(topics.SIM, {})
+    robot = [which.get(name, "") for name in ("robot", "urdf_path", "ball_link")]
+    if any(robot):
+        names = [joint.name for joint in moving_joints(robot_of(*robot))[1]]
+        for node, values in sections.items():
+            if "joint_names" in _declared(node):
+                values.setdefault("joint_names", names)
 
 
 def _read(name: str) -> tuple[Path, Scenario]:

@@ -40,11 +40,13 @@ def test_nothing_but_a_start_starts_it(monkeypatch):
     start=st.lists(st.floats(-7.0, 7.0), min_size=6, max_size=6),
     plant=st.sampled_from(["obeys", "creeps", "one joint sticks"]),
     way=st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6),
+    fast=st.just([]) | st.lists(st.floats(0.05, 1.5), min_size=6, max_size=6),
 )
-def test_an_arm_that_obeys_never_passes_the_ends_of_its_range(start, plant, way):
+def test_an_arm_that_obeys_never_passes_the_ends_of_its_range(start, plant, way, fast):
     world = World()
     Promises(world)
-    lower, upper = (np.array(world.values[f"joint_{end}_rad"]) for end in ("min", "max"))
+    world.set({"joint_velocity_limits_rad_s": fast})
+    lower, upper = world.limits.lower_rad, world.limits.upper_rad
     world.joints, world.plant = np.clip(start, lower, upper), plant
     world.push_m = -world.arm_moved_m()
     world.run(FRESH_TICKS)

@@ -264,7 +264,7 @@ def wrong(parameter):
     if parameter.kind is float:
         found.append(float("nan"))
     if parameter.is_list:
-        found = [[value] * len(parameter.default) for value in found]
+        found = [[value] * max(1, len(parameter.default)) for value in found]
         if parameter.size is not None:
             found.append(parameter.default[:-1])
     if parameter.choices:

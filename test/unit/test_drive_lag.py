@@ -5,6 +5,7 @@ import pytest
 
 from fvs_controller_node.base import ControlInput, ControlOutput
 from fvs_controller_node.drive_lag import DriveLag, brake
+from fvs_ros.limits import JointLimits
 
 DT_S = 0.008
 
@@ -38,7 +39,8 @@ def test_dead_time_and_lag_are_found_together(delay_ticks, time_constant_s):
     assert 0.7 * wanted < found < 1.05 * wanted
 
 
-MOST_RAD_S2 = 6.0
+LIMITS = JointLimits()
+MOST_RAD_S2 = LIMITS.max_joint_acceleration_rad_s2
 JACOBIAN = np.diag([0.5, 0.8, 1.0]) @ np.eye(3, 6)
 
 
@@ -57,7 +59,7 @@ def test_a_law_that_never_slows_down_arrives_within_the_limit_and_does_not_pass(
     speeds, ahead = [], []
     for _ in range(250):
         course = -np.linalg.pinv(JACOBIAN) @ error
-        output = brake(wanted(course / np.abs(course).max()), given(error), MOST_RAD_S2)
+        output = brake(wanted(course / np.abs(course).max()), given(error), LIMITS)
         speeds.append(np.abs(output.velocity_rad_s).max())
         error = error + JACOBIAN @ output.velocity_rad_s * DT_S
         ahead.append(error @ direction)

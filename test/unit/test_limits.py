@@ -1,16 +1,21 @@
 """Limits on a command: speed, acceleration, joint range, and coming to rest."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from fvs_ros.limits import (
+    UNLIMITED,
     JointLimits,
     braking_speed,
+    described,
     limit_acceleration,
     limit_speed,
     ramp_to_zero,
 )
+from fvs_ros.params import ParameterError
+from fvs_ros.urdf import read_joints
 
 SIX = st.lists(st.floats(-10.0, 10.0), min_size=6, max_size=6).map(np.array)
 RANGE = JointLimits(joint_min_rad=(-2.0,) * 6, joint_max_rad=(2.0,) * 6)
@@ -70,3 +75,80 @@ def test_one_can_brake_from_the_braking_speed_tick_by_tick():
             way += speed * 0.008
             speed -= 6.0 * 0.008
         assert way <= travel
+
+
+NAMES = ("base", "upper", "lift")
+URDF = read_joints(
+    "<robot>"
+    + "".join(
+        f"<joint name='{name}' type='{kind}'><parent link='{i}'/><child link='{i + 1}'/>{limit}"
+        "</joint>"
+        for i, (name, kind, limit) in enumerate(
+            (
+                ("base", "continuous", "<limit velocity='2'/>"),
+                ("upper", "revolute", "<limit lower='-1' upper='0.5' velocity='0.5'/>"),
+                ("lift", "prismatic", "<limit lower='0' upper='0.3' velocity='0.1'/>"),
+                ("fixed", "fixed", ""),
+            )
+        )
+    )
+    + "</robot>"
+)
+
+
+def described_limits(**given):
+    values = JointLimits(joint_names=NAMES, **given)
+    return JointLimits.from_values(described(vars(values), URDF))
+
+
+def test_limits_that_are_not_given_are_those_of_the_urdf():
+    limits = described_limits()
+    np.testing.assert_array_equal(limits.lower_rad, [-UNLIMITED, -1.0, 0.0])
+    np.testing.assert_array_equal(limits.upper_rad, [UNLIMITED, 0.5, 0.3])
+    np.testing.assert_allclose(limits.share, [1.0, 0.5, 0.1])
+    assert limits.ranges_known
+    own = described_limits(joint_max_rad=(1.0, 1.0, 1.0), joint_velocity_limits_rad_s=(9, 9, 9))
+    np.testing.assert_array_equal(own.lower_rad, limits.lower_rad)
+    np.testing.assert_array_equal(own.upper_rad, 1.0)
+    np.testing.assert_array_equal(own.share, 1.0)
+
+
+def test_without_a_urdf_only_a_ur_has_known_ranges():
+    assert JointLimits().ranges_known
+    assert JointLimits().upper_rad[2] == np.pi
+    unknown = JointLimits(joint_names=NAMES)
+    assert not unknown.ranges_known
+    assert not unknown.near_end(np.array([9.0, -9.0, 50.0]))
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"joint_min_rad": (0.6, 0.6, 0.1)}, "below that of joint_max_rad"),
+        ({"joint_min_rad": (0.0,)}, "needs 3 numbers"),
+        ({"joint_velocity_limits_rad_s": (1.0, 0.0, 1.0)}, "from 0.001"),
+    ],
+)
+def test_limits_that_contradict_each_other_are_refused(given, words):
+    with pytest.raises(ParameterError, match=words):
+        described_limits(**given)
+
+
+@pytest.mark.parametrize("name", ["fixed", "unknown"])
+def test_a_joint_that_the_urdf_does_not_move_is_named(name):
+    with pytest.raises(ParameterError, match=f"no moving joint ur_{name}"):
+        described({"tf_prefix": "ur_", "joint_names": [name]}, URDF)
+
+
+def test_slower_joints_are_limited_in_proportion():
+    limits = described_limits()
+    velocity = np.array([1.0, 1.0, 0.05])
+    np.testing.assert_allclose(limit_speed(velocity, 1.0, limits.share), 0.5 * velocity)
+    got = limits.brake_to_rest(limits.share, None, 0.01, np.zeros(3))
+    np.testing.assert_allclose(got, 0.94 * limits.share)
+    # Within half of its margin, which is a tenth of the others', the lift is at half of its speed.
+    joints = np.array([0.0, 0.0, 0.3 - 0.5 * 0.1 * 0.2])
+    assert limits.near_end(joints)
+    got, slowed = limits.slow_down(np.array([0.0, 0.0, 0.1]), joints, 6.0, 0.008, np.zeros(3))
+    assert slowed == [2]
+    assert got[2] == pytest.approx(0.05)
