@@ -235,10 +235,12 @@ class TableOf:
     where: Mapping[str, Any] = field(default_factory=dict)
     #: A table for each value of this column, which is the macro's argument.
     each: str = ""
+    #: What makes the tidy table's rows into the table's.
+    rows: Callable[[Results], Results] = field(default=lambda runs: runs)
 
     def of(self, runs: Results, words: Words) -> Iterable[Table]:
         """The tables; none without rows."""
-        some = runs.where(**self.where)
+        some = self.rows(runs.where(**self.where))
         for value, ones in some.groups(self.each).items() if self.each else [("", some)]:
             rows = table(ones, self.by, self.columns)
             if rows:

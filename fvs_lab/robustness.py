@@ -12,10 +12,10 @@ import numpy as np
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
 from fvs_lab.outcome import NOT_STAYED, Outcome
-from fvs_lab.results import Interval, Results, wilson
+from fvs_lab.results import Interval, Results, number_text, wilson
 from fvs_lab.search import ORACLE, ORACLES
 from fvs_lab.trials import Trial, Variant, run_trial
-from fvs_lab.worlds import DISTANCE_M, KINDS, QUANTITIES, Kind, World, draw_world
+from fvs_lab.worlds import DISTANCE_M, KINDS, QUANTITIES, Kind, Quantity, World, draw_world
 from fvs_ros.arguments import unknown
 from fvs_tools.schemes import BEYOND, SCHEMES, Scheme
 from fvs_tools.score import FINAL_S
@@ -28,6 +28,8 @@ WANTED = 0.99
 #: The contestants, with the defaults of the nodes. A new one is one line.
 COMPARED = (*SCHEMES.values(), ORACLES[ORACLE], *BEYOND.values())
 _QUICK = ("proposed", ORACLE)
+#: Those whose settling and jitter are shown by cause.
+_BY_CAUSE = ("proposed", "best")
 
 
 def contestants_called(names: Sequence[str]) -> list[Scheme]:
@@ -143,7 +145,7 @@ def claims(found: lab.Found) -> Iterator[lab.Claim]:
     best = best_of(found.runs)
     parts = [
         lab.share_above(
-            f"of the worlds that only one of it and {name} masters",
+            f"of the worlds in which only one of it and {name} settles",
             wins(schemes[best], schemes[name]),
             0.5,
         )
@@ -155,6 +157,34 @@ def claims(found: lab.Found) -> Iterator[lab.Claim]:
 
 # ---- tables and figures ---------------------------------------------------------------------
 
+
+def _varied(runs: Results) -> list[tuple[Quantity, np.ndarray, np.ndarray]]:
+    """Quantities that differ from run to run: the edges of their thirds, and each run's, 0 to 2."""
+    found = []
+    for one in QUANTITIES if runs else ():
+        values = one.scale * np.array(runs.values(one.name))
+        edges = np.linspace(values.min(), values.max(), 4)
+        if edges[0] < edges[-1]:
+            found.append((one, edges, np.clip(np.searchsorted(edges, values) - 1, 0, 2)))
+    return found
+
+
+def by_cause(runs: Results) -> Results:
+    """The runs of two schemes in the lowest and in the highest third of each quantity."""
+    runs = runs.those(lambda row: row["scheme"] in _BY_CAUSE)
+    rows = []
+    for one, edges, thirds in _varied(runs):
+        for third in (0, 2):
+            low, high = (number_text(edge, 2) for edge in edges[third : third + 2])
+            cause = f"{one.label} {low} to {high}{one.unit}"
+            rows += [
+                {**row, "cause": cause}
+                for row, its in zip(runs, thirds, strict=True)
+                if its == third
+            ]
+    return Results(rows)
+
+
 TABLES = (
     lab.TableOf(
         "schemes",
@@ -162,6 +192,12 @@ TABLES = (
         ("settled:share", "to_5mm_s:half", "to_5mm_s:90 %", "final_rms_m", "failure:causes"),
     ),
     lab.TableOf("settled", ("scheme",), ("jitter_rad_s", "path_ratio"), {"settled": True}),
+    lab.TableOf(
+        "causes",
+        ("cause", "scheme"),
+        ("settled:share", "to_5mm_s:half", "to_5mm_s:90 %", "jitter_rad_s"),
+        rows=by_cause,
+    ),
     lab.TableOf(
         "failures", ("scheme", "failure"), ("world:count", "world:list"), {"settled": False}
     ),
@@ -171,18 +207,17 @@ TABLES = (
 def figures(found: lab.Found) -> Iterator[lab.Drawn]:
     """A panel per quantity: success in each third of its range, for each scheme."""
     runs = found.runs
-    varied = [one for one in QUANTITIES if len(set(runs.values(one.name))) > 1] or QUANTITIES[:1]
+    varied = _varied(runs)
+    if not varied:
+        return
     columns = min(len(varied), 4)
     rows = math.ceil(len(varied) / columns)
     figure, axes = draw.grid(rows, columns, (3.25 * columns, 3.3 * rows), sharey=True)
     for axis in axes.flat[len(varied) :]:
         axis.set_visible(False)
     names = list(runs.groups("scheme"))
-    for axis, one in zip(axes.flat, varied, strict=False):
-        values = one.scale * np.array(runs.values(one.name))
-        edges = np.linspace(values.min(), values.max(), 4)
-        middles = 0.5 * (edges[1:] + edges[:-1])
-        places = middles[np.clip(np.searchsorted(edges, values) - 1, 0, 2)]
+    for axis, (one, edges, thirds) in zip(axes.flat, varied, strict=False):
+        places = 0.5 * (edges[1:] + edges[:-1])[thirds]
         binned = Results({**row, "at": float(at)} for row, at in zip(runs, places, strict=True))
         apart = (edges[1] - edges[0]) * min(0.12, 0.8 / len(names))
         for number, name in enumerate(names):

@@ -188,8 +188,12 @@ class JointLimits(ArmJoints):
 
     @cached_property
     def margin_rad(self) -> np.ndarray:
-        """Distance from the end at which each joint begins to slow down, rad, (n,)."""
-        return self.joint_limit_margin_rad * self.share
+        """Distance from the end at which each joint begins to slow down, rad, (n,).
+
+        At most a quarter of its range: the stroke of a prismatic joint may be short.
+        """
+        most = 0.25 * (self.upper_rad - self.lower_rad)
+        return np.minimum(self.joint_limit_margin_rad * self.share, most)
 
     @cached_property
     def _joints(self) -> list[tuple[float, float, float]]:
