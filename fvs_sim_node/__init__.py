@@ -1,1 +1,1 @@
-"""PyBullet UR5 with a depth camera: the simulated side of the topics."""
+"""An arm in PyBullet with a depth camera: the simulated side of the topics."""
