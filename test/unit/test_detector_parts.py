@@ -4,8 +4,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fvs_detector_node.detection import BallDetection
 from fvs_detector_node.pairing import Pairing
-from fvs_detector_node.tracking import Gate
+from fvs_detector_node.tracking import Gate, WindowTracker
+from fvs_ros.camera import Intrinsics
 
 DT = 1 / 30
 HERE, THERE = np.array([0.0, 0.0, 1.2]), np.array([0.5, 0.0, 1.2])
@@ -66,4 +68,25 @@ def test_one_wrong_thing_is_refused_with_the_numbers_and_a_ball_that_moved_is_ac
 def test_noise_is_no_jump_however_slow_the_ball_must_be_and_a_decimetre_is():
     gate, rng = Gate(0.02), np.random.default_rng(0)
     assert all(accepted(gate, HERE + 0.002 * rng.normal(size=(100, 3))))
-    assert gate.check(100 * DT, HERE + [0.06, 0.0, 0.0])
+    assert gate.check(100 * DT, HERE + [0.03, 0.0, 0.0])
+
+
+# ---------------------------------------------------------------------------------- window
+CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
+
+
+def holds(tracker, stamp_s, position_m, radius_m=0.04):
+    """Whether the window of an image holds the whole ball."""
+    (u, v), region = CAMERA.project(position_m), tracker.region(stamp_s)
+    return not region.cuts_off(u, v, radius_m * CAMERA.fx / position_m[2], CAMERA)
+
+
+@given(st.floats(0.0, 6.28))
+def test_the_window_holds_a_ball_that_moves_as_fast_as_an_arm_can(angle):
+    tracker, dt_s = WindowTracker(CAMERA, 0.04), 1 / 15
+    way = np.array([np.cos(angle), np.sin(angle), 0.0])
+    tracker.update(0.0, BallDetection(HERE, 1.0, 1.0, 0.0, 20.0))
+    assert holds(tracker, dt_s, HERE + 2.0 * dt_s * way)
+    tracker.update(dt_s, BallDetection(HERE, 1.0, 1.0, 0.0, 20.0))
+    assert holds(tracker, 2 * dt_s, HERE + 12.0 * dt_s**2 * way)
+    assert tracker.region(2 * dt_s).width < 120

@@ -10,17 +10,17 @@ from fvs_ros.limits import JointLimits
 DT_S = 0.008
 
 
-def run(lag, delay_ticks, time_constant_s):
+def run(lag, delay_ticks, time_constant_s, seconds=6.0, gain=1.0):
     """Let drives with dead time and a first-order lag follow moves to and fro."""
     rng = np.random.default_rng(1)
     joints, speed = np.zeros(6), np.zeros(6)
     waiting = [np.zeros(6)] * delay_ticks
     command = np.zeros(6)
     share = 1.0 - np.exp(-DT_S / time_constant_s) if time_constant_s else 1.0
-    for tick in range(round(6.0 / DT_S)):
+    for tick in range(round(seconds / DT_S)):
         if tick % 60 == 0:
             goal = rng.uniform(-1.0, 1.0, 6)
-        waiting.append(command)
+        waiting.append(gain * command)
         speed = speed + share * (waiting.pop(0) - speed)
         joints = joints + DT_S * speed
         lag.add(tick * DT_S, command, joints, compare=tick > 0)
@@ -37,6 +37,33 @@ def test_dead_time_and_lag_are_found_together(delay_ticks, time_constant_s):
     wanted = DT_S * delay_ticks + time_constant_s
     # A joint that lags is behind by less than its time constant while it speeds up and brakes.
     assert 0.7 * wanted < found < 1.05 * wanted
+
+
+@pytest.mark.parametrize("gain", [0.8, 0.9])
+def test_drives_that_are_slower_than_commanded_seem_to_lag_no_more(gain):
+    exact, slow = (run(DriveLag(), 1, 0.05, 8.0, one).lag_s for one in (1.0, gain))
+    assert slow == pytest.approx(exact, abs=0.005)
+
+
+def test_a_lag_that_grows_is_followed_within_twenty_seconds():
+    lag = run(DriveLag(), 1, 0.02, 60.0)
+    assert run(lag, 1, 0.1, 20.0).lag_s > 2.0 * 0.02 + 0.015
+
+
+def test_an_arm_that_is_stuck_lags_by_no_more_than_drives_do():
+    lag = DriveLag()
+    for tick in range(750):
+        lag.add(DT_S * tick, np.full(6, 0.5), np.zeros(6), compare=tick > 0)
+    assert 0.1 < lag.lag_s < 0.2
+
+
+def test_at_rest_the_encoders_noise_is_averaged():
+    lag, rng = run(DriveLag(), 1, 0.02), np.random.default_rng(2)
+    seen = []
+    for tick in range(750, 1000):
+        noise = 1e-3 * rng.normal(size=6)
+        seen.append(lag.add(DT_S * tick, np.zeros(6), noise))
+    assert np.std(seen[-125:], axis=0).max() < 0.25e-3
 
 
 LIMITS = JointLimits()
