@@ -153,10 +153,10 @@ class EstimatorNode(ros.FvsNode):
     def _no_estimate(self) -> str:
         """Why there is no estimate, in words; empty if there is one."""
         if not isinstance(self._loop.estimator, OracleEstimator):
-            return self._loop.problem
+            return self._loop.estimator.problem
         if self.monitor(topics.TRUE_JACOBIAN.name).age_s(self.now_s()) > FRESH_S:
             self._loop.estimator.reset()  # the last true Jacobian is outdated
-        problem = self._loop.problem
+        problem = self._loop.estimator.problem
         return problem and f"waiting for {topics.TRUE_JACOBIAN.name}: {problem}"
 
     def _publish_jacobian(self, stamp_s: float, joints: np.ndarray) -> None:
@@ -214,7 +214,7 @@ class EstimatorNode(ros.FvsNode):
             return ros.OK, "FROZEN", "learning is frozen by ~/freeze"
         if self._paused():
             return ros.OK, "FROZEN", "the robot is paused: learning stops until it resumes"
-        remark, learns = self._loop.remark, self._loop.estimator.learns
+        remark, learns = self._loop.estimator.remark, self._loop.estimator.learns
         usual = "and learning from every motion" if learns else "this method does not learn online"
         state = "LEARNING" if learns else "FROZEN"
         return ros.WARN if remark else ros.OK, state, remark or f"estimating; {usual}"

@@ -178,16 +178,12 @@ class Timeline:
         self.dropped = self.clock_jumps = 0
         self.last_reason = ""
 
-    def forget_balls(self) -> None:
-        """Forget the ball positions, keep the joint states, and start a new run."""
-        self._waiting.clear()
-        self.seen_stamp_s = None
-        self._break_run()
-
     def reset(self) -> None:
         """Forget all joint states and waiting ball positions, and start a new run."""
         self.joints.clear()
-        self.forget_balls()
+        self._waiting.clear()
+        self.seen_stamp_s = None
+        self._break_run()
 
     def add_joints(self, stamp_s: float, joints_rad: np.ndarray) -> list[Sample]:
         """Take a joint state, s and rad, (n,); returns the ball positions that waited for it."""

@@ -107,7 +107,7 @@ class ClosedLoop:
             self.estimation.add_ball(seen.stamp_s, position_m)
             self.loop.add_ball(now_s, seen.stamp_s, position_m)
         self.estimation.add_joints(now_s, out.joints_rad)
-        problem, chain = self.estimation.problem, self.estimator.chain
+        problem, chain = self.estimator.problem, self.estimator.chain
         if not problem:
             self.loop.add_jacobian(now_s, self.estimator.jacobian(out.joints_rad))
         if chain is not None:

@@ -94,20 +94,13 @@ def run_stamped_late(name, late_s):
 
 
 @each_scheme
-def test_late_stamps_turn_no_camera(name):
-    loop, errors_m, _ = run_stamped_late(name, 0.06)
-    assert errors_m[round(1.8 / loop.period_s) :].max() < 0.005
-    assert jacobian_error(loop) < 0.1
-    assert "too late" in loop.estimation.remark
-
-
-@each_scheme
-def test_where_no_loop_comes_to_rest_the_arm_is_held_and_the_estimator_says_why(name):
+def test_images_stamped_30_ms_late_cost_no_time_and_100_ms_late_hold_the_arm(name):
+    loop, errors_m, _ = run_stamped_late(name, 0.03)
+    assert errors_m[round(1.2 / loop.period_s) :].max() < 0.005
     loop, _, command = run_stamped_late(name, 0.1)
-    assert "too late by about 0.1" in loop.estimation.problem
     np.testing.assert_array_equal(command, 0.0)
-    assert "the estimator says: image stamps are too late" in loop.loop.supervisor.last.text
-    assert loop.estimator.status_values()["camera_turned_deg"] < 10.0
+    assert "check" in loop.loop.supervisor.last.text
+    assert "stamp_delay_s" in loop.loop.supervisor.last.text
 
 
 @each_scheme

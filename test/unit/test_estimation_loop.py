@@ -1,7 +1,6 @@
 """What an estimator is told: steps of one continuous run, without outliers, of right stamps."""
 
 import numpy as np
-import pytest
 
 from fvs_estimator_node.base import Estimator
 from fvs_estimator_node.loop import EstimationLoop
@@ -90,17 +89,3 @@ def test_a_gap_makes_no_outlier_true():
     away = np.array(loop.estimator.balls[told:]) @ AWAY_M > 0.5 * AWAY_M @ AWAY_M
     assert away.size > 20
     assert not away.any()
-
-
-@pytest.mark.parametrize("late_s", [-0.06, 0.06])
-def test_stamps_are_put_right_before_anything_more_is_told(late_s):
-    loop = EstimationLoop(Told())
-    play(loop, 0.0, 6.0, late_s=late_s)
-    estimator = loop.estimator
-    assert estimator.resets == 1
-    assert loop.late_s == pytest.approx(late_s, abs=0.02)
-    assert min(step.dt_s for step in estimator.steps) > 0.0  # nothing is learned twice
-    # What was heard last is told anew, by the right pairs.
-    assert len(estimator.balls) > 6.0 / IMAGE_S + 2.0
-    off_m = np.linalg.norm(estimator.balls, axis=1)
-    assert np.median(off_m[-60:]) < 0.25 * np.median(off_m[5:15])
