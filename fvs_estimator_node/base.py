@@ -95,11 +95,6 @@ class Estimator(ABC):
         return ""
 
     @property
-    def remark(self) -> str:
-        """A warning about the present estimate; empty without one."""
-        return ""
-
-    @property
     def chain(self) -> SerialChain | None:
         """The serial chain as the camera sees it now; None from an estimator that has none."""
         return None

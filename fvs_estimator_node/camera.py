@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections import deque
 from typing import Any
 
 import numpy as np
@@ -31,8 +30,6 @@ _BUMP_M = 0.01
 _BUMPED_RAD, _SOON = 0.7, 20
 #: A ball within this distance of the last stored position is at rest, m.
 _STILL_M = 0.002
-#: This number of bumps within this number of images (about 10 s) raises a warning.
-_MANY_BUMPS, _MANY_IMAGES = 8, 300
 
 
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
@@ -77,8 +74,7 @@ class CameraPose:
     def reset(self) -> None:
         """Assume the camera pose of the training."""
         self.translation_m = np.zeros(3)
-        self.bumps = self._images = 0
-        self._bumped_at: deque[int] = deque(maxlen=_MANY_BUMPS)
+        self.bumps = 0
         self._begin(np.eye(3), self._deviation_rad)
 
     def _begin(self, rotation: np.ndarray, deviation_rad: float) -> None:
@@ -91,26 +87,13 @@ class CameraPose:
         self._scatter, self._weight = np.zeros((3, 3)), 0.0
         self._mean_p, self._mean_x, self._kept_at = np.zeros((3, 3))
 
-    @property
-    def remark(self) -> str:
-        """A warning if the camera seems to move repeatedly; empty if not."""
-        at = self._bumped_at
-        if len(at) < _MANY_BUMPS or self._images - at[0] >= _MANY_IMAGES:
-            return ""
-        return (
-            f"the camera seems to have moved {_MANY_BUMPS} times in {_MANY_IMAGES} images; is it "
-            "being carried? If not, check sign, zero, scale and name of each joint"
-        )
-
     def add(self, model_m: np.ndarray, seen_m: np.ndarray, noise_m: float) -> None:
         """Take the ball's position by the model and by the image, m, (3,) each."""
         off_m = length(seen_m - (self.rotation @ model_m + self.translation_m))
-        self._images += 1
         deviation_rad = self._turn_deviation_rad(noise_m)
         reach_m = length(model_m - self._mean_p) if self._weight else 0.0
         if off_m > _BUMP_M + OUTLIER * math.hypot(noise_m, deviation_rad * reach_m):
             self.bumps += 1
-            self._bumped_at.append(self._images)
             # A rotation moves the ball by angle times distance, but not if it is about the ball.
             turned_rad = off_m / max(length(seen_m), 1e-3)
             doubt_rad = math.hypot(deviation_rad, turned_rad, self._deviation_rad)
@@ -145,11 +128,6 @@ class _BehindCamera(Estimator):
         super().__init__()
         self._model = model
         self.camera = CameraPose(deviation_rad, memory)
-
-    @property
-    def remark(self) -> str:
-        """What does not fit; empty if all is well."""
-        return self.camera.remark
 
     def reset(self) -> None:
         """Take the camera to stand where it stood at the training."""

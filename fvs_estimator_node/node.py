@@ -214,10 +214,10 @@ class EstimatorNode(ros.FvsNode):
             return ros.OK, "FROZEN", "learning is frozen by ~/freeze"
         if self._paused():
             return ros.OK, "FROZEN", "the robot is paused: learning stops until it resumes"
-        remark, learns = self._loop.estimator.remark, self._loop.estimator.learns
+        learns = self._loop.estimator.learns
         usual = "and learning from every motion" if learns else "this method does not learn online"
         state = "LEARNING" if learns else "FROZEN"
-        return ros.WARN if remark else ros.OK, state, remark or f"estimating; {usual}"
+        return ros.OK, state, f"estimating; {usual}"
 
     def _late_input(self, now_s: float) -> str:
         """Which input is late, in words; empty if none."""

@@ -43,8 +43,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--seeds",
         type=_positive,
-        help="number of seeded cases (default: 60 servo, 6 estimators, 6 exponents, "
-        "60 settling, 8 ablation, 4 tuning, 60 beyond)",
+        help="number of seeded cases (default: that of each experiment)",
     )
     parser.add_argument(
         "--jobs", type=_positive, default=os.cpu_count() or 1, help="processes (default: all cores)"

@@ -116,26 +116,11 @@ def test_the_jacobian_behind_a_turned_camera(networks, method, within):
     np.testing.assert_array_equal(estimator.jacobian(joints[0]), begun)
 
 
-def told(changed=np.copy, bumped_s=np.inf):
-    """All remarks of an estimator that knows the chain, in 20 s of motion; and its bumps."""
+@pytest.mark.parametrize("bumped_s", [np.inf, 10.0])
+def test_each_bump_is_counted_and_nothing_else(bumped_s):
     recording, turned = Recording(seconds=20.0, outliers=0.0, late_s=0.0), turn([0, 1, 0], 0.3)
-    data, estimator, remarks = recording.data(), PoeEstimator(recording.chain()), set()
+    data, estimator = recording.data(), PoeEstimator(recording.chain())
     for stamp_s, joints, ball in zip(data.stamps_s, data.joints_rad, data.ball_m, strict=True):
         seen = turned @ ball if stamp_s > bumped_s else ball
-        estimator.observe(changed(joints), seen, NOISE_M)
-        remarks.add(estimator.remark)
-    return "".join(remarks), estimator.camera.bumps
-
-
-@pytest.mark.parametrize(
-    "changed",
-    [lambda q: q * [1, 1, -1, 1, 1, 1], lambda q: q[[0, 2, 1, 3, 4, 5]]],
-    ids=["sign", "names"],
-)
-def test_joints_that_are_not_those_of_the_model_are_named(changed):
-    assert "sign, zero, scale and name of each joint" in told(changed)[0]
-
-
-@pytest.mark.parametrize("bumped_s", [np.inf, 10.0])
-def test_right_joints_and_single_bumps_are_no_cause_for_remarks(bumped_s):
-    assert told(bumped_s=bumped_s) == ("", int(bumped_s < 20.0))
+        estimator.observe(joints, seen, NOISE_M)
+    assert estimator.camera.bumps == int(bumped_s < 20.0)
