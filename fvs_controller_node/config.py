@@ -12,7 +12,7 @@ from fvs_controller_node.ftsm import FtsmLaw
 from fvs_controller_node.minimum_time import MinimumTimeLaw
 from fvs_controller_node.proportional import MfacLaw, MpcLaw, ProportionalLaw
 from fvs_controller_node.redundancy import RedundancyConfig
-from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.camera import FeatureConfig
 from fvs_ros.limits import JointLimits
 from fvs_ros.params import ParameterError, Parameters, ParameterSet, live_parameter, parameter
 
@@ -46,7 +46,7 @@ class ControllerConfig(Parameters):
 
 
 @dataclass(frozen=True)
-class SupervisorConfig(JointLimits):
+class SupervisorConfig(JointLimits, FeatureConfig):
     """Limits and thresholds of the supervisor."""
 
     #: Consecutive good messages after which an input is valid again: a single one may be left over.
@@ -64,7 +64,6 @@ class SupervisorConfig(JointLimits):
         False,
         "Start without ~/start as soon as all inputs are ready, once. For simulation only.",
     )
-    feature_frame: str = parameter(CAMERA_FRAME, "Frame of ball and target.")
     workspace_min_m: tuple[float, ...] = live_parameter(
         (-1.0, -1.0, 0.2), "Lower corner of the box that targets must be in, feature frame, m."
     )

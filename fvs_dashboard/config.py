@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.camera import BallConfig
 from fvs_ros.joints import JOINT_PARAMETERS
-from fvs_ros.params import Parameters, parameter
+from fvs_ros.params import parameter
 
 #: Versions of viser that the guard is known to work with: it reaches into viser.
 VISER = "viser[urdf]>=1.1,<1.2"
 
 
 @dataclass(frozen=True)
-class DashboardConfig(Parameters):
+class DashboardConfig(BallConfig):
     """Parameters of the page, apart from the joint names."""
 
     host: str = parameter(
@@ -21,8 +21,6 @@ class DashboardConfig(Parameters):
         "address of the page; with 0.0.0.0 everyone on the network can move the arm",
     )
     port: int = parameter(8080, "port of the page; 0 takes any free one", 0, 65535)
-    feature_frame: str = parameter(CAMERA_FRAME, "frame of ball and target")
-    ball_radius_m: float = parameter(0.04, "radius of the ball, as it is drawn", 0.001, 0.2)
     camera_topics: str = parameter(
         "", "prefix of the camera's topics, before /color/image_raw; empty: camera or camera/camera"
     )

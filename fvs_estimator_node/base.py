@@ -9,19 +9,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.chain import SerialChain
-from fvs_ros.params import Parameters, parameter
+from fvs_ros.params import Parameters
 
 #: What an estimator is made from.
 NETWORKS, CHAIN = "a trained model", "a fitted chain"
-
-
-@dataclass(frozen=True)
-class FeatureConfig(Parameters):
-    """Parameters of the ball positions, shared by estimator and collector."""
-
-    feature_frame: str = parameter(CAMERA_FRAME, "frame of the ball positions")
 
 
 @dataclass(frozen=True)

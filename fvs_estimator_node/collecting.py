@@ -14,9 +14,9 @@ from math import isfinite
 
 import numpy as np
 
-from fvs_estimator_node.base import FeatureConfig
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.stopping import StopCriterion
+from fvs_ros.camera import FeatureConfig
 from fvs_ros.following import Following
 from fvs_ros.limits import MAX_TICK_S, limit_acceleration, ramp_to_zero
 from fvs_ros.params import parameter

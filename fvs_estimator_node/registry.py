@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from fvs_estimator_node.base import CHAIN, NETWORKS, Estimator, FeatureConfig, OracleEstimator
+from fvs_estimator_node.base import CHAIN, NETWORKS, Estimator, OracleEstimator
 from fvs_estimator_node.camera import PoeEstimator, TurnedRbfEstimator
 from fvs_estimator_node.online import (
     FROM_ZERO,
@@ -16,6 +16,7 @@ from fvs_estimator_node.online import (
     UkfEstimator,
 )
 from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfEstimator, RbfModel
+from fvs_ros.camera import FeatureConfig
 from fvs_ros.chain import SerialChain
 from fvs_ros.joints import JOINT_PARAMETERS
 from fvs_ros.params import Parameter, parameter

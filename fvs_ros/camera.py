@@ -13,11 +13,27 @@ from math import isfinite
 
 import numpy as np
 
+from fvs_ros.params import Parameters, parameter
+
 #: Frame of ball and target unless told otherwise: that of a RealSense's colour camera.
 CAMERA_FRAME = "camera_color_optical_frame"
 
 #: A ball is seen as x, y, z.
 BALL_FEATURES = 3
+
+
+@dataclass(frozen=True)
+class FeatureConfig(Parameters):
+    """In which frame the feature is seen."""
+
+    feature_frame: str = parameter(CAMERA_FRAME, "frame of ball, target and images")
+
+
+@dataclass(frozen=True)
+class BallConfig(FeatureConfig):
+    """How large the ball is, for those that draw it."""
+
+    ball_radius_m: float = parameter(0.04, "radius of the ball", 0.005, 0.5)
 
 
 @dataclass(frozen=True)

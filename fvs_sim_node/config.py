@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from math import ceil
 
-from fvs_ros.camera import CAMERA_FRAME, Intrinsics
+from fvs_ros.camera import FeatureConfig, Intrinsics
 from fvs_ros.params import Parameters, live_parameter, parameter
 from fvs_sim_node.camera import CAMERAS, CameraPose
 from fvs_sim_node.robot import ROBOTS
@@ -128,7 +128,7 @@ class SimConfig(Parameters):
 
 
 @dataclass(frozen=True)
-class SimNodeConfig(Parameters):
+class SimNodeConfig(FeatureConfig):
     """Parameters of the node: simulation, publication, and disturbances."""
 
     simulated_time: bool = parameter(
@@ -137,7 +137,6 @@ class SimNodeConfig(Parameters):
         "other nodes then need use_sim_time",
     )
     tf_prefix: str = parameter("", "prefix of the joint names, like a UR driver's")
-    feature_frame: str = parameter(CAMERA_FRAME, "frame of ball and images")
     full_frame_rate_hz: float = parameter(
         30.0,
         "largest rate of full camera images in real time, Hz; each one occupies a core for tens of "

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from fvs_ros.camera import CAMERA_FRAME, Intrinsics
-from fvs_ros.params import Parameters, parameter
+from fvs_ros.camera import FeatureConfig, Intrinsics
+from fvs_ros.params import parameter
 from fvs_tools.score import FINE_ERROR_M, SETTLED_ERROR_M, TargetScore, judge
 
 
 @dataclass(frozen=True)
-class DemoConfig(Parameters):
+class DemoConfig(FeatureConfig):
     """Parameters of ``fvs_demo_node``."""
 
     model_path: str = parameter(
@@ -28,7 +28,6 @@ class DemoConfig(Parameters):
     seed: int = parameter(0, "seed of the choice of targets", 0)
     distance_m: float = parameter(0.3, "wanted distance from one target to the next", 0.05, 1.0)
     target_s: float = parameter(4.0, "time given to each target", 1.0, 60.0)
-    feature_frame: str = parameter(CAMERA_FRAME, "frame of ball and target")
     output_dir: str = parameter("out/demo", "folder for the results and the figure")
 
 

@@ -8,20 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fvs_ros.arguments import how_to_install
-from fvs_ros.camera import CAMERA_FRAME
-from fvs_ros.params import Parameters, parameter
+from fvs_ros.camera import BallConfig, FeatureConfig
+from fvs_ros.params import parameter
 
 
 @dataclass(frozen=True)
-class MarkersConfig(Parameters):
+class MarkersConfig(BallConfig):
     """Parameters of ``fvs_markers_node``."""
 
-    feature_frame: str = parameter(CAMERA_FRAME, "frame of ball and target")
-    ball_radius_m: float = parameter(0.04, "radius of the ball", 0.005, 0.2)
-
 
 @dataclass(frozen=True)
-class RecorderConfig(Parameters):
+class RecorderConfig(FeatureConfig):
     """Parameters of ``fvs_recorder_node``."""
 
     bag_dir: str = parameter(
@@ -31,7 +28,6 @@ class RecorderConfig(Parameters):
     images: bool = parameter(
         True, "record images; simulator and detector draw them only for a subscriber"
     )
-    feature_frame: str = parameter(CAMERA_FRAME, "frame of ball and images")
     scenario: str = parameter("", "running scenario as YAML, stored in the bag")
 
 
