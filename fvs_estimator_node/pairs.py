@@ -44,8 +44,8 @@ _BATCH, _LEARNING_RATE, _CHECK_EVERY = 2048, 0.1, 20
 
 #: Centres, rad, (n, k, n), and widths, rad, (n, k).
 Neurons = tuple[np.ndarray, np.ndarray]
-#: Called with iterations done, iterations planned and best validation error; True ends early.
-Progress = Callable[[int, int, float], bool]
+#: Called with iterations done, iterations planned and best validation error.
+Progress = Callable[[int, int, float], None]
 
 
 class TrainingError(ValueError):
@@ -87,9 +87,8 @@ class Pairs:
         neurons = self._first_neurons(parts[0], count)
         good = self._good_images(neurons, parts[0])
         fitting, validation, held_out = (part[good[part]] for part in parts)
-        done = 0
         if iterations:
-            neurons, done = self._refined(neurons, fitting, validation, iterations, progress)
+            neurons = self._refined(neurons, fitting, validation, iterations, progress)
         weights = self._solve(neurons, fitting)
         regressors, motion = self._equations(neurons, *self._draw(held_out, 3000))
         missed, moved = (
@@ -102,7 +101,7 @@ class Pairs:
             "held_out_samples": len(held_out),
             "samples": len(good),
             "outliers": int(np.count_nonzero(~good)),
-            "iterations": done,
+            "iterations": iterations,
         }
         weights = self._solve(neurons, np.flatnonzero(good)).reshape(*neurons[1].shape, -1)
         return RbfModel(*neurons, weights.transpose(0, 2, 1)), good, errors
@@ -165,8 +164,8 @@ class Pairs:
         validation: np.ndarray,
         iterations: int,
         progress: Progress | None,
-    ) -> tuple[Neurons, int]:
-        """Neurons moved by Adam, the weights being solved for in each iteration; iterations done.
+    ) -> Neurons:
+        """Neurons moved by Adam, the weights being solved for in each iteration.
 
         Those of the least validation error are kept.
         """
@@ -189,17 +188,18 @@ class Pairs:
             first, second = self._draw(fitting, _BATCH)
             return self.joints[first], self.joints[second], self.ball[second] - self.ball[first]
 
-        def report(iteration: int, centres: np.ndarray, widths: np.ndarray) -> bool:
+        def report(iteration: int, centres: np.ndarray, widths: np.ndarray) -> None:
             nonlocal best_score, best
             if iteration % _CHECK_EVERY == 0 or iteration == iterations:
                 present = score((centres, widths))
                 if present < best_score:
                     best_score, best = present, (centres.copy(), widths.copy())
-            return progress is not None and progress(iteration, iterations, best_score)
+            if progress is not None:
+                progress(iteration, iterations, best_score)
 
         nodes = quadrature(self._nodes)
-        done = refine(neurons, draw, nodes, _RIDGE, _LEARNING_RATE, iterations, report)
-        return best, done
+        refine(neurons, draw, nodes, _RIDGE, _LEARNING_RATE, iterations, report)
+        return best
 
 
 def quadrature(nodes: int) -> tuple[np.ndarray, np.ndarray]:

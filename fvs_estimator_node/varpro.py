@@ -39,14 +39,14 @@ def refine(
     ridge: float,
     learning_rate: float,
     iterations: int,
-    report: Callable[[int, np.ndarray, np.ndarray], bool],
-) -> int:
+    report: Callable[[int, np.ndarray, np.ndarray], None],
+) -> None:
     """Move centres and widths by Adam so that the networks predict the ball's motion better.
 
     Takes initial centres, (n, k, n), and widths, (n, k), rad; a function that draws the next batch;
     quadrature nodes in [0, 1] between two joint positions, and their weights; the ridge relative to
     the mean diagonal; Adam's first step for centres (rad) and log widths, which decays to zero.
-    ``report`` takes iteration, centres and widths and may end early. Returns the iterations done.
+    ``report`` takes iteration, centres and widths.
     """
     centres, widths = neurons
     networks = [
@@ -70,9 +70,7 @@ def refine(
         with torch.no_grad():
             present = torch.stack([c for c, _ in networks]).numpy()
             present_widths = torch.stack([w for _, w in networks]).exp().numpy()
-        if report(iteration, present, present_widths):
-            return iteration
-    return iterations
+        report(iteration, present, present_widths)
 
 
 def _relative_squared_error(

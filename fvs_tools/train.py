@@ -6,8 +6,7 @@ import argparse
 import hashlib
 import platform
 import sys
-import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +17,11 @@ from fvs_estimator_node.files import DataSet, TrainedModel, load_data_set, save_
 from fvs_estimator_node.training import METHODS, TrainingOptions, train
 from fvs_ros import console
 from fvs_ros.arguments import Parser, one_of
+from fvs_ros.chain import SerialChain
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
+
+#: A joint, or a direction, in which the ball moves less than this share of the best is weak.
+_WEAK = 0.05
 
 
 @console.reader_may_leave()
@@ -28,12 +31,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         data = load_data_set(arguments.data)
         _check_output(arguments.output)
-        trained, out_of_time = _train(data, arguments)
+        trained = _train(data, arguments)
         provenance = {
             **trained.provenance,
             "data_file": arguments.data.name,
             "data_sha256": hashlib.sha256(arguments.data.read_bytes()).hexdigest(),
-            "stopped_by_time": out_of_time,
             "numpy": np.__version__,
             "python": platform.python_version(),
         }
@@ -52,11 +54,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     return EXIT_OK
 
 
-def _train(data: DataSet, arguments: argparse.Namespace) -> tuple[TrainedModel, bool]:
-    """Train; returns the model, and whether the time limit ended the training early."""
+def _train(data: DataSet, arguments: argparse.Namespace) -> TrainedModel:
     options = TrainingOptions(arguments.method, arguments.neurons, arguments.seed)
     say = None if arguments.quiet else (lambda words: print(f"{words} ...", file=sys.stderr))
-    started_s, out_of_time = time.monotonic(), False
     with tqdm(
         desc="training",
         unit="it",
@@ -66,17 +66,12 @@ def _train(data: DataSet, arguments: argparse.Namespace) -> tuple[TrainedModel, 
         mininterval=0.2 if sys.stderr.isatty() else 10.0,
     ) as bar:
 
-        def on_progress(iteration: int, iterations: int, error: float) -> bool:
-            """Show it; True when the time is over."""
-            nonlocal out_of_time
+        def on_progress(iteration: int, iterations: int, error: float) -> None:
             bar.total = iterations
             bar.update(iteration - bar.n)
             bar.set_postfix_str(f"error {100.0 * error:.2f} %")
-            passed_s = time.monotonic() - started_s
-            out_of_time = arguments.max_seconds is not None and passed_s > arguments.max_seconds
-            return out_of_time
 
-        return train(data, options, on_progress, say), out_of_time
+        return train(data, options, on_progress, say)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -102,12 +97,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--seed", type=int, default=defaults.seed, help="equal seeds give equal models (default 0)"
-    )
-    parser.add_argument(
-        "--max-seconds",
-        type=float,
-        default=None,
-        help="stop refining after this time and keep the best so far (default: no limit)",
     )
     parser.add_argument("--quiet", action="store_true", help="no progress bar and no table")
     return parser
@@ -145,6 +134,7 @@ def report(trained: TrainedModel) -> str:
             f"noise of a ball position: {1e3 * e['ray_noise_m']:.2f} mm along the line of sight, "
             f"{1e3 * e['lateral_noise_m']:.2f} mm across",
             f"distance from the chain: {1e3 * e['residual_m']:.2f} mm (median); {noise}",
+            *on_joints(trained.chain, trained.joint_names, trained.joint_box_rad.mean(axis=0)),
         ]
     low, high = (", ".join(f"{v:.2f}" for v in side) for side in trained.joint_box_rad)
     lines += [
@@ -153,6 +143,24 @@ def report(trained: TrainedModel) -> str:
         f"{e['samples']} images, {e['outliers']} left out",
     ]
     return "\n".join(lines)
+
+
+def on_joints(chain: SerialChain, names: Sequence[str], joints_rad: np.ndarray) -> Iterator[str]:
+    """How each joint moves the ball, and what cannot be servoed, at given joints, rad (m)."""
+    jacobian = chain.jacobian(joints_rad)
+    sizes, units = np.linalg.norm(jacobian, axis=0), np.where(chain.prismatic > 0.0, "m/m", "m/rad")
+    each = zip(names, sizes, units, strict=True)
+    yield "joints move the ball by " + ", ".join(f"{n} {s:.2f} {u}" for n, s, u in each)
+    weak = [name for name, size in zip(names, sizes, strict=True) if size < _WEAK * sizes.max()]
+    if weak:
+        yield f"{', '.join(weak)} hardly moves the ball: servoing does without it"
+    ways, values, _ = np.linalg.svd(jacobian)
+    if len(values) < len(ways) or values[-1] < _WEAK * values[0]:
+        way = ", ".join(f"{part + 0.0:.2f}" for part in ways[:, -1])
+        yield (
+            f"no joint moves the ball along [{way}] of the camera frame in the middle of the box: "
+            "the arm cannot servo there; collect about another posture"
+        )
 
 
 if __name__ == "__main__":

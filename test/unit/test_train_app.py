@@ -6,8 +6,9 @@ import pytest
 from recordings import Recording, relative_error
 
 from fvs_estimator_node.files import DataSet, load_data_set, load_model, save_data_set
+from fvs_ros.chain import SerialChain
 from fvs_ros.stop import EXIT_FAILURE
-from fvs_tools.train import main
+from fvs_tools.train import main, on_joints
 
 
 @pytest.fixture
@@ -26,7 +27,7 @@ def data_file(tmp_path):
 @pytest.mark.torch
 def test_it_trains_reports_and_writes(data_file, tmp_path, capsys):
     model = tmp_path / "model.npz"
-    assert main([str(data_file), "-o", str(model), "--neurons", "12", "--max-seconds", "2"]) == 0
+    assert main([str(data_file), "-o", str(model), "--neurons", "12"]) == 0
     said = capsys.readouterr().out
     for words in ("between held-out images", "no chain: ", "model written"):
         assert words in said
@@ -49,6 +50,7 @@ def test_a_chain_teaches_the_networks(tmp_path, capsys):
     for words in (
         "Jacobian of the chain, in the box of the data: 0.",
         "off the chain (median)",
+        "joints move the ball by shoulder_pan_joint 0.",
         "images stamped late: ",
         "note: the images show the joints of 50 ms before their stamps",
         "model written",
@@ -67,6 +69,16 @@ def test_a_chain_teaches_the_networks(tmp_path, capsys):
     assert captured.err.startswith("note: the images show the joints of 50 ms before")
     assert [f"note: {note}" for note in trained.notes] == captured.err.splitlines()
     assert model.read_bytes() == first
+
+
+def test_the_report_names_prismatic_joints_weak_ones_and_what_cannot_be_servoed():
+    axes = np.array([[0.0, 0.0, 1.0]] * 3)
+    points = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [0.3, 0.0, 1.0]])
+    scara = SerialChain(axes, points, np.array([0.3, 0.0, 1.0]), np.zeros(3), np.array([0, 1, 0]))
+    first, weak, singular = on_joints(scara, ("arm", "lift", "wrist"), np.zeros(3))
+    assert first == "joints move the ball by arm 0.30 m/rad, lift 1.00 m/m, wrist 0.00 m/rad"
+    assert weak.startswith("wrist hardly moves the ball")
+    assert "along [1.00, 0.00, 0.00] of the camera frame" in singular
 
 
 def test_interrupted_it_writes_nothing_and_says_so(data_file, tmp_path, capsys, monkeypatch):
