@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -102,23 +102,38 @@ class Fastest:
         return self.speeds_rad_s(moments).reshape(count, 20, -1).mean(axis=1)
 
 
+class Kinematics(Protocol):
+    """Where the ball truly is, world frame, m, (..., 3), and its Jacobian, (..., 3, n)."""
+
+    def position(self, joints_rad: np.ndarray) -> np.ndarray: ...  # noqa: D102
+    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray: ...  # noqa: D102
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """An arm whose joints are told in units of their shares, (n,), and so have equal limits."""
+
+    arm: Kinematics
+    share: np.ndarray
+
+    def position(self, units: np.ndarray) -> np.ndarray:
+        """Where the ball is, m, (..., 3)."""
+        return self.arm.position(units * self.share)
+
+    def jacobian(self, units: np.ndarray) -> np.ndarray:
+        """Its Jacobian, m per unit, (..., 3, n)."""
+        return self.arm.jacobian(units * self.share) * self.share
+
+
 @lru_cache(maxsize=1)
-def _arm() -> SerialChain:
-    """The simulated arm's true kinematics, world frame."""
+def ur5() -> SerialChain:
+    """The simulated UR5's true kinematics, world frame."""
     return simulation_of(Conditions()).world.chain
 
 
-def ball_position(joints_rad: np.ndarray) -> np.ndarray:
-    """Where the ball truly is, world frame, m, shape (..., 3)."""
-    return _arm().position(joints_rad)
-
-
-def ball_jacobian(joints_rad: np.ndarray) -> np.ndarray:
-    """Its true Jacobian, m/rad, shape (..., 3, n)."""
-    return _arm().jacobian(joints_rad)
-
-
-def fastest(case: Case, limits: Limits, tolerance_m: float) -> Fastest:
+def fastest(
+    case: Case, limits: Limits, tolerance_m: float, arm: Kinematics | None = None
+) -> Fastest:
     """Find the motion that has the ball near the target soonest, by true kinematics.
 
     By a sequential quadratic programme from the motion to the joints that the target was drawn
@@ -126,6 +141,7 @@ def fastest(case: Case, limits: Limits, tolerance_m: float) -> Fastest:
     """
     from scipy.optimize import minimize
 
+    arm = ur5() if arm is None else arm
     travel = np.array(case.goal_rad) - np.array(case.start_rad)
     rest_s = limits.rest_s(float(np.abs(travel).max()))
     steep, top = limits.acceleration_rad_s2, limits.speed_rad_s
@@ -137,7 +153,7 @@ def fastest(case: Case, limits: Limits, tolerance_m: float) -> Fastest:
     rest = speeds + piece_s * pieces.sum(axis=0)
     ways, ways_rad = np.repeat([1.0, -1.0], joints), np.vstack([travels, -travels])
 
-    near = _near(case, paths, tolerance_m)
+    near = _near(case, arm, paths, tolerance_m)
 
     def reached(unknown: np.ndarray) -> np.ndarray:
         return limits.furthest(ways * np.tile(speeds @ unknown, 2), unknown[0])[0] - (
@@ -174,18 +190,18 @@ def fastest(case: Case, limits: Limits, tolerance_m: float) -> Fastest:
     )
 
 
-def _near(case: Case, paths: np.ndarray, tolerance_m: float) -> dict[str, Any]:
+def _near(case: Case, arm: Kinematics, paths: np.ndarray, tolerance_m: float) -> dict[str, Any]:
     """The constraint that the ball is within the tolerance at each look, and its slopes."""
-    start, target_m = np.array(case.start_rad), ball_position(np.array(case.goal_rad))
+    start, target_m = np.array(case.start_rad), arm.position(np.array(case.goal_rad))
 
     def near(unknown: np.ndarray) -> np.ndarray:
-        missing = (ball_position(start + paths @ unknown) - target_m) / tolerance_m
+        missing = (arm.position(start + paths @ unknown) - target_m) / tolerance_m
         return 1.0 - np.sum(missing**2, axis=1)
 
     def slopes(unknown: np.ndarray) -> np.ndarray:
         joints = start + paths @ unknown
-        missing = (ball_position(joints) - target_m) / tolerance_m**2
-        return -2.0 * np.einsum("kx,kxj,kjn->kn", missing, ball_jacobian(joints), paths)
+        missing = (arm.position(joints) - target_m) / tolerance_m**2
+        return -2.0 * np.einsum("kx,kxj,kjn->kn", missing, arm.jacobian(joints), paths)
 
     return {"type": "ineq", "fun": near, "jac": slopes}
 
@@ -215,14 +231,14 @@ def play_s(
     As for all schemes, the first command answers the first joint state after the target was given;
     the last one holds.
     """
-    target_m = ball_position(np.array(case.goal_rad))
+    target_m = ur5().position(np.array(case.goal_rad))
     simulation.reset(case.start_rad, case.seed)
     times_s, errors_m = [], []
     for command in commands_rad_s:
         state = simulation.advance()
         simulation.command(command)
         times_s.append(state.time_s)
-        errors_m.append(np.linalg.norm(ball_position(state.joints_rad) - target_m))
+        errors_m.append(np.linalg.norm(ur5().position(state.joints_rad) - target_m))
     return seconds(settling_time_s(np.array(times_s), np.array(errors_m), tolerance_m))
 
 

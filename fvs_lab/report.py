@@ -24,6 +24,7 @@ EXPERIMENTS = {
     "tuning": "What the parameters do that one tunes first, one at a time.",
     "beyond": "What the additions to the paper are worth: a minute of data, least time, moved "
     "cameras.",
+    "arms": "Arms by other authors: learned from a minute of motion and servoed.",
     "everyday": "Hundreds of random worlds of the usual kind, in which no scheme worth using may "
     "fail.",
     "robustness": "Hundreds of random worlds, to see which scheme settles whatever goes wrong.",

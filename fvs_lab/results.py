@@ -217,6 +217,7 @@ METRICS = {
     "chain_box": Metric("chain, box M, %", 1e2, 3),
     "chain_workspace": Metric("chain, workspace, %", 1e2, 3),
     "distilled_box": Metric("distilled networks, box M, %", 1e2),
+    "learned": Metric("error of the Jacobian, %", 1e2, 3),
     "late_error_s": Metric("error of the stamp delay, ms", 1e3),
     "stated": Metric("stated by the fit, %", 1e2, 3),
     "seen": Metric("actual, as the camera sees, %", 1e2, 3),

@@ -35,16 +35,25 @@ class Robot:
     home_rad: tuple[float, ...] = ()
     cameras: Mapping[str, CameraPose] = field(default_factory=dict)
 
-    def file(self) -> Path:
-        """The URDF; a ``ValueError`` says which package to install."""
+    @property
+    def installed(self) -> bool:
+        """Whether its URDF is here."""
+        return self._found() is not None
+
+    def _found(self) -> Path | None:
         package, _, inside = self.urdf.partition("/")
         if package not in _PACKAGES:
             return find_file(self.urdf)
-        for folder in sys.path:
-            path = Path(folder, _PACKAGES[package], inside)
-            if path.is_file():
-                return path
-        raise ValueError(f"robot: {inside} is not installed; run pip install {package}")
+        paths = (Path(folder, _PACKAGES[package], inside) for folder in sys.path)
+        return next((path for path in paths if path.is_file()), None)
+
+    def file(self) -> Path:
+        """The URDF; a ``ValueError`` says which package to install."""
+        path = self._found()
+        if path is None:
+            package, _, inside = self.urdf.partition("/")
+            raise ValueError(f"robot: {inside} is not installed; run pip install {package}")
+        return path
 
 
 def _example(path: str, ball_link: str) -> Robot:

@@ -102,7 +102,7 @@ class World:
         places = {info[1].decode(): info[0] for info in infos}
         moving = [info[0] for info in infos if info[3] >= 0]
         self._link = next(info[0] for info in infos if info[12].decode() == link)
-        self.joint_names = tuple(one.name for one in joints)
+        self.joints, self.joint_names = tuple(joints), tuple(one.name for one in joints)
         self._joints = [places[name] for name in self.joint_names]
         #: Their places among all joints that move.
         self._columns = [moving.index(joint) for joint in self._joints]

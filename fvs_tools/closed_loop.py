@@ -21,6 +21,7 @@ from fvs_estimator_node.files import TrainedModel, load_model
 from fvs_estimator_node.loop import EstimationLoop
 from fvs_estimator_node.registry import create_estimator
 from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.limits import described
 from fvs_ros.paths import find_file
 from fvs_sim_node.simulation import Simulation
 from fvs_tools.schemes import Scheme
@@ -62,7 +63,8 @@ class ClosedLoop:
     estimator : Estimator
         Learns and gives the Jacobian.
     controller_values : mapping, optional
-        The controller node's parameters, where they differ from the defaults; ``autostart`` is on.
+        The controller node's parameters, where they differ from the defaults; ``autostart`` is on,
+        joints and their limits are the simulated arm's.
     """
 
     def __init__(
@@ -74,7 +76,9 @@ class ClosedLoop:
         self.simulation = simulation
         self.estimator = estimator
         self.estimation = EstimationLoop(estimator)
-        self.loop = ServoLoop(default_values(**{"autostart": True, **(controller_values or {})}))
+        joints = {one.name: one for one in simulation.world.joints}
+        own = {"autostart": True, "joint_names": list(joints), **(controller_values or {})}
+        self.loop = ServoLoop(described(default_values(**own), joints))
         self.period_s = 1.0 / simulation.config.joint_state_rate_hz
 
     @classmethod

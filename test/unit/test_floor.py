@@ -2,6 +2,7 @@
 
 from functools import lru_cache
 from itertools import cycle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from scipy.optimize import linprog
 pytest.importorskip("pybullet")
 
 from fvs_lab import floor
-from fvs_lab.floor import Limits, ball_jacobian, ball_position, floor_of, play_s
+from fvs_lab.floor import Limits, floor_of, play_s, ur5
 from fvs_lab.outcome import BOUNDS_M
 from fvs_lab.trials import Case, make_cases
 from fvs_ros.joints import HOME_JOINTS_RAD
@@ -34,16 +35,17 @@ def test_from_rest_to_rest_the_time_is_that_of_a_trapezium():
 
 
 @pytest.mark.parametrize("tolerance_m", [0.005, 0.001])
-def test_a_single_joint_enters_at_the_near_edge_and_brakes_at_the_far_one(monkeypatch, tolerance_m):
+def test_a_single_joint_enters_at_the_near_edge_and_brakes_at_the_far_one(tolerance_m):
     # Three joints along three axes, a target on the first: a metre is a radian.
     slopes = np.eye(3, 6)
-    monkeypatch.setattr(floor, "ball_position", lambda joints: joints[..., :3])
-    monkeypatch.setattr(
-        floor, "ball_jacobian", lambda joints: np.broadcast_to(slopes, (*joints.shape[:-1], 3, 6))
+    gantry = SimpleNamespace(
+        position=lambda joints: joints[..., :3],
+        jacobian=lambda joints: np.broadcast_to(slopes, (*joints.shape[:-1], 3, 6)),
     )
     case = Case("", (0.0,) * 6, (0.4, 0.0, 0.0, 0.0, 0.0, 0.0), 1)
     known_s = LIMITS.rest_s(0.4 + tolerance_m) - np.sqrt(4.0 * tolerance_m / 6.0)
-    assert fastest(case, LIMITS, tolerance_m).time_s == pytest.approx(known_s, rel=1e-3)
+    found = floor.fastest(case, LIMITS, tolerance_m, gantry)
+    assert found.time_s == pytest.approx(known_s, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -60,8 +62,8 @@ def test_the_fastest_motion_keeps_the_limits_and_stays_near(case, tolerance_m):
     assert not np.abs(speeds[0]).any()
     np.testing.assert_allclose(speeds[-1], 0.0, atol=1e-6)
     ways = np.cumsum(0.5 * step_s * (speeds[1:] + speeds[:-1]), axis=0)
-    balls_m = ball_position(np.array(case.start_rad) + ways)
-    errors_m = np.linalg.norm(balls_m - ball_position(np.array(case.goal_rad)), axis=1)
+    balls_m = ur5().position(np.array(case.start_rad) + ways)
+    errors_m = np.linalg.norm(balls_m - ur5().position(np.array(case.goal_rad)), axis=1)
     after = times_s[1:] >= found.time_s
     assert errors_m[after].max() < 1.03 * tolerance_m
     assert errors_m[~after].min() > 0.97 * tolerance_m  # and not near any sooner
@@ -76,7 +78,7 @@ def outside_m(case, time_s, tolerance_m):
     ticks = min(range(26, 46), key=lambda one: abs((one / (6.0 * time_s) + 0.5) % 1.0 - 0.5))
     tick_s = time_s / ticks
     count = ticks + round(1.0 / (6.0 * tick_s))  # the ticks until rest
-    start_rad, target_m = np.array(case.start_rad), ball_position(np.array(case.goal_rad))
+    start_rad, target_m = np.array(case.start_rad), ur5().position(np.array(case.goal_rad))
     # Position at ticks: speeds are linear in between.
     sums = tick_s * (np.tri(count + 1, count, -1) - 0.5 * np.eye(count + 1, count, -1))
     ramp = np.clip(6.0 * tick_s * np.arange(1, count + 1), 0.0, 1.0)
@@ -90,7 +92,7 @@ def outside_m(case, time_s, tolerance_m):
     least_m = np.inf
     for _ in range(20):
         joints = start_rad + sums[ticks:] @ speeds
-        missing, slopes = ball_position(joints) - target_m, ball_jacobian(joints)
+        missing, slopes = ur5().position(joints) - target_m, ur5().jacobian(joints)
         least_m = min(least_m, np.linalg.norm(missing, axis=1).max() - tolerance_m)
         if least_m < 0.0:
             break
