@@ -72,7 +72,8 @@ class ControllerNode(ros.FvsNode):
         self._logged: Reason | None = None
         self._logged_passing_s = -np.inf
 
-        self._commands = self.publisher(topics.COMMANDS)
+        self._commands = ros.CommandPublisher(self)
+        self._joints: np.ndarray | None = None
         self._sliding = self.publisher(topics.SLIDING_VARIABLE)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
         self.subscribe(topics.BALL_POSITION, self._on_ball)
@@ -109,7 +110,7 @@ class ControllerNode(ros.FvsNode):
             supervisor.inputs[JOINT_STATES].bad(str(error))
             self._tick(now_s, now_s - self._ticked_s)
             return
-        self._joints_s = now_s
+        self._joints, self._joints_s = joints, now_s
         stamp_s = ros.from_stamp(message.header.stamp)
         self._loop.add_joints(now_s, stamp_s, joints)
         dt_s = now_s - self._ticked_s
@@ -211,10 +212,9 @@ class ControllerNode(ros.FvsNode):
             self._tick(now_s, now_s - self._ticked_s)
 
     def _tick(self, now_s: float, dt_s: float) -> None:
-        command = self._loop.tick(now_s, dt_s)
-        message = ros.to_command(command.velocity_rad_s)
-        self._sent.append(tuple(message.data))
-        self._commands.publish(message)
+        command, supervisor = self._loop.tick(now_s, dt_s), self._loop.supervisor
+        velocity, limits, active = command.velocity_rad_s, supervisor.config, supervisor.started
+        self._sent.append(self._commands.send(velocity, self._joints, dt_s, limits, active))
         self._ticked_s = now_s
         if command.output is not None and self._stamp_s is not None:
             self._sliding.publish(
@@ -278,11 +278,11 @@ class ControllerNode(ros.FvsNode):
         self._silence = _NEVER_RAN if unheard and self.count_publishers(topic) else ""
         # One that is not known by name yet may be this very node.
         self._conflicting = ", ".join(
-            n for n in self.other_publishers(topics.COMMANDS.name) if "/" in n
+            n for n in self.other_publishers(self._commands.topic.name) if "/" in n
         )
         if self._conflicting and not self._hears_others:
             self._hears_others = True
-            self.subscribe(topics.COMMANDS, self._on_any_command)
+            self.subscribe(self._commands.topic, self._on_any_command)
 
     def _on_any_command(self, message: Float64MultiArray) -> None:
         # Own commands are received, too. The same command from another node does no harm.
@@ -297,7 +297,7 @@ class ControllerNode(ros.FvsNode):
     def finish(self) -> None:
         """Send zeros last, then publish the final status."""
         self._loop.supervisor.shutdown()
-        ros.send_last_zeros(self._commands, self._shape[1])
+        self._commands.end(self._shape[1])
         self._command = self._loop.tick(self.now_s(), 0.0)
         self._publish_status()
 

@@ -79,8 +79,7 @@ class Reason(Enum):
     )
     NOT_FOLLOWING = _ends(
         "{joint} does not follow: commanded {commanded_rad:.2f} rad, moved {moved_rad:.2f} rad",
-        "check that the velocity controller is active, the robot program runs and no protective "
-        "stop is on",
+        "check that its controller is active, the robot program runs and no protective stop is on",
     )
     IMAGE_NOT_FOLLOWING = _ends(
         "frozen image: {predicted_mm:.0f} mm predicted in {time_s:.1f} s, {seen_mm:.0f} mm seen",

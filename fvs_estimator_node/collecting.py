@@ -18,7 +18,13 @@ from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.stopping import StopCriterion
 from fvs_ros.camera import FeatureConfig
 from fvs_ros.following import Following
-from fvs_ros.limits import MAX_TICK_S, limit_acceleration, ramp_to_zero
+from fvs_ros.limits import (
+    MAX_TICK_S,
+    CommandInterface,
+    JointLimits,
+    limit_acceleration,
+    ramp_to_zero,
+)
 from fvs_ros.params import parameter
 from fvs_ros.timeline import Sample, Timeline, repeats
 
@@ -35,7 +41,7 @@ GIVE_UP_S = 10.0
 
 
 @dataclass(frozen=True)
-class CollectorConfig(MotionConfig, FeatureConfig):
+class CollectorConfig(MotionConfig, FeatureConfig, CommandInterface):
     """What is recorded, how the arm moves, and what ends it."""
 
     output_path: str = parameter("out/collect/dataset.npz", "data set file to write")
@@ -107,6 +113,16 @@ class CollectionRun:
     def duration_s(self) -> float:
         """Duration of the motion as known now, s; infinite before it begins."""
         return np.inf if self._motion is None else self._motion.duration_s
+
+    @property
+    def moves(self) -> bool:
+        """Whether the arm is under way."""
+        return self._motion is not None and self.state not in _OVER
+
+    @property
+    def limits(self) -> JointLimits:
+        """The limits in force."""
+        return self._config
 
     @property
     def ended(self) -> bool:
@@ -240,7 +256,7 @@ class CollectionRun:
         elif self._following.fault(_FOLLOW_TIME_S) is not None:
             self.fail(
                 f"the arm does not follow: {name} was commanded {fault.commanded_rad:.2f} rad "
-                f"and moved {fault.moved_rad:.2f} rad; check that the velocity controller is "
+                f"and moved {fault.moved_rad:.2f} rad; check that its controller is "
                 "active, the robot program runs and no protective stop is on"
             )
 

@@ -48,7 +48,8 @@ class CollectorNode(ros.FvsNode):
             bar_format="{desc} {percentage:3.0f}%|{bar:30}| {n:.0f} of {total:.0f} s{postfix}",
             mininterval=0.2 if sys.stderr.isatty() else 10.0,
         )
-        self._commands = self.publisher(topics.COMMANDS)
+        self._commands = ros.CommandPublisher(self)
+        self._joints: np.ndarray | None = None
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
         self.subscribe(topics.BALL_POSITION, self._on_ball)
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
@@ -71,7 +72,7 @@ class CollectorNode(ros.FvsNode):
         except JointStateError as error:
             self._run.fail(str(error))
             return
-        stamp_s = ros.from_stamp(message.header.stamp)
+        self._joints, stamp_s = joints, ros.from_stamp(message.header.stamp)
         self._run.joint_states(now_s, stamp_s, joints)
         dt_s = now_s - self._ticked_s
         if self._simulated_time and self._stamp_s is not None:
@@ -103,7 +104,7 @@ class CollectorNode(ros.FvsNode):
         self._run.configure(CollectorConfig.from_values(values))
 
     def _find_other_publishers(self) -> None:
-        self._run.other_publishers(self.other_publishers(topics.COMMANDS.name))
+        self._run.other_publishers(self.other_publishers(self._commands.topic.name))
 
     # --- the tick: the only place that sends commands ---
 
@@ -113,9 +114,9 @@ class CollectorNode(ros.FvsNode):
             self._tick(now_s, now_s - self._ticked_s)
 
     def _tick(self, now_s: float, dt_s: float) -> None:
-        velocity = self._run.tick(now_s, dt_s)
-        self._ticked_s = now_s
-        self._commands.publish(ros.to_command(velocity))
+        run, self._ticked_s = self._run, now_s
+        velocity = run.tick(now_s, dt_s)
+        self._commands.send(velocity, self._joints, dt_s, run.limits, run.moves)
         if self._run.ended and self.exit_code is None:
             self._conclude()
 
@@ -177,7 +178,7 @@ class CollectorNode(ros.FvsNode):
 
     def finish(self) -> None:
         """Send zeros last; when interrupted, save the recording."""
-        ros.send_last_zeros(self._commands, len(self._names))
+        self._commands.end(len(self._names))
         if self.exit_code is None:
             self._bar.close()
             print("collecting was interrupted", file=sys.stderr)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from fvs_ros.joints import UR_JOINT_NAMES, UR_POSITION_LIMITS_RAD, ArmJoints
-from fvs_ros.params import ParameterError, live_parameter
+from fvs_ros.params import ParameterError, Parameters, live_parameter, parameter
 from fvs_ros.urdf import UrdfJoint
 from fvs_ros.vectors import LARGEST, largest
 
@@ -89,6 +89,25 @@ def ramp_to_zero(last: np.ndarray, max_step: float, share: np.ndarray | float = 
     if fastest <= max_step:
         return np.zeros_like(last)
     return last * (1.0 - max_step / fastest)
+
+
+#: What a robot's driver takes.
+VELOCITY, POSITION = "velocity", "position"
+#: A position command is ahead of its joint by at most the way at full speed in this time, s: longer
+#: than any drive lags.
+_LEAD_S = 0.2
+
+
+@dataclass(frozen=True)
+class CommandInterface(Parameters):
+    """What the robot's driver takes."""
+
+    command_interface: str = parameter(
+        VELOCITY,
+        "What the driver takes: velocity on forward_velocity_controller/commands, or position on "
+        "forward_position_controller/commands.",
+        choices=(VELOCITY, POSITION),
+    )
 
 
 #: A joint position or speed that is no limit: none that a message may hold is larger.
@@ -282,3 +301,24 @@ def described(values: Mapping[str, Any], urdf: Mapping[str, UrdfJoint]) -> dict[
     ]
     found = zip(FROM_DESCRIPTION, map(list, zip(*limits, strict=True)), strict=True)
     return {**values, **{name: value for name, value in found if not values[name]}}
+
+
+class PositionPath:
+    """Joint positions that follow velocity commands, and never run away from the joints."""
+
+    def __init__(self) -> None:
+        self._position: np.ndarray | None = None
+
+    def end(self) -> None:
+        """Forget the path: the next one begins where the joints are."""
+        self._position = None
+
+    def advance(
+        self, velocity: np.ndarray, joints_rad: np.ndarray, dt_s: float, limits: JointLimits
+    ) -> np.ndarray:
+        """Positions, rad, (n,), to be reached next: the last ones, and a velocity for a tick."""
+        start = joints_rad if self._position is None else self._position
+        lead = _LEAD_S * limits.max_joint_velocity_rad_s * limits.share
+        wanted = start + min(max(dt_s, 0.0), MAX_TICK_S) * velocity
+        self._position = np.clip(wanted, joints_rad - lead, joints_rad + lead)
+        return self._position

@@ -127,6 +127,11 @@ _SIMULATED = End((Qos.RELIABLE,), given=("simulated_time", True))
 _AT_THE_END = End((Qos.RELIABLE,), later="after the last target")
 _WHILE_WATCHED = End((Qos.NEWEST,), later="while a browser shows the page")
 
+
+def _taken(interface: str) -> End:
+    return End((Qos.RELIABLE,), given=("command_interface", interface))
+
+
 _DRIVER = "the robot's driver"
 _CAMERA = "an RGB-D camera's driver"
 _TOOLS = "any tool"
@@ -183,13 +188,30 @@ SLIDING_VARIABLE = Topic(
     {CONTROLLER: _RELIABLE},
     {ESTIMATOR: _NEWEST},
 )
-COMMANDS = Topic(
-    "forward_velocity_controller/commands",
-    "std_msgs/msg/Float64MultiArray",
-    "A velocity for each joint, rad/s, in kinematic order; the robot holds the last one for ever.",
-    {CONTROLLER: _RELIABLE, COLLECTOR: _RELIABLE},
-    {SIM: _RELIABLE, CONTROLLER: End((Qos.RELIABLE,), later="another node publishing there")},
-    also_to=_DRIVER,
+COMMANDS, POSITION_COMMANDS = (
+    Topic(
+        f"forward_{interface}_controller/commands",
+        "std_msgs/msg/Float64MultiArray",
+        f"{words} Only with `command_interface` {interface}.",
+        dict.fromkeys((CONTROLLER, COLLECTOR), _taken(interface)),
+        {
+            SIM: _taken(interface),
+            CONTROLLER: replace(_taken(interface), later="another node publishing there"),
+        },
+        also_to=_DRIVER,
+    )
+    for interface, words in (
+        (
+            "velocity",
+            "A velocity for each joint, rad/s, in kinematic order; the robot holds the last one "
+            "for ever.",
+        ),
+        (
+            "position",
+            "A position for each joint, rad, in kinematic order, near where it is; none before a "
+            "start and after the end.",
+        ),
+    )
 )
 ROBOT_PROGRAM_RUNNING = Topic(
     "io_and_status_controller/robot_program_running",

@@ -59,7 +59,9 @@ def _joint(element: ET.Element) -> UrdfJoint:
     except (ValueError, KeyError):
         words = f"joint {name[:60]!r} of the URDF lacks a link or has a bad limit"
         raise UrdfError(words) from None
-    if kind == "continuous" or not lower < upper:
+    if lower > upper:
+        raise UrdfError(f"joint {name[:60]!r} of the URDF has limits {lower:g} to {upper:g}")
+    if kind == "continuous" or lower == upper:
         lower, upper = -inf, inf
     if element.find("mimic") is not None:
         kind = "mimic"

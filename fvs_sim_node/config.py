@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from math import ceil
 
 from fvs_ros.camera import FeatureConfig, Intrinsics
-from fvs_ros.params import Parameters, live_parameter, parameter
+from fvs_ros.limits import CommandInterface
+from fvs_ros.params import live_parameter, parameter
 from fvs_sim_node.camera import CAMERAS, CameraPose
 from fvs_sim_node.robot import ROBOTS
 
@@ -30,7 +31,7 @@ TABLE = (
 
 
 @dataclass(frozen=True)
-class SimConfig(Parameters):
+class SimConfig(CommandInterface):
     """Parameters of the simulation; fields without a description are for Python only."""
 
     seed: int = parameter(0, "seed of all noise: same seed, same run", 0)

@@ -16,6 +16,7 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from fvs_ros import ros, topics
+from fvs_ros.limits import VELOCITY
 from fvs_sim_node.camera import Frame
 from fvs_sim_node.config import PARAMETERS, SimNodeConfig
 from fvs_sim_node.frame_worker import FrameWorker
@@ -25,7 +26,11 @@ from fvs_sim_node.simulation import BallObservation, SimStep, Simulation
 #: In simulated time, services and parameters are served this often.
 _BURST_S = 0.005
 #: Topics of the responses to joint states, and largest simulated time without a new one, s.
-_ANSWERS = {topics.COMMANDS.name: 0.0, topics.JACOBIAN.name: 0.1}
+_ANSWERS = {
+    topics.COMMANDS.name: 0.0,
+    topics.POSITION_COMMANDS.name: 0.0,
+    topics.JACOBIAN.name: 0.1,
+}
 
 
 class SimNode(ros.FvsNode):
@@ -62,7 +67,9 @@ class SimNode(ros.FvsNode):
         which = config.simulation
         robot = robot_of(which.robot, which.urdf_path, which.ball_link)
         description.publish(String(data=robot_description(robot, config.tf_prefix)))
-        self.subscribe(topics.COMMANDS, self._on_command)
+        by_velocity = which.command_interface == VELOCITY
+        self._command_topic = topics.COMMANDS if by_velocity else topics.POSITION_COMMANDS
+        self.subscribe(self._command_topic, self._on_command)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.on_parameters(self.values, {p.name for p in self.parameter_set if p.live})
         self._keep_time(config)
@@ -202,7 +209,7 @@ class SimNode(ros.FvsNode):
             self._refusal = self._sim.command(np.array(message.data, dtype=float)) or ""
         if self._refusal:
             self.get_logger().error(self._refusal, throttle_duration_sec=5.0)
-        self._answer(topics.COMMANDS.name)
+        self._answer(self._command_topic.name)
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response):
         # The simulation begins at zero again; the stamps go on.

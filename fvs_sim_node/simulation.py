@@ -17,10 +17,15 @@ from fvs_detector_node.detection import BallColour, BallDetection, detect_ball
 from fvs_detector_node.images import Region
 from fvs_detector_node.tracking import WindowTracker
 from fvs_ros.camera import Intrinsics
+from fvs_ros.limits import VELOCITY
 from fvs_sim_node.actuator import Actuator
 from fvs_sim_node.camera import CameraPose, Frame, add_depth_noise
 from fvs_sim_node.config import SimConfig
 from fvs_sim_node.world import Renderer, World
+
+#: A position drive closes what is missing at this gain, 1/s, and refuses a position that is further
+#: away than a joint moves in this time, s.
+_SEEK_GAIN, _MOST_AWAY_S = 10.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -156,21 +161,24 @@ class Simulation:
         self._step = 0
         self._image_count = 0
         self.active = True
+        #: Position commands: the newest, and the one before.
+        self._wanted: np.ndarray | None = None
+        self._sought: np.ndarray | None = None
         self._pending: deque[tuple[float, BallObservation]] = deque()
         self._tracker = WindowTracker(self._reported_intrinsics, config.ball_radius_m)
         self._actuator.reset()
         self.world.reset(joints)
         self._joints, self._velocities = self.world.joint_states()
 
-    def command(self, velocity_rad_s: Sequence[float] | np.ndarray) -> str | None:
-        """Command joint velocities, as ``forward_velocity_controller`` takes them.
+    def command(self, values: Sequence[float] | np.ndarray) -> str | None:
+        """Command the joints, as ``forward_velocity_controller`` takes it.
 
         The command holds until the next one, for ever if none comes.
 
         Parameters
         ----------
-        velocity_rad_s : array_like, shape (n,)
-            Velocities, rad/s, kinematic order.
+        values : array_like, shape (n,)
+            Velocities, rad/s, or, by ``command_interface``, positions, rad; kinematic order.
 
         Returns
         -------
@@ -179,31 +187,53 @@ class Simulation:
             value that is not finite drops the whole message, and a wrong number of values
             deactivates the controller: the arm stops until ``active`` is set.
         """
-        velocity = np.asarray(velocity_rad_s, dtype=float).ravel()
+        command = np.asarray(values, dtype=float).ravel()
+        refusal = self._refusal(command)
+        if refusal is None and self.config.command_interface == VELOCITY:
+            self._actuator.command(command)
+        elif refusal is None:
+            self._wanted = command
+        return refusal
+
+    def _refusal(self, command: np.ndarray) -> str | None:
+        interface, joints = self.config.command_interface, self._joints
         if not self.active:
-            return "the velocity controller is inactive and takes no command; activate it first"
-        if velocity.size == 0:
+            return f"the {interface} controller is inactive and takes no command; activate it first"
+        if command.size == 0:
             return "an empty command was ignored; the last one goes on"
-        if velocity.size != self._joints.size:
+        if command.size != joints.size:
             self.deactivate()
             return (
-                f"a command of {velocity.size} values deactivated the velocity controller; "
-                f"it takes {self._joints.size}"
+                f"a command of {command.size} values deactivated the {interface} controller; "
+                f"it takes {joints.size}"
             )
-        if not np.isfinite(velocity).all():
+        if not np.isfinite(command).all():
             return "a command that is not finite was dropped; the last one goes on"
-        self._actuator.command(velocity)
+        away = np.zeros(1) if interface == VELOCITY else np.abs(command - joints)
+        if (away > _MOST_AWAY_S * self.world.max_speed_rad_s).any():
+            return f"a position that is {away.max():.2f} rad away from its joint was refused"
         return None
 
     def deactivate(self) -> None:
-        """Deactivate the velocity controller: its command is gone, and it takes none."""
+        """Deactivate the controller: its command is gone, and it takes none."""
         self.active = False
+        self._wanted = self._sought = None
         self._actuator.command(np.zeros(self._joints.size))
+
+    def _seek(self) -> None:
+        """Follow the position command: its own speed, and a gain on what is missing."""
+        if self._wanted is None:
+            return
+        before = self._wanted if self._sought is None else self._sought
+        speed = (self._wanted - before) * self.config.joint_state_rate_hz
+        self._actuator.command(speed + _SEEK_GAIN * (before - self._joints))
+        self._sought = self._wanted
 
     def advance(self) -> SimStep:
         """Advance by one joint-state period."""
         if self._step == 0:
             self._expose_if_due()
+        self._seek()
         for _ in range(self._steps_per_period):
             self.world.drive(self._actuator.step(self._joints))
             self.world.step()

@@ -21,7 +21,7 @@ from fvs_estimator_node.files import TrainedModel, load_model
 from fvs_estimator_node.loop import EstimationLoop
 from fvs_estimator_node.registry import create_estimator
 from fvs_ros.camera import CAMERA_FRAME
-from fvs_ros.limits import described
+from fvs_ros.limits import POSITION, PositionPath, described
 from fvs_ros.paths import find_file
 from fvs_sim_node.simulation import Simulation
 from fvs_tools.schemes import Scheme
@@ -79,6 +79,7 @@ class ClosedLoop:
         joints = {one.name: one for one in simulation.world.joints}
         own = {"autostart": True, "joint_names": list(joints), **(controller_values or {})}
         self.loop = ServoLoop(described(default_values(**own), joints))
+        self._path = PositionPath()
         self.period_s = 1.0 / simulation.config.joint_state_rate_hz
 
     @classmethod
@@ -121,7 +122,11 @@ class ClosedLoop:
         command = self.loop.tick(now_s, self.period_s)
         if command.output is not None:
             self.estimation.add_sliding_variable(now_s, command.output.sliding_variable)
-        refusal = self.simulation.command(command.velocity_rad_s)
+        values = command.velocity_rad_s
+        if self.simulation.config.command_interface == POSITION:
+            limits = self.loop.supervisor.config
+            values = self._path.advance(values, out.joints_rad, self.period_s, limits)
+        refusal = self.simulation.command(values)
         assert refusal is None, refusal
         return command
 

@@ -140,7 +140,7 @@ def _name_joints(sections: Scenario) -> None:
         names = [joint.name for joint in moving_joints(robot_of(*robot))[1]]
         for node, values in sections.items():
             if "joint_names" in _declared(node):
-                values.setdefault("joint_names", names)
+                values.setdefault("joint_names", list(names))
 
 
 def _read(name: str) -> tuple[Path, Scenario]:

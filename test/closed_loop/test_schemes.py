@@ -70,6 +70,16 @@ def test_a_joint_brakes_before_its_end_behind_a_drive_that_lags():
     assert np.max(passed_rad) < 2e-3
 
 
+def test_by_positions_it_settles_as_by_velocities():
+    with Simulation(SimConfig(command_interface="position", rendered=False)) as simulation:
+        loop = ClosedLoop.of_scheme("best", simulation)
+        loop.run(0.5)
+        target_m = loop.ball_m + [0.0, 0.2, 0.1]
+        loop.set_target(target_m)
+        loop.run(1.0)
+        assert np.abs(loop.ball_m - target_m).max() < 0.001
+
+
 # ---- images stamped late, noisy, or of another chain ------------------------------------------
 
 

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from fvs_ros.limits import (
     UNLIMITED,
     JointLimits,
+    PositionPath,
     braking_speed,
     described,
     limit_acceleration,
@@ -152,3 +153,20 @@ def test_slower_joints_are_limited_in_proportion():
     got, slowed = limits.slow_down(np.array([0.0, 0.0, 0.1]), joints, 6.0, 0.008, np.zeros(3))
     assert slowed == [2]
     assert got[2] == pytest.approx(0.05)
+
+
+def test_positions_follow_velocities_and_never_run_away_from_joints_that_do_not():
+    limits, path, joints = described_limits(), PositionPath(), np.array([0.3, -0.2, 0.1])
+    velocity = np.array([1.0, -0.5, 0.0])
+    np.testing.assert_allclose(
+        path.advance(velocity, joints, 0.01, limits), joints + 0.01 * velocity
+    )
+    for _ in range(100):
+        position = path.advance(velocity, joints, 0.01, limits)
+    np.testing.assert_allclose(position - joints, 0.2 * velocity)
+    np.testing.assert_array_equal(path.advance(0.0 * velocity, joints, 0.01, limits), position)
+    path.end()
+    np.testing.assert_array_equal(path.advance(0.0 * velocity, joints, 0.01, limits), joints)
+    # A late tick makes no big step, and time that runs back none.
+    assert path.advance(velocity, joints, 9.0, limits)[0] == pytest.approx(0.35)
+    assert path.advance(velocity, joints, -9.0, limits)[0] == pytest.approx(0.35)

@@ -114,6 +114,23 @@ def test_encoder_noise_is_white_on_what_is_reported_and_moves_no_joint(make):
     np.testing.assert_array_equal(noisy.joints_rad, quiet.joints_rad)
 
 
+def test_a_position_drive_follows_and_refuses_what_is_far_away(make):
+    simulation = make(rendered=False, command_interface="position")
+    start, way = simulation.joints_rad, np.array([0.2, -0.1, 0.1, 0.0, 0.3, 0.1])
+    run(simulation, 20)
+    np.testing.assert_allclose(simulation.joints_rad, start)
+    for share in np.linspace(0.0, 1.0, 60):
+        assert simulation.command(start + share * way) is None
+        simulation.advance()
+    assert np.abs(simulation.joints_rad - start - way).max() < 0.03
+    run(simulation, 100)
+    np.testing.assert_allclose(simulation.joints_rad, start + way, atol=1e-3)
+    assert "2.00 rad away" in simulation.command(simulation.joints_rad + 2.0)
+    assert "5 values deactivated the position controller" in simulation.command(np.zeros(5))
+    run(simulation, 50)
+    np.testing.assert_allclose(simulation.joints_rad, start + way, atol=1e-3)
+
+
 @pytest.mark.parametrize("rendered", [True, False])
 def test_a_ball_out_of_view_or_behind_a_hand_is_lost_and_found_again(make, rendered):
     simulation = make(rendered=rendered)
