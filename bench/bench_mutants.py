@@ -168,7 +168,7 @@ MUTANTS = (
 )
 #: Rows that a process and its wires keep, not the loop: row -> the tests that guard it.
 ELSEWHERE = {
-    "a message above": "test/faults/test_fuzz_messages.py",
+    "a message or request": "test/faults/test_fuzz_messages.py",
     "Ctrl-C, any signal": "test/faults/test_hostile_terminal.py",
 }
 

@@ -26,7 +26,7 @@ def test_an_arm_is_learned_and_servoed_by_its_name_with_velocities_and_with_posi
     assert load_model(model).chain.prismatic.tolist() == [0.0] * 7
     assert "joints move the ball by lbr_iiwa_joint_1 " in ros_test.output(trainer)
     simulated = ["-p", "use_sim_time:=true", "-p", "simulated_time:=true"]
-    short = ["-p", "targets:=2", "-p", "target_s:=2.0", "-p", f"model_path:={model}"]
+    short = ["-p", "targets:=2", "-p", "target_s:=3.0", "-p", f"model_path:={model}"]
     for topic, interface in ((topics.COMMANDS, ()), (topics.POSITION_COMMANDS, POSITION)):
         commands = ros_test.collect(Float64MultiArray, topic.name, ros.QOS_EVERY)
         given = [*ARM, *interface, *simulated, *short]
