@@ -17,6 +17,7 @@ class CommandPublisher:
         self._path = None if node.values["command_interface"] == VELOCITY else PositionPath()
         self.topic = topics.COMMANDS if self._path is None else topics.POSITION_COMMANDS
         self._publisher = node.publisher(self.topic)
+        self._lock_step = node.get_parameter("use_sim_time").value
 
     def send(
         self,
@@ -29,12 +30,15 @@ class CommandPublisher:
         """Send joint velocities, (n,); returns what was sent, empty if nothing.
 
         Positions need the measured joints, rad, (n,), and are sent in an active session only: a
-        position controller holds the last one, and another may take over in between.
+        position controller holds the last one, and another may take over in between. Simulated time
+        waits for an answer to each joint state: then it is where the joints are.
         """
         values = velocity_rad_s
         if self._path is not None:
-            if joints_rad is None or not (active or velocity_rad_s.any()):
+            active = active or bool(velocity_rad_s.any())
+            if not active:
                 self._path.end()
+            if joints_rad is None or not (active or self._lock_step):
                 return ()
             values = self._path.advance(velocity_rad_s, joints_rad, dt_s, limits)
         message = to_command(values)
