@@ -34,13 +34,23 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from tqdm import tqdm
 
 from bench.fuzz_promises import Promises
-from bench.fuzz_world import BALL, FRESH_TICKS, JOINT_STATES, MAX_AGE, PLANTS, TICK_S, World
-from bench.fuzz_world import TRUE_JACOBIAN as TRUE
+from bench.fuzz_world import (
+    BALL,
+    FRESH_TICKS,
+    HOME_BALL_M,
+    JOINT_STATES,
+    MAX_AGE,
+    MOST_JOINTS,
+    PLANTS,
+    TICK_S,
+    World,
+)
 from fvs_controller_node.base import ControlOutput
 from fvs_controller_node.config import LAWS, PARAMETERS
 from fvs_controller_node.reasons import Reason
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_ros.limits import FROM_DESCRIPTION
 
 CHUNK_TICKS = 20_000
 SETTINGS = hypothesis.settings(
@@ -56,7 +66,7 @@ _SHRINKS = hypothesis.settings(
     SETTINGS, phases=[hypothesis.Phase.generate, hypothesis.Phase.shrink]
 )
 
-N_AXES, N_JOINTS = TRUE.shape
+N_AXES = HOME_BALL_M.size
 ODD = (
     *(math.nan, math.inf, -math.inf, 1e308, -1e300, 5e-324, -5e-324, 0.0, -0.0, 1e-300),
     *(1e9, 100.0, 100.00001, -100.0, math.pi, 1e-9),
@@ -66,7 +76,7 @@ IMPATIENT = {"resume_within_s": 0.5, "stall_time_s": 0.6}
 
 TICKS = st.integers(0, 60)
 OFTEN = st.sampled_from([True, True, True, False])
-JOINT = st.integers(0, N_JOINTS - 1)
+JOINT = st.integers(0, MOST_JOINTS - 1)
 NUMBER = st.one_of(st.sampled_from(ODD), st.floats())
 FRAME = st.sampled_from([CAMERA_FRAME] * 3 + ["", "base", "\0", " " + CAMERA_FRAME, "x" * 999])
 #: Of a tick on the steady clock, s; of a stamp beside its clock, s.
@@ -102,13 +112,14 @@ def value_of(parameter):
         number = st.one_of(number, exponents.map(lambda e: min(high, max(low, 10.0**e))))
     if not parameter.is_list:
         return number
-    size = len(parameter.default) or N_JOINTS
+    size = len(parameter.default) or MOST_JOINTS
     numbers = st.lists(number, min_size=size, max_size=size)
     if not parameter.default:  # of the joints
         return numbers | st.just([])
     return numbers | vector(size, 0.5).map(lambda by: np.add(parameter.default, by).tolist())
 
 
+OF_JOINTS = vector(MOST_JOINTS, 0.6)
 LIVE = st.sampled_from([parameter for parameter in PARAMETERS if parameter.live])
 CHANGES = st.one_of(
     st.sampled_from([{name: value} for name, value in IMPATIENT.items()]),
@@ -125,11 +136,12 @@ class Machine(RuleBasedStateMachine):
         autostart=st.sampled_from([False, False, False, True]),
         simulated_time=st.booleans(),
         epoch_s=st.sampled_from([1000.0, 0.0, 1.7e9, 2147483600.0]),
+        joints=st.integers(4, MOST_JOINTS),
         at_work=OFTEN,
     )
-    def begin(self, law="proportional", autostart=False, at_work=False, **times):
+    def begin(self, law="proportional", autostart=False, at_work=False, **world):
         """Make the world, of the plainest law by default, at rest or at work."""
-        self.world = World({"law": law, "autostart": autostart}, **times)
+        self.world = World({"law": law, "autostart": autostart}, **world)
         Promises(self.world)
         if at_work:
             self.work()
@@ -139,17 +151,21 @@ class Machine(RuleBasedStateMachine):
         if sys.exc_info()[0] is None and hasattr(self, "world"):
             self.world.shut_down()
 
+    def _of_joints(self, values):
+        """As many of the values as the arm has joints."""
+        return np.resize(values, self.world.joints.size)
+
     # ---- the operator -----------------------------------------------------------------------
 
-    @rule(way_rad=vector(N_JOINTS, 0.6), ticks=TICKS, mend=OFTEN)
-    def work(self, way_rad=(0.3,) * N_JOINTS, ticks=25, mend=True):
+    @rule(way_rad=OF_JOINTS, ticks=TICKS, mend=OFTEN)
+    def work(self, way_rad=(0.3,), ticks=25, mend=True):
         """Do all that servoing needs, mend what is broken, and go where these joints lead."""
         if mend:
             self.robot(True, 100.0, 0)
             self.show(1.0)
-            self.world.plant, self.world.estimate = "obeys", TRUE
+            self.world.plant, self.world.estimate = "obeys", self.world.true
         self.world.run(FRESH_TICKS)
-        self.world.send_target(self.world.ball() + TRUE @ way_rad)
+        self.world.send_target(self.world.ball() + self.world.true @ self._of_joints(way_rad))
         self.world.start()
         self.world.run(ticks)
 
@@ -185,17 +201,23 @@ class Machine(RuleBasedStateMachine):
     @rule(changes=CHANGES, ticks=TICKS)
     def change(self, changes, ticks=0):
         """Change live parameters in mid-motion."""
-        self.world.set(changes)
+        count = self.world.joints.size  # also of what is drawn for more joints
+        ends = {*changes} & {*FROM_DESCRIPTION}
+        cut = {name: changes[name][:count] for name in ends if isinstance(changes[name], list)}
+        self.world.set({**changes, **cut})
         self.world.run(ticks)
 
-    @rule(room_rad=st.lists(st.floats(-0.05, 0.3), min_size=N_JOINTS, max_size=N_JOINTS))
+    @rule(room_rad=st.lists(st.floats(-0.05, 0.3), min_size=MOST_JOINTS, max_size=MOST_JOINTS))
     def close_in(self, room_rad):
         """Let the ends of the joints' ranges close in on where the arm is."""
+        room_rad = self._of_joints(room_rad)
         low = self.world.joints - room_rad
         high = np.maximum(self.world.joints + room_rad, low + 0.002)
         self.change({"joint_min_rad": low.tolist(), "joint_max_rad": high.tolist()}, 10)
 
-    @rule(fast=st.lists(st.floats(0.02, 3.0), min_size=N_JOINTS, max_size=N_JOINTS), ticks=TICKS)
+    @rule(
+        fast=st.lists(st.floats(0.02, 3.0), min_size=MOST_JOINTS, max_size=MOST_JOINTS), ticks=TICKS
+    )
     def slow_joints(self, fast, ticks):
         """Let single joints be slower than the others."""
         self.change({"joint_velocity_limits_rad_s": fast}, ticks)
@@ -203,13 +225,13 @@ class Machine(RuleBasedStateMachine):
     @rule(joint=JOINT, side=st.sampled_from([-1, 1]), room_rad=st.floats(0.0, 0.3), ticks=TICKS)
     def to_the_limit(self, joint, side, room_rad, ticks):
         """Put the arm near an end of its range, with a target beyond."""
-        world = self.world
+        world, joint = self.world, joint % self.world.joints.size
         ball_m, limits = world.ball(), world.limits
         end_rad = limits.upper_rad if side > 0 else limits.lower_rad
         world.joints[joint] = end_rad[joint] - side * room_rad
         self._push(ball_m - world.ball())
         world.run(FRESH_TICKS)
-        world.send_target(world.ball() + side * 0.5 * TRUE[:, joint])
+        world.send_target(world.ball() + side * 0.5 * world.true[:, joint])
         world.start()
         world.run(ticks)
 
@@ -241,13 +263,14 @@ class Machine(RuleBasedStateMachine):
     @rule(joint=JOINT, step_rad=st.floats(-0.5, 0.5))
     def knock(self, joint, step_rad):
         """Let a joint jump."""
-        self.world.joints[joint] += step_rad
+        self.world.joints[joint % self.world.joints.size] += step_rad
         self.world.new_image = True
         self.world.run(8)
 
-    @rule(values=vector(N_JOINTS), own=st.booleans(), ticks=st.integers(1, 9))
+    @rule(values=OF_JOINTS, own=st.booleans(), ticks=st.integers(1, 9))
     def other_commander(self, values, own=False, ticks=9):
         """Let another node command the arm, or one's own commands come back."""
+        values = self._of_joints(values)
         for _ in range(ticks):
             self.world.send_command(self.world.last if own else values)
             self.world.run(1)
@@ -256,14 +279,15 @@ class Machine(RuleBasedStateMachine):
         signs=st.sampled_from([(1, 1, 1), (-1, -1, -1), (1, -1, 1)]),
         scale=st.sampled_from([1.0, 1.0, 0.3, 8.0, 1e3]),
         smallest=st.sampled_from([None, 0.0, 0.02, 0.04, 0.06]),
-        noise=st.one_of(st.just(0.0), vector(TRUE.size)),
+        noise=st.one_of(st.just(0.0), vector(N_AXES * MOST_JOINTS)),
         ticks=TICKS,
     )
     def estimator(self, signs=1, scale=1.0, smallest=None, noise=0.0, ticks=20):
         """Let the estimator err: in sign, scale, smallest singular value, or anyhow."""
-        u, s, vt = np.linalg.svd(TRUE, full_matrices=False)
+        true = self.world.true
+        u, s, vt = np.linalg.svd(true, full_matrices=False)
         s[-1] = s[-1] if smallest is None else smallest
-        erring = scale * (u * s) @ vt + np.resize(noise, TRUE.shape)
+        erring = scale * (u * s) @ vt + np.resize(noise, true.shape)
         self.world.estimate = np.resize(signs, (N_AXES, 1)) * erring
         self.world.run(ticks)
 
@@ -296,14 +320,17 @@ class Machine(RuleBasedStateMachine):
     # ---- messages and answers that should not be ---------------------------------------------
 
     @rule(
-        names=st.one_of(st.permutations(UR_JOINT_NAMES), st.lists(NAMES, max_size=9)),
+        names=st.one_of(st.permutations(range(MOST_JOINTS)), st.lists(NAMES, max_size=9)),
         odd=odd_at(9),
         more=st.integers(-1, 1),
         late_s=STAMP_S,
     )
-    def odd_joints(self, names=UR_JOINT_NAMES, odd=None, more=0, late_s=0.0):
-        """Send joint states with names, positions or stamps that are odd."""
-        known = dict(zip(UR_JOINT_NAMES, self.world.joints.tolist(), strict=True))
+    def odd_joints(self, names=range(MOST_JOINTS), odd=None, more=0, late_s=0.0):
+        """Send joint states with names (or places), positions or stamps that are odd."""
+        own = self.world.names
+        names = [own[one] if isinstance(one, int) else one for one in names
+                 if not isinstance(one, int) or one < len(own)]  # fmt: skip
+        known = dict(zip(own, self.world.joints.tolist(), strict=True))
         positions = [known.get(name, 0.5) for name in (*names, "")][: len(names) + more]
         for index, value in (odd or {}).items():
             positions[index : index + 1] = [value] if index < len(positions) else []
@@ -317,22 +344,23 @@ class Machine(RuleBasedStateMachine):
         self.world.send_ball(ball_m, self.world.ros_s - late_s, frame)
 
     @rule(
-        odd=odd_at(TRUE.size),
-        size=st.sampled_from([TRUE.size, TRUE.size, 0, 1, 17, 19, 36]),
-        sizes=st.sampled_from([[], TRUE.shape, TRUE.shape[::-1], [18], [2**32 - 1] * 2]),
+        odd=odd_at(N_AXES * 4),
+        size=st.sampled_from([None, None, 0, 1, 17, 18, 19, 36]),
+        sizes=st.sampled_from([[], None, (6, 3), [18], [2**32 - 1] * 2]),
     )
     def odd_jacobian(self, odd, size, sizes):
         """Send a Jacobian with numbers or dimensions that are odd."""
-        data = self.world.estimate.ravel().copy()
+        data, true = self.world.estimate.ravel().copy(), self.world.true
         data[list(odd)] = list(odd.values())
+        size, sizes = true.size if size is None else size, true.shape if sizes is None else sizes
         message = Float64MultiArray(data=np.resize(data, size).tolist())
         message.layout.dim = [MultiArrayDimension(size=one) for one in sizes]
         self.world.send_jacobian(message)
 
-    @rule(data=st.one_of(vector(49, 3.0), st.lists(NUMBER, max_size=49)))
+    @rule(data=st.one_of(vector(8 * (MOST_JOINTS + 1), 3.0), st.lists(NUMBER, max_size=49)))
     def odd_chain(self, data):
         """Send any chain, or what is none."""
-        self.world.send_chain(Float64MultiArray(data=data))
+        self.world.send_chain(Float64MultiArray(data=data[: 8 * (self.world.joints.size + 1)]))
 
     @rule(key=WORDS, value=WORDS, message=WORDS)
     def odd_status(self, key, value, message):
@@ -340,7 +368,9 @@ class Machine(RuleBasedStateMachine):
         pairs = [KeyValue(key=key, value=value), KeyValue(key="state", value="WAITING")]
         self.world.node._on_estimator_status(DiagnosticStatus(values=pairs, message=message))
 
-    @rule(velocity=st.lists(NUMBER, max_size=N_JOINTS), sliding=st.lists(NUMBER, max_size=N_AXES))
+    @rule(
+        velocity=st.lists(NUMBER, max_size=MOST_JOINTS), sliding=st.lists(NUMBER, max_size=N_AXES)
+    )
     def mad_law(self, velocity=(), sliding=()):
         """Let the law answer anything, or fail."""
         answer = ControlOutput(np.array(velocity), np.array(sliding), np.ones(N_AXES))

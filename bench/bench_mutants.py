@@ -14,11 +14,12 @@ from typing import NamedTuple
 from unittest import mock
 
 from bench import fuzz_world
-from bench.bench_fuzz import IMPATIENT, N_AXES, N_JOINTS, Machine
+from bench.bench_fuzz import IMPATIENT, N_AXES, Machine
 from bench.fuzz_world import BALL, FRESH_TICKS, JACOBIAN, BrokenPromiseError
 from fvs_controller_node.node import ControllerNode
 from fvs_controller_node.reasons import Finding, Reason
 from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.joints import UR_JOINT_NAMES
 
 #: What happens to the controller: rules of the machine. Together they meet every reason.
 SCRIPTS = {
@@ -50,7 +51,7 @@ SCRIPTS = {
         do("wait", 40),
     ],
     "a joint is not a number": [do("work"), do("odd_joints", odd={2: math.nan}), do("wait", 20)],
-    "another node commands": [do("work"), do("other_commander", (0.1,) * N_JOINTS)],
+    "another node commands": [do("work"), do("other_commander", (0.1,))],
     "targets are wrong": [
         do("work"),
         do("odd_target", None, "base"),
@@ -76,7 +77,7 @@ SCRIPTS = {
     "a target out of reach": [
         do("change", IMPATIENT),
         do("work", ticks=0),
-        do("close_in", (0.0,) * N_JOINTS),
+        do("close_in", (0.0,)),
         do("wait", 200, 0.03),
     ],
     "the ball swings": [
@@ -136,7 +137,7 @@ _SUDDEN, _ENDS = "acceleration limit", "stops before its limit"
 _SINGULAR, _WRONG = "held near a singularity", "a wrong Jacobian is held"
 _GROWS, _STALLED = "an error that grows is held", "an error that does not fall is held"
 _FROZEN, _STUCK = "a frozen image is held", "an arm that does not follow is held"
-_FAR = [9.0] * N_JOINTS
+_FAR = [9.0] * len(UR_JOINT_NAMES)
 _NO_LIMIT = {"workspace_min_m": [-9.0] * N_AXES, "workspace_max_m": [9.0] * N_AXES}
 _STAMPS = mock.patch("fvs_controller_node.loop.repeats", return_value=False)
 _SHARED = mock.patch("fvs_controller_node.inbox.Inbox.conflicting_command")

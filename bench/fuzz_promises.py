@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from bench.fuzz_world import LONGEST_TICK_S, MAX_AGE, TRUE_JACOBIAN, keep
+from bench.fuzz_world import LONGEST_TICK_S, MAX_AGE, keep
 from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.reasons import State, Stop
 
@@ -145,9 +145,9 @@ class Promises:
     def _judge_image(self, dt_s):
         """It ends when image and Jacobian do not agree, by what a good drive does."""
         world = self._world
-        if world.estimate is not TRUE_JACOBIAN or world.plant not in ("obeys", "lags"):
+        if world.estimate is not world.true or world.plant not in ("obeys", "lags"):
             return
-        speed_m_s = np.linalg.norm(TRUE_JACOBIAN @ world.drive)
+        speed_m_s = np.linalg.norm(world.true @ world.drive)
         self._fastest_m_s = max(self._fastest_m_s, speed_m_s)
         self._way_m += speed_m_s * dt_s
         # It is found after 3 cm of predicted motion; an arm that is fast needs half a second, too.

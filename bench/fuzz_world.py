@@ -27,13 +27,15 @@ TICK_S = 0.008
 #: A tick counts for at most this, s.
 LONGEST_TICK_S = 0.05
 FRESH_TICKS = 26  # until every input counts again
-HOME_RAD = np.array(HOME_JOINTS_RAD)
 HOME_BALL_M = np.array([0.0, 0.0, 1.2])
-TRUE_JACOBIAN = np.array(
+#: An arm of fewer joints lacks the last ones.
+MOST_JOINTS = 7
+_HOME_RAD = np.array([*HOME_JOINTS_RAD, 0.4])
+_JACOBIAN = np.array(
     [
-        [0.02, -0.45, -0.30, -0.10, 0.05, 0.0],
-        [-0.55, 0.03, 0.04, 0.02, 0.17, 0.0],
-        [0.10, -0.25, 0.35, 0.15, -0.02, 0.0],
+        [0.02, -0.45, -0.30, -0.10, 0.05, 0.0, 0.20],
+        [-0.55, 0.03, 0.04, 0.02, 0.17, 0.0, -0.10],
+        [0.10, -0.25, 0.35, 0.15, -0.02, 0.0, 0.15],
     ]
 )
 JOINT_STATES, BALL, JACOBIAN = "joint_states", "ball_position", "jacobian"
@@ -73,11 +75,17 @@ class World:
     """A controller node, an arm, a ball, an estimator and an operator.
 
     ``given`` are parameters of the node that are not at their defaults; with ``simulated_time`` it
-    takes its time steps from the stamps, which begin at ``epoch_s``.
+    takes its time steps from the stamps, which begin at ``epoch_s``. The arm has 4 to 7 joints.
     """
 
-    def __init__(self, given=None, simulated_time=False, epoch_s=1000.0):
-        given = given or {}
+    def __init__(self, given=None, simulated_time=False, epoch_s=1000.0, joints=6):
+        self.home_rad, self.true = _HOME_RAD[:joints], _JACOBIAN[:, :joints]
+        arm = {}
+        if joints != len(UR_JOINT_NAMES):
+            names = [f"joint_{number}" for number in range(joints)]
+            ends = {"joint_min_rad": [-6.0] * joints, "joint_max_rad": [6.0] * joints}
+            arm = {"joint_names": names, **ends}
+        given = {**arm, **(given or {})}
         self.values = ParameterSet(PARAMETERS).values(given)
         self.limits = JointLimits.from_values(self.values)
         self.now_s, self.ros_s = 100.0, epoch_s
@@ -85,14 +93,15 @@ class World:
         self.node.on_tick = self._on_tick
         self.wire = self.node.published[topics.COMMANDS.name]  # commands since the last tick
         self.judge = lambda command, now_s, dt_s: None
-        self.last = self.before = np.zeros(HOME_RAD.size)  # the last two commands, rad/s
+        self.names = tuple(self.values["joint_names"])
+        self.last = self.before = np.zeros(joints)  # the last two commands, rad/s
         # the arm, the camera, the estimator
         self.plant = "obeys"
-        self.joints = HOME_RAD.copy()
-        self.drive = np.zeros(HOME_RAD.size)  # the drives' speed, rad/s
+        self.joints = self.home_rad.copy()
+        self.drive = np.zeros(joints)  # the drives' speed, rad/s
         self.push_m = np.zeros(HOME_BALL_M.size)  # what moved the ball beside the arm
         self.seen_share = 1.0  # of the ball's motion, that the camera shows
-        self.estimate = TRUE_JACOBIAN
+        self.estimate = self.true
         self._images = deque(maxlen=5)  # the camera's latency is four ticks
         self._beats = 0
         # the account: what a good controller knows
@@ -164,7 +173,7 @@ class World:
 
     def arm_moved_m(self):
         """How far the arm has carried the ball from home, m."""
-        return TRUE_JACOBIAN @ (self.joints - HOME_RAD)
+        return self.true @ (self.joints - self.home_rad)
 
     def ball(self):
         """Where the camera sees the ball, m."""
@@ -190,13 +199,14 @@ class World:
         self.arrived_s[name] = self.now_s
         self.bad.discard(name)
 
-    def send_joints(self, joints_rad, stamp_s, names=UR_JOINT_NAMES):
+    def send_joints(self, joints_rad, stamp_s, names=None):
         """Send a joint state; the node ticks."""
+        names = self.names if names is None else names
         message = JointState(name=list(names), position=[float(q) for q in joints_rad])
         message.header.stamp = ros.to_stamp(stamp_s)
         before_s, before = self.stamps_s.get(JOINT_STATES), self._heard_joints
         try:
-            joints = JointMap().positions(message.name, message.position)
+            joints = JointMap(self.names).positions(message.name, message.position)
         except ForeignJointsError:
             pass  # another device's
         except ValueError:
@@ -223,7 +233,7 @@ class World:
 
     def send_jacobian(self, message):
         """Send a Jacobian, m/rad."""
-        self._note(JACOBIAN, _read(ros.from_jacobian, message, *TRUE_JACOBIAN.shape))
+        self._note(JACOBIAN, _read(ros.from_jacobian, message, *self.true.shape))
         self.node._on_jacobian(message)
 
     @property
@@ -236,7 +246,7 @@ class World:
         """Send a kinematic chain; it counts until it is forgotten."""
         self._chain_s = self.now_s
         self.bad.discard("kinematic_chain")
-        if _read(ros.from_chain, message, TRUE_JACOBIAN.shape[1]) is None:
+        if _read(ros.from_chain, message, self.joints.size) is None:
             self.bad.add("kinematic_chain")
         self.node._on_chain(message)
 

@@ -15,7 +15,7 @@ from bench import bench_fuzz, bench_mutants
 from bench.bench_fuzz import Machine
 from bench.bench_mutants import MUTANTS, SCRIPTS, do
 from bench.fuzz_promises import Promises
-from bench.fuzz_world import BALL, FRESH_TICKS, HOME_RAD, TRUE_JACOBIAN, World
+from bench.fuzz_world import BALL, FRESH_TICKS, World
 from fvs_controller_node.reasons import Reason
 
 README = Path(__file__).resolve().parents[2] / "README.md"
@@ -37,20 +37,21 @@ def test_nothing_but_a_start_starts_it(monkeypatch):
 
 @settings(max_examples=15, derandomize=True)
 @given(
-    start=st.lists(st.floats(-7.0, 7.0), min_size=6, max_size=6),
+    joints=st.integers(4, 7),
+    start=st.lists(st.floats(-7.0, 7.0), min_size=7, max_size=7),
     plant=st.sampled_from(["obeys", "creeps", "one joint sticks"]),
-    way=st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6),
-    fast=st.just([]) | st.lists(st.floats(0.05, 1.5), min_size=6, max_size=6),
+    way=st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7),
+    fast=st.just([]) | st.lists(st.floats(0.05, 1.5), min_size=7, max_size=7),
 )
-def test_an_arm_that_obeys_never_passes_the_ends_of_its_range(start, plant, way, fast):
-    world = World()
+def test_an_arm_that_obeys_never_passes_the_ends_of_its_range(joints, start, plant, way, fast):
+    world = World(joints=joints)
     Promises(world)
-    world.set({"joint_velocity_limits_rad_s": fast})
+    world.set({"joint_velocity_limits_rad_s": fast[:joints]})
     lower, upper = world.limits.lower_rad, world.limits.upper_rad
-    world.joints, world.plant = np.clip(start, lower, upper), plant
+    world.joints, world.plant = np.clip(start[:joints], lower, upper), plant
     world.push_m = -world.arm_moved_m()
     world.run(FRESH_TICKS)
-    world.send_target(world.ball() + TRUE_JACOBIAN @ way)
+    world.send_target(world.ball() + world.true @ way[:joints])
     world.start()
     for _ in range(100):
         world.run(1)
@@ -99,7 +100,7 @@ def test_a_pause_or_a_bad_message_stops_at_once_an_arm_that_is_coming_to_rest(tr
 
 
 def test_another_node_that_commands_ends_a_session_that_a_bad_message_holds():
-    other = do("other_commander", (0.1,) * HOME_RAD.size, ticks=1)
+    other = do("other_commander", (0.1,), ticks=1)
     script = [do("work"), do("odd_ball", {0: np.nan}), other, do("show", 1.0, 4, 0.3)]
     world = bench_mutants.play([*script, do("wait", 20)]).world
     assert world.reasons["BAD_INPUT"]
@@ -109,8 +110,8 @@ def test_another_node_that_commands_ends_a_session_that_a_bad_message_holds():
 def test_a_limit_that_is_lowered_in_motion_is_reached_by_braking_with_all_it_has():
     machine = Machine()
     machine.begin()
-    machine.work(0.5 * np.sign(HOME_RAD) + 0.3, ticks=40)
     world = machine.world
+    machine.work(0.5 * np.sign(world.home_rad) + 0.3, ticks=40)
     fastest = np.abs(world.last).max()
     assert fastest > 0.5
     machine.change({"max_joint_velocity_rad_s": 0.05})
