@@ -17,11 +17,11 @@ from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.detection import detect_ball
 from fvs_detector_node.detector import Detector
 from fvs_ros.camera import CameraModel
-from fvs_ros.joints import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_ros.ros import to_image
 from fvs_ros.ros.images import from_color, from_depth
 from fvs_sim_node.camera import CAMERAS, add_depth_noise
 from fvs_sim_node.config import SimConfig
+from fvs_sim_node.robot import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.world import Renderer, World
 
 CONFIG = SimConfig()

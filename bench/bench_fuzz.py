@@ -50,7 +50,7 @@ from fvs_controller_node.config import LAWS, PARAMETERS
 from fvs_controller_node.reasons import Reason
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.joints import UR_JOINT_NAMES
-from fvs_ros.limits import FROM_DESCRIPTION
+from fvs_ros.limits import URDF_LIMITS
 
 CHUNK_TICKS = 20_000
 SETTINGS = hypothesis.settings(
@@ -202,7 +202,7 @@ class Machine(RuleBasedStateMachine):
     def change(self, changes, ticks=0):
         """Change live parameters in mid-motion."""
         count = self.world.joints.size  # also of what is drawn for more joints
-        ends = {*changes} & {*FROM_DESCRIPTION}
+        ends = {*changes} & {*URDF_LIMITS}
         cut = {name: changes[name][:count] for name in ends if isinstance(changes[name], list)}
         self.world.set({**changes, **cut})
         self.world.run(ticks)

@@ -20,8 +20,9 @@ from std_msgs.msg import Float64MultiArray
 from bench.timing import spread
 from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME
-from fvs_ros.joints import HOME_JOINTS_RAD, UR_JOINT_NAMES
+from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_sim_node.camera import CAMERAS
+from fvs_sim_node.robot import HOME_JOINTS_RAD
 from fvs_sim_node.world import World
 
 PERIOD_S, IMAGE_EVERY, TARGET_EVERY = 0.008, 4, 100

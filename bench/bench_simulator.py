@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from fvs_ros.joints import TRAINING_BOX_RAD
+from fvs_sim_node.robot import TRAINING_BOX_RAD
 from fvs_sim_node.simulation import Simulation
 
 SIMULATED_S = 20.0

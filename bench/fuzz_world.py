@@ -19,9 +19,10 @@ from bench.dry_node import DryController
 from fvs_controller_node.config import PARAMETERS, SupervisorConfig
 from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME
-from fvs_ros.joints import HOME_JOINTS_RAD, UR_JOINT_NAMES, ForeignJointsError, JointMap
+from fvs_ros.joints import UR_JOINT_NAMES, ForeignJointsError, JointMap
 from fvs_ros.limits import JointLimits
 from fvs_ros.params import ParameterSet
+from fvs_sim_node.robot import HOME_JOINTS_RAD
 
 TICK_S = 0.008
 #: A tick counts for at most this, s.

@@ -13,7 +13,8 @@ from fvs_controller_node.minimum_time import MinimumTimeLaw
 from fvs_controller_node.proportional import MfacLaw, MpcLaw, ProportionalLaw
 from fvs_controller_node.redundancy import RedundancyConfig
 from fvs_ros.camera import FeatureConfig
-from fvs_ros.limits import CommandInterface, JointLimits
+from fvs_ros.interface import CommandInterface
+from fvs_ros.limits import JointLimits
 from fvs_ros.params import ParameterError, Parameters, ParameterSet, live_parameter, parameter
 
 #: The control laws by name. A new law is one file in this folder and one line here.

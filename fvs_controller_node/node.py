@@ -84,7 +84,7 @@ class ControllerNode(ros.FvsNode):
         self.subscribe(topics.TARGET_POSITION, self._on_target)  # a latched one is heard twice
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
         description = self._loop.supervisor.inputs[ROBOT_DESCRIPTION]
-        self.read_limits(self._take_limits, description.bad)
+        self._limits = ros.LimitsReader(self, self._take_limits, description.bad)
         self.create_service(Trigger, "~/start", self._answer(self._start))
         self.create_service(Trigger, "~/stop", self._answer(self._loop.supervisor.stop))
         self.create_service(
@@ -201,7 +201,7 @@ class ControllerNode(ros.FvsNode):
         """Take changed gains and limits into use; another law only while the arm is stopped."""
         if values["law"] != self.values["law"] and self._loop.supervisor.started:
             raise ValueError("the law changes only while the arm is stopped; call ~/stop first")
-        self._loop.configure(self.with_limits(values))
+        self._loop.configure(self._limits.fill(values))
 
     # --- the tick: the only place that sends commands ---
 

@@ -18,13 +18,8 @@ from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.stopping import StopCriterion
 from fvs_ros.camera import FeatureConfig
 from fvs_ros.following import Following
-from fvs_ros.limits import (
-    MAX_TICK_S,
-    CommandInterface,
-    JointLimits,
-    limit_acceleration,
-    ramp_to_zero,
-)
+from fvs_ros.interface import CommandInterface
+from fvs_ros.limits import MAX_TICK_S, JointLimits, limit_acceleration, ramp_to_zero
 from fvs_ros.params import parameter
 from fvs_ros.timeline import Sample, Timeline, repeats
 

@@ -54,7 +54,7 @@ class CollectorNode(ros.FvsNode):
         self.subscribe(topics.BALL_POSITION, self._on_ball)
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
         self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
-        self.read_limits(self._take_limits, self._run.fail)
+        ros.LimitsReader(self, self._take_limits, self._run.fail)
         self.create_timer(_WATCHDOG_S, self._watchdog, clock=self.steady_clock)
         self.create_timer(ros.STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
         self.create_timer(

@@ -266,6 +266,8 @@ class Experiment:
     names: Mapping[str, Any]
     #: Name of the template; by default the experiment's.
     template: str = ""
+    #: Whether it uses the shipped model.
+    shipped_model: bool = True
 
     def run(self, context: Context) -> Report:
         """Measure, judge, tabulate and draw."""

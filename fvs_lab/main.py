@@ -165,8 +165,9 @@ def _measure(context: Context, arguments: argparse.Namespace) -> int:
     for number, name in enumerate(names, start=1):
         folder = context.folder(name)
         print(f"== {name} ({number} of {len(names)})", flush=True)
-        report = experiment_called(name).run(context)
-        write_report(report, folder, _origin(arguments))
+        experiment = experiment_called(name)
+        report = experiment.run(context)
+        write_report(report, folder, _origin(arguments, experiment.shipped_model))
         for verdict in report.verdicts:
             print(f"   {verdict.word} ({verdict.whose}): {verdict.claim}", flush=True)
             print(f"      {verdict.finding}", flush=True)
@@ -175,7 +176,7 @@ def _measure(context: Context, arguments: argparse.Namespace) -> int:
     return EXIT_OK
 
 
-def _origin(arguments: argparse.Namespace) -> Origin:
+def _origin(arguments: argparse.Namespace, with_model: bool) -> Origin:
     from fvs_ros.paths import find_file
     from fvs_tools.closed_loop import MODEL
 
@@ -187,9 +188,8 @@ def _origin(arguments: argparse.Namespace) -> Origin:
     command += [f"--camera {arguments.camera}"]
     command += [] if arguments.nodes else ["--no-nodes"]
     digest = hashlib.sha256(find_file(MODEL).read_bytes()).hexdigest()
-    return Origin(
-        " ".join(command), version(), f"{Path(MODEL).name} {digest[:12]}", arguments.quick
-    )
+    model = f"{Path(MODEL).name} {digest[:12]}" if with_model else ""
+    return Origin(" ".join(command), version(), model, arguments.quick)
 
 
 if __name__ == "__main__":

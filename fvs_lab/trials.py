@@ -13,8 +13,8 @@ import numpy as np
 from fvs_controller_node.prediction import BallPredictor
 from fvs_controller_node.supervisor import Command
 from fvs_lab.outcome import BOUNDS_M, JACOBIAN_EVERY, Outcome, outcome_of, seconds
-from fvs_ros.joints import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.camera import CAMERAS, CameraPose
+from fvs_sim_node.robot import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.simulation import SimConfig, Simulation
 from fvs_tools.closed_loop import ClosedLoop, make_estimator
 from fvs_tools.schemes import Scheme

@@ -21,11 +21,6 @@ UR_JOINT_NAMES = (
     "wrist_3_joint",
 )
 
-#: Home of the arm: the middle of the box that the shipped networks were trained in, and half its
-#: widths, rad, kinematic order.
-HOME_JOINTS_RAD = (0.0, -1.35, 1.6, -1.75, -1.57, 0.0)
-TRAINING_BOX_RAD = (0.6, 0.5, 0.5, 0.5, 0.5, 0.5)
-
 #: A UR turns each joint by so much to either side, rad, the elbow less; kinematic order.
 UR_POSITION_LIMITS_RAD = (2 * pi, 2 * pi, pi, 2 * pi, 2 * pi, 2 * pi)
 

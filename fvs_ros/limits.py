@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from fvs_ros.joints import UR_JOINT_NAMES, UR_POSITION_LIMITS_RAD, ArmJoints
-from fvs_ros.params import ParameterError, Parameters, live_parameter, parameter
+from fvs_ros.params import ParameterError, live_parameter
 from fvs_ros.urdf import UrdfJoint
 from fvs_ros.vectors import LARGEST, largest
 
@@ -91,29 +91,10 @@ def ramp_to_zero(last: np.ndarray, max_step: float, share: np.ndarray | float = 
     return last * (1.0 - max_step / fastest)
 
 
-#: What a robot's driver takes.
-VELOCITY, POSITION = "velocity", "position"
-#: A position command is ahead of its joint by at most the way at full speed in this time, s: longer
-#: than any drive lags.
-_LEAD_S = 0.2
-
-
-@dataclass(frozen=True)
-class CommandInterface(Parameters):
-    """What the robot's driver takes."""
-
-    command_interface: str = parameter(
-        VELOCITY,
-        "What the driver takes: velocity on forward_velocity_controller/commands, or position on "
-        "forward_position_controller/commands.",
-        choices=(VELOCITY, POSITION),
-    )
-
-
 #: A joint position or speed that is no limit: none that a message may hold is larger.
 UNLIMITED = LARGEST
 #: Parameters that ``robot_description`` gives where they are empty.
-FROM_DESCRIPTION = ("joint_min_rad", "joint_max_rad", "joint_velocity_limits_rad_s")
+URDF_LIMITS = ("joint_min_rad", "joint_max_rad", "joint_velocity_limits_rad_s")
 
 
 @dataclass(frozen=True)
@@ -163,7 +144,7 @@ class JointLimits(ArmJoints):
     def __post_init__(self) -> None:
         super().__post_init__()
         joints = len(self.joint_names)
-        for name in FROM_DESCRIPTION:
+        for name in URDF_LIMITS:
             given = getattr(self, name)
             if len(given) not in (0, joints):
                 raise ParameterError(
@@ -184,8 +165,8 @@ class JointLimits(ArmJoints):
     def _is_ur(self) -> bool:
         return self.joint_names == UR_JOINT_NAMES
 
-    def _given_or(self, given: tuple[float, ...], else_: float) -> np.ndarray:
-        return np.array(given or np.full(len(self.joint_names), else_))
+    def _given_or(self, given: tuple[float, ...], default: float) -> np.ndarray:
+        return np.array(given or np.full(len(self.joint_names), default))
 
     @cached_property
     def lower_rad(self) -> np.ndarray:
@@ -285,7 +266,7 @@ class JointLimits(ArmJoints):
         return np.clip(velocity, last - most, last + most)
 
 
-def described(values: Mapping[str, Any], urdf: Mapping[str, UrdfJoint]) -> dict[str, Any]:
+def with_urdf_limits(values: Mapping[str, Any], urdf: Mapping[str, UrdfJoint]) -> dict[str, Any]:
     """Parameter values, those limits that are not given taken from a URDF's joints.
 
     A ``ParameterError`` says which of ``joint_names`` does not move in the URDF.
@@ -299,26 +280,5 @@ def described(values: Mapping[str, Any], urdf: Mapping[str, UrdfJoint]) -> dict[
         (max(-UNLIMITED, one.lower), min(UNLIMITED, one.upper), min(UNLIMITED, one.velocity))
         for one in joints
     ]
-    found = zip(FROM_DESCRIPTION, map(list, zip(*limits, strict=True)), strict=True)
+    found = zip(URDF_LIMITS, map(list, zip(*limits, strict=True)), strict=True)
     return {**values, **{name: value for name, value in found if not values[name]}}
-
-
-class PositionPath:
-    """Joint positions that follow velocity commands, and never run away from the joints."""
-
-    def __init__(self) -> None:
-        self._position: np.ndarray | None = None
-
-    def end(self) -> None:
-        """Forget the path: the next one begins where the joints are."""
-        self._position = None
-
-    def advance(
-        self, velocity: np.ndarray, joints_rad: np.ndarray, dt_s: float, limits: JointLimits
-    ) -> np.ndarray:
-        """Positions, rad, (n,), to be reached next: the last ones, and a velocity for a tick."""
-        start = joints_rad if self._position is None else self._position
-        lead = _LEAD_S * limits.max_joint_velocity_rad_s * limits.share
-        wanted = start + min(max(dt_s, 0.0), MAX_TICK_S) * velocity
-        self._position = np.clip(wanted, joints_rad - lead, joints_rad + lead)
-        return self._position

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from math import ceil
 
 from fvs_ros.camera import FeatureConfig, Intrinsics
-from fvs_ros.limits import CommandInterface
+from fvs_ros.interface import CommandInterface
 from fvs_ros.params import live_parameter, parameter
 from fvs_sim_node.camera import CAMERAS, CameraPose
 from fvs_sim_node.robot import ROBOTS

@@ -16,7 +16,7 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from fvs_ros import ros, topics
-from fvs_ros.limits import VELOCITY
+from fvs_ros.interface import VELOCITY
 from fvs_sim_node.camera import Frame
 from fvs_sim_node.config import PARAMETERS, SimNodeConfig
 from fvs_sim_node.frame_worker import FrameWorker

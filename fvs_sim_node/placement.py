@@ -37,8 +37,14 @@ class Placement:
     """
 
     def __init__(self, chain: SerialChain, lower: np.ndarray, upper: np.ndarray) -> None:
-        self._chain, self._rng = chain, np.random.default_rng(0)
+        self._chain = chain
         self._lower, self._upper = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)
+        self._box_rad = np.minimum(_BOX_RAD, 0.5 * _OF_RANGE * (self._upper - self._lower))
+        rng, joints = np.random.default_rng(0), len(self._box_rad)
+        counts = (_DRAWS, _IN_BOX, _IN_BOX)
+        self._all_over, self._inside, self._seen = (
+            rng.uniform(-1.0, 1.0, (count, joints)) for count in counts
+        )
 
     def home(self) -> np.ndarray:
         """The posture about which the ball moves most readily in every direction, rad, (n,).
@@ -46,11 +52,9 @@ class Placement:
         There the smallest singular value of the Jacobian is largest, for a ball above the base. The
         box of motion about it lies within the joints' ranges.
         """
-        width = self._upper - self._lower
-        box = np.minimum(_BOX_RAD, 0.5 * _OF_RANGE * width)
-        spread = self._rng.uniform(-1.0, 1.0, (_DRAWS, len(width)))
-        drawn = 0.5 * (self._upper + self._lower) + spread * (0.5 * width - box)
-        inside = box * self._rng.uniform(-1.0, 1.0, (_IN_BOX, len(width)))
+        free = 0.5 * (self._upper - self._lower) - self._box_rad
+        drawn = 0.5 * (self._upper + self._lower) + self._all_over * free
+        inside = self._box_rad * self._inside
         best = drawn[np.argsort(-self._readiness(drawn))[:_BEST]]
         worst = [np.quantile(self._readiness(one + inside), 0.05) for one in best]
         return best[int(np.argmax(worst))]
@@ -71,8 +75,7 @@ class Placement:
 
         ``hidden`` tells for joints, (n,), from which poses the arm hides the ball.
         """
-        width = np.minimum(_BOX_RAD, 0.5 * _OF_RANGE * (self._upper - self._lower))
-        joints = home_rad + width * self._rng.uniform(-1.0, 1.0, (_IN_BOX, len(home_rad)))
+        joints = home_rad + self._box_rad * self._seen
         balls_m = self._chain.position(joints)
         middle_m = 0.5 * (balls_m.max(axis=0) + balls_m.min(axis=0))
         towards = np.arctan2(middle_m[1], middle_m[0])

@@ -8,10 +8,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from fvs_ros.joints import HOME_JOINTS_RAD
 from fvs_ros.paths import find_file
 from fvs_ros.urdf import UrdfJoint, moving_chain, read_joints
 from fvs_sim_node.camera import CAMERAS, CameraPose
+
+#: Home of the UR5: the middle of the box that the shipped networks were trained in, and half its
+#: widths, rad, kinematic order.
+HOME_JOINTS_RAD = (0.0, -1.35, 1.6, -1.75, -1.57, 0.0)
+TRAINING_BOX_RAD = (0.6, 0.5, 0.5, 0.5, 0.5, 0.5)
 
 #: Matches the name of a link or joint in a URDF.
 _NAMED = re.compile(r'(<(?:link|joint|parent|child|mimic)\b[^>]*?\b(?:name|link|joint)=")')

@@ -17,7 +17,7 @@ from fvs_detector_node.detection import BallColour, BallDetection, detect_ball
 from fvs_detector_node.images import Region
 from fvs_detector_node.tracking import WindowTracker
 from fvs_ros.camera import Intrinsics
-from fvs_ros.limits import VELOCITY
+from fvs_ros.interface import VELOCITY
 from fvs_sim_node.actuator import Actuator
 from fvs_sim_node.camera import CameraPose, Frame, add_depth_noise
 from fvs_sim_node.config import SimConfig

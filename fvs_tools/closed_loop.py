@@ -21,7 +21,8 @@ from fvs_estimator_node.files import TrainedModel, load_model
 from fvs_estimator_node.loop import EstimationLoop
 from fvs_estimator_node.registry import create_estimator
 from fvs_ros.camera import CAMERA_FRAME
-from fvs_ros.limits import POSITION, PositionPath, described
+from fvs_ros.interface import POSITION, PositionPath
+from fvs_ros.limits import with_urdf_limits
 from fvs_ros.paths import find_file
 from fvs_sim_node.simulation import Simulation
 from fvs_tools.schemes import Scheme
@@ -32,8 +33,8 @@ MODEL = "models/ur5_front.npz"
 
 
 @lru_cache(maxsize=4)
-def _load(name: str) -> TrainedModel:
-    return load_model(find_file(name))
+def _load(name: str, joint_names: tuple[str, ...]) -> TrainedModel:
+    return load_model(find_file(name), joint_names)
 
 
 def make_estimator(
@@ -49,7 +50,7 @@ def make_estimator(
     """
     if method == "oracle":
         return OracleEstimator(simulation.true_jacobian)
-    trained = _load(model)
+    trained = _load(model, simulation.world.joint_names)
     return create_estimator(method, trained.model, values or {}, trained.chain)
 
 
@@ -78,7 +79,7 @@ class ClosedLoop:
         self.estimation = EstimationLoop(estimator)
         joints = {one.name: one for one in simulation.world.joints}
         own = {"autostart": True, "joint_names": list(joints), **(controller_values or {})}
-        self.loop = ServoLoop(described(default_values(**own), joints))
+        self.loop = ServoLoop(with_urdf_limits(default_values(**own), joints))
         self._path = PositionPath()
         self.period_s = 1.0 / simulation.config.joint_state_rate_hz
 

@@ -1,13 +1,19 @@
-"""The joint commands on the wire: velocities, or positions that follow them."""
+"""What the nodes that command an arm share: the joint commands, and the joints' limits."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from typing import Any
+
 import numpy as np
+from std_msgs.msg import String
 
 from fvs_ros import topics
-from fvs_ros.limits import VELOCITY, JointLimits, PositionPath
-from fvs_ros.ros.messages import send_last_zeros, to_command
+from fvs_ros.interface import VELOCITY, PositionPath
+from fvs_ros.limits import URDF_LIMITS, JointLimits, with_urdf_limits
+from fvs_ros.ros.messages import ERROR, OK, send_last_zeros, to_command
 from fvs_ros.ros.node import FvsNode
+from fvs_ros.urdf import UrdfJoint, read_joints
 
 
 class CommandPublisher:
@@ -49,3 +55,41 @@ class CommandPublisher:
         """Send the last commands: zeros to a velocity controller, which holds the last one."""
         if self._path is None:
             send_last_zeros(self._publisher, joints)
+
+
+class LimitsReader:
+    """Takes the joints' limits that no parameter gives from ``robot_description``.
+
+    Whenever it comes, ``use`` gets all values with them, or ``refuse`` gets why there are none.
+    """
+
+    def __init__(
+        self,
+        node: FvsNode,
+        use: Callable[[dict[str, Any]], None],
+        refuse: Callable[[str], None],
+    ) -> None:
+        self._node, self._use, self._refuse = node, use, refuse
+        self._joints: Mapping[str, UrdfJoint] = {}
+        given = [name for name in URDF_LIMITS if node.values[name]]
+        if given:
+            node.tell(OK, f"{', '.join(given)} are those of the parameters")
+        node.subscribe(topics.ROBOT_DESCRIPTION, self._on_description)
+
+    def fill(self, values: dict[str, Any]) -> dict[str, Any]:
+        """Values with the limits of ``robot_description``, once it came."""
+        return with_urdf_limits(values, self._joints) if self._joints else values
+
+    def _on_description(self, message: String) -> None:
+        node = self._node
+        try:
+            joints = read_joints(message.data)
+            self._use(with_urdf_limits(node.values, joints))
+        except ValueError as error:
+            node.tell(ERROR, f"robot_description is not usable: {error}")
+            self._refuse(str(error))
+            return
+        self._joints = joints
+        taken = [name for name in URDF_LIMITS if not node.values[name]]
+        if taken:
+            node.tell(OK, f"{', '.join(taken)} are those of robot_description")

@@ -24,17 +24,14 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
 from rclpy.subscription import Subscription
-from std_msgs.msg import String
 
 from fvs_ros import topics
 from fvs_ros.clock import LoopClock
-from fvs_ros.limits import FROM_DESCRIPTION, described
 from fvs_ros.params import Parameter, ParameterError, ParameterSet
 from fvs_ros.ros.inputs import IMAGES, MOST_ITEMS, ArrivalMonitor, check_request, unpacked
-from fvs_ros.ros.messages import ERROR, OK, WARN, MessageError, plain, to_stamp, to_status
+from fvs_ros.ros.messages import OK, WARN, MessageError, plain, to_stamp, to_status
 from fvs_ros.ros.qos import PROFILES, QOS_LATCHED
 from fvs_ros.topics import Topic
-from fvs_ros.urdf import UrdfJoint, read_joints
 
 #: Of every node's ``~/status``, s.
 STATUS_PERIOD_S = 0.1
@@ -82,9 +79,6 @@ class FvsNode(Node):
     #: events executor, in half the CPU time; that one crashes when a subscription is destroyed
     #: (ros2/rclpy#1644) and does not support callback groups.
     keeps_subscriptions = False
-
-    #: Joints of the last ``robot_description`` that was usable, by name.
-    _urdf_joints: Mapping[str, UrdfJoint] = {}
 
     def __init__(self, name: str, parameters: Iterable[Parameter]) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
@@ -231,36 +225,6 @@ class FvsNode(Node):
         own = f"{self._declared_name}/"
         name = topic.name.replace(own, "~/") if topic.name.startswith(own) else topic.name
         return self.create_publisher(message_class(topic.type), name, PROFILES[qos])
-
-    def read_limits(
-        self, use: Callable[[dict[str, Any]], None], refuse: Callable[[str], None]
-    ) -> None:
-        """Take the joints' limits that no parameter gives from ``robot_description``.
-
-        Whenever it comes, ``use`` gets all values with them, or ``refuse`` gets why there are none.
-        """
-        given = [name for name in FROM_DESCRIPTION if self.values[name]]
-        if given:
-            self.tell(OK, f"{', '.join(given)} are those of the parameters")
-
-        def on_description(message: String) -> None:
-            try:
-                joints = read_joints(message.data)
-                use(described(self.values, joints))
-            except ValueError as error:
-                self.tell(ERROR, f"robot_description is not usable: {error}")
-                refuse(str(error))
-                return
-            self._urdf_joints = joints
-            taken = [name for name in FROM_DESCRIPTION if not self.values[name]]
-            if taken:
-                self.tell(OK, f"{', '.join(taken)} are those of robot_description")
-
-        self.subscribe(topics.ROBOT_DESCRIPTION, on_description)
-
-    def with_limits(self, values: dict[str, Any]) -> dict[str, Any]:
-        """Values with the limits of ``robot_description``, once it came."""
-        return described(values, self._urdf_joints) if self._urdf_joints else values
 
     def watch(
         self, message_type: type, topic: str, callback: Callable[[Any], None], qos: QoSProfile

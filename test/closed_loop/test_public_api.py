@@ -22,3 +22,11 @@ def test_the_face_offers_what_it_names():
     assert all(getattr(fvs_ros, name).__name__ == name for name in fvs_ros.__all__)
     with pytest.raises(AttributeError, match="nothing"):
         fvs_ros.nothing  # noqa: B018
+
+
+def test_a_model_of_another_arm_is_refused():
+    with (
+        fvs_ros.Simulation(fvs_ros.SimConfig(robot="iiwa", rendered=False)) as simulation,
+        pytest.raises(ValueError, match="joint order .*shoulder_pan_joint.* expected"),
+    ):
+        fvs_ros.ClosedLoop.of_scheme("best", simulation)

@@ -11,7 +11,7 @@ from std_msgs.msg import Float64MultiArray
 
 from fvs_estimator_node.files import load_data_set, load_model
 from fvs_ros import ros, topics
-from fvs_ros.joints import HOME_JOINTS_RAD
+from fvs_sim_node.robot import HOME_JOINTS_RAD
 from fvs_sim_node.simulation import SimConfig, Simulation
 
 LAUNCHER = "fvs_tools.launcher"

@@ -23,7 +23,8 @@ from page_client import PageClient
 
 from fvs_ros import ros, topics
 from fvs_ros.camera import Intrinsics
-from fvs_ros.joints import HOME_JOINTS_RAD, JointMap
+from fvs_ros.joints import JointMap
+from fvs_sim_node.robot import HOME_JOINTS_RAD
 
 DASHBOARD = "fvs_dashboard.dashboard_node"
 CONTROLLER = "fvs_controller_node.node"

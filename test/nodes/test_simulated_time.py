@@ -9,7 +9,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from fvs_ros import ros, topics
-from fvs_ros.joints import HOME_JOINTS_RAD, UR_JOINT_NAMES
+from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_sim_node.robot import HOME_JOINTS_RAD
 
 STEP_S = 0.008
 JACOBIAN = np.array(

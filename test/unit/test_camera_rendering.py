@@ -6,9 +6,9 @@ from drawn_balls import RADIUS_M, VGA, draw, red
 
 from fvs_detector_node.images import Region
 from fvs_ros.camera import Intrinsics
-from fvs_ros.joints import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.camera import CAMERAS, CameraPose
 from fvs_sim_node.config import SceneObject, SimConfig
+from fvs_sim_node.robot import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.world import Renderer, World
 
 CENTRE, HALF_BOX = np.array(HOME_JOINTS_RAD), np.array(TRAINING_BOX_RAD)

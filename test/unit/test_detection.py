@@ -6,8 +6,8 @@ from drawn_balls import RADIUS_M, VGA, draw, hide, red
 
 from fvs_detector_node.detection import BallColour, colour_mask, detect_ball
 from fvs_detector_node.images import Region
-from fvs_ros.joints import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.camera import CAMERAS, add_depth_noise
+from fvs_sim_node.robot import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.world import Renderer, World
 
 CENTRE = np.array([0.1, -0.05, 1.0])

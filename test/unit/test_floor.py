@@ -15,7 +15,7 @@ from fvs_lab import floor
 from fvs_lab.floor import Limits, floor_of, play_s, ur5
 from fvs_lab.outcome import BOUNDS_M
 from fvs_lab.trials import Case, make_cases
-from fvs_ros.joints import HOME_JOINTS_RAD
+from fvs_sim_node.robot import HOME_JOINTS_RAD
 from fvs_sim_node.simulation import SimConfig, Simulation
 
 LIMITS = Limits(1.0, 6.0)

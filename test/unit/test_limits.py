@@ -5,15 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fvs_ros.interface import PositionPath
 from fvs_ros.limits import (
     UNLIMITED,
     JointLimits,
-    PositionPath,
     braking_speed,
-    described,
     limit_acceleration,
     limit_speed,
     ramp_to_zero,
+    with_urdf_limits,
 )
 from fvs_ros.params import ParameterError
 from fvs_ros.urdf import read_joints
@@ -99,7 +99,7 @@ URDF = read_joints(
 
 def described_limits(**given):
     values = JointLimits(joint_names=NAMES, **given)
-    return JointLimits.from_values(described(vars(values), URDF))
+    return JointLimits.from_values(with_urdf_limits(vars(values), URDF))
 
 
 def test_limits_that_are_not_given_are_those_of_the_urdf():
@@ -138,7 +138,7 @@ def test_limits_that_contradict_each_other_are_refused(given, words):
 @pytest.mark.parametrize("name", ["fixed", "unknown"])
 def test_a_joint_that_the_urdf_does_not_move_is_named(name):
     with pytest.raises(ParameterError, match=f"no moving joint ur_{name}"):
-        described({"tf_prefix": "ur_", "joint_names": [name]}, URDF)
+        with_urdf_limits({"tf_prefix": "ur_", "joint_names": [name]}, URDF)
 
 
 def test_slower_joints_are_limited_in_proportion():

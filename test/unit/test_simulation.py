@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fvs_ros.joints import HOME_JOINTS_RAD
 from fvs_sim_node.camera import CameraPose
 from fvs_sim_node.config import SimConfig
+from fvs_sim_node.robot import HOME_JOINTS_RAD
 from fvs_sim_node.simulation import Simulation
 
 PERIOD_S = 0.008

@@ -1,0 +1,48 @@
+"""What a robot's driver takes: joint velocities, or positions that follow them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fvs_ros.limits import MAX_TICK_S, JointLimits
+from fvs_ros.params import Parameters, parameter
+
+VELOCITY, POSITION = "velocity", "position"
+#: A position command is ahead of its joint by at most the way at full speed in this time, s: longer
+#: than any drive lags.
+_LEAD_S = 0.2
+
+
+@dataclass(frozen=True)
+class CommandInterface(Parameters):
+    """What the robot's driver takes."""
+
+    command_interface: str = parameter(
+        VELOCITY,
+        "What the driver takes: velocity on forward_velocity_controller/commands, or position on "
+        "forward_position_controller/commands.",
+        choices=(VELOCITY, POSITION),
+    )
+
+
+class PositionPath:
+    """Joint positions that follow velocity commands, and never run away from the joints."""
+
+    def __init__(self) -> None:
+        self._position: np.ndarray | None = None
+
+    def end(self) -> None:
+        """Forget the path: the next one begins where the joints are."""
+        self._position = None
+
+    def advance(
+        self, velocity: np.ndarray, joints_rad: np.ndarray, dt_s: float, limits: JointLimits
+    ) -> np.ndarray:
+        """Positions, rad, (n,), to be reached next: the last ones, and a velocity for a tick."""
+        start = joints_rad if self._position is None else self._position
+        lead = _LEAD_S * limits.max_joint_velocity_rad_s * limits.share
+        wanted = start + min(max(dt_s, 0.0), MAX_TICK_S) * velocity
+        self._position = np.clip(wanted, joints_rad - lead, joints_rad + lead)
+        return self._position
