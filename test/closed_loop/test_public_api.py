@@ -27,6 +27,6 @@ def test_the_face_offers_what_it_names():
 def test_a_model_of_another_arm_is_refused():
     with (
         fvs_ros.Simulation(fvs_ros.SimConfig(robot="iiwa", rendered=False)) as simulation,
-        pytest.raises(ValueError, match="joint order .*shoulder_pan_joint.* expected"),
+        pytest.raises(ValueError, match=r"joint order .*shoulder_pan_joint.* expected"),
     ):
         fvs_ros.ClosedLoop.of_scheme("best", simulation)
