@@ -48,7 +48,7 @@ class WindowTracker:
         ball = None if expected is None else detect(expected)
         if expected is not None and ball is not None:
             u, v = self._camera.project(ball.position_m)
-            if not expected.cuts_off(u, v, ball.radius_px + 2.0, self._camera):
+            if not expected.cuts_off(u, v, ball.radius_px, self._camera):
                 return ball
         wider = elsewhere()
         return ball if wider is None else detect(wider)

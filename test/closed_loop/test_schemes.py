@@ -107,6 +107,8 @@ def run_stamped_late(name, late_s):
 def test_images_stamped_30_ms_late_cost_no_time_and_100_ms_late_hold_the_arm(name):
     loop, errors_m, _ = run_stamped_late(name, 0.03)
     assert errors_m[round(1.2 / loop.period_s) :].max() < 0.005
+    loop, errors_m, _ = run_stamped_late(name, 0.05)  # no late start is taken for a frozen image
+    assert errors_m[round(2.0 / loop.period_s) :].max() < 0.005
     loop, _, command = run_stamped_late(name, 0.1)
     np.testing.assert_array_equal(command, 0.0)
     assert "check" in loop.loop.supervisor.last.text

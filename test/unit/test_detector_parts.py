@@ -81,12 +81,41 @@ def holds(tracker, stamp_s, position_m, radius_m=0.04):
     return not region.cuts_off(u, v, radius_m * CAMERA.fx / position_m[2], CAMERA)
 
 
+def tracker_of(*positions_m, dt_s=1 / 15):
+    """A tracker that has seen a ball, radius 0.04 m, at positions, one image each."""
+    tracker = WindowTracker(CAMERA, 0.04)
+    for k, position_m in enumerate(positions_m):
+        tracker.update(k * dt_s, BallDetection(np.array(position_m), 1.0, 1.0, 0.0, 20.0))
+    return tracker
+
+
 @given(st.floats(0.0, 6.28))
-def test_the_window_holds_a_ball_that_moves_as_fast_as_an_arm_can(angle):
-    tracker, dt_s = WindowTracker(CAMERA, 0.04), 1 / 15
+def test_the_window_holds_a_ball_that_moves_as_fast_as_an_arm_can_and_is_no_larger(angle):
+    dt_s = 1 / 15
     way = np.array([np.cos(angle), np.sin(angle), 0.0])
-    tracker.update(0.0, BallDetection(HERE, 1.0, 1.0, 0.0, 20.0))
-    assert holds(tracker, dt_s, HERE + 2.0 * dt_s * way)
-    tracker.update(dt_s, BallDetection(HERE, 1.0, 1.0, 0.0, 20.0))
-    assert holds(tracker, 2 * dt_s, HERE + 12.0 * dt_s**2 * way)
-    assert tracker.region(2 * dt_s).width < 120
+    once, twice = tracker_of(HERE), tracker_of(HERE, HERE)
+    assert holds(once, dt_s, HERE + 2.0 * dt_s * way)
+    assert once.region(dt_s).width < 200
+    assert holds(twice, 2 * dt_s, HERE + 12.0 * dt_s**2 * way)
+    assert twice.region(2 * dt_s).width < 120
+
+
+def test_a_small_ball_has_room_in_its_window_and_one_behind_the_camera_none():
+    far = tracker_of([0.0, 0.0, 8.0], [0.0, 0.0, 8.0], dt_s=0.01)
+    assert far.region(0.02).width >= 2 * (3 + 3)  # 3 pixels of radius, and a margin
+    assert tracker_of([0.0, 0.0, 0.20], [0.0, 0.0, 0.18]).region(2 / 15) is not None
+    assert tracker_of([0.0, 0.0, 0.20], [0.0, 0.0, 0.12]).region(2 / 15) is None
+
+
+def test_a_ball_that_the_window_cuts_off_is_looked_for_elsewhere():
+    tracker, asked = tracker_of(HERE, HERE, dt_s=DT), []
+    edge = tracker.region(2 * DT)
+    for place_px, wider in ((edge.u0 + 10.0, True), (edge.u0 + 25.0, False)):
+        seen = HERE + [(place_px - CAMERA.cx) * HERE[2] / CAMERA.fx, 0.0, 0.0]
+        asked.clear()
+        tracker.find(
+            2 * DT,
+            lambda _region, seen=seen: BallDetection(seen, 1.0, 1.0, 0.0, 20.0),
+            lambda: asked.append(1),
+        )
+        assert bool(asked) is wider
