@@ -13,6 +13,7 @@ import functools
 import math
 import multiprocessing
 import os
+import signal
 import sys
 import time
 import traceback
@@ -63,7 +64,7 @@ SETTINGS = hypothesis.settings(
 )
 #: Shrinking takes minutes; a test cannot wait for it.
 _SHRINKS = hypothesis.settings(
-    SETTINGS, phases=[hypothesis.Phase.generate, hypothesis.Phase.shrink]
+    SETTINGS, database=None, phases=[hypothesis.Phase.generate, hypothesis.Phase.shrink]
 )
 
 N_AXES = HOME_BALL_M.size
@@ -137,11 +138,13 @@ class Machine(RuleBasedStateMachine):
         simulated_time=st.booleans(),
         epoch_s=st.sampled_from([1000.0, 0.0, 1.7e9, 2147483600.0]),
         joints=st.integers(4, MOST_JOINTS),
+        jerk=st.sampled_from([0.0, 0.0, 60.0, 500.0]),
         at_work=OFTEN,
     )
-    def begin(self, law="proportional", autostart=False, at_work=False, **world):
+    def begin(self, law="proportional", autostart=False, at_work=False, jerk=0.0, **world):
         """Make the world, of the plainest law by default, at rest or at work."""
-        self.world = World({"law": law, "autostart": autostart}, **world)
+        given = {"law": law, "autostart": autostart, "max_joint_jerk_rad_s3": jerk}
+        self.world = World(given, **world)
         Promises(self.world)
         if at_work:
             self.work()
@@ -411,6 +414,11 @@ def play(seed, ticks=CHUNK_TICKS, settings=SETTINGS):
     return counts, ""
 
 
+def _heed_signals():
+    """Let a pool end its processes: the nodes' modules, once imported, only note signals."""
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
 def main():
     """Play on all cores, and print what was reached."""
     chunks = -(-int(os.environ.get("FVS_BENCH_CYCLES", "1000000")) // CHUNK_TICKS)
@@ -419,7 +427,7 @@ def main():
     counts = Counter()
     begin_s = time.perf_counter()
     campaign = functools.partial(play, settings=_SHRINKS)
-    with multiprocessing.get_context("spawn").Pool() as pool:
+    with multiprocessing.get_context("spawn").Pool(initializer=_heed_signals) as pool:
         seeds = range(1000 * first, 1000 * (first + chunks), 1000)
         for found, broken in tqdm(pool.imap_unordered(campaign, seeds), "fuzz", chunks):
             counts.update(found)

@@ -19,6 +19,8 @@ from fvs_controller_node.reasons import State, Stop
 
 #: What a promise may be missed by: rounding, rad/s.
 ROUNDING = 1e-9
+#: Full braking is reached within this time, s.
+LONGEST_BUILD_UP_S = 0.1
 #: The controller knows from late images what the world sees at once: it may notice this much later,
 #: s, or at this much larger a value.
 LATE_S, MARGIN = 1.0, 1.5
@@ -33,6 +35,8 @@ class Promises:
         self._ticked_s = -math.inf
         self._held_s = self._ignored_s = 0.0
         self._errand = None
+        self._acceleration = np.zeros(world.joints.size)  # of the last command
+        self._changed_s = -math.inf  # when a task or a limit changed last
 
     def _begin_image(self):
         """Count anew what the arm does on a wrong image."""
@@ -42,7 +46,7 @@ class Promises:
         """Judge a tick: steady clock and time step, s."""
         world, v, reason = self._world, command.velocity_rad_s, command.reason
         if world.new_task:
-            self._errand, self._ignored_s = None, 0.0
+            self._errand, self._ignored_s, self._changed_s = None, 0.0, now_s
         if world.new_task or world.new_image:
             self._begin_image()
         world.new_task = world.new_image = False
@@ -89,6 +93,11 @@ class Promises:
         world, share, reason = self._world, self._world.limits.share, command.reason
         v, last = world.last / share, world.before / share
         fastest, before = np.abs(v).max(), np.abs(last).max()
+        jerk, at_once = world.values["max_joint_jerk_rad_s3"], reason.stop is Stop.AT_ONCE
+        if jerk > 0.0:
+            self._judge_jerk(v, last, brake_rad_s2, step_rad_s / brake_rad_s2, jerk, at_once)
+            if world.now_s - self._changed_s < LONGEST_BUILD_UP_S or not v.any():
+                return
         # A limit that is lowered in motion is reached by braking with all there is.
         ok = fastest <= fast_rad_s or fastest <= before - step_rad_s + ROUNDING
         keep("velocity limit", ok, v, last, fast_rad_s)
@@ -96,7 +105,7 @@ class Promises:
         zeros = not v.any() and (reason.stop is Stop.AT_ONCE or before <= 1.5e-9)
         ok = zeros or np.abs(v - last).max() <= step_rad_s + ROUNDING
         keep("acceleration limit", ok, v, last, step_rad_s, reason.name)
-        if command.state is not State.SERVOING:
+        if command.state is not State.SERVOING and not jerk:
             slower = np.all((v * last >= 0.0) & (np.abs(v) <= np.abs(last)))
             keep("only slower", slower, v, last, reason.name)
         joints_rad = world.node._loop._joints  # as the controller knows them, noise averaged
@@ -105,9 +114,21 @@ class Promises:
         # No joint goes outward faster than it can brake, unless it brakes already.
         ends = np.where(v > 0.0, world.limits.upper_rad, world.limits.lower_rad)
         room = np.maximum(0.0, np.sign(v) * (ends - joints_rad)) / share
+        if jerk > 0.0:  # full braking builds up first
+            room += np.abs(v) * 2.0 * brake_rad_s2 / jerk
         in_time = np.abs(v) <= np.sqrt(2.0 * brake_rad_s2 * room) + ROUNDING
         braking = (v * last > 0.0) & (np.abs(v) <= np.abs(last) - step_rad_s + ROUNDING)
         keep("stops before its limit", np.all(in_time | braking), v, last, room, reason.name)
+
+    def _judge_jerk(self, v, last, most_rad_s2, dt_s, jerk, at_once):
+        before, same = self._acceleration, self._world.now_s > self._changed_s
+        self._acceleration = np.zeros_like(v) if at_once else (v - last) / max(dt_s, 1e-9)
+        if dt_s <= 0.0:
+            self._acceleration = before
+        elif not at_once and same and v.size == before.size:
+            off = np.abs(self._acceleration - before).max()
+            least = max(jerk, most_rad_s2 / LONGEST_BUILD_UP_S)
+            keep("jerk limit", off <= least * dt_s + 1e-6, v, last, before, off, jerk)
 
     # ---- every motion ---------------------------------------------------------------------
 

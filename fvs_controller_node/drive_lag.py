@@ -113,7 +113,8 @@ def brake(output: ControlOutput, present: ControlInput, limits: JointLimits) -> 
     # At this velocity the error is gone after this time.
     to_go_s = float(error_m @ error_m) / closing
     acceleration = BRAKING_SHARE * limits.max_joint_acceleration_rad_s2
-    limit = braking_speed(fastest * to_go_s, acceleration, present.dt_s)
+    jerk = limits.max_joint_jerk_rad_s3
+    limit = braking_speed(fastest * to_go_s, acceleration, present.dt_s, jerk)
     if limit < fastest:
         velocity = (limit / fastest) * velocity
     return output._replace(velocity_rad_s=velocity)

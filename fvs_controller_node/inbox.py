@@ -183,10 +183,12 @@ class Inbox:
     def find(self, now_s: float) -> Finding | None:
         """Find what is wrong with the inputs now, worst first."""
         troubles = self._troubles(now_s)
-        bad = [finding for finding in troubles if finding.reason is Reason.BAD_INPUT]
+        # What must stop at once comes before a conflict, in which the arm may ramp to rest.
+        found = [finding for finding in troubles if finding.reason is Reason.BAD_INPUT]
+        found += self.pauses()
         if self._conflict is not None and now_s - self._conflict_s < _CONFLICT_S:
-            bad.append(self._conflict)
-        return next(iter(bad + self.pauses() + troubles), None)
+            found.append(self._conflict)
+        return next(iter(found + troubles), None)
 
     def late(self, now_s: float) -> str:
         """The first fault in age or content of the messages; empty if all are fresh."""

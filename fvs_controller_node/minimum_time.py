@@ -76,7 +76,7 @@ class MinimumTimeLaw(ControlLaw):
         """Largest speed that can be braked in time, rad/s."""
         gains = self.gains
         acceleration = BRAKING_SHARE * gains.max_joint_acceleration_rad_s2
-        braking = braking_speed(travel_rad, acceleration, dt_s)
+        braking = braking_speed(travel_rad, acceleration, dt_s, gains.max_joint_jerk_rad_s3)
         near = gains.minimum_time_rate_1_s * travel_rad
         return min(gains.max_joint_velocity_rad_s, near, braking)
 

@@ -20,7 +20,7 @@ from fvs_controller_node.inbox import Inbox
 from fvs_controller_node.monitors import FollowingMonitor, PredictionMonitor, SingularityMonitor
 from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Finding, Reason, State, Stop
-from fvs_ros.limits import MAX_TICK_S, limit_acceleration, limit_speed
+from fvs_ros.limits import MAX_TICK_S, limit_speed
 from fvs_ros.params import ParameterError
 from fvs_ros.vectors import all_finite, largest, length
 
@@ -85,6 +85,7 @@ class Supervisor:
         self._singularity = SingularityMonitor()
         joints = len(config.joint_names)
         self._velocity = np.zeros(joints)  # the last command, rad/s
+        self._acceleration = np.zeros(joints)  # from the command before, rad/s^2
         self._present = Present(None, None, None, np.zeros(joints))
         self._smallest_m_rad = inf  # smallest singular value of its Jacobian
         self._shut_down = False
@@ -265,11 +266,10 @@ class Supervisor:
         acceleration, pending_rad = config.max_joint_acceleration_rad_s2, self._present.pending_rad
         allowed, slowed = config.slow_down(velocity, joints, acceleration, dt_s, pending_rad)
         active += [f"range of {config.joint_names[joint]}" for joint in slowed]
-        most = acceleration * dt_s * config.share
-        velocity = limit_acceleration(allowed, self._velocity, most)
+        velocity = config.step(allowed, self._velocity, self._acceleration, dt_s)
         if velocity is not allowed:
             active.append("acceleration")
-        self._velocity = velocity
+        self._take(velocity, dt_s)
         reason = Reason.SETTLED if self.goal.progress.settled else Reason.SERVOING
         error = self.goal.error_m
         assert error is not None
@@ -285,10 +285,17 @@ class Supervisor:
         finding = finding or Reason.READY.because()
         last = self._velocity
         if finding.reason.stop is Stop.AT_ONCE or not last.any():
-            self._velocity = np.zeros_like(last)
+            self._velocity = self._acceleration = np.zeros_like(last)
             return self._answer(finding, "", None)
-        self._velocity = self.config.brake_to_rest(last, joints, dt_s, self._present.pending_rad)
+        pending_rad, before = self._present.pending_rad, self._acceleration
+        self._take(self.config.brake_to_rest(last, before, joints, dt_s, pending_rad), dt_s)
         return self._answer(finding, "acceleration", None)
+
+    def _take(self, velocity: np.ndarray, dt_s: float) -> None:
+        """Take a command into effect; a tick of zero length changes none."""
+        if dt_s > 0.0:
+            self._acceleration = (velocity - self._velocity) / dt_s
+        self._velocity = velocity
 
     def _answer(self, finding: Finding, active_limit: str, output: ControlOutput | None) -> Command:
         reason = finding.reason

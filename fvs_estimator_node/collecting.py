@@ -19,7 +19,7 @@ from fvs_estimator_node.stopping import StopCriterion
 from fvs_ros.camera import FeatureConfig
 from fvs_ros.following import Following
 from fvs_ros.interface import CommandInterface
-from fvs_ros.limits import MAX_TICK_S, JointLimits, limit_acceleration, ramp_to_zero
+from fvs_ros.limits import MAX_TICK_S, JointLimits, ramp_to_zero
 from fvs_ros.params import parameter
 from fvs_ros.timeline import Sample, Timeline, repeats
 
@@ -89,7 +89,7 @@ class CollectionRun:
         self._ticked_s = -np.inf
         self._joints: np.ndarray | None = None
         self._joints_s = self._ball_s = -np.inf
-        self._velocity = np.zeros(len(self._names))
+        self._velocity = self._acceleration = np.zeros(len(self._names))
         self._following = Following()
         self._speed_scaling = 1.0
         self._moved_s = 0.0
@@ -175,8 +175,12 @@ class CollectionRun:
             # Simulated time may stand still; coming to rest must not.
             step = acceleration * (dt_s or steady_dt_s)
             self._velocity = ramp_to_zero(self._velocity, step, share)
+            self._acceleration = np.zeros(len(self._names))
         else:
-            self._velocity = limit_acceleration(wanted, self._velocity, acceleration * dt_s * share)
+            velocity = self._config.step(wanted, self._velocity, self._acceleration, dt_s)
+            if dt_s > 0.0:
+                self._acceleration = (velocity - self._velocity) / dt_s
+            self._velocity = velocity
         return self._velocity.copy()
 
     def _decide(self, now_s: float, dt_s: float) -> np.ndarray | None:

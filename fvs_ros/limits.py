@@ -42,10 +42,20 @@ def limit_speed(
     return np.clip(velocity * (max_speed / fastest), -most, most)
 
 
-def braking_speed(travel_rad: float, acceleration: float, dt_s: float) -> float:
-    """Find the speed from which, from the next tick on, one can brake in a travel, rad/s."""
+def braking_speed(travel_rad: float, acceleration: float, dt_s: float, jerk: float = 0.0) -> float:
+    """Find the speed from which, from the next tick on, one can brake in a travel, rad/s.
+
+    With a jerk limit, rad/s^3, deceleration grows from zero and falls to zero at the end.
+    """
     step = acceleration * dt_s
-    return float((step * step + 2.0 * acceleration * travel_rad) ** 0.5 - step)
+    speed = float((step * step + 2.0 * acceleration * travel_rad) ** 0.5 - step)
+    if jerk <= 0.0:
+        return speed
+    rest = max(0.0, travel_rad - speed * dt_s)
+    build_up = acceleration * acceleration / jerk  # the speed that is lost meanwhile
+    if rest < build_up * acceleration / jerk:
+        return (rest * rest * jerk) ** (1.0 / 3.0)
+    return (0.25 * build_up * build_up + 2.0 * acceleration * rest) ** 0.5 - 0.5 * build_up
 
 
 def limit_acceleration(
@@ -83,6 +93,25 @@ def limit_acceleration(
     return np.minimum(np.maximum(wanted, low), high)
 
 
+def limit_jerk(
+    velocity: np.ndarray,
+    last: np.ndarray,
+    last_acceleration: np.ndarray,
+    max_acceleration: np.ndarray,
+    max_jerk: np.ndarray,
+    dt_s: float,
+) -> np.ndarray:
+    """Find the command on the way to ``velocity`` within limits of acceleration and jerk.
+
+    Each joint alone takes the largest acceleration from which it can come to zero just when the
+    velocity is reached; all are (n,), rad/s, rad/s^2 and rad/s^3.
+    """
+    missing, step = velocity - last, max_jerk * dt_s
+    most = np.minimum(max_acceleration, np.sqrt(step**2 + 2.0 * max_jerk * np.abs(missing)) - step)
+    wanted = np.clip(np.copysign(most, missing), last_acceleration - step, last_acceleration + step)
+    return last + np.clip(wanted, -max_acceleration, max_acceleration) * dt_s
+
+
 def ramp_to_zero(last: np.ndarray, max_step: float, share: np.ndarray | float = 1.0) -> np.ndarray:
     """Take one step to rest: the last command, no joint slower by more than its share of a step."""
     fastest = largest(last / share)
@@ -91,6 +120,8 @@ def ramp_to_zero(last: np.ndarray, max_step: float, share: np.ndarray | float = 
     return last * (1.0 - max_step / fastest)
 
 
+#: Full braking is reached within this time, s, whatever the jerk limit: an arm must stop.
+_BUILD_UP_S = 0.1
 #: A joint position or speed that is no limit: none that a message may hold is larger.
 UNLIMITED = LARGEST
 #: Parameters that ``robot_description`` gives where they are empty.
@@ -115,6 +146,13 @@ class JointLimits(ArmJoints):
         "limit in proportion.",
         0.05,
         40.0,
+    )
+    max_joint_jerk_rad_s3: float = live_parameter(
+        0.0,
+        "Jerk limit of every joint's command, rad/s^3, at least ten times the acceleration limit; "
+        "0 is off. Zeros that must be sent at once are not limited.",
+        0.0,
+        1e5,
     )
     joint_velocity_limits_rad_s: tuple[float, ...] = live_parameter(
         (),
@@ -150,6 +188,12 @@ class JointLimits(ArmJoints):
                 raise ParameterError(
                     f"{name} needs {joints} numbers, one for each of joint_names; got {list(given)}"
                 )
+        jerk, acceleration = self.max_joint_jerk_rad_s3, self.max_joint_acceleration_rad_s2
+        if 0.0 < jerk < acceleration / _BUILD_UP_S:
+            raise ParameterError(
+                f"max_joint_jerk_rad_s3 must be 0 or at least {acceleration / _BUILD_UP_S:g}, "
+                f"{1.0 / _BUILD_UP_S:g} times max_joint_acceleration_rad_s2; got {jerk:g}"
+            )
         if not all(map(lt, self.lower_rad, self.upper_rad)):
             raise ParameterError(
                 "each of joint_min_rad must be below that of joint_max_rad; "
@@ -211,6 +255,24 @@ class JointLimits(ArmJoints):
         both = zip(joints_rad.tolist(), self._inside, strict=True)
         return any(not low <= joint <= high for joint, (low, high) in both)
 
+    def step(
+        self,
+        velocity: np.ndarray,
+        last: np.ndarray,
+        last_acceleration: np.ndarray,
+        dt_s: float,
+        acceleration: float | None = None,
+    ) -> np.ndarray:
+        """Find the next command, (n,), rad/s, on the way from the last one to a wanted velocity.
+
+        Within the acceleration limit, or another one, rad/s^2, and the jerk limit, if there is one.
+        """
+        most = (acceleration or self.max_joint_acceleration_rad_s2) * self.share
+        if self.max_joint_jerk_rad_s3 > 0.0:
+            jerk = np.maximum(self.max_joint_jerk_rad_s3 * self.share, most / _BUILD_UP_S)
+            return limit_jerk(velocity, last, last_acceleration, most, jerk, dt_s)
+        return limit_acceleration(velocity, last, most * dt_s)
+
     def slow_down(
         self,
         velocity: np.ndarray,
@@ -240,7 +302,8 @@ class JointLimits(ArmJoints):
         for i, (v, q, ahead, (lower, upper, share)) in enumerate(each):
             room = upper - q if v > 0.0 else q - lower
             room = max(0.0, room - max(0.0, ahead if v > 0.0 else -ahead)) / share
-            cap = share * min(slope * room, braking_speed(room, acceleration, dt_s))
+            jerk = self.max_joint_jerk_rad_s3
+            cap = share * min(slope * room, braking_speed(room, acceleration, dt_s, jerk))
             if abs(v) > cap:
                 values[i] = cap if v > 0.0 else -cap
                 slowed.append(i)
@@ -249,6 +312,7 @@ class JointLimits(ArmJoints):
     def brake_to_rest(
         self,
         last: np.ndarray,
+        last_acceleration: np.ndarray,
         joints: np.ndarray | None,
         dt_s: float,
         pending_rad: np.ndarray,
@@ -257,6 +321,8 @@ class JointLimits(ArmJoints):
         # From full speed it stops within 0.5 s, however small the acceleration limit is.
         acceleration = max(self.max_joint_acceleration_rad_s2, self.max_joint_velocity_rad_s / 0.5)
         step = acceleration * dt_s
+        if self.max_joint_jerk_rad_s3 > 0.0:
+            return self.step(np.zeros_like(last), last, last_acceleration, dt_s, acceleration)
         velocity = ramp_to_zero(last, step, self.share)
         if joints is None:
             return velocity

@@ -30,6 +30,8 @@ def servo(name, seconds=3.0, **values):
         ("proposed", {"lambda1": 0.75, "lambda2": 0.0}),
         ("proposed", {"max_joint_acceleration_rad_s2": 2.0}),
         ("best", {"max_joint_velocity_rad_s": 2.0}),
+        ("best", {"max_joint_jerk_rad_s3": 200.0}),
+        ("proposed", {"max_joint_jerk_rad_s3": 200.0}),
     ],
     ids=str,
 )
@@ -46,6 +48,8 @@ def test_from_30_cm_it_settles_within_the_limits_and_stays_exact_and_calm(name, 
     assert np.abs(commands).max() <= values.get("max_joint_velocity_rad_s", 1.0) + 1e-12
     acceleration = values.get("max_joint_acceleration_rad_s2", 6.0)
     assert np.abs(np.diff(commands, axis=0)).max() <= acceleration * loop.period_s + 1e-12
+    jerk = values.get("max_joint_jerk_rad_s3", np.inf)
+    assert np.abs(np.diff(commands, 2, axis=0)).max() <= jerk * loop.period_s**2 + 1e-12
 
 
 @pytest.mark.parametrize("rate_hz", [60, 500, 1000])

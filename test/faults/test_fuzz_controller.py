@@ -41,12 +41,15 @@ def test_nothing_but_a_start_starts_it(monkeypatch):
     start=st.lists(st.floats(-7.0, 7.0), min_size=7, max_size=7),
     plant=st.sampled_from(["obeys", "creeps", "one joint sticks"]),
     way=st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7),
+    jerk=st.sampled_from([0.0, 0.0, 60.0, 400.0]),
     fast=st.just([]) | st.lists(st.floats(0.05, 1.5), min_size=7, max_size=7),
 )
-def test_an_arm_that_obeys_never_passes_the_ends_of_its_range(joints, start, plant, way, fast):
+def test_an_arm_that_obeys_never_passes_the_ends_of_its_range(
+    joints, start, plant, way, jerk, fast
+):
     world = World(joints=joints)
     Promises(world)
-    world.set({"joint_velocity_limits_rad_s": fast[:joints]})
+    world.set({"joint_velocity_limits_rad_s": fast[:joints], "max_joint_jerk_rad_s3": jerk})
     lower, upper = world.limits.lower_rad, world.limits.upper_rad
     world.joints, world.plant = np.clip(start[:joints], lower, upper), plant
     world.push_m = -world.arm_moved_m()
@@ -105,6 +108,11 @@ def test_another_node_that_commands_ends_a_session_that_a_bad_message_holds():
     world = bench_mutants.play([*script, do("wait", 20)]).world
     assert world.reasons["BAD_INPUT"]
     assert not world.last.any()
+
+
+def test_a_pause_during_a_conflict_stops_at_once():
+    script = [do("work"), do("other_commander", (0.5,), ticks=1), do("robot", percent=-1.0)]
+    assert bench_mutants.play([*script, do("wait", 5)]).world.reasons["SPEED_SCALING_ZERO"]
 
 
 def test_a_limit_that_is_lowered_in_motion_is_reached_by_braking_with_all_it_has():

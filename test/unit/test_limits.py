@@ -11,6 +11,7 @@ from fvs_ros.limits import (
     JointLimits,
     braking_speed,
     limit_acceleration,
+    limit_jerk,
     limit_speed,
     ramp_to_zero,
     with_urdf_limits,
@@ -145,7 +146,7 @@ def test_slower_joints_are_limited_in_proportion():
     limits = described_limits()
     velocity = np.array([1.0, 1.0, 0.05])
     np.testing.assert_allclose(limit_speed(velocity, 1.0, limits.share), 0.5 * velocity)
-    got = limits.brake_to_rest(limits.share, None, 0.01, np.zeros(3))
+    got = limits.brake_to_rest(limits.share, np.zeros(3), None, 0.01, np.zeros(3))
     np.testing.assert_allclose(got, 0.94 * limits.share)
     # Within half of its margin, which is a tenth of the others', the lift is at half of its speed.
     joints = np.array([0.0, 0.0, 0.3 - 0.5 * 0.1 * 0.2])
@@ -170,3 +171,35 @@ def test_positions_follow_velocities_and_never_run_away_from_joints_that_do_not(
     # A late tick makes no big step, and time that runs back none.
     assert path.advance(velocity, joints, 9.0, limits)[0] == pytest.approx(0.35)
     assert path.advance(velocity, joints, -9.0, limits)[0] == pytest.approx(0.35)
+
+
+@given(
+    wanted=st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array),
+    jerk=st.floats(60.0, 2000.0),
+)
+def test_within_a_jerk_limit_a_velocity_is_reached_without_passing_it(wanted, jerk):
+    velocity, acceleration, most, dt_s = np.zeros(3), np.zeros(3), np.full(3, 6.0), 0.008
+    for _ in range(round((0.2 + 1.0 / 6.0 + 0.2) / dt_s)):
+        after = limit_jerk(wanted, velocity, acceleration, most, np.full(3, jerk), dt_s)
+        new = (after - velocity) / dt_s
+        assert np.all(np.abs(new) <= 6.0 + 1e-9)
+        assert np.all(np.abs(new - acceleration) <= jerk * dt_s + 1e-9)
+        assert np.all(np.abs(after) <= np.abs(wanted) + 1e-9)
+        velocity, acceleration = after, new
+    np.testing.assert_allclose(velocity, wanted, atol=2e-3)
+
+
+def test_with_a_jerk_limit_braking_takes_the_way_of_an_s_curve():
+    for speed in (0.05, 0.5, 2.0):
+        acceleration, jerk = 6.0, 100.0
+        full = acceleration**2 / jerk
+        way = speed**1.5 / jerk**0.5
+        if speed > full:
+            way = speed**2 / (2.0 * acceleration) + 0.5 * speed * acceleration / jerk
+        assert braking_speed(way, acceleration, 0.0, jerk) == pytest.approx(speed)
+        assert braking_speed(way, acceleration, 0.008, jerk) < speed
+
+
+def test_a_jerk_limit_at_which_an_arm_stops_too_late_is_refused():
+    with pytest.raises(ParameterError, match="at least 60, 10 times max_joint_acceleration"):
+        JointLimits(max_joint_jerk_rad_s3=59.0)
