@@ -136,7 +136,7 @@ def test_a_person_watches_and_stops(ros_test, page):
     eyes.wait(lambda seen: seen["state"] == "SERVOING" and error_mm(seen) > 100.0, "a way to go")
     eyes.wait(lambda seen: seen["state"] == "SERVOING" and error_mm(seen) < 10.0, "an arrival")
     assert page.locator("canvas").count() >= 4  # the 3-D view and three curves
-    assert page.get_by_label("Estimator").input_value() == "rbf"
+    assert page.get_by_label("Estimator").input_value() == "poe"
     assert page.get_by_text("Joint states").is_visible()
 
     eyes.restarts = False

@@ -245,7 +245,7 @@ def other(parameter):
             return not value
         if parameter.kind is str:
             return f"{value}x"
-        step = abs(value) / 100 or 0.01
+        step = abs(value) / 100 or (1e-2 if (parameter.maximum or 0.0) < 1e4 else 1e3)
         step = max(1, round(step)) if parameter.kind is int else step
         above = parameter.maximum is None or value + step <= parameter.maximum
         return value + step if above else value - step
