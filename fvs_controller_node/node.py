@@ -214,7 +214,9 @@ class ControllerNode(ros.FvsNode):
     def _tick(self, now_s: float, dt_s: float) -> None:
         command, supervisor = self._loop.tick(now_s, dt_s), self._loop.supervisor
         velocity, limits, active = command.velocity_rad_s, supervisor.config, supervisor.started
-        self._sent.append(self._commands.send(velocity, self._joints, dt_s, limits, active))
+        sent = self._commands.send(velocity, self._joints, dt_s, limits, active)
+        if sent:
+            self._sent.append(sent)
         self._ticked_s = now_s
         if command.output is not None and self._stamp_s is not None:
             self._sliding.publish(

@@ -8,7 +8,7 @@ returns n finite numbers.
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import inf, isfinite
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from fvs_controller_node.inbox import Inbox
 from fvs_controller_node.monitors import FollowingMonitor, PredictionMonitor, SingularityMonitor
 from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Finding, Reason, State, Stop
-from fvs_ros.limits import MAX_TICK_S, limit_speed
+from fvs_ros.limits import MAX_TICK_S, limit_speed, tick_s
 from fvs_ros.params import ParameterError
 from fvs_ros.vectors import all_finite, largest, length
 
@@ -182,8 +182,7 @@ class Supervisor:
 
         The law is asked only if the arm may move.
         """
-        dt_s = min(dt_s, MAX_TICK_S) if isfinite(dt_s) and dt_s > 0.0 else 0.0
-        steady_dt_s = min(max(now_s - self._ticked_s, 0.0), MAX_TICK_S)
+        dt_s, steady_dt_s = tick_s(dt_s), min(max(now_s - self._ticked_s, 0.0), MAX_TICK_S)
         self._ticked_s = now_s
         before, self._present = self._present, present
         joints_rad, jacobian = present.joints_rad, present.jacobian

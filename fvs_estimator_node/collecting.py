@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from math import isfinite
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from fvs_estimator_node.stopping import StopCriterion
 from fvs_ros.camera import FeatureConfig
 from fvs_ros.following import Following
 from fvs_ros.interface import CommandInterface
-from fvs_ros.limits import MAX_TICK_S, JointLimits, ramp_to_zero
+from fvs_ros.limits import MAX_TICK_S, JointLimits, tick_s
 from fvs_ros.params import parameter
 from fvs_ros.timeline import Sample, Timeline, repeats
 
@@ -166,21 +165,17 @@ class CollectionRun:
 
     def tick(self, now_s: float, dt_s: float) -> np.ndarray:
         """Joint velocities for this tick, rad/s, shape (n,); always finite and within limits."""
-        dt_s = min(dt_s, MAX_TICK_S) if isfinite(dt_s) and dt_s > 0.0 else 0.0
-        steady_dt_s = min(max(now_s - self._ticked_s, 0.0), MAX_TICK_S)
+        dt_s, steady_dt_s = tick_s(dt_s), min(max(now_s - self._ticked_s, 0.0), MAX_TICK_S)
         self._ticked_s = now_s
         wanted = None if self.state in _OVER else self._decide(now_s, dt_s)
-        acceleration, share = self._config.max_joint_acceleration_rad_s2, self._config.share
+        last, before = self._velocity, self._acceleration
         if wanted is None or not np.all(np.isfinite(wanted)):
-            # Simulated time may stand still; coming to rest must not.
-            step = acceleration * (dt_s or steady_dt_s)
-            self._velocity = ramp_to_zero(self._velocity, step, share)
-            self._acceleration = np.zeros(len(self._names))
+            dt_s = dt_s or steady_dt_s  # simulated time may stand still; coming to rest must not
+            self._velocity = self._config.ramp(last, before, dt_s)
         else:
-            velocity = self._config.step(wanted, self._velocity, self._acceleration, dt_s)
-            if dt_s > 0.0:
-                self._acceleration = (velocity - self._velocity) / dt_s
-            self._velocity = velocity
+            self._velocity = self._config.step(wanted, last, before, dt_s)
+        if dt_s > 0.0:
+            self._acceleration = (self._velocity - last) / dt_s
         return self._velocity.copy()
 
     def _decide(self, now_s: float, dt_s: float) -> np.ndarray | None:

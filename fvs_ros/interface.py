@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fvs_ros.limits import MAX_TICK_S, JointLimits
+from fvs_ros.limits import JointLimits, tick_s
 from fvs_ros.params import Parameters, parameter
 
 VELOCITY, POSITION = "velocity", "position"
@@ -43,6 +43,6 @@ class PositionPath:
         """Positions, rad, (n,), to be reached next: the last ones, and a velocity for a tick."""
         start = joints_rad if self._position is None else self._position
         lead = _LEAD_S * limits.max_joint_velocity_rad_s * limits.share
-        wanted = start + min(max(dt_s, 0.0), MAX_TICK_S) * velocity
+        wanted = start + tick_s(dt_s) * velocity
         self._position = np.clip(wanted, joints_rad - lead, joints_rad + lead)
         return self._position

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from math import pi
+from math import isfinite, pi
 from operator import lt
 from typing import Any
 
@@ -28,6 +28,11 @@ MAX_TICK_S = 0.05
 #: a joint's range. With 0.9 a joint passed its end by up to 90 mrad (3 rad/s, a lag of 90 ms) while
 #: the drives' lag was not known yet; with 0.6 by 0.2 mrad.
 BRAKING_SHARE, _RANGE_SHARE = 0.9, 0.6
+
+
+def tick_s(dt_s: float) -> float:
+    """What a tick counts for, s: none if no clock could give it, at most ``MAX_TICK_S``."""
+    return min(dt_s, MAX_TICK_S) if isfinite(dt_s) and dt_s > 0.0 else 0.0
 
 
 def limit_speed(
@@ -107,7 +112,9 @@ def limit_jerk(
     velocity is reached; all are (n,), rad/s, rad/s^2 and rad/s^3.
     """
     missing, step = velocity - last, max_jerk * dt_s
-    most = np.minimum(max_acceleration, np.sqrt(step**2 + 2.0 * max_jerk * np.abs(missing)) - step)
+    # The square root less the step, written so that the last bit is closed, too; never 0 / 0.
+    twice = 2.0 * max_jerk * np.abs(missing)
+    most = np.minimum(max_acceleration, twice / (np.sqrt(step**2 + twice) + step + 1e-300))
     wanted = np.clip(np.copysign(most, missing), last_acceleration - step, last_acceleration + step)
     return last + np.clip(wanted, -max_acceleration, max_acceleration) * dt_s
 
@@ -273,6 +280,19 @@ class JointLimits(ArmJoints):
             return limit_jerk(velocity, last, last_acceleration, most, jerk, dt_s)
         return limit_acceleration(velocity, last, most * dt_s)
 
+    def ramp(
+        self,
+        last: np.ndarray,
+        last_acceleration: np.ndarray,
+        dt_s: float,
+        acceleration: float | None = None,
+    ) -> np.ndarray:
+        """Take one step to rest, within the limits of :meth:`step`."""
+        if self.max_joint_jerk_rad_s3 > 0.0:
+            return self.step(np.zeros_like(last), last, last_acceleration, dt_s, acceleration)
+        most = acceleration or self.max_joint_acceleration_rad_s2
+        return ramp_to_zero(last, most * dt_s, self.share)
+
     def slow_down(
         self,
         velocity: np.ndarray,
@@ -298,11 +318,11 @@ class JointLimits(ArmJoints):
         acceleration = _RANGE_SHARE * max_acceleration
         # With the robot's lag of 35 ms a faster approach than 5 times the distance would pass it.
         slope = min(self.max_joint_velocity_rad_s / self.joint_limit_margin_rad, 5.0)
+        jerk = self.max_joint_jerk_rad_s3
         each = zip(values, joints.tolist(), pending_rad.tolist(), self._joints, strict=True)
         for i, (v, q, ahead, (lower, upper, share)) in enumerate(each):
             room = upper - q if v > 0.0 else q - lower
             room = max(0.0, room - max(0.0, ahead if v > 0.0 else -ahead)) / share
-            jerk = self.max_joint_jerk_rad_s3
             cap = share * min(slope * room, braking_speed(room, acceleration, dt_s, jerk))
             if abs(v) > cap:
                 values[i] = cap if v > 0.0 else -cap
@@ -320,15 +340,12 @@ class JointLimits(ArmJoints):
         """Find the next command, (n,), rad/s, on the way to rest from the last one."""
         # From full speed it stops within 0.5 s, however small the acceleration limit is.
         acceleration = max(self.max_joint_acceleration_rad_s2, self.max_joint_velocity_rad_s / 0.5)
-        step = acceleration * dt_s
-        if self.max_joint_jerk_rad_s3 > 0.0:
-            return self.step(np.zeros_like(last), last, last_acceleration, dt_s, acceleration)
-        velocity = ramp_to_zero(last, step, self.share)
-        if joints is None:
+        velocity = self.ramp(last, last_acceleration, dt_s, acceleration)
+        if joints is None or self.max_joint_jerk_rad_s3 > 0.0:
             return velocity
         # The ramp is as long as the fastest joint's; one that nears its limit brakes harder.
         velocity, _ = self.slow_down(velocity, joints, acceleration, dt_s, pending_rad)
-        most = step * self.share
+        most = acceleration * dt_s * self.share
         return np.clip(velocity, last - most, last + most)
 
 

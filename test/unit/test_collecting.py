@@ -235,3 +235,21 @@ def test_it_comes_home_softly_when_the_chain_is_known(ball_seen):
     assert cell.run.reason == "finished: Jacobian known to 0.7 %"
     assert np.abs(cell.joints - HOME).max() < 0.05
     assert cell.run.progress == 1.0
+
+
+def test_a_jerk_limit_holds_in_motion_and_while_it_stops_and_zeros_are_reached():
+    config = CollectorConfig(
+        duration_s=DURATION_S, joint_range_rad=(0.3,) * 6, max_joint_jerk_rad_s3=30.0
+    )
+    run, joints, commands = CollectionRun(config), HOME.copy(), []
+    for tick in range(500):
+        now_s = 5.0 + DT_S * tick
+        run.joint_states(now_s, now_s, joints)
+        run.ball(now_s, now_s, np.array([0.0, 0.0, 1.0]))
+        if tick == 350:
+            assert np.abs(commands[-1]).max() > 0.3
+            run.fail("enough")
+        commands.append(run.tick(now_s, DT_S))
+        joints = joints + DT_S * commands[-1]
+    assert np.abs(np.diff(commands, 2, axis=0)).max() <= 30.0 * DT_S**2 + 1e-12
+    assert run.ended
