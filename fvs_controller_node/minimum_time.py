@@ -91,19 +91,18 @@ class MinimumTimeLaw(ControlLaw):
         new = self._goal is None or one.change is Change.TARGET
         goal = joints if self._goal is None else self._goal
         position, jacobian = chain.position_and_jacobian(goal)
-        missing = wanted - position
-        new = new or largest(missing) > _JUMP_M
+        new = new or largest(wanted - position) > _JUMP_M
         # After a new target the steps draw the goal toward the start posture. After each further
         # image one step stays near the last goal: repeated linear programmes would alternate
         # between two corners.
-        for _ in range(4 if new else 1):
+        for step in range(4 if new else 1):
+            if step > 0:
+                position, jacobian = chain.position_and_jacobian(goal)
             travel = goal - joints
-            way = missing + jacobian @ travel
+            way = wanted - position + jacobian @ travel
             if new and one.home_rad is not None:
                 found = self.inverse.joint_velocity(jacobian, way, joints, one.home_rad)
             else:
                 found = self.inverse.joint_velocity(jacobian, way, joints, near=travel)
             goal = np.clip(joints + found, self.gains.lower_rad, self.gains.upper_rad)
-            position, jacobian = chain.position_and_jacobian(goal)
-            missing = wanted - position
         return goal

@@ -16,12 +16,12 @@ of the arm:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import inf
 from typing import NamedTuple
 
 import numpy as np
 
+from fvs_controller_node.redundancy import singular_values
 from fvs_ros.timeline import MAX_LATENCY_S, History, Sample, Timeline
 from fvs_ros.tracker import Image, Tracker
 from fvs_ros.vectors import length
@@ -49,22 +49,6 @@ class Verdict(NamedTuple):
     time_s: float  #: within this time
 
 
-@dataclass
-class _Cell:
-    """Images with nearly the same predicted position: sums of predicted and seen positions."""
-
-    stamp_s: float
-    anchor_m: np.ndarray
-    images: int
-    moved_m: np.ndarray
-    seen_m: np.ndarray
-
-    def add(self, moved_m: np.ndarray, seen_m: np.ndarray) -> None:
-        self.images += 1
-        self.moved_m = self.moved_m + moved_m
-        self.seen_m = self.seen_m + seen_m
-
-
 class Agreement:
     """Compares seen and predicted motion; ``verdict`` is None while the motion is too small."""
 
@@ -74,50 +58,65 @@ class Agreement:
 
     def restart(self) -> None:
         """Begin anew."""
-        self._cells: list[_Cell] = []
+        #: Of images with nearly the same predicted position: the first one's stamp, their number,
+        #: and the sums of predicted and seen positions, (2 + 2 m,) each.
+        self._cells = np.zeros((0, 2))
+        self._anchor_m = np.zeros(0)  # predicted position that the newest cell began with
         self.verdict: Verdict | None = None
 
     def add(self, image: Image, noise_m: float) -> None:
         """Take an image, and the standard deviation of a coordinate of images, m."""
         stamp_s, seen_m, moved_m, _ = image
         if stamp_s <= self._newest_s:  # the clock stepped back: the cells remain valid
-            for cell in self._cells:
-                cell.stamp_s += stamp_s - self._newest_s
+            self._cells[:, 0] += stamp_s - self._newest_s
         self._newest_s = stamp_s
-        if not self._cells or length(moved_m - self._cells[-1].anchor_m) > _CELL_M:
-            self._cells.append(_Cell(stamp_s, moved_m, 1, moved_m, seen_m))
+        one = np.concatenate([(stamp_s, 1.0), moved_m, seen_m])
+        if len(self._cells) and length(moved_m - self._anchor_m) <= _CELL_M:
+            self._cells[-1, 1:] += one[1:]
         else:
-            self._cells[-1].add(moved_m, seen_m)
-        del self._cells[:-_CELLS]
-        verdict = self._judge(0, noise_m)
-        while verdict is not None and (later := self._judge(1, noise_m)) is not None:
-            self._cells.pop(0)
-            verdict = later
-        self.verdict = verdict
+            self._anchor_m, first = moved_m, len(self._cells) == 0
+            self._cells = one[None] if first else np.vstack([self._cells[1 - _CELLS :], one])
+        self.verdict = self._judge(noise_m)
 
-    def _judge(self, first: int, noise_m: float) -> Verdict | None:
-        """The verdict of the cells from one on; None where they do not suffice for one."""
-        cells = self._cells[first:]
-        if len(cells) < 2 or self._newest_s - cells[0].stamp_s < _LEAST_S:
-            return None
-        images = np.array([float(cell.images) for cell in cells])
-        moved = np.array([cell.moved_m for cell in cells]) / images[:, None]
-        predicted_m = float(np.linalg.norm(moved - moved[-1], axis=1).max())
-        if predicted_m < _LEAST_M:
-            return None
-        weights = images / images.sum()
-        moved -= weights @ moved
-        power = float(images @ np.square(moved).sum(axis=1))
-        if noise_m**2 > _DEVIATION**2 * power:
-            return None
-        seen = np.array([cell.seen_m for cell in cells]) / images[:, None]
-        seen -= weights @ seen
-        share = float(np.linalg.norm((seen * images[:, None]).T @ moved, "nuc")) / power
-        noise_m2 = seen.shape[1] * (len(cells) - 1) * noise_m**2
-        off = max(0.0, float(images @ np.square(seen - moved).sum(axis=1)) - noise_m2)
-        seen_power = float(images @ np.square(seen).sum(axis=1)) - noise_m2
-        ratio = (off / max(power, seen_power)) ** 0.5
-        return Verdict(predicted_m, share, ratio, self._newest_s - cells[0].stamp_s)
+    def _judge(self, noise_m: float) -> Verdict | None:
+        """The verdict of the newest cells that suffice for one, which stay; None without any."""
+        cells = self._cells
+        stamps_s, images = cells[:, 0].tolist(), cells[:, 1]
+        moved, seen = np.hsplit(cells[:, 2:] / images[:, None], 2)
+        verdict, first = None, 0
+        while len(cells) - first > 1:
+            time_s, some = self._newest_s - stamps_s[first], slice(first, None)
+            later = _verdict(images[some], moved[some], seen[some], noise_m, time_s)
+            if later is None:
+                break
+            verdict, first = later, first + 1
+        self._cells = cells[max(0, first - 1) :]
+        return verdict
+
+
+def _verdict(
+    images: np.ndarray, moved: np.ndarray, seen: np.ndarray, noise_m: float, time_s: float
+) -> Verdict | None:
+    """The verdict on k cells: images, (k,), predicted and seen positions, (k, m), m.
+
+    None where they do not suffice.
+    """
+    if time_s < _LEAST_S:
+        return None
+    predicted_m = float(np.square(moved - moved[-1]).sum(axis=1).max()) ** 0.5
+    if predicted_m < _LEAST_M:
+        return None
+    weights = images / images.sum()
+    moved = moved - weights @ moved
+    power = float(images @ np.square(moved).sum(axis=1))
+    if noise_m**2 > _DEVIATION**2 * power:
+        return None
+    seen = seen - weights @ seen
+    share = float(singular_values((seen * images[:, None]).T @ moved).sum()) / power
+    noise_m2 = seen.shape[1] * (len(images) - 1) * noise_m**2
+    off = max(0.0, float(images @ np.square(seen - moved).sum(axis=1)) - noise_m2)
+    seen_power = float(images @ np.square(seen).sum(axis=1)) - noise_m2
+    return Verdict(predicted_m, share, (off / max(power, seen_power)) ** 0.5, time_s)
 
 
 class BallPredictor:
@@ -148,6 +147,7 @@ class BallPredictor:
         self.image_m: np.ndarray | None = None  #: the ball in the newest image, m, (m,)
         #: Age of the newest image against the newest joint state then, s.
         self.latency_s: float | None = None
+        self._unjudged: list[Image] = []
         self.tracker.restart()
 
     @property
@@ -180,6 +180,10 @@ class BallPredictor:
         else:
             moved = moved + jacobian @ (joints_rad - before)
         self._moved.add(stamp_s, moved)
+        # Images are judged one joint state later: no tick has all of an image's work.
+        for image in self._unjudged:
+            self.agreement.add(image, self.tracker.noise_m)
+        self._unjudged.clear()
         self._use(self._timeline.add_joints(stamp_s, joints_rad))
 
     def add_ball(self, stamp_s: float, position_m: np.ndarray) -> None:
@@ -196,8 +200,7 @@ class BallPredictor:
             self.latency_s = newest_s - stamp_s
             self.image_m, self._stamp_s = ball, stamp_s
             self.images += 1
-            for image in self.tracker.add(Image(stamp_s, ball, moved)):
-                self.agreement.add(image, self.tracker.noise_m)
+            self._unjudged += self.tracker.add(Image(stamp_s, ball, moved))
 
     def predict(self) -> np.ndarray | None:
         """Predict the ball's position at the newest joint state, m, (m,).

@@ -30,7 +30,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from scipy.linalg.lapack import dgeqrf, dorgqr, dposv
+from scipy.linalg.lapack import dgeqrf, dgesdd, dorgqr, dposv
 from scipy.optimize import nnls
 
 from fvs_ros.limits import JointLimits
@@ -80,8 +80,14 @@ def damped_solution(jacobian: np.ndarray, velocity: np.ndarray, damping: float) 
     """
     gram = jacobian @ jacobian.T
     # With a huge Jacobian mu would be lost to rounding, and the Cholesky factors would fail.
-    gram.flat[:: len(gram) + 1] += max(damping, 1e-14 * float(gram.trace()))
+    entries = jacobian.ravel()
+    gram.flat[:: len(gram) + 1] += max(damping, 1e-14 * float(entries.dot(entries)))
     return jacobian.T @ dposv(gram, velocity)[1]
+
+
+def singular_values(matrix: np.ndarray) -> np.ndarray:
+    """Singular values, the largest first, of a matrix; straight from LAPACK, too."""
+    return dgesdd(matrix, compute_uv=0)[1]
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from fvs_controller_node.inbox import Inbox
 from fvs_controller_node.monitors import FollowingMonitor, PredictionMonitor, SingularityMonitor
 from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Finding, Reason, State, Stop
+from fvs_controller_node.redundancy import singular_values
 from fvs_ros.limits import MAX_TICK_S, limit_speed, tick_s
 from fvs_ros.params import ParameterError
 from fvs_ros.vectors import all_finite, largest, length
@@ -188,7 +189,7 @@ class Supervisor:
         joints_rad, jacobian = present.joints_rad, present.jacobian
         self.goal.see(present.position_m, dt_s, self.last.state is State.SERVOING)
         if jacobian is not None and jacobian is not before.jacobian:
-            self._smallest_m_rad = float(np.linalg.svd(jacobian, compute_uv=False)[-1])
+            self._smallest_m_rad = float(singular_values(jacobian)[-1])
         finding = self._objection(now_s)
         if finding is None and self._starts_itself:
             self._begin()

@@ -19,6 +19,16 @@ import numpy as np
 
 from fvs_ros.vectors import LARGEST, check_arrays, plausible
 
+_UNIT = np.eye(4)
+#: The cross matrices of the three unit vectors, row by row.
+_CROSS = np.array(
+    [
+        [0, 0, 0, 0, 0, -1, 0, 1, 0],
+        [0, 0, 1, 0, 0, 0, -1, 0, 0],
+        [0, -1, 0, 1, 0, 0, 0, 0, 0],
+    ],
+    dtype=float,
+)
 #: What a chain of n joints is made of, and the shapes.
 CHAIN_SHAPES: dict[str, tuple[int | str, ...]] = {
     "axes": ("n", 3),
@@ -31,11 +41,7 @@ CHAIN_SHAPES: dict[str, tuple[int | str, ...]] = {
 
 def cross_matrix(vectors: np.ndarray) -> np.ndarray:
     """Matrices K with ``K u = v x u``, shape (..., 3, 3), of vectors v, shape (..., 3)."""
-    vectors = np.asarray(vectors, dtype=float)
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return (vectors @ _CROSS).reshape(*vectors.shape, 3)
 
 
 @dataclass(frozen=True)
@@ -87,7 +93,7 @@ class SerialChain:
         twists = np.zeros((len(self.axes), 4, 4))
         self._keep("_shifts", np.flatnonzero(self.prismatic))
         twists[:, :3, :3] = cross_matrix(self.axes)
-        twists[:, :3, 3] = np.cross(self.points_m, self.axes)
+        twists[:, :3, 3] = -(twists[:, :3, :3] @ self.points_m[:, :, None])[..., 0]
         twists[self._shifts, :3, :3], twists[self._shifts, :3, 3] = 0.0, self.axes[self._shifts]
         twists = np.ascontiguousarray(np.swapaxes(twists, 1, 2))
         self._keep("_twists", twists)
@@ -106,7 +112,7 @@ class SerialChain:
             sine[..., self._shifts, :, :] = angle[..., self._shifts, :, :]
         turns = sine * self._twists
         turns += (1.0 - np.cos(angle)) * self._squares
-        turns += np.eye(4)
+        turns += _UNIT
         return turns
 
     def position(self, joints_rad: np.ndarray) -> np.ndarray:
