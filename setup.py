@@ -76,6 +76,7 @@ setup(
             "fvs_detector_node=fvs_detector_node.node:main",
             "fvs_estimator_node=fvs_estimator_node.node:main",
             "fvs_controller_node=fvs_controller_node.node:main",
+            "fvs_servo_node=fvs_tools.servo_node:main",
             "fvs_collector_node=fvs_estimator_node.collector_node:main",
             "fvs_demo_node=fvs_tools.demo_node:main",
             "fvs_markers_node=fvs_tools.markers_node:main",

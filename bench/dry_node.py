@@ -20,7 +20,8 @@ def _nothing(*_arguments, **_options):
 class DryNode(FvsNode):
     """Stands between a node and rclpy: nothing is subscribed, published or timed."""
 
-    create_timer = watch = tell = staticmethod(_nothing)
+    status_heard = True
+    subscribe = watch = tell = staticmethod(_nothing)
 
     def __init__(self, name, parameters):  # rclpy's own is left out on purpose
         self._name = self._declared_name = name
@@ -40,7 +41,10 @@ class DryNode(FvsNode):
     def get_parameter(self, name):
         return SimpleNamespace(value=self.simulated_time if name == "use_sim_time" else None)
 
-    def create_publisher(self, _kind, topic, *_options):
+    def create_timer(self, *_arguments, **_options):
+        return SimpleNamespace(reset=_nothing)
+
+    def create_publisher(self, _kind, topic, *_options, **_keywords):
         sent = self.published.setdefault(topic, deque(maxlen=9))
         return SimpleNamespace(publish=sent.append)
 

@@ -158,7 +158,7 @@ class World:
             if JACOBIAN not in silent and self._beats % 2 == 0:
                 self.send_jacobian(ros.to_jacobian(self.estimate))
             if JOINT_STATES in silent:
-                self.node._watchdog()
+                self.node._on_missing()
             else:
                 last_s = self.stamps_s.get(JOINT_STATES, 0.0)
                 self.send_joints(self.joints, last_s if JOINT_STATES in frozen else self.ros_s)

@@ -65,6 +65,8 @@ class ServoLoop:
         self._stamp_s = 0.0
         self._change = Change.TARGET  # since the last call of the law
         self._images = 0  # number of images at that call
+        #: The law's sliding variable, (m,), at the first tick after an image; else None.
+        self.sliding_variable: np.ndarray | None = None
         self._ball_stamp_s: float | None = None
         self._joints: np.ndarray | None = None
         self._last_joints: tuple[float, np.ndarray] | tuple[None, None] = None, None  # as they came
@@ -216,7 +218,10 @@ class ServoLoop:
             self.predictor.problem,
             self.predictor.agreement.verdict,
         )
+        images = self._images
         command = supervisor.tick(now_s, dt_s, present, self._propose)
+        output = command.output if self._images != images else None
+        self.sliding_variable = output.sliding_variable if output is not None else None
         if command.state is not State.SERVOING:
             self.law.reset()
         if not supervisor.started:

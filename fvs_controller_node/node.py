@@ -31,6 +31,8 @@ _NO_RANGES = (
     "the joints' ranges are unknown: set joint_min_rad and joint_max_rad, or publish "
     "robot_description"
 )
+#: A joint state that has not come after this many periods is missing.
+_MISSING_PERIODS = 2.5
 _LATE = (Reason.STALE, Reason.RETURNING)
 #: A latched target reaches both subscriptions within this time, s.
 _TARGET_ECHO_S = 0.5
@@ -48,15 +50,15 @@ class ControllerNode(ros.FvsNode):
 
     keeps_subscriptions = True
 
-    def __init__(self) -> None:
-        super().__init__("fvs_controller_node", PARAMETERS)
+    def __init__(self, **place: Any) -> None:
+        super().__init__("fvs_controller_node", PARAMETERS, **place)
         v = self.values
         self._frame = v["feature_frame"]
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._shape = len(v["workspace_min_m"]), len(v["joint_names"])  # of the Jacobian
         self._loop = ServoLoop(v)
         self._simulated_time = self.get_parameter("use_sim_time").value
-        self._period_s = 1.0 / v["joint_state_rate_hz"]
+        self._missing_s = _MISSING_PERIODS / v["joint_state_rate_hz"]
         self._ticked_s = self.now_s()
         self._joints_s = -np.inf
         self._stamp_s: float | None = None
@@ -90,7 +92,10 @@ class ControllerNode(ros.FvsNode):
         self.create_service(
             Trigger, "~/set_current_as_target", self._answer(self._take_current_as_target)
         )
-        self.create_timer(self._period_s, self._watchdog, clock=self.steady_clock)
+        # Restarted by every tick: it fires when a joint state is missing, not only late.
+        self._watchdog = self.create_timer(
+            self._missing_s, self._on_missing, clock=self.steady_clock
+        )
         self.create_timer(ros.STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
         self.create_timer(0.5, self._look_around, clock=self.steady_clock)
 
@@ -205,9 +210,9 @@ class ControllerNode(ros.FvsNode):
 
     # --- the tick: the only place that sends commands ---
 
-    def _watchdog(self) -> None:
+    def _on_missing(self) -> None:
         now_s = self.now_s()
-        if now_s - self._ticked_s > 2.5 * self._period_s:  # a joint state is missing, not only late
+        if now_s - self._ticked_s >= self._missing_s:  # not in slow simulated time
             self._late += 1
             self._tick(now_s, now_s - self._ticked_s)
 
@@ -218,9 +223,10 @@ class ControllerNode(ros.FvsNode):
         if sent:
             self._sent.append(sent)
         self._ticked_s = now_s
-        if command.output is not None and self._stamp_s is not None:
+        self._watchdog.reset()
+        if self._loop.sliding_variable is not None and self._stamp_s is not None:
             self._sliding.publish(
-                ros.to_vector(self._stamp_s, self._frame, command.output.sliding_variable)
+                ros.to_vector(self._stamp_s, self._frame, self._loop.sliding_variable)
             )
         previous, self._command = self._command, command
         if previous is None or previous.reason is not command.reason:
@@ -255,7 +261,7 @@ class ControllerNode(ros.FvsNode):
             remarks.append(f"{self._conflicting} publishes commands as well: stop it")
         words = self._words(command)
         text = f"{words} ({'; '.join(remarks)})" if remarks else words
-        values = self._loop.status_values(self.now_s())
+        values = self._loop.status_values(self.now_s()) if self.status_heard else {}
         values.pop("state", None)
         self.publish_status(
             max(_LEVELS[command.state], ros.WARN if self._conflicting else ros.OK),

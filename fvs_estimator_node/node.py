@@ -36,8 +36,8 @@ class EstimatorNode(ros.FvsNode):
 
     keeps_subscriptions = True
 
-    def __init__(self) -> None:
-        super().__init__("fvs_estimator_node", PARAMETERS)
+    def __init__(self, **place: Any) -> None:
+        super().__init__("fvs_estimator_node", PARAMETERS, **place)
         v = self.values
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._hears_truth = False
@@ -73,7 +73,7 @@ class EstimatorNode(ros.FvsNode):
         """Switch the method, but not while the controller servoes."""
         if values["method"] == self._config.method:
             return
-        # The controller publishes the sliding variable only while it servoes, at every tick.
+        # The controller publishes the sliding variable only while it servoes, after every image.
         if self.monitor(topics.SLIDING_VARIABLE.name).age_s(self.now_s()) < FRESH_S:
             raise ValueError(
                 "the method changes only while the controller does not servo; call its ~/stop first"

@@ -68,6 +68,7 @@ SIM, DETECTOR = "fvs_sim_node", "fvs_detector_node"
 ESTIMATOR, CONTROLLER = "fvs_estimator_node", "fvs_controller_node"
 COLLECTOR, DEMO, DASHBOARD = "fvs_collector_node", "fvs_demo_node", "fvs_dashboard"
 MARKERS_NODE, RECORDER = "fvs_markers_node", "fvs_recorder_node"
+SERVO = "fvs_servo_node"  # no node: the program of estimator and controller in one process
 _TRIGGER = "std_srvs/srv/Trigger"
 
 NODES: dict[str, Node] = {
@@ -184,7 +185,7 @@ TARGET_POSITION = Topic(
 SLIDING_VARIABLE = Topic(
     "sliding_variable",
     "geometry_msgs/msg/Vector3Stamped",
-    "The control law's sliding variable, for the estimator's update law.",
+    "The control law's sliding variable after each image, for the estimator's update law.",
     {CONTROLLER: _RELIABLE},
     {ESTIMATOR: _NEWEST},
 )

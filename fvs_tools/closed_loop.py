@@ -121,8 +121,8 @@ class ClosedLoop:
         self.loop.supervisor.inputs[JACOBIAN].set_source_status(now_s, problem)
         self.loop.add_joints(now_s, now_s, out.joints_rad)
         command = self.loop.tick(now_s, self.period_s)
-        if command.output is not None:
-            self.estimation.add_sliding_variable(now_s, command.output.sliding_variable)
+        if self.loop.sliding_variable is not None:
+            self.estimation.add_sliding_variable(now_s, self.loop.sliding_variable)
         values = command.velocity_rad_s
         if self.simulation.config.command_interface == POSITION:
             limits = self.loop.supervisor.config

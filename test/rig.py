@@ -299,14 +299,12 @@ class Rig:
         self.wait(lambda: self.reason() == "SETTLED", what="SETTLED")
 
 
-class Launched:
-    """The nodes of the scenario ``servo``, perhaps in a namespace, as a test hears them."""
+class Loop:
+    """A loop that runs, perhaps in a namespace, as a test hears it."""
 
-    def __init__(self, harness: Harness, *arguments: str, namespace: str = "") -> None:
+    def __init__(self, harness: Harness, namespace: str = "") -> None:
         where = f"{namespace}/" if namespace else ""
-        named = ("--namespace", namespace) if namespace else ()
         self.harness = harness
-        self.process = harness.start("fvs_tools.launcher", "servo", *named, *arguments)
         self.commands = harness.collect(Float64MultiArray, where + topics.COMMANDS.name)
         self.balls = harness.collect(PointStamped, where + topics.BALL_POSITION.name)
         self.statuses = harness.collect(DiagnosticStatus, f"{where}{CONTROLLER}/status")
@@ -340,3 +338,12 @@ class Launched:
         self.harness.spin_until(
             lambda: self.distance_m(position_m) < 0.005, 30.0, "the ball there", self.reason
         )
+
+
+class Launched(Loop):
+    """The nodes of the scenario ``servo``, perhaps in a namespace."""
+
+    def __init__(self, harness: Harness, *arguments: str, namespace: str = "") -> None:
+        named = ("--namespace", namespace) if namespace else ()
+        self.process = harness.start("fvs_tools.launcher", "servo", *named, *arguments)
+        super().__init__(harness, namespace)

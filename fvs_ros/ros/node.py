@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
-from typing import Any
+from typing import Any, cast
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -20,7 +20,6 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
 from rclpy.subscription import Subscription
@@ -31,6 +30,7 @@ from fvs_ros.params import Parameter, ParameterError, ParameterSet
 from fvs_ros.ros.inputs import IMAGES, MOST_ITEMS, ArrivalMonitor, check_request, unpacked
 from fvs_ros.ros.messages import OK, WARN, MessageError, plain, to_stamp, to_status
 from fvs_ros.ros.qos import PROFILES, QOS_LATCHED
+from fvs_ros.ros.wiring import HandingPublisher, Input
 from fvs_ros.topics import Topic
 
 #: Of every node's ``~/status``, s.
@@ -69,7 +69,8 @@ def message_class(name: str) -> type:
 class FvsNode(Node):
     """A node with declared parameters, watched inputs and diagnostics.
 
-    A parameter given at start that is unknown or has a wrong value is a ``ParameterError``.
+    A parameter given at start that is unknown or has a wrong value is a ``ParameterError``;
+    ``others`` are those of the nodes that share the process, and its arguments.
     """
 
     #: Set to end the process with this exit code.
@@ -80,29 +81,43 @@ class FvsNode(Node):
     #: (ros2/rclpy#1644) and does not support callback groups.
     keeps_subscriptions = False
 
-    def __init__(self, name: str, parameters: Iterable[Parameter]) -> None:
-        super().__init__(name, automatically_declare_parameters_from_overrides=True)
+    def __init__(
+        self,
+        name: str,
+        parameters: Iterable[Parameter],
+        namespace: str = "",
+        others: Iterable[Parameter] = (),
+    ) -> None:
+        super().__init__(
+            name,
+            namespace=namespace,
+            automatically_declare_parameters_from_overrides=True,
+        )
         self._declared_name = name  # also where the user gives it another one
         self.parameter_set = ParameterSet(parameters)
-        self.values = self._declare()
+        self.values = self._declare(others)
         self.add_on_set_parameters_callback(self._on_set)
         simulated = self.get_parameter("use_sim_time").value
         #: Ages on it never jump; stamps (``get_clock``) serve pairing and latency only.
         self._loop_clock = LoopClock(self.ros_s if simulated else None)
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._monitors: dict[str, ArrivalMonitor] = {}
+        self._inputs: list[Input] | None = []  # until they are connected
         self._status = self.publisher(topics.STATUS)
         self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS.name, 10)
         self.create_timer(_DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady_clock)
         self._health: tuple[bytes, str] = (OK, "starting")
 
-    def _declare(self) -> dict[str, Any]:
+    def _declare(self, others: Iterable[Parameter]) -> dict[str, Any]:
         given = {
             name: self.get_parameter(name).value
             for name in self.get_parameters_by_prefix("")
             if not name.startswith(_BUILT_IN_PARAMETERS)
         }
-        values = self.parameter_set.values(given)
+        own = self.parameter_set
+        known = ParameterSet({one.name: one for one in (*others, *own)}.values())
+        # An unknown one raises.
+        values = own.values({n: v for n, v in given.items() if known[n].name in own})
         for name in given:
             self.undeclare_parameter(name)
         for one in self.parameter_set:
@@ -216,31 +231,50 @@ class FvsNode(Node):
 
     def subscribe(self, topic: Topic, callback: Callable[[Any], None]) -> None:
         """Watch a topic with the type and the qualities of service that are declared for it."""
+        kind, heard = message_class(topic.type), self._counted(topic.name, callback)
         for qos in topic.subscribers[self._declared_name].qos:
-            self.watch(message_class(topic.type), topic.name, callback, PROFILES[qos])
+            one = Input(kind, topic.name, PROFILES[qos], heard)
+            if self._inputs is None:
+                self.open(one)
+            else:
+                self._inputs.append(one)
 
-    def publisher(self, topic: Topic) -> Publisher:
+    def take_inputs(self) -> list[Input]:
+        """The subscriptions asked for so far; later ones are opened at once."""
+        inputs, self._inputs = self._inputs, None
+        return inputs or []
+
+    def open(self, one: Input) -> Subscription:
+        """Open a subscription."""
+        # A latched subscription has a volatile one beside it: no warning about publishers.
+        events = SubscriptionEventCallbacks(use_default_callbacks=one.qos is not QOS_LATCHED)
+        return self.create_subscription(
+            one.message_type, one.topic, one.callback, one.qos, event_callbacks=events
+        )
+
+    def publisher(self, topic: Topic) -> HandingPublisher:
         """Make a publisher with the type and the quality of service that are declared for it."""
         (qos,) = topic.publishers[self._declared_name].qos
         own = f"{self._declared_name}/"
         name = topic.name.replace(own, "~/") if topic.name.startswith(own) else topic.name
-        return self.create_publisher(message_class(topic.type), name, PROFILES[qos])
+        kind, qos_profile = message_class(topic.type), PROFILES[qos]
+        made = self.create_publisher(kind, name, qos_profile, publisher_class=HandingPublisher)
+        return cast("HandingPublisher", made)
 
     def watch(
         self, message_type: type, topic: str, callback: Callable[[Any], None], qos: QoSProfile
-    ) -> Any:
-        """Subscribe, and report the input's age, rate and jitter on ``/diagnostics``."""
+    ) -> Subscription:
+        """Subscribe at once, and report the input's age, rate and jitter on ``/diagnostics``."""
+        return self.open(Input(message_type, topic, qos, self._counted(topic, callback)))
+
+    def _counted(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         monitor = self._monitors.setdefault(topic, ArrivalMonitor())
 
         def on_message(message: Any) -> None:
             monitor.arrived(self.now_s())
             callback(message)
 
-        # A latched subscription has a volatile one beside it: no warning about publishers.
-        events = SubscriptionEventCallbacks(use_default_callbacks=qos is not QOS_LATCHED)
-        return self.create_subscription(
-            message_type, topic, on_message, qos, event_callbacks=events
-        )
+        return on_message
 
     def monitor(self, topic: str) -> ArrivalMonitor:
         """Arrival statistics of a watched input."""
@@ -263,13 +297,19 @@ class FvsNode(Node):
         others = set(found) - {own}
         return sorted(others | {f"another {own}"} if found.count(own) > 1 else others)
 
+    @property
+    def status_heard(self) -> bool:
+        """Whether anybody listens to ``~/status``."""
+        return self._status.heard
+
     def publish_status(
         self, level: bytes, state: str, reason: str, values: Mapping[str, Any]
     ) -> None:
-        """Publish ``~/status``: state, reason in words, key numbers."""
+        """Publish ``~/status`` to those who listen: state, reason in words, key numbers."""
         self._health = (level, f"{state}: {reason}")
-        name = self.get_fully_qualified_name()
-        self._status.publish(to_status(level, name, reason, {"state": state, **values}))
+        if self.status_heard:
+            name = self.get_fully_qualified_name()
+            self._status.publish(to_status(level, name, reason, {"state": state, **values}))
 
     def tell(self, level: bytes, text: str) -> None:
         """Log with the severity of a diagnostic level."""
@@ -291,6 +331,8 @@ class FvsNode(Node):
         return {}
 
     def _publish_diagnostics(self) -> None:
+        if not self._diagnostics.get_subscription_count():
+            return
         now_s, (level, text) = self.now_s(), self._health
         values = {
             f"{topic} {key}": value

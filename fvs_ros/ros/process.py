@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import rclpy
-from rclpy.exceptions import ParameterException
+from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
@@ -18,6 +19,7 @@ from fvs_ros.arguments import listing
 from fvs_ros.params import Parameter
 from fvs_ros.paths import find_file
 from fvs_ros.ros.node import FvsNode
+from fvs_ros.ros.wiring import HandingPublisher, Input, each
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
 
 try:
@@ -28,13 +30,19 @@ except ImportError:  # before rclpy 7.1.4
 _SPIN_PERIOD_S = 0.05
 
 
-def run(make_node: Callable[[], FvsNode], doc: str, parameters: Iterable[Parameter]) -> int:
-    """Run one node in this process until a signal, its own wish, or an error.
+def run(
+    make_node: Callable[[], FvsNode | Sequence[FvsNode]],
+    doc: str,
+    parameters: Iterable[Parameter],
+    operands: Sequence[str] = (),
+) -> int:
+    """Run one node, or several, in this process until a signal, its own wish, or an error.
 
     Signals end the spin loop, not the ROS context, so that ``finish`` can still send. A blocked
     terminal does not block the node: its output is dropped. ``doc``, the docstring of its module,
-    and its parameters are for ``--help``. Returns 0 after a signal or a finished task, 1
-    after an error, 2 after a wrong parameter or file.
+    and its parameters are for ``--help``; ``operands`` are the words of the command line that the
+    caller has taken. Returns 0 after a signal or a finished task, 1 after an error, 2 after a
+    wrong parameter or file.
     """
     stop.listen()
     # A lost first announcement costs a moment, not three seconds; only Fast DDS reads this.
@@ -44,7 +52,7 @@ def run(make_node: Callable[[], FvsNode], doc: str, parameters: Iterable[Paramet
             print(_help(doc, parameters))
             return EXIT_OK
         try:
-            unknown = remove_ros_args(sys.argv)[1:]
+            unknown = [word for word in remove_ros_args(sys.argv)[1:] if word not in operands]
             if unknown:  # rclpy ignores them, and the node would run with other values
                 return _refused(
                     f"unknown argument {unknown[0]!r}; parameters and remaps stand "
@@ -54,11 +62,11 @@ def run(make_node: Callable[[], FvsNode], doc: str, parameters: Iterable[Paramet
         except RuntimeError as error:  # rcl's own: arguments or a parameter file it cannot read
             return _refused(str(error))
         try:
-            node = make_node()
-        except (ValueError, OSError, ParameterException) as error:
+            made = make_node()
+        except (ValueError, OSError, NameValidationException, ParameterException) as error:
             return _refused(str(error))
         else:
-            return _spin(node)
+            return _spin([made] if isinstance(made, FvsNode) else made)
         finally:
             rclpy.try_shutdown()
 
@@ -78,21 +86,58 @@ def _help(doc: str, parameters: Iterable[Parameter]) -> str:
     )
 
 
-def _spin(node: FvsNode) -> int:
-    executor: Executor = EventsExecutor() if node.keeps_subscriptions else SingleThreadedExecutor()
-    executor.add_node(node)
+def _spin(nodes: Sequence[FvsNode]) -> int:
+    events = all(node.keeps_subscriptions for node in nodes)
+    executor: Executor = EventsExecutor() if events else SingleThreadedExecutor()
+    _connect(nodes)
+    for node in nodes:
+        executor.add_node(node)
     try:
-        while not stop.RECEIVED and node.exit_code is None and rclpy.ok():
+        while not (stop.RECEIVED or _exit_codes(nodes)) and rclpy.ok():
             executor.spin_once(timeout_sec=_SPIN_PERIOD_S)
     except ExternalShutdownException:
         pass
     finally:
         try:
-            node.finish()
+            _finish(nodes)
         finally:
             executor.shutdown(timeout_sec=0.0)  # left to the garbage collector, it complains
-            node.destroy_node()
-    return EXIT_OK if node.exit_code is None else node.exit_code
+            for node in nodes:
+                node.destroy_node()
+    return max(_exit_codes(nodes), default=EXIT_OK)
+
+
+def _connect(nodes: Sequence[FvsNode]) -> None:
+    """Open the subscriptions that the nodes have asked for, before they spin.
+
+    What one of them publishes is handed to the others; what several hear comes through one
+    subscription, to the first of them first.
+    """
+    publishers = {one.topic_name: one for node in nodes for one in node.publishers}
+    inputs: dict[tuple[str, int], list[tuple[FvsNode, Input]]] = {}
+    for node in nodes:
+        for one in node.take_inputs():
+            name = node.resolve_topic_name(one.topic)
+            inputs.setdefault((name, id(one.qos)), []).append((node, one))
+    for (name, _), hearers in inputs.items():
+        callbacks = tuple(one.callback for _, one in hearers)
+        publisher = publishers.get(name)
+        if isinstance(publisher, HandingPublisher):
+            publisher.hearers = callbacks
+        else:
+            node, first = hearers[0]
+            node.open(first._replace(callback=each(callbacks)))
+
+
+def _exit_codes(nodes: Iterable[FvsNode]) -> list[int]:
+    return [node.exit_code for node in nodes if node.exit_code is not None]
+
+
+def _finish(nodes: Sequence[FvsNode]) -> None:
+    """Have all nodes finish at once: no arm moves on while another gets its last zeros."""
+    with ThreadPoolExecutor(len(nodes)) as pool:
+        for done in [pool.submit(node.finish) for node in nodes]:
+            done.result()
 
 
 def _refused(why: str) -> int:

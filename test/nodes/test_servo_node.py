@@ -1,0 +1,69 @@
+"""Estimator and controller in one process: two arms at once, and the same topics outside."""
+
+import signal
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Vector3Stamped
+from harness import children, ros_arguments
+from rig import CONTROLLER, ESTIMATOR, SIMULATOR, TARGETS, Launched, Loop
+from std_msgs.msg import Float64MultiArray
+
+from fvs_ros import topics
+
+MODULE = "fvs_tools.servo_node"
+ARMS = ("left", "right")
+#: Slower joint states and images, so that two simulated robots fit on two cores.
+SLOW = {"joint_state_rate_hz": 50, "image_rate_hz": 15.0}
+MOVING = {"joint_state_rate_hz": 50.0, "autostart": True, "max_joint_velocity_rad_s": 0.5}
+
+
+def test_two_arms_in_one_process_reach_their_targets_and_stop_with_zeros(ros_test):
+    for arm in ARMS:
+        ros_test.start_node(f"{SIMULATOR}.node", {"__ns": f"/{arm}"}, **SLOW)
+    # A parameter of one of the nodes goes to that one, one of both to both.
+    process = ros_test.start(MODULE, *ARMS, *ros_arguments(**MOVING, method="poe"))
+    left, right = (Loop(ros_test, arm) for arm in ARMS)
+    left.reach(np.array(TARGETS[0]))
+    assert not any(np.any(command.data) for command in right.commands)
+    jacobians = ros_test.collect(Float64MultiArray, "left/jacobian")
+    sliding = ros_test.collect(Vector3Stamped, "left/sliding_variable")
+    ros_test.spin_until(lambda: jacobians and sliding, what="what the two hand to each other")
+    for arm, target in ((left, TARGETS[1]), (right, TARGETS[0])):
+        arm.aim(np.array(target))
+        ros_test.spin_until(lambda arm=arm: np.any(arm.commands[-1].data), what="motion")
+    assert ros_test.stop(process, signal.SIGINT) == 0, ros_test.output(process)
+    ros_test.spin_for(0.2)
+    for arm in (left, right):
+        assert not np.any([command.data for command in arm.commands[-3:]])
+
+
+def test_the_launcher_runs_both_in_one_process(ros_test):
+    loop = Launched(ros_test, "--one-process", "-p", f"{ESTIMATOR}:method:=lkf")
+    assert len(children(loop.process)) == 2
+    loop.reach(np.array(TARGETS[0]))
+    (refused,) = ros_test.set_parameters(CONTROLLER, method="rbf")
+    assert "unknown parameter 'method'" in refused.reason
+    assert ros_test.stop(loop.process) == 0, ros_test.output(loop.process)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["left", "left"], "each arm needs a namespace of its own"),
+        ([*ARMS, "--ros-args", "-r", "__ns:=/lab"], "each arm needs a namespace of its own"),
+        (["--ros-args", "-p", "methot:=poe"], "did you mean method"),
+        (["--fast"], "unknown argument"),
+        (["a b"], "Invalid namespace"),
+    ],
+)
+def test_wrong_arguments_start_nothing(ros_test, arguments, words):
+    process = ros_test.start(MODULE, *arguments)
+    assert ros_test.wait(process) == 2
+    assert words in ros_test.output(process)
+
+
+def test_what_a_shared_process_may_not_start(ros_test):
+    process = ros_test.start("fvs_tools.launcher", "collect", "--one-process")
+    assert ros_test.wait(process) == 2
+    assert topics.CONTROLLER in ros_test.output(process)
