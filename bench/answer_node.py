@@ -1,0 +1,32 @@
+"""A bare node that answers every joint state with a command: what rclpy itself costs."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from fvs_ros import ros, topics
+
+
+def main(namespace):
+    rclpy.init()
+    node = rclpy.create_node("answer", namespace=namespace)
+    publisher = node.create_publisher(Float64MultiArray, topics.COMMANDS.name, ros.QOS_RELIABLE)
+    command = Float64MultiArray(data=[1e-3] * 6)
+    node.create_subscription(
+        JointState,
+        topics.JOINT_STATES.name,
+        lambda _message: publisher.publish(command),
+        ros.QOS_NEWEST,
+    )
+    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(node)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
