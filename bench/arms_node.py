@@ -49,7 +49,7 @@ class Arm:
         self._joints_rad, self._velocity_rad_s = np.array(HOME_JOINTS_RAD), np.zeros(6)
         self._home_m, self._side = self._ball_m(), 1.0
         self._image_s = self._target_s = 0.0
-        self.sent_s, self.sent, self.answers_s = 0.0, 0, []
+        self.sent_s, self.sent, self.answers_s, self._waits = 0.0, 0, [], False
 
     def _ball_m(self):
         return CAMERA.to_camera(CHAIN.position(self._joints_rad))
@@ -59,7 +59,9 @@ class Arm:
         return bool(self._velocity_rad_s.any())
 
     def _on_command(self, data):
-        self.answers_s.append(time.monotonic() - self.sent_s)
+        if self._waits:  # zeros come unasked, too, when joint states are missing
+            self.answers_s.append(time.monotonic() - self.sent_s)
+        self._waits = False
         self._velocity_rad_s = np.frombuffer(data[-48:])
 
     def step(self, now_s, dt_s):
@@ -76,7 +78,7 @@ class Arm:
             stamp_s, UR_JOINT_NAMES, self._joints_rad, self._velocity_rad_s
         )
         self.sent += 1
-        self.sent_s = time.monotonic()
+        self.sent_s, self._waits = time.monotonic(), True
         self._joints.publish(message)
 
 

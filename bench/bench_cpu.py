@@ -38,8 +38,7 @@ def play(folder, start, namespaces=("arm",), rate_hz=RATE_HZ):
         before_s = [_used_s(node) for node in nodes]
         harness.wait(arms, 3.0 * SECONDS)
         used_s = [_used_s(node) - used for node, used in zip(nodes, before_s, strict=True)]
-        for node in nodes:
-            harness.stop(node)
+        harness.end_processes()
         seen = json.loads(harness.output(arms).splitlines()[-1])
         parts = [json.loads(path.read_text()) for path in folder.glob("parts.json")]
     if not all(arm["moves"] for arm in seen):
