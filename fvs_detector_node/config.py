@@ -6,14 +6,18 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from fvs_detector_node.detection import BallColour
+from fvs_detector_node.tags import Tag
 from fvs_ros import topics
 from fvs_ros.params import Parameters, parameter
 
 
 @dataclass(frozen=True)
 class DetectorConfig(Parameters):
-    """Parameters of the ball and of the image topics."""
+    """Parameters of ball or tag, and of the image topics."""
 
+    feature: str = parameter(
+        topics.BALL, "ball, or pose: of a tag, from the colour image alone", choices=topics.FEATURES
+    )
     camera_topics: str = parameter(
         "",
         "prefix of the camera's topics, before /color/image_raw and the others; empty: camera or "
@@ -54,6 +58,7 @@ class DetectorConfig(Parameters):
         live=True,
     )
     colour: BallColour = field(default_factory=BallColour)
+    tag: Tag = field(default_factory=Tag)
 
 
 PARAMETERS = DetectorConfig.declared()

@@ -20,17 +20,18 @@ from fvs_detector_node.detection import (
 )
 from fvs_detector_node.images import Rectifier, Region
 from fvs_detector_node.sphere import ACCEPT
+from fvs_detector_node.tags import TagPose
 from fvs_detector_node.tracking import Gate, WindowTracker
 from fvs_ros.camera import CameraModel, Intrinsics
 
 
 @dataclass(frozen=True)
 class Sighting:
-    """The result of one pair of images."""
+    """The result of one image, or pair of images."""
 
-    ball: BallDetection | None  # accepted or not
-    problem: str = ""  # why no ball is published; empty if it is
-    box: Region | None = None  # what the problem is about, if no ball is seen
+    found: BallDetection | TagPose | None  # accepted or not
+    problem: str = ""  # why nothing is published; empty if it is
+    box: Region | None = None  # what the problem is about, if nothing is seen
 
 
 class Detector:
@@ -157,15 +158,25 @@ def _off_colour(
 
 
 def annotate(rgb: np.ndarray, sighting: Sighting, camera: Intrinsics) -> np.ndarray:
-    """A copy of an image, without distortion, with the ball's outline or why it is not seen."""
+    """A copy of an image, without distortion, with what was found or why it is not seen."""
     picture = np.array(rgb)
     scale = max(picture.shape[1] / 640.0, 0.4)
     thick = max(1, round(1.5 * scale))
     lines = textwrap.wrap(sighting.problem, 66)
-    ball, box = sighting.ball, sighting.box
+    found, box = sighting.found, sighting.box
     refused_rgb = (255, 170, 0)
-    if ball is not None:
-        colour = refused_rgb if sighting.problem else (60, 230, 60)
+    colour = refused_rgb if sighting.problem else (60, 230, 60)
+    if isinstance(found, TagPose):
+        corners = np.round(16.0 * found.corners_px).astype(int)
+        cv2.polylines(picture, [corners], True, colour, thick, cv2.LINE_AA, 4)
+        tip_m = found.position_m + 0.05 * found.rotation[:, 2]
+        ends_px = camera.project(np.array([found.position_m, tip_m]))
+        start, end = np.round(16.0 * ends_px).astype(int).tolist()
+        cv2.line(picture, start, end, colour, thick, cv2.LINE_AA, 4)
+        x, y, z = found.position_m
+        lines.insert(0, f"{found.residual_px:.2f} px  x {x:+.4f} y {y:+.4f} z {z:.4f} m")
+    elif found is not None:
+        ball = found
         # Subpixel coordinates (sixteenths): the drawing moves smoothly.
         centre = np.round(16.0 * camera.project(ball.position_m)).astype(int).tolist()
         cv2.circle(picture, centre, round(16 * ball.radius_px), colour, thick, cv2.LINE_AA, 4)

@@ -86,8 +86,13 @@ class Rectifier:
         part = region.part
         if self._maps is None:
             return rgb[part], depth_m[part]
-        (whole, fraction), nearest = self._maps
-        return (
-            cv2.remap(rgb, whole[part], fraction[part], cv2.INTER_LINEAR),
-            cv2.remap(depth_m, nearest[part], np.empty(0), cv2.INTER_NEAREST),
-        )
+        depth_m = cv2.remap(depth_m, self._maps[1][part], np.empty(0), cv2.INTER_NEAREST)
+        return self.colour(rgb, region), depth_m
+
+    def colour(self, rgb: np.ndarray, region: Region) -> np.ndarray:
+        """The same of the colour image alone."""
+        part = region.part
+        if self._maps is None:
+            return rgb[part]
+        whole, fraction = self._maps[0]
+        return cv2.remap(rgb, whole[part], fraction[part], cv2.INTER_LINEAR)

@@ -1,4 +1,4 @@
-"""``fvs_detector_node``: images of an RGB-D camera in, position of the ball out."""
+"""``fvs_detector_node``: images of a camera in, position of the ball or pose of the tag out."""
 
 from __future__ import annotations
 
@@ -12,14 +12,18 @@ from typing import Any, NamedTuple, TypeVar
 
 import cv2
 import numpy as np
+from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
+from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
 from fvs_detector_node.config import PARAMETERS, CameraTopics, DetectorConfig
 from fvs_detector_node.detector import Detector, Sighting, annotate
 from fvs_detector_node.pairing import Pair, Pairing
+from fvs_detector_node.tag_detector import TagDetector
+from fvs_detector_node.tags import TagPose
 from fvs_ros import ros, topics
 from fvs_ros.camera import CameraModel
 from fvs_ros.ros.images import from_color, from_depth
@@ -29,8 +33,11 @@ from fvs_ros.topics import CAMERA_PREFIXES
 T = TypeVar("T")
 
 WAITING, TRACKING, LOST, FAULT = "WAITING", "TRACKING", "LOST", "FAULT"
-#: What the status holds of a detected ball.
-_MEASURED = ("quality", "visible_fraction", "residual_m", "radius_px")
+#: What the status holds of what is detected.
+_MEASURED = {
+    topics.BALL: ("quality", "visible_fraction", "residual_m", "radius_px"),
+    topics.POSE: ("residual_px",),
+}
 #: Time without messages after which an input is missing, s; the slowest cameras have 5 Hz.
 _MISSING_S = 1.0
 
@@ -43,15 +50,16 @@ class _Picture(NamedTuple):
 
 
 class DetectorNode(ros.FvsNode):
-    """Publishes the ball's position from every image pair with a good detection."""
+    """Publishes the ball's position, or the tag's pose, from every image with a good detection."""
 
     def __init__(self) -> None:
         super().__init__("fvs_detector_node", PARAMETERS)
         cv2.setNumThreads(1)  # threads have no benefit for one small image at a time
         self._config = DetectorConfig.from_values(self.values)
-        self._detector = Detector(self._config)
+        with_depth = self._config.feature == topics.BALL
+        self._detector = (Detector if with_depth else TagDetector)(self._config)
         # A little less than half the period of 30 images a second.
-        self._pairing = Pairing(tolerance_s=0.015)
+        self._pairing = Pairing(0.015, with_depth)
         self._restarts = 0
         self._camera: CameraModel | None = None
         self._sighting: Sighting | None = None
@@ -61,7 +69,7 @@ class DetectorNode(ros.FvsNode):
         # Log delay: discovery of a camera takes a moment, and a barely visible ball flickers.
         self._logged, self._logged_s = "", self.now_s()
 
-        self._ball = self.publisher(topics.BALL_POSITION)
+        self._feature = self.publisher(topics.BALL_POSITION if with_depth else topics.TOOL_POSE)
         self._annotated = self.publisher(topics.ANNOTATED_IMAGE)
         prefix = self._config.camera_topics or CAMERA_PREFIXES[0]
         self._topics = CameraTopics.below(prefix, self._config.compressed_images)
@@ -76,9 +84,9 @@ class DetectorNode(ros.FvsNode):
         """Search the usual prefixes if none is set and the present one has no publisher."""
         if not self._config.camera_topics and not self._publishers_of(self._topics.color):
             for prefix in CAMERA_PREFIXES:
-                topics = CameraTopics.below(prefix, self._config.compressed_images)
-                if self._publishers_of(topics.color):
-                    self._topics, self._camera = topics, None
+                found = CameraTopics.below(prefix, self._config.compressed_images)
+                if self._publishers_of(found.color):
+                    self._topics, self._camera = found, None
         self._subscribe()
 
     def _publishers_of(self, topic: str) -> list[TopicEndpointInfo]:
@@ -86,13 +94,15 @@ class DetectorNode(ros.FvsNode):
 
     def _subscribe(self) -> None:
         """Subscribe with a QoS that matches the publishers; again when topics or QoS change."""
-        topics = self._topics
+        names = self._topics
         image = CompressedImage if self._config.compressed_images else Image
         wanted = {
-            topics.color: (image, self._on_color, self._image_qos(topics.color)),
-            topics.depth: (image, self._on_depth, self._image_qos(topics.depth)),
-            topics.info: (CameraInfo, self._on_camera_info, ros.QOS_NEWEST),
+            names.color: (image, self._on_color, self._image_qos(names.color)),
+            names.depth: (image, self._on_depth, self._image_qos(names.depth)),
+            names.info: (CameraInfo, self._on_camera_info, ros.QOS_NEWEST),
         }
+        if self._config.feature == topics.POSE:
+            del wanted[names.depth]
         for topic, (subscription, qos) in list(self._subscribed.items()):
             if topic not in wanted or wanted[topic][2] is not qos:
                 self.destroy_subscription(subscription)
@@ -150,7 +160,7 @@ class DetectorNode(ros.FvsNode):
         if problem:
             self._complain(self._topics.depth, problem)
             return
-        rgb, depth_m = pair.colour.pixels, pair.depth.pixels
+        rgb, depth_m = pair.colour.pixels, pair.depth and pair.depth.pixels
         try:
             sighting = self._detector.look(pair.stamp_s, rgb, depth_m, camera)
             self._publish(pair, sighting)
@@ -166,18 +176,25 @@ class DetectorNode(ros.FvsNode):
     # --- outputs ---
 
     def _publish(self, pair: Pair, sighting: Sighting) -> None:
-        if sighting.ball is None or sighting.problem:
+        found, frame = sighting.found, pair.colour.header.frame_id
+        if found is None or sighting.problem:
             return
         exposed_s = pair.stamp_s - self._config.stamp_delay_s
-        message = ros.to_point(exposed_s, pair.colour.header.frame_id, sighting.ball.position_m)
+        message: PointStamped | PoseStamped
+        if isinstance(found, TagPose):
+            quaternion = Rotation.from_matrix(found.rotation).as_quat()
+            message = ros.to_pose(exposed_s, frame, found.position_m, quaternion)
+        else:
+            message = ros.to_point(exposed_s, frame, found.position_m)
         if exposed_s == pair.stamp_s:
             message.header.stamp = pair.colour.header.stamp  # to the nanosecond, as it came
-        self._ball.publish(message)
+        self._feature.publish(message)
         self._published.arrived(self.now_s())
         self._latency_s = self.ros_s() - exposed_s
 
     def _publish_annotated(self, pair: Pair, camera: CameraModel, sighting: Sighting) -> None:
-        rgb = self._detector.rectified(pair.colour.pixels, pair.depth.pixels, camera)
+        depth_m = pair.depth and pair.depth.pixels
+        rgb = self._detector.rectified(pair.colour.pixels, depth_m, camera)
         picture = annotate(rgb, sighting, camera.intrinsics)
         message = ros.to_image(pair.stamp_s, pair.colour.header.frame_id, picture, "rgb8")
         message.header.stamp = pair.colour.header.stamp
@@ -196,10 +213,9 @@ class DetectorNode(ros.FvsNode):
 
     def _missing_input(self, now_s: float) -> str:
         """Which subscribed topic is silent, and what to check; empty if none is."""
-        wanted = [
-            ("colour images", self._topics.color, "check the camera and camera_topics"),
-            ("depth images", self._topics.depth, "set align_depth.enable:=true"),
-        ]
+        wanted = [("colour images", self._topics.color, "check the camera and camera_topics")]
+        if self._config.feature == topics.BALL:
+            wanted.append(("depth images", self._topics.depth, "set align_depth.enable:=true"))
         if self._camera is None:
             wanted.append(("camera_info", self._topics.info, "is it remapped as well?"))
         for what, topic, hint in wanted:
@@ -219,10 +235,15 @@ class DetectorNode(ros.FvsNode):
         if self._pairs.age_s(now_s) > _MISSING_S:
             return self._unpaired()
         if self._sighting is None:
-            return WAITING, "waiting for the first pair of images"
+            return WAITING, "waiting for the first images"
         if self._sighting.problem:
             return LOST, self._sighting.problem
-        return TRACKING, "the ball is seen, its position is published"
+        what = (
+            "ball is seen, its position"
+            if self._config.feature == topics.BALL
+            else ("tag is seen, its pose")
+        )
+        return TRACKING, f"the {what} is published"
 
     def _unpaired(self) -> tuple[str, str]:
         repeats, offset_s = self._pairing.repeats, self._pairing.offset_s
@@ -240,13 +261,13 @@ class DetectorNode(ros.FvsNode):
         if state != self._logged and now_s - self._logged_s > 3.0:
             self._logged, self._logged_s = state, now_s
             self.tell(level, f"{state}: {reason}")
-        ball = self._sighting.ball if self._sighting is not None else None
+        found = self._sighting.found if self._sighting is not None else None
         self.publish_status(
             level,
             state,
             reason,
             {
-                **{key: ball and getattr(ball, key) for key in _MEASURED},
+                **{key: getattr(found, key, None) for key in _MEASURED[self._config.feature]},
                 "latency_s": self._latency_s,
                 "color_rate_hz": _rate_hz(self.monitor(self._topics.color), now_s),
                 "paired_rate_hz": _rate_hz(self._pairs, now_s),
@@ -260,11 +281,13 @@ class DetectorNode(ros.FvsNode):
 
 def _mismatch(pair: Pair, camera: CameraModel) -> str:
     """Why colour, depth and calibration are not of one camera; empty if they are."""
-    size, depth_size = pair.colour.pixels.shape[:2], pair.depth.pixels.shape
-    frame, depth_frame = pair.colour.header.frame_id, pair.depth.header.frame_id
+    size, frame = pair.colour.pixels.shape[:2], pair.colour.header.frame_id
     calibrated = (camera.intrinsics.height, camera.intrinsics.width)
     if calibrated != size:
         return f"camera_info is for {_px(calibrated)} pixels, colour images have {_px(size)}"
+    if pair.depth is None:
+        return ""
+    depth_size, depth_frame = pair.depth.pixels.shape, pair.depth.header.frame_id
     differs = ""
     if depth_size != size:
         differs = f"{_px(depth_size)} pixels against {_px(size)}"

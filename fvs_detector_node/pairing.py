@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 
 class Pair(NamedTuple):
-    """A colour image with its exposure, s, and the depth image nearest to it."""
+    """A colour image with its exposure, s, and the depth image nearest to it, if there is one."""
 
     stamp_s: float
     colour: Any
@@ -39,11 +39,12 @@ class Pairing:
     """Pairs two streams; the newest wins, and no colour image is paired after a later one.
 
     Stamps may repeat, arrive out of order, freeze or jump; a single wrong stamp has no effect.
-    ``tolerance_s`` is the largest difference of the two stamps.
+    ``tolerance_s`` is the largest difference of the two stamps. Without depth, each colour image is
+    a pair by itself.
     """
 
-    def __init__(self, tolerance_s: float) -> None:
-        self._tolerance_s = tolerance_s
+    def __init__(self, tolerance_s: float, with_depth: bool = True) -> None:
+        self._tolerance_s, self._with_depth = tolerance_s, with_depth
         #: How often the clock was set back; earlier pairs have another time base.
         self.restarts = -1
         self._restart()
@@ -71,6 +72,8 @@ class Pairing:
         """The newest colour image that has its depth image."""
         colours, depths = self._colour.images, self._depth.images
         for colour_s, colour in reversed(colours):
+            if not self._with_depth:
+                return Pair(colour_s, colour, None)
             if not depths:
                 return None
             depth_s, depth = min(depths, key=lambda one: abs(one[0] - colour_s))

@@ -26,8 +26,8 @@ class End:
 
     #: One publisher or subscription each.
     qos: tuple[Qos, ...]
-    #: The node uses the topic only if this parameter has this value.
-    given: tuple[str, Any] | None = None
+    #: The node uses the topic only if these parameters have these values.
+    given: Mapping[str, Any] = field(default_factory=dict)
     #: When it appears, in words, if not at the start.
     later: str = ""
 
@@ -64,6 +64,8 @@ class Node:
     subscribes_to_all: bool = False
 
 
+#: What is servoed: a ball's position, or a tag's pose.
+BALL, POSE = FEATURES = "ball", "pose"
 SIM, DETECTOR = "fvs_sim_node", "fvs_detector_node"
 ESTIMATOR, CONTROLLER = "fvs_estimator_node", "fvs_controller_node"
 COLLECTOR, DEMO, DASHBOARD = "fvs_collector_node", "fvs_demo_node", "fvs_dashboard"
@@ -124,13 +126,17 @@ NODES: dict[str, Node] = {
 _NEWEST, _RELIABLE, _LATCHED = End((Qos.NEWEST,)), End((Qos.RELIABLE,)), End((Qos.LATCHED,))
 #: Receives from latched publishers and from others.
 _EITHER = End((Qos.LATCHED, Qos.NEWEST))
-_SIMULATED = End((Qos.RELIABLE,), given=("simulated_time", True))
+_SIMULATED = End((Qos.RELIABLE,), given={"simulated_time": True})
 _AT_THE_END = End((Qos.RELIABLE,), later="after the last target")
 _WHILE_WATCHED = End((Qos.NEWEST,), later="while a browser shows the page")
 
 
 def _taken(interface: str) -> End:
-    return End((Qos.RELIABLE,), given=("command_interface", interface))
+    return End((Qos.RELIABLE,), given={"command_interface": interface})
+
+
+def _seen(feature: str, **given: Any) -> End:
+    return End((Qos.RELIABLE,), given={"feature": feature, **given})
 
 
 _DRIVER = "the robot's driver"
@@ -152,9 +158,17 @@ BALL_POSITION = Topic(
     "geometry_msgs/msg/PointStamped",
     "The ball's centre, m, in the camera's optical frame, stamped with the exposure; "
     "silent while the ball is not seen.",
-    {SIM: _RELIABLE, DETECTOR: _RELIABLE},
+    {SIM: _RELIABLE, DETECTOR: _seen(BALL)},
     dict.fromkeys((ESTIMATOR, CONTROLLER, COLLECTOR, DASHBOARD, MARKERS_NODE), _NEWEST),
     also_from="your own detector",
+)
+TOOL_POSE = Topic(
+    "tool_pose",
+    "geometry_msgs/msg/PoseStamped",
+    "The tag's pose in the camera's optical frame, its x axis to the right, y up, z out of the "
+    "print, stamped with the exposure; silent while it is not seen or not certain.",
+    {DETECTOR: _seen(POSE)},
+    also_to=_TOOLS,
 )
 JACOBIAN = Topic(
     "jacobian",
@@ -248,7 +262,7 @@ COLOR_IMAGE = Topic(
     "Colour image, rgb8; drawn only while a node subscribes.",
     {SIM: _RELIABLE},
     {
-        DETECTOR: End((Qos.RELIABLE,), ("compressed_images", False)),
+        DETECTOR: End((Qos.RELIABLE,), {"compressed_images": False}),
         DEMO: _AT_THE_END,
         DASHBOARD: _WHILE_WATCHED,
     },
@@ -260,21 +274,21 @@ DEPTH_IMAGE = Topic(
     "Depth in the colour image's pixels, 16UC1 in mm (0 is unknown) or 32FC1 in m; "
     "drawn only while a node subscribes.",
     {SIM: _RELIABLE},
-    {DETECTOR: End((Qos.RELIABLE,), ("compressed_images", False))},
+    {DETECTOR: _seen(BALL, compressed_images=False)},
     also_from=_CAMERA,
 )
 COLOR_IMAGE_COMPRESSED = Topic(
     f"{COLOR_IMAGE.name}/compressed",
     "sensor_msgs/msg/CompressedImage",
     "The colour image as jpeg or png.",
-    subscribers={DETECTOR: End((Qos.RELIABLE,), ("compressed_images", True))},
+    subscribers={DETECTOR: End((Qos.RELIABLE,), {"compressed_images": True})},
     also_from=_CAMERA,
 )
 DEPTH_IMAGE_COMPRESSED = Topic(
     f"{DEPTH_IMAGE.name}/compressedDepth",
     "sensor_msgs/msg/CompressedImage",
     "The depth image as png.",
-    subscribers={DETECTOR: End((Qos.RELIABLE,), ("compressed_images", True))},
+    subscribers={DETECTOR: _seen(BALL, compressed_images=True)},
     also_from=_CAMERA,
 )
 CAMERA_INFO = Topic(
@@ -335,7 +349,7 @@ TRUE_JACOBIAN = Topic(
     "The true Jacobian at every joint state, laid out as `jacobian`; "
     "computed only while a node subscribes.",
     {SIM: _RELIABLE},
-    {ESTIMATOR: End((Qos.NEWEST,), ("method", "oracle"))},
+    {ESTIMATOR: End((Qos.NEWEST,), {"method": "oracle"})},
 )
 TRUE_CAMERA_POSE = Topic(
     f"{SIM}/true_camera_pose",

@@ -89,9 +89,7 @@ def _link(node: str) -> str:
 def only(end: End) -> str:
     """The condition under which a node has this end of a topic; empty if always."""
     when = [end.later] if end.later else []
-    if end.given is not None:
-        name, value = end.given
-        when.append(f"with `{name}: {_value(value)}`")
+    when += [f"with `{name}: {_value(value)}`" for name, value in end.given.items()]
     return "; ".join(when)
 
 

@@ -1,11 +1,13 @@
 """The detector finds the ball in anybody's images, and says so when it cannot."""
 
 import cv2
+import drawn_tags
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from drawn_balls import RADIUS_M, draw
-from geometry_msgs.msg import PointStamped
+from geometry_msgs.msg import PointStamped, PoseStamped
+from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from fvs_ros import ros, topics
@@ -211,3 +213,33 @@ def test_it_agrees_with_the_simulators_own_detection(ros_test):
     for found, own in compared():
         np.testing.assert_allclose(found, own, atol=5e-4)  # depth in whole millimetres
     assert watched.balls[-1].header.frame_id == FRAME
+
+
+def test_a_tag_is_published_as_a_pose_from_colour_images_alone(ros_test):
+    detector = ros_test.start_node(NODE, feature="pose", tag_id=7)
+    watched = Watched(ros_test)
+    poses = ros_test.collect(PoseStamped, topics.TOOL_POSE.name)
+    rotation = cv2.Rodrigues(np.array([0.5, 0.0, 0.0]))[0] @ np.diag([1.0, -1.0, -1.0])
+    camera = PlayedCamera(ros_test)
+    camera.depth_m, camera.calibrated = None, False
+    watched.wait_for("WAITING", "no camera_info")
+    camera.calibrated = True
+    watched.wait_for("LOST", "tag 7 of APRILTAG_36h11 is not in view")
+    camera.rgb = drawn_tags.draw([(7, rotation, CENTRE)], QVGA)
+    watched.wait_for("TRACKING", "its pose is published")
+    ros_test.spin_until(lambda: len(poses) > 3, what="poses")
+    position_m, quaternion = ros.from_pose(poses[-1], "tool_pose")
+    assert np.linalg.norm(position_m - CENTRE) < 5e-3
+    np.testing.assert_allclose(Rotation.from_quat(quaternion).as_matrix(), rotation, atol=0.1)
+    assert poses[-1].header.frame_id == FRAME
+    camera.rgb = drawn_tags.draw([(7, rotation, CENTRE + [x, 0, 0]) for x in (-0.1, 0.1)], QVGA)
+    watched.wait_for("LOST", "2 tags have the number 7")
+    assert not watched.balls
+    assert ros_test.stop(detector) == 0
+    assert "Traceback" not in ros_test.output(detector)
+
+
+def test_a_tag_that_its_family_lacks_ends_the_start(ros_test):
+    detector = ros_test.start_node(NODE, feature="pose", tag_dictionary="4X4_50", tag_id=50)
+    assert ros_test.wait(detector) == 2
+    assert "tag_id 50 is not in 4X4_50" in ros_test.output(detector)

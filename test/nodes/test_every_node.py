@@ -40,13 +40,11 @@ def variants():
     for name in NODES:
         declared, others = NODE_TABLE[name].parameters(), {}
         for end in (*topics.publishers(name).values(), *topics.subscribers(name).values()):
-            if end.given is not None:
-                parameter, value = declared[end.given[0]], end.given[1]
-                if value == parameter.default:
-                    values = parameter.choices or (False, True)
-                    value = next(one for one in values if one != parameter.default)
-                others[parameter.name] = value
-        found += [(name, {})] + ([(name, others)] if others else [])
+            for given, value in end.given.items():
+                parameter = declared[given]
+                values = (value, *(parameter.choices or (False, True)))
+                others[given] = next(one for one in values if one != parameter.default)
+        found += [(name, {}), *((name, {given: value}) for given, value in others.items())]
     return found
 
 
@@ -87,7 +85,7 @@ class LoneNode:
         return sorted(
             (self.resolve(topic.name), topic.type, profile.reliability, profile.durability)
             for topic, end in ends.items()
-            if not end.later and (end.given is None or self.values[end.given[0]] == end.given[1])
+            if not end.later and all(self.values[n] == value for n, value in end.given.items())
             for profile in (ros.PROFILES[qos] for qos in end.qos)
         )
 

@@ -26,7 +26,7 @@ def ball(*centres):
 
 
 def error_mm(sighting, centre):
-    return 1e3 * np.linalg.norm(sighting.ball.position_m - centre)
+    return 1e3 * np.linalg.norm(sighting.found.position_m - centre)
 
 
 # ------------------------------------------------------------------------------- searching
@@ -37,7 +37,7 @@ def test_a_ball_that_moves_is_found_in_a_window_at_the_same_place_as_in_the_whol
         sighting = follows.look(DT * i, *images, PINHOLE)
         assert sighting.problem == ""
         fresh = detector().look(0.0, *images, PINHOLE)
-        np.testing.assert_allclose(sighting.ball.position_m, fresh.ball.position_m, atol=1e-9)
+        np.testing.assert_allclose(sighting.found.position_m, fresh.found.position_m, atol=1e-9)
 
 
 @pytest.mark.parametrize("shift_m", [-0.3, 0.05, 0.06, 0.07, 0.08])
@@ -46,7 +46,7 @@ def test_a_ball_that_left_the_window_or_is_cut_by_it_is_measured_whole(shift_m):
     looks.look(0.0, *ball(CENTRE), PINHOLE)
     moved = CENTRE + [shift_m, 0.0, 0.0]
     sighting = looks.look(DT, *ball(moved), PINHOLE)
-    assert sighting.ball.visible_fraction == pytest.approx(1.0, abs=0.02)
+    assert sighting.found.visible_fraction == pytest.approx(1.0, abs=0.02)
     assert error_mm(sighting, moved) < 0.6
 
 
@@ -89,7 +89,7 @@ def test_the_lens_does_not_move_the_ball(model, coefficients):
     assert error_mm(window, centre) < 1.5
     # Without the correction it would be off.
     raw = detector().look(0.0, rgb, depth, PINHOLE)
-    assert raw.ball is None or error_mm(raw, centre) > 4.0
+    assert raw.found is None or error_mm(raw, centre) > 4.0
 
 
 # ----------------------------------------------------------------------------- calibration
@@ -125,7 +125,7 @@ def test_the_annotated_image_shows_the_ball_where_it_is_or_says_why_there_is_non
     changed = (annotate(rgb, sighting, VGA) != rgb).any(axis=-1)
     u, v = np.round(VGA.project(CENTRE)).astype(int)
     assert changed[v, u]
-    assert changed[v, u + round(sighting.ball.radius_px)]
+    assert changed[v, u + round(sighting.found.radius_px)]
     assert changed[:40].any()  # the text
     assert not changed[300:].any()
     rgb, depth = ball()

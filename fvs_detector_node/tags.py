@@ -1,0 +1,223 @@
+"""Pose of a square tag of known size in one image, without depth.
+
+OpenCV finds the tag and reads its number. Its corners are then measured anew: each side is a line
+through the steepest brightness across it, and a corner is where two sides meet. That is about ten
+times as exact as a corner searched by itself, because a side has dozens of pixels.
+
+A square seen almost squarely has two poses that fit, its plane tilted to one side or the other. One
+is taken only if the other fits clearly worse, or if the last image says so.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from fvs_ros.camera import Intrinsics
+from fvs_ros.params import Parameters, parameter
+
+#: Dictionaries of OpenCV, without its prefix; of two spellings, H and h, the latter.
+_NAMES = {number: name for name, number in sorted(vars(cv2.aruco).items()) if name[:5] == "DICT_"}
+DICTIONARIES = tuple(sorted(name.removeprefix("DICT_") for name in _NAMES.values()))
+
+#: Samples along a side begin and end at these parts of it: beyond, the next side blurs in.
+_ALONG = 0.1, 0.9
+#: Samples across a side reach this far, px, and over this share of a cell: beyond is the next one.
+_ACROSS_PX, _ACROSS_CELLS = 4.0, 0.45
+#: Most samples along a side, and rounds of measuring around what the last round found.
+_SAMPLES, _ROUNDS = 48, 3
+#: Noise of a corner's coordinate, px: at least, as rendered images have it, and the first guess;
+#: images that it is learned from, and how many of them the guess counts for.
+_LEAST_PX, _GUESS_PX, _IMAGES, _GUESSES = 0.03, 0.15, 64, 8
+#: A pose is certain if the squared residual of the other, in variances of the noise, is larger by
+#: this: the noise would have to be off by five standard deviations.
+_CERTAIN = 25.0
+#: Otherwise the last image decides, if it is no older, s, and one pose is nearer to its pose than
+#: this share of the other's distance.
+_LAST_S, _NEARER = 0.2, 0.5
+#: Poses that differ by less are as good as one, rad.
+_SAME_RAD = 0.02
+
+
+@dataclass(frozen=True)
+class Tag(Parameters):
+    """The tag that is looked for."""
+
+    tag_dictionary: str = parameter(
+        "APRILTAG_36h11", "family of the tag, as OpenCV names it", choices=DICTIONARIES
+    )
+    tag_id: int = parameter(0, "number of the tag", 0, 2**16 - 1)
+    tag_size_m: float = parameter(
+        0.06, "side of the tag's black square; measure it: the distance scales with it", 0.005, 1.0
+    )
+
+
+@dataclass(frozen=True)
+class TagPose:
+    """Pose of a tag: its x axis to the right, y up, z out of the print."""
+
+    position_m: np.ndarray  # of its middle, camera optical frame, (3,)
+    rotation: np.ndarray  # from the tag's to the camera's frame, (3, 3)
+    corners_px: np.ndarray  # clockwise from the upper left, (4, 2)
+    residual_px: float  # of the corners, rms
+
+
+class TagReader:
+    """Finds one tag in grey images."""
+
+    def __init__(self, tag: Tag) -> None:
+        number = getattr(cv2.aruco, f"DICT_{tag.tag_dictionary}")
+        dictionary = cv2.aruco.getPredefinedDictionary(number)
+        if tag.tag_id >= len(dictionary.bytesList):
+            raise ValueError(
+                f"tag_id {tag.tag_id} is not in {tag.tag_dictionary}, which has "
+                f"{len(dictionary.bytesList)} tags"
+            )
+        self.tag, self.cells = tag, dictionary.markerSize + 2
+        self._detector = cv2.aruco.ArucoDetector(dictionary)
+
+    def find(self, grey: np.ndarray) -> tuple[np.ndarray | None, str]:
+        """Corners of the tag, px, (4, 2), clockwise from its upper left; or None and why not.
+
+        ``grey`` is of uint8, shape (H, W).
+        """
+        quads, numbers, others = self._detector.detectMarkers(grey)
+        seen = [] if numbers is None else numbers.ravel().tolist()
+        found = [
+            quad for quad, number in zip(quads, seen, strict=True) if number == self.tag.tag_id
+        ]
+        if len(found) > 1:
+            return None, f"{len(found)} tags have the number {self.tag.tag_id}: cover all but one"
+        if found:
+            return refined(grey, found[0].reshape(4, 2), self.cells), ""
+        wanted = f"tag {self.tag.tag_id} of {self.tag.tag_dictionary} is not in view"
+        if seen:
+            return None, f"{wanted}; seen are {sorted(set(seen))[:8]}: check tag_id"
+        if others:
+            return None, f"{wanted}, nor another: is tag_dictionary right, the print not mirrored?"
+        return None, f"{wanted}: is it covered, too far, blurred, or without a white border?"
+
+
+def refined(grey: np.ndarray, corners_px: np.ndarray, cells: int) -> np.ndarray:
+    """Corners where the measured sides meet, px, (4, 2).
+
+    Parameters
+    ----------
+    grey : ndarray of uint8, shape (H, W)
+        Image, without distortion.
+    corners_px : ndarray, shape (4, 2)
+        About where they are, clockwise in the image.
+    cells : int
+        Number of the tag's cells along a side, with its border.
+    """
+    corners = np.asarray(corners_px, dtype=float)
+    for _ in range(_ROUNDS):
+        sides = np.roll(corners, -1, axis=0) - corners
+        lengths = np.linalg.norm(sides, axis=1)
+        outward = np.column_stack([sides[:, 1], -sides[:, 0]]) / lengths[:, None]
+        along = np.linspace(*_ALONG, int(np.clip(lengths.mean(), 8, _SAMPLES)))
+        reach = float(np.clip(_ACROSS_CELLS * lengths.min() / cells, 1.5, _ACROSS_PX))
+        across = np.linspace(-reach, reach, round(4 * reach) + 1)
+        starts = corners[:, None, None] + sides[:, None, None] * along[:, None, None]
+        points = (starts + outward[:, None, None] * across[:, None]).reshape(4, -1, 2)
+        u, v = np.moveaxis(points.astype(np.float32), -1, 0)
+        values = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        values = values.reshape(4, along.size, across.size).astype(float)
+        steps = np.maximum(np.diff(values), 0.0)  # outward it becomes brighter
+        weights = steps.sum(axis=2)
+        middles = 0.5 * (across[1:] + across[:-1])
+        offsets = steps @ middles / np.maximum(weights, 1e-9)
+        lines = []
+        for side in range(4):
+            ends = _line(along, offsets[side], weights[side])[:, None] * outward[side]
+            start, end = corners[side] + ends[0], corners[side] + sides[side] + ends[1]
+            lines.append(np.cross(np.append(start, 1.0), np.append(end, 1.0)))
+        meets = np.cross(np.roll(lines, 1, axis=0), lines)
+        corners = meets[:, :2] / meets[:, 2:]
+    return corners
+
+
+def _line(along: np.ndarray, offsets: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Offsets at 0 and 1 of a straight line through offsets, twice, the second without outliers."""
+    terms = np.column_stack([1.0 - along, along])
+    for _ in range(2):
+        fit = np.linalg.lstsq(terms * weights[:, None], offsets * weights, rcond=None)[0]
+        off = np.abs(offsets - terms @ fit)
+        weights = weights * (off <= 3.0 * np.median(off) + 1e-3)
+    return fit
+
+
+class PoseFinder:
+    """Finds the pose of a square from its corners; remembers the last one."""
+
+    def __init__(self, size_m: float) -> None:
+        half = 0.5 * size_m
+        self._square = half * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]], float)
+        self._last: tuple[float, np.ndarray] | None = None
+        self._squares_px2 = deque([2.0 * _GUESS_PX**2] * _GUESSES, maxlen=_IMAGES)
+
+    def reset(self) -> None:
+        """Forget the last pose."""
+        self._last = None
+
+    @property
+    def noise_px(self) -> float:
+        """Noise of a corner's coordinate, px: eight of them less six unknowns leave two to know."""
+        return max(_LEAST_PX, float(0.5 * np.mean(self._squares_px2)) ** 0.5)
+
+    def find(
+        self, stamp_s: float, corners_px: np.ndarray, camera: Intrinsics
+    ) -> tuple[TagPose | None, str]:
+        """The pose, or None and why there is none; exposure, s, and corners, px, (4, 2)."""
+        matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
+        found = cv2.solvePnPGeneric(
+            self._square, corners_px, matrix, None, flags=cv2.SOLVEPNP_IPPE_SQUARE
+        )
+        poses = [
+            self._refined(corners_px, matrix, *one) for one in zip(found[1], found[2], strict=True)
+        ]
+        poses = [one for one in poses if one.position_m[2] > 0.0]
+        if not poses:
+            return None, "the corners of the tag are those of no square"
+        poses.sort(key=lambda one: one.residual_px)
+        self._squares_px2.append(8.0 * poses[0].residual_px ** 2)
+        pose = self._choice(stamp_s, *poses[:2])
+        if pose is None:
+            return None, (
+                "the tag is seen so squarely that two poses fit: tilt it, bring it nearer, or "
+                "begin where it is seen at an angle"
+            )
+        self._last = (stamp_s, pose.rotation)
+        return pose, ""
+
+    def _refined(
+        self, corners_px: np.ndarray, matrix: np.ndarray, turn: np.ndarray, shift: np.ndarray
+    ) -> TagPose:
+        turn, shift = cv2.solvePnPRefineLM(self._square, corners_px, matrix, None, turn, shift)
+        seen_px = cv2.projectPoints(self._square, turn, shift, matrix, None)[0].reshape(4, 2)
+        residual_px = float(np.sqrt(np.square(seen_px - corners_px).mean()))
+        return TagPose(shift.ravel(), cv2.Rodrigues(turn)[0], corners_px, residual_px)
+
+    def _choice(
+        self, stamp_s: float, first: TagPose, other: TagPose | None = None
+    ) -> TagPose | None:
+        """The pose that is certain, of two; None if neither is."""
+        if other is None or _angle(first.rotation, other.rotation) < _SAME_RAD:
+            return first
+        worse_px2 = 8.0 * (other.residual_px**2 - first.residual_px**2)
+        if worse_px2 > _CERTAIN * self.noise_px**2:
+            return first
+        if self._last is None or not 0.0 < stamp_s - self._last[0] <= _LAST_S:
+            return None
+        away = [_angle(one.rotation, self._last[1]) for one in (first, other)]
+        if min(away) > _NEARER * max(away):
+            return None
+        return (first, other)[int(np.argmin(away))]
+
+
+def _angle(one: np.ndarray, other: np.ndarray) -> float:
+    """Angle between two rotations, rad."""
+    return float(np.arccos(np.clip(0.5 * (np.trace(one.T @ other) - 1.0), -1.0, 1.0)))

@@ -1,0 +1,168 @@
+"""A tag's pose from one image: exact, and never the wrong one of the two that may fit."""
+
+import cv2
+import numpy as np
+import pytest
+from drawn_tags import SIZE_M, VGA, corners_px, draw, random_pose
+
+from fvs_detector_node.config import DetectorConfig
+from fvs_detector_node.detector import annotate
+from fvs_detector_node.tag_detector import TagDetector
+from fvs_detector_node.tags import DICTIONARIES, PoseFinder, Tag, TagReader
+from fvs_ros.camera import CameraModel
+from fvs_ros.params import ParameterError
+
+SQUARELY = np.diag([1.0, -1.0, -1.0])
+MIDDLE = np.array([0.0, 0.0, 0.8])
+
+
+def angle_rad(one, other):
+    return float(np.linalg.norm(cv2.Rodrigues(one.T @ other)[0]))
+
+
+def turned(way_rad, about=(1.0, 0.0, 0.0)):
+    return cv2.Rodrigues(way_rad * np.array(about))[0] @ SQUARELY
+
+
+def grey(*arguments, **options):
+    return draw(*arguments, **options)[..., 0].copy()
+
+
+def look(detector, rgb, stamp_s=0.0):
+    return detector.look(stamp_s, rgb, None, CameraModel(VGA))
+
+
+# --- corners ---
+
+
+def test_drawn_corners_are_found_to_a_twentieth_of_a_pixel():
+    rng = np.random.default_rng(0)
+    off = []
+    for _ in range(60):
+        pose = random_pose(rng)
+        found, _ = TagReader(Tag()).find(grey([(0, *pose)], rng=rng))
+        if found is not None:  # the smallest and most tilted ones are not readable
+            off.append(found - corners_px(*pose))
+    assert len(off) > 50
+    assert np.sqrt(np.square(off).mean()) < 0.05
+    assert np.abs(np.mean(off, axis=0)).max() < 0.02  # no corner is drawn inwards
+
+
+@pytest.mark.parametrize("name", ["4X4_50", "APRILTAG_16h5", "ARUCO_ORIGINAL"])
+def test_every_family_is_read(name):
+    assert name in DICTIONARIES
+    pose = turned(0.5), MIDDLE
+    found, why = TagReader(Tag(tag_dictionary=name, tag_id=3)).find(grey([(3, *pose)], name=name))
+    assert found is not None, why
+    assert np.abs(found - corners_px(*pose)).max() < 0.15
+
+
+@pytest.mark.parametrize(
+    ("image", "words"),
+    [
+        (grey([]), "not in view: is it covered"),
+        (grey([(5, turned(0.5), MIDDLE)]), "seen are [5]: check tag_id"),
+        (grey([(0, turned(0.5), MIDDLE)], mirrored=True), "print not mirrored"),
+        (grey([(0, turned(0.5), MIDDLE)], name="4X4_50"), "is tag_dictionary right"),
+        (grey([(0, turned(0.5), MIDDLE + [x, 0, 0]) for x in (-0.1, 0.1)]), "2 tags have"),
+    ],
+)
+def test_what_is_wrong_with_a_view_is_said(image, words):
+    found, why = TagReader(Tag()).find(image)
+    assert found is None
+    assert words in why
+
+
+def test_a_number_that_the_family_lacks_is_refused():
+    with pytest.raises(ValueError, match="tag_id 50 is not in 4X4_50, which has 50 tags"):
+        TagReader(Tag(tag_dictionary="4X4_50", tag_id=50))
+    with pytest.raises(ParameterError, match="did you mean APRILTAG_36h11"):
+        Tag(tag_dictionary="APRILTAG_36h12")
+
+
+# --- the pose ---
+
+
+@pytest.mark.parametrize("noise_px", [0.03, 0.1])
+def test_of_two_poses_that_fit_the_wrong_one_is_never_taken(noise_px):
+    rng = np.random.default_rng(1)
+    finder, unsure = PoseFinder(SIZE_M), 0
+    for k in range(3000):
+        rotation, position_m = random_pose(rng)
+        seen = corners_px(rotation, position_m) + rng.normal(0.0, noise_px, (4, 2))
+        pose, why = finder.find(float(k), seen, VGA)
+        if pose is None:
+            unsure += 1
+            assert "two poses fit" in why
+            continue
+        # Squarely seen, poses up to 0.2 rad apart may be one, in the noise.
+        assert angle_rad(pose.rotation, rotation) < 0.25
+    assert unsure < 0.2 * 3000
+    assert finder.noise_px == pytest.approx(noise_px, rel=0.3)
+
+
+def test_a_tag_seen_squarely_is_certain_only_after_a_view_at_an_angle():
+    finder, rng = PoseFinder(SIZE_M), np.random.default_rng(2)
+
+    def find(stamp_s, tilt_rad):
+        seen = corners_px(turned(tilt_rad), 1.5 * MIDDLE) + rng.normal(0.0, 0.1, (4, 2))
+        return finder.find(stamp_s, seen, VGA)[0]
+
+    assert find(0.0, 0.2) is None
+    for k, tilt_rad in enumerate(np.linspace(0.7, 0.2, 50)):
+        pose = find(1.0 + k / 30.0, tilt_rad)
+        assert pose is not None
+        assert angle_rad(pose.rotation, turned(tilt_rad)) < 0.1
+    finder.reset()
+    assert find(9.0, 0.2) is None
+
+
+def test_position_and_rotation_are_exact_without_noise():
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        rotation, position_m = random_pose(rng)
+        finder = PoseFinder(SIZE_M)
+        pose, _ = finder.find(0.0, corners_px(rotation, position_m), VGA)
+        if pose is not None:
+            np.testing.assert_allclose(pose.position_m, position_m, atol=1e-6)
+            assert angle_rad(pose.rotation, rotation) < 1e-5
+
+
+# --- the detector ---
+
+
+def test_a_drawn_tag_is_followed_through_a_small_window():
+    detector = TagDetector(DetectorConfig(feature="pose"))
+    for k in range(20):
+        position_m = MIDDLE + [0.01 * k - 0.1, 0.0, 0.0]
+        sighting = look(detector, draw([(0, turned(0.5), position_m)]), k / 30.0)
+        assert sighting.problem == ""
+        assert np.linalg.norm(sighting.found.position_m - position_m) < 2e-3
+        assert angle_rad(sighting.found.rotation, turned(0.5)) < 0.03
+    far = look(detector, draw([(0, turned(0.5), MIDDLE + [-0.3, 0.1, 0.0])]), 20 / 30.0)
+    assert "jump" in far.problem
+    assert look(detector, draw([]), 21 / 30.0).found is None
+
+
+def test_what_was_seen_is_drawn_in():
+    detector = TagDetector(DetectorConfig(feature="pose"))
+    rgb = draw([(0, turned(0.5), MIDDLE)])
+    picture = annotate(rgb, look(detector, rgb), VGA)
+    green = (picture[..., 1].astype(int) - picture[..., 0]) > 60
+    assert green[200:280, 280:360].sum() > 50
+
+
+def test_a_lens_that_distorts_changes_nothing():
+    camera = CameraModel(VGA, "plumb_bob", (0.1, -0.05, 0.001, 0.001, 0.0))
+    rotation, position_m = turned(0.5), MIDDLE + [0.15, 0.1, 0.0]
+    flat = draw([(0, rotation, position_m)], noise=0.0)
+    u, v = np.meshgrid(np.arange(640, dtype=np.float32), np.arange(480, dtype=np.float32))
+    matrix = np.array([[615.0, 0, 319.5], [0, 615.0, 239.5], [0, 0, 1]])
+    ideal = cv2.undistortPoints(
+        np.stack([u.ravel(), v.ravel()], 1)[:, None], matrix, np.array(camera.coefficients),
+        P=matrix,
+    ).reshape(480, 640, 2)  # fmt: skip
+    bent = cv2.remap(flat, ideal[..., 0], ideal[..., 1], cv2.INTER_LINEAR)
+    detector = TagDetector(DetectorConfig(feature="pose"))
+    found = detector.look(0.0, bent, None, camera).found
+    assert np.linalg.norm(found.position_m - position_m) < 3e-3
