@@ -83,6 +83,7 @@ setup(
             "fvs_recorder_node=fvs_tools.recorder_node:main",
             "fvs_dashboard=fvs_dashboard.dashboard_node:main",
             "fvs_train=fvs_tools.train:main",
+            "fvs_tag=fvs_tools.tag:main",
             "fvs_launch=fvs_tools.launcher:main",
             "fvs_experiments=fvs_lab.main:main",
         ],

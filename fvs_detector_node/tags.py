@@ -76,7 +76,7 @@ class TagReader:
                 f"tag_id {tag.tag_id} is not in {tag.tag_dictionary}, which has "
                 f"{len(dictionary.bytesList)} tags"
             )
-        self.tag, self.cells = tag, dictionary.markerSize + 2
+        self.tag, self.dictionary, self.cells = tag, dictionary, dictionary.markerSize + 2
         self._detector = cv2.aruco.ArucoDetector(dictionary)
 
     def find(self, grey: np.ndarray) -> tuple[np.ndarray | None, str]:
