@@ -1,0 +1,90 @@
+"""Tags: corners and poses of drawn images beside the bound of their noise, and wrong poses.
+
+``python -m bench tags``; FVS_BENCH_TAGS sets how many images are drawn (10,000), and ten times as
+many squares are projected. A pose is wrong if it is further from the truth than twice the largest
+error that five standard deviations of the corners' noise make.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+
+import cv2
+import numpy as np
+from drawn_tags import SIZE_M, VGA, corners_px, draw, random_pose
+
+from bench.timing import spread
+from fvs_detector_node.tags import PoseFinder, Tag, TagReader
+
+IMAGES = int(os.environ.get("FVS_BENCH_TAGS", "10000"))
+MATRIX = np.array([[VGA.fx, 0.0, VGA.cx], [0.0, VGA.fy, VGA.cy], [0.0, 0.0, 1.0]])
+
+
+def angle_deg(one, other):
+    return float(np.degrees(np.linalg.norm(cv2.Rodrigues(one.T @ other)[0])))
+
+
+def bound(rotation, position_m):
+    """Cramer-Rao bound of a pose for one pixel of noise: deviations, mm and degrees."""
+    steps = np.eye(6) * 1e-6
+    turned = [cv2.Rodrigues(step[3:])[0] @ rotation for step in steps]
+    moved = [
+        corners_px(one, position_m + step[:3]) for one, step in zip(turned, steps, strict=True)
+    ]
+    slopes = np.array([(one - corners_px(rotation, position_m)).ravel() / 1e-6 for one in moved])
+    covariance = np.linalg.inv(slopes @ slopes.T)
+    place, turn = np.trace(covariance[:3, :3]) ** 0.5, np.trace(covariance[3:, 3:]) ** 0.5
+    return 1e3 * place, np.degrees(turn)
+
+
+def drawn(rng):
+    reader, finder = TagReader(Tag()), PoseFinder(SIZE_M)
+    off_px, errors, spent_ms, unread, unsure, wrong = [], [], [], 0, 0, 0
+    for k in range(IMAGES):
+        pose = random_pose(rng, 1.2)
+        grey = draw([(0, *pose)], rng=rng)[..., 0].copy()
+        begin_s = time.perf_counter()
+        found, _ = reader.find(grey)
+        spent_ms.append(1e3 * (time.perf_counter() - begin_s))
+        if found is None:
+            unread += 1
+            continue
+        off_px.append(found - corners_px(*pose))
+        seen, _ = finder.find(float(k), found, VGA)
+        if seen is None:
+            unsure += 1
+            continue
+        limits = np.array(bound(*pose)) * finder.noise_px
+        error = np.array(
+            [1e3 * np.linalg.norm(seen.position_m - pose[1]), angle_deg(seen.rotation, pose[0])]
+        )
+        wrong += bool(error[1] > 10.0 * limits[1])
+        errors.append(error / limits)
+    print(f"{IMAGES} drawn tags of {1e3 * SIZE_M:g} mm, 0.4 to 1.2 m away, tilted by up to 69 deg")
+    print(f"  corners, rms           {np.sqrt(np.square(off_px).mean()):7.3f} px")
+    print(f"  finding the corners    {spread(spent_ms, 'ms')}")
+    print(f"  unread {unread}, two poses fit {unsure}, wrong {wrong}")
+    ratios = np.sqrt(np.square(errors).mean(axis=0))
+    print(f"  position and angle, rms over the bound   {ratios[0]:.2f} {ratios[1]:.2f}", flush=True)
+
+
+def projected(rng, noise_px):
+    finder, unsure, wrong = PoseFinder(SIZE_M), 0, 0
+    for k in range(10 * IMAGES // 4):
+        pose = random_pose(rng, 1.2)
+        seen, _ = finder.find(float(k), corners_px(*pose) + rng.normal(0.0, noise_px, (4, 2)), VGA)
+        if seen is None:
+            unsure += 1
+        else:
+            wrong += angle_deg(seen.rotation, pose[0]) > 10.0 * noise_px * bound(*pose)[1]
+    share = unsure / (10 * IMAGES // 4)
+    print(f"  noise of {noise_px:.2f} px: two poses fit {share:6.1%}, wrong {wrong}", flush=True)
+
+
+def main():
+    rng = np.random.default_rng(0)
+    drawn(rng)
+    print(f"{10 * IMAGES} projected tags")
+    for noise_px in (0.02, 0.05, 0.1, 0.2):
+        projected(rng, noise_px)
