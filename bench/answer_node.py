@@ -1,4 +1,7 @@
-"""A bare node that answers every joint state with a command: what rclpy itself costs."""
+"""A bare node that answers every joint state with a command: what rclpy itself costs.
+
+``python -m bench.answer_node NAMESPACE [events]``: on wait sets, or on the events executor.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,14 @@ import sys
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
+from rclpy.experimental import EventsExecutor
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from fvs_ros import ros, topics
 
 
-def main(namespace):
+def main(namespace, executor=""):
     rclpy.init()
     node = rclpy.create_node("answer", namespace=namespace)
     publisher = node.create_publisher(Float64MultiArray, topics.COMMANDS.name, ros.QOS_RELIABLE)
@@ -25,8 +29,13 @@ def main(namespace):
         ros.QOS_NEWEST,
     )
     with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
+        if executor:
+            events = EventsExecutor()
+            events.add_node(node)
+            while True:
+                events.spin_once(timeout_sec=0.05)
         rclpy.spin(node)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(*sys.argv[1:])

@@ -88,7 +88,7 @@ def play(arms, period_s, until):
     next_s = time.monotonic()
     while not until():
         for arm in arms:
-            next_s = max(next_s + gap_s, time.monotonic() - period_s)
+            next_s = max(next_s + gap_s, time.monotonic())  # never two at once
             time.sleep(max(0.0, next_s - time.monotonic()))
             arm.step(time.monotonic(), period_s)
 

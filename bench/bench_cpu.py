@@ -46,9 +46,13 @@ def play(folder, start, namespaces=("arm",), rate_hz=RATE_HZ):
     return 100.0 * sum(used_s) / SECONDS, seen, parts
 
 
-def bare(harness, namespaces):
+def bare(*executor):
     """A node that answers each joint state with a command, as rclpy's own ``spin`` runs it."""
-    return [harness.start("bench.answer_node", namespace) for namespace in namespaces]
+
+    def start(harness, namespaces):
+        return [harness.start("bench.answer_node", one, *executor) for one in namespaces]
+
+    return start
 
 
 def two_processes(harness, namespaces):
@@ -75,16 +79,25 @@ def main():
             folder.mkdir()
             return play(folder, *arguments, **options)
 
-        cost = {"bare": [], "two processes": [], "one process": []}
+        starts = {
+            "bare, wait sets": bare(),
+            "bare, events executor": bare("events"),
+            "two processes": two_processes,
+            "one process": one_process(),
+        }
+        cost = {label: [] for label in starts}
         for _ in range(ROUNDS):
-            for label, start in zip(cost, (bare, two_processes, one_process()), strict=True):
+            for label, start in starts.items():
                 cost[label].append(run(start)[0])
-        floor = np.median(cost["bare"])
+        floors = [np.median(values) for values in list(cost.values())[:2]]
         print(f"CPU of an arm at {RATE_HZ:g} Hz, percent of a core, median of {ROUNDS}")
         for label, values in cost.items():
             percent = np.median(values)
-            print(f"  {label:22s} {percent:5.1f}   {percent / floor:5.2f} times the bare node")
-        _print_parts(*run(one_process(module=TIMED))[2])
+            ratios = "".join(f"{percent / floor:7.2f}" for floor in floors)
+            print(f"  {label:22s} {percent:5.1f}   times the bare nodes {ratios}")
+        (parts,) = run(one_process(module=TIMED))[2]
+        print(f"  computation of a tick  {spread(parts['ticks_ms']['tick alone'], 'ms')}")
+        _print_parts(parts)
         percent, seen, _ = run(one_process(), [f"arm_{number}" for number in range(ARMS)])
         print(f"{ARMS} arms in one process at {RATE_HZ:g} Hz: {percent / ARMS:.1f} % for each")
         for arm in seen:
@@ -94,7 +107,7 @@ def main():
         percent, _, (parts,) = run(one_process(*FAST, module=TIMED), rate_hz=FAST_HZ)
         print(f"one arm at {FAST_HZ:g} Hz, kinematic chain and minimum time: {percent:.1f} %")
         for label, ticks_ms in parts["ticks_ms"].items():
-            print(f"  a joint state in the {label}  {spread(ticks_ms, 'ms', 99.9)}")
+            print(f"  {label:22s} {spread(ticks_ms, 'ms', 99.9)}")
         _print_parts(parts)
 
 

@@ -27,10 +27,11 @@ from fvs_tools import servo_node
 
 #: Measured from so long after the start, when the arms move, s.
 WARM_UP_S = 6.0
+_PUBLISH, _TICK = "publish", "tick alone"
 _CONTROLLER, _ESTIMATOR = "controller node", "estimator node"
 PARTS = {
     "deserialize": ((fvs_ros.ros.node, "unpacked"),),
-    "publish": ((Publisher, "publish"),),
+    _PUBLISH: ((Publisher, "publish"),),
     "joints by name": ((JointMap, "positions"),),
     "prediction, drive lag": ((ServoLoop, "add_joints"), (ServoLoop, "add_ball")),
     "supervision": ((ServoLoop, "tick"), (Supervisor, "tick")),
@@ -59,40 +60,44 @@ class Stopwatch:
 
     def clear(self):
         self.calls, self.own_ns = dict.fromkeys(PARTS, 0), dict.fromkeys(PARTS, 0)
-        self.ticks_ns = {_CONTROLLER: [], _ESTIMATOR: []}  # for a joint state, without rclpy
+        self._sent_ns = 0  # CPU time of sending
+        #: CPU time, without sending, of each tick, and of each joint state by node.
+        self.ticks_ns = {_TICK: [], _CONTROLLER: [], _ESTIMATOR: []}
         self.begin_s, self.used_s = time.monotonic(), time.process_time()
 
     def watch(self, label, owner, name):
         function = getattr(owner, name)
+        ticks = _TICK if (owner, name) == (ServoLoop, "tick") else label
+        counted = ticks == _TICK or name == "_on_joint_states"
 
         def timed(*arguments, **options):
-            begin_ns, busy_ns = perf_counter_ns(), thread_time_ns()
-            sent_ns = self.own_ns["publish"]
+            begin_ns, busy_ns, sent_ns = perf_counter_ns(), thread_time_ns(), self._sent_ns
             self._inner_ns.append(0)
             try:
                 return function(*arguments, **options)
             finally:
-                spent_ns = perf_counter_ns() - begin_ns
+                spent_ns, busy_ns = perf_counter_ns() - begin_ns, thread_time_ns() - busy_ns
                 self.own_ns[label] += spent_ns - self._inner_ns.pop()
                 self._inner_ns[-1] += spent_ns
                 self.calls[label] += 1
-                if name == "_on_joint_states":
-                    busy_ns, sent_ns = thread_time_ns() - busy_ns, self.own_ns["publish"] - sent_ns
-                    self.ticks_ns[label].append(busy_ns - sent_ns)
+                if label == _PUBLISH:
+                    self._sent_ns += busy_ns
+                elif counted:
+                    self.ticks_ns[ticks].append(busy_ns - (self._sent_ns - sent_ns))
 
         setattr(owner, name, timed)
 
     def write(self):
         seconds = time.monotonic() - self.begin_s
+        ticks_ms = {label: [1e-6 * one for one in ticks] for label, ticks in self.ticks_ns.items()}
+        both = zip(ticks_ms[_CONTROLLER], ticks_ms[_ESTIMATOR], strict=False)
         content = {
             "cpu_percent": 100.0 * (time.process_time() - self.used_s) / seconds,
             "parts": {
                 label: (count / seconds, 1e-7 * self.own_ns[label] / seconds)
                 for label, count in self.calls.items()
             },
-            "ticks_ms": {
-                label: [1e-6 * value for value in ticks] for label, ticks in self.ticks_ns.items()
-            },
+            "ticks_ms": {**ticks_ms, "both nodes": [sum(one) for one in both]},
         }
         Path("parts.json").write_text(json.dumps(content), encoding="utf-8")
 

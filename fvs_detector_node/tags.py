@@ -179,11 +179,16 @@ class PoseFinder:
         poses = [
             self._refined(corners_px, matrix, *one) for one in zip(found[1], found[2], strict=True)
         ]
-        poses = [one for one in poses if one.position_m[2] > 0.0]
-        if not poses:
-            return None, "the corners of the tag are those of no square"
+        # In front of the camera, and with the print to it.
+        poses = [
+            one for one in poses if one.rotation[:, 2] @ one.position_m < 0.0 < one.position_m[2]
+        ]
         poses.sort(key=lambda one: one.residual_px)
-        self._squares_px2.append(8.0 * poses[0].residual_px ** 2)
+        least_px2 = 8.0 * poses[0].residual_px ** 2 if poses else np.inf
+        most_px2 = 2.0 * _CERTAIN * self.noise_px**2
+        self._squares_px2.append(min(least_px2, most_px2))
+        if least_px2 > most_px2:
+            return None, "the corners of the tag are those of no square: is it bent, or covered?"
         pose = self._choice(stamp_s, *poses[:2])
         if pose is None:
             return None, (

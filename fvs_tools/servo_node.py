@@ -10,9 +10,8 @@ from fvs_ros import stop
 stop.listen()
 
 import sys
+from collections import Counter
 from collections.abc import Sequence
-
-from rclpy.utilities import remove_ros_args
 
 from fvs_controller_node.config import PARAMETERS as CONTROLLER
 from fvs_controller_node.node import ControllerNode
@@ -29,20 +28,34 @@ def make_nodes(namespaces: Sequence[str]) -> list[ros.FvsNode]:
     nodes: list[ros.FvsNode] = []
     for namespace in namespaces or [""]:
         # The controller first: its command does not wait for the estimator.
-        nodes.append(ControllerNode(namespace=namespace, others=ESTIMATOR))
-        nodes.append(EstimatorNode(namespace=namespace, others=CONTROLLER))
-    names = [node.get_fully_qualified_name() for node in nodes]
-    if len(set(names)) < len(names):
+        controller = ControllerNode(namespace=namespace, others=ESTIMATOR)
+        estimator = EstimatorNode(namespace=namespace, others=CONTROLLER)
+        _check_owners(controller, estimator)
+        _check_owners(estimator, controller)
+        nodes += [controller, estimator]
+    names = Counter(node.get_fully_qualified_name() for node in nodes)
+    twice = ", ".join(name for name, count in names.items() if count > 1)
+    if twice:
         raise ValueError(
-            f"each arm needs a namespace of its own, got {', '.join(sorted(set(names)))} twice"
+            f"several nodes are called {twice}: each arm needs a namespace of its own, and neither "
+            "__ns nor __node may be remapped"
         )
     return nodes
 
 
+def _check_owners(node: ros.FvsNode, other: ros.FvsNode) -> None:
+    """Refuse a parameter that was given to a node by name, and is one of the other's."""
+    for name, value in node.not_own.items():
+        if other.values[name] != value:
+            raise ValueError(
+                f"{node.get_fully_qualified_name()} has no parameter {name}: "
+                f"{other.get_fully_qualified_name()} has"
+            )
+
+
 def main() -> int:
     """Run ``fvs_servo_node``."""
-    words = [word for word in remove_ros_args(sys.argv)[1:] if not word.startswith("-")]
-    return ros.run(lambda: make_nodes(words), __doc__, PARAMETERS, words)
+    return ros.run(make_nodes, __doc__, PARAMETERS, takes="[NAMESPACE ...]")
 
 
 if __name__ == "__main__":

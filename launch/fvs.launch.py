@@ -74,9 +74,9 @@ def _nodes(context):
     words += [f"--{name}={given[name]}" for name in ("scheme", "namespace", "record")]
     for name in ("param", "remap"):
         words += [f"--{name}={one}" for one in given[name].split()]
-    if given["one_process"] == "true":
+    if given["one_process"].lower() == "true":
         words.append("--one-process")
-    if given["record"] and given["record_images"] == "false":
+    if given["record"] and given["record_images"].lower() == "false":
         words.append("--record-without-images")
     loop = ExecuteProcess(
         name="fvs_launch",
@@ -86,7 +86,7 @@ def _nodes(context):
         sigkill_timeout=_KILL_S,
         on_exit=Shutdown(reason="fvs_launch ended"),
     )
-    return [loop, *(_viewer(given) if given["rviz"] == "true" else [])]
+    return [loop, *(_viewer(given) if given["rviz"].lower() == "true" else [])]
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -20,7 +20,7 @@ from fvs_ros.ros.qos import QOS_NEWEST
 
 #: Largest message or request of others, bytes; a robot's description (URDF) may be larger. Most
 #: items that a request names.
-_MOST_BYTES, _MOST_BYTES_OF, MOST_ITEMS = 2**14, {String: 2**22}, 250
+_MOST_BYTES, _MOST_BYTES_OF, MOST_ITEMS = 2**14, {String: 2**20}, 250
 #: Images are as large as their pixels, which their decoding bounds; their texts are bounded here.
 IMAGES = (Image, CompressedImage)
 

@@ -70,7 +70,8 @@ class FvsNode(Node):
     """A node with declared parameters, watched inputs and diagnostics.
 
     A parameter given at start that is unknown or has a wrong value is a ``ParameterError``;
-    ``others`` are those of the nodes that share the process, and its arguments.
+    ``others`` are those of the nodes that share the process, and its arguments: what is given of
+    them stands in ``not_own``. A node hears nothing until :func:`~fvs_ros.ros.process.run` runs it.
     """
 
     #: Set to end the process with this exit code.
@@ -102,7 +103,7 @@ class FvsNode(Node):
         self._loop_clock = LoopClock(self.ros_s if simulated else None)
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._monitors: dict[str, ArrivalMonitor] = {}
-        self._inputs: list[Input] | None = []  # until they are connected
+        self._inputs: list[Input] | None = []  # until ``run`` connects them
         self._status = self.publisher(topics.STATUS)
         self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS.name, 10)
         self.create_timer(_DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady_clock)
@@ -116,8 +117,9 @@ class FvsNode(Node):
         }
         own = self.parameter_set
         known = ParameterSet({one.name: one for one in (*others, *own)}.values())
-        # An unknown one raises.
-        values = own.values({n: v for n, v in given.items() if known[n].name in own})
+        checked = known.checked(given)
+        values = own.values({n: v for n, v in checked.items() if n in own})
+        self.not_own = {n: v for n, v in checked.items() if n not in own}
         for name in given:
             self.undeclare_parameter(name)
         for one in self.parameter_set:

@@ -19,6 +19,7 @@ from fvs_ros.arguments import listing
 from fvs_ros.params import Parameter
 from fvs_ros.paths import find_file
 from fvs_ros.ros.node import FvsNode
+from fvs_ros.ros.qos import QOS_NEWEST
 from fvs_ros.ros.wiring import HandingPublisher, Input, each
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK
 
@@ -31,17 +32,17 @@ _SPIN_PERIOD_S = 0.05
 
 
 def run(
-    make_node: Callable[[], FvsNode | Sequence[FvsNode]],
+    make: Callable[..., FvsNode | Sequence[FvsNode]],
     doc: str,
     parameters: Iterable[Parameter],
-    operands: Sequence[str] = (),
+    takes: str = "",
 ) -> int:
     """Run one node, or several, in this process until a signal, its own wish, or an error.
 
     Signals end the spin loop, not the ROS context, so that ``finish`` can still send. A blocked
     terminal does not block the node: its output is dropped. ``doc``, the docstring of its module,
-    and its parameters are for ``--help``; ``operands`` are the words of the command line that the
-    caller has taken. Returns 0 after a signal or a finished task, 1 after an error, 2 after a
+    and its parameters are for ``--help``; if ``takes`` says there what words the program takes,
+    ``make`` gets them. Returns 0 after a signal or a finished task, 1 after an error, 2 after a
     wrong parameter or file.
     """
     stop.listen()
@@ -49,10 +50,11 @@ def run(
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(find_file("quick_discovery.xml")))
     with console.never_blocking():
         if {"-h", "--help"} & set(sys.argv):
-            print(_help(doc, parameters))
+            print(_help(doc, parameters, takes))
             return EXIT_OK
         try:
-            unknown = [word for word in remove_ros_args(sys.argv)[1:] if word not in operands]
+            words = remove_ros_args(sys.argv)[1:]
+            unknown = [word for word in words if not takes or word.startswith("-")]
             if unknown:  # rclpy ignores them, and the node would run with other values
                 return _refused(
                     f"unknown argument {unknown[0]!r}; parameters and remaps stand "
@@ -62,7 +64,7 @@ def run(
         except RuntimeError as error:  # rcl's own: arguments or a parameter file it cannot read
             return _refused(str(error))
         try:
-            made = make_node()
+            made = make(words) if takes else make()
         except (ValueError, OSError, NameValidationException, ParameterException) as error:
             return _refused(str(error))
         else:
@@ -71,7 +73,7 @@ def run(
             rclpy.try_shutdown()
 
 
-def _help(doc: str, parameters: Iterable[Parameter]) -> str:
+def _help(doc: str, parameters: Iterable[Parameter], takes: str) -> str:
     """Help of a node: what it is for, and its parameters with defaults and ranges."""
     name = doc.split("`")[2]
     texts = {}
@@ -79,9 +81,10 @@ def _help(doc: str, parameters: Iterable[Parameter]) -> str:
         when = ", also while it runs" if one.live else ""
         default = f"{one.name}:={json.dumps(one.default)}"
         texts[default] = f"{one.description.rstrip('.')} ({one.expected()}{when})"
+    usage = " ".join(filter(None, (name, takes, "--ros-args")))
     return (
         f"{doc.replace('`', '')}\n\n"
-        f"usage: {name} --ros-args [-p NAME:=VALUE ...] [-r FROM:=TO ...] [--params-file FILE]\n\n"
+        f"usage: {usage} [-p NAME:=VALUE ...] [-r FROM:=TO ...] [--params-file FILE]\n\n"
         f"{listing('parameters and their defaults', texts)}"
     )
 
@@ -110,22 +113,26 @@ def _spin(nodes: Sequence[FvsNode]) -> int:
 def _connect(nodes: Sequence[FvsNode]) -> None:
     """Open the subscriptions that the nodes have asked for, before they spin.
 
-    What one of them publishes is handed to the others; what several hear comes through one
-    subscription, to the first of them first.
+    What one of them publishes is handed to the others, unless it is latched or comes from several;
+    what several hear comes through one subscription, to the first of them first.
     """
-    publishers = {one.topic_name: one for node in nodes for one in node.publishers}
+    publishers: dict[str, list[HandingPublisher]] = {}
+    for node in nodes:
+        for publisher in node.publishers:
+            if isinstance(publisher, HandingPublisher):
+                publishers.setdefault(publisher.topic_name, []).append(publisher)
     inputs: dict[tuple[str, int], list[tuple[FvsNode, Input]]] = {}
     for node in nodes:
         for one in node.take_inputs():
             name = node.resolve_topic_name(one.topic)
             inputs.setdefault((name, id(one.qos)), []).append((node, one))
     for (name, _), hearers in inputs.items():
+        node, first = hearers[0]
         callbacks = tuple(one.callback for _, one in hearers)
-        publisher = publishers.get(name)
-        if isinstance(publisher, HandingPublisher):
-            publisher.hearers = callbacks
+        inside = publishers.get(name, [])
+        if len(inside) == 1 and first.qos is QOS_NEWEST and inside[0].volatile:
+            inside[0].hearers = callbacks
         else:
-            node, first = hearers[0]
             node.open(first._replace(callback=each(callbacks)))
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 
 class Input(NamedTuple):
@@ -22,6 +22,11 @@ class HandingPublisher(Publisher):
     """Hands messages to the hearers in this process, and to DDS if somebody else listens."""
 
     hearers: tuple[Callable[[Any], None], ...] = ()
+
+    @property
+    def volatile(self) -> bool:
+        """Whether nobody who comes later gets what was sent."""
+        return self.qos_profile.durability == DurabilityPolicy.VOLATILE
 
     @property
     def heard(self) -> bool:

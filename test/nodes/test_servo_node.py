@@ -38,6 +38,20 @@ def test_two_arms_in_one_process_reach_their_targets_and_stop_with_zeros(ros_tes
         assert not np.any([command.data for command in arm.commands[-3:]])
 
 
+def test_an_arm_whose_robot_dies_stops_alone(ros_test):
+    left_robot, _ = (
+        ros_test.start_node(f"{SIMULATOR}.node", {"__ns": f"/{arm}"}, **SLOW) for arm in ARMS
+    )
+    ros_test.start(MODULE, *ARMS, *ros_arguments(**MOVING))
+    left, right = (Loop(ros_test, arm) for arm in ARMS)
+    left.aim(np.array(TARGETS[0]))
+    ros_test.spin_until(lambda: np.any(left.commands[-1].data), what="motion")
+    left_robot.kill()
+    right.reach(np.array(TARGETS[1]))
+    assert not np.any(left.commands[-1].data)
+    assert left.reason() == "STALE"
+
+
 def test_the_launcher_runs_both_in_one_process(ros_test):
     loop = Launched(ros_test, "--one-process", "-p", f"{ESTIMATOR}:method:=lkf")
     assert len(children(loop.process)) == 2
@@ -50,8 +64,9 @@ def test_the_launcher_runs_both_in_one_process(ros_test):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["left", "left"], "each arm needs a namespace of its own"),
-        ([*ARMS, "--ros-args", "-r", "__ns:=/lab"], "each arm needs a namespace of its own"),
+        ([*ARMS, "right"], "several nodes are called /right/fvs_controller_node, /right/fvs_est"),
+        ([*ARMS, "--ros-args", "-r", "__ns:=/lab"], "neither __ns nor __node may be remapped"),
+        (["--ros-args", "-p", "fvs_controller_node:method:=lkf"], "has no parameter method"),
         (["--ros-args", "-p", "methot:=poe"], "did you mean method"),
         (["--fast"], "unknown argument"),
         (["a b"], "Invalid namespace"),
