@@ -1,4 +1,4 @@
-"""Tags: corners and poses of drawn images beside the bound of their noise, and wrong poses.
+"""Tags: how exact corners and poses of drawn images are, and whether any pose is wrong.
 
 ``python -m bench tags``; FVS_BENCH_TAGS sets how many images are drawn (10,000), and ten times as
 many squares are projected. A pose is wrong if its angle is off by ten standard deviations that the
@@ -25,17 +25,14 @@ def angle_deg(one, other):
     return float(np.degrees(np.linalg.norm(cv2.Rodrigues(one.T @ other)[0])))
 
 
-def bound(rotation, position_m):
-    """Cramer-Rao bound of a pose for one pixel of noise: deviations, mm and degrees."""
+def bound_deg(rotation, position_m):
+    """Cramer-Rao bound of a pose's angle for one pixel of noise: its deviation, degrees."""
     steps = np.eye(6) * 1e-6
-    turned = [cv2.Rodrigues(step[3:])[0] @ rotation for step in steps]
     moved = [
-        corners_px(one, position_m + step[:3]) for one, step in zip(turned, steps, strict=True)
+        corners_px(cv2.Rodrigues(step[3:])[0] @ rotation, position_m + step[:3]) for step in steps
     ]
     slopes = np.array([(one - corners_px(rotation, position_m)).ravel() / 1e-6 for one in moved])
-    covariance = np.linalg.inv(slopes @ slopes.T)
-    place, turn = np.trace(covariance[:3, :3]) ** 0.5, np.trace(covariance[3:, 3:]) ** 0.5
-    return 1e3 * place, np.degrees(turn)
+    return float(np.degrees(np.trace(np.linalg.inv(slopes @ slopes.T)[3:, 3:]) ** 0.5))
 
 
 def drawn(rng):
@@ -55,18 +52,15 @@ def drawn(rng):
         if seen is None:
             unsure += 1
             continue
-        limits = np.array(bound(*pose)) * finder.noise_px
-        error = np.array(
-            [1e3 * np.linalg.norm(seen.position_m - pose[1]), angle_deg(seen.rotation, pose[0])]
-        )
-        wrong += bool(error[1] > max(5.0, 10.0 * limits[1]))
-        errors.append(error / limits)
+        angle = angle_deg(seen.rotation, pose[0])
+        wrong += angle > max(5.0, 10.0 * finder.noise_px * bound_deg(*pose))
+        errors.append((1e3 * np.linalg.norm(seen.position_m - pose[1]), angle))
     print(f"{IMAGES} drawn tags of {1e3 * SIZE_M:g} mm, 0.4 to 1.2 m away, tilted by up to 69 deg")
     print(f"  corners, rms           {np.sqrt(np.square(off_px).mean()):7.3f} px")
     print(f"  finding the corners    {spread(spent_ms, 'ms')}")
     print(f"  unread {unread}, two poses fit {unsure}, wrong {wrong}")
-    ratios = np.median(errors, axis=0) / 0.83  # of the median to the rms of a vector of three
-    print(f"  position and angle over the bound   {ratios[0]:.2f} {ratios[1]:.2f}", flush=True)
+    place_mm, angle = np.median(errors, axis=0)
+    print(f"  pose, median error     {place_mm:7.2f} mm {angle:.2f} deg", flush=True)
 
 
 def projected(rng, noise_px):
@@ -77,7 +71,7 @@ def projected(rng, noise_px):
         if seen is None:
             unsure += 1
         else:
-            limit_deg = max(5.0, 10.0 * noise_px * bound(*pose)[1])
+            limit_deg = max(5.0, 10.0 * noise_px * bound_deg(*pose))
             wrong += angle_deg(seen.rotation, pose[0]) > limit_deg
     share = unsure / (10 * IMAGES // 4)
     print(f"  noise of {noise_px:.2f} px: two poses fit {share:6.1%}, wrong {wrong}", flush=True)
