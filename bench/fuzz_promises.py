@@ -56,7 +56,7 @@ class Promises:
         keep("sends what it decided", sent, v, world.wire)
         passed_s = min(max(now_s - self._ticked_s, 0.0), LONGEST_TICK_S)
         self._ticked_s = now_s
-        dt_s = min(dt_s, LONGEST_TICK_S) if math.isfinite(dt_s) and dt_s > 0.0 else 0.0
+        dt_s = min(dt_s, LONGEST_TICK_S) if math.isfinite(dt_s) and dt_s > 1e-6 else 0.0
         servoing = command.state is State.SERVOING
         brake_rad_s2, fast = (
             world.values[f"max_joint_{name}"] for name in ("acceleration_rad_s2", "velocity_rad_s")
@@ -94,12 +94,21 @@ class Promises:
         v, last = world.last / share, world.before / share
         fastest, before = np.abs(v).max(), np.abs(last).max()
         jerk, at_once = world.values["max_joint_jerk_rad_s3"], reason.stop is Stop.AT_ONCE
+        slower_rad_s = braked_rad_s = step_rad_s
         if jerk > 0.0:
-            self._judge_jerk(v, last, brake_rad_s2, step_rad_s / brake_rad_s2, jerk, at_once)
-            if world.now_s - self._changed_s < LONGEST_BUILD_UP_S or not v.any():
+            dt_s = step_rad_s / brake_rad_s2
+            built = np.abs(self._acceleration) + dt_s * max(jerk, brake_rad_s2 / LONGEST_BUILD_UP_S)
+            braked_rad_s = dt_s * np.minimum(brake_rad_s2, built)
+            self._judge_jerk(v, last, brake_rad_s2, dt_s, jerk, at_once)
+            # An acceleration goes first, then braking builds up.
+            if world.now_s - self._changed_s < 2.0 * LONGEST_BUILD_UP_S or not v.any():
                 return
+            # Deceleration falls to zero where the limit is reached.
+            twice = 2.0 * jerk * max(0.0, before - fast_rad_s)
+            ending = twice / (((jerk * dt_s) ** 2 + twice) ** 0.5 + jerk * dt_s + 1e-300)
+            slower_rad_s = dt_s * min(brake_rad_s2, ending)
         # A limit that is lowered in motion is reached by braking with all there is.
-        ok = fastest <= fast_rad_s or fastest <= before - step_rad_s + ROUNDING
+        ok = fastest <= fast_rad_s or fastest <= before - slower_rad_s + ROUNDING
         keep("velocity limit", ok, v, last, fast_rad_s)
         # From rest, zeros need no ramp.
         zeros = not v.any() and (reason.stop is Stop.AT_ONCE or before <= 1.5e-9)
@@ -117,7 +126,7 @@ class Promises:
         if jerk > 0.0:  # full braking builds up first
             room += np.abs(v) * 2.0 * brake_rad_s2 / jerk
         in_time = np.abs(v) <= np.sqrt(2.0 * brake_rad_s2 * room) + ROUNDING
-        braking = (v * last > 0.0) & (np.abs(v) <= np.abs(last) - step_rad_s + ROUNDING)
+        braking = (v * last > 0.0) & (np.abs(v) <= np.abs(last) - braked_rad_s + ROUNDING)
         keep("stops before its limit", np.all(in_time | braking), v, last, room, reason.name)
 
     def _judge_jerk(self, v, last, most_rad_s2, dt_s, jerk, at_once):

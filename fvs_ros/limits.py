@@ -24,6 +24,8 @@ from fvs_ros.vectors import LARGEST, largest
 
 #: A tick counts for at most this long, s: a late one must not make a big step.
 MAX_TICK_S = 0.05
+#: In less no acceleration is known, s.
+_LEAST_TICK_S = 1e-6
 #: Shares of the acceleration limit that braking is planned with: for a target, and for the end of
 #: a joint's range. With 0.9 a joint passed its end by up to 90 mrad (3 rad/s, a lag of 90 ms) while
 #: the drives' lag was not known yet; with 0.6 by 0.2 mrad.
@@ -32,7 +34,7 @@ BRAKING_SHARE, _RANGE_SHARE = 0.9, 0.6
 
 def tick_s(dt_s: float) -> float:
     """What a tick counts for, s: none if no clock could give it, at most ``MAX_TICK_S``."""
-    return min(dt_s, MAX_TICK_S) if isfinite(dt_s) and dt_s > 0.0 else 0.0
+    return min(dt_s, MAX_TICK_S) if isfinite(dt_s) and dt_s > _LEAST_TICK_S else 0.0
 
 
 def limit_speed(

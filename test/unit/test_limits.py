@@ -1,5 +1,7 @@
 """Limits on a command: speed, acceleration, joint range, and coming to rest."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,6 +9,7 @@ from hypothesis import strategies as st
 
 from fvs_ros.interface import PositionPath
 from fvs_ros.limits import (
+    MAX_TICK_S,
     UNLIMITED,
     JointLimits,
     braking_speed,
@@ -14,6 +17,7 @@ from fvs_ros.limits import (
     limit_jerk,
     limit_speed,
     ramp_to_zero,
+    tick_s,
     with_urdf_limits,
 )
 from fvs_ros.params import ParameterError
@@ -203,3 +207,10 @@ def test_with_a_jerk_limit_braking_takes_the_way_of_an_s_curve():
 def test_a_jerk_limit_at_which_an_arm_stops_too_late_is_refused():
     with pytest.raises(ParameterError, match="at least 60, 10 times max_joint_acceleration"):
         JointLimits(max_joint_jerk_rad_s3=59.0)
+
+
+@pytest.mark.parametrize("dt_s", [0.0, -1.0, math.nan, math.inf, 1e-300])
+def test_a_time_step_that_no_clock_gives_counts_for_nothing(dt_s):
+    assert tick_s(dt_s) == 0.0
+    assert tick_s(0.008) == 0.008
+    assert tick_s(9.0) == MAX_TICK_S
