@@ -40,7 +40,7 @@ class Cell:
         before = self.run.state
         command = self.run.tick(self.now_s, dt_s)
         assert np.abs(command).max() <= self.velocity + 1e-12  # false for NaN, too
-        dt_s = min(max(dt_s, 0.0), LONGEST_S) if math.isfinite(dt_s) else 0.0
+        dt_s = min(dt_s, LONGEST_S) if math.isfinite(dt_s) and dt_s > 1e-6 else 0.0
         steady_s = min(max(self.now_s - self.ticked_s, 0.0), LONGEST_S)
         self.ticked_s = self.now_s
         change = np.abs(command - self.last).max()
