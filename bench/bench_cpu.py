@@ -47,7 +47,7 @@ def play(folder, start, namespaces=("arm",), rate_hz=RATE_HZ):
 
 
 def bare(*executor):
-    """A node that answers each joint state with a command, as rclpy's own ``spin`` runs it."""
+    """A node that answers each joint state with a command, by ``spin`` or another executor."""
 
     def start(harness, namespaces):
         return [harness.start("bench.answer_node", one, *executor) for one in namespaces]

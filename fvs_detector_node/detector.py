@@ -59,10 +59,9 @@ class Detector:
         self._miss = None
         self._explained_s = -np.inf
 
-    def rectified(self, rgb: np.ndarray, depth_m: np.ndarray, camera: CameraModel) -> np.ndarray:
+    def rectified(self, rgb: np.ndarray, camera: CameraModel) -> np.ndarray:
         """The whole colour image that the detections' pixel coordinates refer to."""
-        whole = Region.whole(camera.intrinsics)
-        return self._rectifier_of(camera).cut(rgb, depth_m, whole)[0]
+        return self._rectifier_of(camera).colour(rgb, Region.whole(camera.intrinsics))
 
     def look(
         self, stamp_s: float, rgb: np.ndarray, depth_m: np.ndarray, camera: CameraModel

@@ -38,6 +38,10 @@ _MEASURED = {
     topics.BALL: ("quality", "visible_fraction", "residual_m", "radius_px"),
     topics.POSE: ("residual_px",),
 }
+_SEEN = {
+    topics.BALL: "the ball is seen, its position is published",
+    topics.POSE: "the tag is seen, its pose is published",
+}
 #: Time without messages after which an input is missing, s; the slowest cameras have 5 Hz.
 _MISSING_S = 1.0
 
@@ -56,10 +60,11 @@ class DetectorNode(ros.FvsNode):
         super().__init__("fvs_detector_node", PARAMETERS)
         cv2.setNumThreads(1)  # threads have no benefit for one small image at a time
         self._config = DetectorConfig.from_values(self.values)
-        with_depth = self._config.feature == topics.BALL
-        self._detector = (Detector if with_depth else TagDetector)(self._config)
+        #: A ball is measured by its depth, too; a tag by colour alone.
+        self._with_depth = self._config.feature == topics.BALL
+        self._detector = (Detector if self._with_depth else TagDetector)(self._config)
         # A little less than half the period of 30 images a second.
-        self._pairing = Pairing(0.015, with_depth)
+        self._pairing = Pairing(0.015, self._with_depth)
         self._restarts = 0
         self._camera: CameraModel | None = None
         self._sighting: Sighting | None = None
@@ -69,7 +74,8 @@ class DetectorNode(ros.FvsNode):
         # Log delay: discovery of a camera takes a moment, and a barely visible ball flickers.
         self._logged, self._logged_s = "", self.now_s()
 
-        self._feature = self.publisher(topics.BALL_POSITION if with_depth else topics.TOOL_POSE)
+        feature = topics.BALL_POSITION if self._with_depth else topics.TOOL_POSE
+        self._feature = self.publisher(feature)
         self._annotated = self.publisher(topics.ANNOTATED_IMAGE)
         prefix = self._config.camera_topics or CAMERA_PREFIXES[0]
         self._topics = CameraTopics.below(prefix, self._config.compressed_images)
@@ -98,11 +104,10 @@ class DetectorNode(ros.FvsNode):
         image = CompressedImage if self._config.compressed_images else Image
         wanted = {
             names.color: (image, self._on_color, self._image_qos(names.color)),
-            names.depth: (image, self._on_depth, self._image_qos(names.depth)),
             names.info: (CameraInfo, self._on_camera_info, ros.QOS_NEWEST),
         }
-        if self._config.feature == topics.POSE:
-            del wanted[names.depth]
+        if self._with_depth:
+            wanted[names.depth] = (image, self._on_depth, self._image_qos(names.depth))
         for topic, (subscription, qos) in list(self._subscribed.items()):
             if topic not in wanted or wanted[topic][2] is not qos:
                 self.destroy_subscription(subscription)
@@ -193,8 +198,7 @@ class DetectorNode(ros.FvsNode):
         self._latency_s = self.ros_s() - exposed_s
 
     def _publish_annotated(self, pair: Pair, camera: CameraModel, sighting: Sighting) -> None:
-        depth_m = pair.depth and pair.depth.pixels
-        rgb = self._detector.rectified(pair.colour.pixels, depth_m, camera)
+        rgb = self._detector.rectified(pair.colour.pixels, camera)
         picture = annotate(rgb, sighting, camera.intrinsics)
         message = ros.to_image(pair.stamp_s, pair.colour.header.frame_id, picture, "rgb8")
         message.header.stamp = pair.colour.header.stamp
@@ -214,7 +218,7 @@ class DetectorNode(ros.FvsNode):
     def _missing_input(self, now_s: float) -> str:
         """Which subscribed topic is silent, and what to check; empty if none is."""
         wanted = [("colour images", self._topics.color, "check the camera and camera_topics")]
-        if self._config.feature == topics.BALL:
+        if self._with_depth:
             wanted.append(("depth images", self._topics.depth, "set align_depth.enable:=true"))
         if self._camera is None:
             wanted.append(("camera_info", self._topics.info, "is it remapped as well?"))
@@ -238,12 +242,7 @@ class DetectorNode(ros.FvsNode):
             return WAITING, "waiting for the first images"
         if self._sighting.problem:
             return LOST, self._sighting.problem
-        what = (
-            "ball is seen, its position"
-            if self._config.feature == topics.BALL
-            else ("tag is seen, its pose")
-        )
-        return TRACKING, f"the {what} is published"
+        return TRACKING, _SEEN[self._config.feature]
 
     def _unpaired(self) -> tuple[str, str]:
         repeats, offset_s = self._pairing.repeats, self._pairing.offset_s

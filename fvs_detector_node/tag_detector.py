@@ -36,9 +36,7 @@ class TagDetector:
         self._poses.reset()
         self._seen: tuple[float, np.ndarray] | None = None
 
-    def rectified(
-        self, rgb: np.ndarray, _depth_m: np.ndarray | None, camera: CameraModel
-    ) -> np.ndarray:
+    def rectified(self, rgb: np.ndarray, camera: CameraModel) -> np.ndarray:
         """The whole colour image that the detections' pixel coordinates refer to."""
         return self._rectifier_of(camera).colour(rgb, Region.whole(camera.intrinsics))
 
