@@ -11,6 +11,7 @@ import numpy as np
 
 from fvs_controller_node.redundancy import make_inverse
 from fvs_ros.chain import SerialChain
+from fvs_ros.feature import Feature
 from fvs_ros.params import Parameters
 
 
@@ -23,11 +24,11 @@ class Change(Enum):
 
 
 class ControlInput(NamedTuple):
-    """The input of a law at one tick, for m features and n joints."""
+    """The input of a law at one tick, for a task of d components and n joints."""
 
-    #: Feature, predicted to now, minus its target; camera frame, m, (m,).
+    #: Feature, predicted to now, from its target; camera frame, m, (d,).
     error_m: np.ndarray
-    #: Estimated at the present joints, m/rad, (m, n).
+    #: Of the task, estimated at the present joints, m/rad, (d, n).
     jacobian: np.ndarray
     #: Command sent at the last tick, after every limit, without the feed-forward, (n,).
     applied_rad_s: np.ndarray
@@ -43,6 +44,8 @@ class ControlInput(NamedTuple):
     change: Change = Change.NOTHING
     #: Joint velocities that follow a moving target, (n,): added to the law's output.
     feed_forward_rad_s: np.ndarray | None = None
+    #: What is servoed.
+    feature: Feature = Feature()
 
 
 class ControlOutput(NamedTuple):
@@ -50,10 +53,10 @@ class ControlOutput(NamedTuple):
 
     #: Wanted joint velocities before any limit, (n,).
     velocity_rad_s: np.ndarray
-    #: The s of the estimator's update law, (m,): the sliding variable in (17), the error in (45)
+    #: The s of the estimator's update law, (d,): the sliding variable in (17), the error in (45)
     #: for the proportional law; zeros for a law without one.
     sliding_variable: np.ndarray
-    #: The exponent gamma of each component, (m,); ones for a law without one.
+    #: The exponent gamma of each component, (d,); ones for a law without one.
     exponent: np.ndarray
 
     @classmethod
@@ -96,7 +99,7 @@ class ControlLaw(ABC):
         """Return the joint velocities for this tick, before any limit."""
 
     def settling_bound_s(self, error_m: np.ndarray) -> float | None:
-        """Longest time from rest at an error, m, shape (m,), to zero, without speed limits, s.
+        """Longest time from rest at an error, m, shape (d,), to zero, without speed limits, s.
 
         None for a law that makes no such promise.
         """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from operator import lt
 from typing import Any
 
@@ -12,7 +13,8 @@ from fvs_controller_node.ftsm import FtsmLaw
 from fvs_controller_node.minimum_time import MinimumTimeLaw
 from fvs_controller_node.proportional import MfacLaw, MpcLaw, ProportionalLaw
 from fvs_controller_node.redundancy import RedundancyConfig
-from fvs_ros.camera import FeatureConfig
+from fvs_ros import topics
+from fvs_ros.feature import Feature, ServoedConfig
 from fvs_ros.interface import CommandInterface
 from fvs_ros.limits import JointLimits
 from fvs_ros.params import ParameterError, Parameters, ParameterSet, live_parameter, parameter
@@ -47,7 +49,7 @@ class ControllerConfig(CommandInterface):
 
 
 @dataclass(frozen=True)
-class SupervisorConfig(JointLimits, FeatureConfig):
+class SupervisorConfig(JointLimits, ServoedConfig):
     """Limits and thresholds of the supervisor."""
 
     #: Consecutive good messages after which an input is valid again: a single one may be left over.
@@ -117,17 +119,14 @@ class SupervisorConfig(JointLimits, FeatureConfig):
                 "workspace_min_m must be a list of numbers, each below that of workspace_max_m "
                 f"{list(high)}, got {list(low)}"
             )
+        if self.feature == topics.POSE and len(low) != 3:
+            raise ParameterError(f"workspace_min_m of a pose needs 3 numbers, got {len(low)}")
 
-    @property
-    def features(self) -> int:
-        """Length m of the feature."""
-        return len(self.workspace_min_m)
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the feature's components."""
-        m = self.features
-        return tuple("xyz") if m == 3 else tuple(str(number) for number in range(1, m + 1))
+    @cached_property
+    def servoed(self) -> Feature:
+        """The feature; any vector is servoed like a ball."""
+        size = len(self.workspace_min_m)
+        return Feature(size) if self.feature == topics.BALL else super().servoed
 
     @property
     def follow_time_s(self) -> float:

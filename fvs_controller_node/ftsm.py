@@ -85,7 +85,7 @@ def _root(
 
 
 def _toward(error_m: np.ndarray) -> tuple[float, np.ndarray]:
-    """The error's length, m, and direction, shape (3,), which is zero where there is no error."""
+    """The error's length, m, and direction, shape (d,), which is zero where there is no error."""
     distance_m = length(error_m)
     return distance_m, error_m / max(distance_m, _TINY_M)
 

@@ -1,4 +1,4 @@
-"""The target in force, the ball's position, and the progress of the error between them."""
+"""The target in force, where the feature is, and the progress of the error between them."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Progress:
         config: SupervisorConfig,
         target_m: np.ndarray | None = None,
     ) -> None:
-        """Take the error, m, (m,), after a tick, and the target's position.
+        """Take the error, m, (d,), after a tick, and the target's position.
 
         The timers of growth, stall and swing run only while servoing. The target's own motion does
         not count as growth.
@@ -128,7 +128,10 @@ class Goal:
         self.moving = False  #: whether the target that was set last continues a motion
         self.target_m: np.ndarray | None = None  #: where the target is now, (m,)
         self.velocity_m_s: np.ndarray | None = None  #: the target's, (m,); None unless it moves
-        self.position_m: np.ndarray | None = None  #: where the ball is now, (m,)
+        self.position_m: np.ndarray | None = None  #: where the feature is now, (m,)
+        #: Feature and target that the error was found for.
+        self._error_of: tuple[np.ndarray | None, np.ndarray | None] = None, None
+        self._error_m: np.ndarray | None = None
 
     def configure(self, config: SupervisorConfig) -> None:
         """Change the settings; a target that a new box leaves outside is dropped."""
@@ -139,7 +142,7 @@ class Goal:
 
     def _refusal(self, position_m: np.ndarray, frame: str) -> str:
         """Why a target, (m,), m, is not accepted in this frame; empty if it is."""
-        expected, features = self._config.feature_frame, self._config.features
+        expected, features = self._config.feature_frame, self._config.servoed.size
         if not frame:
             return f"it names no frame; set header.frame_id to {expected}"
         if frame != expected:
@@ -171,7 +174,7 @@ class Goal:
         if not self.moving:  # a moving one is no new task
             self.progress.take_target(target, self._config)
         self.target_m = target
-        return True, f"target set to ({', '.join(f'{one:.3f}' for one in target)}) m"
+        return True, f"target set to {self._config.servoed.place(target)}"
 
     def was_set(self, position_m: np.ndarray) -> bool:
         """Whether a place, m, (m,), is the target that was set last."""
@@ -185,9 +188,11 @@ class Goal:
             self.velocity_m_s = None
         else:
             self.target_m, self.velocity_m_s = now
+            if self.target_m is not self.motion.last_m:
+                self.target_m = self._config.servoed.nearest(self.target_m)
 
     def see(self, position_m: np.ndarray | None, dt_s: float, servoing: bool) -> None:
-        """Take the ball's position after a tick, m, (m,); None if it is unknown."""
+        """Take the feature after a tick, m, (m,); None if it is unknown."""
         self.position_m = position_m
         error = self.error_m
         if error is not None:
@@ -195,10 +200,13 @@ class Goal:
 
     @property
     def error_m(self) -> np.ndarray | None:
-        """Ball minus target, m, shape (m,), or None where one of them is unknown."""
-        if self.position_m is None or self.target_m is None:
+        """Feature from target, m, shape (d,), or None where one of them is unknown."""
+        at, target = self.position_m, self.target_m
+        if at is None or target is None:
             return None
-        return self.position_m - self.target_m
+        if self._error_of[0] is not at or self._error_of[1] is not target:
+            self._error_of, self._error_m = (at, target), self._config.servoed.error(at, target)
+        return self._error_m
 
     @property
     def settled(self) -> bool:
@@ -208,10 +216,9 @@ class Goal:
     def _outside(self, target: np.ndarray) -> list[str]:
         """Say which coordinates of a target are outside the workspace box."""
         low, high = self._config.workspace_min_m, self._config.workspace_max_m
+        axes = self._config.servoed.axes
         return [
             f"{axis} = {value:.3f} m is not in [{lo:g}, {hi:g}]"
-            for axis, value, lo, hi in zip(
-                self._config.axes, target.tolist(), low, high, strict=True
-            )
+            for axis, value, lo, hi in zip(axes, target.tolist(), low, high, strict=False)
             if not lo <= value <= hi
         ]

@@ -138,10 +138,10 @@ class Inbox:
     # ---- messages ---------------------------------------------------------------------------
 
     def add(self, name: str, now_s: float, values: np.ndarray) -> bool:
-        """Take joint states, (n,), rad, ball, (m,), m, or Jacobian, (m, n); False if unusable."""
+        """Take joints, (n,), rad, feature, (m,), m, or Jacobian, (d, n); False if unusable."""
         values = np.asarray(values, dtype=float)
-        n, m = len(self._config.joint_names), self._config.features
-        shape = {JOINT_STATES: (n,), BALL: (m,), JACOBIAN: (m, n)}[name]
+        feature, n = self._config.servoed, len(self._config.joint_names)
+        shape = {JOINT_STATES: (n,), BALL: (feature.size,), JACOBIAN: (len(feature.axes), n)}[name]
         wanted = " x ".join(str(length) for length in shape)
         if values.shape != shape:
             self[name].bad(f"expected {wanted} numbers, got shape {values.shape}")

@@ -56,7 +56,8 @@ class ServoLoop:
     def __init__(self, values: Mapping[str, Any] | None = None) -> None:
         values = default_values() if values is None else values
         self.supervisor = Supervisor(SupervisorConfig.from_values(values))
-        self.predictor = BallPredictor()
+        self._feature = self.supervisor.config.servoed
+        self.predictor = BallPredictor(self._feature)
         self.configure(values)
         self._drive_lag = DriveLag()
         self._pending_rad = self._drive_lag.pending_rad()
@@ -65,9 +66,10 @@ class ServoLoop:
         self._stamp_s = 0.0
         self._change = Change.TARGET  # since the last call of the law
         self._images = 0  # number of images at that call
-        #: The law's sliding variable, (m,), at the first tick after an image; else None.
+        #: The law's sliding variable, (d,), at the first tick after an image; else None.
         self.sliding_variable: np.ndarray | None = None
         self._ball_stamp_s: float | None = None
+        self._seen = np.zeros(self._feature.size)  # in the newest image
         self._joints: np.ndarray | None = None
         self._last_joints: tuple[float, np.ndarray] | tuple[None, None] = None, None  # as they came
         self._jacobian: np.ndarray | None = None
@@ -101,10 +103,20 @@ class ServoLoop:
                 np.array(joints_rad, dtype=float),
                 compare=inputs.full_speed and self.supervisor.last.state is State.SERVOING,
             )
-            if self._chain is not None:
-                self._jacobian = self._chain.jacobian(self._joints)
-            if self._jacobian is not None:
-                self.predictor.add_joints(stamp_s, self._joints, self._jacobian)
+            self._predict(stamp_s, self._joints)
+
+    def _predict(self, stamp_s: float, joints: np.ndarray) -> None:
+        """Move the predicted feature along to a joint state, s and rad, (n,)."""
+        feature = self._feature
+        if self._chain is not None:
+            at, motion = self._chain.position_and_jacobian(joints)
+            self._jacobian = feature.to_task(at, motion)
+        elif self._jacobian is not None:
+            now = self.position_m
+            motion = feature.from_task(self._seen if now is None else now, self._jacobian)
+        else:
+            return
+        self.predictor.add_joints(stamp_s, joints, motion)
 
     def _jump(self, stamp_s: float, joints_rad: np.ndarray) -> str:
         """Describe an impossible jump since the last joint state; empty without one."""
@@ -128,10 +140,11 @@ class ServoLoop:
             return
         self._ball_stamp_s = stamp_s
         if self.supervisor.inputs.add(BALL, now_s, position_m):
+            self._seen = position_m
             self.predictor.add_ball(stamp_s, position_m)
 
     def add_jacobian(self, now_s: float, jacobian: np.ndarray) -> None:
-        """Take the estimated Jacobian, (m, n), m/rad, and its arrival; a chain's takes priority."""
+        """Take the task's Jacobian, (d, n), m/rad, and its arrival; a chain's takes priority."""
         if self.supervisor.inputs.add(JACOBIAN, now_s, jacobian) and self._chain is None:
             self._jacobian = np.array(jacobian, dtype=float)
 
@@ -183,7 +196,7 @@ class ServoLoop:
 
     @property
     def jacobian(self) -> np.ndarray | None:
-        """The Jacobian in use, m/rad, shape (m, n), or None; a copy."""
+        """The task's Jacobian in use, m/rad, shape (d, n), or None; a copy."""
         return None if self._jacobian is None else self._jacobian.copy()
 
     @property
@@ -231,7 +244,8 @@ class ServoLoop:
     def _propose(self, error_m: np.ndarray, applied: np.ndarray, dt_s: float) -> ControlOutput:
         """Ask the law, with arm and target predicted to when its command takes effect."""
         jacobian, joints = self._jacobian, self._joints
-        velocity_m_s = self.supervisor.goal.velocity_m_s if self._follows else None
+        goal = self.supervisor.goal
+        velocity_m_s = goal.velocity_m_s if self._follows else None
         assert jacobian is not None
         assert joints is not None
         if self._home is None:
@@ -239,6 +253,8 @@ class ServoLoop:
         error_m = error_m + jacobian @ self._pending_rad
         feed_forward = None
         if velocity_m_s is not None and velocity_m_s.any():
+            assert goal.target_m is not None
+            velocity_m_s = self._feature.to_task(goal.target_m, velocity_m_s)
             error_m = error_m - self._drive_lag.lag_s * velocity_m_s
             feed_forward = self._follower.joint_velocity(jacobian, velocity_m_s, joints, self._home)
             applied = applied - feed_forward
@@ -254,6 +270,7 @@ class ServoLoop:
             self._chain,
             self._change,
             feed_forward,
+            self._feature,
         )
         self._change, self._images = Change.NOTHING, self.predictor.images
         output = self.law.command(one)

@@ -87,22 +87,32 @@ class MinimumTimeLaw(ControlLaw):
             return joints + self.inverse.joint_velocity(
                 one.jacobian, -one.error_m, joints, one.home_rad
             )
-        wanted = chain.position(joints) - one.error_m
+        wanted = one.feature.displaced(chain.position(joints), -one.error_m)
         new = self._goal is None or one.change is Change.TARGET
         goal = joints if self._goal is None else self._goal
-        position, jacobian = chain.position_and_jacobian(goal)
-        new = new or largest(wanted - position) > _JUMP_M
+        way, jacobian = _way(one, goal, wanted)
+        new = new or largest(way) > _JUMP_M
         # After a new target the steps draw the goal toward the start posture. After each further
         # image one step stays near the last goal: repeated linear programmes would alternate
         # between two corners.
         for step in range(4 if new else 1):
             if step > 0:
-                position, jacobian = chain.position_and_jacobian(goal)
+                way, jacobian = _way(one, goal, wanted)
             travel = goal - joints
-            way = wanted - position + jacobian @ travel
+            way = way + jacobian @ travel
             if new and one.home_rad is not None:
                 found = self.inverse.joint_velocity(jacobian, way, joints, one.home_rad)
             else:
                 found = self.inverse.joint_velocity(jacobian, way, joints, near=travel)
             goal = np.clip(joints + found, self.gains.lower_rad, self.gains.upper_rad)
         return goal
+
+
+def _way(
+    one: ControlInput, goal_rad: np.ndarray, wanted_m: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a goal misses of the wanted feature, m, (d,), and the task's Jacobian there, (d, n)."""
+    assert one.chain is not None
+    feature_m, jacobian = one.chain.position_and_jacobian(goal_rad)
+    way = -one.feature.error(feature_m, wanted_m)
+    return way, one.feature.to_task(feature_m, jacobian)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PointStamped
+from geometry_msgs.msg import PointStamped, PoseStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import Trigger
@@ -55,8 +55,8 @@ class ControllerNode(ros.FvsNode):
         v = self.values
         self._frame = v["feature_frame"]
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
-        self._shape = len(v["workspace_min_m"]), len(v["joint_names"])  # of the Jacobian
         self._loop = ServoLoop(v)
+        self._feature = self._loop.supervisor.config.servoed
         self._simulated_time = self.get_parameter("use_sim_time").value
         self._missing_s = _MISSING_PERIODS / v["joint_state_rate_hz"]
         self._ticked_s = self.now_s()
@@ -76,14 +76,14 @@ class ControllerNode(ros.FvsNode):
 
         self._commands = ros.CommandPublisher(self)
         self._joints: np.ndarray | None = None
-        self._sliding = self.publisher(topics.SLIDING_VARIABLE)
+        self._sliding = self.publisher(self._feature.sliding)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
-        self.subscribe(topics.BALL_POSITION, self._on_ball)
+        self.subscribe(self._feature.seen, self._on_feature)
         self.subscribe(topics.JACOBIAN, self._on_jacobian)
         self.subscribe(topics.KINEMATIC_CHAIN, self._on_chain)
         self.subscribe(topics.ESTIMATOR_STATUS, self._on_estimator_status)
         self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
-        self.subscribe(topics.TARGET_POSITION, self._on_target)  # a latched one is heard twice
+        self.subscribe(self._feature.target, self._on_target)  # a latched one is heard twice
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
         description = self._loop.supervisor.inputs[ROBOT_DESCRIPTION]
         self._limits = ros.LimitsReader(self, self._take_limits, description.bad)
@@ -124,26 +124,26 @@ class ControllerNode(ros.FvsNode):
         self._stamp_s = stamp_s
         self._tick(now_s, dt_s)
 
-    def _on_ball(self, message: PointStamped) -> None:
-        now_s = self.now_s()
+    def _on_feature(self, message: PointStamped | PoseStamped) -> None:
+        now_s, feature = self.now_s(), self._feature
         try:
-            position_m = ros.from_point(message, self._frame, topics.BALL_POSITION.name)
+            position_m = ros.from_feature(message, feature, self._frame, feature.seen.name)
         except ros.MessageError as error:
             self._loop.supervisor.inputs[BALL].bad(str(error))
             return
         self._loop.add_ball(now_s, ros.from_stamp(message.header.stamp), position_m)
 
     def _on_jacobian(self, message: Float64MultiArray) -> None:
-        now_s = self.now_s()
+        now_s, joints = self.now_s(), len(self._joint_map.names)
         try:
-            self._loop.add_jacobian(now_s, ros.from_jacobian(message, *self._shape))
+            self._loop.add_jacobian(now_s, ros.from_jacobian(message, joints, self._feature))
         except ros.MessageError as error:
             self._loop.supervisor.inputs[JACOBIAN].bad(str(error))
 
     def _on_chain(self, message: Float64MultiArray) -> None:
-        now_s = self.now_s()
+        now_s, joints = self.now_s(), len(self._joint_map.names)
         try:
-            self._loop.add_chain(now_s, ros.from_chain(message, self._shape[1]))
+            self._loop.add_chain(now_s, ros.from_chain(message, joints, self._feature))
         except ros.MessageError as error:
             self._loop.bad_chain(now_s, str(error))
 
@@ -153,21 +153,24 @@ class ControllerNode(ros.FvsNode):
         idle = values.get("state") in (ESTIMATOR_WAITING, ESTIMATOR_FAULT)
         supervisor.inputs[JACOBIAN].set_source_status(now_s, message.message if idle else "")
 
-    def _on_target(self, message: PointStamped) -> None:
-        point, stamp = message.point, message.header.stamp
-        heard = (point.x, point.y, point.z, stamp.sec, stamp.nanosec, message.header.frame_id)
-        now_s = self.now_s()
+    def _on_target(self, message: PointStamped | PoseStamped) -> None:
+        feature, now_s, frame = self._feature, self.now_s(), message.header.frame_id
+        try:  # in its own frame: the goal refuses another one
+            target_m = ros.from_feature(message, feature, frame, feature.target.name)
+        except ros.MessageError as error:
+            self._refusal = f"target refused: {error}"
+            self.tell(ros.WARN, self._refusal)
+            return
+        stamp_s = ros.from_stamp(message.header.stamp)
+        heard = (*target_m.tolist(), stamp_s, frame)
         # Latched samples arrive twice, and again whenever the publisher is rediscovered. Without a
         # stamp (`ros2 topic pub`) only an immediate echo counts as a repetition.
-        stamped, soon = any(heard[3:5]), now_s - self._heard_target_s < _TARGET_ECHO_S
-        again = heard == self._heard_target and (stamped or soon)
+        soon = now_s - self._heard_target_s < _TARGET_ECHO_S
+        again = heard == self._heard_target and (stamp_s != 0.0 or soon)
         self._heard_target, self._heard_target_s = heard, now_s
-        position_m = np.array([point.x, point.y, point.z])
-        if again and not self._loop.supervisor.goal.was_set(position_m):
+        if again and not self._loop.supervisor.goal.was_set(target_m):
             return  # a newer target is in force: a repetition must not undo it
-        accepted, text = self._loop.add_target(
-            position_m, message.header.frame_id, ros.from_stamp(stamp)
-        )
+        accepted, text = self._loop.add_target(target_m, frame, stamp_s)
         if again:  # a repetition only means that a moving target has stopped
             return
         self._refusal = "" if accepted else text
@@ -226,7 +229,9 @@ class ControllerNode(ros.FvsNode):
         self._watchdog.reset()
         if self._loop.sliding_variable is not None and self._stamp_s is not None:
             self._sliding.publish(
-                ros.to_vector(self._stamp_s, self._frame, self._loop.sliding_variable)
+                ros.to_sliding(
+                    self._stamp_s, self._frame, self._feature, self._loop.sliding_variable
+                )
             )
         previous, self._command = self._command, command
         if previous is None or previous.reason is not command.reason:
@@ -305,7 +310,7 @@ class ControllerNode(ros.FvsNode):
     def finish(self) -> None:
         """Send zeros last, then publish the final status."""
         self._loop.supervisor.shutdown()
-        self._commands.end(self._shape[1])
+        self._commands.end(len(self._joint_map.names))
         self._command = self._loop.tick(self.now_s(), 0.0)
         self._publish_status()
 

@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fvs_controller_node.redundancy import singular_values
+from fvs_ros.feature import Feature
 from fvs_ros.timeline import MAX_LATENCY_S, History, Sample, Timeline
 from fvs_ros.tracker import Image, Tracker
 from fvs_ros.vectors import length
@@ -127,7 +128,8 @@ class BallPredictor:
     corrects it (:class:`~fvs_ros.tracker.Tracker`). A clock jump resets the estimate.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, feature: Feature | None = None) -> None:
+        self._feature = feature or Feature()
         self.images = 0  #: number of images used so far
         self.tracker, self.agreement = Tracker(), Agreement()
         self._timeline = Timeline()
@@ -159,14 +161,14 @@ class BallPredictor:
         age_s = newest_s - seen_s
         if abs(age_s) > MAX_LATENCY_S:
             side = "older" if age_s > 0.0 else "newer"
-            lost = "is the ball in view? Else " if age_s > 0.0 else ""
+            lost = "is it in view? Else " if age_s > 0.0 else ""
             return (
-                f"the newest ball_position is stamped {abs(age_s):.2f} s {side} than the newest "
-                f"joint_states; {lost}check that both machines' clocks agree (NTP), and "
+                f"the newest {self._feature.seen.name} is stamped {abs(age_s):.2f} s {side} than "
+                f"the newest joint_states; {lost}check that both machines' clocks agree (NTP), and "
                 "use_sim_time"
             )
         if self._stamp_s is None:
-            return "no ball_position has joint states around its exposure time yet"
+            return f"no {self._feature.seen.name} has joint states around its exposure time yet"
         return ""
 
     def add_joints(self, stamp_s: float, joints_rad: np.ndarray, jacobian: np.ndarray) -> None:
@@ -213,4 +215,4 @@ class BallPredictor:
             return None
         if newest - self._stamp_s > MAX_LATENCY_S or self.problem:
             return None
-        return estimate + moved - self.tracker.moved_m
+        return self._feature.nearest(estimate + moved - self.tracker.moved_m)

@@ -42,8 +42,8 @@ class Reason(Enum):
     session: nothing moves again until ``~/start``.
     """
 
-    SERVOING = (State.SERVOING, Stop.NONE, False, "servoing, {error_mm:.1f} mm to go")
-    SETTLED = (State.SERVOING, Stop.NONE, False, "on target, {error_mm:.1f} mm off")
+    SERVOING = (State.SERVOING, Stop.NONE, False, "servoing, {error} to go")
+    SETTLED = (State.SERVOING, Stop.NONE, False, "on target, {error} off")
     READY = (State.READY, Stop.RAMP, False, "ready", "call ~/start to move")
 
     MISSING = _holds("no {name} yet ({count} of {wanted} messages)", "{hint}")

@@ -21,6 +21,7 @@ from fvs_controller_node.monitors import FollowingMonitor, PredictionMonitor, Si
 from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Finding, Reason, State, Stop
 from fvs_controller_node.redundancy import singular_values
+from fvs_ros.feature import Distance
 from fvs_ros.limits import MAX_TICK_S, limit_speed, tick_s
 from fvs_ros.params import ParameterError
 from fvs_ros.vectors import all_finite, largest, length
@@ -31,16 +32,16 @@ _LEAVING_RAD_S = 0.1
 #: Share of the speed limit that is left just before the arm is held.
 _LEAST_SHARE = 0.25
 
-#: Asks the law: (error (m,) m, last command (n,) rad/s, dt s) -> its output.
+#: Asks the law: (error (d,) m, last command (n,) rad/s, dt s) -> its output.
 Propose = Callable[[np.ndarray, np.ndarray, float], ControlOutput]
 
 
 class Present(NamedTuple):
-    """The controller's data at a tick, for m features and n joints."""
+    """The controller's data at a tick, for a feature of m numbers, d free ones, and n joints."""
 
     joints_rad: np.ndarray | None  #: newest positions, (n,)
-    position_m: np.ndarray | None  #: of the ball, predicted to now, (m,)
-    jacobian: np.ndarray | None  #: that of the law, m/rad, (m, n)
+    position_m: np.ndarray | None  #: of the feature, predicted to now, (m,)
+    jacobian: np.ndarray | None  #: that of the law, m/rad, (d, n)
     pending_rad: np.ndarray  #: motion that was commanded and is still to come, (n,)
     problem: str = ""  #: why there is no position
     verdict: Verdict | None = None  #: on seen and predicted motion; None while too little moved
@@ -103,10 +104,10 @@ class Supervisor:
         ParameterError
             If the workspace has another dimension than before.
         """
-        if config.features != self.config.features:
+        before, now = len(self.config.workspace_min_m), len(config.workspace_min_m)
+        if now != before:
             raise ParameterError(
-                f"workspace_min_m and workspace_max_m need {self.config.features} numbers each, "
-                f"got {config.features}"
+                f"workspace_min_m and workspace_max_m need {before} numbers each, got {now}"
             )
         self.config = config
         self.goal.configure(config)
@@ -273,7 +274,7 @@ class Supervisor:
         reason = Reason.SETTLED if self.goal.progress.settled else Reason.SERVOING
         error = self.goal.error_m
         assert error is not None
-        finding = reason.because(error_mm=1e3 * length(error))
+        finding = reason.because(error=Distance(config.servoed, error))
         return self._answer(finding, ", ".join(active), output)
 
     def _rest(self, finding: Finding | None, joints: np.ndarray | None, dt_s: float) -> Command:
@@ -306,7 +307,7 @@ class Supervisor:
 
     def status_values(self, now_s: float) -> dict[str, float | str]:
         """Key numbers for a status message, always the same keys in the same order."""
-        nan, last = float("nan"), self.last
+        nan, last, config = float("nan"), self.last, self.config
         error, verdict = self.goal.error_m, self._present.verdict
         singular = nan if self._present.jacobian is None else self._smallest_m_rad
         values: dict[str, float | str] = {
@@ -314,7 +315,7 @@ class Supervisor:
             "reason": last.reason.name,
             "started": str(self.started).lower(),
             "settled": str(self.goal.settled).lower(),
-            "error_m": nan if error is None else length(error),
+            **config.servoed.parts(error),
             "active_limit": last.active_limit,
             "fastest_joint_rad_s": largest(self._velocity),
             "smallest_singular_value_m_rad": singular,
@@ -327,7 +328,8 @@ class Supervisor:
             "exponent_{}": None if last.output is None else last.output.exponent,
         }
         for name, vector in vectors.items():
-            for place, axis in enumerate(self.config.axes):
+            places = config.workspace_min_m if name.endswith("_m") else config.servoed.axes
+            for place, axis in enumerate(config.servoed.axes[: len(places)]):
                 values[name.format(axis)] = nan if vector is None else float(vector[place])
         return values
 

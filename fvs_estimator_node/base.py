@@ -68,6 +68,8 @@ class Estimator(ABC):
     ----------
     updates, refused : int
         How many inputs it learned from, and how many it could not use.
+    features : int
+        Length m of the feature, where no model tells it.
     """
 
     #: Whether :meth:`update` and :meth:`observe` can change anything.
@@ -77,6 +79,7 @@ class Estimator(ABC):
     #: Its parameters; a node declares them with the name of their group before each.
     config_type: ClassVar[type[Parameters]] = Parameters
     group: ClassVar[str] = ""
+    features = 3
 
     def __init__(self) -> None:
         self.updates = self.refused = 0

@@ -17,6 +17,7 @@ import numpy as np
 from fvs_estimator_node.base import CHAIN, NETWORKS, Estimator
 from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfModel
 from fvs_ros.chain import SerialChain
+from fvs_ros.feature import nearest_rotation, rotation_angle_rad
 from fvs_ros.tracker import OUTLIER
 from fvs_ros.vectors import length
 
@@ -30,18 +31,6 @@ _BUMP_M = 0.01
 _BUMPED_RAD, _SOON = 0.7, 20
 #: A ball within this distance of the last stored position is at rest, m.
 _STILL_M = 0.002
-
-
-def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
-    """The rotation R of the largest ``tr(R' M)``, shape (3, 3)."""
-    left, _, right = np.linalg.svd(matrix)
-    left[:, 2] *= np.linalg.det(left @ right)  # -1 of a reflection
-    return np.asarray(left @ right)
-
-
-def rotation_angle_rad(rotation: np.ndarray) -> float:
-    """Angle of a rotation matrix, rad."""
-    return math.acos(min(1.0, max(-1.0, 0.5 * (float(np.trace(rotation)) - 1.0))))
 
 
 class CameraPose:
@@ -88,8 +77,13 @@ class CameraPose:
         self._mean_p, self._mean_x, self._kept_at = np.zeros((3, 3))
 
     def add(self, model_m: np.ndarray, seen_m: np.ndarray, noise_m: float) -> None:
-        """Take the ball's position by the model and by the image, m, (3,) each."""
+        """Take the feature by the model and by the image, m, (m,) each: a point, any directions."""
+        directions, seen_directions = (one[3:].reshape(-1, 3) for one in (model_m, seen_m))
+        model_m, seen_m = model_m[:3], seen_m[:3]
         off_m = length(seen_m - (self.rotation @ model_m + self.translation_m))
+        if directions.size:
+            turned_m = seen_directions - directions @ self.rotation.T
+            off_m = math.hypot(off_m, length(turned_m.ravel()))
         deviation_rad = self._turn_deviation_rad(noise_m)
         reach_m = length(model_m - self._mean_p) if self._weight else 0.0
         if off_m > _BUMP_M + OUTLIER * math.hypot(noise_m, deviation_rad * reach_m):
@@ -111,6 +105,7 @@ class CameraPose:
         # erase the rotation about that line.
         self._prior = keep * self._prior + (1.0 - keep) * self._precision * self.rotation
         self._scatter = keep * self._scatter + (weight / total) * from_x[:, None] * from_p
+        self._scatter += seen_directions.T @ directions
         self._mean_p, self._mean_x = self._mean_p + from_p / total, self._mean_x + from_x / total
         self.rotation = nearest_rotation(self._scatter + noise_m**2 * self._prior)
         self.translation_m = self._mean_x - self.rotation @ self._mean_p
@@ -135,17 +130,20 @@ class _BehindCamera(Estimator):
         self.camera.reset()
 
     def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
-        """Estimate at given joints, m/rad, shape (3, n)."""
-        return self.camera.rotation @ self._model.jacobian(joints_rad)
+        """Estimate at given joints, m/rad, shape (m, n)."""
+        jacobian = self._model.jacobian(joints_rad)
+        turned = self.camera.rotation @ jacobian.reshape(-1, 3, jacobian.shape[1])
+        return turned.reshape(jacobian.shape)
 
     def observe(self, joints_rad: np.ndarray, ball_m: np.ndarray, noise_m: float) -> None:
         """Learn the camera's pose from where the ball is."""
-        self.camera.add(self._position(joints_rad, ball_m), ball_m, noise_m)
+        position_m = self._position(joints_rad, ball_m)
+        self.camera.add(position_m, ball_m[: len(position_m)], noise_m)
         self.updates += 1
 
     @abstractmethod
     def _position(self, joints_rad: np.ndarray, ball_m: np.ndarray) -> np.ndarray:
-        """Where the model has the ball, m, (3,)."""
+        """Where the model has the feature, m, (m,), or only its point, (3,)."""
 
     def status_values(self) -> dict[str, float]:
         """Counts, how far the camera has been turned, and how often it was bumped."""
@@ -188,10 +186,12 @@ class TurnedRbfEstimator(_BehindCamera):
         self._joints = None
 
     def _position(self, joints_rad: np.ndarray, ball_m: np.ndarray) -> np.ndarray:
+        # Of a pose the point alone: directions say nothing before the camera's rotation is known.
         if self._joints is None:
-            self._sum_m = ball_m
+            self._sum_m = ball_m[:3]
         else:
             step = joints_rad - self._joints
-            self._sum_m = self._sum_m + self._model.jacobian(self._joints + 0.5 * step) @ step
+            moved = self._model.jacobian(self._joints + 0.5 * step) @ step
+            self._sum_m = self._sum_m + moved[:3]
         self._joints = joints_rad
         return self._sum_m

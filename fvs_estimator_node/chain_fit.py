@@ -1,8 +1,8 @@
 """Fits a serial chain to a minute of ordinary motion.
 
-The model of an image stamped t is ``x(r(t - tau)) + noise``. Its unknowns are the 4 n + 3 numbers
+The model of an image stamped t is ``x(r(t - tau)) + noise``. Its unknowns are the 4 n + m numbers
 of a :class:`~fvs_ros.chain.SerialChain` of n joints (two for each axis' direction, two for its
-place, three for the ball) and the stamp offset ``tau``. They are found by robust non-linear least
+place, m for the feature) and the stamp offset ``tau``. They are found by robust non-linear least
 squares with exact derivatives.
 
 The start comes from a cubic regression of the positions (:mod:`fvs_estimator_node.chain_start`) at
@@ -81,10 +81,10 @@ class ChainFit:
         Images further than six standard deviations from the chain.
     samples : int
         Images used.
-    covariance : ndarray, shape (4 n + 4, 4 n + 4)
+    covariance : ndarray, shape (4 n + m + 1, 4 n + m + 1)
         Of the coordinates of :class:`~fvs_estimator_node.chain_chart.Chart` at the chain, by the
         noise; rad, m and s.
-    unfitted : ndarray, shape (7 n + 4, 7 n + 4)
+    unfitted : ndarray, shape (4 n + m + 1 + m n, 4 n + m + 1 + m n)
         Squared changes by an additional constant Jacobian in the fit, less those by noise: of the
         coordinates, and of that Jacobian row by row, m/rad.
     """
@@ -191,12 +191,13 @@ class _Found(NamedTuple):
 
 
 class _Fitting:
-    """One fit: the joints at any time, and the ball in k images, m, (k, 3)."""
+    """One fit: the joints at any time, and the feature in k images, m, (k, m)."""
 
     def __init__(self, path: Path, ball_m: np.ndarray) -> None:
         self._path = path
         self._ball = ball_m
-        self._sight = ball_m / np.maximum(np.linalg.norm(ball_m, axis=1, keepdims=True), 1e-9)
+        point_m = ball_m[:, :3]
+        self._sight = point_m / np.maximum(np.linalg.norm(point_m, axis=1, keepdims=True), 1e-9)
 
     def start(self) -> _Found:
         """The best of some starts, each fitted to a part of the images."""
@@ -215,7 +216,8 @@ class _Fitting:
 
         def fitted(chain: SerialChain) -> _Found:
             begin = _Found(chain, regression.offset_s, math.inf)
-            unit = np.broadcast_to(np.eye(3) / regression.distance_m, (len(self._ball), 3, 3))
+            images, size = self._ball.shape
+            unit = np.broadcast_to(np.eye(size) / regression.distance_m, (images, size, size))
             return self._solve(begin, unit, some, 3.0, 60)
 
         best = fitted(first_guess(regression, reference))
@@ -283,7 +285,7 @@ class _Fitting:
         chart = Chart(begin.chain)
         deviation = np.full(chart.size, _PRIOR)
         deviation[OFFSET] = _OFFSET_PRIOR_S
-        white = whitening[images]
+        white, residual_count = whitening[images], len(images) * self._ball.shape[1]
 
         @lru_cache(maxsize=1)
         def both(content: bytes) -> tuple[np.ndarray, np.ndarray]:
@@ -295,7 +297,7 @@ class _Fitting:
                     chart, values, joints[images], velocity[images], self._ball[images]
                 )
             except ValueError:  # no chain: a step too far, which is then made shorter
-                return np.full(3 * len(images) + chart.size, np.inf), np.empty(0)
+                return np.full(residual_count + chart.size, np.inf), np.empty(0)
             slopes = (white @ slope).reshape(-1, chart.size)
             return (
                 np.append(white @ residual[..., None], values / deviation),
@@ -324,6 +326,7 @@ class _Fitting:
 
     def _noise_by_direction(self, residual: np.ndarray) -> tuple[float, float]:
         """Standard deviations along the line of sight and across it, by medians, m."""
+        residual = residual[:, :3]
         along = np.sum(residual * self._sight, axis=1)
         across = np.linalg.norm(residual - along[:, None] * self._sight, axis=1)
         # medians of a normal and of a Rayleigh distribution
@@ -332,10 +335,17 @@ class _Fitting:
         return max(ray_m, 1e-6), max(lateral_m, 1e-6)
 
     def _whitening(self, residual: np.ndarray) -> np.ndarray:
-        """Matrices (k, 3, 3) that turn a residual into standard deviations."""
+        """Matrices (k, m, m) that turn a residual into standard deviations."""
         ray_m, lateral_m = self._noise_by_direction(residual)
         along = self._sight[:, :, None] * self._sight[:, None, :]
-        return along / ray_m + (np.eye(3) - along) / lateral_m
+        of_point = along / ray_m + (np.eye(3) - along) / lateral_m
+        images, size = residual.shape
+        if size == 3:
+            return of_point
+        axis_m = max(float(np.median(np.abs(residual[:, 3:]))) / 0.6745, 1e-6)
+        whole = np.zeros((images, size, size))
+        whole[:, :3, :3], whole[:, 3:, 3:] = of_point, np.eye(size - 3) / axis_m
+        return whole
 
     def _inliers(self, residual: np.ndarray) -> np.ndarray:
         """Which images are within the noise, bool (k,)."""
@@ -364,7 +374,7 @@ class _Fitting:
         residual, slope = residuals_and_slopes(
             chart, np.zeros(chart.size), joints, velocity, self._ball
         )
-        beside = np.kron(np.eye(3), (joints - joints.mean(axis=0))[:, None])
+        beside = np.kron(np.eye(self._ball.shape[1]), (joints - joints.mean(axis=0))[:, None])
         columns = np.concatenate([slope, beside], axis=2)
         rows = (whitening @ columns)[inlier].reshape(-1, columns.shape[2])
         wanted = (whitening @ residual[..., None])[inlier].ravel()

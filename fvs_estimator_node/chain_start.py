@@ -77,7 +77,7 @@ class Regression:
     """A polynomial of n joints through the positions, about some joints.
 
     With images stamped late by an offset, s: value, first and second derivatives, m and rad,
-    shapes (3,), (3, n) and (3, n, n), and the distance of a typical image, m.
+    shapes (m,), (m, n) and (m, n, n), and the distance of a typical image, m.
     """
 
     offset_s: float
@@ -90,7 +90,7 @@ class Regression:
 def regress(
     offset_s: float, joints_rad: np.ndarray, reference_rad: np.ndarray, ball_m: np.ndarray
 ) -> Regression:
-    """Positions, m, (k, 3), as a cubic function of the joints, rad, (k, n), robustly."""
+    """The feature, m, (k, m), as a cubic function of the joints, rad, (k, n), robustly."""
     d = joints_rad - reference_rad
     n = d.shape[1]
     moving = np.flatnonzero(d.std(axis=0) > STILL_RAD)
@@ -107,7 +107,8 @@ def regress(
         typical_m = max(float(np.median(distance)), 1e-6)
         weight = np.minimum(1.0, 2.0 * typical_m / np.maximum(distance, 1e-12)) ** 0.5
     solution = solution / scale[:, None]
-    slopes, bends = np.zeros((3, n)), np.zeros((3, n, n))
+    m = ball_m.shape[1]
+    slopes, bends = np.zeros((m, n)), np.zeros((m, n, n))
     for term, value in zip(terms, solution, strict=True):
         if len(term) == 1:
             slopes[:, term[0]] = value
@@ -118,22 +119,24 @@ def regress(
 
 
 def first_guess(regression: Regression, reference_rad: np.ndarray) -> SerialChain:
-    """Axes from slopes J_i and bends ``w_i x J_j``.
+    """Axes from slopes J_i and bends ``w_i x J_j``, and from slopes ``w_i x d`` of directions d.
 
     A prismatic joint has a slope of length 1 and no bends.
     """
-    slopes, bends = regression.slopes, regression.bends
+    slopes, bends, ball_m = regression.slopes[:3], regression.bends[:3], regression.position_m[:3]
+    directions = -cross_matrix(regression.position_m[3:].reshape(-1, 3)).reshape(-1, 3)
     axes, prismatic = np.empty_like(slopes.T), np.zeros(slopes.shape[1])
     for i in range(len(axes)):
         # w x J_j = bend  <=>  -[J_j]x w = bend, for all joints from i on
-        rows = -cross_matrix(slopes[:, i:].T).reshape(-1, 3)
-        axis = np.linalg.lstsq(rows, bends[:, i, i:].T.reshape(-1), rcond=1e-3)[0]
+        rows = np.vstack([-cross_matrix(slopes[:, i:].T).reshape(-1, 3), directions])
+        wanted = np.append(bends[:, i, i:].T.reshape(-1), regression.slopes[3:, i])
+        axis = np.linalg.lstsq(rows, wanted, rcond=1e-3)[0]
         length = float(np.linalg.norm(axis))
         axes[i] = axis / length if length > 1e-6 else np.eye(3)[0]  # unknown: any
         shift = float(np.linalg.norm(slopes[:, i]))
         if length < _TURNS and abs(shift - 1.0) < _SHIFTS:
             axes[i], prismatic[i] = slopes[:, i], 1.0
-    points = regression.position_m - np.cross(slopes.T, axes)
+    points = ball_m - np.cross(slopes.T, axes)
     return SerialChain(axes, points, regression.position_m, reference_rad, prismatic)
 
 
@@ -141,8 +144,10 @@ def other_starts(chain: SerialChain, rank: int) -> Iterator[SerialChain]:
     """The chain with one axis mistaken in the likely ways; ``rank`` counts from weak joints.
 
     The axis lies on the ball's other side: the same slope, the opposite bend. Or the joint is
-    prismatic: the same slope, no bend.
+    prismatic: the same slope, no bend. The directions of a pose leave no doubt.
     """
+    if chain.feature_m.size > 3:
+        return
     slopes = chain.jacobian(chain.reference_rad)
     moves_m = np.linalg.norm(slopes, axis=0)
     joint = np.argsort(moves_m)[rank % len(moves_m)]
@@ -150,7 +155,7 @@ def other_starts(chain: SerialChain, rank: int) -> Iterator[SerialChain]:
         return
     axes, points = chain.axes.copy(), chain.points_m.copy()
     axes[joint] *= -1.0
-    points[joint] = 2.0 * chain.ball_m - points[joint]
+    points[joint] = 2.0 * chain.feature_m - points[joint]
     yield replace(chain, axes=axes, points_m=points)
     if abs(moves_m[joint] - 1.0) < _SHIFTS:
         axes, prismatic = chain.axes.copy(), chain.prismatic.copy()

@@ -15,7 +15,7 @@ import numpy as np
 
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
 from fvs_estimator_node.stopping import StopCriterion
-from fvs_ros.camera import FeatureConfig
+from fvs_ros.feature import ServoedConfig
 from fvs_ros.following import Following
 from fvs_ros.interface import CommandInterface
 from fvs_ros.limits import MAX_TICK_S, JointLimits, tick_s
@@ -35,7 +35,7 @@ GIVE_UP_S = 10.0
 
 
 @dataclass(frozen=True)
-class CollectorConfig(MotionConfig, FeatureConfig, CommandInterface):
+class CollectorConfig(MotionConfig, ServoedConfig, CommandInterface):
     """What is recorded, how the arm moves, and what ends it."""
 
     output_path: str = parameter("out/collect/dataset.npz", "data set file to write")
@@ -181,7 +181,7 @@ class CollectionRun:
     def _decide(self, now_s: float, dt_s: float) -> np.ndarray | None:
         """Advance the state machine; returns wanted velocities, rad/s, or None to come to rest."""
         late = _late("no joint_states", now_s - self._joints_s, _JOINTS_MAX_AGE_S)
-        lost = _late("the ball is not in view", now_s - self._ball_s, _BALL_MAX_AGE_S)
+        lost = _late(f"no {self._config.servoed.seen.name}", now_s - self._ball_s, _BALL_MAX_AGE_S)
         joints = self._joints
         others = f"{self._others} commands the arm as well; stop it first" if self._others else ""
         if late:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PointStamped
+from geometry_msgs.msg import PointStamped, PoseStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64
 from tqdm import tqdm
@@ -51,7 +51,8 @@ class CollectorNode(ros.FvsNode):
         self._commands = ros.CommandPublisher(self)
         self._joints: np.ndarray | None = None
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
-        self.subscribe(topics.BALL_POSITION, self._on_ball)
+        self._feature = config.servoed
+        self.subscribe(self._feature.seen, self._on_feature)
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
         self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
         ros.LimitsReader(self, self._take_limits, self._run.fail)
@@ -80,11 +81,10 @@ class CollectorNode(ros.FvsNode):
         self._stamp_s = stamp_s
         self._tick(now_s, dt_s)
 
-    def _on_ball(self, message: PointStamped) -> None:
+    def _on_feature(self, message: PointStamped | PoseStamped) -> None:
+        feature, frame = self._feature, self._config.feature_frame
         try:
-            position_m = ros.from_point(
-                message, self._config.feature_frame, topics.BALL_POSITION.name
-            )
+            position_m = ros.from_feature(message, feature, frame, feature.seen.name)
         except ros.MessageError as error:
             self._run.fail(str(error))
             return
@@ -138,6 +138,8 @@ class CollectorNode(ros.FvsNode):
             samples,
             joint_names=tuple(self._names),
             feature_frame=self._config.feature_frame,
+            feature=self._config.feature,
+            lever_arm_m=self._config.lever_arm_m,
             provenance={
                 "collected": datetime.now(timezone.utc).isoformat(timespec="seconds"),
                 "simulated_time": bool(self._simulated_time),
@@ -147,7 +149,7 @@ class CollectorNode(ros.FvsNode):
             },
         )
         save_data_set(self._path, data)
-        print(f"{len(samples)} ball positions written to {self._path}", flush=True)
+        print(f"{len(samples)} positions written to {self._path}", flush=True)
         return True
 
     # --- status ---

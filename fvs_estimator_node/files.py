@@ -18,7 +18,9 @@ import numpy as np
 from fvs_estimator_node.rbf import RbfModel
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.chain import CHAIN_SHAPES, SerialChain
+from fvs_ros.feature import ServoedConfig
 from fvs_ros.timeline import Sample
+from fvs_ros.topics import BALL, POSE
 from fvs_ros.vectors import check_arrays
 
 _VERSION = 1
@@ -36,7 +38,8 @@ _MODEL: dict[str, tuple[int | str, ...]] = {
     "ball_samples_m": ("k", "m"),
 }
 _NETWORKS = ("centres", "widths", "weights")
-_CHAIN = {f"chain_{name}": name for name in CHAIN_SHAPES}
+_CHAIN = {f"chain_{name}": name for name in CHAIN_SHAPES if name != "feature_m"}
+_CHAIN["chain_ball_m"] = "feature_m"
 
 
 class FileError(ValueError):
@@ -63,6 +66,8 @@ class DataSet:
         Frame of the ball positions.
     provenance : dict
         Where it comes from; anything that JSON can hold.
+    feature, lever_arm_m : str and float
+        What was seen, and its lever arm, m, as in :class:`~fvs_ros.feature.ServoedConfig`.
 
     Raises
     ------
@@ -77,9 +82,13 @@ class DataSet:
     joint_names: tuple[str, ...] = ()
     feature_frame: str = CAMERA_FRAME
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    feature: str = BALL
+    lever_arm_m: float = ServoedConfig.lever_arm_m
 
     def __post_init__(self) -> None:
-        n = check_arrays(self, _DATA_SET, {})["n"]
+        lengths = check_arrays(self, _DATA_SET, {})
+        n = lengths["n"]
+        _check_feature(self, lengths["m"])
         names = tuple(self.joint_names) or tuple(f"joint_{i + 1}" for i in range(n))
         if len(names) != n:
             raise ValueError(f"{len(names)} joint names and {n} joints do not fit together")
@@ -131,6 +140,8 @@ class TrainedModel:
         Where it comes from; anything that JSON can hold.
     chain : SerialChain, optional
         The chain fitted to the same data, for the method ``poe``.
+    feature, lever_arm_m : str and float
+        As of the data set.
 
     Raises
     ------
@@ -147,6 +158,8 @@ class TrainedModel:
     errors: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     chain: SerialChain | None = None
+    feature: str = BALL
+    lever_arm_m: float = ServoedConfig.lever_arm_m
 
     def __post_init__(self) -> None:
         n, m = self.model.weights.shape[:2]
@@ -158,6 +171,7 @@ class TrainedModel:
                 "joints do not fit together"
             )
         check_arrays(self, _MODEL, {"n": n, "m": m})
+        _check_feature(self, m)
         for name in ("joint_box_rad", "ball_box_m"):
             low, high = getattr(self, name)
             if np.any(low > high):
@@ -170,6 +184,13 @@ class TrainedModel:
         if not isinstance(notes, (list, tuple)):
             return ()
         return tuple(" ".join(str(note).split())[:_LONGEST_NOTE] for note in notes[:_MOST_NOTES])
+
+
+def _check_feature(owner: DataSet | TrainedModel, size: int) -> None:
+    """A ``ValueError`` if a feature is not one, or has another number of components."""
+    expected = ServoedConfig(feature=owner.feature, lever_arm_m=owner.lever_arm_m).servoed.size
+    if owner.feature == POSE and size != expected:
+        raise ValueError(f"a pose has {expected} numbers, got {size}")
 
 
 def boxes_of(
@@ -204,7 +225,7 @@ def save_model(path: str | os.PathLike[str], trained: TrainedModel) -> None:
 def load_data_set(
     path: str | os.PathLike[str],
     joint_names: Sequence[str] | None = None,
-    feature_frame: str | None = None,
+    servoed: ServoedConfig | None = None,
 ) -> DataSet:
     """Read and check a data set.
 
@@ -214,8 +235,8 @@ def load_data_set(
         The file.
     joint_names : sequence of str, optional
         The joint order it must have; None takes any.
-    feature_frame : str, optional
-        The frame it must have; None takes any.
+    servoed : ServoedConfig, optional
+        The feature it must be of, and its frame; None takes any.
 
     Raises
     ------
@@ -230,20 +251,20 @@ def load_data_set(
             provenance=content.json("provenance"),
         )
 
-    return _read(path, "fvs_dataset", joint_names, feature_frame, build)
+    return _read(path, "fvs_dataset", joint_names, servoed, build)
 
 
 def load_model(
     path: str | os.PathLike[str],
     joint_names: Sequence[str] | None = None,
-    feature_frame: str | None = None,
+    servoed: ServoedConfig | None = None,
 ) -> TrainedModel:
     """Read and check a model; parameters and errors are those of :func:`load_data_set`."""
 
     def build(content: _Content) -> TrainedModel:
         chain = None
         if any(name in content for name in _CHAIN):
-            chain = SerialChain(*(content[name] for name in _CHAIN))
+            chain = SerialChain(**{name: content[stored] for stored, name in _CHAIN.items()})
         return TrainedModel(
             RbfModel(*(content[name] for name in _NETWORKS)),
             **{name: content[name] for name in _MODEL},
@@ -253,7 +274,7 @@ def load_model(
             chain=chain,
         )
 
-    return _read(path, "fvs_rbf_model", joint_names, feature_frame, build)
+    return _read(path, "fvs_rbf_model", joint_names, servoed, build)
 
 
 def _write(path: str | os.PathLike[str], kind: str, fields: Mapping[str, Any]) -> None:
@@ -282,13 +303,13 @@ def _read(
     path: str | os.PathLike[str],
     kind: str,
     joint_names: Sequence[str] | None,
-    feature_frame: str | None,
+    servoed: ServoedConfig | None,
     build: Callable[[_Content], _T],
 ) -> _T:
     """Check a file's kind, joints and frame, and build an object from its content."""
     try:
         content = _Content(_arrays(Path(path)))
-        content.check(kind, joint_names, feature_frame)
+        content.check(kind, joint_names, servoed)
         return build(content)
     except FileNotFoundError:
         words = "does not exist"
@@ -340,9 +361,9 @@ class _Content(dict[str, Any]):
         raise ValueError(f"lacks the field {name!r}; it holds {found}")
 
     def check(
-        self, kind: str, joint_names: Sequence[str] | None, feature_frame: str | None
+        self, kind: str, joint_names: Sequence[str] | None, servoed: ServoedConfig | None
     ) -> None:
-        """Check format, version, joints and frame; None takes any."""
+        """Check format, version, joints and feature; None takes any."""
         if self.text("format") != kind:
             raise ValueError(f"is of format {self.text('format')!r}, expected {kind!r}")
         version = self["version"].tolist()
@@ -353,9 +374,24 @@ class _Content(dict[str, Any]):
             raise ValueError(f"names the joints {list(names)}, expected different names")
         if joint_names is not None and names != tuple(joint_names):
             raise ValueError(f"joint order {list(names)}, expected {list(joint_names)}")
-        if feature_frame is not None and frame != feature_frame:
-            raise ValueError(f"ball positions in the frame {frame!r}, expected {feature_frame!r}")
-        self.common: dict[str, Any] = {"joint_names": names, "feature_frame": frame}
+        feature, lever_arm_m = BALL, ServoedConfig.lever_arm_m
+        if "feature" in self:  # else it is of a ball
+            feature, lever_arm_m = self.text("feature"), float(self["lever_arm_m"])
+        found = ServoedConfig(frame, feature, lever_arm_m)
+        if servoed is not None:
+            self._check_feature(found, servoed)
+        self.common: dict[str, Any] = {"joint_names": names, **vars(found)}
+
+    def _check_feature(self, found: ServoedConfig, expected: ServoedConfig) -> None:
+        frame = expected.feature_frame
+        if found.feature_frame != frame:
+            raise ValueError(f"positions in the frame {found.feature_frame!r}, expected {frame!r}")
+        if found.feature != expected.feature:
+            raise ValueError(f"made for feature {found.feature}, expected {expected.feature}")
+        if found.feature == POSE and found.lever_arm_m != expected.lever_arm_m:
+            raise ValueError(
+                f"made with lever_arm_m {found.lever_arm_m:g}, expected {expected.lever_arm_m:g}"
+            )
 
     def texts(self, name: str, dimensions: int = 1) -> tuple[str, ...]:
         """A list of texts, or a single one without dimensions."""

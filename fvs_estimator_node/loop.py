@@ -5,11 +5,13 @@ The node passes messages in and publishes the results; the laboratory uses the s
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from fvs_estimator_node.base import Estimator, MotionStep
+from fvs_estimator_node.base import Estimator, MotionStep, OracleEstimator
+from fvs_ros.feature import Feature
 from fvs_ros.timeline import Sample, Timeline
 from fvs_ros.tracker import Image, Tracker
 
@@ -95,20 +97,22 @@ class EstimationLoop:
     ----------
     estimator : Estimator
         Learns from the samples and estimates the Jacobian.
-    pairing : StepPairing, optional
-        Builds steps from the messages.
+    feature : Feature, optional
+        What is servoed; by default a ball.
 
     Attributes
     ----------
+    pairing : StepPairing
+        Builds steps from the messages.
     learns : bool
         Off, the estimator learns nothing.
     steps : int
         Number of steps learned from.
     """
 
-    def __init__(self, estimator: Estimator, pairing: StepPairing | None = None) -> None:
-        self.estimator = estimator
-        self.pairing = pairing if pairing is not None else StepPairing()
+    def __init__(self, estimator: Estimator, feature: Feature | None = None) -> None:
+        self.estimator, self.feature = estimator, feature or Feature()
+        self.pairing = StepPairing()
         self.learns = True
         self._tracker = Tracker()
         self._moved_m = np.zeros(0)  # of the ball by the joints, up to the last sample
@@ -116,6 +120,8 @@ class EstimationLoop:
 
     def _forget(self) -> None:
         self._last: Sample | None = None
+        self._seen_m: np.ndarray | None = None  # the feature in the newest image
+        self._true: np.ndarray | None = None  # Jacobian of the task, published for the oracle
         self.steps = 0
         self._accepted: list[Sample] = []  # and not learned from yet
 
@@ -136,10 +142,44 @@ class EstimationLoop:
         return self._learn(self.pairing.timeline.add_ball(stamp_s, ball_m))
 
     def add_sliding_variable(self, stamp_s: float, sliding_variable: np.ndarray) -> None:
-        """Take the controller's sliding variable, s and m, (m,)."""
+        """Take the controller's sliding variable, s and m, (d,)."""
         self.pairing.add_sliding_variable(stamp_s, sliding_variable)
 
     # --- outputs ---
+
+    @property
+    def problem(self) -> str:
+        """Why there is no estimate yet; empty if there is one."""
+        unseen = self.feature.curved and self._seen_m is None
+        return self.estimator.problem or (f"no {self.feature.seen.name} yet" if unseen else "")
+
+    def feature_at(self, joints_rad: np.ndarray) -> np.ndarray:
+        """Where the feature is at joints, rad, (n,), near those of the last image: m, (m,)."""
+        estimate_m = self._tracker.estimate_m
+        if self._last is None or estimate_m is None:
+            assert self._seen_m is not None
+            return self._seen_m
+        step = joints_rad - self._last.joints_rad
+        moved_m = self.estimator.jacobian(self._last.joints_rad + 0.5 * step) @ step
+        return self.feature.nearest(estimate_m + moved_m)
+
+    def set_true_jacobian(self, jacobian: np.ndarray) -> None:
+        """Take the task's true Jacobian at the newest joints, m/rad, (d, n), for the oracle."""
+        assert isinstance(self.estimator, OracleEstimator)
+        if not self.feature.curved:
+            self.estimator.set_true_jacobian(jacobian)
+        elif self._seen_m is not None:
+            self.estimator.set_true_jacobian(self.feature.from_task(self._seen_m, jacobian))
+            self._true = jacobian
+
+    def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
+        """Of the task at the newest joints, rad, (n,): m/rad, (d, n)."""
+        jacobian = self.estimator.jacobian(joints_rad)
+        if self._true is not None:
+            return self._true
+        if not self.feature.curved:
+            return jacobian
+        return self.feature.to_task(self.feature_at(joints_rad), jacobian)
 
     def status_values(self) -> dict[str, Any]:
         """Live key numbers of pairing and method."""
@@ -167,6 +207,9 @@ class EstimationLoop:
                 continue
             self.estimator.observe(sample.joints_rad, sample.ball_m, self._tracker.noise_m)
             if step is not None:
+                if self.feature.curved and isinstance(step.sliding_variable, np.ndarray):
+                    s = self.feature.from_task(sample.ball_m, step.sliding_variable)
+                    step = replace(step, sliding_variable=s)
                 self.estimator.update(step)
                 self.steps += 1
         return learns
@@ -174,6 +217,7 @@ class EstimationLoop:
     def _judge(self, sample: Sample) -> list[Sample]:
         """The samples that are now confirmed as inliers, oldest first."""
         last, self._last = self._last, sample
+        self._seen_m = sample.ball_m
         if self.estimator.problem:
             self._last = None  # no prediction to judge by
             return [sample]

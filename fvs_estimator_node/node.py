@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PointStamped, Vector3Stamped
+from geometry_msgs.msg import PointStamped, PoseStamped, Vector3Stamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
@@ -21,7 +21,6 @@ from fvs_estimator_node.files import load_model
 from fvs_estimator_node.loop import FRESH_S, EstimationLoop
 from fvs_estimator_node.registry import PARAMETERS, EstimatorConfig, create_estimator, needs_model
 from fvs_ros import ros, topics
-from fvs_ros.camera import BALL_FEATURES
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.paths import find_file
 from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
@@ -40,10 +39,12 @@ class EstimatorNode(ros.FvsNode):
         super().__init__("fvs_estimator_node", PARAMETERS, **place)
         v = self.values
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
+        self._feature = EstimatorConfig.from_values(v).servoed
         self._hears_truth = False
         self._frozen = False
         self._program_running, self._speed_scaling = True, 100.0
         self._joints_s = -np.inf
+        self._stamp_s: float | None = None  # of the newest joint state
         self._problem = ""
         self._problem_s = -np.inf
         self._published_stamp_s: float | None = None
@@ -51,8 +52,8 @@ class EstimatorNode(ros.FvsNode):
         self._jacobian = self.publisher(topics.JACOBIAN)
         self._chain = self.publisher(topics.KINEMATIC_CHAIN)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
-        self.subscribe(topics.BALL_POSITION, self._on_ball)
-        self.subscribe(topics.SLIDING_VARIABLE, self._on_sliding)
+        self.subscribe(self._feature.seen, self._on_feature)
+        self.subscribe(self._feature.sliding, self._on_sliding)
         self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -63,7 +64,7 @@ class EstimatorNode(ros.FvsNode):
     def _use(self, v: dict[str, Any]) -> None:
         """Start the method that the values name, from the trained model alone."""
         config = EstimatorConfig.from_values(v)
-        self._loop = EstimationLoop(self._make_estimator(config, v))
+        self._loop = EstimationLoop(self._make_estimator(config, v), self._feature)
         self._config = config
         if isinstance(self._loop.estimator, OracleEstimator) and not self._hears_truth:
             self._hears_truth = True
@@ -74,7 +75,7 @@ class EstimatorNode(ros.FvsNode):
         if values["method"] == self._config.method:
             return
         # The controller publishes the sliding variable only while it servoes, after every image.
-        if self.monitor(topics.SLIDING_VARIABLE.name).age_s(self.now_s()) < FRESH_S:
+        if self.monitor(self._feature.sliding.name).age_s(self.now_s()) < FRESH_S:
             raise ValueError(
                 "the method changes only while the controller does not servo; call its ~/stop first"
             )
@@ -82,12 +83,12 @@ class EstimatorNode(ros.FvsNode):
 
     def _make_estimator(self, config: EstimatorConfig, v: dict[str, Any]) -> Estimator:
         if not needs_model(config.method, v):
-            return create_estimator(config.method, None, v)
+            return create_estimator(config.method, None, v, features=self._feature.size)
         try:
             path = find_file(config.model_path)
         except FileNotFoundError as error:
             raise ValueError(f"model_path: {error}; train one with fvs_train") from error
-        trained = load_model(path, v["joint_names"], config.feature_frame)
+        trained = load_model(path, v["joint_names"], config)
         for note in trained.notes:
             self.tell(ros.WARN, f"{path.name}: {note}")
         return create_estimator(config.method, trained.model, v, trained.chain)
@@ -106,28 +107,32 @@ class EstimatorNode(ros.FvsNode):
             self._complain(str(error))
             return
         self._joints_s = self.now_s()
-        stamp_s = ros.from_stamp(message.header.stamp)
+        self._stamp_s = stamp_s = ros.from_stamp(message.header.stamp)
         self._learn(self._loop.add_joints, stamp_s, joints)
         self._publish_jacobian(stamp_s, joints)
 
-    def _on_ball(self, message: PointStamped) -> None:
+    def _on_feature(self, message: PointStamped | PoseStamped) -> None:
+        feature, frame = self._feature, self._config.feature_frame
         try:
-            ball_m = ros.from_point(message, self._config.feature_frame, topics.BALL_POSITION.name)
+            feature_m = ros.from_feature(message, feature, frame, feature.seen.name)
         except ros.MessageError as error:
             self._complain(str(error))
             return
-        self._learn(self._loop.add_ball, ros.from_stamp(message.header.stamp), ball_m)
+        self._learn(self._loop.add_ball, ros.from_stamp(message.header.stamp), feature_m)
 
-    def _on_sliding(self, message: Vector3Stamped) -> None:
-        vector = np.array([message.vector.x, message.vector.y, message.vector.z])
-        self._loop.add_sliding_variable(ros.from_stamp(message.header.stamp), vector)
+    def _on_sliding(self, message: Vector3Stamped | Float64MultiArray) -> None:
+        stamp_s = self._stamp_s  # a vector of a pose has none of its own
+        if isinstance(message, Vector3Stamped):
+            stamp_s = ros.from_stamp(message.header.stamp)
+        if stamp_s is not None:
+            self._loop.add_sliding_variable(stamp_s, ros.from_sliding(message, self._feature))
 
     def _on_truth(self, message: Float64MultiArray) -> None:
         if not isinstance(self._loop.estimator, OracleEstimator):
             return  # no longer
         try:
-            shape = BALL_FEATURES, len(self._joint_map.names)
-            self._loop.estimator.set_true_jacobian(ros.from_jacobian(message, *shape))
+            count = len(self._joint_map.names)
+            self._loop.set_true_jacobian(ros.from_jacobian(message, count, self._feature))
         except ros.MessageError as error:
             self._complain(f"{topics.TRUE_JACOBIAN.name}: {error}")
 
@@ -153,10 +158,10 @@ class EstimatorNode(ros.FvsNode):
     def _no_estimate(self) -> str:
         """Why there is no estimate, in words; empty if there is one."""
         if not isinstance(self._loop.estimator, OracleEstimator):
-            return self._loop.estimator.problem
+            return self._loop.problem
         if self.monitor(topics.TRUE_JACOBIAN.name).age_s(self.now_s()) > FRESH_S:
             self._loop.estimator.reset()  # the last true Jacobian is outdated
-        problem = self._loop.estimator.problem
+        problem = self._loop.problem
         return problem and f"waiting for {topics.TRUE_JACOBIAN.name}: {problem}"
 
     def _publish_jacobian(self, stamp_s: float, joints: np.ndarray) -> None:
@@ -165,12 +170,12 @@ class EstimatorNode(ros.FvsNode):
             return
         if self._no_estimate():
             return
-        jacobian = self._loop.estimator.jacobian(joints)
+        jacobian = self._loop.jacobian(joints)
         if not np.all(np.isfinite(jacobian)):
             self._complain("the estimate is not finite and was not published; call ~/reset")
             return
         self._published_stamp_s = stamp_s
-        self._jacobian.publish(ros.to_jacobian(jacobian))
+        self._jacobian.publish(ros.to_jacobian(jacobian, self._feature))
 
     def _publish_chain(self) -> None:
         """Publish the chain as the camera sees it now, if there is one."""
@@ -178,7 +183,7 @@ class EstimatorNode(ros.FvsNode):
         if chain is None:
             return
         try:
-            self._chain.publish(ros.to_chain(chain))
+            self._chain.publish(ros.to_chain(chain, self._feature))
         except ValueError as error:
             self._complain(f"the chain was not published: {error}; call ~/reset")
 
@@ -223,7 +228,7 @@ class EstimatorNode(ros.FvsNode):
         """Which input is late, in words; empty if none."""
         ages_s = {
             topics.JOINT_STATES.name: now_s - self._joints_s,
-            topics.BALL_POSITION.name: self.monitor(topics.BALL_POSITION.name).age_s(now_s),
+            self._feature.seen.name: self.monitor(self._feature.seen.name).age_s(now_s),
         }
         for topic, age_s in ages_s.items():
             if age_s > FRESH_S:
@@ -233,7 +238,7 @@ class EstimatorNode(ros.FvsNode):
 
     def _publish_status(self) -> None:
         self._publish_chain()  # a node that has just started learns of it soon
-        now_s = self.now_s()
+        now_s, seen = self.now_s(), self._feature.seen.name
         level, state, reason = self._state()
         self.publish_status(
             level,
@@ -242,7 +247,7 @@ class EstimatorNode(ros.FvsNode):
             {
                 "method": self._config.method,
                 "joint_states_age_s": now_s - self._joints_s,
-                "ball_position_age_s": self.monitor(topics.BALL_POSITION.name).age_s(now_s),
+                f"{seen}_age_s": self.monitor(seen).age_s(now_s),
                 **self._loop.status_values(),
             },
         )

@@ -14,7 +14,6 @@ import numpy as np
 
 from fvs_estimator_node.base import NETWORKS, Estimator, MotionStep
 from fvs_estimator_node.rbf import RbfModel
-from fvs_ros.camera import BALL_FEATURES
 from fvs_ros.params import Parameters, parameter
 
 FROM_MODEL, FROM_ZERO = "model", "zero"
@@ -110,7 +109,7 @@ class OnlineEstimator(Estimator):
 
     def _present(self, joints_rad: np.ndarray) -> np.ndarray:
         if self._jacobian is None:
-            start = np.zeros((BALL_FEATURES, len(joints_rad)))
+            start = np.zeros((self.features, len(joints_rad)))
             if self._model is not None:
                 start = self._model.jacobian(joints_rad)
             if self.config.initial == FROM_ZERO:

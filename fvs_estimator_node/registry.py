@@ -16,8 +16,8 @@ from fvs_estimator_node.online import (
     UkfEstimator,
 )
 from fvs_estimator_node.rbf import FrozenRbfEstimator, RbfEstimator, RbfModel
-from fvs_ros.camera import FeatureConfig
 from fvs_ros.chain import SerialChain
+from fvs_ros.feature import ServoedConfig
 from fvs_ros.joints import JOINT_PARAMETERS
 from fvs_ros.params import Parameter, parameter
 
@@ -35,7 +35,7 @@ ESTIMATORS: dict[str, type[Any]] = {
 
 
 @dataclass(frozen=True)
-class EstimatorConfig(FeatureConfig):
+class EstimatorConfig(ServoedConfig):
     """Parameters of the node; those of the methods are the estimators'."""
 
     method: str = parameter(
@@ -69,6 +69,7 @@ def create_estimator(
     model: RbfModel | None = None,
     values: Mapping[str, Any] | None = None,
     chain: SerialChain | None = None,
+    features: int = 3,
 ) -> Estimator:
     """Make an estimator.
 
@@ -82,6 +83,8 @@ def create_estimator(
         Parameter values by name; those of other methods are ignored.
     chain : SerialChain, optional
         The fitted chain, for methods that need it.
+    features : int
+        Length m of the feature, for methods that begin without a model.
 
     Raises
     ------
@@ -97,6 +100,7 @@ def create_estimator(
             f"{by} has written"
         )
     made: Estimator = kind(source, config)
+    made.features = features
     return made
 
 

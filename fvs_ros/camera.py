@@ -18,9 +18,6 @@ from fvs_ros.params import Parameters, parameter
 #: Frame of ball and target unless told otherwise: that of a RealSense's colour camera.
 CAMERA_FRAME = "camera_color_optical_frame"
 
-#: A ball is seen as x, y, z.
-BALL_FEATURES = 3
-
 
 @dataclass(frozen=True)
 class FeatureConfig(Parameters):

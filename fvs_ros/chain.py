@@ -1,19 +1,19 @@
-"""A serial chain of revolute and prismatic joints that carries the ball, seen from the camera.
+"""A serial chain of revolute and prismatic joints that carries a ball or tag, seen by the camera.
 
 Product of exponentials: with axis i a line through ``q_i`` along the unit vector ``w_i``,
 
     x(r) = E_1(r_1 - r0_1) E_2(r_2 - r0_2) ... E_n(r_n - r0_n) x0,
 
 where ``E_i(angle)`` turns space about axis i, or shifts it along axis i if joint i is prismatic and
-r_i a length. Axes and ball are those of the reference joints ``r0``, in the camera's frame: no
-other frame, and no length or angle of the robot, is needed. With ``T_i``, the derivative of ``E_i``
-at 0, column i of the Jacobian is the same product with ``T_i`` put in before ``E_i``.
+r_i a length. Axes and x0 are those of the reference joints ``r0``, in the camera's frame: no other
+frame, and no length or angle of the robot, is needed. With ``T_i``, the derivative of ``E_i`` at 0,
+column i of the Jacobian is the same product with ``T_i`` put in before ``E_i``. A tag's pose is a
+point and three directions (:mod:`fvs_ros.feature`); a direction is turned, but not shifted.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import reduce
 
 import numpy as np
 
@@ -33,7 +33,7 @@ _CROSS = np.array(
 CHAIN_SHAPES: dict[str, tuple[int | str, ...]] = {
     "axes": ("n", 3),
     "points_m": ("n", 3),
-    "ball_m": (3,),
+    "feature_m": ("m",),
     "reference_rad": ("n",),
     "prismatic": ("n",),
 }
@@ -46,7 +46,7 @@ def cross_matrix(vectors: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class SerialChain:
-    """The axes of n joints and a ball.
+    """The axes of n joints and what they carry.
 
     Parameters
     ----------
@@ -54,8 +54,8 @@ class SerialChain:
         Directions w of the axes at the reference joints, camera frame; normalised here.
     points_m : ndarray, shape (n, 3)
         A point q of each axis, camera frame, m.
-    ball_m : ndarray, shape (3,)
-        The ball x0 at the reference joints, camera frame, m.
+    feature_m : ndarray, shape (m,)
+        The feature x0 at the reference joints, camera frame, m: a point, then any directions.
     reference_rad : ndarray, shape (n,)
         The reference joints r0, rad, of prismatic ones m.
     prismatic : ndarray, shape (n,), optional
@@ -69,14 +69,15 @@ class SerialChain:
 
     axes: np.ndarray
     points_m: np.ndarray
-    ball_m: np.ndarray
+    feature_m: np.ndarray
     reference_rad: np.ndarray
     prismatic: np.ndarray = None  # type: ignore[assignment]
     #: T_i and T_i^2, with ``E_i(a) = 1 + sin(a) T_i + (1 - cos(a)) T_i^2``, or ``1 + a T_i`` of a
     #: prismatic joint, whose T_i^2 is zero; all transposed, for points in rows.
     _twists: np.ndarray = field(init=False, repr=False)
     _squares: np.ndarray = field(init=False, repr=False)
-    _ball: np.ndarray = field(init=False, repr=False)
+    #: Point and directions in homogeneous coordinates, (m / 3, 4).
+    _carried: np.ndarray = field(init=False, repr=False)
     _shifts: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -86,6 +87,8 @@ class SerialChain:
         for name in CHAIN_SHAPES:
             if not plausible(getattr(self, name)):
                 raise ValueError(f"{name} of a chain holds a number above {LARGEST:g} m")
+        if self.feature_m.size == 0 or self.feature_m.size % 3:
+            raise ValueError(f"a chain carries {self.feature_m.size} numbers, expected 3, 6, ...")
         lengths = np.linalg.norm(self.axes, axis=1, keepdims=True)
         if lengths.min() < 1e-6:
             raise ValueError("an axis of a chain has no direction")
@@ -98,7 +101,9 @@ class SerialChain:
         twists = np.ascontiguousarray(np.swapaxes(twists, 1, 2))
         self._keep("_twists", twists)
         self._keep("_squares", twists @ twists)
-        self._keep("_ball", np.append(self.ball_m, 1.0))
+        carried = np.insert(self.feature_m.reshape(-1, 3), 3, 0.0, axis=1)
+        carried[0, 3] = 1.0
+        self._keep("_carried", carried)
 
     def _keep(self, name: str, value: np.ndarray) -> None:
         value.setflags(write=False)
@@ -116,17 +121,15 @@ class SerialChain:
         return turns
 
     def position(self, joints_rad: np.ndarray) -> np.ndarray:
-        """The ball's position, camera frame, m, shape (..., 3), at joints, rad, shape (..., n)."""
+        """The feature, camera frame, m, shape (..., m), at joints, rad, shape (..., n)."""
         turns = self._turns(joints_rad)
-        if turns.ndim == 3:
-            return reduce(np.dot, turns[::-1], self._ball)[:3]
-        ball = self._ball[None, :]
+        carried = self._carried
         for i in reversed(range(len(self._twists))):
-            ball = ball @ turns[..., i, :, :]
-        return ball[..., 0, :3]
+            carried = carried @ turns[..., i, :, :]
+        return carried[..., :3].reshape(*carried.shape[:-2], -1)
 
     def position_and_jacobian(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The ball's position and its Jacobian.
+        """The feature and its Jacobian.
 
         Parameters
         ----------
@@ -135,34 +138,39 @@ class SerialChain:
 
         Returns
         -------
-        position_m : ndarray, shape (..., 3)
+        feature_m : ndarray, shape (..., m)
             m.
-        jacobian : ndarray, shape (..., 3, n)
+        jacobian : ndarray, shape (..., m, n)
             m/rad.
         """
         turns = self._turns(joints_rad)
-        # Rows: the columns of the Jacobian and, last, the ball, from the last joint to the first.
-        joints = len(self._twists)
-        parts = np.empty((*turns.shape[:-3], joints + 1, 4))
-        parts[..., joints, :] = self._ball
+        # Rows: the columns of the Jacobian and, last, the feature, from the last joint to the
+        # first; each is a point and directions.
+        joints, rows = len(self._twists), len(self._carried)
+        parts = np.empty((*turns.shape[:-3], (joints + 1) * rows, 4))
+        parts[..., -rows:, :] = self._carried
         if parts.ndim == 2:
             self._turn_one(parts, turns)
         else:
             for i in reversed(range(joints)):
-                parts[..., i + 1 :, :] = parts[..., i + 1 :, :] @ turns[..., i, :, :]
-                parts[..., i, :] = parts[..., joints, :] @ self._twists[i]
-        return parts[..., joints, :3], np.swapaxes(parts[..., :joints, :3], -1, -2)
+                first = (i + 1) * rows
+                parts[..., first:, :] = parts[..., first:, :] @ turns[..., i, :, :]
+                parts[..., first - rows : first, :] = parts[..., -rows:, :] @ self._twists[i]
+        parts = parts[..., :3].reshape(*parts.shape[:-2], joints + 1, 3 * rows)
+        return parts[..., joints, :], np.swapaxes(parts[..., :joints, :], -1, -2)
 
     def _turn_one(self, parts: np.ndarray, turns: np.ndarray) -> None:
         """The same for one joint vector, in half the time: fewer numpy calls."""
-        twists, ball = self._twists, parts[-1]
+        twists, rows = self._twists, len(self._carried)
+        carried = parts[-rows:]
         for i in reversed(range(len(twists))):
-            later = parts[i + 1 :]
+            first = (i + 1) * rows
+            later = parts[first:]
             later[:] = later.dot(turns[i])
-            ball.dot(twists[i], out=parts[i])
+            carried.dot(twists[i], out=parts[first - rows : first])
 
     def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
-        """The Jacobian, m/rad, shape (..., 3, n), at joints, rad, shape (..., n)."""
+        """The Jacobian, m/rad, shape (..., m, n), at joints, rad, shape (..., n)."""
         return self.position_and_jacobian(joints_rad)[1]
 
     def moved(self, rotation: np.ndarray, translation_m: np.ndarray) -> SerialChain:
@@ -175,10 +183,12 @@ class SerialChain:
         translation_m : ndarray, shape (3,)
             t, m.
         """
+        carried = self.feature_m.reshape(-1, 3) @ rotation.T
+        carried[0] += translation_m
         return SerialChain(
             self.axes @ rotation.T,
             self.points_m @ rotation.T + translation_m,
-            rotation @ self.ball_m + translation_m,
+            carried.ravel(),
             self.reference_rad,
             self.prismatic,
         )

@@ -135,8 +135,8 @@ def _taken(interface: str) -> End:
     return End((Qos.RELIABLE,), given={"command_interface": interface})
 
 
-def _seen(feature: str, **given: Any) -> End:
-    return End((Qos.RELIABLE,), given={"feature": feature, **given})
+def _servoed(feature: str, end: End = _RELIABLE, **given: Any) -> End:
+    return replace(end, given={"feature": feature, **given})
 
 
 _DRIVER = "the robot's driver"
@@ -158,8 +158,11 @@ BALL_POSITION = Topic(
     "geometry_msgs/msg/PointStamped",
     "The ball's centre, m, in the camera's optical frame, stamped with the exposure; "
     "silent while the ball is not seen.",
-    {SIM: _RELIABLE, DETECTOR: _seen(BALL)},
-    dict.fromkeys((ESTIMATOR, CONTROLLER, COLLECTOR, DASHBOARD, MARKERS_NODE), _NEWEST),
+    {SIM: _RELIABLE, DETECTOR: _servoed(BALL)},
+    {
+        **dict.fromkeys((ESTIMATOR, CONTROLLER, COLLECTOR), _servoed(BALL, _NEWEST)),
+        **dict.fromkeys((DASHBOARD, MARKERS_NODE), _NEWEST),
+    },
     also_from="your own detector",
 )
 TOOL_POSE = Topic(
@@ -167,14 +170,16 @@ TOOL_POSE = Topic(
     "geometry_msgs/msg/PoseStamped",
     "The tag's pose in the camera's optical frame, its x axis to the right, y up, z out of the "
     "print, stamped with the exposure; silent while it is not seen or not certain.",
-    {DETECTOR: _seen(POSE)},
-    also_to=_TOOLS,
+    {DETECTOR: _servoed(POSE)},
+    dict.fromkeys((ESTIMATOR, CONTROLLER, COLLECTOR), _servoed(POSE, _NEWEST)),
+    also_from="your own detector or tracker",
 )
 JACOBIAN = Topic(
     "jacobian",
     "std_msgs/msg/Float64MultiArray",
-    "Ball motion per joint motion at the newest joints, m/rad: 3 rows (feature), a column for each "
-    "joint, row by row, joints in kinematic order.",
+    "Motion per joint motion at the newest joints, a column for each joint, row by row, joints in "
+    "kinematic order: of the ball, 3 rows, m/rad; of a tag its origin, then 3 rows of its turning, "
+    "rad/rad, camera frame.",
     {ESTIMATOR: _RELIABLE},
     {SIM: _SIMULATED, CONTROLLER: _NEWEST},
 )
@@ -183,8 +188,8 @@ KINEMATIC_CHAIN = Topic(
     "std_msgs/msg/Float64MultiArray",
     "The arm as the camera sees it now, if `method` is `poe`, in the camera's optical frame: for "
     "each joint a row of 8, the direction of its axis, a point on it, m, the joint's reference "
-    "position, rad (m), and 1 if it is prismatic; last a row of the ball at the reference "
-    "positions, m, and zeros.",
+    "position, rad (m), and 1 if it is prismatic; last, at the reference positions, a row of the "
+    "ball, m, and zeros, or four of a tag's origin and its axes.",
     {ESTIMATOR: _RELIABLE},
     {CONTROLLER: _NEWEST},
 )
@@ -193,15 +198,29 @@ TARGET_POSITION = Topic(
     "geometry_msgs/msg/PointStamped",
     "The desired ball position, m, in the frame of `ball_position`; latched or not.",
     {DEMO: _LATCHED, DASHBOARD: _LATCHED},
-    {CONTROLLER: _EITHER},
+    {CONTROLLER: _servoed(BALL, _EITHER)},
+    also_from="you",
+)
+TARGET_POSE = Topic(
+    "target_pose",
+    "geometry_msgs/msg/PoseStamped",
+    "The desired pose of the tag, in the frame of `tool_pose`; latched or not.",
+    subscribers={CONTROLLER: _servoed(POSE, _EITHER)},
     also_from="you",
 )
 SLIDING_VARIABLE = Topic(
     "sliding_variable",
     "geometry_msgs/msg/Vector3Stamped",
     "The control law's sliding variable after each image, for the estimator's update law.",
-    {CONTROLLER: _RELIABLE},
-    {ESTIMATOR: _NEWEST},
+    {CONTROLLER: _servoed(BALL)},
+    {ESTIMATOR: _servoed(BALL, _NEWEST)},
+)
+SLIDING_VECTOR = Topic(
+    SLIDING_VARIABLE.name,
+    "std_msgs/msg/Float64MultiArray",
+    "The same of a pose: 3 components of its origin, 3 of its turning.",
+    {CONTROLLER: _servoed(POSE)},
+    {ESTIMATOR: _servoed(POSE, _NEWEST)},
 )
 COMMANDS, POSITION_COMMANDS = (
     Topic(
@@ -274,7 +293,7 @@ DEPTH_IMAGE = Topic(
     "Depth in the colour image's pixels, 16UC1 in mm (0 is unknown) or 32FC1 in m; "
     "drawn only while a node subscribes.",
     {SIM: _RELIABLE},
-    {DETECTOR: _seen(BALL, compressed_images=False)},
+    {DETECTOR: _servoed(BALL, compressed_images=False)},
     also_from=_CAMERA,
 )
 COLOR_IMAGE_COMPRESSED = Topic(
@@ -288,7 +307,7 @@ DEPTH_IMAGE_COMPRESSED = Topic(
     f"{DEPTH_IMAGE.name}/compressedDepth",
     "sensor_msgs/msg/CompressedImage",
     "The depth image as png.",
-    subscribers={DETECTOR: _seen(BALL, compressed_images=True)},
+    subscribers={DETECTOR: _servoed(BALL, compressed_images=True)},
     also_from=_CAMERA,
 )
 CAMERA_INFO = Topic(

@@ -19,6 +19,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from fvs_ros.camera import CameraModel, Intrinsics, camera_model
 from fvs_ros.chain import SerialChain
+from fvs_ros.feature import Feature, PoseFeature, from_quaternion, to_quaternion
 from fvs_ros.vectors import length, plausible
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -27,6 +28,7 @@ _LAST_ZEROS, _LAST_ZEROS_PERIOD_S, _LAST_ZEROS_ACK_S = 5, 0.01, 0.5
 _QUATERNION_SLACK = 0.01
 #: Of a chain's message: axis, point and reference of a joint, and whether it is prismatic.
 _CHAIN_COLUMNS = 8
+_BALL = Feature()
 #: Longest text that is logged, published or taken for a frame, characters.
 MOST_TEXT = 1000
 
@@ -78,15 +80,19 @@ def from_point(message: PointStamped, frame: str, topic: str) -> np.ndarray:
 
     A ``MessageError`` names the topic if it is in another frame than this, or no position.
     """
+    _check_frame(message, frame, topic)
+    position = np.array([message.point.x, message.point.y, message.point.z], dtype=float)
+    if not plausible(position):
+        raise MessageError(f"{topic} is not finite, or too far: {position.tolist()}")
+    return position
+
+
+def _check_frame(message: Any, frame: str, topic: str) -> None:
     if message.header.frame_id != frame:
         raise MessageError(
             f"{topic} is in frame '{message.header.frame_id}', expected '{frame}' "
             "(parameter feature_frame)"
         )
-    position = np.array([message.point.x, message.point.y, message.point.z], dtype=float)
-    if not plausible(position):
-        raise MessageError(f"{topic} is not finite, or too far: {position.tolist()}")
-    return position
 
 
 def to_pose(
@@ -102,17 +108,55 @@ def to_pose(
 def from_pose(message: PoseStamped, topic: str) -> tuple[np.ndarray, np.ndarray]:
     """Position, m, shape (3,), and unit quaternion x, y, z, w, shape (4,), of a ``PoseStamped``.
 
-    A ``MessageError`` if it is not finite, or its quaternion is far from a unit one.
+    A ``MessageError`` if it is not finite, too far, or its quaternion is far from a unit one.
     """
     at, turn = message.pose.position, message.pose.orientation
     position = np.array([at.x, at.y, at.z])
     quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
     size = length(quaternion)
-    if not (np.all(np.isfinite(position)) and abs(size - 1.0) < _QUATERNION_SLACK):
+    if not (plausible(position) and abs(size - 1.0) < _QUATERNION_SLACK):
         raise MessageError(
             f"{topic} is no pose: position {position.tolist()}, quaternion {quaternion.tolist()}"
         )
     return position, quaternion / size
+
+
+def to_feature(
+    stamp_s: float, frame: str, feature: Feature, feature_m: np.ndarray
+) -> PointStamped | PoseStamped:
+    """Message of a ball's position or a pose, m, (m,)."""
+    if not isinstance(feature, PoseFeature):
+        return to_point(stamp_s, frame, feature_m)
+    return to_pose(stamp_s, frame, feature_m[:3], to_quaternion(feature.rotation(feature_m)))
+
+
+def from_feature(
+    message: PointStamped | PoseStamped, feature: Feature, frame: str, topic: str
+) -> np.ndarray:
+    """Ball's position or pose of a message, m, (m,); a ``MessageError`` if it is not usable."""
+    if not isinstance(feature, PoseFeature):
+        return from_point(message, frame, topic)
+    _check_frame(message, frame, topic)
+    position, quaternion = from_pose(message, topic)
+    return feature.of(position, from_quaternion(quaternion))
+
+
+def to_sliding(
+    stamp_s: float, frame: str, feature: Feature, sliding_variable: np.ndarray
+) -> Vector3Stamped | Float64MultiArray:
+    """Message of a sliding variable, (d,)."""
+    if isinstance(feature, PoseFeature):
+        return Float64MultiArray(data=(sliding_variable / feature.task_scale).tolist())
+    return to_vector(stamp_s, frame, sliding_variable)
+
+
+def from_sliding(message: Vector3Stamped | Float64MultiArray, feature: Feature) -> np.ndarray:
+    """Sliding variable of a message, (d,); NaN if it has another number of components."""
+    if isinstance(message, Vector3Stamped):
+        return np.array([message.vector.x, message.vector.y, message.vector.z])
+    if len(message.data) != len(feature.axes):
+        return np.full(len(feature.axes), np.nan)
+    return np.array(message.data) * feature.task_scale
 
 
 def to_vector(stamp_s: float, frame: str, vector: np.ndarray) -> Vector3Stamped:
@@ -148,34 +192,38 @@ def _from_matrix(message: Float64MultiArray, name: str, rows: int, columns: int)
     return matrix
 
 
-def to_jacobian(jacobian: np.ndarray) -> Float64MultiArray:
-    """``Float64MultiArray`` of a Jacobian, m/rad, shape (m, n), row-major."""
-    return _to_matrix(jacobian, "feature", "joint")
+def to_jacobian(jacobian: np.ndarray, feature: Feature = _BALL) -> Float64MultiArray:
+    """``Float64MultiArray`` of a task's Jacobian, m/rad, shape (d, n), row-major."""
+    return _to_matrix(jacobian / feature.task_scale[:, None], "feature", "joint")
 
 
-def from_jacobian(message: Float64MultiArray, features: int, joints: int) -> np.ndarray:
-    """Jacobian of a message, m/rad, shape (features, joints); a ``MessageError`` if it is none."""
-    return _from_matrix(message, "jacobian", features, joints)
+def from_jacobian(message: Float64MultiArray, joints: int, feature: Feature = _BALL) -> np.ndarray:
+    """Task's Jacobian of a message, m/rad, shape (d, joints); a ``MessageError`` if it is none."""
+    jacobian = _from_matrix(message, "jacobian", len(feature.axes), joints)
+    return jacobian * feature.task_scale[:, None]
 
 
-def to_chain(chain: SerialChain) -> Float64MultiArray:
-    """``Float64MultiArray`` of a chain of n joints, shape (n + 1, 8), row-major.
+def to_chain(chain: SerialChain, feature: Feature = _BALL) -> Float64MultiArray:
+    """``Float64MultiArray`` of a chain of n joints, shape (n + m / 3, 8), row-major.
 
     A row for each joint: the direction of its axis, a point on it, m, the joint's reference
-    position, rad (m), and 1 if it is prismatic. The last row is the ball, m, and zeros.
+    position, rad (m), and 1 if it is prismatic. Then the rows of the feature, and zeros.
     """
-    rows = np.zeros((len(chain.axes) + 1, _CHAIN_COLUMNS))
+    joints, carried = len(chain.axes), feature.size // 3
+    rows = np.zeros((joints + carried, _CHAIN_COLUMNS))
     joint = np.column_stack([chain.reference_rad, chain.prismatic])
-    rows[:-1] = np.hstack([chain.axes, chain.points_m, joint])
-    rows[-1, :3] = chain.ball_m
+    rows[:joints] = np.hstack([chain.axes, chain.points_m, joint])
+    rows[joints:, :3] = (chain.feature_m / feature.scale).reshape(carried, 3)
     return _to_matrix(rows, "joint", "axis_point_reference")
 
 
-def from_chain(message: Float64MultiArray, joints: int) -> SerialChain:
+def from_chain(message: Float64MultiArray, joints: int, feature: Feature = _BALL) -> SerialChain:
     """Chain of a message as :func:`to_chain` makes it; a ``MessageError`` if it is none."""
-    rows = _from_matrix(message, "kinematic_chain", joints + 1, _CHAIN_COLUMNS)
+    rows = joints + feature.size // 3
+    matrix = _from_matrix(message, "kinematic_chain", rows, _CHAIN_COLUMNS)
+    joint, carried = matrix[:joints], feature.nearest(matrix[joints:, :3].ravel() * feature.scale)
     try:
-        return SerialChain(rows[:-1, :3], rows[:-1, 3:6], rows[-1, :3], *rows[:-1, 6:].T)
+        return SerialChain(joint[:, :3], joint[:, 3:6], carried, *joint[:, 6:].T)
     except ValueError as error:
         raise MessageError(f"kinematic_chain is no chain: {error}") from error
 

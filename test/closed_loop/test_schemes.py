@@ -146,7 +146,7 @@ def turned(chain):
 
 
 def reversed_axes(chain):
-    return SerialChain(-chain.axes, chain.points_m, chain.ball_m, chain.reference_rad)
+    return SerialChain(-chain.axes, chain.points_m, chain.feature_m, chain.reference_rad)
 
 
 @pytest.mark.parametrize("wrong", [turned, reversed_axes])

@@ -64,7 +64,7 @@ POSE = st.builds(
 
 def chain_arrays(message):
     chain = ros.from_chain(message, 6)
-    return chain.axes, chain.points_m, chain.ball_m, chain.reference_rad
+    return chain.axes, chain.points_m, chain.feature_m, chain.reference_rad
 
 
 #: What is drawn, what reads it, and the shapes of what it then holds.
@@ -80,7 +80,7 @@ READERS = {
         [(3,)],
     ),
     "pose": (POSE, lambda m: ros.from_pose(m, "tool_pose"), [(3,), (4,)]),
-    "jacobian": (MATRIX, lambda m: [ros.from_jacobian(m, 3, 6)], [(3, 6)]),
+    "jacobian": (MATRIX, lambda m: [ros.from_jacobian(m, 6)], [(3, 6)]),
     "chain": (MATRIX, chain_arrays, [(6, 3), (6, 3), (3,), (6,)]),
 }
 
@@ -127,7 +127,7 @@ def test_a_camera_info_is_a_camera_or_refused_in_words(message):
     velocity=arrays.arrays(np.float64, 6, elements=st.floats(-1e308, 1e308)),
 )
 def test_what_is_written_is_read_as_it_was(jacobian, point, sec, velocity):
-    np.testing.assert_array_equal(ros.from_jacobian(ros.to_jacobian(jacobian), 3, 6), jacobian)
+    np.testing.assert_array_equal(ros.from_jacobian(ros.to_jacobian(jacobian), 6), jacobian)
     assert ros.to_command(velocity).data.tolist() == velocity.tolist()
     message = ros.to_point(float(sec), "frame", np.array(point))
     np.testing.assert_array_equal([message.point.x, message.point.y, message.point.z], point)

@@ -47,7 +47,7 @@ class Watched:
         """One from now on."""
         count = len(self.jacobians)
         self.wait(lambda: len(self.jacobians) > count + 2, "a Jacobian")
-        return ros.from_jacobian(self.jacobians[-1], 3, 6)
+        return ros.from_jacobian(self.jacobians[-1], 6)
 
     def choose(self, method):
         return self.harness.set_parameters(NAME, method=method)[0]

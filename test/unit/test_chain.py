@@ -8,9 +8,10 @@ from recordings import random_rotation, ur5_chain
 from fvs_ros.chain import CHAIN_SHAPES, SerialChain
 
 
-def random_chain(seed=0, joints=6):
+def random_chain(seed=0, joints=6, features=3):
     rng = np.random.default_rng(seed)
-    shapes = ([joints if side == "n" else side for side in one] for one in CHAIN_SHAPES.values())
+    lengths = {"n": joints, "m": features}
+    shapes = ([lengths.get(side, side) for side in one] for one in CHAIN_SHAPES.values())
     *numbers, prismatic = (rng.normal(size=shape) for shape in shapes)
     return SerialChain(*numbers, prismatic > 0.5)
 
@@ -19,9 +20,10 @@ def fields(chain):
     return {name: np.array(getattr(chain, name)) for name in CHAIN_SHAPES}
 
 
+@pytest.mark.parametrize("features", [3, 12])
 @pytest.mark.parametrize("count", [1, 4, 6, 7])
-def test_the_jacobian_is_the_derivative_of_the_position(count):
-    chain = random_chain(count, count)
+def test_the_jacobian_is_the_derivative_of_the_position(count, features):
+    chain = random_chain(count, count, features)
     joints = np.random.default_rng(count).uniform(-3.0, 3.0, (20, count))
     step = 1e-6
     columns = [
@@ -29,6 +31,23 @@ def test_the_jacobian_is_the_derivative_of_the_position(count):
         for unit in np.eye(count)
     ]
     np.testing.assert_allclose(chain.jacobian(joints), np.stack(columns, axis=-1), atol=1e-8)
+    position, jacobian = chain.position_and_jacobian(joints[0])
+    np.testing.assert_allclose(position, chain.position(joints)[0], atol=1e-12)
+    np.testing.assert_allclose(jacobian, chain.jacobian(joints)[0], atol=1e-12)
+
+
+def test_directions_are_turned_but_not_shifted():
+    chain = random_chain(features=12)
+    position, jacobian = chain.position_and_jacobian(np.ones(6))
+    for number in range(1, 4):
+        end = chain.feature_m[:3] + chain.feature_m[3 * number : 3 * number + 3]
+        arrow = SerialChain(
+            chain.axes, chain.points_m, end, chain.reference_rad, chain.prismatic
+        ).position(np.ones(6))
+        np.testing.assert_allclose(
+            arrow - position[:3], position[3 * number : 3 * number + 3], atol=1e-9
+        )
+    assert not jacobian[3:, chain.prismatic > 0.0].any()
 
 
 def test_it_is_the_arm_of_the_dh_table():
@@ -41,15 +60,15 @@ def test_it_is_the_arm_of_the_dh_table():
 
 
 def test_a_moved_camera_sees_the_same_arm_elsewhere():
-    chain, rng = random_chain(), np.random.default_rng(2)
+    chain, rng = random_chain(features=6), np.random.default_rng(2)
     rotation, translation = random_rotation(rng), rng.normal(size=3)
     joints = rng.normal(size=(10, 6))
     position, jacobian = chain.position_and_jacobian(joints)
     moved = chain.moved(rotation, translation)
-    np.testing.assert_allclose(
-        moved.position(joints), position @ rotation.T + translation, atol=1e-12
-    )
-    np.testing.assert_allclose(moved.jacobian(joints), rotation @ jacobian, atol=1e-12)
+    seen = position.reshape(10, 2, 3) @ rotation.T + [translation, np.zeros(3)]
+    np.testing.assert_allclose(moved.position(joints), seen.reshape(10, 6), atol=1e-12)
+    columns = rotation @ jacobian.reshape(10, 2, 3, 6)
+    np.testing.assert_allclose(moved.jacobian(joints), columns.reshape(10, 6, 6), atol=1e-12)
 
 
 @pytest.mark.parametrize("name", CHAIN_SHAPES)
@@ -60,5 +79,5 @@ def test_a_number_that_is_not_finite_or_beyond_reason_is_refused(name):
         with pytest.raises(ValueError, match=f"{name}.*(not finite|number above)"):
             SerialChain(**values)
     values[name] = values[name][:-1]
-    with pytest.raises(ValueError, match="has shape"):
+    with pytest.raises(ValueError, match=r"has shape|carries 2 numbers"):
         SerialChain(**values)

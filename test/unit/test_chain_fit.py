@@ -114,7 +114,7 @@ def test_a_wrong_optimum_that_fits_nearly_as_well_is_left():
 
     front = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
     arm = ur5_chain(rotation=front, origin_m=np.array([1.6, 0.0, 0.4]))
-    aside = arm.ball_m - 0.04 * arm.axes[5] - 0.03 * arm.axes[4]
+    aside = arm.feature_m - 0.04 * arm.axes[5] - 0.03 * arm.axes[4]
     chain = SerialChain(arm.axes, arm.points_m, aside, arm.reference_rad)
     stamps = np.arange(1800) / 30.0
     ball = chain.position(joints(stamps - 0.075))

@@ -151,7 +151,7 @@ def test_a_run_moves_records_and_comes_home():
     ("what", "state", "words"),
     [
         ("joints_come", State.HOLDING, "joint_states"),
-        ("ball_seen", State.RETURNING, "the ball is not in view"),
+        ("ball_seen", State.RETURNING, "no ball_position"),
     ],
 )
 def test_lost_input_stops_or_turns_the_arm_until_it_is_back_or_ends_the_run(what, state, words):

@@ -18,6 +18,7 @@ from fvs_estimator_node.files import (
 )
 from fvs_estimator_node.rbf import RbfModel
 from fvs_ros.chain import CHAIN_SHAPES
+from fvs_ros.feature import ServoedConfig
 from fvs_ros.joints import UR_JOINT_NAMES
 
 
@@ -91,7 +92,7 @@ def test_a_data_set_comes_back_as_it_was(tmp_path):
 def test_a_model_comes_back_as_it_was(tmp_path, has_chain):
     trained = some_model() if has_chain else replace(some_model(), chain=None)
     save_model(tmp_path / "m.npz", trained)
-    back = load_model(tmp_path / "m.npz", feature_frame="camera_color_optical_frame")
+    back = load_model(tmp_path / "m.npz", servoed=ServoedConfig())
     for name in ("centres", "widths", "weights"):
         np.testing.assert_array_equal(getattr(back.model, name), getattr(trained.model, name))
     for name in ("joint_box_rad", "ball_box_m", "ball_samples_m"):
@@ -159,7 +160,7 @@ def test_pickles_are_not_opened(kind, written, tmp_path):
 
 def test_another_joint_order_and_another_frame(kind, written):
     refused(kind, written, "joint order", joint_names=tuple(sorted(UR_JOINT_NAMES)))
-    refused(kind, written, "expected 'base'", feature_frame="base")
+    refused(kind, written, "expected 'base'", servoed=ServoedConfig("base"))
 
 
 def test_writing_is_all_or_nothing(kind, written, monkeypatch):
