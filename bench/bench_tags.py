@@ -36,7 +36,7 @@ def bound_deg(rotation, position_m):
 
 
 def drawn(rng):
-    reader, finder = TagReader(Tag()), PoseFinder(SIZE_M)
+    reader, finder = TagReader(Tag(tag_size_m=SIZE_M)), PoseFinder(SIZE_M)
     off_px, errors, spent_ms, unread, unsure, wrong = [], [], [], 0, 0, 0
     for k in range(IMAGES):
         pose = random_pose(rng, 1.2)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from math import log
 
 import cv2
 import numpy as np
@@ -32,6 +33,8 @@ _SAMPLES, _ROUNDS = 48, 3
 #: Noise of a corner's coordinate, px: at least, as rendered images have it, and the first guess;
 #: images that it is learned from, and how many of them the guess counts for.
 _LEAST_PX, _GUESS_PX, _IMAGES, _GUESSES = 0.03, 0.15, 64, 8
+#: A view is another one if a corner has moved by this, px.
+_ANOTHER_PX = 1.0
 #: A pose is certain if the squared residual of the other, in variances of the noise, is larger by
 #: this: the noise would have to be off by five standard deviations.
 _CERTAIN = 25.0
@@ -51,7 +54,7 @@ class Tag(Parameters):
     )
     tag_id: int = parameter(0, "number of the tag", 0, 2**16 - 1)
     tag_size_m: float = parameter(
-        0.06, "side of the tag's black square; measure it: the distance scales with it", 0.005, 1.0
+        0.1, "side of the tag's black square; measure it: the distance scales with it", 0.005, 1.0
     )
 
 
@@ -157,7 +160,8 @@ class PoseFinder:
         half = 0.5 * size_m
         self._square = half * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]], float)
         self._last: tuple[float, np.ndarray] | None = None
-        self._squares_px2 = deque([2.0 * _GUESS_PX**2] * _GUESSES, maxlen=_IMAGES)
+        self._squares_px2 = deque([2.0 * log(2.0) * _GUESS_PX**2] * _GUESSES, maxlen=_IMAGES)
+        self._learned_at_px = np.full((4, 2), np.inf)
 
     def reset(self) -> None:
         """Forget the last pose."""
@@ -165,8 +169,11 @@ class PoseFinder:
 
     @property
     def noise_px(self) -> float:
-        """Noise of a corner's coordinate, px: eight of them less six unknowns leave two to know."""
-        return max(_LEAST_PX, float(0.5 * np.mean(self._squares_px2)) ** 0.5)
+        """Noise of a corner's coordinate, px: eight of them less six unknowns leave two to know.
+
+        By the median, 2 ln 2 variances, which views with a hidden corner hardly change.
+        """
+        return max(_LEAST_PX, float(np.median(self._squares_px2) / (2.0 * log(2.0))) ** 0.5)
 
     def find(
         self, stamp_s: float, corners_px: np.ndarray, camera: Intrinsics
@@ -185,9 +192,11 @@ class PoseFinder:
         ]
         poses.sort(key=lambda one: one.residual_px)
         least_px2 = 8.0 * poses[0].residual_px ** 2 if poses else np.inf
-        most_px2 = 2.0 * _CERTAIN * self.noise_px**2
-        self._squares_px2.append(min(least_px2, most_px2))
-        if least_px2 > most_px2:
+        # The same view again would tell the same error again, not the noise.
+        if np.abs(corners_px - self._learned_at_px).max() > _ANOTHER_PX:
+            self._squares_px2.append(least_px2)
+            self._learned_at_px = corners_px
+        if least_px2 > 2.0 * _CERTAIN * self.noise_px**2:
             return None, "the corners of the tag are those of no square: is it bent, or covered?"
         pose = self._choice(stamp_s, *poses[:2])
         if pose is None:

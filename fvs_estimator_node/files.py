@@ -18,11 +18,13 @@ import numpy as np
 from fvs_estimator_node.rbf import RbfModel
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.chain import CHAIN_SHAPES, SerialChain
-from fvs_ros.feature import ServoedConfig
+from fvs_ros.feature import Feature, ServoedConfig
 from fvs_ros.timeline import Sample
 from fvs_ros.topics import BALL, POSE
 from fvs_ros.vectors import check_arrays
 
+#: The models that come with the package, of the simulated UR5.
+MODELS = {BALL: "models/ur5_front.npz", POSE: "models/ur5_front_pose.npz"}
 _VERSION = 1
 #: Two hours at 200 Hz stay below this; a larger file is refused.
 _MAX_BYTES = 2**28
@@ -103,6 +105,11 @@ class DataSet:
 
     def __len__(self) -> int:
         return len(self.stamps_s)
+
+    @property
+    def servoed(self) -> Feature:
+        """The feature."""
+        return ServoedConfig(self.feature_frame, self.feature, self.lever_arm_m).servoed
 
     def runs(self) -> list[slice]:
         """The continuous runs, one after the other."""

@@ -17,7 +17,7 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from fvs_estimator_node.base import Estimator, OracleEstimator
-from fvs_estimator_node.files import load_model
+from fvs_estimator_node.files import MODELS, load_model
 from fvs_estimator_node.loop import FRESH_S, EstimationLoop
 from fvs_estimator_node.registry import PARAMETERS, EstimatorConfig, create_estimator, needs_model
 from fvs_ros import ros, topics
@@ -85,7 +85,7 @@ class EstimatorNode(ros.FvsNode):
         if not needs_model(config.method, v):
             return create_estimator(config.method, None, v, features=self._feature.size)
         try:
-            path = find_file(config.model_path)
+            path = find_file(config.model_path or MODELS[config.feature])
         except FileNotFoundError as error:
             raise ValueError(f"model_path: {error}; train one with fvs_train") from error
         trained = load_model(path, v["joint_names"], config)

@@ -45,8 +45,9 @@ class EstimatorConfig(ServoedConfig):
         live=True,
     )
     model_path: str = parameter(
-        "models/ur5_front.npz",
-        "file that fvs_train has written: a path, or a name within the project's config folder",
+        "",
+        "file that fvs_train has written: a path, or a name within the project's config folder; "
+        "empty: that of the simulated UR5",
     )
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -120,6 +120,8 @@ def train(
         **boxes,
         joint_names=data.joint_names,
         feature_frame=data.feature_frame,
+        feature=data.feature,
+        lever_arm_m=data.lever_arm_m,
         errors=errors,
         provenance={**came_from, "data": dict(data.provenance), "notes": notes},
         chain=fit.chain if fit is not None and not why else None,
@@ -131,7 +133,9 @@ def _fitted(
 ) -> tuple[ChainFit | None, str]:
     """The chain's fit, or why there is none; a ``ValueError`` if one is needed."""
     try:
-        return fit_chain(data, say), ""
+        fit = fit_chain(data, say)
+        carried = data.servoed.nearest(fit.chain.feature_m)  # it was fitted number by number
+        return replace(fit, chain=replace(fit.chain, feature_m=carried)), ""
     except ValueError as error:  # also of numpy's linear algebra
         if needed:
             raise

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from math import ceil
 
+from fvs_detector_node.tags import Tag
+from fvs_ros import topics
 from fvs_ros.camera import FeatureConfig, Intrinsics
 from fvs_ros.interface import CommandInterface
 from fvs_ros.params import live_parameter, parameter
@@ -47,7 +49,11 @@ class SimConfig(CommandInterface):
         -6.3,
         6.3,
     )
+    feature: str = parameter(
+        topics.BALL, "what the arm carries: a ball, or a tag (pose)", choices=topics.FEATURES
+    )
     ball_radius_m: float = parameter(0.04, "radius of the ball", 0.01, 0.2)
+    tag: Tag = field(default_factory=Tag)
     joint_state_rate_hz: float = parameter(
         125.0, "joint states per second (500 on an e-series)", 10.0, 1000.0
     )
@@ -68,7 +74,8 @@ class SimConfig(CommandInterface):
     )
     position_noise_m: float = parameter(
         0.0,
-        "further white noise on each coordinate of a ball position (standard deviation), m",
+        "further white noise on each coordinate of a position (standard deviation), m; on a pose's "
+        "turning as much at 0.3 m",
         0.0,
         0.1,
     )
@@ -84,8 +91,10 @@ class SimConfig(CommandInterface):
         size=3,
     )
     speed_scaling_percent: float = live_parameter(100.0, "the driver's speed slider", 0.0, 100.0)
-    #: Ball centre beyond the flange.
+    #: Centre of ball or tag beyond the flange.
     ball_offset_m: float = 0.09
+    #: Exposure of an image, in which a tag is blurred by its motion.
+    exposure_s: float = 0.005
     #: A whole multiple of ``joint_state_rate_hz``; 0 takes the least one from 500 on.
     physics_rate_hz: float = 0.0
     #: Camera pose in place of a named one.

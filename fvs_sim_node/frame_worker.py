@@ -85,7 +85,7 @@ def _work(pipe: Connection, memory: tuple[Any, Any], config: SimConfig) -> None:
             seen, depth_noise = pipe.recv()
             world.reset(seen.joints_rad)
             world.place_ball()
-            frame = photograph(seen, renderer, rng, depth_noise)
+            frame = photograph(seen, world, renderer, rng, depth_noise)
             rgb[:], depth_m[:] = frame.rgb, frame.depth_m
             pipe.send(frame.stamp_s)
     world.close()

@@ -1,4 +1,4 @@
-"""The simulated robot and camera in lock step: commands in, joint states and ball positions out.
+"""The simulated robot and camera in lock step: commands in, joint states and detections out.
 
 It uses no clock and no ROS: time passes only in :meth:`Simulation.advance`. The same configuration,
 seed and commands give bit-identical results.
@@ -15,14 +15,20 @@ import numpy as np
 
 from fvs_detector_node.detection import BallColour, BallDetection, detect_ball
 from fvs_detector_node.images import Region
+from fvs_detector_node.tags import PoseFinder, TagPose, TagReader
 from fvs_detector_node.tracking import WindowTracker
 from fvs_ros.camera import Intrinsics
+from fvs_ros.chain import SerialChain
+from fvs_ros.feature import PoseFeature
 from fvs_ros.interface import VELOCITY
 from fvs_sim_node.actuator import Actuator
 from fvs_sim_node.camera import CameraPose, Frame, add_depth_noise
 from fvs_sim_node.config import SimConfig
+from fvs_sim_node.tag import TagPicture
 from fvs_sim_node.world import Renderer, World
 
+#: Noise of a tag's turning is that of its position at this radius, m.
+_NOISE_ARM_M = 0.3
 #: A position drive closes what is missing at this gain, 1/s, and refuses a position that is further
 #: away than a joint moves in this time, s.
 _SEEK_GAIN, _MOST_AWAY_S = 10.0, 0.5
@@ -33,9 +39,10 @@ class BallObservation:
     """The result of one image; its true values are for evaluation only."""
 
     stamp_s: float  # exposure
-    detection: BallDetection | None  # None if no ball was seen
-    true_position_m: np.ndarray  # of the ball, camera frame, (3,)
+    detection: BallDetection | TagPose | None  # None if nothing was seen
+    true_position_m: np.ndarray  # of ball or tag, camera frame, (3,)
     joints_rad: np.ndarray  # at the exposure, (n,)
+    velocities_rad_s: np.ndarray  # of the joints then, (n,)
     camera: CameraPose
     covered: bool = False  # whether the lens was
     frame: Frame | None = None  # the image, if full frames are wanted
@@ -52,7 +59,11 @@ class SimStep:
 
 
 def photograph(
-    seen: BallObservation, renderer: Renderer, rng: np.random.Generator, depth_noise: float
+    seen: BallObservation,
+    world: World,
+    renderer: Renderer,
+    rng: np.random.Generator,
+    depth_noise: float,
 ) -> Frame:
     """Draw the full image of an exposure; the world must still be in the state of that time."""
     camera = renderer.intrinsics
@@ -60,6 +71,7 @@ def photograph(
         shape = (camera.height, camera.width)
         return Frame(seen.stamp_s, np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.float32))
     rgb, depth_m = renderer.render(seen.camera)
+    world.paint_tag(rgb, depth_m, camera, seen.camera, seen.velocities_rad_s, rng)
     return Frame(seen.stamp_s, rgb, add_depth_noise(depth_m, camera.fx, rng, depth_noise))
 
 
@@ -166,6 +178,7 @@ class Simulation:
         self._sought: np.ndarray | None = None
         self._pending: deque[tuple[float, BallObservation]] = deque()
         self._tracker = WindowTracker(self._reported_intrinsics, config.ball_radius_m)
+        self._reader, self._poses = TagReader(config.tag), PoseFinder(config.tag.tag_size_m)
         self._actuator.reset()
         self.world.reset(joints)
         self._joints, self._velocities = self.world.joint_states()
@@ -265,22 +278,25 @@ class Simulation:
             self.world.place_ball()
         detection = self._detect()
         if detection is not None:
-            detection = replace(detection, position_m=self._blurred(detection.position_m))
+            detection = self._blurred(detection)
         seen = BallObservation(
             self.time_s,
             detection,
             self.true_ball_position(),
             self.joints_rad,
+            self._velocities,
             self.camera,
             config.camera_covered,
         )
         if not self.full_frames:
             return seen
-        frame = photograph(seen, self._renderer, self._frame_rng, config.depth_noise)
+        frame = photograph(seen, self.world, self._renderer, self._frame_rng, config.depth_noise)
         return replace(seen, frame=frame)
 
-    def _detect(self) -> BallDetection | None:
-        """The ball in an image now, without ``position_noise_m``."""
+    def _detect(self) -> BallDetection | TagPose | None:
+        """Ball or tag in an image now, without ``position_noise_m``."""
+        if self.world.tag is not None:
+            return self._detect_tag(self.world.tag)
         config = self.config
         if config.camera_covered:
             self._tracker.update(self.time_s, None)
@@ -303,6 +319,27 @@ class Simulation:
         self._tracker.update(self.time_s, detection)
         return detection
 
+    def _detect_tag(self, tag: TagPicture) -> TagPose | None:
+        """The tag in the part of the image around where it is."""
+        true, camera = self.true_tag_pose(), self.intrinsics
+        region = None if self.config.camera_covered else tag.region(true, camera)
+        if region is None:
+            return None
+        if not self.config.rendered:
+            facing = true.rotation[:, 2] @ true.position_m < 0.0
+            position_m = self.as_seen(true.position_m)
+            return TagPose(position_m, true.rotation, np.zeros((4, 2)), 0.0) if facing else None
+        region = region.grown(region.width // 4 + 8, camera)
+        rgb, depth_m = self._renderer.render(self.camera, region)
+        self.world.paint_tag(
+            rgb, depth_m, region.view(camera), self.camera, self._velocities, self._noise_rng
+        )
+        corners_px, _ = self._reader.find(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY))
+        if corners_px is None:
+            return None
+        corners_px = corners_px + (region.u0, region.v0)
+        return self._poses.find(self.time_s, corners_px, self._reported_intrinsics)[0]
+
     def _know(self) -> BallDetection | None:
         """Replace an image: the true position, as a perfect detection."""
         position, radius_m = self.true_ball_position(), self.config.ball_radius_m
@@ -314,13 +351,18 @@ class Simulation:
         radius_px = radius_m * self.intrinsics.fx / position[2]
         return BallDetection(self.as_seen(position), 1.0, 1.0, 0.0, float(radius_px))
 
-    def _blurred(self, position_m: np.ndarray) -> np.ndarray:
+    def _blurred(self, seen: BallDetection | TagPose) -> BallDetection | TagPose:
+        """The detection with further noise."""
         if self.position_noise is not None:
-            return position_m + self.position_noise(self._noise_rng)
+            return replace(seen, position_m=seen.position_m + self.position_noise(self._noise_rng))
         deviation_m = self.config.position_noise_m
         if deviation_m == 0.0:
-            return position_m
-        return position_m + self._noise_rng.normal(scale=deviation_m, size=position_m.size)
+            return seen
+        moved_m = self._noise_rng.normal(scale=deviation_m, size=3)
+        if isinstance(seen, TagPose):
+            turned = self._noise_rng.normal(scale=deviation_m / _NOISE_ARM_M, size=3)
+            seen = replace(seen, rotation=cv2.Rodrigues(turned)[0] @ seen.rotation)
+        return replace(seen, position_m=seen.position_m + moved_m)
 
     @property
     def _reported_intrinsics(self) -> Intrinsics:
@@ -342,6 +384,15 @@ class Simulation:
     def true_ball_position(self) -> np.ndarray:
         """Where the ball is now, camera frame, m, shape (3,). For evaluation only."""
         return self.camera.to_camera(self.world.ball_position())
+
+    def true_tag_pose(self) -> CameraPose:
+        """The tag as the camera sees it now. For evaluation only."""
+        return self.world.tag_pose(self.camera)
+
+    def true_chain(self, feature: PoseFeature) -> SerialChain:
+        """The arm as the camera sees it now, with the tag. For evaluation only."""
+        back = self.camera.rotation.T
+        return self.world.pose_chain(feature).moved(back, -back @ self.camera.position_m)
 
     def true_jacobian(self, joints_rad: Sequence[float] | np.ndarray) -> np.ndarray:
         """Exact Jacobian of the ball's position in the camera frame, m/rad, shape (3, n).

@@ -1,4 +1,4 @@
-"""The PyBullet world: the arm, its ball, other objects, and the renderer.
+"""The PyBullet world: the arm, its ball or tag, other objects, and the renderer.
 
 Only this module calls the physics engine. Every world is its own client, so that one process can
 hold several.
@@ -16,21 +16,28 @@ import numpy as np
 import pybullet
 from pybullet_utils.bullet_client import BulletClient
 from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 
 from fvs_detector_node.detection import BallColour, colour_mask
 from fvs_detector_node.images import Region
 from fvs_ros.camera import Intrinsics
 from fvs_ros.chain import SerialChain
+from fvs_ros.feature import PoseFeature
+from fvs_ros.topics import POSE
 from fvs_ros.urdf import UrdfJoint
 from fvs_sim_node.camera import CameraPose
 from fvs_sim_node.config import BALL_RGBA, SceneObject, SimConfig
 from fvs_sim_node.placement import Placement
 from fvs_sim_node.robot import moving_joints, robot_of
+from fvs_sim_node.tag import TagPicture, exposed
 
 #: Depth range that is drawn, m. What lies beyond has no depth, as with a real camera.
 _NEAR_M, _FAR_M = 0.25, 4.0
 #: Effort of a joint, and radius of gyration of a link, whose URDF states none.
 _STRONG_NM, _GYRATION_M = 100.0, 0.05
+#: Half thickness of the plate with the tag, m, its tilt at home about its x and y axes, rad, and
+#: how far the rod stands behind it, m.
+_PLATE_M, _TILT_RAD, _BEHIND_M = 0.001, (0.4, 0.4, 0.0), 0.03
 # OpenGL cameras look along -z with y up.
 _OPTICAL_TO_GL = np.diag([1.0, -1.0, -1.0])
 
@@ -58,6 +65,7 @@ class World:
         self._get_states = self.client.getJointStates
         self.step = self.client.stepSimulation
         self._ball_offset_m, self._ball_radius_m = config.ball_offset_m, config.ball_radius_m
+        self._exposure_s = config.exposure_s
         try:
             self.client.setTimeStep(1.0 / config.physics_rate_hz)
             self.client.setGravity(0.0, 0.0, 0.0)
@@ -69,10 +77,18 @@ class World:
             self._prepare_links()
             for thing in config.objects:
                 self.add_object(thing)
-            self._ball = self._body(self._sphere(config.ball_radius_m, BALL_RGBA))
+            self.tag = TagPicture(config.tag) if config.feature == POSE else None
+            self._ball = self._body(
+                self._plate(self.tag.side_m)
+                if self.tag is not None
+                else self._sphere(config.ball_radius_m, BALL_RGBA)
+            )
             self._rod = self._add_rod()
             self.reset(np.zeros(len(self._joints)))
-            self._zero_ball_m = self.ball_position()
+            self._zero_ball_m, self._zero_link = self.ball_position(), self._link_rotation()
+            self._mount = np.eye(3)
+            if self.tag is not None:
+                self._mount = self._mounted(config)
             self.place_ball()
         except BaseException:
             self.close()
@@ -153,6 +169,31 @@ class World:
             rgbaColor=rgba,
         )
 
+    def _plate(self, side_m: float) -> int:
+        """White, its front in the plane of the tag."""
+        return self.client.createVisualShape(
+            pybullet.GEOM_BOX,
+            halfExtents=[0.5 * side_m, 0.5 * side_m, _PLATE_M],
+            rgbaColor=(1.0, 1.0, 1.0, 1.0),
+            visualFramePosition=(0.0, 0.0, -_PLATE_M),
+        )
+
+    def _mounted(self, config: SimConfig) -> np.ndarray:
+        """The tag's rotation in its link: as somebody tapes it, at home before the camera.
+
+        It is tilted, since a tag that is seen squarely tells its pose less well.
+        """
+        given = config.initial_joints_rad
+        home_rad = np.array(given) if given else self.home_rad
+        camera = config.camera_pose or self.camera(config.camera, config.intrinsics)
+        self.reset(home_rad)
+        out = camera.position_m - self.ball_position()
+        out /= np.linalg.norm(out)
+        right = np.cross((0.0, 0.0, 1.0), out)
+        right /= np.linalg.norm(right)
+        facing = np.stack([right, np.cross(out, right), out], axis=1)
+        return self._link_rotation().T @ facing @ cv2.Rodrigues(np.array(_TILT_RAD))[0]
+
     def _add_rod(self) -> int:
         shape = self.client.createVisualShape(
             pybullet.GEOM_CYLINDER,
@@ -194,10 +235,36 @@ class World:
     def _link_state(self) -> tuple:
         return self.client.getLinkState(self._robot, self._link, computeForwardKinematics=True)
 
+    def _link_rotation(self) -> np.ndarray:
+        return _matrix(self._link_state()[5])
+
     def ball_position(self) -> np.ndarray:
-        """Centre of the ball, world frame, m, shape (3,)."""
+        """Centre of the ball or tag, world frame, m, shape (3,)."""
         state = self._link_state()
         return np.array(state[4]) + self._ball_offset_m * _matrix(state[5])[:, 2]
+
+    def tag_pose(self, camera: CameraPose) -> CameraPose:
+        """The tag as a camera sees it: x to the right of the print, y up, z out of it."""
+        turn = camera.rotation.T @ self._link_rotation() @ self._mount
+        return CameraPose(camera.to_camera(self.ball_position()), turn)
+
+    def paint_tag(
+        self,
+        rgb: np.ndarray,
+        depth_m: np.ndarray,
+        view: Intrinsics,
+        camera: CameraPose,
+        velocities_rad_s: np.ndarray,
+        rng: np.random.Generator,
+    ) -> None:
+        """Paint the tag, if there is one, into a part of a camera's image, blurred by motion."""
+        if self.tag is None:
+            return
+        joints = self.joint_states()[0]
+        linear, turning = (camera.rotation.T @ one for one in self._jacobians(joints))
+        speeds = linear @ velocities_rad_s, turning @ velocities_rad_s
+        poses = exposed(self.tag_pose(camera), *speeds, self._exposure_s)
+        self.tag.paint(rgb, depth_m, view, poses, rng)
 
     def ball_jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
         """Of the ball, m/rad, world frame, shape (3, n), at joint angles, rad, shape (n,)."""
@@ -219,11 +286,18 @@ class World:
     @cached_property
     def chain(self) -> SerialChain:
         """The arm's axes and its ball, world frame: the truth, for many joint angles at once."""
+        return self._chain(self._zero_ball_m)
+
+    def pose_chain(self, feature: PoseFeature) -> SerialChain:
+        """The same with the tag's pose."""
+        return self._chain(feature.of(self._zero_ball_m, self._zero_link @ self._mount))
+
+    def _chain(self, feature_m: np.ndarray) -> SerialChain:
         zeros = np.zeros(len(self._joints))
         linear, axes = (one.T for one in self._jacobians(zeros))
         points_m = self._zero_ball_m + np.cross(axes, linear)
         axes = np.where(self._prismatic[:, None], linear, axes)
-        return SerialChain(axes, points_m, self._zero_ball_m, zeros, self._prismatic)
+        return SerialChain(axes, points_m, feature_m, zeros, self._prismatic)
 
     # --------------------------------------------------- where to begin, and from where to watch
     @cached_property
@@ -260,10 +334,15 @@ class World:
         return shares
 
     def place_ball(self) -> None:
-        """Move the visible ball and its rod to the link's present pose; call before rendering."""
+        """Move the ball or tag and its rod to the link's present pose; call before rendering."""
         state = self._link_state()
-        self.client.resetBasePositionAndOrientation(self._rod, state[4], state[5])
-        self.client.resetBasePositionAndOrientation(self._ball, self.ball_position(), state[5])
+        foot, turn = state[4], state[5]
+        if self.tag is not None:
+            plate = self._link_rotation() @ self._mount
+            foot = np.array(foot) - _BEHIND_M * plate[:, 2]
+            turn = Rotation.from_matrix(plate).as_quat()
+        self.client.resetBasePositionAndOrientation(self._rod, foot, state[5])
+        self.client.resetBasePositionAndOrientation(self._ball, self.ball_position(), turn)
 
 
 class Renderer:

@@ -16,42 +16,58 @@ from fvs_controller_node.config import default_values
 from fvs_controller_node.inbox import JACOBIAN
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.supervisor import Command
+from fvs_detector_node.detection import BallDetection
+from fvs_detector_node.tags import TagPose
 from fvs_estimator_node.base import Estimator, OracleEstimator
-from fvs_estimator_node.files import TrainedModel, load_model
+from fvs_estimator_node.files import MODELS, TrainedModel, load_model
 from fvs_estimator_node.loop import EstimationLoop
 from fvs_estimator_node.registry import create_estimator
 from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.feature import Feature, PoseFeature, ServoedConfig
 from fvs_ros.interface import POSITION, PositionPath
 from fvs_ros.limits import with_urdf_limits
 from fvs_ros.paths import find_file
+from fvs_ros.topics import BALL
 from fvs_sim_node.simulation import Simulation
 from fvs_tools.schemes import Scheme
 from fvs_tools.schemes import scheme as scheme_called
 
-#: The model that comes with the package.
-MODEL = "models/ur5_front.npz"
+#: The model that comes with the package, of a ball.
+MODEL = MODELS[BALL]
 
 
 @lru_cache(maxsize=4)
-def _load(name: str, joint_names: tuple[str, ...]) -> TrainedModel:
-    return load_model(find_file(name), joint_names)
+def _load(name: str, joint_names: tuple[str, ...], servoed: ServoedConfig) -> TrainedModel:
+    return load_model(find_file(name), joint_names, servoed)
 
 
 def make_estimator(
     method: str,
     simulation: Simulation,
     values: Mapping[str, Any] | None = None,
-    model: str = MODEL,
+    model: str = "",
 ) -> Estimator:
     """Build an estimator by its name in the registry, as its node does.
 
     ``values`` are the node's parameters where they differ from the defaults, ``model`` is a file or
-    a name in the project's ``config`` folder. The oracle asks the simulation itself.
+    a name in the project's ``config`` folder; empty: that of the package. The oracle asks the
+    simulation itself.
     """
+    servoed = ServoedConfig(feature=simulation.config.feature)
     if method == "oracle":
+        feature = servoed.servoed
+        if isinstance(feature, PoseFeature):
+            return OracleEstimator(lambda joints: simulation.true_chain(feature).jacobian(joints))
         return OracleEstimator(simulation.true_jacobian)
-    trained = _load(model, simulation.world.joint_names)
+    trained = _load(model or MODELS[servoed.feature], simulation.world.joint_names, servoed)
     return create_estimator(method, trained.model, values or {}, trained.chain)
+
+
+def seen_feature(feature: Feature, seen: BallDetection | TagPose) -> np.ndarray:
+    """The feature, m, (m,), of a detection."""
+    if isinstance(feature, PoseFeature) and isinstance(seen, TagPose):
+        return feature.of(seen.position_m, seen.rotation)
+    return seen.position_m
 
 
 class ClosedLoop:
@@ -76,10 +92,12 @@ class ClosedLoop:
     ) -> None:
         self.simulation = simulation
         self.estimator = estimator
-        self.estimation = EstimationLoop(estimator)
         joints = {one.name: one for one in simulation.world.joints}
         own = {"autostart": True, "joint_names": list(joints), **(controller_values or {})}
+        own["feature"] = simulation.config.feature
         self.loop = ServoLoop(with_urdf_limits(default_values(**own), joints))
+        self.feature = self.loop.supervisor.config.servoed
+        self.estimation = EstimationLoop(estimator, self.feature)
         self._path = PositionPath()
         self.period_s = 1.0 / simulation.config.joint_state_rate_hz
 
@@ -99,8 +117,16 @@ class ClosedLoop:
 
     @property
     def ball_m(self) -> np.ndarray:
-        """Where the ball truly is, camera frame, m, shape (3,)."""
+        """Where the ball or tag truly is, camera frame, m, shape (3,)."""
         return self.simulation.true_ball_position()
+
+    @property
+    def true_feature(self) -> np.ndarray:
+        """The feature as it truly is, camera frame, m, shape (m,)."""
+        if isinstance(self.feature, PoseFeature):
+            pose = self.simulation.true_tag_pose()
+            return self.feature.of(pose.position_m, pose.rotation)
+        return self.ball_m
 
     def tick(self) -> Command:
         """Advance by one joint-state period and tick the controller; returns its command."""
@@ -109,13 +135,13 @@ class ClosedLoop:
         for seen in out.observations:
             if seen.detection is None:
                 continue
-            position_m = seen.detection.position_m
+            position_m = seen_feature(self.feature, seen.detection)
             self.estimation.add_ball(seen.stamp_s, position_m)
             self.loop.add_ball(now_s, seen.stamp_s, position_m)
         self.estimation.add_joints(now_s, out.joints_rad)
-        problem, chain = self.estimator.problem, self.estimator.chain
+        problem, chain = self.estimation.problem, self.estimator.chain
         if not problem:
-            self.loop.add_jacobian(now_s, self.estimator.jacobian(out.joints_rad))
+            self.loop.add_jacobian(now_s, self.estimation.jacobian(out.joints_rad))
         if chain is not None:
             self.loop.add_chain(now_s, chain)
         self.loop.supervisor.inputs[JACOBIAN].set_source_status(now_s, problem)
@@ -137,7 +163,7 @@ class ClosedLoop:
             self.tick()
 
     def set_target(self, target_m: np.ndarray) -> None:
-        """Give the controller a target, camera frame, m, shape (3,).
+        """Give the controller a target, camera frame, m, shape (m,).
 
         Raises
         ------

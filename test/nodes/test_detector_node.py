@@ -216,7 +216,7 @@ def test_it_agrees_with_the_simulators_own_detection(ros_test):
 
 
 def test_a_tag_is_published_as_a_pose_from_colour_images_alone(ros_test):
-    detector = ros_test.start_node(NODE, feature="pose", tag_id=7)
+    detector = ros_test.start_node(NODE, feature="pose", tag_id=7, tag_size_m=0.06)
     watched = Watched(ros_test)
     poses = ros_test.collect(PoseStamped, topics.TOOL_POSE.name)
     rotation = cv2.Rodrigues(np.array([0.5, 0.0, 0.0]))[0] @ np.diag([1.0, -1.0, -1.0])

@@ -12,6 +12,7 @@ from fvs_detector_node.tags import DICTIONARIES, PoseFinder, Tag, TagReader
 from fvs_ros.camera import CameraModel
 from fvs_ros.params import ParameterError
 
+TAG = Tag(tag_size_m=SIZE_M)
 SQUARELY = np.diag([1.0, -1.0, -1.0])
 MIDDLE = np.array([0.0, 0.0, 0.8])
 
@@ -40,7 +41,7 @@ def test_drawn_corners_are_found_to_a_twentieth_of_a_pixel():
     off = []
     for _ in range(60):
         pose = random_pose(rng)
-        found, _ = TagReader(Tag()).find(grey([(0, *pose)], rng=rng))
+        found, _ = TagReader(TAG).find(grey([(0, *pose)], rng=rng))
         if found is not None:  # the smallest and most tilted ones are not readable
             off.append(found - corners_px(*pose))
     assert len(off) > 50
@@ -68,7 +69,7 @@ def test_every_family_is_read(name):
     ],
 )
 def test_what_is_wrong_with_a_view_is_said(image, words):
-    found, why = TagReader(Tag()).find(image)
+    found, why = TagReader(TAG).find(image)
     assert found is None
     assert words in why
 
@@ -132,7 +133,7 @@ def test_position_and_rotation_are_exact_without_noise():
 
 
 def test_a_drawn_tag_is_followed_through_a_small_window():
-    detector = TagDetector(DetectorConfig(feature="pose"))
+    detector = TagDetector(DetectorConfig(feature="pose", tag=TAG))
     for k in range(20):
         position_m = MIDDLE + [0.01 * k - 0.1, 0.0, 0.0]
         sighting = look(detector, draw([(0, turned(0.5), position_m)]), k / 30.0)
@@ -145,7 +146,7 @@ def test_a_drawn_tag_is_followed_through_a_small_window():
 
 
 def test_what_was_seen_is_drawn_in():
-    detector = TagDetector(DetectorConfig(feature="pose"))
+    detector = TagDetector(DetectorConfig(feature="pose", tag=TAG))
     rgb = draw([(0, turned(0.5), MIDDLE)])
     picture = annotate(rgb, look(detector, rgb), VGA)
     green = (picture[..., 1].astype(int) - picture[..., 0]) > 60
@@ -163,6 +164,6 @@ def test_a_lens_that_distorts_changes_nothing():
         P=matrix,
     ).reshape(480, 640, 2)  # fmt: skip
     bent = cv2.remap(flat, ideal[..., 0], ideal[..., 1], cv2.INTER_LINEAR)
-    detector = TagDetector(DetectorConfig(feature="pose"))
+    detector = TagDetector(DetectorConfig(feature="pose", tag=TAG))
     found = detector.look(0.0, bent, None, camera).found
     assert np.linalg.norm(found.position_m - position_m) < 3e-3

@@ -1,0 +1,118 @@
+"""A printed tag in rendered images: its texture, by its homography, where the plate is in view."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from fvs_detector_node.images import Region
+from fvs_detector_node.tags import Tag, TagReader
+from fvs_ros.camera import Intrinsics
+from fvs_sim_node.camera import CameraPose
+
+#: Pixels of a cell in the texture, samples of a pixel on each side, and deviation of the lens'
+#: blur, px.
+_CELL_PX, _SAMPLES, _BLUR_PX = 16, 4, 0.6
+#: Grey levels of print and paper, and the noise of a pixel.
+_INK, _PAPER, _NOISE = 20.0, 235.0, 2.0
+#: The plate is seen where its depth is within this of the plane's, m.
+_NEAR_M = 0.006
+#: Poses that an exposure is the mean of.
+_BLURRED = 5
+
+
+class TagPicture:
+    """Paints a tag, with a border of one cell, on the plate that carries it."""
+
+    def __init__(self, tag: Tag) -> None:
+        reader = TagReader(tag)  # checks the number
+        cells = reader.cells
+        marker = cv2.aruco.generateImageMarker(reader.dictionary, tag.tag_id, cells * _CELL_PX)
+        self._texture = np.pad(marker, _CELL_PX, constant_values=255)
+        m_px = tag.tag_size_m / (cells * _CELL_PX)
+        self.side_m = m_px * self._texture.shape[0]
+        first_m = 0.5 * (self.side_m - m_px)  # from the middle to the first pixel's
+        self._to_tag = np.array([[m_px, 0, -first_m], [0, -m_px, first_m], [0, 0, 1]])
+        half = 0.5 * self.side_m
+        self._corners_m = half * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]], float)
+
+    def region(self, seen: CameraPose, camera: Intrinsics) -> Region | None:
+        """Part of the image with the plate at a pose in the camera's frame; None if it is none."""
+        corners_m = self._corners_m @ seen.rotation.T + seen.position_m
+        if corners_m[:, 2].min() < 0.05:
+            return None
+        corners = camera.project(corners_m)
+        low, high = np.floor(corners.min(axis=0)), np.ceil(corners.max(axis=0))
+        last = np.array([camera.width, camera.height]) - 1
+        (u0, v0), (u1, v1) = np.maximum(low, 0).astype(int), np.minimum(high, last).astype(int)
+        if u1 - u0 < 8 or v1 - v0 < 8:
+            return None
+        return Region(int(u0), int(v0), int(u1 - u0) + 1, int(v1 - v0) + 1)
+
+    def paint(
+        self,
+        rgb: np.ndarray,
+        depth_m: np.ndarray,
+        camera: Intrinsics,
+        poses: list[CameraPose],
+        rng: np.random.Generator,
+    ) -> None:
+        """Paint the tag into an image, (H, W, 3), of a camera, where its depth is the plate's.
+
+        ``poses`` are those of the tag in the camera's frame during the exposure.
+        """
+        middle = poses[len(poses) // 2]
+        region = self.region(middle, camera)
+        if region is None or middle.rotation[:, 2] @ middle.position_m >= 0.0:
+            return
+        view = region.view(camera)
+        grey = self._drawn(view, poses)
+        part = rgb[region.part]
+        plate = self._plate(depth_m[region.part], view, middle)
+        shade = part[plate].astype(float) / 255.0
+        shade *= (_INK + (_PAPER - _INK) / 255.0 * grey[plate])[:, None]
+        shade += rng.normal(0.0, _NOISE, len(shade))[:, None]
+        part[plate] = np.clip(np.rint(shade), 0, 255).astype(np.uint8)
+
+    def _drawn(self, view: Intrinsics, poses: list[CameraPose]) -> np.ndarray:
+        """The tag's brightness, 0 to 255, (H, W)."""
+        several = _SAMPLES
+        size = several * view.width, several * view.height
+        pinhole = np.array([[view.fx, 0, view.cx], [0, view.fy, view.cy], [0, 0, 1]])
+        finer = np.array(
+            [[several, 0, (several - 1) / 2], [0, several, (several - 1) / 2], [0, 0, 1]]
+        )
+        total = np.zeros((view.height, view.width))
+        for pose in poses:
+            columns = np.column_stack([pose.rotation[:, :2], pose.position_m])
+            fine = cv2.warpPerspective(
+                self._texture,
+                finer @ pinhole @ columns @ self._to_tag,
+                size,
+                borderMode=cv2.BORDER_CONSTANT,
+                borderValue=255,
+            )
+            total += cv2.resize(fine, (view.width, view.height), interpolation=cv2.INTER_AREA)
+        return cv2.GaussianBlur(total / len(poses), (0, 0), _BLUR_PX)
+
+    def _plate(self, depth_m: np.ndarray, view: Intrinsics, seen: CameraPose) -> np.ndarray:
+        """Where the plate is the nearest thing, bool (H, W)."""
+        v, u = np.mgrid[: view.height, : view.width]
+        normal = seen.rotation[:, 2]
+        across = view.rays(u, v) @ normal
+        with np.errstate(divide="ignore"):
+            plane_m = (normal @ seen.position_m) / across
+        return np.asarray(np.abs(depth_m - plane_m) < _NEAR_M)
+
+
+def exposed(
+    pose: CameraPose, linear_m_s: np.ndarray, turning_rad_s: np.ndarray, exposure_s: float
+) -> list[CameraPose]:
+    """Poses during an exposure about its middle, of a tag that moves at these speeds, (3,)."""
+    if exposure_s <= 0.0:
+        return [pose]
+    poses = []
+    for after_s in exposure_s * np.linspace(-0.5, 0.5, _BLURRED):
+        turn = cv2.Rodrigues(np.asarray(after_s * turning_rad_s))[0]
+        poses.append(CameraPose(pose.position_m + after_s * linear_m_s, turn @ pose.rotation))
+    return poses
