@@ -26,8 +26,15 @@ DICTIONARIES = tuple(sorted(name.removeprefix("DICT_") for name in _NAMES.values
 
 #: Samples along a side begin and end at these parts of it: beyond, the next side blurs in.
 _ALONG = 0.1, 0.9
-#: Samples across a side reach this far, px, and over this share of a cell: beyond is the next one.
-_ACROSS_PX, _ACROSS_CELLS = 4.0, 0.45
+#: Samples across a side reach this far, px, and over this share of a cell, at first and then:
+#: beyond is the next one.
+_ACROSS_PX, _ACROSS_CELLS = 4.0, (0.9, 0.45)
+#: A cell is at least as wide and high as this, px: of 2000 tags with smaller ones 13 became mirror
+#: images.
+_LEAST_CELL_PX = 3.0
+#: A side is clear if this share of its samples has this share of the usual contrast, and is this
+#: near to the line, px: what hides an end of it would turn it.
+_CLEAR_SHARE, _CLEAR_CONTRAST, _CLEAR_PX = 0.85, 0.6, 0.4
 #: Most samples along a side, and rounds of measuring around what the last round found.
 _SAMPLES, _ROUNDS = 48, 3
 #: Noise of a corner's coordinate, px: at least, as rendered images have it, and the first guess;
@@ -36,8 +43,10 @@ _LEAST_PX, _GUESS_PX, _IMAGES, _GUESSES = 0.03, 0.15, 64, 8
 #: A view is another one if a corner has moved by this, px.
 _ANOTHER_PX = 1.0
 #: A pose is certain if the squared residual of the other, in variances of the noise, is larger by
-#: this: the noise would have to be off by five standard deviations.
-_CERTAIN = 25.0
+#: this: the noise would have to be off by five standard deviations. An error that stays from image
+#: to image (lens, print, the paper's edge near a small tag) is no noise; it is taken for at least
+#: this, px: with less, one of 700 rendered tags of 26 px was taken for its mirror image.
+_CERTAIN, _SAME_PX = 25.0, 0.1
 #: Otherwise the last image decides, if it is no older, s, and one pose is nearer to its pose than
 #: this share of the other's distance.
 _LAST_S, _NEARER = 0.2, 0.5
@@ -95,7 +104,16 @@ class TagReader:
         if len(found) > 1:
             return None, f"{len(found)} tags have the number {self.tag.tag_id}: cover all but one"
         if found:
-            return refined(grey, found[0].reshape(4, 2), self.cells), ""
+            corners_px = refined(grey, found[0].reshape(4, 2), self.cells)
+            if corners_px is None:
+                return None, "a side of the tag is hidden or not clear"
+            sides = np.roll(corners_px, -1, axis=0) - corners_px
+            if np.linalg.norm(sides, axis=1).min() < _LEAST_CELL_PX * self.cells:
+                return (
+                    None,
+                    "the tag is too small in the image: bring it nearer, or print it larger",
+                )
+            return corners_px, ""
         wanted = f"tag {self.tag.tag_id} of {self.tag.tag_dictionary} is not in view"
         if seen:
             return None, f"{wanted}; seen are {sorted(set(seen))[:8]}: check tag_id"
@@ -104,8 +122,8 @@ class TagReader:
         return None, f"{wanted}: is it covered, too far, blurred, or without a white border?"
 
 
-def refined(grey: np.ndarray, corners_px: np.ndarray, cells: int) -> np.ndarray:
-    """Corners where the measured sides meet, px, (4, 2).
+def refined(grey: np.ndarray, corners_px: np.ndarray, cells: int) -> np.ndarray | None:
+    """Corners where the measured sides meet, px, (4, 2); None if a side is not clearly seen.
 
     Parameters
     ----------
@@ -117,12 +135,13 @@ def refined(grey: np.ndarray, corners_px: np.ndarray, cells: int) -> np.ndarray:
         Number of the tag's cells along a side, with its border.
     """
     corners = np.asarray(corners_px, dtype=float)
-    for _ in range(_ROUNDS):
+    for round_ in range(_ROUNDS):
         sides = np.roll(corners, -1, axis=0) - corners
         lengths = np.linalg.norm(sides, axis=1)
         outward = np.column_stack([sides[:, 1], -sides[:, 0]]) / lengths[:, None]
         along = np.linspace(*_ALONG, int(np.clip(lengths.mean(), 8, _SAMPLES)))
-        reach = float(np.clip(_ACROSS_CELLS * lengths.min() / cells, 1.5, _ACROSS_PX))
+        share = _ACROSS_CELLS[min(round_, 1)]
+        reach = float(np.clip(share * lengths.min() / cells, 1.5, _ACROSS_PX))
         across = np.linspace(-reach, reach, round(4 * reach) + 1)
         starts = corners[:, None, None] + sides[:, None, None] * along[:, None, None]
         points = (starts + outward[:, None, None] * across[:, None]).reshape(4, -1, 2)
@@ -130,27 +149,34 @@ def refined(grey: np.ndarray, corners_px: np.ndarray, cells: int) -> np.ndarray:
         values = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         values = values.reshape(4, along.size, across.size).astype(float)
         steps = np.maximum(np.diff(values), 0.0)  # outward it becomes brighter
+        contrast = steps.sum(axis=2)
+        if round_ == 0:  # the edge of the paper may be in sight: the steepest step counts
+            steps = steps**3
         weights = steps.sum(axis=2)
         middles = 0.5 * (across[1:] + across[:-1])
         offsets = steps @ middles / np.maximum(weights, 1e-9)
-        lines = []
+        lines, off = [], np.empty_like(offsets)
         for side in range(4):
-            ends = _line(along, offsets[side], weights[side])[:, None] * outward[side]
+            line, off[side] = _line(along, offsets[side], contrast[side])
+            ends = line[:, None] * outward[side]
             start, end = corners[side] + ends[0], corners[side] + sides[side] + ends[1]
             lines.append(np.cross(np.append(start, 1.0), np.append(end, 1.0)))
         meets = np.cross(np.roll(lines, 1, axis=0), lines)
         corners = meets[:, :2] / meets[:, 2:]
-    return corners
+    clear = (contrast > _CLEAR_CONTRAST * np.median(contrast)) & (off < _CLEAR_PX)
+    return corners if clear.mean(axis=1).min() > _CLEAR_SHARE else None
 
 
-def _line(along: np.ndarray, offsets: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Offsets at 0 and 1 of a straight line through offsets, twice, the second without outliers."""
+def _line(
+    along: np.ndarray, offsets: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Offsets at 0 and 1 of a line through offsets, fitted again without outliers; what is off it."""
     terms = np.column_stack([1.0 - along, along])
     for _ in range(2):
         fit = np.linalg.lstsq(terms * weights[:, None], offsets * weights, rcond=None)[0]
         off = np.abs(offsets - terms @ fit)
         weights = weights * (off <= 3.0 * np.median(off) + 1e-3)
-    return fit
+    return fit, np.abs(offsets - terms @ fit)
 
 
 class PoseFinder:
@@ -222,14 +248,13 @@ class PoseFinder:
         if other is None or _angle(first.rotation, other.rotation) < _SAME_RAD:
             return first
         worse_px2 = 8.0 * (other.residual_px**2 - first.residual_px**2)
-        if worse_px2 > _CERTAIN * self.noise_px**2:
-            return first
+        certain = worse_px2 > _CERTAIN * max(self.noise_px, _SAME_PX) ** 2
         if self._last is None or not 0.0 < stamp_s - self._last[0] <= _LAST_S:
-            return None
-        away = [_angle(one.rotation, self._last[1]) for one in (first, other)]
-        if min(away) > _NEARER * max(away):
-            return None
-        return (first, other)[int(np.argmin(away))]
+            return first if certain else None
+        to_first, to_other = (_angle(one.rotation, self._last[1]) for one in (first, other))
+        if to_other < _NEARER * to_first:  # a corner that is off can make the wrong one certain
+            return None if certain else other
+        return first if certain or to_first < _NEARER * to_other else None
 
 
 def _angle(one: np.ndarray, other: np.ndarray) -> float:

@@ -185,6 +185,11 @@ class TrainedModel:
                 raise ValueError(f"{name} has a least value above the greatest")
 
     @property
+    def servoed(self) -> Feature:
+        """The feature."""
+        return ServoedConfig(self.feature_frame, self.feature, self.lever_arm_m).servoed
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What the training found that a user of the model should know, a sentence each."""
         notes = self.provenance.get("notes", ())

@@ -38,8 +38,8 @@ class Feature:
 
     Attributes
     ----------
-    seen, target, sliding : Topic
-        Where it is published, its target, and the law's sliding variable.
+    seen, target, sliding, truth : Topic
+        Where it is published, its target, the law's sliding variable, and a simulator's truth.
     axes : tuple of str
         Names of the d components of the task.
     scale, task_scale : ndarray, shapes (m,) and (d,)
@@ -47,7 +47,7 @@ class Feature:
     """
 
     seen, target = topics.BALL_POSITION, topics.TARGET_POSITION
-    sliding = topics.SLIDING_VARIABLE
+    sliding, truth = topics.SLIDING_VARIABLE, topics.TRUE_BALL_POSITION
     #: Whether the motion of the task depends on x.
     curved = False
 
@@ -98,7 +98,8 @@ class PoseFeature(Feature):
         L, m.
     """
 
-    seen, target, sliding = topics.TOOL_POSE, topics.TARGET_POSE, topics.SLIDING_VECTOR
+    seen, target = topics.TOOL_POSE, topics.TARGET_POSE
+    sliding, truth = topics.SLIDING_VECTOR, topics.TRUE_TOOL_POSE
     curved = True
 
     def __init__(self, lever_arm_m: float) -> None:

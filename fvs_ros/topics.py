@@ -158,7 +158,7 @@ BALL_POSITION = Topic(
     "geometry_msgs/msg/PointStamped",
     "The ball's centre, m, in the camera's optical frame, stamped with the exposure; "
     "silent while the ball is not seen.",
-    {SIM: _RELIABLE, DETECTOR: _servoed(BALL)},
+    dict.fromkeys((SIM, DETECTOR), _servoed(BALL)),
     {
         **dict.fromkeys((ESTIMATOR, CONTROLLER, COLLECTOR), _servoed(BALL, _NEWEST)),
         **dict.fromkeys((DASHBOARD, MARKERS_NODE), _NEWEST),
@@ -170,7 +170,7 @@ TOOL_POSE = Topic(
     "geometry_msgs/msg/PoseStamped",
     "The tag's pose in the camera's optical frame, its x axis to the right, y up, z out of the "
     "print, stamped with the exposure; silent while it is not seen or not certain.",
-    {DETECTOR: _servoed(POSE)},
+    dict.fromkeys((SIM, DETECTOR), _servoed(POSE)),
     dict.fromkeys((ESTIMATOR, CONTROLLER, COLLECTOR), _servoed(POSE, _NEWEST)),
     also_from="your own detector or tracker",
 )
@@ -197,7 +197,7 @@ TARGET_POSITION = Topic(
     "target_position",
     "geometry_msgs/msg/PointStamped",
     "The desired ball position, m, in the frame of `ball_position`; latched or not.",
-    {DEMO: _LATCHED, DASHBOARD: _LATCHED},
+    {DEMO: _servoed(BALL, _LATCHED), DASHBOARD: _LATCHED},
     {CONTROLLER: _servoed(BALL, _EITHER)},
     also_from="you",
 )
@@ -205,7 +205,8 @@ TARGET_POSE = Topic(
     "target_pose",
     "geometry_msgs/msg/PoseStamped",
     "The desired pose of the tag, in the frame of `tool_pose`; latched or not.",
-    subscribers={CONTROLLER: _servoed(POSE, _EITHER)},
+    {DEMO: _servoed(POSE, _LATCHED)},
+    {CONTROLLER: _servoed(POSE, _EITHER)},
     also_from="you",
 )
 SLIDING_VARIABLE = Topic(
@@ -358,8 +359,16 @@ TRUE_BALL_POSITION = Topic(
     f"{SIM}/true_ball_position",
     "geometry_msgs/msg/PointStamped",
     "True ball position, m, in the camera's optical frame: for scoring, never for control.",
-    {SIM: _RELIABLE},
-    {DEMO: _RELIABLE},
+    {SIM: _servoed(BALL)},
+    {DEMO: _servoed(BALL)},
+    also_to=_TOOLS,
+)
+TRUE_TOOL_POSE = Topic(
+    f"{SIM}/true_tool_pose",
+    "geometry_msgs/msg/PoseStamped",
+    "True pose of the tag in the camera's optical frame: for scoring, never for control.",
+    {SIM: _servoed(POSE)},
+    {DEMO: _servoed(POSE)},
     also_to=_TOOLS,
 )
 TRUE_JACOBIAN = Topic(

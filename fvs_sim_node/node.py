@@ -16,6 +16,7 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from fvs_ros import ros, topics
+from fvs_ros.feature import ServoedConfig
 from fvs_ros.interface import VELOCITY
 from fvs_sim_node.camera import Frame
 from fvs_sim_node.config import PARAMETERS, SimNodeConfig
@@ -34,7 +35,7 @@ _ANSWERS = {
 
 
 class SimNode(ros.FvsNode):
-    """Publishes joint states and ball positions, obeys joint velocity commands."""
+    """Publishes joint states and positions of ball or tag, obeys joint velocity commands."""
 
     keeps_subscriptions = True
 
@@ -54,8 +55,9 @@ class SimNode(ros.FvsNode):
         self._announced: bool | None = None
         self._paused_active: bool | None = None  # was the controller, when the pause began?
         self._joint_states = self.publisher(topics.JOINT_STATES)
-        self._ball = self.publisher(topics.BALL_POSITION)
-        self._true_ball = self.publisher(topics.TRUE_BALL_POSITION)
+        self._feature = ServoedConfig(feature=config.simulation.feature).servoed
+        self._seen = self.publisher(self._feature.seen)
+        self._truth = self.publisher(self._feature.truth)
         self._true_jacobian = self.publisher(topics.TRUE_JACOBIAN)
         self._camera_pose = self.publisher(topics.TRUE_CAMERA_POSE)
         self._color = self.create_publisher(Image, topics.COLOR_IMAGE.name, ros.QOS_LARGE)
@@ -137,11 +139,13 @@ class SimNode(ros.FvsNode):
             self._clock_topic.publish(Clock(clock=ros.to_stamp(stamp_s)))
         for observation in step.observations:
             self._publish_observation(observation)
-        if self._true_ball.get_subscription_count():
-            true_m = self._sim.true_ball_position()
-            self._true_ball.publish(ros.to_point(stamp_s, self._frame, true_m))
+        feature = self._feature
+        if self._truth.get_subscription_count():
+            true_m = self._sim.true_feature(feature)
+            self._truth.publish(ros.to_feature(stamp_s, self._frame, feature, true_m))
         if self._true_jacobian.get_subscription_count():
-            self._true_jacobian.publish(ros.to_jacobian(self._sim.true_jacobian(step.joints_rad)))
+            jacobian = self._sim.true_task_jacobian(feature, step.joints_rad)
+            self._true_jacobian.publish(ros.to_jacobian(jacobian, feature))
         self._publish_joints(stamp_s, step)
         self._stepped_s = self.steady_s()
         # Frames come after the joint states, which other nodes wait for.
@@ -166,9 +170,9 @@ class SimNode(ros.FvsNode):
         stamp_s = self._base_s + seen.stamp_s
         if self._info.get_subscription_count():
             self._info.publish(ros.to_camera_info(stamp_s, self._frame, self._sim.intrinsics))
-        if seen.detection is not None and self._config.publish_ball_position:
-            position_m = seen.detection.position_m
-            self._ball.publish(ros.to_point(stamp_s, self._frame, position_m))
+        seen_m = seen.feature_m(self._feature)
+        if seen_m is not None and self._config.publish_ball_position:
+            self._seen.publish(ros.to_feature(stamp_s, self._frame, self._feature, seen_m))
         if seen.frame is not None:
             self._publish_frame(seen.frame)
             return

@@ -19,7 +19,7 @@ from fvs_detector_node.tags import PoseFinder, TagPose, TagReader
 from fvs_detector_node.tracking import WindowTracker
 from fvs_ros.camera import Intrinsics
 from fvs_ros.chain import SerialChain
-from fvs_ros.feature import PoseFeature
+from fvs_ros.feature import Feature, PoseFeature
 from fvs_ros.interface import VELOCITY
 from fvs_sim_node.actuator import Actuator
 from fvs_sim_node.camera import CameraPose, Frame, add_depth_noise
@@ -46,6 +46,13 @@ class BallObservation:
     camera: CameraPose
     covered: bool = False  # whether the lens was
     frame: Frame | None = None  # the image, if full frames are wanted
+
+    def feature_m(self, feature: Feature) -> np.ndarray | None:
+        """What was seen as a feature, m, (m,); None if nothing was."""
+        seen = self.detection
+        if isinstance(seen, TagPose) and isinstance(feature, PoseFeature):
+            return feature.of(seen.position_m, seen.rotation)
+        return None if seen is None else seen.position_m
 
 
 @dataclass(frozen=True)
@@ -388,6 +395,20 @@ class Simulation:
     def true_tag_pose(self) -> CameraPose:
         """The tag as the camera sees it now. For evaluation only."""
         return self.world.tag_pose(self.camera)
+
+    def true_feature(self, feature: Feature) -> np.ndarray:
+        """The feature as the camera sees it now, m, (m,). For evaluation only."""
+        if not isinstance(feature, PoseFeature):
+            return self.true_ball_position()
+        pose = self.true_tag_pose()
+        return feature.of(pose.position_m, pose.rotation)
+
+    def true_task_jacobian(self, feature: Feature, joints_rad: np.ndarray) -> np.ndarray:
+        """Exact Jacobian of the task, m/rad, (d, n), at joints, rad, (n,)."""
+        if not isinstance(feature, PoseFeature):
+            return self.true_jacobian(joints_rad)
+        at, jacobian = self.true_chain(feature).position_and_jacobian(joints_rad)
+        return feature.to_task(at, jacobian)
 
     def true_chain(self, feature: PoseFeature) -> SerialChain:
         """The arm as the camera sees it now, with the tag. For evaluation only."""

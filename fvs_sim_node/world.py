@@ -78,6 +78,8 @@ class World:
             for thing in config.objects:
                 self.add_object(thing)
             self.tag = TagPicture(config.tag) if config.feature == POSE else None
+            if self.tag is not None:  # the flange hides none of it
+                self._ball_offset_m += 0.5 * self.tag.side_m
             self._ball = self._body(
                 self._plate(self.tag.side_m)
                 if self.tag is not None

@@ -16,14 +16,12 @@ from fvs_controller_node.config import default_values
 from fvs_controller_node.inbox import JACOBIAN
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.supervisor import Command
-from fvs_detector_node.detection import BallDetection
-from fvs_detector_node.tags import TagPose
 from fvs_estimator_node.base import Estimator, OracleEstimator
 from fvs_estimator_node.files import MODELS, TrainedModel, load_model
 from fvs_estimator_node.loop import EstimationLoop
 from fvs_estimator_node.registry import create_estimator
 from fvs_ros.camera import CAMERA_FRAME
-from fvs_ros.feature import Feature, PoseFeature, ServoedConfig
+from fvs_ros.feature import PoseFeature, ServoedConfig
 from fvs_ros.interface import POSITION, PositionPath
 from fvs_ros.limits import with_urdf_limits
 from fvs_ros.paths import find_file
@@ -61,13 +59,6 @@ def make_estimator(
         return OracleEstimator(simulation.true_jacobian)
     trained = _load(model or MODELS[servoed.feature], simulation.world.joint_names, servoed)
     return create_estimator(method, trained.model, values or {}, trained.chain)
-
-
-def seen_feature(feature: Feature, seen: BallDetection | TagPose) -> np.ndarray:
-    """The feature, m, (m,), of a detection."""
-    if isinstance(feature, PoseFeature) and isinstance(seen, TagPose):
-        return feature.of(seen.position_m, seen.rotation)
-    return seen.position_m
 
 
 class ClosedLoop:
@@ -123,19 +114,16 @@ class ClosedLoop:
     @property
     def true_feature(self) -> np.ndarray:
         """The feature as it truly is, camera frame, m, shape (m,)."""
-        if isinstance(self.feature, PoseFeature):
-            pose = self.simulation.true_tag_pose()
-            return self.feature.of(pose.position_m, pose.rotation)
-        return self.ball_m
+        return self.simulation.true_feature(self.feature)
 
     def tick(self) -> Command:
         """Advance by one joint-state period and tick the controller; returns its command."""
         out = self.simulation.advance()
         now_s = out.time_s
         for seen in out.observations:
-            if seen.detection is None:
+            position_m = seen.feature_m(self.feature)
+            if position_m is None:
                 continue
-            position_m = seen_feature(self.feature, seen.detection)
             self.estimation.add_ball(seen.stamp_s, position_m)
             self.loop.add_ball(now_s, seen.stamp_s, position_m)
         self.estimation.add_joints(now_s, out.joints_rad)

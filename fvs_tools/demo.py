@@ -1,4 +1,4 @@
-"""The demo's task and its scores: a sequence of targets, scored by the true ball position."""
+"""The demo's task and its scores: a sequence of targets, scored by where ball or tag truly is."""
 
 from __future__ import annotations
 
@@ -6,24 +6,30 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from fvs_ros.camera import FeatureConfig, Intrinsics
+from fvs_ros.camera import Intrinsics
+from fvs_ros.feature import Feature, PoseFeature, ServoedConfig, from_quaternion
 from fvs_ros.params import parameter
 from fvs_tools.score import FINE_ERROR_M, SETTLED_ERROR_M, TargetScore, judge
 
 
 @dataclass(frozen=True)
-class DemoConfig(FeatureConfig):
+class DemoConfig(ServoedConfig):
     """Parameters of ``fvs_demo_node``."""
 
     model_path: str = parameter(
-        "models/ur5_front.npz", "trained model; targets are positions from its training data"
+        "",
+        "trained model; targets are positions from its training data; empty: that of the simulated "
+        "UR5",
     )
     targets: int = parameter(4, "number of targets", 1, 100)
     target_positions: str = parameter(
-        "", "targets, m: 'x y z; x y z; ...'; empty: chosen by the seed"
+        "",
+        "targets: 'x y z; x y z; ...', m, of a pose with its quaternion 'x y z qx qy qz qw; ...'; "
+        "empty: chosen by the seed",
     )
     seed: int = parameter(0, "seed of the choice of targets", 0)
     distance_m: float = parameter(0.3, "wanted distance from one target to the next", 0.05, 1.0)
@@ -35,6 +41,8 @@ PARAMETERS = DemoConfig.declared()
 
 #: Candidates within this of the wanted distance are equally good; otherwise the nearest is taken.
 _DISTANCE_TOLERANCE_M = 0.02
+#: Length of a drawn axis, m.
+_AXIS_M = 0.06
 #: Longest wait for the loop to be ready, s: all nodes may start on a busy machine.
 START_TIMEOUT_S = 30.0
 
@@ -42,38 +50,67 @@ START_TIMEOUT_S = 30.0
 def choose_target(
     candidates_m: np.ndarray, position_m: np.ndarray, distance_m: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """A target about ``distance_m`` from where the ball is, shape (3,), m, camera frame.
+    """A target about ``distance_m`` from where the feature is, shape (m,), m, camera frame.
 
-    It is one of the candidates, shape (n, 3): positions that the ball has been at.
+    It is one of the candidates, shape (n, m): where the feature has been.
     """
     mismatch_m = np.abs(np.linalg.norm(candidates_m - position_m, axis=1) - distance_m)
     fitting = np.flatnonzero(mismatch_m <= max(_DISTANCE_TOLERANCE_M, mismatch_m.min()))
     return candidates_m[rng.choice(fitting)]
 
 
+def given_targets(text: str, feature: Feature) -> list[np.ndarray]:
+    """The targets of ``target_positions``, (m,) each; a ``ValueError`` if they are none."""
+    targets, is_pose = [], isinstance(feature, PoseFeature)
+    for part in filter(str.strip, text.split(";")):
+        numbers = np.array(part.split(), dtype=float)
+        if len(numbers) != (7 if is_pose else 3):
+            raise ValueError(f"target_positions: {part!r} has {len(numbers)} numbers")
+        if isinstance(feature, PoseFeature):
+            turn = numbers[3:] / np.linalg.norm(numbers[3:])
+            numbers = feature.of(numbers[:3], from_quaternion(turn))
+        targets.append(numbers)
+    return targets
+
+
 @dataclass
 class TargetRecord:
-    """Record of the motion to one target, camera frame, shape (3,), since it was given."""
+    """Record of the motion to one target, camera frame, shape (m,), since it was given."""
 
+    feature: Feature
     target_m: np.ndarray
     start_s: float
     #: Whether late inputs held the arm.
     slowed: bool = False
-    #: Moments, s, and true ball positions, m.
-    balls: list[tuple[float, np.ndarray]] = field(default_factory=list)
+    #: Moments, s, and true features, m.
+    seen: list[tuple[float, np.ndarray]] = field(default_factory=list)
     #: Moments, s, and joint velocities, rad/s.
     joints: list[tuple[float, np.ndarray]] = field(default_factory=list)
 
-    def errors_m(self) -> tuple[np.ndarray, np.ndarray]:
-        """Moments, s, and distances to the target, m."""
-        time_s, position_m = (np.array(part) for part in zip(*self.balls, strict=True))
-        return time_s, np.linalg.norm(position_m - self.target_m, axis=1)
+    def errors_m(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Moments, s, ways to the target and arcs at the lever arm, m, (n,) each; of balls 0."""
+        times_s, features = zip(*self.seen, strict=True)
+        errors = np.array([self.feature.error(one, self.target_m) for one in features])
+        way, arc = (np.linalg.norm(part, axis=1) for part in (errors[:, :3], errors[:, 3:]))
+        return np.array(times_s), way, arc
 
 
 def score(record: TargetRecord) -> TargetScore:
-    """Score one target by the true ball position."""
-    judged = judge(*record.errors_m(), np.array([velocity for _, velocity in record.joints]))
-    return replace(judged, slowed=record.slowed)
+    """Score one target by the truth; a pose has settled with both way and arc."""
+    time_s, way_m, arc_m = record.errors_m()
+    velocities = np.array([velocity for _, velocity in record.joints])
+    judged = judge(time_s, np.maximum(way_m, arc_m), velocities)
+    of_way, of_arc = (judge(time_s, one, velocities) for one in (way_m, arc_m))
+    degrees = None
+    if isinstance(record.feature, PoseFeature):
+        degrees = float(np.degrees(of_arc.final_rms_m / record.feature.lever_arm_m))
+    return replace(
+        judged,
+        start_distance_m=of_way.start_distance_m,
+        final_rms_m=of_way.final_rms_m,
+        final_rms_deg=degrees,
+        slowed=record.slowed,
+    )
 
 
 def table(scores: list[TargetScore]) -> str:
@@ -82,13 +119,14 @@ def table(scores: list[TargetScore]) -> str:
     def seconds(value: float | None) -> str:
         return "never" if value is None else f"{value:.2f} s"
 
+    width = max([9, *(len(one.final) for one in scores)])
     head = (
         f"{'target':>6}  {'start':>8}  {f'to {SETTLED_ERROR_M * 1e3:g} mm':>9}  "
-        f"{f'to {FINE_ERROR_M * 1e3:g} mm':>9}  {'final rms':>9}  {'peak joint speed':>16}"
+        f"{f'to {FINE_ERROR_M * 1e3:g} mm':>9}  {'final rms':>{width}}  {'peak joint speed':>16}"
     )
     rows = [
         f"{number:>6}  {s.start_distance_m * 1e3:>5.0f} mm  {seconds(s.settling_5mm_s):>9}  "
-        f"{seconds(s.settling_2mm_s):>9}  {s.final_rms_m * 1e3:>6.2f} mm  "
+        f"{seconds(s.settling_2mm_s):>9}  {s.final:>{width}}  "
         f"{s.peak_joint_speed_rad_s:>10.2f} rad/s"
         + ("  slowed: inputs came late" if s.slowed else "")
         for number, s in enumerate(scores, start=1)
@@ -135,25 +173,42 @@ def draw(
     if image_rgb is not None:
         view.imshow(image_rgb)
     for number, (record, colour) in enumerate(zip(records, colours, strict=True), start=1):
-        time_s, errors_m = record.errors_m()
-        axes["error"].semilogy(time_s, 1e3 * errors_m, color=colour, label=f"target {number}")
+        time_s, way_m, arc_m = record.errors_m()
+        larger_mm = 1e3 * np.maximum(way_m, arc_m)
+        axes["error"].semilogy(time_s, larger_mm, color=colour, label=f"target {number}")
         axes["speed"].axvline(record.start_s - origin_s, color=colour, linewidth=1.5, alpha=0.7)
         if intrinsics is not None:
-            trail_m = np.array([position_m for _, position_m in record.balls])
+            trail_m = np.array([feature_m[:3] for _, feature_m in record.seen])
             view.plot(*intrinsics.project(trail_m).T, color=colour)
-            at = intrinsics.project(record.target_m)
+            at = intrinsics.project(record.target_m[:3])
+            _draw_axes(view, intrinsics, record.feature, record.target_m)
             view.plot(*at, "+", color="white", markersize=15, markeredgewidth=4)
             view.plot(*at, "+", color=colour, markersize=14, markeredgewidth=2)
             view.set(xlim=(0, intrinsics.width), ylim=(intrinsics.height, 0))
     axes["error"].axhline(SETTLED_ERROR_M * 1e3, color="0.4", linestyle="--", linewidth=1)
     moments = [(r.start_s - origin_s + t_s, speeds) for r in records for t_s, speeds in r.joints]
     axes["speed"].plot(*zip(*moments, strict=True), linewidth=1, label=list(joint_names))
-    axes["error"].set(ylabel="true error (mm)", title="Distance of the ball to its target")
+    what, of_arc = "ball", ""
+    if isinstance(records[0].feature, PoseFeature):
+        what, of_arc = "tag", f", or arc at {records[0].feature.lever_arm_m:g} m if it is longer"
+    axes["error"].set(
+        ylabel="true error (mm)", title=f"Distance of the {what} to its target{of_arc}"
+    )
     axes["speed"].set(xlabel="time (s)", ylabel="joint speed (rad/s)", title="Joint speeds")
-    view.set_title("Camera view at the end, trail of the ball, targets (+)")
+    view.set_title(f"Camera view at the end, trail of the {what}, targets (+)")
     for name in ("error", "speed"):
         axes[name].legend(fontsize=8, ncols=2)
         axes[name].grid(alpha=0.3)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
     plt.close(figure)
+
+
+def _draw_axes(view: Any, intrinsics: Intrinsics, feature: Feature, feature_m: np.ndarray) -> None:
+    """Draw the axes of a pose: x red, y green, z blue."""
+    if not isinstance(feature, PoseFeature):
+        return
+    origin_m, turn = feature_m[:3], feature.rotation(feature_m)
+    for axis, colour in zip(turn.T, ("tab:red", "tab:green", "tab:blue"), strict=True):
+        ends = intrinsics.project(np.stack([origin_m, origin_m + _AXIS_M * axis]))
+        view.plot(*ends.T, color=colour, linewidth=2)

@@ -1,4 +1,4 @@
-"""``fvs_demo_node``: sends targets to the controller, and scores and plots the true ball."""
+"""``fvs_demo_node``: sends targets to the controller, and scores and plots the truth."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PointStamped
+from geometry_msgs.msg import PointStamped, PoseStamped
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_srvs.srv import Trigger
 
-from fvs_estimator_node.files import load_model
+from fvs_estimator_node.files import MODELS, load_model
 from fvs_ros import ros, topics
 from fvs_ros.camera import Intrinsics
 from fvs_ros.joints import JointMap
@@ -34,10 +34,12 @@ class DemoNode(ros.FvsNode):
     def __init__(self) -> None:
         super().__init__("fvs_demo_node", demo.PARAMETERS)
         self._config = demo.DemoConfig.from_values(self.values)
-        trained = load_model(find_file(self._config.model_path))
+        config = self._config
+        self._feature = feature = config.servoed
+        path = find_file(config.model_path or MODELS[config.feature])
+        trained = load_model(path, servoed=config)
         self._candidates_m, names = trained.ball_samples_m, trained.joint_names
-        numbers = self._config.target_positions.replace(";", " ").split()
-        self._own_m = np.array(numbers, dtype=float).reshape(-1, 3)
+        self._own_m = demo.given_targets(config.target_positions, feature)
         self._count = len(self._own_m) or self._config.targets
         self._rng = np.random.default_rng(self._config.seed)
         self._joint_map = JointMap(names)
@@ -50,9 +52,10 @@ class DemoNode(ros.FvsNode):
         self._image_asked_s: float | None = None
         self._end_s = 0.0  # stamp of the end
         self._stop = self.create_client(Trigger, "fvs_controller_node/stop")
-        self._target = self.publisher(topics.TARGET_POSITION)
+        self._target = self.publisher(feature.target)
         self.subscribe(topics.CONTROLLER_STATUS, self._on_status)
-        self.watch(PointStamped, topics.TRUE_BALL_POSITION.name, self._on_true_ball, ros.QOS_EVERY)
+        kind = PoseStamped if feature.truth is topics.TRUE_TOOL_POSE else PointStamped
+        self.watch(kind, feature.truth.name, self._on_truth, ros.QOS_EVERY)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
         self.create_timer(_POLL_S, self._poll, clock=self.steady_clock)
 
@@ -76,21 +79,20 @@ class DemoNode(ros.FvsNode):
             moment_s = ros.from_stamp(message.header.stamp) - record.start_s
             record.joints.append((moment_s, velocity))
 
-    def _on_true_ball(self, message: PointStamped) -> None:
+    def _on_truth(self, message: PointStamped | PoseStamped) -> None:
         if self._image_asked_s is not None:
             return
         stamp_s = ros.from_stamp(message.header.stamp)
-        position_m = ros.from_point(
-            message, self._config.feature_frame, topics.TRUE_BALL_POSITION.name
-        )
+        feature, frame = self._feature, self._config.feature_frame
+        position_m = ros.from_feature(message, feature, frame, feature.truth.name)
         if not self._records:
             # The controller lacks only a target: the loop is ready for the first one.
             if self._wants_target:
                 self._next_target(stamp_s, position_m)
             return
         record = self._records[-1]
-        record.balls.append((stamp_s - record.start_s, position_m))
-        if record.balls[-1][0] >= self._config.target_s:
+        record.seen.append((stamp_s - record.start_s, position_m))
+        if record.seen[-1][0] >= self._config.target_s:
             self._report(len(self._records), record)
             if len(self._records) < self._count:
                 self._next_target(stamp_s, position_m)
@@ -106,8 +108,11 @@ class DemoNode(ros.FvsNode):
             target_m = demo.choose_target(
                 self._candidates_m, position_m, self._config.distance_m, self._rng
             )
-        self._target.publish(ros.to_point(stamp_s, self._config.feature_frame, target_m))
-        self._records.append(demo.TargetRecord(target_m, stamp_s, balls=[(0.0, position_m)]))
+        feature, frame = self._feature, self._config.feature_frame
+        self._target.publish(ros.to_feature(stamp_s, frame, feature, target_m))
+        self._records.append(
+            demo.TargetRecord(feature, target_m, stamp_s, seen=[(0.0, position_m)])
+        )
 
     def _report(self, number: int, record: demo.TargetRecord) -> None:
         one = demo.score(record)
@@ -116,7 +121,7 @@ class DemoNode(ros.FvsNode):
         print(
             f"target {number} of {self._count}, "
             f"{one.start_distance_m * 1e3:.0f} mm away: {text}, "
-            f"final true error {one.final_rms_m * 1e3:.2f} mm",
+            f"final true error {one.final}",
             flush=True,
         )
 
@@ -126,7 +131,7 @@ class DemoNode(ros.FvsNode):
             reason = self._reason or "no status from the controller; is it running?"
             print(f"the loop did not get ready: {self._state} {reason}", flush=True)
             self.exit_code = stop.EXIT_FAILURE
-        late_s = self.monitor(topics.TRUE_BALL_POSITION.name).age_s(self.now_s())
+        late_s = self.monitor(self._feature.truth.name).age_s(self.now_s())
         if self._records and self._image_asked_s is None and late_s > _SILENCE_S:
             print(f"the simulator has been silent for {late_s:.0f} s", flush=True)
             self.exit_code = stop.EXIT_FAILURE

@@ -23,6 +23,13 @@ class TargetScore:
     final_rms_m: float
     peak_joint_speed_rad_s: float
     slowed: bool = False
+    final_rms_deg: float | None = None
+
+    @property
+    def final(self) -> str:
+        """The final errors in words."""
+        angle = "" if self.final_rms_deg is None else f", {self.final_rms_deg:.3f} deg"
+        return f"{self.final_rms_m * 1e3:.2f} mm{angle}"
 
 
 def judge(

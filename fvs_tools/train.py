@@ -17,7 +17,6 @@ from fvs_estimator_node.files import DataSet, TrainedModel, load_data_set, save_
 from fvs_estimator_node.training import METHODS, TrainingOptions, train
 from fvs_ros import console
 from fvs_ros.arguments import Parser, one_of
-from fvs_ros.chain import SerialChain
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 
 #: A joint, or a direction, in which the ball moves less than this share of the best is weak.
@@ -134,7 +133,7 @@ def report(trained: TrainedModel) -> str:
             f"noise of a ball position: {1e3 * e['ray_noise_m']:.2f} mm along the line of sight, "
             f"{1e3 * e['lateral_noise_m']:.2f} mm across",
             f"distance from the chain: {1e3 * e['residual_m']:.2f} mm (median); {noise}",
-            *on_joints(trained.chain, trained.joint_names, trained.joint_box_rad.mean(axis=0)),
+            *on_joints(trained, trained.joint_box_rad.mean(axis=0)),
         ]
     low, high = (", ".join(f"{v:.2f}" for v in side) for side in trained.joint_box_rad)
     lines += [
@@ -145,9 +144,11 @@ def report(trained: TrainedModel) -> str:
     return "\n".join(lines)
 
 
-def on_joints(chain: SerialChain, names: Sequence[str], joints_rad: np.ndarray) -> Iterator[str]:
-    """How each joint moves the ball, and what cannot be servoed, at given joints, rad (m)."""
-    jacobian = chain.jacobian(joints_rad)
+def on_joints(trained: TrainedModel, joints_rad: np.ndarray) -> Iterator[str]:
+    """How each joint moves the feature, and what cannot be servoed, at given joints, rad (m)."""
+    chain, names, feature = trained.chain, trained.joint_names, trained.servoed
+    assert chain is not None
+    jacobian = feature.to_task(*chain.position_and_jacobian(joints_rad))
     sizes, units = np.linalg.norm(jacobian, axis=0), np.where(chain.prismatic > 0.0, "m/m", "m/rad")
     each = zip(names, sizes, units, strict=True)
     yield "joints move the ball by " + ", ".join(f"{n} {s:.2f} {u}" for n, s, u in each)
