@@ -112,7 +112,7 @@ class Progress:
                 best_mm=best_mm, error_mm=error_mm, time_s=config.growth_time_s
             )
         if self._swings_m > _SWINGS_M + 2.0 * self._first_m:
-            return Reason.OSCILLATING.because(way_m=self._swings_m)
+            return Reason.OSCILLATING.because(what=config.servoed.what, way_m=self._swings_m)
         if self._since_s >= config.stall_time_s:
             return Reason.STALLED.because(time_s=config.stall_time_s, error_mm=error_mm)
         return None

@@ -104,29 +104,24 @@ class Inbox:
 
     def __init__(self, config: SupervisorConfig, end_session: Callable[[Finding], None]) -> None:
         self._config, self._end_session = config, end_session
-        monitors = (
-            InputMonitor(
-                config,
-                JOINT_STATES,
-                "is the robot driver (or simulator) running?",
-                "joint_states_max_age_s",
-            ),
-            InputMonitor(
-                config, BALL, "is the ball in view, and the detector running?", "ball_max_age_s"
-            ),
-            InputMonitor(config, JACOBIAN, "is the estimator running?", "jacobian_max_age_s"),
-            InputMonitor(config, KINEMATIC_CHAIN),
-            InputMonitor(config, SPEED_SCALING),
-            InputMonitor(config, ROBOT_DESCRIPTION),
-        )
-        self._monitors = {monitor.name: monitor for monitor in monitors}
+        feature = config.servoed
+        hints = {
+            JOINT_STATES: ("is the robot driver (or simulator) running?", "joint_states_max_age_s"),
+            BALL: (f"is the {feature.what} in view, and the detector running?", "ball_max_age_s"),
+            JACOBIAN: ("is the estimator running?", "jacobian_max_age_s"),
+            **dict.fromkeys((KINEMATIC_CHAIN, SPEED_SCALING, ROBOT_DESCRIPTION), ()),
+        }
+        self._monitors = {
+            key: InputMonitor(config, feature.seen.name if key == BALL else key, *words)
+            for key, words in hints.items()
+        }
         self._conflict: Finding | None = None  # with another node, and when it commanded last
         self._conflict_s = -inf
         self._program_running: bool | None = None  # never reported
         self._speed_scaling = 100.0
 
     def __getitem__(self, topic: str) -> InputMonitor:
-        """The monitor of the input on a topic."""
+        """The monitor of an input; of a pose, too, under the name of the ball's topic."""
         return self._monitors[topic]
 
     def configure(self, config: SupervisorConfig) -> None:
@@ -217,7 +212,8 @@ class Inbox:
 
     def status_values(self, now_s: float) -> dict[str, float | str]:
         """Ages and the robot's reports, always the same keys in the same order."""
-        ages = {f"{n}_age_s": self[n].age_s(now_s) for n in (JOINT_STATES, BALL, JACOBIAN)}
+        watched = [self[one] for one in (JOINT_STATES, BALL, JACOBIAN)]
+        ages = {f"{one.name}_age_s": one.age_s(now_s) for one in watched}
         running = {None: "unknown", False: "false", True: "true"}[self._program_running]
         return {
             **ages,

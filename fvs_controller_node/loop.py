@@ -178,7 +178,7 @@ class ServoLoop:
             return False, f"target refused: {late}"
         position = self.position_m
         if position is None:
-            return False, "target refused: the ball's position is not known yet"
+            return False, f"target refused: the {self._feature.what}'s position is not known yet"
         return self._set_target(position, self.supervisor.config.feature_frame)
 
     def _set_target(self, *target: Any) -> tuple[bool, str]:

@@ -47,7 +47,7 @@ class Reason(Enum):
     READY = (State.READY, Stop.RAMP, False, "ready", "call ~/start to move")
 
     MISSING = _holds("no {name} yet ({count} of {wanted} messages)", "{hint}")
-    NO_TARGET = _holds("no target_position yet", "publish one, or call ~/set_current_as_target")
+    NO_TARGET = _holds("no {name} yet", "publish one, or call ~/set_current_as_target")
     STALE = _holds("{name} is {age_s:.2f} s old ({limit} is {limit_s:.2f} s)", "{hint}")
     RETURNING = _holds("{name} resumes: {count} of {wanted} fresh messages")
     BAD_INPUT = (
@@ -56,7 +56,7 @@ class Reason(Enum):
         False,
         "{name} is not usable: {why}; {count} of {wanted} good messages since",
     )
-    NO_POSITION = _holds("the ball's position is unknown: {why}")
+    NO_POSITION = _holds("the {what}'s position is unknown: {why}")
     NEAR_SINGULAR = _holds(
         "the Jacobian is near singular ({value:.4f} m/rad, limit {limit:.4f})",
         "call ~/start to move slowly to another target, or call the estimator's ~/reset",
@@ -74,7 +74,7 @@ class Reason(Enum):
         "choose a reachable target, or check joint limits and model",
     )
     OSCILLATING = _ends(
-        "the ball oscillates about its target: {way_m:.1f} m so far",
+        "the {what} oscillates about its target: {way_m:.1f} m so far",
         "check stamp_delay_s and gains",
     )
     NOT_FOLLOWING = _ends(

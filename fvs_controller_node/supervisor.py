@@ -219,9 +219,10 @@ class Supervisor:
             return finding
         # The target is checked last: it is requested only if nothing else is missing.
         if self.goal.position_m is None:
-            return Reason.NO_POSITION.because(why=self._present.problem or "no image is usable yet")
+            why = self._present.problem or "no image is usable yet"
+            return Reason.NO_POSITION.because(what=self.config.servoed.what, why=why)
         if self.goal.target_m is None:
-            return Reason.NO_TARGET.because()
+            return Reason.NO_TARGET.because(name=self.config.servoed.target.name)
         return self._singularity.check(self._smallest_m_rad, self.config)
 
     def _trouble_in_motion(self, dt_s: float, joints: np.ndarray) -> Finding | None:

@@ -104,22 +104,23 @@ class TagReader:
         if len(found) > 1:
             return None, f"{len(found)} tags have the number {self.tag.tag_id}: cover all but one"
         if found:
-            corners_px = refined(grey, found[0].reshape(4, 2), self.cells)
-            if corners_px is None:
-                return None, "a side of the tag is hidden or not clear"
-            sides = np.roll(corners_px, -1, axis=0) - corners_px
-            if np.linalg.norm(sides, axis=1).min() < _LEAST_CELL_PX * self.cells:
-                return (
-                    None,
-                    "the tag is too small in the image: bring it nearer, or print it larger",
-                )
-            return corners_px, ""
+            return self._measured(grey, found[0].reshape(4, 2))
         wanted = f"tag {self.tag.tag_id} of {self.tag.tag_dictionary} is not in view"
         if seen:
             return None, f"{wanted}; seen are {sorted(set(seen))[:8]}: check tag_id"
         if others:
             return None, f"{wanted}, nor another: is tag_dictionary right, the print not mirrored?"
         return None, f"{wanted}: is it covered, too far, blurred, or without a white border?"
+
+    def _measured(self, grey: np.ndarray, quad_px: np.ndarray) -> tuple[np.ndarray | None, str]:
+        """The tag's corners from those that OpenCV found."""
+        corners_px = refined(grey, quad_px, self.cells)
+        if corners_px is None:
+            return None, "a side of the tag is hidden or not clear"
+        sides_px = np.linalg.norm(np.roll(corners_px, -1, axis=0) - corners_px, axis=1)
+        if sides_px.min() < _LEAST_CELL_PX * self.cells:
+            return None, "the tag is too small in the image: bring it nearer or print it larger"
+        return corners_px, ""
 
 
 def refined(grey: np.ndarray, corners_px: np.ndarray, cells: int) -> np.ndarray | None:
@@ -170,7 +171,7 @@ def refined(grey: np.ndarray, corners_px: np.ndarray, cells: int) -> np.ndarray 
 def _line(
     along: np.ndarray, offsets: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Offsets at 0 and 1 of a line through offsets, fitted again without outliers; what is off it."""
+    """Offsets at 0 and 1 of a line, fitted twice, then without outliers; what is off it."""
     terms = np.column_stack([1.0 - along, along])
     for _ in range(2):
         fit = np.linalg.lstsq(terms * weights[:, None], offsets * weights, rcond=None)[0]

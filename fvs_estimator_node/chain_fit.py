@@ -172,7 +172,9 @@ def fit_chain(data: DataSet, progress: Callable[[str], None] | None = None) -> C
             f"{2 * MAX_OFFSET_S:g} s, the data set has {len(path.indices)}"
         )
     if np.linalg.norm(data.ball_m.std(axis=0)) < 1e-3:
-        raise ChainFitError("the ball does not move in the data set, so there is no chain to find")
+        raise ChainFitError(
+            f"the {data.servoed.what} does not move in the data set, so there is no chain to find"
+        )
     fitting = _Fitting(path, data.ball_m[path.indices])
     # Matrices of few columns: on a busy machine more threads took twenty times as long.
     with threadpool_limits(1):

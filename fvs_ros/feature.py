@@ -40,6 +40,8 @@ class Feature:
     ----------
     seen, target, sliding, truth : Topic
         Where it is published, its target, the law's sliding variable, and a simulator's truth.
+    what : str
+        What the camera looks for, in a word.
     axes : tuple of str
         Names of the d components of the task.
     scale, task_scale : ndarray, shapes (m,) and (d,)
@@ -48,6 +50,7 @@ class Feature:
 
     seen, target = topics.BALL_POSITION, topics.TARGET_POSITION
     sliding, truth = topics.SLIDING_VARIABLE, topics.TRUE_BALL_POSITION
+    what = "ball"
     #: Whether the motion of the task depends on x.
     curved = False
 
@@ -100,7 +103,7 @@ class PoseFeature(Feature):
 
     seen, target = topics.TOOL_POSE, topics.TARGET_POSE
     sliding, truth = topics.SLIDING_VECTOR, topics.TRUE_TOOL_POSE
-    curved = True
+    what, curved = "tag", True
 
     def __init__(self, lever_arm_m: float) -> None:
         super().__init__(12)

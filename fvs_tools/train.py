@@ -17,6 +17,8 @@ from fvs_estimator_node.files import DataSet, TrainedModel, load_data_set, save_
 from fvs_estimator_node.training import METHODS, TrainingOptions, train
 from fvs_ros import console
 from fvs_ros.arguments import Parser, one_of
+from fvs_ros.chain import SerialChain
+from fvs_ros.feature import Feature
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 
 #: A joint, or a direction, in which the ball moves less than this share of the best is weak.
@@ -130,10 +132,15 @@ def report(trained: TrainedModel) -> str:
             # + 0.0: no negative zero
             f"images stamped late: {round(1e3 * e['time_offset_s'], 1) + 0.0:.1f} +- "
             f"{1e3 * e['time_offset_deviation_s']:.1f} ms",
-            f"noise of a ball position: {1e3 * e['ray_noise_m']:.2f} mm along the line of sight, "
+            f"noise of a position: {1e3 * e['ray_noise_m']:.2f} mm along the line of sight, "
             f"{1e3 * e['lateral_noise_m']:.2f} mm across",
             f"distance from the chain: {1e3 * e['residual_m']:.2f} mm (median); {noise}",
-            *on_joints(trained, trained.joint_box_rad.mean(axis=0)),
+            *on_joints(
+                trained.chain,
+                trained.joint_names,
+                trained.joint_box_rad.mean(axis=0),
+                trained.servoed,
+            ),
         ]
     low, high = (", ".join(f"{v:.2f}" for v in side) for side in trained.joint_box_rad)
     lines += [
@@ -144,23 +151,28 @@ def report(trained: TrainedModel) -> str:
     return "\n".join(lines)
 
 
-def on_joints(trained: TrainedModel, joints_rad: np.ndarray) -> Iterator[str]:
-    """How each joint moves the feature, and what cannot be servoed, at given joints, rad (m)."""
-    chain, names, feature = trained.chain, trained.joint_names, trained.servoed
-    assert chain is not None
+def on_joints(
+    chain: SerialChain,
+    names: Sequence[str],
+    joints_rad: np.ndarray,
+    feature: Feature | None = None,
+) -> Iterator[str]:
+    """How each joint moves ball or tag, and what cannot be servoed, at given joints, rad (m)."""
+    feature = feature or Feature()
+    what = feature.what
     jacobian = feature.to_task(*chain.position_and_jacobian(joints_rad))
     sizes, units = np.linalg.norm(jacobian, axis=0), np.where(chain.prismatic > 0.0, "m/m", "m/rad")
     each = zip(names, sizes, units, strict=True)
-    yield "joints move the ball by " + ", ".join(f"{n} {s:.2f} {u}" for n, s, u in each)
+    yield f"joints move the {what} by " + ", ".join(f"{n} {s:.2f} {u}" for n, s, u in each)
     weak = [name for name, size in zip(names, sizes, strict=True) if size < _WEAK * sizes.max()]
     if weak:
-        yield f"{', '.join(weak)} hardly moves the ball: servoing does without it"
+        yield f"{', '.join(weak)} hardly moves the {what}: servoing does without it"
     ways, values, _ = np.linalg.svd(jacobian)
     if len(values) < len(ways) or values[-1] < _WEAK * values[0]:
         way = ", ".join(f"{part + 0.0:.2f}" for part in ways[:, -1])
         yield (
-            f"no joint moves the ball along [{way}] of the camera frame in the middle of the box: "
-            "the arm cannot servo there; collect about another posture"
+            f"no joint moves the {what} along [{way}] of the camera frame in the middle of the "
+            "box: the arm cannot servo there; collect about another posture"
         )
 
 

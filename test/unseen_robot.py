@@ -5,7 +5,9 @@ white noise on the ball positions. As a program it stands behind the topics that
 real driver and a detector have: joints in the driver's (alphabetical) order with a
 gripper's among them. Without commands it stands; the last one holds for ever.
 
-usage: unseen_robot.py SEED JOINT_RATE_HZ
+usage: unseen_robot.py SEED JOINT_RATE_HZ [pose]
+
+With ``pose`` the arm has a seventh joint, and carries a tag whose pose a foreign tracker publishes.
 """
 
 import contextlib
@@ -16,11 +18,13 @@ from collections import deque
 import numpy as np
 
 from fvs_ros.chain import SerialChain
+from fvs_ros.feature import Feature, PoseFeature, rotation_matrix
 from fvs_ros.joints import UR_JOINT_NAMES as NAMES
 
 #: Half width of the joints' box, rad: how far a collection may go.
 REACH_RAD = np.array([0.6, 0.5, 0.5, 0.5, 0.5, 0.5])
 FRAME = "camera_color_optical_frame"
+ARM_M = 0.3  # of a pose
 IMAGE_RATE_HZ, NOISE_M, LATENCY_S, LAG_S = 30.0, 0.001, 0.03, 0.02
 
 
@@ -52,14 +56,34 @@ def draw_arm(rng: np.random.Generator) -> SerialChain:
             return arm
 
 
+def with_tag(arm: SerialChain, feature: PoseFeature, rng: np.random.Generator) -> SerialChain:
+    """The arm with one more axis near the ball, and a tag in its place that can be turned."""
+    while True:
+        axis, aside, turn = rng.standard_normal((3, 3))
+        found = SerialChain(
+            np.vstack([arm.axes, axis]),
+            np.vstack([arm.points_m, arm.feature_m + 0.1 * aside]),
+            feature.of(arm.feature_m, rotation_matrix(turn)),
+            np.append(arm.reference_rad, 0.2),
+        )
+        box = found.reference_rad + 0.5 * rng.uniform(-1.0, 1.0, (40, 7))
+        at, jacobians = found.position_and_jacobian(box)
+        tasks = [feature.to_task(*one) for one in zip(at, jacobians, strict=True)]
+        if np.linalg.svd(tasks, compute_uv=False)[:, -1].min() > 0.1:
+            return found
+
+
 class UnseenRobot:
     """Robot and camera in steps of a millisecond: velocities in, joints and noisy balls out."""
 
     STEP_S = 0.001
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, pose: bool = False) -> None:
         self._rng = np.random.default_rng([seed, 77])
-        self.arm = draw_arm(self._rng)
+        self.arm, self.feature, self.names = draw_arm(self._rng), Feature(), [*NAMES]
+        if pose:
+            self.feature, self.names = PoseFeature(ARM_M), [*NAMES, "wrist_4_joint"]
+            self.arm = with_tag(draw_arm(self._rng), self.feature, self._rng)
         self.joints_rad = self.arm.reference_rad.copy()
         self.command_rad_s = np.zeros(self.joints_rad.size)
         self._velocity = self.command_rad_s
@@ -73,7 +97,7 @@ class UnseenRobot:
 
     @property
     def ball_m(self) -> np.ndarray:
-        """Where the ball truly is, camera frame, m, shape (3,)."""
+        """Where ball or tag truly is, camera frame, m, shape (m,)."""
         return self.arm.position(self.joints_rad)
 
     def advance(self, duration_s: float) -> list[tuple[float, np.ndarray]]:
@@ -85,8 +109,8 @@ class UnseenRobot:
             self._steps += 1
             if self.time_s * IMAGE_RATE_HZ >= self._images:
                 self._images += 1
-                noise = NOISE_M * self._rng.standard_normal(3)
-                self._pending.append((self.time_s, self.ball_m + noise))
+                noise = NOISE_M * self._rng.standard_normal(len(self.feature.axes))
+                self._pending.append((self.time_s, self.feature.displaced(self.ball_m, noise)))
         seen = []
         while self._pending and self._pending[0][0] + LATENCY_S <= self.time_s:
             seen.append(self._pending.popleft())
@@ -96,7 +120,7 @@ class UnseenRobot:
         """Targets that the ball can be at, each within 0.3 m of the one before, m."""
         targets = [self.ball_m]
         while len(targets) <= count:
-            way_rad = 0.9 * REACH_RAD * rng.uniform(-1.0, 1.0, REACH_RAD.size)
+            way_rad = 0.45 * rng.uniform(-1.0, 1.0, self.joints_rad.size)
             target = self.arm.position(self.arm.reference_rad + way_rad)
             if 0.05 < np.linalg.norm(target - targets[-1]) < 0.3:
                 targets.append(target)
@@ -106,36 +130,40 @@ class UnseenRobot:
 def main() -> None:
     """Stand behind the topics, in real time."""
     import rclpy
-    from geometry_msgs.msg import PointStamped
+    from geometry_msgs.msg import PointStamped, PoseStamped
     from sensor_msgs.msg import JointState
     from std_msgs.msg import Float64MultiArray
 
     from fvs_ros import ros
 
-    robot, period_s = UnseenRobot(int(sys.argv[1])), 1.0 / float(sys.argv[2])
+    is_pose = "pose" in sys.argv
+    robot, period_s = UnseenRobot(int(sys.argv[1]), is_pose), 1.0 / float(sys.argv[2])
+    kind = PoseStamped if is_pose else PointStamped
     rclpy.init()
     node = rclpy.create_node("ur_robot_driver")
     joint_states = node.create_publisher(JointState, "joint_states", 10)
-    ball = node.create_publisher(PointStamped, "ball_position", 10)
-    truth = node.create_publisher(PointStamped, "true_ball", 10)
+    seen = node.create_publisher(kind, robot.feature.seen.name, 10)
+    truth = node.create_publisher(kind, "truth", 10)
     started_s, epoch_s = time.monotonic(), time.time()
-    names = sorted([*NAMES, "gripper_joint"])
+    names = sorted([*robot.names, "gripper_joint"])
 
     def obey(message: Float64MultiArray) -> None:
-        assert len(message.data) == len(NAMES), "a real controller would be deactivated"
+        assert len(message.data) == len(robot.names), "a real controller would be deactivated"
         robot.command_rad_s = np.array(message.data)
 
     node.create_subscription(Float64MultiArray, "forward_velocity_controller/commands", obey, 10)
 
     def step() -> None:
         while robot.time_s + period_s <= time.monotonic() - started_s:
-            for stamp_s, position_m in robot.advance(period_s):
-                ball.publish(ros.to_point(epoch_s + stamp_s, FRAME, position_m))
+            for stamp_s, found_m in robot.advance(period_s):
+                seen.publish(ros.to_feature(epoch_s + stamp_s, FRAME, robot.feature, found_m))
             now_s = epoch_s + robot.time_s
-            joints = dict(zip(NAMES, robot.joints_rad.tolist(), strict=True), gripper_joint=0.3)
+            joints = dict(
+                zip(robot.names, robot.joints_rad.tolist(), strict=True), gripper_joint=0.3
+            )
             positions = np.array([joints[name] for name in names])
             joint_states.publish(ros.to_joint_state(now_s, names, positions, np.zeros(0)))
-            truth.publish(ros.to_point(now_s, FRAME, robot.ball_m))
+            truth.publish(ros.to_feature(now_s, FRAME, robot.feature, robot.ball_m))
 
     node.create_timer(period_s, step)
     with contextlib.suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
