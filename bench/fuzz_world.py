@@ -230,11 +230,11 @@ class World:
         message = ros.to_point(stamp_s, frame, ball_m)
         value = _read(ros.from_point, message, CAMERA_FRAME, BALL)
         self._note(BALL, value, ros.from_stamp(message.header.stamp))
-        self.node._on_ball(message)
+        self.node._on_feature(message)
 
     def send_jacobian(self, message):
         """Send a Jacobian, m/rad."""
-        self._note(JACOBIAN, _read(ros.from_jacobian, message, *self.true.shape))
+        self._note(JACOBIAN, _read(ros.from_jacobian, message, self.joints.size))
         self.node._on_jacobian(message)
 
     @property

@@ -42,11 +42,11 @@ PARTS = {
     "Jacobian": ((EstimatorNode, "_publish_jacobian"),),
     _CONTROLLER: tuple(
         (ControllerNode, name)
-        for name in ("_on_joint_states", "_on_ball", "_on_jacobian", "_publish_status")
+        for name in ("_on_joint_states", "_on_feature", "_on_jacobian", "_publish_status")
     ),
     _ESTIMATOR: tuple(
         (EstimatorNode, name)
-        for name in ("_on_joint_states", "_on_ball", "_on_sliding", "_publish_status")
+        for name in ("_on_joint_states", "_on_feature", "_on_sliding", "_publish_status")
     ),
 }
 

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import ur5_dh
-from recordings import Recording, relative_error, ur5_chain
+from recordings import Recording, random_rotation, relative_error, ur5_chain
 
 from fvs_estimator_node import chain_chart
 from fvs_estimator_node.chain_chart import Chart, residuals_and_slopes
 from fvs_estimator_node.chain_fit import fit_chain
 from fvs_estimator_node.files import DataSet
 from fvs_ros.chain import SerialChain
+from fvs_ros.feature import PoseFeature
 
 
 def error_of(fit, recording):
@@ -21,28 +22,32 @@ def error_of(fit, recording):
     return float(np.median(relative_error(fit.chain.jacobian(places), true)))
 
 
+@pytest.mark.parametrize("features", [3, 12])
 @pytest.mark.parametrize("prismatic", [0, 1])
-def test_the_derivatives_are_those_of_the_residuals(prismatic):
+def test_the_derivatives_are_those_of_the_residuals(prismatic, features):
     rng = np.random.default_rng(0)
     recording = Recording(seconds=2.0)
     chain = replace(recording.chain(), prismatic=prismatic * np.array([0, 0, 1, 0, 1, 0]))
+    directions = rng.normal(size=features - 3)
+    chain = replace(chain, feature_m=np.append(chain.feature_m, directions))
+    none = np.zeros((7, features))
     chart = Chart(chain)
     time_s = np.linspace(0.0, 2.0, 7)
-    values = 0.2 * rng.normal(size=28)
+    values = 0.2 * rng.normal(size=chart.size)
 
     def residuals(values):
         joints = recording.joints(time_s - values[chain_chart.OFFSET])
-        return residuals_and_slopes(chart, values, joints, np.zeros((7, 6)), np.zeros((7, 3)))[0]
+        return residuals_and_slopes(chart, values, joints, np.zeros((7, 6)), none)[0]
 
     late_s = values[chain_chart.OFFSET]
     joints = recording.joints(time_s - late_s)
     velocity = (recording.joints(time_s - late_s + 1e-5) - joints) / 1e-5
-    found, slopes = residuals_and_slopes(chart, values, joints, velocity, np.zeros((7, 3)))
+    found, slopes = residuals_and_slopes(chart, values, joints, velocity, none)
     np.testing.assert_allclose(found, chart.chain(values).position(joints), atol=1e-12)
     step = 1e-6
-    for i, unit in enumerate(np.eye(28)):
+    for i, unit in enumerate(np.eye(chart.size)):
         numeric = (residuals(values + step * unit) - residuals(values - step * unit)) / (2 * step)
-        np.testing.assert_allclose(slopes[:, :, i], numeric, atol=2e-5, err_msg=str(i))
+        np.testing.assert_allclose(slopes[:, :, i], numeric, atol=5e-5, err_msg=str(i))
 
 
 @pytest.mark.parametrize(("joints", "prismatic"), [(4, []), (7, []), (4, [2]), (6, [0, 3])])
@@ -193,3 +198,33 @@ def test_a_stretch_that_is_far_off_pulls_at_nothing(frozen):
 def test_what_cannot_be_fitted_is_refused_in_words(spoilt, words):
     with pytest.raises(ValueError, match=words):
         fit_chain(spoilt(Recording(seconds=15.0).data()))
+
+
+# --- a tag in place of the ball ---
+
+
+def pose_recording(recording, noise_m=3e-4, noise_rad=1e-3):
+    """The chain with a tag on its last axis, where a ball would not move, and what is recorded."""
+    pose, rng = PoseFeature(0.3), np.random.default_rng([recording.seed, 9])
+    chain = recording.chain()
+    axis, point = chain.axes[5], chain.points_m[5]
+    place_m = point + axis * (axis @ (chain.feature_m - point))
+    chain = replace(chain, feature_m=pose.of(place_m, random_rotation(rng)))
+    stamps = np.arange(round(30.0 * recording.seconds)) / 30.0 + 1.0
+    noise = rng.normal(size=(len(stamps), 6)) * ([noise_m] * 3 + [0.3 * noise_rad] * 3)
+    exact = chain.position(recording.joints(stamps - recording.late_s))
+    seen = np.array([pose.displaced(*one) for one in zip(exact, noise, strict=True)])
+    run = np.zeros(len(stamps), dtype=int)
+    return chain, DataSet(stamps, recording.joints(stamps), seen, run, feature="pose")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_tag_on_the_last_axis_is_fitted_to_less_than_a_thousandth(seed):
+    recording = Recording(seed=seed)
+    chain, data = pose_recording(recording)
+    fit, places = fit_chain(data), recording.places()
+    true = chain.jacobian(places)
+    assert relative_error(fit.chain.jacobian(places), true).max() < 1e-3
+    assert fit.time_offset_s == pytest.approx(recording.late_s, abs=1e-3)
+    assert fit.is_chain
+    assert np.median(fit.jacobian_deviation(places)) < 1e-3
