@@ -67,7 +67,7 @@ def _parser() -> argparse.ArgumentParser:
         help="leave out the spot check through the real nodes",
     )
     alone = parser.add_argument_group(
-        "everyday and robustness",
+        "everyday, tags and robustness",
         "Random worlds; the same number is the same world, whatever the others.",
     )
     alone.add_argument("--trials", type=_positive, help="number of worlds (default: 500)")

@@ -103,7 +103,8 @@ def outcome_of(
     steps_m[np.diff(targets_m[moving], axis=0).any(axis=1)] = 0.0
     limited = np.array([bool(one.active_limit) for one in commands])
     serving = commands[-1].state is State.SERVOING
-    nothing = np.full_like(balls_m[0], np.nan)
+    given = [one.output.exponent for one in commands if one.output is not None]
+    nothing = np.full(given[0].size if given else 0, np.nan)
     exponents = [nothing if one.output is None else one.output.exponent for one in commands]
     return Outcome(
         start_distance_m=float(errors[0]),

@@ -25,12 +25,14 @@ EXPERIMENTS = {
     "beyond": "What the additions to the paper are worth: a minute of data, least time, moved "
     "cameras.",
     "arms": "Arms by other authors: learned from a minute of motion and servoed.",
+    "pose": "The pose of a tag: every scheme, images, and a calibrated camera.",
     "everyday": "Hundreds of random worlds of the usual kind, in which no scheme worth using may "
     "fail.",
+    "tags": "The same for the pose of a tag: position and angle.",
     "robustness": "Hundreds of random worlds, to see which scheme settles whatever goes wrong.",
 }
 #: Those that are run by their own name only: they take longer than all others together.
-LONG = ("everyday", "robustness")
+LONG = ("everyday", "tags", "robustness")
 _WORDS = {True: "holds", False: "does not hold", None: "undecided"}
 
 

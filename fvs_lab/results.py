@@ -197,6 +197,9 @@ METRICS = {
     "limited_share": Metric("limited, %", 1e2, 0),
     "jacobian_error": Metric("Jacobian error, %", 1e2, 1),
     "pace": Metric("own pace"),
+    # pose
+    "rest_m": Metric("final way, mm rms", 1e3),
+    "rest_deg": Metric("final turn, °", 1.0, 3),
     # settling
     "bound_s": Metric("bound to 0, s"),
     "band_5mm_s": Metric("bound to 5 mm, s"),

@@ -12,7 +12,9 @@ import numpy as np
 
 from fvs_controller_node.prediction import BallPredictor
 from fvs_controller_node.supervisor import Command
+from fvs_detector_node.detection import BallDetection
 from fvs_lab.outcome import BOUNDS_M, JACOBIAN_EVERY, Outcome, outcome_of, seconds
+from fvs_ros.topics import BALL, POSE
 from fvs_sim_node.camera import CAMERAS, CameraPose
 from fvs_sim_node.robot import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.simulation import SimConfig, Simulation
@@ -43,7 +45,9 @@ Vector = tuple[float, float, float]
 class Conditions:
     """The world of a run, the same for all variants in a comparison."""
 
-    #: Whether ball positions come from rendered images.
+    #: What the arm carries: a ball, or a tag (pose).
+    feature: str = BALL
+    #: Whether it is seen in rendered images.
     rendered: bool = True
     #: Further noise on each coordinate, m, and that of :class:`StableNoise`; 2 for white noise.
     position_noise_m: float = 0.001
@@ -95,7 +99,7 @@ def _carried_camera(turn_rad: np.ndarray) -> CameraPose:
 
 def simulation_of(conditions: Conditions) -> Simulation:
     """The process's simulation, put under these conditions; to be reset before use."""
-    simulation = _build(conditions.physics_rate_hz)
+    simulation = _build(conditions.physics_rate_hz, conditions.feature)
     simulation.configure(conditions.sim_config())
     simulation.position_noise = (
         None
@@ -106,8 +110,8 @@ def simulation_of(conditions: Conditions) -> Simulation:
 
 
 @lru_cache(maxsize=4)
-def _build(physics_rate_hz: float) -> Simulation:
-    return Simulation(Conditions(physics_rate_hz=physics_rate_hz).sim_config())
+def _build(physics_rate_hz: float, feature: str) -> Simulation:
+    return Simulation(Conditions(feature, physics_rate_hz=physics_rate_hz).sim_config())
 
 
 @dataclass(frozen=True)
@@ -233,20 +237,27 @@ class Trial:
 
 
 def sees(simulation: Simulation) -> bool:
-    """Whether the camera sees enough of the ball."""
+    """Whether the camera sees enough of the ball, or the tag three times."""
+    if simulation.config.feature == POSE:
+        return all(simulation.look().detection is not None for _ in range(3))
     found = simulation.look().detection
-    return found is not None and getattr(found, "visible_fraction", 1.0) >= 0.9
+    return isinstance(found, BallDetection) and found.visible_fraction >= 0.9
 
 
 def make_cases(
-    label: str, count: int, seed: int, low_m: float = 0.2, high_m: float = 0.5
+    label: str,
+    count: int,
+    seed: int,
+    low_m: float = 0.2,
+    high_m: float = 0.5,
+    feature: str = BALL,
 ) -> list[Case]:
-    """Draw starts and goals whose balls are visible and this far apart, m.
+    """Draw starts and goals whose balls (or tags) are visible and this far apart, m.
 
     The label begins their names; the seed is that of the draw and of the cases' own seeds.
     """
     rng = np.random.default_rng(seed)
-    simulation = simulation_of(Conditions())
+    simulation = simulation_of(Conditions(feature))
     cases: list[Case] = []
     while len(cases) < count:
         pair = HOME_RAD + rng.uniform(-1.0, 1.0, (2, HOME_RAD.size)) * BOX_RAD
@@ -274,10 +285,11 @@ def run_trial(trial: Trial) -> Outcome:
 
 def drive(trial: Trial, simulation: Simulation) -> Outcome:
     """Run one trial in a simulation that has been put under its conditions."""
-    simulation.reset(trial.case.goal_rad)
-    goal_m = simulation.world.ball_position()
     simulation.reset(trial.case.start_rad, trial.case.seed)
     one = trial.loop(simulation)
+    simulation.reset(trial.case.goal_rad)
+    goal_m = in_world(one)
+    simulation.reset(trial.case.start_rad, trial.case.seed)
     one.run(PRELUDE_S)
     if trial.before is not None:
         trial.before(one)
@@ -302,7 +314,7 @@ def drive(trial: Trial, simulation: Simulation) -> Outcome:
             target_m = path(speed_m_s * (now_s + one.period_s))
         commands.append(one.tick())
         times_s.append(simulation.time_s - start_s)
-        balls_m.append(simulation.true_ball_position())
+        balls_m.append(one.true_feature)
         targets_m.append(target_m)
         if tick % JACOBIAN_EVERY == 0:
             jacobian_errors.append(jacobian_error(one))
@@ -314,11 +326,18 @@ def drive(trial: Trial, simulation: Simulation) -> Outcome:
     return outcome_of(*series, commands, np.array(jacobian_errors), trial.record)
 
 
+def in_world(one: ClosedLoop) -> np.ndarray:
+    """The feature where it is now, world frame, m, (m,)."""
+    directions = one.true_feature[3:].reshape(-1, 3) @ one.simulation.camera.rotation.T
+    return np.append(one.simulation.world.ball_position(), directions)
+
+
 def give_target(one: ClosedLoop, goal_m: np.ndarray) -> np.ndarray:
     """Give a target, world frame, as the camera sees it; returns the true one, camera frame, m."""
-    target_m = one.simulation.camera.to_camera(goal_m)
-    one.set_target(one.simulation.as_seen(target_m))
-    return target_m
+    camera = one.simulation.camera
+    place_m, directions = camera.to_camera(goal_m[:3]), goal_m[3:].reshape(-1, 3) @ camera.rotation
+    one.set_target(np.append(one.simulation.as_seen(place_m), directions))
+    return np.append(place_m, directions)
 
 
 def settling_run(one: ClosedLoop, target_m: np.ndarray, duration_s: float) -> float:
@@ -334,7 +353,7 @@ def settling_run(one: ClosedLoop, target_m: np.ndarray, duration_s: float) -> fl
 
 def jacobian_error(one: ClosedLoop) -> float:
     """Relative Frobenius error of the Jacobian that the controller uses now."""
-    true = one.simulation.true_jacobian(one.simulation.joints_rad)
+    true = one.simulation.true_task_jacobian(one.feature, one.simulation.joints_rad)
     used = one.loop.jacobian
     return float("nan") if used is None else float(relative_errors(used, true))
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from fvs_lab.results import number_text
 from fvs_lab.trials import WHITE, Bump, Case, Conditions, Vector, make_cases, sees, simulation_of
+from fvs_ros.topics import BALL, POSE
 
 #: Least and largest distance of start and target, m.
 DISTANCE_M = (0.1, 0.5)
@@ -28,6 +29,8 @@ class Kind:
     #: Shares of the worlds in which the camera is bumped, and in which the noise has heavy tails.
     bumped_share: float = 0.0
     heavy_share: float = 0.0
+    #: What the arm carries.
+    feature: str = BALL
 
 
 #: Every disturbance at the same time.
@@ -73,7 +76,10 @@ EVERYDAY = Kind(
     },
 )
 
-KINDS = {kind.name: kind for kind in (EVERYDAY, HARSH)}
+#: The same for a tag's pose.
+TAGS = replace(EVERYDAY, name="tags", seed=306, feature=POSE)
+
+KINDS = {kind.name: kind for kind in (EVERYDAY, HARSH, TAGS)}
 
 
 @dataclass(frozen=True)
@@ -158,11 +164,12 @@ def draw_world(kind: Kind, number: int) -> World:
     amount = {name: float(rng.uniform(*range_)) for name, range_ in kind.ranges.items()}
     bumped, heavy = rng.random() < kind.bumped_share, rng.random() < kind.heavy_share
     changes: dict[str, Any] = {one.name: amount[one.name] for one in DRAWN}
-    drawn = Conditions(**changes)
+    drawn = Conditions(kind.feature, **changes)
     if not heavy:
         drawn = replace(drawn, noise_exponent=WHITE)
     while True:
-        case = make_cases(f"R{number}-", 1, int(rng.integers(2**31)), *DISTANCE_M)[0]
+        seed = int(rng.integers(2**31))
+        case = make_cases(f"R{number}-", 1, seed, *DISTANCE_M, kind.feature)[0]
         turn_deg = _direction(rng, amount["camera_turn_deg"])
         blow = Bump(
             amount["bump_time_s"],
@@ -170,7 +177,7 @@ def draw_world(kind: Kind, number: int) -> World:
             _direction(rng, amount["bump_shift_m"]),
         )
         bump = blow if bumped else None
-        distance_m = _visible_distance_m(case, turn_deg, bump)
+        distance_m = _visible_distance_m(case, turn_deg, bump, kind.feature)
         if distance_m is not None:
             conditions = replace(drawn, camera_turn_deg=turn_deg)
             return World(number, case, distance_m, conditions, bump)
@@ -183,9 +190,11 @@ def _direction(rng: np.random.Generator, length: float) -> Vector:
     return (x, y, z)
 
 
-def _visible_distance_m(case: Case, turn_deg: Vector, bump: Bump | None) -> float | None:
-    """Distance from start to target, m; None if the ball cannot be seen at either of them."""
-    simulation = simulation_of(Conditions(camera_turn_deg=turn_deg))
+def _visible_distance_m(
+    case: Case, turn_deg: Vector, bump: Bump | None, feature: str
+) -> float | None:
+    """Distance from start to target, m; None if ball or tag cannot be seen at either of them."""
+    simulation = simulation_of(Conditions(feature, camera_turn_deg=turn_deg))
     cameras = [simulation.camera]
     if bump is not None:
         bump.strike(simulation)
