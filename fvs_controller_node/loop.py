@@ -15,7 +15,7 @@ from fvs_controller_node.base import Change, ControlInput, ControlLaw, ControlOu
 from fvs_controller_node.config import ControllerConfig, SupervisorConfig, default_values, make_law
 from fvs_controller_node.drive_lag import DriveLag, brake
 from fvs_controller_node.inbox import BALL, JACOBIAN, JOINT_STATES, KINEMATIC_CHAIN
-from fvs_controller_node.prediction import BallPredictor
+from fvs_controller_node.prediction import FeaturePredictor
 from fvs_controller_node.reasons import State
 from fvs_controller_node.redundancy import make_inverse
 from fvs_controller_node.supervisor import Command, Present, Supervisor
@@ -45,7 +45,7 @@ class ServoLoop:
     ----------
     law : ControlLaw
         The control law.
-    predictor : BallPredictor
+    predictor : FeaturePredictor
         Predicts the ball to now.
     supervisor : Supervisor
         The one exit.
@@ -57,7 +57,7 @@ class ServoLoop:
         values = default_values() if values is None else values
         self.supervisor = Supervisor(SupervisorConfig.from_values(values))
         self._feature = self.supervisor.config.servoed
-        self.predictor = BallPredictor(self._feature)
+        self.predictor = FeaturePredictor(self._feature)
         self.configure(values)
         self._drive_lag = DriveLag()
         self._pending_rad = self._drive_lag.pending_rad()
@@ -133,7 +133,7 @@ class ServoLoop:
             f"{passed_s:.3f} s; do two nodes publish joint states?"
         )
 
-    def add_ball(self, now_s: float, stamp_s: float, position_m: np.ndarray) -> None:
+    def add_feature(self, now_s: float, stamp_s: float, position_m: np.ndarray) -> None:
         """Take a ball position in the feature's frame: arrival and exposure, s; (m,), m."""
         if repeats(stamp_s, self._ball_stamp_s):
             self.supervisor.inputs[BALL].stuck(now_s)
@@ -141,7 +141,7 @@ class ServoLoop:
         self._ball_stamp_s = stamp_s
         if self.supervisor.inputs.add(BALL, now_s, position_m):
             self._seen = position_m
-            self.predictor.add_ball(stamp_s, position_m)
+            self.predictor.add_feature(stamp_s, position_m)
 
     def add_jacobian(self, now_s: float, jacobian: np.ndarray) -> None:
         """Take the task's Jacobian, (d, n), m/rad, and its arrival; a chain's takes priority."""

@@ -131,7 +131,7 @@ class ControllerNode(ros.FvsNode):
         except ros.MessageError as error:
             self._loop.supervisor.inputs[BALL].bad(str(error))
             return
-        self._loop.add_ball(now_s, ros.from_stamp(message.header.stamp), position_m)
+        self._loop.add_feature(now_s, ros.from_stamp(message.header.stamp), position_m)
 
     def _on_jacobian(self, message: Float64MultiArray) -> None:
         now_s, joints = self.now_s(), len(self._joint_map.names)

@@ -120,7 +120,7 @@ def _verdict(
     return Verdict(predicted_m, share, (off / max(power, seen_power)) ** 0.5, time_s)
 
 
-class BallPredictor:
+class FeaturePredictor:
     """Predicts the ball to now, and fuses images with joint motion.
 
     The history of the ball's motion ``sum J dr`` is as long as that of the joints, so that it
@@ -188,9 +188,9 @@ class BallPredictor:
         self._unjudged.clear()
         self._use(self._timeline.add_joints(stamp_s, joints_rad))
 
-    def add_ball(self, stamp_s: float, position_m: np.ndarray) -> None:
+    def add_feature(self, stamp_s: float, position_m: np.ndarray) -> None:
         """Take a ball position, m, (m,), and its exposure on the joint states' clock, s."""
-        self._use(self._timeline.add_ball(stamp_s, position_m))
+        self._use(self._timeline.add_feature(stamp_s, position_m))
 
     def _use(self, samples: list[Sample]) -> None:
         if self._timeline.clock_jumps != self._jumps:

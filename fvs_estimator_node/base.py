@@ -18,7 +18,7 @@ NETWORKS, CHAIN = "a trained model", "a fitted chain"
 
 @dataclass(frozen=True)
 class MotionStep:
-    """Motion of the ball and of the n joints between the same two exposures.
+    """Motion of the feature and of the n joints between the same two exposures.
 
     Parameters
     ----------
@@ -30,8 +30,8 @@ class MotionStep:
         Joint positions at the middle of the step, rad, where its Jacobian applies.
     d_joints_rad : ndarray, shape (n,)
         Joint motion, rad.
-    d_ball_m : ndarray, shape (m,)
-        Ball motion in the camera frame, m.
+    d_feature_m : ndarray, shape (m,)
+        Motion of the feature in the camera frame, m.
     sliding_variable : ndarray, shape (m,), or 0
         The controller's newest sliding variable s; 0 without a controller.
     """
@@ -40,7 +40,7 @@ class MotionStep:
     dt_s: float
     joints_rad: np.ndarray
     d_joints_rad: np.ndarray
-    d_ball_m: np.ndarray
+    d_feature_m: np.ndarray
     sliding_variable: np.ndarray | float = 0.0
 
     @property
@@ -54,13 +54,13 @@ class MotionStep:
         return self.d_joints_rad / self.dt_s
 
     @property
-    def ball_velocity(self) -> np.ndarray:
-        """Mean ball velocity, m/s, shape (m,)."""
-        return self.d_ball_m / self.dt_s
+    def feature_velocity(self) -> np.ndarray:
+        """Mean velocity of the feature, m/s, shape (m,)."""
+        return self.d_feature_m / self.dt_s
 
 
 class Estimator(ABC):
-    """Estimates the m x n Jacobian of the ball's position with respect to the joints.
+    """Estimates the m x n Jacobian of the feature with respect to the joints.
 
     It takes steps and answers with Jacobians; it knows neither topics nor clocks.
 
@@ -99,7 +99,7 @@ class Estimator(ABC):
         """Estimate at joints, rad, shape (n,): m/rad, a new array of shape (m, n)."""
 
     def observe(  # noqa: B027
-        self, joints_rad: np.ndarray, ball_m: np.ndarray, noise_m: float
+        self, joints_rad: np.ndarray, feature_m: np.ndarray, noise_m: float
     ) -> None:
         """Take every image that is no outlier, also at rest, before the update.
 
@@ -107,8 +107,8 @@ class Estimator(ABC):
         ----------
         joints_rad : ndarray, shape (n,)
             Joints at the exposure, rad.
-        ball_m : ndarray, shape (m,)
-            Ball position, camera frame, m.
+        feature_m : ndarray, shape (m,)
+            The feature, camera frame, m.
         noise_m : float
             Standard deviation of a coordinate of it, as learned so far, m.
         """

@@ -135,14 +135,14 @@ class _BehindCamera(Estimator):
         turned = self.camera.rotation @ jacobian.reshape(-1, 3, jacobian.shape[1])
         return turned.reshape(jacobian.shape)
 
-    def observe(self, joints_rad: np.ndarray, ball_m: np.ndarray, noise_m: float) -> None:
-        """Learn the camera's pose from where the ball is."""
-        position_m = self._position(joints_rad, ball_m)
-        self.camera.add(position_m, ball_m[: len(position_m)], noise_m)
+    def observe(self, joints_rad: np.ndarray, feature_m: np.ndarray, noise_m: float) -> None:
+        """Learn the camera's pose from where the feature is."""
+        position_m = self._position(joints_rad, feature_m)
+        self.camera.add(position_m, feature_m[: len(position_m)], noise_m)
         self.updates += 1
 
     @abstractmethod
-    def _position(self, joints_rad: np.ndarray, ball_m: np.ndarray) -> np.ndarray:
+    def _position(self, joints_rad: np.ndarray, feature_m: np.ndarray) -> np.ndarray:
         """Where the model has the feature, m, (m,), or only its point, (3,)."""
 
     def status_values(self) -> dict[str, float]:
@@ -166,7 +166,7 @@ class PoeEstimator(_BehindCamera):
         """The chain as the camera sees it now."""
         return self._fitted.moved(self.camera.rotation, self.camera.translation_m)
 
-    def _position(self, joints_rad: np.ndarray, _ball_m: np.ndarray) -> np.ndarray:
+    def _position(self, joints_rad: np.ndarray, _feature_m: np.ndarray) -> np.ndarray:
         return self._fitted.position(joints_rad)
 
 
@@ -185,10 +185,10 @@ class TurnedRbfEstimator(_BehindCamera):
         super().reset()
         self._joints = None
 
-    def _position(self, joints_rad: np.ndarray, ball_m: np.ndarray) -> np.ndarray:
+    def _position(self, joints_rad: np.ndarray, feature_m: np.ndarray) -> np.ndarray:
         # Of a pose the point alone: directions say nothing before the camera's rotation is known.
         if self._joints is None:
-            self._sum_m = ball_m[:3]
+            self._sum_m = feature_m[:3]
         else:
             step = joints_rad - self._joints
             moved = self._model.jacobian(self._joints + 0.5 * step) @ step

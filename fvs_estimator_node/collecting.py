@@ -134,7 +134,7 @@ class CollectionRun:
         """Take a ball position: arrival on the steady clock and exposure stamp, s; (m,), m."""
         if not repeats(stamp_s, self._timeline.seen_stamp_s):
             self._ball_s = now_s
-            self._record(self._timeline.add_ball(stamp_s, position_m))
+            self._record(self._timeline.add_feature(stamp_s, position_m))
 
     def configure(self, config: CollectorConfig) -> None:
         """Take limits that are known only now; a motion keeps those that it began with."""

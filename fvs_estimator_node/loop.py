@@ -23,7 +23,7 @@ _WAIT_IMAGES = 16
 
 
 class StepPairing:
-    """Builds motion steps from joint states and ball positions.
+    """Builds motion steps from joint states and features.
 
     A step ends at the first sample whose joints have moved enough since the anchor, and the next
     one begins there. After a timeout the anchor moves to the newest sample.
@@ -83,13 +83,13 @@ class StepPairing:
             dt_s=sample.stamp_s - anchor.stamp_s,
             joints_rad=anchor.joints_rad + 0.5 * d_joints,
             d_joints_rad=d_joints,
-            d_ball_m=sample.ball_m - anchor.ball_m,
+            d_feature_m=sample.feature_m - anchor.feature_m,
             sliding_variable=sliding,
         )
 
 
 class EstimationLoop:
-    """Joint states and ball positions in; Jacobian, chain and status out.
+    """Joint states and features in; Jacobian, chain and status out.
 
     Outliers are ignored, as in the controller.
 
@@ -115,7 +115,7 @@ class EstimationLoop:
         self.pairing = StepPairing()
         self.learns = True
         self._tracker = Tracker()
-        self._moved_m = np.zeros(0)  # of the ball by the joints, up to the last sample
+        self._moved_m = np.zeros(0)  # of the feature by the joints, up to the last sample
         self._forget()
 
     def _forget(self) -> None:
@@ -137,9 +137,9 @@ class EstimationLoop:
         """Take a joint state, s and rad, (n,). Returns whether the estimator learned from it."""
         return self._learn(self.pairing.timeline.add_joints(stamp_s, joints_rad))
 
-    def add_ball(self, stamp_s: float, ball_m: np.ndarray) -> bool:
-        """Take a ball position, exposure in s and m, (m,); whether the estimator learned."""
-        return self._learn(self.pairing.timeline.add_ball(stamp_s, ball_m))
+    def add_feature(self, stamp_s: float, feature_m: np.ndarray) -> bool:
+        """Take a feature, exposure in s and m, (m,); whether the estimator learned."""
+        return self._learn(self.pairing.timeline.add_feature(stamp_s, feature_m))
 
     def add_sliding_variable(self, stamp_s: float, sliding_variable: np.ndarray) -> None:
         """Take the controller's sliding variable, s and m, (d,)."""
@@ -205,10 +205,10 @@ class EstimationLoop:
             step = self.pairing.step(sample)
             if not learns:
                 continue
-            self.estimator.observe(sample.joints_rad, sample.ball_m, self._tracker.noise_m)
+            self.estimator.observe(sample.joints_rad, sample.feature_m, self._tracker.noise_m)
             if step is not None:
                 if self.feature.curved and isinstance(step.sliding_variable, np.ndarray):
-                    s = self.feature.from_task(sample.ball_m, step.sliding_variable)
+                    s = self.feature.from_task(sample.feature_m, step.sliding_variable)
                     step = replace(step, sliding_variable=s)
                 self.estimator.update(step)
                 self.steps += 1
@@ -217,17 +217,17 @@ class EstimationLoop:
     def _judge(self, sample: Sample) -> list[Sample]:
         """The samples that are now confirmed as inliers, oldest first."""
         last, self._last = self._last, sample
-        self._seen_m = sample.ball_m
+        self._seen_m = sample.feature_m
         if self.estimator.problem:
             self._last = None  # no prediction to judge by
             return [sample]
         if last is None:
             self._tracker.restart()
-            moved_m = np.zeros_like(sample.ball_m)
+            moved_m = np.zeros_like(sample.feature_m)
         else:
             d_joints = sample.joints_rad - last.joints_rad
             jacobian = self.estimator.jacobian(last.joints_rad + 0.5 * d_joints)
             moved_m = self._moved_m + jacobian @ d_joints
         self._moved_m = moved_m
-        images = self._tracker.add(Image(sample.stamp_s, sample.ball_m, moved_m, sample))
+        images = self._tracker.add(Image(sample.stamp_s, sample.feature_m, moved_m, sample))
         return [image.source for image in images]

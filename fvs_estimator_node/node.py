@@ -118,7 +118,7 @@ class EstimatorNode(ros.FvsNode):
         except ros.MessageError as error:
             self._complain(str(error))
             return
-        self._learn(self._loop.add_ball, ros.from_stamp(message.header.stamp), feature_m)
+        self._learn(self._loop.add_feature, ros.from_stamp(message.header.stamp), feature_m)
 
     def _on_sliding(self, message: Vector3Stamped | Float64MultiArray) -> None:
         stamp_s = self._stamp_s  # a vector of a pose has none of its own

@@ -189,7 +189,7 @@ class BroydenEstimator(OnlineEstimator):
     ) -> tuple[np.ndarray, np.ndarray]:
         moved = step.d_joints_rad
         share = self.config.gain * moved / (moved @ moved)
-        return jacobian + np.multiply.outer(step.d_ball_m - jacobian @ moved, share), covariance
+        return jacobian + np.multiply.outer(step.d_feature_m - jacobian @ moved, share), covariance
 
 
 class LkfEstimator(OnlineEstimator):
@@ -240,7 +240,7 @@ class UkfEstimator(OnlineEstimator):
         weighted_m = weights * off_m
         innovation = off_m.T @ weighted_m + variance_m2 * np.eye(m)
         gain = np.linalg.solve(innovation, weighted_m.T @ off).T
-        after = mean + gain @ (step.d_ball_m - mean_m)
+        after = mean + gain @ (step.d_feature_m - mean_m)
         # The covariance of what the gain leaves of the points: P - K S K' in Joseph's form,
         # whose terms are squares, where the difference would lose its sign to rounding.
         left = off - off_m @ gain.T
@@ -286,7 +286,7 @@ def _row_update(
     moved = step.d_joints_rad
     seen = covariance @ moved
     gain = seen / (moved @ seen + noise_variance_m2)
-    error_m = step.d_ball_m - jacobian @ moved
+    error_m = step.d_feature_m - jacobian @ moved
     left = np.eye(len(gain)) - np.multiply.outer(gain, moved)
     after = left @ covariance @ left.T + np.multiply.outer(gain * noise_variance_m2, gain)
     return jacobian + np.multiply.outer(error_m, gain), 0.5 * (after + after.T)

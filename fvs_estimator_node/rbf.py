@@ -184,7 +184,7 @@ class RbfEstimator(FrozenRbfEstimator):
             velocity = step.joint_velocity
             theta = self._evaluate(step.joints_rad)
             columns = np.matmul(self._weights, theta[:, :, None])[:, :, 0]
-            error = step.ball_velocity - velocity @ columns
+            error = step.feature_velocity - velocity @ columns
             regressor = velocity[:, None] * theta
             energy = step.dt_s * float(np.vdot(regressor, regressor))
             share = 1.0

@@ -76,7 +76,7 @@ def record(seed: int, duration_s: float, conditions: trials.Conditions) -> tuple
         samples += matcher.add_joints(out.time_s, joints)
         for seen in out.observations:
             if seen.detection is not None:
-                samples += matcher.add_ball(seen.stamp_s + late_s, seen.detection.position_m)
+                samples += matcher.add_feature(seen.stamp_s + late_s, seen.detection.position_m)
     return data_set_of(samples), late_s
 
 

@@ -99,7 +99,7 @@ def record(seed: int, conditions: Conditions, duration_s: float) -> Recording:
             if seen.detection is not None:
                 error_m = seen.detection.position_m - seen.true_position_m
                 squared_errors_m2.append(float(error_m @ error_m))
-                samples = timeline.add_ball(seen.stamp_s, seen.detection.position_m)
+                samples = timeline.add_feature(seen.stamp_s, seen.detection.position_m)
                 steps += pairing.steps(samples)
         steps += pairing.steps(timeline.add_joints(out.time_s, joints))
     ends_m, starts_m = (

@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from fvs_controller_node.prediction import BallPredictor
+from fvs_controller_node.prediction import FeaturePredictor
 from fvs_controller_node.supervisor import Command
 from fvs_detector_node.detection import BallDetection
 from fvs_lab.outcome import BOUNDS_M, JACOBIAN_EVERY, Outcome, outcome_of, seconds
@@ -164,7 +164,7 @@ class Case:
     seed: int
 
 
-class LastImage(BallPredictor):
+class LastImage(FeaturePredictor):
     """Uses the ball of the last image as its present position."""
 
     def predict(self) -> np.ndarray | None:

@@ -1,8 +1,8 @@
 """Time stamps: recent joint states, and the joints at an image's exposure.
 
-A ball position carries the stamp of its exposure. :class:`Timeline` finds the joints at that
+A feature carries the stamp of its exposure. :class:`Timeline` finds the joints at that
 stamp, waiting for a later joint state if need be, and numbers continuous runs of such samples.
-Whatever breaks the flow of time (a gap, a repeated or older stamp, a clock jump, a lost ball)
+Whatever breaks the flow of time (a gap, a repeated or older stamp, a clock jump, a lost feature)
 starts a new run, and nothing is ever paired across runs.
 """
 
@@ -32,7 +32,7 @@ MAX_GAP_S = 0.25
 #: Images that may wait for later joint states; the oldest gives way.
 _MAX_WAITING = 10
 
-#: A ball position stamped further before the newest joint state is not paired: no camera is that
+#: A feature stamped further before the newest joint state is not paired: no camera is that
 #: slow, so the two clocks differ, s.
 MAX_LATENCY_S = 0.5
 
@@ -140,7 +140,7 @@ class Sample(NamedTuple):
         Exposure time, s.
     joints_rad : ndarray, shape (n,)
         Joint positions at that time, rad.
-    ball_m : ndarray, shape (m,)
+    feature_m : ndarray, shape (m,)
         Feature in the camera frame, m.
     run : int
         Number of the continuous run it belongs to.
@@ -148,7 +148,7 @@ class Sample(NamedTuple):
 
     stamp_s: float
     joints_rad: np.ndarray
-    ball_m: np.ndarray
+    feature_m: np.ndarray
     run: int
 
 
@@ -162,9 +162,9 @@ class Timeline:
     seen_stamp_s : float or None
         Newest exposure, paired or not, s; None before the first.
     dropped : int
-        Number of ball positions that could not be paired.
+        Number of features that could not be paired.
     last_reason : str
-        Why the last ball position was dropped; empty if none was.
+        Why the last feature was dropped; empty if none was.
     clock_jumps : int
         How often one of the two clocks jumped.
     """
@@ -179,14 +179,14 @@ class Timeline:
         self.last_reason = ""
 
     def reset(self) -> None:
-        """Forget all joint states and waiting ball positions, and start a new run."""
+        """Forget all joint states and waiting features, and start a new run."""
         self.joints.clear()
         self._waiting.clear()
         self.seen_stamp_s = None
         self._break_run()
 
     def add_joints(self, stamp_s: float, joints_rad: np.ndarray) -> list[Sample]:
-        """Take a joint state, s and rad, (n,); returns the ball positions that waited for it."""
+        """Take a joint state, s and rad, (n,); returns the features that waited for it."""
         if not (np.isfinite(stamp_s) and plausible(joints_rad)):
             return []
         newest, newest_s = self.joints.newest, self.joints.newest_stamp_s
@@ -199,49 +199,49 @@ class Timeline:
             self.clock_jumps += 1
         return self._pair()
 
-    def add_ball(self, stamp_s: float, ball_m: np.ndarray) -> list[Sample]:
-        """Take a ball position, exposure in s and m, (m,); returns what can be paired now."""
-        if not (np.isfinite(stamp_s) and plausible(ball_m)):
-            self._drop("a ball position or its stamp is not finite, or too far")
+    def add_feature(self, stamp_s: float, feature_m: np.ndarray) -> list[Sample]:
+        """Take a feature, exposure in s and m, (m,); returns what can be paired now."""
+        if not (np.isfinite(stamp_s) and plausible(feature_m)):
+            self._drop("a feature or its stamp is not finite, or too far")
             return []
         last = self.seen_stamp_s
         if repeats(stamp_s, last):
-            self._drop("a ball position's stamp is repeated or older than the last")
+            self._drop("a feature's stamp is repeated or older than the last")
             return []
         if last is not None and stamp_s < last:
-            self._drop("the ball positions' clock jumped back", len(self._waiting))
+            self._drop("the features' clock jumped back", len(self._waiting))
             self.clock_jumps += 1
         self.seen_stamp_s = stamp_s
-        self._waiting.append((stamp_s, np.array(ball_m, dtype=float)))
+        self._waiting.append((stamp_s, np.array(feature_m, dtype=float)))
         if len(self._waiting) > _MAX_WAITING:
             self._waiting.popleft()
-            self._drop("no joint state came for a ball position")
+            self._drop("no joint state came for a feature")
         return self._pair()
 
     def _pair(self) -> list[Sample]:
         samples = []
         newest = self.joints.newest_stamp_s
         while self._waiting and newest is not None and self._waiting[0][0] <= newest:
-            stamp_s, ball_m = self._waiting.popleft()
+            stamp_s, feature_m = self._waiting.popleft()
             if newest - stamp_s > MAX_LATENCY_S:
                 self._drop(
-                    f"a ball position is stamped {newest - stamp_s:.2f} s before the newest joint "
+                    f"a feature is stamped {newest - stamp_s:.2f} s before the newest joint "
                     "state; check that both clocks agree (NTP)"
                 )
                 continue
             joints = self.joints.at(stamp_s)
             if joints is None:
-                self._drop("the joint states have a gap at a ball position's exposure")
+                self._drop("the joint states have a gap at a feature's exposure")
                 continue
             last = self._paired_stamp_s
             if last is not None and not 0.0 < stamp_s - last <= MAX_GAP_S:
                 self._run += 1
             self._paired_stamp_s = stamp_s
-            samples.append(Sample(stamp_s, joints, ball_m, self._run))
+            samples.append(Sample(stamp_s, joints, feature_m, self._run))
         return samples
 
     def _drop(self, reason: str, waiting: int | None = None) -> None:
-        """Count ball positions that are lost: one, or all that wait; start a new run."""
+        """Count features that are lost: one, or all that wait; start a new run."""
         if waiting is not None:
             self._waiting.clear()
         self.dropped += 1 if waiting is None else waiting

@@ -124,8 +124,8 @@ class ClosedLoop:
             position_m = seen.feature_m(self.feature)
             if position_m is None:
                 continue
-            self.estimation.add_ball(seen.stamp_s, position_m)
-            self.loop.add_ball(now_s, seen.stamp_s, position_m)
+            self.estimation.add_feature(seen.stamp_s, position_m)
+            self.loop.add_feature(now_s, seen.stamp_s, position_m)
         self.estimation.add_joints(now_s, out.joints_rad)
         problem, chain = self.estimation.problem, self.estimator.chain
         if not problem:

@@ -211,6 +211,6 @@ def _steps(joints: Series, ball: Series) -> list[tuple[Any, ...]]:
             angles_rad = joints.values[index, : joints.values.shape[1] // 2]
             found = pairing.timeline.add_joints(joints.time_s[index], angles_rad)
         else:
-            found = pairing.timeline.add_ball(ball.time_s[image], ball.values[image])
+            found = pairing.timeline.add_feature(ball.time_s[image], ball.values[image])
         steps += pairing.steps(found)
-    return [(one.stamp_s, one.dt_s, one.d_joints_rad, one.d_ball_m) for one in steps]
+    return [(one.stamp_s, one.dt_s, one.d_joints_rad, one.d_feature_m) for one in steps]

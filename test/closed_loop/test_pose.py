@@ -92,9 +92,9 @@ def test_a_frozen_image_holds_the_arm():
     inputs = loop.loop
 
     def add_frozen(now_s, stamp_s, _seen_m):
-        inputs.__class__.add_ball(inputs, now_s, stamp_s, frozen)
+        inputs.__class__.add_feature(inputs, now_s, stamp_s, frozen)
 
-    inputs.add_ball = add_frozen
+    inputs.add_feature = add_frozen
     servo(loop, pose_at(loop, GOAL_RAD), 1.5)
     assert loop.loop.supervisor.last.reason is Reason.IMAGE_NOT_FOLLOWING
     assert loop.loop.supervisor.last.state is State.HOLDING

@@ -53,7 +53,7 @@ def play(loop, start_s, end_s, off=lambda time_s: 0.0, late_s=0.0):
         loop.add_joints(time_s, joints(time_s))
         while image * IMAGE_S + max(late_s, 0.0) < time_s:
             seen_s = image * IMAGE_S
-            loop.add_ball(seen_s + late_s, JACOBIAN @ joints(seen_s) + off(seen_s))
+            loop.add_feature(seen_s + late_s, JACOBIAN @ joints(seen_s) + off(seen_s))
             image += 1
 
 

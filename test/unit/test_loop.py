@@ -34,7 +34,7 @@ class Cell:
             self.now_s += DT_S
             self.loop.add_jacobian(self.now_s, self.jacobian)
             self.loop.add_joints(self.now_s, self.now_s, self.joints)
-            self.loop.add_ball(self.now_s, self.now_s - 0.02, np.array([0.0, 0.0, 1.0]))
+            self.loop.add_feature(self.now_s, self.now_s - 0.02, np.array([0.0, 0.0, 1.0]))
             command = self.loop.tick(self.now_s, DT_S)
         return command
 
@@ -146,7 +146,7 @@ def test_every_law_drives_any_number_of_features_with_any_number_of_joints(law, 
     for tick in range(400):
         now_s = DT_S * tick
         if tick % 4 == 0:
-            loop.add_ball(now_s, now_s, jacobian @ moved)
+            loop.add_feature(now_s, now_s, jacobian @ moved)
         loop.add_jacobian(now_s, jacobian)
         loop.add_joints(now_s, now_s, moved)
         if tick == 40:

@@ -77,7 +77,7 @@ def test_the_unscented_filter_is_the_linear_one(joints):
         seen = np.kron(np.eye(3), step.d_joints_rad)
         innovation = seen @ covariance @ seen.T + config.step_variance_m2 * np.eye(3)
         gain = covariance @ seen.T @ np.linalg.inv(innovation)
-        mean = mean + gain @ (step.d_ball_m - seen @ mean)
+        mean = mean + gain @ (step.d_feature_m - seen @ mean)
         covariance = (np.eye(18) - gain @ seen) @ covariance
     for one in (linear, unscented):
         np.testing.assert_allclose(one.jacobian(HOME).reshape(18), mean, atol=1e-9)
@@ -98,7 +98,7 @@ def test_recursive_least_squares_are_the_batch_ones(forgetting):
     weights = forgetting ** np.arange(len(steps) - 1, -1, -1) / config.step_variance_m2
     start_weight = forgetting ** len(steps) / config.initial_variance
     motions, balls = (
-        np.array([getattr(s, n) for s in steps]) for n in ("d_joints_rad", "d_ball_m")
+        np.array([getattr(s, n) for s in steps]) for n in ("d_joints_rad", "d_feature_m")
     )
     normal = motions.T @ (weights[:, None] * motions) + start_weight * np.eye(6)
     right = balls.T @ (weights[:, None] * motions) + start_weight * model.jacobian(HOME)
@@ -117,9 +117,9 @@ def test_broyden_corrects_the_share_of_its_gain_and_changes_the_least():
             before = estimator.jacobian(HOME)
             estimator.update(step)
             after = estimator.jacobian(HOME)
-            error = step.d_ball_m - before @ moved
+            error = step.d_feature_m - before @ moved
             np.testing.assert_allclose(
-                step.d_ball_m - after @ moved, (1.0 - gain) * error, atol=1e-12
+                step.d_feature_m - after @ moved, (1.0 - gain) * error, atol=1e-12
             )
             across = rng.normal(size=6)
             across -= moved * (across @ moved) / moved.dot(moved)

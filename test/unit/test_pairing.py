@@ -18,7 +18,7 @@ def feed(pairing, start, stop, late_s=0.0, ahead_s=0.0, stamp=lambda t: t, joint
         if kind == 0:
             steps += pairing.steps(pairing.timeline.add_joints(t + ahead_s, VELOCITY * t))
         else:
-            steps += pairing.steps(pairing.timeline.add_ball(stamp(t), JACOBIAN @ VELOCITY * t))
+            steps += pairing.steps(pairing.timeline.add_feature(stamp(t), JACOBIAN @ VELOCITY * t))
     return steps
 
 
@@ -27,9 +27,9 @@ def test_ball_and_joint_motion_belong_to_the_same_exposures(late_s):
     steps = feed(StepPairing(), 0.0, 2.0, late_s)
     assert len(steps) > 40
     for step in steps:
-        np.testing.assert_allclose(step.d_ball_m, JACOBIAN @ step.d_joints_rad, atol=1e-12)
+        np.testing.assert_allclose(step.d_feature_m, JACOBIAN @ step.d_joints_rad, atol=1e-12)
         np.testing.assert_allclose(step.joint_velocity, VELOCITY, atol=1e-9)
-        np.testing.assert_allclose(step.ball_velocity, JACOBIAN @ VELOCITY, atol=1e-9)
+        np.testing.assert_allclose(step.feature_velocity, JACOBIAN @ VELOCITY, atol=1e-9)
         middle = VELOCITY * (step.stamp_s - step.dt_s / 2)
         np.testing.assert_allclose(step.joints_rad, middle, atol=1e-12)
 
@@ -37,7 +37,7 @@ def test_ball_and_joint_motion_belong_to_the_same_exposures(late_s):
 def test_no_step_across_a_rest_a_gap_a_jump_of_the_joints_or_of_the_clock():
     pairing = StepPairing()
     feed(pairing, 0.0, 1.0)
-    assert pairing.timeline.add_ball(1.01, np.array([np.nan, 0.0, 1.0])) == []
+    assert pairing.timeline.add_feature(1.01, np.array([np.nan, 0.0, 1.0])) == []
     assert pairing.timeline.add_joints(1.02, np.full(6, np.inf)) == []
     rested = [
         pairing.steps(pairing.timeline.add_joints(t, VELOCITY)) for t in np.arange(1.0, 3.0, 0.008)

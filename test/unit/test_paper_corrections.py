@@ -300,7 +300,7 @@ def test_a_posteriori_t1_is_zero_for_an_estimator_that_believes_anything():
         )  # fmt: skip
         for errors in (before, after):
             predicted = eager.jacobian(nonsense.joints_rad) @ nonsense.d_joints_rad
-            errors.append(np.linalg.norm(nonsense.d_ball_m - predicted))
+            errors.append(np.linalg.norm(nonsense.d_feature_m - predicted))
             if errors is before:
                 eager.update(nonsense)
     assert max(after) < 1e-12

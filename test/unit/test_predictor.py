@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fvs_controller_node.prediction import BallPredictor
+from fvs_controller_node.prediction import FeaturePredictor
 
 RNG = np.random.default_rng(5)
 JACOBIAN = 0.4 * RNG.normal(size=(3, 6))
@@ -20,21 +20,21 @@ def ball(t: float) -> np.ndarray:
     return ORIGIN + JACOBIAN @ joints(t)
 
 
-def feed(predictor: BallPredictor, start_s: float, end_s: float, offset_s: float = 0.0) -> None:
+def feed(predictor: FeaturePredictor, start_s: float, end_s: float, offset_s: float = 0.0) -> None:
     for k in range(round(start_s / JOINT_S), round(end_s / JOINT_S)):
         predictor.add_joints(k * JOINT_S + offset_s, joints(k * JOINT_S), JACOBIAN)
 
 
-def newest(predictor: BallPredictor) -> np.ndarray:
+def newest(predictor: FeaturePredictor) -> np.ndarray:
     predicted = predictor.predict()
     assert predicted is not None
     return predicted
 
 
 def test_it_carries_an_old_image_to_the_newest_joints():
-    predictor = BallPredictor()
+    predictor = FeaturePredictor()
     feed(predictor, 0.0, 1.0)
-    predictor.add_ball(0.9, ball(0.9))
+    predictor.add_feature(0.9, ball(0.9))
     np.testing.assert_allclose(newest(predictor), ball(0.992), atol=5e-5)
     assert predictor.latency_s == pytest.approx(0.092)
     assert predictor.problem == ""
@@ -42,11 +42,11 @@ def test_it_carries_an_old_image_to_the_newest_joints():
 
 def standing(positions: list[np.ndarray]) -> list[np.ndarray]:
     """Predictions at rest after each of some positions, once the noise is known."""
-    predictor, found = BallPredictor(), []
+    predictor, found = FeaturePredictor(), []
     predictor.add_joints(0.0, np.zeros(6), JACOBIAN)
     predictor.add_joints(0.09, np.zeros(6), JACOBIAN)
     for k, position in enumerate([*[ORIGIN] * 8, *positions]):
-        predictor.add_ball(0.005 * k, position)
+        predictor.add_feature(0.005 * k, position)
         found.append(newest(predictor))
     return found[8:]
 
@@ -63,7 +63,7 @@ def test_an_outlier_is_passed_over_and_what_two_say_alike_or_six_in_a_row_is_bel
 
 def test_over_a_long_latency_it_follows_the_bend_of_the_path():
     """On a circle of 0.5 m; a straight line from the newest Jacobian is 7 mm off."""
-    predictor = BallPredictor()
+    predictor = FeaturePredictor()
 
     def on_circle(angle: float) -> np.ndarray:
         return 0.5 * np.array([np.cos(angle), np.sin(angle), 0.0])
@@ -76,5 +76,5 @@ def test_over_a_long_latency_it_follows_the_bend_of_the_path():
     for k in range(50):  # 1 rad/s; the Jacobian is one joint state late
         angle = k * JOINT_S
         predictor.add_joints(angle, np.array([angle, 0, 0, 0, 0, 0]), tangent(angle - JOINT_S))
-    predictor.add_ball(angle - 0.17, on_circle(angle - 0.17))
+    predictor.add_feature(angle - 0.17, on_circle(angle - 0.17))
     np.testing.assert_allclose(newest(predictor), on_circle(angle), atol=1.1e-3)

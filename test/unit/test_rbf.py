@@ -56,7 +56,7 @@ def test_the_update_is_equation_17_by_hand(target):
         before = estimator.weights
         theta = features_by_hand(model, step.joints_rad)
         v = step.d_joints_rad / step.dt_s
-        e = step.d_ball_m / step.dt_s - sum(before[i] @ theta[i] * v[i] for i in range(6))
+        e = step.d_feature_m / step.dt_s - sum(before[i] @ theta[i] * v[i] for i in range(6))
         expected = np.empty_like(before)
         for i in range(6):
             for j in range(3):
@@ -89,10 +89,10 @@ def test_the_lyapunov_function_gains_what_the_sliding_term_must_cancel():
     config, dt_s = RbfConfig(n1=0.5, alpha2=0.3), 1e-6
     step = random_step(rng, model, true, sliding=True)
     v = step.joint_velocity
-    step = MotionStep(1.0, dt_s, step.joints_rad, v * dt_s, step.ball_velocity * dt_s,
+    step = MotionStep(1.0, dt_s, step.joints_rad, v * dt_s, step.feature_velocity * dt_s,
                       step.sliding_variable)  # fmt: skip
     estimator = RbfEstimator(model, RbfConfig(n1=0.5, alpha2=0.3))
-    e = step.ball_velocity - estimator.jacobian(step.joints_rad) @ v
+    e = step.feature_velocity - estimator.jacobian(step.joints_rad) @ v
     before = np.sum((true - estimator.weights) ** 2) / 2.0
     estimator.update(step)
     slope = (np.sum((true - estimator.weights) ** 2) / 2.0 - before) / dt_s
@@ -104,7 +104,7 @@ def test_a_capped_step_corrects_the_share_mu_of_the_error():
     model, rng = random_model(), np.random.default_rng(5)
     estimator = RbfEstimator(model, RbfConfig(n1=1e6, alpha2=0.0, mu=0.5))
     step = random_step(rng)
-    before = step.d_ball_m - estimator.jacobian(step.joints_rad) @ step.d_joints_rad
+    before = step.d_feature_m - estimator.jacobian(step.joints_rad) @ step.d_joints_rad
     estimator.update(step)
-    after = step.d_ball_m - estimator.jacobian(step.joints_rad) @ step.d_joints_rad
+    after = step.d_feature_m - estimator.jacobian(step.joints_rad) @ step.d_joints_rad
     np.testing.assert_allclose(after, 0.5 * before, rtol=1e-9)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fvs_controller_node.prediction import BallPredictor
+from fvs_controller_node.prediction import FeaturePredictor
 from fvs_ros.tracker import Image, Tracker
 
 
@@ -31,11 +31,11 @@ def test_at_rest_it_learns_the_noise_and_averages_it_away(sigma_m):
 
 def at_rest(images, truth):
     """Errors of the prediction, m, and noise learned, m, from images of an arm at rest."""
-    predictor, errors = BallPredictor(), []
+    predictor, errors = FeaturePredictor(), []
     for k, (image, true) in enumerate(zip(images, truth, strict=True)):
         for part in range(4):
             predictor.add_joints((k + part / 4.0) / 30.0, np.zeros(6), np.zeros((3, 6)))
-        predictor.add_ball(k / 30.0, image)
+        predictor.add_feature(k / 30.0, image)
         errors.append(np.linalg.norm(predictor.predict() - true))
     return errors, predictor.tracker.noise_m
 
