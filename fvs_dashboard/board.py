@@ -18,7 +18,13 @@ from fvs_ros.timeline import History
 #: Length of the curves and of the ball's trail, s.
 HISTORY_S, TRAIL_S = 20.0, 6.0
 #: Display time of the newest value by name, s.
-_SHOWN_S = {"ball_position": 0.5, "controller": SILENT_S, "detector": 2.0, "answer": 12.0}
+_SHOWN_S = {
+    "ball_position": 0.5,
+    "feature": 0.5,
+    "controller": SILENT_S,
+    "detector": 2.0,
+    "answer": 12.0,
+}
 #: Largest age of the ball position for the curve of the prediction error, s.
 _JUDGED_S = 1.0
 #: Least values on the logarithmic scales: error, mm, and ratio.
@@ -29,7 +35,9 @@ _SMALLEST_MM, _SMALLEST_RATIO = 1e-3, 1e-4
 
 
 class Action(NamedTuple):
-    """One user action with its value: a target (camera frame, m), on or off, or a setting.
+    """One user action with its value: a target, on or off, or a setting.
+
+    A target is x, y, z, camera frame, m, and its quaternion, w first, where it was turned by hand.
 
     The name is a service of the controller, ``target``, ``tour``, ``reset`` or ``bump``, or
     ``node/parameter`` to set a parameter.

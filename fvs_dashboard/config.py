@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fvs_ros.camera import BallConfig
+from fvs_ros.feature import ServoedConfig
 from fvs_ros.joints import JOINT_PARAMETERS
 from fvs_ros.params import parameter
 
@@ -13,7 +14,7 @@ VISER = "viser[urdf]>=1.1,<1.2"
 
 
 @dataclass(frozen=True)
-class DashboardConfig(BallConfig):
+class DashboardConfig(BallConfig, ServoedConfig):
     """Parameters of the page, apart from the joint names."""
 
     host: str = parameter(
@@ -24,9 +25,11 @@ class DashboardConfig(BallConfig):
     camera_topics: str = parameter(
         "", "prefix of the camera's topics, before /color/image_raw; empty: camera or camera/camera"
     )
-    tour: bool = parameter(False, "send the ball through random targets until a user takes over")
+    tour: bool = parameter(False, "send ball or tag through random targets until a user takes over")
     model_path: str = parameter(
-        "", "trained model; the tour's targets come from its training data; empty: no tour"
+        "",
+        "trained model; the tour's targets come from its training data; empty: that of the "
+        "simulated UR5, if tour is on",
     )
 
 

@@ -25,9 +25,10 @@ from fvs_dashboard.config import PARAMETERS, VISER, DashboardConfig
 from fvs_dashboard.markup import SHOWN_BY
 from fvs_dashboard.picture import Picture
 from fvs_dashboard.services_of_node import ANSWER_S, Services
-from fvs_estimator_node.files import load_model
+from fvs_estimator_node.files import MODELS, load_model
 from fvs_ros import ros, topics
 from fvs_ros.background import step_back
+from fvs_ros.feature import PoseFeature, from_quaternion
 from fvs_ros.joints import JointMap, JointStateError
 from fvs_ros.paths import find_file
 from fvs_ros.ros.images import from_color
@@ -58,6 +59,8 @@ class DashboardNode(ros.FvsNode):
     def __init__(self) -> None:
         super().__init__("fvs_dashboard", PARAMETERS)
         v, self._config = self.values, DashboardConfig.from_values(self.values)
+        self._feature = self._config.servoed
+        self._target_m: np.ndarray | None = None  # sent from here last, (m,)
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._board = Board(len(self._joint_map.names))
         self._picture = Picture(self._config.ball_radius_m)
@@ -67,12 +70,13 @@ class DashboardNode(ros.FvsNode):
         self._description = ""
         self._calls = Services(self, self._answer)
         self._cameras: list[ros.Sampled] = []  # while a browser shows the page
-        model = self._config.model_path
-        #: Positions the ball can be at, camera frame, m, shape (n, 3).
-        self._candidates_m = load_model(find_file(model)).ball_samples_m if model else None
         self._board.tour = self._config.tour
-        if self._config.tour and not model:
-            raise ValueError("tour needs model_path: its targets are positions that a model saw")
+        #: Where ball or tag can be, camera frame, m, shape (n, m).
+        self._candidates_m: np.ndarray | None = None
+        if self._config.model_path or self._config.tour:
+            model = self._config.model_path or MODELS[self._config.feature]
+            trained = load_model(find_file(model), servoed=self._config)
+            self._candidates_m = trained.ball_samples_m
         self._tour_due_s = -inf
         self._begun: dict[str, Any] = {}  # the simulator's parameters as they were at first
         self._at_rest_s = inf  # when the ball has come to rest after a reset
@@ -91,12 +95,12 @@ class DashboardNode(ros.FvsNode):
     def _subscribe(self) -> None:
         # Not latched: a controller that starts later must not move to an old target.
         self._target = self.create_publisher(
-            PointStamped, topics.TARGET_POSITION.name, ros.QOS_EVENT
+            ros.message_class(self._feature.target.type), self._feature.target.name, ros.QOS_EVENT
         )
         self._joint_states = ros.Sampled(
             self, JointState, topics.JOINT_STATES.name, self._on_joint_states
         )
-        self.subscribe(topics.BALL_POSITION, self._on_ball)
+        self.subscribe(self._feature.seen, self._on_feature)
         self.subscribe(topics.CONTROLLER_STATUS, self._on_status)
         self.subscribe(topics.DETECTOR_STATUS, self._on_detector)
         self.subscribe(topics.ROBOT_DESCRIPTION, self._on_description)
@@ -116,11 +120,13 @@ class DashboardNode(ros.FvsNode):
         stamp_s = ros.from_stamp(message.header.stamp)
         self._board.add_joints(self.steady_s(), stamp_s, joints, velocity)
 
-    def _on_ball(self, message: PointStamped) -> None:
-        position_m = ros.from_point(message, self._config.feature_frame, topics.BALL_POSITION.name)
+    def _on_feature(self, message: PointStamped | PoseStamped) -> None:
+        feature, frame = self._feature, self._config.feature_frame
+        feature_m = ros.from_feature(message, feature, frame, feature.seen.name)
         stamp_s = ros.from_stamp(message.header.stamp)
-        self._board.add_ball(self.steady_s(), stamp_s, position_m)
-        self._picture.add_ball(stamp_s, position_m)
+        self._board.note("feature", self.steady_s(), feature_m)
+        self._board.add_ball(self.steady_s(), stamp_s, feature_m[:3])
+        self._picture.add_ball(stamp_s, feature_m[:3])
 
     def _on_status(self, message: DiagnosticStatus) -> None:
         controller = Controller(ros.from_status(message), message.message)
@@ -247,7 +253,11 @@ class DashboardNode(ros.FvsNode):
             # Otherwise it would be executed when the controller returns, unexpectedly.
             self._answer(f"not done: the controller is silent; is {topics.CONTROLLER} running?")
         elif action.name == "target":
-            self._send_target(np.array(action.value))
+            target_m = self._wanted(action.value)
+            if target_m is None:
+                self._answer("not done: the tag has not been seen yet, so its rotation is unknown")
+            else:
+                self._send_target(target_m)
         elif action.name == "tour":
             self._board.tour, self._tour_due_s = True, -inf
         else:
@@ -271,8 +281,23 @@ class DashboardNode(ros.FvsNode):
         if answer.success:
             self._at_rest_s = inf
 
-    def _send_target(self, position_m: np.ndarray) -> None:
-        self._target.publish(ros.to_point(self.ros_s(), self._config.feature_frame, position_m))
+    def _send_target(self, target_m: np.ndarray) -> None:
+        feature, frame = self._feature, self._config.feature_frame
+        self._target_m = target_m
+        self._board.note("target", self.steady_s(), target_m)
+        self._target.publish(ros.to_feature(self.ros_s(), frame, feature, target_m))
+
+    def _wanted(self, numbers: Sequence[float]) -> np.ndarray | None:
+        """The target, (m,), of a user's: a place without a rotation keeps that of the last one."""
+        feature, given = self._feature, np.array(numbers)
+        if not isinstance(feature, PoseFeature):
+            return given[:3]
+        if len(given) > 3:
+            return feature.of(given[:3], from_quaternion(np.roll(given[3:], -1)))
+        last_m = self._target_m
+        if last_m is None:
+            last_m = self._board.newest("feature", self.steady_s())
+        return None if last_m is None else np.append(given, last_m[3:])
 
     def _answer(self, text: str) -> None:
         self._board.note("answer", self.steady_s(), text)
@@ -282,12 +307,12 @@ class DashboardNode(ros.FvsNode):
         """Send the next target when it is due."""
         if self._candidates_m is None or not self._board.tour or now_s < self._tour_due_s:
             return
-        ball_m = self._board.newest("ball_position", now_s)
+        seen_m = self._board.newest("feature", now_s)
         controller = self._board.controller(now_s)
         ready = controller.state == "SERVOING" or controller.reason == "NO_TARGET"
-        if ball_m is not None and ready:
+        if seen_m is not None and ready:
             self._tour_due_s = now_s + _TARGET_S
-            self._send_target(choose_target(self._candidates_m, ball_m, _TOUR_M, self._rng))
+            self._send_target(choose_target(self._candidates_m, seen_m, _TOUR_M, self._rng))
 
     def finish(self) -> None:
         """Stop serving."""

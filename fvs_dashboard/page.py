@@ -77,7 +77,7 @@ class Page:
         )
         gui.main_panel.dock_right()
         gui.main_panel.set_width(_RIGHT_PX)
-        self._panel = Panel(gui, actions.put, tour=bool(config.model_path))
+        self._panel = Panel(gui, actions.put, tour=config.tour or bool(config.model_path))
         curves = gui.add_panel()
         with curves.add_tab("Curves", viser.Icon.CHART_LINE):
             self._charts = Charts(gui, joint_names)
@@ -86,16 +86,16 @@ class Page:
             self._notes = gui.add_html("")
         curves.dock_left()
         curves.set_width(_LEFT_PX)
-        self.scene = Scene(server, config.ball_radius_m, self._dragged)
+        self.scene = Scene(server, config.ball_radius_m, config.servoed, self._dragged)
         # Behind the simulator's camera, so that view and picture have the same orientation.
         server.initial_camera.position = (2.9, -1.05, 1.4)
         server.initial_camera.look_at = (0.6, -0.3, 0.42)
         server.initial_camera.fov = _FIELD_RAD
         self._shown = 0
 
-    def _dragged(self, target_m: tuple[float, float, float]) -> None:
+    def _dragged(self, target: tuple[float, ...]) -> None:
         self._panel.forget_typed()
-        self._actions.put(Action("target", target_m))
+        self._actions.put(Action("target", target))
 
     @property
     def address(self) -> str:

@@ -18,6 +18,7 @@ from viser.transforms import SO3
 
 from fvs_dashboard import picture
 from fvs_dashboard.board import Board
+from fvs_ros.feature import Feature, PoseFeature
 
 _BALL, _PREDICTED, _TARGET = (213, 40, 30), picture.BALL_RGB, picture.TARGET_RGB
 #: What the colours mean in the view.
@@ -36,16 +37,18 @@ _DROPPED_S = 0.6
 class Scene:
     """The content of the 3-D view; the camera's measurements are shown in its frame.
 
-    ``on_drag`` gets the target's position, camera frame, m, while it is dragged and when let go.
+    ``on_drag`` gets the target's position, camera frame, m, and of a pose its quaternion, w first,
+    while it is dragged or turned and when let go.
     """
 
     def __init__(
         self,
         server: viser.ViserServer,
         ball_radius_m: float,
-        on_drag: Callable[[tuple[float, float, float]], None],
+        feature: Feature,
+        on_drag: Callable[[tuple[float, ...]], None],
     ) -> None:
-        self._server = server
+        self._server, self._pose = server, feature if isinstance(feature, PoseFeature) else None
         self._on_drag = on_drag
         self._held_s = -inf  # when a person last held the target
         self._arm: Arm | None = None
@@ -63,6 +66,9 @@ class Scene:
         look = {"subdivisions": 2, "opacity": 0.3, "visible": False}
         self._predicted = scene.add_icosphere(
             "/base/camera/predicted", 1.25 * ball_radius_m, _PREDICTED, **look
+        )
+        self._axes = scene.add_frame(
+            "/base/camera/tag", axes_length=0.08, axes_radius=0.004, visible=False
         )
         self._bars: viser.LineSegmentsHandle | None = None  # in place of missing meshes
         self._add_target(ball_radius_m)
@@ -93,20 +99,22 @@ class Scene:
             "/base/camera/target",
             scale=0.16,
             line_width=3.0,
-            disable_rotations=True,
+            disable_rotations=self._pose is None,
             depth_test=False,
             visible=False,
         )
         # Smaller than the ball, which hides it once it is there.
         scene.add_icosphere("/base/camera/target/ball", 0.6 * ball_radius_m, _TARGET, opacity=0.8)
+        if self._pose is not None:
+            scene.add_frame("/base/camera/target/axes", axes_length=0.08, axes_radius=0.003)
 
         @self._target.on_update
         async def _(event: viser.TransformControlsEvent) -> None:
             # In the page's thread; assignments of numbers alone.
             self._held_s = time.monotonic()
             if event.phase != "start":
-                x, y, z = (float(value) for value in event.target.position)
-                self._on_drag((x, y, z))
+                turn = () if self._pose is None else event.target.wxyz
+                self._on_drag(tuple(float(value) for value in (*event.target.position, *turn)))
 
     def set_arm(self, arm: Arm) -> None:
         """Show another robot, or the first."""
@@ -134,12 +142,23 @@ class Scene:
         controller, ball_m = board.controller(now_s), board.newest("ball_position", now_s)
         _put(self._ball, ball_m)
         _put(self._predicted, controller.position_m)
+        self._turn(self._axes, board.newest("feature", now_s))
         if time.monotonic() - self._held_s > _DROPPED_S:
             _put(self._target, controller.target_m)
+            wanted = board.newest("target", now_s)
+            self._turn(self._target, board.newest("feature", now_s) if wanted is None else wanted)
         trail_m = board.trail_m.window(now_s)[:, 1:]
         self._trail.visible = len(trail_m) > 1
         if len(trail_m) > 1:
             self._trail.points = _pieces(trail_m)
+
+    def _turn(self, node: viser.SceneNodeHandle, feature_m: np.ndarray | None) -> None:
+        """Turn a node as a pose is turned, and put the tag's own axes to it."""
+        if self._pose is None or feature_m is None:
+            return
+        node.wxyz = SO3.from_matrix(self._pose.rotation(feature_m)).wxyz
+        if node is self._axes:
+            _put(node, feature_m[:3])
 
     def show_picture(self, field_of_view: tuple[float, float], image: np.ndarray | None) -> None:
         """Show a new picture in the camera's view: vertical angle, rad, and width over height."""

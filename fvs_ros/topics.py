@@ -160,8 +160,8 @@ BALL_POSITION = Topic(
     "silent while the ball is not seen.",
     dict.fromkeys((SIM, DETECTOR), _servoed(BALL)),
     {
-        **dict.fromkeys((ESTIMATOR, CONTROLLER, COLLECTOR), _servoed(BALL, _NEWEST)),
-        **dict.fromkeys((DASHBOARD, MARKERS_NODE), _NEWEST),
+        **dict.fromkeys((ESTIMATOR, CONTROLLER, COLLECTOR, DASHBOARD), _servoed(BALL, _NEWEST)),
+        MARKERS_NODE: _NEWEST,
     },
     also_from="your own detector",
 )
@@ -171,7 +171,7 @@ TOOL_POSE = Topic(
     "The tag's pose in the camera's optical frame, its x axis to the right, y up, z out of the "
     "print, stamped with the exposure; silent while it is not seen or not certain.",
     dict.fromkeys((SIM, DETECTOR), _servoed(POSE)),
-    dict.fromkeys((ESTIMATOR, CONTROLLER, COLLECTOR), _servoed(POSE, _NEWEST)),
+    dict.fromkeys((ESTIMATOR, CONTROLLER, COLLECTOR, DASHBOARD), _servoed(POSE, _NEWEST)),
     also_from="your own detector or tracker",
 )
 JACOBIAN = Topic(
@@ -197,7 +197,7 @@ TARGET_POSITION = Topic(
     "target_position",
     "geometry_msgs/msg/PointStamped",
     "The desired ball position, m, in the frame of `ball_position`; latched or not.",
-    {DEMO: _servoed(BALL, _LATCHED), DASHBOARD: _LATCHED},
+    dict.fromkeys((DEMO, DASHBOARD), _servoed(BALL, _LATCHED)),
     {CONTROLLER: _servoed(BALL, _EITHER)},
     also_from="you",
 )
@@ -205,7 +205,7 @@ TARGET_POSE = Topic(
     "target_pose",
     "geometry_msgs/msg/PoseStamped",
     "The desired pose of the tag, in the frame of `tool_pose`; latched or not.",
-    {DEMO: _servoed(POSE, _LATCHED)},
+    dict.fromkeys((DEMO, DASHBOARD), _servoed(POSE, _LATCHED)),
     {CONTROLLER: _servoed(POSE, _EITHER)},
     also_from="you",
 )

@@ -104,11 +104,14 @@ class PageClient:
         self.elements[uuid]["value"] = value
         self._send(type="GuiUpdateMessage", uuid=uuid, updates={"value": value})
 
-    def drag_target(self, *positions: tuple[float, float, float]) -> None:
-        """Drag the target through positions in the camera's frame, m, and let it go."""
+    def drag_target(
+        self,
+        *positions: tuple[float, float, float],
+        turn: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0),
+    ) -> None:
+        """Drag the target through positions in the camera's frame, m, and let it go, turned."""
         self._send(type="TransformControlsDragStartMessage", name=_TARGET_NODE, owner="")
         for position in positions:
-            turn = (1.0, 0.0, 0.0, 0.0)
             self._send(
                 type="TransformControlsUpdateMessage",
                 name=_TARGET_NODE,

@@ -12,7 +12,7 @@ import urllib.request
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PointStamped
+from geometry_msgs.msg import PointStamped, PoseStamped
 from rcl_interfaces.srv import GetParameters
 from sensor_msgs.msg import CameraInfo, Image, JointState
 
@@ -57,6 +57,35 @@ def pages():
     yield open_page
     for page in opened:
         page.close()
+
+
+def test_a_tag_is_toured_dragged_and_turned(ros_test, pages):
+    pose = {"feature": "pose"}
+    ros_test.start_node("fvs_sim_node.node", **pose)
+    ros_test.start_node("fvs_estimator_node.node", method="poe", **pose)
+    ros_test.start_node(CONTROLLER, autostart=True, law="minimum_time", **pose)
+    process = ros_test.start_node(DASHBOARD, port=0, tour=True, **pose)
+    page = pages(address_of(ros_test, process))
+    targets = ros_test.collect(PoseStamped, topics.TARGET_POSE.name, ros.QOS_RELIABLE)
+    seen = ros_test.collect(PoseStamped, topics.TOOL_POSE.name)
+    ros_test.spin_until(lambda: bool(targets), 40.0, "the tour's first target", page.text)
+    at, turn = ros.from_pose(seen[-1], "tool_pose")
+    page.drag_target(tuple(at.tolist()), turn=tuple(np.roll(turn, 1).tolist()))
+
+    def same(message):
+        place, turned = ros.from_pose(message, "target_pose")
+        return np.allclose(place, at, atol=1e-6) and abs(turned @ turn) > 1.0 - 1e-6
+
+    ros_test.spin_until(lambda: same(targets[-1]), what="the dragged target", story=page.text)
+    aside = np.round(at + [0.02, 0.0, 0.0], 3)
+    set_target(page, aside)
+    ros_test.spin_until(
+        lambda: np.allclose(ros.from_pose(targets[-1], "target_pose")[0], aside, atol=1e-6),
+        what="the typed target",
+    )
+    kept = ros.from_pose(targets[-1], "target_pose")[1]
+    assert abs(kept @ turn) > 1.0 - 1e-6
+    assert "Traceback" not in ros_test.output(process)
 
 
 @pytest.fixture
