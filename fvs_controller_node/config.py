@@ -121,6 +121,8 @@ class SupervisorConfig(JointLimits, ServoedConfig):
             )
         if self.feature == topics.POSE and len(low) != 3:
             raise ParameterError(f"workspace_min_m of a pose needs 3 numbers, got {len(low)}")
+        if self.feature == topics.POSE and len(self.joint_names) < 6:
+            raise ParameterError(f"a pose needs 6 joints or more, got {len(self.joint_names)}")
 
     @cached_property
     def servoed(self) -> Feature:

@@ -149,6 +149,8 @@ class Goal:
             return f"it is in frame {frame}, expected {expected} (feature_frame)"
         if np.shape(position_m) != (features,) or not np.isfinite(position_m).all():
             return f"expected {features} finite numbers, got {position_m}"
+        if not self._config.servoed.is_one(np.asarray(position_m, dtype=float)):
+            return f"it is no {self._config.feature}: {np.round(position_m, 3).tolist()}"
         outside = self._outside(np.asarray(position_m, dtype=float))
         if outside:
             return f"{', '.join(outside)} (workspace_min_m and workspace_max_m, in {frame})"
@@ -205,7 +207,8 @@ class Goal:
         if at is None or target is None:
             return None
         if self._error_of[0] is not at or self._error_of[1] is not target:
-            self._error_of, self._error_m = (at, target), self._config.servoed.error(at, target)
+            self._error_of = at, target
+            self._error_m = self._config.servoed.error(at, target, self._error_m)
         return self._error_m
 
     @property

@@ -118,7 +118,8 @@ class TagReader:
         if corners_px is None:
             return None, "a side of the tag is hidden or not clear"
         sides_px = np.linalg.norm(np.roll(corners_px, -1, axis=0) - corners_px, axis=1)
-        if sides_px.min() < _LEAST_CELL_PX * self.cells:
+        across_px = cv2.contourArea(corners_px.astype(np.float32)) / sides_px.max()
+        if across_px < _LEAST_CELL_PX * self.cells:
             return None, "the tag is too small in the image: bring it nearer or print it larger"
         return corners_px, ""
 

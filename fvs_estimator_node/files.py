@@ -8,7 +8,7 @@ import os
 import sys
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,7 +18,7 @@ import numpy as np
 from fvs_estimator_node.rbf import RbfModel
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.chain import CHAIN_SHAPES, SerialChain
-from fvs_ros.feature import Feature, ServoedConfig
+from fvs_ros.feature import Feature, PoseFeature, ServoedConfig
 from fvs_ros.timeline import Sample
 from fvs_ros.topics import BALL, POSE
 from fvs_ros.vectors import check_arrays
@@ -111,6 +111,13 @@ class DataSet:
         """The feature."""
         return ServoedConfig(self.feature_frame, self.feature, self.lever_arm_m).servoed
 
+    def at_lever_arm(self, lever_arm_m: float) -> DataSet:
+        """The same with another lever arm, m."""
+        if self.feature != POSE or lever_arm_m == self.lever_arm_m:
+            return self
+        scale = PoseFeature(lever_arm_m).scale / self.servoed.scale
+        return replace(self, ball_m=self.ball_m * scale, lever_arm_m=lever_arm_m)
+
     def runs(self) -> list[slice]:
         """The continuous runs, one after the other."""
         ends = [0, *(np.flatnonzero(np.diff(self.segment)) + 1).tolist(), len(self)]
@@ -188,6 +195,21 @@ class TrainedModel:
     def servoed(self) -> Feature:
         """The feature."""
         return ServoedConfig(self.feature_frame, self.feature, self.lever_arm_m).servoed
+
+    def at_lever_arm(self, lever_arm_m: float) -> TrainedModel:
+        """The same with another lever arm, m."""
+        if self.feature != POSE or lever_arm_m == self.lever_arm_m:
+            return self
+        scale = PoseFeature(lever_arm_m).scale / self.servoed.scale
+        networks, chain = self.model, self.chain
+        return replace(
+            self,
+            model=replace(networks, weights=networks.weights * scale[:, None]),
+            ball_box_m=self.ball_box_m * scale,
+            ball_samples_m=self.ball_samples_m * scale,
+            chain=None if chain is None else replace(chain, feature_m=chain.feature_m * scale),
+            lever_arm_m=lever_arm_m,
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -308,7 +330,7 @@ def _write(path: str | os.PathLike[str], kind: str, fields: Mapping[str, Any]) -
         raise
 
 
-_T = TypeVar("_T")
+_T = TypeVar("_T", DataSet, TrainedModel)
 
 
 def _read(
@@ -322,7 +344,8 @@ def _read(
     try:
         content = _Content(_arrays(Path(path)))
         content.check(kind, joint_names, servoed)
-        return build(content)
+        found = build(content)
+        return found if servoed is None else found.at_lever_arm(servoed.lever_arm_m)
     except FileNotFoundError:
         words = "does not exist"
     except OSError as error:
@@ -388,7 +411,7 @@ class _Content(dict[str, Any]):
             raise ValueError(f"joint order {list(names)}, expected {list(joint_names)}")
         feature, lever_arm_m = BALL, ServoedConfig.lever_arm_m
         if "feature" in self:  # else it is of a ball
-            feature, lever_arm_m = self.text("feature"), float(self["lever_arm_m"])
+            feature, lever_arm_m = self.text("feature"), self.number("lever_arm_m")
         found = ServoedConfig(frame, feature, lever_arm_m)
         if servoed is not None:
             self._check_feature(found, servoed)
@@ -400,10 +423,6 @@ class _Content(dict[str, Any]):
             raise ValueError(f"positions in the frame {found.feature_frame!r}, expected {frame!r}")
         if found.feature != expected.feature:
             raise ValueError(f"made for feature {found.feature}, expected {expected.feature}")
-        if found.feature == POSE and found.lever_arm_m != expected.lever_arm_m:
-            raise ValueError(
-                f"made with lever_arm_m {found.lever_arm_m:g}, expected {expected.lever_arm_m:g}"
-            )
 
     def texts(self, name: str, dimensions: int = 1) -> tuple[str, ...]:
         """A list of texts, or a single one without dimensions."""
@@ -415,6 +434,13 @@ class _Content(dict[str, Any]):
     def text(self, name: str) -> str:
         """A text."""
         return self.texts(name, 0)[0]
+
+    def number(self, name: str) -> float:
+        """A number."""
+        value = self[name]
+        if value.ndim != 0 or value.dtype.kind not in "iuf":
+            raise ValueError(f"has a field {name!r} that is not a number")
+        return float(value)
 
     def json(self, name: str) -> dict[str, Any]:
         """A text that holds a JSON object."""

@@ -174,9 +174,9 @@ class EstimationLoop:
 
     def jacobian(self, joints_rad: np.ndarray) -> np.ndarray:
         """Of the task at the newest joints, rad, (n,): m/rad, (d, n)."""
-        jacobian = self.estimator.jacobian(joints_rad)
         if self._true is not None:
             return self._true
+        jacobian = self.estimator.jacobian(joints_rad)
         if not self.feature.curved:
             return jacobian
         return self.feature.to_task(self.feature_at(joints_rad), jacobian)

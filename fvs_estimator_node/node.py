@@ -124,8 +124,13 @@ class EstimatorNode(ros.FvsNode):
         stamp_s = self._stamp_s  # a vector of a pose has none of its own
         if isinstance(message, Vector3Stamped):
             stamp_s = ros.from_stamp(message.header.stamp)
+        try:
+            sliding = ros.from_sliding(message, self._feature)
+        except ros.MessageError as error:
+            self._complain(str(error))
+            return
         if stamp_s is not None:
-            self._loop.add_sliding_variable(stamp_s, ros.from_sliding(message, self._feature))
+            self._loop.add_sliding_variable(stamp_s, sliding)
 
     def _on_truth(self, message: Float64MultiArray) -> None:
         if not isinstance(self._loop.estimator, OracleEstimator):

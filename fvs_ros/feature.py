@@ -14,7 +14,7 @@ for a pose, the rotation vector from the target times L. At x the motions of fea
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import acos, atan2, cos, degrees, sin
+from math import acos, atan2, cos, degrees, pi, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +26,12 @@ from fvs_ros.params import parameter
 from fvs_ros.vectors import length
 
 _UNIT = np.eye(3)
+#: From here on noise may change which way round is the shorter one, rad.
+_HALF_TURN_RAD = 0.9 * pi
+#: A vector that is further from any pose is none, as a share of the lever arm.
+_NO_POSE = 0.01
+#: Slack of a unit quaternion.
+QUATERNION_SLACK = 0.01
 
 
 class Feature:
@@ -59,8 +65,13 @@ class Feature:
         self.axes = tuple("xyz") if size == 3 else tuple(str(one + 1) for one in range(size))
         self.scale = self.task_scale = np.ones(size)
 
-    def error(self, feature_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
-        """The task error of a feature from its target, m, (m,) each: m, (d,)."""
+    def error(
+        self, feature_m: np.ndarray, target_m: np.ndarray, last_m: np.ndarray | None = None
+    ) -> np.ndarray:
+        """The task error of a feature from its target, m, (m,) each: m, (d,).
+
+        Of two ways round, equal but for noise, that of the last error, if given, is kept.
+        """
         return feature_m - target_m
 
     def to_task(self, feature_m: np.ndarray, motion: np.ndarray) -> np.ndarray:
@@ -78,6 +89,10 @@ class Feature:
     def nearest(self, vector_m: np.ndarray) -> np.ndarray:
         """The feature nearest to any vector, m, (m,): of a mean of features, say."""
         return vector_m
+
+    def is_one(self, vector_m: np.ndarray) -> bool:
+        """Whether a finite vector, m, (m,), is a feature."""
+        return True
 
     def place(self, feature_m: np.ndarray) -> str:
         """A feature, m, (m,), in words."""
@@ -120,10 +135,15 @@ class PoseFeature(Feature):
         """The rotation matrix of a feature, shape (3, 3)."""
         return feature_m[3:].reshape(3, 3).T / self._axis_m
 
-    def error(self, feature_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
+    def error(
+        self, feature_m: np.ndarray, target_m: np.ndarray, last_m: np.ndarray | None = None
+    ) -> np.ndarray:
         """The way, m, and the rotation vector times L, m, from the target: (6,)."""
-        turn = self.rotation(feature_m) @ self.rotation(target_m).T
-        return np.append(feature_m[:3] - target_m[:3], self.lever_arm_m * rotation_vector_rad(turn))
+        turn = rotation_vector_rad(self.rotation(feature_m) @ self.rotation(target_m).T)
+        angle_rad = length(turn)
+        if last_m is not None and angle_rad > _HALF_TURN_RAD and turn.dot(last_m[3:]) < 0.0:
+            turn = turn * (1.0 - 2.0 * pi / angle_rad)
+        return np.append(feature_m[:3] - target_m[:3], self.lever_arm_m * turn)
 
     def _basis(self, feature_m: np.ndarray) -> np.ndarray:
         """B', shape (6, 12)."""
@@ -150,6 +170,10 @@ class PoseFeature(Feature):
     def nearest(self, vector_m: np.ndarray) -> np.ndarray:
         """The pose with the same origin and the rotation nearest to the axes, (12,)."""
         return self.of(vector_m[:3], nearest_rotation(self.rotation(vector_m)))
+
+    def is_one(self, vector_m: np.ndarray) -> bool:
+        """Whether a finite vector, m, (12,), is a pose."""
+        return length(vector_m - self.nearest(vector_m)) < _NO_POSE * self.lever_arm_m
 
     def place(self, feature_m: np.ndarray) -> str:
         """A pose, (12,), in words."""
@@ -192,9 +216,10 @@ class ServoedConfig(FeatureConfig):
     )
     lever_arm_m: float = parameter(
         0.3,
-        "what a turn counts for: as much as a motion along its arc at this radius, m; for pose",
-        0.01,
-        10.0,
+        "what a turn counts for: as much as a motion along its arc at this radius, m; for pose. "
+        "Every limit and gain of a length holds for the arc, too.",
+        0.1,
+        1.0,
     )
 
     @property
@@ -238,7 +263,11 @@ def rotation_matrix(vector_rad: np.ndarray) -> np.ndarray:
 
 
 def from_quaternion(quaternion_xyzw: np.ndarray) -> np.ndarray:
-    """Rotation matrix, (3, 3), of a unit quaternion, (4,)."""
+    """Rotation matrix, (3, 3), of a unit quaternion, (4,); a ``ValueError`` if it is none."""
+    size = length(quaternion_xyzw)
+    if not abs(size - 1.0) < QUATERNION_SLACK:
+        raise ValueError(f"expected a unit quaternion, got {quaternion_xyzw.tolist()}")
+    quaternion_xyzw = quaternion_xyzw / size
     vector, w = quaternion_xyzw[:3], float(quaternion_xyzw[3])
     k = cross_matrix(vector)
     return np.asarray(_UNIT + 2.0 * w * k + 2.0 * (k @ k))

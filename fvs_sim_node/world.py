@@ -191,7 +191,7 @@ class World:
         self.reset(home_rad)
         out = camera.position_m - self.ball_position()
         out /= np.linalg.norm(out)
-        right = np.cross((0.0, 0.0, 1.0), out)
+        right = np.cross((0.0, 0.0, 1.0) if abs(out[2]) < 0.99 else (1.0, 0.0, 0.0), out)
         right /= np.linalg.norm(right)
         facing = np.stack([right, np.cross(out, right), out], axis=1)
         return self._link_rotation().T @ facing @ cv2.Rodrigues(np.array(_TILT_RAD))[0]

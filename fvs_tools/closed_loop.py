@@ -44,14 +44,15 @@ def make_estimator(
     simulation: Simulation,
     values: Mapping[str, Any] | None = None,
     model: str = "",
+    lever_arm_m: float = ServoedConfig.lever_arm_m,
 ) -> Estimator:
     """Build an estimator by its name in the registry, as its node does.
 
     ``values`` are the node's parameters where they differ from the defaults, ``model`` is a file or
     a name in the project's ``config`` folder; empty: that of the package. The oracle asks the
-    simulation itself.
+    simulation itself. The lever arm is the controller's.
     """
-    servoed = ServoedConfig(feature=simulation.config.feature)
+    servoed = ServoedConfig(feature=simulation.config.feature, lever_arm_m=lever_arm_m)
     if method == "oracle":
         feature = servoed.servoed
         if isinstance(feature, PoseFeature):
@@ -102,8 +103,11 @@ class ClosedLoop:
         """
         one = scheme_called(scheme) if isinstance(scheme, str) else scheme
         simulation = simulation or Simulation()
-        estimator = make_estimator(one.method, simulation, one.estimator_values)
         values = {"law": one.law, **one.controller_values, **controller_values}
+        lever_arm_m = values.get("lever_arm_m", ServoedConfig.lever_arm_m)
+        estimator = make_estimator(
+            one.method, simulation, one.estimator_values, lever_arm_m=lever_arm_m
+        )
         return cls(simulation, estimator, values)
 
     @property

@@ -63,12 +63,11 @@ def given_targets(text: str, feature: Feature) -> list[np.ndarray]:
     """The targets of ``target_positions``, (m,) each; a ``ValueError`` if they are none."""
     targets, is_pose = [], isinstance(feature, PoseFeature)
     for part in filter(str.strip, text.split(";")):
-        numbers = np.array(part.split(), dtype=float)
-        if len(numbers) != (7 if is_pose else 3):
-            raise ValueError(f"target_positions: {part!r} has {len(numbers)} numbers")
+        numbers, expected = np.array(part.split(), dtype=float), 7 if is_pose else 3
+        if len(numbers) != expected or not np.isfinite(numbers).all():
+            raise ValueError(f"target_positions: expected {expected} finite numbers, got {part!r}")
         if isinstance(feature, PoseFeature):
-            turn = numbers[3:] / np.linalg.norm(numbers[3:])
-            numbers = feature.of(numbers[:3], from_quaternion(turn))
+            numbers = feature.of(numbers[:3], from_quaternion(numbers[3:]))
         targets.append(numbers)
     return targets
 

@@ -19,13 +19,18 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from fvs_ros.camera import CameraModel, Intrinsics, camera_model
 from fvs_ros.chain import SerialChain
-from fvs_ros.feature import Feature, PoseFeature, from_quaternion, to_quaternion
+from fvs_ros.feature import (
+    QUATERNION_SLACK,
+    Feature,
+    PoseFeature,
+    from_quaternion,
+    to_quaternion,
+)
 from fvs_ros.vectors import length, plausible
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 _LAST_ZEROS, _LAST_ZEROS_PERIOD_S, _LAST_ZEROS_ACK_S = 5, 0.01, 0.5
-_QUATERNION_SLACK = 0.01
 #: Of a chain's message: axis, point and reference of a joint, and whether it is prismatic.
 _CHAIN_COLUMNS = 8
 _BALL = Feature()
@@ -114,7 +119,7 @@ def from_pose(message: PoseStamped, topic: str) -> tuple[np.ndarray, np.ndarray]
     position = np.array([at.x, at.y, at.z])
     quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
     size = length(quaternion)
-    if not (plausible(position) and abs(size - 1.0) < _QUATERNION_SLACK):
+    if not (plausible(position) and abs(size - 1.0) < QUATERNION_SLACK):
         raise MessageError(
             f"{topic} is no pose: position {position.tolist()}, quaternion {quaternion.tolist()}"
         )
@@ -151,11 +156,13 @@ def to_sliding(
 
 
 def from_sliding(message: Vector3Stamped | Float64MultiArray, feature: Feature) -> np.ndarray:
-    """Sliding variable of a message, (d,); NaN if it has another number of components."""
+    """Sliding variable of a message, (d,); a ``MessageError`` if it has not d components."""
     if isinstance(message, Vector3Stamped):
         return np.array([message.vector.x, message.vector.y, message.vector.z])
     if len(message.data) != len(feature.axes):
-        return np.full(len(feature.axes), np.nan)
+        raise MessageError(
+            f"sliding_variable has {len(message.data)} values, expected {len(feature.axes)}"
+        )
     return np.array(message.data) * feature.task_scale
 
 

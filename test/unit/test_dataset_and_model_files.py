@@ -11,6 +11,7 @@ from fvs_estimator_node.files import (
     DataSet,
     FileError,
     TrainedModel,
+    boxes_of,
     load_data_set,
     load_model,
     save_data_set,
@@ -174,3 +175,35 @@ def test_writing_is_all_or_nothing(kind, written, monkeypatch):
         kind[0](written, kind[2]())
     assert written.read_bytes() == before
     assert os.listdir(written.parent) == [written.name]
+
+
+def test_a_pose_is_read_with_any_lever_arm_and_not_as_a_ball(tmp_path):
+    recorded, wanted = (ServoedConfig("lens", "pose", arm) for arm in (0.3, 0.6))
+    rng, pose = np.random.default_rng(1), recorded.servoed
+    chain = replace(ur5_chain(), feature_m=pose.of(rng.normal(size=3), np.eye(3)))
+    joints = rng.normal(size=(12, 6))
+    seen = chain.position(joints)
+    data = DataSet(np.arange(12.0), joints, seen, np.zeros(12), **vars(recorded))
+    boxes = boxes_of(joints, seen, rng)
+    networks = RbfModel(rng.normal(size=(6, 4, 6)), np.ones((6, 4)), rng.normal(size=(6, 12, 4)))
+    model = TrainedModel(
+        networks, **boxes, joint_names=UR_JOINT_NAMES, chain=chain, **vars(recorded)
+    )
+    save_data_set(tmp_path / "d.npz", data)
+    save_model(tmp_path / "m.npz", model)
+    back = load_model(tmp_path / "m.npz", servoed=wanted)
+    scale = np.repeat([1.0, 2.0], [3, 9])
+    np.testing.assert_allclose(
+        load_data_set(tmp_path / "d.npz", servoed=wanted).ball_m, seen * scale
+    )
+    np.testing.assert_allclose(back.chain.position(joints), seen * scale)
+    np.testing.assert_allclose(
+        back.model.jacobian(joints), networks.jacobian(joints) * scale[:, None]
+    )
+    assert back.servoed.lever_arm_m == back.lever_arm_m == 0.6
+    np.testing.assert_array_equal(load_data_set(tmp_path / "d.npz").ball_m, seen)
+    with pytest.raises(FileError, match="made for feature pose, expected ball"):
+        load_model(tmp_path / "m.npz", servoed=ServoedConfig("lens"))
+    rewrite(tmp_path / "d.npz", lever_arm_m=np.array([0.3, 0.3]))
+    with pytest.raises(FileError, match="'lever_arm_m' that is not a number"):
+        load_data_set(tmp_path / "d.npz")

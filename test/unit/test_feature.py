@@ -97,3 +97,25 @@ def test_a_vector_is_its_own_task(rng):
     assert ball.axes == ("x", "y", "z")
     assert Feature(2).axes == ("1", "2")
     assert ball.distance(np.array([3e-3, 0.0, 4e-3])) == "5.0 mm"
+
+
+def test_at_half_a_turn_noise_does_not_change_the_way_round(rng):
+    pose = PoseFeature(LEVER_M)
+    target, last = random_pose(rng), None
+    half = pose.displaced(target, np.append(np.zeros(3), LEVER_M * np.pi * np.array([0, 0.6, 0.8])))
+    ways = []
+    for _ in range(50):
+        last = pose.error(pose.displaced(half, 1e-3 * rng.normal(size=6)), target, last)
+        ways.append(last)
+    assert np.ptp(ways, axis=0).max() < 0.02
+    assert np.linalg.norm(ways[-1][3:]) == pytest.approx(LEVER_M * np.pi, abs=0.01)
+
+
+def test_what_is_no_pose_is_told(rng):
+    pose, at = PoseFeature(LEVER_M), random_pose(rng)
+    assert pose.is_one(at)
+    for wrong in (np.zeros(12), np.ones(12), at * np.repeat([1.0, -1.0], [3, 9])):
+        assert not pose.is_one(wrong)
+    for quaternion in (np.zeros(4), np.full(4, np.nan), np.array([0.0, 0.0, 0.0, 9.0])):
+        with pytest.raises(ValueError, match="unit quaternion"):
+            from_quaternion(quaternion)
