@@ -185,7 +185,7 @@ class EstimationLoop:
         """Live key numbers of pairing and method."""
         return {
             "steps_learned": self.steps,
-            "ball_positions_not_paired": self.pairing.timeline.dropped,
+            "images_not_paired": self.pairing.timeline.dropped,
             "last_not_paired_because": self.pairing.timeline.last_reason,
             "position_noise_m": self._tracker.noise_m,
             **self.estimator.status_values(),

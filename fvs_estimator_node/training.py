@@ -30,10 +30,10 @@ _SAMPLES, _JUDGED = 80, 1000
 #: Width of the neurons over the box's rms half width, and the box of samples over that of the
 #: data: the least error of some tried.
 _WIDTH_FACTOR, _BEYOND = 4.0, 1.1
-#: Limits above which a note is shown: relative deviation of the Jacobian (median over the box),
-#: share of outliers, noise, m (no depth camera is that bad), offset of the stamps, s, and share of
-#: the ball's motion that the networks miss.
-#: A tag's noise depends on the view, so that more of its images are far from the chain.
+#: Limits above which a note is shown: relative deviation of the Jacobian (median over the box);
+#: noise, m (no depth camera is that bad); share of outliers (a tag's noise depends on the view, so
+#: that more of its images are far from the chain); offset of the stamps, s; share of the motion
+#: that the networks miss.
 _NOTABLE_DEVIATION, _NOTABLE_NOISE_M = 0.01, 0.01
 _NOTABLE_OUTLIERS = {BALL: 0.01, POSE: 0.05}
 _NOTABLE_OFFSET_S, _NOTABLE_ERROR = 0.003, 0.15

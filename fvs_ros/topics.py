@@ -139,6 +139,8 @@ def _servoed(feature: str, end: End = _RELIABLE, **given: Any) -> End:
     return replace(end, given={"feature": feature, **given})
 
 
+#: Who takes the feature.
+_SERVO_OR_SHOW = (ESTIMATOR, CONTROLLER, COLLECTOR, DASHBOARD, MARKERS_NODE)
 _DRIVER = "the robot's driver"
 _CAMERA = "an RGB-D camera's driver"
 _TOOLS = "any tool"
@@ -159,10 +161,7 @@ BALL_POSITION = Topic(
     "The ball's centre, m, in the camera's optical frame, stamped with the exposure; "
     "silent while the ball is not seen.",
     dict.fromkeys((SIM, DETECTOR), _servoed(BALL)),
-    {
-        **dict.fromkeys((ESTIMATOR, CONTROLLER, COLLECTOR, DASHBOARD), _servoed(BALL, _NEWEST)),
-        MARKERS_NODE: _NEWEST,
-    },
+    dict.fromkeys(_SERVO_OR_SHOW, _servoed(BALL, _NEWEST)),
     also_from="your own detector",
 )
 TOOL_POSE = Topic(
@@ -171,7 +170,7 @@ TOOL_POSE = Topic(
     "The tag's pose in the camera's optical frame, its x axis to the right, y up, z out of the "
     "print, stamped with the exposure; silent while it is not seen or not certain.",
     dict.fromkeys((SIM, DETECTOR), _servoed(POSE)),
-    dict.fromkeys((ESTIMATOR, CONTROLLER, COLLECTOR, DASHBOARD), _servoed(POSE, _NEWEST)),
+    dict.fromkeys(_SERVO_OR_SHOW, _servoed(POSE, _NEWEST)),
     also_from="your own detector or tracker",
 )
 JACOBIAN = Topic(

@@ -48,7 +48,8 @@ class MarkersNode(ros.FvsNode):
         self._status_s = float("-inf")
         self._markers = self.publisher(topics.MARKERS)
         self._transforms: Any = None
-        self.subscribe(topics.BALL_POSITION, self._on_ball)
+        self._feature = self._config.servoed
+        self.subscribe(self._feature.seen, self._on_feature)
         self.subscribe(topics.CONTROLLER_STATUS, self._on_status)
         self.subscribe(topics.TRUE_CAMERA_POSE, self._on_camera_pose)
         self.create_timer(_PERIOD_S, self._show, clock=self.steady_clock)
@@ -56,9 +57,10 @@ class MarkersNode(ros.FvsNode):
 
     # --- inputs ---
 
-    def _on_ball(self, message: PointStamped) -> None:
-        ros.from_point(message, self._config.feature_frame, topics.BALL_POSITION.name)  # may raise
-        self._trail.append((self.steady_s(), message.point))
+    def _on_feature(self, message: PointStamped | PoseStamped) -> None:
+        feature, frame = self._feature, self._config.feature_frame
+        x, y, z, *_ = ros.from_feature(message, feature, frame, feature.seen.name).tolist()
+        self._trail.append((self.steady_s(), Point(x=x, y=y, z=z)))
         self._forget()
 
     def _on_status(self, message: DiagnosticStatus) -> None:

@@ -31,7 +31,7 @@ _REMAP = re.compile(rf"({_NAME}:)?{_NAME}:=/?{_NAME}", re.ASCII)
 #: What rclpy declares for every node.
 _EVERYWHERE = Parameter("use_sim_time", False, "follow /clock")
 #: What recorder and markers share with the loop.
-_SHARED = ("use_sim_time", "feature_frame")
+_SHARED = ("use_sim_time", "feature_frame", "feature")
 #: Largest YAML, and longest quotation of it in an error, characters.
 _MOST_YAML, _QUOTED = 2**20, 300
 
@@ -124,7 +124,8 @@ def load_scenario(
         _override(path, sections, override)
     shared = {name: v[name] for v in sections.values() for name in _SHARED if name in v}
     for node in sections.keys() - loop:
-        sections[node] = {**shared, **sections[node]}
+        known = {name: value for name, value in shared.items() if name in _declared(node)}
+        sections[node] = {**known, **sections[node]}
     if record:
         sections[RECORDER]["scenario"] = params_yaml({node: sections[node] for node in loop})
     for node, values in sections.items():

@@ -52,6 +52,17 @@ def test_every_scheme_settles_in_position_and_angle(scheme):
     assert loop.loop.supervisor.last.reason is Reason.SETTLED
 
 
+@pytest.mark.parametrize("scheme", ["best", "proposed"])
+@pytest.mark.parametrize("lever_arm_m", [0.15, 0.6])
+def test_any_lever_arm_does(scheme, lever_arm_m):
+    loop = loop_of(scheme, lever_arm_m=lever_arm_m)
+    true = loop.simulation.true_task_jacobian(loop.feature, loop.simulation.joints_rad)
+    assert np.linalg.norm(loop.loop.jacobian - true) < 0.05 * np.linalg.norm(true)
+    way_m, angle_rad = servo(loop, pose_at(loop, GOAL_RAD), 3.0)
+    assert way_m[-125:].max() < SETTLED_M
+    assert angle_rad[-125:].max() < 2.0 * SETTLED_RAD
+
+
 def test_the_oracle_has_the_true_jacobian():
     simulation = Simulation(EXACT)
     simulation.reset(START_RAD, 1)
