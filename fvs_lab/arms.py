@@ -183,4 +183,4 @@ def photo_of(arm: str) -> np.ndarray:
         return frame.rgb
 
 
-EXPERIMENT = Experiment("arms", measure, claims, TABLES, figures, globals(), shipped_model=False)
+EXPERIMENT = Experiment("arms", measure, claims, TABLES, figures, globals(), model="")

@@ -15,11 +15,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+from fvs_estimator_node.files import MODELS
 from fvs_lab.figures import save
 from fvs_lab.outcome import Outcome
 from fvs_lab.report import Figure, Report, Table, Verdict, Words
 from fvs_lab.results import Interval, Results, table
 from fvs_lab.trials import Case, Conditions, Trial, Variant, run_trial
+from fvs_ros.topics import BALL
 
 PAPER, OURS = "the paper's", "ours"
 
@@ -266,8 +268,8 @@ class Experiment:
     names: Mapping[str, Any]
     #: Name of the template; by default the experiment's.
     template: str = ""
-    #: Whether it uses the shipped model.
-    shipped_model: bool = True
+    #: The shipped model that it uses; empty for none.
+    model: str = MODELS[BALL]
 
     def run(self, context: Context) -> Report:
         """Measure, judge, tabulate and draw."""

@@ -167,7 +167,7 @@ def _measure(context: Context, arguments: argparse.Namespace) -> int:
         print(f"== {name} ({number} of {len(names)})", flush=True)
         experiment = experiment_called(name)
         report = experiment.run(context)
-        write_report(report, folder, _origin(arguments, experiment.shipped_model))
+        write_report(report, folder, _origin(arguments, experiment.model))
         for verdict in report.verdicts:
             print(f"   {verdict.word} ({verdict.whose}): {verdict.claim}", flush=True)
             print(f"      {verdict.finding}", flush=True)
@@ -176,9 +176,8 @@ def _measure(context: Context, arguments: argparse.Namespace) -> int:
     return EXIT_OK
 
 
-def _origin(arguments: argparse.Namespace, with_model: bool) -> Origin:
+def _origin(arguments: argparse.Namespace, model: str) -> Origin:
     from fvs_ros.paths import find_file
-    from fvs_tools.closed_loop import MODEL
 
     command = ["fvs_experiments", arguments.name]
     command += [f"--seeds {arguments.seeds}"] if arguments.seeds else []
@@ -187,8 +186,9 @@ def _origin(arguments: argparse.Namespace, with_model: bool) -> Origin:
     command += ["--quick"] if arguments.quick else []
     command += [f"--camera {arguments.camera}"]
     command += [] if arguments.nodes else ["--no-nodes"]
-    digest = hashlib.sha256(find_file(MODEL).read_bytes()).hexdigest()
-    model = f"{Path(MODEL).name} {digest[:12]}" if with_model else ""
+    if model:
+        digest = hashlib.sha256(find_file(model).read_bytes()).hexdigest()
+        model = f"{Path(model).name} {digest[:12]}"
     return Origin(" ".join(command), version(), model, arguments.quick)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from fvs_estimator_node.base import Estimator
+from fvs_estimator_node.files import MODELS
 from fvs_lab import contestants as who
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
@@ -155,13 +156,14 @@ def figures(found: lab.Found) -> Iterator[lab.Drawn]:
     runs = found.runs.where(part="schemes", camera="exact")
     first = runs.where(case=runs.rows[0]["case"])
     figure, ((axis,),) = draw.grid(1, 1, (9.0, 5.0))
-    names = first.groups("scheme")
-    draw.errors_over_time(
-        axis, first, "scheme", {name: {"color": draw.colour_of(name)} for name in names}
-    )
+    looks: dict[str, dict[str, Any]] = {
+        name: {"color": draw.colour_of(name)} for name in first.groups("scheme")
+    }
+    looks.get(who.BEST_ORACLE, {})["linestyle"] = ":"
+    draw.errors_over_time(axis, first, "scheme", looks)
     axis.set(xlabel="time since the target was given, s", ylabel="error, mm", xlim=(0.0, 2.5))
     axis.legend()
     yield "errors", figure, {}
 
 
-EXPERIMENT = lab.Experiment("pose", measure, claims, TABLES, figures, globals())
+EXPERIMENT = lab.Experiment("pose", measure, claims, TABLES, figures, globals(), model=MODELS[POSE])

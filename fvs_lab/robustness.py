@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from fvs_estimator_node.files import MODELS
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
 from fvs_lab.outcome import NOT_STAYED, Outcome
@@ -233,7 +234,14 @@ def figures(found: lab.Found) -> Iterator[lab.Drawn]:
 
 EXPERIMENTS = {
     name: lab.Experiment(
-        name, partial(measure, kind), claims, TABLES, figures, globals(), template="robustness"
+        name,
+        partial(measure, kind),
+        claims,
+        TABLES,
+        figures,
+        globals(),
+        model=MODELS[kind.feature],
+        template="robustness",
     )
     for name, kind in KINDS.items()
 }
