@@ -18,7 +18,7 @@ import numpy as np
 from fvs_estimator_node.rbf import RbfModel
 from fvs_ros.camera import CAMERA_FRAME
 from fvs_ros.chain import CHAIN_SHAPES, SerialChain
-from fvs_ros.feature import Feature, PoseFeature, ServoedConfig
+from fvs_ros.feature import Feature, ServoedConfig
 from fvs_ros.timeline import Sample
 from fvs_ros.topics import BALL, POSE
 from fvs_ros.vectors import check_arrays
@@ -48,8 +48,32 @@ class FileError(ValueError):
     """A file that cannot be used; one sentence with its path, what is wrong, what was expected."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class _OfFeature:
+    """What was seen; see :class:`~fvs_ros.feature.ServoedConfig`."""
+
+    feature: str = BALL
+    lever_arm_m: float = ServoedConfig.lever_arm_m
+
+    @property
+    def servoed(self) -> Feature:
+        """The feature."""
+        return ServoedConfig(feature=self.feature, lever_arm_m=self.lever_arm_m).servoed
+
+    def _check_feature(self, size: int) -> None:
+        """A ``ValueError`` if the feature is not one, or has not this number of components."""
+        expected = self.servoed.size
+        if self.feature == POSE and size != expected:
+            raise ValueError(f"a pose has {expected} numbers, got {size}")
+
+    def _scale_to(self, lever_arm_m: float) -> np.ndarray:
+        """Factors of a feature's numbers, (m,), for another lever arm, m."""
+        to = ServoedConfig(feature=self.feature, lever_arm_m=lever_arm_m).servoed
+        return to.scale / self.servoed.scale
+
+
 @dataclass(frozen=True)
-class DataSet:
+class DataSet(_OfFeature):
     """k ball positions and the joints at their exposures.
 
     Parameters
@@ -84,13 +108,11 @@ class DataSet:
     joint_names: tuple[str, ...] = ()
     feature_frame: str = CAMERA_FRAME
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    feature: str = BALL
-    lever_arm_m: float = ServoedConfig.lever_arm_m
 
     def __post_init__(self) -> None:
         lengths = check_arrays(self, _DATA_SET, {})
         n = lengths["n"]
-        _check_feature(self, lengths["m"])
+        self._check_feature(lengths["m"])
         names = tuple(self.joint_names) or tuple(f"joint_{i + 1}" for i in range(n))
         if len(names) != n:
             raise ValueError(f"{len(names)} joint names and {n} joints do not fit together")
@@ -106,16 +128,11 @@ class DataSet:
     def __len__(self) -> int:
         return len(self.stamps_s)
 
-    @property
-    def servoed(self) -> Feature:
-        """The feature."""
-        return ServoedConfig(self.feature_frame, self.feature, self.lever_arm_m).servoed
-
     def at_lever_arm(self, lever_arm_m: float) -> DataSet:
         """The same with another lever arm, m."""
         if self.feature != POSE or lever_arm_m == self.lever_arm_m:
             return self
-        scale = PoseFeature(lever_arm_m).scale / self.servoed.scale
+        scale = self._scale_to(lever_arm_m)
         return replace(self, ball_m=self.ball_m * scale, lever_arm_m=lever_arm_m)
 
     def runs(self) -> list[slice]:
@@ -131,7 +148,7 @@ def data_set_of(samples: Sequence[Sample], **particulars: Any) -> DataSet:
 
 
 @dataclass(frozen=True)
-class TrainedModel:
+class TrainedModel(_OfFeature):
     """The networks, with the data needed to use them.
 
     Parameters
@@ -172,8 +189,6 @@ class TrainedModel:
     errors: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     chain: SerialChain | None = None
-    feature: str = BALL
-    lever_arm_m: float = ServoedConfig.lever_arm_m
 
     def __post_init__(self) -> None:
         n, m = self.model.weights.shape[:2]
@@ -185,22 +200,17 @@ class TrainedModel:
                 "joints do not fit together"
             )
         check_arrays(self, _MODEL, {"n": n, "m": m})
-        _check_feature(self, m)
+        self._check_feature(m)
         for name in ("joint_box_rad", "ball_box_m"):
             low, high = getattr(self, name)
             if np.any(low > high):
                 raise ValueError(f"{name} has a least value above the greatest")
 
-    @property
-    def servoed(self) -> Feature:
-        """The feature."""
-        return ServoedConfig(self.feature_frame, self.feature, self.lever_arm_m).servoed
-
     def at_lever_arm(self, lever_arm_m: float) -> TrainedModel:
         """The same with another lever arm, m."""
         if self.feature != POSE or lever_arm_m == self.lever_arm_m:
             return self
-        scale = PoseFeature(lever_arm_m).scale / self.servoed.scale
+        scale = self._scale_to(lever_arm_m)
         networks, chain = self.model, self.chain
         return replace(
             self,
@@ -218,13 +228,6 @@ class TrainedModel:
         if not isinstance(notes, (list, tuple)):
             return ()
         return tuple(" ".join(str(note).split())[:_LONGEST_NOTE] for note in notes[:_MOST_NOTES])
-
-
-def _check_feature(owner: DataSet | TrainedModel, size: int) -> None:
-    """A ``ValueError`` if a feature is not one, or has another number of components."""
-    expected = ServoedConfig(feature=owner.feature, lever_arm_m=owner.lever_arm_m).servoed.size
-    if owner.feature == POSE and size != expected:
-        raise ValueError(f"a pose has {expected} numbers, got {size}")
 
 
 def boxes_of(
