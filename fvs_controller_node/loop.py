@@ -112,7 +112,7 @@ class ServoLoop:
             at, motion = self._chain.position_and_jacobian(joints)
             self._jacobian = feature.to_task(at, motion)
         elif self._jacobian is not None:
-            now = self.position_m
+            now = self.position_m if feature.curved else None
             motion = feature.from_task(self._seen if now is None else now, self._jacobian)
         else:
             return

@@ -20,7 +20,6 @@ HISTORY_S, TRAIL_S = 20.0, 6.0
 #: Display time of the newest value by name, s.
 _SHOWN_S = {
     "ball_position": 0.5,
-    "feature": 0.5,
     "controller": SILENT_S,
     "detector": 2.0,
     "answer": 12.0,
@@ -157,11 +156,11 @@ class Board:
         self._joints.add(stamp_s, joints_rad)
         self.speed_rad_s.add(now_s, np.abs(velocity_rad_s))
 
-    def add_ball(self, now_s: float, stamp_s: float, position_m: np.ndarray) -> None:
-        """Add a ball position, camera frame, m, shape (3,), and its exposure's stamp."""
-        self.note("ball_position", now_s, position_m)
-        self._unlearned = stamp_s, position_m
-        self.trail_m.add(now_s, position_m)
+    def add_ball(self, now_s: float, stamp_s: float, feature_m: np.ndarray) -> None:
+        """Add a ball's position or a tag's pose, camera frame, m, (m,), and its stamp."""
+        self.note("ball_position", now_s, feature_m)
+        self._unlearned = stamp_s, feature_m[:3]
+        self.trail_m.add(now_s, feature_m[:3])
 
     def add_status(self, now_s: float, controller: Controller) -> None:
         """Add the controller's status."""

@@ -124,8 +124,7 @@ class DashboardNode(ros.FvsNode):
         feature, frame = self._feature, self._config.feature_frame
         feature_m = ros.from_feature(message, feature, frame, feature.seen.name)
         stamp_s = ros.from_stamp(message.header.stamp)
-        self._board.note("feature", self.steady_s(), feature_m)
-        self._board.add_ball(self.steady_s(), stamp_s, feature_m[:3])
+        self._board.add_ball(self.steady_s(), stamp_s, feature_m)
         self._picture.add_ball(stamp_s, feature_m[:3])
 
     def _on_status(self, message: DiagnosticStatus) -> None:
@@ -296,7 +295,7 @@ class DashboardNode(ros.FvsNode):
             return feature.of(given[:3], from_quaternion(np.roll(given[3:], -1)))
         last_m = self._target_m
         if last_m is None:
-            last_m = self._board.newest("feature", self.steady_s())
+            last_m = self._board.newest("ball_position", self.steady_s())
         return None if last_m is None else np.append(given, last_m[3:])
 
     def _answer(self, text: str) -> None:
@@ -307,7 +306,7 @@ class DashboardNode(ros.FvsNode):
         """Send the next target when it is due."""
         if self._candidates_m is None or not self._board.tour or now_s < self._tour_due_s:
             return
-        seen_m = self._board.newest("feature", now_s)
+        seen_m = self._board.newest("ball_position", now_s)
         controller = self._board.controller(now_s)
         ready = controller.state == "SERVOING" or controller.reason == "NO_TARGET"
         if seen_m is not None and ready:

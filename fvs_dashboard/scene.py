@@ -139,14 +139,14 @@ class Scene:
         if camera is None:
             return
         _place(self._camera, camera)
-        controller, ball_m = board.controller(now_s), board.newest("ball_position", now_s)
-        _put(self._ball, ball_m)
+        controller, seen_m = board.controller(now_s), board.newest("ball_position", now_s)
+        _put(self._ball, None if seen_m is None else seen_m[:3])
         _put(self._predicted, controller.position_m)
-        self._turn(self._axes, board.newest("feature", now_s))
+        self._turn(self._axes, seen_m)
         if time.monotonic() - self._held_s > _DROPPED_S:
             _put(self._target, controller.target_m)
             wanted = board.newest("target", now_s)
-            self._turn(self._target, board.newest("feature", now_s) if wanted is None else wanted)
+            self._turn(self._target, seen_m if wanted is None else wanted)
         trail_m = board.trail_m.window(now_s)[:, 1:]
         self._trail.visible = len(trail_m) > 1
         if len(trail_m) > 1:

@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 
 from fvs_ros.camera import Intrinsics
+from fvs_ros.feature import rotation_angle_rad
 from fvs_ros.params import Parameters, parameter
 
 #: Dictionaries of OpenCV, without its prefix; of two spellings, H and h, the latter.
@@ -247,18 +248,15 @@ class PoseFinder:
         self, stamp_s: float, first: TagPose, other: TagPose | None = None
     ) -> TagPose | None:
         """The pose that is certain, of two; None if neither is."""
-        if other is None or _angle(first.rotation, other.rotation) < _SAME_RAD:
+        if other is None or rotation_angle_rad(first.rotation.T @ other.rotation) < _SAME_RAD:
             return first
         worse_px2 = 8.0 * (other.residual_px**2 - first.residual_px**2)
         certain = worse_px2 > _CERTAIN * max(self.noise_px, _SAME_PX) ** 2
         if self._last is None or not 0.0 < stamp_s - self._last[0] <= _LAST_S:
             return first if certain else None
-        to_first, to_other = (_angle(one.rotation, self._last[1]) for one in (first, other))
+        to_first, to_other = (
+            rotation_angle_rad(one.rotation.T @ self._last[1]) for one in (first, other)
+        )
         if to_other < _NEARER * to_first:  # a corner that is off can make the wrong one certain
             return None if certain else other
         return first if certain or to_first < _NEARER * to_other else None
-
-
-def _angle(one: np.ndarray, other: np.ndarray) -> float:
-    """Angle between two rotations, rad."""
-    return float(np.arccos(np.clip(0.5 * (np.trace(one.T @ other) - 1.0), -1.0, 1.0)))

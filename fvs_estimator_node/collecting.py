@@ -82,6 +82,7 @@ class CollectionRun:
 
     def __init__(self, config: CollectorConfig, stop: StopCriterion | None = None) -> None:
         self._config, self._names = config, config.joint_names
+        self._unseen = f"no {config.servoed.seen.name}"
         self.stop = stop if stop is not None else StopCriterion(config.stop_at_error)
         self._motion: RandomMotion | None = None
         self._timeline = Timeline()
@@ -181,7 +182,7 @@ class CollectionRun:
     def _decide(self, now_s: float, dt_s: float) -> np.ndarray | None:
         """Advance the state machine; returns wanted velocities, rad/s, or None to come to rest."""
         late = _late("no joint_states", now_s - self._joints_s, _JOINTS_MAX_AGE_S)
-        lost = _late(f"no {self._config.servoed.seen.name}", now_s - self._ball_s, _BALL_MAX_AGE_S)
+        lost = _late(self._unseen, now_s - self._ball_s, _BALL_MAX_AGE_S)
         joints = self._joints
         others = f"{self._others} commands the arm as well; stop it first" if self._others else ""
         if late:

@@ -15,7 +15,7 @@ import numpy as np
 
 from fvs_detector_node.detection import BallColour, BallDetection, detect_ball
 from fvs_detector_node.images import Region
-from fvs_detector_node.tags import PoseFinder, TagPose, TagReader
+from fvs_detector_node.tags import PoseFinder, TagPose
 from fvs_detector_node.tracking import WindowTracker
 from fvs_ros.camera import Intrinsics
 from fvs_ros.chain import SerialChain
@@ -185,7 +185,7 @@ class Simulation:
         self._sought: np.ndarray | None = None
         self._pending: deque[tuple[float, BallObservation]] = deque()
         self._tracker = WindowTracker(self._reported_intrinsics, config.ball_radius_m)
-        self._reader, self._poses = TagReader(config.tag), PoseFinder(config.tag.tag_size_m)
+        self._poses = PoseFinder(config.tag.tag_size_m)
         self._actuator.reset()
         self.world.reset(joints)
         self._joints, self._velocities = self.world.joint_states()
@@ -341,7 +341,7 @@ class Simulation:
         self.world.paint_tag(
             rgb, depth_m, region.view(camera), self.camera, self._velocities, self._noise_rng
         )
-        corners_px, _ = self._reader.find(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY))
+        corners_px, _ = tag.reader.find(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY))
         if corners_px is None:
             return None
         corners_px = corners_px + (region.u0, region.v0)

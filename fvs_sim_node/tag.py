@@ -25,7 +25,7 @@ class TagPicture:
     """Paints a tag, with a border of one cell, on the plate that carries it."""
 
     def __init__(self, tag: Tag) -> None:
-        reader = TagReader(tag)  # checks the number
+        self.reader = reader = TagReader(tag)  # checks the number
         cells = reader.cells
         marker = cv2.aruco.generateImageMarker(reader.dictionary, tag.tag_id, cells * _CELL_PX)
         self._texture = np.pad(marker, _CELL_PX, constant_values=255)
