@@ -17,6 +17,7 @@ from drawn_tags import SIZE_M, VGA, corners_px, draw, random_pose
 from bench.timing import spread
 from fvs_detector_node.tags import PoseFinder, Tag, TagReader
 
+TAG = Tag(tag_size_m=SIZE_M)
 IMAGES = int(os.environ.get("FVS_BENCH_TAGS", "10000"))
 MATRIX = np.array([[VGA.fx, 0.0, VGA.cx], [0.0, VGA.fy, VGA.cy], [0.0, 0.0, 1.0]])
 
@@ -36,7 +37,7 @@ def bound_deg(rotation, position_m):
 
 
 def drawn(rng):
-    reader, finder = TagReader(Tag(tag_size_m=SIZE_M)), PoseFinder(SIZE_M)
+    reader, finder = TagReader(TAG), PoseFinder(TAG)
     off_px, errors, spent_ms, unread, unsure, wrong = [], [], [], 0, 0, 0
     for k in range(IMAGES):
         pose = random_pose(rng, 1.2)
@@ -44,10 +45,10 @@ def drawn(rng):
         begin_s = time.perf_counter()
         found, _ = reader.find(grey)
         spent_ms.append(1e3 * (time.perf_counter() - begin_s))
-        if found is None:
+        if not found:
             unread += 1
             continue
-        off_px.append(found - corners_px(*pose))
+        off_px.append(found[0] - corners_px(*pose))
         seen, _ = finder.find(float(k), found, VGA)
         if seen is None:
             unsure += 1
@@ -64,10 +65,12 @@ def drawn(rng):
 
 
 def projected(rng, noise_px):
-    finder, unsure, wrong = PoseFinder(SIZE_M), 0, 0
+    finder, unsure, wrong = PoseFinder(TAG), 0, 0
     for k in range(10 * IMAGES // 4):
         pose = random_pose(rng, 1.2)
-        seen, _ = finder.find(float(k), corners_px(*pose) + rng.normal(0.0, noise_px, (4, 2)), VGA)
+        seen, _ = finder.find(
+            float(k), {0: corners_px(*pose) + rng.normal(0.0, noise_px, (4, 2))}, VGA
+        )
         if seen is None:
             unsure += 1
         else:

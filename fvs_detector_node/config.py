@@ -16,7 +16,9 @@ class DetectorConfig(Parameters):
     """Parameters of ball or tag, and of the image topics."""
 
     feature: str = parameter(
-        topics.BALL, "ball, or pose: of a tag, from the colour image alone", choices=topics.FEATURES
+        topics.BALL,
+        "ball, or pose: of a tag, from the colour image; depth is not needed, but helps",
+        choices=topics.FEATURES,
     )
     camera_topics: str = parameter(
         "",

@@ -167,7 +167,7 @@ def annotate(rgb: np.ndarray, sighting: Sighting, camera: Intrinsics) -> np.ndar
     colour = refused_rgb if sighting.problem else (60, 230, 60)
     if isinstance(found, TagPose):
         corners = np.round(16.0 * found.corners_px).astype(int)
-        cv2.polylines(picture, [corners], True, colour, thick, cv2.LINE_AA, 4)
+        cv2.polylines(picture, list(corners), True, colour, thick, cv2.LINE_AA, 4)
         tip_m = found.position_m + 0.05 * found.rotation[:, 2]
         ends_px = camera.project(np.array([found.position_m, tip_m]))
         start, end = np.round(16.0 * ends_px).astype(int).tolist()

@@ -60,11 +60,11 @@ class DetectorNode(ros.FvsNode):
         super().__init__("fvs_detector_node", PARAMETERS)
         cv2.setNumThreads(1)  # threads have no benefit for one small image at a time
         self._config = DetectorConfig.from_values(self.values)
-        #: A ball is measured by its depth, too; a tag by colour alone.
-        self._with_depth = self._config.feature == topics.BALL
-        self._detector = (Detector if self._with_depth else TagDetector)(self._config)
-        # A little less than half the period of 30 images a second.
-        self._pairing = Pairing(0.015, self._with_depth)
+        #: A ball is measured by its depth, too; a tag by colour, and depth only helps.
+        self._needs_depth = self._config.feature == topics.BALL
+        self._detector = (Detector if self._needs_depth else TagDetector)(self._config)
+        # A little less than half the period of 30 images a second; without need, more than one.
+        self._pairing = Pairing(0.015 if self._needs_depth else 0.05, self._needs_depth)
         self._restarts = 0
         self._camera: CameraModel | None = None
         self._sighting: Sighting | None = None
@@ -74,7 +74,7 @@ class DetectorNode(ros.FvsNode):
         # Log delay: discovery of a camera takes a moment, and a barely visible ball flickers.
         self._logged, self._logged_s = "", self.now_s()
 
-        feature = topics.BALL_POSITION if self._with_depth else topics.TOOL_POSE
+        feature = topics.BALL_POSITION if self._needs_depth else topics.TOOL_POSE
         self._feature = self.publisher(feature)
         self._annotated = self.publisher(topics.ANNOTATED_IMAGE)
         prefix = self._config.camera_topics or CAMERA_PREFIXES[0]
@@ -104,10 +104,9 @@ class DetectorNode(ros.FvsNode):
         image = CompressedImage if self._config.compressed_images else Image
         wanted = {
             names.color: (image, self._on_color, self._image_qos(names.color)),
+            names.depth: (image, self._on_depth, self._image_qos(names.depth)),
             names.info: (CameraInfo, self._on_camera_info, ros.QOS_NEWEST),
         }
-        if self._with_depth:
-            wanted[names.depth] = (image, self._on_depth, self._image_qos(names.depth))
         for topic, (subscription, qos) in list(self._subscribed.items()):
             if topic not in wanted or wanted[topic][2] is not qos:
                 self.destroy_subscription(subscription)
@@ -161,6 +160,8 @@ class DetectorNode(ros.FvsNode):
         camera = self._camera
         if camera is None:
             return
+        if not self._needs_depth and _unregistered(pair):
+            pair = pair._replace(depth=None)
         problem = _mismatch(pair, camera)
         if problem:
             self._complain(self._topics.depth, problem)
@@ -218,7 +219,7 @@ class DetectorNode(ros.FvsNode):
     def _missing_input(self, now_s: float) -> str:
         """Which subscribed topic is silent, and what to check; empty if none is."""
         wanted = [("colour images", self._topics.color, "check the camera and camera_topics")]
-        if self._with_depth:
+        if self._needs_depth:
             wanted.append(("depth images", self._topics.depth, "set align_depth.enable:=true"))
         if self._camera is None:
             wanted.append(("camera_info", self._topics.info, "is it remapped as well?"))
@@ -280,24 +281,30 @@ class DetectorNode(ros.FvsNode):
 
 def _mismatch(pair: Pair, camera: CameraModel) -> str:
     """Why colour, depth and calibration are not of one camera; empty if they are."""
-    size, frame = pair.colour.pixels.shape[:2], pair.colour.header.frame_id
+    size = pair.colour.pixels.shape[:2]
     calibrated = (camera.intrinsics.height, camera.intrinsics.width)
     if calibrated != size:
         return f"camera_info is for {_px(calibrated)} pixels, colour images have {_px(size)}"
-    if pair.depth is None:
-        return ""
-    depth_size, depth_frame = pair.depth.pixels.shape, pair.depth.header.frame_id
-    differs = ""
-    if depth_size != size:
-        differs = f"{_px(depth_size)} pixels against {_px(size)}"
-    elif depth_frame != frame:
-        differs = f"frame {depth_frame[:60]!r} against {frame[:60]!r}"
+    differs = _unregistered(pair)
     if not differs:
         return ""
     return (
         f"depth is not registered to colour: {differs}; start the camera with "
         "align_depth.enable:=true, and take the aligned topic"
     )
+
+
+def _unregistered(pair: Pair) -> str:
+    """In what a depth image differs from its colour image; empty if in nothing."""
+    if pair.depth is None:
+        return ""
+    size, frame = pair.colour.pixels.shape[:2], pair.colour.header.frame_id
+    depth_size, depth_frame = pair.depth.pixels.shape, pair.depth.header.frame_id
+    if depth_size != size:
+        return f"{_px(depth_size)} pixels against {_px(size)}"
+    if depth_frame != frame:
+        return f"frame {depth_frame[:60]!r} against {frame[:60]!r}"
+    return ""
 
 
 def _px(size: tuple[int, ...]) -> str:

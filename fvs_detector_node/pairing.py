@@ -39,12 +39,12 @@ class Pairing:
     """Pairs two streams; the newest wins, and no colour image is paired after a later one.
 
     Stamps may repeat, arrive out of order, freeze or jump; a single wrong stamp has no effect.
-    ``tolerance_s`` is the largest difference of the two stamps. Without depth, each colour image is
-    a pair by itself.
+    ``tolerance_s`` is the largest difference of the two stamps. If depth is not needed, no colour
+    image waits for it.
     """
 
-    def __init__(self, tolerance_s: float, with_depth: bool = True) -> None:
-        self._tolerance_s, self._with_depth = tolerance_s, with_depth
+    def __init__(self, tolerance_s: float, needs_depth: bool = True) -> None:
+        self._tolerance_s, self._needs_depth = tolerance_s, needs_depth
         #: How often the clock was set back; earlier pairs have another time base.
         self.restarts = -1
         self._restart()
@@ -66,14 +66,23 @@ class Pairing:
         if max(self._colour.behind, self._depth.behind) >= 3:
             self._restart()
         stream = self._colour if kind == "colour" else self._depth
-        return self._pair() if stream.add(stamp_s, image) else None
+        if not stream.add(stamp_s, image):
+            return None
+        if self._needs_depth:
+            return self._pair()
+        return self._alone(stamp_s, image) if kind == "colour" else None
+
+    def _alone(self, colour_s: float, colour: Any) -> Pair:
+        """A colour image with the newest depth image, if that is near enough."""
+        depth = None
+        if self._depth.images and abs(self._depth.newest_s - colour_s) <= self._tolerance_s:
+            depth = self._depth.images[-1][1]
+        return Pair(colour_s, colour, depth)
 
     def _pair(self) -> Pair | None:
         """The newest colour image that has its depth image."""
         colours, depths = self._colour.images, self._depth.images
         for colour_s, colour in reversed(colours):
-            if not self._with_depth:
-                return Pair(colour_s, colour, None)
             if not depths:
                 return None
             depth_s, depth = min(depths, key=lambda one: abs(one[0] - colour_s))

@@ -1,4 +1,4 @@
-"""Detection of a tag's pose from colour images, with plausibility checks; no ROS, no clock."""
+"""Detection of a tag's pose from images, with plausibility checks; no ROS, no clock."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class TagDetector:
 
     def __init__(self, config: DetectorConfig) -> None:
         self._rectifier: Rectifier | None = None
-        self._reader, self._poses = TagReader(config.tag), PoseFinder(config.tag.tag_size_m)
+        self._reader, self._poses = TagReader(config.tag), PoseFinder(config.tag)
         self.gate = Gate(config.max_ball_speed_m_s)
         self.reset()
 
@@ -34,32 +34,40 @@ class TagDetector:
         """Forget where the tag was."""
         self.gate.reset()
         self._poses.reset()
-        self._seen: tuple[float, np.ndarray] | None = None
+        self._seen: tuple[float, Region] | None = None
 
     def rectified(self, rgb: np.ndarray, camera: CameraModel) -> np.ndarray:
         """The whole colour image that the detections' pixel coordinates refer to."""
         return self._rectifier_of(camera).colour(rgb, Region.whole(camera.intrinsics))
 
     def look(
-        self, stamp_s: float, rgb: np.ndarray, _depth_m: np.ndarray | None, camera: CameraModel
+        self, stamp_s: float, rgb: np.ndarray, depth_m: np.ndarray | None, camera: CameraModel
     ) -> Sighting:
-        """Look for the tag in a colour image, red first; each exposure is later than the last."""
+        """Look for the tag in a colour image, red first; each exposure is later than the last.
+
+        Depth aligned to it, if there is some, tells apart two poses that fit.
+        """
         rectifier, view = self._rectifier_of(camera), camera.intrinsics
-        corners_px, problem = None, ""
+        corners_px: dict[int, np.ndarray] = {}
+        problem = ""
         for region in self._regions(stamp_s, view):
             grey = cv2.cvtColor(rectifier.colour(rgb, region), cv2.COLOR_RGB2GRAY)
             corners_px, problem = self._reader.find(grey)
-            if corners_px is not None:
-                corners_px += (region.u0, region.v0)
+            if corners_px:
+                corners_px = {
+                    number: one + (region.u0, region.v0) for number, one in corners_px.items()
+                }
                 break
-        if corners_px is None:
+        if not corners_px:
             self._seen = None
             return Sighting(None, problem)
-        self._seen = (stamp_s, corners_px)
-        pose, problem = self._poses.find(stamp_s, corners_px, view)
+        box = _bounds(np.concatenate(list(corners_px.values())))
+        self._seen = (stamp_s, box)
+        if depth_m is not None:
+            depth_m = rectifier.cut(rgb, depth_m, Region.whole(view))[1]
+        pose, problem = self._poses.find(stamp_s, corners_px, view, depth_m)
         if pose is None:
-            u, v, width, height = _bounds(corners_px)
-            return Sighting(None, problem, Region(u, v, width, height))
+            return Sighting(None, problem, box)
         return Sighting(pose, self.gate.check(stamp_s, pose.position_m))
 
     def _regions(self, stamp_s: float, view: Intrinsics) -> list[Region]:
@@ -67,8 +75,8 @@ class TagDetector:
         whole = Region.whole(view)
         if self._seen is None or not 0.0 <= stamp_s - self._seen[0] <= _NEAR_S:
             return [whole]
-        u, v, width, height = _bounds(self._seen[1])
-        return [Region(u, v, width, height).grown(max(width, height), view), whole]
+        box = self._seen[1]
+        return [box.grown(max(box.width, box.height), view), whole]
 
     def _rectifier_of(self, camera: CameraModel) -> Rectifier:
         if self._rectifier is None or self._rectifier.camera != camera:
@@ -76,7 +84,7 @@ class TagDetector:
         return self._rectifier
 
 
-def _bounds(corners_px: np.ndarray) -> tuple[int, int, int, int]:
-    """Upper left pixel and size of the rectangle around corners."""
+def _bounds(corners_px: np.ndarray) -> Region:
+    """The rectangle around corners."""
     (u0, v0), (u1, v1) = corners_px.min(axis=0).astype(int), corners_px.max(axis=0).astype(int)
-    return int(u0), int(v0), int(u1 - u0) + 1, int(v1 - v0) + 1
+    return Region(int(u0), int(v0), int(u1 - u0) + 1, int(v1 - v0) + 1)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 
+from fvs_detector_node.tags import Tag, TagPose
 from fvs_estimator_node.base import Estimator
 from fvs_estimator_node.files import MODELS
 from fvs_lab import contestants as who
@@ -17,7 +18,7 @@ from fvs_lab import figures as draw
 from fvs_lab.floor import Limits, fastest
 from fvs_lab.outcome import BOUNDS_M, Outcome
 from fvs_lab.results import Results
-from fvs_lab.trials import Case, Conditions, Trial, make_cases, simulation_of
+from fvs_lab.trials import PRELUDE_S, Bump, Case, Conditions, Trial, make_cases, sees, simulation_of
 from fvs_ros.chain import SerialChain
 from fvs_ros.feature import PoseFeature, ServoedConfig, rotation_matrix
 from fvs_ros.topics import POSE
@@ -37,8 +38,24 @@ IMAGES = Conditions(POSE, position_noise_m=0.0)
 SEEN = (who.BEST, who.EXTENDED, "proposed")
 #: Calibrated cameras: rotation, degrees, and place, m, that the extrinsics are off by.
 CALIBRATED = {"exact": (0.0, 0.0), "1° and 5 mm off": (1.0, 0.005), "5° and 2 cm off": (5.0, 0.02)}
+#: Bodies whose rest is measured, of which the last two fill an A4 page, and distances of the
+#: camera, m.
+ONE, PLATE = "one of 60 mm", "plate of 4 x 75 mm"
+BODIES = {
+    ONE: Tag(tag_size_m=0.06),
+    "one of 100 mm": Tag(tag_size_m=0.1),
+    PLATE: Tag(tag_size_m=0.075, tag_layout="plate"),
+    "cube of 50 mm": Tag(tag_size_m=0.05, tag_layout="cube"),
+}
+DISTANCES_M = (0.7, 1.0, 1.4)
+#: Images that a rest is held against: those of the last second.
+LAST_IMAGES = 30
+#: By how much the camera is turned on the spot and moved, degrees and m.
+MOVED = (20.0, 0.1)
 #: Largest median time over the floor, and final errors, m and degrees.
 OVER_FLOOR, REST_M, REST_DEG = 1.15, 0.0005, 0.1
+#: The same at 1 m with the plate; over the bound; time over the undisturbed one, in this share.
+BODY_M, OVER_BOUND, MOVED_SLOWER, MOVED_SHARE = 0.0003, 1.3, 1.3, 0.95
 
 
 class Calibrated(Estimator):
@@ -100,9 +117,100 @@ def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
+def bound_at_goal(run: tuple[Case, Conditions]) -> dict[str, float]:
+    """Errors of the corners at a case's goal, and the bound of way, m, and turn, degrees.
+
+    It is that of Cramer and Rao for the images of the last second, in which the errors that stay
+    from image to image do not average out.
+    """
+    case, conditions = run
+    simulation = simulation_of(conditions)
+    simulation.reset(case.goal_rad, case.seed)
+    faces, pose = conditions.tag.faces, simulation.true_tag_pose()
+
+    def corners_px(numbers: tuple[int, ...], moved: np.ndarray) -> np.ndarray:
+        turn = rotation_matrix(moved[3:]) @ pose.rotation
+        points_m = np.concatenate([faces[number].corners_m for number in numbers])
+        return simulation.intrinsics.project(points_m @ turn.T + pose.position_m + moved[:3])
+
+    looks = [simulation.look().detection for _ in range(LAST_IMAGES)]
+    tags = [one for one in looks if isinstance(one, TagPose)]
+    numbers = tags[0].numbers
+    true_px = corners_px(numbers, np.zeros(6))
+    off_px = np.array(
+        [one.corners_px.reshape(-1, 2) - true_px for one in tags if one.numbers == numbers]
+    )
+    step = 1e-6
+    slopes = [
+        (corners_px(numbers, one) - corners_px(numbers, -one)).ravel() / (2.0 * step)
+        for one in step * np.eye(6)
+    ]
+    same_px2 = float(np.square(off_px.mean(axis=0)).mean())
+    noise_px2 = float(off_px.var(axis=0, ddof=1).mean())
+    bound = np.linalg.inv(np.array(slopes) @ np.transpose(slopes)).diagonal()
+    bound = bound * (same_px2 + noise_px2 / LAST_IMAGES)
+    return {
+        "corner_px": (same_px2 + noise_px2) ** 0.5,
+        "bound_m": float(bound[:3].sum() ** 0.5),
+        "bound_deg": float(np.degrees(bound[3:].sum() ** 0.5)),
+    }
+
+
+def _at_rest(context: lab.Context) -> Iterator[Mapping[str, Any]]:
+    """Rows of bodies at rest, with the bound of what their images hold."""
+    runs: list[tuple[dict[str, Any], Trial]] = []
+    for body, tag in list(BODIES.items())[: 1 if context.quick else None]:
+        for distance_m in DISTANCES_M[1:2] if context.quick else DISTANCES_M:
+            seen = Conditions(POSE, position_noise_m=0.0, camera_distance_m=distance_m, tag=tag)
+            count = max(1, context.count(60, 1) // 3)
+            for case in make_cases("D", count, 421, 0.05, 0.2, seen):
+                labels = {"part": "rest", "body": body, "distance_m": distance_m, "case": case.name}
+                trial = CalibratedTrial(who.variant(who.BEST), case, seen, record=True)
+                runs.append((labels, trial))
+    looks = [(trial.case, trial.conditions) for _, trial in runs]
+    bounds = context.map(bound_at_goal, looks, "corners")
+    rows = context.score(runs, "rest", rest)
+    yield from ({**row, **bound} for row, bound in zip(rows, bounds, strict=True))
+
+
+def _moved_cameras(context: lab.Context, cases: list[Case]) -> Iterator[Mapping[str, Any]]:
+    """Rows of ``best`` whose camera is turned and moved before the target is given."""
+    runs = []
+    simulation = simulation_of(EXACT)
+    for case in cases:
+        rng = np.random.default_rng(case.seed)
+        # A camera that no longer sees the tag is another matter: draw until it does.
+        for _ in range(100):
+            axis, way = rng.normal(size=(2, 3))
+            turn_deg = MOVED[0] * axis / np.linalg.norm(axis)
+            shift_m = MOVED[1] * way / np.linalg.norm(way)
+            bump = Bump(0.0, tuple(turn_deg.tolist()), tuple(shift_m.tolist()))
+            simulation_of(EXACT)  # puts the camera back
+            bump.strike(simulation)
+            if _sees_both(simulation, case):
+                break
+        labels = {"part": "moved", "scheme": who.BEST, "camera": "exact", "case": case.name}
+        trial = who.variant(who.BEST).trial(case, EXACT, record=True, before=partial(_move, bump))
+        runs.append((labels, trial))
+    yield from context.score(runs, "moved cameras", rest)
+
+
+def _sees_both(simulation: Simulation, case: Case) -> bool:
+    for joints in (case.start_rad, case.goal_rad):
+        simulation.reset(joints)
+        if not sees(simulation):
+            return False
+    return True
+
+
+def _move(bump: Bump, one: ClosedLoop) -> None:
+    bump.strike(one.simulation)
+    one.run(PRELUDE_S)
+
+
 def measure(context: lab.Context) -> lab.Found:
     """Run every scheme with an exact camera, some with images, and calibrated cameras."""
-    cases = make_cases("P", context.count(60, 1), 420, feature=POSE)
+    cases = make_cases("P", context.count(60, 1), 420, conditions=Conditions(POSE))
     names = [one.name for one in cases]
     floors = dict(zip(names, context.map(floor_s, cases, "the floor"), strict=True))
     schemes = (*SEEN, *(name for name in who.PUBLISHED if name not in SEEN), who.BEST_ORACLE)
@@ -119,8 +227,17 @@ def measure(context: lab.Context) -> lab.Found:
             trial = CalibratedTrial(who.variant(who.BEST), case, EXACT, record=True, off=off)
             runs.append((labels, trial))
     scored = context.score(runs, "poses", rest)
-    over = Results({**row, "over_5mm": row["to_5mm_s"] / floors[row["case"]]} for row in scored)
-    return lab.Found(over, {"count": len(cases), "tag_m": SimConfig().tag.tag_size_m})
+    over = [{**row, "over_5mm": row["to_5mm_s"] / floors[row["case"]]} for row in scored]
+    alone = {
+        row["case"]: row["to_5mm_s"]
+        for row in scored.where(part="schemes", scheme=who.BEST, camera="exact")
+    }
+    moved = [
+        {**row, "over_undisturbed": row["to_5mm_s"] / alone[row["case"]]}
+        for row in _moved_cameras(context, cases)
+    ]
+    results = Results([*over, *moved, *_at_rest(context)])
+    return lab.Found(results, {"count": len(cases), "tag_m": SimConfig().tag.tag_size_m})
 
 
 def claims(found: lab.Found) -> Iterator[lab.Claim]:
@@ -136,6 +253,25 @@ def claims(found: lab.Found) -> Iterator[lab.Claim]:
         lab.below("final error, mm", images.median("rest_m"), REST_M, 1e3),
         lab.below("final angle, degrees", images.median("rest_deg"), REST_DEG),
     )
+    at_1_m = found.runs.where(part="rest", distance_m=1.0)
+    plate = at_1_m.where(body=PLATE)
+    if plate:
+        yield lab.ours(
+            "body",
+            lab.below("final way, mm rms", plate.rms("rest_m"), BODY_M, 1e3),
+            lab.below("final turn, degrees rms", plate.rms("rest_deg"), REST_DEG),
+        )
+    one = at_1_m.where(body=ONE)
+    yield lab.ours(
+        "bound",
+        lab.below("way over bound", one.rms("rest_m", "bound_m"), OVER_BOUND),
+        lab.below("turn over bound", one.rms("rest_deg", "bound_deg"), OVER_BOUND),
+    )
+    moved = found.runs.where(part="moved").values("over_undisturbed")
+    yield lab.ours(
+        "moved",
+        lab.kept("runs", sum(one <= MOVED_SLOWER for one in moved), len(moved), MOVED_SHARE),
+    )
     parts = [
         lab.kept(f"targets reached by {name}", sum(runs.values("settled")), len(runs), 0.98)
         for name, runs in schemes.where(camera="exact").groups("scheme").items()
@@ -148,6 +284,25 @@ _COLUMNS = ("to_5mm_s", "over_5mm", "rest_m", "rest_deg", "settled:of", "failure
 TABLES = (
     lab.TableOf("schemes", ("camera", "scheme"), _COLUMNS, {"part": "schemes"}),
     lab.TableOf("calibrated", ("scheme",), _COLUMNS, {"part": "calibrated"}),
+    lab.TableOf(
+        "rest",
+        ("body", "distance_m"),
+        (
+            "corner_px:rms",
+            "rest_m:rms",
+            "bound_m:rms",
+            "rest_deg:rms",
+            "bound_deg:rms",
+            "settled:of",
+        ),
+        {"part": "rest"},
+    ),
+    lab.TableOf(
+        "moved",
+        ("scheme",),
+        ("over_undisturbed", "over_undisturbed:90 %", *_COLUMNS[2:]),
+        {"part": "moved"},
+    ),
 )
 
 

@@ -154,6 +154,15 @@ class Results:
         """Median of a column with its interval."""
         return median(self.values(name), self._searches())
 
+    def rms(self, name: str, over: str = "") -> Interval:
+        """Root of the mean square of a column, with its interval; or over that of another one."""
+        data = np.square(self.values(name))
+        below = np.square(self.values(over)) if over else np.ones_like(data)
+        chosen = _resamples(data.size, 1)
+        ratios = np.sqrt(data[chosen].mean(axis=-1) / below[chosen].mean(axis=-1))
+        middle = float(np.sqrt(data.mean() / below.mean()))
+        return Interval(middle, *_ends(ratios), data.size)
+
     def over(self, other: Results, name: str) -> Interval:
         """Ratio of the medians of a column, paired by case.
 
@@ -198,8 +207,12 @@ METRICS = {
     "jacobian_error": Metric("Jacobian error, %", 1e2, 1),
     "pace": Metric("own pace"),
     # pose
-    "rest_m": Metric("final way, mm rms", 1e3),
+    "rest_m": Metric("final way, mm", 1e3),
     "rest_deg": Metric("final turn, °", 1.0, 3),
+    "bound_m": Metric("bound, mm", 1e3),
+    "bound_deg": Metric("bound, °", 1.0, 3),
+    "corner_px": Metric("corners, px", 1.0, 3),
+    "over_undisturbed": Metric("over undisturbed"),
     # settling
     "bound_s": Metric("bound to 0, s"),
     "band_5mm_s": Metric("bound to 5 mm, s"),
@@ -290,6 +303,10 @@ _SUMMARIES: Mapping[str, tuple[str, Callable[[Results, str, Metric], str]]] = {
     ),
     "range": (", range", lambda runs, name, one: span(runs.values(name), one.factor, one.digits)),
     "searches": (", searches", _searched),
+    "rms": (
+        ", rms",
+        lambda runs, name, one: number_text(one.factor * runs.rms(name).value, one.digits),
+    ),
     "half": (", half", _quantile(0.5)),
     "90 %": (", 90 %", _quantile(0.9)),
     "all": (", all", _quantile(1.0)),

@@ -13,6 +13,7 @@ import numpy as np
 from fvs_controller_node.prediction import FeaturePredictor
 from fvs_controller_node.supervisor import Command
 from fvs_detector_node.detection import BallDetection
+from fvs_detector_node.tags import Tag
 from fvs_lab.outcome import BOUNDS_M, JACOBIAN_EVERY, Outcome, outcome_of, seconds
 from fvs_ros.topics import BALL, POSE
 from fvs_sim_node.camera import CAMERAS, CameraPose
@@ -74,6 +75,10 @@ class Conditions:
     #: Rotation vector, camera frame, degrees, by which the camera has been carried round the scene
     #: since the networks were trained; it still looks at the scene.
     camera_turn_deg: Vector = (0.0, 0.0, 0.0)
+    #: From the middle of the scene, m; 0 for that of the front camera.
+    camera_distance_m: float = 0.0
+    #: The tag, or the body of tags, where the feature is a pose.
+    tag: Tag = field(default_factory=Tag)
 
     def sim_config(self) -> SimConfig:
         """The simulation of these conditions."""
@@ -81,17 +86,21 @@ class Conditions:
         return SimConfig(
             **{name: getattr(self, name) for name in alike},
             speed_scaling_percent=100.0 * self.drive_gain,
-            camera_pose=_carried_camera(np.radians(self.camera_turn_deg)),
+            camera_pose=_carried_camera(np.radians(self.camera_turn_deg), self.camera_distance_m),
         )
 
 
-def _carried_camera(turn_rad: np.ndarray) -> CameraPose:
+def _carried_camera(turn_rad: np.ndarray, distance_m: float = 0.0) -> CameraPose:
     """The front camera, carried round the scene by a rotation vector in its own frame, rad.
 
     The Jacobian turns with it. The ball stays in view; a rotation by 30 degrees on the spot would
-    lose it.
+    lose it. With a distance it is also carried so far from the scene's middle, m.
     """
     camera = CAMERAS["front"]
+    if distance_m:
+        away_m = camera.position_m - _SCENE_M
+        away_m *= distance_m / np.linalg.norm(away_m)
+        camera = CameraPose(_SCENE_M + away_m, camera.rotation)
     local = cv2.Rodrigues(np.asarray(turn_rad, dtype=float).reshape(3, 1))[0]
     turn = camera.rotation @ local @ camera.rotation.T
     return CameraPose(_SCENE_M + turn @ (camera.position_m - _SCENE_M), camera.rotation @ local)
@@ -99,7 +108,7 @@ def _carried_camera(turn_rad: np.ndarray) -> CameraPose:
 
 def simulation_of(conditions: Conditions) -> Simulation:
     """The process's simulation, put under these conditions; to be reset before use."""
-    simulation = _build(conditions.physics_rate_hz, conditions.feature)
+    simulation = _build(conditions.physics_rate_hz, conditions.feature, conditions.tag)
     simulation.configure(conditions.sim_config())
     simulation.position_noise = (
         None
@@ -110,8 +119,8 @@ def simulation_of(conditions: Conditions) -> Simulation:
 
 
 @lru_cache(maxsize=4)
-def _build(physics_rate_hz: float, feature: str) -> Simulation:
-    return Simulation(Conditions(feature, physics_rate_hz=physics_rate_hz).sim_config())
+def _build(physics_rate_hz: float, feature: str, tag: Tag) -> Simulation:
+    return Simulation(Conditions(feature, physics_rate_hz=physics_rate_hz, tag=tag).sim_config())
 
 
 @dataclass(frozen=True)
@@ -250,14 +259,14 @@ def make_cases(
     seed: int,
     low_m: float = 0.2,
     high_m: float = 0.5,
-    feature: str = BALL,
+    conditions: Conditions | None = None,
 ) -> list[Case]:
     """Draw starts and goals whose balls (or tags) are visible and this far apart, m.
 
     The label begins their names; the seed is that of the draw and of the cases' own seeds.
     """
     rng = np.random.default_rng(seed)
-    simulation = simulation_of(Conditions(feature))
+    simulation = simulation_of(conditions or Conditions())
     cases: list[Case] = []
     while len(cases) < count:
         pair = HOME_RAD + rng.uniform(-1.0, 1.0, (2, HOME_RAD.size)) * BOX_RAD

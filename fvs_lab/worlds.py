@@ -169,7 +169,7 @@ def draw_world(kind: Kind, number: int) -> World:
         drawn = replace(drawn, noise_exponent=WHITE)
     while True:
         seed = int(rng.integers(2**31))
-        case = make_cases(f"R{number}-", 1, seed, *DISTANCE_M, kind.feature)[0]
+        case = make_cases(f"R{number}-", 1, seed, *DISTANCE_M, Conditions(kind.feature))[0]
         turn_deg = _direction(rng, amount["camera_turn_deg"])
         blow = Bump(
             amount["bump_time_s"],

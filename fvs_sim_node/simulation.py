@@ -185,7 +185,7 @@ class Simulation:
         self._sought: np.ndarray | None = None
         self._pending: deque[tuple[float, BallObservation]] = deque()
         self._tracker = WindowTracker(self._reported_intrinsics, config.ball_radius_m)
-        self._poses = PoseFinder(config.tag.tag_size_m)
+        self._poses = PoseFinder(config.tag)
         self._actuator.reset()
         self.world.reset(joints)
         self._joints, self._velocities = self.world.joint_states()
@@ -333,19 +333,22 @@ class Simulation:
         if region is None:
             return None
         if not self.config.rendered:
-            facing = true.rotation[:, 2] @ true.position_m < 0.0
-            position_m = self.as_seen(true.position_m)
-            return TagPose(position_m, true.rotation, np.zeros((4, 2)), 0.0) if facing else None
+            numbers = tuple(tag.tag.facing(true.rotation, true.position_m))
+            nothing_px, position_m = np.zeros((len(numbers), 4, 2)), self.as_seen(true.position_m)
+            return TagPose(position_m, true.rotation, numbers, nothing_px, 0.0) if numbers else None
         region = region.grown(region.width // 4 + 8, camera)
         rgb, depth_m = self._renderer.render(self.camera, region)
         self.world.paint_tag(
             rgb, depth_m, region.view(camera), self.camera, self._velocities, self._noise_rng
         )
         corners_px, _ = tag.reader.find(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY))
-        if corners_px is None:
+        if not corners_px:
             return None
-        corners_px = corners_px + (region.u0, region.v0)
-        return self._poses.find(self.time_s, corners_px, self._reported_intrinsics)[0]
+        depth_m = add_depth_noise(depth_m, camera.fx, self._noise_rng, self.config.depth_noise)
+        whole_m = np.zeros((camera.height, camera.width), np.float32)
+        whole_m[region.part] = depth_m * np.float32(1.0 + self.config.depth_error)
+        corners_px = {number: one + (region.u0, region.v0) for number, one in corners_px.items()}
+        return self._poses.find(self.time_s, corners_px, self._reported_intrinsics, whole_m)[0]
 
     def _know(self) -> BallDetection | None:
         """Replace an image: the true position, as a perfect detection."""

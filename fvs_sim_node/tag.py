@@ -1,4 +1,4 @@
-"""A printed tag in rendered images: its texture, by its homography, where the plate is in view."""
+"""Printed tags in rendered images: textures, by homographies, where their paper is in view."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from fvs_detector_node.images import Region
-from fvs_detector_node.tags import Tag, TagReader
+from fvs_detector_node.tags import Face, Tag, TagReader
 from fvs_ros.camera import Intrinsics
 from fvs_sim_node.camera import CameraPose
 
@@ -15,30 +15,39 @@ from fvs_sim_node.camera import CameraPose
 _CELL_PX, _SAMPLES, _BLUR_PX = 16, 4, 0.6
 #: Grey levels of print and paper, and the noise of a pixel.
 _INK, _PAPER, _NOISE = 20.0, 235.0, 2.0
-#: The plate is seen where its depth is within this of the plane's, m.
+#: A print is seen where the depth is within this of its plane's, m.
 _NEAR_M = 0.006
 #: Poses that an exposure is the mean of.
 _BLURRED = 5
 
 
 class TagPicture:
-    """Paints a tag, with a border of one cell, on the plate that carries it."""
+    """Paints the tags of a layout, with their borders, on the body that carries them."""
 
     def __init__(self, tag: Tag) -> None:
-        self.reader = reader = TagReader(tag)  # checks the number
-        cells = reader.cells
-        marker = cv2.aruco.generateImageMarker(reader.dictionary, tag.tag_id, cells * _CELL_PX)
-        self._texture = np.pad(marker, _CELL_PX, constant_values=255)
-        m_px = tag.tag_size_m / (cells * _CELL_PX)
-        self.side_m = m_px * self._texture.shape[0]
-        first_m = 0.5 * (self.side_m - m_px)  # from the middle to the first pixel's
+        self.tag, self.reader = tag, TagReader(tag)  # checks the numbers
+        self._textures = {
+            number: np.pad(
+                cv2.aruco.generateImageMarker(tag.dictionary, number, tag.cells * _CELL_PX),
+                _CELL_PX,
+                constant_values=255,
+            )
+            for number in tag.faces
+        }
+        m_px = tag.pitch_m / ((tag.cells + 2) * _CELL_PX)
+        first_m = 0.5 * (tag.pitch_m - m_px)  # from the middle to the first pixel's
         self._to_tag = np.array([[m_px, 0, -first_m], [0, -m_px, first_m], [0, 0, 1]])
-        half = 0.5 * self.side_m
+        half = 0.5 * tag.pitch_m
         self._corners_m = half * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]], float)
 
     def region(self, seen: CameraPose, camera: Intrinsics) -> Region | None:
-        """Part of the image with the plate at a pose in the camera's frame; None if it is none."""
-        corners_m = self._corners_m @ seen.rotation.T + seen.position_m
+        """Part of the image with the body at a pose in the camera's frame; None if it is none."""
+        return self._region([_of(seen, face) for face in self.tag.faces.values()], camera)
+
+    def _region(self, faces: list[CameraPose], camera: Intrinsics) -> Region | None:
+        corners_m = np.concatenate(
+            [self._corners_m @ one.rotation.T + one.position_m for one in faces]
+        )
         if corners_m[:, 2].min() < 0.05:
             return None
         corners = camera.project(corners_m)
@@ -57,25 +66,28 @@ class TagPicture:
         poses: list[CameraPose],
         rng: np.random.Generator,
     ) -> None:
-        """Paint the tag into an image, (H, W, 3), of a camera, where its depth is the plate's.
+        """Paint the tags into an image, (H, W, 3), of a camera, where its depth is the print's.
 
-        ``poses`` are those of the tag in the camera's frame during the exposure.
+        ``poses`` are those of the body in the camera's frame during the exposure.
         """
         middle = poses[len(poses) // 2]
-        region = self.region(middle, camera)
-        if region is None or middle.rotation[:, 2] @ middle.position_m >= 0.0:
-            return
-        view = region.view(camera)
-        grey = self._drawn(view, poses)
-        part = rgb[region.part]
-        plate = self._plate(depth_m[region.part], view, middle)
-        shade = part[plate].astype(float) / 255.0
-        shade *= (_INK + (_PAPER - _INK) / 255.0 * grey[plate])[:, None]
-        shade += rng.normal(0.0, _NOISE, len(shade))[:, None]
-        part[plate] = np.clip(np.rint(shade), 0, 255).astype(np.uint8)
+        for number in self.tag.facing(middle.rotation, middle.position_m):
+            face = self.tag.faces[number]
+            seen = _of(middle, face)
+            region = self._region([seen], camera)
+            if region is None:
+                continue
+            view = region.view(camera)
+            grey = self._drawn(self._textures[number], view, [_of(one, face) for one in poses])
+            part = rgb[region.part]
+            print_ = self._print(depth_m[region.part], view, seen)
+            shade = part[print_].astype(float) / 255.0
+            shade *= (_INK + (_PAPER - _INK) / 255.0 * grey[print_])[:, None]
+            shade += rng.normal(0.0, _NOISE, len(shade))[:, None]
+            part[print_] = np.clip(np.rint(shade), 0, 255).astype(np.uint8)
 
-    def _drawn(self, view: Intrinsics, poses: list[CameraPose]) -> np.ndarray:
-        """The tag's brightness, 0 to 255, (H, W)."""
+    def _drawn(self, texture: np.ndarray, view: Intrinsics, poses: list[CameraPose]) -> np.ndarray:
+        """A tag's brightness, 0 to 255, (H, W)."""
         several = _SAMPLES
         size = several * view.width, several * view.height
         pinhole = np.array([[view.fx, 0, view.cx], [0, view.fy, view.cy], [0, 0, 1]])
@@ -86,7 +98,7 @@ class TagPicture:
         for pose in poses:
             columns = np.column_stack([pose.rotation[:, :2], pose.position_m])
             fine = cv2.warpPerspective(
-                self._texture,
+                texture,
                 finer @ pinhole @ columns @ self._to_tag,
                 size,
                 borderMode=cv2.BORDER_CONSTANT,
@@ -95,14 +107,21 @@ class TagPicture:
             total += cv2.resize(fine, (view.width, view.height), interpolation=cv2.INTER_AREA)
         return cv2.GaussianBlur(total / len(poses), (0, 0), _BLUR_PX)
 
-    def _plate(self, depth_m: np.ndarray, view: Intrinsics, seen: CameraPose) -> np.ndarray:
-        """Where the plate is the nearest thing, bool (H, W)."""
+    def _print(self, depth_m: np.ndarray, view: Intrinsics, seen: CameraPose) -> np.ndarray:
+        """Where the print is the nearest thing, bool (H, W): in its square, in its plane."""
         v, u = np.mgrid[: view.height, : view.width]
-        normal = seen.rotation[:, 2]
-        across = view.rays(u, v) @ normal
+        rays, normal = view.rays(u, v), seen.rotation[:, 2]
         with np.errstate(divide="ignore"):
-            plane_m = (normal @ seen.position_m) / across
-        return np.asarray(np.abs(depth_m - plane_m) < _NEAR_M)
+            plane_m = (normal @ seen.position_m) / (rays @ normal)
+        beside_m = (plane_m[..., None] * rays - seen.position_m) @ seen.rotation[:, :2]
+        inside = np.abs(beside_m).max(axis=-1) <= 0.5 * self.tag.pitch_m
+        return np.asarray(inside & (np.abs(depth_m - plane_m) < _NEAR_M))
+
+
+def _of(body: CameraPose, face: Face) -> CameraPose:
+    """Pose of one tag of a body, in the camera's frame."""
+    position_m = body.position_m + body.rotation @ face.middle_m
+    return CameraPose(position_m, body.rotation @ face.rotation)
 
 
 def exposed(

@@ -79,9 +79,9 @@ class World:
                 self.add_object(thing)
             self.tag = TagPicture(config.tag) if config.feature == POSE else None
             if self.tag is not None:  # the flange hides none of it
-                self._ball_offset_m += 0.5 * self.tag.side_m
+                self._ball_offset_m += 0.5 * self.tag.tag.extent_m.max()
             self._ball = self._body(
-                self._plate(self.tag.side_m)
+                self._paper(self.tag.tag.extent_m)
                 if self.tag is not None
                 else self._sphere(config.ball_radius_m, BALL_RGBA)
             )
@@ -171,13 +171,14 @@ class World:
             rgbaColor=rgba,
         )
 
-    def _plate(self, side_m: float) -> int:
-        """White, its front in the plane of the tag."""
+    def _paper(self, extent_m: np.ndarray) -> int:
+        """White, its sides in the planes of the tags; a plate's front, if it is flat."""
+        flat = extent_m[2] == 0.0
         return self.client.createVisualShape(
             pybullet.GEOM_BOX,
-            halfExtents=[0.5 * side_m, 0.5 * side_m, _PLATE_M],
+            halfExtents=[*(0.5 * extent_m[:2]), _PLATE_M if flat else 0.5 * extent_m[2]],
             rgbaColor=(1.0, 1.0, 1.0, 1.0),
-            visualFramePosition=(0.0, 0.0, -_PLATE_M),
+            visualFramePosition=(0.0, 0.0, -_PLATE_M if flat else 0.0),
         )
 
     def _mounted(self, config: SimConfig) -> np.ndarray:
@@ -341,7 +342,8 @@ class World:
         foot, turn = state[4], state[5]
         if self.tag is not None:
             plate = self._link_rotation() @ self._mount
-            foot = np.array(foot) - _BEHIND_M * plate[:, 2]
+            if self.tag.tag.extent_m[2] == 0.0:
+                foot = np.array(foot) - _BEHIND_M * plate[:, 2]
             turn = Rotation.from_matrix(plate).as_quat()
         self.client.resetBasePositionAndOrientation(self._rod, foot, state[5])
         self.client.resetBasePositionAndOrientation(self._ball, self.ball_position(), turn)

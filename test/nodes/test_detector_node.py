@@ -234,6 +234,17 @@ def test_a_tag_is_published_as_a_pose_from_colour_images_alone(ros_test):
     assert poses[-1].header.frame_id == FRAME
     camera.rgb = drawn_tags.draw([(7, rotation, place + [x, 0, 0]) for x in (-0.1, 0.1)], QVGA)
     watched.wait_for("LOST", "2 tags have the number 7")
+    squarely = cv2.Rodrigues(np.array([0.12, 0.0, 0.0]))[0] @ np.diag([1.0, -1.0, -1.0])
+    camera.rgb = drawn_tags.draw([(7, squarely, 2.0 * place)], QVGA)
+    watched.wait_for("LOST", "two poses fit")
+    # Depth that is not registered is not used, and is no reason to stop.
+    v, u = np.mgrid[: QVGA.height, : QVGA.width]
+    camera.depth_frame, normal = "another", squarely[:, 2]
+    camera.depth_m = (normal @ (2.0 * place)) / (QVGA.rays(u, v) @ normal)
+    ros_test.spin_for(0.3)
+    watched.wait_for("LOST", "two poses fit")
+    camera.depth_frame = FRAME
+    ros_test.spin_until(lambda: abs(poses[-1].pose.position.z - 0.8) < 0.02, what="the far pose")
     assert not watched.balls
     assert ros_test.stop(detector) == 0
     assert "Traceback" not in ros_test.output(detector)

@@ -16,15 +16,26 @@ def test_a_page_shows_the_tag_in_true_size(tmp_path, family, number):
     page = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     assert page.shape == pytest.approx((297.0 / 25.4 * 600, 210.0 / 25.4 * 600), abs=1.0)
     corners, why = TagReader(Tag(family, number)).find(page)
-    assert corners is not None, why
-    sides_mm = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1) * 25.4 / 600
+    assert corners, why
+    tag = corners[number]
+    sides_mm = np.linalg.norm(np.roll(tag, -1, axis=0) - tag, axis=1) * 25.4 / 600
     np.testing.assert_allclose(sides_mm, 80.0, atol=0.1)
+
+
+@pytest.mark.parametrize(("layout", "count"), [("plate", 4), ("cube", 5)])
+def test_a_page_shows_all_tags_of_a_layout_at_their_places(tmp_path, layout, count):
+    path, tag = tmp_path / "tags.png", Tag(tag_size_m=0.04, tag_layout=layout)
+    assert program.main(["-o", str(path), "--layout", layout, "--size-m", "0.04"]) == 0
+    corners, why = TagReader(tag).find(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+    assert len(corners) == count, why
+    apart_mm = np.linalg.norm(corners[1].mean(axis=0) - corners[0].mean(axis=0)) * 25.4 / 600
+    assert apart_mm == pytest.approx(50.0, abs=0.05)  # with the border of one cell
 
 
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        (["--size-m", "0.2"], "takes a tag of 0.152 m at most"),
+        (["--size-m", "0.2"], "takes tags of 0.152 m at most"),
         (["--dictionary", "36h11"], "tag_dictionary must be one of"),
         (["--id", "9999"], "tag_id 9999 is not in APRILTAG_36h11"),
         (["-o", "tag.jpg"], "must end in .pdf or .png"),
