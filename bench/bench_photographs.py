@@ -13,7 +13,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from fvs_detector_node.tags import Tag, TagReader
+from fvs_detector_node.tag_corners import TagReader
+from fvs_detector_node.tags import Tag
 
 #: The other detector's pixels begin at their corners, ours at their centres.
 HALF_PX = 0.5

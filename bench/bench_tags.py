@@ -15,7 +15,9 @@ import numpy as np
 from drawn_tags import SIZE_M, VGA, corners_px, draw, random_pose
 
 from bench.timing import spread
-from fvs_detector_node.tags import PoseFinder, Tag, TagReader
+from fvs_detector_node.tag_corners import TagReader
+from fvs_detector_node.tag_pose import PoseFinder
+from fvs_detector_node.tags import Tag
 
 TAG = Tag(tag_size_m=SIZE_M)
 IMAGES = int(os.environ.get("FVS_BENCH_TAGS", "10000"))

@@ -20,7 +20,7 @@ from fvs_detector_node.detection import (
 )
 from fvs_detector_node.images import Rectifier, Region
 from fvs_detector_node.sphere import ACCEPT
-from fvs_detector_node.tags import TagPose
+from fvs_detector_node.tag_pose import TagPose
 from fvs_detector_node.tracking import Gate, WindowTracker
 from fvs_ros.camera import CameraModel, Intrinsics
 

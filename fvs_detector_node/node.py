@@ -23,7 +23,7 @@ from fvs_detector_node.config import PARAMETERS, CameraTopics, DetectorConfig
 from fvs_detector_node.detector import Detector, Sighting, annotate
 from fvs_detector_node.pairing import Pair, Pairing
 from fvs_detector_node.tag_detector import TagDetector
-from fvs_detector_node.tags import TagPose
+from fvs_detector_node.tag_pose import TagPose
 from fvs_ros import ros, topics
 from fvs_ros.camera import CameraModel
 from fvs_ros.ros.images import from_color, from_depth

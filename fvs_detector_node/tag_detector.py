@@ -8,7 +8,8 @@ import numpy as np
 from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.detector import Sighting
 from fvs_detector_node.images import Rectifier, Region
-from fvs_detector_node.tags import PoseFinder, TagReader
+from fvs_detector_node.tag_corners import TagReader
+from fvs_detector_node.tag_pose import PoseFinder
 from fvs_detector_node.tracking import Gate
 from fvs_ros.camera import CameraModel, Intrinsics
 
@@ -23,6 +24,7 @@ class TagDetector:
     def __init__(self, config: DetectorConfig) -> None:
         self._rectifier: Rectifier | None = None
         self._reader, self._poses = TagReader(config.tag), PoseFinder(config.tag)
+        self._faces = config.tag.faces
         self.gate = Gate(config.max_ball_speed_m_s)
         self.reset()
 
@@ -58,16 +60,18 @@ class TagDetector:
                     number: one + (region.u0, region.v0) for number, one in corners_px.items()
                 }
                 break
+        self._seen = None
         if not corners_px:
-            self._seen = None
             return Sighting(None, problem)
-        box = _bounds(np.concatenate(list(corners_px.values())))
-        self._seen = (stamp_s, box)
         if depth_m is not None:
             depth_m = rectifier.cut(rgb, depth_m, Region.whole(view))[1]
         pose, problem = self._poses.find(stamp_s, corners_px, view, depth_m)
         if pose is None:
-            return Sighting(None, problem, box)
+            return Sighting(None, problem, _bounds(np.concatenate(list(corners_px.values()))))
+        # Also where tags of the body are that were not seen.
+        corners_m = np.concatenate([one.corners_m for one in self._faces.values()])
+        body_px = view.project(corners_m @ pose.rotation.T + pose.position_m)
+        self._seen = (stamp_s, _bounds(body_px))
         return Sighting(pose, self.gate.check(stamp_s, pose.position_m))
 
     def _regions(self, stamp_s: float, view: Intrinsics) -> list[Region]:

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from fvs_detector_node.tags import Tag, TagPose
+from fvs_detector_node.tag_pose import TagPose
+from fvs_detector_node.tags import Tag
 from fvs_estimator_node.base import Estimator
 from fvs_estimator_node.files import MODELS
 from fvs_lab import contestants as who
@@ -135,7 +136,7 @@ def bound_at_goal(run: tuple[Case, Conditions]) -> dict[str, float]:
 
     looks = [simulation.look().detection for _ in range(LAST_IMAGES)]
     tags = [one for one in looks if isinstance(one, TagPose)]
-    numbers = tags[0].numbers
+    numbers = max((one.numbers for one in tags), key=[one.numbers for one in tags].count)
     true_px = corners_px(numbers, np.zeros(6))
     off_px = np.array(
         [one.corners_px.reshape(-1, 2) - true_px for one in tags if one.numbers == numbers]
@@ -258,8 +259,8 @@ def claims(found: lab.Found) -> Iterator[lab.Claim]:
     if plate:
         yield lab.ours(
             "body",
-            lab.below("final way, mm rms", plate.rms("rest_m"), BODY_M, 1e3),
-            lab.below("final turn, degrees rms", plate.rms("rest_deg"), REST_DEG),
+            lab.below("final way, mm", plate.median("rest_m"), BODY_M, 1e3),
+            lab.below("final turn, degrees", plate.median("rest_deg"), REST_DEG),
         )
     one = at_1_m.where(body=ONE)
     yield lab.ours(
@@ -287,14 +288,7 @@ TABLES = (
     lab.TableOf(
         "rest",
         ("body", "distance_m"),
-        (
-            "corner_px:rms",
-            "rest_m:rms",
-            "bound_m:rms",
-            "rest_deg:rms",
-            "bound_deg:rms",
-            "settled:of",
-        ),
+        ("corner_px", "rest_m", "bound_m", "rest_deg", "bound_deg", "settled:of"),
         {"part": "rest"},
     ),
     lab.TableOf(

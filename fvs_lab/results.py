@@ -303,10 +303,6 @@ _SUMMARIES: Mapping[str, tuple[str, Callable[[Results, str, Metric], str]]] = {
     ),
     "range": (", range", lambda runs, name, one: span(runs.values(name), one.factor, one.digits)),
     "searches": (", searches", _searched),
-    "rms": (
-        ", rms",
-        lambda runs, name, one: number_text(one.factor * runs.rms(name).value, one.digits),
-    ),
     "half": (", half", _quantile(0.5)),
     "90 %": (", 90 %", _quantile(0.9)),
     "all": (", all", _quantile(1.0)),

@@ -15,7 +15,7 @@ import numpy as np
 
 from fvs_detector_node.detection import BallColour, BallDetection, detect_ball
 from fvs_detector_node.images import Region
-from fvs_detector_node.tags import PoseFinder, TagPose
+from fvs_detector_node.tag_pose import PoseFinder, TagPose
 from fvs_detector_node.tracking import WindowTracker
 from fvs_ros.camera import Intrinsics
 from fvs_ros.chain import SerialChain

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 
 from fvs_detector_node.images import Region
-from fvs_detector_node.tags import Face, Tag, TagReader
+from fvs_detector_node.tag_corners import TagReader
+from fvs_detector_node.tags import SQUARE, Face, Tag
 from fvs_ros.camera import Intrinsics
 from fvs_sim_node.camera import CameraPose
 
@@ -37,8 +38,7 @@ class TagPicture:
         m_px = tag.pitch_m / ((tag.cells + 2) * _CELL_PX)
         first_m = 0.5 * (tag.pitch_m - m_px)  # from the middle to the first pixel's
         self._to_tag = np.array([[m_px, 0, -first_m], [0, -m_px, first_m], [0, 0, 1]])
-        half = 0.5 * tag.pitch_m
-        self._corners_m = half * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]], float)
+        self._corners_m = tag.pitch_m * SQUARE
 
     def region(self, seen: CameraPose, camera: Intrinsics) -> Region | None:
         """Part of the image with the body at a pose in the camera's frame; None if it is none."""

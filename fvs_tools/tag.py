@@ -10,7 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from fvs_detector_node.tags import LAYOUTS, Tag, TagReader
+from fvs_detector_node.tag_corners import TagReader
+from fvs_detector_node.tags import LAYOUTS, Tag
 from fvs_ros import console
 from fvs_ros.arguments import Parser
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_OK

@@ -37,7 +37,7 @@ def draw(
     tags, camera=VGA, size_m=SIZE_M, name="APRILTAG_36h11", noise=2.0, mirrored=False, rng=None
 ):
     """Tags, (number, rotation, position in m), before a grey wall: an RGB image."""
-    several, size_m = _SAMPLES, SIZE_M
+    several = _SAMPLES
     shape = several * camera.height, several * camera.width
     picture = np.full(shape, 150, np.uint8)
     for number, rotation, position_m in tags:

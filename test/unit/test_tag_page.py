@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from fvs_detector_node.tags import Tag, TagReader
+from fvs_detector_node.tag_corners import TagReader
+from fvs_detector_node.tags import Tag
 from fvs_tools import tag as program
 
 

@@ -7,8 +7,10 @@ from drawn_tags import SIZE_M, VGA, corners_px, draw, random_pose
 
 from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.detector import annotate
+from fvs_detector_node.tag_corners import TagReader
 from fvs_detector_node.tag_detector import TagDetector
-from fvs_detector_node.tags import DICTIONARIES, PoseFinder, Tag, TagReader
+from fvs_detector_node.tag_pose import PoseFinder
+from fvs_detector_node.tags import DICTIONARIES, Tag
 from fvs_ros.camera import CameraModel
 from fvs_ros.params import ParameterError
 
@@ -72,6 +74,19 @@ def test_what_is_wrong_with_a_view_is_said(image, words):
     found, why = TagReader(TAG).find(image)
     assert not found
     assert words in why
+
+
+@pytest.mark.parametrize("blur_px", [1.5, 3.0])
+def test_a_blurred_tag_is_said_and_no_mirror_image(blur_px):
+    rng, blurred = np.random.default_rng(8), 0
+    for k in range(80):
+        rotation, position_m = random_pose(rng, 1.0)
+        image = cv2.GaussianBlur(grey([(0, rotation, position_m)], rng=rng), (0, 0), blur_px)
+        seen, why = TagReader(TAG).find(image)
+        blurred += "is blurred" in why
+        if seen and (pose := PoseFinder(TAG).find(float(k), seen, VGA)[0]):
+            assert angle_rad(pose.rotation, rotation) < 0.2
+    assert blurred > 15
 
 
 def test_a_number_that_the_family_lacks_is_refused():
@@ -188,6 +203,36 @@ def test_a_body_of_tags_is_seen_more_exactly_and_survives_a_hidden_one(layout):
     assert np.median(off[()]) < 4e-4
     assert len(off[(0,)]) > 10
     assert np.median(off[(0,)]) < 1.5e-3
+
+
+def test_a_wrong_layout_is_refused_for_good():
+    """Nothing is learned from what is refused, or it would be taken for noise."""
+    tag, rng = Tag(tag_size_m=SIZE_M, tag_layout="plate"), np.random.default_rng(6)
+    finder = PoseFinder(tag)
+    for k in range(40):
+        rotation, position_m = turned(0.5 + 0.01 * k), 0.7 * MIDDLE + [0.003 * k, 0.0, 0.0]
+        seen = {
+            number: corners_px(rotation, position_m + rotation @ (1.1 * one.middle_m))
+            + rng.normal(0.0, 0.03, (4, 2))
+            for number, one in tag.faces.items()
+        }
+        pose, why = finder.find(k / 30.0, seen, VGA)
+        assert pose is None
+        assert "is tag_layout right" in why
+    # Twisted so that no pose shows it all.
+    twisted = {number: seen[3 - number] for number in seen}
+    assert finder.find(2.0, twisted, VGA)[0] is None
+
+
+def test_a_plate_is_whole_again_after_an_image_with_one_tag():
+    tag, rng = Tag(tag_size_m=SIZE_M, tag_layout="plate"), np.random.default_rng(7)
+    detector = TagDetector(DetectorConfig(feature="pose", tag=tag))
+    seen = []
+    for k, hidden in enumerate([(), (1, 2, 3), ()]):
+        image = drawn_body(tag, turned(0.5), 0.8 * MIDDLE, rng, hidden)
+        found = look(detector, np.repeat(image[..., None], 3, axis=2), k / 30.0).found
+        seen.append(len(found.corners_px))
+    assert seen == [4, 1, 4]
 
 
 def test_the_tags_of_a_cube_are_its_print_folded_back():
