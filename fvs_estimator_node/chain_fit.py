@@ -198,8 +198,6 @@ class _Fitting:
     def __init__(self, path: Path, ball_m: np.ndarray) -> None:
         self._path = path
         self._ball = ball_m
-        point_m = ball_m[:, :3]
-        self._sight = point_m / np.maximum(np.linalg.norm(point_m, axis=1, keepdims=True), 1e-9)
 
     def start(self) -> _Found:
         """The best of some starts, each fitted to a part of the images."""
@@ -234,25 +232,25 @@ class _Fitting:
     def finish(self, found: _Found) -> ChainFit:
         """Fit all images, each weighed by its noise along and across the line of sight."""
         images = np.arange(len(self._ball))
-        whitening = self._whitening(self._residuals(found))
-        found = self._solve(found, whitening, images)
+        weights = whitening(self._residuals(found), self._ball)
+        found = self._solve(found, weights, images)
         # A wrong optimum can fit almost as well, since noise hides the curvature of a weak joint.
         # The right side converges in about six evaluations, a wrong one does not.
         for other in other_starts(found.chain, 0):
             about = found._replace(chain=other)
-            turned = self._solve(about, whitening, images, evaluations=10)
+            turned = self._solve(about, weights, images, evaluations=10)
             if turned.cost < found.cost:
-                whitening = self._whitening(self._residuals(turned))
-                found = self._solve(turned, whitening, images)
+                weights = whitening(self._residuals(turned), self._ball)
+                found = self._solve(turned, weights, images)
         # Outliers had a small weight so far, but a long run of them would still bias the fit.
-        inlier = self._inliers(self._residuals(found))
+        inlier = inliers(self._residuals(found), self._ball)
         if not inlier.all():
-            found = self._solve(found, whitening, images[inlier])
+            found = self._solve(found, weights, images[inlier])
         residual = self._residuals(found)
         residual_m, noise_m = self._distances_m(residual)
-        ray_m, lateral_m = self._noise_by_direction(residual)
-        inlier = self._inliers(residual)
-        covariance, unfitted = self._moments(found, whitening, inlier)
+        ray_m, lateral_m = noise_by_direction(residual, self._ball)
+        inlier = inliers(residual, self._ball)
+        covariance, unfitted = self._moments(found, weights, inlier)
         return ChainFit(
             chain=found.chain,
             time_offset_s=found.offset_s,
@@ -326,34 +324,6 @@ class _Fitting:
         found = solution.x
         return _Found(chart.chain(found), float(found[OFFSET]), float(solution.cost) / len(images))
 
-    def _noise_by_direction(self, residual: np.ndarray) -> tuple[float, float]:
-        """Standard deviations along the line of sight and across it, by medians, m."""
-        residual = residual[:, :3]
-        along = np.sum(residual * self._sight, axis=1)
-        across = np.linalg.norm(residual - along[:, None] * self._sight, axis=1)
-        # medians of a normal and of a Rayleigh distribution
-        ray_m = float(np.median(np.abs(along))) / 0.6745
-        lateral_m = float(np.median(across)) / 1.1774
-        return max(ray_m, 1e-6), max(lateral_m, 1e-6)
-
-    def _whitening(self, residual: np.ndarray) -> np.ndarray:
-        """Matrices (k, m, m) that turn a residual into standard deviations."""
-        ray_m, lateral_m = self._noise_by_direction(residual)
-        along = self._sight[:, :, None] * self._sight[:, None, :]
-        of_point = along / ray_m + (np.eye(3) - along) / lateral_m
-        images, size = residual.shape
-        if size == 3:
-            return of_point
-        axis_m = max(float(np.median(np.abs(residual[:, 3:]))) / 0.6745, 1e-6)
-        whole = np.zeros((images, size, size))
-        whole[:, :3, :3], whole[:, 3:, 3:] = of_point, np.eye(size - 3) / axis_m
-        return whole
-
-    def _inliers(self, residual: np.ndarray) -> np.ndarray:
-        """Which images are within the noise, bool (k,)."""
-        white = (self._whitening(residual) @ residual[..., None])[..., 0]
-        return np.abs(white).max(axis=1) <= OUTLIER
-
     def _distances_m(self, residual: np.ndarray) -> tuple[float, float]:
         """Median length of the residuals, and of their noise part, m.
 
@@ -390,3 +360,43 @@ class _Fitting:
         unfitted = np.outer(change, change) - wider
         unfitted[: chart.size, : chart.size] += covariance
         return covariance, unfitted
+
+
+def noise_by_direction(residual_m: np.ndarray, feature_m: np.ndarray) -> tuple[float, float]:
+    """Standard deviations along the line of sight and across it, by medians, m.
+
+    Takes residuals and features of k images, m, (k, m).
+    """
+    sight, residual_m = _sight(feature_m), residual_m[:, :3]
+    along = np.sum(residual_m * sight, axis=1)
+    across = np.linalg.norm(residual_m - along[:, None] * sight, axis=1)
+    # medians of a normal and of a Rayleigh distribution
+    ray_m = float(np.median(np.abs(along))) / 0.6745
+    lateral_m = float(np.median(across)) / 1.1774
+    return max(ray_m, 1e-6), max(lateral_m, 1e-6)
+
+
+def _sight(feature_m: np.ndarray) -> np.ndarray:
+    point_m = feature_m[:, :3]
+    return np.asarray(point_m / np.maximum(np.linalg.norm(point_m, axis=1, keepdims=True), 1e-9))
+
+
+def whitening(residual_m: np.ndarray, feature_m: np.ndarray) -> np.ndarray:
+    """Matrices (k, m, m) that turn residuals into standard deviations."""
+    ray_m, lateral_m = noise_by_direction(residual_m, feature_m)
+    sight = _sight(feature_m)
+    along = sight[:, :, None] * sight[:, None, :]
+    of_point = along / ray_m + (np.eye(3) - along) / lateral_m
+    images, size = residual_m.shape
+    if size == 3:
+        return np.asarray(of_point)
+    axis_m = max(float(np.median(np.abs(residual_m[:, 3:]))) / 0.6745, 1e-6)
+    whole = np.zeros((images, size, size))
+    whole[:, :3, :3], whole[:, 3:, 3:] = of_point, np.eye(size - 3) / axis_m
+    return whole
+
+
+def inliers(residual_m: np.ndarray, feature_m: np.ndarray) -> np.ndarray:
+    """Which images are within the noise, bool (k,)."""
+    white = (whitening(residual_m, feature_m) @ residual_m[..., None])[..., 0]
+    return np.asarray(np.abs(white).max(axis=1) <= OUTLIER)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fvs_estimator_node.collecting import CollectionRun, CollectorConfig
-from fvs_estimator_node.files import TrainedModel, data_set_of
+from fvs_estimator_node.files import DataSet, TrainedModel, data_set_of
 from fvs_estimator_node.registry import create_estimator
 from fvs_estimator_node.training import TrainingOptions, train
 from fvs_lab import figures as draw
@@ -49,22 +49,34 @@ def _described(arm: str, values: Parameters) -> dict[str, Any]:
     return with_urdf_limits(vars(values), {one.name: one for one in _simulation(arm).world.joints})
 
 
-def learn(arm: str) -> tuple[TrainedModel, float]:
-    """Move the arm as the collector does, and train; also the Jacobian's error in the box."""
-    simulation = _simulation(arm)
-    simulation.reset(None, 1)
-    names = simulation.world.joint_names
-    asked = CollectorConfig(joint_names=names, duration_s=MOTION_S, seed=1)
-    run = CollectionRun(CollectorConfig.from_values(_described(arm, asked)))
+def collect(simulation: Simulation, config: CollectorConfig) -> DataSet:
+    """Move an arm as the collector does, from where it begins, and keep what is seen."""
+    simulation.reset(None, config.seed)
+    feature, run = config.servoed, CollectionRun(config)
     period_s = 1.0 / simulation.config.joint_state_rate_hz
     while not run.ended:
         out = simulation.advance()
         for seen in out.observations:
-            if seen.detection is not None:
-                run.ball(out.time_s, seen.stamp_s, seen.detection.position_m)
+            vector_m = seen.feature_m(feature)
+            if vector_m is not None:
+                run.ball(out.time_s, seen.stamp_s, vector_m)
         run.joint_states(out.time_s, out.time_s, out.joints_rad)
         simulation.command(run.tick(out.time_s, period_s))
-    trained = train(data_set_of(run.samples, joint_names=names), TrainingOptions("poe", seed=1))
+    return data_set_of(
+        run.samples,
+        joint_names=simulation.world.joint_names,
+        feature=config.feature,
+        lever_arm_m=config.lever_arm_m,
+    )
+
+
+def learn(arm: str) -> tuple[TrainedModel, float]:
+    """Move the arm as the collector does, and train; also the Jacobian's error in the box."""
+    simulation = _simulation(arm)
+    names = simulation.world.joint_names
+    asked = CollectorConfig(joint_names=names, duration_s=MOTION_S, seed=1)
+    data = collect(simulation, CollectorConfig.from_values(_described(arm, asked)))
+    trained = train(data, TrainingOptions("poe", seed=1))
     assert trained.chain is not None
     low, high = trained.joint_box_rad
     places = np.random.default_rng(2).uniform(low, high, (_PLACES, len(names)))

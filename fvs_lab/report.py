@@ -24,6 +24,7 @@ EXPERIMENTS = {
     "tuning": "What the parameters do that one tunes first, one at a time.",
     "beyond": "What the additions to the paper are worth: a minute of data, least time, moved "
     "cameras.",
+    "calibration": "The camera in the arm's frame, beside the classic hand-eye solvers.",
     "arms": "Arms by other authors: learned from a minute of motion and servoed.",
     "pose": "The pose of a tag: every scheme, images, and a calibrated camera.",
     "everyday": "Hundreds of random worlds of the usual kind, in which no scheme worth using may "

@@ -213,6 +213,10 @@ METRICS = {
     "bound_deg": Metric("bound, °", 1.0, 3),
     "corner_px": Metric("corners, px", 1.0, 3),
     "over_undisturbed": Metric("over undisturbed"),
+    # calibration
+    "place_m": Metric("place, mm", 1e3),
+    "turn_deg": Metric("turn, °", 1.0, 3),
+    "zero_deg": Metric("zero, °", 1.0, 3),
     # settling
     "bound_s": Metric("bound to 0, s"),
     "band_5mm_s": Metric("bound to 5 mm, s"),

@@ -70,6 +70,7 @@ SIM, DETECTOR = "fvs_sim_node", "fvs_detector_node"
 ESTIMATOR, CONTROLLER = "fvs_estimator_node", "fvs_controller_node"
 COLLECTOR, DEMO, DASHBOARD = "fvs_collector_node", "fvs_demo_node", "fvs_dashboard"
 MARKERS_NODE, RECORDER = "fvs_markers_node", "fvs_recorder_node"
+CALIBRATE = "fvs_calibrate_node"
 SERVO = "fvs_servo_node"  # no node: the program of estimator and controller in one process
 _TRIGGER = "std_srvs/srv/Trigger"
 
@@ -99,6 +100,9 @@ NODES: dict[str, Node] = {
     COLLECTOR: Node(
         "Moves the joints randomly and safely in a box, in place of the controller, and writes a "
         "data set to train on."
+    ),
+    CALIBRATE: Node(
+        "Calibrates the camera in the arm's frame while anything moves the arm; moves nothing."
     ),
     DEMO: Node(
         "Gives the controller one target after another, judges by the simulator's truth, prints "
@@ -140,7 +144,7 @@ def _servoed(feature: str, end: End = _RELIABLE, **given: Any) -> End:
 
 
 #: Who takes the feature.
-_SERVO_OR_SHOW = (ESTIMATOR, CONTROLLER, COLLECTOR, DASHBOARD, MARKERS_NODE)
+_SERVO_OR_SHOW = (ESTIMATOR, CONTROLLER, COLLECTOR, CALIBRATE, DASHBOARD, MARKERS_NODE)
 _DRIVER = "the robot's driver"
 _CAMERA = "an RGB-D camera's driver"
 _TOOLS = "any tool"
@@ -151,7 +155,7 @@ JOINT_STATES = Topic(
     "sensor_msgs/msg/JointState",
     "Joint angles, rad, in any order; extra joints are ignored.",
     {SIM: _RELIABLE},
-    dict.fromkeys((ESTIMATOR, CONTROLLER, COLLECTOR, DEMO, DASHBOARD), _NEWEST),
+    dict.fromkeys((ESTIMATOR, CONTROLLER, COLLECTOR, CALIBRATE, DEMO, DASHBOARD), _NEWEST),
     also_from=_DRIVER,
     also_to=_TOOLS,
 )
@@ -268,7 +272,7 @@ ROBOT_DESCRIPTION = Topic(
     "std_msgs/msg/String",
     "The robot as URDF: limits of the joints, and what a viewer draws; optional.",
     {SIM: _LATCHED},
-    dict.fromkeys((CONTROLLER, COLLECTOR, DASHBOARD), _LATCHED),
+    dict.fromkeys((CONTROLLER, COLLECTOR, CALIBRATE, DASHBOARD), _LATCHED),
     also_from=_DRIVER,
     also_to=_TOOLS,
 )
@@ -293,7 +297,7 @@ DEPTH_IMAGE = Topic(
     "Depth in the colour image's pixels, 16UC1 in mm (0 is unknown) or 32FC1 in m; "
     "drawn only while a node subscribes.",
     {SIM: _RELIABLE},
-    {DETECTOR: _servoed(BALL, compressed_images=False)},
+    {DETECTOR: End((Qos.RELIABLE,), {"compressed_images": False})},
     also_from=_CAMERA,
 )
 COLOR_IMAGE_COMPRESSED = Topic(
@@ -307,7 +311,7 @@ DEPTH_IMAGE_COMPRESSED = Topic(
     f"{DEPTH_IMAGE.name}/compressedDepth",
     "sensor_msgs/msg/CompressedImage",
     "The depth image as png.",
-    subscribers={DETECTOR: _servoed(BALL, compressed_images=True)},
+    subscribers={DETECTOR: End((Qos.RELIABLE,), {"compressed_images": True})},
     also_from=_CAMERA,
 )
 CAMERA_INFO = Topic(
@@ -350,8 +354,12 @@ MARKERS = Topic(
 TF_STATIC = Topic(
     "/tf_static",
     "tf2_msgs/msg/TFMessage",
-    "Pose of the simulated camera in the robot's root link: for viewing.",
-    {MARKERS_NODE: End((Qos.LATCHED,), later="beside the simulator, with `tf2_msgs` installed")},
+    "Pose of the simulated camera in the robot's root link, for viewing; and that of a calibrated "
+    "one.",
+    {
+        MARKERS_NODE: End((Qos.LATCHED,), later="beside the simulator, with `tf2_msgs` installed"),
+        CALIBRATE: End((Qos.LATCHED,), later="at the end, with `tf2_msgs` installed"),
+    },
     also_to=_VIEWERS,
 )
 TRUE_BALL_POSITION = Topic(

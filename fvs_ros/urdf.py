@@ -1,4 +1,4 @@
-"""What a URDF says of an arm's joints: their order and their limits."""
+"""What a URDF says of an arm's joints: their order, their limits, and where their axes are."""
 
 from __future__ import annotations
 
@@ -6,6 +6,12 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf, isfinite
+
+import numpy as np
+
+from fvs_ros.chain import SerialChain
+from fvs_ros.feature import rotation_matrix
+from fvs_ros.vectors import LARGEST
 
 _MOVING = ("revolute", "continuous", "prismatic")
 
@@ -21,6 +27,10 @@ class UrdfJoint:
     lower: float
     upper: float
     velocity: float
+    #: Of the joint in its parent's frame, m and rad (roll, pitch, yaw), and its axis in its own.
+    xyz_m: tuple[float, ...] = (0.0, 0.0, 0.0)
+    rpy_rad: tuple[float, ...] = (0.0, 0.0, 0.0)
+    axis: tuple[float, ...] = (1.0, 0.0, 0.0)
 
     @property
     def moves(self) -> bool:
@@ -50,8 +60,10 @@ def _joint(element: ET.Element) -> UrdfJoint:
         velocity = float(given.get("velocity", "0"))
         ends = {one.tag: one.attrib["link"] for one in element if one.tag in ("parent", "child")}
         parent, child = ends["parent"], ends["child"]
+        xyz_m, rpy_rad = (_triple(element, "origin", which) for which in ("xyz", "rpy"))
+        axis = _triple(element, "axis", "xyz", "1 0 0")
     except (ValueError, KeyError):
-        words = f"joint {name[:60]!r} of the URDF lacks a link or has a bad limit"
+        words = f"joint {name[:60]!r} of the URDF lacks a link or has a bad number"
         raise ValueError(words) from None
     if lower > upper:
         raise ValueError(f"joint {name[:60]!r} of the URDF has limits {lower:g} to {upper:g}")
@@ -60,7 +72,17 @@ def _joint(element: ET.Element) -> UrdfJoint:
     if element.find("mimic") is not None:
         kind = "mimic"
     velocity = velocity if isfinite(velocity) and velocity > 0.0 else inf
-    return UrdfJoint(name, kind, parent, child, lower, upper, velocity)
+    return UrdfJoint(name, kind, parent, child, lower, upper, velocity, xyz_m, rpy_rad, axis)
+
+
+def _triple(element: ET.Element, tag: str, which: str, usual: str = "0 0 0") -> tuple[float, ...]:
+    """Three numbers of a child element; a ``ValueError`` if they are others."""
+    found = element.find(tag)
+    words = usual if found is None else found.get(which, usual)
+    x, y, z = (float(word) for word in words.split())
+    if not max(abs(x), abs(y), abs(z)) <= LARGEST:
+        raise ValueError
+    return x, y, z
 
 
 def moving_chain(joints: Mapping[str, UrdfJoint], link: str = "") -> tuple[str, list[UrdfJoint]]:
@@ -86,3 +108,64 @@ def moving_chain(joints: Mapping[str, UrdfJoint], link: str = "") -> tuple[str, 
     if not moving:
         raise ValueError(f"no moving joint of the URDF carries {end}")
     return end, moving
+
+
+@dataclass(frozen=True)
+class Kinematics:
+    """The moving joints from a root link to a tip, with all joints at zero, in the root's frame."""
+
+    root: str
+    tip: str
+    names: tuple[str, ...]
+    axes: np.ndarray  # (n, 3)
+    points_m: np.ndarray  # (n, 3)
+    prismatic: np.ndarray  # 1 for a prismatic joint, (n,)
+    tip_rotation: np.ndarray  # (3, 3)
+    tip_m: np.ndarray  # (3,)
+
+    def chain(self, feature_m: np.ndarray) -> SerialChain:
+        """The arm with what it carries, given at zero in the root's frame, m, (m,)."""
+        zero = np.zeros(len(self.names))
+        return SerialChain(self.axes, self.points_m, feature_m, zero, self.prismatic)
+
+    def reversed(self) -> Kinematics:
+        """The same arm as its tip sees it: the last joint first, and each turning the root."""
+        back = self.tip_rotation.T
+        return Kinematics(
+            self.tip,
+            self.root,
+            self.names[::-1],
+            -(self.axes @ back.T)[::-1],
+            ((self.points_m - self.tip_m) @ back.T)[::-1],
+            self.prismatic[::-1],
+            back,
+            -back @ self.tip_m,
+        )
+
+
+def kinematics(joints: Mapping[str, UrdfJoint], link: str = "") -> Kinematics:
+    """Where the axes of the joints are that carry a link; see :func:`moving_chain`."""
+    tip, moving = moving_chain(joints, link)
+    above = {one.child: one for one in joints.values()}
+    path: list[UrdfJoint] = []
+    end = tip
+    while end in above:
+        path.insert(0, above[end])
+        end = above[end].parent
+    rotation, place_m = np.eye(3), np.zeros(3)
+    axes, points_m = [], []
+    for one in path:
+        place_m = place_m + rotation @ np.array(one.xyz_m)
+        for angle, about in zip(one.rpy_rad[::-1], np.eye(3)[::-1], strict=True):
+            rotation = rotation @ rotation_matrix(angle * about)
+        if one.moves:
+            axis = np.array(one.axis)
+            if not np.linalg.norm(axis) > 1e-6:
+                raise ValueError(f"joint {one.name[:60]!r} of the URDF has no axis")
+            axes.append(rotation @ axis / np.linalg.norm(axis))
+            points_m.append(place_m)
+    prismatic = np.array([one.kind == "prismatic" for one in moving], dtype=float)
+    names = tuple(one.name for one in moving)
+    return Kinematics(
+        end, tip, names, np.array(axes), np.array(points_m), prismatic, rotation, place_m
+    )

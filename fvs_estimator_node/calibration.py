@@ -1,0 +1,548 @@
+"""Where the camera is: the fitted chain, registered with the arm's URDF. No ROS, no clock.
+
+A chain that was fitted to images (:mod:`fvs_estimator_node.chain_fit`) has the arm's axes as lines
+in the camera's frame; the URDF has them in its root's. The turn that takes one to the other comes
+from their directions, the shift from their places. From there on robust least squares on the images
+find camera, place of ball or tag on the tip, delay of the images, scale of the camera and zeros of
+the joints together. A camera that is carried by the arm and looks at something fixed is the same
+with the chain read from its other end.
+
+A camera cannot tell the zero of the first joint from its own place, nor that of the last joint from
+the place of ball or tag: both zeros count as exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+from threadpoolctl import threadpool_limits
+
+from fvs_estimator_node.chain_chart import Chart
+from fvs_estimator_node.chain_fit import ChainFit, fit_chain, inliers, whitening
+from fvs_estimator_node.chain_start import Path
+from fvs_estimator_node.files import DataSet
+from fvs_ros.chain import SerialChain, cross_matrix
+from fvs_ros.feature import PoseFeature, rotation_matrix
+from fvs_ros.urdf import Kinematics
+
+#: A joint that moves less, rad or m (standard deviation), determines nothing.
+_STILL = 0.02
+#: Prior deviations: of the joints' zeros, rad; of the images' delay, s; of the camera's scale.
+_ZERO_RAD, _DELAY_S, _SCALE = 0.05, 0.1, 0.05
+#: A zero is known if its deviation is below this, rad.
+KNOWN_RAD = np.radians(0.2)
+#: A part of the URDF does not fit if it is off by so many deviations, and by this, rad.
+SIGMAS, _ZERO_OFF_RAD = 5.0, np.radians(0.2)
+#: Deviations of the camera's place, m, and turn, rad, of a calibration that is good, and usable.
+GOOD, USABLE = (0.001, np.radians(0.1)), (0.01, np.radians(1.0))
+#: Blocks of images, s: residuals within one may be alike. Of an error that all images share, such
+#: as a detector's bias, no residual tells; it counts as this share of an image's noise.
+_BLOCK_S, _COMMON = 2.0, 0.3
+#: Largest length of a residual over its noise, for a robust fit.
+_ROBUST = 2.0
+
+
+#: With this misfit the URDF does not fit, and with this one it is wrong.
+UNFIT, _WRONG = 1.5, 3.0
+#: Moments at which the camera may have been moved, and share of the squared residuals that this
+#: must explain.
+_MOMENTS, _BUMPED = 40, 0.2
+
+
+class CalibrationError(ValueError):
+    """Data that no camera can be calibrated from; the text says why."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A camera's pose, and what else the images told.
+
+    Parameters
+    ----------
+    parent, camera : str
+        Frames: ``x_parent = R x_camera + t``. The parent is the root of the URDF, or the tip for a
+        camera that the arm carries.
+    rotation, translation_m : ndarray, shapes (3, 3) and (3,)
+        R, and t, m.
+    covariance : ndarray, shape (6, 6)
+        Of t, m, and of the rotation vector that turns R, rad, both in the parent's frame.
+    carried_m, carried_rotation : ndarray, shape (3,), and ndarray, shape (3, 3), or None
+        Place of the ball, or pose of the tag, in the frame of the tip (of the root for a camera
+        that the arm carries), m.
+    delay_s, delay_deviation_s : float
+        How late the images are stamped, and its standard deviation, s.
+    scale, scale_deviation : float
+        Lengths that the camera reports over true ones, and the standard deviation.
+    joint_names : tuple of str
+        The joints from root to tip.
+    zeros_rad, zeros_deviation_rad : ndarray, shape (n,)
+        What has to be added to each reported joint for the URDF, rad; infinite deviations where the
+        motion does not tell.
+    residual_m, misfit : float
+        Median distance of the images from the model, m; and that distance in standard deviations
+        over that from a free chain: 1 for a URDF that fits.
+    stamps_s, seen_m, residuals_m : ndarray, shapes (k,), (k, 3) and (k, 3)
+        Of each image: its stamp, s, where it shows ball or tag, m, and how far off the model is, m.
+    axes, points_m : ndarray, shape (n, 3)
+        The joints' axes as the camera sees them at the mean joints, m.
+    outliers : int
+        Images further than six standard deviations from the model.
+    unfitting : tuple of str, float, float
+        Where the misfit is large: the joint that is not where the URDF has it, seen from the joint
+        before, and by how much, m and rad.
+    """
+
+    parent: str
+    camera: str
+    rotation: np.ndarray
+    translation_m: np.ndarray
+    covariance: np.ndarray
+    carried_m: np.ndarray
+    carried_rotation: np.ndarray | None
+    delay_s: float
+    delay_deviation_s: float
+    scale: float
+    scale_deviation: float
+    joint_names: tuple[str, ...]
+    zeros_rad: np.ndarray
+    zeros_deviation_rad: np.ndarray
+    residual_m: float
+    misfit: float
+    stamps_s: np.ndarray
+    seen_m: np.ndarray
+    residuals_m: np.ndarray
+    axes: np.ndarray
+    points_m: np.ndarray
+    outliers: int
+    unfitting: tuple[str, float, float] | None = None
+
+    @property
+    def deviation_m(self) -> float:
+        """Standard deviation of the camera's place, m."""
+        return float(np.sqrt(np.trace(self.covariance[:3, :3])))
+
+    @property
+    def deviation_rad(self) -> float:
+        """Standard deviation of the camera's turn, rad."""
+        return float(np.sqrt(np.trace(self.covariance[3:, 3:])))
+
+    @property
+    def verdict(self) -> tuple[str, str]:
+        """``good``, ``poor`` or ``unusable``, and the reason."""
+        place = f"{1e3 * self.deviation_m:.2g} mm"
+        turn = f"{np.degrees(self.deviation_rad):.2g} degrees"
+        exact = f"the camera is known to {place} and {turn} (standard deviation)"
+
+        def within(limits: tuple[float, float]) -> bool:
+            return self.deviation_m < limits[0] and self.deviation_rad < limits[1]
+
+        if self.misfit > UNFIT and self.residual_m > USABLE[0]:
+            return "unusable", "the URDF is not that of this arm: " + self.words_of_misfit()
+        if not within(USABLE):
+            return "unusable", exact + ": move the joints further, or for longer"
+        if self.misfit > UNFIT:
+            return "poor", self.words_of_misfit()
+        if not within(GOOD):
+            return "poor", exact + ": move the joints further, or for longer"
+        return "good", exact
+
+    def words_of_misfit(self) -> str:
+        """Where the URDF does not fit, in words."""
+        name, shift_m, turn_rad = self.unfitting or ("the arm", 0.0, 0.0)
+        return (
+            f"{name} is about {1e3 * shift_m:.1f} mm and {np.degrees(turn_rad):.1f} degrees from "
+            "where the URDF has it"
+        )
+
+    def notes(self) -> list[str]:
+        """Zeros that are off, and what the motion did not tell."""
+        found = []
+        for name, zero, deviation in zip(
+            self.joint_names, self.zeros_rad, self.zeros_deviation_rad, strict=True
+        ):
+            if abs(zero) > max(SIGMAS * deviation, _ZERO_OFF_RAD):
+                found.append(
+                    f"the zero of {name} is off by {np.degrees(-zero):+.2f} degrees, "
+                    f"{abs(zero) / deviation:.0f} sigma"
+                )
+        blind = [self.joint_names[0], self.joint_names[-1]]
+        unsure = [
+            name
+            for name, deviation in zip(self.joint_names, self.zeros_deviation_rad, strict=True)
+            if not np.isfinite(deviation) and name not in blind
+        ]
+        found.append(f"no camera can tell the zeros of {' and '.join(dict.fromkeys(blind))}")
+        if unsure:
+            found.append(
+                f"this motion does not tell the zeros of {', '.join(unsure)}: move these and their "
+                "neighbours further"
+            )
+        if abs(self.scale - 1.0) > max(SIGMAS * self.scale_deviation, 0.002):
+            found.append(
+                f"the camera reports lengths {100.0 * (self.scale - 1.0):+.2f} % too long: is the "
+                "size of ball or tag right?"
+            )
+        return found
+
+
+def calibrate(
+    data: DataSet,
+    arm: Kinematics,
+    carries_camera: bool = False,
+    progress: Callable[[str], None] | None = None,
+) -> Calibration:
+    """Find the camera in the arm's frame.
+
+    Parameters
+    ----------
+    data : DataSet
+        Images of a ball or tag on the tip of the moving arm; or, if the arm carries the camera, of
+        a ball or tag at rest.
+    arm : Kinematics
+        From the URDF.
+    carries_camera : bool
+        Whether the camera is on the tip.
+    progress : callable, optional
+        Called with a text at each stage.
+
+    Raises
+    ------
+    CalibrationError
+        If joints do not fit together or did not move, or nothing fits.
+    """
+    say = progress or (lambda words: None)
+    arm = arm.reversed() if carries_camera else arm
+    data = _ordered(data, arm)
+    fit = fit_chain(data, say)
+    say("registering the chain with the URDF")
+    with threadpool_limits(1):
+        return _Calibrating(data, arm, fit).run()
+
+
+def _ordered(data: DataSet, arm: Kinematics) -> DataSet:
+    """The data with the joints of the URDF, in its order."""
+    missing = [name for name in arm.names if name not in data.joint_names]
+    if missing:
+        raise CalibrationError(
+            f"the data lack {', '.join(missing)[:200]}, which move {arm.tip} in the URDF; "
+            f"they hold {', '.join(data.joint_names)[:400]}"
+        )
+    columns = [data.joint_names.index(name) for name in arm.names]
+    joints = data.joints_rad[:, columns]
+    still = [
+        name for name, spread in zip(arm.names, joints.std(axis=0), strict=True) if spread < _STILL
+    ]
+    if still:
+        raise CalibrationError(
+            f"{', '.join(still)[:200]} never moved: move every joint, by 0.1 rad at least"
+        )
+    return replace(data, joints_rad=joints, joint_names=arm.names)
+
+
+class _Unknowns(NamedTuple):
+    """Parts of the vector of unknowns."""
+
+    turn: slice  # of the camera about the middle of what it saw, rad
+    shift: slice  # of the camera, m
+    carried: slice  # of ball or tag, m and rad
+    zeros: slice  # of all joints but the first and the last, rad
+    delay: int  # of the images, s
+    scale: int  # logarithm of the camera's
+    size: int
+
+
+class _Calibrating:
+    """Least squares about the start that the registration gives."""
+
+    def __init__(self, data: DataSet, arm: Kinematics, fit: ChainFit) -> None:
+        self._data, self._arm, self._fit, self._path = data, arm, fit, Path(data)
+        self._feature = data.servoed
+        self._seen = data.ball_m[self._path.indices]
+        self._middle = self._seen[:, :3].mean(axis=0)
+        n, of_task = len(arm.names), len(self._feature.task_scale)
+        zeros = slice(6 + of_task, 6 + of_task + max(0, n - 2))
+        self._at = _Unknowns(
+            slice(0, 3), slice(3, 6), slice(6, 6 + of_task), zeros, zeros.stop, zeros.stop + 1,
+            zeros.stop + 2,
+        )  # fmt: skip
+        self._deviation = np.full(self._at.size, np.inf)
+        self._deviation[zeros] = _ZERO_RAD
+        self._deviation[self._at.delay], self._deviation[self._at.scale] = _DELAY_S, _SCALE
+        joints = self._path.joints_and_velocities(fit.time_offset_s)[0]
+        self._free_off = fit.chain.position(joints) - self._seen
+        self._white = whitening(self._free_off, self._seen)
+        # The arm as it stands at the fit's reference joints, carrying nothing yet.
+        self._reference = fit.chain.reference_rad
+        moved = [
+            arm.chain(np.append(point_m, axis)).position(
+                np.where(np.arange(n) < i, self._reference, 0.0)
+            )
+            for i, (point_m, axis) in enumerate(zip(arm.points_m, arm.axes, strict=True))
+        ]
+        self._points, self._axes = np.hsplit(np.array(moved), 2)
+        self._rotation, self._shift = self._registered()
+        carried = fit.chain.feature_m.reshape(-1, 3) @ self._rotation
+        carried[0] -= self._shift @ self._rotation
+        self._carried = carried.ravel()
+
+    def _registered(self) -> tuple[np.ndarray, np.ndarray]:
+        """Turn and shift, m, that take the URDF's axes to those that the camera saw."""
+        seen, chart = self._fit.chain, Chart(self._fit.chain)
+        variance = np.diag(self._fit.covariance)
+        turn, place = (
+            1.0 / np.maximum(variance[part].reshape(-1, 2).sum(axis=1), 1e-8)
+            for part in (chart.turns, chart.shifts)
+        )
+        rotation = Rotation.align_vectors(seen.axes, self._axes, turn)[0].as_matrix()
+        across = np.eye(3) - seen.axes[:, :, None] * seen.axes[:, None, :]
+        across *= np.sqrt(place)[:, None, None]
+        across[self._arm.prismatic > 0.0] = 0.0  # only the direction of a prismatic joint counts
+        off = np.einsum("ijk,ik->ij", across, seen.points_m - self._points @ rotation.T)
+        shift, *_ = np.linalg.lstsq(across.reshape(-1, 3), off.ravel(), rcond=None)
+        return rotation, shift
+
+    def _model(self, values: np.ndarray) -> np.ndarray:
+        """The feature in all images, m, (k, m)."""
+        at = self._at
+        joints = self._path.joints_and_velocities(float(values[at.delay]))[0]
+        joints[:, 1:-1] += values[at.zeros]
+        seen = self._chain(values).position(joints)
+        seen[:, :3] *= np.exp(values[at.scale])
+        return seen
+
+    def _chain(self, values: np.ndarray) -> SerialChain:
+        carried = self._feature.displaced(
+            self._carried, values[self._at.carried] * self._feature.task_scale
+        )
+        return SerialChain(
+            self._axes, self._points, carried, self._reference, self._arm.prismatic
+        ).moved(*self._camera(values))
+
+    def _camera(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Turn and shift, m, from the arm's to the camera's frame."""
+        turn = rotation_matrix(values[self._at.turn])
+        shift = turn @ (self._shift - self._middle) + self._middle + values[self._at.shift]
+        return turn @ self._rotation, shift
+
+    def solve(self, evaluations: int = 50) -> tuple[np.ndarray, np.ndarray]:
+        """The unknowns, and how far the model is from the images, m, (k, m)."""
+        prior = np.isfinite(self._deviation)
+
+        def residuals(values: np.ndarray) -> np.ndarray:
+            off = self._model(values) - self._seen
+            held = values[prior] / self._deviation[prior]
+            return np.append(self._white @ off[..., None], held)
+
+        start = np.zeros(self._at.size)
+        start[self._at.delay] = self._fit.time_offset_s
+        found = least_squares(
+            residuals, start, loss="soft_l1", f_scale=_ROBUST, x_scale="jac", max_nfev=evaluations
+        )
+        return found.x, self._model(found.x) - self._seen
+
+    def misfit(self, off: np.ndarray) -> float:
+        """Distance of the typical image, over that from the free chain."""
+        here, free = (
+            np.median(np.linalg.norm(self._white @ one[..., None], axis=1))
+            for one in (off, self._free_off)
+        )
+        return float(here / free)
+
+    def run(self) -> Calibration:
+        """The calibration."""
+        self._check_camera()
+        values, off = self.solve()
+        misfit = self.misfit(off)
+        if misfit > _WRONG:
+            self._check_directions(misfit)
+        good = inliers(off, self._seen)
+        rows, white, prior = self._slopes(values), self._white, np.isfinite(self._deviation)
+        white_rows, white_off = white @ rows, (white @ off[..., None])[..., 0]
+        known = np.diag(np.where(prior, self._deviation, 1.0) ** -2.0 * prior)
+        known += np.einsum("kmi,kmj->ij", white_rows[good], white_rows[good])
+        stamps_s = self._path.stamps_s[good]
+        alike = self._alike(known, white_rows[good], white_off[good], stamps_s)
+        covariance = alike * np.linalg.inv(known) + self._common()
+        told = self._told(values, covariance, off, good)
+        if told.misfit <= UNFIT:
+            return told
+        where = self._unfitting(values, white_rows[good], white_off[good], good)
+        return replace(told, unfitting=where)
+
+    def _unfitting(
+        self, values: np.ndarray, rows: np.ndarray, off: np.ndarray, good: np.ndarray
+    ) -> tuple[str, float, float]:
+        """The joint at which a displaced rest of the arm explains most, and by how much, m, rad."""
+        best, gain, step = ("", 0.0, 0.0), 0.0, 1e-6
+        now = self._model(values)
+        unknowns = rows.reshape(-1, rows.shape[2])
+        held = np.diag(np.where(np.isfinite(self._deviation), self._deviation, np.inf) ** -2.0)
+        for i in range(1, len(self._arm.names)):
+            columns = []
+            for twist in step * np.eye(6):
+                other = copy(self)
+                turn, shift = rotation_matrix(twist[:3]), twist[3:]
+
+                def moved(points: np.ndarray, i: int = i, turn=turn, shift=shift) -> np.ndarray:
+                    return (points - self._points[i]) @ turn.T + self._points[i] + shift
+
+                later = np.arange(len(self._arm.names))[:, None] >= i
+                other._axes = np.where(later, self._axes @ turn.T, self._axes)
+                other._points = np.where(later, moved(self._points), self._points)
+                carried = self._carried.reshape(-1, 3)
+                directions = carried[1:] @ turn.T
+                other._carried = np.concatenate([moved(carried[:1]), directions]).ravel()
+                columns.append((other._model(values) - now) / step)
+            beside = (self._white @ np.stack(columns, axis=-1))[good].reshape(-1, 6)
+            both = np.column_stack([unknowns, beside])
+            known = both.T @ both
+            size = len(held)
+            known[:size, :size] += held
+            known[size:, size:] += np.eye(6)
+            pull = -both.T @ off.ravel()
+            found = np.linalg.solve(known, pull)
+            if found @ pull > gain:
+                gain = float(found @ pull)
+                turn_rad, shift_m = (float(np.linalg.norm(one)) for one in np.split(found[-6:], 2))
+                best = self._arm.names[i], shift_m, turn_rad
+        return best
+
+    def _check_camera(self) -> None:
+        """Refuse images of a camera that was moved while they were taken."""
+        off, stamps_s = self._free_off[:, :3], self._path.stamps_s
+        turns = np.swapaxes(cross_matrix(self._seen[:, :3] - self._middle), 1, 2)
+        shifts = np.broadcast_to(np.eye(3), turns.shape)
+        white = self._white[:, :3, :3]
+        rows = white @ np.concatenate([turns, shifts], axis=2)
+        wanted = (white @ off[..., None])[..., 0]
+        # Sums up to each image, of squares and of products: any moment is tried at once.
+        square = np.cumsum(np.einsum("kij,kil->kjl", rows, rows), axis=0)
+        pull = np.cumsum(np.einsum("kij,ki->kj", rows, wanted), axis=0)
+
+        def moved(k: int) -> tuple[float, np.ndarray]:
+            """Squares that a move after image k explains, and the move, rad and m."""
+            before = np.linalg.solve(square[k], pull[k])
+            after = np.linalg.solve(square[-1] - square[k], pull[-1] - pull[k])
+            always = np.linalg.solve(square[-1], pull[-1])
+            gain = before @ pull[k] + after @ (pull[-1] - pull[k]) - always @ pull[-1]
+            return float(gain), after - before
+
+        moments = np.linspace(0, len(off) - 1, _MOMENTS + 2).astype(int)[1:-1]
+        best = max(moments, key=lambda k: moved(k)[0])
+        gain, move = moved(best)
+        displaced_m = np.linalg.norm(turns @ move[:3] + move[3:], axis=1).mean()
+        if gain > _BUMPED * np.sum(wanted**2) and displaced_m > GOOD[0]:
+            raise CalibrationError(
+                f"the camera moved, by about {1e3 * np.linalg.norm(move[3:]):.0f} mm and "
+                f"{np.degrees(np.linalg.norm(move[:3])):.1f} degrees, some "
+                f"{stamps_s[best] - stamps_s[0]:.0f} s after the first image: fix it, and collect "
+                "again"
+            )
+
+    def _check_directions(self, misfit: float) -> None:
+        """Refuse a URDF in which a joint turns the other way."""
+        for i, name in enumerate(self._arm.names):
+            signs = np.where(np.arange(len(self._arm.names)) == i, -1.0, 1.0)
+            turned = replace(self._arm, axes=self._arm.axes * signs[:, None])
+            other = _Calibrating(self._data, turned, self._fit)
+            if other.misfit(other.solve(15)[1]) < misfit / _WRONG:
+                raise CalibrationError(
+                    f"{name} turns the other way than in the URDF: its axis is mirrored there, or "
+                    "its encoder"
+                )
+
+    def _slopes(self, values: np.ndarray) -> np.ndarray:
+        """Derivatives of the model, (k, m, unknowns)."""
+        step = 1e-6
+        steps = step * np.eye(self._at.size)
+        ends = ((self._model(values + one), self._model(values - one)) for one in steps)
+        return np.stack([(up - down) / (2.0 * step) for up, down in ends], axis=-1)
+
+    def _alike(self, known: np.ndarray, rows: np.ndarray, off: np.ndarray, s: np.ndarray) -> float:
+        """Variance of the estimate over that by independent residuals: jackknife over blocks.
+
+        Errors of images that are near to each other, in time and in place, are alike.
+        """
+        block = np.unique(np.floor(s / _BLOCK_S), return_inverse=True)[1]
+        total = 0.0
+        for number in range(block.max() + 1):
+            some = block == number
+            part = np.einsum("kmi,kmj->ij", rows[some], rows[some])
+            pull = np.einsum("kmi,km->i", rows[some], off[some])
+            change = np.linalg.solve(known - part, pull)
+            total += change @ known @ change
+        return max(1.0, total / rows.shape[2])
+
+    def _common(self) -> np.ndarray:
+        """Covariance of the unknowns by an error that all images have in common."""
+        sight = self._middle / np.linalg.norm(self._middle)
+        along = np.outer(sight, sight)
+        ray_m, lateral_m = self._fit.ray_noise_m, self._fit.lateral_noise_m
+        spread_m = float(np.linalg.norm(self._seen[:, :3].std(axis=0)))
+        common = np.zeros((self._at.size, self._at.size))
+        common[self._at.shift, self._at.shift] = ray_m**2 * along
+        common[self._at.shift, self._at.shift] += lateral_m**2 * (np.eye(3) - along)
+        common[self._at.turn, self._at.turn] = (lateral_m / spread_m) ** 2 * np.eye(3)
+        return _COMMON**2 * common
+
+    def _told(
+        self, values: np.ndarray, covariance: np.ndarray, off: np.ndarray, good: np.ndarray
+    ) -> Calibration:
+        at, arm, n = self._at, self._arm, len(self._arm.names)
+        rotation, shift = self._camera(values)
+        # The camera in the arm's frame: x_arm = R' (x_cam - shift).
+        back = rotation.T
+        place_m = -back @ shift
+        # What small turns and shifts in the camera's frame do to it there.
+        slopes = np.zeros((6, at.size))
+        slopes[:3, at.shift] = slopes[3:, at.turn] = -back
+        slopes[:3, at.turn] = -cross_matrix(back @ self._middle) @ back
+        deviations = np.sqrt(np.diag(covariance))
+        zeros, zeros_deviation = np.zeros(n), np.full(n, np.inf)
+        zeros[1:-1], zeros_deviation[1:-1] = values[at.zeros], deviations[at.zeros]
+        zeros_deviation[zeros_deviation > 0.5 * _ZERO_RAD] = np.inf
+        carried_m, carried_rotation = self._on_tip(values)
+        return Calibration(
+            parent=arm.root,
+            camera=self._data.feature_frame,
+            rotation=back,
+            translation_m=place_m,
+            covariance=slopes @ covariance @ slopes.T,
+            carried_m=carried_m,
+            carried_rotation=carried_rotation,
+            delay_s=float(values[at.delay]),
+            delay_deviation_s=float(deviations[at.delay]),
+            scale=float(np.exp(values[at.scale])),
+            scale_deviation=float(deviations[at.scale]),
+            joint_names=arm.names,
+            zeros_rad=zeros,
+            zeros_deviation_rad=zeros_deviation,
+            residual_m=float(np.median(np.linalg.norm(off[:, :3], axis=1))),
+            misfit=self.misfit(off),
+            stamps_s=self._path.stamps_s,
+            seen_m=self._seen[:, :3],
+            residuals_m=off[:, :3],
+            axes=self._chain(values).axes,
+            points_m=self._chain(values).points_m,
+            outliers=int(np.count_nonzero(~good)),
+        )
+
+    def _on_tip(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """Ball or tag in the tip's frame: place, m, and rotation of a tag."""
+        arm = self._arm
+        tip = np.concatenate([arm.tip_m, arm.tip_rotation.T.ravel()])
+        moved = arm.chain(tip).position(self._reference)
+        turn = moved[3:].reshape(3, 3)  # rows: the tip's axes
+        carried = self._feature.displaced(
+            self._carried, values[self._at.carried] * self._feature.task_scale
+        )
+        place_m = turn @ (carried[:3] - moved[:3])
+        if not isinstance(self._feature, PoseFeature):
+            return place_m, None
+        return place_m, turn @ self._feature.rotation(carried)

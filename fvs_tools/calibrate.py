@@ -1,0 +1,196 @@
+"""``fvs_calibrate``: where the camera is, from an arm that moved before it and the arm's URDF."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from scipy.spatial.transform import Rotation
+
+from fvs_estimator_node.calibration import Calibration, calibrate
+from fvs_estimator_node.files import DataSet, load_data_set
+from fvs_ros import console
+from fvs_ros.arguments import Parser
+from fvs_ros.feature import to_quaternion
+from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
+from fvs_ros.urdf import kinematics, read_joints
+
+#: Largest URDF that is read, bytes.
+_MOST_URDF = 2**24
+
+
+@console.reader_may_leave()
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the program; returns its exit code."""
+    given = _parser().parse_args(argv)
+    try:
+        for path in (given.output, given.output.with_suffix(".png")):
+            if not path.absolute().parent.is_dir():
+                raise ValueError(f"the folder {path.absolute().parent} does not exist")
+        with given.urdf.open("rb") as file:
+            text = file.read(_MOST_URDF).decode("utf-8")
+        arm = kinematics(read_joints(text), given.tip)
+        data = _data(given)
+        say = None if given.quiet else (lambda words: print(f"{words} ...", file=sys.stderr))
+        found = calibrate(data, arm, given.camera_on_arm, say)
+        write(found, given.output)
+    except (ValueError, OSError) as error:
+        print(f"fvs_calibrate: {error}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    print(report(found))
+    print(f"written to {given.output} and {given.output.with_suffix('.png').name}")
+    return EXIT_FAILURE if found.verdict[0] == "unusable" else EXIT_OK
+
+
+def _data(given: argparse.Namespace) -> DataSet:
+    if given.data.suffix == ".npz":
+        return load_data_set(given.data)
+    from fvs_tools.recorded import read_data_set
+
+    return read_data_set(given.data, given.joint_states, given.seen)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser("fvs_calibrate", __doc__)
+    parser.add_argument(
+        "data",
+        type=Path,
+        metavar="DATA",
+        help="data set of the collector, .npz, or a rosbag2 of any arm that moved",
+    )
+    parser.add_argument("--urdf", type=Path, required=True, help="the arm's URDF, no xacro")
+    parser.add_argument(
+        "--tip", default="", help="link that carries ball, tag or camera (default tool0)"
+    )
+    parser.add_argument(
+        "--camera-on-arm",
+        action="store_true",
+        help="the tip carries the camera, and the ball or tag is at rest",
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("camera.yaml"), help="file to write"
+    )
+    parser.add_argument("--joint-states", default="", help="topic of a bag's joint states")
+    parser.add_argument("--seen", default="", help="topic of a bag's ball positions or tool poses")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+    return parser
+
+
+def report(found: Calibration) -> str:
+    """The printed summary."""
+    word, reason = found.verdict
+    place = ", ".join(f"{1e3 * one:.1f}" for one in found.translation_m)
+    turn = ", ".join(f"{one:.5f}" for one in to_quaternion(found.rotation))
+    carried = ", ".join(f"{1e3 * one:.1f}" for one in found.carried_m)
+    lines = [
+        "",
+        f"{word}: {reason}",
+        f"{found.parent} to {found.camera}: ({place}) mm, quaternion ({turn})",
+        f"ball or tag in the other end's frame: ({carried}) mm",
+        # + 0.0: no negative zero
+        f"images stamped late: {round(1e3 * found.delay_s, 1) + 0.0:.1f} +- "
+        f"{1e3 * found.delay_deviation_s:.1f} ms; "
+        f"lengths reported over true: {found.scale:.4f} +- {found.scale_deviation:.4f}",
+        f"residual {1e3 * found.residual_m:.2f} mm (median), {found.misfit:.2f} of that without "
+        f"URDF; {len(found.stamps_s)} images, {found.outliers} outliers",
+        *(f"note: {one}" for one in found.notes()),
+        "",
+        static_transform(found),
+    ]
+    return "\n".join(lines)
+
+
+def static_transform(found: Calibration) -> str:
+    """The command that publishes it."""
+    names = ("x", "y", "z", "qx", "qy", "qz", "qw")
+    numbers = [*found.translation_m, *to_quaternion(found.rotation)]
+    words = " ".join(f"--{name} {one:.6f}" for name, one in zip(names, numbers, strict=True))
+    return (
+        f"ros2 run tf2_ros static_transform_publisher {words} --frame-id {found.parent} "
+        f"--child-frame-id {found.camera}"
+    )
+
+
+def urdf_joint(found: Calibration) -> str:
+    """A joint that puts the camera's frame into a URDF."""
+    place = " ".join(f"{one:.6f}" for one in found.translation_m)
+    turn = " ".join(f"{one:.6f}" for one in Rotation.from_matrix(found.rotation).as_euler("xyz"))
+    return (
+        f'<link name="{found.camera}"/>\n'
+        f'<joint name="{found.camera}_joint" type="fixed">\n'
+        f'  <parent link="{found.parent}"/>\n  <child link="{found.camera}"/>\n'
+        f'  <origin xyz="{place}" rpy="{turn}"/>\n</joint>\n'
+    )
+
+
+def content(found: Calibration) -> dict[str, Any]:
+    """What is written to the file."""
+    word, reason = found.verdict
+
+    def numbers(values: np.ndarray | Sequence[float]) -> list[Any]:
+        return [float(f"{one:.9g}") for one in values]
+
+    return {
+        "parent_frame": found.parent,
+        "camera_frame": found.camera,
+        "translation_m": numbers(found.translation_m),
+        "rotation_xyzw": numbers(to_quaternion(found.rotation)),
+        "covariance": [numbers(row) for row in found.covariance],
+        "verdict": word,
+        "reason": reason,
+        "notes": found.notes(),
+        "carried_m": numbers(found.carried_m),
+        "carried_rotation_xyzw": None
+        if found.carried_rotation is None
+        else numbers(to_quaternion(found.carried_rotation)),
+        "image_delay_s": float(f"{found.delay_s:.6g}"),
+        "image_delay_deviation_s": float(f"{found.delay_deviation_s:.3g}"),
+        "length_scale": float(f"{found.scale:.6f}"),
+        "joint_zeros_rad": dict(zip(found.joint_names, numbers(found.zeros_rad), strict=True)),
+        "residual_m": float(f"{found.residual_m:.4g}"),
+        "static_transform": static_transform(found),
+        "urdf": urdf_joint(found),
+    }
+
+
+def write(found: Calibration, path: Path) -> None:
+    """Write the file, and the picture beside it."""
+    path.write_text(yaml.safe_dump(content(found), sort_keys=False), encoding="utf-8")
+    draw(found).savefig(path.with_suffix(".png"), dpi=110)
+
+
+def draw(found: Calibration) -> Any:
+    """A figure: the arm's axes as the camera sees them, and the residuals over time."""
+    from matplotlib.figure import Figure  # slow, and not needed for --help
+
+    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
+    seen, over = figure.subplots(1, 2)
+    for i, (name, axis, point_m) in enumerate(
+        zip(found.joint_names, found.axes, found.points_m, strict=True)
+    ):
+        ends = point_m + np.array([[-0.1], [0.1]]) * axis
+        if ends[:, 2].min() > 0.05:
+            u, v = ends[:, 0] / ends[:, 2], ends[:, 1] / ends[:, 2]
+            seen.plot(u, v, linewidth=2.5, color=f"C{i}", label=name)
+    at = found.seen_m[:: max(1, len(found.seen_m) // 600)]
+    seen.plot(at[:, 0] / at[:, 2], at[:, 1] / at[:, 2], ".", color="0.6", markersize=2)
+    seen.set(xlabel="x / z", ylabel="y / z", title="axes in the middle of the motion, as seen")
+    seen.invert_yaxis()
+    seen.set_aspect("equal")
+    seen.legend(fontsize=8)
+    time_s = found.stamps_s - found.stamps_s[0]
+    for i, name in enumerate("xyz"):
+        over.plot(time_s, 1e3 * found.residuals_m[:, i], linewidth=0.6, label=name)
+    limit = 6.0 * 1e3 * max(found.residual_m, 1e-5)
+    over.set(xlabel="time, s", ylabel="residual, mm", ylim=(-limit, limit), title=found.verdict[0])
+    over.legend(fontsize=8)
+    return figure
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,186 @@
+"""``fvs_calibrate_node``: calibrates the camera while anything moves the arm; moves nothing."""
+
+from __future__ import annotations
+
+from fvs_ros import stop
+
+stop.listen()
+
+import sys
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from fvs_estimator_node.calibration import Calibration, calibrate
+from fvs_estimator_node.files import data_set_of
+from fvs_ros import ros, topics
+from fvs_ros.feature import to_quaternion
+from fvs_ros.joints import ForeignJointsError, JointMap
+from fvs_ros.timeline import Sample, Timeline
+from fvs_ros.urdf import Kinematics, kinematics, read_joints
+from fvs_tools.calibrate import report, write
+from fvs_tools.calibrating import PARAMETERS, CalibrateConfig
+
+_POLL_S = 0.5
+#: First calibration after this time of motion, s, and least time to the next one.
+_FIRST_S, _PERIOD_S = 15.0, 5.0
+#: Most samples that are kept: an hour at 60 Hz.
+_MOST = 216_000
+
+
+class CalibrateNode(ros.FvsNode):
+    """Collects joints and images, calibrates again and again, and ends when that is good enough."""
+
+    def __init__(self) -> None:
+        super().__init__("fvs_calibrate_node", PARAMETERS)
+        self._config = config = CalibrateConfig.from_values(self.values)
+        self._path = Path(config.output_path)
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._feature = config.servoed
+        self._timeline, self._samples = Timeline(), list[Sample]()
+        self._arm: Kinematics | None = None
+        self._joint_map: JointMap | None = None
+        self._worker = ThreadPoolExecutor(1)
+        self._job: Future[Calibration] | None = None
+        self._found: Calibration | None = None
+        self._next_s, self._good = _FIRST_S, 0
+        #: Whether the newest calibration had all the time that it may have.
+        self._last = False
+        self._reason = "waiting for the robot's description"
+        self._transforms: Any = None
+        if config.urdf_path:
+            self._describe(Path(config.urdf_path).read_text("utf-8"))
+        else:
+            self.subscribe(topics.ROBOT_DESCRIPTION, self._on_description)
+        self.subscribe(topics.JOINT_STATES, self._on_joint_states)
+        self.subscribe(self._feature.seen, self._on_feature)
+        self.create_timer(_POLL_S, self._poll, clock=self.steady_clock)
+        self.create_timer(ros.STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
+
+    # --- inputs ---
+
+    def _on_description(self, message: String) -> None:
+        if self._arm is None:
+            try:
+                self._describe(message.data)
+            except ValueError as error:
+                self._reason = f"robot_description: {error}"
+
+    def _describe(self, text: str) -> None:
+        self._arm = kinematics(read_joints(text), self._config.tip_link)
+        self._joint_map = JointMap(self._arm.names)
+        self._reason = "collecting"
+
+    def _on_joint_states(self, message: JointState) -> None:
+        if self._joint_map is None:
+            return
+        try:
+            joints = self._joint_map.positions(message.name, message.position)
+        except ForeignJointsError:
+            return  # another device's
+        self._add(self._timeline.add_joints(ros.from_stamp(message.header.stamp), joints))
+
+    def _on_feature(self, message: PointStamped | PoseStamped) -> None:
+        feature, frame = self._feature, self._config.feature_frame
+        vector_m = ros.from_feature(message, feature, frame, feature.seen.name)
+        self._add(self._timeline.add_feature(ros.from_stamp(message.header.stamp), vector_m))
+
+    def _add(self, samples: list[Sample]) -> None:
+        self._samples += samples[: _MOST - len(self._samples)]
+
+    # --- calibrating ---
+
+    @property
+    def _time_s(self) -> float:
+        """Time of the images so far, s."""
+        some = self._samples
+        return some[-1].stamp_s - some[0].stamp_s if some else 0.0
+
+    def _poll(self) -> None:
+        if self.exit_code is not None:
+            return
+        if self._job is not None and self._job.done():
+            self._take(self._job)
+            self._job = None
+        if self._job is not None:
+            return
+        late = self._time_s > self._config.duration_s
+        if self._good >= 2 or self._last or (late and self._arm is None):
+            self._conclude()
+        elif self._arm is not None and self._time_s >= self._next_s:
+            self._next_s, self._last = self._time_s + _PERIOD_S, late
+            data = data_set_of(
+                list(self._samples),
+                joint_names=self._arm.names,
+                feature_frame=self._config.feature_frame,
+                feature=self._config.feature,
+                lever_arm_m=self._config.lever_arm_m,
+            )
+            self._job = self._worker.submit(calibrate, data, self._arm, self._config.camera_on_arm)
+
+    def _take(self, job: Future[Calibration]) -> None:
+        try:
+            self._found = found = job.result()
+        except ValueError as error:
+            self._reason, self._good = str(error)[:400], 0
+            return
+        self._reason = found.verdict[1]
+        limits = self._config.stop_at_m, self._config.stop_at_rad
+        good = found.deviation_m < limits[0] and found.deviation_rad < limits[1]
+        self._good = self._good + 1 if good else 0
+
+    def _conclude(self) -> None:
+        """Write and publish what was found."""
+        found = self._found
+        if found is None:
+            print(f"no calibration: {self._reason}", file=sys.stderr, flush=True)
+            self.exit_code = stop.EXIT_FAILURE
+            return
+        write(found, self._path)
+        print(f"{report(found)}\nwritten to {self._path}", flush=True)
+        self._publish_transform(found)
+        self.exit_code = stop.EXIT_FAILURE if found.verdict[0] == "unusable" else stop.EXIT_OK
+
+    def _publish_transform(self, found: Calibration) -> None:
+        try:
+            from tf2_msgs.msg import TFMessage
+        except ImportError:
+            return  # the printed command publishes it
+        one = TransformStamped()
+        one.header.frame_id, one.child_frame_id = found.parent, found.camera
+        one.header.stamp = self.get_clock().now().to_msg()
+        place, turn = one.transform.translation, one.transform.rotation
+        place.x, place.y, place.z = found.translation_m.tolist()
+        turn.x, turn.y, turn.z, turn.w = to_quaternion(found.rotation).tolist()
+        self._transforms = self.publisher(topics.TF_STATIC)
+        self._transforms.publish(TFMessage(transforms=[one]))
+
+    def _publish_status(self) -> None:
+        found = self._found
+        values = {
+            "images": len(self._samples),
+            "motion_s": self._time_s,
+            "deviation_m": None if found is None else found.deviation_m,
+            "deviation_rad": None if found is None else found.deviation_rad,
+        }
+        level = ros.WARN if found is None or found.verdict[0] != "good" else ros.OK
+        self.publish_status(level, "CALIBRATING", self._reason, values)
+
+    def finish(self) -> None:
+        """When interrupted, write what is known."""
+        if self.exit_code is None:
+            self._conclude()
+        self._worker.shutdown(wait=False, cancel_futures=True)
+
+
+def main() -> int:
+    """Run ``fvs_calibrate_node``."""
+    return ros.run(CalibrateNode, __doc__, PARAMETERS)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

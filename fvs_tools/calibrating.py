@@ -1,0 +1,34 @@
+"""Parameters of ``fvs_calibrate_node``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fvs_ros.feature import ServoedConfig
+from fvs_ros.params import parameter
+
+
+@dataclass(frozen=True)
+class CalibrateConfig(ServoedConfig):
+    """Parameters of ``fvs_calibrate_node``."""
+
+    urdf_path: str = parameter("", "URDF of the arm; empty: robot_description")
+    tip_link: str = parameter(
+        "", "link that carries ball, tag or camera; empty: tool0, or the one with most joints"
+    )
+    camera_on_arm: bool = parameter(False, "the arm carries the camera, ball or tag is at rest")
+    output_path: str = parameter(
+        "out/calibrate/camera.yaml", "file to write; a picture of the same name is put beside it"
+    )
+    duration_s: float = parameter(
+        120.0, "time after which the motion has to be enough, s of the images' stamps", 10.0, 3600.0
+    )
+    stop_at_m: float = parameter(
+        0.0005, "deviation of the camera's place that is good enough, m", 1e-5, 1.0
+    )
+    stop_at_rad: float = parameter(
+        0.001, "deviation of its turn that is good enough, rad", 1e-5, 1.0
+    )
+
+
+PARAMETERS = CalibrateConfig.declared()

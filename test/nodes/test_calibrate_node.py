@@ -1,0 +1,46 @@
+"""The camera is calibrated while the collector moves the arm, over topics."""
+
+import numpy as np
+import pytest
+import yaml
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from fvs_sim_node.camera import CAMERAS
+
+MODULE = "fvs_tools.calibrate_node"
+
+
+@pytest.mark.parametrize("feature", ["ball", "pose"])
+def test_the_camera_is_found_while_the_arm_moves(ros_test, tmp_path, feature):
+    out = tmp_path / "camera.yaml"
+    states = ros_test.collect(DiagnosticStatus, "fvs_calibrate_node/status")
+    calibrating = ros_test.start_node(
+        MODULE, use_sim_time=True, feature=feature, output_path=str(out), stop_at_m=0.001
+    )
+    ros_test.start_node("fvs_sim_node.node", simulated_time=True, feature=feature)
+    ros_test.start_node(
+        "fvs_estimator_node.collector_node", use_sim_time=True, feature=feature,
+        output_path=str(tmp_path / "data.npz"), joint_range_rad=[0.5],
+        max_joint_velocity_rad_s=0.65,
+    )  # fmt: skip
+    assert ros_test.wait(calibrating, 60.0) == 0
+    content = yaml.safe_load(out.read_text())
+    np.testing.assert_allclose(content["translation_m"], CAMERAS["front"].position_m, atol=3e-3)
+    assert content["verdict"] == "good"
+    assert "static_transform_publisher" in ros_test.output(calibrating)
+    assert any("the camera is known to" in one.message for one in states)
+
+
+def test_without_motion_it_says_what_is_missing(ros_test, tmp_path):
+    states = ros_test.collect(DiagnosticStatus, "fvs_calibrate_node/status")
+    calibrating = ros_test.start_node(
+        MODULE, use_sim_time=True, output_path=str(tmp_path / "camera.yaml"), duration_s=20.0
+    )
+    ros_test.spin_until(
+        lambda: any("waiting for the robot's description" in one.message for one in states),
+        what="the wait for a URDF",
+    )
+    ros_test.start_node("fvs_sim_node.node", simulated_time=True)
+    assert ros_test.wait(calibrating, 60.0) == 1
+    assert "never moved" in ros_test.output(calibrating)
+    assert not (tmp_path / "camera.yaml").exists()

@@ -1,0 +1,188 @@
+"""Hand-eye calibration from motion: the camera to a millimetre, and what is wrong, named."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+from fvs_estimator_node.calibration import CalibrationError, calibrate
+from fvs_estimator_node.files import DataSet, save_data_set
+from fvs_estimator_node.motion import MotionConfig, RandomMotion
+from fvs_ros.feature import PoseFeature, rotation_angle_rad
+from fvs_ros.paths import find_file
+from fvs_ros.urdf import kinematics, read_joints
+from fvs_sim_node.camera import CAMERAS
+from fvs_sim_node.robot import HOME_JOINTS_RAD
+from fvs_tools import calibrate as program
+
+URDF = find_file("robots/ur5.urdf")
+ARM = kinematics(read_joints(URDF.read_text("utf-8")))
+CAMERA = CAMERAS["front"]
+TAG = np.array([0.02, 0.01, 0.1]), Rotation.from_rotvec([0.3, 1.2, 0.4]).as_matrix()
+
+
+def collected(feature="ball", noise_m=3e-4, arm=ARM, on_arm=False, delay_s=0.0, seconds=60.0):
+    """A minute of motion at 30 Hz, seen by a camera; joints in the URDF's order."""
+    rng = np.random.default_rng(3)
+    time_s = 0.5 + np.arange(0.0, seconds, 1.0 / 30.0)
+    wide = MotionConfig(
+        duration_s=3600.0, joint_range_rad=(0.5,) * 6, max_joint_velocity_rad_s=0.65
+    )
+    motion = RandomMotion(np.array(HOME_JOINTS_RAD), wide, rng)
+    joints, reported = (
+        np.array([motion.path(one)[0] for one in time_s - late_s]) for late_s in (delay_s, 0.0)
+    )
+    chain = arm.reversed() if on_arm else arm
+    place_m, turn = TAG
+    pose = PoseFeature(0.3)
+    tip = chain.tip_rotation, chain.tip_m
+    at_zero = pose.of(tip[0] @ place_m + tip[1], tip[0] @ turn)
+    order = slice(None, None, -1) if on_arm else slice(None)
+    seen = chain.chain(at_zero).moved(CAMERA.rotation.T, -CAMERA.rotation.T @ CAMERA.position_m)
+    feature_m = seen.position(joints[:, order])
+    if feature == "ball":
+        feature_m = feature_m[:, :3] + rng.normal(0.0, noise_m, (len(time_s), 3))
+    else:
+        step = rng.normal(0.0, noise_m, (len(time_s), 6))
+        feature_m = np.array([pose.displaced(a, b) for a, b in zip(feature_m, step, strict=True)])
+    return DataSet(
+        time_s, reported, feature_m, np.zeros(len(time_s), int), ARM.names, feature=feature,
+        lever_arm_m=0.3,
+    )  # fmt: skip
+
+
+def errors(found, camera=CAMERA):
+    turn_rad = rotation_angle_rad(found.rotation.T @ camera.rotation)
+    return float(np.linalg.norm(found.translation_m - camera.position_m)), float(turn_rad)
+
+
+@pytest.mark.parametrize("feature", ["ball", "pose"])
+@pytest.mark.parametrize("on_arm", [False, True])
+def test_camera_tag_delay_and_covariance(feature, on_arm):
+    """Eye-to-hand, and eye-in-hand: the same chain from the other end."""
+    found = calibrate(collected(feature, on_arm=on_arm, delay_s=0.02), ARM, on_arm)
+    off_m, off_rad = errors(found)
+    assert off_m < 1e-3
+    assert off_rad < np.radians(0.1)
+    assert off_m < 3.0 * found.deviation_m
+    assert found.parent == ("tool0" if on_arm else "base_link")
+    assert found.verdict[0] == "good"
+    assert found.delay_s == pytest.approx(0.02, abs=2e-3)
+    np.testing.assert_allclose(found.carried_m, TAG[0], atol=1e-3)
+    if feature == "pose":
+        assert rotation_angle_rad(found.carried_rotation.T @ TAG[1]) < 5e-3
+    assert found.misfit == pytest.approx(1.0, abs=0.1)
+
+
+def test_zeros_of_the_joints_are_found_where_a_camera_can_tell_them():
+    zeros = np.radians([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
+    data = collected()
+    found = calibrate(replace(data, joints_rad=data.joints_rad - zeros), ARM)
+    np.testing.assert_allclose(found.zeros_rad[1:-1], zeros[1:-1], atol=np.radians(0.1))
+    assert np.isinf(found.zeros_deviation_rad[[0, -1]]).all()
+    # The first joint's zero turns the arm's base before the camera.
+    turn = Rotation.from_rotvec(-zeros[0] * ARM.axes[0]).as_matrix()
+    moved = replace(CAMERA, position_m=turn @ CAMERA.position_m, rotation=turn @ CAMERA.rotation)
+    off_m, off_rad = errors(found, moved)
+    assert off_m < 3e-3
+    assert off_rad < np.radians(0.3)
+    notes = " ".join(found.notes())
+    assert "the zero of wrist_2_joint is off by +" in notes
+    assert "no camera can tell the zeros of shoulder_pan_joint and wrist_3_joint" in notes
+
+
+def test_a_wrong_length_of_a_link_is_named():
+    points_m = ARM.points_m.copy()
+    points_m[2:] += [0.005, 0.0, 0.0]
+    wrong = replace(ARM, points_m=points_m, tip_m=ARM.tip_m + [0.005, 0.0, 0.0])
+    found = calibrate(collected("pose", 1e-4), wrong)
+    assert found.verdict[0] == "poor"
+    assert "elbow_joint is about 5" in found.verdict[1]
+
+
+def test_a_scale_of_the_camera_is_told():
+    data = collected()
+    found = calibrate(replace(data, ball_m=1.01 * data.ball_m), ARM)
+    assert errors(found)[0] < 1e-3
+    assert "lengths +1.0" in " ".join(found.notes())
+
+
+def mirrored(data):
+    return data, replace(ARM, axes=ARM.axes * [[1], [1], [1], [-1], [1], [1]])
+
+
+def still(data):
+    joints = data.joints_rad.copy()
+    joints[:, 4] = 1.0
+    return replace(data, joints_rad=joints), ARM
+
+
+def bumped(data):
+    moved = data.ball_m.copy()
+    moved[900:] += [0.004, 0.002, 0.0]
+    return replace(data, ball_m=moved), ARM
+
+
+def renamed(data):
+    return replace(data, joint_names=("a", *data.joint_names[1:])), ARM
+
+
+def short(data):
+    part = slice(0, 150)
+    columns = ("stamps_s", "joints_rad", "ball_m", "segment")
+    return replace(data, **{name: getattr(data, name)[part] for name in columns}), ARM
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (mirrored, "wrist_1_joint turns the other way than in the URDF"),
+        (still, "wrist_2_joint never moved"),
+        (bumped, r"the camera moved, by about \d mm and .* some (29|30|31) s after"),
+        (renamed, "the data lack shoulder_pan_joint"),
+        (short, "a chain needs at least 200 images"),
+    ],
+)
+def test_what_cannot_be_calibrated_is_named(change, words):
+    with pytest.raises(ValueError, match=words):
+        calibrate(*change(collected()))
+    assert issubclass(CalibrationError, ValueError)
+
+
+# --- the program ---
+
+
+def test_the_program_writes_transform_picture_and_command(tmp_path, capsys):
+    data, out = tmp_path / "data.npz", tmp_path / "camera.yaml"
+    save_data_set(data, collected("pose"))
+    assert program.main([str(data), "--urdf", str(URDF), "-o", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "good: the camera is known to" in printed
+    content = yaml.safe_load(out.read_text())
+    np.testing.assert_allclose(content["translation_m"], CAMERA.position_m, atol=1e-3)
+    turn = Rotation.from_quat(content["rotation_xyzw"]).as_matrix()
+    assert rotation_angle_rad(turn.T @ CAMERA.rotation) < 2e-3
+    assert content["static_transform"] in printed
+    assert "--frame-id base_link --child-frame-id" in printed
+    assert '<parent link="base_link"/>' in content["urdf"]
+    assert np.array(content["covariance"]).shape == (6, 6)
+    assert out.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (["--tip", "nowhere"], "has the link 'nowhere'"),
+        (["--urdf", "/nowhere.urdf"], "/nowhere.urdf"),
+        (["-o", "/nowhere/camera.yaml"], "the folder /nowhere does not exist"),
+    ],
+)
+def test_bad_arguments_are_refused(tmp_path, capsys, given, words):
+    data = tmp_path / "data.npz"
+    save_data_set(data, collected(seconds=10.0))
+    arguments = [str(data), "--urdf", str(URDF), "-o", str(tmp_path / "camera.yaml"), *given]
+    assert program.main(arguments) == 2
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "camera.yaml").exists()
