@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -33,8 +34,9 @@ from fvs_ros.urdf import Kinematics
 
 #: A joint that moves less, rad or m (standard deviation), determines nothing.
 _STILL = 0.02
-#: Prior deviations: of the joints' zeros, rad; of the images' delay, s; of the camera's scale.
-_ZERO_RAD, _DELAY_S, _SCALE = 0.05, 0.1, 0.05
+#: Prior deviations: of the joints' zeros, rad; of the images' delay, s; of the camera's scale; of
+#: all else, from where the registration puts it, m and rad.
+_ZERO_RAD, _DELAY_S, _SCALE, _ANYWHERE = 0.05, 0.1, 0.05, 1.0
 #: A zero is known if its deviation is below this, rad.
 KNOWN_RAD = np.radians(0.2)
 #: A part of the URDF does not fit if it is off by so many deviations, and by this, rad.
@@ -44,12 +46,16 @@ GOOD, USABLE = (0.001, np.radians(0.1)), (0.01, np.radians(1.0))
 #: Blocks of images, s: residuals within one may be alike. Of an error that all images share, such
 #: as a detector's bias, no residual tells; it counts as this share of an image's noise.
 _BLOCK_S, _COMMON = 2.0, 0.3
+#: Sine of the angle below which two axes are parallel.
+_PARALLEL = 0.05
 #: Largest length of a residual over its noise, for a robust fit.
 _ROBUST = 2.0
 
 
 #: With this misfit the URDF does not fit, and with this one it is wrong.
 UNFIT, _WRONG = 1.5, 3.0
+#: The free chain is at a wrong optimum if the URDF's is this much nearer to the images.
+_BETTER = 0.7
 #: Moments at which the camera may have been moved, and share of the squared residuals that this
 #: must explain.
 _MOMENTS, _BUMPED = 40, 0.2
@@ -245,6 +251,17 @@ def _ordered(data: DataSet, arm: Kinematics) -> DataSet:
     return replace(data, joints_rad=joints, joint_names=arm.names)
 
 
+def _length(off_m: np.ndarray) -> float:
+    """Median distance, m, of residuals, m, (k, m)."""
+    return float(np.median(np.linalg.norm(off_m[:, :3], axis=1)))
+
+
+def _across(axis: np.ndarray, way_m: np.ndarray) -> np.ndarray:
+    """Direction of a way's part across an axis."""
+    across = way_m - (way_m @ axis) * axis
+    return np.asarray(across / max(np.linalg.norm(across), 1e-6))
+
+
 class _Unknowns(NamedTuple):
     """Parts of the vector of unknowns."""
 
@@ -271,7 +288,7 @@ class _Calibrating:
             slice(0, 3), slice(3, 6), slice(6, 6 + of_task), zeros, zeros.stop, zeros.stop + 1,
             zeros.stop + 2,
         )  # fmt: skip
-        self._deviation = np.full(self._at.size, np.inf)
+        self._deviation = np.full(self._at.size, _ANYWHERE)
         self._deviation[zeros] = _ZERO_RAD
         self._deviation[self._at.delay], self._deviation[self._at.scale] = _DELAY_S, _SCALE
         joints = self._path.joints_and_velocities(fit.time_offset_s)[0]
@@ -299,7 +316,21 @@ class _Calibrating:
             1.0 / np.maximum(variance[part].reshape(-1, 2).sum(axis=1), 1e-8)
             for part in (chart.turns, chart.shifts)
         )
-        rotation = Rotation.align_vectors(seen.axes, self._axes, turn)[0].as_matrix()
+        # Parallel axes tell no turn about themselves, but the ways from one to the next do.
+        turning = np.flatnonzero(self._arm.prismatic == 0.0)
+        pairs = [
+            (i, j)
+            for i, j in pairwise(turning)
+            if np.linalg.norm(np.cross(self._axes[i], self._axes[j])) < _PARALLEL
+        ]
+        ways = [
+            np.array([_across(axes[i], points[j] - points[i]) for i, j in pairs]).reshape(-1, 3)
+            for axes, points in ((seen.axes, seen.points_m), (self._axes, self._points))
+        ]
+        weights = np.append(turn, [min(turn[i], turn[j]) for i, j in pairs])
+        rotation = Rotation.align_vectors(
+            np.concatenate([seen.axes, ways[0]]), np.concatenate([self._axes, ways[1]]), weights
+        )[0].as_matrix()
         across = np.eye(3) - seen.axes[:, :, None] * seen.axes[:, None, :]
         across *= np.sqrt(place)[:, None, None]
         across[self._arm.prismatic > 0.0] = 0.0  # only the direction of a prismatic joint counts
@@ -330,17 +361,18 @@ class _Calibrating:
         shift = turn @ (self._shift - self._middle) + self._middle + values[self._at.shift]
         return turn @ self._rotation, shift
 
-    def solve(self, evaluations: int = 50) -> tuple[np.ndarray, np.ndarray]:
+    def solve(
+        self, evaluations: int = 50, start: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The unknowns, and how far the model is from the images, m, (k, m)."""
-        prior = np.isfinite(self._deviation)
 
         def residuals(values: np.ndarray) -> np.ndarray:
             off = self._model(values) - self._seen
-            held = values[prior] / self._deviation[prior]
-            return np.append(self._white @ off[..., None], held)
+            return np.append(self._white @ off[..., None], values / self._deviation)
 
-        start = np.zeros(self._at.size)
-        start[self._at.delay] = self._fit.time_offset_s
+        if start is None:
+            start = np.zeros(self._at.size)
+            start[self._at.delay] = self._fit.time_offset_s
         found = least_squares(
             residuals, start, loss="soft_l1", f_scale=_ROBUST, x_scale="jac", max_nfev=evaluations
         )
@@ -356,15 +388,19 @@ class _Calibrating:
 
     def run(self) -> Calibration:
         """The calibration."""
-        self._check_camera()
         values, off = self.solve()
+        if _length(off) < _BETTER * _length(self._free_off):
+            # In much noise the free chain may have one axis on the wrong side.
+            self._free_off, self._white = off, whitening(off, self._seen)
+            values, off = self.solve(start=values)
+        self._check_camera()
         misfit = self.misfit(off)
         if misfit > _WRONG:
             self._check_directions(misfit)
         good = inliers(off, self._seen)
-        rows, white, prior = self._slopes(values), self._white, np.isfinite(self._deviation)
+        rows, white = self._slopes(values), self._white
         white_rows, white_off = white @ rows, (white @ off[..., None])[..., 0]
-        known = np.diag(np.where(prior, self._deviation, 1.0) ** -2.0 * prior)
+        known = np.diag(self._deviation**-2.0)
         known += np.einsum("kmi,kmj->ij", white_rows[good], white_rows[good])
         stamps_s = self._path.stamps_s[good]
         alike = self._alike(known, white_rows[good], white_off[good], stamps_s)
@@ -382,7 +418,7 @@ class _Calibrating:
         best, gain, step = ("", 0.0, 0.0), 0.0, 1e-6
         now = self._model(values)
         unknowns = rows.reshape(-1, rows.shape[2])
-        held = np.diag(np.where(np.isfinite(self._deviation), self._deviation, np.inf) ** -2.0)
+        held = np.diag(self._deviation**-2.0)
         for i in range(1, len(self._arm.names)):
             columns = []
             for twist in step * np.eye(6):
@@ -523,7 +559,7 @@ class _Calibrating:
             joint_names=arm.names,
             zeros_rad=zeros,
             zeros_deviation_rad=zeros_deviation,
-            residual_m=float(np.median(np.linalg.norm(off[:, :3], axis=1))),
+            residual_m=_length(off),
             misfit=self.misfit(off),
             stamps_s=self._path.stamps_s,
             seen_m=self._seen[:, :3],
