@@ -13,7 +13,7 @@ the place of ball or tag: both zeros count as exact.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -34,11 +34,9 @@ from fvs_ros.urdf import Kinematics
 
 #: A joint that moves less, rad or m (standard deviation), determines nothing.
 _STILL = 0.02
-#: Prior deviations: of the joints' zeros, rad; of the images' delay, s; of the camera's scale; of
-#: all else, from where the registration puts it, m and rad.
-_ZERO_RAD, _DELAY_S, _SCALE, _ANYWHERE = 0.05, 0.1, 0.05, 1.0
-#: A zero is known if its deviation is below this, rad.
-KNOWN_RAD = np.radians(0.2)
+#: Prior deviations: of the joints' zeros, rad; of the images' delay, s; of the camera's scale and
+#: focal length; of all else, from where the registration puts it, m and rad.
+_ZERO_RAD, _DELAY_S, _SCALE, _FOCAL, _ANYWHERE = 0.05, 0.1, 0.05, 0.005, 1.0
 #: A part of the URDF does not fit if it is off by so many deviations, and by this, rad.
 SIGMAS, _ZERO_OFF_RAD = 5.0, np.radians(0.2)
 #: Deviations of the camera's place, m, and turn, rad, of a calibration that is good, and usable.
@@ -52,8 +50,11 @@ _PARALLEL = 0.05
 _ROBUST = 2.0
 
 
-#: With this misfit the URDF does not fit, and with this one it is wrong.
-UNFIT, _WRONG = 1.5, 3.0
+#: With this misfit the URDF does not fit. A model this many times as far from the images as a free
+#: chain is wrong, and so is a zero of this size, rad: the joint turns the other way, or is another.
+_UNFIT, _WRONG, _OTHER_RAD = 10.0, 3.0, np.radians(10.0)
+#: Images are explained if they are nearer than this many times their noise.
+_EXPLAINED = 1.6
 #: The free chain is at a wrong optimum if the URDF's is this much nearer to the images.
 _BETTER = 0.7
 #: Moments at which the camera may have been moved, and share of the squared residuals that this
@@ -85,14 +86,18 @@ class Calibration:
         How late the images are stamped, and its standard deviation, s.
     scale, scale_deviation : float
         Lengths that the camera reports over true ones, and the standard deviation.
+    focal, focal_deviation : float
+        The same across the line of sight over along it, such as by a wrong focal length.
     joint_names : tuple of str
         The joints from root to tip.
     zeros_rad, zeros_deviation_rad : ndarray, shape (n,)
-        What has to be added to each reported joint for the URDF, rad; infinite deviations where the
-        motion does not tell.
+        What has to be added to each reported joint for the URDF, rad (m); infinite deviations where
+        the motion does not tell.
+    prismatic : ndarray of bool, shape (n,)
+        Which joints are.
     residual_m, misfit : float
-        Median distance of the images from the model, m; and that distance in standard deviations
-        over that from a free chain: 1 for a URDF that fits.
+        Median distance of the images from the model, m; and the squares that displaced links would
+        explain, over those of noise: about 1 for a URDF that fits.
     stamps_s, seen_m, residuals_m : ndarray, shapes (k,), (k, 3) and (k, 3)
         Of each image: its stamp, s, where it shows ball or tag, m, and how far off the model is, m.
     axes, points_m : ndarray, shape (n, 3)
@@ -115,9 +120,12 @@ class Calibration:
     delay_deviation_s: float
     scale: float
     scale_deviation: float
+    focal: float
+    focal_deviation: float
     joint_names: tuple[str, ...]
     zeros_rad: np.ndarray
     zeros_deviation_rad: np.ndarray
+    prismatic: np.ndarray
     residual_m: float
     misfit: float
     stamps_s: np.ndarray
@@ -141,41 +149,46 @@ class Calibration:
     @property
     def verdict(self) -> tuple[str, str]:
         """``good``, ``poor`` or ``unusable``, and the reason."""
-        place = f"{1e3 * self.deviation_m:.2g} mm"
+        place_mm = 1e3 * self.deviation_m
+        place = f"{place_mm:.0f} mm" if place_mm >= 10.0 else f"{place_mm:.2g} mm"
         turn = f"{np.degrees(self.deviation_rad):.2g} degrees"
         exact = f"the camera is known to {place} and {turn} (standard deviation)"
 
         def within(limits: tuple[float, float]) -> bool:
             return self.deviation_m < limits[0] and self.deviation_rad < limits[1]
 
-        if self.misfit > UNFIT and self.residual_m > USABLE[0]:
-            return "unusable", "the URDF is not that of this arm: " + self.words_of_misfit()
+        wrong = np.abs(self.zeros_rad) > np.where(self.prismatic, np.inf, _OTHER_RAD)
+        if wrong.any():
+            name = self.joint_names[int(np.argmax(np.abs(self.zeros_rad)))]
+            return "unusable", f"{name} differs from the URDF by more than 10 degrees"
         if not within(USABLE):
-            return "unusable", exact + ": move the joints further, or for longer"
-        if self.misfit > UNFIT:
-            return "poor", self.words_of_misfit()
+            return "unusable", f"{exact}: {self._remedy()}"
+        if self.unfitting is not None:
+            return "poor", f"{_words(*self.unfitting)}; {exact}"
         if not within(GOOD):
-            return "poor", exact + ": move the joints further, or for longer"
+            return "poor", f"{exact}: {self._remedy()}"
         return "good", exact
 
-    def words_of_misfit(self) -> str:
-        """Where the URDF does not fit, in words."""
-        name, shift_m, turn_rad = self.unfitting or ("the arm", 0.0, 0.0)
-        return (
-            f"{name} is about {1e3 * shift_m:.1f} mm and {np.degrees(turn_rad):.1f} degrees from "
-            "where the URDF has it"
-        )
+    def _remedy(self) -> str:
+        """What would make the calibration more exact."""
+        values, ways = np.linalg.eigh(self.covariance[:3, :3])
+        if values[-1] > 100.0 * values[-2] and values[-1] > USABLE[0] ** 2:
+            way = ", ".join(f"{one:.2f}" for one in ways[:, -1])
+            return f"no motion of these joints tells the place along ({way}) of {self.parent}"
+        if self.unfitting is not None:
+            return _words(*self.unfitting)
+        return "move the joints further, or for longer"
 
     def notes(self) -> list[str]:
         """Zeros that are off, and what the motion did not tell."""
         found = []
-        for name, zero, deviation in zip(
-            self.joint_names, self.zeros_rad, self.zeros_deviation_rad, strict=True
+        for name, zero, deviation, shifts in zip(
+            self.joint_names, self.zeros_rad, self.zeros_deviation_rad, self.prismatic, strict=True
         ):
             if abs(zero) > max(SIGMAS * deviation, _ZERO_OFF_RAD):
+                size = f"{-1e3 * zero:+.1f} mm" if shifts else f"{np.degrees(-zero):+.2f} degrees"
                 found.append(
-                    f"the zero of {name} is off by {np.degrees(-zero):+.2f} degrees, "
-                    f"{abs(zero) / deviation:.0f} sigma"
+                    f"the zero of {name} is off by {size}, {abs(zero) / deviation:.0f} sigma"
                 )
         blind = [self.joint_names[0], self.joint_names[-1]]
         unsure = [
@@ -194,7 +207,19 @@ class Calibration:
                 f"the camera reports lengths {100.0 * (self.scale - 1.0):+.2f} % too long: is the "
                 "size of ball or tag right?"
             )
+        if abs(self.focal - 1.0) > max(SIGMAS * self.focal_deviation, 0.002):
+            found.append(
+                f"lengths across the line of sight are {100.0 * (self.focal - 1.0):+.2f} % longer "
+                "than along it: is the focal length right?"
+            )
         return found
+
+
+def _words(name: str, shift_m: float, turn_rad: float) -> str:
+    return (
+        f"{name} is about {1e3 * shift_m:.1f} mm and {np.degrees(turn_rad):.1f} degrees from where "
+        "the URDF has it"
+    )
 
 
 def calibrate(
@@ -224,11 +249,12 @@ def calibrate(
     """
     say = progress or (lambda words: None)
     arm = arm.reversed() if carries_camera else arm
+    names, spread = data.joint_names, data.joints_rad.std(axis=0).tolist()
     data = _ordered(data, arm)
     fit = fit_chain(data, say)
     say("registering the chain with the URDF")
     with threadpool_limits(1):
-        return _Calibrating(data, arm, fit).run()
+        return _Calibrating(data, arm, fit, names, spread).run()
 
 
 def _ordered(data: DataSet, arm: Kinematics) -> DataSet:
@@ -271,14 +297,23 @@ class _Unknowns(NamedTuple):
     zeros: slice  # of all joints but the first and the last, rad
     delay: int  # of the images, s
     scale: int  # logarithm of the camera's
+    focal: int  # logarithm of its scale across the line of sight, over that along it
     size: int
 
 
 class _Calibrating:
     """Least squares about the start that the registration gives."""
 
-    def __init__(self, data: DataSet, arm: Kinematics, fit: ChainFit) -> None:
+    def __init__(
+        self,
+        data: DataSet,
+        arm: Kinematics,
+        fit: ChainFit,
+        names: Sequence[str],
+        spread: Sequence[float],
+    ) -> None:
         self._data, self._arm, self._fit, self._path = data, arm, fit, Path(data)
+        self._names, self._spread = names, spread
         self._feature = data.servoed
         self._seen = data.ball_m[self._path.indices]
         self._middle = self._seen[:, :3].mean(axis=0)
@@ -286,11 +321,12 @@ class _Calibrating:
         zeros = slice(6 + of_task, 6 + of_task + max(0, n - 2))
         self._at = _Unknowns(
             slice(0, 3), slice(3, 6), slice(6, 6 + of_task), zeros, zeros.stop, zeros.stop + 1,
-            zeros.stop + 2,
+            zeros.stop + 2, zeros.stop + 3,
         )  # fmt: skip
         self._deviation = np.full(self._at.size, _ANYWHERE)
         self._deviation[zeros] = _ZERO_RAD
-        self._deviation[self._at.delay], self._deviation[self._at.scale] = _DELAY_S, _SCALE
+        self._deviation[self._at.delay] = _DELAY_S
+        self._deviation[self._at.scale], self._deviation[self._at.focal] = _SCALE, _FOCAL
         joints = self._path.joints_and_velocities(fit.time_offset_s)[0]
         self._free_off = fit.chain.position(joints) - self._seen
         self._white = whitening(self._free_off, self._seen)
@@ -345,6 +381,7 @@ class _Calibrating:
         joints[:, 1:-1] += values[at.zeros]
         seen = self._chain(values).position(joints)
         seen[:, :3] *= np.exp(values[at.scale])
+        seen[:, :2] *= np.exp(values[at.focal])
         return seen
 
     def _chain(self, values: np.ndarray) -> SerialChain:
@@ -378,7 +415,7 @@ class _Calibrating:
         )
         return found.x, self._model(found.x) - self._seen
 
-    def misfit(self, off: np.ndarray) -> float:
+    def _far(self, off: np.ndarray) -> float:
         """Distance of the typical image, over that from the free chain."""
         here, free = (
             np.median(np.linalg.norm(self._white @ one[..., None], axis=1))
@@ -394,9 +431,9 @@ class _Calibrating:
             self._free_off, self._white = off, whitening(off, self._seen)
             values, off = self.solve(start=values)
         self._check_camera()
-        misfit = self.misfit(off)
-        if misfit > _WRONG:
-            self._check_directions(misfit)
+        far = self._far(off)
+        if far > _WRONG or np.abs(values[self._at.zeros]).max(initial=0.0) > _OTHER_RAD:
+            self._check_directions(far)
         good = inliers(off, self._seen)
         rows, white = self._slopes(values), self._white
         white_rows, white_off = white @ rows, (white @ off[..., None])[..., 0]
@@ -404,50 +441,60 @@ class _Calibrating:
         known += np.einsum("kmi,kmj->ij", white_rows[good], white_rows[good])
         stamps_s = self._path.stamps_s[good]
         alike = self._alike(known, white_rows[good], white_off[good], stamps_s)
-        covariance = alike * np.linalg.inv(known) + self._common()
-        told = self._told(values, covariance, off, good)
-        if told.misfit <= UNFIT:
-            return told
-        where = self._unfitting(values, white_rows[good], white_off[good], good)
-        return replace(told, unfitting=where)
+        misfit, where = self._unfitting(values, white_rows[good], white_off[good], good)
+        covariance = max(alike, misfit) * np.linalg.inv(known) + self._common()
+        return self._told(values, covariance, off, good, misfit, where)
 
     def _unfitting(
         self, values: np.ndarray, rows: np.ndarray, off: np.ndarray, good: np.ndarray
-    ) -> tuple[str, float, float]:
-        """The joint at which a displaced rest of the arm explains most, and by how much, m, rad."""
-        best, gain, step = ("", 0.0, 0.0), 0.0, 1e-6
-        now = self._model(values)
+    ) -> tuple[float, tuple[str, float, float] | None]:
+        """Squares that displaced links would explain, for each of their numbers.
+
+        And, if that is no noise, the joint at which a displaced rest of the arm explains most, with
+        the displacement, m and rad.
+        """
         unknowns = rows.reshape(-1, rows.shape[2])
-        held = np.diag(self._deviation**-2.0)
-        for i in range(1, len(self._arm.names)):
-            columns = []
-            for twist in step * np.eye(6):
-                other = copy(self)
-                turn, shift = rotation_matrix(twist[:3]), twist[3:]
+        beside = [self._displaced(values, i, good) for i in range(1, len(self._arm.names))]
+        if not beside:
+            return 1.0, None
+        gained = [self._gain(unknowns, one, off) for one in (np.hstack(beside), *beside)]
+        noise = np.sum(off**2) / (off.size - unknowns.shape[1] - 6 * len(beside))
+        misfit = float(gained[0][0] / (6.0 * len(beside) * noise))
+        if misfit <= _UNFIT:
+            return misfit, None
+        best = max(range(1, len(gained)), key=lambda one: gained[one][0])
+        turn_rad, shift_m = (float(np.linalg.norm(one)) for one in np.split(gained[best][1], 2))
+        # Less is what a detector's bias looks like.
+        off_m, off_rad = 0.5 * GOOD[0], GOOD[1]
+        shown = shift_m > off_m or turn_rad > off_rad
+        return misfit, (self._arm.names[best], shift_m, turn_rad) if shown else None
 
-                def moved(points: np.ndarray, i: int = i, turn=turn, shift=shift) -> np.ndarray:
-                    return (points - self._points[i]) @ turn.T + self._points[i] + shift
+    def _gain(
+        self, unknowns: np.ndarray, beside: np.ndarray, off: np.ndarray
+    ) -> tuple[float, np.ndarray]:
+        """Squares of residuals that further columns explain, and their values, m and rad."""
+        both = np.hstack([unknowns, beside])
+        size, pull = unknowns.shape[1], -both.T @ off.ravel()
+        held = np.append(self._deviation, np.full(beside.shape[1], _ANYWHERE)) ** -2.0
+        known = both.T @ both + np.diag(held)
+        found = np.linalg.solve(known, pull)
+        before = np.linalg.solve(known[:size, :size], pull[:size])
+        return float(found @ pull - before @ pull[:size]), found[size:]
 
-                later = np.arange(len(self._arm.names))[:, None] >= i
-                other._axes = np.where(later, self._axes @ turn.T, self._axes)
-                other._points = np.where(later, moved(self._points), self._points)
-                carried = self._carried.reshape(-1, 3)
-                directions = carried[1:] @ turn.T
-                other._carried = np.concatenate([moved(carried[:1]), directions]).ravel()
-                columns.append((other._model(values) - now) / step)
-            beside = (self._white @ np.stack(columns, axis=-1))[good].reshape(-1, 6)
-            both = np.column_stack([unknowns, beside])
-            known = both.T @ both
-            size = len(held)
-            known[:size, :size] += held
-            known[size:, size:] += np.eye(6)
-            pull = -both.T @ off.ravel()
-            found = np.linalg.solve(known, pull)
-            if found @ pull > gain:
-                gain = float(found @ pull)
-                turn_rad, shift_m = (float(np.linalg.norm(one)) for one in np.split(found[-6:], 2))
-                best = self._arm.names[i], shift_m, turn_rad
-        return best
+    def _displaced(self, values: np.ndarray, i: int, good: np.ndarray) -> np.ndarray:
+        """White slopes by turns and shifts of the arm from joint i on, (k m, 6)."""
+        step, now, columns = 1e-6, self._model(values), []
+        for twist in step * np.eye(6):
+            turn, shift, pivot = rotation_matrix(twist[:3]), twist[3:], self._points[i]
+            later, other = np.arange(len(self._arm.names))[:, None] >= i, copy(self)
+            other._axes = np.where(later, self._axes @ turn.T, self._axes)
+            moved = (self._points - pivot) @ turn.T + pivot + shift
+            other._points = np.where(later, moved, self._points)
+            carried = self._carried.reshape(-1, 3) @ turn.T
+            carried[0] += pivot - turn @ pivot + shift
+            other._carried = carried.ravel()
+            columns.append((other._model(values) - now) / step)
+        return np.asarray((self._white @ np.stack(columns, axis=-1))[good].reshape(-1, 6))
 
     def _check_camera(self) -> None:
         """Refuse images of a camera that was moved while they were taken."""
@@ -473,7 +520,16 @@ class _Calibrating:
         best = max(moments, key=lambda k: moved(k)[0])
         gain, move = moved(best)
         displaced_m = np.linalg.norm(turns @ move[:3] + move[3:], axis=1).mean()
+        noise_m = self._fit.noise_m
         if gain > _BUMPED * np.sum(wanted**2) and displaced_m > GOOD[0]:
+            after = np.arange(len(off)) > best
+            both = [np.linalg.solve(square[best], pull[best])]
+            both.append(both[0] + move)
+            moves = np.where(after[:, None], both[1], both[0])
+            slopes = np.concatenate([turns, shifts], axis=2)
+            rest = off - np.einsum("kij,kj->ki", slopes, moves)
+            if _length(rest) > max(_EXPLAINED * noise_m, 0.5 * _length(off)):
+                self._refuse_chain()
             raise CalibrationError(
                 f"the camera moved, by about {1e3 * np.linalg.norm(move[3:]):.0f} mm and "
                 f"{np.degrees(np.linalg.norm(move[:3])):.1f} degrees, some "
@@ -481,13 +537,30 @@ class _Calibrating:
                 "again"
             )
 
-    def _check_directions(self, misfit: float) -> None:
+        if _length(off) > max(_EXPLAINED * noise_m, 0.5 * USABLE[0]):
+            self._refuse_chain()
+
+    def _refuse_chain(self) -> None:
+        others = [
+            name
+            for name, spread in zip(self._names, self._spread, strict=True)
+            if name not in self._arm.names and spread > _STILL
+        ]
+        also = f" {', '.join(others)[:200]} moved, too, but is not among them." if others else ""
+        raise CalibrationError(
+            f"no arm of the joints {', '.join(self._arm.names)[:200]} moves like that.{also} Is "
+            "the tip the right link, and what it carries tight?"
+        )
+
+    def _check_directions(self, far: float) -> None:
         """Refuse a URDF in which a joint turns the other way."""
         for i, name in enumerate(self._arm.names):
             signs = np.where(np.arange(len(self._arm.names)) == i, -1.0, 1.0)
             turned = replace(self._arm, axes=self._arm.axes * signs[:, None])
-            other = _Calibrating(self._data, turned, self._fit)
-            if other.misfit(other.solve(15)[1]) < misfit / _WRONG:
+            other = _Calibrating(self._data, turned, self._fit, self._names, self._spread)
+            values, off = other.solve(15)
+            zeros = np.abs(values[self._at.zeros]).max(initial=0.0)
+            if other._far(off) < max(far / _WRONG, 1.2) and zeros < _OTHER_RAD:
                 raise CalibrationError(
                     f"{name} turns the other way than in the URDF: its axis is mirrored there, or "
                     "its encoder"
@@ -528,7 +601,13 @@ class _Calibrating:
         return _COMMON**2 * common
 
     def _told(
-        self, values: np.ndarray, covariance: np.ndarray, off: np.ndarray, good: np.ndarray
+        self,
+        values: np.ndarray,
+        covariance: np.ndarray,
+        off: np.ndarray,
+        good: np.ndarray,
+        misfit: float,
+        unfitting: tuple[str, float, float] | None,
     ) -> Calibration:
         at, arm, n = self._at, self._arm, len(self._arm.names)
         rotation, shift = self._camera(values)
@@ -560,7 +639,11 @@ class _Calibrating:
             zeros_rad=zeros,
             zeros_deviation_rad=zeros_deviation,
             residual_m=_length(off),
-            misfit=self.misfit(off),
+            focal=float(np.exp(values[at.focal])),
+            focal_deviation=float(deviations[at.focal]),
+            misfit=misfit,
+            unfitting=unfitting,
+            prismatic=arm.prismatic > 0.0,
             stamps_s=self._path.stamps_s,
             seen_m=self._seen[:, :3],
             residuals_m=off[:, :3],

@@ -358,7 +358,7 @@ TF_STATIC = Topic(
     "one.",
     {
         MARKERS_NODE: End((Qos.LATCHED,), later="beside the simulator, with `tf2_msgs` installed"),
-        CALIBRATE: End((Qos.LATCHED,), later="at the end, with `tf2_msgs` installed"),
+        CALIBRATE: End((Qos.LATCHED,), later="at the end, with `stay` and `tf2_msgs` installed"),
     },
     also_to=_VIEWERS,
 )

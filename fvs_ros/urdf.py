@@ -85,19 +85,27 @@ def _triple(element: ET.Element, tag: str, which: str, usual: str = "0 0 0") -> 
     return x, y, z
 
 
+def _path(joints: Mapping[str, UrdfJoint], end: str) -> list[UrdfJoint]:
+    """All joints from the root to a link."""
+    above = {one.child: one for one in joints.values()}
+    found: list[UrdfJoint] = []
+    while end in above and len(found) < len(above):  # a loop of joints has no root
+        found.insert(0, above[end])
+        end = above[end].parent
+    return found
+
+
 def moving_chain(joints: Mapping[str, UrdfJoint], link: str = "") -> tuple[str, list[UrdfJoint]]:
     """A link, and the moving joints from the root to it.
 
     Without one it is ``tool0``, or else the link with most moving joints before it.
     """
     above = {one.child: one for one in joints.values()}
+    if not above:
+        raise ValueError("the URDF has no joints: is it a xacro that was not expanded?")
 
     def chain(end: str) -> list[UrdfJoint]:
-        found: list[UrdfJoint] = []
-        while end in above and len(found) < len(above):
-            found.insert(0, above[end])
-            end = above[end].parent
-        return [one for one in found if one.moves]
+        return [one for one in _path(joints, end) if one.moves]
 
     end = link or ("tool0" if "tool0" in above else "")
     end = end or max(above, key=lambda one: len(chain(one)), default="")
@@ -146,12 +154,7 @@ class Kinematics:
 def kinematics(joints: Mapping[str, UrdfJoint], link: str = "") -> Kinematics:
     """Where the axes of the joints are that carry a link; see :func:`moving_chain`."""
     tip, moving = moving_chain(joints, link)
-    above = {one.child: one for one in joints.values()}
-    path: list[UrdfJoint] = []
-    end = tip
-    while end in above:
-        path.insert(0, above[end])
-        end = above[end].parent
+    path = _path(joints, tip)
     rotation, place_m = np.eye(3), np.zeros(3)
     axes, points_m = [], []
     for one in path:
@@ -167,5 +170,5 @@ def kinematics(joints: Mapping[str, UrdfJoint], link: str = "") -> Kinematics:
     prismatic = np.array([one.kind == "prismatic" for one in moving], dtype=float)
     names = tuple(one.name for one in moving)
     return Kinematics(
-        end, tip, names, np.array(axes), np.array(points_m), prismatic, rotation, place_m
+        path[0].parent, tip, names, np.array(axes), np.array(points_m), prismatic, rotation, place_m
     )

@@ -6,7 +6,9 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import yaml
@@ -33,7 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             if not path.absolute().parent.is_dir():
                 raise ValueError(f"the folder {path.absolute().parent} does not exist")
         with given.urdf.open("rb") as file:
-            text = file.read(_MOST_URDF).decode("utf-8")
+            text = file.read(_MOST_URDF).decode("utf-8", "replace")
         arm = kinematics(read_joints(text), given.tip)
         data = _data(given)
         say = None if given.quiet else (lambda words: print(f"{words} ...", file=sys.stderr))
@@ -96,8 +98,8 @@ def report(found: Calibration) -> str:
         f"images stamped late: {round(1e3 * found.delay_s, 1) + 0.0:.1f} +- "
         f"{1e3 * found.delay_deviation_s:.1f} ms; "
         f"lengths reported over true: {found.scale:.4f} +- {found.scale_deviation:.4f}",
-        f"residual {1e3 * found.residual_m:.2f} mm (median), {found.misfit:.2f} of that without "
-        f"URDF; {len(found.stamps_s)} images, {found.outliers} outliers",
+        f"residual {1e3 * found.residual_m:.2f} mm (median); {len(found.stamps_s)} images, "
+        f"{found.outliers} outliers",
         *(f"note: {one}" for one in found.notes()),
         "",
         static_transform(found),
@@ -110,20 +112,19 @@ def static_transform(found: Calibration) -> str:
     names = ("x", "y", "z", "qx", "qy", "qz", "qw")
     numbers = [*found.translation_m, *to_quaternion(found.rotation)]
     words = " ".join(f"--{name} {one:.6f}" for name, one in zip(names, numbers, strict=True))
-    return (
-        f"ros2 run tf2_ros static_transform_publisher {words} --frame-id {found.parent} "
-        f"--child-frame-id {found.camera}"
-    )
+    frames = f"--frame-id {quote(found.parent)} --child-frame-id {quote(found.camera)}"
+    return f"ros2 run tf2_ros static_transform_publisher {words} {frames}"
 
 
 def urdf_joint(found: Calibration) -> str:
     """A joint that puts the camera's frame into a URDF."""
     place = " ".join(f"{one:.6f}" for one in found.translation_m)
     turn = " ".join(f"{one:.6f}" for one in Rotation.from_matrix(found.rotation).as_euler("xyz"))
+    camera, parent = quoteattr(found.camera), quoteattr(found.parent)
     return (
-        f'<link name="{found.camera}"/>\n'
-        f'<joint name="{found.camera}_joint" type="fixed">\n'
-        f'  <parent link="{found.parent}"/>\n  <child link="{found.camera}"/>\n'
+        f"<link name={camera}/>\n"
+        f'<joint name={quoteattr(found.camera + "_joint")} type="fixed">\n'
+        f"  <parent link={parent}/>\n  <child link={camera}/>\n"
         f'  <origin xyz="{place}" rpy="{turn}"/>\n</joint>\n'
     )
 

@@ -49,7 +49,7 @@ class CalibrateNode(ros.FvsNode):
         self._found: Calibration | None = None
         self._next_s, self._good = _FIRST_S, 0
         #: Whether the newest calibration had all the time that it may have.
-        self._last = False
+        self._last = self._done = False
         self._reason = "waiting for the robot's description"
         self._transforms: Any = None
         if config.urdf_path:
@@ -101,7 +101,7 @@ class CalibrateNode(ros.FvsNode):
         return some[-1].stamp_s - some[0].stamp_s if some else 0.0
 
     def _poll(self) -> None:
-        if self.exit_code is not None:
+        if self.exit_code is not None or self._done:
             return
         if self._job is not None and self._job.done():
             self._take(self._job)
@@ -126,7 +126,8 @@ class CalibrateNode(ros.FvsNode):
         try:
             self._found = found = job.result()
         except ValueError as error:
-            self._reason, self._good = str(error)[:400], 0
+            # What was found before may be of a camera that has moved since.
+            self._found, self._reason, self._good = None, str(error)[:400], 0
             return
         self._reason = found.verdict[1]
         limits = self._config.stop_at_m, self._config.stop_at_rad
@@ -142,14 +143,19 @@ class CalibrateNode(ros.FvsNode):
             return
         write(found, self._path)
         print(f"{report(found)}\nwritten to {self._path}", flush=True)
-        self._publish_transform(found)
-        self.exit_code = stop.EXIT_FAILURE if found.verdict[0] == "unusable" else stop.EXIT_OK
+        unusable = found.verdict[0] == "unusable"
+        if not unusable and self._config.stay and self._publish_transform(found):
+            self._done, self._reason = True, "the transform is on /tf_static"
+        else:
+            self.exit_code = stop.EXIT_FAILURE if unusable else stop.EXIT_OK
 
-    def _publish_transform(self, found: Calibration) -> None:
+    def _publish_transform(self, found: Calibration) -> bool:
+        """Publish it for as long as the node runs; False if that is not possible."""
         try:
             from tf2_msgs.msg import TFMessage
         except ImportError:
-            return  # the printed command publishes it
+            print("tf2_msgs is not installed: publish it by the command above", file=sys.stderr)
+            return False
         one = TransformStamped()
         one.header.frame_id, one.child_frame_id = found.parent, found.camera
         one.header.stamp = self.get_clock().now().to_msg()
@@ -158,6 +164,7 @@ class CalibrateNode(ros.FvsNode):
         turn.x, turn.y, turn.z, turn.w = to_quaternion(found.rotation).tolist()
         self._transforms = self.publisher(topics.TF_STATIC)
         self._transforms.publish(TFMessage(transforms=[one]))
+        return True
 
     def _publish_status(self) -> None:
         found = self._found
@@ -172,7 +179,7 @@ class CalibrateNode(ros.FvsNode):
 
     def finish(self) -> None:
         """When interrupted, write what is known."""
-        if self.exit_code is None:
+        if self.exit_code is None and not self._done:
             self._conclude()
         self._worker.shutdown(wait=False, cancel_futures=True)
 

@@ -20,6 +20,9 @@ class CalibrateConfig(ServoedConfig):
     output_path: str = parameter(
         "out/calibrate/camera.yaml", "file to write; a picture of the same name is put beside it"
     )
+    stay: bool = parameter(
+        False, "stay when the camera is known, and keep the transform on /tf_static"
+    )
     duration_s: float = parameter(
         120.0, "time after which the motion has to be enough, s of the images' stamps", 10.0, 3600.0
     )

@@ -34,7 +34,7 @@ def read_data_set(path: Path, joint_states: str = "", seen: str = "") -> DataSet
         If there is no bag, or it lacks one of the topics.
     """
     try:
-        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise ValueError(f"a bag needs rosbags: {how_to_install('record', ['rosbags'])}") from None
@@ -46,13 +46,16 @@ def read_data_set(path: Path, joint_states: str = "", seen: str = "") -> DataSet
             joints = _topic(types, joint_states, (_JOINTS,), (JOINT_STATES.name,))
             feature = _topic(types, seen, (_POINT, _POSE), (BALL_POSITION.name, TOOL_POSE.name))
             wanted = [one for one in reader.connections if one.topic in (joints, feature)]
-            messages = (
+            messages = [
                 (connection.topic == joints, reader.deserialize(raw, connection.msgtype))
                 for connection, _, raw in reader.messages(wanted)
-            )
-            return _paired(messages, types[feature] == _POSE, path)
-    except AnyReaderError as error:
-        raise ValueError(f"cannot read {path}: {str(error)[:200]}") from error
+            ]
+    except ValueError:
+        raise
+    except Exception as error:  # a damaged file shows anywhere in the reader
+        words = " ".join(str(error).split())[:200]
+        raise ValueError(f"cannot read {path} ({type(error).__name__}: {words})") from error
+    return _paired(messages, types[feature] == _POSE, path)
 
 
 def _topic(types: dict[str, str], given: str, kinds: Sequence[str], names: Sequence[str]) -> str:
@@ -72,18 +75,19 @@ def _topic(types: dict[str, str], given: str, kinds: Sequence[str], names: Seque
     )
 
 
-def _paired(messages: Any, is_pose: bool, path: Path) -> DataSet:
+def _paired(messages: Sequence[tuple[bool, Any]], is_pose: bool, path: Path) -> DataSet:
     """Pair each feature with the joints at its stamp."""
     feature = PoseFeature(ServoedConfig.lever_arm_m) if is_pose else Feature()
     timeline, samples = Timeline(), list[Sample]()
-    names: tuple[str, ...] = ()
+    # The arm's: a gripper's may come on the same topic.
+    given_names = (tuple(message.name) for is_joints, message in messages if is_joints)
+    names = max(given_names, key=len, default=())
     frame = ""
     for is_joints, message in messages:
         stamp = message.header.stamp
         stamp_s = stamp.sec + 1e-9 * stamp.nanosec
         if is_joints:
             given = dict(zip(message.name, message.position, strict=False))
-            names = names or tuple(given)
             joints = np.array([given.get(name, np.nan) for name in names])
             if np.isfinite(joints).all():
                 samples += timeline.add_joints(stamp_s, joints)
