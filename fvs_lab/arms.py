@@ -70,12 +70,18 @@ def collect(simulation: Simulation, config: CollectorConfig) -> DataSet:
     )
 
 
-def learn(arm: str) -> tuple[TrainedModel, float]:
-    """Move the arm as the collector does, and train; also the Jacobian's error in the box."""
+def collected(arm: str, duration_s: float, seed: int) -> tuple[Simulation, DataSet]:
+    """The simulation of an arm, and what the collector collects there."""
     simulation = _simulation(arm)
     names = simulation.world.joint_names
-    asked = CollectorConfig(joint_names=names, duration_s=MOTION_S, seed=1)
-    data = collect(simulation, CollectorConfig.from_values(_described(arm, asked)))
+    asked = CollectorConfig(joint_names=names, duration_s=duration_s, seed=seed)
+    return simulation, collect(simulation, CollectorConfig.from_values(_described(arm, asked)))
+
+
+def learn(arm: str) -> tuple[TrainedModel, float]:
+    """Move the arm as the collector does, and train; also the Jacobian's error in the box."""
+    simulation, data = collected(arm, MOTION_S, 1)
+    names = simulation.world.joint_names
     trained = train(data, TrainingOptions("poe", seed=1))
     assert trained.chain is not None
     low, high = trained.joint_box_rad

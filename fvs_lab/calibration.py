@@ -17,13 +17,13 @@ from fvs_estimator_node.collecting import CollectorConfig
 from fvs_estimator_node.files import DataSet
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
-from fvs_lab.arms import collect
+from fvs_lab.arms import collect, collected
 from fvs_lab.results import Results
 from fvs_lab.trials import BOX_RAD, HOME_RAD, Conditions, simulation_of
 from fvs_ros.feature import rotation_matrix, rotation_vector_rad
 from fvs_ros.topics import BALL, POSE
 from fvs_ros.urdf import Kinematics, kinematics, read_joints
-from fvs_sim_node.robot import robot_of
+from fvs_sim_node.robot import ROBOTS, robot_of
 from fvs_sim_node.simulation import Simulation
 
 #: Duration of the motion, s, and others that are tried.
@@ -41,6 +41,15 @@ SOLVERS = {
 }
 #: OpenCV 5 has it no longer; with none, the solvers have no rows.
 _SOLVE: Any = getattr(cv2, "calibrateHandEye", None)
+#: Other conditions, with a ball and an exact URDF, and other arms before an exact camera.
+OTHERS = {
+    "camera at 0.8 m": Conditions(position_noise_m=0.0, camera_distance_m=0.8),
+    "camera at 1.8 m": Conditions(position_noise_m=0.0, camera_distance_m=1.8),
+    "1 mm more noise": Conditions(position_noise_m=0.001),
+    "joints: 0.2 mrad of noise": Conditions(position_noise_m=0.0, encoder_noise_rad=2e-4),
+    "focal length 1 % too long": Conditions(position_noise_m=0.0, focal_error=0.01),
+}
+ARMS = ("iiwa", "xarm6", "panda")
 #: Largest errors, m and degrees: of an exact URDF, and with errors of the zeros.
 EXACT, WITH_ZEROS = (0.001, 0.1), (0.003, 0.3)
 #: Quantile of chi squared with six degrees of freedom, for 95 %.
@@ -83,18 +92,21 @@ def _row(off: np.ndarray, **columns: Any) -> dict[str, Any]:
     return {**columns, "place_m": way_m, "turn_deg": float(np.degrees(turn_rad))}
 
 
-def by_motion(task: tuple[int, str]) -> list[dict[str, Any]]:
-    """Collect as the collector does, and calibrate: a row for each size of zeros and duration."""
-    seed, feature = task
-    simulation = simulation_of(conditions(feature))
-    asked = CollectorConfig(
+def _asked(feature: str, seed: int) -> CollectorConfig:
+    return CollectorConfig(
         duration_s=MOTION_S,
         seed=seed,
         feature=feature,
         joint_range_rad=(0.5,) * len(HOME_RAD),
         max_joint_velocity_rad_s=0.65,
     )
-    data = collect(simulation, asked)
+
+
+def by_motion(task: tuple[int, str]) -> list[dict[str, Any]]:
+    """Collect as the collector does, and calibrate: a row for each size of zeros and duration."""
+    seed, feature = task
+    simulation = simulation_of(conditions(feature))
+    data = collect(simulation, _asked(feature, seed))
     rows = []
     for size_deg in ZEROS_DEG:
         zeros = zeros_rad(seed, size_deg)
@@ -115,6 +127,26 @@ def by_motion(task: tuple[int, str]) -> list[dict[str, Any]]:
                 )
             )
     return rows
+
+
+def elsewhere(task: tuple[str, int]) -> dict[str, Any]:
+    """Calibrate under other conditions, or another arm: a row."""
+    name, seed = task
+    if name in ARMS:
+        robot = robot_of(name)
+        kin = kinematics(read_joints(robot.file().read_text("utf-8")), robot.ball_link)
+        simulation, data = collected(name, MOTION_S, seed)
+    else:
+        kin, simulation = arm(), simulation_of(OTHERS[name])
+        data = collect(simulation, _asked(BALL, seed))
+    found = calibrate(data, kin)
+    camera = simulation.camera
+    off = np.append(
+        found.translation_m - camera.position_m,
+        rotation_vector_rad(found.rotation @ camera.rotation.T),
+    )
+    inside = bool(off @ np.linalg.solve(found.covariance, off) < _ELLIPSOID)
+    return _row(off, scheme=name, part="elsewhere", seed=seed, inside=inside)
 
 
 def _first(data: DataSet, duration_s: float) -> DataSet:
@@ -158,8 +190,11 @@ def measure(context: lab.Context) -> lab.Found:
     seeds = range(1, 1 + context.count(20, 1))
     tasks = [(seed, feature) for feature in (BALL, POSE) for seed in seeds]
     motion = context.map(by_motion, tasks[:1] if context.quick else tasks, "motion")
+    names = (*OTHERS, *(name for name in ARMS if ROBOTS[name].installed))
+    other = [(name, seed) for name in names for seed in seeds[: max(1, len(seeds) // 4)]]
+    others = context.map(elsewhere, other[:1] if context.quick else other, "elsewhere")
     taught = context.map(by_solvers, seeds if _SOLVE else [], "taught poses")
-    rows = [row for some in (*motion, *taught) for row in some]
+    rows = [row for some in (*motion, *taught, others) for row in some]
     facts = {"count": len(seeds), "opencv": cv2.__version__, "solvers": bool(_SOLVE)}
     rgb, seen_px, off_px = overlay()
     drawn = {"rgb": rgb, "seen_px": seen_px, "off_px": float(off_px.max())}
@@ -191,7 +226,8 @@ _COLUMNS = ("place_m", "place_m:all", "turn_deg", "turn_deg:all", "zero_deg:all"
 
 def _full(runs: Results) -> Results:
     """All that had the whole motion, and the solvers."""
-    return runs.those(lambda row: row.get("motion_s", MOTION_S) == MOTION_S)
+    some = runs.those(lambda row: "zeros_deg" in row)
+    return some.those(lambda row: row.get("motion_s", MOTION_S) == MOTION_S)
 
 
 TABLES = (
@@ -202,6 +238,7 @@ TABLES = (
         rows=lambda runs: runs.those(lambda row: "motion_s" in row),
     ),
     lab.TableOf("solvers", ("scheme", "zeros_deg"), _COLUMNS[:4], rows=_full),
+    lab.TableOf("elsewhere", ("scheme",), (*_COLUMNS[:4], "inside:of"), {"part": "elsewhere"}),
 )
 
 

@@ -68,7 +68,7 @@ def test_a_tag_is_toured_dragged_and_turned(ros_test, pages):
     page = pages(address_of(ros_test, process))
     targets = ros_test.collect(PoseStamped, topics.TARGET_POSE.name, ros.QOS_RELIABLE)
     seen = ros_test.collect(PoseStamped, topics.TOOL_POSE.name)
-    ros_test.spin_until(lambda: bool(targets), 40.0, "the tour's first target", page.text)
+    ros_test.spin_until(lambda: bool(targets and seen), 40.0, "the tour's first target", page.text)
     at, turn = ros.from_pose(seen[-1], "tool_pose")
     page.drag_target(tuple(at.tolist()), turn=tuple(np.roll(turn, 1).tolist()))
 

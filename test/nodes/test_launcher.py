@@ -166,7 +166,7 @@ def test_every_executable_says_what_it_is_for():
         assert f"\n\n{name}: " in f"\n\n{text}"
         assert "usage: " in text
         wanted = {"fvs_launch": "  demo  ", "fvs_experiments": "  servo  ", "fvs_train": "--method"}
-        wanted |= {"fvs_servo_node": "--ros-args", "fvs_tag": "--size-m"}
+        wanted |= {"fvs_servo_node": "--ros-args", "fvs_tag": "--size-m", "fvs_calibrate": "--urdf"}
         if name in NODE_TABLE:
             wanted[name] = "\nparameters and their defaults:\n  "
         assert wanted[name] in text
