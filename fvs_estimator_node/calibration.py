@@ -502,7 +502,8 @@ class _Calibrating:
         turns = np.swapaxes(cross_matrix(self._seen[:, :3] - self._middle), 1, 2)
         shifts = np.broadcast_to(np.eye(3), turns.shape)
         white = self._white[:, :3, :3]
-        rows = white @ np.concatenate([turns, shifts], axis=2)
+        slopes = np.concatenate([turns, shifts], axis=2)
+        rows = white @ slopes
         wanted = (white @ off[..., None])[..., 0]
         # Sums up to each image, of squares and of products: any moment is tried at once.
         square = np.cumsum(np.einsum("kij,kil->kjl", rows, rows), axis=0)
@@ -522,11 +523,8 @@ class _Calibrating:
         displaced_m = np.linalg.norm(turns @ move[:3] + move[3:], axis=1).mean()
         noise_m = self._fit.noise_m
         if gain > _BUMPED * np.sum(wanted**2) and displaced_m > GOOD[0]:
-            after = np.arange(len(off)) > best
-            both = [np.linalg.solve(square[best], pull[best])]
-            both.append(both[0] + move)
-            moves = np.where(after[:, None], both[1], both[0])
-            slopes = np.concatenate([turns, shifts], axis=2)
+            before = np.linalg.solve(square[best], pull[best])
+            moves = before + np.outer(np.arange(len(off)) > best, move)
             rest = off - np.einsum("kij,kj->ki", slopes, moves)
             if _length(rest) > max(_EXPLAINED * noise_m, 0.5 * _length(off)):
                 self._refuse_chain()
