@@ -83,11 +83,14 @@ class Rectifier:
         Colours are interpolated, and black outside the camera's view. Depth is that of the nearest
         pixel, because a mean of two surfaces lies on neither; 0 where there is none.
         """
+        return self.colour(rgb, region), self.depth(depth_m, region)
+
+    def depth(self, depth_m: np.ndarray, region: Region) -> np.ndarray:
+        """The same of the depth image alone."""
         part = region.part
         if self._maps is None:
-            return rgb[part], depth_m[part]
-        depth_m = cv2.remap(depth_m, self._maps[1][part], np.empty(0), cv2.INTER_NEAREST)
-        return self.colour(rgb, region), depth_m
+            return depth_m[part]
+        return cv2.remap(depth_m, self._maps[1][part], np.empty(0), cv2.INTER_NEAREST)
 
     def colour(self, rgb: np.ndarray, region: Region) -> np.ndarray:
         """The same of the colour image alone."""

@@ -64,7 +64,7 @@ class TagDetector:
         if not corners_px:
             return Sighting(None, problem)
         if depth_m is not None:
-            depth_m = rectifier.cut(rgb, depth_m, Region.whole(view))[1]
+            depth_m = rectifier.depth(depth_m, Region.whole(view))
         pose, problem = self._poses.find(stamp_s, corners_px, view, depth_m)
         if pose is None:
             return Sighting(None, problem, _bounds(np.concatenate(list(corners_px.values()))))

@@ -332,13 +332,7 @@ class _Calibrating:
         self._white = whitening(self._free_off, self._seen)
         # The arm as it stands at the fit's reference joints, carrying nothing yet.
         self._reference = fit.chain.reference_rad
-        moved = [
-            arm.chain(np.append(point_m, axis)).position(
-                np.where(np.arange(n) < i, self._reference, 0.0)
-            )
-            for i, (point_m, axis) in enumerate(zip(arm.points_m, arm.axes, strict=True))
-        ]
-        self._points, self._axes = np.hsplit(np.array(moved), 2)
+        self._points, self._axes = arm.at(self._reference)
         self._rotation, self._shift = self._registered()
         carried = fit.chain.feature_m.reshape(-1, 3) @ self._rotation
         carried[0] -= self._shift @ self._rotation
@@ -652,14 +646,11 @@ class _Calibrating:
 
     def _on_tip(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """Ball or tag in the tip's frame: place, m, and rotation of a tag."""
-        arm = self._arm
-        tip = np.concatenate([arm.tip_m, arm.tip_rotation.T.ravel()])
-        moved = arm.chain(tip).position(self._reference)
-        turn = moved[3:].reshape(3, 3)  # rows: the tip's axes
+        turn, tip_m = self._arm.tip_at(self._reference)
         carried = self._feature.displaced(
             self._carried, values[self._at.carried] * self._feature.task_scale
         )
-        place_m = turn @ (carried[:3] - moved[:3])
+        place_m = turn @ (carried[:3] - tip_m)
         if not isinstance(self._feature, PoseFeature):
             return place_m, None
         return place_m, turn @ self._feature.rotation(carried)

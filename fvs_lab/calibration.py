@@ -12,7 +12,7 @@ import numpy as np
 
 from fvs_detector_node.tag_pose import TagPose
 from fvs_detector_node.tags import Tag
-from fvs_estimator_node.calibration import calibrate
+from fvs_estimator_node.calibration import Calibration, calibrate
 from fvs_estimator_node.collecting import CollectorConfig
 from fvs_estimator_node.files import DataSet
 from fvs_lab import experiment as lab
@@ -92,6 +92,11 @@ def _row(off: np.ndarray, **columns: Any) -> dict[str, Any]:
     return {**columns, "place_m": way_m, "turn_deg": float(np.degrees(turn_rad))}
 
 
+def _inside(found: Calibration, off: np.ndarray) -> bool:
+    """Whether the truth is within the 95 % ellipsoid."""
+    return bool(off @ np.linalg.solve(found.covariance, off) < _ELLIPSOID)
+
+
 def _asked(feature: str, seed: int) -> CollectorConfig:
     return CollectorConfig(
         duration_s=MOTION_S,
@@ -122,7 +127,7 @@ def by_motion(task: tuple[int, str]) -> list[dict[str, Any]]:
                     motion_s=duration_s,
                     zeros_deg=size_deg,
                     seed=seed,
-                    inside=bool(off @ np.linalg.solve(found.covariance, off) < _ELLIPSOID),
+                    inside=_inside(found, off),
                     zero_deg=float(np.degrees(np.abs((found.zeros_rad - zeros)[known]).max())),
                 )
             )
@@ -140,13 +145,8 @@ def elsewhere(task: tuple[str, int]) -> dict[str, Any]:
         kin, simulation = arm(), simulation_of(OTHERS[name])
         data = collect(simulation, _asked(BALL, seed))
     found = calibrate(data, kin)
-    camera = simulation.camera
-    off = np.append(
-        found.translation_m - camera.position_m,
-        rotation_vector_rad(found.rotation @ camera.rotation.T),
-    )
-    inside = bool(off @ np.linalg.solve(found.covariance, off) < _ELLIPSOID)
-    return _row(off, scheme=name, part="elsewhere", seed=seed, inside=inside)
+    off = errors(simulation, np.zeros(1), found.rotation, found.translation_m)
+    return _row(off, scheme=name, part="elsewhere", seed=seed, inside=_inside(found, off))
 
 
 def _first(data: DataSet, duration_s: float) -> DataSet:
@@ -170,12 +170,10 @@ def by_solvers(seed: int) -> list[dict[str, Any]]:
     rows = []
     for size_deg in ZEROS_DEG:
         zeros = zeros_rad(seed, size_deg)
-        tip = np.concatenate([arm().tip_m, arm().tip_rotation.T.ravel()])
-        tips = arm().chain(tip).position(np.array(joints) - zeros)
+        turns, places = arm().tip_at(np.array(joints) - zeros)  # rows: the tip's axes
         # The solvers are for a camera in the hand; for one beside it, the base moves as the tip
         # sees it.
-        turns = tips[:, 3:].reshape(-1, 3, 3)  # rows: the tip's axes
-        shifts = [-turn @ place for turn, place in zip(turns, tips[:, :3], strict=True)]
+        shifts = [-turn @ place for turn, place in zip(turns, places, strict=True)]
         for name, method in SOLVERS.items():
             rotation, place = _SOLVE(
                 list(turns), shifts, *map(list, zip(*boards, strict=True)), method=method
@@ -252,12 +250,7 @@ def overlay() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     frame = simulation.look().frame
     simulation.full_frames = False
     assert frame is not None
-    places = []
-    for i in range(len(HOME_RAD)):
-        before = np.where(np.arange(len(HOME_RAD)) < i, HOME_RAD, 0.0)
-        places.append(arm().chain(arm().points_m[i]).position(before))
-    places.append(arm().chain(arm().tip_m).position(HOME_RAD))
-    world_m = np.array(places)
+    world_m = np.vstack([arm().at(HOME_RAD)[0], arm().tip_at(HOME_RAD)[1]])
     seen, true = (
         simulation.intrinsics.project((world_m - place_m) @ rotation)
         for rotation, place_m in (

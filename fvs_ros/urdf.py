@@ -136,6 +136,24 @@ class Kinematics:
         zero = np.zeros(len(self.names))
         return SerialChain(self.axes, self.points_m, feature_m, zero, self.prismatic)
 
+    def at(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points of the axes, m, and their directions, (n, 3) each, at joints, rad (m), (n,)."""
+        place = np.arange(len(self.names))
+        moved = [
+            self.chain(np.append(self.points_m[i], self.axes[i])).position(
+                np.where(place < i, joints_rad, 0.0)
+            )
+            for i in place
+        ]
+        points_m, axes = np.hsplit(np.array(moved), 2)
+        return points_m, axes
+
+    def tip_at(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Axes of the tip, in rows, (..., 3, 3), and its place, m, (..., 3), at joints, rad."""
+        tip = np.concatenate([self.tip_m, self.tip_rotation.T.ravel()])
+        moved = self.chain(tip).position(joints_rad)
+        return moved[..., 3:].reshape(*moved.shape[:-1], 3, 3), moved[..., :3]
+
     def reversed(self) -> Kinematics:
         """The same arm as its tip sees it: the last joint first, and each turning the root."""
         back = self.tip_rotation.T
