@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from fvs_estimator_node.calibration import calibrate
 from fvs_estimator_node.files import DataSet
+from fvs_estimator_node.hand_eye import calibrate
 from fvs_ros.feature import PoseFeature
 from fvs_ros.urdf import Kinematics
 

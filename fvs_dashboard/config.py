@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fvs_ros.camera import BallConfig
+from fvs_ros.camera import BallConfig, CameraTopicsConfig
 from fvs_ros.feature import ServoedConfig
 from fvs_ros.joints import JOINT_PARAMETERS
 from fvs_ros.params import parameter
@@ -14,7 +14,7 @@ VISER = "viser[urdf]>=1.1,<1.2"
 
 
 @dataclass(frozen=True)
-class DashboardConfig(BallConfig, ServoedConfig):
+class DashboardConfig(BallConfig, ServoedConfig, CameraTopicsConfig):
     """Parameters of the page, apart from the joint names."""
 
     host: str = parameter(
@@ -22,9 +22,6 @@ class DashboardConfig(BallConfig, ServoedConfig):
         "address of the page; with 0.0.0.0 everyone on the network can move the arm",
     )
     port: int = parameter(8080, "port of the page; 0 takes any free one", 0, 65535)
-    camera_topics: str = parameter(
-        "", "prefix of the camera's topics, before /color/image_raw; empty: camera or camera/camera"
-    )
     tour: bool = parameter(False, "send ball or tag through random targets until a user takes over")
     model_path: str = parameter(
         "",

@@ -31,8 +31,7 @@ from fvs_ros.background import step_back
 from fvs_ros.feature import PoseFeature, from_quaternion
 from fvs_ros.joints import JointMap, JointStateError
 from fvs_ros.paths import find_file
-from fvs_ros.ros.images import from_color
-from fvs_ros.topics import CAMERA_PREFIXES
+from fvs_ros.ros.images import from_color, sampled_camera
 from fvs_tools.demo import choose_target
 
 #: Slightly lower priority than the loop: the buttons must work on a busy machine, too.
@@ -184,28 +183,19 @@ class DashboardNode(ros.FvsNode):
         if watched:
             self._page.update(self._board, self._picture, now_s)
 
-    def _camera_names(self, topic: str) -> list[str]:
-        """The possible names of a camera topic, which depend on the driver."""
-        given = self._config.camera_topics
-        prefixes = (given,) if given else CAMERA_PREFIXES
-        return [topic.replace(CAMERA_PREFIXES[0], prefix, 1) for prefix in prefixes]
-
     def _look_at_images(self, wanted: bool) -> None:
         """Subscribe while a browser shows them: the simulator draws images for subscribers only."""
         while self._cameras:
             self._cameras.pop().close()
-        for kind, topic, take in (
-            (CameraInfo, topics.CAMERA_INFO, self._on_camera_info),
-            (Image, topics.COLOR_IMAGE, self._on_image),
-        ):
-            for name in self._camera_names(topic.name) if wanted else ():
-                self._cameras.append(ros.Sampled(self, kind, name, take))
+        if wanted:
+            prefix = self._config.camera_topics
+            self._cameras = sampled_camera(self, prefix, self._on_image, self._on_camera_info)
 
     def _look_around(self) -> None:
         """Query what has no topic: parameters of the other nodes, and publishers of images."""
         if not self._page.watched:
             return
-        names = self._camera_names(topics.COLOR_IMAGE.name)
+        names = topics.camera_names(topics.COLOR_IMAGE, self._config.camera_topics)
         found = [name for name in names if self.count_publishers(name)]
         self._picture.waits_for = (
             f"waiting for the first picture from {' or '.join(found)}"

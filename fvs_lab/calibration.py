@@ -12,9 +12,10 @@ import numpy as np
 
 from fvs_detector_node.tag_pose import TagPose
 from fvs_detector_node.tags import Tag
-from fvs_estimator_node.calibration import Calibration, calibrate
+from fvs_estimator_node.calibration import Calibration
 from fvs_estimator_node.collecting import CollectorConfig
 from fvs_estimator_node.files import DataSet
+from fvs_estimator_node.hand_eye import calibrate
 from fvs_lab import experiment as lab
 from fvs_lab import figures as draw
 from fvs_lab.arms import collect, collected
@@ -25,6 +26,7 @@ from fvs_ros.topics import BALL, POSE
 from fvs_ros.urdf import Kinematics, kinematics, read_joints
 from fvs_sim_node.robot import ROBOTS, robot_of
 from fvs_sim_node.simulation import Simulation
+from fvs_tools.overlay import arm_px
 
 #: Duration of the motion, s, and others that are tried.
 MOTION_S, OTHERS_S = 60.0, (15.0, 30.0)
@@ -250,14 +252,12 @@ def overlay() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     frame = simulation.look().frame
     simulation.full_frames = False
     assert frame is not None
-    world_m = np.vstack([arm().at(HOME_RAD)[0], arm().tip_at(HOME_RAD)[1]])
-    seen, true = (
-        simulation.intrinsics.project((world_m - place_m) @ rotation)
-        for rotation, place_m in (
-            (found.rotation, found.translation_m),
-            (simulation.camera.rotation, simulation.camera.position_m),
-        )
-    )
+    camera = simulation.camera
+    exact = replace(
+        found, rotation=camera.rotation, translation_m=camera.position_m, focal=1.0,
+        zeros_rad=np.zeros(len(HOME_RAD)),
+    )  # fmt: skip
+    seen, true = (arm_px(one, HOME_RAD, simulation.intrinsics) for one in (found, exact))
     return frame.rgb, seen, np.linalg.norm(seen - true, axis=1)
 
 

@@ -34,6 +34,15 @@ class BallConfig(FeatureConfig):
 
 
 @dataclass(frozen=True)
+class CameraTopicsConfig(Parameters):
+    """Where the images come from, for those that show them."""
+
+    camera_topics: str = parameter(
+        "", "prefix of the camera's topics, before /color/image_raw; empty: camera or camera/camera"
+    )
+
+
+@dataclass(frozen=True)
 class Intrinsics:
     """A pinhole camera without distortion.
 

@@ -133,6 +133,7 @@ _EITHER = End((Qos.LATCHED, Qos.NEWEST))
 _SIMULATED = End((Qos.RELIABLE,), given={"simulated_time": True})
 _AT_THE_END = End((Qos.RELIABLE,), later="after the last target")
 _WHILE_WATCHED = End((Qos.NEWEST,), later="while a browser shows the page")
+_ONE_IMAGE = End((Qos.NEWEST,), later="after 15 s of motion, for one image")
 
 
 def _taken(interface: str) -> End:
@@ -279,6 +280,13 @@ ROBOT_DESCRIPTION = Topic(
 #: Name prefixes of camera topics: the declared one, and that of the RealSense driver.
 CAMERA_PREFIXES = ("camera", "camera/camera")
 
+
+def camera_names(topic: Topic, prefix: str) -> list[str]:
+    """Possible names of a camera's topic: below a prefix, or, if that is empty, the usual ones."""
+    prefixes = (prefix.rstrip("/"),) if prefix else CAMERA_PREFIXES
+    return [topic.name.replace(CAMERA_PREFIXES[0], one, 1) for one in prefixes]
+
+
 COLOR_IMAGE = Topic(
     "camera/color/image_raw",
     "sensor_msgs/msg/Image",
@@ -288,6 +296,7 @@ COLOR_IMAGE = Topic(
         DETECTOR: End((Qos.RELIABLE,), {"compressed_images": False}),
         DEMO: _AT_THE_END,
         DASHBOARD: _WHILE_WATCHED,
+        CALIBRATE: _ONE_IMAGE,
     },
     also_from=_CAMERA,
 )
@@ -319,7 +328,12 @@ CAMERA_INFO = Topic(
     "sensor_msgs/msg/CameraInfo",
     "The colour camera's pinhole model, at the image rate, images drawn or not.",
     {SIM: _RELIABLE},
-    {DETECTOR: _NEWEST, DEMO: _AT_THE_END, DASHBOARD: _WHILE_WATCHED},
+    {
+        DETECTOR: _NEWEST,
+        DEMO: _AT_THE_END,
+        DASHBOARD: _WHILE_WATCHED,
+        CALIBRATE: _ONE_IMAGE,
+    },
     also_from=_CAMERA,
 )
 STATUS = Topic(

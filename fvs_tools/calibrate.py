@@ -14,13 +14,15 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from fvs_estimator_node.calibration import Calibration, calibrate
+from fvs_estimator_node.calibration import Calibration
 from fvs_estimator_node.files import DataSet, load_data_set
+from fvs_estimator_node.hand_eye import calibrate
 from fvs_ros import console
 from fvs_ros.arguments import Parser
 from fvs_ros.feature import to_quaternion
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_ros.urdf import kinematics, read_joints
+from fvs_tools.overlay import Photograph, draw, residual_px
 
 #: Largest URDF that is read, bytes.
 _MOST_URDF = 2**24
@@ -37,24 +39,25 @@ def main(argv: Sequence[str] | None = None) -> int:
         with given.urdf.open("rb") as file:
             text = file.read(_MOST_URDF).decode("utf-8", "replace")
         arm = kinematics(read_joints(text), given.tip)
-        data = _data(given)
+        data, photo = _data(given)
         say = None if given.quiet else (lambda words: print(f"{words} ...", file=sys.stderr))
         found = calibrate(data, arm, given.camera_on_arm, say)
-        write(found, given.output)
+        write(found, given.output, data, photo)
     except (ValueError, OSError) as error:
         print(f"fvs_calibrate: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
-    print(report(found))
+    print(report(found, photo))
     print(f"written to {given.output} and {given.output.with_suffix('.png').name}")
     return EXIT_FAILURE if found.verdict[0] == "unusable" else EXIT_OK
 
 
-def _data(given: argparse.Namespace) -> DataSet:
+def _data(given: argparse.Namespace) -> tuple[DataSet, Photograph | None]:
     if given.data.suffix == ".npz":
-        return load_data_set(given.data)
-    from fvs_tools.recorded import read_data_set
+        return load_data_set(given.data), None
+    from fvs_tools.recorded import read_data_set, read_photograph
 
-    return read_data_set(given.data, given.joint_states, given.seen)
+    data = read_data_set(given.data, given.joint_states, given.seen)
+    return data, read_photograph(given.data, data.feature_frame)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -83,8 +86,8 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def report(found: Calibration) -> str:
-    """The printed summary."""
+def report(found: Calibration, photo: Photograph | None = None) -> str:
+    """The printed summary; residuals in pixels with the camera of a photograph."""
     word, reason = found.verdict
     place = ", ".join(f"{1e3 * one:.1f}" for one in found.translation_m)
     turn = ", ".join(f"{one:.5f}" for one in to_quaternion(found.rotation))
@@ -92,13 +95,15 @@ def report(found: Calibration) -> str:
     lines = [
         "",
         f"{word}: {reason}",
-        f"{found.parent} to {found.camera}: ({place}) mm, quaternion ({turn})",
+        f"{found.arm.root} to {found.camera}: ({place}) mm, quaternion ({turn})",
         f"ball or tag in the other end's frame: ({carried}) mm",
         # + 0.0: no negative zero
         f"images stamped late: {round(1e3 * found.delay_s, 1) + 0.0:.1f} +- "
         f"{1e3 * found.delay_deviation_s:.1f} ms; "
         f"lengths reported over true: {found.scale:.4f} +- {found.scale_deviation:.4f}",
-        f"residual {1e3 * found.residual_m:.2f} mm (median); {len(found.stamps_s)} images, "
+        f"residual {1e3 * found.residual_m:.2f} mm"
+        f"{'' if photo is None else f', {residual_px(found, photo.camera):.2f} px'} (median); "
+        f"{len(found.stamps_s)} images, "
         f"{found.outliers} outliers",
         *(f"note: {one}" for one in found.notes()),
         "",
@@ -112,7 +117,7 @@ def static_transform(found: Calibration) -> str:
     names = ("x", "y", "z", "qx", "qy", "qz", "qw")
     numbers = [*found.translation_m, *to_quaternion(found.rotation)]
     words = " ".join(f"--{name} {one:.6f}" for name, one in zip(names, numbers, strict=True))
-    frames = f"--frame-id {quote(found.parent)} --child-frame-id {quote(found.camera)}"
+    frames = f"--frame-id {quote(found.arm.root)} --child-frame-id {quote(found.camera)}"
     return f"ros2 run tf2_ros static_transform_publisher {words} {frames}"
 
 
@@ -120,7 +125,7 @@ def urdf_joint(found: Calibration) -> str:
     """A joint that puts the camera's frame into a URDF."""
     place = " ".join(f"{one:.6f}" for one in found.translation_m)
     turn = " ".join(f"{one:.6f}" for one in Rotation.from_matrix(found.rotation).as_euler("xyz"))
-    camera, parent = quoteattr(found.camera), quoteattr(found.parent)
+    camera, parent = quoteattr(found.camera), quoteattr(found.arm.root)
     return (
         f"<link name={camera}/>\n"
         f'<joint name={quoteattr(found.camera + "_joint")} type="fixed">\n'
@@ -129,7 +134,7 @@ def urdf_joint(found: Calibration) -> str:
     )
 
 
-def content(found: Calibration) -> dict[str, Any]:
+def content(found: Calibration, photo: Photograph | None = None) -> dict[str, Any]:
     """What is written to the file."""
     word, reason = found.verdict
 
@@ -137,7 +142,7 @@ def content(found: Calibration) -> dict[str, Any]:
         return [float(f"{one:.9g}") for one in values]
 
     return {
-        "parent_frame": found.parent,
+        "parent_frame": found.arm.root,
         "camera_frame": found.camera,
         "translation_m": numbers(found.translation_m),
         "rotation_xyzw": numbers(to_quaternion(found.rotation)),
@@ -152,45 +157,18 @@ def content(found: Calibration) -> dict[str, Any]:
         "image_delay_s": float(f"{found.delay_s:.6g}"),
         "image_delay_deviation_s": float(f"{found.delay_deviation_s:.3g}"),
         "length_scale": float(f"{found.scale:.6f}"),
-        "joint_zeros_rad": dict(zip(found.joint_names, numbers(found.zeros_rad), strict=True)),
+        "joint_zeros_rad": dict(zip(found.arm.names, numbers(found.zeros_rad), strict=True)),
         "residual_m": float(f"{found.residual_m:.4g}"),
+        "residual_px": None if photo is None else float(f"{residual_px(found, photo.camera):.3g}"),
         "static_transform": static_transform(found),
         "urdf": urdf_joint(found),
     }
 
 
-def write(found: Calibration, path: Path) -> None:
-    """Write the file, and the picture beside it."""
-    path.write_text(yaml.safe_dump(content(found), sort_keys=False), encoding="utf-8")
-    draw(found).savefig(path.with_suffix(".png"), dpi=110)
-
-
-def draw(found: Calibration) -> Any:
-    """A figure: the arm's axes as the camera sees them, and the residuals over time."""
-    from matplotlib.figure import Figure  # slow, and not needed for --help
-
-    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
-    seen, over = figure.subplots(1, 2)
-    for i, (name, axis, point_m) in enumerate(
-        zip(found.joint_names, found.axes, found.points_m, strict=True)
-    ):
-        ends = point_m + np.array([[-0.1], [0.1]]) * axis
-        if ends[:, 2].min() > 0.05:
-            u, v = ends[:, 0] / ends[:, 2], ends[:, 1] / ends[:, 2]
-            seen.plot(u, v, linewidth=2.5, color=f"C{i}", label=name)
-    at = found.seen_m[:: max(1, len(found.seen_m) // 600)]
-    seen.plot(at[:, 0] / at[:, 2], at[:, 1] / at[:, 2], ".", color="0.6", markersize=2)
-    seen.set(xlabel="x / z", ylabel="y / z", title="axes in the middle of the motion, as seen")
-    seen.invert_yaxis()
-    seen.set_aspect("equal")
-    seen.legend(fontsize=8)
-    time_s = found.stamps_s - found.stamps_s[0]
-    for i, name in enumerate("xyz"):
-        over.plot(time_s, 1e3 * found.residuals_m[:, i], linewidth=0.6, label=name)
-    limit = 6.0 * 1e3 * max(found.residual_m, 1e-5)
-    over.set(xlabel="time, s", ylabel="residual, mm", ylim=(-limit, limit), title=found.verdict[0])
-    over.legend(fontsize=8)
-    return figure
+def write(found: Calibration, path: Path, data: DataSet, photo: Photograph | None = None) -> None:
+    """Write the file, and the picture beside it: over a photograph, if there is one."""
+    path.write_text(yaml.safe_dump(content(found, photo), sort_keys=False), encoding="utf-8")
+    draw(found, data, photo).savefig(path.with_suffix(".png"), dpi=110)
 
 
 if __name__ == "__main__":

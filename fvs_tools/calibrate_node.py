@@ -8,22 +8,27 @@ stop.listen()
 
 import sys
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import String
 
-from fvs_estimator_node.calibration import Calibration, calibrate
-from fvs_estimator_node.files import data_set_of
+from fvs_estimator_node.calibration import Calibration
+from fvs_estimator_node.files import DataSet, data_set_of
+from fvs_estimator_node.hand_eye import calibrate
 from fvs_ros import ros, topics
+from fvs_ros.camera import CameraModel
 from fvs_ros.feature import to_quaternion
 from fvs_ros.joints import ForeignJointsError, JointMap
+from fvs_ros.ros.images import from_color, sampled_camera
 from fvs_ros.timeline import Sample, Timeline
 from fvs_ros.urdf import Kinematics, kinematics, read_joints
 from fvs_tools.calibrate import report, write
 from fvs_tools.calibrating import PARAMETERS, CalibrateConfig
+from fvs_tools.overlay import Photograph
 
 _POLL_S = 0.5
 #: First calibration after this time of motion, s, and least time to the next one.
@@ -52,6 +57,11 @@ class CalibrateNode(ros.FvsNode):
         self._last = self._done = False
         self._reason = "waiting for the robot's description"
         self._transforms: Any = None
+        #: One image and its camera, for the picture; subscribed to only until they are there.
+        self._images: list[ros.Sampled] = []
+        self._camera: CameraModel | None = None
+        self._photo: Photograph | None = None
+        self._data: DataSet | None = None
         if config.urdf_path:
             self._describe(Path(config.urdf_path).read_text("utf-8"))
         else:
@@ -89,6 +99,19 @@ class CalibrateNode(ros.FvsNode):
         vector_m = ros.from_feature(message, feature, frame, feature.seen.name)
         self._add(self._timeline.add_feature(ros.from_stamp(message.header.stamp), vector_m))
 
+    def _look(self) -> None:
+        prefix = self._config.camera_topics
+        self._images = sampled_camera(self, prefix, self._on_image, self._on_camera_info)
+
+    def _on_camera_info(self, message: CameraInfo) -> None:
+        self._camera = ros.from_camera_info(message)
+
+    def _on_image(self, message: Image) -> None:
+        if self._camera is None or message.header.frame_id != self._config.feature_frame:
+            return
+        stamp_s = ros.from_stamp(message.header.stamp)
+        self._photo = Photograph.of(from_color(message), self._camera, stamp_s)
+
     def _add(self, samples: list[Sample]) -> None:
         self._samples += samples[: _MOST - len(self._samples)]
 
@@ -103,6 +126,11 @@ class CalibrateNode(ros.FvsNode):
     def _poll(self) -> None:
         if self.exit_code is not None or self._done:
             return
+        for one in self._images:
+            with suppress(ValueError):  # the picture does without
+                one.look()
+        while self._images and self._photo is not None:
+            self._images.pop().close()
         if self._job is not None and self._job.done():
             self._take(self._job)
             self._job = None
@@ -112,8 +140,10 @@ class CalibrateNode(ros.FvsNode):
         if self._good >= 2 or self._last or (late and self._arm is None):
             self._conclude()
         elif self._arm is not None and self._time_s >= self._next_s:
+            if self._data is None:
+                self._look()
             self._next_s, self._last = self._time_s + _PERIOD_S, late
-            data = data_set_of(
+            self._data = data = data_set_of(
                 list(self._samples),
                 joint_names=self._arm.names,
                 feature_frame=self._config.feature_frame,
@@ -137,12 +167,12 @@ class CalibrateNode(ros.FvsNode):
     def _conclude(self) -> None:
         """Write and publish what was found."""
         found = self._found
-        if found is None:
+        if found is None or self._data is None:
             print(f"no calibration: {self._reason}", file=sys.stderr, flush=True)
             self.exit_code = stop.EXIT_FAILURE
             return
-        write(found, self._path)
-        print(f"{report(found)}\nwritten to {self._path}", flush=True)
+        write(found, self._path, self._data, self._photo)
+        print(f"{report(found, self._photo)}\nwritten to {self._path}", flush=True)
         unusable = found.verdict[0] == "unusable"
         if not unusable and self._config.stay and self._publish_transform(found):
             self._done, self._reason = True, "the transform is on /tf_static"
@@ -157,7 +187,7 @@ class CalibrateNode(ros.FvsNode):
             print("tf2_msgs is not installed: publish it by the command above", file=sys.stderr)
             return False
         one = TransformStamped()
-        one.header.frame_id, one.child_frame_id = found.parent, found.camera
+        one.header.frame_id, one.child_frame_id = found.arm.root, found.camera
         one.header.stamp = self.get_clock().now().to_msg()
         place, turn = one.transform.translation, one.transform.rotation
         place.x, place.y, place.z = found.translation_m.tolist()

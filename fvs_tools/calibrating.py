@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from fvs_ros.camera import CameraTopicsConfig
 from fvs_ros.feature import ServoedConfig
 from fvs_ros.params import parameter
 
 
 @dataclass(frozen=True)
-class CalibrateConfig(ServoedConfig):
+class CalibrateConfig(ServoedConfig, CameraTopicsConfig):
     """Parameters of ``fvs_calibrate_node``."""
 
     urdf_path: str = parameter("", "URDF of the arm; empty: robot_description")

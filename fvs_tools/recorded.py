@@ -1,8 +1,10 @@
-"""A data set from a rosbag2 of an arm that was moved by any means; no ROS."""
+"""A data set, and a photograph, from a rosbag2 of an arm that was moved by any means."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +13,14 @@ import numpy as np
 from fvs_estimator_node.files import DataSet, data_set_of
 from fvs_ros.arguments import how_to_install
 from fvs_ros.feature import Feature, PoseFeature, ServoedConfig, from_quaternion
+from fvs_ros.ros import from_camera_info, from_stamp
+from fvs_ros.ros.images import from_color
 from fvs_ros.timeline import Sample, Timeline
 from fvs_ros.topics import BALL, BALL_POSITION, JOINT_STATES, POSE, TOOL_POSE
+from fvs_tools.overlay import Photograph
 
 _POINT, _POSE = "geometry_msgs/msg/PointStamped", "geometry_msgs/msg/PoseStamped"
-_JOINTS = "sensor_msgs/msg/JointState"
+_JOINTS, _IMAGE = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Image"
 
 
 def read_data_set(path: Path, joint_states: str = "", seen: str = "") -> DataSet:
@@ -33,6 +38,48 @@ def read_data_set(path: Path, joint_states: str = "", seen: str = "") -> DataSet
     ValueError
         If there is no bag, or it lacks one of the topics.
     """
+    with _reading(path) as reader:
+        types = {one.topic: one.msgtype or "" for one in reader.connections}
+        joints = _topic(types, joint_states, (_JOINTS,), (JOINT_STATES.name,))
+        feature = _topic(types, seen, (_POINT, _POSE), (BALL_POSITION.name, TOOL_POSE.name))
+        wanted = [one for one in reader.connections if one.topic in (joints, feature)]
+        messages = [
+            (connection.topic == joints, reader.deserialize(raw, connection.msgtype))
+            for connection, _, raw in reader.messages(wanted)
+        ]
+    return _paired(messages, types[feature] == _POSE, path)
+
+
+def read_photograph(path: Path, frame: str) -> Photograph | None:
+    """A colour image of the camera with this frame, from the middle of a rosbag2, if it has one."""
+    with _reading(path) as reader:
+        of = {one.topic: one for one in reader.connections}
+        for image in reader.connections:
+            info = of.get(image.topic.rsplit("/", 1)[0] + "/camera_info")
+            if image.msgtype != _IMAGE or info is None:
+                continue
+            middle_ns = (reader.start_time + reader.end_time) // 2
+            first = partial(_first, reader, start=middle_ns)
+            photo, camera = first(image), first(info)
+            if photo is None or camera is None or photo.header.frame_id != frame:
+                continue
+            with suppress(ValueError):  # a depth image, or a lens that is not known
+                return Photograph.of(
+                    from_color(photo), from_camera_info(camera), from_stamp(photo.header.stamp)
+                )
+    return None
+
+
+def _first(reader: Any, connection: Any, start: int) -> Any:
+    """The first message of a topic after a time, ns; None if there is none."""
+    for _, _, raw in reader.messages([connection], start=start):
+        return reader.deserialize(raw, connection.msgtype)
+    return None
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[Any]:
+    """A reader of a bag; a ``ValueError`` for whatever is wrong with that."""
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -42,20 +89,12 @@ def read_data_set(path: Path, joint_states: str = "", seen: str = "") -> DataSet
         raise ValueError(f"there is no file or folder {path}")
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
-            types = {one.topic: one.msgtype or "" for one in reader.connections}
-            joints = _topic(types, joint_states, (_JOINTS,), (JOINT_STATES.name,))
-            feature = _topic(types, seen, (_POINT, _POSE), (BALL_POSITION.name, TOOL_POSE.name))
-            wanted = [one for one in reader.connections if one.topic in (joints, feature)]
-            messages = [
-                (connection.topic == joints, reader.deserialize(raw, connection.msgtype))
-                for connection, _, raw in reader.messages(wanted)
-            ]
+            yield reader
     except ValueError:
         raise
     except Exception as error:  # a damaged file shows anywhere in the reader
         words = " ".join(str(error).split())[:200]
         raise ValueError(f"cannot read {path} ({type(error).__name__}: {words})") from error
-    return _paired(messages, types[feature] == _POSE, path)
 
 
 def _topic(types: dict[str, str], given: str, kinds: Sequence[str], names: Sequence[str]) -> str:
@@ -84,8 +123,7 @@ def _paired(messages: Sequence[tuple[bool, Any]], is_pose: bool, path: Path) -> 
     names = max(given_names, key=len, default=())
     frame = ""
     for is_joints, message in messages:
-        stamp = message.header.stamp
-        stamp_s = stamp.sec + 1e-9 * stamp.nanosec
+        stamp_s = from_stamp(message.header.stamp)
         if is_joints:
             given = dict(zip(message.name, message.position, strict=False))
             joints = np.array([given.get(name, np.nan) for name in names])

@@ -7,15 +7,18 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from fvs_estimator_node.calibration import CalibrationError, calibrate
+from fvs_estimator_node.calibration import CalibrationError
 from fvs_estimator_node.files import DataSet, save_data_set
+from fvs_estimator_node.hand_eye import calibrate
 from fvs_estimator_node.motion import MotionConfig, RandomMotion
+from fvs_ros.camera import CameraModel, Intrinsics
 from fvs_ros.feature import PoseFeature, rotation_angle_rad
 from fvs_ros.paths import find_file
 from fvs_ros.urdf import kinematics, read_joints
 from fvs_sim_node.camera import CAMERAS
 from fvs_sim_node.robot import HOME_JOINTS_RAD
 from fvs_tools import calibrate as program
+from fvs_tools.overlay import Photograph, draw
 
 URDF = find_file("robots/ur5.urdf")
 ARM = kinematics(read_joints(URDF.read_text("utf-8")))
@@ -23,14 +26,14 @@ CAMERA = CAMERAS["front"]
 TAG = np.array([0.02, 0.01, 0.1]), Rotation.from_rotvec([0.3, 1.2, 0.4]).as_matrix()
 
 
-def collected(feature="ball", noise_m=2e-4, arm=ARM, on_arm=False, delay_s=0.0, seconds=60.0):
+def collected(
+    feature="ball", noise_m=2e-4, arm=ARM, on_arm=False, delay_s=0.0, seconds=60.0, wide=(0.5,) * 6
+):
     """A minute of motion at 30 Hz, seen by a camera; joints in the URDF's order."""
     rng = np.random.default_rng(3)
     time_s = 0.5 + np.arange(0.0, seconds, 1.0 / 30.0)
-    wide = MotionConfig(
-        duration_s=3600.0, joint_range_rad=(0.5,) * 6, max_joint_velocity_rad_s=0.65
-    )
-    motion = RandomMotion(np.array(HOME_JOINTS_RAD), wide, rng)
+    asked = MotionConfig(duration_s=3600.0, joint_range_rad=wide, max_joint_velocity_rad_s=0.65)
+    motion = RandomMotion(np.array(HOME_JOINTS_RAD), asked, rng)
     joints, reported = (
         np.array([motion.path(one)[0] for one in time_s - late_s]) for late_s in (delay_s, 0.0)
     )
@@ -67,7 +70,7 @@ def test_camera_tag_delay_and_covariance(feature, on_arm):
     assert off_m < 1e-3
     assert off_rad < np.radians(0.1)
     assert off_m < 3.0 * found.deviation_m
-    assert found.parent == ("tool0" if on_arm else "base_link")
+    assert found.arm.root == ("tool0" if on_arm else "base_link")
     assert found.verdict[0] == "good"
     assert found.delay_s == pytest.approx(0.02, abs=2e-3)
     np.testing.assert_allclose(found.carried_m, TAG[0], atol=1e-3)
@@ -183,6 +186,45 @@ def test_an_arm_of_parallel_axes_says_what_it_cannot_tell():
     assert word == "unusable"
     assert "no motion of these joints tells the place along (" in reason
     assert ", 1.00) of base_link" in reason
+
+
+@pytest.mark.parametrize(
+    ("wide", "words"),
+    [
+        ((0.05, 0.5, 0.5, 0.5, 0.5, 0.5), "move shoulder_pan_joint 9 times as far to know it to"),
+        ((0.1,) * 6, "move all joints twice as far to know it to"),
+    ],
+)
+def test_too_little_motion_says_which_would_do(wide, words):
+    found = calibrate(collected(noise_m=1e-3, seconds=30.0, wide=wide), ARM)
+    assert found.verdict[0] != "good"
+    assert words in found.verdict[1]
+    promised_m = next(one.deviation_m for one in found.remedies if one.words in words)
+    assert promised_m < 0.6 * found.deviation_m
+
+
+@pytest.mark.parametrize("on_arm", [False, True])
+def test_the_arm_is_drawn_where_the_image_shows_it(on_arm):
+    """Through delay, zeros and focal length, at the joints of the exposure."""
+    delay_s, at = 0.05, 500
+    data = collected("pose" if on_arm else "ball", delay_s=delay_s, on_arm=on_arm)
+    data = replace(data, ball_m=data.ball_m * np.resize([1.005, 1.005, 1.0], data.ball_m.shape[1]))
+    reported = replace(data, joints_rad=data.joints_rad - [0, 0, 0.02, 0, 0, 0])
+    found = calibrate(reported, ARM, on_arm)
+    camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
+    photo = Photograph.of(np.zeros((480, 640, 3), np.uint8), CameraModel(camera), data.stamps_s[at])
+    drawn = draw(found, reported, photo).axes[0].lines[-1].get_xydata()
+    arm = ARM.reversed() if on_arm else ARM
+    order = slice(None, None, -1) if on_arm else slice(None)
+    joints = np.array(
+        [np.interp(photo.stamp_s - delay_s, data.stamps_s, one) for one in data.joints_rad.T]
+    )
+    points_m = np.vstack([arm.at(joints[order])[0], arm.tip_at(joints[order])[1]])
+    seen_m = (points_m - CAMERA.position_m) @ CAMERA.rotation
+    true = Intrinsics(640, 480, 603.0, 603.0, 320.0, 240.0).project(seen_m)
+    np.testing.assert_allclose(drawn, true, atol=0.5)
+    with pytest.raises(ValueError, match="the image has 320x240 pixels, its camera_info 640x480"):
+        Photograph.of(np.zeros((240, 320, 3), np.uint8), CameraModel(camera), 0.0)
 
 
 # --- the program ---

@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
-from test_calibration import ARM, CAMERA, collected
+import yaml
+from test_calibration import ARM, CAMERA, URDF, collected
 
-from fvs_estimator_node.calibration import calibrate
+from fvs_estimator_node.hand_eye import calibrate
 from fvs_tools.bag import TYPES, Bag, Message
-from fvs_tools.recorded import read_data_set
+from fvs_tools.calibrate import main
+from fvs_tools.recorded import read_data_set, read_photograph
 
 T = TYPES.types
 
@@ -20,8 +22,12 @@ def message(topic, kind, stamp_s, *fields):
 
 @pytest.fixture
 def bag(tmp_path):
+    return recorded(tmp_path / "bag")
+
+
+def recorded(folder, photograph=False):
     """Joints in another order, with one more, and a ball; and joints of a gripper."""
-    data, folder = collected(seconds=30.0), tmp_path / "bag"
+    data = collected(seconds=30.0)
     one, point = Bag(folder, {}), T["geometry_msgs/msg/Point"]
     names, nothing = [*ARM.names[::-1], "finger"], np.empty(0)
     for stamp_s, joints, ball in zip(data.stamps_s, data.joints_rad, data.ball_m, strict=True):
@@ -31,6 +37,22 @@ def bag(tmp_path):
         one.write(message("/gripper", kind, stamp_s, ["finger"], np.zeros(1), nothing, nothing))
         kind = "geometry_msgs/msg/PointStamped"
         one.write(message("/arm/ball_position", kind, stamp_s, point(*ball)))
+    if photograph:
+        info, image = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/Image"
+        nothing, roi = np.empty(0), T["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+        depth = np.zeros(2 * 640 * 480, np.uint8)
+        k = np.array([600.0, 0, 320, 0, 600, 240, 0, 0, 1])
+        model = (480, 640, "plumb_bob", nothing, k, np.eye(3).ravel(), np.zeros(12), 0, 0, roi)
+        pixels = np.tile(np.array([10, 20, 200], np.uint8), 640 * 480)
+        for stamp_s in data.stamps_s[::30]:
+            one.write(message("/eye/depth/camera_info", info, stamp_s, *model))
+            one.write(
+                message("/eye/depth/image", image, stamp_s, 480, 640, "16UC1", 0, 1280, depth)
+            )
+            one.write(message("/eye/color/camera_info", info, stamp_s, *model))
+            one.write(
+                message("/eye/color/image_raw", image, stamp_s, 480, 640, "bgr8", 0, 1920, pixels)
+            )
     one.close()
     return folder
 
@@ -42,6 +64,19 @@ def test_a_bag_of_any_arm_calibrates_its_camera(bag):
     found = calibrate(data, ARM)
     assert found.camera == "camera"
     assert np.linalg.norm(found.translation_m - CAMERA.position_m) < 2e-3
+
+
+def test_the_arm_is_drawn_over_an_image_of_the_bag(tmp_path, capsys):
+    folder, out = recorded(tmp_path / "bag", photograph=True), tmp_path / "camera.yaml"
+    photo = read_photograph(folder, "camera")
+    assert photo.rgb[0, 0].tolist() == [200, 20, 10]
+    assert photo.camera.fx == 600.0
+    assert 10.0 < photo.stamp_s < 20.0
+    assert read_photograph(folder, "another") is None
+    assert main([str(folder), "--urdf", str(URDF), "-o", str(out)]) == 0
+    # The noise of 0.2 mm in each direction, seen from 1.3 m: 600 px * 0.2 / 1300 * 1.18.
+    assert 0.05 < yaml.safe_load(out.read_text())["residual_px"] < 0.2
+    assert " px (median)" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
