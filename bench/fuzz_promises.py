@@ -201,9 +201,9 @@ class _Errand:
         self._up_s = self._since_s = self._still_s = self._swings_m = 0.0
 
     def same(self, target_m, ball_m):
-        """Whether it is the same target, and the ball did not leap."""
+        """Whether it is the same target, and the ball did not leap: some 2.5 m/s in a tick."""
         leap_m, self._ball_m = float(np.linalg.norm(ball_m - self._ball_m)), ball_m
-        return leap_m <= 0.1 and np.array_equal(target_m, self._target_m)
+        return leap_m <= 0.02 and np.array_equal(target_m, self._target_m)
 
     def add(self, ball_m, dt_s, values):
         """Take a tick of servoing; the promise that is broken by it, mostly none."""
