@@ -28,6 +28,18 @@ class Remedy(NamedTuple):
     zeros_deviation_rad: np.ndarray
 
 
+class Displaced(NamedTuple):
+    """A joint that is not where the URDF has it, seen from the joint before: by m and rad."""
+
+    joint: str
+    shift_m: float
+    turn_rad: float
+
+    def __str__(self) -> str:
+        size = f"{1e3 * self.shift_m:.1f} mm and {np.degrees(self.turn_rad):.1f} degrees"
+        return f"{self.joint} is about {size} from where the URDF has it"
+
+
 class CalibrationError(ValueError):
     """Data that no camera can be calibrated from; the text says why."""
 
@@ -58,18 +70,16 @@ class Calibration:
     zeros_rad, zeros_deviation_rad : ndarray, shape (n,)
         What has to be added to each reported joint for the URDF, rad (m); infinite deviations where
         the motion does not tell.
-    residual_m, misfit : float
-        Median distance of the images from the model, m; and the squares that displaced links would
-        explain, over those of noise: about 1 for a URDF that fits.
+    residual_m : float
+        Median distance of the images from the model, m.
     stamps_s, seen_m, residuals_m : ndarray, shapes (k,), (k, 3) and (k, 3)
         Of each image: its stamp, s, where it shows ball or tag, m, and how far off the model is, m.
     outliers : int
         Images further than six standard deviations from the model.
-    unfitting : tuple of str, float, float
-        Where the misfit is large: the joint that is not where the URDF has it, seen from the joint
-        before, and by how much, m and rad.
+    displaced : Displaced, optional
+        If the links are off: the joint that explains most.
     remedies : tuple of Remedy
-        What other motion would have told, the least change first.
+        What other motion would have told, the least change first; empty if this did.
     """
 
     arm: Kinematics
@@ -88,12 +98,11 @@ class Calibration:
     zeros_rad: np.ndarray
     zeros_deviation_rad: np.ndarray
     residual_m: float
-    misfit: float
     stamps_s: np.ndarray
     seen_m: np.ndarray
     residuals_m: np.ndarray
     outliers: int
-    unfitting: tuple[str, float, float] | None = None
+    displaced: Displaced | None = None
     remedies: tuple[Remedy, ...] = ()
 
     def seen(self, points_m: np.ndarray) -> np.ndarray:
@@ -122,20 +131,22 @@ class Calibration:
 
         wrong = np.abs(self.zeros_rad) > np.where(self.arm.prismatic > 0.0, np.inf, OTHER_RAD)
         if wrong.any():
-            name = self.arm.names[int(np.argmax(np.abs(self.zeros_rad)))]
+            name = self.arm.names[int(np.argmax(wrong * np.abs(self.zeros_rad)))]
             return "unusable", f"{name} differs from the URDF by more than 10 degrees"
         if not within(USABLE):
             return "unusable", f"{exact}: {self._remedy()}"
-        if self.unfitting is not None:
-            return "poor", f"{_words(*self.unfitting)}; {exact}"
+        if self.displaced is not None:
+            return "poor", f"{self.displaced}; {exact}"
         if not within(GOOD):
             return "poor", f"{exact}: {self._remedy()}"
         return "good", exact
 
     def _remedy(self) -> str:
         """What would make the calibration more exact."""
-        if self.unfitting is not None:
-            return _words(*self.unfitting)
+        if self.displaced is not None:
+            return str(self.displaced)
+        if not self.remedies:
+            return ""
         best = min(  # the first that is enough
             self.remedies,
             key=lambda one: max(one.deviation_m / GOOD[0], one.deviation_rad / GOOD[1], 1.0),
@@ -189,10 +200,3 @@ def _sizes(deviation_m: float, deviation_rad: float) -> str:
     place_mm = 1e3 * deviation_m
     place = f"{place_mm:.0f}" if place_mm >= 10.0 else f"{place_mm:.2g}"
     return f"{place} mm and {np.degrees(deviation_rad):.2g} degrees"
-
-
-def _words(name: str, shift_m: float, turn_rad: float) -> str:
-    return (
-        f"{name} is about {1e3 * shift_m:.1f} mm and {np.degrees(turn_rad):.1f} degrees from where "
-        "the URDF has it"
-    )

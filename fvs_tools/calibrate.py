@@ -20,8 +20,9 @@ from fvs_estimator_node.hand_eye import calibrate
 from fvs_ros import console
 from fvs_ros.arguments import Parser
 from fvs_ros.feature import to_quaternion
+from fvs_ros.paths import find_file
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
-from fvs_ros.urdf import kinematics, read_joints
+from fvs_ros.urdf import Kinematics, kinematics, read_joints
 from fvs_tools.overlay import Photograph, draw, residual_px
 
 #: Largest URDF that is read, bytes.
@@ -33,13 +34,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the program; returns its exit code."""
     given = _parser().parse_args(argv)
     try:
-        for path in (given.output, given.output.with_suffix(".png")):
-            if not path.absolute().parent.is_dir():
-                raise ValueError(f"the folder {path.absolute().parent} does not exist")
-        with given.urdf.open("rb") as file:
+        if not given.output.absolute().parent.is_dir():
+            raise ValueError(f"the folder {given.output.absolute().parent} does not exist")
+        if given.output.suffix == ".png":
+            raise ValueError(f"{given.output}: expected .yaml; the picture is written beside it")
+        with find_file(given.urdf).open("rb") as file:
             text = file.read(_MOST_URDF).decode("utf-8", "replace")
         arm = kinematics(read_joints(text), given.tip)
-        data, photo = _data(given)
+        data, photo = _data(given, arm)
         say = None if given.quiet else (lambda words: print(f"{words} ...", file=sys.stderr))
         found = calibrate(data, arm, given.camera_on_arm, say)
         write(found, given.output, data, photo)
@@ -51,12 +53,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     return EXIT_FAILURE if found.verdict[0] == "unusable" else EXIT_OK
 
 
-def _data(given: argparse.Namespace) -> tuple[DataSet, Photograph | None]:
+def _data(given: argparse.Namespace, arm: Kinematics) -> tuple[DataSet, Photograph | None]:
     if given.data.suffix == ".npz":
         return load_data_set(given.data), None
     from fvs_tools.recorded import read_data_set, read_photograph
 
-    data = read_data_set(given.data, given.joint_states, given.seen)
+    data = read_data_set(given.data, arm.names, given.joint_states, given.seen)
     return data, read_photograph(given.data, data.feature_frame)
 
 
@@ -68,7 +70,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="DATA",
         help="data set of the collector, .npz, or a rosbag2 of any arm that moved",
     )
-    parser.add_argument("--urdf", type=Path, required=True, help="the arm's URDF, no xacro")
+    parser.add_argument("--urdf", required=True, help="the arm's URDF, no xacro")
     parser.add_argument(
         "--tip", default="", help="link that carries ball, tag or camera (default tool0)"
     )
@@ -96,7 +98,7 @@ def report(found: Calibration, photo: Photograph | None = None) -> str:
         "",
         f"{word}: {reason}",
         f"{found.arm.root} to {found.camera}: ({place}) mm, quaternion ({turn})",
-        f"ball or tag in the other end's frame: ({carried}) mm",
+        f"ball or tag in {found.arm.tip}: ({carried}) mm",
         # + 0.0: no negative zero
         f"images stamped late: {round(1e3 * found.delay_s, 1) + 0.0:.1f} +- "
         f"{1e3 * found.delay_deviation_s:.1f} ms; "
@@ -106,8 +108,7 @@ def report(found: Calibration, photo: Photograph | None = None) -> str:
         f"{len(found.stamps_s)} images, "
         f"{found.outliers} outliers",
         *(f"note: {one}" for one in found.notes()),
-        "",
-        static_transform(found),
+        *([] if word == "unusable" else ["", static_transform(found)]),
     ]
     return "\n".join(lines)
 
@@ -141,6 +142,12 @@ def content(found: Calibration, photo: Photograph | None = None) -> dict[str, An
     def numbers(values: np.ndarray | Sequence[float]) -> list[Any]:
         return [float(f"{one:.9g}") for one in values]
 
+    def known(values: np.ndarray) -> dict[str, float | None]:
+        """By joint; None for a zero that the images do not tell."""
+        told = np.isfinite(found.zeros_deviation_rad).tolist()
+        by_joint = zip(found.arm.names, numbers(values), told, strict=True)
+        return {name: one if is_told else None for name, one, is_told in by_joint}
+
     return {
         "parent_frame": found.arm.root,
         "camera_frame": found.camera,
@@ -157,7 +164,13 @@ def content(found: Calibration, photo: Photograph | None = None) -> dict[str, An
         "image_delay_s": float(f"{found.delay_s:.6g}"),
         "image_delay_deviation_s": float(f"{found.delay_deviation_s:.3g}"),
         "length_scale": float(f"{found.scale:.6f}"),
-        "joint_zeros_rad": dict(zip(found.arm.names, numbers(found.zeros_rad), strict=True)),
+        "length_scale_deviation": float(f"{found.scale_deviation:.3g}"),
+        "focal_scale": float(f"{found.focal:.6f}"),
+        "focal_scale_deviation": float(f"{found.focal_deviation:.3g}"),
+        "joint_zeros_rad": known(found.zeros_rad),
+        "joint_zeros_deviation_rad": known(found.zeros_deviation_rad),
+        "displaced_joint": None if found.displaced is None else str(found.displaced),
+        "outliers": found.outliers,
         "residual_m": float(f"{found.residual_m:.4g}"),
         "residual_px": None if photo is None else float(f"{residual_px(found, photo.camera):.3g}"),
         "static_transform": static_transform(found),

@@ -9,6 +9,7 @@ stop.listen()
 import sys
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from fvs_estimator_node.hand_eye import calibrate
 from fvs_ros import ros, topics
 from fvs_ros.camera import CameraModel
 from fvs_ros.feature import to_quaternion
-from fvs_ros.joints import ForeignJointsError, JointMap
+from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.ros.images import from_color, sampled_camera
 from fvs_ros.timeline import Sample, Timeline
 from fvs_ros.urdf import Kinematics, kinematics, read_joints
@@ -55,6 +56,10 @@ class CalibrateNode(ros.FvsNode):
         self._next_s, self._good = _FIRST_S, 0
         #: Whether the newest calibration had all the time that it may have.
         self._last = self._done = False
+        #: Why joints and feature are not taken; empty while they are.
+        self._no_joints = f"no {topics.JOINT_STATES.name} yet"
+        self._no_feature = f"no {self._feature.seen.name} yet"
+        self._began_s = inf
         self._reason = "waiting for the robot's description"
         self._transforms: Any = None
         #: One image and its camera, for the picture; subscribed to only until they are there.
@@ -90,13 +95,22 @@ class CalibrateNode(ros.FvsNode):
             return
         try:
             joints = self._joint_map.positions(message.name, message.position)
-        except ForeignJointsError:
-            return  # another device's
+        except JointStateError as error:
+            # Another device's say nothing, once the arm's are there.
+            if self._no_joints or not isinstance(error, ForeignJointsError):
+                self._no_joints = str(error)
+            return
+        self._no_joints = ""
         self._add(self._timeline.add_joints(ros.from_stamp(message.header.stamp), joints))
 
     def _on_feature(self, message: PointStamped | PoseStamped) -> None:
         feature, frame = self._feature, self._config.feature_frame
-        vector_m = ros.from_feature(message, feature, frame, feature.seen.name)
+        try:
+            vector_m = ros.from_feature(message, feature, frame, feature.seen.name)
+        except ros.MessageError as error:
+            self._no_feature = str(error)
+            raise
+        self._no_feature = ""
         self._add(self._timeline.add_feature(ros.from_stamp(message.header.stamp), vector_m))
 
     def _look(self) -> None:
@@ -113,6 +127,8 @@ class CalibrateNode(ros.FvsNode):
         self._photo = Photograph.of(from_color(message), self._camera, stamp_s)
 
     def _add(self, samples: list[Sample]) -> None:
+        if samples:
+            self._began_s = min(self._began_s, self.now_s())
         self._samples += samples[: _MOST - len(self._samples)]
 
     # --- calibrating ---
@@ -136,10 +152,10 @@ class CalibrateNode(ros.FvsNode):
             self._job = None
         if self._job is not None:
             return
-        late = self._time_s > self._config.duration_s
-        if self._good >= 2 or self._last or (late and self._arm is None):
+        late = self.now_s() - self._began_s > self._config.duration_s
+        if self._good >= 2 or self._last:
             self._conclude()
-        elif self._arm is not None and self._time_s >= self._next_s:
+        elif self._arm is not None and (late or self._time_s >= self._next_s):
             if self._data is None:
                 self._look()
             self._next_s, self._last = self._time_s + _PERIOD_S, late
@@ -168,7 +184,7 @@ class CalibrateNode(ros.FvsNode):
         """Write and publish what was found."""
         found = self._found
         if found is None or self._data is None:
-            print(f"no calibration: {self._reason}", file=sys.stderr, flush=True)
+            print(f"no calibration: {self._waits_for}", file=sys.stderr, flush=True)
             self.exit_code = stop.EXIT_FAILURE
             return
         write(found, self._path, self._data, self._photo)
@@ -196,6 +212,12 @@ class CalibrateNode(ros.FvsNode):
         self._transforms.publish(TFMessage(transforms=[one]))
         return True
 
+    @property
+    def _waits_for(self) -> str:
+        """The reason in words; first what keeps it from collecting."""
+        waits = "" if self._arm is None or self._done else self._no_joints or self._no_feature
+        return waits[:400] or self._reason
+
     def _publish_status(self) -> None:
         found = self._found
         values = {
@@ -205,7 +227,7 @@ class CalibrateNode(ros.FvsNode):
             "deviation_rad": None if found is None else found.deviation_rad,
         }
         level = ros.WARN if found is None or found.verdict[0] != "good" else ros.OK
-        self.publish_status(level, "CALIBRATING", self._reason, values)
+        self.publish_status(level, "CALIBRATING", self._waits_for, values)
 
     def finish(self) -> None:
         """When interrupted, write what is known."""

@@ -25,7 +25,7 @@ class CalibrateConfig(ServoedConfig, CameraTopicsConfig):
         False, "stay when the camera is known, and keep the transform on /tf_static"
     )
     duration_s: float = parameter(
-        120.0, "time after which the motion has to be enough, s of the images' stamps", 10.0, 3600.0
+        120.0, "time after the first image in which the motion has to be enough, s", 10.0, 3600.0
     )
     stop_at_m: float = parameter(
         0.0005, "deviation of the camera's place that is good enough, m", 1e-5, 1.0

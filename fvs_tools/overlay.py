@@ -11,6 +11,7 @@ from fvs_detector_node.images import Rectifier, Region
 from fvs_estimator_node.calibration import Calibration
 from fvs_estimator_node.files import DataSet
 from fvs_ros.camera import CameraModel, Intrinsics
+from fvs_ros.timeline import MAX_GAP_S
 
 #: Points nearer to the camera's plane are not drawn, m; half the length of an axis as drawn, m.
 _NEAR_M, _HALF_M = 0.05, 0.06
@@ -37,12 +38,13 @@ class Photograph:
 
 
 def arm_px(found: Calibration, joints_rad: np.ndarray, camera: Intrinsics) -> np.ndarray:
-    """Where the image shows the joints of the URDF and its tip, px, (n + 1, 2).
+    """Where the image shows the joints of the URDF, its tip, and ball or tag, px, (n + 2, 2).
 
     At reported joints, rad, (n,); NaN for what is behind the camera.
     """
     joints = joints_rad + found.zeros_rad
-    points_m = np.vstack([found.arm.at(joints)[0], found.arm.tip_at(joints)[1]])
+    turn, tip_m = found.arm.tip_at(joints)  # rows: the tip's axes
+    points_m = np.vstack([found.arm.at(joints)[0], tip_m, tip_m + found.carried_m @ turn])
     return _px(found.seen(points_m), camera)
 
 
@@ -64,8 +66,12 @@ def draw(found: Calibration, data: DataSet, photo: Photograph | None = None) -> 
     seen, over = figure.subplots(1, 2)
     _draw_arm(seen, found, data, photo)
     time_s = found.stamps_s - found.stamps_s[0]
+    gaps = np.flatnonzero(np.diff(time_s) > MAX_GAP_S) + 1  # broken there
+    time_s, off_mm = (
+        np.insert(one, gaps, np.nan, axis=0) for one in (time_s, 1e3 * found.residuals_m)
+    )
     for i, name in enumerate("xyz"):
-        over.plot(time_s, 1e3 * found.residuals_m[:, i], linewidth=0.6, label=name)
+        over.plot(time_s, off_mm[:, i], linewidth=0.6, label=name)
     limit = 6.0 * 1e3 * max(found.residual_m, 1e-5)
     over.set(xlabel="time, s", ylabel="residual, mm", ylim=(-limit, limit), title=found.verdict[0])
     over.legend(fontsize=8)

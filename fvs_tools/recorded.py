@@ -23,13 +23,17 @@ _POINT, _POSE = "geometry_msgs/msg/PointStamped", "geometry_msgs/msg/PoseStamped
 _JOINTS, _IMAGE = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Image"
 
 
-def read_data_set(path: Path, joint_states: str = "", seen: str = "") -> DataSet:
+def read_data_set(
+    path: Path, names: tuple[str, ...], joint_states: str = "", seen: str = ""
+) -> DataSet:
     """Joints at the exposures of the images in which a ball or tag was seen.
 
     Parameters
     ----------
     path : Path
         Folder of a rosbag2, or its one file.
+    names : tuple of str
+        The arm's joints; others are kept, too, where they come with these.
     joint_states, seen : str
         Topics, where there are several; by default those that end as this package's.
 
@@ -47,7 +51,7 @@ def read_data_set(path: Path, joint_states: str = "", seen: str = "") -> DataSet
             (connection.topic == joints, reader.deserialize(raw, connection.msgtype))
             for connection, _, raw in reader.messages(wanted)
         ]
-    return _paired(messages, types[feature] == _POSE, path)
+    return _paired(messages, names, types[feature] == _POSE, path)
 
 
 def read_photograph(path: Path, frame: str) -> Photograph | None:
@@ -114,14 +118,20 @@ def _topic(types: dict[str, str], given: str, kinds: Sequence[str], names: Seque
     )
 
 
-def _paired(messages: Sequence[tuple[bool, Any]], is_pose: bool, path: Path) -> DataSet:
+def _paired(
+    messages: Sequence[tuple[bool, Any]], arm: tuple[str, ...], is_pose: bool, path: Path
+) -> DataSet:
     """Pair each feature with the joints at its stamp."""
     feature = PoseFeature(ServoedConfig.lever_arm_m) if is_pose else Feature()
     timeline, samples = Timeline(), list[Sample]()
     # The arm's: a gripper's may come on the same topic.
-    given_names = (tuple(message.name) for is_joints, message in messages if is_joints)
-    names = max(given_names, key=len, default=())
-    frame = ""
+    given_names = {tuple(message.name) for is_joints, message in messages if is_joints}
+    names = max(given_names, key=lambda given: len({*given} & {*arm}), default=())
+    frames = {message.header.frame_id for is_joints, message in messages if not is_joints}
+    if len(frames) > 1:
+        raise ValueError(
+            f"{path}: ball or tag is in the frames {', '.join(sorted(frames))[:200]}, expected one"
+        )
     for is_joints, message in messages:
         stamp_s = from_stamp(message.header.stamp)
         if is_joints:
@@ -130,7 +140,6 @@ def _paired(messages: Sequence[tuple[bool, Any]], is_pose: bool, path: Path) -> 
             if np.isfinite(joints).all():
                 samples += timeline.add_joints(stamp_s, joints)
             continue
-        frame = frame or message.header.frame_id
         position = message.pose.position if is_pose else message.point
         vector_m = np.array([position.x, position.y, position.z])
         if isinstance(feature, PoseFeature):
@@ -147,7 +156,7 @@ def _paired(messages: Sequence[tuple[bool, Any]], is_pose: bool, path: Path) -> 
     return data_set_of(
         samples,
         joint_names=names,
-        feature_frame=frame,
+        feature_frame=frames.pop(),
         feature=POSE if is_pose else BALL,
         lever_arm_m=ServoedConfig.lever_arm_m,
         provenance={"bag": path.name},

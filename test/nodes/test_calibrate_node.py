@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PointStamped
+from sensor_msgs.msg import JointState
 
+from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.joints import UR_JOINT_NAMES
+from fvs_ros.paths import find_file
 from fvs_sim_node.camera import CAMERAS
 
 MODULE = "fvs_tools.calibrate_node"
@@ -30,6 +35,35 @@ def test_the_camera_is_found_while_the_arm_moves(ros_test, tmp_path, feature):
     assert 0.0 < content["residual_px"] < 1.0  # of the image over which the arm is drawn
     assert "static_transform_publisher" in ros_test.output(calibrating)
     assert any("the camera is known to" in one.message for one in states)
+
+
+def test_what_is_missing_is_named_and_odd_joints_end_nothing(ros_test, tmp_path):
+    states = ros_test.collect(DiagnosticStatus, "fvs_calibrate_node/status")
+    calibrating = ros_test.start_node(
+        MODULE, urdf_path=str(find_file("robots/ur5.urdf")), output_path=str(tmp_path / "c.yaml")
+    )
+    joints = ros_test.publisher(JointState, "joint_states")
+    ball = ros_test.publisher(PointStamped, "ball_position")
+
+    def expect(words, publisher, message):
+        def said():
+            publisher.publish(message)
+            return bool(states) and words in states[-1].message
+
+        ros_test.spin_until(said, what=words)
+
+    names = list(UR_JOINT_NAMES)
+    expect("no joint_states yet", ball, PointStamped())
+    expect("none of the wanted", joints, JointState(name=["finger"], position=[0.0]))
+    expect("joint_states lacks", joints, JointState(name=names[:3], position=[0.0] * 3))
+    expect("not finite", joints, JointState(name=names, position=[np.nan] * 6))
+    good = JointState(name=names, position=[0.0] * 6)
+    expect("frame", joints, good)  # of the ball
+    ball_in_frame = PointStamped()
+    ball_in_frame.header.frame_id = CAMERA_FRAME
+    expect("collecting", ball, ball_in_frame)
+    ros_test.stop(calibrating)
+    assert "no calibration: collecting" in ros_test.output(calibrating)
 
 
 def test_without_motion_it_says_what_is_missing(ros_test, tmp_path):

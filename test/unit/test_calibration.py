@@ -76,7 +76,7 @@ def test_camera_tag_delay_and_covariance(feature, on_arm):
     np.testing.assert_allclose(found.carried_m, TAG[0], atol=1e-3)
     if feature == "pose":
         assert rotation_angle_rad(found.carried_rotation.T @ TAG[1]) < 5e-3
-    assert found.misfit < 3.0
+    assert found.displaced is None
 
 
 def test_zeros_of_the_joints_are_found_where_a_camera_can_tell_them():
@@ -103,6 +103,20 @@ def test_a_wrong_length_of_a_link_is_named():
     found = calibrate(collected("pose", 1e-4), wrong)
     assert found.verdict[0] == "poor"
     assert "elbow_joint is about 5" in found.verdict[1]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_links_that_are_all_off_widen_what_is_stated(seed):
+    points_m, tip_m = ARM.points_m.copy(), ARM.tip_m.copy()
+    for i, shift_m in enumerate(np.random.default_rng(seed).normal(0.0, 2e-3, (5, 3)), 1):
+        points_m[i:] += shift_m
+        tip_m += shift_m
+    found = calibrate(collected(), replace(ARM, points_m=points_m, tip_m=tip_m))
+    assert found.verdict[0] != "good"
+    assert found.deviation_m > 3e-3
+    turn_rad = Rotation.from_matrix(found.rotation @ CAMERA.rotation.T).as_rotvec()
+    off = np.append(found.translation_m - CAMERA.position_m, turn_rad)
+    assert off @ np.linalg.solve(found.covariance, off) < 12.6  # of 95 %
 
 
 def test_a_scale_of_the_camera_is_told():
@@ -161,7 +175,7 @@ def short(data):
         (first_mirrored, "shoulder_pan_joint turns the other way than in the URDF"),
         (too_short, "moves like that. wrist_1_joint, wrist_2_joint, wrist_3_joint moved, too"),
         (still, "wrist_2_joint never moved"),
-        (bumped, r"the camera moved, by about \d mm and .* some (29|30|31) s after"),
+        (bumped, r"the camera moved, or .* by about \d.\d mm and .* some (29|30|31) s after"),
         (renamed, "the data lack shoulder_pan_joint"),
         (short, "a chain needs at least 200 images"),
     ],
@@ -189,18 +203,18 @@ def test_an_arm_of_parallel_axes_says_what_it_cannot_tell():
 
 
 @pytest.mark.parametrize(
-    ("wide", "words"),
+    ("wide", "noise_m", "words"),
     [
-        ((0.05, 0.5, 0.5, 0.5, 0.5, 0.5), "move shoulder_pan_joint 9 times as far to know it to"),
-        ((0.1,) * 6, "move all joints twice as far to know it to"),
+        ((0.05, *(0.5,) * 5), 4e-4, "move shoulder_pan_joint 9 times as far to know it to"),
+        ((0.1,) * 6, 1e-3, "move all joints twice as far to know it to"),
     ],
 )
-def test_too_little_motion_says_which_would_do(wide, words):
-    found = calibrate(collected(noise_m=1e-3, seconds=30.0, wide=wide), ARM)
+def test_too_little_motion_says_which_would_do(wide, noise_m, words):
+    found = calibrate(collected(noise_m=noise_m, seconds=30.0, wide=wide), ARM)
     assert found.verdict[0] != "good"
     assert words in found.verdict[1]
     promised_m = next(one.deviation_m for one in found.remedies if one.words in words)
-    assert promised_m < 0.6 * found.deviation_m
+    assert promised_m < 0.9 * found.deviation_m
 
 
 @pytest.mark.parametrize("on_arm", [False, True])
@@ -219,7 +233,8 @@ def test_the_arm_is_drawn_where_the_image_shows_it(on_arm):
     joints = np.array(
         [np.interp(photo.stamp_s - delay_s, data.stamps_s, one) for one in data.joints_rad.T]
     )
-    points_m = np.vstack([arm.at(joints[order])[0], arm.tip_at(joints[order])[1]])
+    axes, tip_m = arm.tip_at(joints[order])
+    points_m = np.vstack([arm.at(joints[order])[0], tip_m, tip_m + TAG[0] @ axes])
     seen_m = (points_m - CAMERA.position_m) @ CAMERA.rotation
     true = Intrinsics(640, 480, 603.0, 603.0, 320.0, 240.0).project(seen_m)
     np.testing.assert_allclose(drawn, true, atol=0.5)
@@ -259,6 +274,7 @@ def test_names_of_frames_do_no_harm(tmp_path):
         (["--tip", "nowhere"], "has the link 'nowhere'"),
         (["--urdf", "/nowhere.urdf"], "/nowhere.urdf"),
         (["-o", "/nowhere/camera.yaml"], "the folder /nowhere does not exist"),
+        (["-o", "/tmp/camera.png"], "the picture is written beside it"),
     ],
 )
 def test_bad_arguments_are_refused(tmp_path, capsys, given, words):

@@ -58,7 +58,7 @@ def recorded(folder, photograph=False):
 
 
 def test_a_bag_of_any_arm_calibrates_its_camera(bag):
-    data = read_data_set(bag)
+    data = read_data_set(bag, ARM.names)
     assert len(data) > 800
     assert set(data.joint_names) == {*ARM.names, "finger"}
     found = calibrate(data, ARM)
@@ -89,14 +89,14 @@ def test_the_arm_is_drawn_over_an_image_of_the_bag(tmp_path, capsys):
 def test_topics_are_chosen_or_named(bag, given, words):
     if words:
         with pytest.raises(ValueError, match=words):
-            read_data_set(bag, **given)
+            read_data_set(bag, ARM.names, **given)
     else:
-        assert read_data_set(bag, **given).joint_names == ("finger",)
+        assert read_data_set(bag, ARM.names, **given).joint_names == ("finger",)
 
 
 def test_what_is_no_bag_is_refused(tmp_path):
     with pytest.raises(ValueError, match="there is no file or folder"):
-        read_data_set(tmp_path / "nothing")
+        read_data_set(tmp_path / "nothing", ARM.names)
     (tmp_path / "text.mcap").write_text("no bag")
     with pytest.raises(ValueError, match="cannot read"):
-        read_data_set(tmp_path / "text.mcap")
+        read_data_set(tmp_path / "text.mcap", ARM.names)
