@@ -41,12 +41,15 @@ from fvs_estimator_node.hand_eye_model import HandEyeModel
 from fvs_ros.chain import cross_matrix
 from fvs_ros.urdf import Kinematics
 
-#: Prior deviations: of the images' delay, s; of the camera's scale and focal length; of all else,
-#: from where the registration puts it, m and rad.
-_DELAY_S, _SCALE, _FOCAL, _ANYWHERE = 0.1, 0.05, 0.005, 1.0
-#: Those of zeros, rad (m), and links, m, that are tried, all as likely. The images alone tell a
-#: zero that they know better than half the last.
-_ZEROS_RAD, _LINKS_M = np.geomspace(2e-5, 0.05, 12), np.geomspace(2e-6, 0.02, 12)
+#: Prior deviations: of the images' delay, s; of all else, from where the registration puts it, m
+#: and rad; of the camera's focal length over that of its scale.
+_DELAY_S, _ANYWHERE, _FOCAL = 0.1, 1.0, 0.1
+#: Those of zeros, rad (m), links, m, and the camera's scale that are tried, all as likely, the
+#: widest first. No camera's scale is better than the last: where links are off, too, the images
+#: cannot tell the two apart. They tell a zero that they know better than half the first.
+_ZEROS_RAD, _LINKS_M = np.geomspace(0.05, 2e-5, 9), np.geomspace(0.02, 2e-6, 9)
+_SCALES = np.geomspace(0.05, 0.003, 3)
+_WIDEST = _ZEROS_RAD[0], _LINKS_M[0], _SCALES[0]
 #: A link's turn, rad, is as likely as its shift over this length, m.
 _LINK_LENGTH_M = 0.5
 #: Links are off if that explains the images so much better, logarithm of the likelihoods' ratio.
@@ -112,9 +115,8 @@ class _Posterior(NamedTuple):
     covariance: np.ndarray
     #: White residuals of the registration, as they pull at the unknowns.
     pull: np.ndarray
-    #: Likeliest deviations of zeros, rad (m), and links, m; variance of a white residual.
-    zero_rad: float
-    link_m: float
+    #: Likeliest deviations of zeros, rad (m), links, m, and scale; variance of a white residual.
+    sizes: tuple[float, float, float]
     noise: float
     #: Logarithm of the likelihood with links of that deviation, over that with exact ones.
     unlikely: float
@@ -131,10 +133,11 @@ class _Calibrating:
         self._free_off = fit.chain.position(joints) - self._seen
         self._white = whitening(self._free_off, self._seen)
 
-    def _deviation(self, zero_rad: float, link_m: float) -> np.ndarray:
+    def _deviation(self, zero_rad: float, link_m: float, scale: float) -> np.ndarray:
         """Prior deviations of the unknowns."""
         at, deviation = self._at, np.full(self._at.size, _ANYWHERE)
-        deviation[at.delay], deviation[at.scale], deviation[at.focal] = _DELAY_S, _SCALE, _FOCAL
+        deviation[at.delay], deviation[at.scale] = _DELAY_S, scale
+        deviation[at.focal] = _FOCAL * scale
         deviation[at.zeros] = zero_rad
         turn, shift = [link_m / _LINK_LENGTH_M] * 3, [link_m] * 3
         deviation[at.links] = np.resize([*turn, *shift], deviation[at.links].size)
@@ -145,7 +148,7 @@ class _Calibrating:
     ) -> tuple[np.ndarray, np.ndarray]:
         """The unknowns, with the links of the URDF, and how far the images are, m, (k, m)."""
         free = self._at.links.start
-        deviation = self._deviation(_ZEROS_RAD[-1], 1.0)[:free]
+        deviation = self._deviation(*_WIDEST)[:free]
 
         def whole(values: np.ndarray) -> np.ndarray:
             return np.append(values, np.zeros(self._at.size - free))
@@ -264,11 +267,11 @@ class _Calibrating:
         """Mean over all sizes of zeros and links, by white residuals (k, m) and their slopes."""
         square = np.einsum("kmi,kmj->ij", rows, rows)
         pull = square @ values - np.einsum("kmi,km->i", rows, off)
-        weak = np.diag(self._deviation(_ZEROS_RAD[-1], _LINKS_M[-1]) ** -2.0)
+        weak = np.diag(self._deviation(*_WIDEST) ** -2.0)
         best = np.linalg.solve(square + weak, pull)
         rest = off + rows @ (best - values)
         noise = self._noise(square + weak, rows, rest, self._model.path.stamps_s[good])
-        sizes, means, spreads, evidence = list(product(_ZEROS_RAD, _LINKS_M)), [], [], []
+        sizes, means, spreads, evidence = [*product(_ZEROS_RAD, _LINKS_M, _SCALES)], [], [], []
         for size in sizes:
             precision = noise * self._deviation(*size) ** -2.0
             known = square + np.diag(precision)
@@ -286,16 +289,14 @@ class _Calibrating:
             axis=0,
             weights=weights,
         )
-        zero_rad, link_m = sizes[int(np.argmax(evidence))]
-        of_links = np.reshape(evidence, (len(_ZEROS_RAD), len(_LINKS_M))).max(axis=0)
+        of_links = np.reshape(evidence, (len(_ZEROS_RAD), len(_LINKS_M), -1)).max(axis=(0, 2))
         return _Posterior(
             mean,
             covariance + self._common(self._seen),
             pull,
-            zero_rad,
-            link_m,
+            sizes[int(np.argmax(evidence))],
             noise,
-            float(of_links.max() - of_links[0]),
+            float(of_links.max() - of_links[-1]),
         )
 
     def _noise(
@@ -340,10 +341,10 @@ class _Calibrating:
         self, deviations: np.ndarray, square: np.ndarray, found: _Posterior
     ) -> np.ndarray:
         """Deviations of the joints' zeros, rad (m); infinite where the images tell nothing."""
-        prior = self._deviation(_ZEROS_RAD[-1], found.link_m) ** -2.0
+        prior = self._deviation(_ZEROS_RAD[0], *found.sizes[1:]) ** -2.0
         by_images = np.sqrt(np.diag(np.linalg.inv(square / found.noise + np.diag(prior))))
         told = np.full(len(self._arm.names), np.inf)
-        unsure = by_images[self._at.zeros] > 0.5 * _ZEROS_RAD[-1]
+        unsure = by_images[self._at.zeros] > 0.5 * _ZEROS_RAD[0]
         told[1:-1] = np.where(unsure, np.inf, deviations[self._at.zeros])
         return told
 
@@ -352,7 +353,7 @@ class _Calibrating:
         if found.unlikely < _SURE:
             return None
         free, pull = self._at.links.start, found.pull
-        prior = found.noise * self._deviation(_ZEROS_RAD[-1], _LINKS_M[-1]) ** -2.0
+        prior = found.noise * self._deviation(*_WIDEST) ** -2.0
         tried = []
         for i, name in enumerate(self._arm.names[1:]):
             some = np.append(np.arange(free), free + 6 * i + np.arange(6))
@@ -375,7 +376,7 @@ class _Calibrating:
             for i, name in enumerate(arm.names)
         ]
         longer = ("move four times as long", np.ones(n))
-        precision = np.diag(self._deviation(found.zero_rad, found.link_m) ** -2.0)
+        precision = np.diag(self._deviation(*found.sizes) ** -2.0)
         for words, wider in (*tried, longer, ("move all joints twice as far", np.full(n, 2.0))):
             some = 2.0 * rows
             if words != longer[0]:
