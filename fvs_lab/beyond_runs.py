@@ -185,11 +185,7 @@ def _seen_after(bump: trials.Bump, case: trials.Case) -> bool:
     simulation = trials.simulation_of(trials.Conditions())
     bump.strike(simulation)
     ends = np.array([case.start_rad, case.goal_rad])
-    for joints in (*ends, ends.mean(axis=0)):
-        simulation.reset(joints)
-        if not trials.sees(simulation):
-            return False
-    return True
+    return trials.sees_all(simulation, (*ends, ends.mean(axis=0)))
 
 
 def _visit(first_m: np.ndarray, bump: trials.Bump, moment: str, one: ClosedLoop) -> None:

@@ -19,7 +19,16 @@ from fvs_lab import figures as draw
 from fvs_lab.floor import Limits, fastest
 from fvs_lab.outcome import BOUNDS_M, Outcome
 from fvs_lab.results import Results
-from fvs_lab.trials import PRELUDE_S, Bump, Case, Conditions, Trial, make_cases, sees, simulation_of
+from fvs_lab.trials import (
+    PRELUDE_S,
+    Bump,
+    Case,
+    Conditions,
+    Trial,
+    make_cases,
+    sees_all,
+    simulation_of,
+)
 from fvs_ros.chain import SerialChain
 from fvs_ros.feature import PoseFeature, ServoedConfig, rotation_matrix
 from fvs_ros.topics import POSE
@@ -188,20 +197,12 @@ def _moved_cameras(context: lab.Context, cases: list[Case]) -> Iterator[Mapping[
             bump = Bump(0.0, tuple(turn_deg.tolist()), tuple(shift_m.tolist()))
             simulation_of(EXACT)  # puts the camera back
             bump.strike(simulation)
-            if _sees_both(simulation, case):
+            if sees_all(simulation, (case.start_rad, case.goal_rad)):
                 break
         labels = {"part": "moved", "scheme": who.BEST, "camera": "exact", "case": case.name}
         trial = who.variant(who.BEST).trial(case, EXACT, record=True, before=partial(_move, bump))
         runs.append((labels, trial))
     yield from context.score(runs, "moved cameras", rest)
-
-
-def _sees_both(simulation: Simulation, case: Case) -> bool:
-    for joints in (case.start_rad, case.goal_rad):
-        simulation.reset(joints)
-        if not sees(simulation):
-            return False
-    return True
 
 
 def _move(bump: Bump, one: ClosedLoop) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from typing import Any
@@ -251,6 +251,15 @@ def sees(simulation: Simulation) -> bool:
         return all(simulation.look().detection is not None for _ in range(3))
     found = simulation.look().detection
     return isinstance(found, BallDetection) and found.visible_fraction >= 0.9
+
+
+def sees_all(simulation: Simulation, places: Iterable[tuple[float, ...] | np.ndarray]) -> bool:
+    """Whether the camera sees it at all of these joints, rad, (n,) each."""
+    for joints in places:
+        simulation.reset(joints)
+        if not sees(simulation):
+            return False
+    return True
 
 
 def make_cases(
