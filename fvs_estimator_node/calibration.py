@@ -10,7 +10,7 @@ import numpy as np
 from fvs_ros.urdf import Kinematics
 
 #: A part of the URDF does not fit if it is off by so many deviations, and by this, rad.
-SIGMAS, _ZERO_OFF_RAD = 5.0, np.radians(0.2)
+_SIGMAS, _ZERO_OFF_RAD = 5.0, np.radians(0.2)
 #: Deviations of the camera's place, m, and turn, rad, of a calibration that is good, and usable.
 GOOD, USABLE = (0.001, np.radians(0.1)), (0.01, np.radians(1.0))
 #: With a zero of this size, rad, the joint turns the other way, or is another.
@@ -167,7 +167,7 @@ class Calibration:
             self.arm.prismatic > 0.0,
             strict=True,
         ):
-            if abs(zero) > max(SIGMAS * deviation, _ZERO_OFF_RAD):
+            if abs(zero) > max(_SIGMAS * deviation, _ZERO_OFF_RAD):
                 size = f"{-1e3 * zero:+.1f} mm" if shifts else f"{np.degrees(-zero):+.2f} degrees"
                 found.append(
                     f"the zero of {name} is off by {size}, {abs(zero) / deviation:.0f} sigma"
@@ -183,12 +183,12 @@ class Calibration:
                 key=lambda one: np.count_nonzero(np.isinf(one.zeros_deviation_rad[inside][unsure])),
             )
             found.append(f"this motion does not tell the zeros of {names}: {best.words}")
-        if abs(self.scale - 1.0) > max(SIGMAS * self.scale_deviation, 0.002):
+        if abs(self.scale - 1.0) > max(_SIGMAS * self.scale_deviation, 0.002):
             found.append(
                 f"the camera reports lengths {100.0 * (self.scale - 1.0):+.2f} % too long: is the "
                 "size of ball or tag right?"
             )
-        if abs(self.focal - 1.0) > max(SIGMAS * self.focal_deviation, 0.002):
+        if abs(self.focal - 1.0) > max(_SIGMAS * self.focal_deviation, 0.002):
             found.append(
                 f"lengths across the line of sight are {100.0 * (self.focal - 1.0):+.2f} % longer "
                 "than along it: is the focal length right?"
