@@ -132,7 +132,10 @@ class Calibration:
         wrong = np.abs(self.zeros_rad) > np.where(self.arm.prismatic > 0.0, np.inf, OTHER_RAD)
         if wrong.any():
             name = self.arm.names[int(np.argmax(wrong * np.abs(self.zeros_rad)))]
-            return "unusable", f"{name} differs from the URDF by more than 10 degrees"
+            turned = (
+                "differs from the URDF by more than 10 degrees: are joints swapped or mirrored?"
+            )
+            return "unusable", f"{name} {turned}"
         if not within(USABLE):
             return "unusable", f"{exact}: {self._remedy()}"
         if self.displaced is not None:
@@ -178,11 +181,13 @@ class Calibration:
         found.append(f"no camera can tell the zeros of {' and '.join(dict.fromkeys(blind))}")
         if unsure.any():
             names = ", ".join(np.array(self.arm.names)[inside][unsure])
-            best = min(
-                self.remedies,
-                key=lambda one: np.count_nonzero(np.isinf(one.zeros_deviation_rad[inside][unsure])),
-            )
-            found.append(f"this motion does not tell the zeros of {names}: {best.words}")
+
+            def left(one: Remedy) -> int:
+                return int(np.count_nonzero(np.isinf(one.zeros_deviation_rad[inside][unsure])))
+
+            best = min(self.remedies, key=left)
+            helps = best.words if left(best) < unsure.sum() else "none twice as far does"
+            found.append(f"this motion does not tell the zeros of {names}: {helps}")
         if abs(self.scale - 1.0) > max(_SIGMAS * self.scale_deviation, 0.002):
             found.append(
                 f"the camera reports lengths {100.0 * (self.scale - 1.0):+.2f} % too long: is the "

@@ -35,8 +35,9 @@ from fvs_estimator_node.calibration import (
     Remedy,
 )
 from fvs_estimator_node.chain_fit import ChainFit, fit_chain, inliers, whitening
+from fvs_estimator_node.chain_start import MAX_OFFSET_S
 from fvs_estimator_node.files import DataSet
-from fvs_estimator_node.hand_eye_checks import find_move, length, ordered, refuse
+from fvs_estimator_node.hand_eye_checks import find_move, length, ordered, refusal
 from fvs_estimator_node.hand_eye_model import HandEyeModel
 from fvs_ros.chain import cross_matrix
 from fvs_ros.urdf import Kinematics
@@ -61,6 +62,8 @@ _BLOCK_S, _COMMON = 2.0, 0.3
 _ROBUST = 2.0
 #: A model this many times as far from the images as a free chain is wrong.
 _WRONG = 3.0
+#: A delay of this share of the longest that is searched is longer.
+_LATEST = 0.95
 #: The free chain is at a wrong optimum if the URDF's is this much nearer to the images.
 _BETTER = 0.7
 
@@ -87,21 +90,25 @@ def calibrate(
 
     Raises
     ------
-    CalibrationError
-        If joints do not fit together or did not move, or nothing fits.
+    ValueError
+        If there are too few images, joints do not fit together or did not move, or nothing fits
+        (a ``CalibrationError``).
     """
     say = progress or (lambda words: None)
     arm, given = arm.reversed() if carries_camera else arm, data
     data = ordered(data, arm)
     fit = fit_chain(data, say)
+    if abs(fit.time_offset_s) > _LATEST * MAX_OFFSET_S:
+        raise CalibrationError(
+            f"the images are stamped {fit.time_offset_s:+.2f} s late, or more: correct their stamps"
+        )
     say("registering the chain with the URDF")
     with threadpool_limits(1):
         one = _Calibrating(data, arm, fit)
         values, off = one.solve_twice()
-        try:
-            moved = one.find_move()
-        except ValueError:
-            raise refuse(given, arm) from None
+        moved = one.find_move()
+        if moved is None:
+            raise refusal(given, arm)
         if moved:
             raise CalibrationError(moved)
         one.check_directions(values, off)
@@ -180,14 +187,14 @@ class _Calibrating:
             values, off = self.solve(start=values)
         return values, off
 
-    def find_move(self) -> str:
+    def find_move(self) -> str | None:
         """See :func:`~fvs_estimator_node.hand_eye_checks.find_move`."""
         return find_move(
             self._free_off[:, :3],
             self._seen[:, :3],
             self._white[:, :3, :3],
             self._model.path.stamps_s,
-            self._fit.noise_m,
+            float(np.nan_to_num(self._fit.noise_m)),  # not known of slow images
         )
 
     def _far(self, off: np.ndarray) -> float:
@@ -276,7 +283,7 @@ class _Calibrating:
             precision = noise * self._deviation(*size) ** -2.0
             known = square + np.diag(precision)
             means.append(np.linalg.solve(known, pull))
-            spreads.append(noise * np.linalg.inv(known))
+            spreads.append(noise * _inverse(known))
             evidence.append(
                 0.5 * means[-1] @ pull / noise
                 + 0.5 * np.log(precision).sum()
@@ -342,7 +349,7 @@ class _Calibrating:
     ) -> np.ndarray:
         """Deviations of the joints' zeros, rad (m); infinite where the images tell nothing."""
         prior = self._deviation(_ZEROS_RAD[0], *found.sizes[1:]) ** -2.0
-        by_images = np.sqrt(np.diag(np.linalg.inv(square / found.noise + np.diag(prior))))
+        by_images = np.sqrt(np.diag(_inverse(square / found.noise + np.diag(prior))))
         told = np.full(len(self._arm.names), np.inf)
         unsure = by_images[self._at.zeros] > 0.5 * _ZEROS_RAD[0]
         told[1:-1] = np.where(unsure, np.inf, deviations[self._at.zeros])
@@ -382,12 +389,18 @@ class _Calibrating:
             if words != longer[0]:
                 some = (self._white @ self._model.slopes(found.mean, wider))[good]
             square = np.einsum("kmi,kmj->ij", some, some)
-            covariance = np.linalg.inv(square / found.noise + precision)
+            covariance = _inverse(square / found.noise + precision)
             covariance += self._common(self._model.features(found.mean, wider))
             of_camera = self._of_camera(found.mean, covariance)
             place_m, turn_rad = (np.sqrt(np.trace(of_camera[k : k + 3, k : k + 3])) for k in (0, 3))
             zeros = self._of_zeros(np.sqrt(np.diag(covariance)), square, found)
             yield Remedy(words, float(place_m), float(turn_rad), zeros)
+
+
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    """Of a positive matrix of very different units."""
+    unit = np.diag(matrix) ** -0.5
+    return np.asarray(np.linalg.inv(matrix * np.outer(unit, unit)) * np.outer(unit, unit))
 
 
 def _times(factor: float) -> str:

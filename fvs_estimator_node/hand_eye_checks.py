@@ -13,11 +13,13 @@ from fvs_ros.urdf import Kinematics
 
 #: A joint that moves less, standard deviation in rad and m, determines nothing.
 _STILL_RAD, _STILL_M = 0.02, 0.005
+#: Nothing is further away, m.
+_FAR_M = 30.0
 #: Images are explained if they are nearer than this many times their noise.
 _EXPLAINED = 1.6
-#: Moments at which the camera may have been moved, and share of the squared residuals that this
-#: must explain.
-_MOMENTS, _BUMPED = 40, 0.2
+#: Moments at which the camera may have been moved, share of the squared residuals that this must
+#: explain, and share of the images before the first of them.
+_MOMENTS, _BUMPED, _FEW = 40, 0.2, 0.05
 
 
 def length(off_m: np.ndarray) -> float:
@@ -31,6 +33,10 @@ def ordered(data: DataSet, arm: Kinematics) -> DataSet:
         raise CalibrationError(
             f"ball or tag has the frame {data.feature_frame!r}, expected the camera's"
         )
+    for what, points_m in (("ball or tag", data.ball_m[:, :3]), ("the URDF", arm.points_m)):
+        far_m = float(np.median(np.linalg.norm(points_m, axis=1)))
+        if far_m > _FAR_M:
+            raise CalibrationError(f"{what} has places {far_m:.0f} m away: expected metres")
     where = f"is {arm.tip} the link that carries what is seen?"
     missing = [name for name in arm.names if name not in data.joint_names]
     if missing:
@@ -49,7 +55,7 @@ def ordered(data: DataSet, arm: Kinematics) -> DataSet:
     return replace(data, joints_rad=joints, joint_names=arm.names)
 
 
-def refuse(data: DataSet, arm: Kinematics) -> CalibrationError:
+def refusal(data: DataSet, arm: Kinematics) -> CalibrationError:
     """Of images that no arm of these joints can give; the data with all joints that there are."""
     spread = data.joints_rad.std(axis=0)
     others = [
@@ -60,16 +66,17 @@ def refuse(data: DataSet, arm: Kinematics) -> CalibrationError:
     also = f" {', '.join(others)[:200]} moved, too, but is not among them." if others else ""
     return CalibrationError(
         f"no arm of the joints {', '.join(arm.names)[:200]} moves like that.{also} Is {arm.tip} "
-        "the right link, are the joints in rad, under their own names, and the images less than "
-        "0.2 s late? Did camera and ball or tag stay where they were fixed, the camera on the arm "
-        "or beside it as told?"
+        "the right link, are the joints in rad, and under their own names? Did camera and ball or "
+        "tag stay where they were fixed, the camera on the arm or beside it as told?"
     )
 
 
 def find_move(
     off_m: np.ndarray, seen_m: np.ndarray, white: np.ndarray, stamps_s: np.ndarray, noise_m: float
-) -> str:
+) -> str | None:
     """How what the camera sees was moved while the images were taken; empty if it was not.
+
+    None if neither a chain nor a chain before a moved camera explains the images.
 
     Parameters
     ----------
@@ -82,11 +89,6 @@ def find_move(
         Of the images, s.
     noise_m : float
         Of an image, m.
-
-    Raises
-    ------
-    ValueError
-        If neither a chain nor a moved camera explains the images.
     """
     turns = np.swapaxes(cross_matrix(seen_m - seen_m.mean(axis=0)), 1, 2)
     slopes = np.concatenate([turns, np.broadcast_to(np.eye(3), turns.shape)], axis=2)
@@ -103,18 +105,17 @@ def find_move(
         gain = before @ pull[k] + after @ (pull[-1] - pull[k]) - always @ pull[-1]
         return float(gain), before, after
 
-    moments = np.linspace(0, len(off_m) - 1, _MOMENTS + 2).astype(int)[1:-1]
+    # Of a few images at either end a move explains anything.
+    moments = np.linspace(_FEW * len(off_m), (1.0 - _FEW) * len(off_m), _MOMENTS).astype(int)
     best = max(moments, key=lambda k: moved(k)[0])
     gain, before, after = moved(best)
     way_m = np.linalg.norm(slopes @ (after - before), axis=1).mean()
     if gain <= _BUMPED * np.sum(wanted**2) or way_m <= GOOD[0]:
-        if length(off_m) > max(_EXPLAINED * noise_m, 0.5 * USABLE[0]):
-            raise ValueError("no chain explains the images")
-        return ""
+        return None if length(off_m) > max(_EXPLAINED * noise_m, 0.5 * USABLE[0]) else ""
     late = np.arange(len(off_m))[:, None] > best
     rest = off_m - np.einsum("kij,kj->ki", slopes, np.where(late, after, before))
     if length(rest) > max(_EXPLAINED * noise_m, 0.5 * length(off_m)):
-        raise ValueError("no move of the camera explains the images")
+        return None
     turn_deg = np.degrees(np.linalg.norm((after - before)[:3]))
     return (
         f"the camera moved, or what it sees on its mount, by about {1e3 * way_m:.1f} mm and "

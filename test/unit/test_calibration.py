@@ -139,6 +139,27 @@ def mirrored(data):
     return data, replace(ARM, axes=ARM.axes * [[1], [1], [1], [-1], [1], [1]])
 
 
+def late(data):
+    return collected(delay_s=0.4), ARM
+
+
+def in_mm(data):
+    return replace(data, ball_m=1e3 * data.ball_m), ARM
+
+
+def swapped(data):
+    return replace(data, joints_rad=data.joints_rad[:, [0, 2, 1, 3, 4, 5]]), ARM
+
+
+def slow_and_swapped(data):
+    """Images so slow that they tell no noise."""
+    data = swapped(collected(seconds=100.0))[0]
+    parts = {
+        name: getattr(data, name)[::10] for name in ("stamps_s", "joints_rad", "ball_m", "segment")
+    }
+    return replace(data, **parts), ARM
+
+
 def first_mirrored(data):
     return collected(noise_m=1e-3), replace(ARM, axes=ARM.axes * [[-1], [1], [1], [1], [1], [1]])
 
@@ -179,6 +200,10 @@ def short(data):
         (bumped, r"the camera moved, or .* by about \d.\d mm and .* some (29|30|31) s after"),
         (renamed, "the data lack shoulder_pan_joint"),
         (short, "a chain needs at least 200 images"),
+        (late, "the images are stamped .0.20 s late, or more"),
+        (in_mm, "ball or tag has places 1... m away: expected metres"),
+        (swapped, "are the joints in rad, and under their own names"),
+        (slow_and_swapped, "are the joints in rad, and under their own names"),
     ],
 )
 def test_what_cannot_be_calibrated_is_named(change, words):
