@@ -105,7 +105,7 @@ def test_a_wrong_length_of_a_link_is_named():
     assert "elbow_joint is about 5" in found.verdict[1]
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_links_that_are_all_off_widen_what_is_stated(seed):
     points_m, tip_m = ARM.points_m.copy(), ARM.tip_m.copy()
     for i, shift_m in enumerate(np.random.default_rng(seed).normal(0.0, 2e-3, (5, 3)), 1):
