@@ -79,6 +79,4 @@ class CameraTopics(NamedTuple):
         images = topics.COLOR_IMAGE, topics.DEPTH_IMAGE
         if compressed:
             images = topics.COLOR_IMAGE_COMPRESSED, topics.DEPTH_IMAGE_COMPRESSED
-        names = (one.name.removeprefix(topics.CAMERA_PREFIXES[0]) for one in images)
-        info = topics.CAMERA_INFO.name.removeprefix(topics.CAMERA_PREFIXES[0])
-        return cls(*(prefix.rstrip("/") + name for name in (*names, info)))
+        return cls(*(topics.camera_names(one, prefix)[0] for one in (*images, topics.CAMERA_INFO)))

@@ -120,7 +120,8 @@ class _Posterior(NamedTuple):
 
     mean: np.ndarray
     covariance: np.ndarray
-    #: White residuals of the registration, as they pull at the unknowns.
+    #: What the images alone tell: ``square x = pull`` is the least-squares solution.
+    square: np.ndarray
     pull: np.ndarray
     #: Likeliest deviations of zeros, rad (m), links, m, and scale; variance of a white residual.
     sizes: tuple[float, float, float]
@@ -237,7 +238,6 @@ class _Calibrating:
         zeros[1:-1] = found.mean[at.zeros]
         rotation, shift = model.camera(found.mean)
         carried_m, carried_rotation = model.on_tip(found.mean)
-        square = np.einsum("kmi,kmj->ij", rows, rows)
         result = Calibration(
             arm=arm,
             camera=self._data.feature_frame,
@@ -254,13 +254,13 @@ class _Calibrating:
             focal=float(np.exp(found.mean[at.focal])),
             focal_deviation=float(deviations[at.focal]),
             zeros_rad=zeros,
-            zeros_deviation_rad=self._of_zeros(deviations, square, found),
+            zeros_deviation_rad=self._of_zeros(deviations, found.square, found),
             residual_m=length(off),
             stamps_s=model.path.stamps_s,
             seen_m=self._seen[:, :3],
             residuals_m=off[:, :3],
             outliers=int(np.count_nonzero(~good)),
-            displaced=self._displaced(square, found),
+            displaced=self._displaced(found),
         )
         if result.verdict[0] == "good" and np.isfinite(result.zeros_deviation_rad[1:-1]).all():
             return result
@@ -300,6 +300,7 @@ class _Calibrating:
         return _Posterior(
             mean,
             covariance + self._common(self._seen),
+            square,
             pull,
             sizes[int(np.argmax(evidence))],
             noise,
@@ -355,11 +356,11 @@ class _Calibrating:
         told[1:-1] = np.where(unsure, np.inf, deviations[self._at.zeros])
         return told
 
-    def _displaced(self, square: np.ndarray, found: _Posterior) -> Displaced | None:
+    def _displaced(self, found: _Posterior) -> Displaced | None:
         """The joint at which a displaced rest of the arm explains most, if links are off."""
         if found.unlikely < _SURE:
             return None
-        free, pull = self._at.links.start, found.pull
+        free, square, pull = self._at.links.start, found.square, found.pull
         prior = found.noise * self._deviation(*_WIDEST) ** -2.0
         tried = []
         for i, name in enumerate(self._arm.names[1:]):
