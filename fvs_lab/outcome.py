@@ -80,6 +80,7 @@ def seconds(value: float | None) -> float:
 def outcome_of(
     times_s: np.ndarray,
     balls_m: np.ndarray,
+    errors_m: np.ndarray,
     targets_m: np.ndarray,
     commands: Sequence[Command],
     jacobian_errors: np.ndarray,
@@ -87,17 +88,16 @@ def outcome_of(
 ) -> Outcome:
     """Judge a run of n ticks.
 
-    Times since the target was given, s, shape (n,); balls and targets in the camera frame, m,
-    shape (n, m); errors of the Jacobian of every ``JACOBIAN_EVERY``-th tick. ``record`` keeps the
-    time series.
+    Times since the target was given, s, and errors from it, m, shape (n,); balls and targets in the
+    camera frame, m, shape (n, m); errors of the Jacobian of every ``JACOBIAN_EVERY``-th tick.
+    ``record`` keeps the time series.
     """
-    errors = np.linalg.norm(balls_m - targets_m, axis=1)
     speeds = np.array([one.velocity_rad_s for one in commands])
-    settling = {name: settling_time_s(times_s, errors, bound) for name, bound in BOUNDS_M.items()}
+    settling = {name: settling_time_s(times_s, errors_m, bound) for name, bound in BOUNDS_M.items()}
     last = times_s > times_s[-1] - FINAL_S
     settled = settling["5 mm"]
     moving = times_s <= (times_s[-1] if settled is None else settled)
-    failure = "" if settled is not None else _cause(errors, commands)
+    failure = "" if settled is not None else _cause(errors_m, commands)
     steps_m = np.linalg.norm(np.diff(balls_m[moving], axis=0), axis=1)
     # A bump moves the camera, not the ball.
     steps_m[np.diff(targets_m[moving], axis=0).any(axis=1)] = 0.0
@@ -107,12 +107,12 @@ def outcome_of(
     nothing = np.full(given[0].size if given else 0, np.nan)
     exponents = [nothing if one.output is None else one.output.exponent for one in commands]
     return Outcome(
-        start_distance_m=float(errors[0]),
+        start_distance_m=float(errors_m[0]),
         settling_s=settling,
-        final_rms_m=float(np.sqrt(np.mean(errors[last] ** 2))),
+        final_rms_m=float(np.sqrt(np.mean(errors_m[last] ** 2))),
         jitter_rad_s=jitter_rad_s(speeds[last]) if serving else float("inf"),
         peak_joint_speed_rad_s=float(np.abs(speeds).max()),
-        path_ratio=float(steps_m.sum()) / float(errors[0]),
+        path_ratio=float(steps_m.sum()) / float(errors_m[0]),
         limited_share=float(np.mean(limited[moving])),
         jacobian_error=float(np.mean(jacobian_errors[moving[::JACOBIAN_EVERY]])),
         failure=failure,
@@ -121,7 +121,7 @@ def outcome_of(
         series={
             "time_s": times_s,
             "ball_m": balls_m,
-            "error_m": errors,
+            "error_m": errors_m,
             "command_rad_s": speeds,
             "exponent": np.array(exponents),
         }
@@ -130,10 +130,10 @@ def outcome_of(
     )
 
 
-def _cause(errors: np.ndarray, commands: Sequence[Command]) -> str:
+def _cause(errors_m: np.ndarray, commands: Sequence[Command]) -> str:
     """Why a run did not settle."""
     if commands[-1].state is not State.SERVOING:
         return f"held: {commands[-1].reason.name.lower().replace('_', ' ')}"
-    if errors[-125:].min() < BOUNDS_M["5 mm"]:
+    if errors_m[-125:].min() < BOUNDS_M["5 mm"]:
         return NOT_STAYED
-    return "too slow" if errors[-1] < 0.9 * errors[0] else "did not get nearer"
+    return "too slow" if errors_m[-1] < 0.9 * errors_m[0] else "did not get nearer"

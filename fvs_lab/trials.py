@@ -16,6 +16,7 @@ from fvs_detector_node.detection import BallDetection
 from fvs_detector_node.tags import Tag
 from fvs_lab.outcome import BOUNDS_M, JACOBIAN_EVERY, Outcome, outcome_of, seconds
 from fvs_ros.topics import BALL, POSE
+from fvs_ros.vectors import length
 from fvs_sim_node.camera import CAMERAS, CameraPose
 from fvs_sim_node.robot import HOME_JOINTS_RAD, TRAINING_BOX_RAD
 from fvs_sim_node.simulation import SimConfig, Simulation
@@ -316,6 +317,7 @@ def drive(trial: Trial, simulation: Simulation) -> Outcome:
     bump_tick = -1 if trial.bump is None else round(trial.bump.time_s / one.period_s)
     times_s: list[float] = []
     balls_m: list[np.ndarray] = []
+    errors_m: list[float] = []
     targets_m: list[np.ndarray] = []
     commands: list[Command] = []
     jacobian_errors: list[float] = []
@@ -333,14 +335,15 @@ def drive(trial: Trial, simulation: Simulation) -> Outcome:
         commands.append(one.tick())
         times_s.append(simulation.time_s - start_s)
         balls_m.append(one.true_feature)
+        errors_m.append(length(one.feature.error(balls_m[-1], target_m)))
         targets_m.append(target_m)
         if tick % JACOBIAN_EVERY == 0:
             jacobian_errors.append(jacobian_error(one))
-        near = np.linalg.norm(balls_m[-1] - target_m) < BOUNDS_M["5 mm"]
+        near = errors_m[-1] < BOUNDS_M["5 mm"]
         below_since_s = min(below_since_s, times_s[-1]) if near else np.inf
         if trial.stop_after_s is not None and times_s[-1] - below_since_s >= trial.stop_after_s:
             break
-    series = (np.array(times_s), np.array(balls_m), np.array(targets_m))
+    series = [np.array(one) for one in (times_s, balls_m, errors_m, targets_m)]
     return outcome_of(*series, commands, np.array(jacobian_errors), trial.record)
 
 

@@ -72,6 +72,7 @@ COLLECTOR, DEMO, DASHBOARD = "fvs_collector_node", "fvs_demo_node", "fvs_dashboa
 MARKERS_NODE, RECORDER = "fvs_markers_node", "fvs_recorder_node"
 CALIBRATE = "fvs_calibrate_node"
 SERVO = "fvs_servo_node"  # no node: the program of estimator and controller in one process
+YOU = "you"  # an operator's tools, such as ``ros2 topic pub``
 _TRIGGER = "std_srvs/srv/Trigger"
 
 NODES: dict[str, Node] = {
@@ -203,7 +204,7 @@ TARGET_POSITION = Topic(
     "The desired ball position, m, in the frame of `ball_position`; latched or not.",
     dict.fromkeys((DEMO, DASHBOARD), _servoed(BALL, _LATCHED)),
     {CONTROLLER: _servoed(BALL, _EITHER)},
-    also_from="you",
+    also_from=YOU,
 )
 TARGET_POSE = Topic(
     "target_pose",
@@ -211,7 +212,7 @@ TARGET_POSE = Topic(
     "The desired pose of the tag, in the frame of `tool_pose`; latched or not.",
     dict.fromkeys((DEMO, DASHBOARD), _servoed(POSE, _LATCHED)),
     {CONTROLLER: _servoed(POSE, _EITHER)},
-    also_from="you",
+    also_from=YOU,
 )
 SLIDING_VARIABLE = Topic(
     "sliding_variable",

@@ -171,7 +171,8 @@ def policy(namespace: str = "") -> str:
         enclaves[name] = _rules(published, subscribed, served, node.calls)
         everything |= {one.replace("~", name, 1) for one in published}
         services |= {one.replace("~", name, 1) for one in served}
-    enclaves[OPERATOR] = _rules({topics.TARGET_POSITION.name}, everything, (), services)
+    sent = {topic.name for topic in topics.TOPICS if topic.also_from == topics.YOU}
+    enclaves[OPERATOR] = _rules(sent, everything, (), services)
     names = {"resolve": topics.resolve}
     return _rendered("policy.xml.jinja", names, enclaves=enclaves, namespace=namespace.strip("/"))
 

@@ -61,6 +61,12 @@ def test_named_files_exist(path):
             assert (ROOT / name).exists(), name
 
 
+def test_constants_that_contributors_are_sent_to_exist():
+    others = "".join(map(page, [ROOT / "Makefile", *sorted((ROOT / "test").glob("*.py"))]))
+    for name in re.findall(r"`([A-Z][A-Z_]{3,})`", page(ROOT / "CONTRIBUTING.md")):
+        assert re.search(rf"\b{name}\b", source() + others), name
+
+
 @each_page
 def test_parameters_that_commands_set_exist(path):
     known = {one.name for entry in NODE_TABLE.values() for one in entry.parameters()}

@@ -90,7 +90,7 @@ def test_joint_commands_come_from_the_controller_and_the_collector_alone():
 
 def test_a_person_sends_targets_only():
     profile = profiles(policy())[f"/{OPERATOR}"]
-    wanted = {"/target_position", *topics.EVERY_NODE_PUBLISHES}
+    wanted = {"/target_position", "/target_pose", *topics.EVERY_NODE_PUBLISHES}
     assert allowed(profile, "topic", "publish") == wanted
 
 
