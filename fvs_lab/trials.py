@@ -343,7 +343,7 @@ def drive(trial: Trial, simulation: Simulation) -> Outcome:
         below_since_s = min(below_since_s, times_s[-1]) if near else np.inf
         if trial.stop_after_s is not None and times_s[-1] - below_since_s >= trial.stop_after_s:
             break
-    series = [np.array(one) for one in (times_s, balls_m, errors_m, targets_m)]
+    series = np.array(times_s), np.array(balls_m), np.array(errors_m), np.array(targets_m)
     return outcome_of(*series, commands, np.array(jacobian_errors), trial.record)
 
 
