@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import io
 import logging
-import os
 import time
+import xml.etree.ElementTree as ET
 from collections.abc import Callable, Sequence
 from math import inf
-from pathlib import Path
 
 import numpy as np
 import viser
@@ -19,6 +18,8 @@ from viser.transforms import SO3
 from fvs_dashboard import picture
 from fvs_dashboard.board import Board
 from fvs_ros.feature import Feature, PoseFeature
+from fvs_ros.paths import find_mesh
+from fvs_ros.urdf import read_robot
 
 _BALL, _PREDICTED, _TARGET = (213, 40, 30), picture.BALL_RGB, picture.TARGET_RGB
 #: What the colours mean in the view.
@@ -191,10 +192,6 @@ def _joined(points: np.ndarray) -> np.ndarray:
 
 # --- the robot's model ---
 
-_PACKAGE = "package://"
-#: Where ROS is installed, if it is: programs that sourced none find its meshes, too.
-_INSTALLED = Path("/opt/ros")
-
 
 class Arm:
     """A robot read from URDF, as its driver publishes it; a ``ValueError`` if it is none.
@@ -242,7 +239,7 @@ def _load(text: str) -> tuple[yourdfpy.URDF, str]:
     logging.getLogger("yourdfpy").setLevel(logging.ERROR)
 
     def load(meshes: bool) -> yourdfpy.URDF:
-        source = io.BytesIO(text.encode("utf-8"))
+        source = io.BytesIO(ET.tostring(read_robot(text)))
         return yourdfpy.URDF.load(source, filename_handler=_find, load_meshes=meshes)
 
     # Its XML and mesh readers raise various exceptions.
@@ -257,15 +254,10 @@ def _load(text: str) -> tuple[yourdfpy.URDF, str]:
 
 def _find(fname: str) -> str:
     """The file of a mesh that the URDF names; a ``FileNotFoundError`` says how to get it."""
-    inside = fname.removeprefix(_PACKAGE)
-    if inside == fname:
-        return fname.removeprefix("file://")
-    sourced = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    prefixes = (*map(Path, filter(None, sourced)), *sorted(_INSTALLED.glob("*"), reverse=True))
-    for path in (prefix / "share" / inside for prefix in prefixes):
-        if path.is_file():
-            return str(path)
-    package = inside.partition("/")[0]
+    path = find_mesh(fname)
+    if path is not None:
+        return str(path)
+    package = fname.removeprefix("package://").partition("/")[0]
     raise FileNotFoundError(
         f"{fname} is not on this computer; install ros-jazzy-{package.replace('_', '-')} (apt), "
         f"or name the folder that holds share/{package} in AMENT_PREFIX_PATH, and start this again"

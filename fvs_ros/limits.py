@@ -354,13 +354,18 @@ class JointLimits(ArmJoints):
 def with_urdf_limits(values: Mapping[str, Any], urdf: Mapping[str, UrdfJoint]) -> dict[str, Any]:
     """Parameter values, those limits that are not given taken from a URDF's joints.
 
-    A ``ParameterError`` says which of ``joint_names`` does not move in the URDF.
+    A URDF that has none of ``joint_names`` is another robot's, and says nothing. A
+    ``ParameterError`` names one of them that does not move in the URDF, or has odd limits.
     """
-    joints = []
-    for name in (values["tf_prefix"] + name for name in values["joint_names"]):
+    names = [values["tf_prefix"] + name for name in values["joint_names"]]
+    joints = [urdf[name] for name in names if name in urdf]
+    if not joints or all(values[name] for name in URDF_LIMITS):
+        return dict(values)
+    for name in names:
         if name not in urdf or not urdf[name].moves:
             raise ParameterError(f"robot_description has no moving joint {name}")
-        joints.append(urdf[name])
+        if urdf[name].problem:
+            raise ParameterError(urdf[name].problem)
     limits = [
         (max(-UNLIMITED, one.lower), min(UNLIMITED, one.upper), min(UNLIMITED, one.velocity))
         for one in joints

@@ -8,6 +8,8 @@ from importlib import metadata
 from pathlib import Path
 
 PACKAGE = "fvs_ros"
+#: Where ROS is installed, if it is: programs that sourced none find its meshes, too.
+_INSTALLED = Path("/opt/ros")
 #: Like ``python -m``, but never imports what lies in the working directory (the empty name).
 _RUN = (
     "import sys; sys.path[:] = filter(None, sys.path); {first}import runpy; "
@@ -44,6 +46,20 @@ def find_file(name: str, folder: str = "config") -> Path:
         if place.is_file():
             return place
     raise FileNotFoundError(f"no file {name}; looked in {', '.join(str(p) for p in places)}")
+
+
+def find_mesh(name: str, urdf: Path | None = None) -> Path | None:
+    """The file that a URDF means by ``package://PACKAGE/path``, ``file://path`` or a path.
+
+    It is looked for beside the URDF, if that is a file, and where ROS is sourced or installed.
+    """
+    inside = name.removeprefix("file://").removeprefix("package://")
+    folders = () if urdf is None else urdf.resolve().parents
+    beside = [folder / one for folder in folders for one in (inside, inside.partition("/")[2])]
+    sourced = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
+    prefixes = (*map(Path, sourced), *sorted(_INSTALLED.glob("*"), reverse=True))
+    places = [*beside, *(prefix / "share" / inside for prefix in prefixes)]
+    return next((place for place in places if place.is_file()), None)
 
 
 def program(module: str, dies_with_parent: bool = False) -> list[str]:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import ast
+import re
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from math import inf, isfinite
+from typing import NoReturn
+from xml.parsers import expat
 
 import numpy as np
 
@@ -14,6 +18,16 @@ from fvs_ros.feature import rotation_matrix
 from fvs_ros.vectors import LARGEST
 
 _MOVING = ("revolute", "continuous", "prismatic")
+#: A joint of these types is where an arm's base stands on whatever carries it.
+_LOOSE = ("floating", "planar")
+#: Elements of a robot that the programs here know; others may have prefixes that nothing declares.
+_KNOWN = ("link", "joint", "material")
+#: Standard names of the link that carries a tool (REP 199).
+_TIPS = ("tool0", "flange")
+_XACRO = (
+    "this is a xacro, not a URDF: expand it by `ros2 run xacro xacro FILE > arm.urdf`, or take "
+    "the driver's: `ros2 param get --hide-type /robot_state_publisher robot_description`"
+)
 
 
 @dataclass(frozen=True)
@@ -24,13 +38,15 @@ class UrdfJoint:
     kind: str
     parent: str
     child: str
-    lower: float
-    upper: float
-    velocity: float
+    lower: float = -inf
+    upper: float = inf
+    velocity: float = inf
     #: Of the joint in its parent's frame, m and rad (roll, pitch, yaw), and its axis in its own.
     xyz_m: tuple[float, ...] = (0.0, 0.0, 0.0)
     rpy_rad: tuple[float, ...] = (0.0, 0.0, 0.0)
     axis: tuple[float, ...] = (1.0, 0.0, 0.0)
+    #: Why it cannot be used, in words; empty if it can.
+    problem: str = ""
 
     @property
     def moves(self) -> bool:
@@ -38,41 +54,109 @@ class UrdfJoint:
         return self.kind in _MOVING
 
 
-def read_joints(text: str) -> dict[str, UrdfJoint]:
-    """All joints of a URDF, by name; a ``ValueError`` if it is none."""
-    if "<!DOCTYPE" in text:  # a few lines of one can expand beyond any memory
-        raise ValueError("the URDF has a DOCTYPE, which is not taken")
+def read_robot(source: str | bytes) -> ET.Element:
+    """The links, joints and materials of a URDF, as text or as the bytes of a file.
+
+    It is read as ROS reads it, so without regard to namespaces, and also as people save it: in
+    UTF-16 or Latin-1, with something before or after it, or as ``ros2 param get`` and ``ros2 topic
+    echo`` print it. A ``ValueError`` says what else it is.
+    """
+    text = _decoded(source) if isinstance(source, bytes) else source
+    whole = "<" not in text or "</robot>" in text
+    # The encoding is known by now, and a comment may stand before the declaration.
+    text = re.sub(r"<\?xml\s[^>]*\?>", "", _unquoted(text), count=1)
+    builder, parser = ET.TreeBuilder(), expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    parser.StartDoctypeDeclHandler = _refuse_doctype
     try:
-        root = ET.fromstring(text)
-    except ET.ParseError as error:
-        raise ValueError(f"the URDF is no XML: {error}") from None
+        parser.Parse(text, True)
+    except expat.ExpatError as error:
+        cut = "; it has no </robot>: is it cut off? `ros2 topic echo` needs --full-length"
+        raise ValueError(f"the URDF is no XML: {error}{'' if whole else cut}") from None
+    root = builder.close()
     if root.tag != "robot":
         raise ValueError(f"a URDF has one <robot>, got <{root.tag[:40]}>")
-    return {one.name: one for one in map(_joint, root.findall("joint"))}
+    values = (
+        value
+        for joint in root.iter("joint")
+        for one in joint.iter()
+        for value in one.attrib.values()
+    )
+    if any(one.tag.startswith("xacro:") for one in root) or any("${" in value for value in values):
+        raise ValueError(_XACRO)
+    robot = ET.Element("robot", name=root.get("name", ""))
+    robot.extend(one for one in root if one.tag in _KNOWN)
+    return robot
+
+
+def _refuse_doctype(name: str, *_: object) -> NoReturn:
+    # A few lines of one can expand beyond any memory.
+    raise ValueError(f"the URDF has a DOCTYPE ({name[:40]}), which is not taken")
+
+
+def _decoded(data: bytes) -> str:
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return data.decode("utf-16", "replace")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:  # names and numbers are ASCII; comments may not be
+        return data.decode("latin-1")
+
+
+def _unquoted(text: str) -> str:
+    """From the first tag to the last, without the quotes of the YAML around it."""
+    start, end = text.find("<"), text.rfind(">") + 1
+    before, body = text[start - 1 : start], text[start:end]
+    if before == "'":
+        return body.replace("''", "'")
+    if before == '"':
+        folded = re.sub(r"\\\n\s*\\?", "", body)
+        try:
+            return str(ast.literal_eval(f'"""{folded}"""'))
+        except (SyntaxError, ValueError) as error:
+            raise ValueError(f"the URDF is no quoted text: {error}") from None
+    return body
+
+
+def read_joints(source: str | bytes | ET.Element) -> dict[str, UrdfJoint]:
+    """All joints of a URDF, by name; a ``ValueError`` if it is none, see :func:`read_robot`."""
+    robot = source if isinstance(source, ET.Element) else read_robot(source)
+    joints: dict[str, UrdfJoint] = {}
+    for one in map(_joint, robot.iter("joint")):
+        if one.name in joints:
+            raise ValueError(f"the URDF has two joints {one.name[:60]!r}")
+        joints[one.name] = one
+    return joints
 
 
 def _joint(element: ET.Element) -> UrdfJoint:
     name, kind = element.get("name", ""), element.get("type", "")
+    ends = [element.find(one) for one in ("parent", "child")]
+    parent, child = ("" if one is None else one.get("link", "") for one in ends)
+    if not (parent and child):
+        raise ValueError(f"joint {name[:60]!r} of the URDF lacks a link")
+    if element.find("mimic") is not None:
+        kind = "mimic"
     limit = element.find("limit")
     given: Mapping[str, str] = {} if limit is None else limit.attrib
     try:
-        lower, upper = (float(given.get(end, "0")) for end in ("lower", "upper"))
-        velocity = float(given.get("velocity", "0"))
-        ends = {one.tag: one.attrib["link"] for one in element if one.tag in ("parent", "child")}
-        parent, child = ends["parent"], ends["child"]
+        lower, upper, velocity = (
+            float(given.get(one, "0")) for one in ("lower", "upper", "velocity")
+        )
         xyz_m, rpy_rad = (_triple(element, "origin", which) for which in ("xyz", "rpy"))
         axis = _triple(element, "axis", "xyz", "1 0 0")
-    except (ValueError, KeyError):
-        words = f"joint {name[:60]!r} of the URDF lacks a link or has a bad number"
-        raise ValueError(words) from None
-    if lower > upper:
-        raise ValueError(f"joint {name[:60]!r} of the URDF has limits {lower:g} to {upper:g}")
+    except ValueError:
+        problem = f"joint {name[:60]!r} of the URDF has a bad number"
+        return UrdfJoint(name, kind, parent, child, problem=problem)
+    problem = ""
+    if not lower <= upper:
+        problem = f"joint {name[:60]!r} of the URDF has limits {lower:g} to {upper:g}"
     if kind == "continuous" or lower == upper:
         lower, upper = -inf, inf
-    if element.find("mimic") is not None:
-        kind = "mimic"
     velocity = velocity if isfinite(velocity) and velocity > 0.0 else inf
-    return UrdfJoint(name, kind, parent, child, lower, upper, velocity, xyz_m, rpy_rad, axis)
+    return UrdfJoint(
+        name, kind, parent, child, lower, upper, velocity, xyz_m, rpy_rad, axis, problem
+    )
 
 
 def _triple(element: ET.Element, tag: str, which: str, usual: str = "0 0 0") -> tuple[float, ...]:
@@ -86,35 +170,80 @@ def _triple(element: ET.Element, tag: str, which: str, usual: str = "0 0 0") -> 
 
 
 def _path(joints: Mapping[str, UrdfJoint], end: str) -> list[UrdfJoint]:
-    """All joints from the root to a link."""
+    """All joints from the root, or from a loose base, to a link."""
     above = {one.child: one for one in joints.values()}
     found: list[UrdfJoint] = []
-    while end in above and len(found) < len(above):  # a loop of joints has no root
+    # A loop of joints has no root.
+    while end in above and above[end].kind not in _LOOSE and len(found) < len(above):
         found.insert(0, above[end])
         end = above[end].parent
     return found
 
 
-def moving_chain(joints: Mapping[str, UrdfJoint], link: str = "") -> tuple[str, list[UrdfJoint]]:
+def _arm(joints: Mapping[str, UrdfJoint], known: Collection[str]) -> str:
+    """The last link of the longest chain of moving joints, without the fingers of a gripper.
+
+    Fingers are shorter than the arm, and there are two as long at least on one body. A last joint
+    that is not among the known ones, if some are, is one as well.
+    """
+    chains = [[one for one in _path(joints, end.child) if one.moves] for end in joints.values()]
+    longest = max(chains, key=len)
+
+    def body(link: str) -> str:
+        """The first of the links that are fixed to each other."""
+        above = _path(joints, link)
+        while above and above[-1].kind == "fixed":
+            link = above.pop().parent
+        return link
+
+    def depth(joint: UrdfJoint) -> int:
+        """Most joints one after the other from this one on, those that follow others included."""
+        paths = (_path(joints, one.child) for one in joints.values())
+        rest = (path[path.index(joint) :] for path in paths if joint in path)
+        return max(sum(one.kind != "fixed" for one in path) for path in rest)
+
+    for before, first in enumerate(longest):
+        others = [
+            one
+            for one in joints.values()
+            if one.kind != "fixed" and one != first and body(one.parent) == body(first.parent)
+        ]
+        rest = len(longest) - before
+        if before > rest and any(depth(one) >= rest for one in others):
+            longest = longest[:before]
+            break
+    while known and longest and longest[-1].name not in known:
+        longest = longest[:-1]
+    return longest[-1].child if longest else ""
+
+
+def moving_chain(
+    joints: Mapping[str, UrdfJoint], link: str = "", known: Collection[str] = ()
+) -> tuple[str, list[UrdfJoint]]:
     """A link, and the moving joints from the root to it.
 
-    Without one it is ``tool0``, or else the link with most moving joints before it.
+    Without one it is ``tool0`` or ``flange``, or else the arm's last link: that with most moving
+    joints before it, not counting a gripper's, nor last ones that are not among the known names.
     """
     above = {one.child: one for one in joints.values()}
     if not above:
         raise ValueError("the URDF has no joints: is it a xacro that was not expanded?")
-
-    def chain(end: str) -> list[UrdfJoint]:
-        return [one for one in _path(joints, end) if one.moves]
-
-    end = link or ("tool0" if "tool0" in above else "")
-    end = end or max(above, key=lambda one: len(chain(one)), default="")
-    if end not in above:
-        known = ", ".join(sorted(above))[:400]
-        raise ValueError(f"no joint of the URDF has the link {end!r} after it; there are {known}")
-    moving = chain(end)
+    end = link or next((one for one in _TIPS if one in above), "") or _arm(joints, known)
+    if link and end not in above:
+        tips = ", ".join(sorted(above))[:400]
+        raise ValueError(f"no joint of the URDF has the link {end!r} after it; there are {tips}")
+    path = _path(joints, end)
+    for one in path:
+        if one.problem:
+            raise ValueError(one.problem)
+        if one.kind not in ("fixed", *_MOVING):
+            raise ValueError(
+                f"joint {one.name[:60]!r} before {end} is of the kind {one.kind[:20]!r}, which no "
+                f"chain here follows: name a link before it"
+            )
+    moving = [one for one in path if one.moves]
     if not moving:
-        raise ValueError(f"no moving joint of the URDF carries {end}")
+        raise ValueError(f"no moving joint of the URDF carries {end or 'anything'}")
     return end, moving
 
 
@@ -169,9 +298,11 @@ class Kinematics:
         )
 
 
-def kinematics(joints: Mapping[str, UrdfJoint], link: str = "") -> Kinematics:
+def kinematics(
+    joints: Mapping[str, UrdfJoint], link: str = "", known: Collection[str] = ()
+) -> Kinematics:
     """Where the axes of the joints are that carry a link; see :func:`moving_chain`."""
-    tip, moving = moving_chain(joints, link)
+    tip, moving = moving_chain(joints, link, known)
     path = _path(joints, tip)
     rotation, place_m = np.eye(3), np.zeros(3)
     axes, points_m = [], []

@@ -68,7 +68,8 @@ class SimNode(ros.FvsNode):
         description = self.publisher(topics.ROBOT_DESCRIPTION)
         which = config.simulation
         robot = robot_of(which.robot, which.urdf_path, which.ball_link)
-        description.publish(String(data=robot_description(robot, config.tf_prefix)))
+        text = robot_description(robot, config.tf_prefix, lambda words: self.tell(ros.WARN, words))
+        description.publish(String(data=text))
         by_velocity = which.command_interface == VELOCITY
         self._command_topic = topics.COMMANDS if by_velocity else topics.POSITION_COMMANDS
         self.subscribe(self._command_topic, self._on_command)

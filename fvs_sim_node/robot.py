@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import re
 import sys
-from collections.abc import Mapping
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from fvs_ros.paths import find_file
-from fvs_ros.urdf import UrdfJoint, moving_chain, read_joints
+from fvs_ros.paths import find_file, find_mesh
+from fvs_ros.urdf import UrdfJoint, moving_chain, read_joints, read_robot
 from fvs_sim_node.camera import CAMERAS, CameraPose
 
 #: Home of the UR5: the middle of the box that the shipped networks were trained in, and half its
@@ -17,9 +17,10 @@ from fvs_sim_node.camera import CAMERAS, CameraPose
 HOME_JOINTS_RAD = (0.0, -1.35, 1.6, -1.75, -1.57, 0.0)
 TRAINING_BOX_RAD = (0.6, 0.5, 0.5, 0.5, 0.5, 0.5)
 
-#: Matches the name of a link or joint in a URDF.
-_NAMED = re.compile(r'(<(?:link|joint|parent|child|mimic)\b[^>]*?\b(?:name|link|joint)=")')
-_MESH = re.compile(r'(<mesh\b[^>]*?\bfilename=")([^"]+)')
+#: By element of a URDF, what holds the name of a link or joint.
+_NAMED = {"link": "name", "joint": "name", "parent": "link", "child": "link", "mimic": "joint"}
+#: What stands for a mesh that is not here: a cube, its edge in m.
+_STANDS_IN = "0.04 0.04 0.04"
 #: Packages that ship URDFs, and the folder of their files below the site-packages.
 _PACKAGES = {
     "example-robot-data": "cmeel.prefix/share/example-robot-data/robots",
@@ -98,29 +99,34 @@ def moving_joints(robot: Robot) -> tuple[str, list[UrdfJoint]]:
     """
     path = robot.file()
     try:
-        return moving_chain(read_joints(path.read_text("utf-8")), robot.ball_link)
+        return moving_chain(read_joints(path.read_bytes()), robot.ball_link)
     except (ValueError, OSError) as error:
         raise ValueError(f"{path}: {error}") from error
 
 
-def robot_description(robot: Robot, tf_prefix: str = "") -> str:
-    """The text of its URDF: mesh files absolute, and a prefix before each joint and link."""
-    path = robot.file()
+def robot_description(
+    robot: Robot, tf_prefix: str = "", say: Callable[[str], None] = lambda words: None
+) -> str:
+    """The text of its URDF: mesh files absolute, and a prefix before each joint and link.
 
-    def absolute(match: re.Match[str]) -> str:
-        found = _mesh_file(match[2], path)
-        return f"{match[1]}file://{found}" if found else match[0]
-
-    text = _MESH.sub(absolute, path.read_text("utf-8"))
-    return _NAMED.sub(rf"\g<1>{tf_prefix}", text)
-
-
-def _mesh_file(name: str, urdf: Path) -> Path | None:
-    """What ``package://PACKAGE/path`` or a relative path in a URDF means, if it is here."""
-    inside = name.removeprefix("package://")
-    shorter = inside.partition("/")[2]
-    for folder in urdf.resolve().parents:
-        for path in (folder / inside, folder / shorter):
-            if path.is_file():
-                return path
-    return None
+    Cubes stand for meshes that are not here; ``say`` gets a sentence about them.
+    """
+    path, missing = robot.file(), set[str]()
+    root = read_robot(path.read_bytes())
+    for one in root.iter():
+        named = _NAMED.get(one.tag, "")
+        if named in one.attrib:
+            one.set(named, tf_prefix + one.attrib[named])
+    for geometry in root.iter("geometry"):
+        for mesh in geometry.findall("mesh"):
+            name = mesh.get("filename", "")
+            found = find_mesh(name, path)
+            if found:
+                mesh.set("filename", f"file://{found}")
+            else:
+                missing.add(name)
+                geometry.remove(mesh)
+                ET.SubElement(geometry, "box", size=_STANDS_IN)
+    if missing:
+        say(f"cubes stand for {len(missing)} meshes that are not here, such as {min(missing)}")
+    return ET.tostring(root, encoding="unicode")

@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import os
 from functools import cached_property
-from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import Any
 
 import cv2
 import numpy as np
-import pybullet
-from pybullet_utils.bullet_client import BulletClient
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from fvs_detector_node.detection import BallColour, colour_mask
 from fvs_detector_node.images import Region
+from fvs_ros.arguments import how_to_install
 from fvs_ros.camera import Intrinsics
 from fvs_ros.chain import SerialChain
 from fvs_ros.feature import PoseFeature
@@ -28,8 +27,15 @@ from fvs_ros.urdf import UrdfJoint
 from fvs_sim_node.camera import CameraPose
 from fvs_sim_node.config import BALL_RGBA, SceneObject, SimConfig
 from fvs_sim_node.placement import Placement
-from fvs_sim_node.robot import moving_joints, robot_of
+from fvs_sim_node.robot import moving_joints, robot_description, robot_of
 from fvs_sim_node.tag import TagPicture, exposed
+
+try:
+    import pybullet
+    from pybullet_utils.bullet_client import BulletClient
+except ImportError as error:
+    words = f"the simulator needs pybullet: {how_to_install('sim', ['pybullet'])} ({error})"
+    raise ImportError(words) from None
 
 #: Depth range that is drawn, m. What lies beyond has no depth, as with a real camera.
 _NEAR_M, _FAR_M = 0.25, 4.0
@@ -71,7 +77,7 @@ class World:
             self.client.setGravity(0.0, 0.0, 0.0)
             self._known = robot_of(config.robot, config.urdf_path, config.ball_link)
             link, joints = moving_joints(self._known)
-            self._robot = self._load_robot(self._known.file())
+            self._robot = self._load_robot()
             self.root_link = self.client.getBodyInfo(self._robot)[0].decode()
             self._find_joints(joints, link)
             self._prepare_links()
@@ -102,16 +108,19 @@ class World:
             self.client.disconnect()
 
     # ---------------------------------------------------------------- building
-    def _load_robot(self, path: Path) -> int:
-        try:
-            return self.client.loadURDF(
-                str(path), useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE
-            )
-        except pybullet.error as error:
-            raise ValueError(
-                f"urdf_path: PyBullet cannot load {path} ({error}); it needs a plain URDF "
-                "whose mesh files are found relative to it"
-            ) from None
+    def _load_robot(self) -> int:
+        text = robot_description(self._known).replace('"file://', '"')
+        with NamedTemporaryFile("w", suffix=".urdf", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            try:
+                return self.client.loadURDF(
+                    file.name, useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE
+                )
+            except pybullet.error as error:
+                raise ValueError(
+                    f"urdf_path: PyBullet cannot load {self._known.file()} ({error})"
+                ) from None
 
     def _find_joints(self, joints: list[UrdfJoint], link: str) -> None:
         """Find the joints from the root to the ball's link among PyBullet's."""

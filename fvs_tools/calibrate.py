@@ -25,9 +25,6 @@ from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_ros.urdf import Kinematics, kinematics, read_joints
 from fvs_tools.overlay import Photograph, draw, residual_px
 
-#: Largest URDF that is read, bytes.
-_MOST_URDF = 2**24
-
 
 @console.reader_may_leave()
 def main(argv: Sequence[str] | None = None) -> int:
@@ -38,10 +35,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise ValueError(f"the folder {given.output.absolute().parent} does not exist")
         if given.output.suffix == ".png":
             raise ValueError(f"{given.output}: expected .yaml; the picture is written beside it")
-        with find_file(given.urdf).open("rb") as file:
-            text = file.read(_MOST_URDF).decode("utf-8", "replace")
-        arm = kinematics(read_joints(text), given.tip)
-        data, photo = _data(given, arm)
+        joints = read_joints(find_file(given.urdf).read_bytes())
+        data, photo = _data(given, kinematics(joints, given.tip))
+        arm = kinematics(joints, given.tip, data.joint_names)
         say = None if given.quiet else (lambda words: print(f"{words} ...", file=sys.stderr))
         found = calibrate(data, arm, given.camera_on_arm, say)
         write(found, given.output, data, photo)
@@ -72,7 +68,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--urdf", required=True, help="the arm's URDF, no xacro")
     parser.add_argument(
-        "--tip", default="", help="link that carries ball, tag or camera (default tool0)"
+        "--tip",
+        default="",
+        help="link that carries ball, tag or camera (default tool0, flange or the last)",
     )
     parser.add_argument(
         "--camera-on-arm",

@@ -68,7 +68,7 @@ class CalibrateNode(ros.FvsNode):
         self._photo: Photograph | None = None
         self._data: DataSet | None = None
         if config.urdf_path:
-            self._describe(Path(config.urdf_path).read_text("utf-8"))
+            self._describe(Path(config.urdf_path).read_bytes())
         else:
             self.subscribe(topics.ROBOT_DESCRIPTION, self._on_description)
         self.subscribe(topics.JOINT_STATES, self._on_joint_states)
@@ -85,7 +85,7 @@ class CalibrateNode(ros.FvsNode):
             except ValueError as error:
                 self._reason = f"robot_description: {error}"
 
-    def _describe(self, text: str) -> None:
+    def _describe(self, text: str | bytes) -> None:
         self._arm = kinematics(read_joints(text), self._config.tip_link)
         self._joint_map = JointMap(self._arm.names)
         self._reason = "collecting"

@@ -15,7 +15,7 @@ class CalibrateConfig(ServoedConfig, CameraTopicsConfig):
 
     urdf_path: str = parameter("", "URDF of the arm; empty: robot_description")
     tip_link: str = parameter(
-        "", "link that carries ball, tag or camera; empty: tool0, or the one with most joints"
+        "", "link that carries ball, tag or camera; empty: tool0, flange, or the arm's last link"
     )
     camera_on_arm: bool = parameter(False, "the arm carries the camera, ball or tag is at rest")
     output_path: str = parameter(

@@ -11,7 +11,7 @@ from std_msgs.msg import String
 from fvs_ros import topics
 from fvs_ros.interface import VELOCITY, PositionPath
 from fvs_ros.limits import URDF_LIMITS, JointLimits, with_urdf_limits
-from fvs_ros.ros.messages import ERROR, OK, send_last_zeros, to_command
+from fvs_ros.ros.messages import ERROR, OK, WARN, send_last_zeros, to_command
 from fvs_ros.ros.node import FvsNode
 from fvs_ros.urdf import UrdfJoint, read_joints
 
@@ -60,7 +60,8 @@ class CommandPublisher:
 class LimitsReader:
     """Takes the joints' limits that no parameter gives from ``robot_description``.
 
-    Whenever it comes, ``use`` gets all values with them, or ``refuse`` gets why there are none.
+    Whenever it comes, ``use`` gets all values with them; or ``refuse`` gets what is wrong with the
+    arm's own joints. A description that cannot be read, or is another robot's, is left out.
     """
 
     def __init__(
@@ -78,18 +79,29 @@ class LimitsReader:
 
     def fill(self, values: dict[str, Any]) -> dict[str, Any]:
         """Values with the limits of ``robot_description``, once it came."""
-        return with_urdf_limits(values, self._joints) if self._joints else values
+        return with_urdf_limits(values, self._joints)
 
     def _on_description(self, message: String) -> None:
         node = self._node
         try:
             joints = read_joints(message.data)
-            self._use(with_urdf_limits(node.values, joints))
+        except ValueError as error:
+            node.tell(WARN, f"robot_description is left out: {error}")
+            return
+        problems = [one.problem for one in joints.values() if one.problem]
+        if problems:
+            node.tell(WARN, f"robot_description: {'; '.join(problems)}")
+        taken = [name for name in URDF_LIMITS if not node.values[name]]
+        try:
+            values = with_urdf_limits(node.values, joints)
+            if taken and values == node.values:
+                node.tell(WARN, "robot_description is left out: it has none of the arm's joints")
+                return
+            self._use(values)
         except ValueError as error:
             node.tell(ERROR, f"robot_description is not usable: {error}")
             self._refuse(str(error))
             return
         self._joints = joints
-        taken = [name for name in URDF_LIMITS if not node.values[name]]
         if taken:
             node.tell(OK, f"{', '.join(taken)} are those of robot_description")

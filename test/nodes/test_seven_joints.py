@@ -58,8 +58,20 @@ def test_a_bad_description_holds_the_arm_and_a_good_one_gives_its_limits(ros_tes
         return bool(statuses) and words in statuses[-1].message
 
     ros_test.spin_until(lambda: says("the joints' ranges are unknown"), what="unknown ranges")
-    for text, words in (
+    for text, words in (  # what is no description of this arm blocks nothing
         (String(data="no xml"), "no XML"),
+        (urdf(known=["another"]), "it has none of the arm's joints"),
+    ):
+        description.publish(text)
+        ros_test.spin_until(
+            lambda words=words: (
+                "left out: " in ros_test.output(controller) and words in ros_test.output(controller)
+            ),
+            what=f"robot_description is left out: {words}",
+        )
+        assert not says("robot_description is not usable")
+        assert says("the joints' ranges are unknown")
+    for text, words in (
         (urdf(known=names[:6]), "no moving joint joint_7"),
         (urdf(upper=-2.0), "has limits -1 to -2"),
     ):

@@ -10,8 +10,8 @@ pytest.importorskip("viser", reason="viser is not installed (pip install 'viser[
 import trimesh
 from ur5_dh import flange_pose
 
-from fvs_dashboard import scene as module
 from fvs_dashboard.scene import Arm
+from fvs_ros import paths
 from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_sim_node.robot import ROBOTS, robot_description
 
@@ -48,7 +48,7 @@ def test_base_and_flange_are_where_the_closed_form_says(text, prefix, base_m):
 
 
 def test_without_meshes_bars_lead_from_joint_to_joint(monkeypatch, tmp_path):
-    monkeypatch.setattr(module, "_INSTALLED", tmp_path)
+    monkeypatch.setattr(paths, "_INSTALLED", tmp_path)
     arm = Arm(of_meshes("stl"), UR_JOINT_NAMES)
     bars = arm.bars(JOINTS)
     assert bars.shape == (7, 2, 3)
@@ -64,7 +64,7 @@ def test_meshes_are_found_where_ros_is_sourced_or_installed(monkeypatch, tmp_pat
     path = tmp_path / "jazzy/share" / f"{MESH}.{ending}".removeprefix("package://")
     path.parent.mkdir(parents=True)
     path.write_bytes(trimesh.creation.box([0.07] * 3).export(file_type="stl"))
-    monkeypatch.setattr(module, "_INSTALLED", tmp_path / "none" if sourced else tmp_path)
+    monkeypatch.setattr(paths, "_INSTALLED", tmp_path / "none" if sourced else tmp_path)
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "jazzy") if sourced else "")
     arm = Arm(of_meshes(ending), UR_JOINT_NAMES)
     if ending == "stl":

@@ -142,8 +142,8 @@ def test_limits_that_contradict_each_other_are_refused(given, words):
 
 @pytest.mark.parametrize("name", ["fixed", "unknown"])
 def test_a_joint_that_the_urdf_does_not_move_is_named(name):
-    with pytest.raises(ParameterError, match=f"no moving joint ur_{name}"):
-        with_urdf_limits({"tf_prefix": "ur_", "joint_names": [name]}, URDF)
+    with pytest.raises(ParameterError, match=f"no moving joint {name}"):
+        with_urdf_limits({**vars(JointLimits()), "joint_names": ["base", name]}, URDF)
 
 
 def test_slower_joints_are_limited_in_proportion():

@@ -1,9 +1,11 @@
 """The simulated arm: published kinematics, and any URDF."""
 
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
+import pybullet
 import pybullet_data
 import pytest
 from ur5_dh import axes_origins_ball, flange_pose
@@ -11,7 +13,7 @@ from ur5_dh import axes_origins_ball, flange_pose
 from fvs_detector_node.detection import BallColour, colour_mask
 from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_sim_node.config import SimConfig
-from fvs_sim_node.robot import ROBOTS, robot_description
+from fvs_sim_node.robot import ROBOTS, Robot, robot_description
 from fvs_sim_node.simulation import Simulation
 from fvs_sim_node.world import World
 
@@ -71,6 +73,25 @@ def test_an_arm_of_seven_joints_is_simulated_from_its_urdf_alone():
         moved_m = simulation.true_jacobian(before) @ (step.joints_rad - before)
         np.testing.assert_allclose(simulation.true_ball_position() - before_m, moved_m, atol=1e-6)
         assert "6 values" in simulation.command(np.zeros(6))
+
+
+def test_a_urdf_without_its_meshes_is_simulated_with_cubes(tmp_path):
+    mesh = '<geometry><mesh filename="package://some_arm/meshes/part.stl"/></geometry>'
+    text = re.sub("<geometry>.*?</geometry>", mesh, robot_description(UR5), flags=re.DOTALL)
+    path, said = tmp_path / "arm.urdf", []
+    path.write_bytes(text.encode("utf-16"))  # which PyBullet does not read
+    assert "mesh" not in robot_description(Robot(str(path)), say=said.append)
+    (words,) = said
+    assert "1 meshes that are not here, such as package://some_arm/meshes/part.stl" in words
+    world = World(SimConfig(urdf_path=str(path)))
+    assert world.joint_names == UR_JOINT_NAMES
+    shapes = world.client.getVisualShapeData(world.client.getBodyUniqueId(0))
+    assert {one[2] for one in shapes} == {pybullet.GEOM_BOX}
+    world.close()
+    # One that is here is drawn.
+    (tmp_path / "meshes").mkdir()
+    Path(tmp_path, "meshes/part.stl").write_bytes(b"solid")
+    assert f"file://{tmp_path}/meshes/part.stl" in robot_description(Robot(str(path)))
 
 
 @pytest.mark.parametrize(
