@@ -2,7 +2,8 @@
 
 The collector commands the arm without the controller, so it has its own guard. Nothing moves before
 joints and ball have arrived. Late joint states stop the arm. A ball out of view sends it back to
-its start. A joint that leaves its box or moves against its command ends the run.
+its start. A joint that leaves its box or its range, or moves against its command, ends the run.
+Ticks that do not come, for up to half a second, move no joint beyond its range.
 """
 
 from __future__ import annotations
@@ -27,8 +28,9 @@ _JOINTS_MAX_AGE_S, _BALL_MAX_AGE_S = 0.1, 0.5
 #: Time that the arm may deviate from its commands, s. Motion against the command counts six times
 #: and ends the run after the second time (0.12 s).
 _FOLLOW_TIME_S, _AGAINST_TIME_S, _AGAINST_RAD = 3.0, 0.7, 0.01
-#: A joint may be this far outside its box, or as far as it can brake within, rad.
-_BOX_MARGIN_RAD = 0.1
+#: A driver holds the last command while this computer stalls: within this time it takes no joint
+#: beyond its range, s. A stall of 0.5 s, and a drive's lag of 0.1 s.
+_HELD_S = 0.6
 #: Time without joint states or ball after which the run ends with an error, s. Drivers and
 #: detectors start sooner.
 GIVE_UP_S = 10.0
@@ -48,11 +50,12 @@ class CollectorConfig(MotionConfig, ServoedConfig, CommandInterface):
     )
     seed: int = parameter(0, "seed of the motion", 0)
 
-    @property
-    def box_margin_rad(self) -> float:
-        """A joint further than this outside the motion's box ends the run, rad."""
-        braking_rad = 0.5 * self.max_joint_velocity_rad_s**2 / self.max_joint_acceleration_rad_s2
-        return max(_BOX_MARGIN_RAD, braking_rad)
+    def allowed_rad(self, box_rad: np.ndarray) -> np.ndarray:
+        """Where joints may be, (2, n), rad: in their ranges, and within a stall of their box."""
+        speed = self.max_joint_velocity_rad_s
+        stall = _HELD_S * speed + 0.5 * speed**2 / self.max_joint_acceleration_rad_s2
+        out = np.outer([-stall, stall], self.share)
+        return np.clip(box_rad + out, self.lower_rad, self.upper_rad)
 
 
 #: A run keeps the values that it began with.
@@ -167,17 +170,26 @@ class CollectionRun:
     def tick(self, now_s: float, dt_s: float) -> np.ndarray:
         """Joint velocities for this tick, rad/s, shape (n,); always finite and within limits."""
         dt_s, steady_dt_s = tick_s(dt_s), min(max(now_s - self._ticked_s, 0.0), MAX_TICK_S)
+        if now_s - self._ticked_s > MAX_TICK_S:
+            self._following.pause()  # what was held meanwhile is not what a tick counts for
         self._ticked_s = now_s
         wanted = None if self.state in _OVER else self._decide(now_s, dt_s)
-        last, before = self._velocity, self._acceleration
-        if wanted is None or not np.all(np.isfinite(wanted)):
+        limits, joints, last, before = self.limits, self._joints, self._velocity, self._acceleration
+        # The driver has held the last command since the joint state came.
+        pending_rad = np.zeros_like(last) if joints is None else last * (now_s - self._joints_s)
+        if wanted is None or joints is None or not np.all(np.isfinite(wanted)):
             dt_s = dt_s or steady_dt_s  # simulated time may stand still; coming to rest must not
-            self._velocity = self._config.ramp(last, before, dt_s)
+            velocity = limits.brake_to_rest(last, before, joints, dt_s, pending_rad)
         else:
-            self._velocity = self._config.step(wanted, last, before, dt_s)
+            most = limits.max_joint_acceleration_rad_s2
+            wanted, _ = limits.slow_down(wanted, joints, most, _HELD_S, pending_rad)
+            velocity = limits.step(wanted, last, before, dt_s)
+        if joints is not None:
+            velocity = limits.held(velocity, joints + pending_rad, _HELD_S)
         if dt_s > 0.0:
-            self._acceleration = (self._velocity - last) / dt_s
-        return self._velocity.copy()
+            self._acceleration = (velocity - last) / dt_s
+        self._velocity = velocity
+        return velocity.copy()
 
     def _decide(self, now_s: float, dt_s: float) -> np.ndarray | None:
         """Advance the state machine; returns wanted velocities, rad/s, or None to come to rest."""
@@ -198,7 +210,7 @@ class CollectionRun:
                 self.fail(str(error))
                 return None
         motion = self._motion
-        self._watch_box(joints, motion.box_rad)
+        self._watch_place(joints, motion.box_rad)
         self._watch_following(joints, dt_s)
         if self.state is State.FAILED:
             return None
@@ -229,18 +241,20 @@ class CollectionRun:
         """Why the motion ended early, in words; empty if it did not."""
         return f": {self.stop.words()}" if self.stop.enough else ""
 
-    def _watch_box(self, joints: np.ndarray, box_rad: np.ndarray) -> None:
-        low, high = box_rad
-        outside = np.maximum(low - joints, joints - high)
-        joint = int(outside.argmax())
-        if outside[joint] > self._config.box_margin_rad:
+    def _watch_place(self, joints: np.ndarray, box_rad: np.ndarray) -> None:
+        low, high = self._config.allowed_rad(box_rad)
+        joint = int(np.maximum(low - joints, joints - high).argmax())
+        if not low[joint] <= joints[joint] <= high[joint]:
+            unit = self._config.length_unit(joint)
             self.fail(
-                f"{self._names[joint]} left its box: it is at {joints[joint]:.2f} rad, the box is "
-                f"{low[joint]:.2f} to {high[joint]:.2f} rad; check that no other node moves the arm"
+                f"{self._names[joint]} left its box or its range: it is at {joints[joint]:.3g} "
+                f"{unit}, expected {low[joint]:.3g} to {high[joint]:.3g} {unit}; check that no "
+                "other node moves the arm and that this computer is not too busy"
             )
 
     def _watch_following(self, joints: np.ndarray, dt_s: float) -> None:
-        self._following.add(self._velocity, joints, self._speed_scaling, dt_s)
+        unit = self._config.unit
+        self._following.add(self._velocity / unit, joints / unit, self._speed_scaling, dt_s)
         fault = self._following.fault(_AGAINST_TIME_S)
         if fault is None:
             return
@@ -249,10 +263,11 @@ class CollectionRun:
         if along_rad < -_AGAINST_RAD:
             self.fail(f"{name} moves against its command; check joint_names and the joint's sign")
         elif self._following.fault(_FOLLOW_TIME_S) is not None:
+            made = unit[fault.joint] * np.array([fault.commanded_rad, fault.moved_rad])
             self.fail(
-                f"the arm does not follow: {name} was commanded {fault.commanded_rad:.2f} rad "
-                f"and moved {fault.moved_rad:.2f} rad; check that its controller is "
-                "active, the robot program runs and no protective stop is on"
+                f"the arm does not follow: {name} was commanded {made[0]:.2g} "
+                f"{self._config.length_unit(fault.joint)} and moved {made[1]:.2g}; check that its "
+                "controller is active, the robot program runs and no protective stop is on"
             )
 
     def _wait(self, now_s: float, state: State, reason: str) -> None:

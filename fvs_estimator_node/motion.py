@@ -22,7 +22,7 @@ _LEAST_SHARE, _DRAWS = 0.5, 64
 _TURNING_SHARE, _SHARPNESS = 0.8, (0.05, 0.98)
 #: A motion lasts at least this many soft starts.
 _LEAST_RAMPS = 2.5
-#: Position gain, 1/s, and tolerance of the return to the start, rad.
+#: Position gain, 1/s, and tolerance of the return to the start, rad times a joint's share.
 _POSITION_GAIN, _HOME_RAD = 2.0, 0.02
 
 
@@ -39,7 +39,7 @@ class MotionConfig(JointLimits):
     duration_s: float = parameter(120.0, "largest duration of motion and recording", 2.0, 7200.0)
     joint_range_rad: tuple[float, ...] = parameter(
         (0.5,),
-        "half width of the box of motion about the joints at the start",
+        "half width of the box of motion about the joints at the start, rad (m)",
         0.0,
         3.2,
         broadcast=True,
@@ -60,7 +60,8 @@ class MotionConfig(JointLimits):
         object.__setattr__(self, "joint_range_rad", ranges * (joints // len(ranges)))
         if max(self.joint_range_rad) == 0.0:
             raise ValueError("joint_range_rad is 0 for all joints, expected one that moves")
-        least_s = _LEAST_RAMPS * self.ramp_s(max(self.joint_range_rad))
+        widest = np.minimum(self.joint_range_rad, 0.5 * (self.upper_rad - self.lower_rad))
+        least_s = _LEAST_RAMPS * self.ramp_s(float((widest / self.share).max()))
         if self.duration_s < least_s:
             raise ValueError(
                 f"duration_s must be at least {least_s:.1f} to go and return within "
@@ -96,10 +97,12 @@ class RandomMotion:
         start = np.array(start_rad, dtype=float)
         lower = config.lower_rad + config.margin_rad
         upper = config.upper_rad - config.margin_rad
-        if start.shape != lower.shape or not np.all((start >= lower) & (start <= upper)):
+        joint = int(np.maximum(lower - start, start - upper).argmax())
+        if not lower[joint] <= start[joint] <= upper[joint]:
+            name, unit = config.joint_names[joint], config.length_unit(joint)
             raise ValueError(
-                f"the start pose {np.round(start, 3).tolist()} is closer than "
-                f"{config.joint_limit_margin_rad:g} rad (joint_limit_margin_rad) to a joint limit"
+                f"{name} starts at {start[joint]:.3g} {unit}, closer to an end of its range than "
+                f"{config.margin_rad[joint]:.3g} {unit} (joint_limit_margin_rad); move it inside"
             )
         reach = np.asarray(config.joint_range_rad)
         self._config, self._start = config, start
@@ -190,8 +193,8 @@ class RandomMotion:
 
     def done(self, time_s: float, joints_rad: np.ndarray) -> bool:
         """Whether the time is over and the arm back at its start pose."""
-        near = np.abs(np.asarray(joints_rad) - self._start).max() <= _HOME_RAD
-        return bool(time_s >= self.duration_s and near)
+        far = np.abs((np.asarray(joints_rad) - self._start) / self._unit).max()
+        return bool(time_s >= self.duration_s and far <= _HOME_RAD)
 
 
 def _unequal_shares(half_rad: np.ndarray, top: np.ndarray, rng: np.random.Generator) -> np.ndarray:

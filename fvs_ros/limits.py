@@ -1,9 +1,10 @@
 """Limits on a joint velocity command of n numbers, rad/s.
 
 Joints differ in how fast they may be. A joint's *share* is its own velocity limit over that of the
-whole arm, at most 1. Its acceleration limit and its margin are that share of the arm's, so that in
-units of their shares all joints are alike: what is limited is the largest ``|v_i| / share_i``. For
-a prismatic joint read m for rad.
+whole arm, at most 1, and at most half its range: a slide of 0.2 m moves at a tenth of the arm's
+speed. Its acceleration limit and its margin are that share of the arm's, so that in units of their
+shares all joints are alike: what is limited is the largest ``|v_i| / share_i``. For a prismatic
+joint read m for rad.
 """
 
 from __future__ import annotations
@@ -188,6 +189,9 @@ class JointLimits(ArmJoints):
         2.0,
     )
 
+    #: The prismatic joints, by their names in robot_description; no parameter.
+    slides: tuple[str, ...] = ()
+
     def __post_init__(self) -> None:
         super().__post_init__()
         joints = len(self.joint_names)
@@ -234,16 +238,25 @@ class JointLimits(ArmJoints):
         return self._given_or(self.joint_max_rad or ur, UNLIMITED)
 
     @cached_property
+    def unit(self) -> np.ndarray:
+        """What counts for 1 rad: of each joint, 1, or half its range if that is less, (n,)."""
+        return np.minimum(1.0, 0.5 * (self.upper_rad - self.lower_rad))
+
+    @cached_property
     def share(self) -> np.ndarray:
-        """Each joint's velocity limit over that of the arm, at most 1, (n,)."""
+        """Each joint's velocity limit over that of the arm, at most its ``unit``, (n,)."""
         own = self._given_or(self.joint_velocity_limits_rad_s, UNLIMITED)
-        return np.minimum(1.0, own / self.max_joint_velocity_rad_s)
+        return np.minimum(self.unit, own / self.max_joint_velocity_rad_s)
+
+    def length_unit(self, joint: int) -> str:
+        """The unit of a joint's position, by its place: rad, or m."""
+        return "m" if self.tf_prefix + self.joint_names[joint] in self.slides else "rad"
 
     @cached_property
     def margin_rad(self) -> np.ndarray:
         """Distance from the end at which each joint begins to slow down, rad, (n,).
 
-        At most a quarter of its range: the stroke of a prismatic joint may be short.
+        At most a quarter of its range.
         """
         most = 0.25 * (self.upper_rad - self.lower_rad)
         return np.minimum(self.joint_limit_margin_rad * self.share, most)
@@ -331,6 +344,14 @@ class JointLimits(ArmJoints):
                 slowed.append(i)
         return (np.array(values), slowed) if slowed else (velocity, slowed)
 
+    def held(self, velocity: np.ndarray, joints: np.ndarray, hold_s: float) -> np.ndarray:
+        """The command, (n,), rad/s, that keeps joints, (n,), rad, in their ranges for a time, s.
+
+        A joint beyond its range may only come back.
+        """
+        least = np.minimum(0.0, (self.lower_rad - joints) / hold_s)
+        return np.clip(velocity, least, np.maximum(0.0, (self.upper_rad - joints) / hold_s))
+
     def brake_to_rest(
         self,
         last: np.ndarray,
@@ -359,8 +380,9 @@ def with_urdf_limits(values: Mapping[str, Any], urdf: Mapping[str, UrdfJoint]) -
     """
     names = [values["tf_prefix"] + name for name in values["joint_names"]]
     joints = [urdf[name] for name in names if name in urdf]
+    values = {**values, "slides": tuple(one.name for one in joints if one.kind == "prismatic")}
     if not joints or all(values[name] for name in URDF_LIMITS):
-        return dict(values)
+        return values
     for name in names:
         if name not in urdf or not urdf[name].moves:
             raise ParameterError(f"robot_description has no moving joint {name}")

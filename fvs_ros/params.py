@@ -208,10 +208,10 @@ class Parameters:
     @classmethod
     def from_values(cls: type[_Self], values: Mapping[str, Any], prefix: str = "") -> _Self:
         """Take the values that are its own, by name after the prefix; the others default."""
-        own = {one.name: prefix + one.name for one in _own(cls)}
+        own = {one.name: prefix + one.name for one in fields(cls)}
         given = {name: values[long] for name, long in own.items() if long in values}
         parts = {name: part.from_values(values, prefix) for name, part in _parts(cls).items()}
-        return cls(**given, **parts)
+        return cls(**{**given, **parts})
 
 
 def _own(cls: type) -> Iterator[Parameter]:

@@ -116,7 +116,7 @@ def test_limits_that_are_not_given_are_those_of_the_urdf():
     own = described_limits(joint_max_rad=(1.0, 1.0, 1.0), joint_velocity_limits_rad_s=(9, 9, 9))
     np.testing.assert_array_equal(own.lower_rad, limits.lower_rad)
     np.testing.assert_array_equal(own.upper_rad, 1.0)
-    np.testing.assert_array_equal(own.share, 1.0)
+    np.testing.assert_array_equal(own.share, [1.0, 1.0, 0.5])  # the lift's range is 1 m
 
 
 def test_without_a_urdf_only_a_ur_has_known_ranges():

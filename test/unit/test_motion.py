@@ -56,5 +56,5 @@ def test_joint_limits_cut_the_box():
     joints, _ = follow(one, lag_s=0.03)
     assert np.all(joints <= HOME + 0.3)
     np.testing.assert_allclose(one.box_rad[1], HOME + 0.1)  # joint_limit_margin_rad below
-    with pytest.raises(ValueError, match="closer than"):
+    with pytest.raises(ValueError, match=r"wrist_2_joint starts at -1\.57 rad, closer to an"):
         motion(joint_max_rad=tuple(HOME - 1.0))
