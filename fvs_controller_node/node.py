@@ -105,7 +105,8 @@ class ControllerNode(ros.FvsNode):
         now_s = self.now_s()
         supervisor = self._loop.supervisor
         try:
-            joints = self._joint_map.positions(message.name, message.position)
+            stamp_s = ros.from_stamp(message.header.stamp)
+            joints = self._joint_map.positions(message.name, message.position, stamp_s)
         except ForeignJointsError as error:
             # Joint states of another device are an error only while ours have never arrived.
             if np.isinf(self._joints_s):
@@ -116,7 +117,6 @@ class ControllerNode(ros.FvsNode):
             self._tick(now_s, now_s - self._ticked_s)
             return
         self._joints, self._joints_s = joints, now_s
-        stamp_s = ros.from_stamp(message.header.stamp)
         self._loop.add_joints(now_s, stamp_s, joints)
         dt_s = now_s - self._ticked_s
         if self._simulated_time and self._stamp_s is not None:

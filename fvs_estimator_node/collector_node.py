@@ -65,15 +65,15 @@ class CollectorNode(ros.FvsNode):
     # --- inputs ---
 
     def _on_joint_states(self, message: JointState) -> None:
-        now_s = self.now_s()
+        now_s, stamp_s = self.now_s(), ros.from_stamp(message.header.stamp)
         try:
-            joints = self._joint_map.positions(message.name, message.position)
+            joints = self._joint_map.positions(message.name, message.position, stamp_s)
         except ForeignJointsError:
             return  # another device's joints; the run reports it if ours never arrive
         except JointStateError as error:
             self._run.fail(str(error))
             return
-        self._joints, stamp_s = joints, ros.from_stamp(message.header.stamp)
+        self._joints = joints
         self._run.joint_states(now_s, stamp_s, joints)
         dt_s = now_s - self._ticked_s
         if self._simulated_time and self._stamp_s is not None:

@@ -89,6 +89,7 @@ class EstimatorNode(ros.FvsNode):
         except FileNotFoundError as error:
             raise ValueError(f"model_path: {error}; train one with fvs_train") from error
         trained = load_model(path, v["joint_names"], config)
+        self._joint_map.middle_rad = trained.joint_box_rad.mean(axis=0)
         for note in trained.notes:
             self.tell(ros.WARN, f"{path.name}: {note}")
         return create_estimator(config.method, trained.model, v, trained.chain)
@@ -97,7 +98,8 @@ class EstimatorNode(ros.FvsNode):
 
     def _on_joint_states(self, message: JointState) -> None:
         try:
-            joints = self._joint_map.positions(message.name, message.position)
+            stamp_s = ros.from_stamp(message.header.stamp)
+            joints = self._joint_map.positions(message.name, message.position, stamp_s)
         except ForeignJointsError as error:
             # Joint states of another device are an error only while ours have never arrived.
             if np.isinf(self._joints_s):
@@ -106,8 +108,7 @@ class EstimatorNode(ros.FvsNode):
         except JointStateError as error:
             self._complain(str(error))
             return
-        self._joints_s = self.now_s()
-        self._stamp_s = stamp_s = ros.from_stamp(message.header.stamp)
+        self._joints_s, self._stamp_s = self.now_s(), stamp_s
         self._learn(self._loop.add_joints, stamp_s, joints)
         self._publish_jacobian(stamp_s, joints)
 

@@ -9,7 +9,8 @@ from math import pi
 import numpy as np
 
 from fvs_ros.params import Parameters, parameter
-from fvs_ros.vectors import plausible
+from fvs_ros.timeline import possible_step_rad
+from fvs_ros.vectors import largest, plausible
 
 #: The UR joints in kinematic order, base to flange: the order of every vector in this project.
 UR_JOINT_NAMES = (
@@ -49,12 +50,19 @@ class ForeignJointsError(JointStateError):
 class JointMap:
     """Picks the wanted joints, by name, out of messages in any order and with extra joints.
 
+    Where a driver wraps a joint, at pi or elsewhere, its positions go on.
+
     Parameters
     ----------
     names : sequence of str
         The joint names in kinematic order.
     tf_prefix : str
         What the robot's driver puts before each of them (its ``tf_prefix``).
+
+    Attributes
+    ----------
+    middle_rad : ndarray or None
+        The first positions are within half a turn of these, rad, (n,); None: as they come.
 
     Raises
     ------
@@ -68,10 +76,16 @@ class JointMap:
             raise ValueError(
                 f"joint_names must be different names in kinematic order, got {list(self.names)}"
             )
+        self.middle_rad: np.ndarray | None = None
         self._cached_for: tuple[str, ...] | None = None
         self._indices: list[int] = []
+        self._wrapped: np.ndarray | None = None  # the last positions, as they came
+        self._turns_rad: np.ndarray | float = 0.0  # full turns that the driver left out
+        self._stamp_s = 0.0
 
-    def positions(self, names: Sequence[str], values: Sequence[float]) -> np.ndarray:
+    def positions(
+        self, names: Sequence[str], values: Sequence[float], stamp_s: float | None = None
+    ) -> np.ndarray:
         """Joint angles in kinematic order.
 
         Parameters
@@ -80,6 +94,8 @@ class JointMap:
             Joint names of the message.
         values : sequence of float
             Angles of the message, rad, one for each name.
+        stamp_s : float, optional
+            Stamp of the message, s; without it positions are as they come.
 
         Returns
         -------
@@ -113,4 +129,22 @@ class JointMap:
         if not plausible(positions):
             bad = [n for n, p in zip(self.names, positions, strict=True) if not plausible(p)]
             raise JointStateError(f"joint_states has a position too large or not finite for {bad}")
-        return positions
+        return positions if stamp_s is None else self._unwrapped(positions, stamp_s)
+
+    def _unwrapped(self, wrapped: np.ndarray, stamp_s: float) -> np.ndarray:
+        """Take a step that is possible only less full turns for the rest of it."""
+        last, self._wrapped = self._wrapped, wrapped
+        possible_rad, self._stamp_s = possible_step_rad(abs(stamp_s - self._stamp_s)), stamp_s
+        if last is None:
+            if self.middle_rad is not None:
+                self._turns_rad = _full_turns(self.middle_rad - wrapped)
+        elif possible_rad < pi < largest(wrapped - last):
+            turns_rad = _full_turns(wrapped - last)
+            wraps = np.abs(wrapped - last - turns_rad) <= possible_rad
+            self._turns_rad = self._turns_rad - np.where(wraps, turns_rad, 0.0)
+        return wrapped + self._turns_rad
+
+
+def _full_turns(angles_rad: np.ndarray) -> np.ndarray:
+    """The multiples of a full turn that are nearest to angles, rad."""
+    return 2.0 * pi * np.round(angles_rad / (2.0 * pi))

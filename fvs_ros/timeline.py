@@ -37,13 +37,18 @@ _MAX_WAITING = 10
 MAX_LATENCY_S = 0.5
 
 
+def possible_step_rad(passed_s: float) -> float:
+    """The largest step that a joint can make in this time, s."""
+    return _JUMP_RAD + _FASTEST_RAD_S * passed_s
+
+
 def jump_of(step_rad: np.ndarray, passed_s: float) -> int | None:
     """The joint that made an impossible step, rad, (n,), in this time, s; None if none did.
 
     A time that is not positive is that of two clocks, and says nothing.
     """
     joint = int(np.abs(step_rad).argmax())
-    possible_rad = _JUMP_RAD + _FASTEST_RAD_S * passed_s
+    possible_rad = possible_step_rad(passed_s)
     return joint if passed_s > 0.0 and abs(step_rad[joint]) > possible_rad else None
 
 

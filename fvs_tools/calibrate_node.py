@@ -93,15 +93,16 @@ class CalibrateNode(ros.FvsNode):
     def _on_joint_states(self, message: JointState) -> None:
         if self._joint_map is None:
             return
+        stamp_s = ros.from_stamp(message.header.stamp)
         try:
-            joints = self._joint_map.positions(message.name, message.position)
+            joints = self._joint_map.positions(message.name, message.position, stamp_s)
         except JointStateError as error:
             # Another device's say nothing, once the arm's are there.
             if self._no_joints or not isinstance(error, ForeignJointsError):
                 self._no_joints = str(error)
             return
         self._no_joints = ""
-        self._add(self._timeline.add_joints(ros.from_stamp(message.header.stamp), joints))
+        self._add(self._timeline.add_joints(stamp_s, joints))
 
     def _on_feature(self, message: PointStamped | PoseStamped) -> None:
         feature, frame = self._feature, self._config.feature_frame

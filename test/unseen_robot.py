@@ -3,7 +3,8 @@
 Nothing here is shared with the simulator: another arm (random axes), another drive, another camera,
 white noise on the ball positions. As a program it stands behind the topics that a
 real driver and a detector have: joints in the driver's (alphabetical) order with a
-gripper's among them. Without commands it stands; the last one holds for ever.
+gripper's among them, all but the elbow wrapped at pi, where the arm stands at first. Without
+commands it stands; the last one holds for ever.
 
 usage: unseen_robot.py SEED JOINT_RATE_HZ [pose]
 
@@ -146,6 +147,7 @@ def main() -> None:
     truth = node.create_publisher(kind, "truth", 10)
     started_s, epoch_s = time.monotonic(), time.time()
     names = sorted([*robot.names, "gripper_joint"])
+    home = np.pi * (np.arange(len(robot.names)) != 2)  # where the driver says that it stands
 
     def obey(message: Float64MultiArray) -> None:
         assert len(message.data) == len(robot.names), "a real controller would be deactivated"
@@ -158,9 +160,9 @@ def main() -> None:
             for stamp_s, found_m in robot.advance(period_s):
                 seen.publish(ros.to_feature(epoch_s + stamp_s, FRAME, robot.feature, found_m))
             now_s = epoch_s + robot.time_s
-            joints = dict(
-                zip(robot.names, robot.joints_rad.tolist(), strict=True), gripper_joint=0.3
-            )
+            turned = robot.joints_rad - robot.arm.reference_rad + home
+            wrapped = np.arctan2(np.sin(turned), np.cos(turned))
+            joints = dict(zip(robot.names, wrapped.tolist(), strict=True), gripper_joint=0.3)
             positions = np.array([joints[name] for name in names])
             joint_states.publish(ros.to_joint_state(now_s, names, positions, np.zeros(0)))
             truth.publish(ros.to_feature(now_s, FRAME, robot.feature, robot.ball_m))

@@ -326,8 +326,10 @@ class _Reading:
 
     def _joint_numbers(self, message: Any) -> np.ndarray | None:
         """Positions, rad, and velocities, rad/s, NaN where there are none; kinematic order."""
+        stamp = message.header.stamp
+        stamp_s = stamp.sec + 1e-9 * stamp.nanosec
         try:
-            angles_rad = self._joints.positions(message.name, message.position)
+            angles_rad = self._joints.positions(message.name, message.position, stamp_s)
         except JointStateError:  # another device's
             return None
         speeds_rad_s = np.full(len(angles_rad), np.nan)

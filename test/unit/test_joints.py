@@ -25,3 +25,25 @@ def test_joints_come_out_in_kinematic_order_from_any_order_with_extra_joints():
 def test_what_cannot_be_used_is_refused_in_words(names, values, error, text):
     with pytest.raises(error, match=text):
         JointMap().positions(names, values)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_joint_goes_on_where_the_driver_wraps_it(way):
+    joint_map, times_s = JointMap(["a", "b"]), 1e9 + 0.1 * np.arange(100)
+    for time_s in times_s:
+        true = np.array([way * 2.0 * (time_s - times_s[0]), 0.3])  # three turns
+        got = joint_map.positions("ab", np.arctan2(np.sin(true), np.cos(true)), time_s)
+        np.testing.assert_allclose(got, true, atol=1e-6)
+    # Two that publish are no wrap: that stays the jump that it is, and so does a long silence.
+    for step_s, joint in ((0.008, 4.0), (0.008, 0.3), (1.0, 0.3 + 5.0)):
+        times_s = times_s + step_s
+        assert (
+            joint_map.positions("ab", [true[0] - 6 * way * np.pi, joint], times_s[-1])[1] == joint
+        )
+
+
+def test_positions_begin_within_half_a_turn_of_what_is_expected():
+    joint_map = JointMap(["a", "b"])
+    joint_map.middle_rad = np.array([3.2, -0.1])
+    np.testing.assert_allclose(joint_map.positions("ab", [-3.0, 0.2], 1.0), [2 * np.pi - 3.0, 0.2])
+    np.testing.assert_array_equal(JointMap(["a"]).positions("a", [-3.0], 1.0), [-3.0])
