@@ -17,16 +17,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import Reader
-from rosbags.rosbag2.storage_mcap import McapReader
 
 from fvs_controller_node.config import PARAMETERS
 from fvs_ros import topics
 from fvs_ros.joints import JointMap, JointStateError
 from fvs_ros.status import vector
-from fvs_tools.bag import NOTES, TYPES
-from fvs_tools.scenario import read_yaml, read_yaml_file
+from fvs_tools.bag_reader import BagError, BagReader, open_bag
+from fvs_tools.scenario import read_yaml
 
 CONTROLLER = topics.CONTROLLER
 #: The topics that are read, by the name under which their messages are kept here.
@@ -118,10 +115,6 @@ class Recording:
     events: Sequence[Event]
 
 
-class BagError(ValueError):
-    """A bag that cannot be read; the text says why."""
-
-
 def read(path: Path, namespace: str | None = None) -> Recording:
     """Read a bag: a folder of a rosbag2 (MCAP or SQLite), or its one file.
 
@@ -129,88 +122,13 @@ def read(path: Path, namespace: str | None = None) -> Recording:
     where the bag holds several. A ``BagError`` says that there is no bag, that it is damaged, or
     that it holds no topic of this package.
     """
-    try:
-        if not path.exists():
-            raise BagError("there is no such file or folder")
-        paths, cut_off, notes = _find(path)
-        reader = AnyReader(paths, default_typestore=TYPES)
-        for file, one in zip(paths, reader.readers, strict=True):
-            if isinstance(one, Reader) and _is_cut_off(file):
-                one.storage = _CutOffReader(file)
-        with reader:
-            if cut_off and not reader.connections:
-                raise BagError("it was cut off before any message was written into it")
-            return _Reading(reader, notes, namespace).recording(cut_off)
-    except BagError as error:
-        raise BagError(f"cannot read {path}: {error}") from None
-    except Exception as error:  # a damaged file shows anywhere in the reader
-        words = " ".join(str(error).split())[:200]
-        raise BagError(
-            f"cannot read {path}: it is damaged or no bag ({type(error).__name__}: {words})"
-        ) from error
-
-
-# ---- opening a bag --------------------------------------------------------------------------
-
-_METADATA, _MCAP, _SQLITE = "metadata.yaml", ".mcap", ".db3"
-#: An MCAP file begins and ends with it.
-_MAGIC = b"\x89MCAP0\r\n"
-
-
-def _find(path: Path) -> tuple[Sequence[Path], bool, Mapping[str, Any]]:
-    """A bag's folder, or its files where that is incomplete; if it was cut off; and its notes."""
-    folder = path if path.is_dir() else path.parent
-    metadata = _yaml(folder / _METADATA).get("rosbag2_bagfile_information", {})
-    notes = metadata.get("custom_data") or _yaml(folder / NOTES)
-    names = [Path(name).name for name in metadata.get("relative_file_paths", [])]
-    files = [path]
-    if path.is_dir():
-        files = [folder / name for name in names or sorted(one.name for one in folder.iterdir())]
-        files = [one for one in files if one.suffix in (_MCAP, _SQLITE)]
-    if not files:
-        raise BagError(f"it holds neither {_METADATA} nor an {_MCAP} file")
-    # A database without metadata lacks what was still in the recorder's memory.
-    cut_off = any(map(_is_cut_off, files)) or (not metadata and files[0].suffix == _SQLITE)
-    return files if cut_off or not metadata else [path], cut_off, notes
-
-
-def _yaml(path: Path) -> dict[str, Any]:
-    """The mapping in a YAML file; empty where there is no such file."""
-    return _mapping(read_yaml_file(path)) if path.is_file() else {}
+    with open_bag(path) as reader:
+        return _Reading(reader, namespace).recording()
 
 
 def _mapping(content: Any) -> dict[str, Any]:
     """Some content if it is a mapping; empty for another tool's."""
     return content if isinstance(content, dict) else {}
-
-
-def _is_cut_off(path: Path) -> bool:
-    """Whether this is an MCAP file without its end."""
-    if path.suffix != _MCAP or not path.is_file():
-        return False
-    with path.open("rb") as file:
-        begins_well = _MAGIC.startswith(file.read(len(_MAGIC)))
-        file.seek(max(len(_MAGIC), path.stat().st_size - len(_MAGIC)))
-        return begins_well and file.read() != _MAGIC
-
-
-class _CutOffReader(McapReader):
-    """Reads an MCAP file without its end, and so without an index, from its beginning."""
-
-    def open(self) -> None:
-        """Find the topics in what is readable."""
-        self.bio = self.path.open("rb")
-        self.data_start, self.data_end = len(_MAGIC), self.path.stat().st_size
-        with contextlib.suppress(Exception):  # at the first broken record, of any kind
-            self.meta_scan()
-
-    def messages(self, connections: Any, start: Any = None, stop: Any = None) -> Any:
-        """All messages before the first broken record, as they lie in the file."""
-        with contextlib.suppress(Exception):
-            yield from self.messages_scan(connections, start, stop)
-
-
-# ---- reading it -----------------------------------------------------------------------------
 
 
 class _Columns:
@@ -244,8 +162,8 @@ class _Columns:
 class _Reading:
     """One pass through a bag."""
 
-    def __init__(self, reader: AnyReader, notes: Mapping[str, Any], namespace: str | None) -> None:
-        self._reader = reader
+    def __init__(self, reader: BagReader, namespace: str | None) -> None:
+        self._reader, notes = reader, reader.notes
         self._version = str(notes.get("fvs_ros_version", ""))
         self._scenario = {
             node.rpartition("/")[2]: _mapping(_mapping(one).get("ros__parameters"))
@@ -266,7 +184,7 @@ class _Reading:
         self._statuses: list[Status] = []
         self._events: list[Event] = []
 
-    def recording(self, cut_off: bool) -> Recording:
+    def recording(self) -> Recording:
         """Read all messages."""
         fields = self._reader.typestore.fielddefs
         stamped = {
@@ -295,7 +213,7 @@ class _Reading:
             version=self._version,
             scenario=self._scenario,
             started=self._started,
-            cut_off=cut_off,
+            cut_off=self._reader.cut_off,
             start_s=min(one.arrival_s[0] for one in every.values()),
             end_s=max(one.arrival_s[-1] for one in every.values()),
             topics=every,
