@@ -21,7 +21,7 @@ from fvs_controller_node.redundancy import make_inverse
 from fvs_controller_node.supervisor import Command, Present, Supervisor
 from fvs_controller_node.target_motion import on_own_clock
 from fvs_ros.chain import SerialChain
-from fvs_ros.timeline import jump_of, repeats
+from fvs_ros.timeline import jump_words, repeats
 
 #: The estimator publishes the chain more often than this; an older one is not used, and a bad one
 #: holds the arm for as long, s.
@@ -124,14 +124,8 @@ class ServoLoop:
         self._last_joints = (stamp_s, joints_rad)
         if before_s is None or before is None or before.shape != joints_rad.shape:
             return ""
-        moved, passed_s = joints_rad - before, stamp_s - before_s
-        joint = jump_of(moved, passed_s)
-        if joint is None:
-            return ""
-        return (
-            f"{self.supervisor.config.joint_names[joint]} jumped by {abs(moved[joint]):.2f} rad in "
-            f"{passed_s:.3f} s; do two nodes publish joint states?"
-        )
+        names = self.supervisor.config.joint_names
+        return jump_words(names, before, joints_rad, stamp_s - before_s)
 
     def add_feature(self, now_s: float, stamp_s: float, position_m: np.ndarray) -> None:
         """Take a ball position in the feature's frame: arrival and exposure, s; (m,), m."""

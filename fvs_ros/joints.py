@@ -128,7 +128,10 @@ class JointMap:
         positions = np.array([values[i] for i in self._indices], dtype=float)
         if not plausible(positions):
             bad = [n for n, p in zip(self.names, positions, strict=True) if not plausible(p)]
-            raise JointStateError(f"joint_states has a position too large or not finite for {bad}")
+            raise JointStateError(
+                f"joint_states has a position too large or not finite for {bad}: "
+                "expected rad or m, no degrees"
+            )
         return positions if stamp_s is None else self._unwrapped(positions, stamp_s)
 
     def _unwrapped(self, wrapped: np.ndarray, stamp_s: float) -> np.ndarray:

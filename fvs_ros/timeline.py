@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import deque
+from collections.abc import Sequence
 from math import pi
 from typing import NamedTuple
 
@@ -50,6 +51,20 @@ def jump_of(step_rad: np.ndarray, passed_s: float) -> int | None:
     joint = int(np.abs(step_rad).argmax())
     possible_rad = possible_step_rad(passed_s)
     return joint if passed_s > 0.0 and abs(step_rad[joint]) > possible_rad else None
+
+
+def jump_words(
+    names: Sequence[str], before_rad: np.ndarray, joints_rad: np.ndarray, passed_s: float
+) -> str:
+    """Describe an impossible step to these joints, rad, (n,); empty if it is none."""
+    joint = jump_of(joints_rad - before_rad, passed_s)
+    if joint is None:
+        return ""
+    step_rad = abs(joints_rad[joint] - before_rad[joint])
+    doubt = "do two nodes publish joint states?"
+    if np.abs(joints_rad).max() > 4.0 * pi:
+        doubt = "are they in degrees, expected rad, or do two nodes publish joint states?"
+    return f"{names[joint]} jumped by {step_rad:.2f} rad in {passed_s:.3f} s; {doubt}"
 
 
 def repeats(stamp_s: float, last_s: float | None) -> bool:

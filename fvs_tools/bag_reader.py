@@ -8,6 +8,7 @@ cannot be understood (a channel of JSON, a service's events) is passed over.
 from __future__ import annotations
 
 import contextlib
+import re
 import shutil
 import sqlite3
 from collections.abc import Collection, Iterator, Mapping
@@ -17,12 +18,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Reader as Rosbag1
 from rosbags.rosbag2.storage_mcap import McapReader, Schema, zstd
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
+from fvs_ros.timeline import jump_words
 from fvs_tools.bag import NOTES
 from fvs_tools.scenario import read_yaml_file
 
@@ -86,6 +90,40 @@ class BagReader:
         return read(raw, kind)
 
 
+class RecordedJoints:
+    """Judges the joint states of a bag as the controller does."""
+
+    def __init__(self, joint_map: JointMap) -> None:
+        self._map, self._last = joint_map, (0.0, np.zeros(0))
+        #: What was wrong with any, by its kind: when first, s, in words, and how often.
+        self.problems: dict[str, tuple[float, str, int]] = {}
+        #: What devices had joint states of their own.
+        self.foreign = ""
+
+    def take(self, message: Any, arrival_s: float) -> np.ndarray | None:
+        """Positions, rad, (n,), kinematic order; None where they cannot be used."""
+        stamp, joints, why = message.header.stamp, None, ""
+        stamp_s = stamp.sec + stamp.nanosec * 1e-9
+        try:
+            joints = self._map.positions(message.name, message.position, stamp_s)
+        except ForeignJointsError as error:
+            self.foreign = str(error)
+            return None
+        except JointStateError as error:
+            why = str(error)
+        else:
+            if stamp_s == 0.0:
+                why = "joint_states have no stamp (0): their publisher has to set it"
+            elif self._last[1].size:
+                why = jump_words(self._map.names, self._last[1], joints, stamp_s - self._last[0])
+            self._last = stamp_s, joints
+        if why:
+            kind = re.sub(r"\d+", "", why)
+            first_s, words, times = self.problems.get(kind, (arrival_s, why, 0))
+            self.problems[kind] = first_s, words, times + 1
+        return joints
+
+
 @contextmanager
 def open_bag(path: Path) -> Iterator[BagReader]:
     """Read a bag: a folder of a rosbag2, or its one file; or a bag of ROS 1.
@@ -122,7 +160,9 @@ def _find(path: Path) -> tuple[list[Path], Mapping[str, Any], bool]:
     if path.is_file() and path.name != _METADATA:
         return [path], notes, not metadata and path.suffix == _SQLITE
     named = [folder / Path(one).name for one in metadata.get("relative_file_paths", [])]
-    files = [one for one in named or sorted(folder.iterdir()) if one.exists() and _kind(one)]
+    # Who unpacks or renames a file seldom writes so into the metadata.
+    some = [one for one in named if one.exists()] or sorted(folder.iterdir())
+    files = [one for one in some if _kind(one)]
     if not files:
         raise BagError(f"it holds neither {_METADATA} nor an {_MCAP} file")
     # A database without metadata lacks what was still in the recorder's memory.

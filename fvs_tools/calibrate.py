@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,7 +19,7 @@ from fvs_estimator_node.calibration import Calibration
 from fvs_estimator_node.files import DataSet, load_data_set
 from fvs_estimator_node.hand_eye import calibrate
 from fvs_ros import console
-from fvs_ros.arguments import Parser
+from fvs_ros.arguments import Parser, how_to_install
 from fvs_ros.feature import to_quaternion
 from fvs_ros.paths import find_file
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
@@ -29,7 +30,7 @@ from fvs_tools.overlay import Photograph, draw, residual_px
 @console.reader_may_leave()
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program; returns its exit code."""
-    given = _parser().parse_args(argv)
+    given, left_out = _parser().parse_args(argv), ""
     try:
         if not given.output.absolute().parent.is_dir():
             raise ValueError(f"the folder {given.output.absolute().parent} does not exist")
@@ -38,13 +39,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         joints = read_joints(find_file(given.urdf).read_bytes())
         data, photo = _data(given, kinematics(joints, given.tip))
         arm = kinematics(joints, given.tip, data.joint_names)
+        left_out = data.provenance.get("left_out", "")
         say = None if given.quiet else (lambda words: print(f"{words} ...", file=sys.stderr))
         found = calibrate(data, arm, given.camera_on_arm, say)
         write(found, given.output, data, photo)
     except (ValueError, OSError) as error:
-        print(f"fvs_calibrate: {error}", file=sys.stderr)
+        print(f"fvs_calibrate: {error}{left_out and f' ({left_out})'}", file=sys.stderr)
         return EXIT_BAD_INPUT
     print(report(found, photo))
+    if left_out:
+        print(f"note: {left_out}")
     print(f"written to {given.output} and {given.output.with_suffix('.png').name}")
     return EXIT_FAILURE if found.verdict[0] == "unusable" else EXIT_OK
 
@@ -52,6 +56,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _data(given: argparse.Namespace, arm: Kinematics) -> tuple[DataSet, Photograph | None]:
     if given.data.suffix == ".npz":
         return load_data_set(given.data), None
+    if importlib.util.find_spec("rosbags") is None:
+        raise ValueError(f"a bag needs rosbags: {how_to_install('record', ['rosbags'])}")
     from fvs_tools.recorded import read_data_set, read_photograph
 
     data = read_data_set(given.data, arm.names, given.joint_states, given.seen)

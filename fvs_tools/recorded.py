@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
-from functools import partial
+from collections.abc import Sequence
+from contextlib import suppress
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from fvs_estimator_node.files import DataSet, data_set_of
-from fvs_ros.arguments import how_to_install
-from fvs_ros.feature import Feature, PoseFeature, ServoedConfig, from_quaternion
-from fvs_ros.ros import from_camera_info, from_stamp
+from fvs_ros.feature import Feature, PoseFeature, ServoedConfig
+from fvs_ros.joints import JointMap
+from fvs_ros.ros import from_camera_info, from_feature, from_stamp
 from fvs_ros.ros.images import from_color
 from fvs_ros.timeline import Sample, Timeline
 from fvs_ros.topics import BALL, BALL_POSITION, JOINT_STATES, POSE, TOOL_POSE
+from fvs_tools.bag_reader import BagReader, RecordedJoints, open_bag
 from fvs_tools.overlay import Photograph
 
 _POINT, _POSE = "geometry_msgs/msg/PointStamped", "geometry_msgs/msg/PoseStamped"
@@ -24,26 +23,28 @@ _JOINTS, _IMAGE = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Image"
 
 
 def read_data_set(
-    path: Path, names: tuple[str, ...], joint_states: str = "", seen: str = ""
+    path: Path, names: Sequence[str], joint_states: str = "", seen: str = ""
 ) -> DataSet:
     """Joints at the exposures of the images in which a ball or tag was seen.
+
+    Its provenance has, as ``left_out``, what joint states were not taken, and why.
 
     Parameters
     ----------
     path : Path
         Folder of a rosbag2, or its one file.
-    names : tuple of str
-        The arm's joints; others are kept, too, where they come with these.
+    names : sequence of str
+        The arm's joints, base to tip; last ones may be missing, as a gripper's.
     joint_states, seen : str
         Topics, where there are several; by default those that end as this package's.
 
     Raises
     ------
     ValueError
-        If there is no bag, or it lacks one of the topics.
+        If there is no bag, it lacks one of the topics, or no image has joints.
     """
-    with _reading(path) as reader:
-        types = {one.topic: one.msgtype or "" for one in reader.connections}
+    with open_bag(path) as reader:
+        types = {one.topic: one.msgtype for one in reader.connections}
         joints = _topic(types, joint_states, (_JOINTS,), (JOINT_STATES.name,))
         feature = _topic(types, seen, (_POINT, _POSE), (BALL_POSITION.name, TOOL_POSE.name))
         wanted = [one for one in reader.connections if one.topic in (joints, feature)]
@@ -56,15 +57,13 @@ def read_data_set(
 
 def read_photograph(path: Path, frame: str) -> Photograph | None:
     """A colour image of the camera with this frame, from the middle of a rosbag2, if it has one."""
-    with _reading(path) as reader:
+    with open_bag(path) as reader:
         of = {one.topic: one for one in reader.connections}
         for image in reader.connections:
             info = of.get(image.topic.rsplit("/", 1)[0] + "/camera_info")
             if image.msgtype != _IMAGE or info is None:
                 continue
-            middle_ns = (reader.start_time + reader.end_time) // 2
-            first = partial(_first, reader, start=middle_ns)
-            photo, camera = first(image), first(info)
+            photo, camera = (_middle(reader, one) for one in (image, info))
             if photo is None or camera is None or photo.header.frame_id != frame:
                 continue
             with suppress(ValueError):  # a depth image, or a lens that is not known
@@ -74,31 +73,11 @@ def read_photograph(path: Path, frame: str) -> Photograph | None:
     return None
 
 
-def _first(reader: Any, connection: Any, start: int) -> Any:
-    """The first message of a topic after a time, ns; None if there is none."""
-    for _, _, raw in reader.messages([connection], start=start):
+def _middle(reader: BagReader, connection: Any) -> Any:
+    """A message of a topic from the middle of the bag; None if there is none."""
+    for _, _, raw in reader.messages([connection], reader.middle_ns):
         return reader.deserialize(raw, connection.msgtype)
     return None
-
-
-@contextmanager
-def _reading(path: Path) -> Iterator[Any]:
-    """A reader of a bag; a ``ValueError`` for whatever is wrong with that."""
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise ValueError(f"a bag needs rosbags: {how_to_install('record', ['rosbags'])}") from None
-    if not path.exists():
-        raise ValueError(f"there is no file or folder {path}")
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
-            yield reader
-    except ValueError:
-        raise
-    except Exception as error:  # a damaged file shows anywhere in the reader
-        words = " ".join(str(error).split())[:200]
-        raise ValueError(f"cannot read {path} ({type(error).__name__}: {words})") from error
 
 
 def _topic(types: dict[str, str], given: str, kinds: Sequence[str], names: Sequence[str]) -> str:
@@ -119,45 +98,42 @@ def _topic(types: dict[str, str], given: str, kinds: Sequence[str], names: Seque
 
 
 def _paired(
-    messages: Sequence[tuple[bool, Any]], arm: tuple[str, ...], is_pose: bool, path: Path
+    messages: Sequence[tuple[bool, Any]], arm: Sequence[str], is_pose: bool, path: Path
 ) -> DataSet:
     """Pair each feature with the joints at its stamp."""
     feature = PoseFeature(ServoedConfig.lever_arm_m) if is_pose else Feature()
-    timeline, samples = Timeline(), list[Sample]()
-    # The arm's: a gripper's may come on the same topic.
-    given_names = {tuple(message.name) for is_joints, message in messages if is_joints}
-    names = max(given_names, key=lambda given: len({*given} & {*arm}), default=())
     frames = {message.header.frame_id for is_joints, message in messages if not is_joints}
     if len(frames) > 1:
         raise ValueError(
             f"{path}: ball or tag is in the frames {', '.join(sorted(frames))[:200]}, expected one"
         )
+    heard = {name for is_joints, message in messages if is_joints for name in message.name}
+    names = list(arm)
+    while heard & {*names} and names[-1] not in heard:
+        names.pop()
+    judged, timeline, samples = RecordedJoints(JointMap(names)), Timeline(), list[Sample]()
     for is_joints, message in messages:
         stamp_s = from_stamp(message.header.stamp)
         if is_joints:
-            given = dict(zip(message.name, message.position, strict=False))
-            joints = np.array([given.get(name, np.nan) for name in names])
-            if np.isfinite(joints).all():
+            joints = judged.take(message, stamp_s)
+            if joints is not None and stamp_s != 0.0:
                 samples += timeline.add_joints(stamp_s, joints)
             continue
-        position = message.pose.position if is_pose else message.point
-        vector_m = np.array([position.x, position.y, position.z])
-        if isinstance(feature, PoseFeature):
-            turn = message.pose.orientation
-            quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
-            length = np.linalg.norm(quaternion)
-            if not 0.9 < length < 1.1:
-                continue
-            vector_m = feature.of(vector_m, from_quaternion(quaternion / length))
-        if np.isfinite(vector_m).all():
+        with suppress(ValueError):  # no position, or no pose
+            vector_m = from_feature(message, feature, message.header.frame_id, "ball or tag")
             samples += timeline.add_feature(stamp_s, vector_m)
+    _, worst, times = max(judged.problems.values(), key=itemgetter(2), default=(0.0, "", 0))
+    left_out = worst and f"{times} joint states cannot be used: {worst}"[:400]
     if not samples:
-        raise ValueError(f"{path}: no image has joint states at its stamp: is there one clock?")
+        why = left_out or (not timeline.joints.newest and judged.foreign) or timeline.last_reason
+        raise ValueError(
+            f"{path}: no image has joint states at its stamp: {why or 'is there one clock?'}"
+        )
     return data_set_of(
         samples,
         joint_names=names,
         feature_frame=frames.pop(),
         feature=POSE if is_pose else BALL,
         lever_arm_m=ServoedConfig.lever_arm_m,
-        provenance={"bag": path.name},
+        provenance={"bag": path.name, "left_out": left_out},
     )

@@ -6,11 +6,11 @@ the nodes compute them, so that a number made of them is the nodes' own.
 
 from __future__ import annotations
 
-import contextlib
 import re
 import struct
 from array import array
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +22,7 @@ from fvs_controller_node.config import PARAMETERS
 from fvs_ros import topics
 from fvs_ros.joints import JointMap, JointStateError
 from fvs_ros.status import vector
-from fvs_tools.bag_reader import BagError, BagReader, open_bag
+from fvs_tools.bag_reader import BagError, BagReader, RecordedJoints, open_bag
 from fvs_tools.scenario import read_yaml
 
 CONTROLLER = topics.CONTROLLER
@@ -171,7 +171,8 @@ class _Reading:
         }
         given = self._scenario.get(CONTROLLER, {})
         self._started = {one.name: given.get(one.name, one.default) for one in PARAMETERS}
-        self._joints = JointMap(self._started["joint_names"], self._started["tf_prefix"])
+        self._joint_map = JointMap(self._started["joint_names"], self._started["tf_prefix"])
+        self._joints = RecordedJoints(self._joint_map)
         remaps = _mapping(read_yaml(str(notes.get("remaps", ""))))
         names = {connection.topic for connection in reader.connections}
         # A remapped topic belongs to the namespace in which it was declared.
@@ -204,17 +205,23 @@ class _Reading:
         every = {topic: one.series() for topic, one in sorted(self._columns.items())}
         if not every:
             raise BagError("it holds no messages")
+        start_s = min(one.arrival_s[0] for one in every.values())
         series = {}
         for topic, key in self._keys.items():
             if topic in every:
                 usable = every[topic].taking(np.isfinite(every[topic].values).any(axis=1))
                 series[key] = usable.taking(np.argsort(usable.time_s, kind="stable"))
+        judged = self._joints
+        if judged.foreign and "joints" not in series:
+            judged.problems[""] = (start_s, judged.foreign, 1)
+        for first_s, words, times in judged.problems.values():
+            self._events.append(Event(first_s, topics.JOINT_STATES.name, words, times))
         return Recording(
             version=self._version,
             scenario=self._scenario,
             started=self._started,
             cut_off=self._reader.cut_off,
-            start_s=min(one.arrival_s[0] for one in every.values()),
+            start_s=start_s,
             end_s=max(one.arrival_s[-1] for one in every.values()),
             topics=every,
             series={key: one for key, one in series.items() if len(one)},
@@ -235,24 +242,21 @@ class _Reading:
                 text = f"{one.name} is now {_parameter(one.value)}"
                 self._events.append(Event(arrival_s, message.node.lstrip("/"), text))
         elif key == "joints":
-            return self._joint_numbers(message)
+            return self._joint_numbers(message, arrival_s)
         else:
             point = getattr(message, "point", None)
             numbers = message.data if point is None else np.array([point.x, point.y, point.z])
             return numbers if np.isfinite(numbers).all() else None
         return None
 
-    def _joint_numbers(self, message: Any) -> np.ndarray | None:
+    def _joint_numbers(self, message: Any, arrival_s: float) -> np.ndarray | None:
         """Positions, rad, and velocities, rad/s, NaN where there are none; kinematic order."""
-        stamp = message.header.stamp
-        stamp_s = stamp.sec + 1e-9 * stamp.nanosec
-        try:
-            angles_rad = self._joints.positions(message.name, message.position, stamp_s)
-        except JointStateError:  # another device's
+        angles_rad = self._joints.take(message, arrival_s)
+        if angles_rad is None:
             return None
         speeds_rad_s = np.full(len(angles_rad), np.nan)
-        with contextlib.suppress(JointStateError):
-            speeds_rad_s = self._joints.positions(message.name, message.velocity)
+        with suppress(JointStateError):
+            speeds_rad_s = self._joint_map.positions(message.name, message.velocity)
         return np.concatenate([angles_rad, speeds_rad_s])
 
 

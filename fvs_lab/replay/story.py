@@ -97,7 +97,7 @@ def events(recording: Recording) -> list[Event]:
     for event in sorted(found):
         alike = event.who, re.sub(r"\d+(\.\d+)?", "", event.text)
         known = first.get(alike, event._replace(time_s=event.time_s - recording.start_s, times=0))
-        first[alike] = known._replace(times=known.times + 1)
+        first[alike] = known._replace(times=known.times + event.times)
     return list(first.values())
 
 

@@ -1,11 +1,14 @@
 """A rosbag2 of any arm becomes a data set."""
 
+import re
+
 import numpy as np
 import pytest
 import yaml
 from test_calibration import ARM, CAMERA, URDF, collected
 
 from fvs_estimator_node.hand_eye import calibrate
+from fvs_lab.replay.reading import read
 from fvs_tools.bag import TYPES, Bag, Message
 from fvs_tools.calibrate import main
 from fvs_tools.recorded import read_data_set, read_photograph
@@ -20,6 +23,11 @@ def message(topic, kind, stamp_s, *fields):
     return Message(topic, kind, round(1e9 * stamp_s), data)
 
 
+def joint_states(stamp_s, names, angles_rad):
+    kind, nothing = "sensor_msgs/msg/JointState", np.empty(0)
+    return message("/joint_states", kind, stamp_s, list(names), angles_rad, nothing, nothing)
+
+
 @pytest.fixture
 def bag(tmp_path):
     return recorded(tmp_path / "bag")
@@ -31,7 +39,7 @@ def recorded(folder, photograph=False):
     one, point = Bag(folder, {}), T["geometry_msgs/msg/Point"]
     names, nothing = [*ARM.names[::-1], "finger"], np.empty(0)
     for stamp_s, joints, ball in zip(data.stamps_s, data.joints_rad, data.ball_m, strict=True):
-        angles = np.append(joints[::-1], 0.5)
+        angles = np.append(joints[::-1], np.nan)
         kind = "sensor_msgs/msg/JointState"
         one.write(message("/arm/joint_states", kind, stamp_s, names, angles, nothing, nothing))
         one.write(message("/gripper", kind, stamp_s, ["finger"], np.zeros(1), nothing, nothing))
@@ -60,7 +68,7 @@ def recorded(folder, photograph=False):
 def test_a_bag_of_any_arm_calibrates_its_camera(bag):
     data = read_data_set(bag, ARM.names)
     assert len(data) > 800
-    assert set(data.joint_names) == {*ARM.names, "finger"}
+    assert data.joint_names == ARM.names, "but not the finger's, which are no numbers"
     found = calibrate(data, ARM)
     assert found.camera == "camera"
     assert np.linalg.norm(found.translation_m - CAMERA.position_m) < 2e-3
@@ -83,19 +91,58 @@ def test_the_arm_is_drawn_over_an_image_of_the_bag(tmp_path, capsys):
     ("given", "words"),
     [
         ({"seen": "/nowhere"}, "0 topics of PointStamped or PoseStamped called /nowhere"),
-        ({"joint_states": "/gripper"}, None),
+        ({"joint_states": "/gripper"}, r"joint_states names \['finger'\], none of the wanted"),
     ],
 )
 def test_topics_are_chosen_or_named(bag, given, words):
-    if words:
-        with pytest.raises(ValueError, match=words):
-            read_data_set(bag, ARM.names, **given)
-    else:
-        assert read_data_set(bag, ARM.names, **given).joint_names == ("finger",)
+    with pytest.raises(ValueError, match=words):
+        read_data_set(bag, ARM.names, **given)
+
+
+def in_halves(bag, stamp_s, joints):
+    for half in (slice(0, 3), slice(3, 6)):
+        bag.write(joint_states(stamp_s, ARM.names[half], joints[half]))
+
+
+def beside_zeros(bag, stamp_s, joints):
+    bag.write(joint_states(stamp_s, ARM.names, joints))
+    bag.write(joint_states(stamp_s + 0.003, ARM.names, np.zeros(6)))
+
+
+@pytest.mark.parametrize(
+    ("publish", "words"),
+    [
+        (beside_zeros, "jumped by .* do two nodes publish joint states"),
+        (in_halves, r"joint_states lacks .* it names"),
+        (
+            lambda bag, stamp_s, joints: bag.write(joint_states(0.0, ARM.names, joints)),
+            "joint_states have no stamp",
+        ),
+        (
+            lambda bag, stamp_s, joints: bag.write(
+                joint_states(stamp_s, ARM.names, np.degrees(joints))
+            ),
+            "no degrees|in degrees",
+        ),
+    ],
+    ids=["two publishers", "halves", "no stamps", "degrees"],
+)
+def test_why_joint_states_cannot_be_used_is_said(tmp_path, capsys, publish, words):
+    data, bag = collected(seconds=8.0), Bag(tmp_path / "bag", {})
+    for stamp_s, joints, ball in zip(data.stamps_s, data.joints_rad, data.ball_m, strict=True):
+        publish(bag, stamp_s, joints)
+        point = T["geometry_msgs/msg/Point"](*ball)
+        bag.write(message("/ball_position", "geometry_msgs/msg/PointStamped", stamp_s, point))
+    bag.close()
+    out = ["-o", str(tmp_path / "camera.yaml"), "--quiet"]
+    assert main([str(tmp_path / "bag"), "--urdf", str(URDF), *out]) == 2
+    assert re.search(words, capsys.readouterr().err)
+    events = [one.text for one in read(tmp_path / "bag").events]
+    assert any(re.search(words, one) for one in events)
 
 
 def test_what_is_no_bag_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="there is no file or folder"):
+    with pytest.raises(ValueError, match="there is no such file or folder"):
         read_data_set(tmp_path / "nothing", ARM.names)
     (tmp_path / "text.mcap").write_text("no bag")
     with pytest.raises(ValueError, match="cannot read"):

@@ -1,0 +1,162 @@
+"""Whatever a recorder left of a bag is read, by the one reader of every program."""
+
+import shutil
+import sqlite3
+
+import pytest
+
+pytest.importorskip("rosbags")
+
+pytest.importorskip("mcap")
+
+from mcap.writer import CompressionType, IndexType
+from mcap.writer import Writer as McapWriter
+from replayed_bags import HandmadeBag, servo
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2.storage_mcap import zstd
+
+from fvs_lab.replay.reading import read
+from fvs_tools.bag_reader import BagError, open_bag
+
+
+def made(folder, storage=StoragePlugin.MCAP):
+    bag = HandmadeBag(folder, storage)
+    servo(bag)
+    bag.close()
+    return folder
+
+
+def content(path):
+    """Topic, time and bytes of each message."""
+    with open_bag(path) as reader:
+        return [(one.topic, time_ns, bytes(raw)) for one, time_ns, raw in reader.messages()]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return content(made(tmp_path_factory.mktemp("bags") / "whole"))
+
+
+def packed(folder, storage=StoragePlugin.MCAP):
+    (file,) = (one for one in made(folder, storage).iterdir() if one.suffix != ".yaml")
+    file.with_name(f"{file.name}.zstd").write_bytes(zstd.compress(file.read_bytes()))
+    file.unlink()
+    return folder
+
+
+def cut_metadata(folder):
+    path = folder / "metadata.yaml"
+    path.write_bytes(path.read_bytes()[:300])
+    return folder
+
+
+def without_metadata(folder):
+    (folder / "metadata.yaml").unlink()
+    return folder
+
+
+def by_another(folder, whole, others=False, **options):
+    """The messages as another recorder writes them, with channels that no ROS type describes."""
+    folder.mkdir()
+    with (folder / "bag.mcap").open("wb") as file:
+        writer = McapWriter(file, chunk_size=20_000, **options)
+        writer.start(profile="ros2")
+        channels = {}
+        with open_bag(made(folder / "whole")) as reader:
+            for one in reader.connections:
+                text = one.msgdef.data.encode()
+                schema = writer.register_schema(one.msgtype, "ros2msg", text)
+                channels[one.topic] = writer.register_channel(one.topic, "cdr", schema)
+        if others:
+            schema = writer.register_schema("Any", "jsonschema", b"{}")
+            json = writer.register_channel("/any", "json", schema)
+            text = b"Nonsense[<=1] request\n"
+            schema = writer.register_schema("std_srvs/srv/Trigger_Event", "ros2msg", text)
+            event = writer.register_channel("/any/_service_event", "cdr", schema)
+            writer.add_message(json, 0, b"{}", 0)
+            writer.add_message(event, 0, b"\0\1\0\0", 0)
+        for topic, time_ns, raw in whole:
+            writer.add_message(channels[topic], time_ns, raw, time_ns)
+        writer.finish()
+    shutil.rmtree(folder / "whole")
+    return folder / "bag.mcap"
+
+
+def packed_by_message(folder, whole):
+    """SQLite, each message compressed, and nothing says so."""
+    path = without_metadata(made(folder, StoragePlugin.SQLITE3)) / "bag.db3"
+    with sqlite3.connect(path) as database:
+        rows = database.execute("SELECT id, data FROM messages").fetchall()
+        pairs = [(zstd.compress(data), number) for number, data in rows]
+        database.executemany("UPDATE messages SET data = ? WHERE id = ?", pairs)
+    return path
+
+
+def with_a_log(folder, whole):
+    """SQLite whose newest messages a killed recorder left in the log beside it."""
+    path, copy = made(folder, StoragePlugin.SQLITE3) / "bag.db3", folder / "copy"
+    copy.mkdir()
+    database = sqlite3.connect(path)
+    database.execute("PRAGMA journal_mode=WAL")
+    (last,) = database.execute("SELECT max(timestamp) FROM messages").fetchone()
+    rows = database.execute("SELECT * FROM messages WHERE timestamp > ?", [last - 10**9]).fetchall()
+    database.execute("DELETE FROM messages WHERE timestamp > ?", [last - 10**9])
+    database.commit()
+    database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    database.executemany("INSERT INTO messages VALUES (?, ?, ?, ?)", rows)
+    database.commit()
+    for one in folder.glob("bag.db3*"):
+        shutil.copy(one, copy)
+    database.close()
+    return copy
+
+
+KINDS = {
+    "a file packed": lambda folder, whole: packed(folder),
+    "a file packed, no metadata": lambda folder, whole: without_metadata(packed(folder)),
+    "a database packed": lambda folder, whole: packed(folder, StoragePlugin.SQLITE3),
+    "messages packed": packed_by_message,
+    "no metadata": lambda folder, whole: without_metadata(made(folder)),
+    "metadata cut off": lambda folder, whole: cut_metadata(made(folder)),
+    "named by its metadata": lambda folder, whole: made(folder) / "metadata.yaml",
+    "a log beside it": with_a_log,
+    "no schemas in the summary": lambda folder, whole: by_another(
+        folder, whole, repeat_schemas=False, repeat_channels=False
+    ),
+    "no index": lambda folder, whole: by_another(
+        folder, whole, index_types=IndexType.NONE, use_chunking=False
+    ),
+    "lz4": lambda folder, whole: by_another(folder, whole, compression=CompressionType.LZ4),
+    "JSON and service events": lambda folder, whole: by_another(folder, whole, others=True),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_whatever_a_recorder_left_is_read(tmp_path, whole, kind):
+    path = KINDS[kind](tmp_path / "bag", whole)
+    found = [one for one in content(path) if not one[0].startswith("/any")]
+    assert sorted(found) == sorted(whole)
+    recording = read(path)
+    assert len(recording.series["ball"]) == sum(topic == "/ball_position" for topic, *_ in whole)
+
+
+def test_a_file_that_ends_within_a_chunk_is_read_up_to_there(tmp_path, whole):
+    path = by_another(tmp_path / "bag", whole)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    begun = content(path)
+    assert 0.2 * len(whole) < len(begun) < 0.8 * len(whole)
+    assert begun == whole[: len(begun)]
+    assert read(path).cut_off
+
+
+def test_a_lost_part_is_said_and_the_rest_is_read(tmp_path, whole):
+    folder = made(tmp_path / "bag")
+    text = (folder / "metadata.yaml").read_text()
+    lost = text.replace("  - bag.mcap\n", "  - bag.mcap\n  - bag_1.mcap\n")
+    assert lost != text
+    (folder / "metadata.yaml").write_text(lost)
+    assert content(folder) == whole
+    assert read(folder).cut_off
+    (folder / "bag.mcap").unlink()
+    with pytest.raises(BagError, match="neither metadata"):
+        content(folder)
