@@ -380,8 +380,10 @@ def with_urdf_limits(values: Mapping[str, Any], urdf: Mapping[str, UrdfJoint]) -
     """
     names = [values["tf_prefix"] + name for name in values["joint_names"]]
     joints = [urdf[name] for name in names if name in urdf]
+    if not joints:
+        return dict(values)
     values = {**values, "slides": tuple(one.name for one in joints if one.kind == "prismatic")}
-    if not joints or all(values[name] for name in URDF_LIMITS):
+    if all(values[name] for name in URDF_LIMITS):
         return values
     for name in names:
         if name not in urdf or not urdf[name].moves:
