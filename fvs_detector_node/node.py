@@ -162,9 +162,19 @@ class DetectorNode(ros.FvsNode):
             return
         if not self._needs_depth and _unregistered(pair):
             pair = pair._replace(depth=None)
-        problem = _mismatch(pair, camera)
-        if problem:
-            self._complain(self._topics.depth, problem)
+        size = pair.colour.pixels.shape[:2]
+        calibrated = (camera.intrinsics.height, camera.intrinsics.width)
+        if calibrated != size:
+            words = f"is for {_px(calibrated)} pixels, but the colour images have {_px(size)}"
+            self._complain(self._topics.info, words)
+            return
+        differs = _unregistered(pair)
+        if differs:
+            self._complain(
+                self._topics.depth,
+                f"depth is not registered to colour: {differs}; start the camera with "
+                "align_depth.enable:=true, and take the aligned topic",
+            )
             return
         rgb, depth_m = pair.colour.pixels, pair.depth and pair.depth.pixels
         try:
@@ -277,21 +287,6 @@ class DetectorNode(ros.FvsNode):
                 "processing_ms": self._processing_ms,
             },
         )
-
-
-def _mismatch(pair: Pair, camera: CameraModel) -> str:
-    """Why colour, depth and calibration are not of one camera; empty if they are."""
-    size = pair.colour.pixels.shape[:2]
-    calibrated = (camera.intrinsics.height, camera.intrinsics.width)
-    if calibrated != size:
-        return f"camera_info is for {_px(calibrated)} pixels, colour images have {_px(size)}"
-    differs = _unregistered(pair)
-    if not differs:
-        return ""
-    return (
-        f"depth is not registered to colour: {differs}; start the camera with "
-        "align_depth.enable:=true, and take the aligned topic"
-    )
 
 
 def _unregistered(pair: Pair) -> str:

@@ -113,12 +113,15 @@ class Intrinsics:
         return Intrinsics(width, height, self.fx, self.fy, self.cx - u0, self.cy - v0)
 
 
-#: Distortion models of ``sensor_msgs``, and the numbers of coefficients that they may have.
+#: Distortion models of ``sensor_msgs``, and the numbers of coefficients that they may have: the
+#: first two are one in OpenCV, and drivers name either.
 DISTORTION_MODELS = {
-    "plumb_bob": (0, 4, 5),
-    "rational_polynomial": (0, 8, 12, 14),
+    "plumb_bob": (0, 4, 5, 8, 12, 14),
+    "rational_polynomial": (0, 4, 5, 8, 12, 14),
     "equidistant": (4,),
 }
+#: What drivers call them, too.
+_ALSO = {"fisheye": "equidistant", "kannala_brandt": "equidistant"}
 _MAX_COEFFICIENT = 1000.0
 
 
@@ -182,9 +185,9 @@ def camera_model(
     k : sequence of float, length 9
         Camera matrix, row-major, pixels.
     model : str
-        Distortion model; empty for none.
+        Distortion model; empty or ``none`` for none.
     coefficients : sequence of float
-        Of the distortion.
+        Of the distortion; more zeros than the model has are passed over.
     binning : tuple of int
         Pixels joined into one, along u and v; 0 and 1 mean none.
     roi : tuple of int
@@ -211,9 +214,12 @@ def camera_model(
             raise ValueError(f"camera_info has a region {roi} outside of {width}x{height}")
         width, height, cx, cy = roi_width, roi_height, cx - u0, cy - v0
     intrinsics = Intrinsics(width, height, fx, fy, cx, cy)
-    if not model and not any(coefficients):
+    if model.lower() in ("", "none") and not any(coefficients):
         return CameraModel(intrinsics)
-    return CameraModel(intrinsics, model, tuple(float(value) for value in coefficients))
+    name, values = _ALSO.get(model, model), [float(value) for value in coefficients]
+    while values and values[-1] == 0.0 and len(values) not in DISTORTION_MODELS.get(name, ()):
+        values.pop()
+    return CameraModel(intrinsics, name, tuple(values))
 
 
 def _check_matrix(width: int, height: int, k: Sequence[float]) -> None:

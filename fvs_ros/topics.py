@@ -291,7 +291,7 @@ def camera_names(topic: Topic, prefix: str) -> list[str]:
 COLOR_IMAGE = Topic(
     "camera/color/image_raw",
     "sensor_msgs/msg/Image",
-    "Colour image, rgb8; drawn only while a node subscribes.",
+    "Colour image, of any encoding; drawn only while a node subscribes.",
     {SIM: _RELIABLE},
     {
         DETECTOR: End((Qos.RELIABLE,), {"compressed_images": False}),

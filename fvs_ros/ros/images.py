@@ -25,11 +25,31 @@ _DEPTH_UNIT_M = np.float32(1e-3)
 #: Largest side and number of pixels of an image that is decoded.
 MAX_SIDE_PX, MAX_PIXELS = 8192, 16_000_000
 
-_TO_RGB = {
-    "rgb8": None,
-    "bgr8": cv2.COLOR_BGR2RGB,
-    "rgba8": cv2.COLOR_RGBA2RGB,
-    "bgra8": cv2.COLOR_BGRA2RGB,
+#: Encodings of ``sensor_msgs``: numbers of a pixel, and their conversion. OpenCV's own images have
+#: blue first.
+_TO_RGB: dict[str, tuple[int, int | None]] = {
+    "rgb8": (3, None),
+    "bgr8": (3, cv2.COLOR_BGR2RGB),
+    "rgba8": (4, cv2.COLOR_RGBA2RGB),
+    "bgra8": (4, cv2.COLOR_BGRA2RGB),
+    "mono8": (1, cv2.COLOR_GRAY2RGB),
+    "8UC1": (1, cv2.COLOR_GRAY2RGB),
+    "8UC3": (3, cv2.COLOR_BGR2RGB),
+    "8UC4": (4, cv2.COLOR_BGRA2RGB),
+    "yuv422": (2, cv2.COLOR_YUV2RGB_UYVY),
+    "uyvy": (2, cv2.COLOR_YUV2RGB_UYVY),
+    "yuv422_yuy2": (2, cv2.COLOR_YUV2RGB_YUYV),
+    "yuyv": (2, cv2.COLOR_YUV2RGB_YUYV),
+    "nv12": (1, cv2.COLOR_YUV2RGB_NV12),
+    "nv21": (1, cv2.COLOR_YUV2RGB_NV21),
+    "bayer_rggb8": (1, cv2.COLOR_BayerRGGB2RGB),
+    "bayer_bggr8": (1, cv2.COLOR_BayerBGGR2RGB),
+    "bayer_gbrg8": (1, cv2.COLOR_BayerGBRG2RGB),
+    "bayer_grbg8": (1, cv2.COLOR_BayerGRBG2RGB),
+}
+#: The same of 16 bits a number.
+_TO_RGB |= {
+    f"{name.removesuffix('8')}16": form for name, form in _TO_RGB.items() if name.endswith("8")
 }
 _DEPTH_TYPES = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 #: compressedDepth begins with an int32 and the two float32 parameters of the inverse depth.
@@ -58,22 +78,32 @@ def sampled_camera(
 def from_color(message: Image | CompressedImage) -> np.ndarray:
     """Colours of an image, uint8, shape (H, W, 3), red first; they may share its memory.
 
-    It is ``rgb8``, ``bgr8``, ``rgba8`` or ``bgra8``; or jpeg or png, of the format ``jpeg``,
-    ``png`` or ``ENCODING; jpeg compressed bgr8``. Without the last word after an encoding, red and
-    blue were exchanged before the compression.
+    It has any encoding of ``sensor_msgs`` for colours, grey, Bayer patterns and YUV, of 16 bits the
+    highest 8 that are used; or is jpeg or png, of the format ``jpeg``, ``png`` or ``ENCODING; jpeg
+    compressed bgr8``. Without the last word after an encoding, red and blue were exchanged before
+    the compression.
     """
     if isinstance(message, CompressedImage):
         encoding, separator, rest = message.format.partition(";")
         if separator:
-            _check_encoding(encoding.strip(), (*_TO_RGB, "mono8"))
+            _check_encoding(encoding.strip(), _TO_RGB)
         pixels = _decode_file(message.data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
         exchanged = bool(separator) and "compressed bgr" not in rest
         return pixels if exchanged else cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
-    _check_encoding(message.encoding, _TO_RGB)
-    conversion = _TO_RGB[message.encoding]
-    pixels = _rows(message, 4 if "a" in message.encoding else 3)
-    pixels = pixels.reshape(message.height, message.width, -1)
-    return pixels if conversion is None else cv2.cvtColor(pixels, conversion)
+    encoding, width, height = message.encoding, message.width, message.height
+    _check_encoding(encoding, _TO_RGB)
+    channels, conversion = _TO_RGB[encoding]
+    rows = height * 3 // 2 if encoding.startswith("nv") else height
+    pixels = _rows(message, "u2" if encoding.endswith("16") else "u1", channels, rows)
+    if pixels.dtype == np.uint16:  # cameras of 10 or 12 bits leave the highest ones empty
+        pixels = (pixels >> max(0, int(pixels.max()).bit_length() - 8)).astype(np.uint8)
+    pixels = pixels.reshape(rows, width, channels)
+    if conversion is None:
+        return pixels
+    try:
+        return cv2.cvtColor(pixels, conversion)
+    except cv2.error:
+        raise MessageError(f"image of {width}x{height} pixels cannot be {encoding}") from None
 
 
 def from_depth(message: Image | CompressedImage) -> np.ndarray:
@@ -86,9 +116,7 @@ def from_depth(message: Image | CompressedImage) -> np.ndarray:
         depth = _decode_depth_file(message)
     else:
         _check_encoding(message.encoding, _DEPTH_TYPES)
-        order = ">" if message.is_bigendian else "<"
-        kind = np.dtype(order + _DEPTH_TYPES[message.encoding])
-        depth = _rows(message, kind.itemsize).view(kind).reshape(message.height, message.width)
+        depth = _rows(message, _DEPTH_TYPES[message.encoding], 1, message.height)
     if depth.dtype.kind == "u":
         return np.multiply(depth, _DEPTH_UNIT_M, dtype=np.float32)
     metres = depth.astype(np.float32)
@@ -135,29 +163,30 @@ def _decode_depth_file(message: CompressedImage) -> np.ndarray:
 def _check_encoding(encoding: str, known: Iterable[str]) -> None:
     if encoding not in known:
         raise MessageError(
-            f"image encoding {encoding[:40]!r} is not known; expected one of {', '.join(known)}"
+            f"image encoding {encoding[:40]!r} is not known; expected one of "
+            f"{', '.join(known)[:120]}"
         )
 
 
-def _rows(message: Image, pixel_bytes: int) -> np.ndarray:
-    """Rows of pixels without their padding, uint8, contiguous, shape (height, bytes)."""
-    width, height, step = message.width, message.height, message.step
+def _rows(message: Image, kind: str, channels: int, height: int) -> np.ndarray:
+    """Rows of numbers of a kind without their padding, shape (height, width * channels)."""
+    width, step, number = message.width, message.step, np.dtype(kind)
     _check_size(width, height)
-    row_bytes = width * pixel_bytes
+    row_bytes = width * channels * number.itemsize
     raw = np.frombuffer(message.data, np.uint8)
     if step < row_bytes:
         raise MessageError(
-            f"image rows have {step} bytes, too few for {width} pixels of {pixel_bytes} bytes"
+            f"image rows have {step} bytes, too few for {width} pixels of "
+            f"{channels * number.itemsize} bytes"
         )
     # Some drivers leave out the padding of the last row.
     if len(raw) not in (step * height, step * (height - 1) + row_bytes):
         raise MessageError(
             f"image of {height} rows of {step} bytes has {len(raw)} bytes, expected {step * height}"
         )
-    if step == row_bytes:
-        return raw.reshape(height, row_bytes)
     rows = np.lib.stride_tricks.as_strided(raw, (height, row_bytes), (step, 1), writeable=False)
-    return np.ascontiguousarray(rows)
+    numbers = np.ascontiguousarray(rows).view((">" if message.is_bigendian else "<") + kind)
+    return numbers.astype(number, copy=False)
 
 
 def _check_size(width: int, height: int) -> None:

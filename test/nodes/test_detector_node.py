@@ -5,7 +5,7 @@ import drawn_tags
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from drawn_balls import RADIUS_M, draw
+from drawn_balls import RADIUS_M, VGA, draw
 from geometry_msgs.msg import PointStamped, PoseStamped
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
@@ -30,7 +30,7 @@ class PlayedCamera:
     def __init__(self, harness, qos=ros.QOS_RELIABLE, compressed=False, prefix="camera"):
         self.rgb, self.depth_m = draw([(CENTRE, RADIUS_M)], QVGA)
         self.depth_frame, self.period_s, self.depth_late_s = FRAME, 1 / 30, 0.0
-        self.compressed, self.calibrated = compressed, True
+        self.compressed, self.calibrated, self.view = compressed, True, QVGA
         node = harness.node
         self.stamp_s = node.get_clock().now().nanoseconds * 1e-9
         kind = CompressedImage if compressed else Image
@@ -49,7 +49,7 @@ class PlayedCamera:
     def _show(self):
         self.stamp_s += self.period_s
         if self.calibrated:
-            self._info.publish(ros.to_camera_info(self.stamp_s, FRAME, QVGA))
+            self._info.publish(ros.to_camera_info(self.stamp_s, FRAME, self.view))
         if self.rgb is not None:
             self._color.publish(self._color_message())
         if self.depth_m is not None:
@@ -166,8 +166,11 @@ def test_depth_that_is_not_registered_is_refused(watched):
     depth_m = camera.depth_m
     camera.depth_frame, camera.depth_m = FRAME, depth_m[::2, ::2].copy()
     watched.wait_for("FAULT", "not registered", "160x120 pixels against 320x240")
+    camera.view = VGA
+    words = "camera_info: is for 640x480 pixels, but the colour images have 320x240"
+    watched.wait_for("FAULT", words)
     assert not watched.balls
-    camera.depth_m = depth_m
+    camera.depth_m, camera.view = depth_m, QVGA
     watched.wait_for("TRACKING")
 
 

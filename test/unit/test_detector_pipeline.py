@@ -9,6 +9,7 @@ from drawn_balls import RADIUS_M, VGA, draw, hide
 
 from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.detector import Detector, annotate
+from fvs_detector_node.images import Rectifier, Region
 from fvs_ros.camera import CameraModel, camera_model
 
 PINHOLE = CameraModel(VGA)
@@ -101,6 +102,8 @@ def test_the_lens_does_not_move_the_ball(model, coefficients):
         ({"k": [615.0, 0.0, 1e7, *K[3:]]}, "principal point"),
         ({"model": "fov"}, "plumb_bob, rational_polynomial, equidistant"),
         ({"coefficients": [0.1]}, "1 coefficients for plumb_bob, expected 0 or 4 or 5"),
+        ({"model": "equidistant", "coefficients": [0.1] * 5}, "5 coefficients for equidistant"),
+        ({"model": "none", "coefficients": [0.1] * 5}, "distortion model 'none'"),
         ({"coefficients": [1e300] * 5}, "above 1000"),
         ({"binning": (2, 2)}, "binning"),
     ],
@@ -112,10 +115,31 @@ def test_a_calibration_that_cannot_be_is_refused(changes, said):
 
 
 def test_a_calibration_may_lack_distortion_or_cut_a_region_out():
-    for model, coefficients in (("plumb_bob", [0.0] * 5), ("", []), ("rational_polynomial", [])):
-        assert camera_model(640, 480, K, model, coefficients).intrinsics == VGA
+    for model in ("plumb_bob", "", "none", "rational_polynomial"):
+        for coefficients in ([], [0.0] * 3, [0.0] * 5, [0.0] * 14):
+            camera = camera_model(640, 480, K, model, coefficients)
+            assert camera.intrinsics == VGA
+            assert not camera.distorts
     camera = camera_model(640, 480, K, "plumb_bob", [0.0] * 5, roi=(100, 50, 320, 240))
     assert camera.intrinsics == dataclasses.replace(VGA, width=320, height=240, cx=219.5, cy=189.5)
+
+
+@pytest.mark.parametrize(
+    ("names", "coefficients"),
+    [
+        (("plumb_bob", "rational_polynomial"), LENSES[1][1]),
+        (("plumb_bob", "rational_polynomial"), (*LENSES[1][1], *(0.001,) * 6)),
+        (("equidistant", "fisheye"), LENSES[2][1]),
+        (("equidistant", "fisheye"), (*LENSES[2][1], 0.0)),
+    ],
+)
+def test_drivers_name_lenses_in_several_ways(names, coefficients):
+    one, other = (camera_model(640, 480, K, name, coefficients) for name in names)
+    assert one.distorts
+    rgb, _ = ball(CENTRE)
+    first, second = (Rectifier(it).colour(rgb, Region.whole(VGA)) for it in (one, other))
+    assert (first == second).all()
+    assert (first != rgb).any()
 
 
 # ------------------------------------------------------------------------------- annotation

@@ -62,7 +62,8 @@ def test_depth_comes_out_in_metres_and_what_is_none_is_zero(order):
 @pytest.mark.parametrize(
     ("decode", "width", "height", "step", "encoding", "said"),
     [
-        (from_color, 3, 2, 9, "bayer_rggb8", "rgb8, bgr8"),
+        (from_color, 3, 2, 9, "nv24", "rgb8, bgr8"),
+        (from_color, 3, 3, 6, "yuv422", "cannot be yuv422"),
         (from_depth, 3, 2, 9, "x" * 10_000, "16UC1, mono16, 32FC1"),
         (from_color, 3, 2, 8, "rgb8", "too few"),
         (from_color, 3, 3, 9, "rgb8", "expected 27"),
@@ -73,6 +74,63 @@ def test_a_head_that_does_not_fit_is_refused_in_short(decode, width, height, ste
     with pytest.raises(MessageError, match=said) as refusal:
         decode(image(RGB.tobytes(), width, height, step, encoding))
     assert len(str(refusal.value)) < 200
+
+
+#: A colour, and its luminance and chrominances by BT.601.
+COLOUR, (Y, U, V) = (200, 100, 50), (123, 91, 175)
+
+
+def sent(encoding):
+    """A picture of one colour or grey, 4 pixels wide and 2 or 4 high, as a camera sends it."""
+    red, green, blue = COLOUR
+    whole = {
+        "mono8": [90] * 8,
+        "8UC1": [90] * 8,
+        "8UC3": [blue, green, red] * 8,
+        "8UC4": [blue, green, red, 255] * 8,
+        "yuv422": [U, Y, V, Y] * 4,
+        "uyvy": [U, Y, V, Y] * 4,
+        "yuv422_yuy2": [Y, U, Y, V] * 4,
+        "yuyv": [Y, U, Y, V] * 4,
+        "nv12": [Y] * 8 + [U, V] * 2,
+        "nv21": [Y] * 8 + [V, U] * 2,
+    }
+    if encoding in whole:
+        return np.array(whole[encoding], np.uint8).reshape(3 if "nv" in encoding else 2, -1)
+    if encoding.startswith("bayer"):
+        ((a, b), (c, d)) = (
+            [{"r": red, "g": green, "b": blue}[one] for one in pair]
+            for pair in (encoding[6:8], encoding[8:10])
+        )
+        return np.tile(np.array([[a, b], [c, d]], np.uint8), (2, 2))
+    raise KeyError(encoding)
+
+
+@pytest.mark.parametrize(
+    "encoding",
+    ["mono8", "8UC1", "8UC3", "8UC4", "yuv422", "uyvy", "yuv422_yuy2", "yuyv", "nv12", "nv21"]
+    + [f"bayer_{one}8" for one in ("rggb", "bggr", "gbrg", "grbg")],
+)
+def test_what_cameras_send_comes_out_red_first(encoding):
+    rows = sent(encoding)
+    padded = np.pad(rows, ((0, 0), (0, 3)))
+    expected = COLOUR if encoding not in ("mono8", "8UC1") else (90, 90, 90)
+    for each in (rows, padded):
+        height = 2 if "nv" in encoding else len(rows)
+        decoded = from_color(image(each.tobytes(), 4, height, each.shape[1], encoding))
+        assert decoded.shape == (height, 4, 3)
+        assert np.abs(decoded.astype(int) - expected).max() <= 3
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize(("encoding", "bits"), [("mono16", 16), ("mono16", 12), ("rgb16", 10)])
+def test_of_16_bits_the_highest_that_are_used_count(order, encoding, bits):
+    values = np.array([[0, 1 << (bits - 2), (1 << bits) - 1]] * 2).repeat(
+        1 + 2 * (encoding == "rgb16"), 1
+    )
+    rows = np.pad(values.astype(f"{order}u2"), ((0, 0), (0, 1)))
+    message = image(rows.tobytes(), 3, 2, rows.shape[1] * 2, encoding, order == ">")
+    assert from_color(message)[..., 1].tolist() == [[0, 64, 255]] * 2
 
 
 PICTURE = np.full((24, 32, 3), (200, 60, 10), np.uint8)
@@ -121,7 +179,11 @@ def test_whatever_comes_is_an_image_of_its_size_or_an_error(data, fitting):
     width, height, step = data.draw(sizes), data.draw(sizes), data.draw(sizes)
     length = step * height if fitting else data.draw(st.integers(0, 5000))
     raw = data.draw(st.binary(min_size=1, max_size=64)) * (length // 64 + 1)
-    encoding = data.draw(st.sampled_from(["rgb8", "bgra8", "16UC1", "32FC1", "x"]))
+    encoding = data.draw(
+        st.sampled_from(
+            ["rgb8", "bgra8", "16UC1", "32FC1", "mono16", "nv12", "yuyv", "bayer_rggb8", "x"]
+        )
+    )
     message = image(raw[:length], width, height, step, encoding, data.draw(st.booleans()))
     for pixels in decoded(message):
         assert pixels.shape[:2] == (height, width)
