@@ -145,9 +145,9 @@ class Promises:
         """It was asked for, on fresh inputs."""
         world = self._world
         keep("moves when asked only", world.take_session())
-        for name, limit in MAX_AGE.items():
+        for name in MAX_AGE:
             age_s = now_s - world.arrived_s[name]
-            keep("fresh inputs", age_s <= world.values[limit], name, age_s)
+            keep("fresh inputs", age_s <= world.max_age_s(name), name, age_s)
             trusted = world.good[name] == math.inf
             keep("several good messages end a trouble", trusted, name, world.good[name])
 

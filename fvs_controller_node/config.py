@@ -77,7 +77,11 @@ class SupervisorConfig(JointLimits, ServoedConfig):
         0.1, "Age above which joint states are stale and the arm is held, s.", 0.01, 10.0
     )
     ball_max_age_s: float = live_parameter(
-        0.2, "Age above which a ball position is stale and the arm is held, s.", 0.01, 10.0
+        0.2,
+        "Age above which a ball position is stale and the arm is held, s; of a slow camera 2.5 of "
+        "its periods, up to 0.5 s.",
+        0.01,
+        10.0,
     )
     jacobian_max_age_s: float = live_parameter(
         0.2, "Age above which the Jacobian is stale and the arm is held, s.", 0.01, 10.0

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from math import inf, isfinite
+from statistics import median
+from typing import Any
 
 import numpy as np
 
 from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.reasons import Finding, Reason
+from fvs_ros.timeline import MAX_LATENCY_S
 from fvs_ros.vectors import LARGEST, plausible
 
 #: Inputs by topic name.
@@ -18,6 +22,9 @@ ROBOT_DESCRIPTION = "robot_description"
 
 #: Largest age of a source's status, and duration of a conflict after the foreign command, s.
 _STATUS_MAX_AGE_S, _CONFLICT_S = 2.0, 1.0
+#: An image of a slow camera is late after this many of its periods, so that one may be lost; the
+#: period is the median of some intervals, at least and at most.
+_PERIODS, _FEWEST, _MOST = 2.5, 5, 9
 
 
 class InputMonitor:
@@ -25,13 +32,21 @@ class InputMonitor:
 
     A fault (missing, stale, unusable) lasts until ``fresh_samples`` consecutive good messages.
     ``hint`` names what to check while messages are missing. ``limit`` names the parameter with
-    the largest age; it is empty for an input that may come rarely or never.
+    the largest age; it is empty for an input that may come rarely or never. One that comes slowly
+    may be older, up to ``slow_s``.
     """
 
     def __init__(
-        self, config: SupervisorConfig, name: str, hint: str = "", limit: str = ""
+        self,
+        config: SupervisorConfig,
+        name: str,
+        hint: str = "",
+        limit: str = "",
+        slow_s: float = 0.0,
     ) -> None:
         self.config, self.name, self._hint, self._limit = config, name, hint, limit
+        self._slow_s, self._intervals_s = slow_s, deque[float](maxlen=_MOST)
+        self._periods_s = 0.0  # what a slow source is allowed
         self._last_s: float | None = None
         self._streak = 0
         self._trouble = Reason.MISSING if limit else None
@@ -42,6 +57,10 @@ class InputMonitor:
     def good(self, now_s: float) -> None:
         """Count a usable message."""
         self.find(now_s)  # a gap since the last one counts, even if no tick saw it
+        if self._last_s is not None:
+            self._intervals_s.append(now_s - self._last_s)
+        if self._slow_s and len(self._intervals_s) >= _FEWEST:
+            self._periods_s = min(_PERIODS * median(self._intervals_s), self._slow_s)
         self._last_s = now_s
         if self._trouble is not None:
             self._streak += 1
@@ -71,7 +90,9 @@ class InputMonitor:
     def find(self, now_s: float) -> Finding | None:
         """Find what is wrong with this input now, if anything."""
         age_s = self.age_s(now_s)
-        limit_s = getattr(self.config, self._limit) if self._limit else inf
+        limit, limit_s = self._limit, getattr(self.config, self._limit) if self._limit else inf
+        if limit_s < self._periods_s:
+            limit, limit_s = f"{_PERIODS:g} of its periods", self._periods_s
         stale = self._last_s is not None and age_s > limit_s
         if stale:
             self._streak = 0
@@ -88,7 +109,7 @@ class InputMonitor:
             hint = "messages come, but their stamps do not advance: its source has frozen"
         if stale:
             return Reason.STALE.because(
-                name=self.name, age_s=age_s, limit=self._limit, limit_s=limit_s, hint=hint
+                name=self.name, age_s=age_s, limit=limit, limit_s=limit_s, hint=hint
             )
         if self._trouble is Reason.MISSING:
             return Reason.MISSING.because(hint=hint, **numbers)
@@ -105,9 +126,13 @@ class Inbox:
     def __init__(self, config: SupervisorConfig, end_session: Callable[[Finding], None]) -> None:
         self._config, self._end_session = config, end_session
         feature = config.servoed
-        hints = {
+        hints: dict[str, Any] = {
             JOINT_STATES: ("is the robot driver (or simulator) running?", "joint_states_max_age_s"),
-            BALL: (f"is the {feature.what} in view, and the detector running?", "ball_max_age_s"),
+            BALL: (
+                f"is the {feature.what} in view, and the detector running?",
+                "ball_max_age_s",
+                MAX_LATENCY_S,  # longer, none is predicted
+            ),
             JACOBIAN: ("is the estimator running?", "jacobian_max_age_s"),
             **dict.fromkeys((KINEMATIC_CHAIN, SPEED_SCALING, ROBOT_DESCRIPTION), ()),
         }

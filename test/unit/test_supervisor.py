@@ -260,6 +260,20 @@ def test_what_forbids_motion_stops_the_arm_and_says_why(row: Row):
     assert cell.run(0.2).state is State.SERVOING
 
 
+@pytest.mark.parametrize(("period_s", "allowed_s"), [(0.1, 0.25), (0.033, 0.2), (0.22, 0.5)])
+def test_a_slow_camera_may_lose_an_image_and_a_quick_one_is_late_as_ever(period_s, allowed_s):
+    cell = Cell()
+    times_s = cell.now_s + period_s * np.arange(1, 12)
+    for now_s in times_s[[0, 1, 2, 3, 4, 5, 6, 7, 8, 10]]:
+        cell.inputs.add("ball_position", now_s, TARGET)
+    ball = cell.inputs["ball_position"]
+    assert ball.find(times_s[-1] + allowed_s - 0.001) is None
+    late = ball.find(times_s[-1] + allowed_s + 0.001)
+    assert late.reason is Reason.STALE
+    wanted = "ball_max_age_s" if period_s < 0.08 else "2.5 of its periods"
+    assert f"({wanted} is {allowed_s:.2f} s)" in late.text
+
+
 # ---- before a start, and after the end --------------------------------------------------------
 
 
