@@ -41,6 +41,12 @@ from fvs_ros.tracker import OUTLIER
 _MIN_SAMPLES = 200
 #: Images, and offsets of the stamps, of the search for the right start.
 _SEARCH_SAMPLES, _SEARCH_OFFSETS = 400, 13
+#: Most random starts for still poses; each is solved in so many charts of so many evaluations.
+#: Seven of ten reach the best optimum.
+_RANDOM_STARTS, _CHARTS, _IN_A_CHART = 30, 8, 15
+#: First guess of their residuals, over the spread of the feature; costs of the same optimum differ
+#: by less than this share, or this much, which is 0.4 % of the spread.
+_ROUGH, _SAME, _SAME_COST = 0.1, 0.02, 1e-3
 #: Above both limits, the second in m, a chain does not explain the motion. A camera's
 #: own systematic errors stay below.
 _MISFIT_LIMIT, _UNEXPLAINED_LIMIT_M = 1.3, 0.001
@@ -166,7 +172,13 @@ def fit_chain(data: DataSet, progress: Callable[[str], None] | None = None) -> C
     """
     say = progress or (lambda words: None)
     path = Path(data)
-    if len(path.indices) < _MIN_SAMPLES:
+    unknown = 4 * data.joints_rad.shape[1] + data.ball_m.shape[1]
+    if data.still and len(data) < unknown:
+        raise ChainFitError(
+            f"a chain of {data.joints_rad.shape[1]} joints needs at least {unknown} still poses, "
+            f"the data set has {len(data)}"
+        )
+    if not data.still and len(path.indices) < _MIN_SAMPLES:
         raise ChainFitError(
             f"a chain needs at least {_MIN_SAMPLES} images in continuous runs of more than "
             f"{2 * MAX_OFFSET_S:g} s, the data set has {len(path.indices)}"
@@ -179,7 +191,7 @@ def fit_chain(data: DataSet, progress: Callable[[str], None] | None = None) -> C
     # Matrices of few columns: on a busy machine more threads took twenty times as long.
     with threadpool_limits(1):
         say("looking for the axes")
-        found = fitting.start()
+        found = fitting.start_at_random() if data.still else fitting.start()
         say("fitting")
         return fitting.finish(found)
 
@@ -228,6 +240,30 @@ class _Fitting:
             others = map(fitted, other_starts(best.chain, rank))
             best = min((best, *others), key=lambda one: one.cost)
         return best
+
+    def start_at_random(self) -> _Found:
+        """The best of some random chains; an optimum that is found twice is taken for it.
+
+        Still poses are too few for a regression, but far apart, so that few wrong optima are left.
+        """
+        rng, images = np.random.default_rng(0), np.arange(len(self._ball))
+        joints, middle = self._path.joints_and_velocities(0.0)[0], self._ball.mean(axis=0)
+        spread_m = float(np.linalg.norm(self._ball[:, :3].std(axis=0)))
+        unit = np.broadcast_to(
+            np.eye(middle.size) / (_ROUGH * spread_m), (len(images), middle.size, middle.size)
+        )
+        tried: list[_Found] = []
+        while len(tried) < _RANDOM_STARTS:
+            axes, places = rng.normal(size=(2, joints.shape[1], 3))
+            chain = SerialChain(axes, middle[:3] + spread_m * places, middle, joints.mean(axis=0))
+            one = _Found(chain, 0.0, math.inf)
+            for _ in range(_CHARTS):
+                one = self._solve(one, unit, images, evaluations=_IN_A_CHART)
+            tried = sorted([*tried, one], key=lambda each: each.cost)
+            best, *second = (each.cost for each in tried[:2])
+            if second and second[0] < (1.0 + _SAME) * best + _SAME_COST:
+                break
+        return tried[0]
 
     def finish(self, found: _Found) -> ChainFit:
         """Fit all images, each weighed by its noise along and across the line of sight."""

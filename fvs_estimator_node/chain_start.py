@@ -35,13 +35,13 @@ class Path:
     """Joints at any time of each continuous run, from those at the exposures.
 
     ``indices`` are the images that are fitted, in blocks where there are too many, ``stamps_s``
-    their stamps, s, both of shape (k,).
+    their stamps, s, both of shape (k,). Of still poses every image counts, whenever it was exposed.
     """
 
     def __init__(self, data: DataSet) -> None:
-        stamps, self._n = data.stamps_s, data.joints_rad.shape[1]
-        inside, splines = [np.zeros(0, int)], []
-        for run in data.runs():
+        stamps = data.stamps_s
+        inside, splines = [np.arange(len(data) if data.still else 0)], []
+        for run in () if data.still else data.runs():
             time_s = stamps[run]
             early, late = time_s[0] + MAX_OFFSET_S, time_s[-1] - MAX_OFFSET_S
             fitted = run.start + np.flatnonzero((time_s >= early) & (time_s <= late))
@@ -49,7 +49,7 @@ class Path:
                 inside.append(fitted)
                 splines.append((run, CubicSpline(time_s, data.joints_rad[run])))
         self.indices = _thinned(np.concatenate(inside))
-        self.stamps_s = stamps[self.indices]
+        self.stamps_s, self._joints = stamps[self.indices], data.joints_rad[self.indices]
         self._splines: list[tuple[slice, Any]] = [
             (slice(*np.searchsorted(self.indices, [run.start, run.stop])), spline)
             for run, spline in splines
@@ -57,7 +57,7 @@ class Path:
 
     def joints_and_velocities(self, offset_s: float) -> tuple[np.ndarray, np.ndarray]:
         """Joints and their velocities at the stamps minus an offset, (k, n) each."""
-        joints, velocity = np.empty((2, len(self.stamps_s), self._n))
+        joints, velocity = self._joints.copy(), np.zeros_like(self._joints)
         for places, spline in self._splines:
             time_s = self.stamps_s[places] - offset_s
             joints[places], velocity[places] = spline(time_s), spline(time_s, 1)

@@ -92,6 +92,8 @@ class DataSet(_OfFeature):
         Frame of the ball positions.
     provenance : dict
         Where it comes from; anything that JSON can hold.
+    still : bool
+        Whether the arm stood still at every image: still poses.
     feature, lever_arm_m : str and float
         What was seen, and its lever arm, m, as in :class:`~fvs_ros.feature.ServoedConfig`.
 
@@ -108,6 +110,7 @@ class DataSet(_OfFeature):
     joint_names: tuple[str, ...] = ()
     feature_frame: str = CAMERA_FRAME
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    still: bool = False
 
     def __post_init__(self) -> None:
         lengths = check_arrays(self, _DATA_SET, {})
@@ -286,6 +289,7 @@ def load_data_set(
             **{name: content[name] for name in _DATA_SET},
             **content.common,
             provenance=content.json("provenance"),
+            still="still" in content and bool(content["still"].any()),
         )
 
     return _read(path, "fvs_dataset", joint_names, servoed, build)

@@ -39,6 +39,7 @@ from fvs_estimator_node.chain_start import MAX_OFFSET_S
 from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.hand_eye_checks import find_move, length, ordered, refusal
 from fvs_estimator_node.hand_eye_model import HandEyeModel
+from fvs_estimator_node.hand_eye_start import still_fit
 from fvs_ros.chain import cross_matrix
 from fvs_ros.urdf import Kinematics
 
@@ -51,6 +52,8 @@ _DELAY_S, _ANYWHERE, _FOCAL = 0.1, 1.0, 0.1
 _ZEROS_RAD, _LINKS_M = np.geomspace(0.05, 2e-5, 9), np.geomspace(0.02, 2e-6, 9)
 _SCALES = np.geomspace(0.05, 0.003, 3)
 _WIDEST = _ZEROS_RAD[0], _LINKS_M[0], _SCALES[0]
+#: That of zeros and links, rad and m, of a hand whose pose is measured.
+_EXACT = 1e-6
 #: A link's turn, rad, is as likely as its shift over this length, m.
 _LINK_LENGTH_M = 0.5
 #: Links are off if that explains the images so much better, logarithm of the likelihoods' ratio.
@@ -60,6 +63,8 @@ _SURE = 5.0
 _BLOCK_S, _COMMON = 2.0, 0.3
 #: Largest length of a residual over its noise, for a robust fit.
 _ROBUST = 2.0
+#: Of images this far from the model, as a share of how far they are apart, nothing is explained.
+_UNEXPLAINED = 0.2
 #: A model this many times as far from the images as a free chain is wrong.
 _WRONG = 3.0
 #: A delay of this share of the longest that is searched is longer.
@@ -97,7 +102,7 @@ def calibrate(
     say = progress or (lambda words: None)
     arm, given = arm.reversed() if carries_camera else arm, data
     data = ordered(data, arm)
-    fit = fit_chain(data, say)
+    fit = still_fit(data, arm) if data.still else fit_chain(data, say)
     if abs(fit.time_offset_s) > _LATEST * MAX_OFFSET_S:
         raise CalibrationError(
             f"the images are stamped {fit.time_offset_s:+.2f} s late, or more: correct their stamps"
@@ -112,6 +117,8 @@ def calibrate(
         if moved:
             raise CalibrationError(moved)
         one.check_directions(values, off)
+        if length(off) > _UNEXPLAINED * length(data.ball_m - data.ball_m.mean(axis=0)):
+            raise refusal(given, arm)
         return one.told(values, off)
 
 
@@ -149,6 +156,8 @@ class _Calibrating:
         deviation[at.zeros] = zero_rad
         turn, shift = [link_m / _LINK_LENGTH_M] * 3, [link_m] * 3
         deviation[at.links] = np.resize([*turn, *shift], deviation[at.links].size)
+        if self._arm.exact:
+            deviation[at.zeros] = deviation[at.links] = _EXACT
         return deviation
 
     def solve(
@@ -190,6 +199,8 @@ class _Calibrating:
 
     def find_move(self) -> str | None:
         """See :func:`~fvs_estimator_node.hand_eye_checks.find_move`."""
+        if self._data.still:  # too few to tell
+            return ""
         return find_move(
             self._free_off[:, :3],
             self._seen[:, :3],
@@ -378,10 +389,14 @@ class _Calibrating:
         spread = self._model.path.joints_and_velocities(0.0)[0].std(axis=0)
         alike = arm.prismatic[:, None] == arm.prismatic
         most = np.where(alike, spread, 0.0).max(axis=1)
-        further = np.maximum(2.0, most / spread)  # as far as the others, at least
+        moved = np.flatnonzero(spread)  # of still poses a joint may be at rest
+        further = np.maximum(2.0, most[moved] / spread[moved])  # as far as the others, at least
         tried = [
-            (f"move {name} {_times(further[i])} as far", np.where(np.arange(n) == i, further, 1.0))
-            for i, name in enumerate(arm.names)
+            (
+                f"move {arm.names[i]} {_times(factor)} as far",
+                np.where(np.arange(n) == i, factor, 1.0),
+            )
+            for i, factor in zip(moved, further, strict=True)
         ]
         longer = ("move four times as long", np.ones(n))
         precision = np.diag(self._deviation(*found.sizes) ** -2.0)

@@ -47,7 +47,7 @@ def ordered(data: DataSet, arm: Kinematics) -> DataSet:
     joints = data.joints_rad[:, [data.joint_names.index(name) for name in arm.names]]
     least = np.where(arm.prismatic > 0.0, _STILL_M, _STILL_RAD)
     still = np.array(arm.names)[joints.std(axis=0) < least]
-    if still.size:
+    if still.size > (len(arm.names) - 2 if data.still else 0):  # the URDF has the axes
         raise CalibrationError(
             f"{', '.join(still)[:200]} never moved: move every joint, by 0.1 rad or 20 mm at "
             f"least; {where}"

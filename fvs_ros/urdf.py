@@ -259,6 +259,8 @@ class Kinematics:
     prismatic: np.ndarray  # 1 for a prismatic joint, (n,)
     tip_rotation: np.ndarray  # (3, 3)
     tip_m: np.ndarray  # (3,)
+    #: Whether zeros and links are exact: of a hand whose pose is measured.
+    exact: bool = False
 
     def chain(self, feature_m: np.ndarray) -> SerialChain:
         """The arm with what it carries, given at zero in the root's frame, m, (m,)."""
@@ -295,6 +297,7 @@ class Kinematics:
             self.prismatic[::-1],
             back,
             -back @ self.tip_m,
+            self.exact,
         )
 
 

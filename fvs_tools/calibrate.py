@@ -25,6 +25,7 @@ from fvs_ros.paths import find_file
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
 from fvs_ros.urdf import Kinematics, kinematics, read_joints
 from fvs_tools.overlay import Photograph, draw, residual_px
+from fvs_tools.table import read_table
 
 
 @console.reader_may_leave()
@@ -36,9 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise ValueError(f"the folder {given.output.absolute().parent} does not exist")
         if given.output.suffix == ".png":
             raise ValueError(f"{given.output}: expected .yaml; the picture is written beside it")
-        joints = read_joints(find_file(given.urdf).read_bytes())
-        data, photo = _data(given, kinematics(joints, given.tip))
-        arm = kinematics(joints, given.tip, data.joint_names)
+        data, photo, arm = _inputs(given)
         left_out = data.provenance.get("left_out", "")
         say = None if given.quiet else (lambda words: print(f"{words} ...", file=sys.stderr))
         found = calibrate(data, arm, given.camera_on_arm, say)
@@ -53,15 +52,26 @@ def main(argv: Sequence[str] | None = None) -> int:
     return EXIT_FAILURE if found.verdict[0] == "unusable" else EXIT_OK
 
 
-def _data(given: argparse.Namespace, arm: Kinematics) -> tuple[DataSet, Photograph | None]:
+def _inputs(given: argparse.Namespace) -> tuple[DataSet, Photograph | None, Kinematics]:
+    if given.data.suffix == ".csv":
+        data, hand = read_table(given.data)
+        if hand is not None:
+            return data, None, hand
+    if not given.urdf:
+        raise ValueError("expected the arm's URDF behind --urdf")
+    joints, photo = read_joints(find_file(given.urdf).read_bytes()), None
     if given.data.suffix == ".npz":
-        return load_data_set(given.data), None
-    if importlib.util.find_spec("rosbags") is None:
-        raise ValueError(f"a bag needs rosbags: {how_to_install('record', ['rosbags'])}")
-    from fvs_tools.recorded import read_data_set, read_photograph
+        data = load_data_set(given.data)
+    elif given.data.suffix != ".csv":
+        if importlib.util.find_spec("rosbags") is None:
+            raise ValueError(f"a bag needs rosbags: {how_to_install('record', ['rosbags'])}")
+        from fvs_tools.recorded import read_data_set, read_photograph
 
-    data = read_data_set(given.data, arm.names, given.joint_states, given.seen)
-    return data, read_photograph(given.data, data.feature_frame)
+
+        names = kinematics(joints, given.tip).names
+        data = read_data_set(given.data, names, given.joint_states, given.seen)
+        photo = read_photograph(given.data, data.feature_frame)
+    return data, photo, kinematics(joints, given.tip, data.joint_names)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -70,9 +80,9 @@ def _parser() -> argparse.ArgumentParser:
         "data",
         type=Path,
         metavar="DATA",
-        help="data set of the collector, .npz, or a rosbag2 of any arm that moved",
+        help="data set of the collector, .npz, a rosbag2 of any arm that moved, or a table, .csv",
     )
-    parser.add_argument("--urdf", required=True, help="the arm's URDF, no xacro")
+    parser.add_argument("--urdf", help="the arm's URDF, no xacro; a table of hand poses needs none")
     parser.add_argument(
         "--tip",
         default="",

@@ -20,6 +20,7 @@ from fvs_ros.arguments import Parser, one_of
 from fvs_ros.chain import SerialChain
 from fvs_ros.feature import Feature
 from fvs_ros.stop import EXIT_BAD_INPUT, EXIT_FAILURE, EXIT_OK
+from fvs_tools.table import read_table
 
 #: A joint, or a direction, in which the ball moves less than this share of the best is weak.
 _WEAK = 0.05
@@ -30,7 +31,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the program; returns its exit code."""
     arguments = _parser().parse_args(argv)
     try:
-        data = load_data_set(arguments.data)
+        of_table = arguments.data.suffix == ".csv"
+        data = read_table(arguments.data)[0] if of_table else load_data_set(arguments.data)
         _check_output(arguments.output)
         trained = _train(data, arguments)
         provenance = {
@@ -78,7 +80,7 @@ def _train(data: DataSet, arguments: argparse.Namespace) -> TrainedModel:
 def _parser() -> argparse.ArgumentParser:
     defaults = TrainingOptions()
     parser = Parser("fvs_train", __doc__)
-    parser.add_argument("data", type=Path, metavar="DATA", help="data set, .npz")
+    parser.add_argument("data", type=Path, metavar="DATA", help="data set, .npz, or table, .csv")
     parser.add_argument(
         "-o", "--output", type=Path, required=True, metavar="MODEL", help="model to write, .npz"
     )

@@ -1,0 +1,128 @@
+"""A data set from a CSV file: still poses, or motion, of joints or of a hand's pose.
+
+The first line names the columns. ``x, y, z`` are the place of ball or tag in the camera's frame, m,
+and ``qx, qy, qz, qw`` the tag's orientation. The others are joints, rad (m), under their names; or
+``hand_x`` to ``hand_qw``, the pose of the robot's hand in its base, which needs no URDF. Without
+``stamp_s`` each line is a still pose. With it lines may be of other moments for arm and camera, and
+leave the other's cells empty: then the arm is interpolated to the images.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fvs_estimator_node.files import DataSet, data_set_of
+from fvs_ros.feature import PoseFeature, ServoedConfig, from_quaternion
+from fvs_ros.timeline import Sample, Timeline
+from fvs_ros.topics import BALL, POSE
+from fvs_ros.urdf import Kinematics
+
+_STAMP, _POSE = "stamp_s", ("x", "y", "z", "qx", "qy", "qz", "qw")
+_HAND = tuple(f"hand_{name}" for name in _POSE)
+#: A hand whose pose is measured, as an arm: it is shifted, then turned about z, y and x.
+_FREE = Kinematics(
+    root="base",
+    tip="hand",
+    names=("hand_x", "hand_y", "hand_z", "hand_yaw", "hand_pitch", "hand_roll"),
+    axes=np.concatenate([np.eye(3), np.eye(3)[::-1]]),
+    points_m=np.zeros((6, 3)),
+    prismatic=np.repeat([1.0, 0.0], 3),
+    tip_rotation=np.eye(3),
+    tip_m=np.zeros(3),
+    exact=True,
+)
+
+
+def read_table(path: Path) -> tuple[DataSet, Kinematics | None]:
+    """The data set, and the kinematics of a hand whose pose it holds.
+
+    Raises a ``ValueError`` if the file cannot be used; the text says why.
+    """
+    try:
+        return _data_set(path.name, *_read(path))
+    except (ValueError, csv.Error) as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _read(path: Path) -> tuple[list[str], np.ndarray]:
+    """The columns' names, and the numbers, NaN for an empty cell."""
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        names, *lines = [*csv.reader(file, skipinitialspace=True)] or [[]]
+    table = np.full((len(lines), len(names)), np.nan)
+    for number, line in enumerate(lines):
+        if len(line) != len(names):
+            raise ValueError(f"line {number + 2} has {len(line)} cells, the first {len(names)}")
+        for place, cell in enumerate(line):
+            try:
+                table[number, place] = float(cell.strip() or "nan")
+            except ValueError:
+                raise ValueError(
+                    f"line {number + 2}, column {names[place][:60]}: expected a number, got "
+                    f"{cell[:60]!r}"
+                ) from None
+    return [name.strip() for name in names], table
+
+
+def _part(names: Sequence[str], table: np.ndarray, wanted: Sequence[str]) -> np.ndarray:
+    """Columns, with a line all NaN where it has none of them."""
+    missing = [name for name in wanted if name not in names]
+    if missing or not wanted:
+        raise ValueError(
+            f"there is no column {', '.join(missing) or 'of a joint'}; the first line names "
+            f"{', '.join(names)[:300]}"
+        )
+    part = table[:, [names.index(name) for name in wanted]]
+    ragged = np.flatnonzero(np.isnan(part).any(axis=1) & ~np.isnan(part).all(axis=1))
+    if ragged.size:
+        raise ValueError(f"line {ragged[0] + 2} lacks a number of {', '.join(wanted)[:200]}")
+    return part
+
+
+def _data_set(
+    source: str, names: list[str], table: np.ndarray
+) -> tuple[DataSet, Kinematics | None]:
+    of_pose, of_hand, timed = (one in names for one in (_POSE[-1], _HAND[0], _STAMP))
+    joint_names = tuple(one for one in names if one not in (_STAMP, *_POSE))
+    joints = _part(names, table, _HAND if of_hand else joint_names)
+    images = _part(names, table, _POSE if of_pose else _POSE[:3])
+    stamps_s = _part(names, table, [_STAMP])[:, 0] if timed else np.arange(float(len(table)))
+    moved, seen = (np.isfinite(one[:, 0]) for one in (joints, images))
+    joints, images, arm = joints[moved], images[seen], None
+    if of_hand:
+        arm, joints = _as_arm(joints)
+    if of_pose:
+        of = PoseFeature(ServoedConfig.lever_arm_m).of
+        images = np.array([of(one[:3], from_quaternion(one[3:])) for one in images])
+    timeline, samples = Timeline(), list[Sample]()
+    events = [(float(stamp), 0, one) for stamp, one in zip(stamps_s[moved], joints, strict=True)]
+    events += [(float(stamp), 1, one) for stamp, one in zip(stamps_s[seen], images, strict=True)]
+    for stamp_s, of_image, values in sorted(events, key=lambda event: event[:2]):
+        samples += (timeline.add_feature if of_image else timeline.add_joints)(stamp_s, values)
+    if not samples or (not timed and len(samples) < len(table)):
+        raise ValueError(
+            f"{len(samples)} of {np.count_nonzero(seen)} images have an arm at their time, in "
+            f"metres and radians ({timeline.last_reason or 'no joints'})"
+        )
+    data = data_set_of(
+        samples,
+        joint_names=joint_names if arm is None else arm.names,
+        feature=POSE if of_pose else BALL,
+        lever_arm_m=ServoedConfig.lever_arm_m,
+        provenance={"table": source},
+        still=not timed,
+    )
+    return data, arm
+
+
+def _as_arm(poses: np.ndarray) -> tuple[Kinematics, np.ndarray]:
+    """An arm whose joints put its tip into a hand's poses; turns count from the mean one."""
+    turns = Rotation.from_matrix([from_quaternion(one) for one in poses[:, 3:]])
+    middle = turns.mean()
+    angles = np.unwrap((turns * middle.inv()).as_euler("ZYX"), axis=0)
+    return replace(_FREE, tip_rotation=middle.as_matrix()), np.hstack([poses[:, :3], angles])

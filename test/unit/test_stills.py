@@ -1,0 +1,172 @@
+"""Still poses, and tables of poses, calibrate a camera and train a model."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from recordings import relative_error, seen_from_anywhere
+from scipy.spatial.transform import Rotation
+from test_calibration import ARM, CAMERA, TAG, URDF, collected, errors
+
+from fvs_estimator_node.calibration import CalibrationError
+from fvs_estimator_node.chain_fit import ChainFitError, fit_chain
+from fvs_estimator_node.files import DataSet, load_data_set, load_model, save_data_set
+from fvs_estimator_node.hand_eye import calibrate
+from fvs_ros.feature import PoseFeature
+from fvs_tools import calibrate as calibrating
+from fvs_tools import train as training
+from fvs_tools.table import read_table
+
+POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+
+
+def stills(feature="pose", on_arm=False, count=30):
+    """Some images of a motion, each as of an arm that stood still."""
+    data = collected(feature, on_arm=on_arm)
+    some = np.linspace(0, len(data) - 1, count).astype(int)
+    columns = {name: getattr(data, name)[some] for name in ("stamps_s", "joints_rad", "ball_m")}
+    return replace(data, **columns, segment=np.arange(count), still=True)
+
+
+@pytest.mark.parametrize(("feature", "on_arm"), [("ball", False), ("pose", True)])
+def test_still_poses_tell_where_the_camera_is(feature, on_arm):
+    found = calibrate(stills(feature, on_arm), ARM, on_arm)
+    off_m, off_rad = errors(found)
+    assert off_m < min(2e-3, 3.0 * found.deviation_m)
+    assert off_rad < np.radians(0.1)
+    assert found.verdict[0] != "unusable"
+    assert found.delay_deviation_s > 0.05  # arms at rest do not tell
+
+
+def test_a_joint_may_be_at_rest_in_still_poses():
+    data = stills()
+    joints = data.joints_rad.copy()
+    joints[:, 4] = joints[0, 4]
+    chain = ARM.chain(PoseFeature(0.3).of(ARM.tip_m, ARM.tip_rotation))
+    seen = chain.moved(CAMERA.rotation.T, -CAMERA.rotation.T @ CAMERA.position_m).position(joints)
+    found = calibrate(replace(data, joints_rad=joints, ball_m=seen), ARM)
+    assert errors(found)[0] < 1e-4
+
+
+def degrees(data):
+    return replace(data, joints_rad=np.degrees(data.joints_rad))
+
+
+def shuffled(data):
+    return replace(data, ball_m=np.random.default_rng(0).permutation(data.ball_m))
+
+
+def few(data):
+    return stills("ball", count=9)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"), [(degrees, "no arm"), (shuffled, "no arm"), (few, "at least 10")]
+)
+def test_still_poses_that_no_camera_explains_are_refused(change, words):
+    with pytest.raises(CalibrationError, match=words):
+        calibrate(change(stills()), ARM)
+
+
+def test_a_chain_is_fitted_to_still_poses(tmp_path):
+    """Of six joints, to a half percent, with 1 mm of noise; the file keeps that they are still."""
+    rng = np.random.default_rng(0)
+    chain = seen_from_anywhere(rng)
+    joints = chain.reference_rad + rng.uniform(-0.6, 0.6, (60, 6))
+    seen_m = chain.position(joints) + rng.normal(0.0, 1e-3, (60, 3))
+    data = DataSet(np.arange(60.0), joints, seen_m, np.arange(60), still=True)
+    save_data_set(tmp_path / "stills.npz", data)
+    fit = fit_chain(load_data_set(tmp_path / "stills.npz"))
+    places = chain.reference_rad + rng.uniform(-0.5, 0.5, (200, 6))
+    assert np.median(relative_error(fit.chain.jacobian(places), chain.jacobian(places))) < 0.006
+    with pytest.raises(ChainFitError, match="at least 27 still poses, the data set has 20"):
+        few = {name: getattr(data, name)[:20] for name in ("stamps_s", "joints_rad", "ball_m")}
+        fit_chain(replace(data, **few, segment=np.arange(20)))
+
+
+# --- tables ---
+
+
+def write(path, columns, rows):
+    cells = [["" if np.isnan(one) else repr(float(one)) for one in row] for row in rows]
+    path.write_text("\n".join(", ".join(line) for line in [columns, *cells]), "utf-8")
+    return path
+
+
+def poses(places_m, rotations):
+    """Rows x, y, z, qx, qy, qz, qw."""
+    return np.hstack([places_m, Rotation.from_matrix(rotations).as_quat()])
+
+
+def images_of(data):
+    feature = data.servoed
+    return poses(data.ball_m[:, :3], [feature.rotation(feature.nearest(x)) for x in data.ball_m])
+
+
+def hands(joints):
+    turns, places_m = ARM.tip_at(joints)
+    return poses(places_m, np.swapaxes(turns, 1, 2))
+
+
+def test_a_table_of_joints_and_tag_poses_calibrates_a_camera(tmp_path, capsys):
+    data = stills()
+    rows = np.hstack([data.joints_rad, images_of(data)])
+    table = write(tmp_path / "stills.csv", [*ARM.names, *POSE], rows)
+    output = tmp_path / "camera.yaml"
+    assert calibrating.main([str(table), "--urdf", str(URDF), "-o", str(output)]) == 0
+    place_m = yaml.safe_load(output.read_text())["translation_m"]
+    np.testing.assert_allclose(place_m, CAMERA.position_m, atol=2e-3)
+    assert calibrating.main([str(table), "-o", str(output)]) == 2
+    assert "behind --urdf" in capsys.readouterr().err
+
+
+def test_a_table_of_hand_poses_needs_no_urdf_and_no_common_clock(tmp_path):
+    """Hand and tag at rates of their own, in lines of their own, with images 20 ms late."""
+    data, hand = collected("pose", delay_s=0.02), [f"hand_{one}" for one in POSE]
+    nothing = np.full((len(data), 7), np.nan)
+    of_hand = np.hstack([data.stamps_s[:, None], hands(data.joints_rad), nothing])
+    of_image = np.hstack([data.stamps_s[:, None], nothing, images_of(data)])[::2]
+    of_hand[:, 0] += 1e-3
+    joined = np.vstack([of_hand, of_image])
+    table, arm = read_table(write(tmp_path / "poses.csv", ["stamp_s", *hand, *POSE], joined))
+    assert not table.still
+    found = calibrate(table, arm)
+    off_m, off_rad = errors(found)
+    assert off_m < 2e-3
+    assert off_rad < np.radians(0.1)
+    assert found.delay_s == pytest.approx(0.019, abs=1e-3)
+    np.testing.assert_allclose(found.carried_m, TAG[0], atol=2e-3)
+    np.testing.assert_array_less(np.abs(found.zeros_rad), 1e-5)
+
+
+def test_a_table_trains_a_model(tmp_path):
+    data = stills("ball", count=60)
+    rows = np.hstack([data.joints_rad, data.ball_m])
+    table, model = write(tmp_path / "a.csv", [*ARM.names, *POSE[:3]], rows), tmp_path / "model.npz"
+    assert training.main([str(table), "-o", str(model), "--method", "poe", "--neurons", "9"]) == 0
+    trained = load_model(model)
+    assert trained.joint_names == ARM.names
+    assert trained.errors["residual_m"] < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a,x,y\n1,2,3", "no column z"),
+        ("x,y,z\n1,2,3", "of a joint"),
+        ("a,x,y,z\n1,2,3", "line 2 has 3 cells"),
+        ("a,x,y,z\n1,2,,4", "line 2 lacks a number"),
+        ("a,x,y,z,image\n1,2,3,4,a.png", "column image: expected a number"),
+        ("a,x,y,z\n1,2,3,4\n2,,,", "1 of 1 images"),
+        ("a,x,y,z,qx,qy,qz,qw\n1,2,3,4,0,0,0,2", "unit quaternion"),
+        ("stamp_s,a,x,y,z\n1,1,,,\n3,,1,1,1", "0 of 1 images"),
+        ("", "of a joint"),
+    ],
+)
+def test_a_table_that_cannot_be_read_is_refused_in_words(tmp_path, text, words):
+    path = tmp_path / "table.csv"
+    path.write_text(text, "utf-8")
+    with pytest.raises(ValueError, match=words) as error:
+        read_table(path)
+    assert str(path) in str(error.value)
