@@ -38,7 +38,7 @@ FOLDER = Path(__file__).resolve().parents[2] / "shared" / "real"
 #: Of the splits; the first is that of the authors of ur3a_webcams.
 SEEDS, SHARE = (7, 1, 2, 3, 4), 0.7
 SOLVERS = ("TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS")
-#: Of a motion whole pieces are fitted or held out; most poses for the solvers, which take all pairs.
+#: Pieces of a motion that are fitted or held out; most poses for the solvers, which take all pairs.
 PIECES, MOST = 10, 100
 COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
@@ -123,8 +123,7 @@ def webcams(folder):
         points_m = about["square_size_m"] * (points_m - points_m.mean(axis=0))
         found = []
         for pose in sorted(poses, key=lambda one: one["images"][name]):
-            image = folder / f"{pose['images'][name]}.jpg"
-            if image.exists():
+            for image in folder.glob(f"{pose['images'][name]}.*"):
                 grey = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE)
                 matrix, lens = scaled(about, grey.shape[1])
                 read, corners_px = cv2.findChessboardCornersSB(grey, (width, height))
@@ -264,12 +263,8 @@ def compare(one, use):
 
 def justin(folder):
     """Chains of a humanoid's two arms from still poses, without a model."""
-    numbers = [
-        list(map(float, re.findall(r"-?\d\.\d*(?:e[+-]\d+)?", line)))
-        for line in re.sub(r"\n(?!\d+,\[)", " ", (folder / "measurements.csv").read_text())
-        .splitlines()[1:]
-    ]  # fmt: skip
-    table = np.array(numbers)
+    words = re.split(r"\n(?=\d+,\[)", (folder / "measurements.csv").read_text())[1:]
+    table = np.array([re.findall(r"-?\d\.\d*(?:e[+-]\d+)?", one) for one in words], float)
     # The torso's fourth joint is no column: it turns back what the second and the third turn.
     torso = np.column_stack([table[:, :3], -table[:, 1] - table[:, 2]])
     for name, arm, marker in (("right", slice(3, 10), 19), ("left", slice(10, 17), 22)):
@@ -279,10 +274,7 @@ def justin(folder):
             data = DataSet(k[some] * 1.0, joints[some], seen_m[some], k[some], still=True)
             off_m = fit_chain(data).chain.position(joints[~some]) - seen_m[~some]
             means.append(1e3 * np.linalg.norm(off_m, axis=1).mean())
-        count = np.count_nonzero(some)
-        print(
-            f"  {name} arm, 11 joints: {np.median(means):.2f} ({means[0]:.2f}) mm mean, {count} fitted"
-        )
+        print(f"  {name} arm, mean of {np.count_nonzero(~some)}: {np.median(means):.2f} mm")
 
 
 NOTES = {
@@ -297,9 +289,7 @@ def main():
     folder = Path(sys.argv[1]) if sys.argv[1:] else FOLDER
     print(f"rms of what is held out, median of {len(SEEDS)} splits (and of the first)")
     if not hasattr(cv2, "calibrateHandEye"):
-        print(
-            "OpenCV 5 has no calibrateHandEye in Python; its rows need 'opencv-python-headless<5'"
-        )
+        print("OpenCV 5's Python lacks calibrateHandEye; its rows need 'opencv-python-headless<5'")
     for name, read in zip(NOTES, (jazzy, webcams, ethz, justin), strict=True):
         if not (folder / name).is_dir():
             print(f"{name} skipped: there is no folder {folder / name}")

@@ -19,6 +19,8 @@ from fvs_ros.chain import SerialChain, cross_matrix
 
 #: Largest stamp offset in the search, late or early, s; the ends of each run are cut by it.
 MAX_OFFSET_S = 0.2
+#: Fewest images of a run.
+LEAST_RUN = 5
 #: A joint with a smaller standard deviation, rad, is at rest: its axis is unknown.
 STILL_RAD = 1e-3
 #: A prismatic joint moves the ball by its own travel, within this share, and turns the slopes of
@@ -45,7 +47,7 @@ class Path:
             time_s = stamps[run]
             early, late = time_s[0] + MAX_OFFSET_S, time_s[-1] - MAX_OFFSET_S
             fitted = run.start + np.flatnonzero((time_s >= early) & (time_s <= late))
-            if len(time_s) >= 5 and len(fitted):
+            if len(time_s) >= LEAST_RUN and len(fitted):
                 inside.append(fitted)
                 splines.append((run, CubicSpline(time_s, data.joints_rad[run])))
         self.indices = _thinned(np.concatenate(inside))

@@ -67,7 +67,6 @@ def _inputs(given: argparse.Namespace) -> tuple[DataSet, Photograph | None, Kine
             raise ValueError(f"a bag needs rosbags: {how_to_install('record', ['rosbags'])}")
         from fvs_tools.recorded import read_data_set, read_photograph
 
-
         names = kinematics(joints, given.tip).names
         data = read_data_set(given.data, names, given.joint_states, given.seen)
         photo = read_photograph(given.data, data.feature_frame)

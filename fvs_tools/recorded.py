@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from fvs_estimator_node.chain_start import LEAST_RUN, MAX_OFFSET_S
 from fvs_estimator_node.files import DataSet, data_set_of
 from fvs_ros.feature import Feature, PoseFeature, ServoedConfig
 from fvs_ros.joints import JointMap
 from fvs_ros.ros import from_camera_info, from_feature, from_stamp
 from fvs_ros.ros.images import from_color
-from fvs_ros.timeline import Sample, Timeline
+from fvs_ros.timeline import History, Sample, Timeline
 from fvs_ros.topics import BALL, BALL_POSITION, JOINT_STATES, POSE, TOOL_POSE
 from fvs_tools.bag_reader import BagReader, RecordedJoints, open_bag
 from fvs_tools.overlay import Photograph
 
 _POINT, _POSE = "geometry_msgs/msg/PointStamped", "geometry_msgs/msg/PoseStamped"
 _JOINTS, _IMAGE = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Image"
+#: Joints that move by less, rad (m), stand still: some times an encoder's noise.
+_REST_RAD = 1e-3
 
 
 def read_data_set(
@@ -111,17 +117,20 @@ def _paired(
     names = list(arm)
     while heard & {*names} and names[-1] not in heard:
         names.pop()
-    judged, timeline, samples = RecordedJoints(JointMap(names)), Timeline(), list[Sample]()
+    judged, timeline = RecordedJoints(JointMap(names)), Timeline()
+    samples, rests = list[Sample](), list[bool]()
     for is_joints, message in messages:
-        stamp_s = from_stamp(message.header.stamp)
+        stamp_s, new = from_stamp(message.header.stamp), list[Sample]()
         if is_joints:
             joints = judged.take(message, stamp_s)
             if joints is not None and stamp_s != 0.0:
-                samples += timeline.add_joints(stamp_s, joints)
-            continue
-        with suppress(ValueError):  # no position, or no pose
-            vector_m = from_feature(message, feature, message.header.frame_id, "ball or tag")
-            samples += timeline.add_feature(stamp_s, vector_m)
+                new = timeline.add_joints(stamp_s, joints)
+        else:
+            with suppress(ValueError):  # no position, or no pose
+                vector_m = from_feature(message, feature, message.header.frame_id, "ball or tag")
+                new = timeline.add_feature(stamp_s, vector_m)
+        samples += new
+        rests += [_at_rest(timeline.joints, one) for one in new]
     _, worst, times = max(judged.problems.values(), key=itemgetter(2), default=(0.0, "", 0))
     left_out = worst and f"{times} joint states cannot be used: {worst}"[:400]
     if not samples:
@@ -129,6 +138,12 @@ def _paired(
         raise ValueError(
             f"{path}: no image has joint states at its stamp: {why or 'is there one clock?'}"
         )
+    short = max(Counter(one.run for one in samples).values()) < LEAST_RUN  # no motion to follow
+    still = any(rests) and (short or all(rests))
+    if still and not all(rests):
+        moved = f"{rests.count(False)} images of still poses show the arm in motion"
+        left_out = f"{moved}; {left_out}" if left_out else moved
+        samples = [one for one, rest in zip(samples, rests, strict=True) if rest]
     return data_set_of(
         samples,
         joint_names=names,
@@ -136,4 +151,11 @@ def _paired(
         feature=POSE if is_pose else BALL,
         lever_arm_m=ServoedConfig.lever_arm_m,
         provenance={"bag": path.name, "left_out": left_out},
+        still=still,
     )
+
+
+def _at_rest(joints: History, image: Sample) -> bool:
+    """Whether the arm stood still before an image, which may be stamped late."""
+    before = joints.at(image.stamp_s - MAX_OFFSET_S)
+    return before is not None and bool(np.abs(image.joints_rad - before).max() < _REST_RAD)

@@ -1,5 +1,6 @@
 """Still poses, and tables of poses, calibrate a camera and train a model."""
 
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import yaml
 from recordings import relative_error, seen_from_anywhere
 from scipy.spatial.transform import Rotation
 from test_calibration import ARM, CAMERA, TAG, URDF, collected, errors
+from test_recorded import T, message
 
 from fvs_estimator_node.calibration import CalibrationError
 from fvs_estimator_node.chain_fit import ChainFitError, fit_chain
@@ -16,6 +18,8 @@ from fvs_estimator_node.hand_eye import calibrate
 from fvs_ros.feature import PoseFeature
 from fvs_tools import calibrate as calibrating
 from fvs_tools import train as training
+from fvs_tools.bag import Bag
+from fvs_tools.recorded import read_data_set
 from fvs_tools.table import read_table
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -80,9 +84,30 @@ def test_a_chain_is_fitted_to_still_poses(tmp_path):
     fit = fit_chain(load_data_set(tmp_path / "stills.npz"))
     places = chain.reference_rad + rng.uniform(-0.5, 0.5, (200, 6))
     assert np.median(relative_error(fit.chain.jacobian(places), chain.jacobian(places))) < 0.006
+    few = {name: getattr(data, name)[:20] for name in ("stamps_s", "joints_rad", "ball_m")}
+    few = replace(data, **few, segment=np.arange(20))
     with pytest.raises(ChainFitError, match="at least 27 still poses, the data set has 20"):
-        few = {name: getattr(data, name)[:20] for name in ("stamps_s", "joints_rad", "ball_m")}
-        fit_chain(replace(data, **few, segment=np.arange(20)))
+        fit_chain(few)
+
+
+def test_a_bag_of_still_poses_leaves_out_images_in_motion(tmp_path):
+    """An image every three seconds; at the last two the arm moved on."""
+    data, nothing = stills("ball", count=14), np.empty(0)
+    point = T["geometry_msgs/msg/Point"]
+    with closing(Bag(tmp_path / "bag", {})) as bag:
+        for k, (joints, ball) in enumerate(zip(data.joints_rad, data.ball_m, strict=True)):
+            for at_s in np.arange(0.0, 0.5, 0.02):
+                moved = joints + (0.3 * (at_s - 0.4) if k >= 12 else 0.0)
+                kind = "sensor_msgs/msg/JointState"
+                parts = [*ARM.names], moved, nothing, nothing
+                bag.write(message("/joint_states", kind, 3.0 * (k + 1) + at_s, *parts))
+            kind = "geometry_msgs/msg/PointStamped"
+            bag.write(message("/ball_position", kind, 3.0 * (k + 1) + 0.4, point(*ball)))
+    read = read_data_set(tmp_path / "bag", ARM.names)
+    assert read.still
+    np.testing.assert_allclose(read.joints_rad, data.joints_rad[:12])
+    assert read.provenance["left_out"].startswith("2 images of still poses show the arm in motion")
+    assert errors(calibrate(read, ARM))[0] < 3e-3
 
 
 # --- tables ---
