@@ -13,7 +13,7 @@ import numpy as np
 from fvs_ros.camera import Intrinsics
 from fvs_ros.feature import Feature, PoseFeature, ServoedConfig, from_quaternion
 from fvs_ros.params import parameter
-from fvs_tools.score import FINE_ERROR_M, SETTLED_ERROR_M, TargetScore, judge
+from fvs_tools.score import FINE_ERROR_M, SETTLED_ERROR_M, TargetScore, judge, way_and_arc_m
 
 
 @dataclass(frozen=True)
@@ -86,30 +86,19 @@ class TargetRecord:
     #: Moments, s, and joint velocities, rad/s.
     joints: list[tuple[float, np.ndarray]] = field(default_factory=list)
 
-    def errors_m(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Moments, s, ways to the target and arcs at the lever arm, m, (n,) each; of balls 0."""
+    def errors_m(self) -> tuple[np.ndarray, np.ndarray]:
+        """Moments, s, (n,), and task errors, m, (n, d)."""
         times_s, features = zip(*self.seen, strict=True)
-        errors = np.array([self.feature.error(one, self.target_m) for one in features])
-        way, arc = (np.linalg.norm(part, axis=1) for part in (errors[:, :3], errors[:, 3:]))
-        return np.array(times_s), way, arc
+        return np.array(times_s), np.array(
+            [self.feature.error(one, self.target_m) for one in features]
+        )
 
 
 def score(record: TargetRecord) -> TargetScore:
-    """Score one target by the truth; a pose has settled with both way and arc."""
-    time_s, way_m, arc_m = record.errors_m()
+    """Score one target by the truth."""
     velocities = np.array([velocity for _, velocity in record.joints])
-    judged = judge(time_s, np.maximum(way_m, arc_m), velocities)
-    of_way, of_arc = (judge(time_s, one, velocities) for one in (way_m, arc_m))
-    degrees = None
-    if isinstance(record.feature, PoseFeature):
-        degrees = float(np.degrees(of_arc.final_rms_m / record.feature.lever_arm_m))
-    return replace(
-        judged,
-        start_distance_m=of_way.start_distance_m,
-        final_rms_m=of_way.final_rms_m,
-        final_rms_deg=degrees,
-        slowed=record.slowed,
-    )
+    judged = judge(record.feature, *record.errors_m(), velocities)
+    return replace(judged, slowed=record.slowed)
 
 
 def table(scores: list[TargetScore]) -> str:
@@ -172,8 +161,8 @@ def draw(
     if image_rgb is not None:
         view.imshow(image_rgb)
     for number, (record, colour) in enumerate(zip(records, colours, strict=True), start=1):
-        time_s, way_m, arc_m = record.errors_m()
-        larger_mm = 1e3 * np.maximum(way_m, arc_m)
+        time_s, errors_m = record.errors_m()
+        larger_mm = 1e3 * np.maximum(*way_and_arc_m(errors_m))
         axes["error"].semilogy(time_s, larger_mm, color=colour, label=f"target {number}")
         axes["speed"].axvline(record.start_s - origin_s, color=colour, linewidth=1.5, alpha=0.7)
         if intrinsics is not None:

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fvs_ros.feature import Feature
+
 #: The final error is that of the last second, s.
 FINAL_S = 1.0
 #: True errors below which a target counts as settled, and as finely settled, m: the controller's
@@ -32,21 +34,34 @@ class TargetScore:
         return f"{self.final_rms_m * 1e3:.2f} mm{angle}"
 
 
-def judge(
-    time_s: np.ndarray, errors_m: np.ndarray, joint_velocity_rad_s: np.ndarray
-) -> TargetScore:
-    """Judge the way to one target.
+def way_and_arc_m(errors_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Ways and, of poses, arcs at the lever arm of task errors, m, (n, d): (n,) each."""
+    return np.linalg.norm(errors_m[:, :3], axis=1), np.linalg.norm(errors_m[:, 3:], axis=1)
 
-    Times since it was given and distances to it, shape (n,); joint velocities, shape (k, joints).
+
+def judge(
+    feature: Feature, time_s: np.ndarray, errors_m: np.ndarray, joint_velocity_rad_s: np.ndarray
+) -> TargetScore:
+    """Judge the way to one target; a pose has settled with both way and arc.
+
+    Times since it was given, (n,), and task errors, m, (n, d); joint velocities, (k, joints).
     """
-    final = errors_m[time_s >= time_s[-1] - FINAL_S]
+    way_m, arc_m = way_and_arc_m(errors_m)
+    final = time_s >= time_s[-1] - FINAL_S
+    longer_m = np.maximum(way_m, arc_m)
+    final_rad = _rms(arc_m[final]) / feature.task_scale[-1]
     return TargetScore(
-        start_distance_m=float(errors_m[0]),
-        settling_5mm_s=settling_time_s(time_s, errors_m, SETTLED_ERROR_M),
-        settling_2mm_s=settling_time_s(time_s, errors_m, FINE_ERROR_M),
-        final_rms_m=float(np.sqrt(np.mean(final**2))),
+        start_distance_m=float(way_m[0]),
+        settling_5mm_s=settling_time_s(time_s, longer_m, SETTLED_ERROR_M),
+        settling_2mm_s=settling_time_s(time_s, longer_m, FINE_ERROR_M),
+        final_rms_m=_rms(way_m[final]),
         peak_joint_speed_rad_s=float(np.max(np.abs(joint_velocity_rad_s), initial=0.0)),
+        final_rms_deg=float(np.degrees(final_rad)) if errors_m.shape[1] > 3 else None,
     )
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def settling_time_s(times_s: np.ndarray, errors_m: np.ndarray, bound_m: float) -> float | None:

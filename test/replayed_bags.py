@@ -62,6 +62,17 @@ class HandmadeBag:
         kind = "geometry_msgs/msg/PointStamped"
         self.write(topic, kind, at_s, self.header(stamp_s), point)
 
+    def pose(
+        self, topic: str, at_s: float, stamp_s: float, position_m: Any, angle_rad: float
+    ) -> None:
+        """A pose that is turned about z."""
+        place = TYPES.types["geometry_msgs/msg/Point"](*(float(one) for one in position_m))
+        half = 0.5 * angle_rad
+        turn = (0.0, 0.0, float(np.sin(half)), float(np.cos(half)))
+        quaternion = TYPES.types["geometry_msgs/msg/Quaternion"](*turn)
+        pose = TYPES.types["geometry_msgs/msg/Pose"](place, quaternion)
+        self.write(topic, "geometry_msgs/msg/PoseStamped", at_s, self.header(stamp_s), pose)
+
     def joints(self, at_s: float, stamp_s: float, angles_rad: Any, speeds_rad_s: Any) -> None:
         """As a UR's driver does: in alphabetical order; without speeds if there are none."""
         order = [UR_JOINT_NAMES.index(name) for name in sorted(UR_JOINT_NAMES)]

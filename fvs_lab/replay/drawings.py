@@ -81,7 +81,7 @@ def _draw_velocities(axis: Any, recording: Recording, key: str, words: str) -> N
 
 
 def paths(targets: Sequence[Target]):
-    """The ball's paths, as the camera sees them and from above."""
+    """The paths of ball or tag, as the camera sees them and from above."""
     figure, (axes,) = grid(1, 2, (12, 5.5))
     colours = shades(len(targets))
     for axis, up in zip(axes, (1, 2), strict=True):
@@ -103,7 +103,7 @@ def steps(found: story.Prediction):
     """T1 and T2 over time."""
     figure, ((each,), (summed,)) = grid(2, 1, (12, 6.4), sharex=True)
     time_s = found.time_s - found.time_s[0]
-    for values_m, words in ((found.motion_m, "motion of the ball"), (found.t1_m, "T1")):
+    for values_m, words in ((found.motion_m, "motion"), (found.t1_m, "T1")):
         _curve(each, time_s, np.maximum(1e3 * values_m, 0.01), ".", label=words)
     _curve(summed, time_s, 1e3 * found.t2_m, label="T2: all errors summed up")
     each.set(yscale="log", ylabel="each step, mm")

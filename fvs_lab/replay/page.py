@@ -30,6 +30,7 @@ _METRICS = {
     "start_distance_m": Metric("start, mm", 1e3, 0),
     **{name: Metric(f"to {1e3 * bound:g} mm, s") for name, bound in BOUNDS_M.items()},
     "path_m": Metric("path, mm", 1e3, 0),
+    "final_rms_deg": Metric("final turn, ° rms", 1.0, 3),
     "rate_hz": Metric("rate, Hz"),
     "jitter_ms": Metric("jitter, ms"),
     "longest_gap_ms": Metric("longest gap, ms"),
@@ -134,6 +135,7 @@ def _facts(
         "still": len(times_s),
         "settled_s": [one for one in times_s if np.isfinite(one)],
         "unknown": int(np.isnan(times_s).sum()),
+        "what": recording.feature.what,
         "bound_mm": 1e3 * BOUNDS_M["settling_5mm_s"],
         "held": story.totals(stopped, "state", "reason"),
         "ball": judged_by(recording),
@@ -167,14 +169,15 @@ def _targets(recording: Recording, found: Sequence[Target]) -> _Section:
     records = [
         {
             "target": f"{number}{', moving' * one.moving}",
-            "target_m": one.target_m,
+            "target_m": one.target_m[:3],
             "given_s": one.given_s - recording.start_s,
             **one.numbers,
             "not_known": [name for name, value in one.numbers.items() if np.isnan(value)],
         }
         for number, one in enumerate(found, start=1)
     ]
-    columns = ("target", "start_distance_m", *BOUNDS_M, "final_rms_m", "path_m")
+    final = ("final_rms_m", *["final_rms_deg"] * recording.feature.curved)
+    columns = ("target", "start_distance_m", *BOUNDS_M, *final, "path_m")
     columns += ("peak_joint_speed_rad_s", "jitter_rad_s")
     ball = judged_by(recording)
     return _Section(

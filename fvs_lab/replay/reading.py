@@ -20,22 +20,25 @@ import numpy as np
 
 from fvs_controller_node.config import PARAMETERS
 from fvs_ros import topics
+from fvs_ros.feature import Feature, PoseFeature, ServoedConfig, from_quaternion
 from fvs_ros.joints import JointMap, JointStateError
 from fvs_ros.status import vector
 from fvs_tools.bag_reader import BagError, BagReader, RecordedJoints, open_bag
 from fvs_tools.scenario import read_yaml
 
 CONTROLLER = topics.CONTROLLER
-#: The topics that are read, by the name under which their messages are kept here.
-TOPICS = {
-    "joints": topics.JOINT_STATES.name,
-    "ball": topics.BALL_POSITION.name,
-    "true_ball": topics.TRUE_BALL_POSITION.name,
-    "target": topics.TARGET_POSITION.name,
-    "commands": topics.COMMANDS.name,
-    "jacobian": topics.JACOBIAN.name,
-    "controller": topics.CONTROLLER_STATUS.name,
-}
+#: The topics that are read: of balls and tags, velocities and positions.
+_COMMANDS = (topics.COMMANDS.name, topics.POSITION_COMMANDS.name)
+_FEATURES = [Feature(), PoseFeature(ServoedConfig.lever_arm_m)]
+TOPICS = (
+    topics.JOINT_STATES.name,
+    *(one.name for kind in _FEATURES for one in (kind.seen, kind.truth, kind.target)),
+    *_COMMANDS,
+    topics.JACOBIAN.name,
+    topics.CONTROLLER_STATUS.name,
+)
+#: Position commands further apart than this are of two sessions, s.
+_SESSION_S = 0.1
 _LOG, _PARAMETER_EVENTS = topics.EVERY_NODE_PUBLISHES
 
 
@@ -93,6 +96,8 @@ class Event(NamedTuple):
 class Recording:
     """What a bag holds."""
 
+    #: What was servoed.
+    feature: Feature
     #: Of this package when it was recorded, and node -> parameter -> value, as started; both empty
     #: where the bag has no notes.
     version: str
@@ -178,9 +183,25 @@ class _Reading:
         # A remapped topic belongs to the namespace in which it was declared.
         declared = {name for name, other in remaps.items() if other in names}
         robot = _namespace(names - set(remaps.values()) | declared, namespace)
-        full = {key: topics.resolve(name, "", robot) for key, name in TOPICS.items()}
+        own = {one: topics.resolve(one, "", robot) for one in TOPICS}
+        own = {one: remaps.get(full, full) for one, full in own.items()}
+        started, seen = self._started, {one for one, full in own.items() if full in names}
+        balls, poses = ({kind.seen.name, kind.truth.name} & seen for kind in _FEATURES)
+        if poses and not (balls or self._scenario):
+            started["feature"] = topics.POSE
+        config = {name: started[name] for name in ("feature", "lever_arm_m")}
+        self._feature = ServoedConfig(**config).servoed
+        self._positions = _COMMANDS[1] in seen
         #: What is read, by the full names of the topics.
-        self._keys = {remaps.get(name, name): key for key, name in full.items()}
+        self._keys = {
+            own[topics.JOINT_STATES.name]: "joints",
+            own[self._feature.seen.name]: "ball",
+            own[self._feature.truth.name]: "true_ball",
+            own[self._feature.target.name]: "target",
+            own[_COMMANDS[self._positions]]: "commands",
+            own[topics.JACOBIAN.name]: "jacobian",
+            own[topics.CONTROLLER_STATUS.name]: "controller",
+        }
         self._columns: dict[str, _Columns] = {}
         self._statuses: list[Status] = []
         self._events: list[Event] = []
@@ -211,6 +232,8 @@ class _Reading:
             if topic in every:
                 usable = every[topic].taking(np.isfinite(every[topic].values).any(axis=1))
                 series[key] = usable.taking(np.argsort(usable.time_s, kind="stable"))
+        if self._positions and "commands" in series:
+            series["commands"] = _velocities(series["commands"])
         judged = self._joints
         if judged.foreign and "joints" not in series:
             judged.problems[""] = (start_s, judged.foreign, 1)
@@ -218,6 +241,7 @@ class _Reading:
             self._events.append(Event(first_s, topics.JOINT_STATES.name, words, times))
         return Recording(
             version=self._version,
+            feature=self._feature,
             scenario=self._scenario,
             started=self._started,
             cut_off=self._reader.cut_off,
@@ -243,10 +267,24 @@ class _Reading:
                 self._events.append(Event(arrival_s, message.node.lstrip("/"), text))
         elif key == "joints":
             return self._joint_numbers(message, arrival_s)
+        elif hasattr(message, "data"):
+            return message.data if np.isfinite(message.data).all() else None
         else:
-            point = getattr(message, "point", None)
-            numbers = message.data if point is None else np.array([point.x, point.y, point.z])
-            return numbers if np.isfinite(numbers).all() else None
+            return self._place(message)
+        return None
+
+    def _place(self, message: Any) -> np.ndarray | None:
+        """The feature, m, (m,), of a position or pose; None if it is none."""
+        at = message.point if hasattr(message, "point") else message.pose.position
+        position_m = np.array([at.x, at.y, at.z])
+        if not np.isfinite(position_m).all():
+            return None
+        if not isinstance(self._feature, PoseFeature):
+            return position_m
+        turn = message.pose.orientation
+        with suppress(ValueError):
+            rotation = from_quaternion(np.array([turn.x, turn.y, turn.z, turn.w]))
+            return self._feature.of(position_m, rotation)
         return None
 
     def _joint_numbers(self, message: Any, arrival_s: float) -> np.ndarray | None:
@@ -260,12 +298,21 @@ class _Reading:
         return np.concatenate([angles_rad, speeds_rad_s])
 
 
+def _velocities(positions: Series) -> Series:
+    """Position commands as the velocities, rad/s, that they follow, one after each period."""
+    steps, gaps_s = np.diff(positions.values, axis=0), np.diff(positions.arrival_s)
+    within = gaps_s < _SESSION_S
+    period_s = np.median(gaps_s[within]) if within.any() else np.inf
+    velocities = np.where(within[:, None], steps, 0.0) / period_s
+    return replace(positions, values=np.vstack([np.zeros_like(positions.values[:1]), velocities]))
+
+
 def _namespace(names: set[str], wanted: str | None) -> str:
     """The namespace of the nodes in a bag."""
     found = {
         name.removesuffix(own).strip("/")
         for name in names
-        for own in TOPICS.values()
+        for own in TOPICS
         if name.endswith(f"/{own}")
     }
     if wanted is not None:
@@ -273,7 +320,7 @@ def _namespace(names: set[str], wanted: str | None) -> str:
     if not found:
         where = f" in namespace {wanted}" if wanted else ""
         topics_found = ", ".join(sorted(names)) or "no messages"
-        ours = ", ".join(TOPICS.values())
+        ours = ", ".join(TOPICS)
         raise BagError(f"it holds none of the topics {ours}{where}; it has {topics_found}")
     if len(found) > 1:
         listed = ", ".join(f"'/{one}'" for one in sorted(found))

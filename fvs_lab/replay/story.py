@@ -171,37 +171,41 @@ def prediction(recording: Recording) -> Prediction | None:
     if not {"joints", "ball", "jacobian"} <= series.keys():
         return None
     jacobian, true = series["jacobian"], series.get("true_ball")
-    joints, ball = series["joints"], series["ball"]
+    joints, ball, feature = series["joints"], series["ball"], recording.feature
     steps = _steps(joints, ball)
     if not steps:
         return None
-    end_s, duration_s, d_joints_rad, motion_m = map(np.array, zip(*steps, strict=True))
-    if true is not None:
-        motion_m = _at(true, end_s) - _at(true, end_s - duration_s)
+    end_s, duration_s, d_joints_rad = map(np.array, zip(*steps, strict=True))
+    before_m, after_m = (
+        _at(ball if true is None else true, time_s) for time_s in (end_s - duration_s, end_s)
+    )
     middle_s = np.interp(end_s - 0.5 * duration_s, joints.time_s, joints.arrival_s)
     image_s = ball.arrival_s[np.searchsorted(ball.time_s, end_s)]
     wanted_s = np.minimum(middle_s, image_s)
     newest = np.searchsorted(jacobian.arrival_s, wanted_s) - 1
     # An old Jacobian predicts nothing.
     usable = (newest >= 0) & (wanted_s - jacobian.arrival_s[newest] <= 0.3)
-    usable &= np.isfinite(motion_m).all(axis=1)
+    usable &= np.isfinite(before_m + after_m).all(axis=1)
     if not usable.any():
         return None
-    rows = jacobian.values.reshape(len(jacobian), motion_m.shape[1], -1)[newest[usable]]
-    motion_m = motion_m[usable]
-    t1_m, t2_m = criteria(motion_m - np.einsum("nij,nj->ni", rows, d_joints_rad[usable]))
+    tasks = feature.task_scale
+    rows = jacobian.values.reshape(len(jacobian), len(tasks), -1)[newest[usable]]
+    pairs = zip(after_m[usable], before_m[usable], strict=True)
+    motion_m = np.array([feature.error(*map(feature.nearest, pair)) for pair in pairs])
+    predicted_m = tasks * np.einsum("nij,nj->ni", rows, d_joints_rad[usable])
+    t1_m, t2_m = criteria(motion_m - predicted_m)
     lengths_m = np.linalg.norm(motion_m, axis=1)
     return Prediction(end_s[usable], lengths_m, t1_m, t2_m, true is not None)
 
 
 def _at(ball: Series, time_s: np.ndarray) -> np.ndarray:
-    """Positions at times, m, shape (n, m); NaN outside the series."""
+    """Features at times, m, shape (n, m); NaN outside the series."""
     columns = [np.interp(time_s, ball.time_s, one, np.nan, np.nan) for one in ball.values.T]
     return np.stack(columns, axis=1)
 
 
 def _steps(joints: Series, ball: Series) -> list[tuple[Any, ...]]:
-    """End, s, duration, s, joint motion, rad, and ball motion, m, of the estimator's steps."""
+    """End, s, duration, s, and joint motion, rad, of the estimator's steps."""
     pairing = StepPairing()
     steps = []
     arrivals_s = np.concatenate([joints.arrival_s, ball.arrival_s])
@@ -213,4 +217,4 @@ def _steps(joints: Series, ball: Series) -> list[tuple[Any, ...]]:
         else:
             found = pairing.timeline.add_feature(ball.time_s[image], ball.values[image])
         steps += pairing.steps(found)
-    return [(one.stamp_s, one.dt_s, one.d_joints_rad, one.d_feature_m) for one in steps]
+    return [(one.stamp_s, one.dt_s, one.d_joints_rad) for one in steps]

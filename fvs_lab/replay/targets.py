@@ -11,9 +11,17 @@ import numpy as np
 from fvs_controller_node.target_motion import continues
 from fvs_lab.outcome import seconds
 from fvs_lab.replay.reading import Recording, Series, Status
+from fvs_ros.feature import Feature
 from fvs_ros.topics import DEMO
 from fvs_tools.demo import DemoConfig
-from fvs_tools.score import FINAL_S, FINE_ERROR_M, SETTLED_ERROR_M, jitter_rad_s, judge
+from fvs_tools.score import (
+    FINAL_S,
+    FINE_ERROR_M,
+    SETTLED_ERROR_M,
+    jitter_rad_s,
+    judge,
+    way_and_arc_m,
+)
 
 #: The two bounds of settling, m, the demo's, by the names of the settling times.
 BOUNDS_M = {"settling_5mm_s": SETTLED_ERROR_M, "settling_2mm_s": FINE_ERROR_M}
@@ -31,7 +39,8 @@ class Target:
     #: Where it was, at last, m, and when it was given, by the recorder's clock, s.
     target_m: np.ndarray
     given_s: float
-    #: Ball positions, m, shape (n, 3), times since then, s, and distances to the target, m, (n,).
+    #: Features, m, (n, m), times since then, s, and distances to the target, m, (n,): of poses the
+    #: way, or the arc at the lever arm where that is longer.
     time_s: np.ndarray
     position_m: np.ndarray
     errors_m: np.ndarray
@@ -63,7 +72,7 @@ def targets(recording: Recording) -> list[Target]:
         way = ball.taking(slice(*ends))
         if len(way):
             over = end_s < np.inf or way.time_s[-1] - start_s >= target_s
-            found.append(_judge(way, run, series, over))
+            found.append(_judge(recording.feature, way, run, series, over))
     return found
 
 
@@ -101,7 +110,7 @@ def _taken(runs: Sequence[Series], statuses: Sequence[Status]) -> list[tuple[Ser
         arrival_s, start_s = run.arrival_s[0], run.stamp_s[0]
         # The status shows a target 0.25 s after it came, with three digits.
         window = slice(*np.searchsorted(shown_s, [arrival_s + 0.25, next_s]))
-        same = np.abs(shown_m[window] - run.values[0]).max(axis=1) < 0.001
+        same = np.abs(shown_m[window] - run.values[0, :3]).max(axis=1) < 0.001
         if len(run) == 1 and same.size:
             if not same.any():
                 continue
@@ -112,7 +121,9 @@ def _taken(runs: Sequence[Series], statuses: Sequence[Status]) -> list[tuple[Ser
     return found[::-1]
 
 
-def _judge(way: Series, run: Series, series: Mapping[str, Series], over: bool) -> Target:
+def _judge(
+    feature: Feature, way: Series, run: Series, series: Mapping[str, Series], over: bool
+) -> Target:
     """Judge the way to one target by its ball positions.
 
     If the target's time was not over, it must have settled a second before the recording's end.
@@ -120,22 +131,28 @@ def _judge(way: Series, run: Series, series: Mapping[str, Series], over: bool) -
     start_s, end_s, came_s = run.stamp_s[0], way.time_s[-1], way.arrival_s[-1]
     time_s = way.time_s - start_s
     wanted = np.searchsorted(run.stamp_s, way.time_s, side="right") - 1
-    errors_m = np.linalg.norm(way.values - run.values[wanted], axis=1)
+    pairs = zip(way.values, run.values[wanted], strict=True)
+    task_m = np.array([feature.error(*pair) for pair in pairs])
+    errors_m = np.maximum(*way_and_arc_m(task_m))
     joints, commands = (series.get(name, _NOTHING) for name in ("joints", "commands"))
     moved = _between(joints.time_s, start_s, end_s)
     speeds_rad_s = joints.values[moved, joints.values.shape[1] // 2 :]
     speeds_rad_s = speeds_rad_s[np.isfinite(speeds_rad_s).all(axis=1)]
     last_rad_s = commands.values[_between(commands.arrival_s, came_s - FINAL_S, came_s)]
-    score = asdict(judge(time_s, errors_m, speeds_rad_s))
-    del score["slowed"]
-    numbers = {name: seconds(one) for name, one in score.items()}
-    numbers["path_m"] = float(np.linalg.norm(np.diff(way.values, axis=0), axis=1).sum())
+    score = judge(feature, time_s, task_m, speeds_rad_s)
+    numbers = {name: seconds(one) for name, one in asdict(score).items() if name != "slowed"}
+    if score.final_rms_deg is None:
+        del numbers["final_rms_deg"]
+    path_m = np.diff(way.values[:, :3], axis=0)
+    numbers["path_m"] = float(np.linalg.norm(path_m, axis=1).sum())
     numbers["jitter_rad_s"] = jitter_rad_s(last_rad_s) if len(last_rad_s) > 1 else np.nan
     if len(run) > 1:
         numbers |= dict.fromkeys(BOUNDS_M, np.nan)
+        numbers |= {name: np.nan for name in ("final_rms_deg",) if name in numbers}
         numbers["final_rms_m"] = float(np.sqrt(np.mean(errors_m**2)))
     elif not (over or time_s[-1] - numbers["settling_2mm_s"] >= FINAL_S):
-        numbers |= dict.fromkeys((*BOUNDS_M, "final_rms_m", "jitter_rad_s"), np.nan)
+        unknown = {*BOUNDS_M, "final_rms_m", "final_rms_deg", "jitter_rad_s"}
+        numbers |= dict.fromkeys(numbers.keys() & unknown, np.nan)
     if not speeds_rad_s.size:
         numbers["peak_joint_speed_rad_s"] = np.nan
     if time_s[0] > 0.1:  # the recording begins later

@@ -21,6 +21,7 @@ from replayed_bags import (
     START_M,
     TARGET_M,
     HandmadeBag,
+    distance_m,
     servo,
 )
 from rosbags.highlevel import AnyReader
@@ -139,6 +140,48 @@ def test_what_a_recording_ends_too_early_for_is_not_known(recording, ends_s, kno
     assert unknown == (set() if known else UNKNOWN)
     if known:
         assert target.numbers["settling_2mm_s"] == whole.numbers["settling_2mm_s"]
+
+
+@pytest.mark.parametrize("noted", [True, False])
+def test_poses_and_position_commands_are_judged_as_well(tmp_path, noted):
+    # The first joint shifts the tag by 0.5 m/rad, the last one turns it: by 0.4 rad, and exact.
+    pose = {"feature": "pose", "lever_arm_m": 0.3, "command_interface": "position"}
+    made = HandmadeBag(tmp_path / "bag", scenario={"fvs_controller_node": pose} if noted else None)
+    jacobian = np.zeros((6, 6))
+    jacobian[0, 0], jacobian[5, 5] = 0.5, 1.0
+    for tick in range(round(END_S / 0.008) + 1):
+        time_s = 0.008 * tick
+        error_m = distance_m(time_s)
+        angle_rad = 0.4 * error_m / 0.3
+        angles = np.array([error_m / 0.5, 0, 0, 0, 0, angle_rad])
+        made.joints(time_s + JOINT_AGE_S, time_s, angles, np.zeros(6))
+        made.array("forward_position_controller/commands", time_s + 0.004, angles)
+        made.array("jacobian", time_s + 0.003, jacobian)
+        if tick % 5 == 0:
+            at_m = TARGET_M + [error_m, 0.0, 0.0]
+            made.pose("tool_pose", time_s + IMAGE_AGE_S, time_s, at_m, angle_rad)
+    made.pose("target_pose", GIVEN_S + 0.001, GIVEN_S, TARGET_M, 0.0)
+    made.close()
+    recording = read(tmp_path / "bag")
+    assert recording.feature.what == "tag"
+    (target,) = targets(recording)
+    numbers = target.numbers
+    assert numbers["start_distance_m"] == pytest.approx(0.3, rel=0.02)
+    # The arc at 0.3 m is 0.4 of the way, so the way settles last.
+    assert BELOW_5_S <= numbers["settling_5mm_s"] < BELOW_5_S + 0.04
+    rest_rad = 0.4 * distance_m(END_S - 1.0) / 0.3 / np.sqrt(2.0 * DECAY_1_S)
+    assert numbers["final_rms_deg"] == pytest.approx(np.degrees(rest_rad), rel=0.1)
+    assert numbers["path_m"] == pytest.approx(0.3, rel=0.02)
+    commands = recording.series["commands"].values
+    assert commands[0].tolist() == [0.0] * 6
+    assert np.abs(commands).max() == pytest.approx(DECAY_1_S * 0.3 / 0.5, rel=0.05)
+    found = prediction(recording)
+    assert found.t1_m.max() < 1e-3
+    assert found.motion_m.max() > 0.03
+    assert main(["replay", str(tmp_path / "bag"), "--out", str(tmp_path / "page")]) == 0
+    page = (tmp_path / "page" / "index.md").read_text(encoding="utf-8")
+    assert "final turn" in page
+    assert "ball" not in page
 
 
 # --- messages that the nodes would have refused, or that lack something ---
