@@ -5,7 +5,7 @@ import sys
 from graphlib import TopologicalSorter
 from pathlib import Path, PurePosixPath
 
-import pytest
+from cases import each
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = sorted(path.name for path in ROOT.glob("fvs_*") if (path / "__init__.py").is_file())
@@ -101,7 +101,7 @@ def test_the_sources_are_found():
     assert {IMAGES, TRAINING} <= set(SOURCES)
 
 
-@pytest.mark.parametrize("path", SOURCES)
+@each("path", SOURCES)
 def test_imports_point_one_way(path):
     assert violations(path, (ROOT / path).read_text(encoding="utf-8")) == []
 
@@ -115,7 +115,7 @@ def test_no_files_import_each_other_in_a_circle():
     TopologicalSorter(imports).prepare()  # raises CycleError with the circle
 
 
-@pytest.mark.parametrize(
+@each(
     ("path", "source"),
     [
         ("fvs_controller_node/ftsm.py", "def f():\n    from std_srvs.srv import Trigger"),

@@ -4,7 +4,7 @@ import re
 from functools import cache
 from pathlib import Path
 
-import pytest
+from cases import each
 
 from fvs_controller_node.reasons import Reason
 from fvs_lab.report import EXPERIMENTS
@@ -19,7 +19,7 @@ TROUBLES = ROOT / "docs" / "troubleshooting.md"
 #: Reasons with which nothing is wrong.
 FINE = {"SERVOING", "SETTLED"}
 
-each_page = pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+each_page = each("path", PAGES)
 
 
 def page(path):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import each
 
 from fvs_controller_node.config import LAWS, default_values
 from fvs_controller_node.loop import ServoLoop
@@ -125,8 +126,8 @@ def test_beyond_the_workspace_the_arm_does_not_follow_a_target(servoing):
     assert servoing.target_m[0] <= edge_m
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize(("features", "joints"), [(1, 1), (2, 6), (3, 2), (3, 7), (6, 7), (8, 6)])
+@each("law", LAWS)
+@each(("features", "joints"), [(1, 1), (2, 6), (3, 2), (3, 7), (6, 7), (8, 6)])
 def test_every_law_drives_any_number_of_features_with_any_number_of_joints(law, features, joints):
     loop = ServoLoop(
         default_values(

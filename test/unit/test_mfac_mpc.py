@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from cases import each
 from scipy.integrate import quad
 from scipy.optimize import minimize
 
@@ -24,7 +25,7 @@ def velocity(law, error_m=ERROR_M, jacobian=JACOBIAN, dt_s=0.008):
 # --- MFAC, eq. (48) ---
 
 
-@pytest.mark.parametrize("damping", [1e-3, 0.15, 2.0])
+@each("damping", [1e-3, 0.15, 2.0])
 def test_the_mfac_increment_minimises_its_cost(damping: float):
     # |e - J dr|^2 + lambda |dr|^2 as one least squares problem; e = x_d - x
     stacked = np.vstack([JACOBIAN, math.sqrt(damping) * np.eye(6)])
@@ -59,9 +60,9 @@ def printed_coefficients(horizon: float, alpha: float, rho: float) -> tuple[floa
     return (horizon**2 * alpha**horizon - 2.0 * b) / log_alpha, b, c
 
 
-@pytest.mark.parametrize("horizon", [1.0, 10.7, 300.0])
-@pytest.mark.parametrize("alpha", [0.05, 0.3, 0.64, 0.8])
-@pytest.mark.parametrize("rho", [0.1, 1.26, 30.0])
+@each("horizon", [1.0, 10.7, 300.0])
+@each("alpha", [0.05, 0.3, 0.64, 0.8])
+@each("rho", [0.1, 1.26, 30.0])
 def test_the_mpc_coefficients_are_the_printed_ones(horizon: float, alpha: float, rho: float):
     np.testing.assert_allclose(
         mpc_coefficients(horizon, alpha, rho), printed_coefficients(horizon, alpha, rho), rtol=1e-10
@@ -96,7 +97,7 @@ def central_gradient(function, at: np.ndarray, h: float) -> np.ndarray:
     )
 
 
-@pytest.mark.parametrize("q", [0.01, 0.07, 1.0])
+@each("q", [0.01, 0.07, 1.0])
 def test_the_mpc_increment_minimises_its_cost(q: float):
     law = MpcLaw(MpcGains(mpc_q=q, control_interval_s=1.0))
     u = velocity(law)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import each
 from scipy.optimize import linprog
 
 from fvs_controller_node.redundancy import (
@@ -31,7 +32,7 @@ def least_largest(jacobian, velocity):
     return found.x[6]
 
 
-@pytest.mark.parametrize(("jacobian", "velocity"), CASES)
+@each(("jacobian", "velocity"), CASES)
 def test_the_ball_moves_as_wanted_and_the_fastest_joint_is_as_slow_as_can_be(jacobian, velocity):
     found = LeastSpeedInverse(damping=1e-12).joint_velocity(jacobian, velocity)
     np.testing.assert_allclose(jacobian @ found, velocity, atol=1e-8)

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from cases import each
 
 from fvs_controller_node.surface import SlidingSurface
 
@@ -24,8 +25,8 @@ def test_a_fixed_exponent_is_the_same_everywhere():
     assert surface.psi(-0.25) == pytest.approx(-(0.25**0.6))
 
 
-@pytest.mark.parametrize("y", [*ERRORS_M, *(-y for y in ERRORS_M)])
-@pytest.mark.parametrize("surface", [SlidingSurface(), SlidingSurface(lambda1=0.5, lambda2=0.0)])
+@each("y", [*ERRORS_M, *(-y for y in ERRORS_M)])
+@each("surface", [SlidingSurface(), SlidingSurface(lambda1=0.5, lambda2=0.0)])
 def test_slopes_match_finite_differences(surface: SlidingSurface, y: float):
     h = 1e-7 * abs(y)
     slope = (surface.psi(y + h) - surface.psi(y - h)) / (2 * h)
@@ -34,7 +35,7 @@ def test_slopes_match_finite_differences(surface: SlidingSurface, y: float):
     assert given == pytest.approx(slope, rel=1e-5)
 
 
-@pytest.mark.parametrize("switch_error_m", [1e-3, 5e-3, 0.05, 0.3])
+@each("switch_error_m", [1e-3, 5e-3, 0.05, 0.3])
 def test_psi_rises_everywhere_and_is_odd(switch_error_m: float):
     surface = SlidingSurface(switch_error_m=switch_error_m)
     ys = np.concatenate([np.geomspace(1e-9, 2.0, 20000)])
