@@ -4,8 +4,10 @@ import atexit
 import importlib.util
 import os
 import shutil
+import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import pytest
@@ -30,6 +32,31 @@ if _ROOT not in sys.path:
     sys.path.insert(0, _ROOT)
 _PATHS = (_ROOT, str(Path(__file__).parent), os.environ.get("PYTHONPATH"))
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, _PATHS))
+
+
+def _slowness():
+    """How many times as long the work of a good computer takes here and now; 1 at least."""
+    began_s = time.monotonic()
+    for _ in range(5_000_000):
+        pass
+    return min(max(1.0, (time.monotonic() - began_s) / 0.2), 6.0)
+
+
+if "PYTEST_XDIST_WORKER" not in os.environ:
+    # Workers, and what they start, inherit the speed, and the mark that the guard looks for.
+    slowness = _slowness()
+    os.environ["FVS_TEST_SLOWNESS"] = f"{slowness:.2f}"
+    # Longer than any test waits by itself: it ends what hangs.
+    os.environ.setdefault("PYTEST_TIMEOUT", f"{180 * slowness:.0f}")
+    os.environ["FVS_TEST_MARK"] = mark = f"{os.getpid()} {time.time()}"
+    subprocess.Popen(
+        [sys.executable, "-S", str(Path(__file__).with_name("guard.py")), mark],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+        env={},
+    )
 
 
 @pytest.fixture
@@ -123,12 +150,3 @@ def pytest_xdist_make_scheduler(config, log):
             return str(path) if path.parent.name in _REAL_TIME else nodeid
 
     return ByFile(config, log)
-
-
-def pytest_runtest_setup(item):
-    # Whoever computes beside the real-time tests steps back for them.
-    if "PYTEST_XDIST_WORKER" in os.environ and not _is_real_time(item):
-        from fvs_ros.background import step_back
-
-        # By little: beside strangers that want all cores, next to nothing would be left.
-        step_back(5, own_session=True)

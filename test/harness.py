@@ -31,6 +31,8 @@ from fvs_ros import ros, topics
 from fvs_ros.joints import UR_JOINT_NAMES
 
 _BEGAN_S = time.time()
+#: How many times as long everything takes here as on a good computer.
+SLOWNESS = float(os.environ.get("FVS_TEST_SLOWNESS", "1"))
 #: Where this process begins to look for a domain; ids above 101 collide with ephemeral ports.
 _DOMAINS = itertools.cycle(1 + (os.getpid() * 17 + i) % 101 for i in range(101))
 _SHELLS_DOMAIN = int(os.environ.get("ROS_DOMAIN_ID") or 0)
@@ -229,8 +231,9 @@ class Harness:
     ) -> None:
         """Receive until a condition holds; fail with every process's output if it never does.
 
-        ``story`` says what else is worth knowing then.
+        The time-out is that of a good computer. ``story`` says what else is worth knowing then.
         """
+        timeout_s *= SLOWNESS
         end_s = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() > end_s:
@@ -248,7 +251,7 @@ class Harness:
                 process.terminate()
         for process in self.processes:
             try:
-                process.wait(10)
+                process.wait(10 * SLOWNESS)
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
