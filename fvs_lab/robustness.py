@@ -15,7 +15,7 @@ from fvs_lab import figures as draw
 from fvs_lab.outcome import NOT_STAYED, Outcome
 from fvs_lab.results import Interval, Results, number_text, wilson
 from fvs_lab.search import ORACLE, ORACLES
-from fvs_lab.trials import Trial, Variant, run_trial
+from fvs_lab.trials import Trial, Variant
 from fvs_lab.worlds import DISTANCE_M, KINDS, QUANTITIES, Kind, Quantity, World, draw_world
 from fvs_ros.arguments import unknown
 from fvs_tools.schemes import BEYOND, SCHEMES, Scheme
@@ -66,7 +66,7 @@ def measure(kind: Kind, context: lab.Context) -> lab.Found:
     worlds = context.map(partial(draw_world, kind), range(1, count + 1), "worlds")
     pairs = [(world, one) for world in worlds for one in contestants]
     trials = [trial_in(world, one, context.rendered) for world, one in pairs]
-    outcomes = context.map(run_trial, trials, kind.name)
+    outcomes = context.outcomes(trials, kind.name)
     runs = Results(
         judged(outcome).row(scheme=one.name, **world.row())
         for (world, one), outcome in zip(pairs, outcomes, strict=True)
@@ -89,7 +89,7 @@ def rerun(context: lab.Context, kind: Kind, number: int) -> None:
     print(f"   trial {number}: {world.text()}", flush=True)
     trials = [trial_in(world, one, context.rendered, record=True) for one in contestants]
     figure, ((axis,),) = draw.grid(1, 1, (9.0, 5.0))
-    outcomes = map(judged, context.map(run_trial, trials, kind.name))
+    outcomes = map(judged, context.outcomes(trials, kind.name))
     rows, looks = [], {}
     for outcome, one in zip(outcomes, contestants, strict=True):
         name = one.name

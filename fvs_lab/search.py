@@ -14,7 +14,7 @@ import numpy as np
 
 from fvs_lab.experiment import Context
 from fvs_lab.outcome import Outcome
-from fvs_lab.trials import Case, Conditions, Trial, Variant, run_trial
+from fvs_lab.trials import Case, Conditions, Trial, Variant
 from fvs_tools.schemes import SCHEMES, Scheme
 
 #: Searches of each scheme, each with its own seed; their spread shows the effect of chance.
@@ -258,7 +258,7 @@ def search_all(
             for case in cases
         ]
         label = f"search, round {generation + 1} of {generations}"
-        outcomes = iter(context.map(run_trial, trials, label))
+        outcomes = iter(context.outcomes(trials, label))
         for optimiser, one, places, candidates in zip(optimisers, found, asked, gains, strict=True):
             judged = [
                 one.search.judge(values, [next(outcomes) for _ in cases]) for values in candidates
