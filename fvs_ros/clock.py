@@ -9,7 +9,7 @@ from pathlib import Path
 
 #: Simulated time that stands still for longer has ended or is paused, s. Longer than the simulator
 #: waits for an answer.
-_STILL_S = 2.0
+_STILL_S = 5.0
 #: Simulated time that advances by more at once has jumped, s.
 _JUMP_S = 1.0
 #: With this number of running programs per core, some are late.

@@ -132,6 +132,8 @@ _NEWEST, _RELIABLE, _LATCHED = End((Qos.NEWEST,)), End((Qos.RELIABLE,)), End((Qo
 #: Receives from latched publishers and from others.
 _EITHER = End((Qos.LATCHED, Qos.NEWEST))
 _SIMULATED = End((Qos.RELIABLE,), given={"simulated_time": True})
+#: Simulated time waits for a detector in place of the simulator's own.
+_DETECTED = End((Qos.RELIABLE,), given={"simulated_time": True, "publish_ball_position": False})
 _AT_THE_END = End((Qos.RELIABLE,), later="after the last target")
 _WHILE_WATCHED = End((Qos.NEWEST,), later="while a browser shows the page")
 _ONE_IMAGE = End((Qos.NEWEST,), later="after 15 s of motion, for one image")
@@ -142,7 +144,7 @@ def _taken(interface: str) -> End:
 
 
 def _servoed(feature: str, end: End = _RELIABLE, **given: Any) -> End:
-    return replace(end, given={"feature": feature, **given})
+    return replace(end, given={"feature": feature, **end.given, **given})
 
 
 #: Who takes the feature.
@@ -167,7 +169,7 @@ BALL_POSITION = Topic(
     "The ball's centre, m, in the camera's optical frame, stamped with the exposure; "
     "silent while the ball is not seen.",
     dict.fromkeys((SIM, DETECTOR), _servoed(BALL)),
-    dict.fromkeys(_SERVO_OR_SHOW, _servoed(BALL, _NEWEST)),
+    dict.fromkeys(_SERVO_OR_SHOW, _servoed(BALL, _NEWEST)) | {SIM: _servoed(BALL, _DETECTED)},
     also_from="your own detector",
 )
 TOOL_POSE = Topic(
@@ -176,7 +178,7 @@ TOOL_POSE = Topic(
     "The tag's pose in the camera's optical frame, its x axis to the right, y up, z out of the "
     "print, stamped with the exposure; silent while it is not seen or not certain.",
     dict.fromkeys((SIM, DETECTOR), _servoed(POSE)),
-    dict.fromkeys(_SERVO_OR_SHOW, _servoed(POSE, _NEWEST)),
+    dict.fromkeys(_SERVO_OR_SHOW, _servoed(POSE, _NEWEST)) | {SIM: _servoed(POSE, _DETECTED)},
     also_from="your own detector or tracker",
 )
 JACOBIAN = Topic(

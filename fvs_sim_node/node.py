@@ -7,6 +7,7 @@ from fvs_ros import stop
 stop.listen()
 
 import sys
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,11 +27,15 @@ from fvs_sim_node.simulation import BallObservation, SimStep, Simulation
 
 #: In simulated time, services and parameters are served this often.
 _BURST_S = 0.005
+#: How long a response is waited for, s: longer than a busy computer keeps a node from running.
+_PATIENCE_S = 3.0
 #: Topics of the responses to joint states, and largest simulated time without a new one, s.
 _ANSWERS = {
     topics.COMMANDS.name: 0.0,
     topics.POSITION_COMMANDS.name: 0.0,
     topics.JACOBIAN.name: 0.1,
+    topics.BALL_POSITION.name: 0.15,
+    topics.TOOL_POSE.name: 0.15,
 }
 
 
@@ -88,7 +93,11 @@ class SimNode(ros.FvsNode):
         if config.simulated_time:
             self._base_s = 1.0  # zero means "no time" to ROS
             self._clock_topic = self.publisher(topics.CLOCK)
-            self.subscribe(topics.JACOBIAN, lambda _message: self._answer(topics.JACOBIAN.name))
+            others = [topics.JACOBIAN]
+            if not config.publish_ball_position:  # a detector does
+                others.append(self._feature.seen)
+            for topic in others:
+                self.subscribe(topic, partial(self._on_answer, topic.name))
             self.create_timer(_BURST_S, self._step_as_fast_as_it_goes, clock=self.steady_clock)
         else:
             self._base_s = self.ros_s()
@@ -117,13 +126,16 @@ class SimNode(ros.FvsNode):
             for topic, answered_s in self._answered_s.items()
             if self._simulated_s() - answered_s > _ANSWERS[topic]
         ]
-        # After a second without a response its node counts as ended, until it responds again.
-        if late and self.steady_s() - self._stepped_s < 1.0:
+        # Without a response for long its node counts as ended, until it responds again.
+        if late and self.steady_s() - self._stepped_s < _PATIENCE_S:
             return True
         for topic in late:
             del self._answered_s[topic]
             self._late += 1
         return False
+
+    def _on_answer(self, topic: str, _message: Any) -> None:
+        self._answer(topic)
 
     def _answer(self, topic: str) -> None:
         if self._config.simulated_time:
