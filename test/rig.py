@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
-from harness import Harness
+from harness import SLOWNESS, Harness
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
@@ -28,7 +28,7 @@ VELOCITY, ACCELERATION = 0.5, 5.0
 RAMP_S = VELOCITY / ACCELERATION
 #: What a busy machine may add to any time between two processes, s: three or four of them in a
 #: row, each waiting for a core.
-BUSY_S = 0.3
+BUSY_S = 0.3 * SLOWNESS
 #: The supervisor counts a tick for at most this long, s: so no command differs from the one before
 #: by more than the acceleration limit times this, however late it comes.
 LONGEST_TICK_S = 0.05
@@ -136,7 +136,10 @@ class Rig:
         self.estimates = self.harness.collect(DiagnosticStatus, f"{ESTIMATOR}/status")
         self.states: list[JointState] = []
         self.balls: list[PointStamped] = []
-        self.wires[topics.JOINT_STATES.name].listeners.append(self.states.append)
+        joints = self.wires[topics.JOINT_STATES.name]
+        joints.listeners.append(self.states.append)
+        # What is late on any wire goes on at the rate of the joint states.
+        joints.listeners.append(lambda _: [wire.deliver() for wire in self.wires.values()])
         self.wires[topics.BALL_POSITION.name].listeners.append(self.balls.append)
         self.processes = {name: self.start_node(name) for name in _PARAMETERS}
         self.wait(lambda: self.reason() == "NO_TARGET", 60.0, "all inputs")
@@ -174,10 +177,10 @@ class Rig:
             assert result.successful, result.reason
 
     def renew(self) -> None:
-        """Forget the last test; the arm must rest at its target, all nodes running."""
+        """Forget the last test; nothing may be wrong any more, and all nodes run."""
         self.calm()
         assert all(process.poll() is None for process in self.processes.values())
-        self.wait(lambda: self.reason() in ("SETTLED", "NO_TARGET"), 2.0, "rest")
+        self.wait(lambda: self.reason() in ("SERVOING", "SETTLED", "NO_TARGET"), 2.0, "calm")
         for record in (self.commands, self.statuses, self.balls, self.states, self.estimates):
             del record[:-1]
         self.stop_s = math.nan
@@ -235,9 +238,9 @@ class Rig:
         """Publish a target, m."""
         self._targets.publish(ros.to_point(time.time(), CAMERA_FRAME, np.array(target_m)))
 
-    def aim(self) -> None:
-        """Publish the other one of the targets, and wait until the controller has it."""
-        self.target_m = TARGETS[1 - TARGETS.index(self.target_m)]
+    def aim(self, target_m: tuple[float, ...] | None = None) -> None:
+        """Publish a target, or the other one, and wait until the controller has it."""
+        self.target_m = target_m or TARGETS[1 - TARGETS.index(self.target_m)]
         self.send_target(self.target_m)
         wanted = [f"{v:.5g}" for v in self.target_m]
         self.wait(
@@ -255,8 +258,9 @@ class Rig:
         raise AssertionError(response.message)
 
     def servo(self) -> None:
-        """Aim at the other target, start if need be, and wait for fast motion."""
-        self.aim()
+        """Aim at the target that is further away, start if need be, and wait for fast motion."""
+        ball = self.balls[-1].point
+        self.aim(max(TARGETS, key=lambda target: math.dist((ball.x, ball.y, ball.z), target)))
         self.wait(lambda: self.value("state") in ("READY", "SERVOING"), what="READY")
         if self.value("state") == "READY":
             self.start()
@@ -287,6 +291,13 @@ class Rig:
             return found and all(word in self.text() for word in words)
 
         self.wait(says, what=f"{state}, {reason}: {' ... '.join(words)}")
+
+    def assert_goes_on(self) -> None:
+        """The arm is servoed again, to its target if it is not there yet."""
+        self.wait(
+            lambda: self.reason() == "SETTLED" or (self.reason() == "SERVOING" and self.moving()),
+            what="motion again",
+        )
 
     def assert_settles(self) -> None:
         """The ball comes to the target, is seen to stay there, and the controller says so."""

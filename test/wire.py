@@ -19,7 +19,8 @@ class Wire:
 
     ``loss``, ``repeat`` and ``swap`` are probabilities: a message is lost, is said twice, is said
     after its follower. ``shift_s`` is added to the stamps: the sender's clock jumped. ``freeze``
-    sends new contents with the last ``stamp``, or the last ``message`` again.
+    sends new contents with the last ``stamp``, or the last ``message`` again. With a ``delay_s``,
+    somebody has to call :meth:`deliver` now and then.
     """
 
     def __init__(self, node: Any, message_type: type, topic: str) -> None:
@@ -27,7 +28,6 @@ class Wire:
         # Deeper than the nodes' own: what the wire loses, it is to lose on purpose.
         qos = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
         node.create_subscription(message_type, topic, self._on_message, qos)
-        node.create_timer(0.01, self._deliver)
         #: Called with every message heard, before anything is done to it.
         self.listeners: list[Callable[[Any], None]] = []
         self.calm()
@@ -60,7 +60,7 @@ class Wire:
         for one in (message, message if twice else None, late):
             if one is not None:
                 self._under_way.append((time.monotonic() + self.delay_s, one))
-        self._deliver()
+        self.deliver()
 
     def _disturbed(self, message: Any) -> Any:
         if self.freeze and self._last is not None:
@@ -76,6 +76,7 @@ class Wire:
         self._last = message
         return message
 
-    def _deliver(self) -> None:
+    def deliver(self) -> None:
+        """Say what has been under way for long enough."""
         while self._under_way and self._under_way[0][0] <= time.monotonic():
             self.send(self._under_way.popleft()[1])

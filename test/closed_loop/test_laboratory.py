@@ -42,7 +42,6 @@ from fvs_ros.topics import POSE
 EXACT = Conditions(rendered=False)
 
 
-@pytest.mark.timeout(240)
 @pytest.mark.parametrize("name", [name for name in EXPERIMENTS if name not in ("everyday", "tags")])
 def test_a_quick_run_makes_a_complete_page(name, tmp_path):
     trials = 2 if name == "robustness" else None

@@ -132,7 +132,7 @@ def test_trouble_stops_the_arm_in_time_with_a_sentence_until_it_is_over(rig, nam
     if trouble.needs_start:
         rig.assert_stands()
         rig.start()
-    rig.assert_settles()
+    rig.assert_goes_on()
 
 
 def shuffled(message):
@@ -211,7 +211,7 @@ def test_a_program_that_stops_stops_arm_and_learning_and_refuses_a_start(rig):
     rig.assert_stands()
     assert rig.estimator("steps_learned") == learned
     rig.start()
-    rig.assert_settles()
+    rig.assert_goes_on()
 
 
 def test_a_controller_that_is_killed_leaves_the_arm_moving_and_a_new_one_stops_it(rig):

@@ -13,6 +13,8 @@ from fvs_ros.paths import find_file
 from fvs_sim_node.camera import CAMERAS
 
 MODULE = "fvs_tools.calibrate_node"
+#: Fewer exchanges for a simulated second than with a UR.
+SIMULATED = {"simulated_time": True, "joint_state_rate_hz": 50}
 
 
 @pytest.mark.parametrize("feature", ["ball", "pose"])
@@ -20,9 +22,9 @@ def test_the_camera_is_found_while_the_arm_moves(ros_test, tmp_path, feature):
     out = tmp_path / "camera.yaml"
     states = ros_test.collect(DiagnosticStatus, "fvs_calibrate_node/status")
     calibrating = ros_test.start_node(
-        MODULE, use_sim_time=True, feature=feature, output_path=str(out), stop_at_m=0.001
+        MODULE, use_sim_time=True, feature=feature, output_path=str(out), stop_at_m=0.002
     )
-    ros_test.start_node("fvs_sim_node.node", simulated_time=True, feature=feature)
+    ros_test.start_node("fvs_sim_node.node", feature=feature, **SIMULATED)
     ros_test.start_node(
         "fvs_estimator_node.collector_node", use_sim_time=True, feature=feature,
         output_path=str(tmp_path / "data.npz"), joint_range_rad=[0.5],
@@ -69,13 +71,13 @@ def test_what_is_missing_is_named_and_odd_joints_end_nothing(ros_test, tmp_path)
 def test_without_motion_it_says_what_is_missing(ros_test, tmp_path):
     states = ros_test.collect(DiagnosticStatus, "fvs_calibrate_node/status")
     calibrating = ros_test.start_node(
-        MODULE, use_sim_time=True, output_path=str(tmp_path / "camera.yaml"), duration_s=20.0
+        MODULE, use_sim_time=True, output_path=str(tmp_path / "camera.yaml"), duration_s=10.0
     )
     ros_test.spin_until(
         lambda: any("waiting for the robot's description" in one.message for one in states),
         what="the wait for a URDF",
     )
-    ros_test.start_node("fvs_sim_node.node", simulated_time=True)
+    ros_test.start_node("fvs_sim_node.node", **SIMULATED)
     assert ros_test.wait(calibrating, 60.0) == 1
     assert "never moved" in ros_test.output(calibrating)
     assert not (tmp_path / "camera.yaml").exists()

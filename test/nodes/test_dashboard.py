@@ -28,7 +28,8 @@ from fvs_sim_node.robot import HOME_JOINTS_RAD
 
 DASHBOARD = "fvs_dashboard.dashboard_node"
 CONTROLLER = "fvs_controller_node.node"
-#: The page is tested, not the machine.
+#: The page is tested, not the machine: so is a simulated arm of fewer joint states and images.
+SLOW = {"joint_state_rate_hz": 50, "image_rate_hz": 15.0}
 PATIENT = {f"{name}_max_age_s": 1.0 for name in ("joint_states", "ball", "jacobian")}
 TARGET = "x, y, z (m)"
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
@@ -61,9 +62,9 @@ def pages():
 
 def test_a_tag_is_toured_dragged_and_turned(ros_test, pages):
     pose = {"feature": "pose"}
-    ros_test.start_node("fvs_sim_node.node", **pose)
+    ros_test.start_node("fvs_sim_node.node", **pose, **SLOW)
     ros_test.start_node("fvs_estimator_node.node", method="poe", **pose)
-    ros_test.start_node(CONTROLLER, autostart=True, law="minimum_time", **pose)
+    ros_test.start_node(CONTROLLER, autostart=True, law="minimum_time", **pose, **PATIENT)
     process = ros_test.start_node(DASHBOARD, port=0, tour=True, **pose)
     page = pages(address_of(ros_test, process))
     targets = ros_test.collect(PoseStamped, topics.TARGET_POSE.name, ros.QOS_RELIABLE)
@@ -275,9 +276,9 @@ def test_images_are_asked_for_only_while_a_browser_looks(loop, pages):
 
 def test_a_tour_of_a_simulated_arm_that_is_disturbed_and_reset_from_the_page(ros_test, pages):
     model = {"model_path": "models/ur5_front.npz"}
-    ros_test.start_node("fvs_sim_node.node")
+    ros_test.start_node("fvs_sim_node.node", **SLOW)
     ros_test.start_node("fvs_estimator_node.node", **model)
-    ros_test.start_node(CONTROLLER, autostart=True)
+    ros_test.start_node(CONTROLLER, autostart=True, **PATIENT)
     process = ros_test.start_node(DASHBOARD, port=0, tour=True, **model)
     page = pages(address_of(ros_test, process))
     joint_states = ros_test.collect(JointState, topics.JOINT_STATES.name)

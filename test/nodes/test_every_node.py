@@ -1,12 +1,14 @@
 """Every node alone in its namespace: on the wire as declared, its parameters kept or refused."""
 
+import json
 import re
 import xml.etree.ElementTree as ET
+from functools import partial
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from harness import Harness, ros_arguments
+from harness import ros_arguments
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import (
@@ -27,25 +29,26 @@ from fvs_tools.reference import policy
 from fvs_tools.scenario import NODE_TABLE
 
 #: What a node needs that runs beside others and has no node to talk to.
-ALONE = {"fvs_dashboard": {"port": 0}, "fvs_recorder_node": {"images": False}}
+ALONE = {
+    "fvs_dashboard": {"port": 0},
+    "fvs_recorder_node": {"images": False},
+    "fvs_sim_node": {"joint_state_rate_hz": 10, "image_rate_hz": 1.0},
+}
 #: What rclpy gives every node.
 BUILT_IN = {"use_sim_time", "start_type_description_service"}
 #: Time in which what is not declared would show.
 SETTLE_S = 1.0
 
 
-def variants():
-    """Every node with its defaults, and with other values wherever its topics depend on them."""
-    found = []
-    for name in NODES:
-        declared, others = NODE_TABLE[name].parameters(), {}
-        for end in (*topics.publishers(name).values(), *topics.subscribers(name).values()):
-            for given, value in end.given.items():
-                parameter = declared[given]
-                values = (value, *(parameter.choices or (False, True)))
-                others[given] = next(one for one in values if one != parameter.default)
-        found += [(name, {}), *((name, {given: value}) for given, value in others.items())]
-    return found
+def variants(name):
+    """Parameters of a node: its defaults, and other values wherever its topics depend on them."""
+    declared, others = NODE_TABLE[name].parameters(), {}
+    for end in (*topics.publishers(name).values(), *topics.subscribers(name).values()):
+        for given, value in end.given.items():
+            parameter = declared[given]
+            values = (value, *(parameter.choices or (False, True)))
+            others[given] = next(one for one in values if one != parameter.default)
+    return [{}, *({given: value} for given, value in others.items())]
 
 
 class LoneNode:
@@ -56,8 +59,7 @@ class LoneNode:
         parameters = NODE_TABLE[name].parameters()
         given = {**ALONE.get(name, {}), **given}
         self.declared, self.values = {p.name: p for p in parameters}, parameters.values(given)
-        arguments = ros_arguments({"__ns": self.where}, **given)
-        harness.start("patient_node", NODE_TABLE[name].module, *arguments)
+        self.arguments = ros_arguments({"__ns": self.where}, **given)
 
     def resolve(self, name):
         return topics.resolve(name, self.name, self.where[1:])
@@ -142,55 +144,41 @@ class LoneNode:
         ).result
 
 
-@pytest.fixture(scope="module")
-def running(tmp_path_factory):
-    """All variants at once."""
-    harness = Harness(tmp_path_factory.mktemp("nodes"))
-    try:
-        nodes = []
-        for index, (name, given) in enumerate(variants()):
-            # A commander, so that a simulator in simulated time does not race.
-            if name == topics.SIM:
-                commands = f"/lone_{index}/{topics.COMMANDS.name}"
-                harness.node.create_publisher(Float64MultiArray, commands, ros.QOS_RELIABLE)
-            nodes.append(LoneNode(harness, name, f"lone_{index}", given))
-        # A node that has spoken has made all that it makes at its start.
-        heard = harness.collect(DiagnosticArray, topics.DIAGNOSTICS.name, 10)
-        wanted = {node.resolve("~") for node in nodes}
-        harness.spin_until(
-            lambda: wanted <= {status.name for message in heard for status in message.status},
-            90.0,
-            f"diagnostics of {sorted(wanted)}",
-        )
-        harness.spin_for(SETTLE_S)
-        yield nodes
-    finally:
-        harness.close()
-
-
-@pytest.fixture(
-    params=enumerate(variants()),
-    ids=lambda one: "-".join([one[1][0], *(f"{k}={v}" for k, v in one[1][1].items())]),
-)
-def variant(running, request):
-    return running[request.param[0]]
-
-
-@pytest.fixture(params=NODE_TABLE)
-def node(running, request):
-    """Each node once, with its defaults."""
-    return next(one for one in running if one.name == request.param)
+@pytest.fixture(params=NODES)
+def nodes(ros_test, request):
+    """A node with its defaults, and its other variants, in one process."""
+    name = request.param
+    own = [
+        LoneNode(ros_test, name, f"lone_{number}", given)
+        for number, given in enumerate(variants(name))
+    ]
+    for node in own:
+        if node.values.get("simulated_time"):  # waits for who answers, and does not race
+            commander = ros_test.node.create_publisher(
+                Float64MultiArray, node.resolve(topics.COMMANDS.name), ros.QOS_RELIABLE
+            )
+            rest = partial(commander.publish, ros.to_command(np.zeros(6)))
+            ros_test.node.create_timer(0.5, rest)
+    arguments = json.dumps([node.arguments for node in own])
+    process = ros_test.start("patient_node", NODE_TABLE[name].module, arguments)
+    # A node that has spoken has made all that it makes at its start.
+    heard = ros_test.collect(DiagnosticArray, topics.DIAGNOSTICS.name, 10)
+    wanted = {node.resolve("~") for node in own}
+    ros_test.spin_until(
+        lambda: wanted <= {status.name for message in heard for status in message.status},
+        30.0,
+        f"diagnostics of {sorted(wanted)}",
+    )
+    ros_test.spin_for(SETTLE_S)
+    yield own
+    assert process.poll() is None
+    assert "Traceback" not in ros_test.output(process)
 
 
 # ---- topics and services ----------------------------------------------------------------------
 
 
-def test_every_node_that_can_be_started_is_declared():
-    assert list(NODES) == list(NODE_TABLE)
-
-
-@pytest.mark.parametrize("publishing", [True, False], ids=["publishers", "subscriptions"])
-def test_a_node_has_exactly_the_declared_topics(variant, publishing):
+def assert_has_exactly_the_declared_topics(variant, publishing):
     expected = variant.expected_ends(publishing)
     variant.harness.spin_until(
         lambda: not set(expected) - set(variant.actual_ends(publishing)), what="declared topics"
@@ -201,7 +189,7 @@ def test_a_node_has_exactly_the_declared_topics(variant, publishing):
         assert variant.actual_ends(publishing) == expected
 
 
-def test_a_node_serves_and_calls_exactly_the_declared(variant):
+def assert_serves_and_calls_exactly_the_declared(variant):
     declared = NODES[variant.name]
     standard = {variant.resolve(name) for name in topics.EVERY_NODE_SERVES}
     expected = {(variant.resolve(one), kind) for one, (kind, _) in declared.serves.items()}
@@ -214,7 +202,7 @@ def test_a_node_serves_and_calls_exactly_the_declared(variant):
     assert variant.calls() == {variant.resolve(name) for name in declared.calls}
 
 
-def test_the_access_rules_allow_all_that_a_node_has(variant):
+def assert_access_rules_allow_all(variant):
     root = ET.fromstring(policy(variant.where[1:]).split("?>", 1)[1])
     profile = root.find(f"enclaves/enclave[@path='{variant.resolve('~')}']/profiles/profile")
 
@@ -282,7 +270,7 @@ def assert_refused(result, *words):
         assert word in result.reason, f"{word!r} is not in {result.reason!r}"
 
 
-def test_every_parameter_is_listed_with_its_default_and_describes_itself(node):
+def assert_lists_and_describes_parameters(node):
     assert node.listed() == set(node.declared)
     assert different(node.get(node.declared), node.values) == []
     descriptors = node.describe(node.declared)
@@ -302,7 +290,7 @@ def test_every_parameter_is_listed_with_its_default_and_describes_itself(node):
         assert all(d is None or e == d for e, d in zip(ends, declared, strict=False)), name
 
 
-def test_a_live_parameter_changes_and_reads_back(node):
+def assert_live_parameters_change(node):
     changed = {name: other(p) for name, p in node.declared.items() if p.live}
     before = node.get(changed)
     for values in (changed, before):
@@ -310,7 +298,7 @@ def test_a_live_parameter_changes_and_reads_back(node):
         assert different(node.get(values), values) == []
 
 
-def test_a_wrong_value_is_refused_with_a_sentence_and_the_old_one_stays(node):
+def assert_refuses_wrong_values(node):
     before = node.get(node.declared)
     cases = {name: wrong(p) if p.live else [other(p)] for name, p in node.declared.items()}
     for round_ in range(max(map(len, cases.values()), default=0)):
@@ -323,17 +311,19 @@ def test_a_wrong_value_is_refused_with_a_sentence_and_the_old_one_stays(node):
     assert different(node.get(before), before) == []
 
 
-def test_a_malformed_request_is_refused_and_ends_nothing(node):
+def assert_refuses_malformed_requests(node):
     for name in (next(iter(node.declared)), "no_such_parameter", "use_sim_time", "qos_overrides.x",
                  "", "\x1b"):  # fmt: skip
-        for number in (0, *range(5, 12), 77, 255):  # the types of lists, none, and unknown ones
-            odd = ParameterMessage(name=name, value=ParameterValue(type=number))
-            assert not node.ask_at_once(odd).successful
-            assert [result.successful for result in node.ask(odd, odd)] == [False, False], number
+        odd = [  # the types of lists, none, and unknown ones
+            ParameterMessage(name=name, value=ParameterValue(type=number))
+            for number in (0, *range(5, 12), 77, 255)
+        ]
+        assert [number for number, one in enumerate(node.ask(*odd, *odd)) if one.successful] == []
+        assert not any(node.ask_at_once(one).successful for one in (odd[0], odd[1], odd[-1]))
     assert node.listed() == set(node.declared)
 
 
-def test_a_request_that_is_too_large_is_refused_in_few_words(node):
+def assert_refuses_large_requests(node):
     first = next(iter(node.declared))
     value = RosParameter(first, value=node.values[first]).get_parameter_value()
     for names in ([first] * 1000, ["x" * 10**6]):
@@ -342,3 +332,26 @@ def test_a_request_that_is_too_large_is_refused_in_few_words(node):
             assert_refused(result, "too large")
             assert len(result.reason) < 200
     assert node.get(node.declared)
+
+
+# ---- promises ---------------------------------------------------------------------------------
+
+
+def test_every_node_that_can_be_started_is_declared():
+    assert list(NODES) == list(NODE_TABLE)
+
+
+def test_a_node_is_on_the_wire_as_declared_and_keeps_or_refuses_parameters(nodes):
+    for node in nodes:
+        for publishing in (True, False):
+            assert_has_exactly_the_declared_topics(node, publishing)
+        assert_serves_and_calls_exactly_the_declared(node)
+        assert_access_rules_allow_all(node)
+    for check in (
+        assert_lists_and_describes_parameters,
+        assert_live_parameters_change,
+        assert_refuses_wrong_values,
+        assert_refuses_malformed_requests,
+        assert_refuses_large_requests,
+    ):
+        check(nodes[0])

@@ -21,7 +21,7 @@ MODULE = "fvs_sim_node.node"
 @pytest.fixture
 def simulator(ros_module, ros_beside):
     """One beside a simulator that other tests use as well; it is put back afterwards."""
-    ros_module.keep(MODULE)
+    ros_module.keep(MODULE, full_frame_rate_hz=3.0)
     yield ros_beside
     live = {parameter.name: parameter.default for parameter in PARAMETERS if parameter.live}
     assert all(result.successful for result in ros_beside.set_parameters("fvs_sim_node", **live))
