@@ -21,7 +21,7 @@ from fvs_controller_node.redundancy import make_inverse
 from fvs_controller_node.supervisor import Command, Present, Supervisor
 from fvs_controller_node.target_motion import on_own_clock
 from fvs_ros.chain import SerialChain
-from fvs_ros.timeline import jump_words, repeats
+from fvs_ros.timeline import repeats
 
 #: The estimator publishes the chain more often than this; an older one is not used, and a bad one
 #: holds the arm for as long, s.
@@ -71,7 +71,6 @@ class ServoLoop:
         self._ball_stamp_s: float | None = None
         self._seen = np.zeros(self._feature.size)  # in the newest image
         self._joints: np.ndarray | None = None
-        self._last_joints: tuple[float, np.ndarray] | tuple[None, None] = None, None  # as they came
         self._jacobian: np.ndarray | None = None
         self._home: np.ndarray | None = None  # joints at the last start
 
@@ -88,14 +87,10 @@ class ServoLoop:
     def add_joints(self, now_s: float, stamp_s: float, joints_rad: np.ndarray) -> None:
         """Take a joint state: arrival and stamp, s; positions (n,), rad."""
         inputs = self.supervisor.inputs
-        if repeats(stamp_s, self._last_joints[0]):
+        if self._joints is not None and repeats(stamp_s, self._stamp_s):
             inputs[JOINT_STATES].stuck(now_s)
             return
-        jump = self._jump(stamp_s, joints_rad)
-        if jump:
-            self.predictor.reset()  # the ball did not move with it
-            inputs[JOINT_STATES].bad(jump)
-        elif inputs.add(JOINT_STATES, now_s, joints_rad):
+        if inputs.add(JOINT_STATES, now_s, joints_rad):
             self._stamp_s = stamp_s
             self._joints = self._drive_lag.add(
                 stamp_s,
@@ -118,14 +113,10 @@ class ServoLoop:
             return
         self.predictor.add_joints(stamp_s, joints, motion)
 
-    def _jump(self, stamp_s: float, joints_rad: np.ndarray) -> str:
-        """Describe an impossible jump since the last joint state; empty without one."""
-        before_s, before = self._last_joints
-        self._last_joints = (stamp_s, joints_rad)
-        if before_s is None or before is None or before.shape != joints_rad.shape:
-            return ""
-        names = self.supervisor.config.joint_names
-        return jump_words(names, before, joints_rad, stamp_s - before_s)
+    def bad_joints(self, why: str) -> None:
+        """Take a joint state that cannot be used, and why."""
+        self.predictor.reset()  # after a jump: the ball did not move with it
+        self.supervisor.inputs[JOINT_STATES].bad(why)
 
     def add_feature(self, now_s: float, stamp_s: float, position_m: np.ndarray) -> None:
         """Take a ball position in the feature's frame: arrival and exposure, s; (m,), m."""

@@ -113,7 +113,7 @@ class ControllerNode(ros.FvsNode):
                 supervisor.inputs[JOINT_STATES].bad(str(error))
             return
         except JointStateError as error:
-            supervisor.inputs[JOINT_STATES].bad(str(error))
+            self._loop.bad_joints(str(error))
             self._tick(now_s, now_s - self._ticked_s)
             return
         self._joints, self._joints_s = joints, now_s

@@ -50,7 +50,8 @@ class ForeignJointsError(JointStateError):
 class JointMap:
     """Picks the wanted joints, by name, out of messages in any order and with extra joints.
 
-    Where a driver wraps a joint, at pi or elsewhere, its positions go on.
+    Where a driver wraps a joint, at pi or elsewhere, its positions go on; a step that no joint can
+    make is refused.
 
     Parameters
     ----------
@@ -95,7 +96,7 @@ class JointMap:
         values : sequence of float
             Angles of the message, rad, one for each name.
         stamp_s : float, optional
-            Stamp of the message, s; without it positions are as they come.
+            Stamp of the message, s; without it positions are as they come, with any step.
 
         Returns
         -------
@@ -107,7 +108,8 @@ class JointMap:
         ForeignJointsError
             If the message holds none of the wanted joints.
         JointStateError
-            If some joints are missing, sizes differ, or an angle is not finite or implausible.
+            If some joints are missing, sizes differ, an angle is not finite or implausible, or a
+            joint jumped.
         """
         key = tuple(names)
         if key != self._cached_for:
@@ -132,19 +134,30 @@ class JointMap:
                 f"joint_states has a position too large or not finite for {bad}: "
                 "expected rad or m, no degrees"
             )
-        return positions if stamp_s is None else self._unwrapped(positions, stamp_s)
+        return positions if stamp_s is None else self._continued(positions, stamp_s)
 
-    def _unwrapped(self, wrapped: np.ndarray, stamp_s: float) -> np.ndarray:
-        """Take a step that is possible only less full turns for the rest of it."""
-        last, self._wrapped = self._wrapped, wrapped
-        possible_rad, self._stamp_s = possible_step_rad(abs(stamp_s - self._stamp_s)), stamp_s
+    def _continued(self, wrapped: np.ndarray, stamp_s: float) -> np.ndarray:
+        """Less full turns, where a step is possible only without them."""
+        last, passed_s = self._wrapped, stamp_s - self._stamp_s
+        self._wrapped, self._stamp_s = wrapped, stamp_s
         if last is None:
             if self.middle_rad is not None:
                 self._turns_rad = _full_turns(self.middle_rad - wrapped)
-        elif possible_rad < pi < largest(wrapped - last):
-            turns_rad = _full_turns(wrapped - last)
-            wraps = np.abs(wrapped - last - turns_rad) <= possible_rad
-            self._turns_rad = self._turns_rad - np.where(wraps, turns_rad, 0.0)
+            return wrapped + self._turns_rad
+        step, possible_rad = wrapped - last, possible_step_rad(passed_s)
+        if possible_rad < pi < largest(step):
+            turns_rad = _full_turns(step)
+            turns_rad[np.abs(step - turns_rad) > possible_rad] = 0.0
+            step, self._turns_rad = step - turns_rad, self._turns_rad - turns_rad
+        joint = int(np.abs(step).argmax())
+        if passed_s > 0.0 and abs(step[joint]) > possible_rad:
+            doubt = "do two nodes publish joint states?"
+            if largest(wrapped) > 4.0 * pi:
+                doubt = f"are they in degrees, expected rad, or {doubt}"
+            raise JointStateError(
+                f"{self.names[joint]} jumped by {abs(step[joint]):.2f} rad in {passed_s:.3f} s; "
+                f"{doubt}"
+            )
         return wrapped + self._turns_rad
 
 

@@ -10,13 +10,12 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Sequence
 from math import pi
 from typing import NamedTuple
 
 import numpy as np
 
-from fvs_ros.vectors import plausible
+from fvs_ros.vectors import largest, plausible
 
 #: Fastest joint, rad/s, and slack of a step between two joint states, rad: more is a jump.
 _FASTEST_RAD_S, _JUMP_RAD = 1.5 * pi, 0.1
@@ -40,31 +39,7 @@ MAX_LATENCY_S = 0.5
 
 def possible_step_rad(passed_s: float) -> float:
     """The largest step that a joint can make in this time, s."""
-    return _JUMP_RAD + _FASTEST_RAD_S * passed_s
-
-
-def jump_of(step_rad: np.ndarray, passed_s: float) -> int | None:
-    """The joint that made an impossible step, rad, (n,), in this time, s; None if none did.
-
-    A time that is not positive is that of two clocks, and says nothing.
-    """
-    joint = int(np.abs(step_rad).argmax())
-    possible_rad = possible_step_rad(passed_s)
-    return joint if passed_s > 0.0 and abs(step_rad[joint]) > possible_rad else None
-
-
-def jump_words(
-    names: Sequence[str], before_rad: np.ndarray, joints_rad: np.ndarray, passed_s: float
-) -> str:
-    """Describe an impossible step to these joints, rad, (n,); empty if it is none."""
-    joint = jump_of(joints_rad - before_rad, passed_s)
-    if joint is None:
-        return ""
-    step_rad = abs(joints_rad[joint] - before_rad[joint])
-    doubt = "do two nodes publish joint states?"
-    if np.abs(joints_rad).max() > 4.0 * pi:
-        doubt = "are they in degrees, expected rad, or do two nodes publish joint states?"
-    return f"{names[joint]} jumped by {step_rad:.2f} rad in {passed_s:.3f} s; {doubt}"
+    return _JUMP_RAD + _FASTEST_RAD_S * abs(passed_s)
 
 
 def repeats(stamp_s: float, last_s: float | None) -> bool:
@@ -210,7 +185,8 @@ class Timeline:
         if not (np.isfinite(stamp_s) and plausible(joints_rad)):
             return []
         newest, newest_s = self.joints.newest, self.joints.newest_stamp_s
-        if newest_s is not None and jump_of(joints_rad - newest, stamp_s - newest_s) is not None:
+        passed_s = 0.0 if newest_s is None else stamp_s - newest_s
+        if passed_s > 0.0 and largest(joints_rad - newest) > possible_step_rad(passed_s):
             self.joints.clear()
             self._drop("the joints jumped", len(self._waiting))
         if not self.joints.add(stamp_s, joints_rad):

@@ -26,7 +26,6 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
-from fvs_ros.timeline import jump_words
 from fvs_tools.bag import NOTES
 from fvs_tools.scenario import read_yaml_file
 
@@ -94,7 +93,7 @@ class RecordedJoints:
     """Judges the joint states of a bag as the controller does."""
 
     def __init__(self, joint_map: JointMap) -> None:
-        self._map, self._last = joint_map, (0.0, np.zeros(0))
+        self._map = joint_map
         #: What was wrong with any, by its kind: when first, s, in words, and how often.
         self.problems: dict[str, tuple[float, str, int]] = {}
         #: What devices had joint states of their own.
@@ -114,9 +113,6 @@ class RecordedJoints:
         else:
             if stamp_s == 0.0:
                 why = "joint_states have no stamp (0): their publisher has to set it"
-            elif self._last[1].size:
-                why = jump_words(self._map.names, self._last[1], joints, stamp_s - self._last[0])
-            self._last = stamp_s, joints
         if why:
             kind = re.sub(r"\d+", "", why)
             first_s, words, times = self.problems.get(kind, (arrival_s, why, 0))
