@@ -124,19 +124,14 @@ class RandomMotion:
         half, config = self._half, self._config
         acceleration = _TURNING_SHARE * config.max_joint_acceleration_rad_s2
         # In a narrow box a joint cannot reach the speed limit, so the shares refer to its reachable
-        # speed. All joints turn equally softly; with sharper turns slow joints would almost catch
-        # up.
+        # speed.
         sine_speed = np.sqrt(acceleration * half / _turn_factor(_SHARPNESS[0]))
         top = np.minimum(config.path_speed_rad_s, sine_speed)
         speed = top * _unequal_shares(half, top, rng)
         self._phase_rad = rng.uniform(0.0, 2.0 * math.pi, len(half))
-        least, most = (np.full(len(half), one) for one in _SHARPNESS)
-        most = np.where(top == config.path_speed_rad_s, most, least)
-        for _ in range(50):  # bisection
-            middle = 0.5 * (least + most)
-            allowed = speed**2 * _turn_factor(middle) <= acceleration * half
-            least, most = np.where(allowed, middle, least), np.where(allowed, most, middle)
-        self._sharpness = k = least
+        sharp = np.linspace(*_SHARPNESS, 500)
+        allowed = acceleration * half / np.maximum(speed, 1e-9) ** 2
+        self._sharpness = k = np.interp(allowed, _turn_factor(sharp), sharp)
         self.rate_rad_s = speed * np.arcsin(k) / (np.where(half > 0.0, half, np.inf) * k)
 
     def end_early(self, time_s: float) -> None:

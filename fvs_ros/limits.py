@@ -186,7 +186,7 @@ class JointLimits(ArmJoints):
         "Distance from the end of its range at which a joint begins to slow down, rad; a data set "
         "is collected outside of it.",
         0.01,
-        2.0,
+        0.5,  # a quarter of the shortest range, in units of a joint's share
     )
 
     #: The prismatic joints, by their names in robot_description; no parameter.
@@ -254,12 +254,8 @@ class JointLimits(ArmJoints):
 
     @cached_property
     def margin_rad(self) -> np.ndarray:
-        """Distance from the end at which each joint begins to slow down, rad, (n,).
-
-        At most a quarter of its range.
-        """
-        most = 0.25 * (self.upper_rad - self.lower_rad)
-        return np.minimum(self.joint_limit_margin_rad * self.share, most)
+        """Distance from the end at which each joint begins to slow down, rad, (n,)."""
+        return self.joint_limit_margin_rad * self.share
 
     @cached_property
     def _joints(self) -> list[tuple[float, float, float]]:
