@@ -15,6 +15,8 @@ _SIGMAS, _ZERO_OFF_RAD = 5.0, np.radians(0.2)
 GOOD, USABLE = (0.001, np.radians(0.1)), (0.01, np.radians(1.0))
 #: With a zero of this size, rad, the joint turns the other way, or is another.
 OTHER_RAD = np.radians(10.0)
+#: No camera is as near to the origin of the arm's base, m, which is inside of it.
+_IN_BASE_M = 0.001
 #: A remedy that leaves this share of the deviation is none.
 _NO_HELP = 0.8
 
@@ -138,6 +140,12 @@ class Calibration:
             return "unusable", f"{name} {turned}"
         if not within(USABLE):
             return "unusable", f"{exact}: {self._remedy()}"
+        away_m = np.linalg.norm(np.reshape(self.arm.base_m, (-1, 3)) - self.translation_m, axis=1)
+        if away_m.min(initial=np.inf) < max(_IN_BASE_M, 3.0 * self.deviation_m):
+            return "unusable", (
+                f"{self.camera} is where the arm's base is: these are places that the robot says "
+                "it has, not what a camera sees; name the topic of ball or tag"
+            )
         if self.displaced is not None:
             return "poor", f"{self.displaced}; {exact}"
         if not within(GOOD):

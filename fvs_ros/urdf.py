@@ -261,6 +261,8 @@ class Kinematics:
     tip_m: np.ndarray  # (3,)
     #: Whether zeros and links are exact: of a hand whose pose is measured.
     exact: bool = False
+    #: Where the links are that no joint moves, before the first that does, m.
+    base_m: tuple[tuple[float, ...], ...] = ()
 
     def chain(self, feature_m: np.ndarray) -> SerialChain:
         """The arm with what it carries, given at zero in the root's frame, m, (m,)."""
@@ -308,7 +310,7 @@ def kinematics(
     tip, moving = moving_chain(joints, link, known)
     path = _path(joints, tip)
     rotation, place_m = np.eye(3), np.zeros(3)
-    axes, points_m = [], []
+    axes, points_m, base_m = [], [], [(0.0, 0.0, 0.0)]
     for one in path:
         place_m = place_m + rotation @ np.array(one.xyz_m)
         for angle, about in zip(one.rpy_rad[::-1], np.eye(3)[::-1], strict=True):
@@ -319,8 +321,18 @@ def kinematics(
                 raise ValueError(f"joint {one.name[:60]!r} of the URDF has no axis")
             axes.append(rotation @ axis / np.linalg.norm(axis))
             points_m.append(place_m)
+        elif not axes:
+            base_m.append(tuple(place_m.tolist()))
     prismatic = np.array([one.kind == "prismatic" for one in moving], dtype=float)
     names = tuple(one.name for one in moving)
     return Kinematics(
-        path[0].parent, tip, names, np.array(axes), np.array(points_m), prismatic, rotation, place_m
+        path[0].parent,
+        tip,
+        names,
+        np.array(axes),
+        np.array(points_m),
+        prismatic,
+        rotation,
+        place_m,
+        base_m=tuple(base_m),
     )

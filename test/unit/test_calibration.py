@@ -321,3 +321,28 @@ def test_a_urdf_of_joints_in_a_ring_ends():
     assert len(kinematics(read_joints(ring), "l1").names) == 2
     with pytest.raises(ValueError, match="no joints: is it a xacro"):
         kinematics(read_joints('<robot name="r"/>'))
+
+
+@pytest.mark.parametrize("stand", ["", "world"])
+def test_what_the_robot_says_of_its_tool_is_no_tag(stand):
+    text = URDF.read_text("utf-8")
+    if stand:
+        text = text.replace(
+            "</robot>",
+            '<joint name="stands" type="fixed"><parent link="world"/><child link="base_link"/>'
+            '<origin xyz="0.5 0 0.8"/></joint></robot>',
+        )
+    arm, data, pose = kinematics(read_joints(text)), collected(seconds=20.0), PoseFeature(0.3)
+    turns, places_m = arm.tip_at(data.joints_rad)
+    base_m = np.array([0.5, 0.0, 0.8]) if stand else np.zeros(3)
+    half = np.diag([-1.0, -1.0, 1.0])  # as a UR's "base" to its "base_link"
+    told = [
+        pose.of(half @ (place_m - base_m), half @ turn.T)
+        for place_m, turn in zip(places_m, turns, strict=True)
+    ]
+    data = replace(
+        data, ball_m=np.array(told), feature="pose", lever_arm_m=0.3, feature_frame="base"
+    )
+    word, reason = calibrate(data, arm).verdict
+    assert word == "unusable"
+    assert "base is where the arm's base is" in reason
