@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import atan
 
 import cv2
 import numpy as np
 
 from fvs_ros.camera import CameraModel, Intrinsics
+from fvs_ros.feature import rotation_matrix
+
+#: A lens that sees by less beyond a pinhole of its focal length needs no other views, rad.
+_BEYOND_RAD = 0.1
 
 
 @dataclass(frozen=True)
@@ -51,10 +56,13 @@ class Region:
 
 
 class Rectifier:
-    """Removes the distortion from a camera's images or parts of them, with the same intrinsics."""
+    """Removes the distortion from a camera's images or parts of them, with the same intrinsics.
 
-    def __init__(self, camera: CameraModel) -> None:
-        self.camera = camera
+    ``turn``, (3, 3), takes the camera's frame to that of a pinhole camera which looks elsewhere.
+    """
+
+    def __init__(self, camera: CameraModel, turn: np.ndarray = np.eye(3)) -> None:  # noqa: B008
+        self.camera, self.turn = camera, turn
         self._maps: tuple[tuple[np.ndarray, np.ndarray], np.ndarray] | None = None
         if not camera.distorts:
             return
@@ -66,9 +74,7 @@ class Rectifier:
             if camera.model == "equidistant"
             else cv2.initUndistortRectifyMap
         )
-        u, v = make(
-            matrix, coefficients, np.eye(3), matrix, (view.width, view.height), cv2.CV_32FC1
-        )
+        u, v = make(matrix, coefficients, turn, matrix, (view.width, view.height), cv2.CV_32FC1)
         # Nearest neighbours need maps of their own: the others' whole parts are rounded down.
         self._maps = (
             cv2.convertMaps(u, v, cv2.CV_16SC2),
@@ -99,3 +105,24 @@ class Rectifier:
             return rgb[part]
         whole, fraction = self._maps[0]
         return cv2.remap(rgb, whole[part], fraction[part], cv2.INTER_LINEAR)
+
+
+def wide_views(camera: CameraModel) -> list[Rectifier]:
+    """The view along the optical axis; and, of a lens that sees more, one to each such side."""
+    view = camera.intrinsics
+    views = [Rectifier(camera)]
+    if camera.model != "equidistant":
+        return views
+    edges = (
+        (view.cx / view.fx, [0.0, 1.0, 0.0]),  # to the left
+        ((view.width - view.cx) / view.fx, [0.0, -1.0, 0.0]),
+        (view.cy / view.fy, [-1.0, 0.0, 0.0]),  # up
+        ((view.height - view.cy) / view.fy, [1.0, 0.0, 0.0]),
+    )
+    for lens_rad, axis in edges:
+        pinhole_rad = atan(lens_rad)
+        if lens_rad - pinhole_rad > _BEYOND_RAD:
+            # As far as the lens sees half of the view has something in it.
+            tilt = np.array(axis) * (lens_rad - 0.5 * pinhole_rad)
+            views.append(Rectifier(camera, rotation_matrix(tilt)))
+    return views

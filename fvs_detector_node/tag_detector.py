@@ -2,31 +2,62 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
 from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.detector import Sighting
-from fvs_detector_node.images import Rectifier, Region
+from fvs_detector_node.images import Rectifier, Region, wide_views
 from fvs_detector_node.tag_corners import TagReader
-from fvs_detector_node.tag_pose import PoseFinder
+from fvs_detector_node.tag_pose import PoseFinder, TagPose
+from fvs_detector_node.tags import Tag
 from fvs_detector_node.tracking import Gate
-from fvs_ros.camera import CameraModel, Intrinsics
+from fvs_ros.camera import CameraModel
 
 #: A tag that was seen within this time, s, is searched for where it was, and as far around as it is
 #: large: at 1 m and 30 Hz it would have to move at 2 m/s to leave.
 _NEAR_S = 0.1
+#: What is beside the camera, or behind it, is drawn far out of its image: by this z of its ray.
+_BESIDE = 0.05
+
+
+class _View:
+    """A pinhole view of the camera's image, and what was seen in it."""
+
+    def __init__(self, rectifier: Rectifier, tag: Tag) -> None:
+        self.rectifier, self.poses = rectifier, PoseFinder(tag)
+        self.seen: tuple[float, Region] | None = None
+
+    def forget(self) -> None:
+        """Forget where the tag was."""
+        self.poses.reset()
+        self.seen = None
+
+    def in_camera(self, pose: TagPose) -> TagPose:
+        """A pose in the view's frame, as the camera's, and its corners, as along its axis."""
+        view, turn = self.rectifier.camera.intrinsics, self.rectifier.turn
+        rays = view.rays(*np.moveaxis(pose.corners_px, -1, 0)) @ turn
+        rays[..., 2] = np.maximum(rays[..., 2], _BESIDE)
+        return replace(
+            pose,
+            position_m=pose.position_m @ turn,
+            rotation=turn.T @ pose.rotation,
+            corners_px=view.project(rays),
+        )
 
 
 class TagDetector:
     """Looks for the tag where it was, else everywhere; its ``gate`` refuses jumps."""
 
     def __init__(self, config: DetectorConfig) -> None:
-        self._rectifier: Rectifier | None = None
-        self._reader, self._poses = TagReader(config.tag), PoseFinder(config.tag)
+        self._reader, self._tag = TagReader(config.tag), config.tag
         self._faces = config.tag.faces
         self.gate = Gate(config.max_ball_speed_m_s)
-        self.reset()
+        self._camera: CameraModel | None = None
+        self._views: list[_View] = []
+        self._last: _View | None = None
 
     def configure(self, config: DetectorConfig) -> None:
         """Take changed parameters into use."""
@@ -35,21 +66,39 @@ class TagDetector:
     def reset(self) -> None:
         """Forget where the tag was."""
         self.gate.reset()
-        self._poses.reset()
-        self._seen: tuple[float, Region] | None = None
+        for view in self._views:
+            view.forget()
 
     def rectified(self, rgb: np.ndarray, camera: CameraModel) -> np.ndarray:
         """The whole colour image that the detections' pixel coordinates refer to."""
-        return self._rectifier_of(camera).colour(rgb, Region.whole(camera.intrinsics))
+        return self._views_of(camera)[0].rectifier.colour(rgb, Region.whole(camera.intrinsics))
 
     def look(
         self, stamp_s: float, rgb: np.ndarray, depth_m: np.ndarray | None, camera: CameraModel
     ) -> Sighting:
         """Look for the tag in a colour image, red first; each exposure is later than the last.
 
-        Depth aligned to it, if there is some, tells apart two poses that fit.
+        Depth aligned to it, if there is some, tells apart two poses that fit. Of a wide lens all
+        views are searched, that in which the tag was last seen first.
         """
-        rectifier, view = self._rectifier_of(camera), camera.intrinsics
+        misses = []
+        for view in sorted(self._views_of(camera), key=lambda one: one is not self._last):
+            ahead = view is self._views[0]
+            sighting = self._look(view, stamp_s, rgb, depth_m if ahead else None)
+            if sighting.found is not None:
+                self._last = view
+                return sighting
+            # Nearer to a pose is a tag whose corners were found; only what is ahead is drawn.
+            misses.append(
+                (sighting.box is None, replace(sighting, box=sighting.box if ahead else None))
+            )
+        return min(misses, key=lambda one: one[0])[1]
+
+    def _look(
+        self, view: _View, stamp_s: float, rgb: np.ndarray, depth_m: np.ndarray | None
+    ) -> Sighting:
+        """Look for the tag in one view."""
+        rectifier, intrinsics = view.rectifier, view.rectifier.camera.intrinsics
         corners_px: dict[int, np.ndarray] = {}
         problem = ""
         for region in self._regions(stamp_s, view):
@@ -60,32 +109,35 @@ class TagDetector:
                     number: one + (region.u0, region.v0) for number, one in corners_px.items()
                 }
                 break
-        self._seen = None
+        view.seen = None
         if not corners_px:
             return Sighting(None, problem)
         if depth_m is not None:
-            depth_m = rectifier.depth(depth_m, Region.whole(view))
-        pose, problem = self._poses.find(stamp_s, corners_px, view, depth_m)
+            depth_m = rectifier.depth(depth_m, Region.whole(intrinsics))
+        pose, problem = view.poses.find(stamp_s, corners_px, intrinsics, depth_m)
         if pose is None:
             return Sighting(None, problem, _bounds(np.concatenate(list(corners_px.values()))))
         # Also where tags of the body are that were not seen.
         corners_m = np.concatenate([one.corners_m for one in self._faces.values()])
-        body_px = view.project(corners_m @ pose.rotation.T + pose.position_m)
-        self._seen = (stamp_s, _bounds(body_px))
+        body_px = intrinsics.project(corners_m @ pose.rotation.T + pose.position_m)
+        view.seen = (stamp_s, _bounds(body_px))
+        pose = view.in_camera(pose)
         return Sighting(pose, self.gate.check(stamp_s, pose.position_m))
 
-    def _regions(self, stamp_s: float, view: Intrinsics) -> list[Region]:
+    def _regions(self, stamp_s: float, view: _View) -> list[Region]:
         """The parts of the image to search, one after the other."""
-        whole = Region.whole(view)
-        if self._seen is None or not 0.0 <= stamp_s - self._seen[0] <= _NEAR_S:
+        camera = view.rectifier.camera.intrinsics
+        whole = Region.whole(camera)
+        if view.seen is None or not 0.0 <= stamp_s - view.seen[0] <= _NEAR_S:
             return [whole]
-        box = self._seen[1]
-        return [box.grown(max(box.width, box.height), view), whole]
+        box = view.seen[1]
+        return [box.grown(max(box.width, box.height), camera), whole]
 
-    def _rectifier_of(self, camera: CameraModel) -> Rectifier:
-        if self._rectifier is None or self._rectifier.camera != camera:
-            self._rectifier = Rectifier(camera)
-        return self._rectifier
+    def _views_of(self, camera: CameraModel) -> list[_View]:
+        if self._camera != camera:
+            self._camera = camera
+            self._views = [_View(one, self._tag) for one in wide_views(camera)]
+        return self._views
 
 
 def _bounds(corners_px: np.ndarray) -> Region:
