@@ -31,6 +31,8 @@ _FOLLOW_TIME_S, _AGAINST_TIME_S, _AGAINST_RAD = 3.0, 0.7, 0.01
 #: A driver holds the last command while this computer stalls: within this time it takes no joint
 #: beyond its range, s. A stall of 0.5 s, and a drive's lag of 0.1 s.
 _HELD_S = 0.6
+#: Time from the first joint state on in which robot_description comes, if there is one, s.
+_DESCRIPTION_S = 2.0
 #: Time without joint states or ball after which the run ends with an error, s. Drivers and
 #: detectors start sooner.
 GIVE_UP_S = 10.0
@@ -91,7 +93,7 @@ class CollectionRun:
         self._timeline = Timeline()
         self._ticked_s = -np.inf
         self._joints: np.ndarray | None = None
-        self._joints_s = self._ball_s = -np.inf
+        self._first_s = self._joints_s = self._ball_s = -np.inf
         self._velocity = self._acceleration = np.zeros(len(self._names))
         self._following = Following()
         self._speed_scaling = 1.0
@@ -131,6 +133,7 @@ class CollectionRun:
         """Take joint positions: arrival on the steady clock and stamp, s; (n,), rad."""
         if not repeats(stamp_s, self._timeline.joints.newest_stamp_s):
             self._joints_s = now_s
+            self._first_s = now_s if self._joints is None else self._first_s
             self._joints = joints_rad
         self._record(self._timeline.add_joints(stamp_s, joints_rad))
 
@@ -141,9 +144,10 @@ class CollectionRun:
             self._record(self._timeline.add_feature(stamp_s, position_m))
 
     def configure(self, config: CollectorConfig) -> None:
-        """Take limits that are known only now; a motion keeps those that it began with."""
-        if self._motion is None:
-            self._config = config
+        """Take limits that are known only now; a motion begins anew within them."""
+        if config != self._config:
+            self._config, self._motion, self._moved_s = config, None, 0.0
+            self._following.restart()
 
     def speed_scaling(self, share: float) -> None:
         """Take the robot's speed scaling, 0 to 1."""
@@ -199,8 +203,12 @@ class CollectionRun:
         others = f"{self._others} commands the arm as well; stop it first" if self._others else ""
         if late:
             self._following.restart()
-        if late or joints is None or ((lost or others) and self._motion is None):
-            self._wait(now_s, State.HOLDING, late or lost or others)
+        unknown = ""
+        if not self._config.ranges_known and now_s - self._first_s < _DESCRIPTION_S:
+            unknown = "no robot_description yet, which may have the joints' ranges"
+        before = (lost or others or unknown) if self._motion is None else ""
+        if late or before or joints is None:
+            self._wait(now_s, State.HOLDING, late or before)
             return None
         if self._motion is None:
             try:

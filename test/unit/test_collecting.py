@@ -276,6 +276,27 @@ def test_a_slide_moves_in_proportion_to_its_range_and_its_sentences_say_m():
         assert words in run.reason
 
 
+@pytest.mark.parametrize("comes_s", [0.5, 4.0], ids=["in time", "in motion"])
+def test_ranges_that_come_late_hold_from_then_on(comes_s):
+    joints = np.array([0.0, 0.1])
+    run = CollectionRun(CollectorConfig(joint_names=("turn", "slide")))
+    for tick in range(round(8.0 / DT_S)):
+        now_s = 5.0 + DT_S * tick
+        if tick == round(comes_s / DT_S):
+            joints = np.array([0.0, 0.1])  # it may be anywhere before
+            run.configure(sliding_arm())
+        run.joint_states(now_s, now_s, joints)
+        run.ball(now_s, now_s, np.array([0.0, 0.0, 1.0]))
+        command = run.tick(now_s, DT_S)
+        waits = tick * DT_S < min(comes_s - DT_S, 2.0)
+        assert not (waits and command.any())
+        if tick * DT_S > comes_s + 0.5:
+            assert abs(command[1]) <= 0.65 * 0.09 + 1e-9
+            assert 0.01 <= joints[1] <= 0.19
+        joints = joints + DT_S * command
+    assert run.state is State.MOVING, run.reason
+
+
 def test_it_waits_while_another_node_commands_the_arm():
     cell = Cell()
     cell.run.other_publishers(["/fvs_controller_node"])
