@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -41,9 +41,9 @@ from fvs_ros.tracker import OUTLIER
 _MIN_SAMPLES = 200
 #: Images, and offsets of the stamps, of the search for the right start.
 _SEARCH_SAMPLES, _SEARCH_OFFSETS = 400, 13
-#: Most random starts for still poses; each is solved in so many charts of so many evaluations.
-#: Seven of ten reach the best optimum.
-_RANDOM_STARTS, _CHARTS, _IN_A_CHART = 30, 8, 15
+#: Random starts for still poses, at least and at most; each is solved in so many charts of so many
+#: evaluations. Seven of ten reach the best optimum.
+_LEAST_STARTS, _MOST_STARTS, _CHARTS, _IN_A_CHART = 8, 30, 8, 15
 #: First guess of their residuals, over the spread of the feature; costs of the same optimum differ
 #: by less than this share, or this much, which is 0.4 % of the spread.
 _ROUGH, _SAME, _SAME_COST = 0.1, 0.02, 1e-3
@@ -247,24 +247,41 @@ class _Fitting:
 
         Still poses are too few for a regression, but far apart, so that few wrong optima are left.
         """
-        rng, images = np.random.default_rng(0), np.arange(len(self._ball))
-        joints, middle = self._path.joints_and_velocities(0.0)[0], self._ball.mean(axis=0)
+        rng, joints = np.random.default_rng(0), self._path.joints_and_velocities(0.0)[0]
+        middle, reference = self._ball.mean(axis=0), joints.mean(axis=0)
         spread_m = float(np.linalg.norm(self._ball[:, :3].std(axis=0)))
-        unit = np.broadcast_to(
-            np.eye(middle.size) / (_ROUGH * spread_m), (len(images), middle.size, middle.size)
-        )
         tried: list[_Found] = []
-        while len(tried) < _RANDOM_STARTS:
-            axes, places = rng.normal(size=(2, joints.shape[1], 3))
-            chain = SerialChain(axes, middle[:3] + spread_m * places, middle, joints.mean(axis=0))
-            one = _Found(chain, 0.0, math.inf)
-            for _ in range(_CHARTS):
-                one = self._solve(one, unit, images, evaluations=_IN_A_CHART)
+        while len(tried) < _MOST_STARTS:
+            axes, places = rng.normal(size=(2, len(reference), 3))
+            chain = SerialChain(axes, middle[:3] + spread_m * places, middle, reference)
+            one = self._from_afar(chain, spread_m)
             tried = sorted([*tried, one], key=lambda each: each.cost)
-            best, *second = (each.cost for each in tried[:2])
-            if second and second[0] < (1.0 + _SAME) * best + _SAME_COST:
+            best, *others = (each.cost for each in tried)
+            if len(tried) >= _LEAST_STARTS and others[0] < (1.0 + _SAME) * best + _SAME_COST:
                 break
-        return tried[0]
+        found = tried[0]
+        for joint in range(len(reference)):
+            slopes = found.chain.jacobian(reference)[:3]
+            is_joint = np.arange(len(reference)) == joint
+            shifting = replace(
+                found.chain,
+                axes=np.where(is_joint[:, None], slopes.T, found.chain.axes),
+                prismatic=np.where(is_joint, 1.0, found.chain.prismatic),
+            )
+            found = min(found, self._from_afar(shifting, spread_m), key=lambda each: each.cost)
+        return found
+
+    def _from_afar(self, chain: SerialChain, spread_m: float) -> _Found:
+        """The optimum from a start that may be far from it, by a new chart after some steps."""
+        images, size = self._ball.shape
+        unit = np.broadcast_to(np.eye(size) / (_ROUGH * spread_m), (images, size, size))
+        found = _Found(chain, 0.0, math.inf)
+        for _ in range(_CHARTS):
+            last = found
+            found = self._solve(last, unit, np.arange(images), evaluations=_IN_A_CHART)
+            if found.cost > (1.0 - _SAME) * last.cost:
+                break
+        return found
 
     def finish(self, found: _Found) -> ChainFit:
         """Fit all images, each weighed by its noise along and across the line of sight."""

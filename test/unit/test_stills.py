@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from recordings import relative_error, seen_from_anywhere
+from recordings import random_rotation, relative_error, seen_from_anywhere
 from scipy.spatial.transform import Rotation
 from test_calibration import ARM, CAMERA, TAG, URDF, collected, errors
 from test_recorded import T, message
@@ -15,6 +15,7 @@ from fvs_estimator_node.calibration import CalibrationError
 from fvs_estimator_node.chain_fit import ChainFitError, fit_chain
 from fvs_estimator_node.files import DataSet, load_data_set, load_model, save_data_set
 from fvs_estimator_node.hand_eye import calibrate
+from fvs_ros.chain import SerialChain
 from fvs_ros.feature import PoseFeature
 from fvs_tools import calibrate as calibrating
 from fvs_tools import train as training
@@ -88,6 +89,22 @@ def test_a_chain_is_fitted_to_still_poses(tmp_path):
     few = replace(data, **few, segment=np.arange(20))
     with pytest.raises(ChainFitError, match="at least 27 still poses, the data set has 20"):
         fit_chain(few)
+
+
+def test_a_prismatic_joint_is_found_in_still_poses():
+    """Of a SCARA arm, before a camera that is turned anyhow."""
+    rng, upright = np.random.default_rng(0), np.tile([0.0, 0.0, 1.0], (4, 1))
+    points_m = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.6, 0.0, 0.0], [0.6, 0.0, 0.0]])
+    tag = PoseFeature(0.3).of(np.array([0.65, 0.03, 0.2]), TAG[1])
+    chain = SerialChain(upright, points_m, tag, np.zeros(4), np.array([0.0, 0.0, 1.0, 0.0]))
+    chain = chain.moved(random_rotation(rng), np.array([0.0, 0.0, 1.5]))
+    joints = rng.uniform(-1.0, 1.0, (60, 4)) * [0.8, 0.8, 0.1, 1.0]
+    seen = chain.position(joints) + rng.normal(0.0, 1e-3, (60, 12))
+    fit = fit_chain(
+        DataSet(np.arange(60.0), joints, seen, np.arange(60), feature="pose", still=True)
+    )
+    assert fit.chain.prismatic.tolist() == [0.0, 0.0, 1.0, 0.0]
+    assert np.median(relative_error(fit.chain.jacobian(joints), chain.jacobian(joints))) < 0.006
 
 
 def test_a_bag_of_still_poses_leaves_out_images_in_motion(tmp_path):
