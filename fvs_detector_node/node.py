@@ -15,7 +15,6 @@ import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
-from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
@@ -26,6 +25,7 @@ from fvs_detector_node.tag_detector import TagDetector
 from fvs_detector_node.tag_pose import TagPose
 from fvs_ros import ros, topics
 from fvs_ros.camera import CameraModel
+from fvs_ros.feature import to_quaternion
 from fvs_ros.ros.images import from_color, from_depth
 from fvs_ros.ros.inputs import ArrivalMonitor
 from fvs_ros.topics import CAMERA_PREFIXES
@@ -198,7 +198,7 @@ class DetectorNode(ros.FvsNode):
         exposed_s = pair.stamp_s - self._config.stamp_delay_s
         message: PointStamped | PoseStamped
         if isinstance(found, TagPose):
-            quaternion = Rotation.from_matrix(found.rotation).as_quat()
+            quaternion = to_quaternion(found.rotation)
             message = ros.to_pose(exposed_s, frame, found.position_m, quaternion)
         else:
             message = ros.to_point(exposed_s, frame, found.position_m)

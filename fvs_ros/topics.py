@@ -143,8 +143,8 @@ def _taken(interface: str) -> End:
     return End((Qos.RELIABLE,), given={"command_interface": interface})
 
 
-def _servoed(feature: str, end: End = _RELIABLE, **given: Any) -> End:
-    return replace(end, given={"feature": feature, **end.given, **given})
+def _servoed(feature: str, end: End = _RELIABLE) -> End:
+    return replace(end, given={"feature": feature, **end.given})
 
 
 #: Who takes the feature.

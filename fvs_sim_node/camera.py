@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
+
+from fvs_ros.feature import to_quaternion
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class CameraPose:
     @property
     def quaternion(self) -> np.ndarray:
         """``rotation`` as a unit quaternion (x, y, z, w)."""
-        return Rotation.from_matrix(self.rotation).as_quat(canonical=True)
+        return to_quaternion(self.rotation)
 
 
 #: Named camera poses. ``front`` is in front of the arm and to its side, where the wrist rarely
