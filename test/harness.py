@@ -90,10 +90,10 @@ def ros_arguments(remaps: Mapping[str, str] | None = None, **parameters: Any) ->
     return arguments
 
 
-def children(process: subprocess.Popen) -> list[int]:
+def children(pid: int) -> list[int]:
     """Processes that a process has started and that have not ended."""
-    tasks = Path(f"/proc/{process.pid}/task").glob("*/children")
-    return [int(pid) for task in tasks for pid in task.read_text().split()]
+    tasks = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(child) for task in tasks for child in task.read_text().split()]
 
 
 class Harness:

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from cases import each
 
 from fvs_controller_node.reasons import Reason, State
 from fvs_sim_node.config import SimConfig
@@ -41,7 +41,7 @@ def servo(loop, target, seconds):
     return np.array([[one["way_m"], one["angle_rad"]] for one in parts]).T
 
 
-@pytest.mark.parametrize("scheme", [*SCHEMES, *BEYOND])
+@each("scheme", [*SCHEMES, *BEYOND])
 def test_every_scheme_settles_in_position_and_angle(scheme):
     loop = loop_of(scheme)
     way_m, angle_rad = servo(loop, pose_at(loop, GOAL_RAD), 3.0)
@@ -52,8 +52,8 @@ def test_every_scheme_settles_in_position_and_angle(scheme):
     assert loop.loop.supervisor.last.reason is Reason.SETTLED
 
 
-@pytest.mark.parametrize("scheme", ["best", "proposed"])
-@pytest.mark.parametrize("lever_arm_m", [0.15, 0.6])
+@each("scheme", ["best", "proposed"])
+@each("lever_arm_m", [0.15, 0.6])
 def test_any_lever_arm_does(scheme, lever_arm_m):
     loop = loop_of(scheme, lever_arm_m=lever_arm_m)
     true = loop.simulation.true_task_jacobian(loop.feature, loop.simulation.joints_rad)

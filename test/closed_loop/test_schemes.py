@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from cases import each
 from lock_step import EXACT, ball_at, loop_from, run
 
 from fvs_controller_node.reasons import Reason, State
@@ -149,7 +150,7 @@ def reversed_axes(chain):
     return SerialChain(-chain.axes, chain.points_m, chain.feature_m, chain.reference_rad)
 
 
-@pytest.mark.parametrize("wrong", [turned, reversed_axes])
+@each("wrong", [turned, reversed_axes])
 def test_an_arm_that_is_sent_another_arms_chain_is_held(wrong):
     loop = loop_from("best", HOME_RAD)
     right = loop.loop.add_chain
@@ -210,7 +211,7 @@ def rendered_loop(method="rbf", seed=1, **disturbances):
     return loop, target
 
 
-@pytest.mark.parametrize("latency_s", [0.0, 0.04, 0.12])
+@each("latency_s", [0.0, 0.04, 0.12])
 def test_from_a_third_of_a_metre_the_ball_is_on_target_in_time(latency_s):
     loop, target = rendered_loop(latency_s=latency_s)
     for _ in range(2):

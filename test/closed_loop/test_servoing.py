@@ -3,7 +3,7 @@
 import dataclasses
 
 import numpy as np
-import pytest
+from cases import each
 from lock_step import EXACT, ball_at, loop_from, run
 
 from fvs_controller_node.reasons import Reason, State
@@ -22,7 +22,7 @@ def servo(name, seconds=3.0, **values):
     return loop, *run(loop, target_m, seconds)
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "values"),
     [
         *((name, {}) for name in ALL),
@@ -33,7 +33,6 @@ def servo(name, seconds=3.0, **values):
         ("best", {"max_joint_jerk_rad_s3": 200.0}),
         ("proposed", {"max_joint_jerk_rad_s3": 200.0}),
     ],
-    ids=str,
 )
 def test_from_30_cm_it_settles_within_the_limits_and_stays_exact_and_calm(name, values):
     loop, commands, errors_m = servo(name, **values)
@@ -52,7 +51,7 @@ def test_from_30_cm_it_settles_within_the_limits_and_stays_exact_and_calm(name, 
     assert np.abs(np.diff(commands, 2, axis=0)).max() <= jerk * loop.period_s**2 + 1e-12
 
 
-@pytest.mark.parametrize("rate_hz", [60, 500, 1000])
+@each("rate_hz", [60, 500, 1000])
 def test_any_rate_of_joint_states_will_do(rate_hz):
     rates = {"joint_state_rate_hz": rate_hz, "physics_rate_hz": 0}
     simulation = Simulation(dataclasses.replace(EXACT.sim_config(), **rates))
@@ -63,7 +62,7 @@ def test_any_rate_of_joint_states_will_do(rate_hz):
     assert errors_m[round(1.5 / loop.period_s) :].max() < 0.005
 
 
-@pytest.mark.parametrize("name", ALL)
+@each("name", ALL)
 def test_a_frozen_image_with_fresh_stamps_is_found_before_the_arm_goes_far(name):
     loop, _, errors_m = servo(name, 0.2)
     add_feature, frozen_m = loop.loop.add_feature, loop.ball_m
@@ -95,11 +94,10 @@ def follow(name, speed_m_s, noise_m, feed_forward):
     return np.sqrt(np.mean(np.square(errors_m[late:]))), np.sqrt(np.mean(steps**2))
 
 
-@pytest.mark.parametrize("name", ["proposed", "extended", "best"])
-@pytest.mark.parametrize(
+@each("name", ["proposed", "extended", "best"])
+@each(
     ("speed_m_s", "noise_m", "share", "step_share", "most_m"),
     [(0.1, 0.0, 0.34, 2.0, 0.002), (0.0, 3e-3, 1.2, 1.2, 0.0023)],
-    ids=["moving", "noisy"],
 )
 def test_feed_forward_follows_a_moving_target_and_leaves_the_noise_of_a_still_one(
     name, speed_m_s, noise_m, share, step_share, most_m

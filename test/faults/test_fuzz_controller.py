@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,16 +23,15 @@ README = Path(__file__).resolve().parents[2] / "README.md"
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of numpy, about odd numbers
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_no_promise_is_broken_whatever_happens(seed):
-    counts, broken = bench_fuzz.play(1000 * seed, ticks=8_000)
+def test_no_promise_is_broken_whatever_happens():
+    counts, broken = bench_fuzz.play(0, ticks=5_000)
     assert not broken, broken
-    assert counts["moving"] > 1000
+    assert counts["moving"] > 600
 
 
 def test_nothing_but_a_start_starts_it(monkeypatch):
     monkeypatch.setattr(World, "start", lambda _self: None)
-    _, broken = bench_fuzz.play(0, ticks=4_000)
+    _, broken = bench_fuzz.play(0, ticks=1_500)
     assert not broken, broken
 
 
@@ -68,7 +68,7 @@ def test_every_reason_is_met():
     assert met == {reason.name for reason in Reason}
 
 
-@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda one: f"{one.row}: {one.promise}")
+@each("mutant", MUTANTS)
 def test_a_controller_that_lacks_a_row_of_the_safety_table_is_found_out(mutant):
     assert bench_mutants.caught(mutant)
 
@@ -84,7 +84,7 @@ def test_every_row_of_the_safety_table_is_promised():
 # ---- scripts that once broke a promise --------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@each(
     "trouble",
     [
         do("robot", running=False),
@@ -92,7 +92,6 @@ def test_every_row_of_the_safety_table_is_promised():
         do("odd_joints", odd={0: np.nan}),
         do("odd_ball", {1: np.inf}),
     ],
-    ids=["program", "speed slider", "joints", "ball"],
 )
 def test_a_pause_or_a_bad_message_stops_at_once_an_arm_that_is_coming_to_rest(trouble):
     machine = bench_mutants.play([do("work"), do("silence", [BALL], ticks=32)], end=False)

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from cases import each
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, Quaternion
 from hypothesis import given, settings
@@ -95,7 +96,7 @@ def unless_refused(read, *arguments):
         return None
 
 
-@pytest.mark.parametrize("name", READERS)
+@each("name", READERS)
 def test_a_message_is_finite_arrays_of_the_right_shape_or_refused_in_words(name):
     messages, read, shapes = READERS[name]
 
@@ -134,9 +135,7 @@ def test_what_is_written_is_read_as_it_was(jacobian, point, sec, velocity):
     assert ros.from_stamp(message.header.stamp) == sec
 
 
-@pytest.mark.parametrize(
-    "velocity", [np.full(6, np.nan), np.array([0.0] * 5 + [np.inf]), np.zeros((2, 3))]
-)
+@each("velocity", [np.full(6, np.nan), np.array([0.0] * 5 + [np.inf]), np.zeros((2, 3))])
 def test_a_command_that_is_not_finite_numbers_is_never_made(velocity):
     with pytest.raises(ros.MessageError):
         ros.to_command(velocity)
@@ -162,7 +161,7 @@ def with_dimensions(count):
     return Float64MultiArray(layout=MultiArrayLayout(dim=[MultiArrayDimension()] * count))
 
 
-@pytest.mark.parametrize(
+@each(
     ("small", "large"),
     [
         (*(PointStamped(header=Header(frame_id=frame)) for frame in ("camera", "x" * 10**6)),),

@@ -64,9 +64,9 @@ def test_a_killed_worker_neither_stops_nor_jerks_the_arm_and_ctrl_c_leaves_zeros
         joint_range_rad=0.3,  # all in view
         use_sim_time=True,
     )
-    ros_test.spin_until(lambda: children(collector), 60.0)
+    ros_test.spin_until(lambda: children(collector.pid), 60.0)
     before, told = len(commands), len(statuses)
-    for pid in children(collector):
+    for pid in children(collector.pid):
         os.kill(pid, signal.SIGKILL)
     ros_test.spin_until(lambda: "for the whole duration" in statuses[-1].message)
     ros_test.spin_for(1.0)
@@ -75,7 +75,7 @@ def test_a_killed_worker_neither_stops_nor_jerks_the_arm_and_ctrl_c_leaves_zeros
     assert len(sent) > 30
     assert np.abs(sent).max(axis=1).min() > 0.05
     assert np.abs(np.diff(sent, axis=0)).max() < 3.0 * 0.05 + 1e-9
-    assert children(collector) == []
+    assert children(collector.pid) == []
     assert ros_test.stop(collector, signal.SIGINT) == 0
     ros_test.spin_for(0.2)
     assert not np.any([m.data for m in commands[-3:]])

@@ -79,7 +79,7 @@ def test_ctrl_c_in_motion_ends_all_with_zeros_last(ros_test):
     ros_test.spin_until(
         lambda: commands and max(np.abs(commands[-1].data)) > 0.3, 20.0, "the arm to move"
     )
-    nodes = children(process)
+    nodes = children(process.pid)
     assert len(nodes) == 3
     assert ros_test.stop(process, signal.SIGINT) == 0, ros_test.output(process)
     ros_test.spin_for(0.2)
@@ -101,15 +101,19 @@ def test_nothing_in_the_current_folder_is_run_and_a_killed_launcher_leaves_nothi
         (here / "pickle.py").unlink()
         (here / "signal.py").unlink()
     truths = ros_test.collect(PointStamped, "fvs_sim_node/true_ball_position")
-    images = ros_test.collect(
-        Image, topics.COLOR_IMAGE.name
-    )  # for which the simulator starts a process
+    # For a look at the images the simulator starts a process.
+    ros_test.node.create_subscription(Image, topics.COLOR_IMAGE.name, lambda _: None, 1)
     process = subprocess.Popen(
         [*program(MODULE), "servo"], cwd=here, env=ros_test.environment, stdout=subprocess.DEVNULL
     )
     try:
-        ros_test.spin_until(lambda: bool(truths and images), 30.0, "the simulator and its images")
-        nodes = children(process)
+        nodes = []
+
+        def renders():
+            nodes[:] = children(process.pid)
+            return bool(truths) and any(map(children, nodes))
+
+        ros_test.spin_until(renders, 30.0, "the simulator, and a process of its own")
     finally:
         process.kill()
         process.wait()
@@ -122,7 +126,7 @@ def test_nothing_in_the_current_folder_is_run_and_a_killed_launcher_leaves_nothi
 def test_a_signal_at_any_moment_of_the_start_ends_all(ros_test, delay_s):
     process = ros_test.start(MODULE, "servo")
     ros_test.spin_for(delay_s)
-    nodes = children(process)
+    nodes = children(process.pid)
     assert ros_test.stop(process, signal.SIGINT) == 0, ros_test.output(process)
     assert not any(alive(pid) for pid in nodes)
     assert "Traceback" not in ros_test.output(process)
@@ -132,7 +136,7 @@ def test_a_node_that_dies_brings_all_down_and_is_named(ros_test):
     process = ros_test.start(MODULE, "servo")
     truths = ros_test.collect(PointStamped, "fvs_sim_node/true_ball_position")
     ros_test.spin_until(lambda: bool(truths), 30.0, "the simulator")
-    nodes = children(process)
+    nodes = children(process.pid)
     estimator = next(pid for pid in nodes if "fvs_estimator_node" in command_line(pid))
     os.kill(estimator, signal.SIGKILL)
     assert ros_test.wait(process) == 1

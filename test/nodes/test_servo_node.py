@@ -54,7 +54,7 @@ def test_an_arm_whose_robot_dies_stops_alone(ros_test):
 
 def test_the_launcher_runs_both_in_one_process(ros_test):
     loop = Launched(ros_test, "--one-process", "-p", f"{ESTIMATOR}:method:=lkf")
-    assert len(children(loop.process)) == 2
+    assert len(children(loop.process.pid)) == 2
     loop.reach(np.array(TARGETS[0]))
     (refused,) = ros_test.set_parameters(CONTROLLER, method="rbf")
     assert "unknown parameter 'method'" in refused.reason

@@ -21,7 +21,7 @@ MODULE = "fvs_sim_node.node"
 @pytest.fixture
 def simulator(ros_module, ros_beside):
     """One beside a simulator that other tests use as well; it is put back afterwards."""
-    ros_module.keep(MODULE, full_frame_rate_hz=3.0)
+    ros_module.keep(MODULE)
     yield ros_beside
     live = {parameter.name: parameter.default for parameter in PARAMETERS if parameter.live}
     assert all(result.successful for result in ros_beside.set_parameters("fvs_sim_node", **live))
@@ -76,7 +76,10 @@ def test_it_obeys_a_command_in_kinematic_order_and_holds_it(simulator):
     simulator.spin_until(lambda: np.abs(positions(states[-1]) - start).max() < 1e-3)
 
 
-def test_images_are_rendered_for_subscribers_and_agree_with_camera_info(simulator):
+def test_images_are_rendered_for_subscribers_and_agree_with_camera_info(ros_test):
+    simulator = ros_test
+    slow = {"joint_state_rate_hz": 50, "image_rate_hz": 5.0}
+    simulator.start_node(MODULE, simulated_time=True, **slow)
     states = simulator.collect(JointState, topics.JOINT_STATES.name)
     infos = simulator.collect(CameraInfo, topics.CAMERA_INFO.name, ros.QOS_RELIABLE)
     simulator.spin_until(lambda: states and infos, what="camera_info without a look at images")

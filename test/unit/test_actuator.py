@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import each
 
 from fvs_sim_node.actuator import Actuator
 from fvs_sim_node.config import SimConfig
@@ -35,15 +36,15 @@ def test_dead_time_then_ramp_then_command_for_ever():
     np.testing.assert_allclose(run(make(), 500, 50.0)[-1], np.pi, atol=1e-6)  # the fastest
 
 
-@pytest.mark.parametrize(("lag_s", "joint_lag_s"), [(0.1, 0.0), (0.0, 0.1)])
+@each(("lag_s", "joint_lag_s"), [(0.1, 0.0), (0.0, 0.1)])
 def test_lag_is_first_order(lag_s, joint_lag_s):
     velocity = run(make(**{**QUICK, "lag_s": lag_s, "joint_lag_s": joint_lag_s}), 30, 1.0)[:, 2]
     time_s = DT_S * np.arange(1, 31)
     np.testing.assert_allclose(velocity, 1.0 - np.exp(-time_s / 0.1), atol=1e-12)
 
 
-@pytest.mark.parametrize("joint_lag_s", [0.0, 0.05])
-@pytest.mark.parametrize("way", [1.0, -1.0])
+@each("joint_lag_s", [0.0, 0.05])
+@each("way", [1.0, -1.0])
 def test_joint_stops_at_its_limit_and_leaves_it_as_from_rest(way, joint_lag_s):
     end = WIDE.copy()
     end[1] = 0.1

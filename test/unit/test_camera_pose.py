@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import ur5_dh
+from cases import each
 from recordings import Recording, relative_error, turn, ur5_chain
 
 from fvs_estimator_node.camera import (
@@ -39,7 +40,7 @@ def off_deg(camera, rotation):
     return np.degrees(rotation_angle_rad(camera.rotation.T @ rotation))
 
 
-@pytest.mark.parametrize("degrees", [1.0, 20.0, 90.0, 180.0])
+@each("degrees", [1.0, 20.0, 90.0, 180.0])
 def test_any_turn_and_shift_is_found_in_half_a_metre(degrees):
     rng = np.random.default_rng(int(degrees))
     rotation, shift = turn(rng.normal(size=3), np.radians(degrees)), 0.3 * rng.normal(size=3)
@@ -51,7 +52,7 @@ def test_any_turn_and_shift_is_found_in_half_a_metre(degrees):
     np.testing.assert_allclose(seen, rotation @ balls[-1] + shift, atol=0.002)
 
 
-@pytest.mark.parametrize("noise_m", [NOISE_M, 0.006])
+@each("noise_m", [NOISE_M, 0.006])
 def test_noise_turns_no_camera_that_stands(noise_m):
     rng, camera, off = np.random.default_rng(0), CameraPose(), []
     balls = path(500, rng)
@@ -63,7 +64,7 @@ def test_noise_turns_no_camera_that_stands(noise_m):
     assert camera.bumps == 0
 
 
-@pytest.mark.parametrize("prior", [(0.01, 1000.0), (0.14, 30.0)], ids=["chain", "networks"])
+@each("prior", [(0.01, 1000.0), (0.14, 30.0)])
 def test_a_long_way_along_one_line_forgets_nothing(prior):
     rng, camera, balls = (
         np.random.default_rng(0),
@@ -116,7 +117,7 @@ def test_the_jacobian_behind_a_turned_camera(networks, method, within):
     np.testing.assert_array_equal(estimator.jacobian(joints[0]), begun)
 
 
-@pytest.mark.parametrize("bumped_s", [np.inf, 10.0])
+@each("bumped_s", [np.inf, 10.0])
 def test_each_bump_is_counted_and_nothing_else(bumped_s):
     recording, turned = Recording(seconds=20.0, outliers=0.0, late_s=0.0), turn([0, 1, 0], 0.3)
     data, estimator = recording.data(), PoeEstimator(recording.chain())

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import ur5_dh
+from cases import each
 from recordings import random_rotation, ur5_chain
 
 from fvs_ros.chain import CHAIN_SHAPES, SerialChain
@@ -20,8 +21,8 @@ def fields(chain):
     return {name: np.array(getattr(chain, name)) for name in CHAIN_SHAPES}
 
 
-@pytest.mark.parametrize("features", [3, 12])
-@pytest.mark.parametrize("count", [1, 4, 6, 7])
+@each("features", [3, 12])
+@each("count", [1, 4, 6, 7])
 def test_the_jacobian_is_the_derivative_of_the_position(count, features):
     chain = random_chain(count, count, features)
     joints = np.random.default_rng(count).uniform(-3.0, 3.0, (20, count))
@@ -71,7 +72,7 @@ def test_a_moved_camera_sees_the_same_arm_elsewhere():
     np.testing.assert_allclose(moved.jacobian(joints), columns.reshape(10, 6, 6), atol=1e-12)
 
 
-@pytest.mark.parametrize("name", CHAIN_SHAPES)
+@each("name", CHAIN_SHAPES)
 def test_a_number_that_is_not_finite_or_beyond_reason_is_refused(name):
     for bad in (np.nan, np.inf, 1e9):
         values = fields(random_chain())

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from cases import each
 
 pytest.importorskip("viser", reason="viser is not installed (pip install 'viser[urdf]')")
 
@@ -32,7 +33,7 @@ def of_meshes(ending):
     return re.sub("<geometry>.*?</geometry>", shape, robot_description(UR5), flags=re.DOTALL)
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "prefix", "base_m"),
     [
         (robot_description(UR5), "", [0.0, 0.0, 0.0]),

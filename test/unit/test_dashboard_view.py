@@ -4,6 +4,7 @@ import socket
 
 import numpy as np
 import pytest
+from cases import each
 from ur5_dh import flange_pose
 
 from fvs_controller_node.loop import ServoLoop
@@ -125,7 +126,7 @@ NEAR, FAR, TOUR = Action("target", (0, 0, 1)), Action("target", (0, 0, 2)), Acti
 SMALL, LARGE = Action("fvs_sim_node/depth_noise", 1.0), Action("fvs_sim_node/depth_noise", 2.0)
 
 
-@pytest.mark.parametrize(
+@each(
     ("said", "done"),
     [
         ((START, NEAR, SMALL, TOUR, FAR, LARGE), [START, TOUR, FAR, LARGE]),
@@ -145,7 +146,7 @@ def test_a_stop_comes_first_and_nothing_wanted_before_it_moves_the_arm(said, don
 # --- who is let in ---
 
 
-@pytest.mark.parametrize(
+@each(
     ("served_at", "host", "origin", "words"),
     [
         ("127.0.0.1", "127.0.0.1:9090", "http://127.0.0.1:9090", ""),  # through a tunnel

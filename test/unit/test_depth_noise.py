@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import each
 
 from fvs_sim_node.camera import add_depth_noise
 
@@ -16,7 +17,7 @@ def noisy(depth, scale=1.0, seed=0):
     return add_depth_noise(depth, FX, np.random.default_rng(seed), scale)
 
 
-@pytest.mark.parametrize(("depth_m", "scale"), [(0.6, 1.0), (1.0, 1.0), (2.0, 1.0), (2.0, 2.0)])
+@each(("depth_m", "scale"), [(0.6, 1.0), (1.0, 1.0), (2.0, 1.0), (2.0, 2.0)])
 def test_spread_grows_with_the_square_of_depth_and_comes_in_whole_millimetres(depth_m, scale):
     values = noisy(flat(depth_m), scale)
     errors = values[values > 0] - depth_m
@@ -27,7 +28,7 @@ def test_spread_grows_with_the_square_of_depth_and_comes_in_whole_millimetres(de
     assert np.mean(values == 0.0) == pytest.approx(0.01 * scale, abs=0.002)
 
 
-@pytest.mark.parametrize(
+@each(
     ("jump_m", "scale", "share"),
     [(1.0, 1.0, 0.5), (0.1, 1.0, 0.5), (0.03, 1.0, 0.01), (1, 0.4, 0.2)],
 )

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import each
 from drawn_balls import RADIUS_M, VGA, draw, hide, red
 
 from fvs_detector_node.detection import BallColour, colour_mask, detect_ball
@@ -38,8 +39,8 @@ def test_an_ideal_ball_is_exact_anywhere_in_the_image():
         assert detection.radius_px == pytest.approx(VGA.fx * RADIUS_M / z, rel=0.15)
 
 
-@pytest.mark.parametrize("shown", [0.75, 0.5, 0.35, 0.23, 0.1])
-@pytest.mark.parametrize("angle", [0.0, 1.0, 2.5, 4.0])
+@each("shown", [0.75, 0.5, 0.35, 0.23, 0.1])
+@each("angle", [0.0, 1.0, 2.5, 4.0])
 def test_a_partly_hidden_ball_is_measured_if_a_quarter_is_seen(shown, angle):
     rows, columns = np.mgrid[:480, :640]
     across = np.cos(angle) * columns + np.sin(angle) * rows
@@ -56,7 +57,7 @@ def test_a_partly_hidden_ball_is_measured_if_a_quarter_is_seen(shown, angle):
     assert detection.quality < shown + 0.06
 
 
-@pytest.mark.parametrize(("u", "least", "most"), [(0, 0.4, 0.62), (8, 0.6, 0.95), (639, 0.4, 0.62)])
+@each(("u", "least", "most"), [(0, 0.4, 0.62), (8, 0.6, 0.95), (639, 0.4, 0.62)])
 def test_a_ball_cut_off_by_the_border_is_measured(u, least, most):
     centre = 1.2 * VGA.rays(float(u), 240.0)
     detection = find([(centre, RADIUS_M)])
@@ -64,7 +65,7 @@ def test_a_ball_cut_off_by_the_border_is_measured(u, least, most):
     assert error_mm(detection, centre) < 2.0
 
 
-@pytest.mark.parametrize(
+@each(
     ("share", "factor", "shift_m"),
     [(0.4, f, 0.0) for f in (0.0, np.nan, np.inf, -1.0)] + [(0.2, 1.0, m) for m in (-0.4, 0.04)],
 )
@@ -76,9 +77,7 @@ def test_no_depth_or_that_of_something_else_does_not_move_the_ball(share, factor
     assert error_mm(find([(CENTRE, RADIUS_M)], spoil), CENTRE) < 0.6
 
 
-@pytest.mark.parametrize(
-    ("share", "found"), [(0.5, False), (0.7, False), (0.95, True), (1.05, True), (1.4, False)]
-)
+@each(("share", "found"), [(0.5, False), (0.7, False), (0.95, True), (1.05, True), (1.4, False)])
 def test_a_ball_of_another_size_is_not_the_ball_and_a_slightly_wrong_radius_is(share, found):
     for z in (0.7, 1.0, 1.3, 1.6):
         centre = np.array([0.05, 0.02, z])
@@ -120,7 +119,7 @@ def poses_in_box(world, rng, count):
         yield CAMERAS["front"].to_camera(world.ball_position())
 
 
-@pytest.mark.parametrize(("noise", "full_mm", "part_mm"), [(0.0, 0.7, 1.0), (1.0, 1.5, 3.0)])
+@each(("noise", "full_mm", "part_mm"), [(0.0, 0.7, 1.0), (1.0, 1.5, 3.0)])
 def test_accuracy_over_random_poses(noise, full_mm, part_mm):
     rng, results, world = np.random.default_rng(11), [], World()
     renderer = Renderer(world.client, VGA)

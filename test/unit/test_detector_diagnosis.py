@@ -4,7 +4,7 @@ import re
 
 import cv2
 import numpy as np
-import pytest
+from cases import each
 from drawn_balls import RADIUS_M, VGA, draw, hide, red
 
 from fvs_detector_node.detection import BallColour, Cause, detect_ball
@@ -27,7 +27,7 @@ def the_ball():
     return draw([(CENTRE, RADIUS_M)])
 
 
-@pytest.mark.parametrize("name", ["min_value", "min_saturation"])
+@each("name", ["min_value", "min_saturation"])
 def test_what_is_said_of_a_ball_too_dark_or_too_pale_helps(name):
     rgb, depth = the_ball()
     if name == "min_value":
@@ -40,7 +40,7 @@ def test_what_is_said_of_a_ball_too_dark_or_too_pale_helps(name):
     assert detect_ball(rgb, depth, VGA, RADIUS_M, BallColour(**{name: lower})) is not None
 
 
-@pytest.mark.parametrize("nothing", [0.0, np.nan, np.inf])
+@each("nothing", [0.0, np.nan, np.inf])
 def test_no_depth_and_where(nothing):
     rgb, depth = the_ball()
     depth[red(rgb)] = nothing
@@ -66,7 +66,7 @@ def flat(rgb, depth):
 OTHER = Cause.OTHER_THING, ("ball_radius_m", "uncover", "align_depth.enable:=true")
 
 
-@pytest.mark.parametrize(
+@each(
     ("spoil", "cause", "hints"),
     [
         (lambda rgb, depth: draw([]), Cause.OUT_OF_VIEW, ("out of view",)),

@@ -5,6 +5,7 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
+from cases import each
 from drawn_balls import RADIUS_M, VGA, draw, hide
 
 from fvs_detector_node.config import DetectorConfig
@@ -41,7 +42,7 @@ def test_a_ball_that_moves_is_found_in_a_window_at_the_same_place_as_in_the_whol
         np.testing.assert_allclose(sighting.found.position_m, fresh.found.position_m, atol=1e-9)
 
 
-@pytest.mark.parametrize("shift_m", [-0.3, 0.05, 0.06, 0.07, 0.08])
+@each("shift_m", [-0.3, 0.05, 0.06, 0.07, 0.08])
 def test_a_ball_that_left_the_window_or_is_cut_by_it_is_measured_whole(shift_m):
     looks = detector(max_ball_speed_m_s=100.0)
     looks.look(0.0, *ball(CENTRE), PINHOLE)
@@ -78,7 +79,7 @@ def distorted(model, coefficients, *pictures):
     return [cv2.remap(one, at, None, cv2.INTER_NEAREST) for one in pictures]
 
 
-@pytest.mark.parametrize(("model", "coefficients"), LENSES)
+@each(("model", "coefficients"), LENSES)
 def test_the_lens_does_not_move_the_ball(model, coefficients):
     camera = camera_model(640, 480, K, model, coefficients)
     centre = np.array([0.33, -0.24, 1.2])
@@ -94,7 +95,7 @@ def test_the_lens_does_not_move_the_ball(model, coefficients):
 
 
 # ----------------------------------------------------------------------------- calibration
-@pytest.mark.parametrize(
+@each(
     ("changes", "said"),
     [
         ({"k": [0.0] * 9}, "not calibrated"),
@@ -124,7 +125,7 @@ def test_a_calibration_may_lack_distortion_or_cut_a_region_out():
     assert camera.intrinsics == dataclasses.replace(VGA, width=320, height=240, cx=219.5, cy=189.5)
 
 
-@pytest.mark.parametrize(
+@each(
     ("names", "coefficients"),
     [
         (("plumb_bob", "rational_polynomial"), LENSES[1][1]),

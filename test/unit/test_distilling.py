@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import ur5_dh
+from cases import each
 from recordings import Recording, relative_error, turn
 
 from fvs_detector_node.config import PARAMETERS
@@ -70,7 +71,7 @@ def test_a_camera_that_was_moved_meanwhile_is_named_first():
     assert 0 < note.index("moved the camera") < note.index("joint names")
 
 
-@pytest.mark.parametrize("late_s", [0.25, -0.25])
+@each("late_s", [0.25, -0.25])
 def test_more_delay_than_is_looked_for_is_named_first(late_s):
     notes = notes_of(Recording(seconds=20.0, late_s=late_s, outliers=0.0))
     assert f"200 ms {'late' if late_s > 0.0 else 'early'} or more" in notes[0]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import each
 
 from fvs_controller_node.base import ControlInput, ControlOutput
 from fvs_controller_node.drive_lag import DriveLag, brake
@@ -28,7 +29,7 @@ def run(lag, delay_ticks, time_constant_s, seconds=6.0, gain=1.0):
     return lag
 
 
-@pytest.mark.parametrize(
+@each(
     ("delay_ticks", "time_constant_s"),
     [(1, 0.0), (3, 0.0), (2, 0.02), (5, 0.05), (8, 0.1), (20, 0.0)],
 )
@@ -39,7 +40,7 @@ def test_dead_time_and_lag_are_found_together(delay_ticks, time_constant_s):
     assert 0.7 * wanted < found < 1.05 * wanted
 
 
-@pytest.mark.parametrize("gain", [0.8, 0.9])
+@each("gain", [0.8, 0.9])
 def test_drives_that_are_slower_than_commanded_seem_to_lag_no_more(gain):
     exact, slow = (run(DriveLag(), 1, 0.05, 8.0, one).lag_s for one in (1.0, gain))
     assert slow == pytest.approx(exact, abs=0.005)
@@ -57,7 +58,7 @@ def test_an_arm_that_is_stuck_lags_by_no_more_than_drives_do():
     assert 0.1 < lag.lag_s < 0.2
 
 
-@pytest.mark.parametrize(("speed", "least", "most"), [(0.0, 0.10, 0.25), (0.02, 0.4, 0.75)])
+@each(("speed", "least", "most"), [(0.0, 0.10, 0.25), (0.02, 0.4, 0.75)])
 def test_at_rest_the_encoders_noise_is_averaged_and_less_in_motion(speed, least, most):
     lag, rng = run(DriveLag(), 1, 0.02), np.random.default_rng(2)
     lag.add(6.0, np.zeros(6), np.zeros(6), compare=False)
@@ -92,7 +93,7 @@ def wanted(velocity_rad_s):
     return ControlOutput(np.asarray(velocity_rad_s), np.zeros(3), np.ones(3))
 
 
-@pytest.mark.parametrize("direction", [[1.0, 0.0, 0.0], [0.6, -0.5, 0.4]])
+@each("direction", [[1.0, 0.0, 0.0], [0.6, -0.5, 0.4]])
 def test_a_law_that_never_slows_down_arrives_within_the_limit_and_does_not_pass(direction):
     error = 0.3 * np.array(direction) / np.linalg.norm(direction)
     speeds, ahead = [], []

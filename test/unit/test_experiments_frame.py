@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from cases import each
 from scipy.stats import bootstrap
 
 from fvs_lab import main
@@ -70,7 +71,7 @@ def test_an_interval_on_both_sides_of_a_bound_decides_nothing():
 # --- claims and tables ---
 
 
-@pytest.mark.parametrize(
+@each(
     ("parts", "all_of", "any_of"),
     [
         ([True, True], True, True),
@@ -112,7 +113,7 @@ def test_a_report_keeps_numbers_and_the_page_keeps_pictures(tmp_path):
 # --- spot check ---
 
 
-@pytest.mark.parametrize(
+@each(
     ("nodes_s", "worst", "holds"),
     [
         ([0.6, 1.12, 0.8], "+0.02", True),

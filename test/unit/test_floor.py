@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cases import each
 from scipy import sparse
 from scipy.optimize import linprog
 
@@ -34,7 +35,7 @@ def test_from_rest_to_rest_the_time_is_that_of_a_trapezium():
     assert LIMITS.rest_s(0.05) == pytest.approx(2.0 * np.sqrt(0.05 / 6.0))
 
 
-@pytest.mark.parametrize("tolerance_m", [0.005, 0.001])
+@each("tolerance_m", [0.005, 0.001])
 def test_a_single_joint_enters_at_the_near_edge_and_brakes_at_the_far_one(tolerance_m):
     # Three joints along three axes, a target on the first: a metre is a radian.
     slopes = np.eye(3, 6)
@@ -48,7 +49,7 @@ def test_a_single_joint_enters_at_the_near_edge_and_brakes_at_the_far_one(tolera
     assert found.time_s == pytest.approx(known_s, rel=1e-3)
 
 
-@pytest.mark.parametrize(
+@each(
     ("case", "tolerance_m"),
     [(CASE, one) for one in BOUNDS_M.values()] + [(case, 0.005) for case in CASES],
 )
@@ -75,7 +76,7 @@ def outside_m(case, time_s, tolerance_m):
     Another way to the same: all speeds of all ticks in one linear programme after the other.
     """
     # Of some ticks those that fit both into the time and into that from rest to full speed.
-    ticks = min(range(26, 46), key=lambda one: abs((one / (6.0 * time_s) + 0.5) % 1.0 - 0.5))
+    ticks = min(range(18, 32), key=lambda one: abs((one / (6.0 * time_s) + 0.5) % 1.0 - 0.5))
     tick_s = time_s / ticks
     count = ticks + round(1.0 / (6.0 * tick_s))  # the ticks until rest
     start_rad, target_m = np.array(case.start_rad), ur5().position(np.array(case.goal_rad))
@@ -114,8 +115,8 @@ def outside_m(case, time_s, tolerance_m):
     return least_m
 
 
-@pytest.mark.parametrize("case", CASES[:3], ids=lambda case: case.name)
-def test_linear_programmes_over_the_whole_motion_find_nothing_faster(case):
+def test_linear_programmes_over_the_whole_motion_find_nothing_faster():
+    case = CASES[0]
     time_s = fastest(case, LIMITS, 0.005).time_s
     assert outside_m(case, 0.99 * time_s, 0.005) > 1e-4
     assert outside_m(case, 1.02 * time_s, 0.005) < 1e-5  # they do find what there is

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
@@ -87,7 +88,7 @@ def closed_loop(gains: FtsmGains, seconds: float, dt_s: float = DT_S, fastest: f
     return np.array(errors), np.array(velocities)
 
 
-@pytest.mark.parametrize("dt_s", [0.002, 0.008, 0.04])
+@each("dt_s", [0.002, 0.008, 0.04])
 def test_the_implicit_law_settles_in_finite_time_without_chatter(dt_s: float):
     errors, velocities = closed_loop(FtsmGains(), 4.0, dt_s)
     settled = np.flatnonzero(np.abs(errors).max(axis=1) > 1e-9)[-1] * dt_s
@@ -98,7 +99,7 @@ def test_the_implicit_law_settles_in_finite_time_without_chatter(dt_s: float):
     assert not np.any(np.diff(np.sign(ball[np.abs(ball).max(axis=1) > 1e-9]), axis=0))
 
 
-@pytest.mark.parametrize("gain", [1.0, 10.0, 50.0])
+@each("gain", [1.0, 10.0, 50.0])
 def test_the_implicit_law_is_stable_at_any_gain(gain: float):
     surface = SlidingSurface(1.0, 2.0 * gain, 1.3 * gain)
     errors, _ = closed_loop(FtsmGains(surface, ReachingLaw(3.0 * gain, gain)), 4.0, 0.04)
@@ -109,7 +110,7 @@ def test_the_implicit_law_is_stable_at_any_gain(gain: float):
 K4_BOUND, K1_BOUND = 2.0 * 2.0 * DT_S / (2.0 + 2.0 * DT_S), 2.0 * 2.0 / (1.0 + DT_S)
 
 
-@pytest.mark.parametrize(
+@each(
     ("k1", "k4", "stable"),
     [(0.1, 0.9 * K4_BOUND, True), (0.1, 1.1 * K4_BOUND, False), (1.05 * K1_BOUND, 0.0, False)],
 )
@@ -120,7 +121,7 @@ def test_the_literal_law_is_stable_up_to_its_bounds_on_a_linear_surface(k1, k4, 
     assert end < 0.3 if stable else np.abs(errors).max() > 10.0
 
 
-@pytest.mark.parametrize(("discretisation", "unrest"), [("implicit", 0.0), ("literal", 1.0)])
+@each(("discretisation", "unrest"), [("implicit", 0.0), ("literal", 1.0)])
 def test_the_literal_law_chatters_where_the_implicit_one_does_not(discretisation, unrest):
     paper = {"lambda1": 0.3, "lambda2": 0.2, "switch_error_m": 0.02}
     surface, reaching = SlidingSurface(1.0, 2.0, 1.3, **paper), ReachingLaw(1.63, 0.067, 0.01, 0.82)

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -55,7 +56,7 @@ def entries_covariance(estimator):
 # --- what each method is ---
 
 
-@pytest.mark.parametrize("method", ONLINE)
+@each("method", ONLINE)
 def test_the_jacobian_of_a_linear_plant_is_learned(method):
     rng = np.random.default_rng(1)
     true = rng.normal(size=(3, 6))
@@ -65,7 +66,7 @@ def test_the_jacobian_of_a_linear_plant_is_learned(method):
     assert estimator.updates == 1000
 
 
-@pytest.mark.parametrize("joints", [6, 2])
+@each("joints", [6, 2])
 def test_the_unscented_filter_is_the_linear_one(joints):
     linear, unscented = (create_estimator(method, None, ZERO) for method in ("lkf", "ukf"))
     config = linear.config
@@ -86,7 +87,7 @@ def test_the_unscented_filter_is_the_linear_one(joints):
         assert shown == pytest.approx(math.sqrt(np.diag(covariance).mean()))
 
 
-@pytest.mark.parametrize("forgetting", [1.0, 0.98])
+@each("forgetting", [1.0, 0.98])
 def test_recursive_least_squares_are_the_batch_ones(forgetting):
     config = OnlineConfig(
         forgetting=forgetting, measurement_noise_m=2e-3, initial_deviation_m_rad=0.3
@@ -184,7 +185,7 @@ def test_no_sequence_of_steps_makes_a_jacobian_that_is_not_finite(method, initia
 # --- beginning and ending ---
 
 
-@pytest.mark.parametrize("method", ONLINE)
+@each("method", ONLINE)
 def test_it_starts_from_the_model_at_the_first_joints_and_reset_starts_again(method):
     rng = np.random.default_rng(13)
     model = random_model()
@@ -203,8 +204,8 @@ def test_it_starts_from_the_model_at_the_first_joints_and_reset_starts_again(met
     np.testing.assert_allclose(asked.jacobian(later), model.jacobian(later))
 
 
-@pytest.mark.parametrize("method", ONLINE)
-@pytest.mark.parametrize("m", [2, 4])
+@each("method", ONLINE)
+@each("m", [2, 4])
 def test_a_start_from_zero_has_the_features_of_the_networks(method, m):
     networks = RbfModel(np.zeros((6, 1, 6)), np.ones((6, 1)), np.ones((6, m, 1)))
     estimator = create_estimator(method, networks, ZERO)

@@ -1,7 +1,7 @@
 """Steps: ball and joint motion between the same two exposures, of one continuous run."""
 
 import numpy as np
-import pytest
+from cases import each
 
 from fvs_estimator_node.loop import StepPairing
 
@@ -22,7 +22,7 @@ def feed(pairing, start, stop, late_s=0.0, ahead_s=0.0, stamp=lambda t: t, joint
     return steps
 
 
-@pytest.mark.parametrize("late_s", [0.0, 0.2])
+@each("late_s", [0.0, 0.2])
 def test_ball_and_joint_motion_belong_to_the_same_exposures(late_s):
     steps = feed(StepPairing(), 0.0, 2.0, late_s)
     assert len(steps) > 40
@@ -60,7 +60,7 @@ def test_a_fresh_sliding_variable_goes_into_steps_and_a_stale_one_does_not():
     assert np.all(steps[-1].sliding_variable == 0.0)
 
 
-@pytest.mark.parametrize(
+@each(
     ("stamp", "words"),
     [
         (lambda t: t - 0.6, "clocks agree"),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 
 from fvs_controller_node.base import ControlInput
 from fvs_controller_node.proportional import ProportionalGains, ProportionalLaw
@@ -230,7 +231,7 @@ def delta_of_28(loop: Loop) -> float:
     return 0.5 * loop.k3 * float(np.sum((1.0 - sigma) * iota + far))
 
 
-@pytest.mark.parametrize("target", ["zero", "offline"])
+@each("target", ["zero", "offline"])
 def test_the_bound_28_holds_with_the_k_of_27_corrected(target: str):
     loop = a_loop(k3=0.4)
     if target == "offline":

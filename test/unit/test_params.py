@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from cases import each
 
 from fvs_ros.params import Parameter, ParameterError, ParameterSet
 
@@ -12,7 +13,7 @@ def test_a_whole_number_is_taken_for_a_number_and_one_for_a_list_where_declared(
     assert BOX.check(2) == [2.0]
 
 
-@pytest.mark.parametrize(
+@each(
     ("one", "wrong", "words"),
     [
         (GAIN, ("2", True, None, np.nan, np.inf, -0.1, 10.1, [1.0]), "gain must be number from 0"),

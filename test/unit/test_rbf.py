@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from cases import each
 
 from fvs_estimator_node.base import MotionStep
 from fvs_estimator_node.rbf import RbfConfig, RbfEstimator, RbfModel
@@ -46,7 +47,7 @@ def test_features_and_columns_are_equations_8_and_9():
     np.testing.assert_allclose(RbfEstimator(model).jacobian(r), columns, rtol=1e-12)
 
 
-@pytest.mark.parametrize("target", ["offline", "zero"])
+@each("target", ["offline", "zero"])
 def test_the_update_is_equation_17_by_hand(target):
     model, rng = random_model(), np.random.default_rng(2)
     config = RbfConfig(n1=0.4, alpha2=0.2, k3=0.05, leak_target=target, mu=1.9)

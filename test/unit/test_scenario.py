@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from cases import each
 
 from fvs_tools.scenario import (
     MARKERS,
@@ -18,7 +19,7 @@ from fvs_tools.schemes import BEYOND, SCHEMES
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 
-@pytest.mark.parametrize("path", sorted(CONFIG.glob("*.yaml")), ids=lambda p: p.stem)
+@each("path", sorted(CONFIG.glob("*.yaml")))
 def test_every_scenario_passes_its_declarations(path):
     assert load_scenario(path.stem) == load_scenario(str(path))
 
@@ -36,7 +37,7 @@ def test_overrides_go_to_the_nodes_that_have_the_parameter():
     assert values["fvs_estimator_node"]["model_path"] == "other.npz"
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "overrides", "scheme_name", "words"),
     [
         ("demo", ["law=mpc"], "", "not of the form name:=value"),
@@ -73,7 +74,7 @@ def test_wildcard_parameters_reach_every_node_and_the_file_holds_in_any_namespac
     assert set(content) == {"/**/fvs_sim_node", "/**/fvs_collector_node"}
 
 
-@pytest.mark.parametrize("one", [*SCHEMES.values(), *BEYOND.values()], ids=lambda one: one.name)
+@each("one", [*SCHEMES.values(), *BEYOND.values()])
 def test_a_scheme_sets_method_and_law_and_an_override_wins(one):
     parameters = load_scenario("demo", scheme_name=one.name)
     assert parameters["fvs_estimator_node"]["method"] == one.method
@@ -101,7 +102,7 @@ def test_recorder_and_markers_share_frame_and_time_with_the_loop(tmp_path):
     assert list(load_scenario("demo", markers=True)) == [*loop, MARKERS]
 
 
-@pytest.mark.parametrize("rule", ["a", "a:=", ":=b", "a:=$(id)", "-p:=x", "a:=b\n"])
+@each("rule", ["a", "a:=", ":=b", "a:=$(id)", "-p:=x", "a:=b\n"])
 def test_what_is_no_remap_rule_is_refused(rule):
     with pytest.raises(ValueError, match="not of the form"):
         checked_remap(rule)
@@ -114,7 +115,7 @@ def test_nodes_get_their_enclave_only_where_security_is_on():
     assert enclave_arguments("a_node", "left", {"ROS_SECURITY_ENABLE": "false"}) == []
 
 
-@pytest.mark.parametrize("name", ["ur5_real", "ur5_real_collect"])
+@each("name", ["ur5_real", "ur5_real_collect"])
 def test_a_scenario_for_a_real_robot_is_slow_and_starts_nothing_by_itself(name):
     scenario = load_scenario(name)
     assert "fvs_sim_node" not in scenario

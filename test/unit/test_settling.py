@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from cases import each
 from scipy.integrate import quad, solve_ivp
 
 from fvs_controller_node.ftsm import ReachingLaw
@@ -48,7 +49,7 @@ SLIDES = [
 ]
 
 
-@pytest.mark.parametrize(("y0", "surface"), SLIDES)
+@each(("y0", "surface"), SLIDES)
 def test_the_sliding_time_is_the_corrected_36_to_39(y0: float, surface: SlidingSurface):
     switch, near = surface.switch_error_m, surface.exponent(0.0)
     far = surface.lambda1 - surface.lambda2
@@ -73,8 +74,8 @@ def test_36_runs_to_zero_even_with_its_denominator_corrected():
     assert repaired > 1.04 * to_switch
 
 
-@pytest.mark.parametrize("surface", [REALISTIC, PAPER])
-@pytest.mark.parametrize("y0", [0.9, 0.3, 0.02, 0.003])
+@each("surface", [REALISTIC, PAPER])
+@each("y0", [0.9, 0.3, 0.02, 0.003])
 def test_the_switched_form_is_close_to_the_sliding_time(surface: SlidingSurface, y0: float):
     wanted = integrated_s(y0, 0.0, surface)
     switch = min(y0, surface.switch_error_m)
@@ -86,7 +87,7 @@ def test_the_switched_form_is_close_to_the_sliding_time(surface: SlidingSurface,
     assert sliding_time_s(y0, SlidingSurface(1.0, 3.0, 0.0)) == math.inf
 
 
-@pytest.mark.parametrize("law", [ReachingLaw(), ReachingLaw(1.63, 0.067, 0.125, 0.82)])
+@each("law", [ReachingLaw(), ReachingLaw(1.63, 0.067, 0.125, 0.82)])
 def test_reaching_has_a_closed_form(law: ReachingLaw):
     def rate(_t, s):
         power = np.abs(s) ** (2 * law.sigma - 1)

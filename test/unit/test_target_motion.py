@@ -1,7 +1,7 @@
 """A target that moves: where it is now, how fast, and when it is another one."""
 
 import numpy as np
-import pytest
+from cases import each
 
 from fvs_controller_node.target_motion import TargetMotion, Update, on_own_clock
 
@@ -21,8 +21,8 @@ def told(path, until_s, rate_hz=30.0):
     return motion, float(times_s[-1])
 
 
-@pytest.mark.parametrize("age_s", [0.0, 0.05, 0.1, 0.15])
-@pytest.mark.parametrize("rate_hz", [30.0, 60.0, 100.0])
+@each("age_s", [0.0, 0.05, 0.1, 0.15])
+@each("rate_hz", [30.0, 60.0, 100.0])
 def test_updates_that_are_told_late_are_those_of_a_moving_target_all_the_same(age_s, rate_hz):
     motion, told_s = TargetMotion(), 0.0
     for now_s in np.arange(0.0, 1.0, 0.008):
@@ -37,7 +37,7 @@ def test_updates_that_are_told_late_are_those_of_a_moving_target_all_the_same(ag
     assert not motion.at(now_s + 3.5 / rate_hz + 1.0 / rate_hz).velocity_m_s.any()
 
 
-@pytest.mark.parametrize(
+@each(
     ("position", "after_s"),
     [
         (START + [0.3, 0.0, 0.0], 1 / 30),
@@ -45,7 +45,6 @@ def test_updates_that_are_told_late_are_those_of_a_moving_target_all_the_same(ag
         (START, 0.5),
         (START, -1.0),
     ],
-    ids=["a jump", "a small jump", "a pause", "back in time"],
 )
 def test_what_no_motion_goes_on_to_is_a_new_target(position, after_s):
     motion, last_s = told(lambda t: START, 0.5)
@@ -65,7 +64,7 @@ def noisy(path, noise_m, seed):
     return lambda time_s: path(time_s) + noise_m * rng.normal(size=3)
 
 
-@pytest.mark.parametrize("noise_m", [0.0, 1e-3])
+@each("noise_m", [0.0, 1e-3])
 def test_a_target_that_stops_is_soon_known_to_stand(noise_m):
     motion, _ = told(noisy(lambda t: line(min(t, 2.0)), noise_m, 3), 2.4)
     target = motion.at(2.4)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import each
 
 from fvs_controller_node.prediction import FeaturePredictor
 from fvs_ros.tracker import Image, Tracker
@@ -17,7 +18,7 @@ def follow(tracker, images, motions):
     return np.array(found[1:])
 
 
-@pytest.mark.parametrize("sigma_m", [2e-4, 1e-3, 4e-3])
+@each("sigma_m", [2e-4, 1e-3, 4e-3])
 def test_at_rest_it_learns_the_noise_and_averages_it_away(sigma_m):
     rng = np.random.default_rng(1)
     truth = np.array([0.1, -0.2, 1.3])
@@ -40,7 +41,7 @@ def at_rest(images, truth):
     return errors, predictor.tracker.noise_m
 
 
-@pytest.mark.parametrize("drift_m", [0.0003, 0.003, 0.012])
+@each("drift_m", [0.0003, 0.003, 0.012])
 def test_a_camera_that_is_carried_is_no_noise_and_the_estimate_is_soon_right(drift_m):
     rng = np.random.default_rng(10)
     way = np.concatenate([np.zeros(100), np.cumsum(np.full(60, drift_m)), np.zeros(20)])
@@ -70,8 +71,8 @@ def test_one_wrong_position_within_the_gate_moves_the_estimate_little_however_fa
             assert np.linalg.norm(tracker.estimate_m - before_m) < 1.5e-3
 
 
-@pytest.mark.parametrize("off_m", [0.02, 0.05, 0.2])
-@pytest.mark.parametrize("period", [2, 3, 5])
+@each("off_m", [0.02, 0.05, 0.2])
+@each("period", [2, 3, 5])
 def test_an_image_that_flickers_between_two_things_is_no_noise(period, off_m):
     images = 1e-3 * np.random.default_rng(13).normal(size=(400, 3))
     images[100:][::period] += [off_m, 0.0, 0.0]

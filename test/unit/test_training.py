@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import each
 from ur5_dh import (
     BOX_M_RAD,
     HOME_RAD,
@@ -107,7 +108,7 @@ def test_data_that_cannot_teach_is_refused():
         TrainingOptions(method="magic")
 
 
-@pytest.mark.parametrize("late_s", [0.04, -0.02])
+@each("late_s", [0.04, -0.02])
 def test_a_time_offset_of_the_images_is_found_and_corrected(late_s):
     data, rng = smooth(90.0), np.random.default_rng(0)
     t = data.stamps_s
