@@ -6,7 +6,6 @@ from collections import deque
 from collections.abc import Callable
 from math import inf, isfinite
 from statistics import median
-from typing import Any
 
 import numpy as np
 
@@ -32,21 +31,17 @@ class InputMonitor:
 
     A fault (missing, stale, unusable) lasts until ``fresh_samples`` consecutive good messages.
     ``hint`` names what to check while messages are missing. ``limit`` names the parameter with
-    the largest age; it is empty for an input that may come rarely or never. One that comes slowly
-    may be older, up to ``slow_s``.
+    the largest age; it is empty for an input that may come rarely or never.
     """
 
+    #: An input that comes slowly may be older, up to this, s.
+    slow_s = 0.0
+
     def __init__(
-        self,
-        config: SupervisorConfig,
-        name: str,
-        hint: str = "",
-        limit: str = "",
-        slow_s: float = 0.0,
+        self, config: SupervisorConfig, name: str, hint: str = "", limit: str = ""
     ) -> None:
         self.config, self.name, self._hint, self._limit = config, name, hint, limit
-        self._slow_s, self._intervals_s = slow_s, deque[float](maxlen=_MOST)
-        self._periods_s = 0.0  # what a slow source is allowed
+        self._intervals_s, self._periods_s = deque[float](maxlen=_MOST), 0.0
         self._last_s: float | None = None
         self._streak = 0
         self._trouble = Reason.MISSING if limit else None
@@ -59,8 +54,8 @@ class InputMonitor:
         self.find(now_s)  # a gap since the last one counts, even if no tick saw it
         if self._last_s is not None:
             self._intervals_s.append(now_s - self._last_s)
-        if self._slow_s and len(self._intervals_s) >= _FEWEST:
-            self._periods_s = min(_PERIODS * median(self._intervals_s), self._slow_s)
+        if self.slow_s and len(self._intervals_s) >= _FEWEST:
+            self._periods_s = min(_PERIODS * median(self._intervals_s), self.slow_s)
         self._last_s = now_s
         if self._trouble is not None:
             self._streak += 1
@@ -126,13 +121,9 @@ class Inbox:
     def __init__(self, config: SupervisorConfig, end_session: Callable[[Finding], None]) -> None:
         self._config, self._end_session = config, end_session
         feature = config.servoed
-        hints: dict[str, Any] = {
+        hints = {
             JOINT_STATES: ("is the robot driver (or simulator) running?", "joint_states_max_age_s"),
-            BALL: (
-                f"is the {feature.what} in view, and the detector running?",
-                "ball_max_age_s",
-                MAX_LATENCY_S,  # longer, none is predicted
-            ),
+            BALL: (f"is the {feature.what} in view, and the detector running?", "ball_max_age_s"),
             JACOBIAN: ("is the estimator running?", "jacobian_max_age_s"),
             **dict.fromkeys((KINEMATIC_CHAIN, SPEED_SCALING, ROBOT_DESCRIPTION), ()),
         }
@@ -140,6 +131,7 @@ class Inbox:
             key: InputMonitor(config, feature.seen.name if key == BALL else key, *words)
             for key, words in hints.items()
         }
+        self[BALL].slow_s = MAX_LATENCY_S  # longer, none is predicted
         self._conflict: Finding | None = None  # with another node, and when it commanded last
         self._conflict_s = -inf
         self._program_running: bool | None = None  # never reported

@@ -155,7 +155,7 @@ class JointMap:
             if largest(wrapped) > 4.0 * pi:
                 doubt = f"are they in degrees, expected rad, or {doubt}"
             raise JointStateError(
-                f"{self.names[joint]} jumped by {abs(step[joint]):.2f} rad in {passed_s:.3f} s; "
+                f"{self.names[joint]} jumped by {abs(step[joint]):.2f} rad (m) in {passed_s:.3f} s; "
                 f"{doubt}"
             )
         return wrapped + self._turns_rad

@@ -37,7 +37,9 @@ def test_a_joint_goes_on_where_the_driver_wraps_it(way):
     # Two that publish are no wrap; what may be motion, after a long silence, is.
     wrapped = true[0] - 6 * way * np.pi
     for count, joint in enumerate((4.0, 0.3), 1):
-        with pytest.raises(JointStateError, match=r"b jumped by 3\.70 rad in 0\.008 s; do two"):
+        with pytest.raises(
+            JointStateError, match=r"b jumped by 3\.70 rad \(m\) in 0\.008 s; do two"
+        ):
             joint_map.positions("ab", [wrapped, joint], times_s[-1] + 0.008 * count)
     got = joint_map.positions("ab", [wrapped, 5.3], times_s[-1] + 1.1)
     np.testing.assert_allclose(got, [true[0], 5.3])
