@@ -154,10 +154,8 @@ class JointMap:
             doubt = "do two nodes publish joint states?"
             if largest(wrapped) > 4.0 * pi:
                 doubt = f"are they in degrees, expected rad, or {doubt}"
-            raise JointStateError(
-                f"{self.names[joint]} jumped by {abs(step[joint]):.2f} rad (m) in {passed_s:.3f} s; "
-                f"{doubt}"
-            )
+            jumped = f"{self.names[joint]} jumped by {abs(step[joint]):.2f} rad (m)"
+            raise JointStateError(f"{jumped} in {passed_s:.3f} s; {doubt}")
         return wrapped + self._turns_rad
 
 
