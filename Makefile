@@ -23,7 +23,7 @@ unexport PYTHONPATH AMENT_PREFIX_PATH RMW_IMPLEMENTATION
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo dashboard test coverage experiments replay bench model animation docs lint format clean check-python log-dir
+.PHONY: help demo dashboard test coverage experiments replay bench model docs lint format clean check-python log-dir
 
 help: ## list the targets
 	@echo "usage: make TARGET [PYTHON=python3.11] [ARGS=...]"
@@ -67,9 +67,6 @@ model: $(VENV)/.installed-model log-dir ## record a data set and train the demo'
 	@echo "== train on it: some minutes"
 	@mkdir -p $(dir $(MODEL))
 	@$(BIN)/fvs_train $(DATASET) -o $(MODEL) $(ARGS)
-
-animation: $(VENV)/.installed-demo log-dir ## the README's animation anew, from a simulated run
-	@$(BIN)/python -m fvs_tools.animation docs/images/demo.gif
 
 docs: $(VENV)/.installed-docs log-dir ## the API's pages, from the docstrings; out/docs/index.html
 	@$(BIN)/pdoc --docformat numpy -o out/docs fvs_ros fvs_tools fvs_dashboard fvs_lab fvs_sim_node fvs_detector_node \
