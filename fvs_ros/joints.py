@@ -108,8 +108,8 @@ class JointMap:
         ForeignJointsError
             If the message holds none of the wanted joints.
         JointStateError
-            If some joints are missing, sizes differ, an angle is not finite or implausible, or a
-            joint jumped.
+            If some joints are missing, sizes differ, an angle is not finite or implausible, there
+            is no stamp, or a joint jumped.
         """
         key = tuple(names)
         if key != self._cached_for:
@@ -134,6 +134,8 @@ class JointMap:
                 f"joint_states has a position too large or not finite for {bad}: "
                 "expected rad or m, no degrees"
             )
+        if stamp_s == 0.0:
+            raise JointStateError("joint_states has no stamp (0): its publisher has to set it")
         return positions if stamp_s is None else self._continued(positions, stamp_s)
 
     def _continued(self, wrapped: np.ndarray, stamp_s: float) -> np.ndarray:

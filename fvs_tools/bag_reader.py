@@ -101,23 +101,17 @@ class RecordedJoints:
 
     def take(self, message: Any, arrival_s: float) -> np.ndarray | None:
         """Positions, rad, (n,), kinematic order; None where they cannot be used."""
-        stamp, joints, why = message.header.stamp, None, ""
+        stamp = message.header.stamp
         stamp_s = stamp.sec + stamp.nanosec * 1e-9
         try:
-            joints = self._map.positions(message.name, message.position, stamp_s)
+            return self._map.positions(message.name, message.position, stamp_s)
         except ForeignJointsError as error:
             self.foreign = str(error)
-            return None
         except JointStateError as error:
-            why = str(error)
-        else:
-            if stamp_s == 0.0:
-                why = "joint_states have no stamp (0): their publisher has to set it"
-        if why:
-            kind = re.sub(r"\d+", "", why)
-            first_s, words, times = self.problems.get(kind, (arrival_s, why, 0))
+            kind = re.sub(r"\d+", "", str(error))
+            first_s, words, times = self.problems.get(kind, (arrival_s, str(error), 0))
             self.problems[kind] = first_s, words, times + 1
-        return joints
+        return None
 
 
 @contextmanager

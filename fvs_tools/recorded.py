@@ -123,7 +123,7 @@ def _paired(
         stamp_s, new = from_stamp(message.header.stamp), list[Sample]()
         if is_joints:
             joints = judged.take(message, stamp_s)
-            if joints is not None and stamp_s != 0.0:
+            if joints is not None:
                 new = timeline.add_joints(stamp_s, joints)
         else:
             with suppress(ValueError):  # no position, or no pose

@@ -60,6 +60,8 @@ def test_what_is_missing_is_named_and_odd_joints_end_nothing(ros_test, tmp_path)
     expect("joint_states lacks", joints, JointState(name=names[:3], position=[0.0] * 3))
     expect("not finite", joints, JointState(name=names, position=[np.nan] * 6))
     good = JointState(name=names, position=[0.0] * 6)
+    expect("no stamp", joints, good)
+    good.header.stamp.sec = 1
     expect("frame", joints, good)  # of the ball
     ball_in_frame = PointStamped()
     ball_in_frame.header.frame_id = CAMERA_FRAME

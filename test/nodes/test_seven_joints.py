@@ -1,6 +1,7 @@
 """An arm of seven joints, collected, trained and servoed by the launcher, as a user would."""
 
 import json
+from itertools import count
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -53,9 +54,11 @@ def test_a_bad_description_holds_the_arm_and_a_good_one_gives_its_limits(ros_tes
     description = ros_test.publisher(String, topics.ROBOT_DESCRIPTION.name, ros.QOS_LATCHED)
     joints = ros_test.publisher(JointState, topics.JOINT_STATES.name)
     statuses = ros_test.collect(DiagnosticStatus, topics.CONTROLLER_STATUS.name)
+    stamps = count(1)
 
     def says(words):
-        joints.publish(ros.to_joint_state(0.0, names, np.zeros(7), np.zeros(7)))
+        stamp_s = 0.01 * next(stamps)
+        joints.publish(ros.to_joint_state(stamp_s, names, np.zeros(7), np.zeros(7)))
         return bool(statuses) and words in statuses[-1].message
 
     ros_test.spin_until(lambda: says("the joints' ranges are unknown"), what="unknown ranges")

@@ -116,7 +116,7 @@ def beside_zeros(bag, stamp_s, joints):
         (in_halves, r"joint_states lacks .* it names"),
         (
             lambda bag, stamp_s, joints: bag.write(joint_states(0.0, ARM.names, joints)),
-            "joint_states have no stamp",
+            "joint_states has no stamp",
         ),
         (
             lambda bag, stamp_s, joints: bag.write(
