@@ -45,7 +45,7 @@ def main():
             found, _ = readers[theirs.tag_id].find(grey)
             if not found:
                 continue
-            corners_px = found[theirs.tag_id]
+            corners_px = found[theirs.tag_id].px
             apart = apart_px(corners_px, theirs.corners - HALF_PX)
             if np.abs(apart).max() < 5.0:  # else another tag of the same number
                 sides_px.append(np.linalg.norm(corners_px[1] - corners_px[0]))

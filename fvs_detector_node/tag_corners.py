@@ -1,41 +1,70 @@
-"""Corners of tags in a grey image.
+"""Corners of tags in a grey image, and how exact they are.
 
-OpenCV finds the tags and reads their numbers. Their corners are then measured anew: each side is a
-line through the steepest brightness across it, and a corner is where two sides meet. That is about
-ten times as exact as a corner searched by itself, because a side has dozens of pixels.
+OpenCV finds the tags and reads their numbers. Then the whole pattern, which is known, is laid over
+the image: perspective, brightness and blur are fitted at once, with weights that leave out what
+hides a part. What the fit leaves unexplained gives the covariance of the corners: noise, contrast,
+blur and covers count for what they do.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.special import ndtr
 
 from fvs_detector_node.tags import Tag
 
-#: Samples along a side begin and end at these parts of it: beyond, the next side blurs in.
-_ALONG = 0.1, 0.9
-#: Samples along and across a side that is looked for, and how far across, cells: OpenCV may have
-#: found the paper's edge, a cell outside; from 2 cells inside on the cells look like a side. A cell
-#: counts for at most this, px, or samples would be further apart than what is measured around them.
-_ROUGH, _ROUGH_CELLS, _ROUGH_PX = (12, 21), (-1.5, 0.9), 30.0
-#: Grey levels that are dark: below, ratios are those of noise.
-_DARK = 10.0
-#: Samples across a side that is measured reach this far, px, and over this share of a cell: beyond
-#: is the next one.
-_ACROSS_PX, _ACROSS_CELLS = 4.0, 0.45
-#: A cell is at least as wide and high as this, px: with 2 px corners are off by up to 0.8 px.
-_LEAST_CELL_PX = 2.5
-#: A side is clear if this share of its samples has this share of the usual contrast, and is this
-#: near to the line, px: what hides an end of it would turn it. Paper is wavy: of a long side the
-#: last share counts.
-_CLEAR_SHARE, _CLEAR_CONTRAST, _CLEAR_PX, _WAVY = 0.85, 0.6, 0.4, 0.0075
-#: Deviation of a side's brightness steps over the reach of the samples: at this one, blur moves
-#: corners by 0.3 px; of 2000 blurred tags all that became mirror images were above.
-_BLURRED = 0.5
-#: Most samples along a side, and rounds of measuring around what the last round found.
-_SAMPLES, _ROUNDS = 48, 3
+
+@dataclass(frozen=True)
+class Fitting:
+    """How a pattern is fitted, and what it must be like."""
+
+    #: Least width across a tag, px a cell; OpenCV does not look for smaller squares, since a view
+    #: full of them takes seconds.
+    cell_px: float = 2.5
+    #: Least share of the brightness' variance that the pattern explains: 0.2 to 0.4 where OpenCV
+    #: read a number in noise, 0.9 at a contrast of 12 grey levels.
+    explained: float = 0.8
+    #: Samples lie on both sides of the lines between cells, so many steps away. A step is as long
+    #: as the blur's deviation, but at least so many px, and at most this share of a cell.
+    steps: tuple[float, ...] = (-1.5, -0.5, 0.5, 1.5)
+    step_px: float = 1.5
+    step_cells: float = 0.25
+    #: First guess of the blur's deviation, cells, and the least one, px: with sharper first guesses
+    #: a corner that OpenCV has off by half a cell is lost.
+    blur_cells: float = 0.35
+    sharp_px: float = 0.3
+    #: A residual of so many deviations has a quarter of the weight; what is hidden has none.
+    outlier: float = 6.0
+    #: A residual's deviation is at least that of rounding, grey levels.
+    rounding: float = 0.3
+    #: Rounds at most, and the step of a corner, px, that ends them.
+    rounds: int = 12
+    still_px: float = 0.01
+
+
+FIT = Fitting()
+
+#: The tag's corners in the frame of the fit, homogeneous, (4, 3).
+_SQUARE = np.array([[-1.0, -1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]])
+#: Small homographies are 1 plus these times the eight unknowns, (8, 3, 3).
+_SMALL = np.zeros((8, 3, 3))
+_SMALL[range(6), [0, 0, 0, 1, 1, 1], [2, 0, 1, 2, 0, 1]] = 1.0
+_SMALL[[6, 7], 2, [0, 1]] = -1.0
+
+
+@dataclass(frozen=True)
+class Corners:
+    """Corners of a tag, clockwise from the upper left."""
+
+    px: np.ndarray  # (4, 2)
+    covariance_px2: np.ndarray  # of u and v of the first, of the second, ...: (8, 8)
+
+    def moved(self, u_px: float, v_px: float) -> Corners:
+        """The same corners in an image that begins further left and further up."""
+        return Corners(self.px + (u_px, v_px), self.covariance_px2)
 
 
 class TagReader:
@@ -47,17 +76,20 @@ class TagReader:
             raise ValueError(
                 f"tag_id {last} is not in {tag.tag_dictionary}, which has {count} tags"
             )
-        self.tag, self._cells = tag, tag.cells
-        options = cv2.aruco.DetectorParameters()
-        # A view full of squares that are too small takes seconds; by the larger side, of 640 px.
-        options.minMarkerPerimeterRate = 0.6 * 4.0 * _LEAST_CELL_PX * self._cells / 640.0
-        self._detector = cv2.aruco.ArucoDetector(tag.dictionary, options)
+        self.tag = tag
+        self._patterns = {number: _Pattern(tag, number) for number in tag.faces}
+        self._options = cv2.aruco.DetectorParameters()
+        self._detector = cv2.aruco.ArucoDetector(tag.dictionary, self._options)
 
-    def find(self, grey: np.ndarray) -> tuple[dict[int, np.ndarray], str]:
-        """Corners of the tags, px, (4, 2), clockwise from the upper left; if none, why not.
+    def find(self, grey: np.ndarray) -> tuple[dict[int, Corners], str]:
+        """The corners of the tags by their numbers; if none, why not.
 
-        ``grey`` is of uint8, shape (H, W).
+        ``grey`` is of uint8, shape (H, W), without distortion.
         """
+        # OpenCV wants it as a share of the larger side; OpenCV's outlines are a little too small.
+        perimeter_px = 0.6 * 4.0 * FIT.cell_px * self.tag.cells
+        self._options.minMarkerPerimeterRate = min(perimeter_px / max(grey.shape), 4.0)
+        self._detector.setDetectorParameters(self._options)
         quads, numbers, others = self._detector.detectMarkers(grey)
         seen = [] if numbers is None else numbers.ravel().tolist()
         found, problem = {}, ""
@@ -66,11 +98,13 @@ class TagReader:
                 continue
             if seen.count(number) > 1:
                 return {}, f"{seen.count(number)} tags have the number {number}: cover all but one"
-            corners_px, why = self._measured(grey, quad.reshape(4, 2))
-            if corners_px is None:
-                problem = why
+            corners = self._patterns[number].fitted(grey, quad.reshape(4, 2))
+            if corners is None:
+                problem = "the tag's pattern is not clear: is it covered, or the light too poor?"
+            elif across_px(corners.px) < FIT.cell_px * self.tag.cells:
+                problem = "the tag is too small in the image: bring it nearer or print it larger"
             else:
-                found[number] = corners_px
+                found[number] = corners
         if found:
             return dict(sorted(found.items())), ""
         if problem:
@@ -84,15 +118,6 @@ class TagReader:
             return {}, f"{wanted}, nor another: is tag_dictionary right, the print not mirrored?"
         return {}, f"{wanted}: is it covered, too far, blurred, or without a white border?"
 
-    def _measured(self, grey: np.ndarray, quad_px: np.ndarray) -> tuple[np.ndarray | None, str]:
-        """A tag's corners from those that OpenCV found."""
-        corners_px, problem = refined(grey, quad_px, self._cells)
-        if corners_px is None:
-            return None, problem
-        if across_px(corners_px) < _LEAST_CELL_PX * self._cells:
-            return None, "the tag is too small in the image: bring it nearer or print it larger"
-        return corners_px, ""
-
 
 def across_px(corners_px: np.ndarray) -> float:
     """Width across a tag at its thinnest, px; a tilted one is thinner than its sides are long."""
@@ -100,100 +125,115 @@ def across_px(corners_px: np.ndarray) -> float:
     return float(cv2.contourArea(corners_px.astype(np.float32)) / sides_px.max())
 
 
-def refined(grey: np.ndarray, corners_px: np.ndarray, cells: int) -> tuple[np.ndarray | None, str]:
-    """Corners where the measured sides meet, px, (4, 2); None and why if a side is not clear.
+class _Pattern:
+    """A tag's pattern with its white border, which is fitted to images.
 
-    Parameters
-    ----------
-    grey : ndarray of uint8, shape (H, W)
-        Image, without distortion.
-    corners_px : ndarray, shape (4, 2)
-        About where they are, clockwise in the image.
-    cells : int
-        Number of the tag's cells along a side, with its border.
+    The fit has 16 unknowns: 8 of the perspective, the blur along both axes and oblique to them, how
+    far ink spreads, the contrast, and the brightness of the ink, a plane.
     """
-    corners = np.asarray(corners_px, dtype=float)
-    along = np.linspace(*_ALONG, _ROUGH[0])
-    cell_px = min(across_px(corners) / cells, _ROUGH_PX)
-    across = cell_px * np.linspace(*_ROUGH_CELLS, _ROUGH[1])
-    # What light and shade do to the paper is a factor: ratios tell print from shadow.
-    ratios = np.maximum(np.diff(np.log(_sampled(grey, corners, along, across) + _DARK)), 0.0)
-    middles = 0.5 * (across[1:] + across[:-1])
-    corners = _meeting(corners, middles[_steepest(along, ratios)])
-    for _ in range(_ROUNDS):
-        lengths = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
-        along = np.linspace(*_ALONG, int(np.clip(lengths.mean(), 8, _SAMPLES)))
-        reach = float(np.clip(_ACROSS_CELLS * across_px(corners) / cells, 1.5, _ACROSS_PX))
-        across = np.linspace(-reach, reach, round(4 * reach) + 1)
-        steps = np.maximum(np.diff(_sampled(grey, corners, along, across)), 0.0)
-        contrast = steps.sum(axis=2)
-        middles, whole = 0.5 * (across[1:] + across[:-1]), np.maximum(contrast, 1e-9)
-        offsets = steps @ middles / whole
-        width = np.sqrt(np.maximum(steps @ middles**2 / whole - offsets**2, 0.0))
-        lines, off = zip(
-            *[_line(along, *one) for one in zip(offsets, contrast, strict=True)], strict=True
+
+    def __init__(self, tag: Tag, number: int) -> None:
+        print_ = cv2.aruco.generateImageMarker(tag.dictionary, number, tag.cells) / 255.0
+        self._cells = np.pad(print_, 1, constant_values=1.0)
+        self._lines = np.linspace(-1.0, 1.0, tag.cells + 1)
+        self._pitch = 2.0 / tag.cells
+
+    def fitted(self, grey: np.ndarray, corners_px: np.ndarray) -> Corners | None:
+        """Corners from those that are about right, px, (4, 2); None if the pattern is not there."""
+        corners_px = corners_px.astype(np.float32)
+        matrix = cv2.getPerspectiveTransform(_SQUARE[:, :2].astype(np.float32), corners_px)
+        sides_px = np.linalg.norm(np.roll(corners_px, -1, axis=0) - corners_px, axis=1)
+        px = 4.0 / (sides_px[:2] + sides_px[2:])  # in the frame of the fit
+        blur, light = np.full(2, FIT.blur_cells * self._pitch), np.zeros(6)
+        weights = np.ones((self._lines.size * len(FIT.steps)) ** 2)
+        for turn in range(FIT.rounds):
+            step = np.minimum(np.maximum(FIT.step_px * px, blur), FIT.step_cells * self._pitch)
+            x, y = (self._lines[:, None] + (step[:, None] * FIT.steps)[:, None]).reshape(2, -1)
+            places = matrix @ [np.tile(x, y.size), np.repeat(y, x.size), np.ones(weights.size)]
+            u, v = (places[:2] / places[2]).astype(np.float32).reshape(2, y.size, x.size)
+            values = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            values = values.ravel().astype(float)
+            slopes = self._slopes(x, y, blur, light, values)
+            residual = values - light @ slopes[10:]
+            # Until the pattern is about in place, its blur is as guessed, and nothing is hidden.
+            free = slice(16) if turn else np.r_[:8, 12:16]
+            if turn:
+                spread = 1.4826 * np.median(np.abs(residual)) + FIT.rounding
+                weights = (1.0 + np.square(residual / (FIT.outlier * spread))) ** -2
+            weighted = slopes[free] * weights
+            normal = weighted @ slopes[free].T
+            normal[np.diag_indices_from(normal)] += 1e-6 * normal.diagonal() + 1e-9
+            step = np.zeros(16)
+            step[free] = np.linalg.solve(normal, weighted @ residual)
+            matrix = matrix @ np.linalg.inv(np.eye(3) + np.tensordot(step[:8], _SMALL, 1))
+            if (_SQUARE @ matrix[2]).min() <= 0.0:  # The tag would go through the camera.
+                return None
+            least = np.maximum(FIT.sharp_px * px, 0.5 * blur)
+            blur = np.clip(blur + step[8:10], least, np.maximum(least, 2.0 * blur))
+            light += step[10:]
+            if turn > 1 and (np.abs(step[:8]).max() < FIT.still_px * px).all():
+                break
+        variance = weights @ np.square(values - np.average(values, weights=weights))
+        if not weights @ np.square(residual) < (1.0 - FIT.explained) * variance:
+            return None
+        # What is unexplained has the same cause around one crossing of lines. The sums over these
+        # surroundings are independent, and their scatter gives the covariance.
+        around = (self._lines.size, len(FIT.steps)) * 2
+        sums = (weighted * residual).reshape(16, *around).sum(axis=(2, 4)).reshape(16, -1)
+        scatter = np.linalg.solve(normal, sums)
+        scatter *= (sums.shape[1] / (sums.shape[1] - 16)) ** 0.5
+        # The black square is what has a size, with the ink's spread.
+        corners, moves = _corners(matrix @ np.diag([1.0 + light[1], 1.0 + light[1], 1.0]))
+        moved = moves.T @ scatter[:8] + np.outer(moves[1] + moves[5], scatter[11])
+        return Corners(corners, moved @ moved.T)
+
+    def _slopes(
+        self, x: np.ndarray, y: np.ndarray, blur: np.ndarray, light: np.ndarray, values: np.ndarray
+    ) -> np.ndarray:
+        """Slopes of the brightness by the unknowns, (16, N); the last 6 times ``light`` are it.
+
+        ``light``, (6,), is guessed from the values if it is not known.
+        """
+        (at_x, to_right, wider), (at_y, down, higher) = (
+            _edges(one, self._lines, deviation) for one, deviation in zip((x, y), blur, strict=True)
         )
-        corners = _meeting(corners, lines)
-    near = np.array(off) < np.maximum(_CLEAR_PX, _WAVY * lengths)[:, None]
-    clear = near & (contrast > _CLEAR_CONTRAST * np.median(contrast))
-    if clear.mean(axis=1).min() <= _CLEAR_SHARE:
-        return None, "a side of the tag is hidden or not clear"
-    if np.median(width, axis=1).max() > _BLURRED * reach:
-        return None, "the tag is blurred: focus, expose shorter, or bring it nearer"
-    return corners, ""
+        row, column = x[None, :], y[:, None]
+        slopes = np.empty((16, y.size, x.size))
+        slopes[12], slopes[13] = 1.0, at_y @ self._cells @ at_x.T
+        slopes[14], slopes[15] = row, column
+        if not light.any():
+            light[2:4] = np.linalg.lstsq(slopes[12:14].reshape(2, -1).T, values, rcond=None)[0]
+        along = light[3] * (at_y @ self._cells @ to_right.T)
+        across = light[3] * (down @ self._cells @ at_x.T)
+        both = along * row + across * column
+        slopes[:3] = along, along * row, along * column
+        slopes[3:6] = across, across * row, across * column
+        slopes[6:8] = both * row, both * column
+        slopes[8] = light[3] * (at_y @ self._cells @ wider.T)
+        slopes[9] = light[3] * (higher @ self._cells @ at_x.T)
+        slopes[10] = light[3] * (down @ self._cells @ to_right.T)
+        slopes[11] = -np.hypot(along, across)
+        return slopes.reshape(16, -1)
 
 
-def _outward(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sides, px, and their unit normals out of the tag, each (4, 2)."""
-    sides = np.roll(corners, -1, axis=0) - corners
-    normals = np.column_stack([sides[:, 1], -sides[:, 0]])
-    return sides, normals / np.linalg.norm(sides, axis=1)[:, None]
+def _edges(x: np.ndarray, lines: np.ndarray, blur: float) -> np.ndarray:
+    """Shares of the cells between lines in the brightness at x, with a blur: (N, lines + 1).
 
-
-def _sampled(
-    grey: np.ndarray, corners: np.ndarray, along: np.ndarray, across: np.ndarray
-) -> np.ndarray:
-    """Brightness along the sides, as shares of them, and across, outward, px: (4, A, B)."""
-    sides, outward = _outward(corners)
-    starts = corners[:, None, None] + sides[:, None, None] * along[:, None, None]
-    points = (starts + outward[:, None, None] * across[:, None]).reshape(4, -1, 2)
-    u, v = np.moveaxis(points.astype(np.float32), -1, 0)
-    values = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return values.reshape(4, along.size, across.size).astype(float)
-
-
-def _steepest(along: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Columns at 0 and 1 of the lines across which steps, (4, A, B), are the steepest: (4, 2).
-
-    OpenCV may take a corner of the paper for that of the tag: most of the steps that are in sight
-    are then not those of the side.
+    With their slopes by x and by the blur: (3, N, lines + 1).
     """
-    count = steps.shape[2]
-    start, end = np.mgrid[:count, :count].reshape(2, -1, 1)
-    columns = np.rint(start + (end - start) * along).astype(int)
-    heights = steps[:, np.arange(along.size), columns].sum(axis=-1)
-    return np.stack(np.divmod(heights.argmax(axis=-1), count), axis=-1)
+    off = (x[:, None] - lines) / blur
+    bell = np.exp(-0.5 * off * off) / (np.sqrt(2.0 * np.pi) * blur)
+    shares = np.zeros((3, x.size, lines.size + 1))
+    shares[..., 1:] = ndtr(off), bell, -bell * off
+    shares[..., :-1] -= shares[..., 1:]
+    shares[0, :, 0] += 1.0
+    return shares
 
 
-def _meeting(corners: np.ndarray, ends: Sequence[np.ndarray]) -> np.ndarray:
-    """Where lines meet that begin and end so far outward of the sides, px: (4, 2)."""
-    _, outward = _outward(corners)
-    lines = []
-    for side, (start, end) in enumerate(ends):
-        first = corners[side] + start * outward[side]
-        last = corners[(side + 1) % 4] + end * outward[side]
-        lines.append(np.cross(np.append(first, 1.0), np.append(last, 1.0)))
-    meets = np.cross(np.roll(lines, 1, axis=0), lines)
-    return np.asarray(meets[:, :2] / meets[:, 2:])
-
-
-def _line(
-    along: np.ndarray, offsets: np.ndarray, weights: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Offsets at 0 and 1 of a line, fitted twice, then without outliers; what is off it."""
-    terms = np.column_stack([1.0 - along, along])
-    for _ in range(2):
-        fit = np.linalg.lstsq(terms * weights[:, None], offsets * weights, rcond=None)[0]
-        off = np.abs(offsets - terms @ fit)
-        weights = weights * (off <= 3.0 * np.median(off) + 1e-3)
-    return fit, np.abs(offsets - terms @ fit)
+def _corners(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A tag's corners, px, (4, 2), and their slopes by the eight unknowns, (8, 8)."""
+    places = _SQUARE @ matrix.T
+    corners_px = places[:, :2] / places[:, 2:]
+    moves = np.einsum("ij,kjl,cl->kci", matrix, _SMALL, _SQUARE)
+    moves = (moves[..., :2] - corners_px * moves[..., 2:]) / places[:, 2:]
+    return corners_px, moves.reshape(8, 8)

@@ -10,7 +10,7 @@ import numpy as np
 from fvs_detector_node.config import DetectorConfig
 from fvs_detector_node.detector import Sighting
 from fvs_detector_node.images import Rectifier, Region, wide_views
-from fvs_detector_node.tag_corners import TagReader
+from fvs_detector_node.tag_corners import Corners, TagReader
 from fvs_detector_node.tag_pose import PoseFinder, TagPose
 from fvs_detector_node.tags import Tag
 from fvs_detector_node.tracking import Gate
@@ -99,24 +99,23 @@ class TagDetector:
     ) -> Sighting:
         """Look for the tag in one view."""
         rectifier, intrinsics = view.rectifier, view.rectifier.camera.intrinsics
-        corners_px: dict[int, np.ndarray] = {}
+        corners: dict[int, Corners] = {}
         problem = ""
         for region in self._regions(stamp_s, view):
             grey = cv2.cvtColor(rectifier.colour(rgb, region), cv2.COLOR_RGB2GRAY)
-            corners_px, problem = self._reader.find(grey)
-            if corners_px:
-                corners_px = {
-                    number: one + (region.u0, region.v0) for number, one in corners_px.items()
-                }
+            found, problem = self._reader.find(grey)
+            corners = {number: one.moved(region.u0, region.v0) for number, one in found.items()}
+            if corners:
                 break
         view.seen = None
-        if not corners_px:
+        if not corners:
             return Sighting(None, problem)
         if depth_m is not None:
             depth_m = rectifier.depth(depth_m, Region.whole(intrinsics))
-        pose, problem = view.poses.find(stamp_s, corners_px, intrinsics, depth_m)
+        pose, problem = view.poses.find(stamp_s, corners, intrinsics, depth_m)
         if pose is None:
-            return Sighting(None, problem, _bounds(np.concatenate(list(corners_px.values()))))
+            all_px = np.concatenate([one.px for one in corners.values()])
+            return Sighting(None, problem, _bounds(all_px))
         # Also where tags of the body are that were not seen.
         corners_m = np.concatenate([one.corners_m for one in self._faces.values()])
         body_px = intrinsics.project(corners_m @ pose.rotation.T + pose.position_m)

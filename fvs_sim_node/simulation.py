@@ -341,14 +341,14 @@ class Simulation:
         self.world.paint_tag(
             rgb, depth_m, region.view(camera), self.camera, self._velocities, self._noise_rng
         )
-        corners_px, _ = tag.reader.find(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY))
-        if not corners_px:
+        found, _ = tag.reader.find(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY))
+        if not found:
             return None
         depth_m = add_depth_noise(depth_m, camera.fx, self._noise_rng, self.config.depth_noise)
         whole_m = np.zeros((camera.height, camera.width), np.float32)
         whole_m[region.part] = depth_m * np.float32(1.0 + self.config.depth_error)
-        corners_px = {number: one + (region.u0, region.v0) for number, one in corners_px.items()}
-        return self._poses.find(self.time_s, corners_px, self._reported_intrinsics, whole_m)[0]
+        corners = {number: one.moved(region.u0, region.v0) for number, one in found.items()}
+        return self._poses.find(self.time_s, corners, self._reported_intrinsics, whole_m)[0]
 
     def _know(self) -> BallDetection | None:
         """Replace an image: the true position, as a perfect detection."""

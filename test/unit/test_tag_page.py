@@ -18,7 +18,7 @@ def test_a_page_shows_the_tag_in_true_size(tmp_path, family, number):
     assert page.shape == pytest.approx((297.0 / 25.4 * 600, 210.0 / 25.4 * 600), abs=1.0)
     corners, why = TagReader(Tag(family, number)).find(page)
     assert corners, why
-    tag = corners[number]
+    tag = corners[number].px
     sides_mm = np.linalg.norm(np.roll(tag, -1, axis=0) - tag, axis=1) * 25.4 / 600
     np.testing.assert_allclose(sides_mm, 80.0, atol=0.1)
 
@@ -29,7 +29,7 @@ def test_a_page_shows_all_tags_of_a_layout_at_their_places(tmp_path, layout, cou
     assert program.main(["-o", str(path), "--layout", layout, "--size-m", "0.04"]) == 0
     corners, why = TagReader(tag).find(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
     assert len(corners) == count, why
-    apart_mm = np.linalg.norm(corners[1].mean(axis=0) - corners[0].mean(axis=0)) * 25.4 / 600
+    apart_mm = np.linalg.norm(corners[1].px.mean(axis=0) - corners[0].px.mean(axis=0)) * 25.4 / 600
     assert apart_mm == pytest.approx(50.0, abs=0.05)  # with the border of one cell
 
 
