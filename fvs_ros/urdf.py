@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import ast
+import json
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Mapping
@@ -111,9 +111,10 @@ def _unquoted(text: str) -> str:
         return body.replace("''", "'")
     if before == '"':
         folded = re.sub(r"\\\n\s*\\?", "", body)
+        as_json = re.sub(r"\\x(?=..)", r"\\u00", folded)  # the other escapes are JSON's
         try:
-            return str(ast.literal_eval(f'"""{folded}"""'))
-        except (SyntaxError, ValueError) as error:
+            return str(json.loads(f'"{as_json}"', strict=False))
+        except ValueError as error:
             raise ValueError(f"the URDF is no quoted text: {error}") from None
     return body
 

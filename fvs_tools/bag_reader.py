@@ -228,12 +228,16 @@ class _Mcap(McapReader):
             file.seek(max(len(_MAGIC), self.path.stat().st_size - len(_MAGIC)))
             self.cut_off = begins_well and file.read() != _MAGIC
         self.schemas = _Schemas()
+        if not begins_well:
+            super().open()  # raises
         if not self.cut_off:
-            super().open()
+            with suppress(Exception):
+                super().open()
             names = {one.msgtype for one in self.connections}
             if names and "__schemaless__" not in names:
                 return
-            self.close()
+            if self.bio is not None:
+                self.close()
         self._scanned, self.bio = True, self.path.open("rb")
         self.data_start, self.data_end = len(_MAGIC), self.path.stat().st_size
         with suppress(Exception):  # at the first broken record, of any kind

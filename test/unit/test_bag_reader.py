@@ -55,12 +55,12 @@ def without_metadata(folder):
     return folder
 
 
-def by_another(folder, whole, others=False, **options):
+def by_another(folder, whole, others=False, profile="ros2", **options):
     """The messages as another recorder writes them, with channels that no ROS type describes."""
     folder.mkdir()
     with (folder / "bag.mcap").open("wb") as file:
         writer = McapWriter(file, chunk_size=20_000, **options)
-        writer.start(profile="ros2")
+        writer.start(profile=profile)
         channels = {}
         with open_bag(made(folder / "whole")) as reader:
             for one in reader.connections:
@@ -127,6 +127,7 @@ KINDS = {
         folder, whole, index_types=IndexType.NONE, use_chunking=False
     ),
     "lz4": lambda folder, whole: by_another(folder, whole, compression=CompressionType.LZ4),
+    "no profile": lambda folder, whole: by_another(folder, whole, profile=""),
     "JSON and service events": lambda folder, whole: by_another(folder, whole, others=True),
 }
 
