@@ -150,10 +150,10 @@ def _joint(element: ET.Element) -> UrdfJoint:
         problem = f"joint {name[:60]!r} of the URDF has a bad number"
         return UrdfJoint(name, kind, parent, child, problem=problem)
     problem = ""
-    if not lower <= upper:
-        problem = f"joint {name[:60]!r} of the URDF has limits {lower:g} to {upper:g}"
     if kind == "continuous" or lower == upper:
         lower, upper = -inf, inf
+    elif not lower < upper:
+        problem = f"joint {name[:60]!r} of the URDF has limits {lower:g} to {upper:g}"
     velocity = velocity if isfinite(velocity) and velocity > 0.0 else inf
     return UrdfJoint(
         name, kind, parent, child, lower, upper, velocity, xyz_m, rpy_rad, axis, problem

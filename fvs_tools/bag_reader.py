@@ -125,7 +125,9 @@ def open_bag(path: Path) -> Iterator[BagReader]:
             files, notes, cut_off = _find(path)
             space = Path(stack.enter_context(TemporaryDirectory(prefix="fvs_bag_")))
             storages = [_opened(file, space / str(i), stack) for i, file in enumerate(files)]
-            reader = BagReader(storages, notes, cut_off or any(map(_is_cut_off, storages)))
+            reader = BagReader(
+                storages, notes, cut_off or any(getattr(one, "cut_off", False) for one in storages)
+            )
             if reader.cut_off and not reader.connections:
                 raise BagError("it was cut off before any message was written into it")
             yield reader
@@ -201,10 +203,6 @@ def _with_log(path: Path, log: Path, space: Path) -> Path:
     with contextlib.closing(sqlite3.connect(space / path.name)) as database:
         database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
     return space / path.name
-
-
-def _is_cut_off(storage: Any) -> bool:
-    return isinstance(storage, _Mcap) and storage.cut_off
 
 
 class _Schemas(dict[int, Schema]):
