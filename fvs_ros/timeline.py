@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fvs_ros.vectors import largest, plausible
+from fvs_ros.vectors import largest
 
 #: Fastest joint, rad/s, and slack of a step between two joint states, rad: more is a jump.
 _FASTEST_RAD_S, _JUMP_RAD = 1.5 * pi, 0.1
@@ -182,8 +182,6 @@ class Timeline:
 
     def add_joints(self, stamp_s: float, joints_rad: np.ndarray) -> list[Sample]:
         """Take a joint state, s and rad, (n,); returns the features that waited for it."""
-        if not (np.isfinite(stamp_s) and plausible(joints_rad)):
-            return []
         newest, newest_s = self.joints.newest, self.joints.newest_stamp_s
         passed_s = 0.0 if newest_s is None else stamp_s - newest_s
         if passed_s > 0.0 and largest(joints_rad - newest) > possible_step_rad(passed_s):
@@ -197,9 +195,6 @@ class Timeline:
 
     def add_feature(self, stamp_s: float, feature_m: np.ndarray) -> list[Sample]:
         """Take a feature, exposure in s and m, (m,); returns what can be paired now."""
-        if not (np.isfinite(stamp_s) and plausible(feature_m)):
-            self._drop("a feature or its stamp is not finite, or too far")
-            return []
         last = self.seen_stamp_s
         if repeats(stamp_s, last):
             self._drop("a feature's stamp is repeated or older than the last")

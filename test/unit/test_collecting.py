@@ -17,7 +17,7 @@ HOME = np.array([0.0, -1.35, 1.6, -1.75, -1.57, 0.0])
 DT_S, LONGEST_S, DURATION_S = 0.008, 0.05, 20.0
 #: Within this time a command that is held takes no joint beyond its range, s.
 HELD_S = 0.6
-WILD = (1e308, -1e300, 5e-324, 1e9, 100.0, 0.0, -7.0)
+WILD = (100.0, -100.0, 5e-324, 0.0, -7.0)  # the most that a message may hold
 MOVES = (State.MOVING, State.RETURNING)
 
 
