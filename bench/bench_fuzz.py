@@ -50,6 +50,7 @@ from fvs_controller_node.base import ControlOutput
 from fvs_controller_node.config import LAWS, PARAMETERS
 from fvs_controller_node.reasons import Reason
 from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.interface import POSITION, VELOCITY
 from fvs_ros.joints import UR_JOINT_NAMES
 from fvs_ros.limits import URDF_LIMITS
 
@@ -139,11 +140,21 @@ class Machine(RuleBasedStateMachine):
         epoch_s=st.sampled_from([1000.0, 0.0, 1.7e9, 2147483600.0]),
         joints=st.integers(4, MOST_JOINTS),
         jerk=st.sampled_from([0.0, 0.0, 60.0, 500.0]),
+        interface=st.sampled_from([VELOCITY, VELOCITY, POSITION]),
         at_work=OFTEN,
     )
-    def begin(self, law="proportional", autostart=False, at_work=False, jerk=0.0, **world):
+    def begin(
+        self,
+        law="proportional",
+        autostart=False,
+        at_work=False,
+        jerk=0.0,
+        interface=VELOCITY,
+        **world,
+    ):
         """Make the world, of the plainest law by default, at rest or at work."""
         given = {"law": law, "autostart": autostart, "max_joint_jerk_rad_s3": jerk}
+        given["command_interface"] = interface
         self.world = World(given, **world)
         Promises(self.world)
         if at_work:
@@ -233,6 +244,7 @@ class Machine(RuleBasedStateMachine):
         end_rad = limits.upper_rad if side > 0 else limits.lower_rad
         world.joints[joint] = end_rad[joint] - side * room_rad
         self._push(ball_m - world.ball())
+        world.honest = False
         world.run(FRESH_TICKS)
         world.send_target(world.ball() + side * 0.5 * world.true[:, joint])
         world.start()
@@ -267,6 +279,7 @@ class Machine(RuleBasedStateMachine):
     def knock(self, joint, step_rad):
         """Let a joint jump."""
         self.world.joints[joint % self.world.joints.size] += step_rad
+        self.world.honest = False
         self.world.new_image = True
         self.world.run(8)
 
@@ -381,12 +394,6 @@ class Machine(RuleBasedStateMachine):
         law = type(self.world.node._loop.law)
         with mock.patch.object(law, "command", side_effect=error, return_value=answer):
             self.world.run(3)
-
-    @rule(dt_s=st.sampled_from((*ODD, -1.0, 10.0)))
-    def odd_tick(self, dt_s):
-        """Tick with a time step that no clock gives."""
-        self.world.node._tick(self.world.now_s, dt_s)
-        self.world.run(1)
 
 
 # ---- the campaign ---------------------------------------------------------------------------

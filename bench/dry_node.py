@@ -77,8 +77,9 @@ class DryController(ControllerNode, DryNode):
         super().__init__()
 
     def _tick(self, now_s, dt_s):
-        super()._tick(now_s, dt_s)
+        velocity = super()._tick(now_s, dt_s)
         self.on_tick(self._command, now_s, dt_s)
+        return velocity
 
     def __del__(self):
         """Nothing was opened."""

@@ -19,6 +19,7 @@ from bench.dry_node import DryController
 from fvs_controller_node.config import PARAMETERS, SupervisorConfig
 from fvs_ros import ros, topics
 from fvs_ros.camera import CAMERA_FRAME
+from fvs_ros.interface import POSITION
 from fvs_ros.joints import UR_JOINT_NAMES, ForeignJointsError, JointMap
 from fvs_ros.limits import JointLimits
 from fvs_ros.params import ParameterSet
@@ -85,13 +86,16 @@ class World:
         arm = {"joint_min_rad": [-3.6] * joints, "joint_max_rad": [3.6] * joints}
         if joints != len(UR_JOINT_NAMES):
             arm["joint_names"] = [f"joint_{number}" for number in range(joints)]
-        given = {**arm, **(given or {})}
+        given = {**arm, "joint_state_rate_hz": 1.0 / TICK_S, **(given or {})}
         self.values = ParameterSet(PARAMETERS).values(given)
         self.limits = JointLimits.from_values(self.values)
         self.now_s, self.ros_s = 100.0, epoch_s
         self.node = DryController(given, lambda: self.now_s, simulated_time)
         self.node.on_tick = self._on_tick
-        self.wire = self.node.published[topics.COMMANDS.name]  # commands since the last tick
+        self.positions = self.values["command_interface"] == POSITION
+        topic = topics.POSITION_COMMANDS if self.positions else topics.COMMANDS
+        self.wire = self.node.published[topic.name]  # commands since the last tick
+        self.goes_to = None  # the last position command of a session, rad
         self.judge = lambda command, now_s, dt_s: None
         self.names = tuple(self.values["joint_names"])
         self.last = self.before = np.zeros(joints)  # the last two commands, rad/s
@@ -99,6 +103,7 @@ class World:
         self.plant = "obeys"
         self.joints = self.home_rad.copy()
         self.drive = np.zeros(joints)  # the drives' speed, rad/s
+        self.honest = True  # since the start the arm did what it was told, as far as it was told
         self.push_m = np.zeros(HOME_BALL_M.size)  # what moved the ball beside the arm
         self.seen_share = 1.0  # of the ball's motion, that the camera shows
         self.estimate = self.true
@@ -147,6 +152,8 @@ class World:
 
         A tick takes ``steady_s`` on the steady clock and ``ros_s`` on that of the stamps.
         """
+        self.honest &= ros_s is None and self.plant in ("obeys", "lags") and self.scaling == 100.0
+        self.honest &= steady_s <= TICK_S or not self.positions  # a path steps by one period
         for _ in range(ticks):
             self._beats += 1
             self.now_s += steady_s
@@ -158,7 +165,7 @@ class World:
             if JACOBIAN not in silent and self._beats % 2 == 0:
                 self.send_jacobian(ros.to_jacobian(self.estimate))
             if JOINT_STATES in silent:
-                self.node._on_missing()
+                self.node._ticker.on_missing()
             else:
                 last_s = self.stamps_s.get(JOINT_STATES, 0.0)
                 self.send_joints(self.joints, last_s if JOINT_STATES in frozen else self.ros_s)
@@ -167,7 +174,11 @@ class World:
 
     def _move(self, dt_s):
         """Let the arm do what it does with the last command."""
-        wanted = min(max(self.scaling, 0.0), 100.0) / 100.0 * self.last
+        wanted = self.last
+        if self.goes_to is not None:
+            fast = self.values["max_joint_velocity_rad_s"]
+            wanted = np.clip((self.goes_to - self.joints) / max(dt_s, 1e-9), -fast, fast)
+        wanted = min(max(self.scaling, 0.0), 100.0) / 100.0 * wanted
         self.drive = PLANTS[self.plant](wanted, self.drive, dt_s)
         self.joints = self.joints + self.drive * dt_s
         self._images.append((self.ros_s, self.ball()))
@@ -209,6 +220,7 @@ class World:
 
     def send_joints(self, joints_rad, stamp_s, names=None):
         """Send a joint state; the node ticks."""
+        self.honest &= np.array_equal(joints_rad, self.joints)
         names = self.names if names is None else names
         message = JointState(name=list(names), position=[float(q) for q in joints_rad])
         message.header.stamp = ros.to_stamp(stamp_s)
@@ -222,8 +234,8 @@ class World:
         else:
             stamp_s = ros.from_stamp(message.header.stamp)
             self._note(JOINT_STATES, joints, stamp_s)
+            self._heard_joints = joints
             if self.stamps_s[JOINT_STATES] == stamp_s != before_s:
-                self._heard_joints = joints
                 passed_s = math.inf if before_s is None else stamp_s - before_s
                 # No joint steps further, unless it was not seen for long.
                 if before is not None and 0.0 < passed_s < 0.5:
@@ -302,8 +314,9 @@ class World:
 
     def start(self):
         """Call ``~/start``."""
+        rests = not (self.session or self.last.any()) and self.goes_to is None
         done, text = self.node.call("~/start")
-        self.session |= done
+        self.session, self.honest = self.session or done, self.honest or (rests and done)
         self.asked_s, self.new_task = self.now_s, True
         keep("says why", bool(text), "~/start")
 
@@ -314,7 +327,7 @@ class World:
 
     def set(self, values):
         """Set live parameters; a refusal must change nothing."""
-        self.new_task = True
+        self.new_task, self.honest = True, False
         loop = self.node._loop
         before = loop.law, loop.supervisor.config, self.node.values
         result = self.node.set_parameters_atomically(
@@ -329,11 +342,10 @@ class World:
         keep("says why", bool(result.reason), values)
 
     def shut_down(self):
-        """End the node: zeros, whatever comes after."""
-        self.node._loop.supervisor.shutdown()
+        """End the node: zeros, or a ramp to them, whatever comes after."""
+        self.last = self.node._loop.supervisor.shutdown().velocity_rad_s
         self.end_session()
         self.bad.add("the end")
-        self.last = np.zeros_like(self.last)
         self.run(3)
 
 

@@ -36,12 +36,6 @@ class ControllerConfig(CommandInterface):
     law: str = live_parameter(
         "ftsm", "Control law; changes only while the arm is stopped.", choices=tuple(LAWS)
     )
-    joint_state_rate_hz: float = parameter(
-        125.0,
-        "Rate of the joint states, Hz; without them a watchdog ticks at this rate.",
-        10.0,
-        1000.0,
-    )
     target_feed_forward: bool = live_parameter(
         True,
         "Feed-forward for targets that are updated often; off, every target is fixed.",
@@ -106,7 +100,7 @@ class SupervisorConfig(JointLimits, ServoedConfig):
     stall_time_s: float = live_parameter(
         6.0,
         f"Time without progress, at an error above {1e3 * stall_error_m:g} mm, after which the arm "
-        "is held, s. Half of it applies to an arm that does not follow, a sixth to an error grown "
+        "is held, s. A sixth of it applies to an error grown "
         f"by {100.0 * (growth_factor - 1.0):g} % and {1e3 * growth_m:g} mm.",
         0.1,
         60.0,
@@ -133,11 +127,6 @@ class SupervisorConfig(JointLimits, ServoedConfig):
         """The feature; any vector is servoed like a ball."""
         size = len(self.workspace_min_m)
         return Feature(size) if self.feature == topics.BALL else super().servoed
-
-    @property
-    def follow_time_s(self) -> float:
-        """Time that the arm may deviate from its commands, s."""
-        return 0.5 * self.stall_time_s
 
     @property
     def growth_time_s(self) -> float:

@@ -15,14 +15,15 @@ from __future__ import annotations
 import numpy as np
 
 from fvs_controller_node.base import ControlInput, ControlOutput
+from fvs_ros.following import LONGEST_LAG_S
 from fvs_ros.limits import BRAKING_SHARE, JointLimits, braking_speed
 from fvs_ros.timeline import History
 from fvs_ros.vectors import largest
 
-#: Largest lag, and time constant of the high-pass filter: slower differences are no lag, s.
-_MOST_S, _SLOW_S = 0.2, 1.0
-#: Weight of the first guess, and largest weight of all data: integrals of squared speed, rad^2/s.
-_FIRST, _MEMORY = 0.05, 20.0
+#: Time constant of the high-pass filter: slower differences are no lag, s.
+_SLOW_S = 1.0
+#: First guess, s; its weight, and largest weight of all data: integrals of squared speed, rad^2/s.
+_FIRST_S, _FIRST, _MEMORY = 0.03, 0.05, 20.0
 #: Averaging time of the constant at rest, s, and the speed that ends averaging, rad/s: above it a
 #: wrong lag would do more harm than encoder noise.
 _AVERAGED_S, _MOVING_RAD_S = 0.16, 0.02
@@ -32,13 +33,19 @@ class DriveLag:
     """Estimates the lag of the drives, ``lag_s``, from commands and joint positions."""
 
     def __init__(self) -> None:
-        self.lag_s, self._known = 0.03, _FIRST  # before anything has moved
+        self.lag_s, self._known = _FIRST_S, _FIRST  # before anything has moved
+        self._guessed = 1.0  # share of the first guess in the lag
         self._commanded = History()  # the path as commanded
         self._constant: np.ndarray | None = None
         self._joints: np.ndarray | float = 0.0
         self._behind: np.ndarray | float = 0.0
         self._slow_behind: np.ndarray | float = 0.0
         self._slow_command: np.ndarray | float = 0.0
+
+    @property
+    def most_s(self) -> float:
+        """The lag if the first guess had been the longest that drives have, s."""
+        return self.lag_s + self._guessed * (LONGEST_LAG_S - _FIRST_S)
 
     def pending_rad(self) -> np.ndarray:
         """Motion that was commanded and is still to come, rad, shape (n,) or (1,)."""
@@ -81,10 +88,11 @@ class DriveLag:
         self._slow_command = self._slow_command + share * (command_rad_s - self._slow_command)
         behind, command = self._behind - self._slow_behind, command_rad_s - self._slow_command
         power = float(command @ command) * dt_s
-        # Bounds the effect of a stall, however long: no drive lags by more than _MOST_S.
-        late = min(max(float(behind @ command) * dt_s, 0.0), _MOST_S * power)
+        # Bounds the effect of a stall, however long: no drive lags by more.
+        late = min(max(float(behind @ command) * dt_s, 0.0), LONGEST_LAG_S * power)
         self._known = min(self._known + power, _MEMORY)
         self.lag_s += (late - power * self.lag_s) / self._known
+        self._guessed *= 1.0 - power / self._known
         return self._averaged(joints_rad, command_rad_s, dt_s)
 
     def _averaged(

@@ -21,6 +21,7 @@ from fvs_controller_node.redundancy import make_inverse
 from fvs_controller_node.supervisor import Command, Present, Supervisor
 from fvs_controller_node.target_motion import on_own_clock
 from fvs_ros.chain import SerialChain
+from fvs_ros.following import Following
 from fvs_ros.timeline import repeats
 
 #: The estimator publishes the chain more often than this; an older one is not used, and a bad one
@@ -58,8 +59,8 @@ class ServoLoop:
         self.supervisor = Supervisor(SupervisorConfig.from_values(values))
         self._feature = self.supervisor.config.servoed
         self.predictor = FeaturePredictor(self._feature)
+        self._drive_lag, self._following = DriveLag(), Following()
         self.configure(values)
-        self._drive_lag = DriveLag()
         self._pending_rad = self._drive_lag.pending_rad()
         self._chain: SerialChain | None = None
         self._chain_s = -inf
@@ -81,6 +82,7 @@ class ServoLoop:
         follows = ControllerConfig.from_values(values).target_feed_forward
         self.supervisor.configure(SupervisorConfig.from_values(values))
         self.law, self._follower, self._follows = law, follower, follows
+        self._following.restart()  # a range may count for another length now
 
     # ---- inputs: arrival times on the steady clock --------------------------------------------
 
@@ -91,13 +93,17 @@ class ServoLoop:
             inputs[JOINT_STATES].stuck(now_s)
             return
         if inputs.add(JOINT_STATES, now_s, joints_rad):
+            velocity, joints = self.supervisor.velocity_rad_s, np.array(joints_rad, dtype=float)
+            servoing = self.supervisor.last.state is State.SERVOING
+            if servoing:
+                unit, most_s = self.supervisor.config.unit, self._drive_lag.most_s
+                scaled = inputs.speed_scaling * velocity / unit
+                self._following.add(stamp_s, scaled, joints / unit, most_s)
+            else:
+                self._following.restart()
             self._stamp_s = stamp_s
-            self._joints = self._drive_lag.add(
-                stamp_s,
-                self.supervisor.velocity_rad_s,
-                np.array(joints_rad, dtype=float),
-                compare=inputs.full_speed and self.supervisor.last.state is State.SERVOING,
-            )
+            compare = servoing and inputs.full_speed
+            self._joints = self._drive_lag.add(stamp_s, velocity, joints, compare)
             self._predict(stamp_s, self._joints)
 
     def _predict(self, stamp_s: float, joints: np.ndarray) -> None:
@@ -197,7 +203,7 @@ class ServoLoop:
         now_s : float
             Steady clock, s.
         dt_s : float
-            Time since the last tick, s.
+            What the tick counts for, s: the time until the next one.
         """
         supervisor = self.supervisor
         if now_s - self._chain_s > _CHAIN_MAX_AGE_S:
@@ -215,6 +221,7 @@ class ServoLoop:
             self._pending_rad,
             self.predictor.problem,
             self.predictor.agreement.verdict,
+            self._following.fault,
         )
         images = self._images
         command = supervisor.tick(now_s, dt_s, present, self._propose)

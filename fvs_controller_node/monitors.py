@@ -5,12 +5,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Finding, Reason
-from fvs_ros.following import Following
 
 #: Least measured share of the predicted motion of an image that follows the arm. A turned camera
 #: shows all of it, in another direction; with a Jacobian that still learns, about all of it shows.
@@ -58,29 +55,6 @@ class PredictionMonitor:
             value=verdict.error_ratio,
             limit=config.prediction_hold,
             way_mm=1e3 * config.prediction_hold_m,
-        )
-
-
-class FollowingMonitor(Following):
-    """Whether the arm does what it is commanded."""
-
-    def check(
-        self,
-        command_rad_s: np.ndarray,
-        joints_rad: np.ndarray,
-        speed_scaling: float,
-        dt_s: float,
-        config: SupervisorConfig,
-    ) -> Finding | None:
-        """Find a joint that does not follow the command in force since the last tick, (n,)."""
-        self.add(command_rad_s, joints_rad, speed_scaling, dt_s)
-        fault = self.fault(config.follow_time_s)
-        if fault is None:
-            return None
-        return Reason.NOT_FOLLOWING.because(
-            joint=config.joint_names[fault.joint],
-            commanded_rad=fault.commanded_rad,
-            moved_rad=fault.moved_rad,
         )
 
 

@@ -22,7 +22,7 @@ from fvs_controller_node.inbox import BALL, JACOBIAN, JOINT_STATES, ROBOT_DESCRI
 from fvs_controller_node.loop import ServoLoop
 from fvs_controller_node.reasons import Reason, State
 from fvs_controller_node.supervisor import Command
-from fvs_ros import clock, ros, topics
+from fvs_ros import ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 from fvs_ros.status import ESTIMATOR_FAULT, ESTIMATOR_WAITING
 
@@ -31,9 +31,9 @@ _NO_RANGES = (
     "the joints' ranges are unknown: set joint_min_rad and joint_max_rad, or publish "
     "robot_description"
 )
-#: A joint state that has not come after this many periods is missing.
-_MISSING_PERIODS = 2.5
 _LATE = (Reason.STALE, Reason.RETURNING)
+#: A hold that is shorter passes, and is not logged again and again; a longer one is, s.
+_PASSING_S = 0.5
 #: A latched target reaches both subscriptions within this time, s.
 _TARGET_ECHO_S = 0.5
 _LEVELS = {
@@ -46,7 +46,7 @@ _LEVELS = {
 
 
 class ControllerNode(ros.FvsNode):
-    """Ticks at every joint state; a watchdog ticks when none come, so that zeros keep flowing."""
+    """Ticks at every joint state, and while none come, so that zeros keep flowing."""
 
     keeps_subscriptions = True
 
@@ -57,12 +57,8 @@ class ControllerNode(ros.FvsNode):
         self._joint_map = JointMap(v["joint_names"], v["tf_prefix"])
         self._loop = ServoLoop(v)
         self._feature = self._loop.supervisor.config.servoed
-        self._simulated_time = self.get_parameter("use_sim_time").value
-        self._missing_s = _MISSING_PERIODS / v["joint_state_rate_hz"]
-        self._ticked_s = self.now_s()
         self._joints_s = -np.inf
         self._stamp_s: float | None = None
-        self._late = 0
         self._heard_target: tuple | None = None
         self._heard_target_s = -np.inf
         self._refusal = ""
@@ -72,7 +68,7 @@ class ControllerNode(ros.FvsNode):
         self._sent: deque[tuple[float, ...]] = deque(maxlen=64)  # own commands
         self._command: Command | None = None
         self._logged: Reason | None = None
-        self._logged_passing_s = -np.inf
+        self._logged_passing_s = self._clear_s = -np.inf
 
         self._commands = ros.CommandPublisher(self)
         self._joints: np.ndarray | None = None
@@ -92,20 +88,16 @@ class ControllerNode(ros.FvsNode):
         self.create_service(
             Trigger, "~/set_current_as_target", self._answer(self._take_current_as_target)
         )
-        # Restarted by every tick: it fires when a joint state is missing, not only late.
-        self._watchdog = self.create_timer(
-            self._missing_s, self._on_missing, clock=self.steady_clock
-        )
+        self._ticker = ros.Ticker(self, self._tick, v["joint_state_rate_hz"])
         self.create_timer(ros.STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
         self.create_timer(0.5, self._look_around, clock=self.steady_clock)
 
     # --- inputs ---
 
     def _on_joint_states(self, message: JointState) -> None:
-        now_s = self.now_s()
+        now_s, stamp_s = self.now_s(), ros.from_stamp(message.header.stamp)
         supervisor = self._loop.supervisor
         try:
-            stamp_s = ros.from_stamp(message.header.stamp)
             joints = self._joint_map.positions(message.name, message.position, stamp_s)
         except ForeignJointsError as error:
             # Joint states of another device are an error only while ours have never arrived.
@@ -114,15 +106,10 @@ class ControllerNode(ros.FvsNode):
             return
         except JointStateError as error:
             self._loop.bad_joints(str(error))
-            self._tick(now_s, now_s - self._ticked_s)
-            return
-        self._joints, self._joints_s = joints, now_s
-        self._loop.add_joints(now_s, stamp_s, joints)
-        dt_s = now_s - self._ticked_s
-        if self._simulated_time and self._stamp_s is not None:
-            dt_s = max(0.0, stamp_s - self._stamp_s)
-        self._stamp_s = stamp_s
-        self._tick(now_s, dt_s)
+        else:
+            self._joints, self._joints_s, self._stamp_s = joints, now_s, stamp_s
+            self._loop.add_joints(now_s, stamp_s, joints)
+        self._ticker.on_joint_state(now_s, stamp_s)
 
     def _on_feature(self, message: PointStamped | PoseStamped) -> None:
         now_s, feature = self.now_s(), self._feature
@@ -213,20 +200,12 @@ class ControllerNode(ros.FvsNode):
 
     # --- the tick: the only place that sends commands ---
 
-    def _on_missing(self) -> None:
-        now_s = self.now_s()
-        if now_s - self._ticked_s >= self._missing_s:  # not in slow simulated time
-            self._late += 1
-            self._tick(now_s, now_s - self._ticked_s)
-
-    def _tick(self, now_s: float, dt_s: float) -> None:
+    def _tick(self, now_s: float, dt_s: float) -> np.ndarray:
         command, supervisor = self._loop.tick(now_s, dt_s), self._loop.supervisor
         velocity, limits, active = command.velocity_rad_s, supervisor.config, supervisor.started
         sent = self._commands.send(velocity, self._joints, dt_s, limits, active)
         if sent:
             self._sent.append(sent)
-        self._ticked_s = now_s
-        self._watchdog.reset()
         if self._loop.sliding_variable is not None and self._stamp_s is not None:
             self._sliding.publish(
                 ros.to_sliding(
@@ -236,24 +215,24 @@ class ControllerNode(ros.FvsNode):
         previous, self._command = self._command, command
         if previous is None or previous.reason is not command.reason:
             self._publish_status()
-        if command.reason is not self._logged:
-            self._tell_reason(now_s, command)
+        self._tell_reason(now_s, command)
+        return velocity
 
     # --- outputs ---
 
     def _tell_reason(self, now_s: float, command: Command) -> None:
         passes = command.state is State.HOLDING or command.reason in _LATE
-        if passes and not command.reason.needs_start:
-            if now_s < self._logged_passing_s + ros.REPEAT_S:
-                return
-            self._logged_passing_s = now_s
+        passes = passes and not command.reason.needs_start
+        self._clear_s = self._clear_s if passes else now_s
+        soon = now_s < self._clear_s + _PASSING_S
+        again = passes and now_s < self._logged_passing_s + ros.REPEAT_S
+        if command.reason is self._logged or (again and soon):
+            return
+        self._logged_passing_s = now_s if passes else self._logged_passing_s
         self._logged = command.reason
         # Before a start, waiting is normal.
         level = ros.OK if command.state is State.WAITING else _LEVELS[command.state]
-        self.tell(level, f"{command.state.value}: {self._words(command)}")
-
-    def _words(self, command: Command) -> str:
-        return clock.blamed(command.text) if command.reason in _LATE else command.text
+        self.tell(level, f"{command.state.value}: {command.text}")
 
     def _publish_status(self) -> None:
         command = self._command
@@ -264,8 +243,7 @@ class ControllerNode(ros.FvsNode):
         remarks = [one for one in (self._refusal, silence, ranges) if one]
         if self._conflicting:
             remarks.append(f"{self._conflicting} publishes commands as well: stop it")
-        words = self._words(command)
-        text = f"{words} ({'; '.join(remarks)})" if remarks else words
+        text = f"{command.text} ({'; '.join(remarks)})" if remarks else command.text
         values = self._loop.status_values(self.now_s()) if self.status_heard else {}
         values.pop("state", None)
         self.publish_status(
@@ -274,7 +252,7 @@ class ControllerNode(ros.FvsNode):
             text,
             {
                 **values,
-                "late_ticks": self._late,
+                "late_ticks": self._ticker.late,
                 "other_commanders": self._conflicting,
                 "refused_target": self._refusal,
             },
@@ -305,12 +283,13 @@ class ControllerNode(ros.FvsNode):
 
     def diagnostic_values(self) -> dict[str, Any]:
         """Ticks that the watchdog made."""
-        return {"late_ticks": self._late}
+        return {"late_ticks": self._ticker.late}
 
     def finish(self) -> None:
-        """Send zeros last, then publish the final status."""
-        self._loop.supervisor.shutdown()
-        self._commands.end(len(self._joint_map.names))
+        """Come to rest, send zeros last, and publish the final status."""
+        supervisor = self._loop.supervisor
+        supervisor.shutdown()
+        self._ticker.end(supervisor.velocity_rad_s, self._commands)
         self._command = self._loop.tick(self.now_s(), 0.0)
         self._publish_status()
 

@@ -17,12 +17,13 @@ from fvs_controller_node.base import ControlOutput
 from fvs_controller_node.config import SupervisorConfig
 from fvs_controller_node.goal import Goal
 from fvs_controller_node.inbox import Inbox
-from fvs_controller_node.monitors import FollowingMonitor, PredictionMonitor, SingularityMonitor
+from fvs_controller_node.monitors import PredictionMonitor, SingularityMonitor
 from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Finding, Reason, State, Stop
 from fvs_controller_node.redundancy import singular_values
 from fvs_ros.feature import Distance
-from fvs_ros.limits import MAX_TICK_S, limit_speed, tick_s
+from fvs_ros.following import TrackingFault
+from fvs_ros.limits import limit_speed, tick_s
 from fvs_ros.params import ParameterError
 from fvs_ros.vectors import all_finite, largest, length
 
@@ -45,6 +46,7 @@ class Present(NamedTuple):
     pending_rad: np.ndarray  #: motion that was commanded and is still to come, (n,)
     problem: str = ""  #: why there is no position
     verdict: Verdict | None = None  #: on seen and predicted motion; None while too little moved
+    not_following: TrackingFault | None = None  #: the joint that does not follow its command
 
 
 class Command(NamedTuple):
@@ -80,18 +82,16 @@ class Supervisor:
         self.started = False
         self._starts_itself = config.autostart
         self._ended: Finding | None = None  # what ended the session and needs a start
-        self._held_s = 0.0
+        self._held_since_s: float | None = None
         self.inputs = Inbox(config, self._end)
         self.goal = Goal(config)
-        self._prediction, self._following = PredictionMonitor(), FollowingMonitor()
-        self._singularity = SingularityMonitor()
+        self._prediction, self._singularity = PredictionMonitor(), SingularityMonitor()
         joints = len(config.joint_names)
         self._velocity = np.zeros(joints)  # the last command, rad/s
-        self._acceleration = np.zeros(joints)  # from the command before, rad/s^2
+        self._step = np.zeros(joints)  # from the command before, rad/s
         self._present = Present(None, None, None, np.zeros(joints))
         self._smallest_m_rad = inf  # smallest singular value of its Jacobian
         self._shut_down = False
-        self._ticked_s = -inf
         missing = self.inputs.find(-inf)
         assert missing is not None
         self.last = Command(self._velocity, State.WAITING, missing, "", None)
@@ -150,7 +150,7 @@ class Supervisor:
 
     def _begin(self) -> None:
         self.started, self._starts_itself, self._ended = True, False, None
-        for monitor in (self._prediction, self.goal.progress, self._following):
+        for monitor in (self._prediction, self.goal.progress):
             monitor.restart()
 
     def _end(self, finding: Finding) -> None:
@@ -166,7 +166,7 @@ class Supervisor:
         return True, "stopping" if was_started else "was not started; it will not start by itself"
 
     def shutdown(self) -> Command:
-        """End permanently: zeros from now on."""
+        """End permanently: zeros from now on, or a ramp to them within a jerk limit."""
         self.stop()
         self._shut_down = True
         self._ended = Reason.SHUT_DOWN.because()
@@ -180,12 +180,11 @@ class Supervisor:
     # ---- the tick -------------------------------------------------------------------------
 
     def tick(self, now_s: float, dt_s: float, present: Present, propose: Propose) -> Command:
-        """Decide on the command: steady clock, and time since the last tick, s.
+        """Decide on the command: steady clock, and what the tick counts for, s.
 
         The law is asked only if the arm may move.
         """
-        dt_s, steady_dt_s = tick_s(dt_s), min(max(now_s - self._ticked_s, 0.0), MAX_TICK_S)
-        self._ticked_s = now_s
+        dt_s = tick_s(dt_s)
         before, self._present = self._present, present
         joints_rad, jacobian = present.joints_rad, present.jacobian
         self.goal.see(present.position_m, dt_s, self.last.state is State.SERVOING)
@@ -196,19 +195,17 @@ class Supervisor:
             self._begin()
         output: ControlOutput | None = None
         if finding is None and self.started and joints_rad is not None:
-            finding = self._trouble_in_motion(dt_s, joints_rad)
+            finding = self._trouble_in_motion(dt_s)
             if finding is None:
                 error_m = self.goal.error_m
                 assert error_m is not None
                 finding, output = _ask(propose, error_m, self.velocity_rad_s, dt_s)
-        finding = self._held(finding, steady_dt_s)
+        finding = self._held(finding, now_s)
         if output is not None and joints_rad is not None:
             return self._move(output, joints_rad, dt_s)
-        self._following.pause()
         if finding is not None:
             self._singularity.leaving = False  # the permission is for one exit only
-        # Simulated time may stand still; coming to rest must not.
-        return self._rest(finding, joints_rad, dt_s or steady_dt_s)
+        return self._rest(finding, joints_rad, dt_s)
 
     def _objection(self, now_s: float) -> Finding | None:
         """Find the first rule that forbids motion now, started or not."""
@@ -225,26 +222,34 @@ class Supervisor:
             return Reason.NO_TARGET.because(name=self.config.servoed.target.name)
         return self._singularity.check(self._smallest_m_rad, self.config)
 
-    def _trouble_in_motion(self, dt_s: float, joints: np.ndarray) -> Finding | None:
+    def _trouble_in_motion(self, dt_s: float) -> Finding | None:
         """Check the monitors that apply in motion; every one of them runs at every tick."""
-        config, velocity, scaling = self.config, self._velocity, self.inputs.speed_scaling
-        assert self._present.jacobian is not None
-        moved_m = dt_s * length(self._present.jacobian @ velocity)
+        config, present = self.config, self._present
+        assert present.jacobian is not None
+        moved_m = dt_s * length(present.jacobian @ self._velocity)
         findings = (
-            self._prediction.check(self._present.verdict, moved_m, config),
+            self._prediction.check(present.verdict, moved_m, config),
             self.goal.progress.check(config),
-            self._following.check(velocity, joints, scaling, dt_s, config),
+            self._following(present.not_following),
         )
         return next((finding for finding in findings if finding is not None), None)
 
-    def _held(self, finding: Finding | None, dt_s: float) -> Finding | None:
-        """Count the time of a hold; a long one requires a new start."""
+    def _following(self, fault: TrackingFault | None) -> Finding | None:
+        if fault is None:
+            return None
+        config, joint = self.config, fault.joint
+        commanded, moved = config.unit[joint] * np.array(fault[1:])
+        name, unit = config.joint_names[joint], config.length_unit(joint)
+        return Reason.NOT_FOLLOWING.because(joint=name, unit=unit, commanded=commanded, moved=moved)
+
+    def _held(self, finding: Finding | None, now_s: float) -> Finding | None:
+        """A hold that lasts too long requires a new start."""
         if finding is None or not self.started:
-            self._held_s = 0.0
+            self._held_since_s = None
             return finding
-        self._held_s += dt_s
+        self._held_since_s = now_s if self._held_since_s is None else self._held_since_s
         limit_s = self.config.resume_within_s
-        if self._held_s > limit_s and not finding.reason.needs_start:
+        if now_s - self._held_since_s > limit_s and not finding.reason.needs_start:
             finding = Reason.HELD_LONG.because(limit_s=limit_s, why=finding.text)
         if finding is not None and finding.reason.needs_start:
             self._end(finding)
@@ -268,7 +273,7 @@ class Supervisor:
         acceleration, pending_rad = config.max_joint_acceleration_rad_s2, self._present.pending_rad
         allowed, slowed = config.slow_down(velocity, joints, acceleration, dt_s, pending_rad)
         active += [f"range of {config.joint_names[joint]}" for joint in slowed]
-        velocity = config.step(allowed, self._velocity, self._acceleration, dt_s)
+        velocity = config.step(allowed, self._velocity, self._acceleration(dt_s), dt_s)
         if velocity is not allowed:
             active.append("acceleration")
         self._take(velocity, dt_s)
@@ -285,19 +290,23 @@ class Supervisor:
         if self._ended is not None and not worse:
             finding = self._ended
         finding = finding or Reason.READY.because()
-        last = self._velocity
-        if finding.reason.stop is Stop.AT_ONCE or not last.any():
-            self._velocity = self._acceleration = np.zeros_like(last)
+        last, config = self._velocity, self.config
+        at_once = finding.reason.stop is Stop.AT_ONCE and not config.max_joint_jerk_rad_s3
+        if at_once or not last.any():
+            self._velocity = self._step = np.zeros_like(last)
             return self._answer(finding, "", None)
-        pending_rad, before = self._present.pending_rad, self._acceleration
-        self._take(self.config.brake_to_rest(last, before, joints, dt_s, pending_rad), dt_s)
+        pending_rad, before = self._present.pending_rad, self._acceleration(dt_s)
+        self._take(config.brake_to_rest(last, before, joints, dt_s, pending_rad), dt_s)
         return self._answer(finding, "acceleration", None)
 
+    def _acceleration(self, dt_s: float) -> np.ndarray:
+        """The last step as an acceleration in a tick of this length, s: rad/s^2, (n,)."""
+        return self._step / dt_s if dt_s > 0.0 else self._step
+
     def _take(self, velocity: np.ndarray, dt_s: float) -> None:
-        """Take a command into effect; a tick of zero length changes none."""
+        """Take a command into effect; a tick that counts for nothing changes none."""
         if dt_s > 0.0:
-            self._acceleration = (velocity - self._velocity) / dt_s
-        self._velocity = velocity
+            self._step, self._velocity = velocity - self._velocity, velocity
 
     def _answer(self, finding: Finding, active_limit: str, output: ControlOutput | None) -> Command:
         reason = finding.reason

@@ -19,15 +19,14 @@ from fvs_estimator_node.stopping import StopCriterion
 from fvs_ros.feature import ServoedConfig
 from fvs_ros.following import Following
 from fvs_ros.interface import CommandInterface
-from fvs_ros.limits import MAX_TICK_S, JointLimits, tick_s
+from fvs_ros.limits import JointLimits, tick_s
 from fvs_ros.params import parameter
 from fvs_ros.timeline import Sample, Timeline, repeats
 
 #: Largest age of joint states before the arm stops, and of the ball before it turns back, s.
 _JOINTS_MAX_AGE_S, _BALL_MAX_AGE_S = 0.1, 0.5
-#: Time that the arm may deviate from its commands, s. Motion against the command counts six times
-#: and ends the run after the second time (0.12 s).
-_FOLLOW_TIME_S, _AGAINST_TIME_S, _AGAINST_RAD = 3.0, 0.7, 0.01
+#: A joint that moves by so much against its command has the wrong sign, rad.
+_AGAINST_RAD = 0.01
 #: A driver holds the last command while this computer stalls: within this time it takes no joint
 #: beyond its range, s. A stall of 0.5 s, and a drive's lag of 0.1 s.
 _HELD_S = 0.6
@@ -91,10 +90,9 @@ class CollectionRun:
         self.stop = stop if stop is not None else StopCriterion(config.stop_at_error)
         self._motion: RandomMotion | None = None
         self._timeline = Timeline()
-        self._ticked_s = -np.inf
         self._joints: np.ndarray | None = None
         self._first_s = self._joints_s = self._ball_s = -np.inf
-        self._velocity = self._acceleration = np.zeros(len(self._names))
+        self._velocity = self._step = np.zeros(len(self._names))  # the last one, and to it, rad/s
         self._following = Following()
         self._speed_scaling = 1.0
         self._moved_s = 0.0
@@ -132,9 +130,14 @@ class CollectionRun:
     def joint_states(self, now_s: float, stamp_s: float, joints_rad: np.ndarray) -> None:
         """Take joint positions: arrival on the steady clock and stamp, s; (n,), rad."""
         if not repeats(stamp_s, self._timeline.joints.newest_stamp_s):
-            self._joints_s = now_s
             self._first_s = now_s if self._joints is None else self._first_s
-            self._joints = joints_rad
+            self._joints, self._joints_s = joints_rad, now_s
+            if self.moves:
+                unit = self._config.unit
+                command = self._speed_scaling * self._velocity / unit
+                self._following.add(stamp_s, command, joints_rad / unit)
+            else:
+                self._following.restart()
         self._record(self._timeline.add_joints(stamp_s, joints_rad))
 
     def ball(self, now_s: float, stamp_s: float, position_m: np.ndarray) -> None:
@@ -167,22 +170,29 @@ class CollectionRun:
         if self.state not in _OVER:
             self.state, self.reason = State.FAILED, reason
 
+    def interrupt(self) -> np.ndarray:
+        """End the run: the velocity, rad/s, (n,), from which the arm has to come to rest."""
+        self.fail("interrupted")
+        if not self._config.max_joint_jerk_rad_s3:
+            self._velocity = np.zeros(len(self._names))
+        return self._velocity
+
     def _record(self, samples: list[Sample]) -> None:
         if self.state in (State.MOVING, State.RETURNING):
             self.samples.extend(samples)
 
     def tick(self, now_s: float, dt_s: float) -> np.ndarray:
-        """Joint velocities for this tick, rad/s, shape (n,); always finite and within limits."""
-        dt_s, steady_dt_s = tick_s(dt_s), min(max(now_s - self._ticked_s, 0.0), MAX_TICK_S)
-        if now_s - self._ticked_s > MAX_TICK_S:
-            self._following.pause()  # what was held meanwhile is not what a tick counts for
-        self._ticked_s = now_s
+        """Joint velocities for this tick, rad/s, shape (n,); always finite and within limits.
+
+        ``dt_s`` is what the tick counts for, s.
+        """
+        dt_s = tick_s(dt_s)
         wanted = None if self.state in _OVER else self._decide(now_s, dt_s)
-        limits, joints, last, before = self.limits, self._joints, self._velocity, self._acceleration
+        limits, joints, last = self.limits, self._joints, self._velocity
+        before = self._step / dt_s if dt_s > 0.0 else self._step
         # The driver has held the last command since the joint state came.
         pending_rad = np.zeros_like(last) if joints is None else last * (now_s - self._joints_s)
         if wanted is None or joints is None or not np.all(np.isfinite(wanted)):
-            dt_s = dt_s or steady_dt_s  # simulated time may stand still; coming to rest must not
             velocity = limits.brake_to_rest(last, before, joints, dt_s, pending_rad)
         else:
             most = limits.max_joint_acceleration_rad_s2
@@ -191,9 +201,8 @@ class CollectionRun:
         if joints is not None:
             velocity = limits.held(velocity, joints + pending_rad, _HELD_S)
         if dt_s > 0.0:
-            self._acceleration = (velocity - last) / dt_s
-        self._velocity = velocity
-        return velocity.copy()
+            self._step, self._velocity = velocity - last, velocity
+        return self._velocity.copy()
 
     def _decide(self, now_s: float, dt_s: float) -> np.ndarray | None:
         """Advance the state machine; returns wanted velocities, rad/s, or None to come to rest."""
@@ -201,8 +210,6 @@ class CollectionRun:
         lost = _late(self._unseen, now_s - self._ball_s, _BALL_MAX_AGE_S)
         joints = self._joints
         others = f"{self._others} commands the arm as well; stop it first" if self._others else ""
-        if late:
-            self._following.restart()
         unknown = ""
         if not self._config.ranges_known and now_s - self._first_s < _DESCRIPTION_S:
             unknown = "no robot_description yet, which may have the joints' ranges"
@@ -219,7 +226,7 @@ class CollectionRun:
                 return None
         motion = self._motion
         self._watch_place(joints, motion.box_rad)
-        self._watch_following(joints, dt_s)
+        self._watch_following()
         if self.state is State.FAILED:
             return None
         self._moved_s += dt_s
@@ -260,18 +267,15 @@ class CollectionRun:
                 "other node moves the arm and that this computer is not too busy"
             )
 
-    def _watch_following(self, joints: np.ndarray, dt_s: float) -> None:
-        unit = self._config.unit
-        self._following.add(self._velocity / unit, joints / unit, self._speed_scaling, dt_s)
-        fault = self._following.fault(_AGAINST_TIME_S)
+    def _watch_following(self) -> None:
+        fault = self._following.fault
         if fault is None:
             return
         name = self._names[fault.joint]
-        along_rad = fault.moved_rad * np.sign(fault.commanded_rad)
-        if along_rad < -_AGAINST_RAD:
+        if fault.moved_rad * np.sign(fault.commanded_rad) < -_AGAINST_RAD:
             self.fail(f"{name} moves against its command; check joint_names and the joint's sign")
-        elif self._following.fault(_FOLLOW_TIME_S) is not None:
-            made = unit[fault.joint] * np.array([fault.commanded_rad, fault.moved_rad])
+        else:
+            made = self._config.unit[fault.joint] * np.array(fault[1:])
             self.fail(
                 f"the arm does not follow: {name} was commanded {made[0]:.2g} "
                 f"{self._config.length_unit(fault.joint)} and moved {made[1]:.2g}; check that its "

@@ -21,10 +21,9 @@ from tqdm import tqdm
 
 from fvs_estimator_node.collecting import PARAMETERS, CollectionRun, CollectorConfig, State
 from fvs_estimator_node.files import data_set_of, save_data_set
-from fvs_ros import clock, ros, topics
+from fvs_ros import ros, topics
 from fvs_ros.joints import ForeignJointsError, JointMap, JointStateError
 
-_WATCHDOG_S = 0.02
 _MIN_SAMPLES = 30
 _PUBLISHERS_PERIOD_S = 0.25
 
@@ -40,8 +39,6 @@ class CollectorNode(ros.FvsNode):
         self._joint_map = JointMap(self._names, config.tf_prefix)
         self._simulated_time = self.get_parameter("use_sim_time").value
         self._run = CollectionRun(config)
-        self._ticked_s = self.now_s()
-        self._stamp_s: float | None = None
         self._bar = tqdm(
             total=config.duration_s,
             desc="collecting",
@@ -56,7 +53,7 @@ class CollectorNode(ros.FvsNode):
         self.subscribe(topics.ROBOT_PROGRAM_RUNNING, self._on_program_running)
         self.subscribe(topics.SPEED_SCALING, self._on_speed_scaling)
         ros.LimitsReader(self, self._take_limits, self._run.fail)
-        self.create_timer(_WATCHDOG_S, self._watchdog, clock=self.steady_clock)
+        self._ticker = ros.Ticker(self, self._tick, config.joint_state_rate_hz)
         self.create_timer(ros.STATUS_PERIOD_S, self._publish_status, clock=self.steady_clock)
         self.create_timer(
             _PUBLISHERS_PERIOD_S, self._find_other_publishers, clock=self.steady_clock
@@ -75,11 +72,7 @@ class CollectorNode(ros.FvsNode):
             return
         self._joints = joints
         self._run.joint_states(now_s, stamp_s, joints)
-        dt_s = now_s - self._ticked_s
-        if self._simulated_time and self._stamp_s is not None:
-            dt_s = stamp_s - self._stamp_s
-        self._stamp_s = stamp_s
-        self._tick(now_s, dt_s)
+        self._ticker.on_joint_state(now_s, stamp_s)
 
     def _on_feature(self, message: PointStamped | PoseStamped) -> None:
         feature, frame = self._feature, self._config.feature_frame
@@ -108,24 +101,20 @@ class CollectorNode(ros.FvsNode):
 
     # --- the tick: the only place that sends commands ---
 
-    def _watchdog(self) -> None:
-        now_s = self.now_s()
-        if now_s - self._ticked_s > _WATCHDOG_S:
-            self._tick(now_s, now_s - self._ticked_s)
-
-    def _tick(self, now_s: float, dt_s: float) -> None:
-        run, self._ticked_s = self._run, now_s
+    def _tick(self, now_s: float, dt_s: float) -> np.ndarray:
+        run = self._run
         velocity = run.tick(now_s, dt_s)
         self._commands.send(velocity, self._joints, dt_s, run.limits, run.moves)
-        if self._run.ended and self.exit_code is None:
+        if run.ended and self.exit_code is None:
             self._conclude()
+        return velocity
 
     def _conclude(self) -> None:
         self._show_progress()
         self._bar.close()
         failed = self._run.state is State.FAILED
         if failed:
-            print(f"collecting failed: {clock.blamed(self._run.reason)}", file=sys.stderr)
+            print(f"collecting failed: {self._run.reason}", file=sys.stderr)
         self.exit_code = stop.EXIT_OK if self._write() and not failed else stop.EXIT_FAILURE
 
     def _write(self) -> bool:
@@ -163,7 +152,7 @@ class CollectorNode(ros.FvsNode):
     def _show_progress(self) -> None:
         self._bar.total = min(self._config.duration_s, self._run.duration_s)
         self._bar.n = self._run.progress * self._bar.total
-        words = (f"{len(self._run.samples)} positions", self._run.stop.words(), self._reason())
+        words = (f"{len(self._run.samples)} positions", self._run.stop.words(), self._run.reason)
         self._bar.set_postfix_str(", ".join(filter(None, words)), refresh=False)
         self._bar.update(0)
 
@@ -171,17 +160,14 @@ class CollectorNode(ros.FvsNode):
         run = self._run
         level = {State.FAILED: ros.ERROR, State.MOVING: ros.OK, State.DONE: ros.OK}
         values = {"progress": run.progress, "positions": len(run.samples), **self._known()}
-        self.publish_status(level.get(run.state, ros.WARN), run.state.value, self._reason(), values)
+        self.publish_status(level.get(run.state, ros.WARN), run.state.value, run.reason, values)
         self._show_progress()
 
-    def _reason(self) -> str:
-        run = self._run
-        return clock.blamed(run.reason) if run.state is State.HOLDING else run.reason
-
     def finish(self) -> None:
-        """Send zeros last; when interrupted, save the recording."""
-        self._commands.end(len(self._names))
-        if self.exit_code is None:
+        """Come to rest and send zeros last; when interrupted, save the recording."""
+        interrupted, self.exit_code = self.exit_code is None, self.exit_code or stop.EXIT_OK
+        self._ticker.end(self._run.interrupt(), self._commands)
+        if interrupted:
             self._bar.close()
             print("collecting was interrupted", file=sys.stderr)
             self._write()

@@ -1,29 +1,66 @@
-"""The control loop's clock, for ages and time-outs."""
+"""The control loop's clock, for ages and time-outs, and its pace."""
 
 from __future__ import annotations
 
-import os
 import time
+from collections import deque
 from collections.abc import Callable
-from pathlib import Path
+from math import inf
+
+from fvs_ros.timeline import MAX_BACKSTEP_S
 
 #: Simulated time that stands still for longer has ended or is paused, s. Longer than the simulator
 #: waits for an answer.
 _STILL_S = 5.0
 #: Simulated time that advances by more at once has jumped, s.
 _JUMP_S = 1.0
-#: With this number of running programs per core, some are late.
-_PROGRAMS_PER_CORE = 2.0
+#: Periods are learned from the last stamps: from so many on, and from so many at most.
+_FEWEST, _MOST = 4, 51
+#: A joint state that has not come after this many periods is missing.
+MISSING_PERIODS = 2.5
+#: Longest period: fewer joint states a second move no arm, s.
+MAX_PERIOD_S = 0.05
 
 
-def blamed(lateness: str) -> str:
-    """Words on an input that is late, with the cause before them if this computer is too busy."""
-    try:
-        running = int(Path("/proc/loadavg").read_text().split()[3].partition("/")[0])
-    except (OSError, ValueError, IndexError):  # not on this system
-        return lateness
-    busy = running >= _PROGRAMS_PER_CORE * len(os.sched_getaffinity(0))
-    return f"this computer is too busy: {lateness}" if busy else lateness
+class Pace:
+    """What a tick counts for: the period of the joint states, however early or late one comes.
+
+    A driver holds the last command, so it sees each tick as one step, whatever time has passed:
+    time that was lost is not made up. The period, ``period_s``, is the median step of the stamps,
+    at most that of a rate, Hz, if one is given; 0 while unknown.
+    """
+
+    def __init__(self, rate_hz: float = 0.0) -> None:
+        self._most_s = min(1.0 / rate_hz, MAX_PERIOD_S) if rate_hz else MAX_PERIOD_S
+        self.period_s = self._most_s if rate_hz else 0.0
+        self._steps_s: deque[float] = deque(maxlen=_MOST)
+        self._stamp_s = self._counted_s = -inf
+
+    @property
+    def missing_s(self) -> float:
+        """Time without a joint state after which one is missing, s."""
+        return MISSING_PERIODS * (self.period_s or MAX_PERIOD_S)
+
+    def joint_state(self, stamp_s: float) -> float:
+        """What a joint state with this stamp, s, counts for, s: a period, or nothing.
+
+        Nothing if its stamp does not advance, or if :meth:`missing` has counted its time already.
+        """
+        step_s, self._stamp_s = stamp_s - self._stamp_s, stamp_s
+        if 0.0 < step_s < inf:
+            self._steps_s.append(step_s)
+            if len(self._steps_s) >= _FEWEST:
+                median_s = sorted(self._steps_s)[len(self._steps_s) // 2]
+                self.period_s = min(median_s, self._most_s)
+        if -MAX_BACKSTEP_S <= stamp_s - self._counted_s < 0.5 * self.period_s:
+            return 0.0
+        self._counted_s = stamp_s
+        return self.period_s
+
+    def missing(self) -> float:
+        """What a tick without a joint state counts for, s."""
+        self._counted_s += self.period_s
+        return self.period_s
 
 
 class LoopClock:

@@ -2,30 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-#: Motions are summed with this memory, s: much longer than a drive's lag.
-_MEMORY_S = 0.5
+from fvs_ros.clock import MAX_PERIOD_S, MISSING_PERIODS
+from fvs_ros.timeline import History
 
-#: A joint that moves against its command is found sooner by this factor; from this motion on, rad,
-#: since small motions about a target lag and so often oppose the newest command.
-_AGAINST_WEIGHT, _AGAINST_RAD = 6.0, 0.02
+#: No drive lags by more, s.
+LONGEST_LAG_S = 0.2
+#: A joint that is asked for this much, rad (m), beyond its lag, makes at least this share of it: a
+#: speed slider that nobody reports may be at a fifth.
+_ASKED_RAD, _LEAST_SHARE = 0.03, 0.15
+#: Comparisons begin anew after this much of a joint's path, rad (m); so many of them are open, far
+#: enough back for the lag at full speed.
+_APART_RAD, _OPEN = 0.015, 20
+#: A look takes a while, so there is one after this much of a joint's path, rad (m).
+_LOOK_RAD = 0.0075
+#: Weight of a joint state when their period is learned.
+_LEARNING = 0.1
 
-#: Interval of the comparison, s.
-_LOOK_S = 0.04
 
-#: Least commanded motion within the memory that is judged, rad.
-_LEAST_COMMANDED_RAD = 0.004
-
-#: A joint follows if it makes this share of the motion that command and speed scaling ask for.
-_LEAST_SHARE = 0.15
-
-
-@dataclass(frozen=True)
-class TrackingFault:
-    """A joint, by its place, that does not follow: motion commanded and made in the memory."""
+class TrackingFault(NamedTuple):
+    """A joint, by its place, that does not follow: motion commanded, and made since then."""
 
     joint: int
     commanded_rad: float
@@ -33,55 +32,81 @@ class TrackingFault:
 
 
 class Following:
-    """Compares commands with joint states, over a fading memory of half a second."""
+    """Compares the commanded path with the joint states, by their stamps.
+
+    A joint lags by anything between nothing and a largest lag: what it has done of its path lies
+    between the path now and that of a lag ago. What was asked of it since a comparison began is at
+    least how far both lie beyond both of then.
+    """
 
     def __init__(self) -> None:
+        self._path = History()  # as commanded, rad, (n,), by the time that was judged
+        self._joints = self._looked = np.zeros(0)  # the last ones, and the path at the last look
+        self._before = np.zeros(0)  # the command before the path began, rad/s
+        #: Where comparisons began, newest first: least and largest path that may be done then, the
+        #: joints and the path, (4, k, n).
+        self._begun = np.zeros((4, _OPEN, 0))
+        self._period_s = MAX_PERIOD_S  # of the joint states
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew: a start."""
-        self._commanded = self._moved = np.zeros(1)
-        self._off_s = np.zeros(1)  # how long each joint has not followed
-        self.pause()
-
-    def pause(self) -> None:
-        """Ignore motion while the arm is held; keep what was counted."""
-        self._joints: np.ndarray | None = None
-        self._pending = np.zeros(1)
-        self._pending_s = 0.0
+        """Begin anew: a start, a hold."""
+        self._path.clear()
+        self._stamp_s: float | None = None  # of the last joint state
+        self.fault: TrackingFault | None = None  #: the joint that does not follow; None if all do
 
     def add(
-        self, command_rad_s: np.ndarray, joints_rad: np.ndarray, scaling: float, dt_s: float
+        self,
+        stamp_s: float,
+        command_rad_s: np.ndarray,
+        joints_rad: np.ndarray,
+        lag_s: float = LONGEST_LAG_S,
     ) -> None:
-        """Take a tick: the command since the last one, (n,), and the joints now, (n,).
+        """Take a joint state, (n,), and the command in force since the previous one, (n,).
 
-        ``scaling`` is the robot's speed scaling, 0 to 1.
+        After a gap it begins anew: a velocity goes on in it, but a position stands. ``lag_s`` is
+        the largest lag that the drives may have.
         """
-        if self._joints is None:
-            self._joints = joints_rad
+        step_s = 0.0 if self._stamp_s is None else stamp_s - self._stamp_s
+        self._stamp_s, self._joints = stamp_s, joints_rad
+        gap = not 0.0 < step_s <= MISSING_PERIODS * self._period_s
+        self._period_s += _LEARNING * (min(max(step_s, 0.0), MAX_PERIOD_S) - self._period_s)
+        if gap:
+            self._path.clear()
+            self._path.add(0.0, np.zeros_like(joints_rad))
+            self._before = command_rad_s
+            self._looked = np.zeros_like(joints_rad)
+            self._begun = np.zeros((4, _OPEN, joints_rad.size))
+            self._begun[0], self._begun[1] = np.sort([-lag_s * command_rad_s, self._looked], axis=0)
+            self._begun[2] = joints_rad
             return
-        self._pending = self._pending + (scaling * dt_s) * command_rad_s
-        self._pending_s += dt_s
-        if self._pending_s < _LOOK_S:
-            return
-        passed_s, keep = self._pending_s, _MEMORY_S / (_MEMORY_S + self._pending_s)
-        self._moved = keep * (self._moved + joints_rad - self._joints)
-        self._commanded = keep * (self._commanded + self._pending)
-        self._joints, self._pending, self._pending_s = joints_rad, np.zeros(1), 0.0
-        self._count(passed_s)
+        path, time_s = self._path.newest, self._path.newest_stamp_s
+        assert path is not None
+        assert time_s is not None
+        path, time_s = path + step_s * command_rad_s, time_s + step_s
+        self._path.add(time_s, path)
+        if np.abs(path - self._looked).max() >= _LOOK_RAD:
+            late = self._path.at(time_s - lag_s)
+            self._look(path, (time_s - lag_s) * self._before if late is None else late)
 
-    def _count(self, passed_s: float) -> None:
-        asked = np.abs(self._commanded)
-        along = self._moved * np.sign(self._commanded)
-        judged = asked >= _LEAST_COMMANDED_RAD
-        follows = along >= _LEAST_SHARE * asked
-        against = (along < -_LEAST_SHARE * asked) & (asked >= _AGAINST_RAD)
-        weight = np.where(against, _AGAINST_WEIGHT, 1.0)
-        self._off_s = np.where(judged & follows, 0.0, self._off_s + passed_s * weight * judged)
+    def _look(self, path: np.ndarray, late: np.ndarray) -> None:
+        """Compare, with the path now and a lag ago, rad, (n,)."""
+        self._looked, begun = path, self._begun
+        low, high, joints = np.minimum(path, late), np.maximum(path, late), self._joints
+        moved = joints - begun[2]
+        stuck = _astray(low - begun[1], high - begun[0], moved)
+        stuck |= _astray(begun[0] - high, begun[1] - low, -moved)
+        if stuck.any():
+            place, joint = np.argwhere(stuck)[0]
+            commanded_rad = float(path[joint] - begun[3, place, joint])
+            self.fault = TrackingFault(int(joint), commanded_rad, float(moved[place, joint]))
+        far = np.abs(path - begun[3, 0]) >= _APART_RAD
+        if far.any():
+            begun[:, 1:, far] = begun[:, :-1, far]
+            begun[:, 0, far] = np.array([low, high, joints, path])[:, far]
 
-    def fault(self, time_s: float) -> TrackingFault | None:
-        """Name the joint that has not followed for ``time_s``; None if all do."""
-        joint = int(self._off_s.argmax())
-        if self._off_s[joint] < time_s or self._off_s[joint] <= 0.0:
-            return None
-        return TrackingFault(joint, float(self._commanded[joint]), float(self._moved[joint]))
+
+def _astray(least: np.ndarray, most: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    """Which joints were asked to go one way only, and did not, or went the other way."""
+    made = np.where(least >= _ASKED_RAD, _LEAST_SHARE * least, -_ASKED_RAD)
+    return (least >= 0.0) & (most >= _ASKED_RAD) & (moved < made)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fvs_ros.limits import JointLimits, tick_s
+from fvs_ros.limits import JointLimits
 from fvs_ros.params import Parameters, parameter
 
 VELOCITY, POSITION = "velocity", "position"
@@ -25,6 +25,13 @@ class CommandInterface(Parameters):
         "forward_position_controller/commands.",
         choices=(VELOCITY, POSITION),
     )
+    joint_state_rate_hz: float = parameter(
+        0.0,
+        "Rate of the joint states, Hz: no tick counts for more than its period. 0: learned from "
+        "their stamps.",
+        0.0,
+        1000.0,
+    )
 
 
 class PositionPath:
@@ -42,7 +49,9 @@ class PositionPath:
     ) -> np.ndarray:
         """Positions, rad, (n,), to be reached next: the last ones, and a velocity for a tick."""
         start = joints_rad if self._position is None else self._position
-        lead = _LEAD_S * limits.max_joint_velocity_rad_s * limits.share
-        wanted = start + tick_s(dt_s) * velocity
-        self._position = np.clip(wanted, joints_rad - lead, joints_rad + lead)
+        fast = limits.max_joint_velocity_rad_s * limits.share
+        lead, step = _LEAD_S * fast, dt_s * fast
+        wanted = np.clip(start + dt_s * velocity, joints_rad - lead, joints_rad + lead)
+        # Back to within the lead, too, in steps that a driver takes.
+        self._position = np.clip(wanted, start - step, start + step)
         return self._position

@@ -12,21 +12,23 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from math import isfinite, pi
+from math import inf, isfinite, pi
 from operator import lt
 from typing import Any
 
 import numpy as np
 
+from fvs_ros.clock import MAX_PERIOD_S
 from fvs_ros.joints import UR_JOINT_NAMES, UR_POSITION_LIMITS_RAD, ArmJoints
 from fvs_ros.params import ParameterError, live_parameter
 from fvs_ros.urdf import UrdfJoint
 from fvs_ros.vectors import LARGEST, largest
 
-#: A tick counts for at most this long, s: a late one must not make a big step.
-MAX_TICK_S = 0.05
-#: In less no acceleration is known, s.
+#: Shortest time in which an acceleration is known, s.
 _LEAST_TICK_S = 1e-6
+#: What is sent stays below each limit by this share. A driver may compute in single precision:
+#: at 1 kHz and 2.6 rad/s it then rounds an acceleration by 2e-4 rad/s^2, a jerk by 0.5 rad/s^3.
+_BELOW = 1.0 - 1e-4
 #: Shares of the acceleration limit that braking is planned with: for a target, and for the end of
 #: a joint's range. With 0.9 a joint passed its end by up to 90 mrad (3 rad/s, a lag of 90 ms) while
 #: the drives' lag was not known yet; with 0.6 by 0.2 mrad.
@@ -34,20 +36,16 @@ BRAKING_SHARE, _RANGE_SHARE = 0.9, 0.6
 
 
 def tick_s(dt_s: float) -> float:
-    """What a tick counts for, s: none if no clock could give it, at most ``MAX_TICK_S``."""
-    return min(dt_s, MAX_TICK_S) if isfinite(dt_s) and dt_s > _LEAST_TICK_S else 0.0
+    """What a tick counts for, s: none if no clock could give it, at most ``MAX_PERIOD_S``."""
+    return min(dt_s, MAX_PERIOD_S) if isfinite(dt_s) and dt_s > _LEAST_TICK_S else 0.0
 
 
 def limit_speed(
     velocity: np.ndarray, max_speed: float, share: np.ndarray | float = 1.0
 ) -> np.ndarray:
-    """Scale the command as a whole so that no joint is faster than its share of ``max_speed``."""
-    fastest = largest(velocity / share)
-    if fastest <= max_speed:
-        return velocity
-    # The product of the two can pass the limit by the last bit.
-    most = max_speed * share
-    return np.clip(velocity * (max_speed / fastest), -most, most)
+    """Scale the command as a whole so that each joint stays below its share of ``max_speed``."""
+    most, fastest = _BELOW * max_speed, largest(velocity / share)
+    return velocity if fastest <= most else velocity * (most / fastest)
 
 
 def braking_speed(travel_rad: float, acceleration: float, dt_s: float, jerk: float = 0.0) -> float:
@@ -130,7 +128,7 @@ def ramp_to_zero(last: np.ndarray, max_step: float, share: np.ndarray | float = 
     return last * (1.0 - max_step / fastest)
 
 
-#: Full braking is reached within this time, s, whatever the jerk limit: an arm must stop.
+#: Full braking must be reached within this time, s: an arm must stop.
 _BUILD_UP_S = 0.1
 #: A joint position or speed that is no limit: none that a message may hold is larger.
 UNLIMITED = LARGEST
@@ -160,7 +158,7 @@ class JointLimits(ArmJoints):
     max_joint_jerk_rad_s3: float = live_parameter(
         0.0,
         "Jerk limit of every joint's command, rad/s^3, at least ten times the acceleration limit; "
-        "0 is off. Zeros that must be sent at once are not limited.",
+        "every stop then is a ramp within both. 0 is off: what must stop at once gets zeros.",
         0.0,
         1e5,
     )
@@ -191,6 +189,9 @@ class JointLimits(ArmJoints):
 
     #: The prismatic joints, by their names in robot_description; no parameter.
     slides: tuple[str, ...] = ()
+    #: What robot_description says of each joint's speed near an end; no parameter. With an offset
+    #: o and a deceleration d a joint may be as fast as sqrt(2 d room) - o.
+    near_ends: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -258,10 +259,10 @@ class JointLimits(ArmJoints):
         return self.joint_limit_margin_rad * self.share
 
     @cached_property
-    def _joints(self) -> list[tuple[float, float, float]]:
-        return list(
-            zip(self.lower_rad.tolist(), self.upper_rad.tolist(), self.share.tolist(), strict=True)
-        )
+    def _joints(self) -> list[tuple[float, float, float, tuple[float, float]]]:
+        ends = self.lower_rad.tolist(), self.upper_rad.tolist()
+        near = self.near_ends or (UrdfJoint.near_end,) * len(self.joint_names)
+        return list(zip(*ends, self.share.tolist(), near, strict=True))
 
     @cached_property
     def _inside(self) -> list[tuple[float, float]]:
@@ -285,9 +286,9 @@ class JointLimits(ArmJoints):
 
         Within the acceleration limit, or another one, rad/s^2, and the jerk limit, if there is one.
         """
-        most = (acceleration or self.max_joint_acceleration_rad_s2) * self.share
+        most = _BELOW * (acceleration or self.max_joint_acceleration_rad_s2) * self.share
         if self.max_joint_jerk_rad_s3 > 0.0:
-            jerk = np.maximum(self.max_joint_jerk_rad_s3 * self.share, most / _BUILD_UP_S)
+            jerk = _BELOW * self.max_joint_jerk_rad_s3 * self.share
             return limit_jerk(velocity, last, last_acceleration, most, jerk, dt_s)
         return limit_acceleration(velocity, last, most * dt_s)
 
@@ -301,7 +302,7 @@ class JointLimits(ArmJoints):
         """Take one step to rest, within the limits of :meth:`step`."""
         if self.max_joint_jerk_rad_s3 > 0.0:
             return self.step(np.zeros_like(last), last, last_acceleration, dt_s, acceleration)
-        most = acceleration or self.max_joint_acceleration_rad_s2
+        most = _BELOW * (acceleration or self.max_joint_acceleration_rad_s2)
         return ramp_to_zero(last, most * dt_s, self.share)
 
     def slow_down(
@@ -331,10 +332,13 @@ class JointLimits(ArmJoints):
         slope = min(self.max_joint_velocity_rad_s / self.joint_limit_margin_rad, 5.0)
         jerk = self.max_joint_jerk_rad_s3
         each = zip(values, joints.tolist(), pending_rad.tolist(), self._joints, strict=True)
-        for i, (v, q, ahead, (lower, upper, share)) in enumerate(each):
+        for i, (v, q, ahead, (lower, upper, share, (offset, allowed))) in enumerate(each):
             room = upper - q if v > 0.0 else q - lower
-            room = max(0.0, room - max(0.0, ahead if v > 0.0 else -ahead)) / share
+            room = max(0.0, room - max(0.0, ahead if v > 0.0 else -ahead))
+            driver = braking_speed(room, allowed, dt_s, jerk) - offset if allowed < inf else inf
+            room /= share
             cap = share * min(slope * room, braking_speed(room, acceleration, dt_s, jerk))
+            cap = min(cap, max(0.0, driver))
             if abs(v) > cap:
                 values[i] = cap if v > 0.0 else -cap
                 slowed.append(i)
@@ -357,14 +361,16 @@ class JointLimits(ArmJoints):
         pending_rad: np.ndarray,
     ) -> np.ndarray:
         """Find the next command, (n,), rad/s, on the way to rest from the last one."""
+        if self.max_joint_jerk_rad_s3 > 0.0:
+            return self.ramp(last, last_acceleration, dt_s)
         # From full speed it stops within 0.5 s, however small the acceleration limit is.
         acceleration = max(self.max_joint_acceleration_rad_s2, self.max_joint_velocity_rad_s / 0.5)
         velocity = self.ramp(last, last_acceleration, dt_s, acceleration)
-        if joints is None or self.max_joint_jerk_rad_s3 > 0.0:
+        if joints is None:
             return velocity
         # The ramp is as long as the fastest joint's; one that nears its limit brakes harder.
         velocity, _ = self.slow_down(velocity, joints, acceleration, dt_s, pending_rad)
-        most = acceleration * dt_s * self.share
+        most = _BELOW * acceleration * dt_s * self.share
         return np.clip(velocity, last - most, last + most)
 
 
@@ -379,6 +385,8 @@ def with_urdf_limits(values: Mapping[str, Any], urdf: Mapping[str, UrdfJoint]) -
     if not joints:
         return dict(values)
     values = {**values, "slides": tuple(one.name for one in joints if one.kind == "prismatic")}
+    if len(joints) == len(names):
+        values["near_ends"] = tuple(one.near_end for one in joints)
     if all(values[name] for name in URDF_LIMITS):
         return values
     for name in names:

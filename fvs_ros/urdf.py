@@ -41,6 +41,8 @@ class UrdfJoint:
     lower: float = -inf
     upper: float = inf
     velocity: float = inf
+    #: Offset and deceleration of the speed that its driver allows near an end, if it tells.
+    near_end: tuple[float, float] = (0.0, inf)
     #: Of the joint in its parent's frame, m and rad (roll, pitch, yaw), and its axis in its own.
     xyz_m: tuple[float, ...] = (0.0, 0.0, 0.0)
     rpy_rad: tuple[float, ...] = (0.0, 0.0, 0.0)
@@ -146,6 +148,7 @@ def _joint(element: ET.Element) -> UrdfJoint:
         )
         xyz_m, rpy_rad = (_triple(element, "origin", which) for which in ("xyz", "rpy"))
         axis = _triple(element, "axis", "xyz", "1 0 0")
+        near_end = _near_end(element.find("position_based_velocity_limits"))
     except ValueError:
         problem = f"joint {name[:60]!r} of the URDF has a bad number"
         return UrdfJoint(name, kind, parent, child, problem=problem)
@@ -156,8 +159,20 @@ def _joint(element: ET.Element) -> UrdfJoint:
         problem = f"joint {name[:60]!r} of the URDF has limits {lower:g} to {upper:g}"
     velocity = velocity if isfinite(velocity) and velocity > 0.0 else inf
     return UrdfJoint(
-        name, kind, parent, child, lower, upper, velocity, xyz_m, rpy_rad, axis, problem
+        name, kind, parent, child, lower, upper, velocity, near_end, xyz_m, rpy_rad, axis, problem
     )
+
+
+def _near_end(element: ET.Element | None) -> tuple[float, float]:
+    """Offset and deceleration of a speed limit that depends on the position, as of an FR3."""
+    if element is None:
+        return UrdfJoint.near_end
+    offset, deceleration = (
+        float(element.get(one, "")) for one in ("velocity_offset", "deceleration_limit")
+    )
+    if not (0.0 <= offset < inf and 0.0 < deceleration < inf):
+        raise ValueError
+    return offset, deceleration
 
 
 def _triple(element: ET.Element, tag: str, which: str, usual: str = "0 0 0") -> tuple[float, ...]:

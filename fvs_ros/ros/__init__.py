@@ -1,6 +1,6 @@
 """The one part of the ground that knows ROS: node, messages, quality of service."""
 
-from fvs_ros.ros.commands import CommandPublisher, LimitsReader
+from fvs_ros.ros.commands import CommandPublisher, LimitsReader, Ticker
 from fvs_ros.ros.inputs import NeverReady, Sampled, take
 from fvs_ros.ros.messages import (
     ERROR,

@@ -1,7 +1,8 @@
-"""What the nodes that command an arm share: the joint commands, and the joints' limits."""
+"""What the nodes that command an arm share: ticks, joint commands, and the joints' limits."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -9,11 +10,15 @@ import numpy as np
 from std_msgs.msg import String
 
 from fvs_ros import topics
+from fvs_ros.clock import Pace
 from fvs_ros.interface import VELOCITY, PositionPath
 from fvs_ros.limits import URDF_LIMITS, JointLimits, with_urdf_limits
 from fvs_ros.ros.messages import ERROR, OK, WARN, send_last_zeros, to_command
 from fvs_ros.ros.node import FvsNode
 from fvs_ros.urdf import UrdfJoint, read_joints
+
+#: A ramp to rest before the process ends takes no longer, s: who ends it waits for some seconds.
+_LONGEST_STOP_S = 2.0
 
 
 class CommandPublisher:
@@ -24,6 +29,8 @@ class CommandPublisher:
         self.topic = topics.COMMANDS if self._path is None else topics.POSITION_COMMANDS
         self._publisher = node.publisher(self.topic)
         self._lock_step = node.get_parameter("use_sim_time").value
+        self._last = np.zeros(0)  # velocity
+        self._sent: tuple[float, ...] = ()
 
     def send(
         self,
@@ -39,7 +46,9 @@ class CommandPublisher:
         position controller holds the last one, and another may take over in between. Simulated time
         waits for an answer to each joint state: then it is where the joints are.
         """
-        values = velocity_rad_s
+        values, last, self._last = velocity_rad_s, self._last, velocity_rad_s
+        if not dt_s and values.any() and np.array_equal(values, last) and not self._lock_step:
+            return ()  # a tick that counts for nothing: the driver holds this command already
         if self._path is not None:
             active = active or bool(velocity_rad_s.any())
             if not active:
@@ -55,6 +64,59 @@ class CommandPublisher:
         """Send the last commands: zeros to a velocity controller, which holds the last one."""
         if self._path is None:
             send_last_zeros(self._publisher, joints)
+
+
+class Ticker:
+    """Calls ``tick`` at every joint state and, while none come, at their period.
+
+    It gets the loop's time, s, and what the tick counts for, s, and returns the joint velocities
+    that it sent, (n,).
+    """
+
+    def __init__(
+        self, node: FvsNode, tick: Callable[[float, float], np.ndarray], rate_hz: float = 0.0
+    ) -> None:
+        self._node, self._tick, self._pace = node, tick, Pace(rate_hz)
+        self._ticked_s, self._patience_s = node.now_s(), self._pace.missing_s
+        self.late = 0  #: ticks without a joint state
+        self._timer = node.create_timer(self._patience_s, self.on_missing, clock=node.steady_clock)
+
+    def on_joint_state(self, now_s: float, stamp_s: float) -> None:
+        """Tick at a joint state that has arrived, with its stamp, s."""
+        dt_s = self._pace.joint_state(stamp_s)
+        if dt_s > 0.0:  # stamps that stand still put no watchdog off
+            self._ticked_s = now_s
+            self._wait(self._pace.missing_s)
+            self._timer.reset()
+        self._tick(now_s, dt_s)
+
+    def on_missing(self) -> None:
+        """Tick without a joint state, unless simulated time is only slow."""
+        now_s = self._node.now_s()
+        if now_s - self._ticked_s >= 0.9 * self._patience_s:
+            self.late += 1
+            self._ticked_s = now_s
+            self._wait(self._pace.period_s or self._patience_s)
+            self._tick(now_s, self._pace.missing())
+
+    def _wait(self, patience_s: float) -> None:
+        """Change the watchdog's period; a learned one varies a little all the time."""
+        if abs(patience_s - self._patience_s) > 0.1 * self._patience_s:
+            self._patience_s = patience_s
+            self._timer.timer_period_ns = round(1e9 * patience_s)
+            self._timer.reset()
+
+    def end(self, velocity_rad_s: np.ndarray, commands: CommandPublisher) -> None:
+        """Tick until the arm rests, from its last joint velocities, (n,); then end the commands."""
+        period_s, due_s = self._pace.period_s, time.monotonic()
+        end_s = due_s + _LONGEST_STOP_S
+        try:
+            while velocity_rad_s.any() and due_s < end_s:
+                due_s = max(due_s + period_s, time.monotonic())
+                time.sleep(max(0.0, due_s - time.monotonic()))
+                velocity_rad_s = self._tick(self._node.now_s(), self._pace.missing())
+        finally:
+            commands.end(len(velocity_rad_s))
 
 
 class LimitsReader:

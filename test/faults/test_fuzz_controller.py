@@ -16,8 +16,9 @@ from bench import bench_fuzz, bench_mutants
 from bench.bench_fuzz import Machine
 from bench.bench_mutants import MUTANTS, SCRIPTS, do
 from bench.fuzz_promises import Promises
-from bench.fuzz_world import BALL, FRESH_TICKS, World
+from bench.fuzz_world import BALL, FRESH_TICKS, JOINT_STATES, World
 from fvs_controller_node.reasons import Reason
+from fvs_ros.ros import commands
 
 README = Path(__file__).resolve().parents[2] / "README.md"
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of numpy, about odd numbers
@@ -124,3 +125,80 @@ def test_a_limit_that_is_lowered_in_motion_is_reached_by_braking_with_all_it_has
     machine.change({"max_joint_velocity_rad_s": 0.05})
     world.run(int(np.ceil((fastest - 0.05) / (6.0 * 0.008))))
     assert np.abs(world.last).max() <= 0.05
+
+
+# ---- a driver that checks limits in its own cycle ------------------------------------------------
+
+CYCLE_S = 0.001
+DRIVER = {
+    "joint_state_rate_hz": 1.0 / CYCLE_S,
+    "max_joint_velocity_rad_s": 0.5,
+    "max_joint_acceleration_rad_s2": 10.0,
+    "max_joint_jerk_rad_s3": 4000.0,
+}
+
+
+def driven(interface="velocity"):
+    """A world at 1 kHz, servoing, and what is sent in it from then on."""
+    world = World({**DRIVER, "command_interface": interface})
+    sent = []
+    world.judge = lambda *_: sent.extend(np.array(one.data) for one in world.wire)
+    world.run(FRESH_TICKS, steady_s=CYCLE_S)
+    world.send_target(world.ball() + world.true @ np.full(6, 0.3))
+    world.start()
+    return world, sent
+
+
+@pytest.mark.parametrize("interface", ["velocity", "position"])
+def test_neither_jitter_nor_stalls_take_a_driver_beyond_its_limits(interface):
+    world, sent = driven(interface)
+    for stall_s in (0.0, 0.01, 0.05, 0.3, 0.0):
+        world.run(1, steady_s=stall_s + CYCLE_S)
+        for jitter_s in np.random.default_rng(0).uniform(-2e-4, 2e-4, 120):
+            world.run(1, steady_s=CYCLE_S + jitter_s, ros_s=CYCLE_S)
+        world.run(40, steady_s=CYCLE_S, silent=[JOINT_STATES])
+    world.stop()
+    world.run(300, steady_s=CYCLE_S)
+    sent = np.array(sent)
+    moved = np.abs(sent[-1] - sent[0]).max() if interface == "position" else 0.0
+    velocity = np.diff(sent, axis=0) / CYCLE_S if interface == "position" else sent
+    assert np.abs(velocity).max() > 0.2 or moved > 0.05
+    rounding = 1.0 + 1e-6 * (interface == "position")
+    for order, most in enumerate((0.5, 10.0, 4000.0)):
+        assert np.abs(np.diff(velocity, order, axis=0)).max() < rounding * most * CYCLE_S**order
+
+
+@pytest.mark.parametrize("jerk", [0.0, 4000.0])
+def test_a_process_that_ends_brings_the_arm_to_rest_within_a_jerk_limit(monkeypatch, jerk):
+    zeros = []
+    monkeypatch.setattr(commands, "send_last_zeros", lambda *_: zeros.append(len(sent)))
+    world, sent = driven()
+    world.set({"max_joint_jerk_rad_s3": jerk})
+    world.run(150, steady_s=CYCLE_S)
+    before = len(sent)
+    assert np.abs(sent[-1]).max() > 0.3
+    world.node.finish()
+    assert zeros == [len(sent)]
+    assert 30 < len(sent) - before < 100 if jerk else len(sent) == before
+    if jerk:
+        assert np.abs(np.diff(sent, 2, axis=0)).max() < jerk * CYCLE_S**2
+        assert not sent[-1].any()
+
+
+def test_a_lasting_hold_is_logged_at_once_after_one_that_passed(monkeypatch):
+    world, logged = World(), []
+    monkeypatch.setattr(world.node, "tell", lambda _level, text: logged.append((world.now_s, text)))
+    world.run(FRESH_TICKS)
+    world.send_target(world.ball() + [0.3, 0.0, 0.0])
+    world.start()
+    for _ in range(3):  # passing ones
+        world.run(10)
+        world.run(30, silent=[BALL])
+        world.run(FRESH_TICKS)
+    holds = [text for _, text in logged if "HOLDING" in text]
+    assert len(holds) == 1
+    began_s = world.now_s
+    world.run(150, silent=[BALL])
+    at_s, text = logged[-1]
+    assert "ball_position is" in text
+    assert at_s - began_s < 0.8

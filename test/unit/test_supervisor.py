@@ -1,5 +1,6 @@
 """Every row of the safety table, as a story told to the supervisor."""
 
+import dataclasses
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -12,8 +13,9 @@ from fvs_controller_node.inbox import Inbox
 from fvs_controller_node.prediction import Verdict
 from fvs_controller_node.reasons import Reason, State
 from fvs_controller_node.supervisor import Command, Present, Supervisor
+from fvs_ros.following import Following
 
-DT_S = 0.008
+DT_S, LAG_S = 0.008, 0.03
 FRAME = "camera_color_optical_frame"
 JACOBIAN = np.eye(3, 6) * 0.5
 TARGET = np.array([0.0, 0.0, 1.0])
@@ -32,7 +34,7 @@ class Cell:
         self.inputs, self.goal = self.supervisor.inputs, self.supervisor.goal
         self.now_s, self.since_s = 100.0, 0.0
         self.commands: list[Command] = []
-        self.joints = np.zeros(6)
+        self.joints, self.following = np.zeros(6), Following()
         self.heal()
 
     def heal(self) -> None:
@@ -69,9 +71,14 @@ class Cell:
         if "jacobian" in self.talking:
             self.inputs.add("jacobian", now_s, self.jacobian)
         before = supervisor.velocity_rad_s
-        place = ball if self.located else None
+        place, why, waits = ball if self.located else None, "clocks disagree", np.zeros(6)
+        if supervisor.last.state is State.SERVOING:
+            asked = self.inputs.speed_scaling * before
+            self.following.add(now_s, asked, self.joints, LAG_S)
+        else:
+            self.following.restart()
         present = Present(
-            self.joints, place, self.jacobian, np.zeros(6), "clocks disagree", self.verdict
+            self.joints, place, self.jacobian, waits, why, self.verdict, self.following.fault
         )
         command = supervisor.tick(now_s, DT_S, present, self.propose)
         self.commands.append(command)
@@ -220,9 +227,10 @@ ROWS = {
     "oscillation": Row(
         ball(lambda t: 0.025 * math.cos(2.0 * math.pi * t)), (0.0, 30.0), Reason.OSCILLATING, ""
     ),
-    "arm stuck": lame(0.0, (2.5, 4.0), "shoulder_pan_joint"),
-    "arm inverted": lame(-1.0, (0.2, 1.2), "shoulder_pan_joint"),
-    "joint stuck": lame(SLACK, (2.5, 4.0), "elbow_joint"),
+    # At 0.5 and 0.3 rad/s, 30 to 55 mrad beyond the lag.
+    "arm stuck": lame(0.0, (0.06, 0.14), "shoulder_pan_joint"),
+    "arm inverted": lame(-1.0, (0.06, 0.14), "does not follow: commanded"),
+    "joint stuck": lame(SLACK, (0.1, 0.2), "elbow_joint"),
 }
 
 
@@ -296,26 +304,27 @@ def test_it_waits_for_every_input_and_for_a_start_and_starts_softly(missing: str
     assert all(at_rest(one) for one in cell.commands)
     assert cell.start()
     first = cell.tick()
-    assert np.abs(first.velocity_rad_s).max() == pytest.approx(6.0 * DT_S)
+    assert np.abs(first.velocity_rad_s).max() == pytest.approx(6.0 * DT_S, 1e-3)
     assert "acceleration" in first.active_limit
     assert cell.start()  # again: nothing changes
     np.testing.assert_allclose(cell.run(0.2).velocity_rad_s, WANTED)
 
 
-def test_a_stop_comes_to_rest_though_simulated_time_stands_still_and_a_shutdown_at_once():
+@pytest.mark.parametrize("jerk", [0.0, 100.0])
+def test_a_shutdown_is_at_once_or_within_the_limits_of_jerk_and_acceleration(jerk):
     cell = servoing()
-    cell.supervisor.stop()
-    for _ in range(100):
-        cell.now_s += DT_S
-        present = Present(cell.joints, TARGET, JACOBIAN, np.zeros(6))
-        command = cell.supervisor.tick(cell.now_s, 0.0, present, pytest.fail)
-    assert at_rest(command)
-    cell = servoing()
+    config = dataclasses.replace(cell.supervisor.config, max_joint_jerk_rad_s3=jerk)
+    cell.supervisor.configure(config)
     command = cell.supervisor.shutdown()
-    assert at_rest(command)
     assert command.reason is Reason.SHUT_DOWN
+    assert at_rest(command) is not jerk
     assert not cell.start()
-    assert at_rest(cell.run(0.5))
+    moved = [one.velocity_rad_s for one in cell.commands[-2:]]
+    cell.talking.clear()  # nor does a joint state come
+    moved += [cell.tick().velocity_rad_s for _ in range(30)]
+    assert not jerk or np.abs(np.diff(moved, 2, axis=0)).max() <= jerk * DT_S**2
+    assert np.abs(moved[20]).max() < 1e-3
+    assert not moved[-1].any()
 
 
 def test_a_gap_that_no_tick_saw_counts_too():
@@ -374,10 +383,11 @@ def test_the_velocity_limit_scales_the_whole_vector_and_a_joint_near_its_end_is_
     cell = servoing()
     cell.wanted = 10.0 * WANTED
     command = cell.run(0.5)
-    np.testing.assert_allclose(command.velocity_rad_s, WANTED / 0.5, rtol=1e-9)
+    np.testing.assert_allclose(command.velocity_rad_s, 0.9999 * WANTED / 0.5)
     assert command.active_limit == "velocity"
     cell = servoing()
     cell.follows, cell.joints = 0.0, np.array([2 * np.pi - 0.02, 0.0, 0.0, 0.0, 0.0, 0.0])
+    cell.inputs.add_speed_scaling(cell.now_s, 0.1)  # it stands, and nothing is asked of it
     command = cell.run(0.2)
     assert command.velocity_rad_s[0] == pytest.approx(0.1)  # 1 rad/s * 0.02 / 0.2
     np.testing.assert_allclose(command.velocity_rad_s[1:], WANTED[1:])
@@ -393,7 +403,7 @@ def test_near_a_singularity_it_slows_down_and_a_hold_has_hysteresis():
         cell.jacobian = singular(smallest)
         speeds.append(cell.fastest())
     assert speeds == sorted(speeds, reverse=True)
-    assert speeds[::2] == pytest.approx([1.0, 0.5])
+    assert speeds[::2] == pytest.approx([1.0, 0.5], 1e-3)
     assert "near singular (0.040 m/rad)" in cell.commands[-1].active_limit
     for smallest, state in ((0.02, "HOLDING"), (0.035, "HOLDING"), (0.07, "SERVOING")):
         cell.jacobian = singular(smallest)
@@ -410,7 +420,7 @@ def held_near_a_singularity(smallest: float = 0.02) -> Cell:
 def test_a_new_start_leaves_a_singular_pose_slowly_and_then_goes_on():
     cell = held_near_a_singularity()
     assert "slowly" in cell.supervisor.start(cell.now_s)[1]
-    assert cell.fastest() == pytest.approx(0.1)
+    assert cell.fastest() == pytest.approx(0.1, 1e-3)
     cell.jacobian = singular(0.3)
     assert cell.fastest() == pytest.approx(0.5)
 
@@ -438,7 +448,7 @@ def test_a_wrong_jacobian_slows_the_arm_down_and_may_mislead_it_by_50_mm(speed: 
     cell.wanted = speed * WANTED
     free = cell.fastest()
     cell.verdict = Verdict(0.02, 1.0, 1.0, 0.3)
-    assert cell.fastest() == pytest.approx(min(free, 0.5))
+    assert cell.fastest() == pytest.approx(min(free, 0.5), 1e-3)
     cell.verdict = Verdict(0.02, 1.0, 1.5, 0.3)
     for _ in range(2):  # and as far again, on request
         way_m = 0.0
