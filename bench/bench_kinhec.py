@@ -17,7 +17,7 @@ import yaml
 
 from fvs_estimator_node.files import DataSet
 from fvs_estimator_node.hand_eye import calibrate
-from fvs_ros.feature import PoseFeature
+from fvs_ros.feature import PoseFeature, rotation_angle_rad, rotation_matrix
 from fvs_ros.urdf import Kinematics
 
 REPEATS = int(os.environ.get("FVS_BENCH_KINHEC", "2"))
@@ -49,24 +49,20 @@ def arm_of(robot):
     """The axes of a robot that is told by Denavit-Hartenberg parameters."""
     axes, points, pose = [], [], np.eye(4)
 
-    def step(turn=0.0, shift=0.0, axis=2):
-        a, b = [one for one in range(3) if one != axis]
-        sign = -1.0 if axis == 1 else 1.0
+    def step(axis, turn, shift):
         one = np.eye(4)
-        one[[a, b], [a, b]] = np.cos(turn)
-        one[a, b], one[b, a] = -sign * np.sin(turn), sign * np.sin(turn)
-        one[axis, 3] = shift
+        one[:3, :3], one[:3, 3] = rotation_matrix(turn * axis), shift * axis
         return one
 
     for a, d, alpha, offset, sign in zip(
         robot.a, robot.d, robot.alpha, robot.theta_offset, robot.sign, strict=True
     ):
-        along = step(alpha, a, 0)
+        along = step(np.eye(3)[0], alpha, a)
         if robot.convention == "modified":
             pose = pose @ along
         axes.append(sign * pose[:3, 2])
         points.append(pose[:3, 3])
-        pose = pose @ step(offset, d)
+        pose = pose @ step(np.eye(3)[2], offset, d)
         if robot.convention == "standard":
             pose = pose @ along
     pose = pose @ robot.tool_matrix
@@ -79,8 +75,7 @@ def arm_of(robot):
 
 def errors(rotation, place_m, truth):
     """Degrees and mm."""
-    cosine = 0.5 * (np.trace(rotation.T @ truth[:3, :3]) - 1.0)
-    turn = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    turn = np.degrees(rotation_angle_rad(rotation.T @ truth[:3, :3]))
     return turn, 1e3 * np.linalg.norm(place_m - truth[:3, 3])
 
 
