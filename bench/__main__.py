@@ -1,7 +1,7 @@
 """Run the measurements of this folder in turn: ``python -m bench [NAME ...]``.
 
-What begins with a dash, dot or slash is handed on to the one that is named: ``python -m bench NAME
---option``.
+What begins with a dash or holds a slash is handed on to the one that is named: ``python -m bench
+NAME --option``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ def names() -> list[str]:
 
 def main(arguments: list[str]) -> int:
     """Run the named measurements, or all; the exit code tells whether all of them finished."""
-    own = next((i for i, word in enumerate(arguments) if word[0] in "-./"), len(arguments))
+    own = next(
+        (i for i, one in enumerate(arguments) if one[0] == "-" or "/" in one), len(arguments)
+    )
     wanted, options = arguments[:own], arguments[own:]
     if options and len(wanted) != 1:
         print(f"{options[0]} stands behind the name of one measurement", file=sys.stderr)

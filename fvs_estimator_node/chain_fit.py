@@ -181,8 +181,8 @@ def fit_chain(data: DataSet, progress: Callable[[str], None] | None = None) -> C
     if not data.still and len(path.indices) < _MIN_SAMPLES:
         raise ChainFitError(
             f"a chain needs at least {_MIN_SAMPLES} images in continuous runs of more than "
-            f"{2 * MAX_OFFSET_S:g} s, the data set has {len(path.indices)}; of still poses, joints "
-            f"at rest for {MAX_OFFSET_S:g} s before each image"
+            f"{2 * MAX_OFFSET_S:g} s, the data set has {len(path.indices)}; still poses have "
+            f"joints at rest for {MAX_OFFSET_S:g} s before each image, or no stamp_s in a table"
         )
     if np.linalg.norm(data.ball_m.std(axis=0)) < 1e-3:
         raise ChainFitError(

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from test_calibration import ARM, CAMERA, TAG, URDF, collected, errors
 from test_recorded import T, message
 
+from bench import bench_real
 from fvs_estimator_node.calibration import CalibrationError
 from fvs_estimator_node.chain_fit import ChainFitError, fit_chain
 from fvs_estimator_node.files import DataSet, load_data_set, load_model, save_data_set
@@ -212,3 +213,9 @@ def test_a_table_that_cannot_be_read_is_refused_in_words(tmp_path, text, words):
     with pytest.raises(ValueError, match=words) as error:
         read_table(path)
     assert str(path) in str(error.value)
+
+
+def test_recordings_that_are_not_there_are_skipped_in_words(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["real", str(tmp_path)])
+    bench_real.main()
+    assert capsys.readouterr().out.count("skipped: there is no folder") == len(bench_real.NOTES)
