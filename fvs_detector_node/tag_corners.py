@@ -42,7 +42,7 @@ class Fitting:
     rounding: float = 0.3
     #: Rounds at most, and the step of a corner, px, that ends them.
     rounds: int = 12
-    still_px: float = 0.01
+    still_px: float = 0.03
 
 
 FIT = Fitting()

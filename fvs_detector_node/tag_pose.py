@@ -57,7 +57,7 @@ ACCEPT = Acceptance()
 #: Columns of ``cv2.projectPoints`` that are fitted: turn, position and first radial coefficient.
 _UNKNOWN = [0, 1, 2, 3, 4, 5, 10]
 #: Rounds of the fit, and the step, rad and m, that ends it.
-_ROUNDS, _STILL = 10, 1e-7
+_ROUNDS, _STILL = 10, 1e-5
 
 
 @dataclass(frozen=True)
