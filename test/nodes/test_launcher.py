@@ -122,10 +122,14 @@ def test_nothing_in_the_current_folder_is_run_and_a_killed_launcher_leaves_nothi
     assert list(temporary.iterdir()) == []
 
 
-@pytest.mark.parametrize("delay_s", [0.15, 0.8])
-def test_a_signal_at_any_moment_of_the_start_ends_all(ros_test, delay_s):
+def imports(pid):
+    return "numpy" in Path(f"/proc/{pid}/maps").read_text()
+
+
+@pytest.mark.parametrize("moment", [imports, children])
+def test_a_signal_at_any_moment_of_the_start_ends_all(ros_test, moment):
     process = ros_test.start(MODULE, "servo")
-    ros_test.spin_for(delay_s)
+    ros_test.spin_until(lambda: moment(process.pid), what="the moment")
     nodes = children(process.pid)
     assert ros_test.stop(process, signal.SIGINT) == 0, ros_test.output(process)
     assert not any(alive(pid) for pid in nodes)
@@ -184,8 +188,8 @@ REFUSED = [
     ("fvs_controller_node.node", {"alpha_1": 1.0}, "'alpha_1'; did you mean alpha1?"),
     ("fvs_estimator_node.collector_node", {"output_path": "/proc/nowhere/x.npz"}, "output_path"),
     ("fvs_dashboard.dashboard_node", {"host": "203.0.113.1"}, "cannot be served at 203.0.113.1"),
-    ("fvs_dashboard.dashboard_node", ["-p", "port:=9000"], "unknown argument '-p'"),
-    ("fvs_dashboard.dashboard_node", ["--ros-args", "-p", "foo"], "cannot start:"),
+    ("fvs_tools.markers_node", ["-p", "port:=9000"], "unknown argument '-p'"),
+    ("fvs_tools.markers_node", ["--ros-args", "-p", "foo"], "cannot start:"),
 ]
 
 
