@@ -38,12 +38,12 @@ dashboard: $(VENV)/.installed-dashboard log-dir ## the same arm, watched and dri
 	@$(BIN)/fvs_launch config/dashboard.yaml $(ARGS)
 
 test: $(VENV)/.installed-all log-dir ## all tests
-	@echo "== tests: about six minutes on two cores"
+	@echo "== tests: four to seven minutes on two cores"
 	@ROS_PYTHON_CHECK_FIELDS=1 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST \
 		$(BIN)/python -m pytest -n 2 $(ARGS)
 
 coverage: $(VENV)/.installed-all log-dir ## lines that the tests run, of the ground and the nodes: at least 90 %
-	@echo "== tests with coverage: about ten minutes on two cores"
+	@echo "== tests with coverage: about half as long again"
 	@rm -rf out/coverage && mkdir -p out/coverage
 	@ROS_PYTHON_CHECK_FIELDS=1 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST \
 		$(BIN)/python -m coverage run -m pytest -n 2 $(ARGS)

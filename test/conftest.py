@@ -4,12 +4,12 @@ import atexit
 import importlib.util
 import os
 import shutil
-import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
 
+import guard
 import pytest
 
 _LOG_DIR = tempfile.mkdtemp(prefix="fvs_test_log_")
@@ -43,20 +43,12 @@ def _slowness():
 
 
 if "PYTEST_XDIST_WORKER" not in os.environ:
-    # Workers, and what they start, inherit the speed, and the mark that the guard looks for.
+    # Workers, and what they start, inherit the speed.
     slowness = _slowness()
     os.environ["FVS_TEST_SLOWNESS"] = f"{slowness:.2f}"
     # Longer than any test waits by itself: it ends what hangs.
     os.environ.setdefault("PYTEST_TIMEOUT", f"{180 * slowness:.0f}")
-    os.environ["FVS_TEST_MARK"] = mark = f"{os.getpid()} {time.time()}"
-    subprocess.Popen(
-        [sys.executable, "-S", str(Path(__file__).with_name("guard.py")), mark],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-        env={},
-    )
+    guard.watch()
 
 
 @pytest.fixture

@@ -7,12 +7,21 @@ its environment gets SIGTERM, and after a while SIGKILL.
 import contextlib
 import os
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
 
 #: A node ends within this time, s.
 _END_S = 5.0
+
+
+def watch():
+    """Have whatever this process starts from now on end with it."""
+    os.environ["FVS_TEST_MARK"] = mark = f"{os.getpid()} {time.time()}"
+    nowhere = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+    command = [sys.executable, "-S", __file__, mark]
+    subprocess.Popen(command, start_new_session=True, env={}, **nowhere)
 
 
 def marked(mark):
@@ -27,8 +36,8 @@ def marked(mark):
 
 def main():
     """Wait, then end what is left."""
-    tests, mark = os.getppid(), sys.argv[1].encode()
-    while os.getppid() == tests:
+    mark = sys.argv[1].encode()
+    while os.getppid() == int(mark.split()[0]):
         time.sleep(0.2)
     end_s, number = time.monotonic() + _END_S, signal.SIGTERM
     while left := marked(mark):

@@ -36,20 +36,27 @@ def test_the_simulator_waits_for_a_slow_answer_to_each_joint_state(ros_test):
     ros_test.spin_until(lambda: len(states) > count + 100, what="the simulator to go on alone")
 
 
-def test_the_simulator_waits_for_an_estimator_that_is_far_behind(ros_test):
-    ros_test.start_node("fvs_sim_node.node", simulated_time=True)
+@pytest.mark.parametrize(
+    ("topic", "message", "behind_s"),
+    [
+        (topics.JACOBIAN, ros.to_jacobian(JACOBIAN), 0.1),
+        (topics.BALL_POSITION, ros.to_point(1.0, "camera", np.zeros(3)), 0.15),
+    ],
+    ids=["estimator", "detector"],
+)
+def test_the_simulator_waits_for_a_node_that_is_far_behind(ros_test, topic, message, behind_s):
+    ros_test.start_node("fvs_sim_node.node", simulated_time=True, publish_ball_position=False)
     states = ros_test.collect(JointState, topics.JOINT_STATES.name)
-    jacobians = ros_test.publisher(Float64MultiArray, topics.JACOBIAN.name)
+    answers = ros_test.publisher(type(message), topic.name)
     ros_test.spin_until(lambda: len(states) > 0)
     for _ in range(2):
-        jacobians.publish(ros.to_jacobian(JACOBIAN))
+        answers.publish(message)
         ros_test.spin_for(0.3)
     first_s = ros.from_stamp(states[-1].header.stamp)
-    jacobians.publish(ros.to_jacobian(JACOBIAN))
+    answers.publish(message)
     ros_test.spin_for(0.3)
-    assert ros.from_stamp(states[-1].header.stamp) - first_s == pytest.approx(
-        0.1, abs=1.01 * STEP_S
-    )
+    passed_s = ros.from_stamp(states[-1].header.stamp) - first_s
+    assert passed_s == pytest.approx(behind_s, abs=1.01 * STEP_S)
 
 
 class SlowSimulator:
