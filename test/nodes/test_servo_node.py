@@ -68,8 +68,6 @@ def test_the_launcher_runs_both_in_one_process(ros_test):
         ([*ARMS, "--ros-args", "-r", "__ns:=/lab"], "neither __ns nor __node may be remapped"),
         (["--ros-args", "-p", "fvs_controller_node:method:=lkf"], "has no parameter method"),
         (["--ros-args", "-p", "methot:=poe"], "did you mean method"),
-        (["--fast"], "unknown argument"),
-        (["a b"], "Invalid namespace"),
     ],
 )
 def test_wrong_arguments_start_nothing(ros_test, arguments, words):
