@@ -23,15 +23,16 @@ def test_collecting_ends_when_the_arm_is_known_and_training_finds_its_jacobian(r
         "output_path": data_path,
         # Fewer exchanges for a simulated second than a UR's.
         "joint_state_rate_hz": 50,
+        "stop_at_error": 0.004,
     }
     arguments = (word for name in given for word in ("-p", f"{name}:={given[name]}"))
     process = ros_test.start(LAUNCHER, "collect_minute", *arguments)
     assert ros_test.wait(process, 80.0) == 0, ros_test.output(process)
     data = load_data_set(data_path)
-    assert 14.0 < data.stamps_s[-1] - data.stamps_s[0] < 60.0
+    assert 5.0 < data.stamps_s[-1] - data.stamps_s[0] < 60.0
     assert data.provenance["ended"].startswith("finished: Jacobian known to 0.")
     known = data.provenance["known"]
-    assert known["jacobian_deviation"] < 0.002
+    assert known["jacobian_deviation"] < 0.004
     assert known["misfit"] < 1.3
     home = np.array(HOME_JOINTS_RAD)
     assert np.abs(data.joints_rad[-1] - home).max() < 0.1

@@ -251,9 +251,3 @@ def test_a_tag_is_published_as_a_pose_from_colour_images_alone(ros_test):
     assert not watched.balls
     assert ros_test.stop(detector) == 0
     assert "Traceback" not in ros_test.output(detector)
-
-
-def test_a_tag_that_its_family_lacks_ends_the_start(ros_test):
-    detector = ros_test.start_node(NODE, feature="pose", tag_dictionary="4X4_50", tag_id=50)
-    assert ros_test.wait(detector) == 2
-    assert "tag_id 50 is not in 4X4_50" in ros_test.output(detector)

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import programs_in_turn
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
@@ -20,7 +21,7 @@ from fvs_ros import ros, topics
 from fvs_ros.paths import program
 from fvs_tools.scenario import NODE_TABLE
 
-MODULE = "fvs_tools.launcher"
+MODULE, SERVO = "fvs_tools.launcher", "fvs_tools.servo_node"
 EXECUTABLES = dict(
     re.findall(
         r'"(fvs_\w+)=([\w.]+):main"',
@@ -148,27 +149,10 @@ def test_a_node_that_dies_brings_all_down_and_is_named(ros_test):
     assert not any(alive(pid) for pid in nodes)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["servo", "--shceme", "best"], "did you mean --scheme?"),
-        (["servo", "--namespace", "a b"], "--namespace must be"),
-        (["servo", "-r", "a"], "not of the form"),
-    ],
-)
-def test_a_wrong_argument_starts_nothing(ros_test, arguments, words):
-    process = ros_test.start(MODULE, *arguments)
-    assert ros_test.wait(process) == 2
-    assert words in ros_test.output(process)
-
-
 def test_every_executable_says_what_it_is_for():
-    for name, module in EXECUTABLES.items():
-        done = subprocess.run(
-            [sys.executable, "-m", module, "--help"], stdout=subprocess.PIPE, text=True, check=False
-        )
-        text = done.stdout
-        assert done.returncode == 0, name
+    helps = programs_in_turn.run([(module, ["--help"]) for module in EXECUTABLES.values()])
+    for name, (code, text) in zip(EXECUTABLES, helps, strict=True):
+        assert code == 0, name
         assert f"\n\n{name}: " in f"\n\n{text}"
         assert "usage: " in text
         wanted = {"fvs_launch": "  demo  ", "fvs_experiments": "  servo  ", "fvs_train": "--method"}
@@ -180,8 +164,21 @@ def test_every_executable_says_what_it_is_for():
 
 #: Module, arguments, and words of the refusal.
 REFUSED = [
+    (MODULE, ["servo", "--shceme", "best"], "did you mean --scheme?"),
+    (MODULE, ["servo", "--namespace", "a b"], "--namespace must be"),
+    (MODULE, ["servo", "-r", "a"], "not of the form"),
+    (MODULE, ["collect", "--one-process"], topics.CONTROLLER),
+    (SERVO, ["left", "right", "right"], "/right/fvs_controller_node, /right/fvs_est"),
+    (SERVO, ["a", "b", "--ros-args", "-r", "__ns:=/lab"], "neither __ns nor __node may be"),
+    (SERVO, ["--ros-args", "-p", "fvs_controller_node:method:=lkf"], "has no parameter method"),
+    (SERVO, ["--ros-args", "-p", "methot:=poe"], "did you mean method"),
     ("fvs_sim_node.node", {"gui": True}, "gui needs a display"),
     ("fvs_sim_node.node", {"urdf_path": "/nowhere.urdf"}, "/nowhere.urdf"),
+    (
+        "fvs_detector_node.node",
+        {"feature": "pose", "tag_dictionary": "4X4_50", "tag_id": 50},
+        "tag_id 50 is not in 4X4_50",
+    ),
     ("fvs_estimator_node.node", {"model_path": "nowhere.npz"}, "model_path"),
     ("fvs_estimator_node.node", {"feature_frame": "other_frame"}, "other_frame"),
     ("fvs_controller_node.node", {"lambda1": 0.2, "lambda2": 0.3}, "lambda"),
@@ -193,14 +190,19 @@ REFUSED = [
 ]
 
 
-def test_a_node_that_cannot_do_as_told_says_so_in_a_sentence_and_ends(ros_test, monkeypatch):
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+def test_what_cannot_do_as_told_says_so_in_a_sentence_and_ends(ros_test):
+    environment = {**ros_test.environment, "DISPLAY": "", "WAYLAND_DISPLAY": ""}
     commands = ros_test.collect(Float64MultiArray, topics.COMMANDS.name)
-    for module, given, words in REFUSED:
-        arguments = given if isinstance(given, list) else ros_arguments(**given)
-        process = ros_test.start(module, *arguments)
-        assert ros_test.wait(process) == 2
-        assert words in ros_test.output(process)
-        assert "Traceback" not in ros_test.output(process)
+    ended = programs_in_turn.run(
+        [
+            (module, given if isinstance(given, list) else ros_arguments(**given))
+            for module, given, _ in REFUSED
+        ],
+        env=environment,
+    )
+    for (_, _, words), (code, text) in zip(REFUSED, ended, strict=True):
+        assert words in text
+        assert code == 2, text
+        assert "Traceback" not in text
+    ros_test.spin_for(0.1)
     assert not any(np.any(m.data) for m in commands)

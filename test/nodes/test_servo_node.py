@@ -3,13 +3,10 @@
 import signal
 
 import numpy as np
-import pytest
 from geometry_msgs.msg import Vector3Stamped
 from harness import children, ros_arguments
 from rig import CONTROLLER, ESTIMATOR, SIMULATOR, TARGETS, Launched, Loop
 from std_msgs.msg import Float64MultiArray
-
-from fvs_ros import topics
 
 MODULE = "fvs_tools.servo_node"
 ARMS = ("left", "right")
@@ -59,24 +56,3 @@ def test_the_launcher_runs_both_in_one_process(ros_test):
     (refused,) = ros_test.set_parameters(CONTROLLER, method="rbf")
     assert "unknown parameter 'method'" in refused.reason
     assert ros_test.stop(loop.process) == 0, ros_test.output(loop.process)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ([*ARMS, "right"], "several nodes are called /right/fvs_controller_node, /right/fvs_est"),
-        ([*ARMS, "--ros-args", "-r", "__ns:=/lab"], "neither __ns nor __node may be remapped"),
-        (["--ros-args", "-p", "fvs_controller_node:method:=lkf"], "has no parameter method"),
-        (["--ros-args", "-p", "methot:=poe"], "did you mean method"),
-    ],
-)
-def test_wrong_arguments_start_nothing(ros_test, arguments, words):
-    process = ros_test.start(MODULE, *arguments)
-    assert ros_test.wait(process) == 2
-    assert words in ros_test.output(process)
-
-
-def test_what_a_shared_process_may_not_start(ros_test):
-    process = ros_test.start("fvs_tools.launcher", "collect", "--one-process")
-    assert ros_test.wait(process) == 2
-    assert topics.CONTROLLER in ros_test.output(process)
