@@ -28,6 +28,7 @@ from fvs_sim_node.robot import HOME_JOINTS_RAD
 
 DASHBOARD = "fvs_dashboard.dashboard_node"
 CONTROLLER = "fvs_controller_node.node"
+BOTH = "fvs_tools.servo_node"  # estimator and controller
 #: The page is tested, not the machine: so is a simulated arm of fewer joint states and images.
 SLOW = {"joint_state_rate_hz": 50, "image_rate_hz": 15.0}
 PATIENT = {f"{name}_max_age_s": 1.0 for name in ("joint_states", "ball", "jacobian")}
@@ -63,8 +64,7 @@ def pages():
 def test_a_tag_is_toured_dragged_and_turned(ros_test, pages):
     pose = {"feature": "pose"}
     ros_test.start_node("fvs_sim_node.node", **pose, **SLOW)
-    ros_test.start_node("fvs_estimator_node.node", method="poe", **pose)
-    ros_test.start_node(CONTROLLER, autostart=True, law="minimum_time", **pose, **PATIENT)
+    ros_test.start_node(BOTH, method="poe", autostart=True, law="minimum_time", **pose, **PATIENT)
     process = ros_test.start_node(DASHBOARD, port=0, tour=True, **pose)
     page = pages(address_of(ros_test, process))
     targets = ros_test.collect(PoseStamped, topics.TARGET_POSE.name, ros.QOS_RELIABLE)
@@ -277,8 +277,7 @@ def test_images_are_asked_for_only_while_a_browser_looks(loop, pages):
 def test_a_tour_of_a_simulated_arm_that_is_disturbed_and_reset_from_the_page(ros_test, pages):
     model = {"model_path": "models/ur5_front.npz"}
     ros_test.start_node("fvs_sim_node.node", **SLOW)
-    ros_test.start_node("fvs_estimator_node.node", **model)
-    ros_test.start_node(CONTROLLER, autostart=True, **PATIENT)
+    ros_test.start_node(BOTH, autostart=True, **model, **PATIENT)
     process = ros_test.start_node(DASHBOARD, port=0, tour=True, **model)
     page = pages(address_of(ros_test, process))
     joint_states = ros_test.collect(JointState, topics.JOINT_STATES.name)

@@ -13,14 +13,14 @@ from fvs_ros import ros, topics
 
 ARM = ("-p", "robot:=iiwa")
 POSITION = ("-p", "command_interface:=position")
-#: Fewer exchanges and images for a simulated second than a UR's.
-SLOW = ("-p", "joint_state_rate_hz:=50", "-p", "image_rate_hz:=20.0")
+#: Fewer exchanges for a simulated second than a UR's.
+SLOW = ("-p", "joint_state_rate_hz:=50")
 
 
 def test_an_arm_is_learned_and_servoed_by_its_name_with_positions(ros_test):
     data, model = (ros_test.folder / name for name in ("data.npz", "model.npz"))
     arm = [*ARM, *SLOW, *POSITION]
-    collected = [*arm, "-p", f"output_path:={data}", "-p", "duration_s:=12.0"]
+    collected = [*arm, "-p", f"output_path:={data}", "-p", "duration_s:=10.0"]
     process = ros_test.start("fvs_tools.launcher", "collect_minute", *collected)
     assert ros_test.wait(process, 120.0) == 0, ros_test.output(process)
     trainer = ros_test.start("fvs_tools.train", str(data), "-o", str(model), "--method", "poe")
@@ -28,7 +28,7 @@ def test_an_arm_is_learned_and_servoed_by_its_name_with_positions(ros_test):
     assert load_model(model).chain.prismatic.tolist() == [0.0] * 7
     assert "joints move the ball by lbr_iiwa_joint_1 " in ros_test.output(trainer)
     simulated = ["-p", "use_sim_time:=true", "-p", "simulated_time:=true"]
-    short = ["-p", "targets:=2", "-p", "target_s:=2.0", "-p", f"model_path:={model}"]
+    short = ["-p", "targets:=1", "-p", "target_s:=2.0", "-p", f"model_path:={model}"]
     commands = ros_test.collect(Float64MultiArray, topics.POSITION_COMMANDS.name, ros.QOS_EVERY)
     demo = ros_test.start(
         "fvs_tools.launcher", "demo", "--scheme", "best", *arm, *simulated, *short
@@ -36,7 +36,7 @@ def test_an_arm_is_learned_and_servoed_by_its_name_with_positions(ros_test):
     assert ros_test.wait(demo, 90.0) == 0, ros_test.output(demo)
     assert {len(message.data) for message in commands} == {7}
     results = json.loads((ros_test.folder / "out" / "demo" / "results.json").read_text())
-    assert [one["final_rms_m"] < 0.002 for one in results] == [True, True]
+    assert [one["final_rms_m"] < 0.002 for one in results] == [True]
 
 
 def test_a_bad_description_holds_the_arm_and_a_good_one_gives_its_limits(ros_test):
@@ -86,8 +86,12 @@ def test_a_bad_description_holds_the_arm_and_a_good_one_gives_its_limits(ros_tes
         )
         assert ros.from_status(statuses[-1])["state"] in ("WAITING", "FAULT")
     description.publish(urdf())
-    ros_test.spin_until(lambda: not says("robot_description"), what="a good description")
-    assert not says("ranges are unknown")
-    assert "joint_velocity_limits_rad_s are those of robot_description" in ros_test.output(
-        controller
+    ros_test.spin_until(
+        lambda: (
+            not says("robot_description")
+            and "joint_velocity_limits_rad_s are those of robot_description"
+            in ros_test.output(controller)
+        ),
+        what="a good description",
     )
+    assert not says("ranges are unknown")
