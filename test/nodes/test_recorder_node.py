@@ -69,10 +69,11 @@ def listened(ros_test, publisher):
 
 
 def test_a_replay_judges_a_demo_as_the_demo_did(ros_test):
-    given = ["use_sim_time:=true", "simulated_time:=true", "joint_state_rate_hz:=50"]
+    given = [f"{name}_max_age_s:=2.0" for name in ("joint_states", "ball", "jacobian")]
+    given += ["joint_state_rate_hz:=50", "image_rate_hz:=15.0"]
     launcher = ros_test.start(
-        LAUNCHER, "servo", "--record", "bag", "--record-without-images",
-        *(word for one in (*given, "joint_states_max_age_s:=2.0") for word in ("-p", one)),
+        LAUNCHER, "servo", "--one-process", "--record", "bag", "--record-without-images",
+        *(word for one in given for word in ("-p", one)),
     )  # fmt: skip
     status = ros_test.collect(DiagnosticStatus, f"{NAME}/status")
     ros_test.spin_until(
@@ -80,10 +81,9 @@ def test_a_replay_judges_a_demo_as_the_demo_did(ros_test):
         30.0,
         "the loop's topics",
     )
-    demo = ros_test.start_node(
-        "fvs_tools.demo_node", targets=2, target_s=1.6, seed=5, use_sim_time=True
-    )
-    assert ros_test.wait(demo, 60.0) == 0, ros_test.output(demo)
+    demo = ros_test.start_node("fvs_tools.demo_node", targets=2, target_s=1.6, seed=5)
+    # Whether it settled in time is the machine's business; what it said of itself is ours.
+    assert ros_test.wait(demo, 60.0) in (0, 1), ros_test.output(demo)
     assert ros_test.stop(launcher) == 0, ros_test.output(launcher)
     bag = ros_test.folder / "bag"
 
@@ -166,7 +166,9 @@ def test_what_came_before_the_recorder_was_killed_is_replayed(ros_test):
 
 
 def test_a_recorder_that_gives_up_does_not_stop_the_arm(ros_test):
-    process = ros_test.start(LAUNCHER, "servo", "--record", "bag", "--record-without-images")
+    process = ros_test.start(
+        LAUNCHER, "servo", "--one-process", "--record", "bag", "--record-without-images"
+    )
     truths = ros_test.collect(PointStamped, topics.TRUE_BALL_POSITION.name)
     ros_test.spin_until(lambda: len(truths) > 10, 30.0, "the simulator")
     shutil.rmtree(ros_test.folder / "bag")

@@ -28,7 +28,7 @@ def test_an_arm_is_learned_and_servoed_by_its_name_with_positions(ros_test):
     assert load_model(model).chain.prismatic.tolist() == [0.0] * 7
     assert "joints move the ball by lbr_iiwa_joint_1 " in ros_test.output(trainer)
     simulated = ["-p", "use_sim_time:=true", "-p", "simulated_time:=true"]
-    short = ["-p", "targets:=1", "-p", "target_s:=2.0", "-p", f"model_path:={model}"]
+    short = ["-p", "targets:=1", "-p", "target_s:=3.0", "-p", f"model_path:={model}"]
     commands = ros_test.collect(Float64MultiArray, topics.POSITION_COMMANDS.name, ros.QOS_EVERY)
     demo = ros_test.start(
         "fvs_tools.launcher", "demo", "--scheme", "best", *arm, *simulated, *short
